@@ -163,8 +163,9 @@ def chosen(picked: Mapping[Any, Any]) -> dict[str, str]:
 
 @contextmanager
 def ends_reported() -> Iterator[None]:
-    """Turn bad input and a full disk into one sentence on stderr and exit code 1; bad input leaves no trace.
+    """Turn bad input, a full disk or a folder in a file's place into one sentence on stderr and exit code 1.
 
+    Bad input leaves no trace.
     Memory that is refused counts as bad input: what takes most is estimated (`lmd.core.memory`), the rest is not.
     """
     from lmd.core.checks import InputError
@@ -182,7 +183,7 @@ def ends_reported() -> Iterator[None]:
         os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
         sys.exit(128 + signal.SIGPIPE)
     except OSError as error:
-        if error.errno not in (errno.ENOSPC, errno.EDQUOT):
+        if error.errno not in (errno.ENOSPC, errno.EDQUOT, errno.EISDIR):
             raise
         print(f"error: {error.filename or run_directory()}: {error.strerror}", file=sys.stderr)
         sys.exit(1)

@@ -13,8 +13,9 @@ from typing import TYPE_CHECKING, NamedTuple
 from omegaconf import DictConfig
 
 from .app import run_directory
-from .building import build_problem, instantiate, keyed, settings_of
+from .building import build_problem, instantiate, keyed
 from .deployments import any_deployment, composed_deployments, read_deployment_as_a_list
+from .detectors import detector_of
 from .documents import write_document
 from .pipeline import Pipeline
 
@@ -121,7 +122,7 @@ def subject_of(cfg: DictConfig, count: int, seed: int) -> Subject:
     scene = problem.scene
     with keyed():
         tag.check_edge()
-    detectors = {name: instantiate(settings_of(cfg, f"detectors.{name}")) for name in cfg.get("detectors") or {}}
+    detectors = {name: detector_of(cfg, name) for name in cfg.get("detectors") or {}}
     if not detectors:
         raise InputError("detectors must name at least one detector.")
     for detector in detectors.values():

@@ -24,10 +24,13 @@ def contents_of(settings: Any) -> dict[str, str]:
     Args:
         settings: resolved, nested in any way; overrides as they were written will do.
     """
+    from lmd.core.checks import printable
+
     texts = list(_texts(settings))
     files = {Path(word) for text in texts for word in _words(text) if os.path.isfile(word)}
-    files |= {file for text in texts if os.path.isdir(text) for file in Path(text).iterdir() if file.is_file()}
-    return {f"contents of {file}": _digest(file) for file in sorted(files) if os.access(file, os.R_OK)}
+    folders = [Path(text) for text in texts if os.path.isdir(text) and os.access(text, os.R_OK)]
+    files |= {file for folder in folders for file in folder.iterdir() if os.path.isfile(file)}
+    return {printable(f"contents of {file}"): _digest(file) for file in sorted(files) if os.access(file, os.R_OK)}
 
 
 def _texts(settings: Any) -> Iterator[str]:

@@ -107,9 +107,10 @@ def _refuse_configuration_of_another(pipeline: str) -> None:
     """Exit where `--config-name` names the configuration of another command."""
     words = [word for argument in sys.argv[1:] for word in argument.split("=", 1)]
     for option, name in pairwise(words):
-        if option not in ("--config-name", "-cn") or (named := name.removesuffix(".yaml")) == pipeline:
+        named = name.removesuffix(".yaml")
+        if option not in ("--config-name", "-cn") or named == pipeline or not named.isidentifier():
             continue
-        if Path(CONF, f"{named}.yaml").is_file() and Path(Path(__file__).parent, f"{named}.py").is_file():
+        if Path(CONF, f"{named}.yaml").is_file() and Path(__file__).with_name(f"{named}.py").is_file():
             sys.exit(f"error: --config-name {name} is the configuration of another command: {command_of(named)}")
 
 

@@ -41,15 +41,23 @@ def in_processes(
         InputError: `workers` is not positive; a process that worked on one job alone was killed; or the
             system has no semaphores.
     """
-    from lmd.core.checks import integer
-    from lmd.core.threads import available_threads
-
-    count = available_threads() if workers is None else integer("workers", workers, low=1)
-    count = min(count, len(jobs))
+    count = min(processes(workers), len(jobs))
     if count <= 1:
         return (function(job) for job in jobs)
     results = _results(function, jobs, count, name)
     return _in_order(results) if ordered else (result for _, result in results)
+
+
+def processes(workers: int | None) -> int:
+    """How many processes `workers` stands for: all processors where it is None.
+
+    Raises:
+        InputError: it is not positive.
+    """
+    from lmd.core.checks import integer
+    from lmd.core.threads import available_threads
+
+    return available_threads() if workers is None else integer("workers", workers, low=1)
 
 
 def _results(

@@ -38,12 +38,13 @@ _BINARIES = {
 _KINDS = {stat.S_IFDIR: "a directory", stat.S_IFIFO: "a pipe", stat.S_IFCHR: "a device", stat.S_IFBLK: "a device"}
 
 
-def read_bytes(path: Any, name: str, largest: float = math.inf) -> bytes:
+def read_bytes(path: Any, name: str, largest: float = math.inf, first: int | None = None) -> bytes:
     """The contents of a file.
 
     Args:
         name: the argument the path came from, for messages.
         largest: bytes that it may have.
+        first: bytes that are read; None for all.
 
     Raises:
         InputError: it is missing, no regular file, larger than is allowed or than fits into memory, or not readable.
@@ -57,7 +58,7 @@ def read_bytes(path: Any, name: str, largest: float = math.inf) -> bytes:
             if not stat.S_ISREG(status.st_mode):
                 kind = _KINDS.get(stat.S_IFMT(status.st_mode), "no file")
                 raise InputError(f"{refused}: it is {kind}.", name)
-            size = status.st_size
+            size = status.st_size if first is None else min(first, status.st_size)
             if size > largest:
                 raise InputError(f"{refused}: it has {size:.4g} bytes, and at most {largest:.4g} are taken.", name)
             check_memory(MEMORY_PER_BYTE * size, f"{name}: {str(path)!r}, of {size:.4g} bytes,", name)

@@ -113,6 +113,8 @@ class AprilTagDetector:
     most_errors: int = 2
 
     def __post_init__(self) -> None:
+        if self.family in FAMILIES and not FAMILIES[self.family].apriltag:
+            raise InputError(f"family {self.family} is one of ArUco's, which only ArucoDetector reads.", "family")
         choice("family", self.family, tuple(name for name, family in FAMILIES.items() if family.apriltag))
         check_fields(self, real, "quad_decimate", low=1.0)
         check_fields(self, integer, "most_errors", low=0, high=2)

@@ -1,15 +1,15 @@
-"""Images of one camera: a folder of photographs, or a video."""
+"""Images of one camera, such as a folder of photographs."""
 
 import io
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Protocol
 
 import numpy as np
 
-from lmd.core.checks import InputError, check_fields, file_path, real
+from lmd.core.checks import InputError, file_path, printable
 from lmd.core.files import read_bytes
 from lmd.core.optional import optional
 from lmd.render.imaging import UInt8Array
@@ -26,6 +26,14 @@ class Images(Protocol):
     @property
     def names(self) -> Sequence[str]:
         """What each is called, in order."""
+
+    @property
+    def remarks(self) -> Sequence[str]:
+        """What a user should know of those that are not read, a sentence each without its end."""
+
+    @property
+    def is_random_access(self) -> bool:
+        """Whether images are read without those before them."""
 
     def read(self, first: int, last: int, camera: Camera) -> Iterator[UInt8Array]:
         """The images from `first` up to but not including `last`, `(h, w)` each.
@@ -51,27 +59,41 @@ class Photographs:
     argument: str = "folder"
 
     def __post_init__(self) -> None:
-        if not file_path(self.argument, self.folder).is_dir():
-            raise InputError(f"{self.argument}: there is no folder {str(self.folder)!r}.", self.argument)
         if not self.paths:
             raise InputError(
                 f"{self.argument}: {str(self.folder)!r} has no images ({', '.join(IMAGES)}).", self.argument
             )
 
+    @property
+    def is_random_access(self) -> bool:
+        """See `Images.is_random_access`."""
+        return True
+
     @cached_property
     def paths(self) -> list[Path]:
         """The files."""
-        return sorted(path for path in Path(self.folder).iterdir() if path.suffix.lower() in IMAGES)
+        return self._with(IMAGES)
 
     @property
     def unread(self) -> list[str]:
         """The names of images of formats that are not read."""
-        return sorted(path.name for path in Path(self.folder).iterdir() if path.suffix.lower() in UNREAD)
+        return [printable(path.name) for path in self._with(UNREAD)]
+
+    @property
+    def remarks(self) -> list[str]:
+        """See `Images.remarks`."""
+        left = self.unread
+        return [f"{len(left)} images of {str(self.folder)!r} are not read, such as {left[0]}"] if left else []
 
     @property
     def names(self) -> list[str]:
-        """See `Images.names`: those of the files."""
-        return [path.name for path in self.paths]
+        """See `Images.names`: those of the files, as they can be written and printed."""
+        return [printable(path.name) for path in self.paths]
+
+    def _with(self, suffixes: Sequence[str]) -> list[Path]:
+        """The files whose names end so, by their names."""
+        paths = [path for path in folder_entries(self.folder, self.argument) if path.suffix.lower() in suffixes]
+        return sorted(paths, key=lambda path: printable(path.name))
 
     def read(self, first: int, last: int, camera: Camera) -> Iterator[UInt8Array]:
         """See `Images.read`."""
@@ -79,71 +101,22 @@ class Photographs:
             yield read_image(path, camera, self.argument)
 
 
-@dataclass(frozen=True)
-class Video:
-    """Some frames of a video; their names are their times, seconds.
+def folder_entries(folder: str | Path, argument: str) -> list[Path]:
+    """What is in a folder, by name.
 
     Args:
-        path: the file.
-        rate: frames a second that are taken; at most all are.
         argument: the argument the path came from, for messages.
 
     Raises:
-        InputError: the file is no video that OpenCV can read, or the rate is not positive.
+        InputError: there is no such folder, or it cannot be read.
     """
-
-    path: str | Path
-    rate: float
-    argument: str = "path"
-
-    def __post_init__(self) -> None:
-        check_fields(self, real, "rate", above=0.0)
-        if not file_path(self.argument, self.path).is_file():
-            raise InputError(f"{self.argument}: there is no file {str(self.path)!r}.", self.argument)
-        frames, own = self._extent
-        if not (frames >= 1.0 and own > 0.0):
-            raise InputError(f"{self.argument}: {str(self.path)!r} cannot be read as a video.", self.argument)
-
-    @cached_property
-    def _extent(self) -> tuple[float, float]:
-        """The number of frames, and how many there are a second."""
-        cv2, video = optional("cv2", "detection"), self._opened()
-        try:
-            return float(video.get(cv2.CAP_PROP_FRAME_COUNT)), float(video.get(cv2.CAP_PROP_FPS))
-        finally:
-            video.release()
-
-    @cached_property
-    def numbers(self) -> list[int]:
-        """The frames that are taken."""
-        frames, own = self._extent
-        return list(range(0, int(frames), max(1, round(own / self.rate))))
-
-    @property
-    def names(self) -> list[str]:
-        """See `Images.names`."""
-        return [f"{number / self._extent[1]:.6f}" for number in self.numbers]
-
-    def _opened(self) -> Any:
-        return optional("cv2", "detection").VideoCapture(str(self.path))
-
-    def read(self, first: int, last: int, camera: Camera) -> Iterator[UInt8Array]:
-        """See `Images.read`; a video that ends before it said so has fewer."""
-        cv2, video = optional("cv2", "detection"), self._opened()
-        at, wanted = self.numbers[first], self.numbers[first:last]
-        try:
-            video.set(cv2.CAP_PROP_POS_FRAMES, at)
-            for number in range(at, wanted[-1] + 1):
-                if not video.grab():
-                    return
-                if number not in wanted:
-                    continue
-                image: UInt8Array = cv2.cvtColor(video.retrieve()[1], cv2.COLOR_BGR2GRAY)
-                if image.shape[::-1] != image_size(camera):
-                    raise _wrong_size(Path(self.path), self.argument, image.shape[::-1], image_size(camera))
-                yield image
-        finally:
-            video.release()
+    try:
+        return sorted(file_path(argument, folder).iterdir())
+    except (FileNotFoundError, NotADirectoryError):
+        raise InputError(f"{argument}: there is no folder {str(folder)!r}.", argument) from None
+    except (OSError, ValueError) as error:
+        reason = error.strerror if isinstance(error, OSError) else error
+        raise InputError(f"{argument}: the folder {str(folder)!r} cannot be read ({reason}).", argument) from None
 
 
 def read_image(path: Path, camera: Camera, argument: str) -> UInt8Array:
@@ -170,10 +143,11 @@ def read_image(path: Path, camera: Camera, argument: str) -> UInt8Array:
             return image
     if written is None:
         raise InputError(f"{argument}: {str(path)!r} cannot be read as an image.", argument)
-    raise _wrong_size(path, argument, written, size)
+    raise wrong_size(path, argument, written, size)
 
 
-def _wrong_size(path: Path, argument: str, written: tuple[int, ...], size: tuple[int, int]) -> InputError:
+def wrong_size(path: Path, argument: str, written: tuple[int, ...], size: tuple[int, int]) -> InputError:
+    """The error that an image or a video has not the size of the camera."""
     found, needed = (" x ".join(map(str, pair)) for pair in (written, size))
     return InputError(f"{argument}: {str(path)!r} has {found} pixels, the camera {needed}.", argument)
 

@@ -9,14 +9,21 @@ from typing import Any
 import numpy as np
 
 from lmd.core.checks import FloatArray, InputError, IntArray
-from lmd.core.tables import Table, read_table, write_table
+from lmd.core.files import read_text
+from lmd.core.tables import COMMENT, read_table, write_table
 from lmd.detection.detectors import Detections
 from lmd.scene.calibration_files import PIXEL_CENTRE
 
 # In OpenCV's pixels, clockwise from the top left of the tag as it was made.
 CORNER_COLUMNS = tuple(f"{axis}{corner}" for corner in range(4) for axis in "xy")
-TIMES, CAMERAS = ("time", "stamp"), ("camera", "topic")
+TIMES, CAMERAS = ("time", "stamp", "image"), ("camera", "topic")
+READ = (
+    f"what is read is a CSV with a row for each tag and the columns {' or '.join(TIMES)}, id, x0, y0, ..., x3, y3, the "
+    "corners clockwise from the tag's top left in OpenCV's pixels"
+)
 FROM_APRILTAG = [3, 2, 1, 0]
+# Columns of a header that has others are named if it lacks so few; else the header is shown, characters at most.
+MOST_LACKING, SHOWN = 4, 80
 # A quadrilateral smaller than this, square pixels, has no corners to speak of.
 LEAST_AREA = 1.0
 
@@ -34,6 +41,7 @@ class DetectedTags:
         ids: numbers of the tags, `(N,)`.
         corners: pixels from the border, top left, top right, bottom right, bottom left of the tag, `(N, 4, 2)`.
         blurred: frames whose detections were left out, with their blur, pixels, by their name.
+        copies: images whose detections were left out, with the image that each is a copy of, by their name.
         in_order: whether corners are known to begin at the top left, because a detector of `lmd.detection` found them.
 
     Raises:
@@ -47,6 +55,7 @@ class DetectedTags:
     ids: IntArray
     corners: FloatArray
     blurred: Mapping[str, float] = field(default_factory=dict)
+    copies: Mapping[str, str] = field(default_factory=dict)
     in_order: bool = False
 
     def __post_init__(self) -> None:
@@ -82,7 +91,7 @@ class DetectedTags:
         ids, corners = (np.concatenate([getattr(part, name) for part in parts.values()]) for name in ("ids", "corners"))
         blurs = {f"{name}/{time}": blur for name, part in parts.items() for time, blur in part.blurred.items()}
         in_order = all(part.in_order for part in parts.values())
-        return cls(tuple(times), tuple(parts), np.concatenate(places), camera, ids, corners, blurs, in_order)
+        return cls(tuple(times), tuple(parts), np.concatenate(places), camera, ids, corners, blurs, in_order=in_order)
 
     def of(self, chosen: IntArray) -> "DetectedTags":
         """Those that `chosen` selects, among the same frames and cameras."""
@@ -117,9 +126,9 @@ def signed_area(corners: FloatArray) -> FloatArray:
 
 
 def read_detections(path: Any) -> DetectedTags:
-    """Read `id,x0,y0,...,x3,y3`, corners clockwise from the top left in OpenCV's pixels, with `time` or `stamp`.
+    """Read `id,x0,y0,...,x3,y3`, corners clockwise from the top left in OpenCV's pixels, with `time`.
 
-    A time may be any text, such as the name of a photograph.
+    The time may be called `stamp` or `image`, and be any text, such as the name of a photograph.
 
     `camera` or `topic` says which camera saw a tag; without it there is one. Further columns are ignored. Where most
     corners go round counter-clockwise they are taken for those of the AprilTag library, which begins at the bottom
@@ -129,8 +138,9 @@ def read_detections(path: Any) -> DetectedTags:
         InputError: the file cannot be read, lacks a column, or a value is no number.
     """
     name = "detections"
+    _check_header(path, name)
     table = read_table(path, name=name)
-    time, camera = _either(table, TIMES, name), _either(table, CAMERAS, name, optional=True)
+    time, camera = (next((known for known in known_as if known in table), "") for known_as in (TIMES, CAMERAS))
     values = table.numbers(("id", *CORNER_COLUMNS), None)
     ids = values[:, 0].astype(np.int64)
     if (wrong := np.flatnonzero((ids != values[:, 0]) | (ids < 0))).size:
@@ -168,13 +178,25 @@ def write_detections(path: Path, detected: DetectedTags) -> None:
     write_table(path, {**columns, "id": detected.ids, **dict(zip(CORNER_COLUMNS, corners.T, strict=True))})
 
 
-def _either(table: Table, names: tuple[str, str], argument: str, optional: bool = False) -> str:
-    """Which of two columns a table has; an empty text where it has none and need not."""
-    for name in names:
-        if name in table:
-            return name
-    if optional:
-        return ""
-    raise InputError(
-        f"{table.path} lacks the column {' or '.join(names)}, which says what was seen together.", argument
-    )
+def _check_header(path: Any, name: str) -> None:
+    """Raise `InputError` if a file does not begin with the columns of detections, whatever else it is."""
+    text = read_text(path, name)
+    lines = [line for line in text.splitlines() if line.strip() and not line.lstrip().startswith(COMMENT)]
+    header = [column.strip().strip('"') for column in lines[0].split(",")] if lines else []
+    if len(header) == 1 and ";" in header[0]:
+        return  # which `read_table` refuses
+    lacks = [column for column in ("id", *CORNER_COLUMNS) if column not in header]
+    lacks = [" or ".join(TIMES)] * (not set(TIMES) & set(header)) + lacks
+    if not lacks:
+        return
+    if not lines:
+        found = "is empty"
+    elif lines[0].lstrip().startswith(("{", "[")):
+        found = "is JSON or YAML, and no CSV"
+    elif {"corner", "x", "y"} <= set(header):
+        found = "has a row for each corner"
+    elif len(lacks) > MOST_LACKING:
+        found = f"has no such columns in its first line, {lines[0].strip()[:SHOWN]!r}"
+    else:
+        found = f"lacks the column{'s' * (len(lacks) > 1)} {', '.join(lacks)}"
+    raise InputError(f"{name}: {str(path)!r} {found}; {READ}.", name)

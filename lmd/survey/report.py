@@ -180,6 +180,7 @@ def document(survey: Survey) -> dict[str, Any]:
         "figures": metrics(survey),
         "frames": len(times),
         "blurred": dict(survey.detected.blurred),
+        "copies": dict(survey.detected.copies),
         "used_frames": [times[frame] for frame in found.frames.tolist()],
         "cameras": dict(mounts),
         "intrinsics": [camera.document() for camera in survey.calibrated],
@@ -267,6 +268,7 @@ def _troubles(survey: Survey) -> dict[str, str]:
         [] if survey.known.plan is None else survey.ids[survey.placed & ~np.isin(survey.ids, survey.known.ids)].tolist()
     )
     moved = [place for place in faults.second_places if place.moved is not None]
+    copies = survey.detected.copies
     worst = [f"{ids[k]} ({1e3 * sigma[k]:.2g} mm)" for k in again(survey) if survey.placed[k]]
     return {
         **{text: _few(numbers) for text, numbers in by_state.items() if text != "placed"},
@@ -277,6 +279,9 @@ def _troubles(survey: Survey) -> dict[str, str]:
         "twice": _few(ids[place.tag] for place in faults.second_places if place.moved is None),
         "other size": _few(f"{ids[tag]} ({1e3 * edge:.4g} mm)" for tag, edge in faults.sizes.items()),
         "blurred": _few(f"{name} ({pixels:.2g} pixels)" for name, pixels in survey.detected.blurred.items()),
+        "copies": f"{len(copies)} images, not counted: such as {next(iter(copies))} of {next(iter(copies.values()))}"
+        if copies
+        else "",
         "misread": _few(f"{ids[k]} ({faults.misread[k]} x)" for k in np.flatnonzero(faults.misread)),
         "photograph": _few(worst) + "; known worst" * bool(worst),
     }

@@ -1,49 +1,16 @@
+import os
+from pathlib import Path
+
 import cv2
 import numpy as np
 import pytest
 from PIL import Image
 
 from lmd.core.checks import InputError
-from lmd.detection.images import Photographs, Video
+from lmd.detection.images import Photographs
 from lmd.scene.camera import Camera
 
 CAMERA = Camera(4.0, 0.02, 0.02, (160.0, 120.0), 320, 240, 0.0)
-RATE, FRAMES = 10, 20
-
-
-@pytest.fixture
-def video(tmp_path):
-    """A video that grows brighter with every frame."""
-    path = tmp_path / "walk.avi"
-    writer = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*"MJPG"), RATE, (320, 240))
-    for number in range(FRAMES):
-        writer.write(np.full((240, 320, 3), 10 * number, dtype=np.uint8))
-    writer.release()
-    return path
-
-
-@pytest.mark.parametrize(("rate", "step"), [(5, 2), (100, 1), (3, 3)])
-def test_so_many_frames_a_second_are_taken_of_a_video(video, rate, step):
-    images = Video(video, rate)
-    assert [float(name) for name in images.names] == pytest.approx([k / RATE for k in range(0, FRAMES, step)])
-    whole = [image.mean() for image in images.read(0, len(images.names), CAMERA)]
-    np.testing.assert_allclose(whole, np.arange(0, FRAMES, step) * 10.0, atol=3.0)
-    part = [image.mean() for image in images.read(2, 5, CAMERA)]
-    assert part == whole[2:5]
-
-
-def test_a_video_of_another_size_is_refused(video):
-    other = Camera(4.0, 0.02, 0.02, (160.0, 120.0), 322, 240, 0.0)
-    with pytest.raises(InputError, match=r"has 320 x 240 pixels, the camera 322 x 240\.$"):
-        list(Video(video, 5).read(0, 1, other))
-
-
-def test_what_is_no_video_is_refused(tmp_path):
-    (tmp_path / "walk.mp4").write_text("nothing")
-    with pytest.raises(InputError, match=r"cannot be read as a video\.$"):
-        Video(tmp_path / "walk.mp4", 5)
-    with pytest.raises(InputError, match=r"^path: there is no file"):
-        Video(tmp_path / "none.mp4", 5)
 
 
 @pytest.mark.parametrize(
@@ -70,3 +37,23 @@ def test_photographs_come_by_name(tmp_path):
     assert images.names == ["1.png", "2.png"]
     assert [image.mean() for image in images.read(0, 2, CAMERA)] == [100.0, 200.0]
     assert [image.mean() for image in images.read(1, 2, CAMERA)] == [200.0]
+
+
+def test_a_name_that_is_no_utf_8_can_be_written(tmp_path):
+    cv2.imwrite(str(tmp_path / "cafe.png"), np.full((240, 320), 7, dtype=np.uint8))
+    os.rename(tmp_path / "cafe.png", os.fsencode(tmp_path) + b"/caf\xe9.png")
+    images = Photographs(tmp_path)
+    assert images.names == ["caf\\udce9.png"]
+    images.names[0].encode()
+    assert [image.mean() for image in images.read(0, 1, CAMERA)] == [7.0]
+
+
+def test_a_folder_that_cannot_be_read_is_refused(tmp_path, monkeypatch):
+    def closed(_):
+        raise PermissionError(13, "Permission denied")
+
+    with pytest.raises(InputError, match=r"^folder: there is no folder '.*none'\.$"):
+        Photographs(tmp_path / "none")
+    monkeypatch.setattr(Path, "iterdir", closed)
+    with pytest.raises(InputError, match=r"^folder: the folder '.*' cannot be read \(Permission denied\)\.$"):
+        Photographs(tmp_path)

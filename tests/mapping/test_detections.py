@@ -38,6 +38,13 @@ def test_pixels_are_counted_from_the_border(tmp_path):
     assert found.cameras == ("",)
 
 
+def test_frames_may_be_called_by_their_images(tmp_path):
+    found = read_detections(
+        written(tmp_path, f"image,id,x0,y0,x1,y1,x2,y2,x3,y3\nb.png,3,{SQUARE}\na.png,3,{SQUARE}\n")
+    )
+    assert found.times == ("a.png", "b.png")
+
+
 def test_a_mirrored_detection_is_left_out(tmp_path):
     body = f"0,3,{SQUARE}\n0,4,{TURNED}\n0,5,{SQUARE}\n"
     assert read_detections(written(tmp_path, "time,id,x0,y0,x1,y1,x2,y2,x3,y3\n" + body)).ids.tolist() == [3, 5]
@@ -74,10 +81,18 @@ def test_frames_of_a_detector_keep_their_places():
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("id,x0,y0,x1,y1,x2,y2,x3,y3\n", "lacks the column time or stamp"),
-        (f"time,id,x0,y0,x1,y1,x2,y2,x3\n0,3,{SQUARE[:-3]}\n", "lacks the column 'y3'"),
+        ("id,x0,y0,x1,y1,x2,y2,x3,y3\n", "lacks the column time or stamp or image; what is read is a CSV"),
+        (f"time,id,x0,y0,x1,y1,x2,y2,x3\n0,3,{SQUARE[:-3]}\n", "lacks the column y3; what is read"),
         (f"time,id,x0,y0,x1,y1,x2,y2,x3,y3\n0,3.5,{SQUARE}\n", "line 2: id is '3.5', not a whole number"),
         (f"time,id,x0,y0,x1,y1,x2,y2,x3,y3\n0,3,left{SQUARE[2:]}\n", "line 2: x0 is 'left', not a number"),
+        ("", "is empty; what is read"),
+        (
+            '[{"targets": [{"fiducialId": 18}]}]',
+            "is JSON or YAML, and no CSV; what is read is a CSV",
+        ),
+        ("18\n10.0 20.0\n", "has no such columns in its first line, '18'; what is read"),
+        ("image,tag_id,corner,x,y\na.png,7,0,10,20\n", "has a row for each corner; what is read is a CSV"),
+        (f"time;id;x0;y0;x1;y1;x2;y2;x3;y3\n0;3;{SQUARE}\n", "has semicolons between its columns"),
         ("time,id,x0,y0,x1,y1,x2,y2,x3,y3\n0,3,1,1,1,1,1,1,1,1\n", "no detection with four corners"),
     ],
 )

@@ -1,6 +1,7 @@
 """The contents of input files are part of what a sweep, a job and a checkpoint go by."""
 
 import os
+from pathlib import Path
 
 import pandas as pd
 import pytest
@@ -103,3 +104,16 @@ def test_a_run_does_not_go_on_with_another_pdf(tmp_path):
     message = "checkpoint.npz was made with contents of in.csv = "
     refused("optimise", "budget.evaluations=90", "resume=run", "hydra.run.dir=third", message=message, cwd=tmp_path,
             settings=settings)  # fmt: skip
+
+
+def test_names_of_files_that_are_no_utf_8_can_be_written(tmp_path):
+    name = os.fsdecode(os.fsencode(tmp_path) + b"/caf\xe9.png")
+    Path(name).write_text("pixels")
+    (named,) = contents_of({"photographs": str(tmp_path)})
+    assert named.encode() == f"contents of {tmp_path}/caf\\udce9.png".encode()
+
+
+def test_folders_that_cannot_be_read_are_left_to_who_reads_them(tmp_path, monkeypatch):
+    (tmp_path / "a.png").write_text("pixels")
+    monkeypatch.setattr(os, "access", lambda *_: False)
+    assert contents_of({"photographs": str(tmp_path)}) == {}

@@ -1,6 +1,7 @@
 """`pipelines.survey` as a user meets it: a process, its messages, its exit code and the files it leaves."""
 
 import json
+import os
 import re
 import shutil
 
@@ -19,7 +20,7 @@ from lmd.geometry.se3 import exp
 from lmd.scene.camera import Camera
 from lmd.scene.deployment import Deployment
 from lmd.scene.labels import Labels
-from pipelines.survey import detected_in
+from pipelines.photographs import detected_in
 
 CAMERA = Camera(2.2, 0.0075, 0.0075, (320.0, 240.0), 640, 480, 0.0)
 EDGE, COUNT, FRAMES = 0.25, 16, 20
@@ -212,12 +213,56 @@ def test_photographs_without_a_tag_say_so(tmp_path):
         detected_in(Photographs(tmp_path), CAMERA, Blind(), 8, workers=1)
 
 
+@pytest.mark.usefixtures("surveyed")
+def test_copies_of_photographs_count_once(room):
+    """Also where their names are no UTF-8."""
+    cwd = room[0]
+    (cwd / "copied").mkdir()
+    for path in sorted((cwd / "photos").iterdir()):
+        shutil.copy(path, cwd / "copied")
+        for suffix in (b"\xe9", b"x"):
+            shutil.copy(path, os.fsencode(cwd / "copied" / path.stem) + suffix + b".png")
+    done = call("photographs=copied", "deployment.path=plan.csv", "hydra.run.dir=once", cwd=cwd)
+    assert done.returncode == 0, done.stderr
+    assert re.search(
+        r"^copies +\d+ images, not counted: such as 0000\\udce9.png of 0000.png$", done.stdout, re.MULTILINE
+    )
+    first, again = (pd.read_csv(cwd / folder / "map.csv") for folder in ("out", "once"))
+    np.testing.assert_allclose(again.drop(columns="id"), first.drop(columns="id"), rtol=1e-6, atol=1e-9)
+    copies = json.loads((cwd / "once" / "survey.json").read_text())["copies"]
+    assert copies["0000\\udce9.png"] == "0000.png"
+
+
+@pytest.mark.usefixtures("surveyed")
+def test_a_folder_keeps_no_file_of_an_earlier_survey(room):
+    cwd = room[0]
+    shutil.copytree(cwd / "out", cwd / "used")
+    settings = [*SETTINGS[:-1], "hydra.run.dir=used"]
+    message = "used' holds measured.csv, tags.apriltag_ros.yaml, tags.wpilib.json of an earlier survey"
+    processes.refused("survey", message=message, cwd=cwd, settings=settings)
+    for name in ("measured.csv", "tags.apriltag_ros.yaml", "tags.wpilib.json"):
+        (cwd / "used" / name).unlink()
+    read = ["detections=used/detections.csv", *READ, "hydra.run.dir=used"]
+    done = call(cwd=cwd, settings=read)
+    assert done.returncode == 0, done.stderr
+    assert (cwd / "used" / "detections.csv").read_text() == (cwd / "out" / "detections.csv").read_text()
+    (cwd / "used" / "survey.png").unlink()
+    (cwd / "used" / "survey.png").mkdir()
+    message = "hydra.run.dir: '" + str(cwd / "used" / "survey.png") + "' is a folder, where a file is to be written"
+    processes.refused("survey", message=message, cwd=cwd, settings=read)
+
+
 @pytest.mark.parametrize(
     ("overrides", "message"),
     [
         (["photographs=null"], "photographs=DIR, a folder or a video, or detections=FILE.csv must be given"),
         (["photographs=nowhere"], "photographs: there is no folder or video 'nowhere'"),
-        (["photographs=plan.csv"], "photographs: 'plan.csv' cannot be read as a video"),
+        (["photographs=plan.csv"], "photographs: 'plan.csv' cannot be read as a video: it is a text"),
+        (["photographs=cut.mp4"], "photographs: 'cut.mp4' cannot be read as a video: OpenCV cannot open it"),
+        (
+            ["tag.family=4x4_100"],
+            "tag.family = 4x4_100 is one of ArUco's, which the detector apriltag does not read: detectors=[aruco] does",
+        ),
         (["survey.place=0"], "survey.place must"),
         (["export=[wpilib]"], "export needs the room that the tags hang in"),
         (["detectors=[apriltag,aruco]"], "detectors must name one detector, got ['apriltag', 'aruco']"),
@@ -231,6 +276,7 @@ def test_photographs_without_a_tag_say_so(tmp_path):
     ],
 )
 def test_bad_input_gets_one_sentence(room, overrides, message):
+    (room[0] / "cut.mp4").write_bytes(b"\0\0\0\x18ftypisom\0\0\0\0isom")
     processes.refused(
         "survey", *overrides, message=message, cwd=room[0], settings=[*SETTINGS[:-1], "hydra.run.dir=bad"]
     )

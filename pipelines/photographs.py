@@ -1,0 +1,139 @@
+"""What a detector finds in photographs or a video, or others have found."""
+
+import os
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, NamedTuple
+
+from omegaconf import DictConfig
+
+from .building import keyed
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from lmd.detection.detectors import Detections, Detector
+    from lmd.detection.images import Images
+    from lmd.mapping.detections import DetectedTags
+    from lmd.scene.camera import Camera
+
+CHUNK = 8  # images that a worker reads at a time
+
+
+def detected(cfg: DictConfig, cameras: "Sequence[Camera]", detector: "Detector", modules: int) -> "DetectedTags":
+    """What was detected, by others or now; images that show the same count once.
+
+    Raises:
+        InputError: nothing, or both, is given, or a file cannot be read.
+    """
+    from lmd.core.checks import InputError
+    from lmd.mapping.copies import without_copies
+    from lmd.mapping.detections import read_detections
+
+    if (cfg.photographs is None) == (cfg.detections is None):
+        raise InputError("photographs=DIR, a folder or a video, or detections=FILE.csv must be given, and not both.")
+    if cfg.detections is not None:
+        return without_copies(read_detections(cfg.detections))
+    return without_copies(_in_images(cfg, cameras, detector, modules))
+
+
+def _in_images(cfg: DictConfig, cameras: "Sequence[Camera]", detector: "Detector", modules: int) -> "DetectedTags":
+    """What is detected in the photographs of all cameras.
+
+    Raises:
+        InputError: there are none, or one cannot be read.
+    """
+    from lmd.core.checks import InputError, printable
+    from lmd.detection.images import Photographs, folder_entries
+    from lmd.detection.video import Video
+    from lmd.mapping.detections import DetectedTags
+
+    given = Path(str(cfg.photographs))
+    if not os.path.lexists(given):
+        raise InputError(f"photographs: there is no folder or video {str(given)!r}.")
+    with keyed():
+        if len(cameras) == 1:
+            is_folder = os.path.isdir(given)
+            images = Photographs(given, "photographs") if is_folder else Video(given, cfg.rate, "photographs")
+            return detected_in(images, cameras[0], detector, modules, cfg.workers)
+        folders = [entry for entry in folder_entries(given, "photographs") if os.path.isdir(entry)]
+        if len(folders) != len(cameras):
+            text = f"photographs must be a folder with one folder for each of {len(cameras)} cameras"
+            raise InputError(f"{text}, {str(given)!r} has {len(folders)}.")
+        views = {printable(folder.name): Photographs(folder, "photographs") for folder in folders}
+        return DetectedTags.together(
+            {
+                name: detected_in(images, camera, detector, modules, cfg.workers)
+                for (name, images), camera in zip(views.items(), cameras, strict=True)
+            }
+        )
+
+
+class Job(NamedTuple):
+    """Some images, for a process of its own."""
+
+    images: "Images"
+    camera: "Camera"
+    detector: "Detector"
+    modules: int
+    first: int
+    last: int
+
+
+def detected_in(
+    images: "Images", camera: "Camera", detector: "Detector", modules: int, workers: int | None
+) -> "DetectedTags":
+    """The tags that a detector finds in images, but for those in frames that are blurred beside the others.
+
+    Args:
+        images: all of one camera.
+        camera: has the size of the images.
+        detector: reads them.
+        modules: N of the tags' family.
+        workers: processes, None for every processor; the result is the same.
+
+    Raises:
+        InputError: an image cannot be read, or none shows a tag.
+    """
+    import numpy as np
+
+    from lmd.core.checks import InputError
+    from lmd.detection.sharpness import blurred
+    from lmd.mapping.detections import DetectedTags
+
+    from .progress import bar
+    from .workers import in_processes, processes
+
+    next(images.read(0, 1, camera), None)  # what is wrong with all of them is said before anything is shown
+    count = len(images.names)
+    for remark in images.remarks:
+        print(f"warning: photographs: {remark}", file=sys.stderr)
+    # A worker that begins in the middle of some videos reads them from their start.
+    chunk = CHUNK if images.is_random_access else -(-count // processes(workers))
+    jobs = [
+        Job(images, camera, detector, modules, first, min(first + chunk, count)) for first in range(0, count, chunk)
+    ]
+    found: list[Detections] = []
+    blurs: list[float] = []
+    with bar(count, "images") as progress:
+        for part in in_processes(_read, jobs, workers, lambda job: job.images.names[job.first], ordered=True):
+            found += [detections for detections, _ in part]
+            blurs += [blur for _, blur in part]
+            progress.update(len(part))
+    if not any(len(one) for one in found):
+        raise InputError(f"photographs: no tag is found in any of {count} images; tag.family says which to look for.")
+    smeared = np.flatnonzero(blurred(np.array(blurs)))
+    return DetectedTags.in_frames(images.names, found).without({images.names[k]: blurs[k] for k in smeared})
+
+
+def _read(job: Job) -> "list[tuple[Detections, float]]":
+    """One job, on one thread: what was detected in each image, and its blur."""
+    from lmd.core.optional import optional
+    from lmd.detection.sharpness import blur_of
+
+    optional("cv2", "detection").setNumThreads(1)
+    found = []
+    for image in job.images.read(job.first, job.last, job.camera):
+        detections = job.detector.detect(image)
+        found.append((detections, blur_of(image, detections, job.modules)))
+    return found
