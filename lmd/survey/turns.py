@@ -58,7 +58,7 @@ def by_places(here: FloatArray, there: FloatArray) -> FloatArray | None:
         if not fixed[0]:
             break
         best = pose_of(turns[0], ways[0])
-    return best
+    return np.asarray(best)
 
 
 def _points(tags: FloatArray) -> FloatArray:
