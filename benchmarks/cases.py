@@ -26,6 +26,15 @@ ROOM = ("room=floor_plan", "room.outline=[[0,0],[6,0],[6,4],[0,4]]", "room.holes
 BAND = ("room.reachable.clearance=0.3", "room.reachable.height=[0.3,1.9]")
 TAGS = ("tag.edge=0.15", "visibility=fiducial", "objective=mean")
 DRIVE = ("poses=recorded", "poses.block=1", "poses.held_out=null", "pdf=recorded")
+# Keys that a file takes for what it does not say.
+ALIGNED = "poses.align=[2.5,1,0.7,-0.5,0.5,-0.5,0.5]"
+KEYS = {
+    "traj_colmap_images_ahead.txt": (ALIGNED, "poses.rate=1"),
+    "traj_ahead.tum": (ALIGNED,),
+    "traj_same_body.tum": ("poses.frame=body",),
+    "cam_fisheye_K_D.yaml": ("camera.image_size=[640,480]",),
+    "cam_fisheye_DIM_K_D.json": (),
+}
 SAID = re.compile(r"(note|warning|error): ")
 
 
@@ -66,7 +75,7 @@ def _off_plan(plan: Path) -> Callable[[Path, str], str]:
 def cases(folder: Path) -> Iterator[Case]:
     """The commands of the files of a folder."""
     drive = (*ROOM, *BAND, "deployment=file", f"deployment.path={folder / 'tags_east_wall.csv'}", *TAGS, *DRIVE)
-    one_camera = ("camera=calibration", "camera.image_size=[640,480]", "tag.edge=0.15")
+    one_camera = ("camera=calibration", "tag.edge=0.15")
     for path in sorted(folder.iterdir()):
         kind = path.name.partition("_")[0]
         if kind == "map":
@@ -74,9 +83,10 @@ def cases(folder: Path) -> Iterator[Case]:
             yield Case(path.name, ("export", *HALL, *read, "tag.edge=0.1"), _tags)
         elif kind == "traj":
             share = _line(r"^(?:pose fixed share|localised share 50mm).*")
-            yield Case(path.name, ("evaluate", *drive, f"poses.path={path}"), share)
+            yield Case(path.name, ("evaluate", *drive, f"poses.path={path}", *KEYS.get(path.name, ())), share)
         elif kind == "cam":
-            yield Case(path.name, ("size", *one_camera, f"camera.path={path}"), _line(r"^0 deg.*"))
+            camera = ("size", *one_camera, f"camera.path={path}", *KEYS.get(path.name, ()))
+            yield Case(path.name, camera, _line(r"^0 deg.*"))
         elif kind.startswith("room"):
             room = ("room=mesh", f"room.path={path}", "localisation=false", "validate=false")
             yield Case(path.name, ("evaluate", *room), _line(r"of (\d+ positions)"))

@@ -79,6 +79,7 @@ def test_an_image_without_tags():
         (lambda: ArucoDetector("36h12"), "family must be one of 36h11"),
         (lambda: ArucoDetector(preset="best"), "preset must be one of default, fine, got 'best'"),
         (lambda: AprilTagDetector("4x4_50"), "family 4x4_50 is one of ArUco's, which only ArucoDetector reads"),
+        (lambda: AprilTagDetector("36h12"), "family must be one of 36h11, 25h9, 16h5, got '36h12'"),
         (lambda: AprilTagDetector(quad_decimate=0.5), "quad_decimate must be at least 1"),
         (lambda: Detections(np.arange(2), np.zeros((1, 4, 2))), r"corners must have the shape \(M, 4, 2\)"),
         (lambda: Sampling(pitch=(3.0, 2.0)), r"pitch must be a range \[low, high\], got \[3, 2\]"),

@@ -120,7 +120,11 @@ BAD_INPUT = {
     "point": (["tag.edge=null"], "tag.edge must be given, in metres: a detector cannot read a point."),
     "family": (["tag.family=16h5"], "tag.family 16h5 has 30 different tags, too few for 90."),
     "no family": (["tag.family=36h12"], "tag.family must be one of 36h11"),
-    "other family": (["tag.family=5x5_100", "detectors=[apriltag]"], "detectors.apriltag.family must be one of 36h11"),
+    "other family": (
+        ["tag.family=5x5_100", "detectors=[aruco,apriltag_decimate2]"],
+        "tag.family = 5x5_100 is one of ArUco's, which the detector apriltag_decimate2 does not read: "
+        "detectors=[aruco] does.",
+    ),
     "detector": (["detectors=[]"], "detectors must name at least one detector."),
     "preset": (["detectors.aruco.preset=best"], "detectors.aruco.preset must be one of default, fine, got 'best'"),
     "imaging": (["imaging.noise=-1"], "imaging.noise must be at least 0, got -1."),
