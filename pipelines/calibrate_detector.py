@@ -24,6 +24,7 @@ def calibrate(cfg: DictConfig) -> None:
 
     from lmd.core.checks import integer, real, seed_number
     from lmd.core.optional import optional
+    from lmd.detection.board import BoardImages
     from lmd.detection.calibration import Calibration, foreseen, judged
     from lmd.detection.fit import fit, intervals
     from lmd.plot.detection import save_limits_figure
@@ -51,6 +52,9 @@ def calibrate(cfg: DictConfig) -> None:
                 print(f"{text}; images are needed in which it misses some", file=sys.stderr)
         seen = sightings({"room": subject}, seed, cfg.workers)["room"] if count else {}
         calibrations: dict[str, Calibration] = {}
+        if isinstance(source, BoardImages) and (copies := source.images.repeated):
+            copy, first = next(iter(copies.items()))
+            print(f"note: {len(copies)} images are copies and not counted, such as {copy} of {first}", file=sys.stderr)
         for name, (views, limits) in fitted.items():
             predicted = foreseen(limits.limits, renderer, told.poses)
             rooms = judged(predicted, seen[name]) if count else {}

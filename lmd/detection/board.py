@@ -63,6 +63,8 @@ class BoardImages:
         parts = []
         read = self.images.read(0, len(self.images.names), camera)
         for name, image in zip(self.images.names, read, strict=True):
+            if name in self.images.repeated:  # a copy tells nothing new
+                continue
             found = detector.detect(image)
             pose = _pose_by(renderer, found, self.tolerance) if known is None else known.get(name)
             if pose is None:
@@ -81,7 +83,7 @@ class BoardImages:
     @property
     def photographs(self) -> int:
         """See `Source.photographs`."""
-        return len(self.images.names)
+        return len(self.images.names) - len(self.images.repeated)
 
     @cached_property
     def images(self) -> Photographs:

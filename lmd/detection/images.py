@@ -1,5 +1,6 @@
 """Images of one camera, such as a folder of photographs."""
 
+import hashlib
 import io
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -89,6 +90,14 @@ class Photographs:
     def names(self) -> list[str]:
         """See `Images.names`: those of the files, as they can be written and printed."""
         return [printable(path.name) for path in self.paths]
+
+    @cached_property
+    def repeated(self) -> dict[str, str]:
+        """The names of files with the contents of an earlier one, and the name of that."""
+        first: dict[bytes, str] = {}
+        digests = [hashlib.sha256(read_bytes(path, self.argument)).digest() for path in self.paths]
+        earlier = [first.setdefault(digest, name) for digest, name in zip(digests, self.names, strict=True)]
+        return {name: one for name, one in zip(self.names, earlier, strict=True) if one != name}
 
     def _with(self, suffixes: Sequence[str]) -> list[Path]:
         """The files whose names end so, by their names."""

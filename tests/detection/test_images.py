@@ -57,3 +57,9 @@ def test_a_folder_that_cannot_be_read_is_refused(tmp_path, monkeypatch):
     monkeypatch.setattr(Path, "iterdir", closed)
     with pytest.raises(InputError, match=r"^folder: the folder '.*' cannot be read \(Permission denied\)\.$"):
         Photographs(tmp_path)
+
+
+def test_copies_of_files_are_known(tmp_path):
+    for name, grey in (("b", 1), ("a", 2), ("c", 1), ("d", 3)):
+        cv2.imwrite(str(tmp_path / f"{name}.png"), np.full((240, 320), grey, dtype=np.uint8))
+    assert Photographs(tmp_path).repeated == {"c.png": "b.png"}

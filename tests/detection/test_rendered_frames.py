@@ -3,6 +3,7 @@
 import math
 import os
 import pickle
+import shutil
 import struct
 import zlib
 from dataclasses import replace
@@ -278,6 +279,14 @@ def test_images_of_a_board_are_views(board):
     assert 0 < len(found) < len(known)
     np.testing.assert_allclose(found.pitch, known.pitch[: len(found)], rtol=0.01)
     np.testing.assert_array_equal(found.seen, known.seen[: len(found)])
+
+
+def test_copies_of_images_of_a_board_count_once(board, tmp_path):
+    shutil.copytree(board / "images", tmp_path / "images")
+    shutil.copy(board / "images" / "0.png", tmp_path / "images" / "copy.png")
+    once, twice = of(board), of(board, folder=str(tmp_path / "images"))
+    assert twice.photographs == once.photographs == 8
+    np.testing.assert_array_equal(views_of(twice).pitch, views_of(once).pitch)
 
 
 def test_images_that_do_not_fit_are_refused(board, tmp_path):
