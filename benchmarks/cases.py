@@ -1,9 +1,9 @@
-"""Files of others through the documented commands: `python benchmarks/cases.py FOLDER [--checkout DIR]`.
+"""Files of others through the documented commands: `python benchmarks/cases.py FOLDER [--against COMMIT]`.
 
 The names of the files begin with what they are: `map_`, `traj_`, `cam_`, `room_`, `det_`; folders with a `plan.csv`
 have detections of tags that hang as the plan says. Each file is put through the command that takes such files. Prints a
-Markdown table: figures of what was read, with the notes, or the sentence that refused it. Another checkout gives the
-column to compare with.
+Markdown table: figures of what was read, with the notes, or the sentence that refused it. With a commit, it has what
+that made of the same command, too.
 """
 
 import argparse
@@ -14,13 +14,14 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import Callable, Iterator
+from contextlib import ExitStack
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+from same_results import HERE, checkout
 
-HERE = Path(__file__).resolve().parents[1]
-SECONDS = 300.0
+SECONDS, SHOWN = 300.0, 240  # of a command; characters of an outcome
 HALL = ("room=floor_plan", "room.outline=[[-9,-9],[9,-9],[9,9],[-9,9]]", "room.holes=[]", "room.keep_out=[]")
 ROOM = ("room=floor_plan", "room.outline=[[0,0],[6,0],[6,4],[0,4]]", "room.holes=[]", "room.keep_out=[]")
 BAND = ("room.reachable.clearance=0.3", "room.reachable.height=[0.3,1.9]")
@@ -122,19 +123,27 @@ def outcome(case: Case, checkout: Path) -> str:
         return " / ".join(found + said) or f"exit {done.returncode}"
 
 
+def cell(text: str, folder: Path) -> str:
+    """A text in a table, without where the folder is."""
+    plain = text.replace(f"{folder}/", "").replace("|", "/")
+    return plain if len(plain) <= SHOWN else f"{plain[:SHOWN]}..."
+
+
 def main() -> None:
     """Print the table."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("folder", type=Path)
-    parser.add_argument("--checkout", type=Path, default=HERE)
+    parser.add_argument("--against", help="a commit to compare with")
     parser.add_argument("--only", default="", help="a part of the names of files")
     options = parser.parse_args()
     folder = options.folder.resolve()
-    print("| file | outcome |\n| --- | --- |")
-    for case in cases(folder):
-        if options.only in case.name:
-            text = outcome(case, options.checkout.resolve()).replace(f"{folder}/", "").replace("|", "/")
-            print(f"| {case.name} | {text} |", flush=True)
+    with ExitStack() as stack:
+        checkouts = [stack.enter_context(checkout(options.against))] if options.against else []
+        print(f"| file | {'before | ' * len(checkouts)}now |\n|{' --- |' * (2 + len(checkouts))}")
+        for case in cases(folder):
+            if options.only in case.name:
+                cells = [cell(outcome(case, code), folder) for code in (*checkouts, HERE)]
+                print(f"| {case.name} | {' | '.join(cells)} |", flush=True)
 
 
 if __name__ == "__main__":

@@ -96,8 +96,8 @@ def aviary(folder: Path, boards: float | None, calibrate: bool) -> None:
     from lmd.scene.camera_calibration import calibrated_camera
     from lmd.scene.tag import Tag
     from lmd.survey.boards import Boards
-    from lmd.survey.report import to_text
     from lmd.survey.survey import Known, survey
+    from lmd.survey.words import to_text
 
     ids = np.arange(6, 114)
     row, column = np.divmod((ids - 6) % 6, 3)
@@ -148,8 +148,8 @@ def perch(folder: Path, calibrate: bool) -> None:
     from lmd.mapping.detections import read_detections
     from lmd.scene.camera_calibration import calibrated_camera
     from lmd.scene.tag import Tag
-    from lmd.survey.report import to_text
     from lmd.survey.survey import Known, survey
+    from lmd.survey.words import to_text
 
     cameras = [calibrated_camera(str(folder / "cameras.yaml"), name) for name in ("cam0", "cam1")]
     began = time.process_time()

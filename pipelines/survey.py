@@ -37,9 +37,10 @@ def survey(cfg: DictConfig) -> None:
     from lmd.scene.rig import Rig
     from lmd.survey.audit import audited
     from lmd.survey.next_photographs import next_photographs
-    from lmd.survey.report import again, map_of, metrics, to_text
+    from lmd.survey.report import again, map_of, metrics
     from lmd.survey.survey import survey as find
     from lmd.survey.views import view_columns
+    from lmd.survey.words import to_text
 
     from .tracked_run import keep, tracked
 

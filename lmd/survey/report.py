@@ -1,13 +1,11 @@
-"""What a survey found, as tables and in words."""
+"""Tables, figures and a document of what a survey found; `lmd.survey.words` has it in words."""
 
-from functools import partial
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from lmd.core.checks import FloatArray, IntArray
-from lmd.core.words import few
 from lmd.geometry.se3 import ROW, inverse, log
 from lmd.scene.deployment import COLUMNS, UP_COLUMNS, Deployment
 from lmd.scene.edges import EDGE, with_gaps
@@ -20,9 +18,6 @@ SIGHTINGS = "sightings"  # the column that says how many place a tag
 AXES = ("x", "y", "z", "rx", "ry", "rz")
 # A tag of the map needs another photograph if fewer sightings place it, or it is so many times worse known than most.
 FEW, LOOSE = 3, 3.0
-NOTICED = 0.01  # pixels
-TURNS = ("a quarter turn clockwise", "half a turn", "a quarter turn counter-clockwise")
-_few = partial(few, most=12)  # tags that a terminal names
 
 
 def map_of(survey: Survey) -> Deployment:
@@ -214,97 +209,3 @@ def document(survey: Survey) -> dict[str, Any]:
 def _plain(values: ArrayLike) -> list[Any]:
     """Values as JSON has them: null for NaN."""
     return [None if value != value else value for value in np.asarray(values).tolist()]
-
-
-def to_text(survey: Survey) -> str:
-    """What a terminal shows."""
-    figures, found = metrics(survey), survey.found
-    expected = int((survey.placed | np.isin(survey.ids, survey.known.ids)).sum())
-
-    def both(name: str, factor: float = 1e3, digits: str = ".2g") -> str:
-        low, high = (factor * figures[f"{name}/{share}"] for share in (50, 90))
-        return f"{low:{digits}} (90 %: {high:{digits}})"
-
-    lines = {
-        "tags": f"{survey.placed.sum()} of {expected} placed",
-        "frames": f"{len(found.frames)} of {len(survey.detected.times)}, with {found.used.sum()} sightings",
-        "known to": f"{both('sigma')} mm beside each other, one standard deviation",
-    }
-    if "moved/50" in figures:
-        lines["they hang"] = f"{both('moved', digits='.3g')} mm off their plan"
-    lines["corners"] = f"{both('error', 1.0)} pixels off"
-    if found.floor > NOTICED:
-        lines["corners"] += f", of which a standard deviation of {found.floor:.2g} is not the detector's"
-    for number, camera in enumerate(survey.calibrated, 1):
-        label = f" {number}" * (len(survey.calibrated) > 1)
-        lines[f"camera{label}"] = camera.to_text()
-        if not camera.is_fixed:
-            lines[f"not fixed{label}"] = "the camera: photograph tags on several walls at once, also held upright"
-    if "measured" in survey.localised:
-        lines["held out"] = (
-            f"{len(survey.localised['measured'].shifts)} frames: corners {both('held_out_error_measured', 1.0)}"
-        )
-        lines["held out"] += " pixels off by a map made from the others"
-    if "planned" in survey.localised:
-        lines["planned"] = f"by the planned map {both('held_out_error_planned', 1.0)} pixels off, and the camera"
-        lines["planned"] += f" {both('held_out_shift_planned', digits='.3g')} mm elsewhere"
-    lines |= {label: text for label, text in _troubles(survey).items() if text}
-    for number, photograph in enumerate(survey.proposed, 1):
-        at, towards = (", ".join(f"{x:.2f}" for x in photograph.pose[:3, column]) for column in (3, 2))
-        shown = _few(survey.ids[photograph.tags])
-        lines[f"next {number}"] = f"from ({at}) towards ({towards}): {shown}"
-    width = max(map(len, lines))
-    return "\n".join(f"{label:<{width}} {text}" for label, text in lines.items())
-
-
-def _troubles(survey: Survey) -> dict[str, str]:
-    """What somebody should look at, in words; empty where there is nothing."""
-    ids, times, faults, state = survey.ids.tolist(), survey.detected.times, survey.faults, tag_columns(survey)["state"]
-    by_state: dict[str, list[int]] = {}
-    for number, text in zip(ids, np.asarray(state).tolist(), strict=True):
-        by_state.setdefault(text, []).append(number)
-    sigma = sigmas(survey)
-    unplanned = (
-        [] if survey.known.plan is None else survey.ids[survey.placed & ~np.isin(survey.ids, survey.known.ids)].tolist()
-    )
-    moved = [place for place in faults.second_places if place.moved is not None]
-    copies = survey.detected.copies
-    worst = [f"{ids[k]} ({1e3 * sigma[k]:.2g} mm)" for k in again(survey) if survey.placed[k]]
-    return {
-        **{text: _few(numbers) for text, numbers in by_state.items() if text != "placed"},
-        "turned": _turned(survey),
-        "fixed": _off_fixed(survey),
-        "not planned": _few(unplanned),
-        "moved": _few(f"{ids[place.tag]} from {times[place.moved or 0]} on" for place in moved),
-        "twice": _few(ids[place.tag] for place in faults.second_places if place.moved is None),
-        "other size": _few(f"{ids[tag]} ({1e3 * edge:.4g} mm)" for tag, edge in faults.sizes.items()),
-        "blurred": _few(f"{name} ({pixels:.2g} pixels)" for name, pixels in survey.detected.blurred.items()),
-        "copies": f"{len(copies)} images, not counted: such as {next(iter(copies))} of {next(iter(copies.values()))}"
-        if copies
-        else "",
-        "misread": _few(f"{ids[k]} ({faults.misread[k]} x)" for k in np.flatnonzero(faults.misread)),
-        "photograph": _few(worst) + "; known worst" * bool(worst),
-    }
-
-
-def _turned(survey: Survey) -> str:
-    """Which tags are turned beside their plan, by how much, and what was made of that."""
-    turns, parts = survey.turns, []
-    for quarters, words in enumerate(TURNS, 1):
-        for renumbered in (True, False):
-            own = np.flatnonzero((turns.seen == quarters) & ((turns.renumbered == quarters) == renumbered))
-            if own.size:
-                made = "; their corners are renumbered" if renumbered else "; they hang so in the map"
-                parts.append(f"{words} beside their plan: {_few(survey.ids[own])}{made}")
-    return ". ".join(parts)
-
-
-def _off_fixed(survey: Survey) -> str:
-    """How far photographs have tags from where they are fixed."""
-    away = zip(survey.ids.tolist(), survey.off_fixed.tolist(), strict=True)
-    texts = [
-        f"{number} ({f'{1e3 * metres:.2g} mm' if metres == metres else f'{np.degrees(rad):.2g} degrees'})"
-        for number, (metres, rad) in away
-        if metres == metres or rad == rad
-    ]
-    return _few(texts) + "; elsewhere in the photographs: is the file exact, and each edge right?" * bool(texts)

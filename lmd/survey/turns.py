@@ -51,14 +51,14 @@ def by_places(here: FloatArray, there: FloatArray) -> FloatArray | None:
     if not fixed.any():
         return None
     motions = pose_of(turns[fixed], ways[fixed])
-    best = motions[int(np.argmin([np.log1p(_squares(motion @ here, there)).sum() for motion in motions]))]
+    best: FloatArray = motions[int(np.argmin([np.log1p(_squares(motion @ here, there)).sum() for motion in motions]))]
     for _ in range(REFINING_STEPS):
         weights = np.repeat(1.0 / (1.0 + _squares(best @ here, there)), 2)[None]
         turns, ways, fixed = _fitted(points.reshape(1, -1, 3), others.reshape(1, -1, 3), weights)
         if not fixed[0]:
             break
         best = pose_of(turns[0], ways[0])
-    return np.asarray(best)
+    return best
 
 
 def _points(tags: FloatArray) -> FloatArray:
@@ -90,24 +90,29 @@ def _fitted(points: FloatArray, others: FloatArray, weights: FloatArray) -> tupl
 
 @dataclass(frozen=True)
 class Turns:
-    """How the tags of a survey are turned beside their plan.
+    """How the tags of a survey are turned, in quarters, clockwise as one looks at them, `(K,)` each.
 
     Args:
-        seen: quarters, clockwise as one looks at the tag, by which each is turned beside its plan, `(K,)`; 0 where that
-            is not known.
-        renumbered: of these, those by which the corners of its detections are renumbered, `(K,)`: then the tag is as it
-            was planned. The others hang so.
+        seen: beside their plan, or else beside their sheet; 0 where that is not known.
+        on_sheets: beside their sheet.
+        renumbered: those by which the corners of its detections are renumbered. A tag that is seen turned by more hangs
+            so.
     """
 
     seen: IntArray
+    on_sheets: IntArray
     renumbered: IntArray
 
     def __bool__(self) -> bool:
-        return bool(self.seen.any() or self.renumbered.any())
+        return bool(self.seen.any() or self.on_sheets.any() or self.renumbered.any())
 
     def planned(self, prior: Prior) -> Prior:
         """A prior for tags as they hang."""
-        return replace(prior, tags=prior.tags @ QUARTERS[(self.seen - self.renumbered) % 4])
+        sheets = prior.sheets
+        if sheets is not None:
+            left = (self.on_sheets - self.renumbered)[sheets.tag] % 4
+            sheets = replace(sheets, poses=sheets.poses @ QUARTERS[left])
+        return replace(prior, tags=prior.tags @ QUARTERS[(self.seen - self.renumbered) % 4], sheets=sheets)
 
     def of_renumbered(self, poses: Poses) -> Poses:
         """The poses of tags once their corners are renumbered."""
@@ -134,27 +139,39 @@ def turns_of(poses: Poses, group: IntArray, prior: Prior, in_order: bool) -> Tur
         prior: what is known.
         in_order: whether the corners are known to begin at the top left.
     """
-    seen, matched = np.zeros(len(group), dtype=np.int64), np.zeros(len(group), dtype=bool)
-    known = prior.information[:, :3].any(axis=1) & np.isfinite(poses.tags[:, 0, 0])
-    for g in range(group.max(initial=-1) + 1):
-        own = np.flatnonzero(known & (group == g))
-        here, there = poses.tags[own], prior.tags[own]
+    known = prior.information[:, :3].any(axis=1) & (group >= 0)
+    seen = _beside(poses.tags, prior.tags, np.where(known, group, -1))
+    on_sheets = np.full(len(group), -1)
+    if (sheets := prior.sheets) is not None:
+        own = np.where(group[sheets.tag] >= 0, sheets.board * (group.max() + 1) + group[sheets.tag], -1)
+        on_sheets[sheets.tag] = _beside(poses.tags[sheets.tag], sheets.poses, own)
+    either = np.where(seen < 0, on_sheets, seen)
+    counts = np.bincount(either[either >= 0], minlength=4)
+    renumbered = np.zeros_like(seen)
+    if not in_order and 2 * counts.max() > counts.sum():
+        renumbered[:] = np.argmax(counts)
+    exact = prior.exact & (seen >= 0)
+    renumbered[exact] = seen[exact]
+    whole, sheets_whole = (np.where(turned < 0, renumbered, turned) for turned in (either, on_sheets))
+    return Turns(whole, sheets_whole, renumbered)
+
+
+def _beside(tags: FloatArray, planned: FloatArray, group: IntArray) -> IntArray:
+    """Quarters by which tags `(K, 4, 4)` are turned beside where they are planned, in groups `(K,)`; -1 for unknown."""
+    turned = np.full(len(group), -1)
+    for g in np.unique(group[group >= 0]):
+        own = np.flatnonzero(group == g)
+        here, there = tags[own], planned[own]
         motion = by_places(here, there)
         if motion is None:
             continue
         between = inverse(there) @ motion @ here
-        angle = np.arctan2(between[:, 1, 0] - between[:, 0, 1], between[:, 0, 0] + between[:, 1, 1])
-        quarters = np.round(-2.0 * angle / np.pi)
-        there_too = np.linalg.norm(between[:, :3, 3], axis=1) < NEAR
-        if there_too.sum() < 2 or there_too.mean() < LEAST_SHARE:
+        near = np.linalg.norm(between[:, :3, 3], axis=1) < NEAR
+        if near.sum() < 2 or near.mean() < LEAST_SHARE:
             continue
-        whole = there_too & (_between_normals(motion @ here, there) < FACING)
+        angle = np.arctan2(between[:, 1, 0] - between[:, 0, 1], between[:, 0, 0] + between[:, 1, 1])
+        quarters = np.round(-2.0 * angle / np.pi).astype(np.int64)
+        whole = near & (_between_normals(motion @ here, there) < FACING)
         whole &= np.abs(angle + quarters * np.pi / 2.0) < IN_QUARTERS
-        seen[own[whole]], matched[own[whole]] = quarters[whole].astype(np.int64) % 4, True
-    renumbered = np.zeros_like(seen)
-    counts = np.bincount(seen[matched], minlength=4)
-    if not in_order and 2 * counts.max() > matched.sum():
-        renumbered[:] = np.argmax(counts)
-    exact = matched & prior.exact
-    renumbered[exact] = seen[exact]
-    return Turns(seen, renumbered)
+        turned[own[whole]] = quarters[whole] % 4
+    return turned

@@ -16,8 +16,9 @@ from lmd.scene.camera_calibration import calibrated_camera
 from lmd.scene.deployment import Deployment
 from lmd.scene.tag import Tag
 from lmd.survey.intrinsics import camera_info, parameters, slopes, spreads, with_parameters
-from lmd.survey.report import document, to_text
+from lmd.survey.report import document
 from lmd.survey.survey import Known, survey
+from lmd.survey.words import to_text
 
 COUNT, FRAMES, SIGMA = 24, 40, 0.2
 TRUE = replace(walks.CAMERA, distortion=(-0.1, 0.03, 0.0005, -0.0003, 0.0))

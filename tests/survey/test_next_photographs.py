@@ -11,8 +11,9 @@ from lmd.scene.labels import Labels
 from lmd.scene.tag import Tag
 from lmd.space.cuboid import Cuboid
 from lmd.survey.next_photographs import next_photographs
-from lmd.survey.report import again, document, to_text
+from lmd.survey.report import again, document
 from lmd.survey.survey import Known, survey
+from lmd.survey.words import to_text
 
 COUNT, UNSEEN, SIGMA = 20, 7, 0.2
 ERRORS, ROOM = walks.constant_errors(SIGMA), Cuboid((5.0, 4.0, 2.5), (4.0, 3.0, 1.5), 1.0)

@@ -13,8 +13,9 @@ from lmd.scene.labels import Labels
 from lmd.scene.surveyed import Surveyed
 from lmd.scene.tag import Tag
 from lmd.survey.known import Points, poses_of
-from lmd.survey.report import document, map_columns, map_of, measured_of, metrics, to_text
+from lmd.survey.report import document, map_columns, map_of, measured_of, metrics
 from lmd.survey.survey import Known, survey
+from lmd.survey.words import to_text
 
 COUNT, FRAMES, SIGMA = 24, 60, 0.2
 UNSEEN, UNPLANNED, ODD = 7, 23, 11

@@ -13,8 +13,10 @@ from lmd.mapping.detections import DetectedTags
 from lmd.scene.deployment import Deployment
 from lmd.scene.labels import Labels
 from lmd.scene.tag import Tag
-from lmd.survey.report import map_of, to_text
+from lmd.survey.boards import Boards
+from lmd.survey.report import map_of
 from lmd.survey.survey import Known, survey
+from lmd.survey.words import to_text
 
 IDS = np.array([2, 3, 5, 7, 11])
 PLACES = np.array([[0.5, 0.0, 1.0], [1.0, 0.0, 1.4], [1.6, 0.0, 0.9], [2.0, 0.0, 1.5], [0.0, 0.7, 1.2]])
@@ -71,7 +73,7 @@ def test_corners_that_begin_elsewhere_are_renumbered_and_the_tags_named(rolled, 
     assert tags.ids.tolist() == IDS.tolist()
     np.testing.assert_allclose(tags.places, PLACES, atol=1e-6 if as_fixed else 2e-3)
     np.testing.assert_allclose(tags.ups, np.tile([0.0, 0.0, 1.0], (5, 1)), atol=0.01)
-    assert line(found, "turned") == f"{WORDS[rolled]} beside their plan: 2, 3, 5, 7, 11; their corners are renumbered"
+    assert line(found, "turned") == f"{WORDS[rolled]}: 2, 3, 5, 7, 11; their corners are renumbered"
 
 
 def test_tags_as_planned_have_no_such_line():
@@ -91,7 +93,7 @@ def test_some_that_hang_turned_hang_so_in_the_map_of_a_plan(clockwise):
         up = [np.array([0.0, 0.0, 1.0]), right, np.array([0.0, 0.0, -1.0]), -right][quarters]
         np.testing.assert_allclose(tags.ups[k], up, atol=0.01)
         if quarters:
-            assert f"{WORDS[quarters]} beside their plan: " in line(found, "turned")
+            assert f"{WORDS[quarters]}: " in line(found, "turned")
     assert "they hang so in the map" in line(found, "turned")
 
 
@@ -129,6 +131,18 @@ def test_without_a_plan_the_world_is_that_of_the_tag_as_it_was_seen():
     away = np.linalg.norm(tags.places[:, None] - tags.places, axis=-1)
     np.testing.assert_allclose(away, np.linalg.norm(PLACES[:, None] - PLACES, axis=-1), atol=5e-3)
     np.testing.assert_allclose(tags.ups[:4], np.tile([0.0, 1.0, 0.0], (4, 1)), atol=0.01)
+
+
+@pytest.mark.parametrize("rolled", [0, 1, 2])
+def test_tags_of_one_sheet_say_which_corner_is_the_first(rolled):
+    """On this wall what is to the right of who looks at it is along -x."""
+    places = np.stack([-PLACES[:4, 0], PLACES[:4, 2]], axis=1)
+    boards = Boards(("sheet",) * 4, IDS[:4], places, 0.0002)
+    found = surveyed(seen([0] * 5, rolled=rolled), boards=boards, origin=2)
+    tags = map_of(found)
+    np.testing.assert_allclose(tags.places[:4, :2], places - places[0], atol=2e-3)
+    np.testing.assert_allclose(tags.ups[:4], np.tile([0.0, 1.0, 0.0], (4, 1)), atol=0.01)
+    assert (line(found, "turned") is not None) == bool(rolled)
 
 
 @pytest.mark.parametrize("rolled", [0, 2])
