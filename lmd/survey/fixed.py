@@ -48,6 +48,12 @@ def off_fixed(found: Estimate, start: Start) -> FloatArray:
     parts = (slice(3, 6), slice(0, 3))
     sigma = np.stack([np.sqrt(np.linalg.eigvalsh(covariance[:, part, part])[:, -1]) for part in parts], axis=1)
     off[own] = np.where(between > np.maximum(SIGMAS * sigma, (OFF_M, OFF_RAD)), between, np.nan)
+    # A tag that few sightings place may have been placed wrongly. Where it is fixed they fit.
+    fits = (
+        np.bincount(found.sightings.tag, found.used, len(off))
+        > np.bincount(found.sightings.tag, minlength=len(off)) / 2
+    )
+    off[fits & (off > (MOST_M, MOST_RAD)).any(axis=1)] = np.nan
     _refuse(found, off)
     return off
 

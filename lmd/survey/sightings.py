@@ -14,10 +14,18 @@ import numpy as np
 
 from lmd.core.checks import BoolArray, FloatArray, InputError, IntArray
 from lmd.detection.corner_errors import CornerErrors
+from lmd.geometry.se3 import pose_of
 from lmd.geometry.squares import CORNERS
 from lmd.mapping.detections import DetectedTags
 from lmd.render.optics import bearings, slope
 from lmd.scene.camera import Camera
+
+# How a tag appears whose corners are numbered from its first, second, third and fourth one, `(4, 4, 4)`: turned
+# clockwise by as many quarters as one looks at it.
+QUARTERS = pose_of(
+    np.array([[[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]] for c, s in ((1, 0), (0, 1), (-1, 0), (0, -1))]),
+    np.zeros((4, 3)),
+)
 
 
 @dataclass(frozen=True)

@@ -7,8 +7,8 @@ is placed if enough sightings agree. Where that comes to an end, the likeliest o
 at last all try again among all that is placed. After each turn what is placed is adjusted. What no frame connects with
 the group begins another one, in a world of its own.
 
-With a plan all begins with the tags where they were planned, and that is taken if most sightings agree with what comes
-of it.
+With a plan all begins with the tags where they were planned, and that is taken if nearly all sightings agree with what
+comes of it. All corners may be numbered from another one, so the tags are turned by the quarters with which most agree.
 """
 
 import numpy as np
@@ -18,7 +18,7 @@ from lmd.geometry.se3 import exp, inverse
 from lmd.survey.adjustment import Adjustment
 from lmd.survey.proposals import Proposals, proposals
 from lmd.survey.residuals import Poses, Prior, errors_at, in_cameras, linearise, residuals, summing
-from lmd.survey.sightings import Sightings
+from lmd.survey.sightings import QUARTERS, Sightings
 from lmd.survey.student import solved
 
 # A pose is beyond doubt, or likely, if the likelihood of the other one is less by so many powers of e.
@@ -35,8 +35,8 @@ PROPOSING, IMPROVED = 8, 3
 JUDGED_BY = 60
 IMPROVING_STEPS, WIDE, NARROW = 12, 40.0, 3.0  # the scale of the weights goes from wide to narrow, pixels
 STEPS, FINAL_STEPS = 3, 8
-# A beginning with all tags where they were planned is good enough if so many sightings agree.
-AS_PLANNED = 0.8
+# A beginning with all tags where they were planned is good enough if such a share of sightings agrees.
+AS_PLANNED = 0.97
 FLOOR_PIXELS = 3.0  # pixels; adjustments on the way take that much to be unexplained, at most
 ANCHOR_SIGMA = 1e-4  # metres and rad, by which the first tag of a group may move
 
@@ -102,14 +102,14 @@ class Placing:
     def grow(self) -> bool:
         """Place what several sightings agree on; whether anything was placed."""
         before = self.count()
-        self.settle(self._waiting(by_frame=True), by_frame=True, fewest=FEWEST)
-        self.settle(self._waiting(by_frame=False), by_frame=False, fewest=FEWEST)
+        self.settle(self.waiting(by_frame=True), by_frame=True, fewest=FEWEST)
+        self.settle(self.waiting(by_frame=False), by_frame=False, fewest=FEWEST)
         return self.count() > before
 
     def risk(self) -> bool:
         """Place one tag, or else one frame, by the likeliest of single sightings; whether there was one."""
         for by_frame in (False, True):
-            waiting = self._waiting(by_frame)
+            waiting = self.waiting(by_frame)
             waiting = waiting[self.proposed.odds[waiting] > LIKELY]
             if waiting.size:
                 before = self.count()
@@ -122,7 +122,7 @@ class Placing:
         """How many frames and tags are placed."""
         return int(self.placed(self.frames).sum() + self.placed(self.tags).sum())
 
-    def _waiting(self, by_frame: bool) -> IntArray:
+    def waiting(self, by_frame: bool) -> IntArray:
         """The sightings of placed tags in other frames, or of other tags in placed frames."""
         tag, frame = self.placed(self.tags)[self.sightings.tag], self.placed(self.frames)[self.sightings.frame]
         return np.flatnonzero(tag & ~frame if by_frame else frame & ~tag)
@@ -272,14 +272,19 @@ def place(sightings: Sightings, planned: FloatArray) -> tuple[Poses, IntArray]:
         of its own.
     """
     proposed = proposals(sightings)
-    best = Placing(sightings, proposed)
-    seen = np.bincount(sightings.tag, minlength=len(planned)) > 0
-    if (known := seen & best.placed(planned)).any():
-        best.tags[known], best.group[known] = planned[known], 0
-        best.fill()
-        if best.agreed() >= AS_PLANNED * len(sightings):
-            return best.poses, best.group
+    tried: list[Placing] = []
+    known = (np.bincount(sightings.tag, minlength=len(planned)) > 0) & np.isfinite(planned[:, 0, 0])
+    for quarter in QUARTERS if known.any() else ():
+        placing = Placing(sightings, proposed)
+        placing.tags[known], placing.group[known] = (planned @ quarter)[known], 0
+        placing.settle(placing.waiting(by_frame=True), by_frame=True, fewest=FEWEST)
+        tried.append(placing)
+    if tried:
+        tried = [max(tried, key=Placing.agreed)]
+        tried[0].fill()
+        if tried[0].agreed() >= AS_PLANNED * len(sightings):
+            return tried[0].poses, tried[0].group
     alone = Placing(sightings, proposed)
     alone.fill()
-    best = max(alone, best, key=Placing.agreed)
+    best = max([alone, *tried], key=Placing.agreed)
     return best.poses, best.group

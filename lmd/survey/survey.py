@@ -1,7 +1,7 @@
 """From detections to the map of the tags, all steps in order."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -24,6 +24,8 @@ from lmd.survey.turns import Turns, turns_of
 
 # A tag of which nothing is known is believed if so many sightings agree where it hangs: ids are misread.
 FEWEST_BELIEVED = 2
+# A beginning with tags as they are turned may show that others are.
+TURNING_STEPS = 3
 
 
 @dataclass(frozen=True)
@@ -194,14 +196,17 @@ def survey(
 
     shown, refined = detected, tuple(cameras)
     sightings, prior = sighted(cameras), known.prior(ids)
-    start = started(sightings, prior)
-    if turns := turns_of(start.poses, start.group, prior, detected.in_order):
+    turns = Turns.none(len(ids))
+    for _ in range(TURNING_STEPS):
+        start = started(sightings, prior)
+        more = turns_of(start.poses, start.group, prior, detected.in_order)
+        if not more:
+            break
+        turns = turns + more
         shown = detected.renumbered(ids, turns.renumbered)
-        sightings, prior, start = (
-            sighted(cameras),
-            turns.planned(prior),
-            replace(start, poses=turns.of_renumbered(start.poses)),
-        )
+        sightings, prior = sighted(cameras), turns.planned(known.prior(ids))
+    else:
+        start = started(sightings, prior)
     found = estimate(sightings, prior, known.origin, start)
     if calibrate:
         found, refined = calibrated(found, cameras, sighted)

@@ -13,15 +13,9 @@ import numpy as np
 from lmd.core.checks import BoolArray, FloatArray, IntArray
 from lmd.geometry.se3 import inverse, pose_of
 from lmd.survey.residuals import Poses, Prior, errors_at
-from lmd.survey.sightings import Sightings
+from lmd.survey.sightings import QUARTERS, Sightings
 from lmd.survey.start import agreeing
 
-# How a tag appears whose corners are numbered from its first, second, third and fourth one, `(4, 4, 4)`: turned
-# clockwise by as many quarters as one looks at it.
-QUARTERS = pose_of(
-    np.array([[[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]] for c, s in ((1, 0), (0, 1), (-1, 0), (0, -1))]),
-    np.zeros((4, 3)),
-)
 # A normal counts as a point so far off the centre, metres.
 ARM = 0.1
 # Points whose squares about their line sum up to less, square metres, fix no turn.
@@ -93,30 +87,34 @@ class Turns:
     """How the tags of a survey are turned, in quarters, clockwise as one looks at them, `(K,)` each.
 
     Args:
-        seen: beside their plan, or else beside their sheet; 0 where that is not known.
-        on_sheets: beside their sheet.
-        renumbered: those by which the corners of its detections are renumbered. A tag that is seen turned by more hangs
-            so.
+        renumbered: those by which the corners of its detections are renumbered.
+        hung: those by which each hangs turned beside its plan; 0 where that is not known.
+        on_sheets: likewise beside its sheet.
     """
 
-    seen: IntArray
-    on_sheets: IntArray
     renumbered: IntArray
+    hung: IntArray
+    on_sheets: IntArray
+
+    @classmethod
+    def none(cls, count: int) -> "Turns":
+        """None of so many tags is turned."""
+        return cls(*np.zeros((3, count), dtype=np.int64))
 
     def __bool__(self) -> bool:
-        return bool(self.seen.any() or self.on_sheets.any() or self.renumbered.any())
+        return any(turned.any() for turned in (self.renumbered, self.hung, self.on_sheets))
+
+    def __add__(self, other: "Turns") -> "Turns":
+        """These, and what is found beside what was made of them."""
+        names = ("renumbered", "hung", "on_sheets")
+        return Turns(*((getattr(self, name) + getattr(other, name)) % 4 for name in names))
 
     def planned(self, prior: Prior) -> Prior:
         """A prior for tags as they hang."""
         sheets = prior.sheets
         if sheets is not None:
-            left = (self.on_sheets - self.renumbered)[sheets.tag] % 4
-            sheets = replace(sheets, poses=sheets.poses @ QUARTERS[left])
-        return replace(prior, tags=prior.tags @ QUARTERS[(self.seen - self.renumbered) % 4], sheets=sheets)
-
-    def of_renumbered(self, poses: Poses) -> Poses:
-        """The poses of tags once their corners are renumbered."""
-        return replace(poses, tags=poses.tags @ inverse(QUARTERS[self.renumbered]))
+            sheets = replace(sheets, poses=sheets.poses @ QUARTERS[self.on_sheets[sheets.tag]])
+        return replace(prior, tags=prior.tags @ QUARTERS[self.hung], sheets=sheets)
 
 
 def as_seen(sightings: Sightings, poses: Poses) -> Poses:
@@ -141,6 +139,8 @@ def turns_of(poses: Poses, group: IntArray, prior: Prior, in_order: bool) -> Tur
     """
     known = prior.information[:, :3].any(axis=1) & (group >= 0)
     seen = _beside(poses.tags, prior.tags, np.where(known, group, -1))
+    if (lost := prior.exact & (seen < 0)).any():  # because the plan of the others is another one
+        seen = np.where(lost, _beside(poses.tags, prior.tags, np.where(known & prior.exact, group, -1)), seen)
     on_sheets = np.full(len(group), -1)
     if (sheets := prior.sheets) is not None:
         own = np.where(group[sheets.tag] >= 0, sheets.board * (group.max() + 1) + group[sheets.tag], -1)
@@ -152,8 +152,8 @@ def turns_of(poses: Poses, group: IntArray, prior: Prior, in_order: bool) -> Tur
         renumbered[:] = np.argmax(counts)
     exact = prior.exact & (seen >= 0)
     renumbered[exact] = seen[exact]
-    whole, sheets_whole = (np.where(turned < 0, renumbered, turned) for turned in (either, on_sheets))
-    return Turns(whole, sheets_whole, renumbered)
+    hung, hung_on_sheets = (np.where(turned < 0, 0, (turned - renumbered) % 4) for turned in (seen, on_sheets))
+    return Turns(renumbered, hung, hung_on_sheets)
 
 
 def _beside(tags: FloatArray, planned: FloatArray, group: IntArray) -> IntArray:

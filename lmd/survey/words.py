@@ -86,13 +86,15 @@ def _troubles(survey: Survey) -> dict[str, str]:
 
 def _turned(survey: Survey) -> str:
     """Which tags are turned beside their plan, by how much, and what was made of that."""
-    turns, parts = survey.turns, []
-    for quarters, words in enumerate(TURNS, 1):
-        for renumbered in (True, False):
-            own = np.flatnonzero((turns.seen == quarters) & ((turns.renumbered == quarters) == renumbered))
-            if own.size:
-                made = "; their corners are renumbered" if renumbered else "; they hang so in the map"
-                parts.append(f"{words}: {_few(survey.ids[own])}{made}")
+    turns = survey.turns
+    shown = np.bincount(survey.found.sightings.tag, minlength=len(survey.ids)) > 0
+    hung = np.where(turns.hung, turns.hung, turns.on_sheets)
+    parts = [
+        f"{words}: {_few(survey.ids[own])}; {made}"
+        for made, by in (("their corners are renumbered", turns.renumbered), ("they hang so in the map", hung))
+        for quarters, words in enumerate(TURNS, 1)
+        if (own := (by == quarters) & shown).any()
+    ]
     return ". ".join(parts)
 
 

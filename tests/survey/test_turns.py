@@ -1,6 +1,7 @@
 """Tags whose corners begin elsewhere, or that hang turned: images by cv2.projectPoints of squares made here."""
 
 import re
+from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -12,6 +13,7 @@ from lmd.geometry.se3 import inverse
 from lmd.mapping.detections import DetectedTags
 from lmd.scene.deployment import Deployment
 from lmd.scene.labels import Labels
+from lmd.scene.surveyed import Surveyed
 from lmd.scene.tag import Tag
 from lmd.survey.boards import Boards
 from lmd.survey.report import map_of
@@ -119,7 +121,7 @@ def test_corners_of_lmds_own_detectors_are_not_renumbered():
     detected = seen([2] * 5)
     own = DetectedTags.together({"": detected})
     assert not own.in_order
-    found = surveyed(DetectedTags(**{**vars(own), "in_order": True}), plan=plan())
+    found = surveyed(replace(own, in_order=True), plan=plan())
     np.testing.assert_allclose(map_of(found).places, PLACES, atol=2e-3)
     np.testing.assert_allclose(map_of(found).ups, np.tile([0.0, 0.0, -1.0], (5, 1)), atol=0.01)
     assert "they hang so in the map" in line(found, "turned")
@@ -170,6 +172,40 @@ def test_a_fixed_tag_that_is_a_little_off_stays_and_is_named():
     np.testing.assert_allclose(tags.places, PLACES[there], atol=1e-6)
     assert re.search(r"7 \(4\.\d mm\)", line(found, "fixed"))
     assert line(found, "fixed").endswith(" mm); elsewhere in the photographs: is the file exact, and each edge right?")
+
+
+@pytest.mark.parametrize("seed", [0, 2])
+@pytest.mark.parametrize("turned", ["all", "each"])
+@pytest.mark.parametrize("as_fixed", [True, False])
+def test_a_room_of_turned_tags_is_mapped_as_the_same_room_upright(seed, turned, as_fixed):
+    """With a tenth of wrong ids for one of the seeds."""
+    rng, count = np.random.default_rng(seed), 20
+    planned = walks.spaced_tags(count, rng)
+    true = walks.hung(planned, rng)
+    detected = walks.photographed(true, walks.walk(40, rng), rng, 0.2)
+    quarters = np.full(count, 2) if turned == "all" else rng.integers(0, 4, count)
+    rolled = np.stack([np.roll(c, -quarters[k], axis=0) for c, k in zip(detected.corners, detected.ids, strict=True)])
+    if seed == 2:
+        wrong = rng.random(len(detected)) < 0.1
+        detected = replace(detected, ids=np.where(wrong, (detected.ids + 7) % count, detected.ids))
+    known = true if as_fixed else planned
+    deployment = Deployment(
+        known[:, :3, 3], known[:, :3, 2],
+        surveyed=Surveyed(known[:, :3, 3], known[:, :3, 3], known[:, :3, 1]),
+    )  # fmt: skip
+    found = survey(
+        replace(detected, corners=rolled), [walks.CAMERA], Tag(walks.EDGE), walks.constant_errors(0.2),
+        Known(**{"fixed" if as_fixed else "plan": deployment}),
+    )  # fmt: skip
+    tags = map_of(found)
+    assert len(tags) >= count - 1
+    off = np.linalg.norm(tags.places - true[tags.ids, :3, 3], axis=1)
+    assert off.max() < (1e-5 if as_fixed else 0.02)
+    if as_fixed or turned == "all":
+        assert (tags.ups * true[tags.ids, :3, 1]).sum(axis=1).min() > 0.99
+        np.testing.assert_array_equal(found.turns.renumbered[tags.ids], quarters[tags.ids])
+    else:
+        np.testing.assert_array_equal(found.turns.hung[tags.ids], quarters[tags.ids])
 
 
 def test_an_exact_tag_weighs_more_than_any_sighting():
