@@ -7,6 +7,7 @@ import numpy as np
 import pandas as pd
 
 from lmd.core.checks import FloatArray
+from lmd.core.words import as_code
 from lmd.evaluation.significance import a12, friedman, holm, mean_ranks, median_interval, nemenyi, wilcoxon
 from lmd.optimisers.ledger import Record
 from lmd.scene.deployment import Deployment
@@ -38,7 +39,7 @@ class Comparison:
         table: one row per optimiser, the best first; `compared` names its columns.
         targets: quartiles of the fitness that all runs reached; `evaluations_to_1` is about the first of them.
         reference: the optimiser that effect sizes and p-values of the table are against.
-        test: what the p-values are of, in a sentence; empty where there is nothing to test.
+        test: what the p-values are of, in a sentence in Markdown; empty where there is nothing to test.
         pairs: p-values of every two optimisers; None where each was tested against the reference alone.
     """
 
@@ -112,7 +113,8 @@ def _against(figures: pd.DataFrame, reference: str) -> tuple[pd.Series, str]:
     pairs = [figures[[name, reference]].dropna().to_numpy() for name in others]
     p_values = holm(np.array([wilcoxon(pair[:, 0], pair[:, 1]) for pair in pairs]))
     correction = f", with Holm's correction for {len(others)} comparisons" if len(others) > 1 else ""
-    test = f"p: two-sided Wilcoxon signed-rank test against `{reference}` on pairs of the same seed{correction}."
+    against = f"two-sided Wilcoxon signed-rank test against {as_code(reference)}"
+    test = f"p: {against} on pairs of the same seed{correction}."
     return pd.Series(p_values, others), test
 
 
@@ -120,7 +122,8 @@ def _all_against_all(complete: pd.DataFrame, reference: str) -> tuple[pd.DataFra
     """P-values of every two columns, and what they are of."""
     names, values = list(complete), complete.to_numpy()
     test = (
-        f"p: Nemenyi's test against `{reference}` on the mean ranks over the {len(values)} seeds that all have run; "
+        f"p: Nemenyi's test against {as_code(reference)} on the mean ranks over the {len(values)} seeds that all have "
+        "run; "
         f"Friedman's test that all {len(names)} are alike: p = {friedman(values):.2g}."
     )
     return pd.DataFrame(nemenyi(values), names, names), test

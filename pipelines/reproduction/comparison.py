@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from lmd.core.words import as_code, escaped
+from lmd.core.words import as_code
 from lmd.evaluation.comparison import Comparison
 from lmd.objectives.base import Headline
 
@@ -39,5 +39,5 @@ def _known(value: float, form: str) -> str:
 
 def to_markdown(comparison: Comparison, headline: Headline) -> str:
     """A comparison as a Markdown table, with what was tested below it."""
-    below = f"\n{escaped(comparison.test)}\n" if comparison.test else ""
+    below = f"\n{comparison.test}\n" if comparison.test else ""
     return f"{as_text(comparison, headline).markdown()}\n{below}"

@@ -158,7 +158,7 @@ def _optimisers(source: Source, jobs: pd.DataFrame) -> Blocks:
         return [_missing("optimisers")]
     picture = _curves(source, "optimisers", runs, "Optimisers")
     found = compared(runs, Coverage.headline.key)
-    return [*_origins(source, "optimisers"), as_text(found, Coverage.headline), Text(escaped(found.test)), picture]
+    return [*_origins(source, "optimisers"), as_text(found, Coverage.headline), Text(found.test), picture]
 
 
 def _curves(source: Source, name: str, runs: list[OptimiserRun], title: str) -> Picture:

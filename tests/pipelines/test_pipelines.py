@@ -158,7 +158,7 @@ BAD_INPUT = {
     "not unit": (HEADER + "0,0,1,1,2,0,0\n", [], "bad.csv: landmark 0: the normal must have length 1, it has 2"),
     "column twice": ("id,x,y,z,nx,ny,nz,x\n", [], "bad.csv names the column 'x' twice"),
     "id twice": (HEADER + LANDMARK * 2, [], "bad.csv: id 0 belongs to 2 landmarks"),
-    "missing column": ("id,x,y,z\n0,0,1,1\n", [], "bad.csv lacks the column 'nx'"),
+    "missing column": ("id,x,y,z\n0,0,1,1\n", [], "bad.csv: it says where tags are, and not how they are turned"),
     "empty": ("", [], "bad.csv is empty"),
     "no rows": (HEADER, [], "bad.csv has a header but no rows"),
     "nan": (HEADER + LANDMARK + "1,nan,1,1,1,0,0\n", [], "bad.csv line 3: x is 'nan', not a finite number"),
