@@ -35,6 +35,7 @@ PROPOSING, IMPROVED = 8, 3
 JUDGED_BY = 60
 IMPROVING_STEPS, WIDE, NARROW = 12, 40.0, 3.0  # the scale of the weights goes from wide to narrow, pixels
 STEPS, FINAL_STEPS = 3, 8
+GROWN = 1.2  # what is placed is adjusted anew once it has grown so much
 # A beginning with all tags where they were planned is good enough if such a share of sightings agrees.
 AS_PLANNED = 0.97
 FLOOR_PIXELS = 3.0  # pixels; adjustments on the way take that much to be unexplained, at most
@@ -69,9 +70,11 @@ class Placing:
         """Place all that can be, from what is placed already."""
         begun = bool(self.count())
         while begun or self.seed():
-            begun = False
+            begun, adjusted = False, 0
             while self.grow() or self.risk():
-                self.adjust(STEPS)
+                if self.count() > GROWN * adjusted:  # adjusting each time would take time that is quadratic in frames
+                    self.adjust(STEPS)
+                    adjusted = self.count()
             for _ in range(2):
                 self.reseat()
                 self.adjust(FINAL_STEPS)
