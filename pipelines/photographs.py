@@ -1,4 +1,4 @@
-"""What a detector finds in photographs or a video, or others have found."""
+"""Tags that a detector finds in photographs or a video, or that others have found."""
 
 import os
 import sys
@@ -21,7 +21,7 @@ CHUNK = 8  # images that a worker reads at a time
 
 
 def detected(cfg: DictConfig, cameras: "Sequence[Camera]", detector: "Detector", modules: int) -> "DetectedTags":
-    """What was detected, by others or now; images that show the same count once.
+    """The tags that were detected, by others or now; images that show the same count once.
 
     Raises:
         InputError: nothing, or both, is given, or a file cannot be read.

@@ -110,7 +110,7 @@ def read_table(path: Any, *, name: str) -> Table:
         raise InputError(f"{path} has semicolons between its columns: save it with commas, and with points in numbers.")
     if len(header) > MOST_COLUMNS:
         raise InputError(f"{path} has {len(header)} columns, more than {MOST_COLUMNS}; the first line is its header.")
-    if any(_is_number(column) for column in header):
+    if any(is_number(column) for column in header):
         first = ",".join(header)[:200]
         raise InputError(f"{path} has no header: its first line, {first!r}, must name the columns.")
     for i, column in enumerate(header):
@@ -175,7 +175,7 @@ def read_headless(path: Any, *, name: str) -> Headless | None:
     lines = _lines(text)
     commas = bool(lines) and "," in lines[0][1]
     rows = [(i, [value.strip() for value in line.split(",")] if commas else line.split()) for i, line in lines]
-    if not rows or not _is_number(rows[0][1][0]):
+    if not rows or not is_number(rows[0][1][0]):
         return None
     if commas and not any(row[-1] for _, row in rows):  # a comma ends each line
         rows = [(i, row[:-1]) for i, row in rows]
@@ -183,7 +183,8 @@ def read_headless(path: Any, *, name: str) -> Headless | None:
     return Headless(str(path), [comment for comment in before if comment], commas, rows)
 
 
-def _is_number(text: str) -> bool:
+def is_number(text: str) -> bool:
+    """True for a text that Python reads as a float."""
     try:
         float(text)
     except ValueError:

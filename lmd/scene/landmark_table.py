@@ -71,7 +71,7 @@ def named_columns(columns: Sequence[str]) -> list[str]:
 
 
 def is_by_normals(table: Table) -> bool:
-    """Whether a table says how tags look by their normals, or is not one of tags."""
+    """True for a table that says how tags look by their normals, or is not one of tags."""
     return any(name in table for name in NORMAL) or not all(name in named_columns(list(table.texts)) for name in PLACE)
 
 

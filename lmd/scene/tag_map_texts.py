@@ -80,7 +80,7 @@ class Line(NamedTuple):
 
 
 class Read(NamedTuple):
-    """What a text was taken for.
+    """The reading of a text.
 
     Args:
         tags: of a format of others.
@@ -200,7 +200,7 @@ def _quaternions(path: Any, lines: list[Line]) -> Read:
 
 
 def _are_quaternions(lines: Sequence[Line], widths: set[int]) -> bool:
-    """Whether the last four values of all lines, which are equally many, have length one."""
+    """True if the last four values of all lines, which are equally many, have length one."""
     if len(widths) > 1:
         return False
     try:

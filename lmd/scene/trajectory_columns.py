@@ -93,7 +93,7 @@ class Column:
 
 
 def known_column(name: str) -> tuple[str, Column] | None:
-    """What a column is called here, and the column; None where the name is not known."""
+    """The name of a column here, and the column; None for a name that is not known."""
     plain = name.strip().strip("'\"").lstrip("#%_ \t").lower()
     unit = ""
     # Digits in brackets count the columns of an array, in whatever order: q[0].
@@ -127,7 +127,7 @@ def known_columns(names: Sequence[str]) -> dict[str, Column]:
 
 
 def is_header(words: Sequence[str]) -> bool:
-    """Whether the words of a comment name columns: two are known, or most are no words of a sentence."""
+    """True if the words of a comment name columns: two are known, or most are no words of a sentence."""
     if sum(known_column(word) is not None for word in words) >= 2:
         return True
     return 2 * sum(len(word) <= 3 or not word.isalpha() for word in words) >= len(words)

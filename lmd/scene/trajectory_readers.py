@@ -11,7 +11,7 @@ import numpy as np
 
 from lmd.core.checks import FloatArray, InputError, radians
 from lmd.core.files import read_text
-from lmd.core.tables import COMMENT, Headless, Table, read_headless, read_table
+from lmd.core.tables import COMMENT, Headless, Table, is_number, read_headless, read_table
 from lmd.geometry.frames import roll_pitch_yaw
 from lmd.geometry.se3 import ROW, camera_pose, pose_of, poses_from_rows
 from lmd.scene.trajectory_columns import (
@@ -90,7 +90,7 @@ def _headed(path: str, text: str) -> Table:
     if lines:
         at, first = lines[0]
         words = _words(first)
-        if sum(_is_number(word) for word in words) >= 3:
+        if sum(is_number(word) for word in words) >= 3:
             raise InputError(
                 f"line {at} begins with {words[0][:80]!r}, which is neither a number nor the name of a column: lines "
                 "of a trajectory begin with the time in seconds."
@@ -104,14 +104,6 @@ def _headed(path: str, text: str) -> Table:
 
 def _words(line: str) -> list[str]:
     return [word for word in re.split(r"[,\s]+", line.strip()) if word]
-
-
-def _is_number(text: str) -> bool:
-    try:
-        float(text)
-    except ValueError:
-        return False
-    return True
 
 
 def _comment_header(text: Headless) -> list[str] | None:
@@ -180,7 +172,7 @@ def _of_table(table: Table, frame: str) -> Rows:
     poses, about, angles, note = _oriented(table, columns, place, frame)
     known = np.ones(len(time), dtype=np.bool_)
     notes = [note] if note else []
-    if "id" in table and not any(not _is_number(text) for text in table.texts["id"]):
+    if "id" in table and not any(not is_number(text) for text in table.texts["id"]):
         known &= table.numbers(["id"], None)[:, 0] >= 0.0
         if not known.all():
             left_out = f"{np.count_nonzero(~known)} of {len(known)} rows of {table.path}"
@@ -263,8 +255,8 @@ def _ros_lines(text: Headless) -> int | None:
     row = text.rows[0][1]
     if not text.commas or len(row) < 4 or not (row[0].isdigit() and row[1].isdigit() and len(row[1]) < 10):
         return None
-    frames = 2 if not _is_number(row[3]) else 1
-    return frames if not _is_number(row[2]) and (frames, len(row)) in ROS_LINES else None
+    frames = 2 if not is_number(row[3]) else 1
+    return frames if not is_number(row[2]) and (frames, len(row)) in ROS_LINES else None
 
 
 def _of_ros(text: Headless, frames: int, frame: str) -> Rows:

@@ -20,7 +20,7 @@ FASTEST = 1e-6  # seconds from pose to pose: less is a wrong unit
 
 @dataclass(frozen=True)
 class Rows:
-    """What a file says, row by row.
+    """The rows of a file.
 
     Args:
         path: the file, for messages.

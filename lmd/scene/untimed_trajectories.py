@@ -111,5 +111,5 @@ def _folder(name: str) -> str:
 
 
 def _in_words(name: str) -> list[tuple[int, str]]:
-    """What sorts names as people do: img9 before img10."""
+    """A key that sorts names as people do: img9 before img10."""
     return [(int(part), "") if part.isdigit() else (-1, part) for part in re.split(r"(\d{1,18})", name)]

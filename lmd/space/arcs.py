@@ -98,7 +98,7 @@ def strips(arc: Arc, half: FloatArray, others: Sequence[FloatArray], name: str) 
 
 
 def _off(chain: FloatArray, ends: FloatArray) -> float:
-    """How far the ends of a chain are from two of the `ends` `(N, 2)` at different places, of which two are its own."""
+    """Distance of the ends of a chain from two of the `ends` `(N, 2)` at different places, of which two are its own."""
     away = np.linalg.norm(chain[[0, -1], None] - ends, axis=-1)
     worse = np.maximum(away[0][:, None], away[1])
     apart = np.linalg.norm(ends[:, None] - ends, axis=-1) > JOINED

@@ -53,7 +53,7 @@ def header_of(file: Path, content: bytes) -> dict[str, Any]:
 
 
 def triangles_of(header: dict[str, Any]) -> float:
-    """How many triangles the nodes of a checked glTF place at most."""
+    """The most triangles that the nodes of a checked glTF place."""
     counts, corners = [part["count"] for part in header.get("accessors", [])], []
     for mesh in header.get("meshes", []):
         read = [i for part in mesh["primitives"] for i in (part["attributes"]["POSITION"], part.get("indices"))]

@@ -20,7 +20,7 @@ MOST_M, MOST_RAD = 0.02, 0.15
 
 
 def off_fixed(found: Estimate, start: Start) -> FloatArray:
-    """How far photographs alone have each tag from where it is exactly known to be, beside the others: metres and rad.
+    """Distance of each tag by photographs alone from where it is fixed, beside the other fixed ones: metres and rad.
 
     Returns:
         `(K, 2)`; NaN for tags that are not exactly known, or that are there within the errors.

@@ -1,4 +1,4 @@
-"""How tags are turned beside their plan: centres and normals say where the world is, and only then are ups compared.
+"""Turns of tags beside their plan: centres and normals say where the world is, and only then are ups compared.
 
 Corners may be numbered from another one than the tag's top left: OpenCV begins at the bottom right of an AprilTag. Then
 each tag seems to hang upside down, and its pose is wrong by half a turn about its normal. A centre and a normal are the
@@ -61,7 +61,7 @@ def _points(tags: FloatArray) -> FloatArray:
 
 
 def _squares(here: FloatArray, there: FloatArray) -> FloatArray:
-    """How far centres and normals are apart, squared, in units of their scales, `(K,)`."""
+    """Squared distances of centres and normals, in units of their scales, `(K,)`."""
     away = np.linalg.norm(here[:, :3, 3] - there[:, :3, 3], axis=1) / PLACE_SCALE
     return np.asarray(away**2 + (_between_normals(here, there) / NORMAL_SCALE) ** 2)
 
@@ -84,7 +84,7 @@ def _fitted(points: FloatArray, others: FloatArray, weights: FloatArray) -> tupl
 
 @dataclass(frozen=True)
 class Turns:
-    """How the tags of a survey are turned, in quarters, clockwise as one looks at them, `(K,)` each.
+    """Turns of the tags of a survey, in quarters, clockwise as one looks at them, `(K,)` each.
 
     Args:
         renumbered: those by which the corners of its detections are renumbered.
@@ -126,7 +126,7 @@ def as_seen(sightings: Sightings, poses: Poses) -> Poses:
 
 
 def turns_of(poses: Poses, group: IntArray, prior: Prior, in_order: bool) -> Turns:
-    """How tags are turned beside what the prior has of them.
+    """Turns of tags beside what the prior has of them.
 
     Where most are turned alike, that is the order of the corners, unless it is known. Those that are exactly known are
     where and as they are known to be.

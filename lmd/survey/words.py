@@ -14,7 +14,7 @@ _few = partial(few, most=12)  # tags that a terminal names
 
 
 def to_text(survey: Survey) -> str:
-    """What a terminal shows."""
+    """The lines that a terminal shows."""
     figures, found = metrics(survey), survey.found
     expected = int((survey.placed | np.isin(survey.ids, survey.known.ids)).sum())
 
@@ -55,7 +55,7 @@ def to_text(survey: Survey) -> str:
 
 
 def _troubles(survey: Survey) -> dict[str, str]:
-    """What somebody should look at, in words; empty where there is nothing."""
+    """Lines on what somebody should look at; empty texts where there is nothing."""
     ids, times, faults, state = survey.ids.tolist(), survey.detected.times, survey.faults, tag_columns(survey)["state"]
     by_state: dict[str, list[int]] = {}
     for number, text in zip(ids, np.asarray(state).tolist(), strict=True):
@@ -85,7 +85,7 @@ def _troubles(survey: Survey) -> dict[str, str]:
 
 
 def _turned(survey: Survey) -> str:
-    """Which tags are turned beside their plan, by how much, and what was made of that."""
+    """The tags that are turned beside their plan, by how much, and what was made of that."""
     turns = survey.turns
     shown = np.bincount(survey.found.sightings.tag, minlength=len(survey.ids)) > 0
     hung = np.where(turns.hung, turns.hung, turns.on_sheets)
@@ -99,7 +99,7 @@ def _turned(survey: Survey) -> str:
 
 
 def _off_fixed(survey: Survey) -> str:
-    """How far photographs have tags from where they are fixed."""
+    """Distances of tags in photographs from where they are fixed."""
     away = zip(survey.ids.tolist(), survey.off_fixed.tolist(), strict=True)
     texts = [
         f"{number} ({f'{1e3 * metres:.2g} mm' if metres == metres else f'{np.degrees(rad):.2g} degrees'})"
