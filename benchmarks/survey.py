@@ -5,6 +5,7 @@ python benchmarks/survey.py photograph RUN FOLDER --next survey.json   # likewis
 python benchmarks/survey.py compare MAP.csv TRUE.csv             # how far the tags of a map are off, millimetres
 python benchmarks/survey.py aviary test_13 [--boards 0.0002] [--calibrate]   # detections of berndpfrommer/tagslam_test
 python benchmarks/survey.py perch test_2 [--calibrate]   # likewise, two fisheye cameras, beside TagSLAM's own answer
+python benchmarks/survey.py halves FOLDER EDGE [--calibrate]   # maps of the two halves of a drive, beside each other
 python benchmarks/survey.py rings SURVEY U V   # share of tags in view that were detected, by pixels from (U, V)
 PYTHONPATH=tests python benchmarks/survey.py time FRAMES TAGS    # how long a walk takes, and how much memory
 """
@@ -176,6 +177,40 @@ def perch(folder: Path, calibrate: bool) -> None:
         print(f"the second camera {1e3 * np.linalg.norm(mount[:3, 3] - place(row)):.2f} mm, {1e3 * angle:.2f} mrad off")
 
 
+def halves(folder: Path, edge: float, calibrate: bool) -> None:
+    """Map each half of a drive alone: how far tags are apart once the maps are laid over each other, and as stated.
+
+    The folder has `detections.csv`, and `cameras.yaml` with the cameras in the order of their names.
+    """
+    from lmd.detection.corner_errors import CORNER_ERRORS
+    from lmd.geometry.se3 import act, laid_over
+    from lmd.mapping.detections import read_detections
+    from lmd.scene.calibration_files import read_cameras
+    from lmd.scene.camera_calibration import calibrated_camera
+    from lmd.scene.tag import Tag
+    from lmd.survey.report import sigmas
+    from lmd.survey.survey import Known, survey
+
+    detected, path = read_detections(folder / "detections.csv"), str(folder / "cameras.yaml")
+    cameras = [calibrated_camera(path, name or None) for name in list(read_cameras(path))[: len(detected.cameras)]]
+    first = detected.frame < len(detected.times) // 2
+    maps: list[tuple[dict[int, FloatArray], dict[int, float]]] = []
+    for half in (first, ~first):
+        some = detected.of(np.flatnonzero(half))
+        found = survey(some, cameras, Tag(edge), CORNER_ERRORS["apriltag"], Known(), calibrate)
+        placed, sigma = np.flatnonzero(found.placed), sigmas(found)
+        places = {int(found.ids[k]): found.found.poses.tags[k, :3, 3] for k in placed}
+        maps.append((places, {int(found.ids[k]): float(sigma[k]) for k in placed}))
+    both = sorted(maps[0][0].keys() & maps[1][0].keys())
+    here, there = (np.array([places[number] for number in both]) for places, _ in maps)
+    apart = np.linalg.norm(act(laid_over(here, there), here) - there, axis=1)
+    stated = np.hypot(*(np.array([sigma[number] for number in both]) for _, sigma in maps))
+    within = float((apart <= 3.0 * stated).mean())
+    differ, told = 1e3 * np.median(apart), 1e3 * np.median(stated)
+    print("| tags in both | halves differ, median, mm | stated for that difference, mm | within 3 sigma |")
+    print(f"| --- | --- | --- | --- |\n| {len(both)} | {differ:.2f} | {told:.2f} | {within:.0%} |")
+
+
 def measure(frames: int, tags: int) -> None:
     """Time of one processor and memory, from detections to figures."""
     import walks  # of the tests
@@ -225,6 +260,10 @@ def main() -> None:
     round_image.add_argument("survey", type=Path)
     round_image.add_argument("u", type=float)
     round_image.add_argument("v", type=float)
+    two_halves = commands.add_parser("halves")
+    two_halves.add_argument("folder", type=Path)
+    two_halves.add_argument("edge", type=float, help="of the tags, metres")
+    two_halves.add_argument("--calibrate", action="store_true")
     timed = commands.add_parser("time")
     timed.add_argument("frames", type=int)
     timed.add_argument("tags", type=int)
@@ -237,6 +276,8 @@ def main() -> None:
         aviary(given.folder, given.boards, given.calibrate)
     elif given.command == "perch":
         perch(given.folder, given.calibrate)
+    elif given.command == "halves":
+        halves(given.folder, given.edge, given.calibrate)
     elif given.command == "rings":
         rings(given.survey, given.u, given.v)
     else:
