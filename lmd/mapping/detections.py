@@ -16,7 +16,7 @@ from lmd.scene.calibration_files import PIXEL_CENTRE
 
 # In OpenCV's pixels, clockwise from the top left of the tag as it was made.
 CORNER_COLUMNS = tuple(f"{axis}{corner}" for corner in range(4) for axis in "xy")
-TIMES, CAMERAS = ("time", "stamp", "image"), ("camera", "topic")
+TIMES, CAMERAS = ("time", "stamp", "timestamp", "image"), ("camera", "topic", "cam", "camera_id")
 READ = (
     f"what is read is a CSV with a row for each tag and the columns {' or '.join(TIMES)}, id, x0, y0, ..., x3, y3, the "
     "corners clockwise from the tag's top left in OpenCV's pixels"

@@ -17,7 +17,7 @@ from lmd.core.checks import InputError, vector
 from lmd.core.files import flat, parse_keys, read_text
 from lmd.geometry.central_models import GOOD_PIXELS, MODELS, PINHOLE, restated
 from lmd.geometry.lens import EQUIDISTANT
-from lmd.scene.opencv_calibrations import opencv, opencv_xml
+from lmd.scene.opencv_calibrations import model_of, opencv, opencv_xml
 from lmd.scene.unread_calibrations import AS_ROS, check_text
 
 Keys = Mapping[str, Any]
@@ -44,6 +44,7 @@ LENS_MODELS = {
     "fisheye": EQUIDISTANT,
     "kannala_brandt": EQUIDISTANT,
     "radial-tangential": "plumb_bob",
+    "brown_conrady": "plumb_bob",
 }
 # Of the first pixel, from the image's border: ROS and OpenCV count from the centre, COLMAP from the border.
 PIXEL_CENTRE = 0.5
@@ -238,7 +239,8 @@ def _mrcal(text: str) -> Keys:
 
 def _message(keys: Keys) -> dict[str, Keys]:
     matrix, lens = (keys[name] if name in keys else keys[name.lower()] for name in "KD")
-    return {"": _ros((keys["width"], keys["height"]), matrix, lens, keys.get("distortion_model"))}
+    model = model_of({key.lower(): value for key, value in keys.items()}, {"data": lens})
+    return {"": _ros((keys["width"], keys["height"]), matrix, lens, model)}
 
 
 def _photonvision(keys: Keys) -> dict[str, Keys]:

@@ -16,6 +16,7 @@ from lmd.scene.camera import Camera
 
 SIZE = ("image_width", "image_height")
 UNCLEAR = 4  # coefficients, which a pinhole may have and a fisheye
+SHORTEST = 0.05  # a focal length that is a smaller share of the image's size is that of no lens
 OPTICS = ("focal_length", "aperture", "focus_distance", "image_circle")  # what no calibration says
 
 
@@ -46,6 +47,13 @@ class Calibration:
         check_fields(self, integer, "image_width", "image_height", low=1)
         check_fields(self, vector, "focal_pixels", size=2, above=0.0)
         check_fields(self, vector, "principal_point", size=2)
+        size = (self.image_width, self.image_height)
+        if any(focal < SHORTEST * side for focal, side in zip(self.focal_pixels, size, strict=True)):
+            told = " x ".join(f"{focal:.4g}" for focal in self.focal_pixels)
+            raise InputError(
+                f"the focal lengths, {told}, must be in pixels of an image of {size[0]} x {size[1]}: are they divided "
+                "by its size?"
+            )
         lens = lens_of(self.distortion_model, self.distortion)
         object.__setattr__(self, "distortion", () if lens is None else lens.coefficients)
 

@@ -8,7 +8,9 @@ from lmd.core.checks import InputError
 from lmd.scene.tag import FAMILIES
 
 # A family as Limelight, the ArUco library, OpenCV and apriltag_ros write it.
-_NAME = re.compile(r"(?:dict_|aruco_|apriltag\d?_?|tag_?)*(\d+h\d+|\dx\d_\d+)(?:b1)?(?:_classic)?")
+_NAME = re.compile(
+    r"(?:cv2?\.|aruco[._]|dict_|apriltag(?:\d?[_ -])?|tag[_ -]?)*(\d+h\d+|\dx\d_\d+)(?:b1)?(?:_classic)?"
+)
 # Places in OpenCV's list of dictionaries, by which RTAB-Map names them.
 NUMBERS = dict(
     enumerate([*(name for name in FAMILIES if FAMILIES[name].apriltag is None), "ARUCO_ORIGINAL", "16h5", "25h9"])

@@ -16,24 +16,23 @@ from collections.abc import Sequence
 import numpy as np
 
 from lmd.core.checks import FloatArray, InputError
-from lmd.core.tables import Table
-from lmd.scene.deployment import COLUMNS, Deployment
+from lmd.core.tables import Table, is_number
+from lmd.scene.deployment import COLUMNS, UP_COLUMNS, Deployment
 from lmd.scene.edges import EDGE, edge_column
 from lmd.scene.families import family_named
 from lmd.scene.labels import ID, Labels
 from lmd.scene.placed_tag import RIGHT_UP_OUT, axes_of, turn_by_angles, turn_by_quaternion
 
 FAMILY = "family"
-PLACE, NORMAL = COLUMNS[:3], COLUMNS[3:]
+PLACE, NORMAL, UP = COLUMNS[:3], COLUMNS[3:], UP_COLUMNS
 QUATERNION, ANGLES = ("qx", "qy", "qz", "qw"), ("roll", "pitch", "yaw")
+# What others call columns; a number or an edge is one only if its values are numbers.
 NAMES = {
-    "tag_id": ID,
-    "marker_id": ID,
-    "tagid": ID,
-    "length": EDGE,
-    "size": EDGE,
-    "tag_size": EDGE,
-    "marker_size": EDGE,
+    **dict.fromkeys(("tag_id", "tagid", "tag", "marker_id", "markerid", "marker", "fiducial_id", "fiducial"), ID),
+    **dict.fromkeys(("number", "tag_number", "nr", "no"), ID),
+    **dict.fromkeys(("size", "tag_size", "marker_size", "edge_size"), EDGE),
+    **dict.fromkeys(("length", "tag_length", "marker_length", "edge_length", "side", "side_length"), EDGE),
+    **dict.fromkeys(("tag_family", "dictionary", "dict", "aruco_dict"), FAMILY),
 }
 _PLACE = re.compile(r"(?:p|t|pos|position|translation)[_.]?([xyz])")
 _TURN = re.compile(r"(?:q|quat|quaternion|ori|orientation)[_.]?([xyzw])")
@@ -52,9 +51,10 @@ def name_of(column: str) -> str:
         base, unit = (found[1], found[2]) if found[2] else (found[3], found[4])
     else:
         base = plain.lower()
+    base = re.sub(r"[\s-]+", "_", base)
     place, turn = _PLACE.fullmatch(base), _TURN.fullmatch(base)
     name = place[1] if place else f"q{turn[1]}" if turn else NAMES.get(base, base)
-    if name not in (ID, *PLACE, *QUATERNION, *ANGLES, EDGE, FAMILY):
+    if name not in (ID, *PLACE, *NORMAL, *UP, *QUATERNION, *ANGLES, EDGE, FAMILY):
         return plain
     if unit is not None and unit not in OUR_UNITS:
         raise InputError(f"its column {plain!r} is in another unit: places and edges are in metres, angles in radians.")
@@ -70,9 +70,18 @@ def named_columns(columns: Sequence[str]) -> list[str]:
     return names
 
 
+def renamed(table: Table) -> Table:
+    """The table with the names of `named_columns`, but for ids and edges whose values are no numbers."""
+    columns = {}
+    for name, (column, texts) in zip(named_columns(list(table.texts)), table.texts.items(), strict=True):
+        fits = name == column or name not in (ID, EDGE) or all(is_number(text) for text in texts if text)
+        columns[name if fits else column] = texts
+    return Table(table.path, table.lines, columns)
+
+
 def is_by_normals(table: Table) -> bool:
-    """True for a table that says how tags look by their normals, or is not one of tags."""
-    return any(name in table for name in NORMAL) or not all(name in named_columns(list(table.texts)) for name in PLACE)
+    """True for a table, with names from here, that has normals of tags, or is not one of tags."""
+    return any(name in table for name in NORMAL) or not all(name in table for name in PLACE)
 
 
 def families_of(table: Table) -> list[str]:

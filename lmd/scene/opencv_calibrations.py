@@ -42,7 +42,10 @@ OPENCV_LENSES = (
 )
 OPENCV_FISHEYES = ("fisheye_model", "fisheye", "is_fisheye")  # 1 or true; OpenCV's own sample has the first
 NARROW = re.compile(r"rad_?tan|plumb.?bob|brown|radial.tangential|rational")
-WIDE = re.compile(r"fish|omni|equidist|kannala|unified|double.?sphere|scaramuzza|^(mei|ds|eucm|kb4?|fov)$")
+WIDE = re.compile(
+    r"fish|omni|equidist|kannala|unified|double.?sphere|scaramuzza|f.?theta|division|inverse|stereographic|equisolid"
+    r"|^(mei|ds|eucm|kb4?|fov)$"
+)
 
 
 def opencv_xml(text: str) -> dict[str, Any]:
@@ -90,7 +93,7 @@ def opencv(keys: Mapping[str, Any]) -> Mapping[str, Any]:
     for name in ("camera_matrix", "distortion_coefficients"):
         if isinstance(found.get(name), list):
             found[name] = {"data": flat(found[name])}
-    if (model := _model(plain, found.get("distortion_coefficients"))) is not None:
+    if (model := model_of(plain, found.get("distortion_coefficients"))) is not None:
         found["distortion_model"] = model
     for name in OPENCV_SIZES:
         if isinstance(size := plain.get(name), list) and len(size) == 2:
@@ -98,8 +101,8 @@ def opencv(keys: Mapping[str, Any]) -> Mapping[str, Any]:
     return found
 
 
-def _model(plain: Mapping[str, Any], lens: Any) -> Any:
-    """The model of the lens, where the file says it in any way.
+def model_of(plain: Mapping[str, Any], lens: Any) -> Any:
+    """The model of the lens, None where the file does not say it in any way.
 
     Args:
         plain: the keys, in small letters.

@@ -20,7 +20,7 @@ from lmd.geometry.frames import roll_pitch_yaw
 from lmd.scene.deployment import Deployment
 from lmd.scene.families import check_family, one_family
 from lmd.scene.labels import Labels
-from lmd.scene.landmark_table import families_of, is_by_normals, named_columns, turned_deployment
+from lmd.scene.landmark_table import families_of, is_by_normals, renamed, turned_deployment
 from lmd.scene.placed_tag import PlacedTag, number_of
 from lmd.scene.tag import FAMILIES
 from lmd.scene.tag_map_others import why_keys_not_read, why_not_read
@@ -128,7 +128,7 @@ def _by_keys(path: Any, text: str, name: str) -> Found:
     for reader in READERS:
         if reader.marks <= keys.keys():
             tags = list(reader.read(keys))
-            return Found(tags, None, [tag.family for tag in tags], reader.by_opencv)
+            return Found(tags, None, [tag.family for tag in tags], reader.by_opencv, reader.note(path, keys))
     raise InputError(why_keys_not_read(keys, ", ".join(dict.fromkeys(reader.format for reader in READERS))))
 
 
@@ -149,11 +149,10 @@ def _table(path: Any, lines: Sequence[str], name: str) -> Table:
 
 
 def _by_table(table: Table, axes: Sequence[str] | None) -> Found:
-    if is_by_normals(table):
-        return Found([], Deployment.from_table(table), families_of(table))
-    columns = list(table.texts)
-    renamed = Table(table.path, table.lines, dict(zip(named_columns(columns), table.texts.values(), strict=True)))
-    return Found([], turned_deployment(renamed, axes), families_of(renamed))
+    table = renamed(table)
+    by_normals = is_by_normals(table)
+    deployment = Deployment.from_table(table) if by_normals else turned_deployment(table, axes)
+    return Found([], deployment, families_of(table))
 
 
 def _wpilib_csv(path: Any, name: str) -> list[PlacedTag]:

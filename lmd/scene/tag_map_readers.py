@@ -8,7 +8,7 @@ Sources: `AprilTagFieldLayout` of WPILib; `TagDetector` of AprilRobotics/aprilta
 """
 
 from collections.abc import Callable, Iterable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -92,9 +92,12 @@ def _own_json(keys: Keys) -> Iterable[PlacedTag]:
         yield PlacedTag(number_of(tag["id"]), place, turn, edge, family)
 
 
+FIELD = ("fieldlength", "fieldwidth")  # of Limelight's maps, metres
+
+
 def _limelight(keys: Keys) -> Iterable[PlacedTag]:
     """From the middle of the field, as the file counts; from its corner where the file says how large the field is."""
-    middle = np.array([real(name, keys.get(name, 0.0)) / 2.0 for name in ("fieldlength", "fieldwidth")])
+    middle = np.array([real(name, keys.get(name, 0.0)) / 2.0 for name in FIELD])
     for tag in mappings("fiducials", keys["fiducials"]):
         number = number_of(tag["id"])
         place, axes = transform_of(number, tag["transform"])
@@ -239,6 +242,15 @@ def _duckietown(keys: Keys) -> Iterable[PlacedTag]:
         yield PlacedTag(number, np.array([x, y, 0.0]), turn, edge, family)
 
 
+def _corner_note(path: Any, keys: Keys) -> str:
+    """The corner that Limelight's places are counted from, where the file says how large the field is."""
+    if not any(keys.get(name) for name in FIELD):
+        return ""
+    return (
+        f"{path}: places are counted from the corner of its field, half of {' and '.join(FIELD)} away from its origin"
+    )
+
+
 class Reader(NamedTuple):
     """A format in YAML or JSON.
 
@@ -247,19 +259,21 @@ class Reader(NamedTuple):
         marks: keys that only files of this format have.
         read: gives the tags.
         by_opencv: whether those who read such files detect by OpenCV.
+        note: gives a sentence on how a file at a path is read; empty where there is no doubt.
     """
 
     format: str
     marks: frozenset[str]
     read: Callable[[Keys], Iterable[PlacedTag]]
     by_opencv: bool = False
+    note: Callable[[Any, Keys], str] = lambda _path, _keys: ""
 
 
 READERS = (
     Reader("lmd", frozenset({"tags", "family", EDGE}), _own_json),
     Reader("WPILib", frozenset({"tags"}), _wpilib),
     Reader("WPILib", frozenset({"field-tags"}), _wpilib),
-    Reader("Limelight", frozenset({"fiducials"}), _limelight),
+    Reader("Limelight", frozenset({"fiducials"}), _limelight, note=_corner_note),
     Reader("frc971", frozenset({"target_poses"}), _frc971),
     Reader("apriltag_ros", frozenset({"tag_bundles"}), _apriltag_ros),
     Reader("apriltag_ros", frozenset({"standalone_tags"}), _apriltag_ros),

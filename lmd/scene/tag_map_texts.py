@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from lmd.core.checks import FloatArray, InputError
-from lmd.core.tables import COMMENT, Table
+from lmd.core.tables import COMMENT, Table, is_number
 from lmd.geometry.frames import roll_pitch_yaw
 from lmd.geometry.se3 import QUATERNION_TOLERANCE
 from lmd.scene.edges import EDGE
@@ -27,6 +27,7 @@ from lmd.scene.placed_tag import (
     turn_by_angles,
     turn_by_quaternion,
 )
+from lmd.scene.trajectory_columns import check_quaternion_order
 
 CLOVER = (ID, EDGE, *PLACE, "yaw", "pitch", "roll")
 # Its own generator of maps calls the angles so.
@@ -133,6 +134,7 @@ def read_lines(path: Any, text: str) -> Read:
         )
     if names is not None:
         return Read([_clover(line) for line in lines])
+    check_quaternion_order(comments)
     return _by_number(path, lines)
 
 
@@ -161,7 +163,9 @@ def _by_number(path: Any, lines: list[Line]) -> Read:
     widths = {len(line.texts) for line in lines}
     most, count = max(widths), len(lines[0].texts)
     if count > len(FIDUCIAL_SLAM) or (count == len(FIDUCIAL_SLAM) and not _are_quaternions(lines, widths)):
-        return Read([_fiducial_slam(line) for line in lines])
+        if odd := [line for line in lines if not _may_be_fiducial_slam(line)]:
+            raise _question(odd[0], f"it has {len(odd[0].texts)} values, and they are not those of fiducial_slam")
+        return Read([_fiducial_slam(line) for line in lines], note=_note(path, FIDUCIAL_SLAM, "fiducial_slam's"))
     if count < CLOVER_LEAST or most > len(CLOVER):
         raise _question(lines[0], "its lines have no names")
     if len(widths) == 1 and most == len(BY_ANGLES):
@@ -227,12 +231,15 @@ def _question(line: Line, reason: str) -> InputError:
     )
 
 
+def _may_be_fiducial_slam(line: Line) -> bool:
+    """True if a variance and whole numbers follow the pose: the observations, and the tags seen with it, each once."""
+    counts, links = line.texts[8:9], line.texts[9:]
+    whole = bool(counts) and all(text.isdecimal() for text in (*counts, *links))
+    return whole and len(set(links)) == len(links) and is_number(line.texts[7]) and float(line.texts[7]) >= 0.0
+
+
 def _fiducial_slam(line: Line) -> PlacedTag:
     """`id x y z roll pitch yaw variance observations`, degrees, and the tags that were seen with it."""
-    if len(line.texts) < len(FIDUCIAL_SLAM) or not line.texts[8].isdecimal():
-        raise InputError(
-            f"line {line.number}, {' '.join(line.texts)[:200]!r}, must be: {' '.join(FIDUCIAL_SLAM)}, as the first one."
-        )
     pose = Line(line.number, line.texts[: len(BY_ANGLES)]).values(BY_ANGLES)
     return PlacedTag(line.id, pose[:3], roll_pitch_yaw(np.radians(pose[3:])))
 

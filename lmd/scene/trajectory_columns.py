@@ -59,6 +59,8 @@ _PATTERNS = {
 }
 _COMPILED = [(kind, re.compile(text)) for kind, texts in _PATTERNS.items() for text in texts]
 _BRACKETS = re.compile(r"\s*[\[(]\s*([^\])]*?)\s*[\])]\s*$")
+# A quaternion whose w comes first: qw qx qy qz, (w, x, y, z), wxyz, w i j k.
+_W_FIRST = re.compile(r"(?<![a-z])q?_?w[\W_]*q?_?x[\W_]*q?_?y[\W_]*q?_?z|(?<![a-z])w[\W_]+i[\W_]+j[\W_]+k(?![a-z])")
 
 
 @dataclass(frozen=True)
@@ -124,6 +126,16 @@ def known_columns(names: Sequence[str]) -> dict[str, Column]:
             raise InputError(f"its columns {found[own].name!r} and {name!r} may both be {own}: leave one.")
         found[own] = column
     return found
+
+
+def check_quaternion_order(comments: Sequence[str]) -> None:
+    """Raise `InputError` if a comment that does not name the columns says that w comes first."""
+    for comment in comments:
+        if _W_FIRST.search(comment.lower()):
+            raise InputError(
+                f"a comment, {comment.strip()[:120]!r}, has w before x, y, z, and does not name the columns: write a "
+                "line above the values that names each, such as '# time x y z qw qx qy qz' (or id for time, of tags)."
+            )
 
 
 def is_header(words: Sequence[str]) -> bool:

@@ -21,6 +21,7 @@ from lmd.scene.trajectory_columns import (
     POSITION,
     QUATERNION,
     Column,
+    check_quaternion_order,
     is_header,
     known_columns,
     lacking,
@@ -79,7 +80,14 @@ def _rows(path: str, times: str | None, rate: float | None, frame: str) -> Rows:
     elif (stamps := _ros_lines(headless)) is not None:
         return _of_ros(headless, stamps, frame)
     else:
-        table = headless.table(_named(headless, header) if header else _by_count(headless))
+        if header is None:
+            check_quaternion_order(headless.comments)
+        names = _named(headless, header) if header else _by_count(headless)
+        rows = _of_table(headless.table(names), frame)
+        if header is None and tuple(names[: len(EUROC)]) == EUROC:
+            said = f"{path} does not name its columns, and is read as EuRoC's: {' '.join(EUROC)}"
+            rows = replace(rows, notes=(*rows.notes, said))
+        return rows
     return _of_table(table, frame)
 
 

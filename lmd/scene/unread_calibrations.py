@@ -40,6 +40,7 @@ ROOTS = {
 }
 # By keys that only files of this kind have.
 KEYS = (
+    ({"fx", "fy", "cx", "cy"}, f"it has fx, fy, cx, cy by themselves: {AS_ROS}"),
     ({"cameraData"}, f"it is DepthAI's calibration of an OAK: {TOPIC}, or {AS_ROS}"),
     ({"ppx", "ppy"}, f"it holds the intrinsics of a RealSense: {TOPIC}, or take ppx, ppy as cx, cy, and {AS_ROS}"),
     (

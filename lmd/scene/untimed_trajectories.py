@@ -29,6 +29,8 @@ class Image(NamedTuple):
     """The quaternion, w first, and the translation: world to camera."""
     name: str
     """Of its file."""
+    camera: str
+    """CAMERA_ID."""
 
 
 def matrices(text: Headless, times: str | None, rate: float | None) -> Rows:
@@ -62,7 +64,9 @@ def colmap_images(text: str) -> list[Image] | None:
     images, after_image = [], False
     for line, said in lines[first:]:
         if (found := _IMAGE.fullmatch(said)) is not None:
-            images.append(Image(line, int(found[1]), [float(number) for number in found[2].split()], found[4]))
+            images.append(
+                Image(line, int(found[1]), [float(number) for number in found[2].split()], found[4], found[3])
+            )
         elif said.strip() and not after_image:  # the line after an image holds its points, or nothing
             raise InputError(f"line {line} is no image of COLMAP: IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME.")
         after_image = found is not None
@@ -81,6 +85,10 @@ def images_in_order(path: str, images: Sequence[Image], times: str | None, rate:
     for one, other in pairwise(images):
         if one.number == other.number:
             raise InputError(f"line {other.line}: the image {other.number} is there twice.")
+        if one.camera != other.camera:
+            raise InputError(
+                f"its images are of the cameras {one.camera} and {other.camera} (CAMERA_ID): leave those of one."
+            )
         if _folder(one.name) != _folder(other.name):
             raise InputError(
                 f"its images are of several folders, such as {one.name} and {other.name}: leave those of one camera."

@@ -15,6 +15,7 @@ from lmd.space.captured_file import Captured, cut, read_captured
 from lmd.space.foreign import refuse_ending
 from lmd.space.gltf_file import header_of, triangles_of, with_fractions
 from lmd.space.parts import box_text, check_metres
+from lmd.space.polygon_faces import check_ply, with_triangles
 from lmd.space.triangles import THINNEST_M
 
 UP_AXES = ("z", "y")
@@ -145,6 +146,8 @@ def _parts(file: Path, up: str) -> dict[str, Any]:
             header = header_of(file, content)
             _check_count(file, triangles_of(header))
             content, kind = with_fractions(header, content, kind)
+        if kind == "obj":
+            content = with_triangles(content)
         # Of bytes, nothing says where they are from: no other file is looked for, such as materials or textures.
         # Not processed, or corners that are no numbers would be left out with their triangles.
         with np.errstate(all="ignore"):  # of numbers that are refused below
@@ -158,6 +161,8 @@ def _parts(file: Path, up: str) -> dict[str, Any]:
                     vertices = trimesh.transform_points(part.vertices, matrix)
                 _check_corners(file, name, vertices, part.faces)
                 parts[name] = trimesh.Trimesh(_turned(vertices, up), part.faces, process=False)
+        if kind == "ply":
+            check_ply(str(file), content, sum(len(part.faces) for part in parts.values()))
     except InputError:
         raise
     except Exception as error:  # whatever a reader of a broken file runs into

@@ -81,7 +81,7 @@ def test_frames_of_a_detector_keep_their_places():
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("id,x0,y0,x1,y1,x2,y2,x3,y3\n", "lacks the column time or stamp or image; what is read is a CSV"),
+        ("id,x0,y0,x1,y1,x2,y2,x3,y3\n", "lacks the column time or stamp or timestamp or image; what is read is a CSV"),
         (f"time,id,x0,y0,x1,y1,x2,y2,x3\n0,3,{SQUARE[:-3]}\n", "lacks the column y3; what is read"),
         (f"time,id,x0,y0,x1,y1,x2,y2,x3,y3\n0,3.5,{SQUARE}\n", "line 2: id is '3.5', not a whole number"),
         (f"time,id,x0,y0,x1,y1,x2,y2,x3,y3\n0,3,left{SQUARE[2:]}\n", "line 2: x0 is 'left', not a number"),

@@ -308,7 +308,7 @@ def test_fiducial_slam_saves_degrees_and_what_it_saw_beside_a_tag(read):
     assert_allclose(found.positions, [[1.0, 2.0, 0.5], [1.0, 2.0, 1.5]])
     assert_allclose(found.normals, [[0, -1, 0], [1, 0, 0]], atol=1e-9)
     assert_allclose(found.ups, [UP, UP], atol=1e-9)
-    with pytest.raises(InputError, match=r"line 2, '8 1 2', must be: id x y z roll pitch yaw variance observations"):
+    with pytest.raises(InputError, match=r"line 2, '8 1 2': it has 3 values, and they are not those of fiducial_slam"):
         read("7 1.0 2.0 0.5 90.0 0.0 0.0 0.04 31\n8 1 2\n")
 
 
@@ -352,7 +352,7 @@ objects:
         ("tag_bundles: [3]", r"tag_bundles\[0\] must be a mapping with keys, got 3"),
         ("/**: {ros__parameters: {family: 36h11}}", "no tag map that is known here .*: it has family"),
         ("1 0.3 a 2", "could not convert string to float"),
-        ("1 0.3 1 2 3 4 5 6 7.5", "must be: id x y z roll pitch yaw variance observations"),
+        ("1 0.3 1 2 3 4 5 6 7.5", "they are not those of fiducial_slam"),
         ("1 0 0 0 0 0 0 0\n", "an edge of 0 m would be none of a tag. What are its values"),
         ("1 0.1 0 0\n1 0.1 1 0\n", "id 1 belongs to 2 landmarks"),
         (json.dumps(WPILIB).replace('"Z": 1.0', '"Z": 2.0'), "must have length 1, it has 2"),
