@@ -14,6 +14,7 @@ from lmd.core.checks import FloatArray, InputError, vector
 from lmd.core.files import flat
 from lmd.geometry.se3 import pose_of
 from lmd.space.arcs import Arc, strips
+from lmd.space.floor_below import HULL, floor_below
 from lmd.space.foreign import kind_of_keys
 
 Keys = Mapping[str, Any]
@@ -67,14 +68,19 @@ def read_captured(keys: Keys) -> Captured:
         )
     counts: Counter[str] = Counter()
     parts: list[Part] = []
+    notes: list[str] = []
     for name, faces in found:
         parts.append(Part(f"{name}_{counts[name]}", tuple(faces)))
         counts[name] += 1
     if "floor_0" not in (part.name for part in parts):
-        parts.append(_floor_below(parts))
+        faces = [(part.name, face) for part in parts for face in part.faces]
+        outline, is_sure = floor_below(faces)
+        parts.append(Part("floor_0", (outline,)))
+        notes += [] if is_sure else [HULL]
     on_walls = [part for part in parts if part.name.rpartition("_")[0] in ON_WALLS]
-    curved = any(thing.get("curve") for thing in keys.get("walls") or ())
-    return Captured(tuple(part for part in parts if part not in on_walls), tuple(on_walls), CURVED if curved else "")
+    if any(thing.get("curve") for thing in keys.get("walls") or ()):
+        notes.append(CURVED)
+    return Captured(tuple(part for part in parts if part not in on_walls), tuple(on_walls), "; ".join(notes))
 
 
 def cut(face: FloatArray) -> FloatArray:
@@ -86,18 +92,6 @@ def cut(face: FloatArray) -> FloatArray:
     parts = shapely.get_parts(shapely.constrained_delaunay_triangles(flat)) if flat.is_valid else []
     corners = [shapely.get_coordinates(part)[:3] @ np.stack([right, up]) + face.mean(axis=0) for part in parts]
     return np.array(corners).reshape(-1, 3, 3)
-
-
-def _floor_below(parts: list[Part]) -> Part:
-    """A floor where nobody has seen one: what the lowest edges of all walls enclose."""
-    import shapely
-
-    corners = np.concatenate([face for part in parts for face in part.faces] or [np.zeros((0, 3))])
-    hull = shapely.MultiPoint(corners[:, [0, 2]]).convex_hull
-    if hull.geom_type != "Polygon":
-        raise InputError("it has neither a floor nor walls.")
-    ring = shapely.get_coordinates(hull)[:-1]
-    return Part("floor_0", (np.insert(ring, 1, corners[:, 1].min(), axis=1),))
 
 
 def _rectangle(low: Any, high: Any) -> FloatArray:
