@@ -73,8 +73,7 @@ def read_captured(keys: Keys) -> Captured:
         parts.append(Part(f"{name}_{counts[name]}", tuple(faces)))
         counts[name] += 1
     if "floor_0" not in (part.name for part in parts):
-        faces = [(part.name, face) for part in parts for face in part.faces]
-        outline, is_sure = floor_below(faces)
+        outline, is_sure = floor_below([(part.name, face) for part in parts for face in part.faces])
         parts.append(Part("floor_0", (outline,)))
         notes += [] if is_sure else [HULL]
     on_walls = [part for part in parts if part.name.rpartition("_")[0] in ON_WALLS]

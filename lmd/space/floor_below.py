@@ -34,8 +34,11 @@ def floor_below(faces: Sequence[tuple[str, FloatArray]]) -> tuple[FloatArray, bo
         raise InputError("it has neither a floor nor walls.")
     walls = np.array([_ends(face) for name, face in faces if name.startswith("wall")]).reshape(-1, 2)
     closed = _enclosed(walls)
-    is_sure = closed is not None and closed.area >= LEAST_SHARE * hull.area
-    ring = shapely.get_coordinates((closed if is_sure else hull).exterior)[:-1]
+    if closed is None or closed.area < LEAST_SHARE * hull.area:
+        closed, is_sure = hull, False
+    else:
+        is_sure = True
+    ring = shapely.get_coordinates(closed.exterior)[:-1]
     return np.insert(ring, 1, corners[:, 1].min(), axis=1), is_sure
 
 
