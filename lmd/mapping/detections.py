@@ -3,6 +3,7 @@
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from decimal import Decimal, InvalidOperation
 from pathlib import Path
 from typing import Any
 
@@ -147,7 +148,8 @@ def read_detections(path: Any) -> DetectedTags:
         text = table.texts["id"][wrong[0]]
         raise InputError(f"{path} line {table.lines[wrong[0]]}: id is {text!r}, not a whole number from 0.", name)
     # Nanoseconds since 1970 have more digits than a float, so frames are told apart by what is written.
-    place = {text: index for index, text in enumerate(sorted(set(table.texts[time]), key=_moment))}
+    moments = _as_first_written(table.texts[time])
+    place = {text: index for index, text in enumerate(sorted(set(moments), key=_moment))}
     names = sorted(set(table.texts[camera])) if camera else [""]
     cameras = np.searchsorted(names, table.texts[camera]) if camera else np.zeros(len(ids), dtype=np.int64)
     corners = values[:, 1:9].reshape(-1, 4, 2) + PIXEL_CENTRE
@@ -156,17 +158,31 @@ def read_detections(path: Any) -> DetectedTags:
     usable = signed_area(corners) >= LEAST_AREA
     if not usable.any():
         raise InputError(f"{path} has no detection with four corners around an area.", name)
-    frames = np.array([place[text] for text in table.texts[time]])
+    frames = np.array([place[text] for text in moments])
     found = DetectedTags(tuple(place), tuple(names), frames, np.asarray(cameras, dtype=np.int64), ids, corners)
     return found.of(np.flatnonzero(usable))
+
+
+def _as_first_written(texts: Sequence[str]) -> list[str]:
+    """Texts for times, equal numbers as the first of them was written: 9.5 and 9.50 are one time."""
+    written: dict[Decimal | str, str] = {}
+    result = []
+    for text in texts:
+        try:
+            number = Decimal(text)
+        except InvalidOperation:
+            number = Decimal("nan")
+        result.append(written.setdefault(number if number.is_finite() else text, text))
+    return result
 
 
 def _moment(text: str) -> tuple[float, str]:
     """What texts for times are sorted by: the number, or else, as for names of photographs, the text."""
     try:
-        return float(text), text
+        number = float(text)
     except ValueError:
-        return math.inf, text
+        number = math.inf
+    return number if math.isfinite(number) else math.inf, text
 
 
 def write_detections(path: Path, detected: DetectedTags) -> None:

@@ -32,6 +32,13 @@ def test_frames_are_told_apart_by_what_is_written(tmp_path):
     assert found.ids.tolist() == [7, 8, 7]
 
 
+def test_a_number_is_one_time_however_it_is_written(tmp_path):
+    rows = "".join(f"{stamp},3,{SQUARE}\n" for stamp in ("9.5", "9.50", "1e1", "10", "nan", "a.png"))
+    found = read_detections(written(tmp_path, f"time,id,x0,y0,x1,y1,x2,y2,x3,y3\n{rows}"))
+    assert found.times == ("9.5", "1e1", "a.png", "nan")
+    assert found.frame.tolist() == [0, 0, 1, 1, 3, 2]
+
+
 def test_pixels_are_counted_from_the_border(tmp_path):
     found = read_detections(written(tmp_path, f"time,id,x0,y0,x1,y1,x2,y2,x3,y3\n0.5,3,{SQUARE}\n"))
     np.testing.assert_array_equal(found.corners[0], [[10.5, 20.5], [30.5, 20.5], [30.5, 40.5], [10.5, 40.5]])
