@@ -34,7 +34,6 @@ KEYS = {
     "traj_ahead.tum": (ALIGNED,),
     "traj_same_body.tum": ("poses.frame=body",),
     "cam_fisheye_K_D.yaml": ("camera.image_size=[640,480]",),
-    "cam_fisheye_DIM_K_D.json": (),
 }
 SAID = re.compile(r"(note|warning|error): ")
 

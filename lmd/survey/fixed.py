@@ -69,6 +69,6 @@ def _refuse(found: Estimate, off: FloatArray) -> None:
     others = f", and {count - 1} more" if count > 1 else ""
     raise InputError(
         f"fixed has tag {found.sightings.ids[worst]} {said} from where the photographs have it beside the other fixed "
-        f"tags{others}: correct the file or leave the tag out. survey.points takes places that are good to 5 mm.",
+        f"tags{others}: correct the file or leave the tag out; points takes places that are good to 5 mm.",
         "fixed",
     )

@@ -16,7 +16,7 @@ from lmd.scene.camera import Camera
 CAMERA = Camera(4.0, 0.02, 0.02, (160.0, 120.0), 320, 240, 0.0)
 UPRIGHT = Camera(4.0, 0.02, 0.02, (120.0, 160.0), 240, 320, 0.0)
 RATE, FRAMES = 10, 20
-STREAM = Path("/work/shared/cases/video/live.webm")  # written without a length
+STREAM = Path(__file__).parents[2] / "../shared/cases/video/live.webm"  # written without a length
 
 
 def film(path, code="MJPG", frames=None):
