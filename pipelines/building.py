@@ -180,7 +180,7 @@ def mounts_of(node: DictConfig) -> Any:
 
 
 class Parts(NamedTuple):
-    """What a configuration describes a problem by, see `lmd.problem.Problem`."""
+    """The parts of a problem that a configuration describes, see `lmd.problem.Problem`."""
 
     scene: "Scene"
     objective: "Objective"

@@ -51,7 +51,7 @@ def fixed_of(node: DictConfig, family: str | None) -> "Deployment | None":
 
 
 def axes_in(node: DictConfig) -> Any:
-    """Where the axes of the frame of a tag point in the tables that a group `deployment` names; None for our own."""
+    """Directions of the axes of a tag in the tables that a group `deployment` names; None for our own."""
     axes = node.get(TABLES)  # runs of old have none
     return OmegaConf.to_container(axes) if OmegaConf.is_config(axes) else axes
 

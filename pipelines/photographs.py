@@ -38,7 +38,7 @@ def detected(cfg: DictConfig, cameras: "Sequence[Camera]", detector: "Detector",
 
 
 def _in_images(cfg: DictConfig, cameras: "Sequence[Camera]", detector: "Detector", modules: int) -> "DetectedTags":
-    """What is detected in the photographs of all cameras.
+    """The tags that are detected in the photographs of all cameras.
 
     Raises:
         InputError: there are none, or one cannot be read.

@@ -76,7 +76,7 @@ def _texts(settings: Any) -> Iterable[str]:
 
 
 def writers_of(found: "Survey", room: "Space | None", title: str, is_new: bool) -> dict[str, Callable[[Path], object]]:
-    """What writes each file, by its name."""
+    """Functions that write the files, by their names."""
     from lmd.core.tables import write_table
     from lmd.mapping.detections import write_detections
     from lmd.mapping.tag_map import write_yaml
@@ -100,7 +100,7 @@ def writers_of(found: "Survey", room: "Space | None", title: str, is_new: bool) 
 
 
 def audit_writers(audit: "Audit", detector: str, title: str) -> dict[str, Callable[[Path], object]]:
-    """What writes each file of an audit, by its name."""
+    """Functions that write the files of an audit, by their names."""
     import pandas as pd
 
     from lmd.detection.report import figures

@@ -49,7 +49,7 @@ def in_processes(
 
 
 def processes(workers: int | None) -> int:
-    """How many processes `workers` stands for: all processors where it is None.
+    """The number of processes that `workers` stands for: all processors for None.
 
     Raises:
         InputError: it is not positive.

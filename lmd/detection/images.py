@@ -30,11 +30,11 @@ class Images(Protocol):
 
     @property
     def remarks(self) -> Sequence[str]:
-        """What a user should know of those that are not read, a sentence each without its end."""
+        """Remarks on those that are not read, a sentence each without its end."""
 
     @property
     def is_random_access(self) -> bool:
-        """Whether images are read without those before them."""
+        """True if an image is read without those before it."""
 
     def read(self, first: int, last: int, camera: Camera) -> Iterator[UInt8Array]:
         """The images from `first` up to but not including `last`, `(h, w)` each.
@@ -111,7 +111,7 @@ class Photographs:
 
 
 def folder_entries(folder: str | Path, argument: str) -> list[Path]:
-    """What is in a folder, by name.
+    """The entries of a folder, by name.
 
     Args:
         argument: the argument the path came from, for messages.

@@ -68,7 +68,7 @@ class Optimiser(ABC):
 
     @property
     def called(self) -> str:
-        """What messages call the method."""
+        """The name of the method in messages."""
         return type(self).__name__
 
     def state(self) -> dict[str, Any]:

@@ -109,7 +109,7 @@ def _inner(call: Callable[..., Any]) -> Callable[..., Any]:
 
 
 def name_of(call: Callable[..., Any]) -> str:
-    """What messages call a function or a class of a library."""
+    """The name of a function or a class of a library in messages."""
     return str(getattr(_inner(call), "__qualname__", call))
 
 

@@ -40,7 +40,7 @@ WPILIB_HEADERS = tuple(
 
 
 class Found(NamedTuple):
-    """What a file holds.
+    """The content of a file.
 
     Args:
         tags: of a map of others.

@@ -90,7 +90,7 @@ class TrajectoryFile:
 
     @property
     def note(self) -> str:
-        """What was left out of the file, taken for granted or is to be asked of it; empty if nothing."""
+        """A note on what was left out of the file, taken for granted or is to be asked; empty if nothing."""
         return self.note_of("")
 
     def note_of(self, group: str) -> str:

@@ -259,7 +259,7 @@ def _frame_of_ros(table: Table, frame: str) -> tuple[str | None, str]:
 
 
 def _ros_lines(text: Headless) -> int | None:
-    """How many names of frames stand in a line of `ros2 topic echo --csv`; None where it is no such text."""
+    """The number of names of frames in a line of `ros2 topic echo --csv`; None for another text."""
     row = text.rows[0][1]
     if not text.commas or len(row) < 4 or not (row[0].isdigit() and row[1].isdigit() and len(row[1]) < 10):
         return None

@@ -47,7 +47,7 @@ class Mesh(NamedTuple):
     on_walls: tuple[tuple[str, FloatArray], ...] = ()
     """What lies on walls where nothing hangs: names, and corners `(N, 3)`."""
     note: str = ""
-    """What a user should know of how it was read."""
+    """A note on how it was read."""
 
 
 def read_mesh(path: str | Path | None, scale: float = 1.0, up: str | None = None) -> Mesh:
@@ -95,7 +95,7 @@ def read_mesh(path: str | Path | None, scale: float = 1.0, up: str | None = None
 
 
 def _hint(size: FloatArray) -> str:
-    """What to do about a file with such lengths `(3,)` along x, y and z, in its own unit."""
+    """Advice on a file with such lengths `(3,)` along x, y and z, in its own unit."""
     told = [
         f"a file in {unit} takes {per:g}, which makes {box_text(per * size)}"
         for unit, per in UNITS.items()

@@ -85,7 +85,7 @@ class Estimate:
 
 @dataclass(frozen=True)
 class Start:
-    """Where an adjustment begins.
+    """The beginning of an adjustment.
 
     Args:
         poses: rough ones, of each camera by itself, see `Sightings.apart`.
@@ -97,7 +97,7 @@ class Start:
 
 
 def started(sightings: Sightings, prior: Prior) -> Start:
-    """Where to begin.
+    """The rough poses that an adjustment begins with.
 
     Raises:
         InputError: no two tags were seen together.

@@ -57,7 +57,7 @@ class Prior:
 
     @property
     def exact(self) -> BoolArray:
-        """Which tags are taken to be exactly where they are known to be, `(K,)`: no sighting moves them."""
+        """True for tags that are exactly where they are known to be, `(K,)`: no sighting moves them."""
         return np.asarray((self.information >= 0.5 * EXACT_SIGMA**-2.0).all(axis=1))
 
     def off(self, tags: FloatArray) -> FloatArray:
@@ -72,11 +72,11 @@ class Prior:
         return np.asarray((self.information * off**2).sum(axis=1))
 
     def weights(self, squares: FloatArray) -> FloatArray:
-        """How much each counts, `(K,)`, by its chi^2: what is exact always counts in full."""
+        """Weights of the tags, `(K,)`, by their chi^2: what is exact always counts in full."""
         return weight_of(np.where(self.exact, 0.0, squares), 6)
 
     def cost(self, squares: FloatArray) -> float:
-        """What the prior adds to the sum that is minimised, by chi^2 of each."""
+        """The part of the prior in the sum that is minimised, by chi^2 of each tag."""
         exact = self.exact
         return cost_of(squares[~exact], 6) + float(weight_of(np.zeros(1), 6)[0] / 2.0 * squares[exact].sum())
 
