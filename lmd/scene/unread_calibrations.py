@@ -40,7 +40,6 @@ ROOTS = {
 }
 # By keys that only files of this kind have.
 KEYS = (
-    ({"fx", "fy", "cx", "cy"}, f"it has fx, fy, cx, cy by themselves: {AS_ROS}"),
     ({"cameraData"}, f"it is DepthAI's calibration of an OAK: {TOPIC}, or {AS_ROS}"),
     ({"ppx", "ppy"}, f"it holds the intrinsics of a RealSense: {TOPIC}, or take ppx, ppy as cx, cy, and {AS_ROS}"),
     (
@@ -54,6 +53,7 @@ KEYS = (
     ),
     ({"sfm_data_version"}, f"it is a scene of OpenMVG: COLMAP's cameras.txt is read, or {AS_ROS}"),
     ({"intrinsic_matrix"}, f"it is a camera of Open3D, whose matrix is written by columns: {AS_ROS}"),
+    ({"fx", "fy", "cx", "cy"}, f"it has fx, fy, cx, cy by themselves: {AS_ROS}"),
 )
 # Two matrices of one name with an end that tells them apart: M1 and M2, camera_matrix_left and camera_matrix_right.
 _ENDS = (("1", "2"), ("_1", "_2"), ("left", "right"), ("_left", "_right"), ("l", "r"), ("_l", "_r"), ("0", "1"))
