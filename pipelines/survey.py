@@ -59,14 +59,16 @@ def survey(cfg: DictConfig) -> None:
     check_folder(run_directory(), cfg, len(cameras), exports, has_plan=known.plan is not None)
     found_tags = detected(cfg, cameras, detector, tag.modules)
     errors = CORNER_ERRORS[name.removesuffix("_fine")]
+    with keyed("survey"):
+        calibrate = None if cfg.survey.calibrate == "auto" else boolean("calibrate", cfg.survey.calibrate)
     with keyed(
         "survey",
         detections="detections" if cfg.detections is not None else "photographs",
         cameras="camera",
         fixed="deployment.fixed",
     ):
-        found = find(found_tags, cameras, tag, errors, known, boolean("calibrate", cfg.survey.calibrate))
-    through = tuple(one.found for one in found.calibrated) or cameras
+        found = find(found_tags, cameras, tag, errors, known, calibrate)
+    through = tuple(one.found for one in found.calibrated)
     found = replace(found, proposed=next_photographs(found, through[0], tag.modules, errors, again(found), room))
     audit = None if scene is None else audited(found, scene, verdicts)
     about = f"survey of {found.placed.sum()} tags in {len(found.found.frames)} frames"

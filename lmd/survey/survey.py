@@ -1,7 +1,7 @@
 """From detections to the map of the tags, all steps in order."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -11,15 +11,18 @@ from lmd.mapping.detections import DetectedTags
 from lmd.scene.camera import Camera
 from lmd.scene.deployment import Deployment
 from lmd.scene.tag import Tag
+from lmd.survey.blocks import inflation
 from lmd.survey.boards import Boards
 from lmd.survey.estimate import Estimate, estimate, started
 from lmd.survey.faults import Faults, settled
 from lmd.survey.fixed import off_fixed
 from lmd.survey.held_out import Localised, held_out
-from lmd.survey.intrinsics import Calibrated, calibrated, judged
+from lmd.survey.intrinsics import Calibrated, judged, spreads
 from lmd.survey.known import TAPE_SIGMA_M, Hanging, Points, levelled, poses_of
-from lmd.survey.residuals import EXACT_SIGMA, Prior
+from lmd.survey.refining import SHIFT_SIGMA, Optics, refined
+from lmd.survey.residuals import EXACT_SIGMA, Prior, errors_at
 from lmd.survey.sightings import Sightings, sightings_of
+from lmd.survey.start import agreeing
 from lmd.survey.turns import Turns, turns_of
 
 # A tag of which nothing is known is believed if so many sightings agree where it hangs: ids are misread.
@@ -133,7 +136,7 @@ class Survey:
         localised: frames held out, see `lmd.survey.held_out`.
         turns: how tags are turned beside their plan.
         off_fixed: how far photographs have tags from where they are fixed, `(K, 2)`, see `lmd.survey.fixed`.
-        calibrated: the cameras as the photographs say, if that was asked for; else none.
+        calibrated: the cameras as the photographs have them.
         proposed: what to photograph next, see `lmd.survey.next_photographs`.
     """
 
@@ -145,7 +148,7 @@ class Survey:
     localised: dict[str, Localised]
     turns: Turns
     off_fixed: FloatArray
-    calibrated: tuple[Calibrated, ...] = ()
+    calibrated: tuple[Calibrated, ...]
     proposed: tuple[Photograph, ...] = ()
 
     @property
@@ -170,7 +173,7 @@ def survey(
     tag: Tag,
     errors: CornerErrors,
     known: Known,
-    calibrate: bool = False,
+    calibrate: bool | None = None,
 ) -> Survey:
     """Find where tags hang.
 
@@ -180,7 +183,8 @@ def survey(
         tag: their family, and the edge of those of which nothing else is known.
         errors: what the detector's corners are off by.
         known: what else is known.
-        calibrate: whether the intrinsics of the cameras are found, too.
+        calibrate: true if the intrinsics of the cameras are only a rough guess; false if they stay as they are given,
+            which counts as little known as None, where they are refined.
 
     Raises:
         InputError: the detections do not connect two tags, place none, or are of other tags or cameras; or tags that
@@ -191,11 +195,13 @@ def survey(
     if not np.isin(detected.ids, ids).any():
         raise InputError("detections has no tag of the plan, and no other one twice.", "detections")
 
-    def sighted(through: Sequence[Camera]) -> Sightings:
-        return sightings_of(shown, through, ids, known.edges(ids, tag), tag.modules, errors)
+    def sighted(through: Sequence[Optics]) -> Sightings:
+        shifts = np.array([one.shift for one in through])
+        through_cameras = [one.camera for one in through]
+        return sightings_of(shown, through_cameras, ids, known.edges(ids, tag), tag.modules, errors, shifts)
 
-    shown, refined = detected, tuple(cameras)
-    sightings, prior = sighted(cameras), known.prior(ids)
+    shown, given = detected, tuple(Optics(camera) for camera in cameras)
+    sightings, prior = sighted(given), known.prior(ids)
     turns = Turns.none(len(ids))
     for _ in range(TURNING_STEPS):
         start = started(sightings, prior)
@@ -204,23 +210,27 @@ def survey(
             break
         turns = turns + more
         shown = detected.renumbered(ids, turns.renumbered)
-        sightings, prior = sighted(cameras), turns.planned(known.prior(ids))
+        sightings, prior = sighted(given), turns.planned(known.prior(ids))
     else:
         start = started(sightings, prior)
     found = estimate(sightings, prior, known.origin, start)
-    if calibrate:
-        found, refined = calibrated(found, cameras, sighted)
-        sightings = found.sightings
+    spread = [np.append(spreads(camera, bool(calibrate)), SHIFT_SIGMA) for camera in cameras]
+    found, optics = refined(found, given, spread, sighted, keep=calibrate is False)
     found, faults = settled(found)
-    off = off_fixed(found, start)
+    found = replace(found, inflation=inflation(found))
+    away = off_fixed(found, start)
     if known.floor:
         first = int(np.flatnonzero(found.prior.information.any(axis=1))[0])
         found = found.moved(levelled(found.poses.tags, np.flatnonzero(np.isin(ids, known.floor)), first))
-    used = np.bincount(sightings.tag[found.used], minlength=len(ids))
-    placed = (found.group == 0) & (used >= np.where(np.isin(ids, known.ids), 1, FEWEST_BELIEVED))
+    agreed = found.used | agreeing(found.sightings, errors_at(found.sightings, found.poses))
+    counts = np.bincount(found.sightings.tag[agreed], minlength=len(ids))
+    placed = (found.group == 0) & (counts >= np.where(np.isin(ids, known.ids), 1, FEWEST_BELIEVED))
     if not placed.any():
         text = f"detections: no tag is placed, as no {FEWEST_BELIEVED} sightings of one agree: more frames are needed."
         raise InputError(text, "detections")
     localised = held_out(found, known.planned(ids))
-    judgements = judged(found, cameras, refined) if calibrate else ()
-    return Survey(detected, known, found, faults, placed, localised, turns, off, judgements)
+    through = tuple(
+        judged(camera, one.camera, one.shift, own[: len(off), : len(off)] * np.outer(off, off))
+        for camera, one, own, off in zip(cameras, optics, found.lenses, spread, strict=True)
+    )
+    return Survey(detected, known, found, faults, placed, localised, turns, away, through)
