@@ -120,10 +120,10 @@ def audited(survey: Survey, scene: Scene, verdicts: Verdicts) -> Audit:
         found.poses.mounts,
     )
     parts = []
-    for camera, mount in zip(scene.cameras, mounts, strict=True):
+    for camera, mount, taken in zip(scene.cameras, mounts, survey.detected.images[found.frames].T, strict=True):
         poses = bodies @ mount
-        seen = visible_through(scene, camera, tags, poses)
-        parts.append(Prediction(Renderer(camera, room), poses, seen, verdicts(scene, tags, poses, camera)))
+        seen = visible_through(scene, camera, tags, poses) & taken[:, None]
+        parts.append(Prediction(Renderer(camera, room), poses, seen, verdicts(scene, tags, poses, camera), taken))
     prediction = parts[0] if len(parts) == 1 else RigPrediction(tuple(parts), mounts, bodies)
     return Audit(prediction, Sightings.beside(seen_of(survey)))
 
