@@ -21,7 +21,7 @@ from lmd.core.checks import BoolArray, FloatArray, IntArray
 from lmd.core.tables import write_table
 from lmd.detection.corner_errors import CORNER_ERRORS
 from lmd.detection.detectors import AprilTagDetector
-from lmd.detection.evaluation import precision_recall
+from lmd.detection.evaluation import corner_error, precision_recall
 from lmd.detection.fit import fit
 from lmd.detection.surveyed import FILE, SurveyedViews
 from lmd.evaluation.verdicts import verdicts
@@ -116,14 +116,20 @@ def variables(audit: Audit, times: FloatArray) -> dict[str, FloatArray]:
     }
 
 
-def thirds(known: Mapping[str, FloatArray], detected: BoolArray, within: BoolArray) -> Iterator[str]:
-    """Rows: the share found of those within the limits, in three classes of each variable with as many tags."""
+def thirds(known: Mapping[str, FloatArray], audit: Audit) -> Iterator[str]:
+    """Rows: the share found of those within the limits, in three classes of each variable with as many tags.
+
+    In brackets, the median error of the corners of these, pixels.
+    """
+    detected, within = audit.seen.detected, audit.prediction.visible & audit.prediction.whole
+    error = corner_error(audit.seen.corners, audit.prediction.corners)
     for name, values in known.items():
         own = within & np.isfinite(values)
         bounds = np.quantile(values[own], [1 / 3, 2 / 3])
         kind = np.searchsorted(bounds, values)
-        shares = " | ".join(f"{detected[own & (kind == k)].mean():.3f}" for k in range(3))
-        yield f"| {name} | {bounds[0]:.1f}, {bounds[1]:.1f} | {shares} |"
+        classes = [own & (kind == k) for k in range(3)]
+        cells = [f"{detected[one].mean():.3f} ({np.nanmedian(error[one & detected]):.2f})" for one in classes]
+        yield f"| {name} | {bounds[0]:.1f}, {bounds[1]:.1f} | {' | '.join(cells)} |"
 
 
 def regression(known: Mapping[str, FloatArray], detected: BoolArray, train: BoolArray, test: BoolArray) -> float:
@@ -243,7 +249,7 @@ def main() -> None:
     print("\n".join(causes(fitted, asked, whole, beyond)))
     print("\n| within all limits, share found | thirds end at | lowest | middle | highest |")
     print("| --- | --- | --- | --- | --- |")
-    print("\n".join(thirds(known, seen, whole & fitted.prediction.visible)))
+    print("\n".join(thirds(known, fitted)))
     if given.figure is not None:
         draw(given.figure, fitted, late)
 

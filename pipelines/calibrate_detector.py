@@ -134,7 +134,13 @@ def read_survey() -> None:
         sys.exit(1)
     for group, part in parts.items():
         ConfigStore.instance().store(OPTION, part, group)
-    chosen = {"views": OPTION, "views.folder": quoted(Path(given[-1])), "frames": "0", **dict.fromkeys(parts, OPTION)}
+    chosen = {
+        "views": OPTION,
+        "views.folder": quoted(Path(given[-1])),
+        "frames": "0",
+        "margin": "0",
+        **dict.fromkeys(parts, OPTION),
+    }
     chosen["detectors"] = f"[{','.join(before.get('detectors') or {})}]"
     if before.get("run"):
         chosen["run"] = quoted(Path(before["run"]))
