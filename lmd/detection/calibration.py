@@ -112,7 +112,7 @@ class Calibration:
         )
         if fit.known_circles:
             ends = (f"{diameter:.0f} pixels of camera {number}" for number, diameter in fit.known_circles.items())
-            lines.append(f"Fitted with them: camera.image_circle {', '.join(ends)}.")
+            lines.append(f"Fitted with them: image_circle {', '.join(ends)}.")
         if self.intervals:
             spans = (f"{name} {low:.3g} to {high:.3g}" for name, (low, high) in self.intervals.items())
             lines.append(f"90 % intervals: {', '.join(spans)}.")

@@ -140,7 +140,7 @@ class Views:
 
     def __getitem__(self, which: object) -> "Views":
         placed = None if self.placed is None else self.placed[which]
-        return Views(*(getattr(self, name)[which] for name in OF_EACH), placed)
+        return replace(self, placed=placed, **{name: getattr(self, name)[which] for name in OF_EACH})
 
 
 def only(cameras: Sequence[Camera]) -> Camera:

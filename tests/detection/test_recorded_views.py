@@ -46,7 +46,7 @@ def test_margin_and_image_circles_are_found():
     assert min(found.accuracy, found.precision, found.recall) > 0.97
     text = Calibration(views, found, {}, MOMENTS).preset("apriltag", "36h11", "survey")
     ends = " pixels of camera 1, ".join(f"{diameter:.0f}" for diameter in found.circles)
-    assert f"# Fitted with them: camera.image_circle {ends} pixels of camera 2." in text
+    assert f"# Fitted with them: image_circle {ends} pixels of camera 2." in text
     assert f"# Fitted to the first half, in time, of {COUNT} views;" in text
 
 
