@@ -161,16 +161,19 @@ class Adjustment:
         slope = (weight - 2.0 / RESIDUALS * square * weight / (DEGREES_OF_FREEDOM + square)).mean()
         return float(slope), float((weight**2 * square).mean() / RESIDUALS)
 
-    def joint_step(self, poses: Poses, floor: float, off: FloatArray) -> tuple[Poses, FloatArray, FloatArray]:
+    def joint_step(
+        self, poses: Poses, floor: float, damping: float, off: FloatArray
+    ) -> tuple[Poses, FloatArray, FloatArray]:
         """The poses after one step of all unknowns, how nuisances change, and their variances after it, both `(n, 6)`.
 
         Nuisances are in units of what they may be off.
 
         Args:
             poses, floor: the best ones with the nuisances as they are.
+            damping: by which diagonals grow, relative.
             off: what these are off what was known of them, `(n, 6)`.
         """
-        reduced, right, blocks = self.reduced(poses, floor, 0.0)
+        reduced, right, blocks = self.reduced(poses, floor, damping)
         right[self.placed :] -= off
         spoken = np.flatnonzero(np.diag(reduced) > 0.0)
         whole = np.linalg.inv(reduced[np.ix_(spoken, spoken)])

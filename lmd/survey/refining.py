@@ -13,6 +13,7 @@ All of these have priors, and are found together with the map, so that what they
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from threadpoolctl import threadpool_limits
@@ -29,6 +30,8 @@ from lmd.survey.start import FLOOR_PIXELS
 SHIFT_SIGMA = 0.1  # pixels
 SHAPE_SIGMA, LEAST_SHAPE_SIGMA = 3e-4, 1e-5  # metres
 MOST_ROUNDS, ROUND_STEPS = 12, 3
+MOST_TRIALS, FIRST_DAMPING = 6, 1e-3  # of a step that leads uphill
+SLACK = 1e-3  # uphill, that is none
 SETTLED_SIGMAS = 0.3  # standard deviations; a smaller step is the last
 SETTLED_SHAPES = 0.1  # likewise of the deviation of shapes, relative
 MOST_HALVINGS = 6  # of a step that leads to no camera
@@ -92,41 +95,71 @@ def refined(
         sighted: the sightings as other cameras of the same images have them.
         keep: whether the intrinsics stay as they are given; they are as little known.
     """
-    optics, count, prior, floor = tuple(given), len(found.sightings.ids), found.prior, found.floor
-    shapes, deviation, poses = np.zeros((count, 6)), SHAPE_SIGMA, found.poses
+    count, prior, poses, floor, damping = len(found.sightings.ids), found.prior, found.poses, found.floor, 0.0
+    free = [np.where(np.arange(len(spread)) < len(spread) - 1, 0.0, spread) for spread in spreads] if keep else spreads
 
-    def seen_through(optics: Sequence[Optics]) -> Sightings:
-        through = freed(sighted(optics), optics, spreads)
-        return replace(through, edges=found.sightings.edges, shapes=shapes, shape_sigma=deviation)
+    def seen(state: _State, spreads: Sequence[FloatArray] = free) -> Sightings:
+        through = freed(sighted(state.optics), state.optics, spreads)
+        return replace(through, edges=found.sightings.edges, shapes=state.shapes, shape_sigma=state.deviation)
 
-    off = np.zeros((len(given), seen_through(optics).lens.shape[2]))
-    lenses = off.size // 6
+    state = _State(tuple(given), np.zeros((0, 0)), np.zeros((count, 6)), SHAPE_SIGMA)
+    sightings = seen(state)
+    state = state._replace(off=np.zeros((len(given), sightings.lens.shape[2])))
     with threadpool_limits(limits=ONE_THREAD):
         for _ in range(MOST_ROUNDS):
-            sightings = seen_through(optics)
             error = errors_at(sightings, poses)
             of_map = (found.group[sightings.tag] == 0) & np.isfinite(error)
             used = twice_in_frame(sightings, of_map & fitting(sightings, error, floor))
             settled = Adjustment(sightings.of(used), prior).run(poses, floor, ROUND_STEPS, FLOOR_PIXELS)
             poses, floor = settled.poses, settled.floor
             every = Adjustment(sightings.of(used), prior, nuisances=True)
-            poses, step, variance = every.joint_step(
-                poses, floor, np.concatenate([off.reshape(-1, 6), shapes / deviation])
-            )
-            lens_step = step[:lenses].reshape(off.shape)
-            if keep:
-                for index, spread in enumerate(spreads):
-                    lens_step[index, : len(spread) - 1] = 0.0
-            optics, off = _stepped(given, spreads, off, lens_step)
-            shapes = shapes + deviation * step[lenses:]
-            seen = np.bincount(sightings.tag[used], minlength=count) > 0
-            squares = (shapes / deviation) ** 2 + variance[lenses:]
-            before = deviation
-            deviation = max(before * float(np.sqrt(squares[seen, :WAYS].mean())), LEAST_SHAPE_SIGMA)
-            is_settled = (lens_step**2 <= SETTLED_SIGMAS**2 * variance[:lenses].reshape(off.shape)).all()
-            if is_settled and abs(deviation - before) < SETTLED_SHAPES * before:
+            cost = state.cost + every.cost(errors_at(every.sightings, poses), every.costs(poses), floor)
+            for _ in range(MOST_TRIALS):
+                there, step, variance = every.joint_step(poses, floor, damping, state.units)
+                tried = state.stepped(given, free, step)
+                fresh = seen(tried)
+                error = errors_at(fresh.of(used), there)
+                if tried.cost + every.cost(error, every.costs(there), floor) <= cost + SLACK:
+                    break
+                damping = max(10.0 * damping, FIRST_DAMPING)
+            else:
                 break
-    return adjusted(seen_through(optics), prior, poses, found.group, FLOOR_PIXELS), optics
+            damping = damping / 10.0
+            placed = np.bincount(sightings.tag[used], minlength=count) > 0
+            lenses = state.off.size // 6
+            squares = (tried.shapes / tried.deviation) ** 2 + variance[lenses:]
+            grown = float(np.sqrt(squares[placed, :WAYS].mean()))
+            state = tried._replace(deviation=max(grown * tried.deviation, LEAST_SHAPE_SIGMA))
+            poses, sightings = there, seen(state)
+            is_settled = (step[:lenses] ** 2 <= SETTLED_SIGMAS**2 * variance[:lenses]).all()
+            if is_settled and abs(grown - 1.0) < SETTLED_SHAPES:
+                break
+    return adjusted(seen(state, spreads), prior, poses, found.group, FLOOR_PIXELS), state.optics
+
+
+class _State(NamedTuple):
+    """All but the poses: the cameras, and how far they are off those given, `(C, 6 L)`; shapes, and their deviation."""
+
+    optics: tuple[Optics, ...]
+    off: FloatArray
+    shapes: FloatArray
+    deviation: float
+
+    @property
+    def units(self) -> FloatArray:
+        """How far all are off what was known of them, in units of what they may be, `(n, 6)`."""
+        return np.concatenate([self.off.reshape(-1, 6), self.shapes / self.deviation])
+
+    @property
+    def cost(self) -> float:
+        """What the priors add to what is minimised."""
+        return 0.5 * float((self.units**2).sum())
+
+    def stepped(self, given: Sequence[Optics], spreads: Sequence[FloatArray], step: FloatArray) -> "_State":
+        """After a step `(n, 6)`, or the first part of it that leads to cameras."""
+        lenses = self.off.size // 6
+        optics, off = _stepped(given, spreads, self.off, step[:lenses].reshape(self.off.shape))
+        return self._replace(optics=optics, off=off, shapes=self.shapes + self.deviation * step[lenses:])
 
 
 def _stepped(

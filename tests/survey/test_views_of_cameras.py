@@ -150,12 +150,14 @@ def test_a_detection_some_pixels_off_is_one_and_a_far_one_is_false():
         f, k = frame[int(detected.frame[index])], tag[int(detected.ids[index])]
         assert seen.detected[f, k] == is_seen
         assert seen.false[f] == (not is_seen)
-    columns = view_columns(found, cameras, TAG, None)
+    columns = view_columns(found, [one.found for one in found.calibrated], TAG, None)
     own = (np.asarray(columns["time"]) == str(detected.frame[near])) & (columns["id"] == detected.ids[near])
     assert np.asarray(columns["seen"])[own].tolist() == [1]
     np.testing.assert_allclose(np.asarray(columns["border"])[own], edge_distance(corners[near] - [2.5, 0.0]), atol=1.0)
     diameter = 2.0 * np.linalg.norm(corners[near] - [2.5, 0.0] - [320.0, 240.0], axis=1).max()
-    np.testing.assert_allclose(np.asarray(columns["circle"])[own], diameter, atol=2.0)
+    np.testing.assert_allclose(
+        np.asarray(columns["circle"])[own], diameter, atol=4.0
+    )  # about the centre that was found
 
 
 def edge_distance(corners):
