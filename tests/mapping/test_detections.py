@@ -66,7 +66,8 @@ def test_corners_of_the_apriltag_library_are_put_in_order_and_keep_its_pixels(tm
     row = ",".join(map(str, said.ravel()))
     found = read_detections(written(tmp_path, f"time,id,x0,y0,x1,y1,x2,y2,x3,y3\n0,3,{row}\n"))
     first, last = 12, len(image) - 12
-    np.testing.assert_allclose(found.corners[0], [[first, first], [last, first], [last, last], [first, last]], atol=0.01)
+    square = [[first, first], [last, first], [last, last], [first, last]]
+    np.testing.assert_allclose(found.corners[0], square, atol=0.01)
     np.testing.assert_array_equal(found.corners, AprilTagDetector().detect(image).corners)
 
 
