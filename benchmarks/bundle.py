@@ -184,14 +184,14 @@ def adjust(
     fixed = [np.zeros(block.shape, dtype=bool) for block in blocks]
     fixed[0][world], fixed[2][0], fixed[3][:] = True, True, not free
     fixed[0][[k not in placed for k in range(len(names))]] = True
+    still = [number for number, one in enumerate(fixed) if one.all()]
     moving = np.flatnonzero(~np.concatenate([one.ravel() for one in fixed]))
     x = np.concatenate([block.ravel() for block in blocks])
-    use = np.ones(len(tag), dtype=bool)
-    for loss in ("soft_l1", "linear"):
+    shapes, use = [block.shape for block in blocks], np.ones(len(tag), dtype=bool)
+    # Wide first, as a start may be many pixels off; the last pass is plain least squares without outliers.
+    for loss, scale in (("soft_l1", 30.0), ("soft_l1", 1.0), ("linear", 1.0)):
         which = np.flatnonzero(use)
-        problem = _Problem(
-            tag[which], at[which], camera[which], corners[which], lenses, edge, [b.shape for b in blocks]
-        )
+        problem = _Problem(tag[which], at[which], camera[which], corners[which], lenses, edge, shapes, still)
 
         def full(y: Array, x: Array = x) -> Array:
             result = x.copy()
@@ -204,13 +204,15 @@ def adjust(
             lambda y, problem=problem: problem.jacobian(full(y))[:, moving],
             x_scale="jac",
             loss=loss,
+            f_scale=scale,
             tr_solver="lsmr",
-            max_nfev=60,
+            max_nfev=40,
             ftol=1e-7,
         )
         x = full(fit.x)
-        every = _Problem(tag, at, camera, corners, lenses, edge, [b.shape for b in blocks]).residuals(x)
-        use = np.abs(every.reshape(-1, 8)).max(axis=1) < OUTLIER
+        every = _Problem(tag, at, camera, corners, lenses, edge, shapes, still).residuals(x)
+        if scale == 1.0:
+            use = np.abs(every.reshape(-1, 8)).max(axis=1) < OUTLIER
     tags, _, found_mounts, numbers = problem.blocks(x)
     hung = np.array([matrix_of(one) for one in tags])
     hung[[k not in placed for k in range(len(names))]] = np.nan
@@ -237,7 +239,7 @@ def _body(poses: dict[int, Array], moment: int, mounts: Sequence[Array]) -> Arra
 
 
 class _Problem:
-    """Residuals of sightings, and their derivatives by differences."""
+    """Residuals of sightings, and their derivatives by differences; those of blocks that stand `still` are zero."""
 
     def __init__(
         self,
@@ -248,8 +250,9 @@ class _Problem:
         lenses: Sequence[Lens],
         edge: float,
         shapes: Sequence[tuple[int, ...]],
+        still: Sequence[int],
     ) -> None:
-        self.tag, self.corners, self.shapes = tag, corners, shapes
+        self.tag, self.corners, self.shapes, self.still = tag, corners, shapes, still
         self.of = (tag, at, camera, camera)
         self.square = np.broadcast_to(SQUARE * edge, (len(tag), 4, 3))
         self.fisheye = lenses[0].fisheye
@@ -273,7 +276,7 @@ class _Problem:
         own = [block[index] for block, index in zip(self.blocks(x), self.of, strict=True)]
         values, columns, offset = [], [], 0
         for number, (block, index) in enumerate(zip(own, self.of, strict=True)):
-            for entry in range(block.shape[1]):
+            for entry in range(0 if number in self.still else block.shape[1]):
                 step = STEP * np.maximum(1.0, np.abs(block[:, entry]))[:, None, None]
                 sides = []
                 for sign in (1.0, -1.0):
