@@ -1,6 +1,6 @@
 """A published table of errors by number of tags, predicted, and rendered, detected and solved by OpenCV.
 
-python benchmarks/published_table.py [--frames 60]
+python benchmarks/published_table.py [--frames 100] [--picture table.png]
 
 ICAR 2025 (arXiv 2509.17345): errors in x with 1 to 7 ArUco tags of 15 cm at 2.99 m. Camera, arrangement of the tags,
 which axis x is and what statistic the errors are could not be looked up, so several are tried.
@@ -8,6 +8,7 @@ which axis x is and what statistic the errors are could not be looked up, so sev
 
 import argparse
 from collections.abc import Iterator
+from pathlib import Path
 
 import cv2
 import numpy as np
@@ -125,8 +126,10 @@ def centimetres(values: FloatArray) -> str:
 def main() -> None:
     """Print a table for each camera and arrangement."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--frames", type=int, default=60)
-    frames = parser.parse_args().frames
+    parser.add_argument("--frames", type=int, default=100)
+    parser.add_argument("--picture", type=Path, help="of the errors along the wall, tags in a row 0.25 m apart")
+    chosen = parser.parse_args()
+    frames, lines = chosen.frames, dict[str, list[float]]()
     print("Centimetres along the wall / from it, root mean square")
     for name in CAMERAS:
         camera, rng = camera_of(name), np.random.default_rng(0)
@@ -147,9 +150,34 @@ def main() -> None:
                 off, measured = (errors(camera, views, iter(seen), told) for told in (exact, by_hand))
                 cells = [predicted(camera, places, views, sigma), *map(rms, (noisy, off))]
                 cells += [np.abs(off).max(axis=0), rms(measured)]
+                if arrangement == ARRANGEMENTS[0]:
+                    for kind, values in zip(("predicted", "normal noise", "rendered"), cells, strict=False):
+                        lines.setdefault(f"{kind}, {name}", []).append(100 * float(values[0]))
                 print(
                     f"| {count} ({len(off)} of {frames}) | {said} | {' | '.join(map(centimetres, cells))} |", flush=True
                 )
+    if chosen.picture is not None:
+        draw(lines, chosen.picture)
+
+
+def draw(lines: dict[str, list[float]], path: Path) -> None:
+    """Errors by number of tags."""
+    import matplotlib.pyplot as plt
+
+    figure, axis = plt.subplots(figsize=(6.0, 3.6))
+    counts = range(1, MOST + 1)
+    axis.plot(counts, PUBLISHED, "ko-", linewidth=2, label="published")
+    styles = {"predicted": "-", "normal noise": ":", "rendered": "--"}
+    colours = dict(zip(CAMERAS, ("tab:red", "tab:blue"), strict=True))
+    for name, values in lines.items():
+        kind, camera = name.split(", ", 1)
+        axis.plot(counts, values, styles[kind], color=colours[camera], label=name)
+    ticks = [0.2, 0.5, 1, 2, 5, 10, 20, 50, 100]
+    axis.set(yscale="log", xlabel="tags in view", ylabel="error along the wall, cm")
+    axis.set_yticks(ticks, [f"{tick:g}" for tick in ticks], minor=False)
+    axis.minorticks_off()
+    axis.legend(fontsize=7)
+    figure.savefig(path, dpi=80, bbox_inches="tight")
 
 
 if __name__ == "__main__":

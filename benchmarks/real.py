@@ -177,22 +177,48 @@ def spacing(found: Map) -> str:
     return f"{millimetres(np.abs(off))} (mean {1e3 * np.mean(off):+.2f})"
 
 
+def on_plane(found: Map, edge: float) -> FloatArray:
+    """Corners of all tags along the axes of their common plane and off it, `(K, 4, 3)`, metres."""
+    corners = np.array([SQUARE * edge @ tag[:3, :3].T + tag[:3, 3] for tag in found.tags.values()])
+    off = corners - corners.mean(axis=(0, 1))
+    axes = np.linalg.svd(off.reshape(-1, 3), full_matrices=False)[2]
+    # One side up, so that maps can be compared by eye.
+    signs = [np.sign(axis[np.abs(axis).argmax()]) for axis in axes]
+    return np.asarray(off @ (axes * np.array(signs)[:, None]).T)
+
+
 def flatness(found: Map, edge: float) -> str:
     """Corners off their common plane, root mean square."""
-    corners = np.concatenate([SQUARE * edge @ tag[:3, :3].T + tag[:3, 3] for tag in found.tags.values()])
-    off = corners - corners.mean(axis=0)
-    return f"{1e3 * np.linalg.svd(off, compute_uv=False)[2] / np.sqrt(len(off)):.2f}"
+    return f"{1e3 * np.sqrt((on_plane(found, edge)[..., 2] ** 2).mean()):.2f}"
+
+
+def draw(maps: dict[str, Map], edge: float, path: Path) -> None:
+    """Tags of each map from above, coloured by how high they are, millimetres."""
+    import matplotlib.pyplot as plt
+    from matplotlib.collections import PolyCollection
+
+    figure, axes = plt.subplots(1, len(maps), figsize=(3.0 * len(maps), 3.4), sharex=True, sharey=True)
+    for axis, (name, found) in zip(axes, maps.items(), strict=True):
+        corners = 1e3 * on_plane(found, edge)
+        tags = PolyCollection(corners[..., :2], cmap="RdBu", clim=(-5.0, 5.0), edgecolor="black", linewidth=0.5)
+        tags.set_array(corners[..., 2].mean(axis=1))
+        axis.add_collection(tags)
+        axis.autoscale()
+        axis.set(title="\n".join([*name.split(", "), f"{flatness(found, edge)} mm rms"]), aspect="equal", xlabel="mm")
+    figure.colorbar(tags, ax=axes, label="off the plane, mm", shrink=0.8)
+    figure.savefig(path, dpi=80, bbox_inches="tight")
 
 
 def compared(
     recording: Recording, others: dict[str, Map], figures: dict[str, Callable[[Map], str]], halves: bool
-) -> None:
-    """A row for each method and map of others."""
+) -> dict[str, Map]:
+    """A row for each method and map of others; returns the maps of the methods."""
+    made = {}
     heads = [*figures, *(["halves differ"] if halves else []), "known to", "time"]
     print("| map by | tags | " + " | ".join(heads) + " |\n| --- | --- |" + " --- |" * len(heads))
     for name, method in METHODS.items():
         began = time.process_time()
-        found = method(recording)
+        made[name] = found = method(recording)
         took = f"{time.process_time() - began:.0f} s"
         cells = [figure(found) for figure in figures.values()] + ([of_halves(recording, method)] if halves else [])
         told = f"{1e3 * np.median(list(found.stated.values())):.2f}" if found.stated else ""
@@ -200,6 +226,7 @@ def compared(
     for name, found in others.items():
         cells = [figure(found) for figure in figures.values()] + ([""] if halves else [])
         print(f"| {name} | {len(found.tags)} | {' | '.join([*cells, '', ''])} |", flush=True)
+    return made
 
 
 def test_13(folder: Path, halves: bool) -> None:
@@ -218,7 +245,7 @@ def test_2(folder: Path, halves: bool) -> None:
     compared(drive(own, 0.16), {"TagSLAM": told}, figures, halves)
 
 
-def flat(folder: Path, maps: dict[str, Path]) -> None:
+def flat(folder: Path, maps: dict[str, Path], picture: Path | None) -> None:
     """Eleven tags on one surface in fifteen photographs."""
     own = folder / "photographs_flat"
     matrix = yaml.safe_load((own / "camera_info.yaml").read_text())["camera_matrix"]["data"]
@@ -235,7 +262,13 @@ def flat(folder: Path, maps: dict[str, Path]) -> None:
             "tags off the bundle adjustment's": lambda found, plain=plain: millimetres(apart(found, plain, True)[0]),
         }
         print(f"\nCorners of detections_{corners}.csv")
-        compared(recording, others, figures, False)
+        made = compared(recording, others, figures, False)
+    if picture is not None:
+        draw(
+            {name: made[name] for name in ("lmd", "lmd, calibrate", "bundle adjustment, intrinsics free")},
+            0.030,
+            picture,
+        )
 
 
 def csv_map(path: Path) -> Map:
@@ -290,12 +323,13 @@ def main() -> None:
     parser.add_argument("--only", nargs="+", default=["test_13", "test_2", "photographs_flat", "photographs"])
     parser.add_argument("--halves", action="store_true")
     parser.add_argument("--maps", nargs="*", default=[], help="NAME=map.csv, of the flat photographs")
+    parser.add_argument("--picture", type=Path, help="of the flat photographs' tags, off their plane")
     chosen = parser.parse_args()
     maps = {name: Path(path) for name, _, path in (text.partition("=") for text in chosen.maps)}
     run: dict[str, Callable[[], None]] = {
         "test_13": lambda: test_13(chosen.folder, chosen.halves),
         "test_2": lambda: test_2(chosen.folder, chosen.halves),
-        "photographs_flat": lambda: flat(chosen.folder, maps),
+        "photographs_flat": lambda: flat(chosen.folder, maps, chosen.picture),
         "photographs": lambda: turned(chosen.folder),
     }
     for name in chosen.only:
