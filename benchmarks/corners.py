@@ -130,8 +130,8 @@ def measure(
 
 def fitted_corners(
     image: FloatArray, start: FloatArray, modules: int, bends: bool = True
-) -> tuple[FloatArray, float] | None:
-    """Corners where lines meet that are fitted to the four edges of a black square, and the blur found, pixels.
+) -> tuple[FloatArray, float, float] | None:
+    """Corners where lines meet that are fitted to the four edges of a black square; blur, pixels; misfit, of the step.
 
     Each edge is a step between two levels, blurred by a Gaussian, fitted to the pixels themselves: those within 0.8
     modules of it and farther than 0.8 modules from its ends. None where an edge has too few pixels or does not fit.
@@ -146,15 +146,15 @@ def fitted_corners(
     fits = [_fitted_edge(image, start[k], start[(k + 1) % 4], pitch, bends) for k in range(4)]
     if any(fit is None for fit in fits):
         return None
-    lines, blurs = zip(*(fit for fit in fits if fit is not None), strict=True)
+    lines, blurs, misfits = zip(*(fit for fit in fits if fit is not None), strict=True)
     meet = np.array([np.cross(lines[k - 1][1], lines[k][0]) for k in range(4)])
-    return meet[:, :2] / meet[:, 2:], float(np.mean(blurs))
+    return meet[:, :2] / meet[:, 2:], float(np.mean(blurs)), float(np.mean(misfits))
 
 
 def _fitted_edge(
     image: FloatArray, a: FloatArray, b: FloatArray, pitch: float, bends: bool
-) -> tuple[tuple[FloatArray, FloatArray], float] | None:
-    """Tangents of the edge at a and at b, homogeneous, and its blur."""
+) -> tuple[tuple[FloatArray, FloatArray], float, float] | None:
+    """Tangents of the edge at a and at b, homogeneous, its blur and its misfit."""
     band, length = min(0.8 * pitch, 8.0), float(np.linalg.norm(b - a))
     along = (b - a) / length
     inward = np.array([-along[1], along[0]])
@@ -186,7 +186,8 @@ def _fitted_edge(
         point = a + (end + 0.5) * length * along + (place + turn * end + bent * bow * end**2) * inward
         way = length * along + (turn + 2.0 * bent * bow * end) * inward
         tangents.append(np.cross([*point, 1.0], [*(point + way), 1.0]))
-    return (tangents[0], tangents[1]), float(np.exp(log_blur))
+    off = float(np.sqrt((misfit(fit.x) ** 2).mean()) / (white - black))
+    return (tangents[0], tangents[1]), float(np.exp(log_blur)), off
 
 
 class ArucoOriginal:
@@ -225,8 +226,8 @@ def photographs(folder: Path, family: str) -> None:
                 for name, corners in all_found.items():
                     if len(corners):
                         offset, depth, _ = shift(corners[0], fit[0])
-                        rows.setdefault((name, edges, levels), []).append(np.array([*offset, depth, pitch, fit[1]]))
-    print("means and standard errors, pixels; pitch and blur of the tags (medians)")
+                        rows.setdefault((name, edges, levels), []).append(np.array([*offset, depth, pitch, *fit[1:]]))
+    print("means and standard errors, pixels; pitch, blur and misfit, of the step (medians)")
     for kind, values in sorted(rows.items()):
         table = np.array(values)
         mean, error = table.mean(axis=0), table.std(axis=0, ddof=1) / np.sqrt(len(table))
@@ -234,7 +235,7 @@ def photographs(folder: Path, family: str) -> None:
             f"{name} {mean[k]:+.3f} +- {error[k]:.3f}" for k, name in enumerate(("offset x", "offset y", "inward"))
         ]
         print(
-            f"{', '.join(kind)}: {len(table)} tags: {'; '.join(cells)}; {np.round(np.median(table[:, 3:], axis=0), 2)}"
+            f"{', '.join(kind)}: {len(table)} tags: {'; '.join(cells)}; {np.round(np.median(table[:, 3:], axis=0), 3)}"
         )
 
 
