@@ -18,6 +18,7 @@ Indices = NDArray[np.int64]
 CLEAR = 2.0  # a pose of one tag is believed if the other one that fits has so many times its error
 FARTHEST = np.radians(80.0)  # from the axis, of corners that are used
 OUTLIER = 4.0  # pixels off after the robust pass
+POOR_START = 3.0  # pixels, of the median residual
 STEP = 1e-6
 SQUARE = np.array([[-0.5, 0.5, 0.0], [0.5, 0.5, 0.0], [0.5, -0.5, 0.0], [-0.5, -0.5, 0.0]])
 
@@ -188,8 +189,12 @@ def adjust(
     moving = np.flatnonzero(~np.concatenate([one.ravel() for one in fixed]))
     x = np.concatenate([block.ravel() for block in blocks])
     shapes, use = [block.shape for block in blocks], np.ones(len(tag), dtype=bool)
-    # Wide first, as a start may be many pixels off; the last pass is plain least squares without outliers.
-    for loss, scale in (("soft_l1", 30.0), ("soft_l1", 1.0), ("linear", 1.0)):
+    # A start may be many pixels off; the last pass is plain least squares without outliers.
+    off = _Problem(tag, at, camera, corners, lenses, edge, shapes, still).residuals(x)
+    passes = [("soft_l1", 1.0), ("linear", 1.0)]
+    if np.median(np.abs(off)) > POOR_START:
+        passes.insert(0, ("soft_l1", 30.0))
+    for loss, scale in passes:
         which = np.flatnonzero(use)
         problem = _Problem(tag[which], at[which], camera[which], corners[which], lenses, edge, shapes, still)
 

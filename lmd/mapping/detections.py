@@ -133,7 +133,7 @@ def read_detections(path: Any) -> DetectedTags:
 
     `camera` or `topic` says which camera saw a tag; without it there is one. Further columns are ignored. Where most
     corners go round counter-clockwise they are taken for those of the AprilTag library, which begins at the bottom
-    left and counts pixels from the border of the image. Detections that go round the other way than most are left out.
+    left. Detections that go round the other way than most are left out.
 
     Raises:
         InputError: the file cannot be read, lacks a column, or a value is no number.
@@ -152,11 +152,9 @@ def read_detections(path: Any) -> DetectedTags:
     place = {text: index for index, text in enumerate(sorted(set(moments), key=_moment))}
     names = sorted(set(table.texts[camera])) if camera else [""]
     cameras = np.searchsorted(names, table.texts[camera]) if camera else np.zeros(len(ids), dtype=np.int64)
-    corners = values[:, 1:9].reshape(-1, 4, 2)
+    corners = values[:, 1:9].reshape(-1, 4, 2) + PIXEL_CENTRE
     if 2 * (signed_area(corners) < 0.0).sum() > len(corners):
         corners = corners[:, FROM_APRILTAG]
-    else:
-        corners = corners + PIXEL_CENTRE
     usable = signed_area(corners) >= LEAST_AREA
     if not usable.any():
         raise InputError(f"{path} has no detection with four corners around an area.", name)
