@@ -263,9 +263,7 @@ def flat(folder: Path, maps: dict[str, Path], picture: Path | None) -> None:
         recording = Recording(detected, [camera], [lens], 0.030, "5x5_1000", "aruco")
         plain = by_bundle(recording, False)
         # The calibration has no coefficients, and `calibrate` adds none.
-        bent = Calibration(
-            1920, 1080, tuple(lens.numbers[:2]), tuple(lens.numbers[2:4]), (1e-6, 0.0, 0.0, 0.0)
-        ).camera()
+        bent = Calibration(*size, tuple(lens.numbers[:2]), tuple(lens.numbers[2:4]), (1e-6, 0.0, 0.0, 0.0)).camera()
         told = by_lmd(recording._replace(cameras=[bent]), True)
         figures: dict[str, Callable[[Map], str]] = {
             "off their plane, rms": lambda found: flatness(found, 0.030),
