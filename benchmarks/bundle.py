@@ -18,7 +18,7 @@ Indices = NDArray[np.int64]
 CLEAR = 2.0  # a pose of one tag is believed if the other one that fits has so many times its error
 FARTHEST = np.radians(80.0)  # from the axis, of corners that are used
 OUTLIER = 4.0  # pixels off after the robust pass
-POOR_START = 3.0  # pixels, of the median residual
+POOR_START = 7.0  # pixels, of nine residuals in ten
 STEP = 1e-6
 SQUARE = np.array([[-0.5, 0.5, 0.0], [0.5, 0.5, 0.0], [0.5, -0.5, 0.0], [-0.5, -0.5, 0.0]])
 
@@ -192,7 +192,7 @@ def adjust(
     # A start may be many pixels off; the last pass is plain least squares without outliers.
     off = _Problem(tag, at, camera, corners, lenses, edge, shapes, still).residuals(x)
     passes = [("soft_l1", 1.0), ("linear", 1.0)]
-    if np.median(np.abs(off)) > POOR_START:
+    if np.quantile(np.abs(off), 0.9) > POOR_START:
         passes.insert(0, ("soft_l1", 30.0))
     for loss, scale in passes:
         which = np.flatnonzero(use)
