@@ -5,8 +5,8 @@ All of these have priors, and are found together with the map, so that what they
 - *Intrinsics* theta: a corner that was found at x and is imaged at pi(p, theta) has e = pi(p, theta) - x. So e changes
   with theta as the image of the direction b does that x was seen in. After each step the directions are those of the
   camera as it then is.
-- *Shift*: blur and exposure move both edges of a tag, and so its corners, inward or outward, by s pixels in all images
-  of a camera. A tag then looks smaller, and farther away, the more so the smaller it is.
+- *Shift*: blur and exposure move the edges of a tag, and so its corners, inward or outward, by s pixels in all images of
+  a camera. A tag then looks smaller or larger, the more so the smaller it is.
 - *Shapes*: see `lmd.survey.sightings.SHAPES`. What their standard deviation is the photographs say themselves: by
   expectation and maximisation, it is the root of the mean of squares and variances.
 """
@@ -27,7 +27,6 @@ from lmd.survey.residuals import errors_at
 from lmd.survey.sightings import WAYS, Sightings, inward
 from lmd.survey.start import FLOOR_PIXELS
 
-SHIFT_SIGMA = 0.1  # pixels
 SHAPE_SIGMA, LEAST_SHAPE_SIGMA = 3e-4, 1e-5  # metres
 MOST_ROUNDS, ROUND_STEPS = 12, 3
 MOST_TRIALS, FIRST_DAMPING = 6, 1e-3  # of a step that leads uphill

@@ -39,6 +39,7 @@ def _shapes() -> FloatArray:
     return np.asarray(np.vstack([basis[:, 7:].T, np.zeros(12)]).reshape(6, 4, 3))
 
 
+LEAST_ANGLE = 0.2  # sine of the angle at a corner; those of narrower ones hardly say where it is
 # The ways in which the corners of a tag may be off a flat square but for its motions and its size, orthonormal: five,
 # and a sixth that is none, as unknowns come in blocks of six, `(6, 4, 3)`.
 SHAPES = _shapes()
@@ -107,9 +108,11 @@ class Sightings:
 
 
 def inward(image: FloatArray) -> FloatArray:
-    """How corners `(N, 4, 2)` in an image move where both edges at each are shifted by one pixel along the other."""
-    along = [np.roll(image, way, axis=1) - image for way in (1, -1)]
-    return np.asarray(sum(edge / np.linalg.norm(edge, axis=-1, keepdims=True) for edge in along))
+    """How corners `(N, 4, 2)` in an image move where the edges are shifted by one pixel towards the middle."""
+    (along, other) = (np.roll(image, way, axis=1) - image for way in (1, -1))
+    along, other = (edge / np.linalg.norm(edge, axis=-1, keepdims=True) for edge in (along, other))
+    across = np.abs(along[..., 0] * other[..., 1] - along[..., 1] * other[..., 0])
+    return np.asarray((along + other) / np.maximum(across, LEAST_ANGLE)[..., None])
 
 
 def sightings_of(
@@ -131,7 +134,7 @@ def sightings_of(
         ids, edges: see `Sightings`.
         modules: N of the tags' family.
         errors: what the detector's corners are off by.
-        shifts: by how many pixels each camera's images have corners too far `inward`, `(C,)`; None for 0.
+        shifts: by how many pixels each camera's images have edges farther `inward` than `errors` says, `(C,)`.
 
     Raises:
         InputError: there is another number of cameras, or no sighting.
@@ -142,9 +145,9 @@ def sightings_of(
         )
     known = np.flatnonzero(np.isin(detected.ids, ids))
     chosen = detected.of(known[np.lexsort((detected.ids[known], detected.camera[known], detected.frame[known]))])
-    image = chosen.corners
-    if shifts is not None:
-        image = image - shifts[chosen.camera, None, None] * inward(image)
+    sides = np.linalg.norm(chosen.corners - np.roll(chosen.corners, 1, axis=1), axis=-1).min(axis=1)
+    off = errors.inward_at(sides / modules) + (0.0 if shifts is None else shifts[chosen.camera])
+    image = chosen.corners - off[:, None, None] * inward(chosen.corners)
     directions, tangents = np.empty((len(chosen), 4, 3)), np.empty((len(chosen), 4, 2, 3))
     whole = np.zeros(len(chosen), dtype=bool)
     for index, camera in enumerate(cameras):
@@ -153,7 +156,6 @@ def sightings_of(
         whole[own] = ((chosen.corners[own] >= 0.0) & (chosen.corners[own] <= size)).all(axis=(1, 2))
         directions[own] = bearings(camera, image[own])
         tangents[own] = slope(camera, directions[own])
-    sides = np.linalg.norm(chosen.corners - np.roll(chosen.corners, 1, axis=1), axis=-1).min(axis=1)
     every = Sightings(
         ids=ids,
         edges=edges,

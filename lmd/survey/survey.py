@@ -19,7 +19,7 @@ from lmd.survey.fixed import off_fixed
 from lmd.survey.held_out import Localised, held_out
 from lmd.survey.intrinsics import Calibrated, judged, spreads
 from lmd.survey.known import TAPE_SIGMA_M, Hanging, Points, levelled, poses_of
-from lmd.survey.refining import SHIFT_SIGMA, Optics, refined
+from lmd.survey.refining import Optics, refined
 from lmd.survey.residuals import EXACT_SIGMA, Prior, errors_at
 from lmd.survey.sightings import Sightings, sightings_of
 from lmd.survey.start import agreeing
@@ -214,7 +214,7 @@ def survey(
     else:
         start = started(sightings, prior)
     found = estimate(sightings, prior, known.origin, start)
-    spread = [np.append(spreads(camera, bool(calibrate)), SHIFT_SIGMA) for camera in cameras]
+    spread = [np.append(spreads(camera, bool(calibrate)), errors.inward_spread) for camera in cameras]
     found, optics = refined(found, given, spread, sighted, keep=calibrate is False)
     found, faults = settled(found)
     found = replace(found, inflation=inflation(found))
