@@ -41,7 +41,7 @@ DETECTORS: dict[str, Detector] = {
     "apriltag_decimate2": AprilTagDetector(quad_decimate=2.0),
 }
 NOISE = 1.5  # standard deviation, grey levels
-MODULES, QUIET = 8, 2
+MODULES, QUIET = 8, 1  # white around a tag, as lmd prints it; with two modules small tags are found farther out
 LONG_EDGE = 60.0  # pixels; longer edges may be bent
 
 

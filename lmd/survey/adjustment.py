@@ -85,15 +85,20 @@ class Adjustment:
         prior: what is known of the tags.
         nuisances: whether what is not known of the cameras and of the shapes of tags is unknown, too, see `Sightings`;
             these follow the tags and the mounts.
+        inflation: factor of the standard deviations of sightings, beside what is known beforehand; it changes no weight
+            that one has beside another.
     """
 
-    def __init__(self, sightings: Sightings, prior: Prior, nuisances: bool = False) -> None:
-        self.sightings, self.prior = sightings, prior
+    def __init__(self, sightings: Sightings, prior: Prior, nuisances: bool = False, inflation: float = 1.0) -> None:
+        self.sightings, self.prior, self.inflation = sightings, prior, inflation
         self.mounts = sightings.cameras - 1 if prior.mounts is None else 0  # that are to be found
         self.placed = len(sightings.ids) + self.mounts
         self.lens_blocks = sightings.lens.shape[2] // 6 if nuisances else 0
         self.flat = self.placed + sightings.cameras * self.lens_blocks  # where shapes begin
         self.kept = self.flat + (len(sightings.ids) if nuisances and sightings.shape_sigma else 0)
+        # The unit of nuisances is what they may be off. Shapes also take up what sightings of a tag are off alike, so
+        # these count beside them as if there were no inflation.
+        self.unit = np.where(np.arange(self.placed, self.kept) < self.flat, 1.0, inflation**-2.0)
         seen, first = np.unique(sightings.frame, return_index=True)
         unknowns = 6 * (len(seen) + len(np.unique(sightings.tag)) + self.mounts)
         self.share = max(1.0 - unknowns / (RESIDUALS * len(sightings)), LEAST_SHARE)  # of squares that a fit leaves
@@ -125,7 +130,7 @@ class Adjustment:
 
     def cost(self, error: FloatArray, costs: Sequence[float], floor: float) -> float:
         """What is minimised, by the squared errors of sightings and what the priors add."""
-        return sum(costs, cost_of(self.squares(error, floor)))
+        return sum(costs, cost_of(self.squares(error, floor)) / self.inflation**2)
 
     def floor(self, error: FloatArray, most: float) -> float:
         """The floor that the squared errors of sightings speak of, pixels, at most `most`."""
@@ -174,7 +179,7 @@ class Adjustment:
             off: what these are off what was known of them, `(n, 6)`.
         """
         reduced, right, blocks = self.reduced(poses, floor, damping)
-        right[self.placed :] -= off
+        right[self.placed :] -= self.unit[:, None] * off
         spoken = np.flatnonzero(np.diag(reduced) > 0.0)
         whole = np.linalg.inv(reduced[np.ix_(spoken, spoken)])
         step, variance = np.zeros((2, right.size))
@@ -237,7 +242,7 @@ class Adjustment:
             at = linearise(some, *gathered(some, poses))
             variance = some.noise**2 + floor**2
             trust = weight_of((at.error**2).sum(axis=1) / variance) if weight is None else weight
-            inverse_variance = trust / variance
+            inverse_variance = trust / variance / self.inflation**2
 
             def product(one: FloatArray, other: FloatArray, scale: FloatArray = inverse_variance) -> FloatArray:
                 return np.asarray((np.swapaxes(one, 1, 2) * scale[:, None, None]) @ other)
@@ -286,7 +291,7 @@ class Adjustment:
             right[sheets.tag] -= scaled * fitted.off
             one, other = sheets.pairs
             np.subtract.at(cells, (sheets.tag[one], sheets.tag[other]), sheets.couplings(weights))
-        diagonal[self.placed :] += np.eye(6)  # the unit of nuisances is what they may be off
+        diagonal[self.placed :] += self.unit[:, None, None] * np.eye(6)
         diagonal += damping * diagonal * np.eye(6)
         each = np.arange(self.kept)
         cells[each, each] += diagonal

@@ -24,6 +24,7 @@ FEWEST_BLOCKS, MOST_BLOCKS = 5, 8
 FEWEST_IN_BLOCK = 3  # frames, where there are more than the fewest blocks
 FEWEST_FRAMES = 10  # of a drive that is cut into blocks
 ALONE = 0.98  # share of what is known in a direction from which on a block has it to itself
+LEAST_RATIO = 1e-2  # of the squares of a tag that no block moves
 LEAST_PART = 1e-9  # of the largest eigenvalue; what is less is none
 
 
@@ -37,18 +38,24 @@ def blocks_of_time(found: Estimate) -> list[IntArray]:
 
 
 def inflation(found: Estimate) -> float:
-    """The factor of standard deviations of places by blocks of time: the median of tags; 1 if it would be less.
+    """The factor of standard deviations of places by blocks of time, the geometric mean of tags; 1 if it would be less.
 
     It is 1, too, if there are too few frames for blocks.
+
+    Args:
+        found: as if no errors were alike, with an inflation of 1.
     """
     if len(found.frames) < FEWEST_FRAMES:
         return 1.0
     with threadpool_limits(limits=ONE_THREAD):
         off = np.stack([_off(found, frames) for frames in blocks_of_time(found)])
     square = (off**2).sum(axis=(0, 2))
-    stated = np.trace(found.precisions[found.known][:, 3:, 3:], axis1=1, axis2=2) / found.inflation**2
+    stated = np.trace(found.precisions[found.known][:, 3:, 3:], axis1=1, axis2=2)
     known = stated > 0.0
-    return float(max(np.sqrt(np.median(square[known] / stated[known])), 1.0)) if known.any() else 1.0
+    if not known.any():
+        return 1.0
+    ratio = np.maximum(square[known] / stated[known], LEAST_RATIO)
+    return float(max(np.exp(np.log(ratio).mean() / 2.0), 1.0))
 
 
 def _off(found: Estimate, frames: IntArray) -> FloatArray:
@@ -61,7 +68,7 @@ def _off(found: Estimate, frames: IntArray) -> FloatArray:
     own, *_ = part.reduced(found.poses, found.floor, 0.0, slope**2 / spread)
     _, right, _ = part.reduced(found.poses, found.floor, 0.0)
     own[6 * part.placed :, 6 * part.placed :] -= np.eye(len(own) - 6 * part.placed)  # the prior of nuisances
-    covariance = found.covariance / found.inflation**2
+    covariance = found.covariance
     rows = np.flatnonzero((np.diag(own) > 0.0) & np.isfinite(np.diag(covariance)))
     values, vectors = np.linalg.eigh(own[np.ix_(rows, rows)])
     there = values > LEAST_PART * values[-1]

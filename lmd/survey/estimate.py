@@ -38,7 +38,7 @@ class Estimate:
         used: which sightings count, `(N,)`: of tags and frames of the map, and not far off.
         misfits: which are of such tags and frames but do not show the tag where it hangs, `(N,)`.
         floor: standard deviation of the corners that the detector does not account for, pixels.
-        inflation: factor of all standard deviations, see `lmd.survey.blocks`.
+        inflation: factor of the standard deviations of sightings, see `lmd.survey.blocks`.
     """
 
     sightings: Sightings
@@ -52,13 +52,13 @@ class Estimate:
 
     @property
     def _adjustment(self) -> Adjustment:
-        return Adjustment(self.sightings.of(self.used), self.prior, nuisances=True)
+        return Adjustment(self.sightings.of(self.used), self.prior, True, self.inflation)
 
     @cached_property
     def covariance(self) -> FloatArray:
         """The covariance of the twists of all tags, each in its own frame, then of all else, see `Adjustment`."""
         with threadpool_limits(limits=ONE_THREAD):
-            return self.inflation**2 * self._adjustment.covariance(self.poses, self.floor)
+            return self._adjustment.covariance(self.poses, self.floor)
 
     @property
     def known(self) -> BoolArray:
@@ -168,7 +168,9 @@ def estimate(sightings: Sightings, prior: Prior, origin: int | None = None, star
         return adjusted(sightings, prior, poses, group, FLOOR_PIXELS)
 
 
-def adjusted(sightings: Sightings, prior: Prior, poses: Poses, group: IntArray, floor: float) -> Estimate:
+def adjusted(
+    sightings: Sightings, prior: Prior, poses: Poses, group: IntArray, floor: float, inflation: float = 1.0
+) -> Estimate:
     """The estimate near some poses; arguments as of `Estimate`.
 
     Raises:
@@ -190,7 +192,7 @@ def adjusted(sightings: Sightings, prior: Prior, poses: Poses, group: IntArray, 
                 "order, or the calibration another one?",
                 "detections",
             )
-        adjustment = Adjustment(sightings.of(used), prior)
+        adjustment = Adjustment(sightings.of(used), prior, inflation=inflation)
         found = adjustment.run(poses, floor, steps)
         poses, floor = found.poses, found.floor
         misfits = of_map & ~fitting(sightings, errors_at(sightings, poses), floor)
@@ -199,7 +201,7 @@ def adjusted(sightings: Sightings, prior: Prior, poses: Poses, group: IntArray, 
     frames = np.full_like(poses.frames, np.nan)
     frames[np.unique(sightings.frame[used])] = poses.frames[np.unique(sightings.frame[used])]
     poses = replace(poses, frames=frames)
-    return Estimate(sightings, prior, poses, group, used, misfits, floor)
+    return Estimate(sightings, prior, poses, group, used, misfits, floor, inflation)
 
 
 def fitting(sightings: Sightings, error: FloatArray, floor: float) -> BoolArray:

@@ -78,7 +78,7 @@ def _settled(found: Estimate) -> tuple[Estimate, Faults]:
     if sizes:
         edges, group = found.sightings.edges.copy(), found.group.copy()
         edges[list(sizes)], group[list(sizes)] = list(sizes.values()), 0
-        found = adjusted(replace(found.sightings, edges=edges), found.prior, poses, group, found.floor)
+        found = adjusted(replace(found.sightings, edges=edges), found.prior, poses, group, found.floor, found.inflation)
     places = _second_places(found)
     last = [place for place in places if place.moved is not None and place.later]
     error = errors_at(found.sightings, found.poses)
@@ -89,7 +89,9 @@ def _settled(found: Estimate) -> tuple[Estimate, Faults]:
     if last:
         tags = found.poses.tags.copy()
         tags[[place.tag for place in last]] = [place.pose for place in last]
-        found = adjusted(found.sightings, found.prior, replace(found.poses, tags=tags), found.group, found.floor)
+        found = adjusted(
+            found.sightings, found.prior, replace(found.poses, tags=tags), found.group, found.floor, found.inflation
+        )
     return found, Faults(tuple(places), sizes, misread)
 
 

@@ -46,7 +46,7 @@ def held_out(found: Estimate, plan: FloatArray | None = None) -> dict[str, Local
     out = np.isin(found.sightings.frame, found.frames[HELD_OUT_STEP // 2 :: HELD_OUT_STEP])
     others = found.sightings.of(~out)
     with threadpool_limits(limits=ONE_THREAD):
-        rest = adjusted(others, found.prior, found.poses, found.group, found.floor)
+        rest = adjusted(others, found.prior, found.poses, found.group, found.floor, found.inflation)
         seen = np.isin(np.arange(len(found.group)), others.tag[rest.used])
         maps = {"measured": np.where(seen[:, None, None], rest.poses.tags, np.nan)}
         if plan is not None:

@@ -148,9 +148,9 @@ def judged(given: Camera, seen: Camera, shift: float, own: FloatArray) -> Calibr
     Args:
         given: as it was calibrated.
         seen, shift: as the photographs have it, see `Calibrated`.
-        own: covariance of its parameters and of the shift, `(P + 1, P + 1)`.
+        own: covariance of its parameters and then of shifts, `(P + n, P + n)`.
     """
-    size = len(own) - 1
+    size = len(parameters(seen))
     bundle = bearings(seen, image_grid(seen))
     bundle = bundle[np.isfinite(bundle).all(axis=-1)]
     moved = slopes(seen, bundle).reshape(-1, size)

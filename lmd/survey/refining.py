@@ -5,8 +5,9 @@ All of these have priors, and are found together with the map, so that what they
 - *Intrinsics* theta: a corner that was found at x and is imaged at pi(p, theta) has e = pi(p, theta) - x. So e changes
   with theta as the image of the direction b does that x was seen in. After each step the directions are those of the
   camera as it then is.
-- *Shift*: blur and exposure move the edges of a tag, and so its corners, inward or outward, by s pixels in all images of
-  a camera. A tag then looks smaller or larger, the more so the smaller it is.
+- *Shifts*: blur and exposure move the edges of a tag, and so its corners, inward or outward in all images of a camera,
+  by s_1 + s_2 (2 / pitch)^2 pixels beside what is measured of the detector. A tag then looks smaller or larger, the
+  more so the smaller it is.
 - *Shapes*: see `lmd.survey.sightings.SHAPES`. What their standard deviation is the photographs say themselves: by
   expectation and maximisation, it is the root of the mean of squares and variances.
 """
@@ -21,12 +22,14 @@ from threadpoolctl import threadpool_limits
 from lmd.core.checks import FloatArray, InputError
 from lmd.scene.camera import Camera
 from lmd.survey.adjustment import Adjustment
+from lmd.survey.blocks import inflation
 from lmd.survey.estimate import ONE_THREAD, Estimate, adjusted, fitting, twice_in_frame
 from lmd.survey.intrinsics import parameters, slopes, with_parameters
 from lmd.survey.residuals import errors_at
-from lmd.survey.sightings import WAYS, Sightings, inward
+from lmd.survey.sightings import WAYS, Sightings, inward, shifted
 from lmd.survey.start import FLOOR_PIXELS
 
+SMALL_SHARE = 0.5  # of what the first shift may be off, the second one may
 SHAPE_SIGMA, LEAST_SHAPE_SIGMA = 3e-4, 1e-5  # metres
 MOST_ROUNDS, ROUND_STEPS = 12, 3
 MOST_TRIALS, FIRST_DAMPING = 6, 1e-3  # of a step that leads uphill
@@ -42,16 +45,16 @@ class Optics:
 
     Args:
         camera: see there.
-        shift: by how many pixels corners are too far inward.
+        shifts: by how many pixels edges are too far inward, in all tags, and in small ones besides.
     """
 
     camera: Camera
-    shift: float = 0.0
+    shifts: tuple[float, float] = (0.0, 0.0)
 
     @property
     def values(self) -> FloatArray:
-        """The parameters of the camera, and the shift, `(P + 1,)`."""
-        return np.append(parameters(self.camera), self.shift)
+        """The parameters of the camera, and the shifts, `(P + 2,)`."""
+        return np.append(parameters(self.camera), self.shifts)
 
     def at(self, values: FloatArray) -> "Optics":
         """The same with other values.
@@ -59,7 +62,7 @@ class Optics:
         Raises:
             InputError: there is no such camera.
         """
-        return Optics(with_parameters(self.camera, values[:-1]), float(values[-1]))
+        return Optics(with_parameters(self.camera, values[:-2]), (float(values[-2]), float(values[-1])))
 
 
 Sighted = Callable[[Sequence[Optics]], Sightings]
@@ -70,14 +73,15 @@ def freed(sightings: Sightings, optics: Sequence[Optics], spreads: Sequence[Floa
 
     Args:
         sightings: through `optics`.
-        spreads: what the values of each may be off, `(P + 1,)`.
+        spreads: what the values of each may be off, `(P + 2,)`.
     """
     most = max(len(spread) for spread in spreads)
     lens = np.zeros((len(sightings), 4, 2, -(-most // 6) * 6))
     for index, (one, spread) in enumerate(zip(optics, spreads, strict=True)):
         own = sightings.camera == index
-        lens[own, ..., : len(spread) - 1] = slopes(one.camera, sightings.directions[own])
-        lens[own, ..., len(spread) - 1] = inward(sightings.image[own])
+        lens[own, ..., : len(spread) - 2] = slopes(one.camera, sightings.directions[own])
+        way = shifted(sightings.pitch[own])[:, None, None, :]
+        lens[own, ..., len(spread) - 2 : len(spread)] = inward(sightings.image[own])[..., None] * way
         lens[own, ..., : len(spread)] *= spread
     return replace(sightings, lens=lens.reshape(len(sightings), 8, -1))
 
@@ -90,50 +94,65 @@ def refined(
     Args:
         found: with the cameras as they were given.
         given: these.
-        spreads: what the values of each may be off, `(P + 1,)`.
+        spreads: what the values of each may be off, `(P + 2,)`.
         sighted: the sightings as other cameras of the same images have them.
         keep: whether the intrinsics stay as they are given; they are as little known.
     """
-    count, prior, poses, floor, damping = len(found.sightings.ids), found.prior, found.poses, found.floor, 0.0
-    free = [np.where(np.arange(len(spread)) < len(spread) - 1, 0.0, spread) for spread in spreads] if keep else spreads
+    free = [np.where(np.arange(len(spread)) < len(spread) - 2, 0.0, spread) for spread in spreads] if keep else spreads
+    state = _State.of(given, len(found.group))
 
     def seen(state: _State, spreads: Sequence[FloatArray] = free) -> Sightings:
         through = freed(sighted(state.optics), state.optics, spreads)
         return replace(through, edges=found.sightings.edges, shapes=state.shapes, shape_sigma=state.deviation)
 
-    state = _State(tuple(given), np.zeros((0, 0)), np.zeros((count, 6)), SHAPE_SIGMA)
-    sightings = seen(state)
-    state = state._replace(off=np.zeros((len(given), sightings.lens.shape[2])))
+    state, found = _settled(state, found, given, free, seen)
+    found = adjusted(seen(state, spreads), found.prior, found.poses, found.group, FLOOR_PIXELS)
+    if (grown := inflation(found)) > 1.0:
+        state, found = _settled(state, replace(found, inflation=grown), given, free, seen)
+        found = adjusted(seen(state, spreads), found.prior, found.poses, found.group, FLOOR_PIXELS, grown)
+    return found, state.optics
+
+
+def _settled(
+    state: "_State",
+    found: Estimate,
+    given: Sequence[Optics],
+    spreads: Sequence[FloatArray],
+    seen: "Callable[[_State], Sightings]",
+) -> tuple["_State", Estimate]:
+    """The state, and the poses, after as many steps of all unknowns together as lead downhill."""
+    poses, floor, damping, sightings = found.poses, found.floor, 0.0, seen(state)
     with threadpool_limits(limits=ONE_THREAD):
         for _ in range(MOST_ROUNDS):
             error = errors_at(sightings, poses)
             of_map = (found.group[sightings.tag] == 0) & np.isfinite(error)
             used = twice_in_frame(sightings, of_map & fitting(sightings, error, floor))
-            settled = Adjustment(sightings.of(used), prior).run(poses, floor, ROUND_STEPS, FLOOR_PIXELS)
+            every = Adjustment(sightings.of(used), found.prior, True, found.inflation)
+            settled = Adjustment(every.sightings, found.prior, False, found.inflation).run(
+                poses, floor, ROUND_STEPS, FLOOR_PIXELS
+            )
             poses, floor = settled.poses, settled.floor
-            every = Adjustment(sightings.of(used), prior, nuisances=True)
-            cost = state.cost + every.cost(errors_at(every.sightings, poses), every.costs(poses), floor)
+            cost = state.cost(every.unit) + every.cost(errors_at(every.sightings, poses), every.costs(poses), floor)
             for _ in range(MOST_TRIALS):
                 there, step, variance = every.joint_step(poses, floor, damping, state.units)
-                tried = state.stepped(given, free, step)
-                fresh = seen(tried)
-                error = errors_at(fresh.of(used), there)
-                if tried.cost + every.cost(error, every.costs(there), floor) <= cost + SLACK:
+                tried = state.stepped(given, spreads, step)
+                error = errors_at(seen(tried).of(used), there)
+                if tried.cost(every.unit) + every.cost(error, every.costs(there), floor) <= cost + SLACK:
                     break
                 damping = max(10.0 * damping, FIRST_DAMPING)
             else:
                 break
-            damping = damping / 10.0
-            placed = np.bincount(sightings.tag[used], minlength=count) > 0
+            poses, damping = there, damping / 10.0
+            placed = np.bincount(sightings.tag[used], minlength=len(found.group)) > 0
             lenses = state.off.size // 6
-            squares = (tried.shapes / tried.deviation) ** 2 + variance[lenses:]
+            squares = (tried.shapes / tried.deviation) ** 2 + variance[lenses:] / found.inflation**2
             grown = float(np.sqrt(squares[placed, :WAYS].mean()))
             state = tried._replace(deviation=max(grown * tried.deviation, LEAST_SHAPE_SIGMA))
-            poses, sightings = there, seen(state)
+            sightings = seen(state)
             is_settled = (step[:lenses] ** 2 <= SETTLED_SIGMAS**2 * variance[:lenses]).all()
             if is_settled and abs(grown - 1.0) < SETTLED_SHAPES:
                 break
-    return adjusted(seen(state, spreads), prior, poses, found.group, FLOOR_PIXELS), state.optics
+    return state, replace(found, poses=poses, floor=floor)
 
 
 class _State(NamedTuple):
@@ -144,15 +163,20 @@ class _State(NamedTuple):
     shapes: FloatArray
     deviation: float
 
+    @classmethod
+    def of(cls, given: Sequence[Optics], tags: int) -> "_State":
+        """As it is given: flat tags."""
+        width = 6 * -(-max(len(one.values) for one in given) // 6)
+        return cls(tuple(given), np.zeros((len(given), width)), np.zeros((tags, 6)), SHAPE_SIGMA)
+
     @property
     def units(self) -> FloatArray:
         """How far all are off what was known of them, in units of what they may be, `(n, 6)`."""
         return np.concatenate([self.off.reshape(-1, 6), self.shapes / self.deviation])
 
-    @property
-    def cost(self) -> float:
-        """What the priors add to what is minimised."""
-        return 0.5 * float((self.units**2).sum())
+    def cost(self, unit: FloatArray) -> float:
+        """What the priors add to what is minimised, see `Adjustment.unit`."""
+        return 0.5 * float((unit[:, None] * self.units**2).sum())
 
     def stepped(self, given: Sequence[Optics], spreads: Sequence[FloatArray], step: FloatArray) -> "_State":
         """After a step `(n, 6)`, or the first part of it that leads to cameras."""

@@ -39,6 +39,7 @@ def _shapes() -> FloatArray:
     return np.asarray(np.vstack([basis[:, 7:].T, np.zeros(12)]).reshape(6, 4, 3))
 
 
+SMALL_PITCH = 2.0  # pixels a module
 LEAST_ANGLE = 0.2  # sine of the angle at a corner; those of narrower ones hardly say where it is
 # The ways in which the corners of a tag may be off a flat square but for its motions and its size, orthonormal: five,
 # and a sixth that is none, as unknowns come in blocks of six, `(6, 4, 3)`.
@@ -60,6 +61,7 @@ class Sightings:
         directions: b of them, `(N, 4, 3)`.
         tangents: J, `(N, 4, 2, 3)`, pixels.
         sizes: of the shortest side in the image, pixels, `(N,)`.
+        pitch: of the modules along it, pixels, `(N,)`.
         noise: standard deviation of a coordinate of a corner that the detector alone accounts for, pixels, `(N,)`.
         lens: how e changes with what is not known of each camera, in units of what that may be off, `(N, 8, 6 L)`, see
             `lmd.survey.refining`; L is 0 where all is known.
@@ -78,6 +80,7 @@ class Sightings:
     directions: FloatArray
     tangents: FloatArray
     sizes: FloatArray
+    pitch: FloatArray
     noise: FloatArray
     lens: FloatArray
     shapes: FloatArray
@@ -88,7 +91,7 @@ class Sightings:
 
     def of(self, chosen: IntArray | BoolArray | slice) -> "Sightings":
         """The sightings that `chosen` selects; tags and frames keep their numbers."""
-        names = ("frame", "camera", "tag", "image", "directions", "tangents", "sizes", "noise", "lens")
+        names = ("frame", "camera", "tag", "image", "directions", "tangents", "sizes", "pitch", "noise", "lens")
         rest = {name: getattr(self, name)[chosen] for name in names}
         return replace(self, **rest)
 
@@ -115,6 +118,11 @@ def inward(image: FloatArray) -> FloatArray:
     return np.asarray((along + other) / np.maximum(across, LEAST_ANGLE)[..., None])
 
 
+def shifted(pitch: FloatArray) -> FloatArray:
+    """How far edges are shifted at each pitch, by the shift of all tags and that of small ones, `(N, 2)`."""
+    return np.stack([np.ones_like(pitch), (SMALL_PITCH / pitch) ** 2], axis=1)
+
+
 def sightings_of(
     detected: DetectedTags,
     cameras: Sequence[Camera],
@@ -134,7 +142,8 @@ def sightings_of(
         ids, edges: see `Sightings`.
         modules: N of the tags' family.
         errors: what the detector's corners are off by.
-        shifts: by how many pixels each camera's images have edges farther `inward` than `errors` says, `(C,)`.
+        shifts: by how many pixels each camera's images have edges farther `inward` than `errors` says, `(C, 2)`: those
+            of all tags, and of small ones besides, see `shifted`; None for 0.
 
     Raises:
         InputError: there is another number of cameras, or no sighting.
@@ -146,7 +155,8 @@ def sightings_of(
     known = np.flatnonzero(np.isin(detected.ids, ids))
     chosen = detected.of(known[np.lexsort((detected.ids[known], detected.camera[known], detected.frame[known]))])
     sides = np.linalg.norm(chosen.corners - np.roll(chosen.corners, 1, axis=1), axis=-1).min(axis=1)
-    off = errors.inward_at(sides / modules) + (0.0 if shifts is None else shifts[chosen.camera])
+    pitch = sides / modules
+    off = errors.inward_at(pitch) + (0.0 if shifts is None else (shifted(pitch) * shifts[chosen.camera]).sum(axis=1))
     image = chosen.corners - off[:, None, None] * inward(chosen.corners)
     directions, tangents = np.empty((len(chosen), 4, 3)), np.empty((len(chosen), 4, 2, 3))
     whole = np.zeros(len(chosen), dtype=bool)
@@ -168,7 +178,8 @@ def sightings_of(
         directions=directions,
         tangents=tangents,
         sizes=sides,
-        noise=errors.sigma(sides / modules),
+        pitch=pitch,
+        noise=errors.sigma(pitch),
         lens=np.empty((len(chosen), 8, 0)),
         shapes=np.zeros((len(ids), 6)),
         shape_sigma=0.0,

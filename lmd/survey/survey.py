@@ -1,7 +1,7 @@
 """From detections to the map of the tags, all steps in order."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -11,7 +11,6 @@ from lmd.mapping.detections import DetectedTags
 from lmd.scene.camera import Camera
 from lmd.scene.deployment import Deployment
 from lmd.scene.tag import Tag
-from lmd.survey.blocks import inflation
 from lmd.survey.boards import Boards
 from lmd.survey.estimate import Estimate, estimate, started
 from lmd.survey.faults import Faults, settled
@@ -19,7 +18,7 @@ from lmd.survey.fixed import off_fixed
 from lmd.survey.held_out import Localised, held_out
 from lmd.survey.intrinsics import Calibrated, judged, spreads
 from lmd.survey.known import TAPE_SIGMA_M, Hanging, Points, levelled, poses_of
-from lmd.survey.refining import Optics, refined
+from lmd.survey.refining import SMALL_SHARE, Optics, refined
 from lmd.survey.residuals import EXACT_SIGMA, Prior, errors_at
 from lmd.survey.sightings import Sightings, sightings_of
 from lmd.survey.start import agreeing
@@ -196,7 +195,7 @@ def survey(
         raise InputError("detections has no tag of the plan, and no other one twice.", "detections")
 
     def sighted(through: Sequence[Optics]) -> Sightings:
-        shifts = np.array([one.shift for one in through])
+        shifts = np.array([one.shifts for one in through])
         through_cameras = [one.camera for one in through]
         return sightings_of(shown, through_cameras, ids, known.edges(ids, tag), tag.modules, errors, shifts)
 
@@ -214,10 +213,10 @@ def survey(
     else:
         start = started(sightings, prior)
     found = estimate(sightings, prior, known.origin, start)
-    spread = [np.append(spreads(camera, bool(calibrate)), errors.inward_spread) for camera in cameras]
+    shift = [errors.inward_spread, SMALL_SHARE * errors.inward_spread]
+    spread = [np.append(spreads(camera, bool(calibrate)), shift) for camera in cameras]
     found, optics = refined(found, given, spread, sighted, keep=calibrate is False)
     found, faults = settled(found)
-    found = replace(found, inflation=inflation(found))
     away = off_fixed(found, start)
     if known.floor:
         first = int(np.flatnonzero(found.prior.information.any(axis=1))[0])
@@ -230,7 +229,7 @@ def survey(
         raise InputError(text, "detections")
     localised = held_out(found, known.planned(ids))
     through = tuple(
-        judged(camera, one.camera, one.shift, own[: len(off), : len(off)] * np.outer(off, off))
+        judged(camera, one.camera, one.shifts[0], own[: len(off), : len(off)] * np.outer(off, off))
         for camera, one, own, off in zip(cameras, optics, found.lenses, spread, strict=True)
     )
     return Survey(detected, known, found, faults, placed, localised, turns, away, through)
