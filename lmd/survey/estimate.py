@@ -6,10 +6,11 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from lmd.core.checks import BoolArray, FloatArray, InputError, IntArray
-from lmd.geometry.se3 import exp, inverse, log
-from lmd.survey.adjustment import Adjustment
+from lmd.geometry.se3 import inverse, middle
 from lmd.survey.gauge import blocks_of, without_gauge
+from lmd.survey.joining import joined_by_motion
 from lmd.survey.known import aligned, turned_as
+from lmd.survey.linked import LinkedAdjustment, adjustment_of, telling
 from lmd.survey.residuals import EXACT_SIGMA, Poses, Prior, errors_at
 from lmd.survey.sightings import Sightings
 from lmd.survey.start import FLOOR_PIXELS, place
@@ -20,7 +21,6 @@ MISFIT_CHI_SQUARE = 60.0
 STEPS, FINAL_STEPS = 40, 15
 # Threads that share matrices of some hundred rows wait for each other longer than they work.
 ONE_THREAD = 1
-MEDIAN_STEPS = 10  # of the mean pose of a mount
 
 
 @dataclass(frozen=True)
@@ -106,7 +106,7 @@ def started(sightings: Sightings, prior: Prior) -> Start:
         known = np.asarray(prior.information[:, :3].any(axis=1))
         apart = sightings.apart()
         rough, group = place(apart, np.where(known[:, None, None], prior.tags, np.nan))
-        if group.max(initial=-1) < 0:
+        if group.max(initial=-1) < 0 and prior.motion is None:
             raise InputError("detections never show two tags at once, of which one leaves no doubt.", "detections")
         return Start(as_seen(apart, rough), group)
 
@@ -127,9 +127,20 @@ def estimate(sightings: Sightings, prior: Prior, origin: int | None = None, star
     """
     start = started(sightings, prior) if start is None else start
     with threadpool_limits(limits=ONE_THREAD):
-        rough = joined(sightings, start.poses, prior.mounts)
-        poses, group, prior = in_one_world(sightings, rough, start.group, prior, origin)
+        poses, group, prior = in_one_world(sightings, *begun(sightings, start, prior), origin)
         return adjusted(sightings, prior, poses, group, FLOOR_PIXELS)
+
+
+def begun(sightings: Sightings, start: Start, prior: Prior) -> tuple[Poses, IntArray, Prior]:
+    """Rough poses of the body, the group of each tag once motion has joined some, and the prior as the drive tells it.
+
+    Raises:
+        InputError: a camera was never placed together with the first one.
+    """
+    rough = joined(sightings, start.poses, prior.mounts)
+    if prior.motion is None:
+        return rough, start.group, prior
+    return joined_by_motion(sightings, rough, start.group, prior)
 
 
 def adjusted(sightings: Sightings, prior: Prior, poses: Poses, group: IntArray, floor: float) -> Estimate:
@@ -139,7 +150,7 @@ def adjusted(sightings: Sightings, prior: Prior, poses: Poses, group: IntArray, 
         InputError: no sightings agree.
     """
     of_map = (group[sightings.tag] == 0) & np.isfinite(poses.frames[sightings.frame, 0, 0])
-    of_map = used = twice_in_frame(sightings, of_map)
+    of_map = used = telling(sightings, of_map, prior.motion)
     misfits = np.zeros(len(sightings), dtype=bool)
     there = (group == 0) & (np.bincount(sightings.tag[of_map], minlength=len(group)) > 0)
     sheets = None if prior.sheets is None else prior.sheets.of(there)
@@ -147,21 +158,23 @@ def adjusted(sightings: Sightings, prior: Prior, poses: Poses, group: IntArray, 
     sheets = None if sheets is None or not len(sheets.tag) else sheets
     prior = replace(prior, information=information, sheets=sheets)
     for steps in (STEPS, FINAL_STEPS):
-        used = twice_in_frame(sightings, used)
+        used = telling(sightings, used, prior.motion)
         if not used.any():
             raise InputError(
                 "detections: no two tags of a frame agree with one pose of the camera; are the corners in another "
                 "order, or the calibration another one?",
                 "detections",
             )
-        adjustment = Adjustment(sightings.of(used), prior)
+        adjustment = adjustment_of(sightings.of(used), prior)
         found = adjustment.run(poses, floor, steps)
         poses, floor = found.poses, found.floor
+        if isinstance(adjustment, LinkedAdjustment):
+            prior = replace(prior, motion=adjustment.told(poses, floor))
         square = errors_at(sightings, poses) / (sightings.noise**2 + floor**2)
         misfits = of_map & (square > MISFIT_CHI_SQUARE)
         used = of_map & ~misfits
-    used = twice_in_frame(sightings, used)
-    every = Adjustment(sightings.of(used), prior, lenses=True)
+    used = telling(sightings, used, prior.motion)
+    every = adjustment_of(sightings.of(used), prior, lenses=True)
     covariance = every.covariance(poses, floor)
     whole = covariance[: 6 * len(group), : 6 * len(group)]
     intrinsics = blocks_of(covariance[6 * every.placed :, 6 * every.placed :], sightings.cameras)
@@ -175,12 +188,6 @@ def adjusted(sightings: Sightings, prior: Prior, poses: Poses, group: IntArray, 
     frames[np.unique(sightings.frame[used])] = poses.frames[np.unique(sightings.frame[used])]
     poses = replace(poses, frames=frames)
     return Estimate(sightings, prior, poses, group, used, misfits, floor, covariances, precisions, intrinsics)
-
-
-def twice_in_frame(sightings: Sightings, used: BoolArray) -> BoolArray:
-    """The sightings among `used` whose frames have at least two of them: one alone says nothing of the map."""
-    counts = np.bincount(sightings.frame[used], minlength=sightings.frames)
-    return np.asarray(used & (counts[sightings.frame] >= 2))
 
 
 def joined(sightings: Sightings, apart: Poses, known: FloatArray | None = None) -> Poses:
@@ -201,20 +208,12 @@ def joined(sightings: Sightings, apart: Poses, known: FloatArray | None = None) 
         if known is not None:
             mounts[camera] = known[camera]
         elif both.any():
-            mounts[camera] = _middle(inverse(frames[both]) @ views[camera, both])
+            mounts[camera] = middle(inverse(frames[both]) @ views[camera, both])
         else:
             raise InputError(f"detections have no frame that shows where camera {camera + 1} is mounted.", "detections")
         fresh = there & ~both
         frames[fresh] = views[camera, fresh] @ inverse(mounts[camera])
     return Poses(apart.tags, frames, mounts)
-
-
-def _middle(poses: FloatArray) -> FloatArray:
-    """The pose that most of `poses` `(n, 4, 4)` are near to: the median of their twists, again and again."""
-    middle = poses[len(poses) // 2]
-    for _ in range(MEDIAN_STEPS):
-        middle = middle @ exp(np.median(log(inverse(middle) @ poses), axis=0))
-    return np.asarray(middle)
 
 
 def in_one_world(

@@ -18,8 +18,8 @@ from lmd.geometry.lens import Lens
 from lmd.render.optics import bearings, slope
 from lmd.scene.calibration_files import PIXEL_CENTRE
 from lmd.scene.camera import Camera
-from lmd.survey.adjustment import Adjustment
 from lmd.survey.estimate import ONE_THREAD, Estimate, adjusted
+from lmd.survey.linked import adjustment_of
 from lmd.survey.sightings import Sightings
 from lmd.survey.start import FLOOR_PIXELS
 
@@ -158,7 +158,7 @@ def calibrated(
     with threadpool_limits(limits=ONE_THREAD):
         for _ in range(MOST_ROUNDS):
             some = freed(found.sightings.of(found.used), cameras, given)
-            step = Adjustment(some, found.prior, lenses=True).lens_step(found.poses, found.floor, off)
+            step = adjustment_of(some, found.prior, lenses=True).lens_step(found.poses, found.floor, off)
             cameras, off = _stepped(given, off, step)
             sightings = freed(again(cameras), cameras, given)
             found = adjusted(sightings, found.prior, found.poses, found.group, FLOOR_PIXELS)

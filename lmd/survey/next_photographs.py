@@ -19,9 +19,9 @@ from lmd.geometry.squares import CORNERS
 from lmd.render.optics import bearings, project, slope
 from lmd.scene.camera import Camera
 from lmd.space.space import Space
-from lmd.survey.adjustment import Adjustment
 from lmd.survey.estimate import ONE_THREAD
 from lmd.survey.gauge import gauge_free
+from lmd.survey.linked import adjustment_of
 from lmd.survey.residuals import linearise
 from lmd.survey.sightings import Sightings
 from lmd.survey.student import RESIDUALS
@@ -71,7 +71,7 @@ def next_photographs(
 def _believed(survey: Survey) -> tuple[FloatArray, FloatArray, BoolArray]:
     """Poses of tags, found or planned, `(K, 4, 4)`; the covariance of their twists, `(6 K, 6 K)`; which are known."""
     found, size = survey.found, 6 * len(survey.ids)
-    every = Adjustment(found.sightings.of(found.used), found.prior, lenses=True)
+    every = adjustment_of(found.sightings.of(found.used), found.prior, lenses=True)
     covariance = every.covariance(found.poses, found.floor)[:size, :size]
     tags = np.where(survey.placed[:, None, None], found.poses.tags, np.nan)
     if (planned := survey.planned) is not None:

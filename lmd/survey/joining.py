@@ -1,0 +1,212 @@
+"""Groups of tags that no image connects, joined by the motion of the body between their frames.
+
+Tags that several images show together stay together, and all others begin alone: an id that was misread in one image
+would connect tags that hang far from each other. A frame that shows one tag of a group has two poses beside it that look
+alike (IPPE); of each group, the frames follow each other as smoothly as they can (Viterbi). Then each group is adjusted
+by itself, with links between its own frames, which also tells the spread of the motion. At last frames of two groups
+that are near in time, or one, say how these are to each other: pairs of groups of which most frames agree go first.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from lmd.core.checks import FloatArray, IntArray
+from lmd.geometry.se3 import angle_between, inverse, log, middle
+from lmd.survey.linked import LinkedAdjustment
+from lmd.survey.motion import Motion
+from lmd.survey.proposals import proposals
+from lmd.survey.residuals import EXACT_SIGMA, Poses, Prior, errors_at
+from lmd.survey.sightings import Sightings
+from lmd.survey.start import FLOOR_PIXELS, agreeing
+
+# Tags stay together that so many images show together, and agree.
+TOGETHER = 3
+# What the poses of two frames are off by before they are adjusted, rad and metres; and by moving, in a second.
+ROUGH_TURN, ROUGH_PLACE, MOVING = 0.1, 0.15, 1.0
+# How two groups are to each other is asked of frames among so many that follow, and of so many pairs of them.
+FOLLOWING, PAIRS = 12, 15
+# Pairs of frames agree on how two groups are to each other up to this, rad and metres, by which groups are joined.
+AGREE_TURN, AGREE_PLACE = 0.2, 0.3
+STEPS = 12  # of the adjustment of groups by themselves
+
+
+@dataclass(frozen=True)
+class Nodes:
+    """Frames as single groups have them, n of them, those of the first group first, each in the order of time.
+
+    Args:
+        sightings: of these nodes in place of frames.
+        frame, group: of each node, `(n,)`.
+        motion: between them.
+    """
+
+    sightings: Sightings
+    frame: IntArray
+    group: IntArray
+    motion: Motion
+
+    @classmethod
+    def of(cls, sightings: Sightings, group: IntArray, motion: Motion) -> "Nodes":
+        """The nodes of all sightings of tags in groups `(K,)`."""
+        own = group[sightings.tag]
+        key, node = np.unique(own * sightings.frames + sightings.frame, return_inverse=True)
+        order = np.argsort(node, kind="stable")
+        frame, of_group = key % sightings.frames, key // sightings.frames
+        some = replace(sightings.of(order), frame=node[order], frames=len(key))
+        return cls(some, frame, of_group, motion.of(frame, of_group))
+
+
+def joined_by_motion(
+    sightings: Sightings, poses: Poses, group: IntArray, prior: Prior
+) -> tuple[Poses, IntArray, Prior]:
+    """Rough poses in as few groups as motion leaves, and the prior with the spread that the drive tells.
+
+    Args:
+        poses: rough ones of the groups that images connect, each in a world of its own.
+        group: of each tag, `(K,)`, -1 for none.
+        prior: with a motion.
+    """
+    assert prior.motion is not None
+    parts = _parts(sightings, poses, group, prior)
+    nodes = Nodes.of(sightings, parts, prior.motion)
+    tags = np.where((group < 0)[:, None, None], np.eye(4), poses.tags)
+    there, motion = _adjusted(nodes, _smoothest(nodes, replace(poses, tags=tags)))
+    told = replace(prior.motion, spread=motion.spread, told=motion.told)
+    worlds, joined = _worlds(replace(nodes, motion=motion), there.frames, told)
+    tags = np.where((parts < 0)[:, None, None], np.nan, worlds[parts] @ there.tags)
+    frames = np.full_like(poses.frames, np.nan)
+    counts = np.bincount(nodes.sightings.frame, minlength=len(nodes.frame))
+    order = np.argsort(counts, kind="stable")  # of a frame in several parts, the one with most of its tags comes last
+    frames[nodes.frame[order]] = (worlds[nodes.group] @ there.frames)[order]
+    whole = np.where(parts < 0, -1, joined[parts])
+    alone = (np.bincount(whole[parts >= 0], minlength=len(joined))[whole] == 1) & (group < 0)
+    tags[alone], whole[alone] = np.nan, -1
+    result = np.where(whole < 0, -1, np.unique(np.append(whole, -1), return_inverse=True)[1][:-1] - 1)
+    return Poses(tags, frames, poses.mounts), result, replace(prior, motion=told)
+
+
+def _parts(sightings: Sightings, poses: Poses, group: IntArray, prior: Prior) -> IntArray:
+    """Tags that stay together, as numbers `(K,)`; -1 for those that were not seen.
+
+    A group of which the prior knows where a tag is stays as it is.
+    """
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+
+    count = len(group)
+    error = errors_at(sightings, poses)
+    fits = np.isfinite(error) & (group[sightings.tag] >= 0)
+    fits[fits] = agreeing(sightings.of(fits), error[fits])
+    shown = coo_array(
+        (np.ones(fits.sum()), (sightings.frame[fits], sightings.tag[fits])), shape=(sightings.frames, count)
+    ).tocsr()
+    together = (shown.T @ shown).tocoo()
+    often = together.data >= TOGETHER
+    one, other = together.row[often], together.col[often]
+    known = np.unique(group[(group >= 0) & prior.information.any(axis=1)])
+    kept = np.flatnonzero(np.isin(group, known))
+    first = {int(g): int(k) for g, k in zip(group[kept][::-1], kept[::-1], strict=True)}
+    one = np.concatenate([one, kept])
+    other = np.concatenate([other, np.array([first[int(g)] for g in group[kept]], dtype=one.dtype)])
+    graph = coo_array((np.ones(len(one)), (one, other)), shape=(count, count))
+    seen = np.bincount(sightings.tag, minlength=count) > 0
+    parts = np.full(count, -1)
+    parts[seen] = np.unique(connected_components(graph, directed=False)[1][seen], return_inverse=True)[1]
+    return parts
+
+
+def _smoothest(nodes: Nodes, poses: Poses) -> Poses:
+    """Poses of the nodes in the worlds of their parts, by the best of their sightings; `poses` are those of frames."""
+    some, count = nodes.sightings, len(nodes.frame)
+    order = np.lexsort((-some.sizes, some.frame))
+    best = order[np.searchsorted(some.frame[order], np.arange(count))]
+    proposed = proposals(some.of(best))
+    views = poses.tags[some.tag[best]][:, None] @ inverse(poses.mounts[some.camera[best]][:, None] @ proposed.poses)
+    costs = np.stack([np.zeros(count), proposed.odds], axis=1)
+    placed = poses.frames[nodes.frame]
+    error = errors_at(some, replace(poses, frames=placed))
+    fits = np.isfinite(error)
+    fits[fits] = agreeing(some.of(fits), error[fits])
+    several = np.bincount(some.frame[fits], minlength=count) >= 2
+    views[several] = placed[several, None]
+    follows = np.flatnonzero(nodes.motion.follows(np.arange(count)))
+    between = np.zeros((count, 2, 2))  # what it costs to come from one of the two before
+    steps, seconds = nodes.motion.steps(follows, follows + 1), nodes.motion.times[follows + 1] - nodes.motion.times[follows]
+    for here in range(2):
+        for there in range(2):
+            off = inverse(views[follows, here] @ steps) @ views[follows + 1, there]
+            moving = 0.0 if nodes.motion.path is not None else MOVING * seconds
+            turn = angle_between(off, np.eye(4)) / np.hypot(ROUGH_TURN, moving)
+            place = np.linalg.norm(off[:, :3, 3], axis=1) / np.hypot(ROUGH_PLACE, moving)
+            between[follows + 1, there, here] = np.log1p(turn**2 + place**2)
+    chosen = np.zeros((count, 2), dtype=np.int64)
+    total = costs[:1].repeat(count, axis=0)
+    for k in range(1, count):
+        ways = between[k] + total[k - 1]
+        chosen[k] = np.argmin(ways, axis=1)
+        total[k] = costs[k] + ways.min(axis=1)
+        total[k] -= total[k].min()
+    which = np.zeros(count, dtype=np.int64)
+    which[-1] = np.argmin(total[-1])
+    for k in range(count - 1, 0, -1):
+        which[k - 1] = chosen[k, which[k]]
+    return replace(poses, frames=views[np.arange(count), which])
+
+
+def _adjusted(nodes: Nodes, poses: Poses) -> tuple[Poses, Motion]:
+    """The parts, each adjusted by itself, and the motion as they tell it."""
+    some, motion = nodes.sightings, nodes.motion
+    of_tag = np.full(len(poses.tags), -1)
+    of_tag[some.tag] = nodes.group[some.frame]
+    _, first = np.unique(of_tag, return_index=True)
+    information = np.zeros((len(of_tag), 6))
+    information[first[of_tag[first] >= 0]] = EXACT_SIGMA**-2.0
+    for _ in range(2):
+        adjustment = LinkedAdjustment(some, Prior(poses.tags, information, None, poses.mounts, motion))
+        found = adjustment.run(poses, FLOOR_PIXELS, STEPS)
+        poses, motion = found.poses, adjustment.told(found.poses, found.floor)
+    return poses, motion
+
+
+def _worlds(nodes: Nodes, poses: FloatArray, motion: Motion) -> tuple[FloatArray, IntArray]:
+    """Motions of the parts to worlds in common, `(P, 4, 4)`, and the number of the world of each, `(P,)`."""
+    count = int(nodes.group.max()) + 1
+    worlds, joined = np.tile(np.eye(4), (count, 1, 1)), np.arange(count)
+    for one, other, way in _pairs(nodes, poses, motion):
+        if joined[one] == joined[other]:
+            continue
+        moved = joined == joined[other]
+        worlds[moved] = worlds[one] @ way @ inverse(worlds[other]) @ worlds[moved]
+        joined[moved] = joined[one]
+    return worlds, joined
+
+
+def _pairs(nodes: Nodes, poses: FloatArray, motion: Motion) -> list[tuple[int, int, FloatArray]]:
+    """Pairs of parts, and the pose of the world of the second in that of the first; the surest pairs first."""
+    order = np.lexsort((nodes.group, nodes.frame))
+    ends = [(order[:-k], order[k:]) for k in range(1, min(FOLLOWING, len(order) - 1) + 1)]
+    i, j = (np.concatenate(each) for each in zip(*ends, strict=True)) if ends else (order[:0], order[:0])
+    swap = nodes.group[i] > nodes.group[j]
+    i, j = np.where(swap, j, i), np.where(swap, i, j)
+    there = (nodes.group[i] < nodes.group[j]) & motion.tells(nodes.frame[i], nodes.frame[j])
+    i, j = i[there], j[there]
+    links = nodes.motion.links(np.arange(len(nodes.frame)))
+    steps = nodes.motion.steps(i, j, links.velocities(poses))
+    known = np.isfinite(steps[:, 0, 0])
+    i, j, steps = i[known], j[known], steps[known]
+    between = poses[i] @ steps @ inverse(poses[j])
+    away = np.abs(nodes.motion.times[j] - nodes.motion.times[i])
+    key = nodes.group[i] * len(nodes.frame) + nodes.group[j]
+    order = np.lexsort((away, key))
+    starts = np.flatnonzero(np.diff(key[order], prepend=-1))
+    found = []
+    for own in np.split(order, starts[1:]) if len(order) else []:
+        own = own[:PAIRS]
+        centre = middle(between[own])
+        off = log(inverse(centre) @ between[own])
+        near = (np.linalg.norm(off[:, :3], axis=1) < AGREE_TURN) & (np.linalg.norm(off[:, 3:], axis=1) < AGREE_PLACE)
+        agreed = int(near.sum())
+        rank = (-agreed, float(np.median(away[own])))
+        found.append((rank, int(nodes.group[i[own[0]]]), int(nodes.group[j[own[0]]]), centre))
+    return [(one, other, centre) for _, one, other, centre in sorted(found, key=lambda pair: pair[0])]

@@ -1,0 +1,310 @@
+"""Motion of the body between the frames of a video: by an odometer, or near to a constant velocity.
+
+Both say how two consecutive frames are to each other, with a covariance that grows between them. A frame that shows one
+tag then says where that tag is beside the tags of the frames before and after.
+
+- *Odometry* O is a path in a frame of its own, whose relative poses drift. The error of frame j beside frame i is
+  r = log((O_i^-1 O_j)^-1 T_i^-1 T_j). Each short step adds independent errors of turn and place with variances in
+  proportion to its length, and what a step adds is carried on to frame j: with the sum C of Ad_O Q Ad_O^T over all
+  steps, the covariance of r is Ad_O_j^-1 (C_j - C_i) Ad_O_j^-T.
+- *Constant velocity*: velocity u, in the world, and turn rate w, in the body, change by white noise (Barfoot, "State
+  Estimation for Robotics"). They are unknowns of each frame. A link over dt has the errors phi - dt w_i, p_j - p_i -
+  dt u_i, w_j - w_i, u_j - u_i with phi = log(R_i^T R_j), and the covariance s^2 [dt^3 / 3, dt^2 / 2; dt^2 / 2, dt].
+  The velocity is that of the world and not that of the body, as who walks straight ahead looks about.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+
+from lmd.core.checks import BoolArray, FloatArray, InputError, IntArray
+from lmd.geometry.se3 import exp, inverse, log, skew
+from lmd.geometry.trajectory import Trajectory
+
+# Standard deviations that a drive is assumed to have until it tells its own: of turn and place.
+STEADY = (1.0, 1.0)  # change of the turn rate, rad/s, and of the velocity, m/s, within a second
+DRIFT = (0.005, 0.01)  # of odometry after a metre, rad and m
+# A turn of one rad makes an odometer drift like so many metres, and a second, in which it may stand, like so many.
+METRES_PER_RAD, METRES_PER_SECOND = 0.3, 0.01
+# Frames are not linked where a constant velocity says less of their relative pose, rad and metres.
+MOST_TURN, MOST_PLACE = 0.2, 0.5
+LONGEST_STEP = 1.0  # seconds, between poses of odometry; it says nothing across a longer one
+# chi^2 of a link of odometry up to which it counts in full; normal errors exceed it once in a thousand times.
+MOST_SQUARE = 22.5
+# Times are seconds, or since 1970 in ms, us or ns, by their size.
+UNITS = ((1e17, 1e-9), (1e14, 1e-6), (1e11, 1e-3))
+
+
+class Joints(NamedTuple):
+    """How links change with the frames, M links between frames whose unknowns are b numbers."""
+
+    error: FloatArray
+    """`(M, r)`."""
+    by_one: FloatArray
+    """`(M, r, b)` how the error changes with the unknowns of the first frame: a right-hand twist, and velocities."""
+    by_other: FloatArray
+    """`(M, r, b)` with those of the second."""
+
+
+@dataclass(frozen=True)
+class Links:
+    """Links between some frames, each of which follows the one before.
+
+    Args:
+        size: b, unknowns of a frame: 6, or 12 with its turn rate and velocity.
+        one: places of the first frame of each link among the frames, `(M,)`; the second is the next.
+        seconds: between them, `(M,)`.
+        information: inverse of the covariance of the error, `(M, r, r)`.
+        steps: relative poses by odometry, `(M, 4, 4)`; None for a constant velocity.
+    """
+
+    size: int
+    one: IntArray
+    seconds: FloatArray
+    information: FloatArray
+    steps: FloatArray | None
+
+    def at(self, poses: FloatArray) -> Joints:
+        """The links at poses of the frames, `(F, 4, 4)`."""
+        before, after = poses[self.one], poses[self.one + 1]
+        between = inverse(before) @ after
+        if self.steps is not None:
+            error = log(inverse(self.steps) @ between)
+            slope = _by_twist(error)
+            return Joints(error, -slope @ _adjoints(inverse(between)), slope)
+        rates = self._rates(poses)
+        phi, way = log(between)[:, :3], after[:, :3, 3] - before[:, :3, 3]
+        change = rates[self.one + 1] - rates[self.one]
+        off = np.concatenate([phi, way], axis=1) - self.seconds[:, None] * rates[self.one]
+        by_one, by_other = np.zeros((2, len(self.one), 12, 12))
+        by_other[:, :3, :3], by_one[:, :3, :3] = _by_turn(phi), -_by_turn(-phi)
+        by_other[:, 3:6, 3:6], by_one[:, 3:6, 3:6] = after[:, :3, :3], -before[:, :3, :3]
+        by_other[:, 6:, 6:], by_one[:, 6:, 6:] = np.eye(6), -np.eye(6)
+        by_one[:, :6, 6:] = -self.seconds[:, None, None] * np.eye(6)
+        return Joints(np.concatenate([off, change], axis=1), by_one, by_other)
+
+    def _rates(self, poses: FloatArray) -> FloatArray:
+        """Turn rates and velocities that fit poses best, `(F, 6)`: those of natural cubic splines."""
+        from scipy.linalg import solveh_banded
+
+        before, after, h = poses[self.one], poses[self.one + 1], self.seconds
+        turn, way = log(inverse(before) @ after)[:, :3], after[:, :3, 3] - before[:, :3, 3]
+        pull = 6.0 * np.concatenate([turn, way], axis=1) / h[:, None] ** 2
+        banded, right = np.full((2, len(poses)), 1e-9), np.zeros((len(poses), 6))
+        banded[1] = 0.0
+        for place in (self.one, self.one + 1):
+            banded[0, place] += 4.0 / h
+            right[place] += pull
+        banded[1, self.one] = 2.0 / h
+        return np.asarray(solveh_banded(banded, right, lower=True))
+
+    def velocities(self, poses: FloatArray) -> FloatArray:
+        """Velocities in the body's frame, turn first, `(F, 6)`; NaN for frames without links."""
+        rates = self._rates(poses)
+        result = np.concatenate([rates[:, :3], (rates[:, None, 3:] @ poses[:, :3, :3])[:, 0]], axis=1)
+        linked = np.zeros(len(poses), dtype=bool)
+        linked[self.one] = linked[self.one + 1] = True
+        result[~linked] = np.nan
+        return result
+
+    def squares(self, error: FloatArray) -> FloatArray:
+        """chi^2 of each link, `(M,)`."""
+        return np.asarray(np.einsum("mi,mij,mj->m", error, self.information, error))
+
+    def cost(self, squares: FloatArray) -> float:
+        """The part of the links in the sum that is minimised; wheels may slip, so large errors of odometry count less."""
+        if self.steps is None:
+            return 0.5 * float(squares.sum())
+        least = np.minimum(squares, MOST_SQUARE)
+        return 0.5 * float((least + MOST_SQUARE * np.log(np.maximum(squares, MOST_SQUARE) / MOST_SQUARE)).sum())
+
+    def weights(self, squares: FloatArray) -> FloatArray:
+        """Weights of the links, `(M,)`."""
+        return np.ones(len(squares)) if self.steps is None else MOST_SQUARE / np.maximum(squares, MOST_SQUARE)
+
+    @property
+    def log_determinant(self) -> float:
+        """Of all covariances of the errors."""
+        return -float(np.linalg.slogdet(self.information)[1].sum())
+
+
+def _adjoints(pose: FloatArray) -> FloatArray:
+    """Ad_X of poses `(..., 4, 4)` as matrices, `(..., 6, 6)`."""
+    result = np.zeros((*pose.shape[:-2], 6, 6))
+    turn = pose[..., :3, :3]
+    result[..., :3, :3], result[..., 3:, 3:], result[..., 3:, :3] = turn, turn, skew(pose[..., :3, 3]) @ turn
+    return result
+
+
+def _by_twist(twist: FloatArray) -> FloatArray:
+    """How log(E exp(d)) changes with d at log(E) = twist, small, `(..., 6, 6)`."""
+    matrix = np.zeros((*twist.shape[:-1], 6, 6))
+    matrix[..., :3, :3] = matrix[..., 3:, 3:] = skew(twist[..., :3])
+    matrix[..., 3:, :3] = skew(twist[..., 3:])
+    square = matrix @ matrix
+    return np.asarray(np.eye(6) + matrix / 2.0 + square / 12.0 - square @ square / 720.0)
+
+
+def _by_turn(turn: FloatArray) -> FloatArray:
+    """The same for turns alone, `(..., 3, 3)`."""
+    return _by_twist(np.concatenate([turn, 0.0 * turn], axis=-1))[..., :3, :3]
+
+
+@dataclass(frozen=True)
+class Motion:
+    """What is known of the motion between the F frames of a drive.
+
+    Args:
+        times: seconds, ascending, `(F,)`; NaN for frames without a time.
+        spread: standard deviations of turn and place, `(2,)`, see `STEADY` and `DRIFT`.
+        path: poses of the body by odometry, `(F, 4, 4)`, NaN where it says nothing; None for a constant velocity.
+        drift: sums C of the covariances for turn and for place, each for a spread of one, `(F, 2, 6, 6)`.
+        piece: of odometry that each frame is in, `(F,)`; it says nothing from one to another.
+        told: whether `spread` is what the drive tells.
+    """
+
+    times: FloatArray
+    spread: tuple[float, float]
+    path: FloatArray | None = None
+    drift: FloatArray | None = None
+    piece: IntArray | None = None
+    told: bool = False
+
+    @classmethod
+    def steady(cls, times: FloatArray) -> "Motion":
+        """A velocity that changes little from one frame to the next."""
+        return cls(times, STEADY)
+
+    @classmethod
+    def by_odometry(cls, times: FloatArray, odometry: Trajectory) -> "Motion":
+        """What an odometer says.
+
+        Raises:
+            InputError: it has poses for less than half of the frames.
+        """
+        from scipy.spatial.transform import Rotation, Slerp
+
+        own, poses = odometry.time, inverse(odometry.poses[0]) @ odometry.poses
+        covered = (times >= own[0]) & (times <= own[-1])
+        if 2 * covered.sum() < len(times):
+            there = f"{np.nanmin(times):.10g} to {np.nanmax(times):.10g} s" if np.isfinite(times).any() else "no time"
+            raise InputError(
+                f"odometry has poses from {own[0]:.10g} to {own[-1]:.10g} s, but the frames have {there}: it must be "
+                "of the same drive and clock.",
+                "odometry",
+            )
+        steps = log(inverse(poses[:-1]) @ poses[1:])
+        far = np.linalg.norm(steps[:, 3:], axis=1) + METRES_PER_RAD * np.linalg.norm(steps[:, :3], axis=1)
+        far += METRES_PER_SECOND * np.diff(own)
+        # The error of a step is taken to arise at its end; steps are short.
+        ahead = _adjoints(poses[1:])
+        added = np.stack([far[:, None, None] * ahead[..., part] @ np.swapaxes(ahead[..., part], 1, 2)
+                          for part in (slice(0, 3), slice(3, 6))], axis=1)  # fmt: skip
+        sums = np.concatenate([np.zeros((1, 2, 6, 6)), np.cumsum(added, axis=0)])
+        at = np.where(covered, times, own[0])
+        place = np.clip(np.searchsorted(own, at, side="right") - 1, 0, len(own) - 2)
+        share = ((at - own[place]) / (own[place + 1] - own[place]))[:, None]
+        path = np.tile(np.eye(4), (len(times), 1, 1))
+        path[:, :3, :3] = Slerp(own, Rotation.from_matrix(poses[:, :3, :3]))(at).as_matrix()
+        path[:, :3, 3] = (1.0 - share) * poses[place, :3, 3] + share * poses[place + 1, :3, 3]
+        drift = sums[place] + share[..., None, None] * added[place]
+        gaps = np.diff(own) > LONGEST_STEP
+        covered &= ~gaps[place] | (share[:, 0] == 0.0)
+        path[~covered] = np.nan
+        return cls(times, DRIFT, path, drift, np.concatenate([[0], np.cumsum(gaps)])[place])
+
+    def of(self, frames: IntArray, apart: IntArray) -> "Motion":
+        """The motion between some of the frames, `(n,)`, that says nothing from one part, `(n,)`, to another."""
+        piece = apart if self.piece is None else apart * (self.piece.max() + 1) + self.piece[frames]
+        chosen = (None if each is None else each[frames] for each in (self.path, self.drift))
+        return Motion(self.times[frames], self.spread, *chosen, piece, self.told)
+
+    @property
+    def assumed(self) -> tuple[float, float]:
+        """The spread before the drive tells its own."""
+        return STEADY if self.path is None else DRIFT
+
+    @property
+    def _longest(self) -> float:
+        """Seconds over which a constant velocity says enough."""
+        turn, place = self.spread
+        return float(min((12.0 * MOST_TURN**2 / turn**2) ** (1 / 3), (12.0 * MOST_PLACE**2 / place**2) ** (1 / 3)))
+
+    def tells(self, i: IntArray, j: IntArray) -> BoolArray:
+        """Whether the motion says how frames j are to frames i, `(M,)`."""
+        between = np.abs(self.times[j] - self.times[i])
+        if self.path is None:
+            there = between <= self._longest
+        else:
+            there = np.isfinite(self.path[i, 0, 0]) & np.isfinite(self.path[j, 0, 0]) & np.isfinite(between)
+        return np.asarray(there if self.piece is None else there & (self.piece[i] == self.piece[j]))
+
+    def follows(self, frames: IntArray) -> BoolArray:
+        """Which of the frames, ascending, is linked to the one before; `(F - 1,)`."""
+        i, j = frames[:-1], frames[1:]
+        return np.asarray(self.tells(i, j) & (self.times[j] > self.times[i]))
+
+    def linked(self, frames: IntArray) -> BoolArray:
+        """Which of the frames, ascending, are linked to one of the others, `(F,)`."""
+        follows = self.follows(frames)
+        result = np.zeros(len(frames), dtype=bool)
+        result[1:] |= follows
+        result[:-1] |= follows
+        return result
+
+    def links(self, frames: IntArray) -> Links:
+        """The links between frames, ascending."""
+        one = np.flatnonzero(self.follows(frames))
+        i, j = frames[one], frames[one + 1]
+        steps = None if self.path is None else inverse(self.path[i]) @ self.path[j]
+        return Links(12 if steps is None else 6, one, self.times[j] - self.times[i], self.information(i, j), steps)
+
+    def information(self, i: IntArray, j: IntArray) -> FloatArray:
+        """Inverse of the covariance of what frames j, `(M,)`, are off beside frames i, see `Links`."""
+        turn, place = self.spread
+        if self.path is None or self.drift is None:
+            h = (self.times[j] - self.times[i])[:, None, None]
+            spline = np.block([[12.0 / h**3, -6.0 / h**2], [-6.0 / h**2, 4.0 / h]])
+            axes = np.diag(np.repeat([turn**-2.0, place**-2.0], 3))
+            return np.asarray(np.einsum("mij,kl->mikjl", spline, axes).reshape(-1, 12, 12))
+        back = _adjoints(inverse(self.path[j]))
+        grown = self.drift[j] - self.drift[i]
+        covariance = back @ (turn**2 * grown[:, 0] + place**2 * grown[:, 1]) @ np.swapaxes(back, 1, 2)
+        return np.asarray(np.linalg.inv((covariance + np.swapaxes(covariance, 1, 2)) / 2.0))
+
+    def steps(self, i: IntArray, j: IntArray, velocities: FloatArray | None = None) -> FloatArray:
+        """The poses of frames j beside frames i, `(M, 4, 4)`; NaN where they are not known.
+
+        Args:
+            velocities: of all frames, each in its body's frame, turn first, `(F, 6)`; NaN where they are not known. The
+                body of a steady motion stands still without.
+        """
+        if self.path is not None:
+            return np.asarray(inverse(self.path[i]) @ self.path[j])
+        seconds = self.times[j] - self.times[i]
+        if velocities is None:
+            return np.tile(np.eye(4), (len(i), 1, 1))
+        pair = np.stack([velocities[i], velocities[j]])
+        known = np.isfinite(pair)
+        mean = np.where(known, pair, 0.0).sum(axis=0) / np.maximum(known.sum(axis=0), 1)
+        lost = ~known.any(axis=0) & (seconds != 0.0)[:, None]
+        result = exp(seconds[:, None] * mean)
+        result[lost.any(axis=1)] = np.nan
+        return np.asarray(result)
+
+
+def seconds_of(times: Sequence[str]) -> FloatArray:
+    """Times of frames as they are written, in seconds, `(F,)`; NaN for names of images.
+
+    Nanoseconds since 1970 have more digits than a float, but a tenth of a microsecond is enough.
+    """
+    result = np.full(len(times), np.nan)
+    for index, text in enumerate(times):
+        try:
+            result[index] = float(text)
+        except ValueError:
+            continue
+    largest = float(np.nanmax(np.abs(result), initial=0.0))
+    return result * next((unit for least, unit in UNITS if largest >= least), 1.0)
