@@ -62,6 +62,15 @@ class Estimate:
         """The frames that the map is made from."""
         return np.unique(self.sightings.frame[self.used])
 
+    @property
+    def sigmas(self) -> FloatArray:
+        """The standard deviation of the place of each tag beside the others, along the worst direction, metres."""
+        known = np.asarray(np.isfinite(self.precisions).all(axis=(1, 2)))
+        result = np.full(len(known), np.nan)
+        largest = np.linalg.eigvalsh(self.precisions[known][:, 3:, 3:])[:, -1]
+        result[known] = np.sqrt(np.maximum(largest, 0.0))
+        return result
+
     def in_world(self, covariances: FloatArray) -> FloatArray:
         """Covariances of the position and of the turn of each tag, world frame, m^2 and rad^2, `(K, 6, 6)`.
 
@@ -105,7 +114,7 @@ def started(sightings: Sightings, prior: Prior) -> Start:
     with threadpool_limits(limits=ONE_THREAD):
         known = np.asarray(prior.information[:, :3].any(axis=1))
         apart = sightings.apart()
-        rough, group = place(apart, np.where(known[:, None, None], prior.tags, np.nan))
+        rough, group = place(apart, np.where(known[:, None, None], prior.tags, np.nan), prior.motion is not None)
         if group.max(initial=-1) < 0 and prior.motion is None:
             raise InputError("detections never show two tags at once, of which one leaves no doubt.", "detections")
         return Start(as_seen(apart, rough), group)
@@ -168,7 +177,7 @@ def adjusted(sightings: Sightings, prior: Prior, poses: Poses, group: IntArray, 
         adjustment = adjustment_of(sightings.of(used), prior)
         found = adjustment.run(poses, floor, steps)
         poses, floor = found.poses, found.floor
-        if isinstance(adjustment, LinkedAdjustment):
+        if isinstance(adjustment, LinkedAdjustment) and steps == STEPS:
             prior = replace(prior, motion=adjustment.told(poses, floor))
         square = errors_at(sightings, poses) / (sightings.noise**2 + floor**2)
         misfits = of_map & (square > MISFIT_CHI_SQUARE)

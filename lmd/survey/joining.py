@@ -72,7 +72,9 @@ def joined_by_motion(
     nodes = Nodes.of(sightings, parts, prior.motion)
     tags = np.where((group < 0)[:, None, None], np.eye(4), poses.tags)
     there, motion = _adjusted(nodes, _smoothest(nodes, replace(poses, tags=tags)))
-    told = replace(prior.motion, spread=motion.spread, told=motion.told)
+    told = replace(
+        prior.motion, spread=motion.spread, told=motion.told, gaps=motion.gaps, bridged=motion.bridged
+    )
     worlds, joined = _worlds(replace(nodes, motion=motion), there.frames, told)
     tags = np.where((parts < 0)[:, None, None], np.nan, worlds[parts] @ there.tags)
     frames = np.full_like(poses.frames, np.nan)
@@ -166,7 +168,7 @@ def _adjusted(nodes: Nodes, poses: Poses) -> tuple[Poses, Motion]:
         adjustment = LinkedAdjustment(some, Prior(poses.tags, information, None, poses.mounts, motion))
         found = adjustment.run(poses, FLOOR_PIXELS, STEPS)
         poses, motion = found.poses, adjustment.told(found.poses, found.floor)
-    return poses, motion
+    return poses, motion if motion.path is not None else motion.tried(poses.frames)
 
 
 def _worlds(nodes: Nodes, poses: FloatArray, motion: Motion) -> tuple[FloatArray, IntArray]:

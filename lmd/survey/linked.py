@@ -27,7 +27,7 @@ from lmd.survey.student import RESIDUALS
 COLUMNS = 512  # of what is kept that are eliminated at once
 ASSUMED_LINKS = 3.0  # what is assumed of a spread counts like so many links
 CHANGE = 1e-3  # relative, for derivatives of determinants
-SPREAD_STEPS, MOST_CHANGE = 3, 10.0  # and of a spread's square in each of them
+SPREAD_STEPS, MOST_CHANGE, SETTLED = 3, 10.0, 0.03  # and of a spread's square in each of them, and in the last one
 WEAKEST = 1e-9  # information on a velocity that nothing speaks of
 
 
@@ -143,7 +143,7 @@ class LinkedAdjustment(Adjustment):
         assumed, found = self.motion.assumed, self
         error = self.links.at(poses.frames[self.seen]).error
         for _ in range(SPREAD_STEPS):
-            spread, own = [], found.motion.spread
+            grown_by, own = [], found.motion.spread
             here, size = found._figures(poses, floor, error), self.links.size
             for which in range(2):
                 grown = [s * (1.0 + CHANGE) ** (0.5 * (k == which)) for k, s in enumerate(own)]
@@ -152,8 +152,10 @@ class LinkedAdjustment(Adjustment):
                 count = ASSUMED_LINKS * size / 2.0
                 most = volume + fit + count  # degrees of freedom that are left to the errors
                 growth = (count * (assumed[which] / own[which]) ** 2 - square) / max(most, count)
-                spread.append(own[which] * float(np.sqrt(np.clip(growth, 1.0 / MOST_CHANGE, MOST_CHANGE))))
-            found = found.with_spread(spread[0], spread[1])
+                grown_by.append(float(np.clip(growth, 1.0 / MOST_CHANGE, MOST_CHANGE)))
+            found = found.with_spread(*(s * growth**0.5 for s, growth in zip(own, grown_by, strict=True)))
+            if max(abs(growth - 1.0) for growth in grown_by) < SETTLED:
+                break
         return found.motion
 
     def _figures(self, poses: Poses, floor: float, error: FloatArray) -> FloatArray:

@@ -30,6 +30,9 @@ DRIFT = (0.005, 0.01)  # of odometry after a metre, rad and m
 METRES_PER_RAD, METRES_PER_SECOND = 0.3, 0.01
 # Frames are not linked where a constant velocity says less of their relative pose, rad and metres.
 MOST_TURN, MOST_PLACE = 0.2, 0.5
+# How well a constant velocity bridges gaps is tried on so many lengths of gaps, seconds, of which so many at least fit
+# into stretches without; the velocity on each side is that over a pace, seconds. It bridges shorter gaps untried.
+SHORTEST_GAP, LONGEST_GAP, GAPS, FEWEST_GAPS, PACE = 0.3, 5.0, 13, 6, 0.2
 LONGEST_STEP = 1.0  # seconds, between poses of odometry; it says nothing across a longer one
 # chi^2 of a link of odometry up to which it counts in full; normal errors exceed it once in a thousand times.
 MOST_SQUARE = 22.5
@@ -147,9 +150,14 @@ def _by_twist(twist: FloatArray) -> FloatArray:
     return np.asarray(np.eye(6) + matrix / 2.0 + square / 12.0 - square @ square / 720.0)
 
 
+def _turning(turn: FloatArray) -> FloatArray:
+    """Twists of turns alone, `(..., 6)`."""
+    return np.concatenate([turn, 0.0 * turn], axis=-1)
+
+
 def _by_turn(turn: FloatArray) -> FloatArray:
     """The same for turns alone, `(..., 3, 3)`."""
-    return _by_twist(np.concatenate([turn, 0.0 * turn], axis=-1))[..., :3, :3]
+    return _by_twist(_turning(turn))[..., :3, :3]
 
 
 @dataclass(frozen=True)
@@ -163,6 +171,9 @@ class Motion:
         drift: sums C of the covariances for turn and for place, each for a spread of one, `(F, 2, 6, 6)`.
         piece: of odometry that each frame is in, `(F,)`; it says nothing from one to another.
         told: whether `spread` is what the drive tells.
+        gaps: seconds without images that a constant velocity has bridged elsewhere in the drive, ascending, `(n,)`.
+        bridged: the spreads that this was off by, `(n, 2)`; nothing is linked across longer gaps than these. None
+            where it was not tried.
     """
 
     times: FloatArray
@@ -171,6 +182,8 @@ class Motion:
     drift: FloatArray | None = None
     piece: IntArray | None = None
     told: bool = False
+    gaps: FloatArray | None = None
+    bridged: FloatArray | None = None
 
     @classmethod
     def steady(cls, times: FloatArray) -> "Motion":
@@ -219,7 +232,7 @@ class Motion:
         """The motion between some of the frames, `(n,)`, that says nothing from one part, `(n,)`, to another."""
         piece = apart if self.piece is None else apart * (self.piece.max() + 1) + self.piece[frames]
         chosen = (None if each is None else each[frames] for each in (self.path, self.drift))
-        return Motion(self.times[frames], self.spread, *chosen, piece, self.told)
+        return Motion(self.times[frames], self.spread, *chosen, piece, self.told, self.gaps, self.bridged)
 
     @property
     def assumed(self) -> tuple[float, float]:
@@ -227,16 +240,68 @@ class Motion:
         return STEADY if self.path is None else DRIFT
 
     @property
-    def _longest(self) -> float:
+    def longest(self) -> float:
         """Seconds over which a constant velocity says enough."""
         turn, place = self.spread
-        return float(min((12.0 * MOST_TURN**2 / turn**2) ** (1 / 3), (12.0 * MOST_PLACE**2 / place**2) ** (1 / 3)))
+        if self.gaps is None or self.bridged is None:
+            return float(min((12.0 * MOST_TURN**2 / turn**2) ** (1 / 3), (12.0 * MOST_PLACE**2 / place**2) ** (1 / 3)))
+        off = self.bridged * np.sqrt(self.gaps[:, None] ** 3 / 12.0)
+        good = np.logical_and.accumulate((off <= (MOST_TURN, MOST_PLACE)).all(axis=1))
+        return float(max(self.gaps[good], default=SHORTEST_GAP))
+
+    def _spreads(self, seconds: FloatArray) -> FloatArray:
+        """The spreads of a constant velocity between frames so far apart, `(M, 2)`."""
+        spreads = np.broadcast_to(self.spread, (len(seconds), 2))
+        if self.gaps is None or self.bridged is None or not len(self.gaps):
+            return spreads
+        told = np.stack([np.interp(seconds, self.gaps, each) for each in self.bridged.T], axis=1)
+        return np.where((seconds > SHORTEST_GAP)[:, None], np.maximum(spreads, told), spreads)
+
+    def tried(self, poses: FloatArray) -> "Motion":
+        """The motion with how well a constant velocity bridges gaps, as stretches without gaps tell.
+
+        A stretch is cut at frames a gap apart. The velocities on both sides, from without, say how the two frames are
+        to each other, which the stretch knows. White noise is not what drives a body, so short links do not say that.
+
+        Args:
+            poses: of the frames; those of one piece are in one world, and stand together.
+        """
+        assert self.piece is not None
+        gaps, bridged, clock = [], [], self.times - np.nanmin(self.times)
+        clock = clock + self.piece * (np.nanmax(clock) + 10.0 * LONGEST_GAP)
+
+        def near(seconds: FloatArray) -> IntArray:
+            """The frame nearest to each time of `clock`."""
+            after = np.clip(np.searchsorted(clock, seconds), 1, len(clock) - 1)
+            return np.asarray(after - (seconds - clock[after - 1] < clock[after] - seconds))
+
+        for gap in np.geomspace(SHORTEST_GAP, LONGEST_GAP, GAPS):
+            ends = np.stack([near(clock + by) for by in (-PACE, 0.0, gap, gap + PACE)])
+            before, lasts, after = np.diff(clock[ends], axis=0)
+            fits = (np.abs(lasts - gap) < 0.1 * gap) & (np.abs(before - PACE) < 0.5 * PACE)
+            fits &= np.abs(after - PACE) < 0.5 * PACE
+            whole = np.unique((clock[ends[1][fits]] / gap).astype(np.int64))
+            if len(whole) < FEWEST_GAPS:
+                break
+            first, i, j, last = poses[ends[:, fits]]
+            into, out = (
+                log(inverse(one) @ other)[:, :3] / h[fits, None] for one, other, h in ((first, i, before), (j, last, after))
+            )
+            moving = (i - first)[:, :3, 3] / before[fits, None], (last - j)[:, :3, 3] / after[fits, None]
+            half = lasts[fits, None] / 2.0
+            turn = log(exp(-_turning(half * (into + out))) @ inverse(i) @ j)[:, :3]
+            # The world beyond a gap is not known to be turned as the one before it, so velocities are those of bodies.
+            place = (j - i)[:, :3, 3] - half * (moving[0] + moving[1])
+            squares = np.array([(turn**2).sum(axis=1).mean(), (place**2).sum(axis=1).mean()])
+            gaps.append(gap)
+            bridged.append(np.sqrt(12.0 * squares / gap**3))
+        return replace(self, gaps=np.array(gaps), bridged=np.array(bridged).reshape(-1, 2))
 
     def tells(self, i: IntArray, j: IntArray) -> BoolArray:
         """Whether the motion says how frames j are to frames i, `(M,)`."""
         between = np.abs(self.times[j] - self.times[i])
         if self.path is None:
-            there = between <= self._longest
+            there = between <= self.longest
         else:
             there = np.isfinite(self.path[i, 0, 0]) & np.isfinite(self.path[j, 0, 0]) & np.isfinite(between)
         return np.asarray(there if self.piece is None else there & (self.piece[i] == self.piece[j]))
@@ -265,10 +330,11 @@ class Motion:
         """Inverse of the covariance of what frames j, `(M,)`, are off beside frames i, see `Links`."""
         turn, place = self.spread
         if self.path is None or self.drift is None:
-            h = (self.times[j] - self.times[i])[:, None, None]
+            seconds = self.times[j] - self.times[i]
+            h = seconds[:, None, None]
             spline = np.block([[12.0 / h**3, -6.0 / h**2], [-6.0 / h**2, 4.0 / h]])
-            axes = np.diag(np.repeat([turn**-2.0, place**-2.0], 3))
-            return np.asarray(np.einsum("mij,kl->mikjl", spline, axes).reshape(-1, 12, 12))
+            axes = np.repeat(self._spreads(seconds) ** -2.0, 3, axis=1)[:, None] * np.eye(6)
+            return np.asarray(np.einsum("mij,mkl->mikjl", spline, axes).reshape(-1, 12, 12))
         back = _adjoints(inverse(self.path[j]))
         grown = self.drift[j] - self.drift[i]
         covariance = back @ (turn**2 * grown[:, 0] + place**2 * grown[:, 1]) @ np.swapaxes(back, 1, 2)
@@ -297,6 +363,8 @@ class Motion:
 
 def seconds_of(times: Sequence[str]) -> FloatArray:
     """Times of frames as they are written, in seconds, `(F,)`; NaN for names of images.
+
+    Numbers are seconds, or ms, us or ns since 1970.
 
     Nanoseconds since 1970 have more digits than a float, but a tenth of a microsecond is enough.
     """

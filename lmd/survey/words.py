@@ -27,6 +27,7 @@ def to_text(survey: Survey) -> str:
         "frames": f"{len(found.frames)} of {len(survey.detected.times)}, with {found.used.sum()} sightings",
         "known to": f"{both('sigma')} mm beside each other, one standard deviation",
     }
+    lines |= _motion(survey)
     if "moved/50" in figures:
         lines["they hang"] = f"{both('moved', digits='.3g')} mm off their plan"
     lines["corners"] = f"{both('error', 1.0)} pixels off"
@@ -52,6 +53,28 @@ def to_text(survey: Survey) -> str:
         lines[f"next {number}"] = f"from ({at}) towards ({towards}): {shown}"
     width = max(map(len, lines))
     return "\n".join(f"{label:<{width}} {text}" for label, text in lines.items())
+
+
+def _motion(survey: Survey) -> dict[str, str]:
+    """Lines on the motion between frames, and on what it has joined."""
+    motion, joined = survey.found.prior.motion, survey.joined
+    if motion is None:
+        return {}
+    turn, place = (1e3 * spread for spread in motion.spread)
+    if motion.path is not None:
+        lines = {"odometry": f"drifts {place:.2g} mm and {turn:.2g} mrad within a metre, as the drive tells"}
+    else:
+        lines = {
+            "motion": f"a velocity that changes by {place:.2g} mm/s and {turn:.2g} mrad/s within a second, as the drive "
+            f"tells, and links frames up to {motion.longest:.2g} s apart"
+        }
+    if joined is not None and len(joined.sigma) > 1:
+        low, high = (1e3 * np.quantile(joined.sigma, share) for share in (0.5, 0.9))
+        lines["joined"] = (
+            f"{len(joined.sigma)} groups of tags that no image connects, by {'motion' if motion.path is None else 'it'} "
+            f"alone: known to {low:.2g} (90 %: {high:.2g}) mm beside the nearest of another"
+        )
+    return lines
 
 
 def _troubles(survey: Survey) -> dict[str, str]:
