@@ -115,8 +115,8 @@ def started(sightings: Sightings, prior: Prior) -> Start:
         known = np.asarray(prior.information[:, :3].any(axis=1))
         apart = sightings.apart()
         rough, group = place(apart, np.where(known[:, None, None], prior.tags, np.nan), prior.motion is not None)
-        if group.max(initial=-1) < 0 and prior.motion is None:
-            raise InputError("detections never show two tags at once, of which one leaves no doubt.", "detections")
+        if prior.motion is None:
+            _check_groups(group)
         return Start(as_seen(apart, rough), group)
 
 
@@ -149,7 +149,15 @@ def begun(sightings: Sightings, start: Start, prior: Prior) -> tuple[Poses, IntA
     rough = joined(sightings, start.poses, prior.mounts)
     if prior.motion is None:
         return rough, start.group, prior
-    return joined_by_motion(sightings, rough, start.group, prior)
+    poses, group, prior = joined_by_motion(sightings, rough, start.group, prior)
+    _check_groups(group)
+    return poses, group, prior
+
+
+def _check_groups(group: IntArray) -> None:
+    """Raise `InputError` if nothing connects two tags."""
+    if group.max(initial=-1) < 0:
+        raise InputError("detections never show two tags at once, of which one leaves no doubt.", "detections")
 
 
 def adjusted(sightings: Sightings, prior: Prior, poses: Poses, group: IntArray, floor: float) -> Estimate:

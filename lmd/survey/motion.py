@@ -32,7 +32,7 @@ METRES_PER_RAD, METRES_PER_SECOND = 0.3, 0.01
 MOST_TURN, MOST_PLACE = 0.2, 0.5
 # How well a constant velocity bridges gaps is tried on so many lengths of gaps, seconds, of which so many at least fit
 # into stretches without; the velocity on each side is that over a pace, seconds. It bridges shorter gaps untried.
-SHORTEST_GAP, LONGEST_GAP, GAPS, FEWEST_GAPS, PACE = 0.3, 5.0, 13, 6, 0.2
+SHORTEST_GAP, LONGEST_GAP, GAPS, FEWEST_GAPS, LEAST_PACE = 0.3, 5.0, 13, 6, 0.2
 LONGEST_STEP = 1.0  # seconds, between poses of odometry; it says nothing across a longer one
 # chi^2 of a link of odometry up to which it counts in full; normal errors exceed it once in a thousand times.
 MOST_SQUARE = 22.5
@@ -275,14 +275,15 @@ class Motion:
             after = np.clip(np.searchsorted(clock, seconds), 1, len(clock) - 1)
             return np.asarray(after - (seconds - clock[after - 1] < clock[after] - seconds))
 
+        pace = max(LEAST_PACE, float(np.median(np.diff(clock))))
         for gap in np.geomspace(SHORTEST_GAP, LONGEST_GAP, GAPS):
-            ends = np.stack([near(clock + by) for by in (-PACE, 0.0, gap, gap + PACE)])
+            ends = np.stack([near(clock + by) for by in (-pace, 0.0, gap, gap + pace)])
             before, lasts, after = np.diff(clock[ends], axis=0)
-            fits = (np.abs(lasts - gap) < 0.1 * gap) & (np.abs(before - PACE) < 0.5 * PACE)
-            fits &= np.abs(after - PACE) < 0.5 * PACE
+            fits = (np.abs(lasts - gap) < 0.13 * gap) & (np.abs(before - pace) < 0.5 * pace)
+            fits &= np.abs(after - pace) < 0.5 * pace
             whole = np.unique((clock[ends[1][fits]] / gap).astype(np.int64))
             if len(whole) < FEWEST_GAPS:
-                break
+                continue
             first, i, j, last = poses[ends[:, fits]]
             into, out = (
                 log(inverse(one) @ other)[:, :3] / h[fits, None] for one, other, h in ((first, i, before), (j, last, after))
