@@ -79,11 +79,19 @@ def drive(
     return Drive(tags, frames, times, detected)
 
 
-def odometry(driven: Drive, rng: np.random.Generator, drift: tuple[float, float] = DRIFT) -> Trajectory:
-    """What an odometer says of a drive, in a frame of its own."""
+def odometry(
+    driven: Drive, rng: np.random.Generator, drift: tuple[float, float] = DRIFT, lean: tuple[float, float] = (0.0, 0.0)
+) -> Trajectory:
+    """What an odometer says of a drive, in a frame of its own.
+
+    Args:
+        drift: see `DRIFT`.
+        lean: what every metre is off by, ahead and in yaw: metres and rad.
+    """
     step = inverse(driven.frames[:-1]) @ driven.frames[1:]
-    away = np.sqrt(np.linalg.norm(step[:, :3, 3], axis=1))[:, None]
-    off = rng.normal(size=(len(step), 6)) * away * np.repeat(drift[::-1], 3)
+    far = np.linalg.norm(step[:, :3, 3], axis=1)[:, None]
+    off = rng.normal(size=(len(step), 6)) * np.sqrt(far) * np.repeat(drift[::-1], 3)
+    off += far * [0.0, lean[1], 0.0, 0.0, 0.0, lean[0]]
     poses = [np.eye(4)]
     for motion in step @ exp(off):
         poses.append(poses[-1] @ motion)

@@ -14,6 +14,7 @@ counts like some links.
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -31,6 +32,48 @@ SPREAD_STEPS, MOST_CHANGE, SETTLED = 3, 10.0, 0.03  # and of a spread's square i
 WEAKEST = 1e-9  # information on a velocity that nothing speaks of
 
 
+class Chain(NamedTuple):
+    """The matrix of all frames and of what odometry is off by alike, [B c; c^T d], factored; B is a band."""
+
+    factor: FloatArray
+    """Of B."""
+    border: FloatArray
+    """`(n, e)` c, e being 0 or 6."""
+    reached: FloatArray
+    """`(n, e)` B^-1 c."""
+    left: FloatArray
+    """`(e, e)` d - c^T B^-1 c."""
+
+    @classmethod
+    def of(cls, band: FloatArray, border: FloatArray, corner: FloatArray) -> "Chain":
+        """Factor a matrix: the lower band of B, c and d."""
+        from scipy.linalg import cho_solve_banded, cholesky_banded
+
+        factor = cholesky_banded(band, lower=True, check_finite=False)
+        reached = cho_solve_banded((factor, True), border) if border.size else border
+        return cls(factor, border, reached, corner - border.T @ reached)
+
+    def solved(self, right: FloatArray, alike: FloatArray | None = None) -> FloatArray:
+        """The part of the frames in the solutions `(n, m)`.
+
+        Args:
+            right: of the frames, `(n, m)`.
+            alike: of what is off alike, for all m, `(e,)`; None for 0.
+        """
+        from scipy.linalg import cho_solve_banded
+
+        own = cho_solve_banded((self.factor, True), right, check_finite=False)
+        if not self.left.size:
+            return np.asarray(own)
+        rest = -self.border.T @ own + (0.0 if alike is None else alike[:, None])
+        return np.asarray(own - self.reached @ np.linalg.solve(self.left, rest))
+
+    @property
+    def log_determinant(self) -> float:
+        """Of the matrix."""
+        return 2.0 * float(np.log(self.factor[0]).sum()) + float(np.linalg.slogdet(self.left)[1])
+
+
 class LinkedAdjustment(Adjustment):
     """The system of equations of sightings in frames that are linked.
 
@@ -45,12 +88,13 @@ class LinkedAdjustment(Adjustment):
         self.seen = np.unique(sightings.frame)
         self.links = self.motion.links(self.seen)
         self._waiting: list[tuple[Eliminated, FloatArray, IntArray, IntArray]] = []
-        self._factor, self._pull = np.empty((0, 0)), np.empty((0, 0))
+        self._chain = Chain.of(np.ones((1, 1)), np.empty((1, 0)), np.empty((0, 0)))
+        self._pulls = np.empty((0, 0)), np.empty(0)
 
     def costs(self, poses: Poses) -> list[float]:
         """What the priors and the links add to what is minimised."""
-        error = self.links.at(poses.frames[self.seen]).error
-        return [*super().costs(poses), self.links.cost(self.links.squares(error))]
+        at = self.links.at(poses.frames[self.seen])
+        return [*super().costs(poses), self.links.cost(self.links.squares(at.error)), 0.5 * float(at.lean @ at.lean)]
 
     def run(self, poses: Poses, floor: float, steps: int) -> Adjusted:
         """The best poses near `poses`."""
@@ -72,7 +116,6 @@ class LinkedAdjustment(Adjustment):
 
     def eliminate_links(self, poses: Poses, is_robust: bool, matrix: FloatArray, right: FloatArray) -> None:
         """Take all frames out of the system of what is kept."""
-        from scipy.linalg import cho_solve_banded, cholesky_banded
         from scipy.sparse import coo_array
 
         size, count = self.links.size, len(self.seen)
@@ -87,32 +130,35 @@ class LinkedAdjustment(Adjustment):
         at, one, information = self.links.at(poses.frames[self.seen]), self.links.one, self.links.information
         if is_robust:
             information = information * self.links.weights(self.links.squares(at.error))[:, None, None]
-        from_one, from_other = (np.swapaxes(slope, 1, 2) @ information for slope in (at.by_one, at.by_other))
+        from_one, from_other, from_lean = (
+            np.swapaxes(slope, 1, 2) @ information for slope in (at.by_one, at.by_other, at.by_lean)
+        )
         diagonal[one] += from_one @ at.by_one
         diagonal[one + 1] += from_other @ at.by_other
         below[one] = from_other @ at.by_one
         pull[one] -= (from_one @ at.error[..., None])[..., 0]
         pull[one + 1] -= (from_other @ at.error[..., None])[..., 0]
+        border = np.zeros((count, size, len(at.lean)))
+        border[one] += from_one @ at.by_lean
+        border[one + 1] += from_other @ at.by_lean
+        corner = np.eye(len(at.lean)) + (from_lean @ at.by_lean).sum(axis=0)
+        self._pulls = pull, -at.lean - (from_lean @ at.error[..., None]).sum(axis=0)[:, 0]
+        self._chain = Chain.of(_banded(diagonal, below), border.reshape(size * count, -1), corner)
         values, across, along = (np.concatenate(each) for each in entries)
         coupling = coo_array((values, (across, along)), shape=(size * count, len(matrix))).tocsc()
-        self._factor = cholesky_banded(_banded(diagonal, below), lower=True, check_finite=False)
-        self._pull = pull
-        right -= (coupling.T @ cho_solve_banded((self._factor, True), pull.ravel())).reshape(-1, 6)
+        right -= (coupling.T @ self._chain.solved(pull.reshape(-1, 1), self._pulls[1])).reshape(-1, 6)
         for first in range(0, len(matrix), COLUMNS):
             some = slice(first, first + COLUMNS)
-            inner = cho_solve_banded((self._factor, True), coupling[:, some].toarray(), check_finite=False)
-            matrix[:, some] -= coupling.T @ inner
+            matrix[:, some] -= coupling.T @ self._chain.solved(coupling[:, some].toarray())
 
     def frame_steps(self, parts: Sequence[tuple[Eliminated, FloatArray]]) -> list[FloatArray]:
         """The twists of the frames of each chunk, by their right sides without what is kept."""
-        from scipy.linalg import cho_solve_banded
-
-        pull, places = self._pull.copy(), []
+        pull, places = self._pulls[0].copy(), []
         for part, rest in parts:
             own = np.searchsorted(self.seen, part.chunk.seen)
             pull[own, :6] += rest - part.gradient
             places.append(own)
-        twists = cho_solve_banded((self._factor, True), pull.ravel()).reshape(pull.shape)[:, :6]
+        twists = self._chain.solved(pull.reshape(-1, 1), self._pulls[1]).reshape(pull.shape)[:, :6]
         return [twists[own] for own in places]
 
     def log_determinant(self, poses: Poses, floor: float, weight: float = 1.0) -> float:
@@ -120,7 +166,7 @@ class LinkedAdjustment(Adjustment):
         matrix, *_ = self.reduced(poses, floor, 0.0, weight)
         spoken = np.flatnonzero(np.diag(matrix) > 0.0)
         kept = float(np.linalg.slogdet(matrix[np.ix_(spoken, spoken)])[1])
-        return kept + 2.0 * float(np.log(self._factor[0]).sum())
+        return kept + self._chain.log_determinant
 
     def judge(self, poses: Poses, floor: float) -> None:
         """Find the share of squares that a fit leaves: links take part in the fit."""

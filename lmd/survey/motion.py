@@ -6,7 +6,9 @@ tag then says where that tag is beside the tags of the frames before and after.
 - *Odometry* O is a path in a frame of its own, whose relative poses drift. The error of frame j beside frame i is
   r = log((O_i^-1 O_j)^-1 T_i^-1 T_j). Each short step adds independent errors of turn and place with variances in
   proportion to its length, and what a step adds is carried on to frame j: with the sum C of Ad_O Q Ad_O^T over all
-  steps, the covariance of r is Ad_O_j^-1 (C_j - C_i) Ad_O_j^-T.
+  steps, the covariance of r is Ad_O_j^-1 (C_j - C_i) Ad_O_j^-T. What every metre is off by, a twist b for the scale and
+  the heading, is an unknown of the drive: with the sum B of Ad_O times the length of each step, it is in r as
+  Ad_O_j^-1 (B_j - B_i) b.
 - *Constant velocity*: velocity u, in the world, and turn rate w, in the body, change by white noise (Barfoot, "State
   Estimation for Robotics"). They are unknowns of each frame. A link over dt has the errors phi - dt w_i, p_j - p_i -
   dt u_i, w_j - w_i, u_j - u_i with phi = log(R_i^T R_j), and the covariance s^2 [dt^3 / 3, dt^2 / 2; dt^2 / 2, dt].
@@ -26,6 +28,7 @@ from lmd.geometry.trajectory import Trajectory
 # Standard deviations that a drive is assumed to have until it tells its own: of turn and place.
 STEADY = (1.0, 1.0)  # change of the turn rate, rad/s, and of the velocity, m/s, within a second
 DRIFT = (0.005, 0.01)  # of odometry after a metre, rad and m
+LEAN = (0.005, 0.02)  # what every metre of odometry is off by alike, rad and m
 # A turn of one rad makes an odometer drift like so many metres, and a second, in which it may stand, like so many.
 METRES_PER_RAD, METRES_PER_SECOND = 0.3, 0.01
 # Frames are not linked where a constant velocity says less of their relative pose, rad and metres.
@@ -49,6 +52,10 @@ class Joints(NamedTuple):
     """`(M, r, b)` how the error changes with the unknowns of the first frame: a right-hand twist, and velocities."""
     by_other: FloatArray
     """`(M, r, b)` with those of the second."""
+    by_lean: FloatArray
+    """`(M, r, 6)` with what every metre is off by, in units of `LEAN`; `(M, r, 0)` where there is no such."""
+    lean: FloatArray
+    """`(6,)` what that is; `(0,)` likewise."""
 
 
 @dataclass(frozen=True)
@@ -61,6 +68,7 @@ class Links:
         seconds: between them, `(M,)`.
         information: inverse of the covariance of the error, `(M, r, r)`.
         steps: relative poses by odometry, `(M, 4, 4)`; None for a constant velocity.
+        leans: how their errors change with what every metre is off by, in units of `LEAN`, `(M, 6, 6)`; likewise.
     """
 
     size: int
@@ -68,15 +76,19 @@ class Links:
     seconds: FloatArray
     information: FloatArray
     steps: FloatArray | None
+    leans: FloatArray | None
 
     def at(self, poses: FloatArray) -> Joints:
         """The links at poses of the frames, `(F, 4, 4)`."""
         before, after = poses[self.one], poses[self.one + 1]
         between = inverse(before) @ after
-        if self.steps is not None:
+        if self.steps is not None and self.leans is not None:
             error = log(inverse(self.steps) @ between)
-            slope = _by_twist(error)
-            return Joints(error, -slope @ _adjoints(inverse(between)), slope)
+            slope, turned = _by_twist(error), np.swapaxes(self.leans, 1, 2) @ self.information
+            matrix = np.eye(6) + (turned @ self.leans).sum(axis=0)
+            lean = np.linalg.solve(matrix, (turned @ error[..., None]).sum(axis=0)[:, 0])
+            by_one = -slope @ _adjoints(inverse(between))
+            return Joints(error - self.leans @ lean, by_one, slope, -self.leans, lean)
         rates = self._rates(poses)
         phi, way = log(between)[:, :3], after[:, :3, 3] - before[:, :3, 3]
         change = rates[self.one + 1] - rates[self.one]
@@ -86,7 +98,8 @@ class Links:
         by_other[:, 3:6, 3:6], by_one[:, 3:6, 3:6] = after[:, :3, :3], -before[:, :3, :3]
         by_other[:, 6:, 6:], by_one[:, 6:, 6:] = np.eye(6), -np.eye(6)
         by_one[:, :6, 6:] = -self.seconds[:, None, None] * np.eye(6)
-        return Joints(np.concatenate([off, change], axis=1), by_one, by_other)
+        nothing = np.zeros((len(self.one), 12, 0))
+        return Joints(np.concatenate([off, change], axis=1), by_one, by_other, nothing, np.zeros(0))
 
     def _rates(self, poses: FloatArray) -> FloatArray:
         """Turn rates and velocities that fit poses best, `(F, 6)`: those of natural cubic splines."""
@@ -169,6 +182,7 @@ class Motion:
         spread: standard deviations of turn and place, `(2,)`, see `STEADY` and `DRIFT`.
         path: poses of the body by odometry, `(F, 4, 4)`, NaN where it says nothing; None for a constant velocity.
         drift: sums C of the covariances for turn and for place, each for a spread of one, `(F, 2, 6, 6)`.
+        leans: sums B, `(F, 6, 6)`.
         piece: of odometry that each frame is in, `(F,)`; it says nothing from one to another.
         told: whether `spread` is what the drive tells.
         gaps: seconds without images that a constant velocity has bridged elsewhere in the drive, ascending, `(n,)`.
@@ -180,6 +194,7 @@ class Motion:
     spread: tuple[float, float]
     path: FloatArray | None = None
     drift: FloatArray | None = None
+    leans: FloatArray | None = None
     piece: IntArray | None = None
     told: bool = False
     gaps: FloatArray | None = None
@@ -215,7 +230,8 @@ class Motion:
         ahead = _adjoints(poses[1:])
         added = np.stack([far[:, None, None] * ahead[..., part] @ np.swapaxes(ahead[..., part], 1, 2)
                           for part in (slice(0, 3), slice(3, 6))], axis=1)  # fmt: skip
-        sums = np.concatenate([np.zeros((1, 2, 6, 6)), np.cumsum(added, axis=0)])
+        leant = far[:, None, None] * ahead
+        sums, lean_sums = (np.concatenate([0.0 * each[:1], np.cumsum(each, axis=0)]) for each in (added, leant))
         at = np.where(covered, times, own[0])
         place = np.clip(np.searchsorted(own, at, side="right") - 1, 0, len(own) - 2)
         share = ((at - own[place]) / (own[place + 1] - own[place]))[:, None]
@@ -223,15 +239,16 @@ class Motion:
         path[:, :3, :3] = Slerp(own, Rotation.from_matrix(poses[:, :3, :3]))(at).as_matrix()
         path[:, :3, 3] = (1.0 - share) * poses[place, :3, 3] + share * poses[place + 1, :3, 3]
         drift = sums[place] + share[..., None, None] * added[place]
+        leans = lean_sums[place] + share[..., None] * leant[place]
         gaps = np.diff(own) > LONGEST_STEP
         covered &= ~gaps[place] | (share[:, 0] == 0.0)
         path[~covered] = np.nan
-        return cls(times, DRIFT, path, drift, np.concatenate([[0], np.cumsum(gaps)])[place])
+        return cls(times, DRIFT, path, drift, leans, np.concatenate([[0], np.cumsum(gaps)])[place])
 
     def of(self, frames: IntArray, apart: IntArray) -> "Motion":
         """The motion between some of the frames, `(n,)`, that says nothing from one part, `(n,)`, to another."""
         piece = apart if self.piece is None else apart * (self.piece.max() + 1) + self.piece[frames]
-        chosen = (None if each is None else each[frames] for each in (self.path, self.drift))
+        chosen = (None if each is None else each[frames] for each in (self.path, self.drift, self.leans))
         return Motion(self.times[frames], self.spread, *chosen, piece, self.told, self.gaps, self.bridged)
 
     @property
@@ -324,8 +341,11 @@ class Motion:
         """The links between frames, ascending."""
         one = np.flatnonzero(self.follows(frames))
         i, j = frames[one], frames[one + 1]
-        steps = None if self.path is None else inverse(self.path[i]) @ self.path[j]
-        return Links(12 if steps is None else 6, one, self.times[j] - self.times[i], self.information(i, j), steps)
+        seconds, information = self.times[j] - self.times[i], self.information(i, j)
+        if self.path is None or self.leans is None:
+            return Links(12, one, seconds, information, None, None)
+        leans = _adjoints(inverse(self.path[j])) @ (self.leans[j] - self.leans[i]) * np.repeat(LEAN, 3)
+        return Links(6, one, seconds, information, inverse(self.path[i]) @ self.path[j], leans)
 
     def information(self, i: IntArray, j: IntArray) -> FloatArray:
         """Inverse of the covariance of what frames j, `(M,)`, are off beside frames i, see `Links`."""
