@@ -1,10 +1,11 @@
 """Groups of tags that no image connects, joined by the motion of the body between their frames.
 
 Tags that several images show together stay together, and all others begin alone: an id that was misread in one image
-would connect tags that hang far from each other. A frame that shows one tag of a group has two poses beside it that look
-alike (IPPE); of each group, the frames follow each other as smoothly as they can (Viterbi). Then each group is adjusted
-by itself, with links between its own frames, which also tells the spread of the motion. At last frames of two groups
-that are near in time, or one, say how these are to each other: pairs of groups of which most frames agree go first.
+would connect tags that hang far from each other. A frame that shows one tag of a group has two poses beside it that
+look alike (IPPE); of each group, the frames follow each other as smoothly as they can (Viterbi). Then each group is
+adjusted by itself, with links between its own frames, which also tells the spread of the motion. At last frames of two
+groups that are near in time, or one, say how these are to each other: pairs of groups of which most frames agree go
+first.
 """
 
 from dataclasses import dataclass, replace
@@ -13,6 +14,7 @@ import numpy as np
 
 from lmd.core.checks import FloatArray, IntArray
 from lmd.geometry.se3 import angle_between, inverse, log, middle
+from lmd.survey.gaps import LONGEST_GAP, tried
 from lmd.survey.linked import LinkedAdjustment
 from lmd.survey.motion import Motion
 from lmd.survey.proposals import proposals
@@ -25,9 +27,12 @@ TOGETHER = 3
 # What the poses of two frames are off by before they are adjusted, rad and metres; and by moving, in a second.
 ROUGH_TURN, ROUGH_PLACE, MOVING = 0.1, 0.15, 1.0
 # How two groups are to each other is asked of frames among so many that follow, and of so many pairs of them.
-FOLLOWING, PAIRS = 12, 15
+FOLLOWING, PAIRS = 12, 40
 # Pairs of frames agree on how two groups are to each other up to this, rad and metres, by which groups are joined.
 AGREE_TURN, AGREE_PLACE = 0.2, 0.3
+# A body leaps that moves farther than so many metres, and so many times what it does at its fastest, m/s, from one
+# frame to one of the next.
+LEAP, LEAP_SPEEDS, FASTEST, LEAP_FOLLOWING = 1.0, 3.0, 2.0, 3
 STEPS = 12  # of the adjustment of groups by themselves
 
 
@@ -72,9 +77,7 @@ def joined_by_motion(
     nodes = Nodes.of(sightings, parts, prior.motion)
     tags = np.where((group < 0)[:, None, None], np.eye(4), poses.tags)
     there, motion = _adjusted(nodes, _smoothest(nodes, replace(poses, tags=tags)))
-    told = replace(
-        prior.motion, spread=motion.spread, told=motion.told, gaps=motion.gaps, bridged=motion.bridged
-    )
+    told = replace(prior.motion, spread=motion.spread, told=motion.told, gaps=motion.gaps, bridged=motion.bridged)
     worlds, joined = _worlds(replace(nodes, motion=motion), there.frames, told)
     tags = np.where((parts < 0)[:, None, None], np.nan, worlds[parts] @ there.tags)
     frames = np.full_like(poses.frames, np.nan)
@@ -134,7 +137,10 @@ def _smoothest(nodes: Nodes, poses: Poses) -> Poses:
     views[several] = placed[several, None]
     follows = np.flatnonzero(nodes.motion.follows(np.arange(count)))
     between = np.zeros((count, 2, 2))  # what it costs to come from one of the two before
-    steps, seconds = nodes.motion.steps(follows, follows + 1), nodes.motion.times[follows + 1] - nodes.motion.times[follows]
+    steps, seconds = (
+        nodes.motion.steps(follows, follows + 1),
+        nodes.motion.times[follows + 1] - nodes.motion.times[follows],
+    )
     for here in range(2):
         for there in range(2):
             off = inverse(views[follows, here] @ steps) @ views[follows + 1, there]
@@ -168,33 +174,60 @@ def _adjusted(nodes: Nodes, poses: Poses) -> tuple[Poses, Motion]:
         adjustment = LinkedAdjustment(some, Prior(poses.tags, information, None, poses.mounts, motion))
         found = adjustment.run(poses, FLOOR_PIXELS, STEPS)
         poses, motion = found.poses, adjustment.told(found.poses, found.floor)
-    return poses, motion if motion.path is not None else motion.tried(poses.frames)
+    return poses, motion if motion.path is not None else tried(motion, poses.frames)
 
 
 def _worlds(nodes: Nodes, poses: FloatArray, motion: Motion) -> tuple[FloatArray, IntArray]:
-    """Motions of the parts to worlds in common, `(P, 4, 4)`, and the number of the world of each, `(P,)`."""
+    """Motions of the parts to worlds in common, `(P, 4, 4)`, and the number of the world of each, `(P,)`.
+
+    Without odometry, parts stay apart if the body would have leapt from a frame of one to the next, of the other: an id
+    that was misread in some images connects what no motion does.
+    """
     count = int(nodes.group.max()) + 1
     worlds, joined = np.tile(np.eye(4), (count, 1, 1)), np.arange(count)
-    for one, other, way in _pairs(nodes, poses, motion):
+    velocities = nodes.motion.links(np.arange(len(nodes.frame))).velocities(poses)
+    before, after = _following(nodes, LEAP_FOLLOWING)
+    seconds = nodes.motion.times[after] - nodes.motion.times[before]
+    near = (seconds > 0.0) & (seconds < LONGEST_GAP)
+    before, after, seconds = before[near], after[near], seconds[near]
+    speeds = np.linalg.norm(velocities[:, 3:], axis=1)
+    fastest = np.nanquantile(speeds, 0.95) if np.isfinite(speeds).any() else FASTEST
+    most = LEAP + LEAP_SPEEDS * fastest * seconds
+    for one, other, way in _pairs(nodes, poses, motion, velocities):
         if joined[one] == joined[other]:
             continue
         moved = joined == joined[other]
-        worlds[moved] = worlds[one] @ way @ inverse(worlds[other]) @ worlds[moved]
+        there = worlds.copy()
+        there[moved] = worlds[one] @ way @ inverse(worlds[other]) @ worlds[moved]
+        both = (moved | (joined == joined[one]))[nodes.group]
+        across = both[before] & both[after] & (moved[nodes.group[before]] != moved[nodes.group[after]])
+        places = (there[nodes.group] @ poses)[:, :3, 3]
+        leaps = np.linalg.norm(places[after[across]] - places[before[across]], axis=1) > most[across]
+        if leaps.any() and motion.path is None:
+            continue
+        worlds = there
         joined[moved] = joined[one]
     return worlds, joined
 
 
-def _pairs(nodes: Nodes, poses: FloatArray, motion: Motion) -> list[tuple[int, int, FloatArray]]:
-    """Pairs of parts, and the pose of the world of the second in that of the first; the surest pairs first."""
+def _following(nodes: Nodes, count: int) -> tuple[IntArray, IntArray]:
+    """Pairs of nodes of which the second is among so many that follow the first."""
     order = np.lexsort((nodes.group, nodes.frame))
-    ends = [(order[:-k], order[k:]) for k in range(1, min(FOLLOWING, len(order) - 1) + 1)]
-    i, j = (np.concatenate(each) for each in zip(*ends, strict=True)) if ends else (order[:0], order[:0])
+    ends = [(order[:-k], order[k:]) for k in range(1, min(count, len(order) - 1) + 1)]
+    first, second = zip(*ends, strict=True) if ends else ((order[:0],), (order[:0],))
+    return np.concatenate(first), np.concatenate(second)
+
+
+def _pairs(
+    nodes: Nodes, poses: FloatArray, motion: Motion, velocities: FloatArray
+) -> list[tuple[int, int, FloatArray]]:
+    """Pairs of parts, and the pose of the world of the second in that of the first; the surest pairs first."""
+    i, j = _following(nodes, FOLLOWING)
     swap = nodes.group[i] > nodes.group[j]
     i, j = np.where(swap, j, i), np.where(swap, i, j)
     there = (nodes.group[i] < nodes.group[j]) & motion.tells(nodes.frame[i], nodes.frame[j])
     i, j = i[there], j[there]
-    links = nodes.motion.links(np.arange(len(nodes.frame)))
-    steps = nodes.motion.steps(i, j, links.velocities(poses))
+    steps = nodes.motion.steps(i, j, velocities)
     known = np.isfinite(steps[:, 0, 0])
     i, j, steps = i[known], j[known], steps[known]
     between = poses[i] @ steps @ inverse(poses[j])
@@ -208,7 +241,8 @@ def _pairs(nodes: Nodes, poses: FloatArray, motion: Motion) -> list[tuple[int, i
         centre = middle(between[own])
         off = log(inverse(centre) @ between[own])
         near = (np.linalg.norm(off[:, :3], axis=1) < AGREE_TURN) & (np.linalg.norm(off[:, 3:], axis=1) < AGREE_PLACE)
-        agreed = int(near.sum())
+        # A frame with a misread id is near to many frames, so each counts once.
+        agreed = min(len(np.unique(i[own[near]])), len(np.unique(j[own[near]])))
         rank = (-agreed, float(np.median(away[own])))
         found.append((rank, int(nodes.group[i[own[0]]]), int(nodes.group[j[own[0]]]), centre))
     return [(one, other, centre) for _, one, other, centre in sorted(found, key=lambda pair: pair[0])]

@@ -19,7 +19,7 @@ from typing import NamedTuple
 import numpy as np
 
 from lmd.core.checks import BoolArray, FloatArray, IntArray
-from lmd.survey.adjustment import LEAST_SHARE, Adjusted, Adjustment, Eliminated
+from lmd.survey.adjustment import LEAST_DAMPING, LEAST_SHARE, Adjusted, Adjustment, Eliminated
 from lmd.survey.motion import Motion
 from lmd.survey.residuals import Poses, Prior
 from lmd.survey.sightings import Sightings
@@ -125,7 +125,7 @@ class LinkedAdjustment(Adjustment):
         self._waiting.clear()
         for part in parts:
             own = np.searchsorted(self.seen, part.chunk.seen)
-            diagonal[own, :6, :6] += part.block
+            diagonal[own, :6, :6] += _undamped(part.block)
             pull[own, :6] += part.gradient
         at, one, information = self.links.at(poses.frames[self.seen]), self.links.one, self.links.information
         if is_robust:
@@ -210,6 +210,14 @@ class LinkedAdjustment(Adjustment):
         weights = self.links.weights(squares)
         volume, fit = self.links.log_determinant, self.log_determinant(poses, floor)
         return np.array([float((weights * squares).sum()), volume, fit])
+
+
+def _undamped(block: FloatArray) -> FloatArray:
+    """Blocks of frames without the least damping, which would hold all frames of a long chain where they are."""
+    result = block.copy()
+    each = np.arange(block.shape[1])
+    result[:, each, each] = (block[:, each, each] - LEAST_DAMPING) / (1.0 + LEAST_DAMPING)
+    return result
 
 
 def _banded(diagonal: FloatArray, below: FloatArray) -> FloatArray:

@@ -16,14 +16,14 @@ tag then says where that tag is beside the tags of the frames before and after.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from typing import NamedTuple
+from dataclasses import dataclass
 
 import numpy as np
 
 from lmd.core.checks import BoolArray, FloatArray, InputError, IntArray
-from lmd.geometry.se3 import exp, inverse, log, skew
+from lmd.geometry.se3 import exp, inverse, log
 from lmd.geometry.trajectory import Trajectory
+from lmd.survey.links import Links, adjoints
 
 # Standard deviations that a drive is assumed to have until it tells its own: of turn and place.
 STEADY = (1.0, 1.0)  # change of the turn rate, rad/s, and of the velocity, m/s, within a second
@@ -33,144 +33,10 @@ LEAN = (0.005, 0.02)  # what every metre of odometry is off by alike, rad and m
 METRES_PER_RAD, METRES_PER_SECOND = 0.3, 0.01
 # Frames are not linked where a constant velocity says less of their relative pose, rad and metres.
 MOST_TURN, MOST_PLACE = 0.2, 0.5
-# How well a constant velocity bridges gaps is tried on so many lengths of gaps, seconds, of which so many at least fit
-# into stretches without; the velocity on each side is that over a pace, seconds. It bridges shorter gaps untried.
-SHORTEST_GAP, LONGEST_GAP, GAPS, FEWEST_GAPS, LEAST_PACE = 0.3, 5.0, 13, 6, 0.2
+SHORTEST_GAP = 0.3  # seconds; a constant velocity bridges shorter ones untried
 LONGEST_STEP = 1.0  # seconds, between poses of odometry; it says nothing across a longer one
-# chi^2 of a link of odometry up to which it counts in full; normal errors exceed it once in a thousand times.
-MOST_SQUARE = 22.5
 # Times are seconds, or since 1970 in ms, us or ns, by their size.
 UNITS = ((1e17, 1e-9), (1e14, 1e-6), (1e11, 1e-3))
-
-
-class Joints(NamedTuple):
-    """How links change with the frames, M links between frames whose unknowns are b numbers."""
-
-    error: FloatArray
-    """`(M, r)`."""
-    by_one: FloatArray
-    """`(M, r, b)` how the error changes with the unknowns of the first frame: a right-hand twist, and velocities."""
-    by_other: FloatArray
-    """`(M, r, b)` with those of the second."""
-    by_lean: FloatArray
-    """`(M, r, 6)` with what every metre is off by, in units of `LEAN`; `(M, r, 0)` where there is no such."""
-    lean: FloatArray
-    """`(6,)` what that is; `(0,)` likewise."""
-
-
-@dataclass(frozen=True)
-class Links:
-    """Links between some frames, each of which follows the one before.
-
-    Args:
-        size: b, unknowns of a frame: 6, or 12 with its turn rate and velocity.
-        one: places of the first frame of each link among the frames, `(M,)`; the second is the next.
-        seconds: between them, `(M,)`.
-        information: inverse of the covariance of the error, `(M, r, r)`.
-        steps: relative poses by odometry, `(M, 4, 4)`; None for a constant velocity.
-        leans: how their errors change with what every metre is off by, in units of `LEAN`, `(M, 6, 6)`; likewise.
-    """
-
-    size: int
-    one: IntArray
-    seconds: FloatArray
-    information: FloatArray
-    steps: FloatArray | None
-    leans: FloatArray | None
-
-    def at(self, poses: FloatArray) -> Joints:
-        """The links at poses of the frames, `(F, 4, 4)`."""
-        before, after = poses[self.one], poses[self.one + 1]
-        between = inverse(before) @ after
-        if self.steps is not None and self.leans is not None:
-            error = log(inverse(self.steps) @ between)
-            slope, turned = _by_twist(error), np.swapaxes(self.leans, 1, 2) @ self.information
-            matrix = np.eye(6) + (turned @ self.leans).sum(axis=0)
-            lean = np.linalg.solve(matrix, (turned @ error[..., None]).sum(axis=0)[:, 0])
-            by_one = -slope @ _adjoints(inverse(between))
-            return Joints(error - self.leans @ lean, by_one, slope, -self.leans, lean)
-        rates = self._rates(poses)
-        phi, way = log(between)[:, :3], after[:, :3, 3] - before[:, :3, 3]
-        change = rates[self.one + 1] - rates[self.one]
-        off = np.concatenate([phi, way], axis=1) - self.seconds[:, None] * rates[self.one]
-        by_one, by_other = np.zeros((2, len(self.one), 12, 12))
-        by_other[:, :3, :3], by_one[:, :3, :3] = _by_turn(phi), -_by_turn(-phi)
-        by_other[:, 3:6, 3:6], by_one[:, 3:6, 3:6] = after[:, :3, :3], -before[:, :3, :3]
-        by_other[:, 6:, 6:], by_one[:, 6:, 6:] = np.eye(6), -np.eye(6)
-        by_one[:, :6, 6:] = -self.seconds[:, None, None] * np.eye(6)
-        nothing = np.zeros((len(self.one), 12, 0))
-        return Joints(np.concatenate([off, change], axis=1), by_one, by_other, nothing, np.zeros(0))
-
-    def _rates(self, poses: FloatArray) -> FloatArray:
-        """Turn rates and velocities that fit poses best, `(F, 6)`: those of natural cubic splines."""
-        from scipy.linalg import solveh_banded
-
-        before, after, h = poses[self.one], poses[self.one + 1], self.seconds
-        turn, way = log(inverse(before) @ after)[:, :3], after[:, :3, 3] - before[:, :3, 3]
-        pull = 6.0 * np.concatenate([turn, way], axis=1) / h[:, None] ** 2
-        banded, right = np.full((2, len(poses)), 1e-9), np.zeros((len(poses), 6))
-        banded[1] = 0.0
-        for place in (self.one, self.one + 1):
-            banded[0, place] += 4.0 / h
-            right[place] += pull
-        banded[1, self.one] = 2.0 / h
-        return np.asarray(solveh_banded(banded, right, lower=True))
-
-    def velocities(self, poses: FloatArray) -> FloatArray:
-        """Velocities in the body's frame, turn first, `(F, 6)`; NaN for frames without links."""
-        rates = self._rates(poses)
-        result = np.concatenate([rates[:, :3], (rates[:, None, 3:] @ poses[:, :3, :3])[:, 0]], axis=1)
-        linked = np.zeros(len(poses), dtype=bool)
-        linked[self.one] = linked[self.one + 1] = True
-        result[~linked] = np.nan
-        return result
-
-    def squares(self, error: FloatArray) -> FloatArray:
-        """chi^2 of each link, `(M,)`."""
-        return np.asarray(np.einsum("mi,mij,mj->m", error, self.information, error))
-
-    def cost(self, squares: FloatArray) -> float:
-        """The part of the links in the sum that is minimised; wheels may slip, so large errors of odometry count less."""
-        if self.steps is None:
-            return 0.5 * float(squares.sum())
-        least = np.minimum(squares, MOST_SQUARE)
-        return 0.5 * float((least + MOST_SQUARE * np.log(np.maximum(squares, MOST_SQUARE) / MOST_SQUARE)).sum())
-
-    def weights(self, squares: FloatArray) -> FloatArray:
-        """Weights of the links, `(M,)`."""
-        return np.ones(len(squares)) if self.steps is None else MOST_SQUARE / np.maximum(squares, MOST_SQUARE)
-
-    @property
-    def log_determinant(self) -> float:
-        """Of all covariances of the errors."""
-        return -float(np.linalg.slogdet(self.information)[1].sum())
-
-
-def _adjoints(pose: FloatArray) -> FloatArray:
-    """Ad_X of poses `(..., 4, 4)` as matrices, `(..., 6, 6)`."""
-    result = np.zeros((*pose.shape[:-2], 6, 6))
-    turn = pose[..., :3, :3]
-    result[..., :3, :3], result[..., 3:, 3:], result[..., 3:, :3] = turn, turn, skew(pose[..., :3, 3]) @ turn
-    return result
-
-
-def _by_twist(twist: FloatArray) -> FloatArray:
-    """How log(E exp(d)) changes with d at log(E) = twist, small, `(..., 6, 6)`."""
-    matrix = np.zeros((*twist.shape[:-1], 6, 6))
-    matrix[..., :3, :3] = matrix[..., 3:, 3:] = skew(twist[..., :3])
-    matrix[..., 3:, :3] = skew(twist[..., 3:])
-    square = matrix @ matrix
-    return np.asarray(np.eye(6) + matrix / 2.0 + square / 12.0 - square @ square / 720.0)
-
-
-def _turning(turn: FloatArray) -> FloatArray:
-    """Twists of turns alone, `(..., 6)`."""
-    return np.concatenate([turn, 0.0 * turn], axis=-1)
-
-
-def _by_turn(turn: FloatArray) -> FloatArray:
-    """The same for turns alone, `(..., 3, 3)`."""
-    return _by_twist(_turning(turn))[..., :3, :3]
 
 
 @dataclass(frozen=True)
@@ -227,7 +93,7 @@ class Motion:
         far = np.linalg.norm(steps[:, 3:], axis=1) + METRES_PER_RAD * np.linalg.norm(steps[:, :3], axis=1)
         far += METRES_PER_SECOND * np.diff(own)
         # The error of a step is taken to arise at its end; steps are short.
-        ahead = _adjoints(poses[1:])
+        ahead = adjoints(poses[1:])
         added = np.stack([far[:, None, None] * ahead[..., part] @ np.swapaxes(ahead[..., part], 1, 2)
                           for part in (slice(0, 3), slice(3, 6))], axis=1)  # fmt: skip
         leant = far[:, None, None] * ahead
@@ -274,47 +140,6 @@ class Motion:
         told = np.stack([np.interp(seconds, self.gaps, each) for each in self.bridged.T], axis=1)
         return np.where((seconds > SHORTEST_GAP)[:, None], np.maximum(spreads, told), spreads)
 
-    def tried(self, poses: FloatArray) -> "Motion":
-        """The motion with how well a constant velocity bridges gaps, as stretches without gaps tell.
-
-        A stretch is cut at frames a gap apart. The velocities on both sides, from without, say how the two frames are
-        to each other, which the stretch knows. White noise is not what drives a body, so short links do not say that.
-
-        Args:
-            poses: of the frames; those of one piece are in one world, and stand together.
-        """
-        assert self.piece is not None
-        gaps, bridged, clock = [], [], self.times - np.nanmin(self.times)
-        clock = clock + self.piece * (np.nanmax(clock) + 10.0 * LONGEST_GAP)
-
-        def near(seconds: FloatArray) -> IntArray:
-            """The frame nearest to each time of `clock`."""
-            after = np.clip(np.searchsorted(clock, seconds), 1, len(clock) - 1)
-            return np.asarray(after - (seconds - clock[after - 1] < clock[after] - seconds))
-
-        pace = max(LEAST_PACE, float(np.median(np.diff(clock))))
-        for gap in np.geomspace(SHORTEST_GAP, LONGEST_GAP, GAPS):
-            ends = np.stack([near(clock + by) for by in (-pace, 0.0, gap, gap + pace)])
-            before, lasts, after = np.diff(clock[ends], axis=0)
-            fits = (np.abs(lasts - gap) < 0.13 * gap) & (np.abs(before - pace) < 0.5 * pace)
-            fits &= np.abs(after - pace) < 0.5 * pace
-            whole = np.unique((clock[ends[1][fits]] / gap).astype(np.int64))
-            if len(whole) < FEWEST_GAPS:
-                continue
-            first, i, j, last = poses[ends[:, fits]]
-            into, out = (
-                log(inverse(one) @ other)[:, :3] / h[fits, None] for one, other, h in ((first, i, before), (j, last, after))
-            )
-            moving = (i - first)[:, :3, 3] / before[fits, None], (last - j)[:, :3, 3] / after[fits, None]
-            half = lasts[fits, None] / 2.0
-            turn = log(exp(-_turning(half * (into + out))) @ inverse(i) @ j)[:, :3]
-            # The world beyond a gap is not known to be turned as the one before it, so velocities are those of bodies.
-            place = (j - i)[:, :3, 3] - half * (moving[0] + moving[1])
-            squares = np.array([(turn**2).sum(axis=1).mean(), (place**2).sum(axis=1).mean()])
-            gaps.append(gap)
-            bridged.append(np.sqrt(12.0 * squares / gap**3))
-        return replace(self, gaps=np.array(gaps), bridged=np.array(bridged).reshape(-1, 2))
-
     def tells(self, i: IntArray, j: IntArray) -> BoolArray:
         """Whether the motion says how frames j are to frames i, `(M,)`."""
         between = np.abs(self.times[j] - self.times[i])
@@ -344,7 +169,7 @@ class Motion:
         seconds, information = self.times[j] - self.times[i], self.information(i, j)
         if self.path is None or self.leans is None:
             return Links(12, one, seconds, information, None, None)
-        leans = _adjoints(inverse(self.path[j])) @ (self.leans[j] - self.leans[i]) * np.repeat(LEAN, 3)
+        leans = adjoints(inverse(self.path[j])) @ (self.leans[j] - self.leans[i]) * np.repeat(LEAN, 3)
         return Links(6, one, seconds, information, inverse(self.path[i]) @ self.path[j], leans)
 
     def information(self, i: IntArray, j: IntArray) -> FloatArray:
@@ -356,7 +181,7 @@ class Motion:
             spline = np.block([[12.0 / h**3, -6.0 / h**2], [-6.0 / h**2, 4.0 / h]])
             axes = np.repeat(self._spreads(seconds) ** -2.0, 3, axis=1)[:, None] * np.eye(6)
             return np.asarray(np.einsum("mij,mkl->mikjl", spline, axes).reshape(-1, 12, 12))
-        back = _adjoints(inverse(self.path[j]))
+        back = adjoints(inverse(self.path[j]))
         grown = self.drift[j] - self.drift[i]
         covariance = back @ (turn**2 * grown[:, 0] + place**2 * grown[:, 1]) @ np.swapaxes(back, 1, 2)
         return np.asarray(np.linalg.inv((covariance + np.swapaxes(covariance, 1, 2)) / 2.0))
@@ -395,5 +220,6 @@ def seconds_of(times: Sequence[str]) -> FloatArray:
             result[index] = float(text)
         except ValueError:
             continue
+    result[~np.isfinite(result)] = np.nan
     largest = float(np.nanmax(np.abs(result), initial=0.0))
     return result * next((unit for least, unit in UNITS if largest >= least), 1.0)

@@ -247,24 +247,25 @@ def survey(
 
 def _motion(detected: DetectedTags, sightings: Sightings, known: Known) -> Motion | None:
     """The motion that links frames from the beginning; None where they are independent, or are until it is needed."""
-    times = seconds_of(detected.times)
     if known.odometry is not None:
-        return Motion.by_odometry(times, known.odometry)
-    steady = Motion.steady(times)
-    if known.steady is False or not steady.follows(np.unique(sightings.frame)).any():
-        return None
+        return Motion.by_odometry(seconds_of(detected.times), known.odometry)
     counts = np.bincount(sightings.frame)
     most_alone = 2 * (counts == 1).sum() > len(sightings)
-    return steady if known.steady or most_alone else None
+    return _steady(detected, sightings, known) if known.steady or most_alone else None
+
+
+def _steady(detected: DetectedTags, sightings: Sightings, known: Known) -> Motion | None:
+    """A steady motion; None if it is ruled out, or no frames have times that are near to each other."""
+    motion = Motion.steady(seconds_of(detected.times))
+    near = np.isfinite(motion.times).all() and motion.follows(np.unique(sightings.frame)).any()
+    return motion if near and known.steady is not False else None
 
 
 def _estimate(sightings: Sightings, prior: Prior, known: Known, start: Start, detected: DetectedTags) -> Estimate:
     """The estimate; groups that images leave apart are joined by a steady motion, where it joins any."""
     found = estimate(sightings, prior, known.origin, start)
-    if prior.motion is not None or known.steady is False or not (found.group > 0).any():
-        return found
-    motion = Motion.steady(seconds_of(detected.times))
-    if not motion.follows(np.unique(sightings.frame)).any():
+    motion = _steady(detected, sightings, known) if prior.motion is None and (found.group > 0).any() else None
+    if motion is None:
         return found
     linked = estimate(sightings, replace(prior, motion=motion), known.origin, start)
     return linked if (linked.group == 0).sum() > (found.group == 0).sum() else found

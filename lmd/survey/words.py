@@ -61,19 +61,16 @@ def _motion(survey: Survey) -> dict[str, str]:
     if motion is None:
         return {}
     turn, place = (1e3 * spread for spread in motion.spread)
+    by = "it" if motion.path is not None else "motion"
     if motion.path is not None:
         lines = {"odometry": f"drifts {place:.2g} mm and {turn:.2g} mrad within a metre, as the drive tells"}
     else:
-        lines = {
-            "motion": f"a velocity that changes by {place:.2g} mm/s and {turn:.2g} mrad/s within a second, as the drive "
-            f"tells, and links frames up to {motion.longest:.2g} s apart"
-        }
+        changes = f"the velocity changes by {place:.2g} mm/s and {turn:.2g} mrad/s within a second, as the drive tells"
+        lines = {"motion": f"{changes}; frames up to {motion.longest:.2g} s apart are linked"}
     if joined is not None and len(joined.sigma) > 1:
         low, high = (1e3 * np.quantile(joined.sigma, share) for share in (0.5, 0.9))
-        lines["joined"] = (
-            f"{len(joined.sigma)} groups of tags that no image connects, by {'motion' if motion.path is None else 'it'} "
-            f"alone: known to {low:.2g} (90 %: {high:.2g}) mm beside the nearest of another"
-        )
+        known = f"known to {low:.2g} (90 %: {high:.2g}) mm beside the nearest of another"
+        lines["joined"] = f"{len(joined.sigma)} groups of tags that no image connects, by {by} alone: {known}"
     return lines
 
 

@@ -1,10 +1,12 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from lmd.core.checks import InputError
-from lmd.geometry.se3 import exp, inverse
+from lmd.geometry.se3 import exp
 from lmd.geometry.trajectory import Trajectory
-from lmd.survey.motion import Motion, seconds_of
+from lmd.survey.motion import LEAN, Motion, seconds_of
 
 
 def some_motion(rng, count, kind):
@@ -19,6 +21,12 @@ def some_motion(rng, count, kind):
     return Motion.by_odometry(times, Trajectory(times, path)), exp(rng.normal(0.0, 0.5, 6)) @ path
 
 
+def rates_at(links, poses):
+    """Turn rates of bodies and velocities in the world, `(F, 6)`."""
+    velocities = links.velocities(poses)
+    return np.concatenate([velocities[:, :3], np.einsum("fij,fj->fi", poses[:, :3, :3], velocities[:, 3:])], axis=1)
+
+
 def moved(poses, k, axis, by):
     poses = poses.copy()
     poses[k] = poses[k] @ exp(by * np.eye(6)[axis])
@@ -26,26 +34,53 @@ def moved(poses, k, axis, by):
 
 
 @pytest.mark.parametrize("kind", ["steady", "odometry"])
-def test_slopes_of_links_are_those_of_differences(kind):
+def test_slopes_of_the_cost_are_those_of_differences(kind):
+    """Velocities, and what every metre is off by, fit the poses best: the cost has its slope with them fixed."""
     rng = np.random.default_rng(3)
     motion, poses = some_motion(rng, 6, kind)
-    poses = poses @ exp(rng.normal(0.0, 0.05, (6, 6)))
-    links = motion.links(np.arange(6))
+    poses = poses @ exp(rng.normal(0.0, 0.01, (6, 6)))
+    links, step = motion.links(np.arange(6)), 1e-6
+    links = replace(links, information=1e-3 * links.information)  # none of them counts less
+    at = links.at(poses)
     assert len(links.one) == 5
-    at, step = links.at(poses), 1e-5
+
+    def cost(k, axis, by):
+        there = links.at(moved(poses, k, axis, by))
+        return links.cost(links.squares(there.error)) + 0.5 * there.lean @ there.lean
+
     for k in range(6):
         for axis in range(6):
-            there, here = (links.at(moved(poses, k, axis, by)).error for by in (step, -step))
-            slope = (there - here) / (2.0 * step)
-            mine = np.zeros_like(slope)
-            mine[k - 1 : k] += at.by_other[k - 1 : k, :, axis]
-            mine[k : k + 1] += at.by_one[k : k + 1, :, axis]
-            if kind == "steady":  # velocities are those that fit the poses: the cost has the same slope as with them fixed
-                cost = [links.cost(links.squares(links.at(moved(poses, k, axis, by)).error)) for by in (step, -step)]
-                pulled = np.einsum("mr,mrs,ms->", mine, links.information, at.error)
-                assert pulled == pytest.approx((cost[0] - cost[1]) / (2.0 * step), rel=1e-4, abs=1e-3)
-            else:
-                np.testing.assert_allclose(mine, slope, atol=2e-5)
+            slope = np.zeros_like(at.error)
+            slope[k - 1 : k] += at.by_other[k - 1 : k, :, axis]
+            slope[k : k + 1] += at.by_one[k : k + 1, :, axis]
+            pulled = np.einsum("mr,mrs,ms->", slope, links.information, at.error)
+            differs = (cost(k, axis, step) - cost(k, axis, -step)) / (2.0 * step)
+            assert pulled == pytest.approx(differs, rel=1e-3, abs=1e-4 * np.abs(links.information).max() * 1e-3)
+
+
+@pytest.mark.parametrize("kind", ["steady", "odometry"])
+def test_slopes_of_errors_are_those_of_differences(kind):
+    rng = np.random.default_rng(3)
+    motion, poses = some_motion(rng, 6, kind)
+    links = motion.links(np.arange(6))
+    # Without links before and after, what is found beside the poses stays as it is: one link at a time, held firmly.
+    firm = replace(links, leans=None if links.leans is None else 0.0 * links.leans)
+    at, step = firm.at(poses), 1e-5
+    for k in range(6):
+        for axis in range(6):
+            there, here = (firm.at(moved(poses, k, axis, by)).error for by in (step, -step))
+            slope = np.zeros_like(at.error)
+            slope[k - 1 : k] += at.by_other[k - 1 : k, :, axis]
+            slope[k : k + 1] += at.by_one[k : k + 1, :, axis]
+            if kind == "odometry":
+                np.testing.assert_allclose(slope, (there - here) / (2.0 * step), atol=2e-5)
+            else:  # of the turn and the way themselves; velocities move, too
+                change = (
+                    rates_at(firm, moved(poses, k, axis, step)) - rates_at(firm, moved(poses, k, axis, -step))
+                ) / (2.0 * step)
+                slope[:, :6] -= firm.seconds[:, None] * change[firm.one]
+                slope[:, 6:] += change[firm.one + 1] - change[firm.one]
+                np.testing.assert_allclose(slope, (there - here) / (2.0 * step), atol=2e-4)
 
 
 def test_velocities_are_those_of_the_least_cost():
@@ -82,11 +117,24 @@ def test_what_odometry_drifts_over_several_steps_is_what_the_steps_add():
         off = rng.normal(size=(20000, 6)) * np.sqrt(far) * np.repeat(motion.spread, 3)
         ends = ends @ (step @ exp(off))
     links = motion.links(np.array([0, 40]))
+    links = replace(links, leans=0.0 * links.leans)
     error = np.array([links.at(np.stack([np.eye(4), end])).error[0] for end in ends[:4000]])
-    square = links.squares(error.reshape(-1, 6)) if len(links.one) > 1 else np.einsum(
-        "mi,ij,mj->m", error, links.information[0], error
-    )
+    square = np.einsum("mi,ij,mj->m", error, links.information[0], error)
     assert square.mean() == pytest.approx(6.0, abs=0.25)
+
+
+def test_what_every_metre_is_off_by_is_found():
+    times = np.arange(201) / 20.0
+    step, lean = np.array([0.0, 0.02, 0.0, 0.0, 0.0, 0.05]), np.array([0.0, 0.002, 0.0, 0.0, 0.0, 0.01])
+    far = 0.05 + 0.3 * 0.02 + 0.01 * 0.05
+    path, true = [np.eye(4)], [np.eye(4)]
+    for _ in times[1:]:
+        true.append(true[-1] @ exp(step))
+        path.append(path[-1] @ exp(step) @ exp(-far * lean))
+    motion = Motion.by_odometry(times, Trajectory(times, np.stack(path)))
+    motion = replace(motion, spread=(1e-4, 1e-4))
+    at = motion.links(np.arange(0, 201, 10)).at(np.stack(true)[::10])
+    np.testing.assert_allclose(at.lean * np.repeat(LEAN, 3), lean, rtol=0.02, atol=1e-6)  # of the odometer's metres
 
 
 def test_odometry_of_another_clock_is_refused():
