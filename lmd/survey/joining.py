@@ -8,7 +8,9 @@ groups that are near in time, or one, say how these are to each other: pairs of 
 first.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -32,8 +34,21 @@ FOLLOWING, PAIRS = 12, 40
 AGREE_TURN, AGREE_PLACE = 0.2, 0.3
 # A body leaps that moves farther than so many metres, and so many times what it does at its fastest, m/s, from one
 # frame to one of the next.
-LEAP, LEAP_SPEEDS, FASTEST, LEAP_FOLLOWING = 1.0, 3.0, 2.0, 3
+LEAP, LEAP_SPEEDS, FASTEST, LEAP_FOLLOWING = 0.5, 2.0, 2.0, 3
 STEPS = 12  # of the adjustment of groups by themselves
+
+
+class Pair(NamedTuple):
+    """Two parts, and how they are to each other."""
+
+    one: int
+    other: int
+    way: FloatArray
+    """`(4, 4)` from the world of the other to that of the one."""
+    agreed: int
+    """Frames of each that agree on it."""
+    seconds: float
+    """Between frames of the two, the median."""
 
 
 @dataclass(frozen=True)
@@ -180,12 +195,11 @@ def _adjusted(nodes: Nodes, poses: Poses) -> tuple[Poses, Motion]:
 def _worlds(nodes: Nodes, poses: FloatArray, motion: Motion) -> tuple[FloatArray, IntArray]:
     """Motions of the parts to worlds in common, `(P, 4, 4)`, and the number of the world of each, `(P,)`.
 
-    Without odometry, parts stay apart if the body would have leapt from a frame of one to the next, of the other: an id
-    that was misread in some images connects what no motion does.
+    The surest pairs go first. A body does not leap from one frame to the next: where it would have, either the frames
+    are fewer in which it does, and their ids were misread, or the least sure of the pairs that led there is wrong.
     """
-    count = int(nodes.group.max()) + 1
-    worlds, joined = np.tile(np.eye(4), (count, 1, 1)), np.arange(count)
     velocities = nodes.motion.links(np.arange(len(nodes.frame))).velocities(poses)
+    pairs = _pairs(nodes, poses, motion, velocities)
     before, after = _following(nodes, LEAP_FOLLOWING)
     seconds = nodes.motion.times[after] - nodes.motion.times[before]
     near = (seconds > 0.0) & (seconds < LONGEST_GAP)
@@ -193,21 +207,52 @@ def _worlds(nodes: Nodes, poses: FloatArray, motion: Motion) -> tuple[FloatArray
     speeds = np.linalg.norm(velocities[:, 3:], axis=1)
     fastest = np.nanquantile(speeds, 0.95) if np.isfinite(speeds).any() else FASTEST
     most = LEAP + LEAP_SPEEDS * fastest * seconds
-    for one, other, way in _pairs(nodes, poses, motion, velocities):
-        if joined[one] == joined[other]:
+    misread = np.zeros(len(nodes.frame), dtype=bool)
+    while True:
+        worlds, joined, tree = _spanned(int(nodes.group.max()) + 1, pairs)
+        places = (worlds[nodes.group] @ poses)[:, :3, 3]
+        leaps = np.linalg.norm(places[after] - places[before], axis=1) > most
+        leaps &= (joined[nodes.group[before]] == joined[nodes.group[after]]) & ~misread[before] & ~misread[after]
+        leaps &= nodes.group[before] != nodes.group[after]
+        if not leaps.any():
+            return worlds, joined
+        ends = np.stack([before[leaps], after[leaps]], axis=1)
+        ends = np.take_along_axis(ends, np.argsort(nodes.group[ends], axis=1), axis=1)
+        between, which, counts = np.unique(nodes.group[ends], axis=0, return_inverse=True, return_counts=True)
+        own = ends[which.ravel() == np.argmax(counts)]
+        fewest = min((np.unique(side) for side in own.T), key=len)
+        weakest = max(_path(tree, *between[np.argmax(counts)].tolist()))  # pairs come in the order of how sure they are
+        if pairs[weakest].agreed > len(fewest):
+            misread[fewest] = True
+        else:
+            del pairs[weakest]
+
+
+def _spanned(count: int, pairs: Sequence[Pair]) -> tuple[FloatArray, IntArray, dict[int, dict[int, int]]]:
+    """Worlds as of `_worlds` by the first pairs that join anything, and by which pairs each part hangs on others."""
+    worlds, joined = np.tile(np.eye(4), (count, 1, 1)), np.arange(count)
+    tree: dict[int, dict[int, int]] = {part: {} for part in range(count)}
+    for number, pair in enumerate(pairs):
+        if joined[pair.one] == joined[pair.other]:
             continue
-        moved = joined == joined[other]
-        there = worlds.copy()
-        there[moved] = worlds[one] @ way @ inverse(worlds[other]) @ worlds[moved]
-        both = (moved | (joined == joined[one]))[nodes.group]
-        across = both[before] & both[after] & (moved[nodes.group[before]] != moved[nodes.group[after]])
-        places = (there[nodes.group] @ poses)[:, :3, 3]
-        leaps = np.linalg.norm(places[after[across]] - places[before[across]], axis=1) > most[across]
-        if leaps.any() and motion.path is None:
-            continue
-        worlds = there
-        joined[moved] = joined[one]
-    return worlds, joined
+        moved = joined == joined[pair.other]
+        worlds[moved] = worlds[pair.one] @ pair.way @ inverse(worlds[pair.other]) @ worlds[moved]
+        joined[moved] = joined[pair.one]
+        tree[pair.one][pair.other] = tree[pair.other][pair.one] = number
+    return worlds, joined, tree
+
+
+def _path(tree: dict[int, dict[int, int]], one: int, other: int) -> list[int]:
+    """The pairs by which one part hangs on another."""
+    led: dict[int, list[int]] = {one: []}
+    waiting = [one]
+    while other not in led:
+        part = waiting.pop()
+        for beside, number in tree[part].items():
+            if beside not in led:
+                led[beside] = [*led[part], number]
+                waiting.append(beside)
+    return led[other]
 
 
 def _following(nodes: Nodes, count: int) -> tuple[IntArray, IntArray]:
@@ -218,10 +263,8 @@ def _following(nodes: Nodes, count: int) -> tuple[IntArray, IntArray]:
     return np.concatenate(first), np.concatenate(second)
 
 
-def _pairs(
-    nodes: Nodes, poses: FloatArray, motion: Motion, velocities: FloatArray
-) -> list[tuple[int, int, FloatArray]]:
-    """Pairs of parts, and the pose of the world of the second in that of the first; the surest pairs first."""
+def _pairs(nodes: Nodes, poses: FloatArray, motion: Motion, velocities: FloatArray) -> list[Pair]:
+    """The pairs of parts of which motion tells how they are to each other, the surest first."""
     i, j = _following(nodes, FOLLOWING)
     swap = nodes.group[i] > nodes.group[j]
     i, j = np.where(swap, j, i), np.where(swap, i, j)
@@ -243,6 +286,6 @@ def _pairs(
         near = (np.linalg.norm(off[:, :3], axis=1) < AGREE_TURN) & (np.linalg.norm(off[:, 3:], axis=1) < AGREE_PLACE)
         # A frame with a misread id is near to many frames, so each counts once.
         agreed = min(len(np.unique(i[own[near]])), len(np.unique(j[own[near]])))
-        rank = (-agreed, float(np.median(away[own])))
-        found.append((rank, int(nodes.group[i[own[0]]]), int(nodes.group[j[own[0]]]), centre))
-    return [(one, other, centre) for _, one, other, centre in sorted(found, key=lambda pair: pair[0])]
+        one, other = int(nodes.group[i[own[0]]]), int(nodes.group[j[own[0]]])
+        found.append(Pair(one, other, centre, agreed, float(np.median(away[own]))))
+    return sorted(found, key=lambda pair: (-pair.agreed, pair.seconds))

@@ -30,7 +30,7 @@ FEWEST_BELIEVED = 2
 # A beginning with tags as they are turned may show that others are.
 TURNING_STEPS = 3
 # A tag of linked frames is not placed if it is known worse beside the others: metres, or share of the map's extent.
-LOOSE_M, LOOSE_SHARE = 0.1, 0.01
+LOOSE_M, LOOSE_SHARE = 0.25, 0.01
 
 
 @dataclass(frozen=True)
@@ -236,6 +236,9 @@ def survey(
     is_linked = found.prior.motion is not None
     loose = placed & (_hardly_known(found) if is_linked else np.zeros(len(ids), dtype=bool))
     placed &= ~loose
+    if not placed.any() and loose.any():
+        best = float(np.nanmin(found.sigmas[loose]))
+        raise InputError(f"detections: no tag is known to better than {best:.2g} m beside the others.", "detections")
     if not placed.any():
         text = f"detections: no tag is placed, as no {FEWEST_BELIEVED} sightings of one agree: more frames are needed."
         raise InputError(text, "detections")

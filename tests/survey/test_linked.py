@@ -23,7 +23,9 @@ def system(kind, seed=0):
     driven = drives.drive(7.0, COUNT, rng, dark=0.0)
     some = walks.sightings(driven.detected, np.arange(COUNT), drives.EDGE, SIGMA, drives.CAMERA)
     times = seconds_of(driven.detected.times)
-    motion = Motion.by_odometry(times, drives.odometry(driven, rng)) if kind == "odometry" else Motion(times, (0.2, 0.2))
+    motion = (
+        Motion.by_odometry(times, drives.odometry(driven, rng)) if kind == "odometry" else Motion(times, (0.2, 0.2))
+    )
     information = np.zeros((COUNT, 6))
     information[some.tag[0]] = EXACT_SIGMA**-2.0
     some = some.of(telling(some, np.ones(len(some), dtype=bool), motion))
@@ -93,7 +95,9 @@ def test_a_step_is_that_of_dense_algebra(kind):
     whole[own, own] += prior.information.ravel()
     step = -np.linalg.solve(whole, slopes.T @ errors)[:first].reshape(len(adjustment.seen), -1)[:, :6]
     there = adjustment.step(poses, 0.0, 0.0).frames[adjustment.seen]
-    np.testing.assert_allclose(log(inverse(poses.frames[adjustment.seen]) @ there), step, atol=5e-3 * np.abs(step).max())
+    np.testing.assert_allclose(
+        log(inverse(poses.frames[adjustment.seen]) @ there), step, atol=5e-3 * np.abs(step).max()
+    )
 
 
 def test_frames_that_nothing_links_are_adjusted_as_others():
@@ -146,7 +150,9 @@ def test_a_slip_of_a_wheel_counts_little():
     together = np.flatnonzero((np.diff(some.tag) == 0) & (np.diff(some.frame) == 1))
     at = some.frame[together[len(together) // 2]] + 1  # before and after which one tag is seen
     slipped = odometry.poses.copy()
-    slipped[at:] = slipped[at - 1] @ exp(np.array([0.0, 0.2, 0.0, 0.0, 0.0, 0.5])) @ inverse(slipped[at - 1]) @ slipped[at:]
+    slipped[at:] = (
+        slipped[at - 1] @ exp(np.array([0.0, 0.2, 0.0, 0.0, 0.0, 0.5])) @ inverse(slipped[at - 1]) @ slipped[at:]
+    )
     errors = []
     for path in (odometry.poses, slipped):
         motion = Motion.by_odometry(prior.motion.times, replace(odometry, poses=path))
