@@ -174,9 +174,7 @@ def _odometry(given: Any) -> "Trajectory | None":
         raise InputError(f"survey.odometry has the key {unknown[0]!r}, but takes {', '.join(known)}.")
     with keyed("survey.odometry", **({} if isinstance(given, dict) else {"path": "survey.odometry"})):
         file = TrajectoryFile(**{str(key): value for key, value in keys.items()})
-        trajectory = file.trajectory
-    note(file.note_of("survey.odometry."))
-    return trajectory
+        return file.trajectory
 
 
 main = Pipeline("survey", survey, (read_earlier_run,))

@@ -14,10 +14,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from lmd.core.checks import FloatArray, IntArray
+from lmd.core.checks import FloatArray, InputError, IntArray
 from lmd.geometry.se3 import angle_between, inverse, log, middle
 from lmd.survey.gaps import LONGEST_GAP, tried
 from lmd.survey.linked import LinkedAdjustment
+from lmd.survey.links import MOST_SQUARE
 from lmd.survey.motion import Motion
 from lmd.survey.proposals import proposals
 from lmd.survey.residuals import EXACT_SIGMA, Poses, Prior, errors_at
@@ -35,6 +36,9 @@ AGREE_TURN, AGREE_PLACE = 0.2, 0.3
 # A body leaps that moves farther than so many metres, and so many times what it does at its fastest, m/s, from one
 # frame to one of the next.
 LEAP, LEAP_SPEEDS, FASTEST, LEAP_FOLLOWING = 0.5, 2.0, 2.0, 3
+# Odometry is of another camera or drive if more of its links do not fit, or every metre is off by more, in units of
+# `lmd.survey.motion.LEAN`.
+MOST_OFF, MOST_LEAN = 0.5, 8.0
 STEPS = 12  # of the adjustment of groups by themselves
 
 
@@ -189,7 +193,22 @@ def _adjusted(nodes: Nodes, poses: Poses) -> tuple[Poses, Motion]:
         adjustment = LinkedAdjustment(some, Prior(poses.tags, information, None, poses.mounts, motion))
         found = adjustment.run(poses, FLOOR_PIXELS, STEPS)
         poses, motion = found.poses, adjustment.told(found.poses, found.floor)
+    _check_odometry(adjustment, poses)
     return poses, motion if motion.path is not None else tried(motion, poses.frames)
+
+
+def _check_odometry(adjustment: LinkedAdjustment, poses: Poses) -> None:
+    """Raise `InputError` if odometry says otherwise than the images how the body moves."""
+    if adjustment.motion.path is None or not len(adjustment.links.one):
+        return
+    at = adjustment.links.at(poses.frames[adjustment.seen])
+    off = float((adjustment.links.squares(at.error) > MOST_SQUARE).mean())
+    if off > MOST_OFF or np.abs(at.lean).max() > MOST_LEAN:
+        raise InputError(
+            "odometry does not move as the images do: does it need a mount or frame=body, as it is that of a body and "
+            "not of the (first) camera, or is it of another drive?",
+            "odometry",
+        )
 
 
 def _worlds(nodes: Nodes, poses: FloatArray, motion: Motion) -> tuple[FloatArray, IntArray]:

@@ -13,6 +13,7 @@ from lmd.geometry.se3 import inverse, log, skew
 
 # chi^2 of a link of odometry up to which it counts in full; normal errors exceed it once in a thousand times.
 MOST_SQUARE = 22.5
+LEAN_ROUNDS = 3
 
 
 class Joints(NamedTuple):
@@ -56,9 +57,12 @@ class Links:
         between = inverse(before) @ after
         if self.steps is not None and self.leans is not None:
             error = log(inverse(self.steps) @ between)
-            slope, turned = _by_twist(error), np.swapaxes(self.leans, 1, 2) @ self.information
-            matrix = np.eye(6) + (turned @ self.leans).sum(axis=0)
-            lean = np.linalg.solve(matrix, (turned @ error[..., None]).sum(axis=0)[:, 0])
+            slope, lean = _by_twist(error), np.zeros(6)
+            for _ in range(LEAN_ROUNDS):  # links that do not fit say little of it
+                weights = self.weights(self.squares(error - self.leans @ lean))
+                turned = np.swapaxes(self.leans, 1, 2) @ (self.information * weights[:, None, None])
+                matrix = np.eye(6) + (turned @ self.leans).sum(axis=0)
+                lean = np.linalg.solve(matrix, (turned @ error[..., None]).sum(axis=0)[:, 0])
             by_one = -slope @ adjoints(inverse(between))
             return Joints(error - self.leans @ lean, by_one, slope, -self.leans, lean)
         rates = self._rates(poses)

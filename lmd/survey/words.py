@@ -16,7 +16,7 @@ _few = partial(few, most=12)  # tags that a terminal names
 def to_text(survey: Survey) -> str:
     """The lines that a terminal shows."""
     figures, found = metrics(survey), survey.found
-    expected = int((survey.placed | np.isin(survey.ids, survey.known.ids)).sum())
+    expected = int((survey.placed | survey.loose | np.isin(survey.ids, survey.known.ids)).sum())
 
     def both(name: str, factor: float = 1e3, digits: str = ".2g") -> str:
         low, high = (factor * figures[f"{name}/{share}"] for share in (50, 90))

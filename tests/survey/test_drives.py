@@ -10,7 +10,7 @@ import walks
 from scipy.stats import chi2
 
 from lmd.core.checks import InputError
-from lmd.geometry.se3 import act, inverse, laid_over, log
+from lmd.geometry.se3 import act, inverse, laid_over, log, pose_of
 from lmd.geometry.trajectory import Trajectory
 from lmd.scene.tag import Tag
 from lmd.survey.linked import adjustment_of
@@ -51,14 +51,14 @@ def test_what_motion_joins_is_as_well_known_as_is_said(by):
     squares = []
     for seed in SEEDS:
         rng = np.random.default_rng(seed)
-        driven = drives.drive(LENGTH, COUNT, rng, dark=0.1)
+        driven = drives.drive(LENGTH, COUNT, rng, dark=0.0 if by == "constant velocity" else 0.1)
         known = Known()
         if by != "constant velocity":
             lean = (0.01, 0.003) if by.startswith("leaning") else (0.0, 0.0)
             known = Known(odometry=drives.odometry(driven, rng, lean=lean))
         found = found_of(driven, known)
         assert found.joined is not None
-        assert found.placed.sum() >= (3 if by == "constant velocity" else COUNT - 2)
+        assert found.placed.sum() >= COUNT - 3
         squares.append(square_of(found, driven.tags))
     total, freedom = np.sum(squares, axis=0)
     low, high = chi2.ppf([0.005, 0.995], freedom)
@@ -83,30 +83,31 @@ def test_odometry_joins_what_no_image_does_and_says_how_well():
     assert (off < 4.0 * found.found.sigmas[found.placed]).all()
 
 
-def test_an_id_that_was_misread_twice_does_not_place_a_tag_elsewhere():
-    """Images alone have tag 11 where tag 3 hangs, 11 m off; a drive knows better, or does not place it."""
-    rng = np.random.default_rng(1)
-    driven = drives.drive(20.0, 14, rng, alone=0.5, dark=0.1)
+@pytest.mark.parametrize("seed", [1, 7])
+def test_an_id_that_was_misread_twice_does_not_place_a_tag_elsewhere(seed):
+    """Images alone have tag 7 near tag 1, some 8 m off; a drive knows better, or does not place it there."""
+    rng = np.random.default_rng(seed)
+    driven = drives.drive(LENGTH, COUNT, rng, alone=0.5, dark=0.1)
     detected = driven.detected
     alone = np.bincount(detected.frame)[detected.frame] == 1
-    detected = detected.of(np.flatnonzero((detected.ids != 11) | alone))
+    detected = detected.of(np.flatnonzero((detected.ids != 7) | alone))
     alone = np.bincount(detected.frame, minlength=len(detected.times))[detected.frame] == 1
     ids = detected.ids.copy()
-    ids[np.flatnonzero((ids == 3) & ~alone)[:2]] = 11
+    ids[np.flatnonzero((ids == 1) & ~alone)[:2]] = 7
     detected = replace(detected, ids=ids)
 
     def off(known):
         found = found_of(driven, known, detected)
         some = np.flatnonzero(found.placed)
         here, there = found.found.poses.tags[some, :3, 3], driven.tags[found.ids[some], :3, 3]
-        right = found.ids[some] != 11
+        right = found.ids[some] != 7
         away = np.linalg.norm(act(laid_over(here[right], there[right]), here) - there, axis=1)
         return away[right].max(), away[~right]
 
     assert off(Known(steady=False))[1] > 5.0
     rest, own = off(Known())
-    assert rest < 0.1
-    assert not own.size
+    assert rest < 0.3
+    assert (own < 0.3).all()
     rest, own = off(Known(odometry=drives.odometry(driven, rng)))
     assert rest < 0.1
     assert own < 0.1
@@ -125,14 +126,21 @@ def test_frames_of_several_tags_are_as_without_a_motion():
     assert np.array_equal(one.found.covariances, other.found.covariances, equal_nan=True)
 
 
-def test_a_tag_that_is_hardly_known_is_not_placed():
+def test_a_tag_that_is_hardly_known_is_not_placed(monkeypatch):
     rng = np.random.default_rng(6)
     driven = drives.drive(LENGTH, COUNT, rng, dark=0.1)
-    found = found_of(driven, Known(odometry=drives.odometry(driven, rng, drift=(0.3, 0.1))))
-    assert found.loose.any()
-    assert (found.found.sigmas[found.placed] <= 0.13).all()
-    assert (found.found.sigmas[found.loose] > 0.1).all()
+    known = Known(odometry=drives.odometry(driven, rng))
+    sigmas = found_of(driven, known).found.sigmas
+    monkeypatch.setattr("lmd.survey.survey.LOOSE_SHARE", 0.0)
+    monkeypatch.setattr("lmd.survey.survey.LOOSE_M", float(np.nanmedian(sigmas)))
+    found = found_of(driven, known)
+    assert (found.found.sigmas[found.placed] <= np.nanmedian(sigmas)).all()
+    assert (found.found.sigmas[found.loose] > np.nanmedian(sigmas)).all()
     assert set(np.asarray(tag_columns(found)["state"])[found.loose]) == {"hardly known"}
+    assert f"{found.placed.sum()} of {(found.placed | found.loose).sum()} placed" in to_text(found)
+    monkeypatch.setattr("lmd.survey.survey.LOOSE_M", 1e-6)
+    with pytest.raises(InputError, match="no tag is known to better than"):
+        found_of(driven, known)
 
 
 def test_odometry_of_another_drive_is_refused():
@@ -142,3 +150,12 @@ def test_odometry_of_another_drive_is_refused():
     with pytest.raises(InputError, match="odometry has poses from 1000 to 100") as refused:
         found_of(driven, Known(odometry=Trajectory(odometry.time + 1000.0, odometry.poses)))
     assert "the same drive and clock" in str(refused.value)
+
+
+def test_odometry_of_a_body_whose_camera_looks_elsewhere_is_refused():
+    rng = np.random.default_rng(5)
+    driven = drives.drive(8.0, 6, rng, dark=0.1)
+    odometry = drives.odometry(driven, rng)
+    body = pose_of(np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]]), np.array([0.1, 0.2, -0.5]))
+    with pytest.raises(InputError, match="odometry does not move as the images do"):
+        found_of(driven, Known(odometry=replace(odometry, poses=odometry.poses @ body)))
