@@ -114,7 +114,9 @@ def started(sightings: Sightings, prior: Prior) -> Start:
     with threadpool_limits(limits=ONE_THREAD):
         known = np.asarray(prior.information[:, :3].any(axis=1))
         apart = sightings.apart()
-        rough, group = place(apart, np.where(known[:, None, None], prior.tags, np.nan), prior.motion is not None)
+        # Frames of two cameras must be placed to find how these are mounted.
+        is_linked = prior.motion is not None and (sightings.cameras == 1 or prior.mounts is not None)
+        rough, group = place(apart, np.where(known[:, None, None], prior.tags, np.nan), is_linked)
         if prior.motion is None:
             _check_groups(group)
         return Start(as_seen(apart, rough), group)
