@@ -96,7 +96,7 @@ def joined_by_motion(
     nodes = Nodes.of(sightings, parts, prior.motion)
     tags = np.where((group < 0)[:, None, None], np.eye(4), poses.tags)
     there, motion = _adjusted(nodes, _smoothest(nodes, replace(poses, tags=tags)))
-    told = replace(prior.motion, spread=motion.spread, told=motion.told, gaps=motion.gaps, bridged=motion.bridged)
+    told = replace(prior.motion, spread=motion.spread, gaps=motion.gaps, bridged=motion.bridged)
     worlds, joined = _worlds(replace(nodes, motion=motion), there.frames, told)
     tags = np.where((parts < 0)[:, None, None], np.nan, worlds[parts] @ there.tags)
     frames = np.full_like(poses.frames, np.nan)

@@ -177,7 +177,7 @@ class LinkedAdjustment(Adjustment):
         """The same with another spread, and the same links."""
         other = LinkedAdjustment.__new__(LinkedAdjustment)
         other.__dict__.update(self.__dict__)
-        other.motion = replace(self.motion, spread=(turn, place), told=True)
+        other.motion = replace(self.motion, spread=(turn, place))
         first, second = self.seen[self.links.one], self.seen[self.links.one + 1]
         other.links = replace(self.links, information=other.motion.information(first, second))
         return other

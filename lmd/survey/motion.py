@@ -16,7 +16,7 @@ tag then says where that tag is beside the tags of the frames before and after.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -50,7 +50,6 @@ class Motion:
         drift: sums C of the covariances for turn and for place, each for a spread of one, `(F, 2, 6, 6)`.
         leans: sums B, `(F, 6, 6)`.
         piece: of odometry that each frame is in, `(F,)`; it says nothing from one to another.
-        told: whether `spread` is what the drive tells.
         gaps: seconds without images that a constant velocity has bridged elsewhere in the drive, ascending, `(n,)`.
         bridged: the spreads that this was off by, `(n, 2)`; nothing is linked across longer gaps than these. None
             where it was not tried.
@@ -62,7 +61,6 @@ class Motion:
     drift: FloatArray | None = None
     leans: FloatArray | None = None
     piece: IntArray | None = None
-    told: bool = False
     gaps: FloatArray | None = None
     bridged: FloatArray | None = None
 
@@ -114,8 +112,18 @@ class Motion:
     def of(self, frames: IntArray, apart: IntArray) -> "Motion":
         """The motion between some of the frames, `(n,)`, that says nothing from one part, `(n,)`, to another."""
         piece = apart if self.piece is None else apart * (self.piece.max() + 1) + self.piece[frames]
-        chosen = (None if each is None else each[frames] for each in (self.path, self.drift, self.leans))
-        return Motion(self.times[frames], self.spread, *chosen, piece, self.told, self.gaps, self.bridged)
+
+        def chosen(values: FloatArray | None) -> FloatArray | None:
+            return None if values is None else values[frames]
+
+        return replace(
+            self,
+            times=self.times[frames],
+            path=chosen(self.path),
+            drift=chosen(self.drift),
+            leans=chosen(self.leans),
+            piece=piece,
+        )
 
     @property
     def assumed(self) -> tuple[float, float]:
