@@ -100,9 +100,14 @@ def joined_by_motion(
     worlds, joined = _worlds(replace(nodes, motion=motion), there.frames, told)
     tags = np.where((parts < 0)[:, None, None], np.nan, worlds[parts] @ there.tags)
     frames = np.full_like(poses.frames, np.nan)
+    views = worlds[nodes.group] @ there.frames
+    # Of a frame in several parts, the one comes last that has most of its tags, or is nearest to the frames around it.
     counts = np.bincount(nodes.sightings.frame, minlength=len(nodes.frame))
-    order = np.argsort(counts, kind="stable")  # of a frame in several parts, the one with most of its tags comes last
-    frames[nodes.frame[order]] = (worlds[nodes.group] @ there.frames)[order]
+    before, after = _following(nodes, LEAP_FOLLOWING)
+    apart = np.linalg.norm(views[after, :3, 3] - views[before, :3, 3], axis=1)
+    away = sum(np.bincount(end, apart, minlength=len(counts)) for end in (before, after))
+    order = np.lexsort((-np.asarray(away), counts))
+    frames[nodes.frame[order]] = views[order]
     whole = np.where(parts < 0, -1, joined[parts])
     alone = (np.bincount(whole[parts >= 0], minlength=len(joined))[whole] == 1) & (group < 0)
     tags[alone], whole[alone] = np.nan, -1

@@ -99,6 +99,8 @@ def test_an_id_that_was_misread_twice_does_not_place_a_tag_elsewhere(seed):
 
     def off(known):
         found = found_of(driven, known, detected)
+        if known.odometry is not None:
+            assert found.faults.misread[found.ids == 7] == 2
         some = np.flatnonzero(found.placed)
         here, there = found.found.poses.tags[some, :3, 3], driven.tags[found.ids[some], :3, 3]
         right = found.ids[some] != 7
