@@ -3,9 +3,9 @@
 python benchmarks/survey.py photograph RUN FOLDER [--count 80]   # photographs of a run's tags, hung 10 mm off; true.csv
 python benchmarks/survey.py photograph RUN FOLDER --next survey.json   # likewise those that a survey asks for
 python benchmarks/survey.py compare MAP.csv TRUE.csv             # how far the tags of a map are off, millimetres
-python benchmarks/survey.py aviary test_13 [--boards 0.0002] [--calibrate]   # detections of berndpfrommer/tagslam_test
-python benchmarks/survey.py perch test_2 [--calibrate]   # likewise, two fisheye cameras, beside TagSLAM's own answer
-python benchmarks/survey.py halves FOLDER EDGE [--calibrate]   # maps of the two halves of a drive, beside each other
+python benchmarks/survey.py aviary test_13 [--boards 0.0002] [--calibrate false]  # of berndpfrommer/tagslam_test
+python benchmarks/survey.py perch test_2 [--calibrate false]  # two fisheye cameras, beside TagSLAM's own answer
+python benchmarks/survey.py halves FOLDER EDGE [--calibrate false]  # maps of two halves of a drive, side by side
 python benchmarks/survey.py rings SURVEY U V   # share of tags in view that were detected, by pixels from (U, V)
 PYTHONPATH=tests python benchmarks/survey.py time FRAMES TAGS    # how long a walk takes, and how much memory
 """
@@ -90,7 +90,7 @@ def compare(found: Path, true: Path) -> None:
         print(f"{len(of)} tags {name}: median {figures[0]:.2f}, 90 % {figures[1]:.2f}, largest {figures[2]:.2f} mm")
 
 
-def aviary(folder: Path, boards: float | None, calibrate: bool) -> None:
+def aviary(folder: Path, boards: float | None, calibrate: bool | None) -> None:
     """Spacing of the tags on boards of 2 x 3, and the map beside TagSLAM's."""
     from lmd.detection.corner_errors import CORNER_ERRORS
     from lmd.mapping.detections import read_detections
@@ -114,7 +114,7 @@ def aviary(folder: Path, boards: float | None, calibrate: bool) -> None:
     off = 1e3 * (np.concatenate(away) - 0.15)
     figures = np.nanquantile(np.abs(off), [0.5, 0.9])
     print(f"spacing off: median {figures[0]:.2f}, 90 % {figures[1]:.2f}, mean with its sign {np.nanmean(off):.2f} mm")
-    by_opencv(found, found.calibrated[0].found if calibrate else camera)
+    by_opencv(found, found.calibrated[0].found)
 
 
 def by_opencv(found: "Survey", camera: "Camera") -> None:
@@ -139,7 +139,7 @@ def by_opencv(found: "Survey", camera: "Camera") -> None:
     print(f"cv2.solvePnP, {len(away)} frames: {text}; corners {np.median(off):.3f} pixels off")
 
 
-def perch(folder: Path, calibrate: bool) -> None:
+def perch(folder: Path, calibrate: bool | None) -> None:
     """Tags and the mount of the second camera beside TagSLAM's."""
     from scipy.spatial.transform import Rotation
 
@@ -177,7 +177,7 @@ def perch(folder: Path, calibrate: bool) -> None:
         print(f"the second camera {1e3 * np.linalg.norm(mount[:3, 3] - place(row)):.2f} mm, {1e3 * angle:.2f} mrad off")
 
 
-def halves(folder: Path, edge: float, calibrate: bool) -> None:
+def halves(folder: Path, edge: float, calibrate: bool | None) -> None:
     """Map each half of a drive alone: how far tags are apart once the maps are laid over each other, and as stated.
 
     The folder has `detections.csv`, and `cameras.yaml` with the cameras in the order of their names.
@@ -252,10 +252,10 @@ def main() -> None:
     real = commands.add_parser("aviary")
     real.add_argument("folder", type=Path)
     real.add_argument("--boards", type=float, help="how exact they were printed, metres")
-    real.add_argument("--calibrate", action="store_true")
+    real.add_argument("--calibrate", type=json.loads, help="true or false; else what is the default")
     two_cameras = commands.add_parser("perch")
     two_cameras.add_argument("folder", type=Path)
-    two_cameras.add_argument("--calibrate", action="store_true")
+    two_cameras.add_argument("--calibrate", type=json.loads, help="true or false; else what is the default")
     round_image = commands.add_parser("rings")
     round_image.add_argument("survey", type=Path)
     round_image.add_argument("u", type=float)
@@ -263,7 +263,7 @@ def main() -> None:
     two_halves = commands.add_parser("halves")
     two_halves.add_argument("folder", type=Path)
     two_halves.add_argument("edge", type=float, help="of the tags, metres")
-    two_halves.add_argument("--calibrate", action="store_true")
+    two_halves.add_argument("--calibrate", type=json.loads, help="true or false; else what is the default")
     timed = commands.add_parser("time")
     timed.add_argument("frames", type=int)
     timed.add_argument("tags", type=int)

@@ -70,6 +70,9 @@ def calibrate(cfg: DictConfig) -> None:
         written += [directory / f"calibration.{kind}" for kind in ("md", "json", "png")]
         named = {f"{key}/{name}": value for name, row in figures.items() for key, value in row.items()}
         keep(tracker, written, {key: value for key, value in named.items() if np.isfinite(value)})
+    for name, (_, limits) in fitted.items():
+        for number, diameter in limits.known_circles.items():
+            print(f"{name} finds nothing beyond camera.image_circle={diameter:.0f}, pixels, of camera {number}")
     print(f"{markdown}\nfiles: {directory}\nmlflow: {tracker.describe()}")
 
 
@@ -81,7 +84,16 @@ def to_markdown(figures: dict[str, dict[str, float]]) -> str:
     """A row for each detector: its limits, and how well they predict what they were not fitted to."""
     from lmd.core.words import escaped, markdown_table
 
-    head = ["detector", "views", "a", "k", "m [px]", "b [degrees]", "held-out accuracy / precision / recall"]
+    head = [
+        "detector",
+        "views",
+        "a",
+        "k",
+        "m [px]",
+        "b [degrees]",
+        "margin [px]",
+        "held-out accuracy / precision / recall",
+    ]
     head += [f"rooms: P(>= {n}) predicted / detected" for n in range(1, 5)]
     head += ["rooms: precision / recall", "rooms: frames agree on >= 2"]
     rows = []
@@ -93,7 +105,7 @@ def to_markdown(figures: dict[str, dict[str, float]]) -> str:
             f"{row['blur']:.2g}",
             f"{row['edge']:.3g}",
         ]
-        cells += [f"{row['incidence']:.0f}"]
+        cells += [f"{row['incidence']:.0f}", f"{row['margin']:.3g}"]
         cells += [f"{row['accuracy']:.3f} / {row['precision']:.3f} / {row['recall']:.3f}"]
         if "room_frames" in row:
             cells += [f"{row[f'room_predicted_{n}']:.3f} / {row[f'room_detected_{n}']:.3f}" for n in range(1, 5)]
@@ -122,7 +134,13 @@ def read_survey() -> None:
         sys.exit(1)
     for group, part in parts.items():
         ConfigStore.instance().store(OPTION, part, group)
-    chosen = {"views": OPTION, "views.folder": quoted(Path(given[-1])), "frames": "0", **dict.fromkeys(parts, OPTION)}
+    chosen = {
+        "views": OPTION,
+        "views.folder": quoted(Path(given[-1])),
+        "frames": "0",
+        "margin": "0",
+        **dict.fromkeys(parts, OPTION),
+    }
     chosen["detectors"] = f"[{','.join(before.get('detectors') or {})}]"
     if before.get("run"):
         chosen["run"] = quoted(Path(before["run"]))

@@ -29,11 +29,15 @@ def detected(cfg: DictConfig, cameras: "Sequence[Camera]", detector: "Detector",
     from lmd.core.checks import InputError
     from lmd.mapping.copies import without_copies
     from lmd.mapping.detections import read_detections
+    from lmd.mapping.images_taken import with_images
 
     if (cfg.photographs is None) == (cfg.detections is None):
         raise InputError("photographs=DIR, a folder or a video, or detections=FILE.csv must be given, and not both.")
     if cfg.detections is not None:
-        return without_copies(read_detections(cfg.detections))
+        found = read_detections(cfg.detections)
+        return without_copies(found if cfg.images is None else with_images(found, cfg.images))
+    if cfg.images is not None:
+        raise InputError("images goes with detections=FILE.csv: with photographs it is known which there are.")
     return without_copies(_in_images(cfg, cameras, detector, modules))
 
 

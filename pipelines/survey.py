@@ -6,8 +6,7 @@ from typing import TYPE_CHECKING, Any
 from omegaconf import DictConfig, OmegaConf
 
 from .app import run_directory
-from .building import build_problem, camera_of, instantiate, keyed, settings_of
-from .deployments import any_deployment
+from .building import camera_of, instantiate, keyed, settings_of
 from .detectors import detector_of
 from .earlier_run import read_earlier_run
 from .export import build_export
@@ -25,6 +24,7 @@ if TYPE_CHECKING:
     from lmd.scene.rig import Rig
     from lmd.scene.scene import Scene
     from lmd.scene.tag import Tag
+    from lmd.space.space import Space
     from lmd.survey.survey import Known
 
 
@@ -36,7 +36,7 @@ def survey(cfg: DictConfig) -> None:
     from lmd.detection.surveyed import FILE as VIEWS
     from lmd.evaluation.verdicts import verdicts
     from lmd.scene.rig import Rig
-    from lmd.survey.audit import audited
+    from lmd.survey.audit import audited, in_the_open
     from lmd.survey.next_photographs import next_photographs
     from lmd.survey.report import again, map_of, metrics
     from lmd.survey.survey import survey as find
@@ -53,23 +53,27 @@ def survey(cfg: DictConfig) -> None:
     cameras = given.cameras if isinstance(given, Rig) else (given,)
     name, detector = _detector(cfg)
     known, room = _known(cfg, tag, given), instantiate(cfg.room) if cfg.get("room") else None
-    scene = _scene(cfg) if boolean("audit", cfg.audit) else None
+    scene = _scene(cfg, room, given, tag) if boolean("audit", cfg.audit) else None
     exports = build_export(cfg, "export", tag)
     if exports.formats and room is None:
         raise InputError("export needs the room that the tags hang in: run=DIR, or room=... with its keys.")
     check_folder(run_directory(), cfg, len(cameras), exports, has_plan=known.plan is not None)
     found_tags = detected(cfg, cameras, detector, tag.modules)
     errors = CORNER_ERRORS[name.removesuffix("_fine")]
+    with keyed("survey"):
+        calibrate = None if cfg.survey.calibrate == "auto" else boolean("calibrate", cfg.survey.calibrate)
     with keyed(
         "survey",
         detections="detections" if cfg.detections is not None else "photographs",
         cameras="camera",
         fixed="deployment.fixed",
     ):
-        found = find(found_tags, cameras, tag, errors, known, boolean("calibrate", cfg.survey.calibrate))
-    through = tuple(one.found for one in found.calibrated) or cameras
+        found = find(found_tags, cameras, tag, errors, known, calibrate)
+    through = tuple(one.found for one in found.calibrated)
     found = replace(found, proposed=next_photographs(found, through[0], tag.modules, errors, again(found), room))
-    audit = None if scene is None else audited(found, scene, verdicts)
+    audit = None
+    if scene is not None:
+        audit = audited(*((found, scene) if room is not None else in_the_open(found, scene)), verdicts)
     about = f"survey of {found.placed.sum()} tags in {len(found.found.frames)} frames"
     with tracked(cfg, "survey", about) as tracker:
         writers = writers_of(found, room, about, is_new=cfg.detections is None)
@@ -104,17 +108,24 @@ def _detector(cfg: DictConfig) -> "tuple[str, Detector]":
     return named[0], detector
 
 
-def _scene(cfg: DictConfig) -> "Scene":
-    """What the frames are audited by.
+def _scene(cfg: DictConfig, room: "Space | None", camera: "Camera | Rig", tag: "Tag") -> "Scene":
+    """What the frames are audited by, in a room that stands for one where none is known.
 
     Raises:
-        InputError: there is no room.
+        InputError: the visibility model knows no tags, only points.
     """
-    from lmd.core.checks import InputError
+    from lmd.core.checks import InputError, check_members
+    from lmd.scene.criteria import Criteria
+    from lmd.scene.pdf import solid_angle
+    from lmd.scene.scene import Scene
+    from lmd.space.cuboid import Cuboid
 
-    if not cfg.get("room"):
-        raise InputError("audit needs the room and the visibility model of a run: run=DIR.")
-    return build_problem(any_deployment(cfg)).scene
+    if "tag" not in cfg.visibility:
+        raise InputError("audit needs a visibility model of tags: visibility=fiducial.")
+    visibility, metre = instantiate(cfg.visibility), (1.0, 1.0, 1.0)
+    check_members("visibility", visibility, Criteria, "docs/api/scene.md")
+    anywhere = Cuboid(metre, reachable_size=metre, spacing=1.0) if room is None else room
+    return Scene(anywhere, camera, solid_angle(1), visibility, tag)  # it is asked for the frames' own orientations
 
 
 def _known(cfg: DictConfig, tag: "Tag", given: "Camera | Rig") -> "Known":

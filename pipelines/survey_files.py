@@ -43,7 +43,7 @@ def check_folder(directory: Path, cfg: DictConfig, cameras: int, exports: "Expor
     own = set(ALWAYS) | {FORMATS[name].file for name in exports.formats}
     own |= {MEASURED} if has_plan else set()
     own |= {DETECTED} if cfg.detections is None else set()
-    own |= set(camera_files(cameras)) if cfg.survey.calibrate else set()
+    own |= set(camera_files(cameras))
     own |= set(AUDIT) if cfg.audit else set()
     for name in sorted(own):
         if (directory / name).is_dir():
@@ -92,7 +92,7 @@ def writers_of(found: "Survey", room: "Space | None", title: str, is_new: bool) 
     }
     if (measured := measured_of(found)) is not None:
         writers[MEASURED] = lambda path: measured.to_csv(path, ups=True)
-    for file, camera in zip(camera_files(len(found.calibrated)), found.calibrated, strict=False):
+    for file, camera in zip(camera_files(len(found.calibrated)), found.calibrated, strict=True):
         writers[file] = partial(write_yaml, keys=camera_info(camera.found))
     if is_new:
         writers[DETECTED] = lambda path: write_detections(path, found.detected)

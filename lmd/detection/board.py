@@ -12,7 +12,7 @@ from lmd.detection.detectors import Detections, Detector
 from lmd.detection.evaluation import CORNER_TOLERANCE, corner_error, match
 from lmd.detection.frames import qualities
 from lmd.detection.images import Photographs
-from lmd.detection.mosaic import Views, only
+from lmd.detection.mosaic import OF_EACH, Views, only
 from lmd.detection.pose import pose_from_corners
 from lmd.geometry.se3 import ROW, poses_from_rows
 from lmd.geometry.squares import upright
@@ -78,7 +78,7 @@ class BoardImages:
             raise InputError(
                 f"folder: in no image of {str(self.folder)!r} is a tag of the board where it should be.", "folder"
             )
-        return Views(*(np.concatenate([getattr(part, name) for part in parts]) for name in Views.__dataclass_fields__))
+        return Views(*(np.concatenate([getattr(part, name) for part in parts]) for name in OF_EACH))
 
     @property
     def photographs(self) -> int:

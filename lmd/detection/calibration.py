@@ -85,6 +85,7 @@ class Calibration:
             "seen": float(self.views.seen.mean()),
             **{name: getattr(limits, name) for name in NAMES},
             **{name: getattr(fit, name) for name in ("accuracy", "precision", "recall")},
+            **{f"image_circle_{number}": diameter for number, diameter in fit.known_circles.items()},
             **{
                 f"{name}_{end}": value
                 for name, ends in self.intervals.items()
@@ -104,10 +105,14 @@ class Calibration:
         lines = [f"Limits of {detector} for tags of the family {family}: {source}."]
         origin = f"{self.photographs} photographs" if self.photographs else "renderings, not on photographs"
         lines.append(f"Measured on {origin}.")
+        half = "half" if self.views.placed is None else "the first half, in time,"
         lines.append(
-            f"Fitted to half of {len(self.views)} views; on the other half accuracy {fit.accuracy:.3f}, "
+            f"Fitted to {half} of {len(self.views)} views; on the other half accuracy {fit.accuracy:.3f}, "
             f"precision {fit.precision:.3f}, recall {fit.recall:.3f}."
         )
+        if fit.known_circles:
+            ends = (f"{diameter:.0f} pixels of camera {number}" for number, diameter in fit.known_circles.items())
+            lines.append(f"Fitted with them: image_circle {', '.join(ends)}.")
         if self.intervals:
             spans = (f"{name} {low:.3g} to {high:.3g}" for name, (low, high) in self.intervals.items())
             lines.append(f"90 % intervals: {', '.join(spans)}.")

@@ -69,7 +69,7 @@ class Detector(Protocol):
 class ArucoDetector:
     """`cv2.aruco`, corners refined by `CORNER_REFINE_SUBPIX`.
 
-    `CORNER_REFINE_APRILTAG` is no choice: its corners are off by about half a pixel.
+    `CORNER_REFINE_APRILTAG` is no choice: it counts pixels from the border, half a pixel from the rest of OpenCV.
 
     Args:
         family: one of `lmd.scene.tag.FAMILIES`.

@@ -13,7 +13,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from lmd.core.checks import BoolArray, FloatArray, InputError, check_fields, integer, vector
+from lmd.core.checks import BoolArray, FloatArray, InputError, IntArray, check_fields, integer, vector
 from lmd.core.memory import check_memory
 from lmd.detection.detectors import Detections, Detector
 from lmd.detection.evaluation import CORNER_TOLERANCE, corner_error
@@ -29,6 +29,7 @@ from lmd.scene.tag import Tag
 TILE_EDGES = (64, 128, 256, 512)
 VIEW_BYTES = 1000  # at the least, of one and what is drawn for it
 CAMERA_POSE = np.eye(4)
+OF_EACH = ("pitch", "incidence", "edge", "sigma", "seen", "error")  # fields of `Views` with a value for each
 
 
 @dataclass(frozen=True)
@@ -95,6 +96,27 @@ class Mosaics:
 
 
 @dataclass(frozen=True)
+class Placed:
+    """Where M views are in the images of a recording, and when those were taken; `(M,)` each.
+
+    Args:
+        camera: of a rig, from 0.
+        moment: rank of the time of its image, from 0.
+        border: least distance of the corners from the image's border, pixels.
+        circle: diameter of the smallest `Camera.image_circle` that has the whole tag, pixels; NaN where the camera has
+            no lens that distorts, and so no such circle.
+    """
+
+    camera: IntArray
+    moment: IntArray
+    border: FloatArray
+    circle: FloatArray
+
+    def __getitem__(self, which: object) -> "Placed":
+        return Placed(*(getattr(self, name)[which] for name in self.__dataclass_fields__))
+
+
+@dataclass(frozen=True)
 class Views:
     """What M views of single tags are like, and what a detector made of them; `(M,)` each.
 
@@ -102,6 +124,7 @@ class Views:
         pitch, incidence, edge, sigma: as in `lmd.detection.quality`, and the whole blur, pixels.
         seen: whether it was detected with its id, in its place.
         error: root mean square of its corners' errors, pixels; NaN where not seen.
+        placed: where and when they were seen; None for single views that are drawn or photographed.
     """
 
     pitch: FloatArray
@@ -110,12 +133,14 @@ class Views:
     sigma: FloatArray
     seen: BoolArray
     error: FloatArray
+    placed: Placed | None = None
 
     def __len__(self) -> int:
         return len(self.pitch)
 
     def __getitem__(self, which: object) -> "Views":
-        return Views(*(getattr(self, name)[which] for name in self.__dataclass_fields__))
+        placed = None if self.placed is None else self.placed[which]
+        return replace(self, placed=placed, **{name: getattr(self, name)[which] for name in OF_EACH})
 
 
 def only(cameras: Sequence[Camera]) -> Camera:
@@ -167,7 +192,7 @@ def sample_views(
             views.append(_detect(camera, tag, detector, scene, sigmas[part], ranges, patches, rng))
     if not views:
         raise InputError(f"none of {count} views fits a tile of the {width} x {height} image.")
-    return Views(*(np.concatenate([getattr(view, name) for view in views]) for name in Views.__dataclass_fields__))
+    return Views(*(np.concatenate([getattr(view, name) for view in views]) for name in OF_EACH))
 
 
 def _tile_centres(camera: Camera, tile: int, count: int) -> FloatArray:

@@ -23,12 +23,14 @@ class Prediction:
         poses: X, `(N, 4, 4)`.
         visible: which tags the model counts as seen, `(N, K)`.
         met: whether each of its criteria is met, `(N, K)` by name; empty where the model cannot say.
+        taken: of which frames there is an image, `(N,)`; None for all. Nothing is visible or whole in the others.
     """
 
     renderer: Renderer
     poses: FloatArray
     visible: BoolArray
     met: Mapping[str, BoolArray]
+    taken: BoolArray | None = None
 
     @property
     def parts(self) -> "tuple[Prediction, ...]":
@@ -52,7 +54,8 @@ class Prediction:
     @cached_property
     def whole(self) -> BoolArray:
         """Which tags show their front with all corners in the image, `(N, K)`."""
-        return self.renderer.inside(self.poses)
+        inside = self.renderer.inside(self.poses)
+        return inside if self.taken is None else inside & self.taken[:, None]
 
     @cached_property
     def pitch(self) -> FloatArray:

@@ -8,18 +8,20 @@ from pathlib import Path
 import numpy as np
 
 from lmd.core.checks import InputError
+from lmd.core.moments import in_order
 from lmd.core.tables import Table, read_table
 from lmd.detection.detectors import Detector
 from lmd.detection.frames import blur
-from lmd.detection.mosaic import Views
+from lmd.detection.mosaic import Placed, Views
 from lmd.render.imaging import Imaging
 from lmd.scene.camera import Camera
 from lmd.scene.tag import Tag
 
 FILE, FRAME, CAMERA = "in_view.csv", "time", "camera"
 # Of each view: the tag, where its centre is imaged (pixels from the border), its depth (metres), pixels a module,
-# incidence (degrees), edge of the square of the same area (pixels), and whether it was detected.
-COLUMNS = ("id", "u", "v", "depth", "pitch", "incidence", "edge", "seen")
+# incidence (degrees), edge of the square of the same area (pixels), distance of its corners from the border and
+# diameter of the image circle that has it (pixels, see `lmd.detection.mosaic.Placed`), and whether it was detected.
+COLUMNS = ("id", "u", "v", "depth", "pitch", "incidence", "edge", "border", "circle", "seen")
 
 
 @dataclass(frozen=True)
@@ -61,7 +63,7 @@ class SurveyedViews:
             InputError: the survey has more cameras.
         """
         number, *columns = self._table.numbers((CAMERA, *COLUMNS), (FRAME,)).T
-        _, _, _, depth, pitch, incidence, edge, seen = columns
+        _, _, _, depth, pitch, incidence, edge, border, circle, seen = columns
         if (count := int(number.max(initial=0))) > len(cameras):
             raise InputError(
                 f"folder: the survey {str(self.folder)!r} has {count} cameras, here {len(cameras)}.", "folder"
@@ -69,5 +71,10 @@ class SurveyedViews:
         sigma = np.empty(len(depth))
         for index, camera in enumerate(cameras, 1):
             sigma[number == index] = blur(camera, depth[number == index], imaging)
+        bends = np.array([camera.lens is not None for camera in cameras])
+        own, times = number.astype(np.int64) - 1, self._table.texts[FRAME]
+        rank = {text: index for index, text in enumerate(in_order(times))}
+        moment = np.array([rank[text] for text in times])
+        placed = Placed(own, moment, border, np.where(bends[own], circle, np.nan))
         nothing = np.full(len(pitch), np.nan)
-        return Views(pitch, np.radians(incidence), edge, sigma, seen > 0.0, nothing)
+        return Views(pitch, np.radians(incidence), edge, sigma, seen > 0.0, nothing, placed)

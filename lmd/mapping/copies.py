@@ -24,6 +24,7 @@ def without_copies(detected: DetectedTags) -> DetectedTags:
     begins = np.flatnonzero(np.any(np.diff(image, axis=0, prepend=-1), axis=1))
     kept: list[np.ndarray] = []
     copies = {}
+    taken = detected.images.copy()
     first: dict[tuple[int, ...], tuple[list[str], FloatArray, int]] = {}
     for own in np.split(order, begins[1:]):
         camera, corners = int(detected.camera[own[0]]), detected.corners[own].ravel()
@@ -35,6 +36,7 @@ def without_copies(detected: DetectedTags) -> DetectedTags:
         same = near[(np.abs(known[near] - corners) <= SAME).all(axis=1)]
         if same.size:
             copies[called] = names[same[0]]
+            taken[detected.frame[own[0]], camera] = False
             continue
         if count == len(known):
             known = np.concatenate([known, np.empty_like(known)])
@@ -42,4 +44,4 @@ def without_copies(detected: DetectedTags) -> DetectedTags:
         names.append(called)
         first[key] = names, known, count + 1
         kept.append(own)
-    return replace(detected.of(np.sort(np.concatenate(kept))), copies=copies)
+    return replace(detected.of(np.sort(np.concatenate(kept))), copies=copies, taken=taken)

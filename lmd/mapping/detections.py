@@ -1,16 +1,16 @@
 """Detections that others made: the corners of tags in the frames of one or several cameras, from a CSV."""
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from decimal import Decimal, InvalidOperation
+from decimal import Decimal
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from lmd.core.checks import FloatArray, InputError, IntArray
+from lmd.core.checks import BoolArray, FloatArray, InputError, IntArray
 from lmd.core.files import read_text
+from lmd.core.moments import in_order, time_of
 from lmd.core.tables import COMMENT, read_table, write_table
 from lmd.detection.detectors import Detections
 from lmd.scene.calibration_files import PIXEL_CENTRE
@@ -44,6 +44,8 @@ class DetectedTags:
         blurred: frames whose detections were left out, with their blur, pixels, by their name.
         copies: images whose detections were left out, with the image that each is a copy of, by their name.
         in_order: whether corners are known to begin at the top left, because a detector of `lmd.detection` found them.
+        taken: of which frames each camera has an image that counts, whether or not it shows a tag, `(F, C)`; None if
+            it has one of all.
 
     Raises:
         InputError: shapes do not match, or there is no detection.
@@ -58,6 +60,7 @@ class DetectedTags:
     blurred: Mapping[str, float] = field(default_factory=dict)
     copies: Mapping[str, str] = field(default_factory=dict)
     in_order: bool = False
+    taken: BoolArray | None = None
 
     def __post_init__(self) -> None:
         count = len(self.ids)
@@ -68,6 +71,11 @@ class DetectedTags:
 
     def __len__(self) -> int:
         return len(self.ids)
+
+    @property
+    def images(self) -> BoolArray:
+        """`taken`, whatever is known, `(F, C)`."""
+        return np.ones((len(self.times), len(self.cameras)), dtype=bool) if self.taken is None else self.taken
 
     @classmethod
     def in_frames(cls, names: Sequence[str], found: Sequence[Detections]) -> "DetectedTags":
@@ -92,7 +100,12 @@ class DetectedTags:
         ids, corners = (np.concatenate([getattr(part, name) for part in parts.values()]) for name in ("ids", "corners"))
         blurs = {f"{name}/{time}": blur for name, part in parts.items() for time, blur in part.blurred.items()}
         in_order = all(part.in_order for part in parts.values())
-        return cls(tuple(times), tuple(parts), np.concatenate(places), camera, ids, corners, blurs, in_order=in_order)
+        sharp = [sorted(set(part.times) - set(part.blurred)) for part in parts.values()]
+        taken = np.stack([np.isin(times, names) for names in sharp], axis=1)
+        cameras = tuple(parts)
+        return cls(
+            tuple(times), cameras, np.concatenate(places), camera, ids, corners, blurs, in_order=in_order, taken=taken
+        )
 
     def of(self, chosen: IntArray) -> "DetectedTags":
         """Those that `chosen` selects, among the same frames and cameras."""
@@ -149,7 +162,7 @@ def read_detections(path: Any) -> DetectedTags:
         raise InputError(f"{path} line {table.lines[wrong[0]]}: id is {text!r}, not a whole number from 0.", name)
     # Nanoseconds since 1970 have more digits than a float, so frames are told apart by what is written.
     moments = _as_first_written(table.texts[time])
-    place = {text: index for index, text in enumerate(sorted(set(moments), key=_moment))}
+    place = {text: index for index, text in enumerate(in_order(moments))}
     names = sorted(set(table.texts[camera])) if camera else [""]
     cameras = np.searchsorted(names, table.texts[camera]) if camera else np.zeros(len(ids), dtype=np.int64)
     corners = values[:, 1:9].reshape(-1, 4, 2) + PIXEL_CENTRE
@@ -166,23 +179,7 @@ def read_detections(path: Any) -> DetectedTags:
 def _as_first_written(texts: Sequence[str]) -> list[str]:
     """Texts for times, equal numbers as the first of them was written: 9.5 and 9.50 are one time."""
     written: dict[Decimal | str, str] = {}
-    result = []
-    for text in texts:
-        try:
-            number = Decimal(text)
-        except InvalidOperation:
-            number = Decimal("nan")
-        result.append(written.setdefault(number if number.is_finite() else text, text))
-    return result
-
-
-def _moment(text: str) -> tuple[float, str]:
-    """What texts for times are sorted by: the number, or else, as for names of photographs, the text."""
-    try:
-        number = float(text)
-    except ValueError:
-        number = math.inf
-    return number if math.isfinite(number) else math.inf, text
+    return [written.setdefault(time_of(text), text) for text in texts]
 
 
 def write_detections(path: Path, detected: DetectedTags) -> None:

@@ -1,6 +1,7 @@
 """What detectors found beside what was predicted: figures, and frames with the tags outlined."""
 
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -11,13 +12,14 @@ from lmd.core.checks import BoolArray, FloatArray
 from lmd.core.optional import optional
 from lmd.detection.calibration import Calibration
 from lmd.detection.evaluation import TAG_NUMBERS
+from lmd.detection.fit import foretold
 from lmd.detection.report import PLACES
 from lmd.plot.common import literal, new_figure, shrink
 from lmd.render.imaging import UInt8Array
 
 # Outlines in frames, red, green, blue.
 BOTH, ONLY_DETECTED, ONLY_PREDICTED = (26, 150, 65), (31, 119, 220), (214, 39, 40)
-# Classes of pitch over its limit.
+# Classes of size over its limit.
 RATIOS = np.arange(0.3, 2.51, 0.1)
 PITCH_TICKS = (0.5, 1.0, 2.0, 4.0, 8.0, 16.0)
 LEGEND = (
@@ -90,7 +92,7 @@ def save_places_figure(path: str | Path, places: pd.DataFrame, title: str) -> No
 
 
 def save_limits_figure(path: str | Path, calibrations: Mapping[str, Calibration], title: str) -> None:
-    """Write a PNG: for each detector which views it found, by pitch and blur, and how often by pitch over its limit.
+    """Write a PNG: for each detector which views it found, by pitch and blur, and how often by size over its limit.
 
     Args:
         calibrations: by the detector's name.
@@ -99,7 +101,9 @@ def save_limits_figure(path: str | Path, calibrations: Mapping[str, Calibration]
     panels: Any = figure.subplots(len(calibrations), 2, squeeze=False)
     for (left, right), (name, calibration) in zip(panels, calibrations.items(), strict=True):
         views, limits = calibration.views, calibration.fit.limits
-        fair = (views.incidence <= np.radians(limits.incidence)) & (views.edge >= limits.edge)
+        facing = replace(limits, pitch=0.0, blur=0.0, edge=0.0)  # and in the image
+        shown = foretold(views, facing, calibration.fit.circles)
+        fair = shown & (views.edge >= limits.edge)
         for which, colour, label in ((views.seen, "C0", "found"), (~views.seen, "C3", "not found")):
             chosen = fair & which
             left.plot(views.sigma[chosen], views.pitch[chosen], ".", ms=3.0, alpha=0.5, color=colour, label=label)
@@ -107,16 +111,19 @@ def save_limits_figure(path: str | Path, calibrations: Mapping[str, Calibration]
         left.plot(sigma, np.hypot(limits.pitch, limits.blur * sigma), "k", label="limit")
         left.set(title=literal(name), xlabel="blur sigma [px]", ylabel="pixels a module", ylim=(0.0, None))
         left.legend(loc="upper left", markerscale=3.0, framealpha=0.9)
-        ratio = views.pitch / np.hypot(limits.pitch, limits.blur * views.sigma)
+        with np.errstate(divide="ignore"):  # a limit of 0 is none
+            ratio = np.minimum(
+                views.pitch / np.hypot(limits.pitch, limits.blur * views.sigma), views.edge / np.float64(limits.edge)
+            )
         place = np.searchsorted(RATIOS, ratio, side="right") - 1
         for b in range(len(RATIOS) - 1):
-            members = views.seen[fair & (place == b)]
+            members = views.seen[shown & (place == b)]
             if len(members):
                 share = members.mean()
                 error = np.sqrt(share * (1.0 - share) / len(members))
                 right.errorbar((RATIOS[b] + RATIOS[b + 1]) / 2.0, share, error, fmt="o", color="C0")
         right.plot([RATIOS[0], 1.0, 1.0, RATIOS[-1]], [0.0, 0.0, 1.0, 1.0], "k", lw=1.0)
-        right.set(xlabel="pixels a module over the limit", ylabel="share found", ylim=(-0.02, 1.02))
+        right.set(xlabel="size over the limit", ylabel="share found", ylim=(-0.02, 1.02))
         right.grid(alpha=0.3)
     figure.savefig(path)
 

@@ -83,15 +83,17 @@ class Adjustment:
     Args:
         sightings: see there.
         prior: what is known of the tags.
-        lenses: whether the intrinsics of the cameras are unknown, too; they follow the tags and the mounts.
+        nuisances: whether what is not known of the cameras and of the shapes of tags is unknown, too, see `Sightings`;
+            these follow the tags and the mounts.
     """
 
-    def __init__(self, sightings: Sightings, prior: Prior, lenses: bool = False) -> None:
+    def __init__(self, sightings: Sightings, prior: Prior, nuisances: bool = False) -> None:
         self.sightings, self.prior = sightings, prior
         self.mounts = sightings.cameras - 1 if prior.mounts is None else 0  # that are to be found
         self.placed = len(sightings.ids) + self.mounts
-        self.lens_blocks = sightings.lens.shape[2] // 6 if lenses else 0
-        self.kept = self.placed + sightings.cameras * self.lens_blocks
+        self.lens_blocks = sightings.lens.shape[2] // 6 if nuisances else 0
+        self.flat = self.placed + sightings.cameras * self.lens_blocks  # where shapes begin
+        self.kept = self.flat + (len(sightings.ids) if nuisances and sightings.shape_sigma else 0)
         seen, first = np.unique(sightings.frame, return_index=True)
         unknowns = 6 * (len(seen) + len(np.unique(sightings.tag)) + self.mounts)
         self.share = max(1.0 - unknowns / (RESIDUALS * len(sightings)), LEAST_SHARE)  # of squares that a fit leaves
@@ -145,31 +147,48 @@ class Adjustment:
         (w + 2 w' chi^2 / 8) is what the slope of the equations loses, that of w^2 chi^2 / 8 is the variance of their
         right side, and the covariance is that of least squares times the second over the first squared.
         """
-        square = self.squares(errors_at(self.sightings, poses), floor) / self.share
-        weight = weight_of(square)
-        slope = (weight - 2.0 / RESIDUALS * square * weight / (DEGREES_OF_FREEDOM + square)).mean()
-        spread = (weight**2 * square).mean() / RESIDUALS
-        matrix, *_ = self.reduced(poses, floor, 0.0, float(slope**2 / spread))
+        slope, spread = self.efficiency(poses, floor)
+        matrix, *_ = self.reduced(poses, floor, 0.0, slope**2 / spread)
         spoken = np.flatnonzero(np.diag(matrix) > 0.0)
         whole = np.full_like(matrix, np.nan)
         whole[np.ix_(spoken, spoken)] = np.linalg.inv(matrix[np.ix_(spoken, spoken)])
         return whole
 
-    def lens_step(self, poses: Poses, floor: float, off: FloatArray) -> FloatArray:
-        """How the intrinsics change in one step of all unknowns together, `(C, 6 L)`, in the units of their slopes.
+    def efficiency(self, poses: Poses, floor: float) -> tuple[float, float]:
+        """The mean slope of the equations, and the variance of their right side, see `covariance`."""
+        square = self.squares(errors_at(self.sightings, poses), floor) / self.share
+        weight = weight_of(square)
+        slope = (weight - 2.0 / RESIDUALS * square * weight / (DEGREES_OF_FREEDOM + square)).mean()
+        return float(slope), float((weight**2 * square).mean() / RESIDUALS)
+
+    def joint_step(
+        self, poses: Poses, floor: float, damping: float, off: FloatArray
+    ) -> tuple[Poses, FloatArray, FloatArray]:
+        """The poses after one step of all unknowns, how nuisances change, and their variances after it, both `(n, 6)`.
+
+        Nuisances are in units of what they may be off.
 
         Args:
-            poses, floor: the best ones with the intrinsics as they are.
-            off: what these are off what was known of them, `(C, 6 L)`.
+            poses, floor: the best ones with the nuisances as they are.
+            damping: by which diagonals grow, relative.
+            off: what these are off what was known of them, `(n, 6)`.
         """
-        reduced, right, _ = self.reduced(poses, floor, 0.0)
-        right[self.placed :] -= off.reshape(-1, 6)
-        return _solve(reduced, right)[6 * self.placed :].reshape(off.shape)
+        reduced, right, blocks = self.reduced(poses, floor, damping)
+        right[self.placed :] -= off
+        spoken = np.flatnonzero(np.diag(reduced) > 0.0)
+        whole = np.linalg.inv(reduced[np.ix_(spoken, spoken)])
+        step, variance = np.zeros((2, right.size))
+        step[spoken], variance[spoken] = whole @ right.ravel()[spoken], np.diag(whole)
+        step, variance = step.reshape(-1, 6), variance.reshape(-1, 6)
+        return self._moved(poses, step, blocks), step[self.placed :], variance[self.placed :]
 
     def step(self, poses: Poses, floor: float, damping: float) -> Poses:
         """The poses after one step."""
         reduced, right, blocks = self.reduced(poses, floor, damping)
-        kept = _solve(reduced, right).reshape(self.kept, 6)
+        return self._moved(poses, _solve(reduced, right).reshape(self.kept, 6), blocks)
+
+    def _moved(self, poses: Poses, kept: FloatArray, blocks: list[Eliminated]) -> Poses:
+        """The poses once what is kept has changed by `kept`, and what was eliminated accordingly."""
         frames = poses.frames.copy()
         count = len(self.sightings.ids)
         rests = []
@@ -193,6 +212,8 @@ class Adjustment:
         for block in range(self.lens_blocks):
             index = self.placed + self.lens_blocks * some.camera + block
             found.append((index, some.lens[:, :, 6 * block : 6 * block + 6]))
+        if self.kept > self.flat:
+            found.append((self.flat + some.tag, some.shape_sigma * at.by_shape))
         return found
 
     def eliminate(
@@ -285,20 +306,22 @@ class Adjustment:
             right[sheets.tag] -= scaled * fitted.off
             one, other = sheets.pairs
             np.subtract.at(cells, (sheets.tag[one], sheets.tag[other]), sheets.couplings(weights))
-        diagonal[self.placed :] += np.eye(6)  # the unit of intrinsics is what they may be off
+        diagonal[self.placed :] += np.eye(6)  # the unit of nuisances is what they may be off
         diagonal += damping * diagonal * np.eye(6)
         each = np.arange(self.kept)
         cells[each, each] += diagonal
         return matrix, right, blocks
 
-    def run(self, poses: Poses, floor: float, steps: int) -> Adjusted:
+    def run(self, poses: Poses, floor: float, steps: int, most: float | None = None) -> Adjusted:
         """The best poses near `poses`.
 
         Args:
             poses: where to begin.
             floor: where to begin, pixels; it is found.
+            steps: how many are tried.
+            most: of the floor; None for where it begins.
         """
-        damping, most = FIRST_DAMPING, floor
+        damping, most = FIRST_DAMPING, floor if most is None else most
         error, costs = errors_at(self.sightings, poses), self.costs(poses)
         cost = self.cost(error, costs, floor)
         for _ in range(steps):

@@ -7,7 +7,6 @@ import numpy as np
 from lmd.core.checks import FloatArray, IntArray
 from lmd.geometry.se3 import inverse, skew
 from lmd.survey.estimate import Estimate
-from lmd.survey.linked import adjustment_of
 
 NEAREST = 6  # tags of other groups that a tag is set beside
 
@@ -38,7 +37,7 @@ def joined_by(found: Estimate, group: IntArray) -> Joined:
     mapped = np.isfinite(found.covariances).all(axis=(1, 2))
     own = np.where(mapped, own, -1)
     own[mapped] = np.unique(own[mapped], return_inverse=True)[1]
-    covariance = adjustment_of(found.sightings.of(found.used), found.prior).covariance(found.poses, found.floor)
+    covariance = found.covariance
     best = np.full(int(own.max(initial=-1)) + 1, np.inf)
     places = found.poses.tags[:, :3, 3]
     for k in np.flatnonzero(mapped).tolist():

@@ -1,12 +1,14 @@
 """Where the tags hang: the best poses of all that was seen, how well they are known, and what did not fit."""
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from threadpoolctl import threadpool_limits
 
 from lmd.core.checks import BoolArray, FloatArray, InputError, IntArray
 from lmd.geometry.se3 import inverse, middle
+from lmd.survey.adjustment import Adjustment
 from lmd.survey.gauge import blocks_of, without_gauge
 from lmd.survey.joining import joined_by_motion
 from lmd.survey.known import aligned, turned_as
@@ -16,8 +18,9 @@ from lmd.survey.sightings import Sightings
 from lmd.survey.start import FLOOR_PIXELS, place
 from lmd.survey.turns import as_seen
 
-# A sighting whose chi^2 is larger, with eight degrees of freedom, does not show the tag where it hangs.
-MISFIT_CHI_SQUARE = 60.0
+# A sighting whose chi^2 is larger, with eight degrees of freedom, and which is off by more, root mean square, does not
+# show the tag where it hangs. Blur alone moves corners by less.
+MISFIT_CHI_SQUARE, MISFIT_PIXELS = 60.0, 1.0
 STEPS, FINAL_STEPS = 40, 15
 # Threads that share matrices of some hundred rows wait for each other longer than they work.
 ONE_THREAD = 1
@@ -36,9 +39,7 @@ class Estimate:
         used: which sightings count, `(N,)`: of tags and frames of the map, and not far off.
         misfits: which are of such tags and frames but do not show the tag where it hangs, `(N,)`.
         floor: standard deviation of the corners that the detector does not account for, pixels.
-        covariances: of the twist of each tag in its own frame, turn first, `(K, 6, 6)`; NaN for those not in the map.
-        precisions: the same once the map as a whole is laid where it belongs, see `without_gauge`.
-        intrinsics: covariances of those of each camera, in the units of `Sightings.lens`, `(C, 6 L, 6 L)`.
+        inflation: factor of all standard deviations, see `lmd.survey.blocks`.
     """
 
     sightings: Sightings
@@ -48,9 +49,45 @@ class Estimate:
     used: BoolArray
     misfits: BoolArray
     floor: float
-    covariances: FloatArray
-    precisions: FloatArray
-    intrinsics: FloatArray
+    inflation: float = 1.0
+
+    @property
+    def _adjustment(self) -> Adjustment:
+        return adjustment_of(self.sightings.of(self.used), self.prior, nuisances=True)
+
+    @cached_property
+    def covariance(self) -> FloatArray:
+        """The covariance of the twists of all tags, each in its own frame, then of all else, see `Adjustment`."""
+        with threadpool_limits(limits=ONE_THREAD):
+            return self.inflation**2 * self._adjustment.covariance(self.poses, self.floor)
+
+    @property
+    def known(self) -> BoolArray:
+        """The tags of the map whose covariance is known, `(K,)`."""
+        of_tags = np.diag(self.covariance)[: 6 * len(self.group)].reshape(-1, 6)
+        return np.asarray((self.group == 0) & np.isfinite(of_tags).all(axis=1))
+
+    @property
+    def covariances(self) -> FloatArray:
+        """Those of each tag, turn first, `(K, 6, 6)`; NaN for those not in the map."""
+        size = 6 * len(self.group)
+        return np.where(self.known[:, None, None], blocks_of(self.covariance[:size, :size], len(self.group)), np.nan)
+
+    @cached_property
+    def precisions(self) -> FloatArray:
+        """The same once the map as a whole is laid where it belongs, see `without_gauge`."""
+        known, found = self.known, np.full((len(self.group), 6, 6), np.nan)
+        rows = np.flatnonzero(np.repeat(known, 6))
+        found[known] = blocks_of(
+            without_gauge(self.covariance[np.ix_(rows, rows)], self.poses.tags[known]), int(known.sum())
+        )
+        return found
+
+    @property
+    def lenses(self) -> FloatArray:
+        """Covariances of what is not known of each camera, in the units of `Sightings.lens`, `(C, 6 L, 6 L)`."""
+        own = slice(6 * self._adjustment.placed, 6 * self._adjustment.flat)
+        return blocks_of(self.covariance[own, own], self.sightings.cameras)
 
     @property
     def mapped(self) -> IntArray:
@@ -189,24 +226,19 @@ def adjusted(sightings: Sightings, prior: Prior, poses: Poses, group: IntArray, 
         poses, floor = found.poses, found.floor
         if isinstance(adjustment, LinkedAdjustment) and steps == STEPS:
             prior = replace(prior, motion=adjustment.told(poses, floor))
-        square = errors_at(sightings, poses) / (sightings.noise**2 + floor**2)
-        misfits = of_map & (square > MISFIT_CHI_SQUARE)
+        misfits = of_map & ~fitting(sightings, errors_at(sightings, poses), floor)
         used = of_map & ~misfits
     used = telling(sightings, used, prior.motion)
-    every = adjustment_of(sightings.of(used), prior, lenses=True)
-    covariance = every.covariance(poses, floor)
-    whole = covariance[: 6 * len(group), : 6 * len(group)]
-    intrinsics = blocks_of(covariance[6 * every.placed :, 6 * every.placed :], sightings.cameras)
-    covariances, precisions = np.full((2, len(group), 6, 6), np.nan)
-    of_tag = blocks_of(whole, len(group))
-    known = (group == 0) & np.isfinite(of_tag).all(axis=(1, 2))
-    covariances[known] = of_tag[known]
-    rows = np.repeat(known, 6)
-    precisions[known] = blocks_of(without_gauge(whole[np.ix_(rows, rows)], poses.tags[known]), int(known.sum()))
     frames = np.full_like(poses.frames, np.nan)
     frames[np.unique(sightings.frame[used])] = poses.frames[np.unique(sightings.frame[used])]
     poses = replace(poses, frames=frames)
-    return Estimate(sightings, prior, poses, group, used, misfits, floor, covariances, precisions, intrinsics)
+    return Estimate(sightings, prior, poses, group, used, misfits, floor)
+
+
+def fitting(sightings: Sightings, error: FloatArray, floor: float) -> BoolArray:
+    """Whether sightings with the error |e|^2 `(N,)` show their tags where they hang; false for NaN."""
+    square = error / (sightings.noise**2 + floor**2)
+    return np.asarray((square <= MISFIT_CHI_SQUARE) | (error <= 4.0 * MISFIT_PIXELS**2))
 
 
 def joined(sightings: Sightings, apart: Poses, known: FloatArray | None = None) -> Poses:

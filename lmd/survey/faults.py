@@ -12,7 +12,7 @@ from threadpoolctl import threadpool_limits
 
 from lmd.core.checks import FloatArray, IntArray
 from lmd.geometry.se3 import angle_between, exp
-from lmd.survey.estimate import MISFIT_CHI_SQUARE, ONE_THREAD, Estimate, adjusted
+from lmd.survey.estimate import ONE_THREAD, Estimate, adjusted, fitting
 from lmd.survey.proposals import proposals
 from lmd.survey.residuals import Poses, errors_at, linearise, summing
 from lmd.survey.start import Placing, agreeing
@@ -109,7 +109,7 @@ def _second_places(found: Estimate) -> list[SecondPlace]:
     placing = Placing(some, proposals(some))
     placing.frames = _views(found.poses)
     placing.settle(np.arange(len(some)), by_frame=False, fewest=FEWEST_SIGHTINGS)
-    agree = errors_at(some, placing.poses) / (some.noise**2 + found.floor**2) <= MISFIT_CHI_SQUARE
+    agree = fitting(some, errors_at(some, placing.poses), found.floor)
     places = []
     for tag in np.unique(some.tag).tolist():
         there = some.frame[agree & (some.tag == tag)] % found.sightings.frames
@@ -166,7 +166,7 @@ def _sizes(found: Estimate) -> tuple[dict[int, float], Poses]:
     other = (np.abs(growth) > SIZE_DIFFERS) & (np.abs(growth) > SIZE_SIGMAS * sigma)
     counts = np.bincount(some.tag, minlength=count)
     poses = replace(found.poses, tags=tags)
-    fits = errors_at(replace(some, edges=told * np.exp(growth)), poses) / variance <= MISFIT_CHI_SQUARE
+    fits = fitting(some, errors_at(replace(some, edges=told * np.exp(growth)), poses), found.floor)
     other &= (counts >= FEWEST_SIGHTINGS) & (np.bincount(some.tag, fits, minlength=count) >= SIZE_SHARE * counts)
     changed = np.flatnonzero(other)
     kept = found.poses.tags.copy()

@@ -1,33 +1,21 @@
-"""The intrinsics of the cameras of a survey, found together with its map.
+"""The intrinsics of the cameras of a survey: what is known of them beforehand, and what the photographs say."""
 
-A corner that was found at x and is imaged at pi(p, theta), theta being the intrinsics, has e = pi(p, theta) - x. So e
-changes with theta as the image of the direction b does that x was seen in, which is all that an adjustment needs.
-After each step the directions are those of the camera as it then is. What is known of theta beforehand is wide, see
-`spreads`: it only keeps those in check that the photographs do not tell.
-"""
-
-from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from threadpoolctl import threadpool_limits
 
-from lmd.core.checks import FloatArray, InputError
+from lmd.core.checks import FloatArray
 from lmd.geometry.lens import Lens
 from lmd.render.optics import bearings, slope
 from lmd.scene.calibration_files import PIXEL_CENTRE
 from lmd.scene.camera import Camera
-from lmd.survey.estimate import ONE_THREAD, Estimate, adjusted
-from lmd.survey.linked import adjustment_of
-from lmd.survey.sightings import Sightings
-from lmd.survey.start import FLOOR_PIXELS
 
 # Standard deviations of what intrinsics may be off: of the focal length, of the image's size, of coefficients.
 FOCAL_SIGMA, CENTRE_SIGMA, COEFFICIENT_SIGMA = 0.1, 0.1, 0.3
-MOST_ROUNDS = 10
-SETTLED_SIGMAS = 0.5  # standard deviations; a smaller step is the last
-MOST_HALVINGS = 6  # of a step that leads to no camera
+CALIBRATED_SHARE = 0.005
+# Likewise of the coefficients of a lens that none are given of: of a pinhole, or of one that was not calibrated.
+UNDISTORTED = (0.1, 0.1, 0.01, 0.01, 0.1)
 DIFFERENCE = 1e-4  # of a coefficient
 # Photographs fix the intrinsics if `Calibrated.unsure` is less, pixels.
 FIXED_PIXELS = 1.0
@@ -41,6 +29,7 @@ class Calibrated:
     Args:
         given, found: the camera before and after.
         sigma: standard deviations of `parameters(found)`, `(P,)`.
+        shift, shift_sigma: by how many pixels corners are too far inward in its images, and one standard deviation.
         unsure: by how much the intrinsics may move what is in the image, but for what a turn of the camera undoes: one
             standard deviation, pixels, the median over the image.
     """
@@ -48,6 +37,8 @@ class Calibrated:
     given: Camera
     found: Camera
     sigma: FloatArray
+    shift: float
+    shift_sigma: float
     unsure: float
 
     @property
@@ -60,7 +51,8 @@ class Calibrated:
         rows = {"given": parameters(self.given), "found": parameters(self.found), "sigma": self.sigma}
         names = {"focal_pixels": slice(2), "principal_point": slice(2, 4), "distortion": slice(4, None)}
         told = {row: {name: values[part].tolist() for name, part in names.items()} for row, values in rows.items()}
-        return {**told, "unsure_pixels": self.unsure, "fixed": self.is_fixed}
+        shift = {"corner_shift": self.shift, "corner_shift_sigma": self.shift_sigma}
+        return {**told, **shift, "unsure_pixels": self.unsure, "fixed": self.is_fixed}
 
     def to_text(self) -> str:
         """What a terminal shows."""
@@ -70,12 +62,19 @@ class Calibrated:
             return f"{values[0]:.1f} x {values[1]:.1f}"
 
         text = f"focal length {pair(now)} pixels (given {pair(was)}), centre {pair(now[2:])} ({pair(was[2:])})"
-        return f"{text}; the image is known to {self.unsure:.2g} pixels"
+        text += f"; the image is known to {self.unsure:.2g} pixels"
+        way = "inward" if self.shift > 0.0 else "outward"
+        return f"{text}; corners are {abs(self.shift):.2g} pixels {way}, to {self.shift_sigma:.1g}"
+
+
+def coefficients(camera: Camera) -> tuple[float, ...]:
+    """The coefficients of the lens; those of `plumb_bob`, all 0, where none is given."""
+    return camera.distortion or (0.0,) * len(UNDISTORTED)
 
 
 def parameters(camera: Camera) -> FloatArray:
     """Focal lengths and principal point, pixels, and the coefficients of the lens, `(P,)`."""
-    return np.array([*camera.focal_pixels, *camera.principal_point, *camera.distortion])
+    return np.array([*camera.focal_pixels, *camera.principal_point, *coefficients(camera)])
 
 
 def with_parameters(camera: Camera, values: FloatArray) -> Camera:
@@ -105,99 +104,58 @@ def camera_info(camera: Camera) -> dict[str, Any]:
     }
 
 
-def spreads(camera: Camera) -> FloatArray:
-    """What each of the `parameters` may be off, one standard deviation, `(P,)`."""
-    focal = FOCAL_SIGMA * camera.focal_pixels
-    centre = CENTRE_SIGMA * np.array([camera.image_width, camera.image_height])
-    return np.concatenate([focal, centre, np.full(len(camera.distortion), COEFFICIENT_SIGMA)])
+def spreads(camera: Camera, wide: bool = False) -> FloatArray:
+    """Standard deviations of what each of the `parameters` may be off, `(P,)`.
+
+    Args:
+        camera: as it was calibrated.
+        wide: whether that is a rough guess.
+    """
+    focal, size = camera.focal_pixels, np.array([camera.image_width, camera.image_height])
+    if wide:
+        return np.concatenate(
+            [FOCAL_SIGMA * focal, CENTRE_SIGMA * size, np.full(len(coefficients(camera)), COEFFICIENT_SIGMA)]
+        )
+    seen = bearings(camera, image_grid(camera))
+    seen = seen[np.isfinite(seen).all(axis=-1)]
+    moved = np.linalg.norm(slopes(camera, seen)[..., 4:], axis=1).max(axis=0)
+    lens = CALIBRATED_SHARE * focal.mean() / moved if camera.distortion else np.array(UNDISTORTED)
+    return np.concatenate([CALIBRATED_SHARE * focal, CALIBRATED_SHARE * size, lens])
+
+
+def image_grid(camera: Camera) -> FloatArray:
+    """Places all over the image, pixels, `(n, 2)`."""
+    across, down = np.meshgrid(np.linspace(0.0, 1.0, GRID_SIDE), np.linspace(0.0, 1.0, GRID_SIDE))
+    return np.stack([across * camera.image_width, down * camera.image_height], axis=-1).reshape(-1, 2)
 
 
 def slopes(camera: Camera, directions: FloatArray) -> FloatArray:
     """How the images of directions `(..., 3)` change with the `parameters`, pixels, `(..., 2, P)`."""
     image = directions[..., :2] / directions[..., 2:] if camera.lens is None else camera.lens.image(directions)
     columns = [image * axis for axis in np.eye(2)] + [np.broadcast_to(axis, image.shape) for axis in np.eye(2)]
-    for index in range(len(camera.distortion)):
-        step = np.eye(len(camera.distortion))[index] * DIFFERENCE
+    given = coefficients(camera)
+    for step in DIFFERENCE * np.eye(len(given)):
         there, here = (
-            Lens(camera.distortion_model, tuple(np.add(camera.distortion, way * step))).image(directions)
-            for way in (1.0, -1.0)
+            Lens(camera.distortion_model, tuple(np.add(given, way * step))).image(directions) for way in (1.0, -1.0)
         )
         columns.append(camera.focal_pixels * (there - here) / (2.0 * DIFFERENCE))
     return np.stack(columns, axis=-1)
 
 
-def freed(sightings: Sightings, cameras: Sequence[Camera], given: Sequence[Camera]) -> Sightings:
-    """The sightings with the intrinsics of their cameras unknown.
+def judged(given: Camera, seen: Camera, shift: float, own: FloatArray) -> Calibrated:
+    """A camera with what is known of it.
 
     Args:
-        cameras: as they are thought to be.
-        given: as they were before; what they may be off says in which units.
+        given: as it was calibrated.
+        seen, shift: as the photographs have it, see `Calibrated`.
+        own: covariance of its parameters and of the shift, `(P + 1, P + 1)`.
     """
-    most = max(len(parameters(camera)) for camera in cameras)
-    lens = np.zeros((len(sightings), 4, 2, -(-most // 6) * 6))
-    for index, camera in enumerate(cameras):
-        own = sightings.camera == index
-        size = len(parameters(camera))
-        lens[own, ..., :size] = slopes(camera, sightings.directions[own]) * spreads(given[index])
-    return replace(sightings, lens=lens.reshape(len(sightings), 8, -1))
-
-
-def calibrated(
-    found: Estimate, given: Sequence[Camera], again: Callable[[Sequence[Camera]], Sightings]
-) -> tuple[Estimate, tuple[Camera, ...]]:
-    """The best poses and intrinsics.
-
-    Args:
-        found: with the cameras as they were given.
-        given: these.
-        again: the sightings as other cameras of the same images have them.
-    """
-    cameras = tuple(given)
-    size = freed(found.sightings, cameras, given).lens.shape[2]
-    off = np.zeros((len(given), size))
-    with threadpool_limits(limits=ONE_THREAD):
-        for _ in range(MOST_ROUNDS):
-            some = freed(found.sightings.of(found.used), cameras, given)
-            step = adjustment_of(some, found.prior, lenses=True).lens_step(found.poses, found.floor, off)
-            cameras, off = _stepped(given, off, step)
-            sightings = freed(again(cameras), cameras, given)
-            found = adjusted(sightings, found.prior, found.poses, found.group, FLOOR_PIXELS)
-            sigma = np.sqrt(np.diagonal(found.intrinsics, axis1=1, axis2=2))
-            if (np.abs(step) < SETTLED_SIGMAS * sigma).all():
-                break
-    return found, cameras
-
-
-def _stepped(given: Sequence[Camera], off: FloatArray, step: FloatArray) -> tuple[tuple[Camera, ...], FloatArray]:
-    """The cameras after a step, or the first part of it that leads to cameras, and how far they are off those given."""
-    for halving in range(MOST_HALVINGS):
-        there = off + 0.5**halving * step
-        try:
-            return tuple(_at(camera, there[index]) for index, camera in enumerate(given)), there
-        except InputError:
-            continue
-    return tuple(_at(camera, off[index]) for index, camera in enumerate(given)), off
-
-
-def _at(camera: Camera, off: FloatArray) -> Camera:
-    own = parameters(camera)
-    return with_parameters(camera, own + off[: len(own)] * spreads(camera))
-
-
-def judged(found: Estimate, given: Sequence[Camera], cameras: Sequence[Camera]) -> tuple[Calibrated, ...]:
-    """The cameras with what is known of them, from an estimate whose intrinsics were unknown."""
-    result = []
-    for before, after, covariance in zip(given, cameras, found.intrinsics, strict=True):
-        size = len(parameters(after))
-        spread = spreads(before)
-        own = covariance[:size, :size] * np.outer(spread, spread)
-        across, down = np.meshgrid(np.linspace(0.0, 1.0, GRID_SIDE), np.linspace(0.0, 1.0, GRID_SIDE))
-        places = np.stack([across * after.image_width, down * after.image_height], axis=-1).reshape(-1, 2)
-        seen = bearings(after, places)
-        seen = seen[np.isfinite(seen).all(axis=-1)]
-        moved = slopes(after, seen).reshape(-1, size)
-        turned = np.einsum("nij,anj->nia", slope(after, seen), np.cross(np.eye(3)[:, None], seen)).reshape(-1, 3)
-        moved -= turned @ np.linalg.lstsq(turned, moved, rcond=None)[0]
-        square = np.einsum("np,pq,nq->n", moved, own, moved).reshape(-1, 2).sum(axis=1)
-        result.append(Calibrated(before, after, np.sqrt(np.diag(own)), float(np.sqrt(np.median(square)))))
-    return tuple(result)
+    size = len(own) - 1
+    bundle = bearings(seen, image_grid(seen))
+    bundle = bundle[np.isfinite(bundle).all(axis=-1)]
+    moved = slopes(seen, bundle).reshape(-1, size)
+    turned = np.einsum("nij,anj->nia", slope(seen, bundle), np.cross(np.eye(3)[:, None], bundle)).reshape(-1, 3)
+    moved -= turned @ np.linalg.lstsq(turned, moved, rcond=None)[0]
+    square = np.einsum("np,pq,nq->n", moved, own[:size, :size], moved).reshape(-1, 2).sum(axis=1)
+    sigma = np.sqrt(np.diag(own))
+    return Calibrated(given, seen, sigma[:size], shift, float(sigma[size]), float(np.sqrt(np.median(square))))

@@ -78,11 +78,11 @@ class LinkedAdjustment(Adjustment):
     """The system of equations of sightings in frames that are linked.
 
     Args:
-        sightings, prior, lenses: see `Adjustment`; `prior.motion` says how the frames are linked.
+        sightings, prior, nuisances: see `Adjustment`; `prior.motion` says how the frames are linked.
     """
 
-    def __init__(self, sightings: Sightings, prior: Prior, lenses: bool = False) -> None:
-        super().__init__(sightings, prior, lenses)
+    def __init__(self, sightings: Sightings, prior: Prior, nuisances: bool = False) -> None:
+        super().__init__(sightings, prior, nuisances)
         assert prior.motion is not None
         self.motion = prior.motion
         self.seen = np.unique(sightings.frame)
@@ -96,15 +96,15 @@ class LinkedAdjustment(Adjustment):
         at = self.links.at(poses.frames[self.seen])
         return [*super().costs(poses), self.links.cost(self.links.squares(at.error)), 0.5 * float(at.lean @ at.lean)]
 
-    def run(self, poses: Poses, floor: float, steps: int) -> Adjusted:
-        """The best poses near `poses`."""
+    def run(self, poses: Poses, floor: float, steps: int, most: float | None = None) -> Adjusted:
+        """The best poses near `poses`, see `Adjustment`."""
         self.judge(poses, floor)
-        return super().run(poses, floor, steps)
+        return super().run(poses, floor, steps, most)
 
-    def covariance(self, poses: Poses, floor: float) -> FloatArray:
-        """Covariance of what is kept, see `Adjustment`."""
+    def efficiency(self, poses: Poses, floor: float) -> tuple[float, float]:
+        """The mean slope of the equations, and the variance of their right side, see `Adjustment`."""
         self.judge(poses, floor)
-        return super().covariance(poses, floor)
+        return super().efficiency(poses, floor)
 
     def eliminate(
         self, part: Eliminated, panel: FloatArray, rows: IntArray, matrix: FloatArray, right: FloatArray
@@ -232,11 +232,11 @@ def _banded(diagonal: FloatArray, below: FloatArray) -> FloatArray:
     return banded.reshape(2 * size, count * size)
 
 
-def adjustment_of(sightings: Sightings, prior: Prior, lenses: bool = False) -> Adjustment:
+def adjustment_of(sightings: Sightings, prior: Prior, nuisances: bool = False) -> Adjustment:
     """The system of equations of some sightings, whose frames are linked if `prior.motion` says how."""
     if prior.motion is None:
-        return Adjustment(sightings, prior, lenses)
-    return LinkedAdjustment(sightings, prior, lenses)
+        return Adjustment(sightings, prior, nuisances)
+    return LinkedAdjustment(sightings, prior, nuisances)
 
 
 def telling(sightings: Sightings, used: BoolArray, motion: Motion | None) -> BoolArray:

@@ -21,7 +21,6 @@ from lmd.scene.camera import Camera
 from lmd.space.space import Space
 from lmd.survey.estimate import ONE_THREAD
 from lmd.survey.gauge import gauge_free
-from lmd.survey.linked import adjustment_of
 from lmd.survey.residuals import linearise
 from lmd.survey.sightings import Sightings
 from lmd.survey.student import RESIDUALS
@@ -71,8 +70,7 @@ def next_photographs(
 def _believed(survey: Survey) -> tuple[FloatArray, FloatArray, BoolArray]:
     """Poses of tags, found or planned, `(K, 4, 4)`; the covariance of their twists, `(6 K, 6 K)`; which are known."""
     found, size = survey.found, 6 * len(survey.ids)
-    every = adjustment_of(found.sightings.of(found.used), found.prior, lenses=True)
-    covariance = every.covariance(found.poses, found.floor)[:size, :size]
+    covariance = found.covariance[:size, :size].copy()
     tags = np.where(survey.placed[:, None, None], found.poses.tags, np.nan)
     if (planned := survey.planned) is not None:
         for k in np.flatnonzero(~survey.placed & np.isfinite(planned[:, 0, 0])):
@@ -157,7 +155,7 @@ def _slopes(
     zero = np.zeros(count, dtype=np.int64)
     some = Sightings(
         every.ids, every.edges, 1, 1, zero, zero, own, corners, directions, slope(camera, directions), sides, noise,
-        np.empty((count, RESIDUALS, 0)),
+        np.empty((count, RESIDUALS, 0)), every.shapes, 0.0,
     )  # fmt: skip
     still = np.broadcast_to(np.eye(4), (count, 4, 4))
     at = linearise(some, tags[own], np.broadcast_to(pose, (count, 4, 4)), still)

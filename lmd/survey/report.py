@@ -86,6 +86,12 @@ def sigmas(survey: Survey) -> FloatArray:
     return survey.found.sigmas
 
 
+def _differs(survey: Survey) -> float:
+    """How far places of tags would be from those of a map of another such walk, median, metres; NaN if unknown."""
+    square = 2.0 * np.trace(survey.found.precisions[survey.placed][:, 3:, 3:], axis1=1, axis2=2)
+    return float(np.sqrt(np.median(square))) if square.size else np.nan
+
+
 def tag_columns(survey: Survey) -> dict[str, ArrayLike]:
     """Of every tag what became of it, how often and how well it was seen, and how it hangs beside its plan.
 
@@ -146,6 +152,9 @@ def metrics(survey: Survey) -> dict[str, float]:
         SIGHTINGS: float(found.used.sum()),
         "misfits": float(found.misfits.sum()),
         "corner_floor": found.floor,
+        "tag_shape": found.sightings.shape_sigma,
+        "inflation": found.inflation,
+        "differs": _differs(survey),
         **_quantiles("sigma", own),
         **_quantiles("error", found.errors()),
     }

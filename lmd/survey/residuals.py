@@ -12,7 +12,7 @@ import numpy as np
 
 from lmd.core.checks import BoolArray, FloatArray, IntArray
 from lmd.geometry.se3 import cross, inverse, log
-from lmd.survey.sightings import Sightings
+from lmd.survey.sightings import SHAPES, Sightings
 from lmd.survey.student import RESIDUALS, cost_of, weight_of
 
 if TYPE_CHECKING:
@@ -132,6 +132,12 @@ class Linearised:
         """How residuals change with the pose of the tag, `(N, 8, 6)`."""
         at_tag = self.at_body @ self.turn[:, None]
         return self._rows(cross(self.corners[:, :, None], at_tag), at_tag)
+
+    @cached_property
+    def by_shape(self) -> FloatArray:
+        """With the shape of the tag, see `Sightings.shapes`."""
+        at_tag = self.at_body @ self.turn[:, None]
+        return np.asarray(np.einsum("nqij,sqj->nqis", at_tag, SHAPES)).reshape(len(self.error), RESIDUALS, 6)
 
     @cached_property
     def by_frame(self) -> FloatArray:

@@ -4,6 +4,9 @@ A corner that was found at a pixel was seen in the direction b, a unit vector in
 moves by J (2, 3) pixels per unit of the plane that touches the sphere of directions at b. A corner that is at p in
 that frame would have been found e = J p / (b . p) pixels away. That is the reprojection error but for terms of second
 order in e, and needs nothing of the lens but its inverse, once.
+
+The four corners of a printed tag are not quite those of a flat square: paper bends, and printers stretch. But for its
+motions and its size there are five ways in which a tag can be off it, `SHAPES`.
 """
 
 from collections.abc import Sequence
@@ -28,6 +31,21 @@ QUARTERS = pose_of(
 )
 
 
+def _shapes() -> FloatArray:
+    """See `SHAPES`."""
+    square = np.hstack([CORNERS, np.zeros((4, 1))])
+    others = [np.broadcast_to(axis, (4, 3)) for axis in np.eye(3)] + [np.cross(axis, square) for axis in np.eye(3)]
+    basis, *_ = np.linalg.svd(np.stack([other.ravel() for other in (*others, square)], axis=1))
+    return np.asarray(np.vstack([basis[:, 7:].T, np.zeros(12)]).reshape(6, 4, 3))
+
+
+LEAST_ANGLE = 0.2  # sine of the angle at a corner; those of narrower ones hardly say where it is
+# The ways in which the corners of a tag may be off a flat square but for its motions and its size, orthonormal: five,
+# and a sixth that is none, as unknowns come in blocks of six, `(6, 4, 3)`.
+SHAPES = _shapes()
+WAYS = 5
+
+
 @dataclass(frozen=True)
 class Sightings:
     """N sightings of K tags in F frames of C cameras on one body, in the order of their frames.
@@ -43,8 +61,10 @@ class Sightings:
         tangents: J, `(N, 4, 2, 3)`, pixels.
         sizes: of the shortest side in the image, pixels, `(N,)`.
         noise: standard deviation of a coordinate of a corner that the detector alone accounts for, pixels, `(N,)`.
-        lens: how e changes with the intrinsics, each in units of what it may be off, `(N, 8, 6 L)`, see
-            `lmd.survey.intrinsics`; L is 0 where they are known.
+        lens: how e changes with what is not known of each camera, in units of what that may be off, `(N, 8, 6 L)`, see
+            `lmd.survey.refining`; L is 0 where all is known.
+        shapes: how far the corners of tags are off flat squares, along `SHAPES`, metres, `(K, 6)`.
+        shape_sigma: standard deviation of these, metres; 0 where they are known.
     """
 
     ids: IntArray
@@ -60,6 +80,8 @@ class Sightings:
     sizes: FloatArray
     noise: FloatArray
     lens: FloatArray
+    shapes: FloatArray
+    shape_sigma: float
 
     def __len__(self) -> int:
         return len(self.frame)
@@ -67,8 +89,8 @@ class Sightings:
     def of(self, chosen: IntArray | BoolArray | slice) -> "Sightings":
         """The sightings that `chosen` selects; tags and frames keep their numbers."""
         names = ("frame", "camera", "tag", "image", "directions", "tangents", "sizes", "noise", "lens")
-        rest = (getattr(self, name)[chosen] for name in names)
-        return Sightings(self.ids, self.edges, self.frames, self.cameras, *rest)
+        rest = {name: getattr(self, name)[chosen] for name in names}
+        return replace(self, **rest)
 
     def apart(self) -> "Sightings":
         """The sightings as if every camera were a body of its own: C F frames, those of the first camera first."""
@@ -81,7 +103,16 @@ class Sightings:
     def corners(self) -> FloatArray:
         """The corners in the frames of their tags (x right, y up, z out), `(N, 4, 3)`, metres."""
         square = np.hstack([CORNERS, np.zeros((4, 1))])
-        return np.asarray(self.edges[self.tag, None, None] / 2.0 * square)
+        off = np.tensordot(self.shapes, SHAPES, axes=1)
+        return np.asarray(self.edges[self.tag, None, None] / 2.0 * square + off[self.tag])
+
+
+def inward(image: FloatArray) -> FloatArray:
+    """How corners `(N, 4, 2)` in an image move where the edges are shifted by one pixel towards the middle."""
+    (along, other) = (np.roll(image, way, axis=1) - image for way in (1, -1))
+    along, other = (edge / np.linalg.norm(edge, axis=-1, keepdims=True) for edge in (along, other))
+    across = np.abs(along[..., 0] * other[..., 1] - along[..., 1] * other[..., 0])
+    return np.asarray((along + other) / np.maximum(across, LEAST_ANGLE)[..., None])
 
 
 def sightings_of(
@@ -91,6 +122,7 @@ def sightings_of(
     edges: FloatArray,
     modules: int,
     errors: CornerErrors,
+    shifts: FloatArray | None = None,
 ) -> Sightings:
     """The sightings of the tags with these `ids`.
 
@@ -102,6 +134,7 @@ def sightings_of(
         ids, edges: see `Sightings`.
         modules: N of the tags' family.
         errors: what the detector's corners are off by.
+        shifts: by how many pixels each camera's images have edges farther `inward` than `errors` says, `(C,)`.
 
     Raises:
         InputError: there is another number of cameras, or no sighting.
@@ -112,15 +145,17 @@ def sightings_of(
         )
     known = np.flatnonzero(np.isin(detected.ids, ids))
     chosen = detected.of(known[np.lexsort((detected.ids[known], detected.camera[known], detected.frame[known]))])
+    sides = np.linalg.norm(chosen.corners - np.roll(chosen.corners, 1, axis=1), axis=-1).min(axis=1)
+    off = errors.inward_at(sides / modules) + (0.0 if shifts is None else shifts[chosen.camera])
+    image = chosen.corners - off[:, None, None] * inward(chosen.corners)
     directions, tangents = np.empty((len(chosen), 4, 3)), np.empty((len(chosen), 4, 2, 3))
     whole = np.zeros(len(chosen), dtype=bool)
     for index, camera in enumerate(cameras):
         own = chosen.camera == index
         size = np.array([camera.image_width, camera.image_height])
         whole[own] = ((chosen.corners[own] >= 0.0) & (chosen.corners[own] <= size)).all(axis=(1, 2))
-        directions[own] = bearings(camera, chosen.corners[own])
+        directions[own] = bearings(camera, image[own])
         tangents[own] = slope(camera, directions[own])
-    sides = np.linalg.norm(chosen.corners - np.roll(chosen.corners, 1, axis=1), axis=-1).min(axis=1)
     every = Sightings(
         ids=ids,
         edges=edges,
@@ -129,11 +164,13 @@ def sightings_of(
         frame=chosen.frame,
         camera=chosen.camera,
         tag=np.searchsorted(ids, chosen.ids),
-        image=chosen.corners,
+        image=image,
         directions=directions,
         tangents=tangents,
         sizes=sides,
         noise=errors.sigma(sides / modules),
         lens=np.empty((len(chosen), 8, 0)),
+        shapes=np.zeros((len(ids), 6)),
+        shape_sigma=0.0,
     )
     return every.of(np.flatnonzero(whole & np.isfinite(tangents).all(axis=(1, 2, 3))))

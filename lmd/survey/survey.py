@@ -13,16 +13,19 @@ from lmd.scene.camera import Camera
 from lmd.scene.deployment import Deployment
 from lmd.scene.tag import Tag
 from lmd.survey.between import Joined, joined_by
+from lmd.survey.blocks import inflation
 from lmd.survey.boards import Boards
 from lmd.survey.estimate import Estimate, Start, estimate, started
 from lmd.survey.faults import Faults, settled
 from lmd.survey.fixed import off_fixed
 from lmd.survey.held_out import Localised, held_out
-from lmd.survey.intrinsics import Calibrated, calibrated, judged
+from lmd.survey.intrinsics import Calibrated, judged, spreads
 from lmd.survey.known import TAPE_SIGMA_M, Hanging, Points, levelled, poses_of
 from lmd.survey.motion import Motion, seconds_of
-from lmd.survey.residuals import EXACT_SIGMA, Prior
+from lmd.survey.refining import Optics, refined
+from lmd.survey.residuals import EXACT_SIGMA, Prior, errors_at
 from lmd.survey.sightings import Sightings, sightings_of
+from lmd.survey.start import agreeing
 from lmd.survey.turns import Turns, turns_of
 
 # A tag of which nothing is known is believed if so many sightings agree where it hangs: ids are misread.
@@ -145,7 +148,7 @@ class Survey:
         off_fixed: how far photographs have tags from where they are fixed, `(K, 2)`, see `lmd.survey.fixed`.
         loose: which are in the map, but known too badly to be placed, `(K,)`.
         joined: what motion alone has joined; None where frames are not linked.
-        calibrated: the cameras as the photographs say, if that was asked for; else none.
+        calibrated: the cameras as the photographs have them.
         proposed: what to photograph next, see `lmd.survey.next_photographs`.
     """
 
@@ -158,8 +161,8 @@ class Survey:
     turns: Turns
     off_fixed: FloatArray
     loose: BoolArray
-    joined: Joined | None = None
-    calibrated: tuple[Calibrated, ...] = ()
+    joined: Joined | None
+    calibrated: tuple[Calibrated, ...]
     proposed: tuple[Photograph, ...] = ()
 
     @property
@@ -184,7 +187,7 @@ def survey(
     tag: Tag,
     errors: CornerErrors,
     known: Known,
-    calibrate: bool = False,
+    calibrate: bool | None = None,
 ) -> Survey:
     """Find where tags hang.
 
@@ -194,7 +197,8 @@ def survey(
         tag: their family, and the edge of those of which nothing else is known.
         errors: what the detector's corners are off by.
         known: what else is known.
-        calibrate: whether the intrinsics of the cameras are found, too.
+        calibrate: true if the intrinsics of the cameras are only a rough guess; false if they stay as they are given,
+            which counts as little known as None, where they are refined.
 
     Raises:
         InputError: the detections do not connect two tags, place none, or are of other tags or cameras; or tags that
@@ -205,11 +209,13 @@ def survey(
     if not np.isin(detected.ids, ids).any():
         raise InputError("detections has no tag of the plan, and no other one twice.", "detections")
 
-    def sighted(through: Sequence[Camera]) -> Sightings:
-        return sightings_of(shown, through, ids, known.edges(ids, tag), tag.modules, errors)
+    def sighted(through: Sequence[Optics]) -> Sightings:
+        shifts = np.array([one.shift for one in through])
+        through_cameras = [one.camera for one in through]
+        return sightings_of(shown, through_cameras, ids, known.edges(ids, tag), tag.modules, errors, shifts)
 
-    shown, refined = detected, tuple(cameras)
-    sightings = sighted(cameras)
+    shown, given = detected, tuple(Optics(camera) for camera in cameras)
+    sightings = sighted(given)
     prior = replace(known.prior(ids), motion=_motion(detected, sightings, known))
     turns = Turns.none(len(ids))
     for _ in range(TURNING_STEPS):
@@ -219,20 +225,21 @@ def survey(
             break
         turns = turns + more
         shown = detected.renumbered(ids, turns.renumbered)
-        sightings, prior = sighted(cameras), turns.planned(replace(known.prior(ids), motion=prior.motion))
+        sightings, prior = sighted(given), turns.planned(replace(known.prior(ids), motion=prior.motion))
     else:
         start = started(sightings, prior)
     found = _estimate(sightings, prior, known, start, detected)
-    if calibrate:
-        found, refined = calibrated(found, cameras, sighted)
-        sightings = found.sightings
+    spread = [np.append(spreads(camera, bool(calibrate)), errors.inward_spread) for camera in cameras]
+    found, optics = refined(found, given, spread, sighted, keep=calibrate is False)
     found, faults = settled(found)
-    off = off_fixed(found, start)
+    found = replace(found, inflation=inflation(found))
+    away = off_fixed(found, start)
     if known.floor:
         first = int(np.flatnonzero(found.prior.information.any(axis=1))[0])
         found = found.moved(levelled(found.poses.tags, np.flatnonzero(np.isin(ids, known.floor)), first))
-    used = np.bincount(sightings.tag[found.used], minlength=len(ids))
-    placed = (found.group == 0) & (used >= np.where(np.isin(ids, known.ids), 1, FEWEST_BELIEVED))
+    agreed = found.used | agreeing(found.sightings, errors_at(found.sightings, found.poses))
+    counts = np.bincount(found.sightings.tag[agreed], minlength=len(ids))
+    placed = (found.group == 0) & (counts >= np.where(np.isin(ids, known.ids), 1, FEWEST_BELIEVED))
     is_linked = found.prior.motion is not None
     loose = placed & (_hardly_known(found) if is_linked else np.zeros(len(ids), dtype=bool))
     placed &= ~loose
@@ -243,9 +250,12 @@ def survey(
         text = f"detections: no tag is placed, as no {FEWEST_BELIEVED} sightings of one agree: more frames are needed."
         raise InputError(text, "detections")
     localised = held_out(found, known.planned(ids))
-    judgements = judged(found, cameras, refined) if calibrate else ()
+    through = tuple(
+        judged(camera, one.camera, one.shift, own[: len(off), : len(off)] * np.outer(off, off))
+        for camera, one, own, off in zip(cameras, optics, found.lenses, spread, strict=True)
+    )
     joined = joined_by(found, start.group) if is_linked else None
-    return Survey(detected, known, found, faults, placed, localised, turns, off, loose, joined, judgements)
+    return Survey(detected, known, found, faults, placed, localised, turns, away, loose, joined, through)
 
 
 def _motion(detected: DetectedTags, sightings: Sightings, known: Known) -> Motion | None:

@@ -5,11 +5,11 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import ArrayLike
 
-from lmd.core.checks import FloatArray, IntArray
+from lmd.core.checks import BoolArray, FloatArray, IntArray
 from lmd.detection.frames import overlapping, qualities
 from lmd.detection.surveyed import CAMERA, COLUMNS, FRAME
 from lmd.render.imaging import Imaging
-from lmd.render.optics import to_camera
+from lmd.render.optics import image_size, intrinsics, to_camera
 from lmd.render.renderer import Renderer
 from lmd.render.room import TaggedRoom
 from lmd.scene.camera import Camera
@@ -38,29 +38,37 @@ def view_columns(survey: Survey, cameras: Sequence[Camera], tag: Tag, room: Spac
     bodies = found.poses.frames[found.frames]
     times = np.array([survey.detected.times[frame] for frame in found.frames.tolist()])
     names, rows = [], []
-    for number, (camera, mount, seen) in enumerate(zip(cameras, found.poses.mounts, seen_of(survey), strict=True), 1):
-        frame, k, values = _in_images(Renderer(camera, tagged, Imaging()), bodies @ mount, room)
+    each = zip(cameras, found.poses.mounts, seen_of(survey), survey.detected.images[found.frames].T, strict=True)
+    for number, (camera, mount, seen, taken) in enumerate(each, 1):
+        frame, k, values = _in_images(Renderer(camera, tagged, Imaging()), bodies @ mount, taken, room)
         names.append(times[frame])
         rows.append(np.column_stack([np.full(len(frame), number), tags.ids[k], values, seen.detected[frame, k]]))
     columns = dict(zip((CAMERA, *COLUMNS), np.concatenate(rows).T, strict=True))
     return {FRAME: np.concatenate(names), **columns, **{name: columns[name].astype(int) for name in WHOLE_NUMBERS}}
 
 
-def _in_images(renderer: Renderer, poses: FloatArray, room: Space | None) -> tuple[IntArray, IntArray, FloatArray]:
-    """Which image shows which tag, `(M,)` each, and the columns from u to edge, `(M, 6)`.
+def _in_images(
+    renderer: Renderer, poses: FloatArray, taken: BoolArray, room: Space | None
+) -> tuple[IntArray, IntArray, FloatArray]:
+    """Which image shows which tag, `(M,)` each, and the columns from u to circle, `(M, 8)`.
 
     Args:
         renderer: one camera and the tags.
         poses: of its images, `(N, 4, 4)`.
+        taken: which of them there are, `(N,)`.
         room: None where it is not known.
     """
     tags = renderer.room
     pitch, incidence, edge, _ = qualities(renderer, poses)
-    frame, k = np.nonzero(renderer.inside(poses) & ~overlapping(tags))
+    frame, k = np.nonzero(renderer.inside(poses) & taken[:, None] & ~overlapping(tags))
     if room is not None:
         clear = room.clear(poses[frame, :3, 3], tags.centres[k] + OFF_WALL * tags.normals[k])
         frame, k = frame[clear], k[clear]
-    centres = renderer.corners(poses).mean(axis=2)[frame, k]
+    corners, camera = renderer.corners(poses)[frame, k], renderer.camera
     depth = to_camera(poses, tags.centres)[frame, k, 2]
     sizes = pitch[frame, k], np.degrees(incidence[frame, k]), edge[frame, k]
-    return frame, k, np.column_stack([centres, depth, *sizes])
+    border = np.minimum(corners, image_size(camera) - corners).min(axis=(1, 2), initial=np.inf)
+    matrix, focal = intrinsics(camera), camera.focal_pixels
+    away = (corners - matrix[:2, 2]) / focal * focal.max()  # what `Camera.image_circle` is measured in
+    circle = 2.0 * np.linalg.norm(away, axis=-1).max(axis=1, initial=0.0)
+    return frame, k, np.column_stack([corners.mean(axis=1), depth, *sizes, border, circle])

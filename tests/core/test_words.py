@@ -100,8 +100,9 @@ def test_usual_names_are_left_as_they_are():
 
 @pytest.mark.parametrize("payload", PAYLOADS)
 def test_names_in_tables_of_results(payload):
-    row = dict.fromkeys(("views", "pitch", "blur", "edge", "incidence", "accuracy", "precision", "recall"), 0.5)
-    assert rendered(calibrations_to_markdown({payload: row})).cells[13].strip() == shown(payload)
+    names = ("views", "pitch", "blur", "edge", "incidence", "margin", "accuracy", "precision", "recall")
+    row = dict.fromkeys(names, 0.5)
+    assert rendered(calibrations_to_markdown({payload: row})).cells[14].strip() == shown(payload)
     pair = {"position_ratio": 1.0, "position_better": 1, "flights": 2, "position_p": 0.5}
     pair |= {f"{pairs.PAIRED_FIGURE}_gain": 0.1, f"{pairs.PAIRED_FIGURE}_p": 0.5}
     table = pd.DataFrame([{"deployment": payload, "against": payload, "estimator": payload, **pair}])

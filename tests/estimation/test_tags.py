@@ -51,6 +51,25 @@ def flight(frames=slice(None), seed=0, all_visible=False, evaluator=EVALUATOR):
     return Flight(evaluator, UNIFORM, trajectory, np.random.default_rng(seed), all_visible)
 
 
+def test_the_inward_shift_is_interpolated_in_the_logarithm_of_the_pitch():
+    errors = CornerErrors((1.0, 4.0), (0.8, 0.2), (1.6, 0.3), (0.4, 0.1), 0.2)
+    assert_allclose(errors.inward_at(np.array([0.5, 1.0, 2.0, 9.0])), [0.4, 0.4, 0.25, 0.1])
+    assert_allclose(CornerErrors((1.0, 4.0), (0.8, 0.2), (1.6, 0.3)).inward_at(np.array([2.0])), [0.0])
+
+
+@pytest.mark.parametrize("wrong", [{"inward": (0.1,)}, {"high": (1.0, 2.0, 3.0)}, {"inward_spread": -0.1}])
+def test_corner_errors_have_a_value_for_each_pitch(wrong):
+    with pytest.raises(InputError, match=next(iter(wrong))):
+        CornerErrors(**{"pitch": (1.0, 4.0), "median": (0.8, 0.2), "high": (1.6, 0.3), **wrong})
+
+
+@pytest.mark.parametrize("name", CORNER_ERRORS)
+def test_the_inward_shift_of_a_detector_is_a_part_of_its_error(name):
+    errors = CORNER_ERRORS[name]
+    # A corner whose two edges lie inward by d is off by the square root of 2 d.
+    assert (np.abs(errors.inward) * np.sqrt(2.0) < np.maximum(errors.high, 0.05)).all()
+
+
 def test_corner_errors_have_the_quantiles_of_their_table():
     errors, rng = CornerErrors((1.0, 4.0), (0.8, 0.2), (1.6, 0.3)), np.random.default_rng(0)
     zero = np.zeros((4, 2))

@@ -1,9 +1,11 @@
 import numpy as np
+import pyapriltags
 import pytest
 
 from lmd.core.checks import InputError
-from lmd.detection.detectors import Detections
+from lmd.detection.detectors import AprilTagDetector, Detections
 from lmd.mapping.detections import DetectedTags, read_detections, write_detections
+from lmd.scene.tag import Tag
 
 HEADER = "topic,stamp,id,hamming,x0,y0,x1,y1,x2,y2,x3,y3\n"
 SQUARE = "10,20,30,20,30,40,10,40"
@@ -57,10 +59,23 @@ def test_a_mirrored_detection_is_left_out(tmp_path):
     assert read_detections(written(tmp_path, "time,id,x0,y0,x1,y1,x2,y2,x3,y3\n" + body)).ids.tolist() == [3, 5]
 
 
-def test_corners_of_the_apriltag_library_are_put_in_order(tmp_path):
-    """It begins at the bottom left and goes round counter-clockwise."""
+def test_corners_in_the_order_of_the_apriltag_library_are_put_in_order(tmp_path):
+    """It begins at the bottom left and goes round counter-clockwise; the pixels are OpenCV's, as of all detections."""
     found = read_detections(written(tmp_path, f"time,id,x0,y0,x1,y1,x2,y2,x3,y3\n0,3,{TURNED}\n"))
     np.testing.assert_array_equal(found.corners[0], [[10.5, 20.5], [30.5, 20.5], [30.5, 40.5], [10.5, 40.5]])
+
+
+def test_corners_of_the_apriltag_library_less_half_a_pixel_are_read_as_its_detector_finds_them(tmp_path):
+    """It counts pixels from the border of the image, which a file of detections does not."""
+    image = np.pad(np.kron(Tag(0.1).picture(3), np.full((6, 6), 255, dtype=np.uint8)), 12, constant_values=255)
+    said = pyapriltags.Detector(families="tag36h11", nthreads=1, quad_decimate=1.0).detect(image)[0].corners
+    row = ",".join(map(str, (said - 0.5).ravel()))
+    found = read_detections(written(tmp_path, f"time,id,x0,y0,x1,y1,x2,y2,x3,y3\n0,3,{row}\n"))
+    first, last = 12, len(image) - 12
+    np.testing.assert_allclose(
+        found.corners[0], [[first, first], [last, first], [last, last], [first, last]], atol=0.01
+    )
+    np.testing.assert_allclose(found.corners, AprilTagDetector().detect(image).corners, atol=1e-12)
 
 
 @pytest.mark.parametrize("cameras", [("",), ("left", "right")])

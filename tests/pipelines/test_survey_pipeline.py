@@ -146,11 +146,12 @@ def test_a_rig_has_a_folder_for_each_camera(room, mounted):
         for path in sorted((cwd / "photos").iterdir())[first:]:
             shutil.copy(path, folder)
     rig = ["camera.rig=[{camera: camera.yaml}, {camera: camera.yaml}]", f"survey.mounted={mounted}"]
-    audit = ["audit=true", "visibility=fiducial", "visibility.detector=apriltag", "deployment.path=plan.csv", *ROOM]
-    asked = audit if mounted == "true" else []
-    done = call("photographs=rig", *rig, *asked, f"hydra.run.dir=rig_{mounted}", cwd=cwd, settings=READ)
+    audit = ["audit=true", "visibility=fiducial", "visibility.detector=apriltag"]
+    known = ["deployment.path=plan.csv", *ROOM] if mounted == "true" else []
+    done = call("photographs=rig", *rig, *audit, *known, f"hydra.run.dir=rig_{mounted}", cwd=cwd, settings=READ)
     assert done.returncode == 0, done.stderr
-    assert ("\naudit " in done.stdout) == bool(asked)
+    foreseen = re.search(r"\naudit .* ([\d.]+)% of the predicted ones were, ([\d.]+)% of the detected", done.stdout)
+    assert min(map(float, foreseen.groups())) > 90.0
     out = cwd / f"rig_{mounted}"
     assert beside(pd.read_csv(out / "map.csv").sort_values("id"), true[:UNSEEN]).max() < 0.001
     cameras = json.loads((out / "survey.json").read_text())["cameras"]
@@ -160,6 +161,28 @@ def test_a_rig_has_a_folder_for_each_camera(room, mounted):
     assert set(seen.camera) == {"left", "right"}
     views = pd.read_csv(out / "in_view.csv")
     assert views.groupby("camera").seen.sum().tolist() == pytest.approx(seen.groupby("camera").size().tolist(), abs=3)
+
+
+@pytest.mark.usefixtures("surveyed")
+def test_images_without_a_tag_count_where_they_are_listed(room):
+    """Without a list, the right camera is taken to have seen nothing in the images that it did not take."""
+    cwd, _, _ = room
+    seen = pd.read_csv(cwd / "out" / "detections.csv", dtype=str)
+    left, right = (seen.assign(camera=name) for name in ("left", "right"))
+    taken = sorted(seen.time.unique())[1::2]
+    pd.concat([left, right[right.time.isin(taken)]]).to_csv(cwd / "both.csv", index=False)
+    rows = [*(f"{time},left" for time in seen.time.unique()), *(f"{time},right" for time in taken)]
+    (cwd / "images.csv").write_text("\n".join(["image,camera", *rows]))
+    asked = ["detections=both.csv", "camera.rig=[{camera: camera.yaml}, {camera: camera.yaml}]"]
+    views = []
+    for name, images in (("all", []), ("listed", ["images=images.csv"])):
+        done = call(*asked, *images, f"hydra.run.dir={name}", cwd=cwd, settings=READ)
+        assert done.returncode == 0, done.stderr
+        views.append(pd.read_csv(cwd / name / "in_view.csv"))
+    assert set(views[1].time[views[1].camera == 2]) <= set(taken)
+    left_out = views[0][(views[0].camera == 2) & ~views[0].time.isin(taken)]
+    assert len(left_out) == len(views[0]) - len(views[1]) > 0
+    assert not left_out.seen.any()
 
 
 @pytest.mark.usefixtures("surveyed")
@@ -266,7 +289,8 @@ def test_a_folder_keeps_no_file_of_an_earlier_survey(room):
         (["survey.place=0"], "survey.place must"),
         (["export=[wpilib]"], "export needs the room that the tags hang in"),
         (["detectors=[apriltag,aruco]"], "detectors must name one detector, got ['apriltag', 'aruco']"),
-        (["audit=true"], "audit needs the room and the visibility model of a run"),
+        (["audit=true"], "audit needs a visibility model of tags: visibility=fiducial"),
+        (["images=plan.csv"], "images goes with detections=FILE.csv: with photographs it is known which there are"),
         (["deployment=random"], "deployment must be a file"),
         (["camera.path=plan.csv"], "plan.csv"),
         (

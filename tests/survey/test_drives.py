@@ -13,7 +13,6 @@ from lmd.core.checks import InputError
 from lmd.geometry.se3 import act, inverse, laid_over, log, pose_of
 from lmd.geometry.trajectory import Trajectory
 from lmd.scene.tag import Tag
-from lmd.survey.linked import adjustment_of
 from lmd.survey.links import adjoints
 from lmd.survey.report import document, tag_columns
 from lmd.survey.survey import Known, survey
@@ -33,7 +32,7 @@ def square_of(found, true):
     """chi^2 of the poses of all tags of the map beside the first of them, and its degrees of freedom."""
     ids, some = found.ids, np.flatnonzero(found.placed)
     every = found.found
-    whole = adjustment_of(every.sightings.of(every.used), every.prior).covariance(every.poses, every.floor)
+    whole = every.covariance
     first, rest = some[0], some[1:]
     slopes = np.zeros((6 * len(rest), 6 * len(ids)))
     off = np.empty((len(rest), 6))

@@ -1,5 +1,7 @@
 """What a survey tells of the detector, by one camera and by two; some 10 seconds."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import walks
@@ -8,6 +10,8 @@ from lmd.core.checks import InputError
 from lmd.core.tables import write_table
 from lmd.detection.calibration import Calibration
 from lmd.detection.fit import fit, intervals
+from lmd.detection.frames import Sightings
+from lmd.detection.prediction import Prediction
 from lmd.detection.surveyed import FILE, SurveyedViews
 from lmd.evaluation.verdicts import verdicts
 from lmd.geometry.se3 import axis_and_right, pose_of
@@ -21,7 +25,7 @@ from lmd.scene.tag import Tag
 from lmd.sight.models.fiducial import Fiducial
 from lmd.sight.models.limits import Limits
 from lmd.space.cuboid import Cuboid
-from lmd.survey.audit import audited
+from lmd.survey.audit import Audit, audited, in_the_open, seen_of
 from lmd.survey.report import map_of
 from lmd.survey.survey import Known, survey
 from lmd.survey.views import view_columns
@@ -111,3 +115,61 @@ def test_an_audit_looks_at_the_images_of_all_cameras():
     assert table.index[table.stands_out].tolist() == [dirty]
     assert audit.metrics()["audit/precision"] > 0.8
     assert audit.tables["audit_places"].tags.sum() == audit.prediction.whole.sum()
+    # Images that were not taken show nothing; all others show what they did.
+    taken = np.ones((len(clean.times), 2), dtype=bool)
+    taken[::3, 1] = False
+    kept = clean.of(np.flatnonzero(taken[clean.frame, clean.camera]))
+    fewer = audited(replace(found, detected=replace(kept, taken=taken)), scene, verdicts).prediction
+    shown = np.repeat(taken[found.found.frames], COUNT, axis=1)
+    for name in ("visible", "whole"):
+        np.testing.assert_array_equal(getattr(fewer, name), getattr(audit.prediction, name) & shown)
+    assert np.isnan(fewer.pitch[~shown]).all()
+    # Where nothing stands in the room, it need not be known.
+    open_to_all = audited(*in_the_open(found, scene), verdicts)
+    np.testing.assert_array_equal(open_to_all.prediction.visible, audit.prediction.visible)
+    np.testing.assert_array_equal(open_to_all.seen.detected, audit.seen.detected)
+
+
+def test_a_detection_some_pixels_off_is_one_and_a_far_one_is_false():
+    detected, known, cameras = walked(MOUNTS[:1], 80, lambda _: Known())
+    corners = detected.corners.copy()
+    many = np.bincount(detected.frame, minlength=len(detected.times))
+    near, far = np.flatnonzero(many[detected.frame] == many.max())[[0, -1]]
+    corners[near] += [2.5, 0.0]  # too far to place anything: 25 standard deviations
+    corners[far] += [30.0, 0.0]
+    found = survey(replace(detected, corners=corners), cameras, TAG, walks.constant_errors(SIGMA), known)
+    some = found.found.sightings
+    for index in (near, far):
+        own = (some.frame == detected.frame[index]) & (found.ids[some.tag] == detected.ids[index])
+        assert own.sum() == 1
+        assert not found.found.used[own].any()
+    (seen,) = seen_of(found)
+    frame = dict(zip(found.found.frames.tolist(), range(len(found.found.frames)), strict=True))
+    tag = dict(zip(found.ids[found.placed].tolist(), range(COUNT), strict=False))
+    for index, is_seen in ((near, True), (far, False)):
+        f, k = frame[int(detected.frame[index])], tag[int(detected.ids[index])]
+        assert seen.detected[f, k] == is_seen
+        assert seen.false[f] == (not is_seen)
+    columns = view_columns(found, [one.found for one in found.calibrated], TAG, None)
+    own = (np.asarray(columns["time"]) == str(detected.frame[near])) & (columns["id"] == detected.ids[near])
+    assert np.asarray(columns["seen"])[own].tolist() == [1]
+    np.testing.assert_allclose(np.asarray(columns["border"])[own], edge_distance(corners[near] - [2.5, 0.0]), atol=1.0)
+    diameter = 2.0 * np.linalg.norm(corners[near] - [2.5, 0.0] - [320.0, 240.0], axis=1).max()
+    np.testing.assert_allclose(
+        np.asarray(columns["circle"])[own], diameter, atol=4.0
+    )  # about the centre that was found
+
+
+def edge_distance(corners):
+    return np.minimum(corners, [640.0, 480.0] - corners).min()
+
+
+def test_misses_in_a_row_are_told_from_others():
+    """A tag that is hidden six times in a row, and another that is missed every third time."""
+    visible, detected = np.ones((12, 2), dtype=bool), np.ones((12, 2), dtype=bool)
+    visible[4, 0] = False  # not asked for: the row goes on
+    detected[2:9, 0], detected[::3, 1] = False, False
+    prediction = Prediction(None, np.tile(np.eye(4), (12, 1, 1)), visible, {})
+    audit = Audit(prediction, Sightings(detected, np.full((12, 2, 4, 2), np.nan), np.zeros(12, dtype=int)))
+    assert audit.missed_in_a_row.sum(axis=0).tolist() == [6, 0]
+    assert np.flatnonzero(audit.missed_in_a_row[:, 0]).tolist() == [2, 3, 5, 6, 7, 8]

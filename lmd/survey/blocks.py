@@ -1,0 +1,74 @@
+"""How well a map is known by what its own photographs disagree on, in blocks of time.
+
+The covariance C of an adjustment takes the errors of all sightings for independent. Those of a drive are not: what
+changes slowly, such as exposure, blur and what the lens model lacks, is alike in images that follow each other. So the
+frames are cut into blocks of time with equally many sightings. Block b adds S_b to the normal equations S = C^-1, and
+g_b to their right side, which is 0 in sum. The map is off by the sum of x_b = C (1 - S_b C)^-1/2 g_b, whose squares add
+up to its covariance: without correlations C is expected. With the root in place of the inverse, which would leave each
+block out (the jackknife), blocks that alone hold a part of the map do not count as many times as they weigh.
+
+Source: Bell and McCaffrey, "Bias reduction in standard errors for linear regression with multi-stage samples" (CR2).
+"""
+
+from dataclasses import replace
+
+import numpy as np
+from threadpoolctl import threadpool_limits
+
+from lmd.core.checks import FloatArray, IntArray
+from lmd.survey.adjustment import Adjustment
+from lmd.survey.estimate import ONE_THREAD, Estimate
+from lmd.survey.gauge import gauge_free
+
+FEWEST_BLOCKS, MOST_BLOCKS = 5, 8
+FEWEST_IN_BLOCK = 3  # frames, where there are more than the fewest blocks
+FEWEST_FRAMES = 10  # of a drive that is cut into blocks
+ALONE = 0.98  # share of what is known in a direction from which on a block has it to itself
+LEAST_PART = 1e-9  # of the largest eigenvalue; what is less is none
+
+
+def blocks_of_time(found: Estimate) -> list[IntArray]:
+    """The frames of each block, in their order."""
+    counts = np.bincount(found.sightings.frame[found.used], minlength=found.sightings.frames)[found.frames]
+    middle = np.cumsum(counts) - counts / 2.0
+    blocks = int(np.clip(len(counts) // FEWEST_IN_BLOCK, FEWEST_BLOCKS, MOST_BLOCKS))
+    block = (blocks * middle / counts.sum()).astype(int)
+    return [found.frames[block == b] for b in range(blocks) if (block == b).any()]
+
+
+def inflation(found: Estimate) -> float:
+    """The factor of standard deviations of places by blocks of time: the median of tags; 1 if it would be less.
+
+    It is 1, too, if there are too few frames for blocks, or if frames are linked: blocks of such hold less than all.
+    """
+    if len(found.frames) < FEWEST_FRAMES or found.prior.motion is not None:
+        return 1.0
+    with threadpool_limits(limits=ONE_THREAD):
+        off = np.stack([_off(found, frames) for frames in blocks_of_time(found)])
+    square = (off**2).sum(axis=(0, 2))
+    stated = np.trace(found.precisions[found.known][:, 3:, 3:], axis1=1, axis2=2) / found.inflation**2
+    known = stated > 0.0
+    return float(max(np.sqrt(np.median(square[known] / stated[known])), 1.0)) if known.any() else 1.0
+
+
+def _off(found: Estimate, frames: IntArray) -> FloatArray:
+    """By how much the frames of a block move the place of each tag that is known, beside the others, `(n, 3)`, m."""
+    used = found.sightings.of(found.used)
+    some = used.of(np.isin(used.frame, frames))
+    nothing = replace(found.prior, information=np.zeros_like(found.prior.information), sheets=None)
+    slope, spread = Adjustment(used, found.prior).efficiency(found.poses, found.floor)
+    part = Adjustment(some, nothing, nuisances=True)
+    own, *_ = part.reduced(found.poses, found.floor, 0.0, slope**2 / spread)
+    _, right, _ = part.reduced(found.poses, found.floor, 0.0)
+    own[6 * part.placed :, 6 * part.placed :] -= np.eye(len(own) - 6 * part.placed)  # the prior of nuisances
+    covariance = found.covariance / found.inflation**2
+    rows = np.flatnonzero((np.diag(own) > 0.0) & np.isfinite(np.diag(covariance)))
+    values, vectors = np.linalg.eigh(own[np.ix_(rows, rows)])
+    there = values > LEAST_PART * values[-1]
+    root = vectors[:, there] * np.sqrt(values[there])
+    whitened = vectors[:, there].T @ right.ravel()[rows] * (slope / spread) / np.sqrt(values[there])
+    share, turn = np.linalg.eigh(root.T @ covariance[np.ix_(rows, rows)] @ root)
+    grown = np.where(share < ALONE, 1.0 / np.sqrt(np.clip(1.0 - share, 1.0 - ALONE, 1.0)), 0.0)
+    tags = np.flatnonzero(np.repeat(found.known, 6))
+    moved = covariance[np.ix_(tags, rows)] @ (root @ (turn @ (grown * (turn.T @ whitened))))
+    return np.asarray((gauge_free(found.poses.tags[found.known]) @ moved).reshape(-1, 6)[:, 3:])

@@ -1,0 +1,179 @@
+"""What a survey does not ask for, but depends on: the intrinsics, where the detector has corners, the shapes of tags.
+
+All of these have priors, and are found together with the map, so that what they may be off is in its covariance.
+
+- *Intrinsics* theta: a corner that was found at x and is imaged at pi(p, theta) has e = pi(p, theta) - x. So e changes
+  with theta as the image of the direction b does that x was seen in. After each step the directions are those of the
+  camera as it then is.
+- *Shift*: blur and exposure move the edges of a tag, and so its corners, inward or outward, by s pixels in all images of
+  a camera. A tag then looks smaller or larger, the more so the smaller it is.
+- *Shapes*: see `lmd.survey.sightings.SHAPES`. What their standard deviation is the photographs say themselves: by
+  expectation and maximisation, it is the root of the mean of squares and variances.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+from threadpoolctl import threadpool_limits
+
+from lmd.core.checks import FloatArray, InputError
+from lmd.scene.camera import Camera
+from lmd.survey.estimate import ONE_THREAD, Estimate, adjusted, fitting
+from lmd.survey.intrinsics import parameters, slopes, with_parameters
+from lmd.survey.linked import adjustment_of, telling
+from lmd.survey.residuals import errors_at
+from lmd.survey.sightings import WAYS, Sightings, inward
+from lmd.survey.start import FLOOR_PIXELS
+
+SHAPE_SIGMA, LEAST_SHAPE_SIGMA = 3e-4, 1e-5  # metres
+MOST_ROUNDS, ROUND_STEPS = 12, 3
+MOST_TRIALS, FIRST_DAMPING = 6, 1e-3  # of a step that leads uphill
+SLACK = 1e-3  # uphill, that is none
+SETTLED_SIGMAS = 0.3  # standard deviations; a smaller step is the last
+SETTLED_SHAPES = 0.1  # likewise of the deviation of shapes, relative
+MOST_HALVINGS = 6  # of a step that leads to no camera
+
+
+@dataclass(frozen=True)
+class Optics:
+    """A camera, and the detector that reads its images.
+
+    Args:
+        camera: see there.
+        shift: by how many pixels corners are too far inward.
+    """
+
+    camera: Camera
+    shift: float = 0.0
+
+    @property
+    def values(self) -> FloatArray:
+        """The parameters of the camera, and the shift, `(P + 1,)`."""
+        return np.append(parameters(self.camera), self.shift)
+
+    def at(self, values: FloatArray) -> "Optics":
+        """The same with other values.
+
+        Raises:
+            InputError: there is no such camera.
+        """
+        return Optics(with_parameters(self.camera, values[:-1]), float(values[-1]))
+
+
+Sighted = Callable[[Sequence[Optics]], Sightings]
+
+
+def freed(sightings: Sightings, optics: Sequence[Optics], spreads: Sequence[FloatArray]) -> Sightings:
+    """The sightings with all that is not known of their cameras unknown.
+
+    Args:
+        sightings: through `optics`.
+        spreads: what the values of each may be off, `(P + 1,)`.
+    """
+    most = max(len(spread) for spread in spreads)
+    lens = np.zeros((len(sightings), 4, 2, -(-most // 6) * 6))
+    for index, (one, spread) in enumerate(zip(optics, spreads, strict=True)):
+        own = sightings.camera == index
+        lens[own, ..., : len(spread) - 1] = slopes(one.camera, sightings.directions[own])
+        lens[own, ..., len(spread) - 1] = inward(sightings.image[own])
+        lens[own, ..., : len(spread)] *= spread
+    return replace(sightings, lens=lens.reshape(len(sightings), 8, -1))
+
+
+def refined(
+    found: Estimate, given: Sequence[Optics], spreads: Sequence[FloatArray], sighted: Sighted, keep: bool = False
+) -> tuple[Estimate, tuple[Optics, ...]]:
+    """The best poses, cameras and shapes.
+
+    Args:
+        found: with the cameras as they were given.
+        given: these.
+        spreads: what the values of each may be off, `(P + 1,)`.
+        sighted: the sightings as other cameras of the same images have them.
+        keep: whether the intrinsics stay as they are given; they are as little known.
+    """
+    count, prior, poses, floor, damping = len(found.sightings.ids), found.prior, found.poses, found.floor, 0.0
+    free = [np.where(np.arange(len(spread)) < len(spread) - 1, 0.0, spread) for spread in spreads] if keep else spreads
+
+    def seen(state: _State, spreads: Sequence[FloatArray] = free) -> Sightings:
+        through = freed(sighted(state.optics), state.optics, spreads)
+        return replace(through, edges=found.sightings.edges, shapes=state.shapes, shape_sigma=state.deviation)
+
+    state = _State(tuple(given), np.zeros((0, 0)), np.zeros((count, 6)), SHAPE_SIGMA)
+    sightings = seen(state)
+    state = state._replace(off=np.zeros((len(given), sightings.lens.shape[2])))
+    with threadpool_limits(limits=ONE_THREAD):
+        for _ in range(MOST_ROUNDS):
+            error = errors_at(sightings, poses)
+            of_map = (found.group[sightings.tag] == 0) & np.isfinite(error)
+            used = telling(sightings, of_map & fitting(sightings, error, floor), prior.motion)
+            settled = adjustment_of(sightings.of(used), prior).run(poses, floor, ROUND_STEPS, FLOOR_PIXELS)
+            poses, floor = settled.poses, settled.floor
+            every = adjustment_of(sightings.of(used), prior, nuisances=True)
+            cost = state.cost + every.cost(errors_at(every.sightings, poses), every.costs(poses), floor)
+            for _ in range(MOST_TRIALS):
+                there, step, variance = every.joint_step(poses, floor, damping, state.units)
+                tried = state.stepped(given, free, step)
+                fresh = seen(tried)
+                error = errors_at(fresh.of(used), there)
+                if tried.cost + every.cost(error, every.costs(there), floor) <= cost + SLACK:
+                    break
+                damping = max(10.0 * damping, FIRST_DAMPING)
+            else:
+                break
+            damping = damping / 10.0
+            placed = np.bincount(sightings.tag[used], minlength=count) > 0
+            lenses = state.off.size // 6
+            squares = (tried.shapes / tried.deviation) ** 2 + variance[lenses:]
+            grown = float(np.sqrt(squares[placed, :WAYS].mean()))
+            state = tried._replace(deviation=max(grown * tried.deviation, LEAST_SHAPE_SIGMA))
+            poses, sightings = there, seen(state)
+            is_settled = (step[:lenses] ** 2 <= SETTLED_SIGMAS**2 * variance[:lenses]).all()
+            if is_settled and abs(grown - 1.0) < SETTLED_SHAPES:
+                break
+    return adjusted(seen(state, spreads), prior, poses, found.group, FLOOR_PIXELS), state.optics
+
+
+class _State(NamedTuple):
+    """All but the poses: the cameras, and how far they are off those given, `(C, 6 L)`; shapes, and their deviation."""
+
+    optics: tuple[Optics, ...]
+    off: FloatArray
+    shapes: FloatArray
+    deviation: float
+
+    @property
+    def units(self) -> FloatArray:
+        """How far all are off what was known of them, in units of what they may be, `(n, 6)`."""
+        return np.concatenate([self.off.reshape(-1, 6), self.shapes / self.deviation])
+
+    @property
+    def cost(self) -> float:
+        """What the priors add to what is minimised."""
+        return 0.5 * float((self.units**2).sum())
+
+    def stepped(self, given: Sequence[Optics], spreads: Sequence[FloatArray], step: FloatArray) -> "_State":
+        """After a step `(n, 6)`, or the first part of it that leads to cameras."""
+        lenses = self.off.size // 6
+        optics, off = _stepped(given, spreads, self.off, step[:lenses].reshape(self.off.shape))
+        return self._replace(optics=optics, off=off, shapes=self.shapes + self.deviation * step[lenses:])
+
+
+def _stepped(
+    given: Sequence[Optics], spreads: Sequence[FloatArray], off: FloatArray, step: FloatArray
+) -> tuple[tuple[Optics, ...], FloatArray]:
+    """The cameras after a step, or the first part of it that leads to cameras, and how far they are off those given."""
+
+    def at(there: FloatArray) -> tuple[Optics, ...]:
+        rows = zip(given, spreads, there, strict=True)
+        return tuple(one.at(one.values + row[: len(spread)] * spread) for one, spread, row in rows)
+
+    for halving in range(MOST_HALVINGS):
+        there = off + 0.5**halving * step
+        try:
+            return at(there), there
+        except InputError:
+            continue
+    return at(off), off
