@@ -1,7 +1,7 @@
 """Where tags hang, from photographs of them: `python -m pipelines.survey run=DIR photographs=DIR camera.path=FILE`."""
 
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from omegaconf import DictConfig, OmegaConf
 
@@ -19,6 +19,7 @@ from .survey_files import audit_writers, check_folder, writers_of
 
 if TYPE_CHECKING:
     from lmd.detection.detectors import Detector
+    from lmd.geometry.trajectory import Trajectory
     from lmd.scene.camera import Camera
     from lmd.scene.rig import Rig
     from lmd.scene.scene import Scene
@@ -143,8 +144,10 @@ def _known(cfg: DictConfig, tag: "Tag", given: "Camera | Rig") -> "Known":
     settings = OmegaConf.to_container(settings_of(cfg, "survey"), resolve=True)
     assert isinstance(settings, dict)
     settings.pop("calibrate")  # says nothing of the tags
-    names = ("origin", "points", "floor", "boards", "printed", "mounted")
-    origin, points, floor, boards, printed, mounted = (settings.pop(key, None) for key in names)
+    names = ("origin", "points", "floor", "boards", "printed", "mounted", "odometry", "motion")
+    origin, points, floor, boards, printed, mounted, path, motion = (settings.pop(key, None) for key in names)
+    odometry = _odometry(path)
+    steady = None if motion == "auto" else boolean("survey.motion", motion)
     with keyed("survey"):
         hanging = Hanging(**{str(key): value for key, value in settings.items()})
         origin = None if origin is None else integer("origin", origin, low=0)
@@ -162,7 +165,27 @@ def _known(cfg: DictConfig, tag: "Tag", given: "Camera | Rig") -> "Known":
         fixed = fixed_of(node, tag.own_family)
     note("" if plan is None else plan.note)
     with keyed("survey"):
-        return Known(plan, hanging, fixed, points, boards, mounts, origin, floor)
+        return Known(plan, hanging, fixed, points, boards, mounts, origin, floor, odometry, steady)
+
+
+def _odometry(given: Any) -> "Trajectory | None":
+    """How the body moved, by a file or by the keys of one.
+
+    Raises:
+        InputError: it cannot be read, or is no trajectory.
+    """
+    from lmd.core.checks import InputError
+    from lmd.scene.trajectory_files import TrajectoryFile
+
+    if given is None:
+        return None
+    keys = given if isinstance(given, dict) else {"path": given}
+    known = ("path", "frame", "times", "rate", "mount")
+    if unknown := [key for key in keys if key not in known]:
+        raise InputError(f"survey.odometry has the key {unknown[0]!r}, but takes {', '.join(known)}.")
+    with keyed("survey.odometry", **({} if isinstance(given, dict) else {"path": "survey.odometry"})):
+        file = TrajectoryFile(**{str(key): value for key, value in keys.items()})
+        return file.trajectory
 
 
 main = Pipeline("survey", survey, (read_earlier_run,))

@@ -20,6 +20,7 @@ SMALL_ANGLE = 1e-4
 QUATERNION_TOLERANCE = 1e-2
 # And R^T R is as near to I for a rotation that was printed so.
 MATRIX_TOLERANCE = 1e-2
+MEDIAN_STEPS = 10
 # The columns of a table of poses: metres, and the unit quaternion of R.
 ROW = ("x", "y", "z", "qx", "qy", "qz", "qw")
 
@@ -184,6 +185,14 @@ def log(pose: FloatArray) -> FloatArray:
     w = skew(angular)
     linear = (np.eye(3) - w / 2.0 + factor[..., None, None] * (w @ w)) @ pose[..., :3, 3:]
     return np.concatenate([angular, linear[..., 0]], axis=-1)
+
+
+def middle(poses: FloatArray) -> FloatArray:
+    """The pose that most of `poses` `(n, 4, 4)` are near to: the median of their twists, again and again."""
+    result = poses[len(poses) // 2]
+    for _ in range(MEDIAN_STEPS):
+        result = result @ exp(np.median(log(inverse(result) @ poses), axis=0))
+    return np.asarray(result)
 
 
 def angle_between(a: FloatArray, b: FloatArray) -> FloatArray:

@@ -196,11 +196,12 @@ class Adjustment:
         """The poses once what is kept has changed by `kept`, and what was eliminated accordingly."""
         frames = poses.frames.copy()
         count = len(self.sightings.ids)
+        rests = []
         for part in blocks:
-            seen = part.chunk.seen
             pull = sum(np.einsum("nij,ni->nj", cross, kept[index]) for index, cross in part.crosses)
-            rest = part.gradient - part.chunk.summed(np.asarray(pull))
-            frames[seen] = frames[seen] @ exp(solved(part.block, rest))
+            rests.append((part, part.gradient - part.chunk.summed(np.asarray(pull))))
+        for (part, _), twists in zip(rests, self.frame_steps(rests), strict=True):
+            frames[part.chunk.seen] = frames[part.chunk.seen] @ exp(twists)
         tags = poses.tags @ exp(kept[:count])
         mounts = poses.mounts.copy()
         mounts[1 : 1 + self.mounts] = mounts[1 : 1 + self.mounts] @ exp(kept[count : self.placed])
@@ -219,6 +220,34 @@ class Adjustment:
         if self.kept > self.flat:
             found.append((self.flat + some.tag, some.shape_sigma * at.by_shape))
         return found
+
+    def eliminate(
+        self, part: Eliminated, panel: FloatArray, rows: IntArray, matrix: FloatArray, right: FloatArray
+    ) -> None:
+        """Take the frames of a chunk out of the system of what is kept.
+
+        Args:
+            panel: H_fk, `(f, 6, r, 6)`, for the r parts `rows` of what is kept.
+            matrix, right: the system, which changes.
+        """
+        lower = np.asarray(np.linalg.cholesky(part.block), dtype=np.float64)
+        # H_kf L^-T, whose product with itself is H_kf H_ff^-1 H_fk.
+        half = np.linalg.solve(lower, panel.reshape(len(panel), 6, 6 * len(rows)))
+        wide = np.ascontiguousarray(half.reshape(6 * len(panel), 6 * len(rows)).T)
+        if len(rows) == self.kept:
+            matrix -= wide @ wide.T
+        else:
+            index = (6 * rows[:, None] + np.arange(6)).ravel()
+            matrix[np.ix_(index, index)] -= wide @ wide.T
+        reduced = solved(lower, part.gradient)
+        right[rows] -= (wide @ reduced.ravel()).reshape(-1, 6)
+
+    def eliminate_links(self, poses: Poses, is_robust: bool, matrix: FloatArray, right: FloatArray) -> None:
+        """Take what is linked out of the system of what is kept: nothing, see `lmd.survey.linked`."""
+
+    def frame_steps(self, parts: Sequence[tuple[Eliminated, FloatArray]]) -> list[FloatArray]:
+        """The twists of the frames of each chunk, by their right sides `(f, 6)` without what is kept."""
+        return [solved(part.block, rest) for part, rest in parts]
 
     def reduced(
         self, poses: Poses, floor: float, damping: float, weight: float | None = None
@@ -265,18 +294,9 @@ class Adjustment:
                     both = product(slope, beside)
                     np.add.at(cells, (index, other), both)
                     np.add.at(cells, (other, index), np.swapaxes(both, 1, 2))
-            lower = np.asarray(np.linalg.cholesky(block), dtype=np.float64)
-            # H_kf L^-T, whose product with itself is H_kf H_ff^-1 H_fk.
-            half = np.linalg.solve(lower, panel.reshape(len(seen), 6, 6 * len(rows)))
-            wide = np.ascontiguousarray(half.reshape(6 * len(seen), 6 * len(rows)).T)
-            if len(rows) == self.kept:
-                matrix -= wide @ wide.T
-            else:
-                index = (6 * rows[:, None] + np.arange(6)).ravel()
-                matrix[np.ix_(index, index)] -= wide @ wide.T
-            reduced = solved(lower, gradient)
-            right[rows] -= (wide @ reduced.ravel()).reshape(-1, 6)
             blocks.append(Eliminated(chunk, block, gradient, crosses))
+            self.eliminate(blocks[-1], panel, rows, matrix, right)
+        self.eliminate_links(poses, weight is None, matrix, right)
         off = self._off(poses.tags)
         known = self.prior.information
         if weight is None:

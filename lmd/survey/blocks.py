@@ -19,6 +19,8 @@ from lmd.core.checks import FloatArray, IntArray
 from lmd.survey.adjustment import Adjustment
 from lmd.survey.estimate import ONE_THREAD, Estimate
 from lmd.survey.gauge import gauge_free
+from lmd.survey.linked import telling
+from lmd.survey.residuals import EXACT_SIGMA
 
 FEWEST_BLOCKS, MOST_BLOCKS = 5, 8
 FEWEST_IN_BLOCK = 3  # frames, where there are more than the fewest blocks
@@ -40,11 +42,14 @@ def blocks_of_time(found: Estimate) -> list[IntArray]:
 def inflation(found: Estimate) -> float:
     """The factor of standard deviations of places by blocks of time, the geometric mean of tags; 1 if it would be less.
 
-    It is 1, too, if there are too few frames for blocks.
+    It is 1, too, if there are too few frames for blocks. Where frames are linked, those count that show two tags, as
+    far as they connect all without links.
 
     Args:
         found: as if no errors were alike, with an inflation of 1.
     """
+    if found.prior.motion is not None:
+        found = _without_links(found)
     if len(found.frames) < FEWEST_FRAMES:
         return 1.0
     with threadpool_limits(limits=ONE_THREAD):
@@ -56,6 +61,26 @@ def inflation(found: Estimate) -> float:
         return 1.0
     ratio = np.maximum(square[known] / stated[known], LEAST_RATIO)
     return float(max(np.exp(np.log(ratio).mean() / 2.0), 1.0))
+
+
+def _without_links(found: Estimate) -> Estimate:
+    """The largest part of a map that images connect, by themselves."""
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+
+    some, count = found.sightings, len(found.group)
+    used = telling(some, found.used, None)
+    ends = (some.tag[used], count + some.frame[used])
+    whole = coo_array((np.ones(used.sum()), ends), shape=(count + some.frames,) * 2)
+    _, part = connected_components(whole, directed=False)
+    of_part = np.bincount(part[some.tag[used]], minlength=1)
+    used = used & (part[some.tag] == of_part.argmax())
+    information = found.prior.information.copy()
+    if used.any() and not information[some.tag[used]].any():
+        information[some.tag[used][0]] = EXACT_SIGMA**-2.0
+    prior = replace(found.prior, motion=None, information=information)
+    group = np.where(np.bincount(some.tag[used], minlength=count) > 0, found.group, -1)
+    return replace(found, prior=prior, used=used, group=group)
 
 
 def _off(found: Estimate, frames: IntArray) -> FloatArray:

@@ -7,22 +7,23 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from lmd.core.checks import BoolArray, FloatArray, InputError, IntArray
-from lmd.geometry.se3 import exp, inverse, log
+from lmd.geometry.se3 import inverse, middle
 from lmd.survey.adjustment import Adjustment
 from lmd.survey.gauge import blocks_of, without_gauge
+from lmd.survey.joining import joined_by_motion
 from lmd.survey.known import aligned, turned_as
+from lmd.survey.linked import LinkedAdjustment, adjustment_of, telling
 from lmd.survey.residuals import EXACT_SIGMA, Poses, Prior, errors_at
 from lmd.survey.sightings import Sightings
 from lmd.survey.start import FLOOR_PIXELS, place
 from lmd.survey.turns import as_seen
 
 # A sighting whose chi^2 is larger, with eight degrees of freedom, and which is off by more, root mean square, does not
-# show the tag where it hangs. Blur alone moves corners by less.
-MISFIT_CHI_SQUARE, MISFIT_PIXELS = 60.0, 1.0
+# show the tag where it hangs: so many pixels, and such a share of its side. Blur and lenses alone move corners by less.
+MISFIT_CHI_SQUARE, MISFIT_PIXELS, MISFIT_SHARE = 60.0, 1.0, 0.02
 STEPS, FINAL_STEPS = 40, 15
 # Threads that share matrices of some hundred rows wait for each other longer than they work.
 ONE_THREAD = 1
-MEDIAN_STEPS = 10  # of the mean pose of a mount
 
 
 @dataclass(frozen=True)
@@ -52,7 +53,7 @@ class Estimate:
 
     @property
     def _adjustment(self) -> Adjustment:
-        return Adjustment(self.sightings.of(self.used), self.prior, True, self.inflation)
+        return adjustment_of(self.sightings.of(self.used), self.prior, True, self.inflation)
 
     @cached_property
     def covariance(self) -> FloatArray:
@@ -98,6 +99,15 @@ class Estimate:
         """The frames that the map is made from."""
         return np.unique(self.sightings.frame[self.used])
 
+    @property
+    def sigmas(self) -> FloatArray:
+        """The standard deviation of the place of each tag beside the others, along the worst direction, metres."""
+        known = np.asarray(np.isfinite(self.precisions).all(axis=(1, 2)))
+        result = np.full(len(known), np.nan)
+        largest = np.linalg.eigvalsh(self.precisions[known][:, 3:, 3:])[:, -1]
+        result[known] = np.sqrt(np.maximum(largest, 0.0))
+        return result
+
     def in_world(self, covariances: FloatArray) -> FloatArray:
         """Covariances of the position and of the turn of each tag, world frame, m^2 and rad^2, `(K, 6, 6)`.
 
@@ -141,9 +151,11 @@ def started(sightings: Sightings, prior: Prior) -> Start:
     with threadpool_limits(limits=ONE_THREAD):
         known = np.asarray(prior.information[:, :3].any(axis=1))
         apart = sightings.apart()
-        rough, group = place(apart, np.where(known[:, None, None], prior.tags, np.nan))
-        if group.max(initial=-1) < 0:
-            raise InputError("detections never show two tags at once, of which one leaves no doubt.", "detections")
+        # Frames of two cameras must be placed to find how these are mounted.
+        is_linked = prior.motion is not None and (sightings.cameras == 1 or prior.mounts is not None)
+        rough, group = place(apart, np.where(known[:, None, None], prior.tags, np.nan), is_linked)
+        if prior.motion is None:
+            _check_groups(group)
         return Start(as_seen(apart, rough), group)
 
 
@@ -163,9 +175,28 @@ def estimate(sightings: Sightings, prior: Prior, origin: int | None = None, star
     """
     start = started(sightings, prior) if start is None else start
     with threadpool_limits(limits=ONE_THREAD):
-        rough = joined(sightings, start.poses, prior.mounts)
-        poses, group, prior = in_one_world(sightings, rough, start.group, prior, origin)
+        poses, group, prior = in_one_world(sightings, *begun(sightings, start, prior), origin)
         return adjusted(sightings, prior, poses, group, FLOOR_PIXELS)
+
+
+def begun(sightings: Sightings, start: Start, prior: Prior) -> tuple[Poses, IntArray, Prior]:
+    """Rough poses of the body, the group of each tag once motion has joined some, and the prior as the drive tells it.
+
+    Raises:
+        InputError: a camera was never placed together with the first one.
+    """
+    rough = joined(sightings, start.poses, prior.mounts)
+    if prior.motion is None:
+        return rough, start.group, prior
+    poses, group, prior = joined_by_motion(sightings, rough, start.group, prior)
+    _check_groups(group)
+    return poses, group, prior
+
+
+def _check_groups(group: IntArray) -> None:
+    """Raise `InputError` if nothing connects two tags."""
+    if group.max(initial=-1) < 0:
+        raise InputError("detections never show two tags at once, of which one leaves no doubt.", "detections")
 
 
 def adjusted(
@@ -177,7 +208,7 @@ def adjusted(
         InputError: no sightings agree.
     """
     of_map = (group[sightings.tag] == 0) & np.isfinite(poses.frames[sightings.frame, 0, 0])
-    of_map = used = twice_in_frame(sightings, of_map)
+    of_map = used = telling(sightings, of_map, prior.motion)
     misfits = np.zeros(len(sightings), dtype=bool)
     there = (group == 0) & (np.bincount(sightings.tag[of_map], minlength=len(group)) > 0)
     sheets = None if prior.sheets is None else prior.sheets.of(there)
@@ -185,19 +216,21 @@ def adjusted(
     sheets = None if sheets is None or not len(sheets.tag) else sheets
     prior = replace(prior, information=information, sheets=sheets)
     for steps in (STEPS, FINAL_STEPS):
-        used = twice_in_frame(sightings, used)
+        used = telling(sightings, used, prior.motion)
         if not used.any():
             raise InputError(
                 "detections: no two tags of a frame agree with one pose of the camera; are the corners in another "
                 "order, or the calibration another one?",
                 "detections",
             )
-        adjustment = Adjustment(sightings.of(used), prior, inflation=inflation)
+        adjustment = adjustment_of(sightings.of(used), prior, inflation=inflation)
         found = adjustment.run(poses, floor, steps)
         poses, floor = found.poses, found.floor
+        if isinstance(adjustment, LinkedAdjustment) and steps == STEPS:
+            prior = replace(prior, motion=adjustment.told(poses, floor))
         misfits = of_map & ~fitting(sightings, errors_at(sightings, poses), floor)
         used = of_map & ~misfits
-    used = twice_in_frame(sightings, used)
+    used = telling(sightings, used, prior.motion)
     frames = np.full_like(poses.frames, np.nan)
     frames[np.unique(sightings.frame[used])] = poses.frames[np.unique(sightings.frame[used])]
     poses = replace(poses, frames=frames)
@@ -207,13 +240,8 @@ def adjusted(
 def fitting(sightings: Sightings, error: FloatArray, floor: float) -> BoolArray:
     """Whether sightings with the error |e|^2 `(N,)` show their tags where they hang; false for NaN."""
     square = error / (sightings.noise**2 + floor**2)
-    return np.asarray((square <= MISFIT_CHI_SQUARE) | (error <= 4.0 * MISFIT_PIXELS**2))
-
-
-def twice_in_frame(sightings: Sightings, used: BoolArray) -> BoolArray:
-    """The sightings among `used` whose frames have at least two of them: one alone says nothing of the map."""
-    counts = np.bincount(sightings.frame[used], minlength=sightings.frames)
-    return np.asarray(used & (counts[sightings.frame] >= 2))
+    near = np.sqrt(error / 4.0) <= np.maximum(MISFIT_PIXELS, MISFIT_SHARE * sightings.sizes)
+    return np.asarray((square <= MISFIT_CHI_SQUARE) | near)
 
 
 def joined(sightings: Sightings, apart: Poses, known: FloatArray | None = None) -> Poses:
@@ -234,20 +262,12 @@ def joined(sightings: Sightings, apart: Poses, known: FloatArray | None = None) 
         if known is not None:
             mounts[camera] = known[camera]
         elif both.any():
-            mounts[camera] = _middle(inverse(frames[both]) @ views[camera, both])
+            mounts[camera] = middle(inverse(frames[both]) @ views[camera, both])
         else:
             raise InputError(f"detections have no frame that shows where camera {camera + 1} is mounted.", "detections")
         fresh = there & ~both
         frames[fresh] = views[camera, fresh] @ inverse(mounts[camera])
     return Poses(apart.tags, frames, mounts)
-
-
-def _middle(poses: FloatArray) -> FloatArray:
-    """The pose that most of `poses` `(n, 4, 4)` are near to: the median of their twists, again and again."""
-    middle = poses[len(poses) // 2]
-    for _ in range(MEDIAN_STEPS):
-        middle = middle @ exp(np.median(log(inverse(middle) @ poses), axis=0))
-    return np.asarray(middle)
 
 
 def in_one_world(

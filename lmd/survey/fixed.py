@@ -7,7 +7,7 @@ from threadpoolctl import threadpool_limits
 
 from lmd.core.checks import FloatArray, InputError
 from lmd.geometry.se3 import angle_between
-from lmd.survey.estimate import ONE_THREAD, Estimate, Start, adjusted, in_one_world, joined
+from lmd.survey.estimate import ONE_THREAD, Estimate, Start, adjusted, begun, in_one_world
 from lmd.survey.start import FLOOR_PIXELS
 from lmd.survey.turns import by_places
 
@@ -35,8 +35,7 @@ def off_fixed(found: Estimate, start: Start) -> FloatArray:
         return off
     information = np.where(known[:, None], LOOSE_SIGMA**-2.0, np.zeros(6))
     with threadpool_limits(limits=ONE_THREAD):
-        rough = joined(found.sightings, start.poses, prior.mounts)
-        poses, group, _ = in_one_world(found.sightings, rough, start.group, prior, None)
+        poses, group, _ = in_one_world(found.sightings, *begun(found.sightings, start, prior), None)
         free = adjusted(found.sightings, replace(prior, information=information), poses, group, FLOOR_PIXELS)
     own = np.flatnonzero(known & np.isfinite(free.precisions).all(axis=(1, 2)))
     motion = by_places(free.poses.tags[own], prior.tags[own])

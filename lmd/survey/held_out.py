@@ -8,7 +8,8 @@ from threadpoolctl import threadpool_limits
 from lmd.core.checks import FloatArray
 from lmd.geometry.se3 import exp
 from lmd.survey.adjustment import LEAST_DAMPING
-from lmd.survey.estimate import ONE_THREAD, Estimate, adjusted, twice_in_frame
+from lmd.survey.estimate import ONE_THREAD, Estimate, adjusted
+from lmd.survey.linked import telling
 from lmd.survey.residuals import Poses, errors_at, gathered, linearise, summing
 from lmd.survey.sightings import Sightings
 from lmd.survey.student import solved, weight_of
@@ -57,7 +58,7 @@ def held_out(found: Estimate, plan: FloatArray | None = None) -> dict[str, Local
 def _localised(found: Estimate, tags: FloatArray, out: np.ndarray) -> Localised | None:
     """The frames of the sightings `out` by a map; None if it has too few of their tags."""
     known = out & found.used & np.isfinite(tags[found.sightings.tag, 0, 0])
-    some = found.sightings.of(twice_in_frame(found.sightings, known))
+    some = found.sightings.of(telling(found.sightings, known, None))
     if not len(some):
         return None
     frames = _resected(some, replace(found.poses, tags=tags), found.floor)

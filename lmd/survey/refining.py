@@ -21,10 +21,10 @@ from threadpoolctl import threadpool_limits
 
 from lmd.core.checks import FloatArray, InputError
 from lmd.scene.camera import Camera
-from lmd.survey.adjustment import Adjustment
 from lmd.survey.blocks import inflation
-from lmd.survey.estimate import ONE_THREAD, Estimate, adjusted, fitting, twice_in_frame
+from lmd.survey.estimate import ONE_THREAD, Estimate, adjusted, fitting
 from lmd.survey.intrinsics import parameters, slopes, with_parameters
+from lmd.survey.linked import adjustment_of, telling
 from lmd.survey.residuals import errors_at
 from lmd.survey.sightings import WAYS, Sightings, inward, shifted
 from lmd.survey.start import FLOOR_PIXELS
@@ -126,9 +126,9 @@ def _settled(
         for _ in range(MOST_ROUNDS):
             error = errors_at(sightings, poses)
             of_map = (found.group[sightings.tag] == 0) & np.isfinite(error)
-            used = twice_in_frame(sightings, of_map & fitting(sightings, error, floor))
-            every = Adjustment(sightings.of(used), found.prior, True, found.inflation)
-            settled = Adjustment(every.sightings, found.prior, False, found.inflation).run(
+            used = telling(sightings, of_map & fitting(sightings, error, floor), found.prior.motion)
+            every = adjustment_of(sightings.of(used), found.prior, True, found.inflation)
+            settled = adjustment_of(every.sightings, found.prior, False, found.inflation).run(
                 poses, floor, ROUND_STEPS, FLOOR_PIXELS
             )
             poses, floor = settled.poses, settled.floor

@@ -83,11 +83,7 @@ def frame_columns(survey: Survey) -> dict[str, ArrayLike]:
 
 def sigmas(survey: Survey) -> FloatArray:
     """The standard deviation of the place of each tag beside the others, along the worst direction, metres, `(K,)`."""
-    known = np.asarray(np.isfinite(survey.found.precisions).all(axis=(1, 2)))
-    result = np.full(len(known), np.nan)
-    largest = np.linalg.eigvalsh(survey.found.precisions[known][:, 3:, 3:])[:, -1]
-    result[known] = np.sqrt(np.maximum(largest, 0.0))
-    return result
+    return survey.found.sigmas
 
 
 def _differs(survey: Survey) -> float:
@@ -130,6 +126,8 @@ def state_of(survey: Survey, k: int) -> str:
         return "not seen"
     if survey.known.plan is not None and survey.ids[k] not in survey.known.ids:
         return "not believed"
+    if survey.loose[k]:
+        return "hardly known"
     if survey.found.group[k] > 0:
         return f"in group {survey.found.group[k]}"
     return "seen once" if seen == 1 else "not placed"
@@ -188,6 +186,7 @@ def document(survey: Survey) -> dict[str, Any]:
         "used_frames": [times[frame] for frame in found.frames.tolist()],
         "cameras": dict(mounts),
         "intrinsics": [camera.document() for camera in survey.calibrated],
+        "motion": motion_of(survey),
         "groups": [survey.ids[found.group == g].tolist() for g in range(1, found.group.max(initial=0) + 1)],
         "another_photograph": survey.ids[again(survey)].tolist(),
         "next_photographs": [
@@ -212,6 +211,23 @@ def document(survey: Survey) -> dict[str, Any]:
         "sizes": {str(survey.ids[tag]): edge for tag, edge in survey.faults.sizes.items()},
         "misread": {str(survey.ids[k]): int(survey.faults.misread[k]) for k in np.flatnonzero(survey.faults.misread)},
         "tags": [dict(zip(columns, row, strict=True)) for row in zip(*map(_plain, columns.values()), strict=True)],
+    }
+
+
+def motion_of(survey: Survey) -> dict[str, Any] | None:
+    """What `survey.json` holds of the motion between frames; None without."""
+    motion, joined = survey.found.prior.motion, survey.joined
+    if motion is None:
+        return None
+    turn, place = motion.spread
+    groups = joined.group if joined is not None else np.full(len(survey.ids), -1)
+    return {
+        "by": "constant velocity" if motion.path is None else "odometry",
+        "turn": turn,
+        "place": place,
+        "longest": motion.longest if motion.path is None else None,
+        "joined": [survey.ids[groups == g].tolist() for g in range(groups.max(initial=-1) + 1)],
+        "sigma": [] if joined is None else joined.sigma.tolist(),
     }
 
 

@@ -17,6 +17,7 @@ from lmd.survey.student import RESIDUALS, cost_of, weight_of
 
 if TYPE_CHECKING:
     from lmd.survey.boards import Sheets
+    from lmd.survey.motion import Motion
 
 # A corner that is hardly in front of the camera, or behind it, fits nowhere: metres, and pixels.
 NEAREST, NOWHERE = 1e-3, 1e4
@@ -48,12 +49,14 @@ class Prior:
         information: one over the variance of the turn about each axis of the tag, and of the way along each, `(K, 6)`.
         sheets: tags that were printed together, all of them placed; None for none.
         mounts: of the cameras, see `Poses`; None where these are to be found.
+        motion: between the frames; None where they are independent of each other.
     """
 
     tags: FloatArray
     information: FloatArray
     sheets: "Sheets | None" = None
     mounts: FloatArray | None = None
+    motion: "Motion | None" = None
 
     @property
     def exact(self) -> BoolArray:

@@ -50,8 +50,8 @@ def agreeing(sightings: Sightings, error: FloatArray) -> BoolArray:
 class Placing:
     """The frames and tags of some sightings that are placed one after the other."""
 
-    def __init__(self, sightings: Sightings, proposed: Proposals) -> None:
-        self.sightings, self.proposed = sightings, proposed
+    def __init__(self, sightings: Sightings, proposed: Proposals, is_linked: bool = False) -> None:
+        self.sightings, self.proposed, self.is_linked = sightings, proposed, is_linked
         nowhere = np.full((4, 4), np.nan)
         self.tags = np.tile(nowhere, (len(sightings.ids), 1, 1))
         self.frames = np.tile(nowhere, (sightings.frames, 1, 1))
@@ -71,7 +71,7 @@ class Placing:
         begun = bool(self.count())
         while begun or self.seed():
             begun, adjusted = False, 0
-            while self.grow() or self.risk():
+            while self.grow() or (not self.is_linked and self.risk()):
                 if self.count() > GROWN * adjusted:  # adjusting each time would take time that is quadratic in frames
                     self.adjust(STEPS)
                     adjusted = self.count()
@@ -263,12 +263,13 @@ def _rank_within(owner: IntArray) -> IntArray:
     return np.asarray(np.arange(len(owner)) - np.searchsorted(owner, owner))
 
 
-def place(sightings: Sightings, planned: FloatArray) -> tuple[Poses, IntArray]:
+def place(sightings: Sightings, planned: FloatArray, is_linked: bool = False) -> tuple[Poses, IntArray]:
     """Rough poses of all tags and frames that can be placed.
 
     Args:
         sightings: of cameras each of which is a body of its own (`mounts` are not asked for).
         planned: where tags should hang, `(K, 4, 4)`; NaN where that is not known.
+        is_linked: whether frames are linked, so that no single sighting has to be taken at its word.
 
     Returns:
         the poses, NaN where nothing is known; and the group of each tag, -1 for none, `(K,)`. Each group has a world
@@ -278,7 +279,7 @@ def place(sightings: Sightings, planned: FloatArray) -> tuple[Poses, IntArray]:
     tried: list[Placing] = []
     known = (np.bincount(sightings.tag, minlength=len(planned)) > 0) & np.isfinite(planned[:, 0, 0])
     for quarter in QUARTERS if known.any() else ():
-        placing = Placing(sightings, proposed)
+        placing = Placing(sightings, proposed, is_linked)
         placing.tags[known], placing.group[known] = (planned @ quarter)[known], 0
         placing.settle(placing.waiting(by_frame=True), by_frame=True, fewest=FEWEST)
         tried.append(placing)
@@ -287,7 +288,7 @@ def place(sightings: Sightings, planned: FloatArray) -> tuple[Poses, IntArray]:
         tried[0].fill()
         if tried[0].agreed() >= AS_PLANNED * len(sightings):
             return tried[0].poses, tried[0].group
-    alone = Placing(sightings, proposed)
+    alone = Placing(sightings, proposed, is_linked)
     alone.fill()
     best = max([alone, *tried], key=Placing.agreed)
     return best.poses, best.group

@@ -1,23 +1,26 @@
 """From detections to the map of the tags, all steps in order."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from lmd.core.checks import BoolArray, FloatArray, InputError, IntArray
 from lmd.detection.corner_errors import CornerErrors
+from lmd.geometry.trajectory import Trajectory
 from lmd.mapping.detections import DetectedTags
 from lmd.scene.camera import Camera
 from lmd.scene.deployment import Deployment
 from lmd.scene.tag import Tag
+from lmd.survey.between import Joined, joined_by
 from lmd.survey.boards import Boards
-from lmd.survey.estimate import Estimate, estimate, started
+from lmd.survey.estimate import Estimate, Start, estimate, started
 from lmd.survey.faults import Faults, settled
 from lmd.survey.fixed import off_fixed
 from lmd.survey.held_out import Localised, held_out
 from lmd.survey.intrinsics import Calibrated, judged, spreads
 from lmd.survey.known import TAPE_SIGMA_M, Hanging, Points, levelled, poses_of
+from lmd.survey.motion import Motion, seconds_of
 from lmd.survey.refining import SMALL_SHARE, Optics, refined
 from lmd.survey.residuals import EXACT_SIGMA, Prior, errors_at
 from lmd.survey.sightings import Sightings, sightings_of
@@ -28,6 +31,8 @@ from lmd.survey.turns import Turns, turns_of
 FEWEST_BELIEVED = 2
 # A beginning with tags as they are turned may show that others are.
 TURNING_STEPS = 3
+# A tag of linked frames is not placed if it is known worse beside the others: metres, or share of the map's extent.
+LOOSE_M, LOOSE_SHARE = 0.25, 0.01
 
 
 @dataclass(frozen=True)
@@ -43,6 +48,9 @@ class Known:
         mounts: of the cameras to the body, which is the first of them, `(C, 4, 4)`; None where they are to be found.
         origin: id of the tag whose frame is the world where nothing else is known; None for the one seen most often.
         floor: ids of tags that lie on the floor: then z is up in that world, and 0 on the floor; none for no such.
+        odometry: how the body moved, in a frame of its own; None where that is not known.
+        steady: whether its velocity changes little between frames that are near in time; None to take that for granted
+            where most sightings are alone in their frames, or where groups stay apart.
 
     Raises:
         InputError: the floor is named, and the world is that of a plan, of fixed tags or of points.
@@ -56,6 +64,8 @@ class Known:
     mounts: FloatArray | None = None
     origin: int | None = None
     floor: tuple[int, ...] = ()
+    odometry: Trajectory | None = None
+    steady: bool | None = None
 
     def __post_init__(self) -> None:
         if self.floor and any(known is not None for known in (self.plan, self.fixed, self.points)):
@@ -135,6 +145,8 @@ class Survey:
         localised: frames held out, see `lmd.survey.held_out`.
         turns: how tags are turned beside their plan.
         off_fixed: how far photographs have tags from where they are fixed, `(K, 2)`, see `lmd.survey.fixed`.
+        loose: which are in the map, but known too badly to be placed, `(K,)`.
+        joined: what motion alone has joined; None where frames are not linked.
         calibrated: the cameras as the photographs have them.
         proposed: what to photograph next, see `lmd.survey.next_photographs`.
     """
@@ -147,6 +159,8 @@ class Survey:
     localised: dict[str, Localised]
     turns: Turns
     off_fixed: FloatArray
+    loose: BoolArray
+    joined: Joined | None
     calibrated: tuple[Calibrated, ...]
     proposed: tuple[Photograph, ...] = ()
 
@@ -200,7 +214,8 @@ def survey(
         return sightings_of(shown, through_cameras, ids, known.edges(ids, tag), tag.modules, errors, shifts)
 
     shown, given = detected, tuple(Optics(camera) for camera in cameras)
-    sightings, prior = sighted(given), known.prior(ids)
+    sightings = sighted(given)
+    prior = replace(known.prior(ids), motion=_motion(detected, sightings, known))
     turns = Turns.none(len(ids))
     for _ in range(TURNING_STEPS):
         start = started(sightings, prior)
@@ -209,10 +224,10 @@ def survey(
             break
         turns = turns + more
         shown = detected.renumbered(ids, turns.renumbered)
-        sightings, prior = sighted(given), turns.planned(known.prior(ids))
+        sightings, prior = sighted(given), turns.planned(replace(known.prior(ids), motion=prior.motion))
     else:
         start = started(sightings, prior)
-    found = estimate(sightings, prior, known.origin, start)
+    found = _estimate(sightings, prior, known, start, detected)
     shift = [errors.inward_spread, SMALL_SHARE * errors.inward_spread]
     spread = [np.append(spreads(camera, bool(calibrate)), shift) for camera in cameras]
     found, optics = refined(found, given, spread, sighted, keep=calibrate is False)
@@ -224,6 +239,12 @@ def survey(
     agreed = found.used | agreeing(found.sightings, errors_at(found.sightings, found.poses))
     counts = np.bincount(found.sightings.tag[agreed], minlength=len(ids))
     placed = (found.group == 0) & (counts >= np.where(np.isin(ids, known.ids), 1, FEWEST_BELIEVED))
+    is_linked = found.prior.motion is not None
+    loose = placed & (_hardly_known(found) if is_linked else np.zeros(len(ids), dtype=bool))
+    placed &= ~loose
+    if not placed.any() and loose.any():
+        best = float(np.nanmin(found.sigmas[loose]))
+        raise InputError(f"detections: no tag is known to better than {best:.2g} m beside the others.", "detections")
     if not placed.any():
         text = f"detections: no tag is placed, as no {FEWEST_BELIEVED} sightings of one agree: more frames are needed."
         raise InputError(text, "detections")
@@ -232,4 +253,38 @@ def survey(
         judged(camera, one.camera, one.shifts[0], own[: len(off), : len(off)] * np.outer(off, off))
         for camera, one, own, off in zip(cameras, optics, found.lenses, spread, strict=True)
     )
-    return Survey(detected, known, found, faults, placed, localised, turns, away, through)
+    joined = joined_by(found, start.group) if is_linked else None
+    return Survey(detected, known, found, faults, placed, localised, turns, away, loose, joined, through)
+
+
+def _motion(detected: DetectedTags, sightings: Sightings, known: Known) -> Motion | None:
+    """The motion that links frames from the beginning; None where they are independent, or are until it is needed."""
+    if known.odometry is not None:
+        return Motion.by_odometry(seconds_of(detected.times), known.odometry)
+    counts = np.bincount(sightings.frame)
+    most_alone = 2 * (counts == 1).sum() > len(sightings)
+    return _steady(detected, sightings, known) if known.steady or most_alone else None
+
+
+def _steady(detected: DetectedTags, sightings: Sightings, known: Known) -> Motion | None:
+    """A steady motion; None if it is ruled out, or no frames have times that are near to each other."""
+    motion = Motion.steady(seconds_of(detected.times))
+    near = np.isfinite(motion.times).all() and motion.follows(np.unique(sightings.frame)).any()
+    return motion if near and known.steady is not False else None
+
+
+def _estimate(sightings: Sightings, prior: Prior, known: Known, start: Start, detected: DetectedTags) -> Estimate:
+    """The estimate; groups that images leave apart are joined by a steady motion, where it joins any."""
+    found = estimate(sightings, prior, known.origin, start)
+    motion = _steady(detected, sightings, known) if prior.motion is None and (found.group > 0).any() else None
+    if motion is None:
+        return found
+    linked = estimate(sightings, replace(prior, motion=motion), known.origin, start)
+    return linked if (linked.group == 0).sum() > (found.group == 0).sum() else found
+
+
+def _hardly_known(found: Estimate) -> BoolArray:
+    """Tags whose places are known too badly beside the others, `(K,)`."""
+    places = found.poses.tags[found.group == 0, :3, 3]
+    extent = float(np.linalg.norm(np.ptp(places[np.isfinite(places[:, 0])], axis=0)))
+    return np.asarray(found.sigmas > max(LOOSE_M, LOOSE_SHARE * extent))

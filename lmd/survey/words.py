@@ -16,7 +16,7 @@ _few = partial(few, most=12)  # tags that a terminal names
 def to_text(survey: Survey) -> str:
     """The lines that a terminal shows."""
     figures, found = metrics(survey), survey.found
-    expected = int((survey.placed | np.isin(survey.ids, survey.known.ids)).sum())
+    expected = int((survey.placed | survey.loose | np.isin(survey.ids, survey.known.ids)).sum())
 
     def both(name: str, factor: float = 1e3, digits: str = ".2g") -> str:
         low, high = (factor * figures[f"{name}/{share}"] for share in (50, 90))
@@ -30,6 +30,7 @@ def to_text(survey: Survey) -> str:
     }
     if found.inflation > 1.0:
         lines["known to"] += f". Parts of this one disagree {found.inflation:.1f} times as much as corners explain"
+    lines |= _motion(survey)
     if "moved/50" in figures:
         lines["they hang"] = f"{both('moved', digits='.3g')} mm off their plan"
     lines["corners"] = f"{both('error', 1.0)} pixels off"
@@ -55,6 +56,25 @@ def to_text(survey: Survey) -> str:
         lines[f"next {number}"] = f"from ({at}) towards ({towards}): {shown}"
     width = max(map(len, lines))
     return "\n".join(f"{label:<{width}} {text}" for label, text in lines.items())
+
+
+def _motion(survey: Survey) -> dict[str, str]:
+    """Lines on the motion between frames, and on what it has joined."""
+    motion, joined = survey.found.prior.motion, survey.joined
+    if motion is None:
+        return {}
+    turn, place = (1e3 * spread for spread in motion.spread)
+    by = "it" if motion.path is not None else "motion"
+    if motion.path is not None:
+        lines = {"odometry": f"drifts {place:.2g} mm and {turn:.2g} mrad within a metre, as the drive tells"}
+    else:
+        changes = f"the velocity changes by {place:.2g} mm/s and {turn:.2g} mrad/s within a second, as the drive tells"
+        lines = {"motion": f"{changes}; frames up to {motion.longest:.2g} s apart are linked"}
+    if joined is not None and len(joined.sigma) > 1:
+        low, high = (1e3 * np.quantile(joined.sigma, share) for share in (0.5, 0.9))
+        known = f"known to {low:.2g} (90 %: {high:.2g}) mm beside the nearest of another"
+        lines["joined"] = f"{len(joined.sigma)} groups of tags that no image connects, by {by} alone: {known}"
+    return lines
 
 
 def _troubles(survey: Survey) -> dict[str, str]:

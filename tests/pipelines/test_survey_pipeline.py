@@ -30,7 +30,16 @@ ROOM = ["room=lab", "room.size=[5,4,2.5]", "room.reachable_size=[4,3,1.5]"]
 SETTINGS = ["photographs=photos", "camera.path=camera.yaml", f"tag.edge={EDGE}", "tracking=none", "workers=1",
             "hydra.run.dir=out"]  # fmt: skip
 READ = [setting for setting in SETTINGS if not setting.startswith(("photographs", "hydra"))]
-FILES = {"map.csv", "measured.csv", "frames.csv", "detections.csv", "survey.json", "survey.png", "in_view.csv"}
+FILES = {
+    "map.csv",
+    "measured.csv",
+    "frames.csv",
+    "detections.csv",
+    "survey.json",
+    "survey.png",
+    "in_view.csv",
+    "camera.yaml",
+}
 pytestmark = pytest.mark.slow
 
 
@@ -86,7 +95,7 @@ def test_the_map_is_where_the_tags_hang(surveyed, room):
     _, _, true = room
     table = pd.read_csv(surveyed[0] / "map.csv").sort_values("id")
     assert table.id.tolist() == [*range(UNSEEN - 1), NEW]
-    assert beside(table, true[:UNSEEN]).max() < 0.001
+    assert beside(table, true[:UNSEEN]).max() < 0.002
     assert (table.sigma < 0.002).all()
     np.testing.assert_allclose(table.edge, EDGE)
 
@@ -153,7 +162,7 @@ def test_a_rig_has_a_folder_for_each_camera(room, mounted):
     foreseen = re.search(r"\naudit .* ([\d.]+)% of the predicted ones were, ([\d.]+)% of the detected", done.stdout)
     assert min(map(float, foreseen.groups())) > 90.0
     out = cwd / f"rig_{mounted}"
-    assert beside(pd.read_csv(out / "map.csv").sort_values("id"), true[:UNSEEN]).max() < 0.001
+    assert beside(pd.read_csv(out / "map.csv").sort_values("id"), true[:UNSEEN]).max() < 0.002
     cameras = json.loads((out / "survey.json").read_text())["cameras"]
     assert list(cameras) == ["left", "right"]
     np.testing.assert_allclose(cameras["right"], np.eye(4), atol=1e-9 if mounted == "true" else 1e-3)
@@ -192,7 +201,7 @@ def test_without_a_plan_the_world_is_the_frame_of_a_tag(room):
     assert done.returncode == 0, done.stderr
     table = pd.read_csv(cwd / "alone" / "map.csv").set_index("id")
     np.testing.assert_allclose(table.loc[3, ["x", "y", "z", "nx", "ny", "nz"]], [0, 0, 0, 0, 0, 1], atol=1e-5)
-    assert beside(table.sort_index(), true[:UNSEEN]).max() < 0.001
+    assert beside(table.sort_index(), true[:UNSEEN]).max() < 0.002
     assert not (cwd / "alone" / "measured.csv").exists()
 
 

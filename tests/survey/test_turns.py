@@ -170,7 +170,7 @@ def test_a_fixed_tag_that_is_a_little_off_stays_and_is_named():
     there = np.isin(IDS, tags.ids)
     assert there.sum() >= 4
     np.testing.assert_allclose(tags.places, PLACES[there], atol=1e-6)
-    assert re.search(r"7 \(\d\.\d mm\)", line(found, "fixed"))
+    assert re.search(r"7 \(\d(\.\d)? mm\)", line(found, "fixed"))
     assert line(found, "fixed").endswith(" mm); elsewhere in the photographs: is the file exact, and each edge right?")
 
 

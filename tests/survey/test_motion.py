@@ -1,0 +1,169 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from lmd.core.checks import InputError
+from lmd.geometry.se3 import exp
+from lmd.geometry.trajectory import Trajectory
+from lmd.survey.motion import LEAN, Motion, seconds_of
+
+
+def some_motion(rng, count, kind):
+    """A motion of so many frames at uneven times, and poses near to it."""
+    times = np.cumsum(rng.uniform(0.05, 0.3, count))
+    path = [np.eye(4)]
+    for twist in rng.normal(size=(count - 1, 6)) * [0.2, 0.2, 0.2, 0.1, 0.1, 0.3]:
+        path.append(path[-1] @ exp(twist))
+    path = np.stack(path)
+    if kind == "steady":
+        return Motion.steady(times), path
+    return Motion.by_odometry(times, Trajectory(times, path)), exp(rng.normal(0.0, 0.5, 6)) @ path
+
+
+def rates_at(links, poses):
+    """Turn rates of bodies and velocities in the world, `(F, 6)`."""
+    velocities = links.velocities(poses)
+    return np.concatenate([velocities[:, :3], np.einsum("fij,fj->fi", poses[:, :3, :3], velocities[:, 3:])], axis=1)
+
+
+def moved(poses, k, axis, by):
+    poses = poses.copy()
+    poses[k] = poses[k] @ exp(by * np.eye(6)[axis])
+    return poses
+
+
+@pytest.mark.parametrize("kind", ["steady", "odometry"])
+def test_slopes_of_the_cost_are_those_of_differences(kind):
+    """Velocities, and what every metre is off by, fit the poses best: the cost has its slope with them fixed."""
+    rng = np.random.default_rng(3)
+    motion, poses = some_motion(rng, 6, kind)
+    poses = poses @ exp(rng.normal(0.0, 0.01, (6, 6)))
+    links, step = motion.links(np.arange(6)), 1e-6
+    links = replace(links, information=1e-3 * links.information)  # none of them counts less
+    at = links.at(poses)
+    assert len(links.one) == 5
+
+    def cost(k, axis, by):
+        there = links.at(moved(poses, k, axis, by))
+        return links.cost(links.squares(there.error)) + 0.5 * there.lean @ there.lean
+
+    for k in range(6):
+        for axis in range(6):
+            slope = np.zeros_like(at.error)
+            slope[k - 1 : k] += at.by_other[k - 1 : k, :, axis]
+            slope[k : k + 1] += at.by_one[k : k + 1, :, axis]
+            pulled = np.einsum("mr,mrs,ms->", slope, links.information, at.error)
+            differs = (cost(k, axis, step) - cost(k, axis, -step)) / (2.0 * step)
+            assert pulled == pytest.approx(differs, rel=1e-3, abs=1e-4 * np.abs(links.information).max() * 1e-3)
+
+
+@pytest.mark.parametrize("kind", ["steady", "odometry"])
+def test_slopes_of_errors_are_those_of_differences(kind):
+    rng = np.random.default_rng(3)
+    motion, poses = some_motion(rng, 6, kind)
+    links = motion.links(np.arange(6))
+    # Without links before and after, what is found beside the poses stays as it is: one link at a time, held firmly.
+    firm = replace(links, leans=None if links.leans is None else 0.0 * links.leans)
+    at, step = firm.at(poses), 1e-5
+    for k in range(6):
+        for axis in range(6):
+            there, here = (firm.at(moved(poses, k, axis, by)).error for by in (step, -step))
+            slope = np.zeros_like(at.error)
+            slope[k - 1 : k] += at.by_other[k - 1 : k, :, axis]
+            slope[k : k + 1] += at.by_one[k : k + 1, :, axis]
+            if kind == "odometry":
+                np.testing.assert_allclose(slope, (there - here) / (2.0 * step), atol=2e-5)
+            else:  # of the turn and the way themselves; velocities move, too
+                change = (
+                    rates_at(firm, moved(poses, k, axis, step)) - rates_at(firm, moved(poses, k, axis, -step))
+                ) / (2.0 * step)
+                slope[:, :6] -= firm.seconds[:, None] * change[firm.one]
+                slope[:, 6:] += change[firm.one + 1] - change[firm.one]
+                np.testing.assert_allclose(slope, (there - here) / (2.0 * step), atol=2e-4)
+
+
+def test_velocities_are_those_of_the_least_cost():
+    rng = np.random.default_rng(4)
+    motion, poses = some_motion(rng, 7, "steady")
+    links = motion.links(np.arange(7))
+    at = links.at(poses)
+    pull = np.zeros((7, 12))
+    for slope, place in ((at.by_one, links.one), (at.by_other, links.one + 1)):
+        np.add.at(pull, place, np.einsum("mrb,mrs,ms->mb", slope, links.information, at.error))
+    assert np.abs(pull[:, 6:]).max() < 1e-6 * np.abs(pull[:, :6]).max()
+
+
+def test_a_constant_velocity_has_no_error():
+    times = np.array([0.0, 0.1, 0.15, 0.4])
+    turning = exp(times[:, None] * np.array([0.0, 0.3, 0.1, 0.0, 0.0, 0.0]))
+    turning[:, :3, 3] = times[:, None] * [0.7, 0.1, 0.0]
+    links = Motion.steady(times).links(np.arange(4))
+    np.testing.assert_allclose(links.at(turning).error, 0.0, atol=1e-8)
+
+
+def test_what_odometry_drifts_over_several_steps_is_what_the_steps_add():
+    """Covariances of long links against random paths, which share no code with sums of adjoints."""
+    rng = np.random.default_rng(5)
+    times = np.arange(41) / 20.0
+    step = exp(np.array([0.0, 0.02, 0.0, 0.0, 0.0, 0.05]))
+    path = [np.eye(4)]
+    for _ in times[1:]:
+        path.append(path[-1] @ step)
+    motion = Motion.by_odometry(times, Trajectory(times, np.stack(path)))
+    far = 0.05 + 0.3 * 0.02 + 0.01 * 0.05
+    ends = np.tile(np.eye(4), (20000, 1, 1))
+    for _ in times[1:]:
+        off = rng.normal(size=(20000, 6)) * np.sqrt(far) * np.repeat(motion.spread, 3)
+        ends = ends @ (step @ exp(off))
+    links = motion.links(np.array([0, 40]))
+    links = replace(links, leans=0.0 * links.leans)
+    error = np.array([links.at(np.stack([np.eye(4), end])).error[0] for end in ends[:4000]])
+    square = np.einsum("mi,ij,mj->m", error, links.information[0], error)
+    assert square.mean() == pytest.approx(6.0, abs=0.25)
+
+
+def test_what_every_metre_is_off_by_is_found():
+    times = np.arange(201) / 20.0
+    step, lean = np.array([0.0, 0.02, 0.0, 0.0, 0.0, 0.05]), np.array([0.0, 0.002, 0.0, 0.0, 0.0, 0.01])
+    far = 0.05 + 0.3 * 0.02 + 0.01 * 0.05
+    path, true = [np.eye(4)], [np.eye(4)]
+    for _ in times[1:]:
+        true.append(true[-1] @ exp(step))
+        path.append(path[-1] @ exp(step) @ exp(-far * lean))
+    motion = Motion.by_odometry(times, Trajectory(times, np.stack(path)))
+    motion = replace(motion, spread=(1e-4, 1e-4))
+    at = motion.links(np.arange(0, 201, 10)).at(np.stack(true)[::10])
+    np.testing.assert_allclose(at.lean * np.repeat(LEAN, 3), lean, rtol=0.02, atol=1e-6)  # of the odometer's metres
+
+
+def test_odometry_of_another_clock_is_refused():
+    drive = Trajectory(np.arange(5.0), np.tile(np.eye(4), (5, 1, 1)))
+    with pytest.raises(InputError, match=r"odometry has poses from 0 to 4 s, but the frames have 100 to 104 s"):
+        Motion.by_odometry(100.0 + np.arange(5.0), drive)
+
+
+def test_odometry_says_nothing_across_a_gap():
+    times = np.array([0.0, 0.1, 0.2, 5.0, 5.1])
+    drive = Trajectory(times, np.tile(np.eye(4), (5, 1, 1)))
+    motion = Motion.by_odometry(times, drive)
+    assert motion.follows(np.arange(5)).tolist() == [True, True, False, True]
+
+
+def test_frames_far_apart_in_time_are_not_linked_by_their_velocity():
+    motion = Motion.steady(np.array([0.0, 0.1, 5.0, np.nan, 5.1]))
+    assert motion.follows(np.arange(5)).tolist() == [True, False, False, False]
+    assert not Motion.steady(np.full(3, np.nan)).follows(np.arange(3)).any()
+
+
+@pytest.mark.parametrize(
+    ("written", "seconds"),
+    [
+        (("0.5", "1.25"), (0.5, 1.25)),
+        (("1527206460042570304", "1527206460542570304"), (1527206460.0425703, 1527206460.5425703)),
+        (("1527206460042", "1527206460542"), (1527206460.042, 1527206460.542)),
+        (("a.jpg", "b.jpg"), (np.nan, np.nan)),
+    ],
+)
+def test_times_are_seconds(written, seconds):
+    np.testing.assert_allclose(seconds_of(written), seconds, atol=1e-6, rtol=0.0)
