@@ -5,7 +5,7 @@ python benchmarks/survey.py photograph RUN FOLDER --next survey.json   # likewis
 python benchmarks/survey.py compare MAP.csv TRUE.csv             # how far the tags of a map are off, millimetres
 python benchmarks/survey.py aviary test_13 [--boards 0.0002] [--calibrate false]  # of berndpfrommer/tagslam_test
 python benchmarks/survey.py perch test_2 [--calibrate false]  # two fisheye cameras, beside TagSLAM's own answer
-python benchmarks/survey.py halves FOLDER EDGE [--calibrate false]  # maps of two halves of a drive, side by side
+python benchmarks/survey.py halves FOLDER EDGE   # maps of the two halves of a drive, beside each other
 python benchmarks/survey.py rings SURVEY U V   # share of tags in view that were detected, by pixels from (U, V)
 PYTHONPATH=tests python benchmarks/survey.py time FRAMES TAGS    # how long a walk takes, and how much memory
 """
@@ -177,7 +177,7 @@ def perch(folder: Path, calibrate: bool | None) -> None:
         print(f"the second camera {1e3 * np.linalg.norm(mount[:3, 3] - place(row)):.2f} mm, {1e3 * angle:.2f} mrad off")
 
 
-def halves(folder: Path, edge: float, calibrate: bool | None) -> None:
+def halves(folder: Path, edge: float) -> None:
     """Map each half of a drive alone: how far tags are apart once the maps are laid over each other, and as stated.
 
     The folder has `detections.csv`, and `cameras.yaml` with the cameras in the order of their names.
@@ -194,21 +194,28 @@ def halves(folder: Path, edge: float, calibrate: bool | None) -> None:
     detected, path = read_detections(folder / "detections.csv"), str(folder / "cameras.yaml")
     cameras = [calibrated_camera(path, name or None) for name in list(read_cameras(path))[: len(detected.cameras)]]
     first = detected.frame < len(detected.times) // 2
-    maps: list[tuple[dict[int, FloatArray], dict[int, float]]] = []
-    for half in (first, ~first):
-        some = detected.of(np.flatnonzero(half))
-        found = survey(some, cameras, Tag(edge), CORNER_ERRORS["apriltag"], Known(), calibrate)
-        placed, sigma = np.flatnonzero(found.placed), sigmas(found)
-        places = {int(found.ids[k]): found.found.poses.tags[k, :3, 3] for k in placed}
-        maps.append((places, {int(found.ids[k]): float(sigma[k]) for k in placed}))
-    both = sorted(maps[0][0].keys() & maps[1][0].keys())
-    here, there = (np.array([places[number] for number in both]) for places, _ in maps)
-    apart = np.linalg.norm(act(laid_over(here, there), here) - there, axis=1)
-    stated = np.hypot(*(np.array([sigma[number] for number in both]) for _, sigma in maps))
-    within = float((apart <= 3.0 * stated).mean())
-    differ, told = 1e3 * np.median(apart), 1e3 * np.median(stated)
-    print("| tags in both | halves differ, median, mm | stated for that difference, mm | within 3 sigma |")
-    print(f"| --- | --- | --- | --- |\n| {len(both)} | {differ:.2f} | {told:.2f} | {within:.0%} |")
+    print(
+        "| survey.calibrate | tags in both | halves differ, median, 90 %, mm | stated for that difference, median, mm ",
+        end="",
+    )
+    print("| within 3 sigma | sightings count less by | scale differs |\n| --- | --- | --- | --- | --- | --- | --- |")
+    for calibrate in (None, True, False):
+        maps = []
+        for half in (first, ~first):
+            some = detected.of(np.flatnonzero(half))
+            maps.append(survey(some, cameras, Tag(edge), CORNER_ERRORS["apriltag"], Known(), calibrate))
+        _, *index = np.intersect1d(*(one.ids[one.placed] for one in maps), return_indices=True)
+        own = [np.flatnonzero(one.placed)[k] for one, k in zip(maps, index, strict=True)]
+        here, there = (one.found.poses.tags[k, :3, 3] for one, k in zip(maps, own, strict=True))
+        apart = np.linalg.norm(act(laid_over(here, there), here) - there, axis=1)
+        stated = np.hypot(*(sigmas(one)[k] for one, k in zip(maps, own, strict=True)))
+        within, told = float((apart <= 3.0 * stated).mean()), 1e3 * np.median(stated)
+        low, high = 1e3 * np.quantile(apart, [0.5, 0.9])
+        scale = np.std(there, axis=0) @ np.std(there, axis=0) / (np.std(here, axis=0) @ np.std(here, axis=0))
+        factors = ", ".join(f"{one.found.inflation:.1f}" for one in maps)
+        words = {None: "auto", True: "true", False: "false"}[calibrate]
+        print(f"| {words} | {len(apart)} | {low:.2f}, {high:.2f} | {told:.2f} | {within:.0%} ", end="")
+        print(f"| {factors} | {np.sqrt(scale) - 1.0:+.2%} |", flush=True)
 
 
 def measure(frames: int, tags: int) -> None:
@@ -263,7 +270,6 @@ def main() -> None:
     two_halves = commands.add_parser("halves")
     two_halves.add_argument("folder", type=Path)
     two_halves.add_argument("edge", type=float, help="of the tags, metres")
-    two_halves.add_argument("--calibrate", type=json.loads, help="true or false; else what is the default")
     timed = commands.add_parser("time")
     timed.add_argument("frames", type=int)
     timed.add_argument("tags", type=int)
@@ -277,7 +283,7 @@ def main() -> None:
     elif given.command == "perch":
         perch(given.folder, given.calibrate)
     elif given.command == "halves":
-        halves(given.folder, given.edge, given.calibrate)
+        halves(given.folder, given.edge)
     elif given.command == "rings":
         rings(given.survey, given.u, given.v)
     else:

@@ -31,6 +31,7 @@ from lmd.survey.start import FLOOR_PIXELS
 
 SMALL_SHARE = 0.5  # of what the first shift may be off, the second one may
 SHAPE_SIGMA, LEAST_SHAPE_SIGMA = 3e-4, 1e-5  # metres
+PASSES = 2  # the second one with errors that count as they are alike
 MOST_ROUNDS, ROUND_STEPS = 12, 3
 MOST_TRIALS, FIRST_DAMPING = 6, 1e-3  # of a step that leads uphill
 SLACK = 1e-3  # uphill, that is none
@@ -96,20 +97,22 @@ def refined(
         given: these.
         spreads: what the values of each may be off, `(P + 2,)`.
         sighted: the sightings as other cameras of the same images have them.
-        keep: whether the intrinsics stay as they are given; they are as little known.
+        keep: whether cameras and shapes stay as they are given; they are as little known.
     """
-    free = [np.where(np.arange(len(spread)) < len(spread) - 2, 0.0, spread) for spread in spreads] if keep else spreads
     state = _State.of(given, len(found.group))
 
-    def seen(state: _State, spreads: Sequence[FloatArray] = free) -> Sightings:
+    def seen(state: _State) -> Sightings:
         through = freed(sighted(state.optics), state.optics, spreads)
         return replace(through, edges=found.sightings.edges, shapes=state.shapes, shape_sigma=state.deviation)
 
-    state, found = _settled(state, found, given, free, seen)
-    found = adjusted(seen(state, spreads), found.prior, found.poses, found.group, FLOOR_PIXELS)
-    if (grown := inflation(found)) > 1.0:
-        state, found = _settled(state, replace(found, inflation=grown), given, free, seen)
-        found = adjusted(seen(state, spreads), found.prior, found.poses, found.group, FLOOR_PIXELS, grown)
+    for _ in range(PASSES):
+        if not keep:
+            state, found = _settled(state, found, given, spreads, seen)
+        factor = found.inflation
+        found = adjusted(seen(state), found.prior, found.poses, found.group, FLOOR_PIXELS, factor)
+        if factor > 1.0 or (grown := inflation(found)) == 1.0:
+            break
+        found = replace(found, inflation=grown)
     return found, state.optics
 
 
