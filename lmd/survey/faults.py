@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from lmd.core.checks import FloatArray, IntArray
+from lmd.core.checks import BoolArray, FloatArray, IntArray
 from lmd.geometry.se3 import angle_between, exp
 from lmd.survey.estimate import ONE_THREAD, Estimate, adjusted, fitting
 from lmd.survey.proposals import proposals
@@ -79,10 +79,10 @@ def _settled(found: Estimate) -> tuple[Estimate, Faults]:
         edges, group = found.sightings.edges.copy(), found.group.copy()
         edges[list(sizes)], group[list(sizes)] = list(sizes.values()), 0
         found = adjusted(replace(found.sightings, edges=edges), found.prior, poses, group, found.floor, found.inflation)
-    places = _second_places(found)
-    last = [place for place in places if place.moved is not None and place.later]
     error = errors_at(found.sightings, found.poses)
     gross = found.misfits & np.isfinite(error) & ~agreeing(found.sightings, error)
+    places = _second_places(found, gross)
+    last = [place for place in places if place.moved is not None and place.later]
     misread = np.bincount(found.sightings.tag[gross], minlength=len(found.group))
     for place in places:
         misread[place.tag] = max(misread[place.tag] - place.sightings, 0)
@@ -100,12 +100,11 @@ def _views(poses: Poses) -> FloatArray:
     return np.asarray((poses.frames[None] @ poses.mounts[:, None]).reshape(-1, 4, 4))
 
 
-def _second_places(found: Estimate) -> list[SecondPlace]:
-    """The tags that agreeing sightings show at a second place."""
-    counts = np.bincount(found.sightings.tag[found.misfits], minlength=len(found.group))
-    known = np.isfinite(found.poses.frames[found.sightings.frame, 0, 0])
+def _second_places(found: Estimate, gross: BoolArray) -> list[SecondPlace]:
+    """The tags that agreeing sightings, of those that are far off, `(N,)`, show at a second place."""
+    counts = np.bincount(found.sightings.tag[gross], minlength=len(found.group))
     often = counts[found.sightings.tag] >= FEWEST_SIGHTINGS
-    some = found.sightings.of(np.flatnonzero(found.misfits & known & often)).apart()
+    some = found.sightings.of(np.flatnonzero(gross & often)).apart()
     if not len(some):
         return []
     placing = Placing(some, proposals(some))
