@@ -63,8 +63,10 @@ class Calibrated:
 
         text = f"focal length {pair(now)} pixels (given {pair(was)}), centre {pair(now[2:])} ({pair(was[2:])})"
         text += f"; the image is known to {self.unsure:.2g} pixels"
+        if not self.shift_sigma:
+            return text
         way = "inward" if self.shift > 0.0 else "outward"
-        return f"{text}; corners are {abs(self.shift):.2g} pixels {way}, to {self.shift_sigma:.1g}"
+        return f"{text}; corners lie {abs(self.shift):.2g} pixels {way}, known to {self.shift_sigma:.1g}"
 
 
 def coefficients(camera: Camera) -> tuple[float, ...]:

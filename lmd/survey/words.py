@@ -25,11 +25,12 @@ def to_text(survey: Survey) -> str:
     lines = {
         "tags": f"{survey.placed.sum()} of {expected} placed",
         "frames": f"{len(found.frames)} of {len(survey.detected.times)}, with {found.used.sum()} sightings",
-        "known to": f"{both('sigma')} mm beside each other, one standard deviation; maps of another such walk would "
-        f"differ by {1e3 * figures['differs']:.2g} mm (median)",
+        "known to": f"{both('sigma')} mm beside each other, one standard deviation; a map of another such walk "
+        f"would differ by {1e3 * figures['differs']:.2g} mm (median)",
     }
     if found.inflation > 1.0:
-        lines["known to"] += f". Parts of this one disagree {found.inflation:.1f} times as much as corners explain"
+        text = f"{found.inflation:.1f} times as much as the noise of corners explains, which these figures count"
+        lines["blocks"] = f"of time disagree {text}"
     lines |= _motion(survey)
     if "moved/50" in figures:
         lines["they hang"] = f"{both('moved', digits='.3g')} mm off their plan"

@@ -19,6 +19,7 @@ from lmd.survey.refining import Optics, freed
 from lmd.survey.residuals import linearise
 from lmd.survey.sightings import SHAPES, WAYS, inward, sightings_of
 from lmd.survey.survey import Known, survey
+from lmd.survey.words import to_text
 
 TAGS, FRAMES, SIGMA, SPREAD = 16, 60, 0.2, 0.2
 TRUE = replace(walks.CAMERA, distortion=(-0.1, 0.03, 0.0005, -0.0003, 0.0))
@@ -70,7 +71,7 @@ def test_what_is_off_is_found_and_cameras_that_are_kept_stay():
     assert found.sigma[0] < 0.5 * abs(parameters(GIVEN)[0] - parameters(TRUE)[0])
     (kept,) = surveyed(detected, calibrate=False).calibrated
     assert kept.found == GIVEN
-    assert kept.sigma[0] == pytest.approx(found.sigma[0], rel=1.0)  # as little known
+    assert kept.sigma[0] > found.sigma[0]  # what blocks disagree on counts
 
 
 def test_a_lens_that_no_calibration_has_is_found():
@@ -113,11 +114,12 @@ def test_errors_that_are_alike_in_time_are_noticed(seed):
     middle = np.array(TRUE.principal_point)
     breathing = middle + (detected.corners - middle) * breath[detected.frame, None, None]
     quiet, moved = (
-        survey(one, [TRUE], Tag(walks.EDGE), walks.constant_errors(0.05), Known()).found
+        survey(one, [TRUE], Tag(walks.EDGE), walks.constant_errors(0.05), Known())
         for one in (detected, replace(detected, corners=breathing))
     )
-    assert quiet.inflation < 1.5
-    assert moved.inflation > max(1.5, 1.25 * quiet.inflation)
+    assert quiet.found.inflation < 1.5
+    assert moved.found.inflation > max(1.5, 1.25 * quiet.found.inflation)
+    assert f"of time disagree {moved.found.inflation:.1f} times" in to_text(moved)
 
 
 def test_slopes_are_those_of_the_residuals():
