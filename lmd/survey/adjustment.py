@@ -100,7 +100,7 @@ class Adjustment:
         # these count beside them as if there were no inflation.
         self.unit = np.where(np.arange(self.placed, self.kept) < self.flat, 1.0, inflation**-2.0)
         seen, first = np.unique(sightings.frame, return_index=True)
-        unknowns = 6 * (len(seen) + len(np.unique(sightings.tag)) + self.mounts)
+        unknowns = 6 * (len(seen) + len(np.unique(sightings.tag)) + self.mounts) + sightings.taken
         self.share = max(1.0 - unknowns / (RESIDUALS * len(sightings)), LEAST_SHARE)  # of squares that a fit leaves
         ends = np.append(first[::FRAME_CHUNK], len(sightings))
         self._last: tuple[FloatArray, FloatArray] | None = None

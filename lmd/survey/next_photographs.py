@@ -155,7 +155,7 @@ def _slopes(
     zero = np.zeros(count, dtype=np.int64)
     some = Sightings(
         every.ids, every.edges, 1, 1, zero, zero, own, corners, directions, slope(camera, directions), sides,
-        sides / modules, noise, np.empty((count, RESIDUALS, 0)), every.shapes, 0.0,
+        sides / modules, noise, np.empty((count, RESIDUALS, 0)), every.shapes, 0.0, 0.0,
     )  # fmt: skip
     still = np.broadcast_to(np.eye(4), (count, 4, 4))
     at = linearise(some, tags[own], np.broadcast_to(pose, (count, 4, 4)), still)

@@ -103,7 +103,13 @@ def refined(
 
     def seen(state: _State) -> Sightings:
         through = freed(sighted(state.optics), state.optics, spreads)
-        return replace(through, edges=found.sightings.edges, shapes=state.shapes, shape_sigma=state.deviation)
+        return replace(
+            through,
+            edges=found.sightings.edges,
+            shapes=state.shapes,
+            shape_sigma=state.deviation,
+            taken=state.taken,
+        )
 
     for _ in range(PASSES):
         if not keep:
@@ -150,7 +156,8 @@ def _settled(
             lenses = state.off.size // 6
             squares = (tried.shapes / tried.deviation) ** 2 + variance[lenses:] / found.inflation**2
             grown = float(np.sqrt(squares[placed, :WAYS].mean()))
-            state = tried._replace(deviation=max(grown * tried.deviation, LEAST_SHAPE_SIGMA))
+            taken = float((1.0 - every.unit[:, None] * variance).sum())
+            state = tried._replace(deviation=max(grown * tried.deviation, LEAST_SHAPE_SIGMA), taken=taken)
             sightings = seen(state)
             is_settled = (step[:lenses] ** 2 <= SETTLED_SIGMAS**2 * variance[:lenses]).all()
             if is_settled and abs(grown - 1.0) < SETTLED_SHAPES:
@@ -159,18 +166,19 @@ def _settled(
 
 
 class _State(NamedTuple):
-    """All but the poses: the cameras, and how far they are off those given, `(C, 6 L)`; shapes, and their deviation."""
+    """All but the poses, see `Sightings`; `off` is how far the cameras are off those given, `(C, 6 L)`."""
 
     optics: tuple[Optics, ...]
     off: FloatArray
     shapes: FloatArray
     deviation: float
+    taken: float
 
     @classmethod
     def of(cls, given: Sequence[Optics], tags: int) -> "_State":
         """As it is given: flat tags."""
         width = 6 * -(-max(len(one.values) for one in given) // 6)
-        return cls(tuple(given), np.zeros((len(given), width)), np.zeros((tags, 6)), SHAPE_SIGMA)
+        return cls(tuple(given), np.zeros((len(given), width)), np.zeros((tags, 6)), SHAPE_SIGMA, 0.0)
 
     @property
     def units(self) -> FloatArray:

@@ -67,6 +67,7 @@ class Sightings:
             `lmd.survey.refining`; L is 0 where all is known.
         shapes: how far the corners of tags are off flat squares, along `SHAPES`, metres, `(K, 6)`.
         shape_sigma: standard deviation of these, metres; 0 where they are known.
+        taken: how many degrees of freedom lenses and shapes have taken from the residuals.
     """
 
     ids: IntArray
@@ -85,6 +86,7 @@ class Sightings:
     lens: FloatArray
     shapes: FloatArray
     shape_sigma: float
+    taken: float
 
     def __len__(self) -> int:
         return len(self.frame)
@@ -183,5 +185,6 @@ def sightings_of(
         lens=np.empty((len(chosen), 8, 0)),
         shapes=np.zeros((len(ids), 6)),
         shape_sigma=0.0,
+        taken=0.0,
     )
     return every.of(np.flatnonzero(whole & np.isfinite(tangents).all(axis=(1, 2, 3))))
