@@ -27,6 +27,7 @@ from lmd.survey.intrinsics import parameters, slopes, with_parameters
 from lmd.survey.linked import adjustment_of, telling
 from lmd.survey.residuals import errors_at
 from lmd.survey.sightings import WAYS, Sightings, inward, shifted
+from lmd.survey.stages import Observer, Stage, unobserved
 from lmd.survey.start import FLOOR_PIXELS
 
 SMALL_SHARE = 0.5  # of what the first shift may be off, the second one may
@@ -87,7 +88,12 @@ def freed(sightings: Sightings, optics: Sequence[Optics], spreads: Sequence[Floa
 
 
 def refined(
-    found: Estimate, given: Sequence[Optics], spreads: Sequence[FloatArray], sighted: Sighted, keep: bool = False
+    found: Estimate,
+    given: Sequence[Optics],
+    spreads: Sequence[FloatArray],
+    sighted: Sighted,
+    keep: bool = False,
+    observer: Observer = unobserved,
 ) -> tuple[Estimate, tuple[Optics, ...]]:
     """The best poses, cameras and shapes.
 
@@ -97,6 +103,7 @@ def refined(
         spreads: what the values of each may be off, `(P + 2,)`.
         sighted: the sightings as other cameras of the same images have them.
         keep: whether the intrinsics stay as they are given; they are as little known.
+        observer: asked before each round whether to stop with what is best so far.
     """
     free = [np.where(np.arange(len(spread)) < len(spread) - 2, 0.0, spread) for spread in spreads] if keep else spreads
     state = _State.of(given, len(found.group))
@@ -105,10 +112,10 @@ def refined(
         through = freed(sighted(state.optics), state.optics, spreads)
         return replace(through, edges=found.sightings.edges, shapes=state.shapes, shape_sigma=state.deviation)
 
-    state, found = _settled(state, found, given, free, seen)
+    state, found = _settled(state, found, given, free, seen, observer)
     found = adjusted(seen(state, spreads), found.prior, found.poses, found.group, FLOOR_PIXELS)
-    if (grown := inflation(found)) > 1.0:
-        state, found = _settled(state, replace(found, inflation=grown), given, free, seen)
+    if (grown := inflation(found, observer)) > 1.0:
+        state, found = _settled(state, replace(found, inflation=grown), given, free, seen, observer)
         found = adjusted(seen(state, spreads), found.prior, found.poses, found.group, FLOOR_PIXELS, grown)
     return found, state.optics
 
@@ -119,11 +126,14 @@ def _settled(
     given: Sequence[Optics],
     spreads: Sequence[FloatArray],
     seen: "Callable[[_State], Sightings]",
+    observer: Observer,
 ) -> tuple["_State", Estimate]:
     """The state, and the poses, after as many steps of all unknowns together as lead downhill."""
     poses, floor, damping, sightings = found.poses, found.floor, 0.0, seen(state)
     with threadpool_limits(limits=ONE_THREAD):
-        for _ in range(MOST_ROUNDS):
+        for done in range(MOST_ROUNDS):
+            if observer(Stage.REFINING, done, MOST_ROUNDS):
+                break
             error = errors_at(sightings, poses)
             of_map = (found.group[sightings.tag] == 0) & np.isfinite(error)
             used = telling(sightings, of_map & fitting(sightings, error, floor), found.prior.motion)

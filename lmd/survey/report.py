@@ -180,6 +180,7 @@ def document(survey: Survey) -> dict[str, Any]:
     mounts = zip(survey.detected.cameras, found.poses.mounts.tolist(), strict=True)
     return {
         "figures": metrics(survey),
+        "interrupted": None if survey.interrupted is None else survey.interrupted.value,
         "frames": len(times),
         "blurred": dict(survey.detected.blurred),
         "copies": dict(survey.detected.copies),
