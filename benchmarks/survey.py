@@ -5,7 +5,7 @@ python benchmarks/survey.py photograph RUN FOLDER --next survey.json   # likewis
 python benchmarks/survey.py compare MAP.csv TRUE.csv             # how far the tags of a map are off, millimetres
 python benchmarks/survey.py aviary test_13 [--boards 0.0002] [--calibrate false]  # of berndpfrommer/tagslam_test
 python benchmarks/survey.py perch test_2 [--calibrate false]  # two fisheye cameras, beside TagSLAM's own answer
-python benchmarks/survey.py halves FOLDER EDGE [--calibrate false]  # maps of two halves of a drive, side by side
+python benchmarks/survey.py halves FOLDER EDGE [--calibrate false] [--every null]  # maps of two halves, side by side
 python benchmarks/survey.py rings SURVEY U V   # share of tags in view that were detected, by pixels from (U, V)
 PYTHONPATH=tests python benchmarks/survey.py time FRAMES TAGS    # how long a walk takes, and how much memory
 """
@@ -177,7 +177,7 @@ def perch(folder: Path, calibrate: bool | None) -> None:
         print(f"the second camera {1e3 * np.linalg.norm(mount[:3, 3] - place(row)):.2f} mm, {1e3 * angle:.2f} mrad off")
 
 
-def halves(folder: Path, edge: float, calibrate: bool | None) -> None:
+def halves(folder: Path, edge: float, calibrate: bool | None, every: int | None) -> None:
     """Map each half of a drive alone: how far tags are apart once the maps are laid over each other, and as stated.
 
     The folder has `detections.csv`, and `cameras.yaml` with the cameras in the order of their names.
@@ -188,6 +188,7 @@ def halves(folder: Path, edge: float, calibrate: bool | None) -> None:
     from lmd.scene.calibration_files import read_cameras
     from lmd.scene.camera_calibration import calibrated_camera
     from lmd.scene.tag import Tag
+    from lmd.survey.every import thinned
     from lmd.survey.report import sigmas
     from lmd.survey.survey import Known, survey
 
@@ -195,8 +196,10 @@ def halves(folder: Path, edge: float, calibrate: bool | None) -> None:
     cameras = [calibrated_camera(path, name or None) for name in list(read_cameras(path))[: len(detected.cameras)]]
     first = detected.frame < len(detected.times) // 2
     maps: list[tuple[dict[int, FloatArray], dict[int, float]]] = []
+    began, left_out = time.process_time(), 0
     for half in (first, ~first):
-        some = detected.of(np.flatnonzero(half))
+        some = thinned(detected.of(np.flatnonzero(half)), every)
+        left_out += len(some.left_out)
         found = survey(some, cameras, Tag(edge), CORNER_ERRORS["apriltag"], Known(), calibrate)
         placed, sigma = np.flatnonzero(found.placed), sigmas(found)
         places = {int(found.ids[k]): found.found.poses.tags[k, :3, 3] for k in placed}
@@ -209,6 +212,7 @@ def halves(folder: Path, edge: float, calibrate: bool | None) -> None:
     differ, told = 1e3 * np.median(apart), 1e3 * np.median(stated)
     print("| tags in both | halves differ, median, mm | stated for that difference, mm | within 3 sigma |")
     print(f"| --- | --- | --- | --- |\n| {len(both)} | {differ:.2f} | {told:.2f} | {within:.0%} |")
+    print(f"{left_out} of {len(detected.times)} frames left out, {time.process_time() - began:.0f} s")
 
 
 def measure(frames: int, tags: int) -> None:
@@ -264,6 +268,7 @@ def main() -> None:
     two_halves.add_argument("folder", type=Path)
     two_halves.add_argument("edge", type=float, help="of the tags, metres")
     two_halves.add_argument("--calibrate", type=json.loads, help="true or false; else what is the default")
+    two_halves.add_argument("--every", type=json.loads, default=1, help="n-th frame; null for those that add to others")
     timed = commands.add_parser("time")
     timed.add_argument("frames", type=int)
     timed.add_argument("tags", type=int)
@@ -277,7 +282,7 @@ def main() -> None:
     elif given.command == "perch":
         perch(given.folder, given.calibrate)
     elif given.command == "halves":
-        halves(given.folder, given.edge, given.calibrate)
+        halves(given.folder, given.edge, given.calibrate, given.every)
     elif given.command == "rings":
         rings(given.survey, given.u, given.v)
     else:

@@ -36,13 +36,14 @@ if TYPE_CHECKING:
 
 def survey(cfg: DictConfig) -> None:
     """Find where the tags of the configured photographs or detections hang."""
-    from lmd.core.checks import InputError, boolean, seed_number
+    from lmd.core.checks import InputError, boolean, integer, seed_number
     from lmd.core.tables import write_table
     from lmd.detection.corner_errors import CORNER_ERRORS
     from lmd.detection.surveyed import FILE as VIEWS
     from lmd.evaluation.verdicts import verdicts
     from lmd.scene.rig import Rig
     from lmd.survey.audit import audited, in_the_open
+    from lmd.survey.every import thinned
     from lmd.survey.next_photographs import next_photographs
     from lmd.survey.report import again, map_of, metrics
     from lmd.survey.stages import Stage
@@ -69,6 +70,7 @@ def survey(cfg: DictConfig) -> None:
     errors = CORNER_ERRORS[name.removesuffix("_fine")]
     with keyed("survey"):
         calibrate = None if cfg.survey.calibrate == "auto" else boolean("calibrate", cfg.survey.calibrate)
+        every = None if cfg.survey.every == "auto" else integer("every", cfg.survey.every, low=1)
     stages, audit = Stages(), None
     with _map_or_nothing(stages):
         found_tags = detected(cfg, cameras, detector, tag.modules)
@@ -79,7 +81,7 @@ def survey(cfg: DictConfig) -> None:
                 cameras="camera",
                 fixed="deployment.fixed",
             ):
-                found = find(found_tags, cameras, tag, errors, known, calibrate, stages)
+                found = find(thinned(found_tags, every), cameras, tag, errors, known, calibrate, stages)
             through = tuple(one.found for one in found.calibrated)
             if not stages(Stage.PROPOSING):
                 proposed = next_photographs(found, through[0], tag.modules, errors, again(found), room)
@@ -89,7 +91,7 @@ def survey(cfg: DictConfig) -> None:
             found = replace(found, interrupted=stages.interrupted)
     about = f"survey of {found.placed.sum()} tags in {len(found.found.frames)} frames"
     with tracked(cfg, "survey", about) as tracker:
-        writers = writers_of(found, room, about, is_new=cfg.detections is None)
+        writers = writers_of(found, room, about, found_tags if cfg.detections is None else None)
         writers[VIEWS] = lambda path: write_table(path, view_columns(found, through, tag, room))
         if exports.formats and room is not None:
             writers |= exports.writers(room, tag, map_of(found))
@@ -171,7 +173,8 @@ def _known(cfg: DictConfig, tag: "Tag", given: "Camera | Rig") -> "Known":
 
     settings = OmegaConf.to_container(settings_of(cfg, "survey"), resolve=True)
     assert isinstance(settings, dict)
-    settings.pop("calibrate")  # says nothing of the tags
+    for key in ("calibrate", "every"):  # which say nothing of the tags
+        settings.pop(key)
     names = ("origin", "points", "floor", "boards", "printed", "mounted", "odometry", "motion")
     origin, points, floor, boards, printed, mounted, path, motion = (settings.pop(key, None) for key in names)
     odometry = _odometry(path)

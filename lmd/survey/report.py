@@ -184,6 +184,7 @@ def document(survey: Survey) -> dict[str, Any]:
         "frames": len(times),
         "blurred": dict(survey.detected.blurred),
         "copies": dict(survey.detected.copies),
+        "left_out": list(survey.detected.left_out),
         "used_frames": [times[frame] for frame in found.frames.tolist()],
         "cameras": dict(mounts),
         "intrinsics": [camera.document() for camera in survey.calibrated],

@@ -28,6 +28,8 @@ def to_text(survey: Survey) -> str:
         "known to": f"{both('sigma')} mm beside each other, one standard deviation; maps of another such walk would "
         f"differ by {1e3 * figures['differs']:.2g} mm (median)",
     }
+    if survey.detected.left_out:
+        lines["frames"] += f"; {len(survey.detected.left_out)} were left out (survey.every)"
     if found.inflation > 1.0:
         lines["known to"] += f". Parts of this one disagree {found.inflation:.1f} times as much as corners explain"
     lines |= _motion(survey)
