@@ -5,7 +5,7 @@ python benchmarks/survey.py photograph RUN FOLDER --next survey.json   # likewis
 python benchmarks/survey.py compare MAP.csv TRUE.csv             # how far the tags of a map are off, millimetres
 python benchmarks/survey.py aviary test_13 [--boards 0.0002] [--calibrate false]  # of berndpfrommer/tagslam_test
 python benchmarks/survey.py perch test_2 [--calibrate false]  # two fisheye cameras, beside TagSLAM's own answer
-python benchmarks/survey.py halves FOLDER EDGE   # maps of the two halves of a drive, beside each other
+python benchmarks/survey.py halves FOLDER EDGE [--every null]   # maps of the two halves of a drive, side by side
 python benchmarks/survey.py rings SURVEY U V   # share of tags in view that were detected, by pixels from (U, V)
 PYTHONPATH=tests python benchmarks/survey.py time FRAMES TAGS    # how long a walk takes, and how much memory
 """
@@ -177,7 +177,7 @@ def perch(folder: Path, calibrate: bool | None) -> None:
         print(f"the second camera {1e3 * np.linalg.norm(mount[:3, 3] - place(row)):.2f} mm, {1e3 * angle:.2f} mrad off")
 
 
-def halves(folder: Path, edge: float) -> None:
+def halves(folder: Path, edge: float, every: int | None) -> None:
     """Map each half of a drive alone: how far tags are apart once the maps are laid over each other, and as stated.
 
     The folder has `detections.csv`, and `cameras.yaml` with the cameras in the order of their names.
@@ -188,6 +188,7 @@ def halves(folder: Path, edge: float) -> None:
     from lmd.scene.calibration_files import read_cameras
     from lmd.scene.camera_calibration import calibrated_camera
     from lmd.scene.tag import Tag
+    from lmd.survey.every import thinned
     from lmd.survey.report import sigmas
     from lmd.survey.survey import Known, survey
 
@@ -198,11 +199,12 @@ def halves(folder: Path, edge: float) -> None:
         "| survey.calibrate | tags in both | halves differ, median, 90 %, mm | stated for that difference, median, mm ",
         end="",
     )
-    print("| within 3 sigma | sightings count less by | scale differs |\n| --- | --- | --- | --- | --- | --- | --- |")
+    print("| within 3 sigma | sightings count less by | scale differs | frames left out | time, s |\n|" + " --- |" * 9)
     for calibrate in (None, True, False):
-        maps = []
+        maps, began, left_out = [], time.process_time(), 0
         for half in (first, ~first):
-            some = detected.of(np.flatnonzero(half))
+            some = thinned(detected.of(np.flatnonzero(half)), every)
+            left_out += len(some.left_out)
             maps.append(survey(some, cameras, Tag(edge), CORNER_ERRORS["apriltag"], Known(), calibrate))
         _, *index = np.intersect1d(*(one.ids[one.placed] for one in maps), return_indices=True)
         own = [np.flatnonzero(one.placed)[k] for one, k in zip(maps, index, strict=True)]
@@ -215,7 +217,11 @@ def halves(folder: Path, edge: float) -> None:
         factors = ", ".join(f"{one.found.inflation:.1f}" for one in maps)
         words = {None: "auto", True: "true", False: "false"}[calibrate]
         print(f"| {words} | {len(apart)} | {low:.2f}, {high:.2f} | {told:.2f} | {within:.0%} ", end="")
-        print(f"| {factors} | {np.sqrt(scale) - 1.0:+.2%} |", flush=True)
+        seconds = time.process_time() - began
+        print(
+            f"| {factors} | {np.sqrt(scale) - 1.0:+.2%} | {left_out} of {len(detected.times)} | {seconds:.0f} |",
+            flush=True,
+        )
 
 
 def measure(frames: int, tags: int) -> None:
@@ -270,6 +276,7 @@ def main() -> None:
     two_halves = commands.add_parser("halves")
     two_halves.add_argument("folder", type=Path)
     two_halves.add_argument("edge", type=float, help="of the tags, metres")
+    two_halves.add_argument("--every", type=json.loads, default=1, help="n-th frame; null for those that add to others")
     timed = commands.add_parser("time")
     timed.add_argument("frames", type=int)
     timed.add_argument("tags", type=int)
@@ -283,7 +290,7 @@ def main() -> None:
     elif given.command == "perch":
         perch(given.folder, given.calibrate)
     elif given.command == "halves":
-        halves(given.folder, given.edge)
+        halves(given.folder, given.edge, given.every)
     elif given.command == "rings":
         rings(given.survey, given.u, given.v)
     else:

@@ -8,7 +8,7 @@ from contextlib import suppress
 from functools import partial
 from pathlib import Path
 from types import TracebackType
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from tqdm import tqdm
 
@@ -21,9 +21,14 @@ from lmd.optimisers.ledger import Budget, Record
 from .operations.signals import stop, tell
 from .operations.tracking import Tracker
 
+if TYPE_CHECKING:
+    from lmd.survey.stages import Stage
+
 CURVE_POINTS = 500  # points of a whole run kept in the tracked curve
 PATIENCE = 5.0  # seconds after which it is said that an optimiser is waited for
 LOOK_SECONDS = 0.2  # between two looks at whether it is
+LOG_SECONDS = 15.0  # between two lines of progress in a file
+SHOWN_AFTER = 2.0  # seconds from which on a survey says what it is doing
 
 
 def thinned(history: Sequence[Record], most: int = CURVE_POINTS) -> list[tuple[int, float, float]]:
@@ -35,7 +40,7 @@ def thinned(history: Sequence[Record], most: int = CURVE_POINTS) -> list[tuple[i
 
 def bar(total: int | None, unit: str, initial: int = 0) -> "tqdm[Any]":
     """A progress bar: live on a terminal; in a log file a line now and then is enough."""
-    interval = 0.1 if sys.stderr.isatty() else 15.0
+    interval = 0.1 if sys.stderr.isatty() else LOG_SECONDS
     return tqdm(total=total, initial=initial, unit=f" {unit}", mininterval=interval, leave=False)
 
 
@@ -147,3 +152,64 @@ class Watch:
                 again = "once more" if stop.requested else "Ctrl-C"
                 waited = f"{self.optimiser.called} has been waited for {PATIENCE:g} s"
                 tell(f"{why}, {waited}; {again} to stop at once with the best so far")
+
+
+class Stages:
+    """Says on stderr what a survey is doing, how much of that is done, and how long it will take at most.
+
+    A survey that ends within `SHOWN_AFTER` seconds says nothing. It is the `lmd.survey.stages.Observer` of one.
+    """
+
+    def __init__(self) -> None:
+        self.interrupted: Stage | None = None
+        self._now: tuple[Stage, int, int] | None = None
+        self._began = 0.0
+        self._ended = threading.Event()
+        self._thread = threading.Thread(target=self._show, daemon=True)
+
+    def __call__(self, stage: "Stage", done: int = 0, most: int = 0) -> bool:
+        """See `lmd.survey.stages.Observer`."""
+        if stop.requested and self.interrupted is None and self._now is not None:
+            self.interrupted = self._now[0]
+        if self._now is None or stage is not self._now[0]:
+            self._began = time.time()
+        self._now = stage, done, most
+        return stop.requested
+
+    @property
+    def doing(self) -> str:
+        """What is being done."""
+        return "reading photographs or detections" if self._now is None else self._now[0].value
+
+    @property
+    def has_map(self) -> bool:
+        """Whether there is something that is worth to be kept."""
+        return self._now is not None and self._now[0].has_map
+
+    def __enter__(self) -> "Stages":
+        self._thread.start()
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
+        if stop.requested and self.interrupted is None and self._now is not None:
+            self.interrupted = self._now[0]
+        self._ended.set()
+        self._thread.join()
+
+    def _show(self) -> None:
+        shown: tqdm[Any] | None = None
+        wait = SHOWN_AFTER
+        while not self._ended.wait(wait):
+            wait = LOOK_SECONDS if sys.stderr.isatty() else LOG_SECONDS
+            if self._now is None:
+                continue
+            stage, done, most = self._now
+            look = None if most else "{desc} [{elapsed}]"
+            with suppress(OSError):  # the terminal may be closed
+                if shown is None:
+                    shown = tqdm(desc=stage.value, total=most or None, unit=" steps", bar_format=look, leave=False)
+                shown.start_t, shown.n, shown.total, shown.bar_format = self._began, done, most or None, look
+                shown.set_description_str(f"{stage.value}, {most} steps at most: " if most else stage.value)
+        if shown is not None:
+            with suppress(OSError):
+                shown.close()

@@ -1,17 +1,21 @@
 """Where tags hang, from photographs of them: `python -m pipelines.survey run=DIR photographs=DIR camera.path=FILE`."""
 
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 from omegaconf import DictConfig, OmegaConf
 
-from .app import run_directory
+from .app import discard_empty, run_directory
 from .building import camera_of, instantiate, keyed, settings_of
 from .detectors import detector_of
 from .earlier_run import read_earlier_run
 from .export import build_export
 from .fixed import axes_in, fixed_of
 from .notes import note
+from .operations.signals import Stopped, stop
 from .outputs import write_all
 from .photographs import detected
 from .pipeline import Pipeline
@@ -27,22 +31,27 @@ if TYPE_CHECKING:
     from lmd.space.space import Space
     from lmd.survey.survey import Known
 
+    from .progress import Stages
+
 
 def survey(cfg: DictConfig) -> None:
     """Find where the tags of the configured photographs or detections hang."""
-    from lmd.core.checks import InputError, boolean, seed_number
+    from lmd.core.checks import InputError, boolean, integer, seed_number
     from lmd.core.tables import write_table
     from lmd.detection.corner_errors import CORNER_ERRORS
     from lmd.detection.surveyed import FILE as VIEWS
     from lmd.evaluation.verdicts import verdicts
     from lmd.scene.rig import Rig
     from lmd.survey.audit import audited, in_the_open
+    from lmd.survey.every import thinned
     from lmd.survey.next_photographs import next_photographs
     from lmd.survey.report import again, map_of, metrics
+    from lmd.survey.stages import Stage
     from lmd.survey.survey import survey as find
     from lmd.survey.views import view_columns
     from lmd.survey.words import to_text
 
+    from .progress import Stages
     from .tracked_run import keep, tracked
 
     seed_number(cfg.seed)
@@ -58,35 +67,56 @@ def survey(cfg: DictConfig) -> None:
     if exports.formats and room is None:
         raise InputError("export needs the room that the tags hang in: run=DIR, or room=... with its keys.")
     check_folder(run_directory(), cfg, len(cameras), exports, has_plan=known.plan is not None)
-    found_tags = detected(cfg, cameras, detector, tag.modules)
     errors = CORNER_ERRORS[name.removesuffix("_fine")]
     with keyed("survey"):
         calibrate = None if cfg.survey.calibrate == "auto" else boolean("calibrate", cfg.survey.calibrate)
-    with keyed(
-        "survey",
-        detections="detections" if cfg.detections is not None else "photographs",
-        cameras="camera",
-        fixed="deployment.fixed",
-    ):
-        found = find(found_tags, cameras, tag, errors, known, calibrate)
-    through = tuple(one.found for one in found.calibrated)
-    found = replace(found, proposed=next_photographs(found, through[0], tag.modules, errors, again(found), room))
-    audit = None
-    if scene is not None:
-        audit = audited(*((found, scene) if room is not None else in_the_open(found, scene)), verdicts)
+        every = None if cfg.survey.every == "auto" else integer("every", cfg.survey.every, low=1)
+    stages, audit = Stages(), None
+    with _map_or_nothing(stages):
+        found_tags = detected(cfg, cameras, detector, tag.modules)
+        with stages, stop.deferred(lambda: stages.has_map, "this step"):
+            with keyed(
+                "survey",
+                detections="detections" if cfg.detections is not None else "photographs",
+                cameras="camera",
+                fixed="deployment.fixed",
+            ):
+                found = find(thinned(found_tags, every), cameras, tag, errors, known, calibrate, stages)
+            through = tuple(one.found for one in found.calibrated)
+            if not stages(Stage.PROPOSING):
+                proposed = next_photographs(found, through[0], tag.modules, errors, again(found), room)
+                found = replace(found, proposed=proposed)
+            if scene is not None and not stages(Stage.AUDITING):
+                audit = audited(*((found, scene) if room is not None else in_the_open(found, scene)), verdicts)
+            found = replace(found, interrupted=stages.interrupted)
     about = f"survey of {found.placed.sum()} tags in {len(found.found.frames)} frames"
     with tracked(cfg, "survey", about) as tracker:
-        writers = writers_of(found, room, about, is_new=cfg.detections is None)
+        writers = writers_of(found, room, about, found_tags if cfg.detections is None else None)
         writers[VIEWS] = lambda path: write_table(path, view_columns(found, through, tag, room))
         if exports.formats and room is not None:
             writers |= exports.writers(room, tag, map_of(found))
         if audit is not None:
             writers |= audit_writers(audit, name, about)
-        files = write_all(run_directory(), writers)
-        keep(tracker, files, metrics(found) | (audit.metrics() if audit else {}))
+        with stop.shielded():
+            files = write_all(run_directory(), writers)
+        figures = metrics(found) | (audit.metrics() if audit else {})
+        keep(tracker, files, figures, "FINISHED" if found.interrupted is None else "KILLED")
     text = "\n".join([to_text(found), *([audit.to_text()] if audit else [])])
     print(f"{text}\nfiles: {run_directory()}: {', '.join(file.name for file in files)}")
     print(f"mlflow: {tracker.describe()}")
+    if found.interrupted is not None:
+        sys.exit(stop.code)
+
+
+@contextmanager
+def _map_or_nothing(stages: "Stages") -> Iterator[None]:
+    """Say that nothing is written, and leave nothing, where a survey is told to stop at once."""
+    try:
+        yield
+    except Stopped:
+        discard_empty(run_directory())
+        print(f"told to stop while {stages.doing}: nothing is written.", file=sys.stderr)
+        raise
 
 
 def _detector(cfg: DictConfig) -> "tuple[str, Detector]":
@@ -143,7 +173,8 @@ def _known(cfg: DictConfig, tag: "Tag", given: "Camera | Rig") -> "Known":
 
     settings = OmegaConf.to_container(settings_of(cfg, "survey"), resolve=True)
     assert isinstance(settings, dict)
-    settings.pop("calibrate")  # says nothing of the tags
+    for key in ("calibrate", "every"):  # which say nothing of the tags
+        settings.pop(key)
     names = ("origin", "points", "floor", "boards", "printed", "mounted", "odometry", "motion")
     origin, points, floor, boards, printed, mounted, path, motion = (settings.pop(key, None) for key in names)
     odometry = _odometry(path)

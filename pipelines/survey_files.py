@@ -11,6 +11,7 @@ from omegaconf import DictConfig, OmegaConf
 from .documents import write_document
 
 if TYPE_CHECKING:
+    from lmd.mapping.detections import DetectedTags
     from lmd.mapping.formats import Export
     from lmd.space.space import Space
     from lmd.survey.audit import Audit
@@ -75,8 +76,17 @@ def _texts(settings: Any) -> Iterable[str]:
         yield settings
 
 
-def writers_of(found: "Survey", room: "Space | None", title: str, is_new: bool) -> dict[str, Callable[[Path], object]]:
-    """Functions that write the files, by their names."""
+def writers_of(
+    found: "Survey", room: "Space | None", title: str, detected: "DetectedTags | None"
+) -> dict[str, Callable[[Path], object]]:
+    """Functions that write the files, by their names.
+
+    Args:
+        found: what is written.
+        room: None where it is not known.
+        title: of the picture.
+        detected: what was detected in all frames; None where it is in a file already.
+    """
     from lmd.core.tables import write_table
     from lmd.mapping.detections import write_detections
     from lmd.mapping.tag_map import write_yaml
@@ -94,8 +104,8 @@ def writers_of(found: "Survey", room: "Space | None", title: str, is_new: bool) 
         writers[MEASURED] = lambda path: measured.to_csv(path, ups=True)
     for file, camera in zip(camera_files(len(found.calibrated)), found.calibrated, strict=True):
         writers[file] = partial(write_yaml, keys=camera_info(camera.found))
-    if is_new:
-        writers[DETECTED] = lambda path: write_detections(path, found.detected)
+    if detected is not None:
+        writers[DETECTED] = lambda path: write_detections(path, detected)
     return writers
 
 

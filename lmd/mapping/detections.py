@@ -46,6 +46,7 @@ class DetectedTags:
         in_order: whether corners are known to begin at the top left, because a detector of `lmd.detection` found them.
         taken: of which frames each camera has an image that counts, whether or not it shows a tag, `(F, C)`; None if
             it has one of all.
+        left_out: frames whose detections were left out, as they add too little to the others.
 
     Raises:
         InputError: shapes do not match, or there is no detection.
@@ -61,6 +62,7 @@ class DetectedTags:
     copies: Mapping[str, str] = field(default_factory=dict)
     in_order: bool = False
     taken: BoolArray | None = None
+    left_out: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         count = len(self.ids)

@@ -21,6 +21,7 @@ from lmd.survey.estimate import ONE_THREAD, Estimate
 from lmd.survey.gauge import gauge_free
 from lmd.survey.linked import telling
 from lmd.survey.residuals import EXACT_SIGMA
+from lmd.survey.stages import Observer, Stage, unobserved
 
 FEWEST_BLOCKS, MOST_BLOCKS = 5, 8
 FEWEST_IN_BLOCK = 3  # frames, where there are more than the fewest blocks
@@ -39,7 +40,7 @@ def blocks_of_time(found: Estimate) -> list[IntArray]:
     return [found.frames[block == b] for b in range(blocks) if (block == b).any()]
 
 
-def inflation(found: Estimate) -> float:
+def inflation(found: Estimate, observer: Observer = unobserved) -> float:
     """The factor of standard deviations of places by blocks of time, the geometric mean of tags; 1 if it would be less.
 
     It is 1, too, if there are too few frames for blocks. Where frames are linked, those count that show two tags, as
@@ -47,14 +48,18 @@ def inflation(found: Estimate) -> float:
 
     Args:
         found: as if no errors were alike, with an inflation of 1.
+        observer: told how many blocks are done.
     """
     if found.prior.motion is not None:
         found = _without_links(found)
     if len(found.frames) < FEWEST_FRAMES:
         return 1.0
     with threadpool_limits(limits=ONE_THREAD):
-        off = np.stack([_off(found, frames) for frames in blocks_of_time(found)])
-    square = (off**2).sum(axis=(0, 2))
+        blocks, off = blocks_of_time(found), []
+        for frames in blocks:
+            observer(Stage.COMPARING, len(off), len(blocks))
+            off.append(_off(found, frames))
+    square = (np.stack(off) ** 2).sum(axis=(0, 2))
     stated = np.trace(found.precisions[found.known][:, 3:, 3:], axis1=1, axis2=2)
     known = stated > 0.0
     if not known.any():

@@ -27,6 +27,7 @@ from lmd.survey.intrinsics import parameters, slopes, with_parameters
 from lmd.survey.linked import adjustment_of, telling
 from lmd.survey.residuals import errors_at
 from lmd.survey.sightings import WAYS, Sightings, inward, shifted
+from lmd.survey.stages import Observer, Stage, unobserved
 from lmd.survey.start import FLOOR_PIXELS
 
 SMALL_SHARE = 0.5  # of what the first shift may be off, the second one may
@@ -88,7 +89,12 @@ def freed(sightings: Sightings, optics: Sequence[Optics], spreads: Sequence[Floa
 
 
 def refined(
-    found: Estimate, given: Sequence[Optics], spreads: Sequence[FloatArray], sighted: Sighted, keep: bool = False
+    found: Estimate,
+    given: Sequence[Optics],
+    spreads: Sequence[FloatArray],
+    sighted: Sighted,
+    keep: bool = False,
+    observer: Observer = unobserved,
 ) -> tuple[Estimate, tuple[Optics, ...]]:
     """The best poses, cameras and shapes.
 
@@ -98,6 +104,7 @@ def refined(
         spreads: what the values of each may be off, `(P + 2,)`.
         sighted: the sightings as other cameras of the same images have them.
         keep: whether cameras and shapes stay as they are given; they are as little known.
+        observer: asked before each round whether to stop with what is best so far.
     """
     state = _State.of(given, len(found.group))
 
@@ -113,10 +120,10 @@ def refined(
 
     for _ in range(PASSES):
         if not keep:
-            state, found = _settled(state, found, given, spreads, seen)
+            state, found = _settled(state, found, given, spreads, seen, observer)
         factor = found.inflation
         found = adjusted(seen(state), found.prior, found.poses, found.group, FLOOR_PIXELS, factor)
-        if factor > 1.0 or (grown := inflation(found)) == 1.0:
+        if factor > 1.0 or (grown := inflation(found, observer)) == 1.0:
             break
         found = replace(found, inflation=grown)
     return found, state.optics
@@ -128,11 +135,14 @@ def _settled(
     given: Sequence[Optics],
     spreads: Sequence[FloatArray],
     seen: "Callable[[_State], Sightings]",
+    observer: Observer,
 ) -> tuple["_State", Estimate]:
     """The state, and the poses, after as many steps of all unknowns together as lead downhill."""
     poses, floor, damping, sightings = found.poses, found.floor, 0.0, seen(state)
     with threadpool_limits(limits=ONE_THREAD):
-        for _ in range(MOST_ROUNDS):
+        for done in range(MOST_ROUNDS):
+            if observer(Stage.REFINING, done, MOST_ROUNDS):
+                break
             error = errors_at(sightings, poses)
             of_map = (found.group[sightings.tag] == 0) & np.isfinite(error)
             used = telling(sightings, of_map & fitting(sightings, error, floor), found.prior.motion)

@@ -180,9 +180,11 @@ def document(survey: Survey) -> dict[str, Any]:
     mounts = zip(survey.detected.cameras, found.poses.mounts.tolist(), strict=True)
     return {
         "figures": metrics(survey),
+        "interrupted": None if survey.interrupted is None else survey.interrupted.value,
         "frames": len(times),
         "blurred": dict(survey.detected.blurred),
         "copies": dict(survey.detected.copies),
+        "left_out": list(survey.detected.left_out),
         "used_frames": [times[frame] for frame in found.frames.tolist()],
         "cameras": dict(mounts),
         "intrinsics": [camera.document() for camera in survey.calibrated],

@@ -24,6 +24,7 @@ from lmd.survey.motion import Motion, seconds_of
 from lmd.survey.refining import SMALL_SHARE, Optics, refined
 from lmd.survey.residuals import EXACT_SIGMA, Prior, errors_at
 from lmd.survey.sightings import Sightings, sightings_of
+from lmd.survey.stages import Observer, Stage, unobserved
 from lmd.survey.start import agreeing
 from lmd.survey.turns import Turns, turns_of
 
@@ -149,6 +150,7 @@ class Survey:
         joined: what motion alone has joined; None where frames are not linked.
         calibrated: the cameras as the photographs have them.
         proposed: what to photograph next, see `lmd.survey.next_photographs`.
+        interrupted: during which stage it was told to stop; what comes after is left out.
     """
 
     detected: DetectedTags
@@ -163,6 +165,7 @@ class Survey:
     joined: Joined | None
     calibrated: tuple[Calibrated, ...]
     proposed: tuple[Photograph, ...] = ()
+    interrupted: Stage | None = None
 
     @property
     def ids(self) -> IntArray:
@@ -187,6 +190,7 @@ def survey(
     errors: CornerErrors,
     known: Known,
     calibrate: bool | None = None,
+    observer: Observer = unobserved,
 ) -> Survey:
     """Find where tags hang.
 
@@ -198,6 +202,7 @@ def survey(
         known: what else is known.
         calibrate: true if the intrinsics of the cameras are only a rough guess; false if they stay as they are given,
             which counts as little known as None, where they are refined.
+        observer: told what is done, and asked whether to stop once there is a map; then the map so far is returned.
 
     Raises:
         InputError: the detections do not connect two tags, place none, or are of other tags or cameras; or tags that
@@ -217,6 +222,7 @@ def survey(
     sightings = sighted(given)
     prior = replace(known.prior(ids), motion=_motion(detected, sightings, known))
     turns = Turns.none(len(ids))
+    observer(Stage.PLACING, 0, 0)
     for _ in range(TURNING_STEPS):
         start = started(sightings, prior)
         more = turns_of(start.poses, start.group, prior, detected.in_order)
@@ -227,10 +233,12 @@ def survey(
         sightings, prior = sighted(given), turns.planned(replace(known.prior(ids), motion=prior.motion))
     else:
         start = started(sightings, prior)
+    observer(Stage.ADJUSTING, 0, 0)
     found = _estimate(sightings, prior, known, start, detected)
     shift = [errors.inward_spread, SMALL_SHARE * errors.inward_spread]
     spread = [np.append(spreads(camera, bool(calibrate)), shift) for camera in cameras]
-    found, optics = refined(found, given, spread, sighted, keep=calibrate is False)
+    found, optics = refined(found, given, spread, sighted, calibrate is False, observer)
+    observer(Stage.CHECKING, 0, 0)
     found, faults = settled(found)
     away = off_fixed(found, start)
     if known.floor:
@@ -248,7 +256,7 @@ def survey(
     if not placed.any():
         text = f"detections: no tag is placed, as no {FEWEST_BELIEVED} sightings of one agree: more frames are needed."
         raise InputError(text, "detections")
-    localised = held_out(found, known.planned(ids))
+    localised = {} if observer(Stage.HOLDING_OUT, 0, 0) else held_out(found, known.planned(ids))
     through = tuple(
         judged(camera, one.camera, one.shifts[0], own[: len(off), : len(off)] * np.outer(off, off))
         for camera, one, own, off in zip(cameras, optics, found.lenses, spread, strict=True)

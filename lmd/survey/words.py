@@ -28,6 +28,8 @@ def to_text(survey: Survey) -> str:
         "known to": f"{both('sigma')} mm beside each other, one standard deviation; a map of another such walk "
         f"would differ by {1e3 * figures['differs']:.2g} mm (median)",
     }
+    if survey.detected.left_out:
+        lines["frames"] += f"; {len(survey.detected.left_out)} were left out (survey.every)"
     if found.inflation > 1.0:
         text = f"{found.inflation:.1f} times as much as the noise of corners explains, which these figures count"
         lines["blocks"] = f"of time disagree {text}"
@@ -50,6 +52,10 @@ def to_text(survey: Survey) -> str:
     if "planned" in survey.localised:
         lines["planned"] = f"by the planned map {both('held_out_error_planned', 1.0)} pixels off, and the camera"
         lines["planned"] += f" {both('held_out_shift_planned', digits='.3g')} mm elsewhere"
+    if (stage := survey.interrupted) is not None:
+        lines["interrupted"] = f"told to stop while {stage.value}; " + (
+            "what comes after that is left out" if stage.has_final_map else "the map is not final"
+        )
     lines |= {label: text for label, text in _troubles(survey).items() if text}
     for number, photograph in enumerate(survey.proposed, 1):
         at, towards = (", ".join(f"{x:.2f}" for x in photograph.pose[:3, column]) for column in (3, 2))

@@ -65,18 +65,19 @@ class Stop:
             yield
 
     @contextmanager
-    def deferred(self, worth_waiting: Callable[[], bool]) -> Iterator[None]:
+    def deferred(self, worth_waiting: Callable[[], bool], step: str = "this batch") -> Iterator[None]:
         """While entered, the first signal is noted and the second raises `Stopped`.
 
         Args:
             worth_waiting: whether there is something to wait for; where not, the first one raises.
+            step: what is waited for.
         """
 
         def act(number: int) -> None:
             if self.requested or not worth_waiting():
                 self._raise(number)
             self._number = number
-            tell("stopping after this batch; once more to stop at once")
+            tell(f"stopping after {step}; once more to stop at once")
 
         with self._acting(act):
             yield

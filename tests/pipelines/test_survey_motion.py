@@ -1,6 +1,7 @@
 """`pipelines.survey` of a drive, with odometry: a process, its messages and the files it leaves."""
 
 import json
+import re
 
 import drives
 import numpy as np
@@ -64,6 +65,18 @@ def test_odometry_maps_a_drive_whose_images_show_one_tag_each(cwd):
     np.testing.assert_allclose(there, here, atol=0.02)
 
 
+@pytest.mark.parametrize("every", ["auto", "3", "1"])
+def test_frames_that_are_left_out_are_counted(cwd, every):
+    done = call("survey.odometry=odometry.csv", f"survey.every={every}", f"hydra.run.dir=every_{every}", cwd=cwd)
+    assert done.returncode == 0, done.stderr
+    document = json.loads((cwd / f"every_{every}" / "survey.json").read_text())
+    out = document["left_out"]
+    said = re.search(r"frames .* sightings; (\d+) were left out \(survey.every\)", done.stdout)
+    assert (int(said[1]) if said else 0) == len(out)
+    assert (len(out) > 0) == (every != "1")
+    assert not set(out) & set(document["used_frames"])
+
+
 @pytest.mark.parametrize(
     ("overrides", "said"),
     [
@@ -72,6 +85,8 @@ def test_odometry_maps_a_drive_whose_images_show_one_tag_each(cwd):
         (["survey.odometry=missing.csv"], "survey.odometry"),
         (["survey.odometry={path: odometry.csv, drift: 3}"], "survey.odometry has the key 'drift'"),
         (["survey.motion=maybe"], "survey.motion must be"),
+        (["survey.every=0"], "survey.every must be"),
+        (["survey.every=often"], "survey.every must be"),
         (["survey.motion=false"], "detections"),
     ],
 )
