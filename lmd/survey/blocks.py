@@ -55,7 +55,7 @@ def inflation(found: Estimate, observer: Observer = unobserved) -> float:
     if len(found.frames) < FEWEST_FRAMES:
         return 1.0
     with threadpool_limits(limits=ONE_THREAD):
-        blocks, off = blocks_of_time(found), []
+        blocks, off = blocks_of_time(found), list[FloatArray]()
         for frames in blocks:
             observer(Stage.COMPARING, len(off), len(blocks))
             off.append(_off(found, frames))
