@@ -22,7 +22,7 @@ from lmd.space.space import Space
 from lmd.survey.estimate import ONE_THREAD
 from lmd.survey.gauge import gauge_free
 from lmd.survey.residuals import linearise
-from lmd.survey.sightings import Sightings
+from lmd.survey.sightings import Sightings, shortest_side
 from lmd.survey.student import RESIDUALS
 from lmd.survey.survey import Photograph, Survey
 
@@ -148,7 +148,7 @@ def _slopes(
 ) -> FloatArray:
     """Derivatives J of a photograph by the twists of the tags `own`, whitened and freed from its pose, `(8 n, 6 n)`."""
     count, corners = len(own), image[own]
-    sides = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=-1).min(axis=1)
+    sides = shortest_side(corners)
     directions = bearings(camera, corners)
     noise = np.hypot(errors.sigma(sides / modules), survey.found.floor)
     every = survey.found.sightings

@@ -25,8 +25,8 @@ from lmd.survey.blocks import inflation
 from lmd.survey.estimate import ONE_THREAD, Estimate, adjusted, fitting
 from lmd.survey.intrinsics import parameters, slopes, with_parameters
 from lmd.survey.linked import adjustment_of, telling
-from lmd.survey.residuals import errors_at
-from lmd.survey.sightings import WAYS, Sightings, inward, shifted
+from lmd.survey.residuals import Poses, errors_at, gathered, in_cameras, residuals
+from lmd.survey.sightings import WAYS, Sightings, inward, shifted, shortest_side
 from lmd.survey.stages import Observer, Stage, unobserved
 from lmd.survey.start import FLOOR_PIXELS
 
@@ -38,6 +38,7 @@ MOST_TRIALS, FIRST_DAMPING = 6, 1e-3  # of a step that leads uphill
 SLACK = 1e-3  # uphill, that is none
 SETTLED_SIGMAS = 0.3  # standard deviations; a smaller step is the last
 SETTLED_SHAPES = 0.1  # likewise of the deviation of shapes, relative
+NEAR_PIXELS = 5.0  # that a corner is off at most where the pose of its tag says how its edges are
 MOST_HALVINGS = 6  # of a step that leads to no camera
 
 
@@ -70,20 +71,29 @@ class Optics:
 Sighted = Callable[[Sequence[Optics]], Sightings]
 
 
-def freed(sightings: Sightings, optics: Sequence[Optics], spreads: Sequence[FloatArray]) -> Sightings:
+def freed(
+    sightings: Sightings, optics: Sequence[Optics], spreads: Sequence[FloatArray], poses: Poses | None = None
+) -> Sightings:
     """The sightings with all that is not known of their cameras unknown.
 
     Args:
         sightings: through `optics`.
         spreads: what the values of each may be off, `(P + 2,)`.
+        poses: of all, where they are known. Shifts are then along the edges where the tags are: along those that were
+            found, which hang on the same errors as the residuals, they would have a bias.
     """
+    image = sightings.image
+    if poses is not None:
+        error = residuals(sightings, in_cameras(sightings, *gathered(sightings, poses)))
+        image = np.where(np.abs(error).max(axis=(1, 2), keepdims=True) < NEAR_PIXELS, image + error, image)
+    pitch = shortest_side(image) * sightings.pitch / sightings.sizes
     most = max(len(spread) for spread in spreads)
     lens = np.zeros((len(sightings), 4, 2, -(-most // 6) * 6))
     for index, (one, spread) in enumerate(zip(optics, spreads, strict=True)):
         own = sightings.camera == index
         lens[own, ..., : len(spread) - 2] = slopes(one.camera, sightings.directions[own])
-        way = shifted(sightings.pitch[own])[:, None, None, :]
-        lens[own, ..., len(spread) - 2 : len(spread)] = inward(sightings.image[own])[..., None] * way
+        way = shifted(pitch[own])[:, None, None, :]
+        lens[own, ..., len(spread) - 2 : len(spread)] = inward(image[own])[..., None] * way
         lens[own, ..., : len(spread)] *= spread
     return replace(sightings, lens=lens.reshape(len(sightings), 8, -1))
 
@@ -108,21 +118,22 @@ def refined(
     """
     state = _State.of(given, len(found.group))
 
-    def seen(state: _State) -> Sightings:
-        through = freed(sighted(state.optics), state.optics, spreads)
-        return replace(
+    def seen(state: _State, poses: Poses) -> Sightings:
+        through = sighted(state.optics)
+        own = replace(
             through,
             edges=found.sightings.edges,
             shapes=state.shapes,
             shape_sigma=state.deviation,
             taken=state.taken,
         )
+        return freed(own, state.optics, spreads, poses)
 
     for _ in range(PASSES):
         if not keep:
             state, found = _settled(state, found, given, spreads, seen, observer)
         factor = found.inflation
-        found = adjusted(seen(state), found.prior, found.poses, found.group, FLOOR_PIXELS, factor)
+        found = adjusted(seen(state, found.poses), found.prior, found.poses, found.group, FLOOR_PIXELS, factor)
         if factor > 1.0 or (grown := inflation(found, observer)) == 1.0:
             break
         found = replace(found, inflation=grown)
@@ -134,11 +145,11 @@ def _settled(
     found: Estimate,
     given: Sequence[Optics],
     spreads: Sequence[FloatArray],
-    seen: "Callable[[_State], Sightings]",
+    seen: "Callable[[_State, Poses], Sightings]",
     observer: Observer,
 ) -> tuple["_State", Estimate]:
     """The state, and the poses, after as many steps of all unknowns together as lead downhill."""
-    poses, floor, damping, sightings = found.poses, found.floor, 0.0, seen(state)
+    poses, floor, damping, sightings = found.poses, found.floor, 0.0, seen(state, found.poses)
     with threadpool_limits(limits=ONE_THREAD):
         for done in range(MOST_ROUNDS):
             if observer(Stage.REFINING, done, MOST_ROUNDS):
@@ -155,7 +166,7 @@ def _settled(
             for _ in range(MOST_TRIALS):
                 there, step, variance = every.joint_step(poses, floor, damping, state.units)
                 tried = state.stepped(given, spreads, step)
-                error = errors_at(seen(tried).of(used), there)
+                error = errors_at(seen(tried, there).of(used), there)
                 if tried.cost(every.unit) + every.cost(error, every.costs(there), floor) <= cost + SLACK:
                     break
                 damping = max(10.0 * damping, FIRST_DAMPING)
@@ -168,7 +179,7 @@ def _settled(
             grown = float(np.sqrt(squares[placed, :WAYS].mean()))
             taken = float((1.0 - every.unit[:, None] * variance).sum())
             state = tried._replace(deviation=max(grown * tried.deviation, LEAST_SHAPE_SIGMA), taken=taken)
-            sightings = seen(state)
+            sightings = seen(state, poses)
             is_settled = (step[:lenses] ** 2 <= SETTLED_SIGMAS**2 * variance[:lenses]).all()
             if is_settled and abs(grown - 1.0) < SETTLED_SHAPES:
                 break

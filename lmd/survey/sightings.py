@@ -120,6 +120,11 @@ def inward(image: FloatArray) -> FloatArray:
     return np.asarray((along + other) / np.maximum(across, LEAST_ANGLE)[..., None])
 
 
+def shortest_side(image: FloatArray) -> FloatArray:
+    """The length of the shortest side of tags with the corners `(N, 4, 2)`, pixels, `(N,)`."""
+    return np.asarray(np.linalg.norm(image - np.roll(image, 1, axis=1), axis=-1).min(axis=1))
+
+
 def shifted(pitch: FloatArray) -> FloatArray:
     """How far edges are shifted at each pitch, by the shift of all tags and that of small ones, `(N, 2)`."""
     return np.stack([np.ones_like(pitch), (SMALL_PITCH / pitch) ** 2], axis=1)
@@ -156,7 +161,7 @@ def sightings_of(
         )
     known = np.flatnonzero(np.isin(detected.ids, ids))
     chosen = detected.of(known[np.lexsort((detected.ids[known], detected.camera[known], detected.frame[known]))])
-    sides = np.linalg.norm(chosen.corners - np.roll(chosen.corners, 1, axis=1), axis=-1).min(axis=1)
+    sides = shortest_side(chosen.corners)
     pitch = sides / modules
     off = errors.inward_at(pitch) + (0.0 if shifts is None else (shifted(pitch) * shifts[chosen.camera]).sum(axis=1))
     image = chosen.corners - off[:, None, None] * inward(chosen.corners)
