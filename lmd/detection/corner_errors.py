@@ -78,7 +78,7 @@ PITCH_MIDDLES = tuple(math.sqrt(low * high) for low, high in pairwise((1.25, 1.5
 # detectors, tags of the family 36h11 and an ordinary camera in good light: 72 to 793 tags in a class. The shifts are
 # those that `python benchmarks/corners.py preset --tags 24` prints, in images by another renderer, in light that is not
 # clipped and has no tone curve, of tags with the white margin that lmd prints.
-# A tone curve adds 0.24 pixels, clipped white 0.32; the cameras of docs/results/survey.md have -0.08 to 0.02. Blur adds
+# A tone curve adds 0.24 pixels, clipped white 0.32; the cameras of docs/results/survey.md have -0.07 to 0.03. Blur adds
 # as much with ArUco.
 LIGHT_SPREAD, BLUR_SPREAD = 0.1, 0.2
 CORNER_ERRORS = {
