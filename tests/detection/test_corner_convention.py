@@ -10,7 +10,7 @@ from numpy.testing import assert_allclose
 
 from lmd.detection.corner_errors import CORNER_ERRORS
 
-sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks"))
+sys.path.append(str(Path(__file__).parents[2] / "benchmarks"))
 import corners as measured  # a script
 
 PHOTOGRAPHS = Path(__file__).parents[2] / "../shared/real/photographs"

@@ -10,7 +10,7 @@ from lmd.core.checks import InputError
 from pipelines.building import build_optimiser, build_problem
 
 ROOT = Path(__file__).parents[2]
-sys.path.insert(0, str(ROOT / "benchmarks"))
+sys.path.append(str(ROOT / "benchmarks"))
 import matrix  # noqa: E402 # a script
 
 CELLS = [

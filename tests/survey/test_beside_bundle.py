@@ -10,7 +10,7 @@ from lmd.scene.tag import Tag
 from lmd.survey.report import sigmas
 from lmd.survey.survey import Known, survey
 
-sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks"))
+sys.path.append(str(Path(__file__).parents[2] / "benchmarks"))
 import bundle  # a script
 
 
