@@ -30,7 +30,6 @@ from lmd.scene.calibration_files import PIXEL_CENTRE
 from lmd.scene.camera import Camera
 from lmd.scene.camera_calibration import Calibration, calibrated_camera
 from lmd.scene.tag import Tag
-from lmd.survey.report import sigmas
 from lmd.survey.survey import Known, survey
 
 ANGLES = (-60, -30, 30, 60)  # degrees, of the photographs of one tag that was turned
@@ -65,7 +64,7 @@ def by_lmd(recording: Recording, calibrate: bool | None = None) -> Map:
         Known(),
         calibrate,
     )
-    placed, sigma = np.flatnonzero(found.placed), sigmas(found)
+    placed, sigma = np.flatnonzero(found.placed), found.found.sigmas
     stated = {int(found.ids[k]): float(sigma[k]) for k in placed}
     note = f"{len(found.found.sightings)} sightings"
     return Map({int(found.ids[k]): found.found.poses.tags[k] for k in placed}, stated, note)

@@ -189,7 +189,6 @@ def halves(folder: Path, edge: float, every: int | None) -> None:
     from lmd.scene.camera_calibration import calibrated_camera
     from lmd.scene.tag import Tag
     from lmd.survey.every import thinned
-    from lmd.survey.report import sigmas
     from lmd.survey.survey import Known, survey
 
     detected, path = read_detections(folder / "detections.csv"), str(folder / "cameras.yaml")
@@ -210,7 +209,7 @@ def halves(folder: Path, edge: float, every: int | None) -> None:
         own = [np.flatnonzero(one.placed)[k] for one, k in zip(maps, index, strict=True)]
         here, there = (one.found.poses.tags[k, :3, 3] for one, k in zip(maps, own, strict=True))
         apart = np.linalg.norm(act(laid_over(here, there), here) - there, axis=1)
-        stated = np.hypot(*(sigmas(one)[k] for one, k in zip(maps, own, strict=True)))
+        stated = np.hypot(*(one.found.sigmas[k] for one, k in zip(maps, own, strict=True)))
         within, told = float((apart <= 3.0 * stated).mean()), 1e3 * np.median(stated)
         low, high = 1e3 * np.quantile(apart, [0.5, 0.9])
         scale = np.std(there, axis=0) @ np.std(there, axis=0) / (np.std(here, axis=0) @ np.std(here, axis=0))

@@ -178,12 +178,12 @@ class Stages:
 
     @property
     def doing(self) -> str:
-        """What is being done."""
+        """The stage, in words."""
         return "reading photographs or detections" if self._now is None else self._now[0].value
 
     @property
     def has_map(self) -> bool:
-        """Whether there is something that is worth to be kept."""
+        """True once there is something that is worth keeping."""
         return self._now is not None and self._now[0].has_map
 
     def __enter__(self) -> "Stages":

@@ -6,7 +6,7 @@ from decimal import Decimal, InvalidOperation
 
 
 def time_of(text: str) -> Decimal | str:
-    """What tells a time from others: the number that is written, or else, as for names of photographs, the text."""
+    """The key that tells a time from others: the number written, or else, as for names of photographs, the text."""
     try:
         number = Decimal(text)
     except InvalidOperation:

@@ -87,7 +87,7 @@ def fit(views: Views, rng: np.random.Generator, margin: float) -> Fit:
 
 
 def foretold(views: Views, limits: Limits, circles: tuple[float, ...]) -> BoolArray:
-    """Which views are predicted to be found, `(M,)`."""
+    """True for views that are predicted to be found, `(M,)`."""
     found = limits.found(views.pitch, views.incidence, views.edge, views.sigma)
     if (placed := views.placed) is None:
         return found

@@ -76,7 +76,7 @@ class Audit:
 
     @cached_property
     def missed_in_a_row(self) -> BoolArray:
-        """Which tags were predicted and not detected `IN_A_ROW` times or more, one after the other, `(N, C K)`.
+        """True for tags that were predicted and not detected `IN_A_ROW` times or more, one after the other, `(N, C K)`.
 
         Limits of a detector hardly make such misses, where a tag is well within them: something hides it, or glares.
         """
@@ -178,7 +178,7 @@ def in_the_open(survey: Survey, scene: Scene) -> tuple[Survey, Scene]:
 
 
 def seen_of(survey: Survey) -> list[Sightings]:
-    """What was detected of the tags of the map in its frames, by each camera.
+    """The detections of tags of the map in its frames, by each camera.
 
     A detection shows a tag if its corners are `CORNER_TOLERANCE` or less from where it hangs (root mean square), also
     where that is too far off to place anything.

@@ -13,7 +13,7 @@ NEAREST = 6  # tags of other groups that a tag is set beside
 
 @dataclass(frozen=True)
 class Joined:
-    """What motion has joined.
+    """Groups that motion has joined.
 
     Args:
         group: of each tag, as images alone connect them, `(K,)`; -1 for tags that are not in the map.

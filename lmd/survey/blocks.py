@@ -1,4 +1,4 @@
-"""How well a map is known by what its own photographs disagree on, in blocks of time.
+"""Errors that are alike in time: by what factor the blocks of a drive disagree more than independent errors would.
 
 The covariance C of an adjustment takes the errors of all sightings for independent. Those of a drive are not: what
 changes slowly, such as exposure, blur and what the lens model lacks, is alike in images that follow each other. So the
@@ -56,10 +56,11 @@ def inflation(found: Estimate, observer: Observer = unobserved) -> float:
         return 1.0
     with threadpool_limits(limits=ONE_THREAD):
         blocks = blocks_of_time(found)
+        slope, spread = Adjustment(found.sightings.of(found.used), found.prior).efficiency(found.poses, found.floor)
         off: list[FloatArray] = []
         for frames in blocks:
             observer(Stage.COMPARING, len(off), len(blocks))
-            off.append(_off(found, frames))
+            off.append(_off(found, frames, slope, spread))
     square = (np.stack(off) ** 2).sum(axis=(0, 2))
     stated = np.trace(found.precisions[found.known][:, 3:, 3:], axis1=1, axis2=2)
     known = stated > 0.0
@@ -89,12 +90,16 @@ def _without_links(found: Estimate) -> Estimate:
     return replace(found, prior=prior, used=used, group=group)
 
 
-def _off(found: Estimate, frames: IntArray) -> FloatArray:
-    """By how much the frames of a block move the place of each tag that is known, beside the others, `(n, 3)`, m."""
+def _off(found: Estimate, frames: IntArray, slope: float, spread: float) -> FloatArray:
+    """By how much the frames of a block move the place of each tag that is known, beside the others, `(n, 3)`, m.
+
+    Args:
+        frames: of the block.
+        slope, spread: of the equations of all sightings, see `Adjustment.efficiency`.
+    """
     used = found.sightings.of(found.used)
     some = used.of(np.isin(used.frame, frames))
     nothing = replace(found.prior, information=np.zeros_like(found.prior.information), sheets=None)
-    slope, spread = Adjustment(used, found.prior).efficiency(found.poses, found.floor)
     part = Adjustment(some, nothing, nuisances=True)
     own, *_ = part.reduced(found.poses, found.floor, 0.0, slope**2 / spread)
     _, right, _ = part.reduced(found.poses, found.floor, 0.0)

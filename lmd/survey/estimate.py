@@ -86,7 +86,8 @@ class Estimate:
     @property
     def lenses(self) -> FloatArray:
         """Covariances of what is not known of each camera, in the units of `Sightings.lens`, `(C, 6 L, 6 L)`."""
-        own = slice(6 * self._adjustment.placed, 6 * self._adjustment.flat)
+        every = self._adjustment
+        own = slice(6 * every.placed, 6 * every.flat)
         return blocks_of(self.covariance[own, own], self.sightings.cameras)
 
     @property
@@ -238,7 +239,7 @@ def adjusted(
 
 
 def fitting(sightings: Sightings, error: FloatArray, floor: float) -> BoolArray:
-    """Whether sightings with the error |e|^2 `(N,)` show their tags where they hang; false for NaN."""
+    """True for sightings whose error |e|^2 `(N,)` fits where their tags hang; false for NaN."""
     square = error / (sightings.noise**2 + floor**2)
     near = np.sqrt(error / 4.0) <= np.maximum(MISFIT_PIXELS, MISFIT_SHARE * sightings.sizes)
     return np.asarray((square <= MISFIT_CHI_SQUARE) | near)

@@ -1,4 +1,4 @@
-"""Which frames of a video a map is made from.
+"""The frames of a video that a map is made from.
 
 What corners are off by is alike in frames that follow each other closely: on recordings, five frames a second make as
 good a map as all. Those that are kept are even in time, and must not depend on how tags move or how many are in view:
@@ -44,7 +44,7 @@ def thinned(detected: DetectedTags, every: int | None = None) -> DetectedTags:
 
 
 def _adding(seconds: FloatArray, shown: list[IntArray]) -> BoolArray:
-    """Which frames add to the others, `(n,)`, by their times and the tags that each shows."""
+    """True for frames that add to the others, `(n,)`, by their times and the tags that each shows."""
     kept = _evenly(seconds, _changing(seconds, shown))
     together = [set(combinations_with_replacement(tags.tolist(), 2)) for tags in shown]
     connected = set().union(*(together[k] for k in np.flatnonzero(kept)))
@@ -67,7 +67,7 @@ def _evenly(seconds: FloatArray, needed: BoolArray) -> BoolArray:
 
 
 def _changing(seconds: FloatArray, shown: list[IntArray]) -> BoolArray:
-    """Which frames are close to a moment at which all tags in view change, `(n,)`."""
+    """True for frames close to a moment at which all tags in view change, `(n,)`."""
     at = np.array([k for k in range(len(shown) - 1) if not np.intersect1d(shown[k], shown[k + 1]).size], dtype=int)
     moments = np.sort(np.concatenate([seconds[at], seconds[at + 1]]))
     first = np.searchsorted(moments, seconds - SHORTEST_GAP)

@@ -1,4 +1,4 @@
-"""How well a constant velocity bridges gaps without images: as stretches of the drive without gaps tell.
+"""Errors of a constant velocity across gaps without images, as stretches of the drive without gaps tell.
 
 White noise is not what drives a body, so what short links are off by does not say what long ones are.
 """

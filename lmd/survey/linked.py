@@ -92,7 +92,7 @@ class LinkedAdjustment(Adjustment):
         self._pulls = np.empty((0, 0)), np.empty(0)
 
     def costs(self, poses: Poses) -> list[float]:
-        """What the priors and the links add to what is minimised."""
+        """The parts of the priors and of the links in what is minimised."""
         at = self.links.at(poses.frames[self.seen])
         return [*super().costs(poses), self.links.cost(self.links.squares(at.error)), 0.5 * float(at.lean @ at.lean)]
 

@@ -17,7 +17,7 @@ LEAN_ROUNDS = 3
 
 
 class Joints(NamedTuple):
-    """How links change with the frames, M links between frames whose unknowns are b numbers."""
+    """Derivatives of M links by the frames, whose unknowns are b numbers."""
 
     error: FloatArray
     """`(M, r)`."""
@@ -131,7 +131,7 @@ def adjoints(pose: FloatArray) -> FloatArray:
 
 
 def _by_twist(twist: FloatArray) -> FloatArray:
-    """How log(E exp(d)) changes with d at log(E) = twist, small, `(..., 6, 6)`."""
+    """The derivative of log(E exp(d)) by d at log(E) = twist, small, `(..., 6, 6)`."""
     matrix = np.zeros((*twist.shape[:-1], 6, 6))
     matrix[..., :3, :3] = matrix[..., 3:, 3:] = skew(twist[..., :3])
     matrix[..., 3:, :3] = skew(twist[..., 3:])

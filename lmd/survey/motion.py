@@ -41,7 +41,7 @@ UNITS = ((1e17, 1e-9), (1e14, 1e-6), (1e11, 1e-3))
 
 @dataclass(frozen=True)
 class Motion:
-    """What is known of the motion between the F frames of a drive.
+    """The motion between the F frames of a drive, as far as it is known.
 
     Args:
         times: seconds, ascending, `(F,)`; NaN for frames without a time.
@@ -71,7 +71,7 @@ class Motion:
 
     @classmethod
     def by_odometry(cls, times: FloatArray, odometry: Trajectory) -> "Motion":
-        """What an odometer says.
+        """The motion that an odometer tells.
 
         Raises:
             InputError: it has poses for less than half of the frames.
@@ -149,7 +149,7 @@ class Motion:
         return np.where((seconds > SHORTEST_GAP)[:, None], np.maximum(spreads, told), spreads)
 
     def tells(self, i: IntArray, j: IntArray) -> BoolArray:
-        """Whether the motion says how frames j are to frames i, `(M,)`."""
+        """True where the motion relates frames j to frames i, `(M,)`."""
         between = np.abs(self.times[j] - self.times[i])
         if self.path is None:
             there = between <= self.longest
@@ -158,12 +158,12 @@ class Motion:
         return np.asarray(there if self.piece is None else there & (self.piece[i] == self.piece[j]))
 
     def follows(self, frames: IntArray) -> BoolArray:
-        """Which of the frames, ascending, is linked to the one before; `(F - 1,)`."""
+        """True for frames, ascending, that are linked to the one before; `(F - 1,)`."""
         i, j = frames[:-1], frames[1:]
         return np.asarray(self.tells(i, j) & (self.times[j] > self.times[i]))
 
     def linked(self, frames: IntArray) -> BoolArray:
-        """Which of the frames, ascending, are linked to one of the others, `(F,)`."""
+        """True for frames, ascending, that are linked to one of the others, `(F,)`."""
         follows = self.follows(frames)
         result = np.zeros(len(frames), dtype=bool)
         result[1:] |= follows

@@ -1,4 +1,4 @@
-"""What a survey does not ask for, but depends on: the intrinsics, where the detector has corners, the shapes of tags.
+"""Nuisance parameters of a survey: the intrinsics of cameras, shifts of corners by the detector, the shapes of tags.
 
 All of these have priors, and are found together with the map, so that what they may be off is in its covariance.
 
@@ -157,6 +157,8 @@ def _settled(
             error = errors_at(sightings, poses)
             of_map = (found.group[sightings.tag] == 0) & np.isfinite(error)
             used = telling(sightings, of_map & fitting(sightings, error, floor), found.prior.motion)
+            if not used.any():
+                break
             every = adjustment_of(sightings.of(used), found.prior, True, found.inflation)
             settled = adjustment_of(every.sightings, found.prior, False, found.inflation).run(
                 poses, floor, ROUND_STEPS, FLOOR_PIXELS
@@ -166,20 +168,23 @@ def _settled(
             for _ in range(MOST_TRIALS):
                 there, step, variance = every.joint_step(poses, floor, damping, state.units)
                 tried = state.stepped(given, spreads, step)
-                error = errors_at(seen(tried, there).of(used), there)
+                sightings = seen(tried, there)
+                if len(sightings) != len(used):
+                    break  # the lens images other corners than before: what they cost does not compare
+                error = errors_at(sightings.of(used), there)
                 if tried.cost(every.unit) + every.cost(error, every.costs(there), floor) <= cost + SLACK:
                     break
                 damping = max(10.0 * damping, FIRST_DAMPING)
             else:
                 break
             poses, damping = there, damping / 10.0
-            placed = np.bincount(sightings.tag[used], minlength=len(found.group)) > 0
+            placed = np.bincount(every.sightings.tag, minlength=len(found.group)) > 0
             lenses = state.off.size // 6
             squares = (tried.shapes / tried.deviation) ** 2 + variance[lenses:] / found.inflation**2
             grown = float(np.sqrt(squares[placed, :WAYS].mean()))
             taken = float((1.0 - every.unit[:, None] * variance).sum())
             state = tried._replace(deviation=max(grown * tried.deviation, LEAST_SHAPE_SIGMA), taken=taken)
-            sightings = seen(state, poses)
+            sightings = replace(sightings, shape_sigma=state.deviation, taken=taken)
             is_settled = (step[:lenses] ** 2 <= SETTLED_SIGMAS**2 * variance[:lenses]).all()
             if is_settled and abs(grown - 1.0) < SETTLED_SHAPES:
                 break
@@ -203,11 +208,11 @@ class _State(NamedTuple):
 
     @property
     def units(self) -> FloatArray:
-        """How far all are off what was known of them, in units of what they may be, `(n, 6)`."""
+        """Distances of all from what was known of them, in units of their standard deviations, `(n, 6)`."""
         return np.concatenate([self.off.reshape(-1, 6), self.shapes / self.deviation])
 
     def cost(self, unit: FloatArray) -> float:
-        """What the priors add to what is minimised, see `Adjustment.unit`."""
+        """The part of the priors in what is minimised, see `Adjustment.unit`."""
         return 0.5 * float((unit[:, None] * self.units**2).sum())
 
     def stepped(self, given: Sequence[Optics], spreads: Sequence[FloatArray], step: FloatArray) -> "_State":

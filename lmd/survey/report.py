@@ -62,7 +62,7 @@ def map_columns(survey: Survey) -> dict[str, ArrayLike]:
     assert tags.labels is not None
     assert tags.edges is not None
     columns = {ID: tags.ids, **dict(zip((*COLUMNS, *UP_COLUMNS), vectors.T, strict=True)), EDGE: tags.edges}
-    return {**columns, **tags.labels.columns, "sigma": sigmas(survey)[survey.placed], **upper}
+    return {**columns, **tags.labels.columns, "sigma": survey.found.sigmas[survey.placed], **upper}
 
 
 def frame_columns(survey: Survey) -> dict[str, ArrayLike]:
@@ -81,13 +81,8 @@ def frame_columns(survey: Survey) -> dict[str, ArrayLike]:
     return {"time": times, **dict(zip(ROW, rows.T, strict=True)), "tags": counts[used]}
 
 
-def sigmas(survey: Survey) -> FloatArray:
-    """The standard deviation of the place of each tag beside the others, along the worst direction, metres, `(K,)`."""
-    return survey.found.sigmas
-
-
 def _differs(survey: Survey) -> float:
-    """How far places of tags would be from those of a map of another such walk, median, metres; NaN if unknown."""
+    """The median distance of tags from where a map of another such walk would have them, metres; NaN if unknown."""
     square = 2.0 * np.trace(survey.found.precisions[survey.placed][:, 3:, 3:], axis1=1, axis2=2)
     return float(np.sqrt(np.median(square))) if square.size else np.nan
 
@@ -95,8 +90,8 @@ def _differs(survey: Survey) -> float:
 def tag_columns(survey: Survey) -> dict[str, ArrayLike]:
     """Of every tag what became of it, how often and how well it was seen, and how it hangs beside its plan.
 
-    `error` is the median of its reprojection errors, pixels, `sigma` see there; `right`, `up` and `out` are metres in
-    the tag's frame, `tilt_x`, `tilt_y` and `turn` rad about its axes.
+    `error` is the median of its reprojection errors, pixels, `sigma` that of `Estimate.sigmas`; `right`, `up` and `out`
+    are metres in the tag's frame, `tilt_x`, `tilt_y` and `turn` rad about its axes.
     """
     found, owner = survey.found, survey.found.sightings.tag
     error = np.sqrt(errors_at(found.sightings, found.poses) / 4.0)
@@ -112,7 +107,7 @@ def tag_columns(survey: Survey) -> dict[str, ArrayLike]:
         SIGHTINGS: survey.used,
         "misfits": np.bincount(owner[found.misfits], minlength=len(survey.ids)),
         "error": [np.median(errors) if errors.size else np.nan for errors in own],
-        "sigma": np.where(survey.placed, sigmas(survey), np.nan),
+        "sigma": np.where(survey.placed, survey.found.sigmas, np.nan),
         **dict(zip(("tilt_x", "tilt_y", "turn", "right", "up", "out"), moved.T, strict=True)),
     }
 
@@ -135,7 +130,7 @@ def state_of(survey: Survey, k: int) -> str:
 
 def again(survey: Survey) -> IntArray:
     """The tags that need another photograph, by their index: those that are not placed, and those known worst."""
-    sigma = sigmas(survey)
+    sigma = survey.found.sigmas
     known = sigma[survey.placed]
     loose = sigma > LOOSE * np.median(known) if known.size else np.zeros(len(sigma), dtype=bool)
     expected = np.isin(survey.ids, survey.known.ids) | survey.placed
@@ -145,7 +140,7 @@ def again(survey: Survey) -> IntArray:
 def metrics(survey: Survey) -> dict[str, float]:
     """The figures by name: metres, pixels, counts."""
     found = survey.found
-    own = sigmas(survey)[survey.placed]
+    own = survey.found.sigmas[survey.placed]
     figures = {
         "tags": float(survey.placed.sum()),
         "frames": float(len(found.frames)),
@@ -217,7 +212,7 @@ def document(survey: Survey) -> dict[str, Any]:
 
 
 def motion_of(survey: Survey) -> dict[str, Any] | None:
-    """What `survey.json` holds of the motion between frames; None without."""
+    """The part of `survey.json` on the motion between frames; None without."""
     motion, joined = survey.found.prior.motion, survey.joined
     if motion is None:
         return None

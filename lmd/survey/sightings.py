@@ -113,7 +113,7 @@ class Sightings:
 
 
 def inward(image: FloatArray) -> FloatArray:
-    """How corners `(N, 4, 2)` in an image move where the edges are shifted by one pixel towards the middle."""
+    """The ways of corners `(N, 4, 2)` in an image when the edges are shifted by one pixel towards the middle."""
     (along, other) = (np.roll(image, way, axis=1) - image for way in (1, -1))
     along, other = (edge / np.linalg.norm(edge, axis=-1, keepdims=True) for edge in (along, other))
     across = np.abs(along[..., 0] * other[..., 1] - along[..., 1] * other[..., 0])
@@ -126,7 +126,7 @@ def shortest_side(image: FloatArray) -> FloatArray:
 
 
 def shifted(pitch: FloatArray) -> FloatArray:
-    """How far edges are shifted at each pitch, by the shift of all tags and that of small ones, `(N, 2)`."""
+    """The parts of the shift of all tags, and of that of small ones, in the shift at each pitch, `(N, 2)`."""
     return np.stack([np.ones_like(pitch), (SMALL_PITCH / pitch) ** 2], axis=1)
 
 

@@ -5,7 +5,7 @@ from enum import Enum
 
 
 class Stage(Enum):
-    """What a survey is doing, in its order."""
+    """The stages, in their order."""
 
     PLACING = "placing tags"
     ADJUSTING = "adjusting"
@@ -18,12 +18,12 @@ class Stage(Enum):
 
     @property
     def has_map(self) -> bool:
-        """Whether there is a map already."""
+        """True once there is a map."""
         return self not in (Stage.PLACING, Stage.ADJUSTING)
 
     @property
     def has_final_map(self) -> bool:
-        """Whether what is left to do does not change the map."""
+        """True once nothing that is left to do changes the map."""
         return self.has_map and self not in (Stage.REFINING, Stage.COMPARING)
 
 

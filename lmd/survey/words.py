@@ -5,7 +5,7 @@ from functools import partial
 import numpy as np
 
 from lmd.core.words import few
-from lmd.survey.report import again, metrics, sigmas, tag_columns
+from lmd.survey.report import again, metrics, tag_columns
 from lmd.survey.survey import Survey
 
 NOTICED = 0.01  # pixels
@@ -90,7 +90,7 @@ def _troubles(survey: Survey) -> dict[str, str]:
     by_state: dict[str, list[int]] = {}
     for number, text in zip(ids, np.asarray(state).tolist(), strict=True):
         by_state.setdefault(text, []).append(number)
-    sigma = sigmas(survey)
+    sigma = survey.found.sigmas
     unplanned = (
         [] if survey.known.plan is None else survey.ids[survey.placed & ~np.isin(survey.ids, survey.known.ids)].tolist()
     )

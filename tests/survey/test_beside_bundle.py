@@ -7,7 +7,6 @@ import numpy as np
 import walks
 
 from lmd.scene.tag import Tag
-from lmd.survey.report import sigmas
 from lmd.survey.survey import Known, survey
 
 sys.path.append(str(Path(__file__).parents[2] / "benchmarks"))
@@ -31,5 +30,5 @@ def test_both_find_the_same_map():
     left, _, right = np.linalg.svd(a.T @ b)
     apart = np.linalg.norm(a @ left @ np.diag([1.0, 1.0, np.linalg.det(left @ right)]) @ right - b, axis=1)
     # Both use the same corners, so they differ by less than either is sure of.
-    assert (apart < sigmas(found)).all()
+    assert (apart < found.found.sigmas).all()
     assert 0.15 < plain.rms < 0.22

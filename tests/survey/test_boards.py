@@ -10,7 +10,6 @@ from lmd.core.checks import InputError
 from lmd.geometry.se3 import exp, log
 from lmd.scene.tag import Tag
 from lmd.survey.boards import Boards
-from lmd.survey.report import sigmas
 from lmd.survey.survey import Known, survey
 
 SHEETS, EACH, APART, SIGMA, PRINTED = 8, 4, 0.13, 0.3, 0.0002
@@ -47,7 +46,7 @@ def test_a_map_is_better_known_where_sheets_are(room):
     true, detected = room
     told, alone = surveyed(detected, BOARDS), surveyed(detected, None)
     assert spacing(told, true) < 0.7 * spacing(alone, true)
-    assert np.median(sigmas(told)) < np.median(sigmas(alone))
+    assert np.median(told.found.sigmas) < np.median(alone.found.sigmas)
 
 
 def test_a_tag_that_is_not_where_the_sheet_says_does_no_harm(room):

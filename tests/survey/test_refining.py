@@ -147,3 +147,21 @@ def test_slopes_are_those_of_the_residuals():
         return linearise(replace(found, shapes=shape[None]), tag, frame, np.eye(4)[None]).error[0]
 
     np.testing.assert_allclose(at_rest.by_shape[0], approx_fprime(np.zeros(6), bent, 1e-7), rtol=1e-3, atol=0.5)
+
+
+def test_a_lens_that_images_fewer_corners_than_the_given_one_is_no_trouble(monkeypatch):
+    """As where a refined lens turns back before a corner near the border: its sighting is gone."""
+    true, detected = drawn(2)
+    seen = sightings_of
+
+    def fewer(detected, cameras, *rest):
+        some = seen(detected, cameras, *rest)
+        return some if cameras[0] == GIVEN else some.of(np.arange(len(some) - 3))
+
+    monkeypatch.setattr("lmd.survey.survey.sightings_of", fewer)
+    found = surveyed(detected)
+    assert (
+        len(found.found.sightings)
+        == len(seen(detected, [GIVEN], found.ids, found.found.sightings.edges, 8, ERRORS)) - 3
+    )
+    assert square_of(found, true) < chi2.ppf(0.999, 6)
