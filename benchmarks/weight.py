@@ -120,9 +120,9 @@ def double_names(sources: list[Module]) -> tuple[dict[str, list[str]], dict[str,
         if module.path.name != "__init__.py":
             files[module.path.stem].append(module.package)
         for node in module.tree.body:
-            defines = isinstance(node, ast.ClassDef | ast.FunctionDef)
-            if defines and not node.name.startswith("_") and node.name != "main":
-                definitions[node.name].append(module.name)
+            name = node.name if isinstance(node, ast.ClassDef | ast.FunctionDef) else "_"
+            if not name.startswith("_") and name != "main":
+                definitions[name].append(module.name)
     several = [{name: of for name, of in table.items() if len(of) > 1} for table in (files, definitions)]
     return several[0], several[1]
 
