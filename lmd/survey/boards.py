@@ -13,9 +13,8 @@ import numpy as np
 
 from lmd.core.checks import BoolArray, FloatArray, InputError, IntArray, check_fields, real
 from lmd.core.tables import read_table
-from lmd.geometry.se3 import exp, inverse, log, pose_of
+from lmd.geometry.se3 import adjoint_matrix, exp, inverse, log, pose_of
 from lmd.scene.labels import Labels
-from lmd.survey.links import adjoints
 from lmd.survey.residuals import DEGREES_OF_FREEDOM, solved, student_weight
 
 # Standard deviations of a sheet's bending: off its plane, metres, out of it, rad, and of rotations in it, rad.
@@ -107,7 +106,7 @@ class Sheets:
     @cached_property
     def turned(self) -> FloatArray:
         """A_k, `(M, 6, 6)`."""
-        return adjoints(inverse(self.poses))
+        return adjoint_matrix(inverse(self.poses))
 
     @cached_property
     def pairs(self) -> tuple[IntArray, IntArray]:

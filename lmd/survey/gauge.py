@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from lmd.core.checks import BoolArray, FloatArray, InputError, IntArray
-from lmd.geometry.se3 import adjoint, inverse, laid_over, pose_of
+from lmd.geometry.se3 import adjoint_matrix, inverse, laid_over, pose_of
 from lmd.survey.prior import EXACT_SIGMA, FEWEST_POINTS, Prior, are_in_line
 from lmd.survey.residuals import DEGREES_OF_FREEDOM, Poses
 from lmd.survey.sightings import Sightings
@@ -213,10 +213,8 @@ def gauge_free(tags: FloatArray) -> FloatArray:
     Args:
         tags: poses of the tags, `(n, 4, 4)`.
     """
-    back = inverse(tags)
-    motion = np.stack([adjoint(back, np.broadcast_to(axis, (len(tags), 6))) for axis in np.eye(6)], axis=-1)
+    motion = adjoint_matrix(inverse(tags)).reshape(-1, 6)
     centres = np.tile(np.arange(6) >= 3, len(tags))
-    motion = motion.reshape(-1, 6)
     fit = np.zeros((6, len(motion)))
     fit[:, centres] = np.linalg.pinv(motion[centres])
     return np.asarray(np.eye(len(motion)) - motion @ fit)

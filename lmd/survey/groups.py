@@ -1,11 +1,12 @@
 """Groups of tags that no image connects, joined by the motion of the body between their frames.
 
-Tags that several images show together stay together, and all others begin alone: an id that was misread in one image
-would connect tags that hang far from each other. A frame that shows one tag of a group has two poses beside it that
-look alike (IPPE); of each group, the frames follow each other as smoothly as they can (Viterbi). Then each group is
-adjusted by itself, with links between its own frames, which also tells the spread of the motion. At last frames of two
-groups that are near in time, or one, say how these are to each other: pairs of groups of which most frames agree go
-first.
+1. Tags that several images show together form a part; all others begin alone, as an id that was misread in one image
+   would connect distant tags.
+2. A frame that shows one tag of a part has two poses beside it that look alike (IPPE). The smoothest sequence of these
+   is found for each part (Viterbi).
+3. Each part is adjusted by itself, with links between its own frames, which also estimates the spread of the motion.
+4. Frames of two parts that are near in time relate these parts. The relations on which most frames agree join parts
+   first (maximum spanning tree).
 """
 
 from collections.abc import Sequence
@@ -14,96 +15,102 @@ from typing import NamedTuple
 
 import numpy as np
 
-from lmd.core.checks import FloatArray, InputError, IntArray
+from lmd.core.checks import BoolArray, FloatArray, InputError, IntArray
 from lmd.geometry.se3 import angle_between, inverse, log, middle
-from lmd.survey.gaps import LONGEST_GAP, tried
+from lmd.survey.initialisation import FLOOR_PIXELS, agreeing
 from lmd.survey.linked import LinkedAdjustment
 from lmd.survey.links import MOST_SQUARE
-from lmd.survey.motion import Motion
-from lmd.survey.proposals import proposals
-from lmd.survey.residuals import EXACT_SIGMA, Poses, Prior, errors_at
+from lmd.survey.motion import LONGEST_GAP, Motion, with_bridged_gaps
+from lmd.survey.prior import EXACT_SIGMA, Prior
+from lmd.survey.residuals import Poses, squared_errors
 from lmd.survey.sightings import Sightings
-from lmd.survey.start import FLOOR_PIXELS, agreeing
+from lmd.survey.single_poses import best_sequence, single_poses
 
-# Tags stay together that so many images show together, and agree.
-TOGETHER = 3
-# What the poses of two frames are off by before they are adjusted, rad and metres; and by moving, in a second.
+TOGETHER = 3  # minimum number of agreeing images that keep two tags together
+# Errors of poses of frames before adjustment, rad and metres; and those due to motion in a second.
 ROUGH_TURN, ROUGH_PLACE, MOVING = 0.1, 0.15, 1.0
-# How two groups are to each other is asked of frames among so many that follow, and of so many pairs of them.
+# Number of following frames that relate two parts, and of pairs of frames for each relation.
 FOLLOWING, PAIRS = 12, 40
-# Pairs of frames agree on how two groups are to each other up to this, rad and metres, by which groups are joined.
-AGREE_TURN, AGREE_PLACE = 0.2, 0.3
-# A body leaps that moves farther than so many metres, and so many times what it does at its fastest, m/s, from one
+AGREE_TURN, AGREE_PLACE = 0.2, 0.3  # maximum deviation of a pair of frames from a relation, rad and metres
+# A body leaps if it moves farther than this distance, metres, plus this multiple of its highest speed, m/s, from one
 # frame to one of the next.
 LEAP, LEAP_SPEEDS, FASTEST, LEAP_FOLLOWING = 0.5, 2.0, 2.0, 3
-# Odometry is of another camera or drive if more of its links do not fit, or every metre is off by more, in units of
-# `lmd.survey.motion.LEAN`.
-MOST_OFF, MOST_LEAN = 0.5, 8.0
-STEPS = 12  # of the adjustment of groups by themselves
+# Odometry is of another camera or drive above this share of links that do not fit, or above this bias in units of
+# `lmd.survey.motion.BIAS`.
+MOST_OFF, MOST_BIAS = 0.5, 8.0
+STEPS = 12  # steps of the bundle adjustment of parts
 
 
-class Pair(NamedTuple):
-    """Two parts, and how they are to each other."""
+class Relation(NamedTuple):
+    """Relative pose of two parts."""
 
     one: int
+    """Index of a part."""
     other: int
+    """Index of another part."""
     way: FloatArray
-    """`(4, 4)` from the world of the other to that of the one."""
+    """`(4, 4)` from the world of `other` to that of `one`."""
     agreed: int
-    """Frames of each that agree on it."""
+    """Number of frames of each part that agree on it."""
     seconds: float
-    """Between frames of the two, the median."""
+    """Median time between the frames of the two."""
 
 
 @dataclass(frozen=True)
 class Nodes:
-    """Frames as single groups have them, n of them, those of the first group first, each in the order of time.
-
-    Args:
-        sightings: of these nodes in place of frames.
-        frame, group: of each node, `(n,)`.
-        motion: between them.
-    """
+    """Pairs of a frame and a part that it shows, sorted by part, then by time."""
 
     sightings: Sightings
+    """Sightings with nodes in place of frames."""
     frame: IntArray
-    group: IntArray
+    """`(n,)` frame of each node."""
+    part: IntArray
+    """`(n,)` part of each node."""
     motion: Motion
+    """Motion between the nodes of each part."""
 
     @classmethod
-    def of(cls, sightings: Sightings, group: IntArray, motion: Motion) -> "Nodes":
-        """The nodes of all sightings of tags in groups `(K,)`."""
-        own = group[sightings.tag]
-        key, node = np.unique(own * sightings.frames + sightings.frame, return_inverse=True)
+    def of(cls, sightings: Sightings, part: IntArray, motion: Motion) -> "Nodes":
+        """Nodes of all sightings of tags in parts `(K,)`."""
+        key, node = np.unique(part[sightings.tag] * sightings.frames + sightings.frame, return_inverse=True)
         order = np.argsort(node, kind="stable")
-        frame, of_group = key % sightings.frames, key // sightings.frames
+        frame, own = key % sightings.frames, key // sightings.frames
         some = replace(sightings.of(order), frame=node[order], frames=len(key))
-        return cls(some, frame, of_group, motion.of(frame, of_group))
+        return cls(some, frame, own, motion.of(frame, own))
+
+    def following(self, count: int) -> tuple[IntArray, IntArray]:
+        """Pairs of nodes, the second among the `count` nodes after the first in time."""
+        order = np.lexsort((self.part, self.frame))
+        ends = [(order[:-k], order[k:]) for k in range(1, min(count, len(order) - 1) + 1)]
+        first, second = zip(*ends, strict=True) if ends else ((order[:0],), (order[:0],))
+        return np.concatenate(first), np.concatenate(second)
 
 
-def joined_by_motion(
-    sightings: Sightings, poses: Poses, group: IntArray, prior: Prior
-) -> tuple[Poses, IntArray, Prior]:
-    """Rough poses in as few groups as motion leaves, and the prior with the spread that the drive tells.
+def join_groups(sightings: Sightings, poses: Poses, group: IntArray, prior: Prior) -> tuple[Poses, IntArray, Prior]:
+    """Join groups by motion.
 
     Args:
-        poses: rough ones of the groups that images connect, each in a world of its own.
-        group: of each tag, `(K,)`, -1 for none.
-        prior: with a motion.
+        sightings: sightings of the tags.
+        poses: rough poses, in a world of its own for each group that images connect.
+        group: group of each tag, `(K,)`, -1 for none.
+        prior: prior with a motion.
+
+    Returns:
+        rough poses, the groups that are left, and the prior with the estimated spread of the motion.
     """
     assert prior.motion is not None
     parts = _parts(sightings, poses, group, prior)
     nodes = Nodes.of(sightings, parts, prior.motion)
     tags = np.where((group < 0)[:, None, None], np.eye(4), poses.tags)
     there, motion = _adjusted(nodes, _smoothest(nodes, replace(poses, tags=tags)))
-    told = replace(prior.motion, spread=motion.spread, gaps=motion.gaps, bridged=motion.bridged)
-    worlds, joined = _worlds(replace(nodes, motion=motion), there.frames, told)
+    joint = replace(prior.motion, spread=motion.spread, gaps=motion.gaps, bridged=motion.bridged)
+    worlds, joined = _worlds(replace(nodes, motion=motion), there.frames, joint)
     tags = np.where((parts < 0)[:, None, None], np.nan, worlds[parts] @ there.tags)
     frames = np.full_like(poses.frames, np.nan)
-    views = worlds[nodes.group] @ there.frames
-    # Of a frame in several parts, the one comes last that has most of its tags, or is nearest to the frames around it.
+    views = worlds[nodes.part] @ there.frames
+    # Of several nodes of a frame the last one counts: that with most tags, or else nearest to the nodes around it.
     counts = np.bincount(nodes.sightings.frame, minlength=len(nodes.frame))
-    before, after = _following(nodes, LEAP_FOLLOWING)
+    before, after = nodes.following(LEAP_FOLLOWING)
     apart = np.linalg.norm(views[after, :3, 3] - views[before, :3, 3], axis=1)
     away = sum(np.bincount(end, apart, minlength=len(counts)) for end in (before, after))
     order = np.lexsort((-np.asarray(away), counts))
@@ -112,103 +119,90 @@ def joined_by_motion(
     alone = (np.bincount(whole[parts >= 0], minlength=len(joined))[whole] == 1) & (group < 0)
     tags[alone], whole[alone] = np.nan, -1
     result = np.where(whole < 0, -1, np.unique(np.append(whole, -1), return_inverse=True)[1][:-1] - 1)
-    return Poses(tags, frames, poses.mounts), result, replace(prior, motion=told)
+    return Poses(tags, frames, poses.mounts), result, replace(prior, motion=joint)
 
 
 def _parts(sightings: Sightings, poses: Poses, group: IntArray, prior: Prior) -> IntArray:
-    """Tags that stay together, as numbers `(K,)`; -1 for those that were not seen.
+    """Part of each tag, `(K,)`; -1 for tags without sightings.
 
-    A group of which the prior knows where a tag is stays as it is.
+    Groups with a tag of known pose are not divided.
     """
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
 
     count = len(group)
-    error = errors_at(sightings, poses)
-    fits = np.isfinite(error) & (group[sightings.tag] >= 0)
-    fits[fits] = agreeing(sightings.of(fits), error[fits])
+    fits = _fitting(sightings, poses) & (group[sightings.tag] >= 0)
     shown = coo_array(
         (np.ones(fits.sum()), (sightings.frame[fits], sightings.tag[fits])), shape=(sightings.frames, count)
     ).tocsr()
     together = (shown.T @ shown).tocoo()
     often = together.data >= TOGETHER
-    one, other = together.row[often], together.col[often]
-    known = np.unique(group[(group >= 0) & prior.information.any(axis=1)])
-    kept = np.flatnonzero(np.isin(group, known))
-    first = {int(g): int(k) for g, k in zip(group[kept][::-1], kept[::-1], strict=True)}
-    one = np.concatenate([one, kept])
-    other = np.concatenate([other, np.array([first[int(g)] for g in group[kept]], dtype=one.dtype)])
+    known = np.flatnonzero(np.isin(group, np.unique(group[(group >= 0) & prior.information.any(axis=1)])))
+    first = np.unique(group[known], return_index=True)[1]  # a tag of each such group
+    one = np.concatenate([together.row[often], known])
+    other = np.concatenate([together.col[often], known[first][np.searchsorted(group[known][first], group[known])]])
     graph = coo_array((np.ones(len(one)), (one, other)), shape=(count, count))
-    seen = np.bincount(sightings.tag, minlength=count) > 0
+    seen = sightings.counts() > 0
     parts = np.full(count, -1)
     parts[seen] = np.unique(connected_components(graph, directed=False)[1][seen], return_inverse=True)[1]
     return parts
 
 
+def _fitting(sightings: Sightings, poses: Poses) -> BoolArray:
+    """True for sightings that agree with rough poses, `(N,)`."""
+    error = squared_errors(sightings, poses)
+    return np.asarray(agreeing(sightings, np.where(np.isfinite(error), error, np.inf)))
+
+
 def _smoothest(nodes: Nodes, poses: Poses) -> Poses:
-    """Poses of the nodes in the worlds of their parts, by the best of their sightings; `poses` are those of frames."""
+    """Poses of the nodes in the worlds of their parts, by the largest of their sightings and rough poses of frames."""
     some, count = nodes.sightings, len(nodes.frame)
     order = np.lexsort((-some.sizes, some.frame))
     best = order[np.searchsorted(some.frame[order], np.arange(count))]
-    proposed = proposals(some.of(best))
-    views = poses.tags[some.tag[best]][:, None] @ inverse(poses.mounts[some.camera[best]][:, None] @ proposed.poses)
-    costs = np.stack([np.zeros(count), proposed.odds], axis=1)
+    single = single_poses(some.of(best))
+    views = poses.tags[some.tag[best]][:, None] @ inverse(poses.mounts[some.camera[best]][:, None] @ single.poses)
+    costs = np.stack([np.zeros(count), single.odds], axis=1)
     placed = poses.frames[nodes.frame]
-    error = errors_at(some, replace(poses, frames=placed))
-    fits = np.isfinite(error)
-    fits[fits] = agreeing(some.of(fits), error[fits])
-    several = np.bincount(some.frame[fits], minlength=count) >= 2
+    several = np.bincount(some.frame[_fitting(some, replace(poses, frames=placed))], minlength=count) >= 2
     views[several] = placed[several, None]
     follows = np.flatnonzero(nodes.motion.follows(np.arange(count)))
-    between = np.zeros((count, 2, 2))  # what it costs to come from one of the two before
-    steps, seconds = (
-        nodes.motion.steps(follows, follows + 1),
-        nodes.motion.times[follows + 1] - nodes.motion.times[follows],
-    )
+    between = np.zeros((count, 2, 2))  # cost of each pose after each pose of the node before
+    steps = nodes.motion.steps(follows, follows + 1)
+    seconds = nodes.motion.times[follows + 1] - nodes.motion.times[follows]
+    moving = 0.0 if nodes.motion.is_odometry else MOVING * seconds
     for here in range(2):
         for there in range(2):
             off = inverse(views[follows, here] @ steps) @ views[follows + 1, there]
-            moving = 0.0 if nodes.motion.path is not None else MOVING * seconds
             turn = angle_between(off, np.eye(4)) / np.hypot(ROUGH_TURN, moving)
             place = np.linalg.norm(off[:, :3, 3], axis=1) / np.hypot(ROUGH_PLACE, moving)
             between[follows + 1, there, here] = np.log1p(turn**2 + place**2)
-    chosen = np.zeros((count, 2), dtype=np.int64)
-    total = costs[:1].repeat(count, axis=0)
-    for k in range(1, count):
-        ways = between[k] + total[k - 1]
-        chosen[k] = np.argmin(ways, axis=1)
-        total[k] = costs[k] + ways.min(axis=1)
-        total[k] -= total[k].min()
-    which = np.zeros(count, dtype=np.int64)
-    which[-1] = np.argmin(total[-1])
-    for k in range(count - 1, 0, -1):
-        which[k - 1] = chosen[k, which[k]]
+    which = best_sequence(costs, between)
     return replace(poses, frames=views[np.arange(count), which])
 
 
 def _adjusted(nodes: Nodes, poses: Poses) -> tuple[Poses, Motion]:
-    """The parts, each adjusted by itself, and the motion as they tell it."""
+    """Poses of the parts, each adjusted by itself, and the motion with its estimated spread."""
     some, motion = nodes.sightings, nodes.motion
     of_tag = np.full(len(poses.tags), -1)
-    of_tag[some.tag] = nodes.group[some.frame]
+    of_tag[some.tag] = nodes.part[some.frame]
     _, first = np.unique(of_tag, return_index=True)
     information = np.zeros((len(of_tag), 6))
     information[first[of_tag[first] >= 0]] = EXACT_SIGMA**-2.0
     for _ in range(2):
         adjustment = LinkedAdjustment(some, Prior(poses.tags, information, None, poses.mounts, motion))
-        found = adjustment.run(poses, FLOOR_PIXELS, STEPS)
-        poses, motion = found.poses, adjustment.told(found.poses, found.floor)
+        poses, floor = adjustment.run(poses, FLOOR_PIXELS, STEPS)
+        motion = adjustment.estimate_motion(poses, floor)
     _check_odometry(adjustment, poses)
-    return poses, motion if motion.path is not None else tried(motion, poses.frames)
+    return poses, motion if motion.is_odometry else with_bridged_gaps(motion, poses.frames)
 
 
 def _check_odometry(adjustment: LinkedAdjustment, poses: Poses) -> None:
-    """Raise `InputError` if odometry says otherwise than the images how the body moves."""
-    if adjustment.motion.path is None or not len(adjustment.links.one):
+    """Raise `InputError` if odometry contradicts the images."""
+    if not adjustment.motion.is_odometry or not len(adjustment.links.first):
         return
     at = adjustment.links.at(poses.frames[adjustment.seen])
     off = float((adjustment.links.squares(at.error) > MOST_SQUARE).mean())
-    if off > MOST_OFF or np.abs(at.lean).max() > MOST_LEAN:
+    if off > MOST_OFF or np.abs(at.bias).max() > MOST_BIAS:
         raise InputError(
             "odometry does not move as the images do: does it need a mount or frame=body, as it is that of a body and "
             "not of the (first) camera, or is it of another drive?",
@@ -217,89 +211,79 @@ def _check_odometry(adjustment: LinkedAdjustment, poses: Poses) -> None:
 
 
 def _worlds(nodes: Nodes, poses: FloatArray, motion: Motion) -> tuple[FloatArray, IntArray]:
-    """Motions of the parts to worlds in common, `(P, 4, 4)`, and the number of the world of each, `(P,)`.
+    """Join parts without leaps of the body.
 
-    The surest pairs go first. A body does not leap from one frame to the next: where it would have, either the frames
-    are fewer in which it does, and their ids were misread, or the least sure of the pairs that led there is wrong.
+    A leap between two joined parts has one of two causes: the frames of one part were misread, if these are fewer than
+    the frames that support the weakest relation between the parts; else that relation is wrong.
+
+    Args:
+        nodes: nodes, with the motion between them.
+        poses: poses of the nodes in the worlds of their parts, `(n, 4, 4)`.
+        motion: motion between the frames.
+
+    Returns:
+        the motions of the parts to common worlds, `(P, 4, 4)`, and the number of the world of each, `(P,)`.
     """
     velocities = nodes.motion.links(np.arange(len(nodes.frame))).velocities(poses)
-    pairs = _pairs(nodes, poses, motion, velocities)
-    before, after = _following(nodes, LEAP_FOLLOWING)
+    relations = _relations(nodes, poses, motion, velocities)
+    before, after = nodes.following(LEAP_FOLLOWING)
     seconds = nodes.motion.times[after] - nodes.motion.times[before]
-    near = (seconds > 0.0) & (seconds < LONGEST_GAP)
+    near = (seconds > 0.0) & (seconds < LONGEST_GAP) & (nodes.part[before] != nodes.part[after])
     before, after, seconds = before[near], after[near], seconds[near]
     speeds = np.linalg.norm(velocities[:, 3:], axis=1)
     fastest = np.nanquantile(speeds, 0.95) if np.isfinite(speeds).any() else FASTEST
     most = LEAP + LEAP_SPEEDS * fastest * seconds
     misread = np.zeros(len(nodes.frame), dtype=bool)
     while True:
-        worlds, joined, tree = _spanned(int(nodes.group.max()) + 1, pairs)
-        places = (worlds[nodes.group] @ poses)[:, :3, 3]
+        worlds, joined, joined_by = _spanned(int(nodes.part.max()) + 1, relations)
+        places = (worlds[nodes.part] @ poses)[:, :3, 3]
         leaps = np.linalg.norm(places[after] - places[before], axis=1) > most
-        leaps &= (joined[nodes.group[before]] == joined[nodes.group[after]]) & ~misread[before] & ~misread[after]
-        leaps &= nodes.group[before] != nodes.group[after]
+        leaps &= (joined[nodes.part[before]] == joined[nodes.part[after]]) & ~misread[before] & ~misread[after]
         if not leaps.any():
             return worlds, joined
         ends = np.stack([before[leaps], after[leaps]], axis=1)
-        ends = np.take_along_axis(ends, np.argsort(nodes.group[ends], axis=1), axis=1)
-        between, which, counts = np.unique(nodes.group[ends], axis=0, return_inverse=True, return_counts=True)
+        ends = np.take_along_axis(ends, np.argsort(nodes.part[ends], axis=1), axis=1)
+        between, which, counts = np.unique(nodes.part[ends], axis=0, return_inverse=True, return_counts=True)
         own = ends[which.ravel() == np.argmax(counts)]
         fewest = min((np.unique(side) for side in own.T), key=len)
-        weakest = max(_path(tree, *between[np.argmax(counts)].tolist()))  # pairs come in the order of how sure they are
-        if pairs[weakest].agreed > len(fewest):
+        weakest = joined_by[tuple(between[np.argmax(counts)])]
+        if relations[weakest].agreed > len(fewest):
             misread[fewest] = True
         else:
-            del pairs[weakest]
+            del relations[weakest]
 
 
-def _spanned(count: int, pairs: Sequence[Pair]) -> tuple[FloatArray, IntArray, dict[int, dict[int, int]]]:
-    """Worlds as of `_worlds` by the first pairs that join anything, and by which pairs each part hangs on others."""
+def _spanned(count: int, relations: Sequence[Relation]) -> tuple[FloatArray, IntArray, IntArray]:
+    """Worlds of parts, see `_worlds`, by the spanning tree of the first relations.
+
+    Returns:
+        also the index of the relation that first joined each pair of parts, the weakest between them, `(P, P)`.
+    """
     worlds, joined = np.tile(np.eye(4), (count, 1, 1)), np.arange(count)
-    tree: dict[int, dict[int, int]] = {part: {} for part in range(count)}
-    for number, pair in enumerate(pairs):
-        if joined[pair.one] == joined[pair.other]:
+    joined_by = np.full((count, count), -1)
+    for number, relation in enumerate(relations):
+        if joined[relation.one] == joined[relation.other]:
             continue
-        moved = joined == joined[pair.other]
-        worlds[moved] = worlds[pair.one] @ pair.way @ inverse(worlds[pair.other]) @ worlds[moved]
-        joined[moved] = joined[pair.one]
-        tree[pair.one][pair.other] = tree[pair.other][pair.one] = number
-    return worlds, joined, tree
+        moved, still = joined == joined[relation.other], joined == joined[relation.one]
+        joined_by[np.ix_(moved, still)] = joined_by[np.ix_(still, moved)] = number
+        worlds[moved] = worlds[relation.one] @ relation.way @ inverse(worlds[relation.other]) @ worlds[moved]
+        joined[moved] = joined[relation.one]
+    return worlds, joined, joined_by
 
 
-def _path(tree: dict[int, dict[int, int]], one: int, other: int) -> list[int]:
-    """The pairs by which one part hangs on another."""
-    led: dict[int, list[int]] = {one: []}
-    waiting = [one]
-    while other not in led:
-        part = waiting.pop()
-        for beside, number in tree[part].items():
-            if beside not in led:
-                led[beside] = [*led[part], number]
-                waiting.append(beside)
-    return led[other]
-
-
-def _following(nodes: Nodes, count: int) -> tuple[IntArray, IntArray]:
-    """Pairs of nodes of which the second is among so many that follow the first."""
-    order = np.lexsort((nodes.group, nodes.frame))
-    ends = [(order[:-k], order[k:]) for k in range(1, min(count, len(order) - 1) + 1)]
-    first, second = zip(*ends, strict=True) if ends else ((order[:0],), (order[:0],))
-    return np.concatenate(first), np.concatenate(second)
-
-
-def _pairs(nodes: Nodes, poses: FloatArray, motion: Motion, velocities: FloatArray) -> list[Pair]:
-    """The pairs of parts of which motion tells how they are to each other, the surest first."""
-    i, j = _following(nodes, FOLLOWING)
-    swap = nodes.group[i] > nodes.group[j]
+def _relations(nodes: Nodes, poses: FloatArray, motion: Motion, velocities: FloatArray) -> list[Relation]:
+    """Relations of all parts that motion relates, in the order of decreasing agreement."""
+    i, j = nodes.following(FOLLOWING)
+    swap = nodes.part[i] > nodes.part[j]
     i, j = np.where(swap, j, i), np.where(swap, i, j)
-    there = (nodes.group[i] < nodes.group[j]) & motion.tells(nodes.frame[i], nodes.frame[j])
+    there = (nodes.part[i] < nodes.part[j]) & motion.relates(nodes.frame[i], nodes.frame[j])
     i, j = i[there], j[there]
     steps = nodes.motion.steps(i, j, velocities)
     known = np.isfinite(steps[:, 0, 0])
     i, j, steps = i[known], j[known], steps[known]
     between = poses[i] @ steps @ inverse(poses[j])
     away = np.abs(nodes.motion.times[j] - nodes.motion.times[i])
-    key = nodes.group[i] * len(nodes.frame) + nodes.group[j]
+    key = nodes.part[i] * len(nodes.frame) + nodes.part[j]
     order = np.lexsort((away, key))
     starts = np.flatnonzero(np.diff(key[order], prepend=-1))
     found = []
@@ -308,8 +292,8 @@ def _pairs(nodes: Nodes, poses: FloatArray, motion: Motion, velocities: FloatArr
         centre = middle(between[own])
         off = log(inverse(centre) @ between[own])
         near = (np.linalg.norm(off[:, :3], axis=1) < AGREE_TURN) & (np.linalg.norm(off[:, 3:], axis=1) < AGREE_PLACE)
-        # A frame with a misread id is near to many frames, so each counts once.
+        # A frame with a misread id is near to many frames, so each frame counts once.
         agreed = min(len(np.unique(i[own[near]])), len(np.unique(j[own[near]])))
-        one, other = int(nodes.group[i[own[0]]]), int(nodes.group[j[own[0]]])
-        found.append(Pair(one, other, centre, agreed, float(np.median(away[own]))))
-    return sorted(found, key=lambda pair: (-pair.agreed, pair.seconds))
+        one, other = int(nodes.part[i[own[0]]]), int(nodes.part[j[own[0]]])
+        found.append(Relation(one, other, centre, agreed, float(np.median(away[own]))))
+    return sorted(found, key=lambda relation: (-relation.agreed, relation.seconds))

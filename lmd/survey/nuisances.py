@@ -1,15 +1,13 @@
-"""Nuisance parameters of a survey: the intrinsics of cameras, shifts of corners by the detector, the shapes of tags.
+"""Nuisance parameters of a survey: intrinsics of cameras, shifts of corners by the detector, shapes of tags.
 
-All of these have priors, and are found together with the map, so that what they may be off is in its covariance.
+All of them have priors and are estimated together with the map, so that its covariance accounts for them.
 
-- *Intrinsics* theta: a corner that was found at x and is imaged at pi(p, theta) has e = pi(p, theta) - x. So e changes
-  with theta as the image of the direction b does that x was seen in. After each step the directions are those of the
-  camera as it then is.
-- *Shifts*: blur and exposure move the edges of a tag, and so its corners, inward or outward in all images of a camera,
-  by s_1 + s_2 (2 / pitch)^2 pixels beside what is measured of the detector. A tag then looks smaller or larger, the
-  more so the smaller it is.
-- *Shapes*: see `lmd.survey.sightings.SHAPES`. What their standard deviation is the photographs say themselves: by
-  expectation and maximisation, it is the root of the mean of squares and variances.
+- *Intrinsics* theta: a corner found at x and imaged at pi(p, theta) has e = pi(p, theta) - x. So the derivative of e by
+  theta is that of the image of the direction b in which x was seen. After each step the directions are computed anew.
+- *Shifts*: blur and exposure move the edges of all tags in the images of a camera inward or outward by
+  s_1 + s_2 (2 / pitch)^2 pixels, beside the measured shift of the detector. Tags then look smaller or larger.
+- *Shapes*: see `lmd.survey.sightings.SHAPES`. Their standard deviation is estimated by expectation-maximisation: it is
+  the root of the mean of squares plus variances.
 """
 
 from collections.abc import Callable, Sequence
@@ -21,220 +19,218 @@ from threadpoolctl import threadpool_limits
 
 from lmd.core.checks import FloatArray, InputError
 from lmd.geometry.camera import Camera
-from lmd.survey.blocks import inflation
-from lmd.survey.estimate import ONE_THREAD, Estimate, adjusted, fitting
-from lmd.survey.intrinsics import parameters, slopes, with_parameters
-from lmd.survey.linked import adjustment_of, telling
-from lmd.survey.residuals import Poses, errors_at, gathered, in_cameras, residuals
-from lmd.survey.sightings import WAYS, Sightings, inward, shifted, shortest_side
-from lmd.survey.stages import Observer, Stage, unobserved
-from lmd.survey.start import FLOOR_PIXELS
+from lmd.survey.estimate import ONE_THREAD, Estimate, adjust, fitting
+from lmd.survey.initialisation import FLOOR_PIXELS
+from lmd.survey.intrinsics import intrinsics_of, parameter_slopes, with_intrinsics
+from lmd.survey.linked import adjustment_of, constraining
+from lmd.survey.resampling import inflation
+from lmd.survey.residuals import Poses, Reprojection, squared_errors
+from lmd.survey.sightings import MODES, RESIDUALS, Sightings, inward, shift_basis, shortest_side
 
-SMALL_SHARE = 0.5  # of what the first shift may be off, the second one may
-SHAPE_SIGMA, LEAST_SHAPE_SIGMA = 3e-4, 1e-5  # metres
-PASSES = 2  # the second one with errors that count as they are alike
-MOST_ROUNDS, ROUND_STEPS = 12, 3
-MOST_TRIALS, FIRST_DAMPING = 6, 1e-3  # of a step that leads uphill
-SLACK = 1e-3  # uphill, that is none
-SETTLED_SIGMAS = 0.3  # standard deviations; a smaller step is the last
-SETTLED_SHAPES = 0.1  # likewise of the deviation of shapes, relative
-NEAR_PIXELS = 5.0  # that a corner is off at most where the pose of its tag says how its edges are
-MOST_HALVINGS = 6  # of a step that leads to no camera
+SMALL_SHARE = 0.5  # prior standard deviation of the second shift, relative to that of the first
+SHAPE_SIGMA, LEAST_SHAPE_SIGMA = 3e-4, 1e-5  # first and least standard deviation of shapes, metres
+PASSES = 2  # the second pass has the inflation by blocks of time
+MOST_ROUNDS, ROUND_STEPS = 12, 3  # rounds, and steps of bundle adjustment in each
+MOST_TRIALS, FIRST_DAMPING = 6, 1e-3  # trials of a step with increasing damping, and the first damping
+SLACK = 1e-3  # maximum increase of the loss by an accepted step
+SETTLED_SIGMAS = 0.3  # step of the last round, in standard deviations
+SETTLED_SHAPES = 0.1  # relative change of the standard deviation of shapes in the last round
+NEAR_PIXELS = 5.0  # maximum error of a corner whose edges are taken from the pose of its tag, pixels
+MOST_HALVINGS = 6  # halvings of a step that leads to no valid camera
 
 
 @dataclass(frozen=True)
 class Optics:
-    """A camera, and the detector that reads its images.
-
-    Args:
-        camera: see there.
-        shifts: by how many pixels edges are too far inward, in all tags, and in small ones besides.
-    """
+    """A camera and the shift of edges in its images."""
 
     camera: Camera
+    """The camera."""
     shifts: tuple[float, float] = (0.0, 0.0)
+    """Shifts s_1 and s_2 inward, pixels."""
 
     @property
     def values(self) -> FloatArray:
-        """The parameters of the camera, and the shifts, `(P + 2,)`."""
-        return np.append(parameters(self.camera), self.shifts)
+        """Intrinsics and shifts, `(P + 2,)`."""
+        return np.append(intrinsics_of(self.camera), self.shifts)
 
     def at(self, values: FloatArray) -> "Optics":
-        """The same with other values.
+        """Optics with other values.
 
         Raises:
-            InputError: there is no such camera.
+            InputError: no camera has these intrinsics.
         """
-        return Optics(with_parameters(self.camera, values[:-2]), (float(values[-2]), float(values[-1])))
+        return Optics(with_intrinsics(self.camera, values[:-2]), (float(values[-2]), float(values[-1])))
 
 
-Sighted = Callable[[Sequence[Optics]], Sightings]
-
-
-def freed(
-    sightings: Sightings, optics: Sequence[Optics], spreads: Sequence[FloatArray], poses: Poses | None = None
+def with_nuisances(
+    sightings: Sightings, optics: Sequence[Optics], sigmas: Sequence[FloatArray], poses: Poses | None = None
 ) -> Sightings:
-    """The sightings with all that is not known of their cameras unknown.
+    """Sightings with the derivatives by their cameras' nuisance parameters.
 
     Args:
-        sightings: through `optics`.
-        spreads: what the values of each may be off, `(P + 2,)`.
-        poses: of all, where they are known. Shifts are then along the edges where the tags are: along those that were
-            found, which hang on the same errors as the residuals, they would have a bias.
+        sightings: sightings through `optics`.
+        optics: optics of each camera.
+        sigmas: prior standard deviations of the values of each, `(P + 2,)`.
+        poses: all poses, if known. Shifts are then along the edges of the posed tags. Along detected edges, whose noise
+            is that of the residuals, their estimate would be biased.
     """
     image = sightings.image
     if poses is not None:
-        error = residuals(sightings, in_cameras(sightings, *gathered(sightings, poses)))
+        error = Reprojection(sightings, *poses.of(sightings)).error.reshape(-1, 4, 2)
         image = np.where(np.abs(error).max(axis=(1, 2), keepdims=True) < NEAR_PIXELS, image + error, image)
     pitch = shortest_side(image) * sightings.pitch / sightings.sizes
-    most = max(len(spread) for spread in spreads)
-    lens = np.zeros((len(sightings), 4, 2, -(-most // 6) * 6))
-    for index, (one, spread) in enumerate(zip(optics, spreads, strict=True)):
-        own = sightings.camera == index
-        lens[own, ..., : len(spread) - 2] = slopes(one.camera, sightings.directions[own])
-        way = shifted(pitch[own])[:, None, None, :]
-        lens[own, ..., len(spread) - 2 : len(spread)] = inward(image[own])[..., None] * way
-        lens[own, ..., : len(spread)] *= spread
-    return replace(sightings, lens=lens.reshape(len(sightings), 8, -1))
+    lens = np.zeros((len(sightings), 4, 2, _width(sigmas)))
+    for index, (one, sigma) in enumerate(zip(optics, sigmas, strict=True)):
+        own, size = sightings.camera == index, len(sigma)
+        lens[own, ..., : size - 2] = parameter_slopes(one.camera, sightings.directions[own])
+        lens[own, ..., size - 2 : size] = inward(image[own])[..., None] * shift_basis(pitch[own])[:, None, None, :]
+        lens[own, ..., :size] *= sigma
+    return replace(sightings, lens=lens.reshape(len(sightings), RESIDUALS, -1))
 
 
-def refined(
+def _width(sigmas: Sequence[FloatArray]) -> int:
+    """Number of nuisance parameters of the cameras, filled up to a multiple of 6."""
+    return 6 * -(-max(map(len, sigmas)) // 6)
+
+
+def refine(
     found: Estimate,
     given: Sequence[Optics],
-    spreads: Sequence[FloatArray],
-    sighted: Sighted,
-    keep: bool = False,
-    observer: Observer = unobserved,
+    sigmas: Sequence[FloatArray],
+    sighted: Callable[[Sequence[Optics]], Sightings],
+    keep: bool,
+    is_stopped: Callable[[int, int], bool],
+    on_block: Callable[[int, int], object],
 ) -> tuple[Estimate, tuple[Optics, ...]]:
-    """The best poses, cameras and shapes.
+    """Estimate poses and nuisance parameters together.
 
     Args:
-        found: with the cameras as they were given.
-        given: these.
-        spreads: what the values of each may be off, `(P + 2,)`.
-        sighted: the sightings as other cameras of the same images have them.
-        keep: whether cameras and shapes stay as they are given; they are as little known.
-        observer: asked before each round whether to stop with what is best so far.
+        found: estimate with the given cameras.
+        given: these cameras.
+        sigmas: prior standard deviations of the values of each, `(P + 2,)`.
+        sighted: sightings through other optics.
+        keep: True to keep cameras and shapes; their uncertainty still counts.
+        is_stopped: called before each round with its number and the most rounds; True to stop with the best so far.
+        on_block: called with the number of blocks of time that are done, and of all.
     """
-    state = _State.of(given, len(found.group))
-
-    def seen(state: _State, poses: Poses) -> Sightings:
-        through = sighted(state.optics)
-        own = replace(
-            through,
-            edges=found.sightings.edges,
-            shapes=state.shapes,
-            shape_sigma=state.deviation,
-            taken=state.taken,
-        )
-        return freed(own, state.optics, spreads, poses)
-
+    refinement = _Refinement(given, sigmas, sighted, is_stopped)
+    state = _State.of(given, sigmas, len(found.group))
     for _ in range(PASSES):
         if not keep:
-            state, found = _settled(state, found, given, spreads, seen, observer)
-        factor = found.inflation
-        found = adjusted(seen(state, found.poses), found.prior, found.poses, found.group, FLOOR_PIXELS, factor)
-        if factor > 1.0 or (grown := inflation(found, observer)) == 1.0:
+            state, found = refinement.minimised(state, found)
+        factor, some = found.inflation, refinement.sightings(state, found)
+        found = adjust(some, found.prior, found.poses, found.group, FLOOR_PIXELS, factor)
+        if factor > 1.0 or (grown := inflation(found, on_block)) == 1.0:
             break
         found = replace(found, inflation=grown)
     return found, state.optics
 
 
-def _settled(
-    state: "_State",
-    found: Estimate,
-    given: Sequence[Optics],
-    spreads: Sequence[FloatArray],
-    seen: "Callable[[_State, Poses], Sightings]",
-    observer: Observer,
-) -> tuple["_State", Estimate]:
-    """The state, and the poses, after as many steps of all unknowns together as lead downhill."""
-    poses, floor, damping, sightings = found.poses, found.floor, 0.0, seen(state, found.poses)
-    with threadpool_limits(limits=ONE_THREAD):
-        for done in range(MOST_ROUNDS):
-            if observer(Stage.REFINING, done, MOST_ROUNDS):
-                break
-            error = errors_at(sightings, poses)
-            of_map = (found.group[sightings.tag] == 0) & np.isfinite(error)
-            used = telling(sightings, of_map & fitting(sightings, error, floor), found.prior.motion)
-            if not used.any():
-                break
-            every = adjustment_of(sightings.of(used), found.prior, True, found.inflation)
-            settled = adjustment_of(every.sightings, found.prior, False, found.inflation).run(
-                poses, floor, ROUND_STEPS, FLOOR_PIXELS
-            )
-            poses, floor = settled.poses, settled.floor
-            cost = state.cost(every.unit) + every.cost(errors_at(every.sightings, poses), every.costs(poses), floor)
-            for _ in range(MOST_TRIALS):
-                there, step, variance = every.joint_step(poses, floor, damping, state.units)
-                tried = state.stepped(given, spreads, step)
-                sightings = seen(tried, there)
-                if len(sightings) != len(used):
-                    break  # the lens images other corners than before: what they cost does not compare
-                error = errors_at(sightings.of(used), there)
-                if tried.cost(every.unit) + every.cost(error, every.costs(there), floor) <= cost + SLACK:
-                    break
-                damping = max(10.0 * damping, FIRST_DAMPING)
-            else:
-                break
-            poses, damping = there, damping / 10.0
-            placed = np.bincount(every.sightings.tag, minlength=len(found.group)) > 0
-            lenses = state.off.size // 6
-            squares = (tried.shapes / tried.deviation) ** 2 + variance[lenses:] / found.inflation**2
-            grown = float(np.sqrt(squares[placed, :WAYS].mean()))
-            taken = float((1.0 - every.unit[:, None] * variance).sum())
-            state = tried._replace(deviation=max(grown * tried.deviation, LEAST_SHAPE_SIGMA), taken=taken)
-            sightings = replace(sightings, shape_sigma=state.deviation, taken=taken)
-            is_settled = (step[:lenses] ** 2 <= SETTLED_SIGMAS**2 * variance[:lenses]).all()
-            if is_settled and abs(grown - 1.0) < SETTLED_SHAPES:
-                break
-    return state, replace(found, poses=poses, floor=floor)
-
-
 class _State(NamedTuple):
-    """All but the poses, see `Sightings`; `off` is how far the cameras are off those given, `(C, 6 L)`."""
+    """Nuisance parameters."""
 
     optics: tuple[Optics, ...]
+    """Optics of the cameras."""
     off: FloatArray
+    """`(C, 6 L)` distance of their values from the given ones, in prior standard deviations."""
     shapes: FloatArray
-    deviation: float
+    """`(K, 6)` shapes of tags, see `Sightings`."""
+    shape_sigma: float
+    """Standard deviation of shapes, metres."""
     taken: float
+    """Degrees of freedom, see `Sightings`."""
 
     @classmethod
-    def of(cls, given: Sequence[Optics], tags: int) -> "_State":
-        """As it is given: flat tags."""
-        width = 6 * -(-max(len(one.values) for one in given) // 6)
-        return cls(tuple(given), np.zeros((len(given), width)), np.zeros((tags, 6)), SHAPE_SIGMA, 0.0)
+    def of(cls, given: Sequence[Optics], sigmas: Sequence[FloatArray], tags: int) -> "_State":
+        """The given cameras and flat tags."""
+        return cls(tuple(given), np.zeros((len(given), _width(sigmas))), np.zeros((tags, 6)), SHAPE_SIGMA, 0.0)
 
     @property
     def units(self) -> FloatArray:
-        """Distances of all from what was known of them, in units of their standard deviations, `(n, 6)`."""
-        return np.concatenate([self.off.reshape(-1, 6), self.shapes / self.deviation])
+        """Distances of all parameters from their prior means, in prior standard deviations, `(n, 6)`."""
+        return np.concatenate([self.off.reshape(-1, 6), self.shapes / self.shape_sigma])
 
-    def cost(self, unit: FloatArray) -> float:
-        """The part of the priors in what is minimised, see `Adjustment.unit`."""
-        return 0.5 * float((unit[:, None] * self.units**2).sum())
-
-    def stepped(self, given: Sequence[Optics], spreads: Sequence[FloatArray], step: FloatArray) -> "_State":
-        """After a step `(n, 6)`, or the first part of it that leads to cameras."""
-        lenses = self.off.size // 6
-        optics, off = _stepped(given, spreads, self.off, step[:lenses].reshape(self.off.shape))
-        return self._replace(optics=optics, off=off, shapes=self.shapes + self.deviation * step[lenses:])
+    def loss(self, information: FloatArray) -> float:
+        """Loss of the priors, see `SchurSystem.nuisance_information`."""
+        return 0.5 * float((information[:, None] * self.units**2).sum())
 
 
-def _stepped(
-    given: Sequence[Optics], spreads: Sequence[FloatArray], off: FloatArray, step: FloatArray
-) -> tuple[tuple[Optics, ...], FloatArray]:
-    """The cameras after a step, or the first part of it that leads to cameras, and how far they are off those given."""
+@dataclass(frozen=True)
+class _Refinement:
+    """Arguments of `refine`."""
 
-    def at(there: FloatArray) -> tuple[Optics, ...]:
-        rows = zip(given, spreads, there, strict=True)
-        return tuple(one.at(one.values + row[: len(spread)] * spread) for one, spread, row in rows)
+    given: Sequence[Optics]
+    sigmas: Sequence[FloatArray]
+    sighted: Callable[[Sequence[Optics]], Sightings]
+    is_stopped: Callable[[int, int], bool]
 
-    for halving in range(MOST_HALVINGS):
-        there = off + 0.5**halving * step
-        try:
-            return at(there), there
-        except InputError:
-            continue
-    return at(off), off
+    def sightings(self, state: _State, found: Estimate) -> Sightings:
+        """Sightings with nuisance parameters, with the shifts at the poses of `found`."""
+        some = replace(
+            self.sighted(state.optics),
+            edges=found.sightings.edges,
+            shapes=state.shapes,
+            shape_sigma=state.shape_sigma,
+            taken=state.taken,
+        )
+        return with_nuisances(some, state.optics, self.sigmas, found.poses)
+
+    def minimised(self, state: _State, found: Estimate) -> tuple[_State, Estimate]:
+        """Take joint steps of all unknowns until these are small."""
+        damping, sightings = 0.0, self.sightings(state, found)
+        with threadpool_limits(limits=ONE_THREAD):
+            for done in range(MOST_ROUNDS):
+                if self.is_stopped(done, MOST_ROUNDS):
+                    break
+                error = squared_errors(sightings, found.poses)
+                of_map = (found.group[sightings.tag] == 0) & np.isfinite(error)
+                used = of_map & fitting(sightings, error, found.floor)
+                used = constraining(sightings, used, found.prior.motion)
+                if not used.any():
+                    break
+                joint = adjustment_of(sightings.of(used), found.prior, True, found.inflation)
+                rest = adjustment_of(joint.sightings, found.prior, False, found.inflation)
+                poses, floor = rest.run(found.poses, found.floor, ROUND_STEPS, FLOOR_PIXELS)
+                found = replace(found, poses=poses, floor=floor)
+                error, information = squared_errors(joint.sightings, poses), joint.nuisance_information
+                loss = state.loss(information) + joint.loss(error, joint.prior_losses(poses), floor)
+                for _ in range(MOST_TRIALS):
+                    there, step, variance = joint.joint_step(poses, floor, damping, state.units)
+                    tried = self._stepped(state, step)
+                    sightings = self.sightings(tried, replace(found, poses=there))
+                    if len(sightings) != len(used):
+                        break  # the lens images other corners than before, so losses do not compare
+                    error = squared_errors(sightings.of(used), there)
+                    loss_there = joint.loss(error, joint.prior_losses(there), floor)
+                    if tried.loss(information) + loss_there <= loss + SLACK:
+                        break
+                    damping = max(10.0 * damping, FIRST_DAMPING)
+                else:
+                    break
+                found, damping = replace(found, poses=there), damping / 10.0
+                lenses = state.off.size // 6
+                placed = joint.sightings.counts() > 0
+                squares = (tried.shapes / tried.shape_sigma) ** 2 + variance[lenses:] / found.inflation**2
+                grown = float(np.sqrt(squares[placed, :MODES].mean()))
+                taken = float((1.0 - information[:, None] * variance).sum())
+                state = tried._replace(shape_sigma=max(grown * tried.shape_sigma, LEAST_SHAPE_SIGMA), taken=taken)
+                sightings = replace(sightings, shape_sigma=state.shape_sigma, taken=taken)
+                is_settled = (step[:lenses] ** 2 <= SETTLED_SIGMAS**2 * variance[:lenses]).all()
+                if is_settled and abs(grown - 1.0) < SETTLED_SHAPES:
+                    break
+        return state, found
+
+    def _stepped(self, state: _State, step: FloatArray) -> _State:
+        """State after a step `(n, 6)`; that of the optics is halved until it leads to valid cameras."""
+        lenses = state.off.size // 6
+        shapes = state.shapes + state.shape_sigma * step[lenses:]
+        for halving in range(MOST_HALVINGS + 1):
+            factor = 0.5**halving if halving < MOST_HALVINGS else 0.0
+            there = state.off + factor * step[:lenses].reshape(state.off.shape)
+            rows = zip(self.given, self.sigmas, there, strict=True)
+            try:
+                optics = tuple(one.at(one.values + row[: len(sigma)] * sigma) for one, sigma, row in rows)
+            except InputError:
+                continue
+            return state._replace(optics=optics, off=there, shapes=shapes)
+        raise AssertionError("the present cameras are valid")
