@@ -13,7 +13,6 @@ from lmd.evaluation.comparison import OptimiserRun, attained, best_at, compared,
 from lmd.objectives.coverage import Coverage
 from lmd.optimisers.ledger import Record
 from lmd.scene.deployment import Deployment
-from pipelines.reproduction.comparison import to_markdown
 
 
 def run_of(name, seed, *fitness):

@@ -10,7 +10,7 @@ from processes import call, refused
 
 from lmd.core.checks import InputError
 from pipelines.building import build_problem
-from pipelines.fixed import quoted
+from pipelines.overrides import quoted
 
 TAGS = "id,x,y,z,nx,ny,nz,note\n7,0,2,3,1,0,0,door\n3,0.02,3,3,1,0,0,\n"
 QUICK = ("tracking=none", "localisation=false")

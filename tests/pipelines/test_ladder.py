@@ -7,7 +7,7 @@ from composing import composed
 from lmd.core.checks import InputError
 from lmd.evaluation.tradeoff import ANEW, Found
 from lmd.evaluation.validation import Sample, headline_off_grid
-from pipelines import ladder
+from pipelines import points
 
 SMALL = ("room.spacing=1.5", "objective.n=1")
 YAW = ("pdf=yaw", "pdf.divisions=4")
@@ -62,7 +62,7 @@ def test_what_other_code_has_computed_is_not_taken(tmp_path, monkeypatch):
     known = ladder_of(*YAW, f"kept={tmp_path}")
     found = Found(known.problem(6).draw(np.random.default_rng(0)), 0.0, ANEW)
     scored = []
-    monkeypatch.setattr(ladder, "figures_of", lambda *_: scored.append(0) or {"share": len(scored)})
+    monkeypatch.setattr(points, "figures_of", lambda *_: scored.append(0) or {"share": len(scored)})
     assert [known.figures(6, found)["share"] for _ in range(2)] == [1, 1]
     monkeypatch.setattr("lmd.core.sources.package_digest", lambda: "other code")
     assert known.figures(6, found)["share"] == 2

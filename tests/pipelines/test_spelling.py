@@ -10,9 +10,10 @@ from omegaconf import OmegaConf
 
 from lmd.core.checks import InputError
 from pipelines.app import CONF
-from pipelines.building import build_problem, instantiate
-from pipelines.fixed import fixed_of
-from pipelines.spelling import ask_what_was_meant, meant
+from pipelines.building import build_problem
+from pipelines.landmarks import fixed_of
+from pipelines.nodes import instantiate
+from pipelines.overrides import ask_what_was_meant, meant
 
 
 def test_a_key_that_is_like_another_one_is_asked_about(monkeypatch, capsys):
