@@ -12,11 +12,11 @@ from .landmarks import divide_paper, fixed_of, others_of, spell_counts, take_siz
 from .nodes import instantiate, keyed, note, settings_of
 
 if TYPE_CHECKING:
+    from lmd.geometry.camera import Camera
     from lmd.objectives.base import Objective
     from lmd.optimisers.base import Optimiser
     from lmd.optimisers.ledger import Budget
     from lmd.problem import Problem
-    from lmd.scene.camera import Camera
     from lmd.scene.deployment import Deployment
     from lmd.scene.deployment_sources import DeploymentSource
     from lmd.scene.pdf import OrientationPdf
@@ -70,9 +70,7 @@ def build_parts(cfg: DictConfig, count: str = "deployment.count") -> Parts:
     from lmd.core.checks import InputError, boolean, check_members, choice, integer
     from lmd.core.threads import MOST_THREADS
     from lmd.objectives.base import Objective
-    from lmd.objectives.localisation import Localisation
     from lmd.optimisers.encoding import KINDS
-    from lmd.scene.carried import carried
 
     _check_settings(cfg)
     spell_counts(cfg.deployment, cfg.tag)
@@ -85,9 +83,6 @@ def build_parts(cfg: DictConfig, count: str = "deployment.count") -> Parts:
     boolean("encoding.flush", cfg.encoding.flush)
     objective = instantiate(cfg.objective)
     check_members("objective", objective, Objective, "docs/api/objectives.md")
-    if isinstance(objective, Localisation):
-        with keyed(rig="camera.rig"):
-            scene = carried(scene)
     names = partial(keyed, "deployment", count=count, counts="tag.counts", family="tag.family")
     with names():
         fixed = fixed_of(cfg.deployment, scene.tag.own_family)

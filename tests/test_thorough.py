@@ -6,7 +6,7 @@ import thorough
 
 def item(*paths, marked=True):
     marks = [pytest.mark.thorough(*paths).mark] if marked else []
-    return SimpleNamespace(path=thorough.ROOT / "tests/pipelines/test_x.py", iter_markers=lambda name: marks)
+    return SimpleNamespace(path=thorough.ROOT / "tests/pipelines/test_x.py", iter_markers=lambda _: marks)
 
 
 def test_a_thorough_test_runs_when_it_is_asked_for():
@@ -25,7 +25,7 @@ def test_a_thorough_test_runs_when_it_is_asked_for():
     ],
 )
 def test_a_thorough_test_runs_when_what_it_tests_has_changed(changed, due, monkeypatch):
-    monkeypatch.setattr(thorough, "changes", lambda revision: [changed])
+    monkeypatch.setattr(thorough, "changes", lambda _: [changed])
     assert thorough.is_due(item("pipelines/operations"), "HEAD~1") == due
 
 

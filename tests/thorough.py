@@ -12,9 +12,10 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
 ALL = "all"
+ASKED = os.environ.get("LMD_THOROUGH", "")
 
 
-def is_due(item, asked=os.environ.get("LMD_THOROUGH", "")):
+def is_due(item, asked=ASKED):
     """True if a collected test runs."""
     marks = list(item.iter_markers("thorough"))
     if not marks or asked == ALL:
