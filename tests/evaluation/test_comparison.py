@@ -13,6 +13,7 @@ from lmd.evaluation.comparison import OptimiserRun, attained, best_at, compared,
 from lmd.objectives.coverage import Coverage
 from lmd.optimisers.ledger import Record
 from lmd.scene.deployment import Deployment
+from pipelines.reproduction.document import comparison_markdown
 
 
 def run_of(name, seed, *fitness):
