@@ -12,7 +12,7 @@ from lmd.evaluation.survey import read_measured, survey
 from lmd.evaluation.validation import Sample, validation_metrics
 from lmd.objectives.coverage import Coverage
 from lmd.objectives.localisation import Localisation
-from lmd.plot.mounting import save_map_figure
+from lmd.plot.pose_errors import save_map_figure
 from lmd.problem import Problem
 from lmd.scene import pdf
 from lmd.scene.deployment import Deployment
