@@ -17,9 +17,9 @@ from .notes import note
 from .pipeline import Pipeline
 
 if TYPE_CHECKING:
+    from lmd.evaluation import Study
     from lmd.evaluation.losses import Losses
     from lmd.evaluation.mounting import MountingError
-    from lmd.evaluation.study import Study
     from lmd.problem import Problem
     from lmd.scene.deployment import Deployment
 
@@ -49,7 +49,7 @@ def evaluate(cfg: DictConfig) -> float:
     deployment = plan = problem.draw(np.random.default_rng(seed))
     with keyed("deployment", path=MEASURED, family="tag.family"):
         if cfg.deployment.measured is not None:
-            from lmd.evaluation.survey import read_measured  # slow to load
+            from lmd.evaluation.measured import read_measured  # slow to load
 
             deployment = read_measured(cfg.deployment.measured, problem, plan, axes_in(cfg.deployment))
             note(deployment.note)
@@ -123,10 +123,10 @@ def studies(
         varied = sensitivity(problem, deployment, seed)
         yield "sensitivity", varied, partial(save_sensitivity_figure, found=varied), "sensitivity,"
     if deployment is not plan:
-        from lmd.evaluation.survey import survey
+        from lmd.evaluation.measured import as_measured
         from lmd.plot.pose_errors import save_map_figure
 
-        surveyed = survey(problem, plan, deployment, seed)
+        surveyed = as_measured(problem, plan, deployment, seed)
         draw = partial(save_map_figure, views=surveyed.views)
         yield "survey", surveyed, draw, "maps as planned and as measured,"
     if not error.is_none:
