@@ -27,8 +27,8 @@ REFINING_STAGE = Stage(temperature=(4e-5, 2e-5), width=(0.02, 0.006), step=(0.3,
 class Greedy(Annealing):
     """Greedy selection from a grid of wall poses, refined by a cool walk with the rest of the budget.
 
-    Footprints at poses of the grid do not overlap. Evaluating the gain of one pose costs as much of the budget as moving
-    one landmark.
+    Footprints at poses of the grid do not overlap. The gain of one pose costs as much of the budget as moving one
+    landmark.
 
     Args:
         spacing: of the grid, metres; coarsened if the budget could not pay for it.

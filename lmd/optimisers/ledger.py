@@ -68,7 +68,7 @@ class Ledger:
     """Records in the order of time."""
 
     def note(self, evaluations: float, fitness: float) -> bool:
-        """Note that `evaluations` are spent and the last of them reached `fitness`; returns True if that is the best."""
+        """Note that `evaluations` are spent and the last one reached `fitness`; returns True if that is the best."""
         is_best = fitness > self.best_fitness
         self.evaluations, self.best_fitness = evaluations, fitness if is_best else self.best_fitness
         self.history.append(Record(evaluations, self.best_fitness, self.seconds))
