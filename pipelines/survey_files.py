@@ -82,7 +82,7 @@ def writers_of(
     from lmd.core.tables import write_table
     from lmd.mapping.detections import write_detections
     from lmd.mapping.tag_map import write_yaml
-    from lmd.plot.survey import save_survey_figure
+    from lmd.plot.plans import save_survey_figure
     from lmd.survey.intrinsics import camera_info
     from lmd.survey.results import frame_columns, map_columns, measured_of, survey_document
 
@@ -106,7 +106,7 @@ def audit_writers(audit: "Audit", detector: str, title: str) -> dict[str, Callab
     import pandas as pd
 
     from lmd.detection.report import figures
-    from lmd.plot.detection import save_calibration_figure, save_places_figure
+    from lmd.plot.frames import save_calibration_figure, save_places_figure
 
     named = {"deployment": "survey", "detector": detector}
     row = pd.DataFrame([{**named, **figures(audit.prediction, audit.seen)}])
