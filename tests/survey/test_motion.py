@@ -10,7 +10,7 @@ from lmd.survey.motion import BIAS, Motion, seconds_of
 
 
 def some_motion(rng, count, kind):
-    """A motion of so many frames at uneven times, and poses near to it."""
+    """A motion of `count` frames at uneven times, and poses near to it."""
     times = np.cumsum(rng.uniform(0.05, 0.3, count))
     path = [np.eye(4)]
     for twist in rng.normal(size=(count - 1, 6)) * [0.2, 0.2, 0.2, 0.1, 0.1, 0.3]:
@@ -34,8 +34,8 @@ def moved(poses, k, axis, by):
 
 
 @pytest.mark.parametrize("kind", ["steady", "odometry"])
-def test_slopes_of_the_cost_are_those_of_differences(kind):
-    """Velocities, and what every metre is off by, fit the poses best: the cost has its slope with them fixed."""
+def test_the_gradient_of_the_loss_is_that_of_differences(kind):
+    """Velocities and the bias are at their best for the poses, so the gradient is that with these fixed."""
     rng = np.random.default_rng(3)
     motion, poses = some_motion(rng, 6, kind)
     poses = poses @ exp(rng.normal(0.0, 0.01, (6, 6)))
@@ -59,11 +59,11 @@ def test_slopes_of_the_cost_are_those_of_differences(kind):
 
 
 @pytest.mark.parametrize("kind", ["steady", "odometry"])
-def test_slopes_of_errors_are_those_of_differences(kind):
+def test_jacobians_of_errors_are_those_of_differences(kind):
     rng = np.random.default_rng(3)
     motion, poses = some_motion(rng, 6, kind)
     links = motion.links(np.arange(6))
-    # Without links before and after, what is found beside the poses stays as it is: one link at a time, held firmly.
+    # The bias depends on all poses, so it is switched off.
     firm = replace(links, by_bias=None if links.by_bias is None else 0.0 * links.by_bias)
     at, step = firm.at(poses), 1e-5
     for k in range(6):
@@ -74,7 +74,7 @@ def test_slopes_of_errors_are_those_of_differences(kind):
             slope[k : k + 1] += at.by_first[k : k + 1, :, axis]
             if kind == "odometry":
                 np.testing.assert_allclose(slope, (there - here) / (2.0 * step), atol=2e-5)
-            else:  # of the turn and the way themselves; velocities move, too
+            else:  # without the changes of velocities, which depend on all poses
                 change = (
                     rates_at(firm, moved(poses, k, axis, step)) - rates_at(firm, moved(poses, k, axis, -step))
                 ) / (2.0 * step)
@@ -83,7 +83,7 @@ def test_slopes_of_errors_are_those_of_differences(kind):
                 np.testing.assert_allclose(slope, (there - here) / (2.0 * step), atol=2e-4)
 
 
-def test_velocities_are_those_of_the_least_cost():
+def test_velocities_are_those_of_the_least_loss():
     rng = np.random.default_rng(4)
     motion, poses = some_motion(rng, 7, "steady")
     links = motion.links(np.arange(7))
@@ -102,7 +102,7 @@ def test_a_constant_velocity_has_no_error():
     np.testing.assert_allclose(links.at(turning).error, 0.0, atol=1e-8)
 
 
-def test_what_odometry_drifts_over_several_steps_is_what_the_steps_add():
+def test_drift_over_several_steps_is_the_sum_of_the_steps():
     """Covariances of long links against random paths, which share no code with sums of adjoints."""
     rng = np.random.default_rng(5)
     times = np.arange(41) / 20.0
@@ -123,7 +123,7 @@ def test_what_odometry_drifts_over_several_steps_is_what_the_steps_add():
     assert square.mean() == pytest.approx(6.0, abs=0.25)
 
 
-def test_what_every_metre_is_off_by_is_found():
+def test_the_bias_of_odometry_is_found():
     times = np.arange(201) / 20.0
     step, lean = np.array([0.0, 0.02, 0.0, 0.0, 0.0, 0.05]), np.array([0.0, 0.002, 0.0, 0.0, 0.0, 0.01])
     far = 0.05 + 0.3 * 0.02 + 0.01 * 0.05
@@ -143,7 +143,7 @@ def test_odometry_of_another_clock_is_refused():
         Motion.by_odometry(100.0 + np.arange(5.0), drive)
 
 
-def test_odometry_says_nothing_across_a_gap():
+def test_odometry_does_not_link_frames_across_a_gap():
     times = np.array([0.0, 0.1, 0.2, 5.0, 5.1])
     drive = Trajectory(times, np.tile(np.eye(4), (5, 1, 1)))
     motion = Motion.by_odometry(times, drive)
