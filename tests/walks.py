@@ -10,7 +10,7 @@ from lmd.geometry.se3 import act, camera_pose, exp, inverse, laid_over, log, pos
 from lmd.geometry.squares import CORNERS
 from lmd.mapping.detections import DetectedTags
 from lmd.scene.tag import Tag
-from lmd.survey.prior import Known
+from lmd.survey.prior import PriorKnowledge
 from lmd.survey.sightings import Sightings, sightings_of
 from lmd.survey.survey import survey
 
@@ -106,7 +106,7 @@ def one_after_the_other(one: DetectedTags, two: DetectedTags) -> DetectedTags:
 def surveyed(detected, sigma=0.2, cameras=(CAMERA,), edge=EDGE, calibrate=None, errors=None, **known):
     """Survey of detections with prior knowledge `known`."""
     errors = constant_errors(sigma) if errors is None else errors
-    return survey(detected, cameras, Tag(edge), errors, Known(**known), calibrate)
+    return survey(detected, cameras, Tag(edge), errors, PriorKnowledge(**known), calibrate)
 
 
 def apart(here, there):

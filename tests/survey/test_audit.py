@@ -26,7 +26,7 @@ from lmd.sight.models.fiducial import Fiducial
 from lmd.sight.models.limits import Limits
 from lmd.space.cuboid import Cuboid
 from lmd.survey.audit import Audit, audited, detections_of_map, in_the_open, view_columns
-from lmd.survey.prior import Known
+from lmd.survey.prior import PriorKnowledge
 from lmd.survey.results import map_of
 from lmd.survey.survey import survey
 
@@ -56,7 +56,7 @@ def surveyed(detected, cameras, known):
 def folder(request, tmp_path_factory):
     """Folder of a survey by one camera, and by two."""
     folder = tmp_path_factory.mktemp("surveyed")
-    detected, known, cameras = walked(MOUNTS[: request.param], 80 // request.param, lambda _: Known())
+    detected, known, cameras = walked(MOUNTS[: request.param], 80 // request.param, lambda _: PriorKnowledge())
     found = surveyed(detected, cameras, known)
     write_table(folder / FILE, view_columns(found, cameras, TAG, None))
     return folder, cameras
@@ -93,7 +93,7 @@ def test_a_survey_of_more_cameras_is_refused(folder):
 
 def test_an_audit_covers_the_images_of_all_cameras():
     def planned(true):
-        return Known(plan=Deployment(true[:, :3, 3], true[:, :3, 2]))
+        return PriorKnowledge(plan=Deployment(true[:, :3, 3], true[:, :3, 2]))
 
     detected, known, cameras = walked(MOUNTS, 40, planned)
     dirty = int(np.bincount(detected.ids).argmax())  # from here on found in few images only
@@ -134,7 +134,7 @@ def test_an_audit_covers_the_images_of_all_cameras():
 
 
 def test_a_detection_some_pixels_off_counts_and_a_far_one_is_false():
-    detected, known, cameras = walked(MOUNTS[:1], 80, lambda _: Known())
+    detected, known, cameras = walked(MOUNTS[:1], 80, lambda _: PriorKnowledge())
     corners = detected.corners.copy()
     many = np.bincount(detected.frame, minlength=len(detected.times))
     near, far = np.flatnonzero(many[detected.frame] == many.max())[[0, -1]]

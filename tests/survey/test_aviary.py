@@ -10,7 +10,7 @@ from lmd.detection.corner_errors import CORNER_ERRORS
 from lmd.mapping.detections import read_detections
 from lmd.scene.camera_calibration import Calibration
 from lmd.scene.tag import Tag
-from lmd.survey.prior import Known
+from lmd.survey.prior import PriorKnowledge
 from lmd.survey.survey import survey
 
 REAL = Path(__file__).parents[2] / "../shared/real/detections/test_13"
@@ -32,7 +32,7 @@ def some():
 
 @pytest.fixture(scope="module")
 def found(some):
-    return survey(*some, Known())
+    return survey(*some, PriorKnowledge())
 
 
 def test_all_tags_and_frames_are_placed(found):
@@ -64,12 +64,12 @@ def test_frames_held_out_agree_with_the_map(found):
 
 def test_photographs_calibrate_the_camera(some, found):
     """The pixels of this sensor are square, but those of the given calibration are 0.1 % off; 5 seconds."""
-    calibrated = survey(*some, Known(), calibrate=True)
+    calibrated = survey(*some, PriorKnowledge(), calibrate=True)
     (camera,) = calibrated.calibrated
     assert camera.is_fixed
     given, own = (np.diff(one.focal_pixels)[0] / one.focal_pixels[0] for one in (camera.given, camera.found))
     assert abs(own) < 0.3 * abs(given)
-    kept = survey(*some, Known(), calibrate=False)
+    kept = survey(*some, PriorKnowledge(), calibrate=False)
     before, after, refined = (np.median(one.localised["measured"].errors) for one in (kept, calibrated, found))
     assert after < 0.75 * before
     assert refined < 0.75 * before

@@ -10,8 +10,8 @@ from scipy.stats import chi2
 
 from lmd.geometry.se3 import camera_pose, exp, inverse, log
 from lmd.scene.deployment import Deployment
-from lmd.survey.estimate import estimate_map
-from lmd.survey.prior import Known, Prior, poses_of
+from lmd.survey.map_estimate import estimate_map
+from lmd.survey.prior import Prior, PriorKnowledge, poses_of
 from lmd.survey.residuals import Poses, Reprojection, squared_errors
 
 COUNT, FRAMES, SIGMA = 24, 80, 0.2
@@ -28,7 +28,7 @@ def walked(seed, **options):
 
 
 def prior_of(plan):
-    return Known(Deployment(plan[:, :3, 3], plan[:, :3, 2])).prior(IDS)
+    return PriorKnowledge(Deployment(plan[:, :3, 3], plan[:, :3, 2])).prior(IDS)
 
 
 def estimated(detected, prior=NOTHING, sigma=SIGMA):

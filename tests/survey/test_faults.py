@@ -7,8 +7,8 @@ import pytest
 import walks
 
 from lmd.geometry.se3 import exp, inverse
-from lmd.survey.estimate import estimate_map
 from lmd.survey.faults import find_faults
+from lmd.survey.map_estimate import estimate_map
 from lmd.survey.prior import Prior
 
 COUNT, FRAMES, MOVED = 24, 64, 5

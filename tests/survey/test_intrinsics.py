@@ -16,7 +16,7 @@ from lmd.scene.camera_calibration import calibrated_camera
 from lmd.scene.deployment import Deployment
 from lmd.survey.intrinsics import camera_info, intrinsics_of, parameter_slopes, prior_sigmas, with_intrinsics
 from lmd.survey.results import survey_document
-from lmd.survey.summary import to_text
+from lmd.survey.terminal import to_text
 
 COUNT, FRAMES = 24, 40
 TRUE = replace(walks.CAMERA, distortion=(-0.1, 0.03, 0.0005, -0.0003, 0.0))
@@ -47,8 +47,7 @@ def test_a_wrong_focal_length_is_found_together_with_the_map():
 
 
 @pytest.mark.parametrize(
-    "camera",
-    [TRUE, walks.CAMERA, replace(TRUE, distortion_model="equidistant", distortion=(0.01, 0.0, 0.0, 0.0))],
+    "camera", [TRUE, walks.CAMERA, replace(TRUE, distortion_model="equidistant", distortion=(0.01, 0.0, 0.0, 0.0))]
 )
 def test_slopes_are_those_of_the_image(camera):
     direction = bearings(camera, np.array([[1300.0, 250.0]]))

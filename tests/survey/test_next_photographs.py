@@ -11,7 +11,7 @@ from lmd.scene.labels import Labels
 from lmd.space.cuboid import Cuboid
 from lmd.survey.next_photographs import next_photographs
 from lmd.survey.results import needing_photographs, survey_document
-from lmd.survey.summary import to_text
+from lmd.survey.terminal import to_text
 
 COUNT, UNSEEN, SIGMA = 20, 7, 0.2
 ERRORS, ROOM = walks.constant_errors(SIGMA), Cuboid((5.0, 4.0, 2.5), (4.0, 3.0, 1.5), 1.0)

@@ -16,7 +16,7 @@ from lmd.survey.intrinsics import intrinsics_of, prior_sigmas, with_intrinsics
 from lmd.survey.nuisances import Optics, with_nuisances
 from lmd.survey.residuals import Reprojection
 from lmd.survey.sightings import MODES, SHAPES, SQUARE, inward, sightings_of
-from lmd.survey.summary import to_text
+from lmd.survey.terminal import to_text
 
 TAGS, FRAMES, SIGMA, SPREAD = 16, 60, 0.2, 0.2
 TRUE = replace(walks.CAMERA, distortion=(-0.1, 0.03, 0.0005, -0.0003, 0.0))

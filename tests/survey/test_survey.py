@@ -11,9 +11,9 @@ from lmd.geometry.se3 import inverse
 from lmd.scene.deployment import Deployment
 from lmd.scene.labels import Labels
 from lmd.scene.surveyed import Surveyed
-from lmd.survey.prior import Known, Points, poses_of
+from lmd.survey.prior import MeasuredPoints, PriorKnowledge, poses_of
 from lmd.survey.results import map_columns, map_of, measured_of, metrics, survey_document
-from lmd.survey.summary import to_text
+from lmd.survey.terminal import to_text
 
 COUNT, FRAMES, SIGMA = 24, 60, 0.2
 UNSEEN, UNPLANNED, ODD = 7, 23, 11
@@ -95,14 +95,14 @@ def test_a_fixed_tag_defines_the_world(room):
 def test_three_centres_by_a_tape_measure_define_the_world(room):
     true, _, detected = room
     few = np.array([0, 5, 10])
-    points = Points(few, true[few, :3, 3] + np.random.default_rng(0).normal(0.0, 0.002, (3, 3)))
+    points = MeasuredPoints(few, true[few, :3, 3] + np.random.default_rng(0).normal(0.0, 0.002, (3, 3)))
     found = walks.surveyed(detected, points=points)
     off = np.linalg.norm(found.found.poses.tags[found.placed, :3, 3] - true[found.ids[found.placed], :3, 3], axis=1)
     assert np.median(off) < 0.006
     assert off.max() < 0.015
     unseen = np.array([0, 5, UNSEEN])
     with pytest.raises(InputError, match=r"^points has too few tags that photographs connect"):
-        walks.surveyed(detected, points=Points(unseen, true[unseen, :3, 3]))
+        walks.surveyed(detected, points=MeasuredPoints(unseen, true[unseen, :3, 3]))
 
 
 @pytest.mark.parametrize(
@@ -115,7 +115,7 @@ def test_three_centres_by_a_tape_measure_define_the_world(room):
 )
 def test_points_that_fix_no_world_are_refused(ids, places, message):
     with pytest.raises(InputError, match=message):
-        Points(np.array(ids), np.asarray(places, dtype=np.float64))
+        MeasuredPoints(np.array(ids), np.asarray(places, dtype=np.float64))
 
 
 def test_tags_on_the_floor_define_up(room):
@@ -131,7 +131,7 @@ def test_tags_on_the_floor_define_up(room):
     assert poses[5][2, 3] == pytest.approx(true[5][1, 3] - true[floor, 1, 3].mean(), abs=0.005)
     assert metrics(found)["held_out_error_measured/50"] < 1.5 * SIGMA * np.sqrt(2.0)
     with pytest.raises(InputError, match=r"^floor says where z = 0 is, but the plan"):
-        Known(plan, floor=(1, 2, 3))
+        PriorKnowledge(plan, floor=(1, 2, 3))
 
 
 def test_ids_that_were_read_once_are_not_in_the_map(room):
