@@ -33,6 +33,14 @@ def moved(poses, k, axis, by):
     return poses
 
 
+def jacobian(at, k, axis):
+    """Derivative of all errors by one component of the twist of frame k."""
+    slope = np.zeros_like(at.error)
+    slope[k - 1 : k] += at.by_second[k - 1 : k, :, axis]
+    slope[k : k + 1] += at.by_first[k : k + 1, :, axis]
+    return slope
+
+
 @pytest.mark.parametrize("kind", ["steady", "odometry"])
 def test_the_gradient_of_the_loss_is_that_of_differences(kind):
     """Velocities and the bias are at their best for the poses, so the gradient is that with these fixed."""
@@ -40,47 +48,37 @@ def test_the_gradient_of_the_loss_is_that_of_differences(kind):
     motion, poses = some_motion(rng, 6, kind)
     poses = poses @ exp(rng.normal(0.0, 0.01, (6, 6)))
     links, step = motion.links(np.arange(6)), 1e-6
-    links = replace(links, information=1e-3 * links.information)  # none of them counts less
+    links = replace(links, information=1e-3 * links.information)  # so that all links count in full
     at = links.at(poses)
     assert len(links.first) == 5
 
-    def cost(k, axis, by):
+    def loss(k, axis, by):
         there = links.at(moved(poses, k, axis, by))
         return links.loss(links.squares(there.error)) + 0.5 * there.bias @ there.bias
 
-    for k in range(6):
-        for axis in range(6):
-            slope = np.zeros_like(at.error)
-            slope[k - 1 : k] += at.by_second[k - 1 : k, :, axis]
-            slope[k : k + 1] += at.by_first[k : k + 1, :, axis]
-            pulled = np.einsum("mr,mrs,ms->", slope, links.information, at.error)
-            differs = (cost(k, axis, step) - cost(k, axis, -step)) / (2.0 * step)
-            assert pulled == pytest.approx(differs, rel=1e-3, abs=1e-4 * np.abs(links.information).max() * 1e-3)
+    for k, axis in np.ndindex(6, 6):
+        gradient = np.einsum("mr,mrs,ms->", jacobian(at, k, axis), links.information, at.error)
+        expected = (loss(k, axis, step) - loss(k, axis, -step)) / (2.0 * step)
+        assert gradient == pytest.approx(expected, rel=1e-3, abs=1e-4 * np.abs(links.information).max() * 1e-3)
 
 
 @pytest.mark.parametrize("kind", ["steady", "odometry"])
 def test_jacobians_of_errors_are_those_of_differences(kind):
     rng = np.random.default_rng(3)
     motion, poses = some_motion(rng, 6, kind)
-    links = motion.links(np.arange(6))
+    links, step = motion.links(np.arange(6)), 1e-5
     # The bias depends on all poses, so it is switched off.
-    firm = replace(links, by_bias=None if links.by_bias is None else 0.0 * links.by_bias)
-    at, step = firm.at(poses), 1e-5
-    for k in range(6):
-        for axis in range(6):
-            there, here = (firm.at(moved(poses, k, axis, by)).error for by in (step, -step))
-            slope = np.zeros_like(at.error)
-            slope[k - 1 : k] += at.by_second[k - 1 : k, :, axis]
-            slope[k : k + 1] += at.by_first[k : k + 1, :, axis]
-            if kind == "odometry":
-                np.testing.assert_allclose(slope, (there - here) / (2.0 * step), atol=2e-5)
-            else:  # without the changes of velocities, which depend on all poses
-                change = (
-                    rates_at(firm, moved(poses, k, axis, step)) - rates_at(firm, moved(poses, k, axis, -step))
-                ) / (2.0 * step)
-                slope[:, :6] -= firm.seconds[:, None] * change[firm.first]
-                slope[:, 6:] += change[firm.first + 1] - change[firm.first]
-                np.testing.assert_allclose(slope, (there - here) / (2.0 * step), atol=2e-4)
+    links = replace(links, by_bias=None if links.by_bias is None else 0.0 * links.by_bias)
+    at = links.at(poses)
+    for k, axis in np.ndindex(6, 6):
+        there, here = (moved(poses, k, axis, by) for by in (step, -step))
+        slope = jacobian(at, k, axis)
+        if kind == "steady":  # velocities depend on all poses
+            change = (rates_at(links, there) - rates_at(links, here)) / (2.0 * step)
+            slope[:, :6] -= links.seconds[:, None] * change[links.first]
+            slope[:, 6:] += change[links.first + 1] - change[links.first]
+        expected = (links.at(there).error - links.at(here).error) / (2.0 * step)
+        np.testing.assert_allclose(slope, expected, atol=2e-5 if kind == "odometry" else 2e-4)
 
 
 def test_velocities_are_those_of_the_least_loss():
