@@ -1,4 +1,4 @@
-"""The files that a survey leaves."""
+"""The output files of a survey."""
 
 import os
 from collections.abc import Callable
@@ -27,17 +27,17 @@ AUDIT = (
 
 
 def check_folder(directory: Path, cfg: DictConfig, cameras: int, exports: "Export", *, has_plan: bool) -> None:
-    """Refuse a folder that would hold files of an earlier survey beside those of this one, or where these cannot be.
+    """Refuse a folder that would keep files of an earlier survey, or that has folders with the names of files.
 
     Args:
-        directory: where the files go.
-        cfg: of the survey.
-        cameras: how many there are.
-        exports: what is written besides.
-        has_plan: whether there is one.
+        directory: folder of the files.
+        cfg: configuration of the survey.
+        cameras: number of cameras.
+        exports: further files.
+        has_plan: there is a plan of the tags.
 
     Raises:
-        InputError: it is such a folder.
+        InputError: the folder is refused.
     """
     from lmd.core.checks import InputError
     from lmd.mapping.formats import FORMATS
@@ -64,20 +64,20 @@ def check_folder(directory: Path, cfg: DictConfig, cameras: int, exports: "Expor
 
 
 def camera_files(count: int) -> list[str]:
-    """The names of the files for the calibrations of cameras."""
+    """Names of the calibration files of cameras."""
     return ["camera.yaml"] if count == 1 else [f"camera_{number}.yaml" for number in range(1, count + 1)]
 
 
 def writers_of(
     found: "Survey", room: "Space | None", title: str, detected: "DetectedTags | None"
 ) -> dict[str, Callable[[Path], object]]:
-    """Functions that write the files, by their names.
+    """Functions that write the files of a survey, by file name.
 
     Args:
-        found: what is written.
-        room: None where it is not known.
-        title: of the picture.
-        detected: what was detected in all frames; None where it is in a file already.
+        found: the survey.
+        room: room of the tags; None if it is not known.
+        title: title of the picture.
+        detected: all detections; None if they are in a file already.
     """
     from lmd.core.tables import write_table
     from lmd.mapping.detections import write_detections
@@ -102,7 +102,7 @@ def writers_of(
 
 
 def audit_writers(audit: "Audit", detector: str, title: str) -> dict[str, Callable[[Path], object]]:
-    """Functions that write the files of an audit, by their names."""
+    """Functions that write the files of an audit, by file name."""
     import pandas as pd
 
     from lmd.detection.report import figures
