@@ -1,8 +1,8 @@
 """Steps 4 and 5 of the paper's procedure: test of independence, and fit of a density to samples of one or both angles.
 
-A density is represented by the probabilities of fine cells of its angles. Candidates are compared by the cross-validated
-log-likelihood per sample, which compares parametric families with kernel estimates: each fold, a stretch
-of the recording, is scored by the fit to the others. The simplest family within one standard error of the best
+A density is represented by the probabilities of fine cells of its angles. Candidates are compared by the
+cross-validated log-likelihood per sample, which compares parametric families with kernel estimates: each fold, a
+stretch of the recording, is scored by the fit to the others. The simplest family within one standard error of the best
 is chosen (the one-standard-error rule, on paired differences).
 """
 
@@ -248,7 +248,7 @@ def circular_difference(angle: FloatArray, origin: float) -> FloatArray:
     return np.asarray(np.mod(angle - origin + np.pi, 2.0 * np.pi) - np.pi)
 
 
-def _equal_bins(values: FloatArray, bins: int) -> NDArray[np.int64]:
+def _equal_bins(values: FloatArray, bins: int) -> IntArray:
     """Index of the bin of each value `(S,)`; bins have equal frequencies as far as ties allow, and none is empty."""
     inner = np.quantile(values, np.arange(1, bins) / bins)
     return np.asarray(np.unique(np.searchsorted(inner, values, side="right"), return_inverse=True)[1], dtype=np.int64)

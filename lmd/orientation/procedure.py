@@ -19,8 +19,15 @@ from scipy.stats import circmean, iqr
 
 from lmd.core.checks import FloatArray, IntArray, real
 from lmd.orientation import density
-from lmd.orientation.density import AngleCells, Candidate, Density, Family, Independence
-from lmd.orientation.density import circular_difference, independence_test
+from lmd.orientation.density import (
+    AngleCells,
+    Candidate,
+    Density,
+    Family,
+    Independence,
+    circular_difference,
+    independence_test,
+)
 from lmd.orientation.recording import OrientationRecording, Samples, sample_at_random_intervals
 from lmd.scene.pdf import OrientationPdf, divisions_of
 

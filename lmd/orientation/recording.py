@@ -150,10 +150,10 @@ class FileRecording:
 class SimulatedRecording:
     """Smooth random motion; at every moment the yaw is von Mises and the pitch truncated normal.
 
-    Two stationary Gaussian processes z_1, z_2 have the autocorrelation exp(-t^2 / (2 tau^2)). A phase phi with a uniform
-    start and the rate z_1 / tau is uniform at every moment; the yaw is the von Mises quantile of phi / (2 pi) + 1/2,
-    phi in [-pi, pi), and so passes the seam like any other angle. The pitch is the quantile of c g + sqrt(1 - c^2) z_2,
-    where g is the normal quantile of |phi| / pi.
+    Two stationary Gaussian processes z_1, z_2 have the autocorrelation exp(-t^2 / (2 tau^2)). A phase phi with a
+    uniform start and the rate z_1 / tau is uniform at every moment; the yaw is the von Mises quantile of
+    phi / (2 pi) + 1/2, phi in [-pi, pi), and so passes the seam like any other angle. The pitch is the quantile of
+    c g + sqrt(1 - c^2) z_2, where g is the normal quantile of |phi| / pi.
 
     Args:
         duration: seconds.
