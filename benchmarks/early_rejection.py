@@ -12,8 +12,6 @@ from numba import njit
 
 from lmd.incremental.coverage_field import coverage_field
 from lmd.incremental.field import move
-from lmd.incremental.move import state_of
-from lmd.incremental.state import scratch_of
 from lmd.incremental.trial import bound_move, finish_move
 from lmd.optimisers.annealing.proposals import propose
 from lmd.optimisers.ledger import Budget
@@ -53,7 +51,7 @@ def main() -> None:
     problem, optimiser = build_problem(cfg), build_optimiser(cfg, 0)
     optimiser.run(problem, Budget(EVALUATIONS))
     field = coverage_field(problem.fitness_evaluator, problem.objective.n)
-    state = state_of(field, optimiser.here)
+    state = field.state(optimiser.here)
     settings = optimiser.single.settings(1.0, near=optimiser.spread * problem.scene.visibility.spacing)
     rng, room = np.random.default_rng(0), SurfaceArrays.of(problem.scene.room.surfaces())
     who, places = rng.integers(problem.count, size=MOVES), np.empty((MOVES, 6))
@@ -67,7 +65,7 @@ def main() -> None:
 
     best = {False: np.inf, True: np.inf}
     units = {}
-    scratch = scratch_of(state)
+    scratch = field.scratch(state)
     for _ in range(REPEATS):
         for finish in best:
             began = time.perf_counter()
@@ -78,7 +76,7 @@ def main() -> None:
     rejected, early = gain < lowest, bound < lowest
     carried_out = np.inf
     for _ in range(REPEATS):
-        state = state_of(field, optimiser.here)
+        state = field.state(optimiser.here)
         began = time.perf_counter()
         move_all(who[~rejected], places[~rejected], surfaces[~rejected], field, state, scratch)
         carried_out = min(carried_out, time.perf_counter() - began)

@@ -112,13 +112,12 @@ def _pose(poses, k):
 
 
 @kernel
-def _see(positions, part, obstacles, landmarks, normals, slack, n, keep, seen):
+def _see(positions, part, landmarks, normals, slack, n, keep, seen):
     """Add to `seen` what the cameras of a part cover.
 
     Args:
         positions: of the body, neighbours in blocks, `(P, 3)`, metres.
         part: where its sight says that none hides another, each landmark is seen on its own.
-        obstacles: what of the room stands in the way of the places around each position, see `obstacles`, `(P G)`.
         landmarks, normals: `(1, 3, K)`.
         slack: see `criteria.from_position`, `(K,)` metres; what blocks a landmark with slack is not asked.
         n, keep: where n landmarks are covered, others are left out unless `keep` is set.
@@ -126,6 +125,7 @@ def _see(positions, part, obstacles, landmarks, normals, slack, n, keep, seen):
     """
     sight, words, total = part.sight, np.uint64(seen.shape[3]), landmarks.shape[2]
     poses, names, order = np.empty((6, total)), np.arange(total), np.arange(len(positions))
+    obstacles = part.obstacles
     clear, ends, view = is_clear(obstacles), no_ends(obstacles, total), viewpoint_for(total)
     for k in range(total):
         for i in range(3):
@@ -309,5 +309,5 @@ def _find(
     """Add to `seen`, see `_see`, what a part covers; the others as in `seen_by`."""
     points, directions = (for_kernels(v.T[None]) for v in (landmarks, normals))
     obstacles = obstacles_at(blockers, places_around(positions, part) if blockers is not None else positions)
-    part = part._replace(horizon=part.horizon + float(slack.max(initial=0.0)))
-    _see(positions, part, obstacles, points, directions, slack, max(n, 1), n == 0, seen)
+    part = part._replace(horizon=part.horizon + float(slack.max(initial=0.0)), obstacles=obstacles)
+    _see(positions, part, points, directions, slack, max(n, 1), n == 0, seen)

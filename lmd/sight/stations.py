@@ -32,8 +32,12 @@ MARGIN = 1e-6  # metres, far more than rounding moves a depth
 class Part(NamedTuple):
     """The cameras of a rig that are alike: M mounts around C centres, and D orientations of the body."""
 
+    number: int
+    """Index of the part in the rig."""
     sight: Any
     """The model compiled for these cameras."""
+    obstacles: Any
+    """Obstacles of the room before the places around some positions, see `obstacles`; None where none are looked at."""
     horizon: float
     """How far from the body's origin a landmark may matter, metres."""
     centres: np.ndarray
@@ -64,13 +68,13 @@ def parts_of(scene: Scene) -> tuple[Part, ...]:
     cameras, (offsets, axes) = scene.camera.cameras, scene.camera.views(scene.orientations.axes)
     kinds = dict.fromkeys(cameras)
     return tuple(
-        _part(scene.visibility.sight(kind), offsets[mounts], axes[mounts])
-        for kind in kinds
+        _part(number, scene.visibility.sight(kind), offsets[mounts], axes[mounts])
+        for number, kind in enumerate(kinds)
         for mounts in [[m for m, camera in enumerate(cameras) if camera == kind]]
     )
 
 
-def _part(sight: Any, offsets: FloatArray, axes: FloatArray) -> Part:
+def _part(number: int, sight: Any, offsets: FloatArray, axes: FloatArray) -> Part:
     """Mounts with the `offsets` `(M, D, 3)` and the `axes` `(M, D, 6)`."""
     middle = np.round((offsets.min(axis=1) + offsets.max(axis=1)) / 2.0, 9)
     centres, centre = np.unique(middle, axis=0, return_inverse=True)
@@ -92,7 +96,9 @@ def _part(sight: Any, offsets: FloatArray, axes: FloatArray) -> Part:
             _fill_level(sight, turned[m], shift, radius[centre[m]], level, certain=certain, possible=possible)
             found[rows, 0, m], found[rows, 1, m] = certain, possible
     return Part(
+        number=number,
         sight=sight,
+        obstacles=None,
         horizon=_horizon(sight, offsets.reshape(-1, 3)),
         centres=centres,
         radius=radius,

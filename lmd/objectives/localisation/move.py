@@ -6,8 +6,8 @@ import numpy as np
 
 from lmd.core.bits import ONE, ZERO, lowest
 from lmd.core.compiled import borrowing, inner
+from lmd.incremental.camera import list_touched
 from lmd.incremental.counts import ENOUGH
-from lmd.incremental.move import list_touched
 from lmd.incremental.state import FIRST, HIDDEN, LAST, LISTED, SPAN_COUNT, State
 from lmd.objectives.localisation.changes import VIEW, add_change, list_changes, mixed, note_landmark, row_meets
 from lmd.objectives.localisation.information import WIDTH
