@@ -11,7 +11,7 @@ import numpy as np
 from lmd.core.bits import ALL, BITS, HALF, LOWER, ONE, ZERO, lowest
 from lmd.core.compiled import allocating, inlined, inner
 from lmd.core.memory import check_views
-from lmd.incremental.counts import JUST, SHORT, ripple
+from lmd.incremental.counts import JUST, SHORT
 from lmd.incremental.nearby import is_near, pose_of, target_of
 from lmd.incremental.occlusion import ARRIVES, COMES, LEAVES, note_neighbour, note_pair, search, touch
 from lmd.incremental.state import (
@@ -50,11 +50,13 @@ from lmd.incremental.state import (
 )
 from lmd.incremental.trial import (
     bound_views,
+    exchange_sets,
     exchange_views,
     find_pairs,
     forget_views,
+    fresh_of,
+    list_changing,
     see,
-    see_whole,
     shown_of,
     turned,
 )
@@ -300,37 +302,8 @@ def _bound_views(state, k, field, scratch):  # type: ignore[no-untyped-def]
     return scratch.numbers[TOUCHED_COUNT]
 
 
-@see.register(State)
-def _see(state, k, positions, field, scratch):  # type: ignore[no-untyped-def]
-    sight, axes, seen, sets = sized(field.cameras.sight, k), field.cameras.axes, scratch.seen, scratch.sets
-    certain, possible = field.cameras.tables[CERTAIN], field.cameras.tables[POSSIBLE]
-    x, y, z, low, high, sure = seen[X], seen[Y], seen[Z], seen[LOW], seen[HIGH], seen[SURE]
-    cell, reached, hidden, fresh, asked = (
-        scratch.cell[CELL], scratch.flags[REACHED], scratch.hides[HIDDEN], sets[FRESH], sets[ASKED]
-    )  # fmt: skip
-    frame = frame_of(sight, scratch.target[3], scratch.target[4], scratch.target[5])
-    for p in positions:
-        row = np.uint64(cell[p] if reached[p] & (hidden[p] == 0) else NOWHERE)
-        px, py, pz, least = x[p], y[p], z[p], low[p]
-        for w in range(np.uint64(fresh.shape[1])):
-            left, found = asked[p, w] & possible[row, w], ZERO
-            while left:
-                bit = lowest(left)
-                a = w * np.uint64(BITS) + bit
-                central = (certain[row, w] >> bit & ONE) != ZERO
-                inside = covers_one(sight, px, py, pz, frame, least, high[p], sure[p], central, axes, a)
-                found |= np.uint64(inside) << bit
-                left &= left - ONE
-            fresh[p, w] = found
-
-
-@inner
-def list_touched(k, state, scratch):  # type: ignore[no-untyped-def]
-    """List in `LISTED` the positions at which a move of landmark k may change anything.
-
-    Returns:
-        their number.
-    """
+@list_changing.register(State)
+def _list_changing(state, k, scratch):  # type: ignore[no-untyped-def]
     reachable, reached, touched = state.reachable, scratch.flags[REACHED], scratch.flags[TOUCHED]
     listed, first, last = scratch.lists[LISTED], scratch.lists[FIRST], scratch.lists[LAST]
     count = ZERO
@@ -341,24 +314,37 @@ def list_touched(k, state, scratch):  # type: ignore[no-untyped-def]
     return count
 
 
-@see_whole.register(State)
-def _see_whole(state, k, field, scratch):  # type: ignore[no-untyped-def]
-    sight, axes = sized(field.cameras.sight, k), field.cameras.axes
-    certain, possible = field.cameras.tables[CERTAIN], field.cameras.tables[POSSIBLE]
-    target, caps, seen = scratch.target, scratch.cap, scratch.seen
+@see.register(State)
+def _see(state, k, positions, field, scratch):  # type: ignore[no-untyped-def]
+    camera, sight, target, seen = field.cameras, sized(field.cameras.sight, k), scratch.target, scratch.seen
+    certain, possible, fresh, asked = (
+        camera.tables[CERTAIN], camera.tables[POSSIBLE], scratch.sets[FRESH], scratch.sets[ASKED]
+    )  # fmt: skip
     x, y, z, low, high, sure = seen[X], seen[Y], seen[Z], seen[LOW], seen[HIGH], seen[SURE]
     cell, reached = scratch.cell[CELL], scratch.flags[REACHED]
     frame = frame_of(sight, target[3], target[4], target[5])
-    for p in scratch.lists[LISTED][: list_touched(k, state, scratch)]:
+    for p in positions:
         row = np.uint64(cell[p] if reached[p] else NOWHERE)
         given = row if sure[p] == np.inf else np.uint64(NOWHERE)
         px, py, pz, least, most, deep = x[p], y[p], z[p], low[p], high[p], sure[p]
-        for w in range(np.uint64(caps.shape[1])):
-            cap, well = certain[given, w], certain[row, w]
-            left = possible[row, w] & ~cap
+        for w in range(np.uint64(fresh.shape[1])):
+            cap, well = certain[given, w] & asked[p, w], certain[row, w]
+            left = possible[row, w] & asked[p, w] & ~cap
             if left:
-                cap |= covering(sight, left, w, px, py, pz, frame, least, most, deep, well, axes)
-            caps[p, w] = cap
+                cap |= covering(sight, left, w, px, py, pz, frame, least, most, deep, well, camera.axes)
+            fresh[p, w] = cap
+
+
+@fresh_of.register(Scratch)
+def _fresh_of(scratch, p, w):  # type: ignore[no-untyped-def]
+    return scratch.sets[FRESH, p, w] if scratch.hides[HIDDEN, p] == 0 else ZERO
+
+
+@exchange_sets.register(State)
+def _exchange_sets(state, k, p, w, scratch):  # type: ignore[no-untyped-def]
+    was, now, cap = shown_of(state, k, p, w), fresh_of(scratch, p, w), state.caps[k, p, w]
+    state.caps[k, p, w], scratch.sets[FRESH, p, w] = scratch.sets[FRESH, p, w], cap
+    return was, now
 
 
 @inlined
@@ -369,34 +355,18 @@ def _swap(one, other, first, last):  # type: ignore[no-untyped-def]
 
 
 @exchange_views.register(State)
-def _exchange_views(state, k, field, scratch):  # type: ignore[no-untyped-def]
-    n, caps, other, counts, changes = field.n, state.caps, scratch.cap, state.counts, scratch.changes
-    reachable, hidden, hiding = state.reachable, state.hides[HIDDEN], state.hides[HIDING]
-    reached, hides, lists = scratch.flags[REACHED], scratch.hides, scratch.lists
-    words = np.uint64(caps.shape[2])
-    for p in lists[LISTED][: list_touched(k, state, scratch)]:
-        shown = ALL if reachable[k, p] & (hidden[k, p] == 0) else ZERO
-        seen = ALL if reached[p] & (hides[HIDDEN, p] == 0) else ZERO
-        for w in range(words if reachable[k, p] | reached[p] else ZERO):
-            old, new = caps[k, p, w], other[p, w]
-            caps[k, p, w], other[p, w] = new, old
-            changed = (old & shown) ^ (new & seen)
-            if changed:
-                ripple(p, w, changed, old & shown, n, counts)
+def _exchange_views(state, k, scratch):  # type: ignore[no-untyped-def]
+    changes, lists, hidden, hiding = scratch.changes, scratch.lists, state.hides[HIDDEN], state.hides[HIDING]
     for e in range(scratch.numbers[PAIR_COUNT]):
         i, p = np.uint64(scratch.pairs[WHO, e]), np.uint64(scratch.pairs[WHERE, e])
-        was, now = hidden[i, p], hidden[i, p] + changes[HIDDEN, i, p]
-        if turns(reachable[i, p], was, now):
-            for w in range(words):
-                ripple(p, w, caps[i, p, w], ALL if was == 0 else ZERO, n, counts)
-        hidden[i, p] = now
+        hidden[i, p] += changes[HIDDEN, i, p]
         hiding[i, p] += changes[HIDING, i, p]
         changes[HIDDEN, i, p], changes[HIDING, i, p] = -changes[HIDDEN, i, p], -changes[HIDING, i, p]
     for s in range(scratch.numbers[SPAN_COUNT]):
         first, last = lists[FIRST, s], lists[LAST, s]
-        _swap(reachable[k], reached, first, last)
-        _swap(hidden[k], hides[HIDDEN], first, last)
-        _swap(hiding[k], hides[HIDING], first, last)
+        _swap(state.reachable[k], scratch.flags[REACHED], first, last)
+        _swap(hidden[k], scratch.hides[HIDDEN], first, last)
+        _swap(hiding[k], scratch.hides[HIDING], first, last)
 
 
 @inlined

@@ -11,15 +11,41 @@ from lmd.core.bits import ALL
 from lmd.core.compiled import borrowing, inner
 from lmd.incremental.counts import ripple, sum_up
 from lmd.incremental.occlusion import ARRIVES
-from lmd.incremental.state import FIRST, HIDDEN, LAST, SPAN_COUNT, SURFACE
-from lmd.incremental.trial import begin_place, exchange_views, find_pairs, see_whole
+from lmd.incremental.state import FIRST, HIDDEN, LAST, LISTED, PAIR_COUNT, SPAN_COUNT, SURFACE, WHERE, WHO
+from lmd.incremental.trial import (
+    begin_place,
+    exchange_sets,
+    exchange_views,
+    find_pairs,
+    list_changing,
+    see_whole,
+    turned,
+)
+
+
+@inner
+def exchange(k, field, state, scratch):  # type: ignore[no-untyped-def]
+    """Exchange what a state and a scratch have of landmark k and of the pairs, and update the counts."""
+    words, who, where = np.uint64(state.counts.digits.shape[1]), scratch.pairs[WHO], scratch.pairs[WHERE]
+    for p in scratch.lists[LISTED][: list_changing(state, k, scratch)]:
+        for w in range(words):
+            was, now = exchange_sets(state, k, p, w, scratch)
+            if was != now:
+                ripple(p, w, was ^ now, was, field.n, state.counts)
+    for e in range(scratch.numbers[PAIR_COUNT]):
+        i, p = np.uint64(who[e]), np.uint64(where[e])
+        for w in range(words):
+            was, now = turned(state, i, p, w, scratch)
+            if was != now:
+                ripple(p, w, was ^ now, was, field.n, state.counts)
+    exchange_views(state, k, scratch)
 
 
 @inner
 def take_back(field, k, state, scratch):  # type: ignore[no-untyped-def]
     """Exchange landmark k for the other place in `scratch`: undo the last `carry_out`, all later ones being undone."""
     k, first, last, units = np.uint64(k), scratch.lists[FIRST], scratch.lists[LAST], scratch.units
-    exchange_views(state, k, field, scratch)
+    exchange(k, field, state, scratch)
     for s in range(scratch.numbers[SPAN_COUNT]):
         for p in range(first[s], last[s]):
             state.units[p], units[p] = units[p], state.units[p]
@@ -32,7 +58,7 @@ def take_back(field, k, state, scratch):  # type: ignore[no-untyped-def]
 @inner
 def carry_out(field, k, state, scratch):  # type: ignore[no-untyped-def]
     """Move landmark k to where it was tried last; no other move may have been tried or carried out since."""
-    see_whole(state, np.uint64(k), field, scratch)
+    see_whole(np.uint64(k), field, state, scratch)
     take_back(field, k, state, scratch)
 
 
@@ -44,8 +70,8 @@ def fill(field, state, scratch):  # type: ignore[no-untyped-def]
             scratch.target[i] = state.poses[i, k]
         begin_place(k, field, state, scratch)
         find_pairs(state, k, ARRIVES, field, scratch)
-        see_whole(state, k, field, scratch)
-        exchange_views(state, k, field, scratch)
+        see_whole(k, field, state, scratch)
+        exchange(k, field, state, scratch)
     sum_up(field, state)
 
 

@@ -12,10 +12,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from numba import literal_unroll
 
-from lmd.core.bits import ALL, BITS, ONE, ZERO, lowest
+from lmd.core.bits import BITS, ZERO, lowest
 from lmd.core.compiled import allocating, inlined, inner
 from lmd.core.memory import check_views
-from lmd.incremental.counts import JUST, SHORT, ripple
+from lmd.incremental.counts import JUST, SHORT
 from lmd.incremental.nearby import pose_of, target_of
 from lmd.incremental.occlusion import ARRIVES, COMES, LEAVES, line_radius, note_neighbour, note_pair, search, touch
 from lmd.incremental.state import (
@@ -45,22 +45,25 @@ from lmd.incremental.state import (
 )
 from lmd.incremental.trial import (
     bound_views,
+    exchange_sets,
     exchange_views,
     find_pairs,
     forget_views,
+    fresh_of,
+    list_changing,
     see,
-    see_whole,
     shown_of,
     turned,
 )
 from lmd.scene.criteria import frame_of, sized
 from lmd.sight.blocks import BLOCK
-from lmd.sight.obstacles import find_ends, is_blocked, is_clear, no_ends
+from lmd.sight.obstacles import find_ends, is_clear, no_ends
 from lmd.sight.stations import (
     Part,
+    blocked_bits,
     bounds_from,
-    covers_from,
-    hides_from,
+    covered_bits,
+    hidden_bits,
     line_room,
     may_hide_around,
     row_from,
@@ -142,14 +145,9 @@ def _forget_views(scratch):  # type: ignore[no-untyped-def]
 
 
 @inner
-def _hidden_bits(part, m, w, bits, i, k, px, py, pz, one, other):  # type: ignore[no-untyped-def]
-    """Those orientations of a set of word w with which landmark i, `one`, hides k, the `other`, from mount m."""
-    found = ZERO
-    while bits:
-        bit = lowest(bits)
-        bits &= bits - ONE
-        found |= np.uint64(hides_from(part, m, w * np.uint64(BITS) + bit, i, k, px, py, pz, one, other)) << bit
-    return found
+def _hidden_bits(part, m, w, left, i, k, px, py, pz, one, other):  # type: ignore[no-untyped-def]
+    """`hidden_bits`, not inlined."""
+    return hidden_bits(part, m, w, left, i, k, px, py, pz, one, other)
 
 
 @inner
@@ -270,7 +268,7 @@ def _find_caps(k, part, positions, body, scratch, rig):  # type: ignore[no-untyp
     cap, veil, seen = scratch.sets[CAPS], scratch.sets[VEILED], scratch.seen
     x, y, z, most, start, sure = seen[X], seen[Y], seen[Z], seen[HIGH], seen[LOW], seen[SURE]
     row, left_over, reached = scratch.lists[ROW], scratch.lists[LEFT_OVER], scratch.reached
-    words, size, half = np.uint64(asked.shape[1]), len(part.places), np.uint64(part.tables.shape[1] // 2)
+    words, half = np.uint64(asked.shape[1]), np.uint64(part.tables.shape[1] // 2)
     tx, ty, tz, nx, ny, nz = target_of(rig)
     sight = sized(part.sight, k)
     clear, frame, ends = is_clear(obstacles), frame_of(sight, nx, ny, nz), no_ends(obstacles, 1)
@@ -309,20 +307,9 @@ def _find_caps(k, part, positions, body, scratch, rig):  # type: ignore[no-untyp
                     if cap[q, m, w] == ZERO:
                         continue
                     found, left = split(part, m, w, cap[q, m, w], words, x[i], y[i], z[i], *bounds, row[i])
-                    while left:
-                        bit = lowest(left)
-                        left &= left - ONE
-                        a = w * np.uint64(BITS) + bit
-                        covered = covers_from(part, m, a, k, px, py, pz, tx, ty, tz, nx, ny, nz, frame)
-                        found |= np.uint64(covered) << bit
+                    found |= covered_bits(part, m, w, left, k, px, py, pz, tx, ty, tz, nx, ny, nz, frame)
                     if not clear:
-                        left = found
-                        while left:
-                            bit = lowest(left)
-                            left &= left - ONE
-                            place = q * np.uint64(size) + np.uint64(part.place[m, w * np.uint64(BITS) + bit])
-                            if is_blocked(obstacles, sight, place, ends, 0):
-                                found &= ~(ONE << bit)
+                        found &= ~blocked_bits(part, m, w, found, k, q, ends, 0)
                     cap[q, m, w] = found
                     fresh[q, w] |= found
 
@@ -388,23 +375,21 @@ def _bound_views(state, k, field, scratch):  # type: ignore[no-untyped-def]
     return list_near(scratch, False)
 
 
-@see_whole.register(RigState)
-def _see_whole(state, k, field, scratch):  # type: ignore[no-untyped-def]
-    positions, asked = scratch.lists[LISTED][: list_near(scratch, True)], scratch.sets[ASKED]
-    for q in positions:
-        for w in range(np.uint64(asked.shape[1])):
-            asked[q, w] = ALL
-    _see_with(field.cameras.parts, k, positions, field, state, scratch)
+@list_changing.register(RigState)
+def _list_changing(state, k, scratch):  # type: ignore[no-untyped-def]
+    return list_near(scratch, True)
 
 
-@inlined
-def _show(i, q, w, now, n, state):  # type: ignore[no-untyped-def]
-    """Let `now` be the orientations of word w with which landmark i is seen; returns the former ones."""
-    was = state.shown[i, q, w]
-    if now != was:
-        ripple(q, w, now ^ was, was, n, state.counts)
-        state.shown[i, q, w] = now
-    return was
+@fresh_of.register(RigScratch)
+def _fresh_of(scratch, p, w):  # type: ignore[no-untyped-def]
+    return scratch.sets[FRESH, p, w]
+
+
+@exchange_sets.register(RigState)
+def _exchange_sets(state, k, p, w, scratch):  # type: ignore[no-untyped-def]
+    was, now = state.shown[k, p, w], scratch.sets[FRESH, p, w]
+    state.shown[k, p, w], scratch.sets[FRESH, p, w] = now, was
+    return was, now
 
 
 @inner
@@ -419,19 +404,14 @@ def _exchange_part(k, positions, mine, other):  # type: ignore[no-untyped-def]
 
 
 @exchange_views.register(RigState)
-def _exchange_views(state, k, field, scratch):  # type: ignore[no-untyped-def]
-    fresh, who, where, n = scratch.sets[FRESH], scratch.pairs[WHO], scratch.pairs[WHERE], field.n
-    words, positions = np.uint64(fresh.shape[1]), scratch.lists[LISTED][: list_near(scratch, True)]
-    for q in positions:
-        for w in range(words):
-            fresh[q, w] = _show(k, q, w, fresh[q, w], n, state)
+def _exchange_views(state, k, scratch):  # type: ignore[no-untyped-def]
+    positions = scratch.lists[LISTED][: list_near(scratch, True)]
     for j in range(len(state.parts)):
         _exchange_part(k, positions, state.parts[j], scratch.parts[j].sets)  # copied: outside of other loops
     for e in range(scratch.numbers[PAIR_COUNT]):
-        i, q = np.uint64(who[e]), np.uint64(where[e])
-        for w in range(words):
-            _, now = turned(state, i, q, w, scratch)
-            _show(i, q, w, now, n, state)
+        i, q = np.uint64(scratch.pairs[WHO, e]), np.uint64(scratch.pairs[WHERE, e])
+        for w in range(np.uint64(state.shown.shape[2])):
+            _, state.shown[i, q, w] = turned(state, i, q, w, scratch)
             for j in range(len(state.parts)):
                 veiled, flipped = state.parts[j][VEILED], scratch.parts[j].flipped
                 for m in range(veiled.shape[2]):

@@ -43,7 +43,7 @@ UNSURE, PLACES = 7, 8  # sets of axes to be tested, and their position and word:
 NAMES, GOES = 9, 10  # landmarks that turn at a position; all bits for one that disappears; of a single camera
 
 # Rows of `Scratch.sets`.
-FRESH = 0  # orientations with which the landmark is seen at the place tried, among those `ASKED`
+FRESH = 0  # orientations among those `ASKED` with which the place tried is covered; of a camera, occlusion ignored
 ASKED = 1  # orientations that are tested
 
 # Rows of `Scratch.pairs`.
@@ -94,8 +94,8 @@ class RigState(NamedTuple):
 class Scratch(NamedTuple):
     """The move tried last, and working memory.
 
-    Once the move is carried out, `target`, `SURFACE`, `units`, `cap`, `REACHED`, `hides` and `changes` are those of the
-    way back.
+    Once the move is carried out, `target`, `SURFACE`, `units`, `FRESH`, `REACHED`, `hides` and `changes` are those of
+    the way back.
     """
 
     target: np.ndarray
@@ -126,8 +126,6 @@ class Scratch(NamedTuple):
     """`(6, Q)`: `X` to `SURE`."""
     cell: np.ndarray
     """`(2, Q)` int32: cell of the tables of directions, and the row of the axes that may have the place in view."""
-    cap: np.ndarray
-    """`(Q, W)` axes that cover the landmark at the place tried, occlusion ignored."""
 
 
 class PartScratch(NamedTuple):
@@ -200,14 +198,13 @@ def _shared_fields(state: State | RigState) -> dict[str, Any]:
 
 def scratch_of(state: State) -> Scratch:
     """Working memory for moves of the landmarks of a camera's `state`."""
-    count, size, words = state.caps.shape
+    count, size, _ = state.caps.shape
     return Scratch(
         **_shared_fields(state),
         changes=np.zeros((2, count, size), dtype=np.int8),
         hides=np.zeros((2, size), dtype=np.int16),
         seen=np.empty((6, size)),
         cell=np.empty((2, size), dtype=np.int32),
-        cap=np.zeros((size, words), dtype=np.uint64),
     )
 
 

@@ -28,7 +28,6 @@ from lmd.incremental.nearby import list_blocks
 from lmd.incremental.occlusion import COMES, LEAVES
 from lmd.incremental.state import (
     ASKED,
-    FRESH,
     LISTED,
     PAIR_COUNT,
     SURFACE,
@@ -69,17 +68,35 @@ def bound_views(state, k, field, scratch):  # type: ignore[no-untyped-def]
 
 @dispatched_call
 def see(state, k, positions, field, scratch):  # type: ignore[no-untyped-def]
-    """Find in `FRESH` with which orientations among those `ASKED` landmark k is seen at the place tried."""
+    """Find in `FRESH` with which orientations among those `ASKED` landmark k is covered at the place tried."""
+
+
+@dispatched
+def fresh_of(scratch, p, w):  # type: ignore[no-untyped-def]
+    """Orientations in `FRESH` with which the landmark is seen at the place tried."""
 
 
 @dispatched_call
-def see_whole(state, k, field, scratch):  # type: ignore[no-untyped-def]
-    """Find all orientations that cover landmark k at the place tried."""
+def list_changing(state, k, scratch):  # type: ignore[no-untyped-def]
+    """List in `LISTED` the positions at which a move of landmark k may change anything.
+
+    Returns:
+        their number.
+    """
+
+
+@dispatched
+def exchange_sets(state, k, p, w, scratch):  # type: ignore[no-untyped-def]
+    """Exchange the sets of landmark k in word w at position p.
+
+    Returns:
+        the orientations with which it was seen, and those with which it is seen now.
+    """
 
 
 @dispatched_call
-def exchange_views(state, k, field, scratch):  # type: ignore[no-untyped-def]
-    """Exchange what a state and a scratch have of the two places of landmark k and of the pairs; update the counts.
+def exchange_views(state, k, scratch):  # type: ignore[no-untyped-def]
+    """Exchange what else a state and a scratch have of the places of landmark k, and apply the pairs.
 
     Done twice, it changes nothing.
     """
@@ -147,18 +164,28 @@ def ask_touched(k, n, or_more, state, scratch):  # type: ignore[no-untyped-def]
 @inner
 def _find_units(k, positions, n, weights, state, scratch):  # type: ignore[no-untyped-def]
     """Find P_n at `positions` with the sets in `FRESH` for landmark k and the pairs as they turn."""
-    enough, fresh, asked = state.counts.sets[ENOUGH], scratch.sets[FRESH], scratch.sets[ASKED]
+    enough, asked = state.counts.sets[ENOUGH], scratch.sets[ASKED]
     touched, digits = scratch.flags[TOUCHED], scratch.digits
     for p in positions:
         change = np.int64(0)
-        for w in range(np.uint64(fresh.shape[1])):
-            seen = fresh[p, w] & asked[p, w]
+        for w in range(np.uint64(asked.shape[1])):
+            seen = fresh_of(scratch, p, w) & asked[p, w]
             had = shown_of(state, k, p, w) & asked[p, w]
             if touched[p]:
                 had = enough[p, w]
                 seen |= at_least(digits[p, w], n)
             change += sum_weights(had, seen, weights, p, w)
         scratch.units[p] = state.units[p] + change
+
+
+@inner
+def see_whole(k, field, state, scratch):  # type: ignore[no-untyped-def]
+    """Find all orientations that cover landmark k at the place tried."""
+    positions, asked = scratch.lists[LISTED][: list_changing(state, k, scratch)], scratch.sets[ASKED]
+    for p in positions:
+        for w in range(np.uint64(asked.shape[1])):
+            asked[p, w] = ALL
+    see(state, k, positions, field, scratch)
 
 
 @inner

@@ -12,13 +12,14 @@ from lmd.core.checks import FloatArray
 from lmd.core.compiled import for_kernels, inlined, inner, kernel
 from lmd.scene.criteria import covers, frame_of, from_position, sized
 from lmd.sight.blocks import SINGLE_ERROR
-from lmd.sight.obstacles import find_ends, is_blocked, is_clear, no_ends, obstacles_at
+from lmd.sight.obstacles import find_ends, is_clear, no_ends, obstacles_at
 from lmd.sight.stations import (
     ANY,
     Part,
+    blocked_bits,
     bounds_from,
-    covers_from,
-    hides_from,
+    covered_bits,
+    hidden_bits,
     may_hide_around,
     places_around,
     row_from,
@@ -134,7 +135,7 @@ def _see(positions, part, landmarks, normals, slack, n, keep, seen):
             lx, ly, lz, nx, ny, nz = _pose(poses, k)
             find_ends(obstacles, sized(sight, k), lx, ly, lz, nx, ny, nz, ends, k)
     near, x, y, z, reached, who, shown = view.near, view.x, view.y, view.z, view.reached, view.who, view.shown
-    high, deep, size = view.high, view.deep, len(part.places)
+    high, deep = view.high, view.deep
     start, row, suspects = np.empty(total), np.empty(total, np.uint64), np.empty(total + 1, np.int64)
     close = np.zeros((total, total // LANES + 1), np.uint32)
     some, doubtful = np.empty((n, words), dtype=np.uint64), np.empty(total, dtype=np.bool_)
@@ -191,29 +192,16 @@ def _see(positions, part, landmarks, normals, slack, n, keep, seen):
                             left |= sure[k, m, w]
                         left &= ~mine if keep else ~(mine | some[n - 1, w])
                         cap, left = left & sure[k, m, w], left & undecided[k, m, w]
-                        while left:
-                            bit = lowest(left)
-                            a = w * np.uint64(BITS) + bit
-                            left &= left - ONE
-                            covered = covers_from(part, m, a, name, px, py, pz, lx, ly, lz, nx, ny, nz, frame)
-                            cap |= np.uint64(covered) << bit
+                        cap |= covered_bits(part, m, w, left, name, px, py, pz, lx, ly, lz, nx, ny, nz, frame)
                         if cap and rivals < 0:
                             rivals = 0
                             if doubtful[k] and sight.reach >= 0.0:
                                 rivals = _list_rivals(k, view, radius, width, close[k], blocks, suspects)
-                        left = ZERO if clear and rivals <= 0 else cap
-                        while left:
-                            bit = lowest(left)
-                            a = w * np.uint64(BITS) + bit
-                            left &= left - ONE
-                            lost = not clear and is_blocked(obstacles, sight, p * size + part.place[m, a], ends, name)
-                            for i in range(0 if lost else rivals):
-                                one, other = _pose(near, suspects[i]), (lx, ly, lz, nx, ny, nz)
-                                if hides_from(part, m, a, who[suspects[i]], name, px, py, pz, one, other):
-                                    lost = True
-                                    break
-                            if lost:
-                                cap &= ~(ONE << bit)
+                        if cap and not clear:
+                            cap &= ~blocked_bits(part, m, w, cap, name, np.uint64(p), ends, name)
+                        for i in range(rivals if cap else 0):
+                            one, other = _pose(near, suspects[i]), (lx, ly, lz, nx, ny, nz)
+                            cap &= ~hidden_bits(part, m, w, cap, who[suspects[i]], name, px, py, pz, one, other)
                         if cap:
                             seen[s, p, name, w] = mine | cap
                             if not keep:

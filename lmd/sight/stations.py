@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from lmd.core.bits import BITS, LANES, ZERO, in_words, prefetch
+from lmd.core.bits import BITS, LANES, ONE, ZERO, in_words, lowest, prefetch
 from lmd.core.checks import FloatArray
 from lmd.core.compiled import inlined
 from lmd.scene.criteria import covers_one, from_around, from_position, hide_between, horizon_of, sized
@@ -21,6 +21,7 @@ from lmd.scene.rig import Rig
 from lmd.scene.scene import Scene
 from lmd.sight.blocks import SINGLE_ERROR
 from lmd.sight.directions import SIDE, cell_of, fill_tables
+from lmd.sight.obstacles import is_blocked
 
 LEVELS = 6  # from 2 radii on, 4, 8, ...
 CELLS = SIDE * SIDE
@@ -204,6 +205,44 @@ def covers_from(part, m, a, k, px, py, pz, lx, ly, lz, nx, ny, nz, frame):
     sight = sized(part.sight, k)
     reached, low, high, sure = from_position(sight, x, y, z, nx, ny, nz, 0.0)
     return reached and covers_one(sight, x, y, z, frame, low, high, sure, False, part.axes[m], a)
+
+
+@inlined
+def covered_bits(part, m, w, left, k, px, py, pz, lx, ly, lz, nx, ny, nz, frame):
+    """Orientations of the set `left` of word w with which `covers_from`."""
+    found = ZERO
+    while left:
+        bit = lowest(left)
+        left &= left - ONE
+        covered = covers_from(part, m, w * np.uint64(BITS) + bit, k, px, py, pz, lx, ly, lz, nx, ny, nz, frame)
+        found |= np.uint64(covered) << bit
+    return found
+
+
+@inlined
+def blocked_bits(part, m, w, left, k, p, ends, row):
+    """Orientations of the set `left` of word w with which something of the room is before landmark k at position p.
+
+    `ends` has its points in a `row`, see `obstacles.find_ends`.
+    """
+    found, sight = ZERO, sized(part.sight, k)
+    while left:
+        bit = lowest(left)
+        left &= left - ONE
+        place = p * np.uint64(len(part.places)) + np.uint64(part.place[m, w * np.uint64(BITS) + bit])
+        found |= np.uint64(is_blocked(part.obstacles, sight, place, ends, row)) << bit
+    return found
+
+
+@inlined
+def hidden_bits(part, m, w, left, i, k, px, py, pz, one, other):
+    """Orientations of the set `left` of word w with which `hides_from`."""
+    found = ZERO
+    while left:
+        bit = lowest(left)
+        left &= left - ONE
+        found |= np.uint64(hides_from(part, m, w * np.uint64(BITS) + bit, i, k, px, py, pz, one, other)) << bit
+    return found
 
 
 @inlined

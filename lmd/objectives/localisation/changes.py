@@ -6,7 +6,7 @@ from lmd.core.bits import ALL, BITS, ONE, ZERO, lowest
 from lmd.core.compiled import inlined, inner
 from lmd.incremental.camera import list_turning
 from lmd.incremental.nearby import pose_of
-from lmd.incremental.state import GOES, HIDDEN, NAMES, REACHED, TOUCHED, X, Y, Z
+from lmd.incremental.state import FRESH, GOES, HIDDEN, NAMES, REACHED, TOUCHED, X, Y, Z
 from lmd.objectives.localisation.ambiguity import count_tag, told_apart
 from lmd.objectives.localisation.information import WIDTH, half_of, share_of
 from lmd.objectives.localisation.kernels import landmark_moments, meets_row
@@ -71,7 +71,9 @@ def list_changes(k, p, field, state, scratch):
         _note_change(count, ALL, x, y, z, scratch.told[LEFT, p], known.caps[k, p], scratch)
         count += ONE
     if trial.flags[REACHED, p] & (trial.hides[HIDDEN, p] == 0):
-        _note_change(count, ZERO, seen[X, p], seen[Y, p], seen[Z, p], scratch.told[TRIED, p], trial.cap[p], scratch)
+        _note_change(
+            count, ZERO, seen[X, p], seen[Y, p], seen[Z, p], scratch.told[TRIED, p], trial.sets[FRESH, p], scratch
+        )
         count += ONE
     if trial.flags[TOUCHED, p]:
         for m in range(list_turning(p, known, trial)):

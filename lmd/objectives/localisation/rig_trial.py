@@ -247,7 +247,7 @@ def _change_sums(k, sign, field, state, scratch):
 @inner
 def carry_out_localised(field, k, state, scratch):
     """See `move.carry_out`."""
-    see_whole(state.coverage, np.uint64(k), field.coverage, scratch.coverage)
+    see_whole(np.uint64(k), field.coverage, state.coverage, scratch.coverage)
     _change_sums(np.uint64(k), 1.0, field, state, scratch)
     take_back(field.coverage, k, state.coverage, scratch.coverage)
     exchange(state, scratch)

@@ -16,12 +16,11 @@ import numpy as np
 
 from lmd.core.bits import ALL, ONE, ZERO, add_set, at_least, lowest, prefetch
 from lmd.core.compiled import inner
-from lmd.incremental.camera import list_touched
 from lmd.incremental.counts import ENOUGH, enough_with
 from lmd.incremental.nearby import pose_of, target_of
 from lmd.incremental.occlusion import COMES
-from lmd.incremental.state import HIDDEN, LISTED, REACHED, TOUCHED, TOUCHED_COUNT, TOUCHED_LIST, X, Y, Z
-from lmd.incremental.trial import begin_move, find_pairs, see_whole
+from lmd.incremental.state import FRESH, HIDDEN, LISTED, REACHED, TOUCHED, TOUCHED_COUNT, TOUCHED_LIST, X, Y, Z
+from lmd.incremental.trial import begin_move, find_pairs, list_changing, see_whole
 from lmd.objectives.localisation.ambiguity import tells
 from lmd.objectives.localisation.changes import VIEW, add_shares, list_changes, mixed, moments_of, row_meets
 from lmd.objectives.localisation.information import WIDTH, meets, share_of
@@ -58,7 +57,7 @@ def _list_views(k, field, state, scratch):
     asks, camera, positions = field.asks, field.coverage.cameras, field.coverage.positions
     sight, axes = camera.sight, camera.axes
     caps, counts, enough = state.coverage.caps, state.coverage.counts, state.coverage.counts.sets[ENOUGH]
-    reachable, hidden, cap = state.coverage.reachable, state.coverage.hides[HIDDEN], scratch.coverage.cap
+    reachable, hidden, cap = state.coverage.reachable, state.coverage.hides[HIDDEN], scratch.coverage.sets[FRESH]
     reached, flips = scratch.coverage.flags[REACHED], scratch.coverage.flags[TOUCHED]
     x, y, z = scratch.coverage.seen[X], scratch.coverage.seen[Y], scratch.coverage.seen[Z]
     ax, ay, az, _, _, _ = pose_of(k, state.coverage)
@@ -202,8 +201,8 @@ def bound_move(field, k, pose, surface, state, scratch):
     """Find what the values are at most with landmark k at `pose` `(6,)` on a surface: `scratch.units`."""
     cover, known, trial = field.coverage, state.coverage, scratch.coverage
     begin_move(np.uint64(k), pose, surface, cover, known, trial)
-    see_whole(known, np.uint64(k), cover, trial)
-    places = trial.lists[LISTED][: list_touched(k, known, trial)]
+    see_whole(np.uint64(k), cover, known, trial)
+    places = trial.lists[LISTED][: list_changing(known, np.uint64(k), trial)]
     if field.asks:
         _find_moments(np.uint64(k), places, field, state, scratch)
     _list_views(np.uint64(k), field, state, scratch)
