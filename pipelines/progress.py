@@ -22,7 +22,7 @@ from .operations.signals import stop, tell
 from .operations.tracking import Tracker
 
 if TYPE_CHECKING:
-    from lmd.survey.stages import Stage
+    from lmd.survey.survey import Stage
 
 CURVE_POINTS = 500  # points of the tracked curve of a whole run
 PATIENCE = 5.0  # time that an optimiser may take to end before a message, seconds
@@ -155,7 +155,7 @@ class Watch:
 
 
 class Stages:
-    """Shows the stage of a survey, its progress and its longest remaining time; a `lmd.survey.stages.Observer`.
+    """Shows the stage of a survey, its progress and its longest remaining time; a `lmd.survey.survey.Observer`.
 
     Shows nothing of a survey that ends within `SHOWN_AFTER` seconds.
     """
@@ -168,7 +168,7 @@ class Stages:
         self._thread = threading.Thread(target=self._show, daemon=True)
 
     def __call__(self, stage: "Stage", done: int = 0, most: int = 0) -> bool:
-        """Note the stage, and return whether the survey is to stop; see `lmd.survey.stages.Observer`."""
+        """Note the stage, and return whether the survey is to stop; see `lmd.survey.survey.Observer`."""
         if stop.requested and self.interrupted is None and self._now is not None:
             self.interrupted = self._now[0]
         if self._now is None or stage is not self._now[0]:

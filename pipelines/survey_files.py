@@ -1,4 +1,4 @@
-"""The output files of a survey."""
+"""Files that a survey writes."""
 
 import os
 from collections.abc import Callable
@@ -27,14 +27,14 @@ AUDIT = (
 
 
 def check_folder(directory: Path, cfg: DictConfig, cameras: int, exports: "Export", *, has_plan: bool) -> None:
-    """Refuse a folder that would keep files of an earlier survey, or that has folders with the names of files.
+    """Refuse a folder in which files of an earlier survey would remain, or a folder has the name of a file.
 
     Args:
         directory: folder of the files.
         cfg: configuration of the survey.
         cameras: number of cameras.
-        exports: further files.
-        has_plan: there is a plan of the tags.
+        exports: exported formats.
+        has_plan: True if there is a plan.
 
     Raises:
         InputError: the folder is refused.
@@ -71,25 +71,25 @@ def camera_files(count: int) -> list[str]:
 def writers_of(
     found: "Survey", room: "Space | None", title: str, detected: "DetectedTags | None"
 ) -> dict[str, Callable[[Path], object]]:
-    """Functions that write the files of a survey, by file name.
+    """Functions that write the files, by the names of the files.
 
     Args:
         found: the survey.
-        room: room of the tags; None if it is not known.
+        room: the room; None if unknown.
         title: title of the picture.
-        detected: all detections; None if they are in a file already.
+        detected: detections in all frames; None if they were read from a file.
     """
     from lmd.core.tables import write_table
     from lmd.mapping.detections import write_detections
     from lmd.mapping.tag_map import write_yaml
-    from lmd.plot.survey import save_survey_figure
+    from lmd.plot.plans import save_survey_figure
     from lmd.survey.intrinsics import camera_info
-    from lmd.survey.report import document, frame_columns, map_columns, measured_of
+    from lmd.survey.results import frame_columns, map_columns, measured_of, survey_document
 
     writers: dict[str, Callable[[Path], object]] = {
         "map.csv": lambda path: write_table(path, map_columns(found)),
         "frames.csv": lambda path: write_table(path, frame_columns(found)),
-        DOCUMENT: lambda path: write_document(path, document(found)),
+        DOCUMENT: lambda path: write_document(path, survey_document(found)),
         "survey.png": lambda path: save_survey_figure(path, found, room, title),
     }
     if (measured := measured_of(found)) is not None:
@@ -102,11 +102,11 @@ def writers_of(
 
 
 def audit_writers(audit: "Audit", detector: str, title: str) -> dict[str, Callable[[Path], object]]:
-    """Functions that write the files of an audit, by file name."""
+    """Functions that write the files of an audit, by the names of the files."""
     import pandas as pd
 
     from lmd.detection.report import figures
-    from lmd.plot.detection import save_calibration_figure, save_places_figure
+    from lmd.plot.frames import save_calibration_figure, save_places_figure
 
     named = {"deployment": "survey", "detector": detector}
     row = pd.DataFrame([{**named, **figures(audit.prediction, audit.seen)}])
