@@ -117,7 +117,6 @@ def subject_of(cfg: DictConfig, count: int, seed: int) -> Subject:
     from lmd.evaluation.verdicts import verdicts
     from lmd.geometry.se3 import axis_and_right
     from lmd.render.renderer import Renderer
-    from lmd.scene.rig import Rig
     from lmd.sight.views import visible_to_each
 
     tag, imaging = instantiate(cfg.tag), instantiate(cfg.imaging)
@@ -142,7 +141,7 @@ def subject_of(cfg: DictConfig, count: int, seed: int) -> Subject:
         own = poses @ mounted
         told = verdicts(scene, deployment, own, camera)
         parts.append(Prediction(Renderer(camera, room, imaging), own, predicted, told))
-    is_rig = isinstance(scene.camera, Rig)
+    is_rig = scene.rig is not None
     return Subject(problem, RigPrediction(tuple(parts), scene.extrinsics, poses) if is_rig else parts[0], detectors)
 
 
