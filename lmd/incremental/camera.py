@@ -1,0 +1,226 @@
+"""Moves of landmarks before a single camera: its centre is the position itself, whatever the orientation.
+
+Bounds on the depth and occlusion depend on the position alone, so trials are settled without sets of orientations at
+most positions.
+"""
+
+import numpy as np
+
+from lmd.core.bits import ALL, BITS, HALF, LOWER, ONE, ZERO, lowest
+from lmd.core.compiled import allocating, inlined, inner
+from lmd.incremental.counts import JUST, SHORT
+from lmd.incremental.nearby import target_of
+from lmd.incremental.state import (
+    ASKED,
+    FIRST,
+    FRESH,
+    HIDDEN,
+    HIDING,
+    HIGH,
+    LAST,
+    LISTED,
+    LOW,
+    PAIR_COUNT,
+    PLACES,
+    REACHED,
+    SPAN_COUNT,
+    SURE,
+    TOUCHED,
+    TOUCHED_COUNT,
+    TOUCHED_LIST,
+    UNSURE,
+    VISIBLE,
+    WHERE,
+    WHO,
+    Scratch,
+    State,
+    X,
+    Y,
+    Z,
+)
+from lmd.incremental.trial import (
+    bound_views,
+    exchange_sets,
+    exchange_views,
+    forget_views,
+    fresh_of,
+    list_changing,
+    see,
+    shown_of,
+    turned,
+)
+from lmd.scene.criteria import covering, covers_one, frame_of, from_position, sized
+from lmd.sight.directions import CERTAIN, NOWHERE, POSSIBLE, cell_of
+from lmd.sight.kernels import weights_row
+from lmd.sight.obstacles import find_ends, is_blocked, is_clear, no_ends
+
+CELL, OUTER = 0, 1  # rows of `Scratch.cell`
+
+
+@shown_of.register(State)
+def _shown_of(state, k, p, w):  # type: ignore[no-untyped-def]
+    return state.caps[k, p, w] if state.hides[HIDDEN, k, p] == 0 else ZERO
+
+
+@turned.register(State)
+def _turned(state, i, p, w, scratch):  # type: ignore[no-untyped-def]
+    cap, hidden = state.caps[i, p, w], state.hides[HIDDEN, i, p]
+    return cap if hidden == 0 else ZERO, cap if hidden + scratch.changes[HIDDEN, i, p] == 0 else ZERO
+
+
+@forget_views.register(Scratch)
+def _forget_views(scratch):  # type: ignore[no-untyped-def]
+    who, where, changes = scratch.pairs[WHO], scratch.pairs[WHERE], scratch.changes
+    first, last, reached = scratch.lists[FIRST], scratch.lists[LAST], scratch.flags[REACHED]
+    hidden, hiding = scratch.hides[HIDDEN], scratch.hides[HIDING]
+    for e in range(scratch.numbers[PAIR_COUNT]):
+        changes[HIDDEN, who[e], where[e]] = changes[HIDING, who[e], where[e]] = 0
+    for s in range(scratch.numbers[SPAN_COUNT]):
+        for p in range(first[s], last[s]):
+            reached[p] = False
+            hidden[p] = hiding[p] = 0
+
+
+@inner
+def look_around(k, field, scratch):  # type: ignore[no-untyped-def]
+    """Find what is seen of the place tried from the positions near it."""
+    positions, sight, seen = field.positions, sized(field.cameras.sight, k), scratch.seen
+    x, y, z, low, high, sure = seen[X], seen[Y], seen[Z], seen[LOW], seen[HIGH], seen[SURE]
+    cell, reached, first, last = scratch.cell[CELL], scratch.flags[REACHED], scratch.lists[FIRST], scratch.lists[LAST]
+    ax, ay, az, nx, ny, nz = target_of(scratch)
+    for s in range(scratch.numbers[SPAN_COUNT]):
+        for p in range(first[s], last[s]):  # without a branch, so that it vectorises
+            x[p], y[p], z[p] = ax - positions[0, p], ay - positions[1, p], az - positions[2, p]
+            reached[p], low[p], high[p], sure[p] = from_position(sight, x[p], y[p], z[p], nx, ny, nz, 0.0)
+            cell[p] = cell_of(x[p], y[p], z[p])
+    if not is_clear(field.cameras.obstacles):
+        _block(k, field.cameras, scratch)
+
+
+@allocating
+def _block(k, camera, scratch):  # type: ignore[no-untyped-def]
+    """Do not let landmark k reach the place tried where something of the room stands in the way."""
+    reached, first, last = scratch.flags[REACHED], scratch.lists[FIRST], scratch.lists[LAST]
+    ends, sight = no_ends(camera.obstacles, 1), sized(camera.sight, k)
+    x, y, z, nx, ny, nz = target_of(scratch)
+    find_ends(camera.obstacles, sight, x, y, z, nx, ny, nz, ends, 0)
+    for s in range(scratch.numbers[SPAN_COUNT]):
+        for p in range(first[s], last[s]):
+            reached[p] = reached[p] and not is_blocked(camera.obstacles, sight, p, ends, 0)
+
+
+@bound_views.register(State)
+def _bound_views(state, k, field, scratch):  # type: ignore[no-untyped-def]
+    # One pass over words, without sets for all positions: these would cost a tenth of a trial.
+    sight, axes, weights = sized(field.cameras.sight, k), field.cameras.axes, field.weights
+    certain, possible = field.cameras.tables[CERTAIN], field.cameras.tables[POSSIBLE]
+    target, seen, flags, lists = scratch.target, scratch.seen, scratch.flags, scratch.lists
+    frame = frame_of(sight, target[3], target[4], target[5])
+    caps, reachable, hidden = state.caps, state.reachable, state.hides[HIDDEN]
+    short, just = state.counts.sets[SHORT], state.counts.sets[JUST]
+    x, y, z, low, high, sure = seen[X], seen[Y], seen[Z], seen[LOW], seen[HIGH], seen[SURE]
+    cell, outer, reached, touched = scratch.cell[CELL], scratch.cell[OUTER], flags[REACHED], flags[TOUCHED]
+    visible, listed, firsts, lasts = lists[VISIBLE], lists[LISTED], lists[FIRST], lists[LAST]
+    units, unsure, places = scratch.units, lists[UNSURE], lists[PLACES]
+    count, found, size = ZERO, ZERO, np.uint64(caps.shape[2])
+    for s in range(scratch.numbers[SPAN_COUNT]):
+        first, last = firsts[s], lasts[s]
+        for p in range(first, last):
+            shown = reached[p] & (not touched[p])
+            outer[p] = cell[p] if shown else NOWHERE
+            visible[p] = ALL if reachable[k, p] & (hidden[k, p] == 0) & (not touched[p]) else ZERO
+        for p in range(first, last):
+            listed[count] = p
+            count += np.uint64((visible[p] != ZERO) | (outer[p] != NOWHERE))
+    for m in range(count):
+        p = listed[m]
+        o = np.uint64(outer[p])
+        i = o if sure[p] == np.inf else np.uint64(NOWHERE)
+        for w in range(size):
+            was = caps[k, p, w] & visible[p]
+            unsure[found] = (short[p, w] & ~was & possible[o, w]) | (just[p, w] & was & ~certain[i, w])
+            places[found] = p << HALF | w
+            found += np.uint64(unsure[found] != ZERO)
+    for m in range(found):
+        left, p, w = unsure[m], places[m] >> HALF, places[m] & LOWER
+        px, py, pz, least = x[p], y[p], z[p], low[p] if outer[p] != NOWHERE else np.inf
+        well = certain[np.uint64(outer[p]), w]
+        was, change, row = caps[k, p, w] & visible[p], np.int64(0), weights_row(weights, p)
+        while left:
+            bit = lowest(left)
+            a = w * np.uint64(BITS) + bit
+            central = (well >> bit & ONE) != ZERO
+            inside = covers_one(sight, px, py, pz, frame, least, high[p], sure[p], central, axes, a)
+            change += weights[row, a] * (np.int64(inside) - np.int64(was >> bit & ONE))
+            left &= left - ONE
+        units[p] += change
+    for m in range(scratch.numbers[TOUCHED_COUNT]):
+        listed[m] = lists[TOUCHED_LIST, m]
+    return scratch.numbers[TOUCHED_COUNT]
+
+
+@list_changing.register(State)
+def _list_changing(state, k, scratch):  # type: ignore[no-untyped-def]
+    reachable, reached, touched = state.reachable, scratch.flags[REACHED], scratch.flags[TOUCHED]
+    listed, first, last = scratch.lists[LISTED], scratch.lists[FIRST], scratch.lists[LAST]
+    count = ZERO
+    for s in range(scratch.numbers[SPAN_COUNT]):
+        for p in range(first[s], last[s]):
+            listed[count] = p
+            count += np.uint64(reachable[k, p] | reached[p] | touched[p])
+    return count
+
+
+@see.register(State)
+def _see(state, k, positions, field, scratch):  # type: ignore[no-untyped-def]
+    camera, sight, target, seen = field.cameras, sized(field.cameras.sight, k), scratch.target, scratch.seen
+    certain, possible, fresh, asked = (
+        camera.tables[CERTAIN], camera.tables[POSSIBLE], scratch.sets[FRESH], scratch.sets[ASKED]
+    )  # fmt: skip
+    x, y, z, low, high, sure = seen[X], seen[Y], seen[Z], seen[LOW], seen[HIGH], seen[SURE]
+    cell, reached = scratch.cell[CELL], scratch.flags[REACHED]
+    frame = frame_of(sight, target[3], target[4], target[5])
+    for p in positions:
+        row = np.uint64(cell[p] if reached[p] else NOWHERE)
+        given = row if sure[p] == np.inf else np.uint64(NOWHERE)
+        px, py, pz, least, most, deep = x[p], y[p], z[p], low[p], high[p], sure[p]
+        for w in range(np.uint64(fresh.shape[1])):
+            cap, well = certain[given, w] & asked[p, w], certain[row, w]
+            left = possible[row, w] & asked[p, w] & ~cap
+            if left:
+                cap |= covering(sight, left, w, px, py, pz, frame, least, most, deep, well, camera.axes)
+            fresh[p, w] = cap
+
+
+@fresh_of.register(Scratch)
+def _fresh_of(scratch, p, w):  # type: ignore[no-untyped-def]
+    return scratch.sets[FRESH, p, w] if scratch.hides[HIDDEN, p] == 0 else ZERO
+
+
+@exchange_sets.register(State)
+def _exchange_sets(state, k, p, w, scratch):  # type: ignore[no-untyped-def]
+    was, now, cap = shown_of(state, k, p, w), fresh_of(scratch, p, w), state.caps[k, p, w]
+    state.caps[k, p, w], scratch.sets[FRESH, p, w] = scratch.sets[FRESH, p, w], cap
+    return was, now
+
+
+@inlined
+def _swap(one, other, first, last):  # type: ignore[no-untyped-def]
+    """Exchange a part of two arrays; by itself, so that the loop vectorises."""
+    for p in range(first, last):
+        one[p], other[p] = other[p], one[p]
+
+
+@exchange_views.register(State)
+def _exchange_views(state, k, scratch):  # type: ignore[no-untyped-def]
+    changes, lists, hidden, hiding = scratch.changes, scratch.lists, state.hides[HIDDEN], state.hides[HIDING]
+    for e in range(scratch.numbers[PAIR_COUNT]):
+        i, p = np.uint64(scratch.pairs[WHO, e]), np.uint64(scratch.pairs[WHERE, e])
+        hidden[i, p] += changes[HIDDEN, i, p]
+        hiding[i, p] += changes[HIDING, i, p]
+        changes[HIDDEN, i, p], changes[HIDING, i, p] = -changes[HIDDEN, i, p], -changes[HIDING, i, p]
+    for s in range(scratch.numbers[SPAN_COUNT]):
+        first, last = lists[FIRST, s], lists[LAST, s]
+        _swap(state.reachable[k], scratch.flags[REACHED], first, last)
+        _swap(hidden[k], scratch.hides[HIDDEN], first, last)
+        _swap(hiding[k], scratch.hides[HIDING], first, last)

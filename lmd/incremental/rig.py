@@ -1,0 +1,249 @@
+"""Moves of landmarks before a rig: each camera is elsewhere for every orientation of the body.
+
+Counted are orientations of the body: the sets of all cameras of a landmark become one, `RigState.shown`.
+"""
+
+import numpy as np
+from numba import literal_unroll
+
+from lmd.core.bits import ZERO
+from lmd.core.compiled import allocating, inner
+from lmd.incremental.counts import JUST, SHORT
+from lmd.incremental.nearby import target_of
+from lmd.incremental.rig_occlusion import find_veils
+from lmd.incremental.state import (
+    ASKED,
+    CAPS,
+    FIRST,
+    FRESH,
+    HIGH,
+    LAST,
+    LISTED,
+    LOW,
+    PAIR_COUNT,
+    SPAN_COUNT,
+    SURE,
+    TOUCHED,
+    TOUCHED_COUNT,
+    TOUCHED_LIST,
+    VEILED,
+    WHERE,
+    WHO,
+    RigScratch,
+    RigState,
+    X,
+    Y,
+    Z,
+)
+from lmd.incremental.trial import (
+    bound_views,
+    exchange_sets,
+    exchange_views,
+    forget_views,
+    fresh_of,
+    list_changing,
+    see,
+    shown_of,
+    turned,
+)
+from lmd.scene.criteria import frame_of, sized
+from lmd.sight.obstacles import find_ends, is_clear, no_ends
+from lmd.sight.stations import blocked_bits, bounds_from, covered_bits, row_from, split
+
+ROW, LEFT_OVER = 0, 1  # rows of `PartScratch.lists`
+
+
+@shown_of.register(RigState)
+def _shown_of(state, k, p, w):  # type: ignore[no-untyped-def]
+    return state.shown[k, p, w]
+
+
+@turned.register(RigState)
+def _turned(state, i, q, w, scratch):  # type: ignore[no-untyped-def]
+    shown = ZERO
+    for j in range(len(state.parts)):
+        caps, veiled, flipped = state.parts[j][CAPS], state.parts[j][VEILED], scratch.parts[j].flipped
+        for m in range(caps.shape[2]):
+            shown |= caps[i, q, m, w] & ~(veiled[i, q, m, w] ^ flipped[i, q, m, w])
+    return state.shown[i, q, w], shown
+
+
+@forget_views.register(RigScratch)
+def _forget_views(scratch):  # type: ignore[no-untyped-def]
+    who, where = scratch.pairs[WHO], scratch.pairs[WHERE]
+    for j in range(len(scratch.parts)):
+        part = scratch.parts[j]  # copied: outside of other loops
+        flipped = part.flipped
+        part.rivals[0] = 0
+        for e in range(scratch.numbers[PAIR_COUNT]):
+            i, q = who[e], where[e]
+            for m in range(flipped.shape[2]):
+                for w in range(flipped.shape[3]):
+                    flipped[i, q, m, w] = ZERO
+
+
+@allocating
+def _find_caps(k, part, positions, body, scratch, rig):  # type: ignore[no-untyped-def]
+    """Find in `CAPS` with which orientations of those `ASKED` cameras cover the place tried; add them to `FRESH`.
+
+    Clears `VEILED`.
+
+    Args:
+        k: landmark.
+        part: cameras.
+        positions: positions to look from.
+        body: all positions of the body, `(3, Q)`, metres.
+        scratch, rig: working memory of the part, and of the rig.
+    """
+    obstacles, asked, fresh = part.obstacles, rig.sets[ASKED], rig.sets[FRESH]
+    cap, veil, seen = scratch.sets[CAPS], scratch.sets[VEILED], scratch.seen
+    x, y, z, most, start, sure = seen[X], seen[Y], seen[Z], seen[HIGH], seen[LOW], seen[SURE]
+    row, left_over, reached = scratch.lists[ROW], scratch.lists[LEFT_OVER], scratch.reached
+    words, half = np.uint64(asked.shape[1]), np.uint64(part.tables.shape[1] // 2)
+    tx, ty, tz, nx, ny, nz = target_of(rig)
+    sight = sized(part.sight, k)
+    clear, frame, ends = is_clear(obstacles), frame_of(sight, nx, ny, nz), no_ends(obstacles, 1)
+    if not clear:
+        find_ends(obstacles, sight, tx, ty, tz, nx, ny, nz, ends, 0)
+    for q in positions:
+        for m in range(cap.shape[1]):
+            for w in range(words):
+                cap[q, m, w] = veil[q, m, w] = ZERO
+    for c in range(len(part.centres)):
+        cx, cy, cz, count, kept = part.centres[c, 0], part.centres[c, 1], part.centres[c, 2], ZERO, ZERO
+        for i in range(np.uint64(len(positions))):
+            q = positions[i]
+            xq, yq, zq = tx - (body[0, q] + cx), ty - (body[1, q] + cy), tz - (body[2, q] + cz)
+            x[i], y[i], z[i] = xq, yq, zq
+            reached[i], most[i], start[i], sure[i] = bounds_from(part, c, k, xq, yq, zq, nx, ny, nz)
+        for i in range(np.uint64(len(positions))):
+            left_over[count] = i
+            count += np.uint64(reached[i])
+        for i in left_over[:count]:
+            row[i] = row_from(part, c, x[i], y[i], z[i])
+        for i in left_over[:count]:
+            q, some = positions[i], ZERO
+            for m in range(part.mounts[c], part.mounts[c + 1]):
+                for w in range(words):
+                    left = part.tables[row[i], half + np.uint64(m) * words + w] & asked[q, w]
+                    cap[q, m, w] = left
+                    some |= left
+            left_over[kept] = i
+            kept += np.uint64(some != ZERO)
+        for i in left_over[:kept]:
+            q = positions[i]
+            px, py, pz, bounds = body[0, q], body[1, q], body[2, q], (most[i], start[i], sure[i])
+            for m in range(part.mounts[c], part.mounts[c + 1]):
+                for w in range(words):
+                    if cap[q, m, w] == ZERO:
+                        continue
+                    found, left = split(part, m, w, cap[q, m, w], words, x[i], y[i], z[i], *bounds, row[i])
+                    found |= covered_bits(part, m, w, left, k, px, py, pz, tx, ty, tz, nx, ny, nz, frame)
+                    if not clear:
+                        found &= ~blocked_bits(part, m, w, found, k, q, ends, 0)
+                    cap[q, m, w] = found
+                    fresh[q, w] |= found
+
+
+@inner
+def _join(positions, scratch):  # type: ignore[no-untyped-def]
+    """Find in `FRESH` what all cameras see of the place tried at `positions`, where others may be in the way."""
+    fresh = scratch.sets[FRESH]
+    for q in positions:
+        for w in range(np.uint64(fresh.shape[1])):
+            fresh[q, w] = ZERO
+    for j in range(len(scratch.parts)):
+        sets = scratch.parts[j].sets
+        cap, veil = sets[CAPS], sets[VEILED]
+        for q in positions:
+            for m in range(cap.shape[1]):
+                for w in range(np.uint64(fresh.shape[1])):
+                    fresh[q, w] |= cap[q, m, w] & ~veil[q, m, w]
+
+
+@inner
+def _see_with(parts, k, positions, field, state, scratch):  # type: ignore[no-untyped-def]
+    """Find what all parts see."""
+    fresh = scratch.sets[FRESH]
+    for q in positions:
+        for w in range(np.uint64(fresh.shape[1])):
+            fresh[q, w] = ZERO
+    for part in literal_unroll(parts):
+        _find_caps(k, part, positions, field.positions, scratch.parts[part.number], scratch)
+        find_veils(k, part, field, state, scratch)
+    _join(scratch.lists[TOUCHED_LIST][: scratch.numbers[TOUCHED_COUNT]], scratch)
+
+
+@see.register(RigState)
+def _see(state, k, positions, field, scratch):  # type: ignore[no-untyped-def]
+    _see_with(field.cameras.parts, k, positions, field, state, scratch)
+
+
+@inner
+def list_near(scratch, all_of_them):  # type: ignore[no-untyped-def]
+    """List in `LISTED` the positions near the place left and the place tried, all or those asked or touched."""
+    listed, first, last, count = scratch.lists[LISTED], scratch.lists[FIRST], scratch.lists[LAST], ZERO
+    asked, touched = scratch.sets[ASKED], scratch.flags[TOUCHED]
+    for s in range(scratch.numbers[SPAN_COUNT]):
+        for q in range(first[s], last[s]):
+            some = ZERO
+            for w in range(np.uint64(asked.shape[1])):
+                some |= asked[q, w]
+            listed[count] = q
+            count += np.uint64(all_of_them | (some != ZERO) | touched[q])
+    return count
+
+
+@bound_views.register(RigState)
+def _bound_views(state, k, field, scratch):  # type: ignore[no-untyped-def]
+    shown, asked, short, just = state.shown, scratch.sets[ASKED], state.counts.sets[SHORT], state.counts.sets[JUST]
+    first, last, touched = scratch.lists[FIRST], scratch.lists[LAST], scratch.flags[TOUCHED]
+    for s in range(scratch.numbers[SPAN_COUNT]):
+        for q in range(first[s], last[s]):
+            for w in range(np.uint64(0 if touched[q] else asked.shape[1])):
+                mine = shown[k, q, w]
+                asked[q, w] = (short[q, w] & ~mine) | (just[q, w] & mine)
+    return list_near(scratch, False)
+
+
+@list_changing.register(RigState)
+def _list_changing(state, k, scratch):  # type: ignore[no-untyped-def]
+    return list_near(scratch, True)
+
+
+@fresh_of.register(RigScratch)
+def _fresh_of(scratch, p, w):  # type: ignore[no-untyped-def]
+    return scratch.sets[FRESH, p, w]
+
+
+@exchange_sets.register(RigState)
+def _exchange_sets(state, k, p, w, scratch):  # type: ignore[no-untyped-def]
+    was, now = state.shown[k, p, w], scratch.sets[FRESH, p, w]
+    state.shown[k, p, w], scratch.sets[FRESH, p, w] = now, was
+    return was, now
+
+
+@inner
+def _exchange_part(k, positions, mine, other):  # type: ignore[no-untyped-def]
+    """Exchange what a part has of landmark k, `mine`, at `positions` for what its scratch has, the `other`."""
+    caps, veiled, cap, veil = mine[CAPS], mine[VEILED], other[CAPS], other[VEILED]
+    for q in positions:
+        for m in range(caps.shape[2]):
+            for w in range(caps.shape[3]):
+                caps[k, q, m, w], cap[q, m, w] = cap[q, m, w], caps[k, q, m, w]
+                veiled[k, q, m, w], veil[q, m, w] = veil[q, m, w], veiled[k, q, m, w]
+
+
+@exchange_views.register(RigState)
+def _exchange_views(state, k, scratch):  # type: ignore[no-untyped-def]
+    positions = scratch.lists[LISTED][: list_near(scratch, True)]
+    for j in range(len(state.parts)):
+        _exchange_part(k, positions, state.parts[j], scratch.parts[j].sets)  # copied: outside of other loops
+    for e in range(scratch.numbers[PAIR_COUNT]):
+        i, q = np.uint64(scratch.pairs[WHO, e]), np.uint64(scratch.pairs[WHERE, e])
+        for w in range(np.uint64(state.shown.shape[2])):
+            _, state.shown[i, q, w] = turned(state, i, q, w, scratch)
+            for j in range(len(state.parts)):
+                veiled, flipped = state.parts[j][VEILED], scratch.parts[j].flipped
+                for m in range(veiled.shape[2]):
+                    veiled[i, q, m, w] ^= flipped[i, q, m, w]
