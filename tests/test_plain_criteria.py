@@ -31,7 +31,7 @@ from lmd.scene.criteria import Covering
 from lmd.scene.deployment_sources import GivenDeployment, RandomDeployment
 from lmd.scene.rig import Mount, Rig
 from lmd.scene.tag import Tag
-from lmd.sight import by_reference
+from lmd.sight import reference
 from lmd.sight.evaluator import Evaluator
 from lmd.sight.models.paper import Visibility
 from lmd.sight.views import visible_to_each
@@ -184,7 +184,7 @@ def test_an_objective_keeps_its_contract_with_a_criterion_of_two_lines():
 
 
 def test_it_is_said_once_that_there_is_no_compiled_half(capsys):
-    by_reference._tell.cache_clear()
+    reference._tell.cache_clear()
     for _ in range(2):
         for scene in both():
             Evaluator(scene, threads=1)

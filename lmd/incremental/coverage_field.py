@@ -16,8 +16,8 @@ from lmd.scene.criteria import horizon_of, largest
 from lmd.scene.deployment import Deployment
 from lmd.sight.blocks import boxes_around
 from lmd.sight.evaluator import Evaluator
+from lmd.sight.mounts import Part, places_around, with_sight
 from lmd.sight.obstacles import obstacles_at
-from lmd.sight.stations import Part, places_around, with_sight
 
 # Bytes of a landmark in a camera's view: a bit for the cap, and as much again for occlusion.
 LANDMARK_BYTES = 0.25

@@ -100,7 +100,7 @@ class Criteria(Protocol):
 class Covering(ABC):
     """Criteria in NumPy alone: a class that derives from this writes `covered`, see `Criteria`.
 
-    All figures come from `covered` then (`lmd.sight.by_reference`), which takes longer than the compiled half.
+    All figures come from `covered` then (`lmd.sight.reference`), which takes longer than the compiled half.
     """
 
     needs_roll = True

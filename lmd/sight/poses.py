@@ -21,8 +21,8 @@ from lmd.core.memory import check_memory
 from lmd.core.threads import in_parts
 from lmd.scene.criteria import TOLERANCE, covers, from_position
 from lmd.scene.deployment import Deployment
-from lmd.sight.bands import band_of
 from lmd.sight.blocks import BLOCK
+from lmd.sight.directions import band_of
 from lmd.sight.evaluator import Evaluator
 from lmd.sight.obstacles import find_ends, is_blocked, no_ends
 from lmd.sight.viewpoint import see_alone

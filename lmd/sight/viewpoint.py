@@ -17,9 +17,8 @@ import numpy as np
 from lmd.core.bits import LANES
 from lmd.core.compiled import allocating, inlined, inner
 from lmd.scene.criteria import from_position, hide_between, sized
-from lmd.sight.bands import band_of
 from lmd.sight.blocks import BLOCK, SINGLE_ERROR
-from lmd.sight.directions import NOWHERE, cell_of
+from lmd.sight.directions import NOWHERE, band_of, cell_of
 from lmd.sight.obstacles import find_ends, is_blocked
 
 REGION = 16 * BLOCK  # positions: what is far from all of these is not looked at for each block

@@ -12,8 +12,8 @@ from lmd.objectives.localisation.body import gain_of
 from lmd.objectives.localisation.slots import Mounts, add_landmark, add_up
 from lmd.scene.deployment import Deployment
 from lmd.sight.evaluator import Evaluator
-from lmd.sight.station_views import seen_by_each
-from lmd.sight.stations import Part
+from lmd.sight.mounts import Part
+from lmd.sight.rig_sets import seen_by_each
 
 
 class Looks(NamedTuple):

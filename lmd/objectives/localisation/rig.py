@@ -20,8 +20,8 @@ from lmd.objectives.localisation.slots import ORIENTATION, VIEW, fill_slots, met
 from lmd.scene.deployment import Deployment
 from lmd.sight.evaluator import Evaluator
 from lmd.sight.kernels import sum_weights
+from lmd.sight.mounts import Part
 from lmd.sight.rig_views import RigViews
-from lmd.sight.stations import Part
 from lmd.sight.views import visible_to_each
 
 VIEWS_AT_ONCE = 1 << 16  # of which the landmarks seen are kept

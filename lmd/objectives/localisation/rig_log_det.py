@@ -16,8 +16,8 @@ from lmd.objectives.localisation.slots import ORIENTATION, VIEW, fill_slots, giv
 from lmd.scene.deployment import Deployment
 from lmd.scene.scene import Scene
 from lmd.sight.evaluator import Evaluator
+from lmd.sight.mounts import with_sight
 from lmd.sight.poses import by_edge
-from lmd.sight.stations import with_sight
 
 AT_A_TIME = 64  # poses that a thread works on at a time: what they see in all orientations is kept for so long
 

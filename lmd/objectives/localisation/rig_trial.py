@@ -24,12 +24,12 @@ from lmd.incremental.state import (
     FRESH,
     LAST,
     LISTED,
+    OCCLUDED,
     PAIR_COUNT,
     SPAN_COUNT,
     TOUCHED,
     TOUCHED_COUNT,
     TOUCHED_LIST,
-    VEILED,
     WHERE,
     WHO,
 )
@@ -81,7 +81,7 @@ def _add_changes(mounts, k, q, w, sign, field, state, scratch):
     """Add to the views taken what the move changes for the cameras of a part, times `sign`: see `add_landmark`."""
     trial, slots, count = scratch.coverage, scratch.slots, len(mounts.axes)
     mine, other = state.coverage.parts[mounts.number], trial.parts[mounts.number]
-    caps, veiled, cap, veil = mine[CAPS], mine[VEILED], other.sets[CAPS], other.sets[VEILED]
+    caps, veiled, cap, veil = mine[CAPS], mine[OCCLUDED], other.sets[CAPS], other.sets[OCCLUDED]
     place, precision = _place(q, field), field.precision
     old, new = _tag_of(k, precision, state), _tag(half_of(precision, k), *target_of(trial))
     for m in range(count):
@@ -100,7 +100,7 @@ def _add_changes(mounts, k, q, w, sign, field, state, scratch):
 @inner
 def _find_turns_of(mine, flipped, trial, lost, gained):
     """See `_find_turns`, of the pairs as a part sees them."""
-    caps, veiled, who, where = mine[CAPS], mine[VEILED], trial.pairs[WHO], trial.pairs[WHERE]
+    caps, veiled, who, where = mine[CAPS], mine[OCCLUDED], trial.pairs[WHO], trial.pairs[WHERE]
     mounts, words = caps.shape[2], np.uint64(caps.shape[3])
     for e in range(trial.numbers[PAIR_COUNT]):  # at positions that are touched, all of which are in `positions`
         i, q = np.uint64(who[e]), np.uint64(where[e])
@@ -267,7 +267,7 @@ def _add_shown(mounts, q, w, field, state, scratch):
     mine, place, precision, slots = (
         state.coverage.parts[mounts.number], _place(q, field), field.precision, scratch.slots
     )  # fmt: skip
-    caps, veiled = mine[CAPS], mine[VEILED]
+    caps, veiled = mine[CAPS], mine[OCCLUDED]
     for i in range(caps.shape[0]):
         for m in range(caps.shape[2]):
             seen = caps[i, q, m, w] & ~veiled[i, q, m, w]

@@ -34,7 +34,7 @@ TOLD = np.uint64(13)
 class Mounts(NamedTuple):
     """The M cameras of a part of a rig, as far as what landmarks tell them goes: a tuple is copied for many calls.
 
-    number: which part it is; sight, offsets, axes: as in `lmd.sight.stations.Part`; gain: see `body.gain_of`.
+    number: which part it is; sight, offsets, axes: as in `lmd.sight.mounts.Part`; gain: see `body.gain_of`.
     """
 
     number: int

@@ -1,4 +1,4 @@
-"""What a rig covers from positions of its body: the landmarks of a deployment seen from `stations`.
+"""What a rig covers from positions of its body: the landmarks of a deployment seen by the cameras of `mounts`.
 
 What several cameras cover are sets of orientations of the *body*, joined by OR.
 """
@@ -12,8 +12,7 @@ from lmd.core.checks import FloatArray
 from lmd.core.compiled import for_kernels, inlined, inner, kernel
 from lmd.scene.criteria import covers, frame_of, from_position, sized
 from lmd.sight.blocks import SINGLE_ERROR
-from lmd.sight.obstacles import find_ends, is_clear, no_ends, obstacles_at
-from lmd.sight.stations import (
+from lmd.sight.mounts import (
     ANY,
     Part,
     blocked_bits,
@@ -25,6 +24,7 @@ from lmd.sight.stations import (
     row_from,
     split,
 )
+from lmd.sight.obstacles import find_ends, is_clear, no_ends, obstacles_at
 from lmd.sight.viewpoint import gather_near, viewpoint_for
 from lmd.space.blockers import Blockers
 from lmd.space.triangles import Triangles
@@ -93,7 +93,7 @@ def _find_suspects(k, view, count, radius, close):
 
 
 @inlined
-def _list_rivals(k, view, radius, width, close, blocks, rivals):
+def _list_occluders(k, view, radius, width, close, blocks, occluders):
     """List those of so many blocks of suspects that may indeed hide landmark k; returns how many."""
     x, y, z, kept = view.x, view.y, view.z, 0
     for b in range(blocks):
@@ -101,7 +101,7 @@ def _list_rivals(k, view, radius, width, close, blocks, rivals):
         while left:
             j = b * LANES + np.int64(lowest(left))
             left &= left - ONE
-            rivals[kept] = j
+            occluders[kept] = j
             kept += may_hide_around(x[j], y[j], z[j], x[k], y[k], z[k], radius, width)
     return kept
 
@@ -181,7 +181,7 @@ def _see(positions, part, landmarks, normals, slack, n, keep, seen):
                         _add_to(some, w, seen[0, p, name, w])
             for e in range(listed):
                 k = shown[e]
-                name, rivals = who[k], -1
+                name, occluders = who[k], -1
                 lx, ly, lz, nx, ny, nz = _pose(near, k)
                 frame = frame_of(sized(sight, name), nx, ny, nz)
                 for m in range(begin, end):
@@ -193,13 +193,13 @@ def _see(positions, part, landmarks, normals, slack, n, keep, seen):
                         left &= ~mine if keep else ~(mine | some[n - 1, w])
                         cap, left = left & sure[k, m, w], left & undecided[k, m, w]
                         cap |= covered_bits(part, m, w, left, name, px, py, pz, lx, ly, lz, nx, ny, nz, frame)
-                        if cap and rivals < 0:
-                            rivals = 0
+                        if cap and occluders < 0:
+                            occluders = 0
                             if doubtful[k] and sight.reach >= 0.0:
-                                rivals = _list_rivals(k, view, radius, width, close[k], blocks, suspects)
+                                occluders = _list_occluders(k, view, radius, width, close[k], blocks, suspects)
                         if cap and not clear:
                             cap &= ~blocked_bits(part, m, w, cap, name, np.uint64(p), ends, name)
-                        for i in range(rivals if cap else 0):
+                        for i in range(occluders if cap else 0):
                             one, other = _pose(near, suspects[i]), (lx, ly, lz, nx, ny, nz)
                             cap &= ~hidden_bits(part, m, w, cap, who[suspects[i]], name, px, py, pz, one, other)
                         if cap:
