@@ -34,7 +34,7 @@ from lmd.pipelines.place_cameras import build_camera_problem
 from lmd.render.renderer import Renderer
 from lmd.scene.camera import Camera
 from lmd.scene.rig import Mount, Rig
-from lmd.scene.rig_sources import read_mounts, rig_of
+from lmd.formats.rigs import read_mounts, rig_of
 from lmd.sight.views import visible
 
 HELD_OUT = Sample(groups=8, positions=512, divisions=16)

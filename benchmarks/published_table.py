@@ -24,7 +24,7 @@ from lmd.render.optics import intrinsics, project
 from lmd.render.renderer import Renderer
 from lmd.render.room import TaggedRoom
 from lmd.scene.camera import Camera
-from lmd.scene.camera_calibration import Calibration
+from lmd.formats.calibrations import Calibration
 from lmd.scene.tag import Tag
 
 PUBLISHED = (45.3, 24.9, 8.8, 5.1, 3.7, 3.2, 3.0)  # cm

@@ -16,7 +16,7 @@ import walks  # of the tests
 
 from lmd.core.checks import FloatArray
 from lmd.geometry.se3 import act, camera_pose, laid_over
-from lmd.mapping.detections import DetectedTags
+from lmd.formats.detections import DetectedTags
 from lmd.scene.tag import Tag
 from lmd.survey.every import thinned
 from lmd.survey.survey import Known, survey

@@ -149,7 +149,7 @@ def camera_of(node: DictConfig) -> "Camera | Rig":
         InputError: the rig is none, or a camera is refused; that of the group is made only where a mount has none.
     """
     from lmd.scene.rig import cameras_of
-    from lmd.scene.rig_sources import brings_cameras, rig_of
+    from lmd.formats.rigs import brings_cameras, rig_of
 
     alone = deepcopy(node)
     with open_dict(alone):
@@ -166,12 +166,12 @@ def camera_of(node: DictConfig) -> "Camera | Rig":
 
 
 def mounts_of(node: DictConfig) -> Any:
-    """The cameras of a rig as `lmd.scene.rig_sources.rig_of` takes them; None for none.
+    """The cameras of a rig as `lmd.formats.rigs.rig_of` takes them; None for none.
 
     Raises:
         InputError: their file cannot be read.
     """
-    from lmd.scene.rig_sources import read_mounts
+    from lmd.formats.rigs import read_mounts
 
     mounts = node.get("rig")  # runs of old have none
     plain = OmegaConf.to_container(mounts, resolve=True) if OmegaConf.is_config(mounts) else mounts

@@ -14,7 +14,7 @@ from .pipeline import Pipeline
 from .tag_sizes import take_sizes
 
 if TYPE_CHECKING:
-    from lmd.mapping.formats import Export
+    from lmd.export.exports import Export
     from lmd.scene.tag import Tag
 
 
@@ -26,7 +26,7 @@ def build_export(cfg: DictConfig, key: str, tag: "Tag") -> "Export":
     Raises:
         InputError: that cannot be written, or there is no such format.
     """
-    from lmd.mapping.formats import FORMATS, Export, formats_of, not_printed
+    from lmd.export.exports import FORMATS, Export, formats_of, not_printed
 
     with keyed(formats=key, paper="paper_size", edge="tag.edge"):
         settings = OmegaConf.to_container(cfg, resolve=True)
@@ -45,9 +45,9 @@ def build_export(cfg: DictConfig, key: str, tag: "Tag") -> "Export":
 def export(cfg: DictConfig) -> None:
     """Write the configured deployment in the configured formats, all files or none."""
     from lmd.core.checks import InputError
-    from lmd.mapping.formats import FORMATS
-    from lmd.mapping.sheets import describe_sheets
-    from lmd.mapping.tag_map import TagMap
+    from lmd.export.exports import FORMATS
+    from lmd.export.sheets import describe_sheets
+    from lmd.formats.tag_map import TagMap
 
     from .tracked_run import keep, tracked
 

@@ -39,7 +39,7 @@ def fixed_of(node: DictConfig, family: str | None) -> "Deployment | None":
     import numpy as np
 
     from lmd.scene.fixed import COLUMN
-    from lmd.scene.tag_map_files import read_deployment
+    from lmd.formats.tag_maps import read_deployment
 
     path = node.get("fixed")  # runs of old have none
     if path is None:

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
     from lmd.detection.detectors import Detections, Detector
     from lmd.detection.images import Images
-    from lmd.mapping.detections import DetectedTags
+    from lmd.formats.detections import DetectedTags
     from lmd.scene.camera import Camera
 
 CHUNK = 8  # images that a worker reads at a time
@@ -27,9 +27,9 @@ def detected(cfg: DictConfig, cameras: "Sequence[Camera]", detector: "Detector",
         InputError: nothing, or both, is given, or a file cannot be read.
     """
     from lmd.core.checks import InputError
-    from lmd.mapping.copies import without_copies
-    from lmd.mapping.detections import read_detections
-    from lmd.mapping.images_taken import with_images
+    from lmd.formats.copies import without_copies
+    from lmd.formats.detections import read_detections
+    from lmd.formats.images_taken import with_images
 
     if (cfg.photographs is None) == (cfg.detections is None):
         raise InputError("photographs=DIR, a folder or a video, or detections=FILE.csv must be given, and not both.")
@@ -50,7 +50,7 @@ def _in_images(cfg: DictConfig, cameras: "Sequence[Camera]", detector: "Detector
     from lmd.core.checks import InputError, printable
     from lmd.detection.images import Photographs, folder_entries
     from lmd.detection.video import Video
-    from lmd.mapping.detections import DetectedTags
+    from lmd.formats.detections import DetectedTags
 
     given = Path(str(cfg.photographs))
     if not os.path.lexists(given):
@@ -103,7 +103,7 @@ def detected_in(
 
     from lmd.core.checks import InputError
     from lmd.detection.sharpness import blurred
-    from lmd.mapping.detections import DetectedTags
+    from lmd.formats.detections import DetectedTags
 
     from .progress import bar
     from .workers import in_processes, processes

@@ -100,7 +100,7 @@ def build_camera_problem(cfg: DictConfig) -> "tuple[CameraProblem, dict[Camera, 
     from lmd.cameras.problem import CameraProblem
     from lmd.core.checks import InputError
     from lmd.scene.rig import Rig
-    from lmd.scene.rig_sources import camera_from
+    from lmd.formats.rigs import camera_from
     from lmd.space.parts import made
 
     alone = cfg.camera.copy()
@@ -134,7 +134,7 @@ def _write(
 ) -> None:
     """Write the rig file and the drawing, and log them."""
     from lmd.plot.body import save_body_figure
-    from lmd.scene.rig_sources import write_rig
+    from lmd.formats.rigs import write_rig
 
     def write(folder: Path) -> None:
         write_rig(folder / RIG, rig, sources)

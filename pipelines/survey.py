@@ -166,7 +166,7 @@ def _known(cfg: DictConfig, tag: "Tag", given: "Camera | Rig") -> "Known":
     """
     from lmd.core.checks import InputError, boolean, integer
     from lmd.scene.rig import Rig
-    from lmd.scene.tag_map_files import read_deployment
+    from lmd.formats.tag_maps import read_deployment
     from lmd.survey.boards import Boards
     from lmd.survey.known import Hanging, Points
     from lmd.survey.survey import Known
@@ -206,7 +206,7 @@ def _odometry(given: Any) -> "Trajectory | None":
         InputError: it cannot be read, or is no trajectory.
     """
     from lmd.core.checks import InputError
-    from lmd.scene.trajectory_files import TrajectoryFile
+    from lmd.formats.trajectories import TrajectoryFile
 
     if given is None:
         return None

@@ -11,8 +11,8 @@ from omegaconf import DictConfig, OmegaConf
 from .documents import write_document
 
 if TYPE_CHECKING:
-    from lmd.mapping.detections import DetectedTags
-    from lmd.mapping.formats import Export
+    from lmd.formats.detections import DetectedTags
+    from lmd.export.exports import Export
     from lmd.space.space import Space
     from lmd.survey.audit import Audit
     from lmd.survey.survey import Survey
@@ -39,7 +39,7 @@ def check_folder(directory: Path, cfg: DictConfig, cameras: int, exports: "Expor
         InputError: it is such a folder.
     """
     from lmd.core.checks import InputError
-    from lmd.mapping.formats import FORMATS
+    from lmd.export.exports import FORMATS
 
     own = set(ALWAYS) | {FORMATS[name].file for name in exports.formats}
     own |= {MEASURED} if has_plan else set()
@@ -88,8 +88,8 @@ def writers_of(
         detected: what was detected in all frames; None where it is in a file already.
     """
     from lmd.core.tables import write_table
-    from lmd.mapping.detections import write_detections
-    from lmd.mapping.tag_map import write_yaml
+    from lmd.formats.detections import write_detections
+    from lmd.formats.tag_map import write_yaml
     from lmd.plot.survey import save_survey_figure
     from lmd.survey.intrinsics import camera_info
     from lmd.survey.report import document, frame_columns, map_columns, measured_of

@@ -24,7 +24,7 @@ def take_sizes(cfg: DictConfig) -> None:
     """
     import numpy as np
 
-    from lmd.scene.tag_map_files import read_deployment
+    from lmd.formats.tag_maps import read_deployment
 
     node, tag = cfg.deployment, cfg.get("tag")  # runs of old have none
     if not tag or tag.get("edge") is not None or tag.get("edges") is not None or node.get("path") is None:

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from lmd.cameras.mounts import MountSpace
-    from lmd.mapping.formats import Export
+    from lmd.export.exports import Export
     from lmd.planner.plan import Plan
     from lmd.problem import Problem
     from lmd.scene.camera import Camera
@@ -89,7 +89,7 @@ def _space(cfg: DictConfig, problem: "Problem") -> "MountSpace | None":
 
 def _calibrations(cfg: DictConfig) -> "Mapping[Camera, Any]":
     """Which calibration each kind of camera of the rig has, as far as the rig says."""
-    from lmd.scene.rig_sources import calibrations_of
+    from lmd.formats.rigs import calibrations_of
 
     mounts = mounts_of(cfg.camera)
     return {} if mounts is None else calibrations_of(mounts)
@@ -99,7 +99,7 @@ def _save(
     directory: Path, problem: "Problem", export: "Export | None", plan: "Plan", sources: "Mapping[Camera, Any]"
 ) -> str:
     """Write landmarks.csv, the rig if cameras can be moved, and what is exported, all or nothing; says where."""
-    from lmd.scene.rig_sources import write_rig
+    from lmd.formats.rigs import write_rig
 
     scene = problem.scene
     writers = export.writers(scene.room, scene.tag, plan.deployment) if export else {}
@@ -118,7 +118,7 @@ def _save(
 
 def _keep_unsaved(directory: Path, plan: "Plan", sources: "Mapping[Camera, Any]", ups: bool) -> None:
     """Write unsaved tags and cameras to the directory, or else to the working or the temporary directory, or stdout."""
-    from lmd.scene.rig_sources import rig_text
+    from lmd.formats.rigs import rig_text
 
     elsewhere, rig = f"unsaved_{secrets.token_hex(4)}", None if plan.rig is None else rig_text(plan.rig, sources)
 

@@ -8,7 +8,7 @@ import walks
 from lmd.core.checks import FloatArray
 from lmd.geometry.se3 import camera_pose, exp, inverse, pose_of
 from lmd.geometry.trajectory import Trajectory
-from lmd.mapping.detections import DetectedTags
+from lmd.formats.detections import DetectedTags
 from lmd.scene.camera import Camera
 
 CAMERA = Camera(4.0, 0.008, 0.008, (400.0, 300.0), 800, 600, 0.0)

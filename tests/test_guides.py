@@ -29,8 +29,8 @@ from small import problem
 from lmd.core.checks import InputError
 from lmd.evaluation.bounds import Search, average_upper_bound
 from lmd.evaluation.validation import Sample, validation_metrics
-from lmd.mapping.formats import Format
-from lmd.mapping.tag_map import TagMap
+from lmd.export.exports import Format
+from lmd.formats.tag_map import TagMap
 from lmd.objectives.coverage import Coverage
 from lmd.objectives.localisation import Localisation
 from lmd.optimisers.annealing import Annealing
@@ -65,7 +65,7 @@ def block(start):
     return text
 
 
-READERS = "lmd/scene/tag_map_readers.py"
+READERS = "lmd/formats/tag_map_readers.py"
 FILES[READERS] = (  # changed as the guide says
     (ROOT / READERS).read_text(encoding="utf-8")
     .replace("\nclass Reader(", f"\n{block('def _frames')}\n\nclass Reader(")

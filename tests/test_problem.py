@@ -10,7 +10,7 @@ from lmd.objectives.coverage import Coverage
 from lmd.problem import Problem
 from lmd.scene import pdf
 from lmd.scene.deployment_sources import RandomDeployment, UniformDeployment
-from lmd.scene.rig_sources import rig_of
+from lmd.formats.rigs import rig_of
 from lmd.sight import reference
 from lmd.space.relevance import Relevance
 

@@ -6,7 +6,7 @@ from lmd.core.checks import FloatArray
 from lmd.detection.corner_errors import CornerErrors
 from lmd.geometry.se3 import camera_pose, exp, pose_of
 from lmd.geometry.squares import CORNERS
-from lmd.mapping.detections import DetectedTags
+from lmd.formats.detections import DetectedTags
 from lmd.render.optics import project
 from lmd.scene.camera import Camera
 from lmd.survey.sightings import Sightings, sightings_of

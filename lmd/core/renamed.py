@@ -3,7 +3,7 @@
 # Modules that configurations name, longest first where one begins another.
 MODULES = {
     "lmd.camera": "lmd.scene.camera",
-    "lmd.camera_calibration": "lmd.scene.camera_calibration",
+    "lmd.camera_calibration": "lmd.formats.calibrations",
     "lmd.deployment": "lmd.scene.deployment_sources",
     "lmd.localisation.trajectory": "lmd.estimation.flights",
     "lmd.localisation": "lmd.estimation",

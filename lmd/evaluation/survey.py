@@ -17,7 +17,7 @@ from lmd.problem import Problem
 from lmd.scene.deployment import Deployment
 from lmd.scene.edges import with_gaps
 from lmd.scene.plates import as_they_are
-from lmd.scene.tag_map_files import read_deployment
+from lmd.formats.tag_maps import read_deployment
 
 RANDOM_VIEWS = 2000  # random poses
 SURVEY_STREAM = 0x737572766579  # keeps the noise apart from every other use of the same seed
@@ -34,7 +34,7 @@ def read_measured(
     Args:
         path: a CSV like those of plans, or a tag map.
         plan: K landmarks.
-        axes: where the axes of the frame of a tag point in a table, see `lmd.scene.placed_tag.axes_of`.
+        axes: where the axes of the frame of a tag point in a table, see `lmd.formats.placed_tag.axes_of`.
 
     Raises:
         InputError: the file is no deployment, does not have the ids of the plan, or a tag is outside the room and

@@ -8,9 +8,9 @@ import numpy as np
 from lmd.core.checks import FloatArray, InputError, IntArray, boolean, choice, integer, said_of
 from lmd.core.memory import check_memory
 from lmd.scene.deployment import Deployment
-from lmd.scene.placed_tag import axes_of
+from lmd.formats.placed_tag import axes_of
 from lmd.scene.tag import Tag
-from lmd.scene.tag_map_files import read_deployment
+from lmd.formats.tag_maps import read_deployment
 from lmd.space.space import Space
 from lmd.space.surface import SurfaceArrays
 
@@ -103,12 +103,12 @@ class FileDeployment:
     """A deployment from a CSV written by `Deployment.to_csv` or by anyone, or from a tag map.
 
     Args:
-        path: the file, see `lmd.scene.tag_map_files.read_deployment`.
+        path: the file, see `lmd.formats.tag_maps.read_deployment`.
         count: K; if given, the file must have that many rows.
         free: whether landmarks are taken as they are: they may stand free in the room or outside, face into the surface
             they hang on or hang where none may, and papers may overlap.
         family: of the tags, in place of that of the tag that hangs there.
-        axes: where x, y and z of the frame of a tag point in a table, see `lmd.scene.placed_tag.axes_of`.
+        axes: where x, y and z of the frame of a tag point in a table, see `lmd.formats.placed_tag.axes_of`.
 
     Raises:
         InputError: `free` is neither true nor false, or the axes are no frame.

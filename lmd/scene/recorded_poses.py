@@ -15,7 +15,7 @@ import numpy as np
 from lmd.core.checks import BoolArray, FloatArray, InputError, IntArray, check_fields, integer, real
 from lmd.scene.by_position import pdf_by_position
 from lmd.scene.pdf import OrientationPdf
-from lmd.scene.trajectory_files import TrajectoryFile
+from lmd.formats.trajectories import TrajectoryFile
 from lmd.space.space import Space
 from lmd.space.visited import Visited
 

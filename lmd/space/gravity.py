@@ -3,7 +3,7 @@
 import numpy as np
 
 from lmd.core.checks import FloatArray
-from lmd.space.mesh_file import Mesh
+from lmd.formats.meshes import Mesh
 from lmd.space.patches import areas_of
 from lmd.space.triangles import unit_normals
 

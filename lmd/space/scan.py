@@ -14,7 +14,7 @@ from lmd.space.fixture import Fixture
 from lmd.space.gravity import LEVEL_NORMAL_Z, STOREY, doubt_of
 from lmd.space.interior import Interior
 from lmd.space.keep_out import KeepOut, all_keep_outs
-from lmd.space.mesh_file import Y_UP, Mesh, read_mesh
+from lmd.formats.meshes import Y_UP, Mesh, read_mesh
 from lmd.space.on_patch import grown, lying_on, standing_on
 from lmd.space.parts import checked_band, checked_names
 from lmd.space.patches import UNEVEN, areas_of, flat_parts, plane_of, surface_of
@@ -42,7 +42,7 @@ class Scan:
     `patch_1`, ... where the file names none. All triangles block the line of sight, from both sides.
 
     Args:
-        path: the file, see `lmd.space.mesh_file.read_mesh`.
+        path: the file, see `lmd.formats.meshes.read_mesh`.
         scale: metres in a unit of the file.
         up: which of its axes points up, `z` or `y`; None for what its format says, else z if nothing is against.
         least_area: of a square that hangs on a patch upright, square metres.

@@ -8,7 +8,7 @@ import numpy as np
 from lmd.core.checks import FloatArray
 from lmd.geometry.lens import Lens
 from lmd.render.optics import bearings, slope
-from lmd.scene.calibration_files import PIXEL_CENTRE
+from lmd.formats.calibration_readers import PIXEL_CENTRE
 from lmd.scene.camera import Camera
 
 # Standard deviations of what intrinsics may be off: of the focal length, of the image's size, of coefficients.

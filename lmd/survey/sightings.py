@@ -19,7 +19,7 @@ from lmd.core.checks import BoolArray, FloatArray, InputError, IntArray
 from lmd.detection.corner_errors import CornerErrors
 from lmd.geometry.se3 import pose_of
 from lmd.geometry.squares import CORNERS
-from lmd.mapping.detections import DetectedTags
+from lmd.formats.detections import DetectedTags
 from lmd.render.optics import bearings, slope
 from lmd.scene.camera import Camera
 

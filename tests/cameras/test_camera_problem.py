@@ -23,7 +23,7 @@ from lmd.problem import Problem
 from lmd.scene import pdf
 from lmd.scene.deployment_sources import RandomDeployment
 from lmd.scene.rig import Rig
-from lmd.scene.rig_sources import read_mounts, rig_of, write_rig
+from lmd.formats.rigs import read_mounts, rig_of, write_rig
 from pipelines.app import CONF
 
 CAMERA, OTHER = paper_camera(), paper_camera(focal_length=8.0)

@@ -13,7 +13,7 @@ from lmd.render.imaging import Imaging
 from lmd.render.renderer import Renderer
 from lmd.scene.camera import Camera
 from lmd.scene.tag import Tag
-from lmd.scene.tag_map_files import read_deployment
+from lmd.formats.tag_maps import read_deployment
 from lmd.space.cuboid import Cuboid
 
 ROOM = Cuboid((4.0, 3.0, 3.0), (2.0, 1.0, 1.0), 0.5)

@@ -6,7 +6,7 @@ import pytest
 from omegaconf import OmegaConf
 from processes import SMALL, call, refused
 
-from lmd.mapping.formats import formats_of
+from lmd.export.exports import formats_of
 from lmd.scene.tag import Tag
 from pipelines.export import build_export
 

@@ -18,7 +18,7 @@ from planner_page import LIMIT, Page
 from processes import SMALL, call, command, refused, start
 
 from lmd.scene.deployment import Deployment
-from lmd.scene.rig_sources import read_mounts
+from lmd.formats.rigs import read_mounts
 from pipelines.view import UNSAVED as BEGIN
 
 pytestmark = [pytest.mark.slow, pytest.mark.long]

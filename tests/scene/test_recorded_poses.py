@@ -27,7 +27,7 @@ from lmd.scene.deployment_sources import RandomDeployment
 from lmd.scene.recorded_poses import RecordedPoses
 from lmd.scene.rig import Mount, Rig
 from lmd.scene.tag import Tag
-from lmd.scene.trajectory_files import TrajectoryFile
+from lmd.formats.trajectories import TrajectoryFile
 from lmd.sight.evaluator import Evaluator
 from lmd.sight.models.fiducial import Fiducial
 from lmd.sight.views import visible

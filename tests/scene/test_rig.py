@@ -22,7 +22,7 @@ from lmd.scene.deployment import Deployment
 from lmd.scene.deployment_sources import RandomDeployment, UniformDeployment
 from lmd.scene.pdf import OrientationPdf
 from lmd.scene.rig import Mount, Rig
-from lmd.scene.rig_sources import read_mounts, rig_of
+from lmd.formats.rigs import read_mounts, rig_of
 from lmd.sight.evaluator import Evaluator
 from lmd.sight.poses import candidate_poses, covered_amounts, gains
 from lmd.sight.reference import counts, coverage_caps

@@ -16,7 +16,7 @@ from lmd.estimation.tags import corners_of
 from lmd.evaluation.survey import read_measured, survey
 from lmd.evaluation.validation import Sample
 from lmd.geometry.squares import corners, upright
-from lmd.mapping.tag_map import TagMap
+from lmd.formats.tag_map import TagMap
 from lmd.objectives.coverage import Coverage
 from lmd.optimisers.ledger import Budget
 from lmd.optimisers.random_search import RandomSearch

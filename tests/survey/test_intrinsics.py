@@ -10,9 +10,9 @@ from scipy.spatial.distance import pdist
 from scipy.stats import chi2
 
 from lmd.geometry.se3 import camera_pose
-from lmd.mapping.tag_map import write_yaml
+from lmd.formats.tag_map import write_yaml
 from lmd.render.optics import bearings, project
-from lmd.scene.camera_calibration import calibrated_camera
+from lmd.formats.calibrations import calibrated_camera
 from lmd.scene.deployment import Deployment
 from lmd.scene.tag import Tag
 from lmd.survey.intrinsics import camera_info, parameters, slopes, spreads, with_parameters
