@@ -55,8 +55,8 @@ PYTEST := $(BIN)/python -m pytest -n auto --dist loadfile --no-loadscope-reorder
 test: install-all  ## the whole test suite
 	$(PYTEST)
 
-test-thorough: install-all  ## the same, property tests with ten times as many examples
-	LMD_EXAMPLES=3 $(PYTEST)
+test-thorough: install-all  ## all tests: real services, kills, and property tests with ten times as many examples
+	LMD_THOROUGH=all LMD_EXAMPLES=3 $(PYTEST)
 
 quick: install-all  ## the tests that are not slow, for while you work
 	$(PYTEST) -m 'not slow'

@@ -24,8 +24,10 @@ from omegaconf import OmegaConf
 from lmd.core.checks import FloatArray
 from lmd.detection.detectors import AprilTagDetector, ArucoDetector, Detector
 from lmd.detection.frames import draw_poses, look, tagged_room
-from lmd.detection.pose import pose_error, solutions
 from lmd.estimation.pnp import likely
+from lmd.geometry.camera import Camera
+from lmd.geometry.pose import pose_error, solutions
+from lmd.geometry.projection import intrinsics, project
 from lmd.geometry.se3 import camera_pose
 from lmd.geometry.squares import corners
 from lmd.objectives.localisation.ambiguity import CONFIDENCE, mirrored_square
@@ -34,10 +36,8 @@ from lmd.pipelines.app import CONF
 from lmd.pipelines.building import build_problem
 from lmd.problem import Problem
 from lmd.render.imaging import Imaging
-from lmd.render.optics import intrinsics, project
 from lmd.render.renderer import Renderer
 from lmd.render.room import TaggedRoom
-from lmd.scene.camera import Camera
 from lmd.scene.deployment import Deployment
 from lmd.scene.tag import Tag
 

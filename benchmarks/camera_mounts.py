@@ -26,13 +26,13 @@ from lmd.detection.detectors import AprilTagDetector
 from lmd.detection.evaluation import at_least
 from lmd.detection.frames import draw_poses, look, tagged_room
 from lmd.evaluation.validation import Sample, sampled_values
+from lmd.geometry.camera import Camera
 from lmd.geometry.se3 import axis_and_right, pose_of
 from lmd.optimisers.ledger import Budget
 from lmd.optimisers.random_search import RandomSearch
 from lmd.pipelines.app import CONF
 from lmd.pipelines.place_cameras import build_camera_problem
 from lmd.render.renderer import Renderer
-from lmd.scene.camera import Camera
 from lmd.scene.rig import Mount, Rig
 from lmd.formats.rigs import read_mounts, rig_of
 from lmd.sight.views import visible

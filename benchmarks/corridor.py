@@ -16,11 +16,11 @@ import numpy as np
 
 from lmd.core.checks import FloatArray, InputError, IntArray
 from lmd.detection.corner_errors import CORNER_ERRORS, CornerErrors
+from lmd.geometry.camera import Camera
 from lmd.geometry.se3 import act, exp, inverse, laid_over
 from lmd.geometry.trajectory import Trajectory
 from lmd.formats.detections import DetectedTags, read_detections
 from lmd.formats.calibration_readers import read_cameras
-from lmd.scene.camera import Camera
 from lmd.formats.calibrations import calibrated_camera
 from lmd.scene.tag import Tag
 from lmd.formats.trajectories import TrajectoryFile

@@ -9,13 +9,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from lmd.geometry.camera import Camera
 from lmd.objectives.coverage import Coverage
 from lmd.optimisers.annealing import Annealing
 from lmd.optimisers.ledger import Budget
 from lmd.optimisers.milp import Milp
 from lmd.problem import Problem
 from lmd.scene import pdf
-from lmd.scene.camera import Camera
 from lmd.scene.deployment_sources import DeploymentSource, GivenDeployment, RandomDeployment
 from lmd.scene.scene import Scene
 from lmd.sight.models.paper import Visibility

@@ -14,10 +14,10 @@ import numpy as np
 import trimesh
 
 from lmd.core.compiled import kernel
+from lmd.geometry.camera import Camera
 from lmd.incremental.coverage_field import coverage_field
 from lmd.incremental.field import bound, settle
 from lmd.scene import pdf
-from lmd.scene.camera import Camera
 from lmd.scene.criteria import Criteria
 from lmd.scene.deployment_sources import RandomDeployment
 from lmd.scene.scene import Scene

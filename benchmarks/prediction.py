@@ -25,12 +25,12 @@ from lmd.detection.evaluation import corner_error, precision_recall
 from lmd.detection.fit import fit
 from lmd.detection.surveyed import FILE, SurveyedViews
 from lmd.evaluation.verdicts import verdicts
+from lmd.geometry.camera import Camera
+from lmd.geometry.projection import intrinsics
 from lmd.formats.detections import read_detections
 from lmd.formats.images_taken import with_images
 from lmd.render.imaging import Imaging
-from lmd.render.optics import intrinsics
 from lmd.formats.calibration_readers import read_cameras
-from lmd.scene.camera import Camera
 from lmd.formats.calibrations import calibrated_camera
 from lmd.scene.pdf import solid_angle
 from lmd.scene.rig import Mount, Rig

@@ -18,12 +18,12 @@ from lmd.core.checks import FloatArray
 from lmd.detection.corner_errors import CORNER_ERRORS
 from lmd.detection.detectors import ArucoDetector
 from lmd.estimation.cramer_rao import pose_information
+from lmd.geometry.camera import Camera
+from lmd.geometry.projection import intrinsics, project
 from lmd.geometry.se3 import camera_pose
 from lmd.render.imaging import Imaging
-from lmd.render.optics import intrinsics, project
 from lmd.render.renderer import Renderer
 from lmd.render.room import TaggedRoom
-from lmd.scene.camera import Camera
 from lmd.formats.calibrations import Calibration
 from lmd.scene.tag import Tag
 

@@ -14,11 +14,11 @@ from collections.abc import Callable
 import numpy as np
 
 from lmd.core.compiled import kernel
+from lmd.geometry.camera import Camera
 from lmd.incremental.field import accept, bound, settle, undo
 from lmd.objectives.coverage import Coverage
 from lmd.objectives.localisation import Localisation
 from lmd.scene import pdf
-from lmd.scene.camera import Camera
 from lmd.scene.deployment_sources import RandomDeployment
 from lmd.scene.pdf import OrientationPdf
 from lmd.scene.rig import Mount, Rig

@@ -32,7 +32,7 @@ from lmd.scene.surveyed import Surveyed
 from lmd.survey.known import poses_of
 
 if TYPE_CHECKING:
-    from lmd.scene.camera import Camera
+    from lmd.geometry.camera import Camera
     from lmd.survey.survey import Survey
 
 OFF = (
@@ -119,7 +119,7 @@ def aviary(folder: Path, boards: float | None, calibrate: bool | None) -> None:
 
 def by_opencv(found: "Survey", camera: "Camera") -> None:
     """Each frame by OpenCV's solvePnP with the map: how far from the survey's, and what corners are off by."""
-    from lmd.render.optics import intrinsics
+    from lmd.geometry.projection import intrinsics
 
     some, poses, matrix = found.found.sightings.of(found.found.used), found.found.poses, intrinsics(camera)
     corners = some.corners @ np.swapaxes(poses.tags[some.tag, :3, :3], 1, 2) + poses.tags[some.tag, None, :3, 3]

@@ -23,6 +23,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from lmd.core.checks import InputError as InputError
+    from lmd.geometry.camera import Camera as Camera
     from lmd.objectives.coverage import Coverage as Coverage
     from lmd.objectives.localisation import Localisation as Localisation
     from lmd.objectives.sampling import Sampling as Sampling
@@ -34,7 +35,6 @@ if TYPE_CHECKING:
     from lmd.run import evaluate as evaluate
     from lmd.run import optimise as optimise
     from lmd.scene import pdf as pdf
-    from lmd.scene.camera import Camera as Camera
     from lmd.scene.deployment import Deployment as Deployment
     from lmd.scene.deployment_sources import FileDeployment as FileDeployment
     from lmd.scene.deployment_sources import RandomDeployment as RandomDeployment
@@ -56,7 +56,7 @@ if TYPE_CHECKING:
 _HOMES = {
     "Annealing": "lmd.optimisers.annealing",
     "Budget": "lmd.optimisers.ledger",
-    "Camera": "lmd.scene.camera",
+    "Camera": "lmd.geometry.camera",
     "Coverage": "lmd.objectives.coverage",
     "Localisation": "lmd.objectives.localisation",
     "Cuboid": "lmd.space.cuboid",

@@ -18,11 +18,11 @@ from .spelling import meant
 from .tag_sizes import divide_paper, spell_counts, take_sizes
 
 if TYPE_CHECKING:
+    from lmd.geometry.camera import Camera
     from lmd.objectives.base import Objective
     from lmd.optimisers.base import Optimiser
     from lmd.optimisers.ledger import Budget
     from lmd.problem import Problem
-    from lmd.scene.camera import Camera
     from lmd.scene.deployment import Deployment
     from lmd.scene.deployment_sources import DeploymentSource
     from lmd.scene.pdf import OrientationPdf

@@ -14,8 +14,8 @@ if TYPE_CHECKING:
 
     from lmd.detection.detectors import Detections, Detector
     from lmd.detection.images import Images
+    from lmd.geometry.camera import Camera
     from lmd.formats.detections import DetectedTags
-    from lmd.scene.camera import Camera
 
 CHUNK = 8  # images that a worker reads at a time
 

@@ -18,8 +18,8 @@ from .pipeline import Pipeline
 
 if TYPE_CHECKING:
     from lmd.cameras.problem import CameraProblem
+    from lmd.geometry.camera import Camera
     from lmd.optimisers.base import Optimiser
-    from lmd.scene.camera import Camera
     from lmd.scene.rig import Rig
 
     from .operations.tracking import Tracker

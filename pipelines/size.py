@@ -14,7 +14,7 @@ from .building import instantiate, keyed, settings_of
 from .pipeline import Pipeline, alone
 
 if TYPE_CHECKING:
-    from lmd.scene.camera import Camera
+    from lmd.geometry.camera import Camera
     from lmd.scene.tag import Tag
     from lmd.sight.models.fiducial import Fiducial
 

@@ -23,8 +23,8 @@ from .survey_files import audit_writers, check_folder, writers_of
 
 if TYPE_CHECKING:
     from lmd.detection.detectors import Detector
+    from lmd.geometry.camera import Camera
     from lmd.geometry.trajectory import Trajectory
-    from lmd.scene.camera import Camera
     from lmd.scene.rig import Rig
     from lmd.scene.scene import Scene
     from lmd.scene.tag import Tag

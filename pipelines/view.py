@@ -22,10 +22,10 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from lmd.cameras.mounts import MountSpace
+    from lmd.geometry.camera import Camera
     from lmd.export.exports import Export
     from lmd.planner.plan import Plan
     from lmd.problem import Problem
-    from lmd.scene.camera import Camera
 
 UNSAVED = "unsaved"  # how files of what was not saved begin
 

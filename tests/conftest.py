@@ -7,6 +7,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # before it is loaded: worke
 
 import processes
 import pytest
+import thorough
 from examples import DEFAULT, examples
 from hypothesis import settings
 
@@ -69,8 +70,15 @@ def pytest_xdist_auto_num_workers():
     return available_threads() + 2
 
 
-def pytest_collection_modifyitems(items):
-    """Long files come first, or the last of them would run while other workers have nothing left to do."""
+def pytest_collection_modifyitems(config, items):
+    """Leave out what `thorough` leaves out, and begin with long files.
+
+    The last of them would else run while other workers have nothing left to do.
+    """
+    left_out = [item for item in items if not thorough.is_due(item)]
+    if left_out:
+        config.hook.pytest_deselected(items=left_out)
+        items[:] = [item for item in items if item not in set(left_out)]
     long, slow = ({item.path for item in items if item.get_closest_marker(mark)} for mark in ("long", "slow"))
     items.sort(key=lambda item: (item.path not in long, item.path not in slow))
 

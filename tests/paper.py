@@ -4,8 +4,8 @@ import math
 
 import numpy as np
 
+from lmd.geometry.camera import Camera
 from lmd.scene import pdf
-from lmd.scene.camera import Camera
 from lmd.scene.deployment import Deployment
 from lmd.scene.scene import Scene
 from lmd.sight.models.paper import Visibility

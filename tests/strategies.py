@@ -6,10 +6,10 @@ from dataclasses import replace
 import numpy as np
 from hypothesis import strategies as st
 
+from lmd.geometry.camera import Camera
 from lmd.geometry.frames import optical_axis
 from lmd.geometry.lens import Lens
 from lmd.scene import pdf
-from lmd.scene.camera import Camera
 from lmd.scene.deployment import Deployment
 from lmd.scene.deployment_sources import RandomDeployment
 from lmd.scene.scene import Scene

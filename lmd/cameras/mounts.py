@@ -12,8 +12,8 @@ import numpy as np
 
 from lmd.cameras.body import Body
 from lmd.core.checks import FloatArray, InputError, integer, real, vector
-from lmd.render.optics import bearings
-from lmd.scene.camera import Camera
+from lmd.geometry.camera import Camera
+from lmd.geometry.projection import bearings
 from lmd.scene.rig import Mount, Rig
 from lmd.space.surface import SurfaceArrays
 

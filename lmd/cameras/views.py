@@ -8,7 +8,7 @@ import numpy as np
 
 from lmd.core.bits import packed
 from lmd.core.threads import in_parts
-from lmd.scene.camera import Camera
+from lmd.geometry.camera import Camera
 from lmd.scene.deployment import Deployment
 from lmd.scene.rig import Mount, Rig
 from lmd.sight.evaluator import Evaluator

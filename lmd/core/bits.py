@@ -1,13 +1,17 @@
 """Sets of axes as bits: axis a is bit a % 64 of word a // 64."""
 
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 from llvmlite import ir
 from numba import types
 from numba.extending import intrinsic, overload
+from numpy.typing import NDArray
 
 from lmd.core.compiled import OVERLOAD_INLINED, inlined
+
+Integer: TypeAlias = int | np.integer[Any]  # an index or a count in compiled code, of any width
+WordArray: TypeAlias = NDArray[np.uint64]  # sets of axes
 
 BITS = 64
 LANES = 32  # axes or landmarks tested at a time, a bit of a word each
@@ -59,32 +63,32 @@ def _prefetch(array, index):  # type: ignore[no-untyped-def] # noqa: ARG001
 
 
 @inlined
-def add_digit(digit, carry, goes):  # type: ignore[no-untyped-def]
+def add_digit(digit: np.uint64, carry: np.uint64, goes: np.uint64) -> tuple[np.uint64, np.uint64]:
     """A binary digit of counts with one more (or one less where `goes`) at `carry`, and what is carried or borrowed."""
     return digit ^ carry, carry & (digit ^ goes)
 
 
 @inlined
-def equal_so_far(equal, digit, n, j):  # type: ignore[no-untyped-def]
+def equal_so_far(equal: np.uint64, digit: np.uint64, n: Integer, j: Integer) -> np.uint64:
     """Where counts equal n in digit j, too."""
     return equal & (digit if n >> j & 1 else ~digit)
 
 
 @inlined
-def at_least_so_far(reached, digit, n, j):  # type: ignore[no-untyped-def]
+def at_least_so_far(reached: np.uint64, digit: np.uint64, n: Integer, j: Integer) -> np.uint64:
     """Where counts are at least n: from the lowest digit j up, each overrules those below."""
     return reached & digit if n >> j & 1 else reached | digit
 
 
 @inlined
-def add_set(digits, axes, goes):  # type: ignore[no-untyped-def]
+def add_set(digits: WordArray, axes: np.uint64, goes: np.uint64) -> None:
     """Count one less in `digits` `(J,)`, the lowest first, at `axes` that are in `goes`, one more at the others."""
     for j in range(np.uint64(len(digits))):
         digits[j], axes = add_digit(digits[j], axes, goes)
 
 
 @inlined
-def exactly(digits, n):  # type: ignore[no-untyped-def]
+def exactly(digits: WordArray, n: Integer) -> np.uint64:
     """The axes where the counts `digits` `(J,)` equal n."""
     equal = ALL
     for j in range(np.uint64(len(digits))):
@@ -93,7 +97,7 @@ def exactly(digits, n):  # type: ignore[no-untyped-def]
 
 
 @inlined
-def at_least(digits, n):  # type: ignore[no-untyped-def]
+def at_least(digits: WordArray, n: Integer) -> np.uint64:
     """The axes where the counts `digits` `(J,)` are at least n."""
     reached = ALL
     for j in range(np.uint64(len(digits))):

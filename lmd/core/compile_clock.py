@@ -88,7 +88,7 @@ class TimedCompiler(Compiler):
         """
         counted, models = self.state.flags.nrt, self.state.targetctx.data_model_manager
         with CLOCK.stopped(func):
-            result = super().compile_extra(func)  # type: ignore[no-untyped-call]
+            result = super().compile_extra(func)
         returned = result.signature.return_type
         held = counted and not isinstance(returned, types.BaseTuple)
         if not (self.returns_arrays or held) and models[returned].contains_nrt_meminfo():

@@ -6,7 +6,7 @@ numba compiles a kernel when it is first called with arguments of some classes, 
 
 import os
 from collections.abc import Callable
-from typing import Any
+from typing import Any, TypeVar
 
 import numba
 import numpy as np
@@ -54,6 +54,8 @@ _INLINED = {"forceinline": True}
 OVERLOAD: Any = _CALLED | {"pipeline_class": _ALLOCATING}
 OVERLOAD_INLINED: Any = OVERLOAD | _INLINED
 
+F = TypeVar("F", bound=Callable[..., Any])
+
 clock = CLOCK.read
 """A clock like `time.perf_counter`, seconds, that stands still while kernels are compiled.
 
@@ -66,7 +68,7 @@ def is_compiling() -> bool:
     return CLOCK.active
 
 
-def kernel(function: Callable[..., Any]) -> Any:
+def kernel(function: F) -> F:
     """Compile a function when it is first called, without the GIL, and keep the result on disk.
 
     A kernel may return an array, but none in a tuple: see `inner`.
@@ -74,24 +76,26 @@ def kernel(function: Callable[..., Any]) -> Any:
     return _made_kernel(function, _OPTIONS)
 
 
-def borrowing(function: Callable[..., Any]) -> Any:
+def borrowing(function: F) -> F:
     """A kernel that makes no arrays and returns none: it need not count those that it takes."""
     return _made_kernel(function, _OPTIONS | _UNCOUNTED)
 
 
-def _made_kernel(function: Callable[..., Any], options: Any) -> Any:
+def _made_kernel(function: F, options: Any) -> F:
     if PYTHON:  # compiled code does not warn of a division by zero, either
-        return np.errstate(all="ignore")(function)
+        quiet: F = np.errstate(all="ignore")(function)
+        return quiet
     compiled: Any = numba.njit(pipeline_class=_KERNEL, **options)(function)
     if _numba is not None:
         try:
             compiled._cache = _numba.Cache(function)  # as njit(cache=True) does with numba's own class
         except RuntimeError:  # numba has looked for a folder that it can write to
             CLOCK.kept = "it cannot be kept, as no folder can be written to; NUMBA_CACHE_DIR=DIR names one"
-    return compiled
+    made: F = compiled
+    return made
 
 
-def inner(function: Callable[..., Any]) -> Any:
+def inner(function: F) -> F:
     """A function that kernels call, compiled within each of them. Python calls it as plain Python.
 
     With numba's own compiler, LLVM optimises and translates a function once for itself, once for each that calls it,
@@ -102,7 +106,7 @@ def inner(function: Callable[..., Any]) -> Any:
     return _made_inner(function, _INNER, _UNCOUNTED)
 
 
-def inlined(function: Callable[..., Any]) -> Any:
+def inlined(function: F) -> F:
     """As `inner`, inlined by LLVM whatever its size.
 
     Only so do loops over it vectorise, and what stays the same moves out of them. For what is called at every position,
@@ -111,12 +115,12 @@ def inlined(function: Callable[..., Any]) -> Any:
     return _made_inner(function, _INNER, _UNCOUNTED | _INLINED)
 
 
-def allocating(function: Callable[..., Any]) -> Any:
+def allocating(function: F) -> F:
     """As `inner`, for a function that makes arrays, which it may return."""
     return _made_inner(function, _ALLOCATING, {"_nrt": True})
 
 
-def _made_inner(function: Callable[..., Any], compiler: Any, options: Any) -> Any:
+def _made_inner(function: F, compiler: Any, options: Any) -> F:
     if not PYTHON:
         compiled: Any = numba.njit(pipeline_class=compiler, **(_CALLED | options))(function)
         # numba types a function that compiled code names by the first attribute; the second keeps the dispatcher alive.

@@ -13,48 +13,54 @@ compiled code stays cached on disk, which a function handed over as an argument 
 """
 
 from collections.abc import Callable
-from typing import Any, Protocol, cast
+from typing import Any, ParamSpec, Protocol, TypeVar, cast
 
 from numba.extending import overload
 
 from lmd.core.compiled import OVERLOAD, OVERLOAD_INLINED
 
 Function = Callable[..., Any]
+F = TypeVar("F", bound=Function)
+P = ParamSpec("P")
+R_co = TypeVar("R_co", covariant=True)
 
 
-class Dispatched(Protocol):
+class Dispatched(Protocol[P, R_co]):
     """What `dispatched` makes of a function."""
 
-    def __call__(self, first: Any, *others: Any) -> Any:
-        """What the class of `first` registered; positional arguments only."""
+    def __call__(self, *arguments: P.args, **_: P.kwargs) -> R_co:
+        """What the class of the first argument registered; positional arguments only."""
 
-    def register(self, kind: type) -> Callable[[Function], Function]:
+    def register(self, kind: type) -> Callable[[F], F]:
         """Decorates the plain function for named tuples of a class, with the arguments of the dispatched one."""
 
 
-def dispatched(declaration: Function) -> Dispatched:
+def dispatched(declaration: Callable[P, R_co]) -> Dispatched[P, R_co]:
     """A function with the name and the docstring of `declaration`, whose body is never used; inlined, see `inlined`."""
     return _dispatched(declaration, None, OVERLOAD_INLINED)
 
 
-def dispatched_call(declaration: Function) -> Dispatched:
+def dispatched_call(declaration: Callable[P, R_co]) -> Dispatched[P, R_co]:
     """As `dispatched`, for a long function: it is not inlined."""
     return _dispatched(declaration, None, OVERLOAD)
 
 
-def overridable(declaration: Function) -> Dispatched:
+def overridable(declaration: Callable[P, R_co]) -> Dispatched[P, R_co]:
     """`dispatched`, but the body of `declaration` serves the classes that register nothing."""
     return _dispatched(declaration, declaration, OVERLOAD_INLINED)
 
 
-def _dispatched(declaration: Function, otherwise: Function | None, options: Any) -> Dispatched:
+def _dispatched(declaration: Callable[P, R_co], otherwise: Function | None, options: Any) -> Dispatched[P, R_co]:
     table: dict[type, Function] = {}
 
     def call(first: Any, *others: Any) -> Any:
-        return (table.get(type(first)) or otherwise or table[type(first)])(first, *others)
+        function = table.get(type(first), otherwise)
+        if function is None:
+            raise KeyError(type(first))
+        return function(first, *others)
 
-    def register(kind: type) -> Callable[[Function], Function]:
-        def remember(function: Function) -> Function:
+    def register(kind: type) -> Callable[[F], F]:
+        def remember(function: F) -> F:
             table[kind] = function
             return function
 
@@ -66,4 +72,4 @@ def _dispatched(declaration: Function, otherwise: Function | None, options: Any)
     call.__name__, call.__doc__, call.__module__ = declaration.__name__, declaration.__doc__, declaration.__module__
     call.register, call.registered = register, table  # type: ignore[attr-defined]
     overload(call, strict=False, jit_options=options)(resolve)
-    return cast(Dispatched, call)
+    return cast("Dispatched[P, R_co]", call)

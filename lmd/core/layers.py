@@ -41,7 +41,7 @@ def _made(kind: type, parts: Any) -> Any:
 
 
 @overload(layer, jit_options=OVERLOAD_INLINED)
-def _layer(bundle, number):  # noqa: ARG001 # numba compares names and annotations
+def _layer(bundle, number):  # type: ignore[no-untyped-def] # noqa: ARG001 # numba compares names and annotations
     # numba has no map over tuples of different types: what is taken of each array is written down.
     kinds: dict[str, Any] = {}
     lines: list[str] = []

@@ -2,7 +2,7 @@
 
 # Modules that configurations name, longest first where one begins another.
 MODULES = {
-    "lmd.camera": "lmd.scene.camera",
+    "lmd.camera": "lmd.geometry.camera",
     "lmd.camera_calibration": "lmd.formats.calibrations",
     "lmd.deployment": "lmd.scene.deployment_sources",
     "lmd.localisation.trajectory": "lmd.estimation.flights",

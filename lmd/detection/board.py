@@ -13,13 +13,13 @@ from lmd.detection.evaluation import CORNER_TOLERANCE, corner_error, match
 from lmd.detection.frames import qualities
 from lmd.detection.images import Photographs
 from lmd.detection.mosaic import OF_EACH, Views, only
-from lmd.detection.pose import pose_from_corners
+from lmd.geometry.camera import Camera
+from lmd.geometry.pose import pose_from_corners
 from lmd.geometry.se3 import ROW, poses_from_rows
 from lmd.geometry.squares import upright
 from lmd.render.imaging import Imaging
 from lmd.render.renderer import Renderer
 from lmd.render.room import TaggedRoom
-from lmd.scene.camera import Camera
 from lmd.scene.deployment import COLUMNS
 from lmd.scene.tag import Tag
 

@@ -12,9 +12,9 @@ from lmd.detection.evaluation import TAG_NUMBERS, agreement, at_least, precision
 from lmd.detection.fit import Fit
 from lmd.detection.frames import Sightings, overlapping, qualities
 from lmd.detection.mosaic import Views
+from lmd.geometry.camera import Camera
 from lmd.render.imaging import Imaging
 from lmd.render.renderer import Renderer
-from lmd.scene.camera import Camera
 from lmd.scene.tag import Tag
 from lmd.sight.models.limits import NAMES, Limits, Preset
 

@@ -1,7 +1,8 @@
 """Detectors of tags behind one interface.
 
-All corners are in image coordinates from the border (see `lmd.render.optics`) and in the order top-left, top-right,
-bottom-right, bottom-left of the tag as it hangs (see `lmd.scene.tag`), whatever the library's own conventions are.
+All corners are in image coordinates from the border (see `lmd.geometry.projection`) and in the order top-left,
+top-right, bottom-right, bottom-left of the tag as it hangs (see `lmd.scene.tag`), whatever the conventions of the
+library are.
 """
 
 from dataclasses import dataclass

@@ -10,12 +10,12 @@ from lmd.core.checks import BoolArray, FloatArray, IntArray
 from lmd.detection.detectors import Detector
 from lmd.detection.evaluation import Matches, match
 from lmd.detection.quality import apparent_edge, incidence, pitch
+from lmd.geometry.camera import Camera
+from lmd.geometry.projection import blur_sigma, to_camera
 from lmd.geometry.se3 import camera_pose, exp
 from lmd.render.imaging import Imaging, UInt8Array
-from lmd.render.optics import blur_sigma, to_camera
 from lmd.render.renderer import Renderer
 from lmd.render.room import TaggedRoom
-from lmd.scene.camera import Camera
 from lmd.scene.deployment import Deployment
 from lmd.scene.pushing import TOUCHING
 from lmd.scene.scene import Scene

@@ -13,9 +13,9 @@ import numpy as np
 from lmd.core.checks import InputError, file_path, printable
 from lmd.core.files import read_bytes
 from lmd.core.optional import optional
+from lmd.geometry.camera import Camera
+from lmd.geometry.projection import image_size
 from lmd.render.imaging import UInt8Array
-from lmd.render.optics import image_size
-from lmd.scene.camera import Camera
 
 IMAGES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp")
 UNREAD = (".heic", ".heif", ".avif", ".dng", ".raw", ".cr2", ".cr3", ".nef", ".arw", ".gif")  # which cameras write

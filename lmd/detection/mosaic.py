@@ -18,11 +18,11 @@ from lmd.core.memory import check_memory
 from lmd.detection.detectors import Detections, Detector
 from lmd.detection.evaluation import CORNER_TOLERANCE, corner_error
 from lmd.detection.quality import apparent_edge, incidence, pitch
+from lmd.geometry.camera import Camera
+from lmd.geometry.projection import image_size, intrinsics, project
 from lmd.geometry.squares import corners
 from lmd.render.canvas import PATTERN, REACH, Canvas, pattern
 from lmd.render.imaging import Float32Array, Imaging
-from lmd.render.optics import image_size, intrinsics, project
-from lmd.scene.camera import Camera
 from lmd.scene.tag import Tag
 
 # Edges of tiles, pixels; a view goes into the smallest that surely holds it.

@@ -13,8 +13,8 @@ Everything is a function of arrays: poses `(..., 4, 4)`, K centres and normals `
 import numpy as np
 
 from lmd.core.checks import FloatArray
-from lmd.render.optics import intrinsics, slope, to_camera
-from lmd.scene.camera import Camera
+from lmd.geometry.camera import Camera
+from lmd.geometry.projection import intrinsics, slope, to_camera
 from lmd.scene.tag import Tag
 
 

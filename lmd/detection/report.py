@@ -7,8 +7,8 @@ from lmd.core.checks import BoolArray, FloatArray
 from lmd.core.words import escaped, markdown_table
 from lmd.detection.evaluation import TAG_NUMBERS, agreement, at_least, corner_error, precision_recall, quantiles_by
 from lmd.detection.frames import Sightings
-from lmd.detection.pose import body_from_corners, pose_error
 from lmd.detection.prediction import Predicted
+from lmd.geometry.pose import body_from_corners, pose_error
 
 # Classes of pitch, pixels a module.
 PITCHES = np.array([0.0, 0.75, 1.0, 1.25, 1.5, 1.75, 2.0, 2.5, 3.0, 4.0, 6.0, 9.0, np.inf])

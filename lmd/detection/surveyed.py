@@ -13,8 +13,8 @@ from lmd.core.tables import Table, read_table
 from lmd.detection.detectors import Detector
 from lmd.detection.frames import blur
 from lmd.detection.mosaic import Placed, Views
+from lmd.geometry.camera import Camera
 from lmd.render.imaging import Imaging
-from lmd.scene.camera import Camera
 from lmd.scene.tag import Tag
 
 FILE, FRAME, CAMERA = "in_view.csv", "time", "camera"

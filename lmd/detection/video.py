@@ -20,9 +20,9 @@ from lmd.core.files import read_bytes
 from lmd.core.optional import optional
 from lmd.detection.containers import FIRST, Container, container_of, refusal
 from lmd.detection.images import wrong_size
+from lmd.geometry.camera import Camera
+from lmd.geometry.projection import image_size
 from lmd.render.imaging import UInt8Array
-from lmd.render.optics import image_size
-from lmd.scene.camera import Camera
 
 LEAD = 500.0  # milliseconds before a frame to which is sought: OpenCV seeks as if frames were equally far apart
 SAME_TIME = 1e-3  # milliseconds

@@ -18,9 +18,9 @@ import numpy as np
 import pandas as pd
 
 from lmd.core.checks import BoolArray, FloatArray
+from lmd.geometry.camera import Camera
+from lmd.geometry.projection import slope
 from lmd.geometry.se3 import adjoint, axis_and_right, camera_pose, inverse, skew
-from lmd.render.optics import slope
-from lmd.scene.camera import Camera
 from lmd.scene.deployment import Deployment
 from lmd.scene.scene import Scene
 from lmd.sight.evaluator import Evaluator, averaged

@@ -8,12 +8,12 @@ import numpy as np
 
 from lmd.core.checks import FloatArray, check_fields, real
 from lmd.core.optional import optional
-from lmd.detection.pose import PointImage, body_solutions
 from lmd.estimation.errors import Errors, pose_errors
 from lmd.estimation.pnp import images_of, likely
 from lmd.estimation.recording import Recording
+from lmd.geometry.pose import PointImage, body_solutions
+from lmd.geometry.projection import project, to_camera
 from lmd.geometry.se3 import skew
-from lmd.render.optics import project, to_camera
 
 
 @dataclass(frozen=True)

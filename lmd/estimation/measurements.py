@@ -7,10 +7,10 @@ import numpy as np
 
 from lmd.core.checks import BoolArray, FloatArray, check_fields, real
 from lmd.estimation.recording import Each, Flight, Look, Observation, check_images, joined
+from lmd.geometry.camera import Camera
 from lmd.geometry.lens import EQUIDISTANT
+from lmd.geometry.projection import bearings, depth_in_focus, project, slope
 from lmd.geometry.se3 import act, inverse
-from lmd.render.optics import bearings, depth_in_focus, project, slope
-from lmd.scene.camera import Camera
 from lmd.scene.deployment import Deployment
 from lmd.scene.rig import extrinsics_of
 

@@ -7,11 +7,11 @@ import numpy as np
 
 from lmd.core.checks import FloatArray, choice
 from lmd.core.optional import optional
-from lmd.detection.pose import PointImage, Solution, body_solutions
 from lmd.estimation.errors import Errors, pose_errors
 from lmd.estimation.recording import Recording
+from lmd.geometry.pose import PointImage, Solution, body_solutions
+from lmd.geometry.projection import project
 from lmd.geometry.se3 import exp
-from lmd.render.optics import project
 from lmd.scene.rig import cameras_of, extrinsics_of
 
 AMBIGUOUS = ("odometry", "refuse")
@@ -23,7 +23,7 @@ LEAST_NOISE = 0.01
 
 @dataclass(frozen=True)
 class PerspectiveNPoint:
-    """The pose of each frame on its own (PnP), see `lmd.detection.pose`: of a rig from the images of all its cameras.
+    """The pose of each frame on its own (PnP), see `lmd.geometry.pose`: of a rig from the images of all its cameras.
 
     It takes the corners of all tags in view; of landmarks that are points their centres, of which it needs four, and
     not their apparent size. Of several poses that fit almost equally well, as with a single tag that is seen from

@@ -13,9 +13,9 @@ import numpy as np
 
 from lmd.core.checks import BoolArray, FloatArray, InputError, IntArray
 from lmd.estimation.odometry import Odometry
+from lmd.geometry.camera import Camera
 from lmd.geometry.se3 import act, axis_and_right
 from lmd.geometry.trajectory import Trajectory
-from lmd.scene.camera import Camera
 from lmd.scene.deployment import Deployment
 from lmd.scene.rig import Rig, cameras_of
 from lmd.sight.evaluator import Evaluator

@@ -9,14 +9,14 @@ from scipy.spatial.transform import Rotation
 from lmd.core.checks import BoolArray, FloatArray, check_fields, choice, real
 from lmd.core.optional import optional
 from lmd.detection.corner_errors import CORNER_ERRORS
-from lmd.detection.pose import straightened
 from lmd.detection.quality import pitch
 from lmd.estimation.measurements import Detector, detected
 from lmd.estimation.recording import Each, Flight, Look, Observation, Sensor, check_images, joined
+from lmd.geometry.camera import Camera
+from lmd.geometry.pose import straightened
+from lmd.geometry.projection import bearings, intrinsics, project, slope
 from lmd.geometry.se3 import skew
 from lmd.geometry.squares import CORNERS, corners
-from lmd.render.optics import bearings, intrinsics, project, slope
-from lmd.scene.camera import Camera
 from lmd.scene.deployment import Deployment
 from lmd.scene.rig import extrinsics_of
 from lmd.scene.tag import Tag

@@ -1,6 +1,6 @@
 """What a map that is wrong does to the pose: tags hang in one place, and the estimate takes them to be in another.
 
-The pose comes from one image by PnP (`lmd.detection.pose`), of a rig from those of all its cameras. A map that is off
+The pose comes from one image by PnP (`lmd.geometry.pose`), of a rig from those of all its cameras. A map that is off
 as a whole, by a rigid motion T, gives a pose that is off by the same motion; tags that are off each in its own way
 partly cancel out.
 """
@@ -12,12 +12,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from lmd.core.checks import FloatArray
-from lmd.detection.pose import body_from_corners, pose_error
 from lmd.evaluation.accuracy import TOLERANCES, as_localisation
+from lmd.geometry.pose import body_from_corners, pose_error
+from lmd.geometry.projection import project
 from lmd.geometry.se3 import axis_and_right
 from lmd.geometry.squares import corners
 from lmd.problem import Problem
-from lmd.render.optics import project
 from lmd.scene.deployment import Deployment
 from lmd.scene.tag import Tag
 from lmd.sight.views import visible_to_each

@@ -11,9 +11,9 @@ import numpy as np
 
 from lmd.core.checks import FloatArray
 from lmd.estimation.cramer_rao import cramer_rao_bound, pose_information
+from lmd.geometry.camera import Camera
 from lmd.geometry.se3 import camera_pose
 from lmd.geometry.squares import corners, upright
-from lmd.scene.camera import Camera
 from lmd.scene.criteria import Criteria
 from lmd.scene.tag import Tag
 

@@ -11,8 +11,8 @@ from typing import Any, Protocol
 import numpy as np
 
 from lmd.core.checks import BoolArray, FloatArray, IntArray
+from lmd.geometry.camera import Camera
 from lmd.geometry.se3 import axis_and_right, camera_pose
-from lmd.scene.camera import Camera
 from lmd.scene.deployment import Deployment
 from lmd.scene.scene import Scene
 from lmd.sight.obstacles import unobstructed

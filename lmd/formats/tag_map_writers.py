@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 
 from lmd.core.checks import FloatArray, InputError
+from lmd.geometry.camera import MM_PER_M
 from lmd.formats.tag_map import QUATERNION, TagMap, axes, write_yaml, written
-from lmd.scene.camera import MM_PER_M
 from lmd.scene.tag import FAMILIES
 from lmd.formats.tag_map_readers import INTO, METRES, OUT_RIGHT_UP
 

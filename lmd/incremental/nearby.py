@@ -4,6 +4,8 @@ Whatever a trial notes down, it notes in these blocks. Elsewhere nothing is reac
 clears what the last one left, and no loop need look at the whole room.
 """
 
+from typing import Any
+
 import numpy as np
 
 from lmd.core.bits import ONE
@@ -45,7 +47,7 @@ def is_near(field, b, x, y, z):  # type: ignore[no-untyped-def]
 
 
 @inlined
-def target_of(scratch):  # type: ignore[no-untyped-def]
+def target_of(scratch: Any) -> tuple[float, float, float, float, float, float]:
     """The place tried, six numbers: position and normal."""
     target = scratch.target
     return target[0], target[1], target[2], target[3], target[4], target[5]

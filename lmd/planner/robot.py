@@ -8,13 +8,13 @@ import numpy as np
 
 from lmd.cameras.body import Body
 from lmd.core.checks import FloatArray, InputError
+from lmd.geometry.camera import Camera
+from lmd.geometry.projection import view_edges
 from lmd.geometry.se3 import axis_and_right, camera_pose
 from lmd.planner.acts import Acts, in_order
 from lmd.planner.colours import BODY, SEEN
 from lmd.planner.framing import framed
 from lmd.planner.session import Session
-from lmd.render.optics import view_edges
-from lmd.scene.camera import Camera
 from lmd.scene.rig import OPTICAL, Mount, Rig
 
 NONE, CAMERA = "none", "camera {}"  # what a user may choose to move

@@ -9,11 +9,11 @@ import numpy as np
 from lmd.core.checks import FloatArray
 from lmd.core.optional import optional
 from lmd.estimation.rendered import Moment
+from lmd.geometry.camera import Camera
+from lmd.geometry.projection import view_edges
 from lmd.geometry.se3 import act
 from lmd.plot import common
 from lmd.plot.detection import BOTH, LEGEND, outlined
-from lmd.render.optics import view_edges
-from lmd.scene.camera import Camera
 from lmd.space.space import Space
 
 SIZE = (9.0, 4.1)  # inches

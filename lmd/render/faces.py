@@ -12,9 +12,9 @@ import numpy as np
 
 from lmd.core.checks import BoolArray, FloatArray
 from lmd.core.optional import optional
+from lmd.geometry.camera import Camera
+from lmd.geometry.projection import bearings, image_size, intrinsics, slope
 from lmd.render.imaging import Float32Array
-from lmd.render.optics import bearings, image_size, intrinsics, slope
-from lmd.scene.camera import Camera
 
 # A lens that shows nothing farther from its axis bends one image.
 ONE_FACE = math.radians(60.0)

@@ -6,13 +6,13 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from lmd.core.checks import BoolArray, FloatArray
+from lmd.geometry.camera import Camera
+from lmd.geometry.projection import blur_sigma, depth_in_focus, image_size, project, to_camera
 from lmd.geometry.se3 import exp
 from lmd.render.canvas import NEAR_PLANE, Canvas, covering
 from lmd.render.faces import Face, assembled, faces_of
 from lmd.render.imaging import Float32Array, Imaging, UInt8Array
-from lmd.render.optics import blur_sigma, depth_in_focus, image_size, project, to_camera
 from lmd.render.room import Surface, TaggedRoom
-from lmd.scene.camera import Camera
 
 # Pictures averaged to one with motion blur, at most.
 MOST_STEPS = 64
@@ -52,9 +52,9 @@ class Renderer:
         return self.imaging.develop(assembled(faces_of(self.camera), lights), rng)
 
     def corners(self, pose: FloatArray) -> FloatArray:
-        """Exact images of the tags' corners from poses `(..., 4, 4)`: `(..., K, 4, 2)`, pixels as in `optics`.
+        """Exact images of the tags' corners from poses `(..., 4, 4)`, pixels from the border, `(..., K, 4, 2)`.
 
-        They are those of transparent walls: also of tags outside the image or turned away. NaN as in `optics.project`.
+        Includes tags outside the image, turned away or hidden; NaN as in `lmd.geometry.projection.project`.
         """
         flat = project(self.camera, pose, self.room.corners.reshape(-1, 3))
         return flat.reshape(*flat.shape[:-2], -1, 4, 2)

@@ -1,6 +1,6 @@
 """What a problem is about: cameras and rigs, how they move and look, tags and where they hang, what counts as seen."""
 
-from lmd.scene.camera import Camera
+from lmd.geometry.camera import Camera
 from lmd.scene.deployment import Deployment
 from lmd.scene.deployment_sources import FileDeployment, RandomDeployment, UniformDeployment
 from lmd.scene.rig import Mount, Rig

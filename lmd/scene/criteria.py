@@ -26,7 +26,7 @@ from lmd.core.bits import BITS, LANES, ONE, ZERO, lowest
 from lmd.core.checks import BoolArray, FloatArray
 from lmd.core.compiled import inlined
 from lmd.core.dispatch import dispatched, overridable
-from lmd.scene.camera import Camera
+from lmd.geometry.camera import Camera
 
 # One tolerance for every closed inequality, so that a landmark exactly on a boundary is on it whichever way the
 # number was rounded. Relative for lengths, absolute for cosines and probabilities.

@@ -13,8 +13,8 @@ from typing import NamedTuple
 import numpy as np
 
 from lmd.core.checks import ONE_TURN, FloatArray, InputError, check_fields, real, vector
+from lmd.geometry.camera import Camera
 from lmd.geometry.se3 import QUATERNION_TOLERANCE, inverse, pose_of
-from lmd.scene.camera import Camera
 
 ANGLES = ("yaw", "pitch", "roll")
 # Cameras that are at the same place but for rounding are at the same place: offsets have this many decimals, metres.

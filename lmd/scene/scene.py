@@ -9,7 +9,7 @@ import numpy as np
 
 from lmd.core.checks import FloatArray, InputError
 from lmd.core.memory import check_views
-from lmd.scene.camera import Camera
+from lmd.geometry.camera import Camera
 from lmd.scene.pdf import OrientationPdf, Orientations
 from lmd.scene.plates import Plates
 from lmd.scene.rig import Rig, Station, cameras_of, extrinsics_of

@@ -10,7 +10,7 @@ import numpy as np
 
 from lmd.core.bits import in_words
 from lmd.core.checks import BoolArray, FloatArray
-from lmd.scene.camera import Camera
+from lmd.geometry.camera import Camera
 from lmd.scene.deployment import Deployment
 from lmd.scene.rig import Station
 from lmd.scene.scene import Scene

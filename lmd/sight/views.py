@@ -8,8 +8,8 @@ import numpy as np
 
 from lmd.core.checks import BoolArray, FloatArray
 from lmd.core.compiled import for_kernels, kernel
+from lmd.geometry.camera import Camera
 from lmd.geometry.se3 import axis_and_right
-from lmd.scene.camera import Camera
 from lmd.scene.criteria import covers, sized
 from lmd.scene.deployment import Deployment
 from lmd.scene.rig import Rig

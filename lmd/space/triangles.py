@@ -83,7 +83,8 @@ class Triangles(NamedTuple):
         """Whether no triangle is crossed by the lines between points `(..., 3)`, `(...)`."""
         starts, ends = np.broadcast_arrays(starts, ends)
         crossed = np.empty(starts.shape[:-1], dtype=np.bool_)
-        _find_crossed(self, *(np.ascontiguousarray(p).reshape(-1, 3) for p in (starts, ends)), crossed.reshape(-1))
+        first, last = (np.ascontiguousarray(p).reshape(-1, 3) for p in (starts, ends))
+        _find_crossed(self, first, last, crossed.reshape(-1))
         return ~crossed
 
     def distance(self, points: FloatArray, most: float) -> FloatArray:
@@ -99,8 +100,8 @@ class Triangles(NamedTuple):
         """
         starts, ends = np.broadcast_arrays(starts, ends)
         kept = np.empty(starts.shape[:-1], dtype=np.bool_)
-        flat = (np.ascontiguousarray(p).reshape(-1, 3) for p in (starts, ends))
-        _find_kept(self, *flat, clearance, kept.reshape(-1))
+        first, last = (np.ascontiguousarray(p).reshape(-1, 3) for p in (starts, ends))
+        _find_kept(self, first, last, clearance, kept.reshape(-1))
         return kept
 
 

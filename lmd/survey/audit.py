@@ -12,9 +12,9 @@ from lmd.detection.evaluation import CORNER_TOLERANCE, precision_recall
 from lmd.detection.frames import Sightings, tagged_room
 from lmd.detection.prediction import Predicted, Prediction, RigPrediction
 from lmd.detection.report import PITCHES, by_incidence, by_pitch, by_place, by_tag
+from lmd.geometry.camera import Camera
 from lmd.geometry.se3 import pose_of
 from lmd.render.renderer import Renderer
-from lmd.scene.camera import Camera
 from lmd.scene.deployment import Deployment
 from lmd.scene.scene import Scene
 from lmd.sight.views import visible_through

@@ -14,10 +14,10 @@ from threadpoolctl import threadpool_limits
 
 from lmd.core.checks import BoolArray, FloatArray, IntArray
 from lmd.detection.corner_errors import CornerErrors
+from lmd.geometry.camera import Camera
+from lmd.geometry.projection import bearings, project, slope
 from lmd.geometry.se3 import pose_of
 from lmd.geometry.squares import CORNERS
-from lmd.render.optics import bearings, project, slope
-from lmd.scene.camera import Camera
 from lmd.space.space import Space
 from lmd.survey.estimate import ONE_THREAD
 from lmd.survey.gauge import gauge_free

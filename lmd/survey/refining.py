@@ -20,7 +20,7 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from lmd.core.checks import FloatArray, InputError
-from lmd.scene.camera import Camera
+from lmd.geometry.camera import Camera
 from lmd.survey.blocks import inflation
 from lmd.survey.estimate import ONE_THREAD, Estimate, adjusted, fitting
 from lmd.survey.intrinsics import parameters, slopes, with_parameters

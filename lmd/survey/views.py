@@ -8,11 +8,11 @@ from numpy.typing import ArrayLike
 from lmd.core.checks import BoolArray, FloatArray, IntArray
 from lmd.detection.frames import overlapping, qualities
 from lmd.detection.surveyed import CAMERA, COLUMNS, FRAME
+from lmd.geometry.camera import Camera
+from lmd.geometry.projection import image_size, intrinsics, to_camera
 from lmd.render.imaging import Imaging
-from lmd.render.optics import image_size, intrinsics, to_camera
 from lmd.render.renderer import Renderer
 from lmd.render.room import TaggedRoom
-from lmd.scene.camera import Camera
 from lmd.scene.tag import Tag
 from lmd.space.space import Space
 from lmd.survey.audit import seen_of

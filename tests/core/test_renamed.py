@@ -69,7 +69,7 @@ def test_the_configuration_of_an_earlier_run_is_read_by_its_new_names(tmp_path):
     )
     found = read_yaml(file, "run")
     assert found["tag"] == {"_target_": "lmd.scene.tag.Tag", "edge": 0.1}
-    assert found["camera"]["rig"][0]["camera"]["_target_"] == "lmd.scene.camera.Camera"
+    assert found["camera"]["rig"][0]["camera"]["_target_"] == "lmd.geometry.camera.Camera"
 
 
 def test_its_checkpoint_is_gone_on_from(tmp_path):

@@ -9,12 +9,12 @@ from lmd.detection.detectors import AprilTagDetector, ArucoDetector, Detections
 from lmd.detection.evaluation import agreement, at_least, corner_error, match, precision_recall, quantiles_by
 from lmd.detection.fit import fit
 from lmd.detection.mosaic import Sampling, Views, sample_views
-from lmd.detection.pose import pose_error, pose_from_corners
+from lmd.geometry.camera import Camera
+from lmd.geometry.pose import pose_error, pose_from_corners
 from lmd.geometry.se3 import camera_pose
 from lmd.render.imaging import Imaging
 from lmd.render.renderer import Renderer
 from lmd.render.room import TaggedRoom
-from lmd.scene.camera import Camera
 from lmd.scene.tag import Tag
 from lmd.sight.models.limits import Limits
 from lmd.space.cuboid import Cuboid

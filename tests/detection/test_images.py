@@ -8,7 +8,7 @@ from PIL import Image
 
 from lmd.core.checks import InputError
 from lmd.detection.images import Photographs
-from lmd.scene.camera import Camera
+from lmd.geometry.camera import Camera
 
 CAMERA = Camera(4.0, 0.02, 0.02, (160.0, 120.0), 320, 240, 0.0)
 

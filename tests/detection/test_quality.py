@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from lmd.detection.quality import apparent_edge, incidence, pitch
+from lmd.geometry.camera import Camera
+from lmd.geometry.projection import blur_disc, blur_sigma, project
 from lmd.geometry.se3 import camera_pose
-from lmd.render.optics import blur_disc, blur_sigma, project
-from lmd.scene.camera import Camera
 from lmd.scene.tag import Tag
 
 CAMERA = Camera(5.0, 0.0058, 0.005, (800.0, 600.0), 1600.0, 1200.0, 10.0, 1778.0)

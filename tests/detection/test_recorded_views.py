@@ -11,8 +11,8 @@ from lmd.detection.calibration import Calibration
 from lmd.detection.fit import fit, foretold, intervals
 from lmd.detection.mosaic import Placed, Views
 from lmd.detection.surveyed import COLUMNS, FILE, SurveyedViews
+from lmd.geometry.camera import Camera
 from lmd.render.imaging import Imaging
-from lmd.scene.camera import Camera
 from lmd.sight.models.limits import Limits
 
 COUNT, MOMENTS, TRUE = 6000, 400, Limits(pitch=2.0, blur=0.0, edge=0.0, incidence=62.0, margin=25.0)

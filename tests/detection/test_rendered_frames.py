@@ -25,13 +25,13 @@ from lmd.detection.mosaic import Mosaics, Views
 from lmd.detection.prediction import Prediction
 from lmd.detection.report import by_pitch, by_tag, figures, repeated, to_markdown
 from lmd.evaluation.verdicts import verdicts
+from lmd.geometry.camera import Camera
 from lmd.geometry.se3 import axis_and_right, camera_pose, poses_from_rows
 from lmd.geometry.squares import upright
 from lmd.render.imaging import Imaging
 from lmd.render.renderer import Renderer
 from lmd.render.room import TaggedRoom
 from lmd.scene import pdf
-from lmd.scene.camera import Camera
 from lmd.scene.deployment import Deployment
 from lmd.scene.deployment_sources import UniformDeployment
 from lmd.scene.scene import Scene

@@ -11,10 +11,10 @@ from lmd.detection.frames import Sightings, draw_poses, look, nudged, tagged_roo
 from lmd.detection.prediction import Prediction, RigPrediction
 from lmd.detection.report import by_pitch, by_tag, figures, repeated
 from lmd.evaluation.verdicts import verdicts
+from lmd.geometry.camera import Camera
 from lmd.render.imaging import Imaging
 from lmd.render.renderer import Renderer
 from lmd.scene import pdf
-from lmd.scene.camera import Camera
 from lmd.scene.deployment_sources import UniformDeployment
 from lmd.scene.rig import Mount, Rig
 from lmd.scene.tag import Tag

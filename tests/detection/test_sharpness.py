@@ -6,11 +6,11 @@ import walks
 
 from lmd.detection.detectors import Detections
 from lmd.detection.sharpness import blur_of, blurred
+from lmd.geometry.camera import Camera
 from lmd.geometry.se3 import camera_pose
 from lmd.render.imaging import Imaging
 from lmd.render.renderer import Renderer
 from lmd.render.room import TaggedRoom
-from lmd.scene.camera import Camera
 from lmd.scene.tag import Tag
 
 TAG, CAMERA = Tag(0.2), Camera(2.2, 0.0055, 0.0055, (320.0, 240.0), 640, 480, 0.0)

@@ -11,7 +11,7 @@ from raw_video import h264
 from lmd.core.checks import InputError
 from lmd.detection.containers import container_of
 from lmd.detection.video import Video
-from lmd.scene.camera import Camera
+from lmd.geometry.camera import Camera
 
 CAMERA = Camera(4.0, 0.02, 0.02, (160.0, 120.0), 320, 240, 0.0)
 UPRIGHT = Camera(4.0, 0.02, 0.02, (120.0, 160.0), 240, 320, 0.0)

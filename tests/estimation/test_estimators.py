@@ -18,7 +18,7 @@ from lmd.estimation.odometry import Odometry
 from lmd.estimation.pnp import PerspectiveNPoint
 from lmd.estimation.recording import Flight, Recording, record
 from lmd.geometry import se3
-from lmd.render.optics import project
+from lmd.geometry.projection import project
 from lmd.scene.deployment_sources import UniformDeployment
 from lmd.sight.evaluator import Evaluator
 from lmd.sight.views import visible

@@ -9,7 +9,6 @@ from paper import paper_scene
 from scipy.stats import chi2
 
 from lmd.core.checks import InputError
-from lmd.detection.pose import solutions
 from lmd.estimation.cramer_rao import cramer_rao_bound, pose_information
 from lmd.estimation.estimators import CramerRaoBound
 from lmd.estimation.flights import Pace, RandomMotion
@@ -20,7 +19,8 @@ from lmd.estimation.pnp import PerspectiveNPoint
 from lmd.estimation.recording import Flight, record
 from lmd.estimation.tags import TagDetector, corners_of, observation
 from lmd.geometry import se3
-from lmd.render.optics import project
+from lmd.geometry.pose import solutions
+from lmd.geometry.projection import project
 from lmd.scene.deployment import Deployment
 from lmd.scene.deployment_sources import UniformDeployment
 from lmd.scene.tag import Tag

@@ -7,7 +7,6 @@ import pytest
 from numpy.testing import assert_allclose
 from paper import paper_camera, paper_room, paper_scene
 
-from lmd.detection.pose import PointImage, body_solutions
 from lmd.estimation.cramer_rao import cramer_rao_bound, moment_information
 from lmd.estimation.estimators import CramerRaoBound
 from lmd.estimation.flights import Pace, Waypoints
@@ -17,8 +16,9 @@ from lmd.estimation.observer import Observer
 from lmd.estimation.pnp import PerspectiveNPoint
 from lmd.estimation.recording import Flight, record
 from lmd.estimation.tags import TagDetector, corners_of
+from lmd.geometry.pose import PointImage, body_solutions
+from lmd.geometry.projection import project
 from lmd.geometry.se3 import axis_and_right, camera_pose, exp
-from lmd.render.optics import project
 from lmd.scene import pdf
 from lmd.scene.deployment_sources import UniformDeployment
 from lmd.scene.rig import Mount, Rig

@@ -23,10 +23,10 @@ from lmd.estimation.recording import Flight, record
 from lmd.estimation.rendered import RenderedDetector, believed
 from lmd.estimation.tags import TagDetector, noisy_detector, observation
 from lmd.geometry import se3
+from lmd.geometry.projection import project
 from lmd.geometry.squares import CORNERS
 from lmd.geometry.trajectory import Trajectory
 from lmd.render.imaging import Imaging
-from lmd.render.optics import project
 from lmd.scene.deployment_sources import UniformDeployment
 from lmd.scene.tag import Tag
 from lmd.sight.evaluator import Evaluator

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from lmd.core.checks import InputError
-from lmd.render.optics import project
+from lmd.geometry.projection import project
 from lmd.formats.calibrations import PIXEL_CENTRE, calibrated_camera, read_calibration
 
 K = [[290.0, 0.0, 320.0], [0.0, 292.0, 240.0], [0.0, 0.0, 1.0]]

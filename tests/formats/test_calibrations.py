@@ -9,8 +9,8 @@ import yaml
 from processes import call
 
 from lmd.core.checks import InputError
+from lmd.geometry.projection import project
 from lmd.geometry.se3 import exp
-from lmd.render.optics import project
 from lmd.formats.calibrations import PIXEL_CENTRE, Calibration, calibrated_camera, read_calibration
 
 MATRIX = np.array([[612.5, 0.0, 317.25], [0.0, 608.0, 244.5], [0.0, 0.0, 1.0]])

@@ -12,15 +12,15 @@ import pytest
 import yaml
 
 from lmd.core.checks import InputError
+from lmd.geometry.camera import Camera
+from lmd.geometry.projection import intrinsics
 from lmd.geometry.se3 import camera_pose
 from lmd.geometry.squares import CORNERS, upright
 from lmd.export.exports import FORMATS, Export
 from lmd.formats.tag_map import TagMap
 from lmd.render.imaging import Imaging
-from lmd.render.optics import intrinsics
 from lmd.render.renderer import Renderer
 from lmd.render.room import TaggedRoom
-from lmd.scene.camera import Camera
 from lmd.scene.deployment import Deployment
 from lmd.scene.labels import Labels
 from lmd.scene.tag import Tag

@@ -9,13 +9,13 @@ import pytest
 from paper import paper_camera, paper_room, paper_scene
 
 from lmd.detection.detectors import ArucoDetector
+from lmd.geometry.projection import intrinsics, project
 from lmd.geometry.se3 import camera_pose
 from lmd.geometry.squares import corners
 from lmd.objectives.localisation import Localisation
 from lmd.objectives.localisation.ambiguity import CONFIDENCE, mirrored_square, resolved
 from lmd.objectives.localisation.information import deviation_per_variance, precision
 from lmd.render.imaging import Imaging
-from lmd.render.optics import intrinsics, project
 from lmd.render.renderer import Renderer
 from lmd.render.room import TaggedRoom
 from lmd.scene.deployment_sources import UniformDeployment

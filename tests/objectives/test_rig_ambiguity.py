@@ -15,6 +15,7 @@ from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 from strategies import deployments, seeds
 
+from lmd.geometry.projection import intrinsics, project
 from lmd.geometry.se3 import camera_pose
 from lmd.geometry.squares import corners
 from lmd.objectives.localisation import Localisation, reference
@@ -22,7 +23,6 @@ from lmd.objectives.localisation.ambiguity import telling
 from lmd.objectives.localisation.rig import located, moments_of
 from lmd.objectives.localisation.rig_ambiguity import mirrored_numbers, told_by_all
 from lmd.objectives.localisation.views import localised_views
-from lmd.render.optics import intrinsics, project
 from lmd.scene import pdf
 from lmd.scene.rig import Mount, Rig
 from lmd.scene.tag import Tag

@@ -8,11 +8,11 @@ import processes
 import pytest
 from test_detect_pipeline import CAMERA
 
+from lmd.geometry.camera import Camera
 from lmd.geometry.se3 import camera_pose
 from lmd.render.imaging import Imaging
 from lmd.render.renderer import Renderer
 from lmd.render.room import TaggedRoom
-from lmd.scene.camera import Camera
 from lmd.scene.tag import Tag
 from lmd.sight.models.fiducial import Fiducial
 

@@ -14,11 +14,11 @@ from omegaconf import OmegaConf
 from paper import PAPER_CAMERA, PRINTED_EXPERIMENT_CAMERA
 
 from lmd.core.checks import InputError
+from lmd.geometry.camera import Camera
 from lmd.objectives.localisation import Localisation
 from lmd.optimisers.annealing.annealing import SINGLE_STAGE
 from lmd.optimisers.ega import EGA
 from lmd.optimisers.encoding import make_encoding
-from lmd.scene.camera import Camera
 from pipelines.app import CONF, flat_settings
 from pipelines.building import build_optimiser, build_problem, camera_of, instantiate
 from pipelines.deployments import any_deployment

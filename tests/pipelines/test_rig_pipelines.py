@@ -9,7 +9,7 @@ from paper import PAPER_CAMERA
 from processes import call
 
 from lmd.core.checks import InputError
-from lmd.scene.camera import Camera
+from lmd.geometry.camera import Camera
 from lmd.scene.rig import Mount, Rig
 from pipelines.building import build_problem, camera_of
 

@@ -16,8 +16,8 @@ import walks
 from lmd.core.checks import InputError
 from lmd.detection.detectors import Detections
 from lmd.detection.images import Photographs
+from lmd.geometry.camera import Camera
 from lmd.geometry.se3 import exp
-from lmd.scene.camera import Camera
 from lmd.scene.deployment import Deployment
 from lmd.scene.labels import Labels
 from pipelines.photographs import detected_in

@@ -2,11 +2,11 @@ import numpy as np
 from floor_plans import lab
 
 from lmd.detection.frames import tagged_room
+from lmd.geometry.camera import Camera
 from lmd.geometry.se3 import camera_pose
 from lmd.geometry.squares import corners, upright
 from lmd.render.imaging import Imaging
 from lmd.render.renderer import Renderer
-from lmd.scene.camera import Camera
 from lmd.scene.deployment import Deployment
 from lmd.scene.deployment_sources import RandomDeployment
 from lmd.scene.plates import Plates

@@ -8,13 +8,13 @@ import pytest
 
 from lmd.detection.detectors import AprilTagDetector
 from lmd.detection.evaluation import corner_error
+from lmd.geometry.camera import Camera
+from lmd.geometry.projection import image_size, intrinsics
 from lmd.geometry.se3 import camera_pose, inverse
 from lmd.geometry.squares import upright
 from lmd.render.imaging import Imaging
-from lmd.render.optics import image_size, intrinsics
 from lmd.render.renderer import Renderer
 from lmd.render.room import TaggedRoom
-from lmd.scene.camera import Camera
 from lmd.scene.tag import Tag
 
 moderngl = pytest.importorskip("moderngl")

@@ -7,12 +7,12 @@ import pytest
 from lmd.core.checks import InputError
 from lmd.detection.detectors import AprilTagDetector
 from lmd.detection.frames import tagged_room
+from lmd.geometry.camera import Camera
+from lmd.geometry.projection import BEND, bearings, intrinsics, project, to_camera, view_edges
 from lmd.geometry.se3 import camera_pose, exp
 from lmd.render.imaging import Imaging
-from lmd.render.optics import BEND, bearings, intrinsics, project, to_camera, view_edges
 from lmd.render.renderer import Renderer
 from lmd.render.room import TaggedRoom
-from lmd.scene.camera import Camera
 from lmd.scene.deployment_sources import UniformDeployment
 from lmd.scene.tag import Tag
 from lmd.space.cuboid import Cuboid

@@ -13,11 +13,11 @@ from strategies import FISHEYE, deployments, fiducial_scenes, seeds, unit_vector
 
 from lmd.core.checks import InputError
 from lmd.detection.quality import apparent_edge, incidence, pitch
+from lmd.geometry.camera import Camera
+from lmd.geometry.projection import blur_sigma, depth_in_focus, project, to_camera
 from lmd.geometry.se3 import axis_and_right, camera_pose
 from lmd.geometry.squares import VERTICAL_TOLERANCE, corners, upright
-from lmd.render.optics import blur_sigma, depth_in_focus, project, to_camera
 from lmd.scene import pdf
-from lmd.scene.camera import Camera
 from lmd.scene.deployment import Deployment
 from lmd.scene.deployment_sources import RandomDeployment
 from lmd.scene.scene import Scene

@@ -10,9 +10,9 @@ from scipy.optimize import approx_fprime
 from scipy.stats import chi2
 
 from lmd.detection.corner_errors import CornerErrors
+from lmd.geometry.projection import project
 from lmd.geometry.se3 import camera_pose, inverse, log
 from lmd.geometry.squares import CORNERS
-from lmd.render.optics import project
 from lmd.scene.tag import Tag
 from lmd.survey.intrinsics import parameters, spreads, with_parameters
 from lmd.survey.refining import Optics, freed

@@ -14,9 +14,9 @@ from lmd.detection.frames import Sightings
 from lmd.detection.prediction import Prediction
 from lmd.detection.surveyed import FILE, SurveyedViews
 from lmd.evaluation.verdicts import verdicts
+from lmd.geometry.camera import Camera
 from lmd.geometry.se3 import axis_and_right, pose_of
 from lmd.render.imaging import Imaging
-from lmd.scene.camera import Camera
 from lmd.scene.deployment import Deployment
 from lmd.scene.pdf import solid_angle
 from lmd.scene.rig import Mount, Rig

@@ -15,8 +15,8 @@ import numpy as np
 
 from lmd.core.compiled import inlined
 from lmd.core.dispatch import dispatched
+from lmd.geometry.camera import Camera
 from lmd.objectives.localisation.information import SINGULAR, PosePrecision, Precision, SizedPrecision
-from lmd.scene.camera import Camera
 
 # Numbers of a view: C, B row by row, and A', the symmetric ones as xx, xy, xz, yy, yz, zz; three fill up.
 BODY_NUMBERS, BODY_WIDTH = 21, 24

@@ -37,7 +37,7 @@ import numpy as np
 
 from lmd.core.compiled import inlined
 from lmd.core.dispatch import dispatched, overridable
-from lmd.scene.camera import Camera
+from lmd.geometry.camera import Camera
 from lmd.scene.criteria import TOLERANCE
 from lmd.scene.tag import Tag
 

@@ -35,10 +35,10 @@ from typing import Any
 import numpy as np
 
 from lmd.core.checks import BoolArray, FloatArray, InputError, check_fields, real
+from lmd.geometry.camera import MM_PER_M, Camera
 from lmd.geometry.lens import EQUIDISTANT, Lens
 from lmd.geometry.se3 import cross
 from lmd.geometry.squares import VERTICAL_TOLERANCE, upright
-from lmd.scene.camera import MM_PER_M, Camera
 from lmd.scene.criteria import TOLERANCE, sized
 from lmd.scene.tag import Tag
 from lmd.sight.models.fiducial_reference import (
@@ -116,7 +116,7 @@ class Fiducial:
         margin, (centre_u, centre_v), (focal_u, focal_v) = limits.margin, camera.principal_point, camera.focal_pixels
         left, right = (centre_u - margin) / focal_u, (camera.image_width - margin - centre_u) / focal_u
         top, bottom = (centre_v - margin) / focal_v, (camera.image_height - margin - centre_v) / focal_v
-        # c / 4 = |defocus - focus / depth|, see `lmd.render.optics.blur_disc`.
+        # c / 4 = |defocus - focus / depth|, see `lmd.geometry.projection.blur_disc`.
         shape = camera.aperture * camera.focal_length / (4.0 * min(camera.pixel_width, camera.pixel_height))
         if math.isinf(camera.focus_distance):
             defocus, focus = 0.0, shape / MM_PER_M

@@ -20,7 +20,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from lmd.core.checks import BoolArray, FloatArray, check_fields, choice, real
-from lmd.scene.camera import Camera
+from lmd.geometry.camera import Camera
 from lmd.scene.criteria import TOLERANCE
 from lmd.sight.models.paper_sight import PaperSight
 

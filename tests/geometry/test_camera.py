@@ -9,7 +9,7 @@ from paper import PAPER_CAMERA, paper_camera, printed_experiment_camera
 from strategies import cameras, visibilities
 
 from lmd.core.checks import InputError
-from lmd.render.optics import blur_disc
+from lmd.geometry.projection import blur_disc
 from lmd.scene.criteria import TOLERANCE
 from lmd.sight.models.paper import Visibility
 

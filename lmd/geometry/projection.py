@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from lmd.core.checks import FloatArray
+from lmd.geometry.camera import MM_PER_M, Camera
 from lmd.geometry.lens_models import depth_of
-from lmd.scene.camera import MM_PER_M, Camera
 
 # A side of the image in parts, where a lens bends it; steps from the middle, to find where a lens folds.
 BEND, STEPS = 16, 100

@@ -9,9 +9,9 @@ from numpy.typing import ArrayLike
 
 from lmd.core.checks import BoolArray, FloatArray
 from lmd.core.optional import optional
+from lmd.geometry.camera import Camera
+from lmd.geometry.projection import bearings, intrinsics, project, slope, to_camera
 from lmd.geometry.se3 import adjoint, angle_between, exp, inverse, skew
-from lmd.render.optics import bearings, intrinsics, project, slope, to_camera
-from lmd.scene.camera import Camera
 
 # The fewest points that fix a pose; four corners of one tag do.
 FEWEST_POINTS = 4
