@@ -26,6 +26,7 @@ from lmd.detection.detectors import AprilTagDetector
 from lmd.detection.evaluation import at_least
 from lmd.detection.frames import draw_poses, look, tagged_room
 from lmd.evaluation.validation import Sample, sampled_values
+from lmd.formats.rigs import read_mounts, rig_of
 from lmd.geometry.camera import Camera
 from lmd.geometry.se3 import axis_and_right, pose_of
 from lmd.optimisers.ledger import Budget
@@ -34,7 +35,6 @@ from lmd.pipelines.app import CONF
 from lmd.pipelines.place_cameras import build_camera_problem
 from lmd.render.renderer import Renderer
 from lmd.scene.rig import Mount, Rig
-from lmd.formats.rigs import read_mounts, rig_of
 from lmd.sight.views import visible
 
 HELD_OUT = Sample(groups=8, positions=512, divisions=16)

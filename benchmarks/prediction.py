@@ -25,13 +25,13 @@ from lmd.detection.evaluation import corner_error, precision_recall
 from lmd.detection.fit import fit
 from lmd.detection.surveyed import FILE, SurveyedViews
 from lmd.evaluation.verdicts import verdicts
-from lmd.geometry.camera import Camera
-from lmd.geometry.projection import intrinsics
-from lmd.formats.detections import read_detections
-from lmd.formats.images_taken import with_images
-from lmd.render.imaging import Imaging
 from lmd.formats.calibration_readers import read_cameras
 from lmd.formats.calibrations import calibrated_camera
+from lmd.formats.detections import read_detections
+from lmd.formats.images_taken import with_images
+from lmd.geometry.camera import Camera
+from lmd.geometry.projection import intrinsics
+from lmd.render.imaging import Imaging
 from lmd.scene.pdf import solid_angle
 from lmd.scene.rig import Mount, Rig
 from lmd.scene.scene import Scene

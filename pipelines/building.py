@@ -148,8 +148,8 @@ def camera_of(node: DictConfig) -> "Camera | Rig":
     Raises:
         InputError: the rig is none, or a camera is refused; that of the group is made only where a mount has none.
     """
-    from lmd.scene.rig import cameras_of
     from lmd.formats.rigs import brings_cameras, rig_of
+    from lmd.scene.rig import cameras_of
 
     alone = deepcopy(node)
     with open_dict(alone):
@@ -296,7 +296,9 @@ def _poses(cfg: DictConfig) -> "tuple[Space, OrientationPdf, RecordedPoses | Non
     room, recorded = instantiate(cfg.room), bool(cfg.get("poses"))  # runs of old have none
     if scan := getattr(room, "scan", None):  # of a mesh
         if doubt := scan.doubt:
-            print(f"warning: room.up: is it right for {scan.path!r}? {doubt[0].upper()}{doubt[1:]}", file=sys.stderr)
+            print(
+                f"warning: room.up: is it right for {scan.mesh.path!r}? {doubt[0].upper()}{doubt[1:]}", file=sys.stderr
+            )
         note(scan.mesh.note)
     if recorded == bool(cfg.pdf):
         needed = "poses=recorded, which says how the camera looks, needs pdf=recorded"
@@ -304,10 +306,10 @@ def _poses(cfg: DictConfig) -> "tuple[Space, OrientationPdf, RecordedPoses | Non
         raise InputError(f"{needed}; {cure}." if recorded else "pdf=recorded needs poses=recorded.")
     if not recorded:
         return room, instantiate(cfg.pdf), None
-    poses = instantiate(cfg.poses)
+    poses = instantiate(cfg.poses, group="poses.")
     with keyed("poses"):
         visited = poses.visited(room)
-    note(poses.note_of("poses."))
+    note(poses.note)
     return visited, poses.pdf, poses
 
 

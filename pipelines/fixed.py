@@ -38,8 +38,8 @@ def fixed_of(node: DictConfig, family: str | None) -> "Deployment | None":
     """
     import numpy as np
 
-    from lmd.scene.fixed import COLUMN
     from lmd.formats.tag_maps import read_deployment
+    from lmd.scene.fixed import COLUMN
 
     path = node.get("fixed")  # runs of old have none
     if path is None:

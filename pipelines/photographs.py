@@ -14,8 +14,8 @@ if TYPE_CHECKING:
 
     from lmd.detection.detectors import Detections, Detector
     from lmd.detection.images import Images
-    from lmd.geometry.camera import Camera
     from lmd.formats.detections import DetectedTags
+    from lmd.geometry.camera import Camera
 
 CHUNK = 8  # images that a worker reads at a time
 
@@ -127,7 +127,9 @@ def detected_in(
     if not any(len(one) for one in found):
         raise InputError(f"photographs: no tag is found in any of {count} images; tag.family says which to look for.")
     smeared = np.flatnonzero(blurred(np.array(blurs)))
-    return DetectedTags.in_frames(images.names, found).without({images.names[k]: blurs[k] for k in smeared})
+    return DetectedTags.in_frames(images.names, [one.ids for one in found], [one.corners for one in found]).without(
+        {images.names[k]: blurs[k] for k in smeared}
+    )
 
 
 def _read(job: Job) -> "list[tuple[Detections, float]]":

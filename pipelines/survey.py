@@ -165,8 +165,8 @@ def _known(cfg: DictConfig, tag: "Tag", given: "Camera | Rig") -> "Known":
         InputError: a file cannot be read, or a number is refused.
     """
     from lmd.core.checks import InputError, boolean, integer
-    from lmd.scene.rig import Rig
     from lmd.formats.tag_maps import read_deployment
+    from lmd.scene.rig import Rig
     from lmd.survey.boards import Boards
     from lmd.survey.known import Hanging, Points
     from lmd.survey.survey import Known

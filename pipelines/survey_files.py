@@ -11,8 +11,8 @@ from omegaconf import DictConfig, OmegaConf
 from .documents import write_document
 
 if TYPE_CHECKING:
-    from lmd.formats.detections import DetectedTags
     from lmd.export.exports import Export
+    from lmd.formats.detections import DetectedTags
     from lmd.space.space import Space
     from lmd.survey.audit import Audit
     from lmd.survey.survey import Survey

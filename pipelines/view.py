@@ -22,8 +22,8 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from lmd.cameras.mounts import MountSpace
-    from lmd.geometry.camera import Camera
     from lmd.export.exports import Export
+    from lmd.geometry.camera import Camera
     from lmd.planner.plan import Plan
     from lmd.problem import Problem
 

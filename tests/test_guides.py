@@ -193,7 +193,7 @@ def test_the_estimator_keeps_its_contract(guides):
 
 
 def test_the_format_keeps_its_contract(guides, tmp_path, monkeypatch):
-    writer, reader = (of_path(guides / path) for path in ("lmd/mapping/frames.py", READERS))
+    writer, reader = (of_path(guides / path) for path in ("lmd/formats/frames.py", READERS))
     form = eval("{" + block('"frames": Format(') + "}", {"Format": Format} | vars(writer))["frames"]
     monkeypatch.setattr(tag_map_files, "READERS", reader.READERS)
     room, rng = paper_room(), np.random.default_rng(0)

@@ -4,11 +4,11 @@ import numpy as np
 
 from lmd.core.checks import FloatArray
 from lmd.detection.corner_errors import CornerErrors
+from lmd.formats.detections import DetectedTags
 from lmd.geometry.camera import Camera
 from lmd.geometry.projection import project
 from lmd.geometry.se3 import camera_pose, exp, pose_of
 from lmd.geometry.squares import CORNERS
-from lmd.formats.detections import DetectedTags
 from lmd.survey.sightings import Sightings, sightings_of
 
 CAMERA = Camera(5.0, 0.0048, 0.0048, (800.0, 600.0), 1600, 1200, 0.0)

@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 
 from lmd.core.checks import FloatArray, InputError, check_fields, choice, integer, real
 from lmd.core.optional import optional
+from lmd.geometry.camera import PIXEL_CENTRE
 from lmd.render.imaging import UInt8Array
-from lmd.formats.calibration_readers import PIXEL_CENTRE
 from lmd.scene.tag import FAMILIES, dictionary
 
 # What cv2.aruco calls top-left in a picture of an AprilTag is the bottom-right corner of AprilTag's own.

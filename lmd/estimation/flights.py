@@ -8,10 +8,10 @@ import numpy as np
 
 from lmd.core.checks import FloatArray, InputError, check_fields, real, said_of, vector
 from lmd.core.memory import check_memory
+from lmd.formats.trajectories import TrajectoryFile
 from lmd.geometry.se3 import camera_pose
 from lmd.geometry.trajectory import Trajectory
 from lmd.scene.scene import Scene
-from lmd.formats.trajectories import TrajectoryFile
 from lmd.space.inside import check_inside
 
 # Greatest slope of the minimum-jerk profile, at its middle.

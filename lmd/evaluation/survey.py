@@ -13,11 +13,11 @@ from lmd.evaluation.losses import TAGS_LISTED
 from lmd.evaluation.maps import Hung, error_quantiles, errors_text, map_errors, named_figures, percent_text
 from lmd.evaluation.mounting import SAMPLE, off_grid_figures
 from lmd.evaluation.validation import Sample
+from lmd.formats.tag_maps import read_deployment
 from lmd.problem import Problem
 from lmd.scene.deployment import Deployment
 from lmd.scene.edges import with_gaps
 from lmd.scene.plates import as_they_are
-from lmd.formats.tag_maps import read_deployment
 
 RANDOM_VIEWS = 2000  # random poses
 SURVEY_STREAM = 0x737572766579  # keeps the noise apart from every other use of the same seed

@@ -1,1 +1,1 @@
-"""What leaves the house: tag maps for localisation stacks, and what has to be printed and mounted."""
+"""Files of a finished deployment: tag maps for other programs, the mounting plan, the print sheets."""

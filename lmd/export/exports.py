@@ -8,12 +8,12 @@ from typing import Any, NamedTuple
 
 from lmd.core.checks import ONE_TURN, InputError, check_fields, choice, real
 from lmd.core.optional import optional
-from lmd.formats import tag_map_writers as maps
 from lmd.export.paper import PAPERS
 from lmd.export.plan import write_plan
 from lmd.export.sheets import check_sheets, write_sheets
-from lmd.formats.tag_tables import write_csv, write_json
+from lmd.formats import tag_map_writers as maps
 from lmd.formats.tag_map import TagMap
+from lmd.formats.tag_tables import write_csv, write_json
 from lmd.scene.deployment import Deployment
 from lmd.scene.tag import FAMILIES, Tag
 from lmd.space.space import Space

@@ -4,8 +4,8 @@ import math
 from typing import NamedTuple
 
 from lmd.core.checks import InputError
-from lmd.geometry.camera import MM_PER_M
 from lmd.export.paper import PAPERS
+from lmd.geometry.camera import MM_PER_M
 from lmd.scene.tag import Tag
 
 MARGIN = 8.0  # where many printers do not print

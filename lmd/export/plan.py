@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 
 from lmd.core.checks import FloatArray, IntArray
-from lmd.geometry.camera import MM_PER_M
 from lmd.export.overview import draw_floor_plan, numbers_of, scale_of
 from lmd.export.paper import (
     GREY,
@@ -26,6 +25,7 @@ from lmd.export.paper import (
 from lmd.export.plan_pages import HEAD, LIGHT, MARGIN, SMALL, TEXT, Table, begin_titled, draw_tables
 from lmd.export.symbols import draw_fixture
 from lmd.formats.tag_map import TagMap
+from lmd.geometry.camera import MM_PER_M
 from lmd.space.heights import lower_edge
 from lmd.space.surface import FLAT, Surface
 

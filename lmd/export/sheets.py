@@ -13,7 +13,6 @@ from typing import Any
 import numpy as np
 
 from lmd.core.optional import optional
-from lmd.geometry.camera import MM_PER_M
 from lmd.export.layout import (
     FOOTER,
     LABEL,
@@ -29,6 +28,7 @@ from lmd.export.layout import (
 )
 from lmd.export.paper import GREY, PAPERS, begin_page, document, shortened, up_arrow, width_of, write_text
 from lmd.formats.tag_map import TagMap
+from lmd.geometry.camera import MM_PER_M
 from lmd.scene.tag import Tag
 
 # All in mm.

@@ -15,10 +15,11 @@ from typing import Any
 
 from lmd.core.checks import InputError, vector
 from lmd.core.files import flat, parse_keys, read_text
-from lmd.geometry.central_models import GOOD_PIXELS, MODELS, PINHOLE, restated
-from lmd.geometry.lens import EQUIDISTANT
 from lmd.formats.opencv_calibrations import model_of, opencv, opencv_xml
 from lmd.formats.unread_calibrations import AS_ROS, check_text
+from lmd.geometry.camera import PIXEL_CENTRE
+from lmd.geometry.central_models import GOOD_PIXELS, MODELS, PINHOLE, restated
+from lmd.geometry.lens import EQUIDISTANT
 
 Keys = Mapping[str, Any]
 COLMAP_CAMERA = re.compile(r"^\d+[ \t]+[A-Z_]+[ \t]+\d+[ \t]+\d+[ \t]+\S.*$", re.MULTILINE)
@@ -46,8 +47,6 @@ LENS_MODELS = {
     "radial-tangential": "plumb_bob",
     "brown_conrady": "plumb_bob",
 }
-# Of the first pixel, from the image's border: ROS and OpenCV count from the centre, COLMAP from the border.
-PIXEL_CENTRE = 0.5
 NOTE = "(note)"  # among the keys of ROS: what to say of the lens
 MRCAL = re.compile(r"\s*(#[^\n]*\n\s*)*\{\s*['\"]lensmodel['\"]\s*:")  # the first key
 MRCAL_LENSES = {"PINHOLE": 0, "OPENCV4": 4, "OPENCV5": 5, "OPENCV8": 8, "OPENCV12": 12}

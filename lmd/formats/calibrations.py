@@ -10,9 +10,9 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 from lmd.core.checks import InputError, check_fields, integer, real, said_of, vector
-from lmd.geometry.camera import Camera
+from lmd.formats.calibration_readers import LENS_MODELS, NOTE, known_lens, read_cameras
+from lmd.geometry.camera import PIXEL_CENTRE, Camera
 from lmd.geometry.lens import lens_of
-from lmd.formats.calibration_readers import LENS_MODELS, NOTE, PIXEL_CENTRE, known_lens, read_cameras
 
 SIZE = ("image_width", "image_height")
 UNCLEAR = 4  # coefficients, which a pinhole may have and a fisheye

@@ -12,10 +12,10 @@ import numpy as np
 
 from lmd.core.checks import FloatArray, InputError, vector
 from lmd.core.files import flat
-from lmd.geometry.se3 import pose_of
 from lmd.formats.arcs import Arc, strips
 from lmd.formats.floor_below import HULL, floor_below
 from lmd.formats.unread_rooms import kind_of_keys
+from lmd.geometry.se3 import pose_of
 
 Keys = Mapping[str, Any]
 # Nothing hangs there, and they lie on a wall: its own triangles are enough.

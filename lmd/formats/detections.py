@@ -12,8 +12,7 @@ from lmd.core.checks import BoolArray, FloatArray, InputError, IntArray
 from lmd.core.files import read_text
 from lmd.core.moments import in_order, time_of
 from lmd.core.tables import COMMENT, read_table, write_table
-from lmd.detection.detectors import Detections
-from lmd.formats.calibration_readers import PIXEL_CENTRE
+from lmd.geometry.camera import PIXEL_CENTRE
 
 # In OpenCV's pixels, clockwise from the top left of the tag as it was made.
 CORNER_COLUMNS = tuple(f"{axis}{corner}" for corner in range(4) for axis in "xy")
@@ -80,18 +79,22 @@ class DetectedTags:
         return np.ones((len(self.times), len(self.cameras)), dtype=bool) if self.taken is None else self.taken
 
     @classmethod
-    def in_frames(cls, names: Sequence[str], found: Sequence[Detections]) -> "DetectedTags":
-        """What a detector found in frames of one camera, as many as were read, with their names in ascending order.
+    def in_frames(cls, names: Sequence[str], ids: Sequence[IntArray], corners: Sequence[FloatArray]) -> "DetectedTags":
+        """The tags that a detector found in frames of one camera.
+
+        Args:
+            names: of the frames, in ascending order.
+            ids: of the tags in each frame, `(M,)`.
+            corners: pixels from the border, as above, `(M, 4, 2)`.
 
         Raises:
-            InputError: there is no tag in any.
+            InputError: there is no tag in any frame.
         """
-        frame = np.repeat(np.arange(len(found)), [len(one) for one in found])
-        nothing = Detections(np.empty(0, dtype=np.int64), np.empty((0, 4, 2)))
-        ids = np.concatenate([one.ids for one in (nothing, *found)])
-        corners = np.concatenate([one.corners for one in (nothing, *found)])
-        camera = np.zeros(len(ids), dtype=np.int64)
-        return cls(tuple(names[: len(found)]), ("",), frame, camera, ids, corners, in_order=True)
+        frame = np.repeat(np.arange(len(ids)), [len(own) for own in ids])
+        all_ids = np.concatenate([np.empty(0, dtype=np.int64), *ids])
+        all_corners = np.concatenate([np.empty((0, 4, 2)), *corners])
+        camera = np.zeros(len(all_ids), dtype=np.int64)
+        return cls(tuple(names[: len(ids)]), ("",), frame, camera, all_ids, all_corners, in_order=True)
 
     @classmethod
     def together(cls, parts: Mapping[str, "DetectedTags"]) -> "DetectedTags":

@@ -3,8 +3,9 @@
 import io
 import json
 import logging
+from dataclasses import fields
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -12,10 +13,13 @@ from lmd.core.checks import FloatArray, InputError, IntArray, choice, file_path,
 from lmd.core.files import read_bytes
 from lmd.core.optional import optional
 from lmd.formats.captured_rooms import Captured, cut, read_captured
-from lmd.formats.unread_rooms import refuse_ending
 from lmd.formats.gltf import header_of, triangles_of, with_fractions
-from lmd.space.parts import box_text, check_metres
 from lmd.formats.polygon_faces import check_ply, with_triangles
+from lmd.formats.unread_rooms import refuse_ending
+from lmd.space.mesh import Mesh
+from lmd.space.mesh_room import MeshRoom
+from lmd.space.parts import box_text, check_metres
+from lmd.space.scan import Scan
 from lmd.space.triangles import THINNEST_M
 
 UP_AXES = ("z", "y")
@@ -29,25 +33,6 @@ UNITS = {"metres": 1.0, "millimetres": 0.001, "centimetres": 0.01, "inches": 0.0
 LIKELY = (2.0, 100.0)
 # Of more triangles, what has to be known of each would take gigabytes and minutes.
 MOST_TRIANGLES = 5_000_000
-
-
-class Mesh(NamedTuple):
-    """Triangles in the world frame, metres, and the objects of the file that they belong to."""
-
-    vertices: FloatArray
-    """`(V, 3)`."""
-    faces: IntArray
-    """`(T, 3)` numbers of the corners."""
-    of: IntArray
-    """`(T,)` the index of each triangle's object in `names`."""
-    names: tuple[str, ...]
-    """The objects of the file."""
-    up: str
-    """The axis of the file that points up."""
-    on_walls: tuple[tuple[str, FloatArray], ...] = ()
-    """What lies on walls where nothing hangs: names, and corners `(N, 3)`."""
-    note: str = ""
-    """A note on how it was read."""
 
 
 def read_mesh(path: str | Path | None, scale: float = 1.0, up: str | None = None) -> Mesh:
@@ -67,6 +52,7 @@ def read_mesh(path: str | Path | None, scale: float = 1.0, up: str | None = None
     scale = real("scale", scale, above=0.0)
     if file.suffix.lower() not in FORMATS:
         refuse_ending(file, FORMATS)
+    is_sure = up is not None or file.suffix.lower() in Y_UP
     if up is None:
         up = "y" if file.suffix.lower() in Y_UP else "z"
     captured = _captured(file) if file.suffix.lower() == CAPTURED else None
@@ -91,7 +77,22 @@ def read_mesh(path: str | Path | None, scale: float = 1.0, up: str | None = None
     things = () if captured is None else captured.on_walls
     on_walls = tuple((part.name, scale * _turned(face, up)) for part in things for face in part.faces)
     faces, note = np.array(mesh.faces, dtype=np.int64), "" if captured is None else captured.note
-    return Mesh(np.array(mesh.vertices), faces, of[kept], names, up, on_walls, note)
+    return Mesh(np.array(mesh.vertices), faces, of[kept], names, str(path), up, is_sure, on_walls, note)
+
+
+def read_mesh_room(
+    path: Any, reachable: Any, spacing: Any, scale: float = 1.0, up: str | None = None, **more: Any
+) -> MeshRoom:
+    """The room of a mesh in a file.
+
+    Args:
+        path, scale, up: see `read_mesh`.
+        reachable, spacing: see `MeshRoom`.
+        more: further arguments of `Scan` and of `MeshRoom`.
+    """
+    names = {field.name for field in fields(Scan)}
+    scan, own = ({name: more[name] for name in more if (name in names) == of_mesh} for of_mesh in (True, False))
+    return MeshRoom(Scan(read_mesh(path, scale, up), **scan), reachable, spacing, **own)
 
 
 def _hint(size: FloatArray) -> str:

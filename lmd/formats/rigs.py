@@ -8,9 +8,9 @@ import numpy as np
 
 from lmd.core.checks import InputError, argument_of
 from lmd.core.files import read_keys
-from lmd.geometry.camera import Camera
 from lmd.formats.calibrations import OPTICS, calibrated_camera
 from lmd.formats.extrinsics import read_chain
+from lmd.geometry.camera import Camera
 from lmd.scene.rig import ANGLES, OPTICAL, Mount, Rig
 
 KEYS = ("translation", *ANGLES, "quaternion", "camera")

@@ -13,9 +13,6 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from lmd.core.checks import FloatArray, InputError, integer, radians, real, vector
-from lmd.geometry.frames import roll_pitch_yaw
-from lmd.geometry.se3 import exp
-from lmd.scene.edges import EDGE
 from lmd.formats.families import family_named
 from lmd.formats.placed_tag import (
     MM,
@@ -31,6 +28,9 @@ from lmd.formats.placed_tag import (
     turn_by_angles,
     turn_by_quaternion,
 )
+from lmd.geometry.frames import roll_pitch_yaw
+from lmd.geometry.se3 import exp
+from lmd.scene.edges import EDGE
 
 SQUARE_TOLERANCE = 0.05  # of the sides of a measured square, relative to the longest
 METRES = 1  # aruco_bc_mInfoType of a map in metres

@@ -1,8 +1,8 @@
-"""Tag maps of several ecosystems, read as deployments; `lmd.mapping` writes them.
+"""Tag maps of several ecosystems, read as deployments; `lmd.export` writes them.
 
 Which format a file has follows from its content: `lmd.formats.tag_map_readers` has those in YAML and JSON,
-`lmd.formats.tag_map_texts` the texts, `lmd.formats.landmark_table` the table for all others. `lmd.formats.tag_map_others`
-names formats that are not read.
+`lmd.formats.tag_map_texts` the texts, `lmd.formats.landmark_table` the table for all others.
+`lmd.formats.tag_map_others` names formats that are not read.
 
 Source: `convert_apriltag_layouts.py` of WPILib.
 """
@@ -16,16 +16,16 @@ import numpy as np
 from lmd.core.checks import FloatArray, InputError
 from lmd.core.files import parse_keys, read_text
 from lmd.core.tables import COMMENT, Table, read_table
-from lmd.geometry.frames import roll_pitch_yaw
-from lmd.scene.deployment import Deployment
 from lmd.formats.families import check_family, one_family
-from lmd.scene.labels import Labels
 from lmd.formats.landmark_table import families_of, is_by_normals, renamed, turned_deployment
 from lmd.formats.placed_tag import PlacedTag, number_of
-from lmd.scene.tag import FAMILIES
 from lmd.formats.tag_map_others import why_keys_not_read, why_not_read
 from lmd.formats.tag_map_readers import HALF_TURN, OUT_RIGHT_UP, READERS, parameters_of
 from lmd.formats.tag_map_texts import PRIORS, read_lines, read_priors
+from lmd.geometry.frames import roll_pitch_yaw
+from lmd.scene.deployment import Deployment
+from lmd.scene.labels import Labels
+from lmd.scene.tag import FAMILIES
 
 LARGEST_MAP = 1 << 22  # characters of YAML or JSON; a tag has some hundred
 INCH = 0.0254  # metres

@@ -6,12 +6,12 @@ from typing import Any
 import numpy as np
 
 from lmd.core.tables import write_table
+from lmd.formats.landmark_table import FAMILY
 from lmd.formats.tag_map import QUATERNION, TagMap
 from lmd.formats.tag_map_writers import write_document
 from lmd.scene.deployment import COLUMNS, UP_COLUMNS
 from lmd.scene.edges import EDGE
 from lmd.scene.labels import ID
-from lmd.formats.landmark_table import FAMILY
 
 CORNER_NAMES = ("top_left", "top_right", "bottom_right", "bottom_left")
 FRAME = "metres; z up; of a tag x is right, y up, z out of it; its quaternion turns this frame to the world"

@@ -8,14 +8,15 @@ from typing import Any
 import numpy as np
 
 from lmd.core.checks import ONE_TURN, FloatArray, InputError, choice, real, said_of, vector
+from lmd.formats.extrinsics import read_mount
+from lmd.formats.trajectory_readers import read_rows
+from lmd.formats.trajectory_rows import Rows, steep
 from lmd.geometry.frames import roll_pitch_yaw
 from lmd.geometry.se3 import act, laid_over, pose_of, poses_from_rows
 from lmd.geometry.trajectory import Trajectory
-from lmd.formats.extrinsics import read_mount
+from lmd.scene.recorded_poses import RecordedPoses
 from lmd.scene.rig import OPTICAL
-from lmd.formats.trajectory_readers import read_rows
-from lmd.formats.trajectory_rows import Rows, steep
-from lmd.space.inside import check_positions
+from lmd.space.inside import check_file_inside, check_positions
 from lmd.space.space import Space
 
 # From the camera's axes (x right, y down, z the optical axis) to those that an orientation is about.
@@ -119,13 +120,32 @@ class TrajectoryFile:
         Raises:
             InputError: it does not; the message says how far, and what may help.
         """
-        try:
-            check(self.trajectory, room)
-        except InputError as error:
-            lost = ~room.contains(self.trajectory.poses[:, :3, 3])
-            hint = " If it has a frame of its own, align says where that is in the room." if lost.mean() > 0.5 else ""
-            raise InputError(f"path: {self.path}: {error}{hint}", "path") from None
+        check_file_inside(self.path, self.trajectory, room, check)
         return self.trajectory
+
+
+def read_recorded_poses(
+    path: str | None,
+    frame: str = "optical",
+    times: str | None = None,
+    rate: float | None = None,
+    align: Sequence[Any] | None = None,
+    mount: str | Mapping[str, Any] | Sequence[float] | None = None,
+    group: str = "",
+    **more: Any,
+) -> RecordedPoses:
+    """Recorded poses from a file.
+
+    Args:
+        path, frame, times, rate, align, mount: see `TrajectoryFile`.
+        group: begins the keys of a configuration in the note.
+        more: the other arguments of `RecordedPoses`.
+
+    Raises:
+        InputError: a value is refused, or the file is no trajectory.
+    """
+    file = TrajectoryFile(path, frame, times, rate, align, mount)
+    return RecordedPoses(file.trajectory, path=path, note=file.note_of(group), **more)
 
 
 def alignment(align: Sequence[Any]) -> FloatArray:

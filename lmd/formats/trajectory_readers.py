@@ -12,8 +12,6 @@ import numpy as np
 from lmd.core.checks import FloatArray, InputError, radians
 from lmd.core.files import read_text
 from lmd.core.tables import COMMENT, Headless, Table, is_number, read_headless, read_table
-from lmd.geometry.frames import roll_pitch_yaw
-from lmd.geometry.se3 import ROW, camera_pose, pose_of, poses_from_rows
 from lmd.formats.trajectory_columns import (
     EULER,
     OWN_ANGLES,
@@ -30,6 +28,8 @@ from lmd.formats.trajectory_columns import (
 from lmd.formats.trajectory_rows import NANOSECONDS, Rows, checked_seconds, cleaned
 from lmd.formats.unread_trajectories import check_kind
 from lmd.formats.untimed_trajectories import KITTI, colmap_images, images_in_order, matrices
+from lmd.geometry.frames import roll_pitch_yaw
+from lmd.geometry.se3 import ROW, camera_pose, pose_of, poses_from_rows
 
 TUM = ("time", *ROW)
 EUROC = ("time", *POSITION, "qw", "qx", "qy", "qz")

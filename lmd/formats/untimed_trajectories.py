@@ -9,8 +9,8 @@ import numpy as np
 
 from lmd.core.checks import InputError
 from lmd.core.tables import COMMENT, Headless
-from lmd.geometry.se3 import are_rotations, inverse, nearest_rotations, pose_of, poses_from_rows
 from lmd.formats.trajectory_rows import Rows, given_times
+from lmd.geometry.se3 import are_rotations, inverse, nearest_rotations, pose_of, poses_from_rows
 
 KITTI = tuple(f"m{row}{column}" for row in range(3) for column in range(4))  # [R p], row by row
 _NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"

@@ -11,6 +11,8 @@ from lmd.core.checks import FloatArray, InputError, check_fields, integer, real,
 from lmd.geometry.lens import Lens, lens_of
 
 MM_PER_M = 1000.0
+# Centre of the first pixel from the image's border, pixels: ROS and OpenCV count from it, COLMAP from the border.
+PIXEL_CENTRE = 0.5
 # A cone of view that ends nearer to a right angle from the axis would show what is beside the camera.
 WIDEST_CONE = math.radians(89.0)
 

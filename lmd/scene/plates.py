@@ -13,7 +13,7 @@ import numpy as np
 
 from lmd.core.checks import BoolArray, FloatArray, InputError, IntArray, said_of
 from lmd.scene.deployment import FLUSH, Deployment
-from lmd.scene.deployment_sources import DeploymentSource, FileDeployment, GivenDeployment
+from lmd.scene.deployment_sources import DeploymentSource, ExistingDeployment, GivenDeployment
 from lmd.scene.edges import edges_or
 from lmd.scene.fixed import beside
 from lmd.scene.pushing import TOUCHING, push
@@ -107,7 +107,7 @@ class Plates:
         the way there.
 
         Args:
-            beside: where the others come from. If these are taken as they are (`FileDeployment.free`), so are those.
+            beside: where the others come from. If these are taken as they are (`free`), so are those.
 
         Raises:
             InputError: one lies outside the room, hangs on no surface or faces into its own, or plates overlap or are
@@ -126,7 +126,7 @@ class Plates:
     def draw(self, source: DeploymentSource, rng: np.random.Generator, fixed: Deployment | None = None) -> Deployment:
         """A deployment from `source` whose plates hang properly; a random one is pushed apart.
 
-        What a file has is taken as it is if it says so, see `FileDeployment.free`.
+        What a file has is taken as it is if it says so, see `ExistingDeployment.free`.
 
         Args:
             source: what is drawn from.
@@ -136,8 +136,8 @@ class Plates:
         Raises:
             InputError: the source cannot be drawn from, or plates overlap, are not wholly on their surface or too many.
         """
-        placed = not isinstance(source, FileDeployment | GivenDeployment)
-        drawn = source.draw(self.room if isinstance(source, FileDeployment) else self.hanging, rng, self.tag)
+        placed = not isinstance(source, ExistingDeployment | GivenDeployment)
+        drawn = source.draw(self.room if isinstance(source, ExistingDeployment) else self.hanging, rng, self.tag)
         if fixed is not None:
             drawn = beside(fixed, drawn)
         if not self.edge or as_they_are(source):
@@ -150,7 +150,7 @@ class Plates:
                 "count",
             )
         several = placed and drawn.edges is not None
-        if source.varies or several or (fixed is not None and not isinstance(source, FileDeployment)):
+        if source.varies or several or (fixed is not None and not isinstance(source, ExistingDeployment)):
             apart = self.apart(drawn, fixed=0 if fixed is None else len(fixed))
             if apart is None:
                 raise InputError(
@@ -161,7 +161,9 @@ class Plates:
         try:
             self.check(drawn)
         except InputError as error:
-            raise InputError(f"{source.path}: {error}" if isinstance(source, FileDeployment) else str(error)) from None
+            raise InputError(
+                f"{source.path}: {error}" if isinstance(source, ExistingDeployment) else str(error)
+            ) from None
         return drawn
 
     def check(self, deployment: Deployment) -> None:
@@ -263,7 +265,7 @@ class Plates:
 
 def as_they_are(source: DeploymentSource) -> bool:
     """Whether landmarks from `source` hang wherever they do."""
-    return isinstance(source, FileDeployment) and source.free
+    return isinstance(source, ExistingDeployment) and source.free
 
 
 def _named(papers: FloatArray) -> str:

@@ -3,7 +3,7 @@
 import numpy as np
 
 from lmd.core.checks import FloatArray
-from lmd.formats.meshes import Mesh
+from lmd.space.mesh import Mesh
 from lmd.space.patches import areas_of
 from lmd.space.triangles import unit_normals
 

@@ -1,4 +1,6 @@
-"""Whether a camera that moves stays inside a room."""
+"""Checks that a camera that moves stays inside a room."""
+
+from collections.abc import Callable
 
 import numpy as np
 
@@ -34,3 +36,18 @@ def check_inside(trajectory: Trajectory, room: Space) -> None:
             f"the camera goes straight on from ({x:.9g}, {y:.9g}, {z:.9g}) at {trajectory.time[through[0]]:.16g} s, "
             f"through something that stands in the {room.describe()}."
         )
+
+
+def check_file_inside(
+    path: str | None, trajectory: Trajectory, room: Space, check: Callable[[Trajectory, Space], None] = check_positions
+) -> None:
+    """Raise `InputError` about the file `path` of a trajectory that does not pass a check of this module.
+
+    The message names `align` where most of the trajectory is outside: the file may have a frame of its own.
+    """
+    try:
+        check(trajectory, room)
+    except InputError as error:
+        lost = ~room.contains(trajectory.poses[:, :3, 3])
+        hint = " If it has a frame of its own, align says where that is in the room." if lost.mean() > 0.5 else ""
+        raise InputError(f"path: {path}: {error}{hint}", "path") from None

@@ -1,6 +1,6 @@
 """A room from a mesh, and where in it the camera may be."""
 
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
 
@@ -136,10 +136,3 @@ class MeshRoom(Gridded):
         """See `Space.describe`."""
         low, high = self.bounds()
         return f"room from a mesh of {' x '.join(f'{length:.4g}' for length in high - low)} m"
-
-
-def from_mesh(path: Any, reachable: Any, spacing: Any, **more: Any) -> MeshRoom:
-    """A `MeshRoom` from the arguments of its mesh and its own, side by side."""
-    names = {field.name for field in fields(Scan)}
-    scan, own = ({name: more[name] for name in more if (name in names) == of_mesh} for of_mesh in (True, False))
-    return MeshRoom(Scan(path, **scan), reachable, spacing, **own)

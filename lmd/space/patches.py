@@ -6,7 +6,7 @@ from lmd.core.checks import FloatArray, IntArray
 from lmd.core.optional import optional
 from lmd.geometry.squares import upright
 from lmd.space.allowed import polygons
-from lmd.formats.meshes import Mesh
+from lmd.space.mesh import Mesh
 from lmd.space.surface import Surface
 
 # Two triangles whose normals differ by less than this angle, rad, are in one plane, as long as all corners of the patch

@@ -3,7 +3,6 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -14,7 +13,7 @@ from lmd.space.fixture import Fixture
 from lmd.space.gravity import LEVEL_NORMAL_Z, STOREY, doubt_of
 from lmd.space.interior import Interior
 from lmd.space.keep_out import KeepOut, all_keep_outs
-from lmd.formats.meshes import Y_UP, Mesh, read_mesh
+from lmd.space.mesh import Mesh
 from lmd.space.on_patch import grown, lying_on, standing_on
 from lmd.space.parts import checked_band, checked_names
 from lmd.space.patches import UNEVEN, areas_of, flat_parts, plane_of, surface_of
@@ -35,16 +34,14 @@ CREASE, MOST_EDGES = 0.35, 5000
 
 @dataclass(frozen=True)
 class Scan:
-    """A room from a triangle mesh: a scan or a CAD model. It keeps the coordinates of the file, turned to z up.
+    """A room from a triangle mesh: a scan or a CAD model. `lmd.formats.meshes.read_mesh` reads one.
 
     Its planar patches are surfaces: adjacent triangles of one object in one plane, if a square of `least_area` hangs
     there. They have the name of their object in the file, with a number from the largest if it has several; `patch_0`,
     `patch_1`, ... where the file names none. All triangles block the line of sight, from both sides.
 
     Args:
-        path: the file, see `lmd.formats.meshes.read_mesh`.
-        scale: metres in a unit of the file.
-        up: which of its axes points up, `z` or `y`; None for what its format says, else z if nothing is against.
+        mesh: its triangles.
         least_area: of a square that hangs on a patch upright, square metres.
         surfaces: names of the patches that may carry landmarks; None for all.
         keep_out: `KeepOut`s, or mappings of their arguments, measured from the rectangle around the patch.
@@ -53,12 +50,10 @@ class Scan:
 
     Raises:
         InputError: the file is none of a room, it has no patch large enough, a name is not known, a keep-out reaches
-            beyond its patch, or `up` is not given and hard to tell.
+            beyond its patch, or which axis points up is hard to tell.
     """
 
-    path: str | None
-    scale: float = 1.0
-    up: str | None = None
+    mesh: Mesh
     least_area: float = 0.1
     surfaces: Sequence[str] | None = None
     keep_out: Sequence[Any] = ()
@@ -66,17 +61,16 @@ class Scan:
     margin: float = 0.0
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "path", str(self.path) if isinstance(self.path, Path) else self.path)
-        check_fields(self, real, "scale", "least_area", above=0.0)
+        check_fields(self, real, "least_area", above=0.0)
         object.__setattr__(self, "band", checked_band(self.band))
         check_fields(self, real, "margin", low=0.0)
         if not self._patches:
             raise InputError(
-                f"least_area = {self.least_area:g} m2 is more than any planar patch of {self.path!r} has.", "least_area"
+                f"least_area = {self.least_area:g} m2 is more than any planar patch of {self.mesh.path!r} has.",
+                "least_area",
             )
-        told = self.up is not None or str(self.path).lower().endswith(Y_UP)
-        if not told and (doubt := doubt_of(self.mesh, undecided=True)):
-            raise InputError(f"up must be given for {self.path!r}: {doubt}", "up")
+        if not self.mesh.up_is_sure and (doubt := doubt_of(self.mesh, undecided=True)):
+            raise InputError(f"up must be given for {self.mesh.path!r}: {doubt}", "up")
         if self.surfaces is not None:
             object.__setattr__(self, "surfaces", checked_names("surfaces", self.surfaces, list(self._patches)))
         # Patches are as they are seen, so here earlier versions measured as this one does.
@@ -87,13 +81,8 @@ class Scan:
 
     @property
     def doubt(self) -> str | None:
-        """Why another axis than `up` seems to point up, whoever said so; None where nothing speaks for that."""
+        """Why another axis of the file than `Mesh.up` seems to point up; None where nothing speaks for that."""
         return doubt_of(self.mesh, undecided=False)
-
-    @cached_property
-    def mesh(self) -> Mesh:
-        """The triangles."""
-        return read_mesh(self.path, self.scale, self.up)
 
     @cached_property
     def triangles(self) -> Triangles:

@@ -17,11 +17,11 @@ import numpy as np
 
 from lmd.core.checks import BoolArray, FloatArray, InputError, IntArray
 from lmd.detection.corner_errors import CornerErrors
+from lmd.formats.detections import DetectedTags
 from lmd.geometry.camera import Camera
 from lmd.geometry.projection import bearings, slope
 from lmd.geometry.se3 import pose_of
 from lmd.geometry.squares import CORNERS
-from lmd.formats.detections import DetectedTags
 
 # How a tag appears whose corners are numbered from its first, second, third and fourth one, `(4, 4, 4)`: turned
 # clockwise by as many quarters as one looks at it.

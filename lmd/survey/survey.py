@@ -7,9 +7,9 @@ import numpy as np
 
 from lmd.core.checks import BoolArray, FloatArray, InputError, IntArray
 from lmd.detection.corner_errors import CornerErrors
+from lmd.formats.detections import DetectedTags
 from lmd.geometry.camera import Camera
 from lmd.geometry.trajectory import Trajectory
-from lmd.formats.detections import DetectedTags
 from lmd.scene.deployment import Deployment
 from lmd.scene.tag import Tag
 from lmd.survey.between import Joined, joined_by

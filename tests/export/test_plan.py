@@ -10,11 +10,12 @@ import pypdfium2
 import pytest
 import trimesh
 
-from lmd.geometry.squares import upright
 from lmd.export.paper import PAPERS, begin_page, document
 from lmd.export.plan import View, write_plan
 from lmd.export.symbols import draw_fixture, draw_opening
+from lmd.formats.meshes import read_mesh_room
 from lmd.formats.tag_map import TagMap
+from lmd.geometry.squares import upright
 from lmd.scene.deployment import Deployment
 from lmd.scene.deployment_sources import UniformDeployment
 from lmd.scene.labels import Labels
@@ -23,7 +24,6 @@ from lmd.scene.tag import Tag
 from lmd.space.cuboid import Cuboid
 from lmd.space.fixture import KINDS
 from lmd.space.floor_plan import FloorPlan
-from lmd.space.mesh_room import from_mesh
 
 ROOM = Cuboid((6.0, 4.0, 2.8), (5.0, 3.0, 1.2), 0.5)
 TAG = Tag(0.2)
@@ -233,7 +233,7 @@ def test_heights_are_from_the_floor_even_where_it_is_not_the_lowest_point(tmp_pa
     scene.add_geometry(trimesh.creation.box(bounds=[(4, 0.5, -1), (5, 1.5, -0.5)]), node_name="pit")
     scene.add_geometry(trimesh.creation.box(bounds=[(-0.5, -0.5, 2.5), (6.5, 4.5, 2.6)]), node_name="roof")
     scene.export(tmp_path / "pit.glb")
-    room = from_mesh(str(tmp_path / "pit.glb"), {"height": [0.5, 1.5], "clearance": 0.25}, 0.5, up="z")
+    room = read_mesh_room(str(tmp_path / "pit.glb"), {"height": [0.5, 1.5], "clearance": 0.25}, 0.5, up="z")
     assert room.bounds()[0][2] == -1.0
     side = next(surface for surface in room.surfaces() if surface.name.startswith("box_0") and surface.normal[0] < -0.9)
     tag = Deployment(side.point(0.5, 0.25)[None], side.normal[None]).hung(room)

@@ -8,8 +8,7 @@ import pytest
 from captured import curve, room_of_walls
 
 from lmd.core.checks import InputError
-from lmd.formats.meshes import read_mesh
-from lmd.space.mesh_room import from_mesh
+from lmd.formats.meshes import read_mesh, read_mesh_room
 
 
 def floor_of(write, keys):
@@ -60,7 +59,7 @@ def test_strips_are_within_a_centimetre_of_the_arc(write):
 
 def test_tags_hang_on_strips_and_no_camera_is_beyond_them(write):
     path = write(json.dumps(room_of_walls(None, curve(2.0, 0.0, 180.0, [0.0, 0.0]))), "room.json")
-    built = from_mesh(path, {"height": [0.5, 1.9], "clearance": 0.3}, 0.5)
+    built = read_mesh_room(path, {"height": [0.5, 1.9], "clearance": 0.3}, 0.5)
     assert sum(s.area for s in built.surfaces() if s.name.startswith("wall_1")) == pytest.approx(
         2.0 * math.pi * 2.5, rel=0.01
     )

@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 
 from lmd.core.checks import InputError
+from lmd.formats.calibrations import calibrated_camera, read_calibration
+from lmd.geometry.camera import PIXEL_CENTRE
 from lmd.geometry.projection import project
-from lmd.formats.calibrations import PIXEL_CENTRE, calibrated_camera, read_calibration
 
 K = [[290.0, 0.0, 320.0], [0.0, 292.0, 240.0], [0.0, 0.0, 1.0]]
 D = [[-0.02], [0.01], [-0.015], [0.004]]  # a column, as cv2.fisheye.calibrate writes it

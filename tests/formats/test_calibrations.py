@@ -9,9 +9,10 @@ import yaml
 from processes import call
 
 from lmd.core.checks import InputError
+from lmd.formats.calibrations import Calibration, calibrated_camera, read_calibration
+from lmd.geometry.camera import PIXEL_CENTRE
 from lmd.geometry.projection import project
 from lmd.geometry.se3 import exp
-from lmd.formats.calibrations import PIXEL_CENTRE, Calibration, calibrated_camera, read_calibration
 
 MATRIX = np.array([[612.5, 0.0, 317.25], [0.0, 608.0, 244.5], [0.0, 0.0, 1.0]])
 LENS = [-0.21, 0.06, 0.0012, -0.0008, 1e-5]

@@ -10,8 +10,7 @@ from captured import MRUK, ROOMS, anchor, entity, rectangle, surface
 from numpy.testing import assert_allclose
 
 from lmd.core.checks import InputError
-from lmd.formats.meshes import read_mesh
-from lmd.space.mesh_room import from_mesh
+from lmd.formats.meshes import read_mesh, read_mesh_room
 
 REAL = Path(__file__).parents[2] / "../shared/real/rooms"
 
@@ -19,7 +18,7 @@ REAL = Path(__file__).parents[2] / "../shared/real/rooms"
 @pytest.mark.parametrize("kind", ROOMS)
 def test_what_was_captured_is_a_room(kind, write):
     path = write(json.dumps(ROOMS[kind]), "room.json")
-    room = from_mesh(path, {"height": [0.5, 1.9], "clearance": 0.3}, 0.5)
+    room = read_mesh_room(path, {"height": [0.5, 1.9], "clearance": 0.3}, 0.5)
     low, high = room.bounds()
     assert_allclose([low, high], [[-2, -1.5, 0], [2, 1.5, 2.5]], atol=1e-6)
     areas = {tuple(s.normal.round(3) + 0.0): s.area for s in room.surfaces() if not s.name.startswith("storage")}

@@ -94,7 +94,9 @@ def test_frames_of_a_detector_keep_their_places():
     """Also those in which it found nothing; a video may end before all that were named are read."""
     some = Detections(np.array([3, 5]), np.zeros((2, 4, 2)))
     nothing = Detections(np.empty(0, dtype=np.int64), np.empty((0, 4, 2)))
-    found = DetectedTags.in_frames(["a", "b", "c", "d"], [some, nothing, some])
+    found = DetectedTags.in_frames(
+        ["a", "b", "c", "d"], [some.ids, nothing.ids, some.ids], [some.corners, nothing.corners, some.corners]
+    )
     assert found.times == ("a", "b", "c")
     assert found.frame.tolist() == [0, 0, 2, 2]
     assert found.ids.tolist() == [3, 5, 3, 5]

@@ -56,8 +56,8 @@ def test_a_file_that_lacks_something_is_refused(lines, head, message, tmp_path):
 def test_photographs_say_which_there_are():
     """The right camera begins later, and its last photograph is blurred."""
     found = [Detections(np.array([3]), SQUARE[None] + k) for k in range(3)]
-    left = DetectedTags.in_frames(("1", "2", "3"), found)
-    right = DetectedTags.in_frames(("2", "3"), found[:2]).without({"3": 4.0})
+    left = in_frames(("1", "2", "3"), found)
+    right = in_frames(("2", "3"), found[:2]).without({"3": 4.0})
     both = DetectedTags.together({"left": left, "right": right})
     assert both.images.tolist() == [[True, False], [True, True], [True, False]]
 
@@ -70,3 +70,7 @@ def test_a_copy_counts_as_no_image():
     found = without_copies(DetectedTags(both.times, both.cameras, both.frame, both.camera, both.ids, same))
     assert len(found) == 3
     assert found.images.tolist() == [[True, True], [False, True], [True, True]]
+
+
+def in_frames(names, found):
+    return DetectedTags.in_frames(names, [one.ids for one in found], [one.corners for one in found])

@@ -8,10 +8,10 @@ import pytest
 from numpy.testing import assert_allclose
 
 from lmd.core.checks import InputError
-from lmd.scene.deployment_sources import FileDeployment
+from lmd.formats.deployments import FileDeployment
 from lmd.formats.families import NUMBERS, family_named
-from lmd.scene.tag import FAMILIES, Tag
 from lmd.formats.tag_maps import LARGEST_MAP, read_deployment
+from lmd.scene.tag import FAMILIES, Tag
 from lmd.space.cuboid import Cuboid
 from pipelines.app import CONF
 

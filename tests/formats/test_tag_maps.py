@@ -12,12 +12,12 @@ import pytest
 import yaml
 
 from lmd.core.checks import InputError
+from lmd.export.exports import FORMATS, Export
+from lmd.formats.tag_map import TagMap
 from lmd.geometry.camera import Camera
 from lmd.geometry.projection import intrinsics
 from lmd.geometry.se3 import camera_pose
 from lmd.geometry.squares import CORNERS, upright
-from lmd.export.exports import FORMATS, Export
-from lmd.formats.tag_map import TagMap
 from lmd.render.imaging import Imaging
 from lmd.render.renderer import Renderer
 from lmd.render.room import TaggedRoom

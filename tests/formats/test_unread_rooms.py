@@ -5,8 +5,8 @@ import json
 import pytest
 
 from lmd.core.checks import InputError
-from lmd.formats.unread_rooms import ENDINGS
 from lmd.formats.meshes import FORMATS, read_mesh
+from lmd.formats.unread_rooms import ENDINGS
 
 OUTLINE = "the outline of a floor plan"
 WALL = {"xStart": 0.0, "yStart": 0.0, "xEnd": 600.0, "yEnd": 0.0, "height": 250.0}

@@ -11,6 +11,7 @@ from paper import paper_room, paper_scene
 from small import problem
 
 from lmd.core.checks import InputError
+from lmd.formats.deployments import FileDeployment
 from lmd.objectives.coverage import Coverage
 from lmd.objectives.localisation import Localisation
 from lmd.objectives.sampling import Sampling
@@ -22,7 +23,7 @@ from lmd.planner.session import Session
 from lmd.problem import Problem
 from lmd.scene import pdf
 from lmd.scene.deployment import Deployment
-from lmd.scene.deployment_sources import FileDeployment, RandomDeployment
+from lmd.scene.deployment_sources import RandomDeployment
 from lmd.scene.tag import Tag
 
 TAG = Tag(edge=0.2)

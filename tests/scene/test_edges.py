@@ -8,8 +8,9 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from lmd.core.checks import InputError
 from lmd.evaluation.survey import read_measured
+from lmd.formats.deployments import FileDeployment
 from lmd.scene.deployment import Deployment
-from lmd.scene.deployment_sources import FileDeployment, GivenDeployment, RandomDeployment, UniformDeployment
+from lmd.scene.deployment_sources import GivenDeployment, RandomDeployment, UniformDeployment
 from lmd.scene.fixed import beside
 from lmd.scene.plates import Plates
 from lmd.scene.tag import Tag

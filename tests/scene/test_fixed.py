@@ -13,6 +13,7 @@ from small import make, problem
 from strategies import deployments, scenes, seeds
 
 from lmd.core.checks import InputError
+from lmd.formats.deployments import FileDeployment
 from lmd.incremental.coverage_field import coverage_field
 from lmd.objectives.coverage import Coverage
 from lmd.objectives.localisation import Localisation
@@ -21,7 +22,7 @@ from lmd.optimisers.greedy import GreedyDeployment
 from lmd.optimisers.ledger import Budget
 from lmd.problem import Problem
 from lmd.scene.deployment import Deployment
-from lmd.scene.deployment_sources import FileDeployment, RandomDeployment, UniformDeployment
+from lmd.scene.deployment_sources import RandomDeployment, UniformDeployment
 from lmd.scene.fixed import beside
 from lmd.scene.labels import Labels
 from lmd.scene.tag import Tag

@@ -9,6 +9,7 @@ from paper import paper_camera, paper_room, paper_scene
 from strategies import rooms, seeds
 
 from lmd.core.checks import InputError
+from lmd.formats.deployments import FileDeployment
 from lmd.objectives.coverage import Coverage
 from lmd.objectives.localisation import Localisation
 from lmd.objectives.sampling import Sampling
@@ -20,7 +21,7 @@ from lmd.problem import Problem
 from lmd.run import evaluate, optimise
 from lmd.scene import pdf
 from lmd.scene.deployment import Deployment
-from lmd.scene.deployment_sources import FileDeployment, RandomDeployment, UniformDeployment
+from lmd.scene.deployment_sources import RandomDeployment, UniformDeployment
 from lmd.scene.plates import Plates
 from lmd.scene.scene import Scene
 from lmd.scene.tag import Tag

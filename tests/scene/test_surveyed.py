@@ -15,8 +15,9 @@ from lmd.detection.frames import tagged_room
 from lmd.estimation.tags import corners_of
 from lmd.evaluation.survey import read_measured, survey
 from lmd.evaluation.validation import Sample
-from lmd.geometry.squares import corners, upright
+from lmd.formats.deployments import FileDeployment
 from lmd.formats.tag_map import TagMap
+from lmd.geometry.squares import corners, upright
 from lmd.objectives.coverage import Coverage
 from lmd.optimisers.ledger import Budget
 from lmd.optimisers.random_search import RandomSearch
@@ -24,7 +25,7 @@ from lmd.optimisers.stored import points
 from lmd.problem import Problem
 from lmd.scene import pdf
 from lmd.scene.deployment import Deployment
-from lmd.scene.deployment_sources import FileDeployment, RandomDeployment
+from lmd.scene.deployment_sources import RandomDeployment
 from lmd.scene.labels import Labels
 from lmd.scene.plates import Plates
 from lmd.scene.scene import Scene

@@ -10,12 +10,12 @@ from meshes import captured, quad
 from numpy.testing import assert_array_equal
 
 from lmd.core.checks import InputError
+from lmd.formats.meshes import read_mesh_room
 from lmd.optimisers.encoding import make_encoding
 from lmd.scene.deployment import Deployment
 from lmd.scene.deployment_sources import RandomDeployment, UniformDeployment
 from lmd.scene.plates import Plates
 from lmd.scene.tag import Tag
-from lmd.space.mesh_room import from_mesh
 from lmd.space.scan import Scan
 
 HEIGHT = {"height": [0.5, 1.9], "clearance": 0.3}
@@ -36,7 +36,7 @@ def starts(room, edge, rng):
 @examples(10)
 def test_what_is_placed_hangs_in_the_room(seed, tmp_path_factory):
     rng = np.random.default_rng(seed)
-    room = from_mesh(captured(tmp_path_factory.mktemp("room") / "room.glb", rng), HEIGHT, 0.5, up="z")
+    room = read_mesh_room(captured(tmp_path_factory.mktemp("room") / "room.glb", rng), HEIGHT, 0.5, up="z")
     for edge in (0.0, 0.12):
         for deployment in starts(room, edge, rng):
             hung = deployment.movable(room)
@@ -57,7 +57,7 @@ def room_of(path, quads, **more):
     for i, part in enumerate(quads):
         scene.add_geometry(part, node_name=f"part_{i}")
     scene.export(path)
-    return from_mesh(path, HEIGHT, 0.5, up="z", **more)
+    return read_mesh_room(path, HEIGHT, 0.5, up="z", **more)
 
 
 def test_of_patches_in_one_plane_a_landmark_has_the_one_that_it_hangs_on(tmp_path):

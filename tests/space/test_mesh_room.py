@@ -7,6 +7,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from paper import paper_camera
 
 from lmd.core.checks import InputError
+from lmd.formats.meshes import read_mesh_room
 from lmd.geometry.se3 import camera_pose
 from lmd.geometry.trajectory import Trajectory
 from lmd.optimisers.encoding import make_encoding
@@ -22,7 +23,6 @@ from lmd.sight.reference import counts as reference_counts
 from lmd.space.cuboid import Cuboid
 from lmd.space.floor_plan import FloorPlan
 from lmd.space.inside import check_inside
-from lmd.space.mesh_room import from_mesh
 from lmd.space.parts import Reachable
 from lmd.space.prism import Prism
 
@@ -65,7 +65,7 @@ def test_normals_point_to_where_the_camera_is_whichever_way_the_file_has_them(in
     if inverted:
         mesh.invert()
     mesh.export(tmp_path / "box.ply")
-    room = from_mesh(str(tmp_path / "box.ply"), {"height": [0.5, 1.5], "clearance": 0.5}, 0.5)
+    room = read_mesh_room(str(tmp_path / "box.ply"), {"height": [0.5, 1.5], "clearance": 0.5}, 0.5)
     assert len(room.surfaces()) == 6
     for surface in room.surfaces():
         middle = surface.point(*(length / 2 for length in surface.extent))
@@ -80,7 +80,7 @@ def test_scale_and_axes_are_those_of_the_file(name, tmp_path):
     mesh.apply_transform([[1, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]])  # y up
     mesh.export(tmp_path / name)
     up = {} if name == "box.glb" else {"up": "y"}
-    room = from_mesh(str(tmp_path / name), {"height": [0.5, 1.5]}, 0.5, scale=0.001, **up)
+    room = read_mesh_room(str(tmp_path / name), {"height": [0.5, 1.5]}, 0.5, scale=0.001, **up)
     assert_allclose(room.bounds(), [[0, 0, 0], [6, 4, 2.5]], atol=1e-6)
 
 
@@ -119,7 +119,7 @@ def test_positions_are_free_and_keep_their_clearance(room):
 def test_a_box_may_be_given_for_the_positions(tmp_path):
     reachable = {"low": [0.5, 0.5, 1.0], "high": [5.5, 3.5, 1.0]}
     mesh_room(tmp_path / "lab.ply", L)
-    room = from_mesh(str(tmp_path / "lab.ply"), reachable, 0.5)
+    room = read_mesh_room(str(tmp_path / "lab.ply"), reachable, 0.5)
     assert set(room.grid()[:, 2]) == {1.0}
     assert Prism(L, Reachable((0.5, 1.5)), 0.5).contains(room.grid()).all()
 
@@ -145,7 +145,7 @@ def test_a_wall_that_is_not_quite_upright_has_the_band_too(tmp_path):
     mesh = walls_of(BOX)
     mesh.apply_transform(trimesh.transformations.rotation_matrix(1e-6, [1, 0, 0]))
     mesh.export(tmp_path / "tilted.ply")
-    room = from_mesh(str(tmp_path / "tilted.ply"), {"height": [0.5, 1.5]}, 0.5, band=[1.0, 1.5])
+    room = read_mesh_room(str(tmp_path / "tilted.ply"), {"height": [0.5, 1.5]}, 0.5, band=[1.0, 1.5])
     walls = sorted(surface.area for surface in room.surfaces() if surface.is_upright)
     assert_allclose(walls, [2.0, 2.0, 3.0, 3.0], atol=1e-4)
 
@@ -219,5 +219,5 @@ def test_a_file_with_no_room_in_it_gets_one_sentence(tmp_path):
         ({"reachable": {"clearance": 1.0}}, r"^reachable\.height, or low and high in its place, must be given"),
     ]:
         with pytest.raises(InputError, match=message) as refused:
-            from_mesh(**{**good, **change})
+            read_mesh_room(**{**good, **change})
         assert "\n" not in str(refused.value)

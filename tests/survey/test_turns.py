@@ -9,8 +9,8 @@ import pytest
 import walks
 
 from lmd.core.checks import InputError
-from lmd.geometry.se3 import inverse
 from lmd.formats.detections import DetectedTags
+from lmd.geometry.se3 import inverse
 from lmd.scene.deployment import Deployment
 from lmd.scene.labels import Labels
 from lmd.scene.surveyed import Surveyed
