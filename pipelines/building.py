@@ -219,9 +219,7 @@ def build_parts(cfg: DictConfig, count: str = "deployment.count") -> Parts:
     from lmd.core.optional import optional
     from lmd.core.threads import MOST_THREADS
     from lmd.objectives.base import Objective
-    from lmd.objectives.localisation import Localisation
     from lmd.optimisers.encoding import KINDS
-    from lmd.scene.carried import carried
     from lmd.scene.criteria import Criteria
     from lmd.scene.scene import Scene
     from lmd.scene.tag import Tag
@@ -254,9 +252,6 @@ def build_parts(cfg: DictConfig, count: str = "deployment.count") -> Parts:
     boolean("encoding.flush", cfg.encoding.flush)
     objective = instantiate(cfg.objective)
     check_members("objective", objective, Objective, "docs/api/objectives.md")
-    if isinstance(objective, Localisation):
-        with keyed(rig="camera.rig"):
-            scene = carried(scene)
     with keyed("deployment", count=count, family="tag.family"):
         fixed = fixed_of(cfg.deployment, tag.own_family)
     with keyed("tag"):

@@ -10,7 +10,7 @@ from meshes import captured, quad
 from numpy.testing import assert_array_equal
 
 from lmd.core.checks import InputError
-from lmd.formats.meshes import read_mesh_room
+from lmd.formats.meshes import read_mesh, read_mesh_room
 from lmd.optimisers.encoding import make_encoding
 from lmd.scene.deployment import Deployment
 from lmd.scene.deployment_sources import RandomDeployment, UniformDeployment
@@ -87,23 +87,23 @@ def test_nothing_hangs_below_the_floor_beyond_a_wall_or_in_furniture(tmp_path):
 def test_which_way_is_up_is_asked_where_it_is_hard_to_tell(tmp_path):
     """Walls of a captured room are upright, and turned against the axes of the file."""
     turned = str(captured(tmp_path / "turned.obj", np.random.default_rng(1)))
-    assert Scan(turned).doubt is None
+    assert Scan(read_mesh(turned)).doubt is None
     scene = trimesh.load_scene(turned, split_objects=True, process=False)
     scene.apply_transform(trimesh.transformations.rotation_matrix(-np.pi / 2, [1, 0, 0]))  # y up
     scene.export(tmp_path / "lying.obj")
     lying = str(tmp_path / "lying.obj")
     with pytest.raises(InputError, match=r"^up must be given for .*: with z up .*; with y up .* m high, .* of floor"):
-        Scan(lying)
-    assert Scan(lying, up="y").doubt is None
-    assert Scan(lying, up="z").doubt.startswith("with z up it is ")
+        Scan(read_mesh(lying))
+    assert Scan(read_mesh(lying, up="y")).doubt is None
+    assert Scan(read_mesh(lying, up="z")).doubt.startswith("with z up it is ")
 
 
 def test_a_room_in_line_with_the_axes_is_taken_to_be_wider_than_high(tmp_path):
     tall = trimesh.creation.box(extents=[6.0, 2.5, 4.0])
     tall.export(tmp_path / "tall.stl")
     with pytest.raises(InputError, match=r"^up must be given .* it is 4 m high, with 15 m2 .* it is 2\.5 m high"):
-        Scan(str(tmp_path / "tall.stl"))
-    assert Scan(str(tmp_path / "tall.stl"), up="z").doubt is None
+        Scan(read_mesh(tmp_path / "tall.stl"))
+    assert Scan(read_mesh(tmp_path / "tall.stl", up="z")).doubt is None
     part = {"surface": "patch_0", "from_left": [0.0, 6.1], "from_below": [0.0, 1.0]}
     with pytest.raises(InputError, match=r"^keep_out\[0\] reaches 0\.1 m beyond patch_0, which is 6 x 4 m\.$"):
-        Scan(str(tmp_path / "tall.stl"), up="z", keep_out=[part])
+        Scan(read_mesh(tmp_path / "tall.stl", up="z"), keep_out=[part])
