@@ -101,7 +101,7 @@ class ExistingDeployment:
 
     Attributes:
         path: the file that lists them, for messages.
-        free: see `lmd.formats.deployments.FileDeployment`.
+        free: True if they may hang anywhere: outside the room, on no surface, overlapping.
     """
 
     path: str | None
