@@ -19,7 +19,7 @@ from lmd.formats.tag_maps import read_deployment
 from lmd.formats.trajectories import TrajectoryFile
 from lmd.scene.pdf import from_csv as read_pdf
 from lmd.survey.boards import Boards
-from lmd.survey.known import Points
+from lmd.survey.prior import Points
 
 BROKEN = round(100 * SHARE)  # files of each kind of change
 VALUES = [
