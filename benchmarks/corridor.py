@@ -24,13 +24,8 @@ from lmd.geometry.camera import Camera
 from lmd.geometry.se3 import act, exp, inverse, laid_over
 from lmd.geometry.trajectory import Trajectory
 from lmd.scene.tag import Tag
-<<<<<<< HEAD
-from lmd.survey.survey import Known, Survey, survey
-=======
-from lmd.formats.trajectories import TrajectoryFile
 from lmd.survey.prior import Known
 from lmd.survey.survey import Survey, survey
->>>>>>> main
 
 HEADER = (
     "| seed | by | tags placed | largest group | groups | off, median / 90 % / largest, mm | stated, median, mm | "

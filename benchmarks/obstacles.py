@@ -27,7 +27,6 @@ from lmd.sight.models.fiducial import Fiducial
 from lmd.sight.models.paper import Visibility
 from lmd.space.cuboid import Cuboid
 from lmd.space.floor_plan import FloorPlan
-from lmd.space.mesh_room import from_mesh
 from lmd.space.parts import Reachable
 from lmd.space.prism import Prism
 from lmd.space.space import Space

@@ -24,10 +24,9 @@ from scipy.spatial.transform import Rotation
 from lmd.core.checks import FloatArray
 from lmd.detection.corner_errors import CORNER_ERRORS
 from lmd.detection.detectors import AprilTagDetector, ArucoDetector
-from lmd.formats.calibration_readers import PIXEL_CENTRE
 from lmd.formats.calibrations import Calibration, calibrated_camera
 from lmd.formats.detections import DetectedTags, read_detections
-from lmd.geometry.camera import Camera
+from lmd.geometry.camera import PIXEL_CENTRE, Camera
 from lmd.geometry.pose import solutions
 from lmd.scene.tag import Tag
 from lmd.survey.prior import Known

@@ -134,7 +134,7 @@ def _write(
 ) -> None:
     """Write the rig file and the drawing, and log them."""
     from lmd.formats.rigs import write_rig
-    from lmd.plot.body import save_body_figure
+    from lmd.plot.body_drawing import save_body_figure
 
     def write(folder: Path) -> None:
         write_rig(folder / RIG, rig, sources)

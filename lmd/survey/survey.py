@@ -11,12 +11,6 @@ from lmd.core.checks import BoolArray, FloatArray, InputError, IntArray
 from lmd.detection.corner_errors import CornerErrors
 from lmd.formats.detections import DetectedTags
 from lmd.geometry.camera import Camera
-<<<<<<< HEAD
-from lmd.geometry.trajectory import Trajectory
-from lmd.scene.deployment import Deployment
-=======
-from lmd.formats.detections import DetectedTags
->>>>>>> main
 from lmd.scene.tag import Tag
 from lmd.survey.estimate import Estimate, JoinedGroups, Start, estimate_map, initialise, joined_groups
 from lmd.survey.faults import Faults, errors_of_fixed, find_faults

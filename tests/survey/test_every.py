@@ -5,13 +5,8 @@ import numpy as np
 import pytest
 
 from lmd.core.checks import IntArray
-<<<<<<< HEAD
-from lmd.formats.detections import DetectedTags
-from lmd.survey.every import LONGEST, thinned
-=======
 from lmd.formats.detections import DetectedTags
 from lmd.survey.keyframes import LONGEST, select_keyframes
->>>>>>> main
 from lmd.survey.motion import SHORTEST_GAP
 
 
