@@ -14,6 +14,7 @@ import numpy as np
 import trimesh
 
 from lmd.core.compiled import kernel
+from lmd.formats.meshes import read_mesh_room
 from lmd.geometry.camera import Camera
 from lmd.incremental.coverage_field import coverage_field
 from lmd.incremental.field import bound, settle
@@ -76,7 +77,7 @@ def as_mesh(parts: list[trimesh.Trimesh]) -> Space:
     whole = trimesh.util.concatenate(parts)
     with tempfile.NamedTemporaryFile(suffix=".stl") as file:
         whole.export(file.name)
-        return from_mesh(file.name, {"height": [0.75, 5.25]}, 0.5, up="z")
+        return read_mesh_room(file.name, {"height": [0.75, 5.25]}, 0.5, up="z")
 
 
 def tasks(room: Space, visibility: Criteria) -> tuple[int, dict[str, Callable[[], object]]]:
