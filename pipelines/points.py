@@ -112,7 +112,7 @@ class Points:
     def counts(self, found: "Found") -> dict[str, int]:
         """Along limits: how many landmarks there are, and of each edge."""
         edges = found.deployment.edges
-        if self.limited is None or edges is None:
+        if self.limited is None or not found.deployment.has_own_edges:
             return {}
         from lmd.evaluation.tradeoff import COUNT_OF
 

@@ -82,7 +82,7 @@ class Known:
         """The edges of tags, metres: their own where a plan or a map says so, else that of all."""
         edges = np.full(len(ids), tag.size)
         for known in (self.plan, self.fixed):
-            if known is not None and known.edges is not None:
+            if known is not None:
                 own = dict(zip(known.ids.tolist(), known.edges.tolist(), strict=True))
                 told = np.array([own.get(number, np.nan) for number in ids.tolist()])
                 edges = np.where(np.isnan(told), edges, told)

@@ -135,10 +135,7 @@ class Surrogate:
     def _papers_of(self, count: int, size: float) -> Papers:
         """The papers of so many landmarks, `size` times as large as they are; 0 for stacks, which have none."""
         plates, sizes = self._problem.scene.plates, self._problem.sizes
-        if sizes is None or not size:
-            edges = np.full(count, size * plates.edge * (1.0 - TOUCHING))
-            return Papers(edges, np.zeros(count, dtype=np.int64), self._surfaces.pieces, self._surfaces.first[None])
-        papers = plates.tag.paper_share * sizes
+        papers = plates.tag.paper_share * sizes if size else np.full(count, plates.edge)
         found, of = np.unique(papers, return_inverse=True)
         pieces, first = plates.pieces_of(found)
         return Papers(size * papers * (1.0 - TOUCHING), of.astype(np.int64), pieces, first)
