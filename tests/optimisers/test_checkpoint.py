@@ -106,7 +106,7 @@ def test_stages_keep_what_is_theirs(case):
     make, _, folder, members = case
     stage, kept = folder.name.rstrip("0123456789"), {key.split(".")[1] for key in members if "." in key}
     assert ("angles" in kept) == (stage in ("stacks", "single"))
-    assert ("trail" in kept, "ascent" in kept) == (stage in ("walk", "ascent"), stage == "ascent")
+    assert ("mean_places" in kept, "ascent" in kept) == (stage in ("walk", "ascent"), stage == "ascent")
     assert ("fitness" in kept) == (make is EGA)
 
 

@@ -16,7 +16,7 @@ from paper import PAPER_CAMERA, PRINTED_EXPERIMENT_CAMERA
 from lmd.core.checks import InputError
 from lmd.geometry.camera import Camera
 from lmd.objectives.localisation import Localisation
-from lmd.optimisers.annealing.annealing import SINGLE_STAGE
+from lmd.optimisers.annealing.stage import SINGLE_STAGE
 from lmd.optimisers.ega import EGA
 from lmd.optimisers.encoding import make_encoding
 from pipelines.app import CONF, flat_settings
