@@ -10,11 +10,11 @@ from lmd.incremental.field import accept, bound, settle, undo
 from lmd.incremental.move import carry_out, state_of, take_back
 from lmd.incremental.state import Scratch, State, scratch_of
 from lmd.incremental.trial import bound_move, finish_move
-from lmd.scene.criteria import horizon_of, largest
+from lmd.scene.criteria import horizon_of
 from lmd.scene.deployment import Deployment
 from lmd.sight.blocks import boxes_around
 from lmd.sight.evaluator import Evaluator
-from lmd.sight.obstacles import obstacles_at
+from lmd.sight.obstacles import half_edge, obstacles_at
 
 
 class CoverageField(NamedTuple):
@@ -58,7 +58,7 @@ class CoverageField(NamedTuple):
     @property
     def stack(self) -> int:
         """See `Stacking.stack`: tags of several sizes have none."""
-        return self.n if largest(self.sight) is self.sight else 0
+        return self.n if np.ndim(half_edge(self.sight)) == 0 else 0
 
     def stacked(self, fixed: Deployment | None) -> "CoverageField":
         """See `Stacking.stacked`: a stack of n that nothing hides is seen whenever one landmark in its place is.

@@ -11,11 +11,10 @@ from lmd.incremental.field import accept, bound, settle, undo
 from lmd.incremental.rig_move import carry_out_rig, rig_state_of, take_back_rig
 from lmd.incremental.rig_state import RigScratch, RigState, Stations, rig_scratch_of
 from lmd.incremental.rig_trial import bound_rig_move, finish_rig_move
-from lmd.scene.criteria import largest
 from lmd.scene.deployment import Deployment
 from lmd.sight.blocks import boxes_around
 from lmd.sight.evaluator import Evaluator
-from lmd.sight.obstacles import obstacles_at
+from lmd.sight.obstacles import half_edge, obstacles_at
 from lmd.sight.stations import places_around, with_sight
 
 
@@ -52,7 +51,7 @@ class RigField(NamedTuple):
     @property
     def stack(self) -> int:
         """See `Stacking.stack`: tags of several sizes have none."""
-        return self.n if all(largest(each.part.sight) is each.part.sight for each in self.parts) else 0
+        return self.n if all(np.ndim(half_edge(each.part.sight)) == 0 for each in self.parts) else 0
 
     def stacked(self, fixed: Deployment | None) -> "RigField":
         """See `Stacking.stacked` and `CoverageField.stacked`."""

@@ -182,7 +182,8 @@ def _see(positions, part, obstacles, landmarks, normals, slack, n, keep, seen):
                 k = shown[e]
                 name, rivals = who[k], -1
                 lx, ly, lz, nx, ny, nz = _pose(near, k)
-                frame = frame_of(sized(sight, name), nx, ny, nz)
+                tag = sized(sight, name)
+                frame = frame_of(tag, nx, ny, nz)
                 for m in range(begin, end):
                     for w in range(words):
                         s = m if each else 0
@@ -206,7 +207,7 @@ def _see(positions, part, obstacles, landmarks, normals, slack, n, keep, seen):
                             bit = lowest(left)
                             a = w * np.uint64(BITS) + bit
                             left &= left - ONE
-                            lost = not clear and is_blocked(obstacles, sight, p * size + part.place[m, a], ends, name)
+                            lost = not clear and is_blocked(obstacles, tag, p * size + part.place[m, a], ends, name)
                             for i in range(0 if lost else rivals):
                                 one, other = _pose(near, suspects[i]), (lx, ly, lz, nx, ny, nz)
                                 if hides_from(part, m, a, who[suspects[i]], name, px, py, pz, one, other):
