@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Any
 from omegaconf import DictConfig, OmegaConf, open_dict
 
 from .app import choices, run_directory
-from .building import budget_of, build_optimiser, build_problem, camera_of, instantiate, keyed, settings_of
+from .building import budget_of, build_optimiser, build_problem, camera_of
 from .earlier_run import RIG, read_earlier_robot
-from .notes import note
+from .nodes import instantiate, keyed, note, settings_of
 from .operations.signals import Stopped, stop
 from .optimise import checkpoint_of, figure_returned, run_optimiser, tell_how_to_go_on
 from .outputs import all_or_none
@@ -133,7 +133,7 @@ def _write(
     problem: "CameraProblem", rig: "Rig", sources: "dict[Camera, Any]", title: str, tracker: "Tracker", draw: bool
 ) -> None:
     """Write the rig file and the drawing, and log them."""
-    from lmd.plot.body import save_body_figure
+    from lmd.plot.body_drawing import save_body_figure
     from lmd.scene.rig_sources import write_rig
 
     def write(folder: Path) -> None:

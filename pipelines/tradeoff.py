@@ -14,13 +14,13 @@ from typing import TYPE_CHECKING, Any
 from omegaconf import DictConfig, OmegaConf
 
 from .app import run_directory
-from .building import budget_of, build_optimiser, instantiate, keyed, seeds_of
-from .documents import write_document
+from .building import budget_of, build_optimiser, seeds_of
 from .earlier_run import read_earlier_problem
-from .ladder import BUDGET, PAPER, Ladder, figures_of, shares_among
+from .nodes import instantiate, keyed
 from .operations.sweeps.names import slug
+from .outputs import write_document
 from .pipeline import Pipeline
-from .points import Points
+from .points import BUDGET, PAPER, Ladder, Points, figures_of, shares_among
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -125,7 +125,7 @@ def _record(
     from lmd.evaluation.tradeoff import fewest, front, mixtures
     from lmd.evaluation.validation import headline_off_grid
     from lmd.objectives.localisation import Localisation
-    from lmd.plot.tradeoff import Panel, save_tradeoff_figure
+    from lmd.plot.charts import Panel, save_tradeoff_figure
 
     from .tracked_run import keep
 
@@ -178,7 +178,7 @@ def _slug(curve: Any) -> str:
 
 def _told(reached: "pd.DataFrame") -> str:
     """`lmd.evaluation.tradeoff.fewest` for a terminal, a line for each curve."""
-    from lmd.plot.tradeoff import curve_name
+    from lmd.plot.charts import curve_name
 
     lines = []
     for curve, *numbers in reached.reset_index().to_numpy().tolist():

@@ -18,7 +18,8 @@ from lmd.sight.models.fiducial import Fiducial
 from lmd.sight.models.paper import Visibility
 from lmd.space.floor_plan import FloorPlan
 from pipelines.app import CONF
-from pipelines.building import build_problem, instantiate
+from pipelines.building import build_problem
+from pipelines.nodes import instantiate
 
 pytestmark = pytest.mark.long
 

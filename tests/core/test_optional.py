@@ -12,7 +12,7 @@ from processes import call
 
 from lmd.core.checks import InputError
 from lmd.core.optional import EXTRAS, missing_of, optional
-from pipelines.building import instantiate
+from pipelines.nodes import instantiate
 
 ROOT = Path(__file__).parents[2]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
