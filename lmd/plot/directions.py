@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from lmd.core.checks import FloatArray
-from lmd.orientation.estimate import Marginal, PdfEstimate
+from lmd.orientation.procedure import Marginal, PdfEstimate
 from lmd.plot import common
 from lmd.plot.common import new_figure
 from lmd.scene.deployment import Deployment
