@@ -27,9 +27,7 @@ from lmd.objectives.localisation.information import (
     variance,
 )
 from lmd.objectives.localisation.rig_ambiguity import has_one_pose, mirrored_numbers, width_of
-from lmd.scene.criteria import largest
 from lmd.scene.deployment import Deployment
-from lmd.scene.rig import Rig
 from lmd.scene.scene import Scene
 from lmd.sight.models.paper import dot
 from lmd.sight.reference import cap_count, coverage_caps, n_ple_cap, station_caps
@@ -77,7 +75,7 @@ def _seen(
     offset, (right, up) = deployment.positions - position, upright(deployment.normals)
     half = np.reshape(half_of(asked, slice(None)), (-1, 1))  # one, or each tag's
     with np.errstate(all="ignore"):
-        weight = _density(getattr(largest(scene.sight), "lens", None), axes, offset)
+        weight = _density(getattr(scene.sight, "lens", None), axes, offset)
     caps = coverage_caps(scene, deployment, position, axes)
     return caps, (*offset.T, *(half * right).T, *(half * up).T, weight)
 
@@ -107,7 +105,7 @@ def body_information(
             moment = formulas[1](formulas[0](*tags, asked.share), *arm)
             if asks_apart(asked):
                 moment += formulas[3](*tags, _each(asked).square)
-            lens = getattr(largest(scene.visibility.sight(camera)), "lens", None)
+            lens = getattr(scene.visibility.sight(camera), "lens", None)
             weight = gain_of(camera, scene.cameras[0]) * _density(lens, turned, offset)
             shares = [np.where(caps, formulas[2](each, weight), 0.0).sum(axis=1) for each in moment]
         sums[there, : len(shares)] += np.stack(shares, axis=1)
@@ -147,7 +145,7 @@ def _judged(
 ) -> tuple[BoolArray, FloatArray]:
     """Views that meet the precision `asked`, flags, and the variance of the position in each, `(A,)` each."""
     with np.errstate(all="ignore"):
-        if isinstance(scene.camera, Rig):
+        if scene.rig is not None:
             sums, covered = body_information(scene, deployment, asked, position, axes)
             one_pose = n_ple_cap(cap_count(covered), 2) | has_one_pose(asked, sums.T, 0, 1)
             (value, fixed), met = position_variance(sums.T, 0, 1), body_meets(asked, sums.T, 0, 1)
@@ -169,13 +167,13 @@ def localised(
 
 def log_det_of(scene: Scene, sums: FloatArray) -> FloatArray:
     """The `log_det` of the information of views, `(A,)`, of sums `(width, A)` as in `information_of`."""
-    return np.asarray(body_log_det(sums, 0, 1) if isinstance(scene.camera, Rig) else log_det(*sums))
+    return np.asarray(body_log_det(sums, 0, 1) if scene.rig is not None else log_det(*sums))
 
 
 def information_of(
     scene: Scene, deployment: Deployment, asked: Any, position: FloatArray, axes: FloatArray
 ) -> FloatArray:
     """Fisher information of each view, `(width, A)`: `view_information` of a camera, `body_information` of a rig."""
-    if isinstance(scene.camera, Rig):
+    if scene.rig is not None:
         return body_information(scene, deployment, asked, position, axes)[0].T
     return view_information(scene, deployment, asked, position, axes)
