@@ -185,7 +185,6 @@ def camera_of(node: DictConfig) -> "Camera | Rig":
     Raises:
         InputError: a camera or the rig is refused.
     """
-    from lmd.scene.rig import cameras_of
     from lmd.scene.rig_sources import brings_cameras, rig_of
 
     alone = deepcopy(node)
@@ -197,7 +196,7 @@ def camera_of(node: DictConfig) -> "Camera | Rig":
     else:
         with keyed("camera"):
             made = rig_of(mounts, None if brings_cameras(mounts) else instantiate(alone))
-    for camera in cameras_of(made):
+    for camera in made.cameras:
         note(camera.note)
     return made  # type: ignore[no-any-return]
 

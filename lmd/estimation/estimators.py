@@ -9,7 +9,6 @@ from lmd.core.checks import FloatArray
 from lmd.estimation.cramer_rao import cramer_rao_bound, moment_information
 from lmd.estimation.errors import Errors
 from lmd.estimation.recording import Recording
-from lmd.scene.rig import cameras_of, extrinsics_of
 
 
 class Estimator(Protocol):
@@ -41,7 +40,7 @@ class CramerRaoBound:
         relative = recording.noise / largest if largest > 0.0 else np.ones_like(recording.noise)
         runs, corners = [], 1 if recording.tags is None else 4
         cameras, count = recording.seen_by.shape[2:]
-        body = cameras_of(recording.camera), extrinsics_of(recording.camera)
+        body = recording.camera.cameras, recording.camera.extrinsics
         for s, poses in enumerate(recording.poses):
             points = (recording.landmarks if recording.tags is None else recording.tags)[s, :count].reshape(-1, 3)
             seen = np.moveaxis(recording.seen_by[s], 1, 0).repeat(corners, axis=-1)

@@ -12,7 +12,6 @@ from lmd.geometry.lens import EQUIDISTANT
 from lmd.geometry.projection import bearings, depth_in_focus, project, slope
 from lmd.geometry.se3 import act, inverse
 from lmd.scene.deployment import Deployment
-from lmd.scene.rig import extrinsics_of
 
 
 @dataclass(frozen=True)
@@ -44,7 +43,7 @@ class Detector:
         """See `Sensor.observed`; a landmark is visible as the scene's visibility model says."""
         if self.pixel_noise > 0.0:
             check_images(flights)
-        return [joined(list(map(self._observed, f.looks())), extrinsics_of(f.camera)) for f in flights]
+        return [joined(list(map(self._observed, f.looks())), f.camera.extrinsics) for f in flights]
 
     def tags(self, deployment: Deployment) -> None:
         """See `Sensor.tags`."""

@@ -18,7 +18,6 @@ from lmd.geometry.projection import bearings, intrinsics, project, slope
 from lmd.geometry.se3 import skew
 from lmd.geometry.squares import CORNERS, corners
 from lmd.scene.deployment import Deployment
-from lmd.scene.rig import extrinsics_of
 from lmd.scene.tag import Tag
 
 
@@ -50,7 +49,7 @@ class TagDetector:
     def observed(self, flights: Sequence[Flight], each: Each = map) -> list[Observation]:
         """See `Sensor.observed`; a tag is visible as the scene's visibility model says."""
         check_images(flights)
-        return [joined(list(map(self._observed, f.looks())), extrinsics_of(f.camera)) for f in flights]
+        return [joined(list(map(self._observed, f.looks())), f.camera.extrinsics) for f in flights]
 
     def tags(self, deployment: Deployment) -> FloatArray:
         """See `Sensor.tags`."""

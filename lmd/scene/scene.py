@@ -12,7 +12,7 @@ from lmd.core.memory import check_views
 from lmd.geometry.camera import Camera
 from lmd.scene.pdf import OrientationPdf, Orientations
 from lmd.scene.plates import Plates
-from lmd.scene.rig import Rig, Station, cameras_of, extrinsics_of, rig_of
+from lmd.scene.rig import Rig, Station, rig_of
 from lmd.scene.tag import Tag
 from lmd.space.space import Space
 
@@ -117,12 +117,12 @@ class Scene:
     @property
     def cameras(self) -> tuple[Camera, ...]:
         """The camera, or those of the rig."""
-        return cameras_of(self.camera)
+        return self.camera.cameras
 
     @property
     def extrinsics(self) -> FloatArray:
-        """See `extrinsics_of`."""
-        return extrinsics_of(self.camera)
+        """Poses of the cameras in the frame that moves, `(C, 4, 4)`: that of the rig's body, or of the only camera."""
+        return self.camera.extrinsics
 
     def single_camera(self, what: str) -> Camera:
         """The only camera, for what does not know of rigs.
