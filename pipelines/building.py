@@ -46,7 +46,7 @@ class Parts(NamedTuple):
         """A deployment of the problem."""
         import numpy as np
 
-        return self.scene.plates.draw(self.start, np.random.default_rng(seed), self.fixed)
+        return self.scene.footprints.draw(self.start, np.random.default_rng(seed), self.fixed)
 
 
 def build_problem(cfg: DictConfig, count: str = "deployment.count") -> "Problem":
@@ -93,12 +93,12 @@ def build_parts(cfg: DictConfig, count: str = "deployment.count") -> Parts:
     start = instantiate(others_of(cfg.deployment, fixed, total))
     # The problem checks these too, but its messages cannot name the key.
     with keyed("tag"):
-        scene.plates.hanging.surfaces()
+        scene.footprints.hanging.surfaces()
     with keyed("room.relevance"):
         scene.room.relevance.weights(scene.room.grid())
     with names():
         if fixed is not None:
-            fixed = scene.plates.hung(fixed, start)
+            fixed = scene.footprints.hung(fixed, start)
         if isinstance(start, partial):  # a source that depends on the objective
             extra = {} if fixed is None else {"fixed": fixed}
             start = start(scene=scene, objective=objective, threads=threads, **extra)

@@ -58,7 +58,7 @@ class Changed:
 
 
 class Inset(Changed):
-    """A room whose surfaces end before their edges, as by half a plate for the centres of plates.
+    """A room whose surfaces end before their edges, as by half a footprint for the centres of footprints.
 
     Those of `surfaces_of`, `surface_near` and `faces` stay the room's, to their edges.
 
