@@ -62,7 +62,7 @@ def overlaps(deployment, room, edge):
 
 @examples(60)
 @given(room=rooms(), edge=st.floats(0.02, 0.5), count=st.integers(1, 30), seed=seeds)
-def test_plates_are_pushed_apart_or_there_is_no_room(room, edge, count, seed):
+def test_footprints_are_pushed_apart_or_there_is_no_room(room, edge, count, seed):
     footprints, rng = Footprints(room, Tag(edge, quiet_zone=0.0)), np.random.default_rng(seed)
     drawn = RandomDeployment(count).draw(footprints.hanging, rng)
     apart = footprints.apart(drawn)
@@ -84,7 +84,7 @@ def test_plates_are_pushed_apart_or_there_is_no_room(room, edge, count, seed):
     fixed=st.integers(0, 3),
     seed=seeds,
 )
-def test_plates_of_several_sizes_are_pushed_apart(room, edges, count, fixed, seed):
+def test_footprints_of_several_sizes_are_pushed_apart(room, edges, count, fixed, seed):
     footprints = Footprints(room, Tag(0.3, quiet_zone=0.5, edges=edges))
     drawn = RandomDeployment(count).draw(footprints.hanging, np.random.default_rng(seed), footprints.tag)
     papers = footprints.papers(drawn)
