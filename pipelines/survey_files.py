@@ -113,7 +113,7 @@ def audit_writers(audit: "Audit", detector: str, title: str) -> dict[str, Callab
     """Functions that write the files of an audit, by their names."""
     import pandas as pd
 
-    from lmd.detection.report import figures
+    from lmd.detection.comparison import figures
     from lmd.plot.detection import save_calibration_figure, save_places_figure
 
     named = {"deployment": "survey", "detector": detector}

@@ -10,10 +10,9 @@ import pandas as pd
 
 from lmd.core.checks import BoolArray, FloatArray
 from lmd.core.optional import optional
-from lmd.detection.calibration import Calibration
+from lmd.detection.calibration import DetectorCalibration, predicted_views
+from lmd.detection.comparison import PLACES
 from lmd.detection.evaluation import TAG_NUMBERS
-from lmd.detection.fit import foretold
-from lmd.detection.report import PLACES
 from lmd.plot.common import literal, new_figure, shrink
 from lmd.render.imaging import UInt8Array
 
@@ -33,7 +32,7 @@ def save_calibration_figure(path: str | Path, figures: pd.DataFrame, pitches: pd
     """Write a PNG: for each deployment P(>= n) predicted and detected, and below it both shares of tags by their pitch.
 
     Args:
-        figures: rows of `lmd.detection.report.figures` with the columns `deployment` and `detector`.
+        figures: rows of `lmd.detection.comparison.figures` with the columns `deployment` and `detector`.
         pitches: those of `by_pitch`, with the same columns.
     """
     names, detectors = list(figures.deployment.unique()), list(figures.detector.unique())
@@ -73,7 +72,7 @@ def save_places_figure(path: str | Path, places: pd.DataFrame, title: str) -> No
     """Write a PNG: the shares of tags that were predicted and detected, by where they are in the image.
 
     Args:
-        places: of `lmd.detection.report.by_place`.
+        places: of `lmd.detection.comparison.by_place`.
     """
     figure = new_figure((12.0, 4.6), title)
     panels: Any = figure.subplots(1, 2)
@@ -91,7 +90,7 @@ def save_places_figure(path: str | Path, places: pd.DataFrame, title: str) -> No
     figure.savefig(path)
 
 
-def save_limits_figure(path: str | Path, calibrations: Mapping[str, Calibration], title: str) -> None:
+def save_limits_figure(path: str | Path, calibrations: Mapping[str, DetectorCalibration], title: str) -> None:
     """Write a PNG: for each detector which views it found, by pitch and blur, and how often by size over its limit.
 
     Args:
@@ -102,7 +101,7 @@ def save_limits_figure(path: str | Path, calibrations: Mapping[str, Calibration]
     for (left, right), (name, calibration) in zip(panels, calibrations.items(), strict=True):
         views, limits = calibration.views, calibration.fit.limits
         facing = replace(limits, pitch=0.0, blur=0.0, edge=0.0)  # and in the image
-        shown = foretold(views, facing, calibration.fit.circles)
+        shown = predicted_views(views, facing, calibration.fit.circles)
         fair = shown & (views.edge >= limits.edge)
         for which, colour, label in ((views.seen, "C0", "found"), (~views.seen, "C3", "not found")):
             chosen = fair & which

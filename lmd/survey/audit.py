@@ -8,10 +8,9 @@ import numpy as np
 import pandas as pd
 
 from lmd.core.checks import BoolArray, FloatArray
-from lmd.detection.evaluation import CORNER_TOLERANCE, precision_recall
-from lmd.detection.frames import Sightings, tagged_room
-from lmd.detection.prediction import Predicted, Prediction, RigPrediction
-from lmd.detection.report import PITCHES, by_incidence, by_pitch, by_place, by_tag
+from lmd.detection.comparison import PITCHES, CameraPrediction, Prediction, by_incidence, by_pitch, by_place, by_tag
+from lmd.detection.evaluation import CORNER_TOLERANCE, Matches, precision_recall
+from lmd.detection.frames import tagged_room
 from lmd.geometry.camera import Camera
 from lmd.geometry.se3 import pose_of
 from lmd.render.renderer import Renderer
@@ -43,8 +42,8 @@ class Audit:
         seen: what was detected; false are detections that do not show a tag where it hangs.
     """
 
-    prediction: Predicted
-    seen: Sightings
+    prediction: Prediction
+    seen: Matches
 
     @cached_property
     def expected(self) -> FloatArray:
@@ -153,9 +152,8 @@ def audited(survey: Survey, scene: Scene, verdicts: Verdicts) -> Audit:
     for camera, mount, taken in zip(scene.cameras, mounts, survey.detected.images[found.frames].T, strict=True):
         poses = bodies @ mount
         seen = visible_through(scene, camera, tags, poses) & taken[:, None]
-        parts.append(Prediction(Renderer(camera, room), poses, seen, verdicts(scene, tags, poses, camera), taken))
-    prediction = parts[0] if len(parts) == 1 else RigPrediction(tuple(parts), mounts, bodies)
-    return Audit(prediction, Sightings.beside(seen_of(survey)))
+        parts.append(CameraPrediction(Renderer(camera, room), poses, seen, verdicts(scene, tags, poses, camera), taken))
+    return Audit(Prediction(tuple(parts), mounts, bodies), Matches.beside(seen_of(survey)))
 
 
 def in_the_open(survey: Survey, scene: Scene) -> tuple[Survey, Scene]:
@@ -177,7 +175,7 @@ def in_the_open(survey: Survey, scene: Scene) -> tuple[Survey, Scene]:
     return replace(survey, found=found.moved(pose_of(turn, -low))), replace(scene, room=room)
 
 
-def seen_of(survey: Survey) -> list[Sightings]:
+def seen_of(survey: Survey) -> list[Matches]:
     """The detections of tags of the map in its frames, by each camera.
 
     A detection shows a tag if its corners are `CORNER_TOLERANCE` or less from where it hangs (root mean square), also
@@ -201,5 +199,5 @@ def seen_of(survey: Survey) -> list[Sightings]:
         at = frame[some.frame[right]], tag[some.tag[right]]
         detected[at], corners[at] = True, some.image[right]
         wrong = own & found.misfits & (frame[some.frame] >= 0) & (off > CORNER_TOLERANCE)
-        each.append(Sightings(detected, corners, np.bincount(frame[some.frame[wrong]], minlength=len(detected))))
+        each.append(Matches(detected, corners, np.bincount(frame[some.frame[wrong]], minlength=len(detected))))
     return each

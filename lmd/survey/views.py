@@ -7,7 +7,7 @@ from numpy.typing import ArrayLike
 
 from lmd.core.checks import BoolArray, FloatArray, IntArray
 from lmd.detection.frames import overlapping, qualities
-from lmd.detection.surveyed import CAMERA, COLUMNS, FRAME
+from lmd.detection.views import CAMERA, COLUMNS, FRAME
 from lmd.geometry.camera import Camera
 from lmd.geometry.projection import image_size, intrinsics, to_camera
 from lmd.render.imaging import Imaging
@@ -26,7 +26,7 @@ WHOLE_NUMBERS = (CAMERA, "id", "seen")
 def view_columns(survey: Survey, cameras: Sequence[Camera], tag: Tag, room: Space | None) -> dict[str, ArrayLike]:
     """The columns of `in_view.csv`: a row for each tag that has all its corners in an image and faces the camera.
 
-    Those that lie over others, or behind what stands in the room, are left out. See `lmd.detection.surveyed`.
+    Those that lie over others, or behind what stands in the room, are left out. See `lmd.detection.views`.
 
     Args:
         cameras: that took the images.
