@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from lmd.scene.scene import Scene
     from lmd.scene.tag import Tag
     from lmd.space.space import Space
-    from lmd.survey.survey import Known
+    from lmd.survey.prior import Known
 
     from .progress import Stages
 
@@ -41,14 +41,13 @@ def survey(cfg: DictConfig) -> None:
     from lmd.detection.views import FILE as VIEWS
     from lmd.evaluation.verdicts import verdicts
     from lmd.scene.rig import Rig
-    from lmd.survey.audit import audited, in_the_open
-    from lmd.survey.every import thinned
+    from lmd.survey.audit import audited, in_the_open, view_columns
+    from lmd.survey.keyframes import select_keyframes
     from lmd.survey.next_photographs import next_photographs
-    from lmd.survey.report import again, map_of, metrics
-    from lmd.survey.stages import Stage
+    from lmd.survey.results import map_of, metrics, needing_photographs
+    from lmd.survey.summary import to_text
+    from lmd.survey.survey import Stage
     from lmd.survey.survey import survey as find
-    from lmd.survey.views import view_columns
-    from lmd.survey.words import to_text
 
     from .progress import Stages
     from .tracked_run import keep, tracked
@@ -80,10 +79,10 @@ def survey(cfg: DictConfig) -> None:
                 cameras="camera",
                 fixed="deployment.fixed",
             ):
-                found = find(thinned(found_tags, every), cameras, tag, errors, known, calibrate, stages)
+                found = find(select_keyframes(found_tags, every), cameras, tag, errors, known, calibrate, stages)
             through = tuple(one.found for one in found.calibrated)
             if not stages(Stage.PROPOSING):
-                proposed = next_photographs(found, through[0], tag.modules, errors, again(found), room)
+                proposed = next_photographs(found, through[0], tag.modules, errors, needing_photographs(found), room)
                 found = replace(found, proposed=proposed)
             if scene is not None and not stages(Stage.AUDITING):
                 audit = audited(*((found, scene) if room is not None else in_the_open(found, scene)), verdicts)
@@ -167,8 +166,7 @@ def _known(cfg: DictConfig, tag: "Tag", given: "Camera | Rig") -> "Known":
     from lmd.scene.rig import Rig
     from lmd.scene.tag_map_files import read_deployment
     from lmd.survey.boards import Boards
-    from lmd.survey.known import Hanging, Points
-    from lmd.survey.survey import Known
+    from lmd.survey.prior import Hanging, Known, Points
 
     settings = OmegaConf.to_container(settings_of(cfg, "survey"), resolve=True)
     assert isinstance(settings, dict)

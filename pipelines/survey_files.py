@@ -84,12 +84,12 @@ def writers_of(
     from lmd.mapping.tag_map import write_yaml
     from lmd.plot.survey import save_survey_figure
     from lmd.survey.intrinsics import camera_info
-    from lmd.survey.report import document, frame_columns, map_columns, measured_of
+    from lmd.survey.results import frame_columns, map_columns, measured_of, survey_document
 
     writers: dict[str, Callable[[Path], object]] = {
         "map.csv": lambda path: write_table(path, map_columns(found)),
         "frames.csv": lambda path: write_table(path, frame_columns(found)),
-        DOCUMENT: lambda path: write_document(path, document(found)),
+        DOCUMENT: lambda path: write_document(path, survey_document(found)),
         "survey.png": lambda path: save_survey_figure(path, found, room, title),
     }
     if (measured := measured_of(found)) is not None:

@@ -8,7 +8,7 @@ import numpy as np
 from lmd.core.checks import FloatArray
 from lmd.plot.common import LANDMARK, PARTS, literal, new_figure, shrink
 from lmd.space.space import Space
-from lmd.survey.report import tag_columns
+from lmd.survey.results import tag_columns
 from lmd.survey.survey import Survey
 
 PLANNED, UNSEEN, PROPOSED = "#9e9e9e", "#ff7f0e", "#2ca02c"
@@ -48,7 +48,7 @@ def _draw_above(axes: Any, survey: Survey, room: Space | None) -> None:
     tags = survey.found.poses.tags
     axes.plot(*_edges(tags[placed], survey.found.sightings.edges[placed]), color=LANDMARK, linewidth=2.0, zorder=3)
     size = np.ptp(tags[placed][:, :2, 3], axis=0).max(initial=1.0)
-    covariances = survey.found.in_world(survey.found.precisions)
+    covariances = survey.found.in_world(survey.found.gauge_free_covariances)
     sigma = 1e3 * np.nanmedian(np.sqrt(covariances[placed][:, 0, 0] + covariances[placed][:, 1, 1]))
     scale = ARROW_SHARE * size
     if planned is not None:
@@ -106,7 +106,7 @@ def _draw_offsets(axes: Any, survey: Survey) -> None:
     there = np.flatnonzero(np.isfinite(offset[:, 0]))
     dots = axes.scatter(*offset[there, :2].T, c=offset[there, 2], cmap="coolwarm", s=28, zorder=3)
     for k in there:
-        ellipse = 1e3 * _ellipse(survey.found.precisions[k, 3:5, 3:5])
+        ellipse = 1e3 * _ellipse(survey.found.gauge_free_covariances[k, 3:5, 3:5])
         axes.plot(*(offset[k, :2, None] + ellipse), color="0.5", linewidth=0.6, zorder=2)
     for k in there[np.argsort(-np.linalg.norm(offset[there], axis=1))][:MOST_NAMED]:
         axes.annotate(f" {survey.ids[k]}", offset[k, :2], fontsize=9)

@@ -1,4 +1,4 @@
-"""Tables, figures and a document of what a survey found; `lmd.survey.words` has it in words."""
+"""Tables, figures and the JSON document of a survey; `lmd.survey.summary` has its text."""
 
 from typing import Any
 
@@ -11,17 +11,17 @@ from lmd.scene.deployment import COLUMNS, UP_COLUMNS, Deployment
 from lmd.scene.edges import EDGE, with_gaps
 from lmd.scene.labels import ID, Labels
 from lmd.scene.surveyed import Surveyed
-from lmd.survey.residuals import errors_at
+from lmd.survey.residuals import squared_errors
 from lmd.survey.survey import Survey
 
-SIGHTINGS = "sightings"  # the column that says how many place a tag
+SIGHTINGS = "sightings"  # column of the number of inliers of a tag
 AXES = ("x", "y", "z", "rx", "ry", "rz")
-# A tag of the map needs another photograph if fewer sightings place it, or it is so many times worse known than most.
+# A tag of the map needs another photograph below this number of inliers, or above this multiple of the median sigma.
 FEW, LOOSE = 3, 3.0
 
 
 def map_of(survey: Survey) -> Deployment:
-    """The tags of the map as they hang, with the edge of each and how many sightings place it."""
+    """Tags of the map as they hang, with their edges and numbers of inliers."""
     found, chosen = survey.found, np.flatnonzero(survey.placed)
     edges = np.array([float(f"{edge:.6g}") for edge in found.sightings.edges[chosen]])
     labels = Labels(survey.ids[chosen], {SIGHTINGS: [str(count) for count in survey.used[chosen]]})
@@ -32,14 +32,14 @@ def map_of(survey: Survey) -> Deployment:
 
 
 def measured_of(survey: Survey) -> Deployment | None:
-    """The tags of the plan, in its order, as measured, or as planned if not placed; None without a plan."""
+    """Tags of the plan, in its order, as measured, or as planned if not placed; None without a plan."""
     plan = survey.known.plan
     if plan is None:
         return None
     found = map_of(survey)
     assert found.edges is not None
-    place = {number: k for k, number in enumerate(found.ids.tolist())}
-    own = np.array([place.get(number, -1) for number in plan.ids.tolist()])
+    index = {number: k for k, number in enumerate(found.ids.tolist())}
+    own = np.array([index.get(number, -1) for number in plan.ids.tolist()])
     there = own >= 0
 
     def either(measured: FloatArray, planned: FloatArray) -> FloatArray:
@@ -54,7 +54,7 @@ def measured_of(survey: Survey) -> Deployment | None:
 
 
 def map_columns(survey: Survey) -> dict[str, ArrayLike]:
-    """The columns of `map.csv`: tags, and covariances of their positions (m^2) and turns (rad^2) in the world frame."""
+    """Columns of `map.csv`: tags, and covariances of positions, m^2, and rotations, rad^2, in the world frame."""
     tags = map_of(survey)
     vectors = np.hstack([tags.places, tags.normals, tags.ups])
     covariances = survey.found.in_world(survey.found.covariances)[survey.placed]
@@ -66,9 +66,9 @@ def map_columns(survey: Survey) -> dict[str, ArrayLike]:
 
 
 def frame_columns(survey: Survey) -> dict[str, ArrayLike]:
-    """Where each frame of the map was taken: the pose of the body, which is the first camera, and its tags.
+    """Columns of `frames.csv`: pose of the body, which is the first camera, in each frame, and its number of tags.
 
-    Quaternions turn the camera's frame (x right, y down, z the optical axis) to the world's.
+    Quaternions rotate the camera's frame (x right, y down, z the optical axis) to the world's.
     """
     from scipy.spatial.transform import Rotation
 
@@ -81,20 +81,14 @@ def frame_columns(survey: Survey) -> dict[str, ArrayLike]:
     return {"time": times, **dict(zip(ROW, rows.T, strict=True)), "tags": counts[used]}
 
 
-def _differs(survey: Survey) -> float:
-    """The median distance of tags from where a map of another such walk would have them, metres; NaN if unknown."""
-    square = 2.0 * np.trace(survey.found.precisions[survey.placed][:, 3:, 3:], axis1=1, axis2=2)
-    return float(np.sqrt(np.median(square))) if square.size else np.nan
-
-
 def tag_columns(survey: Survey) -> dict[str, ArrayLike]:
-    """Of every tag what became of it, how often and how well it was seen, and how it hangs beside its plan.
+    """State of every tag, its numbers of sightings, errors, and displacement from its plan.
 
-    `error` is the median of its reprojection errors, pixels, `sigma` that of `Estimate.sigmas`; `right`, `up` and `out`
-    are metres in the tag's frame, `tilt_x`, `tilt_y` and `turn` rad about its axes.
+    `error` is the median of its reprojection errors, pixels, `sigma` see `Estimate.sigmas`; `right`, `up` and `out` are
+    metres in the tag's frame, `tilt_x`, `tilt_y` and `turn` rad about its axes.
     """
     found, owner = survey.found, survey.found.sightings.tag
-    error = np.sqrt(errors_at(found.sightings, found.poses) / 4.0)
+    error = np.sqrt(squared_errors(found.sightings, found.poses) / 4.0)
     own = [error[found.used & (owner == k)] for k in range(len(survey.ids))]
     moved = np.full((len(survey.ids), 6), np.nan)
     if (planned := survey.planned) is not None:
@@ -102,18 +96,18 @@ def tag_columns(survey: Survey) -> dict[str, ArrayLike]:
         moved[both] = log(inverse(planned[both]) @ found.poses.tags[both])
     return {
         ID: survey.ids,
-        "state": [state_of(survey, k) for k in range(len(survey.ids))],
-        "seen": np.bincount(owner, minlength=len(survey.ids)),
+        "state": [_tag_state(survey, k) for k in range(len(survey.ids))],
+        "seen": found.sightings.counts(),
         SIGHTINGS: survey.used,
-        "misfits": np.bincount(owner[found.misfits], minlength=len(survey.ids)),
+        "misfits": found.sightings.counts(found.misfits),
         "error": [np.median(errors) if errors.size else np.nan for errors in own],
-        "sigma": np.where(survey.placed, survey.found.sigmas, np.nan),
+        "sigma": np.where(survey.placed, found.sigmas, np.nan),
         **dict(zip(("tilt_x", "tilt_y", "turn", "right", "up", "out"), moved.T, strict=True)),
     }
 
 
-def state_of(survey: Survey, k: int) -> str:
-    """What became of a tag, in words."""
+def _tag_state(survey: Survey, k: int) -> str:
+    """State of the tag of index k, in words."""
     if survey.placed[k]:
         return "placed"
     seen = np.count_nonzero(survey.found.sightings.tag == k)
@@ -128,8 +122,8 @@ def state_of(survey: Survey, k: int) -> str:
     return "seen once" if seen == 1 else "not placed"
 
 
-def again(survey: Survey) -> IntArray:
-    """The tags that need another photograph, by their index: those that are not placed, and those known worst."""
+def needing_photographs(survey: Survey) -> IntArray:
+    """Indices of the tags that need another photograph: those not placed, and those with the largest sigma."""
     sigma = survey.found.sigmas
     known = sigma[survey.placed]
     loose = sigma > LOOSE * np.median(known) if known.size else np.zeros(len(sigma), dtype=bool)
@@ -138,9 +132,12 @@ def again(survey: Survey) -> IntArray:
 
 
 def metrics(survey: Survey) -> dict[str, float]:
-    """The figures by name: metres, pixels, counts."""
+    """Figures by name: metres, pixels, counts.
+
+    `differs` is the expected median distance of tags between two maps of walks like this one.
+    """
     found = survey.found
-    own = survey.found.sigmas[survey.placed]
+    square = 2.0 * np.trace(found.gauge_free_covariances[survey.placed][:, 3:, 3:], axis1=1, axis2=2)
     figures = {
         "tags": float(survey.placed.sum()),
         "frames": float(len(found.frames)),
@@ -149,12 +146,11 @@ def metrics(survey: Survey) -> dict[str, float]:
         "corner_floor": found.floor,
         "tag_shape": found.sightings.shape_sigma,
         "inflation": found.inflation,
-        "differs": _differs(survey),
-        **_quantiles("sigma", own),
+        "differs": float(np.sqrt(np.median(square))) if square.size else np.nan,
+        **_quantiles("sigma", found.sigmas[survey.placed]),
         **_quantiles("error", found.errors()),
     }
-    planned = survey.planned
-    if planned is not None:
+    if (planned := survey.planned) is not None:
         away = np.linalg.norm((found.poses.tags - planned)[survey.placed][:, :3, 3], axis=1)
         figures |= _quantiles("moved", away[np.isfinite(away)])
     for name, frames in survey.localised.items():
@@ -164,15 +160,15 @@ def metrics(survey: Survey) -> dict[str, float]:
 
 
 def _quantiles(name: str, values: FloatArray) -> dict[str, float]:
+    """Median and 90 % quantile; empty without values."""
     if not values.size:
         return {}
     return {f"{name}/{share}": float(np.quantile(values, share / 100.0)) for share in (50, 90)}
 
 
-def document(survey: Survey) -> dict[str, Any]:
-    """What `survey.json` holds."""
-    found, times, columns = survey.found, survey.detected.times, tag_columns(survey)
-    mounts = zip(survey.detected.cameras, found.poses.mounts.tolist(), strict=True)
+def survey_document(survey: Survey) -> dict[str, Any]:
+    """Content of `survey.json`."""
+    found, ids, times, columns = survey.found, survey.ids, survey.detected.times, tag_columns(survey)
     return {
         "figures": metrics(survey),
         "interrupted": None if survey.interrupted is None else survey.interrupted.value,
@@ -181,23 +177,23 @@ def document(survey: Survey) -> dict[str, Any]:
         "copies": dict(survey.detected.copies),
         "left_out": list(survey.detected.left_out),
         "used_frames": [times[frame] for frame in found.frames.tolist()],
-        "cameras": dict(mounts),
+        "cameras": dict(zip(survey.detected.cameras, found.poses.mounts.tolist(), strict=True)),
         "intrinsics": [camera.document() for camera in survey.calibrated],
-        "motion": motion_of(survey),
-        "groups": [survey.ids[found.group == g].tolist() for g in range(1, found.group.max(initial=0) + 1)],
-        "another_photograph": survey.ids[again(survey)].tolist(),
+        "motion": _motion_document(survey),
+        "groups": [ids[found.group == g].tolist() for g in range(1, found.group.max(initial=0) + 1)],
+        "another_photograph": ids[needing_photographs(survey)].tolist(),
         "next_photographs": [
             {
                 "position": photograph.pose[:3, 3].tolist(),
                 "direction": photograph.pose[:3, 2].tolist(),
-                "tags": survey.ids[photograph.tags].tolist(),
+                "tags": ids[photograph.tags].tolist(),
                 "sigma": photograph.left,
             }
             for photograph in survey.proposed
         ],
         "second_places": [
             {
-                ID: int(survey.ids[place.tag]),
+                ID: int(ids[place.tag]),
                 "pose": place.pose.tolist(),
                 SIGHTINGS: place.sightings,
                 "moved_from": None if place.moved is None else times[place.moved],
@@ -205,29 +201,29 @@ def document(survey: Survey) -> dict[str, Any]:
             }
             for place in survey.faults.second_places
         ],
-        "sizes": {str(survey.ids[tag]): edge for tag, edge in survey.faults.sizes.items()},
-        "misread": {str(survey.ids[k]): int(survey.faults.misread[k]) for k in np.flatnonzero(survey.faults.misread)},
+        "sizes": {str(ids[tag]): edge for tag, edge in survey.faults.sizes.items()},
+        "misread": {str(ids[k]): int(survey.faults.misread[k]) for k in np.flatnonzero(survey.faults.misread)},
         "tags": [dict(zip(columns, row, strict=True)) for row in zip(*map(_plain, columns.values()), strict=True)],
     }
 
 
-def motion_of(survey: Survey) -> dict[str, Any] | None:
-    """The part of `survey.json` on the motion between frames; None without."""
+def _motion_document(survey: Survey) -> dict[str, Any] | None:
+    """Entry of `survey.json` on the motion between frames; None without."""
     motion, joined = survey.found.prior.motion, survey.joined
     if motion is None:
         return None
     turn, place = motion.spread
     groups = joined.group if joined is not None else np.full(len(survey.ids), -1)
     return {
-        "by": "constant velocity" if motion.path is None else "odometry",
+        "by": "odometry" if motion.is_odometry else "constant velocity",
         "turn": turn,
         "place": place,
-        "longest": motion.longest if motion.path is None else None,
+        "longest": None if motion.is_odometry else motion.longest,
         "joined": [survey.ids[groups == g].tolist() for g in range(groups.max(initial=-1) + 1)],
         "sigma": [] if joined is None else joined.sigma.tolist(),
     }
 
 
 def _plain(values: ArrayLike) -> list[Any]:
-    """Values as JSON has them: null for NaN."""
+    """Values for JSON: null for NaN."""
     return [None if value != value else value for value in np.asarray(values).tolist()]

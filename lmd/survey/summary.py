@@ -1,20 +1,20 @@
-"""A survey in words, for a terminal."""
+"""Text of a survey for a terminal."""
 
 from functools import partial
 
 import numpy as np
 
 from lmd.core.words import few
-from lmd.survey.report import again, metrics, tag_columns
+from lmd.survey.results import metrics, needing_photographs, tag_columns
 from lmd.survey.survey import Survey
 
-NOTICED = 0.01  # pixels
+NOTICED = 0.01  # minimum floor of corners that is shown, pixels
 TURNS = ("a quarter turn clockwise", "half a turn", "a quarter turn counter-clockwise")
-_few = partial(few, most=12)  # tags that a terminal names
+_few = partial(few, most=12)  # lists 12 tags at most
 
 
 def to_text(survey: Survey) -> str:
-    """The lines that a terminal shows."""
+    """Lines for a terminal."""
     figures, found = metrics(survey), survey.found
     expected = int((survey.placed | survey.loose | np.isin(survey.ids, survey.known.ids)).sum())
 
@@ -66,13 +66,13 @@ def to_text(survey: Survey) -> str:
 
 
 def _motion(survey: Survey) -> dict[str, str]:
-    """Lines on the motion between frames, and on what it has joined."""
+    """Lines on the motion between frames and on the groups that it joins."""
     motion, joined = survey.found.prior.motion, survey.joined
     if motion is None:
         return {}
     turn, place = (1e3 * spread for spread in motion.spread)
-    by = "it" if motion.path is not None else "motion"
-    if motion.path is not None:
+    by = "it" if motion.is_odometry else "motion"
+    if motion.is_odometry:
         lines = {"odometry": f"drifts {place:.2g} mm and {turn:.2g} mrad within a metre, as the drive tells"}
     else:
         changes = f"the velocity changes by {place:.2g} mm/s and {turn:.2g} mrad/s within a second, as the drive tells"
@@ -85,23 +85,21 @@ def _motion(survey: Survey) -> dict[str, str]:
 
 
 def _troubles(survey: Survey) -> dict[str, str]:
-    """Lines on what somebody should look at; empty texts where there is nothing."""
+    """Lines on faults and missing photographs; empty texts without any."""
     ids, times, faults, state = survey.ids.tolist(), survey.detected.times, survey.faults, tag_columns(survey)["state"]
     by_state: dict[str, list[int]] = {}
     for number, text in zip(ids, np.asarray(state).tolist(), strict=True):
         by_state.setdefault(text, []).append(number)
     sigma = survey.found.sigmas
-    unplanned = (
-        [] if survey.known.plan is None else survey.ids[survey.placed & ~np.isin(survey.ids, survey.known.ids)].tolist()
-    )
+    unplanned = survey.placed & ~np.isin(survey.ids, survey.known.ids) & (survey.known.plan is not None)
     moved = [place for place in faults.second_places if place.moved is not None]
     copies = survey.detected.copies
-    worst = [f"{ids[k]} ({1e3 * sigma[k]:.2g} mm)" for k in again(survey) if survey.placed[k]]
+    worst = [f"{ids[k]} ({1e3 * sigma[k]:.2g} mm)" for k in needing_photographs(survey) if survey.placed[k]]
     return {
         **{text: _few(numbers) for text, numbers in by_state.items() if text != "placed"},
         "turned": _turned(survey),
         "fixed": _off_fixed(survey),
-        "not planned": _few(unplanned),
+        "not planned": _few(survey.ids[unplanned].tolist()),
         "moved": _few(f"{ids[place.tag]} from {times[place.moved or 0]} on" for place in moved),
         "twice": _few(ids[place.tag] for place in faults.second_places if place.moved is None),
         "other size": _few(f"{ids[tag]} ({1e3 * edge:.4g} mm)" for tag, edge in faults.sizes.items()),
@@ -115,7 +113,7 @@ def _troubles(survey: Survey) -> dict[str, str]:
 
 
 def _turned(survey: Survey) -> str:
-    """The tags that are turned beside their plan, by how much, and what was made of that."""
+    """Tags that are turned beside their plan, and the treatment of their turns."""
     turns = survey.turns
     shown = np.bincount(survey.found.sightings.tag, minlength=len(survey.ids)) > 0
     hung = np.where(turns.hung, turns.hung, turns.on_sheets)
@@ -129,7 +127,7 @@ def _turned(survey: Survey) -> str:
 
 
 def _off_fixed(survey: Survey) -> str:
-    """Distances of tags in photographs from where they are fixed."""
+    """Errors of fixed tags."""
     away = zip(survey.ids.tolist(), survey.off_fixed.tolist(), strict=True)
     texts = [
         f"{number} ({f'{1e3 * metres:.2g} mm' if metres == metres else f'{np.degrees(rad):.2g} degrees'})"
