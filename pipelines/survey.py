@@ -1,4 +1,4 @@
-"""Where tags hang, from photographs of them: `python -m pipelines.survey run=DIR photographs=DIR camera.path=FILE`."""
+"""Map tags from photographs of them: `python -m pipelines.survey run=DIR photographs=DIR camera.path=FILE`."""
 
 import sys
 from collections.abc import Iterator
@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 
 
 def survey(cfg: DictConfig) -> None:
-    """Find where the tags of the configured photographs or detections hang."""
+    """Estimate the map of the tags in the configured photographs or detections."""
     from lmd.core.checks import InputError, boolean, integer, seed_number
     from lmd.core.tables import write_table
     from lmd.detection.corner_errors import CORNER_ERRORS
@@ -108,7 +108,7 @@ def survey(cfg: DictConfig) -> None:
 
 @contextmanager
 def _map_or_nothing(stages: "Stages") -> Iterator[None]:
-    """Say that nothing is written, and leave nothing, where a survey is told to stop at once."""
+    """Leave no folder, and say so, if the survey is stopped before there is a map."""
     try:
         yield
     except Stopped:
@@ -118,10 +118,10 @@ def _map_or_nothing(stages: "Stages") -> Iterator[None]:
 
 
 def _detector(cfg: DictConfig) -> "tuple[str, Detector]":
-    """The detector and its name.
+    """Name of the detector, and the detector.
 
     Raises:
-        InputError: there is not just one.
+        InputError: there is no detector, several, or one without known corner errors.
     """
     from lmd.core.checks import InputError
     from lmd.detection.corner_errors import CORNER_ERRORS
@@ -137,10 +137,10 @@ def _detector(cfg: DictConfig) -> "tuple[str, Detector]":
 
 
 def _scene(cfg: DictConfig, room: "Space | None", camera: "Camera | Rig", tag: "Tag") -> "Scene":
-    """What the frames are audited by, in a room that stands for one where none is known.
+    """Scene of the audit; if the room is unknown, a placeholder stands for it.
 
     Raises:
-        InputError: the visibility model knows no tags, only points.
+        InputError: the visibility model is of points, not of tags.
     """
     from lmd.core.checks import InputError, check_members
     from lmd.scene.criteria import Criteria
@@ -153,11 +153,11 @@ def _scene(cfg: DictConfig, room: "Space | None", camera: "Camera | Rig", tag: "
     visibility, metre = instantiate(cfg.visibility), (1.0, 1.0, 1.0)
     check_members("visibility", visibility, Criteria, "docs/api/scene.md")
     anywhere = Cuboid(metre, reachable_size=metre, spacing=1.0) if room is None else room
-    return Scene(anywhere, camera, solid_angle(1), visibility, tag)  # it is asked for the frames' own orientations
+    return Scene(anywhere, camera, solid_angle(1), visibility, tag)  # the audit uses the orientations of the frames
 
 
 def _known(cfg: DictConfig, tag: "Tag", given: "Camera | Rig") -> "Known":
-    """What is known of the tags.
+    """Prior knowledge of the tags.
 
     Raises:
         InputError: a file cannot be read, or a number is refused.
@@ -170,7 +170,7 @@ def _known(cfg: DictConfig, tag: "Tag", given: "Camera | Rig") -> "Known":
 
     settings = OmegaConf.to_container(settings_of(cfg, "survey"), resolve=True)
     assert isinstance(settings, dict)
-    for key in ("calibrate", "every"):  # which say nothing of the tags
+    for key in ("calibrate", "every"):  # these do not describe the tags
         settings.pop(key)
     names = ("origin", "points", "floor", "boards", "printed", "mounted", "odometry", "motion")
     origin, points, floor, boards, printed, mounted, path, motion = (settings.pop(key, None) for key in names)
@@ -197,7 +197,7 @@ def _known(cfg: DictConfig, tag: "Tag", given: "Camera | Rig") -> "Known":
 
 
 def _odometry(given: Any) -> "Trajectory | None":
-    """How the body moved, by a file or by the keys of one.
+    """Trajectory of the body, given a path or the keys of a trajectory file.
 
     Raises:
         InputError: it cannot be read, or is no trajectory.

@@ -99,7 +99,7 @@ def test_standard_deviations_of_the_intrinsics_hold():
         rng = np.random.default_rng(seed)
         detected = walks.photographed(walks.spaced_tags(COUNT, rng), walks.walk(FRAMES, rng), rng, SIGMA, camera=TRUE)
         found = surveyed(detected, True)
-        off = (intrinsics_of(found.calibrated[0].found) - intrinsics_of(TRUE)) / prior_sigmas(GIVEN, wide=True)
+        off = (intrinsics_of(found.calibrated[0].found) - intrinsics_of(TRUE)) / prior_sigmas(GIVEN, rough=True)
         squares.append(off @ np.linalg.solve(found.found.lens_covariances[0][: len(off), : len(off)], off))
     low, high = chi2.ppf([0.005, 0.995], len(off) * len(squares))
     assert low < sum(squares) < high

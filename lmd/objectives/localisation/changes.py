@@ -4,9 +4,9 @@ import numpy as np
 
 from lmd.core.bits import ALL, BITS, ONE, ZERO, lowest
 from lmd.core.compiled import inlined, inner
-from lmd.incremental.hiding import FORTH, list_turning
+from lmd.incremental.camera import list_turning
 from lmd.incremental.nearby import pose_of
-from lmd.incremental.state import AFTER_HIDDEN, FLIPS, GOES, HIDDEN, NAMES, REACHED, X, Y, Z
+from lmd.incremental.state import FRESH, GOES, HIDDEN, NAMES, REACHED, TOUCHED, X, Y, Z
 from lmd.objectives.localisation.ambiguity import count_tag, told_apart
 from lmd.objectives.localisation.information import WIDTH, half_of, share_of
 from lmd.objectives.localisation.kernels import landmark_moments, meets_row
@@ -70,11 +70,13 @@ def list_changes(k, p, field, state, scratch):
         x, y, z = ax - positions[0, p], ay - positions[1, p], az - positions[2, p]
         _note_change(count, ALL, x, y, z, scratch.told[LEFT, p], known.caps[k, p], scratch)
         count += ONE
-    if trial.flags[REACHED, p] & (trial.shorts[AFTER_HIDDEN, p] == 0):
-        _note_change(count, ZERO, seen[X, p], seen[Y, p], seen[Z, p], scratch.told[TRIED, p], trial.cap[p], scratch)
+    if trial.flags[REACHED, p] & (trial.hides[HIDDEN, p] == 0):
+        _note_change(
+            count, ZERO, seen[X, p], seen[Y, p], seen[Z, p], scratch.told[TRIED, p], trial.sets[FRESH, p], scratch
+        )
         count += ONE
-    if trial.flags[FLIPS, p]:
-        for m in range(list_turning(p, FORTH, known, trial)):
+    if trial.flags[TOUCHED, p]:
+        for m in range(list_turning(p, known, trial)):
             note_landmark(count, trial.lists[GOES, m], trial.lists[NAMES, m], p, field, state, scratch)
             count += ONE
     return count
@@ -83,7 +85,7 @@ def list_changes(k, p, field, state, scratch):
 @inlined
 def add_change(e, p, sign, field, state, scratch):
     """Add to the sums what change e of position p adds to all views in its cap, or takes, times `sign`."""
-    sight, axes, caps = field.coverage.sight, field.coverage.axes, scratch.caps
+    sight, axes, caps = field.coverage.cameras.sight, field.coverage.cameras.axes, scratch.caps
     offsets, moments, words = scratch.told[OFFSETS], scratch.told[CHANGES], np.uint64(state.localised.shape[1])
     goes = caps[e, words]
     for w in range(words):

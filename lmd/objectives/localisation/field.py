@@ -6,8 +6,7 @@ import numpy as np
 
 from lmd.incremental.coverage_field import CoverageField
 from lmd.incremental.field import accept, bound, settle, undo
-from lmd.incremental.hiding import FORTH
-from lmd.incremental.move import exchange_move, take_back
+from lmd.incremental.move import take_back
 from lmd.objectives.localisation.move import change_sums, exchange, localisation_state
 from lmd.objectives.localisation.state import LocalisationScratch, LocalisationState, localisation_scratch
 from lmd.objectives.localisation.trial import bound_move, finish_move
@@ -53,7 +52,7 @@ settle.register(LocalisationField)(finish_move)
 @accept.register(LocalisationField)
 def _accept(field, k, state, scratch):  # type: ignore[no-untyped-def]
     change_sums(k, 1.0, field, state, scratch)
-    exchange_move(k, FORTH, field.coverage, state.coverage, scratch.coverage)  # the trial found the cap
+    take_back(field.coverage, k, state.coverage, scratch.coverage)  # the trial found the cap
     exchange(state, scratch)
 
 

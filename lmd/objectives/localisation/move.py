@@ -7,8 +7,8 @@ import numpy as np
 from lmd.core.bits import ONE, ZERO, lowest
 from lmd.core.compiled import borrowing, inner
 from lmd.incremental.counts import ENOUGH
-from lmd.incremental.move import list_touched
 from lmd.incremental.state import FIRST, HIDDEN, LAST, LISTED, SPAN_COUNT, State
+from lmd.incremental.trial import list_changing
 from lmd.objectives.localisation.changes import VIEW, add_change, list_changes, mixed, note_landmark, row_meets
 from lmd.objectives.localisation.information import WIDTH
 from lmd.objectives.localisation.state import LOCALISED, LocalisationState, blank_state, localisation_scratch
@@ -22,7 +22,7 @@ def change_sums(k, sign, field, state, scratch):
     """Change the sums by the move tried last, or with a `sign` of -1 back; landmark k is still where it was."""
     if not field.asks:
         return
-    for p in scratch.coverage.lists[LISTED][: list_touched(k, state.coverage, scratch.coverage)]:
+    for p in scratch.coverage.lists[LISTED][: list_changing(state.coverage, np.uint64(k), scratch.coverage)]:
         for e in range(list_changes(np.uint64(k), p, field, state, scratch)):
             add_change(e, p, sign, field, state, scratch)
 

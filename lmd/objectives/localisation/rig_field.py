@@ -4,9 +4,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from lmd.incremental.coverage_field import CoverageField, coverage_field
 from lmd.incremental.field import accept, bound, settle, undo
-from lmd.incremental.rig_field import RigField, rig_field
-from lmd.incremental.rig_state import RigScratch
+from lmd.incremental.state import RigScratch
 from lmd.objectives.localisation.looks import mounts_of
 from lmd.objectives.localisation.rig_ambiguity import width_of
 from lmd.objectives.localisation.rig_trial import (
@@ -45,7 +45,7 @@ class RigLocalisationField(NamedTuple):
     precision, asks, weight: as in `LocalisationField`; mounts: of each part of the rig.
     """
 
-    coverage: RigField
+    coverage: CoverageField
     precision: Any
     asks: bool
     weight: float
@@ -88,4 +88,4 @@ undo.register(RigLocalisationField)(take_back_localised)
 def rig_localisation_field(evaluator: Evaluator, n: int, precision: Any, weight: float) -> RigLocalisationField:
     """The field of L at the positions of an evaluator whose scene has a rig."""
     mounts = mounts_of(evaluator, evaluator.parts)
-    return RigLocalisationField(rig_field(evaluator, n), precision, precision.asks, weight, mounts)
+    return RigLocalisationField(coverage_field(evaluator, n), precision, precision.asks, weight, mounts)

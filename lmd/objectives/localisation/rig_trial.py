@@ -1,6 +1,6 @@
 """Moving one landmark where a rig looks for it: L at every position of its body.
 
-What covers what, and who hides whom, is the field of coverage's (`lmd.incremental.rig_trial`). To it come the sums of
+What covers what, and who hides whom, is the field of coverage's (`lmd.incremental.rig`). To it come the sums of
 the 21 numbers of every view (`body`), exact in any order, and which views are localised. A camera is elsewhere for each
 orientation, so what a landmark tells it is found for each view anew, of those alone that have to be decided: see
 `trial`.
@@ -13,14 +13,19 @@ from lmd.core.bits import ALL, ZERO, at_least
 from lmd.core.compiled import inlined, inner, kernel
 from lmd.geometry.squares import upright_sides
 from lmd.incremental.counts import ENOUGH, SHORT, enough_with
+from lmd.incremental.move import take_back
 from lmd.incremental.nearby import pose_of, target_of
-from lmd.incremental.rig_move import see_whole, take_back_rig
-from lmd.incremental.rig_pairs import COMES, find_pairs
-from lmd.incremental.rig_state import (
+from lmd.incremental.occlusion import COMES
+from lmd.incremental.rig import list_near
+from lmd.incremental.state import (
     ASKED,
     CAPS,
+    FIRST,
     FRESH,
+    LAST,
+    LISTED,
     PAIR_COUNT,
+    SPAN_COUNT,
     TOUCHED,
     TOUCHED_COUNT,
     TOUCHED_LIST,
@@ -28,8 +33,7 @@ from lmd.incremental.rig_state import (
     WHERE,
     WHO,
 )
-from lmd.incremental.rig_trial import ask_again, begin_rig_move, list_near, see_anew
-from lmd.incremental.state import FIRST, LAST, LISTED, SPAN_COUNT
+from lmd.incremental.trial import ask_touched, begin_move, find_pairs, see, see_whole
 from lmd.objectives.localisation.ambiguity import asks_apart
 from lmd.objectives.localisation.changes import mixed
 from lmd.objectives.localisation.information import half_of
@@ -200,13 +204,13 @@ def _ask(k, state, scratch):
 def bound_localised_move(field, k, pose, surface, state, scratch):
     """See `trial.bound_move`."""
     cover, known, trial, k = field.coverage, state.coverage, scratch.coverage, np.uint64(k)
-    begin_rig_move(k, pose, surface, cover, known, trial)
+    begin_move(k, pose, surface, cover, known, trial)
     for q in range(len(scratch.units)):
         scratch.units[q] = state.units[q]
     _ask(k, state, scratch)
-    ask_again(k, cover.n, True, known, trial)
+    ask_touched(k, cover.n, True, known, trial)
     positions = trial.lists[LISTED][: list_near(trial, False)]
-    see_anew(k, cover.parts, positions, cover, known, trial)
+    see(known, k, positions, cover, trial)
     _decide(k, positions, field, state, scratch)
 
 
@@ -214,10 +218,10 @@ def bound_localised_move(field, k, pose, surface, state, scratch):
 def finish_localised_move(field, k, state, scratch):
     """See `trial.finish_move`."""
     cover, known, trial, k = field.coverage, state.coverage, scratch.coverage, np.uint64(k)
-    find_pairs(k, COMES, cover.parts, cover, known, trial)
-    ask_again(k, cover.n, True, known, trial)
+    find_pairs(known, k, COMES, cover, trial)
+    ask_touched(k, cover.n, True, known, trial)
     positions = trial.lists[TOUCHED_LIST][: trial.numbers[TOUCHED_COUNT]]
-    see_anew(k, cover.parts, positions, cover, known, trial)
+    see(known, k, positions, cover, trial)
     _decide(k, positions, field, state, scratch)
 
 
@@ -242,17 +246,17 @@ def _change_sums(k, sign, field, state, scratch):
 
 @inner
 def carry_out_localised(field, k, state, scratch):
-    """See `rig_move.carry_out_rig`."""
-    see_whole(k, field.coverage, state.coverage, scratch.coverage)
+    """See `move.carry_out`."""
+    see_whole(np.uint64(k), field.coverage, state.coverage, scratch.coverage)
     _change_sums(np.uint64(k), 1.0, field, state, scratch)
-    take_back_rig(field.coverage, k, state.coverage, scratch.coverage)
+    take_back(field.coverage, k, state.coverage, scratch.coverage)
     exchange(state, scratch)
 
 
 @inner
 def take_back_localised(field, k, state, scratch):
-    """See `rig_move.take_back_rig`."""
-    take_back_rig(field.coverage, k, state.coverage, scratch.coverage)
+    """See `move.take_back`."""
+    take_back(field.coverage, k, state.coverage, scratch.coverage)
     _change_sums(np.uint64(k), -1.0, field, state, scratch)
     exchange(state, scratch)
 

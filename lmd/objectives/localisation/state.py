@@ -56,7 +56,7 @@ class LocalisationScratch(NamedTuple):
     sets: np.ndarray
     """`(2, Q, W)`: `LOCALISED`, `COVERED`."""
     coverage: Scratch
-    """The scratch of coverage. Its `cap` is filled for all positions that reach the new place; its `units` are P_n."""
+    """Scratch of coverage: `FRESH` is whole at all positions that reach the new place, `units` are P_n."""
     told: np.ndarray
     """`(4, max(Q, K + 3), WIDTH)`: `LEFT`, `TRIED`, `CHANGES`, `OFFSETS`. This and what follows is working memory."""
     first: np.ndarray

@@ -17,10 +17,10 @@ import numpy as np
 from lmd.core.bits import ALL, ONE, ZERO, add_set, at_least, lowest, prefetch
 from lmd.core.compiled import inner
 from lmd.incremental.counts import ENOUGH, enough_with
-from lmd.incremental.move import find_cap, list_touched
 from lmd.incremental.nearby import pose_of, target_of
-from lmd.incremental.state import DIGITS, FLIPS, HIDDEN, LISTED, REACHED, X, Y, Z
-from lmd.incremental.trial import begin_move, complete_move, list_flips
+from lmd.incremental.occlusion import COMES
+from lmd.incremental.state import FRESH, HIDDEN, LISTED, REACHED, TOUCHED, TOUCHED_COUNT, TOUCHED_LIST, X, Y, Z
+from lmd.incremental.trial import begin_move, find_pairs, list_changing, see_whole
 from lmd.objectives.localisation.ambiguity import tells
 from lmd.objectives.localisation.changes import VIEW, add_shares, list_changes, mixed, moments_of, row_meets
 from lmd.objectives.localisation.information import WIDTH, meets, share_of
@@ -54,10 +54,11 @@ def _list_views(k, field, state, scratch):
     Their sums are fetched into the cache meanwhile: they lie all over the memory, and waiting for them would take most
     of the time.
     """
-    asks, sight, axes, positions = field.asks, field.coverage.sight, field.coverage.axes, field.coverage.positions
+    asks, camera, positions = field.asks, field.coverage.cameras, field.coverage.positions
+    sight, axes = camera.sight, camera.axes
     caps, counts, enough = state.coverage.caps, state.coverage.counts, state.coverage.counts.sets[ENOUGH]
-    reachable, hidden, cap = state.coverage.reachable, state.coverage.hides[HIDDEN], scratch.coverage.cap
-    reached, flips = scratch.coverage.flags[REACHED], scratch.coverage.flags[FLIPS]
+    reachable, hidden, cap = state.coverage.reachable, state.coverage.hides[HIDDEN], scratch.coverage.sets[FRESH]
+    reached, flips = scratch.coverage.flags[REACHED], scratch.coverage.flags[TOUCHED]
     x, y, z = scratch.coverage.seen[X], scratch.coverage.seen[Y], scratch.coverage.seen[Z]
     ax, ay, az, _, _, _ = pose_of(k, state.coverage)
     after, known, localised, sums = scratch.sets[COVERED], state.localised, scratch.sets[LOCALISED], state.sums
@@ -161,18 +162,17 @@ def _sum_up(places, field, state, scratch):
 @inner
 def _try_flips(k, places, field, state, scratch):
     """Find the values at the positions `places`, where other landmarks may appear or disappear."""
-    counts, caps, n, sight, axes = (
-        state.coverage.counts.digits, scratch.caps, field.coverage.n, field.coverage.sight, field.coverage.axes
-    )  # fmt: skip
+    counts, caps, n = state.coverage.counts.digits, scratch.caps, field.coverage.n
+    sight, axes = field.coverage.cameras.sight, field.coverage.cameras.axes
     localised, enough, offsets, moments = (
         scratch.sets[LOCALISED], scratch.sets[COVERED], scratch.told[OFFSETS], scratch.told[CHANGES]
     )  # fmt: skip
     words, size, row = np.uint64(localised.shape[1]), np.uint64(counts.shape[2]), np.uint64(len(moments) - 1)
-    digits = scratch.coverage.lists[DIGITS][:size]
     for p in places:
         changes = list_changes(k, p, field, state, scratch)
         for w in range(words):
             changed = ZERO
+            digits = scratch.coverage.digits[p, w]
             for j in range(size):
                 digits[j] = counts[p, w, j]
             for e in range(changes):
@@ -200,22 +200,21 @@ def _try_flips(k, places, field, state, scratch):
 def bound_move(field, k, pose, surface, state, scratch):
     """Find what the values are at most with landmark k at `pose` `(6,)` on a surface: `scratch.units`."""
     cover, known, trial = field.coverage, state.coverage, scratch.coverage
-    begin_move(k, pose, surface, cover, known, trial)
-    places = trial.lists[LISTED][: list_touched(k, known, trial)]
-    find_cap(k, places, cover, trial)
+    begin_move(np.uint64(k), pose, surface, cover, known, trial)
+    see_whole(np.uint64(k), cover, known, trial)
+    places = trial.lists[LISTED][: list_changing(known, np.uint64(k), trial)]
     if field.asks:
         _find_moments(np.uint64(k), places, field, state, scratch)
     _list_views(np.uint64(k), field, state, scratch)
     _decide_views(field, state, scratch)
     _copy_values(state, scratch)
     _sum_up(places, field, state, scratch)
-    _try_flips(np.uint64(k), trial.lists[LISTED][: list_flips(trial)], field, state, scratch)
+    _try_flips(np.uint64(k), trial.lists[TOUCHED_LIST][: trial.numbers[TOUCHED_COUNT]], field, state, scratch)
 
 
 @inner
 def finish_move(field, k, state, scratch):
     """Make what `bound_move` found exact."""
-    if field.coverage.sight.reach >= 0.0:
-        complete_move(k, field.coverage, state.coverage, scratch.coverage)
-        places = scratch.coverage.lists[LISTED][: list_flips(scratch.coverage)]
-        _try_flips(np.uint64(k), places, field, state, scratch)
+    trial = scratch.coverage
+    find_pairs(state.coverage, np.uint64(k), COMES, field.coverage, trial)
+    _try_flips(np.uint64(k), trial.lists[TOUCHED_LIST][: trial.numbers[TOUCHED_COUNT]], field, state, scratch)

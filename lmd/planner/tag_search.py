@@ -1,4 +1,4 @@
-"""An optimiser at work on the free tags of a plan, beside whoever looks at it."""
+"""Tag search: an optimiser that moves the free tags of a plan, in a thread of its own."""
 
 import threading
 from collections.abc import Callable
@@ -15,26 +15,29 @@ from lmd.scene.deployment import Deployment
 from lmd.scene.deployment_sources import GivenDeployment
 
 
-class Progress(NamedTuple):
-    """How far a search is: the share of the budget that is used, the best fitness, and the deployment that has it."""
+class SearchProgress(NamedTuple):
+    """Progress of a search."""
 
     used: float
+    """Share of the budget that is used, 0 to 1."""
     fitness: float
+    """Best fitness."""
     best: Deployment
+    """Deployment with the best fitness."""
 
 
-class Search:
-    """Moves the free tags of a plan in a thread of its own, which ends with the process; the pinned ones are fixed.
+class TagSearch:
+    """A daemon thread in which an optimiser moves the free tags of a plan; pinned tags are fixed.
 
     Args:
-        problem: what the tags are for.
-        plan: what is improved. It is not changed.
-        optimiser: the method, one that has not run yet.
-        budget: what it may spend.
-        done: called in that thread when it has ended, for whatever reason.
+        problem: scene and objective.
+        plan: initial plan, which is not changed.
+        optimiser: optimiser that has not run yet.
+        budget: budget of the search.
+        done: called in that thread when the search has ended, also by an error.
 
     Raises:
-        InputError: no tag is free, or the pinned ones do not hang properly.
+        InputError: no tag is free, or the pinned tags are refused as fixed ones.
     """
 
     def __init__(
@@ -56,26 +59,26 @@ class Search:
             plan.deployment[pinned] if pinned.size else None,
         )
         self.plan, self._optimiser, self._budget, self._done = plan, optimiser, budget, done
-        self._told = threading.Event()
+        self._stopped = threading.Event()
         self._thread = threading.Thread(target=self._run, name="search", daemon=True)
-        self.progress: Progress | None = None
+        self.progress: SearchProgress | None = None
         self.error: str | None = None
 
     def start(self) -> None:
-        """Begin."""
+        """Start the thread."""
         self._thread.start()
 
     def stop(self) -> None:
-        """End with what is found by then, after the batch that is being evaluated."""
-        self._told.set()
+        """End after the batch that is being evaluated."""
+        self._stopped.set()
 
     def join(self, patience: float | None = None) -> None:
-        """Wait for the end, at most for some seconds."""
+        """Wait for the end, at most `patience` seconds."""
         self._thread.join(patience)
 
     @property
     def running(self) -> bool:
-        """Whether it has begun and not ended."""
+        """True while the thread runs."""
         return self._thread.is_alive()
 
     def _run(self) -> None:
@@ -87,12 +90,12 @@ class Search:
             self._done()
 
     def _note(self, optimiser: Optimiser) -> bool:
-        """The callback of the optimiser."""
+        """Record the progress; the callback of the optimiser."""
         ledger, before = optimiser.ledger, self.progress
         used = min(self._budget.used(ledger.evaluations, ledger.seconds), 1.0)
         if before is not None and ledger.best_fitness <= before.fitness:
             self.progress = before._replace(used=used)
         elif (found := optimiser.found(self._problem)) is not None:
             best = self.plan.deployment.put(self.plan.free, self._problem.free(found))  # in the order of the plan
-            self.progress = Progress(used, ledger.best_fitness, best)
-        return self._told.is_set()
+            self.progress = SearchProgress(used, ledger.best_fitness, best)
+        return self._stopped.is_set()

@@ -1,29 +1,80 @@
-"""A survey as a picture: the room from above with the plan beside what hangs, and how far each tag is off."""
+"""Pictures of rooms from above, as PNGs: accuracy of single images, and a survey beside the plan."""
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from lmd.core.checks import FloatArray
-from lmd.plot.common import LANDMARK, PARTS, literal, new_figure, shrink
+from lmd.evaluation.accuracy import plan_of_errors
+from lmd.plot import common
+from lmd.plot.common import LANDMARK, draw_plan, literal, new_figure, shrink
+from lmd.problem import Problem
+from lmd.scene.deployment import Deployment
 from lmd.space.space import Space
 from lmd.survey.results import tag_columns
 from lmd.survey.survey import Survey
 
+NO_MEDIAN_COLOUR = "#c8c8c8"  # colour of places without a finite median
 PLANNED, UNSEEN, PROPOSED = "#9e9e9e", "#ff7f0e", "#2ca02c"
-ELLIPSE_SIGMAS = 2.0  # of the ellipses
-ARROW_SHARE = 0.08  # of the room's length that the median arrow is long
-WEDGE_SHARE = 0.05  # of the room's length that the view of a photograph to take is drawn long
+ELLIPSE_SIGMAS = 2.0  # semi-axes of ellipses, standard deviations
+ARROW_SHARE = 0.08  # length of the median arrow over that of the room
+WEDGE_SHARE = 0.05  # length of the wedge of a photograph to take over that of the room
 ELLIPSE_POINTS = 40
-MOST_NAMED = 12  # tags that the right panel names, those farthest off
+MOST_NAMED = 12  # largest number of tags that the right panel names, those farthest off
+
+
+def save_accuracy_figure(path: str | Path, deployments: Mapping[str, tuple[Problem, Deployment]], title: str) -> None:
+    """Write a PNG: top views with the landmarks and the median predicted error as colour, on one scale.
+
+    The median is that of all views of the grid's positions above a place of the plan.
+
+    Args:
+        path: of the PNG.
+        deployments: a deployment and the problem that it is judged for, by the heading of its panel.
+        title: of the figure.
+    """
+    from matplotlib import colormaps
+    from matplotlib.colors import LogNorm
+
+    # The medians as tables, y by x, in millimetres; NaN where the grid has no position.
+    each = (plan_of_errors(problem, deployment) for problem, deployment in deployments.values())
+    plans = [1e3 * one.pivot(index="y", columns="x", values="predicted_error_median") for one in each]
+    known = np.concatenate([plan.to_numpy().ravel() for plan in plans])
+    known = known[np.isfinite(known)]
+    low, high = (known.min(), known.max()) if len(known) else (1.0, 10.0)
+    colours = colormaps[f"{common.COLOUR_MAP}_r"].with_extremes(over=NO_MEDIAN_COLOUR)  # bright is good
+    length, width, _ = np.max([common.size_of(problem.scene.room) for problem, _ in deployments.values()], axis=0)
+    size = (1.0 + 5.0 * len(plans), 2.2 + 5.0 * width / length)
+    figure = new_figure(size, title)
+    panels: Any = figure.subplots(1, len(plans), squeeze=False, sharex=True, sharey=True)[0]
+    for axes, plan, (heading, (problem, deployment)) in zip(panels, plans, deployments.items(), strict=True):
+        shown = np.where(np.isinf(plan), 2.0 * high, plan)  # infinite has no logarithm
+        mesh = axes.pcolormesh(
+            plan.columns, plan.index, shown, cmap=colours, norm=LogNorm(low, high), shading="nearest"
+        )
+        draw_plan(axes, problem.scene.room, lw=1.0)
+        arrows = common.ARROW_LENGTH * deployment.normals[:, :2]
+        axes.quiver(*deployment.positions[:, :2].T, *arrows.T, color=LANDMARK, angles="xy",
+                    scale_units="xy", scale=1.0, width=0.003, zorder=3)  # fmt: skip
+        axes.plot(*deployment.positions[:, :2].T, "o", color=LANDMARK, ms=2.5, zorder=3)
+        axes.set(xlabel=common.AXIS_LABELS[0], title=literal(heading), aspect="equal")
+    panels[0].set_ylabel(common.AXIS_LABELS[1])
+    label = "median predicted error of the position [mm];\ngrey where most views see too few landmarks"
+    bar = figure.colorbar(mesh, ax=list(panels), label=label, extend="max", orientation="horizontal", aspect=60)
+    common.set_ticks(bar, common.logarithmic_ticks(low, high))
+    figure.savefig(path)
 
 
 def save_survey_figure(path: str | Path, survey: Survey, room: Space | None, title: str) -> None:
-    """Write a PNG of 1500 x 700 pixels.
+    """Write a PNG of 1500 x 700 pixels: tags from above beside the plan, and the distance of each tag from its place.
 
     Args:
-        room: its outline is drawn; None where it is not known.
+        path: of the PNG.
+        survey: what is drawn.
+        room: its outline is drawn; None where it is unknown.
+        title: of the figure.
     """
     figure = new_figure((15.0, 7.0))
     left, right = figure.subplots(1, 2)
@@ -38,12 +89,9 @@ def save_survey_figure(path: str | Path, survey: Survey, room: Space | None, tit
 
 
 def _draw_above(axes: Any, survey: Survey, room: Space | None) -> None:
-    """The room from above: the tags, arrows from their plan, ellipses, the unseen ones by name, photographs to take."""
+    """Draw tags from above, arrows from their plan, ellipses, the ids of unseen tags, and photographs to take."""
     if room is not None:
-        for part, lines in room.outline().items():
-            colour, dashed = PARTS[part]
-            for line in lines:
-                axes.plot(*line[:, :2].T, color=colour, linestyle="--" if dashed else "-", linewidth=0.8, zorder=1)
+        draw_plan(axes, room, lw=0.8, zorder=1)
     placed, planned = survey.placed, survey.planned
     tags = survey.found.poses.tags
     axes.plot(*_edges(tags[placed], survey.found.sightings.edges[placed]), color=LANDMARK, linewidth=2.0, zorder=3)
@@ -85,14 +133,14 @@ def _draw_above(axes: Any, survey: Survey, room: Space | None) -> None:
 
 
 def _edges(tags: FloatArray, edges: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """x and y of the lines along the middles of tags, a column each."""
+    """x and y of the ends of lines along the middles of tags, `(2, K)` each, metres."""
     half = edges[:, None] / 2.0 * tags[:, :2, 0]
     ends = np.stack([tags[:, :2, 3] - half, tags[:, :2, 3] + half])
     return ends[..., 0], ends[..., 1]
 
 
 def _ellipse(covariance: FloatArray) -> FloatArray:
-    """The points of an ellipse around the origin, `(2, n)`, for a covariance `(2, 2)`."""
+    """Points of the ellipse of a covariance `(2, 2)` around the origin, `(2, N)`."""
     values, axes = np.linalg.eigh(covariance)
     angle = np.linspace(0.0, 2.0 * np.pi, ELLIPSE_POINTS)
     circle = np.stack([np.cos(angle), np.sin(angle)])
@@ -100,7 +148,7 @@ def _ellipse(covariance: FloatArray) -> FloatArray:
 
 
 def _draw_offsets(axes: Any, survey: Survey) -> None:
-    """How far the tags are off in their planes, with ellipses, the farthest ones by name."""
+    """Draw the offsets of tags in their planes with ellipses, and the ids of those farthest off."""
     columns = tag_columns(survey)
     offset = 1e3 * np.stack([np.asarray(columns[name], dtype=np.float64) for name in ("right", "up", "out")], axis=1)
     there = np.flatnonzero(np.isfinite(offset[:, 0]))
@@ -120,7 +168,7 @@ def _draw_offsets(axes: Any, survey: Survey) -> None:
 
 
 def _draw_sigmas(axes: Any, survey: Survey) -> None:
-    """How well each tag is known, against how often it was seen."""
+    """Draw the standard deviation of each tag against the number of sightings that place it."""
     columns = tag_columns(survey)
     sigma, seen = 1e3 * np.asarray(columns["sigma"]), survey.used
     axes.loglog(seen[survey.placed], sigma[survey.placed], "o", color=LANDMARK, markersize=5)

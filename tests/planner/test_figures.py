@@ -1,4 +1,4 @@
-"""What a tag would add, against problems that have it."""
+"""Gains by one more tag, against problems with that tag."""
 
 from dataclasses import replace
 
@@ -8,7 +8,7 @@ from paper import paper_room, paper_scene
 from small import problem
 
 from lmd.objectives.localisation import Localisation
-from lmd.planner.additions import additions, candidate_cells
+from lmd.planner.figures import additions, candidate_cells
 from lmd.problem import Problem
 from lmd.scene import pdf
 from lmd.scene.deployment_sources import RandomDeployment
@@ -23,7 +23,7 @@ def localising():
 
 
 @pytest.mark.parametrize(("of", "mean"), [(problem, "average_coverage_probability"), (localising, "localised_share")])
-def test_a_tag_adds_what_the_problem_with_it_is_worth_more(of, mean):
+def test_gains_are_differences_of_metrics(of, mean):
     planned, rng = of(), np.random.default_rng(0)
     deployment, cells = planned.draw(rng), candidate_cells(planned)
     poses = cells.poses[rng.integers(len(cells.poses), size=40)]
@@ -35,7 +35,7 @@ def test_a_tag_adds_what_the_problem_with_it_is_worth_more(of, mean):
         assert found.value[k] == pytest.approx(after[mean] - before[mean], abs=1e-12)
 
 
-def test_where_a_paper_would_overlap_another_nothing_can_be_added():
+def test_gains_are_nan_where_a_paper_would_overlap_another():
     planned = problem(tag=TAG)
     deployment, poses = planned.draw(np.random.default_rng(0)), candidate_cells(planned).poses
     found = additions(planned, deployment, poses)
@@ -47,7 +47,7 @@ def test_where_a_paper_would_overlap_another_nothing_can_be_added():
     assert (np.isnan(found.fitness) == overlaps).all()
 
 
-def test_candidates_are_about_as_many_in_any_room_and_lie_where_tags_may_hang():
+def test_any_room_has_about_3000_allowed_candidates():
     for size in (1.0, 10.0):
         planned = problem(size=(7.5 * size, 5.0 * size, 6.0 * size))
         poses = candidate_cells(planned).poses
@@ -55,7 +55,7 @@ def test_candidates_are_about_as_many_in_any_room_and_lie_where_tags_may_hang():
         assert poses.fault(planned.scene.plates.hanging) is None
 
 
-def test_it_is_given_up_when_nobody_wants_it():
+def test_unwanted_gains_are_not_computed():
     planned = problem()
     deployment, poses = planned.draw(np.random.default_rng(0)), candidate_cells(planned).poses
     asked = iter([True, False])

@@ -1,6 +1,6 @@
-"""What detectors found beside what was predicted: figures, and frames with the tags outlined."""
+"""Pictures of detections beside predictions: figures, frames with the tags outlined, and films."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -13,12 +13,24 @@ from lmd.core.optional import optional
 from lmd.detection.calibration import DetectorCalibration, predicted_views
 from lmd.detection.comparison import PLACES
 from lmd.detection.evaluation import TAG_NUMBERS
+<<<<<<< HEAD:lmd/plot/detection.py
 from lmd.plot.common import literal, new_figure, shrink
+=======
+from lmd.detection.calibration import predicted_views
+from lmd.detection.comparison import PLACES
+from lmd.estimation.rendered import Moment
+from lmd.geometry.camera import Camera
+from lmd.geometry.projection import view_edges
+from lmd.geometry.se3 import act
+from lmd.plot import common
+from lmd.plot.common import literal, new_figure, set_ticks, shrink
+>>>>>>> main:lmd/plot/frames.py
 from lmd.render.imaging import UInt8Array
+from lmd.space.space import Space
 
-# Outlines in frames, red, green, blue.
+# Colours of outlines in frames: red, green, blue.
 BOTH, ONLY_DETECTED, ONLY_PREDICTED = (26, 150, 65), (31, 119, 220), (214, 39, 40)
-# Classes of size over its limit.
+# Bounds of classes of a tag's size over its limit.
 RATIOS = np.arange(0.3, 2.51, 0.1)
 PITCH_TICKS = (0.5, 1.0, 2.0, 4.0, 8.0, 16.0)
 LEGEND = (
@@ -26,14 +38,25 @@ LEGEND = (
     (ONLY_DETECTED, "detected, not predicted"),
     (ONLY_PREDICTED, "predicted, not detected"),
 )
+FILM_INCHES, FILM_DPI = (9.0, 4.1), 90
+FRAME_WIDTH = 560  # width of a frame in a film, pixels
+FILM_QUALITY = 55  # quality of the animated picture, 0 to 100
+PYRAMID_DEPTH = 0.6  # depth of the pyramid that stands for the camera, metres
 
 
 def save_calibration_figure(path: str | Path, figures: pd.DataFrame, pitches: pd.DataFrame, title: str) -> None:
-    """Write a PNG: for each deployment P(>= n) predicted and detected, and below it both shares of tags by their pitch.
+    """Write a PNG: for each deployment P(>= n) predicted and detected, and below it both shares of tags by pitch.
 
     Args:
+<<<<<<< HEAD:lmd/plot/detection.py
         figures: rows of `lmd.detection.comparison.figures` with the columns `deployment` and `detector`.
         pitches: those of `by_pitch`, with the same columns.
+=======
+        path: of the PNG.
+        figures: rows of `lmd.detection.comparison.figures` with the columns `deployment` and `detector`.
+        pitches: rows of `by_pitch`, with the same two columns.
+        title: of the figure.
+>>>>>>> main:lmd/plot/frames.py
     """
     names, detectors = list(figures.deployment.unique()), list(figures.detector.unique())
     figure = new_figure((2.0 + 5.0 * len(names), 9.0), title)
@@ -57,8 +80,7 @@ def save_calibration_figure(path: str | Path, figures: pd.DataFrame, pitches: pd
                 axes.plot(_middle(rows), rows.predicted, "o--", color="#9e9e9e", label="predicted")
             axes.plot(_middle(rows), rows.detected, "o-", color=f"C{i}", label=literal(detector))
         axes.set(xscale="log", xlabel="pixels a module, tags wholly in the image", ylim=(-0.02, 1.02))
-        axes.set_xticks(PITCH_TICKS, [f"{tick:g}" for tick in PITCH_TICKS])
-        axes.set_xticks([], minor=True)
+        set_ticks(axes.xaxis, np.array(PITCH_TICKS))
         axes.set_xlim(PITCH_TICKS[0], PITCH_TICKS[-1])
         axes.grid(alpha=0.3)
     panels[0][0].set_ylabel("share of frames")
@@ -69,10 +91,16 @@ def save_calibration_figure(path: str | Path, figures: pd.DataFrame, pitches: pd
 
 
 def save_places_figure(path: str | Path, places: pd.DataFrame, title: str) -> None:
-    """Write a PNG: the shares of tags that were predicted and detected, by where they are in the image.
+    """Write a PNG: the shares of tags that were predicted and detected, by their place in the image.
 
     Args:
+<<<<<<< HEAD:lmd/plot/detection.py
         places: of `lmd.detection.comparison.by_place`.
+=======
+        path: of the PNG.
+        places: rows of `lmd.detection.comparison.by_place`.
+        title: of the figure.
+>>>>>>> main:lmd/plot/frames.py
     """
     figure = new_figure((12.0, 4.6), title)
     panels: Any = figure.subplots(1, 2)
@@ -90,11 +118,18 @@ def save_places_figure(path: str | Path, places: pd.DataFrame, title: str) -> No
     figure.savefig(path)
 
 
+<<<<<<< HEAD:lmd/plot/detection.py
 def save_limits_figure(path: str | Path, calibrations: Mapping[str, DetectorCalibration], title: str) -> None:
     """Write a PNG: for each detector which views it found, by pitch and blur, and how often by size over its limit.
+=======
+def save_limits_figure(path: str | Path, calibrations: Mapping[str, DetectorCalibration], title: str) -> None:
+    """Write a PNG: for each detector the views it found, by pitch and blur, and their share by size over the limit.
+>>>>>>> main:lmd/plot/frames.py
 
     Args:
+        path: of the PNG.
         calibrations: by the detector's name.
+        title: of the figure.
     """
     figure = new_figure((12.0, 0.6 + 4.2 * len(calibrations)), title)
     panels: Any = figure.subplots(len(calibrations), 2, squeeze=False)
@@ -128,14 +163,14 @@ def save_limits_figure(path: str | Path, calibrations: Mapping[str, DetectorCali
 
 
 def _middle(rows: pd.DataFrame) -> FloatArray:
-    """Where to draw classes of pitch: the geometric mean of their bounds, `(B,)`."""
+    """Geometric mean of the bounds of classes of pitch, `(B,)`, pixels a module."""
     low, high = rows.pitch_from.to_numpy(), rows.pitch_to.to_numpy()
     low = np.where(low > 0.0, low, high / 1.5)
     return np.asarray(np.sqrt(low * np.where(np.isfinite(high), high, 1.5 * low)))
 
 
 def outlined(image: UInt8Array, expected: FloatArray, predicted: BoolArray, found: FloatArray) -> UInt8Array:
-    """A frame as an image `(h, w, 3)`, with outlines around the tags that were predicted or detected.
+    """Draw outlines around the tags that were predicted or detected; returns an image `(h, w, 3)`.
 
     Args:
         image: `(h, w)`.
@@ -159,7 +194,7 @@ def outlined(image: UInt8Array, expected: FloatArray, predicted: BoolArray, foun
 def save_frame(
     path: str | Path, image: UInt8Array, expected: FloatArray, predicted: BoolArray, found: FloatArray
 ) -> None:
-    """Write what `outlined` draws as PNG, with what the colours mean."""
+    """Write the image of `outlined` as a PNG, with a legend."""
     cv2 = optional("cv2", "detection")
     drawn, scale = outlined(image, expected, predicted, found), _scale(image)
     for i, (colour, text) in enumerate(LEGEND):
@@ -171,5 +206,81 @@ def save_frame(
 
 
 def _scale(image: UInt8Array) -> int:
-    """How many times as wide as in an image of 800 pixels lines are."""
+    """Factor for the width of lines, 1 for an image 800 pixels wide."""
     return max(1, round(len(image[0]) / 800))
+
+
+def save_film(
+    path: str | Path, moments: Sequence[Moment], camera: Camera, room: Space, landmarks: FloatArray, title: str
+) -> None:
+    """Write an animated picture that takes as long as the flight: a frame beside the room with the camera.
+
+    Args:
+        path: of the animated picture.
+        moments: of the flight, at least two, in order.
+        camera: gives the shape of the pyramid.
+        room: drawn in black.
+        landmarks: positions of the tags, `(K, 3)`, world frame, metres.
+        title: of the film.
+    """
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+    from PIL import Image
+
+    figure = Figure(figsize=FILM_INCHES, dpi=FILM_DPI, facecolor="white")
+    canvas: Any = FigureCanvasAgg(figure)
+    track = np.stack([moment.pose[:3, 3] for moment in moments])
+    pictures = []
+    for i, moment in enumerate(moments):
+        figure.clear()
+        figure.suptitle(literal(title), fontsize=11, y=0.985)
+        _draw_frame(figure, moment)
+        _draw_room(figure, moment, camera, room, landmarks, track[: i + 1])
+        canvas.draw()
+        pictures.append(Image.fromarray(np.asarray(canvas.buffer_rgba())[..., :3].copy()))
+    steps = np.diff([moment.time for moment in moments])
+    durations = np.rint(1000.0 * np.append(steps, steps[-1])).astype(int).tolist()
+    pictures[0].save(
+        path, save_all=True, append_images=pictures[1:], duration=durations, loop=0, quality=FILM_QUALITY, method=4
+    )
+
+
+def _draw_frame(figure: Any, moment: Moment) -> None:
+    cv2 = optional("cv2", "detection")
+    share = FRAME_WIDTH / moment.image.shape[1]
+    small = cv2.resize(moment.image, None, fx=share, fy=share, interpolation=cv2.INTER_AREA)
+    axes = figure.add_axes((0.005, 0.09, 0.585, 0.83))
+    axes.imshow(outlined(small, share * moment.expected, moment.predicted, share * moment.found))
+    axes.set_axis_off()
+    for i, (colour, text) in enumerate(LEGEND):
+        figure.text(0.01 + 0.2 * i, 0.035, f"■ {text}", color=np.array(colour) / 255.0, fontsize=9)
+
+
+def _draw_room(
+    figure: Any, moment: Moment, camera: Camera, room: Space, landmarks: FloatArray, track: FloatArray
+) -> None:
+    """Draw the room, the track, and the camera with lines to the tags that it found."""
+    from mpl_toolkits.mplot3d.art3d import Line3DCollection
+
+    axes = figure.add_axes((0.58, 0.02, 0.43, 0.9), projection="3d")
+    axes.view_init(common.ELEVATION, common.AZIMUTH)
+    axes.set_axis_off()
+    for part, edges in room.outline().items():
+        if part in ("room", "obstacles"):
+            axes.add_collection(Line3DCollection(edges, colors=common.PARTS[part][0], linewidths=0.8))
+    found = np.isfinite(moment.found).all(axis=(1, 2))
+    green, position = np.array(BOTH) / 255.0, moment.pose[:3, 3]
+    axes.scatter(*landmarks[~found].T, s=6, color=common.UNQUALIFIED, depthshade=False)
+    axes.scatter(*landmarks[found].T, s=14, color=green, depthshade=False)
+    rays = np.stack([np.broadcast_to(position, landmarks[found].shape), landmarks[found]], axis=1)
+    axes.add_collection(Line3DCollection(rays, colors=green, linewidths=0.7, alpha=0.7))
+    axes.plot(*track.T, color=common.LANDMARK, lw=1.2)
+    axes.add_collection(
+        Line3DCollection(act(moment.pose, view_edges(camera, PYRAMID_DEPTH)), colors=common.LANDMARK, linewidths=1.2)
+    )
+    low, high = room.bounds()
+    for name, start, end in zip("xyz", low, high, strict=True):
+        getattr(axes, f"set_{name}lim")(start, end)
+    axes.set_box_aspect(high - low, zoom=1.08)
+    seconds = f"{moment.time:.1f} s, tags detected: {found.sum()}"
+    figure.text(0.98, 0.035, seconds, ha="right", fontsize=9)

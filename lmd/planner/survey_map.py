@@ -1,4 +1,4 @@
-"""What a survey found, for the planner to draw beside the plan."""
+"""Survey map: the result of a survey, which the planner draws beside the plan."""
 
 import json
 from dataclasses import dataclass
@@ -16,20 +16,17 @@ MAP, DOCUMENT = "map.csv", "survey.json"
 
 
 @dataclass(frozen=True)
-class Found:
-    """A survey's map, and the photographs that it asks for.
-
-    Args:
-        tags: as they hang.
-        photographs: place and direction of each, `(N, 2, 3)`, world frame, metres.
-    """
+class SurveyMap:
+    """Map of a survey, and the photographs that it proposes."""
 
     tags: Deployment
+    """Tags as they hang."""
     photographs: FloatArray
+    """`(N, 2, 3)` place and direction of each photograph, world frame, metres."""
 
     @classmethod
-    def read(cls, folder: Any) -> "Found":
-        """From the directory of a survey.
+    def read(cls, folder: Any) -> "SurveyMap":
+        """Read the directory of a survey.
 
         Raises:
             InputError: it lacks a file of a survey, or one cannot be read.
@@ -44,7 +41,7 @@ class Found:
             raise InputError(f"survey: {str(folder)!r} holds no {DOCUMENT} of a survey.", "survey") from None
 
     def offsets(self, plan: Deployment, magnified: float) -> FloatArray:
-        """Lines from planned places towards the true ones, `magnified` times as long, `(n, 2, 3)`."""
+        """Lines from planned places towards the measured ones, `magnified` times as long, `(n, 2, 3)`."""
         _, of, among = np.intersect1d(plan.ids, self.tags.ids, return_indices=True)
         start = plan.places[of]
         return np.stack([start, start + magnified * (self.tags.places[among] - start)], axis=1)

@@ -1,4 +1,4 @@
-"""The paper's figures of deployments: room, landmarks and how well each position sees them, as PNGs."""
+"""Figures of deployments as in the paper, as PNGs: room, landmarks, and the value of each position."""
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
@@ -14,16 +14,19 @@ from lmd.scene.deployment import Deployment
 from lmd.space.space import Space
 
 BACK, BALLS, FRONT = 1, 2, 3  # z-orders
-BALL_POINTS = 7.0  # diameter, points
-ARROW = ((-1.0, 0.0), (1.0, 0.0), (0.4, 0.35), (1.0, 0.0), (0.4, -0.35))  # as a text it would load a parser for that
+BALL_POINTS = 7.0  # diameter of a ball, points
+# Marker of the legend. As a text, matplotlib would load its parser of formulas.
+ARROW = ((-1.0, 0.0), (1.0, 0.0), (0.4, 0.35), (1.0, 0.0), (0.4, -0.35))
 
 
 def save_scene_figure(path: str | Path, problem: Problem, deployment: Deployment, title: str) -> None:
     """Write a PNG of 1500 x 750 pixels: positions coloured by the objective's value, and by whether they qualify.
 
     Args:
+        path: of the PNG.
         problem: its room is drawn in black, the reachable area dashed and grey.
         deployment: drawn as red arrows along the normals, blue ones for landmarks that hung already.
+        title: of the figure.
     """
     from matplotlib.figure import Figure
     from matplotlib.lines import Line2D
@@ -64,10 +67,12 @@ def save_scene_figure(path: str | Path, problem: Problem, deployment: Deployment
 def save_deployments_figure(
     path: str | Path, deployments: Mapping[str, tuple[Problem, Deployment]], title: str
 ) -> None:
-    """Write a PNG of deployments side by side, two in a row: which positions each qualifies.
+    """Write a PNG of deployments side by side, two in a row, with the positions that each qualifies.
 
     Args:
-        deployments: a deployment and the problem that it is scored for, by the name that heads its panel.
+        path: of the PNG.
+        deployments: a deployment and the problem that it is scored for, by the heading of its panel.
+        title: of the figure.
     """
     from matplotlib.figure import Figure
     from matplotlib.lines import Line2D
@@ -98,7 +103,7 @@ def save_deployments_figure(
 
 
 def _draw_surroundings(axes: Any, room: Space, deployment: Deployment, groups: Sequence[common.Group]) -> None:
-    """Room, reachable area, the groups of landmarks and axes: all but the balls."""
+    """Draw room, reachable area, groups of landmarks and axes: all but the balls."""
     from matplotlib.ticker import MaxNLocator, MultipleLocator
     from mpl_toolkits.mplot3d.art3d import Line3DCollection
 
@@ -113,7 +118,7 @@ def _draw_surroundings(axes: Any, room: Space, deployment: Deployment, groups: S
         axes.set(**{f"{axis}lim": limits, f"{axis}label": label})
         getattr(axes, f"{axis}axis").set_major_locator(MultipleLocator(step))
         getattr(axes, f"{axis}axis").pane.set_visible(False)
-    # matplotlib has no depth buffer: what is nearer to the viewer than the balls gets a higher z-order.
+    # matplotlib has no depth buffer: edges and arrows nearer to the viewer than the balls get a higher z-order.
     viewer = common.viewer()
     for _, edges, colour, style in _parts(room):
         near = (edges.mean(axis=1) - (low + high) / 2.0) @ viewer > 0.0
@@ -130,7 +135,7 @@ def _draw_surroundings(axes: Any, room: Space, deployment: Deployment, groups: S
 
 
 def _arrows(groups: Iterable[common.Group]) -> list[Any]:
-    """Legend entries of the landmarks, each once."""
+    """Legend entries of groups of landmarks, each once."""
     from matplotlib.lines import Line2D
 
     entries = {group.label: group.colour for group in groups}
@@ -139,7 +144,7 @@ def _arrows(groups: Iterable[common.Group]) -> list[Any]:
 
 
 def _parts(room: Space) -> list[tuple[str, FloatArray, str, Any]]:
-    """The parts of a room to draw: what they are, their edges, colour and style."""
+    """Parts of a room to draw: name, edges, colour and style of each."""
     outline = room.outline()
     return [
         (part, outline[part], colour, "--" if dashed else "-")

@@ -1,4 +1,4 @@
-"""The drawing of a body with its cameras: from above and from its right side, in millimetres."""
+"""Drawing of a body with its cameras from above and from its right side, in millimetres, as a PNG."""
 
 import math
 from pathlib import Path
@@ -16,21 +16,23 @@ if TYPE_CHECKING:
 
 MM = 1000.0
 BODY = "#d9d9d9"
-# Body frame (forward, left, up) to the paper of a view: right and up.
+# Rows: right and up in the drawing, in the body frame (forward, left, up).
 VIEWS = {
     "from above": np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0]]),
     "from the right": np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]),
 }
 AXES = {"from above": ("y, left [mm]", "x, forward [mm]"), "from the right": ("x, forward [mm]", "z, up [mm]")}
-FIELD_LENGTH = 0.3  # of the body's size: how far the field of view is drawn
+FIELD_LENGTH = 0.3  # length of the drawn field of view over the size of the body
 
 
 def save_body_figure(path: Path, body: Body, rig: Rig, title: str) -> None:
-    """Draw where the cameras of a rig are on a body, with dimensions, and a table of how each is mounted.
+    """Draw the cameras of a rig on a body, with dimensions, and a table of their mounts.
 
     Args:
+        path: of the PNG.
         body: carries the cameras.
         rig: the cameras.
+        title: of the figure.
     """
     figure = new_figure((10.0, 6.2 + 0.25 * len(rig.mounts)), title)
     grid = figure.add_gridspec(2, 2, height_ratios=[5.4, 0.8 + 0.25 * len(rig.mounts)])
@@ -81,7 +83,7 @@ def _draw(axes: "Axes", view: str, onto: FloatArray, body: Body, rig: Rig) -> No
 
 
 def _shown(onto: FloatArray) -> list[int]:
-    """The axes of the body that a view shows, in their order."""
+    """Axes of the body that a view shows, in their order."""
     return [axis for axis in range(3) if onto[:, axis].any()]
 
 
@@ -101,7 +103,7 @@ def _edges(mount: Mount, across: bool) -> list[FloatArray]:
 
 
 def _dimension(axes: "Axes", start: tuple[float, float], stop: tuple[float, float]) -> None:
-    """An arrow between two points with their distance."""
+    """Draw an arrow between two points with their distance."""
     axes.annotate("", start, stop, arrowprops={"arrowstyle": "<->", "lw": 0.8})
     middle = ((start[0] + stop[0]) / 2.0, (start[1] + stop[1]) / 2.0)
     upright = start[0] == stop[0]

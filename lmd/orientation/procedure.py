@@ -1,9 +1,9 @@
 """The paper's Monte Carlo procedure (Sec. V-D): an orientation PDF from a recording, in five steps.
 
 1. record yaw and pitch of the randomly moving camera (`lmd.orientation.recording`);
-2. sample the recording at random intervals (`lmd.orientation.sampling`);
-3. histograms of both angles;
-4. test whether they are independent;
+2. sample the recording at random intervals;
+3. make histograms of both angles;
+4. test their independence;
 5. fit a density to each (`lmd.orientation.density`), and multiply the two; or, where independence is rejected, estimate
    the joint density.
 
@@ -17,58 +17,56 @@ from typing import Any
 import numpy as np
 from scipy.stats import circmean, iqr
 
-from lmd.core.checks import FloatArray, real
+from lmd.core.checks import FloatArray, IntArray, real
 from lmd.orientation import density
-from lmd.orientation.density import Axis, Candidate, Density, Family, IntArray
-from lmd.orientation.recording import OrientationRecording
-from lmd.orientation.sampling import (
+from lmd.orientation.density import (
+    AngleCells,
+    Candidate,
+    Density,
+    Family,
     Independence,
-    Samples,
     circular_difference,
     independence_test,
-    sample_at_random_intervals,
 )
+from lmd.orientation.recording import OrientationRecording, Samples, sample_at_random_intervals
 from lmd.scene.pdf import OrientationPdf, divisions_of
 
-# Fine cells on half a turn, at least: densities are held in steps of 1.9 degrees or less.
+# Fine cells on half a turn, at least: the resolution of densities is 1.9 degrees or less.
 FINE_CELLS = 96
-YAW_FAMILIES = (density.uniform, density.von_mises, density.kernel)
-PITCH_FAMILIES = (density.uniform, density.normal, density.kernel)
-# Cells of the orientation grid with a smaller probability are left out: no table shows them, each costs time.
+YAW_FAMILIES = (density.uniform, density.von_mises, density.kernel_estimate)
+PITCH_FAMILIES = (density.uniform, density.normal, density.kernel_estimate)
+# Probability below which a cell of the orientation grid is left out: it costs time, and is invisible in a table.
 NEGLIGIBLE = 1e-6
 
 
 @dataclass(frozen=True)
 class Marginal:
-    """Samples, histogram and fit of one angle.
-
-    Args:
-        samples: radians, `(S,)`.
-        axis: fine cells.
-        block: fine cells in a cell of the orientation grid.
-        density: the one chosen; family `fixed` has a single cell.
-        candidates: what it was chosen from; none for a fixed angle.
-    """
+    """Samples, histogram and fit of one angle."""
 
     samples: FloatArray
-    axis: Axis
+    """Radians, `(S,)`."""
+    axis: AngleCells
+    """Fine cells."""
     block: int
+    """Number of fine cells in a cell of the orientation grid."""
     density: Density
+    """Chosen density; family `fixed` has a single cell."""
     candidates: tuple[Candidate, ...]
+    """Densities that were compared; none for a fixed angle."""
 
     @property
     def is_fixed(self) -> bool:
-        """Whether all samples lie within one fine cell's width."""
+        """True if all samples lie within the width of a fine cell."""
         return self.density.family == "fixed"
 
     @property
     def angles(self) -> FloatArray:
-        """What each probability of the density belongs to, radians."""
+        """Angle of each probability of the density, radians."""
         return np.array([self.density.parameters["value"]]) if self.is_fixed else self.axis.centres
 
     @property
     def grid_cell(self) -> IntArray:
-        """The cell of the orientation grid that each of `angles` lies in."""
+        """Cell of the orientation grid of each of `angles`."""
         return np.arange(len(self.angles)) // self.block
 
     @property
@@ -87,7 +85,7 @@ class Marginal:
         return edges, np.asarray(counts / (len(self.samples) * np.diff(edges)))
 
     def summary(self) -> dict[str, Any]:
-        """For JSON: the choice, what it was made from, and the histogram."""
+        """Data for JSON: the chosen density, the candidates, and the histogram."""
         edges, heights = self.histogram
         return {
             "family": self.density.family,
@@ -108,22 +106,20 @@ class Marginal:
 
 @dataclass(frozen=True)
 class PdfEstimate:
-    """An orientation PDF and how it came about.
-
-    Args:
-        pdf: on the orientation grid.
-        samples: the measurements at random intervals.
-        yaw, pitch: the marginals.
-        independence: the test; None where an angle is fixed and there is nothing to test.
-        joint: the joint kernel estimate, probabilities `(M_yaw, M_pitch)`; None where the product is used.
-    """
+    """Orientation PDF with the steps of its estimate."""
 
     pdf: OrientationPdf
+    """PDF on the orientation grid."""
     samples: Samples
+    """Measurements at random intervals."""
     yaw: Marginal
+    """Fit of the yaw."""
     pitch: Marginal
+    """Fit of the pitch."""
     independence: Independence | None
+    """Outcome of the test; None where an angle is fixed and there is nothing to test."""
     joint: Density | None
+    """Joint kernel estimate, probabilities `(M_yaw, M_pitch)`; None where the product is used."""
 
     @property
     def form(self) -> str:
@@ -131,7 +127,7 @@ class PdfEstimate:
         return "product" if self.joint is None else "joint"
 
     def summary(self) -> dict[str, Any]:
-        """Everything but the PDF itself, for JSON; angles in radians, times in seconds."""
+        """Data for JSON: all but the PDF; angles in radians, times in seconds."""
         test = self.independence
         return {
             "sampling": {
@@ -166,12 +162,13 @@ def estimate_pdf(
     mean_interval: float | None = None,
     significance: float = 0.05,
 ) -> PdfEstimate:
-    """Steps 2 to 5.
+    """Estimate an orientation PDF from a recording: steps 2 to 5 of the procedure.
 
     An angle whose samples all lie within a fine cell (1.9 degrees or less) is fixed: a fixed pitch gives a PDF in yaw
     alone, at that pitch.
 
     Args:
+        recording: yaw and pitch over time.
         rng: draws the times of the samples and the tables of the independence test.
         divisions: the step of the orientation grid is pi / divisions.
         mean_interval: between samples, seconds; None for twice the correlation time.
@@ -185,8 +182,8 @@ def estimate_pdf(
     samples = sample_at_random_intervals(recording, mean_interval, rng)
     block = -(-FINE_CELLS // divisions)
     half_step = np.pi / divisions / 2.0
-    around = Axis(-np.pi - half_step, np.pi - half_step, 2 * divisions * block, circular=True)
-    upward = Axis(-np.pi / 2, np.pi / 2, divisions * block, circular=False)
+    around = AngleCells(-np.pi - half_step, np.pi - half_step, 2 * divisions * block, circular=True)
+    upward = AngleCells(-np.pi / 2, np.pi / 2, divisions * block, circular=False)
     yaw = _marginal(samples.yaw, around, block, YAW_FAMILIES)
     pitch = _marginal(samples.pitch, upward, block, PITCH_FAMILIES)
     test, joint = None, None
@@ -202,18 +199,18 @@ def estimate_pdf(
     return PdfEstimate(pdf, samples, yaw, pitch, test, joint)
 
 
-def _marginal(angle: FloatArray, axis: Axis, block: int, families: Sequence[Family]) -> Marginal:
+def _marginal(angle: FloatArray, axis: AngleCells, block: int, families: Sequence[Family]) -> Marginal:
     fixed = density.fixed_angle(angle, axis)
     if fixed is not None:
         return Marginal(angle, axis, block, Density("fixed", {"value": fixed}, np.ones(1)), ())
-    chosen, candidates = density.compare(angle, axis, families)
+    chosen, candidates = density.choose(angle, axis, families)
     return Marginal(angle, axis, block, chosen, candidates)
 
 
 def _gathered(table: FloatArray, yaw: Marginal, pitch: Marginal, name: str) -> OrientationPdf:
-    """The PDF on the orientation grid: each cell with its probability, at its mean orientation.
+    """PDF on the orientation grid: each cell with its probability, at its mean orientation.
 
-    Putting a cell's probability at the mean and not at the middle keeps the mean of a pitch that hardly moves.
+    The mean orientation, not the middle of a cell, keeps the mean of a pitch that hardly moves.
 
     Args:
         table: probabilities `(M_yaw, M_pitch)` at the marginals' angles.
@@ -226,6 +223,6 @@ def _gathered(table: FloatArray, yaw: Marginal, pitch: Marginal, name: str) -> O
     )
     kept = weight > NEGLIGIBLE
     mean_yaw, mean_pitch = (moment[kept] / weight[kept] for moment in moments)
-    # The first cells reach half a step beyond -pi.
+    # The first cells extend half a step beyond -pi.
     mean_yaw = np.where(mean_yaw < -np.pi - 1e-9, mean_yaw + 2.0 * np.pi, mean_yaw)
     return OrientationPdf(mean_yaw, mean_pitch, weight[kept] / weight[kept].sum(), name)

@@ -1,4 +1,4 @@
-"""What deployments do to localisation: errors and landmarks in view over time, and where in the room it is weak."""
+"""Figures of pose errors, as PNGs: over time, over the positions of a room, and with several maps of the same tags."""
 
 from pathlib import Path
 from typing import Any
@@ -8,6 +8,7 @@ import pandas as pd
 
 from lmd.core.checks import FloatArray, IntArray
 from lmd.estimation.cramer_rao import CramerRaoMap
+from lmd.evaluation.accuracy import TOLERANCES
 from lmd.plot import common
 from lmd.plot.common import literal, new_figure
 from lmd.space.space import Space
@@ -17,7 +18,7 @@ QUANTITIES = {
     "position": "position error [m]",
     "attitude": "attitude error [rad]",
 }
-DECADES = 12  # below the largest error that are shown
+DECADES = 12  # decades below the largest error that are shown
 
 
 def save_error_figure(
@@ -26,10 +27,12 @@ def save_error_figure(
     """Write a PNG: for each estimator the errors over time, below them the landmarks in view.
 
     Args:
+        path: of the PNG.
         curves: `FlightStudy.curves`.
-        time: of the frames, seconds, `(T,)`.
-        counts: landmarks in each frame of one flight, `(T,)`, by deployment.
-        n: drawn as a dotted line.
+        time: of the frames, `(T,)`, seconds.
+        counts: number of landmarks in each frame of one flight, `(T,)`, by deployment.
+        n: number of landmarks that is marked by a dotted line.
+        title: of the figure.
     """
     estimators, names = list(curves.estimator.unique()), list(counts)
     columns = len(estimators)
@@ -47,9 +50,9 @@ def save_error_figure(
                 axes.plot(curve.time, median, color=f"C{i}", lw=1.6, label=literal(name))
             axes.set_yscale("log")
             axes.grid(alpha=0.3)
-        top = float(curves[f"{quantity}_high"].max())
+        low, top = curves[f"{quantity}_low"], float(curves[f"{quantity}_high"].max())
         if top > 0.0:  # a bound without noise is 0 and has no logarithm
-            row[0].set_ylim(bottom=max(top * 10.0**-DECADES, 0.3 * _least_positive(curves[f"{quantity}_low"])))
+            row[0].set_ylim(bottom=max(top * 10.0**-DECADES, 0.3 * float(low[low > 0.0].min())))
     for axes, estimator in zip(panels[0], estimators, strict=True):
         axes.set_title(literal(estimator))
     panels[0][-1].legend(frameon=False)
@@ -62,16 +65,14 @@ def save_error_figure(
     figure.savefig(path)
 
 
-def _least_positive(values: pd.Series) -> float:
-    return float(values[values > 0.0].min())
-
-
 def save_cramer_rao_map(path: str | Path, room: Space, bounds: CramerRaoMap, title: str) -> None:
-    """Write a PNG: at each position, how often a single frame fixes the pose, and how well it does then.
+    """Write a PNG: at each position the share of single frames that fix the pose, and their median position bound.
 
     Args:
+        path: of the PNG.
         room: drawn as a box.
         bounds: of one deployment.
+        title: of the figure.
     """
     from matplotlib.colors import LogNorm
 
@@ -98,7 +99,31 @@ def save_cramer_rao_map(path: str | Path, room: Space, bounds: CramerRaoMap, tit
         if drawn.any():
             bar = figure.colorbar(balls, ax=axes, orientation="horizontal", shrink=0.6, pad=0.02, label=label)
             if "norm" in scale:
-                ticks = common.logarithmic_ticks(np.nanmin(values), np.nanmax(values))
-                bar.set_ticks(ticks.tolist(), labels=[f"{tick:g}" for tick in ticks])
-                bar.minorticks_off()
+                common.set_ticks(bar, common.logarithmic_ticks(np.nanmin(values), np.nanmax(values)))
+    figure.savefig(path)
+
+
+def save_map_figure(path: str | Path, views: pd.DataFrame, title: str) -> None:
+    """Write a PNG of 800 x 500 pixels: the share of views with a position error below that of the axis, for each map.
+
+    Args:
+        path: of the PNG.
+        views: rows of `lmd.evaluation.maps.map_errors`; views without an estimate count as infinitely far off.
+        title: of the figure.
+    """
+    figure = new_figure((8.0, 5.0))
+    axes = figure.subplots()
+    for column in views.columns[views.columns.str.startswith("position_")]:
+        errors = 1e3 * np.sort(views[column].dropna())
+        below = 100.0 * np.arange(1, len(errors) + 1) / max(len(views), 1)
+        axes.step(errors, below, where="post", label=literal(f"map as {column.removeprefix('position_')}"))
+    for limit in TOLERANCES:
+        axes.axvline(1e3 * limit, color="0.7", linestyle=":", zorder=0)
+    axes.set_xscale("log")
+    axes.set(
+        xlabel="position error of one image by PnP, less than [mm]", ylabel="share of views [%]", ylim=(0.0, 100.0)
+    )
+    axes.set_title(literal(title), fontsize=11)
+    axes.grid(alpha=0.3)
+    axes.legend(frameon=False)
     figure.savefig(path)

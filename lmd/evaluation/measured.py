@@ -1,4 +1,4 @@
-"""As measured: where tags hang beside where they were planned, and what the difference is worth."""
+"""Figures of a deployment as measured, beside those of its plan."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -19,22 +19,23 @@ from lmd.scene.edges import with_gaps
 from lmd.scene.plates import as_they_are
 from lmd.scene.tag_map_files import read_deployment
 
-RANDOM_VIEWS = 2000  # random poses
-SURVEY_STREAM = 0x737572766579  # keeps the noise apart from every other use of the same seed
+RANDOM_VIEWS = 2000  # number of random poses
+MEASURED_STREAM = 0x737572766579  # keeps the noise apart from every other use of the seed
 
 
 def read_measured(
     path: str | Path, problem: Problem, plan: Deployment, axes: Sequence[str] | None = None
 ) -> Deployment:
-    """The measured places of the tags of a plan, in its order and with its labels.
+    """Read the measured places of the tags of a plan, in its order and with its labels.
 
-    They are taken as they are: measured places need not be flush, and papers may seem to overlap. If those of the plan
-    are taken from anywhere (`FileDeployment.free`), so are these.
+    Measured places are not corrected: they need not be flush, and papers may seem to overlap. They may be anywhere if
+    those of the plan may (`FileDeployment.free`).
 
     Args:
         path: a CSV like those of plans, or a tag map.
+        problem: the problem of the plan.
         plan: K landmarks.
-        axes: where the axes of the frame of a tag point in a table, see `lmd.scene.placed_tag.axes_of`.
+        axes: directions of the axes of the frame of a tag in a table, see `lmd.scene.placed_tag.axes_of`.
 
     Raises:
         InputError: the file is no deployment, does not have the ids of the plan, or a tag is outside the room and
@@ -57,34 +58,30 @@ def read_measured(
 
 
 @dataclass(frozen=True)
-class Survey:
-    """What came out.
-
-    Args:
-        n: tags that a view must show for a pose.
-        moved: `id,moved,dx,dy,dz,tilted`, metres and rad: from where a tag was planned to where it hangs, the one that
-            is farthest off first.
-        figures: `planned` and `measured`, indexed by `figure`, on the grid, and off it as `grid_free_...`.
-        views: the errors of the pose with the map as `planned` and as `measured`, see `map_errors`.
-    """
+class Measured:
+    """Figures of a deployment as measured and as planned."""
 
     n: int
+    """Number of tags that a view must show for a pose."""
     moved: pd.DataFrame
+    """Columns `id,moved,dx,dy,dz,tilted`, metres and rad: from the plan to the measured place, the farthest first."""
     figures: pd.DataFrame
+    """Columns `planned` and `measured`, indexed by `figure`: on the grid, and off it as `grid_free_...`."""
     views: pd.DataFrame
+    """Errors of the pose with the map as `planned` and as `measured`, see `map_errors`."""
 
     @property
     def tables(self) -> dict[str, pd.DataFrame]:
-        """See `Study.tables`."""
+        """See `lmd.evaluation.Study.tables`."""
         return {"moved": self.moved, "survey": self.figures.reset_index()}
 
     def metrics(self) -> dict[str, float]:
-        """All figures by names such as `fitness/planned`, `position_planned/50` (m) and `moved/greatest` (m)."""
+        """Figures by names such as `fitness/planned`, `position_planned/50` (m) and `moved/greatest` (m)."""
         off = self.moved[["moved", "tilted"]].agg(["median", "max"]).T.rename(columns={"max": "greatest"})
         return named_figures(self.figures, error_quantiles(self.views), off)
 
     def to_text(self) -> str:
-        """What a terminal shows."""
+        """Text for a terminal."""
         far, most = self.moved.head(TAGS_LISTED), self.moved.tilted.max()
         listed = ", ".join(f"{i} ({1e3 * away:.1f})" for i, away in zip(far["id"], far.moved, strict=True))
         head = (
@@ -95,26 +92,30 @@ class Survey:
         return f"{head}\n\nfigures, per cent\n{percent_text(self.figures)}\n\n{errors_text(self.views, self.n)}"
 
 
-def survey(
+def as_measured(
     problem: Problem,
     plan: Deployment,
     measured: Deployment,
     seed: int,
     sample: Sample = SAMPLE,
     views: int = RANDOM_VIEWS,
-) -> Survey:
-    """Set a deployment as it hangs beside the plan. No result depends on the threads.
+) -> Measured:
+    """Score a deployment as measured beside its plan. No result depends on the threads.
 
     Args:
+        problem: gives the scene and the objective.
         plan: K landmarks.
-        measured: the same, where they hang.
+        measured: these landmarks at their measured places.
+        seed: of the random positions and the views.
+        sample: random positions off the grid.
+        views: number of random views.
     """
     both = {"planned": plan, "measured": measured}
     on_grid = pd.DataFrame([problem.metrics(each) for each in both.values()])
     figures = pd.concat([on_grid, off_grid_figures(problem, list(both.values()), seed, sample)], axis=1)
     maps, poses = {name: Hung.of(each) for name, each in both.items()}, draw_poses(problem.scene, views, seed)
-    noise = np.random.default_rng([seed, SURVEY_STREAM])
-    return Survey(
+    noise = np.random.default_rng([seed, MEASURED_STREAM])
+    return Measured(
         problem.objective.n,
         _moved(plan, measured),
         figures.set_axis(list(both)).T.rename_axis("figure"),
@@ -123,7 +124,7 @@ def survey(
 
 
 def _moved(plan: Deployment, measured: Deployment) -> pd.DataFrame:
-    """`Survey.moved`."""
+    """Make `Measured.moved`."""
     way = measured.places - plan.places
     chord = np.linalg.norm(measured.normals - plan.normals, axis=1)  # more accurate than the cosine
     rows = {
