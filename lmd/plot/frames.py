@@ -13,18 +13,12 @@ from lmd.core.optional import optional
 from lmd.detection.calibration import DetectorCalibration, predicted_views
 from lmd.detection.comparison import PLACES
 from lmd.detection.evaluation import TAG_NUMBERS
-<<<<<<< HEAD:lmd/plot/detection.py
-from lmd.plot.common import literal, new_figure, shrink
-=======
-from lmd.detection.calibration import predicted_views
-from lmd.detection.comparison import PLACES
 from lmd.estimation.rendered import Moment
 from lmd.geometry.camera import Camera
 from lmd.geometry.projection import view_edges
 from lmd.geometry.se3 import act
 from lmd.plot import common
 from lmd.plot.common import literal, new_figure, set_ticks, shrink
->>>>>>> main:lmd/plot/frames.py
 from lmd.render.imaging import UInt8Array
 from lmd.space.space import Space
 
@@ -48,15 +42,10 @@ def save_calibration_figure(path: str | Path, figures: pd.DataFrame, pitches: pd
     """Write a PNG: for each deployment P(>= n) predicted and detected, and below it both shares of tags by pitch.
 
     Args:
-<<<<<<< HEAD:lmd/plot/detection.py
-        figures: rows of `lmd.detection.comparison.figures` with the columns `deployment` and `detector`.
-        pitches: those of `by_pitch`, with the same columns.
-=======
         path: of the PNG.
         figures: rows of `lmd.detection.comparison.figures` with the columns `deployment` and `detector`.
         pitches: rows of `by_pitch`, with the same two columns.
         title: of the figure.
->>>>>>> main:lmd/plot/frames.py
     """
     names, detectors = list(figures.deployment.unique()), list(figures.detector.unique())
     figure = new_figure((2.0 + 5.0 * len(names), 9.0), title)
@@ -94,13 +83,9 @@ def save_places_figure(path: str | Path, places: pd.DataFrame, title: str) -> No
     """Write a PNG: the shares of tags that were predicted and detected, by their place in the image.
 
     Args:
-<<<<<<< HEAD:lmd/plot/detection.py
-        places: of `lmd.detection.comparison.by_place`.
-=======
         path: of the PNG.
         places: rows of `lmd.detection.comparison.by_place`.
         title: of the figure.
->>>>>>> main:lmd/plot/frames.py
     """
     figure = new_figure((12.0, 4.6), title)
     panels: Any = figure.subplots(1, 2)
@@ -118,13 +103,8 @@ def save_places_figure(path: str | Path, places: pd.DataFrame, title: str) -> No
     figure.savefig(path)
 
 
-<<<<<<< HEAD:lmd/plot/detection.py
-def save_limits_figure(path: str | Path, calibrations: Mapping[str, DetectorCalibration], title: str) -> None:
-    """Write a PNG: for each detector which views it found, by pitch and blur, and how often by size over its limit.
-=======
 def save_limits_figure(path: str | Path, calibrations: Mapping[str, DetectorCalibration], title: str) -> None:
     """Write a PNG: for each detector the views it found, by pitch and blur, and their share by size over the limit.
->>>>>>> main:lmd/plot/frames.py
 
     Args:
         path: of the PNG.
