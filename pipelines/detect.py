@@ -112,7 +112,7 @@ def subject_of(cfg: DictConfig, count: int, seed: int) -> Subject:
 
     from lmd.core.checks import InputError
     from lmd.core.memory import check_memory
-    from lmd.detection.comparison import Prediction
+    from lmd.detection.comparison import CameraPrediction, Prediction
     from lmd.detection.frames import draw_poses, tagged_room
     from lmd.evaluation.verdicts import verdicts
     from lmd.geometry.se3 import axis_and_right

@@ -46,7 +46,7 @@ class Audit:
     """N frames of a survey, and the K tags of its map; with C cameras C K tags, camera by camera."""
 
     prediction: Prediction
-    """What the visibility model predicts."""
+    """Predictions of the visibility model."""
     seen: Matches
     """Detections; false ones do not show a tag at its pose."""
 
