@@ -14,8 +14,8 @@ from lmd.core.checks import FloatArray, InputError, integer
 from lmd.objectives.base import incremental
 from lmd.optimisers.annealing import Annealing
 from lmd.optimisers.base import Callback, Optimiser, Result
+from lmd.optimisers.checkpoint import array, deployment, deployment_state
 from lmd.optimisers.ledger import Budget, Ledger
-from lmd.optimisers.stored import array, deployment, deployment_state
 from lmd.problem import Problem
 from lmd.scene.deployment import Deployment
 from lmd.scene.deployment_sources import GivenDeployment
