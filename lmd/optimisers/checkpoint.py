@@ -12,7 +12,7 @@ import zipfile
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import DTypeLike
@@ -24,9 +24,6 @@ from lmd.problem import Problem
 from lmd.scene.deployment import HUNG, Deployment
 from lmd.space.surface import NEAR_SURFACE
 
-if TYPE_CHECKING:
-    from lmd.optimisers.base import Optimiser
-
 CHECKPOINT_FILE = "checkpoint.npz"
 FORMAT = "lmd checkpoint 4"  # its number changes with the content of the file
 DOCUMENT_KEY = "document"  # name of the JSON document, UTF-8, among the arrays
@@ -36,11 +33,21 @@ LARGEST = sys.float_info.max
 WORD, STATE = 2**32 - 1, 2**128 - 1  # largest numbers of 32 and of 128 bits
 
 
+class Stateful(Protocol):
+    """Methods of an optimiser that checkpoints call."""
+
+    def state(self) -> dict[str, Any]:
+        """See `lmd.optimisers.base.Optimiser.state`."""
+
+    def restore(self, state: Mapping[str, Any], problem: Problem) -> None:
+        """See `lmd.optimisers.base.Optimiser.restore`."""
+
+
 @dataclass
 class Checkpoint:
     """Run that can be resumed."""
 
-    optimiser: "Optimiser"
+    optimiser: Stateful
     """Optimiser, which holds all of the run."""
     settings: Mapping[str, Any]
     """Flat settings, which must be equal when the run is resumed."""
