@@ -1,7 +1,7 @@
-"""What real detectors find of deployments: `python -m pipelines.detect deployment=uniform,random [overrides]`.
+"""Let real detectors read rendered images: `python -m pipelines.detect deployment=uniform,random [overrides]`.
 
-Random poses are rendered and read by each detector, the same poses for every deployment. So `deployment=a,b,c` does not
-start a sweep here: it is read as `deployments=[a,b,c]`.
+All deployments are rendered from equal random poses in one run, so `deployment=a,b,c` is no sweep: it is read as
+`deployments=[a,b,c]`.
 """
 
 import re
@@ -31,25 +31,28 @@ if TYPE_CHECKING:
     from lmd.problem import Problem
     from lmd.render.renderer import Renderer
 
-FRAME_BYTES = 100  # at the least, of what is predicted of a landmark in a frame
-CHUNK = 10  # frames that a worker renders and reads at a time
+FRAME_BYTES = 100  # least memory of the prediction of a landmark in a frame, bytes
+CHUNK = 10  # frames that a worker renders and reads at once
 
 
 def read_number_of_poses() -> None:
-    """Take `poses=500` of the command line as `frames=500`: `poses=recorded` is an option of the group of that name."""
+    """Read `poses=500` on the command line as `frames=500`; `poses=recorded` is an option of the group `poses`."""
     sys.argv[1:] = [re.sub(r"^poses=(?=[-+.\d])", "frames=", argument) for argument in sys.argv[1:]]
 
 
 @dataclass(frozen=True)
 class Subject:
-    """A deployment that is looked at, and by whom."""
+    """A deployment in random poses, and the detectors that read its images."""
 
     problem: "Problem"
+    """Problem of the deployment."""
     prediction: "Predicted"
+    """Predicted sightings in each pose."""
     detectors: Mapping[str, "Detector"]
+    """Detectors by name."""
 
     def nudged(self, sizes: object, seed: int) -> "Subject":
-        """The subject as seen from poses moved by `sizes`, standard deviations in metres and rad."""
+        """The subject in poses moved at random by `sizes`, standard deviations in metres and rad."""
         from lmd.core.checks import vector
         from lmd.detection.frames import nudged
 
@@ -98,9 +101,9 @@ def subject_of(cfg: DictConfig, count: int, seed: int) -> Subject:
     """A deployment with its prediction in random poses, and detectors that work.
 
     Args:
-        cfg: with one deployment.
-        count: poses.
-        seed: draws them, and the deployment if it is random.
+        cfg: configuration with one deployment.
+        count: number of poses.
+        seed: seed of the poses, and of a random deployment.
 
     Raises:
         InputError: the deployment, the tag or a detector is refused.
@@ -114,7 +117,6 @@ def subject_of(cfg: DictConfig, count: int, seed: int) -> Subject:
     from lmd.evaluation.verdicts import verdicts
     from lmd.geometry.se3 import axis_and_right
     from lmd.render.renderer import Renderer
-    from lmd.scene.rig import Rig
     from lmd.sight.views import visible_to_each
 
     tag, imaging = instantiate(cfg.tag), instantiate(cfg.imaging)
@@ -126,7 +128,7 @@ def subject_of(cfg: DictConfig, count: int, seed: int) -> Subject:
     if not detectors:
         raise InputError("detectors must name at least one detector.")
     for detector in detectors.values():
-        detector.detect(np.zeros((64, 64), dtype=np.uint8))  # a package that is missing is missed here
+        detector.detect(np.zeros((64, 64), dtype=np.uint8))  # fails here if its package is missing
     deployment = problem.draw(np.random.default_rng(seed))
     with keyed("tag"):
         room = tagged_room(scene.room, deployment, tag)
@@ -139,12 +141,12 @@ def subject_of(cfg: DictConfig, count: int, seed: int) -> Subject:
         own = poses @ mounted
         told = verdicts(scene, deployment, own, camera)
         parts.append(Prediction(Renderer(camera, room, imaging), own, predicted, told))
-    is_rig = isinstance(scene.camera, Rig)
+    is_rig = scene.rig is not None
     return Subject(problem, RigPrediction(tuple(parts), scene.extrinsics, poses) if is_rig else parts[0], detectors)
 
 
 class Frames(NamedTuple):
-    """Some frames of one camera of a subject, for a process of its own; the noise of a frame depends on its number."""
+    """Frames of one camera of a subject, for a worker; the noise of a frame depends on its number."""
 
     name: str
     camera: int
@@ -156,11 +158,11 @@ class Frames(NamedTuple):
 
 
 def sightings(subjects: Mapping[str, Subject], seed: int, workers: int | None) -> dict[str, dict[str, "Sightings"]]:
-    """What each detector found, by the subject's and the detector's names.
+    """Detections by the names of subject and detector, for any number of workers.
 
     Args:
-        subjects: by name.
-        workers: processes, None for every processor; the result is the same.
+        subjects: subjects by name.
+        workers: number of processes; None for every processor.
     """
     from lmd.detection.frames import Sightings
 
@@ -193,7 +195,7 @@ def sightings(subjects: Mapping[str, Subject], seed: int, workers: int | None) -
 
 
 def _look(job: Frames) -> tuple[str, int, int, dict[str, "Sightings"]]:
-    """One job, on one thread."""
+    """Render and read frames, on one thread."""
     from lmd.core.optional import optional
     from lmd.detection.frames import look
 
@@ -206,7 +208,7 @@ def _tables(
     seen: Mapping[str, Mapping[str, "Sightings"]],
     again: Mapping[str, Mapping[str, "Sightings"]] | None,
 ) -> "tuple[pd.DataFrame, pd.DataFrame, pd.DataFrame]":
-    """Figures, classes of pitch and tags, each with the columns `deployment` and `detector`."""
+    """Tables of figures, of classes of pitch and of tags, each with the columns `deployment` and `detector`."""
     import pandas as pd
 
     from lmd.detection.report import by_pitch, by_tag, figures, repeated
@@ -244,7 +246,7 @@ def _save_frames(
     count: int,
     seed: int,
 ) -> "list[Path]":
-    """The first frames of each deployment as its first detector reads them, of a rig those of every camera."""
+    """Draw the first frames of each deployment as its first detector reads them, for every camera of a rig."""
     import numpy as np
 
     from lmd.detection.frames import picture
@@ -263,7 +265,7 @@ def _save_frames(
     return files
 
 
-# The number first: what is no option of the group `poses` does not choose one.
+# The number is read first: the others take `poses=` as an option of the group.
 main = Pipeline("detect", detect, (read_number_of_poses, read_deployment_as_a_list))
 
 if __name__ == "__main__":

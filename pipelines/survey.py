@@ -1,4 +1,4 @@
-"""Map tags from photographs of them: `python -m pipelines.survey run=DIR photographs=DIR camera.path=FILE`."""
+"""Map tags from photographs: `python -m pipelines.survey run=DIR photographs=DIR camera.path=FILE`."""
 
 import sys
 from collections.abc import Iterator

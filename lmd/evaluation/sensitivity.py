@@ -189,13 +189,13 @@ def _measure(
     number, evaluator = group
     assumed = np.array([_shares(variant, evaluator) for variant in variants])
     rng = np.random.default_rng([seed, MISSES_STREAM, number])
-    camera = evaluator.scene.camera
-    if isinstance(camera, Rig) or evaluator.by_reference:
-        # A rig of one camera at the body's origin has the figures of that camera.
-        scene = evaluator.scene if isinstance(camera, Rig) else replace(evaluator.scene, camera=Rig((Mount(camera),)))
+    scene = evaluator.scene
+    if scene.rig is not None or evaluator.by_reference:
+        if scene.rig is None:  # a rig of one camera at the body's origin has the figures of that camera
+            scene = replace(scene, camera=Rig((Mount(scene.cameras[0]),)))
         moved = Evaluator(scene, evaluator.positions, evaluator.threads)
         rig = RigMoments(moved, deployment, objective.n, objective.precision(scene))
-        failed = rig.without_cameras() if isinstance(camera, Rig) else np.empty((0, 2))
+        failed = rig.without_cameras() if evaluator.scene.rig is not None else np.empty((0, 2))
         return assumed, rig.missed(MISS_PROBABILITIES, rng), rig.lost(), failed
     field = objective.field(evaluator)
     assert isinstance(field, LocalisationField)  # that of a single camera

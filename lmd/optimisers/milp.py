@@ -39,7 +39,6 @@ from lmd.optimisers.selection import candidates
 from lmd.problem import Problem
 from lmd.scene.criteria import TOLERANCE
 from lmd.scene.deployment import Deployment
-from lmd.scene.rig import Rig
 from lmd.sight.poses import covered_amounts
 
 MOST_PAIRS = 20_000_000  # of a pose and a view; far more than HiGHS solves in an hour
@@ -90,7 +89,7 @@ class Milp(Optimiser):
         objective = problem.objective
         if not isinstance(objective, Coverage) or objective.sampling is not None:
             raise InputError("the integer program is that of plain coverage at the grid's own positions.")
-        if isinstance(problem.scene.camera, Rig):
+        if problem.scene.rig is not None:
             raise InputError("the integer program is that of one camera, not of a rig.")
         lattice_poses = self._poses(problem)
         poses, views = len(lattice_poses), _views(problem).size

@@ -50,7 +50,7 @@ class PlanningSession:
     """
 
     def __init__(self, problem: Problem, deployment: Deployment, space: MountSpace | None = None) -> None:
-        rig = problem.scene.camera if isinstance(problem.scene.camera, Rig) else None
+        rig = problem.scene.rig
         if rig is not None and space is not None:
             space.genes(rig)
         self.problem, self.space = problem, space

@@ -8,7 +8,6 @@ import numpy as np
 from lmd.core.checks import FloatArray, IntArray
 from lmd.objectives.localisation.reference import decided, information_of, log_det_of
 from lmd.scene.deployment import Deployment
-from lmd.scene.rig import Rig
 from lmd.scene.scene import Scene
 from lmd.sight.evaluator import Evaluator
 from lmd.sight.poses import by_edge
@@ -49,7 +48,7 @@ class ReferenceLogDeterminant:
         position: float,
         rotation: float,
     ) -> None:
-        is_rig, axes = isinstance(evaluator.scene.camera, Rig), evaluator.scene.orientations.axes
+        is_rig, axes = evaluator.scene.rig is not None, evaluator.scene.orientations.axes
         of, width = (OF_BODY, BODY_WIDTH) if is_rig else (OF_CAMERA, CAMERA_WIDTH)
         evaluator.check_memory(8 * (width + 2))
         self._evaluator, self._precision, self._width = evaluator, precision, width

@@ -4,7 +4,7 @@ import numpy as np
 
 from lmd.core.bits import ALL, BITS, ONE, ZERO, lowest
 from lmd.core.compiled import inlined, inner
-from lmd.incremental.camera import list_turning
+from lmd.incremental.camera_occlusion import list_turning
 from lmd.incremental.nearby import pose_of
 from lmd.incremental.state import FRESH, GOES, HIDDEN, NAMES, REACHED, TOUCHED, X, Y, Z
 from lmd.objectives.localisation.ambiguity import count_tag, told_apart

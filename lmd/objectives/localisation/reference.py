@@ -29,7 +29,6 @@ from lmd.objectives.localisation.information import (
 from lmd.objectives.localisation.rig_ambiguity import has_one_pose, mirrored_numbers, width_of
 from lmd.scene.criteria import largest
 from lmd.scene.deployment import Deployment
-from lmd.scene.rig import Rig
 from lmd.scene.scene import Scene
 from lmd.sight.models.paper import dot
 from lmd.sight.reference import cap_count, coverage_caps, n_ple_cap, station_caps
@@ -147,7 +146,7 @@ def _judged(
 ) -> tuple[BoolArray, FloatArray]:
     """Views that meet the precision `asked`, flags, and the variance of the position in each, `(A,)` each."""
     with np.errstate(all="ignore"):
-        if isinstance(scene.camera, Rig):
+        if scene.rig is not None:
             sums, covered = body_information(scene, deployment, asked, position, axes)
             one_pose = n_ple_cap(cap_count(covered), 2) | has_one_pose(asked, sums.T, 0, 1)
             (value, fixed), met = position_variance(sums.T, 0, 1), body_meets(asked, sums.T, 0, 1)
@@ -169,13 +168,13 @@ def localised(
 
 def log_det_of(scene: Scene, sums: FloatArray) -> FloatArray:
     """The `log_det` of the information of views, `(A,)`, of sums `(width, A)` as in `information_of`."""
-    return np.asarray(body_log_det(sums, 0, 1) if isinstance(scene.camera, Rig) else log_det(*sums))
+    return np.asarray(body_log_det(sums, 0, 1) if scene.rig is not None else log_det(*sums))
 
 
 def information_of(
     scene: Scene, deployment: Deployment, asked: Any, position: FloatArray, axes: FloatArray
 ) -> FloatArray:
     """Fisher information of each view, `(width, A)`: `view_information` of a camera, `body_information` of a rig."""
-    if isinstance(scene.camera, Rig):
+    if scene.rig is not None:
         return body_information(scene, deployment, asked, position, axes)[0].T
     return view_information(scene, deployment, asked, position, axes)

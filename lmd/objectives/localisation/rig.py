@@ -18,7 +18,6 @@ from lmd.objectives.localisation.looks import add_of_all, looks_of, seen_by_any
 from lmd.objectives.localisation.rig_ambiguity import add_share, has_one_pose, width_of
 from lmd.objectives.localisation.slots import ORIENTATION, VIEW, fill_slots, met_slots, new_slots, tags_of
 from lmd.scene.deployment import Deployment
-from lmd.scene.rig import Rig
 from lmd.sight.evaluator import Evaluator
 from lmd.sight.kernels import sum_weights
 from lmd.sight.rig_views import RigViews
@@ -163,10 +162,10 @@ def body_information(evaluator: Evaluator, deployment: Deployment, moments: Mome
         precision: has the size of the tags.
     """
     scene, (positions, axes, seen) = evaluator.scene, moments[3:]
-    assert isinstance(scene.camera, Rig)
+    assert scene.rig is not None
     landmarks, normals = (for_kernels(v) for v in (deployment.positions, deployment.normals))
     sums = np.zeros((len(positions), width_of(precision)))
-    for camera, offsets, turned, its in zip(scene.cameras, *scene.camera.views(axes), seen, strict=True):
+    for camera, offsets, turned, its in zip(scene.cameras, *scene.rig.views(axes), seen, strict=True):
         poses = for_kernels(positions), for_kernels(offsets), for_kernels(turned.T)
         gain, sight = gain_of(camera, scene.cameras[0]), scene.visibility.sight(camera)
         _add_up(*poses, landmarks, normals, sight, for_kernels(its), precision, gain, sums)

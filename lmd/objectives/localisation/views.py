@@ -8,7 +8,6 @@ from lmd.core.checks import FloatArray
 from lmd.objectives.localisation.by_reference import reference_views
 from lmd.objectives.localisation.kernels import localise_range
 from lmd.objectives.localisation.rig import rig_views
-from lmd.scene.rig import Rig
 from lmd.sight.evaluator import Evaluator
 from lmd.sight.poses import CHUNKS_PER_THREAD
 
@@ -38,7 +37,7 @@ def localised_views(
         e.check_memory(8 * batch)
     if e.by_reference:
         return Views(*reference_views(e, positions, normals, n, precision, keep))
-    if isinstance(e.scene.camera, Rig):
+    if e.scene.rig is not None:
         return Views(*rig_views(e, positions, normals, n, precision, keep))
     covered, localised = np.zeros((2, batch, size), dtype=np.int64)
     views = Views(covered, localised, np.empty((batch, size, e.axes.shape[1]) if keep else (0, 0, 0)))
