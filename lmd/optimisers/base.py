@@ -13,9 +13,9 @@ from typing_extensions import override
 from lmd.core.checks import FloatArray, InputError, seed_number
 from lmd.core.compiled import clock
 from lmd.core.memory import check_memory
-from lmd.optimisers.checkpoint import array
 from lmd.optimisers.genome import LandmarkGenome
 from lmd.optimisers.ledger import Budget, Ledger, Record
+from lmd.optimisers.stored import array
 from lmd.problem import Genome, Problem
 from lmd.scene.deployment import Deployment
 from lmd.scene.rig import Rig
@@ -69,7 +69,7 @@ class Optimiser(ABC):
     def state(self) -> dict[str, Any]:
         """Return the results of the run as data, for a checkpoint; settings are not part of it.
 
-        Data are None, numbers, texts, arrays of NumPy, and lists and mappings of these; `lmd.optimisers.checkpoint` has
+        Data are None, numbers, texts, arrays of NumPy, and lists and mappings of these; `lmd.optimisers.stored` has
         functions for generators and deployments.
 
         Raises:

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from lmd.core.checks import InputError, check_fields, integer, real
-from lmd.optimisers.checkpoint import array
+from lmd.optimisers.stored import array
 
 
 @dataclass(frozen=True)

@@ -20,7 +20,7 @@ from lmd.objectives.base import incremental
 from lmd.objectives.reference_field import field_of
 from lmd.optimisers.annealing.moves import Footprints, Settings
 from lmd.optimisers.annealing.walk import Best, walk
-from lmd.optimisers.checkpoint import array, points
+from lmd.optimisers.stored import array, points
 from lmd.problem import Problem
 from lmd.scene.deployment import Deployment
 from lmd.scene.pushing import TOUCHING
