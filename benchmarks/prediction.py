@@ -40,7 +40,7 @@ from lmd.sight.models.fiducial import Fiducial
 from lmd.sight.models.limits import NAMES, Limits
 from lmd.space.cuboid import Cuboid
 from lmd.survey.audit import IN_A_ROW, Audit, audited, in_the_open, view_columns
-from lmd.survey.prior import Known
+from lmd.survey.prior import PriorKnowledge
 from lmd.survey.survey import Survey, survey
 
 FARTHEST = "farthest corner from the lens's centre, pixels"
@@ -204,7 +204,7 @@ def main() -> None:
     folder, tag, path = given.folder, Tag(given.edge), str(given.folder / "cameras.yaml")
     detected = with_images(read_detections(folder / "detections.csv"), folder / "frames.csv")
     cameras = [calibrated_camera(path, name or None) for name in list(read_cameras(path))[: len(detected.cameras)]]
-    found = survey(detected, cameras, tag, CORNER_ERRORS["apriltag"], Known())
+    found = survey(detected, cameras, tag, CORNER_ERRORS["apriltag"], PriorKnowledge())
     with TemporaryDirectory() as left:
         write_table(Path(left) / FILE, view_columns(found, cameras, tag, None))
         rng = np.random.default_rng(0)

@@ -15,8 +15,8 @@ from lmd.cameras.problem import CameraProblem
 from lmd.core.checks import FloatArray, InputError, real, vector
 from lmd.core.compiled import clock
 from lmd.optimisers.base import Callback, Optimiser, Result
-from lmd.optimisers.checkpoint import array, generator, generator_state
 from lmd.optimisers.ledger import Budget, Ledger
+from lmd.optimisers.stored import array, generator, generator_state
 from lmd.problem import Problem
 from lmd.scene.deployment import Deployment
 from lmd.scene.rig import Rig

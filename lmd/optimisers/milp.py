@@ -33,9 +33,9 @@ from lmd.core.compiled import clock
 from lmd.objectives.coverage import Coverage
 from lmd.optimisers.annealing.surrogate import STACK_SPREAD, pulled_apart
 from lmd.optimisers.base import Callback, Optimiser, Result
-from lmd.optimisers.checkpoint import deployment, deployment_state
 from lmd.optimisers.ledger import Budget, Ledger
 from lmd.optimisers.selection import candidates
+from lmd.optimisers.stored import deployment, deployment_state
 from lmd.problem import Problem
 from lmd.scene.criteria import TOLERANCE
 from lmd.scene.deployment import Deployment

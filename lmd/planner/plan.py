@@ -19,7 +19,7 @@ from lmd.space.space import Space
 from lmd.space.surface import SurfaceArrays
 
 
-class Measured(NamedTuple):
+class MeasuredPlace(NamedTuple):
     """A place on a surface as one measures it before the wall, as in `plan.pdf`."""
 
     left: float
@@ -78,7 +78,7 @@ class Plan:
         pinned = ", pinned" if number in self.pinned else ""
         return f"tag {number}: {where}, ({x:.3f}, {y:.3f}, {z:.3f}) m{size}{pinned}"
 
-    def measured(self, number: int, room: Space) -> "Measured | None":
+    def measured(self, number: int, room: Space) -> "MeasuredPlace | None":
         """Place of the tag with an id on its surface; None if it hangs on none.
 
         Raises:
@@ -90,7 +90,7 @@ class Plan:
             return None
         surface = room.surfaces()[index]
         left, below = surface.seen(np.stack(surface.coordinates(self.deployment.positions[k])))
-        return Measured(float(left), float(below) + lower_edge(room, surface), surface.is_upright)
+        return MeasuredPlace(float(left), float(below) + lower_edge(room, surface), surface.is_upright)
 
     def moved(self, plates: Plates, number: int, surface: int, at: FloatArray) -> "Plan":
         """Move a tag to the free place nearest to `at` `(2,)`, coordinates on a surface, metres.

@@ -47,7 +47,7 @@ class Audit:
     """N frames of a survey, and the K tags of its map; with C cameras C K tags, camera by camera."""
 
     prediction: Predicted
-    """What the visibility model predicts."""
+    """Predictions of the visibility model."""
     seen: Sightings
     """Detections; false ones do not show a tag at its pose."""
 

@@ -1,4 +1,4 @@
-"""Tables, figures and the JSON document of a survey; `lmd.survey.summary` has its text."""
+"""Tables, figures and the JSON document of a survey; `lmd.survey.terminal` has its text."""
 
 from typing import Any
 

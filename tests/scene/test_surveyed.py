@@ -18,9 +18,9 @@ from lmd.evaluation.validation import Sample
 from lmd.geometry.squares import corners, upright
 from lmd.mapping.tag_map import TagMap
 from lmd.objectives.coverage import Coverage
-from lmd.optimisers.checkpoint import points
 from lmd.optimisers.ledger import Budget
 from lmd.optimisers.random_search import RandomSearch
+from lmd.optimisers.stored import points
 from lmd.problem import Problem
 from lmd.scene import pdf
 from lmd.scene.deployment import Deployment

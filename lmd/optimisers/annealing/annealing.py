@@ -39,9 +39,9 @@ from lmd.optimisers.annealing.surrogate import (
     pulled_apart,
 )
 from lmd.optimisers.base import Callback, Optimiser, Result
-from lmd.optimisers.checkpoint import array, deployment, deployment_state, generator, generator_state
 from lmd.optimisers.ledger import Budget, Ledger
 from lmd.optimisers.selection import GRID_SPACING, greedy_start
+from lmd.optimisers.stored import array, deployment, deployment_state, generator, generator_state
 from lmd.problem import Problem
 from lmd.scene.deployment import Deployment
 
@@ -236,7 +236,7 @@ class Annealing(Optimiser):
 
     @property
     def _known(self) -> Deployment:
-        """The best deployment so far."""
+        """The best deployment."""
         assert self.best is not None, "the start was noted"
         return self.best
 

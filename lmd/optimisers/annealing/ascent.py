@@ -21,7 +21,7 @@ from lmd.core.threads import at_once
 from lmd.incremental.field import bound, in_order, placed, runner, settle, smoothed
 from lmd.objectives.base import incremental
 from lmd.objectives.reference_field import field_of
-from lmd.optimisers.checkpoint import WORD, array
+from lmd.optimisers.stored import WORD, array
 from lmd.problem import Problem
 from lmd.scene.deployment import Deployment
 from lmd.space.surface import SurfaceArrays

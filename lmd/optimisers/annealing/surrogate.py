@@ -20,7 +20,7 @@ from lmd.objectives.base import incremental
 from lmd.objectives.reference_field import field_of
 from lmd.optimisers.annealing.moves import Footprints, Settings
 from lmd.optimisers.annealing.walk import Best, walk
-from lmd.optimisers.checkpoint import array, points
+from lmd.optimisers.stored import array, points
 from lmd.problem import Problem
 from lmd.scene.deployment import Deployment
 from lmd.scene.pushing import TOUCHING
@@ -114,7 +114,7 @@ class Surrogate:
 
         Args:
             here: stacks, or all landmarks.
-            best: best deployment of the problem so far.
+            best: best deployment of the problem.
             conditions: of the walk.
             moves: number of landmarks, or stacks, to move.
             rng: draws all that is random.
