@@ -180,7 +180,7 @@ class Kind(NamedTuple):
     poses: Deployment
     """Landmarks at the centres of the cells, with their edge."""
     number: int
-    """How many there are."""
+    """Number of these landmarks."""
 
 
 def _kinds(problem: Problem, evaluator: Evaluator, count: int, spacing: float) -> list[Kind]:

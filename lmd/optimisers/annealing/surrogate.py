@@ -114,7 +114,7 @@ class Surrogate:
 
         Args:
             here: stacks, or all landmarks.
-            best: best deployment of the problem so far.
+            best: best deployment of the problem.
             conditions: of the walk.
             moves: number of landmarks, or stacks, to move.
             rng: draws all that is random.
