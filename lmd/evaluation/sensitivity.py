@@ -1,7 +1,7 @@
 """Sensitivity of the figures of a deployment to assumptions: the noise, the tags, and the detection of every tag.
 
 All variants are measured off the grid, at equal random positions and orientations (`lmd.evaluation.validation`), so
-they differ by the assumption alone. There are two figures, whatever the objective: the mean of L, the probability of
+they differ by the assumption alone. There are two figures, for any objective: the mean of L, the probability of
 localising to the tolerance, and the mean of P_n, the probability of covering n landmarks.
 """
 
