@@ -87,7 +87,7 @@ def build_parts(cfg: DictConfig, count: str = "deployment.count") -> Parts:
     with names():
         fixed = fixed_of(cfg.deployment, scene.tag.own_family)
     with keyed("tag"):
-        scene = divide_paper(cfg, scene, objective, threads, fixed)
+        scene = divide_paper(cfg.deployment, cfg.tag, scene, objective, threads, fixed)
     with names():
         total = total_of(cfg.deployment, fixed)
     start = instantiate(others_of(cfg.deployment, fixed, total))
@@ -151,28 +151,30 @@ def _scene(cfg: DictConfig) -> "Scene":
     from lmd.space.space import Space
 
     tag, camera, visibility = instantiate(cfg.tag), camera_of(cfg.camera), instantiate(cfg.visibility)
-    room, pdf, recorded = _poses(cfg)
+    room, pdf, recorded = _poses(cfg.room, cfg.pdf, cfg.get("poses"))
     check_members("room", room, Space, "docs/api/space.md")
     check_members("visibility", visibility, Criteria, "docs/api/scene.md")
     return Scene(room, camera, pdf, visibility, tag, recorded)
 
 
-def _poses(cfg: DictConfig) -> "tuple[Space, OrientationPdf, RecordedPoses | None]":
+def _poses(
+    room_node: DictConfig, pdf_node: DictConfig, poses_node: DictConfig | None
+) -> "tuple[Space, OrientationPdf, RecordedPoses | None]":
     """The room, the orientation PDF, and the recording that gives both; None where there is no recording."""
     from lmd.core.checks import InputError
 
-    room, recorded = instantiate(cfg.room), bool(cfg.get("poses"))
+    room, recorded = instantiate(room_node), bool(poses_node)
     if scan := getattr(room, "scan", None):  # of a mesh
         if doubt := scan.doubt:
             print(f"warning: room.up: is it right for {scan.path!r}? {doubt[0].upper()}{doubt[1:]}", file=sys.stderr)
         note(scan.mesh.note)
-    if recorded == bool(cfg.pdf):
+    if recorded == bool(pdf_node):
         needed = "poses=recorded, which says how the camera looks, needs pdf=recorded"
         cure = "add it to the command line where an experiment has chosen another one"
         raise InputError(f"{needed}; {cure}." if recorded else "pdf=recorded needs poses=recorded.")
     if not recorded:
-        return room, instantiate(cfg.pdf), None
-    poses = instantiate(cfg.poses)
+        return room, instantiate(pdf_node), None
+    poses = instantiate(poses_node)
     with keyed("poses"):
         visited = poses.visited(room)
     note(poses.note_of("poses."))

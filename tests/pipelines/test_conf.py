@@ -28,13 +28,7 @@ from pipelines.nodes import instantiate
 
 ONLY_OBSERVE = ("trajectory", "detector", "estimator", "odometry")
 ONLY_RENDERED = ("detectors", "imaging", "views")
-OTHER_GROUPS = {
-    "body",
-    "experiment",
-    "recording",
-    *ONLY_OBSERVE,
-    *ONLY_RENDERED,
-}  # tested below, and in test_estimate_pdf_pipeline.py
+OTHER_GROUPS = {"body", "experiment", "recording", *ONLY_OBSERVE, *ONLY_RENDERED}  # other tests build them
 GROUPS = [
     (path.parent.name, path.stem)
     for path in sorted(Path(CONF).glob("*/*.yaml"))
@@ -54,15 +48,8 @@ SWEEPS = {  # the pipeline of each stored sweep, and its number of jobs
 }
 # A file, or the edge of a tag.
 NEEDS_MORE = {
-    ("pdf", "samples"),
-    ("pdf", "recorded"),
-    ("poses", "recorded"),
-    ("room", "mesh"),
-    ("deployment", "file"),
-    ("views", "images"),
-    ("views", "survey"),
-    ("visibility", "fiducial"),
-    ("camera", "calibration"),
+    *(("pdf", "samples"), ("pdf", "recorded"), ("poses", "recorded"), ("room", "mesh"), ("deployment", "file")),
+    *(("views", "images"), ("views", "survey"), ("visibility", "fiducial"), ("camera", "calibration")),
 }
 
 
