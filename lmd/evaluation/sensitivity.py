@@ -1,7 +1,7 @@
 """Sensitivity of the figures of a deployment to assumptions: the noise, the tags, and the detection of every tag.
 
 All variants are measured off the grid, at equal random positions and orientations (`lmd.evaluation.validation`), so
-they differ by the assumption alone. There are two figures, whatever the objective: the mean of L, the probability of
+they differ by the assumption alone. There are two figures, for any objective: the mean of L, the probability of
 localising to the tolerance, and the mean of P_n, the probability of covering n landmarks.
 """
 
@@ -166,7 +166,7 @@ def _variants(problem: Problem, deployment: Deployment) -> list[Variant]:
         resized, note = replace(scene, tag=tag, visibility=seen), ""
         larger = replace(deployment, edges=factor * deployment.edges_of(scene.tag))
         try:
-            resized.plates.check(larger)
+            resized.footprints.check(larger)
         except InputError as error:
             note = str(error)
         variants.append(Variant("edge", factor, tag.size, resized.sized(larger.edges), objective, larger, note))

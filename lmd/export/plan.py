@@ -26,7 +26,7 @@ from lmd.export.plan_pages import HEAD, LIGHT, MARGIN, SMALL, TEXT, Table, begin
 from lmd.export.symbols import draw_fixture
 from lmd.formats.tag_map import TagMap
 from lmd.geometry.camera import MM_PER_M
-from lmd.space.heights import lower_edge
+from lmd.space.space import lower_edge
 from lmd.space.surface import FLAT, Surface
 
 # On the page, all in mm.

@@ -16,8 +16,7 @@ from lmd.geometry.se3 import act, laid_over, pose_of, poses_from_rows
 from lmd.geometry.trajectory import Trajectory
 from lmd.scene.recorded_poses import RecordedPoses
 from lmd.scene.rig import OPTICAL
-from lmd.space.inside import check_file_inside, check_positions
-from lmd.space.space import Space
+from lmd.space.space import Space, check_file_inside, check_positions
 
 # From the camera's axes (x right, y down, z the optical axis) to those that an orientation is about.
 FRAMES = {"optical": np.eye(3), "body": OPTICAL}
@@ -115,7 +114,7 @@ class TrajectoryFile:
         """The trajectory, which must lie inside a room.
 
         Args:
-            check: of `lmd.space.inside`.
+            check: of `lmd.space.space`.
 
         Raises:
             InputError: it does not; the message says how far, and what may help.
