@@ -1,4 +1,4 @@
-"""Functions that compiled code resolves by the class of their first argument, a named tuple.
+"""Functions that compiled code resolves by the class of their first argument, a named tuple or None.
 
 Like `functools.singledispatch`, but for numba: a kernel calls one name, and is compiled for each class that it is given
 with what that class registered. So a criterion or an objective is one file that no kernel knows of, and the
@@ -15,6 +15,7 @@ compiled code stays cached on disk, which a function handed over as an argument 
 from collections.abc import Callable
 from typing import Any, ParamSpec, Protocol, TypeVar, cast
 
+from numba import types
 from numba.extending import overload
 
 from lmd.core.compiled import OVERLOAD, OVERLOAD_INLINED
@@ -32,7 +33,7 @@ class Dispatched(Protocol[P, R_co]):
         """What the class of the first argument registered; positional arguments only."""
 
     def register(self, kind: type) -> Callable[[F], F]:
-        """Decorates the plain function for named tuples of a class, with the arguments of the dispatched one."""
+        """Decorate the plain function for a class, with the arguments of the dispatched one."""
 
 
 def dispatched(declaration: Callable[P, R_co]) -> Dispatched[P, R_co]:
@@ -67,7 +68,7 @@ def _dispatched(declaration: Callable[P, R_co], otherwise: Function | None, opti
         return remember
 
     def resolve(first: Any, *_: Any) -> Function | None:
-        return table.get(getattr(first, "instance_class", object)) or otherwise
+        return table.get(type(None) if first is types.none else getattr(first, "instance_class", object), otherwise)
 
     call.__name__, call.__doc__, call.__module__ = declaration.__name__, declaration.__doc__, declaration.__module__
     call.register, call.registered = register, table  # type: ignore[attr-defined]

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
+from typing_extensions import override
 
 from lmd.core.checks import BoolArray, FloatArray
 from lmd.incremental.coverage_field import CoverageField, coverage_field
@@ -20,6 +21,40 @@ from lmd.sight.kernels import PROBABILITY_ONE
 from lmd.sight.poses import covered_amounts, gains
 
 PRICE_BYTES = 24  # of a view while poses are selected: its price, how often it is covered, and their product
+
+
+class Threshold(NamedTuple):
+    """Positions count from a `threshold` in units on, with weights `relevance` `(Q,)`; a `Target`."""
+
+    threshold: int
+    relevance: FloatArray
+
+
+@smoothed.register(Threshold)
+def _smoothed(target, p, units, margin, width, share):  # type: ignore[no-untyped-def]
+    above = (units - target.threshold) / PROBABILITY_ONE - margin
+    return target.relevance[p] * (1.0 / (1.0 + math.exp(-above / width)) + share * units / PROBABILITY_ONE)
+
+
+@worth.register(Threshold)
+def _worth(target, p, units):  # type: ignore[no-untyped-def]
+    return target.relevance[p] * (units >= target.threshold)
+
+
+class Mean(NamedTuple):
+    """The mean of the values with weights `relevance` `(Q,)`; a `Target`."""
+
+    relevance: FloatArray
+
+
+@smoothed.register(Mean)
+def _smoothed_mean(target, p, units, margin, width, share):  # type: ignore[no-untyped-def]
+    return target.relevance[p] * (units / PROBABILITY_ONE)
+
+
+@worth.register(Mean)
+def _worth_of_mean(target, p, units):  # type: ignore[no-untyped-def]
+    return target.relevance[p] * (units / PROBABILITY_ONE)
 
 
 @dataclass(frozen=True)
@@ -103,7 +138,7 @@ class Coverage(AtLeast):
         """See `Objective.field`."""
         return rig_field(evaluator, self.n) if evaluator.parts else coverage_field(evaluator, self.n)
 
-    def target(self, relevance: FloatArray) -> "Threshold":
+    def target(self, relevance: FloatArray) -> Threshold | Mean:
         """See `Objective.target`."""
         return Threshold(math.ceil((self.thold_p - TOLERANCE) * PROBABILITY_ONE), relevance)
 
@@ -112,22 +147,28 @@ class Coverage(AtLeast):
         return CappedCount(evaluator, relevance, self.n)
 
 
-class Threshold(NamedTuple):
-    """Positions count from a `threshold` in units on, with weights `relevance` `(Q,)`; a `Target`."""
+@dataclass(frozen=True)
+class MeanCoverage(Coverage):
+    """The relevance-weighted mean of P_n: every view counts, not only those beyond a threshold.
 
-    threshold: int
-    relevance: FloatArray
+    Arguments are those of `Coverage`; `thold_p` only says which positions the qualified ratio counts.
+    """
 
+    headline = Headline("average_coverage_probability", "average coverage probability")
+    counted = "views"
 
-@smoothed.register(Threshold)
-def _smoothed(target, p, units, margin, width, share):  # type: ignore[no-untyped-def]
-    above = (units - target.threshold) / PROBABILITY_ONE - margin
-    return target.relevance[p] * (1.0 / (1.0 + math.exp(-above / width)) + share * units / PROBABILITY_ONE)
+    @property
+    @override
+    def name(self) -> str:
+        return f"mean n={self.n}"
 
+    @override
+    def fitness(self, values: FloatArray, relevance: FloatArray) -> FloatArray:
+        return np.asarray((values * relevance).sum(axis=-1) / relevance.sum())
 
-@worth.register(Threshold)
-def _worth(target, p, units):  # type: ignore[no-untyped-def]
-    return target.relevance[p] * (units >= target.threshold)
+    @override
+    def target(self, relevance: FloatArray) -> Mean:
+        return Mean(relevance)
 
 
 class CappedCount:

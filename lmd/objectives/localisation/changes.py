@@ -1,108 +1,240 @@
-"""What a move changes in the views: the landmarks that come or go at a position, and what they tell."""
+"""Landmarks that appear in views or disappear as one moves: the functions of `trial` that differ for camera and rig.
+
+For a single camera a landmark is hidden from a position with all orientations or with none, and its moments are found
+once for a position. For a rig both are found for each camera and orientation.
+"""
+
+from typing import Any
 
 import numpy as np
+from numba import literal_unroll
 
-from lmd.core.bits import ALL, BITS, ONE, ZERO, lowest
+from lmd.core.bits import ZERO, Integer, WordArray
 from lmd.core.compiled import inlined, inner
-from lmd.incremental.hiding import FORTH, list_turning
-from lmd.incremental.nearby import pose_of
-from lmd.incremental.state import AFTER_HIDDEN, FLIPS, GOES, HIDDEN, NAMES, REACHED, X, Y, Z
-from lmd.objectives.localisation.ambiguity import count_tag, told_apart
-from lmd.objectives.localisation.information import WIDTH, half_of, share_of
-from lmd.objectives.localisation.kernels import landmark_moments, meets_row
-from lmd.objectives.localisation.state import CHANGES, LEFT, OFFSETS, TRIED
-from lmd.scene.criteria import pixel_density
+from lmd.core.dispatch import dispatched, dispatched_call
+from lmd.geometry.squares import upright_sides
+from lmd.incremental.nearby import pose_of, target_of
+from lmd.incremental.state import (
+    CAPS,
+    FRESH,
+    HIDDEN,
+    PAIR_COUNT,
+    REACHED,
+    TOUCHED,
+    VEILED,
+    WHERE,
+    WHO,
+    RigScratch,
+    RigState,
+    Scratch,
+    State,
+)
+from lmd.incremental.trial import shown_of, turned
+from lmd.objectives.localisation.information import Precision, half_of
+from lmd.objectives.localisation.pairs import Mounts, Place, Tag, add_to_body, add_up
+from lmd.objectives.localisation.views import LEFT, OTHER, TRIED, add_to_camera, landmark_moments
 
-VIEW = np.uint64(BITS)
+
+@dispatched
+def fresh_of(trial: Any, p: Integer, w: Integer) -> Any:
+    """Orientations of word w with which the moved landmark is seen at the other place, all of them being known."""
+
+
+@dispatched_call
+def find_turns(known: Any, trial: Any, lost: WordArray, gained: WordArray) -> None:
+    """Add to `lost` and `gained` `(Q, W)` the orientations with which landmarks disappear and appear for a camera."""
+
+
+@dispatched_call
+def look_from(known: Any, k: np.uint64, p: np.uint64, field: Any, scratch: Any) -> None:
+    """Find the moments of landmark k from position p, before `add_changes` there."""
+
+
+@dispatched_call
+def add_changes(
+    known: Any, k: np.uint64, p: np.uint64, w: np.uint64, fresh: np.uint64, sign: float, count: np.uint64, field: Any,
+    scratch: Any,
+) -> None:  # fmt: skip
+    """Add the changes of a move to the views taken, `count` of word w, times `sign`; `fresh` as in `fresh_of`."""
+
+
+@dispatched_call
+def add_shown(known: Any, p: np.uint64, w: np.uint64, count: np.uint64, field: Any, scratch: Any) -> None:
+    """Add to the views taken, `count` of word w, all landmarks that they show."""
+
+
+# A single camera.
+
+
+@fresh_of.register(Scratch)
+def _fresh_of(trial: Scratch, p: Integer, w: Integer) -> np.uint64:
+    return trial.cap[p, w] if trial.flags[REACHED, p] & (trial.hides[HIDDEN, p] == 0) else ZERO
+
+
+@find_turns.register(State)
+def _find_turns(known: State, trial: Scratch, lost: WordArray, gained: WordArray) -> None:
+    who, where = trial.pairs[WHO], trial.pairs[WHERE]
+    for e in range(trial.numbers[PAIR_COUNT]):
+        i, p = np.uint64(who[e]), np.uint64(where[e])
+        for w in range(np.uint64(lost.shape[1])):
+            was, now = turned(known, i, p, w, trial)
+            lost[p, w] |= was & ~now
+            gained[p, w] |= now & ~was
 
 
 @inlined
-def mixed(located, covered, weight):
-    """(1 - weight) L + weight P_n in whole units; never falls as either rises."""
-    return located + np.int64(weight * (covered - located))
+def _offset(pose: Any, p: np.uint64, field: Any) -> Place:
+    """Offset of a landmark with a `pose` from position p, metres."""
+    positions = field.coverage.positions
+    return pose[0] - positions[0, p], pose[1] - positions[1, p], pose[2] - positions[2, p]
 
 
 @inner
-def moments_of(x, y, z, nx, ny, nz, precision, k, moments):
-    """Write the moments of landmark k at an offset into `moments` `(WIDTH,)`."""
-    (
-        moments[0], moments[1], moments[2], moments[3], moments[4], moments[5], moments[6], moments[7], moments[8],
-        moments[9], moments[10], moments[11], moments[12], moments[13], moments[14],
-    ) = landmark_moments(x, y, z, nx, ny, nz, precision, k)  # fmt: skip
-    moments[15] = told_apart(precision, half_of(precision, k), x, y, z, nx, ny, nz)
+def _find_moments(which: int, pose: Any, k: np.uint64, p: np.uint64, field: Any, scratch: Any) -> None:
+    x, y, z = _offset(pose, p, field)
+    landmark_moments(x, y, z, pose[3], pose[4], pose[5], field.precision, k, scratch.views.moments[which])
+
+
+@look_from.register(State)
+def _look_from(known: State, k: np.uint64, p: np.uint64, field: Any, scratch: Any) -> None:
+    if known.reachable[k, p]:
+        _find_moments(LEFT, pose_of(k, known), k, p, field, scratch)
+    if scratch.coverage.flags[REACHED, p]:
+        _find_moments(TRIED, target_of(scratch.coverage), k, p, field, scratch)
 
 
 @inner
-def row_meets(precision, sums, v):
-    """`meets_row`, not inlined."""
-    return meets_row(precision, sums, v)
+def _add(
+    which: int, pose: Any, seen: np.uint64, p: np.uint64, w: np.uint64, sign: float, count: np.uint64, field: Any,
+    scratch: Any,
+) -> None:  # fmt: skip
+    """Add a landmark with these moments and a `pose` to the views in which it is `seen`, times `sign`."""
+    camera, (x, y, z) = field.coverage.cameras, _offset(pose, p, field)
+    add_to_camera(which, seen, x, y, z, camera.sight, camera.axes, w, sign, field.precision, scratch.views, count)
+
+
+@add_changes.register(State)
+def _add_changes(
+    known: State, k: np.uint64, p: np.uint64, w: np.uint64, fresh: np.uint64, sign: float, count: np.uint64, field: Any,
+    scratch: Any,
+) -> None:  # fmt: skip
+    trial = scratch.coverage
+    _add(LEFT, pose_of(k, known), shown_of(known, k, p, w), p, w, -sign, count, field, scratch)
+    _add(TRIED, target_of(trial), fresh, p, w, sign, count, field, scratch)
+    for i in range(np.uint64(known.poses.shape[1] if trial.flags[TOUCHED, p] else 0)):
+        if not trial.known[p, i]:
+            continue
+        was, now = turned(known, i, p, w, trial)
+        if was != now:
+            _find_moments(OTHER, pose_of(i, known), i, p, field, scratch)
+            _add(OTHER, pose_of(i, known), was & ~now, p, w, -sign, count, field, scratch)
+            _add(OTHER, pose_of(i, known), now & ~was, p, w, sign, count, field, scratch)
+
+
+@add_shown.register(State)
+def _add_shown(known: State, p: np.uint64, w: np.uint64, count: np.uint64, field: Any, scratch: Any) -> None:
+    for i in range(np.uint64(known.poses.shape[1])):
+        seen = shown_of(known, i, p, w)
+        if seen:
+            _find_moments(OTHER, pose_of(i, known), i, p, field, scratch)
+            _add(OTHER, pose_of(i, known), seen, p, w, 1.0, count, field, scratch)
+
+
+# A rig.
+
+
+@fresh_of.register(RigScratch)
+def _fresh_of_rig(trial: RigScratch, p: Integer, w: Integer) -> np.uint64:
+    return trial.sets[FRESH, p, w]
+
+
+@inner
+def _find_turns_of_part(
+    mine: WordArray, flipped: WordArray, trial: RigScratch, lost: WordArray, gained: WordArray
+) -> None:
+    caps, veiled, who, where = mine[CAPS], mine[VEILED], trial.pairs[WHO], trial.pairs[WHERE]
+    mounts, words = caps.shape[2], np.uint64(caps.shape[3])
+    for e in range(trial.numbers[PAIR_COUNT]):
+        i, q = np.uint64(who[e]), np.uint64(where[e])
+        for m in range(mounts):
+            for w in range(words):
+                turns = caps[i, q, m, w] & flipped[i, q, m, w]
+                lost[q, w] |= turns & ~veiled[i, q, m, w]
+                gained[q, w] |= turns & veiled[i, q, m, w]
+
+
+@find_turns.register(RigState)
+def _find_turns_of_rig(known: RigState, trial: RigScratch, lost: WordArray, gained: WordArray) -> None:
+    for j in range(len(known.parts)):
+        _find_turns_of_part(known.parts[j], trial.parts[j].flipped, trial, lost, gained)
+
+
+@look_from.register(RigState)
+def _look_from_rig(known: RigState, k: np.uint64, p: np.uint64, field: Any, scratch: Any) -> None:
+    """Nothing: moments are those of each camera and orientation."""
 
 
 @inlined
-def _note_change(count, goes, x, y, z, moments, cap, scratch):
-    """Write down that a `cap` `(W,)` comes, or goes, of a landmark at an offset with these `moments` `(WIDTH,)`."""
-    changes, offsets, caps = scratch.told[CHANGES], scratch.told[OFFSETS], scratch.caps
-    offsets[count, 0], offsets[count, 1], offsets[count, 2] = x, y, z
-    for j in range(np.uint64(WIDTH)):
-        changes[count, j] = moments[j]
-    for w in range(np.uint64(len(cap))):
-        caps[count, w] = cap[w]
-    caps[count, len(cap)] = goes
+def _tag(k: np.uint64, pose: Any, precision: Precision) -> Tag:
+    """Landmark k with a `pose`, see `pairs.tags_of`."""
+    return pose[0], pose[1], pose[2], *upright_sides(half_of(precision, k), pose[3], pose[4], pose[5])
 
 
 @inlined
-def note_landmark(count, goes, i, p, field, state, scratch):
-    """Write down that landmark i comes, or `goes`, at position p, as change `count` there."""
-    (ax, ay, az, nx, ny, nz), positions = pose_of(i, state.coverage), field.coverage.positions
-    moments = scratch.told[CHANGES][-1]
-    x, y, z = ax - positions[0, p], ay - positions[1, p], az - positions[2, p]
-    moments_of(x, y, z, nx, ny, nz, field.precision, i, moments)
-    _note_change(count, goes, x, y, z, moments, state.coverage.caps[i, p], scratch)
+def _place(q: np.uint64, field: Any) -> Place:
+    """Position q of the body."""
+    positions = field.coverage.positions
+    return positions[0, q], positions[1, q], positions[2, q]
 
 
-@inlined
-def list_changes(k, p, field, state, scratch):
-    """Write down which caps come or go at position p, and return how many: of landmark k, and of those that flip."""
-    known, trial, positions, count = state.coverage, scratch.coverage, field.coverage.positions, ZERO
-    seen = trial.seen
-    if known.reachable[k, p] & (known.hides[HIDDEN, k, p] == 0):
-        ax, ay, az, _, _, _ = pose_of(k, known)
-        x, y, z = ax - positions[0, p], ay - positions[1, p], az - positions[2, p]
-        _note_change(count, ALL, x, y, z, scratch.told[LEFT, p], known.caps[k, p], scratch)
-        count += ONE
-    if trial.flags[REACHED, p] & (trial.shorts[AFTER_HIDDEN, p] == 0):
-        _note_change(count, ZERO, seen[X, p], seen[Y, p], seen[Z, p], scratch.told[TRIED, p], trial.cap[p], scratch)
-        count += ONE
-    if trial.flags[FLIPS, p]:
-        for m in range(list_turning(p, FORTH, known, trial)):
-            note_landmark(count, trial.lists[GOES, m], trial.lists[NAMES, m], p, field, state, scratch)
-            count += ONE
-    return count
+@inner
+def _add_changes_of_part(
+    mounts: Mounts, known: RigState, k: np.uint64, q: np.uint64, w: np.uint64, sign: float, field: Any, scratch: Any
+) -> None:
+    trial, views, count = scratch.coverage, scratch.views, len(mounts.axes)
+    mine, other = known.parts[mounts.number], trial.parts[mounts.number]
+    caps, veiled, cap, veil = mine[CAPS], mine[VEILED], other.sets[CAPS], other.sets[VEILED]
+    place, precision = _place(q, field), field.precision
+    old, new = _tag(k, pose_of(k, known), precision), _tag(k, target_of(trial), precision)
+    for m in range(count):
+        goes, comes = caps[k, q, m, w] & ~veiled[k, q, m, w], cap[q, m, w] & ~veil[q, m, w]
+        add_to_body(mounts, m, w, goes, place, old, -sign, precision, views)
+        add_to_body(mounts, m, w, comes, place, new, sign, precision, views)
+    for i in range(caps.shape[0] if trial.flags[TOUCHED, q] else 0):
+        for m in range(count if trial.known[q, i] else 0):
+            was, turns = veiled[i, q, m, w], caps[i, q, m, w] & other.flipped[i, q, m, w]
+            if turns:
+                tag = _tag(i, pose_of(i, known), precision)
+                add_to_body(mounts, m, w, turns & ~was, place, tag, -sign, precision, views)
+                add_to_body(mounts, m, w, turns & was, place, tag, sign, precision, views)
 
 
-@inlined
-def add_change(e, p, sign, field, state, scratch):
-    """Add to the sums what change e of position p adds to all views in its cap, or takes, times `sign`."""
-    sight, axes, caps = field.coverage.sight, field.coverage.axes, scratch.caps
-    offsets, moments, words = scratch.told[OFFSETS], scratch.told[CHANGES], np.uint64(state.localised.shape[1])
-    goes = caps[e, words]
-    for w in range(words):
-        left = caps[e, w]
-        while left:
-            bit = lowest(left)
-            left &= left - ONE
-            view, a = (p * words + w) * VIEW + bit, w * VIEW + bit
-            add_shares(field.precision, state.sums, view, e, a, sign, sight, axes, offsets, moments, goes)
+@add_changes.register(RigState)
+def _add_changes_of_rig(
+    known: RigState, k: np.uint64, p: np.uint64, w: np.uint64, fresh: np.uint64, sign: float, count: np.uint64,
+    field: Any, scratch: Any,
+) -> None:  # fmt: skip
+    for mounts in literal_unroll(field.mounts):
+        _add_changes_of_part(mounts, known, k, p, w, sign, field, scratch)
+    add_up(field.precision, scratch.views)
 
 
-@inlined
-def add_shares(precision, sums, v, e, a, sign, sight, axes, offsets, moments, goes):
-    """Add what change e of a position adds to axis a, or takes if it `goes`, to row v of `sums`.
+@inner
+def _add_shown_to_part(mounts: Mounts, known: RigState, q: np.uint64, w: np.uint64, field: Any, scratch: Any) -> None:
+    mine, place, precision, views = (
+        known.parts[mounts.number], _place(q, field), field.precision, scratch.views
+    )  # fmt: skip
+    caps, veiled = mine[CAPS], mine[VEILED]
+    for i in range(caps.shape[0]):
+        for m in range(caps.shape[2]):
+            seen = caps[i, q, m, w] & ~veiled[i, q, m, w]
+            if seen:
+                tag = _tag(i, pose_of(i, known), precision)
+                add_to_body(mounts, m, w, seen, place, tag, 1.0, precision, views)
 
-    Inlined: to hand on field, state and scratch costs more than the work itself.
-    """
-    weight = pixel_density(sight, offsets[e, 0], offsets[e, 1], offsets[e, 2], axes, a)
-    factor = -sign if goes else sign
-    for j in range(np.uint64(sums.shape[1])):
-        sums[v, j] += factor * share_of(moments[e, j], weight)
-    count_tag(precision, sums, v, factor)
+
+@add_shown.register(RigState)
+def _add_shown_to_rig(known: RigState, p: np.uint64, w: np.uint64, count: np.uint64, field: Any, scratch: Any) -> None:
+    for mounts in literal_unroll(field.mounts):
+        _add_shown_to_part(mounts, known, p, w, field, scratch)
+    add_up(field.precision, scratch.views)
