@@ -29,7 +29,7 @@ $(VENV)/made: pyproject.toml constraints.txt
 
 $(VENV)/installed: $(VENV)/made
 	@echo "installing what the main job needs, with $(if $(UV),uv,pip)"
-	@$(call TIMED,$(INSTALL) .,installing)
+	@$(call TIMED,$(INSTALL) '.[pipelines]',installing)
 	@$(call TIMED,$(BIN)/python -m pipelines.precompile main,compiling)
 	@touch $@
 

@@ -17,8 +17,6 @@ import numpy as np
 from speed import N, best_of, move_all, paper_scene
 
 from lmd.incremental.coverage_field import coverage_field
-from lmd.incremental.move import state_of
-from lmd.incremental.state import scratch_of
 from lmd.scene.deployment_sources import RandomDeployment
 from lmd.scene.scene import Scene
 from lmd.scene.tag import Tag
@@ -37,8 +35,8 @@ def times(scene: Scene, count: int) -> tuple[float, float]:
     rng, evaluator = np.random.default_rng(0), Evaluator(scene, threads=1)
     start, targets = (scene.plates.draw(RandomDeployment(size), rng) for size in (count, MOVES))
     field = coverage_field(evaluator, N)
-    state = state_of(field, start)
-    args = np.hstack([targets.positions, targets.normals]), targets.surfaces, field, state, scratch_of(state), TRIED
+    state = field.state(start)
+    args = np.hstack([targets.positions, targets.normals]), targets.surfaces, field, state, field.scratch(state), TRIED
     landmarks = start.positions[None], start.normals[None]
     evaluated = best_of(9, lambda: evaluator.units(*landmarks, N), process_time)
     return evaluated, best_of(5, lambda: move_all(*args), process_time) / MOVES

@@ -19,8 +19,6 @@ from hydra import compose, initialize_config_dir
 from speed import COUNT, STEPS, N, best_of, move_all, paper_scene
 
 from lmd.incremental.coverage_field import coverage_field
-from lmd.incremental.move import state_of
-from lmd.incremental.state import scratch_of
 from lmd.pipelines.app import CONF
 from lmd.pipelines.building import build_problem
 from lmd.problem import Problem
@@ -66,8 +64,8 @@ def costs(scene: Scene, count: int) -> Costs:
     landmarks = start.positions[None], start.normals[None]
     evaluated = best_of(5, lambda: evaluator.units(*landmarks, N), process_time)
     field = coverage_field(evaluator, N)
-    state = state_of(field, start)
-    scratch, poses = scratch_of(state), np.hstack([targets.positions, targets.normals])
+    state = field.state(start)
+    scratch, poses = field.scratch(state), np.hstack([targets.positions, targets.normals])
     moved = (
         best_of(5, lambda: move_all(poses, targets.surfaces, field, state, scratch, steps), process_time) / MOVES  # noqa: B023
         for steps in range(1, len(STEPS) + 1)

@@ -25,8 +25,7 @@ from start import processor_seconds
 
 from lmd.core.threads import available_threads
 from lmd.incremental.coverage_field import coverage_field
-from lmd.incremental.move import carry_out, state_of
-from lmd.incremental.state import scratch_of
+from lmd.incremental.move import carry_out
 from lmd.incremental.trial import bound_move, finish_move
 from lmd.pipelines.app import CONF
 from lmd.pipelines.building import build_problem
@@ -98,9 +97,9 @@ def moves(scene: Scene, count: int, step: str) -> float:
     rng = np.random.default_rng(0)
     start, targets = (RandomDeployment(size).draw(scene.room, rng) for size in (count, MOVES))
     field = coverage_field(Evaluator(scene, threads=1), N)
-    state = state_of(field, start)
+    state = field.state(start)
     poses = np.hstack([targets.positions, targets.normals])
-    args = (poses, targets.surfaces, field, state, scratch_of(state), 1 + STEPS.index(step))
+    args = (poses, targets.surfaces, field, state, field.scratch(state), 1 + STEPS.index(step))
     return best_of(5, lambda: move_all(*args)) / MOVES
 
 

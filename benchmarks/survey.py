@@ -23,7 +23,8 @@ from omegaconf import OmegaConf
 
 from lmd.core.checks import FloatArray
 from lmd.geometry.se3 import camera_pose, exp, pose_of
-from lmd.pipelines.building import camera_of, instantiate
+from lmd.pipelines.building import camera_of
+from lmd.pipelines.nodes import instantiate
 from lmd.render.imaging import Imaging
 from lmd.render.renderer import Renderer
 from lmd.render.room import TaggedRoom

@@ -84,7 +84,8 @@ _HOMES = {
     "save_scene_figure": "lmd.plot.scene",
 }
 
-__all__ = [*_HOMES, "pdf"]
+__version__ = "0.1.0"
+__all__ = [*_HOMES, "__version__", "pdf"]
 
 
 def __getattr__(name: str) -> Any:

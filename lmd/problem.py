@@ -3,7 +3,7 @@
 import math
 from collections.abc import Mapping
 from dataclasses import asdict, replace
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -19,6 +19,33 @@ from lmd.sight.evaluator import Evaluator
 
 # Seeds every draw of an objective's `Sampling`: the problem is the same for every seed of an optimiser.
 SAMPLING_STREAM = 0x64657369
+
+
+class Genome(Protocol):
+    """Candidates of a problem, such as deployments or the cameras of a rig, as vectors in the unit box."""
+
+    @property
+    def dim(self) -> int:
+        """Number of genes of a candidate."""
+
+    @property
+    def varies(self) -> bool:
+        """True if two draws differ."""
+
+    def draw_genes(self, rng: np.random.Generator) -> FloatArray:
+        """Draw the genes of a candidate to start from, `(dim,)`."""
+
+    def fitness_of_genes(self, genes: FloatArray) -> FloatArray:
+        """Fitness of candidates `(B, dim)`, `(B,)`; -inf for those that are impossible."""
+
+    def deployment(self, genes: FloatArray) -> Deployment:
+        """Landmarks of a candidate `(dim,)`."""
+
+    def rig(self, genes: FloatArray) -> Rig | None:
+        """Cameras of a candidate `(dim,)`; None where the scene's camera is fixed."""
+
+    def reached(self, fitness: float) -> None:
+        """Take over the best fitness of an earlier part of the run, so that going on repeats its decisions."""
 
 
 class Problem:
@@ -75,6 +102,11 @@ class Problem:
         """
         scene = replace(self.scene, camera=rig)
         return Problem(scene, self.objective, start or self.start, self.evaluator.threads, self.fixed)
+
+    @property
+    def genome(self) -> Genome | None:
+        """Own genome of a problem that varies something else than landmarks; None: optimisers encode landmarks."""
+        return None
 
     @property
     def fixed_count(self) -> int:

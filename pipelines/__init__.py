@@ -12,5 +12,12 @@ try:
         from .operations.signals import stop
 
         stop.listen()
+
+    from importlib.util import find_spec
+
+    if find_spec("hydra") is None:  # `pip install lmd` alone installs the library
+        from lmd.core.optional import missing
+
+        raise SystemExit(f"error: {missing('hydra-core', 'pipelines')}")
 except KeyboardInterrupt:  # it came on these lines
     raise SystemExit(130) from None

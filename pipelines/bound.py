@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, Any
 from omegaconf import DictConfig
 
 from .app import run_directory
-from .building import build_problem, keyed, settings_of
-from .documents import write_document
+from .building import build_problem
 from .earlier_run import read_earlier_problem
-from .notes import note
+from .nodes import keyed, note, settings_of
+from .outputs import write_document
 from .pipeline import Pipeline
 
 if TYPE_CHECKING:

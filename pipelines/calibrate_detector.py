@@ -7,11 +7,11 @@ from hydra.core.config_store import ConfigStore
 from omegaconf import DictConfig
 
 from .app import choices, run_directory
-from .building import instantiate, keyed
 from .detect import read_number_of_poses, sightings, subject_of
-from .documents import write_document
 from .earlier_run import read_earlier_run
-from .operations.sweeps.names import quoted
+from .nodes import instantiate, keyed
+from .outputs import write_document
+from .overrides import quoted
 from .pipeline import Pipeline
 from .trust import Trust, read_yaml
 

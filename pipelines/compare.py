@@ -1,19 +1,25 @@
 """Compare optimisers: `python -m pipelines.compare optimisers=[annealing,ega] seeds=10 [overrides]`."""
 
+import shutil
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from contextlib import closing
+from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from omegaconf import DictConfig, ListConfig
 
-from .app import recompose, run_directory, save_path, search_path, task_overrides
-from .building import budget_of, build_optimiser, build_problem, instantiate, seeds_of
-from .compared_runs import LANDMARKS, Job, Kept, kept_of
+from .app import flat_settings, run_directory, save_path
+from .building import budget_of, build_optimiser, build_problem, seeds_of
 from .earlier_run import read_earlier_problem
+from .nodes import instantiate
+from .optimise import SAME_WHEN_RESUMED
+from .outputs import columns_of, read_document, write_document
+from .overrides import recompose, search_path, task_overrides
 from .pipeline import Pipeline
-from .provenance import resuming
+from .provenance import digest, resuming
 from .workers import in_processes
 
 if TYPE_CHECKING:
@@ -24,7 +30,116 @@ if TYPE_CHECKING:
     from .operations.tracking import Tracker
 
 # Settings of the comparison itself; every other override is passed on to its runs.
+LANDMARKS, HISTORY, RECORD = FILES = "landmarks.csv", "history.csv", "run.json"
 OWN_KEYS = ("optimisers", "reference", "seeds", "workers", "save_as", "resume", "budget", "seed", "tracking")
+
+
+@dataclass(frozen=True, eq=False)
+class Contender:
+    """A run that is to be compared.
+
+    Args:
+        optimiser: its entry of `optimisers`.
+        cfg: of `optimise`, for this entry.
+        seed: of the run.
+    """
+
+    optimiser: str
+    cfg: DictConfig
+    seed: int
+
+    @property
+    def name(self) -> str:
+        """What the run is called."""
+        return f"{self.optimiser} seed={self.seed}"
+
+    @cached_property
+    def digest(self) -> str:
+        """A digest that is equal for runs that must find the same."""
+        return digest(flat_settings(self.cfg, *SAME_WHEN_RESUMED, "budget", "validate"), self.seed)
+
+    def folder(self, comparison: Path) -> Path:
+        """The folder of the run below that of its comparison."""
+        return comparison / "runs" / self.name.replace("/", "_")
+
+    def save(self, comparison: Path, run: "OptimiserRun", parent: str | None, ups: bool) -> None:
+        """Write what the run has found.
+
+        Args:
+            comparison: the folder of the comparison.
+            parent: the tracked run of the comparison, if any.
+            ups: as for `Deployment.to_csv`.
+        """
+        from lmd.core.tables import write_table
+
+        folder = self.folder(comparison)
+        folder.mkdir(parents=True, exist_ok=True)  # a sweep may do a lost job again
+        run.deployment.to_csv(folder / LANDMARKS, ups)
+        write_table(folder / HISTORY, columns_of(run.history))
+        write_document(folder / RECORD, {"digest": self.digest, "parent": parent, "metrics": dict(run.metrics)})
+
+    def saved(self, comparison: Path) -> "tuple[OptimiserRun, str | None] | None":
+        """What the run has found in a comparison, and the tracked run of that; None if it is not there.
+
+        Raises:
+            InputError: its tables are damaged, or one of its files is a link that leads out of the comparison.
+        """
+        from lmd.core.checks import InputError
+        from lmd.core.tables import read_numbers
+        from lmd.evaluation.comparison import OptimiserRun
+        from lmd.optimisers.ledger import Record
+        from lmd.scene.deployment import Deployment
+
+        folder = self.folder(comparison)
+        for name in FILES:
+            if not (folder / name).resolve().is_relative_to(comparison.resolve()):
+                raise InputError(f"resume: {str(folder / name)!r} is a link that leads out of the folder.", "resume")
+        record: dict[str, Any] = read_document(folder / RECORD, lambda values: {**values}) or {}
+        if record.get("digest") != self.digest:
+            return None
+        rows = read_numbers(folder / HISTORY, [*columns_of([])], name="resume").tolist()
+        history, landmarks = [Record(*row) for row in rows], Deployment.from_csv(folder / LANDMARKS)
+        return OptimiserRun(self.optimiser, self.seed, record["metrics"], history, landmarks), record["parent"]
+
+
+@dataclass(frozen=True)
+class Kept:
+    """What an earlier comparison has left.
+
+    Args:
+        runs: the finished ones.
+        parent: the tracked run of that comparison, if any.
+    """
+
+    runs: "Mapping[Contender, OptimiserRun]"
+    parent: str | None
+
+
+def kept_of(resume: Any, jobs: Iterable[Contender], directory: Path) -> Kept:
+    """The finished runs in the folder of an earlier comparison, which are copied to `directory`.
+
+    Raises:
+        InputError: there is no such folder, or what is there is damaged.
+    """
+    from lmd.core.checks import InputError, file_path
+
+    earlier = file_path("resume", resume)
+    if not earlier.is_dir():
+        raise InputError(f"resume = {str(resume)!r} is no folder of a comparison.", "resume")
+    found = {job: saved for job in jobs if (saved := job.saved(earlier)) is not None}
+    if earlier.resolve() != directory.resolve():
+        for job in found:
+            _copy(job, earlier, directory)
+    parent = next((parent for _, parent in found.values()), None)
+    return Kept({job: run for job, (run, _) in found.items()}, parent)
+
+
+def _copy(job: Contender, earlier: Path, directory: Path) -> None:
+    """Copy the files of a run that was read from the folder of a comparison to that of another."""
+    folder = job.folder(directory)
+    folder.mkdir(parents=True, exist_ok=True)
+    for name in FILES:
+        shutil.copyfile(job.folder(earlier) / name, folder / name)
 
 
 def compare(cfg: DictConfig) -> None:
@@ -41,7 +156,7 @@ def compare(cfg: DictConfig) -> None:
     if not configs:
         raise InputError("optimisers must name at least one optimiser.")
     reference = None if cfg.reference is None else choice("reference", cfg.reference, list(configs))
-    jobs = {(name, seed): Job(name, configs[name], seed) for seed in seeds for name in configs}
+    jobs = {(name, seed): Contender(name, configs[name], seed) for seed in seeds for name in configs}
     directory, headline = run_directory(), problem.objective.headline
     kept = Kept({}, None) if cfg.resume is None else kept_of(cfg.resume, jobs.values(), directory)
     earlier = None if kept.parent is None else Earlier(kept.parent, Path(cfg.resume))
@@ -80,12 +195,12 @@ def _write(
     from lmd.evaluation.comparison import compared
     from lmd.plot.comparison import save_comparison_figure
 
-    from .reproduction.comparison import to_markdown
+    from .reproduction.document import comparison_markdown
 
     comparison = compared(runs, headline.key, reference)
     table, text, picture = (directory / f"comparison.{kind}" for kind in ("csv", "md", "png"))
     comparison.table.to_csv(table, index=False)
-    text.write_text(to_markdown(comparison, headline))
+    text.write_text(comparison_markdown(comparison, headline))
     save_comparison_figure(picture, runs, axis, headline, title)
     files = [table, text, picture]
     if comparison.pairs is not None:
@@ -105,7 +220,7 @@ def _compose(entry: str, cfg: DictConfig, problem: "Problem") -> DictConfig:
     return composed
 
 
-def _run(job: Job) -> "OptimiserRun":
+def _run(job: Contender) -> "OptimiserRun":
     """One run, on one thread."""
     from lmd.evaluation.comparison import OptimiserRun
     from lmd.evaluation.validation import headline_off_grid, validation_metrics
@@ -118,7 +233,7 @@ def _run(job: Job) -> "OptimiserRun":
     return OptimiserRun(job.optimiser, job.seed, metrics, result.history, result.deployment)
 
 
-def _log_child(cfg: DictConfig, job: Job, run: "OptimiserRun", parent: str | None, directory: Path) -> None:
+def _log_child(cfg: DictConfig, job: Contender, run: "OptimiserRun", parent: str | None, directory: Path) -> None:
     """Record a run, whose files are below `directory`, as a child of the comparison's own."""
     from .operations.tracking import PARENT_TAG, RunStart
     from .progress import thinned

@@ -5,8 +5,8 @@ import sys
 
 from omegaconf import DictConfig, OmegaConf
 
-from .app import recompose, search_path, task_overrides
 from .earlier_run import OPTION, count_of, read_earlier_run
+from .overrides import recompose, search_path, task_overrides
 
 NAME = re.compile(r"[\w.-]+")  # what mlflow takes in the name of a metric
 

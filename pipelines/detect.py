@@ -13,10 +13,10 @@ from typing import TYPE_CHECKING, NamedTuple
 from omegaconf import DictConfig
 
 from .app import run_directory
-from .building import build_problem, instantiate, keyed
+from .building import build_problem
 from .deployments import any_deployment, composed_deployments, read_deployment_as_a_list
-from .detectors import detector_of
-from .documents import write_document
+from .nodes import detector_of, instantiate, keyed
+from .outputs import write_document
 from .pipeline import Pipeline
 
 if TYPE_CHECKING:
@@ -143,7 +143,7 @@ def subject_of(cfg: DictConfig, count: int, seed: int) -> Subject:
     return Subject(problem, RigPrediction(tuple(parts), scene.extrinsics, poses) if is_rig else parts[0], detectors)
 
 
-class Job(NamedTuple):
+class Frames(NamedTuple):
     """Some frames of one camera of a subject, for a process of its own; the noise of a frame depends on its number."""
 
     name: str
@@ -168,7 +168,7 @@ def sightings(subjects: Mapping[str, Subject], seed: int, workers: int | None) -
     from .workers import in_processes
 
     jobs = [
-        Job(name, c, part.renderer, subject.detectors, poses[first : first + CHUNK], c * len(poses) + first, seed)
+        Frames(name, c, part.renderer, subject.detectors, poses[first : first + CHUNK], c * len(poses) + first, seed)
         for name, subject in subjects.items()
         for c, part in enumerate(subject.prediction.parts)
         for poses in [part.poses]
@@ -192,7 +192,7 @@ def sightings(subjects: Mapping[str, Subject], seed: int, workers: int | None) -
     }
 
 
-def _look(job: Job) -> tuple[str, int, int, dict[str, "Sightings"]]:
+def _look(job: Frames) -> tuple[str, int, int, dict[str, "Sightings"]]:
     """One job, on one thread."""
     from lmd.core.optional import optional
     from lmd.detection.frames import look

@@ -12,9 +12,8 @@ from hydra.errors import HydraException
 from hydra.types import RunMode
 from omegaconf import DictConfig
 
-from .app import choices, search_path
-from .fixed import PATH
-from .operations.sweeps.names import quoted
+from .app import choices
+from .overrides import PATH, quoted, search_path
 from .trust import Trust, read_yaml
 
 KEY = "run="

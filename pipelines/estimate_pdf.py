@@ -6,9 +6,8 @@ from typing import TYPE_CHECKING
 from omegaconf import DictConfig
 
 from .app import choices, flat_settings, run_directory
-from .building import instantiate, keyed, settings_of
-from .documents import write_document
-from .notes import note
+from .nodes import instantiate, keyed, note, settings_of
+from .outputs import write_document
 from .pipeline import Pipeline
 
 if TYPE_CHECKING:

@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING, Any
 from omegaconf import DictConfig
 
 from .app import choices, run_directory
-from .building import build_problem, instantiate, keyed, settings_of
+from .building import build_problem
 from .earlier_run import read_earlier_run
-from .fixed import axes_in
-from .notes import note
+from .landmarks import axes_in
+from .nodes import instantiate, keyed, note, settings_of
 from .pipeline import Pipeline
 
 if TYPE_CHECKING:

@@ -7,11 +7,12 @@ from typing import TYPE_CHECKING
 from omegaconf import DictConfig, OmegaConf
 
 from .app import run_directory
-from .building import build_parts, keyed, settings_of
+from .building import build_parts
 from .earlier_run import read_earlier_run
+from .landmarks import take_sizes
+from .nodes import keyed, settings_of
 from .outputs import write_all
 from .pipeline import Pipeline
-from .tag_sizes import take_sizes
 
 if TYPE_CHECKING:
     from lmd.mapping.formats import Export
@@ -53,7 +54,7 @@ def export(cfg: DictConfig) -> None:
 
     settings_of(cfg, "deployment")
     with keyed("deployment"):
-        take_sizes(cfg)
+        take_sizes(cfg.deployment, cfg.tag)
     parts = build_parts(cfg)
     scene = parts.scene
     chosen = build_export(cfg, "formats", scene.tag)

@@ -11,10 +11,10 @@ from typing import TYPE_CHECKING, Any
 from omegaconf import DictConfig
 
 from .app import choices, run_directory
-from .building import build_problem, instantiate, keyed, seeds_of, settings_of
+from .building import build_problem, seeds_of
 from .deployments import any_deployment, composed_deployments, read_deployment_as_a_list
-from .documents import write_document
-from .notes import note
+from .nodes import instantiate, keyed, note, settings_of
+from .outputs import write_document
 from .pipeline import Pipeline
 
 if TYPE_CHECKING:

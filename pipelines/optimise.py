@@ -2,7 +2,6 @@
 
 import sys
 from contextlib import closing
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -11,13 +10,11 @@ from omegaconf import DictConfig
 from .app import choices, flat_settings, run_directory
 from .building import budget_of, build_optimiser, build_problem
 from .earlier_run import read_earlier_run
-from .earlier_settings import settings_now
 from .export import build_export
-from .input_files import contents_of
 from .operations.signals import Stopped, stop
 from .outputs import space_reserved
 from .pipeline import Pipeline
-from .provenance import resuming
+from .provenance import contents_of, resuming
 
 if TYPE_CHECKING:
     from lmd.optimisers.base import Optimiser, Result
@@ -111,9 +108,8 @@ def checkpoint_of(
     from .tracked_run import Earlier
 
     real("checkpoint_seconds", cfg.checkpoint_seconds, above=0.0)
-    as_now = partial(settings_now, cfg=cfg)
-    settings = as_now(flat_settings(cfg, *SAME_WHEN_RESUMED, *further))
-    checkpoint = Checkpoint(optimiser, settings | contents_of(settings), settings_now=as_now)
+    settings = flat_settings(cfg, *SAME_WHEN_RESUMED, *further)
+    checkpoint = Checkpoint(optimiser, settings | contents_of(settings))
     if cfg.resume is None:
         return checkpoint, None
     checkpoint.resume(cfg.resume, problem)

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from omegaconf import DictConfig
 
-from .building import keyed
+from .nodes import keyed
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -73,7 +73,7 @@ def _in_images(cfg: DictConfig, cameras: "Sequence[Camera]", detector: "Detector
         )
 
 
-class Job(NamedTuple):
+class Chunk(NamedTuple):
     """Some images, for a process of its own."""
 
     images: "Images"
@@ -115,7 +115,7 @@ def detected_in(
     # A worker that begins in the middle of some videos reads them from their start.
     chunk = CHUNK if images.is_random_access else -(-count // processes(workers))
     jobs = [
-        Job(images, camera, detector, modules, first, min(first + chunk, count)) for first in range(0, count, chunk)
+        Chunk(images, camera, detector, modules, first, min(first + chunk, count)) for first in range(0, count, chunk)
     ]
     found: list[Detections] = []
     blurs: list[float] = []
@@ -130,7 +130,7 @@ def detected_in(
     return DetectedTags.in_frames(images.names, found).without({images.names[k]: blurs[k] for k in smeared})
 
 
-def _read(job: Job) -> "list[tuple[Detections, float]]":
+def _read(job: Chunk) -> "list[tuple[Detections, float]]":
     """One job, on one thread: what was detected in each image, and its blur."""
     from lmd.core.optional import optional
     from lmd.detection.sharpness import blur_of

@@ -1,4 +1,4 @@
-"""What makes a function of a configuration a command: composing, being told to stop, sweeps, bad input."""
+"""A command: a function of a configuration that is composed from the command line, stops on a signal and may sweep."""
 
 import atexit
 import gc
@@ -16,21 +16,18 @@ from hydra._internal.hydra import Hydra
 from omegaconf import DictConfig
 
 from .app import CONF, GARBAGE, PACKAGE, command_of, ends_reported
-from .fixed import PATH, quoted
-from .hyperparameters import HELP, over_defaults
+from .hyperparameters import HELP
 from .operations.signals import Stopped, stop
 from .operations.sweeps import search  # noqa: F401 # from here on Hydra knows this sweeper
 from .operations.sweeps.supervisor import run
-from .spelling import ask_what_was_meant
+from .overrides import PATH, as_hydra_reads, ask_what_was_meant
 
-# Launchers of Hydra that others wrote, and the extra's package that has each.
+# Launchers that are plugins of Hydra, and the package of each.
 LAUNCHERS = {
     "joblib": "hydra_plugins.hydra_joblib_launcher",
     **dict.fromkeys(("slurm", "submitit_local", "submitit_slurm"), "hydra_plugins.hydra_submitit_launcher"),
 }
-
-
-# What commands that work on no run's problem take in place of `run=DIR`.
+# Commands that take no `run=DIR`, and the key to use in its place.
 INSTEAD = {
     "estimate_pdf": "recording.path=FILE is the recording to estimate from",
     "report": "sweeps=[ID,...] chooses among the sweeps of the tracking store",
@@ -40,7 +37,7 @@ INSTEAD = {
 
 
 def with_file(arguments: list[str], pipeline: str) -> list[str]:
-    """The command line with `deployment=file` before a `deployment.path` that nothing else chooses an option for."""
+    """The command line with `deployment=file` before a `deployment.path`, unless it chooses an option of the group."""
     keys = [argument.partition("=")[0].lstrip("+") for argument in arguments]
     chosen = {"deployment", "deployments", "run"}.intersection(keys)
     if PATH not in keys or chosen or "- deployment:" not in Path(CONF, f"{pipeline}.yaml").read_text(encoding="utf-8"):
@@ -51,13 +48,13 @@ def with_file(arguments: list[str], pipeline: str) -> list[str]:
 
 
 def _refuse_run(pipeline: str) -> None:
-    """Say what a command that takes no `run=DIR` takes instead."""
+    """Exit if a command gets `run=DIR` and takes none."""
     if pipeline in INSTEAD and any(argument.startswith("run=") for argument in sys.argv[1:]):
         sys.exit(f"error: run is no key of {pipeline}: {INSTEAD[pipeline]}.")
 
 
 def _refuse_launcher_that_is_missing() -> None:
-    """Say what is missing before Hydra says only that it knows no such launcher."""
+    """Exit if the package of a launcher is missing; Hydra would only say that it has no such launcher."""
     for argument in sys.argv[1:]:
         name = argument.removeprefix("+").removeprefix("hydra/launcher=")
         if name in LAUNCHERS and name != argument and not _is_installed(LAUNCHERS[name]):
@@ -69,23 +66,20 @@ def _refuse_launcher_that_is_missing() -> None:
 def _is_installed(package: str) -> bool:
     try:
         return importlib.util.find_spec(package) is not None
-    except ModuleNotFoundError:  # nor is what it is a part of
+    except ModuleNotFoundError:  # of the namespace package
         return False
 
 
 @dataclass(frozen=True)
 class _Experiment:
-    """An experiment that its file does not name for the command it was given to.
-
-    Args:
-        name: of the experiment.
-        commands: which the file names.
-        is_sweep: whether it is a stored sweep.
-    """
+    """An experiment for other commands than the one that it was given to."""
 
     name: str
+    """Name of the experiment."""
     commands: tuple[str, ...]
+    """The commands that its file names."""
     is_sweep: bool
+    """True for a stored sweep."""
 
     def __str__(self) -> str:
         given = " or ".join(f"{command_of(command)} experiment={self.name}" for command in self.commands)
@@ -93,7 +87,7 @@ class _Experiment:
 
 
 def _experiment_of_another(pipeline: str) -> _Experiment | None:
-    """The experiment on the command line, if it comes with the project and its file names other commands alone."""
+    """The experiment on the command line, if its file is one of the project and names only other commands."""
     given = [argument.partition("=")[2] for argument in sys.argv[1:] if argument.startswith("experiment=")]
     file = Path(CONF, "experiment", f"{given[-1]}.yaml") if given else None
     if file is None or not file.is_file():
@@ -104,7 +98,7 @@ def _experiment_of_another(pipeline: str) -> _Experiment | None:
 
 
 def _refuse_configuration_of_another(pipeline: str) -> None:
-    """Exit where `--config-name` names the configuration of another command."""
+    """Exit if `--config-name` names the configuration of another command."""
     words = [word for argument in sys.argv[1:] for word in argument.split("=", 1)]
     for option, name in pairwise(words):
         named = name.removesuffix(".yaml")
@@ -118,43 +112,40 @@ Task = Callable[[DictConfig], float | None]
 
 
 def alone(cfg: DictConfig, task: Task) -> float | None:
-    """Call a task that is no job of a sweep, and report what it raises."""
+    """Call a task that cannot be a job of a sweep, and report its error."""
     with ends_reported():
         return task(cfg)
 
 
 @dataclass(frozen=True)
 class Pipeline:
-    """A command: a task whose configuration is composed from the command line, and which can be told to stop.
-
-    Args:
-        name: of the command, of its module and of its configuration: `optimise` and so on.
-        task: called with the configuration.
-        prepare: called one after the other before Hydra reads the command line, which they may change.
-        runner: calls the task and reports what it raises. By default a sweep runs each job in a process of its own.
-    """
+    """A command, called without arguments."""
 
     name: str
+    """Name of the command, of its module and of its configuration, such as `optimise`."""
     task: Task
+    """Function that is called with the configuration."""
     prepare: tuple[Callable[[], None], ...] = ()
+    """Functions that are called in turn before Hydra reads the command line, which they may change."""
     runner: Callable[[DictConfig, Task], float | None] = run
+    """Function that calls the task and reports its error; by default each job of a sweep gets a process of its own."""
 
     def __call__(self) -> None:
-        """Do what the command line says."""
+        """Run the command line of this process."""
         sys.argv[1:] = with_file(sys.argv[1:], self.name)
         for change in self.prepare:
             change()
         gc.set_threshold(GARBAGE)
-        sys.argv[1:] = [over_defaults(quoted(argument)) for argument in sys.argv[1:]]
+        sys.argv[1:] = list(map(as_hydra_reads, sys.argv[1:]))
         if HELP.intersection(sys.argv):
             sys.argv.append("hydra.help.template=${lmd.help:}")
-            # For another template Hydra would read all files twice, which is most of what it takes.
+            # Hydra would read all files twice for its own template.
             Hydra.format_config_groups = lambda *_: ""  # type: ignore[method-assign]
         _refuse_configuration_of_another(self.name)
         _refuse_launcher_that_is_missing()
         _refuse_run(self.name)
         experiment = _experiment_of_another(self.name)
-        if experiment is not None and experiment.is_sweep:  # of which each job would fail, or do something else
+        if experiment is not None and experiment.is_sweep:  # each job would fail, or compute something else
             sys.exit(f"error: {experiment}.")
 
         is_composed = False
@@ -165,9 +156,9 @@ class Pipeline:
             is_composed = True
             return self.runner(cfg, self.task)
 
-        run_composed.__module__ = f"{PACKAGE}.{self.name}"  # names Hydra's job, also where the module is __main__
+        run_composed.__module__ = f"{PACKAGE}.{self.name}"  # gives Hydra's job its name, also if the module is __main__
         compose = hydra.main(version_base="1.3", config_path=CONF, config_name=self.name)
-        atexit.register(gc.freeze)  # Python looks for garbage once more when it ends: with mlflow, for a second
+        atexit.register(gc.freeze)  # or the last garbage collection takes a second with mlflow
         try:
             with stop.raising():
                 compose(run_composed)()
@@ -175,7 +166,7 @@ class Pipeline:
             sys.exit(told.code)
         except SystemExit as ended:
             if ended.code and not is_composed:
-                ask_what_was_meant(CONF)
+                ask_what_was_meant()
                 if experiment is not None:
                     print(experiment, file=sys.stderr)
             raise

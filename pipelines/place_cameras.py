@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Any
 from omegaconf import DictConfig, OmegaConf, open_dict
 
 from .app import choices, run_directory
-from .building import budget_of, build_optimiser, build_problem, camera_of, instantiate, keyed, settings_of
+from .building import budget_of, build_optimiser, build_problem, camera_of
 from .earlier_run import RIG, read_earlier_robot
-from .notes import note
+from .nodes import instantiate, keyed, note, settings_of
 from .operations.signals import Stopped, stop
 from .optimise import checkpoint_of, figure_returned, run_optimiser, tell_how_to_go_on
 from .outputs import all_or_none

@@ -1,10 +1,14 @@
-"""What a run was made with: its parameters, the command, the version, the commit."""
+"""The provenance of a run: its parameters, its command, the version of the code, the contents of its files."""
 
 import getpass
+import hashlib
+import json
+import os
+import re
 import shlex
 import subprocess
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from functools import cache
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -14,13 +18,17 @@ from omegaconf import DictConfig
 
 from .app import CONF, IN_CHECKOUT, command_of, flat_settings
 from .operations.sweeps.folder import current_job
-from .operations.sweeps.names import at
+from .overrides import at
 
-# What a run is about is a parameter; what only says how it is done, where it goes on and where it is kept is none.
+# Settings that are no parameters of a run: its place, its speed and its further outputs.
 NO_PARAMETERS = (
     "tracking", "trust", "run", "resume", "picture", "page", "threads", "checkpoint_seconds", "tracked_as", "export",
     "paper_size", "north",
 )  # fmt: skip
+# Characters around a path in an override, such as `deployments=['mine: file deployment.path=a.csv',uniform]`; the first
+# pattern leaves a path with a space whole.
+SEPARATORS = (r"[,=\[\]{}'\"]+", r"[\s,=\[\]{}'\"]+")
+LARGEST_READ = 1 << 32  # bytes of a file; of a larger one the size stands for the contents
 
 
 def command_line(pipeline: str, overrides: Sequence[str]) -> str:
@@ -29,16 +37,16 @@ def command_line(pipeline: str, overrides: Sequence[str]) -> str:
 
 
 def resuming(pipeline: str, folder: Path) -> str:
-    """The command that goes on with what this one has left in a folder."""
+    """The command that resumes the run of this process, whose files are in a folder."""
     given = [word for word in sys.argv[1:] if not word.startswith("resume=")]
     return command_line(pipeline, [*given, at("resume", folder)])
 
 
 def source_tags(pipeline: str) -> dict[str, str]:
-    """Tags of a run, most under the names by which mlflow shows them: who ran what, from which commit."""
+    """Tags of a run that name its user, command, version and commit, most under mlflow's own names."""
     tags = {"mlflow.source.name": command_of(pipeline), "mlflow.source.type": "LOCAL", "mlflow.user": _user()}
     given = sys.argv[1:]
-    if current_job() is not None:  # again by itself, it must not write into the folder of the sweep
+    if current_job() is not None:  # repeated by hand, the command must not write into the folder of the sweep
         given = [word for word in given if not word.startswith(("hydra.run.dir=", "resume="))]
     return tags | {"command": command_line(pipeline, given)} | _version()
 
@@ -63,9 +71,9 @@ def _version() -> dict[str, str]:
 
 
 def _git(*arguments: str) -> str:
-    """What git prints in this checkout; nothing where there is no git, or no repository."""
+    """Output of git in this checkout; empty without git or a repository."""
     try:
-        line = ["git", "--no-optional-locks", *arguments]  # a run may be killed, and would leave the lock behind
+        line = ["git", "--no-optional-locks", *arguments]  # a killed run would leave a lock behind
         done = subprocess.run(line, cwd=Path(CONF).parent, capture_output=True, text=True, timeout=5.0, check=False)
     except (OSError, subprocess.TimeoutExpired):
         return ""
@@ -73,7 +81,7 @@ def _git(*arguments: str) -> str:
 
 
 def parameters(cfg: DictConfig, choices: Mapping[str, str]) -> dict[str, Any]:
-    """The choices of groups, and the settings below them that are set to something."""
+    """The choices of groups, and the settings below them that have a value."""
     settings = {
         key: value
         for key, value in flat_settings(cfg).items()
@@ -82,3 +90,47 @@ def parameters(cfg: DictConfig, choices: Mapping[str, str]) -> dict[str, Any]:
         and value not in (None, [])
     }
     return {group: option for group, option in choices.items() if group not in NO_PARAMETERS} | settings
+
+
+def digest(*parts: Any) -> str:
+    """A digest that is equal for equal parts, as long as the files that they name have equal contents."""
+    text = json.dumps([*parts, contents_of(parts)], sort_keys=True, default=str)
+    return hashlib.sha256(text.encode()).hexdigest()
+
+
+def contents_of(settings: Any) -> dict[str, str]:
+    """The digest of every file that `settings` name, `{"contents of flight.csv": "9f86d081884c7d65"}`.
+
+    Every text counts that is the path of a file, or of a folder with files, at any key. A word that happens to be such
+    a path does no harm.
+
+    Args:
+        settings: resolved settings, nested in any way, or overrides.
+    """
+    from lmd.core.checks import printable
+
+    texts = list(texts_in(settings))
+    files = {Path(word) for text in texts for word in _words(text) if os.path.isfile(word)}
+    folders = [Path(text) for text in texts if os.path.isdir(text) and os.access(text, os.R_OK)]
+    files |= {file for folder in folders for file in folder.iterdir() if os.path.isfile(file)}
+    return {printable(f"contents of {file}"): _digest_of(file) for file in sorted(files) if os.access(file, os.R_OK)}
+
+
+def texts_in(settings: Any) -> Iterator[str]:
+    """All texts in settings, nested in any way."""
+    if isinstance(settings, str):
+        yield settings
+    elif isinstance(settings, Mapping | list | tuple):
+        for entry in settings.values() if isinstance(settings, Mapping) else settings:
+            yield from texts_in(entry)
+
+
+def _words(text: str) -> set[str]:
+    return {text, *(word for around in SEPARATORS for word in re.split(around, text))}
+
+
+def _digest_of(file: Path) -> str:
+    if (size := file.stat().st_size) > LARGEST_READ:
+        return f"{size} bytes"
+    with file.open("rb") as content:
+        return hashlib.file_digest(content, "sha256").hexdigest()[:16]

@@ -4,15 +4,24 @@ Runs whose process is gone are ended first: they would be shown as running for e
 """
 
 import os
+import re
+import shlex
+import socket
+import sys
 from collections.abc import Mapping
-from typing import TYPE_CHECKING
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
+from hydra.core.override_parser.overrides_parser import OverridesParser
+from hydra.errors import HydraException
 from omegaconf import DictConfig
 
-from .building import instantiate
-from .going_on import GoingOn, going_on
+from .app import CONF, PACKAGE, command_of
+from .nodes import instantiate
+from .overrides import at, config_dir, search_path, task_overrides
 from .pipeline import Pipeline, alone
-from .trust import Trust
+from .trust import PAGE, SHOWN, TARGET, Trust, listed, read_yaml
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -28,13 +37,158 @@ COLUMNS = {
 }
 
 
+OWN_KEYS = ("tracking", "trust")  # keys that this command line says, and not the run's
+PLACE_KEYS = ("hydra", "save_as", "kept")  # keys that say where something is written
+LIST_KEYS = ("optimisers", "deployments")  # lists of options, each of which may have overrides of its own
+# An option of a group by its name: with dots and slashes it would be a file anywhere, and with = or ~ an override.
+NAMES = re.compile(r"[\w\[\],'\" -]*")
+GIVEN = "command-line"  # how Hydra's name for what a command line added to the search path ends
+# Of Hydra's own settings what no file can misuse.
+HARMLESS = re.compile(
+    r"hydra\.mode=\w+|hydra/launcher=\w+|"
+    r"hydra\.launcher\.(n_jobs|partition|timeout_min|cpus_per_task|mem_gb|array_parallelism)=[\w.-]+"
+)
+PICKLES = ".submitit"  # a folder in that of a sweep; submitit unpickles what is there
+REPLACED = ("hydra.run.dir", "hydra.sweep.dir", "hydra.searchpath")  # by the folder itself, and by what is ours
+
+
+@dataclass(frozen=True)
+class GoingOn:
+    """How a run goes on.
+
+    Args:
+        command: for a shell, as it is shown.
+        process: what to execute; none where it is only shown.
+        why_not: what keeps it from being executed here.
+    """
+
+    command: str
+    process: tuple[str, ...] = ()
+    why_not: str = ""
+
+
+def going_on(run: "pd.Series", trust: Trust) -> GoingOn | None:
+    """How a run goes on; None where it has ended well, or has left nothing to go on from.
+
+    A sweep goes on with the same command, and with it its jobs.
+
+    Args:
+        run: of `MlflowReader.runs`.
+        trust: of the command line.
+    """
+    from lmd.core.checks import InputError, printable
+    from lmd.optimisers.checkpoint import CHECKPOINT_FILE
+
+    from .operations.tracking import PARENT_TAG
+
+    told, folder = run.get("tags.command"), Path(str(run.get("tags.folder")))
+    is_sweep, is_job = (isinstance(run.get(f"tags.{tag}"), str) for tag in ("sweep", PARENT_TAG))
+    if run["status"] not in ("KILLED", "FAILED") or not isinstance(told, str) or (is_sweep and is_job):
+        return None
+    if not folder.is_dir():
+        if run.get("tags.host") == socket.gethostname():
+            return None
+        return GoingOn(printable(told), why_not=f"its folder {printable(str(folder))} is not on this host")
+    if not is_sweep and not (folder / CHECKPOINT_FILE).is_file():
+        return None
+    try:
+        pipeline, arguments = _command(folder, is_sweep, trust)
+    except InputError as error:
+        shown = told if is_sweep else f"{told} {at('resume', folder)}"
+        return GoingOn(printable(shown), why_not=str(error).rstrip("."))
+    process = (sys.executable, "-m", f"{PACKAGE}.{pipeline}", *arguments)
+    return GoingOn(printable(f"{command_of(pipeline)} {shlex.join(arguments)}"), process)
+
+
+def _command(folder: Path, is_sweep: bool, trust: Trust) -> tuple[str, list[str]]:
+    """The pipeline and the arguments that go on with what is in a folder.
+
+    Raises:
+        InputError: Hydra has not written the folder so, or what it was given is not taken from a file.
+    """
+    from lmd.core.checks import InputError
+
+    file = folder / ("multirun.yaml" if is_sweep else ".hydra/hydra.yaml")
+    written: Any = read_yaml(file, "its folder").get("hydra")
+    try:
+        pipeline, own, task = (str(written["job"]["name"]), *(written["overrides"][key] for key in ("hydra", "task")))
+        sources = [source for source in written["runtime"]["config_sources"] if str(source["provider"]).endswith(GIVEN)]
+        places = [f"{source['schema']}://{source['path']}" for source in sources]
+        keys = [override.partition("=")[0] for override in own]
+        kept = [override for override in task if _is_kept(override, str(file), trust)]
+    except (KeyError, TypeError, AttributeError):
+        raise InputError(f"{file} is not written as Hydra writes it") from None
+    if not _is_pipeline(pipeline):
+        raise InputError(f"{file} names {pipeline[:SHOWN]!r}, which is no pipeline")
+    for path in folder.rglob("*"):
+        if path.is_symlink():  # what is written there would go elsewhere
+            raise InputError(f"{path} is a link ({PAGE})")
+        if path.name == PICKLES:
+            raise InputError(f"{path} holds what jobs and the sweep hand to each other, which may run code ({PAGE})")
+    for place in places:
+        if not trust.has(place):
+            told = f"it read configuration in {place}"
+            raise InputError(f"{told}; if that is yours, add {shlex.quote(f'hydra.searchpath=[{place}]')} ({PAGE})")
+    for key, override in zip(keys, own, strict=True):
+        if HARMLESS.fullmatch(override):
+            kept += [override] if is_sweep else []
+        elif key not in REPLACED:
+            raise InputError(f"it was given {override[:SHOWN]!r}, which is not taken from a file ({PAGE})")
+    kept += [override for key, override in task_overrides() if key.split(".")[0] in OWN_KEYS]
+    if is_sweep:
+        kept.append(at("hydra.sweep.dir", folder))
+    else:
+        kept += [at("hydra.run.dir", folder)] if "hydra.run.dir" in keys else []
+        kept.append(at("resume", folder))
+    return pipeline, [*config_dir(), *search_path(), *kept]
+
+
+def _is_pipeline(name: str) -> bool:
+    """Whether a name is that of a pipeline that can be swept, and so may have been cut short."""
+    file = Path(CONF, f"{name}.yaml")
+    return (
+        name.isidentifier() and file.is_file() and bool(re.search(r"^  - (base|job)$", file.read_text(), re.MULTILINE))
+    )
+
+
+def _is_kept(override: str, source: str, trust: Trust) -> bool:
+    """Whether an override of the run is one of the command that goes on; another one replaces it if not.
+
+    Raises:
+        InputError: it is not taken from a file, or names what is not trusted.
+    """
+    from lmd.core.checks import InputError
+
+    try:
+        parsed = OverridesParser.create().parse_override(override)
+    except HydraException:
+        raise InputError(f"{source} holds {override[:SHOWN]!r}, which is no override") from None
+    key, is_sweep = str(parsed.key_or_group), parsed.is_sweep_override()
+    first = re.split("[./]", key)[0]
+    if first in ("tracking", "resume"):
+        return False
+    if first == "trust":
+        lacking = [name for name in listed(override) if name not in trust.names]
+        if lacking:
+            raise InputError(f"it was told trust={lacking}; if you trust that too, add it ({PAGE})")
+        return False
+    if first in PLACE_KEYS or parsed.package is not None or (is_sweep and TARGET in override.replace("\\", "")):
+        raise InputError(f"it was given {override[:SHOWN]!r}, which is not taken from a file ({PAGE})")
+    given = override.partition("=")[2]
+    trust.check(source, key, given if is_sweep else parsed.value())
+    is_group = first in LIST_KEYS or "/" in key or any((folder / key).is_dir() for folder in trust.folders)
+    if is_group and not NAMES.fullmatch(given):
+        raise InputError(f"it was given {override[:SHOWN]!r}, which is not taken from a file ({PAGE})")
+    return True
+
+
 def runs(cfg: DictConfig) -> None:
     """List the newest runs of the configured store."""
     from lmd.core.checks import InputError, integer, printable
 
     from .operations.tracking import MlflowReader, MlflowTracker
     from .operations.tracking.experiment import link
-    from .operations.tracking.hand_in import end_those_gone
+    from .operations.tracking.journal import end_those_gone
 
     tracker, last = instantiate(cfg.tracking), integer("last", cfg.last, low=1)
     if not isinstance(tracker, MlflowTracker):

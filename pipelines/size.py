@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 from omegaconf import DictConfig
 
-from .building import instantiate, keyed, settings_of
+from .nodes import instantiate, keyed, settings_of
 from .pipeline import Pipeline, alone
 
 if TYPE_CHECKING:

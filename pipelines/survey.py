@@ -9,12 +9,11 @@ from typing import TYPE_CHECKING, Any
 from omegaconf import DictConfig, OmegaConf
 
 from .app import discard_empty, run_directory
-from .building import camera_of, instantiate, keyed, settings_of
-from .detectors import detector_of
+from .building import camera_of
 from .earlier_run import read_earlier_run
 from .export import build_export
-from .fixed import axes_in, fixed_of
-from .notes import note
+from .landmarks import axes_in, fixed_of
+from .nodes import detector_of, instantiate, keyed, note, settings_of
 from .operations.signals import Stopped, stop
 from .outputs import write_all
 from .photographs import detected

@@ -1,14 +1,15 @@
 """The files that a survey leaves."""
 
 import os
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from omegaconf import DictConfig, OmegaConf
 
-from .documents import write_document
+from .outputs import write_document
+from .provenance import texts_in
 
 if TYPE_CHECKING:
     from lmd.mapping.detections import DetectedTags
@@ -53,7 +54,7 @@ def check_folder(directory: Path, cfg: DictConfig, cameras: int, exports: "Expor
         return
     known = {MEASURED, DETECTED, *AUDIT, *(form.file for form in FORMATS.values())}
     known |= {path.name for path in directory.glob("camera*.yaml")}
-    read = {os.path.realpath(text) for text in _texts(OmegaConf.to_container(cfg, resolve=True))}
+    read = {os.path.realpath(text) for text in texts_in(OmegaConf.to_container(cfg, resolve=True))}
     left = [name for name in sorted(known - own) if (directory / name).is_file()]
     if stale := [name for name in left if os.path.realpath(directory / name) not in read]:
         text = f"hydra.run.dir: {str(directory)!r} holds {', '.join(stale)} of an earlier survey, which this one does"
@@ -65,15 +66,6 @@ def check_folder(directory: Path, cfg: DictConfig, cameras: int, exports: "Expor
 def camera_files(count: int) -> list[str]:
     """The names of the files for the calibrations of cameras."""
     return ["camera.yaml"] if count == 1 else [f"camera_{number}.yaml" for number in range(1, count + 1)]
-
-
-def _texts(settings: Any) -> Iterable[str]:
-    """All texts of settings."""
-    if isinstance(settings, dict | list):
-        for value in settings.values() if isinstance(settings, dict) else settings:
-            yield from _texts(value)
-    elif isinstance(settings, str):
-        yield settings
 
 
 def writers_of(

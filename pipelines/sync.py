@@ -21,8 +21,7 @@ def sync(cfg: DictConfig) -> bool:
     """
     from lmd.core.checks import InputError, boolean, printable
 
-    from .operations.tracking.hand_in import hand_in
-    from .operations.tracking.journal import FILE, Journal
+    from .operations.tracking.journal import FILE, Journal, hand_in
 
     folder, yes = Path(str(cfg.folder)), boolean("yes", cfg.yes)
     if not folder.is_dir():

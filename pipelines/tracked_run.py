@@ -18,10 +18,9 @@ from lmd.problem import Problem
 from lmd.scene.deployment import Deployment
 
 from .app import choices, run_directory
-from .building import instantiate
+from .nodes import instantiate
 from .operations.signals import Stopped, stop
-from .operations.sweeps.folder import current_job
-from .operations.sweeps.jobs import reason_of
+from .operations.sweeps.folder import current_job, reason_of
 from .operations.sweeps.names import override_tags, short_name
 from .operations.tracking import RunStart
 from .outputs import write_figures, write_history, write_pictures

@@ -14,13 +14,13 @@ from typing import TYPE_CHECKING, Any
 from omegaconf import DictConfig, OmegaConf
 
 from .app import run_directory
-from .building import budget_of, build_optimiser, instantiate, keyed, seeds_of
-from .documents import write_document
+from .building import budget_of, build_optimiser, seeds_of
 from .earlier_run import read_earlier_problem
-from .ladder import BUDGET, PAPER, Ladder, figures_of, shares_among
+from .nodes import instantiate, keyed
 from .operations.sweeps.names import slug
+from .outputs import write_document
 from .pipeline import Pipeline
-from .points import Points
+from .points import BUDGET, PAPER, Ladder, Points, figures_of, shares_among
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -155,7 +155,7 @@ class Trust:
 
 
 def read_yaml(file: Path, source: str) -> dict[Any, Any]:
-    """What a configuration file holds, as plain data in which nothing is resolved; moved targets by their new names.
+    """What a configuration file holds, as plain data in which nothing is resolved.
 
     Raises:
         InputError: it cannot be read, or is no configuration.
@@ -171,18 +171,7 @@ def read_yaml(file: Path, source: str) -> dict[Any, Any]:
         raise InputError(f"{source}: '{file}' cannot be read ({' '.join(str(error).split())}).") from None
     if not isinstance(found, dict):
         raise InputError(f"{source}: '{file}' is no configuration.")
-    _rename_targets(found)
     return found
-
-
-def _rename_targets(value: Any) -> None:
-    from lmd.core.renamed import renamed
-
-    for inner in value.values() if isinstance(value, dict) else value:
-        if isinstance(inner, dict | list):
-            _rename_targets(inner)
-    if isinstance(value, dict) and isinstance(target := value.get(TARGET), str):
-        value[TARGET] = renamed(target)
 
 
 def listed(argument: str) -> list[str]:

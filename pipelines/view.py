@@ -11,9 +11,10 @@ from typing import TYPE_CHECKING, Any
 from omegaconf import DictConfig
 
 from .app import run_directory
-from .building import budget_of, build_optimiser, build_problem, instantiate, keyed, mounts_of
+from .building import budget_of, build_optimiser, build_problem, mounts_of
 from .earlier_run import RIG, read_earlier_robot
 from .export import build_export
+from .nodes import instantiate, keyed
 from .operations.signals import CODES, stop
 from .outputs import all_or_none
 from .pipeline import Pipeline

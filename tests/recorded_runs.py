@@ -7,7 +7,7 @@ import stores  # noqa: F401 - new ones get their tables from it
 from mlflow import MlflowClient
 
 from pipelines.operations.tracking import MlflowTracker, RunStart
-from pipelines.operations.tracking.processes import this_process
+from pipelines.operations.tracking.journal import this_process
 
 ANOTHER = this_process()["process"].replace(" ", " 1", 1)  # a process that had the same number as this one
 

@@ -18,7 +18,8 @@ from lmd.sight.models.fiducial import Fiducial
 from lmd.sight.models.paper import Visibility
 from lmd.space.floor_plan import FloorPlan
 from pipelines.app import CONF
-from pipelines.building import build_problem, instantiate
+from pipelines.building import build_problem
+from pipelines.nodes import instantiate
 
 pytestmark = pytest.mark.long
 
@@ -27,6 +28,7 @@ CRITERIA = {
     "paper": (Visibility(thold=0.1), paper_camera()),
     "line_of_sight": (Visibility(thold=0.1, occlusion="line_of_sight"), paper_camera()),
     "distorted": (Fiducial(Tag(0.2)), BENT),
+    "tags": (Fiducial(Tag(0.2)), paper_camera()),
 }
 L = FloorPlan(L_SHAPE, 2.5, holes=[PILLAR], obstacles=[RACK])
 
@@ -36,13 +38,14 @@ def options(group):
 
 
 @pytest.mark.parametrize(("criteria", "camera"), CRITERIA.values(), ids=CRITERIA)
+def test_every_criterion_keeps_its_contract_for_one_camera(criteria, camera):
+    check_alone(criteria, camera, np.random.default_rng(0))
+
+
+@pytest.mark.thorough("lmd/incremental", "lmd/scene/criteria.py", "lmd/sight", "tests/contracts")
+@pytest.mark.parametrize(("criteria", "camera"), CRITERIA.values(), ids=CRITERIA)
 def test_every_criterion_keeps_its_contract(criteria, camera):
     check_criterion(criteria, camera)
-
-
-def test_without_a_lens_tags_are_seen_by_the_same_rules():
-    """A rig, which asks the same functions, has its turn with the lens; it would be compiled anew."""
-    check_alone(Fiducial(Tag(0.2)), paper_camera(), np.random.default_rng(0))
 
 
 @pytest.mark.parametrize("name", options("objective"))

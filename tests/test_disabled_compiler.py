@@ -41,8 +41,19 @@ def found_by_walking(name):
     return [found.fitness, found.deployment.positions.tolist(), found.deployment.normals.tolist()]
 
 
+RIGS = [name for name in CASES if "rig" in name]
+
+
 @pytest.mark.slow
-@pytest.mark.parametrize("name", CASES)
+@pytest.mark.parametrize(
+    "name",
+    [
+        pytest.param(name, marks=pytest.mark.thorough("lmd/incremental", "lmd/objectives", "lmd/sight"))
+        if name in RIGS
+        else name
+        for name in CASES
+    ],
+)
 def test_walks_in_plain_python_end_at_the_same_bits(name, tmp_path):
     """30 s of processor time together, once their kernels are compiled."""
     code = f"import json, test_disabled_compiler as t; print(json.dumps(t.found_by_walking({name!r})))"
@@ -68,6 +79,7 @@ def found_by_a_run(folder):
 
 
 @pytest.mark.slow
+@pytest.mark.thorough("lmd/core/compiled.py", "lmd/optimisers/annealing", "pipelines/optimise.py")
 def test_a_run_in_plain_python_has_the_same_figures(tmp_path, monkeypatch):
     """10 s of processor time: the walk of 90 landmarks in the paper's room, not compiled."""
     compiled = found_by_a_run(tmp_path / "compiled")

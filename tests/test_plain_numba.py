@@ -6,7 +6,6 @@ import subprocess
 import sys
 
 import pytest
-from examples import SHARE
 from processes import ROOT, environment
 from small import problem
 
@@ -39,9 +38,9 @@ def run(python, method, cwd, **variables):
 @pytest.mark.parametrize(
     "method",
     [
-        "evaluate",
+        pytest.param("evaluate", marks=pytest.mark.thorough("lmd/core", "lmd/sight")),
         # The walk takes 30 s to compile so.
-        pytest.param("walk", marks=pytest.mark.skipif(SHARE < 1.0, reason="in make test-thorough")),
+        pytest.param("walk", marks=pytest.mark.thorough("lmd/core")),
     ],
 )
 def test_with_numba_as_it_comes_the_results_are_the_same_and_kernels_are_kept(method, tmp_path):

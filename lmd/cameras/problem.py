@@ -4,12 +4,13 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
+from typing_extensions import override
 
 from lmd.cameras.mounts import MountSpace
 from lmd.cameras.views import CameraViews
 from lmd.core.checks import FloatArray, InputError
 from lmd.objectives.coverage import Coverage
-from lmd.problem import Problem
+from lmd.problem import Genome, Problem
 from lmd.scene.deployment import Deployment
 from lmd.scene.rig import Mount, Rig
 from lmd.sight.evaluator import Evaluator
@@ -99,12 +100,17 @@ class CameraProblem(Problem):
         return fitness
 
     def reached(self, fitness: float) -> None:
-        """Take a fitness as reached in an earlier sitting: `fitness_of_cameras` then says what it would have said."""
+        """See `Genome.reached`: what is worse than it is not asked to `stay`."""
         self._most = max(self._most, fitness)
 
     @property
+    @override
+    def genome(self) -> Genome:
+        return self
+
+    @property
     def dim(self) -> int:
-        """See `lmd.optimisers.genome.Genome`; genes come camera by camera."""
+        """See `Genome.dim`; genes are ordered camera by camera."""
         return self.space.count * len(self.space.names)
 
     @property

@@ -8,7 +8,7 @@ from typing import Any
 
 from lmd.core.checks import InputError
 
-# Packages that are named in configurations, and the extra that brings them.
+# Packages that are imported where they are used or named in configurations, and the extra that installs them.
 EXTRAS = {
     "cma": "optimisers",
     "cv2": "detection",

@@ -8,7 +8,7 @@ the landmarks visible at that instant. With the metric diag(l^2 I, I) on twists 
 
 the latter with error dynamics that do not depend on the trajectory. The paper takes Q, k_0 and P from a work that is
 not public. Here Q(d) = -d e_4^T / m with d = Yh - Y and m landmarks in view, and P is the orthogonal projection to
-se(3): the term is then the translation k_0 mean(e_i), which damps for k_0 > 0.
+se(3): -P(k_0 I_4 Q) is then the translation k_0 mean(e_i), which damps for k_0 > 0.
 
 Source: Lei et al., "Optimization of Directional Landmark Deployment for Visual Observer on SE(3)", Sec. II-A.
 """
@@ -20,32 +20,30 @@ import numpy as np
 from lmd.core.checks import BoolArray, FloatArray, InputError, check_fields, choice, real
 from lmd.estimation.errors import Errors, pose_errors
 from lmd.estimation.recording import Recording
-from lmd.geometry.se3 import act, adjoint, cross, exp, inverse, project, vee
+from lmd.geometry.se3 import act, adjoint, cross, exp, inverse
 
 FORMS = ("right", "left")
-# The step times the sum of the gains from which on the correction overshoots to ever larger errors.
+# Product of the time step and the sum of the gains at and beyond which the correction diverges.
 STABILITY_LIMIT = 2.0
 
 
 @dataclass(frozen=True)
 class Observer:
-    """Predict with the known twist, correct with the landmarks in view.
-
-    Args:
-        form: `right`-invariant, or `left`-invariant as printed.
-        gain: kappa, 1/s. The k_i of an instant are all kappa / sum(1 + |z_i|^2 / l^2), z = C (right) or y (left), which
-            makes kappa the fastest rate of convergence whatever the number of landmarks.
-        damping: k_0, 1/s.
-        length: l of the metric, metres: how many metres of error weigh as much as a radian.
+    """Observer that predicts with the measured twist and corrects with the landmarks in view.
 
     Raises:
         InputError: a value is out of range.
     """
 
     form: str = "right"
+    """`right`-invariant, or `left`-invariant as printed."""
     gain: float = 10.0
+    """kappa, 1/s. All k_i of a frame are kappa / sum(1 + |z_i|^2 / l^2), z = C (right) or y (left): kappa is the
+    fastest rate of convergence for any number of landmarks."""
     damping: float = 1.0
+    """k_0, 1/s."""
     length: float = 2.0
+    """l of the metric, metres: the position error that weighs as much as a radian."""
 
     def __post_init__(self) -> None:
         choice("form", self.form, FORMS)
@@ -54,12 +52,12 @@ class Observer:
         check_fields(self, real, "length", above=0.0)
 
     def landmark_gain(self, landmarks: FloatArray, measured: FloatArray, seen: BoolArray) -> FloatArray:
-        """k_i, the same for all landmarks of an instant, `(...)`; 0 where none is seen.
+        """Gain k_i of all landmarks of a frame, `(...)`; 0 if none is in view.
 
         Args:
             landmarks: C_i, world frame, metres, `(..., K, 3)`.
             measured: y_i, camera frame, metres, `(..., K, 3)`.
-            seen: which of them are in view, `(..., K)`.
+            seen: mask of the landmarks in view, `(..., K)`.
         """
         z = landmarks if self.form == "right" else measured
         total = (seen * (1.0 + (z**2).sum(axis=-1) / self.length**2)).sum(axis=-1)
@@ -68,7 +66,7 @@ class Observer:
     def correction(
         self, estimate: FloatArray, landmarks: FloatArray, measured: FloatArray, seen: BoolArray
     ) -> FloatArray:
-        """The body twist -epsilon - P(k_0 I_4 Q(Yh - Y)), rad/s and m/s, `(..., 6)`; zero where nothing is seen.
+        """Body twist -epsilon - P(k_0 I_4 Q(Yh - Y)), rad/s and m/s, `(..., 6)`; zero without a landmark in view.
 
         Args:
             estimate: Xh, `(..., 4, 4)`.
@@ -83,23 +81,24 @@ class Observer:
         else:
             residual = np.where(seen[..., None], landmarks - act(estimate, measured), 0.0)
             descent = adjoint(back, self._twist(landmarks, residual, gain))
-        return descent - vee(project(self.damping * _q(error.sum(axis=-2), seen.sum(axis=-1))))
+        damped = self.damping * (-error.sum(axis=-2) / np.maximum(seen.sum(axis=-1), 1)[..., None])
+        return np.asarray(descent - np.concatenate([np.zeros_like(damped), damped], axis=-1))
 
     def _twist(self, arms: FloatArray, forces: FloatArray, gain: FloatArray) -> FloatArray:
-        """(l^-2 k sum arm x force, k sum force), `(..., 6)`."""
+        """Twist (l^-2 k sum arm x force, k sum force), `(..., 6)`."""
         turning = cross(arms, forces).sum(axis=-2) / self.length**2
         return np.concatenate([gain * turning, gain * forces.sum(axis=-2)], axis=-1)
 
     def estimates(self, recording: Recording, start: FloatArray) -> FloatArray:
-        """Xh at every frame, after its landmarks have been used, `(S, T, 4, 4)`.
+        """Xh at every frame, corrected with its landmarks, `(S, T, 4, 4)`.
 
-        Each step is exact for a twist and a correction that are constant over it: Xh <- Xh exp(h U), then
-        Xh <- Xh exp(h xi), with the landmarks of the new frame. The world's origin is put at the centroid of all K
-        landmarks meanwhile: the arms C_i of the right-invariant form are then short, and it converges faster.
+        Each step is exact for a constant twist and a constant correction: Xh <- Xh exp(h U), then Xh <- Xh exp(h xi)
+        with the landmarks of the new frame. The origin is moved to the centroid of all K landmarks: the arms C_i of the
+        right-invariant form are then short, and it converges faster.
 
         Args:
             recording: S runs.
-            start: Xh at the first frame, before any landmark has been used, `(S, 4, 4)`.
+            start: Xh at the first frame, not yet corrected, `(S, 4, 4)`.
 
         Raises:
             InputError: the time between two frames is too long for the gains.
@@ -131,29 +130,3 @@ class Observer:
     def errors(self, recording: Recording, start: FloatArray) -> Errors:
         """See `lmd.estimation.estimators.Estimator.errors`."""
         return pose_errors(recording.poses, self.estimates(recording, start))
-
-
-def cost(estimate: FloatArray, landmarks: FloatArray, measured: FloatArray, seen: BoolArray) -> FloatArray:
-    """f = 1/2 sum |yh_i - y_i|^2 over the landmarks in view, with k_i = 1, m^2, `(...)` (Eq. f_without).
-
-    Args:
-        estimate: Xh, `(..., 4, 4)`.
-        landmarks, measured, seen: as in `Observer.landmark_gain`.
-    """
-    error = np.where(seen[..., None], act(inverse(estimate), landmarks) - measured, 0.0)
-    return np.asarray(0.5 * (error**2).sum(axis=(-2, -1)))
-
-
-def _q(difference: FloatArray, count: FloatArray) -> FloatArray:
-    """Q(d) = -d e_4^T / m, zero for m = 0; the fourth component of d is always 0.
-
-    Args:
-        difference: the first three components of d = Yh - Y, metres, `(..., 3)`.
-        count: m, `(...)`.
-
-    Returns:
-        `(..., 4, 4)`.
-    """
-    matrix = np.zeros((*difference.shape[:-1], 4, 4))
-    matrix[..., :3, 3] = -difference / np.maximum(count, 1)[..., None]
-    return matrix

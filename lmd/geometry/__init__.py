@@ -1,1 +1,1 @@
-"""Frames, rotations, rigid motions and lenses."""
+"""Frames, rotations, rigid motions, cameras, lenses, projection, and the pose from one image."""

@@ -1,4 +1,4 @@
-"""The camera of the paper: intrinsics as on a data sheet, and what they imply; its lens may distort."""
+"""Intrinsics of a camera as on a data sheet, and quantities derived from them; the lens may distort."""
 
 import math
 from dataclasses import dataclass, field
@@ -11,7 +11,7 @@ from lmd.core.checks import FloatArray, InputError, check_fields, integer, real,
 from lmd.geometry.lens import Lens, lens_of
 
 MM_PER_M = 1000.0
-# A cone of view that ends nearer to a right angle from the axis would show what is beside the camera.
+# Maximum half-angle of the cone of view, rad: a wider cone would contain points beside the camera.
 WIDEST_CONE = math.radians(89.0)
 
 
@@ -28,38 +28,35 @@ class FieldOfView(NamedTuple):
 class Camera:
     """Intrinsic parameters (Table I of the paper).
 
-    Args:
-        focal_length: f, mm.
-        pixel_width, pixel_height: s_u and s_v, mm per pixel.
-        principal_point: (o_u, o_v), pixels from the left and top border.
-        image_width, image_height: w and h, whole pixels.
-        aperture: effective diameter d_a, mm; 0 for a pinhole, or a lens of which it is not known: whatever its depth is
-            in focus.
-        focus_distance: d_s, mm; infinity, the default, is allowed.
-        distortion: coefficients of the lens as OpenCV orders them; none for a pinhole that does not distort.
-        distortion_model: `plumb_bob`, `rational_polynomial` or `equidistant`, see `lmd.geometry.lens.Lens`.
-        image_circle: diameter of the round image behind a lens that distorts, pixels: a fisheye's is often smaller than
-            the sensor. Infinity, the default, where all of the sensor is in it.
-        note: what whoever uses it should know of where its numbers come from.
-
     Raises:
-        InputError: a value is not positive, or for the aperture negative, the image has no whole number of pixels, the
-            principal point lies outside it, the focus distance is not beyond the focal length, the lens is none of
-            these models, or it folds before it reaches the nearest border of the image.
+        InputError: a value is out of range, the principal point lies outside the image, the focus distance is not
+            beyond the focal length, the lens model is unknown, or the lens folds before it reaches the nearest border.
     """
 
     focal_length: float
+    """f, mm."""
     pixel_width: float
+    """s_u, mm per pixel."""
     pixel_height: float
+    """s_v, mm per pixel."""
     principal_point: tuple[float, float]
+    """(o_u, o_v), pixels from the left and top border."""
     image_width: float
+    """w, whole pixels."""
     image_height: float
+    """h, whole pixels."""
     aperture: float
+    """Effective diameter d_a, mm; 0 for a pinhole or an unknown aperture: everything is in focus."""
     focus_distance: float = math.inf
+    """d_s, mm; may be infinite."""
     distortion: tuple[float, ...] = ()
+    """Coefficients of the lens in OpenCV's order; empty for a pinhole without distortion."""
     distortion_model: str = "plumb_bob"
+    """`plumb_bob`, `rational_polynomial` or `equidistant`, see `lmd.geometry.lens.Lens`."""
     image_circle: float = math.inf
+    """Diameter of the round image behind a lens that distorts, pixels; infinite if it covers the sensor."""
     note: str = field(default="", compare=False, repr=False)
+    """Remark on the origin of the numbers, for users."""
 
     def __post_init__(self) -> None:
         check_fields(self, real, "focal_length", "pixel_width", "pixel_height", above=0.0)
@@ -98,17 +95,17 @@ class Camera:
 
     @property
     def is_pinhole(self) -> bool:
-        """Whether everything is in focus."""
+        """True if everything is in focus."""
         return self.aperture == 0.0
 
     @cached_property
     def lens(self) -> Lens | None:
-        """What distorts; None for a pinhole that does not."""
+        """Lens that distorts; None for a pinhole without distortion."""
         return lens_of(self.distortion_model, self.distortion)
 
     @property
     def _borders(self) -> FieldOfView:
-        """How far the four borders are from the principal point, focal lengths."""
+        """Distances of the four borders from the principal point, focal lengths."""
         u, v = self.principal_point
         width, height = self.pixel_width / self.focal_length, self.pixel_height / self.focal_length
         return FieldOfView(
@@ -120,9 +117,9 @@ class Camera:
 
     @property
     def field_of_view(self) -> FieldOfView:
-        """The four angles phi_l, phi_r, phi_t, phi_b: atan(border distance on the sensor / f).
+        """Angles phi_l, phi_r, phi_t, phi_b = atan(border distance on the sensor / f).
 
-        Behind a lens that distorts, the angles that it images at the borders, or at which it ends before them.
+        Behind a lens that distorts, the angles that it images at the borders, at most `widest_angle`.
         """
         if self.lens is None:
             return FieldOfView(*map(math.atan, self._borders))
@@ -132,7 +129,7 @@ class Camera:
 
     @cached_property
     def widest_angle(self) -> float:
-        """The angle from the optical axis that the image shows at most, rad."""
+        """Largest angle from the optical axis in the image, rad."""
         left, right, top, bottom = self._borders
         corner = math.hypot(max(left, right), max(top, bottom))
         if self.lens is None:
@@ -142,18 +139,18 @@ class Camera:
 
     @property
     def cone_half_angle(self) -> float:
-        """Half-angle of the cone tangent to the frustum, min(phi_l, phi_r, phi_t, phi_b), rad, or `WIDEST_CONE`."""
+        """Half-angle of the cone tangent to the frustum, min(phi_l, phi_r, phi_t, phi_b, `WIDEST_CONE`), rad."""
         return min(*self.field_of_view, WIDEST_CONE)
 
     @property
     def image_distance(self) -> float:
-        """f d_s / (d_s - f), mm: the distance from lens to sensor; f when focused at infinity."""
+        """Distance from lens to sensor, f d_s / (d_s - f), mm; f when focused at infinity."""
         if math.isinf(self.focus_distance):
             return self.focal_length
         return self.focal_length * self.focus_distance / (self.focus_distance - self.focal_length)
 
     def depth_of_field(self, circle_of_confusion: float) -> tuple[float, float]:
-        """Near and far limits d_n, d_f of acceptable focus, metres.
+        """Compute the near and far limits d_n, d_f of acceptable focus, metres.
 
         With b = delta min(s_u, s_v): d_n = d_a d_s f / (d_a f + b (d_s - f)) and
         d_f = d_a d_s f / (d_a f - b (d_s - f)). From the hyperfocal distance on (d_a f <= b (d_s - f)) the far
@@ -179,7 +176,7 @@ class Camera:
 
     @property
     def resolution_at_one_metre(self) -> float:
-        """C^R at a depth of 1 m, pixel/mm; the resolution at depth z is this divided by z (Eq. C_k^R)."""
+        """C^R at a depth of 1 m, pixel/mm; at depth z the resolution is C^R / z (Eq. C_k^R)."""
         return self.image_distance / (MM_PER_M * max(self.pixel_width, self.pixel_height))
 
     def resolution_depth(self, threshold: float) -> float:

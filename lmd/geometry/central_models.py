@@ -1,4 +1,4 @@
-"""Central cameras as other programs model them, restated as a lens that is known here.
+"""Central camera models of other programs, restated as a lens of `lmd.geometry.lens`.
 
 A point (u, v, w) at the distance r is imaged, in units of the model's own focal lengths, at (u, v) / d by
 
@@ -8,7 +8,7 @@ A point (u, v, w) at the distance r is imaged, in units of the model's own focal
   d = alpha sqrt(beta (u^2 + v^2) + w^2) + (1 - alpha) w;
 - the unified model of Mei and Rives (2007), `omni` or `MEI`: d = w + xi r, then distorted as a pinhole's image is.
 
-`restated` fits the lenses of `lmd.geometry.lens` to that in the least squares of pixels, over all that the image shows.
+`restated` fits a lens by least squares of pixels over the whole image.
 """
 
 from collections.abc import Callable, Mapping
@@ -20,10 +20,14 @@ from lmd.core.checks import FloatArray, InputError, real, vector
 from lmd.geometry.lens import EQUIDISTANT
 from lmd.geometry.lens_models import BrownConrady, Equidistant, image_of
 
-GOOD_PIXELS, MOST_PIXELS = 0.05, 1.0  # that a lens differs from what it restates, at most, anywhere in the image
-WIDEST, ANGLES, AROUND = 2.6, 160, 144  # rad from the axis, and how many directions are looked at
-WIDEST_PINHOLE = 1.45  # rad: a pinhole that distorts images nothing beyond a quarter turn
-CENTRE = 0.5  # of a pixel, from its border
+# Largest difference of a lens from the model, pixels: good enough to stop, and still acceptable.
+GOOD_PIXELS, MOST_PIXELS = 0.05, 1.0
+# Largest angle from the axis of the samples, rad, and their number away from the axis and around it.
+WIDEST, ANGLES, AROUND = 2.6, 160, 144
+# Largest angle from the axis of a pinhole with distortion, rad.
+WIDEST_PINHOLE = 1.45
+# Offset from the border of a pixel to its centre, pixels.
+CENTRE = 0.5
 Model = Callable[[FloatArray, FloatArray, FloatArray], tuple[FloatArray, FloatArray]]
 
 
@@ -31,19 +35,19 @@ class Restated(NamedTuple):
     """A lens with its image plane."""
 
     focal_pixels: tuple[float, float]
-    """(f / s_u, f / s_v)."""
+    """(f / s_u, f / s_v), pixels."""
     principal_point: tuple[float, float]
-    """(c_x, c_y), counted as in what was restated."""
+    """(c_x, c_y), pixels, in the convention of the model."""
     model: str
-    """Its name, see `lmd.geometry.lens`."""
+    """Name of the lens model, see `lmd.geometry.lens`."""
     coefficients: tuple[float, ...]
-    """Those of the lens."""
+    """Coefficients of the lens."""
     worst: float
-    """How far it is off at most, pixels."""
+    """Largest difference from the model, pixels."""
 
 
 def double_sphere(xi: Any, alpha: Any) -> Model:
-    """The model `ds`."""
+    """Model `ds`."""
     xi, alpha = real("xi", xi, above=-1.0), real("alpha", alpha, low=0.0, high=1.0)
     share = alpha / (1.0 - alpha) if alpha <= 0.5 else (1.0 - alpha) / alpha
     least = -(share + xi) / np.sqrt(2.0 * share * xi + xi * xi + 1.0)
@@ -57,7 +61,7 @@ def double_sphere(xi: Any, alpha: Any) -> Model:
 
 
 def extended_unified(alpha: Any, beta: Any) -> Model:
-    """The model `eucm`."""
+    """Model `eucm`."""
     alpha, beta = real("alpha", alpha, low=0.0, high=1.0), real("beta", beta, above=0.0)
 
     def image(u: FloatArray, v: FloatArray, w: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -69,7 +73,7 @@ def extended_unified(alpha: Any, beta: Any) -> Model:
 
 
 def unified(xi: Any, k1: Any = 0.0, k2: Any = 0.0, p1: Any = 0.0, p2: Any = 0.0) -> Model:
-    """The model `omni`, with the distortion of a pinhole."""
+    """Model `omni`, with the distortion of a pinhole."""
     xi, *distortion = (real(*of) for of in (("xi", xi), ("k1", k1), ("k2", k2), ("p1", p1), ("p2", p2)))
     lens = BrownConrady._make([*distortion, *(0.0,) * 8])
 
@@ -86,7 +90,7 @@ def _divided(u: FloatArray, v: FloatArray, depth: FloatArray, is_seen: Any) -> t
     return u / depth, v / depth
 
 
-# By their names, with what their own numbers are called, in the order of Kalibr; then those of all.
+# Models by name, with the names of their own parameters in the order of Kalibr; then the parameters of all.
 MODELS: dict[str, tuple[Callable[..., Model], tuple[str, ...]]] = {
     "ds": (double_sphere, ("xi", "alpha")),
     "eucm": (extended_unified, ("alpha", "beta")),
@@ -96,17 +100,17 @@ PINHOLE, DISTORTION = ("fx", "fy", "cx", "cy"), ("k1", "k2", "p1", "p2")
 
 
 def restated(name: str, values: Mapping[str, Any], size: Any) -> Restated:
-    """The lens that comes nearest to a model.
+    """Fit a lens to a model.
 
     Args:
         name: one of `MODELS`.
-        values: its numbers, by name; of `omni` also those of its distortion. Pixels count from the centre of the first.
+        values: parameters by name; of `omni` also those of its distortion. Pixels count from the centre of the first.
         size: width and height of the image, pixels.
 
     Raises:
-        InputError: a number is none, the model images nothing, or every lens differs from it by more than `MOST_PIXELS`
-            somewhere.
-        KeyError: a number is missing.
+        InputError: a parameter is no number, the model images nothing, or every lens differs from it by more than
+            `MOST_PIXELS` somewhere.
+        KeyError: a parameter is missing.
     """
     make, own = MODELS[name]
     fx, fy, cx, cy = (real(key, values[key]) for key in PINHOLE)
@@ -127,7 +131,7 @@ def restated(name: str, values: Mapping[str, Any], size: Any) -> Restated:
     start = [np.hypot(u[1], v[1]).mean() / theta[1, 0] * focal for focal in (fx, fy)]
     widest = float((theta * shown).max())
     found = _fitted(EQUIDISTANT, 4, lambda k: Equidistant(*k), points, pixels, [*start, cx, cy])
-    if found.worst > GOOD_PIXELS and widest < WIDEST_PINHOLE:  # which has tangential terms, too
+    if found.worst > GOOD_PIXELS and widest < WIDEST_PINHOLE:  # the rational model has tangential terms, too
         rational = _fitted("rational_polynomial", 8, _rational, points, pixels, [*start, cx, cy])
         found = min(found, rational, key=lambda fit: fit.worst)
     if found.worst > MOST_PIXELS:
@@ -145,7 +149,7 @@ def _rational(coefficients: FloatArray) -> BrownConrady:
 def _fitted(
     name: str, count: int, lens: Callable[[Any], Any], points: tuple[FloatArray, ...], pixels: FloatArray, start: Any
 ) -> Restated:
-    from scipy.optimize import least_squares  # which takes long to load
+    from scipy.optimize import least_squares  # slow to load
 
     def off(numbers: FloatArray) -> FloatArray:
         x, y = image_of(lens(numbers[4:]), *points)

@@ -1,8 +1,7 @@
 """World and local frames: rotations, the optical axis, the landmark normal.
 
-The world frame has its origin at a floor corner of the room and z up, in metres. A local frame is posed by
-its origin and by yaw (alpha), pitch (beta) and roll (gamma) in radians. Everything here is a pure function of
-arrays; angles may have any shape `(...)`, vectors have shape `(..., 3)`.
+The world frame has its origin at a floor corner of the room and z up, in metres. A local frame is given by its origin
+and by yaw (alpha), pitch (beta) and roll (gamma) in radians. Angles have any shape `(...)`, vectors `(..., 3)`.
 
 Source: Lei et al., "Optimization of Directional Landmark Deployment for Visual Observer on SE(3)", Sec. II.
 """
@@ -12,7 +11,7 @@ from numpy.typing import ArrayLike
 
 from lmd.core.checks import FloatArray
 
-# Maps the world axes to a local frame with zero angles: x right, y down, z (the optical axis) along world y.
+# Rotation from the world to a local frame with zero angles: x right, y down, z (the optical axis) along world y.
 ZERO_ANGLES = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
 
 
@@ -38,7 +37,7 @@ def rotation(yaw: ArrayLike, pitch: ArrayLike, roll: ArrayLike = 0.0) -> FloatAr
 
 
 def roll_pitch_yaw(angles: ArrayLike) -> FloatArray:
-    """The matrix of ROS's `setRPY` from roll, pitch and yaw, Rz(yaw) Ry(pitch) Rx(roll), right-handed.
+    """Rotation Rz(yaw) Ry(pitch) Rx(roll) of ROS's `setRPY`.
 
     Args:
         angles: radians, `(3,)` or `(T, 3)`.
@@ -52,7 +51,7 @@ def roll_pitch_yaw(angles: ArrayLike) -> FloatArray:
 
 
 def angles_of(world_to_local_rotation: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Yaw in [-pi, pi], pitch in [-pi/2, pi/2] and roll in [-pi, pi]: the inverse of `rotation`.
+    """Yaw in [-pi, pi], pitch in [-pi/2, pi/2] and roll in [-pi, pi] of a rotation, the inverse of `rotation`.
 
     Args:
         world_to_local_rotation: `(..., 3, 3)`.
@@ -85,8 +84,7 @@ def optical_axis(yaw: ArrayLike, pitch: ArrayLike) -> FloatArray:
 def landmark_normal(yaw: ArrayLike, pitch: ArrayLike) -> FloatArray:
     """Unit normal of a landmark's front face, n = (-sin r cos e, cos r cos e, -sin e) (Eq. n_k).
 
-    Both angles enter with the sign opposite to `optical_axis`: the paper prints the two that way, and both are
-    kept as printed.
+    Both angles enter with the sign opposite to `optical_axis`, as printed in the paper.
 
     Args:
         yaw: rho, radians, shape `(...)`.
@@ -99,7 +97,7 @@ def landmark_normal(yaw: ArrayLike, pitch: ArrayLike) -> FloatArray:
 
 
 def normal_angles(normal: ArrayLike) -> tuple[FloatArray, FloatArray]:
-    """Yaw in [-pi, pi] and pitch in [-pi/2, pi/2] of a unit normal: the inverse of `landmark_normal`.
+    """Yaw in [-pi, pi] and pitch in [-pi/2, pi/2] of a unit normal, the inverse of `landmark_normal`.
 
     Args:
         normal: `(..., 3)` unit vectors in the world frame.

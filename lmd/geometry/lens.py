@@ -1,12 +1,11 @@
-"""Lenses that distort: what is imaged where, up to the angle at which the model folds, and how much that stretches.
+"""Lenses that distort: images of points, directions of pixels, and bounds on the local scale up to the fold.
 
 The image is in focal lengths from the principal point, points and directions `(..., 3)` are in the camera's frame. See
 `lmd.geometry.lens_models` for the formulas.
 
-Along a circle at the angle theta from the axis, a lens stretches directions by `along` the radius and by `across` it,
-but for tangential terms and a thin prism, which change either by at most `sway`. As long as both stay above the sway,
-the lens images different directions in different places: the angle at which that ends is called the `fold`. Beyond it a
-model says nothing about the lens.
+On a circle at the angle theta from the axis, a lens stretches directions by `along` the radius and by `across` it.
+Tangential terms and a thin prism change both by at most `sway`. While both exceed the sway, the lens images different
+directions at different places; the angle at which that ends is the `fold`. A model is meaningless beyond its fold.
 """
 
 from collections.abc import Callable
@@ -21,67 +20,69 @@ from lmd.geometry.lens_models import BrownConrady, Equidistant, image_of, slope_
 
 EQUIDISTANT = "equidistant"
 MODELS = ("plumb_bob", "rational_polynomial", EQUIDISTANT)
-# OpenCV takes so many coefficients: up to p2, k3, k6, s4, and the tilt of the sensor.
+# Numbers of coefficients that OpenCV accepts: up to p2, k3, k6, s4, and the tilt of the sensor.
 COEFFICIENT_COUNTS = (4, 5, 8, 12, 14)
-FIRST_TILT = 12  # where the tilt begins
+# Index of the first coefficient of the tilt.
+FIRST_TILT = 12
 ORDER_IN_WORDS = "[] or [k1, k2, p1, p2], with k3, with k3 to k6, or with k3 to k6 and s1 to s4"
 WHY_TILTED = "is that of a tilted sensor, which is not known here: calibrate without CALIB_TILTED_MODEL."
-# Angles at which a lens is sampled. What lies between two differs from them by less than they differ.
+# Number of angles at which a lens is sampled. Values between two samples differ from both by less than these differ.
 ANGLE_SAMPLES = 4096
-# A direction is found when its image is as near as this.
-IMAGE_TOLERANCE = 1e-12
-NEWTON_STEPS = 20  # at most
-# Of the polynomials that tell roughly what a lens does; what they are rounded by, and far more.
+# Distance of images at which Newton's method has converged, focal lengths, and its maximum number of steps.
+IMAGE_TOLERANCE, NEWTON_STEPS = 1e-12, 20
+# Degree of polynomial approximations, and a bound of their rounding error.
 DEGREE, ROUNDED = 5, 1e-9
 
 
 class Profile(NamedTuple):
-    """A lens at angles theta from the axis, arrays of one shape."""
+    """A lens at angles theta from the axis; arrays of one shape."""
 
     inner: FloatArray
-    """The image is at least so far from the centre."""
+    """Least distance of the image from the centre, focal lengths."""
     along: FloatArray
-    """What a direction is stretched by away from the axis."""
+    """Scale along the radius, focal lengths per rad."""
     across: FloatArray
-    """What it is stretched by around the axis."""
+    """Scale around the axis, focal lengths per rad."""
     sway: FloatArray
-    """By which both may differ with the direction."""
+    """Largest change of both scales with the direction."""
 
     @property
     def least(self) -> FloatArray:
-        """What any direction is stretched by at least."""
+        """Lower bound on the scale in any direction."""
         return np.asarray(np.minimum(self.along, self.across) - self.sway)
 
     @property
     def most(self) -> FloatArray:
-        """What any direction is stretched by at most."""
+        """Upper bound on the scale in any direction."""
         return np.asarray(np.maximum(self.along, self.across) + self.sway)
 
 
 class Stretch(NamedTuple):
-    """Bounds of how a lens stretches: of a small angle, and of a small solid angle."""
+    """Bounds on the scale of a lens."""
 
     least: float
+    """Lower bound for small angles, focal lengths per rad."""
     most: float
+    """Upper bound for small angles, focal lengths per rad."""
     least_area: float
+    """Lower bound for small solid angles, square focal lengths per sr."""
     most_area: float
+    """Upper bound for small solid angles, square focal lengths per sr."""
 
 
 @dataclass(frozen=True)
 class Lens:
     """A lens that distorts.
 
-    Args:
-        model: one of `MODELS`. The first two differ in the number of coefficients only.
-        coefficients: as OpenCV orders them: k1, k2, p1, p2, k3, k4, k5, k6, s1, s2, s3, s4, of which 4, 5, 8 or 12 are
-            given, or 14 with a tilt of zero; k1, k2, k3, k4 for `equidistant`.
-
     Raises:
         InputError: the model is not known, or the coefficients are too many, too few or not finite.
     """
 
     model: str
+    """One of `MODELS`; the first two differ in the number of coefficients only."""
     coefficients: tuple[float, ...]
+    """k1, k2, p1, p2, k3, k4, k5, k6, s1, s2, s3, s4 in OpenCV's order, of which 4, 5, 8 or 12 are given, or 14 with a
+    tilt of zero; k1, k2, k3, k4 for `equidistant`."""
 
     def __post_init__(self) -> None:
         choice("distortion_model", self.model, MODELS)
@@ -100,27 +101,26 @@ class Lens:
 
     @cached_property
     def model_numbers(self) -> BrownConrady | Equidistant:
-        """The named tuple that kernels know the lens by."""
+        """Coefficients as the named tuple that kernels dispatch on."""
         if self.model == EQUIDISTANT:
             return Equidistant(*self.coefficients)
         return BrownConrady(*self.coefficients, *(0.0,) * (FIRST_TILT - len(self.coefficients)))
 
     def image(self, points: FloatArray) -> FloatArray:
-        """Where points are imaged, `(..., 2)`, whatever the fold says."""
+        """Images of points, `(..., 2)`, also beyond the fold."""
         with np.errstate(all="ignore"):
             return np.stack(image_of(self.model_numbers, *np.moveaxis(points, -1, 0)), axis=-1)
 
     def jacobian(self, points: FloatArray) -> FloatArray:
-        """How the images of points move with them, per metre, `(..., 2, 3)`."""
+        """Derivatives of the images by the points, per metre, `(..., 2, 3)`."""
         with np.errstate(all="ignore"):
             slopes = slope_of(self.model_numbers, *np.moveaxis(points, -1, 0))
         return np.stack(slopes, axis=-1).reshape(*points.shape[:-1], 2, 3)
 
     def directions(self, image: FloatArray) -> FloatArray:
-        """The unit vectors whose image is at `image` `(..., 2)`: `(..., 3)`, NaN where there is none before the fold.
+        """Unit vectors imaged at `image` `(..., 2)`, `(..., 3)`; NaN where there is none before the fold.
 
-        Newton's method, for the angle from the axis as if there were neither tangential terms nor a prism, and from
-        there for the direction.
+        Newton's method finds the angle from the axis without tangential terms and prism, then refines the direction.
         """
         length = np.hypot(image[..., 0], image[..., 1])
         radii, angles = self._radii
@@ -142,12 +142,12 @@ class Lens:
 
     @cached_property
     def _radii(self) -> tuple[FloatArray, FloatArray]:
-        """How far from the centre angles up to the fold are imaged, but for the sway, and these angles."""
+        """Image radii without the sway up to the fold, and their angles, `(ANGLE_SAMPLES,)` each."""
         theta = np.linspace(0.0, self.fold, ANGLE_SAMPLES)
         return self.profile(theta).across * np.sin(theta), theta
 
     def _refined(self, start: FloatArray, image: FloatArray) -> FloatArray:
-        """Directions in front of the camera by Newton's method in the plane at depth 1, unit vectors."""
+        """Refine directions in front of the camera by Newton's method in the plane at depth 1; unit vectors."""
         found = start / start[..., 2:]
         for _ in range(NEWTON_STEPS):
             slope, (a, b) = self.jacobian(found), np.moveaxis(image - self.image(found), -1, 0)
@@ -160,7 +160,7 @@ class Lens:
 
     @cached_property
     def fold(self) -> float:
-        """The angle up to which directions are imaged, rad: below a right one, or half a turn for a fisheye."""
+        """Largest angle from the axis that is imaged, rad, below pi / 2, or pi for a fisheye."""
         theta = np.linspace(0.0, np.pi if self.model == EQUIDISTANT else np.pi / 2.0, ANGLE_SAMPLES)[:-1]
 
         def folds(angle: Any) -> Any:
@@ -171,19 +171,16 @@ class Lens:
         return _border(folds, theta[bad[0] - 1], theta[bad[0]]) if bad.size else float(theta[-1])
 
     def widest(self, reach: float) -> float:
-        """The angle from which on nothing before the fold is imaged nearer to the centre than `reach`, rad.
-
-        The fold where all is.
-        """
+        """Least angle beyond which all images up to the fold are at least `reach` from the centre, rad, or the fold."""
         if not self.profile(np.float64(self.fold)).inner > reach:
             return self.fold
         return _border(lambda angle: self.profile(angle).inner >= reach, 0.0, self.fold)
 
     def stretch(self, widest: float, power: int = 0) -> Stretch:
-        """Bounds for all directions up to the angle `widest`, rad.
+        """Bounds on the scale for all directions up to the angle `widest`, rad.
 
-        With a power of 1 relative to those of a pinhole, which stretches an angle by 1 / cos(theta) at least and by
-        1 / cos(theta)^2 at most, and a solid angle by 1 / cos(theta)^3.
+        With a power of 1 relative to a pinhole, whose scale is between 1 / cos(theta) and 1 / cos(theta)^2 for angles,
+        and 1 / cos(theta)^3 for solid angles.
         """
         theta = np.linspace(0.0, widest, ANGLE_SAMPLES)
         profile, cosine = self.profile(theta), np.cos(theta) ** power
@@ -193,23 +190,19 @@ class Lens:
         return Stretch(-_above(-low), _above(high), -_above(-small), _above(large))
 
     def approximation(self, widest: float) -> tuple[tuple[float, ...], float]:
-        """A polynomial that tells roughly where directions up to the angle `widest` are imaged, rad.
+        """Approximate the image of directions up to the angle `widest`, rad, by a polynomial.
 
         Returns:
-            the coefficients of s with the image (s(h) x, s(h) y) of a unit vector (x, y, z), h = 1 - z; how far that is
-            off at most.
+            coefficients of s with the image (s(h) x, s(h) y) of a unit vector (x, y, z), h = 1 - z; bound on the error.
         """
         return _approximation(self, widest)
 
     def ceiling(self, widest: float) -> tuple[float, ...]:
-        """A polynomial of h = 1 - cos(theta), a bound of how directions up to theta are stretched.
-
-        It holds up to the angle `widest`, rad.
-        """
+        """Coefficients of a polynomial in h = 1 - cos(theta) that bounds the scale up to theta <= `widest`, rad."""
         return _ceiling(self, widest)
 
     def profile(self, theta: Any) -> Profile:
-        """The lens at angles theta from the axis, rad."""
+        """Image radius and scales at angles theta from the axis, rad."""
         lens = self.model_numbers
         if isinstance(lens, Equidistant):
             powers = theta * theta
@@ -221,14 +214,14 @@ class Lens:
         s = r * r
         above, below = 1.0 + s * (k1 + s * (k2 + s * k3)), 1.0 + s * (k4 + s * (k5 + s * k6))
         steep = (k1 + s * (2.0 * k2 + 3.0 * s * k3) - above / below * (k4 + s * (2.0 * k5 + 3.0 * s * k6))) / below
-        radial = np.where(below > 0.0, above / below, np.nan)  # the image is anywhere beyond a pole
+        radial = np.where(below > 0.0, above / below, np.nan)  # the model is meaningless beyond a pole
         shift, prism, wide = 3.0 * np.hypot(p1, p2), np.hypot(s1, s3), np.hypot(s2, s4)
         sway = r * (2.0 * (shift + prism) + 4.0 * wide * s)
         inner = r * radial - s * (shift + prism + wide * s)
         return Profile(inner, (radial + 2.0 * s * steep) / cosine**2, radial / cosine, sway / cosine**2)
 
 
-# Fits take milliseconds, and whoever tries tags of many sizes asks for the same ones again.
+# A fit takes milliseconds and is needed once for each tag size: cached.
 @lru_cache(maxsize=64)
 def _approximation(lens: Lens, widest: float) -> tuple[tuple[float, ...], float]:
     theta = np.linspace(0.0, widest, ANGLE_SAMPLES)
@@ -248,7 +241,7 @@ def _ceiling(lens: Lens, widest: float) -> tuple[float, ...]:
 
 
 def lens_of(model: str, distortion: Any) -> Lens | None:
-    """The lens with these coefficients; None for a pinhole that does not distort, with no coefficients or zeros.
+    """Lens with these coefficients; None for a pinhole, which has no coefficients or zeros.
 
     Raises:
         InputError: see `Lens`.
@@ -261,12 +254,12 @@ def lens_of(model: str, distortion: Any) -> Lens | None:
 
 
 def _border(reached: Callable[[Any], Any], low: float, high: float) -> float:
-    """The greatest number at which what is reached at `high` is not, from `low` on, by bisection."""
+    """Largest number in [low, high) at which `reached` is false, by bisection."""
     while low < (middle := (low + high) / 2.0) < high:
         low, high = (low, middle) if reached(np.float64(middle)) else (middle, high)
     return float(low)
 
 
 def _above(values: FloatArray) -> float:
-    """A bound of a function from samples: no value between two is above both by more than they differ."""
+    """Upper bound on a function from samples: between two it exceeds neither by more than their difference."""
     return float(values.max() + np.abs(np.diff(values)).max(initial=0.0))

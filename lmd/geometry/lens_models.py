@@ -1,10 +1,10 @@
-"""Models of lenses as scalar functions: where a point is imaged, and how its image moves with it.
+"""Lens models as scalar functions: the image of a point and its derivatives.
 
-A model is a named tuple of its coefficients, as OpenCV names them. Its functions are inlined on numbers or on arrays
-alike: kernels compile what NumPy is given, so that both decide by the same bits. Points (u, v, w) are in the camera's
-frame: right, down, along the optical axis. Images are in focal lengths from the principal point.
+A model is a named tuple of its coefficients, with OpenCV's names. Kernels compile the functions that NumPy calls with
+arrays, so that both give the same bits. Points (u, v, w) are in the camera's frame: right, down, along the optical
+axis. Images are in focal lengths from the principal point.
 
-`BrownConrady` images what is in front of the camera: with x = u / w, y = v / w and s = x^2 + y^2 at
+`BrownConrady` images points in front of the camera: with x = u / w, y = v / w and s = x^2 + y^2 at
 
     (x g + 2 p1 x y + p2 (s + 2 x^2) + s1 s + s2 s^2, y g + p1 (s + 2 y^2) + 2 p2 x y + s3 s + s4 s^2),
     g = (1 + k1 s + k2 s^2 + k3 s^3) / (1 + k4 s + k5 s^2 + k6 s^3).
@@ -19,10 +19,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from lmd.core.dispatch import dispatched, overridable
+from lmd.core.compiled import inlined
+from lmd.core.dispatch import dispatched
 
 HALF_TURN = np.pi / 2.0
-# Instead of dividing by zero on the axis, where what is divided is zero, too.
+# Least divisor: on the axis both numerator and divisor are zero.
 TINY = 1e-300
 # atan(p) = p (1 - p^2 (A0 - A1 p^2 + ...)) to rounding for |p| < 7/16, from FreeBSD's s_atan.c.
 A0, A1, A2 = 3.33333333333329318027e-01, -1.99999999998764832476e-01, 1.42857142725034663711e-01
@@ -32,7 +33,7 @@ A9, A10 = -3.65315727442169155270e-02, 1.62858201153657823623e-02
 
 
 class BrownConrady(NamedTuple):
-    """A pinhole that distorts: radially, by a rational function, tangentially, and by a thin prism."""
+    """Pinhole with radial (rational), tangential and thin-prism distortion."""
 
     k1: float
     k2: float
@@ -59,24 +60,24 @@ class Equidistant(NamedTuple):
 
 @dispatched
 def image_of(lens: Any, u: Any, v: Any, w: Any) -> Any:
-    """Where a point is imaged: to the right and down."""
+    """Image of a point: right and down."""
 
 
 @dispatched
 def slope_of(lens: Any, u: Any, v: Any, w: Any) -> Any:
-    """The derivatives of the image to the right by u, v and w, then those of the image down."""
+    """Derivatives of the image to the right by u, v and w, then of the image down."""
 
 
 @dispatched
 def depth_of(lens: Any, u: Any, v: Any, w: Any) -> Any:
-    """How far a point is as focus and apparent size count: along the axis, for a fisheye its distance."""
+    """Depth of a point that determines focus and apparent size: w, or for a fisheye its distance."""
 
 
-@overridable
+@inlined
 def density_of(lens: Any, u: Any, v: Any, w: Any) -> Any:
-    """The image of a small solid angle around a point, over the cube of its distance; 1 / w^3 for a plain pinhole."""
+    """Image area of a small solid angle around a point over the cube of its distance; 1 / w^3 for a pinhole."""
     xu, xv, xw, yu, yv, yw = slope_of(lens, u, v, w)
-    # The rows' cross product points along the point itself.
+    # The cross product of the rows is parallel to the point.
     along = (xv * yw - xw * yv) * u + (xw * yu - xu * yw) * v + (xu * yv - xv * yu) * w
     return along / (u * u + v * v + w * w)
 
@@ -115,17 +116,12 @@ def _depth_brown_conrady(lens, u, v, w):  # type: ignore[no-untyped-def]
     return w
 
 
-@dispatched
-def polar(lens: Any, r: Any, w: Any) -> Any:
-    """The angle theta in [0, pi] of a point r from the axis and w along it, theta / r, and the squared distance.
+@inlined
+def _polar(r: Any, w: Any) -> Any:
+    """Angle theta in [0, pi] of a point r from the axis and w along it, theta / r, and the squared distance.
 
-    Arithmetic throughout, since libraries differ in the last bits of an arctangent: theta is four times the angle
-    whose tangent is p, or half a turn less that.
+    Computed by arithmetic, since libraries differ in the last bits of an arctangent: theta = 4 atan(p), or pi minus it.
     """
-
-
-@polar.register(Equidistant)
-def _polar(lens, r, w):  # type: ignore[no-untyped-def]
     squared = r * r + w * w
     both = np.sqrt(squared) + abs(w)
     q = r / both
@@ -145,7 +141,7 @@ def _polar(lens, r, w):  # type: ignore[no-untyped-def]
 
 @image_of.register(Equidistant)
 def _image_equidistant(lens, u, v, w):  # type: ignore[no-untyped-def]
-    theta, per, _ = polar(lens, np.sqrt(u * u + v * v), w)
+    theta, per, _ = _polar(np.sqrt(u * u + v * v), w)
     s = theta * theta
     scale = per * (1.0 + s * (lens.k1 + s * (lens.k2 + s * (lens.k3 + s * lens.k4))))
     return scale * u, scale * v
@@ -155,7 +151,7 @@ def _image_equidistant(lens, u, v, w):  # type: ignore[no-untyped-def]
 def _slope_equidistant(lens, u, v, w):  # type: ignore[no-untyped-def]
     # With the image m (u, v), m = t / r, and theta' = (w, -r) / d^2 by (r, w).
     around = u * u + v * v
-    theta, per, squared = polar(lens, np.sqrt(around), w)
+    theta, per, squared = _polar(np.sqrt(around), w)
     s = theta * theta
     scale = per * (1.0 + s * (lens.k1 + s * (lens.k2 + s * (lens.k3 + s * lens.k4))))
     steep = 1.0 + s * (3.0 * lens.k1 + s * (5.0 * lens.k2 + s * (7.0 * lens.k3 + s * (9.0 * lens.k4))))

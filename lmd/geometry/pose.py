@@ -1,4 +1,4 @@
-"""The camera's pose from the image of known points (PnP), by OpenCV."""
+"""Pose of a camera or a rig from the images of known points (PnP), by OpenCV."""
 
 from collections.abc import Iterator, Sequence
 from itertools import combinations
@@ -13,62 +13,56 @@ from lmd.geometry.camera import Camera
 from lmd.geometry.projection import bearings, intrinsics, project, slope, to_camera
 from lmd.geometry.se3 import adjoint, angle_between, exp, inverse, skew
 
-# The fewest points that fix a pose; four corners of one tag do.
+# Fewest points that determine a pose, such as the corners of a tag.
 FEWEST_POINTS = 4
-# Points lie in a plane if they are this much less extended across it than along, relative.
+# Largest extent of planar points across their plane, relative to that along it.
 FLATNESS = 1e-6
-# Poses nearer to each other than this in their matrices are the same.
+# Largest difference of the matrices of equal poses.
 SAME_POSE = 1e-3
-# Behind a lens that distorts, what is seen farther than this from the middle of all, rad, only refines a pose.
+# Largest angle of a ray from the mean ray in the virtual pinhole of a lens that distorts, rad; other rays only refine.
 NEAR_MIDDLE_RAD = np.radians(75.0)
-# Of Gauss and Newton: so many rounds at most, until the squared errors fall by less than this share.
+# Maximum number of Gauss-Newton steps, and the relative decrease of the squared errors below which they end.
 ROUNDS, GAIN = 10, 1e-9
 
 
 class Solution(NamedTuple):
-    """A pose that fits the image of points at least locally.
-
-    Args:
-        pose: X, camera to world, `(4, 4)`.
-        square: sum of the squared errors of the image, each in units of its standard deviation.
-    """
+    """Local optimum of the reprojection error."""
 
     pose: FloatArray
+    """X, camera or body to world, `(4, 4)`."""
     square: float
+    """Sum of squared reprojection errors, in units of their standard deviations."""
 
 
 class PointImage(NamedTuple):
-    """What one camera of a body has of known points at a moment.
-
-    Args:
-        camera: intrinsics, and the lens.
-        mounted: from the camera's frame to the body's, `(4, 4)`.
-        points: world frame, metres, `(M, 3)`.
-        pixels: where they are, from the border, `(M, 2)`.
-        noise: standard deviation of each, pixels, `(M,)`.
-    """
+    """Image of known points in one camera of a body."""
 
     camera: Camera
+    """Intrinsics and lens."""
     mounted: FloatArray
+    """Pose of the camera in the body's frame, `(4, 4)`."""
     points: FloatArray
+    """World frame, metres, `(M, 3)`."""
     pixels: FloatArray
+    """Images of the points, pixels from the border, `(M, 2)`."""
     noise: FloatArray
+    """Standard deviation of each image, pixels, `(M,)`."""
 
     def off(self, pose: FloatArray) -> FloatArray:
-        """What the image is off for a pose X of the body, each in units of its standard deviation, `(M, 2)`."""
+        """Reprojection errors for a pose X of the body, in units of their standard deviations, `(M, 2)`."""
         return np.asarray((project(self.camera, pose @ self.mounted, self.points) - self.pixels) / self.noise[:, None])
 
     def slope(self, y: FloatArray) -> FloatArray:
-        """Derivatives by a body twist (w, v), pixels, `(M, 2, 6)`, of the image of points y `(M, 3)` (camera frame)."""
+        """Jacobian of the images of points y `(M, 3)` (camera frame) by a body twist (w, v), pixels, `(M, 2, 6)`."""
         moved = np.concatenate([skew(y), np.broadcast_to(-np.eye(3), (len(y), 3, 3))], axis=-1)
         return np.asarray(slope(self.camera, y) @ moved @ adjoint(inverse(self.mounted), np.eye(6)).T)
 
 
 def body_solutions(images: Sequence[PointImage]) -> list[Solution]:
-    """The poses of a body that fit the images of all its cameras at a moment, best first.
+    """Poses of a body from the images of all its cameras at one time, best first.
 
-    Each camera with four points or more has `solutions` of its own; those are refined by Gauss and Newton on the images
-    of all. There is none where no camera has four.
+    The `solutions` of each camera with at least four points are refined by Gauss-Newton on the images of all cameras.
+    Empty if no camera has four points.
     """
     images = [image for image in images if len(image.points)]
     found: list[Solution] = []
@@ -83,22 +77,22 @@ def body_solutions(images: Sequence[PointImage]) -> list[Solution]:
 
 
 def _add(found: list[Solution], pose: FloatArray, square: float) -> None:
-    """Add a pose unless it does not fit at all, or is there already."""
+    """Append a pose unless its error is not finite or an equal pose is in the list."""
     if np.isfinite(square) and all(np.abs(pose - other.pose).max() > SAME_POSE for other in found):
         found.append(Solution(pose, square))
 
 
 def solutions(camera: Camera, points: FloatArray, image: FloatArray, noise: ArrayLike = 1.0) -> list[Solution]:
-    """The poses that fit the image of points, best first; none with fewer than four points.
+    """Poses of a camera from the image of points, best first; none with fewer than four points.
 
-    SQPnP finds the best pose for five points or more that are not all in one plane. Points in a plane have two poses
-    that look alike (IPPE). Four others may have several; every three of them give up to four (P3P). All are refined by
-    Levenberg-Marquardt, or for a lens that distorts by Gauss and Newton with the errors in its own image.
+    SQPnP finds the best pose for five or more points that are not coplanar. Coplanar points have two similar poses
+    (IPPE). Four other points may have several: each three of them give up to four (P3P). All are refined by
+    Levenberg-Marquardt, or behind a lens that distorts by Gauss-Newton on the errors in the distorted image.
 
     Args:
         points: world frame, metres, `(M, 3)`.
         image: pixels from the border, `(M, 2)`.
-        noise: standard deviation of each image, pixels, `()` or `(M,)`.
+        noise: standard deviation of the images, pixels, `()` or `(M,)`.
     """
     if len(points) < FEWEST_POINTS:
         return []
@@ -114,7 +108,7 @@ def solutions(camera: Camera, points: FloatArray, image: FloatArray, noise: Arra
 
 
 def _without_lens(camera: Camera, world: FloatArray, pixels: FloatArray) -> Iterator[FloatArray]:
-    """Poses of a camera that does not distort, each a local optimum; arguments as in `solutions`."""
+    """Poses of a camera without distortion, each a local optimum; arguments as in `solutions`."""
     cv2, matrix = optional("cv2", "estimators"), intrinsics(camera)
     for turn, shift in _candidates(world, pixels, matrix):
         turn, shift = cv2.solvePnPRefineLM(world, pixels, matrix, None, turn, shift)
@@ -122,7 +116,7 @@ def _without_lens(camera: Camera, world: FloatArray, pixels: FloatArray) -> Iter
 
 
 def _through_lens(camera: Camera, world: FloatArray, pixels: FloatArray, noise: ArrayLike) -> Iterator[FloatArray]:
-    """The same behind a lens, from those of a pinhole that looks where the points are."""
+    """Poses of a camera with distortion: undistort into a virtual pinhole aimed at the points, solve, and refine."""
     cv2 = optional("cv2", "estimators")
     turned, within, rays = straightened(bearings(camera, pixels))
     if np.count_nonzero(within) < FEWEST_POINTS:
@@ -135,14 +129,14 @@ def _through_lens(camera: Camera, world: FloatArray, pixels: FloatArray, noise: 
 
 
 def _motion(turn: FloatArray, shift: FloatArray) -> FloatArray:
-    """The rigid motion y = turn x + shift, `(4, 4)`."""
+    """Rigid motion y = turn x + shift, `(4, 4)`."""
     motion = np.eye(4)
     motion[:3, :3], motion[:3, 3] = turn, np.ravel(shift)
     return motion
 
 
 def _candidates(world: FloatArray, pixels: FloatArray, matrix: FloatArray) -> list[tuple[FloatArray, FloatArray]]:
-    """Turns and shifts from the world to a pinhole camera that may have taken an image, see `solutions`."""
+    """Rotations and translations from the world to a pinhole camera that explain an image, see `solutions`."""
     cv2 = optional("cv2", "estimators")
     extents = np.linalg.svd(world - world.mean(axis=0), compute_uv=False)
     flat = extents[2] <= FLATNESS * extents[0]
@@ -158,14 +152,14 @@ def _candidates(world: FloatArray, pixels: FloatArray, matrix: FloatArray) -> li
 
 
 def straightened(seen: FloatArray) -> tuple[FloatArray, BoolArray, FloatArray]:
-    """A pinhole's image of what is seen in directions, turned towards the middle of it.
+    """Image of rays in a virtual pinhole whose axis is the mean ray.
 
     Args:
-        seen: unit vectors in the camera's frame, `(M, 3)`; NaN where nothing is.
+        seen: unit vectors in the camera's frame, `(M, 3)`; NaN for missing rays.
 
     Returns:
-        the turn from the camera's frame to that of the pinhole, `(3, 3)`; which directions are near enough to its axis,
-        `(M,)`; where it images them, at a focal length of 1, `(M, 2)`.
+        rotation from the camera's frame to that of the pinhole, `(3, 3)`; mask of the rays within `NEAR_MIDDLE_RAD` of
+        its axis, `(M,)`; images at a focal length of 1, `(M, 2)`.
     """
     middle = np.nansum(seen, axis=0)
     axis = middle / max(float(np.linalg.norm(middle)), np.finfo(float).tiny)
@@ -178,11 +172,11 @@ def straightened(seen: FloatArray) -> tuple[FloatArray, BoolArray, FloatArray]:
 
 
 def _refined(images: Sequence[PointImage], pose: FloatArray) -> FloatArray:
-    """The pose of the body near this one that fits the images best, by Gauss and Newton."""
+    """Pose of the body with the least reprojection error near `pose`, by Gauss-Newton."""
     least = np.inf
     for _ in range(ROUNDS):
         off = np.concatenate([image.off(pose) for image in images])
-        if not (square := float((off**2).sum())) < least * (1.0 - GAIN):  # NaN where a point has no image
+        if not (square := float((off**2).sum())) < least * (1.0 - GAIN):  # NaN if a point has no image
             break
         best, least = pose, square
         slopes = [
@@ -195,16 +189,16 @@ def _refined(images: Sequence[PointImage], pose: FloatArray) -> FloatArray:
 def body_from_corners(
     cameras: Sequence[Camera], mounted: FloatArray, points: FloatArray, images: Sequence[FloatArray]
 ) -> FloatArray:
-    """The pose of a body that fits the corners in the images of all its cameras best.
+    """Best pose of a body from tag corners in the images of its C cameras.
 
     Args:
-        cameras: C of them.
-        mounted: where they are on the body, `(C, 4, 4)`.
-        points: of the tags' corners, world frame, metres, `(M, ..., 3)`.
-        images: the corners each camera found, `(M, ..., 2)`; points with a NaN are left out.
+        cameras: intrinsics.
+        mounted: poses of the cameras in the body's frame, `(C, 4, 4)`.
+        points: tag corners, world frame, metres, `(M, ..., 3)`.
+        images: detected corners of each camera, pixels from the border, `(M, ..., 2)`; NaN for missing ones.
 
     Returns:
-        X of the body, `(4, 4)`; NaN where no camera has four points, or if there is no solution.
+        X of the body, `(4, 4)`; NaN if no camera has four points, or if there is no solution.
     """
     shots, world = [], np.reshape(points, (-1, 3))
     for camera, at, image in zip(cameras, mounted, images, strict=True):
@@ -216,19 +210,11 @@ def body_from_corners(
 
 
 def pose_from_corners(camera: Camera, points: FloatArray, image: FloatArray) -> FloatArray:
-    """The pose that fits best.
-
-    Args:
-        points: of the tags' corners, world frame, metres, `(M, ..., 3)`.
-        image: the corners found, pixels from the border, `(M, ..., 2)`; points with a NaN are left out.
-
-    Returns:
-        X, camera to world, `(4, 4)`; NaN with fewer than four points or if there is no solution.
-    """
+    """Best pose of a camera from tag corners, as `body_from_corners` with one camera."""
     return body_from_corners([camera], np.eye(4)[None], points, [image])
 
 
 def pose_error(true: FloatArray, estimated: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """How far an estimated pose `(..., 4, 4)` is off: metres and rad, `(...)` each; NaN if there is no estimate."""
+    """Position and attitude errors of estimated poses `(..., 4, 4)`, metres and rad, `(...)` each."""
     distance = np.linalg.norm(true[..., :3, 3] - estimated[..., :3, 3], axis=-1)
     return np.asarray(distance), angle_between(true, estimated)

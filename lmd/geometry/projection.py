@@ -1,8 +1,8 @@
-"""Where a camera images a point, and how sharply.
+"""Projection: images of points, rays of pixels, and the blur at a depth.
 
-Image coordinates are pixels from the top-left *border* of the image, u to the right and v down: the centre of the
-first pixel is at (0.5, 0.5) and a `w` x `h` image ends at (w, h). The camera's principal point and AprilTag's
-corners count this way; OpenCV counts from the first pixel's centre, 0.5 less.
+Image coordinates are pixels from the top-left *border* of the image, u to the right and v down: the centre of the first
+pixel is at (0.5, 0.5) and a `w` x `h` image ends at (w, h). The camera's principal point and AprilTag's corners follow
+this convention; OpenCV counts from the centre of the first pixel, 0.5 less.
 """
 
 import math
@@ -14,39 +14,41 @@ from lmd.core.checks import FloatArray
 from lmd.geometry.camera import MM_PER_M, Camera
 from lmd.geometry.lens_models import depth_of
 
-# A side of the image in parts, where a lens bends it; steps from the middle, to find where a lens folds.
+# Parts of a side of the image behind a lens that distorts, and steps from the middle in the search for the fold.
 BEND, STEPS = 16, 100
-FLAT_BASE = np.radians(75.0)  # the edges of a view that is wider are as long as that
+# Largest angle from the axis of a view drawn as a pyramid with a flat base, rad; the edges of wider views end at a
+# distance.
+FLAT_BASE = np.radians(75.0)
 
 
 def intrinsics(camera: Camera) -> FloatArray:
-    """K, which maps camera coordinates to homogeneous image coordinates from the border, `(3, 3)`."""
+    """Intrinsic matrix K, from camera coordinates to homogeneous image coordinates from the border, `(3, 3)`."""
     matrix = np.diag([*camera.focal_pixels, 1.0])
     matrix[:2, 2] = camera.principal_point
     return matrix
 
 
 def image_size(camera: Camera) -> tuple[int, int]:
-    """Width and height, whole pixels."""
+    """Width and height of the image, whole pixels."""
     return round(camera.image_width), round(camera.image_height)
 
 
 def to_camera(pose: FloatArray, points: FloatArray) -> FloatArray:
-    """y = R^T (s - p) of world points `(..., K, 3)`, metres, for camera poses X `(..., 4, 4)`."""
+    """Transform world points s `(..., K, 3)`, metres, to the frames of camera poses X: y = R^T (s - p)."""
     return np.asarray((points - pose[..., None, :3, 3]) @ pose[..., :3, :3])
 
 
 def project(camera: Camera, pose: FloatArray, points: FloatArray) -> FloatArray:
-    """Image coordinates of points, from the border (see above).
+    """Image coordinates of points.
 
     Args:
-        camera: its focal lengths f / s_u, f / s_v, principal point and distortion.
+        camera: intrinsics and distortion.
         pose: X, camera to world, `(..., 4, 4)`.
         points: world frame, metres, `(..., K, 3)`.
 
     Returns:
-        `(..., K, 2)`, pixels, also of points outside the image; NaN for points that are not in front of the camera, and
-        where a lens distorts for points beyond the camera's `widest_angle`.
+        `(..., K, 2)`, pixels from the border, also of points outside the image; NaN for points behind the camera, or
+        behind a lens that distorts for points beyond the camera's `widest_angle`.
     """
     seen, matrix = to_camera(pose, points), intrinsics(camera)
     if camera.lens is None:
@@ -58,10 +60,10 @@ def project(camera: Camera, pose: FloatArray, points: FloatArray) -> FloatArray:
 
 
 def slope(camera: Camera, points: FloatArray) -> FloatArray:
-    """How the image of points y `(..., 3)` in the camera's frame moves with them, pixels/m, `(..., 2, 3)`.
+    """Jacobian of the image by points y `(..., 3)` in the camera's frame, pixels/m, `(..., 2, 3)`.
 
-    d(u, v)/dy = [(f_u / z) (1, 0, -x / z); (f_v / z) (0, 1, -y / z)], or the focal lengths times the Jacobian of a lens
-    that distorts.
+    d(u, v)/dy = [(f_u / z) (1, 0, -x / z); (f_v / z) (0, 1, -y / z)], or the focal lengths times the Jacobian of the
+    lens.
     """
     if camera.lens is not None:
         return np.asarray(camera.focal_pixels[:, None] * camera.lens.jacobian(points))
@@ -74,10 +76,10 @@ def slope(camera: Camera, points: FloatArray) -> FloatArray:
 
 
 def bearings(camera: Camera, image: FloatArray) -> FloatArray:
-    """Where what is at `image` `(..., 2)`, pixels from the border, is seen: unit vectors in the camera's frame.
+    """Rays of `image` points `(..., 2)`, pixels from the border.
 
     Returns:
-        `(..., 3)`; NaN where the lens images nothing.
+        unit vectors in the camera's frame, `(..., 3)`; NaN where the lens images nothing.
     """
     rays = (image - np.array(camera.principal_point)) / camera.focal_pixels
     if camera.lens is not None:
@@ -90,9 +92,10 @@ def bearings(camera: Camera, image: FloatArray) -> FloatArray:
 
 
 def view_edges(camera: Camera, depth: float) -> FloatArray:
-    """Edges of what a camera sees up to a depth, as a pyramid, `(N, 2, 3)`, camera's frame, metres.
+    """Edges of the view of a camera up to a depth, as a pyramid, `(N, 2, 3)`, camera's frame, metres.
 
-    Its base is the border of the image, or as far as the lens images anything; of a wide view, that at a distance.
+    The base is the border of the image, or of the part that the lens images; of a view wider than `FLAT_BASE` it is at
+    a distance of `depth`.
     """
     width, height = image_size(camera)
     corners = np.array([[0, 0], [width, 0], [width, height], [0, height]])
@@ -101,7 +104,7 @@ def view_edges(camera: Camera, depth: float) -> FloatArray:
     border = np.concatenate([a + along * (b - a) for a, b in zip(corners, np.roll(corners, -1, axis=0), strict=True)])
     centre, steps = np.array(camera.principal_point), np.linspace(0.0, 1.0, STEPS)[:, None, None]
     ways = bearings(camera, centre + steps * (border - centre))
-    shown = np.isfinite(ways[..., 0]).cumsum(axis=0).argmax(axis=0)  # the last place before the lens folds
+    shown = np.isfinite(ways[..., 0]).cumsum(axis=0).argmax(axis=0)  # the last step before the fold
     base = depth * ways[shown, np.arange(len(border))]
     if camera.widest_angle < FLAT_BASE:
         base *= depth / base[:, 2:]
@@ -110,9 +113,9 @@ def view_edges(camera: Camera, depth: float) -> FloatArray:
 
 
 def depth_in_focus(camera: Camera, points: FloatArray) -> FloatArray:
-    """How far points `(..., 3)` in the camera's frame are for focus and apparent size, metres, `(...)`.
+    """Depth of points `(..., 3)` in the camera's frame that determines focus and apparent size, metres, `(...)`.
 
-    The depth z, or behind a fisheye the distance: see `lmd.geometry.lens_models.depth_of`.
+    z, or the distance behind a fisheye, see `lmd.geometry.lens_models.depth_of`.
     """
     if camera.lens is None:
         return points[..., 2]
@@ -120,10 +123,10 @@ def depth_in_focus(camera: Camera, points: FloatArray) -> FloatArray:
 
 
 def blur_disc(camera: Camera, depth: ArrayLike) -> FloatArray:
-    """Diameter c of the disc that a thin lens makes of a point at `depth` (metres, any shape), pixels.
+    """Diameter c of the blur disc of a point at `depth` (metres, any shape) behind a thin lens, pixels.
 
-    c = d_a f |z - d_s| / (z (d_s - f) min(s_u, s_v)), and d_a f / (z min(s_u, s_v)) when focused at infinity: the
-    blur that bounds `Camera.depth_of_field`.
+    c = d_a f |z - d_s| / (z (d_s - f) min(s_u, s_v)), or d_a f / (z min(s_u, s_v)) when focused at infinity; its bound
+    gives `Camera.depth_of_field`.
     """
     z = np.asarray(depth, dtype=np.float64) * MM_PER_M
     defocus = 1.0 / z
@@ -133,7 +136,7 @@ def blur_disc(camera: Camera, depth: ArrayLike) -> FloatArray:
 
 
 def blur_sigma(camera: Camera, depth: ArrayLike, psf_sigma: float) -> FloatArray:
-    """Standard deviation of the whole blur at `depth` (metres, any shape), sqrt(psf^2 + (c / 4)^2), pixels.
+    """Standard deviation of the total blur at `depth` (metres, any shape), sqrt(psf_sigma^2 + (c / 4)^2), pixels.
 
     A disc of diameter c has the standard deviation c / 4 along each axis.
     """

@@ -1,9 +1,9 @@
-"""Rigid motions: exponential, logarithm and the few other maps on SE(3) and se(3) that the observer needs.
+"""Rigid motions: exponential, logarithm and other maps on SE(3) and se(3).
 
 A pose X = [R p; 0 1] maps camera coordinates to world coordinates: the columns of R are the camera's axes (x right,
 y down, z the optical axis) in the world frame, p is the camera's position in metres. A twist (w, v) in body
-coordinates has the angular part first, rad (or rad/s), then the linear part, m (or m/s). Everything is a pure function
-of arrays with any leading shape `(...)`.
+coordinates has the angular part first, rad (or rad/s), then the linear part, m (or m/s). Arrays have any leading shape
+`(...)`.
 """
 
 from collections.abc import Sequence
@@ -14,19 +14,18 @@ from numpy.typing import ArrayLike
 from lmd.core.checks import BoolArray, FloatArray, InputError
 from lmd.geometry.frames import rotation
 
-# Below this angle (rad) the coefficients of the exponential come from their Taylor series.
+# Angle below which coefficients come from their Taylor series, rad.
 SMALL_ANGLE = 1e-4
-# A quaternion printed with a few decimals is still a unit quaternion.
+# Largest error of the length of a quaternion, and of R^T R, in a file with few decimals.
 QUATERNION_TOLERANCE = 1e-2
-# And R^T R is as near to I for a rotation that was printed so.
 MATRIX_TOLERANCE = 1e-2
 MEDIAN_STEPS = 10
-# The columns of a table of poses: metres, and the unit quaternion of R.
+# Columns of a table of poses: position in metres, unit quaternion of R.
 ROW = ("x", "y", "z", "qx", "qy", "qz", "qw")
 
 
 def camera_pose(position: ArrayLike, yaw: ArrayLike, pitch: ArrayLike, roll: ArrayLike = 0.0) -> FloatArray:
-    """X of a camera at `position` `(..., 3)`, metres, with yaw, pitch and roll `(...)` as in `frames.rotation`.
+    """Pose X of a camera at `position` `(..., 3)`, metres, with yaw, pitch and roll `(...)` as in `frames.rotation`.
 
     Returns:
         `(..., 4, 4)`.
@@ -35,7 +34,7 @@ def camera_pose(position: ArrayLike, yaw: ArrayLike, pitch: ArrayLike, roll: Arr
 
 
 def pose_of(orientation: FloatArray, position: FloatArray) -> FloatArray:
-    """The pose [R p; 0 1], `(..., 4, 4)`, of a rotation R `(..., 3, 3)` and a position p `(..., 3)`; they broadcast."""
+    """Pose [R p; 0 1], `(..., 4, 4)`, of a rotation R `(..., 3, 3)` and a position p `(..., 3)`, which broadcast."""
     pose = np.zeros((*np.broadcast_shapes(orientation.shape[:-2], position.shape[:-1]), 4, 4))
     pose[..., :3, :3], pose[..., :3, 3], pose[..., 3, 3] = orientation, position, 1.0
     return pose
@@ -45,7 +44,7 @@ def poses_from_rows(rows: FloatArray, lines: Sequence[int] | None = None) -> Flo
     """Poses `(T, 4, 4)` from rows `(T, 7)` with the columns `ROW`.
 
     Args:
-        lines: where each row stands in a file, from 1, for messages.
+        lines: line of each row in its file, from 1, for messages.
 
     Raises:
         InputError: a quaternion is not unit.
@@ -61,19 +60,19 @@ def poses_from_rows(rows: FloatArray, lines: Sequence[int] | None = None) -> Flo
 
 
 def are_rotations(matrices: FloatArray) -> BoolArray:
-    """Whether each matrix `(..., 3, 3)` is a rotation, `(...)`, but for what printing a few decimals leaves."""
+    """Mask of the matrices `(..., 3, 3)` that are rotations within `MATRIX_TOLERANCE`, `(...)`."""
     error = np.abs(np.swapaxes(matrices, -1, -2) @ matrices - np.eye(3)).max(axis=(-1, -2))
     return np.asarray((error <= MATRIX_TOLERANCE) & (np.linalg.det(matrices) > 0.0))
 
 
 def nearest_rotations(matrices: FloatArray) -> FloatArray:
-    """The rotations nearest to such matrices in the Frobenius norm, `(..., 3, 3)`."""
+    """Rotations nearest to matrices `(..., 3, 3)` with a positive determinant, in the Frobenius norm."""
     left, _, right = np.linalg.svd(matrices)
     return np.asarray(left @ right)
 
 
 def laid_over(points: FloatArray, others: FloatArray) -> FloatArray:
-    """The motion that brings points `(N, 3)`, not all on a line, nearest to others in the sense of least squares.
+    """Rigid motion of points `(N, 3)`, not all on a line, to others by least squares.
 
     Returns:
         `(4, 4)`.
@@ -86,13 +85,13 @@ def laid_over(points: FloatArray, others: FloatArray) -> FloatArray:
 
 
 def inverse(pose: FloatArray) -> FloatArray:
-    """X^-1 = [R^T -R^T p; 0 1], `(..., 4, 4)`."""
+    """Inverse pose X^-1 = [R^T -R^T p; 0 1], `(..., 4, 4)`."""
     transposed = np.swapaxes(pose[..., :3, :3], -1, -2)
     return pose_of(transposed, -(transposed @ pose[..., :3, 3:])[..., 0])
 
 
 def act(pose: FloatArray, points: FloatArray) -> FloatArray:
-    """R s + p for every point s.
+    """Transform points s by poses: R s + p.
 
     Args:
         pose: X, `(..., 4, 4)`.
@@ -110,7 +109,7 @@ def axis_and_right(pose: FloatArray) -> FloatArray:
 
 
 def skew(vector: FloatArray) -> FloatArray:
-    """[a]x with [a]x b = a x b, `(..., 3)` -> `(..., 3, 3)`."""
+    """Skew-symmetric matrix [a]x with [a]x b = a x b, `(..., 3)` -> `(..., 3, 3)`."""
     matrix = np.zeros((*vector.shape, 3))
     x, y, z = (vector[..., i] for i in range(3))
     matrix[..., 0, 1], matrix[..., 0, 2], matrix[..., 1, 2] = -z, y, -x
@@ -118,35 +117,14 @@ def skew(vector: FloatArray) -> FloatArray:
     return matrix
 
 
-def wedge(twist: FloatArray) -> FloatArray:
-    """The matrix [[w]x v; 0 0] in se(3) of a twist, `(..., 6)` -> `(..., 4, 4)`."""
-    matrix = np.zeros((*twist.shape[:-1], 4, 4))
-    matrix[..., :3, :3], matrix[..., :3, 3] = skew(twist[..., :3]), twist[..., 3:]
-    return matrix
-
-
-def vee(matrix: FloatArray) -> FloatArray:
-    """The twist of a matrix in se(3), the inverse of `wedge`."""
-    angular = (matrix[..., 2, 1], matrix[..., 0, 2], matrix[..., 1, 0])
-    return np.concatenate([np.stack(angular, axis=-1), matrix[..., :3, 3]], axis=-1)
-
-
-def project(matrix: FloatArray) -> FloatArray:
-    """The nearest matrix of se(3) in the Frobenius norm: P([A a; b c]) = [(A - A^T)/2 a; 0 0], `(..., 4, 4)`."""
-    nearest = np.zeros_like(matrix)
-    block = matrix[..., :3, :3]
-    nearest[..., :3, :3], nearest[..., :3, 3] = (block - np.swapaxes(block, -1, -2)) / 2.0, matrix[..., :3, 3]
-    return nearest
-
-
 def cross(a: FloatArray, b: FloatArray) -> FloatArray:
-    """a x b, `(..., 3)`: what `np.cross` gives, which takes several times as long for a few vectors."""
+    """Cross product a x b, `(..., 3)`; several times faster than `np.cross` for a few vectors."""
     (ax, ay, az), (bx, by, bz) = ((each[..., 0], each[..., 1], each[..., 2]) for each in (a, b))
     return np.stack([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx], axis=-1)
 
 
 def adjoint(pose: FloatArray, twist: FloatArray) -> FloatArray:
-    """Ad_X (w, v) = (R w, p x R w + R v), `(..., 6)`: a body twist in world coordinates."""
+    """Adjoint map Ad_X (w, v) = (R w, p x R w + R v), `(..., 6)`: a body twist in world coordinates."""
     orientation = pose[..., :3, :3]
     angular = (orientation @ twist[..., :3, None])[..., 0]
     linear = (orientation @ twist[..., 3:, None])[..., 0] + cross(pose[..., :3, 3], angular)
@@ -154,7 +132,7 @@ def adjoint(pose: FloatArray, twist: FloatArray) -> FloatArray:
 
 
 def exp(twist: FloatArray) -> FloatArray:
-    """The exponential map se(3) -> SE(3), `(..., 6)` -> `(..., 4, 4)`.
+    """Exponential map se(3) -> SE(3), `(..., 6)` -> `(..., 4, 4)`.
 
     R = I + a [w]x + b [w]x^2 and p = (I + b [w]x + c [w]x^2) v with a = sin t / t, b = (1 - cos t) / t^2,
     c = (t - sin t) / t^3 and t = |w|.
@@ -172,7 +150,7 @@ def exp(twist: FloatArray) -> FloatArray:
 
 
 def log(pose: FloatArray) -> FloatArray:
-    """The twist of least angle whose exponential is `pose`, `(..., 4, 4)` -> `(..., 6)`."""
+    """Twist of least angle whose exponential is `pose`, `(..., 4, 4)` -> `(..., 6)`."""
     from scipy.spatial.transform import Rotation
 
     leading = pose.shape[:-2]
@@ -188,7 +166,7 @@ def log(pose: FloatArray) -> FloatArray:
 
 
 def middle(poses: FloatArray) -> FloatArray:
-    """The pose that most of `poses` `(n, 4, 4)` are near to: the median of their twists, again and again."""
+    """Robust mean of poses `(n, 4, 4)`: iterated median of their twists."""
     result = poses[len(poses) // 2]
     for _ in range(MEDIAN_STEPS):
         result = result @ exp(np.median(log(inverse(result) @ poses), axis=0))

@@ -1,4 +1,4 @@
-"""Squares in space: their corners, and how those hang that hang upright."""
+"""Squares in space: corners, and the axes of tags that hang upright."""
 
 import math
 
@@ -7,22 +7,22 @@ import numpy as np
 from lmd.core.checks import FloatArray
 from lmd.core.compiled import inlined
 
-# Units along (right, up) from a tag's centre to its corners, in half edges: top-left, top-right, bottom-right,
-# bottom-left as seen from the front, which is the order of cv2.aruco.
+# Offsets (right, up) from the centre to the corners, half edges: top-left, top-right, bottom-right, bottom-left as seen
+# from the front, the order of cv2.aruco.
 CORNERS = np.array([[-1.0, 1.0], [1.0, 1.0], [1.0, -1.0], [-1.0, -1.0]])
 
-# A normal whose horizontal part is at most this long counts as vertical: the tag lies on a floor or a ceiling.
+# Largest horizontal part of a unit normal that counts as vertical, as of tags on a floor or a ceiling.
 VERTICAL_TOLERANCE = 0.1
 
 
 def corners(centres: FloatArray, normals: FloatArray, ups: FloatArray, edge: float | FloatArray) -> FloatArray:
-    """The corners of squares, in the order of `CORNERS`: top-left, top-right, bottom-right, bottom-left from the front.
+    """Corners of squares, in the order of `CORNERS`.
 
     Args:
         centres: `(..., 3)`, world frame, metres.
         normals: unit normals of the front faces, `(..., 3)`.
-        ups: unit vectors in the squares' planes that point to their upper edges, `(..., 3)`; right is up x normal.
-        edge: metres, one for all or `(...)`.
+        ups: unit vectors in the squares' planes to their upper edges, `(..., 3)`; right is up x normal.
+        edge: metres, one number or `(...)`.
 
     Returns:
         `(..., 4, 3)`, world frame, metres.
@@ -32,11 +32,11 @@ def corners(centres: FloatArray, normals: FloatArray, ups: FloatArray, edge: flo
 
 
 def upright(normals: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Right and up of tags that hang upright, seen from the front: unit vectors `(..., 3)`, world frame.
+    """Right and up of upright tags, seen from the front: unit vectors `(..., 3)`, world frame.
 
-    Up is as near to +z as the tag's plane allows, and as near to +y for normals within `VERTICAL_TOLERANCE` of
-    vertical, so on floor and ceiling. All tags here hang so: a square looks alike after a quarter turn, so other turns
-    would gain next to nothing, and plates that are parallel to the edges of their wall can be mounted with a level.
+    Up is the direction in the tag's plane nearest to +z, or nearest to +y if the normal is within `VERTICAL_TOLERANCE`
+    of vertical. All tags hang upright: a square is symmetric under quarter turns, so other turns gain little, and
+    plates parallel to the edges of their wall can be mounted with a level.
 
     Args:
         normals: unit normals of the front faces, `(..., 3)`.
@@ -70,6 +70,6 @@ def upright_axes(nx, ny, nz, level):  # type: ignore[no-untyped-def]
 
 @inlined
 def upright_sides(half, nx, ny, nz):  # type: ignore[no-untyped-def]
-    """From the centre of a tag that hangs upright to the middles of its right and its upper edge, of `half` an edge."""
+    """Vectors from the centre of an upright tag to the middles of its right and its upper edge, of length `half`."""
     rx, ry, rz, ux, uy, uz = upright_axes(nx, ny, nz, VERTICAL_TOLERANCE)
     return half * rx, half * ry, half * rz, half * ux, half * uy, half * uz

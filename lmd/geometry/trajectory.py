@@ -1,4 +1,4 @@
-"""Trajectories: where the camera is and where it looks, frame by frame."""
+"""Trajectories: poses of a camera, frame by frame."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -11,18 +11,16 @@ from lmd.geometry.se3 import inverse, log
 
 @dataclass(frozen=True)
 class Trajectory:
-    """The poses of a camera at the instants of its T frames.
-
-    Args:
-        time: seconds, increasing, `(T,)`, T >= 2.
-        poses: X at each instant, camera to world, `(T, 4, 4)`.
+    """Poses of a camera at the times of its T frames.
 
     Raises:
-        InputError: fewer than two frames, or a time that is not later than the one before.
+        InputError: fewer than two frames, or times that do not increase.
     """
 
     time: FloatArray
+    """Seconds, increasing, `(T,)`, T >= 2."""
     poses: FloatArray
+    """X at each time, camera to world, `(T, 4, 4)`."""
 
     def __post_init__(self) -> None:
         if len(self.time) < 2:
@@ -31,12 +29,12 @@ class Trajectory:
 
     @property
     def twists(self) -> FloatArray:
-        """U between each frame and the next, X_t+1 = X_t exp(h U), `(T - 1, 6)`, rad/s and m/s in the body frame."""
+        """Body twists U between frames, X_t+1 = X_t exp(h U), `(T - 1, 6)`, rad/s and m/s."""
         return log(inverse(self.poses[:-1]) @ self.poses[1:]) / np.diff(self.time)[:, None]
 
 
 def check_order(time: FloatArray, lines: Sequence[int] | None = None) -> None:
-    """Raise `InputError` if a time `(T,)` is not later than the one before, with its line in the file if known."""
+    """Raise `InputError` if times `(T,)` do not increase, with the line in the file if known."""
     late = np.flatnonzero(np.diff(time) <= 0.0)
     if late.size:
         before, after = time[late[0] : late[0] + 2].tolist()

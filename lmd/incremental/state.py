@@ -1,145 +1,226 @@
 """State and scratch of moves of single landmarks: the coverage of one deployment, and working memory.
 
-Arrays of one type and shape are rows of one array, with a name for each row: numba hands each array over as 5 + 2n
-numbers, n its dimensions, to all that is not inlined.
+A camera and a rig share the fields that have the same name. Arrays of one type and shape are rows of one array, with a
+name for each row: numba hands each array over as 5 + 2n numbers, n its dimensions, to all that is not inlined.
 """
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from lmd.core.bits import ALL, LANES
+from lmd.core.bits import LANES
 from lmd.incremental.counts import Counts
-from lmd.sight.blocks import BLOCK
 
-# Rows of `State.hides`, and of the pairs of rows of `Scratch.shorts` and `Scratch.pairs`.
-HIDDEN = 0  # others hide the landmark, or the place
-HIDING = 1  # it hides them
+# Rows of `State.hides`, `Scratch.hides` and `Scratch.changes`.
+HIDDEN = 0  # number of other landmarks that hide this one
+HIDING = 1  # number of other landmarks that this one hides
 
-# Rows of `Scratch.who`, of `FOUND` in `Scratch.lists`; the first two of the pairs of rows of `shorts` and `pairs`.
-# Of numpy: of Python's numbers each may be a type of its own for numba.
-BEFORE = np.int64(0)  # neighbours of the place left
-AFTER = np.int64(1)  # neighbours of the place tried
-TURNS = np.int64(2)  # landmarks that more or fewer others hide after the move
-AFTER_HIDDEN, AFTER_HIDING = 2 + HIDDEN, 2 + HIDING  # of `Scratch.shorts` and `Scratch.pairs`
-OUTER = 4  # of `Scratch.shorts`: the row of the tables with the axes that may have the landmark in view, or `NOWHERE`
-CHANGE = 4  # of `Scratch.pairs`: by how many more others a landmark of `TURNS` is hidden
+# Rows of the parts of `RigState`, and of `PartScratch.sets`.
+CAPS = 0  # orientations with which a camera covers a landmark, occlusion ignored
+VEILED = 1  # those of them with which another landmark hides it
 
 # Rows of `Scratch.numbers`.
-BLOCK_COUNT = 0  # how many `BLOCKS` are listed
-SPAN_COUNT = 1  # how many spans `FIRST` and `LAST` list
-SURFACE = 2  # that the place tried lies on
+BLOCK_COUNT = 0  # number of `BLOCKS`
+SPAN_COUNT = 1  # number of spans in `FIRST` and `LAST`
+SURFACE = 2  # surface of the place tried
+PAIR_COUNT = 3  # number of `pairs`
+TOUCHED_COUNT = 4  # number of positions in `TOUCHED_LIST`
 
-# Rows of `Scratch.seen`: the landmark as it is seen at the place tried; `criteria.from_position` explains the bounds.
-X, Y, Z = 0, 1, 2  # its offset from the position, metres
-LOW, HIGH = 3, 4  # the least and the greatest depth at which it may be covered, metres
-SURE = 5  # up to this depth, from `LOW` on, every axis that has it well in view covers it, metres
+# Rows of `Scratch.flags`.
+AIMED = 0  # by block: within the horizon of the place tried
+WANTED = 1  # by block: may be searched for neighbours of the place left
+TOUCHED = 2  # by position: another landmark appears or disappears, or hides the place tried
+REACHED = 3  # by position: some orientation covers the place tried, occlusion ignored; of a single camera
 
-# Rows of `Scratch.flags`; a rig has the first two.
-AIMED = 0  # by block: it is near the place tried
-WANTED = 1  # by block: it is to be searched for neighbours
-REACHED = 2  # any axis covers the landmark at the place tried
-FLIPS = 3  # another landmark appears or disappears
-
-# Rows of `Scratch.lists`; a rig has the first five. An entry is written down before it is decided whether it stays.
-LISTED = 0  # positions
-BLOCKS = 1  # blocks of positions that the move may matter to
-FIRST, LAST = 2, 3  # spans of positions that these are: the first position, and the one behind the last
+# Rows of `Scratch.lists`.
+LISTED = 0  # positions to work on
+BLOCKS = 1  # blocks of positions within the horizon of the place left or tried
+FIRST, LAST = 2, 3  # spans of their positions: the first position, and the one behind the last
 OTHERS = 4  # landmarks within the horizon of a place
-NEAR_LISTS = 5  # how many these are
-OLD = 5  # by position: all bits where the landmark is seen at the place left, else none
-NAMES = 6  # landmarks whose caps come or go
-GOES = 7  # of these: all bits of a word if the cap goes, none if it comes
-SLOT = 8  # by landmark: where it is in `TURNS`, `ALL` for nowhere
-DIGITS = 9  # binary digits of a count, the lowest first
-UNSURE = 10  # sets of axes to be tested
-PLACES = 11  # where these are, a position and a word: p << HALF | w
-FOUND = 12  # by block, three rows: how many landmarks of `BEFORE`, `AFTER` and `TURNS` there are
+TOUCHED_LIST = 5  # positions that are `TOUCHED`
+VISIBLE = 6  # by position: all bits where the landmark is seen at the place left, else none; of a single camera
+UNSURE, PLACES = 7, 8  # sets of axes to be tested, and their position and word: p << HALF | w; of a single camera
+NAMES, GOES = 9, 10  # landmarks that turn at a position; all bits for one that disappears; of a single camera
+
+# Rows of `Scratch.sets`.
+FRESH = 0  # orientations among those `ASKED` with which the place tried is covered; of a camera, occlusion ignored
+ASKED = 1  # orientations that are tested
+
+# Rows of `Scratch.pairs`.
+WHO, WHERE = 0, 1  # a landmark, and a position; of `PartScratch.pairs` a centre around a position, c Q + q
+
+# Rows of `seen`: the place tried as it is seen; `criteria.from_position` and `from_around` explain the bounds.
+X, Y, Z = 0, 1, 2  # its offset from the position, or from the centre, metres
+LOW, HIGH = 3, 4  # least and greatest depth at which it may be covered, metres
+SURE = 5  # depth up to which, from `LOW` on, every axis that has it well in view covers it, metres
 
 
 class State(NamedTuple):
-    """The coverage of one deployment of K landmarks, from Q positions in the order of the field; W words of axes."""
+    """The coverage of one deployment of K landmarks by a camera, from Q positions in the field's order, W words."""
 
     poses: np.ndarray
-    """`(6, K)` where they are, metres, and unit normals."""
+    """`(6, K)` positions of the landmarks, metres, and unit normals."""
     surfaces: np.ndarray
-    """`(K,)` that they hang on."""
-    caps: np.ndarray
-    """`(K, Q, W)` the axes that cover a landmark nobody hides."""
-    reachable: np.ndarray
-    """`(K, Q)` whether any axis covers it, as if nobody hid it."""
-    hides: np.ndarray
-    """`(2, K, Q)` int16: by how many others within the horizon it is `HIDDEN`, and how many it is `HIDING`."""
+    """`(K,)` surfaces that the landmarks hang on."""
     counts: Counts
-    """How many landmarks are covered."""
+    """Number of landmarks covered."""
     units: np.ndarray
-    """`(Q,)` P_n, as whole numbers."""
+    """`(Q,)` P_n in integer units."""
+    caps: np.ndarray
+    """`(K, Q, W)` axes that cover each landmark, occlusion ignored."""
+    reachable: np.ndarray
+    """`(K, Q)` True where any axis covers the landmark, occlusion ignored."""
+    hides: np.ndarray
+    """`(2, K, Q)` int16: `HIDDEN`, `HIDING`, within the horizon."""
+
+
+class RigState(NamedTuple):
+    """The coverage of one deployment by a rig; orientations are those of its body."""
+
+    poses: np.ndarray
+    """As in `State`."""
+    surfaces: np.ndarray
+    """As in `State`."""
+    counts: Counts
+    """As in `State`."""
+    units: np.ndarray
+    """As in `State`."""
+    parts: tuple[np.ndarray, ...]
+    """`(2, K, Q, M, W)` of each part with M cameras: `CAPS`, `VEILED`."""
+    shown: np.ndarray
+    """`(K, Q, W)` orientations with which some camera sees a landmark."""
 
 
 class Scratch(NamedTuple):
     """The move tried last, and working memory.
 
-    Once the move is carried out, `target`, `SURFACE`, `units`, `cap`, `REACHED` and what `shorts` has of `AFTER` are
-    those of the place left.
+    Once the move is carried out, `target`, `SURFACE`, `units`, `FRESH`, `REACHED`, `hides` and `changes` are those of
+    the way back.
     """
 
     target: np.ndarray
     """`(6,)` position and normal tried."""
     numbers: np.ndarray
-    """`(3,)` int64: `BLOCK_COUNT`, `SPAN_COUNT`, `SURFACE`."""
+    """`(5,)` int64: `BLOCK_COUNT` to `TOUCHED_COUNT`."""
     units: np.ndarray
-    """`(Q,)` P_n with the landmark there."""
-    seen: np.ndarray
-    """`(6, Q)`: `X`, `Y`, `Z`, `LOW`, `HIGH`, `SURE`."""
-    cell: np.ndarray
-    """`(Q,)` int32, of the tables of directions, in which its direction is."""
+    """`(Q,)` P_n with the landmark at the place tried."""
     flags: np.ndarray
-    """`(4, Q)` bool: `AIMED`, `WANTED`, `REACHED`, `FLIPS`."""
-    cap: np.ndarray
-    """`(Q, W)` the axes that cover the landmark at the place tried."""
-    shorts: np.ndarray
-    """`(5, Q)` int16: how many landmarks hide the place left, how many it hides, both of the place tried, and `OUTER`.
-
-    A loop that writes to two rows of an array, or reads one and writes another, may not vectorise: so `OUTER` is here.
-    """
-    who: np.ndarray
-    """`(3, Q / BLOCK, K)` int32: the landmarks of `BEFORE`, `AFTER` and `TURNS`, by block of positions."""
-    pairs: np.ndarray
-    """`(5, Q / BLOCK, K, BLOCK)` int8, from each position of the block: whether a landmark of `BEFORE` hides the place
-    left, whether that hides it, both of `AFTER` and the place tried, and `CHANGE`."""
-    ways: np.ndarray
-    """`(4, K + 1)`, filled up to whole words: the way to each of the `OTHERS`, and how long it is, metres."""
+    """`(4, Q)` bool: `AIMED` to `REACHED`."""
     lists: np.ndarray
-    """`(15, max(Q W, K) + 1)` uint64: `LISTED` to `FOUND`."""
+    """`(11, max(Q W, K) + 1)` uint64: `LISTED` to `GOES`."""
+    ways: np.ndarray
+    """`(4, K + 1)`, filled up to whole words: vectors to the `OTHERS`, and their lengths, metres, single precision."""
+    sets: np.ndarray
+    """`(2, Q, W)`: `FRESH`, `ASKED`."""
+    digits: np.ndarray
+    """`(Q, W, J)` binary digits of the counts without the landmark where positions are `TOUCHED`."""
+    pairs: np.ndarray
+    """`(2, K Q)` uint32 pairs of another landmark and a position that the move concerns: `WHO`, `WHERE`."""
+    known: np.ndarray
+    """`(Q, K)` True for the `pairs`."""
+    changes: np.ndarray
+    """`(2, K, Q)` int8 changes of `State.hides`, for the `pairs`."""
+    hides: np.ndarray
+    """`(2, Q)` int16: `HIDDEN`, `HIDING` of the place tried."""
+    seen: np.ndarray
+    """`(6, Q)`: `X` to `SURE`."""
+    cell: np.ndarray
+    """`(2, Q)` int32: cell of the tables of directions, and the row of the axes that may have the place in view."""
 
 
-def lists_of(number: int, *sizes: int) -> np.ndarray:
-    """So many lists with room for so many landmarks, positions or words, and for one more."""
-    return np.zeros((number, max(sizes) + 1), dtype=np.uint64)
+class PartScratch(NamedTuple):
+    """The move tried last as one part of a rig sees it, and working memory for Q positions."""
+
+    sets: np.ndarray
+    """`(2, Q, M, W)`: `CAPS`, `VEILED` of the place tried among the orientations `ASKED`."""
+    flipped: np.ndarray
+    """`(K, Q, M, W)` changes of `VEILED` of the others, for the pairs in `RigScratch`."""
+    rivals: np.ndarray
+    """`(1,)` number of `pairs`."""
+    pairs: np.ndarray
+    """`(2, K C Q)` uint32 pairs of another landmark and a centre around which it may hide the place tried: `WHO`,
+    `WHERE`."""
+    seen: np.ndarray
+    """`(6, Q)`: `X` to `SURE`, from the centre looked from last."""
+    lists: np.ndarray
+    """`(2, Q + 1)` uint64: rows of the tables of directions, and positions that are not settled yet."""
+    reached: np.ndarray
+    """`(Q,)` True where any orientation may cover the place tried."""
 
 
-def ways_of(count: int) -> np.ndarray:
-    """Room for the ways to K landmarks."""
-    return np.zeros((4, (count // LANES + 1) * LANES), dtype=np.float32)
+class RigScratch(NamedTuple):
+    """The move tried last by all parts of a rig, and working memory.
+
+    Once the move is carried out, `target`, `SURFACE`, `units`, `FRESH`, and `sets` of the parts are those of the place
+    left.
+    """
+
+    target: np.ndarray
+    """As in `Scratch`."""
+    numbers: np.ndarray
+    """As in `Scratch`."""
+    units: np.ndarray
+    """As in `Scratch`."""
+    flags: np.ndarray
+    """As in `Scratch`."""
+    lists: np.ndarray
+    """As in `Scratch`."""
+    ways: np.ndarray
+    """As in `Scratch`."""
+    sets: np.ndarray
+    """As in `Scratch`."""
+    digits: np.ndarray
+    """As in `Scratch`."""
+    pairs: np.ndarray
+    """As in `Scratch`."""
+    known: np.ndarray
+    """As in `Scratch`."""
+    parts: tuple[PartScratch, ...]
+    """The move as each part sees it."""
+
+
+def _shared_fields(state: State | RigState) -> dict[str, Any]:
+    """Fields of a scratch that do not depend on whether a camera or a rig looks."""
+    count, (size, words) = len(state.surfaces), state.counts.sets.shape[1:]
+    return {
+        "target": np.empty(6),
+        "numbers": np.zeros(5, dtype=np.int64),
+        "units": state.units.copy(),
+        "flags": np.zeros((4, size), dtype=np.bool_),
+        "lists": np.zeros((GOES + 1, max(size * words, count) + 1), dtype=np.uint64),
+        "ways": np.zeros((4, (count // LANES + 1) * LANES), dtype=np.float32),
+        "sets": np.zeros((2, size, words), dtype=np.uint64),
+        "digits": np.empty_like(state.counts.digits),
+        "pairs": np.empty((2, count * size), dtype=np.uint32),
+        "known": np.zeros((size, count), dtype=np.bool_),
+    }
 
 
 def scratch_of(state: State) -> Scratch:
-    """Working memory for moves of `state`."""
-    count, size = state.reachable.shape
-    words, blocks = state.counts.digits.shape[1], size // BLOCK
-    lists = lists_of(FOUND + 3, count, size * words)
-    lists[SLOT] = ALL
+    """Working memory for moves of the landmarks of a camera's `state`."""
+    count, size, _ = state.caps.shape
     return Scratch(
-        target=np.empty(6),
-        numbers=np.zeros(3, dtype=np.int64),
-        units=state.units.copy(),
+        **_shared_fields(state),
+        changes=np.zeros((2, count, size), dtype=np.int8),
+        hides=np.zeros((2, size), dtype=np.int16),
         seen=np.empty((6, size)),
-        cell=np.empty(size, dtype=np.int32),
-        flags=np.zeros((4, size), dtype=np.bool_),
-        cap=np.zeros((size, words), dtype=np.uint64),
-        shorts=np.zeros((5, size), dtype=np.int16),
-        who=np.empty((3, blocks, count), dtype=np.int32),
-        pairs=np.empty((5, blocks, count, BLOCK), dtype=np.int8),
-        ways=ways_of(count),
-        lists=lists,
+        cell=np.empty((2, size), dtype=np.int32),
     )
+
+
+def rig_scratch_of(state: RigState, centres: tuple[int, ...]) -> RigScratch:
+    """Working memory for moves of the landmarks of a rig's `state`; `centres` has their number in each part."""
+    count, size = state.shown.shape[:2]
+    parts = tuple(
+        PartScratch(
+            sets=np.zeros((2, *part.shape[2:]), dtype=np.uint64),
+            flipped=np.zeros(part.shape[1:], dtype=np.uint64),
+            rivals=np.zeros(1, dtype=np.int64),
+            pairs=np.empty((2, count * around * size), dtype=np.uint32),
+            seen=np.empty((6, size)),
+            lists=np.empty((2, size + 1), dtype=np.uint64),
+            reached=np.empty(size, dtype=np.bool_),
+        )
+        for part, around in zip(state.parts, centres, strict=True)
+    )
+    return RigScratch(**_shared_fields(state), parts=parts)

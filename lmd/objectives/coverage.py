@@ -11,7 +11,6 @@ from typing_extensions import override
 from lmd.core.checks import BoolArray, FloatArray
 from lmd.incremental.coverage_field import CoverageField, coverage_field
 from lmd.incremental.field import smoothed, worth
-from lmd.incremental.rig_field import RigField, rig_field
 from lmd.objectives.base import AtLeast, Headline
 from lmd.objectives.sampling import Sampling
 from lmd.scene.criteria import TOLERANCE
@@ -134,9 +133,9 @@ class Coverage(AtLeast):
             "on a finer grid": f"{figures[f'finer_grid_{self.headline.key}']:.2%} of {self.counted}",
         }
 
-    def field(self, evaluator: Evaluator) -> CoverageField | RigField:
+    def field(self, evaluator: Evaluator) -> CoverageField:
         """See `Objective.field`."""
-        return rig_field(evaluator, self.n) if evaluator.parts else coverage_field(evaluator, self.n)
+        return coverage_field(evaluator, self.n)
 
     def target(self, relevance: FloatArray) -> Threshold | Mean:
         """See `Objective.target`."""

@@ -10,14 +10,13 @@ from typing import Any
 import numpy as np
 from typing_extensions import override
 
-from lmd.cameras.problem import CameraProblem
 from lmd.core.checks import FloatArray, InputError, seed_number
 from lmd.core.compiled import clock
 from lmd.core.memory import check_memory
-from lmd.optimisers.genome import Genome, LandmarkGenome
+from lmd.optimisers.genome import LandmarkGenome
 from lmd.optimisers.ledger import Budget, Ledger, Record
 from lmd.optimisers.stored import array
-from lmd.problem import Problem
+from lmd.problem import Genome, Problem
 from lmd.scene.deployment import Deployment
 from lmd.scene.rig import Rig
 
@@ -36,7 +35,7 @@ class Result:
         history: best fitness against evaluations and wall time.
         stopped: `budget` when the budget is used up, `interrupted` when the callback asked to stop, `proven` when
             nothing better is left to be found.
-        rig: the best cameras found, of a `CameraProblem`, whose deployment is given; None of others.
+        rig: the best cameras found, where cameras are placed and the deployment is given; None elsewhere.
     """
 
     deployment: Deployment
@@ -95,7 +94,7 @@ class Optimiser(ABC):
 
     def check(self, problem: Problem) -> None:
         """Raise `InputError` if the method cannot take a problem; asked before a run writes anything."""
-        if isinstance(problem, CameraProblem) and type(self).found_rig is Optimiser.found_rig:
+        if problem.genome is not None and type(self).found_rig is Optimiser.found_rig:
             raise InputError(f"{type(self).__name__} places landmarks, not cameras; use a black box.")
 
     def figures(self) -> Mapping[str, float]:
@@ -111,7 +110,7 @@ class Optimiser(ABC):
         """The best deployment so far; None while there is none."""
 
     def found_rig(self, problem: Problem) -> Rig | None:
-        """The best cameras so far of a `CameraProblem`; None while there are none, and of other problems."""
+        """The best cameras so far where cameras are placed; None while there are none, and elsewhere."""
         return None
 
     def result(self, problem: Problem, stopped: str) -> Result:
@@ -238,8 +237,7 @@ class AskTell(Optimiser):
                 )
             self.ledger.seconds = by_then
             self._note_or_tell(genes, known, asked)
-        if isinstance(problem, CameraProblem):
-            problem.reached(self.ledger.best_fitness)
+        self._genome(problem).reached(self.ledger.best_fitness)
 
     def _draw_start(self, problem: Problem) -> None:
         """Set what a run begins with."""
@@ -280,9 +278,7 @@ class AskTell(Optimiser):
         return None if self.best_genes is None else self._genome(problem).rig(self.best_genes)
 
     def _genome(self, problem: Problem) -> Genome:
-        if isinstance(problem, CameraProblem):
-            return problem
-        return LandmarkGenome(problem, self.encoding or "wall", self.flush)
+        return problem.genome or LandmarkGenome(problem, self.encoding or "wall", self.flush)
 
 
 def _checksum(genes: FloatArray) -> int:

@@ -7,7 +7,7 @@ file is an archive of NumPy's, with the arrays and a document in JSON, and nothi
 import io
 import json
 import zipfile
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -17,12 +17,10 @@ import numpy as np
 from lmd.core.checks import InputError, file_path, said_of
 from lmd.core.files import write_whole
 from lmd.core.memory import check_memory
-from lmd.core.renamed import renamed
 from lmd.optimisers.base import Optimiser
 from lmd.problem import Problem
 
 CHECKPOINT_FILE = "checkpoint.npz"
-PICKLE_FILE = "checkpoint.pkl"  # that of earlier versions
 FORMAT = "lmd checkpoint 3"  # a number for each way of writing it
 DOCUMENT_KEY = "document"  # the JSON, UTF-8, among the arrays
 ARRAY_KEY = "$array"  # in the document: here belongs the array of that name
@@ -37,13 +35,11 @@ class Checkpoint:
         optimiser: the optimiser with everything it needs to go on.
         settings: flat settings that must be the same when the run goes on.
         run_id: the tracked run to continue, if any.
-        settings_now: turns the settings of a checkpoint, perhaps of an earlier version, into those that are compared.
     """
 
     optimiser: Optimiser
     settings: Mapping[str, Any]
     run_id: str | None = None
-    settings_now: Callable[[dict[str, Any]], dict[str, Any]] = dict
 
     def check(self) -> None:
         """Raise `InputError` if the optimiser cannot be checkpointed."""
@@ -68,17 +64,9 @@ class Checkpoint:
         """
         path = file_path("resume", directory) / CHECKPOINT_FILE
         if not path.is_file():
-            if (old := path.with_name(PICKLE_FILE)).is_file():
-                raise InputError(
-                    f"{old} is of an earlier version and could run code, so it is not read; a new run with "
-                    f"run={old.parent} begins at its landmarks."
-                )
             raise InputError(f"resume = {str(directory)!r} holds no {CHECKPOINT_FILE}.")
         check_memory(path.stat().st_size, f"resume = {str(directory)!r}", "resume")
         state, then, run_id = _read(path)
-        then = self.settings_now(
-            {key: renamed(value) if isinstance(value, str) else value for key, value in then.items()}
-        )
         now = json.loads(json.dumps(dict(self.settings)))
         for key in sorted({*now, *then}):
             if then.get(key) != now.get(key):

@@ -1,6 +1,4 @@
-"""What black boxes search: candidates as genes in the unit box."""
-
-from typing import Protocol
+"""Free landmarks as genes in the unit box, which black boxes search."""
 
 import numpy as np
 
@@ -8,31 +6,6 @@ from lmd.core.checks import BoolArray, FloatArray, InputError, IntArray
 from lmd.optimisers.encoding import make_encoding
 from lmd.problem import Problem
 from lmd.scene.deployment import Deployment
-from lmd.scene.rig import Rig
-
-
-class Genome(Protocol):
-    """Candidates of a problem, such as deployments or the cameras of a rig, as vectors in the unit box."""
-
-    @property
-    def dim(self) -> int:
-        """Genes of a candidate."""
-
-    @property
-    def varies(self) -> bool:
-        """Whether two draws differ."""
-
-    def draw_genes(self, rng: np.random.Generator) -> FloatArray:
-        """The genes of a candidate to start from, `(dim,)`."""
-
-    def fitness_of_genes(self, genes: FloatArray) -> FloatArray:
-        """The fitness of candidates `(B, dim)`, -inf for those that cannot be, `(B,)`."""
-
-    def deployment(self, genes: FloatArray) -> Deployment:
-        """The landmarks that genes `(dim,)` mean, or those that are given."""
-
-    def rig(self, genes: FloatArray) -> Rig | None:
-        """The cameras that genes `(dim,)` mean; None where cameras are given."""
 
 
 class LandmarkGenome:
@@ -78,6 +51,9 @@ class LandmarkGenome:
 
     def rig(self, genes: FloatArray) -> None:
         """See `Genome.rig`."""
+
+    def reached(self, fitness: float) -> None:
+        """See `Genome.reached`: no fitness depends on earlier ones."""
 
     def _placed(self, genes: FloatArray) -> tuple[FloatArray, FloatArray, IntArray, BoolArray]:
         """The landmarks that genes `(B, dim)` mean, the fixed ones before them; see `Plates.pushed`."""

@@ -31,7 +31,7 @@ from typing_extensions import override
 from lmd.core.checks import BoolArray, FloatArray, InputError, IntArray, real
 from lmd.core.compiled import clock
 from lmd.objectives.coverage import Coverage
-from lmd.optimisers.annealing.stacks import STACK_SPREAD, pulled_apart
+from lmd.optimisers.annealing.surrogate import STACK_SPREAD, pulled_apart
 from lmd.optimisers.base import Callback, Optimiser, Result
 from lmd.optimisers.ledger import Budget, Ledger
 from lmd.optimisers.selection import candidates

@@ -1,1 +1,1 @@
-"""Synthetic images of rooms with tags, and the exact projection they are checked against."""
+"""Synthetic images of rooms with tags."""

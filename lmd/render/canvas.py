@@ -1,8 +1,8 @@
-"""Painting planes in perspective: surfaces first, then tags from far to near.
+"""Planes painted in perspective: surfaces first, then tags from far to near.
 
-A tag is sampled several times a pixel through its homography into its bounding box only, averaged over each pixel,
-blurred together with its outline, and laid over what is behind it. On an even background that is exactly the blur of
-the tag and its surroundings.
+A tag is sampled several times per pixel through its homography, in its bounding box only. The samples are averaged over
+each pixel, blurred together with the outline of the tag, and blended over the background. On an even background this
+equals the blur of the whole image.
 """
 
 import math
@@ -17,15 +17,15 @@ from lmd.core.optional import optional
 from lmd.render.imaging import Float32Array, Imaging, UInt8Array
 from lmd.scene.tag import Tag
 
-# What is nearer to the plane of the lens than this is not drawn, metres.
+# Depth of the near plane, metres; nothing in front of it is drawn.
 NEAR_PLANE = 0.02
-# A Gaussian is cut off at this many standard deviations.
+# Standard deviations at which a Gaussian is cut off.
 REACH = 3.5
-# Samples of one tag: one that fills the image gets fewer a pixel, it has pixels enough.
+# Maximum number of samples of one tag; larger tags get fewer per pixel.
 MOST_SAMPLES = 4e6
-# The finest picture of a tag, texels a module.
+# Maximum resolution of a tag's texture, texels per module.
 MOST_TEXELS = 64
-# Bits after the point in the vertices that OpenCV fills polygons between.
+# Fractional bits of the vertices in OpenCV's polygons.
 SHIFT = 4
 
 
@@ -44,22 +44,22 @@ class Canvas:
         self.cv2: Any = optional("cv2", "detection")
 
     def outline(self, polygon: FloatArray) -> FloatArray:
-        """The image of what of a convex polygon `(M, 3)` (camera frame, metres) lies in front, `(m, 2)`, pixels."""
+        """Image of a convex polygon `(M, 3)` (camera frame, metres), clipped at the near plane, pixels, `(m, 2)`."""
         image = clipped(polygon) @ self.matrix.T
         return np.asarray(image[:, :2] / image[:, 2:])
 
     def surface(self, plane: FloatArray, shape: FloatArray, grey: float, pattern: Float32Array | None) -> FloatArray:
-        """Draw a part of a plane.
+        """Draw a convex part of a plane.
 
         Args:
-            plane: columns u, v (unit) and the place where both are 0, camera frame, metres, `(3, 3)`.
-            shape: a convex polygon along u and v, none of it below 0, `(M, 2)`, metres.
+            plane: columns u, v (unit) and the origin, camera frame, metres, `(3, 3)`.
+            shape: vertices (u, v) of the polygon, not negative, `(M, 2)`, metres.
             grey: grey level.
-            pattern: added to it, `(T, T)` texels of `TEXEL` metres, repeated where the polygon is larger; None for a
-                plain one.
+            pattern: offset of the grey level, `(T, T)` texels of `TEXEL` metres, repeated over larger polygons; None
+                for a plain surface.
 
         Returns:
-            Its image outline, `(m, 2)`.
+            Outline in the image, pixels, `(m, 2)`.
         """
         outline = self.outline(np.insert(shape, 2, 1.0, axis=1) @ plane.T)
         window = self._window(outline, 0)
@@ -72,7 +72,7 @@ class Canvas:
         drawn = np.full((height, width), grey, dtype=np.float32)
         if pattern is not None:
             texels = plane @ np.diag([TEXEL, TEXEL, 1.0])
-            # Repeating is several times as slow, also outside the polygon.
+            # BORDER_WRAP is several times slower, also outside the polygon.
             covers = shape.max() <= len(pattern) * TEXEL
             border = self.cv2.BORDER_REPLICATE if covers else self.cv2.BORDER_WRAP
             drawn += self._warp(pattern, self.matrix @ texels, window, 1, border)
@@ -80,7 +80,7 @@ class Canvas:
         return outline
 
     def blur(self, sigma: float) -> None:
-        """Blur all that has been drawn; `sigma` in pixels."""
+        """Blur the image by a Gaussian with standard deviation `sigma`, pixels."""
         self.light = self._blurred(self.light, sigma)
 
     def tag(
@@ -89,12 +89,12 @@ class Canvas:
         """Draw a tag on its paper.
 
         Args:
-            tag: its family and size.
-            number: its id.
+            tag: family and size.
+            number: id.
             square: corners of the black square in the order of `lmd.geometry.squares.CORNERS`, camera frame, metres,
                 `(4, 3)`.
             sigma: standard deviation of the blur, pixels.
-            hidden_by: image outlines `(m, 2)` of what is in front of it.
+            hidden_by: image outlines `(m, 2)` of surfaces in front of the tag.
         """
         centre = square.mean(axis=0)
         paper = centre + tag.paper_share * (square - centre)
@@ -112,7 +112,7 @@ class Canvas:
         plane = np.stack([right, down, centre - len(picture) / 2.0 * (right + down)], axis=1)
         drawn = self._warp(picture, self.matrix @ plane, window, samples, self.cv2.BORDER_CONSTANT)
         drawn = self.cv2.resize(drawn.astype(np.float32), (width, height), interpolation=self.cv2.INTER_AREA)
-        if (paper[:, 2] < NEAR_PLANE).any():  # the homography also maps what is behind the lens, upside down
+        if (paper[:, 2] < NEAR_PLANE).any():  # the homography also maps points behind the lens
             front = np.zeros((height, width), dtype=np.float32)
             self._fill(front, outline - window[:2], 1)
             drawn *= front[..., None]
@@ -122,7 +122,7 @@ class Canvas:
         self._over(drawn, window)
 
     def _over(self, drawn: Float32Array, window: tuple[int, int, int, int]) -> None:
-        """Lay a tag, its white and its opaque share `(h, w, 2)`, over the light in a window that may stick out."""
+        """Blend a tag, its white and its opaque share `(h, w, 2)`, over a window, which may reach over the border."""
         x, y, width, height = window
         left, top = max(-x, 0), max(-y, 0)
         inside = drawn[top : self.light.shape[0] - y, left : self.light.shape[1] - x]
@@ -131,9 +131,9 @@ class Canvas:
         part += inside[..., 1] * (black - part) + contrast * inside[..., 0]
 
     def _window(self, outline: FloatArray, margin: int) -> tuple[int, int, int, int] | None:
-        """x, y, width and height of the part of the image around an outline; it may stick out by `margin`.
+        """x, y, width and height of the box around an outline and its margin; None outside the image.
 
-        None if the outline with its margin does not touch the image.
+        The box may reach over the border of the image by `margin`, pixels.
         """
         if not len(outline):
             return None
@@ -148,7 +148,7 @@ class Canvas:
     def _warp(
         self, picture: Any, homography: FloatArray, window: tuple[int, int, int, int], samples: int, border: int
     ) -> Any:
-        """`picture` seen through a homography (texels to pixels, both from the border), `samples` a pixel and axis."""
+        """`picture` through a homography (texels to pixels, both from the border), `samples` per pixel and axis."""
         x, y, width, height = window
         from_centre = np.array([[1.0, 0.0, 0.5], [0.0, 1.0, 0.5], [0.0, 0.0, 1.0]])
         to_window = np.array([[samples, 0.0, -samples * x - 0.5], [0.0, samples, -samples * y - 0.5], [0.0, 0.0, 1.0]])
@@ -171,7 +171,7 @@ class Canvas:
 
 
 def clipped(polygon: FloatArray) -> FloatArray:
-    """The part of a convex polygon `(M, 3)` (camera frame) with z >= `NEAR_PLANE`, `(m, 3)`; empty if there is none."""
+    """Part of a convex polygon `(M, 3)` (camera frame) with z >= `NEAR_PLANE`, `(m, 3)`, possibly empty."""
     depth = polygon[:, 2] - NEAR_PLANE
     if (depth >= 0.0).all():
         return polygon
@@ -192,40 +192,42 @@ def _area(outline: FloatArray) -> float:
 
 @lru_cache(maxsize=512)
 def texture(tag: Tag, number: int, texels: int) -> UInt8Array:
-    """A tag on its paper with `texels` a module: white and opaque, 0 or 255 each, `(S, S, 2)`."""
+    """A tag with its quiet zone, `texels` per module: white and opacity, 0 or 255 each, `(S, S, 2)`."""
     modules = np.where(tag.picture(number), 255, 0).astype(np.uint8)
     margin = round(tag.quiet_zone * texels)
     white = np.pad(np.kron(modules, np.ones((texels, texels), dtype=np.uint8)), margin, constant_values=255)
     return np.stack([white, np.full_like(white, 255)], axis=-1)
 
 
-# Edge of a texel of a surface's pattern, metres, and texels until it repeats.
+# Edge of a texel of a surface's pattern, metres, and its period in texels.
 TEXEL = 0.005
 PATTERN = 1024
-# How often a pattern is kept side by side: 3 are 15 m and 38 MB.
+# Maximum number of periods of a pattern along an edge of its array: 3 are 15 m and 38 MB.
 MOST_REPEATS = 3
 
 
 @lru_cache(maxsize=2)
 def covering(amplitude: float, seed: int, length: float) -> Float32Array:
-    """`pattern` repeated until it covers a square, as far as that takes little memory, `(T, T)`.
+    """Tile `pattern` over a square, up to `MOST_REPEATS` periods, `(T, T)`.
 
     Args:
         amplitude: standard deviation, grey levels.
-        length: of the square's edge, metres.
+        seed: seed of the pattern.
+        length: edge of the square, metres.
     """
     times = min(max(math.ceil(length / (PATTERN * TEXEL)), 1), MOST_REPEATS)
     return np.tile(pattern(amplitude, np.random.default_rng(seed)), (times, times))
 
 
 def pattern(amplitude: float, rng: np.random.Generator) -> Float32Array:
-    """Smooth irregular patches of all sizes, `(PATTERN, PATTERN)`: amplitude falls as 1 / frequency.
+    """Random pattern whose amplitude falls as 1 / frequency, `(PATTERN, PATTERN)`.
 
     Args:
         amplitude: standard deviation, grey levels.
+        rng: source of the pattern.
     """
     frequency = np.hypot(*np.meshgrid(np.fft.rfftfreq(PATTERN), np.fft.fftfreq(PATTERN)))
-    # Waves longer than an eighth of the whole would be a gradient across the wall, not a pattern.
+    # Waves longer than an eighth of the period would look like a gradient across the wall.
     spectrum = np.fft.rfft2(rng.standard_normal((PATTERN, PATTERN))) / np.maximum(frequency, 8.0 / PATTERN)
     spectrum[0, 0] = 0.0
     patches = np.fft.irfft2(spectrum, (PATTERN, PATTERN))

@@ -1,4 +1,4 @@
-"""What lies between a scene and its grey levels: surfaces, lens, exposure, noise."""
+"""Imaging: from the light of a scene to grey levels, by lens, exposure and noise."""
 
 import math
 from dataclasses import dataclass
@@ -17,37 +17,36 @@ GREY_LEVELS = 255.0
 
 @dataclass(frozen=True)
 class Imaging:
-    """How a scene becomes an 8-bit image. Surfaces reflect grey levels as seen at exposure 1 and gamma 1.
-
-    Args:
-        psf_sigma: standard deviation of the sharpest image of a point, pixels.
-        defocus: whether a thin lens (the camera's aperture and focus distance) adds its blur.
-        motion_blur: smear in the middle of the image while the camera turns in a random direction, pixels.
-        noise: standard deviation in each pixel, grey levels.
-        exposure: factor on the light.
-        gamma: grey = 255 (light / 255)^(1 / gamma).
-        white, black: of a tag, grey levels.
-        wall: mean grey level of surfaces; each is a little brighter or darker by the direction it faces.
-        texture: standard deviation of the pattern on surfaces, grey levels; 0 for plain ones.
-        texture_seed: of that pattern, which stays the same from frame to frame.
-        supersampling: samples along each axis of a pixel of a tag.
+    """Settings of an 8-bit image. Surfaces reflect grey levels as seen at exposure 1 and gamma 1.
 
     Raises:
         InputError: a value is out of range.
     """
 
     psf_sigma: float = 0.5
+    """Standard deviation of the point spread function in focus, pixels."""
     defocus: bool = True
+    """Add the blur of a thin lens with the camera's aperture and focus distance."""
     motion_blur: float = 0.0
+    """Smear in the middle of the image by a rotation in a random direction, pixels."""
     noise: float = 2.0
+    """Standard deviation of each pixel, grey levels."""
     exposure: float = 1.0
+    """Factor on the light."""
     gamma: float = 1.0
+    """Exponent in grey = 255 (light / 255)^(1 / gamma)."""
     white: float = 220.0
+    """White of a tag, grey levels."""
     black: float = 25.0
+    """Black of a tag, grey levels."""
     wall: float = 150.0
+    """Mean of the surfaces, grey levels; each is brighter or darker by its normal."""
     texture: float = 0.0
+    """Standard deviation of the pattern on surfaces, grey levels; 0 for plain ones."""
     texture_seed: int = 0
+    """Seed of that pattern, which is constant from frame to frame."""
     supersampling: int = 4
+    """Samples of a tag along each axis of a pixel."""
 
     def __post_init__(self) -> None:
         check_fields(self, real, "psf_sigma", "motion_blur", "noise", "texture", low=0.0)
@@ -60,25 +59,25 @@ class Imaging:
         check_fields(self, integer, "supersampling", low=1, high=16)
 
     def develop(self, light: Float32Array, rng: np.random.Generator) -> UInt8Array:
-        """The 8-bit image of `light` in grey levels, same shape; the noise is drawn from `rng`."""
+        """Convert `light`, grey levels, to an 8-bit image of its shape, with noise drawn from `rng`."""
         cv2 = optional("cv2", "detection")
         grey: FloatArray | Float32Array = light
         exposure = self.exposure
         if self.gamma != 1.0:
             ratio = np.clip(light * np.float32(exposure), 0.0, None) / np.float32(GREY_LEVELS)
             grey, exposure = np.float32(GREY_LEVELS) * ratio ** np.float32(1.0 / self.gamma), 1.0
-        # The sum is rounded and clipped to 8 bits as it is made.
+        # OpenCV rounds the sum and clips it to 8 bits.
         return np.asarray(cv2.addWeighted(grey, exposure, _grain(grey.shape, rng), self.noise, 0.0, dtype=cv2.CV_8U))
 
     def shade(self, normals: FloatArray) -> FloatArray:
-        """Grey levels of surfaces that face `normals` `(..., 3)`: light comes from above and from one side."""
+        """Grey levels of surfaces with unit normals `(..., 3)`: light falls from above and from one side."""
         return np.asarray(self.wall * (1.0 + normals @ LIGHT))
 
 
 def _grain(shape: tuple[int, ...], rng: np.random.Generator) -> Float32Array:
-    """Independent standard normal numbers: a stretch, drawn by `rng`, of a long row that is made once.
+    """Draw standard normal noise: a random stretch of one long cached row.
 
-    Drawing them anew would take as long as the rest of the image. Two images may share numbers, at other pixels.
+    New numbers for each image would double its time. Two images may share numbers, at different pixels.
     """
     size, begin = math.prod(shape), int(rng.integers(SPARE_GRAIN))
     return _grain_row(size + SPARE_GRAIN)[begin : begin + size].reshape(shape)
@@ -86,11 +85,11 @@ def _grain(shape: tuple[int, ...], rng: np.random.Generator) -> Float32Array:
 
 @lru_cache(maxsize=2)
 def _grain_row(size: int) -> Float32Array:
-    """Standard normal numbers, the same every time, `(size,)`."""
+    """Standard normal numbers from a constant seed, `(size,)`."""
     return np.random.default_rng(0x6E6F697365).standard_normal(size, dtype=np.float32)
 
 
-# Starts that the noise of an image is drawn from.
+# Number of places at which the noise of an image may start.
 SPARE_GRAIN = 2**20
-# Makes each wall of a room a little different from its neighbours, so that its edges can be seen.
+# Relative brightness by the components of the normal: neighbouring walls differ, so that edges are visible.
 LIGHT = np.array([0.03, 0.05, 0.08])

@@ -1,47 +1,92 @@
-"""Frames of a camera in a room with tags."""
+"""Frames of a camera in a room with tags.
+
+A frame is assembled from pinhole images, its faces. A camera without distortion has one, the frame itself. A lens that
+images nothing beyond `ONE_FACE` bends one; a wider lens bends the visible faces of a cube around the camera.
+"""
 
 import math
 from dataclasses import dataclass, field
+from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
 
 from lmd.core.checks import BoolArray, FloatArray
+from lmd.core.optional import optional
+from lmd.geometry import projection
 from lmd.geometry.camera import Camera
 from lmd.geometry.projection import blur_sigma, depth_in_focus, image_size, project, to_camera
 from lmd.geometry.se3 import exp
 from lmd.render.canvas import NEAR_PLANE, Canvas, covering
-from lmd.render.faces import Face, assembled, faces_of
 from lmd.render.imaging import Float32Array, Imaging, UInt8Array
-from lmd.render.room import Surface, TaggedRoom
+from lmd.render.room import TaggedRoom
+from lmd.space.surface import Surface
 
-# Pictures averaged to one with motion blur, at most.
+# Largest angle from the axis that a lens images by bending one face, rad.
+ONE_FACE = math.radians(60.0)
+X, Y, Z = np.eye(3)
+# Rotations from the camera's frame to those of the faces, whose axis is the last row: ahead, right, left, down, up,
+# back.
+CUBE = np.array([(X, Y, Z), (-Z, Y, X), (Z, Y, -X), (X, -Z, Y), (X, Z, -Y), (-X, Y, -Z)]) + 0.0
+# Border of a face around its visible part, for interpolation, pixels.
+MARGIN = 2.0
+# Least scale of a face in the image: at the fold of a lens the scale falls to 0, and the blur would have no bound.
+SMALLEST_SCALE = 0.2
+# Least cosine of the angle from the axis of a face by which the blur of a tag is corrected.
+LEAST_COSINE = 0.5
+# Maximum number of images that motion blur averages.
 MOST_STEPS = 64
-# A tag this far (m) behind a surface hangs on it; farther, the surface hides it.
+# Maximum distance of a tag behind the surface it hangs on, metres; a surface hides tags that are farther behind it.
 FLUSH = 1e-3
+
+
+class Face(NamedTuple):
+    """A pinhole image that fills a part of the camera's image."""
+
+    turn: FloatArray
+    """Rotation from the camera's frame to that of the pinhole, `(3, 3)`."""
+    matrix: FloatArray
+    """Intrinsic matrix K of the pinhole, pixels from the border, `(3, 3)`."""
+    size: tuple[int, int]
+    """Width and height, pixels."""
+    at: tuple[Float32Array, Float32Array] | None
+    """Maps for `cv2.remap`: coordinates in the face of each pixel of the camera's image, `(h, w)` each; None where the
+    face is that image."""
+    taken: BoolArray | None
+    """Pixels of the camera's image that come from the face, `(h, w)`."""
+
+    def scale(self, camera: Camera, point: FloatArray) -> float:
+        """Pixels of the camera's image per pixel of the face around a point `(3,)` in the camera's frame."""
+        if camera.lens is None:
+            return 1.0
+        ahead, angle = point / np.linalg.norm(point), math.atan2(math.hypot(point[0], point[1]), point[2])
+        if angle > camera.widest_angle:  # a part of the tag may still be imaged
+            around = math.sin(camera.widest_angle) / math.sin(angle)
+            ahead = np.array([around * ahead[0], around * ahead[1], math.cos(camera.widest_angle)])
+        cosine = max(float(self.turn[2] @ ahead), LEAST_COSINE)
+        here = self.matrix[0, 0] * self.matrix[1, 1] / cosine**3
+        density = np.linalg.norm(np.cross(*projection.slope(camera, ahead)))
+        return max(SMALLEST_SCALE, math.sqrt(density / here))
 
 
 @dataclass(frozen=True)
 class Renderer:
-    """A camera in a room.
-
-    Args:
-        camera: intrinsics.
-        room: tags and surfaces.
-        imaging: light, lens and noise.
-    """
+    """A camera in a room."""
 
     camera: Camera
+    """Intrinsics."""
     room: TaggedRoom
+    """Tags and surfaces."""
     imaging: Imaging = field(default_factory=Imaging)
+    """Light, lens and noise."""
 
     def frame(self, pose: FloatArray, rng: np.random.Generator, motion: FloatArray | None = None) -> UInt8Array:
-        """The image from a pose.
+        """Render the image from a pose.
 
         Args:
-            pose: X, camera to world, `(4, 4)`.
-            rng: source of the noise, and of the motion's direction.
-            motion: how far the camera moves while the shutter is open, a body twist (w, v) times the exposure time,
-                rad and metres, `(6,)`; `pose` is in the middle of it. None for that of `imaging`.
+            pose: X, camera to world, in the middle of the exposure, `(4, 4)`.
+            rng: source of the noise, and of the direction of the motion.
+            motion: body twist (w, v) times the exposure time, rad and metres, `(6,)`; None for that of `imaging`.
 
         Returns:
             `(h, w)`.
@@ -49,7 +94,7 @@ class Renderer:
         if motion is None and self.imaging.motion_blur > 0.0:
             motion = self._turn(rng)
         lights = self._lights(pose) if motion is None else self._moving(pose, np.asarray(motion, dtype=np.float64))
-        return self.imaging.develop(assembled(faces_of(self.camera), lights), rng)
+        return self.imaging.develop(_assembled(faces_of(self.camera), lights), rng)
 
     def corners(self, pose: FloatArray) -> FloatArray:
         """Exact images of the tags' corners from poses `(..., 4, 4)`, pixels from the border, `(..., K, 4, 2)`.
@@ -60,7 +105,12 @@ class Renderer:
         return flat.reshape(*flat.shape[:-2], -1, 4, 2)
 
     def inside(self, pose: FloatArray, margin: float = 0.0) -> BoolArray:
-        """Which tags show their front with four corners at least `margin` pixels inside the image, `(..., K)`."""
+        """Mask of the tags that show their front with all corners in the image, `(..., K)`.
+
+        Args:
+            pose: X, `(..., 4, 4)`.
+            margin: least distance of the corners from the border of the image, pixels.
+        """
         room, size = self.room, np.array(image_size(self.camera))
         image = self.corners(pose)
         within = ((image >= margin) & (image <= size - margin)).all(axis=(-2, -1))
@@ -68,11 +118,11 @@ class Renderer:
         return np.asarray(within & ((towards * room.normals).sum(axis=-1) > 0.0))
 
     def _lights(self, pose: FloatArray) -> list[Float32Array]:
-        """What falls on the faces of the image from one pose."""
+        """Light on each face from one pose."""
         return [self._light(pose, face) for face in faces_of(self.camera)]
 
     def _light(self, from_camera: FloatArray, face: Face) -> Float32Array:
-        """What falls on one face."""
+        """Light on one face: surfaces from far to near, blurred, then tags from far to near."""
         pose = from_camera.copy()
         pose[:3, :3] = from_camera[:3, :3] @ face.turn.T
         canvas = Canvas(face.matrix, face.size, self.imaging)
@@ -95,24 +145,21 @@ class Renderer:
         return canvas.light
 
     def _sigma(self, square: FloatArray, face: Face) -> float:
-        """Blur of a tag in a face, by how far its centre is, pixels.
-
-        What the lens shrinks it must blur more, so that it is blurred as said once it is bent.
-        """
+        """Blur of a tag in a face, pixels: that of the image at the depth of its centre over the scale of the face."""
         centre, sigma, camera = face.turn.T @ square.mean(axis=0), self.imaging.psf_sigma, self.camera
         if self.imaging.defocus:
             sigma = float(blur_sigma(camera, max(float(depth_in_focus(camera, centre)), NEAR_PLANE), sigma))
         return sigma / face.scale(camera, centre)
 
     def _turn(self, rng: np.random.Generator) -> FloatArray:
-        """A turn in a random direction that moves the middle of the image by `Imaging.motion_blur`, as `motion`."""
+        """Draw a rotation that moves the middle of the image by `Imaging.motion_blur`, a body twist `(6,)`."""
         direction = rng.uniform(0.0, 2.0 * math.pi)
         shift = self.imaging.motion_blur * np.array([math.cos(direction), math.sin(direction)])
         right, down = shift / self.camera.focal_pixels
         return np.array([down, -right, 0.0, 0.0, 0.0, 0.0])
 
     def _moving(self, pose: FloatArray, motion: FloatArray) -> list[Float32Array]:
-        """The mean over the motion, in steps of about a pixel."""
+        """Mean light over a motion, in steps of about a pixel."""
         ends = [self.corners(pose @ exp(t * motion))[self.inside(pose)] for t in (-0.5, 0.5)]
         shift = np.linalg.norm(ends[1] - ends[0], axis=-1)
         longest = float(np.nanmax(shift)) if np.isfinite(shift).any() else 0.0
@@ -125,7 +172,7 @@ class Renderer:
 
     @property
     def _pattern(self) -> Float32Array | None:
-        """The pattern on every surface."""
+        """Pattern of all surfaces; None for plain ones."""
         if self.imaging.texture == 0.0:
             return None
         longest = max((float(surface.parts.max()) for surface in self.room.surfaces), default=0.0)
@@ -133,6 +180,52 @@ class Renderer:
 
 
 def _middle(surface: Surface, part: FloatArray) -> FloatArray:
-    """The middle of the box around a part of a surface, world frame, metres, `(3,)`."""
+    """Middle of the box around a part of a surface, world frame, metres, `(3,)`."""
     a, b = (part.min(axis=0) + part.max(axis=0)) / 2.0
     return np.asarray(surface.origin + a * surface.u + b * surface.v)
+
+
+@lru_cache(maxsize=2)
+def faces_of(camera: Camera) -> tuple[Face, ...]:
+    """Faces of a camera's image, cached here so that a pickled renderer stays small."""
+    width, height = image_size(camera)
+    if camera.lens is None:
+        return (Face(CUBE[0], projection.intrinsics(camera), (width, height), None, None),)
+    pixels = np.stack(np.meshgrid(np.arange(width) + 0.5, np.arange(height) + 0.5), axis=-1)
+    rays = projection.bearings(camera, pixels)
+    imaged = np.isfinite(rays[..., 0])
+    if camera.widest_angle <= ONE_FACE:
+        return (_face(CUBE[0], camera.focal_pixels, rays, imaged),)
+    nearest = np.argmax(np.nan_to_num(rays) @ CUBE[:, 2].T, axis=-1)
+    density = np.linalg.norm(np.cross(*np.moveaxis(projection.slope(camera, rays), -2, 0)), axis=-1)  # pixels/sr
+    faces = []
+    for number, turn in enumerate(CUBE):
+        taken = imaged & (nearest == number)
+        if taken.any():
+            # The face has at least the density of the image everywhere.
+            focal = math.sqrt((density[taken] * (rays[taken] @ turn[2]) ** 3).max())
+            faces.append(_face(turn, np.array([focal, focal]), rays, taken))
+    return tuple(faces)
+
+
+def _face(turn: FloatArray, focal: FloatArray, rays: FloatArray, taken: BoolArray) -> Face:
+    """Smallest face that contains the rays `(h, w, 3)` of the pixels `taken`."""
+    x, y, z = np.moveaxis(rays @ turn.T, -1, 0)
+    with np.errstate(all="ignore"):
+        at = np.stack([focal[0] * x / z, focal[1] * y / z], axis=-1)
+    low, high = np.floor(at[taken].min(axis=0)) - MARGIN, np.ceil(at[taken].max(axis=0)) + MARGIN
+    matrix = np.diag([*focal, 1.0])
+    matrix[:2, 2] = -low
+    under = np.where(taken[..., None], at - low - 0.5, 0.0).astype(np.float32)
+    maps = np.ascontiguousarray(under[..., 0]), np.ascontiguousarray(under[..., 1])
+    return Face(turn, matrix, (int(high[0] - low[0]), int(high[1] - low[1])), maps, taken)
+
+
+def _assembled(faces: tuple[Face, ...], lights: list[Float32Array]) -> Float32Array:
+    """Image of the camera from those of its faces; black where the lens images nothing."""
+    cv2, whole = optional("cv2", "detection"), lights[0]
+    for number, (face, light) in enumerate(zip(faces, lights, strict=True)):
+        if face.at is not None and face.taken is not None:
+            bent = cv2.remap(light, *face.at, cv2.INTER_CUBIC)
+            whole = np.where(face.taken, bent, np.float32(0.0) if number == 0 else whole)
+    return whole

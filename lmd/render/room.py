@@ -1,9 +1,8 @@
-"""What a renderer draws: tags, and the surfaces that they hang on or that hide them."""
+"""Tags in front of surfaces, for a renderer."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,56 +11,31 @@ from lmd.core.checks import FloatArray, InputError
 from lmd.geometry.squares import corners
 from lmd.scene.edges import edges_or
 from lmd.scene.tag import Tag
-
-
-class Surface(Protocol):
-    """A part of the plane origin + a u + b v (a, b in metres), seen from the side its normal points to."""
-
-    @property
-    def origin(self) -> FloatArray:
-        """Where a = b = 0, world frame, metres, `(3,)`."""
-
-    @property
-    def u(self) -> FloatArray:
-        """Unit vector along a, `(3,)`."""
-
-    @property
-    def v(self) -> FloatArray:
-        """Unit vector along b, across u, `(3,)`."""
-
-    @property
-    def normal(self) -> FloatArray:
-        """Unit vector, `(3,)`."""
-
-    @property
-    def parts(self) -> FloatArray:
-        """Convex polygons (a, b) that together are what is seen, `(T, 4, 2)`, metres."""
+from lmd.space.surface import Surface
 
 
 @dataclass(frozen=True)
 class TaggedRoom:
     """K tags on the surfaces of a room.
 
-    Args:
-        tag: family of all of them, and their size.
-        ids: number of each in the family, all different, `(K,)`.
-        centres: world frame, metres, `(K, 3)`.
-        normals: unit normals of the front faces, `(K, 3)`.
-        ups: unit vectors in the tags' planes to their upper edges, `(K, 3)`.
-        surfaces: what is behind the tags, or in front of them.
-        edges: of tags of several sizes, metres, `(K,)`; None where all have that of `tag`.
-
     Raises:
         InputError: shapes do not match, an id occurs twice or is not in the family, or an up is not in its plane.
     """
 
     tag: Tag
+    """Family of all tags, and their edge unless `edges` are given."""
     ids: NDArray[np.int64]
+    """Number of each tag in the family, all different, `(K,)`."""
     centres: FloatArray
+    """World frame, metres, `(K, 3)`."""
     normals: FloatArray
+    """Unit normals of the front faces, `(K, 3)`."""
     ups: FloatArray
+    """Unit vectors in the tags' planes to their upper edges, `(K, 3)`."""
     surfaces: Sequence[Surface] = ()
+    """Surfaces behind the tags or in front of them."""
     edges: FloatArray = None  # type: ignore[assignment] # always an array once made
+    """Edge of each tag, metres, `(K,)`; None for that of `tag`."""
 
     def __post_init__(self) -> None:
         ids = np.asarray(self.ids)
@@ -85,5 +59,5 @@ class TaggedRoom:
 
     @cached_property
     def corners(self) -> FloatArray:
-        """Of the black squares in the order of `lmd.geometry.squares.CORNERS`, world frame, metres, `(K, 4, 3)`."""
+        """Corners of the black squares in the order of `squares.CORNERS`, world frame, metres, `(K, 4, 3)`."""
         return corners(self.centres, self.normals, self.ups, self.edges)

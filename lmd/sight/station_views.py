@@ -12,13 +12,14 @@ from lmd.core.checks import FloatArray
 from lmd.core.compiled import for_kernels, inlined, inner, kernel
 from lmd.scene.criteria import covers, frame_of, from_position, sized
 from lmd.sight.blocks import SINGLE_ERROR
-from lmd.sight.obstacles import find_ends, is_blocked, is_clear, no_ends, obstacles_at
+from lmd.sight.obstacles import find_ends, is_clear, no_ends, obstacles_at
 from lmd.sight.stations import (
     ANY,
     Part,
+    blocked_bits,
     bounds_from,
-    covers_from,
-    hides_from,
+    covered_bits,
+    hidden_bits,
     may_hide_around,
     places_around,
     row_from,
@@ -112,13 +113,12 @@ def _pose(poses, k):
 
 
 @kernel
-def _see(positions, part, obstacles, landmarks, normals, slack, n, keep, seen):
+def _see(positions, part, landmarks, normals, slack, n, keep, seen):
     """Add to `seen` what the cameras of a part cover.
 
     Args:
         positions: of the body, neighbours in blocks, `(P, 3)`, metres.
         part: where its sight says that none hides another, each landmark is seen on its own.
-        obstacles: what of the room stands in the way of the places around each position, see `obstacles`, `(P G)`.
         landmarks, normals: `(1, 3, K)`.
         slack: see `criteria.from_position`, `(K,)` metres; what blocks a landmark with slack is not asked.
         n, keep: where n landmarks are covered, others are left out unless `keep` is set.
@@ -126,6 +126,7 @@ def _see(positions, part, obstacles, landmarks, normals, slack, n, keep, seen):
     """
     sight, words, total = part.sight, np.uint64(seen.shape[3]), landmarks.shape[2]
     poses, names, order = np.empty((6, total)), np.arange(total), np.arange(len(positions))
+    obstacles = part.obstacles
     clear, ends, view = is_clear(obstacles), no_ends(obstacles, total), viewpoint_for(total)
     for k in range(total):
         for i in range(3):
@@ -134,7 +135,7 @@ def _see(positions, part, obstacles, landmarks, normals, slack, n, keep, seen):
             lx, ly, lz, nx, ny, nz = _pose(poses, k)
             find_ends(obstacles, sized(sight, k), lx, ly, lz, nx, ny, nz, ends, k)
     near, x, y, z, reached, who, shown = view.near, view.x, view.y, view.z, view.reached, view.who, view.shown
-    high, deep, size = view.high, view.deep, len(part.places)
+    high, deep = view.high, view.deep
     start, row, suspects = np.empty(total), np.empty(total, np.uint64), np.empty(total + 1, np.int64)
     close = np.zeros((total, total // LANES + 1), np.uint32)
     some, doubtful = np.empty((n, words), dtype=np.uint64), np.empty(total, dtype=np.bool_)
@@ -191,29 +192,16 @@ def _see(positions, part, obstacles, landmarks, normals, slack, n, keep, seen):
                             left |= sure[k, m, w]
                         left &= ~mine if keep else ~(mine | some[n - 1, w])
                         cap, left = left & sure[k, m, w], left & undecided[k, m, w]
-                        while left:
-                            bit = lowest(left)
-                            a = w * np.uint64(BITS) + bit
-                            left &= left - ONE
-                            covered = covers_from(part, m, a, name, px, py, pz, lx, ly, lz, nx, ny, nz, frame)
-                            cap |= np.uint64(covered) << bit
+                        cap |= covered_bits(part, m, w, left, name, px, py, pz, lx, ly, lz, nx, ny, nz, frame)
                         if cap and rivals < 0:
                             rivals = 0
                             if doubtful[k] and sight.reach >= 0.0:
                                 rivals = _list_rivals(k, view, radius, width, close[k], blocks, suspects)
-                        left = ZERO if clear and rivals <= 0 else cap
-                        while left:
-                            bit = lowest(left)
-                            a = w * np.uint64(BITS) + bit
-                            left &= left - ONE
-                            lost = not clear and is_blocked(obstacles, sight, p * size + part.place[m, a], ends, name)
-                            for i in range(0 if lost else rivals):
-                                one, other = _pose(near, suspects[i]), (lx, ly, lz, nx, ny, nz)
-                                if hides_from(part, m, a, who[suspects[i]], name, px, py, pz, one, other):
-                                    lost = True
-                                    break
-                            if lost:
-                                cap &= ~(ONE << bit)
+                        if cap and not clear:
+                            cap &= ~blocked_bits(part, m, w, cap, name, np.uint64(p), ends, name)
+                        for i in range(rivals if cap else 0):
+                            one, other = _pose(near, suspects[i]), (lx, ly, lz, nx, ny, nz)
+                            cap &= ~hidden_bits(part, m, w, cap, who[suspects[i]], name, px, py, pz, one, other)
                         if cap:
                             seen[s, p, name, w] = mine | cap
                             if not keep:
@@ -309,5 +297,5 @@ def _find(
     """Add to `seen`, see `_see`, what a part covers; the others as in `seen_by`."""
     points, directions = (for_kernels(v.T[None]) for v in (landmarks, normals))
     obstacles = obstacles_at(blockers, places_around(positions, part) if blockers is not None else positions)
-    part = part._replace(horizon=part.horizon + float(slack.max(initial=0.0)))
-    _see(positions, part, obstacles, points, directions, slack, max(n, 1), n == 0, seen)
+    part = part._replace(horizon=part.horizon + float(slack.max(initial=0.0)), obstacles=obstacles)
+    _see(positions, part, points, directions, slack, max(n, 1), n == 0, seen)

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from lmd.core.bits import BITS, LANES, ZERO, in_words, prefetch
+from lmd.core.bits import BITS, LANES, ONE, ZERO, in_words, lowest, prefetch
 from lmd.core.checks import FloatArray
 from lmd.core.compiled import inlined
 from lmd.scene.criteria import covers_one, from_around, from_position, hide_between, horizon_of, sized
@@ -21,6 +21,7 @@ from lmd.scene.rig import Rig
 from lmd.scene.scene import Scene
 from lmd.sight.blocks import SINGLE_ERROR
 from lmd.sight.directions import SIDE, cell_of, fill_tables
+from lmd.sight.obstacles import is_blocked
 
 LEVELS = 6  # from 2 radii on, 4, 8, ...
 CELLS = SIDE * SIDE
@@ -32,8 +33,12 @@ MARGIN = 1e-6  # metres, far more than rounding moves a depth
 class Part(NamedTuple):
     """The cameras of a rig that are alike: M mounts around C centres, and D orientations of the body."""
 
+    number: int
+    """Index of the part in the rig."""
     sight: Any
     """The model compiled for these cameras."""
+    obstacles: Any
+    """Obstacles of the room before the places around some positions, see `obstacles`; None where none are looked at."""
     horizon: float
     """How far from the body's origin a landmark may matter, metres."""
     centres: np.ndarray
@@ -64,13 +69,13 @@ def parts_of(scene: Scene) -> tuple[Part, ...]:
     cameras, (offsets, axes) = scene.camera.cameras, scene.camera.views(scene.orientations.axes)
     kinds = dict.fromkeys(cameras)
     return tuple(
-        _part(scene.visibility.sight(kind), offsets[mounts], axes[mounts])
-        for kind in kinds
+        _part(number, scene.visibility.sight(kind), offsets[mounts], axes[mounts])
+        for number, kind in enumerate(kinds)
         for mounts in [[m for m, camera in enumerate(cameras) if camera == kind]]
     )
 
 
-def _part(sight: Any, offsets: FloatArray, axes: FloatArray) -> Part:
+def _part(number: int, sight: Any, offsets: FloatArray, axes: FloatArray) -> Part:
     """Mounts with the `offsets` `(M, D, 3)` and the `axes` `(M, D, 6)`."""
     middle = np.round((offsets.min(axis=1) + offsets.max(axis=1)) / 2.0, 9)
     centres, centre = np.unique(middle, axis=0, return_inverse=True)
@@ -92,7 +97,9 @@ def _part(sight: Any, offsets: FloatArray, axes: FloatArray) -> Part:
             _fill_level(sight, turned[m], shift, radius[centre[m]], level, certain=certain, possible=possible)
             found[rows, 0, m], found[rows, 1, m] = certain, possible
     return Part(
+        number=number,
         sight=sight,
+        obstacles=None,
         horizon=_horizon(sight, offsets.reshape(-1, 3)),
         centres=centres,
         radius=radius,
@@ -198,6 +205,44 @@ def covers_from(part, m, a, k, px, py, pz, lx, ly, lz, nx, ny, nz, frame):
     sight = sized(part.sight, k)
     reached, low, high, sure = from_position(sight, x, y, z, nx, ny, nz, 0.0)
     return reached and covers_one(sight, x, y, z, frame, low, high, sure, False, part.axes[m], a)
+
+
+@inlined
+def covered_bits(part, m, w, left, k, px, py, pz, lx, ly, lz, nx, ny, nz, frame):
+    """Orientations of the set `left` of word w with which `covers_from`."""
+    found = ZERO
+    while left:
+        bit = lowest(left)
+        left &= left - ONE
+        covered = covers_from(part, m, w * np.uint64(BITS) + bit, k, px, py, pz, lx, ly, lz, nx, ny, nz, frame)
+        found |= np.uint64(covered) << bit
+    return found
+
+
+@inlined
+def blocked_bits(part, m, w, left, k, p, ends, row):
+    """Orientations of the set `left` of word w with which something of the room is before landmark k at position p.
+
+    `ends` has its points in a `row`, see `obstacles.find_ends`.
+    """
+    found, sight = ZERO, sized(part.sight, k)
+    while left:
+        bit = lowest(left)
+        left &= left - ONE
+        place = p * np.uint64(len(part.places)) + np.uint64(part.place[m, w * np.uint64(BITS) + bit])
+        found |= np.uint64(is_blocked(part.obstacles, sight, place, ends, row)) << bit
+    return found
+
+
+@inlined
+def hidden_bits(part, m, w, left, i, k, px, py, pz, one, other):
+    """Orientations of the set `left` of word w with which `hides_from`."""
+    found = ZERO
+    while left:
+        bit = lowest(left)
+        left &= left - ONE
+        found |= np.uint64(hides_from(part, m, w * np.uint64(BITS) + bit, i, k, px, py, pz, one, other)) << bit
+    return found
 
 
 @inlined

@@ -1,6 +1,8 @@
 """The reproduction report: what the stored sweeps found, beside what the paper printed."""
 
 import shlex
+from collections.abc import Mapping
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -9,15 +11,14 @@ from lmd.core.words import as_code, escaped
 from lmd.evaluation.comparison import OptimiserRun, compared
 from lmd.objectives.coverage import Coverage
 from lmd.plot.cap import save_cap_figure
+from lmd.plot.common import new_figure
 from lmd.plot.comparison import save_comparison_figure
 from lmd.plot.heat_map import save_heat_map
 from lmd.plot.scene import save_deployments_figure
 
 from ..app import command_of
-from .comparison import as_text
-from .document import Picture, Section, Table, Text
+from .document import Picture, Section, Table, Text, comparison_table
 from .paper import TABLE_2, TABLE_3, Printed
-from .plots import save_landmark_count_figure
 from .source import BUDGET, COUNT, GRID_FREE, INDICES, PAIR, PARENT, RATIO, Source
 
 # The sweeps a report is made of, and the commands that run them.
@@ -158,7 +159,7 @@ def _optimisers(source: Source, jobs: pd.DataFrame) -> Blocks:
         return [_missing("optimisers")]
     picture = _curves(source, "optimisers", runs, "Optimisers")
     found = compared(runs, Coverage.headline.key)
-    return [*_origins(source, "optimisers"), as_text(found, Coverage.headline), Text(found.test), picture]
+    return [*_origins(source, "optimisers"), comparison_table(found, Coverage.headline), Text(found.test), picture]
 
 
 def _curves(source: Source, name: str, runs: list[OptimiserRun], title: str) -> Picture:
@@ -244,3 +245,29 @@ def _spread(ratios: "pd.Series[float]") -> str:
 
 def _percent(ratio: float) -> str:
     return NO_VALUE if np.isnan(ratio) else f"{ratio:.2%}"
+
+
+def save_landmark_count_figure(
+    path: str | Path, ratios: pd.DataFrame, references: Mapping[str, tuple[int, float]], title: str
+) -> None:
+    """Write a PNG: the qualified ratio against the number of landmarks K.
+
+    Args:
+        ratios: one row per run with the columns `count` (K) and `qualified_ratio` (fraction); a line joins the medians
+            of each K.
+        references: points (K, qualified ratio) to compare with, by name.
+    """
+    from matplotlib.ticker import PercentFormatter
+
+    figure = new_figure((8.0, 4.8))
+    axes = figure.add_subplot(title=title, xlabel="landmarks K", ylabel="qualified ratio")
+    medians = ratios.groupby("count")["qualified_ratio"].median()
+    axes.plot(medians.index, medians, color="C2", label="median of the runs")
+    axes.plot(ratios["count"], ratios["qualified_ratio"], "o", color="C2", markersize=5, alpha=0.6, label="run")
+    for i, (name, (count, ratio)) in enumerate(references.items()):
+        axes.plot(count, ratio, marker="D", color=f"C{3 + i}", linestyle="none", label=name)
+    axes.set_ylim(0.0, 1.0)
+    axes.yaxis.set_major_formatter(PercentFormatter(1.0))
+    axes.grid(alpha=0.3)
+    axes.legend(loc="lower right")
+    figure.savefig(path)

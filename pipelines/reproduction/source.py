@@ -13,7 +13,7 @@ from lmd.plot.common import shrink
 from lmd.problem import Problem
 from lmd.scene.deployment import Deployment
 
-from ..notes import note
+from ..nodes import note
 from ..operations.tracking import PARENT_TAG, MlflowReader
 from .document import Picture
 

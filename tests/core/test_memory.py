@@ -9,7 +9,6 @@ from lmd.core.checks import InputError
 from lmd.core.memory import check_memory, free_memory
 from lmd.estimation.flights import Pace, RandomMotion
 from lmd.incremental.coverage_field import coverage_field
-from lmd.incremental.move import state_of
 from lmd.objectives.coverage import CappedCount, Coverage
 from lmd.objectives.localisation import Localisation
 from lmd.objectives.localisation.evaluation import localised_views
@@ -117,7 +116,7 @@ def test_what_the_evaluator_keeps_of_every_view_is_estimated_before(machine):
         with pytest.raises(InputError, match=f"{views} would take"):
             keep()
     with pytest.raises(InputError, match=r"x 320 orientations x 90 landmarks would take"):
-        state_of(coverage_field(evaluator, 2), deployment)
+        coverage_field(evaluator, 2).state(deployment)
     machine(2**30)
     assert evaluator.counts(deployment).shape == (756, 325)
 
@@ -125,13 +124,13 @@ def test_what_the_evaluator_keeps_of_every_view_is_estimated_before(machine):
 def test_the_estimate_of_a_state_is_near_what_it_takes(machine):
     evaluator, deployment = Evaluator(SCENE), RandomDeployment(90).draw(SCENE.room, np.random.default_rng(0))
     field = coverage_field(evaluator, 2)
-    state = state_of(field, deployment)
-    *parts, counts, units = state
-    taken = sum(array.nbytes for array in (*parts, *counts, units))
+    state = field.state(deployment)
+    poses, surfaces, counts, units, *views = state
+    taken = sum(array.nbytes for array in (poses, surfaces, *counts, units, *views))
     for free, fits in ((taken // 2, False), (3 * taken, True)):
         machine(free)
         if fits:
-            state_of(field, deployment)
+            field.state(deployment)
         else:
             with pytest.raises(InputError, match="would take"):
-                state_of(field, deployment)
+                field.state(deployment)

@@ -1,6 +1,7 @@
 """Packages that only some commands need: what is missing is said at once, with the command that installs it."""
 
 import re
+import subprocess
 import sys
 import tomllib
 from pathlib import Path
@@ -11,7 +12,7 @@ from processes import call
 
 from lmd.core.checks import InputError
 from lmd.core.optional import EXTRAS, missing_of, optional
-from pipelines.building import instantiate
+from pipelines.nodes import instantiate
 
 ROOT = Path(__file__).parents[2]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
@@ -36,7 +37,7 @@ def test_every_extra_that_is_named_brings_the_package():
         assert NAMES.get(top, top) in brought, (package, extra)
 
 
-def test_the_main_job_needs_no_package_of_an_extra():
+def test_the_library_needs_no_package_of_an_extra():
     core = {re.match(r"[\w-]+", line)[0] for line in PROJECT["dependencies"]}
     assert not core & {NAMES.get(package.split(".")[0], package) for package, _ in extras_asked_for()}
 
@@ -66,6 +67,13 @@ def test_an_optimiser_of_a_library_that_is_missing_says_so(hidden, package, opti
     node = composed("optimise", f"optimiser={optimiser}").optimiser
     with pytest.raises(InputError, match=rf"^this needs the package {package}: .*\[optimisers\]'\.$"):
         instantiate(node, seed=0)
+
+
+def test_a_command_without_its_packages_says_so():
+    code = "import sys; sys.modules['hydra'] = None; import pipelines.optimise"
+    done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=False)
+    assert done.returncode == 1
+    assert done.stderr.startswith("error: this needs the package hydra-core: ")
 
 
 def test_another_error_is_no_missing_package():

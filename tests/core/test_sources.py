@@ -4,7 +4,6 @@ from types import ModuleType
 import numba
 import numpy as np
 import pytest
-from examples import SHARE
 from numba.core.caching import NullCache
 from small import problem
 
@@ -144,7 +143,7 @@ def test_an_edit_makes_those_kernels_stale_that_it_is_a_part_of():
     ("user", "name"),
     [
         (kernels, "evaluate_range"),
-        pytest.param(surrogate, "walk", marks=pytest.mark.skipif(SHARE < 1.0, reason="in make test-thorough")),
+        pytest.param(surrogate, "walk", marks=pytest.mark.thorough("lmd/core")),
     ],
 )
 def test_all_functions_that_are_compiled_for_a_kernel_are_in_its_digest(user, name, monkeypatch):

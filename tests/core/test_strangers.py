@@ -4,7 +4,6 @@ import subprocess
 import sys
 
 import pytest
-from examples import SHARE
 from processes import ROOT, environment
 
 
@@ -39,7 +38,7 @@ LONG = ("test_tuples", "test_dispatcher", "test_jitclasses")
 @pytest.mark.slow
 @pytest.mark.parametrize(
     "names",
-    [QUICK, pytest.param(LONG, marks=pytest.mark.skipif(SHARE < 1.0, reason="in make test-thorough"))],
+    [QUICK, pytest.param(LONG, marks=pytest.mark.thorough("lmd/core"))],
     ids=["quick", "long"],
 )
 def test_numbas_own_tests_pass_in_a_process_that_has_used_this(names, tmp_path):

@@ -12,8 +12,7 @@ from lmd.estimation import pairs
 from lmd.plot.common import literal, new_figure
 from lmd.plot.heat_map import save_heat_map
 from pipelines.calibrate_detector import to_markdown as calibrations_to_markdown
-from pipelines.operations.sweeps.folder import JobFolder
-from pipelines.operations.sweeps.jobs import Job, Sweep
+from pipelines.operations.sweeps.folder import Job, JobFolder, Sweep
 from pipelines.operations.sweeps.summary import description
 from pipelines.reproduction.document import Section, Table, Text, to_html, to_markdown
 

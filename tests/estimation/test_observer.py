@@ -3,7 +3,7 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from lmd.core.checks import InputError
-from lmd.estimation.observer import FORMS, Observer, cost
+from lmd.estimation.observer import FORMS, Observer
 from lmd.estimation.odometry import Odometry
 from lmd.estimation.recording import Recording
 from lmd.geometry import se3
@@ -44,6 +44,12 @@ def corrected(observer, estimate, pose, seen, steps, step=STEP, sign=1.0, landma
             twist = descent + sign * (twist - descent)
         path.append(path[-1] @ se3.exp(step * twist))
     return np.array(path)
+
+
+def cost(estimate, landmarks, points, seen):
+    """f = 1/2 sum |yh_i - y_i|^2 over the landmarks in view, with k_i = 1, m^2 (Eq. f_without)."""
+    error = np.where(seen[..., None], se3.act(se3.inverse(estimate), landmarks) - points, 0.0)
+    return 0.5 * (error**2).sum(axis=(-2, -1))
 
 
 def costs(estimates, pose, seen, landmarks=LANDMARKS):

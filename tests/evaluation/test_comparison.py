@@ -13,7 +13,7 @@ from lmd.evaluation.comparison import OptimiserRun, attained, best_at, compared,
 from lmd.objectives.coverage import Coverage
 from lmd.optimisers.ledger import Record
 from lmd.scene.deployment import Deployment
-from pipelines.reproduction.comparison import to_markdown
+from pipelines.reproduction.document import comparison_markdown
 
 
 def run_of(name, seed, *fitness):
@@ -83,7 +83,7 @@ def test_of_seeds_that_not_all_have_run_those_of_both_are_pairs():
 
 
 def test_the_markdown_table_has_a_row_for_each_and_says_what_was_tested():
-    lines = to_markdown(compared(RUNS, KEY), Coverage.headline).splitlines()
+    lines = comparison_markdown(compared(RUNS, KEY), Coverage.headline).splitlines()
     assert "**85.00%** (80.00% to 90.00%)" in lines[2]
     assert "| – |" in lines[3]
     assert lines[4:] == ["", "p: two-sided Wilcoxon signed-rank test against `fast` on pairs of the same seed."]

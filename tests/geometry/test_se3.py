@@ -16,13 +16,20 @@ def twists(most):
     return arrays(np.float64, 6, elements=st.floats(-most, most))
 
 
+def wedge(twist):
+    """[[w]x v; 0 0] in se(3)."""
+    matrix = np.zeros((4, 4))
+    matrix[:3, :3], matrix[:3, 3] = se3.skew(twist[:3]), twist[3:]
+    return matrix
+
+
 def scaled(direction, angle):
     return direction / np.linalg.norm(direction) * angle
 
 
 @given(twists(2.0))
 def test_exp_is_the_matrix_exponential(twist):
-    assert_allclose(se3.exp(twist), expm(se3.wedge(twist)), atol=1e-12)
+    assert_allclose(se3.exp(twist), expm(wedge(twist)), atol=1e-12)
 
 
 @pytest.mark.parametrize("angle", [0.0, 1e-12, 0.99e-4, 1e-4, 1.01e-4, 1.0, np.pi - 1e-4, np.pi - 1e-9])
@@ -46,15 +53,7 @@ def test_poses_are_a_group(a, b, c):
 @given(twists(2.0), twists(2.0))
 def test_the_adjoint_carries_a_body_twist_to_the_world(a, b):
     x = se3.exp(a)
-    assert_allclose(se3.wedge(se3.adjoint(x, b)), x @ se3.wedge(b) @ se3.inverse(x), atol=1e-9)
-
-
-def test_the_projection_is_orthogonal_and_leaves_twists_alone():
-    matrix, twist = RNG.normal(size=(4, 4)), RNG.normal(size=(20, 6))
-    assert_allclose(se3.project(se3.wedge(twist)), se3.wedge(twist))
-    assert_allclose(se3.vee(se3.wedge(twist)), twist)
-    rest = matrix - se3.project(matrix)
-    assert_allclose((rest * se3.wedge(twist)).sum(axis=(1, 2)), 0.0, atol=1e-12)
+    assert_allclose(wedge(se3.adjoint(x, b)), x @ wedge(b) @ se3.inverse(x), atol=1e-9)
 
 
 def test_a_batch_is_its_members():

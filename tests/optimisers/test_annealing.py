@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from contracts.field import copied
@@ -9,9 +11,9 @@ from lmd.incremental.state import HIDDEN
 from lmd.objectives.coverage import Coverage
 from lmd.objectives.sampling import Sampling
 from lmd.optimisers.annealing import Annealing, Stage
-from lmd.optimisers.annealing.annealing import SINGLE_STAGE
-from lmd.optimisers.annealing.proposals import _reflect
-from lmd.optimisers.annealing.surrogate import Surrogate
+from lmd.optimisers.annealing.moves import _reflect
+from lmd.optimisers.annealing.stage import SINGLE_STAGE
+from lmd.optimisers.annealing.surrogate import AVERAGING_ETA, RESTART_M, Conditions, MeanPlaces, Surrogate
 from lmd.optimisers.ledger import Budget
 from lmd.problem import Problem
 from lmd.scene import pdf
@@ -19,115 +21,113 @@ from lmd.scene.deployment import Deployment
 from lmd.scene.deployment_sources import FileDeployment, RandomDeployment, UniformDeployment
 
 PAIRS = {"temperature": [1e-3, 1e-4], "width": [0.1, 0.01], "step": [1.0, 0.1]}
+TRUE = Conditions(False, 1.0, 1.0, SINGLE_STAGE.settings(0.0, 0.1))
+SAMPLING = Sampling(positions=2, divisions=6)
 
 
-def flush_on_walls(room, deployment):
-    walls = room.surfaces()
-    on = [np.abs((deployment.positions - w.origin) @ w.normal) < 1e-9 for w in walls]
-    faces = [(deployment.normals == w.normal).all(axis=1) for w in walls]
-    return (np.array(on) & np.array(faces)).any(axis=0).all()
+def covered(n=2, sampling=None, start=None, threads=1):
+    p = problem()
+    return Problem(p.scene, Coverage(n, 0.3, sampling), start or p.start, threads)
+
+
+def surrogate_of(p, walkers=1):
+    """A surrogate, and the generator and the start of its walk."""
+    rng = np.random.default_rng(0)
+    return Surrogate(p, walkers, 0.35), rng, p.draw(rng)
+
+
+def spied(monkeypatch):
+    """Conditions of all walks from now on."""
+    seen, walk = [], Surrogate.walk
+
+    def spy(self, here, best, conditions, *rest):
+        seen.append((conditions, self.is_true(len(here), conditions)))
+        return walk(self, here, best, conditions, *rest)
+
+    monkeypatch.setattr(Surrogate, "walk", spy)
+    return seen
 
 
 @pytest.mark.parametrize(("count", "n"), [(30, 2), (31, 2), (31, 3), (4, 4), (5, 1)])
 def test_every_landmark_ends_flush_on_an_allowed_wall(count, n):
     room = paper_room(spacing=1.5, walls=("x_min", "ceiling", "y_max"))
     scene = paper_scene(room=room, orientations=pdf.grid_with_ends(6))
-    p = Problem(scene, Coverage(n, 0.3), RandomDeployment(count), threads=1)
-    result = make("annealing").run(p, Budget(300))
-    assert len(result.deployment) == count
-    assert flush_on_walls(room, result.deployment)
-    assert result.evaluations == 300
+    result = make("annealing").run(Problem(scene, Coverage(n, 0.3), RandomDeployment(count), threads=1), Budget(300))
+    found, walls = result.deployment, room.surfaces()
+    on = [np.abs((found.positions - w.origin) @ w.normal) < 1e-9 for w in walls]
+    faces = [(found.normals == w.normal).all(axis=1) for w in walls]
+    assert (np.array(on) & np.array(faces)).any(axis=0).all()
+    assert (len(found), result.evaluations) == (count, 300)
 
 
-@pytest.mark.parametrize("size", [0.2, 1.0])
-def test_stacks_are_pulled_apart_by_the_spread(size):
-    optimiser = make("annealing")
-    p = problem()
+@pytest.mark.parametrize(("n", "size"), [(2, 0.2), (2, 1.0), (1, 1.0)])
+def test_stacks_are_pulled_apart_by_the_spread(n, size):
+    optimiser, p = make("annealing"), covered(n)
     optimiser.run(p, Budget(300), lambda o: o.ledger.evaluations > 50)
     assert optimiser.in_stacks
-    pairs = optimiser._apart(p, 2, size).positions.reshape(-1, 2, 3)
+    apart = optimiser._apart(p, n, size)
+    if n == 1:
+        np.testing.assert_array_equal(apart.positions, optimiser.here.positions)
+        return
+    pairs = apart.positions.reshape(-1, 2, 3)
     inside = ((pairs > 0.1) & (pairs < np.array(p.scene.room.size) - 0.1)).sum(axis=2).min(axis=1) >= 2
-    distance = np.linalg.norm(pairs[:, 0] - pairs[:, 1], axis=1)
-    np.testing.assert_allclose(distance[inside], size * 1.6 * 0.05)
+    np.testing.assert_allclose(np.linalg.norm(pairs[:, 0] - pairs[:, 1], axis=1)[inside], size * 1.6 * 0.05)
 
 
 @pytest.mark.parametrize("walkers", [1, 2])
-def test_plates_grow_to_their_size_and_stay_there(monkeypatch, walkers):
-    seen = []
-    prepare = Surrogate.prepare
-
-    def spy(self, here, best, in_stacks, size, done, rng):
-        prepare(self, here, best, in_stacks, size, done, rng)
-        seen.append((in_stacks, size, self.is_true))
-
-    monkeypatch.setattr(Surrogate, "prepare", spy)
+def test_footprints_grow_to_their_size_and_stay_there(monkeypatch, walkers):
+    seen = spied(monkeypatch)
     Annealing(walkers=walkers).run(problem(), Budget(300))
-    sizes = [size for in_stacks, size, _ in seen if not in_stacks]
-    assert seen[0] == (True, 1.0, False)
+    sizes = [each.size for each, _ in seen if not each.in_stacks]
+    assert (seen[0][0].in_stacks, seen[0][0].size, seen[0][1]) == (True, 1.0, False)
     assert sizes == sorted(sizes)
     assert 0.2 <= sizes[0] < 0.4
     assert sizes[-1] == 1.0
-    assert all(is_true == (walkers == 1 and not in_stacks and size == 1.0) for in_stacks, size, is_true in seen)
+    assert all(true == (walkers == 1 and not each.in_stacks and each.size == 1.0) for each, true in seen)
 
 
-def test_smaller_plates_hide_less():
+@pytest.mark.parametrize("sampling", [None, SAMPLING])
+def test_samples_are_climbed_under_conditions_of_their_own(monkeypatch, sampling):
+    seen, optimiser = spied(monkeypatch), make("annealing")
+    optimiser.run(covered(sampling=sampling), Budget(300))
+    last = min(each.settings.width for each, _ in seen if not each.in_stacks)
+    assert (last < optimiser.sampled.width[1]) == (sampling is None)
+
+
+def test_smaller_footprints_hide_less():
     p = problem()
     drawn = p.start.draw(p.scene.room, np.random.default_rng(0))
     pairs = np.repeat(drawn.positions[:15], 2, axis=0)
     pairs[::2, 2] = np.clip(pairs[::2, 2] + 0.03, 0.0, p.scene.room.size[2])
     deployment = Deployment(pairs, np.repeat(drawn.normals[:15], 2, axis=0))
-    surrogate = Surrogate(p, 1, 0.35)
-    reached = []
+    surrogate, rng, _ = surrogate_of(p)
+    hidden = []
     for size in (0.2, 0.5, 1.0):
-        surrogate.prepare(deployment, deployment, False, size, 1.0, np.random.default_rng(0))
-        reached.append(int((surrogate._walkers[0].state.hides[HIDDEN] > 0).sum()))
-    assert reached[0] < reached[1] < reached[2]
+        surrogate.walk(deployment, deployment, replace(TRUE, size=size), 0, rng)
+        hidden.append(int((surrogate._walkers[0].state.hides[HIDDEN] > 0).sum()))
+    assert hidden[0] < hidden[1] < hidden[2]
     assert surrogate._walkers[0].best.fitness[0] == pytest.approx(p.fitness_of(deployment))
 
 
 def test_an_objective_with_a_sampling_is_climbed_on_fresh_draws():
-    sampling = Sampling(positions=12, divisions=6)
-    p = problem()
-    p = Problem(p.scene, Coverage(2, 0.3, sampling), p.start, threads=1)
-    surrogate, rng = Surrogate(p, 1, 0.35), np.random.default_rng(0)
-    deployment = p.start.draw(p.scene.room, rng)
+    p = covered(sampling=Sampling(positions=12, divisions=6))
+    surrogate, rng, deployment = surrogate_of(p)
     positions = []
     for done in (0.0, 0.7, 1.0, 1.0):
-        surrogate.prepare(deployment, deployment, False, 1.0, done, rng)
-        assert not surrogate.is_true
+        surrogate.walk(deployment, deployment, replace(TRUE, done=done), 0, rng)
         positions.append(surrogate._field.positions[:, surrogate._field.index_of])
-    grid = len(p.evaluator.positions)
-    assert [x.shape[1] // grid for x in positions] == [1, 3, 5, 5]
+    assert not surrogate.is_true(len(deployment), TRUE)
+    assert [x.shape[1] // len(p.evaluator.positions) for x in positions] == [1, 3, 5, 5]
     assert not np.isin(positions[3][0], positions[2][0]).any()
     result = make("annealing").run(p, Budget(300))
-    assert result.evaluations == 300
-    assert result.fitness == p.fitness_of(result.deployment)
+    assert (result.evaluations, result.fitness) == (300, p.fitness_of(result.deployment))
 
 
-@pytest.mark.parametrize("sampling", [None, Sampling(positions=2, divisions=6)])
-def test_samples_are_climbed_under_conditions_of_their_own(monkeypatch, sampling):
-    seen, walk = [], Surrogate.walk
-
-    def spy(self, moves, settings, rng):
-        seen.append((self._climbed, settings.width))
-        return walk(self, moves, settings, rng)
-
-    monkeypatch.setattr(Surrogate, "walk", spy)
-    p, optimiser = problem(), make("annealing")
-    optimiser.run(Problem(p.scene, Coverage(2, 0.3, sampling), p.start, threads=1), Budget(300))
-    last = min(width for (in_stacks, _), width in seen if not in_stacks)
-    assert (last < optimiser.sampled.width[1]) == (sampling is None)
-
-
-@pytest.mark.parametrize("sampling", [None, Sampling(positions=2, divisions=6)])
+@pytest.mark.parametrize("sampling", [None, SAMPLING])
 def test_walkers_move_landmarks_of_their_own_and_are_put_together(sampling):
-    p = problem()
-    p = Problem(p.scene, Coverage(2, 0.3, sampling), p.start, threads=1)
-    surrogate, rng = Surrogate(p, 3, 0.35), np.random.default_rng(0)
-    start = p.start.draw(p.scene.room, rng)
-    surrogate.prepare(start, start, False, 1.0, 1.0, rng)
-    surrogate.walk(400, SINGLE_STAGE.settings(0.0, 0.1), rng)
-    walkers, here = surrogate._walkers, surrogate.here()
+    surrogate, rng, start = surrogate_of(covered(sampling=sampling), walkers=3)
+    here, _ = surrogate.walk(start, start, TRUE, 400, rng)
+    walkers = surrogate._walkers
     assert sorted(np.concatenate([walker.members for walker in walkers])) == list(range(30))
     for walker in walkers:
         moved = np.flatnonzero((start.positions != walker.state.poses[:3].T).any(axis=1))
@@ -137,39 +137,24 @@ def test_walkers_move_landmarks_of_their_own_and_are_put_together(sampling):
         np.testing.assert_array_equal(here.surfaces[walker.members], walker.state.surfaces[walker.members])
 
 
-@pytest.mark.parametrize("walkers", [1, 3])
-def test_a_walk_goes_on_where_the_last_one_ended(walkers):
-    p = problem(RandomDeployment(20))
-    surrogate, rng = Surrogate(p, walkers, 0.35), np.random.default_rng(0)
-    start = p.draw(rng)
-    surrogate.prepare(start, start, False, 1.0, 1.0, rng)
-    surrogate.walk(300, SINGLE_STAGE.settings(0.0, 0.1), rng)
-    here = surrogate.here()
-    assert (here.positions != start.positions).any()
-    if walkers == 1:  # others are led to what all have found
-        surrogate.prepare(here, start, False, 1.0, 1.0, rng)
-    surrogate.walk(0, SINGLE_STAGE.settings(0.0, 0.1), rng)
-    np.testing.assert_array_equal(surrogate.here().positions, here.positions)
-
-
 @pytest.mark.parametrize("in_stacks", [True, False])
 @pytest.mark.parametrize("count", [0, 5])
-def test_walkers_that_go_on_know_what_the_others_did(in_stacks, count):
+@pytest.mark.parametrize("walkers", [1, 3])
+def test_walkers_go_on_from_what_all_have_found(in_stacks, count, walkers):
     fixed = problem(RandomDeployment(count)).draw(np.random.default_rng(3)) if count else None
     p = problem(RandomDeployment(20), fixed=fixed)
-    surrogate, rng = Surrogate(p, 3, 0.35), np.random.default_rng(0)
-    complete = p.draw(rng)
+    surrogate, rng, complete = surrogate_of(p, walkers)
     here = start = complete[count:] if in_stacks else complete
-    before = []
+    conditions, before = replace(TRUE, in_stacks=in_stacks), []
     for _ in range(4):
-        surrogate.prepare(here, complete, in_stacks, 1.0, 1.0, rng)
+        now, _ = surrogate.walk(here, complete, conditions, 0, rng)  # where it begins
+        np.testing.assert_array_equal(now.positions, here.positions)
         assert not before or all(now.state is then.state for now, then in zip(surrogate._walkers, before, strict=True))
-        surrogate.walk(0, SINGLE_STAGE.settings(0.0, 0.1), rng)  # where it begins
         for walker in surrogate._walkers:
             for array, fresh in zip(copied(walker.state), copied(surrogate._field.state(here)), strict=True):
                 np.testing.assert_array_equal(array, fresh)
-        surrogate.walk(300, SINGLE_STAGE.settings(0.0, 0.1), rng)
-        before, here = surrogate._walkers, surrogate.here()
+        here, _ = surrogate.walk(here, complete, conditions, 300, rng)
+        before = surrogate._walkers
         assert (here.positions != start.positions).any()
 
 
@@ -177,22 +162,13 @@ def test_walkers_that_go_on_know_what_the_others_did(in_stacks, count):
 @pytest.mark.parametrize("n", [1, 2])
 def test_walkers_lead_to_the_same_place_on_any_number_of_threads(n, sampled):
     """Each n and each start with samples or without, in half of the runs that all three would take."""
-    sampling = Sampling(positions=2, divisions=6) if sampled else None
     start = UniformDeployment(9) if sampled == (n == 1) else RandomDeployment(30)
-    scene, found = problem().scene, []
-    for threads in (1, 3):
-        p = Problem(scene, Coverage(n, 0.3, sampling), start, threads)
-        found.append(make("annealing").run(p, Budget(400)).deployment)
-    np.testing.assert_array_equal(found[0].positions, found[1].positions)
-    np.testing.assert_array_equal(found[0].normals, found[1].normals)
-
-
-def test_for_one_landmark_in_view_stacks_are_single_landmarks():
-    optimiser = make("annealing")
-    p = Problem(problem().scene, Coverage(1, 0.5), RandomDeployment(30), threads=1)
-    optimiser.run(p, Budget(300), lambda o: o.ledger.evaluations > 50)
-    assert optimiser.in_stacks
-    np.testing.assert_array_equal(optimiser._apart(p, 1, 1.0).positions, optimiser.here.positions)
+    one, three = (
+        make("annealing").run(covered(n, SAMPLING if sampled else None, start, threads), Budget(400)).deployment
+        for threads in (1, 3)
+    )
+    np.testing.assert_array_equal(one.positions, three.positions)
+    np.testing.assert_array_equal(one.normals, three.normals)
 
 
 def test_a_given_start_is_not_stacked(tmp_path):
@@ -202,8 +178,7 @@ def test_a_given_start_is_not_stacked(tmp_path):
     for source in (start, FileDeployment(str(tmp_path / "start.csv"))):
         optimiser = make("annealing")
         optimiser.run(problem(source), Budget(40), lambda _: True)
-        assert not optimiser.in_stacks
-        assert len(optimiser.here) == 30
+        assert (optimiser.in_stacks, len(optimiser.here)) == (False, 30)
 
 
 def test_a_coordinate_beyond_a_wall_is_folded_back():
@@ -229,3 +204,33 @@ def test_conditions_run_geometrically_from_first_to_last():
 def test_impossible_conditions_are_refused(values, message):
     with pytest.raises(InputError, match=message):
         Stage(**(PAIRS | values))
+
+
+def at(positions, surfaces=(0, 1)):
+    return Deployment(np.array(positions, dtype=float), np.tile([0.0, 0.0, 1.0], (2, 1)), np.array(surfaces))
+
+
+def test_mean_places_weigh_by_polynomial_decay():
+    rng = np.random.default_rng(0)
+    places = rng.uniform(0.0, 0.2, (20, 2, 3))
+    walk, weights = MeanPlaces(at(places[0])), np.zeros(20)
+    for t, place in enumerate(places, start=1):
+        mean = walk.add(at(place))
+        rate = (AVERAGING_ETA + 1.0) / (t + AVERAGING_ETA)
+        weights *= 1.0 - rate
+        weights[t - 1] = rate
+    np.testing.assert_allclose(mean.positions, np.tensordot(weights, places, axes=1))
+    assert weights.sum() == pytest.approx(1.0)
+    assert weights[15:].sum() > 0.5
+
+
+def test_the_mean_of_a_landmark_begins_anew_after_a_jump_or_on_another_surface():
+    walk = MeanPlaces(at([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0]]))
+    for _ in range(5):
+        walk.add(at([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0]]))
+    far = walk.add(at([[0.1, 0.0, 0.0], [1.0 + 1.1 * RESTART_M, 0.0, 0.0]]))
+    assert 0.0 < far.positions[0, 0] < 0.1
+    assert far.positions[1, 0] == 1.0 + 1.1 * RESTART_M
+    other = walk.add(at([[0.2, 0.0, 0.0], [1.7, 0.0, 0.0]], surfaces=(3, 1)))
+    assert (other.positions[0, 0], other.surfaces[0]) == (0.2, 3)
+    assert 1.0 + 1.1 * RESTART_M < other.positions[1, 0] < 1.7

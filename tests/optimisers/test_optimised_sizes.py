@@ -16,7 +16,7 @@ from lmd.evaluation.bounds import Search, average_upper_bound, fewest_landmarks,
 from lmd.evaluation.selection_bound import selection_upper_bound
 from lmd.objectives.coverage import Coverage
 from lmd.optimisers.annealing import Annealing, Stage
-from lmd.optimisers.annealing.surrogate import Surrogate
+from lmd.optimisers.annealing.surrogate import Conditions, Surrogate
 from lmd.optimisers.composition import composition, stock_of_sizes
 from lmd.optimisers.greedy import Greedy, GreedyDeployment
 from lmd.optimisers.ledger import Budget
@@ -68,10 +68,8 @@ def test_the_fitness_is_that_of_the_result_and_each_landmark_keeps_its_size(prob
 def test_landmarks_of_different_sizes_exchange_their_places(problem):
     rng, surrogate = np.random.default_rng(0), Surrogate(problem, 1, 0.35)
     start = problem.draw(rng)
-    surrogate.prepare(start, start, False, 1.0, 1.0, rng)
     stage = Stage([1e3] * 2, [0.05] * 2, [0.1] * 2, exchange=1.0)
-    surrogate.walk(100, stage.settings(0.0, 0.1), rng)
-    here = surrogate.here()
+    here, _ = surrogate.walk(start, start, Conditions(False, 1.0, 1.0, stage.settings(0.0, 0.1)), 100, rng)
     places = [np.array(sorted(each.positions.tolist())) for each in (here, start)]
     np.testing.assert_array_equal(*places)
     assert (here.positions != start.positions).any(axis=1).sum() > 5

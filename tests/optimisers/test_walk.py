@@ -6,7 +6,7 @@ from paper import paper_room, paper_scene
 from lmd.objectives.coverage import Coverage
 from lmd.optimisers.annealing import Stage
 from lmd.optimisers.annealing import walk as module
-from lmd.optimisers.annealing.surrogate import Surrogate
+from lmd.optimisers.annealing.surrogate import NOWHERE, Conditions, Surrogate
 from lmd.problem import Problem
 from lmd.scene import pdf
 from lmd.scene.deployment_sources import RandomDeployment
@@ -18,7 +18,8 @@ def walked(n, occlusion, stage):
     problem = Problem(scene, Coverage(n, 0.3), RandomDeployment(20), threads=1)
     surrogate, rng = Surrogate(problem, 1, 0.35), np.random.default_rng(0)
     start = problem.start.draw(scene.room, rng)
-    surrogate.prepare(start, start, False, 1.0, 1.0, rng)
+    settings = stage.settings(0.0, 0.1)
+    surrogate.walk(start, start, Conditions(False, 1.0, 1.0, settings), 0, rng)
     finished = []
 
     def spy(*arguments):
@@ -30,18 +31,11 @@ def walked(n, occlusion, stage):
         parts = {"bound": moves.bound, "settle": spy, "accept": moves.accept, "undo": moves.undo}
         for name, part in {**parts, "lead": lambda *_: None, "_try": module._try}.items():
             patch.setattr(module, name, part)
-        settings = stage.settings(0.0, 0.1)
         (walker,) = surrogate._walkers
-        here = (
-            surrogate._field,
-            walker.state,
-            walker.scratches,
-            surrogate._target,
-            surrogate._surfaces,
-            surrogate._papers,
-        )
+        memory = surrogate._field, walker.state, walker.scratches
+        around = surrogate._target, surrogate._surfaces, surrogate._footprints
         getattr(module.walk, "py_func", module.walk)(
-            200, walker.places, walker.members, walker.group, *here, settings, rng, walker.best
+            200, NOWHERE, walker.members, walker.group, *memory, *around, settings, rng, walker.best
         )
     return [*moves.copied(walker.state), walker.best.fitness, *walker.best.places, rng.random()], len(finished)
 

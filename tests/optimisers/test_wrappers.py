@@ -25,8 +25,8 @@ from lmd.optimisers.random_search import RandomSearch
 from lmd.optimisers.scipy import Scipy
 from lmd.optimisers.wrapped import Wrapped
 from lmd.scene.deployment_sources import RandomDeployment
-from pipelines.building import instantiate
 from pipelines.hyperparameters import completed
+from pipelines.nodes import instantiate
 
 
 def run(optimiser, batches, dim=12, fitness=lambda genes: -np.abs(genes - 0.3).sum(axis=1)):

@@ -7,13 +7,13 @@ from lmd.core.checks import InputError
 from lmd.evaluation.comparison import OptimiserRun
 from lmd.optimisers.ledger import Record
 from lmd.scene.deployment import Deployment
-from pipelines.compared_runs import FILES, Job, kept_of
+from pipelines.compare import FILES, Contender, kept_of
 
 
 @pytest.fixture
 def left(tmp_path):
     """A job, and the folder of a comparison that has done it."""
-    job = Job("ega", composed("optimise", "optimiser=ega"), 0)
+    job = Contender("ega", composed("optimise", "optimiser=ega"), 0)
     run = OptimiserRun("ega", 0, {"x": 0.5}, [Record(1.0, 0.5, 0.1)], Deployment([[0.0, 0.0, 0.0]], [[0.0, 0.0, 1.0]]))
     job.save(tmp_path / "earlier", run, None, ups=False)
     return job, tmp_path / "earlier"

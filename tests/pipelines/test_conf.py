@@ -16,14 +16,15 @@ from paper import PAPER_CAMERA, PRINTED_EXPERIMENT_CAMERA
 from lmd.core.checks import InputError
 from lmd.geometry.camera import Camera
 from lmd.objectives.localisation import Localisation
-from lmd.optimisers.annealing.annealing import SINGLE_STAGE
+from lmd.optimisers.annealing.stage import SINGLE_STAGE
 from lmd.optimisers.ega import EGA
 from lmd.optimisers.encoding import make_encoding
 from pipelines.app import CONF, flat_settings
-from pipelines.building import build_optimiser, build_problem, camera_of, instantiate
+from pipelines.building import build_optimiser, build_problem, camera_of
 from pipelines.deployments import any_deployment
 from pipelines.hyperparameters import GROUPS as COMPLETED
 from pipelines.hyperparameters import FileConfigSource
+from pipelines.nodes import instantiate
 
 ONLY_OBSERVE = ("trajectory", "detector", "estimator", "odometry")
 ONLY_RENDERED = ("detectors", "imaging", "views")

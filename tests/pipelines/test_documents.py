@@ -5,10 +5,9 @@ import os
 
 import pytest
 
-from pipelines import documents
-from pipelines.documents import read_document, write_document
-from pipelines.operations.sweeps.folder import JobFolder, SweepFolder
-from pipelines.operations.sweeps.jobs import Job, Sweep
+from pipelines import outputs
+from pipelines.operations.sweeps.folder import Job, JobFolder, Sweep, SweepFolder
+from pipelines.outputs import read_document, write_document
 
 JOB = Job("table2", None, 3, ("seed=3",), {"seed": "3"}, "finished", 0.5)
 DAMAGES = {
@@ -75,7 +74,7 @@ def test_on_a_full_disk_the_former_document_stays(job, monkeypatch):
     def full(_):
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(documents.os, "fsync", full)
+    monkeypatch.setattr(outputs.os, "fsync", full)
     with pytest.raises(OSError, match="No space left"):
         write_document(job.metrics, {"fitness": 1.0})
     assert json.loads(job.metrics.read_text()) == {"fitness": 0.5}

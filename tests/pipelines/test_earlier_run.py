@@ -20,7 +20,7 @@ from pipelines.app import CONF
 from pipelines.building import build_problem
 from pipelines.deployments import composed_deployments, read_deployment_as_a_list
 from pipelines.earlier_run import GROUPS, read_earlier_run
-from pipelines.ladder import Ladder
+from pipelines.points import Ladder
 
 QUICK = ("tracking=none", "validate=false", "picture=false", "localisation=false", "losses=false")
 LAB = ("room=lab", "room.spacing=1", "camera=lab", "pdf=yaw", "pdf.pitch=0.1", "objective.n=1", "objective.thold_p=0.4")

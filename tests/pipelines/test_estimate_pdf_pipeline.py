@@ -14,7 +14,7 @@ from recordings import MOVING, estimated, simulated
 from lmd.orientation.recording import OrientationRecording
 from lmd.scene import pdf
 from pipelines.app import CONF
-from pipelines.building import instantiate
+from pipelines.nodes import instantiate
 
 ROOT = Path(__file__).parents[2]
 

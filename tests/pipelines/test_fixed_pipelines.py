@@ -10,7 +10,7 @@ from processes import call, refused
 
 from lmd.core.checks import InputError
 from pipelines.building import build_problem
-from pipelines.fixed import quoted
+from pipelines.overrides import as_hydra_reads
 
 TAGS = "id,x,y,z,nx,ny,nz,note\n7,0,2,3,1,0,0,door\n3,0.02,3,3,1,0,0,\n"
 QUICK = ("tracking=none", "localisation=false")
@@ -24,7 +24,7 @@ def work(tmp_path, monkeypatch):
 
 
 def built(*overrides):
-    cfg = composed("optimise", "room.spacing=1.5", "deployment.fixed=tags.csv", *map(quoted, overrides))
+    cfg = composed("optimise", "room.spacing=1.5", "deployment.fixed=tags.csv", *map(as_hydra_reads, overrides))
     return build_problem(cfg)
 
 
@@ -48,7 +48,7 @@ def test_a_count_is_that_of_all_and_one_with_a_plus_that_of_the_new(source, coun
     ],
 )
 def test_hydra_reads_a_plus_as_text(override, read):
-    assert quoted(override) == read
+    assert as_hydra_reads(override) == read
 
 
 @pytest.mark.parametrize(

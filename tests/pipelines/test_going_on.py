@@ -15,7 +15,7 @@ import pipelines.runs
 from lmd.core.checks import InputError
 from lmd.optimisers.checkpoint import CHECKPOINT_FILE
 from pipelines.app import CONF
-from pipelines.going_on import going_on
+from pipelines.runs import going_on
 from pipelines.trust import Trust
 
 STORED = "python -m pipelines.optimise optimiser._target_=os.system"

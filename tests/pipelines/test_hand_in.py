@@ -10,9 +10,7 @@ from recorded_runs import ANOTHER, started, stored
 
 import pipelines.sync
 from lmd.core.checks import InputError
-from pipelines.operations.tracking.hand_in import GONE, hand_in
-from pipelines.operations.tracking.journal import FILE, Journal
-from pipelines.operations.tracking.processes import this_process
+from pipelines.operations.tracking.journal import FILE, GONE, Journal, hand_in, this_process
 from pipelines.operations.tracking.store import Store
 from pipelines.sync import sync
 
@@ -136,7 +134,7 @@ def test_only_files_of_a_runs_own_folder_are_handed_in(uri, folder, tmp_path_fac
 
 def test_a_journal_goes_to_the_configured_store_or_asks(uri, folder, capsys, monkeypatch):
     asked = []
-    monkeypatch.setattr("pipelines.operations.tracking.hand_in.hand_in", lambda _, to: asked.append(to) or "done")
+    monkeypatch.setattr("pipelines.operations.tracking.journal.hand_in", lambda _, to: asked.append(to) or "done")
     journal_of_a_stranger(folder, "http://127.0.0.1:9/\x1b[2J", "3f")
     assert not synced(f"tracking.uri={uri}")
     error = capsys.readouterr().err

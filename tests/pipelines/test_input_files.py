@@ -9,7 +9,7 @@ from composing import composed
 from processes import SMALL, call, refused
 
 from pipelines.app import flat_settings
-from pipelines.input_files import contents_of
+from pipelines.provenance import contents_of
 
 
 @pytest.fixture

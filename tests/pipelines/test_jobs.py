@@ -9,9 +9,9 @@ from omegaconf import OmegaConf
 
 from lmd.core.checks import InputError
 from lmd.optimisers.checkpoint import CHECKPOINT_FILE
-from pipelines.operations.sweeps.folder import JobFolder, SweepFolder
-from pipelines.operations.sweeps.jobs import Job, Sweep, reason_of
-from pipelines.operations.sweeps.names import job_folder, key_and_value, quoted, slug, varied_keys
+from pipelines.operations.sweeps.folder import Job, JobFolder, Sweep, SweepFolder, reason_of
+from pipelines.operations.sweeps.names import job_folder, slug, varied_keys
+from pipelines.overrides import key_and_value, quoted
 
 
 def test_folder_names_need_no_quotes_in_an_override():

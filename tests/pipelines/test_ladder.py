@@ -7,7 +7,7 @@ from composing import composed
 from lmd.core.checks import InputError
 from lmd.evaluation.tradeoff import ANEW, Found
 from lmd.evaluation.validation import Sample, headline_off_grid
-from pipelines import ladder
+from pipelines import points
 
 SMALL = ("room.spacing=1.5", "objective.n=1")
 YAW = ("pdf=yaw", "pdf.divisions=4")
@@ -15,7 +15,7 @@ RECORDED = "time,x,y,z,yaw,pitch\n" + "".join(f"{t},2,2,2,{0.1 * t},0\n" for t i
 
 
 def ladder_of(*overrides, edge=0.0):
-    return ladder.Ladder(composed("tradeoff", *SMALL, *overrides), (edge,), 0)
+    return points.Ladder(composed("tradeoff", *SMALL, *overrides), (edge,), 0)
 
 
 @pytest.fixture
@@ -32,7 +32,7 @@ def drive(tmp_path):
 
 
 def figures_of(problem):
-    return ladder.figures_of(problem, problem.draw(np.random.default_rng(0)), 0)
+    return points.figures_of(problem, problem.draw(np.random.default_rng(0)), 0)
 
 
 @pytest.mark.usefixtures("quick")
@@ -55,14 +55,14 @@ def test_a_rig_has_the_figures_of_its_objective_and_of_single_moments():
 def test_recorded_poses_are_judged_by_what_was_held_out(drive, held_out, headline):
     problem = ladder_of(*drive, f"poses.held_out={held_out}").problem(6)
     assert headline_off_grid(problem) == headline
-    assert headline in ladder.shares_among(figures_of(problem))
+    assert headline in points.shares_among(figures_of(problem))
 
 
 def test_what_other_code_has_computed_is_not_taken(tmp_path, monkeypatch):
     known = ladder_of(*YAW, f"kept={tmp_path}")
     found = Found(known.problem(6).draw(np.random.default_rng(0)), 0.0, ANEW)
     scored = []
-    monkeypatch.setattr(ladder, "figures_of", lambda *_: scored.append(0) or {"share": len(scored)})
+    monkeypatch.setattr(points, "figures_of", lambda *_: scored.append(0) or {"share": len(scored)})
     assert [known.figures(6, found)["share"] for _ in range(2)] == [1, 1]
     monkeypatch.setattr("lmd.core.sources.package_digest", lambda: "other code")
     assert known.figures(6, found)["share"] == 2
@@ -92,4 +92,4 @@ def test_too_many_landmarks_are_named_by_the_key_that_asked_for_them(tmp_path):
 def test_shares_are_fractions_of_which_more_is_better():
     shares = ["qualified_ratio", "fitness", "grid_free_qualified_ratio", "held_out_share", "covered_share"]
     others = ["cost", "held_out_seconds", "grid_free_qualified_ratio_standard_error", "predicted_error_90"]
-    assert ladder.shares_among([*others, *shares]) == shares
+    assert points.shares_among([*others, *shares]) == shares

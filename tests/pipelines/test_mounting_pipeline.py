@@ -9,8 +9,8 @@ import pytest
 from composing import composed
 from mlflow import MlflowClient
 
-from pipelines.building import instantiate
 from pipelines.evaluate import read_mounting_error
+from pipelines.nodes import instantiate
 
 # In the plan the papers of 3 and 5 share an edge; as measured they overlap.
 PLAN = "id,x,y,z,nx,ny,nz\n3,0,2,3,1,0,0\n5,0,2.25,3,1,0,0\n8,7.5,2,3,-1,0,0\n"

@@ -7,7 +7,8 @@ from composing import composed
 from processes import refused
 
 from lmd.core.checks import InputError
-from pipelines.building import build_optimiser, build_problem, instantiate, keyed
+from pipelines.building import build_optimiser, build_problem
+from pipelines.nodes import instantiate, keyed
 from pipelines.pipeline import _refuse_configuration_of_another
 
 # Overrides of `evaluate`, and how the refusal begins.

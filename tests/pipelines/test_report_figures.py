@@ -15,7 +15,7 @@ from lmd.scene import pdf
 from lmd.scene.deployment import Deployment
 from lmd.scene.deployment_sources import UniformDeployment
 from lmd.space.cuboid import Cuboid
-from pipelines.reproduction.plots import save_landmark_count_figure
+from pipelines.reproduction.sections import save_landmark_count_figure
 
 ROOM = Cuboid(size=(3.0, 2.0, 2.5), reachable_size=(2.0, 1.0, 1.5), spacing=0.8)
 GREEN_BALL = (72, 171, 103)  # green at 80 % on white

@@ -3,6 +3,7 @@
 import json
 
 import composing
+import numpy as np
 import pytest
 from omegaconf import open_dict
 from paper import PAPER_CAMERA
@@ -65,6 +66,13 @@ def test_cameras_of_their_own_need_none_of_the_group(tmp_path):
 def test_a_bad_rig_is_named_by_its_key(override, message):
     with pytest.raises(InputError, match=message):
         build_problem(composed(override, "pdf=yaw"))
+
+
+def test_a_rig_of_one_camera_is_a_rig():
+    mount = "camera.rig=[{translation: [0.1,0,0.3], pitch: -0.3}]"
+    problem = build_problem(composed("experiment=lab", "room.spacing=1", "pdf.divisions=4", mount))
+    found = problem.metrics(problem.draw(np.random.default_rng(0)))
+    assert 0.0 < found["localised_share"] < 1.0
 
 
 @pytest.mark.slow

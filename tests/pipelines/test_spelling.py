@@ -9,19 +9,19 @@ from numpy.random import default_rng
 from omegaconf import OmegaConf
 
 from lmd.core.checks import InputError
-from pipelines.app import CONF
-from pipelines.building import build_problem, instantiate
-from pipelines.fixed import fixed_of
-from pipelines.spelling import ask_what_was_meant, meant
+from pipelines.building import build_problem
+from pipelines.landmarks import fixed_of
+from pipelines.nodes import instantiate
+from pipelines.overrides import ask_what_was_meant, meant
 
 
 def test_a_key_that_is_like_another_one_is_asked_about(monkeypatch, capsys):
     given = ["room.keepout=[]", "room.keep_out=[]", "deployment.count=5", "nothing.like=it", "+room.mine=1", "--help"]
     monkeypatch.setattr(sys, "argv", ["optimise", *given])
-    ask_what_was_meant(CONF)
+    ask_what_was_meant()
     assert capsys.readouterr().err == "room.keepout: did you mean room.keep_out?\n"
-    assert meant("budget.evaluation", CONF) == "did you mean budget.evaluations?"
-    assert meant("room", CONF) == ""
+    assert meant("budget.evaluation") == "did you mean budget.evaluations?"
+    assert meant("room") == ""
 
 
 def test_so_is_one_of_a_file_of_ones_own():

@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from pipelines.operations.sweeps.folder import JobFolder
-from pipelines.operations.sweeps.jobs import Job, Sweep
+from pipelines.operations.sweeps.folder import Job, JobFolder, Sweep
 from pipelines.operations.sweeps.summary import best_and_median, description, pivots
 
 

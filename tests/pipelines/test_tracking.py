@@ -12,8 +12,7 @@ from recorded_runs import ANOTHER, started, stored
 from lmd.core.checks import InputError
 from pipelines.operations.sweeps.forks import context
 from pipelines.operations.tracking import MlflowReader, MlflowTracker, NoTracker, RunStart
-from pipelines.operations.tracking.hand_in import GONE
-from pipelines.operations.tracking.processes import is_gone, this_process
+from pipelines.operations.tracking.journal import GONE, is_gone, this_process
 from pipelines.operations.tracking.store import DESCRIPTION
 
 pytestmark = pytest.mark.usefixtures("folder")

@@ -9,10 +9,9 @@ from hypothesis import strategies as st
 from paper import paper_room, paper_scene
 from strategies import scenes_with_deployments
 
+from lmd.incremental.camera import turns
 from lmd.incremental.coverage_field import coverage_field
-from lmd.incremental.hiding import flips_with
-from lmd.incremental.move import state_of
-from lmd.incremental.state import AFTER, AFTER_HIDDEN, AFTER_HIDING, FOUND, HIDDEN, HIDING, scratch_of
+from lmd.incremental.state import HIDDEN, HIDING
 from lmd.scene.deployment_sources import RandomDeployment
 from lmd.sight.blocks import BLOCK
 from lmd.sight.evaluator import Evaluator
@@ -37,7 +36,7 @@ def counted(field, landmarks, block):
 
 def check(scene, deployment):
     field = coverage_field(Evaluator(scene, threads=1), 1)
-    state = state_of(field, deployment)
+    state = field.state(deployment)
     for p in range(0, field.positions.shape[1], 7):
         hides = hidden_by_each(scene, deployment.positions, field.positions[:, p])
         near = hides & counted(field, deployment.positions, p // BLOCK)
@@ -63,10 +62,10 @@ def test_so_it_is_in_a_room_of_many_blocks_full_of_landmarks(occlusion):
 def test_a_trial_finds_what_its_place_hides_and_who_hides_it(case, data):
     scene, deployment = case
     field = coverage_field(Evaluator(scene, threads=1), 1)
-    state = state_of(field, deployment)
-    if field.sight.reach < 0.0:
+    state = field.state(deployment)
+    if field.cameras.sight.reach < 0.0:
         return
-    scratch = scratch_of(state)
+    scratch = field.scratch(state)
     k = data.draw(st.integers(0, len(deployment) - 1))
     target = deployment.positions[data.draw(st.integers(0, len(deployment) - 1))] + data.draw(
         st.sampled_from([0, 0.03])
@@ -75,18 +74,17 @@ def test_a_trial_finds_what_its_place_hides_and_who_hides_it(case, data):
     settle(field, k, state, scratch)
     moved = deployment.positions.copy()
     moved[k] = target
-    hidden, hiding = scratch.shorts[AFTER_HIDDEN], scratch.shorts[AFTER_HIDING]
-    found, who = scratch.lists[FOUND + AFTER], scratch.who[AFTER]
+    hidden, hiding = scratch.hides[HIDDEN], scratch.hides[HIDING]
     for p in range(0, field.positions.shape[1], 5):
         hides = hidden_by_each(scene, moved, field.positions[:, p]) & counted(field, moved, p // BLOCK)
         assert hidden[p] == hides[k].sum()
         assert hiding[p] == hides[:, k].sum()
-        named = who[p // BLOCK, : int(found[p // BLOCK])]
+        named = np.flatnonzero(scratch.known[p])
         assert set(np.flatnonzero(hides[k] | hides[:, k])) <= set(named.tolist())
         assert k not in named
 
 
 def test_a_landmark_flips_where_the_first_comes_to_hide_it_or_the_last_ceases_to():
     cases = [(0, 0), (0, 1), (1, 0), (1, 2), (2, 1), (0, 3)]
-    assert [bool(flips_with(True, was, now)) for was, now in cases] == [False, True, True, False, False, True]
-    assert not any(flips_with(False, was, now) for was, now in cases)
+    assert [bool(turns(True, was, now)) for was, now in cases] == [False, True, True, False, False, True]
+    assert not any(turns(False, was, now) for was, now in cases)

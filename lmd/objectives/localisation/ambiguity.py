@@ -62,9 +62,20 @@ def _is_limit(limit: float | None) -> bool:
     return True
 
 
+@overridable
+def least_residual(limit: float | None) -> float:
+    """`Precision.residual`, 0 without a limit."""
+    return limit  # type: ignore[return-value] # None has a function of its own
+
+
 @_is_limit.register(type(None))
 def _is_no_limit(limit: None) -> bool:
     return False
+
+
+@least_residual.register(type(None))
+def _no_residual(limit: None) -> float:
+    return 0.0
 
 
 @inlined
@@ -105,7 +116,7 @@ def camera_residual(
 
 
 @camera_residual.register(type(None))
-def _no_residual(
+def _no_camera_residual(
     least: None,
     x: Number, y: Number, z: Number, rx: Number, ry: Number, rz: Number, ux: Number, uy: Number, uz: Number,
 ) -> Number:  # fmt: skip

@@ -9,17 +9,22 @@ from typing import Any
 import numpy as np
 from numba import literal_unroll
 
-from lmd.core.bits import ZERO, Integer, WordArray
+from lmd.core.bits import ALL, Integer, WordArray
 from lmd.core.compiled import inlined, inner
-from lmd.core.dispatch import dispatched, dispatched_call
+from lmd.core.dispatch import dispatched_call
 from lmd.geometry.squares import upright_sides
+from lmd.incremental.counts import ENOUGH, SHORT
 from lmd.incremental.nearby import pose_of, target_of
+from lmd.incremental.rig import list_near
 from lmd.incremental.state import (
+    ASKED,
     CAPS,
-    FRESH,
-    HIDDEN,
+    FIRST,
+    LAST,
+    LISTED,
     PAIR_COUNT,
     REACHED,
+    SPAN_COUNT,
     TOUCHED,
     VEILED,
     WHERE,
@@ -29,15 +34,36 @@ from lmd.incremental.state import (
     Scratch,
     State,
 )
-from lmd.incremental.trial import shown_of, turned
+from lmd.incremental.trial import ask_touched, fresh_of, list_changing, see, see_whole, shown_of, turned
 from lmd.objectives.localisation.information import Precision, half_of
 from lmd.objectives.localisation.pairs import Mounts, Place, Tag, add_to_body, add_up
 from lmd.objectives.localisation.views import LEFT, OTHER, TRIED, add_to_camera, landmark_moments
 
 
-@dispatched
-def fresh_of(trial: Any, p: Integer, w: Integer) -> Any:
-    """Orientations of word w with which the moved landmark is seen at the other place, all of them being known."""
+@dispatched_call
+def see_place(known: Any, k: np.uint64, n: Integer, localised: WordArray, cover: Any, trial: Any) -> Any:
+    """Find in `FRESH` all orientations that matter with which landmark k is seen at the place tried.
+
+    Args:
+        known, trial: state and scratch of coverage.
+        k: the landmark.
+        n: landmarks that must be covered.
+        localised: `(Q, W)` views that are localised.
+        cover: field of coverage.
+
+    Returns:
+        number of positions in `LISTED` at which values may change.
+    """
+
+
+@dispatched_call
+def see_touched(known: Any, k: np.uint64, n: Integer, positions: WordArray, cover: Any, trial: Any) -> None:
+    """`see_place` anew at `positions` that are touched."""
+
+
+@dispatched_call
+def see_rest(known: Any, k: np.uint64, cover: Any, trial: Any) -> None:
+    """Find in `FRESH` all other orientations, for a move that is carried out."""
 
 
 @dispatched_call
@@ -52,23 +78,40 @@ def look_from(known: Any, k: np.uint64, p: np.uint64, field: Any, scratch: Any) 
 
 @dispatched_call
 def add_changes(
-    known: Any, k: np.uint64, p: np.uint64, w: np.uint64, fresh: np.uint64, sign: float, count: np.uint64, field: Any,
-    scratch: Any,
+    known: Any, k: np.uint64, p: np.uint64, w: np.uint64, sign: float, field: Any, scratch: Any
 ) -> None:  # fmt: skip
-    """Add the changes of a move to the views taken, `count` of word w, times `sign`; `fresh` as in `fresh_of`."""
+    """Add the changes of a move to the views taken, of word w, times `sign`."""
 
 
 @dispatched_call
-def add_shown(known: Any, p: np.uint64, w: np.uint64, count: np.uint64, field: Any, scratch: Any) -> None:
-    """Add to the views taken, `count` of word w, all landmarks that they show."""
+def add_shown(known: Any, p: np.uint64, w: np.uint64, field: Any, scratch: Any) -> None:
+    """Add all landmarks to the views taken, of word w."""
 
 
 # A single camera.
 
 
-@fresh_of.register(Scratch)
-def _fresh_of(trial: Scratch, p: Integer, w: Integer) -> np.uint64:
-    return trial.cap[p, w] if trial.flags[REACHED, p] & (trial.hides[HIDDEN, p] == 0) else ZERO
+@see_place.register(State)
+def _see_place(known: State, k: np.uint64, n: Integer, localised: WordArray, cover: Any, trial: Scratch) -> np.uint64:
+    see_whole(k, cover, known, trial)  # to ask for some orientations only would take longer: the tables settle most
+    ask_touched(k, n, True, known, trial)
+    count: np.uint64 = list_changing(known, k, trial)
+    return count
+
+
+@see_touched.register(State)
+def _see_touched(known: State, k: np.uint64, n: Integer, positions: WordArray, cover: Any, trial: Scratch) -> None:
+    asked = trial.sets[ASKED]
+    for p in positions:
+        for w in range(np.uint64(asked.shape[1])):
+            asked[p, w] = ALL
+    see(known, k, positions, cover, trial)
+    ask_touched(k, n, True, known, trial)
+
+
+@see_rest.register(State)
+def _see_rest(known: State, k: np.uint64, cover: Any, trial: Scratch) -> None:
+    """Nothing: the trial found all."""
 
 
 @find_turns.register(State)
@@ -105,47 +148,72 @@ def _look_from(known: State, k: np.uint64, p: np.uint64, field: Any, scratch: An
 
 @inner
 def _add(
-    which: int, pose: Any, seen: np.uint64, p: np.uint64, w: np.uint64, sign: float, count: np.uint64, field: Any,
+    which: int, pose: Any, seen: np.uint64, p: np.uint64, w: np.uint64, sign: float, field: Any,
     scratch: Any,
 ) -> None:  # fmt: skip
     """Add a landmark with these moments and a `pose` to the views in which it is `seen`, times `sign`."""
     camera, (x, y, z) = field.coverage.cameras, _offset(pose, p, field)
-    add_to_camera(which, seen, x, y, z, camera.sight, camera.axes, w, sign, field.precision, scratch.views, count)
+    add_to_camera(which, seen, x, y, z, camera.sight, camera.axes, w, sign, scratch.views)
 
 
 @add_changes.register(State)
 def _add_changes(
-    known: State, k: np.uint64, p: np.uint64, w: np.uint64, fresh: np.uint64, sign: float, count: np.uint64, field: Any,
-    scratch: Any,
+    known: State, k: np.uint64, p: np.uint64, w: np.uint64, sign: float, field: Any, scratch: Any
 ) -> None:  # fmt: skip
     trial = scratch.coverage
-    _add(LEFT, pose_of(k, known), shown_of(known, k, p, w), p, w, -sign, count, field, scratch)
-    _add(TRIED, target_of(trial), fresh, p, w, sign, count, field, scratch)
+    _add(LEFT, pose_of(k, known), shown_of(known, k, p, w), p, w, -sign, field, scratch)
+    _add(TRIED, target_of(trial), fresh_of(trial, p, w), p, w, sign, field, scratch)
     for i in range(np.uint64(known.poses.shape[1] if trial.flags[TOUCHED, p] else 0)):
         if not trial.known[p, i]:
             continue
         was, now = turned(known, i, p, w, trial)
         if was != now:
             _find_moments(OTHER, pose_of(i, known), i, p, field, scratch)
-            _add(OTHER, pose_of(i, known), was & ~now, p, w, -sign, count, field, scratch)
-            _add(OTHER, pose_of(i, known), now & ~was, p, w, sign, count, field, scratch)
+            _add(OTHER, pose_of(i, known), was & ~now, p, w, -sign, field, scratch)
+            _add(OTHER, pose_of(i, known), now & ~was, p, w, sign, field, scratch)
 
 
 @add_shown.register(State)
-def _add_shown(known: State, p: np.uint64, w: np.uint64, count: np.uint64, field: Any, scratch: Any) -> None:
+def _add_shown(known: State, p: np.uint64, w: np.uint64, field: Any, scratch: Any) -> None:
     for i in range(np.uint64(known.poses.shape[1])):
         seen = shown_of(known, i, p, w)
         if seen:
             _find_moments(OTHER, pose_of(i, known), i, p, field, scratch)
-            _add(OTHER, pose_of(i, known), seen, p, w, 1.0, count, field, scratch)
+            _add(OTHER, pose_of(i, known), seen, p, w, 1.0, field, scratch)
 
 
 # A rig.
 
 
-@fresh_of.register(RigScratch)
-def _fresh_of_rig(trial: RigScratch, p: Integer, w: Integer) -> np.uint64:
-    return trial.sets[FRESH, p, w]
+@see_place.register(RigState)
+def _see_place_by_rig(
+    known: RigState, k: np.uint64, n: Integer, localised: WordArray, cover: Any, trial: RigScratch
+) -> np.uint64:
+    # Landmark k matters with n - 1 others in view or more, unless the view is localised and does not show k.
+    asked, short, enough = trial.sets[ASKED], known.counts.sets[SHORT], known.counts.sets[ENOUGH]
+    first, last = trial.lists[FIRST], trial.lists[LAST]
+    for s in range(trial.numbers[SPAN_COUNT]):
+        for q in range(first[s], last[s]):
+            for w in range(np.uint64(asked.shape[1])):
+                mine = known.shown[k, q, w]
+                asked[q, w] = (enough[q, w] & (mine | ~localised[q, w])) | (short[q, w] & ~mine)
+    ask_touched(k, n, True, known, trial)
+    count: np.uint64 = list_near(trial, False)
+    see(known, k, trial.lists[LISTED][:count], cover, trial)
+    return count
+
+
+@see_touched.register(RigState)
+def _see_touched_by_rig(
+    known: RigState, k: np.uint64, n: Integer, positions: WordArray, cover: Any, trial: RigScratch
+) -> None:
+    ask_touched(k, n, True, known, trial)
+    see(known, k, positions, cover, trial)
+
+
+@see_rest.register(RigState)
+def _see_rest_by_rig(known: RigState, k: np.uint64, cover: Any, trial: RigScratch) -> None:
+    see_whole(k, cover, known, trial)
 
 
 @inner
@@ -211,8 +279,7 @@ def _add_changes_of_part(
 
 @add_changes.register(RigState)
 def _add_changes_of_rig(
-    known: RigState, k: np.uint64, p: np.uint64, w: np.uint64, fresh: np.uint64, sign: float, count: np.uint64,
-    field: Any, scratch: Any,
+    known: RigState, k: np.uint64, p: np.uint64, w: np.uint64, sign: float, field: Any, scratch: Any
 ) -> None:  # fmt: skip
     for mounts in literal_unroll(field.mounts):
         _add_changes_of_part(mounts, known, k, p, w, sign, field, scratch)
@@ -234,7 +301,7 @@ def _add_shown_to_part(mounts: Mounts, known: RigState, q: np.uint64, w: np.uint
 
 
 @add_shown.register(RigState)
-def _add_shown_to_rig(known: RigState, p: np.uint64, w: np.uint64, count: np.uint64, field: Any, scratch: Any) -> None:
+def _add_shown_to_rig(known: RigState, p: np.uint64, w: np.uint64, field: Any, scratch: Any) -> None:
     for mounts in literal_unroll(field.mounts):
         _add_shown_to_part(mounts, known, p, w, field, scratch)
     add_up(field.precision, scratch.views)

@@ -12,7 +12,7 @@ from lmd.core.bits import BITS, ONE, ZERO, Integer, WordArray, lowest
 from lmd.core.checks import FloatArray
 from lmd.core.compiled import inlined, inner
 from lmd.geometry.squares import upright
-from lmd.objectives.localisation.ambiguity import asks_apart, mirrored_numbers
+from lmd.objectives.localisation.ambiguity import asks_apart, least_residual, mirrored_numbers
 from lmd.objectives.localisation.body import about_body, gain_of
 from lmd.objectives.localisation.information import Precision, moments, share_of
 from lmd.objectives.localisation.views import NUMBER, TAKEN, VIEW, WHOSE, WORK, BodyViews, numbers_of, whole
@@ -129,7 +129,7 @@ def add_up(precision: Precision, views: BodyViews) -> None:
     rows, work, whose, filled = views.rows, views.work, views.lists[WHOSE], views.lists[TAKEN, 1]
     _find_moments(work, precision.share, filled)
     if asks_apart(precision):
-        _find_mirrored(work, precision.residual, filled)
+        _find_mirrored(work, least_residual(precision.residual), filled)
     for i in range(filled):
         v = whose[i]
         for j in range(numbers_of(views, precision)):

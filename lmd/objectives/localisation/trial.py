@@ -21,14 +21,12 @@ import numpy as np
 from lmd.core.bits import ALL, ZERO, Integer, WordArray, at_least
 from lmd.core.checks import FloatArray
 from lmd.core.compiled import inlined, inner, kernel
-from lmd.incremental.counts import ENOUGH, SHORT, enough_with
+from lmd.incremental.counts import ENOUGH, enough_with
 from lmd.incremental.move import take_back
 from lmd.incremental.occlusion import COMES
-from lmd.incremental.rig import list_near
 from lmd.incremental.state import (
     ASKED,
     FIRST,
-    FRESH,
     LAST,
     LISTED,
     SPAN_COUNT,
@@ -36,9 +34,17 @@ from lmd.incremental.state import (
     TOUCHED_COUNT,
     TOUCHED_LIST,
 )
-from lmd.incremental.trial import ask_touched, begin_move, find_pairs, see, see_whole, shown_of
+from lmd.incremental.trial import begin_move, find_pairs, fresh_of, list_changing, shown_of
 from lmd.objectives.localisation.ambiguity import asks_apart
-from lmd.objectives.localisation.changes import add_changes, add_shown, find_turns, fresh_of, look_from
+from lmd.objectives.localisation.changes import (
+    add_changes,
+    add_shown,
+    find_turns,
+    look_from,
+    see_place,
+    see_rest,
+    see_touched,
+)
 from lmd.objectives.localisation.views import (
     VIEW,
     fetch_sums,
@@ -63,13 +69,13 @@ def mixed(located: Any, covered: Any, weight: float) -> Any:
 
 
 @inner
-def _find_turns(k: np.uint64, positions: WordArray, whole: bool, state: Any, scratch: Any) -> None:
-    """Find `LOST` and `GAINED` at `positions`, of all orientations if `whole`, else of those asked."""
+def _find_turns(k: np.uint64, positions: WordArray, state: Any, scratch: Any) -> None:
+    """Find `LOST` and `GAINED` at `positions`."""
     lost, gained, known, trial = scratch.sets[LOST], scratch.sets[GAINED], state.coverage, scratch.coverage
     for q in positions:
         for w in range(np.uint64(lost.shape[1])):
             lost[q, w] = shown_of(known, k, q, w)
-            gained[q, w] = fresh_of(trial, q, w) if whole else trial.sets[FRESH, q, w]
+            gained[q, w] = fresh_of(trial, q, w)
     find_turns(known, trial, lost, gained)
 
 
@@ -86,7 +92,7 @@ def _decide_word(
         return good
     count = fill_views(left, field.precision, views)
     fetch_sums(sums, first, views, count)
-    add_changes(state.coverage, k, q, w, scratch.coverage.sets[FRESH, q, w], 1.0, count, field, scratch)
+    add_changes(state.coverage, k, q, w, 1.0, field, scratch)
     take_sums(sums, first, field.precision, views, count)
     return good | met_views(field.precision, views, count, several)
 
@@ -99,20 +105,18 @@ def _sum_up(q: np.uint64, located: np.int64, covered: np.int64, weight: float, v
 
 @inner
 def _decide(k: np.uint64, positions: WordArray, field: Any, state: Any, scratch: Any) -> None:
-    """Find the values at `positions`, with `FRESH` of landmark k and the pairs as they turn."""
+    """Find the values at `positions`, with `FRESH` of landmark k, the pairs having turned."""
     known, trial, n, weights = state.coverage, scratch.coverage, field.coverage.n, field.coverage.weights
     counts, enough, digits = known.counts, known.counts.sets[ENOUGH], trial.digits
-    fresh, asked, touched, localised = (
-        trial.sets[FRESH], trial.sets[ASKED], trial.flags[TOUCHED], scratch.sets[LOCALISED]
-    )  # fmt: skip
+    asked, touched, localised = trial.sets[ASKED], trial.flags[TOUCHED], scratch.sets[LOCALISED]
     if field.asks:
-        _find_turns(k, positions, False, state, scratch)
+        _find_turns(k, positions, state, scratch)
     for q in positions:
         located, covered = state.located[q], known.units[q]
         if field.asks:
             look_from(known, k, q, field, scratch)
-        for w in range(np.uint64(fresh.shape[1])):
-            was, now, before = shown_of(known, k, q, w), fresh[q, w], enough[q, w]
+        for w in range(np.uint64(localised.shape[1])):
+            was, now, before = shown_of(known, k, q, w), fresh_of(trial, q, w), enough[q, w]
             has = enough_with(q, w, was, now, counts)
             if touched[q]:
                 has = at_least(digits[q, w], n) | (now & asked[q, w])
@@ -129,35 +133,20 @@ def _decide(k: np.uint64, positions: WordArray, field: Any, state: Any, scratch:
 
 
 @inner
-def _ask(k: np.uint64, state: Any, scratch: Any) -> None:
-    """Ask for the orientations in which landmark k may matter, and copy the values near it; pairs do not turn.
-
-    It matters with n - 1 other landmarks in view or more, unless the view is localised and does not show k.
-    """
-    known, trial, asked = state.coverage, scratch.coverage, scratch.coverage.sets[ASKED]
-    short, enough = known.counts.sets[SHORT], known.counts.sets[ENOUGH]
-    first, last, tried = trial.lists[FIRST], trial.lists[LAST], scratch.sets[LOCALISED]
-    for s in range(trial.numbers[SPAN_COUNT]):
-        for q in range(first[s], last[s]):
-            scratch.located[q] = state.located[q]
-            for w in range(np.uint64(asked.shape[1])):
-                mine, localised = shown_of(known, k, q, w), state.localised[q, w]
-                asked[q, w] = (enough[q, w] & (mine | ~localised)) | (short[q, w] & ~mine)
-                tried[q, w] = localised
-
-
-@inner
 def bound_move(field: Any, k: Integer, pose: FloatArray, surface: Integer, state: Any, scratch: Any) -> None:
     """Find upper bounds on the values with landmark k at `pose` `(6,)` on a surface: `scratch.units`."""
     cover, known, trial, i = field.coverage, state.coverage, scratch.coverage, np.uint64(k)
     begin_move(i, pose, surface, cover, known, trial)
     for q in range(len(scratch.units)):
         scratch.units[q] = state.units[q]
-    _ask(i, state, scratch)
-    ask_touched(i, cover.n, True, known, trial)
-    positions = trial.lists[LISTED][: list_near(trial, False)]
-    see(known, i, positions, cover, trial)
-    _decide(i, positions, field, state, scratch)
+    first, last, tried = trial.lists[FIRST], trial.lists[LAST], scratch.sets[LOCALISED]
+    for s in range(trial.numbers[SPAN_COUNT]):
+        for q in range(first[s], last[s]):
+            scratch.located[q] = state.located[q]
+            for w in range(np.uint64(tried.shape[1])):
+                tried[q, w] = state.localised[q, w]
+    count = see_place(known, i, cover.n, state.localised, cover, trial)
+    _decide(i, trial.lists[LISTED][:count], field, state, scratch)
 
 
 @inner
@@ -165,9 +154,8 @@ def finish_move(field: Any, k: Integer, state: Any, scratch: Any) -> None:
     """Make the values that `bound_move` found exact."""
     cover, known, trial, i = field.coverage, state.coverage, scratch.coverage, np.uint64(k)
     find_pairs(known, i, COMES, cover, trial)
-    ask_touched(i, cover.n, True, known, trial)
     positions = trial.lists[TOUCHED_LIST][: trial.numbers[TOUCHED_COUNT]]
-    see(known, i, positions, cover, trial)
+    see_touched(known, i, cover.n, positions, cover, trial)
     _decide(i, positions, field, state, scratch)
 
 
@@ -177,8 +165,8 @@ def _change_sums(k: np.uint64, sign: float, field: Any, state: Any, scratch: Any
     if not field.asks:
         return
     words, trial, views = np.uint64(state.localised.shape[1]), scratch.coverage, scratch.views
-    positions = trial.lists[LISTED][: list_near(trial, True)]
-    _find_turns(k, positions, True, state, scratch)
+    positions = trial.lists[LISTED][: list_changing(state.coverage, k, trial)]
+    _find_turns(k, positions, state, scratch)
     for q in positions:
         look_from(state.coverage, k, q, field, scratch)
         for w in range(words):
@@ -187,7 +175,7 @@ def _change_sums(k: np.uint64, sign: float, field: Any, state: Any, scratch: Any
                 continue
             count, first = fill_views(changed, field.precision, views), (q * words + w) * VIEW
             fetch_sums(state.sums, first, views, count)
-            add_changes(state.coverage, k, q, w, fresh_of(trial, q, w), sign, count, field, scratch)
+            add_changes(state.coverage, k, q, w, sign, field, scratch)
             give_sums(state.sums, first, field.precision, views, count)
 
 
@@ -206,7 +194,7 @@ def _exchange(state: Any, scratch: Any) -> None:
 @inner
 def carry_out(field: Any, k: Integer, state: Any, scratch: Any) -> None:
     """Move landmark k to the place tried last: see `lmd.incremental.move.carry_out`."""
-    see_whole(state.coverage, np.uint64(k), field.coverage, scratch.coverage)
+    see_rest(state.coverage, np.uint64(k), field.coverage, scratch.coverage)
     _change_sums(np.uint64(k), 1.0, field, state, scratch)
     take_back(field.coverage, k, state.coverage, scratch.coverage)
     _exchange(state, scratch)
@@ -227,7 +215,7 @@ def _meet_anew(q: np.uint64, w: np.uint64, field: Any, state: Any, scratch: Any)
     for k in range(np.uint64(known.poses.shape[1])):
         seen |= shown_of(known, k, q, w)
     count, first = fill_views(seen, precision, views), (q * np.uint64(state.localised.shape[1]) + w) * VIEW
-    add_shown(known, q, w, count, field, scratch)
+    add_shown(known, q, w, field, scratch)
     give_sums(state.sums, first, precision, views, count)
     return met_views(precision, views, count, seen_twice(ZERO, ZERO, known.counts.digits[q, w]))
 

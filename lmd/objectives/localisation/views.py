@@ -1,10 +1,10 @@
 """Views that are worked on together: those of one position with some orientations of a word of bits.
 
-Number j of view v lies at `rows[j * BITS + v]`, so that loops over views vectorise. The source is one for a camera and
-for a rig, and is compiled for each: a camera looks from one point with all orientations, so a landmark has one set of
-moments for all views of a position. A camera of a rig is elsewhere for each orientation: the moments are found for each
-pair of a landmark and a view, in a loop over listed pairs that vectorises. A camera with listed pairs would find the
-moments of a landmark anew for each view, up to 64 times as often. `pairs` has the listed pairs of a rig.
+The source is one for a camera and for a rig, and is compiled for each. A camera looks from one point with all
+orientations, so a landmark has one set of moments for all views of a position, and is added to a row of numbers for
+each view. A camera of a rig is elsewhere for each orientation: the moments are found for each pair of a landmark and a
+view, in a loop over listed pairs (`pairs`) that vectorises; for a single camera that would be up to 64 times as often.
+So `rows` has the numbers of one view side by side for a camera, and `BITS` apart for a rig: `start_of`, `step_of`.
 """
 
 from typing import Any, NamedTuple, TypeAlias
@@ -51,8 +51,6 @@ class CameraViews(NamedTuple):
     """`(WIDTH BITS,)` sums of the views."""
     met: np.ndarray
     """`(BITS,)` uint8, 1 for a view that has the precision."""
-    weights: FloatArray
-    """`(BITS,)` pixel density of a landmark in each view, 0 where it is not seen."""
     moments: FloatArray
     """`(3, WIDTH)` moments of landmarks at the position: `LEFT`, `TRIED`, `OTHER`."""
 
@@ -76,7 +74,7 @@ Views: TypeAlias = CameraViews | BodyViews
 def camera_views() -> CameraViews:
     """Working memory for a single camera."""
     lists, met = np.zeros((4, BITS), np.uint64), np.zeros(BITS, np.uint8)
-    return CameraViews(lists, np.zeros(WIDTH * BITS), met, np.zeros(BITS), np.zeros((3, WIDTH)))
+    return CameraViews(lists, np.zeros(WIDTH * BITS), met, np.zeros((3, WIDTH)))
 
 
 def body_views() -> BodyViews:
@@ -92,12 +90,42 @@ def numbers_of(views: Any, precision: Precision) -> Any:
 
 @numbers_of.register(CameraViews)
 def _camera_numbers(views: CameraViews, precision: Precision) -> np.uint64:
-    return np.uint64(NUMBERS + 1 if asks_apart(precision) else NUMBERS)
+    return np.uint64(views.moments.shape[1])  # unknown to the compiler, which would unroll loops and not vectorise them
 
 
 @numbers_of.register(BodyViews)
 def _body_numbers(views: BodyViews, precision: Precision) -> np.uint64:
     return np.uint64(BODY_NUMBERS + MIRRORED if asks_apart(precision) else BODY_NUMBERS)
+
+
+@dispatched
+def start_of(views: Any, v: Integer) -> Any:
+    """Index in `rows` of the first number of view v."""
+
+
+@start_of.register(CameraViews)
+def _camera_start(views: CameraViews, v: Integer) -> Any:
+    return v * np.uint64(WIDTH)
+
+
+@start_of.register(BodyViews)
+def _body_start(views: BodyViews, v: Integer) -> Any:
+    return v
+
+
+@dispatched
+def step_of(views: Any) -> Any:
+    """Distance in `rows` of two numbers of a view."""
+
+
+@step_of.register(CameraViews)
+def _camera_step(views: CameraViews) -> np.uint64:
+    return ONE
+
+
+@step_of.register(BodyViews)
+def _body_step(views: BodyViews) -> np.uint64:
+    return VIEW
 
 
 @dispatched
@@ -107,7 +135,8 @@ def is_met(views: Any, precision: Precision, v: Integer, several: Any) -> Any:
 
 @is_met.register(CameraViews)
 def _camera_is_met(views: CameraViews, precision: Precision, v: Integer, several: Any) -> Any:
-    return meets(precision, views.rows, v, VIEW) & (several | has_one_pose(precision.residual, views.rows, v, VIEW))
+    rows, start = views.rows, v * np.uint64(WIDTH)
+    return meets(precision, rows, start, ONE) & (several | has_one_pose(precision.residual, rows, start, ONE))
 
 
 @is_met.register(BodyViews)
@@ -132,9 +161,9 @@ def fill_views(left: np.uint64, precision: Precision, views: Views) -> np.uint64
         bits[count], number[bit] = bit, count
         left &= left - ONE
         count += ONE
-    for j in range(numbers_of(views, precision)):
-        for v in range(whole(count)):
-            rows[j * VIEW + v] = 0.0
+    for v in range(whole(count)):
+        for j in range(numbers_of(views, precision)):
+            rows[start_of(views, v) + j * step_of(views)] = 0.0
     return count
 
 
@@ -155,7 +184,7 @@ def take_sums(sums: FloatArray, first: np.uint64, precision: Precision, views: V
     bits, rows = views.lists[ORIENTATION], views.rows
     for v in range(count):
         for j in range(numbers_of(views, precision)):
-            rows[j * VIEW + v] += sums[first + bits[v], j]
+            rows[start_of(views, v) + j * step_of(views)] += sums[first + bits[v], j]
 
 
 @inner
@@ -164,7 +193,7 @@ def give_sums(sums: FloatArray, first: np.uint64, precision: Precision, views: V
     bits, rows = views.lists[ORIENTATION], views.rows
     for v in range(count):
         for j in range(numbers_of(views, precision)):
-            sums[first + bits[v], j] += rows[j * VIEW + v]
+            sums[first + bits[v], j] += rows[start_of(views, v) + j * step_of(views)]
 
 
 @inner
@@ -207,7 +236,7 @@ def landmark_moments(
 @inner
 def add_to_camera(
     which: int, seen: np.uint64, x: float, y: float, z: float, sight: Any, axes: FloatArray, w: np.uint64, sign: float,
-    precision: Precision, views: CameraViews, count: np.uint64,
+    views: CameraViews,
 ) -> None:  # fmt: skip
     """Add a landmark to the views in which it is `seen`, times `sign`.
 
@@ -218,19 +247,12 @@ def add_to_camera(
         sight, axes: of the camera.
         w: the word.
         sign: 1 or -1.
-        precision: names the numbers that are needed.
-        views, count: the views.
+        views: the views.
     """
-    left, number, weights, rows = seen & views.lists[TAKEN, 0], views.lists[NUMBER], views.weights, views.rows
-    if left == ZERO:
-        return
-    for v in range(whole(count)):
-        weights[v] = 0.0
+    left, number, rows, moment = seen & views.lists[TAKEN, 0], views.lists[NUMBER], views.rows, views.moments[which]
     while left:
         bit = lowest(left)
         left &= left - ONE
-        weights[number[bit]] = pixel_density(sight, x, y, z, axes, w * VIEW + bit)
-    for j in range(numbers_of(views, precision)):
-        moment = views.moments[which, j]
-        for v in range(whole(count)):
-            rows[j * VIEW + v] += sign * share_of(moment, weights[v])
+        weight, start = pixel_density(sight, x, y, z, axes, w * VIEW + bit), number[bit] * np.uint64(WIDTH)
+        for j in range(np.uint64(len(moment))):
+            rows[start + j] += sign * share_of(moment[j], weight)

@@ -1,13 +1,13 @@
 """Gradient ascent of all landmarks at once on fresh samples: annealing on samples ends with it.
 
-A walk on samples stops short of a local optimum: what one small step of one landmark is worth is soon less than what
-the sample errs. Here each sample serves all landmarks, and the steps average over samples.
+A walk on samples stops short of a local optimum: the gain of a small step of one landmark soon is less than the error
+of the sample. Here each sample serves all landmarks, and the steps average over samples.
 
 The slope of the smoothed objective (`walk`) along u and v of a landmark's surface is a central difference of values
-that are exact on the sample, (f(x + d) - f(x - d)) / 2 d, hiding included. So any objective with a field can be
+that are exact on the sample, (f(x + d) - f(x - d)) / 2 d, occlusion included. So any objective with a field can be
 climbed. The difference is taken over millimetres: pairs hang just far enough apart not to hide each other, and a wider
-one would smear that edge, and push them further. The steps are those of Adam (Kingma and Ba, 2015), which are smaller
-where samples disagree about the direction.
+difference would smear that edge and push them further apart. The steps are those of Adam (Kingma and Ba, 2015), which
+are smaller where samples disagree about the direction.
 """
 
 from collections.abc import Mapping
@@ -28,13 +28,15 @@ from lmd.space.surface import SurfaceArrays
 
 PLACES_TRIED = 4  # places at which a landmark is tried in each step
 DIFFERENCE_M = 3e-3  # d, metres
-STEP_M = 3e-3, 3e-4  # a landmark's step along u and v where all samples agree: at first, and at last; metres
-WIDTH, SHARE = 6e-3, 0.02  # of the smoothed objective
-MOMENT_DECAY = 0.9, 0.999  # share of the mean slope, and of the mean squared slope, that a step leaves as it is
+STEP_M = 3e-3, 3e-4  # step of a landmark along u and v where all samples agree, at first and at last, metres
+WIDTH, SHARE = 6e-3, 0.02  # width and share of the smoothed objective, as in `Settings`
+MOMENT_DECAY = 0.9, 0.999  # share of the mean slope, and of the mean squared slope, that a step keeps
 
 
 @kernel
-def _slopes(first, field, state, scratch, target, surfaces, out):  # type: ignore[no-untyped-def]
+def _slopes(
+    first: int, field: Any, state: Any, scratch: Any, target: Any, surfaces: SurfaceArrays, out: FloatArray
+) -> None:
     """Write the slope of the smoothed objective along u and v into `out` `(K, 2)`, for landmarks from `first` on."""
     units, accepted, known = scratch.units, state.units, placed(state)
     poses = known.poses
@@ -66,7 +68,7 @@ def _slopes(first, field, state, scratch, target, surfaces, out):  # type: ignor
 
 
 class Ascent:
-    """Where the ascent is going: Adam's means of the slopes of K landmarks.
+    """Adam's means of the slopes of K landmarks.
 
     Args:
         count: K.
@@ -78,13 +80,14 @@ class Ascent:
     def step(
         self, problem: Problem, here: Deployment, progress: float, samples: int, rng: np.random.Generator
     ) -> Deployment:
-        """The landmarks of `here` that are not fixed, each a step further along its surface.
+        """Move the landmarks of `here` that are not fixed a step along their surfaces.
 
         Args:
             problem: its objective has a sampling.
             here: K landmarks, flush on their surfaces.
             progress: share of the ascent that is done, in [0, 1]; the steps get smaller.
-            samples: samples to draw, each with one position in each cell; on threads of their own, if there are any.
+            samples: number of samples to draw, each with one position in each cell; on as many threads, if possible.
+            rng: draws the samples.
         """
         surfaces, seeds = SurfaceArrays.of(problem.scene.plates.hanging.surfaces()), rng.integers(2**63, size=samples)
 
@@ -112,14 +115,14 @@ class Ascent:
         return problem.apart(moved) or here
 
     def state(self) -> dict[str, Any]:
-        """Where it is going, as data."""
+        """Return the means as data."""
         return {"mean": self._mean, "square": self._square, "steps": self._steps}
 
     def restore(self, state: Mapping[str, Any]) -> None:
-        """Take over the `state` of another of as many landmarks.
+        """Take over the `state` of another ascent of as many landmarks.
 
         Raises:
-            InputError: it is none.
+            InputError: `state` is not one.
         """
         count = len(self._mean)
         self._mean = array("ascent.mean", state["mean"], np.float64, count, 2)

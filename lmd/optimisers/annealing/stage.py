@@ -1,77 +1,78 @@
-"""The conditions of a stage of simulated annealing, as a user sets them."""
+"""Conditions of a stage of simulated annealing, as a user sets them, and the default stages."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from typing import Any
 
 from lmd.core.checks import argument_of, check_fields, choice, real, vector
-from lmd.optimisers.annealing.walk import Settings
+from lmd.optimisers.annealing.moves import Settings
+
+PAIRS = ("temperature", "width", "step")
+CONSTANTS = ("margin", "share", "jump", "join", "together", "exchange")
 
 
 @dataclass(frozen=True)
 class Stage:
-    """The conditions of one stage; pairs run geometrically from the first to the second value.
-
-    Args:
-        temperature: loss in the smoothed objective (a mean over positions) accepted with probability 1/e.
-        width: of the smooth step around the threshold, in probability.
-        step: standard deviation of a local move, metres.
-        margin: how far above thold_p the middle of the smooth step lies.
-        share: weight of the average P_n beside the smooth step.
-        jump: probability that a move goes anywhere on the walls.
-        join: probability that a move goes next to another landmark.
-        together: probability that a landmark takes its n - 1 nearest neighbours along.
-        exchange: probability that a landmark exchanges its place with one of another size, if there is one.
+    """Conditions of one stage; pairs run geometrically from the first to the second value.
 
     Raises:
         InputError: a value is out of range.
     """
 
     temperature: Sequence[float]
+    """Loss in the smoothed objective, a mean over positions, that is accepted with probability 1/e."""
     width: Sequence[float]
+    """Width of the smooth step around the threshold, in value."""
     step: Sequence[float]
+    """Standard deviation of a local move, metres."""
     margin: float = 0.0
+    """Height of the middle of the smooth step above the threshold, in value."""
     share: float = 0.02
+    """Weight of the mean value beside the smooth step."""
     jump: float = 0.1
+    """Probability of a move to a place drawn uniformly from all surfaces."""
     join: float = 0.1
+    """Probability of a move next to another landmark."""
     together: float = 0.0
+    """Probability that a landmark moves with its n - 1 nearest neighbours."""
     exchange: float = 0.05
+    """Probability that a landmark exchanges its place with one of another size, where there are several sizes."""
 
     def __post_init__(self) -> None:
-        check_fields(self, vector, "temperature", "width", "step", size=2, above=0.0)
+        check_fields(self, vector, *PAIRS, size=2, above=0.0)
         real("margin", self.margin)
         real("share", self.share, low=0.0)
-        real("jump", self.jump, low=0.0, high=1.0)
-        real("join", self.join, low=0.0, high=1.0 - self.jump)
-        real("together", self.together, low=0.0, high=1.0)
-        real("exchange", self.exchange, low=0.0, high=1.0)
+        real("join", self.join, low=0.0, high=1.0 - real("jump", self.jump, low=0.0, high=1.0))
+        check_fields(self, real, "together", "exchange", low=0.0, high=1.0)
 
     def settings(self, progress: float, near: float) -> Settings:
-        """The conditions after a share `progress` in [0, 1] of the stage."""
+        """Settings of the walk after a share `progress` in [0, 1] of the stage.
 
-        def now(values: Sequence[float]) -> float:
-            first, last = values
-            return float(first * (last / first) ** max(0.0, min(progress, 1.0)))
+        Args:
+            progress: clipped to [0, 1].
+            near: standard deviation of the distance from the landmark that a move joins, metres.
+        """
+        progress = max(0.0, min(progress, 1.0))
+        now = {name: getattr(self, name) for name in CONSTANTS}
+        for name in PAIRS:
+            first, last = getattr(self, name)
+            now[name] = float(first * (last / first) ** progress)
+        return Settings(near=near, **now)
 
-        return Settings(
-            temperature=now(self.temperature),
-            width=now(self.width),
-            margin=self.margin,
-            share=self.share,
-            step=now(self.step),
-            jump=self.jump,
-            join=self.join,
-            near=near,
-            together=self.together,
-            exchange=self.exchange,
-        )
+
+STACKED_STAGE = Stage(temperature=(2e-3, 1e-5), width=(0.06, 0.003), step=(1.0, 0.1), jump=0.1, join=0.0)
+SINGLE_STAGE = Stage(
+    temperature=(2e-5, 2e-6), width=(0.006, 0.002), step=(0.1, 0.01), jump=0.03, join=0.05, together=0.3
+)
+SAMPLED_STAGE = replace(SINGLE_STAGE, width=(0.02, 0.004), share=0.2)
+GIVEN_STAGE = replace(SINGLE_STAGE, temperature=(1e-4, 2e-6), width=(0.02, 0.002), step=(0.3, 0.01))
 
 
 def changed(name: str, default: Stage, given: Stage | Mapping[str, Any]) -> Stage:
-    """The stage `given`, or the default one with what differs from it.
+    """Return the stage `given`, or the default stage with the conditions that a mapping gives.
 
     Raises:
-        InputError: a value is out of range, or there is no such condition.
+        InputError: a value is out of range, or no condition has such a name.
     """
     if isinstance(given, Stage):
         return given

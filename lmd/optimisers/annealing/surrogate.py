@@ -1,6 +1,12 @@
-"""What the walk of simulated annealing climbs: the true problem, or a surrogate of it."""
+"""Surrogates of a problem that simulated annealing climbs, and the way back to deployments of the problem itself.
 
-from dataclasses import dataclass, replace
+The surrogates are *stacks*, n landmarks on one point that hide nothing; footprints that are smaller than the true ones;
+and, for an objective with a sampling, samples drawn anew for each stretch of the walk. A surrogate may be all of these.
+"""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
@@ -12,63 +18,75 @@ from lmd.core.threads import at_once
 from lmd.incremental.field import Field, Places, Stacking, in_order, placed, places_of, runner, stack_of, total_worth
 from lmd.objectives.base import incremental
 from lmd.objectives.reference_field import field_of
-from lmd.optimisers.annealing.proposals import Papers
-from lmd.optimisers.annealing.walk import Best, Settings, walk
+from lmd.optimisers.annealing.moves import Footprints, Settings
+from lmd.optimisers.annealing.walk import Best, walk
+from lmd.optimisers.stored import array, points
 from lmd.problem import Problem
 from lmd.scene.deployment import Deployment
 from lmd.scene.pushing import TOUCHING
 from lmd.sight.evaluator import Evaluator
 from lmd.space.surface import SurfaceArrays
 
+STACK_SPREAD = 1.6  # distance in virtual diameters at which the landmarks of a stack no longer hide each other
+AVERAGING_ETA = 3  # eta: at any time the last quarter of a walk has at least half of the weight in its mean
+RESTART_M = 0.5  # distance of a landmark from its mean beyond which the mean begins anew, metres
 NOWHERE = Places(np.empty((6, 0)), np.empty(0, dtype=np.int64))
 
 
 @dataclass(frozen=True)
+class Conditions:
+    """Conditions of a stretch of the walk: which surrogate it climbs, and how."""
+
+    in_stacks: bool
+    """True if each moved landmark is a stack."""
+    size: float
+    """Size of the footprints over the true one."""
+    done: float
+    """Share of the stage that is done."""
+    settings: Settings
+    """Settings of the walk."""
+
+
+@dataclass(frozen=True)
 class Walker:
-    """What one walk changes: where its `members` `(M,)` are, the best it met if it walks alone, and working memory.
+    """Memory of one of several simultaneous walks."""
 
-    `group` `(n,)` holds the landmarks that move together, `scratches` as many `layers`. The next walk begins at
-    `places`, or where the last one ended if there are none.
-    """
-
-    places: Places
     members: IntArray
+    """`(M,)` landmarks that it moves."""
     group: IntArray
+    """`(n,)` working memory: landmarks that move together."""
     state: Any
+    """State of the field, with the landmarks where this walker has left them."""
     scratches: Any
+    """`layers` of a scratch, one for each landmark of a group."""
     best: Best
+    """Best deployment that it met; of the true problem only where the walker is alone on it."""
 
 
 class Surrogate:
-    """A problem in the arrays of the walk, and where on it the walk is.
+    """A problem in the arrays of the walk, and the walkers on it.
 
-    The surrogates are stacks, which nothing hides; plates that are smaller than they are; and, if the objective has a
-    sampling, a sample drawn anew at every `prepare`.
-
-    Several walkers climb at once, on all processors. Each moves landmarks of its own, the others staying where they
-    are; then all moves are put together. Walkers share out the room by slices across a random direction, as landmarks
-    far apart are hardly ever seen together. How many there are does not depend on the machine, and so neither does the
-    result. `is_true` says whether one walker alone climbs the problem itself: what several have found is known when
-    their moves are put together.
+    Walkers climb at once, on all processors. Each moves landmarks of its own while the others stay; then all moves are
+    put together. Walkers share out the room by slices across a random direction, as landmarks far apart are hardly ever
+    seen together. Their number does not depend on the machine, and so neither does the result.
 
     Args:
         problem: the true problem.
-        walkers: at most; each has landmarks enough to move together.
-        largest: share of the positions of an objective's sampling that the samples at the end of a stage have.
+        walkers: largest number of walkers; each has landmarks enough to move together.
+        largest: share of the positions of an objective's sampling in the samples at the end of a stage.
     """
 
     def __init__(self, problem: Problem, walkers: int, largest: float) -> None:
-        self._problem, self.walkers, self._largest = problem, walkers, largest
+        self._problem, self._most_walkers, self._largest = problem, walkers, largest
         self._threads = problem.evaluator.threads
         self._surfaces = SurfaceArrays.of(problem.scene.plates.hanging.surfaces())
-        self._survey(problem.fitness_evaluator, problem.fitness_relevance)
-        self._papers: Papers
-        self._climbed: tuple[bool, float] | None = None  # in stacks, size of plates
+        self._lay_out(problem.fitness_evaluator, problem.fitness_relevance)
+        self._climbed: tuple[bool, float] | None = None  # `in_stacks` and `size` of the last walk
+        self._footprints: Footprints
         self._field: Field
         self._walkers: list[Walker]
-        self.is_true: bool
 
-    def _survey(self, evaluator: Evaluator, relevance: FloatArray) -> None:
+    def _lay_out(self, evaluator: Evaluator, relevance: FloatArray) -> None:
         """Lay out positions, orientations and relevance for the walk."""
         objective = self._problem.objective
         self._true = field_of(objective, evaluator)
@@ -76,99 +94,120 @@ class Surrogate:
 
     @property
     def stack(self) -> int:
-        """Landmarks in a stack, see `stack_of`."""
+        """Number of landmarks in a stack, see `stack_of`."""
         return stack_of(self._true)
 
-    def prepare(
-        self, here: Deployment, best: Deployment, in_stacks: bool, size: float, done: float, rng: np.random.Generator
-    ) -> None:
-        """Make ready to walk on from `here`.
+    def is_true(self, count: int, conditions: Conditions) -> bool:
+        """Return True if one walker alone climbs the problem itself, and so knows the fitness of its deployments.
 
         Args:
-            here: stacks or single landmarks.
-            best: what single landmarks have to beat on the true problem.
-            in_stacks: whether `here` is stacks.
-            size: of the plates; 1 is the truth.
-            done: share of the stage. Samples for an objective with a sampling grow with its square: a rough
-                direction will do for the first moves, but the last ones are lost in what a small sample errs.
+            count: number of landmarks or stacks.
+            conditions: of the walk.
         """
-        redrawn = self._problem.resampled(self._largest * done**2, rng)
-        movable = np.arange(0 if in_stacks else self._problem.fixed_count, len(here))
-        together = 1 if in_stacks else max(1, min(self.stack, len(movable)))
-        number = max(1, min(self.walkers, len(movable) // together))
+        exact = self._problem.objective.sampling is None and not conditions.in_stacks and conditions.size == 1.0
+        return exact and self._shared_out(count, conditions.in_stacks)[1] == 1
+
+    def walk(
+        self, here: Deployment, best: Deployment, conditions: Conditions, moves: int, rng: np.random.Generator
+    ) -> tuple[Deployment, Deployment | None]:
+        """Try `moves` moves from `here`; returns where they led, and the best deployment met if it is a new one.
+
+        Args:
+            here: stacks, or all landmarks.
+            best: best deployment of the problem so far.
+            conditions: of the walk.
+            moves: number of landmarks, or stacks, to move.
+            rng: draws all that is random.
+        """
+        places = self._prepare(here, best, conditions, rng)
+        before, number = self._walkers[0].best.fitness[0], len(self._walkers)
+        rngs = [rng] if number == 1 else [np.random.default_rng(seed) for seed in rng.integers(2**63, size=number)]
+        shares, run = np.diff(np.linspace(0, moves, number + 1).astype(int)), runner(self._field, walk)
+
+        def go(walker: Walker, share: int, own: np.random.Generator) -> None:
+            w, room = walker, (self._surfaces, self._footprints)
+            memory = self._field, w.state, w.scratches
+            run(share, places, w.members, w.group, *memory, self._target, *room, conditions.settings, own, w.best)
+
+        at_once(self._threads, go, self._walkers, shares, rngs)
+        first = self._walkers[0].best
+        found = self.is_true(len(here), conditions) and first.fitness[0] > before
+        return self._together(), first.places.deployment() if found else None
+
+    def _prepare(self, here: Deployment, best: Deployment, conditions: Conditions, rng: np.random.Generator) -> Places:
+        """Make walkers ready; returns where they have to go first, `NOWHERE` if they are there.
+
+        Samples grow with the square of the share of the stage that is done: a rough direction will do for the first
+        moves, but the last ones are smaller than the error of a small sample.
+        """
+        in_stacks, size = conditions.in_stacks, conditions.size
+        redrawn = self._problem.resampled(self._largest * conditions.done**2, rng)
+        together, number = self._shared_out(len(here), in_stacks)
         same = redrawn is None and self._climbed == (in_stacks, size)
         if same and number == 1:
-            return
+            return NOWHERE
         if redrawn is not None:
-            self._survey(*redrawn)
+            self._lay_out(*redrawn)
         self._climbed = in_stacks, size
-        self.is_true = number == 1 and redrawn is None and not in_stacks and size == 1.0
         if not in_stacks:
             pushed = self._problem.apart(here, size)
-            here = best if pushed is None else pushed  # where there is no room for the plates, the best found has it
-        self._papers = self._papers_of(len(here), 0.0 if in_stacks else size)
-        slices = self._slices(here, movable, number, rng)
+            here = best if pushed is None else pushed  # without room for larger footprints, the best found has it
+        self._footprints = self._footprints_of(len(here), 0.0 if in_stacks else size)
+        slices = self._slices(here, self._first_movable(in_stacks), number, rng)
         if same:
-            places = places_of(here)
-            self._walkers = [
-                replace(walker, places=places, members=members)
-                for walker, members in zip(self._walkers, slices, strict=True)
-            ]
-            return
+            walkers = zip(self._walkers, slices, strict=True)
+            self._walkers = [Walker(members, w.group, w.state, w.scratches, w.best) for w, members in walkers]
+            return places_of(here)
         self._field = self._true
         if isinstance(self._true, Stacking):
             self._field = self._true.stacked(self._problem.fixed) if in_stacks else self._true.shrunk(size)
         state = self._field.state(here)
         others = layers(state, number - 1)
         states = [state, *(layer(others, i) for i in range(number - 1))]
-        self._walkers = at_once(self._threads, partial(self._walker, best, together), slices, states)
+        true_best = best if self.is_true(len(here), conditions) else None
+        self._walkers = at_once(self._threads, partial(self._walker, true_best, together), slices, states)
+        return NOWHERE
 
-    def _walker(self, best: Deployment, together: int, members: IntArray, state: Any) -> Walker:
-        """A walker that begins with `state`; so many of its landmarks can move together."""
-        exchanged = 2 if len(self._papers.first) > 1 else 1
+    def _first_movable(self, in_stacks: bool) -> int:
+        """Return the index of the first landmark that may move: fixed ones are not among the stacks."""
+        return 0 if in_stacks else self._problem.fixed_count
+
+    def _shared_out(self, count: int, in_stacks: bool) -> tuple[int, int]:
+        """Return how many of `count` landmarks can move together, and the number of walkers."""
+        movable = count - self._first_movable(in_stacks)
+        together = 1 if in_stacks else max(1, min(self.stack, movable))
+        return together, max(1, min(self._most_walkers, movable // together))
+
+    def _walker(self, best: Deployment | None, together: int, members: IntArray, state: Any) -> Walker:
+        """Make a walker that begins with `state`, and has to beat `best`, or the landmarks of the state."""
+        exchanged = 2 if len(self._footprints.first) > 1 else 1
         scratches = layers(self._field.scratch(state), max(together, exchanged))
-        known = self._true.state(best) if self.is_true else state
+        known = state if best is None else self._true.state(best)
         reached = np.array([total_worth(self._target, known.units)])
         met = Best(reached, Places(placed(known).poses.copy(), placed(known).surfaces.copy()))
-        return Walker(NOWHERE, members, np.empty(together, dtype=np.int64), state, scratches, met)
+        return Walker(members, np.empty(together, dtype=np.int64), state, scratches, met)
 
-    def _papers_of(self, count: int, size: float) -> Papers:
-        """The papers of so many landmarks, `size` times as large as they are; 0 for stacks, which have none."""
+    def _footprints_of(self, count: int, size: float) -> Footprints:
+        """Footprints of `count` landmarks, `size` times the true ones; 0 for stacks, which have none."""
         plates, sizes = self._problem.scene.plates, self._problem.sizes
         if sizes is None or not size:
             edges = np.full(count, size * plates.edge * (1.0 - TOUCHING))
-            return Papers(edges, np.zeros(count, dtype=np.int64), self._surfaces.pieces, self._surfaces.first[None])
+            return Footprints(edges, np.zeros(count, dtype=np.int64), self._surfaces.pieces, self._surfaces.first[None])
         papers = plates.tag.paper_share * sizes
         found, of = np.unique(papers, return_inverse=True)
         pieces, first = plates.pieces_of(found)
-        return Papers(size * papers * (1.0 - TOUCHING), of.astype(np.int64), pieces, first)
+        return Footprints(size * papers * (1.0 - TOUCHING), of.astype(np.int64), pieces, first)
 
-    def _slices(self, here: Deployment, movable: IntArray, number: int, rng: np.random.Generator) -> list[IntArray]:
-        """The landmarks that may move, in so many slices of the room."""
+    def _slices(self, here: Deployment, first: int, number: int, rng: np.random.Generator) -> list[IntArray]:
+        """Indices of the landmarks from `first` on, shared out among `number` slices of the room."""
+        movable = np.arange(first, len(here))
         if number == 1:
             return [movable]
         across = movable[np.argsort(here.positions[movable] @ rng.normal(size=3), kind="stable")]
         return [np.sort(part) for part in np.array_split(across, number)]
 
-    def walk(self, moves: int, settings: Settings, rng: np.random.Generator) -> bool:
-        """Try `moves` moves; True if one led to a better deployment than any before."""
-        before = self._walkers[0].best.fitness[0]
-        number = len(self._walkers)
-        rngs = [rng] if number == 1 else [np.random.default_rng(seed) for seed in rng.integers(2**63, size=number)]
-        shares = np.diff(np.linspace(0, moves, number + 1).astype(int))
-
-        step = runner(self._field, walk)
-
-        def go(walker: Walker, share: int, own: np.random.Generator) -> None:
-            w, place = walker, (self._target, self._surfaces, self._papers)
-            step(share, w.places, w.members, w.group, self._field, w.state, w.scratches, *place, settings, own, w.best)
-
-        at_once(self._threads, go, self._walkers, shares, rngs)
-        self._walkers = [replace(walker, places=NOWHERE) for walker in self._walkers]  # the next one goes on from there
-        return bool(self._walkers[0].best.fitness[0] > before)
-
-    def here(self) -> Deployment:
-        """Where the walkers are."""
+    def _together(self) -> Deployment:
+        """Put the moves of all walkers together."""
         known = placed(self._walkers[0].state)
         poses, surfaces = known.poses.copy(), known.surfaces.copy()
         for walker in self._walkers[1:]:
@@ -176,6 +215,70 @@ class Surrogate:
             poses[:, mine], surfaces[mine] = known.poses[:, mine], known.surfaces[mine]
         return Places(poses, surfaces).deployment()
 
-    def best(self) -> Deployment:
-        """The best deployment met on the true problem since `prepare`, or the one given to it."""
-        return self._walkers[0].best.places.deployment()
+
+def count_stacks(problem: Problem, stack: int) -> int:
+    """Number of stacks of `stack` landmarks among those to be placed; the rest is in none."""
+    return problem.free_count // stack if stack else 0
+
+
+def pulled_apart(problem: Problem, stacks: Deployment, angles: FloatArray, stack: int, distance: float) -> Deployment:
+    """Pull stacks apart: landmarks on a circle around each, neighbours `distance` metres apart.
+
+    Args:
+        problem: gives the surfaces.
+        stacks: places of S stacks.
+        angles: direction of the first landmark of each, `(S,)`, radians.
+        stack: number of landmarks in each.
+        distance: metres.
+
+    Returns:
+        S * `stack` landmarks.
+    """
+    surfaces = SurfaceArrays.of(problem.scene.plates.hanging.surfaces())
+    radius = 0.0 if stack == 1 else distance / (2.0 * math.sin(math.pi / stack))
+    angle = angles[:, None] + 2.0 * np.pi * np.arange(stack) / stack
+    offsets = radius * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
+    at = surfaces.coordinates(stacks.surfaces, stacks.positions)[:, None] + offsets
+    of = np.repeat(stacks.surfaces, stack)
+    return Deployment(surfaces.points(of, at.reshape(-1, 2)), surfaces.normal[of], of)
+
+
+class MeanPlaces:
+    """Weighted mean of the places of each landmark since it last jumped, or moved to another surface.
+
+    On samples drawn anew a walk never rests: each step is right for its sample only, and the next sample leads back.
+    The mean of its places is nearer to what all samples agree on than any of them. Later places weigh more, since the
+    walk still improves: averaging of polynomial decay (Shamir and Zhang, 2013).
+
+    Args:
+        start: K landmarks.
+    """
+
+    def __init__(self, start: Deployment) -> None:
+        self._mean: FloatArray = start.positions.copy()
+        self._surfaces = start.surfaces
+        self._places = np.zeros(len(start))
+
+    def add(self, here: Deployment) -> Deployment:
+        """Add the places `here` to the mean; returns the mean, on the surfaces of `here`."""
+        away = here.positions - self._mean
+        jumped = (here.surfaces != self._surfaces) | (np.linalg.norm(away, axis=1) > RESTART_M)
+        self._places = np.where(jumped, 1.0, self._places + 1.0)
+        self._surfaces = here.surfaces
+        self._mean = self._mean + ((AVERAGING_ETA + 1.0) / (self._places + AVERAGING_ETA))[:, None] * away
+        return Deployment(self._mean, here.normals, here.surfaces)
+
+    def state(self) -> dict[str, Any]:
+        """Return the mean as data."""
+        return {"mean": self._mean, "surfaces": self._surfaces, "places": self._places}
+
+    def restore(self, state: Mapping[str, Any], problem: Problem) -> None:
+        """Take over the `state` of another mean of as many landmarks in the room of `problem`.
+
+        Raises:
+            InputError: `state` is not one.
+        """
+        count = len(self._places)
+        self._mean = points("mean_places.mean", state["mean"], problem, count)
+        self._surfaces = array("mean_places.surfaces", state["surfaces"], np.int64, count)
+        self._places = array("mean_places.places", state["places"], np.float64, count, low=0.0)

@@ -12,10 +12,9 @@ from hydra.experimental.callback import Callback
 from omegaconf import DictConfig, OmegaConf
 
 from ...app import chosen
-from ...building import instantiate
+from ...nodes import instantiate
 from ...provenance import parameters, source_tags
-from .folder import SweepFolder
-from .jobs import Sweep, reason_of
+from .folder import Sweep, SweepFolder, reason_of
 from .names import override_tags, pin_sweep_folder, sweep_name, swept, varied_keys
 from .summary import SEED, best_and_median, description, found_by, pivots, write_table
 from .supervisor import LOST, SWEEP_VARIABLE, end_runs

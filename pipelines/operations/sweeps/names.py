@@ -1,7 +1,5 @@
-"""Names: of the folders of sweeps and jobs, of what a sweep varies, and of values in overrides."""
+"""Names of sweeps, of jobs, of their runs and of their folders."""
 
-import hashlib
-import json
 import re
 from collections.abc import Sequence
 from pathlib import Path
@@ -9,7 +7,8 @@ from typing import Any
 
 from omegaconf import DictConfig, OmegaConf, read_write
 
-from ...input_files import contents_of
+from ...overrides import key_and_value, quoted
+from ...provenance import digest
 from .folder import SweepFolder
 
 SLUG_LENGTH = 100
@@ -17,12 +16,6 @@ NAME_LENGTH = 80
 DIGEST_LENGTH = 8  # characters of a digest in the name of a folder
 # How a run is done and where it is kept; it is the same run without.
 NOT_IN_NAME = ("hydra", "tracking", "trust", "picture", "page", "validate", "threads", "resume", "checkpoint_seconds")
-
-
-def key_and_value(override: str) -> tuple[str, str]:
-    """`+objective.n=2` as (`objective.n`, `2`)."""
-    key, _, value = override.partition("=")
-    return key.lstrip("+~"), value
 
 
 def override_tags(overrides: Sequence[str]) -> dict[str, str]:
@@ -50,12 +43,6 @@ def short_name(subject: str, overrides: Sequence[str]) -> str:
 def slug(text: str) -> str:
     """`text` in characters that need no quotes in a path or an override."""
     return re.sub(r"[^\w.-]+", "-", text)[:SLUG_LENGTH].strip("-.")
-
-
-def digest(*parts: Any) -> str:
-    """A digest that is equal for equal parts, as long as the files that they name hold the same."""
-    text = json.dumps([*parts, contents_of(parts)], sort_keys=True, default=str)
-    return hashlib.sha256(text.encode()).hexdigest()
 
 
 def _settings(root: DictConfig) -> Any:
@@ -101,17 +88,6 @@ def job_folder(*, _root_: DictConfig) -> str:
     values = [key_and_value(override) for override in _root_.hydra.overrides.task]
     kept = [f"{key.split('.')[-1]}-{value}" for key, value in values if sweep and key in sweep.varied]
     return "_".join([*filter(None, [slug("_".join(kept))]), known])
-
-
-def at(key: str, path: Path) -> str:
-    """An override whose value is a path, in quotes where Hydra needs them."""
-    return f"{key}={path}" if re.fullmatch(r"[\w./-]+", str(path)) else f"{key}={quoted(path)}"
-
-
-def quoted(path: Path) -> str:
-    """A path as the value of an override."""
-    escaped = str(path).replace("\\", "\\\\").replace("'", "\\'")
-    return f"'{escaped}'"
 
 
 def pin_sweep_folder(config: DictConfig) -> Path:

@@ -7,8 +7,7 @@ from statistics import median
 from typing import TYPE_CHECKING, Any
 
 from ...earlier_run import GROUPS
-from .folder import JobFolder
-from .jobs import Job, Sweep
+from .folder import Job, JobFolder, Sweep
 
 if TYPE_CHECKING:
     import pandas as pd

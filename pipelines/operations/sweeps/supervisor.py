@@ -17,14 +17,14 @@ from hydra.core.hydra_config import HydraConfig
 from hydra.types import RunMode
 from omegaconf import DictConfig
 
-from ...app import PACKAGE, config_dir, ends_reported, run_directory, search_path
-from ...building import instantiate
+from ...app import PACKAGE, ends_reported, run_directory
 from ...earlier_run import check_experiment
+from ...nodes import instantiate
+from ...overrides import config_dir, key_and_value, quoted, search_path
 from ..signals import CODES, Stopped, stop
 from . import forks
-from .folder import JOB_VARIABLE, JobFolder, SweepFolder, current_job
-from .jobs import Job, reason_of
-from .names import key_and_value, override_tags, quoted
+from .folder import JOB_VARIABLE, Job, JobFolder, SweepFolder, current_job, reason_of
+from .names import override_tags
 
 if TYPE_CHECKING:
     from ..tracking import Tracker

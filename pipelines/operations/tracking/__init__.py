@@ -3,7 +3,7 @@
 import os
 
 from .mlflow_tracker import MlflowTracker
-from .reader import MlflowReader
+from .store import MlflowReader
 from .tracker import PARENT_TAG, NoTracker, RunStart, Tracker
 
 __all__ = ["PARENT_TAG", "MlflowReader", "MlflowTracker", "NoTracker", "RunStart", "Tracker"]

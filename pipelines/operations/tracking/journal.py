@@ -1,39 +1,49 @@
-"""What a run has to tell its store, on disk before it is sent: what cannot be sent now can be sent later."""
+"""The journal of a run: its record on disk before it is sent, handed in later where it could not be sent.
+
+A run whose process is gone is told from one that still runs by the tags of `this_process`.
+"""
 
 import json
 import os
+import re
+import socket
+import sys
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-from lmd.core.checks import InputError
+from lmd.core.checks import InputError, printable
 
 from ...trust import PAGE
+from .store import Store, now
+from .tracker import Entry
 
-FILE = "tracking.jsonl"  # in the run's folder, until all of it is sent
-
-Entry = dict[str, Any]
+FILE = "tracking.jsonl"  # in the folder of the run until all of it is sent
+GONE = "its process is gone: it was killed, or the machine was switched off"
+PROC = Path("/proc")
+BOOT = PROC / "sys/kernel/random/boot_id"
+IDENTITY = re.compile(r"\d{1,9} \d{1,19} [0-9a-f-]{36}" if BOOT.is_file() else r"\d{1,9} \d{1,19}\.\d\d")
 
 
 class Journal:
-    """The entries of one run, a line of JSON each.
+    """The entries of one run, one line of JSON each.
 
     Args:
-        path: of the file.
-        entries: that it has already.
+        path: file of the journal.
+        entries: entries that the file has already.
     """
 
     def __init__(self, path: Path, entries: list[Entry]) -> None:
         self.path, self.entries = path, entries
-        self.on_disk = 0  # how many of them
+        self.on_disk = len(entries)  # number of entries in the file
 
     @classmethod
     def of(cls, folder: Path, elsewhere: bool = False) -> "Journal":
-        """The journal in a run's folder, an empty one where there is none; a last line cut short is left out.
+        """The journal in the folder of a run, empty if there is none; a last line that was cut short is left out.
 
         Args:
-            folder: of the run.
-            elsewhere: whether it may name files that are not in the folder, which whoever wrote it wants to be sent.
+            folder: folder of the run.
+            elsewhere: accept files outside the folder, which the author of the journal wants to be sent.
 
         Raises:
             InputError: it names such a file, or is no journal.
@@ -48,26 +58,24 @@ class Journal:
             if os.path.isfile(file) and not elsewhere and not Path(file).resolve().is_relative_to(folder.resolve()):
                 told = f"the journal in {folder} would send {file!r}, which is not in that folder"
                 raise InputError(f"{told}; `sync --yes` sends it all the same ({PAGE}).")
-        journal = cls(path, entries)
-        journal.on_disk = len(entries)
-        return journal
+        return cls(path, entries)
 
     @property
     def store(self) -> str | None:
-        """The address of the store that the run was given; None if it had none yet."""
+        """The address of the store that the run was given; None before it had one."""
         return next((str(entry["uri"]) for entry in reversed(self.entries) if {"run_id", "uri"} <= entry.keys()), None)
 
     def add(self, entry: Entry) -> None:
-        """Add an entry, also where the disk is full: then it is written with the next that fits."""
+        """Add an entry; on a full disk it is written with the next entry that fits."""
         self.entries.append(entry)
         with suppress(OSError):
             self.write()
 
     def write(self) -> None:
-        """Write what is not on disk yet.
+        """Write the entries that are not on disk yet.
 
         Raises:
-            OSError: it cannot be written.
+            OSError: they cannot be written.
         """
         self.path.parent.mkdir(parents=True, exist_ok=True)
         size = self.path.stat().st_size if self.path.exists() else 0
@@ -76,17 +84,91 @@ class Journal:
                 file.write("".join(f"{json.dumps(entry)}\n" for entry in self.entries[self.on_disk :]))
         except OSError:
             with suppress(OSError):
-                os.truncate(self.path, size)  # what fitted of it
+                os.truncate(self.path, size)  # without the part that fitted
             raise
         self.on_disk = len(self.entries)
 
     def remove(self) -> None:
-        """Forget it: all is sent."""
+        """Remove the file: all entries are sent."""
         with suppress(OSError):
             self.path.unlink(missing_ok=True)
 
 
 def _is_entry(entry: Any) -> bool:
-    """Whether an entry is a mapping, and its files, if it has any, are a list of paths."""
+    """Return whether an entry is a mapping whose files, if any, are a list of paths."""
     files = entry.get("files", []) if isinstance(entry, dict) else None
     return isinstance(files, list) and all(isinstance(file, str) for file in files)
+
+
+def hand_in(journal: Journal, uri: str) -> str:
+    """Send the journal that an ended run left behind, and remove it; entries that the store has are not doubled.
+
+    Returns:
+        the outcome, in one line.
+
+    Raises:
+        InputError: the store cannot be used, or no run has written the journal.
+    """
+    begins = [entry for entry in journal.entries if "run_id" in entry]
+    if not begins:  # killed before it had a run
+        journal.remove()
+        return f"{journal.path} held nothing"
+    try:
+        last, entries = begins[-1], journal.entries
+        ended = "end" in entries[-1]
+        if not ended and not is_gone(last):
+            return f"{journal.path} is left: its process still runs, or ran on another host ({last['host']})"
+        store, run_id = Store(uri, last["experiment"]), last["run_id"]
+        with store.errors_reported():
+            run = store.client.get_run(run_id)
+            if not ended and run.info.status == "RUNNING":
+                entries = [*entries, {"end": "FAILED", "reason": GONE, "at": now()}]
+            # The status of a run that was continued in another folder is told by that folder's journal.
+            went_on = run.data.tags.get("folder") != last["folder"]
+            for entry in entries:
+                if not (went_on and {"end", "reopen"} & set(entry)):
+                    store.send(run_id, entry)
+    except InputError:
+        raise
+    except (KeyError, TypeError, ValueError, ArithmeticError, AttributeError) as error:
+        raise InputError(
+            f"the journal in {journal.path.parent} is none that a run has written ({type(error).__name__}: {error})."
+        ) from error
+    journal.remove()
+    return f"{journal.path} is handed in: run {run.info.run_name} in {store.uri}"
+
+
+def end_those_gone(store: Store) -> None:
+    """End as FAILED the runs of this host whose process has gone without ending them, and name them on stderr."""
+    for run in store.runs("attributes.status = 'RUNNING'"):
+        if is_gone(run.data.tags):
+            store.send(run.info.run_id, {"end": "FAILED", "reason": GONE, "at": now()})
+            print(f"{printable(run.info.run_name)} is ended as FAILED: {GONE}", file=sys.stderr)
+
+
+def this_process() -> dict[str, str]:
+    """Host, number and start of this process, as tags of a run."""
+    return {"host": socket.gethostname(), "process": _identity(os.getpid())}
+
+
+def is_gone(tags: dict[str, str]) -> bool:
+    """Return whether the process in these tags has ended; False for a process of another host, or for none."""
+    import psutil
+
+    process = tags.get("process", "")
+    if tags.get("host") != socket.gethostname() or not IDENTITY.fullmatch(process):
+        return False
+    try:
+        return _identity(int(process.partition(" ")[0])) != process
+    except (psutil.NoSuchProcess, FileNotFoundError, ProcessLookupError):
+        return True
+
+
+def _identity(number: int) -> str:
+    """Number and start of a process; on Linux the start counts from the boot, as the clock may be set meanwhile."""
+    if BOOT.is_file():
+        began = (PROC / str(number) / "stat").read_text().rpartition(")")[2].split()[19]  # ticks; proc(5) counts from 1
+        return f"{number} {began} {BOOT.read_text().strip()}"
+    import psutil
+
+    return f"{number} {psutil.Process(number).create_time():.2f}"

@@ -8,11 +8,9 @@ from typing import Any
 from lmd.core.checks import InputError, boolean
 
 from .experiment import link, sweep_view
-from .hand_in import GONE, end_those_gone, hand_in
-from .journal import Entry, Journal
-from .processes import this_process
+from .journal import GONE, Journal, end_those_gone, hand_in, this_process
 from .store import PARAM_LENGTH, SQLITE, Store, first_line, is_of_store, now
-from .tracker import RunStart
+from .tracker import Entry, RunStart
 
 ADDRESS = "http://127.0.0.1:5000"  # of the server that `make ui` starts
 LABELS = {"TABLE": "table ", "CHART": "charts"}

@@ -7,7 +7,9 @@ from typing import Any, Protocol
 
 from typing_extensions import override
 
-PARENT_TAG = "mlflow.parentRunId"  # names the run that this one is shown below
+PARENT_TAG = "mlflow.parentRunId"  # tag with the run that this one is shown below
+
+Entry = dict[str, Any]  # of a journal
 
 
 @dataclass(frozen=True)

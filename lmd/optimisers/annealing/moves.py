@@ -1,0 +1,215 @@
+"""Moves that the walk of simulated annealing (`lmd.optimisers.annealing.walk`) proposes, in compiled code.
+
+Landmarks are columns of `here`, the places of all K. A move is that of a `group` of landmarks, indices `(G,)`: their
+new poses, position and normal, go to `new` `(G, 6)`, and their new surfaces to `on` `(G,)`.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from lmd.core.checks import FloatArray, IntArray
+from lmd.core.compiled import inner
+from lmd.incremental.field import Places
+from lmd.space.allowed import allows, spread_one
+from lmd.space.surface import SurfaceArrays
+
+
+class Settings(NamedTuple):
+    """Conditions of the walk; they change from stretch to stretch."""
+
+    temperature: float
+    """Loss in the smoothed objective that is accepted with probability 1/e."""
+    width: float
+    """Width in value over which the objective is smoothed."""
+    margin: float
+    """Height in value of the smoothed threshold above the true one."""
+    share: float
+    """Weight of the value itself beside the smoothed step."""
+    step: float
+    """Standard deviation of a local move, metres."""
+    jump: float
+    """Probability of a move to a place drawn uniformly from all surfaces."""
+    join: float
+    """Probability of a move next to another landmark."""
+    near: float
+    """Standard deviation of the distance from the landmark joined, along u and along v, metres."""
+    together: float
+    """Probability that a landmark moves with its n - 1 nearest neighbours, their offsets unchanged."""
+    exchange: float
+    """Probability that a landmark exchanges its place with one of another size, where there are several sizes."""
+
+
+class Footprints(NamedTuple):
+    """Squares that K landmarks cover on their surfaces; S sizes, W surfaces, T trapezoids.
+
+    Moves that let two overlap, or that leave the places where landmarks may hang, are not tried.
+    """
+
+    edges: FloatArray
+    """`(K,)` edge of the footprint of each landmark, metres; 0 for points."""
+    of: IntArray
+    """`(K,)` index of the size of each landmark."""
+    pieces: FloatArray
+    """`(T, 6)` trapezoids in which landmarks of a size may hang, as `SurfaceArrays.pieces`."""
+    first: IntArray
+    """`(S, W + 1)` trapezoids of size s on surface w are from `first[s, w]` to `first[s, w + 1]`."""
+
+
+@inner
+def _reflect(value: float, extent: float) -> float:
+    """Fold a coordinate back into [0, extent]."""
+    value = abs(value) % (2.0 * extent)
+    return 2.0 * extent - value if value > extent else value
+
+
+@inner
+def _place(
+    k: int, here: Places, surfaces: SurfaceArrays, settings: Settings, rng: np.random.Generator
+) -> tuple[int, float, float]:
+    """Draw a place for landmark k: index of a surface and coordinates along its u and v, metres."""
+    kind = rng.random()
+    if kind < settings.jump:
+        t, drawn = 0, rng.random()
+        while t < len(surfaces.shares) - 1 and drawn > surfaces.shares[t]:
+            t += 1
+        x, y, piece = rng.random(), rng.random(), surfaces.pieces[t]
+        a, b = spread_one(piece[0], piece[1], piece[2], piece[3], piece[4], piece[5], x, y)
+        return surfaces.of_piece[t], a, b
+    near, step = k, settings.step
+    if kind < settings.jump + settings.join:
+        near, step = int(rng.random() * here.poses.shape[1]), settings.near
+    s = here.surfaces[near]
+    a, b = rng.normal() * step, rng.normal() * step
+    for i in range(3):
+        offset = here.poses[i, near] - surfaces.origin[s, i]
+        a += offset * surfaces.u[s, i]
+        b += offset * surfaces.v[s, i]
+    return s, _reflect(a, surfaces.extent[s, 0]), _reflect(b, surfaces.extent[s, 1])
+
+
+@inner
+def gather(k: int, members: IntArray, poses: FloatArray, group: IntArray) -> None:
+    """Fill `group` with landmark k and its nearest neighbours among the `members`."""
+    group[0] = k
+    for m in range(1, len(group)):
+        nearest = np.inf
+        for j in members:
+            distance = 0.0
+            for i in range(3):
+                way = poses[i, j] - poses[i, k]
+                distance += way * way
+            taken = False
+            for other in group[:m]:
+                taken = taken or other == j
+            if distance < nearest and not taken:
+                nearest, group[m] = distance, j
+
+
+@inner
+def propose(
+    group: IntArray,
+    here: Places,
+    surfaces: SurfaceArrays,
+    footprints: Footprints,
+    settings: Settings,
+    rng: np.random.Generator,
+    new: FloatArray,
+    on: IntArray,
+) -> bool:
+    """Propose a place for the first landmark of `group`; the others keep their offset from it along u and v.
+
+    Returns:
+        True if all landmarks may hang at their new places.
+    """
+    k = group[0]
+    before = here.surfaces[k]
+    s, a, b = _place(k, here, surfaces, settings, rng)
+    for m in range(len(group)):
+        da = db = 0.0
+        for i in range(3):
+            offset = here.poses[i, group[m]] - here.poses[i, k]
+            da += offset * surfaces.u[before, i]
+            db += offset * surfaces.v[before, i]
+        am, bm = _reflect(a + da, surfaces.extent[s, 0]), _reflect(b + db, surfaces.extent[s, 1])
+        if not _may_hang(group[m], s, am, bm, footprints):
+            return False
+        on[m] = s
+        for i in range(3):
+            new[m, i] = surfaces.origin[s, i] + am * surfaces.u[s, i] + bm * surfaces.v[s, i]
+            new[m, 3 + i] = surfaces.normal[s, i]
+    return True
+
+
+@inner
+def _may_hang(k: int, s: int, a: float, b: float, footprints: Footprints) -> bool:
+    """Return True if landmark k may hang at (a, b) on surface s; never where s is negative."""
+    first = footprints.first[footprints.of[k]]
+    return s >= 0 and allows(footprints.pieces, first[s], first[s + 1], a, b)
+
+
+@inner
+def pair_up(k: int, members: IntArray, footprints: Footprints, rng: np.random.Generator, pair: IntArray) -> bool:
+    """Fill `pair` with landmark k and one of the `members` of another size; return False if there is none."""
+    start = int(rng.random() * len(members))
+    for i in range(len(members)):
+        j = members[(start + i) % len(members)]
+        if footprints.of[j] != footprints.of[k]:
+            pair[0], pair[1] = k, j
+            return True
+    return False
+
+
+@inner
+def exchange(
+    pair: IntArray, here: Places, surfaces: SurfaceArrays, footprints: Footprints, new: FloatArray, on: IntArray
+) -> bool:
+    """Propose that the landmarks of `pair` exchange their places; returns as `propose`."""
+    for m in range(2):
+        other = pair[1 - m]
+        s, a, b = here.surfaces[other], 0.0, 0.0
+        for i in range(3):
+            new[m, i], new[m, 3 + i] = here.poses[i, other], here.poses[3 + i, other]
+            offset = new[m, i] - surfaces.origin[s, i]
+            a, b = a + offset * surfaces.u[s, i], b + offset * surfaces.v[s, i]
+        if not _may_hang(pair[m], s, a, b, footprints):
+            return False
+        on[m] = s
+    return True
+
+
+@inner
+def overlap(
+    group: IntArray,
+    on: IntArray,
+    new: FloatArray,
+    here: Places,
+    surfaces: SurfaceArrays,
+    footprints: Footprints,
+) -> bool:
+    """Return True if a footprint of `group` at its new place would overlap another on that surface."""
+    poses, edges = here.poses, footprints.edges
+    for m in range(len(group)):
+        surface, mine = on[m], edges[group[m]]
+        u, v = surfaces.u[surface], surfaces.v[surface]
+        for j in range(poses.shape[1]):
+            if here.surfaces[j] != surface:
+                continue
+            along = up = 0.0
+            for i in range(3):
+                away = poses[i, j] - new[m, i]
+                along, up = along + away * u[i], up + away * v[i]
+            if max(abs(along), abs(up)) < (mine + edges[j]) / 2.0:
+                stays = True
+                for other in group:
+                    stays = stays and other != j
+                if stays:
+                    return True
+        for other in range(m):
+            along = up = 0.0
+            for i in range(3):
+                away = new[other, i] - new[m, i]
+                along, up = along + away * u[i], up + away * v[i]
+            if on[other] == surface and max(abs(along), abs(up)) < (mine + edges[group[other]]) / 2.0:
+                return True
+    return False

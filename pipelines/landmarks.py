@@ -1,0 +1,170 @@
+"""The landmarks that the groups `deployment` and `tag` describe: fixed ones, their number, their sizes."""
+
+import re
+from copy import deepcopy
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+from omegaconf import DictConfig, ListConfig, OmegaConf, open_dict
+
+from .nodes import note
+
+if TYPE_CHECKING:
+    from lmd.objectives.base import Objective
+    from lmd.scene.deployment import Deployment
+    from lmd.scene.scene import Scene
+
+NO_SOURCE = ("fixed", "marked", "measured", "mounting_error")  # keys of `deployment` that no source of landmarks takes
+AXES = "axes"  # key of `deployment` that holds for every table of tags, also for the one of a source
+MORE = re.compile(r"\+(\d+)")  # a count that is added to that of the fixed landmarks
+
+
+def fixed_of(node: DictConfig, family: str | None) -> "Deployment | None":
+    """The landmarks that keep their places; None for none.
+
+    With `marked`, they are those that the file marks: the file of a run has the others too.
+
+    Args:
+        node: group `deployment`.
+        family: family of the tags; None for points.
+
+    Raises:
+        InputError: the file cannot be read, or holds no deployment of that family.
+    """
+    import numpy as np
+
+    from lmd.scene.fixed import COLUMN
+    from lmd.scene.tag_map_files import read_deployment
+
+    path = node.get("fixed")
+    if path is None:
+        return None
+    found = read_deployment(path, "fixed", family, axes_in(node))
+    note(found.note)
+    marks = found.labels.columns.get(COLUMN) if found.labels and node.get("marked") else None
+    return found if marks is None else found[np.array(marks) == "1"]
+
+
+def axes_in(node: DictConfig) -> Any:
+    """Directions of a tag's axes in the tables that a group `deployment` names; None for those of this project."""
+    axes = node.get(AXES)
+    return OmegaConf.to_container(axes) if OmegaConf.is_config(axes) else axes
+
+
+def total_of(node: DictConfig, fixed: "Deployment | None") -> int | None:
+    """Number of landmarks with the fixed ones; None if none is fixed or no count is given.
+
+    Raises:
+        InputError: the count adds to fixed landmarks and there are none, or leaves none to place.
+    """
+    from lmd.core.checks import InputError, integer
+
+    count = node.get("count")
+    more = MORE.fullmatch(count) if isinstance(count, str) else None
+    if fixed is None:
+        if more:
+            raise InputError(f"count = {count} adds to the landmarks of fixed, which is not given.", "count")
+        return None
+    if count is None:
+        return None
+    total = len(fixed) + int(more[1]) if more else integer("count", count, low=1)
+    if total <= len(fixed):
+        raise InputError(f"count = {count} leaves none to place: {node.fixed} has {len(fixed)} landmarks.", "count")
+    return total
+
+
+def others_of(node: DictConfig, fixed: "Deployment | None", total: int | None) -> DictConfig:
+    """Node of the source of all landmarks that are not fixed.
+
+    A file may have the fixed ones among its landmarks, so its number of landmarks is checked after they are joined.
+
+    Args:
+        total: number of landmarks with the fixed ones.
+    """
+    source = deepcopy(node)
+    with open_dict(source):
+        for key in NO_SOURCE:
+            source.pop(key, None)
+        if source.get(AXES) is None or "path" not in source:
+            source.pop(AXES, None)
+    if fixed is not None and total is not None:
+        source.count = None if "path" in source else total - len(fixed)
+    return source
+
+
+def take_sizes(node: DictConfig, tag: DictConfig) -> None:
+    """Set `tag.edges` to the sizes that the files of all tags give, if the user gives none.
+
+    Args:
+        node: group `deployment`.
+        tag: group `tag`, which is changed.
+
+    Raises:
+        InputError: a file cannot be read.
+    """
+    import numpy as np
+
+    from lmd.scene.tag_map_files import read_deployment
+
+    if tag.get("edge") is not None or tag.get("edges") is not None or node.get("path") is None:
+        return
+    files = [(name, node[name]) for name in ("path", "fixed") if node.get(name) is not None]
+    edges = [read_deployment(path, name, axes=axes_in(node)).edges for name, path in files]
+    known = np.concatenate([[np.nan] if own is None else own for own in edges])
+    if np.isfinite(known).all():
+        with open_dict(tag):
+            tag.edges = np.unique(known).tolist()
+
+
+def spell_counts(node: DictConfig, tag: DictConfig) -> None:
+    """Read a list `deployment.count` as `tag.counts`, the count of each size that is placed; their sum is the count.
+
+    Fixed landmarks are not among them.
+
+    Args:
+        node: group `deployment`, which is changed.
+        tag: group `tag`, which is changed.
+
+    Raises:
+        InputError: the list has another length than `tag.edges`.
+    """
+    from lmd.core.checks import InputError, integer
+
+    count = node.get("count")
+    if not isinstance(count, ListConfig):
+        return
+    edges, counts = tag.get("edges"), [integer("deployment.count", n, low=0) for n in count]
+    if edges is None or len(edges) != len(counts):
+        sizes = "is not given" if edges is None else f"has {len(edges)}"
+        raise InputError(f"deployment.count = {counts} says how many tags have each of tag.edges, which {sizes}.")
+    with open_dict(tag), open_dict(node):
+        tag.counts = counts
+        node.count = f"+{sum(counts)}" if node.get("fixed") else sum(counts)
+
+
+def divide_paper(
+    cfg: DictConfig, scene: "Scene", objective: "Objective", threads: int | None, fixed: "Deployment | None"
+) -> "Scene":
+    """The scene with a count of each size chosen for `tag.paper` or `tag.budget`, unless counts are given.
+
+    The counts are written to the configuration, which a run records, and named in a note.
+
+    Raises:
+        InputError: the limit is too small, or the objective cannot compare sizes.
+    """
+    from lmd.optimisers.composition import composition
+
+    tag = scene.tag
+    if tag.limit is None or tag.counts is not None or "count" not in cfg.deployment or "path" in cfg.deployment:
+        return scene
+    counts = composition(scene, objective, threads, fixed)
+    with open_dict(cfg):
+        cfg.tag.counts = list(counts)
+        cfg.deployment.count = sum(counts) + (0 if fixed is None else len(fixed))
+    tag, visibility = replace(tag, counts=counts), scene.visibility
+    if hasattr(visibility, "tag"):
+        visibility = replace(visibility, tag=tag)  # type: ignore[type-var]
+    sizes = ", ".join(f"{count} of {edge:g} m" for edge, count in zip(tag.sizes, counts, strict=True))
+    limit = f"tag.budget = {tag.budget:g}" if tag.paper is None else f"tag.paper = {tag.paper:g} square metres"
+    note(f"{limit} make {sizes}")
+    return replace(scene, tag=tag, visibility=visibility)

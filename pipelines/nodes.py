@@ -1,0 +1,120 @@
+"""Objects from nodes of the configuration, with error messages that name its keys."""
+
+import re
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from functools import cache
+from typing import TYPE_CHECKING, Any
+
+import hydra
+from omegaconf import DictConfig, OmegaConf
+
+from .overrides import meant
+
+if TYPE_CHECKING:
+    from lmd.detection.detectors import Detector
+
+
+@cache
+def note(text: str) -> None:
+    """Print a note on stderr unless it is empty; a process prints each note once."""
+    if text:
+        print(f"note: {text}", file=sys.stderr)
+
+
+@contextmanager
+def keyed(group: str = "", **keys: str) -> Iterator[None]:
+    """Within the block, an `InputError` that begins with an argument begins with the config key of that argument.
+
+    Args:
+        group: key of the node that has the arguments as its keys; empty for keys at the top.
+        keys: keys of arguments from elsewhere, by argument.
+    """
+    from lmd.core.checks import InputError
+
+    try:
+        yield
+    except InputError as error:
+        if error.argument is None:
+            raise
+        argument = re.split(r"[^\w]", error.argument)[0]
+        named = argument == group.split(".")[0]  # the message names its key already
+        key = keys.get(argument, argument if named or not group else f"{group}.{argument}")
+        raise InputError(key + str(error).removeprefix(argument)) from None
+
+
+def instantiate(node: Any, **extra: Any) -> Any:
+    """Build the object that a config node describes; the only caller of Hydra's instantiate.
+
+    Raises:
+        InputError: the object refuses its arguments.
+    """
+    from hydra.errors import InstantiationException
+
+    from lmd.core.checks import InputError
+    from lmd.core.optional import missing_of
+
+    try:
+        return hydra.utils.instantiate(node, **extra, _convert_="all")
+    except InstantiationException as error:
+        cause: BaseException | None = error.__cause__
+        while cause is not None and not isinstance(cause, InputError):
+            cause = cause.__cause__
+        if (lacking := missing_of(error)) is not None:
+            raise lacking from None
+        if cause is not None:
+            with keyed(str(error).partition("full_key: ")[2].strip(), **{name: name for name in extra}):
+                raise cause from None
+        text = " ".join(str(error).split())
+        if unknown := re.search(r"unexpected keyword argument '(\w+)'.* full_key: ([\w.]+)", text):
+            key = f"{unknown[2]}.{unknown[1]}"
+            hint = _set_by_experiment(key) or meant(key)
+            raise InputError(f"{key} is no setting that is known; {hint}".rstrip("; ")) from error
+        raise InputError(text) from error
+
+
+def _set_by_experiment(key: str) -> str:
+    """Hint to leave out a key that an experiment sets for another option of its group; empty if none sets it."""
+    from hydra.core.hydra_config import HydraConfig
+
+    if not HydraConfig.initialized():
+        return ""
+    asked, name = HydraConfig.get().overrides.task, HydraConfig.get().runtime.choices.get("experiment")
+    own = name is None or any(each.lstrip("+").partition("=")[0] == key for each in asked)
+    return "" if own else f"experiment={name} sets it for another {key.partition('.')[0]}: leave it out by ~{key}"
+
+
+def settings_of(cfg: DictConfig, key: str) -> DictConfig:
+    """The node at a key.
+
+    Raises:
+        InputError: the key has no node.
+    """
+    from lmd.core.checks import InputError
+
+    found = OmegaConf.select(cfg, key)
+    if not isinstance(found, DictConfig):
+        raise InputError(f"{key} must be settings or the name of some, got {found!r}.")
+    return found
+
+
+def detector_of(cfg: DictConfig, name: str) -> "Detector":
+    """The detector at `detectors.<name>`.
+
+    Raises:
+        InputError: there is none, it refuses its arguments, or does not read the family of the tags.
+    """
+    from lmd.core.checks import InputError
+    from lmd.scene.tag import FAMILIES
+
+    settings = settings_of(cfg, f"detectors.{name}")
+    try:
+        detector: Detector = instantiate(settings)
+    except InputError:
+        family = FAMILIES.get(str(settings.get("family")))
+        if family is None or family.apriltag:
+            raise
+        text = f"tag.family = {settings.family} is one of ArUco's, which the detector {name} does not read"
+        raise InputError(f"{text}: detectors=[aruco] does.") from None
+    return detector

@@ -1,0 +1,135 @@
+"""Overrides of the command line: spelled as Hydra reads them, composed again, and corrected where a key is unknown."""
+
+import re
+import sys
+from collections.abc import Iterator, Mapping, Sequence
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+from hydra.core.hydra_config import HydraConfig
+from hydra.types import RunMode
+from omegaconf import DictConfig, open_dict
+
+from .app import CONF
+from .hyperparameters import GROUPS
+
+COUNT, PATH = "deployment.count=", "deployment.path"
+LIKENESS = 0.8  # least likeness of a key that is suggested, as `difflib` counts: a missing letter in a word
+
+
+def as_hydra_reads(override: str) -> str:
+    """An override with two spellings of ours in Hydra's: `deployment.count=+5`, and `+` before a default of a class.
+
+    Hydra reads `+5` as the number 5, and refuses `+optimiser.population=12` because the key is there already.
+    """
+    if override.startswith(COUNT):
+        return re.sub(r"(?<=[=,])\+(\d+)(?=,|$)", r"'+\1'", override)
+    return f"+{override}" if override.startswith(tuple(f"+{group}." for group in GROUPS)) else override
+
+
+def at(key: str, path: Path) -> str:
+    """An override with a path as its value, in quotes where Hydra needs them."""
+    return f"{key}={path}" if re.fullmatch(r"[\w./-]+", str(path)) else f"{key}={quoted(path)}"
+
+
+def quoted(path: Path) -> str:
+    """A path as the value of an override."""
+    escaped = str(path).replace("\\", "\\\\").replace("'", "\\'")
+    return f"'{escaped}'"
+
+
+def key_and_value(override: str) -> tuple[str, str]:
+    """`+objective.n=2` as (`objective.n`, `2`)."""
+    key, _, value = override.partition("=")
+    return key.lstrip("+~"), value
+
+
+def search_path() -> list[str]:
+    """The overrides that add folders of configuration, which other overrides depend on."""
+    return [o for o in HydraConfig.get().overrides.hydra if o.startswith("hydra.searchpath=")]
+
+
+def config_dir() -> list[str]:
+    """The option `--config-dir` of this application, for another process; empty if it has none."""
+    sources = HydraConfig.get().runtime.config_sources
+    return [word for source in sources if source.provider == "command-line" for word in ("--config-dir", source.path)]
+
+
+def task_overrides() -> list[tuple[str, str]]:
+    """The overrides of this job as pairs of the key or group and the override."""
+    from hydra.core.override_parser.overrides_parser import OverridesParser
+
+    parsed = OverridesParser.create().parse_overrides(list(HydraConfig.get().overrides.task))
+    return [(str(override.key_or_group), str(override.input_line)) for override in parsed]
+
+
+def recompose(config_name: str, overrides: Sequence[str], setting: str, entry: str) -> DictConfig:
+    """Another configuration of the running application, without Hydra's own part.
+
+    Args:
+        config_name: `optimise` and so on.
+        overrides: its overrides, as on a command line.
+        setting, entry: key and value that ask for it, for messages.
+
+    Raises:
+        InputError: Hydra refuses the overrides.
+    """
+    from hydra.core.global_hydra import GlobalHydra
+    from hydra.errors import HydraException
+
+    from lmd.core.checks import InputError
+
+    try:
+        loader = GlobalHydra.instance().config_loader()
+        composed = loader.load_configuration(
+            config_name, list(map(as_hydra_reads, overrides)), RunMode.RUN, validate_sweep_overrides=False
+        )
+    except (HydraException, ValueError) as error:  # Hydra raises ValueError for an option that is a number
+        raise InputError(f"{setting}: {entry!r} is refused: {str(error).splitlines()[0]}") from error
+    with open_dict(composed):
+        composed.pop("hydra")
+    return composed
+
+
+def meant(key: str) -> str:
+    """Question after the known key that is most like an unknown one; empty if none is like it, or the key is known.
+
+    Args:
+        key: key with its groups, such as `room.keepout`.
+    """
+    import difflib
+
+    known = known_keys(CONF)
+    close = [] if key in known else difflib.get_close_matches(key, sorted(known), 1, LIKENESS)
+    return f"did you mean {close[0]}?" if close else ""
+
+
+def ask_what_was_meant() -> None:
+    """Suggest on stderr a known key for each unknown one of the command line, which Hydra has refused."""
+    for argument in sys.argv[1:]:
+        key = argument.partition("=")[0]
+        if key.replace(".", "_").isidentifier() and "." in key and (question := meant(key)):
+            print(f"{key}: {question}", file=sys.stderr)
+
+
+@cache
+def known_keys(folder: str) -> frozenset[str]:
+    """All keys of the configuration in a folder, with their groups."""
+    import yaml
+
+    loader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)  # ten times as fast, if PyYAML was built with it
+    files = list(Path(folder).rglob("*.yaml"))
+    nodes = [
+        (list(f.parent.relative_to(folder).parts), yaml.load(f.read_text(encoding="utf-8"), loader)) for f in files
+    ]
+    return frozenset(name for groups, node in nodes for name in _keys_within(node, groups))
+
+
+def _keys_within(node: Any, above: list[str]) -> Iterator[str]:
+    if isinstance(node, Mapping):
+        for key, inner in node.items():
+            if key == "defaults":  # Hydra's
+                continue
+            yield ".".join([*above, str(key)])
+            yield from _keys_within(inner, [*above, str(key)])
