@@ -143,25 +143,25 @@ def rig_ratio(ratio: Number, m: Number, hx: Number, hy: Number, hz: Number, leas
 
 
 @overridable
-def has_one_pose(least: float | None, sums: Any, v: Integer, step: int) -> Any:
+def has_one_pose(least: float | None, sums: Any, v: Integer, step: Integer) -> Any:
     """True if the image of view v, of a single tag, has one pose; `sums` as in `information`."""
     return sums[v + NUMBERS * step] >= 1.0
 
 
 @has_one_pose.register(type(None))
-def _has_any_pose(least: None, sums: Any, v: Integer, step: int) -> bool:
+def _has_any_pose(least: None, sums: Any, v: Integer, step: Integer) -> bool:
     return True
 
 
 @overridable
-def body_has_one_pose(least: float | None, sums: Any, v: Integer, step: int) -> Any:
+def body_has_one_pose(least: float | None, sums: Any, v: Integer, step: Integer) -> Any:
     """True if the images of view v of a rig, of a single tag, have one pose; `sums` as in `body`."""
     r, m = v + BODY_NUMBERS * step, v + (BODY_NUMBERS + 1) * step
     return rig_ratio(sums[r], sums[m], sums[m + step], sums[m + 2 * step], sums[m + 3 * step], least) >= 1.0
 
 
 @body_has_one_pose.register(type(None))
-def _body_has_any_pose(least: None, sums: Any, v: Integer, step: int) -> bool:
+def _body_has_any_pose(least: None, sums: Any, v: Integer, step: Integer) -> bool:
     return True
 
 

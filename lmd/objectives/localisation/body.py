@@ -78,7 +78,7 @@ def _schur(
 
 
 @inlined
-def _position_schur(sums: Any, v: Integer, step: int) -> tuple[Number, Number, Number, Number]:
+def _position_schur(sums: Any, v: Integer, step: Integer) -> tuple[Number, Number, Number, Number]:
     """`_schur` of the position."""
     return _schur(
         sums[v], sums[v + step], sums[v + 2 * step], sums[v + 3 * step], sums[v + 4 * step], sums[v + 5 * step],
@@ -89,14 +89,14 @@ def _position_schur(sums: Any, v: Integer, step: int) -> tuple[Number, Number, N
 
 
 @inlined
-def body_variance(sums: Any, v: Integer, step: int) -> tuple[Number, Number]:
+def body_variance(sums: Any, v: Integer, step: Integer) -> tuple[Number, Number]:
     """`inverse_trace` of the position."""
     det, minors, rest, trace = _position_schur(sums, v, step)
     return inverse_trace(det, minors, rest, trace)
 
 
 @inlined
-def body_rotation_variance(sums: Any, v: Integer, step: int) -> tuple[Number, Number]:
+def body_rotation_variance(sums: Any, v: Integer, step: Integer) -> tuple[Number, Number]:
     """`inverse_trace` of the rotation: C and A' exchanged, and B transposed."""
     det, minors, rest, trace = _schur(
         sums[v + 15 * step], sums[v + 16 * step], sums[v + 17 * step], sums[v + 18 * step], sums[v + 19 * step],
@@ -108,14 +108,14 @@ def body_rotation_variance(sums: Any, v: Integer, step: int) -> tuple[Number, Nu
 
 
 @inlined
-def body_log_det(sums: Any, v: Integer, step: int) -> Number:
+def body_log_det(sums: Any, v: Integer, step: Integer) -> Number:
     """Logarithm of the determinant of the information, det A det S."""
     det, _, rest, _ = _position_schur(sums, v, step)
     return np.log(rest / (det * det))
 
 
 @inlined
-def body_meets(precision: Precision, sums: Any, v: Integer, step: int) -> Any:
+def body_meets(precision: Precision, sums: Any, v: Integer, step: Integer) -> Any:
     """True if the information of a view has the `precision`, ambiguity aside."""
     position, fixed = body_variance(sums, v, step)
     rotation, steady = body_rotation_variance(sums, v, step)

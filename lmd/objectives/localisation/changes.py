@@ -41,7 +41,7 @@ from lmd.objectives.localisation.views import LEFT, OTHER, TRIED, add_to_camera,
 
 
 @dispatched_call
-def see_place(known: Any, k: np.uint64, n: Integer, localised: WordArray, cover: Any, trial: Any) -> Any:
+def see_place(known: Any, k: Integer, n: Integer, localised: WordArray, cover: Any, trial: Any) -> Any:
     """Find in `FRESH` all orientations that matter with which landmark k is seen at the place tried.
 
     Args:
@@ -57,12 +57,12 @@ def see_place(known: Any, k: np.uint64, n: Integer, localised: WordArray, cover:
 
 
 @dispatched_call
-def see_touched(known: Any, k: np.uint64, n: Integer, positions: WordArray, cover: Any, trial: Any) -> None:
+def see_touched(known: Any, k: Integer, n: Integer, positions: WordArray, cover: Any, trial: Any) -> None:
     """`see_place` anew at `positions` that are touched."""
 
 
 @dispatched_call
-def see_rest(known: Any, k: np.uint64, cover: Any, trial: Any) -> None:
+def see_rest(known: Any, k: Integer, cover: Any, trial: Any) -> None:
     """Find in `FRESH` all other orientations, for a move that is carried out."""
 
 
@@ -72,19 +72,19 @@ def find_turns(known: Any, trial: Any, lost: WordArray, gained: WordArray) -> No
 
 
 @dispatched_call
-def look_from(known: Any, k: np.uint64, p: np.uint64, field: Any, scratch: Any) -> None:
+def look_from(known: Any, k: Integer, p: Integer, field: Any, scratch: Any) -> None:
     """Find the moments of landmark k from position p, before `add_changes` there."""
 
 
 @dispatched_call
 def add_changes(
-    known: Any, k: np.uint64, p: np.uint64, w: np.uint64, sign: float, field: Any, scratch: Any
+    known: Any, k: Integer, p: Integer, w: Integer, sign: float, field: Any, scratch: Any
 ) -> None:  # fmt: skip
     """Add the changes of a move to the views taken, of word w, times `sign`."""
 
 
 @dispatched_call
-def add_shown(known: Any, p: np.uint64, w: np.uint64, field: Any, scratch: Any) -> None:
+def add_shown(known: Any, p: Integer, w: Integer, field: Any, scratch: Any) -> None:
     """Add all landmarks to the views taken, of word w."""
 
 
@@ -92,15 +92,15 @@ def add_shown(known: Any, p: np.uint64, w: np.uint64, field: Any, scratch: Any) 
 
 
 @see_place.register(State)
-def _see_place(known: State, k: np.uint64, n: Integer, localised: WordArray, cover: Any, trial: Scratch) -> np.uint64:
+def _see_place(known: State, k: Integer, n: Integer, localised: WordArray, cover: Any, trial: Scratch) -> Integer:
     see_whole(k, cover, known, trial)  # to ask for some orientations only would take longer: the tables settle most
     ask_touched(k, n, True, known, trial)
-    count: np.uint64 = list_changing(known, k, trial)
+    count: Integer = list_changing(known, k, trial)
     return count
 
 
 @see_touched.register(State)
-def _see_touched(known: State, k: np.uint64, n: Integer, positions: WordArray, cover: Any, trial: Scratch) -> None:
+def _see_touched(known: State, k: Integer, n: Integer, positions: WordArray, cover: Any, trial: Scratch) -> None:
     asked = trial.sets[ASKED]
     for p in positions:
         for w in range(np.uint64(asked.shape[1])):
@@ -110,7 +110,7 @@ def _see_touched(known: State, k: np.uint64, n: Integer, positions: WordArray, c
 
 
 @see_rest.register(State)
-def _see_rest(known: State, k: np.uint64, cover: Any, trial: Scratch) -> None:
+def _see_rest(known: State, k: Integer, cover: Any, trial: Scratch) -> None:
     """Nothing: the trial found all."""
 
 
@@ -126,20 +126,20 @@ def _find_turns(known: State, trial: Scratch, lost: WordArray, gained: WordArray
 
 
 @inlined
-def _offset(pose: Any, p: np.uint64, field: Any) -> Place:
+def _offset(pose: Any, p: Integer, field: Any) -> Place:
     """Offset of a landmark with a `pose` from position p, metres."""
     positions = field.coverage.positions
     return pose[0] - positions[0, p], pose[1] - positions[1, p], pose[2] - positions[2, p]
 
 
 @inner
-def _find_moments(which: int, pose: Any, k: np.uint64, p: np.uint64, field: Any, scratch: Any) -> None:
+def _find_moments(which: int, pose: Any, k: Integer, p: Integer, field: Any, scratch: Any) -> None:
     x, y, z = _offset(pose, p, field)
     landmark_moments(x, y, z, pose[3], pose[4], pose[5], field.precision, k, scratch.views.moments[which])
 
 
 @look_from.register(State)
-def _look_from(known: State, k: np.uint64, p: np.uint64, field: Any, scratch: Any) -> None:
+def _look_from(known: State, k: Integer, p: Integer, field: Any, scratch: Any) -> None:
     if known.reachable[k, p]:
         _find_moments(LEFT, pose_of(k, known), k, p, field, scratch)
     if scratch.coverage.flags[REACHED, p]:
@@ -148,7 +148,7 @@ def _look_from(known: State, k: np.uint64, p: np.uint64, field: Any, scratch: An
 
 @inner
 def _add(
-    which: int, pose: Any, seen: np.uint64, p: np.uint64, w: np.uint64, sign: float, field: Any,
+    which: int, pose: Any, seen: np.uint64, p: Integer, w: Integer, sign: float, field: Any,
     scratch: Any,
 ) -> None:  # fmt: skip
     """Add a landmark with these moments and a `pose` to the views in which it is `seen`, times `sign`."""
@@ -158,7 +158,7 @@ def _add(
 
 @add_changes.register(State)
 def _add_changes(
-    known: State, k: np.uint64, p: np.uint64, w: np.uint64, sign: float, field: Any, scratch: Any
+    known: State, k: Integer, p: Integer, w: Integer, sign: float, field: Any, scratch: Any
 ) -> None:  # fmt: skip
     trial = scratch.coverage
     _add(LEFT, pose_of(k, known), shown_of(known, k, p, w), p, w, -sign, field, scratch)
@@ -174,7 +174,7 @@ def _add_changes(
 
 
 @add_shown.register(State)
-def _add_shown(known: State, p: np.uint64, w: np.uint64, field: Any, scratch: Any) -> None:
+def _add_shown(known: State, p: Integer, w: Integer, field: Any, scratch: Any) -> None:
     for i in range(np.uint64(known.poses.shape[1])):
         seen = shown_of(known, i, p, w)
         if seen:
@@ -187,8 +187,8 @@ def _add_shown(known: State, p: np.uint64, w: np.uint64, field: Any, scratch: An
 
 @see_place.register(RigState)
 def _see_place_by_rig(
-    known: RigState, k: np.uint64, n: Integer, localised: WordArray, cover: Any, trial: RigScratch
-) -> np.uint64:
+    known: RigState, k: Integer, n: Integer, localised: WordArray, cover: Any, trial: RigScratch
+) -> Integer:
     # Landmark k matters with n - 1 others in view or more, unless the view is localised and does not show k.
     asked, short, enough = trial.sets[ASKED], known.counts.sets[SHORT], known.counts.sets[ENOUGH]
     first, last = trial.lists[FIRST], trial.lists[LAST]
@@ -198,21 +198,21 @@ def _see_place_by_rig(
                 mine = known.shown[k, q, w]
                 asked[q, w] = (enough[q, w] & (mine | ~localised[q, w])) | (short[q, w] & ~mine)
     ask_touched(k, n, True, known, trial)
-    count: np.uint64 = list_near(trial, False)
+    count: Integer = list_near(trial, False)
     see(known, k, trial.lists[LISTED][:count], cover, trial)
     return count
 
 
 @see_touched.register(RigState)
 def _see_touched_by_rig(
-    known: RigState, k: np.uint64, n: Integer, positions: WordArray, cover: Any, trial: RigScratch
+    known: RigState, k: Integer, n: Integer, positions: WordArray, cover: Any, trial: RigScratch
 ) -> None:
     ask_touched(k, n, True, known, trial)
     see(known, k, positions, cover, trial)
 
 
 @see_rest.register(RigState)
-def _see_rest_by_rig(known: RigState, k: np.uint64, cover: Any, trial: RigScratch) -> None:
+def _see_rest_by_rig(known: RigState, k: Integer, cover: Any, trial: RigScratch) -> None:
     see_whole(k, cover, known, trial)
 
 
@@ -238,18 +238,18 @@ def _find_turns_of_rig(known: RigState, trial: RigScratch, lost: WordArray, gain
 
 
 @look_from.register(RigState)
-def _look_from_rig(known: RigState, k: np.uint64, p: np.uint64, field: Any, scratch: Any) -> None:
+def _look_from_rig(known: RigState, k: Integer, p: Integer, field: Any, scratch: Any) -> None:
     """Nothing: moments are those of each camera and orientation."""
 
 
 @inlined
-def _tag(k: np.uint64, pose: Any, precision: Precision) -> Tag:
+def _tag(k: Integer, pose: Any, precision: Precision) -> Tag:
     """Landmark k with a `pose`, see `pairs.tags_of`."""
     return pose[0], pose[1], pose[2], *upright_sides(half_of(precision, k), pose[3], pose[4], pose[5])
 
 
 @inlined
-def _place(q: np.uint64, field: Any) -> Place:
+def _place(q: Integer, field: Any) -> Place:
     """Position q of the body."""
     positions = field.coverage.positions
     return positions[0, q], positions[1, q], positions[2, q]
@@ -257,7 +257,7 @@ def _place(q: np.uint64, field: Any) -> Place:
 
 @inner
 def _add_changes_of_part(
-    mounts: Mounts, known: RigState, k: np.uint64, q: np.uint64, w: np.uint64, sign: float, field: Any, scratch: Any
+    mounts: Mounts, known: RigState, k: Integer, q: Integer, w: Integer, sign: float, field: Any, scratch: Any
 ) -> None:
     trial, views, count = scratch.coverage, scratch.views, len(mounts.axes)
     mine, other = known.parts[mounts.number], trial.parts[mounts.number]
@@ -279,7 +279,7 @@ def _add_changes_of_part(
 
 @add_changes.register(RigState)
 def _add_changes_of_rig(
-    known: RigState, k: np.uint64, p: np.uint64, w: np.uint64, sign: float, field: Any, scratch: Any
+    known: RigState, k: Integer, p: Integer, w: Integer, sign: float, field: Any, scratch: Any
 ) -> None:  # fmt: skip
     for mounts in literal_unroll(field.mounts):
         _add_changes_of_part(mounts, known, k, p, w, sign, field, scratch)
@@ -287,7 +287,7 @@ def _add_changes_of_rig(
 
 
 @inner
-def _add_shown_to_part(mounts: Mounts, known: RigState, q: np.uint64, w: np.uint64, field: Any, scratch: Any) -> None:
+def _add_shown_to_part(mounts: Mounts, known: RigState, q: Integer, w: Integer, field: Any, scratch: Any) -> None:
     mine, place, precision, views = (
         known.parts[mounts.number], _place(q, field), field.precision, scratch.views
     )  # fmt: skip
@@ -301,7 +301,7 @@ def _add_shown_to_part(mounts: Mounts, known: RigState, q: np.uint64, w: np.uint
 
 
 @add_shown.register(RigState)
-def _add_shown_to_rig(known: RigState, p: np.uint64, w: np.uint64, field: Any, scratch: Any) -> None:
+def _add_shown_to_rig(known: RigState, p: Integer, w: Integer, field: Any, scratch: Any) -> None:
     for mounts in literal_unroll(field.mounts):
         _add_shown_to_part(mounts, known, p, w, field, scratch)
     add_up(field.precision, scratch.views)

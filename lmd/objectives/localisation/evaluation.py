@@ -152,8 +152,8 @@ def _localise_range(
                     total += weights[row_of, a]
                     listed[useful] = a
                     useful += ONE
-                    for j in range(terms):
-                        sums[a, j] = 0.0
+                    for t in range(terms):
+                        sums[a, t] = 0.0
             covered[b, p] = localised[b, p] = total
             if not asks and not keep:
                 continue
@@ -168,11 +168,11 @@ def _localise_range(
                         a = i * np.uint64(BITS) + lowest(left)
                         left &= left - ONE
                         weight = pixel_density(sight, xk, yk, zk, axes, a)
-                        for j in range(terms):
-                            sums[a, j] += share_of(moment[j], weight)
+                        for t in range(terms):
+                            sums[a, t] += share_of(moment[t], weight)
             total = np.int64(0)
-            for a in range(np.uint64(variances.shape[2] if keep else 0)):
-                variances[b, p, a] = np.inf
+            for i in range(np.uint64(variances.shape[2] if keep else 0)):
+                variances[b, p, i] = np.inf
             for m in range(useful):
                 a = listed[m]
                 one_pose = several[a // np.uint64(BITS)] >> a % np.uint64(BITS) & ONE != ZERO

@@ -82,7 +82,7 @@ class Precision(NamedTuple):
 
 
 @inlined
-def half_of(precision: Precision, k: Integer) -> float:
+def half_of(precision: Precision, k: Integer) -> Any:
     """Half the edge of tag k of a deployment, metres."""
     if len(precision.halves) == 1:
         return precision.halves[0]
@@ -177,7 +177,7 @@ def share_of(moment: Number, weight: Number) -> Number:
 
 
 @inlined
-def _schur(sums: Any, v: Integer, step: int, first: int, last: int) -> tuple[Number, Number, Number, Number]:
+def _schur(sums: Any, v: Integer, step: Integer, first: int, last: int) -> tuple[Number, Number, Number, Number]:
     """det A, the sum of the principal minors and the determinant of S det A, and tr A.
 
     A begins at number `first` and C at `last`: (0, 9) for the position, (9, 0) for the rotation.
@@ -209,28 +209,28 @@ def inverse_trace(det: Number, minors: Number, rest: Number, trace: Number) -> t
 
 
 @inlined
-def variance(sums: Any, v: Integer, step: int) -> tuple[Number, Number]:
+def variance(sums: Any, v: Integer, step: Integer) -> tuple[Number, Number]:
     """`inverse_trace` of the position."""
     det, minors, rest, trace = _schur(sums, v, step, 0, 9)
     return inverse_trace(det, minors, rest, trace)
 
 
 @inlined
-def rotation_variance(sums: Any, v: Integer, step: int) -> tuple[Number, Number]:
+def rotation_variance(sums: Any, v: Integer, step: Integer) -> tuple[Number, Number]:
     """`inverse_trace` of the rotation: A and C exchanged."""
     det, minors, rest, trace = _schur(sums, v, step, 9, 0)
     return inverse_trace(det, minors, rest, trace)
 
 
 @inlined
-def log_det(sums: Any, v: Integer, step: int) -> Number:
+def log_det(sums: Any, v: Integer, step: Integer) -> Number:
     """Logarithm of the determinant of the information, det A det S."""
     det, _, rest, _ = _schur(sums, v, step, 0, 9)
     return np.log(rest / (det * det))
 
 
 @inlined
-def meets(precision: Precision, sums: Any, v: Integer, step: int) -> Any:
+def meets(precision: Precision, sums: Any, v: Integer, step: Integer) -> Any:
     """True if the information of a view has the `precision`, ambiguity aside."""
     position, fixed = variance(sums, v, step)
     rotation, steady = rotation_variance(sums, v, step)

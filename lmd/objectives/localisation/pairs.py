@@ -82,7 +82,7 @@ def tag_of(tags: FloatArray, k: Integer) -> Tag:
 
 @inner
 def add_to_body(
-    mounts: Mounts, m: Integer, w: np.uint64, seen: np.uint64, place: tuple[float, float, float], tag: Tag,
+    mounts: Mounts, m: Integer, w: Integer, seen: np.uint64, place: tuple[float, float, float], tag: Tag,
     sign: float, precision: Precision, views: BodyViews,
 ) -> None:  # fmt: skip
     """List a landmark in the views in which a mount sees it, times `sign`; `add_up` adds what is listed.
@@ -138,7 +138,7 @@ def add_up(precision: Precision, views: BodyViews) -> None:
 
 
 @inner
-def _find_moments(work: FloatArray, share: float, filled: np.uint64) -> None:
+def _find_moments(work: FloatArray, share: float, filled: Integer) -> None:
     """Find the 21 numbers of `filled` pairs; of one array alone, or LLVM would not vectorise this."""
     for i in range(whole(filled)):
         weight = work[AT[3] + i]
@@ -173,7 +173,7 @@ def _find_moments(work: FloatArray, share: float, filled: np.uint64) -> None:
 
 
 @inner
-def _find_mirrored(work: FloatArray, least: float, filled: np.uint64) -> None:
+def _find_mirrored(work: FloatArray, least: float, filled: Integer) -> None:
     """Find the `mirrored_numbers` of `filled` pairs."""
     for i in range(whole(filled)):
         weight = work[AT[3] + i]
@@ -198,7 +198,7 @@ def _seen_by_part(shown: Shown, p: Integer, k: Integer, w: Integer) -> np.uint64
 
 @inner
 def _add_part(
-    shown: Shown, p: Integer, which: np.ndarray, w: np.uint64, place: Place, tags: FloatArray, precision: Precision,
+    shown: Shown, p: Integer, which: np.ndarray, w: Integer, place: Place, tags: FloatArray, precision: Precision,
     views: BodyViews,
 ) -> None:  # fmt: skip
     """`add_of_all` cameras of a part."""
@@ -219,7 +219,7 @@ def seen_by_any(every: tuple[Shown, ...], p: Integer, k: Integer, w: Integer) ->
 
 @inner
 def add_of_all(
-    every: tuple[Shown, ...], p: Integer, which: np.ndarray, w: np.uint64, place: Place, tags: FloatArray,
+    every: tuple[Shown, ...], p: Integer, which: np.ndarray, w: Integer, place: Place, tags: FloatArray,
     precision: Precision, views: BodyViews,
 ) -> None:  # fmt: skip
     """Add the landmarks `which` of `tags` to the views of all cameras, the body at `place`, position p."""

@@ -40,11 +40,11 @@ def view_information(
     The sums are A, g and C, then the residual ratio of `ambiguity`.
     """
     offset, (right, up) = deployment.positions - position, upright(deployment.normals)
-    sides = *offset.T, *(asked.halves[:, None] * right).T, *(asked.halves[:, None] * up).T
+    sides: Any = *offset.T, *(asked.halves[:, None] * right).T, *(asked.halves[:, None] * up).T
     caps = coverage_caps(scene, deployment, position, axes)
     with np.errstate(all="ignore"):  # of a landmark that is not covered the depth may be anything
         weight = _density(getattr(largest(scene.sight), "lens", None), axes, offset)
-        numbers = *moments(*sides, asked.share), camera_residual(asked.residual, *sides)
+        numbers = *moments(*(*sides, asked.share)), camera_residual(asked.residual, *sides)
         shares = [share_of(each, weight) for each in numbers]
     return np.stack([np.where(caps, share, 0.0).sum(axis=1) for share in shares]), caps
 
@@ -61,10 +61,10 @@ def body_information(
         covered[there] |= caps
         offset = deployment.positions - (position + arm)
         with np.errstate(all="ignore"):
-            tags = *offset.T, *sides[0], *sides[1]
-            numbers = about_body(moments(*tags, asked.share), *arm)
+            tags: Any = *offset.T, *sides[0], *sides[1]
+            numbers = about_body(moments(*(*tags, asked.share)), *arm)
             if asks_apart(asked):
-                numbers += mirrored_numbers(*tags, asked.residual)
+                numbers += mirrored_numbers(*(*tags, asked.residual))
             lens = getattr(largest(scene.visibility.sight(camera)), "lens", None)
             weight = gain_of(camera, scene.cameras[0]) * _density(lens, turned, offset)
             shares = [np.where(caps, share_of(each, weight), 0.0).sum(axis=1) for each in numbers]

@@ -97,7 +97,8 @@ def _localise(
         views: working memory.
         variances: `(P, D)` of infinity, receives those of the position where n are covered and one pose fits; or empty.
     """
-    some, words = np.zeros(max(n, 2), dtype=np.uint64), np.uint64(weights.shape[1]) // VIEW
+    some: Any = np.zeros(max(n, 2), dtype=np.uint64)
+    words = np.uint64(weights.shape[1]) // VIEW
     shown, bits = np.empty(len(tags), dtype=np.int64), views.lists[ORIENTATION]
     for p in range(np.uint64(len(positions))):
         place = positions[p, 0], positions[p, 1], positions[p, 2]
@@ -146,7 +147,8 @@ class Images(NamedTuple):
 
     def some(self, which: BoolArray) -> "Images":
         """The views that `which` `(N,)` selects."""
-        return Images(*(part[which] for part in self[:-1]), self.seen[:, which])
+        rows: dict[str, Any] = {name: getattr(self, name)[which] for name in self._fields[:-1]}
+        return Images(**rows, seen=self.seen[:, which])
 
 
 def images_of(evaluator: Evaluator, deployment: Deployment, here: slice = slice(None)) -> Images:

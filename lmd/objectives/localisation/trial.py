@@ -69,7 +69,7 @@ def mixed(located: Any, covered: Any, weight: float) -> Any:
 
 
 @inner
-def _find_turns(k: np.uint64, positions: WordArray, state: Any, scratch: Any) -> None:
+def _find_turns(k: Integer, positions: WordArray, state: Any, scratch: Any) -> None:
     """Find `LOST` and `GAINED` at `positions`."""
     lost, gained, known, trial = scratch.sets[LOST], scratch.sets[GAINED], state.coverage, scratch.coverage
     for q in positions:
@@ -81,8 +81,8 @@ def _find_turns(k: np.uint64, positions: WordArray, state: Any, scratch: Any) ->
 
 @inner
 def _decide_word(
-    k: np.uint64, q: np.uint64, w: np.uint64, has: np.uint64, several: np.uint64, field: Any, state: Any, scratch: Any
-) -> np.uint64:
+    k: Integer, q: Integer, w: Integer, has: np.uint64, several: np.uint64, field: Any, state: Any, scratch: Any
+) -> Any:
     """Localised views of word w among those that cover n landmarks, `has`; `several` cover two or more."""
     sums, views, known = state.sums, scratch.views, state.localised[q, w]
     lost, gained = scratch.sets[LOST, q, w], scratch.sets[GAINED, q, w]
@@ -98,13 +98,13 @@ def _decide_word(
 
 
 @inlined
-def _sum_up(q: np.uint64, located: np.int64, covered: np.int64, weight: float, values: Any) -> None:
+def _sum_up(q: Integer, located: np.int64, covered: np.int64, weight: float, values: Any) -> None:
     """Write the values of position q to a state or a scratch."""
     values.located[q], values.coverage.units[q], values.units[q] = located, covered, mixed(located, covered, weight)
 
 
 @inner
-def _decide(k: np.uint64, positions: WordArray, field: Any, state: Any, scratch: Any) -> None:
+def _decide(k: Integer, positions: WordArray, field: Any, state: Any, scratch: Any) -> None:
     """Find the values at `positions`, with `FRESH` of landmark k, the pairs having turned."""
     known, trial, n, weights = state.coverage, scratch.coverage, field.coverage.n, field.coverage.weights
     counts, enough, digits = known.counts, known.counts.sets[ENOUGH], trial.digits
@@ -160,7 +160,7 @@ def finish_move(field: Any, k: Integer, state: Any, scratch: Any) -> None:
 
 
 @inner
-def _change_sums(k: np.uint64, sign: float, field: Any, state: Any, scratch: Any) -> None:
+def _change_sums(k: Integer, sign: float, field: Any, state: Any, scratch: Any) -> None:
     """Change the sums by the move tried last, or with a `sign` of -1 back; landmark k is still at its old place."""
     if not field.asks:
         return
@@ -209,7 +209,7 @@ def undo_move(field: Any, k: Integer, state: Any, scratch: Any) -> None:
 
 
 @inner
-def _meet_anew(q: np.uint64, w: np.uint64, field: Any, state: Any, scratch: Any) -> np.uint64:
+def _meet_anew(q: Integer, w: Integer, field: Any, state: Any, scratch: Any) -> np.uint64:
     """Sum up all landmarks in word w, and find the views that have the precision."""
     known, views, precision, seen = state.coverage, scratch.views, field.precision, ZERO
     for k in range(np.uint64(known.poses.shape[1])):

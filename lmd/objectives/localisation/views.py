@@ -146,7 +146,7 @@ def _body_is_met(views: BodyViews, precision: Precision, v: Integer, several: An
 
 
 @inlined
-def whole(count: np.uint64) -> np.uint64:
+def whole(count: Integer) -> np.uint64:
     """`count` rounded up to whole groups: LLVM would add a loop for the rest that does not vectorise."""
     return (count + GROUP - ONE) & ~(GROUP - ONE)
 
@@ -168,7 +168,7 @@ def fill_views(left: np.uint64, precision: Precision, views: Views) -> np.uint64
 
 
 @inner
-def fetch_sums(sums: FloatArray, first: np.uint64, views: Views, count: np.uint64) -> None:
+def fetch_sums(sums: FloatArray, first: Integer, views: Views, count: Integer) -> None:
     """Prefetch the rows of `sums` `(V, width)` that `take_sums` reads."""
     width, bits = np.uint64(sums.shape[1]), views.lists[ORIENTATION]
     for v in range(count):
@@ -179,7 +179,7 @@ def fetch_sums(sums: FloatArray, first: np.uint64, views: Views, count: np.uint6
 
 
 @inner
-def take_sums(sums: FloatArray, first: np.uint64, precision: Precision, views: Views, count: np.uint64) -> None:
+def take_sums(sums: FloatArray, first: Integer, precision: Precision, views: Views, count: Integer) -> None:
     """Add to the views their rows of `sums` `(V, width)`; the first orientation of the word has row `first`."""
     bits, rows = views.lists[ORIENTATION], views.rows
     for v in range(count):
@@ -188,7 +188,7 @@ def take_sums(sums: FloatArray, first: np.uint64, precision: Precision, views: V
 
 
 @inner
-def give_sums(sums: FloatArray, first: np.uint64, precision: Precision, views: Views, count: np.uint64) -> None:
+def give_sums(sums: FloatArray, first: Integer, precision: Precision, views: Views, count: Integer) -> None:
     """Add the views to their rows of `sums`."""
     bits, rows = views.lists[ORIENTATION], views.rows
     for v in range(count):
@@ -197,7 +197,7 @@ def give_sums(sums: FloatArray, first: np.uint64, precision: Precision, views: V
 
 
 @inner
-def met_views(precision: Precision, views: Views, count: np.uint64, several: np.uint64) -> np.uint64:
+def met_views(precision: Precision, views: Views, count: Integer, several: np.uint64) -> np.uint64:
     """Orientations whose view has the precision, as bits; `several` those that show two landmarks or more."""
     bits, met, good = views.lists[ORIENTATION], views.met, ZERO
     for v in range(whole(count)):
@@ -235,7 +235,7 @@ def landmark_moments(
 
 @inner
 def add_to_camera(
-    which: int, seen: np.uint64, x: float, y: float, z: float, sight: Any, axes: FloatArray, w: np.uint64, sign: float,
+    which: int, seen: np.uint64, x: float, y: float, z: float, sight: Any, axes: FloatArray, w: Integer, sign: float,
     views: CameraViews,
 ) -> None:  # fmt: skip
     """Add a landmark to the views in which it is `seen`, times `sign`.
