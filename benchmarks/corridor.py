@@ -24,7 +24,8 @@ from lmd.scene.calibration_files import read_cameras
 from lmd.scene.camera_calibration import calibrated_camera
 from lmd.scene.tag import Tag
 from lmd.scene.trajectory_files import TrajectoryFile
-from lmd.survey.survey import Known, Survey, survey
+from lmd.survey.prior import Known
+from lmd.survey.survey import Survey, survey
 
 HEADER = (
     "| seed | by | tags placed | largest group | groups | off, median / 90 % / largest, mm | stated, median, mm | "

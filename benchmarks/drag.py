@@ -25,8 +25,8 @@ from websockets.sync.client import connect
 
 from lmd.pipelines.app import CONF
 from lmd.pipelines.building import build_problem
-from lmd.planner.off_grid import ESTIMATE
-from lmd.planner.session import Session
+from lmd.planner.background import ESTIMATE
+from lmd.planner.session import PlanningSession
 
 sys.path.append(str(Path(__file__).parents[1] / "tests"))
 import chromium
@@ -52,7 +52,7 @@ def session_times(overrides: list[str]) -> np.ndarray:
     """Milliseconds of drags, `(DRAGS,)`."""
     with initialize_config_dir(CONF, version_base="1.3"):
         problem = build_problem(compose("evaluate", [*overrides, "threads=1"]))
-    rng, session = np.random.default_rng(0), Session(problem, problem.draw(np.random.default_rng(0)))
+    rng, session = np.random.default_rng(0), PlanningSession(problem, problem.draw(np.random.default_rng(0)))
     session.warm_up()
     surfaces, times = problem.scene.plates.hanging.surfaces(), []
     for _ in range(DRAGS):

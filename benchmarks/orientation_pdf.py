@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from scipy.stats import vonmises
 
-from lmd.orientation.estimate import PdfEstimate, estimate_pdf
+from lmd.orientation.procedure import PdfEstimate, estimate_pdf
 from lmd.orientation.recording import SimulatedRecording
 
 MOTION = {

@@ -39,9 +39,9 @@ from lmd.scene.tag import Tag
 from lmd.sight.models.fiducial import Fiducial
 from lmd.sight.models.limits import NAMES, Limits
 from lmd.space.cuboid import Cuboid
-from lmd.survey.audit import IN_A_ROW, Audit, audited, in_the_open
-from lmd.survey.survey import Known, Survey, survey
-from lmd.survey.views import view_columns
+from lmd.survey.audit import IN_A_ROW, Audit, audited, in_the_open, view_columns
+from lmd.survey.prior import Known
+from lmd.survey.survey import Survey, survey
 
 FARTHEST = "farthest corner from the lens's centre, pixels"
 METRE = (1.0, 1.0, 1.0)

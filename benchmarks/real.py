@@ -30,7 +30,8 @@ from lmd.mapping.detections import DetectedTags, read_detections
 from lmd.scene.calibration_files import PIXEL_CENTRE
 from lmd.scene.camera_calibration import Calibration, calibrated_camera
 from lmd.scene.tag import Tag
-from lmd.survey.survey import Known, survey
+from lmd.survey.prior import Known
+from lmd.survey.survey import survey
 
 ANGLES = (-60, -30, 30, 60)  # degrees, of the photographs of one tag that was turned
 

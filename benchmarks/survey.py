@@ -30,7 +30,7 @@ from lmd.render.renderer import Renderer
 from lmd.render.room import TaggedRoom
 from lmd.scene.deployment import Deployment
 from lmd.scene.surveyed import Surveyed
-from lmd.survey.known import poses_of
+from lmd.survey.prior import poses_of
 
 if TYPE_CHECKING:
     from lmd.geometry.camera import Camera
@@ -98,8 +98,9 @@ def aviary(folder: Path, boards: float | None, calibrate: bool | None) -> None:
     from lmd.scene.camera_calibration import calibrated_camera
     from lmd.scene.tag import Tag
     from lmd.survey.boards import Boards
-    from lmd.survey.survey import Known, survey
-    from lmd.survey.words import to_text
+    from lmd.survey.prior import Known
+    from lmd.survey.summary import to_text
+    from lmd.survey.survey import survey
 
     ids = np.arange(6, 114)
     row, column = np.divmod((ids - 6) % 6, 3)
@@ -150,8 +151,9 @@ def perch(folder: Path, calibrate: bool | None) -> None:
     from lmd.mapping.detections import read_detections
     from lmd.scene.camera_calibration import calibrated_camera
     from lmd.scene.tag import Tag
-    from lmd.survey.survey import Known, survey
-    from lmd.survey.words import to_text
+    from lmd.survey.prior import Known
+    from lmd.survey.summary import to_text
+    from lmd.survey.survey import survey
 
     cameras = [calibrated_camera(str(folder / "cameras.yaml"), name) for name in ("cam0", "cam1")]
     began = time.process_time()
@@ -189,8 +191,9 @@ def halves(folder: Path, edge: float, every: int | None) -> None:
     from lmd.scene.calibration_files import read_cameras
     from lmd.scene.camera_calibration import calibrated_camera
     from lmd.scene.tag import Tag
-    from lmd.survey.every import thinned
-    from lmd.survey.survey import Known, survey
+    from lmd.survey.keyframes import select_keyframes
+    from lmd.survey.prior import Known
+    from lmd.survey.survey import survey
 
     detected, path = read_detections(folder / "detections.csv"), str(folder / "cameras.yaml")
     cameras = [calibrated_camera(path, name or None) for name in list(read_cameras(path))[: len(detected.cameras)]]
@@ -203,7 +206,7 @@ def halves(folder: Path, edge: float, every: int | None) -> None:
     for calibrate in (None, True, False):
         maps, began, left_out = [], time.process_time(), 0
         for half in (first, ~first):
-            some = thinned(detected.of(np.flatnonzero(half)), every)
+            some = select_keyframes(detected.of(np.flatnonzero(half)), every)
             left_out += len(some.left_out)
             maps.append(survey(some, cameras, Tag(edge), CORNER_ERRORS["apriltag"], Known(), calibrate))
         _, *index = np.intersect1d(*(one.ids[one.placed] for one in maps), return_indices=True)
@@ -229,7 +232,8 @@ def measure(frames: int, tags: int) -> None:
     import walks  # of the tests
 
     from lmd.scene.tag import Tag
-    from lmd.survey.survey import Known, survey
+    from lmd.survey.prior import Known
+    from lmd.survey.survey import survey
 
     rng = np.random.default_rng(0)
     hung = walks.hung(walks.wall_tags(tags, rng), rng)

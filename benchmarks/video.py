@@ -18,8 +18,9 @@ from lmd.core.checks import FloatArray
 from lmd.geometry.se3 import act, camera_pose, laid_over
 from lmd.mapping.detections import DetectedTags
 from lmd.scene.tag import Tag
-from lmd.survey.every import thinned
-from lmd.survey.survey import Known, survey
+from lmd.survey.keyframes import select_keyframes
+from lmd.survey.prior import Known
+from lmd.survey.survey import survey
 
 RATE, TAGS, SIGMA = 30, 24, 0.2
 HEAD = (
@@ -62,12 +63,12 @@ def main() -> None:
         tags = walks.spaced_tags(TAGS, rng)
         detected = filmed(tags, given.seconds, correlated, rng)
         for every in (1, None):
-            began, some = time.process_time(), thinned(detected, every)
+            began, some = time.process_time(), select_keyframes(detected, every)
             found = survey(some, [walks.CAMERA], Tag(walks.EDGE), walks.constant_errors(SIGMA), Known())
             took, placed = time.process_time() - began, np.flatnonzero(found.placed)
             here, there = found.found.poses.tags[placed, :3, 3], tags[found.ids[placed], :3, 3]
             off = np.linalg.norm(act(laid_over(here, there), here) - there, axis=1)
-            stated = np.sqrt(np.trace(found.found.precisions[placed][:, 3:, 3:], axis1=1, axis2=2))
+            stated = np.sqrt(np.trace(found.found.gauge_free_covariances[placed][:, 3:, 3:], axis1=1, axis2=2))
             ratio = float(np.sqrt(np.mean((off / stated) ** 2)))
             figures = f"{1e3 * np.median(off):.2f} | {1e3 * np.median(stated):.2f} | {ratio:.2f}"
             name, frames = every or "auto", len(np.unique(some.frame))

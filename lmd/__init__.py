@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from lmd.optimisers.annealing import Annealing as Annealing
     from lmd.optimisers.base import Result as Result
     from lmd.optimisers.ledger import Budget as Budget
-    from lmd.plot.scene import save_scene_figure as save_scene_figure
+    from lmd.plot.deployments import save_scene_figure as save_scene_figure
     from lmd.problem import Problem as Problem
     from lmd.run import evaluate as evaluate
     from lmd.run import optimise as optimise
@@ -81,7 +81,7 @@ _HOMES = {
     "Visibility": "lmd.sight.models.paper",
     "evaluate": "lmd.run",
     "optimise": "lmd.run",
-    "save_scene_figure": "lmd.plot.scene",
+    "save_scene_figure": "lmd.plot.deployments",
 }
 
 __version__ = "0.1.0"

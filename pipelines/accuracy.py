@@ -21,7 +21,7 @@ def accuracy(cfg: DictConfig) -> None:
 
     from lmd.core.checks import seed_number
     from lmd.evaluation.accuracy import accuracy_metrics
-    from lmd.plot.accuracy import save_accuracy_figure
+    from lmd.plot.plans import save_accuracy_figure
 
     from .tracked_run import keep, title_of, tracked
 

@@ -27,7 +27,7 @@ def calibrate(cfg: DictConfig) -> None:
     from lmd.detection.board import BoardImages
     from lmd.detection.calibration import Calibration, foreseen, judged
     from lmd.detection.fit import fit, intervals
-    from lmd.plot.detection import save_limits_figure
+    from lmd.plot.frames import save_limits_figure
 
     from .tracked_run import keep, tracked
 

@@ -193,7 +193,7 @@ def _write(
 ) -> list[Path]:
     """Write and print what the runs say; returns the files."""
     from lmd.evaluation.comparison import compared
-    from lmd.plot.comparison import save_comparison_figure
+    from lmd.plot.charts import save_comparison_figure
 
     from .reproduction.document import comparison_markdown
 

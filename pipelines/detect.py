@@ -63,7 +63,7 @@ def detect(cfg: DictConfig) -> None:
     from lmd.core.checks import integer, seed_number
     from lmd.core.optional import optional
     from lmd.detection.report import to_markdown
-    from lmd.plot.detection import save_calibration_figure
+    from lmd.plot.frames import save_calibration_figure
 
     from .tracked_run import keep, title_of, tracked
 
@@ -248,7 +248,7 @@ def _save_frames(
     import numpy as np
 
     from lmd.detection.frames import picture
-    from lmd.plot.detection import save_frame
+    from lmd.plot.frames import save_frame
 
     files = []
     for name, subject in subjects.items():

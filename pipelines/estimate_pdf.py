@@ -11,7 +11,7 @@ from .outputs import write_document
 from .pipeline import Pipeline
 
 if TYPE_CHECKING:
-    from lmd.orientation.estimate import Marginal, PdfEstimate
+    from lmd.orientation.procedure import Marginal, PdfEstimate
 
 
 def estimate(cfg: DictConfig) -> None:
@@ -19,8 +19,8 @@ def estimate(cfg: DictConfig) -> None:
     import numpy as np
 
     from lmd.core.checks import seed_number
-    from lmd.orientation.estimate import estimate_pdf
-    from lmd.plot.orientation import save_orientation_figure
+    from lmd.orientation.procedure import estimate_pdf
+    from lmd.plot.directions import save_orientation_figure
 
     from .outputs import all_or_none
     from .tracked_run import keep, tracked

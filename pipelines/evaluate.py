@@ -17,9 +17,9 @@ from .nodes import instantiate, keyed, note, settings_of
 from .pipeline import Pipeline
 
 if TYPE_CHECKING:
+    from lmd.evaluation import Study
     from lmd.evaluation.losses import Losses
     from lmd.evaluation.mounting import MountingError
-    from lmd.evaluation.study import Study
     from lmd.problem import Problem
     from lmd.scene.deployment import Deployment
 
@@ -49,7 +49,7 @@ def evaluate(cfg: DictConfig) -> float:
     deployment = plan = problem.draw(np.random.default_rng(seed))
     with keyed("deployment", path=MEASURED, family="tag.family"):
         if cfg.deployment.measured is not None:
-            from lmd.evaluation.survey import read_measured  # slow to load
+            from lmd.evaluation.measured import read_measured  # slow to load
 
             deployment = read_measured(cfg.deployment.measured, problem, plan, axes_in(cfg.deployment))
             note(deployment.note)
@@ -82,7 +82,7 @@ def localise(
     """Write and log the maps of how well one frame is localised, the bounds drawn too if asked; returns the figures."""
     from lmd.estimation.cramer_rao import cramer_rao_map
     from lmd.evaluation.accuracy import accuracy_metrics, save_accuracy_map
-    from lmd.plot.localisation import save_cramer_rao_map
+    from lmd.plot.pose_errors import save_cramer_rao_map
 
     from .tracked_run import title_of
 
@@ -118,20 +118,20 @@ def studies(
         yield "losses", lost, None, ""
     if cfg.sensitivity:
         from lmd.evaluation.sensitivity import sensitivity
-        from lmd.plot.sensitivity import save_sensitivity_figure
+        from lmd.plot.charts import save_sensitivity_figure
 
         varied = sensitivity(problem, deployment, seed)
         yield "sensitivity", varied, partial(save_sensitivity_figure, found=varied), "sensitivity,"
     if deployment is not plan:
-        from lmd.evaluation.survey import survey
-        from lmd.plot.mounting import save_map_figure
+        from lmd.evaluation.measured import as_measured
+        from lmd.plot.pose_errors import save_map_figure
 
-        surveyed = survey(problem, plan, deployment, seed)
+        surveyed = as_measured(problem, plan, deployment, seed)
         draw = partial(save_map_figure, views=surveyed.views)
         yield "survey", surveyed, draw, "maps as planned and as measured,"
     if not error.is_none:
         from lmd.evaluation.mounting import mounted
-        from lmd.plot.mounting import save_map_figure
+        from lmd.plot.pose_errors import save_map_figure
 
         with keyed(MOUNTING):
             hung = mounted(problem, deployment, error, seed)

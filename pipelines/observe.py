@@ -36,7 +36,7 @@ def observe(cfg: DictConfig) -> None:
     from lmd.core.checks import InputError, real
     from lmd.estimation import pairs
     from lmd.estimation.study import Flights, conduct, to_markdown
-    from lmd.plot.localisation import save_error_figure
+    from lmd.plot.pose_errors import save_error_figure
 
     from .tracked_run import keep, title_of, tracked
 
@@ -115,7 +115,7 @@ def _save_films(
     """The beginning of the first flight over each deployment as an animated picture."""
     import numpy as np
 
-    from lmd.plot.film import save_film
+    from lmd.plot.frames import save_film
 
     files = []
     for name, problem in problems.items():

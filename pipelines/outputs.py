@@ -118,9 +118,9 @@ def write_pictures(
     Returns:
         the files, and of each that could not be written why.
     """
-    from lmd.plot.convergence import save_convergence_figure
+    from lmd.plot.charts import save_convergence_figure
+    from lmd.plot.deployments import save_scene_figure
     from lmd.plot.page import save_scene_page
-    from lmd.plot.scene import save_scene_figure
 
     headline, table = problem.objective.headline, columns_of(history)
     writers: dict[str, Callable[[Path], object]] = {}

@@ -133,7 +133,7 @@ def _write(
     problem: "CameraProblem", rig: "Rig", sources: "dict[Camera, Any]", title: str, tracker: "Tracker", draw: bool
 ) -> None:
     """Write the rig file and the drawing, and log them."""
-    from lmd.plot.body import save_body_figure
+    from lmd.plot.body_drawing import save_body_figure
     from lmd.scene.rig_sources import write_rig
 
     def write(folder: Path) -> None:

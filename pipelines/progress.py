@@ -22,7 +22,7 @@ from .operations.signals import stop, tell
 from .operations.tracking import Tracker
 
 if TYPE_CHECKING:
-    from lmd.survey.stages import Stage
+    from lmd.survey.survey import Stage
 
 CURVE_POINTS = 500  # points of a whole run kept in the tracked curve
 PATIENCE = 5.0  # seconds after which it is said that an optimiser is waited for
@@ -157,7 +157,7 @@ class Watch:
 class Stages:
     """Says on stderr what a survey is doing, how much of that is done, and how long it will take at most.
 
-    A survey that ends within `SHOWN_AFTER` seconds says nothing. It is the `lmd.survey.stages.Observer` of one.
+    A survey that ends within `SHOWN_AFTER` seconds says nothing. It is the `lmd.survey.survey.Observer` of one.
     """
 
     def __init__(self) -> None:
@@ -168,7 +168,7 @@ class Stages:
         self._thread = threading.Thread(target=self._show, daemon=True)
 
     def __call__(self, stage: "Stage", done: int = 0, most: int = 0) -> bool:
-        """See `lmd.survey.stages.Observer`."""
+        """See `lmd.survey.survey.Observer`."""
         if stop.requested and self.interrupted is None and self._now is not None:
             self.interrupted = self._now[0]
         if self._now is None or stage is not self._now[0]:

@@ -58,13 +58,13 @@ def _reads(
     noise: float,
 ) -> list[list[str]]:
     """How far a tag is read at each angle, and how well it fixes the pose at each distance at which it is."""
-    from lmd.evaluation.reach import pose_errors, reach
+    from lmd.evaluation.reach import pose_bounds, reach
 
     rows = [["incidence", "read from", "to", *(f"alone at {distance:g} m" for distance in distances)]]
     for angle in angles:
         found = reach(criteria, camera, math.radians(angle))
         bounds = ["never", ""] if math.isnan(found.farthest) else [f"{found.nearest:.3g} m", f"{found.farthest:.3g} m"]
-        errors = zip(*pose_errors(camera, tag, distances, math.radians(angle), noise), strict=True)
+        errors = zip(*pose_bounds(camera, tag, distances, math.radians(angle), noise), strict=True)
         fixed = [
             _error(*error) if found.nearest <= distance <= found.farthest else "-"
             for distance, error in zip(distances, errors, strict=True)

@@ -1,4 +1,4 @@
-"""Where tags hang, from photographs of them: `python -m pipelines.survey run=DIR photographs=DIR camera.path=FILE`."""
+"""Map tags from photographs of them: `python -m pipelines.survey run=DIR photographs=DIR camera.path=FILE`."""
 
 import sys
 from collections.abc import Iterator
@@ -28,27 +28,26 @@ if TYPE_CHECKING:
     from lmd.scene.scene import Scene
     from lmd.scene.tag import Tag
     from lmd.space.space import Space
-    from lmd.survey.survey import Known
+    from lmd.survey.prior import Known
 
     from .progress import Stages
 
 
 def survey(cfg: DictConfig) -> None:
-    """Find where the tags of the configured photographs or detections hang."""
+    """Estimate the map of the tags in the configured photographs or detections."""
     from lmd.core.checks import InputError, boolean, integer, seed_number
     from lmd.core.tables import write_table
     from lmd.detection.corner_errors import CORNER_ERRORS
     from lmd.detection.surveyed import FILE as VIEWS
     from lmd.evaluation.verdicts import verdicts
     from lmd.scene.rig import Rig
-    from lmd.survey.audit import audited, in_the_open
-    from lmd.survey.every import thinned
+    from lmd.survey.audit import audited, in_the_open, view_columns
+    from lmd.survey.keyframes import select_keyframes
     from lmd.survey.next_photographs import next_photographs
-    from lmd.survey.report import again, map_of, metrics
-    from lmd.survey.stages import Stage
+    from lmd.survey.results import map_of, metrics, needing_photographs
+    from lmd.survey.summary import to_text
+    from lmd.survey.survey import Stage
     from lmd.survey.survey import survey as find
-    from lmd.survey.views import view_columns
-    from lmd.survey.words import to_text
 
     from .progress import Stages
     from .tracked_run import keep, tracked
@@ -80,10 +79,10 @@ def survey(cfg: DictConfig) -> None:
                 cameras="camera",
                 fixed="deployment.fixed",
             ):
-                found = find(thinned(found_tags, every), cameras, tag, errors, known, calibrate, stages)
+                found = find(select_keyframes(found_tags, every), cameras, tag, errors, known, calibrate, stages)
             through = tuple(one.found for one in found.calibrated)
             if not stages(Stage.PROPOSING):
-                proposed = next_photographs(found, through[0], tag.modules, errors, again(found), room)
+                proposed = next_photographs(found, through[0], tag.modules, errors, needing_photographs(found), room)
                 found = replace(found, proposed=proposed)
             if scene is not None and not stages(Stage.AUDITING):
                 audit = audited(*((found, scene) if room is not None else in_the_open(found, scene)), verdicts)
@@ -109,7 +108,7 @@ def survey(cfg: DictConfig) -> None:
 
 @contextmanager
 def _map_or_nothing(stages: "Stages") -> Iterator[None]:
-    """Say that nothing is written, and leave nothing, where a survey is told to stop at once."""
+    """Leave no folder, and say so, if the survey is stopped before there is a map."""
     try:
         yield
     except Stopped:
@@ -119,10 +118,10 @@ def _map_or_nothing(stages: "Stages") -> Iterator[None]:
 
 
 def _detector(cfg: DictConfig) -> "tuple[str, Detector]":
-    """The detector and its name.
+    """Name of the detector, and the detector.
 
     Raises:
-        InputError: there is not just one.
+        InputError: there is no detector, several, or one without known corner errors.
     """
     from lmd.core.checks import InputError
     from lmd.detection.corner_errors import CORNER_ERRORS
@@ -138,10 +137,10 @@ def _detector(cfg: DictConfig) -> "tuple[str, Detector]":
 
 
 def _scene(cfg: DictConfig, room: "Space | None", camera: "Camera | Rig", tag: "Tag") -> "Scene":
-    """What the frames are audited by, in a room that stands for one where none is known.
+    """Scene of the audit; if the room is unknown, a placeholder stands for it.
 
     Raises:
-        InputError: the visibility model knows no tags, only points.
+        InputError: the visibility model is of points, not of tags.
     """
     from lmd.core.checks import InputError, check_members
     from lmd.scene.criteria import Criteria
@@ -154,11 +153,11 @@ def _scene(cfg: DictConfig, room: "Space | None", camera: "Camera | Rig", tag: "
     visibility, metre = instantiate(cfg.visibility), (1.0, 1.0, 1.0)
     check_members("visibility", visibility, Criteria, "docs/api/scene.md")
     anywhere = Cuboid(metre, reachable_size=metre, spacing=1.0) if room is None else room
-    return Scene(anywhere, camera, solid_angle(1), visibility, tag)  # it is asked for the frames' own orientations
+    return Scene(anywhere, camera, solid_angle(1), visibility, tag)  # the audit uses the orientations of the frames
 
 
 def _known(cfg: DictConfig, tag: "Tag", given: "Camera | Rig") -> "Known":
-    """What is known of the tags.
+    """Prior knowledge of the tags.
 
     Raises:
         InputError: a file cannot be read, or a number is refused.
@@ -167,12 +166,11 @@ def _known(cfg: DictConfig, tag: "Tag", given: "Camera | Rig") -> "Known":
     from lmd.scene.rig import Rig
     from lmd.scene.tag_map_files import read_deployment
     from lmd.survey.boards import Boards
-    from lmd.survey.known import Hanging, Points
-    from lmd.survey.survey import Known
+    from lmd.survey.prior import Hanging, Known, Points
 
     settings = OmegaConf.to_container(settings_of(cfg, "survey"), resolve=True)
     assert isinstance(settings, dict)
-    for key in ("calibrate", "every"):  # which say nothing of the tags
+    for key in ("calibrate", "every"):  # these do not describe the tags
         settings.pop(key)
     names = ("origin", "points", "floor", "boards", "printed", "mounted", "odometry", "motion")
     origin, points, floor, boards, printed, mounted, path, motion = (settings.pop(key, None) for key in names)
@@ -199,7 +197,7 @@ def _known(cfg: DictConfig, tag: "Tag", given: "Camera | Rig") -> "Known":
 
 
 def _odometry(given: Any) -> "Trajectory | None":
-    """How the body moved, by a file or by the keys of one.
+    """Trajectory of the body, given a path or the keys of a trajectory file.
 
     Raises:
         InputError: it cannot be read, or is no trajectory.

@@ -1,4 +1,4 @@
-"""The files that a survey leaves."""
+"""Files that a survey writes."""
 
 import os
 from collections.abc import Callable
@@ -27,17 +27,17 @@ AUDIT = (
 
 
 def check_folder(directory: Path, cfg: DictConfig, cameras: int, exports: "Export", *, has_plan: bool) -> None:
-    """Refuse a folder that would hold files of an earlier survey beside those of this one, or where these cannot be.
+    """Refuse a folder in which files of an earlier survey would remain, or a folder has the name of a file.
 
     Args:
-        directory: where the files go.
-        cfg: of the survey.
-        cameras: how many there are.
-        exports: what is written besides.
-        has_plan: whether there is one.
+        directory: folder of the files.
+        cfg: configuration of the survey.
+        cameras: number of cameras.
+        exports: exported formats.
+        has_plan: True if there is a plan.
 
     Raises:
-        InputError: it is such a folder.
+        InputError: the folder is refused.
     """
     from lmd.core.checks import InputError
     from lmd.mapping.formats import FORMATS
@@ -64,32 +64,32 @@ def check_folder(directory: Path, cfg: DictConfig, cameras: int, exports: "Expor
 
 
 def camera_files(count: int) -> list[str]:
-    """The names of the files for the calibrations of cameras."""
+    """Names of the calibration files of cameras."""
     return ["camera.yaml"] if count == 1 else [f"camera_{number}.yaml" for number in range(1, count + 1)]
 
 
 def writers_of(
     found: "Survey", room: "Space | None", title: str, detected: "DetectedTags | None"
 ) -> dict[str, Callable[[Path], object]]:
-    """Functions that write the files, by their names.
+    """Functions that write the files, by the names of the files.
 
     Args:
-        found: what is written.
-        room: None where it is not known.
-        title: of the picture.
-        detected: what was detected in all frames; None where it is in a file already.
+        found: the survey.
+        room: the room; None if unknown.
+        title: title of the picture.
+        detected: detections in all frames; None if they were read from a file.
     """
     from lmd.core.tables import write_table
     from lmd.mapping.detections import write_detections
     from lmd.mapping.tag_map import write_yaml
-    from lmd.plot.survey import save_survey_figure
+    from lmd.plot.plans import save_survey_figure
     from lmd.survey.intrinsics import camera_info
-    from lmd.survey.report import document, frame_columns, map_columns, measured_of
+    from lmd.survey.results import frame_columns, map_columns, measured_of, survey_document
 
     writers: dict[str, Callable[[Path], object]] = {
         "map.csv": lambda path: write_table(path, map_columns(found)),
         "frames.csv": lambda path: write_table(path, frame_columns(found)),
-        DOCUMENT: lambda path: write_document(path, document(found)),
+        DOCUMENT: lambda path: write_document(path, survey_document(found)),
         "survey.png": lambda path: save_survey_figure(path, found, room, title),
     }
     if (measured := measured_of(found)) is not None:
@@ -102,11 +102,11 @@ def writers_of(
 
 
 def audit_writers(audit: "Audit", detector: str, title: str) -> dict[str, Callable[[Path], object]]:
-    """Functions that write the files of an audit, by their names."""
+    """Functions that write the files of an audit, by the names of the files."""
     import pandas as pd
 
     from lmd.detection.report import figures
-    from lmd.plot.detection import save_calibration_figure, save_places_figure
+    from lmd.plot.frames import save_calibration_figure, save_places_figure
 
     named = {"deployment": "survey", "detector": detector}
     row = pd.DataFrame([{**named, **figures(audit.prediction, audit.seen)}])

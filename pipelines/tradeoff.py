@@ -125,7 +125,7 @@ def _record(
     from lmd.evaluation.tradeoff import fewest, front, mixtures
     from lmd.evaluation.validation import headline_off_grid
     from lmd.objectives.localisation import Localisation
-    from lmd.plot.tradeoff import Panel, save_tradeoff_figure
+    from lmd.plot.charts import Panel, save_tradeoff_figure
 
     from .tracked_run import keep
 
@@ -178,7 +178,7 @@ def _slug(curve: Any) -> str:
 
 def _told(reached: "pd.DataFrame") -> str:
     """`lmd.evaluation.tradeoff.fewest` for a terminal, a line for each curve."""
-    from lmd.plot.tradeoff import curve_name
+    from lmd.plot.charts import curve_name
 
     lines = []
     for curve, *numbers in reached.reset_index().to_numpy().tolist():

@@ -38,8 +38,8 @@ def view(cfg: DictConfig) -> None:
     from lmd.core.checks import integer
     from lmd.core.optional import optional
     from lmd.planner.app import Planner
-    from lmd.planner.session import Session
-    from lmd.planner.surveyed import Found
+    from lmd.planner.session import PlanningSession
+    from lmd.planner.survey_map import SurveyMap
 
     optional("viser", "view")
     problem = build_problem(cfg)
@@ -50,7 +50,7 @@ def view(cfg: DictConfig) -> None:
     export = None if nothing else build_export(cfg, "export", tag)
     sources = _calibrations(cfg)
     with keyed(rig="camera.rig"):
-        session = Session(problem, problem.draw(np.random.default_rng(cfg.seed)), _space(cfg, problem))
+        session = PlanningSession(problem, problem.draw(np.random.default_rng(cfg.seed)), _space(cfg, problem))
     session.warm_up()
     planner = Planner(
         session,
@@ -59,7 +59,7 @@ def view(cfg: DictConfig) -> None:
         optimiser=lambda: build_optimiser(cfg, cfg.seed),
         budget=budget,
         seed=cfg.seed if cfg.validate else None,
-        survey=None if cfg.survey is None else Found.read(cfg.survey),
+        survey=None if cfg.survey is None else SurveyMap.read(cfg.survey),
     )
     try:
         print(f"planner {planner.address} (Ctrl-C ends it)", flush=True)

@@ -9,8 +9,8 @@ from paper import paper_room
 from selenium.webdriver.common.actions.action_builder import ActionBuilder
 from selenium.webdriver.common.keys import Keys
 
-from lmd.planner.framing import FIELD_OF_VIEW, framed
-from lmd.planner.off_grid import ESTIMATE
+from lmd.planner.background import ESTIMATE
+from lmd.planner.viewing import FIELD_OF_VIEW, framed
 
 LIMIT = 300.0  # seconds
 OF_VISERS = "Unable to preventDefault inside passive event listener"  # what its own page says of every drag

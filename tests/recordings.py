@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from lmd.orientation.estimate import estimate_pdf
+from lmd.orientation.procedure import estimate_pdf
 from lmd.orientation.recording import OrientationRecording, SimulatedRecording
 
 LEVEL = {

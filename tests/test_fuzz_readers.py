@@ -19,7 +19,7 @@ from lmd.scene.tag_map_files import read_deployment
 from lmd.scene.trajectory_files import TrajectoryFile
 from lmd.space.mesh_file import read_mesh
 from lmd.survey.boards import Boards
-from lmd.survey.known import Points
+from lmd.survey.prior import Points
 
 BROKEN = round(100 * SHARE)  # files of each kind of change
 VALUES = [

@@ -22,8 +22,8 @@ from lmd.optimisers.annealing import Annealing
 from lmd.optimisers.ega import EGA
 from lmd.optimisers.greedy import Greedy
 from lmd.optimisers.ledger import Budget
-from lmd.planner.additions import additions
-from lmd.planner.session import Session
+from lmd.planner.figures import additions
+from lmd.planner.session import PlanningSession
 from lmd.problem import Problem
 from lmd.scene import pdf
 from lmd.scene.criteria import Covering
@@ -153,7 +153,7 @@ def test_figures_of_an_evaluation_are_those_of_the_compiled_half(objective):
     found = []
     for problem in problems(objective, 6):
         deployment = problem.draw(np.random.default_rng(0))
-        session = Session(problem, deployment)
+        session = PlanningSession(problem, deployment)
         session.drag(int(deployment.ids[0]), int(deployment.surfaces[1]), np.array([1.0, 1.0]))
         found.append({
             **problem.metrics(deployment),

@@ -20,7 +20,7 @@ import pandas as pd
 from lmd.core.checks import BoolArray, FloatArray
 from lmd.geometry.camera import Camera
 from lmd.geometry.projection import slope
-from lmd.geometry.se3 import adjoint, axis_and_right, camera_pose, inverse, skew
+from lmd.geometry.se3 import adjoint_matrix, axis_and_right, camera_pose, inverse, skew
 from lmd.scene.deployment import Deployment
 from lmd.scene.scene import Scene
 from lmd.sight.evaluator import Evaluator, averaged
@@ -79,7 +79,7 @@ def moment_information(
     """
     total = np.zeros((len(poses), 6, 6))
     for c, camera in enumerate(cameras):
-        moved = adjoint(inverse(extrinsics[c]), np.eye(6)).T
+        moved = adjoint_matrix(inverse(extrinsics[c]))
         its = pose_information(poses @ extrinsics[c], landmarks, seen[c], camera, None if noise is None else noise[c])
         total += moved.T @ its @ moved
     return total

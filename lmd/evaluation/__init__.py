@@ -1,1 +1,23 @@
-"""What a deployment is worth: off the grid, against bounds, as mounted, with losses; and which of several is best."""
+"""Evaluation of deployments: bounds, validation, robustness, and comparison of optimisers."""
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Protocol
+
+from numpy.typing import ArrayLike
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+
+class Study(Protocol):
+    """Result of a study of a deployment: without a tag, as mounted, as measured, under other assumptions."""
+
+    @property
+    def tables(self) -> "Mapping[str, pd.DataFrame | Mapping[str, ArrayLike]]":
+        """Columns by name, by the name of the table; an index is not a column."""
+
+    def metrics(self) -> dict[str, float]:
+        """Finite figures by name."""
+
+    def to_text(self) -> str:
+        """Text for a terminal."""

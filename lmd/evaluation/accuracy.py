@@ -1,4 +1,4 @@
-"""What a deployment lets one image tell of the camera's position, predicted for every view, whatever it was made for.
+"""Accuracy of the position from one image, predicted for every view of a deployment, whatever its objective.
 
 The prediction is the standard deviation of `lmd.objectives.localisation`, infinite for views that cover fewer than n
 landmarks, or a single tag whose two poses look alike. All figures are off the grid: random positions, orientations from
@@ -26,19 +26,19 @@ from lmd.sight.kernels import PROBABILITY_ONE
 if TYPE_CHECKING:
     import pandas as pd
 
-TOLERANCES = (0.01, 0.02, 0.05)  # metres
+TOLERANCES = (0.01, 0.02, 0.05)  # position errors that a view may have to count as localised, metres
 SAMPLE = Sample(groups=8, positions=512, divisions=23)
 
 
 def as_localisation(objective: Objective) -> Localisation:
-    """The objective if it is `Localisation`; otherwise the default `Localisation` with its n."""
+    """Return the objective if it is `Localisation`; otherwise the default `Localisation` with its n."""
     return objective if isinstance(objective, Localisation) else Localisation(objective.n)
 
 
 def predicted_errors(problem: Problem, deployment: Deployment, evaluator: Evaluator) -> tuple[FloatArray, FloatArray]:
-    """Standard deviation of the position in each view, metres, `(P, D)`, D orientations of the evaluator, and P_n.
+    """Predict the standard deviation of the position in each view, metres, `(P, D)` for D orientations, and P_n `(P,)`.
 
-    The noise of a corner, and what counts of a single tag, are the objective's, where it is one of localisation.
+    The noise of a corner and the rule for single tags are those of the objective, or of the default `Localisation`.
     """
     objective, scene = problem.objective, problem.scene
     of_any = replace(as_localisation(objective), tolerance=np.inf, rotation_tolerance=None)
@@ -54,12 +54,15 @@ def _share_name(tolerance: float) -> str:
 
 
 def accuracy_metrics(problem: Problem, deployment: Deployment, seed: int, sample: Sample = SAMPLE) -> dict[str, float]:
-    """The mean of P_n, shares of views localised to `TOLERANCES`, median and 90 % of the predicted error, metres.
+    """Mean of P_n, shares of views localised to `TOLERANCES`, median and 90 % quantile of the predicted error, metres.
 
-    The last two are over all views, and left out where they are infinite, as too few views cover n landmarks.
+    The quantiles are over all views, and left out where they are infinite, as too few views cover n landmarks.
 
     Args:
-        problem: the scene, n, and the noise of a corner.
+        problem: gives the scene, n, and the noise of a corner.
+        deployment: K landmarks.
+        seed: of the sample.
+        sample: its size.
     """
     parts = []
     scene = problem.scene.sized(deployment.edges)
@@ -95,9 +98,9 @@ def save_accuracy_map(path: str | Path, problem: Problem, deployment: Deployment
 
 
 def plan_of_errors(problem: Problem, deployment: Deployment) -> "pd.DataFrame":
-    """`x,y,predicted_error_median`, metres: over all orientations and heights at each place of the grid's plan.
+    """Table `x,y,predicted_error_median`, metres: over all orientations and heights at each place of the grid's plan.
 
-    The median is infinite where fewer than half of these views cover n landmarks.
+    The median is infinite where fewer than half of the views cover n landmarks.
     """
     import pandas as pd
 
@@ -111,7 +114,7 @@ def plan_of_errors(problem: Problem, deployment: Deployment) -> "pd.DataFrame":
 
 
 def _medians(errors: FloatArray, weight: FloatArray) -> FloatArray:
-    """The median of each row of `(P, V)` with weights `(1, V)` or `(P, V)` of sum 1, `(P,)`."""
+    """Median of each row of `(P, V)` with weights `(1, V)` or `(P, V)` of sum 1, `(P,)`."""
     order = np.argsort(errors, axis=1)
     ordered = np.take_along_axis(np.broadcast_to(weight, errors.shape), order, axis=1)
     middle = (np.cumsum(ordered, axis=1) >= 0.5).argmax(axis=1)[:, None]

@@ -1,24 +1,31 @@
-"""Comparing optimisers over seeds: the figures of a table and of its plots."""
+"""Comparison of optimisers over seeds: figures of a table and of charts, and tests that assume no distribution.
+
+All tests are two-sided. Sources: Demsar, "Statistical Comparisons of Classifiers over Multiple Data Sets" (2006), for
+Friedman's test followed by Nemenyi's; Vargha and Delaney, "A Critique and Improvement of the CL Common Language Effect
+Size Statistics" (2000), for A12; Holm, "A Simple Sequentially Rejective Multiple Test Procedure" (1979).
+"""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 import pandas as pd
+from scipy import stats
 
 from lmd.core.checks import FloatArray
 from lmd.core.words import as_code
-from lmd.evaluation.significance import a12, friedman, holm, mean_ranks, median_interval, nemenyi, wilcoxon
 from lmd.optimisers.ledger import Record
 from lmd.scene.deployment import Deployment
 
-TABLE_TARGETS = (0.25, 0.5, 0.75)  # quantiles of what all runs reached
-CURVE_TARGETS = 50
+TABLE_TARGETS = (0.25, 0.5, 0.75)  # quantiles of the final fitness of all runs
+CURVE_TARGETS = 50  # number of targets of a curve
+CONFIDENCE = 0.95  # of intervals
+LEAST_PAIRS = 2  # pairs that a test needs
 
 
 @dataclass(frozen=True)
 class OptimiserRun:
-    """One run of one optimiser."""
+    """A run of an optimiser with a seed."""
 
     optimiser: str
     seed: int
@@ -27,31 +34,28 @@ class OptimiserRun:
     deployment: Deployment
 
     def evaluations_to(self, fitness: float) -> float:
-        """Evaluations after which the best fitness reached `fitness`; infinity if it never did."""
+        """Evaluations after which the best fitness reached `fitness`; infinity if it did not."""
         return next((r.evaluations for r in self.history if r.best_fitness >= fitness), np.inf)
 
 
 @dataclass(frozen=True)
 class Comparison:
-    """What runs of several optimisers say about these.
-
-    Args:
-        table: one row per optimiser, the best first; `compared` names its columns.
-        targets: quartiles of the fitness that all runs reached; `evaluations_to_1` is about the first of them.
-        reference: the optimiser that effect sizes and p-values of the table are against.
-        test: what the p-values are of, in a sentence in Markdown; empty where there is nothing to test.
-        pairs: p-values of every two optimisers; None where each was tested against the reference alone.
-    """
+    """Comparison of several optimisers by their runs."""
 
     table: pd.DataFrame
+    """One row per optimiser, the best first; `compared` names its columns."""
     targets: tuple[float, ...]
+    """Quartiles of the final fitness of all runs; `evaluations_to_1` is about the first of them."""
     reference: str
+    """Optimiser that effect sizes and p-values of the table are against."""
     test: str
+    """Name of the test behind the p-values, a sentence in Markdown; empty where there is nothing to test."""
     pairs: pd.DataFrame | None
+    """P-values of every two optimisers; None where each was tested against the reference alone."""
 
 
 def by_optimiser(runs: Sequence[OptimiserRun], key: str) -> dict[str, list[OptimiserRun]]:
-    """Runs grouped by optimiser, the highest median of the figure `key` first."""
+    """Group runs by optimiser, the highest median of the figure `key` first."""
     groups: dict[str, list[OptimiserRun]] = {}
     for run in runs:
         groups.setdefault(run.optimiser, []).append(run)
@@ -72,9 +76,9 @@ def compared(runs: Sequence[OptimiserRun], key: str, reference: str | None = Non
 
     Args:
         runs: of all optimisers.
-        key: the figure, higher is better.
-        reference: every optimiser is tested against this one. None tests every two against each other, and the table is
-            then about the first row.
+        key: name of the figure; higher is better.
+        reference: every optimiser is tested against this one. None tests every two against each other; the table then
+            refers to its first row.
     """
     groups = by_optimiser(runs, key)
     figures = pd.DataFrame({name: {run.seed: run.metrics[key] for run in group} for name, group in groups.items()})
@@ -108,7 +112,7 @@ def compared(runs: Sequence[OptimiserRun], key: str, reference: str | None = Non
 
 
 def _against(figures: pd.DataFrame, reference: str) -> tuple[pd.Series, str]:
-    """P-values of every column against one of them, and what they are of."""
+    """P-values of every column against one of them, and the sentence that names the test."""
     others = [name for name in figures if name != reference]
     pairs = [figures[[name, reference]].dropna().to_numpy() for name in others]
     p_values = holm(np.array([wilcoxon(pair[:, 0], pair[:, 1]) for pair in pairs]))
@@ -119,7 +123,7 @@ def _against(figures: pd.DataFrame, reference: str) -> tuple[pd.Series, str]:
 
 
 def _all_against_all(complete: pd.DataFrame, reference: str) -> tuple[pd.DataFrame, str]:
-    """P-values of every two columns, and what they are of."""
+    """P-values of every two columns, and the sentence that names the test."""
     names, values = list(complete), complete.to_numpy()
     test = (
         f"p: Nemenyi's test against {as_code(reference)} on the mean ranks over the {len(values)} seeds that all have "
@@ -130,7 +134,7 @@ def _all_against_all(complete: pd.DataFrame, reference: str) -> tuple[pd.DataFra
 
 
 def expected_running_time(runs: Sequence[OptimiserRun], fitness: float) -> float:
-    """Evaluations of all runs until they reached `fitness` or ended, over how many reached it (the ERT of COCO)."""
+    """Evaluations of all runs until `fitness` or their end, over the number of runs that reached it (ERT of COCO)."""
     spent = [min(run.evaluations_to(fitness), run.history[-1].evaluations) for run in runs]
     reached = sum(np.isfinite(run.evaluations_to(fitness)) for run in runs)
     return sum(spent) / reached if reached else np.inf
@@ -154,6 +158,69 @@ def curve_targets(runs: Sequence[OptimiserRun]) -> FloatArray:
 
 
 def attained(runs: Sequence[OptimiserRun], axis: str, at: FloatArray, targets: FloatArray) -> FloatArray:
-    """Share of all runs and targets `(T,)` that were reached at `at` `(N,)`, an empirical distribution function."""
+    """Share of all runs and targets `(T,)` reached at `at` `(N,)`, an empirical distribution function, `(N,)`."""
     share: FloatArray = (best_at(runs, axis, at)[:, :, None] >= targets).mean(axis=(0, 2))
     return share
+
+
+def wilcoxon(first: FloatArray, second: FloatArray) -> float:
+    """P-value of Wilcoxon's signed-rank test on pairs `(N,)`; 1 if no pair differs, NaN for fewer than two pairs."""
+    differences = np.subtract(first, second)
+    if len(differences) < LEAST_PAIRS:
+        return np.nan
+    return float(stats.wilcoxon(differences).pvalue) if differences.any() else 1.0
+
+
+def holm(p_values: FloatArray) -> FloatArray:
+    """Correct the P-values `(M,)` of several tests by Holm's procedure; NaN stands for no test."""
+    known = np.flatnonzero(~np.isnan(p_values))
+    order = known[np.argsort(p_values[known])]
+    corrected = np.full(len(p_values), np.nan)
+    factors = np.arange(len(order), 0, -1)
+    corrected[order] = np.minimum(np.maximum.accumulate(factors * p_values[order]), 1.0)
+    return corrected
+
+
+def mean_ranks(values: FloatArray) -> FloatArray:
+    """Mean rank of each of K columns of `(N, K)` over the rows; 1 is the highest value, ties share their ranks."""
+    ranks: FloatArray = stats.rankdata(-values, axis=1).mean(axis=0)
+    return ranks
+
+
+def friedman(values: FloatArray) -> float:
+    """P-value of Friedman's test that three or more columns of `(N, K)` are alike; NaN for fewer than two rows."""
+    if len(values) < LEAST_PAIRS:
+        return np.nan
+    if (values == values[:, :1]).all():
+        return 1.0
+    return float(stats.friedmanchisquare(*values.T).pvalue)
+
+
+def nemenyi(values: FloatArray) -> FloatArray:
+    """P-values `(K, K)` of Nemenyi's test of every two columns of `(N, K)`; NaN for fewer rows than two."""
+    rows, columns = values.shape
+    if rows < LEAST_PAIRS:
+        return np.full((columns, columns), np.nan)
+    ranks = mean_ranks(values)
+    apart = np.abs(ranks[:, None] - ranks) / np.sqrt(columns * (columns + 1) / (6 * rows))
+    p_values: FloatArray = stats.studentized_range.sf(np.sqrt(2.0) * apart, columns, np.inf)
+    return p_values
+
+
+def a12(first: FloatArray, second: FloatArray) -> float:
+    """Vargha and Delaney's A12: probability that a value of `first` exceeds one of `second`; ties count half."""
+    return float(stats.mannwhitneyu(first, second).statistic / (len(first) * len(second)))
+
+
+def median_interval(values: FloatArray, seed: int) -> tuple[float, float]:
+    """Percentile interval of the median by the bootstrap, confidence 95 %; a single value is its own interval.
+
+    Args:
+        values: the sample `(N,)`.
+        seed: of the bootstrap.
+    """
+    if len(values) == 1:
+        return float(values[0]), float(values[0])
+    generator = np.random.default_rng(seed)
+    found = stats.bootstrap((values,), np.median, confidence_level=CONFIDENCE, method="percentile", rng=generator)
+    return float(found.confidence_interval.low), float(found.confidence_interval.high)

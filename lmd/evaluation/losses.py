@@ -1,4 +1,4 @@
-"""One tag falls off, or two: what a deployment loses without them, and which tags matter."""
+"""Losses of fitness without single tags and without pairs of tags."""
 
 from dataclasses import dataclass
 
@@ -13,27 +13,24 @@ from lmd.objectives.without import without_landmarks
 from lmd.problem import Problem
 from lmd.scene.deployment import Deployment
 
-TAGS_LISTED = 8  # tags that a terminal names
-FITNESS_ROUNDING = 1e-12  # a difference in fitness that is one of rounding
+TAGS_LISTED = 8  # largest number of tags listed in a terminal
+FITNESS_ROUNDING = 1e-12  # largest difference in fitness that is taken for a rounding error
 
 
 @dataclass(frozen=True)
 class Losses:
-    """The fitness that is left.
-
-    Args:
-        ids: of K landmarks.
-        fitness: of all of them.
-        without: `(K, K)`, without landmarks i and j; without i alone for i = j.
-    """
+    """Fitness that is left without landmarks."""
 
     ids: IntArray
+    """Ids of K landmarks, `(K,)`."""
     fitness: float
+    """Fitness with all of them."""
     without: FloatArray
+    """`(K, K)` fitness without landmarks i and j; without i alone for i = j."""
 
     @property
     def table(self) -> dict[str, FloatArray | IntArray]:
-        """The columns `id`, `fitness_without` and `fitness_loss`, the tag that matters most first, `(K,)` each."""
+        """Columns `id`, `fitness_without` and `fitness_loss`, `(K,)` each, the largest loss first."""
         alone = np.diagonal(self.without)
         lost = self.fitness - alone
         order = np.argsort(-lost, kind="stable")
@@ -41,16 +38,16 @@ class Losses:
 
     @property
     def tables(self) -> dict[str, dict[str, FloatArray | IntArray]]:
-        """See `Study.tables`."""
+        """See `lmd.evaluation.Study.tables`."""
         return {"losses": self.table}
 
     @property
     def idle(self) -> IntArray:
-        """The ids of the landmarks without any of which the fitness is no lower."""
+        """Ids of the landmarks without any one of which the fitness is as high."""
         return np.sort(self.ids[np.diagonal(self.without) >= self.fitness - FITNESS_ROUNDING])
 
     def metrics(self) -> dict[str, float]:
-        """The least and the mean fitness over the loss of any one landmark, and of any two."""
+        """Least and mean fitness over the loss of any one landmark, and of any two."""
         one, two = np.diagonal(self.without), self.without[np.triu_indices(len(self.ids), 1)]
         return {
             f"fitness_without_{name}_{kind}": float(figure(left))
@@ -60,7 +57,7 @@ class Losses:
         }
 
     def to_text(self) -> str:
-        """Which tags matter most and which are idle, for a terminal."""
+        """Text for a terminal: the tags with the largest losses, and the idle ones."""
         rows = zip(*self.table.values(), strict=True)
         dearest = [(number, lost) for number, _, lost in rows if lost > FITNESS_ROUNDING]
         most = ", ".join(f"{number} ({100.0 * lost:.2f})" for number, lost in dearest[:TAGS_LISTED])
@@ -72,9 +69,10 @@ class Losses:
 
 
 def losses(problem: Problem, deployment: Deployment) -> Losses:
-    """The fitness without each landmark, and without any two.
+    """Measure the fitness without each landmark, and without any two.
 
     Args:
+        problem: its objective has a field.
         deployment: K landmarks.
 
     Raises:

@@ -1,8 +1,7 @@
-"""What a map that is wrong does to the pose: tags hang in one place, and the estimate takes them to be in another.
+"""Errors of the pose due to a wrong map: tags hang in one place, and the estimate assumes another.
 
-The pose comes from one image by PnP (`lmd.geometry.pose`), of a rig from those of all its cameras. A map that is off
-as a whole, by a rigid motion T, gives a pose that is off by the same motion; tags that are off each in its own way
-partly cancel out.
+The pose is estimated from one image by PnP (`lmd.geometry.pose`), for a rig from the images of all its cameras. A map
+that is displaced as a whole by a rigid motion T displaces the pose by T; independent errors of tags partly cancel out.
 """
 
 from collections.abc import Mapping
@@ -30,23 +29,20 @@ QUANTILES = (0.05, 0.5, 0.95)
 
 @dataclass(frozen=True)
 class Hung:
-    """Tags with their upper edges, which need not be upright.
-
-    Args:
-        deployment: K landmarks.
-        ups: unit vectors in the planes of the tags that point to their upper edges, `(K, 3)`, world frame.
-    """
+    """Tags with their upper edges, which need not be upright."""
 
     deployment: Deployment
+    """K landmarks."""
     ups: FloatArray
+    """Unit vectors in the planes of the tags that point to their upper edges, `(K, 3)`, world frame."""
 
     @classmethod
     def of(cls, deployment: Deployment) -> "Hung":
-        """All of them as the deployment has them."""
+        """Tags with the upper edges of the deployment."""
         return cls(deployment, deployment.ups)
 
     def points(self, tag: Tag) -> FloatArray:
-        """What an image shows of each: the M = 4 corners of a tag, or the centre of a point, metres, `(K, M, 3)`."""
+        """Points that an image shows: the M = 4 corners of each tag, or the centre of a point, metres, `(K, M, 3)`."""
         places, edges = self.deployment.places, self.deployment.edges_of(tag)
         return places[:, None] if tag.is_point else corners(places, self.deployment.normals, self.ups, edges)
 
@@ -54,17 +50,18 @@ class Hung:
 def map_errors(
     problem: Problem, truth: Hung, maps: Mapping[str, Hung], poses: FloatArray, rng: np.random.Generator
 ) -> "pd.DataFrame":
-    """Errors of the pose from single images, one row for each pose from which at least n tags are seen.
+    """Measure errors of the pose from single images, one row for each pose from which at least n tags are seen.
 
     Args:
-        problem: the scene, n, and the noise of a corner; where the objective is not one of localisation, the default
-            one says that.
-        truth: where the K tags hang. The visibility model says which are seen; it takes all tags to be upright.
-        maps: where the estimates take them to be, by name; the same noise for all.
+        problem: gives the scene, n, and the noise of a corner, that of the default `Localisation` if the objective is
+            another one.
+        truth: K tags as they hang. The visibility model, which assumes upright tags, decides which are seen.
+        maps: K tags as assumed by the estimates, by name; all have the same noise.
         poses: X, `(N, 4, 4)`.
+        rng: draws the noise.
 
     Returns:
-        `tags`, how many are seen, and for each map `position_<name>` (m) and `attitude_<name>` (rad), NaN where the
+        `tags`, the number seen, and for each map `position_<name>` (m) and `attitude_<name>` (rad), NaN where the
         points do not fix a pose.
     """
     import pandas as pd
@@ -90,7 +87,7 @@ def map_errors(
 
 
 def named_figures(*tables: "pd.DataFrame") -> dict[str, float]:
-    """The finite values of tables by row and column, `fitness/5` for that of `5 %`."""
+    """Finite values of tables by row and column, `fitness/5` for column `5 %`."""
     return {
         f"{row}/{column}".replace(" %", ""): float(value)
         for table in tables
@@ -101,15 +98,15 @@ def named_figures(*tables: "pd.DataFrame") -> dict[str, float]:
 
 
 def percent_text(figures: "pd.DataFrame") -> str:
-    """A table of shares for a terminal, per cent."""
+    """Text of a table of shares for a terminal, per cent."""
     return figures.rename_axis(None).to_string(float_format=lambda value: f"{100.0 * value:.2f}")
 
 
 def error_quantiles(views: "pd.DataFrame") -> "pd.DataFrame":
-    """The rows of `map_errors` in short, indexed by `position_<name>` and so on.
+    """Quantiles of the columns of `map_errors`, indexed by `position_<name>` and `attitude_<name>`.
 
-    Columns: `5 %`, `50 %`, `95 %` of all views with an estimate, and of positions the share of all views
-    `within_<n>mm`, where one without an estimate counts as farther off.
+    Columns: `5 %`, `50 %`, `95 %` of all views with an estimate, and for positions the share of all views
+    `within_<n>mm`; a view without an estimate is in none.
     """
     import pandas as pd
 
@@ -123,7 +120,7 @@ def error_quantiles(views: "pd.DataFrame") -> "pd.DataFrame":
 
 
 def errors_text(views: "pd.DataFrame", n: int) -> str:
-    """`error_quantiles` for a terminal, in mm and mrad."""
+    """Text of `error_quantiles` for a terminal, in mm and mrad."""
     import pandas as pd
 
     table = error_quantiles(views)

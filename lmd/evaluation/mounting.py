@@ -1,8 +1,8 @@
-"""As mounted: what becomes of the figures if no tag hangs quite where the plan has it.
+"""Figures of a deployment as mounted: each tag hangs a little off its place in the plan.
 
-Every draw mounts all tags with errors of their own, and is scored like any deployment, on the grid and at random
+Every draw mounts all tags with independent errors, and is scored like any deployment, on the grid and at random
 positions off it. The pose is then estimated from single images with the map as planned, and for comparison with the map
-as mounted, which is what one would have after measuring.
+as mounted, which a survey would give.
 """
 
 from dataclasses import dataclass, replace
@@ -23,29 +23,27 @@ if TYPE_CHECKING:
     import pandas as pd
 
 SAMPLE = Sample(groups=8, positions=256, divisions=23)
-VIEWS_PER_DRAW = 40  # random poses of a draw
-POSE_BYTES = 4 * 4 * 8
-MOUNTING_STREAM = 0x6D6F756E74  # keeps the draws apart from every other use of the same seed
+VIEWS_PER_DRAW = 40  # number of random poses of a draw
+POSE_BYTES = 4 * 4 * 8  # memory of a pose
+MOUNTING_STREAM = 0x6D6F756E74  # keeps the draws apart from every other use of the seed
 
 
 @dataclass(frozen=True)
 class MountingError:
-    """How exactly tags are mounted: independent normal errors of each tag, given by their standard deviations.
-
-    Args:
-        position: along each of the two directions of the surface, metres.
-        turn: in the plane of the tag, rad.
-        tilt: of the normal, about each of the two directions of the surface, rad: a tag that does not lie flat.
-        draws: how many mountings are looked at.
+    """Standard deviations of the independent normal errors with which tags are mounted.
 
     Raises:
         InputError: a value is negative, an angle more than a quarter turn, or there is no draw.
     """
 
     position: float
+    """Along each of the two directions of the surface, metres."""
     turn: float
+    """In the plane of the tag, rad."""
     tilt: float
+    """Of the normal about each of the two directions of the surface, rad: a tag that does not lie flat."""
     draws: int
+    """Number of mountings drawn."""
 
     def __post_init__(self) -> None:
         check_fields(self, real, "position", low=0.0)
@@ -56,18 +54,19 @@ class MountingError:
 
     @property
     def is_none(self) -> bool:
-        """Whether all hangs as planned."""
+        """True if all tags hang as planned."""
         return not (self.position or self.turn or self.tilt)
 
     def hung(self, problem: Problem, plan: Deployment, rng: np.random.Generator) -> Hung:
-        """The tags of a plan as somebody mounts them.
+        """Draw the tags of a plan as they are mounted.
 
-        Tags stay on their surface, and papers do not overlap: one that would hang over an edge, or over a tag before
-        it, goes to the nearest place where it may hang. Tags that hang already (`Problem.fixed`) stay where they are.
+        Tags stay on their surface, and footprints do not overlap: a tag that would hang over an edge, or over a tag
+        before it, moves to the nearest place where it may hang. Tags that hang already (`Problem.fixed`) stay.
 
         Args:
-            problem: the surfaces, the papers, and which tags are fixed.
+            problem: gives the surfaces, the footprints, and the fixed tags.
             plan: K landmarks with their surfaces.
+            rng: draws the errors.
 
         Raises:
             InputError: there is no room for all papers.
@@ -84,7 +83,7 @@ class MountingError:
         return Hung(replace(moved, normals=normals), ups)
 
     def _apart(self, problem: Problem, moved: Deployment) -> Deployment:
-        """The landmarks on surfaces pushed apart; those that hang on none stay."""
+        """Push the landmarks on surfaces apart; those on none stay."""
         on = np.flatnonzero(moved.surfaces >= 0)
         if not len(on):
             return moved
@@ -96,27 +95,24 @@ class MountingError:
 
 @dataclass(frozen=True)
 class Mounted:
-    """What came out.
-
-    Args:
-        error: what was drawn from.
-        seed: of the draws.
-        n: tags that a view must show for a pose.
-        planned: the figures as planned, on the grid, and at the random positions of the draws as `grid_free_...`.
-        draws: the same figures of each draw, a row each.
-        views: the errors of the pose with the map as `planned` and as `mounted`, see `map_errors`, and the `draw`.
-    """
+    """Figures of a plan as mounted."""
 
     error: MountingError
+    """Distribution of the errors."""
     seed: int
+    """Seed of the draws."""
     n: int
+    """Number of tags that a view must show for a pose."""
     planned: "pd.Series"
+    """Figures as planned, on the grid, and at random positions as `grid_free_...`."""
     draws: "pd.DataFrame"
+    """These figures of each draw, a row each."""
     views: "pd.DataFrame"
+    """Errors of the pose with the map as `planned` and as `mounted`, see `map_errors`, and the `draw`."""
 
     @property
     def table(self) -> "pd.DataFrame":
-        """`planned`, `mean`, `5 %`, `50 %` and `95 %` of each figure over the draws, indexed by `figure`."""
+        """Columns `planned`, `mean`, `5 %`, `50 %` and `95 %` of each figure over the draws, indexed by `figure`."""
         import pandas as pd
 
         quantiles = {f"{100 * q:g} %": self.draws.quantile(q) for q in QUANTILES}
@@ -124,7 +120,7 @@ class Mounted:
 
     @property
     def tables(self) -> "dict[str, pd.DataFrame]":
-        """See `Study.tables`."""
+        """See `lmd.evaluation.Study.tables`."""
         return {
             "mounting": self.table.reset_index(),
             "mountings": self.draws.reset_index(),
@@ -132,11 +128,11 @@ class Mounted:
         }
 
     def metrics(self) -> dict[str, float]:
-        """All figures by names such as `fitness/5 %` and `position_planned/50 %`, metres and rad."""
+        """Figures by names such as `fitness/5` and `position_planned/50`, metres and rad."""
         return named_figures(self.table.drop(columns="planned"), error_quantiles(self.views))
 
     def to_text(self) -> str:
-        """What a terminal shows, per cent."""
+        """Text for a terminal, per cent."""
         error = self.error
         head = (
             f"as mounted: tags off by {1e3 * error.position:g} mm along their surface, turned by "
@@ -150,17 +146,18 @@ def mounted(problem: Problem, plan: Deployment, error: MountingError, seed: int,
     """Score a plan as it may be mounted. No result depends on the threads.
 
     Args:
+        problem: gives the scene and the objective.
         plan: K landmarks with their surfaces.
         error: of the mounting.
         seed: of the draws, of the random positions, and of the views.
-        sample: the random positions off the grid, the same for all draws.
+        sample: random positions off the grid, shared by all draws.
 
     Raises:
         InputError: there is no room for all papers.
     """
     import pandas as pd
 
-    plan = replace(plan, surveyed=None)  # what is mounted are the places on the surfaces
+    plan = replace(plan, surveyed=None)  # tags are mounted at their places on the surfaces
     streams = np.random.default_rng([seed, MOUNTING_STREAM]).spawn(error.draws)
     hung = [error.hung(problem, plan, rng) for rng in streams]
     all_of_them = [plan, *(each.deployment for each in hung)]
@@ -178,7 +175,7 @@ def mounted(problem: Problem, plan: Deployment, error: MountingError, seed: int,
 
 
 def off_grid_figures(problem: Problem, deployments: list[Deployment], seed: int, sample: Sample) -> "pd.DataFrame":
-    """The shares of the objective at random positions, the same for all deployments of K landmarks, a row each."""
+    """Shares of the objective for deployments of K landmarks, a row each, at random positions that they share."""
     import pandas as pd
 
     positions, normals = (np.stack([getattr(d, name) for d in deployments]) for name in ("positions", "normals"))

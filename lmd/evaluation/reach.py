@@ -1,4 +1,4 @@
-"""How far away a camera reads one tag, and how well that tag alone fixes its pose: without a room or a deployment.
+"""Range at which a camera reads one tag, and the pose error with that tag alone: without a room or a deployment.
 
 The tag hangs upright in the middle of the view and is turned about the vertical by the incidence angle.
 """
@@ -17,36 +17,38 @@ from lmd.geometry.squares import corners, upright
 from lmd.scene.criteria import Criteria
 from lmd.scene.tag import Tag
 
-NEAREST, FARTHEST = 0.01, 1000.0  # distances that are looked at, metres
-DISTANCE_STEPS = 400  # between them, by equal factors: of 1.03
-COARSE_STEPS = 8  # steps at once, of sizes
+NEAREST, FARTHEST = 0.01, 1000.0  # range of distances that are tried, metres
+DISTANCE_STEPS = 400  # number of distances tried, by equal factors of 1.03
+COARSE_STEPS = 8  # sizes tried at first are this many steps apart
 RELATIVE_TOLERANCE = 1e-4
 
 
 @dataclass(frozen=True)
 class Reach:
-    """From where to where a tag is read, metres; NaN where it never is.
+    """Range of distances at which a tag is read; NaN if there is none.
 
     A tag that is too near does not fit into the image, or is out of focus.
     """
 
     nearest: float
+    """Metres."""
     farthest: float
+    """Metres."""
 
 
 def _hung(distance: float, incidence: float) -> tuple[FloatArray, FloatArray]:
-    """The position and the normal `(1, 3)` of a tag ahead of a camera at the origin that looks along y."""
+    """Position and normal `(1, 3)` of a tag ahead of a camera at the origin that looks along y."""
     return np.array([[0.0, distance, 0.0]]), np.array([[math.sin(incidence), -math.cos(incidence), 0.0]])
 
 
 def is_read(criteria: Criteria, camera: Camera, distance: float, incidence: float) -> bool:
-    """Whether a tag is read at a distance, metres, and an incidence angle, rad."""
+    """Return True if a tag is read at a distance, metres, and an incidence angle, rad."""
     axes = np.array([[0.0, 1.0, 0.0, 1.0, 0.0, 0.0]])
     return bool(criteria.covered(camera, np.zeros(3), axes, *_hung(distance, incidence))[0, 0])
 
 
 def reach(criteria: Criteria, camera: Camera, incidence: float) -> Reach:
-    """From where to where a tag is read at an incidence angle, rad."""
+    """Find the range of distances at which a tag is read at an incidence angle, rad."""
     tried = np.geomspace(NEAREST, FARTHEST, DISTANCE_STEPS)
     read = np.flatnonzero([is_read(criteria, camera, distance, incidence) for distance in tried])
     if not read.size:
@@ -61,11 +63,12 @@ def reach(criteria: Criteria, camera: Camera, incidence: float) -> Reach:
 
 
 def smallest_edge(criteria_of: Callable[[float], Criteria], camera: Camera, distance: float, incidence: float) -> float:
-    """The edge of the smallest tag that is read at a distance, metres; NaN if none is.
+    """Find the edge of the smallest tag that is read at a distance, metres; NaN if none is read.
 
     Args:
         criteria_of: makes the criteria for tags with an edge, metres.
-        distance: from it, metres.
+        camera: the camera.
+        distance: from the tag, metres.
         incidence: angle, rad.
     """
     tried = distance * np.geomspace(1e-3, 1.0, DISTANCE_STEPS)
@@ -73,7 +76,7 @@ def smallest_edge(criteria_of: Callable[[float], Criteria], camera: Camera, dist
     def read(edge: float) -> bool:
         return edge > 0.0 and is_read(criteria_of(edge), camera, distance, incidence)
 
-    # Sizes that are read have no gaps: those between two that are not read are tried only if none of these is.
+    # Sizes that are read have no gaps, so the sizes between two that are not read are tried only if no coarse one is.
     for step in (COARSE_STEPS, 1):
         for index in range(0, DISTANCE_STEPS, step):
             if read(tried[index]):
@@ -82,19 +85,21 @@ def smallest_edge(criteria_of: Callable[[float], Criteria], camera: Camera, dist
 
 
 def _border(holds: Callable[[float], bool], inside: float, outside: float) -> float:
-    """The value nearest to `outside` for which something holds, as it does `inside`, by bisection."""
+    """Value nearest to `outside` for which `holds` is true, as it is at `inside`, by bisection."""
     while abs(outside - inside) > RELATIVE_TOLERANCE * max(abs(inside), abs(outside)):
         middle = (inside + outside) / 2.0
         inside, outside = (middle, outside) if holds(middle) else (inside, middle)
     return float(inside)
 
 
-def pose_errors(
+def pose_bounds(
     camera: Camera, tag: Tag, distances: Sequence[float], incidence: float, pixel_noise: float
 ) -> tuple[FloatArray, FloatArray]:
-    """The Cramer-Rao bound of the pose from the corners of one tag, `lmd.estimation.cramer_rao`.
+    """Cramer-Rao bound of the pose from the corners of one tag, see `lmd.estimation.cramer_rao`.
 
     Args:
+        camera: the camera.
+        tag: gives the edge.
         distances: D of them, metres.
         incidence: angle, rad.
         pixel_noise: standard deviation of a corner, pixels.

@@ -1,48 +1,63 @@
-"""What deployments are worth at most: a concave function F of how many landmarks cover an axis, and its multipliers.
+"""Concave relaxation F of an objective, its multipliers, and the largest gain of a landmark on the walls.
 
 The symbols and the derivation are those of `lmd.evaluation.bounds`.
 """
 
+import heapq
+import math
+import operator
+from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, reduce
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
 
 from lmd.core.checks import FloatArray
+from lmd.core.compiled import clock
+from lmd.evaluation.time_limit import TimeLimit
+from lmd.scene.criteria import TOLERANCE
 from lmd.scene.deployment import Deployment
 from lmd.sight.evaluator import Evaluator, averaged
-from lmd.sight.poses import covered_amounts
+from lmd.sight.poses import Cells, covered_amounts, gains
+
+# Half-width over which the kink of min(v, 1) is rounded off, at first and at last. Halved after each 25 steps.
+FIRST_WIDTH, LAST_WIDTH, STEPS_PER_WIDTH = 0.3, 0.01, 25
+# Cells that branch and bound scans at most, a minute or two on two cores; the bound is valid whenever it stops.
+MOST_CELLS = 2_000_000
+BATCH = 10_000  # cells that are cut at a time, at most
+PROBES = 500  # new cells at whose centres a landmark is tried, the most promising ones
+BATCH_SHARE = 0.05  # share of the time left for each batch
 
 
 class Dual(NamedTuple):
-    """A choice of multipliers: its constant, and the prices y, `(P, D)`."""
+    """Choice of multipliers."""
 
     constant: float
+    """constant(z, y)."""
     prices: FloatArray
+    """y, `(P, D)`."""
 
     def bound(self, count: int, gain: float) -> float:
-        """The bound for `count` free landmarks if none earns more than `gain`; 1 is always one."""
+        """Bound for `count` free landmarks of which none gains more than `gain`; at most 1."""
         return min(self.constant + count * gain, 1.0)
 
 
 @dataclass(frozen=True)
 class Relaxation:
-    """F for one objective.
-
-    Args:
-        evaluator: the scene.
-        shares: r, `(P,)`.
-        n: landmarks that must be seen.
-        threshold: t, in (0, 1].
-        fixed: landmarks that hang already.
-    """
+    """F for one objective."""
 
     evaluator: Evaluator
+    """Scene at P positions."""
     shares: FloatArray
+    """r, `(P,)`."""
     n: int
+    """Number of landmarks that must be seen."""
     threshold: float
+    """t, in (0, 1]."""
     fixed: Deployment | None = None
+    """Landmarks that hang already."""
 
     @property
     def weights(self) -> FloatArray:
@@ -70,14 +85,118 @@ class Relaxation:
 
 
 def smoothed_min(v: FloatArray, width: float) -> tuple[FloatArray, FloatArray]:
-    """min(v, 1) with its kink rounded off within `width`, and its slope in [0, 1]; `v` has any shape."""
+    """Return min(v, 1) with its kink rounded off within `width`, and its slope in [0, 1]; `v` has any shape."""
     slope = np.clip((1.0 + width - v) / (2.0 * width), 0.0, 1.0)
     # The integral of the slope: 1 on the right of the kink, v on the left.
     return np.where(slope < 1.0, 1.0 - width * slope**2, v), slope
 
 
 def nearest_on_simplex(v: FloatArray, total: float) -> FloatArray:
-    """The point nearest to `v` `(N,)` among those that are not negative and sum to `total`."""
+    """Point nearest to `v` `(N,)` among those with entries >= 0 and sum `total`."""
     descending = np.sort(v)[::-1]
     excess = (np.cumsum(descending) - total) / np.arange(1, len(v) + 1)
     return np.asarray(np.maximum(v - excess[np.flatnonzero(descending > excess)[-1]], 0.0))
+
+
+def solve(
+    relaxation: Relaxation,
+    kinds: Sequence[tuple[Deployment, int]],
+    iterations: int,
+    tolerance: float,
+    limit: TimeLimit,
+) -> tuple[Dual, float, float]:
+    """Find multipliers by accelerated projected ascent of F.
+
+    Args:
+        relaxation: F.
+        kinds: poses that landmarks of a size may take, and the number of these landmarks, for each size.
+        iterations: largest number of steps.
+        tolerance: distance between the bound and the largest F at which to stop.
+        limit: of the time.
+
+    Returns:
+        the best multipliers found, their bound for choices of the poses, and the largest F found.
+    """
+    evaluator, poses = relaxation.evaluator, reduce(operator.add, (own for own, _ in kinds))
+    ends = np.cumsum([0, *(len(own) for own, _ in kinds)]).tolist()
+    parts = [(slice(*at), number) for at, (_, number) in zip(pairwise(ends), kinds, strict=True)]
+    x = ahead = np.concatenate([np.full(len(own), number / len(own)) for own, number in kinds])
+    began = clock()
+    covered = covered_ahead = covered_amounts(evaluator, poses, x)
+    scan = clock() - began  # of all poses
+    fractional, momentum, curvature = relaxation.value(covered), 1.0, 0.0
+    best, grid = Dual(1.0, np.zeros_like(covered)), 1.0
+    for step in range(iterations):
+        so_far = f"after {step} of {iterations} steps"
+        limit.report(
+            f"{so_far}: <= {grid:.2%} on the grid of poses, where fractions of landmarks reach {fractional:.2%}"
+        )
+        if not limit.leaves(scan, f"the multipliers {so_far}"):
+            break
+        width = max(FIRST_WIDTH * 0.5 ** (step // STEPS_PER_WIDTH), LAST_WIDTH)
+        value, dual = relaxation.smoothed(covered_ahead, width)
+        gradient = gains(evaluator, poses, dual.prices)
+        earned = sum(count * float(gradient[part].max()) for part, count in parts)
+        if (bound := dual.bound(1, earned)) < grid:
+            best, grid = dual, bound
+        if grid - fractional <= tolerance:
+            break
+        curvature = 0.9 * curvature or 0.01 * gradient.max() / x.max()
+        while limit.leaves(scan, f"the multipliers {so_far}"):
+            up = ahead + gradient / curvature
+            new = np.concatenate([nearest_on_simplex(up[part], count) for part, count in parts])
+            covered_new, moved = covered_amounts(evaluator, poses, new), new - ahead
+            model = value + gradient @ moved - curvature / 2.0 * moved @ moved
+            if relaxation.smoothed(covered_new, width)[0] >= model - TOLERANCE:
+                break
+            curvature *= 2.0
+        else:
+            break
+        fractional = max(fractional, relaxation.value(covered_new))
+        # Momentum that leads downhill, or belongs to another width, is dropped.
+        if gradient @ (new - x) < 0.0 or step % STEPS_PER_WIDTH == STEPS_PER_WIDTH - 1:
+            momentum = 1.0
+        before, momentum = momentum, (1.0 + math.sqrt(1.0 + 4.0 * momentum**2)) / 2.0
+        carry = (before - 1.0) / momentum
+        ahead, covered_ahead = new + carry * (new - x), covered_new + carry * (covered_new - covered)
+        x, covered = new, covered_new
+    return best, grid, fractional
+
+
+def largest_gain(
+    evaluator: Evaluator, cells: Cells, prices: FloatArray, tolerance: float, limit: TimeLimit | None = None
+) -> float:
+    """Bound the gain of a flush landmark in any of the cells, by branch and bound.
+
+    Args:
+        evaluator: scene with landmarks of one size.
+        cells: pieces of wall.
+        prices: y, `(P, D)`, not negative.
+        tolerance: difference from the gain of some landmark in the end, if the time suffices.
+        limit: of the time; None for none.
+    """
+    limit, began = limit or TimeLimit(), clock()
+    largest, looked_at = 0.0, 0
+    # The most promising cells come first: whenever the search stops, the first on the heap bounds all that are left.
+    heap: list[tuple[float, int, Cells]] = []
+    while True:
+        most = gains(evaluator, cells.poses, prices, cells.radius)
+        looked_at += len(most)
+        order = np.argsort(-most)
+        largest = max(largest, float(gains(evaluator, cells.picked(order[:PROBES]).poses, prices).max()))
+        order = order[most[order] > largest + tolerance]
+        each = (clock() - began) / looked_at
+        batch = BATCH if limit.left == math.inf else int(np.clip(BATCH_SHARE * limit.left / each / 4, 1, BATCH))
+        for first in range(0, len(order), batch):
+            part = order[first : first + batch]
+            heapq.heappush(heap, (-float(most[part[0]]), looked_at + first, cells.picked(part)))
+        if not heap or -heap[0][0] <= largest + tolerance:
+            return largest + tolerance
+        so_far = f"the walls after {looked_at} cells"
+        if looked_at > MOST_CELLS:
+            limit.cut.append(so_far)
+            return -heap[0][0]
+        limit.report(f"{looked_at} cells of the walls: a landmark earns {largest:.4g} to {-heap[0][0]:.4g}")
+        if not limit.leaves(4 * each * len(heap[0][2].poses), so_far):
+            return -heap[0][0]
+        cells = heapq.heappop(heap)[2].quarters()

@@ -1,19 +1,19 @@
-"""How good a greedy choice of landmarks is at the least: the upper bound that submodularity gives.
+"""Upper bound on a selection of landmarks by submodularity, beside the value of the greedy choice.
 
-What greedy selection climbs, f, is an objective's `selection`: monotone and submodular in the landmarks, nobody hiding
-anybody. So for *any* set S the best K poses of a grid, each taken once, reach at most
+Greedy selection climbs f, the `selection` of an objective: monotone and submodular in the landmarks, without
+occlusion. So for *any* set S the best K poses of a grid, each taken once, reach at most
 
     f(S) + the sum of the K largest gains at S        (Nemhauser, Wolsey and Fisher 1978),
 
-and S is the greedy choice itself, or nothing, whichever tells more. Greedy reaches 1 - 1/e of the best in any case;
-this says how much it is in the case at hand. A landmark that is hidden adds nothing to the views it is hidden from, and
-as more landmarks never lower f, hiding only does: the bound holds with hiding, too.
+and S is the greedy choice, or empty, whichever gives the lower bound. The greedy choice always reaches 1 - 1/e of the
+best; the bound gives its share for the problem at hand. A landmark adds nothing to the views from which it is hidden,
+and more landmarks never lower f: so the bound holds with occlusion, too.
 
-It is one for poses of the grid and for f, not for the objective that f stands for.
+The bound is valid for poses of the grid and for f, not for the objective that f is a surrogate of.
 
 With K_s tags of size s a candidate is a pose and a size. The best choice has K_s of size s, so its gains at S are at
-most the K_s largest of that size, for each size; and greedy reaches half of the best in any case (Fisher, Nemhauser and
-Wolsey 1978, for a partition matroid).
+most the K_s largest of that size, for each size; and the greedy choice always reaches half of the best (Fisher,
+Nemhauser and Wolsey 1978, for a partition matroid).
 """
 
 from dataclasses import dataclass
@@ -27,42 +27,42 @@ from lmd.objectives.base import selectable
 from lmd.optimisers.selection import GAINS_BATCH, Stock, Tags, add_each, candidates, select
 from lmd.problem import Problem
 
-# The share of the best that the greedy choice reaches in any case, where every pose is free to take.
+# Share of the best that the greedy choice always reaches, where no pose excludes another.
 GUARANTEE, GUARANTEE_OF_SIZES = 1.0 - np.exp(-1.0), 0.5
 
 
 @dataclass(frozen=True)
 class SelectionBound:
-    """A bound on what an objective's selection can reach, above the value with none but the fixed landmarks chosen.
-
-    Args:
-        label: what is bounded.
-        greedy: what the greedy choice reaches.
-        grid: no choice of poses of the grid is better.
-        guarantee: the share that the greedy choice reaches in any case.
-    """
+    """Bound on the selection of an objective, above its value with the fixed landmarks alone."""
 
     label: str
+    """Name of the selection."""
     greedy: float
+    """Value of the greedy choice."""
     grid: float
+    """Bound for all choices of poses of the grid."""
     guarantee: float = GUARANTEE
+    """Share of the best that the greedy choice always reaches."""
 
     @property
     def share(self) -> float:
-        """The share of the best that the greedy choice reaches at the least."""
+        """Lower bound on the value of the greedy choice over that of the best."""
         return self.greedy / self.grid if self.grid > 0.0 else 1.0
 
 
 def selection_upper_bound(
     problem: Problem, count: int, spacing: float, limit: TimeLimit | None = None
 ) -> SelectionBound:
-    """Bounds what `count` landmarks, fixed ones among them, reach on a grid of poses at most `spacing` metres apart.
+    """Bound the selection of `count` landmarks, fixed ones among them, from a grid of poses `spacing` metres apart.
 
-    Views are those of the problem's fitness. The greedy choice keeps plates apart, the bound is also for those that
-    overlap. The result does not depend on the number of threads.
+    Views are those of the problem's fitness. The greedy choice keeps footprints apart, the bound also holds for those
+    that overlap. The result does not depend on the number of threads.
 
     Args:
-        limit: of the time, but for one look at every pose; None for none.
+        problem: the problem.
+        count: number of landmarks.
+        spacing: largest distance between poses, metres.
+        limit: of the time after one scan of every pose; None for none.
 
     Raises:
         InputError: the objective has no selection, the spacing is not positive, or there are several sizes and another
@@ -88,11 +88,11 @@ def selection_upper_bound(
 
     began = clock()
     at_first = largest(selection.gains(poses))
-    looks = limit.left / (clock() - began) - 1.0  # one is left for the gains in the end
+    scans = limit.left / (clock() - began) - 1.0  # one is left for the gains in the end
     chosen, spent = select(
-        objective.selection(evaluator, relevance), poses, stock, plates, looks * len(poses), problem.hung
+        objective.selection(evaluator, relevance), poses, stock, plates, scans * len(poses), problem.hung
     )
-    if spent + (GAINS_BATCH if spent else len(poses)) > looks * len(poses):
+    if spent + (GAINS_BATCH if spent else len(poses)) > scans * len(poses):
         limit.cut.append(f"the greedy choice after {len(chosen)} of {count - problem.fixed_count} landmarks")
     if not len(chosen):
         return SelectionBound(selection.label, 0.0, at_first, 0.0)

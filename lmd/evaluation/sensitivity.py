@@ -1,8 +1,8 @@
-"""How much the figures of a deployment hang on what was assumed: on the noise, on the tags, on every tag being found.
+"""Sensitivity of the figures of a deployment to assumptions: the noise, the tags, and the detection of every tag.
 
-All figures are off the grid and differ by what is varied alone: every variant is measured at the same random positions
-and orientations (`lmd.evaluation.validation`). Two are given, whatever the deployment was made for: the mean of L, the
-probability of localising to the tolerance, and of P_n, that of covering n landmarks.
+All variants are measured off the grid, at equal random positions and orientations (`lmd.evaluation.validation`), so
+they differ by the assumption alone. There are two figures, whatever the objective: the mean of L, the probability of
+localising to the tolerance, and the mean of P_n, the probability of covering n landmarks.
 """
 
 from collections.abc import Sequence
@@ -35,64 +35,56 @@ from lmd.scene.scene import Scene
 from lmd.sight.evaluator import Evaluator, averaged
 from lmd.sight.kernels import PROBABILITY_ONE
 
-FACTORS = (0.5, 0.7, 1.0, 1.4, 2.0)  # of what was assumed
-MISS_PROBABILITIES = (0.0, 0.05, 0.1, 0.2)  # probability that a landmark that is covered is not found; ascending
+FACTORS = (0.5, 0.7, 1.0, 1.4, 2.0)  # multiples of the assumed value
+MISS_PROBABILITIES = (0.0, 0.05, 0.1, 0.2)  # probability that a covered landmark is not detected; ascending
 SAMPLE = Sample(groups=48, positions=128, divisions=12)
 SHARE_COLUMNS = ["localised_share", "covered_share"]
-MISSES_STREAM = 0x6D697373  # keeps the draws of what is missed apart from every other use of the same seed
+MISSES_STREAM = 0x6D697373  # keeps the draws of missed landmarks apart from every other use of the seed
 
 
 @dataclass(frozen=True)
 class Variant:
-    """Another assumption.
-
-    Args:
-        assumption: its name.
-        factor: of what was assumed.
-        value: what comes of it, in the units of the setting.
-        scene: with this value.
-        objective: with this value.
-        deployment: with this value.
-        note: why there is no figure, empty where there is one.
-    """
+    """Another assumption."""
 
     assumption: str
+    """Name of the setting."""
     factor: float
+    """Multiple of the assumed value."""
     value: float
+    """Value, in the unit of the setting."""
     scene: Scene
+    """Scene with this value."""
     objective: Localisation
+    """Objective with this value."""
     deployment: Deployment
+    """Deployment with this value."""
     note: str = ""
+    """Reason why there is no figure; empty where there is one."""
 
 
 @dataclass(frozen=True)
 class Sensitivity:
-    """What came out, shares as fractions in [0, 1].
-
-    Args:
-        assumptions: `assumption,factor,value,localised_share,covered_share,note`; shares are NaN where a note says why.
-        misses: `missed,localised_share,covered_share`: each covered landmark is missed with this probability, in every
-            view anew.
-        tags: `id,localised_loss,covered_loss`: what the shares lose without each landmark.
-        lost: `lost,share,mean,worst,worst_ids`: what they lose without one landmark, or any two.
-        cameras: of a rig, `camera,localised_share,covered_share,localised_loss,covered_loss`: what is left, and what is
-            lost, where each camera fails; None for a single camera.
-    """
+    """Shares of views under other assumptions, as fractions in [0, 1]."""
 
     assumptions: pd.DataFrame
+    """Columns `assumption,factor,value,localised_share,covered_share,note`; shares are NaN where there is a note."""
     misses: pd.DataFrame
+    """Columns `missed,localised_share,covered_share`: each covered landmark is missed with this probability."""
     tags: pd.DataFrame
+    """Columns `id,localised_loss,covered_loss`: losses of the shares without each landmark."""
     lost: pd.DataFrame
+    """Columns `lost,share,mean,worst,worst_ids`: losses of the shares without one landmark, or any two."""
     cameras: pd.DataFrame | None = None
+    """Columns `camera,localised_share,covered_share,localised_loss,covered_loss` without each camera of a rig."""
 
     @property
     def tables(self) -> dict[str, pd.DataFrame]:
-        """See `Study.tables`."""
+        """See `lmd.evaluation.Study.tables`."""
         tables = {name: getattr(self, name) for name in self.__dataclass_fields__}
         return {name: table for name, table in tables.items() if table is not None}
 
     def metrics(self) -> dict[str, float]:
-        """The finite figures by names such as `pixel_noise_1.4/localised_share`."""
+        """Finite figures by names such as `pixel_noise_1.4/localised_share`."""
         named = {f"{row['assumption']}_{row['factor']:g}": row for row in self.assumptions.to_dict("records")}
         named |= {f"missed_{row['missed']:g}": row for row in self.misses.to_dict("records")}
         if self.cameras is not None:
@@ -103,7 +95,7 @@ class Sensitivity:
         return {name: float(value) for name, value in figures.items() if np.isfinite(value)}
 
     def to_text(self) -> str:
-        """What a terminal shows, per cent."""
+        """Text for a terminal, per cent."""
 
         def text(table: pd.DataFrame) -> str:
             return table.to_string(float_format=lambda value: f"{100.0 * value:.2f}", na_rep="-")
@@ -123,11 +115,13 @@ class Sensitivity:
 
 
 def sensitivity(problem: Problem, deployment: Deployment, seed: int, sample: Sample = SAMPLE) -> Sensitivity:
-    """Measure how much the figures of a deployment hang on what was assumed. No result depends on the threads.
+    """Measure the figures of a deployment under other assumptions. No result depends on the threads.
 
     Args:
-        problem: the scene and the objective. Where that is not one of localisation, the default one with its n says
-            what is assumed.
+        problem: gives the scene, and the assumptions of its objective, or of the default `Localisation` with its n.
+        deployment: K landmarks.
+        seed: of the sample, and of the missed landmarks.
+        sample: size of the sample.
     """
     variants = _variants(problem, deployment)
     groups = enumerate(sampled_evaluators(problem.scene, seed, sample, threads=1))
@@ -151,14 +145,14 @@ def sensitivity(problem: Problem, deployment: Deployment, seed: int, sample: Sam
 
 
 def _cameras(failed: FloatArray, whole: FloatArray) -> pd.DataFrame:
-    """`Sensitivity.cameras` from the shares without each, `(C, 2)`, and with all, `(2,)`."""
+    """Make `Sensitivity.cameras` from the shares without each camera, `(C, 2)`, and with all, `(2,)`."""
     table = pd.DataFrame(failed, columns=SHARE_COLUMNS)
     table.insert(0, "camera", list(range(len(failed))))
     return table.assign(localised_loss=whole[0] - failed[:, 0], covered_loss=whole[1] - failed[:, 1])
 
 
 def _variants(problem: Problem, deployment: Deployment) -> list[Variant]:
-    """All assumptions that are varied; the edge only where the tag has one."""
+    """Vary all assumptions, the edge only for tags that have one."""
     scene, objective = problem.scene, as_localisation(problem.objective)
     variants = []
     for name in ("pixel_noise", "tolerance"):
@@ -185,11 +179,11 @@ def _measure(
     seed: int,
     group: tuple[int, Evaluator],
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """The shares in one group.
+    """Measure the shares in a group of the sample.
 
     Returns:
-        those of the variants, `(V, 2)`; with landmarks missed, `(M, 2)`, and lost, `(2, K, K)`; without each camera of
-        a rig, `(C, 2)`, none for a single camera.
+        shares of the variants, `(V, 2)`; with landmarks missed, `(M, 2)`, and lost, `(2, K, K)`; without each camera of
+        a rig, `(C, 2)`, C = 0 for a single camera.
     """
     number, evaluator = group
     assumed = np.array([_shares(variant, evaluator) for variant in variants])
@@ -208,7 +202,7 @@ def _measure(
 
 
 def _shares(variant: Variant, evaluator: Evaluator) -> tuple[float, float]:
-    """The means of L and P_n at the positions and orientations of an evaluator."""
+    """Means of L and P_n at the positions and orientations of an evaluator."""
     if variant.note:
         return np.nan, np.nan
     scene, objective = replace(variant.scene, pdf=evaluator.scene.pdf), variant.objective
@@ -219,25 +213,26 @@ def _shares(variant: Variant, evaluator: Evaluator) -> tuple[float, float]:
 
 
 def lost_shares(field: LocalisationField, deployment: Deployment) -> FloatArray:
-    """The means of L and P_n without landmarks i and j, `(2, K, K)`. The diagonal, i = j, is without i alone."""
+    """Means of L and P_n without landmarks i and j, `(2, K, K)`; the diagonal, i = j, is without i alone."""
     mean = Mean(in_order(field, np.ones(len(field.index_of))))
     shares = field._replace(weight=0.0), field.coverage
     return np.stack([without_landmarks(share, mean, deployment) for share in shares])
 
 
 def missed_shares(field: LocalisationField, deployment: Deployment, rng: np.random.Generator) -> FloatArray:
-    """The means of L and P_n where each landmark that is covered is missed with the probabilities `MISS_PROBABILITIES`.
+    """Means of L and P_n where each covered landmark is missed with the probabilities `MISS_PROBABILITIES`.
 
-    L is that of a draw: of every landmark in every view, the same draw for all probabilities, so that what is missed
-    with one is missed with all greater. P_n follows from how many landmarks the views cover, of which a binomial
-    number is left. A landmark that is missed is still there, and hides others.
+    L is estimated by one draw for every landmark in every view. All probabilities share the draw, so that a landmark
+    missed with one is missed with all greater. P_n is exact: a binomial number of the covered landmarks is left. Missed
+    landmarks still hide others.
 
     Args:
-        field: the positions and the orientations.
+        field: gives positions and orientations.
         deployment: K landmarks.
+        rng: draws.
 
     Returns:
-        `(M, 3)`: the mean of L, the exact mean of P_n, and that of the draw.
+        `(M, 3)`: the mean of L, the exact mean of P_n, and the mean of P_n in the draw.
     """
     cover, rows = field.coverage, []
     known, places = cover.state(deployment), field.index_of
@@ -257,7 +252,7 @@ def missed_shares(field: LocalisationField, deployment: Deployment, rng: np.rand
 
 
 def _worst(lost: int, share: str, losses: FloatArray, ids: IntArray) -> dict[str, object]:
-    """The row of `Sensitivity.lost` without `lost` landmarks, one or two, from the losses `(K, K)` of one share."""
+    """Make the row of `Sensitivity.lost` without `lost` landmarks, one or two, from the losses `(K, K)` of a share."""
     chosen = list(combinations(range(len(losses)), lost))
     values = np.array([losses[group[0], group[-1]] for group in chosen])
     worst = " ".join(map(str, ids[[*chosen[int(values.argmax())]]]))

@@ -1,4 +1,4 @@
-"""How long a bound may be looked for: it holds whenever that ends, and who asked for it is told what was cut short."""
+"""Time limits of the search for a bound, which is valid whenever the search ends."""
 
 from collections.abc import Callable
 from math import inf
@@ -7,29 +7,29 @@ from lmd.core.compiled import clock
 
 
 class TimeLimit:
-    """So many seconds from now on, those not counted in which kernels are compiled.
+    """Seconds from now on, without those in which kernels are compiled.
 
     Args:
         seconds: infinite for no limit, where results do not depend on the time.
-        tell: is told now and then how far it is.
+        report: called now and then with the progress in words.
     """
 
-    def __init__(self, seconds: float = inf, tell: Callable[[str], None] = lambda _: None) -> None:
-        self.seconds, self.tell, self._until = seconds, tell, clock() + seconds
+    def __init__(self, seconds: float = inf, report: Callable[[str], None] = lambda _: None) -> None:
+        self.seconds, self.report, self._until = seconds, report, clock() + seconds
         self.cut: list[str] = []
-        """What was cut short, and where."""
+        """Searches that were cut short, in words."""
 
     @property
     def left(self) -> float:
-        """Seconds that are left, not negative."""
+        """Seconds left, not negative."""
         return max(self._until - clock(), 0.0)
 
     def part(self, share: float) -> "TimeLimit":
-        """A limit that ends after this share of what is left."""
-        return TimeLimit(share * self.left, self.tell)
+        """Make a limit that ends after a share of the time left."""
+        return TimeLimit(share * self.left, self.report)
 
     def leaves(self, seconds: float, what: str) -> bool:
-        """Whether there are so many seconds more; if not, `what` is cut short."""
+        """Return True if at least `seconds` are left; if not, note that `what` was cut short."""
         if seconds <= self.left:
             return True
         self.cut.append(what)

@@ -1,10 +1,10 @@
-"""How many, how big: deployments of different numbers of landmarks, each made from its neighbours, and the fewest.
+"""Trade-off between the number or size of landmarks and a figure: deployments along it improve their neighbours.
 
-A deployment of K landmarks is found anew, or made from that of fewer, with landmarks added where they help most, or
-from that of more, without those that are missed least; whichever is best after the same search.
+A deployment of K landmarks is the best after three searches: from the start of the problem; from the deployment of
+fewer landmarks, with some added where the gain is largest; and from that of more, without those of the least loss.
 
-Where paper or cost is limited in place of K, and tags may have any of several sizes, so is that of a limit: what is
-added, or missed least, is judged by what it takes of the limit. So neighbours also find other mixtures of sizes.
+Where paper or cost is limited in place of K, and tags may have any of several sizes, gains and losses are divided by
+the paper or the cost of the tag. So neighbours also find other mixtures of sizes.
 """
 
 from collections.abc import Callable, Iterable, Mapping
@@ -25,54 +25,51 @@ from lmd.scene.deployment import Deployment
 from lmd.scene.deployment_sources import GivenDeployment
 
 SAMPLE = Sample(groups=16, positions=512, divisions=23)  # smaller than that of a single run: there are many points
-FEWER, MORE = "fewer", "more"  # whence a search has set out; `ANEW` is the start of the problem
-ANEW = "anew"
-ALONE = "alone"  # a mixture of sizes is worse than one size alone, and so has become that
-Key = TypeVar("Key", int, float)  # of a point along its curve: a number of landmarks, or a limit
+FEWER, MORE = "fewer", "more"  # starts of a search: the deployment of fewer or of more landmarks
+ANEW = "anew"  # start of the problem
+ALONE = "alone"  # a mixture of sizes that was replaced by a better deployment of one size
+Key = TypeVar("Key", int, float)  # number of landmarks, or a limit: place of a point along its curve
 
 
 @dataclass(frozen=True)
 class Found:
-    """What a search has found.
-
-    Args:
-        deployment: K landmarks.
-        fitness: of it.
-        way: whence it set out: `anew`, or from the deployment of `fewer` or `more` landmarks or paper; or `alone`.
-    """
+    """Result of a search."""
 
     deployment: Deployment
+    """K landmarks."""
     fitness: float
+    """Fitness of `deployment`."""
     way: str
+    """Start of the search: `anew`, the deployment of `fewer` or `more` landmarks or paper; or `alone`."""
 
 
 class Axis(NamedTuple):
-    """What the points of a trade-off lie along, as columns of their table."""
+    """Columns of a table of points that give their place in a trade-off."""
 
     curve: str = "edge"
-    """Tells curves apart: the edge of tags, 0 for landmarks that are points, or which sizes may be mixed."""
+    """Names the curve: the edge of tags, 0 for points, or the sizes that may be mixed."""
     along: str = "count"
-    """Number of landmarks, or what limits them."""
+    """Number of landmarks, or their limit."""
     step: float = 1
-    """The least difference along a curve that can make one of what is found."""
+    """Least difference along a curve that can change a result."""
 
 
 COUNTS = Axis()
 MIXED = "+"  # between the edges, metres, of a curve along limits
-COUNT_OF = "count_"  # columns of points along limits: how many landmarks have each edge, metres
+COUNT_OF = "count_"  # prefix of columns: number of landmarks with an edge, metres, at points along limits
 
 
 def started(problem: Problem, deployment: Deployment) -> Problem:
-    """The same problem, started from a deployment of all its landmarks."""
+    """Return the problem with a deployment of all its landmarks as its start."""
     given = GivenDeployment(problem.free(replace(deployment, labels=None, surveyed=None)))
     return Problem(problem.scene, problem.objective, given, problem.evaluator.threads, problem.fixed)
 
 
 def grown(problem: Problem, deployment: Deployment) -> Deployment:
-    """The landmarks of a deployment and more, chosen greedily by the objective's selection, as many as `problem` has.
+    """Add landmarks to a deployment, chosen greedily by the objective's selection, up to the number of `problem`.
 
-    Where the grid of poses has no room for all, the others hang as the start of the problem has them. Where the problem
-    has a limit, there are as many as that suffices for, of any of its sizes.
+    Where the grid of poses has no room for all, the rest hang as in the start of the problem. Where the problem has a
+    limit, landmarks of any of its sizes are added until it is used up.
     """
     plates, tag, start = problem.scene.plates, problem.scene.tag, problem.draw(np.random.default_rng(0))
     poses = candidates(plates, None if tag.limit is None else np.array(tag.edges), GRID_SPACING)
@@ -88,9 +85,9 @@ def grown(problem: Problem, deployment: Deployment) -> Deployment:
 
 
 def shrunk(problem: Problem, deployment: Deployment) -> Deployment:
-    """The landmarks of a deployment without those that are missed least, one after the other; fixed ones stay.
+    """Remove landmarks from a deployment, the least loss first, down to the number of `problem`; fixed ones stay.
 
-    Where the problem has a limit, they are missed by what they take of it, and what is left of it is used again.
+    Where the problem has a limit, losses are divided by the share of the limit, and what is left of it is used again.
     """
     while True:
         limit, prices = _priced(problem, deployment)
@@ -103,7 +100,7 @@ def shrunk(problem: Problem, deployment: Deployment) -> Deployment:
 
 
 def _priced(problem: Problem, deployment: Deployment) -> tuple[float, FloatArray]:
-    """The limit of a problem, and what each landmark of a deployment that does not hang already takes of it."""
+    """Limit of a problem, and the price of each landmark of a deployment that is not fixed."""
     free, tag = problem.free(deployment), problem.scene.tag
     if tag.limit is None:
         return problem.free_count, np.ones(len(free))
@@ -116,13 +113,13 @@ def improved(
     problem_of: Callable[[Key], Problem],
     search: Callable[[Key, Problem, str], Found],
 ) -> dict[Key, Found]:
-    """The deployments of the chosen numbers of landmarks, or what a search from a neighbour's finds, if it is better.
+    """Search from the neighbours of chosen deployments; returns the better deployment for each number of landmarks.
 
     Args:
-        known: by the number of landmarks, or the limit; each is the neighbour of the next larger and the next smaller.
-        chosen: those that are looked at, upwards and then downwards.
-        problem_of: the problem of so many landmarks.
-        search: climbs from the start of the problem of so many landmarks, which is called what the last argument says.
+        known: deployments by their number of landmarks, or their limit; adjacent ones are neighbours.
+        chosen: numbers to search for, upwards and then downwards.
+        problem_of: makes the problem of a number of landmarks.
+        search: climbs from the start of a problem; called with the number, the problem and the name of the start.
     """
     best, chosen = dict(known), set(chosen)
     for order, made, way in ((sorted(known), grown, FEWER), (sorted(known, reverse=True), shrunk, MORE)):
@@ -135,15 +132,15 @@ def improved(
 
 
 def front(points: pd.DataFrame, figures: list[str], axis: Axis = COUNTS) -> pd.DataFrame:
-    """The median of `figures`, and the least and greatest of the first, over the seeds.
+    """Median of `figures`, and the least and greatest value of the first, over the seeds.
 
     Args:
         points: a row for each curve, point along it, and `seed`.
-        figures: its columns.
+        figures: columns of `points`.
         axis: names the columns of the curve and of the point.
 
     Returns:
-        indexed by these two, with columns `least` and `greatest` behind the figures.
+        a table indexed by these two columns, with `least` and `greatest` behind the figures.
     """
     groups = points.groupby([axis.curve, axis.along])
     medians, first = groups[figures].median(), groups[figures[0]]
@@ -151,13 +148,13 @@ def front(points: pd.DataFrame, figures: list[str], axis: Axis = COUNTS) -> pd.D
 
 
 def mixtures(points: pd.DataFrame, axis: Axis) -> pd.Series | None:
-    """How many tags of each edge, metres, the seed of the greatest fitness has at each point, such as `51 of 0.06`.
+    """Numbers of tags of each edge, metres, at each point, such as `51 of 0.06`, for the seed of the greatest fitness.
 
     Args:
         points, axis: as for `front`.
 
     Returns:
-        indexed as `front`; None where the points do not say it.
+        a series indexed as `front`; None where the points have no such columns.
     """
     each = [str(name) for name in points if str(name).startswith(COUNT_OF)]
     if not each:
@@ -169,15 +166,17 @@ def mixtures(points: pd.DataFrame, axis: Axis) -> pd.Series | None:
 
 
 def fewest(points: pd.DataFrame, figure: str, wanted: float, axis: Axis = COUNTS) -> pd.DataFrame:
-    """The least number of landmarks, or the least limit, whose `figure` is at least `wanted`.
+    """Least number of landmarks, or least limit, at which `figure` is at least `wanted`.
 
     Args:
         points, axis: as for `front`.
-        figure: one of its columns.
+        figure: a column of `points`.
+        wanted: value of the figure.
 
     Returns:
-        indexed by the curve: in the column `axis.along` the least number at which the median over the seeds reaches it;
-        `least` and `greatest`, of the least numbers of the single seeds. Infinite where none reaches it.
+        a table indexed by the curve: in the column `axis.along` the least number at which the median over the seeds
+        reaches `wanted`; in `least` and `greatest` the extremes of the least numbers of single seeds. Infinite where
+        no number reaches it.
     """
     rows = {}
     for curve, same in points.groupby(axis.curve):
@@ -190,13 +189,13 @@ def fewest(points: pd.DataFrame, figure: str, wanted: float, axis: Axis = COUNTS
 
 
 def between(points: pd.DataFrame, figure: str, wanted: float, axis: Axis = COUNTS) -> list[tuple[Any, float]]:
-    """For each curve the number of landmarks, if any, that halves the gap below the least one that reaches `wanted`.
+    """Number of landmarks for each curve, if any, that halves the gap below the least number that reaches `wanted`.
 
     Args:
         points, figure, wanted, axis: as for `fewest`.
 
     Returns:
-        pairs of the curve and the number, which is by whole steps above the one below the gap.
+        pairs of the curve and the number, which is whole steps above the one below the gap.
     """
     halves = []
     for curve, row in fewest(points, figure, wanted, axis).iterrows():

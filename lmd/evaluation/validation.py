@@ -1,4 +1,4 @@
-"""How good a deployment is off the grid it was optimised on.
+"""Validation: figures of a deployment off the grid it was optimised on.
 
 An optimiser pushes the positions it is scored at just past the threshold, for the orientations it is scored with:
 the qualified ratio on that grid flatters it. Three figures do not depend on that grid:
@@ -10,48 +10,55 @@ the qualified ratio on that grid flatters it. Three figures do not depend on tha
 - the grid-free average coverage probability, over the random poses of the same sample.
 
 Like `qualified_ratio`, all of them count every position alike, whatever its relevance.
+
+Where poses were recorded, the figures are those at the poses exactly as recorded: those that were optimised on, and
+those held out.
 """
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
+from lmd.core.bits import BITS
 from lmd.core.checks import BoolArray, FloatArray, integer
 from lmd.core.compiled import PYTHON
-from lmd.evaluation.held_out import describe_held_out, held_out_metrics
+from lmd.geometry.frames import angles_of
 from lmd.problem import Problem
 from lmd.scene.deployment import Deployment
+from lmd.scene.pdf import OrientationPdf
 from lmd.scene.rig import Rig
 from lmd.scene.scene import Scene
 from lmd.sight.evaluator import Evaluator
 
-# Keeps the sample apart from every other use of the same seed.
+if TYPE_CHECKING:
+    from lmd.scene.recorded_poses import RecordedPoses, Records
+
+# Keeps the sample apart from every other use of the seed.
 VALIDATION_STREAM = 0x76616C
-MOST_OF_A_RIG = 64, 8  # positions in a group, and divisions, where a rig's criteria have no compiled half
+MOST_OF_A_RIG = 64, 8  # most positions in a group, and divisions, where a rig's criteria have no compiled half
 
 
 @dataclass(frozen=True)
 class Sample:
-    """The random poses of a validation: `groups` times `positions` positions, each seen in many orientations.
+    """Size of a sample of random poses: `groups` times `positions` positions, each in many orientations.
 
     The positions of a group are spread evenly, from a random shift. They share their orientations, one in each of
     2 `divisions` x `divisions` cells of equal probability, or fewer of the yaw alone. With thousands of these P_n is
     without bias, and its noise moves as many positions over the threshold as below it. Another group has another shift
-    and other orientations, so errors average out, and the spread of the groups shows what is left.
-
-    Args:
-        groups: at least 2.
-        positions: in each group.
-        divisions: of half a turn.
+    and other orientations, so errors average out, and the spread of the groups shows the rest.
 
     Raises:
         InputError: a number is too small.
     """
 
     groups: int = 16
+    """Number of groups, at least 2."""
     positions: int = 4096
+    """Number of positions in each group."""
     divisions: int = 32
+    """Number of cells of half a turn."""
 
     def __post_init__(self) -> None:
         for name, low in (("groups", 2), ("positions", 1), ("divisions", 1)):
@@ -65,16 +72,17 @@ def validation_metrics(
     sample: Sample | None = None,
     between: Callable[[], None] = lambda: None,
 ) -> dict[str, float]:
-    """The figures of this module, fractions in [0, 1], the same for any number of threads.
+    """Figures of a deployment off the grid, fractions in [0, 1]; they do not depend on the number of threads.
 
-    They are the means over positions that the objective names in `shares`: its headline on the finer grid, all of them
-    grid-free. Their standard errors come from the spread of the groups, which covers the positions and the
-    orientations.
-
-    Where the poses were recorded, the figures are those of `lmd.evaluation.held_out` instead.
+    They are means over positions of the `shares` of the objective: its headline on the finer grid, all of them
+    grid-free. Their standard errors come from the spread of the groups, which covers positions and orientations. Where
+    poses were recorded, the figures are those of `held_out_metrics`.
 
     Args:
-        problem: the scene, n and thold_p.
+        problem: the problem.
+        deployment: K landmarks.
+        seed: of the sample.
+        sample: its size; the default one if None.
         between: called before each group; it may raise to give up.
     """
     scene, objective = problem.scene.sized(deployment.edges), problem.objective
@@ -92,21 +100,21 @@ def validation_metrics(
 
 
 def describe_validation(problem: Problem, figures: Mapping[str, float]) -> dict[str, str]:
-    """The figures of `validation_metrics` as labelled sentences."""
+    """Labelled sentences for the figures of `validation_metrics`."""
     recorded = problem.scene.recorded is not None
     return describe_held_out(figures) if recorded else problem.objective.describe_validation(figures)
 
 
 def _mean_and_error(shares: FloatArray | BoolArray) -> tuple[float, float]:
-    """The mean of a sample `(groups, positions)` and its standard error."""
+    """Mean of a sample `(groups, positions)` and its standard error."""
     means = shares.mean(axis=1)
     return float(means.mean()), float(means.std(ddof=1) / np.sqrt(len(means)))
 
 
 def headline_off_grid(problem: Problem) -> str:
-    """The one of these figures that says how good a deployment is: what the objective is about, where it was not made.
+    """Name of the main figure off the grid: the headline of the objective at random poses.
 
-    With recorded poses it is the share of the time that was held out, or of all if none was.
+    With recorded poses it is the share of the time held out, or of all time if none was.
     """
     recorded = problem.scene.recorded
     if recorded is None:
@@ -121,7 +129,7 @@ def sampled_values(
     sample: Sample,
     between: Callable[[], None] = lambda: None,
 ) -> FloatArray:
-    """The objective's value at the positions of a sample, `(groups, positions)`. Args as in `validation_metrics`."""
+    """Values of the objective at the positions of a sample, `(groups, positions)`; args as of `validation_metrics`."""
     landmarks = deployment.positions[None], deployment.normals[None]
     values = []
     scene = problem.scene.sized(deployment.edges)
@@ -132,16 +140,81 @@ def sampled_values(
 
 
 def sampled_evaluators(scene: Scene, seed: int, sample: Sample, threads: int) -> Iterator[Evaluator]:
-    """An evaluator at the random positions of each group of a sample, with the orientations that these share.
+    """Yield an evaluator for each group of a sample: its positions, with the orientations that they share.
 
-    Of a rig whose criteria have no compiled half each orientation is asked by itself: of it the groups are smaller.
+    A rig whose criteria have no compiled half is evaluated orientation by orientation, so its groups are smaller.
     """
     if isinstance(scene.camera, Rig) and not scene.is_compiled:
         most, finest = MOST_OF_A_RIG
         sample = Sample(sample.groups, min(sample.positions, most), min(sample.divisions, finest))
     rng = np.random.default_rng([seed, VALIDATION_STREAM])
-    by_reference = PYTHON and not isinstance(scene.camera, Rig)  # kernels as plain Python would take hours
+    by_reference = PYTHON and not isinstance(scene.camera, Rig)  # kernels run as plain Python would take hours
     for _ in range(sample.groups):
         positions = scene.room.sample_evenly(sample.positions, rng)
         drawn = replace(scene, pdf=scene.pdf.stratified(sample.divisions, rng))
         yield Evaluator(drawn, positions, threads, by_reference)
+
+
+def held_out_metrics(problem: Problem, deployment: Deployment, recorded: "RecordedPoses") -> dict[str, float]:
+    """Shares of recorded time, fractions in [0, 1], in which a view is qualified: n landmarks covered, or localised.
+
+    `recorded_share` is that of the time optimised on, `held_out_share` that of the time held out, if any. The standard
+    error assumes that blocks of time are independent, not records; it needs two blocks.
+
+    Args:
+        problem: gives the scene and the objective.
+        deployment: K landmarks.
+        recorded: the poses.
+    """
+    metrics: dict[str, float] = {}
+    for name, records in (("recorded", recorded.seen), ("held_out", recorded.kept_back)):
+        if not len(records):
+            continue
+        share, error = _share_and_error(exact_values(problem, deployment, records), records)
+        metrics |= {f"{name}_share": share, f"{name}_seconds": float(records.seconds.sum())}
+        if error is not None:
+            metrics[f"{name}_share_standard_error"] = error
+    return metrics
+
+
+def describe_held_out(figures: Mapping[str, float]) -> dict[str, str]:
+    """Labelled sentences for the figures of `held_out_metrics`."""
+    names = {"held_out": "held out", "recorded": "optimised on"}
+    rows = {}
+    for name, label in names.items():
+        if f"{name}_share" in figures:
+            error = figures.get(f"{name}_share_standard_error")
+            within = "" if error is None else f" +- {error:.2%}"
+            seconds = figures[f"{name}_seconds"]
+            rows[label] = f"{figures[f'{name}_share']:.2%}{within} of {seconds:g} recorded seconds have such a view"
+    return rows
+
+
+def exact_values(problem: Problem, deployment: Deployment, records: "Records") -> FloatArray:
+    """Value of the objective at each of R records, each with its own orientation alone, `(R,)`.
+
+    Records are evaluated in groups as large as a word has bits, one axis for each position.
+    """
+    parts = []
+    for start in range(0, len(records), BITS):
+        poses = records[start : start + BITS].poses
+        yaw, pitch, roll = angles_of(np.swapaxes(poses[:, :3, :3], 1, 2))
+        alike = np.full(len(poses), 1.0 / len(poses))
+        pdf = OrientationPdf(yaw, pitch, alike, roll=roll, by_position=lambda positions: np.eye(len(positions)))
+        scene = replace(problem.scene.sized(deployment.edges), pdf=pdf)
+        evaluator = Evaluator(scene, poses[:, :3, 3], problem.evaluator.threads)
+        landmarks = deployment.positions[None], deployment.normals[None]
+        parts.append(problem.objective.values(evaluator, *landmarks)[0])
+    return np.concatenate(parts)
+
+
+def _share_and_error(values: FloatArray, records: "Records") -> tuple[float, float | None]:
+    """Mean over time, and its standard error from the residuals of the blocks; None for a single block."""
+    seconds, good = records.seconds, records.seconds * values
+    share = good.sum() / seconds.sum()
+    _, block = np.unique(records.block, return_inverse=True)
+    count = int(block.max()) + 1
+    if count < 2:
+        return float(share), None
+    residual = np.bincount(block, weights=good - share * seconds)
+    return float(share), float(np.sqrt(count / (count - 1) * (residual**2).sum()) / seconds.sum())

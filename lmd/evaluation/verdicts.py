@@ -1,7 +1,7 @@
-"""Which criterion of a visibility model leaves landmarks out: in single poses, and on average.
+"""Verdicts of the criteria of a visibility model on landmarks: in single poses, and on average.
 
-A landmark is covered if it meets every criterion at the same time. So two figures tell what a criterion takes: how
-often it is met by itself, and how often a landmark would be covered if this criterion alone were dropped.
+A landmark is covered if it meets every criterion at the same time. Two figures describe a criterion: the share of
+landmarks that meet it, and the share that would be covered if this criterion alone were dropped.
 """
 
 from collections.abc import Mapping
@@ -17,31 +17,32 @@ from lmd.scene.deployment import Deployment
 from lmd.scene.scene import Scene
 from lmd.sight.obstacles import unobstructed
 
-# Keeps the poses apart from every other use of the same seed.
+# Keeps the poses apart from every other use of the seed.
 CAUSES_STREAM = 0x7768790A
-POSITIONS, VIEWS = 256, 16  # random positions, and random orientations at each
+POSITIONS, VIEWS = 256, 16  # number of random positions, and of random orientations at each
 
 
 class Explained(Protocol):
-    """What a visibility model may have so that it can be told which of its criteria leaves a landmark out."""
+    """Optional methods of a visibility model that give the verdicts of its criteria."""
 
     def verdicts(
         self, camera: Any, position: FloatArray, axes: FloatArray, landmarks: FloatArray, normals: FloatArray
     ) -> Mapping[str, BoolArray]:
-        """Whether landmarks meet each criterion taken by itself, `(A, K)` by its name; args as in `covered`."""
+        """Verdicts of each criterion by itself, `(A, K)` by its name; args as of `covered`."""
 
     def limits_for(self, camera: Camera) -> Mapping[str, str]:
-        """What the criteria come to for a camera, in a few words each, by their names."""
+        """Limits of the criteria for a camera, in a few words each, by name."""
 
 
 def verdicts(
     scene: Scene, deployment: Deployment, poses: FloatArray, camera: Camera | None = None
 ) -> dict[str, BoolArray]:
-    """What the scene's visibility model says of its criteria in N poses, `(N, K)` each; nothing if it cannot tell.
+    """Verdicts of the criteria of the scene's visibility model in N poses, `(N, K)` each; empty if it gives none.
 
     Args:
+        scene: the scene.
         deployment: K landmarks.
-        poses: X of the camera.
+        poses: X of the camera, `(N, 4, 4)`.
         camera: of the scene's rig; None for the only one.
 
     Raises:
@@ -51,49 +52,44 @@ def verdicts(
     if not hasattr(scene.visibility, "verdicts"):
         return {}
     axes, scene = axis_and_right(poses), scene.sized(deployment.edges)
-    rows = [_told(scene, camera, deployment, pose[:3, 3], axes[i : i + 1]) for i, pose in enumerate(poses)]
+    rows = [_verdicts_of(scene, camera, deployment, pose[:3, 3], axes[i : i + 1]) for i, pose in enumerate(poses)]
     return {name: np.concatenate([row[name] for row in rows]) for name in rows[0]}
 
 
-def _told(
+def _verdicts_of(
     scene: Scene, camera: Camera, deployment: Deployment, position: FloatArray, axes: FloatArray
 ) -> dict[str, BoolArray]:
-    """The verdicts from a camera's position and axes `(A, 6)`, `(A, K)` each: the model's, and the room's if any."""
+    """Verdicts from a camera's position and axes `(A, 6)`, `(A, K)` each: the model's, and the room's if any."""
     landmarks = deployment.positions, deployment.normals
-    told = dict(scene.visibility.verdicts(camera, position, axes, *landmarks))  # type: ignore[attr-defined]
+    found = dict(scene.visibility.verdicts(camera, position, axes, *landmarks))  # type: ignore[attr-defined]
     if scene.room.blockers() is not None:
         clear = unobstructed(scene.room, scene.visibility.sight(camera), position, *landmarks)
-        told["obstacles"] = np.broadcast_to(clear, (len(axes), len(deployment)))
-    return told
+        found["obstacles"] = np.broadcast_to(clear, (len(axes), len(deployment)))
+    return found
 
 
 @dataclass(frozen=True)
 class Causes:
-    """Why as much is covered as is: shares of all looks, a look being one landmark from one random pose.
-
-    Of a rig each camera has a look of its own.
-
-    Args:
-        looks: how many.
-        covered: of these, those that meet every criterion.
-        met: those that meet the criterion, by its name.
-        without: those that meet all others, by its name.
-        limits: what the criteria come to, in a few words each.
-    """
+    """Shares of landmarks that the criteria leave out; a look is one landmark from one camera in one random pose."""
 
     looks: int
+    """Number of looks."""
     covered: float
+    """Share of the looks that meet every criterion."""
     met: Mapping[str, float]
+    """Share of the looks that meet a criterion, by its name."""
     without: Mapping[str, float]
+    """Share of the looks that meet all other criteria, by the name of the criterion."""
     limits: Mapping[str, str]
+    """Limits of the criteria in a few words each, by name."""
 
     def metrics(self) -> dict[str, float]:
-        """The figures by names such as `focus_met` and `covered_without_focus`."""
+        """Figures by names such as `focus_met` and `covered_without_focus`."""
         met = {f"{name}_met": share for name, share in self.met.items()}
         return {"covered": self.covered} | met | {f"covered_without_{name}": x for name, x in self.without.items()}
 
     def to_text(self) -> str:
-        """What a terminal shows: a row for each criterion, the one that takes most first."""
+        """Text for a terminal: a row for each criterion, the one that excludes most first."""
         rows = [("criterion", "met by", "covered without it", "limit")]
         for name in sorted(self.without, key=lambda name: -self.without[name]):
             shares = f"{self.met[name]:.2%}", f"{self.without[name]:.2%}"
@@ -105,7 +101,7 @@ class Causes:
 
 
 def causes(scene: Scene, deployment: Deployment, seed: int) -> Causes | None:
-    """Measure what each criterion takes from a deployment.
+    """Measure the shares that each criterion leaves out.
 
     Args:
         scene: the visibility model must have `verdicts`, see `Explained`.
@@ -113,7 +109,7 @@ def causes(scene: Scene, deployment: Deployment, seed: int) -> Causes | None:
         seed: of the poses: positions uniform where the camera may be, orientations from the PDF.
 
     Returns:
-        None if the model cannot tell.
+        None if the model has no verdicts.
     """
     if not hasattr(scene.visibility, "verdicts"):
         return None
@@ -122,10 +118,10 @@ def causes(scene: Scene, deployment: Deployment, seed: int) -> Causes | None:
     poses = camera_pose(positions, *scene.pdf.draw_at(positions, rng)).reshape(POSITIONS, VIEWS, 4, 4)
     names: list[str] = []
     met, without, covered = [], [], 0
-    for here in poses:  # one after the other: all looks at once would be large
+    for here in poses:  # one after the other, as all looks at once would take much memory
         for camera, offset, _, axes in scene.stations(axis_and_right(here)):
-            told = _told(scene, camera, deployment, here[0, :3, 3] + offset, axes)
-            names, passed = list(told), np.stack(list(told.values()))
+            found = _verdicts_of(scene, camera, deployment, here[0, :3, 3] + offset, axes)
+            names, passed = list(found), np.stack(list(found.values()))
             failed = (~passed).sum(axis=0)
             met.append(passed.sum(axis=(1, 2)))
             without.append((failed == ~passed).sum(axis=(1, 2)))  # it fails no criterion, or this one alone
@@ -136,8 +132,8 @@ def causes(scene: Scene, deployment: Deployment, seed: int) -> Causes | None:
         return dict(zip(names, (np.sum(counts, axis=0) / looks).tolist(), strict=True))
 
     describe = getattr(scene.visibility, "limits_for", None)
-    told_of = [describe(camera) for camera in dict.fromkeys(scene.cameras)] if describe else []
-    limits = {name: " | ".join(dict.fromkeys(each[name] for each in told_of)) for name in (told_of or [{}])[0]}
+    described = [describe(camera) for camera in dict.fromkeys(scene.cameras)] if describe else []
+    limits = {name: " | ".join(dict.fromkeys(each[name] for each in described)) for name in (described or [{}])[0]}
     if "obstacles" in names:
         limits["obstacles"] = "nothing of the room in the way"
     return Causes(looks, covered / looks, shares(met), shares(without), limits)

@@ -131,6 +131,11 @@ def adjoint(pose: FloatArray, twist: FloatArray) -> FloatArray:
     return np.concatenate([angular, linear], axis=-1)
 
 
+def adjoint_matrix(pose: FloatArray) -> FloatArray:
+    """Ad_X = [R 0; [p]x R  R] of poses `(..., 4, 4)`, `(..., 6, 6)`."""
+    return np.swapaxes(adjoint(pose[..., None, :, :], np.eye(6)), -1, -2)
+
+
 def exp(twist: FloatArray) -> FloatArray:
     """Exponential map se(3) -> SE(3), `(..., 6)` -> `(..., 4, 4)`.
 

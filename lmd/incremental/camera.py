@@ -168,7 +168,8 @@ def _block(k, camera, scratch):  # type: ignore[no-untyped-def]
     """Do not let landmark k reach the place tried where something of the room stands in the way."""
     reached, first, last = scratch.flags[REACHED], scratch.lists[FIRST], scratch.lists[LAST]
     ends, sight = no_ends(camera.obstacles, 1), sized(camera.sight, k)
-    find_ends(camera.obstacles, sight, *target_of(scratch), ends, 0)
+    x, y, z, nx, ny, nz = target_of(scratch)
+    find_ends(camera.obstacles, sight, x, y, z, nx, ny, nz, ends, 0)
     for s in range(scratch.numbers[SPAN_COUNT]):
         for p in range(first[s], last[s]):
             reached[p] = reached[p] and not is_blocked(camera.obstacles, sight, p, ends, 0)

@@ -10,7 +10,6 @@ from lmd.incremental.counts import counts_of, given_counts
 from lmd.incremental.field import accept, bound, places_of, settle, undo
 from lmd.incremental.move import carry_out, fill, take_back
 from lmd.incremental.rig import RigCameras
-from lmd.incremental.state import RigScratch, RigState, Scratch, State
 from lmd.incremental.trial import bound_move, finish_move
 from lmd.scene.criteria import horizon_of, largest
 from lmd.scene.deployment import Deployment
@@ -45,7 +44,7 @@ class CoverageField(NamedTuple):
         """See `Field.size`."""
         return int(self.positions.shape[1])
 
-    def state(self, deployment: Deployment) -> State | RigState:
+    def state(self, deployment: Deployment) -> Any:
         """See `Field.state`."""
         state = self.cameras.state(
             {
@@ -57,7 +56,7 @@ class CoverageField(NamedTuple):
         fill(self, state, self.scratch(state))
         return state
 
-    def scratch(self, state: Any) -> Scratch | RigScratch:
+    def scratch(self, state: Any) -> Any:
         """See `Field.scratch`."""
         return self.cameras.scratch(state)
 

@@ -50,13 +50,13 @@ LEAVES, COMES, ARRIVES = np.int64(0), np.int64(1), np.int64(2)
 
 
 @inlined
-def line_radius(sight):
+def line_radius(sight):  # type: ignore[no-untyped-def]
     """Greatest distance from a line of sight at which a landmark hides another, metres."""
     return math.sqrt(sight.reach) * (1.0 + SINGLE_ERROR) + TOLERANCE
 
 
 @inner
-def find_ways(ax, ay, az, poses, horizon, others, ways):
+def find_ways(ax, ay, az, poses, horizon, others, ways):  # type: ignore[no-untyped-def]
     """List the landmarks within the horizon of (ax, ay, az), and the vectors to them; see `Scratch.ways`.
 
     Returns:
@@ -81,7 +81,7 @@ def find_ways(ax, ay, az, poses, horizon, others, ways):
 
 
 @inlined
-def near_line(start, mx, my, mz, hx, hy, hz, radius, ways):
+def near_line(start, mx, my, mz, hx, hy, hz, radius, ways):  # type: ignore[no-untyped-def]
     """Landmarks that pass the first stage above, as bits.
 
     Args:

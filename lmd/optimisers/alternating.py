@@ -1,4 +1,4 @@
-"""Cameras and tags in turn: block coordinate ascent, each turn by an optimiser of its own."""
+"""Cameras and tags placed in turn: block coordinate ascent, each turn by its own optimiser."""
 
 import math
 from collections.abc import Callable, Mapping
@@ -24,22 +24,25 @@ from lmd.scene.rig import Mount, Rig
 
 @dataclass(frozen=True)
 class _Best:
-    """The best tags and cameras so far."""
+    """Best tags and cameras so far."""
 
     fitness: float
+    """Fitness of both together."""
     tags: Deployment
+    """Landmarks."""
     rig: Rig
+    """Cameras."""
 
 
 class Alternating(Optimiser):
-    """Places cameras, then tags, and so on; each turn begins with the best so far, and is dropped if it is no better.
+    """Places cameras, then tags, and so on; each turn begins with the best so far, and is dropped if it is not better.
 
     `run` takes the budget of each turn of the cameras.
 
     Args:
         cameras: makes the optimiser of a turn of the cameras from its seed, which is `seed`, `seed + 1`, ...
-        rounds: how often both have their turn.
-        tag_budget: of each turn of the tags, which `Annealing` places.
+        rounds: number of turns of the cameras, and of the tags.
+        tag_budget: budget of each turn of the tags, which `Annealing` places.
         seed: see `Optimiser`.
 
     Raises:
@@ -50,11 +53,11 @@ class Alternating(Optimiser):
         super().__init__(seed)
         self.cameras, self.tag_budget = cameras, tag_budget
         self.rounds = integer("rounds", rounds, low=1)
-        self.reached: list[float] = []  # the best fitness after each turn that has ended
-        self.best: _Best | None = None  # of the turns that have ended
-        self.began = 0  # records of the ledger before the turn that is on
-        self.inner: Optimiser | None = None  # that of the turn that is on
-        self.posed: Problem  # what that maximises
+        self.reached: list[float] = []  # best fitness after each completed turn
+        self.best: _Best | None = None  # of the completed turns
+        self.began = 0  # number of records before the current turn
+        self.inner: Optimiser | None = None  # optimiser of the current turn
+        self.posed: Problem  # problem of the current turn
         self.space: MountSpace  # of the cameras
 
     @override
@@ -92,7 +95,7 @@ class Alternating(Optimiser):
         incremental(problem.objective)
 
     def figures(self) -> Mapping[str, float]:
-        """The best fitness after each turn."""
+        """Best fitness after each turn."""
         reached = [*self.reached, *([self.ledger.best_fitness] if self.inner else [])]
         return {f"round_{1 + i // 2}_{('cameras', 'tags')[i % 2]}": fitness for i, fitness in enumerate(reached)}
 
@@ -139,7 +142,7 @@ class Alternating(Optimiser):
             self.posed = cameras if best is None else CameraProblem(cameras, best.tags, cameras.space, best.rig)
 
     def _follow(self) -> None:
-        """Note what the turn that is on has noted since."""
+        """Copy the new records of the current turn."""
         if self.inner is None:
             return
         ledger, inner = self.ledger, self.inner.ledger
@@ -150,7 +153,7 @@ class Alternating(Optimiser):
             ledger.note(spent + record.evaluations, record.best_fitness)
 
     def _best(self) -> _Best:
-        """The best by now, when something has been evaluated."""
+        """Return the best, of the current turn if that is better."""
         best, inner = self.best, self.inner
         if inner is not None and inner.ledger.best_fitness > (best.fitness if best else -math.inf):
             found = inner.result(self.posed, "interrupted")
@@ -169,16 +172,16 @@ def _cameras(problem: Problem) -> CameraProblem:
 
 
 def _rig_state(rig: Rig, space: MountSpace) -> FloatArray:
-    """Cameras as numbers: which lens, where, and how they are turned, `(C, 7)`."""
+    """Cameras as numbers: index of the lens, position, and angles, `(C, 7)`."""
     lenses = list(space.lenses)
     return np.array([[lenses.index(m.camera), *m.translation, m.yaw, m.pitch, m.roll] for m in rig.mounts])
 
 
 def _rig_of(state: Any, space: MountSpace) -> Rig:
-    """The rig with the `_rig_state` of another.
+    """Make the rig with the `_rig_state` of another.
 
     Raises:
-        InputError: it is none that may be mounted.
+        InputError: the rig may not be mounted.
     """
     numbers = array("rig", state, np.float64, space.count, 7)
     lens = array("rig", numbers[:, 0], np.float64, None, low=0, high=len(space.lenses) - 1)

@@ -1,4 +1,4 @@
-"""What every optimiser shares: what a pipeline sees of it, and the ask/tell loop."""
+"""Base classes of optimisers: the interface for pipelines, and the ask/tell loop."""
 
 import math
 import zlib
@@ -20,45 +20,41 @@ from lmd.problem import Genome, Problem
 from lmd.scene.deployment import Deployment
 from lmd.scene.rig import Rig
 
-GENE_BYTES = 8
+GENE_BYTES = 8  # memory of a gene
 
 
 @dataclass(frozen=True)
 class Result:
-    """The outcome of a run.
-
-    Args:
-        deployment: the best deployment found.
-        fitness: its fitness.
-        evaluations: full evaluations spent.
-        seconds: wall time spent, over all sittings of a resumed run, without that of the compiler.
-        history: best fitness against evaluations and wall time.
-        stopped: `budget` when the budget is used up, `interrupted` when the callback asked to stop, `proven` when
-            nothing better is left to be found.
-        rig: the best cameras found, where cameras are placed and the deployment is given; None elsewhere.
-    """
+    """Outcome of a run."""
 
     deployment: Deployment
+    """Best deployment found."""
     fitness: float
+    """Fitness of `deployment`."""
     evaluations: float
+    """Full evaluations spent."""
     seconds: float
+    """Wall time spent, over all parts of a resumed run, without that of the compiler."""
     history: tuple[Record, ...]
+    """Best fitness against evaluations and wall time."""
     stopped: str
+    """`budget` if the budget is used up, `interrupted` if the callback stopped the run, `proven` if none is better."""
     rig: Rig | None = None
+    """Best cameras found, where cameras are placed and the deployment is given; None elsewhere."""
 
 
-# Called after every batch; returning True stops the run.
+# Called after every batch; stops the run by returning True.
 Callback = Callable[["Optimiser"], bool | None]
 
 
 class Optimiser(ABC):
-    """What a pipeline sees.
+    """Interface of optimisers for pipelines.
 
-    Everything needed to go on lives in the instance: calling `run` on one that has run, or that took over the `state`
-    of another, continues where that stopped.
+    The instance holds all of the run: another call of `run`, or a call after `restore`, continues where the last one
+    stopped.
 
     Args:
-        seed: seeds the one random generator of the run.
+        seed: of the random generator of the run.
     """
 
     def __init__(self, seed: int = 0) -> None:
@@ -67,14 +63,14 @@ class Optimiser(ABC):
 
     @property
     def called(self) -> str:
-        """The name of the method in messages."""
+        """Name of the method in messages."""
         return type(self).__name__
 
     def state(self) -> dict[str, Any]:
-        """What a checkpoint keeps: what was found by running, as data.
+        """Return the results of the run as data, for a checkpoint; settings are not part of it.
 
-        That is None, numbers, texts, arrays of NumPy, and lists and mappings of these. What configuration gives is left
-        out. `lmd.optimisers.stored` has generators and deployments as data.
+        Data are None, numbers, texts, arrays of NumPy, and lists and mappings of these. `lmd.optimisers.stored` turns
+        generators and deployments into data.
 
         Raises:
             InputError: the optimiser cannot be checkpointed; the default.
@@ -82,23 +78,24 @@ class Optimiser(ABC):
         raise InputError("it does not say what its state is")
 
     def restore(self, state: Mapping[str, Any], problem: Problem) -> None:
-        """Go on from what `state` gave, in an optimiser that was made with the same settings and has not run.
+        """Take over the `state` of an optimiser with equal settings; this one has not run.
 
         Args:
-            state: read from a file that anyone may have written, so each value has to be checked.
+            state: read from a file, which may be malicious, so each value has to be checked.
+            problem: of the run.
 
         Raises:
-            InputError: `state` cannot be gone on from.
+            InputError: `state` is not valid.
         """
         raise InputError(f"{type(self).__name__} cannot be checkpointed.")
 
     def check(self, problem: Problem) -> None:
-        """Raise `InputError` if the method cannot take a problem; asked before a run writes anything."""
+        """Raise `InputError` if the method cannot take a problem; called before a run writes anything."""
         if problem.genome is not None and type(self).found_rig is Optimiser.found_rig:
             raise InputError(f"{type(self).__name__} places landmarks, not cameras; use a black box.")
 
     def figures(self) -> Mapping[str, float]:
-        """What the method can say of its result beside the fitness, for the record; nothing by default."""
+        """Figures of the method beside the fitness, for the record; none by default."""
         return {}
 
     @abstractmethod
@@ -107,14 +104,14 @@ class Optimiser(ABC):
 
     @abstractmethod
     def found(self, problem: Problem) -> Deployment | None:
-        """The best deployment so far; None while there is none."""
+        """Best deployment so far; None while there is none."""
 
     def found_rig(self, problem: Problem) -> Rig | None:
-        """The best cameras so far where cameras are placed; None while there are none, and elsewhere."""
+        """Best cameras so far where cameras are placed; None while there are none, and elsewhere."""
         return None
 
     def result(self, problem: Problem, stopped: str) -> Result:
-        """What `run` returns, from the ledger; also what is known by then if `run` was left in the middle.
+        """Result of `run` from the ledger, also of a run that was left in the middle.
 
         Raises:
             InputError: no deployment was found.
@@ -127,10 +124,10 @@ class Optimiser(ABC):
 
 
 class AskTell(Optimiser):
-    """Optimisers that propose batches of genes and are told their fitness.
+    """Optimisers that propose batches of genes and learn their fitness.
 
-    The plates of tags with a size are pushed apart before they are evaluated (`lmd.scene.plates`), the genes stay what
-    they are; a deployment whose plates find no room counts as a failed evaluation.
+    The plates of tags with a size are pushed apart before they are evaluated (`lmd.scene.plates`); the genes do not
+    change. A deployment whose plates find no room counts as a failed evaluation.
 
     Subclasses write `_ask` and `_tell` only. Before the first `_ask`, `run` sets
 
@@ -140,18 +137,17 @@ class AskTell(Optimiser):
 
     Args:
         seed: see `Optimiser`.
-        encoding: how genes describe landmarks, `wall` or `paper` (`lmd.optimisers.encoding`); None for `wall`, or what
-            the caller sets before `run`.
+        encoding: encoding of landmarks, `wall` or `paper` (`lmd.optimisers.encoding`); None for the one that the caller
+            sets before `run`, by default `wall`.
 
-    `flush` says whether landmarks lie flat on their surface; a caller may set it before `run`.
-
-    A checkpoint keeps the fitness that was told, and no genes. Going on asks and tells all of it again, which costs no
-    evaluation: whatever a subclass keeps is then as it was.
+    A checkpoint keeps the fitness of all batches, and no genes. `restore` asks and tells all of them again, without an
+    evaluation; so the state of a subclass, of whatever kind, is as it was.
     """
 
-    # How many starting deployments the method can use.
     start_size = 1
+    """Number of starting deployments that the method can use."""
     flush = True
+    """True if landmarks lie flat on their surface; a caller may set it before `run`."""
     dim: int
     rng: np.random.Generator
     start: FloatArray
@@ -160,7 +156,7 @@ class AskTell(Optimiser):
         super().__init__(seed)
         self.encoding = encoding
         self.best_genes: FloatArray | None = None
-        self.told: list[tuple[int, FloatArray]] = []  # of each batch: the checksum of its genes, their fitness
+        self.told: list[tuple[int, FloatArray]] = []  # checksum of the genes and fitness of each batch
 
     @abstractmethod
     def _ask(self) -> FloatArray:
@@ -171,10 +167,10 @@ class AskTell(Optimiser):
         """Learn the fitness `(B,)` of the genes just asked for; never NaN, a failed evaluation is -inf."""
 
     def ask(self) -> FloatArray:
-        """The next batch, `(B, dim)`, clipped to the unit box.
+        """Return the next batch, `(B, dim)`, clipped to the unit box.
 
         Raises:
-            InputError: the method has asked for something else than genes.
+            InputError: the method has proposed something else than genes.
         """
         asked = self._ask()
         try:
@@ -189,12 +185,11 @@ class AskTell(Optimiser):
         return np.clip(genes, 0.0, 1.0)
 
     def tell(self, genes: FloatArray, fitness: FloatArray) -> None:
-        """Note a batch and pass it on; NaN counts as -inf."""
-        fitness = self._note(genes, fitness)
-        self._tell(genes, fitness)
+        """Note a batch and pass it to the method; NaN counts as -inf."""
+        self._tell(genes, self._note(genes, fitness))
 
     def _note(self, genes: FloatArray, fitness: FloatArray) -> FloatArray:
-        """Note a batch; returns the fitness, -inf where it was NaN."""
+        """Note a batch; returns the fitness, with -inf for NaN."""
         fitness = np.where(np.isnan(fitness), -np.inf, fitness)
         self.told.append((_checksum(genes), fitness.copy()))
         best = int(np.argmax(fitness))
@@ -203,10 +198,10 @@ class AskTell(Optimiser):
         return fitness
 
     def _note_or_tell(self, genes: FloatArray, fitness: FloatArray, asked: int) -> None:
-        """Tell the fitness of all genes that were `asked` for; of fewer, only note it."""
+        """Tell the fitness of a complete batch of `asked` genes; of an incomplete one only note it."""
         if len(genes) == asked:
             self.tell(genes, fitness)
-        else:  # the method cannot learn from half a batch
+        else:  # the method cannot learn from a part of a batch
             self._note(genes, fitness)
 
     @override
@@ -220,7 +215,7 @@ class AskTell(Optimiser):
 
     @override
     def restore(self, state: Mapping[str, Any], problem: Problem) -> None:
-        """The method is asked and told again, which takes as long as it did."""
+        """Ask and tell all batches again, which takes the time that the method took."""
         checksums = array("checksums", state["checksums"], np.uint32, None)
         seconds = array("wall_time", state["wall_time"], np.float64, len(checksums), low=0.0)
         batches = array("batches", state["batches"], np.int64, len(checksums), low=1)
@@ -240,7 +235,7 @@ class AskTell(Optimiser):
         self._genome(problem).reached(self.ledger.best_fitness)
 
     def _draw_start(self, problem: Problem) -> None:
-        """Set what a run begins with."""
+        """Set `dim`, `rng` and `start`."""
         genome = self._genome(problem)
         self.dim = genome.dim
         taken = f"optimiser: {self.start_size} candidates of {self.dim} genes at a time"
@@ -251,7 +246,7 @@ class AskTell(Optimiser):
 
     @override
     def run(self, problem: Problem, budget: Budget, callback: Callback | None = None) -> Result:
-        """A batch that would exceed the budget is cut short."""
+        """Ask, evaluate and tell until the budget is used up; a batch that would exceed it is cut short."""
         ledger, genome = self.ledger, self._genome(problem)
         if not ledger.evaluations:
             self._draw_start(problem)

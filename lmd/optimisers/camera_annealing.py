@@ -1,6 +1,6 @@
 """Simulated annealing of the cameras of a rig, one camera after the other: our own method for placing cameras.
 
-A camera that is tried is all that has to be looked at anew (`lmd.cameras.views`), so a sweep over all cameras costs one
+Only the camera that is tried has to be evaluated anew (`lmd.cameras.views`), so a sweep over all cameras costs one
 evaluation. A try changes some genes of a camera by a step that shrinks, or draws the whole camera anew.
 """
 
@@ -21,19 +21,19 @@ from lmd.problem import Problem
 from lmd.scene.deployment import Deployment
 from lmd.scene.rig import Rig
 
-SHARE_SKIPPED = 0.5  # share of the schedule that is left out where the start is given
+SHARE_SKIPPED = 0.5  # share of the schedule that is skipped where the start is given
 
 
 class CameraAnnealing(Optimiser):
     """Anneals mounts in the unit box of their genes.
 
-    Cameras that are given are improved from the middle of the schedule on, so that they are not thrown away first.
+    Given cameras are improved from the middle of the schedule on, so that hot moves do not discard them.
 
     Args:
-        temperature: at the beginning and at the end, in units of what is climbed.
-        step: standard deviation of a changed gene, at the beginning and at the end.
-        jump: share of tries that draw a camera anew, at the beginning and at the end.
-        mean_share: of the mean value of all positions, in what is climbed beside the fitness: it leads over plateaus.
+        temperature: first and last temperature, in units of the energy.
+        step: first and last standard deviation of a changed gene.
+        jump: first and last share of tries that draw a camera anew.
+        mean_share: weight of the mean value of all positions in the energy, beside the fitness: it leads over plateaus.
         seed: see `Optimiser`.
 
     Raises:
@@ -54,8 +54,8 @@ class CameraAnnealing(Optimiser):
         self.jump = vector("jump", jump, 2, low=0.0, high=1.0)
         self.mean_share = real("mean_share", mean_share, low=0.0)
         self.rng = np.random.default_rng(self.seed)
-        self.here: FloatArray | None = None  # genes of the cameras where the walk is, (C, G)
-        self.best: FloatArray | None = None  # those with the best fitness
+        self.here: FloatArray | None = None  # genes of the current cameras, (C, G)
+        self.best: FloatArray | None = None  # genes of the best cameras
 
     @override
     def state(self) -> dict[str, Any]:
@@ -81,7 +81,7 @@ class CameraAnnealing(Optimiser):
 
     @override
     def run(self, problem: Problem, budget: Budget, callback: Callback | None = None) -> Result:
-        """A sweep over all cameras is an evaluation."""
+        """Sweep over all cameras until the budget is used up; each sweep counts as an evaluation."""
         cameras, ledger, stopped = _cameras(problem), self.ledger, "budget"
         began = clock() - ledger.seconds
         if self.here is None:
@@ -107,7 +107,7 @@ class CameraAnnealing(Optimiser):
         return None if self.best is None else _cameras(problem).rig(self.best.reshape(-1))
 
     def _swept(self, problem: CameraProblem, used: float, energy: float) -> tuple[float, float]:
-        """Try to move each camera once; returns what is climbed where the walk then is, and the best fitness."""
+        """Try to move each camera once; returns the energy of the cameras afterwards, and the best fitness."""
         assert self.here is not None
         best = self.ledger.best_fitness
         temperature = self.temperature[0] * (self.temperature[1] / self.temperature[0]) ** used
@@ -117,24 +117,24 @@ class CameraAnnealing(Optimiser):
             fitness, there = self._scored(problem, tried)
             if fitness > best:
                 best, self.best = fitness, tried
-            # The first is also true where both are -inf, and the walk is nowhere yet.
+            # The first condition also holds where both are -inf, at an impossible start.
             if there >= energy or self.rng.random() < math.exp((there - energy) / temperature):
                 self.here, energy = tried, there
         return energy, best
 
     def _changed(self, genes: FloatArray, used: float) -> FloatArray:
-        """The genes of a camera `(G,)`, changed."""
+        """Change the genes of a camera `(G,)`."""
         if self.rng.random() < self.jump[0] + used * (self.jump[1] - self.jump[0]):
             return self.rng.random(len(genes))
         step = self.step[0] * (self.step[1] / self.step[0]) ** used
         chosen = self.rng.random(len(genes)) < 0.5
         chosen[self.rng.integers(len(genes))] = True
         moved = genes + chosen * self.rng.normal(0.0, step, len(genes))
-        moved[0] %= 1.0  # the faces one beside the other, around the body
+        moved[0] %= 1.0  # the faces of the body lie side by side, in a circle
         return np.clip(moved, 0.0, 1.0)
 
     def _scored(self, problem: CameraProblem, genes: FloatArray) -> tuple[float, float]:
-        """The fitness of cameras, and what the walk climbs; -inf where they cannot be."""
+        """Fitness and energy of cameras; -inf where they are impossible."""
         mounts = problem.space.mounts(genes)
         fitness = problem.fitness_of_cameras(mounts)
         if mounts is None or not math.isfinite(fitness):

@@ -14,7 +14,7 @@ class EGA(AskTell):
     replaced by random ones; the others form the recombinant pool, exchange a run of genes and mutate. Fit is the
     problem's fitness, pop_0 the problem's start (filled up with random chromosomes), T the budget.
 
-    Where the paper is silent, a named parameter decides. The defaults are the literal reading.
+    Parameters choose what the paper does not specify. The defaults are the literal reading.
 
     Args:
         population: M.
@@ -22,8 +22,8 @@ class EGA(AskTell):
         recombination_min, recombination_max: Y_min and Y_max, the shortest and longest run of genes exchanged, as
             fractions of the chromosome: the printed 100 and 300 of 450 genes.
         mutation_probability: Psi, for each gene of a recombined chromosome.
-        partner: who recombines with whom: `pool` pairs the pool at random and both exchange; `survivor` gives each
-            a run of the survivor's genes.
+        partner: `pool` pairs the pool at random and both exchange; `survivor` gives each a run of the survivor's
+            genes.
         acceptance: `always` lets a child replace its parent; `if_better` only if its fitness is not lower.
         mutation: `reset` draws a new gene; `gaussian` moves it by a normal step.
         mutation_scale: standard deviation of that step (genes span 1).
@@ -74,7 +74,7 @@ class EGA(AskTell):
             parents, parent_fitness = self.population[1:], self.fitness[1:]
             if self.acceptance == "if_better":
                 worse = fitness < parent_fitness
-                worse[len(worse) - self.eliminated :] = False  # the eliminated go whatever replaces them
+                worse[len(worse) - self.eliminated :] = False  # the eliminated are replaced in any case
                 genes = np.where(worse[:, None], parents, genes)
                 fitness = np.where(worse, parent_fitness, fitness)
             genes = np.vstack([self.population[:1], genes])
@@ -95,7 +95,7 @@ class EGA(AskTell):
         return children
 
     def _mutate(self, genes: FloatArray) -> FloatArray:
-        """Each gene mutates with the probability Psi."""
+        """Mutate each gene with the probability Psi."""
         if self.mutation == "reset":
             return reset(self.rng, genes, self.mutation_probability)
         mutates = self.rng.random(genes.shape) < self.mutation_probability

@@ -1,4 +1,4 @@
-"""Lazy greedy selection on a submodular stand-in (`selection`), then a local search on the true objective."""
+"""Lazy greedy selection on a submodular surrogate (`selection`), then a local search on the true objective."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -27,12 +27,12 @@ REFINING_STAGE = Stage(temperature=(4e-5, 2e-5), width=(0.02, 0.006), step=(0.3,
 class Greedy(Annealing):
     """Greedy selection from a grid of wall poses, refined by a cool walk with the rest of the budget.
 
-    Poses of the grid are far enough apart that plates do not cover each other. Evaluating the gain of one pose costs
-    as much of the budget as moving one landmark.
+    Footprints at poses of the grid do not overlap. The gain of one pose costs as much of the budget as moving one
+    landmark.
 
     Args:
         spacing: of the grid, metres; coarsened if the budget could not pay for it.
-        single: conditions of the refinement, or what differs from the default ones, see `Annealing`.
+        single: conditions of the refinement, or a mapping of those that differ from the default ones.
         seed: see `Optimiser`.
 
     Raises:
@@ -52,7 +52,7 @@ class Greedy(Annealing):
         selectable(problem.objective)
 
     def _begin(self, problem: Problem, stack: int, limit: float) -> int:
-        """Build the start greedily; what the budget cannot pay for stays where the problem's start has it."""
+        """Build the start greedily; landmarks beyond the budget stay where the problem's start has them."""
         super()._begin(problem, stack, limit)
         self.start, spent = greedy_start(problem, self.start, self.spacing, (limit - problem.count) / 2)
         self.here = self.start
@@ -61,17 +61,17 @@ class Greedy(Annealing):
 
 @dataclass(frozen=True)
 class GreedyDeployment:
-    """The greedy selection as a start for any optimiser, or something to score (`deployment=greedy`).
+    """Greedy selection as a start for any optimiser, or as a deployment to score (`deployment=greedy`).
 
     Building it is not charged to the budget of the optimiser that starts from it.
 
     Args:
-        count: how many.
-        scene: where they hang.
-        objective: what they are for.
+        count: number of landmarks.
+        scene: the scene.
+        objective: the objective, which has a selection.
         spacing: of the grid of poses, metres.
         threads: worker threads, all processors by default; the result does not depend on it.
-        fixed: landmarks that hang already, with their surfaces: the selection starts from them, and draws the others.
+        fixed: landmarks that hang already, with their surfaces: the selection starts from them, and adds the others.
 
     Raises:
         InputError: a value is out of range.

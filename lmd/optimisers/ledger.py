@@ -1,4 +1,4 @@
-"""What a run may spend, and what it has spent and found so far."""
+"""Budget of a run, and its ledger: what was spent and reached."""
 
 import math
 from collections.abc import Mapping
@@ -13,20 +13,16 @@ from lmd.optimisers.stored import array
 
 @dataclass(frozen=True)
 class Budget:
-    """What a run may spend.
-
-    Args:
-        evaluations: full evaluations of a deployment, never exceeded; one moved landmark counts 1/K. None for no
-            limit.
-        seconds: wall time after which no new evaluation starts, not counting what the compiler takes; None for no
-            limit.
+    """Limits of a run.
 
     Raises:
         InputError: a limit is not positive, or there is none.
     """
 
     evaluations: int | None = None
+    """Full evaluations of a deployment, never exceeded; one moved landmark counts 1/K. None for no limit."""
     seconds: float | None = None
+    """Wall time after which no new evaluation starts, without that of the compiler; None for no limit."""
 
     def __post_init__(self) -> None:
         if self.evaluations is None and self.seconds is None:
@@ -42,45 +38,52 @@ class Budget:
         return math.inf if self.evaluations is None else self.evaluations
 
     def used(self, evaluations: float, seconds: float) -> float:
-        """Share of the budget that is spent, by whichever limit is nearer; 1 or more when it is used up."""
+        """Share of the budget that is spent, the larger one of both limits; 1 or more when it is used up."""
         return max(evaluations / self.limit, seconds / (self.seconds or math.inf))
 
 
 @dataclass(frozen=True)
 class Record:
-    """The state of a run after some evaluations."""
+    """Progress of a run."""
 
     evaluations: float
+    """Full evaluations spent."""
     best_fitness: float
+    """Best fitness so far."""
     wall_time: float
+    """Seconds spent."""
 
 
 @dataclass
 class Ledger:
-    """What has been spent and found so far; survives in a checkpoint."""
+    """Progress of a run so far."""
 
     evaluations: float = 0
+    """Full evaluations spent."""
     seconds: float = 0.0
+    """Wall time spent."""
     best_fitness: float = -math.inf
+    """Best fitness."""
     history: list[Record] = field(default_factory=list)
+    """Records in the order of time."""
 
     def note(self, evaluations: float, fitness: float) -> bool:
-        """Note that `evaluations` are spent by now and the last of them reached `fitness`; True if that is the best."""
+        """Note that `evaluations` are spent and the last one reached `fitness`; returns True if that is the best."""
         is_best = fitness > self.best_fitness
         self.evaluations, self.best_fitness = evaluations, fitness if is_best else self.best_fitness
         self.history.append(Record(evaluations, self.best_fitness, self.seconds))
         return is_best
 
     def state(self) -> dict[str, Any]:
-        """The history as arrays `(N,)`, for a checkpoint; it says all the rest."""
+        """Return the history as arrays `(N,)`, for a checkpoint; the rest follows from it."""
         return {f.name: np.array([getattr(r, f.name) for r in self.history], dtype=float) for f in fields(Record)}
 
     @classmethod
     def of(cls, state: Mapping[str, Any]) -> "Ledger":
-        """The ledger with the `state` of another.
+        """Make the ledger with the `state` of another.
 
         Raises:
-            InputError: it is none.
+            InputError: `state` is not one.
         """
         evaluations = array("evaluations", state["evaluations"], np.float64, None, low=0.0)
         best = array("best_fitness", state["best_fitness"], np.float64, len(evaluations), low=-math.inf)

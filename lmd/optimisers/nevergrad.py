@@ -9,19 +9,19 @@ import numpy as np
 
 from lmd.core.checks import FloatArray, InputError, integer, real
 from lmd.core.optional import optional
-from lmd.optimisers.wrapped import Session, Wrapped
+from lmd.optimisers.wrapped import LibraryOptimiser, Wrapped
 
 
 class Nevergrad(Wrapped):
-    """A nevergrad optimiser on the unit box, told the start.
+    """A nevergrad optimiser on the unit box, which gets the start as a suggestion.
 
     Args:
         name: a registered optimiser, e.g. `TwoPointsDE`, `NGOpt`, `RLSOnePlusOne`, or a family to be configured by
             `options`, e.g. `DifferentialEvolution`, `EvolutionStrategy`.
         options: parameters of the family.
-        workers: deployments asked for before any of them is told; 1 where the method can do no more.
-        budget: evaluations the method plans with, which some need to know; None leaves it in the dark.
-        step: standard deviation of a step (genes span 1); None for nevergrad's own, 1/6.
+        workers: number of deployments asked for at a time; 1 for methods that cannot take more.
+        budget: number of evaluations that the method plans with, which some require; None for unknown.
+        step: standard deviation of a step (genes span 1); None for nevergrad's default, 1/6.
         encoding: see `AskTell`.
         seed: see `Optimiser`.
 
@@ -48,10 +48,10 @@ class Nevergrad(Wrapped):
         self.method()
 
     def method(self) -> Callable[..., Any]:
-        """What makes the optimiser.
+        """Return the function that makes the optimiser.
 
         Raises:
-            InputError: nevergrad has none of that name, or it refuses the options.
+            InputError: nevergrad has no optimiser of that name, or it refuses the options.
         """
         optional("nevergrad", "optimisers")
         from nevergrad.optimization import families, registry
@@ -68,11 +68,13 @@ class Nevergrad(Wrapped):
         except Exception as error:  # each family refuses options in its own way
             raise InputError(f"options do not suit nevergrad's {self.name}: {error}", "options") from error
 
-    def _open(self, start: FloatArray, rng: np.random.Generator) -> Session:
-        return _Session(self, start, rng)
+    def _open(self, start: FloatArray, rng: np.random.Generator) -> LibraryOptimiser:
+        return _Running(self, start, rng)
 
 
-class _Session:
+class _Running:
+    """Optimiser of nevergrad with the settings of `Nevergrad`."""
+
     def __init__(self, settings: Nevergrad, start: FloatArray, rng: np.random.Generator) -> None:
         import nevergrad
 
@@ -87,8 +89,8 @@ class _Session:
             self.optimiser = method(box, budget=settings.budget, num_workers=self.workers)
         except Exception as error:  # missing extras, a missing budget: each says it in its own way
             raise InputError(f"nevergrad's {self.name} cannot be made: {error}") from error
-        if not self.optimiser.recast:  # those only know what they asked for, but begin at the first start anyway
-            for genes in start[::-1]:  # the last one suggested is asked first
+        if not self.optimiser.recast:  # recast ones take no suggestions, but begin at the first start anyway
+            for genes in start[::-1]:  # the last suggestion is asked for first
                 self.optimiser.suggest(genes)
         self.asked: list[Any] = []
 

@@ -1,4 +1,4 @@
-"""The operators the paper's genetic algorithms share (Sec. IV-B), and what other optimisers begin with, too."""
+"""Operators of the paper's genetic algorithms (Sec. IV-B)."""
 
 import numpy as np
 
@@ -6,13 +6,13 @@ from lmd.core.checks import FloatArray, real
 
 
 def filled_up(start: FloatArray, size: int, rng: np.random.Generator) -> FloatArray:
-    """`(size, dim)`: the start, cut or filled up with uniform genes."""
+    """Cut the start to `size`, or fill it up with uniform genes, `(size, dim)`."""
     missing = max(size - len(start), 0)
     return np.vstack([start[:size], rng.random((missing, start.shape[1]))])
 
 
 def recombination_range(shortest: float, longest: float) -> tuple[float, float]:
-    """Y_min and Y_max as checked fractions of the chromosome.
+    """Check Y_min and Y_max, fractions of the chromosome.
 
     Raises:
         InputError: not 0 <= shortest <= longest <= 1.
@@ -22,14 +22,14 @@ def recombination_range(shortest: float, longest: float) -> tuple[float, float]:
 
 
 def run_of_genes(rng: np.random.Generator, dim: int, shortest: float, longest: float) -> slice:
-    """A run of genes somewhere in a chromosome of `dim`; its length is between two fractions of `dim`."""
+    """Draw a run of genes in a chromosome of `dim`; its length is between two fractions of `dim`."""
     length = int(rng.integers(round(shortest * dim), round(longest * dim), endpoint=True))
     first = int(rng.integers(0, dim - length, endpoint=True))
     return slice(first, first + length)
 
 
 def exchange(rng: np.random.Generator, parents: FloatArray, shortest: float, longest: float) -> FloatArray:
-    """Children `(B, dim)`: parents pair up at random and exchange a run; one left over stays alone."""
+    """Pair up parents at random and exchange a run of each pair, `(B, dim)`; one left over is copied."""
     children = parents.copy()
     order = rng.permutation(len(parents))
     for i, j in zip(order[0::2], order[1::2], strict=False):
@@ -39,6 +39,6 @@ def exchange(rng: np.random.Generator, parents: FloatArray, shortest: float, lon
 
 
 def reset(rng: np.random.Generator, genes: FloatArray, probability: float) -> FloatArray:
-    """Each gene is drawn anew with `probability`."""
+    """Draw each gene anew with `probability`."""
     mutates = rng.random(genes.shape) < probability
     return np.where(mutates, rng.random(genes.shape), genes)

@@ -6,17 +6,17 @@ import numpy as np
 
 from lmd.core.checks import FloatArray, choice, integer, real
 from lmd.core.optional import optional
-from lmd.optimisers.wrapped import Session, Wrapped
+from lmd.optimisers.wrapped import LibraryOptimiser, Wrapped
 
 
 class PyCma(Wrapped):
     """Covariance matrix adaptation on the unit box.
 
-    The mean begins at the start; when the strategy stops by itself, a fresh one begins at the best genes.
+    The mean begins at the start; when the strategy stops by itself, a new one begins at the best genes.
 
     Args:
-        variant: what is learnt: `full`, every covariance, which takes some 100 evaluations per gene; `separable`, one
-            variance per gene; `vkd`, the variances and a few directions.
+        variant: covariance that is learnt: `full`, which takes some 100 evaluations per gene; `separable`, one variance
+            per gene; `vkd`, the variances and a few directions.
         step: initial standard deviation sigma_0 (genes span 1).
         population: lambda; None for 4 + 3 ln(dim).
         encoding: see `AskTell`.
@@ -35,18 +35,20 @@ class PyCma(Wrapped):
         seed: int = 0,
     ) -> None:
         optional("cma", "optimisers")
-        import cma.restricted_gaussian_sampler  # noqa: F401 # it draws random numbers: before the session has its own
+        import cma.restricted_gaussian_sampler  # noqa: F401 # it draws random numbers, so it is imported before these are seeded
 
         super().__init__(seed, encoding)
         self.variant = choice("variant", variant, ("full", "separable", "vkd"))
         self.step = real("step", step, above=0.0)
         self.population = None if population is None else integer("population", population, low=4)
 
-    def _open(self, start: FloatArray, rng: np.random.Generator) -> Session:
-        return _Session(self, start[0], rng)
+    def _open(self, start: FloatArray, rng: np.random.Generator) -> LibraryOptimiser:
+        return _Strategy(self, start[0], rng)
 
 
-class _Session:
+class _Strategy:
+    """CMA-ES with the settings of `PyCma`."""
+
     def __init__(self, settings: PyCma, mean: FloatArray, rng: np.random.Generator) -> None:
         import cma
         from cma.restricted_gaussian_sampler import GaussVkDSampler

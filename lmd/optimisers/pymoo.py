@@ -7,14 +7,14 @@ import numpy as np
 
 from lmd.core.checks import FloatArray, InputError, integer
 from lmd.optimisers.operators import filled_up
-from lmd.optimisers.wrapped import Session, Wrapped
+from lmd.optimisers.wrapped import LibraryOptimiser, Wrapped
 
 
 class Pymoo(Wrapped):
     """A pymoo algorithm on the unit box.
 
-    Its first population is the start, filled up with uniform genes. pymoo's default rules for stopping are set
-    aside: the budget decides. Local searches keep theirs and restart from the best genes when they end.
+    Its first population is the start, filled up with uniform genes. pymoo's default termination is replaced by the
+    budget. Local searches keep their own, and restart from the best genes when they end.
 
     Args:
         algorithm: makes the algorithm; in YAML a node with `_target_` (the class), `_partial_: true` and its
@@ -41,19 +41,21 @@ class Pymoo(Wrapped):
             raise InputError(f"algorithm makes a {type(made).__name__}, not a pymoo algorithm.", "algorithm")
         self.start_size = _size(made)
 
-    def _open(self, start: FloatArray, rng: np.random.Generator) -> Session:
-        return _Session(self.algorithm(), start, rng)
+    def _open(self, start: FloatArray, rng: np.random.Generator) -> LibraryOptimiser:
+        return _Running(self.algorithm(), start, rng)
 
 
 def _size(algorithm: Any) -> int:
-    """How many genes the algorithm begins with; a local search goes on from the best of them."""
+    """Number of candidates that the algorithm begins with; a local search goes on from the best of them."""
     from pymoo.core.variable import get
 
     size = getattr(algorithm, "n_sample_points", None) or getattr(algorithm, "pop_size", None) or 1
-    return integer("algorithm.pop_size", get(size), low=1)  # some keep it as a variable of pymoo
+    return integer("algorithm.pop_size", get(size), low=1)  # some algorithms keep it as a variable of pymoo
 
 
-class _Session:
+class _Running:
+    """Algorithm of pymoo on the unit box."""
+
     def __init__(self, algorithm: Any, start: FloatArray, rng: np.random.Generator) -> None:
         from pymoo.algorithms.base.local import LocalSearch
         from pymoo.core.problem import Problem
@@ -74,7 +76,7 @@ class _Session:
             self.asked = self.algorithm.ask()
             if self.asked is not None:
                 return np.atleast_2d(self.asked.get("X"))
-            self.algorithm.advance()  # between two phases of an algorithm there may be nothing to evaluate
+            self.algorithm.advance()  # between two phases an algorithm may have nothing to evaluate
         return None
 
     def tell(self, genes: FloatArray, losses: FloatArray) -> None:
@@ -83,7 +85,7 @@ class _Session:
 
         asked = self.asked if isinstance(self.asked, Population) else Population.create(self.asked)
         asked.set("X", genes)
-        # The algorithm's own evaluator, because it counts the evaluations the algorithm goes by.
+        # The algorithm's own evaluator counts the evaluations that the algorithm depends on.
         static = StaticProblem(self.problem, F=losses[:, None])
         self.algorithm.evaluator.eval(static, asked, skip_already_evaluated=False)
         self.algorithm.tell(infills=self.asked)

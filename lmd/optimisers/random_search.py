@@ -1,4 +1,4 @@
-"""Random search: what any optimiser has to beat."""
+"""Random search, the baseline of all optimisers."""
 
 from lmd.core.checks import FloatArray, integer
 from lmd.optimisers.base import AskTell
@@ -27,4 +27,4 @@ class RandomSearch(AskTell):
         return self.rng.random((self.batch, self.dim))
 
     def _tell(self, genes: FloatArray, fitness: FloatArray) -> None:
-        """Nothing to learn."""
+        """Learn nothing."""

@@ -1,4 +1,4 @@
-"""Global optimisers of SciPy behind `AskTell`: functions that call the objective, turned inside out."""
+"""Global optimisers of SciPy behind `AskTell`: functions that call the objective run in a thread of their own."""
 
 import inspect
 import threading
@@ -11,18 +11,18 @@ from typing_extensions import override
 
 from lmd.core.checks import FloatArray, InputError
 from lmd.core.memory import check_memory
-from lmd.optimisers.wrapped import Session, Wrapped, name_of, with_tuples
+from lmd.optimisers.wrapped import LibraryOptimiser, Wrapped, name_of, with_tuples
 from lmd.problem import Problem
 
 # shgo begins with the corners of the unit box and their neighbours: 88, 1017 and 3968 MB with 10, 12 and 13 genes.
-BYTES_OF_PAIR = 60.0  # of corners
-MOST_GENES = 400  # beyond, the number of pairs is none that a float holds
+BYTES_OF_PAIR = 60.0  # memory of a pair of corners
+MOST_GENES = 400  # genes beyond which a float cannot hold the number of pairs
 
 
 class Scipy(Wrapped):
     """A function such as `scipy.optimize.dual_annealing` on the unit box.
 
-    It begins with the start where it has an argument `x0`. When it ends, by its own rules, it is called again.
+    It begins with the start if it has an argument `x0`. When it ends by its own rules, it is called again.
 
     Args:
         minimise: called with the objective and `bounds`; in YAML a node with `_target_` (the function),
@@ -31,7 +31,7 @@ class Scipy(Wrapped):
         seed: see `Optimiser`.
 
     Raises:
-        InputError: `minimise` is no function of an objective and bounds.
+        InputError: `minimise` is not a function of an objective and bounds.
     """
 
     def __init__(self, minimise: Callable[..., Any], encoding: str | None = None, seed: int = 0) -> None:
@@ -47,19 +47,19 @@ class Scipy(Wrapped):
 
     @override
     def check(self, problem: Problem) -> None:
-        """Refuse what would begin with more corners of the unit box than there is memory for."""
+        """Refuse shgo where the corners of the unit box would not fit into memory."""
         super().check(problem)
         if self.called == "shgo":
             dim = self._genome(problem).dim
             corners = f"minimise: shgo, which begins with the 2^{dim} corners of a box of {dim} genes,"
             check_memory(BYTES_OF_PAIR * 4.0 ** min(dim, MOST_GENES), corners, "minimise")
 
-    def _open(self, start: FloatArray, rng: np.random.Generator) -> Session:
-        return _Session(self.minimise, start[0], rng)
+    def _open(self, start: FloatArray, rng: np.random.Generator) -> LibraryOptimiser:
+        return _Call(self.minimise, start[0], rng)
 
 
-class _Session:
-    """One call of the function, in a thread that works only while `ask` waits for it."""
+class _Call:
+    """Call of the function, in a thread that works only while `ask` waits for it."""
 
     def __init__(self, minimise: Callable[..., Any], start: FloatArray, rng: np.random.Generator) -> None:
         taken = inspect.signature(minimise).parameters
@@ -67,7 +67,7 @@ class _Session:
         arguments = {"bounds": [(0.0, 1.0)] * len(start)} | {key: given[key] for key in given if key in taken}
         self.asked: SimpleQueue[FloatArray | None] = SimpleQueue()
         self.told: SimpleQueue[float] = SimpleQueue()
-        self.loss = np.nan  # of what was asked for last
+        self.loss = np.nan  # of the genes asked for last
         self.failure: Exception | None = None
         self.thread = threading.Thread(target=self._minimise, args=(minimise, arguments), daemon=True)
 

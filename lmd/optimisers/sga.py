@@ -1,4 +1,4 @@
-"""The standard genetic algorithm the paper compares with (Sec. V-A)."""
+"""The standard genetic algorithm with which the paper compares (Sec. V-A)."""
 
 import numpy as np
 
@@ -12,7 +12,7 @@ class SGA(AskTell):
 
     Each generation M parents are drawn with a probability proportional to their fitness (a roulette wheel, so one
     chromosome can be drawn often), pair up, exchange a run of genes and mutate; the children replace the
-    population. Nothing is kept, so the population can get worse; the result is the best chromosome ever met.
+    population. So the population can get worse; the result is the best chromosome of all generations.
 
     Args:
         population: M.
@@ -53,7 +53,7 @@ class SGA(AskTell):
         self.population, self.fitness = genes, fitness
 
     def _roulette(self) -> np.ndarray:
-        """Indices of M parents; a failed evaluation has no share of the wheel, and if none has, all are equal."""
+        """Indices of M parents; a failed evaluation has no share of the wheel, and if all have none, all are equal."""
         share = np.maximum(self.fitness, 0.0)
         if not share.any():
             share = np.ones(len(share))

@@ -1,53 +1,55 @@
-"""What the wrapped libraries share: seeding, silence and restarts."""
+"""Optimisers of other libraries behind `AskTell`: seeding, silence and restarts; any object with `ask` and `tell`."""
 
 import inspect
 import io
 import random
 import warnings
 from abc import abstractmethod
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, redirect_stdout
 from functools import partial
 from typing import Any, Protocol
 from unittest.mock import patch
 
 import numpy as np
+from typing_extensions import override
 
-from lmd.core.checks import FloatArray, InputError
+from lmd.core.checks import FloatArray, InputError, choice, integer
 from lmd.optimisers.base import AskTell
 
-# Libraries minimise finite losses: what a failed evaluation costs them; fitness lies in [0, 1].
+# Loss of a failed evaluation, finite as libraries require; fitness lies in [0, 1].
 LOSS_OF_FAILURE = 1e3
-# Fitness is a share of positions, so many deployments tie. Later ones count as this much better: most libraries turn
-# ties down, and then never cross a plateau. Far less than one position is worth.
+# Fitness is a share of positions, so many deployments tie, and most libraries reject ties and never cross a plateau. So
+# the loss of each evaluation is lower than that of the one before by this amount, far less than one position.
 TIE_BONUS = 1e-12
+STOP_METHODS = ("stop", "should_stop")  # methods of an object that return True after it has ended by its own rules
 
 
-class Session(Protocol):
-    """One optimiser of a library at work; it minimises."""
+class LibraryOptimiser(Protocol):
+    """Running optimiser of a library; it minimises."""
 
     def ask(self) -> FloatArray | None:
-        """The next genes `(B, dim)`, or None when the optimiser considers itself done."""
+        """Return the next genes `(B, dim)`, or None when the optimiser has ended by its own rules."""
 
     def tell(self, genes: FloatArray, losses: FloatArray) -> None:
-        """The losses `(B,)` of the genes asked for, which are now inside the unit box."""
+        """Learn the losses `(B,)` of the genes asked for, which are now inside the unit box."""
 
 
 class Wrapped(AskTell):
     """Library optimisers behind `AskTell`; subclasses write `_open` only.
 
-    - An optimiser that ends before the budget does is followed by a fresh one with a new seed that starts from the
-      best genes so far.
-    - Libraries draw from the global random generators. They get their own, and the caller's are put back.
+    - An optimiser that ends before the budget is followed by a new one with another seed, which starts from the best
+      genes so far.
+    - Libraries draw from global random generators. These are set for each call of a library, and reset afterwards.
     """
 
     def __init__(self, seed: int = 0, encoding: str | None = None) -> None:
         super().__init__(seed, encoding)
-        self.session: Session | None = None
+        self.session: LibraryOptimiser | None = None
 
     @abstractmethod
-    def _open(self, start: FloatArray, rng: np.random.Generator) -> Session:
-        """A session that begins with `start` `(S, dim)`, if it can use a start, and draws from `rng`."""
+    def _open(self, start: FloatArray, rng: np.random.Generator) -> LibraryOptimiser:
+        """Make an optimiser that begins with `start` `(S, dim)`, if it can use a start, and draws from `rng`."""
 
     def _ask(self) -> FloatArray:
         if self.session is None:
@@ -81,7 +83,7 @@ class Wrapped(AskTell):
 
     @contextmanager
     def _own_world(self) -> Iterator[None]:
-        """Global random generators for the library alone, all seeded, and neither prints nor warnings from it."""
+        """Seed all global random generators for a call of the library, and suppress its prints and warnings."""
         outside = _global_state()
         _set_global_state(self.global_state)
         default_rng = np.random.default_rng
@@ -102,19 +104,19 @@ class Wrapped(AskTell):
 
 
 def _inner(call: Callable[..., Any]) -> Callable[..., Any]:
-    """The function that a node with `_partial_: true` names."""
+    """Return the function within partial ones."""
     while isinstance(call, partial):
         call = call.func
     return call
 
 
 def name_of(call: Callable[..., Any]) -> str:
-    """The name of a function or a class of a library in messages."""
+    """Name of a function or a class of a library in messages."""
     return str(getattr(_inner(call), "__qualname__", call))
 
 
 def with_tuples(call: Callable[..., Any]) -> Callable[..., Any]:
-    """A function of a library with tuples for lists where its defaults are tuples: configurations have lists alone."""
+    """Turn lists in a partial function to tuples where its defaults are tuples: configurations have lists only."""
     if not isinstance(call, partial):
         return call
     parameters = inspect.signature(call).parameters
@@ -137,6 +139,78 @@ def _set_global_state(state: tuple[Any, Any]) -> None:
 
 
 def _global_state_of(seed: int) -> tuple[Any, Any]:
-    """The global state that seeding with `seed` would give."""
+    """Global state after seeding with `seed`."""
     legacy = np.random.RandomState(seed % 2**32)
     return random.Random(seed).getstate(), legacy.get_state()
+
+
+class AskAndTell(Wrapped):
+    """Any object with `ask` and `tell` behind `AskTell`: it proposes genes in the unit box, and learns their losses.
+
+    Args:
+        make: makes the object; in YAML a node with `_target_` (the class), `_partial_: true` and its parameters. It is
+            called with the start `(dim,)`, and with a `seed` and with `bounds` `(dim, 2)` where it has such arguments.
+        start: name of the argument for the start, such as `x0` or `mean`.
+        batch: number of calls of `ask` before `tell`, for an object that proposes one set of genes at a time.
+        told: arguments of `tell`: `arrays` for genes and losses, `pairs` for a list of (genes, loss).
+        encoding: see `AskTell`.
+        seed: see `Optimiser`.
+
+    Raises:
+        InputError: `make` is not a function with that argument, or a parameter is out of range.
+    """
+
+    def __init__(
+        self,
+        make: Callable[..., Any],
+        start: str = "x0",
+        batch: int = 1,
+        told: str = "arrays",
+        encoding: str | None = None,
+        seed: int = 0,
+    ) -> None:
+        super().__init__(seed, encoding)
+        if not callable(make):
+            raise InputError(f"make must be a class or a function, got {make!r}.", "make")
+        self.make, self.takes = with_tuples(make), inspect.signature(make).parameters
+        self.starts_at = choice("start", start, list(self.takes))
+        self.batch, self.pairs = integer("batch", batch, low=1), choice("told", told, ("arrays", "pairs")) == "pairs"
+
+    @property
+    @override
+    def called(self) -> str:
+        return name_of(self.make)
+
+    def _open(self, start: FloatArray, rng: np.random.Generator) -> LibraryOptimiser:
+        given = {"seed": int(rng.integers(1, 2**31)), "bounds": np.tile([0.0, 1.0], (start.shape[1], 1))}
+        arguments = {key: value for key, value in given.items() if key in self.takes}
+        try:
+            made = self.make(**{self.starts_at: start[0], **arguments})
+        except Exception as error:  # each library refuses parameters in its own way
+            raise InputError(f"make failed: {error}", "make") from error
+        for method in ("ask", "tell"):
+            if not callable(getattr(made, method, None)):
+                raise InputError(f"make: {self.called} makes an object without the method {method}.", "make")
+        return _Asked(made, self.batch, self.pairs)
+
+
+class _Asked:
+    """Object with `ask` and `tell` as a `LibraryOptimiser`."""
+
+    def __init__(self, made: Any, batch: int, pairs: bool) -> None:
+        self.made, self.batch, self.pairs = made, batch, pairs
+
+    def ask(self) -> Any:
+        if any(getattr(self.made, name, bool)() for name in STOP_METHODS):
+            return None
+        asked = self.made.ask()
+        first = asked[0] if isinstance(asked, Sequence | np.ndarray) and len(asked) else asked
+        if np.ndim(first):
+            return asked
+        return [asked, *(self.made.ask() for _ in range(self.batch - 1))] if self.batch > 1 else asked
+
+    def tell(self, genes: FloatArray, losses: FloatArray) -> None:
+        if self.pairs:
+            self.made.tell(list(zip(genes, losses.tolist(), strict=True)))
+        else:
+            self.made.tell(list(genes), losses.tolist())

@@ -1,8 +1,8 @@
-"""Step 5 of the paper's procedure: fitting a density to samples of one angle, or of both together.
+"""Steps 4 and 5 of the paper's procedure: test of independence, and fit of a density to samples of one or both angles.
 
-A density is held as the probabilities of the fine cells of its angles. Candidates are compared by the cross-validated
-log-likelihood per sample, which means the same for parametric families and for kernel estimates: each fold, a stretch
-of the recording, is scored by what was fitted to the others. The simplest family within one standard error of the best
+A density is represented by the probabilities of fine cells of its angles. Candidates are compared by the
+cross-validated log-likelihood per sample, which compares parametric families with kernel estimates: each fold, a
+stretch of the recording, is scored by the fit to the others. The simplest family within one standard error of the best
 is chosen (the one-standard-error rule, on paired differences).
 """
 
@@ -12,52 +12,49 @@ from functools import cache
 from itertools import product
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter, gaussian_filter1d
-from scipy.stats import circmean, norm, truncnorm, vonmises
+from scipy.stats import MonteCarloMethod, chi2_contingency, circmean, norm, truncnorm, vonmises
 
-from lmd.core.checks import FloatArray
-from lmd.orientation.sampling import circular_difference
+from lmd.core.checks import FloatArray, IntArray
+from lmd.orientation.recording import Samples
 
 CROSS_VALIDATION_FOLDS = 10
 # Standard deviations tried for a kernel, in fine cells.
 BANDWIDTHS = (1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 8.0, 12.0, 16.0)
-
-IntArray = NDArray[np.int64]
+YAW_BINS, PITCH_BINS = 8, 4  # bins of equal frequency in the table of the independence test
+RESAMPLES = 9999  # random tables of that test
 
 
 @dataclass(frozen=True)
-class Axis:
-    """Fine cells of equal width over an angle.
-
-    Args:
-        low, high: where they begin and end, radians.
-        cells: M, their number.
-        circular: whether `high` is `low` again.
-    """
+class AngleCells:
+    """Fine cells of equal width over an angle."""
 
     low: float
+    """Lower bound of the first cell, radians."""
     high: float
+    """Upper bound of the last cell, radians."""
     cells: int
+    """M, the number of cells."""
     circular: bool
+    """True if `high` and `low` are one direction."""
 
     @property
     def width(self) -> float:
-        """The width of a cell, radians."""
+        """Width of a cell, radians."""
         return (self.high - self.low) / self.cells
 
     @property
     def edges(self) -> FloatArray:
-        """Where cells begin and end, `(M + 1,)`."""
+        """Bounds of the cells, `(M + 1,)`, radians."""
         return np.linspace(self.low, self.high, self.cells + 1)
 
     @property
     def centres(self) -> FloatArray:
-        """The middle of each cell, `(M,)`."""
+        """Middle of each cell, `(M,)`, radians."""
         return np.asarray((self.edges[:-1] + self.edges[1:]) / 2.0)
 
     def index(self, angle: FloatArray) -> IntArray:
-        """The cell of each angle, `(S,)`."""
+        """Index of the cell of each angle, `(S,)`."""
         offset = angle - self.low
         if self.circular:
             offset = np.mod(offset, self.high - self.low)
@@ -66,72 +63,66 @@ class Axis:
 
 @dataclass(frozen=True)
 class Density:
-    """A fitted density.
-
-    Args:
-        family: `uniform`, `von_mises`, `normal`, `kernel` or `fixed`.
-        parameters: what was fitted, radians.
-        probability: of the fine cells, sum 1.
-    """
+    """Fitted density."""
 
     family: str
+    """`uniform`, `von_mises`, `normal`, `kernel` or `fixed`."""
     parameters: dict[str, float]
+    """Fitted parameters by name, radians."""
     probability: FloatArray
+    """Probability of each fine cell, sum 1."""
 
 
-Family = Callable[[FloatArray, Axis], Density]
+Family = Callable[[FloatArray, AngleCells], Density]
 
 
 @dataclass(frozen=True)
 class Candidate:
-    """A family in the comparison.
-
-    Args:
-        density: its fit to all samples.
-        log_likelihood: cross-validated, mean per sample, of probabilities of fine cells.
-        behind: how far that lies behind the best one's.
-        standard_error: of `behind`, from the differences sample by sample.
-    """
+    """Family in the comparison."""
 
     density: Density
+    """Fit to all samples."""
     log_likelihood: float
+    """Cross-validated mean log-likelihood per sample, of probabilities of fine cells."""
     behind: float
+    """Difference from the largest log-likelihood, not negative."""
     standard_error: float
+    """Standard error of `behind`, from the differences sample by sample."""
 
 
-def uniform(_angle: FloatArray, axis: Axis) -> Density:
-    """The same probability for every cell."""
+def uniform(_angle: FloatArray, axis: AngleCells) -> Density:
+    """Fit equal probabilities for all cells."""
     return Density("uniform", {}, np.full(axis.cells, 1.0 / axis.cells))
 
 
-def von_mises(angle: FloatArray, axis: Axis) -> Density:
-    """The von Mises distribution of greatest likelihood: density exp(kappa cos(x - mu)) / (2 pi I_0(kappa))."""
+def von_mises(angle: FloatArray, axis: AngleCells) -> Density:
+    """Fit the von Mises distribution of greatest likelihood: density exp(kappa cos(x - mu)) / (2 pi I_0(kappa))."""
     kappa, mean, _ = vonmises.fit(angle, fscale=1)
     probability = np.diff(vonmises.cdf(axis.edges, kappa, loc=mean))
     return Density("von_mises", {"mean": float(mean), "concentration": float(kappa)}, probability)
 
 
-def normal(angle: FloatArray, axis: Axis) -> Density:
-    """The normal distribution with the samples' mean and standard deviation, cut to the range of the angle."""
+def normal(angle: FloatArray, axis: AngleCells) -> Density:
+    """Fit the normal distribution with the samples' mean and standard deviation, cut to the range of the angle."""
     mean, std = norm.fit(angle)
-    std = max(std, axis.width / 4.0)  # the cells cannot tell less, and a fold may hold one value only
+    std = max(std, axis.width / 4.0)  # cells do not resolve less, and a fold may hold a single value
     low, high = (axis.low - mean) / std, (axis.high - mean) / std
     probability = np.diff(truncnorm.cdf(axis.edges, low, high, loc=mean, scale=std))
     return Density("normal", {"mean": float(mean), "standard_deviation": float(std)}, probability)
 
 
-def kernel(angle: FloatArray, axis: Axis) -> Density:
-    """A kernel estimate, see `kernel_density`."""
+def kernel_estimate(angle: FloatArray, axis: AngleCells) -> Density:
+    """Fit a kernel estimate, see `kernel_density`."""
     probability, (bandwidth,) = kernel_density((axis.index(angle),), (axis,))
     return Density("kernel", {"bandwidth": bandwidth}, probability)
 
 
-def kernel_density(index: tuple[IntArray, ...], axes: tuple[Axis, ...]) -> tuple[FloatArray, tuple[float, ...]]:
-    """A kernel estimate with Gaussian kernels, wrapped on circular axes and reflected at the ends of others.
+def kernel_density(index: tuple[IntArray, ...], axes: tuple[AngleCells, ...]) -> tuple[FloatArray, tuple[float, ...]]:
+    """Estimate a density with Gaussian kernels, wrapped on circular axes and reflected at the ends of others.
 
     Args:
         index: cells of the samples on each axis, `(S,)` each.
-        axes: one or two.
+        axes: one axis or two.
 
     Returns:
         the probabilities, `(M,)` or `(M_1, M_2)`, and the bandwidth of each axis in radians, chosen by
@@ -165,16 +156,16 @@ def kernel_density(index: tuple[IntArray, ...], axes: tuple[Axis, ...]) -> tuple
     return np.asarray(gaussian_filter(counted(cell), best, mode=mode) / len(cell)), widths
 
 
-def compare(angle: FloatArray, axis: Axis, families: Sequence[Family]) -> tuple[Density, tuple[Candidate, ...]]:
-    """Choose a family for samples of one angle by the criterion of this module.
+def choose(angle: FloatArray, axis: AngleCells, families: Sequence[Family]) -> tuple[Density, tuple[Candidate, ...]]:
+    """Choose a family for samples of an angle by the criterion of this module.
 
     Args:
         angle: radians, ordered in time, `(S,)`.
-        axis: the cells.
-        families: the simplest first.
+        axis: cells of the angle.
+        families: candidates, the simplest first.
 
     Returns:
-        the chosen density and every candidate.
+        the chosen density, and all candidates.
     """
     index = axis.index(angle)
     scores = np.empty((len(families), len(angle)))
@@ -193,8 +184,8 @@ def compare(angle: FloatArray, axis: Axis, families: Sequence[Family]) -> tuple[
     return chosen.density, candidates
 
 
-def fixed_angle(angle: FloatArray, axis: Axis) -> float | None:
-    """The circular mean of samples that all lie within the width of a fine cell; None where they spread further."""
+def fixed_angle(angle: FloatArray, axis: AngleCells) -> float | None:
+    """Circular mean of samples that all lie within the width of a fine cell; None where they spread further."""
     mean = float(circmean(angle, high=np.pi, low=-np.pi))
     return mean if np.ptp(circular_difference(angle, mean)) < axis.width else None
 
@@ -204,6 +195,60 @@ def _folds(count: int) -> list[IntArray]:
 
 
 def _log_likelihood(probability: FloatArray, count: float, index: IntArray) -> FloatArray:
-    """Log probabilities of held-out samples, `(S,)`; one uniform sample more makes the cost of an outlier finite."""
+    """Log probabilities of held-out samples, `(S,)`; one more uniform sample makes the cost of an outlier finite."""
     flat = probability.reshape(-1)
     return np.asarray(np.log((count * flat[index] + 1.0 / flat.size) / (count + 1.0)))
+
+
+@dataclass(frozen=True)
+class Independence:
+    """Outcome of `independence_test`."""
+
+    statistic: float
+    """Pearson's chi-squared of the table."""
+    p_value: float
+    """P-value of the statistic."""
+    table_shape: tuple[int, int]
+    """Numbers of bins of yaw and of pitch."""
+    significance: float
+    """Level of the test."""
+
+    @property
+    def rejected(self) -> bool:
+        """True if the test rejects that yaw and pitch are independent."""
+        return self.p_value < self.significance
+
+
+def independence_test(samples: Samples, significance: float, rng: np.random.Generator) -> Independence:
+    """Pearson's chi-squared test of the table of yaw by pitch bins, with a Monte Carlo p value.
+
+    Bins are categories, so the seam of the yaw needs no care, and the test detects any dependence that shows in the
+    histograms, not only a linear one. Bins hold equal numbers of samples; the p value is that of random tables with
+    these margins, and so is valid for few samples too. The test assumes independent samples, which the random intervals
+    provide; for samples closer than the correlation time it would reject too often.
+
+    Args:
+        samples: of yaw and pitch, neither of them fixed.
+        significance: level of the test, in [0, 1].
+        rng: draws the tables.
+    """
+    around_mean = circular_difference(samples.yaw, circmean(samples.yaw))
+    rows, columns = _equal_bins(around_mean, YAW_BINS), _equal_bins(samples.pitch, PITCH_BINS)
+    table = np.zeros((rows.max() + 1, columns.max() + 1), dtype=np.int64)
+    np.add.at(table, (rows, columns), 1)
+    if min(table.shape) < 2:
+        return Independence(0.0, 1.0, table.shape, significance)
+    method = MonteCarloMethod(n_resamples=RESAMPLES, rng=rng)
+    result = chi2_contingency(table, correction=False, method=method)
+    return Independence(float(result.statistic), float(result.pvalue), table.shape, significance)
+
+
+def circular_difference(angle: FloatArray, origin: float) -> FloatArray:
+    """`angle - origin`, radians in [-pi, pi), any shape."""
+    return np.asarray(np.mod(angle - origin + np.pi, 2.0 * np.pi) - np.pi)
+
+
+def _equal_bins(values: FloatArray, bins: int) -> IntArray:
+    """Index of the bin of each value `(S,)`; bins have equal frequencies as far as ties allow, and none is empty."""
+    inner = np.quantile(values, np.arange(1, bins) / bins)
+    return np.asarray(np.unique(np.searchsorted(inner, values, side="right"), return_inverse=True)[1], dtype=np.int64)

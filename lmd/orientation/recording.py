@@ -1,4 +1,4 @@
-"""Recordings of where a camera looked: (time, yaw, pitch) from a CSV, or simulated with a known distribution."""
+"""Recordings of the yaw and pitch of a camera, from a CSV or simulated, and their samples at random intervals."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -6,6 +6,7 @@ from typing import Protocol
 
 import numpy as np
 from scipy.ndimage import gaussian_filter1d
+from scipy.signal import correlate
 from scipy.spatial.transform import Rotation
 from scipy.stats import norm, truncnorm, vonmises
 
@@ -18,22 +19,19 @@ from lmd.scene.trajectory_rows import steep
 
 ANGLES = ("yaw", "pitch")
 QUATERNION = ("qw", "qx", "qy", "qz")
-# What a recording of poses has besides; the optical axis does not depend on it.
+# Further columns of recorded poses, which do not change the optical axis.
 IGNORED = ("x", "y", "z", OWN_ANGLES[2])
-UNIT_TOLERANCE = 1e-3  # of a quaternion printed with a few decimals
-RECORD_BYTES = 200  # what a record takes while it is simulated: two dozen numbers
+UNIT_TOLERANCE = 1e-3  # largest deviation of the length of a quaternion, printed with a few decimals, from 1
+RECORD_BYTES = 200  # memory of a record while it is simulated: two dozen numbers
+LEAST_SAMPLES = 50  # samples that an estimate needs
+# Mean interval over the correlation time. Half of each interval is fixed, so that no two samples are closer than the
+# correlation time: neighbours then correlate by less than 0.05 for an exponential or a Gaussian autocorrelation.
+INTERVAL_FACTOR = 2.0
 
 
 @dataclass(frozen=True)
 class OrientationRecording:
-    """Yaw alpha and pitch beta of a camera over time; between two records the first one holds.
-
-    Args:
-        time: seconds, increasing, `(R,)` with R >= 2.
-        yaw: radians, any turn, `(R,)`.
-        pitch: radians in [-pi/2, pi/2], positive looks up, `(R,)`.
-        name: where it came from, for messages.
-        note: what to ask of it, a sentence without an end; empty if nothing.
+    """Yaw alpha and pitch beta of a camera over time; each record is valid until the next one.
 
     Raises:
         InputError: shapes differ, fewer than two records, a value is not finite, time does not increase, or a pitch
@@ -41,10 +39,15 @@ class OrientationRecording:
     """
 
     time: FloatArray
+    """Seconds, increasing, `(R,)` with R >= 2."""
     yaw: FloatArray
+    """Radians, any turn, `(R,)`."""
     pitch: FloatArray
+    """Radians in [-pi/2, pi/2], positive looks up, `(R,)`."""
     name: str = "recording"
+    """Name of the source, for messages."""
     note: str = ""
+    """Doubt about the angles, a sentence without its end; empty for none."""
 
     def __post_init__(self) -> None:
         for field in ("time", *ANGLES):
@@ -66,7 +69,7 @@ class OrientationRecording:
 
     @property
     def duration(self) -> float:
-        """From the first record to the last, seconds."""
+        """Time from the first record to the last, seconds."""
         return float(self.time[-1] - self.time[0])
 
     @property
@@ -75,7 +78,7 @@ class OrientationRecording:
         return self.duration / (len(self.time) - 1)
 
     def at(self, time: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Yaw and pitch at times within the recording, `(S,)` each: those of the last record until then.
+        """Yaw and pitch at times within the recording, `(S,)` each: those of the last record before.
 
         Nothing is interpolated, so the seam of the yaw at +-pi needs no care.
         """
@@ -91,12 +94,12 @@ class OrientationRecording:
     def from_csv(cls, path: str | Path) -> "OrientationRecording":
         """Read a CSV with the columns time (s), yaw and pitch (rad), or time and qw, qx, qy, qz.
 
-        The quaternion turns the camera's optical frame (x right, y down, z along the optical axis) to the world
+        The quaternion rotates the camera's optical frame (x right, y down, z along the optical axis) to the world
         frame. Yaw and pitch may be called yaw_from_y and pitch_up, as in recordings of poses. Columns x, y, z are
-        ignored. A yaw lies within a turn of zero: larger ones look like degrees.
+        ignored. A yaw lies within a turn of zero, since larger values look like degrees.
 
         Raises:
-            InputError: the file cannot be read, what it holds is no recording, or its angles may be others.
+            InputError: the file cannot be read, is not a recording, or its angles may have another meaning.
         """
         table = read_table(path, name="path")
         if "yaw" in table and "roll" in table:
@@ -123,17 +126,18 @@ class OrientationRecording:
 
 
 class RecordingSource(Protocol):
-    """Something that provides a recording."""
+    """Source of a recording."""
 
     def record(self, rng: np.random.Generator) -> OrientationRecording:
-        """A recording; only a simulated one draws from `rng`."""
+        """Provide a recording; only a simulated one draws from `rng`."""
 
 
 @dataclass(frozen=True)
 class FileRecording:
-    """A recording from a CSV, see `OrientationRecording.from_csv`."""
+    """Recording from a CSV, see `OrientationRecording.from_csv`."""
 
     path: str | None
+    """Path of the CSV; None is refused in `record`."""
 
     def record(self, rng: np.random.Generator) -> OrientationRecording:
         """See `RecordingSource.record`."""
@@ -144,12 +148,12 @@ class FileRecording:
 
 @dataclass(frozen=True)
 class SimulatedRecording:
-    """Smooth random motion whose yaw is von Mises and whose pitch is truncated normal, at every moment.
+    """Smooth random motion; at every moment the yaw is von Mises and the pitch truncated normal.
 
-    Two stationary Gaussian processes z_1, z_2 with the autocorrelation exp(-t^2 / (2 tau^2)) carry it. A phase phi that
-    begins anywhere and turns at the rate z_1 / tau is uniform at every moment; the yaw is the von Mises quantile of
-    phi / (2 pi) + 1/2, phi in [-pi, pi), and so turns through the seam like any other angle. The pitch is the quantile
-    of c g + sqrt(1 - c^2) z_2, where g is the normal quantile of |phi| / pi.
+    Two stationary Gaussian processes z_1, z_2 have the autocorrelation exp(-t^2 / (2 tau^2)). A phase phi with a
+    uniform start and the rate z_1 / tau is uniform at every moment; the yaw is the von Mises quantile of
+    phi / (2 pi) + 1/2, phi in [-pi, pi), and so passes the seam like any other angle. The pitch is the quantile of
+    c g + sqrt(1 - c^2) z_2, where g is the normal quantile of |phi| / pi.
 
     Args:
         duration: seconds.
@@ -194,7 +198,7 @@ class SimulatedRecording:
         z1, z2 = self._processes(rng, count)
         turned = rng.uniform(0.0, 2.0 * np.pi) + np.cumsum(z1) / (self.rate * self.correlation_time)
         phase = np.mod(turned, 2.0 * np.pi) - np.pi
-        # SciPy's quantile function searches for every value; the distribution function on a grid is as good.
+        # SciPy's quantile function searches for every value; interpolation of the distribution function is as accurate.
         grid = np.linspace(-np.pi, np.pi, 8193)
         around_mean = np.interp(phase / (2.0 * np.pi) + 0.5, vonmises.cdf(grid, self.yaw_concentration), grid)
         yaw = np.mod(around_mean + self.yaw_mean + np.pi, 2.0 * np.pi) - np.pi
@@ -213,3 +217,79 @@ class SimulatedRecording:
         kernel = gaussian_filter1d(np.eye(1, count)[0], width, mode="wrap")
         noise = gaussian_filter1d(rng.standard_normal((2, count)), width, axis=1, mode="wrap")
         return np.asarray(noise / np.linalg.norm(kernel))
+
+
+@dataclass(frozen=True)
+class Samples:
+    """Measurements of a recording at random times, ordered in time."""
+
+    yaw: FloatArray
+    """Radians, `(S,)`."""
+    pitch: FloatArray
+    """Radians, `(S,)`."""
+    correlation_time: float
+    """Correlation time of the recording, seconds."""
+    mean_interval: float
+    """Mean interval between samples, seconds."""
+
+    def __len__(self) -> int:
+        return len(self.yaw)
+
+
+def sample_at_random_intervals(
+    recording: OrientationRecording, mean_interval: float | None, rng: np.random.Generator
+) -> Samples:
+    """Sample a recording at random intervals: half of the mean interval plus an exponential of that mean.
+
+    The fixed half keeps neighbouring samples from being near copies; the random half avoids aliasing with a periodic
+    motion. Records of uneven rate are weighted by their duration.
+
+    Args:
+        recording: the recording.
+        mean_interval: seconds; None for twice the correlation time, so that samples are nearly independent.
+        rng: draws the intervals.
+
+    Raises:
+        InputError: the interval is not positive or shorter than the recording's own step, or there are too few
+            samples.
+    """
+    correlation_time = integrated_correlation_time(recording)
+    if mean_interval is None:
+        interval = max(INTERVAL_FACTOR * correlation_time, recording.step)
+    else:
+        interval = real("mean_interval", mean_interval, above=0.0)
+        if interval < recording.step:
+            raise InputError(
+                f"mean_interval = {interval:g} s is shorter than the step of {recording.name}, {recording.step:g} s.",
+                "mean_interval",
+            )
+    most = int(2.0 * recording.duration / interval)
+    times = recording.time[0] + np.cumsum(interval / 2.0 + rng.exponential(interval / 2.0, most))
+    times = times[times <= recording.time[-1]]
+    if len(times) < LEAST_SAMPLES:
+        raise InputError(
+            f"{recording.name}: {recording.duration:.4g} s at a mean interval of {interval:.3g} s give {len(times)} "
+            f"samples, fewer than the {LEAST_SAMPLES} an estimate needs (the motion stays correlated for "
+            f"{correlation_time:.3g} s; record for longer)."
+        )
+    yaw, pitch = recording.at(times)
+    return Samples(yaw, pitch, correlation_time, interval)
+
+
+def integrated_correlation_time(recording: OrientationRecording) -> float:
+    """Integrated autocorrelation time of the slower one of yaw and pitch, seconds.
+
+    T = step (1 + 2 sum_k rho_k), up to the first lag with rho_k <= 0. The autocorrelation of the yaw is that of the
+    unit vector (cos alpha, sin alpha), which has no seam. A fixed angle has T = step.
+    """
+    times = np.linspace(recording.time[0], recording.time[-1], len(recording.time))
+    yaw, pitch = recording.at(times)
+    longest = 1.0
+    for signal in (np.exp(1j * yaw), pitch):
+        centred = signal - signal.mean()
+        if np.abs(centred).max() < 1e-9:
+            continue
+        covariance = correlate(centred, centred, method="fft")[len(centred) - 1 :].real
+        rho = covariance / covariance[0]
+        longest = max(longest, 2.0 * rho[: np.argmax(rho <= 0.0)].sum() - 1.0)
+    return float(recording.step * longest)

@@ -1,10 +1,10 @@
-"""Who may talk to the planner: whoever has its address, from a page that the planner itself has served.
+"""Access control: only pages that the planner itself has served, at its secret address, may connect.
 
-Browsers let the page of any site open a websocket to this machine, and the server of viser takes every request. Three
-checks keep other pages out, whether they connect from their own origin or make their own name mean this machine:
+Browsers let the page of any site open a websocket to this machine, and the server of viser accepts every request. Three
+checks refuse other pages, from their own origin or with their own name resolved to this machine (DNS rebinding):
 
-- the path begins with a token that is new with each start. The page finds its websocket below its own address, so it
-  hands the token on by itself, also when it is reloaded or connects again;
+- the path begins with a token that is new at each start. The page opens its websocket below its own address, so it
+  passes the token on, also when it is reloaded or connects again;
 - the header `Host` names this machine;
 - the header `Origin` of a websocket is that of a page from the same host and port.
 """
@@ -22,30 +22,30 @@ from typing import Any
 from lmd.core.checks import InputError
 from lmd.core.optional import optional
 
-HOST = "127.0.0.1"  # the planner listens there: other machines cannot reach it
-LOCAL_ADDRESS = re.compile(r"(127\.0\.0\.1|localhost)(:\d+)?")  # any port: it may be forwarded
+HOST = "127.0.0.1"  # listening address, which other machines cannot reach
+LOCAL_ADDRESS = re.compile(r"(127\.0\.0\.1|localhost)(:\d+)?")  # any port, as it may be forwarded
 TOKEN_BYTES = 18
 
 Answer = Callable[[Any, Any], Any]
 
 
 class Access:
-    """Answers what it refuses, and hands on what it lets in, without the token."""
+    """Refuses requests, or forwards them without the token."""
 
     def __init__(self) -> None:
         self._path = f"/{secrets.token_urlsafe(TOKEN_BYTES)}"
         self._is_asked = False
 
     def address(self, port: int) -> str:
-        """The one address that is let in."""
+        """The only address that is allowed."""
         return f"http://{HOST}:{port}{self._path}/"
 
     @contextmanager
     def checking(self) -> Iterator[None]:
-        """While entered, a server of viser that starts asks here first.
+        """Check all requests to a server of viser that starts within this context.
 
         Raises:
-            InputError: it did not, so everybody can talk to it.
+            InputError: the server does not let requests be checked.
         """
         server = optional("websockets.asyncio.server", "view")
         serve = server.serve
@@ -54,7 +54,7 @@ class Access:
             self._is_asked = True
             return serve(*arguments, process_request=partial(self._answer, process_request), **options)
 
-        server.serve = checked  # viser has no other place for it
+        server.serve = checked  # viser has no option for it
         try:
             yield
         finally:
@@ -63,7 +63,7 @@ class Access:
             raise InputError("this version of viser cannot be kept from talking to every web page; 1.1.1 can.")
 
     def _answer(self, hand_on: Answer, connection: Any, request: Any) -> Any:
-        """What a server of websockets calls `process_request`."""
+        """Refuse or forward a request; the server's `process_request`."""
         path = self._inner_path(request.path)
         if path is None:
             return connection.respond(HTTPStatus.FORBIDDEN, "This is not the address that the planner has printed.\n")
@@ -72,14 +72,14 @@ class Access:
         return hand_on(connection, replace(request, path=path))
 
     def _inner_path(self, path: str) -> str | None:
-        """A path without the token; None if it has another or none."""
+        """Path without the token; None if the token is missing or wrong."""
         end = len(self._path)
         is_known = hmac.compare_digest(path[:end].encode(errors="replace"), self._path.encode())
         return (path[end:] or "/") if is_known else None
 
 
 def _is_from_here(headers: Any) -> bool:
-    """Whether a request was sent to this machine and, if it is for a websocket, by a page from there."""
+    """True if a request names this machine and, for a websocket, comes from a page of this machine."""
     hosts, origins = headers.get_all("Host"), headers.get_all("Origin")
     if len(hosts) != 1 or not LOCAL_ADDRESS.fullmatch(hosts[0]):
         return False

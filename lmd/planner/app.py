@@ -1,8 +1,7 @@
-"""The interactive planner: a session in a browser.
+"""The planner: a planning session in a browser.
 
-Threads: viser calls back from a thread of its own, a search and the worker have theirs. All of them only put what is to
-be done into one queue, `Acts`. The thread that is in `run` does it, one after the other. It alone uses the session, so
-there is no lock.
+Threads: viser's callbacks, a search and background work each have a thread of their own. They only put actions into one
+queue. The thread in `Planner.run` does these in order. It alone uses the session, so there is no lock.
 """
 
 import contextlib
@@ -20,32 +19,31 @@ from lmd.core.optional import optional
 from lmd.optimisers.base import Optimiser
 from lmd.optimisers.ledger import Budget
 from lmd.planner.access import HOST, Access
-from lmd.planner.acts import Acts, in_order
-from lmd.planner.captions import MOST_CAPTIONS
-from lmd.planner.later import Later
-from lmd.planner.panel import DELETE, UNDO, Panel
-from lmd.planner.picture import Picture
+from lmd.planner.actions import ActionQueue, call_in_order
+from lmd.planner.background import Background
+from lmd.planner.panel import DELETE, UNDO, PlannerPanel
+from lmd.planner.picture import MOST_CAPTIONS, RoomPicture
 from lmd.planner.plan import Plan
-from lmd.planner.pointing import pointed_at
 from lmd.planner.robot import robot_of
-from lmd.planner.session import Session
-from lmd.planner.surveyed import Found
+from lmd.planner.session import PlanningSession
+from lmd.planner.survey_map import SurveyMap
+from lmd.planner.viewing import pointed_at
 from lmd.space.surface import SurfaceArrays
 
-IDLE_SECONDS = 0.5  # seconds in which nothing is done, before what takes longer is worked out
+IDLE_SECONDS = 0.5  # time without an action, after which background work begins, seconds
 
 
 class Planner:
-    """Serves a session to browsers on this machine, under an address that is new each time (`lmd.planner.access`).
+    """Serves a session to browsers on this machine, at an address that is new each time (`lmd.planner.access`).
 
     Args:
-        session: what is planned.
-        port: of the address; 0 for one that is free.
-        save: writes a plan, and says where.
-        optimiser: makes the method that moves the free tags.
-        budget: of each search.
-        seed: of the sample off the grid; None to leave that out.
-        survey: what a survey found of the tags, to be drawn beside them; None for none.
+        session: session to serve.
+        port: port of the address; 0 for a free one.
+        save: writes a plan and returns a text on its files.
+        optimiser: makes the optimiser of a search.
+        budget: initial budget of searches.
+        seed: seed of the sample off the grid; None to leave these figures out.
+        survey: map of a survey to draw beside the tags; None for none.
 
     Raises:
         InputError: viser is not installed or cannot be guarded, or the port is taken.
@@ -53,22 +51,22 @@ class Planner:
 
     def __init__(
         self,
-        session: Session,
+        session: PlanningSession,
         port: int,
         save: Callable[[Plan], str],
         optimiser: Callable[[], Optimiser],
         budget: Budget,
         seed: int | None,
-        survey: Found | None = None,
+        survey: SurveyMap | None = None,
     ) -> None:
         viser = optional("viser", "view")
         self._session = session
         self._save_files, self._optimiser = save, optimiser
-        self._acts = Acts()
+        self._actions = ActionQueue()
         self._surfaces = SurfaceArrays.of(session.problem.scene.plates.hanging.surfaces())
         self._selected: int | None = None
         self._dragged: int | None = None
-        self._pointer: Any = None  # the latest event of a drag that has not been looked at
+        self._pointer: Any = None  # last event of a drag, until it is applied
         logging.getLogger("websockets.server").setLevel(logging.WARNING)
         self._access = Access()
         with contextlib.redirect_stdout(io.StringIO()), self._access.checking():  # it prints a banner
@@ -76,42 +74,42 @@ class Planner:
         if port not in (0, self._server.get_port()):
             self._server.stop()
             raise InputError(f"port {port} is taken.", "port")
-        self._picture, value = Picture(self._server, session.problem), session.problem.objective.value_label
+        self._picture, value = RoomPicture(self._server, session.problem), session.problem.objective.value_label
         if survey is not None:
             self._picture.show_survey(survey, session.deployment)
         few, sizes = len(session.deployment) <= MOST_CAPTIONS, session.problem.scene.tag.sizes
-        self._panel = Panel(self._server.gui, value, budget, ids=few, edges=sizes)
-        self._robot = robot_of(self._server, self._picture.depth, session, self._acts, self._show)
-        self._later = Later(session, self._acts, self._panel, self._picture, seed)
+        self._panel = PlannerPanel(self._server.gui, value, budget, ids=few, edges=sizes)
+        self._robot = robot_of(self._server, self._picture.depth, session, self._actions, self._show)
+        self._background = Background(session, self._actions, self._panel, self._picture, seed)
         self._listen()
         self._show()
 
     @property
     def address(self) -> str:
-        """Where a browser finds it; nobody else is let in."""
+        """Address for browsers; all other addresses are refused."""
         return self._access.address(self._server.get_port())
 
     def run(self) -> None:
-        """Do what is asked for, until an exception ends it; what a search has found by then is kept."""
+        """Do actions until an exception ends this; the best deployment of a search is kept."""
         try:
             while True:
-                act = self._acts.next(IDLE_SECONDS) or self._idle
+                action = self._actions.next(IDLE_SECONDS) or self._idle
                 try:
-                    act()
+                    action()
                 except InputError as error:
                     self._panel.say(str(error), refused=True)
         finally:
             self._session.end_search()
 
     def close(self) -> None:
-        """End what is at work when nobody does anything, which may take a while, and the server."""
-        self._later.close()
+        """End the background work, which may take a while, and the server."""
+        self._background.close()
         with contextlib.redirect_stdout(io.StringIO()):
             self._server.stop()
 
     def _listen(self) -> None:
         panel = self._panel
-        for register, act in (
+        for register, answer in (
             (panel.save.on_click, self._save),
             (panel.tag.on_click, self._change_tag),
             (panel.place.on_click, self._place),
@@ -123,28 +121,28 @@ class Planner:
             (panel.positions.on_update, self._show_or_hide),
             (panel.names.on_update, self._show_or_hide),
             (panel.ids.on_update, self._show_or_hide),
-            (panel.additions.on_update, self._later.show_additions),
+            (panel.additions.on_update, self._background.show_additions),
             (self._picture.cells.on_click, self._click_surface),
             (self._picture.balls.on_click, self._click_position),
         ):
-            self._acts.on(register, act)
+            self._actions.on(register, answer)
 
     def _idle(self) -> None:
         if self._session.search is not None:
             self._show_search()
         elif self._dragged is None:
-            self._later.begin()
+            self._background.begin()
 
     def _point(self, event: Any) -> None:
-        """Note a drag, in a thread of viser's; of the places on its way only the latest matters."""
+        """Record a drag, in viser's thread; only the last place matters."""
         if event.phase == "start":
-            self._acts.put_answer(self._grab, event.instance_index)
+            self._actions.put_answer(self._grab, event.instance_index)
         self._pointer = event
-        self._acts.put_answer(self._follow)
+        self._actions.put_answer(self._follow)
         if event.phase == "end":
-            self._acts.put(self._drop)
+            self._actions.put(self._drop)
 
-    # What users do.
+    # Actions of users.
 
     def _grab(self, index: int) -> None:
         self._select(index)
@@ -175,7 +173,7 @@ class Planner:
 
     def _select(self, index: int) -> None:
         ids = self._session.deployment.ids
-        # A tag may be gone that a browser still shows.
+        # A browser may still show a tag that was deleted.
         self._selected = int(ids[min(operator.index(index), len(ids) - 1)])
         self._show_tags()
 
@@ -186,12 +184,12 @@ class Planner:
             self._selected = self._session.add(*place, self._panel.edge)
             self._panel.say(f"tag {self._selected} was added")
             self._show()
-        elif self._later.additions is not None:
-            self._panel.say_additions(self._later.additions, event.instance_index)
+        elif self._background.additions is not None:
+            self._panel.say_additions(self._background.additions, event.instance_index)
 
     @property
     def _chosen(self) -> int:
-        """The id of the tag that is selected."""
+        """Id of the selected tag."""
         if self._selected is None:
             raise InputError("click a tag first.")
         return self._selected
@@ -224,8 +222,8 @@ class Planner:
         if self._session.search is not None:
             self._session.search.stop()
             return
-        self._session.optimise(self._optimiser(), self._panel.budget, done=lambda: self._acts.put(self._take))
-        self._later.stop()
+        self._session.optimise(self._optimiser(), self._panel.budget, done=lambda: self._actions.put(self._take))
+        self._background.stop()
         self._panel.say("optimising")
         self._show_search()
 
@@ -254,11 +252,11 @@ class Planner:
             raise InputError(f"this could not be saved ({error}).") from None
         self._session.note_saved()
 
-    # What follows, for users to see.
+    # Display.
 
     def _show(self) -> None:
-        """Show a plan that has changed, and figures that follow from it at once."""
-        self._later.stop()
+        """Show the changed plan and its immediate figures."""
+        self._background.stop()
         session, problem = self._session, self._session.problem
         with self._server.atomic():
             self._show_tags()
@@ -266,7 +264,7 @@ class Planner:
             self._picture.show_values(session.values())
             positions, count = len(problem.relevance), len(session.deployment)
             self._panel.show_figures(problem.objective.describe(session.metrics(), positions, count))
-            self._later.announce()
+            self._background.announce()
         self._server.flush()
 
     def _show_tags(self) -> None:
@@ -283,8 +281,8 @@ class Planner:
         else:
             self._panel.show_tag(plan.described(number, room), plan.measured(number, room))
         if self._picture.show_tags(plan, number, seen, self._panel.ids.value):
-            self._acts.on(self._picture.tags.on_click, self._click_tag)
-            in_order(self._picture.tags.on_drag, self._point)
+            self._actions.on(self._picture.tags.on_click, self._click_tag)
+            call_in_order(self._picture.tags.on_drag, self._point)
 
     def _show_or_hide(self, _: Any) -> None:
         self._picture.balls.visible = self._panel.positions.value
@@ -292,7 +290,7 @@ class Planner:
         self._show_tags()
 
     def _show_search(self) -> None:
-        """Show where a search is."""
+        """Show the progress of a search."""
         search = self._session.search
         assert search is not None, "it is running"
         self._panel.show_progress(search.progress, running=True)

@@ -1,4 +1,4 @@
-"""The colours of the picture and of its legend."""
+"""Colours of the picture and of its legend."""
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -10,27 +10,27 @@ Colours = NDArray[np.uint8]
 
 
 def rgb(colour: str) -> Rgb:
-    """`#rrggbb` as three numbers."""
+    """Red, green and blue, 0 to 255, of `#rrggbb`."""
     red, green, blue = bytes.fromhex(colour[1:])
     return red, green, blue
 
 
 FREE, PINNED = rgb(common.LANDMARK), rgb(common.FIXED)
 SELECTED, SEEN = rgb("#ff7f0e"), rgb("#ffdd33")
-MEASURED, ASKED = rgb("#17becf"), rgb("#2ca02c")  # tags of a survey, photographs that it asks for
+MEASURED, ASKED = rgb("#17becf"), rgb("#2ca02c")  # tags of a survey, and photographs that it proposes
 UNKNOWN = rgb("#cdcdcd")
-BODY = rgb("#7f8fa6")  # of a robot
-VALUES = common.COLOUR_MAP  # of the objective's value
-GAINS = "magma"  # of what a tag would add
+BODY = rgb("#7f8fa6")  # body of a robot
+VALUES = common.COLOUR_MAP  # colour map of the objective's values
+GAINS = "magma"  # colour map of gains by one more tag
 
 
 def alike(colour: Rgb, count: int) -> Colours:
-    """So many times the same colour, `(count, 3)`."""
+    """`count` times one colour, `(count, 3)`."""
     return np.tile(np.array(colour, dtype=np.uint8), (count, 1))
 
 
 def mapped(name: str, shares: ArrayLike) -> Colours:
-    """Shares of 1 `(N,)` as colours of a map of matplotlib, `(N, 3)`."""
+    """Colours of a matplotlib map for values from 0 to 1 `(N,)`, `(N, 3)`."""
     from matplotlib import colormaps
 
     return np.asarray(colormaps[name](np.asarray(shares), bytes=True))[:, :3]

@@ -1,4 +1,4 @@
-"""The panel beside the picture: figures, buttons and sliders, as viser has them."""
+"""The panel beside the picture: figures, buttons, sliders and the legend, as widgets of viser."""
 
 import html
 import math
@@ -6,34 +6,39 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from typing import Any
 
+import numpy as np
+
 from lmd.core.checks import IntArray
 from lmd.core.compiled import is_compiling
 from lmd.optimisers.ledger import Budget
-from lmd.planner.acts import in_order
-from lmd.planner.additions import Additions
-from lmd.planner.legend import legend
+from lmd.planner.actions import call_in_order
+from lmd.planner.colours import FREE, GAINS, PINNED, SEEN, SELECTED, UNKNOWN, VALUES, Rgb, mapped
+from lmd.planner.figures import Additions
 from lmd.planner.plan import Measured
-from lmd.planner.search import Progress
+from lmd.planner.tag_search import SearchProgress
 
-ADDITIONS = {"mean value": "value", "fitness": "fitness"}  # what surfaces may show, and where `Additions` has it
+ADDITIONS = {"mean value": "value", "fitness": "fitness"}  # choices of gains on surfaces, and fields of `Additions`
 NO_ADDITION = "nothing"
 HINT = "drag a tag; click a tag, a position or a surface"
 UNDO, REDO, PIN, DELETE, SAVE = "Undo", "Redo", "Pin or unpin", "Delete", "Save"
 RESIZE = "Give the tag this size"
 PLACE, FROM_FLOOR, FROM_BELOW = "Hang it there", "from floor, m", "from below, m"
-WIDTH, GAP = 290.0, 12.0  # of the legend, and from it to the lower left corner of the picture, pixels
+WIDTH, GAP = 290.0, 12.0  # width of the legend, and its distance from the lower left corner of the picture, pixels
 OPTIMISE, STOP = "Optimise the free tags", "Stop, keep the best"
+COLOUR_STOPS = 9  # colours of a scale in the legend
+LEGEND_STYLE = "font-size: 0.75em; padding: 0 0.8em; white-space: nowrap; line-height: 1.4"
+TAGS = {"free": FREE, "pinned": PINNED, "selected": SELECTED, "seen": SEEN}
 
 
-class Panel:
-    """The widgets, and what they say.
+class PlannerPanel:
+    """Widgets of the panel and their texts.
 
     Args:
-        gui: of a server of viser.
-        value: what positions are coloured by.
-        budget: of searches at first; users may change what limits it.
-        ids: whether those of tags are shown at first.
-        edges: that tags may have, metres.
+        gui: GUI of a server of viser.
+        value: label of the values of positions.
+        budget: initial budget of searches; users may change its limits.
+        ids: True to show the ids of tags at first.
+        edges: edges that tags may have, metres.
     """
 
     def __init__(self, gui: Any, value: str, budget: Budget, ids: bool, edges: Sequence[float] = ()) -> None:
@@ -56,7 +61,7 @@ class Panel:
             self._size = gui.add_dropdown("size", tuple(self._edges) or ("",), visible=len(self._edges) > 1)
             self.resize = gui.add_button(RESIZE, visible=len(self._edges) > 1)
         with gui.add_folder("Optimise"):
-            # Numbers with a fraction: of one without, viser makes one that no browser could be told.
+            # Floats: viser makes an integer widget of an integer, and cannot send it fractions.
             self._limits = {
                 name: gui.add_number(f"budget, {name}", float(limit), step=1.0)
                 for name, limit in asdict(budget).items()
@@ -70,8 +75,8 @@ class Panel:
             self.yaw = gui.add_slider("yaw, degrees", -180.0, 180.0, 1.0, 0.0)
             self.pitch = gui.add_slider("pitch, degrees", -90.0, 90.0, 1.0, 0.0)
             for slider in (self.yaw, self.pitch):
-                # In viser's thread, or it may tell browsers of a value after it was put back.
-                in_order(slider.on_update, _put_back)
+                # In viser's thread, which might else send browsers a value after it was put back.
+                call_in_order(slider.on_update, _put_back)
         with gui.add_folder("Show"):
             self.positions = gui.add_checkbox("positions", initial_value=True)
             self.names = gui.add_checkbox("names of surfaces", initial_value=True)
@@ -93,21 +98,21 @@ class Panel:
 
     @property
     def budget(self) -> Budget:
-        """What the next search may spend.
+        """Budget of the next search.
 
         Raises:
-            InputError: a limit that was typed makes no sense.
+            InputError: a typed limit is refused.
         """
         return Budget(**{name: number.value for name, number in self._limits.items()})
 
     @property
     def edge(self) -> float | None:
-        """The size that is chosen, metres; None where there is no choice, and what a browser made up."""
+        """Chosen edge, metres; None without a choice, or if a browser sends another value."""
         return self._edges.get(self._size.value) if len(self._edges) > 1 else None
 
     @property
     def typed(self) -> tuple[float, float]:
-        """The place that was typed, see `Measured`: from the left, and up."""
+        """Typed place, left and up, see `Measured`."""
         return float(self._left.value), float(self._up.value)
 
     def show_figures(self, rows: Mapping[str, str]) -> None:
@@ -119,12 +124,12 @@ class Panel:
         self._off_grid.content = _table("off-grid", rows)
 
     def say(self, text: str, refused: bool = False) -> None:
-        """Show a sentence, in red if something was refused."""
+        """Show a sentence, in red for a refusal."""
         colour = "#c92a2a" if refused else "inherit"
         self._message.content = _paragraph("message", text, f"color: {colour}")
 
     def say_additions(self, found: Additions, index: int) -> None:
-        """Say what a tag at one of the places would add."""
+        """Show the gains by a tag at the place `index`."""
         gains = {name: float(getattr(found, key)[index]) for name, key in ADDITIONS.items()}
         if any(map(math.isnan, gains.values())):
             self.say("a tag here would overlap another")
@@ -132,7 +137,7 @@ class Panel:
             self.say(f"a tag here adds {', '.join(f'{gain:+.3%} to the {name}' for name, gain in gains.items())}")
 
     def show_tag(self, text: str | None, measured: Measured | None) -> None:
-        """Say which tag is selected and where it hangs; None for none, and for one that hangs on no surface."""
+        """Show the selected tag and its place; None for no tag, and for a tag on no surface."""
         self._tag.content = _paragraph("tag", text or "no tag is selected")
         if measured is not None:
             self._left.value, self._up.value = round(measured.left, 4), round(measured.up, 4)
@@ -141,15 +146,15 @@ class Panel:
             widget.disabled = measured is None
 
     def show_seen(self, ids: IntArray | None) -> None:
-        """Say which tags the camera sees; None while it is nowhere."""
+        """Show the ids of the tags that the camera sees; None if the camera is not placed."""
         if ids is None:
             self._seen.content = _paragraph("seen", "click a position to put the camera there")
             return
         listed = ", ".join(map(str, ids)) or "none"
         self._seen.content = _paragraph("seen", f"{len(ids)} in view: {listed}")
 
-    def show_progress(self, progress: Progress | None, running: bool) -> None:
-        """Show how far a search is, and what its button does."""
+    def show_progress(self, progress: SearchProgress | None, running: bool) -> None:
+        """Show the progress of a search and the label of its button."""
         self.optimise.label = STOP if running else OPTIMISE
         for number in self._limits.values():
             number.disabled = running
@@ -161,18 +166,18 @@ class Panel:
         self._progress.content = _paragraph("progress", text)
 
     def show_legend(self, most: float | None) -> None:
-        """Say what colours mean; `most` is what the brightest surface means, None while nothing is shown there."""
-        self._legend.content = legend(self._value, most)
+        """Show the legend; `most` is the gain at the brightest place, None while surfaces are grey."""
+        self._legend.content = _legend_html(self._value, most)
 
 
 def _within(slider: Any) -> float:
-    """The value of a slider, 0 where a browser has just sent one that it cannot have."""
+    """Value of a slider, 0 if a browser has sent one outside of its range."""
     value = float(slider.value)
     return value if slider.min <= value <= slider.max else 0.0
 
 
 def _put_back(event: Any) -> None:
-    """Put a slider back to 0 if a browser has sent a value that it cannot have."""
+    """Put a slider back to 0 if a browser has sent a value outside of its range."""
     event.target.value = _within(event.target)
 
 
@@ -184,3 +189,37 @@ def _table(name: str, rows: Mapping[str, str]) -> str:
 
 def _paragraph(name: str, text: str, style: str = "") -> str:
     return f'<p id="{name}" style="font-size: 0.85em; margin: 0.4em 1em; {style}">{html.escape(text)}</p>'
+
+
+def _legend_html(value: str, most: float | None) -> str:
+    """Table of the colours.
+
+    Args:
+        value: label of the values of positions, from 0 to 1.
+        most: gain at the brightest place of a surface; None while surfaces are grey.
+    """
+    rows = [f'<td colspan=2 style="white-space: normal">positions: {html.escape(value)}</td>']
+    rows.append(f"<td></td><td>{_scale(VALUES, '0', '1')}</td>")
+    if most is not None:
+        rows.append(f"<td>a tag adds&ensp;</td><td>{_scale(GAINS, '0', f'+{most:.3%}')}</td>")
+        rows.append(f"<td></td><td>{_square(UNKNOWN)} would overlap</td>")
+    rows.append(f"<td>tags</td><td>{' '.join(f'{_square(colour)} {name}' for name, colour in TAGS.items())}</td>")
+    return f'<table id="legend" style="{LEGEND_STYLE}">{"".join(f"<tr>{row}</tr>" for row in rows)}</table>'
+
+
+def _scale(name: str, low: str, high: str) -> str:
+    """Bar with the colours of a map, between the values of its ends."""
+    colours = ", ".join(_css(tuple(colour)) for colour in mapped(name, np.linspace(0.0, 1.0, COLOUR_STOPS)).tolist())
+    return f"{low} {_box('6em', f'linear-gradient(to right, {colours})')} {high}"
+
+
+def _square(colour: Rgb) -> str:
+    return _box("0.8em", _css(colour))
+
+
+def _box(width: str, background: str) -> str:
+    return f'<span style="display: inline-block; width: {width}; height: 0.8em; background: {background}"></span>'
+
+
+def _css(colour: Rgb) -> str:
+    return f"rgb{colour}"

@@ -1,15 +1,14 @@
-"""The room in the browser: surfaces, positions, tags and the camera, as viser draws them."""
+"""The picture: surfaces, positions and tags of a room with captions, drawn by viser."""
 
 import math
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from lmd.core.checks import BoolArray, FloatArray
+from lmd.core.checks import BoolArray, FloatArray, IntArray
 from lmd.geometry.squares import upright
-from lmd.planner.additions import candidate_cells
-from lmd.planner.captions import Captions
 from lmd.planner.colours import (
     ASKED,
     FREE,
@@ -24,34 +23,38 @@ from lmd.planner.colours import (
     mapped,
     rgb,
 )
-from lmd.planner.framing import Framing
+from lmd.planner.figures import candidate_cells
 from lmd.planner.plan import Plan
-from lmd.planner.surveyed import Found
+from lmd.planner.survey_map import SurveyMap
+from lmd.planner.viewing import Framing
 from lmd.plot import common
 from lmd.problem import Problem
 from lmd.scene.deployment import Deployment
+from lmd.space.surface import FLAT, Surface
 
 SQUARE = np.array([[-1.0, -1.0, 0.0], [1.0, -1.0, 0.0], [1.0, 1.0, 0.0], [-1.0, 1.0, 0.0]])
 TRIANGLES = np.array([[0, 1, 2], [0, 2, 3]])
-MESH_OPTIONS = {"lod": "off", "cast_shadow": False, "receive_shadow": False}  # of viser's batched meshes
-TAG_OFFSET_M = 0.01  # metres from a surface to the tags on it, so that they are drawn before it
-BALL_RADIUS = 0.12  # radius of a position, in distances to the next one
-POINT_SIZE = 0.008  # half the edge of a landmark that is a point, in diagonals of the room
-CELL_SHARE = 0.97  # of a cell that is coloured
-OFFSET_MAGNIFICATION = 20.0  # times that lines to where tags hang are as long
-LIGHT_INTENSITY = 2.0  # with which colours come out as they are given, nearly
-FRUSTUM_DEPTH = 0.08  # depth of views that are drawn, in diagonals
+MESH_OPTIONS = {"lod": "off", "cast_shadow": False, "receive_shadow": False}  # options of viser's batched meshes
+TAG_OFFSET_M = 0.01  # distance from a surface to the tags before it, so that they are visible, metres
+BALL_RADIUS = 0.12  # radius of a position, relative to the spacing of positions
+POINT_SIZE = 0.008  # half the edge of a point landmark, in diagonals of the room
+CELL_SHARE = 0.97  # coloured share of the width and height of a cell
+OFFSET_MAGNIFICATION = 20.0  # magnification of the lines from planned to measured places
+LIGHT_INTENSITY = 2.0  # intensity at which viser shows colours nearly as given
+NAME, ID, CHOSEN = 1.0, 0.75, 1.1  # sizes of letters, relative to viser's
+MOST_CAPTIONS = 120  # maximum number of ids that are shown at first; more would hide the tags
+FRUSTUM_DEPTH = 0.08  # depth of drawn frustums, in diagonals of the room
 
 
-class Picture:
-    """Everything that is drawn.
+class RoomPicture:
+    """Everything that is drawn but the robot.
 
-    tags, cells, balls: handles of viser, for callbacks; an instance of `tags` is a tag of the plan, in its order, one
-    of `cells` a candidate place, one of `balls` a position of the grid. depth: of views that are drawn, metres.
+    `tags`, `cells` and `balls` are handles of viser for callbacks. Their instances are the tags of the plan, in its
+    order, the candidate places, and the positions of the grid. `depth` is that of drawn frustums, metres.
 
     Args:
-        server: of viser.
-        problem: its room and its grid are drawn.
+        server: server of viser.
+        problem: problem whose room and grid are drawn.
     """
 
     def __init__(self, server: Any, problem: Problem) -> None:
@@ -61,7 +64,7 @@ class Picture:
         self._diagonal = float(np.linalg.norm(high - low))
         self.depth = FRUSTUM_DEPTH * self._diagonal
         self._framing = Framing(server, low, high)
-        # One light from everywhere: colours mean values, and shades would change them.
+        # Ambient light only: shades would change colours, which mean values.
         self._scene.configure_default_lights(enabled=False)
         self._scene.configure_environment_map(None)
         self._scene.add_light_ambient("/light", intensity=LIGHT_INTENSITY)
@@ -90,7 +93,7 @@ class Picture:
             poses.positions,
             batched_scales=sizes,
             batched_colors=alike(UNKNOWN, len(poses)),
-            side="front",  # walls between the viewer and the room are not seen
+            side="front",  # walls between the viewer and the room are invisible
             **MESH_OPTIONS,
         )
 
@@ -104,10 +107,16 @@ class Picture:
         return self._scene.add_batched_meshes_simple("/positions", *mesh, batched_colors=unknown, **MESH_OPTIONS)
 
     def show_tags(self, plan: Plan, selected: int | None, seen: BoolArray | None, ids: bool) -> bool:
-        """Draw the tags of a plan, with their `ids` or only that of the selected one; those `seen` `(K,)` stand out.
+        """Draw the tags of a plan.
+
+        Args:
+            plan: the plan.
+            selected: id of the selected tag; None for none.
+            seen: True for tags that stand out, `(K,)`; None for none.
+            ids: True to show all ids, False for that of the selected tag only.
 
         Returns:
-            whether `tags` is a new handle, which callbacks do not know yet.
+            True if `tags` is a new handle without callbacks.
         """
         deployment = plan.deployment
         painted = alike(FREE, len(deployment))
@@ -132,12 +141,12 @@ class Picture:
         return fresh
 
     def _halves(self, deployment: Deployment) -> FloatArray:
-        """Half the edges of the papers of tags, `(K,)`, metres; of points, as large as they are drawn."""
+        """Half the edges of the papers of tags, `(K,)`, metres; half the drawn size of points."""
         papers = self._problem.scene.plates.papers(deployment)
         return np.where(papers > 0.0, papers / 2.0, POINT_SIZE * self._diagonal)
 
-    def show_survey(self, found: Found, plan: Deployment) -> None:
-        """Draw where tags hang, lines from where they are planned, and the photographs that a survey asks for."""
+    def show_survey(self, found: SurveyMap, plan: Deployment) -> None:
+        """Draw measured tags, lines from their planned places, and the photographs that a survey proposes."""
         tags = found.tags
         self._scene.add_batched_meshes_simple(
             "/survey/tags",
@@ -164,11 +173,11 @@ class Picture:
             )  # fmt: skip
 
     def show_values(self, values: FloatArray) -> None:
-        """Colour the positions by the objective's values `(P,)`."""
+        """Colour the positions by values `(P,)`."""
         self.balls.batched_colors = mapped(VALUES, values)
 
     def show_additions(self, gains: FloatArray | None) -> None:
-        """Colour the surfaces by what a tag would add, `(N,)`, from nothing to the most; None while it is not known."""
+        """Colour the surfaces by gains `(N,)`, from 0 to the largest; grey for None."""
         if gains is None:
             self.cells.batched_colors = alike(UNKNOWN, len(self.candidates.poses))
             return
@@ -179,5 +188,55 @@ class Picture:
 
 
 def _quaternions(right: FloatArray, up: FloatArray, normal: FloatArray) -> FloatArray:
-    """Quaternions w, x, y, z, `(N, 4)`, of the rotations that take the axes x, y, z to these unit vectors `(N, 3)`."""
+    """Quaternions w, x, y, z, `(N, 4)`, of rotations from the axes x, y, z to unit vectors `(N, 3)`."""
     return np.asarray(Rotation.from_matrix(np.stack([right, up, normal], axis=-1)).as_quat(scalar_first=True))
+
+
+class Captions:
+    """Labels of viser: names of surfaces, and ids of tags.
+
+    Args:
+        scene: scene of a server of viser.
+        surfaces: surfaces to name.
+    """
+
+    def __init__(self, scene: Any, surfaces: Sequence[Surface]) -> None:
+        self._scene = scene
+        self._names = [_add_name(scene, surface) for surface in surfaces]
+        self._ids: list[Any] = []
+        self._shown: list[tuple[str, tuple[float, ...], bool, bool]] = []
+
+    def show_names(self, visible: bool) -> None:
+        """Show the names of the surfaces, or hide them."""
+        for label in self._names:
+            label.visible = visible
+
+    def show_ids(self, ids: IntArray, places: FloatArray, selected: int | None, visible: bool) -> None:
+        """Show the ids `(K,)` of tags at `places` `(K, 3)`; the selected one is larger and always visible."""
+        for k, (number, place) in enumerate(zip(ids.tolist(), places.tolist(), strict=True)):
+            self._show_id(k, (str(number), tuple(place), number == selected, visible or number == selected))
+        for label in self._ids[len(ids) :]:
+            label.visible = False
+        del self._shown[len(ids) :]
+
+    def _show_id(self, k: int, wanted: tuple[str, tuple[float, ...], bool, bool]) -> None:
+        """Update the label k if it differs from `wanted`: there may be hundreds, and each is sent to browsers."""
+        if k == len(self._ids):
+            self._ids.append(self._scene.add_label(f"/ids/{k}", "", anchor="bottom-center", visible=False))
+        if k < len(self._shown) and self._shown[k] == wanted:
+            return
+        label, (label.text, label.position, chosen, label.visible) = self._ids[k], wanted
+        label.font_screen_scale = CHOSEN if chosen else ID
+        self._shown[k : k + 1] = [wanted]
+
+
+def _add_name(scene: Any, surface: Surface) -> Any:
+    """Name a wall below its lower edge, which is visible even if the wall is not drawn; a floor in its middle."""
+    is_level, (width, height) = abs(surface.normal[2]) > FLAT, surface.extent
+    return scene.add_label(
+        f"/names/{surface.name}",
+        surface.name,
+        position=surface.point(width / 2.0, height / 2.0 if is_level else 0.0),
+        anchor="center-center" if is_level else "top-center",
+        font_screen_scale=NAME,
+    )

@@ -1,4 +1,4 @@
-"""A plan: tags, and which of them stay where they are."""
+"""A plan: tags, pinned or free, and movable cameras."""
 
 from dataclasses import dataclass, replace
 from typing import NamedTuple
@@ -20,33 +20,30 @@ from lmd.space.surface import SurfaceArrays
 
 
 class Measured(NamedTuple):
-    """A place on a surface as it is measured by whoever stands before it, and as `plan.pdf` says it."""
+    """A place on a surface as one measures it before the wall, as in `plan.pdf`."""
 
     left: float
-    """From the left edge, metres."""
+    """Distance from the left edge, metres."""
     up: float
-    """From the floor on a wall, else from the lower edge of the surface, metres."""
+    """Height above the floor on a wall, else above the lower edge of the surface, metres."""
     from_floor: bool
-    """Which of these."""
+    """True if `up` is above the floor."""
 
 
 @dataclass(frozen=True)
 class Plan:
-    """Tags as they are planned; every change makes a new plan.
-
-    Args:
-        deployment: the tags with their ids and surfaces (`of` gives ids to landmarks without).
-        pinned: ids of those that stay where they are.
-        rig: the cameras, where they can be moved, too.
-    """
+    """Tags and cameras; every change makes a new plan."""
 
     deployment: Deployment
+    """Tags with their ids and surfaces; `of` gives ids to landmarks without."""
     pinned: frozenset[int] = frozenset()
+    """Ids of tags that do not move."""
     rig: Rig | None = None
+    """Movable cameras; None if cameras cannot be moved."""
 
     @classmethod
     def of(cls, deployment: Deployment, hung: Deployment | None = None, rig: Rig | None = None) -> "Plan":
-        """The plan of a deployment; those among it that are `hung` already are pinned."""
+        """Plan of a deployment, with the tags that are `hung` already pinned."""
         labels = deployment.labels or Labels(deployment.ids)
         pinned = frozenset() if hung is None else frozenset(hung.ids.tolist())
         return cls(replace(deployment, labels=labels), pinned, rig)
@@ -57,7 +54,7 @@ class Plan:
         return np.flatnonzero(~np.isin(self.deployment.ids, list(self.pinned)))
 
     def index_of(self, number: int) -> int:
-        """The index of the tag with an id.
+        """Index of the tag with an id.
 
         Raises:
             InputError: there is no such tag.
@@ -68,7 +65,7 @@ class Plan:
         return int(found[0])
 
     def described(self, number: int, room: Space) -> str:
-        """Where the tag with an id hangs, in words.
+        """Sentence on the place and size of the tag with an id.
 
         Raises:
             InputError: there is no such tag.
@@ -82,7 +79,7 @@ class Plan:
         return f"tag {number}: {where}, ({x:.3f}, {y:.3f}, {z:.3f}) m{size}{pinned}"
 
     def measured(self, number: int, room: Space) -> "Measured | None":
-        """Where on its surface the tag with an id is, None if it hangs on none.
+        """Place of the tag with an id on its surface; None if it hangs on none.
 
         Raises:
             InputError: there is no such tag.
@@ -96,7 +93,7 @@ class Plan:
         return Measured(float(left), float(below) + lower_edge(room, surface), surface.is_upright)
 
     def moved(self, plates: Plates, number: int, surface: int, at: FloatArray) -> "Plan":
-        """The plan with a tag at the free place nearest to `at` `(2,)` on a surface, coordinates of `Surface`, metres.
+        """Move a tag to the free place nearest to `at` `(2,)`, coordinates on a surface, metres.
 
         Raises:
             InputError: there is no such tag, it is pinned, or there is no room for its paper.
@@ -105,11 +102,11 @@ class Plan:
         rest = np.flatnonzero(np.arange(len(self.deployment)) != k)
         edges = self.deployment.edges
         own = None if edges is None else edges[k : k + 1]
-        there = placed(plates, self.deployment[rest] if rest.size else None, surface, at, own)
+        there = _nearest_free(plates, self.deployment[rest] if rest.size else None, surface, at, own)
         return replace(self, deployment=self.deployment.put(slice(k, k + 1), there))
 
     def resized(self, plates: Plates, number: int, edge: float) -> "Plan":
-        """The plan with a tag of another edge, metres, at the free place nearest to where it was.
+        """Change the edge of a tag, metres, and move it to the nearest free place.
 
         Raises:
             InputError: as for `moved`, or it hangs on no surface.
@@ -124,13 +121,13 @@ class Plan:
         return replace(self, deployment=replace(self.deployment, edges=edges)).moved(plates, number, surface, at)
 
     def added(self, scene: Scene, surface: int, at: FloatArray, edge: float | None = None) -> tuple["Plan", int]:
-        """The plan with one tag more, at the free place nearest to `at`, and its id: the least that is free.
+        """Add a tag at the free place nearest to `at`; return the plan and its id, the least unused one.
 
         Args:
-            scene: where it hangs.
-            surface: that it hangs on.
+            scene: scene of the tags.
+            surface: index of a surface.
             at: see `moved`.
-            edge: of the tag, metres; None for that of the scene's tag.
+            edge: edge of the tag, metres; None for that of the scene's tag.
 
         Raises:
             InputError: there is no room for its paper, or the family has no tag left.
@@ -144,11 +141,11 @@ class Plan:
         if not scene.tag.is_point:
             scene.tag.check_ids(more.ids)
         own = None if edge is None else np.array([edge])
-        there = placed(scene.plates, self.deployment, surface, at, own)
+        there = _nearest_free(scene.plates, self.deployment, surface, at, own)
         return replace(self, deployment=replace(self.deployment + there, labels=more)), number
 
     def without(self, number: int) -> "Plan":
-        """The plan without a tag.
+        """Delete a tag.
 
         Raises:
             InputError: there is no such tag, it is pinned, or it is the last one.
@@ -159,7 +156,7 @@ class Plan:
         return replace(self, deployment=self.deployment[np.flatnonzero(np.arange(len(self.deployment)) != k)])
 
     def toggled(self, number: int) -> "Plan":
-        """The plan with a tag pinned that was not, or the other way round.
+        """Pin a free tag, or free a pinned one.
 
         Raises:
             InputError: there is no such tag.
@@ -168,16 +165,16 @@ class Plan:
         return replace(self, pinned=self.pinned ^ {number})
 
     def mounted(self, number: int, place: FloatArray, turn: FloatArray, space: MountSpace | None) -> "Plan":
-        """The plan with a camera at the place `(3,)`, metres, body frame, and turned by `(3, 3)` to the body's frame.
+        """Move a camera.
 
         Args:
-            number: of the camera.
-            place: of its centre.
-            turn: see `Mount.rotation`.
-            space: where it may be, and it goes to the nearest such place; None for anywhere.
+            number: index of the camera.
+            place: its centre, `(3,)`, metres, body frame.
+            turn: see `Mount.rotation`, `(3, 3)`.
+            space: allowed mounts, of which the nearest is taken; None to allow all.
 
         Raises:
-            InputError: it cannot be there.
+            InputError: the camera cannot be mounted there.
         """
         from scipy.spatial.transform import Rotation
 
@@ -190,19 +187,23 @@ class Plan:
         return replace(self, rig=rig)
 
     def _movable(self, number: int) -> int:
-        """The index of a tag that is not pinned."""
+        """Index of a tag that is not pinned.
+
+        Raises:
+            InputError: there is no such tag, or it is pinned.
+        """
         k = self.index_of(number)
         if number in self.pinned:
             raise InputError(f"tag {number} is pinned.")
         return k
 
 
-def placed(
+def _nearest_free(
     plates: Plates, others: Deployment | None, surface: int, at: FloatArray, edges: FloatArray | None = None
 ) -> Deployment:
-    """One landmark at the free place nearest to `at` `(2,)` on a surface, pushed away from the `others` if need be.
+    """One landmark at the free place nearest to `at` `(2,)` on a surface, with `others` fixed.
 
-    Its edge is that of `edges` `(1,)`, or else that of the scene's tag.
+    Its edge is `edges` `(1,)`, or that of the scene's tag if None.
 
     Raises:
         InputError: there is no such place, or no room for its paper on any surface.

@@ -1,4 +1,4 @@
-"""The robot in the browser: its body, its cameras, and the handles that move one of them."""
+"""The robot in the picture: its body, its cameras, and handles that move a camera."""
 
 from collections.abc import Callable
 from functools import partial
@@ -11,26 +11,26 @@ from lmd.core.checks import FloatArray, InputError
 from lmd.geometry.camera import Camera
 from lmd.geometry.projection import view_edges
 from lmd.geometry.se3 import axis_and_right, camera_pose
-from lmd.planner.acts import Acts, in_order
+from lmd.planner.actions import ActionQueue, call_in_order
 from lmd.planner.colours import BODY, SEEN
-from lmd.planner.framing import framed
-from lmd.planner.session import Session
+from lmd.planner.session import PlanningSession
+from lmd.planner.viewing import framed
 from lmd.scene.rig import OPTICAL, Mount, Rig
 
-NONE, CAMERA = "none", "camera {}"  # what a user may choose to move
+NONE, CAMERA = "none", "camera {}"  # choices of the camera to move
 HINT = "choose a camera, then drag its arrows, squares and rings"
-HANDLES_SHARE = 0.6  # of the depth of views: the length of the handles
+HANDLES_SHARE = 0.6  # length of the handles, relative to the depth of frustums
 BODY_OPACITY = 0.5
 
 
 class Robot:
-    """Draws the body and its cameras, and lets a user move those of a rig.
+    """The body and its fixed cameras.
 
     Args:
-        server: of viser.
-        depth: of the drawn views, metres.
-        camera: what is drawn at first.
-        body: that carries it; None where it is not known.
+        server: server of viser.
+        depth: depth of the drawn frustums, metres.
+        camera: initial camera or rig.
+        body: body that carries it; None if unknown.
     """
 
     def __init__(self, server: Any, depth: float, camera: Camera | Rig, body: Body | None) -> None:
@@ -53,14 +53,14 @@ class Robot:
         self.position: FloatArray | None = None
 
     def stand(self, position: FloatArray, yaw: float, pitch: float) -> None:
-        """Put the body at a position `(3,)`, metres, level, with a yaw and a pitch in rad."""
+        """Move the body to a position `(3,)`, metres, with a yaw and a pitch, rad, and no roll."""
         pose = axis_and_right(camera_pose(position[None], np.array([yaw]), np.array([pitch])))[0]
         forward, left = pose[:3], -pose[3:]
         self._frame.wxyz = _quaternion(np.stack([forward, left, np.cross(forward, left)], axis=-1))
         self._frame.position, self._frame.visible, self.position = position, True, position
 
     def show(self) -> None:
-        """Show what has changed; nothing does."""
+        """Draw the present cameras; fixed ones do not change."""
 
     def _show_mounts(self, mounts: tuple[Mount, ...]) -> None:
         for view, mount in zip(self._views, mounts, strict=True):
@@ -68,22 +68,24 @@ class Robot:
 
 
 class Rigging(Robot):
-    """The cameras of a rig, which a user moves.
+    """The body and the cameras of a rig, which the user moves.
 
     Args:
-        server: of viser.
-        depth: of the drawn views, metres.
-        session: with a rig.
-        acts: where what is to be done goes.
+        server: server of viser.
+        depth: depth of the drawn frustums, metres.
+        session: session with a rig.
+        actions: queue for the user's actions.
         changed: called when a camera has moved.
     """
 
-    def __init__(self, server: Any, depth: float, session: Session, acts: Acts, changed: Callable[[], None]) -> None:
+    def __init__(
+        self, server: Any, depth: float, session: PlanningSession, actions: ActionQueue, changed: Callable[[], None]
+    ) -> None:
         assert session.rig is not None, "there are cameras to move"
         super().__init__(server, depth, session.rig, session.space.body if session.space else None)
-        self._session, self._acts, self._changed = session, acts, changed
+        self._session, self._actions, self._changed = session, actions, changed
         self._number: int | None = None
-        self._latest: Any = None  # place and quaternion of the handles that have not been looked at
+        self._latest: Any = None  # last place and quaternion of the handles, until they are applied
         self._is_held = False
         with server.gui.add_folder("Cameras"):
             self._text = server.gui.add_html("")
@@ -96,12 +98,12 @@ class Rigging(Robot):
         self._handles = self._scene.add_transform_controls(
             "/robot/handles", HANDLES_SHARE * depth, depth_test=False, visible=False
         )
-        acts.on(self._choice.on_update, self._choose)
-        acts.on(self._look.on_click, self._look_at)
-        in_order(self._handles.on_update, self._hold)
+        actions.on(self._choice.on_update, self._choose)
+        actions.on(self._look.on_click, self._look_at)
+        call_in_order(self._handles.on_update, self._hold)
 
     def show(self) -> None:
-        """Show where the cameras are now."""
+        """Draw the present cameras and handles."""
         rig = self._session.rig
         assert rig is not None, "there are cameras to move"
         self._show_mounts(rig.mounts)
@@ -128,9 +130,9 @@ class Rigging(Robot):
         event.client.camera.position, event.client.camera.look_at = place
 
     def _hold(self, event: Any) -> None:
-        """Note a drag, in viser's thread; of the places on its way only the latest matters."""
+        """Record a drag, in viser's thread; only the last place matters."""
         self._latest = event.target.position, event.target.wxyz
-        self._acts.put_answer(partial(self._follow, event.phase == "end"))
+        self._actions.put_answer(partial(self._follow, event.phase == "end"))
 
     def _follow(self, ends: bool) -> None:
         latest, self._latest = self._latest, None
@@ -145,11 +147,13 @@ class Rigging(Robot):
                 self.show()
 
 
-def robot_of(server: Any, depth: float, session: Session, acts: Acts, changed: Callable[[], None]) -> Robot:
-    """What is drawn of the cameras of a session: `Rigging` if they can be moved."""
+def robot_of(
+    server: Any, depth: float, session: PlanningSession, actions: ActionQueue, changed: Callable[[], None]
+) -> Robot:
+    """The robot of a session: a `Rigging` if its cameras can be moved."""
     if session.rig is None:
         return Robot(server, depth, session.problem.scene.camera, None)
-    return Rigging(server, depth, session, acts, changed)
+    return Rigging(server, depth, session, actions, changed)
 
 
 def _quaternion(turn: FloatArray) -> FloatArray:
@@ -160,10 +164,10 @@ def _quaternion(turn: FloatArray) -> FloatArray:
 
 
 def _turn(wxyz: Any) -> FloatArray:
-    """The rotation `(3, 3)` of a quaternion w, x, y, z that a browser has sent.
+    """Rotation `(3, 3)` of a quaternion w, x, y, z that a browser has sent.
 
     Raises:
-        InputError: it is none.
+        InputError: it is no rotation.
     """
     from scipy.spatial.transform import Rotation
 

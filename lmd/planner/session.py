@@ -1,6 +1,6 @@
-"""A session of planning: the plan, what came before it, and what follows from it; no browser, no threads of its own.
+"""A planning session: the plan, its history and its figures, without a browser.
 
-Only one thread may use a session. The search that it starts works on a copy, and says when it is done.
+Only one thread may use a session. A search that it starts works on a copy, and calls back when it is done.
 """
 
 from collections.abc import Callable
@@ -15,10 +15,9 @@ from lmd.core.checks import BoolArray, FloatArray, InputError
 from lmd.geometry.se3 import axis_and_right, camera_pose
 from lmd.optimisers.base import Optimiser
 from lmd.optimisers.ledger import Budget
-from lmd.planner.additions import additions
+from lmd.planner.figures import Values, additions
 from lmd.planner.plan import Plan
-from lmd.planner.search import Search
-from lmd.planner.values import Values
+from lmd.planner.tag_search import TagSearch
 from lmd.problem import Problem
 from lmd.scene.deployment import Deployment
 from lmd.scene.deployment_sources import GivenDeployment
@@ -26,26 +25,28 @@ from lmd.scene.rig import Rig
 from lmd.sight.views import visible
 from lmd.space.heights import lower_edge
 
-PATIENCE_SECONDS = 1.0  # seconds that a search which was stopped is waited for; compiling takes longer
+PATIENCE_SECONDS = 1.0  # maximum time that the end of a stopped search is waited for, seconds; compiling takes longer
 
 
 class Posed(NamedTuple):
-    """Tags, and what they are for."""
+    """A deployment for a problem."""
 
     problem: Problem
+    """Scene and objective."""
     deployment: Deployment
+    """The tags."""
 
 
-class Session:
-    """What a user does to a plan. Each change is one step that can be undone; what is refused changes nothing.
+class PlanningSession:
+    """Changes of a plan by a user. Each change is one step that can be undone; a refused one changes nothing.
 
     Args:
-        problem: what the tags are for. Its fixed landmarks hang already: they stay pinned.
-        deployment: where the tags are at first, with their surfaces.
-        space: where cameras of the problem's rig may go; None for anywhere.
+        problem: scene and objective. Its fixed landmarks stay pinned.
+        deployment: initial tags, with their surfaces.
+        space: allowed mounts of the problem's rig; None to allow all.
 
     Raises:
-        InputError: the objective has no field, or a camera is not where it may be.
+        InputError: the objective has no field, or a mount is not allowed.
     """
 
     def __init__(self, problem: Problem, deployment: Deployment, space: MountSpace | None = None) -> None:
@@ -54,35 +55,35 @@ class Session:
             space.genes(rig)
         self.problem, self.space = problem, space
         self.plan = self._saved = Plan.of(deployment, problem.fixed, rig)
-        self.posed = Posed(problem, self.plan.deployment)  # another one after every change
+        self.posed = Posed(problem, self.plan.deployment)  # a new one after every change
         self._hung = self.plan.pinned
         self._values = Values(problem, deployment)
         self._past: list[Plan] = []
         self._future: list[Plan] = []
         self._dragged: object = None
-        self.search: Search | None = None
+        self.search: TagSearch | None = None
 
     @property
     def deployment(self) -> Deployment:
-        """The tags as they are now."""
+        """Present tags."""
         return self.plan.deployment
 
     @property
     def is_saved(self) -> bool:
-        """Whether tags and cameras are where they were when they were saved last, or at first."""
+        """True if tags and cameras are as last saved, or as at first."""
         return self.plan.deployment is self._saved.deployment and self.rig is self._saved.rig
 
     @property
     def rig(self) -> Rig | None:
-        """The cameras as they are now, where they can be moved."""
+        """Present cameras; None if they cannot be moved."""
         return self.plan.rig
 
     def note_saved(self) -> None:
-        """Note that the plan has been saved."""
+        """Record that the plan was saved."""
         self._saved = self.plan
 
     def values(self) -> FloatArray:
-        """The objective's value at every position of the grid, `(P,)`."""
+        """Value of the objective at every position of the grid, `(P,)`."""
         return self._values.values()
 
     def metrics(self) -> dict[str, float]:
@@ -90,12 +91,12 @@ class Session:
         return self._values.metrics()
 
     def seen(self, position: FloatArray, yaw: float, pitch: float) -> BoolArray:
-        """Which tags a camera covers, `(K,)`: at `position` `(3,)`, metres, level, with a yaw and a pitch in rad."""
+        """True for tags that a level camera at `position` `(3,)`, metres, covers; yaw and pitch in rad, `(K,)`."""
         pose = camera_pose(position[None], np.array([yaw]), np.array([pitch]))
         return np.asarray(visible(self.problem.evaluator, self.deployment, position[None], axis_and_right(pose))[0])
 
     def warm_up(self) -> None:
-        """Let everything be compiled that a user would else wait for."""
+        """Compile everything, so that the user does not wait for it later."""
         deployment, position = self.deployment, self.problem.evaluator.positions[0]
         turned = replace(deployment, positions=deployment.positions[::-1], normals=deployment.normals[::-1])
         self._values.follow(turned)
@@ -105,7 +106,7 @@ class Session:
         additions(self.problem, deployment, deployment[:1])
 
     def drag(self, number: int, surface: int, at: FloatArray) -> None:
-        """Move a tag, see `Plan.moved`. All that happens to it until `drop` is one step.
+        """Move a tag, see `Plan.moved`. All moves until `drop` are one step.
 
         Raises:
             InputError: as there, or a search is running.
@@ -113,7 +114,7 @@ class Session:
         self._become(self.plan.moved(self.problem.scene.plates, number, surface, at), number)
 
     def place(self, number: int, left: float, up: float) -> None:
-        """Move a tag on its surface to where it was `Measured`, or as near to that as it may hang.
+        """Move a tag on its surface to the free place nearest to a `Measured` one.
 
         Raises:
             InputError: as for `drag`, or it hangs on no surface.
@@ -128,7 +129,7 @@ class Session:
         self.drop()
 
     def mount(self, number: int, place: FloatArray, turn: FloatArray) -> None:
-        """Move a camera, see `Plan.mounted`. All that happens to it until `drop` is one step.
+        """Move a camera, see `Plan.mounted`. All moves until `drop` are one step.
 
         Raises:
             InputError: as there, it would be outside the room, or a search is running.
@@ -140,7 +141,7 @@ class Session:
         self._dragged = None
 
     def resize(self, number: int, edge: float) -> None:
-        """Give a tag another size, see `Plan.resized`.
+        """Change the edge of a tag, see `Plan.resized`.
 
         Raises:
             InputError: as there, or a search is running.
@@ -158,7 +159,7 @@ class Session:
         return number
 
     def delete(self, number: int) -> None:
-        """Take a tag away, see `Plan.without`.
+        """Delete a tag, see `Plan.without`.
 
         Raises:
             InputError: as there, too few would be left for the objective, or a search is running.
@@ -170,14 +171,14 @@ class Session:
         """Pin a tag, or unpin it.
 
         Raises:
-            InputError: there is no such tag, it hangs already, or a search is running.
+            InputError: there is no such tag, it is a fixed one, or a search is running.
         """
         if number in self._hung:
             raise InputError(f"tag {number} hangs already, so it stays pinned.")
         self._become(self.plan.toggled(number))
 
     def undo(self) -> None:
-        """Take the last step back.
+        """Undo the last step.
 
         Raises:
             InputError: there is none, or a search is running.
@@ -185,32 +186,32 @@ class Session:
         self._step(self._past, self._future, "undo")
 
     def redo(self) -> None:
-        """Make the step again that was taken back last.
+        """Redo the step that was undone last.
 
         Raises:
             InputError: there is none, or a search is running.
         """
         self._step(self._future, self._past, "redo")
 
-    def optimise(self, optimiser: Optimiser, budget: Budget, done: Callable[[], None] = lambda: None) -> Search:
-        """Start to move the free tags; nothing else changes them until `take`. Args as of `Search`.
+    def optimise(self, optimiser: Optimiser, budget: Budget, done: Callable[[], None] = lambda: None) -> TagSearch:
+        """Start a search, see `TagSearch`; no other change is allowed until `take`.
 
         Raises:
             InputError: as there, or a search is running.
         """
         self._check_idle()
-        self.search = Search(self.problem, self.plan, optimiser, budget, done)
+        self.search = TagSearch(self.problem, self.plan, optimiser, budget, done)
         self.search.start()
         return self.search
 
     def take(self, patience: float | None = None) -> float:
-        """Wait for the end of the search and take over what it found if that is better, as one step.
+        """Wait for the end of the search and apply its best deployment, if better, as one step.
 
         Args:
-            patience: seconds to wait at most; what it finds later is lost. None to wait however long it takes.
+            patience: maximum time to wait, seconds; later results are lost. None to wait for the end.
 
         Returns:
-            what the fitness has gained.
+            the gain of fitness.
 
         Raises:
             InputError: the search failed.
@@ -227,7 +228,7 @@ class Session:
         return search.progress.fitness - before
 
     def end_search(self) -> None:
-        """Stop the search, if there is one, and keep what it has found; one that compiles is not waited for."""
+        """Stop the search, if there is one, and apply its best deployment, unless it compiles for long."""
         if self.search is not None:
             self.search.stop()
             with suppress(InputError):
@@ -243,18 +244,18 @@ class Session:
         self.plan = source.pop()
 
     def _follow(self, plan: Plan) -> None:
-        """Let problem and values be those of another plan."""
+        """Update the problem and the values to another plan."""
         if plan.rig is None or plan.rig is self.rig:
             self._values.follow(plan.deployment)
         else:
-            # A start that varies may take long to draw.
+            # A start that varies may take long to draw, so the present tags replace it.
             start = GivenDeployment(self.problem.free(plan.deployment)) if self.problem.start.varies else None
             problem = self.problem.with_rig(plan.rig, start)
             self._values, self.problem = Values(problem, plan.deployment), problem
         self.posed = Posed(self.problem, plan.deployment)
 
     def _become(self, plan: Plan, dragged: object = None) -> None:
-        """Go over to another plan, in the same step as the last one if the same thing is still being dragged."""
+        """Change the plan, within the last step if the same object is still being dragged."""
         self._check_idle()
         self._follow(plan)
         if dragged is None or dragged != self._dragged:

@@ -1,4 +1,4 @@
-"""What the static and the interactive scene figure share: geometry, colours and wording."""
+"""Geometry, colours and wording that figures share."""
 
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -8,14 +8,14 @@ import numpy as np
 from lmd.core.checks import BoolArray, FloatArray, printable
 from lmd.space.space import Space
 
-ARROW_LENGTH = 0.35  # metres, drawn along the normal of a landmark
+ARROW_LENGTH = 0.35  # length of the arrow along the normal of a landmark, metres
 LANDMARK = "#d62728"
-FIXED = "#1f77b4"  # a landmark that hung already
+FIXED = "#1f77b4"  # colour of landmarks that hung already
 ROOM = "#000000"
 REACHABLE = "#8a8a8a"
 OBSTACLE = "#8c564b"
 KEPT_OUT = "#ff7f0e"
-# How the parts of `Space.outline` are drawn: colour, and whether dashed. A room need not have them all.
+# Colour of each part of `Space.outline`, and True if it is dashed. A room need not have all parts.
 PARTS = {
     "room": (ROOM, False),
     "obstacles": (OBSTACLE, False),
@@ -26,10 +26,10 @@ QUALIFIED = "#1a9641"
 UNQUALIFIED = "#9e9e9e"
 COLOUR_MAP = "viridis"  # known by this name to both libraries, even in lightness, hence safe to print
 AXIS_LABELS = ("x [m]", "y [m]", "z [m]")
-LEAST_TICKS = 3  # on a logarithmic axis
-# Positions tell how far apart neighbours are; a tree of all would load scipy for the picture of every run.
+LEAST_TICKS = 3  # ticks that a logarithmic axis has at least, where round numbers suffice
+# Positions whose nearest neighbours are sought; a tree of all would load scipy for the figure of every run.
 SPACING_SAMPLE = 256
-ELEVATION, AZIMUTH = 16.0, -66.0  # of the viewer in static figures, degrees
+ELEVATION, AZIMUTH = 16.0, -66.0  # direction of the viewer in static figures, degrees
 
 
 def viewer() -> FloatArray:
@@ -46,7 +46,7 @@ def size_of(room: Space) -> FloatArray:
 
 
 def spacing_of(room: Space, positions: FloatArray) -> float:
-    """How far one of the positions `(P, 3)` of a room typically is from the next, metres; the room's size if alone."""
+    """Median distance of positions `(P, 3)` from their nearest neighbours, metres; the room's size for a single one."""
     some = positions[:: max(1, len(positions) // SPACING_SAMPLE)]
     away = (np.linalg.norm(positions - one, axis=1) for one in some)
     nearest = [np.partition(distances, 1)[1] if len(positions) > 1 else np.inf for distances in away]
@@ -54,12 +54,12 @@ def spacing_of(room: Space, positions: FloatArray) -> float:
 
 
 def ball_scale(room: Space, positions: FloatArray) -> float:
-    """Factor for the diameter of a ball at each position: at most 1, less where they are closer than in the paper."""
+    """Factor for the diameter of balls at positions: 1, or less where these are closer than in the paper."""
     return min(1.0, spacing_of(room, positions) / float(np.linalg.norm(size_of(room))) / 0.046)
 
 
 def logarithmic_ticks(low: float, high: float) -> FloatArray:
-    """Round numbers for a logarithmic axis from `low` to `high`: a few, also where these are close."""
+    """Round numbers for a logarithmic axis from `low` to `high`: a few, also where the two are close."""
     from matplotlib.ticker import MaxNLocator
 
     decades = 10.0 ** np.arange(np.floor(np.log10(low)), np.ceil(np.log10(high)) + 1.0)
@@ -73,16 +73,25 @@ def logarithmic_ticks(low: float, high: float) -> FloatArray:
     return ticks if len(ticks) else np.array([low])
 
 
+def set_ticks(axis: Any, ticks: FloatArray) -> None:
+    """Put ticks with short numbers on an axis or a colour bar, and no minor ones."""
+    axis.set_ticks(ticks.tolist(), labels=[f"{tick:g}" for tick in ticks])
+    axis.set_ticks([], minor=True)
+
+
 class Group(NamedTuple):
-    """Landmarks that are drawn alike: their legend entry and colour, and which they are, `(K,)`."""
+    """Landmarks that are drawn alike."""
 
     label: str
+    """Legend entry."""
     colour: str
+    """Colour."""
     chosen: BoolArray
+    """`(K,)` which landmarks they are."""
 
 
 def landmark_groups(count: int, fixed: int) -> list[Group]:
-    """The groups of `count` landmarks, of which the first `fixed` hung already; each has some."""
+    """Groups of `count` landmarks, of which the first `fixed` hung already; none of them is empty."""
     hung = np.arange(count) < fixed
     if not fixed:
         return [Group("landmark and its normal", LANDMARK, ~hung)]
@@ -91,7 +100,7 @@ def landmark_groups(count: int, fixed: int) -> list[Group]:
 
 
 def qualified_labels(is_qualified: BoolArray, threshold: float) -> tuple[str, str]:
-    """Legend entries of the qualified and of the unqualified positions `(P,)`."""
+    """Legend entries of the qualified and of the unqualified positions."""
     share = 100.0 * is_qualified.mean()
     return (
         f"qualified, probability ≥ {threshold:g} ({share:.1f} %)",
@@ -99,13 +108,21 @@ def qualified_labels(is_qualified: BoolArray, threshold: float) -> tuple[str, st
     )
 
 
+def draw_plan(axes: Any, room: Space, **style: Any) -> None:
+    """Draw the outline of a room from above."""
+    for part, edges in room.outline().items():
+        colour, dashed = PARTS[part]
+        for edge in edges:
+            axes.plot(*edge[:, :2].T, color=colour, linestyle="--" if dashed else "-", **style)
+
+
 def literal(text: object) -> str:
-    """A text from a file or a name that matplotlib draws as it is: `$` begins no formula."""
+    """Escape a text from a file so that matplotlib draws it as it is: `$` begins no formula."""
     return printable(str(text)).replace("$", r"\$")
 
 
 def new_figure(inches: tuple[float, float], title: str | None = None) -> Any:
-    """A figure of this width and height at 100 dots an inch, which lays itself out."""
+    """Make a figure of this width and height at 100 dots an inch, which lays itself out."""
     from matplotlib.figure import Figure  # slow to load
 
     figure = Figure(figsize=inches, dpi=100, layout="constrained", facecolor="white")
@@ -115,7 +132,7 @@ def new_figure(inches: tuple[float, float], title: str | None = None) -> Any:
 
 
 def shrink(path: str | Path) -> None:
-    """Reduce a PNG in place to 256 colours: no difference to a figure's eye, a third of its size."""
+    """Reduce a PNG in place to 256 colours: a third of its size, and no visible difference in a figure."""
     from PIL import Image
 
     with Image.open(path) as picture:

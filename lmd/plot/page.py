@@ -1,4 +1,4 @@
-"""The figure of a deployment as an interactive HTML page that needs no network."""
+"""Figure of a deployment as an interactive HTML page that needs no network."""
 
 import html
 import re
@@ -15,10 +15,10 @@ from lmd.scene.deployment import Deployment
 from lmd.scene.tag import Tag
 from lmd.space.space import Space
 
-BALL_PIXELS = 5.5  # diameter, pixels
+BALL_PIXELS = 5.5  # diameter of a ball, pixels
 CAMERA = {"eye": {"x": 0.82, "y": -1.84, "z": 0.58}, "center": {"x": 0.0, "y": 0.0, "z": -0.05}}
 PLAIN_AXIS = {"showgrid": False, "zeroline": False, "showspikes": False}  # the box of the room suffices
-HEAD_SHARE = 0.5  # part of an arrow that is its head
+HEAD_SHARE = 0.5  # length of the head of an arrow over that of the arrow
 
 PAGE = """<!DOCTYPE html>
 <html lang="en">
@@ -34,8 +34,10 @@ def save_scene_page(path: str | Path, problem: Problem, deployment: Deployment, 
     Two buttons switch the positions between colours of the objective's value and qualified or not.
 
     Args:
+        path: of the page.
         problem: its room is drawn in black, the reachable area dotted and grey.
         deployment: drawn as red arrows along the normals, blue ones for landmarks that hung already.
+        title: of the page.
     """
     import plotly.graph_objects as go
 
@@ -49,7 +51,7 @@ def save_scene_page(path: str | Path, problem: Problem, deployment: Deployment, 
     hover = [f"{name} = {value:.4f}<br>{_place(at)}" for value, at in zip(values, positions, strict=True)]
 
     def balls(chosen: Any, name: str, **marker: Any) -> Any:
-        """Balls at the positions with the indices `chosen`."""
+        """Draw balls at the positions with the indices `chosen`."""
         return go.Scatter3d(
             **_xyz(positions[chosen]),
             mode="markers",
@@ -80,11 +82,7 @@ def save_scene_page(path: str | Path, problem: Problem, deployment: Deployment, 
         for label, shown in (("probability", [True, False, False]), ("qualified or not", [False, True, True]))
     ]
     axes = {
-        f"{axis}axis": {
-            "title": {"text": text},
-            "range": limits,
-            **PLAIN_AXIS,
-        }
+        f"{axis}axis": {"title": {"text": text}, "range": limits, **PLAIN_AXIS}
         for axis, text, *limits in zip("xyz", common.AXIS_LABELS, *room.bounds(), strict=True)
     }
     figure.update_layout(
@@ -122,7 +120,7 @@ def _box_traces(room: Space) -> list[Any]:
 
 
 def _landmark_traces(deployment: Deployment, tag: Tag, label: str, colour: str) -> list[Any]:
-    """Shafts, which show what the normal is, black squares of tags, and heads, which carry the hover text."""
+    """Shafts of arrows with the black squares of tags, and heads with the hover text."""
     import plotly.graph_objects as go
 
     tips = deployment.positions + common.ARROW_LENGTH * deployment.normals
@@ -163,7 +161,7 @@ def _landmark_traces(deployment: Deployment, tag: Tag, label: str, colour: str) 
 
 
 def _strokes(segments: FloatArray) -> FloatArray:
-    """Strokes of N points each, `(M, N, 3)`, as one line of points `((N + 1) M, 3)`, which NaN interrupts."""
+    """Join M strokes of N points each, `(M, N, 3)`, to one line `((N + 1) M, 3)` that NaN interrupts."""
     gaps = np.full((len(segments), 1, 3), np.nan)
     return np.asarray(np.concatenate([segments, gaps], axis=1).reshape(-1, 3))
 

@@ -1,54 +1,59 @@
-"""What a visibility model predicts for the frames of a survey, beside what was really detected in them."""
+"""Audit: detections in the frames of a survey beside what a visibility model predicts, and `in_view.csv`."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 import pandas as pd
+from numpy.typing import ArrayLike
 
-from lmd.core.checks import BoolArray, FloatArray
+from lmd.core.checks import BoolArray, FloatArray, IntArray
 from lmd.detection.evaluation import CORNER_TOLERANCE, precision_recall
-from lmd.detection.frames import Sightings, tagged_room
+from lmd.detection.frames import Sightings, overlapping, qualities, tagged_room
 from lmd.detection.prediction import Predicted, Prediction, RigPrediction
 from lmd.detection.report import PITCHES, by_incidence, by_pitch, by_place, by_tag
+from lmd.detection.surveyed import CAMERA, COLUMNS, FRAME
 from lmd.geometry.camera import Camera
+from lmd.geometry.projection import image_size, intrinsics, to_camera
 from lmd.geometry.se3 import pose_of
+from lmd.render.imaging import Imaging
 from lmd.render.renderer import Renderer
+from lmd.render.room import TaggedRoom
 from lmd.scene.deployment import Deployment
 from lmd.scene.scene import Scene
+from lmd.scene.tag import Tag
 from lmd.sight.views import visible_through
 from lmd.space.cuboid import Cuboid
-from lmd.survey.report import map_of
-from lmd.survey.residuals import errors_at
+from lmd.space.space import Space
+from lmd.survey.residuals import squared_errors
+from lmd.survey.results import map_of
 from lmd.survey.survey import Survey
 
-# A tag stands out that is detected so many standard deviations less often than others of its pitch, and half as often.
+# A tag stands out if it is detected this number of standard deviations, and by this factor, less often than others of
+# its pitch.
 STANDS_OUT, HALF = 4.0, 0.5
-# Misses of a tag in so many images, one after the other of those that are predicted to show it, have one cause.
-IN_A_ROW = 5
-# Of a room that is not known: how far from everything its walls are, metres, and how long the mean of the tags' unit
-# vectors up must be to tell where up is.
-AROUND, LEAST_UP = 1.0, 0.3
+IN_A_ROW = 5  # number of successive misses of a tag that have one cause
+AROUND = 1.0  # distance of the walls of an unknown room from everything, metres
+LEAST_UP = 0.3  # minimum length of the mean of the tags' unit vectors up that defines up
+OFF_WALL = 1e-3  # distance before a tag at which lines of sight end, metres
+WHOLE_NUMBERS = (CAMERA, "id", "seen")
 
 Verdicts = Callable[[Scene, Deployment, FloatArray, Camera], dict[str, BoolArray]]
 
 
 @dataclass(frozen=True)
 class Audit:
-    """N frames of a survey, and the K tags of its map; of C cameras C K tags, camera by camera.
-
-    Args:
-        prediction: what was predicted of them.
-        seen: what was detected; false are detections that do not show a tag where it hangs.
-    """
+    """N frames of a survey, and the K tags of its map; with C cameras C K tags, camera by camera."""
 
     prediction: Predicted
+    """What the visibility model predicts."""
     seen: Sightings
+    """Detections; false ones do not show a tag at its pose."""
 
     @cached_property
     def expected(self) -> FloatArray:
-        """The chance of each tag to be detected if it is like others of its pitch, `(N, C K)`; 0 if not predicted."""
+        """Probability of each tag to be detected if it is like others of its pitch, `(N, C K)`; 0 if not predicted."""
         visible, detected = self.prediction.visible, self.seen.detected
         place = np.searchsorted(PITCHES, self.prediction.pitch, side="right") - 1
         chance = np.zeros(visible.shape)
@@ -61,24 +66,23 @@ class Audit:
     def tags(self) -> pd.DataFrame:
         """A row for each tag: the columns of `by_tag` and three more.
 
-        `confirmed` are the images in which it was predicted and detected, `expected` is how many these would be if it
-        were like others; `stands_out` says whether it is not.
+        `confirmed` is the number of images in which it was predicted and detected, `expected` that of a tag like
+        others, and `stands_out` is true if it is far below.
         """
         chance, cameras = self.expected, len(self.prediction.parts)
         confirmed, expected, variance = (
             images.sum(axis=0).reshape(cameras, -1).sum(axis=0)
             for images in (self.prediction.visible & self.seen.detected, chance, chance * (1.0 - chance))
         )
-        spread = np.sqrt(variance)
-        odd = (confirmed < expected - STANDS_OUT * spread) & (confirmed < HALF * expected)
+        odd = (confirmed < expected - STANDS_OUT * np.sqrt(variance)) & (confirmed < HALF * expected)
         table = by_tag(self.prediction, self.seen)
         return table.assign(confirmed=confirmed, expected=expected, stands_out=odd)
 
     @cached_property
     def missed_in_a_row(self) -> BoolArray:
-        """True for tags that were predicted and not detected `IN_A_ROW` times or more, one after the other, `(N, C K)`.
+        """True for predicted tags among `IN_A_ROW` or more successive misses, `(N, C K)`.
 
-        Limits of a detector hardly make such misses, where a tag is well within them: something hides it, or glares.
+        Limits of a detector hardly cause such misses of a tag well within them: it is hidden or in glare.
         """
         visible, missed = self.prediction.visible, self.prediction.visible & ~self.seen.detected
         result = np.zeros_like(missed)
@@ -91,7 +95,7 @@ class Audit:
 
     @property
     def tables(self) -> dict[str, pd.DataFrame]:
-        """By the names of their files."""
+        """Tables by the names of their files."""
         return {
             "audit_pitches": by_pitch(self.prediction, self.seen),
             "audit_incidences": by_incidence(self.prediction, self.seen),
@@ -100,7 +104,7 @@ class Audit:
         }
 
     def metrics(self) -> dict[str, float]:
-        """Shares of predicted tags that were detected, and of detected ones that were predicted, and tags a frame."""
+        """Precision, recall, and numbers of tags per frame and of misses."""
         visible, detected = self.prediction.visible, self.seen.detected
         precision, recall = precision_recall(visible, detected)
         counts = {"predicted": visible.sum(axis=1).mean(), "detected": detected.sum(axis=1).mean()}
@@ -110,7 +114,7 @@ class Audit:
         return {f"audit/{name}": float(value) for name, value in figures.items() if np.isfinite(value)}
 
     def to_text(self) -> str:
-        """What a terminal shows."""
+        """Lines for a terminal."""
         figures = self.metrics()
         head = (
             f"audit       {figures['audit/predicted']:.2f} tags a frame predicted, {figures['audit/detected']:.2f} "
@@ -131,12 +135,12 @@ class Audit:
 
 
 def audited(survey: Survey, scene: Scene, verdicts: Verdicts) -> Audit:
-    """Predict what the frames of a survey show of its map, in the images of all its cameras.
+    """Predict the tags in the images of all cameras of a survey.
 
     Args:
-        survey: of the scene's cameras.
-        scene: room, cameras and visibility model; where cameras are mounted the survey knows better.
-        verdicts: says which criteria a tag meets, see `lmd.evaluation.verdicts`.
+        survey: survey by the scene's cameras; the mounts are those of the survey.
+        scene: room, cameras and visibility model.
+        verdicts: criteria that a tag meets, see `lmd.evaluation.verdicts`.
 
     Raises:
         InputError: the scene's tag is a point.
@@ -144,24 +148,21 @@ def audited(survey: Survey, scene: Scene, verdicts: Verdicts) -> Audit:
     found = survey.found
     tags = map_of(survey)
     tags = tags.hung(scene.room, anywhere=True, papers=scene.plates.papers(tags))
-    room, bodies, mounts = (
-        tagged_room(scene.room, tags, scene.tag),
-        found.poses.frames[found.frames],
-        found.poses.mounts,
-    )
+    room = tagged_room(scene.room, tags, scene.tag)
+    bodies, mounts = found.poses.frames[found.frames], found.poses.mounts
     parts = []
     for camera, mount, taken in zip(scene.cameras, mounts, survey.detected.images[found.frames].T, strict=True):
         poses = bodies @ mount
         seen = visible_through(scene, camera, tags, poses) & taken[:, None]
         parts.append(Prediction(Renderer(camera, room), poses, seen, verdicts(scene, tags, poses, camera), taken))
     prediction = parts[0] if len(parts) == 1 else RigPrediction(tuple(parts), mounts, bodies)
-    return Audit(prediction, Sightings.beside(seen_of(survey)))
+    return Audit(prediction, Sightings.beside(detections_of_map(survey)))
 
 
 def in_the_open(survey: Survey, scene: Scene) -> tuple[Survey, Scene]:
-    """The same where the room is not known: in an empty one around everything, in which only other tags hide a tag.
+    """Survey and scene in an empty room around everything, if the room is unknown: only other tags hide a tag.
 
-    Its z is the mean up of the tags, as the visibility model has tags hang upright.
+    z is the mean up of the tags, as tags hang upright in the visibility model.
     """
     found = survey.found
     tags = found.poses.tags[survey.placed]
@@ -177,11 +178,11 @@ def in_the_open(survey: Survey, scene: Scene) -> tuple[Survey, Scene]:
     return replace(survey, found=found.moved(pose_of(turn, -low))), replace(scene, room=room)
 
 
-def seen_of(survey: Survey) -> list[Sightings]:
-    """The detections of tags of the map in its frames, by each camera.
+def detections_of_map(survey: Survey) -> list[Sightings]:
+    """Detections of the tags of the map in its frames, for each camera.
 
-    A detection shows a tag if its corners are `CORNER_TOLERANCE` or less from where it hangs (root mean square), also
-    where that is too far off to place anything.
+    A detection shows a tag if the RMS error of its corners is at most `CORNER_TOLERANCE`, also if that is too large for
+    the map.
     """
     found, some = survey.found, survey.found.sightings
     frame = np.full(some.frames, -1)
@@ -190,16 +191,69 @@ def seen_of(survey: Survey) -> list[Sightings]:
     tag[survey.placed] = np.arange(survey.placed.sum())
     known = np.flatnonzero((frame[some.frame] >= 0) & survey.placed[some.tag])
     off = np.full(len(some), np.inf)
-    off[known] = np.sqrt(errors_at(some.of(known), found.poses) / 4.0)
+    off[known] = np.sqrt(squared_errors(some.of(known), found.poses) / 4.0)
     each = []
     for camera in range(some.cameras):
         detected = np.zeros((len(found.frames), int(survey.placed.sum())), dtype=bool)
         corners = np.full((*detected.shape, 4, 2), np.nan)
         own = some.camera == camera
         right = np.flatnonzero(own & (off <= CORNER_TOLERANCE))
-        right = right[np.argsort(-off[right], kind="stable")]  # of several of one tag the nearest counts
+        right = right[np.argsort(-off[right], kind="stable")]  # of several detections of a tag the nearest counts
         at = frame[some.frame[right]], tag[some.tag[right]]
         detected[at], corners[at] = True, some.image[right]
         wrong = own & found.misfits & (frame[some.frame] >= 0) & (off > CORNER_TOLERANCE)
         each.append(Sightings(detected, corners, np.bincount(frame[some.frame[wrong]], minlength=len(detected))))
     return each
+
+
+def view_columns(survey: Survey, cameras: Sequence[Camera], tag: Tag, room: Space | None) -> dict[str, ArrayLike]:
+    """Columns of `in_view.csv`: a row for each tag that has all its corners in an image and faces the camera.
+
+    Leaves out tags that lie over others or are hidden by the room. See `lmd.detection.surveyed`.
+
+    Args:
+        survey: the survey.
+        cameras: cameras that took the images.
+        tag: family, and edge of tags that have none of their own.
+        room: the room; None if unknown.
+    """
+    tags, found = map_of(survey), survey.found
+    tagged = TaggedRoom(tag, tags.ids, tags.places, tags.normals, tags.ups, edges=tags.edges_of(tag))
+    bodies = found.poses.frames[found.frames]
+    times = np.array([survey.detected.times[frame] for frame in found.frames.tolist()])
+    names, rows = [], []
+    images = survey.detected.images[found.frames].T
+    each = zip(cameras, found.poses.mounts, detections_of_map(survey), images, strict=True)
+    for number, (camera, mount, seen, taken) in enumerate(each, 1):
+        frame, k, values = _in_images(Renderer(camera, tagged, Imaging()), bodies @ mount, taken, room)
+        names.append(times[frame])
+        rows.append(np.column_stack([np.full(len(frame), number), tags.ids[k], values, seen.detected[frame, k]]))
+    columns = dict(zip((CAMERA, *COLUMNS), np.concatenate(rows).T, strict=True))
+    return {FRAME: np.concatenate(names), **columns, **{name: columns[name].astype(int) for name in WHOLE_NUMBERS}}
+
+
+def _in_images(
+    renderer: Renderer, poses: FloatArray, taken: BoolArray, room: Space | None
+) -> tuple[IntArray, IntArray, FloatArray]:
+    """Pairs of images and tags in view, `(M,)` each, and their columns from u to circle, `(M, 8)`.
+
+    Args:
+        renderer: renderer of one camera and the tags.
+        poses: poses of its images, `(N, 4, 4)`.
+        taken: True for images that were taken, `(N,)`.
+        room: the room; None if unknown.
+    """
+    tags = renderer.room
+    pitch, incidence, edge, _ = qualities(renderer, poses)
+    frame, k = np.nonzero(renderer.inside(poses) & taken[:, None] & ~overlapping(tags))
+    if room is not None:
+        clear = room.clear(poses[frame, :3, 3], tags.centres[k] + OFF_WALL * tags.normals[k])
+        frame, k = frame[clear], k[clear]
+    corners, camera = renderer.corners(poses)[frame, k], renderer.camera
+    depth = to_camera(poses, tags.centres)[frame, k, 2]
+    sizes = pitch[frame, k], np.degrees(incidence[frame, k]), edge[frame, k]
+    border = np.minimum(corners, image_size(camera) - corners).min(axis=(1, 2), initial=np.inf)
+    matrix, focal = intrinsics(camera), camera.focal_pixels
+    away = (corners - matrix[:2, 2]) / focal * focal.max()  # in the units of `Camera.image_circle`
+    circle = 2.0 * np.linalg.norm(away, axis=-1).max(axis=1, initial=0.0)
+    return frame, k, np.column_stack([corners.mean(axis=1), depth, *sizes, border, circle])

@@ -1,9 +1,8 @@
-"""Tags that were printed on one sheet: how they are to each other is known, where the sheets hang is not.
+"""Boards: tags that were printed on one sheet. Their poses on the sheet are known, the sheet's pose is not.
 
-A tag that is at R_k on its sheet (x to the right, y up, z out of it) hangs at T_k = B R_k exp(d_k), for the pose B of
-the sheet and a twist d_k that printing and a bent sheet leave. Sheets are no unknowns of an adjustment: B is the best
-for the tags as they hang, and with A_k = Ad(R_k^-1) and the information D_k of d_k, what the tags of a sheet know of
-each other is D - D A (A' D A)^-1 A' D.
+A tag at R_k on its sheet (x to the right, y up, z out of it) hangs at T_k = B R_k exp(d_k), for the pose B of the sheet
+and a twist d_k due to printing and bending. Sheets are no unknowns of the bundle adjustment: B is eliminated. With
+A_k = Ad(R_k^-1) and the information D of d, the tags of a sheet have the joint information D - D A (A' D A)^-1 A' D.
 """
 
 from dataclasses import dataclass
@@ -14,34 +13,32 @@ import numpy as np
 
 from lmd.core.checks import BoolArray, FloatArray, InputError, IntArray, check_fields, real
 from lmd.core.tables import read_table
-from lmd.geometry.se3 import adjoint, exp, inverse, log, pose_of
+from lmd.geometry.se3 import adjoint_matrix, exp, inverse, log, pose_of
 from lmd.scene.labels import Labels
-from lmd.survey.student import DEGREES_OF_FREEDOM, solved, weight_of
+from lmd.survey.residuals import DEGREES_OF_FREEDOM, solved, student_weight
 
-# Standard deviations of how a sheet bends, off its plane (metres) and out of it (rad), and of turns in it, rad.
+# Standard deviations of a sheet's bending: off its plane, metres, out of it, rad, and of rotations in it, rad.
 BENT, TILTED, TURNED = 0.001, 0.005, 0.001
-FEWEST = 2  # tags of a sheet
-STEPS = 6  # of Gauss and Newton, for the pose of a sheet
+FEWEST = 2  # minimum number of tags of a sheet
+STEPS = 6  # Gauss-Newton steps for the pose of a sheet
 
 
 @dataclass(frozen=True)
 class Boards:
-    """Sheets of several tags each, flat and all the same way up.
-
-    Args:
-        names: of the sheet of each of M tags, `(M,)`.
-        ids: of the tags, `(M,)`, all different.
-        places: of their centres on their sheet, to the right and up, metres, `(M, 2)`.
-        printed: standard deviation of these, metres.
+    """Flat sheets of several tags each, all tags with the same side up.
 
     Raises:
-        InputError: a tag is there twice, a sheet has one tag only, or `printed` is not positive.
+        InputError: a tag occurs twice, a sheet has only one tag, or `printed` is not positive.
     """
 
     names: tuple[str, ...]
+    """Name of the sheet of each of M tags."""
     ids: IntArray
+    """`(M,)` ids of the tags."""
     places: FloatArray
+    """`(M, 2)` centres on the sheet, to the right and up, metres."""
     printed: float
+    """Standard deviation of `places`, metres."""
 
     def __post_init__(self) -> None:
         check_fields(self, real, "printed", above=0.0)
@@ -57,7 +54,7 @@ class Boards:
         """Read `board,id,x,y`; further columns are ignored.
 
         Raises:
-            InputError: the file cannot be read, or what it holds are no such sheets.
+            InputError: the file cannot be read, or its boards are refused.
         """
         table = read_table(path, name="boards")
         if "board" not in table:
@@ -66,7 +63,7 @@ class Boards:
         return cls(tuple(table.texts["board"]), Labels.of(table, ()).ids, rows[:, 1:], printed)
 
     def among(self, ids: IntArray) -> "Sheets":
-        """What is known of the tags with these `ids` `(K,)`, ascending."""
+        """Sheets of the tags `ids` `(K,)`, ascending."""
         _, of, own = np.intersect1d(ids, self.ids, return_indices=True)
         places = np.hstack([self.places[own], np.zeros((len(own), 1))])
         board = np.unique(self.names, return_inverse=True)[1][own]
@@ -75,38 +72,32 @@ class Boards:
 
 
 @dataclass(frozen=True)
-class Fitted:
-    """Sheets that lie as well as they can on tags.
-
-    Args:
-        off: d_k, `(M, 6)`.
-        squares: chi^2 of each, `(M,)`.
-        weights: of Student's distribution, `(M,)`.
-    """
+class SheetFit:
+    """Deviations of M tags from their sheets, with each sheet at its best pose."""
 
     off: FloatArray
+    """`(M, 6)` twists d_k."""
     squares: FloatArray
+    """`(M,)` chi^2."""
     weights: FloatArray
+    """`(M,)` robust weights."""
 
 
 @dataclass(frozen=True)
 class Sheets:
-    """M tags of a survey that are on sheets.
-
-    Args:
-        tag: the index of each among those of the survey, `(M,)`.
-        board: which of the sheets it is on, `(M,)`.
-        poses: R_k, `(M, 4, 4)`.
-        information: of each of the six parts of d_k, `(6,)`.
-    """
+    """M tags of a survey that are on sheets."""
 
     tag: IntArray
+    """`(M,)` indices of the tags in the survey."""
     board: IntArray
+    """`(M,)` index of the sheet of each."""
     poses: FloatArray
+    """`(M, 4, 4)` poses R_k on the sheet."""
     information: FloatArray
+    """`(6,)` inverse variances of the components of d_k."""
 
     def of(self, placed: BoolArray) -> "Sheets":
-        """The sheets of the tags that are `placed`, `(K,)`; a sheet with fewer than two of these is left out."""
+        """Sheets of the tags that are `placed`, `(K,)`, without sheets that have fewer than two of them."""
         own = placed[self.tag]
         own &= np.bincount(self.board[own], minlength=self.board.max(initial=0) + 1)[self.board] >= FEWEST
         board = np.unique(self.board[own], return_inverse=True)[1]
@@ -115,53 +106,56 @@ class Sheets:
     @cached_property
     def turned(self) -> FloatArray:
         """A_k, `(M, 6, 6)`."""
-        return np.stack([adjoint(inverse(self.poses), axis) for axis in np.eye(6)], axis=-1)
+        return adjoint_matrix(inverse(self.poses))
 
     @cached_property
     def pairs(self) -> tuple[IntArray, IntArray]:
-        """All pairs of tags on one sheet, each with itself, too."""
+        """Indices of all pairs of tags on one sheet, including each tag with itself."""
         one, other = np.nonzero(self.board[:, None] == self.board)
         return one, other
 
     def _off(self, sheets: FloatArray, which: IntArray, tags: FloatArray) -> FloatArray:
-        """d of the tags `which` `(n,)` if their sheets are at `sheets` `(n, 4, 4)`."""
+        """Twists d of the tags `which` `(n,)`, with their sheets at `sheets` `(n, 4, 4)`."""
         return log(inverse(sheets @ self.poses[which]) @ tags[self.tag[which]])
 
-    def fitted(self, tags: FloatArray) -> Fitted:
-        """The sheets where they lie best on tags at `tags` `(K, 4, 4)`.
+    def _squares(self, off: FloatArray) -> FloatArray:
+        return np.asarray((self.information * off**2).sum(axis=1))
 
-        Each begins where that of its tags has it with which the others agree most.
+    def fitted(self, tags: FloatArray) -> SheetFit:
+        """Fit the sheets to tags at `tags` `(K, 4, 4)`.
+
+        The fit of a sheet starts with the pose by the tag with which the other tags agree most.
         """
         one, other = self.pairs
         proposed = tags[self.tag] @ inverse(self.poses)
-        squares = (self.information * self._off(proposed[one], other, tags) ** 2).sum(axis=1)
-        cost = np.bincount(one, np.log1p(squares / DEGREES_OF_FREEDOM))
-        order = np.lexsort((cost, self.board))
+        squares = self._squares(self._off(proposed[one], other, tags))
+        loss = np.bincount(one, np.log1p(squares / DEGREES_OF_FREEDOM))
+        order = np.lexsort((loss, self.board))
         sheets = proposed[order[np.unique(self.board[order], return_index=True)[1]]]
         every = np.arange(len(self.tag))
         for _ in range(STEPS):
             off = self._off(sheets[self.board], every, tags)
-            scaled = self.information * weight_of((self.information * off**2).sum(axis=1), 6)[:, None]
+            scaled = self.information * student_weight(self._squares(off), 6)[:, None]
             right = self._summed(np.einsum("mij,mi->mj", self.turned, scaled * off))
-            sheets = sheets @ exp(solved(self._summed(self._normal(scaled)), right))
+            sheets = sheets @ exp(solved(self._normal(scaled), right))
         off = self._off(sheets[self.board], every, tags)
-        squares = (self.information * off**2).sum(axis=1)
-        return Fitted(off, squares, weight_of(squares, 6))
+        squares = self._squares(off)
+        return SheetFit(off, squares, student_weight(squares, 6))
 
     def _normal(self, scaled: FloatArray) -> FloatArray:
-        """A' D A of each tag, `(M, 6, 6)`."""
-        return np.asarray(np.swapaxes(self.turned, 1, 2) @ (scaled[..., None] * self.turned))
+        """A' D A of each sheet, `(S, 6, 6)`, for D `(M, 6)`."""
+        return self._summed(np.swapaxes(self.turned, 1, 2) @ (scaled[..., None] * self.turned))
 
     def _summed(self, values: FloatArray) -> FloatArray:
-        """The sums over the tags of each sheet."""
+        """Sums of values `(M, ...)` over the tags of each sheet."""
         result = np.zeros((self.board.max() + 1, *values.shape[1:]))
         np.add.at(result, self.board, values)
         return result
 
     def couplings(self, weights: FloatArray) -> FloatArray:
-        """What all `pairs` know of each other, D A (A' D A)^-1 A' D, `(P, 6, 6)`, for `weights` `(M,)` of tags."""
+        """D A (A' D A)^-1 A' D for all `pairs`, `(P, 6, 6)`, for `weights` `(M,)` of tags."""
         one, other = self.pairs
         scaled = self.information * weights[:, None]
         wide = scaled[..., None] * self.turned
-        inverted = np.linalg.inv(self._summed(self._normal(scaled)))
+        inverted = np.linalg.inv(self._normal(scaled))
         return np.asarray(wide[one] @ inverted[self.board[one]] @ np.swapaxes(wide[other], 1, 2))

@@ -1,4 +1,4 @@
-"""Where the tags hang: the best poses of all that was seen, how well they are known, and what did not fit."""
+"""Estimate of a map: bundle adjustment from the initial poses, outliers, and marginal covariances."""
 
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -7,49 +7,47 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from lmd.core.checks import BoolArray, FloatArray, InputError, IntArray
-from lmd.geometry.se3 import inverse, middle
+from lmd.geometry.se3 import inverse, middle, skew
 from lmd.survey.adjustment import Adjustment
-from lmd.survey.gauge import blocks_of, without_gauge
-from lmd.survey.joining import joined_by_motion
-from lmd.survey.known import aligned, turned_as
-from lmd.survey.linked import LinkedAdjustment, adjustment_of, telling
-from lmd.survey.residuals import EXACT_SIGMA, Poses, Prior, errors_at
+from lmd.survey.gauge import diagonal_blocks, gauge_free, into_world
+from lmd.survey.groups import join_groups
+from lmd.survey.initialisation import FLOOR_PIXELS, place
+from lmd.survey.linked import LinkedAdjustment, adjustment_of, constraining
+from lmd.survey.prior import Prior
+from lmd.survey.residuals import Poses, squared_errors
 from lmd.survey.sightings import Sightings
-from lmd.survey.start import FLOOR_PIXELS, place
-from lmd.survey.turns import as_seen
+from lmd.survey.turns import turned_as_seen
 
-# A sighting whose chi^2 is larger, with eight degrees of freedom, and which is off by more, root mean square, does not
-# show the tag where it hangs: so many pixels, and such a share of its side. Blur and lenses alone move corners by less.
-MISFIT_CHI_SQUARE, MISFIT_PIXELS, MISFIT_SHARE = 60.0, 1.0, 0.02
-STEPS, FINAL_STEPS = 40, 15
-# Threads that share matrices of some hundred rows wait for each other longer than they work.
+# A sighting is an outlier above this chi^2, with eight degrees of freedom, and above this RMS error: pixels, or share
+# of its shortest side. Blur and lenses alone cause smaller errors.
+OUTLIER_CHI_SQUARE, OUTLIER_PIXELS, OUTLIER_SHARE = 60.0, 1.0, 0.02
+STEPS, FINAL_STEPS = 40, 15  # steps of bundle adjustment with all sightings, and without outliers
+# Threads of linear algebra: with matrices of some hundred rows, more threads wait longer than they work.
 ONE_THREAD = 1
+NEAREST = 6  # number of tags of other groups beside which a tag's covariance is taken
 
 
 @dataclass(frozen=True)
 class Estimate:
-    """The tags of some sightings.
-
-    Args:
-        sightings: all that were given.
-        prior: what was known of the tags.
-        poses: of tags, frames and mounts; NaN for what is not placed.
-        group: of each tag: 0 for those of the map, further numbers for those that no frame connects with it, -1 for
-            those that are not placed, `(K,)`.
-        used: which sightings count, `(N,)`: of tags and frames of the map, and not far off.
-        misfits: which are of such tags and frames but do not show the tag where it hangs, `(N,)`.
-        floor: standard deviation of the corners that the detector does not account for, pixels.
-        inflation: factor of the standard deviations of sightings, see `lmd.survey.blocks`.
-    """
+    """Estimated poses of the tags of some sightings."""
 
     sightings: Sightings
+    """All sightings."""
     prior: Prior
+    """Prior of the tags."""
     poses: Poses
+    """Poses of tags, frames and mounts; NaN if not placed."""
     group: IntArray
+    """`(K,)` group of each tag: 0 for tags of the map, larger for tags that no frame connects with it, -1 for tags that
+    are not placed."""
     used: BoolArray
+    """`(N,)` inliers: sightings that the map is made from."""
     misfits: BoolArray
+    """`(N,)` outliers: sightings in frames and of tags of the map that do not show the tag at its pose."""
     floor: float
+    """Standard deviation of corners that the detector does not explain, pixels."""
     inflation: float = 1.0
+    """Factor of the standard deviations of sightings, see `lmd.survey.resampling`."""
 
     @property
     def _adjustment(self) -> Adjustment:
@@ -57,63 +55,63 @@ class Estimate:
 
     @cached_property
     def covariance(self) -> FloatArray:
-        """The covariance of the twists of all tags, each in its own frame, then of all else, see `Adjustment`."""
+        """Covariance of the twists of all tags, each in its own frame, then of other unknowns, see `SchurSystem`."""
         with threadpool_limits(limits=ONE_THREAD):
             return self._adjustment.covariance(self.poses, self.floor)
 
     @property
     def known(self) -> BoolArray:
-        """The tags of the map whose covariance is known, `(K,)`."""
+        """True for tags of the map that have a covariance, `(K,)`."""
         of_tags = np.diag(self.covariance)[: 6 * len(self.group)].reshape(-1, 6)
         return np.asarray((self.group == 0) & np.isfinite(of_tags).all(axis=1))
 
     @property
     def covariances(self) -> FloatArray:
-        """Those of each tag, turn first, `(K, 6, 6)`; NaN for those not in the map."""
+        """Marginal covariance of the twist of each tag, `(K, 6, 6)`; NaN for tags not in the map."""
         size = 6 * len(self.group)
-        return np.where(self.known[:, None, None], blocks_of(self.covariance[:size, :size], len(self.group)), np.nan)
+        blocks = diagonal_blocks(self.covariance[:size, :size], len(self.group))
+        return np.where(self.known[:, None, None], blocks, np.nan)
 
     @cached_property
-    def precisions(self) -> FloatArray:
-        """The same once the map as a whole is laid where it belongs, see `without_gauge`."""
+    def gauge_free_covariances(self) -> FloatArray:
+        """Covariance of the twist of each tag beside the others, see `gauge_free`, `(K, 6, 6)`."""
         known, found = self.known, np.full((len(self.group), 6, 6), np.nan)
         rows = np.flatnonzero(np.repeat(known, 6))
-        found[known] = blocks_of(
-            without_gauge(self.covariance[np.ix_(rows, rows)], self.poses.tags[known]), int(known.sum())
-        )
+        left = gauge_free(self.poses.tags[known])
+        found[known] = diagonal_blocks(left @ self.covariance[np.ix_(rows, rows)] @ left.T, int(known.sum()))
         return found
 
     @property
-    def lenses(self) -> FloatArray:
-        """Covariances of what is not known of each camera, in the units of `Sightings.lens`, `(C, 6 L, 6 L)`."""
-        every = self._adjustment
-        own = slice(6 * every.placed, 6 * every.flat)
-        return blocks_of(self.covariance[own, own], self.sightings.cameras)
+    def lens_covariances(self) -> FloatArray:
+        """Covariance of each camera's nuisance parameters, in the units of `Sightings.lens`, `(C, 6 L, 6 L)`."""
+        system = self._adjustment
+        own = slice(6 * system.posed, 6 * system.first_shape)
+        return diagonal_blocks(self.covariance[own, own], self.sightings.cameras)
 
     @property
     def mapped(self) -> IntArray:
-        """The tags of the map."""
+        """Indices of the tags of the map."""
         return np.flatnonzero(self.group == 0)
 
     @property
     def frames(self) -> IntArray:
-        """The frames that the map is made from."""
+        """Indices of the frames that the map is made from."""
         return np.unique(self.sightings.frame[self.used])
 
     @property
     def sigmas(self) -> FloatArray:
-        """The standard deviation of the place of each tag beside the others, along the worst direction, metres."""
-        known = np.asarray(np.isfinite(self.precisions).all(axis=(1, 2)))
+        """Standard deviation of each tag's place beside the others along its worst direction, metres, `(K,)`."""
+        known = np.asarray(np.isfinite(self.gauge_free_covariances).all(axis=(1, 2)))
         result = np.full(len(known), np.nan)
-        largest = np.linalg.eigvalsh(self.precisions[known][:, 3:, 3:])[:, -1]
+        largest = np.linalg.eigvalsh(self.gauge_free_covariances[known][:, 3:, 3:])[:, -1]
         result[known] = np.sqrt(np.maximum(largest, 0.0))
         return result
 
     def in_world(self, covariances: FloatArray) -> FloatArray:
-        """Covariances of the position and of the turn of each tag, world frame, m^2 and rad^2, `(K, 6, 6)`.
+        """Covariances of position and rotation in the world frame, m^2 and rad^2, `(K, 6, 6)`.
 
         Args:
-            covariances: of their twists, in their own frames, `(K, 6, 6)`.
+            covariances: covariances of the twists of tags in their own frames, `(K, 6, 6)`.
         """
         turned = self.poses.tags[:, :3, :3]
         whole = np.zeros((len(turned), 6, 6))
@@ -121,103 +119,95 @@ class Estimate:
         return np.asarray(whole @ covariances @ np.swapaxes(whole, 1, 2))
 
     def moved(self, motion: FloatArray) -> "Estimate":
-        """The estimate in another world, to which a motion `(4, 4)` leads."""
+        """The estimate after a motion `(4, 4)` of the world."""
         poses = replace(self.poses, tags=motion @ self.poses.tags, frames=motion @ self.poses.frames)
         return replace(self, poses=poses, prior=replace(self.prior, tags=motion @ self.prior.tags))
 
     def errors(self) -> FloatArray:
-        """Root mean square reprojection error of the sightings that count, pixels."""
-        return np.asarray(np.sqrt(errors_at(self.sightings.of(self.used), self.poses) / 4.0))
+        """RMS reprojection errors of the inliers, pixels, `(n,)`."""
+        return np.asarray(np.sqrt(squared_errors(self.sightings.of(self.used), self.poses) / 4.0))
 
 
 @dataclass(frozen=True)
 class Start:
-    """The beginning of an adjustment.
-
-    Args:
-        poses: rough ones, of each camera by itself, see `Sightings.apart`.
-        group: of each tag, `(K,)`, -1 for those that are not placed. Each group has a world of its own.
-    """
+    """Initial poses."""
 
     poses: Poses
+    """Rough poses, with each camera as a body of its own, see `Sightings.apart`."""
     group: IntArray
+    """`(K,)` group of each tag, -1 for tags that are not placed. Each group has a world of its own."""
 
 
-def started(sightings: Sightings, prior: Prior) -> Start:
-    """The rough poses that an adjustment begins with.
+def initialise(sightings: Sightings, prior: Prior) -> Start:
+    """Find initial poses.
 
     Raises:
         InputError: no two tags were seen together.
     """
     with threadpool_limits(limits=ONE_THREAD):
-        known = np.asarray(prior.information[:, :3].any(axis=1))
         apart = sightings.apart()
-        # Frames of two cameras must be placed to find how these are mounted.
+        # Frames of two cameras must be placed to find the mounts.
         is_linked = prior.motion is not None and (sightings.cameras == 1 or prior.mounts is not None)
-        rough, group = place(apart, np.where(known[:, None, None], prior.tags, np.nan), is_linked)
+        rough, group = place(apart, np.where(prior.is_posed[:, None, None], prior.tags, np.nan), is_linked)
         if prior.motion is None:
             _check_groups(group)
-        return Start(as_seen(apart, rough), group)
+        return Start(turned_as_seen(apart, rough), group)
 
 
-def estimate(sightings: Sightings, prior: Prior, origin: int | None = None, start: Start | None = None) -> Estimate:
+def estimate_map(sightings: Sightings, prior: Prior, origin: int | None = None, start: Start | None = None) -> Estimate:
     """Estimate all poses together.
 
     Args:
-        sightings: at least one frame must show two tags.
-        prior: what is known of the tags. What it knows nothing of hangs where the photographs say.
-        origin: id of the tag whose frame is the world where the prior knows none of the tags; None for the one that
-            was seen most often.
-        start: where to begin; None for `started`.
+        sightings: sightings; at least one frame must show two tags.
+        prior: prior of the tags.
+        origin: id of the tag whose frame is the world if the prior knows no tag; None for the one seen most often.
+        start: initial poses; None for those of `initialise`.
 
     Raises:
-        InputError: no two tags were seen together, `origin` could not be placed, or centres that are known are too few
-            for a world.
+        InputError: no two tags were seen together, `origin` is not placed, or known centres are too few for a world.
     """
-    start = started(sightings, prior) if start is None else start
+    start = initialise(sightings, prior) if start is None else start
     with threadpool_limits(limits=ONE_THREAD):
-        poses, group, prior = in_one_world(sightings, *begun(sightings, start, prior), origin)
-        return adjusted(sightings, prior, poses, group, FLOOR_PIXELS)
+        poses, group, prior = into_world(sightings, *of_body(sightings, start, prior), origin)
+        return adjust(sightings, prior, poses, group, FLOOR_PIXELS)
 
 
-def begun(sightings: Sightings, start: Start, prior: Prior) -> tuple[Poses, IntArray, Prior]:
-    """Rough poses of the body, the group of each tag once motion has joined some, and the prior as the drive tells it.
+def of_body(sightings: Sightings, start: Start, prior: Prior) -> tuple[Poses, IntArray, Prior]:
+    """Initial poses of the body, groups joined by motion, and the prior with the estimated spread of the motion.
 
     Raises:
         InputError: a camera was never placed together with the first one.
     """
-    rough = joined(sightings, start.poses, prior.mounts)
+    rough = _mounted(sightings, start.poses, prior.mounts)
     if prior.motion is None:
         return rough, start.group, prior
-    poses, group, prior = joined_by_motion(sightings, rough, start.group, prior)
+    poses, group, prior = join_groups(sightings, rough, start.group, prior)
     _check_groups(group)
     return poses, group, prior
 
 
 def _check_groups(group: IntArray) -> None:
-    """Raise `InputError` if nothing connects two tags."""
+    """Raise `InputError` if there is no group."""
     if group.max(initial=-1) < 0:
         raise InputError("detections never show two tags at once, of which one leaves no doubt.", "detections")
 
 
-def adjusted(
+def adjust(
     sightings: Sightings, prior: Prior, poses: Poses, group: IntArray, floor: float, inflation: float = 1.0
 ) -> Estimate:
-    """The estimate near some poses; arguments as of `Estimate`.
+    """Adjust the map, group 0, from `poses`; arguments as in `Estimate`.
 
     Raises:
         InputError: no sightings agree.
     """
     of_map = (group[sightings.tag] == 0) & np.isfinite(poses.frames[sightings.frame, 0, 0])
-    of_map = used = telling(sightings, of_map, prior.motion)
+    of_map = used = constraining(sightings, of_map, prior.motion)
     misfits = np.zeros(len(sightings), dtype=bool)
-    there = (group == 0) & (np.bincount(sightings.tag[of_map], minlength=len(group)) > 0)
-    sheets = None if prior.sheets is None else prior.sheets.of(there)
+    sheets = None if prior.sheets is None else prior.sheets.of((group == 0) & (sightings.counts(of_map) > 0))
     information = np.where((group == 0)[:, None], prior.information, 0.0)
-    sheets = None if sheets is None or not len(sheets.tag) else sheets
-    prior = replace(prior, information=information, sheets=sheets)
+    prior = replace(prior, information=information, sheets=sheets if sheets is not None and len(sheets.tag) else None)
     for steps in (STEPS, FINAL_STEPS):
-        used = telling(sightings, used, prior.motion)
+        used = constraining(sightings, used, prior.motion)
         if not used.any():
             raise InputError(
                 "detections: no two tags of a frame agree with one pose of the camera; are the corners in another "
@@ -225,13 +215,12 @@ def adjusted(
                 "detections",
             )
         adjustment = adjustment_of(sightings.of(used), prior, inflation=inflation)
-        found = adjustment.run(poses, floor, steps)
-        poses, floor = found.poses, found.floor
+        poses, floor = adjustment.run(poses, floor, steps)
         if isinstance(adjustment, LinkedAdjustment) and steps == STEPS:
-            prior = replace(prior, motion=adjustment.told(poses, floor))
-        misfits = of_map & ~fitting(sightings, errors_at(sightings, poses), floor)
+            prior = replace(prior, motion=adjustment.estimate_motion(poses, floor))
+        misfits = of_map & ~fitting(sightings, squared_errors(sightings, poses), floor)
         used = of_map & ~misfits
-    used = telling(sightings, used, prior.motion)
+    used = constraining(sightings, used, prior.motion)
     frames = np.full_like(poses.frames, np.nan)
     frames[np.unique(sightings.frame[used])] = poses.frames[np.unique(sightings.frame[used])]
     poses = replace(poses, frames=frames)
@@ -239,81 +228,68 @@ def adjusted(
 
 
 def fitting(sightings: Sightings, error: FloatArray, floor: float) -> BoolArray:
-    """True for sightings whose error |e|^2 `(N,)` fits where their tags hang; false for NaN."""
-    square = error / (sightings.noise**2 + floor**2)
-    near = np.sqrt(error / 4.0) <= np.maximum(MISFIT_PIXELS, MISFIT_SHARE * sightings.sizes)
-    return np.asarray((square <= MISFIT_CHI_SQUARE) | near)
+    """True for sightings with squared errors `(N,)` that are no outliers; false for NaN."""
+    near = np.sqrt(error / 4.0) <= np.maximum(OUTLIER_PIXELS, OUTLIER_SHARE * sightings.sizes)
+    return np.asarray((error / sightings.variance(floor) <= OUTLIER_CHI_SQUARE) | near)
 
 
-def joined(sightings: Sightings, apart: Poses, known: FloatArray | None = None) -> Poses:
-    """Poses of one body from those of its cameras by themselves.
+def _mounted(sightings: Sightings, apart: Poses, mounts: FloatArray | None) -> Poses:
+    """Poses of the body from those of its cameras.
 
     Args:
-        apart: of `sightings.apart()`.
-        known: how the cameras are mounted, `(C, 4, 4)`; None where that is to be found.
+        sightings: sightings of the body.
+        apart: poses for `sightings.apart()`.
+        mounts: poses of the cameras on the body, `(C, 4, 4)`; None to estimate them.
 
     Raises:
         InputError: a camera was never placed together with the first one.
     """
     views = apart.frames.reshape(sightings.cameras, sightings.frames, 4, 4)
-    mounts, frames = np.tile(np.eye(4), (sightings.cameras, 1, 1)), views[0].copy()
+    found, frames = np.tile(np.eye(4), (sightings.cameras, 1, 1)), views[0].copy()
     for camera in range(1, sightings.cameras):
         there = np.isfinite(views[camera, :, 0, 0])
         both = there & np.isfinite(frames[:, 0, 0])
-        if known is not None:
-            mounts[camera] = known[camera]
+        if mounts is not None:
+            found[camera] = mounts[camera]
         elif both.any():
-            mounts[camera] = middle(inverse(frames[both]) @ views[camera, both])
+            found[camera] = middle(inverse(frames[both]) @ views[camera, both])
         else:
             raise InputError(f"detections have no frame that shows where camera {camera + 1} is mounted.", "detections")
         fresh = there & ~both
-        frames[fresh] = views[camera, fresh] @ inverse(mounts[camera])
-    return Poses(apart.tags, frames, mounts)
+        frames[fresh] = views[camera, fresh] @ inverse(found[camera])
+    return Poses(apart.tags, frames, found)
 
 
-def in_one_world(
-    sightings: Sightings, poses: Poses, group: IntArray, prior: Prior, origin: int | None
-) -> tuple[Poses, IntArray, Prior]:
-    """Every group that the prior knows a tag of, in its world, as group 0; the others behind them."""
-    tags, frames = poses.tags.copy(), poses.frames.copy()
-    owner = np.full(sightings.frames, -1)
-    placed = group[sightings.tag] >= 0
-    owner[sightings.frame[placed]] = group[sightings.tag[placed]]
-    counts = np.bincount(sightings.tag, minlength=len(group))
-    order = np.argsort(-np.bincount(group[group >= 0], counts[group >= 0]), kind="stable")
-    motions = {g: aligned(np.where((group == g)[:, None, None], tags, np.nan), prior) for g in order.tolist()}
-    if all(motion is None for motion in motions.values()):
-        if prior.information[group >= 0].any():
-            raise InputError(
-                "points has too few tags that photographs connect: three that are not in a line.", "points"
-            )
-        first, prior = _origin(sightings, group, counts, order, prior, origin)
-        motions[int(group[first])] = inverse(tags[first])
-    number, others = np.full(len(order) + 1, -1), 1
-    for g in order.tolist():
-        motion = motions[g]
-        if motion is None:
-            number[g], others = others, others + 1
-            continue
-        number[g] = 0
-        tags[group == g] = motion @ tags[group == g]
-        frames[owner == g] = motion @ frames[owner == g]
-    frames[(owner < 0) | (number[owner] != 0)] = np.nan
-    return Poses(tags, frames, poses.mounts), number[group], turned_as(prior, tags)
+@dataclass(frozen=True)
+class JoinedGroups:
+    """Groups of a map that only motion joins."""
+
+    group: IntArray
+    """`(K,)` group of each tag, as images alone connect them; -1 for tags that are not in the map."""
+    sigma: FloatArray
+    """`(G,)` standard deviation of each group's place beside the nearest other tags, along its worst direction, m."""
 
 
-def _origin(
-    sightings: Sightings, group: IntArray, counts: IntArray, order: IntArray, prior: Prior, origin: int | None
-) -> tuple[int, Prior]:
-    """The tag whose frame is the world, and a prior that says so."""
-    first = int(np.argmax(np.where(group == order[0], counts, -1)))
-    if origin is not None:
-        among = np.flatnonzero((sightings.ids == origin) & (group >= 0))
-        if not among.size:
-            raise InputError(f"origin = {origin} is no tag that could be placed.", "origin")
-        first = int(among[0])
-    information = prior.information.copy()
-    information[first] = EXACT_SIGMA**-2.0
-    tags = prior.tags.copy()
-    tags[first] = np.eye(4)
-    return first, replace(prior, tags=tags, information=information)
+def joined_groups(found: Estimate, group: IntArray) -> JoinedGroups:
+    """Groups that motion has joined, and how well they are known beside each other.
+
+    Args:
+        found: estimate with a motion.
+        group: group of each tag, `(K,)`, as images alone connect them; -1 for tags that they connect with none.
+    """
+    alone = group < 0
+    own = np.where(alone, group.max(initial=-1) + 1 + np.cumsum(alone), group)
+    own = np.where(found.known, own, -1)
+    own[found.known] = np.unique(own[found.known], return_inverse=True)[1]
+    best = np.full(int(own.max(initial=-1)) + 1, np.inf)
+    tags, covariance = found.poses.tags, found.covariance
+    for k in np.flatnonzero(found.known).tolist():
+        others = np.flatnonzero(found.known & (own != own[k]))
+        near = others[np.argsort(np.linalg.norm(tags[others, :3, 3] - tags[k, :3, 3], axis=1))[:NEAREST]]
+        for other in near.tolist():
+            between = inverse(tags[k]) @ tags[other]
+            slope = np.hstack([skew(between[:3, 3]), -np.eye(3), np.zeros((3, 3)), between[:3, :3]])
+            rows = np.r_[6 * k : 6 * k + 6, 6 * other : 6 * other + 6]
+            square = slope @ covariance[np.ix_(rows, rows)] @ slope.T
+            best[own[k]] = min(best[own[k]], float(np.sqrt(np.linalg.eigvalsh(square)[-1])))
+    return JoinedGroups(own, best)

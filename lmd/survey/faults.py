@@ -1,8 +1,8 @@
-"""What does not fit: tags that were moved, hang twice, have another size than was told, or were misread.
+"""Faults: tags that were moved, hang twice, have a wrong size or id, or are fixed at a wrong pose.
 
-The sightings of a tag that do not show it where it hangs (`Estimate.misfits`) either agree on another place, and then
-the tag was moved or there are two with its number, or they do not, and then they were misread. A tag has another size
-than was told if its sightings, with all frames fixed, agree on that.
+The outliers of a tag (`Estimate.misfits`) either agree on a second pose, so that the tag was moved or two tags have its
+id, or they do not, so that its id was misread. A tag has a wrong size if its sightings agree on another one, with all
+frames fixed. Fixed tags are compared with a map without them.
 """
 
 from dataclasses import dataclass, replace
@@ -10,107 +10,113 @@ from dataclasses import dataclass, replace
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from lmd.core.checks import BoolArray, FloatArray, IntArray
+from lmd.core.checks import BoolArray, FloatArray, InputError, IntArray
 from lmd.geometry.se3 import angle_between, exp
-from lmd.survey.estimate import ONE_THREAD, Estimate, adjusted, fitting
-from lmd.survey.proposals import proposals
-from lmd.survey.residuals import Poses, errors_at, linearise, summing
-from lmd.survey.start import Placing, agreeing
-from lmd.survey.student import RESIDUALS, solved, weight_of
+from lmd.survey.estimate import ONE_THREAD, Estimate, Start, adjust, fitting, of_body
+from lmd.survey.gauge import align_tags, into_world
+from lmd.survey.initialisation import FLOOR_PIXELS, Placing, agreeing
+from lmd.survey.residuals import (
+    Poses,
+    Reprojection,
+    normal_equations,
+    solved,
+    squared_errors,
+    student_weight,
+    sums_by,
+)
+from lmd.survey.sightings import Sightings
+from lmd.survey.single_poses import single_poses
 
-# So many sightings, and so much of all that do not fit, make a second place.
-FEWEST_SIGHTINGS, LEAST_SHARE = 3, 0.5
-# The two places of a tag are so many of its edges apart, or turned so far from each other, rad.
-APART_EDGES, TURNED_RAD = 0.2, 0.3
-# Of the frames before and after a tag was moved, so much may be out of order.
-OUT_OF_ORDER_SHARE = 0.1
-# A size is another one if it differs by so much, is known so many times better, and if so many sightings then fit.
+FEWEST_SIGHTINGS, LEAST_SHARE = 3, 0.5  # minimum number, and share of a tag's outliers, that show it at a second pose
+APART_EDGES, TURNED_RAD = 0.2, 0.3  # minimum distance of the two poses of a tag, in edges, or rotation, rad
+OUT_OF_ORDER_SHARE = 0.1  # maximum share of frames before and after a move that are out of order
+# A size is wrong if it differs by this share and by this number of standard deviations, and if this share of sightings
+# fits the other size.
 SIZE_DIFFERS, SIZE_SIGMAS, SIZE_SHARE = 0.02, 5.0, 0.5
-SIZE_STEPS = 15
+SIZE_STEPS = 15  # Gauss-Newton steps for sizes
+LOOSE_SIGMA = 1.0  # prior standard deviation of fixed tags in the map that they are compared with, metres and rad
+# A fixed tag is off above this number of standard deviations and above this distance, metres, or rotation, rad.
+SIGMAS, OFF_M, OFF_RAD = 5.0, 0.001, 0.02
+MOST_M, MOST_RAD = 0.02, 0.15  # maximum error of a fixed tag, metres and rad; above it the survey is refused
 
 
 @dataclass(frozen=True)
 class SecondPlace:
-    """Where else a tag was seen.
-
-    Args:
-        tag: its index.
-        pose: to the world, `(4, 4)`.
-        sightings: how many show it there.
-        moved: the frame from which on it hangs at the later of the two places; None if it is seen at both in turns, so
-            that there are two such tags.
-        later: whether the second place is the later one.
-    """
+    """Second pose of a tag."""
 
     tag: int
+    """Index of the tag."""
     pose: FloatArray
+    """`(4, 4)` to the world."""
     sightings: int
+    """Number of sightings that agree with it."""
     moved: int | None
+    """Index of the frame from which the tag hangs at the later pose; None if it is seen at both in turns, so that two
+    tags have its id."""
     later: bool
+    """True if the second pose is the later one."""
 
 
 @dataclass(frozen=True)
 class Faults:
-    """What did not fit in a survey, tags by their index.
-
-    Args:
-        second_places: of tags that were moved or hang twice.
-        sizes: the edges that tags have in place of those that were told, metres.
-        misread: how many sightings show each tag at no place that it has, `(K,)`.
-    """
+    """Faults of a survey; tags by their index."""
 
     second_places: tuple[SecondPlace, ...]
+    """Second poses of tags that were moved or hang twice."""
     sizes: dict[int, float]
+    """Estimated edges of tags with a wrong size, metres."""
     misread: IntArray
+    """`(K,)` number of sightings of each id at no pose of its tag."""
 
 
-def settled(found: Estimate) -> tuple[Estimate, Faults]:
-    """An estimate without the faults that can be cured, and all of them.
+def find_faults(found: Estimate) -> tuple[Estimate, Faults]:
+    """Find faults, and correct sizes and the poses of tags that were moved, which hang at the later pose.
 
-    A tag with another size gets that size, and one that was moved hangs where it was seen last.
+    Returns:
+        the corrected estimate and all faults.
     """
     with threadpool_limits(limits=ONE_THREAD):
-        return _settled(found)
-
-
-def _settled(found: Estimate) -> tuple[Estimate, Faults]:
-    sizes, poses = _sizes(found)
-    if sizes:
-        edges, group = found.sightings.edges.copy(), found.group.copy()
-        edges[list(sizes)], group[list(sizes)] = list(sizes.values()), 0
-        found = adjusted(replace(found.sightings, edges=edges), found.prior, poses, group, found.floor, found.inflation)
-    error = errors_at(found.sightings, found.poses)
-    gross = found.misfits & np.isfinite(error) & ~agreeing(found.sightings, error)
-    places = _second_places(found, gross)
-    last = [place for place in places if place.moved is not None and place.later]
-    misread = np.bincount(found.sightings.tag[gross], minlength=len(found.group))
-    for place in places:
-        misread[place.tag] = max(misread[place.tag] - place.sightings, 0)
-    if last:
-        tags = found.poses.tags.copy()
-        tags[[place.tag for place in last]] = [place.pose for place in last]
-        found = adjusted(
-            found.sightings, found.prior, replace(found.poses, tags=tags), found.group, found.floor, found.inflation
-        )
+        sizes, poses = _sizes(found)
+        if sizes:
+            edges, group = found.sightings.edges.copy(), found.group.copy()
+            edges[list(sizes)], group[list(sizes)] = list(sizes.values()), 0
+            found = _adjusted(replace(found, sightings=replace(found.sightings, edges=edges), group=group), poses)
+        error = squared_errors(found.sightings, found.poses)
+        gross = found.misfits & np.isfinite(error) & ~agreeing(found.sightings, error)
+        places = _second_places(found, gross)
+        last = [place for place in places if place.moved is not None and place.later]
+        misread = found.sightings.counts(gross)
+        for place in places:
+            misread[place.tag] = max(misread[place.tag] - place.sightings, 0)
+        if last:
+            tags = found.poses.tags.copy()
+            tags[[place.tag for place in last]] = [place.pose for place in last]
+            found = _adjusted(found, replace(found.poses, tags=tags))
     return found, Faults(tuple(places), sizes, misread)
 
 
-def _views(poses: Poses) -> FloatArray:
-    """The poses of the cameras in all frames, in the order of `Sightings.apart`, `(C F, 4, 4)`."""
-    return np.asarray((poses.frames[None] @ poses.mounts[:, None]).reshape(-1, 4, 4))
+def _adjusted(found: Estimate, poses: Poses) -> Estimate:
+    """Adjust an estimate again, from `poses`."""
+    return adjust(found.sightings, found.prior, poses, found.group, found.floor, found.inflation)
+
+
+def _placed_beside(found: Estimate, some: Sightings, fewest: int, share: float = LEAST_SHARE) -> Poses:
+    """Poses of the tags of some sightings, see `Sightings.apart`, with all frames fixed."""
+    placing = Placing(some, single_poses(some))
+    placing.frames = np.asarray((found.poses.frames[None] @ found.poses.mounts[:, None]).reshape(-1, 4, 4))
+    placing.settle(np.arange(len(some)), by_frame=False, fewest=fewest, share=share)
+    return placing.poses
 
 
 def _second_places(found: Estimate, gross: BoolArray) -> list[SecondPlace]:
-    """The tags that agreeing sightings, of those that are far off, `(N,)`, show at a second place."""
-    counts = np.bincount(found.sightings.tag[gross], minlength=len(found.group))
+    """Second poses of tags on which sightings among the `gross` outliers, `(N,)`, agree."""
+    counts = found.sightings.counts(gross)
     often = counts[found.sightings.tag] >= FEWEST_SIGHTINGS
     some = found.sightings.of(np.flatnonzero(gross & often)).apart()
     if not len(some):
         return []
-    placing = Placing(some, proposals(some))
-    placing.frames = _views(found.poses)
-    placing.settle(np.arange(len(some)), by_frame=False, fewest=FEWEST_SIGHTINGS)
-    agree = fitting(some, errors_at(some, placing.poses), found.floor)
+    poses = _placed_beside(found, some, FEWEST_SIGHTINGS)
+    agree, tags = fitting(some, squared_errors(some, poses), found.floor), poses.tags
     places = []
     for tag in np.unique(some.tag).tolist():
         there = some.frame[agree & (some.tag == tag)] % found.sightings.frames
@@ -118,59 +124,107 @@ def _second_places(found: Estimate, gross: BoolArray) -> list[SecondPlace]:
             continue
         here = found.sightings.frame[found.used & (found.sightings.tag == tag)]
         own = found.poses.tags[tag]
-        away = np.linalg.norm(own[:3, 3] - placing.tags[tag, :3, 3]) / found.sightings.edges[tag]
-        if not here.size or (away < APART_EDGES and angle_between(own, placing.tags[tag]) < TURNED_RAD):
+        away = np.linalg.norm(own[:3, 3] - tags[tag, :3, 3]) / found.sightings.edges[tag]
+        if not here.size or (away < APART_EDGES and angle_between(own, tags[tag]) < TURNED_RAD):
             continue
         later = bool(np.median(there) > np.median(here))
         moved = _change(here, there) if later else _change(there, here)
-        places.append(SecondPlace(tag, placing.tags[tag], len(there), moved, later))
+        places.append(SecondPlace(tag, tags[tag], len(there), moved, later))
     return places
 
 
 def _change(first: IntArray, second: IntArray) -> int | None:
-    """The frame from which on the `second` frames follow the `first` ones; None if they are mixed."""
+    """Frame from which the `second` frames follow the `first` ones; None if they are mixed."""
     begins = int(np.quantile(second, OUT_OF_ORDER_SHARE / 2.0))
-    mixed = (first >= begins).mean() > OUT_OF_ORDER_SHARE or np.intersect1d(
-        first, second
-    ).size > OUT_OF_ORDER_SHARE * len(first)
+    mixed = (first >= begins).mean() > OUT_OF_ORDER_SHARE
+    mixed |= np.intersect1d(first, second).size > OUT_OF_ORDER_SHARE * len(first)
     return None if mixed else begins
 
 
 def _sizes(found: Estimate) -> tuple[dict[int, float], Poses]:
-    """The edges of tags that have another one than was told, metres, and the poses with which they fit."""
+    """Edges of tags with a wrong size, metres, and poses that fit these edges."""
     sightings = found.sightings
     known = np.isfinite(found.poses.frames[sightings.frame, 0, 0]) & (found.group[sightings.tag] <= 0)
     some = sightings.of(np.flatnonzero(known))
     tags, count = found.poses.tags.copy(), len(found.group)
-    astray = np.bincount(sightings.tag[found.used], minlength=count) == 0
+    astray = sightings.counts(found.used) == 0
     lost = np.flatnonzero(astray[some.tag])
     if lost.size:
-        unplaced = some.of(lost).apart()
-        placing = Placing(unplaced, proposals(unplaced))
-        placing.frames = _views(found.poses)
-        placing.settle(np.arange(lost.size), by_frame=False, fewest=0, share=0.0)
-        tags[astray] = placing.tags[astray]
-    told, growth, summed = some.edges, np.zeros(count), summing(some.tag, count)
+        tags[astray] = _placed_beside(found, some.of(lost).apart(), fewest=0, share=0.0).tags[astray]
+    edges, growth, summed = some.edges, np.zeros(count), sums_by(some.tag, count)
     for _ in range(SIZE_STEPS):
-        scaled = replace(some, edges=told * np.exp(growth))
-        at = linearise(scaled, tags[some.tag], found.poses.frames[some.frame], found.poses.mounts[some.camera])
-        # A corner at s moves by s where the tag grows, and the way along the tag's axes is the second half of a twist.
-        by_size = (at.by_tag[..., 3:].reshape(len(some), 4, 2, 3) @ scaled.corners[..., None]).reshape(-1, RESIDUALS, 1)
-        slope = np.concatenate([at.by_tag, by_size], axis=-1)
-        variance = some.noise**2 + found.floor**2
-        weight = weight_of((at.error**2).sum(axis=1) / variance) / variance
-        turned = np.swapaxes(slope, 1, 2) * weight[:, None, None]
-        matrix = summed(turned @ slope) + np.diag([1e-6] * 6 + [1e-2])
-        step = -solved(matrix, summed((turned @ at.error[..., None])[..., 0]))
+        scaled = replace(some, edges=edges * np.exp(growth))
+        at = Reprojection(scaled, *replace(found.poses, tags=tags).of(some))
+        variance = some.variance(found.floor)
+        weight = student_weight(at.squared / variance) / variance
+        jacobian = np.concatenate([at.by_tag, at.by_size], axis=-1)
+        matrix, right = normal_equations(jacobian, at.error, weight, summed)
+        matrix += np.diag([1e-6] * 6 + [1e-2])
+        step = -solved(matrix, right)
         tags, growth = tags @ exp(step[:, :6]), growth + np.clip(step[:, 6], -0.2, 0.2)
     sigma = np.sqrt(np.linalg.inv(matrix)[:, 6, 6])
     other = (np.abs(growth) > SIZE_DIFFERS) & (np.abs(growth) > SIZE_SIGMAS * sigma)
-    counts = np.bincount(some.tag, minlength=count)
-    poses = replace(found.poses, tags=tags)
-    fits = fitting(some, errors_at(replace(some, edges=told * np.exp(growth)), poses), found.floor)
-    other &= (counts >= FEWEST_SIGHTINGS) & (np.bincount(some.tag, fits, minlength=count) >= SIZE_SHARE * counts)
+    error = squared_errors(replace(some, edges=edges * np.exp(growth)), replace(found.poses, tags=tags))
+    counts = some.counts()
+    other &= (counts >= FEWEST_SIGHTINGS) & (some.counts(fitting(some, error, found.floor)) >= SIZE_SHARE * counts)
     changed = np.flatnonzero(other)
     kept = found.poses.tags.copy()
     kept[changed] = tags[changed]
-    sizes = {int(tag): float(told[tag] * np.exp(growth[tag])) for tag in changed}
+    sizes = {int(tag): float(edges[tag] * np.exp(growth[tag])) for tag in changed}
     return sizes, replace(found.poses, tags=kept)
+
+
+def errors_of_fixed(found: Estimate, start: Start) -> FloatArray:
+    """Distance and rotation of each fixed tag from its pose by photographs, beside the other fixed tags.
+
+    Args:
+        found: estimate with fixed tags.
+        start: initial poses.
+
+    Returns:
+        metres and rad, `(K, 2)`; NaN for tags that are not fixed, or within their errors.
+
+    Raises:
+        InputError: a tag is so far off that it hangs elsewhere, or the file is of another room.
+    """
+    off = np.full((len(found.group), 2), np.nan)
+    prior = found.prior
+    known = prior.exact & (found.group == 0)
+    if known.sum() < 2:
+        return off
+    information = np.where(known[:, None], LOOSE_SIGMA**-2.0, np.zeros(6))
+    with threadpool_limits(limits=ONE_THREAD):
+        poses, group, _ = into_world(found.sightings, *of_body(found.sightings, start, prior), None)
+        free = adjust(found.sightings, replace(prior, information=information), poses, group, FLOOR_PIXELS)
+    own = np.flatnonzero(known & np.isfinite(free.gauge_free_covariances).all(axis=(1, 2)))
+    motion = align_tags(free.poses.tags[own], prior.tags[own])
+    if motion is None:
+        return off
+    here, there, covariance = motion @ free.poses.tags[own], prior.tags[own], free.gauge_free_covariances[own]
+    away = np.linalg.norm(here[:, :3, 3] - there[:, :3, 3], axis=1)
+    between = np.stack([away, angle_between(here, there)], axis=1)
+    parts = (slice(3, 6), slice(0, 3))
+    sigma = np.stack([np.sqrt(np.linalg.eigvalsh(covariance[:, part, part])[:, -1]) for part in parts], axis=1)
+    off[own] = np.where(between > np.maximum(SIGMAS * sigma, (OFF_M, OFF_RAD)), between, np.nan)
+    # A tag with few sightings may be wrong in the map without fixed tags. At its fixed pose the sightings fit.
+    fits = found.sightings.counts(found.used) > found.sightings.counts() / 2
+    off[fits & (off > (MOST_M, MOST_RAD)).any(axis=1)] = np.nan
+    _refuse(found.sightings.ids, off)
+    return off
+
+
+def _refuse(ids: IntArray, off: FloatArray) -> None:
+    """Raise `InputError` if a fixed tag is farther off than errors of measuring."""
+    away = np.nan_to_num(off)
+    worst = int(np.argmax((away / (MOST_M, MOST_RAD)).max(axis=1)))
+    metres, rad = away[worst]
+    if metres <= MOST_M and rad <= MOST_RAD:
+        return
+    text = f"{1e3 * metres:.3g} mm" if metres > MOST_M else f"{np.degrees(rad):.3g} degrees"
+    count = int((away > (MOST_M, MOST_RAD)).any(axis=1).sum())
+    others = f", and {count - 1} more" if count > 1 else ""
+    raise InputError(
+        f"fixed has tag {ids[worst]} {text} from where the photographs have it beside the other fixed "
+        f"tags{others}: correct the file or leave the tag out; points takes places that are good to 5 mm.",
+        "fixed",
+    )

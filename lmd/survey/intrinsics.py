@@ -1,4 +1,4 @@
-"""The intrinsics of the cameras of a survey: what is known of them beforehand, and what the photographs say."""
+"""Intrinsics of the cameras of a survey: their prior, derivatives, and what photographs tell about them."""
 
 from dataclasses import dataclass, replace
 from typing import Any
@@ -11,52 +11,69 @@ from lmd.geometry.lens import Lens
 from lmd.geometry.projection import bearings, slope
 from lmd.scene.calibration_files import PIXEL_CENTRE
 
-# Standard deviations of what intrinsics may be off: of the focal length, of the image's size, of coefficients.
+# Prior standard deviations of a rough guess: shares of the focal length and of the image's size, and of coefficients.
 FOCAL_SIGMA, CENTRE_SIGMA, COEFFICIENT_SIGMA = 0.1, 0.1, 0.3
+# Prior standard deviation of a calibration: share of the focal length, of the image's size, and of the displacement of
+# corners, in focal lengths, by each coefficient.
 CALIBRATED_SHARE = 0.005
-# Likewise of the coefficients of a lens that none are given of: of a pinhole, or of one that was not calibrated.
-UNDISTORTED = (0.1, 0.1, 0.01, 0.01, 0.1)
-DIFFERENCE = 1e-4  # of a coefficient
-# Photographs fix the intrinsics if `Calibrated.unsure` is less, pixels.
-FIXED_PIXELS = 1.0
-GRID_SIDE = 9  # places along each side of the image that this is asked at
+UNDISTORTED = (0.1, 0.1, 0.01, 0.01, 0.1)  # prior standard deviations of coefficients that are not given
+DIFFERENCE = 1e-4  # of a coefficient, for numerical derivatives
+FIXED_PIXELS = 1.0  # maximum of `Calibrated.unsure` of intrinsics that photographs fix, pixels
+GRID_SIDE = 9  # number of places along each side of the image at which `unsure` is evaluated
 
 
 @dataclass(frozen=True)
 class Calibrated:
-    """A camera as its photographs say.
-
-    Args:
-        given, found: the camera before and after.
-        sigma: standard deviations of `parameters(found)`, `(P,)`.
-        shift, shift_sigma: by how many pixels corners are too far inward in its images, and one standard deviation.
-        unsure: by how much the intrinsics may move what is in the image, but for what a turn of the camera undoes: one
-            standard deviation, pixels, the median over the image.
-    """
+    """A camera as estimated from photographs."""
 
     given: Camera
+    """The camera before."""
     found: Camera
+    """The camera after."""
     sigma: FloatArray
+    """`(P,)` standard deviations of `intrinsics_of(found)`."""
     shift: float
+    """Shift of corners inward in its images, pixels."""
     shift_sigma: float
+    """Standard deviation of `shift`, pixels."""
     unsure: float
+    """Standard deviation of image points due to the intrinsics, without the effect of a rotation: median over the
+    image, pixels."""
+
+    @classmethod
+    def of(cls, given: Camera, found: Camera, shift: float, covariance: FloatArray) -> "Calibrated":
+        """Calibrated camera.
+
+        Args:
+            given: the camera before.
+            found, shift: the camera after.
+            covariance: covariance of its intrinsics, then of shifts, `(P + n, P + n)`.
+        """
+        size = len(intrinsics_of(found))
+        bundle = _bundle(found)
+        moved = parameter_slopes(found, bundle).reshape(-1, size)
+        turned = np.einsum("nij,anj->nia", slope(found, bundle), np.cross(np.eye(3)[:, None], bundle)).reshape(-1, 3)
+        moved -= turned @ np.linalg.lstsq(turned, moved, rcond=None)[0]
+        square = np.einsum("np,pq,nq->n", moved, covariance[:size, :size], moved).reshape(-1, 2).sum(axis=1)
+        sigma = np.sqrt(np.diag(covariance))
+        return cls(given, found, sigma[:size], shift, float(sigma[size]), float(np.sqrt(np.median(square))))
 
     @property
     def is_fixed(self) -> bool:
-        """Whether the photographs tell the intrinsics."""
+        """True if photographs fix the intrinsics."""
         return self.unsure <= FIXED_PIXELS
 
     def document(self) -> dict[str, Any]:
-        """What a JSON file says of it; centres from the image's border, pixels."""
-        rows = {"given": parameters(self.given), "found": parameters(self.found), "sigma": self.sigma}
+        """Entries for a JSON file; centres from the image's border, pixels."""
+        rows = {"given": intrinsics_of(self.given), "found": intrinsics_of(self.found), "sigma": self.sigma}
         names = {"focal_pixels": slice(2), "principal_point": slice(2, 4), "distortion": slice(4, None)}
-        told = {row: {name: values[part].tolist() for name, part in names.items()} for row, values in rows.items()}
+        figures = {row: {name: values[part].tolist() for name, part in names.items()} for row, values in rows.items()}
         shift = {"corner_shift": self.shift, "corner_shift_sigma": self.shift_sigma}
-        return {**told, **shift, "unsure_pixels": self.unsure, "fixed": self.is_fixed}
+        return {**figures, **shift, "unsure_pixels": self.unsure, "fixed": self.is_fixed}
 
     def to_text(self) -> str:
-        """What a terminal shows."""
-        was, now = parameters(self.given), parameters(self.found)
+        """Sentence for a terminal."""
+        was, now = intrinsics_of(self.given), intrinsics_of(self.found)
 
         def pair(values: FloatArray) -> str:
             return f"{values[0]:.1f} x {values[1]:.1f}"
@@ -69,21 +86,21 @@ class Calibrated:
         return f"{text}; corners lie {abs(self.shift):.2g} pixels {way}, known to {self.shift_sigma:.1g}"
 
 
-def coefficients(camera: Camera) -> tuple[float, ...]:
-    """The coefficients of the lens; those of `plumb_bob`, all 0, where none is given."""
+def _coefficients(camera: Camera) -> tuple[float, ...]:
+    """Coefficients of the lens; those of `plumb_bob`, all 0, if none are given."""
     return camera.distortion or (0.0,) * len(UNDISTORTED)
 
 
-def parameters(camera: Camera) -> FloatArray:
-    """Focal lengths and principal point, pixels, and the coefficients of the lens, `(P,)`."""
-    return np.array([*camera.focal_pixels, *camera.principal_point, *coefficients(camera)])
+def intrinsics_of(camera: Camera) -> FloatArray:
+    """Focal lengths and principal point, pixels, and coefficients of the lens, `(P,)`."""
+    return np.array([*camera.focal_pixels, *camera.principal_point, *_coefficients(camera)])
 
 
-def with_parameters(camera: Camera, values: FloatArray) -> Camera:
-    """The camera with other intrinsics, see `parameters`.
+def with_intrinsics(camera: Camera, values: FloatArray) -> Camera:
+    """Camera with other intrinsics, see `intrinsics_of`.
 
     Raises:
-        InputError: there is no such camera.
+        InputError: no camera has these intrinsics.
     """
     width, height = (camera.focal_length / float(pixels) for pixels in values[:2])
     u, v, *coefficients = values[2:].tolist()
@@ -93,9 +110,9 @@ def with_parameters(camera: Camera, values: FloatArray) -> Camera:
 
 
 def camera_info(camera: Camera) -> dict[str, Any]:
-    """The keys of ROS's `camera_info`, which counts pixels from the centre of the first one."""
+    """Keys of ROS's `camera_info`, in which pixels count from the centre of the first one."""
     (focal_u, focal_v), (u, v) = camera.focal_pixels.tolist(), camera.principal_point
-    lens = list(camera.distortion) or [0.0] * 5
+    lens = list(_coefficients(camera))
     matrix = [focal_u, 0.0, u - PIXEL_CENTRE, 0.0, focal_v, v - PIXEL_CENTRE, 0.0, 0.0, 1.0]
     return {
         "image_width": round(camera.image_width),
@@ -106,58 +123,39 @@ def camera_info(camera: Camera) -> dict[str, Any]:
     }
 
 
-def spreads(camera: Camera, wide: bool = False) -> FloatArray:
-    """Standard deviations of what each of the `parameters` may be off, `(P,)`.
+def prior_sigmas(camera: Camera, rough: bool = False) -> FloatArray:
+    """Prior standard deviations of the intrinsics, `(P,)`.
 
     Args:
-        camera: as it was calibrated.
-        wide: whether that is a rough guess.
+        camera: camera as it was calibrated.
+        rough: True if the calibration is a rough guess.
     """
     focal, size = camera.focal_pixels, np.array([camera.image_width, camera.image_height])
-    if wide:
+    if rough:
         return np.concatenate(
-            [FOCAL_SIGMA * focal, CENTRE_SIGMA * size, np.full(len(coefficients(camera)), COEFFICIENT_SIGMA)]
+            [FOCAL_SIGMA * focal, CENTRE_SIGMA * size, np.full(len(_coefficients(camera)), COEFFICIENT_SIGMA)]
         )
-    seen = bearings(camera, image_grid(camera))
-    seen = seen[np.isfinite(seen).all(axis=-1)]
-    moved = np.linalg.norm(slopes(camera, seen)[..., 4:], axis=1).max(axis=0)
+    moved = np.linalg.norm(parameter_slopes(camera, _bundle(camera))[..., 4:], axis=1).max(axis=0)
     lens = CALIBRATED_SHARE * focal.mean() / moved if camera.distortion else np.array(UNDISTORTED)
     return np.concatenate([CALIBRATED_SHARE * focal, CALIBRATED_SHARE * size, lens])
 
 
-def image_grid(camera: Camera) -> FloatArray:
-    """Places all over the image, pixels, `(n, 2)`."""
+def _bundle(camera: Camera) -> FloatArray:
+    """Directions of places all over the image, as far as the lens images them, `(n, 3)`."""
     across, down = np.meshgrid(np.linspace(0.0, 1.0, GRID_SIDE), np.linspace(0.0, 1.0, GRID_SIDE))
-    return np.stack([across * camera.image_width, down * camera.image_height], axis=-1).reshape(-1, 2)
+    image = np.stack([across * camera.image_width, down * camera.image_height], axis=-1).reshape(-1, 2)
+    bundle = bearings(camera, image)
+    return np.asarray(bundle[np.isfinite(bundle).all(axis=-1)])
 
 
-def slopes(camera: Camera, directions: FloatArray) -> FloatArray:
-    """How the images of directions `(..., 3)` change with the `parameters`, pixels, `(..., 2, P)`."""
+def parameter_slopes(camera: Camera, directions: FloatArray) -> FloatArray:
+    """Derivatives of the images of directions `(..., 3)` by the intrinsics, pixels, `(..., 2, P)`."""
     image = directions[..., :2] / directions[..., 2:] if camera.lens is None else camera.lens.image(directions)
     columns = [image * axis for axis in np.eye(2)] + [np.broadcast_to(axis, image.shape) for axis in np.eye(2)]
-    given = coefficients(camera)
+    given = _coefficients(camera)
     for step in DIFFERENCE * np.eye(len(given)):
         there, here = (
             Lens(camera.distortion_model, tuple(np.add(given, way * step))).image(directions) for way in (1.0, -1.0)
         )
         columns.append(camera.focal_pixels * (there - here) / (2.0 * DIFFERENCE))
     return np.stack(columns, axis=-1)
-
-
-def judged(given: Camera, seen: Camera, shift: float, own: FloatArray) -> Calibrated:
-    """A camera with what is known of it.
-
-    Args:
-        given: as it was calibrated.
-        seen, shift: as the photographs have it, see `Calibrated`.
-        own: covariance of its parameters and then of shifts, `(P + n, P + n)`.
-    """
-    size = len(parameters(seen))
-    bundle = bearings(seen, image_grid(seen))
-    bundle = bundle[np.isfinite(bundle).all(axis=-1)]
-    moved = slopes(seen, bundle).reshape(-1, size)
-    turned = np.einsum("nij,anj->nia", slope(seen, bundle), np.cross(np.eye(3)[:, None], bundle)).reshape(-1, 3)
-    moved -= turned @ np.linalg.lstsq(turned, moved, rcond=None)[0]
-    square = np.einsum("np,pq,nq->n", moved, own[:size, :size], moved).reshape(-1, 2).sum(axis=1)
-    sigma = np.sqrt(np.diag(own))
-    return Calibrated(given, seen, sigma[:size], shift, float(sigma[size]), float(np.sqrt(np.median(square))))

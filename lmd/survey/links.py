@@ -1,7 +1,4 @@
-"""Links between frames that follow each other: errors of their relative poses, and how these change with the poses.
-
-See `lmd.survey.motion`.
-"""
+"""Links: relative pose constraints between consecutive frames, their errors and Jacobians; see `lmd.survey.motion`."""
 
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -9,129 +6,119 @@ from typing import NamedTuple
 import numpy as np
 
 from lmd.core.checks import FloatArray, IntArray
-from lmd.geometry.se3 import inverse, log, skew
+from lmd.geometry.se3 import adjoint_matrix, inverse, log, skew
 
-# chi^2 of a link of odometry up to which it counts in full; normal errors exceed it once in a thousand times.
+# chi^2 above which a link of odometry counts less; normal errors exceed it once in a thousand times.
 MOST_SQUARE = 22.5
-LEAN_ROUNDS = 3
+BIAS_ROUNDS = 3  # reweighted least-squares rounds for the bias of odometry
+LEAST_STIFFNESS = 1e-9  # information on a velocity without links
 
 
-class Joints(NamedTuple):
-    """Derivatives of M links by the frames, whose unknowns are b numbers."""
+class LinkErrors(NamedTuple):
+    """Errors of M links with r components, and their Jacobians by the b unknowns of each frame."""
 
     error: FloatArray
-    """`(M, r)`."""
-    by_one: FloatArray
-    """`(M, r, b)` how the error changes with the unknowns of the first frame: a right-hand twist, and velocities."""
-    by_other: FloatArray
-    """`(M, r, b)` with those of the second."""
-    by_lean: FloatArray
-    """`(M, r, 6)` with what every metre is off by, in units of `LEAN`; `(M, r, 0)` where there is no such."""
-    lean: FloatArray
-    """`(6,)` what that is; `(0,)` likewise."""
+    """`(M, r)` errors."""
+    by_first: FloatArray
+    """`(M, r, b)` Jacobian by the first frame: its right-hand twist, and its turn rate and velocity if b = 12."""
+    by_second: FloatArray
+    """`(M, r, b)` Jacobian by the second frame."""
+    by_bias: FloatArray
+    """`(M, r, 6)` Jacobian by `bias`; `(M, r, 0)` for a constant velocity."""
+    bias: FloatArray
+    """`(6,)` error that every metre of odometry has in common, in units of `lmd.survey.motion.BIAS`; else `(0,)`."""
 
 
 @dataclass(frozen=True)
 class Links:
-    """Links between some frames, each of which follows the one before.
-
-    Args:
-        size: b, unknowns of a frame: 6, or 12 with its turn rate and velocity.
-        one: places of the first frame of each link among the frames, `(M,)`; the second is the next.
-        seconds: between them, `(M,)`.
-        information: inverse of the covariance of the error, `(M, r, r)`.
-        steps: relative poses by odometry, `(M, 4, 4)`; None for a constant velocity.
-        leans: how their errors change with what every metre is off by, in units of `LEAN`, `(M, 6, 6)`; likewise.
-    """
+    """M links between F frames, each from a frame to the next."""
 
     size: int
-    one: IntArray
+    """b: unknowns of a frame, 6, or 12 with its turn rate and velocity."""
+    first: IntArray
+    """`(M,)` index of the first frame of each link; the second is the next one."""
     seconds: FloatArray
+    """`(M,)` time between the frames."""
     information: FloatArray
+    """`(M, r, r)` inverse of the covariance of the error."""
     steps: FloatArray | None
-    leans: FloatArray | None
+    """`(M, 4, 4)` relative poses by odometry; None for a constant velocity."""
+    by_bias: FloatArray | None
+    """`(M, 6, 6)` derivatives of the relative poses by the bias of odometry; None for a constant velocity."""
 
-    def at(self, poses: FloatArray) -> Joints:
-        """The links at poses of the frames, `(F, 4, 4)`."""
-        before, after = poses[self.one], poses[self.one + 1]
+    def at(self, poses: FloatArray) -> LinkErrors:
+        """Errors at poses of the frames, `(F, 4, 4)`."""
+        before, after = poses[self.first], poses[self.first + 1]
         between = inverse(before) @ after
-        if self.steps is not None and self.leans is not None:
+        if self.steps is not None and self.by_bias is not None:
             error = log(inverse(self.steps) @ between)
-            slope, lean = _by_twist(error), np.zeros(6)
-            for _ in range(LEAN_ROUNDS):  # links that do not fit say little of it
-                weights = self.weights(self.squares(error - self.leans @ lean))
-                turned = np.swapaxes(self.leans, 1, 2) @ (self.information * weights[:, None, None])
-                matrix = np.eye(6) + (turned @ self.leans).sum(axis=0)
-                lean = np.linalg.solve(matrix, (turned @ error[..., None]).sum(axis=0)[:, 0])
-            by_one = -slope @ adjoints(inverse(between))
-            return Joints(error - self.leans @ lean, by_one, slope, -self.leans, lean)
+            slope, bias = _by_twist(error), np.zeros(6)
+            for _ in range(BIAS_ROUNDS):  # links that do not fit count little
+                weights = self.weights(self.squares(error - self.by_bias @ bias))
+                turned = np.swapaxes(self.by_bias, 1, 2) @ (self.information * weights[:, None, None])
+                matrix = np.eye(6) + (turned @ self.by_bias).sum(axis=0)
+                bias = np.linalg.solve(matrix, (turned @ error[..., None]).sum(axis=0)[:, 0])
+            by_first = -slope @ adjoint_matrix(inverse(between))
+            return LinkErrors(error - self.by_bias @ bias, by_first, slope, -self.by_bias, bias)
         rates = self._rates(poses)
-        phi, way = log(between)[:, :3], after[:, :3, 3] - before[:, :3, 3]
-        change = rates[self.one + 1] - rates[self.one]
-        off = np.concatenate([phi, way], axis=1) - self.seconds[:, None] * rates[self.one]
-        by_one, by_other = np.zeros((2, len(self.one), 12, 12))
-        by_other[:, :3, :3], by_one[:, :3, :3] = _by_turn(phi), -_by_turn(-phi)
-        by_other[:, 3:6, 3:6], by_one[:, 3:6, 3:6] = after[:, :3, :3], -before[:, :3, :3]
-        by_other[:, 6:, 6:], by_one[:, 6:, 6:] = np.eye(6), -np.eye(6)
-        by_one[:, :6, 6:] = -self.seconds[:, None, None] * np.eye(6)
-        nothing = np.zeros((len(self.one), 12, 0))
-        return Joints(np.concatenate([off, change], axis=1), by_one, by_other, nothing, np.zeros(0))
+        turn, way = log(between)[:, :3], after[:, :3, 3] - before[:, :3, 3]
+        change = rates[self.first + 1] - rates[self.first]
+        off = np.concatenate([turn, way], axis=1) - self.seconds[:, None] * rates[self.first]
+        by_first, by_second = np.zeros((2, len(self.first), 12, 12))
+        by_second[:, :3, :3], by_first[:, :3, :3] = _by_turn(turn), -_by_turn(-turn)
+        by_second[:, 3:6, 3:6], by_first[:, 3:6, 3:6] = after[:, :3, :3], -before[:, :3, :3]
+        by_second[:, 6:, 6:], by_first[:, 6:, 6:] = np.eye(6), -np.eye(6)
+        by_first[:, :6, 6:] = -self.seconds[:, None, None] * np.eye(6)
+        nothing = np.zeros((len(self.first), 12, 0))
+        return LinkErrors(np.concatenate([off, change], axis=1), by_first, by_second, nothing, np.zeros(0))
 
     def _rates(self, poses: FloatArray) -> FloatArray:
-        """Turn rates and velocities that fit poses best, `(F, 6)`: those of natural cubic splines."""
+        """Best turn rates and velocities for poses, `(F, 6)`: those of natural cubic splines."""
         from scipy.linalg import solveh_banded
 
-        before, after, h = poses[self.one], poses[self.one + 1], self.seconds
+        before, after, h = poses[self.first], poses[self.first + 1], self.seconds
         turn, way = log(inverse(before) @ after)[:, :3], after[:, :3, 3] - before[:, :3, 3]
         pull = 6.0 * np.concatenate([turn, way], axis=1) / h[:, None] ** 2
-        banded, right = np.full((2, len(poses)), 1e-9), np.zeros((len(poses), 6))
+        banded, right = np.full((2, len(poses)), LEAST_STIFFNESS), np.zeros((len(poses), 6))
         banded[1] = 0.0
-        for place in (self.one, self.one + 1):
+        for place in (self.first, self.first + 1):
             banded[0, place] += 4.0 / h
             right[place] += pull
-        banded[1, self.one] = 2.0 / h
+        banded[1, self.first] = 2.0 / h
         return np.asarray(solveh_banded(banded, right, lower=True))
 
     def velocities(self, poses: FloatArray) -> FloatArray:
-        """Velocities in the body's frame, turn first, `(F, 6)`; NaN for frames without links."""
+        """Turn rates and velocities in the body's frame, `(F, 6)`; NaN for frames without links."""
         rates = self._rates(poses)
         result = np.concatenate([rates[:, :3], (rates[:, None, 3:] @ poses[:, :3, :3])[:, 0]], axis=1)
         linked = np.zeros(len(poses), dtype=bool)
-        linked[self.one] = linked[self.one + 1] = True
+        linked[self.first] = linked[self.first + 1] = True
         result[~linked] = np.nan
         return result
 
     def squares(self, error: FloatArray) -> FloatArray:
-        """chi^2 of each link, `(M,)`."""
+        """chi^2 of each link, `(M,)`, by its error `(M, r)`."""
         return np.asarray(np.einsum("mi,mij,mj->m", error, self.information, error))
 
-    def cost(self, squares: FloatArray) -> float:
-        """The part of the links in the sum that is minimised; large errors of odometry count less, as wheels slip."""
+    def loss(self, squares: FloatArray) -> float:
+        """Sum of the losses of the links; large errors of odometry count less, as wheels slip."""
         if self.steps is None:
             return 0.5 * float(squares.sum())
         least = np.minimum(squares, MOST_SQUARE)
         return 0.5 * float((least + MOST_SQUARE * np.log(np.maximum(squares, MOST_SQUARE) / MOST_SQUARE)).sum())
 
     def weights(self, squares: FloatArray) -> FloatArray:
-        """Weights of the links, `(M,)`."""
+        """Robust weights of the links, `(M,)`, by chi^2."""
         return np.ones(len(squares)) if self.steps is None else MOST_SQUARE / np.maximum(squares, MOST_SQUARE)
 
     @property
     def log_determinant(self) -> float:
-        """Of all covariances of the errors."""
+        """Log-determinant of the covariance of all errors."""
         return -float(np.linalg.slogdet(self.information)[1].sum())
 
 
-def adjoints(pose: FloatArray) -> FloatArray:
-    """Ad_X of poses `(..., 4, 4)` as matrices, `(..., 6, 6)`."""
-    result = np.zeros((*pose.shape[:-2], 6, 6))
-    turn = pose[..., :3, :3]
-    result[..., :3, :3], result[..., 3:, 3:], result[..., 3:, :3] = turn, turn, skew(pose[..., :3, 3]) @ turn
-    return result
-
-
 def _by_twist(twist: FloatArray) -> FloatArray:
-    """The derivative of log(E exp(d)) by d at log(E) = twist, small, `(..., 6, 6)`."""
+    """Derivative of log(E exp(d)) by d at a small log(E) = twist `(..., 6)`, `(..., 6, 6)`: inverse right Jacobian."""
     matrix = np.zeros((*twist.shape[:-1], 6, 6))
     matrix[..., :3, :3] = matrix[..., 3:, 3:] = skew(twist[..., :3])
     matrix[..., 3:, :3] = skew(twist[..., 3:])
@@ -139,11 +126,11 @@ def _by_twist(twist: FloatArray) -> FloatArray:
     return np.asarray(np.eye(6) + matrix / 2.0 + square / 12.0 - square @ square / 720.0)
 
 
-def turning(turn: FloatArray) -> FloatArray:
-    """Twists of turns alone, `(..., 6)`."""
-    return np.concatenate([turn, 0.0 * turn], axis=-1)
-
-
 def _by_turn(turn: FloatArray) -> FloatArray:
-    """The same for turns alone, `(..., 3, 3)`."""
-    return _by_twist(turning(turn))[..., :3, :3]
+    """Inverse right Jacobian of rotations, `(..., 3)` -> `(..., 3, 3)`."""
+    return _by_twist(turn_twist(turn))[..., :3, :3]
+
+
+def turn_twist(turn: FloatArray) -> FloatArray:
+    """Twists of rotations alone, `(..., 3)` -> `(..., 6)`."""
+    return np.concatenate([turn, 0.0 * turn], axis=-1)

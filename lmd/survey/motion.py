@@ -1,80 +1,85 @@
-"""Motion of the body between the frames of a video: by an odometer, or near to a constant velocity.
+"""Motion of the body between frames: by odometry, or at a nearly constant velocity.
 
-Both say how two consecutive frames are to each other, with a covariance that grows between them. A frame that shows one
-tag then says where that tag is beside the tags of the frames before and after.
+Both constrain the relative pose of consecutive frames, with a covariance that grows with the gap between them. A frame
+that shows one tag then places that tag beside the tags of the frames before and after.
 
-- *Odometry* O is a path in a frame of its own, whose relative poses drift. The error of frame j beside frame i is
-  r = log((O_i^-1 O_j)^-1 T_i^-1 T_j). Each short step adds independent errors of turn and place with variances in
-  proportion to its length, and what a step adds is carried on to frame j: with the sum C of Ad_O Q Ad_O^T over all
-  steps, the covariance of r is Ad_O_j^-1 (C_j - C_i) Ad_O_j^-T. What every metre is off by, a twist b for the scale and
-  the heading, is an unknown of the drive: with the sum B of Ad_O times the length of each step, it is in r as
+- *Odometry* O is a trajectory in a frame of its own, whose relative poses drift. The error of frame j beside frame i is
+  r = log((O_i^-1 O_j)^-1 T_i^-1 T_j). Each short step adds independent errors of rotation and translation with
+  variances in proportion to its length, which are carried on to frame j: with the sum C of Ad_O Q Ad_O^T over all
+  steps, the covariance of r is Ad_O_j^-1 (C_j - C_i) Ad_O_j^-T. The bias b of every metre, a twist for scale and
+  heading, is an unknown of the drive: with the sum B of Ad_O times the length of each step, r contains
   Ad_O_j^-1 (B_j - B_i) b.
-- *Constant velocity*: velocity u, in the world, and turn rate w, in the body, change by white noise (Barfoot, "State
-  Estimation for Robotics"). They are unknowns of each frame. A link over dt has the errors phi - dt w_i, p_j - p_i -
-  dt u_i, w_j - w_i, u_j - u_i with phi = log(R_i^T R_j), and the covariance s^2 [dt^3 / 3, dt^2 / 2; dt^2 / 2, dt].
-  The velocity is that of the world and not that of the body, as who walks straight ahead looks about.
+- *Constant velocity*: the velocity u in the world and the turn rate w of the body change by white noise. They are
+  unknowns of each frame. A link over dt has the errors phi - dt w_i, p_j - p_i - dt u_i, w_j - w_i, u_j - u_i with
+  phi = log(R_i^T R_j), and the covariance s^2 [dt^3 / 3, dt^2 / 2; dt^2 / 2, dt]. The velocity is that in the world, as
+  a camera that is carried straight ahead may look about.
+
+Real bodies are not driven by white noise, so short links do not tell the errors of long gaps. Stretches of the drive
+without gaps tell them: see `with_bridged_gaps`.
+
+Source: Barfoot, "State Estimation for Robotics".
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
 from lmd.core.checks import BoolArray, FloatArray, InputError, IntArray
-from lmd.geometry.se3 import exp, inverse, log
+from lmd.geometry.se3 import adjoint_matrix, exp, inverse, log
 from lmd.geometry.trajectory import Trajectory
-from lmd.survey.links import Links, adjoints
+from lmd.survey.links import Links, turn_twist
 
-# Standard deviations that a drive is assumed to have until it tells its own: of turn and place.
+# Prior standard deviations of rotation and translation, until the drive itself tells them.
 STEADY = (1.0, 1.0)  # change of the turn rate, rad/s, and of the velocity, m/s, within a second
-DRIFT = (0.005, 0.01)  # of odometry after a metre, rad and m
-LEAN = (0.005, 0.02)  # what every metre of odometry is off by alike, rad and m
-# A turn of one rad makes an odometer drift like so many metres, and a second, in which it may stand, like so many.
+DRIFT = (0.005, 0.01)  # random drift of odometry after a metre, rad and m
+BIAS = (0.005, 0.02)  # common error of every metre of odometry, rad and m
+# Metres that count like a rotation of one rad, and like a second, in the length of a step of odometry.
 METRES_PER_RAD, METRES_PER_SECOND = 0.3, 0.01
-# Frames are not linked where a constant velocity says less of their relative pose, rad and metres.
+# Standard deviations of a relative pose by a constant velocity, rad and metres, above which frames are not linked.
 MOST_TURN, MOST_PLACE = 0.2, 0.5
-SHORTEST_GAP = 0.3  # seconds; a constant velocity bridges shorter ones untried
-LONGEST_STEP = 1.0  # seconds, between poses of odometry; it says nothing across a longer one
-# Times are seconds, or since 1970 in ms, us or ns, by their size.
+SHORTEST_GAP = 0.3  # seconds; a constant velocity bridges shorter gaps without evidence from the drive
+LONGEST_STEP = 1.0  # maximum seconds between poses of odometry; longer gaps cut it into pieces
+# Factors to seconds of times since 1970 in ns, us or ms, by their least value.
 UNITS = ((1e17, 1e-9), (1e14, 1e-6), (1e11, 1e-3))
+LONGEST_GAP, GAPS = 5.0, 13  # longest gap that is tried, seconds, and the number of lengths
+FEWEST_GAPS = 6  # minimum number of gaps of a length that fit into stretches without gaps
+LEAST_PACE = 0.2  # minimum time over which the velocity on each side of a gap is measured, seconds
 
 
 @dataclass(frozen=True)
 class Motion:
-    """The motion between the F frames of a drive, as far as it is known.
-
-    Args:
-        times: seconds, ascending, `(F,)`; NaN for frames without a time.
-        spread: standard deviations of turn and place, `(2,)`, see `STEADY` and `DRIFT`.
-        path: poses of the body by odometry, `(F, 4, 4)`, NaN where it says nothing; None for a constant velocity.
-        drift: sums C of the covariances for turn and for place, each for a spread of one, `(F, 2, 6, 6)`.
-        leans: sums B, `(F, 6, 6)`.
-        piece: of odometry that each frame is in, `(F,)`; it says nothing from one to another.
-        gaps: seconds without images that a constant velocity has bridged elsewhere in the drive, ascending, `(n,)`.
-        bridged: the spreads that this was off by, `(n, 2)`; nothing is linked across longer gaps than these. None
-            where it was not tried.
-    """
+    """Motion between the F frames of a drive."""
 
     times: FloatArray
+    """`(F,)` seconds, ascending; NaN for frames without a time."""
     spread: tuple[float, float]
+    """Standard deviations of rotation and translation in the units of `STEADY` or `DRIFT`."""
     path: FloatArray | None = None
+    """`(F, 4, 4)` poses of the body by odometry, NaN where it has none; None for a constant velocity."""
     drift: FloatArray | None = None
-    leans: FloatArray | None = None
+    """`(F, 2, 6, 6)` sums C of the covariances by rotation and by translation, for a spread of one."""
+    bias_sums: FloatArray | None = None
+    """`(F, 6, 6)` sums B."""
     piece: IntArray | None = None
+    """`(F,)` piece of each frame; frames of different pieces are not linked. None for one piece."""
     gaps: FloatArray | None = None
+    """`(n,)` lengths of gaps that a constant velocity has bridged elsewhere in the drive, seconds, ascending."""
     bridged: FloatArray | None = None
+    """`(n, 2)` spreads that explain the errors across these gaps; longer gaps are not bridged. None if not tried."""
 
     @classmethod
     def steady(cls, times: FloatArray) -> "Motion":
-        """A velocity that changes little from one frame to the next."""
+        """Motion at a nearly constant velocity."""
         return cls(times, STEADY)
 
     @classmethod
     def by_odometry(cls, times: FloatArray, odometry: Trajectory) -> "Motion":
-        """The motion that an odometer tells.
+        """Motion by odometry.
 
         Raises:
-            InputError: it has poses for less than half of the frames.
+            InputError: odometry covers less than half of the frames.
         """
         from scipy.spatial.transform import Rotation, Slerp
 
@@ -90,12 +95,11 @@ class Motion:
         steps = log(inverse(poses[:-1]) @ poses[1:])
         far = np.linalg.norm(steps[:, 3:], axis=1) + METRES_PER_RAD * np.linalg.norm(steps[:, :3], axis=1)
         far += METRES_PER_SECOND * np.diff(own)
-        # The error of a step is taken to arise at its end; steps are short.
-        ahead = adjoints(poses[1:])
+        ahead = adjoint_matrix(poses[1:])  # the error of a step arises at its end, as steps are short
         added = np.stack([far[:, None, None] * ahead[..., part] @ np.swapaxes(ahead[..., part], 1, 2)
                           for part in (slice(0, 3), slice(3, 6))], axis=1)  # fmt: skip
-        leant = far[:, None, None] * ahead
-        sums, lean_sums = (np.concatenate([0.0 * each[:1], np.cumsum(each, axis=0)]) for each in (added, leant))
+        biased = far[:, None, None] * ahead
+        sums, bias_sums = (np.concatenate([0.0 * each[:1], np.cumsum(each, axis=0)]) for each in (added, biased))
         at = np.where(covered, times, own[0])
         place = np.clip(np.searchsorted(own, at, side="right") - 1, 0, len(own) - 2)
         share = ((at - own[place]) / (own[place + 1] - own[place]))[:, None]
@@ -103,36 +107,32 @@ class Motion:
         path[:, :3, :3] = Slerp(own, Rotation.from_matrix(poses[:, :3, :3]))(at).as_matrix()
         path[:, :3, 3] = (1.0 - share) * poses[place, :3, 3] + share * poses[place + 1, :3, 3]
         drift = sums[place] + share[..., None, None] * added[place]
-        leans = lean_sums[place] + share[..., None] * leant[place]
+        bias = bias_sums[place] + share[..., None] * biased[place]
         gaps = np.diff(own) > LONGEST_STEP
         covered &= ~gaps[place] | (share[:, 0] == 0.0)
         path[~covered] = np.nan
-        return cls(times, DRIFT, path, drift, leans, np.concatenate([[0], np.cumsum(gaps)])[place])
+        return cls(times, DRIFT, path, drift, bias, np.concatenate([[0], np.cumsum(gaps)])[place])
 
-    def of(self, frames: IntArray, apart: IntArray) -> "Motion":
-        """The motion between some of the frames, `(n,)`, that says nothing from one part, `(n,)`, to another."""
-        piece = apart if self.piece is None else apart * (self.piece.max() + 1) + self.piece[frames]
+    def of(self, frames: IntArray, part: IntArray) -> "Motion":
+        """Motion between some of the frames, `(n,)`, without links between frames of different parts, `(n,)`."""
+        piece = part if self.piece is None else part * (self.piece.max() + 1) + self.piece[frames]
+        names = ("times", "path", "drift", "bias_sums")
+        chosen: dict[str, Any] = {name: own[frames] for name in names if (own := getattr(self, name)) is not None}
+        return replace(self, piece=piece, **chosen)
 
-        def chosen(values: FloatArray | None) -> FloatArray | None:
-            return None if values is None else values[frames]
-
-        return replace(
-            self,
-            times=self.times[frames],
-            path=chosen(self.path),
-            drift=chosen(self.drift),
-            leans=chosen(self.leans),
-            piece=piece,
-        )
+    @property
+    def is_odometry(self) -> bool:
+        """True for odometry, False for a constant velocity."""
+        return self.path is not None
 
     @property
     def assumed(self) -> tuple[float, float]:
-        """The spread before the drive tells its own."""
-        return STEADY if self.path is None else DRIFT
+        """Prior spread."""
+        return DRIFT if self.is_odometry else STEADY
 
     @property
     def longest(self) -> float:
-        """Seconds over which a constant velocity says enough."""
+        """Longest gap that a constant velocity bridges, seconds."""
         turn, place = self.spread
         if self.gaps is None or self.bridged is None:
             return float(min((12.0 * MOST_TURN**2 / turn**2) ** (1 / 3), (12.0 * MOST_PLACE**2 / place**2) ** (1 / 3)))
@@ -141,15 +141,15 @@ class Motion:
         return float(max(self.gaps[good], default=SHORTEST_GAP))
 
     def _spreads(self, seconds: FloatArray) -> FloatArray:
-        """The spreads of a constant velocity between frames so far apart, `(M, 2)`."""
+        """Spreads of a constant velocity over gaps `(M,)`, `(M, 2)`."""
         spreads = np.broadcast_to(self.spread, (len(seconds), 2))
         if self.gaps is None or self.bridged is None or not len(self.gaps):
             return spreads
-        told = np.stack([np.interp(seconds, self.gaps, each) for each in self.bridged.T], axis=1)
-        return np.where((seconds > SHORTEST_GAP)[:, None], np.maximum(spreads, told), spreads)
+        measured = np.stack([np.interp(seconds, self.gaps, each) for each in self.bridged.T], axis=1)
+        return np.where((seconds > SHORTEST_GAP)[:, None], np.maximum(spreads, measured), spreads)
 
-    def tells(self, i: IntArray, j: IntArray) -> BoolArray:
-        """True where the motion relates frames j to frames i, `(M,)`."""
+    def relates(self, i: IntArray, j: IntArray) -> BoolArray:
+        """True where the motion constrains frames j beside frames i, `(M,)`."""
         between = np.abs(self.times[j] - self.times[i])
         if self.path is None:
             there = between <= self.longest
@@ -160,28 +160,25 @@ class Motion:
     def follows(self, frames: IntArray) -> BoolArray:
         """True for frames, ascending, that are linked to the one before; `(F - 1,)`."""
         i, j = frames[:-1], frames[1:]
-        return np.asarray(self.tells(i, j) & (self.times[j] > self.times[i]))
+        return np.asarray(self.relates(i, j) & (self.times[j] > self.times[i]))
 
     def linked(self, frames: IntArray) -> BoolArray:
-        """True for frames, ascending, that are linked to one of the others, `(F,)`."""
-        follows = self.follows(frames)
-        result = np.zeros(len(frames), dtype=bool)
-        result[1:] |= follows
-        result[:-1] |= follows
-        return result
+        """True for frames, ascending, that are linked to the one before or after, `(F,)`."""
+        follows = np.concatenate([[False], self.follows(frames), [False]])
+        return np.asarray(follows[1:] | follows[:-1])
 
     def links(self, frames: IntArray) -> Links:
-        """The links between frames, ascending."""
-        one = np.flatnonzero(self.follows(frames))
-        i, j = frames[one], frames[one + 1]
+        """Links between frames, ascending."""
+        first = np.flatnonzero(self.follows(frames))
+        i, j = frames[first], frames[first + 1]
         seconds, information = self.times[j] - self.times[i], self.information(i, j)
-        if self.path is None or self.leans is None:
-            return Links(12, one, seconds, information, None, None)
-        leans = adjoints(inverse(self.path[j])) @ (self.leans[j] - self.leans[i]) * np.repeat(LEAN, 3)
-        return Links(6, one, seconds, information, inverse(self.path[i]) @ self.path[j], leans)
+        if self.path is None or self.bias_sums is None:
+            return Links(12, first, seconds, information, None, None)
+        bias = adjoint_matrix(inverse(self.path[j])) @ (self.bias_sums[j] - self.bias_sums[i]) * np.repeat(BIAS, 3)
+        return Links(6, first, seconds, information, inverse(self.path[i]) @ self.path[j], bias)
 
     def information(self, i: IntArray, j: IntArray) -> FloatArray:
-        """Inverse of the covariance of what frames j, `(M,)`, are off beside frames i, see `Links`."""
+        """Inverse covariance of the error of frames j `(M,)` beside frames i, see `Links`."""
         turn, place = self.spread
         if self.path is None or self.drift is None:
             seconds = self.times[j] - self.times[i]
@@ -189,17 +186,18 @@ class Motion:
             spline = np.block([[12.0 / h**3, -6.0 / h**2], [-6.0 / h**2, 4.0 / h]])
             axes = np.repeat(self._spreads(seconds) ** -2.0, 3, axis=1)[:, None] * np.eye(6)
             return np.asarray(np.einsum("mij,mkl->mikjl", spline, axes).reshape(-1, 12, 12))
-        back = adjoints(inverse(self.path[j]))
+        back = adjoint_matrix(inverse(self.path[j]))
         grown = self.drift[j] - self.drift[i]
         covariance = back @ (turn**2 * grown[:, 0] + place**2 * grown[:, 1]) @ np.swapaxes(back, 1, 2)
         return np.asarray(np.linalg.inv((covariance + np.swapaxes(covariance, 1, 2)) / 2.0))
 
     def steps(self, i: IntArray, j: IntArray, velocities: FloatArray | None = None) -> FloatArray:
-        """The poses of frames j beside frames i, `(M, 4, 4)`; NaN where they are not known.
+        """Poses of frames j beside frames i, `(M, 4, 4)`; NaN if unknown.
 
         Args:
-            velocities: of all frames, each in its body's frame, turn first, `(F, 6)`; NaN where they are not known. The
-                body of a steady motion stands still without.
+            i, j: indices of frames, `(M,)`.
+            velocities: turn rates and velocities of all frames in the body's frame, `(F, 6)`, NaN if unknown; None for
+                a body that stands still. Odometry does not use them.
         """
         if self.path is not None:
             return np.asarray(inverse(self.path[i]) @ self.path[j])
@@ -215,12 +213,51 @@ class Motion:
         return np.asarray(result)
 
 
+def with_bridged_gaps(motion: Motion, poses: FloatArray) -> Motion:
+    """Motion with the errors of a constant velocity across gaps, measured in stretches of the drive without gaps.
+
+    Of two frames that are a gap apart, the velocities before and after the gap predict the relative pose, which the
+    stretch itself knows better.
+
+    Args:
+        motion: motion at a constant velocity, in pieces.
+        poses: poses of the frames, `(F, 4, 4)`; frames of one piece are contiguous and have a common world.
+    """
+    assert motion.piece is not None
+    gaps, bridged, clock = [], [], motion.times - np.nanmin(motion.times)
+    clock = clock + motion.piece * (np.nanmax(clock) + 10.0 * LONGEST_GAP)
+
+    def nearest(seconds: FloatArray) -> IntArray:
+        """Index of the frame nearest to each time of `clock`."""
+        after = np.clip(np.searchsorted(clock, seconds), 1, len(clock) - 1)
+        return np.asarray(after - (seconds - clock[after - 1] < clock[after] - seconds))
+
+    pace = max(LEAST_PACE, float(np.median(np.diff(clock))))
+    for gap in np.geomspace(SHORTEST_GAP, LONGEST_GAP, GAPS):
+        ends = np.stack([nearest(clock + by) for by in (-pace, 0.0, gap, gap + pace)])
+        before, lasts, after = np.diff(clock[ends], axis=0)
+        fits = (np.abs(lasts - gap) < 0.13 * gap) & (np.abs(before - pace) < 0.5 * pace)
+        fits &= np.abs(after - pace) < 0.5 * pace
+        if len(np.unique((clock[ends[1][fits]] / gap).astype(np.int64))) < FEWEST_GAPS:
+            continue
+        first, i, j, last = poses[ends[:, fits]]
+        into, out = (
+            log(inverse(one) @ other)[:, :3] / h[fits, None] for one, other, h in ((first, i, before), (j, last, after))
+        )
+        moving = (i - first)[:, :3, 3] / before[fits, None], (last - j)[:, :3, 3] / after[fits, None]
+        half = lasts[fits, None] / 2.0
+        turn = log(exp(-turn_twist(half * (into + out))) @ inverse(i) @ j)[:, :3]
+        place = (j - i)[:, :3, 3] - half * (moving[0] + moving[1])
+        squares = np.array([(turn**2).sum(axis=1).mean(), (place**2).sum(axis=1).mean()])
+        gaps.append(gap)
+        bridged.append(np.sqrt(12.0 * squares / gap**3))
+    return replace(motion, gaps=np.array(gaps), bridged=np.array(bridged).reshape(-1, 2))
+
+
 def seconds_of(times: Sequence[str]) -> FloatArray:
-    """Times of frames as they are written, in seconds, `(F,)`; NaN for names of images.
+    """Times of frames as text, in seconds, `(F,)`; NaN for names of images.
 
-    Numbers are seconds, or ms, us or ns since 1970.
-
-    Nanoseconds since 1970 have more digits than a float, but a tenth of a microsecond is enough.
+    Numbers are seconds, or ms, us or ns since 1970. Floats resolve a tenth of a microsecond of these.
     """
     result = np.full(len(times), np.nan)
     for index, text in enumerate(times):

@@ -1,13 +1,12 @@
-"""From where further photographs would tell most of the map, one after the other.
+"""Next photographs: camera poses that would reduce the covariance of the map most, chosen greedily.
 
-What is known of all tags is the covariance P of their twists: that of the survey, and for tags of the plan that it
-could not place that of hanging. A photograph with the slopes J of its sightings by the tags, whitened by what corners
-are off by and freed from its own pose, lowers it by P J' (I + J P J')^-1 J P. The best of many candidates is the one
-that most lowers the sum of the variances of the places of all tags beside each other; the next one then begins with
-what is left.
+P is the covariance of the twists of all tags: that of the survey, and that of hanging for planned tags that are not
+placed. A photograph whose sightings have the Jacobian J by the tags, whitened by the errors of corners and projected
+off its own pose, reduces it by P J' (I + J P J')^-1 J P. Of many candidates the one is chosen that most reduces the sum
+of the variances of the places of tags beside each other, again and again.
 """
 
-from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from threadpoolctl import threadpool_limits
@@ -17,58 +16,72 @@ from lmd.detection.corner_errors import CornerErrors
 from lmd.geometry.camera import Camera
 from lmd.geometry.projection import bearings, project, slope
 from lmd.geometry.se3 import pose_of
-from lmd.geometry.squares import CORNERS
 from lmd.space.space import Space
 from lmd.survey.estimate import ONE_THREAD
 from lmd.survey.gauge import gauge_free
-from lmd.survey.residuals import linearise
-from lmd.survey.sightings import Sightings, shortest_side
-from lmd.survey.student import RESIDUALS
+from lmd.survey.residuals import Reprojection
+from lmd.survey.sightings import RESIDUALS, SQUARE, Sightings, shortest_side
 from lmd.survey.survey import Photograph, Survey
 
-MOST_PHOTOGRAPHS = 5  # photographs that are proposed
-LEAST_GAIN = 0.03  # of the sum of variances; a photograph that lowers it by less is not proposed
-PLACES, TARGETS = 30, 8  # of earlier frames, and of tags that need a photograph: so many are tried
-DISTANCES, SIDEWAYS = (0.8, 1.5, 2.5), (-0.7, 0.0, 0.7)  # metres and rad, from which such a tag is tried
-MOST_CANDIDATES = 200  # candidates that are weighed
-# Photographs from so near, metres, that look the same way, as a cosine, have errors in common that no covariance knows.
+MOST_PHOTOGRAPHS = 5  # maximum number of photographs
+LEAST_GAIN = 0.03  # minimum reduction of the sum of variances, relative
+PLACES, TARGETS = 30, 8  # maximum numbers of earlier frames, and of tags in need, for candidates
+DISTANCES, SIDEWAYS = (0.8, 1.5, 2.5), (-0.7, 0.0, 0.7)  # candidates before such a tag, metres and rad
+MOST_CANDIDATES = 200  # maximum number of candidates that are evaluated
+# Photographs nearer than this, metres, in directions with a larger cosine have errors in common beside the covariance.
 NEAR_ANOTHER, SAME_WAY = 0.3, 0.966
-# A tag is counted on if its modules are so large, pixels, and it is not steeper, as a cosine.
+# Minimum pixels per module, and cosine of the incidence angle, of a tag that will be detected.
 LEAST_PITCH, LEAST_COSINE = 3.0, 0.3
-MARGIN_PIXELS = 5.0  # pixels from the border of the image
+MARGIN_PIXELS = 5.0  # minimum distance of corners from the image's border, pixels
+
+
+@dataclass(frozen=True)
+class _Candidate:
+    """A photograph that may be taken."""
+
+    pose: FloatArray
+    """`(4, 4)` pose of the camera."""
+    tags: IntArray
+    """`(n,)` indices of the tags that it shows."""
+    jacobian: FloatArray
+    """`(8 n, 6 n)` J by the twists of these tags."""
 
 
 def next_photographs(
     survey: Survey, camera: Camera, modules: int, errors: CornerErrors, needy: IntArray, room: Space | None
 ) -> tuple[Photograph, ...]:
-    """The photographs to take next, the best first.
+    """Photographs to take next, the best first.
 
     Args:
-        camera: that takes them.
+        survey: the survey.
+        camera: camera that takes them.
         modules: N of the tags' family.
-        errors: what the detector's corners are off by.
-        needy: the tags that need another photograph, by their index; those of which nothing is known are left out.
-        room: no camera stands outside of it, and what stands in it hides tags; None where it is not known.
+        errors: errors of the detector's corners.
+        needy: indices of the tags that need another photograph; those of unknown pose are left out.
+        room: room that contains the cameras and hides tags; None if unknown.
     """
     tags, covariance, known = _believed(survey)
     needy = needy[known[needy]]
     if not needy.size or known.sum() < 2:
         return ()
     with threadpool_limits(limits=ONE_THREAD):
-        poses = _candidates(survey, tags, needy, room)
-        shown, image = _shown(camera, poses, tags, survey.found.sightings.edges, modules, known, room)
-        worth = np.flatnonzero((shown.sum(axis=1) >= 2) & shown[:, needy].any(axis=1))
-        order = np.lexsort((-shown[worth].sum(axis=1), -shown[worth][:, needy].sum(axis=1)))
-        tried = worth[order[:MOST_CANDIDATES]]
-        slopes = [
-            _slopes(survey, camera, modules, errors, tags, poses[k], np.flatnonzero(shown[k]), image[k])
-            for k in tried.tolist()
-        ]
-        return _greedy(tags, covariance, known, [(poses[k], np.flatnonzero(shown[k])) for k in tried.tolist()], slopes)
+        poses = _camera_poses(survey, tags, needy, room)
+        square = survey.found.sightings.edges[:, None, None] / 2.0 * SQUARE
+        points = square @ np.swapaxes(tags[:, :3, :3], 1, 2) + tags[:, None, :3, 3]
+        image = project(camera, poses, points.reshape(-1, 3)).reshape(len(poses), len(tags), 4, 2)
+        shown = _shown(camera, poses, tags, image, modules, room) & known
+        useful = np.flatnonzero((shown.sum(axis=1) >= 2) & shown[:, needy].any(axis=1))
+        order = np.lexsort((-shown[useful].sum(axis=1), -shown[useful][:, needy].sum(axis=1)))
+        candidates = []
+        for k in useful[order[:MOST_CANDIDATES]].tolist():
+            own = np.flatnonzero(shown[k])
+            jacobian = _jacobian(survey, camera, modules, errors, tags, poses[k], own, image[k, own])
+            candidates.append(_Candidate(poses[k], own, jacobian))
+        return _greedy(tags, covariance, known, candidates)
 
 
 def _believed(survey: Survey) -> tuple[FloatArray, FloatArray, BoolArray]:
-    """Poses of tags, found or planned, `(K, 4, 4)`; the covariance of their twists, `(6 K, 6 K)`; which are known."""
+    """Poses of tags, estimated or planned, the covariance of their twists, `(6 K, 6 K)`, and True for known tags."""
     found, size = survey.found, 6 * len(survey.ids)
     covariance = found.covariance[:size, :size].copy()
     tags = np.where(survey.placed[:, None, None], found.poses.tags, np.nan)
@@ -81,8 +94,8 @@ def _believed(survey: Survey) -> tuple[FloatArray, FloatArray, BoolArray]:
     return tags, covariance, known
 
 
-def _candidates(survey: Survey, tags: FloatArray, needy: IntArray, room: Space | None) -> FloatArray:
-    """Poses of level cameras that look at tags, `(M, 4, 4)`: where earlier frames were taken, and before tags."""
+def _camera_poses(survey: Survey, tags: FloatArray, needy: IntArray, room: Space | None) -> FloatArray:
+    """Poses of level cameras that look at tags in need, `(M, 4, 4)`, at places of earlier frames and before tags."""
     frames = survey.found.poses.frames[survey.found.frames]
     up = -frames[:, :3, 1].mean(axis=0)
     up /= np.linalg.norm(up)
@@ -111,32 +124,23 @@ def _candidates(survey: Survey, tags: FloatArray, needy: IntArray, room: Space |
 
 
 def _shown(
-    camera: Camera,
-    poses: FloatArray,
-    tags: FloatArray,
-    edges: FloatArray,
-    modules: int,
-    known: BoolArray,
-    room: Space | None,
-) -> tuple[BoolArray, FloatArray]:
-    """Which tags each candidate shows, `(M, K)`, and where their corners are imaged, `(M, K, 4, 2)`."""
-    square = np.hstack([CORNERS, np.zeros((4, 1))])
-    points = (edges[:, None, None] / 2.0 * square) @ np.swapaxes(tags[:, :3, :3], 1, 2) + tags[:, None, :3, 3]
-    image = project(camera, poses, points.reshape(-1, 3)).reshape(len(poses), len(tags), 4, 2)
+    camera: Camera, poses: FloatArray, tags: FloatArray, image: FloatArray, modules: int, room: Space | None
+) -> BoolArray:
+    """True for tags with corners at `image` `(M, K, 4, 2)` that M cameras at `poses` will detect, `(M, K)`."""
     towards = poses[:, None, :3, 3] - tags[:, :3, 3]
     facing = (towards * tags[:, :3, 2]).sum(axis=-1) / np.linalg.norm(towards, axis=-1)
     most = np.array([camera.image_width, camera.image_height]) - MARGIN_PIXELS
-    sides = np.linalg.norm(image - np.roll(image, 1, axis=2), axis=-1).min(axis=-1)
+    sides = shortest_side(image.reshape(-1, 4, 2)).reshape(facing.shape)
     inside = ((image > MARGIN_PIXELS) & (image < most)).all(axis=(2, 3))
-    shown = inside & (facing > LEAST_COSINE) & (sides > LEAST_PITCH * modules) & known
+    shown = np.asarray(inside & (facing > LEAST_COSINE) & (sides > LEAST_PITCH * modules))
     if room is not None:
         which, tag = np.nonzero(shown)
         before = tags[tag, :3, 3] + 1e-3 * tags[tag, :3, 2]
         shown[which, tag] = room.clear(poses[which, :3, 3], before)
-    return shown, image
+    return shown
 
 
-def _slopes(
+def _jacobian(
     survey: Survey,
     camera: Camera,
     modules: int,
@@ -144,63 +148,63 @@ def _slopes(
     tags: FloatArray,
     pose: FloatArray,
     own: IntArray,
-    image: FloatArray,
+    corners: FloatArray,
 ) -> FloatArray:
-    """Derivatives J of a photograph by the twists of the tags `own`, whitened and freed from its pose, `(8 n, 6 n)`."""
-    count, corners = len(own), image[own]
-    sides = shortest_side(corners)
-    directions = bearings(camera, corners)
+    """J of a photograph at `pose` that shows the n tags `own` at `corners` `(n, 4, 2)`, `(8 n, 6 n)`."""
+    count, sides, directions, every = (
+        len(own),
+        shortest_side(corners),
+        bearings(camera, corners),
+        survey.found.sightings,
+    )
     noise = np.hypot(errors.sigma(sides / modules), survey.found.floor)
-    every = survey.found.sightings
     zero = np.zeros(count, dtype=np.int64)
     some = Sightings(
         every.ids, every.edges, 1, 1, zero, zero, own, corners, directions, slope(camera, directions), sides,
         sides / modules, noise, np.empty((count, RESIDUALS, 0)), every.shapes, 0.0, 0.0,
     )  # fmt: skip
     still = np.broadcast_to(np.eye(4), (count, 4, 4))
-    at = linearise(some, tags[own], np.broadcast_to(pose, (count, 4, 4)), still)
+    at = Reprojection(some, tags[own], np.broadcast_to(pose, (count, 4, 4)), still)
     by_tags = np.zeros((count, RESIDUALS, count, 6))
     by_tags[np.arange(count), :, np.arange(count)] = at.by_tag / noise[:, None, None]
-    by_frame = (at.by_frame / noise[:, None, None]).reshape(-1, 6)
-    basis, _ = np.linalg.qr(by_frame)
+    basis, _ = np.linalg.qr((at.by_frame / noise[:, None, None]).reshape(-1, 6))
     whole = by_tags.reshape(RESIDUALS * count, 6 * count)
     return np.asarray(whole - basis @ (basis.T @ whole))
 
 
 def _greedy(
-    tags: FloatArray,
-    covariance: FloatArray,
-    known: BoolArray,
-    candidates: Sequence[tuple[FloatArray, IntArray]],
-    slopes: Sequence[FloatArray],
+    tags: FloatArray, covariance: FloatArray, known: BoolArray, candidates: list[_Candidate]
 ) -> tuple[Photograph, ...]:
-    """The best candidate that is not like those before it, again and again."""
+    """Choose the best candidate that is not like those before it, again and again."""
     rows = np.flatnonzero(np.repeat(known, 6))
     place = np.cumsum(known) - 1
-    left = gauge_free(tags[known])
-    left = left[np.tile(np.arange(6) >= 3, int(known.sum()))]  # what is counted: places
+    left = gauge_free(tags[known])[np.tile(np.arange(6) >= 3, int(known.sum()))]  # of places
     whole = covariance[np.ix_(rows, rows)]
-    poses = np.reshape([pose for pose, _ in candidates], (-1, 4, 4))
+    poses = np.reshape([one.pose for one in candidates], (-1, 4, 4))
     fresh = np.ones(len(candidates), dtype=bool)
     chosen: list[Photograph] = []
+
+    def inner(one: _Candidate) -> tuple[IntArray, FloatArray]:
+        """Rows of its tags in P, and I + J P J'."""
+        index = (6 * place[one.tags][:, None] + np.arange(6)).ravel()
+        return index, np.eye(len(one.jacobian)) + one.jacobian @ whole[np.ix_(index, index)] @ one.jacobian.T
+
     for _ in range(MOST_PHOTOGRAPHS):
         seen = left @ whole
         total = float((seen * left).sum())
         gains = np.zeros(len(candidates))
-        for k, ((_, own), slopes_of) in enumerate(zip(candidates, slopes, strict=True)):
-            index = (6 * place[own][:, None] + np.arange(6)).ravel()
-            inner = np.eye(len(slopes_of)) + slopes_of @ whole[np.ix_(index, index)] @ slopes_of.T
-            half = slopes_of @ seen[:, index].T
-            gains[k] = fresh[k] * (half * np.linalg.solve(inner, half)).sum()
-        if not len(candidates) or gains.max() < LEAST_GAIN * total:
+        for k in np.flatnonzero(fresh).tolist():
+            index, matrix = inner(candidates[k])
+            half = candidates[k].jacobian @ seen[:, index].T
+            gains[k] = (half * np.linalg.solve(matrix, half)).sum()
+        if not candidates or gains.max() < LEAST_GAIN * total:
             break
         best = int(np.argmax(gains))
-        pose, own = candidates[best]
-        index = (6 * place[own][:, None] + np.arange(6)).ravel()
-        inner = np.eye(len(slopes[best])) + slopes[best] @ whole[np.ix_(index, index)] @ slopes[best].T
-        half = slopes[best] @ whole[index]
-        whole = whole - half.T @ np.linalg.solve(inner, half)
-        near = np.linalg.norm(poses[:, :3, 3] - pose[:3, 3], axis=1) < NEAR_ANOTHER
-        fresh &= ~(near & (poses[:, :3, 2] @ pose[:3, 2] > SAME_WAY))
-        chosen.append(Photograph(pose, own, float(np.sqrt(max(total - gains[best], 0.0) / known.sum()))))
+        one = candidates[best]
+        index, matrix = inner(one)
+        half = one.jacobian @ whole[index]
+        whole = whole - half.T @ np.linalg.solve(matrix, half)
+        near = np.linalg.norm(poses[:, :3, 3] - one.pose[:3, 3], axis=1) < NEAR_ANOTHER
+        fresh &= ~(near & (poses[:, :3, 2] @ one.pose[:3, 2] > SAME_WAY))
+        chosen.append(Photograph(one.pose, one.tags, float(np.sqrt(max(total - gains[best], 0.0) / known.sum()))))
     return tuple(chosen)

@@ -1,12 +1,12 @@
-"""What photographs say of tags: the directions in which their corners were seen, and how well these are known.
+"""Sightings: detections of tags as measurements of bundle adjustment.
 
-A corner that was found at a pixel was seen in the direction b, a unit vector in the camera's frame. Around it the image
-moves by J (2, 3) pixels per unit of the plane that touches the sphere of directions at b. A corner that is at p in
-that frame would have been found e = J p / (b . p) pixels away. That is the reprojection error but for terms of second
-order in e, and needs nothing of the lens but its inverse, once.
+A corner that is found at a pixel is seen in the direction b, a unit vector in the camera's frame. Near b the image
+moves by J (2, 3) pixels per unit of the plane that touches the unit sphere at b. A corner at p in the camera's frame
+has the residual e = J p / (b . p), pixels. This equals the reprojection error up to terms of second order in e, and
+needs the inverse of the lens model only once.
 
-The four corners of a printed tag are not quite those of a flat square: paper bends, and printers stretch. But for its
-motions and its size there are five ways in which a tag can be off it, `SHAPES`.
+Paper bends and printers stretch, so the corners of a printed tag do not lie on an exact flat square. Beside rigid
+motions and the size there are five modes of deformation, `SHAPES`.
 """
 
 from collections.abc import Sequence
@@ -23,82 +23,82 @@ from lmd.geometry.se3 import pose_of
 from lmd.geometry.squares import CORNERS
 from lmd.mapping.detections import DetectedTags
 
-# How a tag appears whose corners are numbered from its first, second, third and fourth one, `(4, 4, 4)`: turned
-# clockwise by as many quarters as one looks at it.
+RESIDUALS = 8  # of a sighting: two for each corner
+# Rotations of tags whose corners are numbered from the first, second, third and fourth one, `(4, 4, 4)`: clockwise by
+# 0 to 3 quarter turns, as seen by the viewer.
 QUARTERS = pose_of(
     np.array([[[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]] for c, s in ((1, 0), (0, 1), (-1, 0), (0, -1))]),
     np.zeros((4, 3)),
 )
+SQUARE = np.hstack([CORNERS, np.zeros((4, 1))])  # corners of a tag with an edge of 2, in the tag's frame, `(4, 3)`
+MODES = 5  # modes of deformation
+SMALL_PITCH = 2.0  # pixels per module at which the shift of small tags counts in full
+LEAST_ANGLE = 0.2  # sine of the angle at a corner, below which the corner is not shifted further
 
 
 def _shapes() -> FloatArray:
-    """See `SHAPES`."""
-    square = np.hstack([CORNERS, np.zeros((4, 1))])
-    others = [np.broadcast_to(axis, (4, 3)) for axis in np.eye(3)] + [np.cross(axis, square) for axis in np.eye(3)]
-    basis, *_ = np.linalg.svd(np.stack([other.ravel() for other in (*others, square)], axis=1))
+    """Orthonormal modes of deformation, `(6, 4, 3)`, see `SHAPES`."""
+    rigid = [np.broadcast_to(axis, (4, 3)) for axis in np.eye(3)] + [np.cross(axis, SQUARE) for axis in np.eye(3)]
+    basis, *_ = np.linalg.svd(np.stack([other.ravel() for other in (*rigid, SQUARE)], axis=1))
     return np.asarray(np.vstack([basis[:, 7:].T, np.zeros(12)]).reshape(6, 4, 3))
 
 
-SMALL_PITCH = 2.0  # pixels a module
-LEAST_ANGLE = 0.2  # sine of the angle at a corner; those of narrower ones hardly say where it is
-# The ways in which the corners of a tag may be off a flat square but for its motions and its size, orthonormal: five,
-# and a sixth that is none, as unknowns come in blocks of six, `(6, 4, 3)`.
+# Orthonormal displacements of the corners: `MODES` modes of deformation and one that is zero, as unknowns come in
+# blocks of six, `(6, 4, 3)`.
 SHAPES = _shapes()
-WAYS = 5
 
 
 @dataclass(frozen=True)
 class Sightings:
-    """N sightings of K tags in F frames of C cameras on one body, in the order of their frames.
-
-    Args:
-        ids: numbers of the tags, `(K,)`, ascending.
-        edges: of their black squares, metres, `(K,)`.
-        frames: F; what several cameras saw at the same time is one frame.
-        cameras: C.
-        frame, camera, tag: which of them each is of, `(N,)`.
-        image: the four corners as they were found, pixels from the border, `(N, 4, 2)`.
-        directions: b of them, `(N, 4, 3)`.
-        tangents: J, `(N, 4, 2, 3)`, pixels.
-        sizes: of the shortest side in the image, pixels, `(N,)`.
-        pitch: of the modules along it, pixels, `(N,)`.
-        noise: standard deviation of a coordinate of a corner that the detector alone accounts for, pixels, `(N,)`.
-        lens: how e changes with what is not known of each camera, in units of what that may be off, `(N, 8, 6 L)`, see
-            `lmd.survey.refining`; L is 0 where all is known.
-        shapes: how far the corners of tags are off flat squares, along `SHAPES`, metres, `(K, 6)`.
-        shape_sigma: standard deviation of these, metres; 0 where they are known.
-        taken: how many degrees of freedom lenses and shapes have taken from the residuals.
-    """
+    """N sightings of K tags in F frames of C cameras on one body, sorted by frame."""
 
     ids: IntArray
+    """`(K,)` ids of the tags, ascending."""
     edges: FloatArray
+    """`(K,)` edges of their black squares, metres."""
     frames: int
+    """F. All images of one moment are one frame."""
     cameras: int
+    """C."""
     frame: IntArray
+    """`(N,)` index of the frame."""
     camera: IntArray
+    """`(N,)` index of the camera."""
     tag: IntArray
+    """`(N,)` index of the tag."""
     image: FloatArray
+    """`(N, 4, 2)` corners as they were found, pixels from the image's border."""
     directions: FloatArray
+    """`(N, 4, 3)` directions b of the corners."""
     tangents: FloatArray
+    """`(N, 4, 2, 3)` J, pixels."""
     sizes: FloatArray
+    """`(N,)` length of the shortest side in the image, pixels."""
     pitch: FloatArray
+    """`(N,)` pixels per module along that side."""
     noise: FloatArray
+    """`(N,)` standard deviation of a coordinate of a corner according to the detector, pixels."""
     lens: FloatArray
+    """`(N, 8, 6 L)` derivatives of e by the camera's nuisance parameters, in units of their prior standard deviations,
+    see `lmd.survey.nuisances`; L = 0 without nuisances."""
     shapes: FloatArray
+    """`(K, 6)` deformations of the tags along `SHAPES`, metres."""
     shape_sigma: float
+    """Prior standard deviation of the deformations, metres; 0 if tags are known to be flat squares."""
     taken: float
+    """Degrees of freedom that nuisance parameters have taken from the residuals."""
 
     def __len__(self) -> int:
         return len(self.frame)
 
     def of(self, chosen: IntArray | BoolArray | slice) -> "Sightings":
-        """The sightings that `chosen` selects; tags and frames keep their numbers."""
+        """Sightings that `chosen` selects; tags and frames keep their indices."""
         names = ("frame", "camera", "tag", "image", "directions", "tangents", "sizes", "pitch", "noise", "lens")
         rest = {name: getattr(self, name)[chosen] for name in names}
         return replace(self, **rest)
 
     def apart(self) -> "Sightings":
-        """The sightings as if every camera were a body of its own: C F frames, those of the first camera first."""
+        """Sightings with every camera as a body of its own: C F frames, those of the first camera first."""
         order = np.argsort(self.frame + self.camera * self.frames, kind="stable")
         some = self.of(order)
         frames = some.frame + some.camera * self.frames
@@ -106,14 +106,21 @@ class Sightings:
 
     @cached_property
     def corners(self) -> FloatArray:
-        """The corners in the frames of their tags (x right, y up, z out), `(N, 4, 3)`, metres."""
-        square = np.hstack([CORNERS, np.zeros((4, 1))])
+        """Corners in the frames of their tags (x right, y up, z out), `(N, 4, 3)`, metres."""
         off = np.tensordot(self.shapes, SHAPES, axes=1)
-        return np.asarray(self.edges[self.tag, None, None] / 2.0 * square + off[self.tag])
+        return np.asarray(self.edges[self.tag, None, None] / 2.0 * SQUARE + off[self.tag])
+
+    def variance(self, floor: float) -> FloatArray:
+        """Variance of a coordinate of a corner, pixels^2, `(N,)`; `floor` is a further standard deviation, pixels."""
+        return np.asarray(self.noise**2 + floor**2)
+
+    def counts(self, chosen: BoolArray | None = None) -> IntArray:
+        """Number of sightings of each tag, `(K,)`, among those `chosen` `(N,)`; None for all."""
+        return np.bincount(self.tag if chosen is None else self.tag[chosen], minlength=len(self.ids))
 
 
 def inward(image: FloatArray) -> FloatArray:
-    """The ways of corners `(N, 4, 2)` in an image when the edges are shifted by one pixel towards the middle."""
+    """Displacement of corners `(N, 4, 2)` in an image if all edges move by one pixel towards the middle."""
     (along, other) = (np.roll(image, way, axis=1) - image for way in (1, -1))
     along, other = (edge / np.linalg.norm(edge, axis=-1, keepdims=True) for edge in (along, other))
     across = np.abs(along[..., 0] * other[..., 1] - along[..., 1] * other[..., 0])
@@ -121,12 +128,12 @@ def inward(image: FloatArray) -> FloatArray:
 
 
 def shortest_side(image: FloatArray) -> FloatArray:
-    """The length of the shortest side of tags with the corners `(N, 4, 2)`, pixels, `(N,)`."""
+    """Length of the shortest side of tags with corners at `(N, 4, 2)`, pixels, `(N,)`."""
     return np.asarray(np.linalg.norm(image - np.roll(image, 1, axis=1), axis=-1).min(axis=1))
 
 
-def shifted(pitch: FloatArray) -> FloatArray:
-    """The parts of the shift of all tags, and of that of small ones, in the shift at each pitch, `(N, 2)`."""
+def shift_basis(pitch: FloatArray) -> FloatArray:
+    """Factors of the two shift parameters, of all tags and of small tags, at each pitch `(N,)`, `(N, 2)`."""
     return np.stack([np.ones_like(pitch), (SMALL_PITCH / pitch) ** 2], axis=1)
 
 
@@ -139,21 +146,21 @@ def sightings_of(
     errors: CornerErrors,
     shifts: FloatArray | None = None,
 ) -> Sightings:
-    """The sightings of the tags with these `ids`.
+    """Convert detections of the tags `ids` to sightings.
 
-    Detections of other tags, and those with a corner outside of the image or of what the lens images, are left out.
+    Leaves out detections of other tags, and those with a corner outside of the image or of what the lens images.
 
     Args:
-        detected: as they were found.
-        cameras: in the order of `detected.cameras`.
+        detected: the detections.
+        cameras: cameras in the order of `detected.cameras`.
         ids, edges: see `Sightings`.
         modules: N of the tags' family.
-        errors: what the detector's corners are off by.
-        shifts: by how many pixels each camera's images have edges farther `inward` than `errors` says, `(C, 2)`: those
-            of all tags, and of small ones besides, see `shifted`; None for 0.
+        errors: errors of the detector's corners.
+        shifts: shift of edges `inward` in each camera's images beyond that of `errors`, pixels, `(C, 2)`, see
+            `shift_basis`; None for 0.
 
     Raises:
-        InputError: there is another number of cameras, or no sighting.
+        InputError: the number of cameras differs.
     """
     if len(cameras) != len(detected.cameras):
         raise InputError(
@@ -163,7 +170,9 @@ def sightings_of(
     chosen = detected.of(known[np.lexsort((detected.ids[known], detected.camera[known], detected.frame[known]))])
     sides = shortest_side(chosen.corners)
     pitch = sides / modules
-    off = errors.inward_at(pitch) + (0.0 if shifts is None else (shifted(pitch) * shifts[chosen.camera]).sum(axis=1))
+    off = errors.inward_at(pitch) + (
+        0.0 if shifts is None else (shift_basis(pitch) * shifts[chosen.camera]).sum(axis=1)
+    )
     image = chosen.corners - off[:, None, None] * inward(chosen.corners)
     directions, tangents = np.empty((len(chosen), 4, 3)), np.empty((len(chosen), 4, 2, 3))
     whole = np.zeros(len(chosen), dtype=bool)
@@ -174,22 +183,9 @@ def sightings_of(
         directions[own] = bearings(camera, image[own])
         tangents[own] = slope(camera, directions[own])
     every = Sightings(
-        ids=ids,
-        edges=edges,
-        frames=len(detected.times),
-        cameras=len(cameras),
-        frame=chosen.frame,
-        camera=chosen.camera,
-        tag=np.searchsorted(ids, chosen.ids),
-        image=image,
-        directions=directions,
-        tangents=tangents,
-        sizes=sides,
-        pitch=pitch,
-        noise=errors.sigma(pitch),
-        lens=np.empty((len(chosen), 8, 0)),
-        shapes=np.zeros((len(ids), 6)),
-        shape_sigma=0.0,
-        taken=0.0,
-    )
+        ids=ids, edges=edges, frames=len(detected.times), cameras=len(cameras),
+        frame=chosen.frame, camera=chosen.camera, tag=np.searchsorted(ids, chosen.ids),
+        image=image, directions=directions, tangents=tangents, sizes=sides, pitch=pitch, noise=errors.sigma(pitch),
+        lens=np.empty((len(chosen), RESIDUALS, 0)), shapes=np.zeros((len(ids), 6)), shape_sigma=0.0, taken=0.0,
+    )  # fmt: skip
     return every.of(np.flatnonzero(whole & np.isfinite(tangents).all(axis=(1, 2, 3))))

@@ -10,11 +10,10 @@ import pandas as pd
 from lmd.core.words import as_code, escaped
 from lmd.evaluation.comparison import OptimiserRun, compared
 from lmd.objectives.coverage import Coverage
-from lmd.plot.cap import save_cap_figure
+from lmd.plot.charts import save_comparison_figure, save_heat_map
 from lmd.plot.common import new_figure
-from lmd.plot.comparison import save_comparison_figure
-from lmd.plot.heat_map import save_heat_map
-from lmd.plot.scene import save_deployments_figure
+from lmd.plot.deployments import save_deployments_figure
+from lmd.plot.directions import save_cap_figure
 
 from ..app import command_of
 from .document import Picture, Section, Table, Text, comparison_table

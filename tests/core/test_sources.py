@@ -135,7 +135,7 @@ def test_an_edit_makes_those_kernels_stale_that_it_is_a_part_of():
     assert {"lmd.objectives.localisation.trial", "lmd.sight.models.fiducial_sight"} <= tags - paper
     assert "lmd.optimisers.annealing.walk" not in evaluated
     assert not {name for name in evaluated if name.startswith(("lmd.incremental", "lmd.objectives"))}
-    assert "lmd.planner.additions" not in paper | tags | evaluated
+    assert "lmd.planner.figures" not in paper | tags | evaluated
 
 
 @pytest.mark.skipif(not LINKED, reason="numba's libraries know what they are linked with")

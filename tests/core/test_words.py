@@ -9,8 +9,8 @@ import pytest
 
 from lmd.core.words import as_code, escaped, markdown_table
 from lmd.estimation import pairs
+from lmd.plot.charts import save_heat_map
 from lmd.plot.common import literal, new_figure
-from lmd.plot.heat_map import save_heat_map
 from pipelines.calibrate_detector import to_markdown as calibrations_to_markdown
 from pipelines.operations.sweeps.folder import Job, JobFolder, Sweep
 from pipelines.operations.sweeps.summary import description

@@ -22,10 +22,9 @@ from lmd.evaluation.bounds import (
     fewest_landmarks,
     fitness_upper_bound,
 )
-from lmd.evaluation.relaxation import Relaxation, smoothed_min
+from lmd.evaluation.relaxation import Relaxation, largest_gain, smoothed_min
 from lmd.evaluation.selection_bound import selection_upper_bound
 from lmd.evaluation.time_limit import TimeLimit
-from lmd.evaluation.wall_gains import largest_gain
 from lmd.objectives.coverage import Coverage
 from lmd.objectives.localisation import Localisation
 from lmd.objectives.sampling import Sampling

@@ -7,12 +7,12 @@ from matplotlib.image import imread
 from paper import X, paper_room, paper_scene
 
 from lmd.core.checks import InputError
+from lmd.evaluation.measured import as_measured, read_measured
 from lmd.evaluation.mounting import VIEWS_PER_DRAW, MountingError, mounted, off_grid_figures
-from lmd.evaluation.survey import read_measured, survey
 from lmd.evaluation.validation import Sample, validation_metrics
 from lmd.objectives.coverage import Coverage
 from lmd.objectives.localisation import Localisation
-from lmd.plot.mounting import save_map_figure
+from lmd.plot.pose_errors import save_map_figure
 from lmd.problem import Problem
 from lmd.scene import pdf
 from lmd.scene.deployment import Deployment
@@ -155,7 +155,7 @@ def test_measured_tags_are_known_by_their_ids(tmp_path):
     measured = read_measured(path, problem, plan)
     np.testing.assert_allclose(measured.positions, plan.positions + shift, atol=1e-15)
     assert measured.labels == plan.labels
-    found = survey(problem, plan, measured, 0, SAMPLE, views=100)
+    found = as_measured(problem, plan, measured, 0, SAMPLE, views=100)
     farthest = found.moved.iloc[0]
     assert (farthest["id"], farthest.moved) == (12, pytest.approx(0.05))
     assert (farthest.dy, farthest.dz) == (pytest.approx(0.03), pytest.approx(-0.04))
@@ -173,7 +173,7 @@ def test_a_tilt_is_measured_by_the_normal(tmp_path):
     normals = plan.normals.copy()
     normals[0] = np.cos(0.05) * normals[0] + np.sin(0.05) * plan.ups[0]
     measured = read_measured(measured_file(tmp_path, replace(plan, normals=normals)), problem, plan)
-    found = survey(problem, plan, measured, 0, SAMPLE, views=10)
+    found = as_measured(problem, plan, measured, 0, SAMPLE, views=10)
     assert found.moved.set_index("id").tilted[plan.ids[0]] == pytest.approx(0.05)
 
 

@@ -10,7 +10,7 @@ from numpy.testing import assert_allclose
 from paper import paper_camera
 from processes import call, refused
 
-from lmd.evaluation.reach import is_read, pose_errors, reach, smallest_edge
+from lmd.evaluation.reach import is_read, pose_bounds, reach, smallest_edge
 from lmd.geometry.squares import corners, upright
 from lmd.scene.tag import Tag
 from lmd.sight.models.fiducial import Fiducial
@@ -65,7 +65,7 @@ def test_errors_are_those_of_opencv_on_noisy_corners(distance, incidence):
         rotation = cv2.Rodrigues(turn)[0]
         found.append([*(-rotation.T @ shift[:, 0]), *turn[:, 0]])
     spread = np.sqrt((np.square(found)).mean(axis=0))
-    position, attitude = pose_errors(SHARP, TAG, [distance], incidence, noise)
+    position, attitude = pose_bounds(SHARP, TAG, [distance], incidence, noise)
     assert_allclose(np.linalg.norm(spread[:3]), position[0], rtol=0.12)
     assert_allclose(np.linalg.norm(spread[3:]), attitude[0], rtol=0.12)
 

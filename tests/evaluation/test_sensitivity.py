@@ -22,7 +22,7 @@ from lmd.evaluation.validation import Sample, sampled_values
 from lmd.objectives.coverage import Coverage
 from lmd.objectives.localisation import Localisation
 from lmd.objectives.localisation.evaluation import localised_views
-from lmd.plot.sensitivity import save_sensitivity_figure
+from lmd.plot.charts import save_sensitivity_figure
 from lmd.problem import Problem
 from lmd.scene import pdf
 from lmd.scene.deployment import Deployment

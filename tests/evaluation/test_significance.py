@@ -5,7 +5,7 @@ from itertools import product
 import numpy as np
 import pytest
 
-from lmd.evaluation.significance import a12, friedman, holm, mean_ranks, median_interval, nemenyi, wilcoxon
+from lmd.evaluation.comparison import a12, friedman, holm, mean_ranks, median_interval, nemenyi, wilcoxon
 
 # Critical values of Nemenyi's test at 0.05 for 2, 3, 5 and 10 columns, as Demsar (2006) prints them in Table 5 (a).
 CRITICAL = {2: 1.960, 3: 2.343, 5: 2.728, 10: 3.164}

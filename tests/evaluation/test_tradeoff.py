@@ -20,7 +20,7 @@ from lmd.evaluation.tradeoff import (
     shrunk,
     started,
 )
-from lmd.plot.tradeoff import Panel, save_tradeoff_figure
+from lmd.plot.charts import Panel, save_tradeoff_figure
 from lmd.scene.deployment import Deployment
 from lmd.scene.deployment_sources import RandomDeployment
 from lmd.scene.tag import Tag

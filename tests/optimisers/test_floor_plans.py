@@ -44,7 +44,7 @@ def test_a_budget_too_small_for_a_pose_on_each_wall_is_no_reason_to_fail():
 
 
 def test_no_deployment_exceeds_the_bound(monkeypatch):
-    monkeypatch.setattr("lmd.evaluation.wall_gains.MOST_CELLS", 20_000)  # the bound holds whenever it stops
+    monkeypatch.setattr("lmd.evaluation.relaxation.MOST_CELLS", 20_000)  # the bound holds whenever it stops
     problem = Problem(SCENE, Coverage(2, 0.5), RandomDeployment(16), threads=1)
     found = Greedy().run(problem, Budget(200)).deployment
     average = problem.metrics(found)["average_coverage_probability"]

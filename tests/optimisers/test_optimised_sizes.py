@@ -117,7 +117,7 @@ def _few():
 
 
 def test_no_choice_of_poses_exceeds_the_bounds_and_fractions_of_tags_reach_the_one_on_the_grid(few, monkeypatch):
-    monkeypatch.setattr("lmd.evaluation.wall_gains.MOST_CELLS", 20_000)  # the bound holds whenever it stops
+    monkeypatch.setattr("lmd.evaluation.relaxation.MOST_CELLS", 20_000)  # the bound holds whenever it stops
     search, plates = Search(3.0, 100, 0.02), few.scene.plates
     bound = average_upper_bound(few, 3, search)
     size = len(few.evaluator.positions)

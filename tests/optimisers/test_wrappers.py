@@ -16,14 +16,13 @@ from scipy.optimize import differential_evolution, direct, dual_annealing, minim
 from small import problem
 
 from lmd.core.checks import InputError
-from lmd.optimisers.ask_and_tell import AskAndTell
 from lmd.optimisers.ledger import Budget
 from lmd.optimisers.nevergrad import Nevergrad
 from lmd.optimisers.pycma import PyCma
 from lmd.optimisers.pymoo import Pymoo
 from lmd.optimisers.random_search import RandomSearch
 from lmd.optimisers.scipy import Scipy
-from lmd.optimisers.wrapped import Wrapped
+from lmd.optimisers.wrapped import AskAndTell, Wrapped
 from lmd.scene.deployment_sources import RandomDeployment
 from pipelines.hyperparameters import completed
 from pipelines.nodes import instantiate

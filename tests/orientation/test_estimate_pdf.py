@@ -8,9 +8,8 @@ from scipy.stats import norm, vonmises
 
 from lmd.core.checks import InputError
 from lmd.orientation import density
-from lmd.orientation.density import Axis
+from lmd.orientation.density import AngleCells, circular_difference
 from lmd.orientation.recording import FileRecording, OrientationRecording
-from lmd.orientation.sampling import circular_difference
 from lmd.scene import pdf
 
 STEP = np.pi / 12
@@ -118,11 +117,11 @@ def test_the_simplest_family_within_one_standard_error_of_the_best_is_chosen():
 
 @pytest.mark.parametrize("circular", [True, False])
 def test_every_family_is_a_density_and_a_kernel_wraps_only_around_a_circle(circular):
-    axis = Axis(-np.pi, np.pi, 96, circular) if circular else Axis(-np.pi / 2, np.pi / 2, 96, circular)
+    axis = AngleCells(-np.pi, np.pi, 96, circular) if circular else AngleCells(-np.pi / 2, np.pi / 2, 96, circular)
     angle = np.full(60, axis.high - 1e-3)
-    for family in (density.uniform, density.von_mises if circular else density.normal, density.kernel):
+    for family in (density.uniform, density.von_mises if circular else density.normal, density.kernel_estimate):
         assert family(angle, axis).probability.sum() == pytest.approx(1.0)
-    probability = density.kernel(angle, axis).probability
+    probability = density.kernel_estimate(angle, axis).probability
     assert (probability[0] > 0.1) == circular
     assert (probability[-1] > 0.4) != circular
 

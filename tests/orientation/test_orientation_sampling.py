@@ -1,15 +1,14 @@
-"""Independent samples of a recording, and whether their angles depend on each other."""
+"""Independent samples of a recording, and the test of independence of their angles."""
 
 import numpy as np
 import pytest
 from recordings import MOVING, estimated, independent_draws, simulated
 
 from lmd.core.checks import InputError
-from lmd.orientation.recording import OrientationRecording
-from lmd.orientation.sampling import (
+from lmd.orientation.density import circular_difference, independence_test
+from lmd.orientation.recording import (
+    OrientationRecording,
     Samples,
-    circular_difference,
-    independence_test,
     integrated_correlation_time,
     sample_at_random_intervals,
 )

@@ -8,8 +8,8 @@ from scipy.spatial.transform import Rotation
 
 from lmd.core.checks import InputError
 from lmd.geometry.frames import rotation
+from lmd.orientation.density import circular_difference
 from lmd.orientation.recording import OrientationRecording
-from lmd.orientation.sampling import circular_difference
 
 
 def test_a_simulated_recording_is_smooth_also_through_the_seam_and_the_same_for_the_same_seed():

@@ -99,7 +99,7 @@ def _nothing_begins(monkeypatch, tmp_path):
     ):
         monkeypatch.setattr(name, _begin)
     monkeypatch.setattr("hydra.utils.instantiate", _remembered)
-    monkeypatch.setattr("lmd.planner.session.Session.warm_up", lambda _: None)
+    monkeypatch.setattr("lmd.planner.session.PlanningSession.warm_up", lambda _: None)
     monkeypatch.setattr("pipelines.compare._compose", lambda _, cfg, __: cfg)
     (tmp_path / "outputs").mkdir()
     (tmp_path / "seen.csv").write_text("time,id,x0,y0,x1,y1,x2,y2,x3,y3\n0,3,10,20,30,20,30,40,10,40\n")

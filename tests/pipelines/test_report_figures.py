@@ -7,9 +7,9 @@ from paper import paper_scene
 from lmd.geometry.frames import optical_axis
 from lmd.objectives.coverage import Coverage
 from lmd.plot import common
-from lmd.plot.cap import hemisphere, save_cap_figure
-from lmd.plot.heat_map import save_heat_map
-from lmd.plot.scene import save_deployments_figure
+from lmd.plot.charts import save_heat_map
+from lmd.plot.deployments import save_deployments_figure
+from lmd.plot.directions import hemisphere, save_cap_figure
 from lmd.problem import Problem
 from lmd.scene import pdf
 from lmd.scene.deployment import Deployment

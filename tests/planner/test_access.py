@@ -1,4 +1,4 @@
-"""Requests to a planner, as its own page, other pages and programs send them."""
+"""Requests to a planner by its own page, by other pages and by programs."""
 
 from http import HTTPStatus
 from urllib.error import HTTPError
@@ -14,7 +14,7 @@ from lmd.optimisers.ledger import Budget
 from lmd.optimisers.random_search import RandomSearch
 from lmd.planner.access import Access
 from lmd.planner.app import Planner
-from lmd.planner.session import Session
+from lmd.planner.session import PlanningSession
 
 viser = pytest.importorskip("viser")
 from websockets.exceptions import InvalidStatus  # noqa: E402
@@ -27,14 +27,14 @@ REBOUND = "foreign.example"
 @pytest.fixture(scope="module")
 def address():
     planned = problem()
-    session = Session(planned, planned.draw(np.random.default_rng(0)))
+    session = PlanningSession(planned, planned.draw(np.random.default_rng(0)))
     planner = Planner(session, 0, lambda _: "", RandomSearch, Budget(1), seed=None)
     yield planner.address
     planner.close()
 
 
 def asked(address, **headers):
-    """The status and the text of the answer to a request."""
+    """Status and text of the answer to a request."""
     try:
         with urlopen(Request(address, headers=headers), timeout=LIMIT) as answer:
             return answer.status, answer.read().decode()
@@ -43,7 +43,7 @@ def asked(address, **headers):
 
 
 def opened(address, origin):
-    """The status of the answer to a request for a websocket."""
+    """Status of the answer to a request for a websocket."""
     try:
         address, protocol = address.rstrip("/").replace("http", "ws", 1), f"viser-v{viser.__version__}"
         with connect(address, origin=origin, subprotocols=[protocol], open_timeout=LIMIT) as connection:
@@ -61,7 +61,7 @@ def changed(address):
     return [server + path for path in paths]
 
 
-def test_the_page_and_its_websocket_are_let_in_again_and_again(address):
+def test_the_page_and_its_websocket_are_served_repeatedly(address):
     origin = "http://" + urlsplit(address).netloc
     for _ in range(2):
         status, text = asked(address)
@@ -70,7 +70,7 @@ def test_the_page_and_its_websocket_are_let_in_again_and_again(address):
         assert opened(address, origin) == HTTPStatus.SWITCHING_PROTOCOLS
 
 
-def test_it_may_be_called_localhost_and_reached_through_a_forwarded_port(address):
+def test_localhost_and_forwarded_ports_are_allowed(address):
     assert asked(address, Host="localhost:9000")[0] == HTTPStatus.OK
     local = address.replace("127.0.0.1", "localhost")
     assert opened(local, "http://" + urlsplit(local).netloc) == HTTPStatus.SWITCHING_PROTOCOLS
@@ -99,6 +99,6 @@ def test_the_token_is_new_each_time():
     assert len({Access().address(80) for _ in range(9)}) == 9
 
 
-def test_a_server_that_does_not_ask_is_refused():
+def test_a_server_without_checks_is_refused():
     with pytest.raises(InputError, match="cannot be kept from talking to every web page"), Access().checking():
         pass

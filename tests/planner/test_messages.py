@@ -1,4 +1,4 @@
-"""Messages that make no sense: the planner says so, goes on, and is there for the next browser."""
+"""Invalid messages: the planner refuses them, goes on, and serves the next browser."""
 
 from urllib.parse import urlsplit
 
@@ -9,8 +9,8 @@ from small import problem
 from lmd.optimisers.ledger import Budget
 from lmd.optimisers.random_search import RandomSearch
 from lmd.planner.app import Planner
-from lmd.planner.panel import Panel
-from lmd.planner.session import Session
+from lmd.planner.panel import PlannerPanel
+from lmd.planner.session import PlanningSession
 
 viser = pytest.importorskip("viser")
 import msgspec  # noqa: E402
@@ -27,7 +27,7 @@ POINTED = {
     "screen_pos": (0, 0), "modifier": None,
 }  # fmt: skip
 NAN, HUGE = float("nan"), 1e308
-DRAGGED = {  # to nowhere: what arrives before it is overtaken by the next changes nothing either
+DRAGGED = {  # to a place that is not finite, so that it changes nothing, whichever of its events are applied
     "type": "SceneNodeDragMessage", "name": "/tags", "instance_index": 0, "start_position": (2, 5, 1),
     "start_screen_pos": (0, 0), "end_position": (NAN, 5, 1), "end_screen_pos": (0, 0), "button": "left",
     "modifier": None,
@@ -39,7 +39,7 @@ class Ended(KeyboardInterrupt):
 
 
 def shown_to(connection):
-    """The messages that a browser gets when it comes."""
+    """Messages that a browser receives when it connects."""
     found = []
     while not found or found[-1]["type"] != "ReplayDoneMessage":
         window = connection.recv(timeout=LIMIT)
@@ -50,16 +50,16 @@ def shown_to(connection):
 
 
 def widget(messages, label):
-    """The name by which a browser calls the widget with a label."""
+    """Identifier of the widget with a label."""
     (uuid,) = (m["uuid"] for m in messages if m["type"].startswith("Gui") and m.get("props", {}).get("label") == label)
     return uuid
 
 
 def odd_messages(of):
-    """Messages that no browser sends by itself, and whether the planner refuses what they ask for."""
+    """Invalid messages, and True if the planner must refuse them."""
     for index in (10**9, -(10**9), "3", None, 0.5):
         yield True, [{**POINTED, "name": "/positions", "instance_index": index}]
-        gone = index == 10**9  # a tag may be gone that a browser still shows
+        gone = index == 10**9  # a browser may still show a tag that was deleted
         yield not gone, [{**DRAGGED, "phase": "start", "instance_index": index}, {**DRAGGED, "phase": "end"}]
     for ray in ((NAN, 0, 0), (HUGE, -HUGE, HUGE)):
         yield False, [{**POINTED, "name": "/surfaces", "ray_direction": ray}]
@@ -70,17 +70,22 @@ def odd_messages(of):
             yield False, [{"type": "GuiUpdateMessage", "uuid": of(label), "updates": {"value": value}}]
 
 
-def test_odd_messages_end_nothing_and_shut_nobody_out(monkeypatch):
+def test_invalid_messages_do_no_harm(monkeypatch):
     planned, said, saved = problem(), [], []
 
     def save(plan):
         saved.append(plan.deployment)
         raise Ended
 
-    say = Panel.say
-    monkeypatch.setattr(Panel, "say", lambda *args, refused=False: (said.append(refused), say(*args, refused=refused)))
-    monkeypatch.setattr("lmd.planner.later.additions", lambda *_: None)
-    session = Session(planned, planned.draw(np.random.default_rng(0)))
+    say = PlannerPanel.say
+
+    def note(*args, refused=False):
+        said.append(refused)
+        say(*args, refused=refused)
+
+    monkeypatch.setattr(PlannerPanel, "say", note)
+    monkeypatch.setattr("lmd.planner.background.additions", lambda *_: None)
+    session = PlanningSession(planned, planned.draw(np.random.default_rng(0)))
     planner = Planner(session, 0, save, RandomSearch, Budget(1), seed=None)
     before, mine = session.plan, urlsplit(planner.address)
     open_socket = lambda: connect(  # noqa: E731
@@ -93,7 +98,7 @@ def test_odd_messages_end_nothing_and_shut_nobody_out(monkeypatch):
         with open_socket() as socket:
             messages = shown_to(socket)
             socket.send(msgspec.msgpack.encode(CAMERA))
-            socket.send(msgspec.msgpack.encode({**POINTED, "name": "/positions"}))  # the camera is somewhere
+            socket.send(msgspec.msgpack.encode({**POINTED, "name": "/positions"}))  # places the camera
             said.clear()
             refused = 0
             for is_refused, odd in odd_messages(lambda label: widget(messages, label)):

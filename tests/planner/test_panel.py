@@ -1,4 +1,4 @@
-"""What the panel says, and what is typed into it."""
+"""Texts of the panel, and values that are typed into it."""
 
 import math
 
@@ -6,9 +6,8 @@ import pytest
 
 from lmd.core.checks import InputError
 from lmd.optimisers.ledger import Budget
-from lmd.planner.legend import TAGS, legend
-from lmd.planner.panel import Panel
-from lmd.planner.search import Progress
+from lmd.planner.panel import TAGS, PlannerPanel
+from lmd.planner.tag_search import SearchProgress
 
 viser = pytest.importorskip("viser")
 
@@ -22,7 +21,7 @@ def gui():
 
 @pytest.mark.parametrize("budget", [Budget(2000), Budget(None, 60.0), Budget(300, 1.5)])
 def test_the_budget_of_a_search_is_shown_and_can_be_typed(gui, budget):
-    panel = Panel(gui, "P", budget, ids=True)
+    panel = PlannerPanel(gui, "P", budget, ids=True)
     assert panel.budget == budget
     for name, field in panel._limits.items():
         before = field.value
@@ -36,12 +35,12 @@ def test_the_budget_of_a_search_is_shown_and_can_be_typed(gui, budget):
 
 
 def test_a_search_shows_its_share_of_the_budget_and_what_it_waits_for(gui, monkeypatch):
-    panel = Panel(gui, "P", Budget(2000, 60.0), ids=True)
+    panel = PlannerPanel(gui, "P", Budget(2000, 60.0), ids=True)
     for compiling, text in ((True, "compiling what this needs, once"), (False, "begins")):
         monkeypatch.setattr("lmd.planner.panel.is_compiling", lambda compiling=compiling: compiling)
         panel.show_progress(None, running=True)
         assert f">{text}<" in panel._progress.content
-    panel.show_progress(Progress(0.25, 0.4321, None), running=True)
+    panel.show_progress(SearchProgress(0.25, 0.4321, None), running=True)
     assert ">25% of 2000 evaluations or 60 seconds; best fitness 43.21%<" in panel._progress.content
     assert panel._bar.visible
     assert panel._bar.value == 25.0
@@ -50,17 +49,18 @@ def test_a_search_shows_its_share_of_the_budget_and_what_it_waits_for(gui, monke
 
 
 def test_a_size_is_chosen_where_there_are_several(gui):
-    assert Panel(gui, "P", Budget(1), ids=True, edges=(0.1,)).edge is None
-    panel = Panel(gui, "P", Budget(1), ids=True, edges=(0.1, 0.25))
+    assert PlannerPanel(gui, "P", Budget(1), ids=True, edges=(0.1,)).edge is None
+    panel = PlannerPanel(gui, "P", Budget(1), ids=True, edges=(0.1, 0.25))
     assert panel.edge == 0.1
     panel._size.value = "0.25 m"
     assert panel.edge == 0.25
-    panel._size.value = "7 m"  # by a browser that makes things up
+    panel._size.value = "7 m"  # from an odd browser
     assert panel.edge is None
 
 
-def test_the_legend_has_colours_with_numbers():
-    text = legend("P(see <2>)", 0.01422)
+def test_the_legend_has_colours_with_numbers(gui):
+    panel = PlannerPanel(gui, "P(see <2>)", Budget(1), ids=True)
+    assert panel._legend.content.count("linear-gradient") == 1  # of positions
+    panel.show_legend(0.01422)
     for part in ("linear-gradient(to right, rgb(68, 1, 84)", "+1.422%", "P(see &lt;2&gt;)", *TAGS):
-        assert part in text
-    assert "linear" not in legend("P", None).replace("linear", "", 1)
+        assert part in panel._legend.content

@@ -1,11 +1,12 @@
-"""The planner without a browser."""
+"""The planner and its picture without a browser."""
 
 import json
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from floor_plans import L_SHAPE
+from floor_plans import L_SHAPE, lab
 from meshes import mesh_room
 from paper import paper_scene
 from small import problem
@@ -15,11 +16,11 @@ from lmd.objectives.coverage import Coverage
 from lmd.optimisers.ledger import Budget
 from lmd.optimisers.random_search import RandomSearch
 from lmd.planner.app import Planner
-from lmd.planner.later import TO_COME
-from lmd.planner.panel import Panel
-from lmd.planner.picture import BALL_RADIUS, Picture
-from lmd.planner.session import Session
-from lmd.planner.surveyed import Found
+from lmd.planner.background import TO_COME
+from lmd.planner.panel import PlannerPanel
+from lmd.planner.picture import BALL_RADIUS, Captions, RoomPicture
+from lmd.planner.session import PlanningSession
+from lmd.planner.survey_map import SurveyMap
 from lmd.problem import Problem
 from lmd.scene.deployment_sources import RandomDeployment
 from lmd.scene.recorded_poses import RecordedPoses
@@ -29,7 +30,7 @@ viser = pytest.importorskip("viser")
 
 
 class Shown(KeyboardInterrupt):
-    """What the panel shows at last; it ends the planner as Ctrl-C does."""
+    """A text of the panel; ends the planner as Ctrl-C does."""
 
 
 @pytest.fixture
@@ -38,7 +39,7 @@ def planner():
     made = []
 
     def make(planned):
-        session = Session(planned, planned.draw(np.random.default_rng(0)))
+        session = PlanningSession(planned, planned.draw(np.random.default_rng(0)))
         made.append(Planner(session, 0, lambda _: "", RandomSearch, Budget(1), seed=0))
         return made[0]
 
@@ -47,7 +48,7 @@ def planner():
 
 
 def recorded(write):
-    """Looks ahead at one place for 20 s, every third of which is held out."""
+    """A camera that looks ahead at one place for 20 s, of which every third second is held out."""
     path = write("time,x,y,z,yaw,pitch\n" + "".join(f"{t},2,2.5,3,1.5,0\n" for t in range(21)))
     poses = RecordedPoses(
         path, spacing=0.5, bandwidth=0.2, direction_bandwidth=5.0, divisions=12, held_out=3, block=1.0
@@ -57,19 +58,19 @@ def recorded(write):
     return Problem(scene, Coverage(1, 0.3), RandomDeployment(6), threads=1)
 
 
-def test_of_recorded_poses_it_shows_the_figures_held_out(planner, monkeypatch, write):
+def test_with_recorded_poses_it_shows_held_out_figures(planner, monkeypatch, write):
     def show(_, rows):
         if rows != TO_COME:
             raise Shown(rows)
 
-    monkeypatch.setattr("lmd.planner.later.additions", lambda *_: None)
-    monkeypatch.setattr(Panel, "show_off_grid", show)
+    monkeypatch.setattr("lmd.planner.background.additions", lambda *_: None)
+    monkeypatch.setattr(PlannerPanel, "show_off_grid", show)
     with pytest.raises(Shown) as shown:
         planner(recorded(write)).run()
     assert set(shown.value.args[0]) == {"held out", "optimised on"}
 
 
-def test_what_cannot_be_worked_out_is_said(planner, monkeypatch):
+def test_a_failure_of_background_work_is_shown(planner, monkeypatch):
     def fail(*_):
         raise InputError("that is too big.")
 
@@ -77,13 +78,13 @@ def test_what_cannot_be_worked_out_is_said(planner, monkeypatch):
         if refused:
             raise Shown(text)
 
-    monkeypatch.setattr("lmd.planner.later.additions", fail)
-    monkeypatch.setattr(Panel, "say", say)
+    monkeypatch.setattr("lmd.planner.background.additions", fail)
+    monkeypatch.setattr(PlannerPanel, "say", say)
     with pytest.raises(Shown, match=r"^that is too big\.$"):
         planner(problem()).run()
 
 
-def test_positions_of_one_layer_are_balls_of_a_share_of_their_distance(tmp_path):
+def test_balls_of_positions_are_a_share_of_their_spacing(tmp_path):
     room = mesh_room(tmp_path / "room.glb", FloorPlan(L_SHAPE, 2.5), height=(0.9, 1.1), spacing=0.5)
     scene = replace(paper_scene(), room=room)
     layer = Problem(scene, Coverage(1, 0.3), RandomDeployment(6), threads=1)
@@ -92,14 +93,14 @@ def test_positions_of_one_layer_are_balls_of_a_share_of_their_distance(tmp_path)
     away = np.linalg.norm(positions[1:] - positions[0], axis=1).min()
     server = viser.ViserServer(host="127.0.0.1", port=0, verbose=False)
     try:
-        ball = Picture(server, layer).balls.vertices
+        ball = RoomPicture(server, layer).balls.vertices
     finally:
         server.stop()
     assert np.linalg.norm(ball, axis=1) == pytest.approx(BALL_RADIUS * away)
 
 
 def survey_of(folder, deployment, photographs):
-    """Files of a survey that found all tags 5 mm above their plan."""
+    """Write the files of a survey with all tags 5 mm above their plan."""
     lifted = replace(deployment, positions=deployment.positions + np.array([0.0, 0.0, 0.005]))
     lifted.to_csv(folder / "map.csv")
     (folder / "survey.json").write_text(json.dumps({"next_photographs": photographs}))
@@ -108,9 +109,9 @@ def survey_of(folder, deployment, photographs):
 
 def test_a_survey_is_drawn_beside_the_plan(tmp_path):
     planned = problem()
-    session = Session(planned, planned.draw(np.random.default_rng(0)))
+    session = PlanningSession(planned, planned.draw(np.random.default_rng(0)))
     asked = [{"position": [1.0, 2.0, 1.5], "direction": [0.0, 1.0, 0.0]}]
-    found = Found.read(survey_of(tmp_path, session.deployment, asked))
+    found = SurveyMap.read(survey_of(tmp_path, session.deployment, asked))
     lines = found.offsets(session.deployment, 20.0)
     np.testing.assert_allclose(np.diff(lines, axis=1)[:, 0], [[0.0, 0.0, 0.1]] * len(lines), atol=1e-6)
     assert len(lines) == len(session.deployment)
@@ -120,8 +121,59 @@ def test_a_survey_is_drawn_beside_the_plan(tmp_path):
 
 def test_a_folder_that_is_no_survey_is_refused(tmp_path):
     with pytest.raises(InputError, match=r"map\.csv"):
-        Found.read(tmp_path)
+        SurveyMap.read(tmp_path)
     planned = problem()
     folder = survey_of(tmp_path, planned.draw(np.random.default_rng(0)), [{"position": [1.0]}])
     with pytest.raises(InputError, match=r"^survey: .* holds no survey\.json of a survey\.$"):
-        Found.read(folder)
+        SurveyMap.read(folder)
+
+
+class Label(SimpleNamespace):
+    """A label of viser, with the number of changes."""
+
+    changes = 0
+
+    def __setattr__(self, name, value):
+        type(self).changes += 1
+        super().__setattr__(name, value)
+
+
+def captions(surfaces=()):
+    """Make captions, and their labels by path."""
+    labels = {}
+
+    def add_label(path, text, **settings):
+        labels[path] = Label(text=text, **settings)
+        return labels[path]
+
+    return Captions(SimpleNamespace(add_label=add_label), surfaces), labels
+
+
+def test_each_surface_is_named_at_its_lower_edge_or_in_its_middle():
+    surfaces = lab().surfaces()
+    named, labels = captions(surfaces)
+    assert [label.text for label in labels.values()] == [surface.name for surface in surfaces]
+    for label, surface in zip(labels.values(), surfaces, strict=True):
+        a, b = surface.coordinates(label.position)
+        assert a == surface.extent[0] / 2.0
+        assert b == (surface.extent[1] / 2.0 if surface.name in ("floor", "ceiling") or surface.normal[2] else 0.0)
+    named.show_names(False)
+    assert not any(label.visible for label in labels.values())
+
+
+def test_ids_follow_the_tags_and_only_changes_are_sent():
+    named, labels = captions()
+    ids, places = np.array([7, 3, 9]), np.arange(9.0).reshape(3, 3)
+    named.show_ids(ids, places, 3, True)
+    assert [(label.text, label.position, label.visible) for label in labels.values()] == [
+        (str(number), tuple(place), True) for number, place in zip(ids, places.tolist(), strict=True)
+    ]
+    Label.changes = 0
+    named.show_ids(ids, places, 3, True)
+    assert Label.changes == 0
+    named.show_ids(ids, places, 3, False)
+    assert [label.visible for label in labels.values()] == [False, True, False]
+    named.show_ids(ids[:1], places[:1], None, True)
+    assert [label.visible for label in labels.values()] == [True, False, False]
+    named.show_ids(ids, places, None, True)
+    assert [label.visible for label in labels.values()] == [True, True, True]

@@ -1,5 +1,4 @@
-"""Cameras of a rig in the planner: moved as tags are, with figures that are those of `Problem`, and never where they
-may not be."""
+"""Cameras of a rig in the planner: moved like tags, with the figures of `Problem`, to allowed mounts only."""
 
 import numpy as np
 import pytest
@@ -14,7 +13,7 @@ from lmd.objectives.coverage import Coverage
 from lmd.optimisers.ledger import Budget
 from lmd.optimisers.random_search import RandomSearch
 from lmd.planner.app import Planner
-from lmd.planner.session import Session
+from lmd.planner.session import PlanningSession
 from lmd.problem import Problem
 from lmd.scene import pdf
 from lmd.scene.deployment_sources import RandomDeployment
@@ -34,11 +33,11 @@ def space(apart=0.08, **body):
 def session(where=None, rig=RIG):
     scene = paper_scene(experiment_room(spacing=0.9), rig, pdf.level_flight(4))
     planned = Problem(scene, Coverage(2, 0.5), RandomDeployment(12), threads=1)
-    return Session(planned, planned.draw(np.random.default_rng(3)), where)
+    return PlanningSession(planned, planned.draw(np.random.default_rng(3)), where)
 
 
 def check(planned):
-    """The figures are those of a problem that knows nothing of what was done."""
+    """Check that the figures are those of a new problem."""
     problem, deployment = session(rig=planned.rig).problem, planned.deployment
     np.testing.assert_array_equal(planned.values(), problem.values(deployment))
     assert planned.metrics() == problem.metrics(deployment)

@@ -1,4 +1,4 @@
-"""A session without a browser: whatever was done, its figures are those of `Problem`."""
+"""A planning session without a browser: after any changes, its figures are those of `Problem`."""
 
 import threading
 import time
@@ -18,7 +18,7 @@ from lmd.optimisers.annealing import Annealing
 from lmd.optimisers.ledger import Budget
 from lmd.optimisers.random_search import RandomSearch
 from lmd.planner.plan import Plan
-from lmd.planner.session import Session
+from lmd.planner.session import PlanningSession
 from lmd.problem import Problem
 from lmd.scene import pdf
 from lmd.scene.deployment import Deployment
@@ -30,7 +30,7 @@ TAG = Tag(edge=0.2)
 
 def session(of=None):
     of = of or problem(tag=TAG)
-    return Session(of, of.draw(np.random.default_rng(0)))
+    return PlanningSession(of, of.draw(np.random.default_rng(0)))
 
 
 def small_scene(room, tag):
@@ -59,7 +59,7 @@ def somewhere(of, rng):
 
 
 def act(planned, rng):
-    """One random thing that a user does; what is refused changes nothing."""
+    """Do one random action; a refused one must change nothing."""
     number, place = int(rng.choice(planned.deployment.ids)), somewhere(planned.problem, rng)
     before = planned.plan
     try:
@@ -83,7 +83,7 @@ def act(planned, rng):
 
 
 @pytest.mark.parametrize("of", [problem, sampled, localising, on_a_floor_plan])
-def test_figures_equal_those_of_a_full_evaluation_whatever_was_done(of):
+def test_figures_equal_those_of_a_full_evaluation(of):
     planned, rng = session(of()), np.random.default_rng(1)
     for _ in range(40):
         act(planned, rng)
@@ -93,7 +93,7 @@ def test_figures_equal_those_of_a_full_evaluation_whatever_was_done(of):
         assert planned.deployment.fault(planned.problem.scene.plates.hanging) is None
 
 
-def test_a_tag_goes_to_the_nearest_place_where_it_hangs_wholly_and_touches_no_other():
+def test_a_tag_moves_to_the_nearest_free_place():
     planned = session()
     edge, wall = planned.problem.scene.plates.edge, planned.problem.scene.room.surfaces()[0]
     planned.drag(3, 0, np.array([-1.0, 2.0]))
@@ -105,7 +105,7 @@ def test_a_tag_goes_to_the_nearest_place_where_it_hangs_wholly_and_touches_no_ot
     planned.problem.scene.plates.check(planned.deployment)
 
 
-def test_a_drag_is_one_step_and_undo_and_redo_lead_through_all_steps():
+def test_a_drag_is_one_step_of_undo_and_redo():
     planned = session()
     plans = [planned.plan]
     for number in (2, 2, 5):
@@ -160,7 +160,7 @@ def test_of_several_sizes_the_user_chooses():
     assert planned.metrics() == before
 
 
-def test_pinned_tags_stay_and_those_that_hang_already_are_pinned_for_good():
+def test_pinned_tags_do_not_move_and_fixed_ones_stay_pinned():
     hung = Deployment([[0.0, 2.0, 3.0], [0.0, 3.0, 3.0]], [[1.0, 0.0, 0.0]] * 2)
     planned = session(problem(RandomDeployment(5), fixed=hung, tag=TAG))
     assert planned.plan.pinned == {0, 1}
@@ -174,7 +174,7 @@ def test_pinned_tags_stay_and_those_that_hang_already_are_pinned_for_good():
         planned.pin(1)
 
 
-def test_what_cannot_be_is_refused():
+def test_impossible_changes_are_refused():
     planned = session(problem(RandomDeployment(2)))
     with pytest.raises(InputError, match="n = 2 exceeds the number of landmarks, 1"):
         planned.delete(0)
@@ -185,7 +185,7 @@ def test_what_cannot_be_is_refused():
         full.add(0, np.ones(2))
 
 
-def test_unsaved_is_what_has_changed_since_it_was_saved():
+def test_changes_since_the_last_save_are_unsaved():
     planned = session()
     assert planned.is_saved
     planned.pin(3)
@@ -234,7 +234,7 @@ def test_a_search_can_be_stopped_and_nothing_worse_is_taken():
     assert planned.plan is before
 
 
-def test_the_end_keeps_what_a_search_has_found():
+def test_the_end_applies_the_best_deployment_of_a_search():
     planned = session()
     planned.end_search()  # there is none
     search, start = planned.optimise(Annealing(), Budget(10**9)), planned.metrics()["fitness"]
@@ -254,7 +254,7 @@ def test_a_search_that_cannot_begin_or_fails_says_why():
     with pytest.raises(InputError, match="all tags are pinned"):
         planned.optimise(Annealing(), Budget(10))
     tilted = replace(planned.deployment, normals=np.roll(planned.deployment.normals, 1, axis=1), surfaces=None)
-    planned = Session(planned.problem, tilted)
+    planned = PlanningSession(planned.problem, tilted)
     before = planned.plan
     planned.optimise(Annealing(), Budget(10))
     with pytest.raises(InputError, match="is not flush with its wall"):
@@ -262,7 +262,7 @@ def test_a_search_that_cannot_begin_or_fails_says_why():
     assert planned.plan is before
 
 
-def test_the_camera_sees_what_the_reference_says():
+def test_tags_in_view_are_those_of_the_reference():
     planned = session()
     scene, position = planned.problem.scene, planned.problem.evaluator.positions[3]
     for yaw, pitch in ((0.0, 0.0), (2.0, 0.3), (-1.0, -0.5)):
@@ -295,7 +295,7 @@ def test_a_tag_hangs_where_its_place_was_typed(of):
 
 
 @pytest.mark.parametrize("far", [1e160, -1e308, np.nan])
-def test_a_place_out_of_all_proportion_is_refused(far):
+def test_a_place_that_is_not_finite_or_far_away_is_refused(far):
     planned = session(problem(tag=TAG))
     before = planned.deployment
     with pytest.raises(InputError, match="there is no place at"):
@@ -303,7 +303,7 @@ def test_a_place_out_of_all_proportion_is_refused(far):
     assert planned.deployment is before
 
 
-def test_left_is_where_it_is_for_whoever_stands_before_the_wall():
+def test_left_is_as_seen_before_the_wall():
     planned = session()  # 7.5 x 5 x 6 m
     for wall, corner in (("x_min", (0, 0, 0)), ("y_max", (0, 5, 0)), ("x_max", (7.5, 5, 0)), ("y_min", (7.5, 0, 0))):
         index = [surface.name for surface in planned.problem.scene.room.surfaces()].index(wall)
@@ -324,7 +324,7 @@ def test_a_tag_on_no_surface_has_no_place_to_type():
         planned.place(0, 1.0, 1.0)
 
 
-def test_the_end_does_not_wait_for_a_search_that_hears_nothing(monkeypatch):
+def test_the_end_does_not_wait_for_a_search_that_compiles(monkeypatch):
     monkeypatch.setattr("lmd.planner.session.PATIENCE_SECONDS", 0.01)
     planned, go = session(), threading.Event()
     before = planned.plan

@@ -4,7 +4,7 @@ from paper import paper_room, paper_scene
 
 from lmd.evaluation.accuracy import plan_of_errors, predicted_errors
 from lmd.objectives.coverage import Coverage
-from lmd.plot.accuracy import save_accuracy_figure
+from lmd.plot.plans import save_accuracy_figure
 from lmd.problem import Problem
 from lmd.scene import pdf
 from lmd.scene.deployment_sources import UniformDeployment

@@ -4,7 +4,7 @@ from matplotlib.image import imread
 from paper import paper_camera
 
 from lmd.cameras.body import Body
-from lmd.plot.body import save_body_figure
+from lmd.plot.body_drawing import save_body_figure
 from lmd.scene.rig import Mount, Rig
 
 BODY = Body([{"low": [-0.4, -0.3, 0.0], "high": [0.4, 0.3, 0.5]}])

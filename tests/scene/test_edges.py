@@ -7,7 +7,7 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from lmd.core.checks import InputError
-from lmd.evaluation.survey import read_measured
+from lmd.evaluation.measured import read_measured
 from lmd.scene.deployment import Deployment
 from lmd.scene.deployment_sources import FileDeployment, GivenDeployment, RandomDeployment, UniformDeployment
 from lmd.scene.fixed import beside

@@ -13,8 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from lmd.core.checks import InputError
 from lmd.estimation.flights import Pace, RandomMotion
-from lmd.evaluation.held_out import exact_values, held_out_metrics
-from lmd.evaluation.validation import describe_validation, validation_metrics
+from lmd.evaluation.validation import describe_validation, exact_values, held_out_metrics, validation_metrics
 from lmd.geometry import se3
 from lmd.geometry.frames import angles_of, rotation
 from lmd.objectives.coverage import Coverage

@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 from lmd.core.checks import InputError
 from lmd.detection.frames import tagged_room
 from lmd.estimation.tags import corners_of
-from lmd.evaluation.survey import read_measured, survey
+from lmd.evaluation.measured import as_measured, read_measured
 from lmd.evaluation.validation import Sample
 from lmd.geometry.squares import corners, upright
 from lmd.mapping.tag_map import TagMap
@@ -186,7 +186,7 @@ def test_how_far_a_tag_hangs_from_its_plan_counts_what_is_behind_the_wall(tmp_pa
     problem = Problem(scene, Coverage(1, 0.5), RandomDeployment(12))
     plan = replace(hanging(scene.room), labels=problem.labels)
     measured = read_measured(saved(tmp_path / "tags.csv", moved(plan, -0.02)), problem, plan)
-    found = survey(problem, plan, measured, 0, Sample(2, 20, 4), views=5)
+    found = as_measured(problem, plan, measured, 0, Sample(2, 20, 4), views=5)
     assert_allclose(found.moved.moved, 0.02, atol=1e-12)
 
 

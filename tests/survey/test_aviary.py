@@ -10,7 +10,8 @@ from lmd.detection.corner_errors import CORNER_ERRORS
 from lmd.mapping.detections import read_detections
 from lmd.scene.camera_calibration import Calibration
 from lmd.scene.tag import Tag
-from lmd.survey.survey import Known, survey
+from lmd.survey.prior import Known
+from lmd.survey.survey import survey
 
 REAL = Path(__file__).parents[2] / "../shared/real/detections/test_13"
 FIRST, EACH, COLUMNS, PITCH = 6, 6, 3, 0.15  # ids of a board, tags on it, tags in a row, metres from tag to tag

@@ -7,7 +7,8 @@ import numpy as np
 import walks
 
 from lmd.scene.tag import Tag
-from lmd.survey.survey import Known, survey
+from lmd.survey.prior import Known
+from lmd.survey.survey import survey
 
 sys.path.append(str(Path(__file__).parents[2] / "benchmarks"))
 import bundle  # a script

@@ -10,7 +10,8 @@ from lmd.core.checks import InputError
 from lmd.geometry.se3 import exp, log
 from lmd.scene.tag import Tag
 from lmd.survey.boards import Boards
-from lmd.survey.survey import Known, survey
+from lmd.survey.prior import Known
+from lmd.survey.survey import survey
 
 SHEETS, EACH, APART, SIGMA, PRINTED = 8, 4, 0.13, 0.3, 0.0002
 CORNERS = APART / 2.0 * np.array([[-1, 1], [1, 1], [-1, -1], [1, -1]])

@@ -10,13 +10,13 @@ import walks
 from scipy.stats import chi2
 
 from lmd.core.checks import InputError
-from lmd.geometry.se3 import act, inverse, laid_over, log, pose_of
+from lmd.geometry.se3 import act, adjoint_matrix, inverse, laid_over, log, pose_of
 from lmd.geometry.trajectory import Trajectory
 from lmd.scene.tag import Tag
-from lmd.survey.links import adjoints
-from lmd.survey.report import document, tag_columns
-from lmd.survey.survey import Known, survey
-from lmd.survey.words import to_text
+from lmd.survey.prior import Known
+from lmd.survey.results import survey_document, tag_columns
+from lmd.survey.summary import to_text
+from lmd.survey.survey import survey
 
 LENGTH, COUNT = 12.0, 9
 TOLD = 1.15  # by which chi^2 may be larger, as each drive tells its own spread from some hundred links
@@ -40,7 +40,7 @@ def square_of(found, true):
         here = inverse(every.poses.tags[first]) @ every.poses.tags[k]
         off[n] = log(inverse(here) @ inverse(true[ids[first]]) @ true[ids[k]])
         slopes[6 * n : 6 * n + 6, 6 * k : 6 * k + 6] = np.eye(6)
-        slopes[6 * n : 6 * n + 6, 6 * first : 6 * first + 6] = -adjoints(inverse(here))
+        slopes[6 * n : 6 * n + 6, 6 * first : 6 * first + 6] = -adjoint_matrix(inverse(here))
     rows = np.flatnonzero(slopes.any(axis=0))
     covariance = slopes[:, rows] @ whole[np.ix_(rows, rows)] @ slopes[:, rows].T
     return float(off.ravel() @ np.linalg.solve(covariance, off.ravel())), off.size
@@ -71,7 +71,7 @@ def test_odometry_joins_what_no_image_does_and_says_how_well():
     with pytest.raises(InputError, match="detections"):
         found_of(driven, Known(steady=False))
     found = found_of(driven, Known(odometry=drives.odometry(driven, rng)))
-    said, text = document(found)["motion"], to_text(found)
+    said, text = survey_document(found)["motion"], to_text(found)
     assert said["by"] == "odometry"
     assert sorted(k for group in said["joined"] for k in group) == found.ids[found.placed].tolist()
     assert all(len(group) == 1 for group in said["joined"])

@@ -6,7 +6,7 @@ import pytest
 
 from lmd.core.checks import IntArray
 from lmd.mapping.detections import DetectedTags
-from lmd.survey.every import LONGEST, thinned
+from lmd.survey.keyframes import LONGEST, select_keyframes
 from lmd.survey.motion import SHORTEST_GAP
 
 
@@ -28,7 +28,7 @@ PAIR = [(0, 1), (0, 2)]
 
 def test_of_a_fast_video_few_frames_are_kept_evenly_and_the_others_are_named():
     before = video([PAIR] * 61)
-    found = thinned(before)
+    found = select_keyframes(before)
     kept = kept_of(found)
     assert np.diff(kept).tolist() == [6] * 10
     assert [before.times[k] for k in range(61) if k not in kept] == list(found.left_out)
@@ -37,19 +37,19 @@ def test_of_a_fast_video_few_frames_are_kept_evenly_and_the_others_are_named():
 
 @pytest.mark.parametrize("rate", [5.0, 2.3, None])
 def test_slow_recordings_and_photographs_are_kept_as_they_are(rate):
-    assert not thinned(video([PAIR] * 40, rate)).left_out
+    assert not select_keyframes(video([PAIR] * 40, rate)).left_out
 
 
 @pytest.mark.parametrize("alone", [[(0, 1), (0, 3)], [(0, 1), (0, 2), (0, 4)]])
 def test_a_frame_that_alone_shows_a_tag_or_two_together_is_kept(alone):
     shown = [PAIR] * 30 + [[(0, 2), (0, 3)]] * 31
     shown[21] = alone
-    assert 21 in kept_of(thinned(video(shown)))
+    assert 21 in kept_of(select_keyframes(video(shown)))
 
 
 def test_frames_are_kept_where_all_tags_change():
     shown = [[(0, 1)]] * 30 + [[(0, 2)]] * 30
-    kept = kept_of(thinned(video(shown)))
+    kept = kept_of(select_keyframes(video(shown)))
     near = np.flatnonzero(np.abs(np.arange(60) - 29.5) / 30.0 < SHORTEST_GAP)
     assert np.isin(near, kept).all()
     assert len(kept) < 30
@@ -58,7 +58,7 @@ def test_frames_are_kept_where_all_tags_change():
 def test_a_rig_keeps_all_cameras_of_a_moment():
     both = [(0, 1), (0, 2), (1, 2), (1, 3)]
     before = video([both] * 31, cameras=2)
-    found = thinned(before)
+    found = select_keyframes(before)
     for frame in kept_of(found):
         assert (found.frame == frame).sum() == 4
     np.testing.assert_array_equal(found.images[:, 0], found.images[:, 1])
@@ -66,7 +66,7 @@ def test_a_rig_keeps_all_cameras_of_a_moment():
 
 def test_each_third_frame_with_tags_is_kept():
     shown = [[]] + [PAIR] * 7 + [[], PAIR]
-    found = thinned(video(shown, None), 3)
+    found = select_keyframes(video(shown, None), 3)
     assert kept_of(found).tolist() == [1, 4, 7]
     assert len(found.left_out) == 5
 
@@ -74,7 +74,7 @@ def test_each_third_frame_with_tags_is_kept():
 def test_nothing_that_connects_is_lost_and_no_link_becomes_too_long():
     rng = np.random.default_rng(0)
     before = drives.drive(10.0, 8, rng, alone=0.8).detected
-    after = thinned(before)
+    after = select_keyframes(before)
     assert 0.1 < len(after.left_out) / len(kept_of(before)) < 0.7
 
     def pairs(detected):

@@ -5,9 +5,9 @@ import pytest
 import walks
 
 from lmd.geometry.se3 import exp, inverse
-from lmd.survey.estimate import estimate
-from lmd.survey.faults import settled
-from lmd.survey.residuals import Prior
+from lmd.survey.estimate import estimate_map
+from lmd.survey.faults import find_faults
+from lmd.survey.prior import Prior
 
 COUNT, FRAMES, SIGMA = 24, 64, 0.2
 IDS = np.arange(COUNT)
@@ -23,7 +23,7 @@ def room():
 
 
 def found_in(detected, edges=walks.EDGE):
-    return settled(estimate(walks.sightings(detected, IDS, edges), NOTHING))
+    return find_faults(estimate_map(walks.sightings(detected, IDS, edges), NOTHING))
 
 
 def off(found, true, tag):

@@ -15,15 +15,16 @@ from lmd.mapping.tag_map import write_yaml
 from lmd.scene.camera_calibration import calibrated_camera
 from lmd.scene.deployment import Deployment
 from lmd.scene.tag import Tag
-from lmd.survey.intrinsics import camera_info, parameters, slopes, spreads, with_parameters
-from lmd.survey.report import document
-from lmd.survey.survey import Known, survey
-from lmd.survey.words import to_text
+from lmd.survey.intrinsics import camera_info, intrinsics_of, parameter_slopes, prior_sigmas, with_intrinsics
+from lmd.survey.prior import Known
+from lmd.survey.results import survey_document
+from lmd.survey.summary import to_text
+from lmd.survey.survey import survey
 
 COUNT, FRAMES, SIGMA = 24, 40, 0.2
 TRUE = replace(walks.CAMERA, distortion=(-0.1, 0.03, 0.0005, -0.0003, 0.0))
 # The focal length is 4 % off, and the lens is little known.
-GIVEN = with_parameters(TRUE, parameters(TRUE) * [1.04, 1.04, *[1.0] * 7] + [0, 0, 4, -3, 0.02, -0.01, 0, 0, 0])
+GIVEN = with_intrinsics(TRUE, intrinsics_of(TRUE) * [1.04, 1.04, *[1.0] * 7] + [0, 0, 4, -3, 0.02, -0.01, 0, 0, 0])
 
 
 def surveyed(detected, calibrate, camera=GIVEN, plan=None):
@@ -53,24 +54,24 @@ def test_a_wrong_focal_length_is_found_together_with_the_map(room, found):
     assert relative(surveyed(detected, False), true) > 3.0 * relative(found, true)
     assert relative(found, true) < 0.0015
     (camera,) = found.calibrated
-    off = parameters(camera.found) - parameters(TRUE)
+    off = intrinsics_of(camera.found) - intrinsics_of(TRUE)
     assert np.abs(off[:4]).max() < 4.0
     assert (np.abs(off) < chi2.ppf(0.9999, 1) ** 0.5 * camera.sigma).all()
     assert camera.is_fixed
     assert "focal length" in to_text(found)
-    assert document(found)["intrinsics"][0]["fixed"]
+    assert survey_document(found)["intrinsics"][0]["fixed"]
 
 
 def test_slopes_are_those_of_the_image():
     for camera in (TRUE, walks.CAMERA, replace(TRUE, distortion_model="equidistant", distortion=(0.01, 0.0, 0.0, 0.0))):
         direction = bearings(camera, np.array([[1300.0, 250.0]]))
-        step = 1e-6 * np.maximum(np.abs(parameters(camera)), 1.0)
+        step = 1e-6 * np.maximum(np.abs(intrinsics_of(camera)), 1.0)
 
         def seen(values, axis, camera=camera, direction=direction):
-            return project(with_parameters(camera, values), np.eye(4), direction)[0, axis]
+            return project(with_intrinsics(camera, values), np.eye(4), direction)[0, axis]
 
-        expected = [approx_fprime(parameters(camera), seen, step, axis) for axis in range(2)]
-        np.testing.assert_allclose(slopes(camera, direction)[0], expected, rtol=1e-3, atol=1e-3)
+        expected = [approx_fprime(intrinsics_of(camera), seen, step, axis) for axis in range(2)]
+        np.testing.assert_allclose(parameter_slopes(camera, direction)[0], expected, rtol=1e-3, atol=1e-3)
 
 
 def test_photographs_that_do_not_fix_the_intrinsics_say_so():
@@ -88,7 +89,7 @@ def test_photographs_that_do_not_fix_the_intrinsics_say_so():
 def test_the_file_it_leaves_is_the_camera(tmp_path):
     write_yaml(tmp_path / "camera.yaml", camera_info(GIVEN))
     again = calibrated_camera(str(tmp_path / "camera.yaml"))
-    np.testing.assert_allclose(parameters(again), parameters(GIVEN), rtol=1e-12)
+    np.testing.assert_allclose(intrinsics_of(again), intrinsics_of(GIVEN), rtol=1e-12)
 
 
 def test_standard_deviations_of_the_intrinsics_hold():
@@ -98,7 +99,7 @@ def test_standard_deviations_of_the_intrinsics_hold():
         rng = np.random.default_rng(seed)
         detected = walks.photographed(walks.spaced_tags(COUNT, rng), walks.walk(FRAMES, rng), rng, SIGMA, camera=TRUE)
         found = surveyed(detected, True)
-        off = (parameters(found.calibrated[0].found) - parameters(TRUE)) / spreads(GIVEN, wide=True)
-        squares.append(off @ np.linalg.solve(found.found.lenses[0][: len(off), : len(off)], off))
+        off = (intrinsics_of(found.calibrated[0].found) - intrinsics_of(TRUE)) / prior_sigmas(GIVEN, rough=True)
+        squares.append(off @ np.linalg.solve(found.found.lens_covariances[0][: len(off), : len(off)], off))
     low, high = chi2.ppf([0.005, 0.995], len(off) * len(squares))
     assert low < sum(squares) < high

@@ -9,10 +9,10 @@ import walks
 
 from lmd.geometry.se3 import exp, inverse, log
 from lmd.survey.adjustment import Adjustment
-from lmd.survey.linked import LinkedAdjustment, adjustment_of, telling
+from lmd.survey.linked import LinkedAdjustment, adjustment_of, constraining
 from lmd.survey.motion import DRIFT, STEADY, Motion, seconds_of
-from lmd.survey.residuals import EXACT_SIGMA, Poses, Prior, errors_at, gathered, linearise
-from lmd.survey.student import weight_of
+from lmd.survey.prior import EXACT_SIGMA, Prior
+from lmd.survey.residuals import Poses, Reprojection, squared_errors, student_weight
 
 COUNT, SIGMA = 5, 0.2
 
@@ -28,7 +28,7 @@ def system(kind, seed=0):
     )
     information = np.zeros((COUNT, 6))
     information[some.tag[0]] = EXACT_SIGMA**-2.0
-    some = some.of(telling(some, np.ones(len(some), dtype=bool), motion))
+    some = some.of(constraining(some, np.ones(len(some), dtype=bool), motion))
     tags = driven.tags @ exp(rng.normal(0.0, 0.003, (COUNT, 6)))
     tags[some.tag[0]] = driven.tags[some.tag[0]]
     frames = driven.frames @ exp(rng.normal(0.0, 0.003, (len(times), 6)))
@@ -38,29 +38,29 @@ def system(kind, seed=0):
 def dense(adjustment, poses, is_robust=False):
     """The slopes and errors of all, whitened: of frames with their velocities, of tags, of what is off alike."""
     some, links, seen = adjustment.sightings, adjustment.links, adjustment.seen
-    at, joints = linearise(some, *gathered(some, poses)), links.at(poses.frames[seen])
-    size, width, alike = links.size, joints.error.shape[1], len(joints.lean)
+    at, joints = Reprojection(some, *poses.of(some)), links.at(poses.frames[seen])
+    size, width, alike = links.size, joints.error.shape[1], len(joints.bias)
     first = size * len(seen)
-    slopes = np.zeros((8 * len(some) + width * len(links.one) + alike, first + 6 * COUNT + alike))
+    slopes = np.zeros((8 * len(some) + width * len(links.first) + alike, first + 6 * COUNT + alike))
     errors = np.zeros(len(slopes))
     for n, frame in enumerate(np.searchsorted(seen, some.frame)):
         own = slice(8 * n, 8 * n + 8)
         slopes[own, size * frame : size * frame + 6] = at.by_frame[n] / SIGMA
         slopes[own, first + 6 * some.tag[n] : first + 6 * some.tag[n] + 6] = at.by_tag[n] / SIGMA
         errors[own] = at.error[n] / SIGMA
-    for m, one in enumerate(links.one):
+    for m, one in enumerate(links.first):
         own = slice(8 * len(some) + width * m, 8 * len(some) + width * (m + 1))
         half = np.linalg.cholesky(links.information[m]).T
-        slopes[own, size * one : size * one + size] = half @ joints.by_one[m]
-        slopes[own, size * one + size : size * one + 2 * size] = half @ joints.by_other[m]
-        slopes[own, first + 6 * COUNT :] = half @ joints.by_lean[m]
+        slopes[own, size * one : size * one + size] = half @ joints.by_first[m]
+        slopes[own, size * one + size : size * one + 2 * size] = half @ joints.by_second[m]
+        slopes[own, first + 6 * COUNT :] = half @ joints.by_bias[m]
         errors[own] = half @ joints.error[m]
     if is_robust:
-        weights = weight_of((at.error**2).sum(axis=1) / SIGMA**2)
+        weights = student_weight((at.error**2).sum(axis=1) / SIGMA**2)
         slopes[: 8 * len(some)] *= np.repeat(weights**0.5, 8)[:, None]
         errors[: 8 * len(some)] *= np.repeat(weights**0.5, 8)
     slopes[len(slopes) - alike :, first + 6 * COUNT :] = np.eye(alike)
-    errors[len(slopes) - alike :] = joints.lean
+    errors[len(slopes) - alike :] = joints.bias
     return slopes, errors, first
 
 
@@ -68,7 +68,7 @@ def dense(adjustment, poses, is_robust=False):
 def test_frames_are_eliminated_as_dense_algebra_does(kind):
     _, some, prior, poses = system(kind)
     adjustment = LinkedAdjustment(some, prior)
-    matrix, right, _ = adjustment.reduced(poses, 0.0, 0.0, 1.0)
+    matrix, right, _ = adjustment.schur_system(poses, 0.0, 0.0, 1.0)
     slopes, errors, first = dense(adjustment, poses)
     whole, pull = slopes.T @ slopes, -slopes.T @ errors
     kept = np.arange(first, first + 6 * COUNT)
@@ -105,7 +105,9 @@ def test_frames_that_nothing_links_are_adjusted_as_others():
     apart = replace(prior, motion=Motion.steady(100.0 * np.arange(some.frames)))
     some = some.of(np.bincount(some.frame)[some.frame] > 0)
     linked, alone = LinkedAdjustment(some, apart), Adjustment(some, replace(prior, motion=None))
-    for one, other in zip(linked.reduced(poses, 0.1, 1e-3)[:2], alone.reduced(poses, 0.1, 1e-3)[:2], strict=True):
+    for one, other in zip(
+        linked.schur_system(poses, 0.1, 1e-3)[:2], alone.schur_system(poses, 0.1, 1e-3)[:2], strict=True
+    ):
         np.testing.assert_allclose(one, other, atol=1e-6 * np.abs(other).max())
     assert type(adjustment_of(some, replace(prior, motion=None))) is Adjustment
 
@@ -113,9 +115,9 @@ def test_frames_that_nothing_links_are_adjusted_as_others():
 def test_one_tag_in_a_frame_tells_of_the_map_where_frames_are_linked():
     _, some, prior, _ = system("steady")
     used = np.ones(len(some), dtype=bool)
-    assert telling(some, used, prior.motion).all()
+    assert constraining(some, used, prior.motion).all()
     counts = np.bincount(some.frame)
-    assert (telling(some, used, None) == (counts[some.frame] >= 2)).all()
+    assert (constraining(some, used, None) == (counts[some.frame] >= 2)).all()
 
 
 @pytest.mark.parametrize(("kind", "times"), [("odometry", 1.0), ("odometry", 4.0), ("steady", 1.0)])
@@ -130,8 +132,8 @@ def test_a_drive_tells_its_spread(kind, times):
             prior = replace(prior, motion=Motion.by_odometry(prior.motion.times, odometry))
         for _ in range(3):
             adjustment = LinkedAdjustment(some, prior)
-            poses = adjustment.run(poses, 0.0, 20).poses
-            prior = replace(prior, motion=adjustment.told(poses, 0.0))
+            poses = adjustment.run(poses, 0.0, 20)[0]
+            prior = replace(prior, motion=adjustment.estimate_motion(poses, 0.0))
         found.append(prior.motion.spread)
     turn, place = np.sqrt(np.mean(np.square(found), axis=0))
     if kind == "odometry":
@@ -157,7 +159,7 @@ def test_a_slip_of_a_wheel_counts_little():
     for path in (odometry.poses, slipped):
         motion = Motion.by_odometry(prior.motion.times, replace(odometry, poses=path))
         adjustment = LinkedAdjustment(some, replace(prior, motion=motion))
-        found = adjustment.run(poses, 0.0, 40).poses
+        found = adjustment.run(poses, 0.0, 40)[0]
         errors.append(np.linalg.norm(found.tags[:, :3, 3] - driven.tags[:, :3, 3], axis=1).max())
-        assert np.median(errors_at(some, found)) < 8.0 * SIGMA**2
+        assert np.median(squared_errors(some, found)) < 8.0 * SIGMA**2
     assert errors[1] < errors[0] + 0.15

@@ -6,7 +6,7 @@ import pytest
 from lmd.core.checks import InputError
 from lmd.geometry.se3 import exp
 from lmd.geometry.trajectory import Trajectory
-from lmd.survey.motion import LEAN, Motion, seconds_of
+from lmd.survey.motion import BIAS, Motion, seconds_of
 
 
 def some_motion(rng, count, kind):
@@ -42,17 +42,17 @@ def test_slopes_of_the_cost_are_those_of_differences(kind):
     links, step = motion.links(np.arange(6)), 1e-6
     links = replace(links, information=1e-3 * links.information)  # none of them counts less
     at = links.at(poses)
-    assert len(links.one) == 5
+    assert len(links.first) == 5
 
     def cost(k, axis, by):
         there = links.at(moved(poses, k, axis, by))
-        return links.cost(links.squares(there.error)) + 0.5 * there.lean @ there.lean
+        return links.loss(links.squares(there.error)) + 0.5 * there.bias @ there.bias
 
     for k in range(6):
         for axis in range(6):
             slope = np.zeros_like(at.error)
-            slope[k - 1 : k] += at.by_other[k - 1 : k, :, axis]
-            slope[k : k + 1] += at.by_one[k : k + 1, :, axis]
+            slope[k - 1 : k] += at.by_second[k - 1 : k, :, axis]
+            slope[k : k + 1] += at.by_first[k : k + 1, :, axis]
             pulled = np.einsum("mr,mrs,ms->", slope, links.information, at.error)
             differs = (cost(k, axis, step) - cost(k, axis, -step)) / (2.0 * step)
             assert pulled == pytest.approx(differs, rel=1e-3, abs=1e-4 * np.abs(links.information).max() * 1e-3)
@@ -64,22 +64,22 @@ def test_slopes_of_errors_are_those_of_differences(kind):
     motion, poses = some_motion(rng, 6, kind)
     links = motion.links(np.arange(6))
     # Without links before and after, what is found beside the poses stays as it is: one link at a time, held firmly.
-    firm = replace(links, leans=None if links.leans is None else 0.0 * links.leans)
+    firm = replace(links, by_bias=None if links.by_bias is None else 0.0 * links.by_bias)
     at, step = firm.at(poses), 1e-5
     for k in range(6):
         for axis in range(6):
             there, here = (firm.at(moved(poses, k, axis, by)).error for by in (step, -step))
             slope = np.zeros_like(at.error)
-            slope[k - 1 : k] += at.by_other[k - 1 : k, :, axis]
-            slope[k : k + 1] += at.by_one[k : k + 1, :, axis]
+            slope[k - 1 : k] += at.by_second[k - 1 : k, :, axis]
+            slope[k : k + 1] += at.by_first[k : k + 1, :, axis]
             if kind == "odometry":
                 np.testing.assert_allclose(slope, (there - here) / (2.0 * step), atol=2e-5)
             else:  # of the turn and the way themselves; velocities move, too
                 change = (
                     rates_at(firm, moved(poses, k, axis, step)) - rates_at(firm, moved(poses, k, axis, -step))
                 ) / (2.0 * step)
-                slope[:, :6] -= firm.seconds[:, None] * change[firm.one]
-                slope[:, 6:] += change[firm.one + 1] - change[firm.one]
+                slope[:, :6] -= firm.seconds[:, None] * change[firm.first]
+                slope[:, 6:] += change[firm.first + 1] - change[firm.first]
                 np.testing.assert_allclose(slope, (there - here) / (2.0 * step), atol=2e-4)
 
 
@@ -89,7 +89,7 @@ def test_velocities_are_those_of_the_least_cost():
     links = motion.links(np.arange(7))
     at = links.at(poses)
     pull = np.zeros((7, 12))
-    for slope, place in ((at.by_one, links.one), (at.by_other, links.one + 1)):
+    for slope, place in ((at.by_first, links.first), (at.by_second, links.first + 1)):
         np.add.at(pull, place, np.einsum("mrb,mrs,ms->mb", slope, links.information, at.error))
     assert np.abs(pull[:, 6:]).max() < 1e-6 * np.abs(pull[:, :6]).max()
 
@@ -117,7 +117,7 @@ def test_what_odometry_drifts_over_several_steps_is_what_the_steps_add():
         off = rng.normal(size=(20000, 6)) * np.sqrt(far) * np.repeat(motion.spread, 3)
         ends = ends @ (step @ exp(off))
     links = motion.links(np.array([0, 40]))
-    links = replace(links, leans=0.0 * links.leans)
+    links = replace(links, by_bias=0.0 * links.by_bias)
     error = np.array([links.at(np.stack([np.eye(4), end])).error[0] for end in ends[:4000]])
     square = np.einsum("mi,ij,mj->m", error, links.information[0], error)
     assert square.mean() == pytest.approx(6.0, abs=0.25)
@@ -134,7 +134,7 @@ def test_what_every_metre_is_off_by_is_found():
     motion = Motion.by_odometry(times, Trajectory(times, np.stack(path)))
     motion = replace(motion, spread=(1e-4, 1e-4))
     at = motion.links(np.arange(0, 201, 10)).at(np.stack(true)[::10])
-    np.testing.assert_allclose(at.lean * np.repeat(LEAN, 3), lean, rtol=0.02, atol=1e-6)  # of the odometer's metres
+    np.testing.assert_allclose(at.bias * np.repeat(BIAS, 3), lean, rtol=0.02, atol=1e-6)  # of the odometer's metres
 
 
 def test_odometry_of_another_clock_is_refused():

@@ -11,9 +11,10 @@ from lmd.scene.labels import Labels
 from lmd.scene.tag import Tag
 from lmd.space.cuboid import Cuboid
 from lmd.survey.next_photographs import next_photographs
-from lmd.survey.report import again, document
-from lmd.survey.survey import Known, survey
-from lmd.survey.words import to_text
+from lmd.survey.prior import Known
+from lmd.survey.results import needing_photographs, survey_document
+from lmd.survey.summary import to_text
+from lmd.survey.survey import survey
 
 COUNT, UNSEEN, SIGMA = 20, 7, 0.2
 ERRORS, ROOM = walks.constant_errors(SIGMA), Cuboid((5.0, 4.0, 2.5), (4.0, 3.0, 1.5), 1.0)
@@ -21,7 +22,7 @@ ERRORS, ROOM = walks.constant_errors(SIGMA), Cuboid((5.0, 4.0, 2.5), (4.0, 3.0, 
 
 def surveyed(detected, plan):
     found = survey(detected, [walks.CAMERA], Tag(walks.EDGE), ERRORS, Known(plan))
-    return replace(found, proposed=next_photographs(found, walks.CAMERA, 8, ERRORS, again(found), ROOM))
+    return replace(found, proposed=next_photographs(found, walks.CAMERA, 8, ERRORS, needing_photographs(found), ROOM))
 
 
 @pytest.fixture(scope="module")
@@ -44,7 +45,7 @@ def test_the_tag_that_was_not_seen_is_in_the_first_photograph(found):
     assert UNSEEN in found.ids[first.tags]
     assert len(first.tags) >= 2
     assert ROOM.contains(first.pose[:3, 3])
-    assert document(found)["next_photographs"][0]["tags"] == found.ids[first.tags].tolist()
+    assert survey_document(found)["next_photographs"][0]["tags"] == found.ids[first.tags].tolist()
     assert "\nnext 1 " in to_text(found)
 
 
@@ -72,7 +73,7 @@ def test_what_is_left_is_what_comes_out_once_it_is_taken(room, found):
     kept = detected.of(np.flatnonzero(detected.ids != UNSEEN))
     taken = surveyed(walks.one_after_the_other(kept, extra), plan)
     assert taken.placed[UNSEEN]
-    places = np.trace(taken.found.precisions[:, 3:, 3:], axis1=1, axis2=2)
+    places = np.trace(taken.found.gauge_free_covariances[:, 3:, 3:], axis1=1, axis2=2)
     assert np.sqrt(places.mean()) == pytest.approx(first.left, rel=0.25)
 
 

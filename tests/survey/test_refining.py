@@ -14,18 +14,19 @@ from lmd.geometry.projection import project
 from lmd.geometry.se3 import camera_pose, inverse, log
 from lmd.geometry.squares import CORNERS
 from lmd.scene.tag import Tag
-from lmd.survey.intrinsics import parameters, spreads, with_parameters
-from lmd.survey.refining import Optics, freed
-from lmd.survey.residuals import linearise
-from lmd.survey.sightings import SHAPES, WAYS, inward, sightings_of
-from lmd.survey.survey import Known, survey
-from lmd.survey.words import to_text
+from lmd.survey.intrinsics import intrinsics_of, prior_sigmas, with_intrinsics
+from lmd.survey.nuisances import Optics, with_nuisances
+from lmd.survey.prior import Known
+from lmd.survey.residuals import Reprojection
+from lmd.survey.sightings import MODES, SHAPES, inward, sightings_of
+from lmd.survey.summary import to_text
+from lmd.survey.survey import survey
 
 TAGS, FRAMES, SIGMA, SPREAD = 16, 60, 0.2, 0.2
 TRUE = replace(walks.CAMERA, distortion=(-0.1, 0.03, 0.0005, -0.0003, 0.0))
 # Of another camera of the same kind: 0.3 % of the focal length, 2 pixels of the centre, some of the lens.
-GIVEN = with_parameters(
-    TRUE, parameters(TRUE) * [1.003, 1.003, *[1.0] * 7] + [0, 0, 2, -1.5, 0.004, -0.004, 0.0003, 0, 0.002]
+GIVEN = with_intrinsics(
+    TRUE, intrinsics_of(TRUE) * [1.003, 1.003, *[1.0] * 7] + [0, 0, 2, -1.5, 0.004, -0.004, 0.0003, 0, 0.002]
 )
 ERRORS = replace(walks.constant_errors(SIGMA), inward_spread=SPREAD)
 SEEDS = range(max(5, round(20 * examples.SHARE)))
@@ -66,9 +67,9 @@ def test_what_is_off_is_found_and_cameras_that_are_kept_stay():
     (found,) = surveyed(detected).calibrated
     assert found.shift == pytest.approx(0.2, abs=4.0 * found.shift_sigma)
     assert found.shift_sigma < 0.5 * SPREAD
-    off = np.abs(parameters(found.found) - parameters(TRUE))
+    off = np.abs(intrinsics_of(found.found) - intrinsics_of(TRUE))
     assert (off < 4.0 * found.sigma).all()
-    assert found.sigma[0] < 0.5 * abs(parameters(GIVEN)[0] - parameters(TRUE)[0])
+    assert found.sigma[0] < 0.5 * abs(intrinsics_of(GIVEN)[0] - intrinsics_of(TRUE)[0])
     (kept,) = surveyed(detected, calibrate=False).calibrated
     assert kept.found == GIVEN
     assert kept.sigma[0] > found.sigma[0]  # what blocks disagree on counts
@@ -87,9 +88,9 @@ def test_a_lens_that_no_calibration_has_is_found():
 def test_tags_that_are_not_flat_are_found_to_be():
     rng = np.random.default_rng(7)
     true, frames = walks.spaced_tags(TAGS, rng), walks.walk(90, rng)
-    shapes = rng.normal(0.0, 0.0008, (TAGS, WAYS))
+    shapes = rng.normal(0.0, 0.0008, (TAGS, MODES))
     square = np.hstack([CORNERS, np.zeros((4, 1))]) * walks.EDGE / 2.0
-    bent = square + np.tensordot(shapes, SHAPES[:WAYS], axes=1)
+    bent = square + np.tensordot(shapes, SHAPES[:MODES], axes=1)
     detected = walks.photographed(true, frames, rng, 0.05)
     points = bent @ np.swapaxes(true[:, :3, :3], 1, 2) + true[:, None, :3, 3]
     seen = np.stack(
@@ -99,7 +100,7 @@ def test_tags_that_are_not_flat_are_found_to_be():
     found = survey(detected, [walks.CAMERA], Tag(walks.EDGE), walks.constant_errors(0.05), Known()).found
     assert found.sightings.shape_sigma == pytest.approx(0.0008, rel=0.25)
     often = np.bincount(found.sightings.tag[found.used], minlength=TAGS) > 10
-    own = found.sightings.shapes[often, :WAYS]
+    own = found.sightings.shapes[often, :MODES]
     assert often.sum() > 5
     assert np.sqrt(((own - shapes[often]) ** 2).mean()) < 0.0003
 
@@ -128,7 +129,7 @@ def test_slopes_are_those_of_the_residuals():
     frame = camera_pose(tag[:, :3, 3] + [0.4, 1.5, 0.2], np.pi, 0.1, 0.05)
     one = walks.photographed(tag, frame, rng, SIGMA, camera=TRUE)
     errors = CornerErrors((1.0, 9.0), (0.3, 0.3), (0.3, 0.3), (0.1, 0.02), 0.1)
-    spread = [np.append(spreads(TRUE), [0.1, 0.05])]
+    spread = [np.append(prior_sigmas(TRUE), [0.1, 0.05])]
 
     def sighted(values):
         optics = Optics(TRUE).at(values)
@@ -136,15 +137,15 @@ def test_slopes_are_those_of_the_residuals():
         return sightings_of(one, [optics.camera], np.zeros(1, dtype=int), np.array([walks.EDGE]), 8, errors, shifts)
 
     values = Optics(TRUE).values
-    found = freed(sighted(values), [Optics(TRUE)], spread)
+    found = with_nuisances(sighted(values), [Optics(TRUE)], spread)
     slope = found.lens[0, :, : len(values)] / spread[0]
     step = np.array([1e-3, 1e-3, 1e-3, 1e-3, 1e-5, 1e-5, 1e-5, 1e-5, 1e-5, 1e-4, 1e-4])
-    at_rest = linearise(found, tag, frame, np.eye(4)[None])
-    expected = approx_fprime(values, lambda x: linearise(sighted(x), tag, frame, np.eye(4)[None]).error[0], step)
+    at_rest = Reprojection(found, tag, frame, np.eye(4)[None])
+    expected = approx_fprime(values, lambda x: Reprojection(sighted(x), tag, frame, np.eye(4)[None]).error[0], step)
     np.testing.assert_allclose(slope, expected, rtol=0.02, atol=0.02)
 
     def bent(shape):
-        return linearise(replace(found, shapes=shape[None]), tag, frame, np.eye(4)[None]).error[0]
+        return Reprojection(replace(found, shapes=shape[None]), tag, frame, np.eye(4)[None]).error[0]
 
     np.testing.assert_allclose(at_rest.by_shape[0], approx_fprime(np.zeros(6), bent, 1e-7), rtol=1e-3, atol=0.5)
 

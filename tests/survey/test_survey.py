@@ -12,10 +12,10 @@ from lmd.scene.deployment import Deployment
 from lmd.scene.labels import Labels
 from lmd.scene.surveyed import Surveyed
 from lmd.scene.tag import Tag
-from lmd.survey.known import Points, poses_of
-from lmd.survey.report import document, map_columns, map_of, measured_of, metrics
-from lmd.survey.survey import Known, survey
-from lmd.survey.words import to_text
+from lmd.survey.prior import Known, Points, poses_of
+from lmd.survey.results import map_columns, map_of, measured_of, metrics, survey_document
+from lmd.survey.summary import to_text
+from lmd.survey.survey import survey
 
 COUNT, FRAMES, SIGMA = 24, 60, 0.2
 UNSEEN, UNPLANNED, ODD = 7, 23, 11
@@ -73,8 +73,8 @@ def test_every_tag_that_needs_a_look_is_named(found):
     text = to_text(found)
     assert f"\nnot seen    {UNSEEN}\n" in f"{text}\n"
     assert f"\nnot planned {UNPLANNED}\n" in f"{text}\n"
-    assert UNSEEN in document(found)["another_photograph"]
-    assert {row["id"]: row["state"] for row in document(found)["tags"]}[UNPLANNED] == "placed"
+    assert UNSEEN in survey_document(found)["another_photograph"]
+    assert {row["id"]: row["state"] for row in survey_document(found)["tags"]}[UNPLANNED] == "placed"
 
 
 def test_the_measured_map_is_worth_more_than_the_plan_on_frames_held_out(found):

@@ -16,9 +16,10 @@ from lmd.scene.labels import Labels
 from lmd.scene.surveyed import Surveyed
 from lmd.scene.tag import Tag
 from lmd.survey.boards import Boards
-from lmd.survey.report import map_of
-from lmd.survey.survey import Known, survey
-from lmd.survey.words import to_text
+from lmd.survey.prior import Known
+from lmd.survey.results import map_of
+from lmd.survey.summary import to_text
+from lmd.survey.survey import survey
 
 IDS = np.array([2, 3, 5, 7, 11])
 PLACES = np.array([[0.5, 0.0, 1.0], [1.0, 0.0, 1.4], [1.6, 0.0, 0.9], [2.0, 0.0, 1.5], [0.0, 0.7, 1.2]])

@@ -25,10 +25,10 @@ from lmd.scene.tag import Tag
 from lmd.sight.models.fiducial import Fiducial
 from lmd.sight.models.limits import Limits
 from lmd.space.cuboid import Cuboid
-from lmd.survey.audit import Audit, audited, in_the_open, seen_of
-from lmd.survey.report import map_of
-from lmd.survey.survey import Known, survey
-from lmd.survey.views import view_columns
+from lmd.survey.audit import Audit, audited, detections_of_map, in_the_open, view_columns
+from lmd.survey.prior import Known
+from lmd.survey.results import map_of
+from lmd.survey.survey import survey
 
 CAMERA, TAG, SIGMA, COUNT = Camera(2.2, 0.0055, 0.0055, (320.0, 240.0), 640, 480, 0.0), Tag(0.16), 0.1, 24
 LEAST = walks.SMALLEST / TAG.modules  # pixels a module, of what these detectors find
@@ -143,7 +143,7 @@ def test_a_detection_some_pixels_off_is_one_and_a_far_one_is_false():
         own = (some.frame == detected.frame[index]) & (found.ids[some.tag] == detected.ids[index])
         assert own.sum() == 1
         assert not found.found.used[own].any()
-    (seen,) = seen_of(found)
+    (seen,) = detections_of_map(found)
     frame = dict(zip(found.found.frames.tolist(), range(len(found.found.frames)), strict=True))
     tag = dict(zip(found.ids[found.placed].tolist(), range(COUNT), strict=False))
     for index, is_seen in ((near, True), (far, False)):

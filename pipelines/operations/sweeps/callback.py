@@ -163,7 +163,7 @@ def _close(config: DictConfig, reason: str = "") -> bool:
     tracker.log_metrics({"jobs": len(jobs), "failed": len(failed)} | best_and_median(sweep, found))
     pictures = []
     if tables := pivots(sweep, found):
-        from lmd.plot.heat_map import save_heat_map
+        from lmd.plot.charts import save_heat_map
 
         pictures.append(folder.path / "pivot.png")
         save_heat_map(pictures[0], tables, f"sweep {sweep.name}: medians over the seeds", "fitness")

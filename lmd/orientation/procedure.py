@@ -1,0 +1,228 @@
+"""The paper's Monte Carlo procedure (Sec. V-D): an orientation PDF from a recording, in five steps.
+
+1. record yaw and pitch of the randomly moving camera (`lmd.orientation.recording`);
+2. sample the recording at random intervals;
+3. make histograms of both angles;
+4. test their independence;
+5. fit a density to each (`lmd.orientation.density`), and multiply the two; or, where independence is rejected, estimate
+   the joint density.
+
+The density is then gathered on the cells of an orientation grid like the paper's.
+"""
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+from scipy.stats import circmean, iqr
+
+from lmd.core.checks import FloatArray, IntArray, real
+from lmd.orientation import density
+from lmd.orientation.density import (
+    AngleCells,
+    Candidate,
+    Density,
+    Family,
+    Independence,
+    circular_difference,
+    independence_test,
+)
+from lmd.orientation.recording import OrientationRecording, Samples, sample_at_random_intervals
+from lmd.scene.pdf import OrientationPdf, divisions_of
+
+# Fine cells on half a turn, at least: the resolution of densities is 1.9 degrees or less.
+FINE_CELLS = 96
+YAW_FAMILIES = (density.uniform, density.von_mises, density.kernel_estimate)
+PITCH_FAMILIES = (density.uniform, density.normal, density.kernel_estimate)
+# Probability below which a cell of the orientation grid is left out: it costs time, and is invisible in a table.
+NEGLIGIBLE = 1e-6
+
+
+@dataclass(frozen=True)
+class Marginal:
+    """Samples, histogram and fit of one angle."""
+
+    samples: FloatArray
+    """Radians, `(S,)`."""
+    axis: AngleCells
+    """Fine cells."""
+    block: int
+    """Number of fine cells in a cell of the orientation grid."""
+    density: Density
+    """Chosen density; family `fixed` has a single cell."""
+    candidates: tuple[Candidate, ...]
+    """Densities that were compared; none for a fixed angle."""
+
+    @property
+    def is_fixed(self) -> bool:
+        """True if all samples lie within the width of a fine cell."""
+        return self.density.family == "fixed"
+
+    @property
+    def angles(self) -> FloatArray:
+        """Angle of each probability of the density, radians."""
+        return np.array([self.density.parameters["value"]]) if self.is_fixed else self.axis.centres
+
+    @property
+    def grid_cell(self) -> IntArray:
+        """Cell of the orientation grid of each of `angles`."""
+        return np.arange(len(self.angles)) // self.block
+
+    @property
+    def histogram(self) -> tuple[FloatArray, FloatArray]:
+        """Edges of the bars `(B + 1,)`, radians, and the samples' densities `(B,)`, 1/rad.
+
+        The bars are cells of the orientation grid, or equal parts of them where the Freedman-Diaconis rule asks for
+        narrower ones.
+        """
+        around_mean = circular_difference(self.samples, circmean(self.samples))
+        width = 2.0 * iqr(around_mean) / np.cbrt(len(self.samples))
+        parts = (p for p in range(self.block, 0, -1) if self.block % p == 0)
+        bar = next((p for p in parts if p * self.axis.width <= width), 1)
+        edges = self.axis.edges[::bar]
+        counts = np.bincount(self.axis.index(self.samples) // bar, minlength=len(edges) - 1)
+        return edges, np.asarray(counts / (len(self.samples) * np.diff(edges)))
+
+    def summary(self) -> dict[str, Any]:
+        """Data for JSON: the chosen density, the candidates, and the histogram."""
+        edges, heights = self.histogram
+        return {
+            "family": self.density.family,
+            "parameters": self.density.parameters,
+            "candidates": [
+                {
+                    "family": c.density.family,
+                    "parameters": c.density.parameters,
+                    "cross_validated_log_likelihood": c.log_likelihood,
+                    "behind_the_best": c.behind,
+                    "standard_error": c.standard_error,
+                }
+                for c in self.candidates
+            ],
+            "histogram": {"edges": edges.tolist(), "density": heights.tolist()},
+        }
+
+
+@dataclass(frozen=True)
+class PdfEstimate:
+    """Orientation PDF with the steps of its estimate."""
+
+    pdf: OrientationPdf
+    """PDF on the orientation grid."""
+    samples: Samples
+    """Measurements at random intervals."""
+    yaw: Marginal
+    """Fit of the yaw."""
+    pitch: Marginal
+    """Fit of the pitch."""
+    independence: Independence | None
+    """Outcome of the test; None where an angle is fixed and there is nothing to test."""
+    joint: Density | None
+    """Joint kernel estimate, probabilities `(M_yaw, M_pitch)`; None where the product is used."""
+
+    @property
+    def form(self) -> str:
+        """`product` of the marginals, or `joint`."""
+        return "product" if self.joint is None else "joint"
+
+    def summary(self) -> dict[str, Any]:
+        """Data for JSON: all but the PDF; angles in radians, times in seconds."""
+        test = self.independence
+        return {
+            "sampling": {
+                "samples": len(self.samples),
+                "mean_interval": self.samples.mean_interval,
+                "correlation_time": self.samples.correlation_time,
+                "intervals": "half fixed, half exponential; that none is shorter than the correlation time (where the "
+                "mean is chosen automatically) is what corrects for the autocorrelation of the motion",
+            },
+            "independence": None
+            if test is None
+            else {
+                **asdict(test),
+                "rejected": test.rejected,
+                "test": "Pearson's chi-squared of the table of yaw by pitch in bins of equal frequency, Monte Carlo p "
+                "value at fixed margins",
+            },
+            "form": self.form,
+            "joint": None if self.joint is None else self.joint.parameters,
+            "criterion": "10-fold cross-validated log-likelihood per sample (probabilities of fine cells); the "
+            "simplest family within one standard error of the best",
+            "yaw": self.yaw.summary(),
+            "pitch": self.pitch.summary(),
+        }
+
+
+def estimate_pdf(
+    recording: OrientationRecording,
+    rng: np.random.Generator,
+    *,
+    divisions: int = 12,
+    mean_interval: float | None = None,
+    significance: float = 0.05,
+) -> PdfEstimate:
+    """Estimate an orientation PDF from a recording: steps 2 to 5 of the procedure.
+
+    An angle whose samples all lie within a fine cell (1.9 degrees or less) is fixed: a fixed pitch gives a PDF in yaw
+    alone, at that pitch.
+
+    Args:
+        recording: yaw and pitch over time.
+        rng: draws the times of the samples and the tables of the independence test.
+        divisions: the step of the orientation grid is pi / divisions.
+        mean_interval: between samples, seconds; None for twice the correlation time.
+        significance: level of the independence test.
+
+    Raises:
+        InputError: a setting is out of range, or the recording gives too few samples.
+    """
+    divisions = divisions_of(divisions)
+    significance = real("significance", significance, low=0.0, high=1.0)
+    samples = sample_at_random_intervals(recording, mean_interval, rng)
+    block = -(-FINE_CELLS // divisions)
+    half_step = np.pi / divisions / 2.0
+    around = AngleCells(-np.pi - half_step, np.pi - half_step, 2 * divisions * block, circular=True)
+    upward = AngleCells(-np.pi / 2, np.pi / 2, divisions * block, circular=False)
+    yaw = _marginal(samples.yaw, around, block, YAW_FAMILIES)
+    pitch = _marginal(samples.pitch, upward, block, PITCH_FAMILIES)
+    test, joint = None, None
+    if not (yaw.is_fixed or pitch.is_fixed):
+        test = independence_test(samples, significance, rng)
+        if test.rejected:
+            index = (around.index(samples.yaw), upward.index(samples.pitch))
+            probability, widths = density.kernel_density(index, (around, upward))
+            parameters = {"yaw_bandwidth": widths[0], "pitch_bandwidth": widths[1]}
+            joint = Density("kernel", parameters, probability)
+    product = np.asarray(np.outer(yaw.density.probability, pitch.density.probability), dtype=np.float64)
+    pdf = _gathered(product if joint is None else joint.probability, yaw, pitch, f"the PDF of {recording.name}")
+    return PdfEstimate(pdf, samples, yaw, pitch, test, joint)
+
+
+def _marginal(angle: FloatArray, axis: AngleCells, block: int, families: Sequence[Family]) -> Marginal:
+    fixed = density.fixed_angle(angle, axis)
+    if fixed is not None:
+        return Marginal(angle, axis, block, Density("fixed", {"value": fixed}, np.ones(1)), ())
+    chosen, candidates = density.choose(angle, axis, families)
+    return Marginal(angle, axis, block, chosen, candidates)
+
+
+def _gathered(table: FloatArray, yaw: Marginal, pitch: Marginal, name: str) -> OrientationPdf:
+    """PDF on the orientation grid: each cell with its probability, at its mean orientation.
+
+    The mean orientation, not the middle of a cell, keeps the mean of a pitch that hardly moves.
+
+    Args:
+        table: probabilities `(M_yaw, M_pitch)` at the marginals' angles.
+        yaw, pitch: give the angles and the grid.
+    """
+    cell = yaw.grid_cell[:, None] * (pitch.grid_cell[-1] + 1) + pitch.grid_cell
+    yaws, pitches = np.meshgrid(yaw.angles, pitch.angles, indexing="ij")
+    weight, *moments = (
+        np.bincount(cell.reshape(-1), weights=(table * factor).reshape(-1)) for factor in (1.0, yaws, pitches)
+    )
+    kept = weight > NEGLIGIBLE
+    mean_yaw, mean_pitch = (moment[kept] / weight[kept] for moment in moments)
+    # The first cells extend half a step beyond -pi.
+    mean_yaw = np.where(mean_yaw < -np.pi - 1e-9, mean_yaw + 2.0 * np.pi, mean_yaw)
+    return OrientationPdf(mean_yaw, mean_pitch, weight[kept] / weight[kept].sum(), name)

@@ -1,0 +1,180 @@
+"""Background work: figures that take longer, computed in a thread of their own while the user rests."""
+
+import threading
+from collections.abc import Callable, Iterator
+from functools import partial
+from typing import Any, Generic, TypeVar
+
+import numpy as np
+
+from lmd.core.checks import InputError
+from lmd.evaluation.validation import Sample, describe_validation, validation_metrics
+from lmd.planner.actions import ActionQueue
+from lmd.planner.figures import Additions, additions
+from lmd.planner.panel import ADDITIONS, PlannerPanel
+from lmd.planner.picture import RoomPicture
+from lmd.planner.session import PlanningSession, Posed
+from lmd.problem import Problem
+from lmd.scene.deployment import Deployment
+
+PATIENCE_SECONDS = 0.5  # maximum time that the end of unwanted work is waited for, seconds
+TO_COME = {"off the grid": "..."}
+FIRST_SAMPLE = Sample(groups=8, positions=256, divisions=8)  # takes a fiftieth of the time of the whole sample
+ESTIMATE = {"a first estimate": "all digits follow"}
+
+Question = TypeVar("Question")
+Wanted = Callable[[], bool]
+
+
+class Worker(Generic[Question]):
+    """A daemon thread that works on one question at a time; only the latest question counts.
+
+    Args:
+        work: called with a question, and with a function that returns True while the answer is wanted.
+        failed: called in that thread with a question that cannot be answered, and the reason in a sentence.
+    """
+
+    def __init__(self, work: Callable[[Question, Wanted], None], failed: Callable[[Question, str], None]) -> None:
+        self._work, self._failed = work, failed
+        self._question: tuple[Question] | None = None  # a new tuple each time that a question is asked
+        self._closing = False
+        self._changed = threading.Condition()
+        self._thread = threading.Thread(target=self._run, name="worker", daemon=True)
+        self._thread.start()
+
+    def ask(self, question: Question | None) -> None:
+        """Replace the question; None for none. A question is answered once, until another one or None is asked."""
+        with self._changed:
+            if question is None:
+                self._question = None
+            elif self._question is None or self._question[0] is not question:
+                self._question = (question,)
+                self._changed.notify()
+
+    def close(self) -> None:
+        """End once the work at hand checks whether it is wanted; it does not while it compiles."""
+        with self._changed:
+            self._question, self._closing = None, True
+            self._changed.notify()
+        self._thread.join(PATIENCE_SECONDS)
+
+    def _run(self) -> None:
+        done: tuple[Question] | None = None
+        while True:
+            with self._changed:
+                while not self._closing and (self._question is None or self._question is done):
+                    self._changed.wait()
+                if self._question is None:
+                    return
+                done = self._question
+            try:
+                self._work(done[0], partial(self._is_asked, done))
+            except (InputError, MemoryError) as error:
+                self._failed(done[0], str(error) or "there is too little memory.")
+
+    def _is_asked(self, question: tuple[Question]) -> bool:
+        return self._question is question
+
+
+class UnwantedError(Exception):
+    """The answer is not wanted any more."""
+
+
+def off_grid(problem: Problem, deployment: Deployment, seed: int, wanted: Wanted) -> Iterator[dict[str, str]]:
+    """Figures off the grid as labelled sentences: an estimate from a small sample, then those of `evaluate`.
+
+    Recorded poses need no sample, so they have no estimate.
+
+    Args:
+        problem: scene and objective.
+        deployment: the tags.
+        seed: seed of the samples.
+        wanted: called now and then; False to end the iteration.
+    """
+
+    def check() -> None:
+        if not wanted():
+            raise UnwantedError
+
+    samples = (FIRST_SAMPLE, Sample()) if problem.scene.recorded is None else (None,)
+    try:
+        for sample in samples:
+            figures = validation_metrics(problem, deployment, seed, sample, check)
+            check()
+            yield describe_validation(problem, figures) | (ESTIMATE if sample is FIRST_SAMPLE else {})
+    except UnwantedError:
+        return
+
+
+class Background:
+    """Computes and shows an estimate of figures off the grid, gains of one more tag, then exact figures off the grid.
+
+    Args:
+        session: session whose plan it works on.
+        actions: queue for results.
+        panel: panel that shows figures.
+        picture: picture that shows gains on surfaces.
+        seed: seed of the sample off the grid; None to leave these figures out.
+    """
+
+    def __init__(
+        self,
+        session: PlanningSession,
+        actions: ActionQueue,
+        panel: PlannerPanel,
+        picture: RoomPicture,
+        seed: int | None,
+    ) -> None:
+        self._session, self._actions, self._panel, self._picture, self._seed = session, actions, panel, picture, seed
+        self.additions: Additions | None = None
+        self._worker = Worker(self._work, lambda *failure: actions.put(partial(self._take_failure, *failure)))
+
+    def announce(self) -> None:
+        """Show that figures off the grid will follow."""
+        if self._seed is not None:
+            self._panel.show_off_grid(TO_COME)
+
+    def begin(self) -> None:
+        """Work on the present plan, unless this is done or being done."""
+        self._worker.ask(self._session.posed)
+
+    def stop(self) -> None:
+        """Stop the work on the present plan."""
+        self._worker.ask(None)
+
+    def close(self) -> None:
+        """End the thread, see `Worker.close`."""
+        self._worker.close()
+
+    def show_additions(self, _: Any = None) -> None:
+        """Colour the surfaces by the gain that the user has chosen."""
+        key = ADDITIONS.get(self._panel.additions.value)
+        gains = None if self.additions is None or key is None else getattr(self.additions, key)
+        self._picture.show_additions(gains)
+        self._panel.show_legend(None if gains is None else float(np.nanmax(gains, initial=0.0)))
+
+    def _work(self, posed: Posed, wanted: Wanted) -> None:
+        """Runs in the worker's thread."""
+        figures = iter(()) if self._seed is None else off_grid(*posed, self._seed, wanted)
+        self._hand_over(posed, next(figures, None))
+        found = additions(*posed, self._picture.candidates.poses, wanted)
+        if found is not None:
+            self._actions.put(partial(self._take_additions, found))
+        self._hand_over(posed, next(figures, None))
+
+    def _hand_over(self, posed: Posed, rows: dict[str, str] | None) -> None:
+        if rows is not None:
+            self._actions.put(partial(self._take_off_grid, posed, rows))
+
+    def _take_additions(self, found: Additions) -> None:
+        self.additions = found
+        self.show_additions()
+
+    def _take_off_grid(self, posed: Posed, rows: dict[str, str]) -> None:
+        if posed is self._session.posed:
+            self._panel.show_off_grid(rows)
+
+    def _take_failure(self, posed: Posed, why: str) -> None:
+        if posed is self._session.posed:
+            self._panel.show_off_grid({})  # none will follow
+            self._panel.say(why, refused=True)

@@ -1,0 +1,176 @@
+"""Figures of a plan: the objective's values as tags move, and the gain of one more tag at each place."""
+
+import math
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from lmd.core.checks import FloatArray
+from lmd.core.compiled import kernel
+from lmd.core.layers import layers
+from lmd.incremental.field import (
+    BOUND,
+    NO_UNITS,
+    SETTLE,
+    in_order,
+    moved,
+    perform,
+    places_of,
+    runner,
+    total_worth,
+)
+from lmd.objectives.base import incremental
+from lmd.objectives.reference_field import field_of
+from lmd.objectives.without import AWAY
+from lmd.problem import Problem
+from lmd.scene.deployment import Deployment
+from lmd.sight.evaluator import Evaluator
+from lmd.sight.kernels import PROBABILITY_ONE
+from lmd.sight.poses import Cells, wall_cells
+from lmd.space.surface import SurfaceArrays
+
+CANDIDATES = 3000  # approximate number of candidate places in a room
+CANDIDATE_BATCH = 64  # candidate places between two checks whether the result is wanted
+
+
+class Values:
+    """Values and figures of a deployment, equal to those of `Problem` to the last bit.
+
+    They are updated when tags move (`lmd.incremental.field`), and computed anew when their number or sizes change.
+
+    Args:
+        problem: scene and objective; its number of landmarks does not matter.
+        deployment: K landmarks.
+
+    Raises:
+        InputError: the objective has no field, or there is too little memory.
+    """
+
+    def __init__(self, problem: Problem, deployment: Deployment) -> None:
+        self._problem = problem
+        self._grid = _Followed(problem, problem.evaluator, deployment)
+        sampled = problem.fitness_evaluator is not problem.evaluator
+        self._climbed = _Followed(problem, problem.fitness_evaluator, deployment) if sampled else self._grid
+
+    def follow(self, deployment: Deployment) -> None:
+        """Change the deployment.
+
+        Raises:
+            InputError: there is too little memory.
+        """
+        self._grid.follow(deployment)
+        if self._climbed is not self._grid:
+            self._climbed.follow(deployment)
+
+    def values(self) -> FloatArray:
+        """See `Problem.values`."""
+        return self._grid.values()
+
+    def metrics(self) -> dict[str, float]:
+        """See `Problem.metrics`."""
+        problem = self._problem
+        figures = problem.objective.figures(self.values(), problem.relevance)
+        fitness = problem.objective.fitness(self._climbed.values(), problem.fitness_relevance)
+        return {**figures, "fitness": float(fitness)}
+
+
+class _Followed:
+    """Values at the positions of one evaluator."""
+
+    def __init__(self, problem: Problem, evaluator: Evaluator, deployment: Deployment) -> None:
+        self._objective, self._evaluator = problem.objective, evaluator
+        self._begin(deployment)
+
+    def _begin(self, deployment: Deployment) -> None:
+        self._edges = deployment.edges_of(self._evaluator.scene.tag)
+        self._field = field_of(self._objective, self._evaluator.sized(self._edges))
+        state: Any = self._field.state(deployment)
+        self._state, self._scratches = state, layers(self._field.scratch(state), 1)
+
+    def follow(self, deployment: Deployment) -> None:
+        """Move the landmarks whose places differ."""
+        if np.array_equal(deployment.edges_of(self._evaluator.scene.tag), self._edges):
+            steps, poses = moved(places_of(deployment), self._state)
+            runner(self._field, perform)(steps, poses, self._field, self._state, self._scratches, NO_UNITS)
+        else:
+            self._begin(deployment)
+
+    def values(self) -> FloatArray:
+        """Value at each position of the evaluator, `(P,)`."""
+        return np.asarray(self._state.units[self._field.index_of] / PROBABILITY_ONE)
+
+
+class Additions(NamedTuple):
+    """Gains by one more tag at each of N places; NaN where its paper would overlap another."""
+
+    fitness: FloatArray
+    """`(N,)` gain of the fitness."""
+    value: FloatArray
+    """`(N,)` gain of the mean of the objective's value over positions, weighted by their relevance. It also ranks
+    places that lift no position over a threshold."""
+
+
+@kernel
+def _add_up(units, target, fitness, value):  # type: ignore[no-untyped-def]
+    """Write the fitness and the mean value of each row of `units` `(N, Q)`."""
+    for i in range(len(units)):
+        fitness[i] = total_worth(target, units[i])
+        total = 0.0
+        for p in range(units.shape[1]):
+            total += target.relevance[p] * (units[i, p] / PROBABILITY_ONE)
+        value[i] = total
+
+
+def candidate_cells(problem: Problem) -> Cells:
+    """Coarse grid of about `CANDIDATES` places at which a tag may hang."""
+    room = problem.scene.plates.hanging
+    surfaces = SurfaceArrays.of(room.surfaces())
+    cells = wall_cells(room, math.sqrt(float(surfaces.area.sum()) / CANDIDATES))
+    poses = cells.poses
+    return cells.picked(surfaces.allow(poses.surfaces, surfaces.coordinates(poses.surfaces, poses.positions)))
+
+
+def additions(
+    problem: Problem, deployment: Deployment, poses: Deployment, wanted: Callable[[], bool] = lambda: True
+) -> Additions | None:
+    """Gains by one more tag at each of N poses.
+
+    An invisible landmark is moved from place to place (`lmd.incremental.field`). Moves are settled, so that shadows
+    count, but never accepted.
+
+    Args:
+        problem: scene and objective; gains are those on its grid.
+        deployment: K landmarks.
+        poses: N places, with their surfaces.
+        wanted: called now and then; False to stop.
+
+    Returns:
+        None if stopped.
+
+    Raises:
+        InputError: the objective has no field.
+    """
+    objective = incremental(problem.objective)
+    more = deployment + Deployment(AWAY[None, :3], AWAY[None, 3:])
+    field = field_of(problem.objective, problem.evaluator.sized(more.edges))
+    target = objective.target(in_order(field, problem.relevance))
+    state = field.state(more)
+    scratches, places = layers(field.scratch(state), 1), np.hstack([poses.positions, poses.normals])
+    steps = np.zeros((len(poses), 2, 4), dtype=np.int64)
+    steps[:, :, 0], steps[:, :, 1], steps[:, :, 2] = (BOUND, SETTLE), len(deployment), poses.surfaces[:, None]
+    units = np.empty((2 * CANDIDATE_BATCH, field.size), dtype=np.int64)
+    fitness, value = np.empty(len(poses)), np.empty(len(poses))
+    for first in range(0, len(poses), CANDIDATE_BATCH):
+        if not wanted():
+            return None
+        part = slice(first, first + CANDIDATE_BATCH)
+        tried = steps[part].reshape(-1, 4)
+        runner(field, perform)(tried, np.repeat(places[part], 2, axis=0), field, state, scratches, units)
+        _add_up(units[1 : len(tried) : 2], target, fitness[part], value[part])
+    before = float((target.relevance * (state.units / PROBABILITY_ONE)).sum())
+    taken = np.zeros(len(poses), dtype=np.bool_)
+    for k in range(len(deployment)):
+        taken |= problem.scene.plates.touched(poses, deployment[k : k + 1])
+    gained = (fitness - total_worth(target, state.units), value - before)
+    return Additions(*(np.where(taken, np.nan, gain) for gain in gained))

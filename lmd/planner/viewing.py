@@ -1,0 +1,130 @@
+"""Viewing: the camera of a browser so that the room fills its window, and the place that a ray of it points at."""
+
+import math
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from lmd.core.checks import FloatArray
+from lmd.plot.common import viewer
+from lmd.space.surface import SurfaceArrays
+
+FIELD_OF_VIEW = math.radians(50.0)  # vertical
+FILLED_SHARE = 0.92  # share of the window's width or height that the room takes
+ASPECT = 1.6  # width by height of a window before the browser tells its own
+SAME_PLACE = 1e-3  # maximum distance of two equal viewpoints, in diagonals of the room
+EDGE_ON = 1e-6  # minimum cosine between a ray and the normal of a surface that it meets
+ON_SURFACE_M = 1e-6  # tolerance of the borders of a surface, metres
+
+
+class BrowserView(NamedTuple):
+    """Viewpoint of a browser, world frame, metres."""
+
+    position: FloatArray
+    """`(3,)` position of the viewer."""
+    look_at: FloatArray
+    """`(3,)` point in the middle of the window."""
+
+
+def framed(low: FloatArray, high: FloatArray, aspect: float) -> BrowserView:
+    """Nearest view that shows a box wholly, in the middle of the window.
+
+    Args:
+        low, high: corners of the box with the least and the largest coordinates, `(3,)`, metres.
+        aspect: width by height of the window.
+    """
+    ahead = -viewer()
+    right = np.cross(ahead, [0.0, 0.0, 1.0])
+    right /= np.linalg.norm(right)
+    axes = np.stack([right, np.cross(right, ahead), ahead])
+    choices = np.array(np.meshgrid(*zip(low, high, strict=True))).reshape(3, -1).T
+    corners = choices @ axes.T
+    deep = corners[:, 2]
+    slopes = FILLED_SHARE * math.tan(FIELD_OF_VIEW / 2.0) * np.array([aspect, 1.0])
+    # A corner at (x, deep) is in view from (c, d) if |x - c| <= slope (deep - d): c has a choice as long as d is small.
+    edges = [((corners[:, i] - s * deep).max(), (corners[:, i] + s * deep).min(), s) for i, s in enumerate(slopes)]
+    across = [(below + above) / 2.0 for below, above, _ in edges]
+    nearest = min((above - below) / (2.0 * slope) for below, above, slope in edges)
+    middle = (low + high) / 2.0 @ ahead
+    return BrowserView(np.array([*across, nearest]) @ axes, np.array([*across, middle]) @ axes)
+
+
+class Framing:
+    """Keeps the room in the window of each browser, at any size, until the user moves the view.
+
+    Args:
+        server: server of viser.
+        low, high: see `framed`.
+    """
+
+    def __init__(self, server: Any, low: FloatArray, high: FloatArray) -> None:
+        self._low, self._high = low, high
+        self._given: dict[int, FloatArray] = {}  # viewpoint that each browser was given
+        first = framed(low, high, ASPECT)
+        server.initial_camera.fov = FIELD_OF_VIEW
+        server.initial_camera.position, server.initial_camera.look_at = first
+
+        async def greet(client: Any) -> None:
+            async def follow(_: Any) -> None:
+                self._follow(client)
+
+            self._given[client.client_id] = first.position
+            client.camera.on_update(follow)
+            self._follow(client)
+
+        async def forget(client: Any) -> None:
+            self._given.pop(client.client_id, None)
+
+        server.on_client_connect(greet)
+        server.on_client_disconnect(forget)
+
+    def _follow(self, client: Any) -> None:
+        """Fit the view to the browser's window, if the user has not moved it."""
+        camera = client.camera
+        view = framed(self._low, self._high, camera.aspect)
+        is_ours = any(self._is_there(camera, at) for at in (self._given[client.client_id], view.position))
+        if is_ours and not self._is_there(camera, view.position):
+            self._given[client.client_id] = view.position
+            camera.position, camera.look_at = view
+
+    def _is_there(self, camera: Any, place: FloatArray) -> bool:
+        return bool(np.linalg.norm(camera.position - place) < SAME_PLACE * np.linalg.norm(self._high - self._low))
+
+
+class Place(NamedTuple):
+    """A place on a surface."""
+
+    surface: int
+    """Index of the surface."""
+    at: FloatArray
+    """`(2,)` coordinates on it, metres."""
+
+
+def pointed_at(surfaces: SurfaceArrays, eye: FloatArray, way: FloatArray, own: int = -1) -> Place | None:
+    """First place where a ray meets the front of a surface.
+
+    Backs are transparent, so that walls between the viewer and the room do not stop the ray. A ray that meets no front
+    ends in the plane of the surface `own`, on either side: so a tag that is dragged beyond the edge of its wall, or
+    that is seen from behind, stays on the wall.
+
+    Args:
+        surfaces: W surfaces, taken for rectangles, although landmarks may hang in parts of them only.
+        eye: start of the ray, `(3,)`, world frame, metres.
+        way: direction of the ray, `(3,)`.
+        own: index of a surface; -1 for none.
+
+    Returns:
+        None if the ray meets no surface, or is not finite.
+    """
+    every = np.arange(len(surfaces.normal))
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+        towards = surfaces.normal @ way
+        far = ((surfaces.origin - eye) * surfaces.normal).sum(axis=1) / towards
+        is_met = (np.abs(towards) > EDGE_ON) & (far > 0.0)
+        at = surfaces.coordinates(every, eye + np.where(is_met, far, 0.0)[:, None] * way)
+    within = ((at >= -ON_SURFACE_M) & (at <= surfaces.extent + ON_SURFACE_M)).all(axis=1)
+    front = is_met & within & (towards < 0.0)
+    if front.any():
+        first = int(np.argmin(np.where(front, far, np.inf)))
+        return Place(first, at[first])
+    return Place(own, at[own]) if own >= 0 and is_met[own] and np.isfinite(at[own]).all() else None

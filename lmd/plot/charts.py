@@ -1,0 +1,258 @@
+"""Charts of figures, as PNGs: convergence, optimisers side by side, trade-offs, heat maps, sensitivity."""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from lmd.objectives.base import Headline
+from lmd.plot.common import literal, logarithmic_ticks, new_figure, set_ticks
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+    from lmd.evaluation.comparison import OptimiserRun
+    from lmd.evaluation.sensitivity import Sensitivity
+    from lmd.evaluation.tradeoff import Axis
+
+DARK_ABOVE = 0.6  # share of a heat map's colour scale above which the text of a cell is white
+AXES = {"count": "number of landmarks K", "paper": "paper in all [square metres]", "budget": "cost of all tags"}
+
+
+def save_convergence_figure(path: str | Path, history: Mapping[str, ArrayLike], headline: Headline, title: str) -> None:
+    """Write a PNG of 900 x 500 pixels: the best fitness so far as a step line over evaluations.
+
+    Args:
+        path: of the PNG.
+        history: `evaluations`, `best_fitness` and `wall_time` (seconds since the start) of at least one record.
+        headline: name and unit of the fitness.
+        title: of the figure.
+    """
+    from matplotlib.ticker import MaxNLocator
+
+    evaluations, fitness, seconds = (np.asarray(history[key]) for key in ("evaluations", "best_fitness", "wall_time"))
+    best = headline.scale * fitness
+    figure = new_figure((9.0, 5.0))
+    axes = figure.add_subplot()
+    axes.step(evaluations, best, where="post", linewidth=1.8)
+    axes.plot(evaluations[-1], best[-1], "o", color="C0", clip_on=False)
+    axes.set(title=literal(title), xlabel="evaluations", ylabel=f"best fitness [{headline.unit}]", ylim=headline.limits)
+    axes.set_xlim(left=0)
+    axes.xaxis.set_major_locator(MaxNLocator(integer=True))
+    axes.xaxis.set_major_formatter("{x:,.0f}")
+    axes.grid(alpha=0.4)
+    # In the half of the axes that the end of the line leaves free.
+    y, align = (0.04, "bottom") if best[-1] > np.mean(axes.get_ylim()) else (0.96, "top")
+    text = f"{best[-1]:.2f} {headline.unit} after {evaluations[-1]:,.0f} evaluations, {_duration(seconds[-1])}"
+    box = {"boxstyle": "round", "facecolor": "white", "edgecolor": "0.7"}
+    axes.text(0.97, y, text, transform=axes.transAxes, ha="right", va=align, bbox=box)
+    figure.savefig(path)
+
+
+def _duration(seconds: float) -> str:
+    """Return `75.3` as `1 min 15 s`."""
+    if seconds < 60.0:
+        return f"{seconds:.1f} s"
+    minutes, rest = divmod(round(seconds), 60)
+    hours, minutes = divmod(minutes, 60)
+    return f"{hours} h {minutes} min" if hours else f"{minutes} min {rest} s"
+
+
+def save_comparison_figure(
+    path: str | Path, runs: "Sequence[OptimiserRun]", axis: str, headline: Headline, title: str
+) -> None:
+    """Write a PNG of two panels over evaluations or time, on a logarithmic axis.
+
+    The left panel has the median best fitness of each optimiser, with a band from its worst to its best seed. The right
+    one has the share of all seeds and targets that were reached (`attained`), as COCO and IOHprofiler draw it.
+
+    Args:
+        path: of the PNG.
+        runs: of all optimisers and seeds.
+        axis: `evaluations` or `wall_time`.
+        headline: name and unit of the fitness.
+        title: of the figure.
+    """
+    import matplotlib as mpl
+
+    from lmd.evaluation.comparison import attained, best_at, by_optimiser, curve_targets
+
+    groups = by_optimiser(runs, headline.key)
+    first = min(getattr(run.history[0], axis) for run in runs)
+    last = max(getattr(run.history[-1], axis) for run in runs)
+    at = np.geomspace(max(first, 1e-3 * last), last, 300)
+    targets = curve_targets(runs)
+    figure = new_figure((15, 6), title)
+    convergence, distribution = figure.subplots(1, 2, sharex=True)
+    colours = mpl.colormaps["tab20"]
+    for i, (name, group) in enumerate(groups.items()):
+        colour = colours(i % colours.N)
+        curves = headline.scale * best_at(group, axis, at)
+        known = ~np.isnan(curves).any(axis=0)
+        curves = curves[:, known]
+        median = np.median(curves, axis=0)
+        convergence.fill_between(at[known], curves.min(axis=0), curves.max(axis=0), color=colour, alpha=0.2, lw=0)
+        label = f"{literal(name)} {median[-1]:.1f}{headline.unit}"
+        convergence.plot(at[known], median, color=colour, lw=1.8, label=label)
+        distribution.step(at, attained(group, axis, at, targets), color=colour, lw=1.8, where="post")
+    low, high = headline.scale * targets[[0, -1]]
+    if high > low:
+        convergence.set_ylim(low, high + 0.03 * (high - low))
+    convergence.set_ylabel(f"best fitness [{headline.unit}]: median, band from worst to best seed")
+    distribution.set_ylim(0.0, 1.0)
+    distribution.set_ylabel(f"share of seeds and of {len(targets)} targets, {low:.1f} to {high:.1f}{headline.unit}")
+    for axes in (convergence, distribution):
+        axes.set_xscale("log")
+        set_ticks(axes.xaxis, logarithmic_ticks(at[0], at[-1]))
+        axes.set_xlabel("wall time [s]" if axis == "wall_time" else axis)
+        axes.grid(alpha=0.3)
+    figure.legend(loc="outside right upper", frameon=False)
+    figure.savefig(path)
+
+
+class Panel(NamedTuple):
+    """Panel of a trade-off: a figure against the number of landmarks, or against their limit."""
+
+    label: str
+    """Label of the vertical axis."""
+    figure: str
+    """Column of points that is shown: a share off the grid."""
+    on_grid: str | None = None
+    """Column of the share on the grid, drawn faintly; None for none."""
+    wanted: float | None = None
+    """Share that is marked; None for none."""
+
+
+def curve_name(curve: float | str) -> str:
+    """Label of a curve of `lmd.evaluation.tradeoff.Axis`."""
+    from lmd.evaluation.tradeoff import MIXED
+
+    edges = [float(edge) for edge in str(curve).split(MIXED)]
+    sizes = ", ".join(f"{1e3 * edge:g}" for edge in edges)
+    return f"{'any mixture' if len(edges) > 1 else 'tags'} of {sizes} mm" if edges[0] else "points"
+
+
+def save_tradeoff_figure(
+    path: str | Path, points: "pd.DataFrame", panels: Sequence[Panel], title: str, axis: "Axis | None" = None
+) -> None:
+    """Write a PNG, 550 pixels wide for each panel and 450 high: medians over the seeds, bands from least to greatest.
+
+    Where sizes are mixed, one more panel shows the number of tags of each size.
+
+    Args:
+        path: of the PNG.
+        points: as for `lmd.evaluation.tradeoff.front`.
+        panels: from left to right; their figures are shares.
+        title: of the figure.
+        axis: as for `front`.
+    """
+    from lmd.evaluation.tradeoff import COUNTS, MIXED
+
+    axis = axis or COUNTS
+    curves = np.unique(points[axis.curve]).tolist()
+    mixed = [curve for curve in curves if MIXED in str(curve)]  # at most one
+    colours = {curve: f"C{i}" for i, curve in enumerate(curve for curve in curves if curve not in mixed)}
+    number = len(panels) + len(mixed)
+    figure = new_figure((5.5 * number, 4.5), title)
+    drawn: Any = figure.subplots(1, number, squeeze=False)
+    if mixed:
+        _draw_counts(drawn[0, -1], points[points[axis.curve] == mixed[0]], axis, colours)
+    for axes, panel in zip(drawn[0], panels, strict=False):
+        for curve in [*mixed, *colours]:
+            by_size = points[points[axis.curve] == curve].groupby(axis.along)
+            colour, name, width = colours.get(curve, "0.6"), curve_name(curve), 5 if curve in mixed else 1.5
+            shares = 100.0 * by_size[panel.figure].agg(["median", "min", "max"])
+            axes.fill_between(shares.index, shares["min"], shares["max"], color=colour, alpha=0.2, lw=0)
+            axes.plot(shares.index, shares["median"], "o-", color=colour, ms=4, lw=width, label=name)
+            if panel.on_grid is not None:
+                on_grid = 100.0 * by_size[panel.on_grid].median()
+                label = None if mixed else f"{name}, on the grid"
+                axes.plot(on_grid.index, on_grid, ":", color=colour, label=label)
+        if panel.wanted is not None:
+            axes.axhline(100.0 * panel.wanted, color="0.5", ls="--", label="wanted")
+        axes.set_ylabel(f"{panel.label} [%]")
+    for axes in drawn[0]:
+        axes.set_xlabel(AXES[axis.along])
+        axes.set_ylim(bottom=0.0)
+        axes.grid(alpha=0.3)
+        axes.legend(frameon=False)
+    figure.savefig(path)
+
+
+def _draw_counts(axes: Any, points: "pd.DataFrame", axis: "Axis", colours: Mapping[str, str]) -> None:
+    """Draw the number of tags of each size in a mixture, medians over the seeds, in the colours of the sizes alone."""
+    from lmd.evaluation.tradeoff import COUNT_OF
+
+    for edge, colour in colours.items():
+        counts = points.groupby(axis.along)[f"{COUNT_OF}{edge}"].median()
+        axes.plot(counts.index, counts, "o-", color=colour, ms=4, label=curve_name(edge))
+    axes.set_ylabel("tags of each size in the mixture")
+
+
+def save_heat_map(path: str | Path, tables: "Mapping[str, pd.DataFrame]", title: str, label: str) -> None:
+    """Write a PNG of heat maps side by side, with the value in every cell.
+
+    Args:
+        path: of the PNG.
+        tables: shares (fractions; NaN for a cell without a run), by the heading of their panel. The index and the
+            columns are named, and equal in all tables.
+        title: of the figure.
+        label: of the shares.
+    """
+    rows, columns = next(iter(tables.values())).shape
+    size = (1.6 + 1.0 * max(columns, 3) * len(tables), 1.8 + 0.8 * max(rows, 3))
+    figure = new_figure(size, title)
+    panels = figure.subplots(1, len(tables), sharey=True, squeeze=False)[0]
+    for axes, (name, table) in zip(panels, tables.items(), strict=True):
+        image = axes.imshow(table, cmap="Greens", vmin=0.0, vmax=1.0, aspect="auto")
+        for (row, column), value in np.ndenumerate(table.to_numpy()):
+            text = "no run" if np.isnan(value) else f"{value:.2%}"
+            colour = "white" if value > DARK_ABOVE else "black"
+            axes.text(column, row, text, ha="center", va="center", color=colour)
+        axes.set_title(literal(name), fontsize=11)
+        axes.set_xticks(range(columns), [_written(value) for value in table.columns])
+        axes.set_yticks(range(rows), [_written(value) for value in table.index])
+        axes.set_xlabel(literal(table.columns.name))
+    panels[0].set_ylabel(literal(table.index.name))
+    figure.colorbar(image, ax=panels, format="{x:.0%}", label=label)
+    figure.savefig(path)
+
+
+def _written(value: object) -> str:
+    return f"{value:.2f}" if isinstance(value, float) else literal(value)
+
+
+def save_sensitivity_figure(path: str | Path, found: "Sensitivity", title: str) -> None:
+    """Write a PNG of 1500 x 500 pixels: other assumptions, landmarks missed, landmarks lost."""
+    from lmd.evaluation.sensitivity import SHARE_COLUMNS
+
+    styles = dict(zip(SHARE_COLUMNS, (("localised", "-"), ("enough landmarks covered", "--")), strict=True))
+    figure = new_figure((15.0, 5.0), title)
+    panels: Any = figure.subplots(1, 3)
+    varied, missed, lost = panels
+    for i, (name, rows) in enumerate(found.assumptions.groupby("assumption", sort=False)):
+        for share, (_, style) in styles.items():
+            label = str(name).replace("_", " ") if share == SHARE_COLUMNS[0] else None
+            varied.plot(rows.factor, 100.0 * rows[share], f"o{style}", color=f"C{i}", label=label)
+    factors = np.unique(found.assumptions.factor)
+    varied.set_xscale("log", base=2)
+    varied.set_xticks(factors, [f"{factor:g}" for factor in factors])
+    varied.set(xlabel="times what was assumed", ylabel="share of random views [%]")
+    for share, (label, style) in styles.items():
+        missed.plot(100.0 * found.misses.missed, 100.0 * found.misses[share], f"ko{style}", label=label)
+        losses = 100.0 * np.sort(found.tags[f"{share.removesuffix('_share')}_loss"].to_numpy())[::-1]
+        pair = found.lost[(found.lost.lost == 2) & (found.lost.share == share)]
+        for worst in 100.0 * pair.worst:
+            lost.axhline(worst, color="C3", linestyle=style, label=f"{label}, worst pair")
+        lost.step(np.arange(len(losses)), losses, f"k{style}", where="mid", label=label)
+    missed.set(xlabel="landmarks missed [%]", ylabel="share of random views [%]")
+    lost.set(xlabel="landmark lost, the dearest first", ylabel="loss [points]")
+    for axes in (varied, missed):
+        axes.set_ylim(0.0, 100.0)
+    lost.set_ylim(bottom=min(0.0, lost.get_ylim()[0]))
+    for axes in panels:
+        axes.grid(alpha=0.3)
+        axes.legend(frameon=False)
+    figure.savefig(path)

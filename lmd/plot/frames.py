@@ -1,0 +1,267 @@
+"""Pictures of detections beside predictions: figures, frames with the tags outlined, and films."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from lmd.core.checks import BoolArray, FloatArray
+from lmd.core.optional import optional
+from lmd.detection.calibration import Calibration
+from lmd.detection.evaluation import TAG_NUMBERS
+from lmd.detection.fit import foretold
+from lmd.detection.report import PLACES
+from lmd.estimation.rendered import Moment
+from lmd.geometry.camera import Camera
+from lmd.geometry.projection import view_edges
+from lmd.geometry.se3 import act
+from lmd.plot import common
+from lmd.plot.common import literal, new_figure, set_ticks, shrink
+from lmd.render.imaging import UInt8Array
+from lmd.space.space import Space
+
+# Colours of outlines in frames: red, green, blue.
+BOTH, ONLY_DETECTED, ONLY_PREDICTED = (26, 150, 65), (31, 119, 220), (214, 39, 40)
+# Bounds of classes of a tag's size over its limit.
+RATIOS = np.arange(0.3, 2.51, 0.1)
+PITCH_TICKS = (0.5, 1.0, 2.0, 4.0, 8.0, 16.0)
+LEGEND = (
+    (BOTH, "predicted and detected"),
+    (ONLY_DETECTED, "detected, not predicted"),
+    (ONLY_PREDICTED, "predicted, not detected"),
+)
+FILM_INCHES, FILM_DPI = (9.0, 4.1), 90
+FRAME_WIDTH = 560  # width of a frame in a film, pixels
+FILM_QUALITY = 55  # quality of the animated picture, 0 to 100
+PYRAMID_DEPTH = 0.6  # depth of the pyramid that stands for the camera, metres
+
+
+def save_calibration_figure(path: str | Path, figures: pd.DataFrame, pitches: pd.DataFrame, title: str) -> None:
+    """Write a PNG: for each deployment P(>= n) predicted and detected, and below it both shares of tags by pitch.
+
+    Args:
+        path: of the PNG.
+        figures: rows of `lmd.detection.report.figures` with the columns `deployment` and `detector`.
+        pitches: rows of `by_pitch`, with the same two columns.
+        title: of the figure.
+    """
+    names, detectors = list(figures.deployment.unique()), list(figures.detector.unique())
+    figure = new_figure((2.0 + 5.0 * len(names), 9.0), title)
+    panels: Any = figure.subplots(2, len(names), sharey="row", squeeze=False)
+    width = 0.8 / (1 + len(detectors))
+    for axes, name in zip(panels[0], names, strict=True):
+        rows = figures[figures.deployment == name].set_index("detector")
+        bars = [("predicted", rows.iloc[0], "predicted", "#9e9e9e")]
+        bars += [(detector, rows.loc[detector], "detected", f"C{i}") for i, detector in enumerate(detectors)]
+        for i, (label, row, which, colour) in enumerate(bars):
+            share, error = ([row[f"{which}_{n}{end}"] for n in TAG_NUMBERS] for end in ("", "_error"))
+            at = TAG_NUMBERS + (i - len(detectors) / 2.0) * width
+            axes.bar(at, share, width, yerr=error, color=colour, label=literal(label), error_kw={"lw": 1.0})
+        axes.set(title=literal(name), xticks=TAG_NUMBERS, xticklabels=[f"≥ {n}" for n in TAG_NUMBERS], ylim=(0.0, 1.02))
+        axes.set_xlabel("tags in a frame")
+        axes.grid(axis="y", alpha=0.3)
+    for axes, name in zip(panels[1], names, strict=True):
+        for i, detector in enumerate(detectors):
+            rows = pitches[(pitches.deployment == name) & (pitches.detector == detector)]
+            if i == 0:
+                axes.plot(_middle(rows), rows.predicted, "o--", color="#9e9e9e", label="predicted")
+            axes.plot(_middle(rows), rows.detected, "o-", color=f"C{i}", label=literal(detector))
+        axes.set(xscale="log", xlabel="pixels a module, tags wholly in the image", ylim=(-0.02, 1.02))
+        set_ticks(axes.xaxis, np.array(PITCH_TICKS))
+        axes.set_xlim(PITCH_TICKS[0], PITCH_TICKS[-1])
+        axes.grid(alpha=0.3)
+    panels[0][0].set_ylabel("share of frames")
+    panels[1][0].set_ylabel("share of tags")
+    handles, labels = panels[0][0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower center", ncols=len(labels), frameon=False)
+    figure.savefig(path)
+
+
+def save_places_figure(path: str | Path, places: pd.DataFrame, title: str) -> None:
+    """Write a PNG: the shares of tags that were predicted and detected, by their place in the image.
+
+    Args:
+        path: of the PNG.
+        places: rows of `lmd.detection.report.by_place`.
+        title: of the figure.
+    """
+    figure = new_figure((12.0, 4.6), title)
+    panels: Any = figure.subplots(1, 2)
+    for axes, which in zip(panels, ("predicted", "detected"), strict=True):
+        shares = np.full(PLACES[::-1], np.nan)
+        shares[places.row, places.column] = places[which]
+        drawn = axes.imshow(shares, vmin=0.0, vmax=1.0, cmap="viridis")
+        for part in places.itertuples():
+            share = getattr(part, which)
+            ink = "black" if share > 0.6 else "white"
+            text = f"{share:.0%}\nof {part.tags}"
+            axes.annotate(text, (part.column, part.row), ha="center", va="center", color=ink, fontsize=9)
+        axes.set(title=f"{which}, of tags wholly in the image", xticks=[], yticks=[])
+    figure.colorbar(drawn, ax=panels, label="share of tags")
+    figure.savefig(path)
+
+
+def save_limits_figure(path: str | Path, calibrations: Mapping[str, Calibration], title: str) -> None:
+    """Write a PNG: for each detector the views it found, by pitch and blur, and their share by size over the limit.
+
+    Args:
+        path: of the PNG.
+        calibrations: by the detector's name.
+        title: of the figure.
+    """
+    figure = new_figure((12.0, 0.6 + 4.2 * len(calibrations)), title)
+    panels: Any = figure.subplots(len(calibrations), 2, squeeze=False)
+    for (left, right), (name, calibration) in zip(panels, calibrations.items(), strict=True):
+        views, limits = calibration.views, calibration.fit.limits
+        facing = replace(limits, pitch=0.0, blur=0.0, edge=0.0)  # and in the image
+        shown = foretold(views, facing, calibration.fit.circles)
+        fair = shown & (views.edge >= limits.edge)
+        for which, colour, label in ((views.seen, "C0", "found"), (~views.seen, "C3", "not found")):
+            chosen = fair & which
+            left.plot(views.sigma[chosen], views.pitch[chosen], ".", ms=3.0, alpha=0.5, color=colour, label=label)
+        sigma = np.linspace(views.sigma.min(), views.sigma.max(), 100)
+        left.plot(sigma, np.hypot(limits.pitch, limits.blur * sigma), "k", label="limit")
+        left.set(title=literal(name), xlabel="blur sigma [px]", ylabel="pixels a module", ylim=(0.0, None))
+        left.legend(loc="upper left", markerscale=3.0, framealpha=0.9)
+        with np.errstate(divide="ignore"):  # a limit of 0 is none
+            ratio = np.minimum(
+                views.pitch / np.hypot(limits.pitch, limits.blur * views.sigma), views.edge / np.float64(limits.edge)
+            )
+        place = np.searchsorted(RATIOS, ratio, side="right") - 1
+        for b in range(len(RATIOS) - 1):
+            members = views.seen[shown & (place == b)]
+            if len(members):
+                share = members.mean()
+                error = np.sqrt(share * (1.0 - share) / len(members))
+                right.errorbar((RATIOS[b] + RATIOS[b + 1]) / 2.0, share, error, fmt="o", color="C0")
+        right.plot([RATIOS[0], 1.0, 1.0, RATIOS[-1]], [0.0, 0.0, 1.0, 1.0], "k", lw=1.0)
+        right.set(xlabel="size over the limit", ylabel="share found", ylim=(-0.02, 1.02))
+        right.grid(alpha=0.3)
+    figure.savefig(path)
+
+
+def _middle(rows: pd.DataFrame) -> FloatArray:
+    """Geometric mean of the bounds of classes of pitch, `(B,)`, pixels a module."""
+    low, high = rows.pitch_from.to_numpy(), rows.pitch_to.to_numpy()
+    low = np.where(low > 0.0, low, high / 1.5)
+    return np.asarray(np.sqrt(low * np.where(np.isfinite(high), high, 1.5 * low)))
+
+
+def outlined(image: UInt8Array, expected: FloatArray, predicted: BoolArray, found: FloatArray) -> UInt8Array:
+    """Draw outlines around the tags that were predicted or detected; returns an image `(h, w, 3)`.
+
+    Args:
+        image: `(h, w)`.
+        expected: exact corners, pixels from the border, `(K, 4, 2)`; NaN behind the camera.
+        predicted: `(K,)`.
+        found: corners as detected, `(K, 4, 2)`; NaN where not detected.
+    """
+    cv2 = optional("cv2", "detection")
+    drawn = np.repeat(image[..., None], 3, axis=-1)
+    detected = np.asarray(np.isfinite(found).all(axis=(1, 2)))
+    for k in np.flatnonzero(predicted | detected):
+        colour = ONLY_PREDICTED if not detected[k] else BOTH if predicted[k] else ONLY_DETECTED
+        square = found[k] if detected[k] else expected[k]
+        if np.isfinite(square).all():
+            centre = square.mean(axis=0)
+            wider = np.rint(centre + 1.25 * (square - centre) - 0.5).astype(np.int32)
+            cv2.polylines(drawn, [wider], True, colour, 2 * _scale(image), cv2.LINE_AA)
+    return drawn
+
+
+def save_frame(
+    path: str | Path, image: UInt8Array, expected: FloatArray, predicted: BoolArray, found: FloatArray
+) -> None:
+    """Write the image of `outlined` as a PNG, with a legend."""
+    cv2 = optional("cv2", "detection")
+    drawn, scale = outlined(image, expected, predicted, found), _scale(image)
+    for i, (colour, text) in enumerate(LEGEND):
+        at = (10 * scale, (18 + 18 * i) * scale)
+        cv2.putText(drawn, text, at, cv2.FONT_HERSHEY_SIMPLEX, 0.5 * scale, (255, 255, 255), 4 * scale, cv2.LINE_AA)
+        cv2.putText(drawn, text, at, cv2.FONT_HERSHEY_SIMPLEX, 0.5 * scale, colour, scale, cv2.LINE_AA)
+    cv2.imwrite(str(path), drawn[..., ::-1])
+    shrink(path)
+
+
+def _scale(image: UInt8Array) -> int:
+    """Factor for the width of lines, 1 for an image 800 pixels wide."""
+    return max(1, round(len(image[0]) / 800))
+
+
+def save_film(
+    path: str | Path, moments: Sequence[Moment], camera: Camera, room: Space, landmarks: FloatArray, title: str
+) -> None:
+    """Write an animated picture that takes as long as the flight: a frame beside the room with the camera.
+
+    Args:
+        path: of the animated picture.
+        moments: of the flight, at least two, in order.
+        camera: gives the shape of the pyramid.
+        room: drawn in black.
+        landmarks: positions of the tags, `(K, 3)`, world frame, metres.
+        title: of the film.
+    """
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+    from PIL import Image
+
+    figure = Figure(figsize=FILM_INCHES, dpi=FILM_DPI, facecolor="white")
+    canvas: Any = FigureCanvasAgg(figure)
+    track = np.stack([moment.pose[:3, 3] for moment in moments])
+    pictures = []
+    for i, moment in enumerate(moments):
+        figure.clear()
+        figure.suptitle(literal(title), fontsize=11, y=0.985)
+        _draw_frame(figure, moment)
+        _draw_room(figure, moment, camera, room, landmarks, track[: i + 1])
+        canvas.draw()
+        pictures.append(Image.fromarray(np.asarray(canvas.buffer_rgba())[..., :3].copy()))
+    steps = np.diff([moment.time for moment in moments])
+    durations = np.rint(1000.0 * np.append(steps, steps[-1])).astype(int).tolist()
+    pictures[0].save(
+        path, save_all=True, append_images=pictures[1:], duration=durations, loop=0, quality=FILM_QUALITY, method=4
+    )
+
+
+def _draw_frame(figure: Any, moment: Moment) -> None:
+    cv2 = optional("cv2", "detection")
+    share = FRAME_WIDTH / moment.image.shape[1]
+    small = cv2.resize(moment.image, None, fx=share, fy=share, interpolation=cv2.INTER_AREA)
+    axes = figure.add_axes((0.005, 0.09, 0.585, 0.83))
+    axes.imshow(outlined(small, share * moment.expected, moment.predicted, share * moment.found))
+    axes.set_axis_off()
+    for i, (colour, text) in enumerate(LEGEND):
+        figure.text(0.01 + 0.2 * i, 0.035, f"■ {text}", color=np.array(colour) / 255.0, fontsize=9)
+
+
+def _draw_room(
+    figure: Any, moment: Moment, camera: Camera, room: Space, landmarks: FloatArray, track: FloatArray
+) -> None:
+    """Draw the room, the track, and the camera with lines to the tags that it found."""
+    from mpl_toolkits.mplot3d.art3d import Line3DCollection
+
+    axes = figure.add_axes((0.58, 0.02, 0.43, 0.9), projection="3d")
+    axes.view_init(common.ELEVATION, common.AZIMUTH)
+    axes.set_axis_off()
+    for part, edges in room.outline().items():
+        if part in ("room", "obstacles"):
+            axes.add_collection(Line3DCollection(edges, colors=common.PARTS[part][0], linewidths=0.8))
+    found = np.isfinite(moment.found).all(axis=(1, 2))
+    green, position = np.array(BOTH) / 255.0, moment.pose[:3, 3]
+    axes.scatter(*landmarks[~found].T, s=6, color=common.UNQUALIFIED, depthshade=False)
+    axes.scatter(*landmarks[found].T, s=14, color=green, depthshade=False)
+    rays = np.stack([np.broadcast_to(position, landmarks[found].shape), landmarks[found]], axis=1)
+    axes.add_collection(Line3DCollection(rays, colors=green, linewidths=0.7, alpha=0.7))
+    axes.plot(*track.T, color=common.LANDMARK, lw=1.2)
+    axes.add_collection(
+        Line3DCollection(act(moment.pose, view_edges(camera, PYRAMID_DEPTH)), colors=common.LANDMARK, linewidths=1.2)
+    )
+    low, high = room.bounds()
+    for name, start, end in zip("xyz", low, high, strict=True):
+        getattr(axes, f"set_{name}lim")(start, end)
+    axes.set_box_aspect(high - low, zoom=1.08)
+    seconds = f"{moment.time:.1f} s, tags detected: {found.sum()}"
+    figure.text(0.98, 0.035, seconds, ha="right", fontsize=9)

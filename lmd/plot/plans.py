@@ -1,0 +1,178 @@
+"""Pictures of rooms from above, as PNGs: accuracy of single images, and a survey beside the plan."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from lmd.core.checks import FloatArray
+from lmd.evaluation.accuracy import plan_of_errors
+from lmd.plot import common
+from lmd.plot.common import LANDMARK, draw_plan, literal, new_figure, shrink
+from lmd.problem import Problem
+from lmd.scene.deployment import Deployment
+from lmd.space.space import Space
+from lmd.survey.results import tag_columns
+from lmd.survey.survey import Survey
+
+NO_MEDIAN_COLOUR = "#c8c8c8"  # colour of places without a finite median
+PLANNED, UNSEEN, PROPOSED = "#9e9e9e", "#ff7f0e", "#2ca02c"
+ELLIPSE_SIGMAS = 2.0  # semi-axes of ellipses, standard deviations
+ARROW_SHARE = 0.08  # length of the median arrow over that of the room
+WEDGE_SHARE = 0.05  # length of the wedge of a photograph to take over that of the room
+ELLIPSE_POINTS = 40
+MOST_NAMED = 12  # largest number of tags that the right panel names, those farthest off
+
+
+def save_accuracy_figure(path: str | Path, deployments: Mapping[str, tuple[Problem, Deployment]], title: str) -> None:
+    """Write a PNG: top views with the landmarks and the median predicted error as colour, on one scale.
+
+    The median is that of all views of the grid's positions above a place of the plan.
+
+    Args:
+        path: of the PNG.
+        deployments: a deployment and the problem that it is judged for, by the heading of its panel.
+        title: of the figure.
+    """
+    from matplotlib import colormaps
+    from matplotlib.colors import LogNorm
+
+    # The medians as tables, y by x, in millimetres; NaN where the grid has no position.
+    each = (plan_of_errors(problem, deployment) for problem, deployment in deployments.values())
+    plans = [1e3 * one.pivot(index="y", columns="x", values="predicted_error_median") for one in each]
+    known = np.concatenate([plan.to_numpy().ravel() for plan in plans])
+    known = known[np.isfinite(known)]
+    low, high = (known.min(), known.max()) if len(known) else (1.0, 10.0)
+    colours = colormaps[f"{common.COLOUR_MAP}_r"].with_extremes(over=NO_MEDIAN_COLOUR)  # bright is good
+    length, width, _ = np.max([common.size_of(problem.scene.room) for problem, _ in deployments.values()], axis=0)
+    size = (1.0 + 5.0 * len(plans), 2.2 + 5.0 * width / length)
+    figure = new_figure(size, title)
+    panels: Any = figure.subplots(1, len(plans), squeeze=False, sharex=True, sharey=True)[0]
+    for axes, plan, (heading, (problem, deployment)) in zip(panels, plans, deployments.items(), strict=True):
+        shown = np.where(np.isinf(plan), 2.0 * high, plan)  # infinite has no logarithm
+        mesh = axes.pcolormesh(
+            plan.columns, plan.index, shown, cmap=colours, norm=LogNorm(low, high), shading="nearest"
+        )
+        draw_plan(axes, problem.scene.room, lw=1.0)
+        arrows = common.ARROW_LENGTH * deployment.normals[:, :2]
+        axes.quiver(*deployment.positions[:, :2].T, *arrows.T, color=LANDMARK, angles="xy",
+                    scale_units="xy", scale=1.0, width=0.003, zorder=3)  # fmt: skip
+        axes.plot(*deployment.positions[:, :2].T, "o", color=LANDMARK, ms=2.5, zorder=3)
+        axes.set(xlabel=common.AXIS_LABELS[0], title=literal(heading), aspect="equal")
+    panels[0].set_ylabel(common.AXIS_LABELS[1])
+    label = "median predicted error of the position [mm];\ngrey where most views see too few landmarks"
+    bar = figure.colorbar(mesh, ax=list(panels), label=label, extend="max", orientation="horizontal", aspect=60)
+    common.set_ticks(bar, common.logarithmic_ticks(low, high))
+    figure.savefig(path)
+
+
+def save_survey_figure(path: str | Path, survey: Survey, room: Space | None, title: str) -> None:
+    """Write a PNG of 1500 x 700 pixels: tags from above beside the plan, and the distance of each tag from its place.
+
+    Args:
+        path: of the PNG.
+        survey: what is drawn.
+        room: its outline is drawn; None where it is unknown.
+        title: of the figure.
+    """
+    figure = new_figure((15.0, 7.0))
+    left, right = figure.subplots(1, 2)
+    _draw_above(left, survey, room)
+    if survey.planned is None:
+        _draw_sigmas(right, survey)
+    else:
+        _draw_offsets(right, survey)
+    figure.suptitle(literal(title), fontsize=13)
+    figure.savefig(path)
+    shrink(path)
+
+
+def _draw_above(axes: Any, survey: Survey, room: Space | None) -> None:
+    """Draw tags from above, arrows from their plan, ellipses, the ids of unseen tags, and photographs to take."""
+    if room is not None:
+        draw_plan(axes, room, lw=0.8, zorder=1)
+    placed, planned = survey.placed, survey.planned
+    tags = survey.found.poses.tags
+    axes.plot(*_edges(tags[placed], survey.found.sightings.edges[placed]), color=LANDMARK, linewidth=2.0, zorder=3)
+    size = np.ptp(tags[placed][:, :2, 3], axis=0).max(initial=1.0)
+    covariances = survey.found.in_world(survey.found.gauge_free_covariances)
+    sigma = 1e3 * np.nanmedian(np.sqrt(covariances[placed][:, 0, 0] + covariances[placed][:, 1, 1]))
+    scale = ARROW_SHARE * size
+    if planned is not None:
+        both = placed & np.isfinite(planned[:, 0, 0])
+        way = tags[both][:, :2, 3] - planned[both][:, :2, 3]
+        scale /= max(float(np.median(np.linalg.norm(way, axis=1))), 1e-6)
+        axes.quiver(
+            *planned[both][:, :2, 3].T,
+            *(scale * way).T,
+            angles="xy",
+            scale_units="xy",
+            scale=1.0,
+            width=0.003,
+            zorder=4,
+        )
+        missing = np.isfinite(planned[:, 0, 0]) & ~placed
+        axes.plot(*planned[missing][:, :2, 3].T, "x", color=UNSEEN, zorder=5)
+        for number, (x, y) in zip(survey.ids[missing], planned[missing][:, :2, 3], strict=True):
+            axes.annotate(f"{number}", (x, y), color=UNSEEN, fontsize=9)
+        axes.set_title(f"from above; arrows from the plan, {scale:.0f} times as long", fontsize=11)
+    else:
+        scale /= 1e-3 * sigma
+        axes.set_title(
+            f"against the z axis; ellipses of {ELLIPSE_SIGMAS:g} sigma, {scale:.0f} times as large", fontsize=11
+        )
+    for pose, covariance in zip(tags[placed], covariances[placed][:, :2, :2], strict=True):
+        axes.plot(*(pose[:2, 3, None] + scale * _ellipse(covariance)), color="black", linewidth=0.6, zorder=4)
+    for number, photograph in enumerate(survey.proposed, 1):
+        stand, right, ahead = (photograph.pose[:2, column] for column in (3, 0, 2))
+        ends = WEDGE_SHARE * size * np.stack([ahead - 0.5 * right, np.zeros(2), ahead + 0.5 * right])
+        axes.plot(*(stand + ends).T, color=PROPOSED, linewidth=1.2, zorder=5)
+        axes.annotate(f"{number}", stand, color=PROPOSED, fontsize=10, ha="center", va="top")
+    axes.set(xlabel="x [m]", ylabel="y [m]", aspect="equal")
+
+
+def _edges(tags: FloatArray, edges: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """x and y of the ends of lines along the middles of tags, `(2, K)` each, metres."""
+    half = edges[:, None] / 2.0 * tags[:, :2, 0]
+    ends = np.stack([tags[:, :2, 3] - half, tags[:, :2, 3] + half])
+    return ends[..., 0], ends[..., 1]
+
+
+def _ellipse(covariance: FloatArray) -> FloatArray:
+    """Points of the ellipse of a covariance `(2, 2)` around the origin, `(2, N)`."""
+    values, axes = np.linalg.eigh(covariance)
+    angle = np.linspace(0.0, 2.0 * np.pi, ELLIPSE_POINTS)
+    circle = np.stack([np.cos(angle), np.sin(angle)])
+    return np.asarray(ELLIPSE_SIGMAS * axes @ (np.sqrt(np.maximum(values, 0.0))[:, None] * circle))
+
+
+def _draw_offsets(axes: Any, survey: Survey) -> None:
+    """Draw the offsets of tags in their planes with ellipses, and the ids of those farthest off."""
+    columns = tag_columns(survey)
+    offset = 1e3 * np.stack([np.asarray(columns[name], dtype=np.float64) for name in ("right", "up", "out")], axis=1)
+    there = np.flatnonzero(np.isfinite(offset[:, 0]))
+    dots = axes.scatter(*offset[there, :2].T, c=offset[there, 2], cmap="coolwarm", s=28, zorder=3)
+    for k in there:
+        ellipse = 1e3 * _ellipse(survey.found.gauge_free_covariances[k, 3:5, 3:5])
+        axes.plot(*(offset[k, :2, None] + ellipse), color="0.5", linewidth=0.6, zorder=2)
+    for k in there[np.argsort(-np.linalg.norm(offset[there], axis=1))][:MOST_NAMED]:
+        axes.annotate(f" {survey.ids[k]}", offset[k, :2], fontsize=9)
+    axes.axhline(0.0, color=PLANNED, linewidth=0.8, zorder=1)
+    axes.axvline(0.0, color=PLANNED, linewidth=0.8, zorder=1)
+    axes.figure.colorbar(dots, ax=axes, label="off the wall [mm]")
+    axes.set(xlabel="to the right of the plan [mm]", ylabel="above the plan [mm]", aspect="equal")
+    axes.set_title(
+        f"how far tags are off, each as one stands before it; ellipses of {ELLIPSE_SIGMAS:g} sigma", fontsize=11
+    )
+
+
+def _draw_sigmas(axes: Any, survey: Survey) -> None:
+    """Draw the standard deviation of each tag against the number of sightings that place it."""
+    columns = tag_columns(survey)
+    sigma, seen = 1e3 * np.asarray(columns["sigma"]), survey.used
+    axes.loglog(seen[survey.placed], sigma[survey.placed], "o", color=LANDMARK, markersize=5)
+    for k in np.argsort(-np.where(survey.placed, sigma, -np.inf))[:MOST_NAMED]:
+        axes.annotate(f" {survey.ids[k]}", (seen[k], sigma[k]), fontsize=9)
+    axes.set(xlabel="sightings that place a tag", ylabel="standard deviation beside the others [mm]")
+    axes.grid(alpha=0.3)

@@ -1,0 +1,285 @@
+"""Initialisation: rough poses of tags and frames, one after the other.
+
+A single tag has two poses in front of a camera that look alike (IPPE). A group of tags begins with the frame that shows
+the most tags whose pose is beyond doubt. Then every frame that shows two or more placed tags is placed, and every tag
+that placed frames show, in turns. Each of them tries the poses that its sightings propose, refines the likeliest, and
+is placed if enough sightings agree. Where this stops, the likeliest single sighting places its tag or frame. At last
+all tags and frames with large errors try again. What is placed is adjusted after each turn. Tags that no frame connects
+with the group begin another group, in a world of its own.
+
+With a plan, initialisation starts with the tags at their planned poses, and is accepted if nearly all sightings agree.
+As all corners may be numbered from another one, all planned tags are tried at each of the four quarter turns.
+"""
+
+import numpy as np
+
+from lmd.core.checks import BoolArray, FloatArray, IntArray
+from lmd.geometry.se3 import exp, inverse
+from lmd.survey.adjustment import Adjustment
+from lmd.survey.prior import Prior
+from lmd.survey.residuals import Poses, Reprojection, normal_equations, solved, squared_errors, sums_by
+from lmd.survey.sightings import QUARTERS, Sightings
+from lmd.survey.single_poses import SinglePoses, single_poses
+
+# Log-likelihood ratios of the two poses of a sighting, from which the better one is beyond doubt, or likely.
+BEYOND_DOUBT, LIKELY = 6.0, 1.5
+# A sighting agrees with a pose up to this RMS error: share of its size plus pixels.
+AGREES, AGREES_PIXELS = 0.15, 2.0
+FEWEST, LEAST_SHARE = 2, 0.3  # minimum number, and share, of sightings that must agree
+# Tags and frames try again if this share of their sightings has squared errors this many times the median.
+DISPUTED, MUCH_WORSE = 0.2, 25.0
+# Numbers of sightings of a frame or tag that propose poses and that judge them, the largest; of poses that are refined.
+PROPOSING, JUDGING, REFINED = 8, 60, 3
+REFINING_STEPS, WIDE, NARROW = 12, 40.0, 3.0  # Gauss-Newton steps; first and last scale of the loss, pixels
+STEPS, FINAL_STEPS = 3, 8  # steps of bundle adjustment on the way, and once no more can be placed
+GROWN = 1.2  # growth of the number of placed tags and frames after which all are adjusted anew
+AS_PLANNED = 0.97  # share of sightings that must agree with an initialisation by the plan
+FLOOR_PIXELS = 3.0  # maximum of the floor in adjustments on the way, pixels
+ANCHOR_SIGMA = 1e-4  # standard deviation of the first tag of a group, metres and rad
+
+
+def agreeing(sightings: Sightings, error: FloatArray) -> BoolArray:
+    """True for sightings with squared errors `(N,)` that agree with a rough pose."""
+    return np.asarray(np.sqrt(error / 4.0) < AGREES * sightings.sizes + AGREES_PIXELS)
+
+
+class Placing:
+    """Tags and frames of some sightings that are placed one after the other.
+
+    Args:
+        sightings: sightings of one camera, see `Sightings.apart`.
+        single: their poses by single sightings.
+        is_linked: True if frames are linked by motion, so that no single sighting is trusted.
+    """
+
+    def __init__(self, sightings: Sightings, single: SinglePoses, is_linked: bool = False) -> None:
+        self.sightings, self.single, self.is_linked = sightings, single, is_linked
+        self.tags = np.full((len(sightings.ids), 4, 4), np.nan)
+        self.frames = np.full((sightings.frames, 4, 4), np.nan)
+        self.group = np.full(len(sightings.ids), -1)
+
+    @property
+    def poses(self) -> Poses:
+        """Poses of tags and frames."""
+        return Poses(self.tags, self.frames, np.eye(4)[None])
+
+    @property
+    def _placed(self) -> tuple[BoolArray, BoolArray]:
+        """True for sightings whose tag, and whose frame, is placed, `(N,)` each."""
+        tags, frames = np.isfinite(self.tags[:, 0, 0]), np.isfinite(self.frames[:, 0, 0])
+        return tags[self.sightings.tag], frames[self.sightings.frame]
+
+    def fill(self) -> None:
+        """Place all tags and frames that can be placed."""
+        begun = bool(self._count())
+        while begun or self._seed():
+            begun, adjusted = False, 0
+            while self._grow() or (not self.is_linked and self._risk()):
+                if self._count() > GROWN * adjusted:  # adjusting each time would be quadratic in the number of frames
+                    self._adjust(STEPS)
+                    adjusted = self._count()
+            for _ in range(2):
+                self._retry()
+                self._adjust(FINAL_STEPS)
+
+    def agreed(self) -> int:
+        """Number of sightings that agree with the poses of their tags and frames."""
+        return int(agreeing(self.sightings, squared_errors(self.sightings, self.poses)).sum())
+
+    def _seed(self) -> bool:
+        """Begin a group with the frame that shows most new tags beyond doubt; False if there is none."""
+        sightings, (tag, frame) = self.sightings, self._placed
+        fresh = ~tag & ~frame
+        usable = np.flatnonzero(fresh & (self.single.odds > BEYOND_DOUBT))
+        value = np.bincount(sightings.frame[usable], np.sqrt(sightings.sizes[usable]), minlength=sightings.frames)
+        value *= np.bincount(sightings.frame[fresh], minlength=sightings.frames) > 1
+        if not value.any():
+            return False
+        best = int(np.argmax(value))
+        own = usable[sightings.frame[usable] == best]
+        self.frames[best] = np.eye(4)
+        self.tags[sightings.tag[own]] = self.single.poses[own, 0]
+        self.group[sightings.tag[own]] = self.group.max() + 1
+        return True
+
+    def _grow(self) -> bool:
+        """Place frames, then tags, on which several sightings agree; False if there is none."""
+        before = self._count()
+        for by_frame in (True, False):
+            self.settle(self.waiting(by_frame), by_frame, fewest=FEWEST)
+        return self._count() > before
+
+    def _risk(self) -> bool:
+        """Place one tag, or else one frame, by the likeliest single sighting; False if there is none."""
+        for by_frame in (False, True):
+            waiting = self.waiting(by_frame)
+            waiting = waiting[self.single.odds[waiting] > LIKELY]
+            if waiting.size:
+                before = self._count()
+                self.settle(waiting[[np.argmax(self.single.odds[waiting])]], by_frame, fewest=1)
+                if self._count() > before:
+                    return True
+        return False
+
+    def _count(self) -> int:
+        """Number of placed frames and tags."""
+        return int(np.isfinite(self.frames[:, 0, 0]).sum() + np.isfinite(self.tags[:, 0, 0]).sum())
+
+    def waiting(self, by_frame: bool) -> IntArray:
+        """Sightings of placed tags in frames that are not placed, or the other way round."""
+        tag, frame = self._placed
+        return np.flatnonzero(tag & ~frame if by_frame else frame & ~tag)
+
+    def _retry(self) -> None:
+        """Let tags, then frames, with many large errors take a better pose."""
+        for by_frame in (False, True):
+            owner = self.sightings.frame if by_frame else self.sightings.tag
+            error = squared_errors(self.sightings, self.poses)
+            known = np.isfinite(error)
+            if not known.any():  # no frame shows the tags that were placed by their plan
+                return
+            disagree = known & (error > MUCH_WORSE * np.median(error[known]))
+            share = np.bincount(owner, disagree) / np.maximum(np.bincount(owner, known), 1)
+            self.settle(np.flatnonzero(known & (share[owner] > DISPUTED)), by_frame, fewest=FEWEST)
+
+    def _adjust(self, steps: int) -> None:
+        """Adjust all placed tags and frames, with the first tag of each group fixed."""
+        tag, frame = self._placed
+        if not (tag & frame).any():
+            return
+        _, first = np.unique(self.group, return_index=True)
+        information = np.zeros((len(self.tags), 6))
+        information[first[self.group[first] >= 0]] = 1.0 / ANCHOR_SIGMA**2
+        adjustment = Adjustment(self.sightings.of(tag & frame), Prior(self.tags, information))
+        poses, _ = adjustment.run(self.poses, FLOOR_PIXELS, steps)
+        self.tags, self.frames = poses.tags, poses.frames
+
+    def settle(self, index: IntArray, by_frame: bool, fewest: int, share: float = LEAST_SHARE) -> None:
+        """Place the frames of the sightings `index`, whose tags are placed; or their tags, whose frames are placed.
+
+        Args:
+            index: indices of sightings.
+            by_frame: True to place frames, False to place tags.
+            fewest: minimum number of sightings that must agree.
+            share: minimum share of them.
+        """
+        index = index[_rank(self.sightings, index, by_frame) < JUDGING]
+        if not index.size:
+            return
+        trial = _Trial(self, self.sightings.of(index), by_frame)
+        target = self.frames if by_frame else self.tags
+        proposing = np.flatnonzero(_rank(self.sightings, index, by_frame) < PROPOSING)
+        poses = trial.candidates(proposing, self.single.poses[index[proposing]]).reshape(-1, 4, 4)
+        owner = np.repeat(trial.owner[proposing], 2)
+        order = np.lexsort((trial.loss(poses, owner), owner))
+        best = order[_rank_within(owner[order]) < REFINED]
+        poses, owner = trial.refined(poses[best], owner[best]), owner[best]
+        own = np.flatnonzero(np.isfinite(target[trial.owners, 0, 0]))
+        poses, owner = np.concatenate([poses, target[trial.owners[own]]]), np.concatenate([owner, own])
+        order = np.lexsort((trial.loss(poses, owner), owner))
+        poses = poses[order[_rank_within(owner[order]) == 0]]
+        agreed = trial.agreed(poses)
+        enough = (agreed >= fewest) & (agreed >= share * trial.counts)
+        placed = trial.owners[enough]
+        target[placed] = poses[enough]
+        if not by_frame:
+            self.group[placed] = np.where(self.group[placed] < 0, self.group.max(), self.group[placed])
+
+
+class _Trial:
+    """Candidate poses for frames whose tags are placed, or for tags whose frames are: the owners of some sightings."""
+
+    def __init__(self, placing: Placing, some: Sightings, by_frame: bool) -> None:
+        self.some, self.by_frame = some, by_frame
+        self.given = placing.tags[some.tag] if by_frame else placing.frames[some.frame]
+        self.owners, self.owner, self.counts = np.unique(
+            some.frame if by_frame else some.tag, return_inverse=True, return_counts=True
+        )
+        self.order = np.argsort(self.owner, kind="stable")
+
+    def candidates(self, index: IntArray, single: FloatArray) -> FloatArray:
+        """Poses of the owners of the sightings `index`, `(n, 2, 4, 4)`, by poses of their tags in their cameras."""
+        given = self.given[index, None]
+        return np.asarray(given @ (inverse(single) if self.by_frame else single))
+
+    def _pairs(self, owner: IntArray) -> tuple[IntArray, IntArray]:
+        """Indices of sightings and of poses, for all sightings of the owner `(P,)` of each pose."""
+        counts = self.counts[owner]
+        pose = np.repeat(np.arange(len(owner)), counts)
+        within = np.arange(len(pose)) - np.repeat(np.cumsum(counts) - counts, counts)
+        return self.order[(np.cumsum(self.counts) - self.counts)[owner][pose] + within], pose
+
+    def _reprojection(self, poses: FloatArray, pairs: IntArray, pose: IntArray) -> Reprojection:
+        """Reprojection of each pair."""
+        still = np.broadcast_to(np.eye(4), (len(pairs), 4, 4))
+        own, given = poses[pose], self.given[pairs]
+        tags, frames = (given, own) if self.by_frame else (own, given)
+        return Reprojection(self.some.of(pairs), tags, frames, still)
+
+    def loss(self, poses: FloatArray, owner: IntArray) -> FloatArray:
+        """Robust loss of poses `(P, 4, 4)` of these owners, `(P,)`."""
+        pairs, pose = self._pairs(owner)
+        error = self._reprojection(poses, pairs, pose).squared
+        return np.asarray(np.bincount(pose, np.log1p(error / (4.0 * NARROW**2)), minlength=len(poses)))
+
+    def agreed(self, poses: FloatArray) -> FloatArray:
+        """Number of sightings of each owner that agree with its pose, `(M,)`."""
+        pairs, pose = self._pairs(np.arange(len(self.owners)))
+        agree = agreeing(self.some.of(pairs), self._reprojection(poses, pairs, pose).squared)
+        return np.asarray(np.bincount(pose, agree, minlength=len(self.owners)))
+
+    def refined(self, poses: FloatArray, owner: IntArray) -> FloatArray:
+        """Poses after Gauss-Newton steps with robust losses of decreasing scale."""
+        pairs, pose = self._pairs(owner)
+        summed = sums_by(pose, len(poses))
+        for scale in np.geomspace(WIDE, NARROW, REFINING_STEPS):
+            at = self._reprojection(poses, pairs, pose)
+            weight = 1.0 / (1.0 + (at.error**2).mean(axis=1) / scale**2)
+            jacobian = at.by_frame if self.by_frame else at.by_tag
+            matrix, right = normal_equations(jacobian, at.error, weight, summed)
+            poses = np.asarray(poses @ exp(-solved(matrix + 1e-6 * np.eye(6), right)))
+        return poses
+
+
+def _rank(sightings: Sightings, index: IntArray, by_frame: bool) -> IntArray:
+    """Rank by size, from the largest, of the sightings `index` among those of the same frame, or tag."""
+    owner = (sightings.frame if by_frame else sightings.tag)[index]
+    order = np.lexsort((-sightings.sizes[index], owner))
+    rank = np.empty(len(index), dtype=np.int64)
+    rank[order] = _rank_within(owner[order])
+    return rank
+
+
+def _rank_within(owner: IntArray) -> IntArray:
+    """Index of each entry among the entries with the same owner; `owner` is sorted."""
+    return np.asarray(np.arange(len(owner)) - np.searchsorted(owner, owner))
+
+
+def place(sightings: Sightings, planned: FloatArray, is_linked: bool = False) -> tuple[Poses, IntArray]:
+    """Place all tags and frames that can be placed.
+
+    Args:
+        sightings: sightings of cameras each of which is a body of its own, see `Sightings.apart`.
+        planned: planned poses of tags, `(K, 4, 4)`; NaN if unknown.
+        is_linked: True if frames are linked by motion.
+
+    Returns:
+        the poses, NaN if not placed; and the group of each tag, `(K,)`, -1 for none. Each group has a world of its own.
+    """
+    single = single_poses(sightings)
+    tried: list[Placing] = []
+    known = (np.bincount(sightings.tag, minlength=len(planned)) > 0) & np.isfinite(planned[:, 0, 0])
+    for quarter in QUARTERS if known.any() else ():
+        placing = Placing(sightings, single, is_linked)
+        placing.tags[known], placing.group[known] = (planned @ quarter)[known], 0
+        placing.settle(placing.waiting(by_frame=True), by_frame=True, fewest=FEWEST)
+        tried.append(placing)
+    if tried:
+        tried = [max(tried, key=Placing.agreed)]
+        tried[0].fill()
+        if tried[0].agreed() >= AS_PLANNED * len(sightings):
+            return tried[0].poses, tried[0].group
+    alone = Placing(sightings, single, is_linked)
+    alone.fill()
+    best = max([alone, *tried], key=Placing.agreed)
+    return best.poses, best.group

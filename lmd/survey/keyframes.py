@@ -1,0 +1,75 @@
+"""Keyframes: the frames of a video that a map is made from.
+
+Corner errors are alike in consecutive images. On recordings, five frames a second make a map as good as all frames do.
+Keyframes are even in time. They must not depend on how tags move or on how many are in view: blurred and oblique images
+would then count more than others, and maps would differ by more than their stated errors.
+
+Two kinds of frames are kept besides:
+
+- frames that alone show a tag, or two tags together, as these connect the map;
+- frames close to a moment at which all tags in view change, as motion alone connects those.
+
+Frames without times are all kept.
+"""
+
+from dataclasses import replace
+from itertools import combinations_with_replacement
+
+import numpy as np
+
+from lmd.core.checks import BoolArray, FloatArray, IntArray
+from lmd.mapping.detections import DetectedTags
+from lmd.survey.motion import SHORTEST_GAP, seconds_of
+
+LONGEST = 0.21  # maximum seconds between keyframes that have frames between them: five a second, with jitter
+
+
+def select_keyframes(detected: DetectedTags, every: int | None = None) -> DetectedTags:
+    """Detections in the keyframes; the other frames are listed in `left_out`.
+
+    Args:
+        detected: detections in all frames.
+        every: step among the frames with tags, from the first one; None to select as described in this module.
+    """
+    order = np.argsort(detected.frame, kind="stable")
+    frames, begins = np.unique(detected.frame[order], return_index=True)
+    if every is None:
+        shown = [np.unique(detected.ids[own]) for own in np.split(order, begins[1:])]
+        chosen = _informative(seconds_of(detected.times)[frames], shown)
+    else:
+        chosen = np.arange(len(frames)) % every == 0
+    out = np.isin(np.arange(len(detected.times)), frames[~chosen])
+    names = tuple(detected.times[frame] for frame in np.flatnonzero(out).tolist())
+    some = detected.of(np.flatnonzero(~out[detected.frame]))
+    return replace(some, taken=detected.images & ~out[:, None], left_out=names) if names else detected
+
+
+def _informative(seconds: FloatArray, shown: list[IntArray]) -> BoolArray:
+    """True for keyframes, `(n,)`, by the times of frames and the tags that each frame shows."""
+    kept = _evenly(seconds, _at_changes(seconds, shown))
+    together = [set(combinations_with_replacement(tags.tolist(), 2)) for tags in shown]
+    connected = set().union(*(together[k] for k in np.flatnonzero(kept)))
+    for k in np.flatnonzero(~kept):
+        if not together[k] <= connected:
+            kept[k] = True
+            connected |= together[k]
+    return kept
+
+
+def _evenly(seconds: FloatArray, needed: BoolArray) -> BoolArray:
+    """True for the `needed` frames and for few others, at most `LONGEST` apart where frames lie between them."""
+    kept, since = np.ones(len(seconds), dtype=bool), np.nan
+    for k, following in enumerate(np.append(seconds[1:], np.inf)):
+        if not needed[k] and following - since <= LONGEST:
+            kept[k] = False
+        else:
+            since = seconds[k]
+    return kept
+
+
+def _at_changes(seconds: FloatArray, shown: list[IntArray]) -> BoolArray:
+    """True for frames close to a moment at which all tags in view change, `(n,)`."""
+    at = np.array([k for k in range(len(shown) - 1) if not np.intersect1d(shown[k], shown[k + 1]).size], dtype=int)
+    moments = np.sort(np.concatenate([seconds[at], seconds[at + 1]]))
+    first = np.searchsorted(moments, seconds - SHORTEST_GAP)
+    return np.asarray(first < np.searchsorted(moments, seconds + SHORTEST_GAP, side="right"))

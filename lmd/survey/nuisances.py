@@ -1,0 +1,236 @@
+"""Nuisance parameters of a survey: intrinsics of cameras, shifts of corners by the detector, shapes of tags.
+
+All of them have priors and are estimated together with the map, so that its covariance accounts for them.
+
+- *Intrinsics* theta: a corner found at x and imaged at pi(p, theta) has e = pi(p, theta) - x. So the derivative of e by
+  theta is that of the image of the direction b in which x was seen. After each step the directions are computed anew.
+- *Shifts*: blur and exposure move the edges of all tags in the images of a camera inward or outward by
+  s_1 + s_2 (2 / pitch)^2 pixels, beside the measured shift of the detector. Tags then look smaller or larger.
+- *Shapes*: see `lmd.survey.sightings.SHAPES`. Their standard deviation is estimated by expectation-maximisation: it is
+  the root of the mean of squares plus variances.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+from threadpoolctl import threadpool_limits
+
+from lmd.core.checks import FloatArray, InputError
+from lmd.geometry.camera import Camera
+from lmd.survey.estimate import ONE_THREAD, Estimate, adjust, fitting
+from lmd.survey.initialisation import FLOOR_PIXELS
+from lmd.survey.intrinsics import intrinsics_of, parameter_slopes, with_intrinsics
+from lmd.survey.linked import adjustment_of, constraining
+from lmd.survey.resampling import inflation
+from lmd.survey.residuals import Poses, Reprojection, squared_errors
+from lmd.survey.sightings import MODES, RESIDUALS, Sightings, inward, shift_basis, shortest_side
+
+SMALL_SHARE = 0.5  # prior standard deviation of the second shift, relative to that of the first
+SHAPE_SIGMA, LEAST_SHAPE_SIGMA = 3e-4, 1e-5  # first and least standard deviation of shapes, metres
+PASSES = 2  # the second pass has the inflation by blocks of time
+MOST_ROUNDS, ROUND_STEPS = 12, 3  # rounds, and steps of bundle adjustment in each
+MOST_TRIALS, FIRST_DAMPING = 6, 1e-3  # trials of a step with increasing damping, and the first damping
+SLACK = 1e-3  # maximum increase of the loss by an accepted step
+SETTLED_SIGMAS = 0.3  # step of the last round, in standard deviations
+SETTLED_SHAPES = 0.1  # relative change of the standard deviation of shapes in the last round
+NEAR_PIXELS = 5.0  # maximum error of a corner whose edges are taken from the pose of its tag, pixels
+MOST_HALVINGS = 6  # halvings of a step that leads to no valid camera
+
+
+@dataclass(frozen=True)
+class Optics:
+    """A camera and the shift of edges in its images."""
+
+    camera: Camera
+    """The camera."""
+    shifts: tuple[float, float] = (0.0, 0.0)
+    """Shifts s_1 and s_2 inward, pixels."""
+
+    @property
+    def values(self) -> FloatArray:
+        """Intrinsics and shifts, `(P + 2,)`."""
+        return np.append(intrinsics_of(self.camera), self.shifts)
+
+    def at(self, values: FloatArray) -> "Optics":
+        """Optics with other values.
+
+        Raises:
+            InputError: no camera has these intrinsics.
+        """
+        return Optics(with_intrinsics(self.camera, values[:-2]), (float(values[-2]), float(values[-1])))
+
+
+def with_nuisances(
+    sightings: Sightings, optics: Sequence[Optics], sigmas: Sequence[FloatArray], poses: Poses | None = None
+) -> Sightings:
+    """Sightings with the derivatives by their cameras' nuisance parameters.
+
+    Args:
+        sightings: sightings through `optics`.
+        optics: optics of each camera.
+        sigmas: prior standard deviations of the values of each, `(P + 2,)`.
+        poses: all poses, if known. Shifts are then along the edges of the posed tags. Along detected edges, whose noise
+            is that of the residuals, their estimate would be biased.
+    """
+    image = sightings.image
+    if poses is not None:
+        error = Reprojection(sightings, *poses.of(sightings)).error.reshape(-1, 4, 2)
+        image = np.where(np.abs(error).max(axis=(1, 2), keepdims=True) < NEAR_PIXELS, image + error, image)
+    pitch = shortest_side(image) * sightings.pitch / sightings.sizes
+    lens = np.zeros((len(sightings), 4, 2, _width(sigmas)))
+    for index, (one, sigma) in enumerate(zip(optics, sigmas, strict=True)):
+        own, size = sightings.camera == index, len(sigma)
+        lens[own, ..., : size - 2] = parameter_slopes(one.camera, sightings.directions[own])
+        lens[own, ..., size - 2 : size] = inward(image[own])[..., None] * shift_basis(pitch[own])[:, None, None, :]
+        lens[own, ..., :size] *= sigma
+    return replace(sightings, lens=lens.reshape(len(sightings), RESIDUALS, -1))
+
+
+def _width(sigmas: Sequence[FloatArray]) -> int:
+    """Number of nuisance parameters of the cameras, filled up to a multiple of 6."""
+    return 6 * -(-max(map(len, sigmas)) // 6)
+
+
+def refine(
+    found: Estimate,
+    given: Sequence[Optics],
+    sigmas: Sequence[FloatArray],
+    sighted: Callable[[Sequence[Optics]], Sightings],
+    keep: bool,
+    is_stopped: Callable[[int, int], bool],
+    on_block: Callable[[int, int], object],
+) -> tuple[Estimate, tuple[Optics, ...]]:
+    """Estimate poses and nuisance parameters together.
+
+    Args:
+        found: estimate with the given cameras.
+        given: these cameras.
+        sigmas: prior standard deviations of the values of each, `(P + 2,)`.
+        sighted: sightings through other optics.
+        keep: True to keep cameras and shapes; their uncertainty still counts.
+        is_stopped: called before each round with its number and the most rounds; True to stop with the best so far.
+        on_block: called with the number of blocks of time that are done, and of all.
+    """
+    refinement = _Refinement(given, sigmas, sighted, is_stopped)
+    state = _State.of(given, sigmas, len(found.group))
+    for _ in range(PASSES):
+        if not keep:
+            state, found = refinement.minimised(state, found)
+        factor, some = found.inflation, refinement.sightings(state, found)
+        found = adjust(some, found.prior, found.poses, found.group, FLOOR_PIXELS, factor)
+        if factor > 1.0 or (grown := inflation(found, on_block)) == 1.0:
+            break
+        found = replace(found, inflation=grown)
+    return found, state.optics
+
+
+class _State(NamedTuple):
+    """Nuisance parameters."""
+
+    optics: tuple[Optics, ...]
+    """Optics of the cameras."""
+    off: FloatArray
+    """`(C, 6 L)` distance of their values from the given ones, in prior standard deviations."""
+    shapes: FloatArray
+    """`(K, 6)` shapes of tags, see `Sightings`."""
+    shape_sigma: float
+    """Standard deviation of shapes, metres."""
+    taken: float
+    """Degrees of freedom, see `Sightings`."""
+
+    @classmethod
+    def of(cls, given: Sequence[Optics], sigmas: Sequence[FloatArray], tags: int) -> "_State":
+        """The given cameras and flat tags."""
+        return cls(tuple(given), np.zeros((len(given), _width(sigmas))), np.zeros((tags, 6)), SHAPE_SIGMA, 0.0)
+
+    @property
+    def units(self) -> FloatArray:
+        """Distances of all parameters from their prior means, in prior standard deviations, `(n, 6)`."""
+        return np.concatenate([self.off.reshape(-1, 6), self.shapes / self.shape_sigma])
+
+    def loss(self, information: FloatArray) -> float:
+        """Loss of the priors, see `SchurSystem.nuisance_information`."""
+        return 0.5 * float((information[:, None] * self.units**2).sum())
+
+
+@dataclass(frozen=True)
+class _Refinement:
+    """Arguments of `refine`."""
+
+    given: Sequence[Optics]
+    sigmas: Sequence[FloatArray]
+    sighted: Callable[[Sequence[Optics]], Sightings]
+    is_stopped: Callable[[int, int], bool]
+
+    def sightings(self, state: _State, found: Estimate) -> Sightings:
+        """Sightings with nuisance parameters, with the shifts at the poses of `found`."""
+        some = replace(
+            self.sighted(state.optics),
+            edges=found.sightings.edges,
+            shapes=state.shapes,
+            shape_sigma=state.shape_sigma,
+            taken=state.taken,
+        )
+        return with_nuisances(some, state.optics, self.sigmas, found.poses)
+
+    def minimised(self, state: _State, found: Estimate) -> tuple[_State, Estimate]:
+        """Take joint steps of all unknowns until these are small."""
+        damping, sightings = 0.0, self.sightings(state, found)
+        with threadpool_limits(limits=ONE_THREAD):
+            for done in range(MOST_ROUNDS):
+                if self.is_stopped(done, MOST_ROUNDS):
+                    break
+                error = squared_errors(sightings, found.poses)
+                of_map = (found.group[sightings.tag] == 0) & np.isfinite(error)
+                used = of_map & fitting(sightings, error, found.floor)
+                used = constraining(sightings, used, found.prior.motion)
+                if not used.any():
+                    break
+                joint = adjustment_of(sightings.of(used), found.prior, True, found.inflation)
+                rest = adjustment_of(joint.sightings, found.prior, False, found.inflation)
+                poses, floor = rest.run(found.poses, found.floor, ROUND_STEPS, FLOOR_PIXELS)
+                found = replace(found, poses=poses, floor=floor)
+                error, information = squared_errors(joint.sightings, poses), joint.nuisance_information
+                loss = state.loss(information) + joint.loss(error, joint.prior_losses(poses), floor)
+                for _ in range(MOST_TRIALS):
+                    there, step, variance = joint.joint_step(poses, floor, damping, state.units)
+                    tried = self._stepped(state, step)
+                    sightings = self.sightings(tried, replace(found, poses=there))
+                    if len(sightings) != len(used):
+                        break  # the lens images other corners than before, so losses do not compare
+                    error = squared_errors(sightings.of(used), there)
+                    loss_there = joint.loss(error, joint.prior_losses(there), floor)
+                    if tried.loss(information) + loss_there <= loss + SLACK:
+                        break
+                    damping = max(10.0 * damping, FIRST_DAMPING)
+                else:
+                    break
+                found, damping = replace(found, poses=there), damping / 10.0
+                lenses = state.off.size // 6
+                placed = joint.sightings.counts() > 0
+                squares = (tried.shapes / tried.shape_sigma) ** 2 + variance[lenses:] / found.inflation**2
+                grown = float(np.sqrt(squares[placed, :MODES].mean()))
+                taken = float((1.0 - information[:, None] * variance).sum())
+                state = tried._replace(shape_sigma=max(grown * tried.shape_sigma, LEAST_SHAPE_SIGMA), taken=taken)
+                sightings = replace(sightings, shape_sigma=state.shape_sigma, taken=taken)
+                is_settled = (step[:lenses] ** 2 <= SETTLED_SIGMAS**2 * variance[:lenses]).all()
+                if is_settled and abs(grown - 1.0) < SETTLED_SHAPES:
+                    break
+        return state, found
+
+    def _stepped(self, state: _State, step: FloatArray) -> _State:
+        """State after a step `(n, 6)`; that of the optics is halved until it leads to valid cameras."""
+        lenses = state.off.size // 6
+        shapes = state.shapes + state.shape_sigma * step[lenses:]
+        for halving in range(MOST_HALVINGS + 1):
+            factor = 0.5**halving if halving < MOST_HALVINGS else 0.0
+            there = state.off + factor * step[:lenses].reshape(state.off.shape)
+            rows = zip(self.given, self.sigmas, there, strict=True)
+            try:
+                optics = tuple(one.at(one.values + row[: len(sigma)] * sigma) for one, sigma, row in rows)
+            except InputError:
+                continue
+            return state._replace(optics=optics, off=there, shapes=shapes)
+        raise AssertionError("the present cameras are valid")

@@ -1,0 +1,223 @@
+"""Prior knowledge of a survey: a plan, fixed tags, measured centres, printed boards, mounts, odometry."""
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from lmd.core.checks import BoolArray, FloatArray, InputError, IntArray, boolean, check_fields, real
+from lmd.core.tables import read_table
+from lmd.geometry.se3 import inverse, log, pose_of
+from lmd.geometry.trajectory import Trajectory
+from lmd.scene.deployment import Deployment
+from lmd.scene.labels import Labels
+from lmd.scene.tag import Tag
+from lmd.survey.boards import Boards, Sheets
+from lmd.survey.motion import Motion
+from lmd.survey.residuals import student_loss, student_weight
+
+EXACT_SIGMA = 1e-6  # standard deviation of poses that count as exact, metres and rad
+TAPE_SIGMA_M = 0.005  # standard deviation of a centre by a tape measure, metres
+# Minimum number of points that fix a world, and their minimum extent across their best line, metres.
+FEWEST_POINTS, NO_LINE = 3, 0.05
+
+
+@dataclass(frozen=True)
+class Hanging:
+    """Standard deviations of how tags hang beside their plan, along the axes of each tag.
+
+    Raises:
+        InputError: a standard deviation is not positive.
+    """
+
+    place: float = 0.02
+    """In the plane of the wall, metres."""
+    turn: float = 0.05
+    """In the plane of the wall, rad."""
+    flush: bool = True
+    """True if tags lie flat on their walls, so that `depth` and `tilt` hold; else `place` and `turn` hold for all axes.
+    """
+    depth: float = 0.005
+    """Off the wall, metres, if flush."""
+    tilt: float = 0.02
+    """Out of the wall, rad, if flush."""
+
+    def __post_init__(self) -> None:
+        check_fields(self, real, "place", "turn", "depth", "tilt", above=0.0)
+        boolean("flush", self.flush)
+
+    @property
+    def deviations(self) -> FloatArray:
+        """Standard deviations of rotations about x, y and z of a tag, and of shifts along them, `(6,)`."""
+        tilt, depth = (self.tilt, self.depth) if self.flush else (self.turn, self.place)
+        return np.array([tilt, tilt, self.turn, self.place, self.place, depth])
+
+
+def are_in_line(places: FloatArray) -> bool:
+    """Return True if points `(n, 3)` lie in a line."""
+    return bool(np.linalg.svd(places - places.mean(axis=0), compute_uv=False)[1] < NO_LINE)
+
+
+@dataclass(frozen=True)
+class Points:
+    """Centres of some tags by a tape measure.
+
+    Raises:
+        InputError: there are fewer than three, an id occurs twice, or all lie in a line.
+    """
+
+    ids: IntArray
+    """`(n,)` ids of the tags."""
+    places: FloatArray
+    """`(n, 3)` centres, metres."""
+
+    def __post_init__(self) -> None:
+        if len(self.ids) < FEWEST_POINTS:
+            raise InputError(f"points must have at least {FEWEST_POINTS} tags, got {len(self.ids)}.", "points")
+        if len(np.unique(self.ids)) < len(self.ids):
+            raise InputError("points has a tag twice.", "points")
+        if are_in_line(self.places):
+            raise InputError("points must not lie in a line.", "points")
+
+    @classmethod
+    def from_csv(cls, path: Any) -> "Points":
+        """Read `id,x,y,z`; further columns are ignored.
+
+        Raises:
+            InputError: the file cannot be read, or its points are refused.
+        """
+        table = read_table(path, name="points")
+        rows = table.numbers(("id", "x", "y", "z"), None)
+        return cls(Labels.of(table, ()).ids, rows[:, 1:])
+
+
+@dataclass(frozen=True)
+class Prior:
+    """Prior of the unknowns of a bundle adjustment."""
+
+    tags: FloatArray
+    """`(K, 4, 4)` expected poses of tags; any pose where `information` is 0."""
+    information: FloatArray
+    """`(K, 6)` inverse variances of rotations about the axes of each tag and of shifts along them; 0 if unknown."""
+    sheets: Sheets | None = None
+    """Tags that were printed together, all of them placed."""
+    mounts: FloatArray | None = None
+    """`(C, 4, 4)` poses of the cameras on the body; None to estimate them."""
+    motion: Motion | None = None
+    """Motion between the frames; None if frames are independent of each other."""
+
+    @property
+    def exact(self) -> BoolArray:
+        """True for tags with exactly known poses, `(K,)`: no sighting moves them."""
+        return np.asarray((self.information >= 0.5 * EXACT_SIGMA**-2.0).all(axis=1))
+
+    @property
+    def is_posed(self) -> BoolArray:
+        """True for tags whose orientation is known, `(K,)`."""
+        return np.asarray(self.information[:, :3].any(axis=1))
+
+    def off(self, tags: FloatArray) -> FloatArray:
+        """Twists from the expected poses to `tags`, `(K, 6)`; 0 for tags without a prior."""
+        known = self.information.any(axis=1)
+        twists = np.zeros((len(tags), 6))
+        twists[known] = log(inverse(self.tags[known]) @ tags[known])
+        return twists
+
+    def squares(self, off: FloatArray) -> FloatArray:
+        """chi^2 of each tag, `(K,)`, by its twist `off`."""
+        return np.asarray((self.information * off**2).sum(axis=1))
+
+    def weights(self, squares: FloatArray) -> FloatArray:
+        """Robust weights of the tags, `(K,)`, by chi^2; exact poses keep the full weight."""
+        return student_weight(np.where(self.exact, 0.0, squares), 6)
+
+    def loss(self, squares: FloatArray) -> float:
+        """Sum of the robust losses by chi^2; that of exact poses is quadratic."""
+        exact = self.exact
+        return student_loss(squares[~exact], 6) + float(student_weight(np.zeros(1), 6)[0] / 2.0 * squares[exact].sum())
+
+
+@dataclass(frozen=True)
+class Known:
+    """User's knowledge before the survey; None for none.
+
+    Raises:
+        InputError: the floor is named although a plan, fixed tags or points define the world.
+    """
+
+    plan: Deployment | None = None
+    """Planned tags."""
+    hanging: Hanging = field(default_factory=Hanging)
+    """Standard deviations of tags beside their plan."""
+    fixed: Deployment | None = None
+    """Tags with exactly known poses."""
+    points: Points | None = None
+    """Tags with measured centres."""
+    boards: Boards | None = None
+    """Tags that were printed on one sheet."""
+    mounts: FloatArray | None = None
+    """`(C, 4, 4)` poses of the cameras on the body, which is the first camera; None to estimate them."""
+    origin: int | None = None
+    """Id of the tag whose frame is the world if nothing else defines one; None for the tag seen most often."""
+    floor: tuple[int, ...] = ()
+    """Ids of tags on the floor: z is up in that world, and 0 on the floor."""
+    odometry: Trajectory | None = None
+    """Trajectory of the body in any frame."""
+    steady: bool | None = None
+    """True if the velocity changes little between frames that are near in time; None to assume it where most sightings
+    are alone in their frames, or where groups stay apart."""
+
+    def __post_init__(self) -> None:
+        if self.floor and any(known is not None for known in (self.plan, self.fixed, self.points)):
+            raise InputError("floor says where z = 0 is, but the plan, or the tags that are known, do so too.", "floor")
+
+    @property
+    def ids(self) -> IntArray:
+        """Ids of the tags that are named, ascending."""
+        named = [known.ids for known in (self.plan, self.fixed, self.points) if known is not None]
+        return np.unique(np.concatenate([np.empty(0, dtype=np.int64), *named]))
+
+    def edges(self, ids: IntArray, tag: Tag) -> FloatArray:
+        """Edges of tags, metres: those of the plan or the fixed tags if given, else that of `tag`."""
+        edges = np.full(len(ids), tag.size)
+        for known in (self.plan, self.fixed):
+            if known is not None and known.edges is not None:
+                own = dict(zip(known.ids.tolist(), known.edges.tolist(), strict=True))
+                given = np.array([own.get(number, np.nan) for number in ids.tolist()])
+                edges = np.where(np.isnan(given), edges, given)
+        return edges
+
+    def planned(self, ids: IntArray) -> FloatArray | None:
+        """Planned poses, `(K, 4, 4)`; NaN for tags that are not in the plan, None without a plan."""
+        if self.plan is None:
+            return None
+        poses = np.full((len(ids), 4, 4), np.nan)
+        of, among = _shared(ids, self.plan.ids)
+        poses[of] = poses_of(self.plan)[among]
+        return poses
+
+    def prior(self, ids: IntArray) -> Prior:
+        """Prior of the tags `ids` `(K,)`, ascending, and of the mounts; fixed tags override points, these the plan."""
+        tags, information = np.tile(np.eye(4), (len(ids), 1, 1)), np.zeros((len(ids), 6))
+        if self.plan is not None:
+            of, among = _shared(ids, self.plan.ids)
+            tags[of], information[of] = poses_of(self.plan)[among], self.hanging.deviations**-2.0
+        if self.points is not None:
+            of, among = _shared(ids, self.points.ids)
+            tags[of, :3, 3], information[of, 3:] = self.points.places[among], TAPE_SIGMA_M**-2.0
+        if self.fixed is not None:
+            of, among = _shared(ids, self.fixed.ids)
+            tags[of], information[of] = poses_of(self.fixed)[among], EXACT_SIGMA**-2.0
+        return Prior(tags, information, None if self.boards is None else self.boards.among(ids), self.mounts)
+
+
+def _shared(ids: IntArray, known: IntArray) -> tuple[IntArray, IntArray]:
+    """Indices of the common ids in `ids` and in `known`."""
+    _, of, among = np.intersect1d(ids, known, return_indices=True)
+    return of, among
+
+
+def poses_of(deployment: Deployment) -> FloatArray:
+    """Poses of tags in the world, `(K, 4, 4)`: x to the right of the tag, y up, z out of it."""
+    up, normal = deployment.ups, deployment.normals
+    return pose_of(np.stack([np.cross(up, normal), up, normal], axis=-1), deployment.places)
