@@ -16,7 +16,7 @@ from lmd.objectives.localisation.ambiguity import has_one_pose
 from lmd.objectives.localisation.information import WIDTH, Precision, meets, share_of, variance
 from lmd.objectives.localisation.reference import reference_views
 from lmd.objectives.localisation.rig import rig_views
-from lmd.objectives.localisation.views import landmark_moments
+from lmd.objectives.localisation.views import VIEW, landmark_moments
 from lmd.scene.criteria import covering, covers, frame_of, pixel_density, sized
 from lmd.sight.evaluator import Evaluator
 from lmd.sight.kernels import weights_row
@@ -170,17 +170,20 @@ def _localise_range(
                         weight = pixel_density(sight, xk, yk, zk, axes, a)
                         for t in range(terms):
                             sums[a, t] += share_of(moment[t], weight)
-            total = np.int64(0)
-            for i in range(np.uint64(variances.shape[2] if keep else 0)):
-                variances[b, p, i] = np.inf
-            for m in range(useful):
-                a = listed[m]
-                one_pose = several[a // np.uint64(BITS)] >> a % np.uint64(BITS) & ONE != ZERO
-                one_pose |= has_one_pose(precision.residual, flat, a * np.uint64(WIDTH), 1)
-                if asks:
-                    total += weights[row_of, a] if meets(precision, flat, a * np.uint64(WIDTH), 1) & one_pose else 0
-                if keep:
-                    value, fixed = variance(flat, a * np.uint64(WIDTH), 1)
-                    variances[b, p, a] = value if fixed & one_pose else np.inf
             if asks:
+                total = np.int64(0)
+                for m in range(useful):
+                    a, start = listed[m], listed[m] * np.uint64(WIDTH)
+                    one_pose = several[a // VIEW] >> a % VIEW & ONE != ZERO
+                    one_pose |= has_one_pose(precision.residual, flat, start, ONE)
+                    total += weights[row_of, a] if meets(precision, flat, start, ONE) & one_pose else 0
                 localised[b, p] = total
+            if keep:
+                for i in range(np.uint64(variances.shape[2])):
+                    variances[b, p, i] = np.inf
+                for m in range(useful):
+                    a, start = listed[m], listed[m] * np.uint64(WIDTH)
+                    one_pose = several[a // VIEW] >> a % VIEW & ONE != ZERO
+                    one_pose |= has_one_pose(precision.residual, flat, start, ONE)
+                    value, fixed = variance(flat, start, ONE)
+                    variances[b, p, a] = value if fixed & one_pose else np.inf

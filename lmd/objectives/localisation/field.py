@@ -4,6 +4,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+import lmd.objectives.localisation.camera_changes  # it registers its functions, and so does the next
+import lmd.objectives.localisation.rig_changes  # noqa: F401
 from lmd.core.bits import BITS
 from lmd.core.memory import check_views
 from lmd.incremental.coverage_field import CoverageField, coverage_field

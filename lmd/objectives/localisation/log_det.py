@@ -19,18 +19,18 @@ from lmd.core.compiled import kernel
 from lmd.core.threads import in_parts
 from lmd.objectives.localisation.body import BODY_WIDTH, body_log_det
 from lmd.objectives.localisation.information import NUMBERS, WIDTH, Precision, log_det, share_of
-from lmd.objectives.localisation.pairs import Shown, add_of_all, seen_by_any, shown_by, tags_of
-from lmd.objectives.localisation.reference import information_of, is_rig, log_det_of
-from lmd.objectives.localisation.views import (
-    ORIENTATION,
-    VIEW,
-    BodyViews,
-    body_views,
+from lmd.objectives.localisation.pairs import (
+    Shown,
+    add_of_all,
     fill_views,
     give_sums,
-    landmark_moments,
+    seen_by_any,
+    shown_by,
+    tags_of,
     take_sums,
 )
+from lmd.objectives.localisation.reference import information_of, is_rig, log_det_of
+from lmd.objectives.localisation.views import ORIENTATION, VIEW, BodyViews, body_views, landmark_moments
 from lmd.scene.criteria import covers, pixel_density
 from lmd.scene.deployment import Deployment
 from lmd.scene.scene import Scene

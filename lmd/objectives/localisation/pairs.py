@@ -8,14 +8,14 @@ from typing import Any, NamedTuple, TypeAlias
 import numpy as np
 from numba import literal_unroll
 
-from lmd.core.bits import BITS, ONE, ZERO, Integer, WordArray, lowest
+from lmd.core.bits import BITS, ONE, ZERO, Integer, WordArray, lowest, prefetch
 from lmd.core.checks import FloatArray
 from lmd.core.compiled import inlined, inner
 from lmd.geometry.squares import upright
-from lmd.objectives.localisation.ambiguity import asks_apart, least_residual, mirrored_numbers
-from lmd.objectives.localisation.body import about_body, gain_of
+from lmd.objectives.localisation.ambiguity import MIRRORED, asks_apart, least_residual, mirrored_numbers
+from lmd.objectives.localisation.body import BODY_NUMBERS, about_body, gain_of
 from lmd.objectives.localisation.information import Precision, moments, share_of
-from lmd.objectives.localisation.views import NUMBER, TAKEN, VIEW, WHOSE, WORK, BodyViews, numbers_of, whole
+from lmd.objectives.localisation.views import NUMBER, ORIENTATION, TAKEN, VIEW, WHOSE, WORK, BodyViews, whole
 from lmd.scene.criteria import pixel_density
 from lmd.scene.deployment import Deployment
 from lmd.sight.evaluator import Evaluator
@@ -67,6 +67,56 @@ def mounts_of(evaluator: Evaluator, parts: tuple[Part, ...]) -> tuple[Mounts, ..
     cameras = evaluator.scene.cameras
     each = enumerate(zip(parts, dict.fromkeys(cameras), strict=True))
     return tuple(Mounts(j, p.sight, p.offsets, p.axes, gain_of(kind, cameras[0])) for j, (p, kind) in each)
+
+
+@inlined
+def numbers_of(precision: Precision) -> np.uint64:
+    """Count of the numbers of a view that `precision` needs."""
+    return np.uint64(BODY_NUMBERS + MIRRORED if asks_apart(precision) else BODY_NUMBERS)
+
+
+@inner
+def fill_views(left: np.uint64, precision: Precision, views: BodyViews) -> np.uint64:
+    """Take the orientations `left` of a word, with sums of zero; returns their number."""
+    bits, number, rows, count = views.lists[ORIENTATION], views.lists[NUMBER], views.rows, ZERO
+    views.lists[TAKEN, 0], views.lists[TAKEN, 1] = left, ZERO
+    while left:
+        bit = lowest(left)
+        bits[count], number[bit] = bit, count
+        left &= left - ONE
+        count += ONE
+    for j in range(numbers_of(precision)):
+        for v in range(whole(count)):
+            rows[j * VIEW + v] = 0.0
+    return count
+
+
+@inner
+def fetch_sums(sums: FloatArray, first: Integer, views: BodyViews, count: Integer) -> None:
+    """Prefetch the rows of `sums` `(V, width)` that `take_sums` reads."""
+    width, bits = np.uint64(sums.shape[1]), views.lists[ORIENTATION]
+    for v in range(count):
+        at = (first + bits[v]) * width
+        prefetch(sums, at)
+        prefetch(sums, at + width // np.uint64(2))
+
+
+@inner
+def take_sums(sums: FloatArray, first: Integer, precision: Precision, views: BodyViews, count: Integer) -> None:
+    """Add to the views their rows of `sums` `(V, width)`; the first orientation of the word has row `first`."""
+    bits, rows = views.lists[ORIENTATION], views.rows
+    for v in range(count):
+        for j in range(numbers_of(precision)):
+            rows[j * VIEW + v] += sums[first + bits[v], j]
+
+
+@inner
+def give_sums(sums: FloatArray, first: Integer, precision: Precision, views: BodyViews, count: Integer) -> None:
+    """Add the views to their rows of `sums`."""
+    bits, rows = views.lists[ORIENTATION], views.rows
+    for v in range(count):
+        for j in range(numbers_of(precision)):
+            sums[first + bits[v], j] += rows[j * VIEW + v]
 
 
 def tags_of(precision: Precision, positions: FloatArray, normals: FloatArray) -> FloatArray:
@@ -132,7 +182,7 @@ def add_up(precision: Precision, views: BodyViews) -> None:
         _find_mirrored(work, least_residual(precision.residual), filled)
     for i in range(filled):
         v = whose[i]
-        for j in range(numbers_of(views, precision)):
+        for j in range(numbers_of(precision)):
             rows[j * VIEW + v] += work[(FIRST_MOMENT + j) * VIEW + i]
     views.lists[TAKEN, 1] = ZERO
 

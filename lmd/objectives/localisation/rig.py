@@ -22,21 +22,14 @@ from lmd.objectives.localisation.pairs import (
     add_of_all,
     add_to_body,
     add_up,
+    fill_views,
+    give_sums,
     seen_by_any,
     shown_by,
     tag_of,
     tags_of,
 )
-from lmd.objectives.localisation.views import (
-    ORIENTATION,
-    VIEW,
-    BodyViews,
-    body_views,
-    fill_views,
-    give_sums,
-    is_met,
-    met_views,
-)
+from lmd.objectives.localisation.views import ORIENTATION, VIEW, BodyViews, body_views, is_met, met_views
 from lmd.scene.deployment import Deployment
 from lmd.sight.evaluator import Evaluator
 from lmd.sight.kernels import sum_weights

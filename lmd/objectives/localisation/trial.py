@@ -37,23 +37,16 @@ from lmd.incremental.state import (
 from lmd.incremental.trial import begin_move, find_pairs, fresh_of, list_changing, shown_of
 from lmd.objectives.localisation.ambiguity import asks_apart
 from lmd.objectives.localisation.changes import (
-    add_changes,
-    add_shown,
+    change_sums,
     find_turns,
     look_from,
     see_place,
     see_rest,
     see_touched,
+    sum_anew,
+    sum_views,
 )
-from lmd.objectives.localisation.views import (
-    VIEW,
-    fetch_sums,
-    fill_views,
-    give_sums,
-    met_views,
-    seen_twice,
-    take_sums,
-)
+from lmd.objectives.localisation.views import met_views, seen_twice
 from lmd.sight.kernels import sum_weights
 
 # Rows of `LocalisationScratch.sets`.
@@ -84,16 +77,13 @@ def _decide_word(
     k: Integer, q: Integer, w: Integer, has: np.uint64, several: np.uint64, field: Any, state: Any, scratch: Any
 ) -> Any:
     """Localised views of word w among those that cover n landmarks, `has`; `several` cover two or more."""
-    sums, views, known = state.sums, scratch.views, state.localised[q, w]
+    views, known = scratch.views, state.localised[q, w]
     lost, gained = scratch.sets[LOST, q, w], scratch.sets[GAINED, q, w]
     left = has & ((lost & gained) | (lost & known) | (gained & ~known))
-    good, first = known & has & ~left, (q * np.uint64(state.localised.shape[1]) + w) * VIEW
+    good = known & has & ~left
     if left == ZERO:
         return good
-    count = fill_views(left, field.precision, views)
-    fetch_sums(sums, first, views, count)
-    add_changes(state.coverage, k, q, w, 1.0, field, scratch)
-    take_sums(sums, first, field.precision, views, count)
+    count = sum_views(state.coverage, k, q, w, left, field, state, scratch)
     return good | met_views(field.precision, views, count, several)
 
 
@@ -164,19 +154,15 @@ def _change_sums(k: Integer, sign: float, field: Any, state: Any, scratch: Any) 
     """Change the sums by the move tried last, or with a `sign` of -1 back; landmark k is still at its old place."""
     if not field.asks:
         return
-    words, trial, views = np.uint64(state.localised.shape[1]), scratch.coverage, scratch.views
-    positions = trial.lists[LISTED][: list_changing(state.coverage, k, trial)]
+    known, trial = state.coverage, scratch.coverage
+    positions = trial.lists[LISTED][: list_changing(known, k, trial)]
     _find_turns(k, positions, state, scratch)
     for q in positions:
-        look_from(state.coverage, k, q, field, scratch)
-        for w in range(words):
+        look_from(known, k, q, field, scratch)
+        for w in range(np.uint64(state.localised.shape[1])):
             changed = scratch.sets[LOST, q, w] | scratch.sets[GAINED, q, w]
-            if changed == ZERO:
-                continue
-            count, first = fill_views(changed, field.precision, views), (q * words + w) * VIEW
-            fetch_sums(state.sums, first, views, count)
-            add_changes(state.coverage, k, q, w, sign, field, scratch)
-            give_sums(state.sums, first, field.precision, views, count)
+            if changed:
+                change_sums(known, k, q, w, changed, sign, field, state, scratch)
 
 
 @inner
@@ -211,13 +197,12 @@ def undo_move(field: Any, k: Integer, state: Any, scratch: Any) -> None:
 @inner
 def _meet_anew(q: Integer, w: Integer, field: Any, state: Any, scratch: Any) -> np.uint64:
     """Sum up all landmarks in word w, and find the views that have the precision."""
-    known, views, precision, seen = state.coverage, scratch.views, field.precision, ZERO
+    known, seen = state.coverage, ZERO
     for k in range(np.uint64(known.poses.shape[1])):
         seen |= shown_of(known, k, q, w)
-    count, first = fill_views(seen, precision, views), (q * np.uint64(state.localised.shape[1]) + w) * VIEW
-    add_shown(known, q, w, field, scratch)
-    give_sums(state.sums, first, precision, views, count)
-    return met_views(precision, views, count, seen_twice(ZERO, ZERO, known.counts.digits[q, w]))
+    count = sum_anew(known, q, w, seen, field, state, scratch)
+    several = seen_twice(ZERO, ZERO, known.counts.digits[q, w])
+    return met_views(field.precision, scratch.views, count, several)
 
 
 @kernel

@@ -1,10 +1,10 @@
 """Views that are worked on together: those of one position with some orientations of a word of bits.
 
-The source is one for a camera and for a rig, and is compiled for each. A camera looks from one point with all
-orientations, so a landmark has one set of moments for all views of a position, and is added to a row of numbers for
-each view. A camera of a rig is elsewhere for each orientation: the moments are found for each pair of a landmark and a
-view, in a loop over listed pairs (`pairs`) that vectorises; for a single camera that would be up to 64 times as often.
-So `rows` has the numbers of one view side by side for a camera, and `BITS` apart for a rig: `start_of`, `step_of`.
+Number j of view v lies at `rows[j * BITS + v]`, so that loops over views vectorise. The source is one for a camera and
+for a rig, and is compiled for each. A camera looks from one point with all orientations, so a landmark has one set of
+moments for all views of a position. A camera of a rig is elsewhere for each orientation: the moments are found for each
+pair of a landmark and a view, in a loop over listed pairs that vectorises (`pairs`); for a single camera that would be
+up to 64 times as often.
 """
 
 from typing import Any, NamedTuple, TypeAlias
@@ -19,7 +19,6 @@ from lmd.geometry.squares import upright_sides
 from lmd.objectives.localisation.ambiguity import (
     MIRRORED,
     MIRRORED_WIDTH,
-    asks_apart,
     body_has_one_pose,
     camera_residual,
     has_one_pose,
@@ -38,6 +37,9 @@ NUMBER = 1  # view of each orientation
 WHOSE = 2  # view of each pair; of a rig
 TAKEN = 3  # two numbers: the orientations that are views, as bits, and the number of listed pairs
 
+# Rows of `CameraViews.weights`.
+GOES, COMES = 0, 1  # of a landmark that disappears, and of one that appears
+
 # Rows of `CameraViews.moments`.
 LEFT, TRIED, OTHER = 0, 1, 2  # of the landmark that moves at both places, and of another one
 
@@ -51,6 +53,8 @@ class CameraViews(NamedTuple):
     """`(WIDTH BITS,)` sums of the views."""
     met: np.ndarray
     """`(BITS,)` uint8, 1 for a view that has the precision."""
+    weights: FloatArray
+    """`(2, BITS)` pixel density of landmarks in each view, 0 where they are not seen: `GOES`, `COMES`."""
     moments: FloatArray
     """`(3, WIDTH)` moments of landmarks at the position: `LEFT`, `TRIED`, `OTHER`."""
 
@@ -74,7 +78,7 @@ Views: TypeAlias = CameraViews | BodyViews
 def camera_views() -> CameraViews:
     """Working memory for a single camera."""
     lists, met = np.zeros((4, BITS), np.uint64), np.zeros(BITS, np.uint8)
-    return CameraViews(lists, np.zeros(WIDTH * BITS), met, np.zeros((3, WIDTH)))
+    return CameraViews(lists, np.zeros(WIDTH * BITS), met, np.zeros((2, BITS)), np.zeros((3, WIDTH)))
 
 
 def body_views() -> BodyViews:
@@ -84,59 +88,13 @@ def body_views() -> BodyViews:
 
 
 @dispatched
-def numbers_of(views: Any, precision: Precision) -> Any:
-    """Count of the numbers of a view that `precision` needs."""
-
-
-@numbers_of.register(CameraViews)
-def _camera_numbers(views: CameraViews, precision: Precision) -> np.uint64:
-    return np.uint64(views.moments.shape[1])  # unknown to the compiler, which would unroll loops and not vectorise them
-
-
-@numbers_of.register(BodyViews)
-def _body_numbers(views: BodyViews, precision: Precision) -> np.uint64:
-    return np.uint64(BODY_NUMBERS + MIRRORED if asks_apart(precision) else BODY_NUMBERS)
-
-
-@dispatched
-def start_of(views: Any, v: Integer) -> Any:
-    """Index in `rows` of the first number of view v."""
-
-
-@start_of.register(CameraViews)
-def _camera_start(views: CameraViews, v: Integer) -> Any:
-    return v * np.uint64(WIDTH)
-
-
-@start_of.register(BodyViews)
-def _body_start(views: BodyViews, v: Integer) -> Any:
-    return v
-
-
-@dispatched
-def step_of(views: Any) -> Any:
-    """Distance in `rows` of two numbers of a view."""
-
-
-@step_of.register(CameraViews)
-def _camera_step(views: CameraViews) -> np.uint64:
-    return ONE
-
-
-@step_of.register(BodyViews)
-def _body_step(views: BodyViews) -> np.uint64:
-    return VIEW
-
-
-@dispatched
 def is_met(views: Any, precision: Precision, v: Integer, several: Any) -> Any:
     """True if view v has the precision; `several` if it shows two landmarks or more."""
 
 
 @is_met.register(CameraViews)
 def _camera_is_met(views: CameraViews, precision: Precision, v: Integer, several: Any) -> Any:
-    rows, start = views.rows, v * np.uint64(WIDTH)
-    return meets(precision, rows, start, ONE) & (several | has_one_pose(precision.residual, rows, start, ONE))
+    return meets(precision, views.rows, v, VIEW) & (several | has_one_pose(precision.residual, views.rows, v, VIEW))
 
 
 @is_met.register(BodyViews)
@@ -149,51 +107,6 @@ def _body_is_met(views: BodyViews, precision: Precision, v: Integer, several: An
 def whole(count: Integer) -> np.uint64:
     """`count` rounded up to whole groups: LLVM would add a loop for the rest that does not vectorise."""
     return (count + GROUP - ONE) & ~(GROUP - ONE)
-
-
-@inner
-def fill_views(left: np.uint64, precision: Precision, views: Views) -> np.uint64:
-    """Take the orientations `left` of a word, with sums of zero; returns their number."""
-    bits, number, rows, count = views.lists[ORIENTATION], views.lists[NUMBER], views.rows, ZERO
-    views.lists[TAKEN, 0], views.lists[TAKEN, 1] = left, ZERO
-    while left:
-        bit = lowest(left)
-        bits[count], number[bit] = bit, count
-        left &= left - ONE
-        count += ONE
-    for v in range(whole(count)):
-        for j in range(numbers_of(views, precision)):
-            rows[start_of(views, v) + j * step_of(views)] = 0.0
-    return count
-
-
-@inner
-def fetch_sums(sums: FloatArray, first: Integer, views: Views, count: Integer) -> None:
-    """Prefetch the rows of `sums` `(V, width)` that `take_sums` reads."""
-    width, bits = np.uint64(sums.shape[1]), views.lists[ORIENTATION]
-    for v in range(count):
-        at = (first + bits[v]) * width
-        prefetch(sums, at)
-        if width > np.uint64(WIDTH):
-            prefetch(sums, at + width // np.uint64(2))
-
-
-@inner
-def take_sums(sums: FloatArray, first: Integer, precision: Precision, views: Views, count: Integer) -> None:
-    """Add to the views their rows of `sums` `(V, width)`; the first orientation of the word has row `first`."""
-    bits, rows = views.lists[ORIENTATION], views.rows
-    for v in range(count):
-        for j in range(numbers_of(views, precision)):
-            rows[start_of(views, v) + j * step_of(views)] += sums[first + bits[v], j]
-
-
-@inner
-def give_sums(sums: FloatArray, first: Integer, precision: Precision, views: Views, count: Integer) -> None:
-    """Add the views to their rows of `sums`."""
-    bits, rows = views.lists[ORIENTATION], views.rows
-    for v in range(count):
-        for j in range(numbers_of(views, precision)):
-            sums[first + bits[v], j] += rows[start_of(views, v) + j * step_of(views)]
 
 
 @inner
@@ -233,26 +146,73 @@ def landmark_moments(
     row[NUMBERS] = camera_residual(precision.residual, x, y, z, rx, ry, rz, ux, uy, uz)
 
 
-@inner
-def add_to_camera(
-    which: int, seen: np.uint64, x: float, y: float, z: float, sight: Any, axes: FloatArray, w: Integer, sign: float,
-    views: CameraViews,
+@inlined
+def weigh(
+    which: int, seen: np.uint64, x: float, y: float, z: float, sight: Any, axes: FloatArray, w: Integer,
+    views: CameraViews, count: Integer,
 ) -> None:  # fmt: skip
-    """Add a landmark to the views in which it is `seen`, times `sign`.
+    """Find in row `which` of `weights` the pixel density of a landmark in the views of word w in which it is `seen`."""
+    bits, weights = views.lists[ORIENTATION], views.weights[which]
+    for v in range(count):
+        bit = bits[v]
+        weights[v] = pixel_density(sight, x, y, z, axes, w * VIEW + bit) if seen >> bit & ONE else 0.0
+    for v in range(count, whole(count)):
+        weights[v] = 0.0
 
-    Args:
-        which: row of its `moments`.
-        seen: orientations of word w.
-        x, y, z: its offset from the camera, metres.
-        sight, axes: of the camera.
-        w: the word.
-        sign: 1 or -1.
-        views: the views.
+
+@inner
+def add_moments(rows: FloatArray, moments: FloatArray, weights: FloatArray, sign: float, count: Integer) -> None:
+    """Add a landmark with `moments` `(WIDTH,)` to the rows of a camera's views, times `sign`."""
+    for j in range(np.uint64(len(moments))):
+        moment = moments[j]
+        for v in range(whole(count)):
+            rows[j * VIEW + v] += sign * share_of(moment, weights[v])
+
+
+@inner
+def replace_moments(rows: FloatArray, goes: FloatArray, comes: FloatArray, weights: FloatArray, count: Integer) -> None:
+    """Subtract from the rows of a camera's views a landmark with the moments `goes`, and add one with `comes`."""
+    for j in range(np.uint64(len(goes))):
+        old, new = goes[j], comes[j]
+        for v in range(whole(count)):
+            number = rows[j * VIEW + v] - share_of(old, weights[GOES, v])
+            rows[j * VIEW + v] = number + share_of(new, weights[COMES, v])
+
+
+@inlined
+def take_rows(left: np.uint64, first: Integer, sums: FloatArray, views: CameraViews) -> np.uint64:
+    """Take the orientations `left` of a word with their rows of `sums`, of which the first is `first`.
+
+    Returns:
+        number of the views.
     """
-    left, number, rows, moment = seen & views.lists[TAKEN, 0], views.lists[NUMBER], views.rows, views.moments[which]
+    bits, count = views.lists[ORIENTATION], ZERO
     while left:
-        bit = lowest(left)
+        bits[count] = lowest(left)
+        prefetch(sums, (first + bits[count]) * np.uint64(WIDTH))
         left &= left - ONE
-        weight, start = pixel_density(sight, x, y, z, axes, w * VIEW + bit), number[bit] * np.uint64(WIDTH)
-        for j in range(np.uint64(len(moment))):
-            rows[start + j] += sign * share_of(moment[j], weight)
+        count += ONE
+    return count
+
+
+@inlined
+def read_rows(first: Integer, sums: FloatArray, views: CameraViews, count: Integer) -> None:
+    """Read the rows of `sums` that `take_rows` has prefetched."""
+    bits, rows = views.lists[ORIENTATION], views.rows
+    for v in range(count):
+        for j in range(np.uint64(WIDTH)):
+            rows[j * VIEW + v] = sums[first + bits[v], j]
+
+
+@inner
+def add_to_sums(
+    moments: FloatArray, seen: np.uint64, x: float, y: float, z: float, sight: Any, axes: FloatArray, w: Integer,
+    sign: float, first: Integer, sums: FloatArray,
+) -> None:  # fmt: skip
+    """Add a landmark with `moments` `(WIDTH,)` to the rows of `sums` of the views of word w in which it is `seen`."""
+    while seen:
+        bit = lowest(seen)
+        seen &= seen - ONE
+        weight = pixel_density(sight, x, y, z, axes, w * VIEW + bit)
+        for j in range(np.uint64(sums.shape[1])):
+            sums[first + bit, j] += sign * share_of(moments[j], weight)
