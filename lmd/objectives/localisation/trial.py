@@ -51,8 +51,8 @@ from lmd.sight.kernels import sum_weights
 
 # Rows of `LocalisationScratch.sets`.
 LOCALISED = 0  # localised views, as in the state, after the move
-LOST = 1  # views in which a landmark disappears from some camera
-GAINED = 2  # views in which one appears
+LOST = 1  # views of touched positions in which another landmark disappears from some camera
+GAINED = 2  # views of touched positions in which another one appears
 
 
 @inlined
@@ -62,29 +62,36 @@ def mixed(located: Any, covered: Any, weight: float) -> Any:
 
 
 @inner
-def _find_turns(k: Integer, positions: WordArray, state: Any, scratch: Any) -> None:
-    """Find `LOST` and `GAINED` at `positions`."""
-    lost, gained, known, trial = scratch.sets[LOST], scratch.sets[GAINED], state.coverage, scratch.coverage
-    for q in positions:
+def _find_turns(state: Any, scratch: Any) -> None:
+    """Find `LOST` and `GAINED` at positions that are touched, of all landmarks but the one that moves."""
+    lost, gained, trial = scratch.sets[LOST], scratch.sets[GAINED], scratch.coverage
+    for q in trial.lists[TOUCHED_LIST][: trial.numbers[TOUCHED_COUNT]]:
         for w in range(np.uint64(lost.shape[1])):
-            lost[q, w] = shown_of(known, k, q, w)
-            gained[q, w] = fresh_of(trial, q, w)
-    find_turns(known, trial, lost, gained)
+            lost[q, w] = gained[q, w] = ZERO
+    find_turns(state.coverage, trial, lost, gained)
 
 
 @inner
 def _decide_word(
-    k: Integer, q: Integer, w: Integer, has: np.uint64, several: np.uint64, field: Any, state: Any, scratch: Any
-) -> Any:
-    """Localised views of word w among those that cover n landmarks, `has`; `several` cover two or more."""
-    views, known = scratch.views, state.localised[q, w]
-    lost, gained = scratch.sets[LOST, q, w], scratch.sets[GAINED, q, w]
+    k: Integer, q: Integer, w: Integer, lost: np.uint64, gained: np.uint64, has: np.uint64, several: np.uint64,
+    field: Any, state: Any, scratch: Any,
+) -> Any:  # fmt: skip
+    """Find the localised views of word w among those that cover n landmarks, `has`.
+
+    Args:
+        k, q, w: landmark, position and word.
+        lost, gained: views in which a landmark disappears from some camera, and appears.
+        has: views that cover n landmarks or more.
+        several: views that cover two or more.
+        field, state, scratch: of localisation.
+    """
+    known = state.localised[q, w]
     left = has & ((lost & gained) | (lost & known) | (gained & ~known))
     good = known & has & ~left
     if left == ZERO:
         return good
     count = sum_views(state.coverage, k, q, w, left, field, state, scratch)
-    return good | met_views(field.precision, views, count, several)
+    return good | met_views(field.precision, scratch.views, count, several)
 
 
 @inlined
@@ -100,22 +107,25 @@ def _decide(k: Integer, positions: WordArray, field: Any, state: Any, scratch: A
     counts, enough, digits = known.counts, known.counts.sets[ENOUGH], trial.digits
     asked, touched, localised = trial.sets[ASKED], trial.flags[TOUCHED], scratch.sets[LOCALISED]
     if field.asks:
-        _find_turns(k, positions, state, scratch)
+        _find_turns(state, scratch)
     for q in positions:
         located, covered = state.located[q], known.units[q]
         if field.asks:
             look_from(known, k, q, field, scratch)
         for w in range(np.uint64(localised.shape[1])):
             was, now, before = shown_of(known, k, q, w), fresh_of(trial, q, w), enough[q, w]
-            has = enough_with(q, w, was, now, counts)
+            lost, gained, has = was, now, enough_with(q, w, was, now, counts)
             if touched[q]:
                 has = at_least(digits[q, w], n) | (now & asked[q, w])
+                lost, gained = lost | scratch.sets[LOST, q, w], gained | scratch.sets[GAINED, q, w]
+            elif was | now == ZERO:
+                continue
             several = ALL
             if asks_apart(field.precision):
                 several = (
                     seen_twice(ZERO, now, digits[q, w]) if touched[q] else seen_twice(was, now, counts.digits[q, w])
                 )
-            good = _decide_word(k, q, w, has, several, field, state, scratch) if field.asks else has
+            good = _decide_word(k, q, w, lost, gained, has, several, field, state, scratch) if field.asks else has
             covered += sum_weights(before, has, weights, q, w)
             located += sum_weights(state.localised[q, w], good, weights, q, w)
             localised[q, w] = good
@@ -156,11 +166,13 @@ def _change_sums(k: Integer, sign: float, field: Any, state: Any, scratch: Any) 
         return
     known, trial = state.coverage, scratch.coverage
     positions = trial.lists[LISTED][: list_changing(known, k, trial)]
-    _find_turns(k, positions, state, scratch)
+    _find_turns(state, scratch)
     for q in positions:
         look_from(known, k, q, field, scratch)
         for w in range(np.uint64(state.localised.shape[1])):
-            changed = scratch.sets[LOST, q, w] | scratch.sets[GAINED, q, w]
+            changed = shown_of(known, k, q, w) | fresh_of(trial, q, w)
+            if trial.flags[TOUCHED, q]:
+                changed |= scratch.sets[LOST, q, w] | scratch.sets[GAINED, q, w]
             if changed:
                 change_sums(known, k, q, w, changed, sign, field, state, scratch)
 
