@@ -30,7 +30,7 @@ from lmd.mapping.detections import DetectedTags, read_detections
 from lmd.scene.calibration_files import PIXEL_CENTRE
 from lmd.scene.camera_calibration import Calibration, calibrated_camera
 from lmd.scene.tag import Tag
-from lmd.survey.prior import Known
+from lmd.survey.prior import PriorKnowledge
 from lmd.survey.survey import survey
 
 ANGLES = (-60, -30, 30, 60)  # degrees, of the photographs of one tag that was turned
@@ -62,7 +62,7 @@ def by_lmd(recording: Recording, calibrate: bool | None = None) -> Map:
         recording.cameras,
         Tag(recording.edge, recording.family),
         CORNER_ERRORS[recording.detector],
-        Known(),
+        PriorKnowledge(),
         calibrate,
     )
     placed, sigma = np.flatnonzero(found.placed), found.found.sigmas

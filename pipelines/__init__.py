@@ -1,13 +1,13 @@
 """Command-line entry points: thin Hydra applications over `lmd`."""
 
 try:
-    import _signal  # type: ignore[import-not-found]  # built in: while `signal` is imported, an interrupt is a traceback
+    import _signal  # type: ignore[import-not-found]  # built in; an interrupt during `import signal` prints a traceback
     import os
     import sys
 
-    # Where this process is one of the applications (python's -m has not named it yet), a signal is heard from here on.
+    # In the process of an application (its name is not in sys.argv yet under -m), signals are handled from here on.
     if sys.argv[:1] == ["-m"] or os.path.basename("".join(sys.argv[:1])).startswith("lmd-"):
-        _signal.signal(_signal.SIGINT, _signal.SIG_DFL)  # no traceback while what hears it is imported
+        _signal.signal(_signal.SIGINT, _signal.SIG_DFL)  # no traceback while the handler is imported
 
         from .operations.signals import stop
 
@@ -19,5 +19,5 @@ try:
         from lmd.core.optional import missing
 
         raise SystemExit(f"error: {missing('hydra-core', 'pipelines')}")
-except KeyboardInterrupt:  # it came on these lines
+except KeyboardInterrupt:
     raise SystemExit(130) from None

@@ -1,7 +1,7 @@
-"""How accurate single images are, predicted: `python -m pipelines.accuracy deployment=uniform,random [overrides]`.
+"""Predict the accuracy of single images: `python -m pipelines.accuracy deployment=uniform,random [overrides]`.
 
-All deployments share one picture, because they are to be compared. So `deployment=a,b,c` does not start a sweep here:
-it is read as `deployments=[a,b,c]`.
+The deployments share one picture for comparison, so `deployment=a,b,c` is no sweep: it is read as
+`deployments=[a,b,c]`.
 """
 
 from omegaconf import DictConfig
@@ -11,11 +11,11 @@ from .building import build_problem
 from .deployments import composed_deployments, read_deployment_as_a_list
 from .pipeline import Pipeline
 
-HEADLINE = "localised_share_20mm"
+HEADLINE = "localised_share_20mm"  # figure in the headings of panels
 
 
 def accuracy(cfg: DictConfig) -> None:
-    """Predict for the configured deployments."""
+    """Predict the accuracy of the configured deployments."""
     import numpy as np
     import pandas as pd
 

@@ -1,4 +1,4 @@
-"""What no deployment can exceed: `python -m pipelines.bound deployment.count=90 [overrides]`."""
+"""Bound the results of all deployments: `python -m pipelines.bound deployment.count=90 [overrides]`."""
 
 import sys
 from dataclasses import replace
@@ -18,11 +18,11 @@ from .pipeline import Pipeline
 if TYPE_CHECKING:
     from lmd.evaluation.time_limit import TimeLimit
 
-EVERY = 10.0  # seconds between two lines on how far it is
+EVERY = 10.0  # least time between two lines of progress, seconds
 
 
 def bound(cfg: DictConfig) -> None:
-    """Bound what the configured problem admits."""
+    """Compute upper bounds of the configured problem, and the share of them that a greedy choice reaches."""
     from lmd.core.checks import real
     from lmd.evaluation.bounds import Search, affordable, average_upper_bound, fewest_landmarks, fitness_upper_bound
     from lmd.evaluation.selection_bound import selection_upper_bound
@@ -34,7 +34,7 @@ def bound(cfg: DictConfig) -> None:
     settings = settings_of(cfg, "bound")
     with keyed("bound"):
         seconds = inf if settings.seconds is None else real("seconds", settings.seconds, above=0.0)
-        limit = TimeLimit(seconds, _Told())
+        limit = TimeLimit(seconds, _Progress())
         search = Search(settings.spacing, settings.iterations, settings.tolerance, limit)
         target = None if settings.target is None else real("target", settings.target, low=0.0, high=1.0)
     if target is not None:
@@ -87,8 +87,8 @@ def bound(cfg: DictConfig) -> None:
     _show("mlflow", tracker.describe())
 
 
-class _Told:
-    """Shows now and then how far a bound is."""
+class _Progress:
+    """Prints the progress of a bound from time to time."""
 
     def __init__(self) -> None:
         self._last = monotonic()
@@ -100,7 +100,7 @@ class _Told:
 
 
 def _stopped_early(label: str, stage: "TimeLimit") -> dict[str, list[str]]:
-    """Show and return what was stopped early of a bound, which holds all the same."""
+    """Print and return the parts of a bound that were stopped early; the bound holds without them."""
     if not stage.cut:
         return {}
     _show("", f"stopped early: {', '.join(stage.cut)}")

@@ -1,4 +1,4 @@
-"""What a tag must be like for a detector to find it: `python -m pipelines.calibrate_detector detectors=[aruco]`."""
+"""Fit the limits within which a detector finds a tag: `python -m pipelines.calibrate_detector detectors=[aruco]`."""
 
 import sys
 from pathlib import Path
@@ -16,6 +16,7 @@ from .pipeline import Pipeline
 from .trust import Trust, read_yaml
 
 SURVEY_KEY, OPTION = "survey=", "survey"
+VIEWS_STREAM = 0x7669657773  # keeps the random numbers of views apart from other uses of the seed
 
 
 def calibrate(cfg: DictConfig) -> None:
@@ -25,8 +26,7 @@ def calibrate(cfg: DictConfig) -> None:
     from lmd.core.checks import integer, real, seed_number
     from lmd.core.optional import optional
     from lmd.detection.board import BoardImages
-    from lmd.detection.calibration import Calibration, foreseen, judged
-    from lmd.detection.fit import fit, intervals
+    from lmd.detection.calibration import DetectorCalibration, fit, frame_scores, intervals, predicted_in_frames
     from lmd.plot.frames import save_limits_figure
 
     from .tracked_run import keep, tracked
@@ -51,19 +51,19 @@ def calibrate(cfg: DictConfig) -> None:
                 text = f"warning: views: {name} finds all of {len(views)} tags, so they tell no limit of it"
                 print(f"{text}; images are needed in which it misses some", file=sys.stderr)
         seen = sightings({"room": subject}, seed, cfg.workers)["room"] if count else {}
-        calibrations: dict[str, Calibration] = {}
+        calibrations: dict[str, DetectorCalibration] = {}
         if isinstance(source, BoardImages) and (copies := source.images.repeated):
             copy, first = next(iter(copies.items()))
             print(f"note: {len(copies)} images are copies and not counted, such as {copy} of {first}", file=sys.stderr)
         for name, (views, limits) in fitted.items():
-            predicted = foreseen(limits.limits, renderer, told.poses)
-            rooms = judged(predicted, seen[name]) if count else {}
-            calibrations[name] = Calibration(views, limits, rooms, source.photographs, spans[name])
+            predicted = predicted_in_frames(limits.limits, renderer, told.poses)
+            rooms = frame_scores(predicted, seen[name]) if count else {}
+            calibrations[name] = DetectorCalibration(views, limits, rooms, source.photographs, spans[name])
         for name, calibration in calibrations.items():
             written.append(directory / f"{tag.family}_{name}.yaml")
             written[-1].write_text(calibration.preset(name, tag.family, f"views={choices()['views']}, seed {seed}"))
         figures = {name: calibration.figures() for name, calibration in calibrations.items()}
-        markdown = to_markdown(figures)
+        markdown = limits_markdown(figures)
         (directory / "calibration.md").write_text(markdown)
         write_document(directory / "calibration.json", {"seed": seed, "figures": figures})
         save_limits_figure(directory / "calibration.png", calibrations, f"{tag.family}, {choices()['views']}")
@@ -76,36 +76,18 @@ def calibrate(cfg: DictConfig) -> None:
     print(f"{markdown}\nfiles: {directory}\nmlflow: {tracker.describe()}")
 
 
-# Keeps the views apart from every other use of the same seed.
-VIEWS_STREAM = 0x7669657773
-
-
-def to_markdown(figures: dict[str, dict[str, float]]) -> str:
-    """A row for each detector: its limits, and how well they predict what they were not fitted to."""
+def limits_markdown(figures: dict[str, dict[str, float]]) -> str:
+    """Table of the limits of each detector, and of their accuracy on held-out views."""
     from lmd.core.words import escaped, markdown_table
 
-    head = [
-        "detector",
-        "views",
-        "a",
-        "k",
-        "m [px]",
-        "b [degrees]",
-        "margin [px]",
-        "held-out accuracy / precision / recall",
-    ]
+    head = ["detector", "views", "a", "k", "m [px]", "b [degrees]", "margin [px]"]
+    head += ["held-out accuracy / precision / recall"]
     head += [f"rooms: P(>= {n}) predicted / detected" for n in range(1, 5)]
     head += ["rooms: precision / recall", "rooms: frames agree on >= 2"]
     rows = []
     for name, row in figures.items():
-        cells = [
-            escaped(name),
-            f"{row['views']:.0f}",
-            f"{row['pitch']:.2g}",
-            f"{row['blur']:.2g}",
-            f"{row['edge']:.3g}",
-        ]
-        cells += [f"{row['incidence']:.0f}", f"{row['margin']:.3g}"]
+        cells = [escaped(name), f"{row['views']:.0f}", *(f"{row[key]:.2g}" for key in ("pitch", "blur"))]
+        cells += [f"{row['edge']:.3g}", f"{row['incidence']:.0f}", f"{row['margin']:.3g}"]
         cells += [f"{row['accuracy']:.3f} / {row['precision']:.3f} / {row['recall']:.3f}"]
         if "room_frames" in row:
             cells += [f"{row[f'room_predicted_{n}']:.3f} / {row[f'room_detected_{n}']:.3f}" for n in range(1, 5)]
@@ -117,7 +99,7 @@ def to_markdown(figures: dict[str, dict[str, float]]) -> str:
 
 
 def read_survey() -> None:
-    """Make `survey=DIR` of the command line the views of that survey, with its run, cameras, tags and detector."""
+    """Read `survey=DIR` on the command line as the views of that survey, with its run, cameras, tags and detector."""
     given = [argument.removeprefix(SURVEY_KEY) for argument in sys.argv[1:] if argument.startswith(SURVEY_KEY)]
     if not given or given[-1] == "null":
         return

@@ -14,7 +14,6 @@ from omegaconf import DictConfig, ListConfig
 from .app import flat_settings, run_directory, save_path
 from .building import budget_of, build_optimiser, build_problem, seeds_of
 from .earlier_run import read_earlier_problem
-from .nodes import instantiate
 from .optimise import SAME_WHEN_RESUMED
 from .outputs import columns_of, read_document, write_document
 from .overrides import recompose, search_path, task_overrides
@@ -27,59 +26,55 @@ if TYPE_CHECKING:
     from lmd.objectives.base import Headline
     from lmd.problem import Problem
 
-    from .operations.tracking import Tracker
 
+LANDMARKS, HISTORY, RECORD = FILES = "landmarks.csv", "history.csv", "run.json"  # of each run, in a folder of its own
 # Settings of the comparison itself; every other override is passed on to its runs.
-LANDMARKS, HISTORY, RECORD = FILES = "landmarks.csv", "history.csv", "run.json"
 OWN_KEYS = ("optimisers", "reference", "seeds", "workers", "save_as", "resume", "budget", "seed", "tracking")
 
 
 @dataclass(frozen=True, eq=False)
 class Contender:
-    """A run that is to be compared.
-
-    Args:
-        optimiser: its entry of `optimisers`.
-        cfg: of `optimise`, for this entry.
-        seed: of the run.
-    """
+    """An optimiser and a seed: a run that is compared with the others."""
 
     optimiser: str
+    """Its entry of `optimisers`."""
     cfg: DictConfig
+    """Configuration of `optimise` for this entry."""
     seed: int
+    """Seed of the run."""
 
     @property
     def name(self) -> str:
-        """What the run is called."""
+        """Name of the run."""
         return f"{self.optimiser} seed={self.seed}"
 
     @cached_property
     def digest(self) -> str:
-        """A digest that is equal for runs that must find the same."""
+        """A digest that is equal for runs with equal results."""
         return digest(flat_settings(self.cfg, *SAME_WHEN_RESUMED, "budget", "validate"), self.seed)
 
     def folder(self, comparison: Path) -> Path:
-        """The folder of the run below that of its comparison."""
+        """The folder of the run below the folder of its comparison."""
         return comparison / "runs" / self.name.replace("/", "_")
 
     def save(self, comparison: Path, run: "OptimiserRun", parent: str | None, ups: bool) -> None:
-        """Write what the run has found.
+        """Write the result of the run.
 
         Args:
-            comparison: the folder of the comparison.
-            parent: the tracked run of the comparison, if any.
-            ups: as for `Deployment.to_csv`.
+            comparison: folder of the comparison.
+            parent: tracked run of the comparison, if any.
+            ups: see `Deployment.to_csv`.
         """
         from lmd.core.tables import write_table
 
         folder = self.folder(comparison)
-        folder.mkdir(parents=True, exist_ok=True)  # a sweep may do a lost job again
+        folder.mkdir(parents=True, exist_ok=True)  # there already where a sweep repeats a lost job
         run.deployment.to_csv(folder / LANDMARKS, ups)
         write_table(folder / HISTORY, columns_of(run.history))
         write_document(folder / RECORD, {"digest": self.digest, "parent": parent, "metrics": dict(run.metrics)})
 
     def saved(self, comparison: Path) -> "tuple[OptimiserRun, str | None] | None":
-        """What the run has found in a comparison, and the tracked run of that; None if it is not there.
+        """The result of the run in the folder of a comparison, and the tracked run of that; None if it is not there.
 
         Raises:
             InputError: its tables are damaged, or one of its files is a link that leads out of the comparison.
@@ -104,22 +99,19 @@ class Contender:
 
 @dataclass(frozen=True)
 class Kept:
-    """What an earlier comparison has left.
-
-    Args:
-        runs: the finished ones.
-        parent: the tracked run of that comparison, if any.
-    """
+    """The results of an earlier comparison."""
 
     runs: "Mapping[Contender, OptimiserRun]"
+    """Finished runs."""
     parent: str | None
+    """Tracked run of that comparison, if any."""
 
 
 def kept_of(resume: Any, jobs: Iterable[Contender], directory: Path) -> Kept:
-    """The finished runs in the folder of an earlier comparison, which are copied to `directory`.
+    """Copy the finished runs in the folder of an earlier comparison to `directory`, and return them.
 
     Raises:
-        InputError: there is no such folder, or what is there is damaged.
+        InputError: there is no such folder, or its files are damaged.
     """
     from lmd.core.checks import InputError, file_path
 
@@ -135,7 +127,7 @@ def kept_of(resume: Any, jobs: Iterable[Contender], directory: Path) -> Kept:
 
 
 def _copy(job: Contender, earlier: Path, directory: Path) -> None:
-    """Copy the files of a run that was read from the folder of a comparison to that of another."""
+    """Copy the files of a run from the folder of a comparison to another one."""
     folder = job.folder(directory)
     folder.mkdir(parents=True, exist_ok=True)
     for name in FILES:
@@ -146,7 +138,9 @@ def compare(cfg: DictConfig) -> None:
     """Run the configured comparison."""
     from lmd.core.checks import InputError, choice
 
-    from .tracked_run import Earlier, title_of, tracked
+    from .operations.tracking import RunStart
+    from .progress import thinned
+    from .tracked_run import Earlier, log_child, title_of, tracked
 
     problem, save_as = build_problem(cfg), save_path(cfg.save_as)
     budget, seeds = budget_of(cfg), seeds_of(cfg)
@@ -163,23 +157,30 @@ def compare(cfg: DictConfig) -> None:
     left = [job for job in jobs.values() if job not in kept.runs]
     finished, runs = in_processes(_run, left, cfg.workers, lambda job: job.name), list(kept.runs.values())
     axis, title = "evaluations" if budget.evaluations else "wall_time", title_of(problem, f"{len(seeds)} seeds,")
+
+    def log(job: Contender, run: "OptimiserRun", parent: str | None) -> None:
+        folder, tags = job.folder(directory), {"choice.optimiser": run.optimiser.split()[0]}
+        params = {"optimiser": run.optimiser, "seed": run.seed}
+        started = RunStart(job.name, folder, params, tags, ago=run.history[-1].wall_time)
+        log_child(cfg.tracking, started, parent, run.metrics, folder / LANDMARKS, thinned(run.history))
+
     with closing(finished), tracked(cfg, "compare", title_of(problem, "compare"), earlier) as tracker:
         if runs:
             print(f"{len(runs)}/{len(jobs)} done already in {cfg.resume}", flush=True)
         if tracker.run_id != kept.parent:
             for job, run in kept.runs.items():
-                _log_child(cfg, job, run, tracker.run_id, directory)
+                log(job, run, tracker.run_id)
         try:
             for done in finished:
                 runs.append(done)
                 job = jobs[done.optimiser, done.seed]
                 job.save(directory, done, tracker.run_id, not problem.scene.tag.is_point)
-                _log_child(cfg, job, done, tracker.run_id, directory)
+                log(job, done, tracker.run_id)
                 print(f"{len(runs)}/{len(jobs)} {job.name}: {headline.text(done.metrics[headline.key])}", flush=True)
         except KeyboardInterrupt:
             print(f"interrupted; go on with: {resuming('compare', directory)}", file=sys.stderr)
             raise
-        finally:  # interrupted, what is finished is still worth a table
+        finally:  # an interrupted comparison, too, has a table of its finished runs
             if runs:
                 tracker.log_artifacts(_write(directory, runs, reference, axis, headline, title))
         tracker.finish("FINISHED")
@@ -191,7 +192,7 @@ def compare(cfg: DictConfig) -> None:
 def _write(
     directory: Path, runs: "Sequence[OptimiserRun]", reference: str | None, axis: str, headline: "Headline", title: str
 ) -> list[Path]:
-    """Write and print what the runs say; returns the files."""
+    """Write and print the comparison of runs; returns the files."""
     from lmd.evaluation.comparison import compared
     from lmd.plot.charts import save_comparison_figure
 
@@ -211,17 +212,17 @@ def _write(
 
 
 def _compose(entry: str, cfg: DictConfig, problem: "Problem") -> DictConfig:
-    """The `optimise` configuration for one entry of `optimisers`: a name, then overrides of its own."""
+    """The `optimise` configuration for one entry of `optimisers`: a name, then its own overrides."""
     shared = [override for key, override in task_overrides() if key.split(".")[0] not in OWN_KEYS]
     name, *own = entry.split()
     composed = recompose("optimise", [*shared, *search_path(), f"optimiser={name}", *own], "optimisers", entry)
     composed.budget, composed.threads = cfg.budget, 1
-    build_optimiser(composed, cfg.seed).check(problem)  # what cannot be built fails before anything has run
+    build_optimiser(composed, cfg.seed).check(problem)  # before any search begins
     return composed
 
 
 def _run(job: Contender) -> "OptimiserRun":
-    """One run, on one thread."""
+    """Do one run, on one thread."""
     from lmd.evaluation.comparison import OptimiserRun
     from lmd.evaluation.validation import headline_off_grid, validation_metrics
 
@@ -231,24 +232,6 @@ def _run(job: Contender) -> "OptimiserRun":
     if job.cfg.validate:
         metrics["off_grid"] = validation_metrics(problem, result.deployment, job.seed)[headline_off_grid(problem)]
     return OptimiserRun(job.optimiser, job.seed, metrics, result.history, result.deployment)
-
-
-def _log_child(cfg: DictConfig, job: Contender, run: "OptimiserRun", parent: str | None, directory: Path) -> None:
-    """Record a run, whose files are below `directory`, as a child of the comparison's own."""
-    from .operations.tracking import PARENT_TAG, RunStart
-    from .progress import thinned
-
-    tracker: Tracker = instantiate(cfg.tracking)
-    tags = {"choice.optimiser": run.optimiser.split()[0]}
-    if parent is not None:
-        tags[PARENT_TAG] = parent
-    params = {"optimiser": run.optimiser, "seed": run.seed}
-    folder = job.folder(directory)
-    tracker.start(RunStart(job.name, folder, params, tags, ago=run.history[-1].wall_time))
-    tracker.log_curve("best_fitness", thinned(run.history))
-    tracker.log_metrics(run.metrics)
-    tracker.log_artifacts([folder / LANDMARKS])
-    tracker.finish("FINISHED")
 
 
 main = Pipeline("compare", compare, (read_earlier_problem,))

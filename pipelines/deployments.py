@@ -1,4 +1,4 @@
-"""Pipelines that set several deployments beside each other in one run."""
+"""Several deployments in one run, for comparison."""
 
 import re
 import sys
@@ -8,29 +8,27 @@ from omegaconf import DictConfig, OmegaConf
 from .earlier_run import OPTION, count_of, read_earlier_run
 from .overrides import recompose, search_path, task_overrides
 
-NAME = re.compile(r"[\w.-]+")  # what mlflow takes in the name of a metric
+NAME = re.compile(r"[\w.-]+")  # characters that mlflow accepts in the name of a metric
 
 
 def read_deployment_as_a_list() -> None:
-    """Read `deployment=a,b,c` on the command line as `deployments=[a,b,c]`: one run compares them, it is no sweep.
+    """Read `deployment=a,b,c` on the command line as `deployments=[a,b,c]`: one run compares them, without a sweep.
 
-    An earlier run that is named there (`run=DIR`) takes part as the deployment `run`, alone if no other is named, and
-    says how many landmarks those have for which nothing else does.
+    An earlier run (`run=DIR`) is the deployment `run`, the only one if no other is named. Its number of landmarks is
+    the default of the other deployments.
     """
     sys.argv[1:] = [re.sub(r"^deployment=(.*)$", r"deployments=[\1]", argument) for argument in sys.argv[1:]]
     read_earlier_run(f"deployments=[{OPTION}]")
 
 
 def composed_deployments(cfg: DictConfig, config_name: str) -> dict[str, DictConfig]:
-    """The configuration for each entry of `deployments`, under its name.
-
-    Those that do not come from a file have as many landmarks as the earlier run, unless something else says how many.
+    """The configuration for each entry of `deployments`, by its name.
 
     Args:
-        config_name: what it composes, `observe` and so on.
+        config_name: name of the configuration, `observe` and so on.
 
     Raises:
-        InputError: there is no entry, or one that is refused.
+        InputError: there is no entry, or an entry is refused.
     """
     from lmd.core.checks import InputError
 
@@ -55,7 +53,7 @@ def composed_deployments(cfg: DictConfig, config_name: str) -> dict[str, DictCon
 
 
 def _compose(config_name: str, entry: str, option: str, own: list[str], count: list[str], used: set[str]) -> DictConfig:
-    """The configuration for one deployment, without overrides of keys it lacks; the keys it has go to `used`."""
+    """The configuration for one deployment, without overrides of keys that it lacks; its keys are added to `used`."""
     keys = recompose(config_name, [*search_path(), f"deployment={option}"], "deployments", entry).deployment
     shared = count if "count" in keys and "path" not in keys else []
     for key, override in task_overrides():
@@ -69,8 +67,8 @@ def _compose(config_name: str, entry: str, option: str, own: list[str], count: l
 
 
 def any_deployment(cfg: DictConfig) -> DictConfig:
-    """The configuration of a problem that takes any deployment if its visibility model is one of points.
+    """The configuration with tags as points if its visibility model is one of points.
 
-    Such a model knows no papers that might overlap; where they do, pictures show it.
+    Then papers that overlap are not refused; pictures show them.
     """
     return cfg if "tag" in cfg.visibility else OmegaConf.merge(cfg, {"tag": {"edge": None}})  # type: ignore[return-value]

@@ -1,7 +1,7 @@
-"""What real detectors find of deployments: `python -m pipelines.detect deployment=uniform,random [overrides]`.
+"""Let real detectors read rendered images: `python -m pipelines.detect deployment=uniform,random [overrides]`.
 
-Random poses are rendered and read by each detector, the same poses for every deployment. So `deployment=a,b,c` does not
-start a sweep here: it is read as `deployments=[a,b,c]`.
+All deployments are rendered from equal random poses in one run, so `deployment=a,b,c` is no sweep: it is read as
+`deployments=[a,b,c]`.
 """
 
 import re
@@ -25,31 +25,34 @@ if TYPE_CHECKING:
     import pandas as pd
 
     from lmd.core.checks import FloatArray
+    from lmd.detection.comparison import Prediction
     from lmd.detection.detectors import Detector
-    from lmd.detection.frames import Sightings
-    from lmd.detection.prediction import Predicted
+    from lmd.detection.evaluation import Matches
     from lmd.problem import Problem
     from lmd.render.renderer import Renderer
 
-FRAME_BYTES = 100  # at the least, of what is predicted of a landmark in a frame
-CHUNK = 10  # frames that a worker renders and reads at a time
+FRAME_BYTES = 100  # least memory of the prediction of a landmark in a frame, bytes
+CHUNK = 10  # frames that a worker renders and reads at once
 
 
 def read_number_of_poses() -> None:
-    """Take `poses=500` of the command line as `frames=500`: `poses=recorded` is an option of the group of that name."""
+    """Read `poses=500` on the command line as `frames=500`; `poses=recorded` is an option of the group `poses`."""
     sys.argv[1:] = [re.sub(r"^poses=(?=[-+.\d])", "frames=", argument) for argument in sys.argv[1:]]
 
 
 @dataclass(frozen=True)
 class Subject:
-    """A deployment that is looked at, and by whom."""
+    """A deployment in random poses, and the detectors that read its images."""
 
     problem: "Problem"
-    prediction: "Predicted"
+    """Problem of the deployment."""
+    prediction: "Prediction"
+    """Predicted sightings in each pose."""
     detectors: Mapping[str, "Detector"]
+    """Detectors by name."""
 
     def nudged(self, sizes: object, seed: int) -> "Subject":
-        """The subject as seen from poses moved by `sizes`, standard deviations in metres and rad."""
+        """The subject in poses moved at random by `sizes`, standard deviations in metres and rad."""
         from lmd.core.checks import vector
         from lmd.detection.frames import nudged
 
@@ -62,7 +65,7 @@ def detect(cfg: DictConfig) -> None:
     """Let the configured detectors read frames of the configured deployments."""
     from lmd.core.checks import integer, seed_number
     from lmd.core.optional import optional
-    from lmd.detection.report import to_markdown
+    from lmd.detection.comparison import to_markdown
     from lmd.plot.frames import save_calibration_figure
 
     from .tracked_run import keep, title_of, tracked
@@ -98,9 +101,9 @@ def subject_of(cfg: DictConfig, count: int, seed: int) -> Subject:
     """A deployment with its prediction in random poses, and detectors that work.
 
     Args:
-        cfg: with one deployment.
-        count: poses.
-        seed: draws them, and the deployment if it is random.
+        cfg: configuration with one deployment.
+        count: number of poses.
+        seed: seed of the poses, and of a random deployment.
 
     Raises:
         InputError: the deployment, the tag or a detector is refused.
@@ -109,12 +112,11 @@ def subject_of(cfg: DictConfig, count: int, seed: int) -> Subject:
 
     from lmd.core.checks import InputError
     from lmd.core.memory import check_memory
+    from lmd.detection.comparison import CameraPrediction, Prediction
     from lmd.detection.frames import draw_poses, tagged_room
-    from lmd.detection.prediction import Prediction, RigPrediction
     from lmd.evaluation.verdicts import verdicts
     from lmd.geometry.se3 import axis_and_right
     from lmd.render.renderer import Renderer
-    from lmd.scene.rig import Rig
     from lmd.sight.views import visible_to_each
 
     tag, imaging = instantiate(cfg.tag), instantiate(cfg.imaging)
@@ -126,7 +128,7 @@ def subject_of(cfg: DictConfig, count: int, seed: int) -> Subject:
     if not detectors:
         raise InputError("detectors must name at least one detector.")
     for detector in detectors.values():
-        detector.detect(np.zeros((64, 64), dtype=np.uint8))  # a package that is missing is missed here
+        detector.detect(np.zeros((64, 64), dtype=np.uint8))  # fails here if its package is missing
     deployment = problem.draw(np.random.default_rng(seed))
     with keyed("tag"):
         room = tagged_room(scene.room, deployment, tag)
@@ -138,13 +140,12 @@ def subject_of(cfg: DictConfig, count: int, seed: int) -> Subject:
     for camera, mounted, predicted in zip(scene.cameras, scene.extrinsics, seen, strict=True):
         own = poses @ mounted
         told = verdicts(scene, deployment, own, camera)
-        parts.append(Prediction(Renderer(camera, room, imaging), own, predicted, told))
-    is_rig = isinstance(scene.camera, Rig)
-    return Subject(problem, RigPrediction(tuple(parts), scene.extrinsics, poses) if is_rig else parts[0], detectors)
+        parts.append(CameraPrediction(Renderer(camera, room, imaging), own, predicted, told))
+    return Subject(problem, Prediction(tuple(parts), scene.extrinsics, poses), detectors)
 
 
 class Frames(NamedTuple):
-    """Some frames of one camera of a subject, for a process of its own; the noise of a frame depends on its number."""
+    """Frames of one camera of a subject, for a worker; the noise of a frame depends on its number."""
 
     name: str
     camera: int
@@ -155,14 +156,14 @@ class Frames(NamedTuple):
     seed: int
 
 
-def sightings(subjects: Mapping[str, Subject], seed: int, workers: int | None) -> dict[str, dict[str, "Sightings"]]:
-    """What each detector found, by the subject's and the detector's names.
+def sightings(subjects: Mapping[str, Subject], seed: int, workers: int | None) -> dict[str, dict[str, "Matches"]]:
+    """Detections by the names of subject and detector, for any number of workers.
 
     Args:
-        subjects: by name.
-        workers: processes, None for every processor; the result is the same.
+        subjects: subjects by name.
+        workers: number of processes; None for every processor.
     """
-    from lmd.detection.frames import Sightings
+    from lmd.detection.evaluation import Matches
 
     from .progress import bar
     from .workers import in_processes
@@ -180,42 +181,43 @@ def sightings(subjects: Mapping[str, Subject], seed: int, workers: int | None) -
             found[name, camera, first] = part
             progress.update(len(next(iter(part.values())).false))
 
-    def of(name: str, camera: int, detector: str) -> Sightings:
-        return Sightings.joined([found[key][detector] for key in sorted(found) if key[:2] == (name, camera)])
+    def of(name: str, camera: int, detector: str) -> Matches:
+        return Matches.concatenated([found[key][detector] for key in sorted(found) if key[:2] == (name, camera)])
 
     return {
         name: {
-            key: Sightings.beside([of(name, c, key) for c in range(len(subject.prediction.parts))])
+            key: Matches.beside([of(name, c, key) for c in range(len(subject.prediction.parts))])
             for key in subject.detectors
         }
         for name, subject in subjects.items()
     }
 
 
-def _look(job: Frames) -> tuple[str, int, int, dict[str, "Sightings"]]:
-    """One job, on one thread."""
+def _look(job: Frames) -> tuple[str, int, int, dict[str, "Matches"]]:
+    """Render and read frames, on one thread."""
     from lmd.core.optional import optional
-    from lmd.detection.frames import look
+    from lmd.detection.frames import detect_in_frames
 
     optional("cv2", "detection").setNumThreads(1)
-    return job.name, job.camera, job.first, look(job.renderer, job.detectors, job.poses, job.first, job.seed)
+    found = detect_in_frames(job.renderer, job.detectors, job.poses, job.first, job.seed)
+    return job.name, job.camera, job.first, found
 
 
 def _tables(
     subjects: Mapping[str, Subject],
-    seen: Mapping[str, Mapping[str, "Sightings"]],
-    again: Mapping[str, Mapping[str, "Sightings"]] | None,
+    seen: Mapping[str, Mapping[str, "Matches"]],
+    again: Mapping[str, Mapping[str, "Matches"]] | None,
 ) -> "tuple[pd.DataFrame, pd.DataFrame, pd.DataFrame]":
-    """Figures, classes of pitch and tags, each with the columns `deployment` and `detector`."""
+    """Tables of figures, of classes of pitch and of tags, each with the columns `deployment` and `detector`."""
     import pandas as pd
 
-    from lmd.detection.report import by_pitch, by_tag, figures, repeated
+    from lmd.detection.comparison import by_pitch, by_tag, figures, repeatability
 
     rows, pitches, tags = [], [], []
     for name, subject in subjects.items():
         for detector, found in seen[name].items():
             names = {"deployment": name, "detector": detector}
-            looks = {} if again is None else repeated(found, again[name][detector], subject.prediction)
+            looks = {} if again is None else repeatability(found, again[name][detector], subject.prediction)
             rows.append({**names, **figures(subject.prediction, found), **looks})
             pitches.append(by_pitch(subject.prediction, found).assign(**names))
             tags.append(by_tag(subject.prediction, found).assign(**names))
@@ -240,14 +242,14 @@ def _metrics(figures: "pd.DataFrame") -> dict[str, float]:
 def _save_frames(
     folder: "Path",
     subjects: Mapping[str, Subject],
-    seen: Mapping[str, Mapping[str, "Sightings"]],
+    seen: Mapping[str, Mapping[str, "Matches"]],
     count: int,
     seed: int,
 ) -> "list[Path]":
-    """The first frames of each deployment as its first detector reads them, of a rig those of every camera."""
+    """Draw the first frames of each deployment as its first detector reads them, for every camera of a rig."""
     import numpy as np
 
-    from lmd.detection.frames import picture
+    from lmd.detection.frames import rendered_frame
     from lmd.plot.frames import save_frame
 
     files = []
@@ -258,12 +260,12 @@ def _save_frames(
             for i in range(count):
                 folder.mkdir(exist_ok=True)
                 files.append(folder / (f"{name}_{i}_{c}.png" if len(parts) > 1 else f"{name}_{i}.png"))
-                image = picture(told.renderer, told.poses[i], c * len(told.poses) + i, seed)
+                image = rendered_frame(told.renderer, told.poses[i], c * len(told.poses) + i, seed)
                 save_frame(files[-1], image, told.corners[i], told.visible[i], its[i])
     return files
 
 
-# The number first: what is no option of the group `poses` does not choose one.
+# The number is read first: the others take `poses=` as an option of the group.
 main = Pipeline("detect", detect, (read_number_of_poses, read_deployment_as_a_list))
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""`run=DIR`: the scene and the landmarks of an earlier run in place of the defaults."""
+"""`run=DIR`: the problem and the landmarks of an earlier run in place of the defaults."""
 
 import sys
 from collections.abc import Sequence
@@ -17,24 +17,23 @@ from .overrides import PATH, quoted, search_path
 from .trust import Trust, read_yaml
 
 KEY = "run="
-GROUPS = ("room", "camera", "pdf", "poses", "tag", "visibility", "objective")  # what a run was about
-OPTION = "run"  # of these groups and of deployment
-COUNTED = {"random", "uniform", "greedy"}  # of deployment: those that ask how many landmarks there are
-RIG = "rig.yaml"  # of a run that placed cameras
-FILES = (".hydra/config.yaml", "landmarks.csv")  # what an earlier run must have left
+GROUPS = ("room", "camera", "pdf", "poses", "tag", "visibility", "objective")  # groups of the problem of a run
+OPTION = "run"  # option of these groups and of deployment
+COUNTED = {"random", "uniform", "greedy"}  # options of deployment that need a number of landmarks
+RIG = "rig.yaml"  # file of a run that placed cameras
+FILES = (".hydra/config.yaml", "landmarks.csv")  # files that an earlier run must have
 
 
 def read_earlier_run(deployment: str = f"deployment={OPTION}", further: Sequence[str] = ()) -> None:
-    """Make what the run in `run=DIR` of the command line was about an option `run` of each group, and choose it.
+    """Make the groups of the run in `run=DIR` on the command line options called `run`, and choose them.
 
-    What hung already in that run, and how many landmarks it had, goes for other sources of landmarks too. Where the
-    command line chooses another option of a group itself, that stands; and keys of the options can be overridden like
-    those of any other. Must be called before Hydra reads the command line. A run that names code which the user does
-    not trust ends the process.
+    The fixed landmarks and the number of landmarks of that run hold for other sources of landmarks, too. Options and
+    keys on the command line have precedence. Must be called before Hydra reads the command line. Ends the process if
+    the run names code that the user does not trust.
 
     Args:
-        deployment: the override that chooses the landmarks of the run.
-        further: groups that the pipeline has beside `GROUPS`.
+        deployment: override that chooses the landmarks.
+        further: groups of the pipeline beside `GROUPS`.
     """
     given = [argument for argument in sys.argv[1:] if argument.startswith(KEY)]
     directory = _directory(given[-1]) if given else None
@@ -48,7 +47,7 @@ def read_earlier_run(deployment: str = f"deployment={OPTION}", further: Sequence
     config, store = directory / FILES[0], ConfigStore.instance()
     try:
         before = read_yaml(config, "run")
-        parts = Trust.given().parts(before, f"run: '{config}'", (*GROUPS, *further))  # runs of old lack some
+        parts = Trust.given().parts(before, f"run: '{config}'", (*GROUPS, *further))
     except InputError as error:
         _refuse(str(error))
     if "camera" in parts and (rig := directory / RIG).is_file():
@@ -58,9 +57,9 @@ def read_earlier_run(deployment: str = f"deployment={OPTION}", further: Sequence
     named = {argument.partition("=")[0].lstrip("+~").partition("@")[0] for argument in sys.argv[1:]}
     hung = before.get("deployment")
     hung = hung if isinstance(hung, dict) else {}
-    free, measured, fixed = (hung.get(key) for key in ("free", "measured", "fixed"))  # runs of old lack some
+    free, measured, fixed = (hung.get(key) for key in ("free", "measured", "fixed"))  # not all commands have them
     path = directory / FILES[1]
-    free = bool(free) or measured is not None  # measured places are what they are
+    free = bool(free) or measured is not None  # measured places are taken unchecked
     store.store(OPTION, {"defaults": ["file", "_self_"], "path": str(path), "free": free}, "deployment")
     chosen = [f"{group}={OPTION}" for group in parts] + [deployment]
     options = [argument for argument in (deployment, *sys.argv[1:]) if argument.startswith("deployment=")]
@@ -69,24 +68,24 @@ def read_earlier_run(deployment: str = f"deployment={OPTION}", further: Sequence
     if fixed is not None and "deployment.fixed" not in named:  # the file they came from may have changed
         chosen += [f"++deployment.fixed={quoted(path)}", "++deployment.marked=true"]
     if "poses" in named:
-        named.add("pdf")  # each way of telling where the camera is brings its own way of telling how it looks
-    place = sys.argv.index(given[-1]) + 1  # beside it: options of Hydra may stand before and after
+        named.add("pdf")  # an option of poses sets its own pdf
+    place = sys.argv.index(given[-1]) + 1  # after it, as options of Hydra may follow
     sys.argv[place:place] = [override for override in chosen if override.partition("=")[0] not in named]
 
 
 def read_earlier_robot() -> None:
-    """As `read_earlier_run`, and take the body that carried cameras, if there was one."""
+    """Read an earlier run with the body that carried its cameras, if there was one; see `read_earlier_run`."""
     read_earlier_run(further=("body",))
 
 
 def read_earlier_problem() -> None:
-    """As `read_earlier_run`, but of the landmarks take only how many there were, unless they come from a file."""
+    """Read an earlier run with only the number of its landmarks, unless a file gives them; see `read_earlier_run`."""
     from_file = any(argument.startswith(f"{PATH}=") for argument in sys.argv[1:])
     read_earlier_run(f"deployment={'file' if from_file else 'random'}")
 
 
 def count_of(run: str | Path) -> int:
-    """How many landmarks the run in a directory has."""
+    """Number of landmarks of the run in a directory."""
     from lmd.core.checks import InputError
     from lmd.core.tables import read_table
 
@@ -97,9 +96,9 @@ def count_of(run: str | Path) -> int:
 
 
 def check_experiment(cfg: DictConfig) -> None:
-    """Raise `InputError` if an earlier run and an experiment both choose what a problem consists of.
+    """Raise `InputError` if an earlier run and an experiment both choose a group of the problem.
 
-    Hydra lets what stands on the command line go before an experiment, which would be half of one without a word.
+    For Hydra the command line has precedence over an experiment, of which only a part would be used.
     """
     from hydra.core.global_hydra import GlobalHydra
 
@@ -119,7 +118,7 @@ def check_experiment(cfg: DictConfig) -> None:
 
 
 def _refuse(message: str) -> NoReturn:
-    """End the process in one sentence; Hydra has not begun yet, so nobody else would report it."""
+    """End the process with one sentence, before Hydra begins."""
     print(f"error: {message}", file=sys.stderr)
     sys.exit(1)
 
@@ -128,6 +127,6 @@ def _directory(argument: str) -> Path | None:
     """The value of `run=...`; None for null."""
     try:
         value = OverridesParser.create().parse_override(argument).value()
-    except HydraException:  # no override at all; the message about the directory will say what was read
+    except HydraException:  # no override; the message on the directory shows the text
         value = argument.removeprefix(KEY)
     return None if value is None else Path(str(value))

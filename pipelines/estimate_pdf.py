@@ -1,4 +1,4 @@
-"""An orientation PDF from data: `python -m pipelines.estimate_pdf recording.path=flight.csv [overrides]`."""
+"""Estimate an orientation PDF: `python -m pipelines.estimate_pdf recording.path=flight.csv [overrides]`."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -65,7 +65,7 @@ def estimate(cfg: DictConfig) -> None:
 
 
 def _figures(result: "PdfEstimate") -> dict[str, float]:
-    """Headline figures for the record."""
+    """Figures for the tracked run."""
     figures: dict[str, float] = {
         "samples": len(result.samples),
         "correlation_time": result.samples.correlation_time,
@@ -83,7 +83,7 @@ def _figures(result: "PdfEstimate") -> dict[str, float]:
 
 
 def _described(marginal: "Marginal") -> str:
-    """The chosen density, and how far the others lie behind the best."""
+    """Text of the chosen density, and of the differences of the others from the best."""
     parameters = ", ".join(f"{key.replace('_', ' ')} {value:.3g}" for key, value in marginal.density.parameters.items())
     name = marginal.density.family.replace("_", " ") + (f" ({parameters})" if parameters else "")
     behind = ", ".join(

@@ -2,7 +2,7 @@
 
 import re
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -29,7 +29,7 @@ MEASURED, MOUNTING = "deployment.measured", "deployment.mounting_error"
 
 
 def read_mounting_error() -> None:
-    """Take a mounting error of the command line that is no mapping as its position."""
+    """Read a mounting error on the command line that is no mapping as its position."""
     sys.argv[1:] = [re.sub(rf"^{MOUNTING}=(?!\{{)", f"{MOUNTING}.position=", argument) for argument in sys.argv[1:]]
 
 
@@ -41,7 +41,7 @@ def evaluate(cfg: DictConfig) -> float:
     from lmd.core.compiled import clock
     from lmd.optimisers.ledger import Record
 
-    from .tracked_run import record, title_of, tracked
+    from .tracked_run import Extras, record, title_of, tracked
 
     began = clock()
     problem = build_problem(cfg)
@@ -57,21 +57,21 @@ def evaluate(cfg: DictConfig) -> float:
     history = [Record(1, problem.metrics(deployment)["fitness"], clock() - began)]
     subject = choices()["deployment"]
     with tracked(cfg, subject, title_of(problem, subject)) as tracker:
-        drawn = bool(cfg.picture)
+        drawn, asked = bool(cfg.picture), [name for name in ("losses", "sensitivity") if cfg[name]]
         summary: dict[str, Any] = localise(problem, deployment, seed, tracker, drawn) if cfg.localisation else {}
         texts = []
-        for name, study, draw, about in studies(cfg, problem, plan, deployment, error, seed):
+        for name, study, draw, about in studies(asked, problem, plan, deployment, error, seed):
             tracker.log_artifacts(
                 write_study(run_directory(), name, study, draw if drawn else None, title_of(problem, about))
             )
             figures = study.metrics()
-            if name == "losses":  # figures of the deployment like its fitness
+            if name == "losses":  # figures of the deployment, like its fitness
                 summary |= figures
             else:
                 summary[name] = figures
                 tracker.log_metrics({f"{name}/{key}": value for key, value in figures.items()})
             texts.append(f"\n{study.to_text()}\n")
-        figures = record(cfg, problem, tracker, deployment, history, subject=subject, summary=summary)
+        figures = record(Extras.of(cfg), problem, tracker, deployment, history, subject=subject, summary=summary)
         print("".join(texts), end="")
         return figures["fitness"]
 
@@ -79,7 +79,11 @@ def evaluate(cfg: DictConfig) -> float:
 def localise(
     problem: "Problem", deployment: "Deployment", seed: int, tracker: "Tracker", drawn: bool
 ) -> dict[str, float]:
-    """Write and log the maps of how well one frame is localised, the bounds drawn too if asked; returns the figures."""
+    """Write and log maps of the accuracy of one frame; returns the figures.
+
+    Args:
+        drawn: draw the map of the bounds, too.
+    """
     from lmd.estimation.cramer_rao import cramer_rao_map
     from lmd.evaluation.accuracy import accuracy_metrics, save_accuracy_map
     from lmd.plot.pose_errors import save_cramer_rao_map
@@ -97,26 +101,27 @@ def localise(
 
 
 def studies(
-    cfg: DictConfig,
+    asked: Sequence[str],
     problem: "Problem",
     plan: "Deployment",
     deployment: "Deployment",
     error: "MountingError",
     seed: int,
 ) -> "Iterator[tuple[str, Study, Callable[..., None] | None, str]]":
-    """Conduct the studies that are asked for, one after the other.
+    """Conduct studies of a deployment, one after the other.
 
     Args:
-        plan: where the tags were planned.
-        deployment: the same, or where they were measured.
-        error: of mounting them.
+        asked: `losses` or `sensitivity`, or both; the other studies depend on `plan` and `error`.
+        plan: planned places of the tags.
+        deployment: measured places of the tags; `plan` where there are none.
+        error: error of mounting the tags.
 
     Yields:
-        the name of a study, the study, what draws its picture, None for no picture, and what the picture is about.
+        name of a study, the study, the function that draws it (None for none), and the subject of its picture.
     """
-    if cfg.losses and (lost := lose(problem, deployment)):
+    if "losses" in asked and (lost := lose(problem, deployment)):
         yield "losses", lost, None, ""
-    if cfg.sensitivity:
+    if "sensitivity" in asked:
         from lmd.evaluation.sensitivity import sensitivity
         from lmd.plot.charts import save_sensitivity_figure
 
@@ -139,7 +144,7 @@ def studies(
 
 
 def lose(problem: "Problem", deployment: "Deployment") -> "Losses | None":
-    """What is lost without each landmark. Where that cannot be told, None, and a line in the terminal says why."""
+    """Losses of fitness without each landmark; None, with a line in the terminal, where they are not defined."""
     from lmd.core.checks import InputError
     from lmd.evaluation.losses import losses
 
@@ -153,7 +158,7 @@ def lose(problem: "Problem", deployment: "Deployment") -> "Losses | None":
 def write_study(
     directory: Path, name: str, study: "Study", draw: "Callable[..., None] | None", title: str
 ) -> list[Path]:
-    """Write the tables of a study and its picture, which is called like the study; returns the files."""
+    """Write the tables of a study, and its picture under the name of the study; returns the files."""
     from lmd.core.tables import write_table
 
     files = []

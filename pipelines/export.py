@@ -1,4 +1,4 @@
-"""Tag maps, mounting plan and print sheets: `python -m pipelines.export run=DIR formats=[wpilib,plan,sheets]`."""
+"""Write tag maps, mounting plans and print sheets: `python -m pipelines.export run=DIR formats=[wpilib,plan]`."""
 
 import sys
 from dataclasses import replace
@@ -20,12 +20,12 @@ if TYPE_CHECKING:
 
 
 def build_export(cfg: DictConfig, key: str, tag: "Tag") -> "Export":
-    """What `key` of a configuration asks to be written of tags like this one.
+    """The files of tags that `key` of a configuration lists.
 
-    If it asks for all there is, maps do not wait for paper: what cannot be printed is left out, and said.
+    Null stands for all formats, without those that cannot be printed, which a note names.
 
     Raises:
-        InputError: that cannot be written, or there is no such format.
+        InputError: a format is unknown, or cannot hold the tags.
     """
     from lmd.mapping.formats import FORMATS, Export, formats_of, not_printed
 

@@ -1,8 +1,14 @@
-"""What an optimiser can be tuned by, and a camera set to: the defaults of its class, as keys of its configuration.
+"""The defaults of the classes of optimisers and cameras, as keys of their configurations.
 
-A file in `conf/optimiser` or `conf/camera` says only what differs from the class, and so does a file of a user's own.
-The other arguments of the class are added when Hydra loads the file, so that `--cfg job` shows them, a run records
-them, and `optimiser.population=12` overrides them.
+A file in `conf/optimiser` or `conf/camera`, or of a user, has only the keys that differ from its class. The other
+arguments of the class are added when Hydra loads the file, so that `--cfg job` shows them, a run records them, and
+`optimiser.population=12` overrides them.
+
+This replaces Hydra's loader of files in its private registry, because no public way covers files of users:
+- Structured configs and hydra-zen's builds are registered by name; a YAML file has to name one in its `defaults`.
+- A `ConfigSource` plugin needs a scheme of its own, but `--config-dir` and plain paths are `file://`, and the registry
+  refuses a second class for a scheme.
+- After composition it is too late: Hydra has refused overrides of keys that no file has.
 """
 
 import inspect
@@ -20,14 +26,14 @@ from hydra.plugins.config_source import ConfigResult
 from omegaconf import DictConfig, OmegaConf
 
 GROUPS = ("optimiser", "camera")
-SET_ELSEWHERE = ("seed", "encoding", "rng", "x0")  # by keys at the top, and by who calls functions of SciPy
+SET_ELSEWHERE = ("seed", "encoding", "rng", "x0")  # arguments that keys at the top or wrappers of SciPy set
 HELP = {"--help", "-h"}
 
 
 class FileConfigSource(file_config_source.FileConfigSource):
     """Hydra's loader of files, which completes those of `GROUPS`.
 
-    It has the name of the one it replaces: by that, Hydra knows in another process that there is one already.
+    It has the name of the class that it replaces, by which Hydra finds in another process that there is one already.
     """
 
     _read_before: ClassVar[dict[tuple[Any, ...], bytes]] = {}
@@ -41,42 +47,42 @@ class FileConfigSource(file_config_source.FileConfigSource):
         file = loaded.config
         if config_path.split("/")[0] in GROUPS and not HELP.intersection(sys.argv) and isinstance(file, DictConfig):
             builds_on = [entry for entry in file.get("defaults", []) if not str(entry).startswith("{'override ")]
-            if not builds_on:  # where it does, those files are completed, and this one changes them
+            if not builds_on:  # otherwise those files are completed, and this one changes them
                 loaded.config = OmegaConf.merge(completed(file), file)
         return loaded
 
     def _read(self, config_path: str) -> ConfigResult:
         path = Path(self.path, self._normalize_file_name(config_path))
         if not path.is_file():
-            return super().load_config(config_path)  # which says that there is none
+            return super().load_config(config_path)  # raises
         state = path.stat()
         key = (self.provider, path, state.st_mtime_ns, state.st_size)
         if key not in self._read_before:
-            self._read_before[key] = pickle.dumps(super().load_config(config_path))  # Hydra changes what it gets
+            self._read_before[key] = pickle.dumps(super().load_config(config_path))  # Hydra changes its results
         return pickle.loads(self._read_before[key])  # type: ignore[no-any-return]
 
 
 def completed(node: DictConfig) -> dict[str, Any]:
-    """The defaults of the class that a node names, and of those that the nodes in it name; nothing for no class."""
-    from hydra._internal.utils import _locate  # which does not log what it raises
+    """The defaults of the class of a node and of the nodes in it; empty if it has no class."""
+    from hydra._internal.utils import _locate  # the public function logs its errors
 
     written = OmegaConf.to_container(node, resolve=False)
     assert isinstance(written, dict)
     try:
         parameters = inspect.signature(_locate(str(written.get("_target_")))).parameters
-    except Exception:  # whatever importing it raises is reported when it is built
+    except Exception:  # any error of an import is reported when the object is built
         return {}
     values = {name: _plain(parameter.default) for name, parameter in parameters.items() if name not in SET_ELSEWHERE}
-    inner = {str(name): completed(below) for name, below in node.items_ex(resolve=False) if _is_node(below)}
+    inner = {
+        str(name): completed(below)
+        for name, below in node.items_ex(resolve=False)
+        if isinstance(below, DictConfig) and "_target_" in below
+    }
     return {name: value for name, value in (values | inner).items() if value is not inspect.Parameter.empty}
 
 
-def _is_node(value: Any) -> bool:
-    return isinstance(value, DictConfig) and "_target_" in value
-
-
 def _plain(value: Any) -> Any:
-    """A default as a configuration has it; `Parameter.empty` where it cannot."""
+    """A default as a value of a configuration; `Parameter.empty` if it cannot be one."""
     if is_dataclass(value) and not isinstance(value, type):
         return _plain(asdict(value))
     if isinstance(value, Mapping):
@@ -88,10 +94,5 @@ def _plain(value: Any) -> Any:
     return value if value is None or isinstance(value, bool | int | float | str) else inspect.Parameter.empty
 
 
-def over_defaults(override: str) -> str:
-    """An override that may set what the class has added already: Hydra refuses a `+` before a key that is there."""
-    return f"+{override}" if override.startswith(tuple(f"+{group}." for group in GROUPS)) else override
-
-
-Plugins.instance()  # registers its own loader of files
+Plugins.instance()  # registers Hydra's own loader of files
 SourcesRegistry.instance().types[FileConfigSource.scheme()] = FileConfigSource

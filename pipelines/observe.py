@@ -1,7 +1,7 @@
-"""What deployments do to localisation: `python -m pipelines.observe deployment=greedy,uniform,random [overrides]`.
+"""Localise a flying camera: `python -m pipelines.observe deployment=greedy,uniform,random [overrides]`.
 
-All deployments share one run, because they are to be compared over the same flights. So `deployment=a,b,c` does not
-start a sweep here: it is read as `deployments=[a,b,c]`.
+All deployments are compared over equal flights in one run, so `deployment=a,b,c` is no sweep: it is read as
+`deployments=[a,b,c]`.
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
     from .operations.tracking import Tracker
 
-FILM_RATE = 8.0  # frames a second of an animated picture
+FILM_RATE = 8.0  # frames per second of an animated picture
 
 
 def observe(cfg: DictConfig) -> None:
@@ -84,7 +84,7 @@ def observe(cfg: DictConfig) -> None:
 
 
 def _each(workers: int | None, function: Callable[[Any], Any], jobs: Sequence[Any]) -> Iterator[Any]:
-    """See `lmd.estimation.recording.Each`."""
+    """Results of a function for each job, in processes of their own; see `lmd.estimation.recording.Each`."""
     from .progress import bar
     from .workers import in_processes
 
@@ -98,7 +98,7 @@ def _each(workers: int | None, function: Callable[[Any], Any], jobs: Sequence[An
 
 
 def _on_one_thread(function: Callable[[Any], Any], job: Any) -> Any:
-    """One job, in a process among others."""
+    """Do one job on one thread."""
     from lmd.core.optional import optional
 
     optional("cv2", "detection").setNumThreads(1)
@@ -112,7 +112,7 @@ def _save_films(
     detectors: Mapping[str, "RenderedDetector"],
     seconds: float,
 ) -> "list[Path]":
-    """The beginning of the first flight over each deployment as an animated picture."""
+    """Write the beginning of the first flight over each deployment as an animated picture."""
     import numpy as np
 
     from lmd.plot.frames import save_film

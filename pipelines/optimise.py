@@ -1,10 +1,12 @@
 """Find a deployment: `python -m pipelines.optimise [overrides]`."""
 
 import sys
+from collections.abc import Callable, Sequence
 from contextlib import closing
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
+from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig
 
 from .app import choices, flat_settings, run_directory
@@ -21,66 +23,96 @@ if TYPE_CHECKING:
     from lmd.optimisers.checkpoint import Checkpoint
     from lmd.optimisers.ledger import Budget
     from lmd.problem import Problem
-    from lmd.scene.deployment import Deployment
 
     from .operations.tracking import Tracker
     from .tracked_run import Earlier
 
-# What a resumed run must share with the run it continues, and with it the contents of the files that are named there.
+# Settings that a resumed run shares with the run it continues, as well as the contents of the files that they name.
 SAME_WHEN_RESUMED = (
     "room", "camera", "pdf", "poses", "tag", "visibility", "objective", "encoding", "deployment", "optimiser", "seed"
 )  # fmt: skip
-RETURNS = {"fitness": "fitness", "grid_free": "off_grid"}  # figures of `record` that sweepers may go by
+RETURNS = {"fitness": "fitness", "grid_free": "off_grid"}  # figures of `record` that sweepers may maximise
 
 
 def optimise(cfg: DictConfig) -> float:
-    """Run one optimisation as configured; returns the figure that sweepers are to go by."""
-    from .tracked_run import record, title_of, tracked
+    """Run one optimisation as configured; returns the figure for sweepers."""
+    from lmd.evaluation.accuracy import accuracy_metrics
+    from lmd.objectives.localisation import Localisation
+
+    from .tracked_run import Extras, record, title_of
 
     problem = build_problem(cfg)
-    budget = budget_of(cfg)
-    returned = figure_returned(cfg)
     optimiser = build_optimiser(cfg, cfg.seed)
     export = build_export(cfg, "export", problem.scene.tag)
+    extras, subject = Extras.of(cfg), choices()["optimiser"]
+
+    def keep(tracker: "Tracker", found: "Result", in_haste: bool) -> dict[str, float]:
+        def accuracy() -> dict[str, float]:
+            wanted = extras.validate and isinstance(problem.objective, Localisation)
+            return accuracy_metrics(problem, found.deployment, extras.seed) if wanted else {}
+
+        return record(
+            extras,
+            problem,
+            tracker,
+            found.deployment,
+            found.history,
+            subject=subject,
+            summary={**summary_of(found), **optimiser.figures()},
+            further=accuracy,
+            export=export,
+            in_haste=in_haste,
+        )
+
+    return searched(cfg, problem, optimiser, title_of(problem, subject), keep)
+
+
+def searched(
+    cfg: DictConfig,
+    problem: "Problem",
+    optimiser: "Optimiser",
+    about: str,
+    keep: "Callable[[Tracker, Result, bool], dict[str, float]]",
+    further: Sequence[str] = (),
+) -> float:
+    """Run an optimiser as a tracked run that can be resumed; returns the figure for sweepers.
+
+    Args:
+        about: description of the run.
+        keep: records the result, in haste if it is true, and returns the figures.
+        further: groups that a resumed run must share beside `SAME_WHEN_RESUMED`.
+
+    Raises:
+        InputError: a setting is refused, or the run to resume has other settings.
+    """
+    from .tracked_run import tracked
+
+    budget, returned = budget_of(cfg), _figure_returned(cfg)
     optimiser.check(problem)
-    checkpoint, earlier = checkpoint_of(cfg, optimiser, problem)
-    subject = choices()["optimiser"]
+    checkpoint, earlier = _checkpoint_of(cfg, optimiser, problem, further)
     try:
-        with tracked(cfg, subject, title_of(problem, subject), earlier) as tracker:
-            result, in_haste = run_optimiser(cfg, problem, budget, checkpoint, tracker)
-            interrupted = result.stopped == "interrupted"
-            figures = record(
-                cfg,
-                problem,
-                tracker,
-                result.deployment,
-                result.history,
-                subject=subject,
-                summary={
-                    "evaluations": result.evaluations,
-                    "wall_time": result.seconds,
-                    "stopped": result.stopped,
-                    **optimiser.figures(),
-                },
-                further=lambda: _accuracy(cfg, problem, result.deployment),
-                export=export,
-                status="KILLED" if interrupted else "FINISHED",
-                in_haste=in_haste,
-            )
+        with tracked(cfg, choices()["optimiser"], about, earlier) as tracker:
+            found, in_haste = _run(problem, budget, checkpoint, tracker, cfg.checkpoint_seconds)
+            figures = keep(tracker, found, in_haste)
     except (Stopped, OSError):
-        tell_how_to_go_on("optimise")
+        _print_how_to_go_on()
         raise
-    if interrupted:
-        tell_how_to_go_on("optimise")
+    if found.stopped == "interrupted":
+        _print_how_to_go_on()
         sys.exit(stop.code)
     return figures[returned]
 
 
-def figure_returned(cfg: DictConfig) -> str:
-    """The figure of `record` that sweepers are to go by.
+def summary_of(found: "Result") -> dict[str, Any]:
+    """Entries of metrics.json on the search itself."""
+    return {"evaluations": found.evaluations, "wall_time": found.seconds, "stopped": found.stopped}
+
+
+def _figure_returned(cfg: DictConfig) -> str:
+    """Name of the figure of `record` that sweepers maximise.
 
     Raises:
-        InputError: there is none of that name, or it will not be there.
+        InputError: no figure has that name, or the run leaves it out.
     """
     from lmd.core.checks import InputError, choice
 
@@ -90,14 +122,10 @@ def figure_returned(cfg: DictConfig) -> str:
     return returned
 
 
-def checkpoint_of(
-    cfg: DictConfig, optimiser: "Optimiser", problem: "Problem", *further: str
+def _checkpoint_of(
+    cfg: DictConfig, optimiser: "Optimiser", problem: "Problem", further: Sequence[str]
 ) -> "tuple[Checkpoint, Earlier | None]":
-    """The checkpoint of a run, and the run that it goes on with if one is resumed.
-
-    Args:
-        optimiser: what is kept.
-        further: groups that a resumed run must share beside `SAME_WHEN_RESUMED`.
+    """The checkpoint of a run, and the run that it resumes, if any.
 
     Raises:
         InputError: the run to resume has other settings, or cannot be read.
@@ -116,28 +144,14 @@ def checkpoint_of(
     return checkpoint, Earlier(checkpoint.run_id, Path(cfg.resume))
 
 
-def tell_how_to_go_on(pipeline: str) -> None:
-    """Say which command goes on with an interrupted run, if it left a checkpoint."""
-    from lmd.optimisers.checkpoint import CHECKPOINT_FILE
-
-    directory = run_directory()
-    if (directory / CHECKPOINT_FILE).exists():
-        print(f"interrupted; go on with: {resuming(pipeline, directory)}", file=sys.stderr)
-
-
-def _accuracy(cfg: DictConfig, problem: "Problem", deployment: "Deployment") -> dict[str, float]:
-    """How well an image localises the camera, where that is what the deployment is for."""
-    from lmd.evaluation.accuracy import accuracy_metrics
-    from lmd.objectives.localisation import Localisation
-
-    wanted = cfg.validate and isinstance(problem.objective, Localisation)
-    return accuracy_metrics(problem, deployment, cfg.seed) if wanted else {}
-
-
-def run_optimiser(
-    cfg: DictConfig, problem: "Problem", budget: "Budget", checkpoint: "Checkpoint", tracker: "Tracker"
+def _run(
+    problem: "Problem", budget: "Budget", checkpoint: "Checkpoint", tracker: "Tracker", every: float
 ) -> "tuple[Result, bool]":
-    """Optimise; returns what was found, and whether it was told to stop so urgently that it left a batch undone."""
+    """Optimise; returns the result, and whether a second signal ended the run in the middle of a batch.
+
+    Args:
+        every: time between checkpoints, seconds.
+    """
     from lmd.core.compiled import is_compiling
 
     from .progress import Progress, Watch
@@ -145,7 +159,7 @@ def run_optimiser(
     directory, optimiser = run_directory(), checkpoint.optimiser
     goes_on, before = tracker.run_id == checkpoint.run_id, optimiser.ledger.evaluations
     checkpoint.run_id = tracker.run_id
-    progress = Progress(budget, tracker, checkpoint, directory, cfg.checkpoint_seconds, logged=goes_on)
+    progress = Progress(budget, tracker, checkpoint, directory, every, logged=goes_on)
     with space_reserved(directory), closing(progress):
         try:
             watch = Watch(optimiser, budget)
@@ -161,6 +175,15 @@ def run_optimiser(
             if optimiser.ledger.evaluations == 0:
                 raise
             return optimiser.result(problem, "interrupted"), True
+
+
+def _print_how_to_go_on() -> None:
+    """Print the command that resumes this run, if it left a checkpoint."""
+    from lmd.optimisers.checkpoint import CHECKPOINT_FILE
+
+    directory = run_directory()
+    if (directory / CHECKPOINT_FILE).exists():
+        print(f"interrupted; go on with: {resuming(HydraConfig.get().job.name, directory)}", file=sys.stderr)
 
 
 main = Pipeline("optimise", optimise, (read_earlier_run,))

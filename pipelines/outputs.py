@@ -1,4 +1,4 @@
-"""What every run leaves in its directory."""
+"""The directory of a run and its files, each written whole or not at all."""
 
 import atexit
 import errno
@@ -23,26 +23,22 @@ if TYPE_CHECKING:
     from lmd.problem import Problem
     from lmd.scene.deployment import Deployment
 
-LEAST_FREE = 1 << 20  # bytes that must be free for a run to begin
-PARTIAL = ".partial_"
-RESERVED_BYTES = 1 << 16  # bytes; more than the landmarks and figures of a thousand tags take
+LEAST_FREE = 1 << 20  # least free disk space for a run to begin, bytes
+PARTIAL = ".partial_"  # prefix of folders whose files are moved when all are written
+RESERVED_BYTES = 1 << 16  # reserved disk space, bytes: more than landmarks and figures of a thousand tags
 
 
 class RunDirectory(HydraCallback):
-    """Hydra callback around the directory that Hydra makes for a run.
-
-    A run does not begin on a full disk or where it may not write, where Hydra itself would fail half-way; and one that
-    was stopped before anything came of it leaves no directory.
-    """
+    """Hydra callback that checks the disk before a run, and removes the directory of a run without results."""
 
     def on_run_start(self, config: DictConfig, **kwargs: Any) -> None:
-        """Look at the disk, and when the process ends at what is left."""
+        """Check the disk, and register the removal of an empty directory."""
         directory = Path(config.hydra.run.dir).resolve()
         self._check(directory)
         atexit.register(discard_empty, directory)
 
     def on_multirun_start(self, config: DictConfig, **kwargs: Any) -> None:
-        """Look at the disk of the sweep's directory."""
+        """Check the disk of the sweep's directory."""
         self._check(Path(config.hydra.sweep.dir))
 
     @staticmethod
@@ -69,7 +65,7 @@ def write_figures(
     """Write landmarks.csv and metrics.json, both or none.
 
     Args:
-        document: metrics.json, to which the settings of the problem are added.
+        document: contents of metrics.json beside the settings of the problem.
 
     Returns:
         the files.
@@ -83,7 +79,7 @@ def write_figures(
 
 
 def write_history(directory: Path, history: "Sequence[Record]") -> tuple[list[Path], list[str]]:
-    """Write history.csv, the best fitness over a run, if the disk takes it; returns as `write_pictures` does."""
+    """Write history.csv, the best fitness over a run, unless the disk is full; returns as `write_pictures` does."""
     from lmd.core.tables import write_table
 
     return _write_what_fits(directory, {"history.csv": lambda path: write_table(path, columns_of(history))})
@@ -107,16 +103,16 @@ def write_pictures(
     page: bool,
     exports: Mapping[str, Callable[[Path], object]],
 ) -> tuple[list[Path], list[str]]:
-    """Write the pictures and what is exported, as many as the disk takes.
+    """Write the pictures and the exports that fit on the disk.
 
     Args:
         history: best fitness over the run; a single evaluation gets no curve.
-        picture: whether to write the picture and the curve.
-        page: whether to write the interactive page.
-        exports: what writes further files, by their names.
+        picture: write the picture and the curve.
+        page: write the interactive page.
+        exports: functions that write further files, by their names.
 
     Returns:
-        the files, and of each that could not be written why.
+        the files, and a text for each file that could not be written.
     """
     from lmd.plot.charts import save_convergence_figure
     from lmd.plot.deployments import save_scene_figure
@@ -134,7 +130,7 @@ def write_pictures(
 
 
 def _write_what_fits(directory: Path, writers: Mapping[str, Callable[[Path], object]]) -> tuple[list[Path], list[str]]:
-    """Let each of `writers` write the file of its name; returns as `write_pictures` does."""
+    """Write the files of `writers` that fit on the disk; returns as `write_pictures` does."""
     files, failed = [], []
     for name, write in writers.items():
         try:
@@ -145,7 +141,7 @@ def _write_what_fits(directory: Path, writers: Mapping[str, Callable[[Path], obj
 
 
 def all_or_none(directory: Path, write: Callable[[Path], object]) -> list[Path]:
-    """Let `write` fill a folder, then move its files to `directory`; where it fails nothing is left.
+    """Let `write` fill a folder, then move its files to `directory`; if it fails, no file is left.
 
     Returns:
         the files in `directory`, sorted.
@@ -165,7 +161,7 @@ def all_or_none(directory: Path, write: Callable[[Path], object]) -> list[Path]:
 
 
 def write_all(directory: Path, writers: Mapping[str, Callable[[Path], object]]) -> list[Path]:
-    """Let each of `writers` write the file of its name, all or none; returns and raises as `all_or_none`."""
+    """Write the files of `writers`, functions by file name, all or none; returns and raises as `all_or_none`."""
 
     def fill(folder: Path) -> None:
         for name, write in writers.items():
@@ -176,7 +172,7 @@ def write_all(directory: Path, writers: Mapping[str, Callable[[Path], object]]) 
 
 @contextmanager
 def space_reserved(directory: Path) -> Iterator[None]:
-    """While entered, hold disk space that is free afterwards: a disk that filled up meanwhile takes the result.
+    """Within the block, reserve disk space for the results, which a disk that fills up meanwhile would refuse.
 
     Raises:
         OSError: the disk is full already.
@@ -194,13 +190,13 @@ Content = TypeVar("Content")
 
 
 def read_document(path: Path, content_of: Callable[[dict[str, Any]], Content]) -> Content | None:
-    """What a document holds, or None if there is none. A damaged one counts as none, is named, and is set aside.
+    """The content of a JSON document; None if there is none. A damaged one is renamed, with a warning, and ignored.
 
     Args:
-        content_of: makes of the file's keys and values what they stand for; raises ValueError, KeyError or TypeError
-            where they stand for nothing.
+        content_of: converts the keys and values of the document; raises ValueError, KeyError or TypeError if they are
+            no content.
     """
-    if not path.is_file():  # nor a pipe, which would be waited for
+    if not path.is_file():  # a pipe would block
         return None
     try:
         return content_of(dict(json.loads(path.read_text())))
@@ -208,13 +204,13 @@ def read_document(path: Path, content_of: Callable[[dict[str, Any]], Content]) -
         aside = path.with_name(f"{path.name}.damaged")
         os.replace(path, aside)
         reason = " ".join(f"{type(error).__name__}: {error}".split())
-        what = f"warning: {path} is damaged ({reason}); it is kept as {aside.name}, and what it held is done again"
-        print(what, file=sys.stderr)
+        kept = f"it is kept as {aside.name}, and what it held is done again"
+        print(f"warning: {path} is damaged ({reason}); {kept}", file=sys.stderr)
         return None
 
 
 def write_document(path: Path, document: Mapping[str, Any]) -> None:
-    """Write a document, whole or not at all, whatever ends the process or the machine meanwhile."""
+    """Write a JSON document, whole or not at all, also if the process is killed or the power fails."""
     from lmd.core.files import write_whole
 
     write_whole(path, (json.dumps(document, indent=2) + "\n").encode())

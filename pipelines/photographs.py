@@ -1,4 +1,4 @@
-"""Tags that a detector finds in photographs or a video, or that others have found."""
+"""The detections of a survey: from photographs, a video, or a file of detections."""
 
 import os
 import sys
@@ -17,14 +17,14 @@ if TYPE_CHECKING:
     from lmd.geometry.camera import Camera
     from lmd.mapping.detections import DetectedTags
 
-CHUNK = 8  # images that a worker reads at a time
+CHUNK = 8  # images that a worker reads at once
 
 
 def detected(cfg: DictConfig, cameras: "Sequence[Camera]", detector: "Detector", modules: int) -> "DetectedTags":
-    """The tags that were detected, by others or now; images that show the same count once.
+    """The detections of a survey, without copies of images.
 
     Raises:
-        InputError: nothing, or both, is given, or a file cannot be read.
+        InputError: neither or both of photographs and detections are given, or a file cannot be read.
     """
     from lmd.core.checks import InputError
     from lmd.mapping.copies import without_copies
@@ -42,10 +42,10 @@ def detected(cfg: DictConfig, cameras: "Sequence[Camera]", detector: "Detector",
 
 
 def _in_images(cfg: DictConfig, cameras: "Sequence[Camera]", detector: "Detector", modules: int) -> "DetectedTags":
-    """The tags that are detected in the photographs of all cameras.
+    """The detections in the photographs of all cameras.
 
     Raises:
-        InputError: there are none, or one cannot be read.
+        InputError: there are no photographs, or one cannot be read.
     """
     from lmd.core.checks import InputError, printable
     from lmd.detection.images import Photographs, folder_entries
@@ -74,7 +74,7 @@ def _in_images(cfg: DictConfig, cameras: "Sequence[Camera]", detector: "Detector
 
 
 class Chunk(NamedTuple):
-    """Some images, for a process of its own."""
+    """Consecutive images, for a worker."""
 
     images: "Images"
     camera: "Camera"
@@ -87,14 +87,14 @@ class Chunk(NamedTuple):
 def detected_in(
     images: "Images", camera: "Camera", detector: "Detector", modules: int, workers: int | None
 ) -> "DetectedTags":
-    """The tags that a detector finds in images, but for those in frames that are blurred beside the others.
+    """Detections in images, without those in images that are blurred beside the others.
 
     Args:
-        images: all of one camera.
-        camera: has the size of the images.
-        detector: reads them.
-        modules: N of the tags' family.
-        workers: processes, None for every processor; the result is the same.
+        images: images of one camera.
+        camera: camera with the size of the images.
+        detector: detector of the tags.
+        modules: modules on an edge of the tags' family.
+        workers: number of processes, None for every processor; the result does not depend on it.
 
     Raises:
         InputError: an image cannot be read, or none shows a tag.
@@ -102,17 +102,17 @@ def detected_in(
     import numpy as np
 
     from lmd.core.checks import InputError
-    from lmd.detection.sharpness import blurred
+    from lmd.detection.images import blurred
     from lmd.mapping.detections import DetectedTags
 
     from .progress import bar
     from .workers import in_processes, processes
 
-    next(images.read(0, 1, camera), None)  # what is wrong with all of them is said before anything is shown
+    next(images.read(0, 1, camera), None)  # an error that all share is raised before the progress bar
     count = len(images.names)
     for remark in images.remarks:
         print(f"warning: photographs: {remark}", file=sys.stderr)
-    # A worker that begins in the middle of some videos reads them from their start.
+    # To begin in the middle of some videos, a worker must read them from their start.
     chunk = CHUNK if images.is_random_access else -(-count // processes(workers))
     jobs = [
         Chunk(images, camera, detector, modules, first, min(first + chunk, count)) for first in range(0, count, chunk)
@@ -131,9 +131,9 @@ def detected_in(
 
 
 def _read(job: Chunk) -> "list[tuple[Detections, float]]":
-    """One job, on one thread: what was detected in each image, and its blur."""
+    """Detections in each image, and its blur, on one thread."""
     from lmd.core.optional import optional
-    from lmd.detection.sharpness import blur_of
+    from lmd.detection.images import blur_of
 
     optional("cv2", "detection").setNumThreads(1)
     found = []

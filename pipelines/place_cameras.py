@@ -1,6 +1,5 @@
 """Find where the cameras of a robot go: `python -m pipelines.place_cameras [overrides]`."""
 
-import sys
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -8,18 +7,18 @@ from typing import TYPE_CHECKING, Any
 from omegaconf import DictConfig, OmegaConf, open_dict
 
 from .app import choices, run_directory
-from .building import budget_of, build_optimiser, build_problem, camera_of
+from .building import build_optimiser, build_problem, camera_of
 from .earlier_run import RIG, read_earlier_robot
 from .nodes import instantiate, keyed, note, settings_of
-from .operations.signals import Stopped, stop
-from .optimise import checkpoint_of, figure_returned, run_optimiser, tell_how_to_go_on
+from .operations.signals import stop
+from .optimise import searched, summary_of
 from .outputs import all_or_none
 from .pipeline import Pipeline
 
 if TYPE_CHECKING:
     from lmd.cameras.problem import CameraProblem
     from lmd.geometry.camera import Camera
-    from lmd.optimisers.base import Optimiser
+    from lmd.optimisers.base import Optimiser, Result
     from lmd.scene.rig import Rig
 
     from .operations.tracking import Tracker
@@ -28,56 +27,40 @@ DRAWING = "body.png"
 
 
 def place_cameras(cfg: DictConfig) -> float:
-    """Place cameras as configured; returns the figure that sweepers are to go by."""
-    from .tracked_run import record, title_of, tracked
+    """Place cameras as configured; returns the figure for sweepers."""
+    from .tracked_run import Extras, record, title_of
 
     problem, sources = build_camera_problem(cfg)
-    budget = budget_of(cfg)
-    returned = figure_returned(cfg)
     optimiser = build_optimiser_of(cfg)
-    optimiser.check(problem)
     in_turn = () if cfg.rounds is None else ("rounds", "tag_evaluations")
-    checkpoint, earlier = checkpoint_of(cfg, optimiser, problem, "body", "cameras", *in_turn)
-    subject = choices()["optimiser"]
+    extras, subject = Extras.of(cfg), choices()["optimiser"]
     about = f"{problem.space.count} cameras, {title_of(problem, subject)}"
-    try:
-        with tracked(cfg, subject, about, earlier) as tracker:
-            found, in_haste = run_optimiser(cfg, problem, budget, checkpoint, tracker)
-            rounds = dict(optimiser.figures()) if in_turn else {}
-            for turn, fitness in rounds.items():
-                print(f"{turn.replace('_', ' '):<19} fitness {fitness:.4%}")
-            interrupted = found.stopped == "interrupted"
-            assert found.rig is not None, "cameras were placed"
-            _write(problem, found.rig, sources, about, tracker, draw=bool(cfg.picture) and not in_haste)
-            figures = record(
-                cfg,
-                problem.with_rig(found.rig),
-                tracker,
-                found.deployment,
-                found.history,
-                subject=subject,
-                summary={
-                    "evaluations": found.evaluations,
-                    "wall_time": found.seconds,
-                    "stopped": found.stopped,
-                    "cameras": problem.space.count,
-                    **({"rounds": rounds} if in_turn else {}),
-                },
-                status="KILLED" if interrupted else "FINISHED",
-                in_haste=in_haste,
-            )
-            print(f"rig                 {run_directory() / RIG}")
-    except (Stopped, OSError):
-        tell_how_to_go_on("place_cameras")
-        raise
-    if interrupted:
-        tell_how_to_go_on("place_cameras")
-        sys.exit(stop.code)
-    return figures[returned]
+
+    def keep(tracker: "Tracker", found: "Result", in_haste: bool) -> dict[str, float]:
+        rounds = dict(optimiser.figures()) if in_turn else {}
+        for turn, fitness in rounds.items():
+            print(f"{turn.replace('_', ' '):<19} fitness {fitness:.4%}")
+        assert found.rig is not None, "cameras were placed"
+        _write(problem, found.rig, sources, about, tracker, draw=bool(extras.picture) and not in_haste)
+        summary = {**summary_of(found), "cameras": problem.space.count, **({"rounds": rounds} if in_turn else {})}
+        figures = record(
+            extras,
+            problem.with_rig(found.rig),
+            tracker,
+            found.deployment,
+            found.history,
+            subject=subject,
+            summary=summary,
+            in_haste=in_haste,
+        )
+        print(f"rig                 {run_directory() / RIG}")
+        return figures
+
+    return searched(cfg, problem, optimiser, about, keep, ("body", "cameras", *in_turn))
 
 
 def build_optimiser_of(cfg: DictConfig) -> "Optimiser":
-    """What places the cameras, or both cameras and tags in `rounds`."""
+    """The optimiser of the cameras, or of cameras and tags in turn with `rounds`."""
     from lmd.core.checks import integer
     from lmd.optimisers.alternating import Alternating
     from lmd.optimisers.ledger import Budget
@@ -89,10 +72,10 @@ def build_optimiser_of(cfg: DictConfig) -> "Optimiser":
 
 
 def build_camera_problem(cfg: DictConfig) -> "tuple[CameraProblem, dict[Camera, Any]]":
-    """The problem a composed configuration describes, and which calibration each kind of camera has.
+    """The problem of a configuration, and the calibration of each kind of camera.
 
     Raises:
-        InputError: its parts do not fit together.
+        InputError: the parts of the problem do not fit together.
     """
     import numpy as np
 

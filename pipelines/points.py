@@ -1,4 +1,4 @@
-"""Searches along one curve of a trade-off with one seed, and what they have found, kept on disk."""
+"""The points of a trade-off: searches along curves that share the processors, with results kept on disk."""
 
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -27,45 +27,41 @@ if TYPE_CHECKING:
     from lmd.scene.tag import Tag
 
 
-NO_SHARE = re.compile("cost|predicted_error_.*|.*_(seconds|standard_error)")  # among the figures of a point
-Content = TypeVar("Content")
-ARRAYS = ("positions", "normals", "surfaces")
+NO_SHARE = re.compile("cost|predicted_error_.*|.*_(seconds|standard_error)")  # figures that are no fractions
+ARRAYS = ("positions", "normals", "surfaces")  # arrays of a deployment that are kept
 PAPER, BUDGET = "paper", "budget"  # keys of `tag` that limit tags of several sizes
+Content = TypeVar("Content")
 
 
 @dataclass(frozen=True)
 class Ladder:
-    """The points of one curve and one seed.
-
-    Args:
-        cfg: of the pipeline.
-        edges: the edge of all tags, metres, or those that are mixed; 0 for landmarks that are points.
-        seed: of the searches.
-        limited: which key of `tag` says where a point is along the curve, `PAPER` or `BUDGET`; None if the number of
-            landmarks does.
-    """
+    """The points of one curve and one seed."""
 
     cfg: DictConfig
+    """Configuration of the pipeline."""
     edges: tuple[float, ...]
+    """Edge of all tags, or the edges that are mixed, metres; 0 for landmarks that are points."""
     seed: int
+    """Seed of the searches."""
     limited: str | None = None
+    """Key of `tag` that varies along the curve, `PAPER` or `BUDGET`; None if the number of landmarks does."""
 
     @property
     def curve(self) -> float | str:
-        """What tells the curve from others: the edge, or those that may be mixed."""
+        """Label of the curve: the edge, or the edges that are mixed."""
         from lmd.evaluation.tradeoff import MIXED
 
         return self.edges[0] if self.limited is None else MIXED.join(f"{edge:g}" for edge in self.edges)
 
     def point(self, at: float) -> DictConfig:
-        """The configuration of the point with so many landmarks, or with that limit, on one thread."""
+        """The configuration of the point with `at` landmarks, or with the limit `at`, on one thread."""
         cfg = deepcopy(self.cfg)
         cfg.seed, cfg.threads = self.seed, 1
         if self.limited is None:
             cfg.deployment.count, cfg.tag.edge = at, self.edges[0] or None
             return cfg
         tag = cfg.tag
-        tag.edge, tag.counts = tag.edge or max(tag.edges), None  # that of tags that hang already is that of all curves
+        tag.edge, tag.counts = tag.edge or max(tag.edges), None  # fixed tags keep their edge on all curves
         if self.limited == BUDGET:
             tag.costs = [cost for edge, cost in zip(tag.edges, tag.costs, strict=True) if edge in self.edges]
         tag.edges, tag.paper, tag.budget = list(self.edges), None, None
@@ -76,7 +72,7 @@ class Ladder:
         """The problem of a point.
 
         Raises:
-            InputError: its parts do not fit together.
+            InputError: the parts of the problem do not fit together.
         """
         cfg = self.point(at)
         if self.limited is None:
@@ -90,26 +86,26 @@ class Ladder:
         return build_problem(cfg)
 
     def anew(self, at: float) -> "Found":
-        """What a search finds that sets out from nothing."""
+        """The result of a search with the configured start."""
         from lmd.evaluation.tradeoff import ANEW
 
         return self._search(at, self.problem(at), ANEW)
 
     def improved(self, known: "Mapping[float, Found]", chosen: Iterable[float]) -> "dict[float, Found]":
-        """See `lmd.evaluation.tradeoff.improved`."""
+        """Results of searches from those of neighbours; see `lmd.evaluation.tradeoff.improved`."""
         from lmd.evaluation.tradeoff import improved
 
         return improved(known, chosen, self.problem, self._search)
 
     def figures(self, at: float, found: "Found") -> dict[str, float]:
-        """All figures of what was found."""
+        """All figures of a result."""
         from lmd.evaluation.tradeoff import SAMPLE
 
         score = partial(figures_of, self.problem(at), found.deployment, self.seed)
         return self._kept(at, f"figures of {SAMPLE}", found.deployment, score, dict)
 
     def _search(self, at: float, problem: "Problem", way: str) -> "Found":
-        """Climb from the start of the problem of a point with a budget of its own."""
+        """Search from the start of the problem of a point, with a budget of its own."""
         from lmd.evaluation.tradeoff import Found
         from lmd.scene.deployment import Deployment
         from lmd.scene.deployment_sources import GivenDeployment
@@ -137,12 +133,20 @@ class Ladder:
         compute: Callable[[], dict[str, Any]],
         content_of: Callable[[dict[str, Any]], Content],
     ) -> Content:
-        """What was computed before from the same configuration and deployment by the same code, or is computed now."""
+        """A result that is kept on disk, or is computed now and kept.
+
+        Args:
+            at: the point.
+            what: kind of the result.
+            given: deployment that it depends on.
+            compute: computes the result as a document.
+            content_of: converts a document; see `read_document`.
+        """
         from lmd.core.sources import package_digest
 
         settings = flat_settings(self.point(at), *SAME_WHEN_RESUMED, "budget")
         arrays = None if given is None else [getattr(given, name).tolist() for name in ARRAYS]
-        if arrays and given and given.edges is not None:
+        if arrays and given and given.has_own_edges:
             arrays.append(given.edges.tolist())
         path = Path(self.cfg.kept) / f"{digest(settings, what, arrays, package_digest())}.json"
         found = read_document(path, content_of)
@@ -155,7 +159,7 @@ class Ladder:
 
 
 def figures_of(problem: "Problem", deployment: "Deployment", seed: int) -> dict[str, float]:
-    """All figures of a deployment, on the grid and off it, where `seed` draws the sample."""
+    """All figures of a deployment on the grid, and off it on a sample that `seed` draws."""
     from lmd.evaluation.accuracy import accuracy_metrics
     from lmd.evaluation.tradeoff import SAMPLE
     from lmd.evaluation.validation import validation_metrics
@@ -165,21 +169,21 @@ def figures_of(problem: "Problem", deployment: "Deployment", seed: int) -> dict[
 
 
 def shares_among(figures: Iterable[str]) -> list[str]:
-    """The names of those figures that are fractions in [0, 1], of which more is better."""
+    """The names of figures that are fractions in [0, 1], of which more is better."""
     return [name for name in figures if not NO_SHARE.fullmatch(name)]
 
 
-Place = tuple[int, *tuple[float, ...]]  # the number of a ladder, and one or more places along it
+Place = tuple[int, *tuple[float, ...]]  # number of a ladder, and one or more places along it
 Key = TypeVar("Key", bound=Place)
 Result = TypeVar("Result")
 
 
 class Points:
-    """What is known of all points: pairs of the number of a ladder and where they are along it.
+    """The results at all points. A point is the number of a ladder and a place along it.
 
     Args:
-        ladders: of every curve and seed.
-        workers: processes; None for every processor.
+        ladders: ladders of every curve and seed.
+        workers: number of processes; None for every processor.
     """
 
     def __init__(self, ladders: Sequence[Ladder], workers: int | None) -> None:
@@ -188,7 +192,7 @@ class Points:
         self._figures: dict[tuple[int, float], dict[str, float]] = {}
 
     def look(self, chosen: Sequence[tuple[int, float]]) -> None:
-        """Search at points anew and from their neighbours, and score the best that is found at each."""
+        """Search at points from the start and from their neighbours, and score the best result at each."""
         anew = {(n, at): partial(self.ladders[n].anew, at) for n, at in chosen}
         for (n, at), found in self._done("searched anew", anew):
             self._found[n][at] = found
@@ -204,7 +208,7 @@ class Points:
             self._figures[point] = figures
 
     def _best(self, number: int, at: float) -> "Found":
-        """What was found at a point, or if sizes may be mixed there what was found for one of them, if it is better."""
+        """The result at a point; where sizes are mixed, that of a single size if it is better."""
         from lmd.evaluation.tradeoff import ALONE
 
         own, best = self.ladders[number], self._found[number][at]
@@ -215,14 +219,14 @@ class Points:
         return best
 
     def _done(self, what: str, jobs: Mapping[Key, Callable[[], Result]]) -> Iterator[tuple[Key, Result]]:
-        """The keys of jobs and what they return, as they come."""
+        """The keys of jobs with their results, in the order in which they finish."""
         results = in_processes(_do, list(jobs.items()), self._workers, lambda job: self.name(*job[0]))
         for i, (key, result) in enumerate(results, 1):
             print(f"{i}/{len(jobs)} {what}: {self.name(*key)}", flush=True)
             yield key, result
 
     def name(self, number: int, *places: float) -> str:
-        """What a point, or several of one ladder, are called."""
+        """Name of a point, or of several of one ladder."""
         ladder, listed = self.ladders[number], ",".join(f"{at:.10g}" for at in places)
         size = [f"{self.axis.curve}={ladder.curve}"] if ladder.edges[0] else []
         return " ".join([f"{self.limited or 'K'}={listed}", *size, f"seed={ladder.seed}"])
@@ -233,7 +237,7 @@ class Points:
 
     @cached_property
     def axis(self) -> "Axis":
-        """What the points lie along."""
+        """The axis of the points."""
         from lmd.evaluation.tradeoff import COUNTS, Axis
 
         if self.limited is None:
@@ -243,15 +247,15 @@ class Points:
         return Axis("edges", self.limited, min(costs or ((tag.paper_share * min(tag.sizes)) ** 2,)))
 
     def __iter__(self) -> "Iterator[tuple[int, float, Found, dict[str, float]]]":
-        """For each point: which ladder it is on, where it is along it, what was found, and its figures."""
+        """For each point: number of its ladder, place along it, result, and figures."""
         for n, at in sorted(self._figures):
             yield n, at, self._found[n][at], self._figures[n, at]
 
     @property
     def table(self) -> "pd.DataFrame":
-        """The curve and the point of `axis`, `seed`, `way` and the figures, a row for each point.
+        """A row for each point: its curve, its place along `axis`, `seed`, `way` and the figures.
 
-        Along limits also `count` and, for every edge, `count_<edge>`: how many landmarks have it.
+        Along limits also `count` and, for every edge, the number of its landmarks, `count_<edge>`.
         """
         import pandas as pd
 
@@ -264,9 +268,9 @@ class Points:
         ])  # fmt: skip
 
     def counts(self, found: "Found") -> dict[str, int]:
-        """Along limits: how many landmarks there are, and of each edge."""
+        """Along limits: the number of landmarks, and of those of each edge."""
         edges = found.deployment.edges
-        if self.limited is None or edges is None:
+        if self.limited is None or not found.deployment.has_own_edges:
             return {}
         from lmd.evaluation.tradeoff import COUNT_OF
 
@@ -275,6 +279,6 @@ class Points:
 
 
 def _do(job: tuple[Key, Callable[[], Result]]) -> tuple[Key, Result]:
-    """The key of a job, and what it returns."""
+    """Do a job; returns its key and its result."""
     key, compute = job
     return key, compute()

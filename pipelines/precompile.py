@@ -1,7 +1,7 @@
-"""Compile what the commands use as they are configured by default: `python -m pipelines.precompile [main]`.
+"""Compile the kernels of the commands with their defaults: `python -m pipelines.precompile [main]`.
 
-Compiled code is kept beside the modules, or where `NUMBA_CACHE_DIR` says. Without this, the first run that needs
-something compiles it. With `main`, that is done for the main job alone.
+Compiled code is kept beside the modules, or in `NUMBA_CACHE_DIR`. Otherwise the first run that needs a kernel compiles
+it. `main` stands for the main job alone.
 """
 
 import subprocess
@@ -36,13 +36,13 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as folder:
         if not asked:
             print("compiling what the commands use; this takes a minute or two, once", file=sys.stderr)
-        failed = [_run(MAIN, Path(folder) / "main", told=True)]
-        if not asked and not failed[0]:  # the others have use for what it compiled
+        failed = [_run(MAIN, Path(folder) / "main", shown=True)]
+        if not asked and not failed[0]:  # the others share its kernels
             done = count(1)
 
             def run(number: int) -> str:
                 began = time.monotonic()
-                problem = _run(OTHERS[number], Path(folder) / str(number), told=False)
+                problem = _run(OTHERS[number], Path(folder) / str(number), shown=False)
                 took = f"took {time.monotonic() - began:.0f} s: {' '.join(OTHERS[number])}"
                 print(f"compiling {next(done)} of {len(OTHERS)} {took}", file=sys.stderr)
                 return problem
@@ -53,13 +53,13 @@ def main() -> None:
         sys.exit("\n".join(filter(None, failed)))
 
 
-def _run(run: Sequence[str], output: Path, told: bool) -> str:
-    """Do a run; returns what it said if it failed.
+def _run(run: Sequence[str], output: Path, shown: bool) -> str:
+    """Do a run; returns its command and stderr if it failed, else an empty text.
 
     Args:
         run: a pipeline and its overrides.
         output: folder of the run.
-        told: whether to tell which kernels it compiles.
+        shown: print the kernels that it compiles.
     """
     pipeline, *overrides = run
     command = [sys.executable, "-m", f"{PACKAGE}.{pipeline}", *overrides, *SMALL, f"hydra.run.dir={output}"]
@@ -68,7 +68,7 @@ def _run(run: Sequence[str], output: Path, told: bool) -> str:
     lines = []
     for line in process.stderr:
         lines.append(line)
-        if told and "compiling" in line:
+        if shown and "compiling" in line:
             print(line.rpartition("\r")[2].strip(), file=sys.stderr)
     return f"{' '.join(command)}\n{''.join(lines)}" if process.wait() else ""
 

@@ -1,4 +1,4 @@
-"""Following a run: progress bar, curve, checkpoints."""
+"""Progress of a run: bar, curve, checkpoints."""
 
 import sys
 import threading
@@ -22,13 +22,13 @@ from .operations.signals import stop, tell
 from .operations.tracking import Tracker
 
 if TYPE_CHECKING:
-    from lmd.survey.survey import Stage
+    from lmd.survey.survey import SurveyStage
 
-CURVE_POINTS = 500  # points of a whole run kept in the tracked curve
-PATIENCE = 5.0  # seconds after which it is said that an optimiser is waited for
-LOOK_SECONDS = 0.2  # between two looks at whether it is
-LOG_SECONDS = 15.0  # between two lines of progress in a file
-SHOWN_AFTER = 2.0  # seconds from which on a survey says what it is doing
+CURVE_POINTS = 500  # points of the tracked curve of a whole run
+PATIENCE = 5.0  # time that an optimiser may take to end before a message, seconds
+LOOK_SECONDS = 0.2  # time between two looks at the optimiser, seconds
+LOG_SECONDS = 15.0  # time between two lines of progress in a file, seconds
+SHOWN_AFTER = 2.0  # time after which the stages of a survey are shown, seconds
 
 
 def thinned(history: Sequence[Record], most: int = CURVE_POINTS) -> list[tuple[int, float, float]]:
@@ -39,23 +39,23 @@ def thinned(history: Sequence[Record], most: int = CURVE_POINTS) -> list[tuple[i
 
 
 def bar(total: int | None, unit: str, initial: int = 0) -> "tqdm[Any]":
-    """A progress bar: live on a terminal; in a log file a line now and then is enough."""
+    """A progress bar, live on a terminal, every `LOG_SECONDS` in a file."""
     interval = 0.1 if sys.stderr.isatty() else LOG_SECONDS
     return tqdm(total=total, initial=initial, unit=f" {unit}", mininterval=interval, leave=False)
 
 
 class Progress:
-    """The callback of a run: shows the best fitness, logs the curve and saves checkpoints as it goes.
+    """The callback of a run: shows the best fitness, logs the curve and saves checkpoints.
 
     An optimiser that cannot be checkpointed gets a warning at once.
 
     Args:
-        budget: where the bar ends.
-        tracker: receives the curve.
-        checkpoint: of the optimiser before the run.
-        directory: where checkpoints are saved.
-        every: seconds between them.
-        logged: whether the tracked run has what is in its ledger already.
+        budget: budget of the run, the end of the bar.
+        tracker: tracker of the curve.
+        checkpoint: checkpoint of the optimiser.
+        directory: folder of the checkpoint.
+        every: time between checkpoints, seconds.
+        logged: the tracked run has the history in the optimiser's ledger already.
     """
 
     def __init__(
@@ -78,7 +78,7 @@ class Progress:
         self.bar = bar(budget.evaluations, "evaluations", int(ledger.evaluations))
 
     def __call__(self, optimiser: Optimiser) -> bool:
-        """See `lmd.optimisers.base.Callback`."""
+        """Show progress, and return whether the run is to stop; see `lmd.optimisers.base.Callback`."""
         ledger = optimiser.ledger
         with suppress(OSError):  # the terminal may be closed
             self.bar.set_postfix_str(f"best {ledger.best_fitness:.2%}", refresh=False)
@@ -88,7 +88,7 @@ class Progress:
         return stop.requested
 
     def flush(self, optimiser: Optimiser) -> None:
-        """Save a checkpoint and log what the curve has gained."""
+        """Save a checkpoint and log the new part of the curve."""
         ledger = optimiser.ledger
         used = self.budget.used(ledger.evaluations, ledger.seconds)
         new = ledger.history[self.logged :]
@@ -98,7 +98,7 @@ class Progress:
         self.saved = time.monotonic()
 
     def _warning_of(self, save: Callable[[], None]) -> None:
-        """Do what may fail, for the run is worth more than its checkpoint; warn once."""
+        """Call a function, and warn once if it fails: the run goes on without checkpoints."""
         try:
             save()
         except (OSError, InputError) as error:
@@ -114,13 +114,13 @@ class Progress:
 
 
 class Watch:
-    """Says that a run that is to end, by a signal or by its seconds, waits for its optimiser; then a signal ends it.
+    """Prints that a run which is to end waits for its optimiser; from then on a signal ends it at once.
 
-    An optimiser looks at the budget between batches, and one of another library may take any time to propose one.
+    An optimiser checks the budget between batches, and one of another library may take any time to propose a batch.
 
     Args:
-        optimiser: that runs.
-        budget: of the run.
+        optimiser: optimiser of the run.
+        budget: budget of the run.
     """
 
     def __init__(self, optimiser: Optimiser, budget: Budget) -> None:
@@ -155,20 +155,20 @@ class Watch:
 
 
 class Stages:
-    """Says on stderr what a survey is doing, how much of that is done, and how long it will take at most.
+    """Shows the stage of a survey, its progress and its longest remaining time; a `lmd.survey.survey.Observer`.
 
-    A survey that ends within `SHOWN_AFTER` seconds says nothing. It is the `lmd.survey.survey.Observer` of one.
+    Shows nothing of a survey that ends within `SHOWN_AFTER` seconds.
     """
 
     def __init__(self) -> None:
-        self.interrupted: Stage | None = None
-        self._now: tuple[Stage, int, int] | None = None
+        self.interrupted: SurveyStage | None = None
+        self._now: tuple[SurveyStage, int, int] | None = None
         self._began = 0.0
         self._ended = threading.Event()
         self._thread = threading.Thread(target=self._show, daemon=True)
 
-    def __call__(self, stage: "Stage", done: int = 0, most: int = 0) -> bool:
-        """See `lmd.survey.survey.Observer`."""
+    def __call__(self, stage: "SurveyStage", done: int = 0, most: int = 0) -> bool:
+        """Note the stage, and return whether the survey is to stop; see `lmd.survey.survey.Observer`."""
         if stop.requested and self.interrupted is None and self._now is not None:
             self.interrupted = self._now[0]
         if self._now is None or stage is not self._now[0]:
@@ -178,12 +178,12 @@ class Stages:
 
     @property
     def doing(self) -> str:
-        """The stage, in words."""
+        """Name of the stage."""
         return "reading photographs or detections" if self._now is None else self._now[0].value
 
     @property
     def has_map(self) -> bool:
-        """True once there is something that is worth keeping."""
+        """True when a map is worth writing."""
         return self._now is not None and self._now[0].has_map
 
     def __enter__(self) -> "Stages":

@@ -62,10 +62,10 @@ def report(cfg: DictConfig) -> None:
 
 
 def _kept_text(save_as: Path | None) -> str:
-    """What stands above the generated part of the page to be written.
+    """The text above the generated part of the page that is replaced.
 
     Raises:
-        InputError: the page is not one of ours.
+        InputError: the page has no generated part.
     """
     from lmd.core.checks import InputError
 
@@ -100,7 +100,7 @@ def _chosen(runs: "pd.DataFrame", sweeps: ListConfig | None) -> "pd.DataFrame":
 
 
 def _load(reader: "MlflowReader", run_id: str, trust: Trust) -> "tuple[Problem, Deployment]":
-    """The problem a run was about and the deployment it found, from the files it kept."""
+    """The problem and the deployment of a run, from its files."""
     import numpy as np
 
     from lmd.core.checks import InputError
@@ -109,7 +109,7 @@ def _load(reader: "MlflowReader", run_id: str, trust: Trust) -> "tuple[Problem, 
     found = read_yaml(reader.artifact(run_id, "config.yaml"), source)
     parts = trust.parts(found, f"{source}: config.yaml", (*GROUPS, "encoding"))
     landmarks = reader.artifact(run_id, "landmarks.csv")
-    # In place of its start; what the run took as it was is shown as it was.
+    # The result in place of the start; `free` because the run accepted it.
     deployment = {"_target_": "lmd.scene.deployment_sources.FileDeployment", "path": str(landmarks), "free": True}
     try:
         problem = build_problem(OmegaConf.create({**parts, "deployment": deployment, "seed": 0, "threads": None}))

@@ -1,6 +1,8 @@
-"""What has run, how it ended and how to go on: `python -m pipelines.runs [last=20]`.
+"""List the newest runs, and resume one: `python -m pipelines.runs [last=20] [resume=last]`.
 
-Runs whose process is gone are ended first: they would be shown as running for ever.
+Runs whose process is gone are ended first. The command that resumes a run is built from Hydra's files in the run's own
+folder. The store and the folder may be of any origin: no command of the store is run, and only overrides of the folder
+that cannot run code or write elsewhere are used, each as one argument of a pipeline of this project.
 """
 
 import os
@@ -35,76 +37,71 @@ COLUMNS = {
     "metrics.off_grid": "off the grid",
     "metrics.evaluations": "evaluations",
 }
-
-
-OWN_KEYS = ("tracking", "trust")  # keys that this command line says, and not the run's
-PLACE_KEYS = ("hydra", "save_as", "kept")  # keys that say where something is written
+OWN_KEYS = ("tracking", "trust")  # keys of this command line that replace those of the run
+PLACE_KEYS = ("hydra", "save_as", "kept")  # keys with a place where files are written
 LIST_KEYS = ("optimisers", "deployments")  # lists of options, each of which may have overrides of its own
-# An option of a group by its name: with dots and slashes it would be a file anywhere, and with = or ~ an override.
+# Names of options. With dots and slashes a name could be any file, and with = or ~ an override.
 NAMES = re.compile(r"[\w\[\],'\" -]*")
-GIVEN = "command-line"  # how Hydra's name for what a command line added to the search path ends
-# Of Hydra's own settings what no file can misuse.
+GIVEN = "command-line"  # suffix of Hydra's providers of places on the search path of a command line
+# Harmless settings of Hydra.
 HARMLESS = re.compile(
     r"hydra\.mode=\w+|hydra/launcher=\w+|"
     r"hydra\.launcher\.(n_jobs|partition|timeout_min|cpus_per_task|mem_gb|array_parallelism)=[\w.-]+"
 )
-PICKLES = ".submitit"  # a folder in that of a sweep; submitit unpickles what is there
-REPLACED = ("hydra.run.dir", "hydra.sweep.dir", "hydra.searchpath")  # by the folder itself, and by what is ours
+PICKLES = ".submitit"  # folder of pickles in that of a sweep, which submitit reads
+REPLACED = ("hydra.run.dir", "hydra.sweep.dir", "hydra.searchpath")  # settings that this command replaces
 
 
 @dataclass(frozen=True)
 class GoingOn:
-    """How a run goes on.
-
-    Args:
-        command: for a shell, as it is shown.
-        process: what to execute; none where it is only shown.
-        why_not: what keeps it from being executed here.
-    """
+    """The command that resumes a run."""
 
     command: str
+    """The command for a shell, as it is shown."""
     process: tuple[str, ...] = ()
+    """Program and arguments; empty if the command is only shown."""
     why_not: str = ""
+    """The reason why it is only shown."""
 
 
 def going_on(run: "pd.Series", trust: Trust) -> GoingOn | None:
-    """How a run goes on; None where it has ended well, or has left nothing to go on from.
+    """The command that resumes a run; None if the run has finished or has left no checkpoint.
 
-    A sweep goes on with the same command, and with it its jobs.
+    A sweep, with its jobs, is resumed by its own command.
 
     Args:
-        run: of `MlflowReader.runs`.
-        trust: of the command line.
+        run: row of `MlflowReader.runs`.
+        trust: trust of the command line.
     """
     from lmd.core.checks import InputError, printable
     from lmd.optimisers.checkpoint import CHECKPOINT_FILE
 
     from .operations.tracking import PARENT_TAG
 
-    told, folder = run.get("tags.command"), Path(str(run.get("tags.folder")))
+    command, folder = run.get("tags.command"), Path(str(run.get("tags.folder")))
     is_sweep, is_job = (isinstance(run.get(f"tags.{tag}"), str) for tag in ("sweep", PARENT_TAG))
-    if run["status"] not in ("KILLED", "FAILED") or not isinstance(told, str) or (is_sweep and is_job):
+    if run["status"] not in ("KILLED", "FAILED") or not isinstance(command, str) or (is_sweep and is_job):
         return None
     if not folder.is_dir():
         if run.get("tags.host") == socket.gethostname():
             return None
-        return GoingOn(printable(told), why_not=f"its folder {printable(str(folder))} is not on this host")
+        return GoingOn(printable(command), why_not=f"its folder {printable(str(folder))} is not on this host")
     if not is_sweep and not (folder / CHECKPOINT_FILE).is_file():
         return None
     try:
         pipeline, arguments = _command(folder, is_sweep, trust)
     except InputError as error:
-        shown = told if is_sweep else f"{told} {at('resume', folder)}"
+        shown = command if is_sweep else f"{command} {at('resume', folder)}"
         return GoingOn(printable(shown), why_not=str(error).rstrip("."))
     process = (sys.executable, "-m", f"{PACKAGE}.{pipeline}", *arguments)
     return GoingOn(printable(f"{command_of(pipeline)} {shlex.join(arguments)}"), process)
 
 
 def _command(folder: Path, is_sweep: bool, trust: Trust) -> tuple[str, list[str]]:
-    """The pipeline and the arguments that go on with what is in a folder.
+    """The pipeline and the arguments that resume the run in a folder.
 
     Raises:
-        InputError: Hydra has not written the folder so, or what it was given is not taken from a file.
+        InputError: the folder is not as Hydra writes it, or an override is not taken from a file.
     """
     from lmd.core.checks import InputError
 
@@ -121,14 +118,14 @@ def _command(folder: Path, is_sweep: bool, trust: Trust) -> tuple[str, list[str]
     if not _is_pipeline(pipeline):
         raise InputError(f"{file} names {pipeline[:SHOWN]!r}, which is no pipeline")
     for path in folder.rglob("*"):
-        if path.is_symlink():  # what is written there would go elsewhere
+        if path.is_symlink():  # the run would write elsewhere
             raise InputError(f"{path} is a link ({PAGE})")
         if path.name == PICKLES:
             raise InputError(f"{path} holds what jobs and the sweep hand to each other, which may run code ({PAGE})")
     for place in places:
         if not trust.has(place):
-            told = f"it read configuration in {place}"
-            raise InputError(f"{told}; if that is yours, add {shlex.quote(f'hydra.searchpath=[{place}]')} ({PAGE})")
+            source = f"it read configuration in {place}"
+            raise InputError(f"{source}; if that is yours, add {shlex.quote(f'hydra.searchpath=[{place}]')} ({PAGE})")
     for key, override in zip(keys, own, strict=True):
         if HARMLESS.fullmatch(override):
             kept += [override] if is_sweep else []
@@ -144,7 +141,7 @@ def _command(folder: Path, is_sweep: bool, trust: Trust) -> tuple[str, list[str]
 
 
 def _is_pipeline(name: str) -> bool:
-    """Whether a name is that of a pipeline that can be swept, and so may have been cut short."""
+    """Return whether a name is that of a pipeline with tracked runs."""
     file = Path(CONF, f"{name}.yaml")
     return (
         name.isidentifier() and file.is_file() and bool(re.search(r"^  - (base|job)$", file.read_text(), re.MULTILINE))
@@ -152,10 +149,10 @@ def _is_pipeline(name: str) -> bool:
 
 
 def _is_kept(override: str, source: str, trust: Trust) -> bool:
-    """Whether an override of the run is one of the command that goes on; another one replaces it if not.
+    """Return whether the command keeps an override of the run; others are replaced.
 
     Raises:
-        InputError: it is not taken from a file, or names what is not trusted.
+        InputError: the override is not taken from a file, or names code that is not trusted.
     """
     from lmd.core.checks import InputError
 
@@ -222,7 +219,7 @@ def _listed(table: "pd.DataFrame") -> str:
 
 
 def _resume(unfinished: Mapping[str, GoingOn], wanted: str) -> None:
-    """Become the command that goes on with the run called `wanted`, or with the last one."""
+    """Replace this process by the command that resumes the run `wanted`, or the last one."""
     from lmd.core.checks import InputError
 
     found = list(unfinished) if wanted == "last" else [run_id for run_id in unfinished if run_id.startswith(wanted)]

@@ -1,7 +1,7 @@
-"""How large a tag must be: `python -m pipelines.size camera=calibration camera.path=FILE tag.edge=0.15`.
+"""Print the range of a tag: `python -m pipelines.size camera=calibration camera.path=FILE tag.edge=0.15`.
 
-It prints how far away a tag is read at several incidence angles, how well that tag alone fixes the camera's pose, and
-the smallest tag that is read at several distances.
+It prints the distances at which a tag is read at several incidence angles, the error of the pose from that tag alone,
+and the smallest tag that is read at several distances.
 """
 
 import math
@@ -19,11 +19,11 @@ if TYPE_CHECKING:
     from lmd.sight.models.fiducial import Fiducial
 
 
-MOST_ATTITUDE_RAD = 0.35  # 20 degrees; beyond, a linear prediction says nothing
+MOST_ATTITUDE_RAD = 0.35  # greatest attitude error, rad (20 degrees); beyond, the linear prediction is not valid
 
 
 def size(cfg: DictConfig) -> None:
-    """Print what the configured camera reads of the configured tag, or of each of its sizes."""
+    """Print the range of each size of the configured tag for the configured camera."""
     from lmd.core.checks import InputError, real, vector
     from lmd.sight.models.fiducial import Fiducial
 
@@ -57,7 +57,7 @@ def _reads(
     distances: tuple[float, ...],
     noise: float,
 ) -> list[list[str]]:
-    """How far a tag is read at each angle, and how well it fixes the pose at each distance at which it is."""
+    """Table of the range of a tag at each angle, and of the pose error at each distance within it."""
     from lmd.evaluation.reach import pose_bounds, reach
 
     rows = [["incidence", "read from", "to", *(f"alone at {distance:g} m" for distance in distances)]]
@@ -74,14 +74,14 @@ def _reads(
 
 
 def _error(position: float, attitude: float) -> str:
-    """Two standard deviations in words, or "not fixed": the bound is linear, and says nothing of large rotations."""
+    """Text of two standard deviations; "not fixed" beyond `MOST_ATTITUDE_RAD`."""
     return f"{1e3 * position:.3g} mm, {math.degrees(attitude):.2g} deg" if attitude < MOST_ATTITUDE_RAD else "not fixed"
 
 
 def _edges(
     camera: "Camera", tag: "Tag", criteria: "Fiducial", angles: tuple[float, ...], distances: tuple[float, ...]
 ) -> list[list[str]]:
-    """The smallest tag that is read at each angle and distance."""
+    """Table of the smallest tag that is read at each angle and distance."""
     from lmd.evaluation.reach import smallest_edge
 
     def of(edge: float) -> "Fiducial":

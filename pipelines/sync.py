@@ -1,6 +1,6 @@
 """Hand in what runs could not record: `python -m pipelines.sync [folder=outputs]`.
 
-A run whose tracking store stops to answer goes on, and keeps what it has to record in a journal in its folder.
+A run whose tracking store stops answering goes on, and keeps its record in a journal in its folder.
 """
 
 import shlex
@@ -14,7 +14,7 @@ from .trust import PAGE
 
 
 def sync(cfg: DictConfig) -> bool:
-    """Hand in all journals below the configured folder; whether all could be.
+    """Hand in all journals below the configured folder; returns False if one could not be handed in.
 
     Raises:
         InputError: there is no such folder.
@@ -40,16 +40,16 @@ def sync(cfg: DictConfig) -> bool:
 
 
 def _destination(given: str | None, cfg: DictConfig, yes: bool) -> str:
-    """The store that a journal goes to, where the run was given the address `given`.
+    """Address of the store for a journal whose run was given the address `given`.
 
     Raises:
-        InputError: it is not the configured one, and nobody has said that it may be.
+        InputError: that is not the configured address, and the user has not confirmed it.
     """
     from lmd.core.checks import InputError
 
     if cfg.uri is not None:
         return str(cfg.uri)
-    configured = cfg.tracking.get("uri")  # none has `tracking=none`
+    configured = cfg.tracking.get("uri")  # tracking=none has none
     if given not in (None, configured) and not yes:
         raise InputError(f"it is for {given!r}, and not for {configured!r}, your tracking.uri; if you know it, add "
                          f"{shlex.quote(f'uri={given}')} or --yes ({PAGE}).")  # fmt: skip
@@ -57,7 +57,7 @@ def _destination(given: str | None, cfg: DictConfig, yes: bool) -> str:
 
 
 def read_yes() -> None:
-    """Take `--yes` of the command line as `yes=true`."""
+    """Read `--yes` on the command line as `yes=true`."""
     sys.argv[1:] = ["yes=true" if argument == "--yes" else argument for argument in sys.argv[1:]]
 
 

@@ -1,11 +1,11 @@
-"""Starting a tracked run, and recording what came out of it."""
+"""A tracked run: begun with its provenance, ended with its outputs and figures."""
 
 import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig
@@ -31,44 +31,58 @@ if TYPE_CHECKING:
 
     from .operations.tracking import Tracker
 
-FEW_QUALIFIED = 0.1  # share of qualified positions below which a run says what takes the others
+FEW_QUALIFIED = 0.1  # share of qualified positions; below it a run prints the criteria that exclude the others
 
 
-@dataclass(frozen=True)
-class Earlier:
-    """A run that another one goes on with.
-
-    Args:
-        run_id: its tracked run, if it has one.
-        folder: where its files are.
-    """
+class Earlier(NamedTuple):
+    """A run that another run continues."""
 
     run_id: str | None
+    """Its tracked run, if it has one."""
     folder: Path
+    """The folder of its files."""
+
+
+class Extras(NamedTuple):
+    """Settings on the outputs of a run beside its landmarks, figures and history."""
+
+    seed: int
+    """Seed of the validation sample."""
+    validate: bool
+    """Score the deployment off its grid."""
+    picture: bool
+    """Draw the scene and the convergence."""
+    page: bool
+    """Write the interactive page."""
+
+    @classmethod
+    def of(cls, cfg: DictConfig) -> "Extras":
+        """The settings of a configuration."""
+        return cls(*(cfg[key] for key in cls._fields))
 
 
 def title_of(problem: Problem, subject: str) -> str:
-    """What heads the pictures of a run: what it is about and the settings that matter most."""
+    """Title of the pictures of a run: its subject and the main settings."""
     return f"{subject} {problem.objective.name} K={problem.count}"
 
 
 @contextmanager
 def tracked(cfg: DictConfig, subject: str, about: str = "", earlier: Earlier | None = None) -> "Iterator[Tracker]":
-    """A started run of the configured tracker; an exception marks it FAILED, Ctrl-C KILLED, bad input leaves none.
+    """A started run of the configured tracker; an exception marks it FAILED, Ctrl-C KILLED, bad input removes it.
 
     Args:
-        cfg: logged as parameters.
-        subject: what the run is about, in a word.
-        about: the same in a sentence.
-        earlier: the run it goes on with. If what is recorded there is no longer true, a new one is linked to it.
+        cfg: configuration, logged as parameters.
+        subject: subject of the run, in a word.
+        about: description of the run.
+        earlier: the run that it continues. A new run is linked to it if its record differs from this configuration.
     """
     tracker: Tracker = instantiate(cfg.tracking)
-    working_for, overrides = current_job(), list(HydraConfig.get().overrides.task)
+    job, overrides = current_job(), list(HydraConfig.get().overrides.task)
     varied, tags = overrides, {f"choice.{group}": option for group, option in choices().items()}
-    if working_for is not None:
-        folder, job = working_for
-        overrides, varied = list(job.overrides), [f"{key}={value}" for key, value in job.varied.items()]
-        tags |= job.tags(folder.name)
+    if job is not None:
+        folder, swept = job
+        overrides, varied = list(swept.overrides), [f"{key}={value}" for key, value in swept.varied.items()]
+        tags |= swept.tags(folder.name)
     pipeline = HydraConfig.get().job.name
     tags |= {"pipeline": pipeline} | override_tags(overrides) | source_tags(pipeline)
     tags["mlflow.note.content"] = f"{about or subject}\n\n`{tags['command']}`\n\nfiles: {run_directory()}"
@@ -83,7 +97,7 @@ def tracked(cfg: DictConfig, subject: str, about: str = "", earlier: Earlier | N
             tracker.start(RunStart(short_name(subject, varied), run_directory(), params, tags), run_id)
             yield tracker
     except InputError as error:
-        if run_id is None and working_for is None:
+        if run_id is None and job is None:
             tracker.discard()
         else:
             tracker.finish("FAILED", reason_of(error))
@@ -91,6 +105,29 @@ def tracked(cfg: DictConfig, subject: str, about: str = "", earlier: Earlier | N
     except BaseException as error:
         tracker.finish("KILLED" if isinstance(error, KeyboardInterrupt) else "FAILED", reason_of(error))
         raise
+
+
+def log_child(
+    tracking: DictConfig, run: RunStart, parent: str | None, metrics: Mapping[str, float], landmarks: Path,
+    curve: Sequence[tuple[int, float, float]] = (),
+) -> None:  # fmt: skip
+    """Record a finished run below another one.
+
+    Args:
+        tracking: group `tracking`.
+        parent: run that it is shown below, if any.
+        landmarks: its deployment.
+        curve: its best fitness, see `Tracker.log_curve`.
+    """
+    from .operations.tracking import PARENT_TAG
+
+    tracker: Tracker = instantiate(tracking)
+    tracker.start(replace(run, tags={**run.tags, **({} if parent is None else {PARENT_TAG: parent})}))
+    if curve:
+        tracker.log_curve("best_fitness", curve)
+    tracker.log_metrics(metrics)
+    tracker.log_artifacts([landmarks])
+    tracker.finish("FINISHED")
 
 
 def keep(tracker: "Tracker", files: Iterable[Path], metrics: Mapping[str, float], status: str = "FINISHED") -> None:
@@ -102,7 +139,7 @@ def keep(tracker: "Tracker", files: Iterable[Path], metrics: Mapping[str, float]
 
 
 def record(
-    cfg: DictConfig,
+    extras: Extras,
     problem: Problem,
     tracker: "Tracker",
     deployment: Deployment,
@@ -112,47 +149,44 @@ def record(
     summary: Mapping[str, Any],
     further: Callable[[], Mapping[str, float]] = dict,
     export: "Export | None" = None,
-    status: str = "FINISHED",
     in_haste: bool = False,
 ) -> dict[str, float]:
-    """Write the outputs, log them, end the run with `status` and print a report; returns the figures.
+    """Write the outputs, log them, end the run and print its figures.
 
-    Among the figures are the `fitness`, and as `off_grid` the one that says how good the deployment is where it was not
-    made (`headline_off_grid`), unless validation is left out.
-
-    What cannot be had again comes first: landmarks, figures and history are written before anything else is computed,
-    and whatever happens then they stay.
+    Landmarks, figures and history cannot be computed again: they are written before all else, and they stay.
 
     Args:
-        tracker: with the run started.
+        tracker: tracker with the run started.
         history: best fitness over the run.
-        subject: what the run is about, in a word.
-        summary: more entries of metrics.json.
-        further: yet more, that take seconds to compute.
-        status: the run ends with.
-        in_haste: leave out what takes seconds: validation, pictures, exports and `further` entries.
+        subject: subject of the run, in a word.
+        summary: more entries of metrics.json; with `stopped` = "interrupted" the run ends as KILLED.
+        further: more entries that take seconds to compute.
+        in_haste: leave out outputs that take seconds: validation, pictures, exports and `further` entries.
+
+    Returns:
+        the figures, among them `fitness` and, unless validation is left out, `off_grid` (`headline_off_grid`).
     """
-    directory = run_directory()
+    directory, status = run_directory(), "KILLED" if summary.get("stopped") == "interrupted" else "FINISHED"
     with stop.shielded():
         metrics = problem.metrics(deployment)
-        document: dict[str, Any] = {**metrics, **summary, "seed": cfg.seed}
+        document: dict[str, Any] = {**metrics, **summary, "seed": extras.seed}
         files = write_figures(directory, problem, deployment, document)
         curve, failed = write_history(directory, history)
     figures = {key: value for key, value in summary.items() if isinstance(value, int | float)}
     validation, why = {}, None
     if not in_haste:
         figures |= further()
-        why = causes(problem.scene, deployment, cfg.seed)
-        validation = validation_metrics(problem, deployment, cfg.seed) if cfg.validate else {}
+        why = causes(problem.scene, deployment, extras.seed)
+        validation = validation_metrics(problem, deployment, extras.seed) if extras.validate else {}
     if validation:
         figures["off_grid"] = validation[headline_off_grid(problem)]
     tracker.log_metrics(metrics | figures)
     document |= figures
     groups = {"validation": validation, "criteria": why.metrics() if why else {}}
     document |= {group: found for group, found in groups.items() if found}
-    # A standard error says how well a figure is known; as a chart of its own it would only be in the way.
-    told = {key: value for key, value in validation.items() if not key.endswith("standard_error")}
-    tracker.log_metrics({f"validation/{key}": value for key, value in told.items()})
+    # Standard errors would only clutter the charts.
+    charted = {key: value for key, value in validation.items() if not key.endswith("standard_error")}
+    tracker.log_metrics({f"validation/{key}": value for key, value in charted.items()})
     pictures: list[Path] = []
     if not in_haste:
         try:
@@ -164,13 +198,14 @@ def record(
         try:
             with stop.raising():
                 pictures, lost = write_pictures(
-                    directory, problem, deployment, history, title, picture=cfg.picture, page=cfg.page, exports=exports
-                )
+                    directory, problem, deployment, history, title, picture=extras.picture, page=extras.page,
+                    exports=exports,
+                )  # fmt: skip
             failed += lost
         except Stopped:
             if status != "FINISHED":
                 raise
-            failed.append("told to stop, it has left out pictures")  # all that was looked for has been found
+            failed.append("told to stop, it has left out pictures")  # the search itself is complete
     files = sorted({*files, *curve, *pictures})
     keep(tracker, [file for file in files if file.suffix != ".html"], {}, status)
     off_grid = describe_validation(problem, validation) if validation else {}
@@ -181,20 +216,17 @@ def record(
     if directory / "scene.png" in files:
         lines["picture"] = str(directory / "scene.png")
     lines["mlflow"] = tracker.describe()
-    print(report(problem, metrics, off_grid, lines))
+    (label, headline), *others = problem.objective.describe(metrics, len(problem.relevance), problem.count).items()
+    print(labelled({label: headline, **off_grid, **dict(others), **lines}))
     if failed:
-        again = command_line("evaluate", [f"run={directory}", f"page={cfg.page}".lower()])
+        again = command_line("evaluate", [f"run={directory}", f"page={extras.page}".lower()])
         print(f"warning: {'; '.join(failed)}; to draw and write again: {again}", file=sys.stderr)
     if why and problem.objective.qualified(problem.values(deployment)).mean() < FEW_QUALIFIED:
         print(f"\n{why.to_text()}")
     return metrics | figures
 
 
-def report(
-    problem: Problem, metrics: Mapping[str, float], off_grid: Mapping[str, str], lines: Mapping[str, str]
-) -> str:
-    """The figures of a run for the terminal, the one on the grid beside those off it, followed by labelled `lines`."""
-    (label, headline), *others = problem.objective.describe(metrics, len(problem.relevance), problem.count).items()
-    rows = {label: headline, **off_grid, **dict(others), **lines}
+def labelled(rows: Mapping[str, str]) -> str:
+    """Texts behind their labels, one a line, for the terminal."""
     width = max(map(len, rows))
     return "\n".join(f"{label:<{width}} {text}" for label, text in rows.items())

@@ -1,9 +1,9 @@
-"""How many landmarks, and how big: `python -m pipelines.tradeoff counts=[20,40,60] edges=[0.1,0.15] [overrides]`.
+"""Trade number and size of landmarks: `python -m pipelines.tradeoff counts=[20,40,60] edges=[0.1,0.15] [overrides]`.
 
-Or what paper, or money, is worth: `python -m pipelines.tradeoff tag.edges=[0.06,0.1] papers=[0.2,0.4] [overrides]`.
+Or paper or money against the result: `python -m pipelines.tradeoff tag.edges=[0.06,0.1] papers=[0.2,0.4] [overrides]`.
 
-Jobs of a sweep know nothing of each other, but here each point sets out from its neighbours too. So this is one run,
-whose searches share the processors, and which keeps what they have found.
+This is one run and not a sweep because the search at each point also starts from the results of its neighbours. The
+searches share the processors, and their results are kept on disk.
 """
 
 import sys
@@ -29,9 +29,9 @@ if TYPE_CHECKING:
 
     from .operations.tracking import Tracker
 
-COVERED, LOCALISED = "covered_share", "localised_share_20mm"  # off the grid, whatever the objective
-LIMITS = {PAPER: "papers", BUDGET: "budgets"}  # what lists their values
-MLFLOW_STEPS = 1e4  # in a unit of a limit, as steps of mlflow are whole numbers: square centimetres of paper
+COVERED, LOCALISED = "covered_share", "localised_share_20mm"  # figures off the grid, for every objective
+LIMITS = {PAPER: "papers", BUDGET: "budgets"}  # keys that list values of a limit
+MLFLOW_STEPS = 1e4  # steps of mlflow, which are whole numbers, per unit of a limit: square centimetres of paper
 LABELS = {
     COVERED: "share of views with n tags or more",
     LOCALISED: "share of views localised to 20 mm",
@@ -55,9 +55,9 @@ def tradeoff(cfg: DictConfig) -> None:
     wanted = None if cfg.wanted is None else real("wanted", cfg.wanted, low=0.0, high=1.0)
     file_path("kept", cfg.kept)
     budget_of(cfg)
-    optimiser = build_optimiser(cfg, seeds[0])  # what cannot be built fails before anything has run
+    optimiser = build_optimiser(cfg, seeds[0])  # checked before any search begins
     ladders = [Ladder(cfg, edges, seed, limited) for edges, seed in product(curves, seeds)]
-    for ladder, at in product(ladders[:: len(seeds)], (places[0], places[-1])):  # and what does not fit together
+    for ladder, at in product(ladders[:: len(seeds)], (places[0], places[-1])):
         problem = ladder.problem(at)
         if limited is None:
             problem.scene.check_one_size("a trade-off of numbers of landmarks")
@@ -79,10 +79,10 @@ def tradeoff(cfg: DictConfig) -> None:
 
 
 def _curves(cfg: DictConfig) -> "tuple[str | None, list[float], list[tuple[float, ...]]]":
-    """What limits tags of several sizes, if something does, where points are, and the edges of each curve.
+    """The limit of tags of several sizes (None for none), the points along it or the counts, the edges of each curve.
 
     Raises:
-        InputError: what is asked for is none of these, or more than one.
+        InputError: the lists of the configuration are refused, or contradict each other.
     """
     from lmd.core.checks import InputError, real
     from lmd.scene.deployment_sources import landmark_count
@@ -121,7 +121,7 @@ def _listed(name: str, value: Any) -> list[Any]:
 def _record(
     cfg: DictConfig, points: Points, problem: "Problem", figure: str, wanted: float | None, tracker: "Tracker"
 ) -> None:
-    """Write, log and show what is known."""
+    """Write, log and print the points."""
     from lmd.evaluation.tradeoff import fewest, front, mixtures
     from lmd.evaluation.validation import headline_off_grid
     from lmd.objectives.localisation import Localisation
@@ -165,19 +165,19 @@ def _record(
         for curve, same in curves.reset_index().groupby(axis.curve):
             steps = [(round(scale * at), value, 0.0) for at, value in same[[axis.along, name]].to_numpy().tolist()]
             tracker.log_curve(f"{name}/{axis.curve}_{_slug(curve)}", steps)
-    _log_children(cfg, points, tracker.run_id)
+    _log_points(cfg.tracking, points, tracker.run_id)
     names = ("points.csv", "front.csv", "tradeoff.json", "tradeoff.png")
     keep(tracker, [directory / name for name in names], known)
     print(f"\n{text}\n\nfiles: {directory}\nmlflow: {tracker.describe()}")
 
 
 def _slug(curve: Any) -> str:
-    """A curve in the name of a metric."""
+    """Name of a curve in that of a metric."""
     return f"{curve:g}" if isinstance(curve, float) else slug(curve)
 
 
 def _told(reached: "pd.DataFrame") -> str:
-    """`lmd.evaluation.tradeoff.fewest` for a terminal, a line for each curve."""
+    """Text of `lmd.evaluation.tradeoff.fewest`, a line for each curve."""
     from lmd.plot.charts import curve_name
 
     lines = []
@@ -188,26 +188,22 @@ def _told(reached: "pd.DataFrame") -> str:
     return "\n".join(lines)
 
 
-def _log_children(cfg: DictConfig, points: Points, parent: str | None) -> None:
-    """Record a run for each point below the pipeline's own, its landmarks in a folder of the run."""
-    from .operations.tracking import PARENT_TAG, RunStart
+def _log_points(tracking: DictConfig, points: Points, parent: str | None) -> None:
+    """Record a run for each point below the run `parent`, its landmarks in a folder of the run."""
+    from .operations.tracking import RunStart
+    from .tracked_run import log_child
 
     for n, at, found, figures in points:
         ladder, name = points.ladders[n], points.name(n, at)
         landmarks = run_directory() / "points" / slug(name) / "landmarks.csv"
-        landmarks.parent.mkdir(parents=True, exist_ok=True)  # a sweep may do a lost job again
+        landmarks.parent.mkdir(parents=True, exist_ok=True)  # there already where a sweep repeats a lost job
         found.deployment.to_csv(landmarks, ups=bool(ladder.edges[0]))
-        tracker: Tracker = instantiate(cfg.tracking)
-        tags = {"way": found.way} | ({} if parent is None else {PARENT_TAG: parent})
         params: dict[str, Any] = {"deployment.count": len(found.deployment), "seed": ladder.seed}
         if points.limited is None:
             params["tag.edge"] = ladder.edges[0]
         else:
             params |= {"tag.edges": list(ladder.edges), f"tag.{points.limited}": at, **points.counts(found)}
-        tracker.start(RunStart(name, landmarks.parent, params, tags))
-        tracker.log_metrics(figures)
-        tracker.log_artifacts([landmarks])
-        tracker.finish("FINISHED")
+        log_child(tracking, RunStart(name, landmarks.parent, params, {"way": found.way}), parent, figures, landmarks)
 
 
 main = Pipeline("tradeoff", tradeoff, (read_earlier_problem,))

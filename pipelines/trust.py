@@ -1,8 +1,8 @@
-"""What a file from elsewhere may name: Hydra imports and calls every `_target_`, so a target is code.
+"""Code that a configuration from elsewhere may name: Hydra imports and calls every `_target_`.
 
-A configuration that neither this project nor the command line gave is read as plain data and checked here before
-anything is imported: that of `run=DIR`, those in a tracking store, and the overrides of a run that is to go on.
-docs/trust.md says what each kind of file can do.
+A configuration that is neither of this project nor on the command line is read as plain data and checked here before
+any import: that of `run=DIR`, those in a tracking store, and the overrides of a resumed run. docs/trust.md lists the
+rights of each kind of file.
 """
 
 import re
@@ -22,31 +22,28 @@ from .app import CONF
 
 PAGE = "docs/trust.md"
 TARGET = "_target_"
-PACKAGED = "pkg://"  # begins a place of configuration that is in a package
-NAMED = re.compile(rf"{TARGET}:\s*['\"]?([\w.]+)")  # in a file of configuration
-REFERENCE = re.compile(r"\$\{\.*\w+(\.\w+|\[\w+\])*\}")  # to a value of the same configuration: calls no resolver
+PACKAGED = "pkg://"  # prefix of a place of configuration in a package
+NAMED = re.compile(rf"{TARGET}:\s*['\"]?([\w.]+)")  # target in a file of configuration
+REFERENCE = re.compile(r"\$\{\.*\w+(\.\w+|\[\w+\])*\}")  # interpolation of another value, without a resolver
 RESOLVER = re.compile(r"\$\{\s*([\w.]+)\s*:")
 PLAIN = (str, int, float, bool, type(None))
 NAME = re.compile(r"\w+(\.\w+)+")
-LARGEST = 1 << 17  # bytes of a configuration, which has a few kilobytes; its parser takes seconds for more
-SHOWN = 100  # characters of a value in a message
+LARGEST = 1 << 17  # most bytes of a configuration; a larger file takes seconds to parse and is refused
+SHOWN = 100  # most characters of a value in a message; longer ones are cut
 
 
 @dataclass(frozen=True)
 class Trust:
-    """What may be named in a configuration from elsewhere.
-
-    Args:
-        names: packages, single targets and resolvers that the user trusts.
-        folders: of configuration; the targets that their files name are trusted in the same group.
-    """
+    """Names that are trusted in a configuration from elsewhere."""
 
     names: tuple[str, ...] = ()
+    """Packages, single targets and resolvers that the user trusts."""
     folders: tuple[Path, ...] = (Path(CONF),)
+    """Folders of configuration; a target in their files is trusted in the group of the file."""
 
     @classmethod
     def given(cls) -> "Trust":
-        """What the command line trusts: `trust=[...]`, and the folders and packages of its search path.
+        """The trust of the command line: `trust=[...]`, and the folders and packages of its search path.
 
         Raises:
             InputError: `trust` is no list of names.
@@ -67,20 +64,20 @@ class Trust:
         return cls(tuple(names), tuple(Path(folder).resolve() for folder in folders))
 
     def has(self, place: str) -> bool:
-        """Whether a place of configuration, `file://FOLDER` or `pkg://PACKAGE`, is trusted."""
+        """Return whether a place of configuration, `file://FOLDER` or `pkg://PACKAGE`, is trusted."""
         if place.startswith(PACKAGED):
             return self._trusts(place.removeprefix(PACKAGED))
         return Path(place.removeprefix("file://")).resolve() in self.folders
 
     def parts(self, found: Mapping[Any, Any], source: str, groups: Sequence[str]) -> dict[str, dict[str, Any]]:
-        """What a configuration from elsewhere says of some groups, those that it has.
+        """The nodes of those `groups` that a configuration from elsewhere has.
 
         Args:
-            found: plain data.
-            source: where it is from, for messages.
+            found: the configuration as plain data.
+            source: name of its source, for messages.
 
         Raises:
-            InputError: they name what is not trusted, or are none.
+            InputError: a node names code that is not trusted, or is no node.
         """
         from lmd.core.checks import InputError
 
@@ -92,15 +89,15 @@ class Trust:
         return parts
 
     def check(self, source: str, key: str, value: Any) -> None:
-        """Look through a value from elsewhere.
+        """Check a value from elsewhere.
 
         Args:
-            source: where it is from, for messages.
+            source: name of its source, for messages.
             key: its key in the configuration, which begins with its group.
             value: plain data, nested in any way.
 
         Raises:
-            InputError: it names what is not trusted, or is no plain data.
+            InputError: it names code that is not trusted, or is no plain data.
         """
         from lmd.core.checks import InputError
 
@@ -122,16 +119,16 @@ class Trust:
                 )
         for where, leaf in sorted(trusted):
             if not self._is_defined_there(leaf):
-                told = f"{source}: {where} = {leaf[:SHOWN]!r}"
-                raise InputError(f"{told} is not defined in what you trust, which only imports it ({PAGE}).")
+                place = f"{source}: {where} = {leaf[:SHOWN]!r}"
+                raise InputError(f"{place} is not defined in what you trust, which only imports it ({PAGE}).")
 
     def _named_in(self, group: str) -> set[str]:
-        """The targets that files of a group name."""
+        """The targets in files of a group."""
         files = [file for folder in self.folders for file in (folder / group).rglob("*.yaml")]
         return {name for file in files for name in NAMED.findall(file.read_text(encoding="utf-8", errors="replace"))}
 
     def _resolver_in(self, text: str) -> str | None:
-        """A resolver that a text calls and that is not trusted; None if it calls none."""
+        """A resolver in a text that is not trusted; None if there is none."""
         rest = REFERENCE.sub("", text)
         found = RESOLVER.findall(rest)
         for name in filter(self._trusts, found):
@@ -144,18 +141,18 @@ class Trust:
         return any(name == trusted or name.startswith(f"{trusted}.") for trusted in self.names)
 
     def _is_defined_there(self, target: str) -> bool:
-        """Whether a target leads to what a trusted package itself defines, and not on to what it has imported."""
+        """Return whether a trusted package defines a target itself, and has not only imported it."""
         from hydra.utils import get_object
 
         try:
             found = get_object(target)
-        except Exception:  # whatever its package does when it is imported; building it will say the same
+        except Exception:  # any error of its package, which is reported when the object is built
             return True
         return self._trusts(f"{getattr(found, '__module__', '')}.{getattr(found, '__qualname__', '')}")
 
 
 def read_yaml(file: Path, source: str) -> dict[Any, Any]:
-    """What a configuration file holds, as plain data in which nothing is resolved.
+    """A configuration file as plain data, with interpolations unresolved.
 
     Raises:
         InputError: it cannot be read, or is no configuration.
@@ -167,7 +164,7 @@ def read_yaml(file: Path, source: str) -> dict[Any, Any]:
     try:
         check_aliases(text)
         found = yaml.load(text, Loader=get_yaml_loader())
-    except Exception as error:  # whatever a parser of a broken file runs into
+    except Exception as error:  # any error of the parser
         raise InputError(f"{source}: '{file}' cannot be read ({' '.join(str(error).split())}).") from None
     if not isinstance(found, dict):
         raise InputError(f"{source}: '{file}' is no configuration.")
@@ -175,7 +172,7 @@ def read_yaml(file: Path, source: str) -> dict[Any, Any]:
 
 
 def listed(argument: str) -> list[str]:
-    """The names in an argument of the command line; none if Hydra will refuse it."""
+    """The names in an argument of the command line; empty if Hydra will refuse it."""
     from lmd.core.checks import InputError
 
     try:
@@ -189,10 +186,10 @@ def listed(argument: str) -> list[str]:
 
 
 def _leaves(source: str, key: str, value: Any, seen: set[int]) -> Iterator[tuple[str, Any]]:
-    """The values below a key that are no containers, and all that is called `_target_`, with their keys.
+    """The values below a key that are no containers, and all values of `_target_`, with their keys.
 
     Raises:
-        InputError: a container is there twice, as YAML's aliases make it, or a key or a value is no plain data.
+        InputError: a container occurs twice, as by an alias of YAML, or a key or a value is no plain data.
     """
     from lmd.core.checks import InputError
 

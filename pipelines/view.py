@@ -28,11 +28,11 @@ if TYPE_CHECKING:
     from lmd.planner.plan import Plan
     from lmd.problem import Problem
 
-UNSAVED = "unsaved"  # how files of what was not saved begin
+UNSAVED = "unsaved"  # prefix of files with unsaved changes
 
 
 def view(cfg: DictConfig) -> None:
-    """Let the configured deployment be changed in a browser."""
+    """Serve the planner for the configured deployment until a signal ends it."""
     import numpy as np
 
     from lmd.core.checks import integer
@@ -44,10 +44,10 @@ def view(cfg: DictConfig) -> None:
     optional("viser", "view")
     problem = build_problem(cfg)
     budget = budget_of(cfg)
-    build_optimiser(cfg, cfg.seed).check(problem)  # what is wrong with it shows now, not at the first search
+    build_optimiser(cfg, cfg.seed).check(problem)  # before the first search
     tag, directory = problem.scene.tag, run_directory()
-    nothing = tag.is_point and cfg.export is None  # of a point there is no map
-    export = None if nothing else build_export(cfg, "export", tag)
+    unmapped = tag.is_point and cfg.export is None  # points have no map
+    export = None if unmapped else build_export(cfg, "export", tag)
     sources = _calibrations(cfg)
     with keyed(rig="camera.rig"):
         session = PlanningSession(problem, problem.draw(np.random.default_rng(cfg.seed)), _space(cfg, problem))
@@ -65,16 +65,16 @@ def view(cfg: DictConfig) -> None:
         print(f"planner {planner.address} (Ctrl-C ends it)", flush=True)
         planner.run()
     finally:
-        if not session.is_saved:  # first of all, whatever may be in the way of ending well
+        if not session.is_saved:  # first, as closing may fail
             _keep_unsaved(directory, session.plan, sources, ups=not tag.is_point)
         planner.close()
 
 
 def _space(cfg: DictConfig, problem: "Problem") -> "MountSpace | None":
-    """Where the cameras of a rig may go; None for anywhere.
+    """The space of the mounts of a rig; None if it is not limited.
 
     Raises:
-        InputError: the body is none.
+        InputError: the body is refused.
     """
     from math import pi
 
@@ -89,7 +89,7 @@ def _space(cfg: DictConfig, problem: "Problem") -> "MountSpace | None":
 
 
 def _calibrations(cfg: DictConfig) -> "Mapping[Camera, Any]":
-    """Which calibration each kind of camera of the rig has, as far as the rig says."""
+    """The calibration of each kind of camera for which the rig names one."""
     from lmd.scene.rig_sources import calibrations_of
 
     mounts = mounts_of(cfg.camera)
@@ -99,7 +99,7 @@ def _calibrations(cfg: DictConfig) -> "Mapping[Camera, Any]":
 def _save(
     directory: Path, problem: "Problem", export: "Export | None", plan: "Plan", sources: "Mapping[Camera, Any]"
 ) -> str:
-    """Write landmarks.csv, the rig if cameras can be moved, and what is exported, all or nothing; says where."""
+    """Write landmarks.csv, the rig if there is one, and the exports, all or none; returns the names of the files."""
     from lmd.scene.rig_sources import write_rig
 
     scene = problem.scene
@@ -118,7 +118,7 @@ def _save(
 
 
 def _keep_unsaved(directory: Path, plan: "Plan", sources: "Mapping[Camera, Any]", ups: bool) -> None:
-    """Write unsaved tags and cameras to the directory, or else to the working or the temporary directory, or stdout."""
+    """Write unsaved tags and cameras to the directory, else to the working or temporary directory, else to stdout."""
     from lmd.scene.rig_sources import rig_text
 
     elsewhere, rig = f"unsaved_{secrets.token_hex(4)}", None if plan.rig is None else rig_text(plan.rig, sources)
@@ -130,7 +130,7 @@ def _keep_unsaved(directory: Path, plan: "Plan", sources: "Mapping[Camera, Any]"
 
     for place, name in ((str(directory), UNSAVED), (os.curdir, elsewhere), ("", elsewhere)):
         try:
-            folder = Path(place or tempfile.gettempdir())  # there may be none
+            folder = Path(place or tempfile.gettempdir())  # raises if there is none
             files = all_or_none(folder.resolve(), partial(write, name))
         except OSError as error:
             print(f"changes that were not saved cannot be written ({error})", file=sys.stderr)
@@ -148,11 +148,11 @@ command = Pipeline("view", view, (read_earlier_robot,))
 
 
 def main() -> None:
-    """Serve until told to stop."""
+    """Run the command; end at once after a signal."""
     try:
         command()
     except SystemExit as ended:
-        if ended.code in CODES:  # Python would wait for threads that compile
+        if ended.code in CODES:  # or Python would wait for threads that compile
             sys.stdout.flush()
             sys.stderr.flush()
             os._exit(int(ended.code))

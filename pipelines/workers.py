@@ -1,4 +1,4 @@
-"""Work shared between processes."""
+"""Jobs shared between worker processes."""
 
 import multiprocessing
 import os
@@ -26,20 +26,19 @@ def in_processes(
     name: Callable[[Job], str],
     ordered: bool = False,
 ) -> Generator[Result, None, None]:
-    """Results from processes of their own when there is more than one worker.
+    """Results of a function for each job, from worker processes if there is more than one.
 
-    When a process is killed, the jobs that it may have had in hand are tried again, one at a time.
+    When a worker is killed, the jobs that it may have been doing are repeated, one at a time.
 
     Args:
-        function: does a job; a process of its own must find it by its name.
-        jobs: what is done.
-        workers: processes; None for every processor.
-        name: of a job, for messages.
-        ordered: results in the order of the jobs, not as they come.
+        function: function of a job that a worker can import by its name.
+        jobs: the jobs.
+        workers: number of processes; None for every processor.
+        name: returns the name of a job, for messages.
+        ordered: yield results in the order of the jobs, else as they finish.
 
     Raises:
-        InputError: `workers` is not positive; a process that worked on one job alone was killed; or the
-            system has no semaphores.
+        InputError: `workers` is not positive; the worker of a repeated job was killed; or the system has no semaphores.
     """
     count = min(processes(workers), len(jobs))
     if count <= 1:
@@ -49,10 +48,10 @@ def in_processes(
 
 
 def processes(workers: int | None) -> int:
-    """The number of processes that `workers` stands for: all processors for None.
+    """Number of processes for a setting `workers`: that of all processors for None.
 
     Raises:
-        InputError: it is not positive.
+        InputError: `workers` is not positive.
     """
     from lmd.core.checks import integer
     from lmd.core.threads import available_threads
@@ -63,13 +62,13 @@ def processes(workers: int | None) -> int:
 def _results(
     function: Callable[[Job], Result], jobs: Sequence[Job], workers: int, name: Callable[[Job], str]
 ) -> Iterator[tuple[int, Result]]:
-    """The numbers of jobs and their results, as they come."""
+    """The numbers of jobs with their results, in the order in which they finish."""
     waiting = deque(range(len(jobs)))
     while waiting:
         in_hand: dict[Future[Result], int] = {}
         with _pool(workers) as pool, suppress(BrokenProcessPool):
             while waiting or in_hand:
-                while waiting and len(in_hand) < 2 * workers:  # so that no worker waits for its next job
+                while waiting and len(in_hand) < 2 * workers:  # no worker waits for its next job
                     future = pool.submit(function, jobs[waiting[0]])
                     in_hand[future] = waiting.popleft()
                 for future in wait(in_hand, return_when=FIRST_COMPLETED).done:
@@ -105,14 +104,14 @@ def _in_order(results: Iterable[tuple[int, Result]]) -> Generator[Result, None, 
 
 @contextmanager
 def _pool(workers: int) -> Iterator[ProcessPoolExecutor]:
-    """Processes that end with the block, whatever they are at."""
+    """Worker processes, which are ended with the block."""
     from lmd.core.checks import InputError
 
     ready_server()
     others = multiprocessing.active_children()
     try:
         pool = ProcessPoolExecutor(workers, multiprocessing.get_context("forkserver"), _begin)
-    except OSError as error:  # there is no /dev/shm, or it is full
+    except OSError as error:  # /dev/shm is missing or full
         raise InputError(
             f"workers need semaphores of the system ({error}); workers=1 does without.", "workers"
         ) from None
@@ -126,18 +125,18 @@ def _pool(workers: int) -> Iterator[ProcessPoolExecutor]:
 
 
 def ready_server() -> None:
-    """Let workers be forked from a process that has imported what this one has of these packages."""
+    """Let workers be forked from a process that imports the modules of this project that this one has imported."""
     multiprocessing.set_forkserver_preload([name for name in sys.modules if name.startswith(OWN_PACKAGES)])
 
 
 def _begin() -> None:
-    """A terminal interrupts the workers, too, each of which would print a traceback; who began them ends them."""
+    """Ignore the interrupts of a terminal, which reach workers, too: the parent process ends its workers."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     threading.Thread(target=_end_with_the_parent, daemon=True).start()
 
 
 def _end_with_the_parent() -> None:
-    """No worker outlives the process that began it: it would wait for work for ever."""
+    """End this worker when its parent process ends."""
     parent = multiprocessing.parent_process()
     assert parent is not None, "a worker has one"
     parent.join()

@@ -5,15 +5,19 @@ has done that (`warm`), unless the start itself matters (`fresh`).
 """
 
 import atexit
+import importlib
+import io
 import os
 import signal
 import subprocess
 import sys
 import threading
+from contextlib import redirect_stderr, redirect_stdout
 from multiprocessing import forkserver, resource_tracker
 from pathlib import Path
 
 import pytest
+from hydra.core.hydra_config import HydraConfig
 
 from pipelines.operations.signals import stop
 from pipelines.operations.sweeps.forks import Descriptor, context, run_module
@@ -41,14 +45,32 @@ def call(pipeline, *overrides, cwd, settings=SMALL, folders=(), fresh=False):
     return subprocess.CompletedProcess(line, process.returncode, out, err)
 
 
+def inside(pipeline, *overrides, cwd, settings=SMALL):
+    """Run a pipeline to its end in this process; returns as `call`. Sweeps need a process of their own."""
+    module = importlib.import_module(f"pipelines.{pipeline}")
+    out, err, code = io.StringIO(), io.StringIO(), 0
+    with pytest.MonkeyPatch.context() as patch, redirect_stdout(out), redirect_stderr(err):
+        patch.chdir(cwd)
+        patch.setattr(sys, "argv", [str(module.__file__), *settings, *map(str, overrides)])
+        patch.setattr(HydraConfig.instance(), "cfg", None)
+        try:
+            module.main()
+        except SystemExit as ended:
+            code = ended.code or 0
+    if isinstance(code, str):  # as Python ends
+        err.write(f"{code}\n")
+        code = 1
+    return subprocess.CompletedProcess(sys.argv, code, out.getvalue(), err.getvalue())
+
+
 def refused(pipeline, *overrides, message, cwd, settings=SMALL):
-    """Run a pipeline that tells in one sentence why it does not, and leaves nothing."""
+    """Run a pipeline, in this process, that prints one sentence on its bad input and leaves no file."""
     before = sorted(cwd.iterdir())
-    done = call(pipeline, *overrides, cwd=cwd, settings=settings)
+    done = inside(pipeline, *overrides, cwd=cwd, settings=settings)
     assert done.returncode == 1
-    (said,) = (line for line in done.stderr.splitlines() if not line.startswith("compiling "))
-    assert said.startswith("error: ")
-    assert message in said
+    (sentence,) = (line for line in done.stderr.splitlines() if not line.startswith("compiling "))
+    assert sentence.startswith("error: ")
+    assert message in sentence
     assert sorted(cwd.iterdir()) == before
 
 

@@ -1,4 +1,4 @@
-"""Accuracy of the position from one image, predicted for every view of a deployment, whatever its objective.
+"""Accuracy of the position from one image, predicted for every view of a deployment, for any objective.
 
 The prediction is the standard deviation of `lmd.objectives.localisation`, infinite for views that cover fewer than n
 landmarks, or a single tag whose two poses look alike. All figures are off the grid: random positions, orientations from

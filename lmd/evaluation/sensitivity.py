@@ -1,7 +1,7 @@
 """Sensitivity of the figures of a deployment to assumptions: the noise, the tags, and the detection of every tag.
 
 All variants are measured off the grid, at equal random positions and orientations (`lmd.evaluation.validation`), so
-they differ by the assumption alone. There are two figures, whatever the objective: the mean of L, the probability of
+they differ by the assumption alone. There are two figures, for any objective: the mean of L, the probability of
 localising to the tolerance, and the mean of P_n, the probability of covering n landmarks.
 """
 
@@ -188,13 +188,13 @@ def _measure(
     number, evaluator = group
     assumed = np.array([_shares(variant, evaluator) for variant in variants])
     rng = np.random.default_rng([seed, MISSES_STREAM, number])
-    camera = evaluator.scene.camera
-    if isinstance(camera, Rig) or evaluator.by_reference:
-        # A rig of one camera at the body's origin has the figures of that camera.
-        scene = evaluator.scene if isinstance(camera, Rig) else replace(evaluator.scene, camera=Rig((Mount(camera),)))
+    scene = evaluator.scene
+    if scene.rig is not None or evaluator.by_reference:
+        if scene.rig is None:  # a rig of one camera at the body's origin has the figures of that camera
+            scene = replace(scene, camera=Rig((Mount(scene.cameras[0]),)))
         moved = Evaluator(scene, evaluator.positions, evaluator.threads)
         rig = RigMoments(moved, deployment, objective.n, objective.precision(scene))
-        failed = rig.without_cameras() if isinstance(camera, Rig) else np.empty((0, 2))
+        failed = rig.without_cameras() if evaluator.scene.rig is not None else np.empty((0, 2))
         return assumed, rig.missed(MISS_PROBABILITIES, rng), rig.lost(), failed
     field = objective.field(evaluator)
     assert isinstance(field, LocalisationField)  # that of a single camera

@@ -9,7 +9,7 @@ the qualified ratio on that grid flatters it. Three figures do not depend on tha
   from the continuous distribution the PDF stands for;
 - the grid-free average coverage probability, over the random poses of the same sample.
 
-Like `qualified_ratio`, all of them count every position alike, whatever its relevance.
+Like `qualified_ratio`, all of them weigh every position alike, without its relevance.
 
 Where poses were recorded, the figures are those at the poses exactly as recorded: those that were optimised on, and
 those held out.
@@ -28,7 +28,6 @@ from lmd.geometry.frames import angles_of
 from lmd.problem import Problem
 from lmd.scene.deployment import Deployment
 from lmd.scene.pdf import OrientationPdf
-from lmd.scene.rig import Rig
 from lmd.scene.scene import Scene
 from lmd.sight.evaluator import Evaluator
 
@@ -144,11 +143,11 @@ def sampled_evaluators(scene: Scene, seed: int, sample: Sample, threads: int) ->
 
     A rig whose criteria have no compiled half is evaluated orientation by orientation, so its groups are smaller.
     """
-    if isinstance(scene.camera, Rig) and not scene.is_compiled:
+    if scene.rig is not None and not scene.is_compiled:
         most, finest = MOST_OF_A_RIG
         sample = Sample(sample.groups, min(sample.positions, most), min(sample.divisions, finest))
     rng = np.random.default_rng([seed, VALIDATION_STREAM])
-    by_reference = PYTHON and not isinstance(scene.camera, Rig)  # kernels run as plain Python would take hours
+    by_reference = PYTHON and scene.rig is None  # kernels run as plain Python would take hours
     for _ in range(sample.groups):
         positions = scene.room.sample_evenly(sample.positions, rng)
         drawn = replace(scene, pdf=scene.pdf.stratified(sample.divisions, rng))

@@ -1,33 +1,25 @@
 """Moves of landmarks before a single camera: its centre is the position itself, whatever the orientation.
 
-Occlusion and bounds on the depth depend on the position alone: a landmark is hidden with all orientations or with none,
-and the state counts by how many others. So trials are settled without sets of orientations at most positions.
+Bounds on the depth and occlusion depend on the position alone, so trials are settled without sets of orientations at
+most positions.
 """
-
-from typing import Any, NamedTuple
 
 import numpy as np
 
 from lmd.core.bits import ALL, BITS, HALF, LOWER, ONE, ZERO, lowest
 from lmd.core.compiled import allocating, inlined, inner
-from lmd.core.memory import check_views
 from lmd.incremental.counts import JUST, SHORT
-from lmd.incremental.nearby import is_near, pose_of, target_of
-from lmd.incremental.occlusion import ARRIVES, COMES, LEAVES, note_neighbour, note_pair, search, touch
+from lmd.incremental.nearby import target_of
 from lmd.incremental.state import (
     ASKED,
-    BLOCK_COUNT,
-    BLOCKS,
     FIRST,
     FRESH,
-    GOES,
     HIDDEN,
     HIDING,
     HIGH,
     LAST,
     LISTED,
     LOW,
-    NAMES,
     PAIR_COUNT,
     PLACES,
     REACHED,
@@ -38,7 +30,6 @@ from lmd.incremental.state import (
     TOUCHED_LIST,
     UNSURE,
     VISIBLE,
-    WANTED,
     WHERE,
     WHO,
     Scratch,
@@ -46,13 +37,11 @@ from lmd.incremental.state import (
     X,
     Y,
     Z,
-    scratch_of,
 )
 from lmd.incremental.trial import (
     bound_views,
     exchange_sets,
     exchange_views,
-    find_pairs,
     forget_views,
     fresh_of,
     list_changing,
@@ -60,67 +49,12 @@ from lmd.incremental.trial import (
     shown_of,
     turned,
 )
-from lmd.scene.criteria import (
-    covering,
-    covers_one,
-    frame_of,
-    from_position,
-    hide_between,
-    horizon_of,
-    sized,
-)
-from lmd.sight.blocks import BLOCK
+from lmd.scene.criteria import covering, covers_one, frame_of, from_position, sized
 from lmd.sight.directions import CERTAIN, NOWHERE, POSSIBLE, cell_of
 from lmd.sight.kernels import weights_row
 from lmd.sight.obstacles import find_ends, is_blocked, is_clear, no_ends
 
 CELL, OUTER = 0, 1  # rows of `Scratch.cell`
-# Bytes of a landmark in a view: a bit for the cap, and as much again for occlusion.
-LANDMARK_BYTES = 0.25
-
-
-class OneCamera(NamedTuple):
-    """A single camera, at Q positions with all orientations."""
-
-    sight: Any
-    """The compiled model of sight."""
-    horizon: float
-    """See `criteria.horizon_of`, metres."""
-    centres: np.ndarray
-    """`(1, 3)` zeros: offset of the camera from a position, metres."""
-    radius: np.ndarray
-    """`(1,)` zero: distance of the camera from the centre, metres."""
-    obstacles: Any
-    """Obstacles of the room before the positions, see `lmd.sight.obstacles`."""
-    axes: np.ndarray
-    """`(6, 64 W)` optical axis and right, filled up with zeros to whole words."""
-    tables: np.ndarray
-    """`(2, cells + 1, W)`: `CERTAIN`, `POSSIBLE` of `lmd.sight.directions`."""
-
-    @property
-    def sights(self) -> tuple[Any, ...]:
-        """The model of sight of each kind of camera."""
-        return (self.sight,)
-
-    def with_sights(self, change: Any) -> "OneCamera":
-        """The camera with the model of sight that `change` makes of its own."""
-        sight = change(self.sight)
-        return self._replace(sight=sight, horizon=horizon_of(sight))
-
-    def state(self, shared: dict[str, Any]) -> State:
-        """An empty state with the `shared` fields."""
-        (size, words), count = shared["counts"].sets.shape[1:], len(shared["surfaces"])
-        check_views(LANDMARK_BYTES, size, BITS * words, count)
-        return State(
-            **shared,
-            caps=np.zeros((count, size, words), dtype=np.uint64),
-            reachable=np.zeros((count, size), dtype=np.bool_),
-            hides=np.zeros((2, count, size), dtype=np.int16),
-        )
-
-    def scratch(self, state: State) -> Scratch:
-        """Working memory for moves of a state."""
-        return scratch_of(state)
 
 
 @shown_of.register(State)
@@ -148,7 +82,7 @@ def _forget_views(scratch):  # type: ignore[no-untyped-def]
 
 
 @inner
-def _look_around(k, field, scratch):  # type: ignore[no-untyped-def]
+def look_around(k, field, scratch):  # type: ignore[no-untyped-def]
     """Find what is seen of the place tried from the positions near it."""
     positions, sight, seen = field.positions, sized(field.cameras.sight, k), scratch.seen
     x, y, z, low, high, sure = seen[X], seen[Y], seen[Z], seen[LOW], seen[HIGH], seen[SURE]
@@ -173,84 +107,6 @@ def _block(k, camera, scratch):  # type: ignore[no-untyped-def]
     for s in range(scratch.numbers[SPAN_COUNT]):
         for p in range(first[s], last[s]):
             reached[p] = reached[p] and not is_blocked(camera.obstacles, sight, p, ends, 0)
-
-
-@find_pairs.register(State)
-def _find_pairs(state, k, how, field, scratch):  # type: ignore[no-untyped-def]
-    if how != COMES:
-        _look_around(k, field, scratch)
-    if field.cameras.sight.reach < 0.0:
-        return
-    if how == LEAVES:
-        _want_blocks(k, state, scratch)
-    search(field.cameras, k, how, ZERO, ZERO, field, state, scratch)
-    _touch_flips(state, scratch)
-
-
-@inner
-def _want_blocks(k, state, scratch):  # type: ignore[no-untyped-def]
-    """Leave in `WANTED` the blocks from which landmark k hides another or is hidden: nearly everywhere it is not."""
-    hiding, hidden, wanted = state.hides[HIDING], state.hides[HIDDEN], scratch.flags[WANTED]
-    for b in scratch.lists[BLOCKS][: scratch.numbers[BLOCK_COUNT]]:
-        some = np.int16(0)
-        for p in range(b * np.uint64(BLOCK), (b + ONE) * np.uint64(BLOCK)):
-            some |= hiding[k, p] | hidden[k, p]
-        wanted[b] = some != 0
-
-
-@note_neighbour.register(OneCamera)
-def _note_neighbour(cameras, c, b, i, k, how, place, mine, other, field, state, scratch):  # type: ignore[no-untyped-def]
-    positions, first, last = field.positions, b * np.uint64(BLOCK), (b + ONE) * np.uint64(BLOCK)
-    ax, ay, az, nx, ny, nz = place
-    lx, ly, lz, vx, vy, vz = pose_of(i, state)
-    one_sight, two_sight, some = sized(cameras.sight, k), sized(cameras.sight, i), np.int64(0)
-    for p in range(first, last):
-        x, y, z = ax - positions[0, p], ay - positions[1, p], az - positions[2, p]
-        ox, oy, oz = lx - positions[0, p], ly - positions[1, p], lz - positions[2, p]
-        squared, square = x * x + y * y + z * z, ox * ox + oy * oy + oz * oz
-        one, two = hide_between(one_sight, two_sight, x, y, z, squared, ox, oy, oz, square, nx, ny, nz, vx, vy, vz)
-        some += one | two
-    if some == 0 or not is_near(field, b, lx, ly, lz):
-        return
-    for p in range(first, last):
-        x, y, z = ax - positions[0, p], ay - positions[1, p], az - positions[2, p]
-        ox, oy, oz = lx - positions[0, p], ly - positions[1, p], lz - positions[2, p]
-        squared, square = x * x + y * y + z * z, ox * ox + oy * oy + oz * oz
-        one, two = hide_between(one_sight, two_sight, x, y, z, squared, ox, oy, oz, square, nx, ny, nz, vx, vy, vz)
-        if one | two:
-            _note_hiding(i, p, one, two, how, scratch)
-
-
-@inlined
-def _note_hiding(i, p, one, two, how, scratch):  # type: ignore[no-untyped-def]
-    """Note from position p that the place hides landmark i, `one`, and that this hides the place, `two`."""
-    changes, hides = scratch.changes, scratch.hides
-    if how != LEAVES:
-        hides[HIDING, p] += one
-        hides[HIDDEN, p] += two
-        if two and scratch.flags[REACHED, p]:
-            touch(p, scratch)
-    if how != ARRIVES:
-        note_pair(i, p, scratch)
-        sign = np.int8(-1) if how == LEAVES else np.int8(1)
-        changes[HIDDEN, i, p] += sign * np.int8(one)
-        changes[HIDING, i, p] += sign * np.int8(two)
-
-
-@inlined
-def turns(reachable, was, now):  # type: ignore[no-untyped-def]
-    """True if a landmark appears or disappears when `now` others hide it instead of `was`."""
-    return reachable & ((was == 0) != (now == 0))
-
-
-@inner
-def _touch_flips(state, scratch):  # type: ignore[no-untyped-def]
-    """Touch the positions from which another landmark appears or disappears."""
-    hidden, reachable, changes = state.hides[HIDDEN], state.reachable, scratch.changes[HIDDEN]
-    for e in range(scratch.numbers[PAIR_COUNT]):
-        i, p = np.uint64(scratch.pairs[WHO, e]), np.uint64(scratch.pairs[WHERE, e])
-        if turns(reachable[i, p], hidden[i, p], hidden[i, p] + changes[i, p]):
-            touch(p, scratch)
 
 
 @bound_views.register(State)
@@ -368,16 +224,3 @@ def _exchange_views(state, k, scratch):  # type: ignore[no-untyped-def]
         _swap(state.reachable[k], scratch.flags[REACHED], first, last)
         _swap(hidden[k], scratch.hides[HIDDEN], first, last)
         _swap(hiding[k], scratch.hides[HIDING], first, last)
-
-
-@inlined
-def list_turning(p, state, scratch):  # type: ignore[no-untyped-def]
-    """List in `NAMES` and `GOES` the other landmarks that appear or disappear at position p; returns their number."""
-    hidden, changes, known, count = state.hides[HIDDEN], scratch.changes[HIDDEN], scratch.known, ZERO
-    names, goes = scratch.lists[NAMES], scratch.lists[GOES]
-    for i in range(np.uint64(known.shape[1])):
-        if known[p, i]:
-            was = hidden[i, p]
-            names[count], goes[count] = i, ALL if was == 0 else ZERO
-            count += np.uint64(turns(state.reachable[i, p], was, was + changes[i, p]))
-    return count

@@ -5,18 +5,107 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from lmd.core.bits import BITS, packed
-from lmd.incremental.camera import OneCamera
+from lmd.core.memory import check_views
+from lmd.incremental import camera, camera_occlusion, rig, rig_occlusion  # noqa: F401 # they register their functions
 from lmd.incremental.counts import counts_of, given_counts
 from lmd.incremental.field import accept, bound, places_of, settle, undo
 from lmd.incremental.move import carry_out, fill, take_back
-from lmd.incremental.rig import RigCameras
+from lmd.incremental.state import RigScratch, RigState, Scratch, State, rig_scratch_of, scratch_of
 from lmd.incremental.trial import bound_move, finish_move
-from lmd.scene.criteria import horizon_of, largest
+from lmd.scene.criteria import horizon_of
 from lmd.scene.deployment import Deployment
 from lmd.sight.blocks import boxes_around
 from lmd.sight.evaluator import Evaluator
-from lmd.sight.obstacles import obstacles_at
-from lmd.sight.stations import places_around
+from lmd.sight.obstacles import half_edge, obstacles_at
+from lmd.sight.stations import Part, places_around, with_sight
+
+# Bytes of a landmark in a camera's view: a bit for the cap, and as much again for occlusion.
+LANDMARK_BYTES = 0.25
+# Bytes of a landmark and a centre around a position of a rig: an entry of `PartScratch.pairs`.
+CENTRE_BYTES = 8
+# Bytes of a landmark with a camera and an orientation of a rig: bits of caps, of occlusion, and of its changes.
+CAMERA_BYTES = 3 / 8
+
+
+class OneCamera(NamedTuple):
+    """A single camera, at Q positions with all orientations."""
+
+    sight: Any
+    """The compiled model of sight."""
+    horizon: float
+    """See `criteria.horizon_of`, metres."""
+    centres: np.ndarray
+    """`(1, 3)` zeros: offset of the camera from a position, metres."""
+    radius: np.ndarray
+    """`(1,)` zero: distance of the camera from the centre, metres."""
+    obstacles: Any
+    """Obstacles of the room before the positions, see `lmd.sight.obstacles`."""
+    axes: np.ndarray
+    """`(6, 64 W)` optical axis and right, filled up with zeros to whole words."""
+    tables: np.ndarray
+    """`(2, cells + 1, W)`: `CERTAIN`, `POSSIBLE` of `lmd.sight.directions`."""
+
+    @property
+    def sights(self) -> tuple[Any, ...]:
+        """The model of sight of each kind of camera."""
+        return (self.sight,)
+
+    def with_sights(self, change: Any) -> "OneCamera":
+        """The camera with the model of sight that `change` makes of its own."""
+        sight = change(self.sight)
+        return self._replace(sight=sight, horizon=horizon_of(sight))
+
+    def state(self, shared: dict[str, Any]) -> State:
+        """An empty state with the `shared` fields."""
+        (size, words), count = shared["counts"].sets.shape[1:], len(shared["surfaces"])
+        check_views(LANDMARK_BYTES, size, BITS * words, count)
+        return State(
+            **shared,
+            caps=np.zeros((count, size, words), dtype=np.uint64),
+            reachable=np.zeros((count, size), dtype=np.bool_),
+            hides=np.zeros((2, count, size), dtype=np.int16),
+        )
+
+    def scratch(self, state: State) -> Scratch:
+        """Working memory for moves of a state."""
+        return scratch_of(state)
+
+
+class RigCameras(NamedTuple):
+    """The cameras of a rig, around Q positions of its body, with all its orientations."""
+
+    parts: tuple[Part, ...]
+    """Cameras that are alike, one part for each kind; place g of position q is q G + g of `Part.obstacles`."""
+
+    @property
+    def horizon(self) -> float:
+        """Distance from the body's origin beyond which a landmark cannot matter, metres."""
+        return max(part.horizon for part in self.parts)
+
+    @property
+    def sights(self) -> tuple[Any, ...]:
+        """The model of sight of each kind of camera."""
+        return tuple(part.sight for part in self.parts)
+
+    def with_sights(self, change: Any) -> "RigCameras":
+        """The rig with the models of sight that `change` makes of its own."""
+        return RigCameras(tuple(with_sight(part, change(part.sight)) for part in self.parts))
+
+    def state(self, shared: dict[str, Any]) -> RigState:
+        """An empty state with the `shared` fields."""
+        (size, words), count = shared["counts"].sets.shape[1:], len(shared["surfaces"])
+        mounts = [len(part.axes) for part in self.parts]
+        centres = sum(len(part.centres) for part in self.parts)
+        check_views(CENTRE_BYTES * centres + CAMERA_BYTES * sum(mounts) * BITS * words, size, 1, count)
+        return RigState(
+            **shared,
+            parts=tuple(np.zeros((2, count, size, each, words), dtype=np.uint64) for each in mounts),
+            shown=np.zeros((count, size, words), dtype=np.uint64),
+        )
+
+    def scratch(self, state: RigState) -> RigScratch:
+        """Working memory for moves of a state."""
+        return rig_scratch_of(state, tuple(len(part.centres) for part in self.parts))
 
 
 class CoverageField(NamedTuple):
@@ -63,7 +152,7 @@ class CoverageField(NamedTuple):
     @property
     def stack(self) -> int:
         """See `Stacking.stack`: tags of several sizes have none."""
-        return self.n if all(largest(sight) is sight for sight in self.cameras.sights) else 0
+        return self.n if all(np.ndim(half_edge(sight)) == 0 for sight in self.cameras.sights) else 0
 
     def stacked(self, fixed: Deployment | None) -> "CoverageField":
         """See `Stacking.stacked`: a stack of n that nothing hides is seen whenever one landmark in its place is.

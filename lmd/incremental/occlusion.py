@@ -107,7 +107,7 @@ def near_line(start, mx, my, mz, hx, hy, hz, radius, ways):  # type: ignore[no-u
 
 
 @dispatched
-def note_neighbour(cameras, c, b, i, k, how, place, mine, other, field, state, scratch):  # type: ignore[no-untyped-def]
+def note_neighbour(state, cameras, c, b, i, k, how, place, mine, other, field, scratch):  # type: ignore[no-untyped-def]
     """Find which of landmark i and landmark k at a `place` hides the other from block b, and note it down.
 
     Args:
@@ -144,7 +144,7 @@ def search(cameras, k, how, mine, other, field, state, scratch):  # type: ignore
                     i = others[start + lowest(np.uint64(close))]
                     close &= close - np.uint32(1)
                     if i != np.uint64(k):
-                        note_neighbour(cameras, c, b, i, k, how, place, mine, other, field, state, scratch)
+                        note_neighbour(state, cameras, c, b, i, k, how, place, mine, other, field, scratch)
 
 
 @inlined

@@ -9,17 +9,7 @@ import numpy as np
 from lmd.core.checks import FloatArray
 from lmd.core.compiled import kernel
 from lmd.core.layers import layers
-from lmd.incremental.field import (
-    BOUND,
-    NO_UNITS,
-    SETTLE,
-    in_order,
-    moved,
-    perform,
-    places_of,
-    runner,
-    total_worth,
-)
+from lmd.incremental.field import BOUND, NO_UNITS, SETTLE, in_order, moved, perform, places_of, runner, total_worth
 from lmd.objectives.base import incremental
 from lmd.objectives.reference_field import field_of
 from lmd.objectives.without import AWAY

@@ -50,7 +50,7 @@ class PlanningSession:
     """
 
     def __init__(self, problem: Problem, deployment: Deployment, space: MountSpace | None = None) -> None:
-        rig = problem.scene.camera if isinstance(problem.scene.camera, Rig) else None
+        rig = problem.scene.rig
         if rig is not None and space is not None:
             space.genes(rig)
         self.problem, self.space = problem, space
@@ -114,7 +114,7 @@ class PlanningSession:
         self._become(self.plan.moved(self.problem.scene.plates, number, surface, at), number)
 
     def place(self, number: int, left: float, up: float) -> None:
-        """Move a tag on its surface to the free place nearest to a `Measured` one.
+        """Move a tag on its surface to the free place nearest to a `MeasuredPlace` one.
 
         Raises:
             InputError: as for `drag`, or it hangs on no surface.

@@ -147,6 +147,11 @@ class Rig:
                 yield Station(camera, offset, there, turned[there])
 
 
+def rig_of(camera: Camera | Rig) -> Rig | None:
+    """The rig; None for a single camera."""
+    return camera if isinstance(camera, Rig) else None
+
+
 def cameras_of(camera: Camera | Rig) -> tuple[Camera, ...]:
     """The camera, or those of a rig."""
     return camera.cameras if isinstance(camera, Rig) else (camera,)

@@ -12,7 +12,7 @@ from lmd.core.memory import check_views
 from lmd.geometry.camera import Camera
 from lmd.scene.pdf import OrientationPdf, Orientations
 from lmd.scene.plates import Plates
-from lmd.scene.rig import Rig, Station, cameras_of, extrinsics_of
+from lmd.scene.rig import Rig, Station, cameras_of, extrinsics_of, rig_of
 from lmd.scene.tag import Tag
 from lmd.space.space import Space
 
@@ -62,14 +62,14 @@ class Scene:
         if seen is not None and seen != self.tag:
             raise InputError(f"tag is {self.tag}, but visibility is about {seen}.", "tag")
 
-    def sized(self, edges: FloatArray | None) -> "Scene":
-        """The same for landmarks with these edges, `(K,)` metres, NaN for the tag's, in every deployment.
+    def sized(self, edges: FloatArray) -> "Scene":
+        """The scene for landmarks with edges `(K,)`, metres, NaN for that of the tag, in every deployment.
 
-        Itself for None, and for tags that are points: these have no size.
+        Itself if all are NaN, and for points, which have no size.
         """
-        if edges is None or self.tag.is_point:
+        if self.tag.is_point or np.isnan(edges).all():
             return self
-        each = tuple(float(edge) for edge in np.where(np.isnan(edges), self.tag.size, edges))
+        each = tuple(self.tag.filled(edges).tolist())
         each = each if len(set(each)) > 1 else each[:1]
         if each == (self.edges or (self.tag.size,)):
             return self
@@ -110,6 +110,11 @@ class Scene:
         return max(self.visibility.spacing, self.plates.edge)
 
     @property
+    def rig(self) -> Rig | None:
+        """The rig; None for a single camera."""
+        return rig_of(self.camera)
+
+    @property
     def cameras(self) -> tuple[Camera, ...]:
         """The camera, or those of the rig."""
         return cameras_of(self.camera)
@@ -128,26 +133,26 @@ class Scene:
         Raises:
             InputError: there is a rig.
         """
-        if isinstance(self.camera, Rig):
-            raise InputError(f"{what} works with a single camera, not with a rig of {len(self.camera.mounts)}.")
-        return self.camera
+        if self.rig is not None:
+            raise InputError(f"{what} works with a single camera, not with a rig of {len(self.rig.mounts)}.")
+        return self.cameras[0]
 
     def stations(self, axes: FloatArray) -> Iterator[Station]:
         """Where the cameras are for orientations of the camera, or of the body of a rig, `(A, 6)`."""
-        if isinstance(self.camera, Rig):
-            yield from self.camera.stations(axes)
+        if self.rig is not None:
+            yield from self.rig.stations(axes)
         else:
-            yield Station(self.camera, np.zeros(3), np.arange(len(axes)), axes)
+            yield Station(self.cameras[0], np.zeros(3), np.arange(len(axes)), axes)
 
     def check_inside(self, positions: FloatArray) -> None:
         """Raise `InputError` if a camera of a rig is outside the room with its body at a position where it may be.
 
         Asked are `positions` `(P, 3)` and random ones, each with the orientations that occur there.
         """
-        if not isinstance(self.camera, Rig):
+        if self.rig is None:
             return
         positions = np.vstack([positions, self.room.sample(SAMPLED_POSITIONS, np.random.default_rng(0))])
-        offsets = self.camera.views(self.orientations.axes)[0]
+        offsets = self.rig.views(self.orientations.axes)[0]
         occurs, kind_of = np.unique(self.probability(positions) > 0.0, axis=0, return_inverse=True)
         places = [np.unique(offsets[:, turns].reshape(-1, 3), axis=0) for turns in occurs]
         for position, kind in zip(positions, np.broadcast_to(kind_of.reshape(-1), len(positions)), strict=True):
@@ -164,7 +169,7 @@ class Scene:
     @property
     def orientations(self) -> Orientations:
         """The distinct orientations of the PDF, as far as the visibility model and a rig tell them apart."""
-        by_rig = isinstance(self.camera, Rig) and self.camera.needs_roll
+        by_rig = self.rig is not None and self.rig.needs_roll
         return self.pdf.by_axis_and_roll if by_rig or self.visibility.needs_roll else self.pdf.by_axis
 
     def probability(self, positions: FloatArray) -> FloatArray:

@@ -17,7 +17,6 @@ from lmd.core.bits import BITS, LANES, ONE, ZERO, in_words, lowest, prefetch
 from lmd.core.checks import FloatArray
 from lmd.core.compiled import inlined
 from lmd.scene.criteria import covers_one, from_around, from_position, hide_between, horizon_of, sized
-from lmd.scene.rig import Rig
 from lmd.scene.scene import Scene
 from lmd.sight.blocks import SINGLE_ERROR
 from lmd.sight.directions import SIDE, cell_of, fill_tables
@@ -64,9 +63,9 @@ class Part(NamedTuple):
 
 def parts_of(scene: Scene) -> tuple[Part, ...]:
     """The rig of a scene in parts, one for each kind of camera; none for a scene with a single camera."""
-    if not isinstance(scene.camera, Rig):
+    if scene.rig is None:
         return ()
-    cameras, (offsets, axes) = scene.camera.cameras, scene.camera.views(scene.orientations.axes)
+    cameras, (offsets, axes) = scene.rig.cameras, scene.rig.views(scene.orientations.axes)
     kinds = dict.fromkeys(cameras)
     return tuple(
         _part(number, scene.visibility.sight(kind), offsets[mounts], axes[mounts])

@@ -12,7 +12,6 @@ from lmd.geometry.camera import Camera
 from lmd.geometry.se3 import axis_and_right
 from lmd.scene.criteria import covers, sized
 from lmd.scene.deployment import Deployment
-from lmd.scene.rig import Rig
 from lmd.scene.scene import Scene
 from lmd.sight.by_reference import seen_from
 from lmd.sight.evaluator import Evaluator
@@ -54,9 +53,9 @@ def visible_to_each(evaluator: Evaluator, deployment: Deployment, positions: Flo
     """The same for each of the scene's cameras, `(C, N, K)`."""
     evaluator = evaluator.sized(deployment.edges)
     scene, axes = evaluator.scene, np.pad(axes, [(0, 0), (0, 6 - axes.shape[1])])
-    if not isinstance(scene.camera, Rig):
-        return _visible(scene, scene.camera, deployment, positions, axes)[None]
-    views = zip(scene.camera.cameras, *scene.camera.views(axes), strict=True)
+    if scene.rig is None:
+        return _visible(scene, scene.cameras[0], deployment, positions, axes)[None]
+    views = zip(scene.cameras, *scene.rig.views(axes), strict=True)
     return np.stack([
         _visible(scene, camera, deployment, positions + offsets, turned)
         for camera, offsets, turned in views

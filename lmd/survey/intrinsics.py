@@ -1,4 +1,4 @@
-"""Intrinsics of the cameras of a survey: their prior, derivatives, and what photographs tell about them."""
+"""Intrinsics of the cameras of a survey: priors, derivatives, and estimates with their standard deviations."""
 
 from dataclasses import dataclass, replace
 from typing import Any

@@ -1,1 +1,1 @@
-"""Operations: what tells a run to stop, what runs the jobs of a sweep, and what records them."""
+"""Operations: signals that stop a run, the jobs of sweeps, and experiment tracking."""

@@ -1,4 +1,4 @@
-"""Being told to stop: by Ctrl-C, by the terminal that closes, or by whoever manages the machine."""
+"""Signals that stop a process: Ctrl-C, a closed terminal, `kill`."""
 
 import os
 import signal
@@ -8,14 +8,14 @@ from contextlib import contextmanager, suppress
 from types import FrameType
 
 SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
-CODES = tuple(128 + number for number in SIGNALS)  # exit codes of a process that was told to stop, as shells have them
+CODES = tuple(128 + number for number in SIGNALS)  # exit codes after these signals, as in shells
 
 
 class Stopped(KeyboardInterrupt):
-    """The process was told to stop.
+    """A signal has stopped the process.
 
     Args:
-        number: the signal that told it.
+        number: number of the signal.
     """
 
     def __init__(self, number: int) -> None:
@@ -24,53 +24,53 @@ class Stopped(KeyboardInterrupt):
 
 
 class Stop:
-    """What SIGINT, SIGTERM and SIGHUP do, depending on where the process is.
+    """The effect of SIGINT, SIGTERM and SIGHUP, which depends on the block that the process is in.
 
-    At first the process ends on the spot: it has nothing to lose yet. While `raising`, the first signal raises
-    `Stopped`, once; what follows cleans up and is not disturbed. While `deferred`, the first one only sets
-    `requested`, and the second one raises. While `postponed`, they wait.
+    Outside all blocks the process ends at once: it has no results yet. Within `raising`, the first signal raises
+    `Stopped`, and later ones are ignored while the process cleans up. Within `deferred`, the first one sets `requested`
+    and the second one raises. Within `shielded`, a signal only sets `requested`. Within `postponed`, signals wait.
 
-    A library may be hit where it cannot leave things as they were, and fail by an error of its own, and so may what
-    cleans up. Such an error is reported in a line and leaves as `Stopped`, too.
+    A library, or the clean-up, may fail with an error of its own when a signal interrupts it. Such an error is printed
+    in a line, and `Stopped` is raised in its place.
     """
 
     def __init__(self) -> None:
-        self._number = 0  # the signal that was heard
-        self._is_under_way = False  # `Stopped` was raised, and has not got out of where it hit
+        self._number = 0  # number of the signal that was received
+        self._is_under_way = False  # `Stopped` was raised, and has not left the innermost block
         self._terminals: tuple[int, ...] = ()
         self._act: Callable[[int], None] = _leave
 
     @property
     def requested(self) -> bool:
-        """Whether a signal was heard."""
+        """True after a signal was received."""
         return self._number != 0
 
     @property
     def code(self) -> int:
-        """The exit code of a process that ends because of it."""
+        """Exit code of a process that the signal ends."""
         return 128 + self._number
 
     def listen(self) -> None:
-        """Begin to handle the signals, but no hang-up that is ignored already: that is what `nohup` is for."""
+        """Begin to handle the signals, except a hang-up that is ignored already, as under `nohup`."""
         for number in SIGNALS:
             if number != signal.SIGHUP or signal.getsignal(number) != signal.SIG_IGN:
                 signal.signal(number, self._handle)
-        self._terminals = tuple(stream for stream in (1, 2) if os.isatty(stream))  # a closed one does not say so
-        sys.unraisablehook = _say_unless_stopped
+        self._terminals = tuple(stream for stream in (1, 2) if os.isatty(stream))  # isatty fails on a closed one
+        sys.unraisablehook = _unless_stopped
 
     @contextmanager
     def raising(self) -> Iterator[None]:
-        """While entered, the first signal raises `Stopped`."""
+        """Within the block, the first signal raises `Stopped`."""
         with self._acting(self._raise):
             yield
 
     @contextmanager
     def deferred(self, worth_waiting: Callable[[], bool], step: str = "this batch") -> Iterator[None]:
-        """While entered, the first signal is noted and the second raises `Stopped`.
+        """Within the block, the first signal sets `requested` and the second raises `Stopped`.
 
         Args:
-            worth_waiting: whether there is something to wait for; where not, the first one raises.
-            step: what is waited for.
+            worth_waiting: returns False if there is no step to wait for: then the first signal raises.
+            step: name of the step that is waited for.
         """
 
         def act(number: int) -> None:
@@ -84,7 +84,7 @@ class Stop:
 
     @contextmanager
     def shielded(self) -> Iterator[None]:
-        """While entered, a signal is noted and no more: for what takes a moment and must not be left half done."""
+        """Within the block, a signal only sets `requested`: for short work that must not be interrupted."""
 
         def act(number: int) -> None:
             self._number = number
@@ -94,7 +94,7 @@ class Stop:
 
     @contextmanager
     def postponed(self) -> Iterator[None]:
-        """While entered, signals wait; at its end they do what they would have done."""
+        """Within the block, signals wait; they act at its end."""
         waiting: list[int] = []
         try:
             with self._acting(waiting.append):
@@ -109,7 +109,7 @@ class Stop:
         try:
             yield
         except Stopped:
-            before, self._is_under_way = _ignore, False  # no second one while what is around cleans up
+            before, self._is_under_way = _ignore, False  # no second one while the outer blocks clean up
             raise
         except Exception as error:
             if not self._is_under_way:
@@ -121,7 +121,7 @@ class Stop:
             self._act = before
 
     def _handle(self, number: int, _frame: FrameType | None) -> None:
-        if number == signal.SIGHUP:  # nobody reads any more, and writing would fail
+        if number == signal.SIGHUP:  # writing to the closed terminal would fail
             silent = os.open(os.devnull, os.O_WRONLY)
             for stream in self._terminals:
                 os.dup2(silent, stream)
@@ -129,14 +129,14 @@ class Stop:
 
     def _raise(self, number: int) -> None:
         self._number, self._act, self._is_under_way = number, _ignore, True
-        os.environ["HYDRA_FULL_ERROR"] = "1"  # or Hydra would print what a library made of it, and exit with 1
+        os.environ["HYDRA_FULL_ERROR"] = "1"  # or Hydra would print a library's error, and exit with 1
         tell("stopping")
         raise Stopped(number)
 
 
 def tell(text: str) -> None:
-    """Write a line past Python's own buffers, which the signal may have found half full."""
-    with suppress(OSError):  # whoever read it may be gone
+    """Write a line to stderr past Python's buffers, which the signal may have interrupted."""
+    with suppress(OSError):  # the reader may have ended
         os.write(2, f"\n{text}\n".encode())
 
 
@@ -148,8 +148,8 @@ def _ignore(number: int) -> None:
     pass
 
 
-def _say_unless_stopped(unraisable: "sys.UnraisableHookArgs") -> None:
-    """A signal may arrive where an exception cannot be raised; `requested` has it all the same."""
+def _unless_stopped(unraisable: "sys.UnraisableHookArgs") -> None:
+    """Drop a `Stopped` that was raised where exceptions are not propagated; `requested` is set all the same."""
     if not isinstance(unraisable.exc_value, Stopped):
         sys.__unraisablehook__(unraisable)
 

@@ -1,1 +1,1 @@
-"""The paper's tables and figures beside what the stored sweeps found."""
+"""The paper's tables and figures beside the results of the stored sweeps."""

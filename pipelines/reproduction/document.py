@@ -1,7 +1,7 @@
 """A page of text, tables and pictures, written as Markdown and as self-contained HTML.
 
-Texts and table cells may use two marks of Markdown, `code` between backticks and **bold**, and what
-`lmd.core.words.escaped` and `as_code` make of texts from elsewhere.
+Texts and cells may use two marks of Markdown, `code` between backticks and **bold**, and texts from elsewhere that
+`lmd.core.words.escaped` or `as_code` has escaped.
 """
 
 import base64
@@ -51,7 +51,7 @@ class Table:
 
 @dataclass(frozen=True)
 class Picture:
-    """A PNG and what it shows, in words."""
+    """A PNG and its caption."""
 
     path: Path
     caption: str
@@ -59,7 +59,7 @@ class Picture:
 
 @dataclass(frozen=True)
 class Section:
-    """A heading and what stands below it."""
+    """A heading and its blocks."""
 
     title: str
     blocks: Sequence[Text | Table | Picture]
@@ -69,7 +69,7 @@ def to_markdown(sections: Sequence[Section], pictures: str) -> str:
     """The sections as Markdown, below headings of the second level.
 
     Args:
-        pictures: where the page finds its pictures, as a prefix of their file names.
+        pictures: prefix of the file names of pictures.
     """
     blocks: list[str] = []
     for section in sections:
@@ -85,7 +85,7 @@ def to_markdown(sections: Sequence[Section], pictures: str) -> str:
 
 
 def to_html(title: str, sections: Sequence[Section]) -> str:
-    """The page as one HTML file that holds its pictures and its style."""
+    """The page as one HTML file with its pictures and its style."""
     blocks = [f"<h1>{html.escape(title)}</h1>"]
     for section in sections:
         blocks.append(f"<h2>{html.escape(section.title)}</h2>")
@@ -112,7 +112,7 @@ def _row(tag: str, cells: Sequence[str]) -> str:
 
 
 def _inline(text: str) -> str:
-    """Escaped text with its marks turned into tags; what is escaped already stays as it is."""
+    """Text as HTML, with its marks as tags; escaped characters stay."""
     text = re.sub(r"&amp;(#\d+;)", r"&\1", html.escape(text))
     text = re.sub(r"&lt;(/?code)&gt;", r"<\1>", text)
     text = re.sub(r"\*\*(.+?)\*\*", r"<strong>\1</strong>", text)
@@ -123,7 +123,7 @@ OFF_GRID = "off_grid"
 
 
 def comparison_table(comparison: Comparison, headline: Headline) -> Table:
-    """A comparison for readers, figures in the unit of the objective's headline; what is unknown is left blank."""
+    """The table of a comparison of optimisers, in the unit of the objective's headline; unknown figures are blank."""
     key, table = headline.key, comparison.table
     has_off_grid = OFF_GRID in table
     head = ["optimiser", "runs", f"{headline.label}: median (95% interval)", *["off the grid"] * has_off_grid, "rank"]
@@ -149,6 +149,6 @@ def _known(value: float, form: str) -> str:
 
 
 def comparison_markdown(comparison: Comparison, headline: Headline) -> str:
-    """A comparison as a Markdown table, with what was tested below it."""
+    """The table of a comparison as Markdown, with the name of the test below it."""
     below = f"\n{comparison.test}\n" if comparison.test else ""
     return f"{comparison_table(comparison, headline).markdown()}\n{below}"

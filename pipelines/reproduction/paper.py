@@ -1,4 +1,4 @@
-"""What the paper printed: Tables II and III, as fractions.
+"""Tables II and III of the paper, as fractions.
 
 Source: Lei et al., "Optimization of Directional Landmark Deployment for Visual Observer on SE(3)", Sec. V-A: the room
 of 7.5 x 5 x 6 m, K = 90 landmarks, 400 iterations with populations of 30.
@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Printed:
-    """The three indices of a row, fractions in [0, 1], by the names that `Problem.metrics` gives them."""
+    """The three indices of a row, fractions in [0, 1], with the names of `Problem.metrics`."""
 
     qualified_ratio: float
     average_coverage_probability: float

@@ -1,4 +1,4 @@
-"""The reproduction report: what the stored sweeps found, beside what the paper printed."""
+"""The sections of the reproduction report: results of the stored sweeps beside those of the paper."""
 
 import shlex
 from collections.abc import Mapping
@@ -20,7 +20,7 @@ from .document import Picture, Section, Table, Text, comparison_table
 from .paper import TABLE_2, TABLE_3, Printed
 from .source import BUDGET, COUNT, GRID_FREE, INDICES, PAIR, PARENT, RATIO, Source
 
-# The sweeps a report is made of, and the commands that run them.
+# Sweeps of a report, and their commands.
 COMMANDS = {
     "table2": f"{command_of('optimise')} experiment=table2",
     "table2_baselines": f"{command_of('evaluate')} experiment=table2_baselines",
@@ -29,7 +29,7 @@ COMMANDS = {
     "landmark_count": f"{command_of('optimise')} experiment=landmark_count",
     "optimisers": f"{command_of('optimise')} experiment=optimisers",
 }
-# Rows of Table II: sweep, and the tag and value that tell their runs from the others of the sweep.
+# Rows of Table II: sweep, tag and value of their runs.
 TABLE_2_RUNS = {
     "EGA": ("table2", "tags.choice.optimiser", "ega"),
     "SGA": ("table2", "tags.choice.optimiser", "sga"),
@@ -38,13 +38,13 @@ TABLE_2_RUNS = {
 }
 PANELS = ("initial", "EGA", "SGA", "uniform")  # the order of the paper's figure
 OVERRIDE = "tags.override."
-NO_VALUE = "–"  # in a cell without runs
+NO_VALUE = "–"  # cell without runs
 
 Blocks = list[Text | Table | Picture]
 
 
 def sections(source: Source) -> list[Section]:
-    """The whole report, in order; what lacks its runs says which command makes them."""
+    """All sections in order; one without runs names the command that makes them."""
     built = {
         "Convergence": ("table2", _convergence),
         "An n-ple coverage spherical cap": ("table2", _cap),
@@ -171,7 +171,7 @@ def _curves(source: Source, name: str, runs: list[OptimiserRun], title: str) -> 
 
 
 def _origins(source: Source, *sweeps: str) -> list[Text]:
-    """Which runs a section is about: one paragraph for each sweep."""
+    """The runs of a section: one paragraph for each sweep."""
     return [_origin(source, sweep) for sweep in sweeps]
 
 
@@ -201,7 +201,7 @@ def _missing(sweep: str) -> Text:
 
 
 def _of_row(jobs: pd.DataFrame, name: str) -> pd.DataFrame:
-    """Those runs of a sweep that are of a row of Table II."""
+    """The runs of a sweep for a row of Table II."""
     _, column, value = TABLE_2_RUNS[name]
     return jobs[jobs[column] == value]
 
@@ -217,7 +217,7 @@ def _by_pair(jobs: pd.DataFrame) -> pd.Series:
 
 
 def _typical(jobs: pd.DataFrame) -> str:
-    """Id of the run in the middle by qualified ratio, the lower one of two: the median of those is of neither."""
+    """Id of the run in the middle by qualified ratio, the lower one of two."""
     return str(jobs[RATIO].sort_values(kind="stable").index[(len(jobs) - 1) // 2])
 
 
@@ -227,7 +227,7 @@ def _beside_head() -> list[str]:
 
 
 def _beside(printed: Printed, jobs: pd.DataFrame) -> list[str]:
-    """A row that sets the median of runs beside what was printed, in per cent, and their difference in points."""
+    """Cells of a row: printed figures and medians of runs in per cent, and their differences in points."""
     cells = [f"{len(jobs)}"]
     for index in INDICES:
         paper, values = getattr(printed, index), jobs[f"metrics.{index}"]

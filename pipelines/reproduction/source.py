@@ -1,4 +1,4 @@
-"""What a reproduction report is made from: the runs of a tracking store."""
+"""The source of a reproduction report: the runs of a tracking store."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -31,13 +31,13 @@ OPTIMISER = "tags.choice.optimiser"
 BUDGET = "params.budget.evaluations"
 COUNT = "params.deployment.count"
 
-# Everything a report looks at in a job's run; a store may lack some.
+# Columns that a report reads; a store may lack some.
 COLUMNS = [
     *("status", "started", "tags.sweep", "tags.job", PARENT, OPTIMISER, "tags.choice.deployment"),
     *(SEED, BUDGET, COUNT, *PAIR, *(f"metrics.{index}" for index in INDICES), GRID_FREE),
 ]
 
-# What a section takes for numbers, by its sweep; parameters are texts, and anybody may have written them.
+# Parameters that a section reads as numbers, by its sweep; in a store they are texts of any origin.
 NUMBERS = {
     "table2": [SEED],
     "table3": PAIR,
@@ -51,24 +51,21 @@ Load = Callable[[str], tuple[Problem, Deployment]]
 
 @dataclass(frozen=True)
 class Source:
-    """What a report is made from.
-
-    Args:
-        reader: of the tracking store.
-        runs: the runs to report on, as `MlflowReader.runs` gives them.
-        load: gives back what a run was about.
-        folder: where pictures are written.
-    """
+    """The runs of a report, and the folder of its pictures."""
 
     reader: MlflowReader
+    """Reader of the tracking store."""
     runs: pd.DataFrame
+    """Runs of `MlflowReader.runs`."""
     load: Load
+    """Loads the problem and the deployment of a run."""
     folder: Path
+    """Folder of the pictures."""
 
     def jobs(self, sweep: str) -> pd.DataFrame:
         """The finished runs of the newest sweep of that name, one for each job, the oldest first.
 
-        Those in which something is no number are left out, and named.
+        A run whose parameter is no number is left out, with a note.
         """
         runs = self.runs.reindex(columns=COLUMNS)
         jobs: pd.DataFrame = runs[(runs["tags.sweep"] == sweep) & (runs["status"] == "FINISHED") & runs[PARENT].notna()]
@@ -85,7 +82,7 @@ class Source:
         return jobs
 
     def optimiser_runs(self, jobs: pd.DataFrame) -> list[OptimiserRun]:
-        """What optimisations found, and how they converged; those whose files or curve are gone are named."""
+        """Results and convergence of optimisations; a run without its files or curve is left out, with a note."""
         found = []
         for run_id, job in jobs.iterrows():
             curve = [Record(*point) for point in self.reader.curve(str(run_id), "best_fitness")]
@@ -101,7 +98,7 @@ class Source:
         return found
 
     def picture(self, name: str, caption: str, draw: Callable[[Path], None]) -> Picture:
-        """A picture drawn by `draw` into the folder."""
+        """A picture that `draw` writes into the folder."""
         path = self.folder / f"{name}.png"
         draw(path)
         shrink(path)

@@ -11,7 +11,7 @@ from lmd.core.words import as_code, escaped, markdown_table
 from lmd.estimation import pairs
 from lmd.plot.charts import save_heat_map
 from lmd.plot.common import literal, new_figure
-from pipelines.calibrate_detector import to_markdown as calibrations_to_markdown
+from pipelines.calibrate_detector import limits_markdown
 from pipelines.operations.sweeps.folder import Job, JobFolder, Sweep
 from pipelines.operations.sweeps.summary import description
 from pipelines.reproduction.document import Section, Table, Text, to_html, to_markdown
@@ -101,7 +101,7 @@ def test_usual_names_are_left_as_they_are():
 def test_names_in_tables_of_results(payload):
     names = ("views", "pitch", "blur", "edge", "incidence", "margin", "accuracy", "precision", "recall")
     row = dict.fromkeys(names, 0.5)
-    assert rendered(calibrations_to_markdown({payload: row})).cells[14].strip() == shown(payload)
+    assert rendered(limits_markdown({payload: row})).cells[14].strip() == shown(payload)
     pair = {"position_ratio": 1.0, "position_better": 1, "flights": 2, "position_p": 0.5}
     pair |= {f"{pairs.PAIRED_FIGURE}_gain": 0.1, f"{pairs.PAIRED_FIGURE}_p": 0.5}
     table = pd.DataFrame([{"deployment": payload, "against": payload, "estimator": payload, **pair}])

@@ -9,11 +9,11 @@ from numpy.testing import assert_allclose, assert_array_equal
 from paper import paper_camera, paper_scene
 
 from lmd.core.checks import InputError
+from lmd.detection.comparison import PITCHES
 from lmd.detection.corner_errors import CORNER_ERRORS, PITCH_MIDDLES, CornerErrors
 from lmd.detection.detectors import ArucoDetector, Detections
 from lmd.detection.evaluation import corner_error
 from lmd.detection.quality import pitch
-from lmd.detection.report import PITCHES
 from lmd.estimation.estimators import CramerRaoBound
 from lmd.estimation.flights import Pace, RandomMotion
 from lmd.estimation.fusion import FixedLagSmoother

@@ -23,7 +23,7 @@ def metrics_of(cwd, experiment="lmd accuracy"):
 
 def test_evaluate_measures_what_the_figures_hang_on(tmp_path):
     (tmp_path / "mine.csv").write_text(LANDMARKS)
-    done = processes.call("evaluate", "sensitivity=true", "deployment=file", "deployment.path=mine.csv",
+    done = processes.inside("evaluate", "sensitivity=true", "deployment=file", "deployment.path=mine.csv",
                           "tag.edge=0.8", "validate=false", "localisation=false", cwd=tmp_path,
                           settings=SMALL)  # fmt: skip
     assert done.returncode == 0, done.stderr
@@ -43,7 +43,7 @@ def test_evaluate_measures_what_the_figures_hang_on(tmp_path):
 
 def test_accuracy_sets_deployments_side_by_side(tmp_path):
     (tmp_path / "mine.csv").write_text(LANDMARKS)
-    done = processes.call("accuracy", "deployments=[uniform,'mine: file deployment.path=mine.csv']", cwd=tmp_path,
+    done = processes.inside("accuracy", "deployments=[uniform,'mine: file deployment.path=mine.csv']", cwd=tmp_path,
                           settings=SMALL)  # fmt: skip
     assert done.returncode == 0, done.stderr
     figures = pd.read_csv(tmp_path / "run" / "figures.csv", index_col="deployment")

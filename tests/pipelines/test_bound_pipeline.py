@@ -3,7 +3,7 @@
 import json
 
 import pytest
-from processes import call, refused
+from processes import inside, refused
 
 from lmd.evaluation.selection_bound import GUARANTEE
 
@@ -12,7 +12,7 @@ SMALL_BOUND = ["room.spacing=2.0", "pdf.divisions=6", "bound.spacing=1.0", "boun
 
 @pytest.mark.slow
 def test_the_command_prints_and_writes_the_bounds(tmp_path):
-    done = call(
+    done = inside(
         "bound",
         *SMALL_BOUND,
         "deployment.count=12",
@@ -33,7 +33,7 @@ def test_the_command_prints_and_writes_the_bounds(tmp_path):
 @pytest.mark.slow
 def test_the_command_bounds_what_localises(tmp_path):
     settings = [*SMALL_BOUND, "objective=localisation", "tag.edge=0.2", "deployment.count=12", "hydra.run.dir=run"]
-    done = call("bound", cwd=tmp_path, settings=settings)
+    done = inside("bound", cwd=tmp_path, settings=settings)
     assert done.returncode == 0, done.stderr
     document = json.loads((tmp_path / "run" / "bound.json").read_text())
     assert 0.0 < document["selection"]["greedy"] <= document["selection"]["grid"]

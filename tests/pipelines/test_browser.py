@@ -17,7 +17,8 @@ from lmd.problem import Problem
 from lmd.scene.deployment_sources import UniformDeployment
 from lmd.space.cuboid import Cuboid
 
-pytestmark = [pytest.mark.slow, chromium.needs_chromium]
+PATHS = ("lmd/plot/page.py", "pipelines/reproduction", "pipelines/operations/tracking")
+pytestmark = [pytest.mark.slow, pytest.mark.thorough(*PATHS), chromium.needs_chromium]
 
 
 @pytest.fixture(scope="module")

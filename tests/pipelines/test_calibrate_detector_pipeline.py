@@ -21,7 +21,7 @@ pytestmark = pytest.mark.slow
 
 
 def call(*overrides, cwd, settings=SMALL):
-    return processes.call("calibrate_detector", *overrides, cwd=cwd, settings=settings)
+    return processes.inside("calibrate_detector", *overrides, cwd=cwd, settings=settings)
 
 
 def test_limits_with_their_evidence(tmp_path):

@@ -20,7 +20,7 @@ pytestmark = pytest.mark.slow
 
 
 def call(*overrides, cwd, settings=SMALL):
-    return processes.call("detect", *overrides, cwd=cwd, settings=settings)
+    return processes.inside("detect", *overrides, cwd=cwd, settings=settings)
 
 
 @pytest.fixture(scope="module")

@@ -20,7 +20,7 @@ ROOT = Path(__file__).parents[2]
 
 
 def call(*overrides, cwd):
-    return processes.call("estimate_pdf", "hydra.run.dir=run", *overrides, cwd=cwd, settings=())
+    return processes.inside("estimate_pdf", "hydra.run.dir=run", *overrides, cwd=cwd, settings=())
 
 
 @pytest.mark.parametrize("option", sorted(path.stem for path in Path(CONF, "recording").glob("*.yaml")))

@@ -4,7 +4,7 @@ import json
 
 import pytest
 from omegaconf import OmegaConf
-from processes import SMALL, call, refused
+from processes import SMALL, inside, refused
 
 from lmd.mapping.formats import formats_of
 from lmd.scene.tag import Tag
@@ -43,23 +43,23 @@ def ids(path):
 
 def test_a_file_becomes_every_format(work):
     overrides = ("deployment.path=mine.csv", "tracking=none", "hydra.run.dir=out")
-    done = call("export", *overrides, cwd=work, settings=TAGS)
+    done = inside("export", *overrides, cwd=work, settings=TAGS)
     assert done.returncode == 0, done.stderr
     assert {path.name for path in (work / "out").iterdir()} == {*EVERY, ".hydra"}
     assert ids(work / "out" / "tags.wpilib.json") == {3, 7, 9}
     assert "tags   3 of 36h11, 150 mm\n" in done.stdout
-    again = call("export", *overrides, cwd=work, settings=TAGS)
+    again = inside("export", *overrides, cwd=work, settings=TAGS)
     assert again.returncode == 0, again.stderr
 
 
 def test_maps_do_not_wait_for_paper(work):
     overrides = ("deployment.path=mine.csv", "deployment.free=true", "tracking=none")
-    done = call("export", *overrides, "tag.edge=0.3", "hydra.run.dir=pieces", cwd=work, settings=TAGS)
+    done = inside("export", *overrides, "tag.edge=0.3", "hydra.run.dir=pieces", cwd=work, settings=TAGS)
     assert done.returncode == 0, done.stderr
     assert {path.name for path in (work / "pieces").iterdir()} == {*EVERY, ".hydra"}
     assert "sheets 18 of a4: a tag is larger than a sheet and comes in 6 pieces" in done.stdout
     assert "paper_size=a4|a3|letter" in done.stdout
-    done = call("export", *overrides, "tag.edge=2", "hydra.run.dir=huge", cwd=work, settings=TAGS)
+    done = inside("export", *overrides, "tag.edge=2", "hydra.run.dir=huge", cwd=work, settings=TAGS)
     assert done.returncode == 0, done.stderr
     assert {path.name for path in (work / "huge").iterdir()} == {*EVERY, ".hydra"} - {"sheets.pdf"}
     assert "note: sheets.pdf is not written: tag.edge = 2 m takes 150 sheets of a4 for a tag" in done.stderr
@@ -76,10 +76,10 @@ def test_the_planner_starts_whatever_the_paper(capsys):
 
 def test_a_run_writes_its_own_maps_and_can_be_exported_later(work):
     overrides = ("deployment.count=6", "objective.n=1", "budget.evaluations=2", "tracking=none", "hydra.run.dir=found")
-    done = call("optimise", *overrides, "export=[wpilib,csv,plan]", cwd=work, settings=TAGS)
+    done = inside("optimise", *overrides, "export=[wpilib,csv,plan]", cwd=work, settings=TAGS)
     assert done.returncode == 0, done.stderr
     assert {path.name for path in (work / "found").iterdir()} & EVERY == {"tags.wpilib.json", "tags.csv", "plan.pdf"}
-    done = call("export", "run=found", "formats=[wpilib]", "hydra.run.dir=out", cwd=work, settings=())
+    done = inside("export", "run=found", "formats=[wpilib]", "hydra.run.dir=out", cwd=work, settings=())
     assert done.returncode == 0, done.stderr
     layouts = [work / folder / "tags.wpilib.json" for folder in ("found", "out")]
     assert layouts[0].read_bytes() == layouts[1].read_bytes()
@@ -89,13 +89,15 @@ def test_a_run_writes_its_own_maps_and_can_be_exported_later(work):
 def test_a_map_of_one_stack_becomes_that_of_another(work):
     (work / "map.txt").write_text("# Clover\n3 0.15 0 2 3 1.5707963267948966 0 1.5707963267948966\n9 0.05 1 2 0\n")
     found = "deployment.path=map.txt", "tag.family=4x4_50"
-    done = call("export", *found, "formats=[aruco,json]", "tracking=none", "hydra.run.dir=out", cwd=work, settings=TAGS)
+    done = inside(
+        "export", *found, "formats=[aruco,json]", "tracking=none", "hydra.run.dir=out", cwd=work, settings=TAGS
+    )
     assert done.returncode == 0, done.stderr
     assert "note: tag.edge = 0.15 m holds for 1 of 2 tags; the others have their own: 0.05 m (1)" in done.stderr
     tags = json.loads((work / "out" / "tags.json").read_text())["tags"]
     assert [(tag["id"], tag["edge"]) for tag in tags] == [(3, 0.15), (9, 0.05)]
     assert tags[0]["corners"]["top_left"] == pytest.approx([0.0, 1.925, 3.075])
-    done = call("export", *found, "formats=[rtabmap]", cwd=work, settings=TAGS)
+    done = inside("export", *found, "formats=[rtabmap]", cwd=work, settings=TAGS)
     assert done.returncode == 1
     assert "formats has rtabmap: it has one edge for all tags, and these have 0.05, 0.15 m" in done.stderr
 
@@ -103,14 +105,14 @@ def test_a_map_of_one_stack_becomes_that_of_another(work):
 def test_a_map_that_says_the_sizes_of_its_tags_needs_no_edge_and_one_tag_no_objective(work):
     (work / "map.txt").write_text("# Clover\n3 0.15 0 2 3 1.5707963267948966 0 1.5707963267948966\n")
     given = "deployment.path=map.txt", "tag.family=4x4_50", "tracking=none", "formats=[json,rtabmap]"
-    done = call("export", *given, "hydra.run.dir=out", cwd=work, settings=())
+    done = inside("export", *given, "hydra.run.dir=out", cwd=work, settings=())
     assert done.returncode == 0, done.stderr
     assert json.loads((work / "out" / "tags.json").read_text())["edge"] == 0.15
     again = "deployment.path=out/tags.json", "tracking=none", "formats=[json]"
-    done = call("export", *again, "hydra.run.dir=again", cwd=work, settings=())
+    done = inside("export", *again, "hydra.run.dir=again", cwd=work, settings=())
     assert done.returncode == 1
     assert "tag.family=4x4_50 is needed: the tags of out/tags.json are of that family, and not of 36h11" in done.stderr
-    done = call("export", *again, "tag.family=4x4_50", "hydra.run.dir=again", cwd=work, settings=())
+    done = inside("export", *again, "tag.family=4x4_50", "hydra.run.dir=again", cwd=work, settings=())
     assert done.returncode == 0, done.stderr
     assert (work / "again" / "tags.json").read_bytes() == (work / "out" / "tags.json").read_bytes()
 

@@ -61,6 +61,7 @@ def test_a_disk_that_is_full_from_the_start_is_one_sentence(tmp_path):
         assert not list(disk.iterdir())
 
 
+@pytest.mark.thorough("pipelines/operations/tracking", "pipelines/sync.py")
 def test_a_server_that_dies_costs_a_warning_and_gets_everything_later(endless, tmp_path):
     (tmp_path / "server").mkdir()
     database = f"sqlite:///{tmp_path}/server.db"

@@ -6,7 +6,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from composing import composed
-from processes import call, refused
+from processes import inside, refused
 
 from lmd.core.checks import InputError
 from pipelines.building import build_problem
@@ -75,7 +75,7 @@ def test_what_cannot_be_is_refused_in_a_sentence(work, overrides, message):
 def test_tags_are_added_to_what_hangs_already(work):
     seen = ("objective.thold_p=0.02", "objective.n=1")
     more = ("deployment.fixed=tags.csv", "deployment.count=+5", "budget.evaluations=60", "hydra.run.dir=run", *seen)
-    done = call("optimise", *more, *QUICK[:1], cwd=work)
+    done = inside("optimise", *more, *QUICK[:1], cwd=work)
     assert done.returncode == 0, done.stderr
     landmarks = pd.read_csv(work / "run" / "landmarks.csv")
     assert landmarks.fixed.tolist() == [1, 1, 0, 0, 0, 0, 0]
@@ -84,7 +84,7 @@ def test_tags_are_added_to_what_hangs_already(work):
     found = json.loads((work / "run" / "metrics.json").read_text())
     assert found["settings"]["fixed_landmarks"] == 2
     (work / "tags.csv").unlink()  # what a run was about is in its own folder
-    again = call(
+    again = inside(
         "evaluate", "run=run", "hydra.run.dir=again", *QUICK, cwd=work, settings=("validate=false", "picture=false")
     )
     assert again.returncode == 0, again.stderr
@@ -96,14 +96,14 @@ def test_tags_are_added_to_what_hangs_already(work):
     assert scored["fitness"] == found["fitness"]
     assert scored["settings"]["fixed_landmarks"] == 2
     alone = ("deployment=file", "deployment.path=run/landmarks.csv", "hydra.run.dir=alone", *seen)
-    assert call("evaluate", *alone, *QUICK, cwd=work).returncode == 0
+    assert inside("evaluate", *alone, *QUICK, cwd=work).returncode == 0
     assert json.loads((work / "alone" / "metrics.json").read_text())["fitness"] == found["fitness"]
 
 
 @pytest.mark.slow
 def test_a_run_does_not_go_on_beside_other_tags(work):
     settings = ("room.spacing=1.5", "deployment.fixed=tags.csv", "deployment.count=6", "optimiser=ega", "tracking=none")
-    done = call("optimise", "budget.evaluations=30", "hydra.run.dir=run", cwd=work, settings=settings)
+    done = inside("optimise", "budget.evaluations=30", "hydra.run.dir=run", cwd=work, settings=settings)
     assert done.returncode == 0, done.stderr
     (work / "tags.csv").write_text(TAGS.replace("0,2,3", "0,1,3"))
     message = "checkpoint.npz was made with contents of tags.csv = "

@@ -86,8 +86,6 @@ KILLS = """
 import json, os, signal, sys
 from pipelines.operations.sweeps import forks
 
-forks.READY = "json"
-
 def begin(name):
     with open(name, "wb") as output:
         process = forks.Process("probe", [name, "0"], os.environ, output.fileno())
@@ -110,6 +108,7 @@ assert begin("later").wait() == 0
 """
 
 
+@pytest.mark.thorough("pipelines/operations/sweeps/forks.py")
 def test_where_the_server_is_killed_the_next_job_gets_another(tmp_path):
     (tmp_path / "probe.py").write_text(PROBE)
     line = [sys.executable, "-c", KILLS]

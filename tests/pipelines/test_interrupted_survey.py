@@ -61,7 +61,10 @@ def told(begin, tmp_path):
     return run
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize(
+    "number",
+    [signal.SIGINT, pytest.param(signal.SIGTERM, marks=pytest.mark.thorough("pipelines/operations/signals.py"))],
+)
 def test_told_to_stop_while_the_map_is_refined_it_leaves_the_map_so_far(told, number, tmp_path):
     code, out, err = told(("REFINING", 1), number=number)
     assert code == 128 + number, err

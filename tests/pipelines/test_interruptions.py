@@ -15,9 +15,10 @@ pytestmark = [pytest.mark.slow, pytest.mark.long]
 
 UNTRACKED = (*SETTINGS[:2], "tracking=none")  # a process that has imported nothing takes seconds for mlflow
 SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+THOROUGH = pytest.mark.thorough("pipelines/__init__.py", "pipelines/operations/signals.py", "pipelines/optimise.py")
 
 
-@pytest.mark.parametrize("number", SIGNALS)
+@pytest.mark.parametrize("number", [SIGNALS[0], *(pytest.param(each, marks=THOROUGH) for each in SIGNALS[1:])])
 def test_told_to_stop_it_keeps_the_best_and_says_how_to_go_on(endless, number, tmp_path):
     process = endless()
     process.send_signal(number)
@@ -47,6 +48,7 @@ def test_told_twice_it_stops_at_once_and_keeps_the_best(endless, tmp_path):
     assert run.data.metrics["fitness"] == metrics_in(tmp_path / "run")["fitness"]
 
 
+@THOROUGH
 @pytest.mark.parametrize(
     ("number", "delay"),
     [*((signal.SIGINT, delay) for delay in (0.05, 0.3, 0.8, 2.5)), (signal.SIGTERM, 1.5), (signal.SIGHUP, 0.8)],
@@ -69,7 +71,10 @@ def test_told_to_stop_before_there_is_anything_it_leaves_nothing(begin, number, 
 
 @pytest.mark.parametrize(
     ("library", "function"),
-    [("hydra._internal.config_loader_impl.ConfigLoaderImpl", "load_configuration"), ("pipelines.building", "deepcopy")],
+    [
+        ("hydra._internal.config_loader_impl.ConfigLoaderImpl", "load_configuration"),
+        pytest.param("pipelines.building", "deepcopy", marks=THOROUGH),
+    ],
 )
 def test_told_to_stop_within_a_library_that_fails_of_it_it_says_so_and_no_more(library, function, begin, tmp_path):
     """Hydra while it composes, and OmegaConf while objects are made, are left with a configuration half done."""
@@ -91,6 +96,7 @@ def halved(*args, **kwargs):
     assert not (tmp_path / "run").exists()
 
 
+@THOROUGH
 def test_a_closed_terminal_is_no_reason_to_lose_the_result(begin, tmp_path):
     ours, theirs = os.openpty()
     line = command("optimise", *SETTINGS, *ENDLESS, "picture=true")
@@ -106,6 +112,7 @@ def test_a_closed_terminal_is_no_reason_to_lose_the_result(begin, tmp_path):
     assert run.info.status == "KILLED"
 
 
+@THOROUGH
 def test_under_nohup_a_closed_terminal_is_ignored(endless):
     process = endless(line=["nohup"], settings=UNTRACKED)
     process.send_signal(signal.SIGHUP)

@@ -20,12 +20,19 @@ TAGS = ("deployment=uniform", "deployment.count=12", "pdf=yaw", "pdf.divisions=3
 IN_TURN = (*TAGS, "rounds=2", "tag_evaluations=300")
 KILLED = [
     ("optimise", KILLS, 5000, (*SETTINGS, "budget.evaluations=5000"), ()),
-    ("place_cameras", KILLS // 2, 2 * (30 + 300), (*IN_TURN, SETTINGS[-1], "budget.evaluations=30"), ("rig.yaml",)),
+    pytest.param(
+        "place_cameras",
+        KILLS // 2,
+        2 * (30 + 300),
+        (*IN_TURN, SETTINGS[-1], "budget.evaluations=30"),
+        ("rig.yaml",),
+        marks=pytest.mark.thorough("lmd/cameras", "lmd/optimisers/checkpoint.py", "pipelines/place_cameras.py"),
+    ),
 ]
 
 
 @pytest.mark.parametrize(
-    ("pipeline", "kills", "evaluations", "given", "further"), KILLED, ids=[row[0] for row in KILLED]
+    ("pipeline", "kills", "evaluations", "given", "further"), KILLED, ids=["optimise", "place_cameras"]
 )
 def test_killed_at_random_moments_it_ends_where_it_would_have(
     pipeline, kills, evaluations, given, further, begin, tmp_path

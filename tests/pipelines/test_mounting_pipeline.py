@@ -52,7 +52,7 @@ def test_a_mounting_error_may_be_a_mapping(monkeypatch, error, expected):
 
 @pytest.mark.slow
 def test_a_mounting_error_is_a_number_or_more(folder):
-    done = processes.call("evaluate", "deployment.mounting_error=0.005", "deployment.mounting_error.tilt=0.01",
+    done = processes.inside("evaluate", "deployment.mounting_error=0.005", "deployment.mounting_error.tilt=0.01",
                           "deployment.mounting_error.draws=5", *QUICK, cwd=folder, settings=SMALL)  # fmt: skip
     assert done.returncode == 0, done.stderr
     assert "tags off by 5 mm along their surface, turned by 0 and tilted by 10 mrad (1 sigma); 5 draws" in done.stdout
@@ -71,7 +71,7 @@ def test_measured_places_are_scored_in_place_of_the_plan(folder):
     survey.parent.mkdir()
     survey.write_text(MEASURED)
     asked = (f"deployment.measured={survey}", *QUICK, "picture=true")
-    done = processes.call("evaluate", *asked, cwd=folder, settings=SMALL)
+    done = processes.inside("evaluate", *asked, cwd=folder, settings=SMALL)
     assert done.returncode == 0, done.stderr
     assert "at most 50.0 mm" in done.stdout
     assert survey.read_text() == MEASURED
@@ -82,7 +82,7 @@ def test_measured_places_are_scored_in_place_of_the_plan(folder):
     assert document["survey"]["fitness/measured"] == document["fitness"]
     assert {"moved.csv", "survey.csv", "survey.png"} <= logged(folder)[1]
     for pipeline, *settings in (("export", "formats=[csv]"), ("observe", "seeds=1", "trajectory.duration=2")):
-        done = processes.call(pipeline, "run=run", f"hydra.run.dir={pipeline}", cwd=folder,
+        done = processes.inside(pipeline, "run=run", f"hydra.run.dir={pipeline}", cwd=folder,
                               settings=["tracking=none", *settings])  # fmt: skip
         assert done.returncode == 0, done.stderr
     assert pd.read_csv(folder / "export" / "tags.csv").set_index("id").y.to_dict() == {3: 2.03, 5: 2.25, 8: 2.0}

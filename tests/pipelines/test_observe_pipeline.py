@@ -18,7 +18,7 @@ LANDMARKS = "id,x,y,z,nx,ny,nz\n0,0,1,1,1,0,0\n1,0,2,3,1,0,0\n2,7.5,2,3,-1,0,0\n
 
 
 def call(*overrides, cwd, pipeline="observe", settings=SMALL):
-    return processes.call(pipeline, *overrides, cwd=cwd, settings=settings)
+    return processes.inside(pipeline, *overrides, cwd=cwd, settings=settings)
 
 
 @pytest.fixture(scope="module")

@@ -14,6 +14,7 @@ import pytest
 
 ROOT = Path(__file__).parents[2]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())
+INSTALLED = pytest.mark.thorough("pyproject.toml", "pipelines/app.py", "pipelines/hyperparameters.py")
 SMALL = ["room.spacing=1.5", "objective.thold_p=0.5", "validate=false", "budget.evaluations=60"]
 
 
@@ -115,6 +116,7 @@ def test_nothing_but_lmd_is_installed_and_nothing_is_missing(wheel):
 
 
 @pytest.mark.slow
+@INSTALLED
 def test_an_installed_command_works_in_an_empty_folder(commands, tmp_path):
     out = call(commands / "lmd-optimise", "optimiser=random_search", cwd=tmp_path)
     assert "(mlflow ui --backend-store-uri sqlite:///outputs/mlflow.db)" in out
@@ -123,6 +125,7 @@ def test_an_installed_command_works_in_an_empty_folder(commands, tmp_path):
 
 
 @pytest.mark.slow
+@INSTALLED
 def test_an_installed_sweep_takes_an_optimiser_from_a_folder_of_ones_own(commands, work):
     out = call(commands / "lmd-optimise", "-m", "--config-dir", ".", "optimiser=mine", "seed=1,2", "tracking=none",
                cwd=work)  # fmt: skip

@@ -4,7 +4,7 @@ import json
 
 import composing
 import pytest
-from processes import call, refused
+from processes import inside, refused
 
 from lmd.core.checks import InputError
 from lmd.scene.rig import Rig
@@ -55,7 +55,7 @@ def test_what_is_refused_is_named_by_its_key(override, message):
 def test_cameras_are_placed_scored_and_gone_on_from(tmp_path):
     common = (*TAGS, "tracking=none", "budget.evaluations=12", "body.margin=0.05")
     settings = ("room.spacing=1.5", "validate=false")
-    done = call("place_cameras", *common, "hydra.run.dir=run", cwd=tmp_path, settings=settings)
+    done = inside("place_cameras", *common, "hydra.run.dir=run", cwd=tmp_path, settings=settings)
     assert done.returncode == 0, done.stderr
     found = json.loads((tmp_path / "run" / "metrics.json").read_text())
     assert (found["cameras"], found["evaluations"]) == (2, 12)
@@ -66,11 +66,11 @@ def test_cameras_are_placed_scored_and_gone_on_from(tmp_path):
     assert isinstance(rig, Rig)
     assert len(rig.mounts) == 2
     quick, quiet = ("localisation=false", "losses=false"), ("tracking=none", "validate=false", "picture=false")
-    done = call("evaluate", "run=run", *quick, "hydra.run.dir=again", cwd=tmp_path, settings=quiet)
+    done = inside("evaluate", "run=run", *quick, "hydra.run.dir=again", cwd=tmp_path, settings=quiet)
     assert done.returncode == 0, done.stderr
     assert json.loads((tmp_path / "again" / "metrics.json").read_text())["fitness"] == found["fitness"]
     more = ("run=run", "rounds=2", "tag_evaluations=12", "budget.evaluations=6", "hydra.run.dir=rounds")
-    done = call("place_cameras", *more, cwd=tmp_path, settings=quiet)
+    done = inside("place_cameras", *more, cwd=tmp_path, settings=quiet)
     assert done.returncode == 0, done.stderr
     assert "margin: 0.05" in (tmp_path / "rounds" / ".hydra" / "config.yaml").read_text()  # the body is that of the run
     turns = json.loads((tmp_path / "rounds" / "metrics.json").read_text())

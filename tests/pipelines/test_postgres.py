@@ -33,7 +33,10 @@ def missing():
 
 
 REASON = missing()
-pytestmark = [pytest.mark.slow, pytest.mark.skipif(REASON is not None, reason=str(REASON))]
+pytestmark = [
+    pytest.mark.slow, pytest.mark.thorough("pipelines/operations"),
+    pytest.mark.skipif(REASON is not None, reason=str(REASON)),
+]  # fmt: skip
 
 
 @pytest.fixture(scope="module")

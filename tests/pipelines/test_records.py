@@ -44,7 +44,7 @@ def told_to_stop(*_, **__):
 def test_a_run_that_is_stopped_while_it_writes_keeps_all_that_cannot_be_had_again(found, where, tmp_path, monkeypatch):
     monkeypatch.setattr(tracked_run, where, told_to_stop, raising=False)
     with pytest.raises(Stopped):
-        record(found, **({"further": told_to_stop} if where == "further" else {}), status="KILLED")
+        record(found, **({"further": told_to_stop} if where == "further" else {}), summary={"stopped": "interrupted"})
     assert {"landmarks.csv", "metrics.json", "history.csv", CHECKPOINT_FILE} == {
         path.name for path in tmp_path.iterdir()
     }

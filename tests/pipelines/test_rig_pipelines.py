@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from omegaconf import open_dict
 from paper import PAPER_CAMERA
-from processes import call
+from processes import inside
 
 from lmd.core.checks import InputError
 from lmd.geometry.camera import Camera
@@ -78,11 +78,11 @@ def test_a_rig_of_one_camera_is_a_rig():
 @pytest.mark.slow
 def test_a_rig_is_optimised_and_judged(tmp_path):  # other optimisers, and losses, need no process
     common = (BACK_TO_BACK, "pdf=yaw", "deployment.count=12", "tracking=none", "optimiser=random_search")
-    done = call("optimise", *common, "budget.evaluations=60", "hydra.run.dir=run", cwd=tmp_path)
+    done = inside("optimise", *common, "budget.evaluations=60", "hydra.run.dir=run", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     found = json.loads((tmp_path / "run" / "metrics.json").read_text())
     settings = ("tracking=none", "validate=false", "losses=false", "picture=false")
-    done = call("evaluate", "run=run", "hydra.run.dir=again", cwd=tmp_path, settings=settings)
+    done = inside("evaluate", "run=run", "hydra.run.dir=again", cwd=tmp_path, settings=settings)
     assert done.returncode == 0, done.stderr
     again = json.loads((tmp_path / "again" / "metrics.json").read_text())
     assert again["qualified_ratio"] == found["qualified_ratio"]

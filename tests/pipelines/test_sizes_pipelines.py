@@ -6,7 +6,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from composing import composed
-from processes import call
+from processes import inside
 
 from lmd.core.checks import InputError
 from lmd.optimisers.ledger import Budget
@@ -85,11 +85,11 @@ def test_what_does_not_fit_is_refused(overrides, message):
 @pytest.mark.slow  # kernels of the room of the paper for one more kind of sight
 def test_a_run_with_sizes_is_evaluated_as_it_was_found(tmp_path):
     settings = ("room.spacing=1.5", "visibility=fiducial", *SIZES, "tracking=none", "validate=false")
-    call("optimise", "optimiser=random_search", "budget.evaluations=20", "deployment.count=[12,6]", *settings,
+    inside("optimise", "optimiser=random_search", "budget.evaluations=20", "deployment.count=[12,6]", *settings,
          "hydra.run.dir=run", cwd=tmp_path)  # fmt: skip
     landmarks = pd.read_csv("run/landmarks.csv")
     assert landmarks.edge.tolist() == [0.06] * 12 + [0.20] * 6
-    call("evaluate", "run=run", "tracking=none", "localisation=false", "hydra.run.dir=again", cwd=tmp_path)
+    inside("evaluate", "run=run", "tracking=none", "localisation=false", "hydra.run.dir=again", cwd=tmp_path)
     found, again = (json.load(open(f"{run}/metrics.json")) for run in ("run", "again"))  # noqa: SIM115
     assert again["fitness"] == found["fitness"] > 0.0
 
@@ -108,7 +108,7 @@ FRC = ("room=frc_2025", "camera=ov9281", "pdf=yaw", "tag=printed", "visibility=f
 )
 def test_sizes_are_mixed_in_a_hall_and_on_a_field(scene, tmp_path):
     quick = ("optimiser=random_search", "budget.evaluations=3", "tracking=none", "validate=false", "picture=false")
-    run = call("optimise", *scene, *quick, "hydra.run.dir=run", cwd=tmp_path, settings=())
+    run = inside("optimise", *scene, *quick, "hydra.run.dir=run", cwd=tmp_path, settings=())
     assert run.returncode == 0, run.stderr
     tag = json.loads((tmp_path / "run" / "metrics.json").read_text())["settings"]["tag"]
     edges = pd.read_csv(tmp_path / "run" / "landmarks.csv").edge

@@ -25,7 +25,10 @@ FAULTS = ("cancelled", "late", "none", "queued")
 IDS = {fault: f"1_{number}" for number, fault in enumerate(FAULTS)}  # in SLURM: a fresh cluster's first array
 BATCHES = 40
 REASON = slurm.missing()
-pytestmark = [pytest.mark.long, pytest.mark.slow, pytest.mark.skipif(REASON is not None, reason=str(REASON))]
+pytestmark = [
+    pytest.mark.long, pytest.mark.slow, pytest.mark.thorough("pipelines/operations"),
+    pytest.mark.skipif(REASON is not None, reason=str(REASON)),
+]  # fmt: skip
 
 
 @pytest.fixture(scope="module")

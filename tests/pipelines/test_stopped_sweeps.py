@@ -9,6 +9,7 @@ import pytest
 from faulty_sweeps import prepared, runs, start_sweep, statuses, sweep, table
 
 pytestmark = pytest.mark.slow
+THOROUGH = pytest.mark.thorough("pipelines/operations")
 
 
 @pytest.fixture
@@ -36,6 +37,7 @@ def test_a_sweep_killed_with_its_job_goes_on_with_what_is_missing(work):
     assert lost.data.tags["reason"] == "its process was killed, and the sweep with it"
 
 
+@THOROUGH
 def test_the_jobs_of_a_sweep_that_is_killed_under_joblib_stop(work):
     process = start_sweep(work, "slow", "hydra/launcher=joblib", "hydra.launcher.n_jobs=2", tracking="tracking=none")
     process.kill()
@@ -70,6 +72,7 @@ def test_an_interrupted_job_goes_on_from_its_checkpoint(work):
     assert "reason" not in children["slow"][0].data.tags
 
 
+@THOROUGH
 def test_a_job_killed_under_submitit_does_not_lose_the_others(work):
     done = sweep(work, "none,kill", "hydra/launcher=submitit_local", tracking="tracking=none")
     assert done.returncode == 1

@@ -1,10 +1,7 @@
 """What is said of the jobs of a sweep, group by group."""
 
-import numpy as np
-import pytest
-
 from pipelines.operations.sweeps.folder import Job, JobFolder, Sweep
-from pipelines.operations.sweeps.summary import best_and_median, description, pivots
+from pipelines.operations.sweeps.summary import best_and_median, description
 
 
 def job(fitness=None, **varied):
@@ -38,19 +35,3 @@ def test_the_best_of_all_is_said_where_all_had_one_problem():
     assert best_and_median(OVER_PAIRS, PAIRS) == {}
     assert best_and_median(Sweep("s", ("room",), None), [job(0.5, room="lab")]) == {}
     assert best_and_median(Sweep("s", ("deployment",), None), [job(0.5, deployment="uniform")]) != {}
-
-
-def test_two_keys_that_vary_make_a_table_of_medians():
-    (table,) = pivots(OVER_PAIRS, PAIRS[:-2]).values()
-    assert (table.index.name, table.columns.name) == ("objective.n", "objective.thold_p")
-    assert table.loc["3", "0.5"] == pytest.approx(0.1)
-    assert table.loc["2", "0.65"] == pytest.approx(0.2)
-    assert np.isnan(table.loc["3", "0.65"])
-    assert pivots(OVER_SEEDS, SEEDS) == {}
-
-
-def test_a_third_key_has_a_table_for_each_value_until_they_are_too_many():
-    sweep = Sweep("s", ("objective.n", "optimiser", "room"), None)
-    three = [job(0.5, objective__n=n, optimiser=o, room=r) for n in "23" for o in "ab" for r in "xyz"]
-    assert list(pivots(sweep, three)) == ["room=x", "room=y", "room=z"]
-    assert pivots(sweep, [job(0.5, objective__n="2", optimiser="a", room=r) for r in "tuvwxyz"]) == {}

@@ -42,7 +42,7 @@ def cwd(tmp_path_factory):
 
 
 def call(*overrides, cwd):
-    return processes.call("survey", *overrides, cwd=cwd, settings=SETTINGS)
+    return processes.inside("survey", *overrides, cwd=cwd, settings=SETTINGS)
 
 
 def places(folder):

@@ -44,7 +44,7 @@ pytestmark = pytest.mark.slow
 
 
 def call(*overrides, cwd, settings=SETTINGS):
-    return processes.call("survey", *overrides, cwd=cwd, settings=settings)
+    return processes.inside("survey", *overrides, cwd=cwd, settings=settings)
 
 
 @pytest.fixture(scope="module")
@@ -130,7 +130,9 @@ def test_the_same_comes_from_the_detections_it_leaves(surveyed, room):
 @pytest.mark.usefixtures("surveyed")
 def test_a_detector_is_calibrated_on_the_frames_of_a_survey(room):
     cwd, _, _ = room
-    done = processes.call("calibrate_detector", "survey=out", cwd=cwd, settings=["tracking=none", "hydra.run.dir=fit"])
+    done = processes.inside(
+        "calibrate_detector", "survey=out", cwd=cwd, settings=["tracking=none", "hydra.run.dir=fit"]
+    )
     assert done.returncode == 0, done.stderr
     assert re.search(
         r"^warning: views: apriltag finds all of \d+ tags, so they tell no limit", done.stderr, re.MULTILINE

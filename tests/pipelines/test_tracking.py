@@ -102,6 +102,7 @@ def start_together(uri, barrier, ids):
 
 
 @pytest.mark.slow
+@pytest.mark.thorough("pipelines/operations/tracking/store.py")
 def test_eight_processes_that_start_at_once_on_no_database_all_get_a_run(tmp_path):
     ensure_warm()
     barrier, ids = context.Barrier(8), context.Queue()

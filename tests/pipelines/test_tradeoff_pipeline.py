@@ -25,7 +25,7 @@ SOME = (COUNTS, "edges=[0.1]", "seeds=1", "tracking=none")
 
 
 def tradeoff(cwd, *overrides, directory="run"):
-    return processes.call("tradeoff", *overrides, f"hydra.run.dir={directory}", cwd=cwd, settings=SMALL)
+    return processes.inside("tradeoff", *overrides, f"hydra.run.dir={directory}", cwd=cwd, settings=SMALL)
 
 
 @pytest.fixture(scope="module")

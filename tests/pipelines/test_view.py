@@ -22,6 +22,7 @@ from lmd.scene.rig_sources import read_mounts
 from pipelines.view import UNSAVED as BEGIN
 
 pytestmark = [pytest.mark.slow, pytest.mark.long]
+THOROUGH = pytest.mark.thorough("lmd/planner", "pipelines/view.py")
 
 OVERRIDES = ("deployment.path=mine.csv", "hydra.run.dir=out")
 ENDLESS = "budget.evaluations=100000000"  # searches go on until they are stopped
@@ -68,6 +69,7 @@ def site(tmp_path):
         server.shutdown()
 
 
+@THOROUGH
 @chromium.needs_chromium
 def test_a_tag_is_dragged_and_saved_and_the_figures_are_those_of_evaluate(planner, browser, work):
     process, address = planner
@@ -104,6 +106,7 @@ def test_a_tag_is_dragged_and_saved_and_the_figures_are_those_of_evaluate(planne
     assert "not saved" not in err
 
 
+@THOROUGH
 @chromium.needs_chromium
 def test_tags_are_added_pinned_optimised_and_looked_at(planner, browser, work):
     process, address = planner
@@ -162,6 +165,7 @@ def test_tags_are_added_pinned_optimised_and_looked_at(planner, browser, work):
     assert f"changes that were not saved are in {work / 'out' / UNSAVED}\n" in err
 
 
+@THOROUGH
 @chromium.needs_chromium
 def test_a_camera_of_a_rig_is_dragged_and_saved_and_evaluate_takes_it(browser, work):
     rig = "camera.rig=[{translation: [0.22, 0, 0.1]}, {translation: [-0.22, 0, 0.1], yaw: 3.142}]"
@@ -200,6 +204,7 @@ def test_a_camera_of_a_rig_is_dragged_and_saved_and_evaluate_takes_it(browser, w
     refused("view", *OVERRIDES, "pdf=yaw", inside, body, message=message, cwd=work, settings=SETTINGS)
 
 
+@THOROUGH
 @chromium.needs_chromium
 def test_a_page_of_another_site_cannot_talk_to_it_whatever_it_knows(planner, browser, site):
     _, address = planner

@@ -132,11 +132,11 @@ def test_a_drag_is_one_step_of_undo_and_redo():
 def test_a_new_tag_has_the_least_free_id_and_the_columns_of_the_file(write):
     path = write("id,x,y,z,nx,ny,nz,note\n7,0,2,3,1,0,0,by the door\n0,0,3,3,1,0,0,\n1,7.5,2,3,-1,0,0,\n")
     planned = session(problem(FileDeployment(path), tag=TAG))
-    assert planned.add(2, np.array([1.0, 1.0])) == 2
-    assert planned.add(2, np.array([2.0, 1.0])) == 3
+    assert [planned.add(2, np.array([a, 1.0])) for a in (1.0, 2.0)] == [2, 3]
     planned.delete(0)
     assert planned.deployment.ids.tolist() == [7, 1, 2, 3]
     assert planned.deployment.labels.columns == {"note": ["by the door", "", "", ""]}
+    assert Plan.of(Deployment([[0.0, 2.0, 3.0]] * 2, [[1.0, 0.0, 0.0]] * 2)).deployment.labels.ids.tolist() == [0, 1]
 
 
 def test_of_several_sizes_the_user_chooses():
@@ -219,7 +219,7 @@ def test_the_free_tags_are_optimised_and_the_pinned_ones_stay():
     assert planned.deployment is before
 
 
-def test_a_search_can_be_stopped_and_nothing_worse_is_taken():
+def test_a_search_can_be_stopped_and_worse_deployments_are_not_applied():
     planned = session()
     search = planned.optimise(Annealing(), Budget(10**9))
     search.stop()
@@ -273,11 +273,6 @@ def test_tags_in_view_are_those_of_the_reference():
         assert (planned.seen(position, yaw, pitch) == counts[0]).all()
 
 
-def test_a_plan_gives_ids_to_landmarks_without():
-    planned = Plan.of(Deployment([[0.0, 2.0, 3.0], [0.0, 3.0, 3.0]], [[1.0, 0.0, 0.0]] * 2))
-    assert planned.without(0).deployment.ids.tolist() == [1]
-
-
 @pytest.mark.parametrize("of", [lambda: problem(tag=TAG), on_a_floor_plan])
 def test_a_tag_hangs_where_its_place_was_typed(of):
     planned, rng = session(of()), np.random.default_rng(2)
@@ -315,10 +310,9 @@ def test_left_is_as_seen_before_the_wall():
         assert position[2] == pytest.approx(1.5)
 
 
-def test_a_tag_on_no_surface_has_no_place_to_type():
+def test_a_tag_on_no_surface_has_no_measured_place():
     planned = session()
-    free = replace(planned.deployment, surfaces=np.full(len(planned.deployment), -1))
-    planned.plan = Plan(free)
+    planned.plan = Plan(replace(planned.deployment, surfaces=np.full(len(planned.deployment), -1)))
     assert planned.plan.measured(0, planned.problem.scene.room) is None
     with pytest.raises(InputError, match=r"^tag 0 hangs on no surface\.$"):
         planned.place(0, 1.0, 1.0)

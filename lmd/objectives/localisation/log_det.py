@@ -29,7 +29,7 @@ from lmd.objectives.localisation.pairs import (
     tags_of,
     take_sums,
 )
-from lmd.objectives.localisation.reference import information_of, is_rig, log_det_of
+from lmd.objectives.localisation.reference import information_of, log_det_of
 from lmd.objectives.localisation.views import ORIENTATION, VIEW, BodyViews, body_views, landmark_moments
 from lmd.scene.criteria import covers, pixel_density
 from lmd.scene.deployment import Deployment
@@ -300,7 +300,7 @@ class ReferenceLogDeterminant(LogDeterminant):
     """Of a camera or a rig whose visibility model has no compiled half."""
 
     def __init__(self, evaluator: Evaluator, *prior: Any) -> None:
-        self.of_camera = not is_rig(evaluator.scene)
+        self.of_camera = evaluator.scene.rig is None
         self.width = WIDTH if self.of_camera else BODY_WIDTH
         self._scene, self._axes = evaluator.scene, evaluator.scene.orientations.axes
         super().__init__(evaluator, *prior)

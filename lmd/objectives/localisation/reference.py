@@ -23,9 +23,7 @@ from lmd.objectives.localisation.ambiguity import (
 )
 from lmd.objectives.localisation.body import about_body, body_log_det, body_meets, body_variance, gain_of
 from lmd.objectives.localisation.information import Precision, log_det, meets, moments, share_of, variance
-from lmd.scene.criteria import largest
 from lmd.scene.deployment import Deployment
-from lmd.scene.rig import Rig
 from lmd.scene.scene import Scene
 from lmd.sight.evaluator import Evaluator
 from lmd.sight.models.paper import dot
@@ -43,7 +41,7 @@ def view_information(
     sides: Any = *offset.T, *(asked.halves[:, None] * right).T, *(asked.halves[:, None] * up).T
     caps = coverage_caps(scene, deployment, position, axes)
     with np.errstate(all="ignore"):  # of a landmark that is not covered the depth may be anything
-        weight = _density(getattr(largest(scene.sight), "lens", None), axes, offset)
+        weight = _density(getattr(scene.sight, "lens", None), axes, offset)
         numbers = *moments(*(*sides, asked.share)), camera_residual(asked.residual, *sides)
         shares = [share_of(each, weight) for each in numbers]
     return np.stack([np.where(caps, share, 0.0).sum(axis=1) for share in shares]), caps
@@ -65,23 +63,18 @@ def body_information(
             numbers = about_body(moments(*(*tags, asked.share)), *arm)
             if asks_apart(asked):
                 numbers += mirrored_numbers(*(*tags, asked.residual))
-            lens = getattr(largest(scene.visibility.sight(camera)), "lens", None)
+            lens = getattr(scene.visibility.sight(camera), "lens", None)
             weight = gain_of(camera, scene.cameras[0]) * _density(lens, turned, offset)
             shares = [np.where(caps, share_of(each, weight), 0.0).sum(axis=1) for each in numbers]
         sums[there, : len(shares)] += np.stack(shares, axis=1)
     return sums.T, covered
 
 
-def is_rig(scene: Scene) -> bool:
-    """True if the scene has a rig in place of a single camera."""
-    return isinstance(scene.camera, Rig)
-
-
 def information_of(
     scene: Scene, deployment: Deployment, asked: Precision, position: FloatArray, axes: FloatArray
 ) -> tuple[FloatArray, BoolArray]:
     """`body_information` of a rig, `view_information` of a single camera."""
-    of = body_information if is_rig(scene) else view_information
+    of = body_information if scene.rig is not None else view_information
     return of(scene, deployment, asked, position, axes)
 
 
@@ -115,7 +108,7 @@ def _judged(
 ) -> tuple[BoolArray, FloatArray]:
     """Views that have the precision `asked`, flags, and the variance of the position in each, `(A,)` each."""
     has_precision, one, trace = meets, has_one_pose, variance
-    if is_rig(scene):
+    if scene.rig is not None:
         has_precision, one, trace = body_meets, body_has_one_pose, body_variance
     with np.errstate(all="ignore"):
         sums, covered = information_of(scene, deployment, asked, position, axes)
@@ -133,7 +126,7 @@ def localised(
 
 def log_det_of(scene: Scene, sums: FloatArray) -> FloatArray:
     """Logarithm of the determinant of the information of views, `(A,)`, from `information_of`, `(width, A)`."""
-    return np.asarray((body_log_det if is_rig(scene) else log_det)(sums, 0, 1))
+    return np.asarray((body_log_det if scene.rig is not None else log_det)(sums, 0, 1))
 
 
 def reference_views(

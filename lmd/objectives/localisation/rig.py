@@ -172,12 +172,12 @@ def located(evaluator: Evaluator, deployment: Deployment, images: Images, n: int
 def body_sums(evaluator: Evaluator, deployment: Deployment, images: Images, precision: Precision) -> FloatArray:
     """Information of all images on the body in the units of the first camera, `(N, width_of(precision))`."""
     scene, (positions, axes, seen) = evaluator.scene, images[3:]
-    rig: Any = scene.camera
+    assert scene.rig is not None
     tags, sums = (
         tags_of(precision, deployment.positions, deployment.normals),
         np.zeros((len(positions), width_of(precision))),
     )
-    for camera, offsets, turned, its in zip(scene.cameras, *rig.views(axes), seen, strict=True):
+    for camera, offsets, turned, its in zip(scene.cameras, *scene.rig.views(axes), seen, strict=True):
         there = for_kernels(offsets.T[None]), for_kernels(turned.T[None]), gain_of(camera, scene.cameras[0])
         mounts = Mounts(0, scene.visibility.sight(camera), *there)
         _add_images(mounts, for_kernels(positions), tags, for_kernels(its), precision, body_views(), sums)

@@ -236,7 +236,7 @@ class Annealing(Optimiser):
 
     @property
     def _known(self) -> Deployment:
-        """The best deployment so far."""
+        """The best deployment."""
         assert self.best is not None, "the start was noted"
         return self.best
 

@@ -1,10 +1,8 @@
-"""What Hydra calls when a sweep begins and ends: its tracked run, and its table."""
+"""The callback of Hydra that begins and ends a sweep: its tracked run, and its table."""
 
 import atexit
 import os
 import sys
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
@@ -16,13 +14,13 @@ from ...nodes import instantiate
 from ...provenance import parameters, source_tags
 from .folder import Sweep, SweepFolder, reason_of
 from .names import override_tags, pin_sweep_folder, sweep_name, swept, varied_keys
-from .summary import SEED, best_and_median, description, found_by, pivots, write_table
+from .summary import SEED, best_and_median, description, found_by, write_jobs
 from .supervisor import LOST, SWEEP_VARIABLE, end_runs
 
 if TYPE_CHECKING:
     from ..tracking import Tracker
 
-# What the name of a sweep says, beside what varies.
+# Parameters in the name of a sweep's run, beside the varied keys.
 NAMED = ("objective.n", "objective.thold_p", "deployment.count", "budget.evaluations", "budget.seconds")
 
 
@@ -30,13 +28,15 @@ class SweepRecord(Callback):
     """Hydra callback that gives a sweep its parent run and, at its end, its table."""
 
     def on_multirun_start(self, config: DictConfig, **kwargs: Any) -> None:
-        """Start the parent run, or continue that of the same sweep before."""
+        """Start the parent run, or continue the one of the sweep that this command grows."""
         from lmd.core.checks import InputError
 
         from ..tracking import RunStart
 
-        with _refused():
+        try:
             _check_jobs(config)
+        except InputError as error:  # Hydra would print a warning and go on
+            sys.exit(f"error: {error}")
         folder = SweepFolder(pin_sweep_folder(config))
         before = folder.load()
         overrides = swept(config)
@@ -48,12 +48,13 @@ class SweepRecord(Callback):
             tracker: Tracker = instantiate(config.tracking)
             tags = {"sweep": sweep.name, "pipeline": config.hydra.job.name}
             tags |= override_tags(overrides) | source_tags(config.hydra.job.name)
-            params = _params(config, sweep.varied)
-            tracker.start(RunStart(_called(sweep, params), folder.path, params, tags), sweep.run_id)
+            params = _shared_parameters(config, sweep.varied)
+            named = [f"{key.split('.')[-1]}={params[key]}" for key in NAMED if key in params]
+            name = " ".join(["sweep", sweep.name, *named])
+            tracker.start(RunStart(name, folder.path, params, tags), sweep.run_id)
         except InputError as error:
             hint = f" (to start the sweep afresh, delete {folder.path})" if before else ""
-            print(f"error: {error}{hint}", file=sys.stderr)
-            sys.exit(1)
+            sys.exit(f"error: {error}{hint}")
         folder.save(replace(sweep, run_id=tracker.run_id))
         os.environ[SWEEP_VARIABLE] = str(os.getpid())
         atexit.register(_cut_short, config)
@@ -70,32 +71,20 @@ class SweepRecord(Callback):
         atexit.unregister(_cut_short)
         try:
             failed = _close(config)
-        except Exception as error:  # Hydra would make it a warning
+        except Exception as error:  # Hydra would print a warning
             print(f"error: the sweep's run could not be ended: {reason_of(error)}", file=sys.stderr)
             failed = True
         if failed:
             sys.exit(1)
 
 
-@contextmanager
-def _refused() -> Iterator[None]:
-    """Print an `InputError`, and exit with 1: Hydra would make it a warning, and go on."""
-    from lmd.core.checks import InputError
-
-    try:
-        yield
-    except InputError as error:
-        print(f"error: {error}", file=sys.stderr)
-        sys.exit(1)
-
-
 def _check_jobs(config: DictConfig) -> None:
-    """Let `glob` find what is on the search path of the command line, and refuse values that are none.
+    """Let `glob` search the search path of the command line, and refuse keys without a value.
 
-    Hydra composes with that path, and expands `glob` without it.
+    Hydra composes with that path, but expands `glob` without it.
 
     Raises:
-        InputError: a key that varies takes no value.
+        InputError: a varied key has no value.
     """
     from hydra._internal.config_repository import ConfigRepository
     from hydra.core.global_hydra import GlobalHydra
@@ -134,7 +123,11 @@ def _cut_short(config: DictConfig) -> None:
 
 
 def _close(config: DictConfig, reason: str = "") -> bool:
-    """Write the table of a sweep and end its run, as FAILED if `reason` is given or a job failed; returns which."""
+    """Write the table of a sweep and end its run; returns whether it ended as FAILED.
+
+    Args:
+        reason: why the run failed; if empty, it fails if a job failed.
+    """
     from ..tracking import RunStart
 
     folder = SweepFolder(config.hydra.sweep.dir)
@@ -147,12 +140,11 @@ def _close(config: DictConfig, reason: str = "") -> bool:
                     its_folder.save(replace(job, status="killed", reason=LOST))
                     end_runs(config.tracking, its_folder, job, LOST)
     jobs = folder.jobs()
-    elsewhere = [its_folder for its_folder, job in jobs if job.status == "running"]  # by the same command once more
+    running = sum(job.status == "running" for _, job in jobs)  # for another process with this command
     failed = [(its_folder, job) for its_folder, job in jobs if job.status not in ("finished", "running")]
     found = found_by(jobs)
-    write_table(folder.table, sweep, found)
-    done = len(jobs) - len(failed) - len(elsewhere)
-    print(f"{done} of {len(jobs)} jobs finished: {folder.table}", flush=True)
+    write_jobs(folder.table, sweep, found)
+    print(f"{len(jobs) - len(failed) - running} of {len(jobs)} jobs finished: {folder.table}", flush=True)
     for its_folder, job in failed:
         print(f"{job.status}: {job.label}: {job.reason} ({its_folder.output})", file=sys.stderr)
     if failed or not jobs:
@@ -161,20 +153,14 @@ def _close(config: DictConfig, reason: str = "") -> bool:
     about = f"{description(sweep, found)}\n\n`{source_tags(config.hydra.job.name)['command']}`\n\nfiles: {folder.path}"
     tracker.start(RunStart(sweep.name, folder.path, tags={"mlflow.note.content": about}), sweep.run_id)
     tracker.log_metrics({"jobs": len(jobs), "failed": len(failed)} | best_and_median(sweep, found))
-    pictures = []
-    if tables := pivots(sweep, found):
-        from lmd.plot.charts import save_heat_map
-
-        pictures.append(folder.path / "pivot.png")
-        save_heat_map(pictures[0], tables, f"sweep {sweep.name}: medians over the seeds", "fitness")
-    tracker.log_artifacts([folder.table, *pictures])
+    tracker.log_artifacts([folder.table])
     tracker.finish("FAILED" if reason else "FINISHED", reason)
     for line in tracker.views([key for key in sweep.varied if key != SEED]):
         print(line, flush=True)
     return bool(reason)
 
 
-def _params(config: DictConfig, varied: tuple[str, ...]) -> dict[str, Any]:
+def _shared_parameters(config: DictConfig, varied: tuple[str, ...]) -> dict[str, Any]:
     """The parameters that the jobs of a sweep share."""
     settings = OmegaConf.masked_copy(config, [str(key) for key in config if key != "hydra"])
     shared = parameters(settings, chosen(config.hydra.runtime.choices))
@@ -183,9 +169,3 @@ def _params(config: DictConfig, varied: tuple[str, ...]) -> dict[str, Any]:
         for key, value in shared.items()
         if not any(key == vary or key.startswith(f"{vary}.") for vary in varied)
     }
-
-
-def _called(sweep: Sweep, params: dict[str, Any]) -> str:
-    """What a sweep is called in lists: with the problem and the budget, as far as its jobs share them."""
-    told = [f"{key.split('.')[-1]}={params[key]}" for key in NAMED if key in params]
-    return " ".join(["sweep", sweep.name, *told])

@@ -1,4 +1,4 @@
-"""Jobs as processes of Python's fork server, which has imported what they need (`ready`)."""
+"""Jobs as processes of Python's fork server, which has imported their modules (`ready`)."""
 
 import importlib
 import multiprocessing
@@ -14,24 +14,24 @@ from typing import Any
 from ..signals import stop
 
 READY_MODULE = f"{__package__}.ready"
-TRACKED = ("mlflow.store.tracking.sqlalchemy_store", "sqlalchemy.dialects.sqlite")  # what a store in a file needs
-SERVED = ("mlflow.tracking.client", "mlflow.store.tracking.rest_store")  # what a server needs
-ATTEMPTS = 20  # to start a process
-PAUSE_SECONDS = 0.05  # seconds between them
-SERVER_DIED = 255  # which Python says of a process of a server that is gone
+TRACKED = ("mlflow.store.tracking.sqlalchemy_store", "sqlalchemy.dialects.sqlite")  # modules for a store in a file
+SERVED = ("mlflow.tracking.client", "mlflow.store.tracking.rest_store")  # modules for a tracking server
+ATTEMPTS = 20  # most attempts to start a process
+PAUSE_SECONDS = 0.05  # time between attempts, seconds
+SERVER_DIED = 255  # exit code that Python gives a process whose server has died
 
 context = multiprocessing.get_context("forkserver")
 
 
 class Process:
-    """A job's process in a session of its own, told to stop when its standard input is closed.
+    """A job's process in a session of its own, which stops when its standard input is closed.
 
     Args:
-        pipeline: the module whose `main` does it.
-        arguments: of its command line.
-        environment: all of its variables; some packages read those that the server had when it imported them.
-        output: descriptor that gets what it prints.
-        kept: descriptors that it keeps open besides.
+        pipeline: module whose `main` is called.
+        arguments: arguments of its command line.
+        environment: its variables; some packages have read those of the server when it imported them.
+        output: descriptor for stdout and stderr.
+        kept: further descriptors that stay open.
         store: address of the mlflow store that it records in, if any.
     """
 
@@ -53,9 +53,9 @@ class Process:
         self._process: Any = None
 
     def start(self) -> None:
-        """Begin; the first time in a process this waits until the server has imported what jobs need."""
+        """Begin; the first call in a process waits until the server has imported the modules of jobs."""
         pipeline, arguments, environment, streams, kept = self._asked
-        multiprocessing.set_start_method("forkserver", force=True)  # what joblib's workers have nobody else knows
+        multiprocessing.set_start_method("forkserver", force=True)  # joblib's workers have another one
         context.set_forkserver_preload(self._preloaded)
         handed = {number: Descriptor(descriptor) for number, descriptor in streams.items()}
         also = [Descriptor(descriptor) for descriptor in kept]
@@ -63,7 +63,7 @@ class Process:
             begun = context.Process(target=_do, args=(pipeline, arguments, environment, handed, also))
             try:
                 begun.start()
-            except (EOFError, ConnectionError):  # a server that was killed this moment counts as alive
+            except (EOFError, ConnectionError):  # a server that was killed just now counts as alive
                 if not left:
                     raise
                 time.sleep(PAUSE_SECONDS)
@@ -78,7 +78,7 @@ class Process:
         self._process.join()
         code = int(self._process.exitcode)
         if code == SERVER_DIED:
-            with suppress(ProcessLookupError):  # nobody else would end it
+            with suppress(ProcessLookupError):  # the job may outlive its server
                 os.kill(self._process.pid, signal.SIGKILL)
                 return -signal.SIGKILL
         return code
@@ -111,7 +111,7 @@ def _handed_on(descriptor: Any) -> int:
 def _do(
     pipeline: str, arguments: list[str], environment: dict[str, str], streams: dict[int, int], _kept: list[int]
 ) -> None:
-    """What the process does."""
+    """Run a job in its process."""
     ready = sys.modules.get(READY_MODULE)
     for number, handler in (ready.BEFORE if ready else {}).items():
         signal.signal(number, handler)
@@ -120,12 +120,12 @@ def _do(
 
 
 def run_module(pipeline: str, arguments: list[str], environment: dict[str, str], streams: dict[int, int]) -> None:
-    """Do in a process of the server what `python -m` does.
+    """Run a module in a process of the server as `python -m` does.
 
     Args:
         pipeline: the module.
-        arguments: of its command line.
-        environment: its variables; what modules set by themselves when the server imported them stays.
+        arguments: arguments of its command line.
+        environment: its variables; those that modules set when the server imported them stay.
         streams: descriptors that become 0, 1 and 2.
     """
     for number, descriptor in streams.items():

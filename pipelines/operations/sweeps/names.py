@@ -11,10 +11,10 @@ from ...overrides import key_and_value, quoted
 from ...provenance import digest
 from .folder import SweepFolder
 
-SLUG_LENGTH = 100
-NAME_LENGTH = 80
+SLUG_LENGTH = 100  # most characters of a slug
+NAME_LENGTH = 80  # most characters of a run's name, whose end is kept
 DIGEST_LENGTH = 8  # characters of a digest in the name of a folder
-# How a run is done and where it is kept; it is the same run without.
+# Keys that change neither the problem nor the search of a run.
 NOT_IN_NAME = ("hydra", "tracking", "trust", "picture", "page", "validate", "threads", "resume", "checkpoint_seconds")
 
 
@@ -25,19 +25,19 @@ def override_tags(overrides: Sequence[str]) -> dict[str, str]:
 
 
 def short_name(subject: str, overrides: Sequence[str]) -> str:
-    """A name for a run: what tells it from others, then its `subject`; `n=3 count=60 annealing`.
+    """Name of a run: the overrides that tell it from others, then its subject, `n=3 count=60 annealing`.
 
     Args:
-        subject: what the run is about, in a word.
-        overrides: what varies.
+        subject: subject of the run, in a word.
+        overrides: overrides that vary.
     """
     values = [(key, value.strip("'\"")) for key, value in map(key_and_value, overrides)]
-    told = [
+    shown = [
         f"{key.split('.')[-1]}={Path(value).name if '/' in value else value}"
         for key, value in values
         if key.split(".")[0] not in NOT_IN_NAME and value != subject
     ]
-    return " ".join([*told, subject])[-NAME_LENGTH:]
+    return " ".join([*shown, subject])[-NAME_LENGTH:]
 
 
 def slug(text: str) -> str:
@@ -46,7 +46,7 @@ def slug(text: str) -> str:
 
 
 def _settings(root: DictConfig) -> Any:
-    """The resolved configuration without Hydra's own."""
+    """The resolved configuration without Hydra's part."""
     return OmegaConf.to_container(
         OmegaConf.masked_copy(root, [str(key) for key in root if key != "hydra"]), resolve=True
     )
@@ -68,19 +68,19 @@ def varied_keys(overrides: Sequence[str]) -> tuple[str, ...]:
 
 
 def sweep_name(root: DictConfig) -> str:
-    """The experiment or the search a sweep runs, or else what it varies."""
+    """The experiment or the search that a sweep runs, or else the keys that it varies."""
     stored = [root.hydra.runtime.choices.get(group) for group in ("experiment", "hparams_search")]
     return slug("_".join(filter(None, stored)) or "_".join(varied_keys(swept(root)))) or "sweep"
 
 
 def sweep_folder(*, _root_: DictConfig) -> str:
-    """Name of a sweep's folder: the same for what varies and all else that is set, whatever values it takes."""
+    """Name of a sweep's folder: equal for equal varied keys and other settings, for any values of the varied keys."""
     varied = sorted(varied_keys(swept(_root_)))
     return f"{slug(sweep_name(_root_))}-{digest(_settings(_root_), varied)[:DIGEST_LENGTH]}"
 
 
 def job_folder(*, _root_: DictConfig) -> str:
-    """Name of a job's folder below that of its sweep: the same for the same configuration and files."""
+    """Name of a job's folder below that of its sweep: equal for equal configurations and contents of files."""
     folder, known = SweepFolder(_root_.hydra.sweep.dir), digest(_settings(_root_))[:DIGEST_LENGTH]
     if (before := folder.job_of(known)) is not None:
         return before.name
@@ -91,11 +91,11 @@ def job_folder(*, _root_: DictConfig) -> str:
 
 
 def pin_sweep_folder(config: DictConfig) -> Path:
-    """Give the jobs of a sweep the folder of the sweep, which their own configuration cannot tell; returns it."""
+    """Put the folder of a sweep into the configuration of its jobs, which cannot derive it; returns the folder."""
     folder = Path(config.hydra.sweep.dir)
     with read_write(config.hydra):
         config.hydra.sweep.dir = str(folder)
-        config.hydra.overrides.hydra.append(f"hydra.sweep.dir={quoted(folder)}")  # from these the jobs are composed
+        config.hydra.overrides.hydra.append(f"hydra.sweep.dir={quoted(folder)}")  # jobs are composed from these
     return folder
 
 

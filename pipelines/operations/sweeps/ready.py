@@ -1,6 +1,6 @@
-"""What the fork server of a sweep's jobs does before it forks the first, imported by that server alone.
+"""Imports of the fork server of a sweep's jobs before it forks the first; imported by that server alone.
 
-Importing takes longer than a small job. The server runs nothing else, so nothing of one job reaches another.
+Importing takes longer than a small job. The server runs no job itself, so that jobs share no state.
 """
 
 import gc
@@ -12,7 +12,7 @@ from lmd.core.compiled import load_compiler
 from ...app import GARBAGE, PACKAGE
 from ..signals import SIGNALS
 
-# What reaches all processes of a SLURM job is for the one that started this.
+# SLURM signals all processes of a job; only the one that started this server handles them.
 BEFORE = {number: signal.signal(number, signal.SIG_IGN) for number in (*SIGNALS, signal.SIGUSR2)}
 
 gc.set_threshold(GARBAGE)
@@ -29,4 +29,4 @@ for module in (
 ):
     importlib.import_module(module)
 load_compiler()
-gc.freeze()  # what jobs share stays shared: nobody looks for garbage in it
+gc.freeze()  # garbage collection would copy the memory that jobs share

@@ -1,4 +1,4 @@
-"""A sweeper of Hydra's that searches: what a method of nevergrad proposes is run as the jobs of a sweep are."""
+"""A sweeper of Hydra that searches: a method of nevergrad proposes values, which run as jobs of a sweep."""
 
 import math
 import sys
@@ -18,24 +18,24 @@ from typing_extensions import override
 
 from .summary import SEED
 
-LOSS_OF_FAILURE = 1e3  # the loss of a trial that failed; others lose minus what they found, a share
-DIGITS = 4  # of a number that is proposed
+LOSS_OF_FAILURE = 1e3  # loss of a trial that failed; the loss of others is minus their figure, a fraction
+DIGITS = 4  # significant digits of a proposed number
 
 
 class Search(Sweeper):
-    """Searches the values that `params` and the command line vary, for the largest value that jobs return.
+    """Maximises the value that jobs return over the values that `params` and the command line vary.
 
-    Values are ranges of Hydra's: `interval(0.1,0.9)`, `int(interval(2,12))`, `tag(log,interval(0.001,0.1))`,
-    `range(2,13)`, or a choice `pool,survivor`. Those of the seed are all run for every trial, which is worth their
-    median. A trial of which a job fails is worth less than any other. What is proposed depends on the seed and on what
-    was found alone: the same command finds its finished jobs again, and more `trials` go on.
+    Values are ranges of Hydra: `interval(0.1,0.9)`, `int(interval(2,12))`, `tag(log,interval(0.001,0.1))`,
+    `range(2,13)`, or a choice `pool,survivor`. Every trial runs all values of the seed; its value is their median. A
+    trial with a failed job is worse than all others. Proposals depend on the method's seed and on earlier results only:
+    an equal command finds its finished jobs again, and more `trials` continue it.
 
     Args:
-        params: overrides of the stored search; those of the command line go before them.
-        trials: proposals.
-        at_a_time: trials proposed before any of them is told.
-        method: a registered optimiser of nevergrad that needs no budget.
-        seed: of the method.
+        params: overrides of the stored search; those of the command line have precedence.
+        trials: number of proposals.
+        at_a_time: number of trials that are proposed before the first result.
+        method: registered optimiser of nevergrad that needs no budget.
+        seed: seed of the method.
     """
 
     def __init__(
@@ -94,7 +94,7 @@ class Search(Sweeper):
                     print(f"best of {first + i + 1} trials: {best[0]:.2%} with {' '.join(best[1])}", flush=True)
 
     def _method(self, varied: dict[str, Override]) -> Any:
-        """The method, which proposes values by the keys that vary."""
+        """The method, which proposes values of the varied keys."""
         from lmd.core.checks import InputError, choice
         from lmd.core.optional import optional
 
@@ -110,7 +110,7 @@ class Search(Sweeper):
 
 
 def _space(override: Override) -> Any:
-    """The values of a key that varies, as nevergrad has them."""
+    """The values of a varied key as a parameter of nevergrad."""
     import nevergrad
 
     values = override.value()
@@ -132,7 +132,7 @@ def _text(value: Any) -> str:
     return f"{value:.{DIGITS}g}" if isinstance(value, float) else str(value)
 
 
-# Hydra takes sweepers only from its own modules and from plugins that are installed.
+# Hydra accepts sweepers only from its own modules and from installed plugins.
 Search.__module__ = f"{core_plugins.__name__}.search"
 setattr(core_plugins, "search", sys.modules[__name__])  # noqa: B010
 Plugins.instance().register(Search)

@@ -1,6 +1,6 @@
-"""Sweeps on SLURM: jobs are followed by its queue, and one that SLURM ends does not end the sweep.
+"""Sweeps on SLURM: its queue gives the states of jobs, and a job that SLURM ends does not end the sweep.
 
-By itself submitit asks SLURM's accounting, which not every cluster has, and as seldom as every ten minutes.
+submitit alone asks SLURM's accounting, which not every cluster has, and only every ten minutes.
 """
 
 import os
@@ -15,8 +15,8 @@ from submitit.slurm import slurm
 from .folder import JobFolder
 from .supervisor import end_runs, job_of
 
-POLL_SECONDS = 10  # at most; at first more often
-GONE = "GONE"  # not listed: cancelled before it began, or ended long ago
+POLL_SECONDS = 10  # most time between two looks at the queue, seconds; at first it is shorter
+GONE = "GONE"  # state of a job that is not listed: cancelled before it began, or ended long ago
 ENDED = (
     GONE, "BOOT_FAIL", "CANCELLED", "COMPLETED", "DEADLINE", "FAILED", "NODE_FAIL", "OUT_OF_MEMORY", "PREEMPTED",
     "TIMEOUT",
@@ -38,18 +38,18 @@ class QueueWatcher(slurm.SlurmInfoWatcher):
         return {job: {"State": listed.get(job, GONE)} for job in self._registered - self._finished}
 
     def is_done(self, job_id: str, mode: str = "standard") -> bool:
-        """Whether the job has ended."""
+        """Return whether the job has ended."""
         return self.get_state(job_id, mode) in ENDED
 
 
 class QueuedJob(slurm.SlurmJob[JobReturn]):
-    """A job of a sweep. Where SLURM ended it, its record says so, and the sweep goes on."""
+    """A job of a sweep; if SLURM ends it, its record names the state, and the sweep goes on."""
 
     watcher = QueueWatcher(delay_s=POLL_SECONDS)
-    _results_timeout_s = 0  # should a result show late, the job's record has it
+    _results_timeout_s = 0  # a late result is in the job's record
 
     def results(self) -> list[JobReturn]:
-        """Wait for the job; NaN where it returned nothing."""
+        """Wait for the job; its value is NaN if it returned none."""
         try:
             return super().results()
         except UncompletedJobError:
@@ -59,15 +59,15 @@ class QueuedJob(slurm.SlurmJob[JobReturn]):
     def _note_end(self, state: str) -> None:
         """Record that SLURM ended the job, perhaps before it had begun."""
         submitted = self.submission()
-        launcher: Any = submitted.function  # the plugin, as it was when it submitted the job
+        launcher: Any = submitted.function  # the plugin when it submitted the job
         overrides, _, number, *_ = submitted.args
         config = launcher.hydra_context.config_loader.load_sweep_config(launcher.config, overrides)
         config.hydra.job.num = number
         folder = JobFolder(Path(config.hydra.sweep.dir, config.hydra.sweep.subdir))
         folder.path.mkdir(exist_ok=True)
-        folder.path.touch()  # so that a shared file system shows what the node has written
+        folder.path.touch()  # makes a shared file system show the files of the node
         reason = "it left SLURM's queue" if state == GONE else f"SLURM says {state}"
-        with folder.held():  # on a node that is slow to end, the job may still be at it
+        with folder.held():  # the job may still run on a node that is slow to end it
             job = folder.load() or job_of(config.hydra)
             if job.status == "interrupted":
                 reason = "its time was nearly up" if state == "FAILED" else reason
@@ -80,5 +80,5 @@ class QueuedJob(slurm.SlurmJob[JobReturn]):
 
 
 def follow_the_queue() -> None:
-    """Let submitit follow its jobs so; it has no setting for it."""
+    """Let submitit use these classes, for which it has no setting."""
     slurm.SlurmJob = slurm.SlurmExecutor.job_class = QueuedJob  # type: ignore[assignment, misc]

@@ -29,14 +29,14 @@ from .names import override_tags
 if TYPE_CHECKING:
     from ..tracking import Tracker
 
-SWEEP_VARIABLE = "LMD_SWEEP"  # tells the processes of a sweep which one began it
+SWEEP_VARIABLE = "LMD_SWEEP"  # environment variable with the number of the process that began the sweep
 THREAD_VARIABLES = ("NUMBA_NUM_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
-SLURM_SIGNALS = (signal.SIGTERM, signal.SIGUSR2)  # the job is to end; its time is nearly up
+SLURM_SIGNALS = (signal.SIGTERM, signal.SIGUSR2)  # for a cancelled job; for one whose time is nearly up
 LOST = "its process was killed, and the sweep with it"
 
 
 def run(cfg: DictConfig, pipeline: Callable[[DictConfig], float | None]) -> float | None:
-    """What the entry point of every pipeline does: run it here, or in a sweep as a process of its own."""
+    """Run a pipeline here, or as the job of a sweep in a process of its own."""
     if HydraConfig.get().mode == RunMode.MULTIRUN:
         return _supervise(cfg)
     with ends_reported(), _outcome_reported() as report:
@@ -48,33 +48,33 @@ def run(cfg: DictConfig, pipeline: Callable[[DictConfig], float | None]) -> floa
 
 @contextmanager
 def _outcome_reported() -> Iterator[Callable[[float | None], None]]:
-    """Within a job of a sweep, note its outcome in its folder, and stop when the sweep is gone."""
-    working_for = current_job()
-    if working_for is None:
+    """Within a job of a sweep, write its outcome to its folder, and stop when the sweep has ended."""
+    current = current_job()
+    if current is None:
         yield lambda _: None
         return
-    folder, job = working_for
+    folder, job = current
     threading.Thread(target=_stop_with_the_sweep, daemon=True).start()
     try:
         with stop.raising():
             yield lambda value: folder.save(replace(job, status="finished", value=value))
     except BaseException as error:
-        told_to = isinstance(error, KeyboardInterrupt) or (isinstance(error, SystemExit) and error.code in CODES)
-        folder.save(replace(job, status="interrupted" if told_to else "failed", reason=reason_of(error)))
+        is_stopped = isinstance(error, KeyboardInterrupt) or (isinstance(error, SystemExit) and error.code in CODES)
+        folder.save(replace(job, status="interrupted" if is_stopped else "failed", reason=reason_of(error)))
         raise
 
 
 def _stop_with_the_sweep() -> None:
-    """Tell this process to stop when standard input, which the sweep holds open, is closed."""
+    """Signal this process when standard input is closed, which the sweep holds open."""
     while os.read(0, 1):
         pass
-    os.kill(os.getpid(), signal.SIGTERM)  # and not SIGINT, which shells let background jobs ignore
+    os.kill(os.getpid(), signal.SIGTERM)  # shells let background jobs ignore SIGINT
 
 
 def _supervise(cfg: DictConfig) -> float | None:
     """Run one job of a sweep in a process of its own, unless it is done; returns its value, NaN if it failed.
 
-    A failure is noted and not raised: so no job can end a sweep, whatever it does to its process, under any launcher.
+    A failure is recorded and not raised, so that no job can end a sweep, under any launcher.
     """
     folder, job = JobFolder(run_directory()), job_of(HydraConfig.get())
     if HydraConfig.get().launcher._target_.endswith("JoblibLauncher"):
@@ -82,7 +82,7 @@ def _supervise(cfg: DictConfig) -> float | None:
     with folder.held() as lock:
         if (done := folder.finished()) is not None:
             folder.save(replace(done, number=job.number, varied=job.varied, round=job.round))
-            print(f"done already: {job.label}{_told(folder)}", flush=True)
+            print(f"done already: {job.label}{_figures_text(folder)}", flush=True)
             return done.value
         before = folder.load()
         continued = before is not None and before.status != "failed" and folder.checkpoint.exists()
@@ -95,7 +95,7 @@ def _supervise(cfg: DictConfig) -> float | None:
         job = replace(job, seconds=time.monotonic() - began)
         folder.save(job)
         if job.status == "finished":
-            print(f"finished in {job.seconds:.0f} s: {job.label}{_told(folder)}", flush=True)
+            print(f"finished in {job.seconds:.0f} s: {job.label}{_figures_text(folder)}", flush=True)
             return job.value
         print(f"{job.status}: {job.label}: {job.reason} ({folder.output})", flush=True)
         if job.status != "interrupted":
@@ -105,17 +105,17 @@ def _supervise(cfg: DictConfig) -> float | None:
         return float("nan")
 
 
-def _told(folder: JobFolder) -> str:
-    """What a job found, in the unit of the fitness; nothing of one that found no deployment."""
+def _figures_text(folder: JobFolder) -> str:
+    """Text of a job's figures; empty if it found no deployment."""
     figures = folder.figures()
     named = {"fitness": "on the grid", "off_grid": "off it"}
-    told = [f"{figures[key]:.2%} {label}" for key, label in named.items() if key in figures]
-    return f": {', '.join(told)}" if told else ""
+    texts = [f"{figures[key]:.2%} {label}" for key, label in named.items() if key in figures]
+    return f": {', '.join(texts)}" if texts else ""
 
 
 @cache
 def _end_with_the_sweep() -> None:
-    """Let a process of joblib's end when the sweep's has, even by `kill -9`; its job then stops by itself."""
+    """Let a process of joblib end with the process of the sweep, even on `kill -9`; its job then stops."""
     sweep = int(os.environ[SWEEP_VARIABLE])
 
     def watch() -> None:
@@ -128,7 +128,7 @@ def _end_with_the_sweep() -> None:
 
 
 def job_of(context: HydraConf) -> Job:
-    """The job that Hydra describes in its own part of a job's configuration."""
+    """The job in Hydra's part of a job's configuration."""
     sweep = SweepFolder(context.sweep.dir).load()
     assert sweep is not None, "SweepRecord has written it before any job began"
     overrides = tuple(str(override) for override in context.overrides.task)
@@ -138,10 +138,10 @@ def job_of(context: HydraConf) -> Job:
 
 
 def _arguments(cfg: DictConfig, job: Job, folder: JobFolder, continued: bool) -> list[str]:
-    """The arguments with which the pipeline does `job` and nothing else."""
+    """The arguments of the command that does one job."""
     own = ["hydra.mode=RUN", f"hydra.run.dir={quoted(folder.path)}"]
     threads = _threads(cfg)
-    if threads is not None and "threads" in cfg:  # not every pipeline has them
+    if threads is not None and "threads" in cfg:  # not every pipeline has the key
         own.append(f"threads={threads}")
     if continued:
         own.append(f"resume={quoted(folder.path)}")
@@ -149,7 +149,7 @@ def _arguments(cfg: DictConfig, job: Job, folder: JobFolder, continued: bool) ->
 
 
 def _threads(cfg: DictConfig) -> int | None:
-    """Threads of a job: as configured, or else one where jobs share a machine; None for every processor."""
+    """Number of threads of a job: as configured, else one where jobs share a machine; None for every processor."""
     launcher, configured = HydraConfig.get().launcher, cfg.get("threads")
     if configured is not None or launcher._target_.endswith("BasicLauncher"):
         return None if configured is None else int(configured)
@@ -159,11 +159,11 @@ def _threads(cfg: DictConfig) -> int | None:
 def _execute(cfg: DictConfig, arguments: list[str], folder: JobFolder, lock: int | None) -> tuple[int, bool]:
     """Run a job's process to its end; returns its exit code, and whether the sweep was interrupted meanwhile.
 
-    The process has a session of its own, so that Ctrl-C reaches it once and through the pipe only, and it inherits the
-    lock of its folder, which so stays held should the sweep be killed.
+    The process has a session of its own: Ctrl-C reaches it once, by the pipe. It inherits the lock of its folder, which
+    stays held if the sweep is killed.
     """
     threads, uri = _threads(cfg), cfg.tracking.get("uri")
-    if threads is not None:  # for the server, too: what it imports reads them then
+    if threads is not None:  # for the server, too, whose packages read them when they are imported
         os.environ.update(dict.fromkeys(THREAD_VARIABLES, str(threads)))
     with folder.output.open("ab") as output:
         process = forks.Process(
@@ -174,10 +174,10 @@ def _execute(cfg: DictConfig, arguments: list[str], folder: JobFolder, lock: int
             () if lock is None else (lock,),
             store=None if uri is None else str(uri),
         )
-        with closing(process), _told_by_slurm():
+        with closing(process), _warned_by_slurm():
             try:
-                with stop.raising():  # heard here: what fails later is another matter
-                    with stop.postponed():  # or a process could be left that nobody knows of
+                with stop.raising():
+                    with stop.postponed():  # or an unknown process could be left
                         process.start()
                     return process.wait(), False
             except KeyboardInterrupt:
@@ -191,10 +191,10 @@ def _execute(cfg: DictConfig, arguments: list[str], folder: JobFolder, lock: int
 
 
 @contextmanager
-def _told_by_slurm() -> Iterator[None]:
-    """While entered, what SLURM sends a job some time before it kills it is like Ctrl-C, once.
+def _warned_by_slurm() -> Iterator[None]:
+    """While entered, the first warning of SLURM before it kills a job acts like Ctrl-C.
 
-    It goes to this process, or to its process group, and not to that of the job.
+    SLURM signals this process or its process group, which is not that of the job.
     """
 
     def interrupt(number: int, _frame: FrameType | None) -> None:
@@ -202,8 +202,8 @@ def _told_by_slurm() -> Iterator[None]:
             signal.signal(other, signal.SIG_IGN)
         raise Stopped(number)
 
-    told = SLURM_SIGNALS if os.environ.get("SUBMITIT_EXECUTOR") == "slurm" else ()
-    before = {number: signal.signal(number, interrupt) for number in told}
+    warnings = SLURM_SIGNALS if os.environ.get("SUBMITIT_EXECUTOR") == "slurm" else ()
+    before = {number: signal.signal(number, interrupt) for number in warnings}
     try:
         yield
     finally:
@@ -212,7 +212,7 @@ def _told_by_slurm() -> Iterator[None]:
 
 
 def _settled(job: Job, code: int) -> Job:
-    """The job after its process has ended with `code`, perhaps without having said why."""
+    """The job after its process has ended with `code`; if it has not written why, the code gives the reason."""
     if job.status != "running":
         return job
     if code in CODES:
@@ -223,7 +223,7 @@ def _settled(job: Job, code: int) -> Job:
 
 
 def end_runs(tracking: DictConfig, folder: JobFolder, job: Job, reason: str, name: str | None = None) -> None:
-    """Mark the job's runs that its process left running as FAILED; where it had none yet, record one called `name`."""
+    """Mark the runs that a job's process left running as FAILED; if there are none, record one called `name`."""
     from lmd.core.checks import InputError
 
     from ..tracking import RunStart

@@ -1,4 +1,4 @@
-"""Experiment tracking: what a run records, where it is kept, and reading it back."""
+"""Experiment tracking: recording runs in a store, and reading them back."""
 
 import os
 
@@ -8,8 +8,8 @@ from .tracker import PARENT_TAG, NoTracker, RunStart, Tracker
 
 __all__ = ["PARENT_TAG", "MlflowReader", "MlflowTracker", "NoTracker", "RunStart", "Tracker"]
 
-# mlflow reads these when it is imported, which is later. Nothing leaves the machine unless tracking.uri says so, and a
-# server that does not answer is given up after seconds, not after the eight minutes that mlflow waits by itself.
+# mlflow reads these when it is imported, which is later. No data leaves the machine unless tracking.uri is elsewhere. A
+# server that does not answer is given up after seconds; the default of mlflow is eight minutes.
 for _name, _value in {
     "MLFLOW_DISABLE_TELEMETRY": "true",
     "DO_NOT_TRACK": "true",

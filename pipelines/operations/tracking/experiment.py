@@ -1,4 +1,4 @@
-"""An mlflow experiment, made so that one sees the figures when it is opened."""
+"""An mlflow experiment whose pages show the figures of runs when they are opened."""
 
 import base64
 import json
@@ -11,11 +11,11 @@ from .tracker import PARENT_TAG
 if TYPE_CHECKING:
     from mlflow import MlflowClient
 
-DEFAULT = "0"  # the experiment that mlflow makes in every fresh database
-SHARED = "mlflow.sharedViewState."  # begins the tag of a view
-VIEW = "lmd"  # the shared view that links name
+DEFAULT = "0"  # id of the experiment that mlflow makes in every fresh database
+SHARED = "mlflow.sharedViewState."  # prefix of the tag of a view
+VIEW = "lmd"  # name of the shared view in links
 OF_SWEEPS = ("metrics.`best/fitness`", "metrics.`best/off_grid`", "metrics.`median/fitness`")
-# Of training runs, first what they found and what that cost, then what they were about.
+# Columns of training runs: figures, then costs, then settings.
 COLUMNS = (
     *("metrics.`qualified_ratio`", "metrics.`localised_share`", "metrics.`off_grid`"),
     *OF_SWEEPS,
@@ -25,11 +25,11 @@ COLUMNS = (
 
 
 def prepare(client: "MlflowClient", name: str, artifacts: str | None = None, fresh: bool = False) -> str:
-    """The id of the experiment `name`, which is made where there is none.
+    """Id of the experiment `name`, which is made if there is none.
 
     Args:
-        artifacts: where a new one keeps its files; None for where the store says.
-        fresh: whether the database was made just now, and holds nothing but mlflow's own experiment.
+        artifacts: address for the files of a new experiment; None for the default of the store.
+        fresh: the database was made just now, and holds only mlflow's own experiment.
     """
     from mlflow.exceptions import MlflowException
 
@@ -40,7 +40,7 @@ def prepare(client: "MlflowClient", name: str, artifacts: str | None = None, fre
             made = str(client.create_experiment(name, artifact_location=artifacts, tags=tags))
         except MlflowException as error:
             experiment = client.get_experiment_by_name(name)
-            if experiment is None:  # it was not another process that was faster
+            if experiment is None:  # no other process has made it meanwhile
                 raise error
         else:
             if fresh and made != DEFAULT:
@@ -50,14 +50,14 @@ def prepare(client: "MlflowClient", name: str, artifacts: str | None = None, fre
 
 
 def link(address: str, experiment_id: str, view: str = VIEW, mode: str = "TABLE") -> str:
-    """The page of an experiment with a view that was made for it, on the server at `address`.
+    """Address of the page of an experiment with a shared view.
 
-    The experiment's tag says that it holds training runs, but mlflow 3.17 opens what its address says.
+    mlflow 3.17 ignores the tag of the kind of an experiment, so that the address has to ask for training runs.
 
     Args:
-        address: of the server.
+        address: address of the server.
         experiment_id: the experiment.
-        view: the name of the shared view.
+        view: name of the shared view.
         mode: `TABLE` or `CHART`.
     """
     query = f"workflowType=machine_learning&compareRunsMode={mode}&viewStateShareKey={view}"
@@ -68,9 +68,9 @@ def sweep_view(client: "MlflowClient", experiment_id: str, run_id: str, params: 
     """Make a view of the jobs of a sweep; returns its name, for `link`.
 
     Args:
-        experiment_id: where they are.
-        run_id: the run of the sweep.
-        params: those by which jobs are grouped; charts have bands from the worst to the best job of each group.
+        experiment_id: their experiment.
+        run_id: run of the sweep.
+        params: parameters that group jobs; charts have bands from the worst to the best job of each group.
     """
     keys = [{"mode": "param", "groupByData": param} for param in params]
     view = _view(
@@ -81,14 +81,14 @@ def sweep_view(client: "MlflowClient", experiment_id: str, run_id: str, params: 
         compareRunCharts=[_chart("LINE", "best_fitness"), _chart("BAR", "fitness"), _chart("BAR", "off_grid")],
         isAccordionReordered=True,  # or mlflow sorts the sections by their names
         runsHiddenMode="CUSTOM",
-        runsVisibilityMap={run_id: False},  # whose charts would come first
+        runsVisibilityMap={run_id: False},  # its charts would be the first
     )
     client.set_experiment_tag(experiment_id, f"{SHARED}{run_id}", view)
     return run_id
 
 
 def _chart(kind: str, metric: str) -> dict[str, Any]:
-    """A chart of a metric, as mlflow's own links describe it."""
+    """A chart of a metric in the form of mlflow's links."""
     chart = {"type": kind, "uuid": metric, "metricKey": metric, "metricSectionId": "sweep", "runsCountToCompare": 100}
     if kind == "LINE":
         axis = {"xAxisKey": "step", "xAxisScaleType": "log", "scaleType": "linear", "yAxisKey": "metric", "range": {}}
@@ -98,7 +98,7 @@ def _chart(kind: str, metric: str) -> dict[str, Any]:
 
 
 def _view(**changes: Any) -> str:
-    """The state of mlflow's page of runs, as its own links share it; `changes` replace what it says."""
+    """The state of mlflow's page of runs in the form of mlflow's links, with `changes`."""
     state: dict[str, Any] = {
         "searchFilter": "",
         "orderByKey": "attributes.start_time",

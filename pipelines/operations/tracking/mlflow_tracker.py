@@ -12,24 +12,24 @@ from .journal import GONE, Journal, end_those_gone, hand_in, this_process
 from .store import PARAM_LENGTH, SQLITE, Store, first_line, is_of_store, now
 from .tracker import Entry, RunStart
 
-ADDRESS = "http://127.0.0.1:5000"  # of the server that `make ui` starts
+ADDRESS = "http://127.0.0.1:5000"  # address of the server that `make ui` starts
 LABELS = {"TABLE": "table ", "CHART": "charts"}
 
 
 class MlflowTracker:
     """Records runs in mlflow, by default in a sqlite file that needs no server.
 
-    All that is recorded is written to a journal in the run's folder, and sent. Where the store does not answer, that is
-    said once and the run goes on; what was not sent by its end stays in the journal for `hand_in`.
+    Every entry is written to a journal in the run's folder, then sent. If the store does not answer, one warning is
+    printed and the run goes on; entries that were not sent by its end stay in the journal for `hand_in`.
 
     Args:
         uri: tracking store: `sqlite:///path` (relative to the working directory) or the address of a server.
-        experiment_name: the mlflow experiment that holds the runs.
-        tags: what the user marks every run with, texts or numbers by their names.
-        system_metrics: whether mlflow also records what the machine does meanwhile, every ten seconds.
+        experiment_name: mlflow experiment that holds the runs.
+        tags: tags of the user for every run, texts or numbers by their names.
+        system_metrics: let mlflow record the load of the machine every ten seconds.
 
     Raises:
-        InputError: the address is none, the tags are, or `system_metrics` is neither true nor false.
+        InputError: the address or the tags are refused, or `system_metrics` is neither true nor false.
     """
 
     def __init__(
@@ -49,8 +49,8 @@ class MlflowTracker:
         self._tags = {key: str(value) for key, value in (tags or {}).items()}
         self._run_id: str | None = None
         self._journal: Journal | None = None
-        self._sent = 0  # entries of the journal
-        self._lost = False  # whether the store has failed to answer
+        self._sent = 0  # number of entries of the journal that are sent
+        self._lost = False  # the store has failed to answer
 
     @property
     def run_id(self) -> str | None:
@@ -90,13 +90,13 @@ class MlflowTracker:
         return run.info.status != "FINISHED" and mine and run.data.params == _written(params)
 
     def _hand_in_left(self, folder: Path) -> None:
-        """Hand in what a run that was killed in a folder has left there."""
+        """Hand in the journal that a killed run has left in a folder."""
         left = Journal.of(folder)
         if left.entries:
             hand_in(left, self.store.uri)
 
     def _record(self, entry: Entry) -> None:
-        """Note an entry, and send it unless the store is lost."""
+        """Write an entry to the journal, and send it unless the store is lost."""
         if self._journal is None:
             return
         self._journal.add(entry)
@@ -104,18 +104,18 @@ class MlflowTracker:
             try:
                 self._send()
             except Exception as error:
-                self._tell_once(error)
+                self._warn_once(error)
 
     def _send(self) -> None:
-        """Send what has not been sent."""
+        """Send the entries that have not been sent."""
         assert self._journal is not None
         assert self._run_id is not None
         while self._sent < len(self._journal.entries):
             self.store.send(self._run_id, self._journal.entries[self._sent])
             self._sent += 1
 
-    def _tell_once(self, error: Exception) -> None:
-        """Say that the store is lost; anything else that was raised is raised again."""
+    def _warn_once(self, error: Exception) -> None:
+        """Print that the store is lost, once; raise an error again that is none of the store."""
         if not is_of_store(error):
             raise error
         if not self._lost:
@@ -144,7 +144,7 @@ class MlflowTracker:
             self._send()
             self._journal.remove()
         except Exception as error:
-            self._tell_once(error)
+            self._warn_once(error)
             try:
                 self._journal.write()
             except OSError as full:
@@ -155,7 +155,7 @@ class MlflowTracker:
         with self.store.errors_reported():
             runs = self.store.runs(" and ".join(f"tags.`{key}` = '{value}'" for key, value in tags.items()))
             for run in runs:
-                # Another run that began meanwhile has seen only that its process was gone.
+                # A run that began meanwhile may have ended it with the reason that its process is gone.
                 if run.info.status == "RUNNING" or run.data.tags.get("reason") == GONE:
                     self.store.send(run.info.run_id, {"end": "FAILED", "reason": reason, "at": now()})
         return bool(runs)
@@ -195,13 +195,13 @@ class MlflowTracker:
             experiment = store.experiment_id
             view = sweep_view(store.client, experiment, self._run_id, params)
         except Exception as error:
-            self._tell_once(error)
+            self._warn_once(error)
             return []
         return [f"{label} {link(address, experiment, view, mode)}" for mode, label in LABELS.items()]
 
 
 def _written(params: Mapping[str, Any]) -> dict[str, str]:
-    """Parameters as mlflow keeps them."""
+    """Parameters in the form in which mlflow stores them."""
     return {key: str(value)[:PARAM_LENGTH] for key, value in params.items()}
 
 

@@ -22,12 +22,12 @@ if TYPE_CHECKING:
     from mlflow.entities import Run
 
 SQLITE = "sqlite:///"
-BATCH = 1000  # metrics mlflow takes in one call
-PARAM_LENGTH = 6000  # characters mlflow takes in one parameter
-TAG_LENGTH = 5000  # and in one tag
-DESCRIPTION = "mlflow.note.content"  # the tag that mlflow shows at the head of a run
+BATCH = 1000  # most metrics in one call of mlflow
+PARAM_LENGTH = 6000  # most characters of a parameter; longer ones are cut
+TAG_LENGTH = 5000  # most characters of a tag; longer ones are cut
+DESCRIPTION = "mlflow.note.content"  # tag that mlflow shows at the head of a run
 ENDED = {status: f"**{status}**" for status in ("FAILED", "KILLED", "FINISHED")}
-LOCK_SECONDS = 60.0  # for another process to make the tables of a database
+LOCK_SECONDS = 60.0  # longest wait for another process that makes the tables of a database, seconds
 
 
 class Store:
@@ -35,17 +35,16 @@ class Store:
 
     Args:
         uri: `sqlite:///path` (relative to the working directory) or the address of a server.
-        experiment_name: the mlflow experiment that holds the runs.
+        experiment_name: mlflow experiment that holds the runs.
 
     Raises:
-        InputError: the address is none.
+        InputError: the address is refused.
     """
 
     def __init__(self, uri: str, experiment_name: str) -> None:
         if not isinstance(uri, str) or uri in ("", SQLITE):
             raise InputError(f"uri must be {SQLITE}PATH or the address of a server, got {uri!r}.", "uri")
-        self.uri = uri
-        self.experiment_name = experiment_name
+        self.uri, self.experiment_name = uri, experiment_name
         self._client: MlflowClient | None = None
 
     @property
@@ -57,13 +56,13 @@ class Store:
 
     @property
     def experiment_id(self) -> str:
-        """The id of the experiment, which is made where there is none."""
+        """Id of the experiment, which is made if there is none."""
         return prepare(self.client, self.experiment_name)
 
     def _connect(self) -> "MlflowClient":
         from mlflow import MlflowClient
 
-        logging.getLogger("mlflow.store.db.utils").setLevel(logging.WARNING)  # it announces every new table
+        logging.getLogger("mlflow.store.db.utils").setLevel(logging.WARNING)  # it logs every new table
 
         if not self.uri.startswith(SQLITE):
             return MlflowClient(tracking_uri=self.uri)
@@ -71,15 +70,13 @@ class Store:
         database.parent.mkdir(parents=True, exist_ok=True)
         from filelock import FileLock
 
-        with tempfile.TemporaryFile(dir=database.parent):  # where none can be made the lock would be waited for in vain
+        with tempfile.TemporaryFile(dir=database.parent):  # or FileLock would wait for a file that cannot be made
             pass
-        # Processes that create the tables of one fresh database at the same time kill each other.
+        # Processes that create the tables of one database at once make each other fail.
         with FileLock(f"{database}.lock", timeout=LOCK_SECONDS):
-            artifacts, partial = (
-                (database.parent / "artifacts").as_uri(),
-                database.with_name(f"{database.name}.partial"),
-            )
-            if not database.exists():  # whole or not at all: one half made cannot be mended
+            artifacts = (database.parent / "artifacts").as_uri()
+            partial = database.with_name(f"{database.name}.partial")
+            if not database.exists():  # written whole or not at all
                 partial.unlink(missing_ok=True)
                 prepare(MlflowClient(tracking_uri=f"{SQLITE}{partial}"), self.experiment_name, artifacts, fresh=True)
                 os.replace(partial, database)
@@ -89,7 +86,7 @@ class Store:
 
     @contextmanager
     def errors_reported(self) -> Iterator[None]:
-        """Raise `InputError` where the store cannot be used."""
+        """Within the block, raise `InputError` if the store cannot be used."""
         try:
             yield
         except Exception as error:
@@ -98,30 +95,31 @@ class Store:
             raise InputError(f"tracking.uri = {self.uri!r} cannot be used: {first_line(error)}") from error
 
     def undisturbed(self) -> AbstractContextManager[None]:
-        """While entered, signals wait, where what they interrupt would leave a database locked until the process ends.
+        """Let signals wait within the block if the store is a file: an interrupted call would leave it locked.
 
-        A server keeps its database to itself, and may take minutes to say that it is lost.
+        A server locks no file here, and may take minutes to fail.
         """
         return stop.postponed() if self.uri.startswith(SQLITE) else nullcontext()
 
     def create(self, name: str, params: Mapping[str, str], tags: Mapping[str, str], ago: float) -> str:
-        """Make a run that began `ago` seconds before now; returns its id, which its name ends with."""
+        """Make a run that began `ago` seconds before now; returns its id, with which its name ends."""
         from mlflow.entities import Param
 
-        shortened = {key: value[:TAG_LENGTH] for key, value in tags.items()}  # at once, or it may be nobody's for ever
+        # Tags are set with the run itself, or a kill would leave a run without them.
+        shortened = {key: value[:TAG_LENGTH] for key, value in tags.items()}
         run = self.client.create_run(self.experiment_id, now() - int(1000 * ago), shortened, run_name=name)
         run_id = str(run.info.run_id)
-        self.client.update_run(run_id, name=f"{name} #{run_id[:4]}")  # no two are called the same
+        self.client.update_run(run_id, name=f"{name} #{run_id[:4]}")
         self.client.log_batch(run_id, params=[Param(key, value) for key, value in params.items()])
         return run_id
 
     def runs(self, wanted: str) -> "list[Run]":
-        """The runs of all experiments that mlflow's filter `wanted` finds."""
+        """The runs of all experiments that match the filter `wanted` of mlflow."""
         experiments = [experiment.experiment_id for experiment in self.client.search_experiments()]
         return list(self.client.search_runs(experiments, filter_string=wanted))
 
     def send(self, run_id: str, entry: Entry) -> None:
-        """Send one entry of a journal; to do it again changes nothing."""
+        """Send one entry of a journal; sending it again changes nothing."""
         with self.undisturbed():
             self._send(run_id, entry)
 
@@ -158,13 +156,13 @@ class Store:
 
 
 def _without_end(description: str) -> str:
-    """A description without the paragraph that says why its run ended."""
+    """A description without the paragraph on the end of its run."""
     is_told = description.startswith(tuple(ENDED.values()))
     return description.partition("\n\n")[2] if is_told else description
 
 
 def is_of_store(error: Exception) -> bool:
-    """Whether this is what a store that cannot be used raises."""
+    """Return whether an error is one of a store that cannot be used."""
     from mlflow.exceptions import MlflowException
     from sqlalchemy.exc import SQLAlchemyError
 
@@ -172,21 +170,21 @@ def is_of_store(error: Exception) -> bool:
 
 
 def first_line(error: Exception) -> str:
-    """What an error says, without what follows."""
+    """The first line of an error's message."""
     return (str(error) or type(error).__name__).splitlines()[0]
 
 
 def now() -> int:
-    """Milliseconds, as mlflow counts them."""
+    """The time in milliseconds since 1970, the unit of mlflow."""
     return int(1000 * time.time())
 
 
 class MlflowReader:
-    """Reads back what `MlflowTracker` recorded; changes nothing.
+    """Reads the runs that `MlflowTracker` has recorded.
 
     Args:
         uri: as for `MlflowTracker`.
-        experiment_name: the mlflow experiment that holds the runs.
+        experiment_name: mlflow experiment that holds the runs.
 
     Raises:
         InputError: there is no such store or experiment.
@@ -237,10 +235,10 @@ class MlflowReader:
         return sorted((m.step, m.value, (m.timestamp - start) / 1000.0) for m in history)
 
     def artifact(self, run_id: str, name: str) -> Path:
-        """A local copy of one of the files that a run kept.
+        """A local copy of a file of a run.
 
         Raises:
-            InputError: the run has no such file, or a store that is a file says that it lies on a server.
+            InputError: the run has no such file, or a store that is a file places it on a server.
         """
         from mlflow.exceptions import MlflowException
 

@@ -1,4 +1,4 @@
-"""What a run records, whatever keeps it."""
+"""The interface of experiment tracking, and the tracker that records nothing."""
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -14,29 +14,26 @@ Entry = dict[str, Any]  # of a journal
 
 @dataclass(frozen=True)
 class RunStart:
-    """What is known of a run when it begins.
-
-    Args:
-        name: shown in lists.
-        folder: where its files are; a record that cannot be handed in waits there.
-        params: its settings.
-        tags: further facts, by which runs can be found.
-        ago: seconds since it began.
-    """
+    """The description of a run when it begins."""
 
     name: str
+    """Name in lists."""
     folder: Path
+    """Folder of its files, and of its journal until all of that is sent."""
     params: Mapping[str, Any] = field(default_factory=dict)
+    """Settings."""
     tags: Mapping[str, str] = field(default_factory=dict)
+    """Further facts, by which runs can be found."""
     ago: float = 0.0
+    """Time since it began, seconds."""
 
 
 class Tracker(Protocol):
-    """Where a run is recorded."""
+    """Records a run."""
 
     @property
     def run_id(self) -> str | None:
-        """Identifies the started run; None where nothing is recorded."""
+        """Id of the started run; None if it is not recorded."""
 
     def start(self, run: RunStart, run_id: str | None = None) -> None:
         """Begin a run, or continue the one called `run_id`.
@@ -46,21 +43,21 @@ class Tracker(Protocol):
         """
 
     def goes_on(self, run_id: str, folder: Path, params: Mapping[str, Any]) -> bool:
-        """Whether the run called `run_id`, continued, is still one history: with these params, unfinished, last in
-        `folder` and continued by nobody since.
+        """Return whether the run `run_id` can be continued as one history: it has these params, is unfinished, was last
+        in `folder`, and no other run has continued it.
 
         Raises:
             InputError: the store cannot be used.
         """
 
     def discard(self) -> None:
-        """Forget the run: it should not have been started."""
+        """Delete the started run."""
 
     def end_lost(self, tags: Mapping[str, str], reason: str) -> bool:
-        """End as FAILED the runs with these tags that are still RUNNING, or ended because their process had gone.
+        """End as FAILED the runs with these tags that are RUNNING, or were ended because their process had gone.
 
         Returns:
-            False if no run at all has these tags.
+            False if no run has these tags.
 
         Raises:
             InputError: the store cannot be used.
@@ -73,25 +70,25 @@ class Tracker(Protocol):
         """Log final figures."""
 
     def log_artifacts(self, paths: Iterable[Path]) -> None:
-        """Keep copies of files."""
+        """Store copies of files."""
 
     def finish(self, status: str, reason: str = "") -> None:
         """End the run as FINISHED, KILLED or FAILED, with the reason as a tag."""
 
     def describe(self) -> str:
-        """One line that tells the user where the run is."""
+        """Place of the run, in one line for the user."""
 
     def views(self, params: Sequence[str]) -> list[str]:
-        """Lines that tell where the runs below this one are seen, grouped by params; none if the store is lost."""
+        """Links to the runs below this one, grouped by params, one a line; none if the store does not answer."""
 
 
 class NoTracker(Tracker):
-    """Records nothing (`tracking=none`): what it is told leads to nothing."""
+    """Records nothing (`tracking=none`)."""
 
     @property
     @override
     def run_id(self) -> None:
-        """There is none."""
+        """None."""
 
     @override
     def goes_on(self, run_id: str, folder: Path, params: Mapping[str, Any]) -> bool:

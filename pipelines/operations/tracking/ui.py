@@ -1,6 +1,6 @@
-"""The mlflow server that `make ui` starts: mlflow's own, but for its bare address, which opens the training runs.
+"""The mlflow server that `make ui` starts, whose bare address opens the training runs.
 
-The page of an address is chosen in the browser, by what follows its `#`, which no server gets: so a script goes along.
+The part of an address after `#` selects a page in the browser and never reaches a server, so a script is added.
 """
 
 import json
@@ -17,7 +17,7 @@ from .experiment import SHARED, VIEW, link
 
 @app.middleware("http")  # type: ignore[untyped-decorator]
 async def open_runs(request: Request, call_next: Callable[[Request], Awaitable[Response]]) -> Response:
-    """Let the page at the bare address go on to the training runs."""
+    """Redirect the page at the bare address to the training runs."""
     response = await call_next(request)
     if request.url.path != "/" or response.status_code != 200 or (page := _page()) is None:
         return response
@@ -27,8 +27,8 @@ async def open_runs(request: Request, call_next: Callable[[Request], Awaitable[R
 
 
 def _page() -> str | None:
-    """The page of those runs; None while there is no experiment that `prepare` made."""
+    """Address of the page of training runs; None while there is no experiment of `prepare`."""
     client = MlflowClient(os.environ[BACKEND_STORE_URI_ENV_VAR])
     found = [e for e in client.search_experiments() if f"{SHARED}{VIEW}" in e.tags]
-    # Those of other pipelines are named after that of training runs: lmd, lmd observe.
+    # Names of other experiments begin with that of training runs: lmd, lmd observe.
     return link("", min(found, key=lambda e: len(e.name)).experiment_id) if found else None

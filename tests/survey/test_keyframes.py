@@ -1,4 +1,4 @@
-"""Which frames of a video a map is made from."""
+"""Keyframes of videos and of drives."""
 
 import drives
 import numpy as np
@@ -11,7 +11,7 @@ from lmd.survey.motion import SHORTEST_GAP
 
 
 def video(shown, rate: float | None = 30.0, cameras=1) -> DetectedTags:
-    """Frames that show some tags, `(camera, id)` each."""
+    """Detections in frames, each a list of `(camera, id)`."""
     rows = [(frame, *tag) for frame, tags in enumerate(shown) for tag in tags]
     frame, camera, ids = np.array(rows).T
     corners = np.tile(np.array([[0.0, 0.0], [20.0, 0.0], [20.0, 20.0], [0.0, 20.0]]), (len(rows), 1, 1))
@@ -26,7 +26,7 @@ def kept_of(detected: DetectedTags) -> IntArray:
 PAIR = [(0, 1), (0, 2)]
 
 
-def test_of_a_fast_video_few_frames_are_kept_evenly_and_the_others_are_named():
+def test_keyframes_of_a_fast_video_are_even_and_the_others_are_listed():
     before = video([PAIR] * 61)
     found = select_keyframes(before)
     kept = kept_of(found)
@@ -36,7 +36,7 @@ def test_of_a_fast_video_few_frames_are_kept_evenly_and_the_others_are_named():
 
 
 @pytest.mark.parametrize("rate", [5.0, 2.3, None])
-def test_slow_recordings_and_photographs_are_kept_as_they_are(rate):
+def test_all_frames_of_slow_recordings_and_photographs_are_kept(rate):
     assert not select_keyframes(video([PAIR] * 40, rate)).left_out
 
 

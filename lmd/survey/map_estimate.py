@@ -160,7 +160,7 @@ def estimate_map(sightings: Sightings, prior: Prior, origin: int | None = None, 
     Args:
         sightings: sightings; at least one frame must show two tags.
         prior: prior of the tags.
-        origin: id of the tag whose frame is the world if the prior knows no tag; None for the one seen most often.
+        origin: id of the tag whose frame is the world if no tag has a prior; None for the one seen most often.
         start: initial poses; None for those of `initialise`.
 
     Raises:

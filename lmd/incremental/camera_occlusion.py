@@ -1,0 +1,120 @@
+"""Occlusion from a single camera: a landmark is hidden from a position with all orientations or with none.
+
+A state counts by how many others each landmark is hidden from each position, and how many it hides.
+"""
+
+import numpy as np
+
+from lmd.core.bits import ALL, ONE, ZERO
+from lmd.core.compiled import inlined, inner
+from lmd.incremental.camera import look_around
+from lmd.incremental.nearby import is_near, pose_of
+from lmd.incremental.occlusion import ARRIVES, COMES, LEAVES, note_neighbour, note_pair, search, touch
+from lmd.incremental.state import (
+    BLOCK_COUNT,
+    BLOCKS,
+    GOES,
+    HIDDEN,
+    HIDING,
+    NAMES,
+    PAIR_COUNT,
+    REACHED,
+    WANTED,
+    WHERE,
+    WHO,
+    State,
+)
+from lmd.incremental.trial import find_pairs
+from lmd.scene.criteria import hide_between, sized
+from lmd.sight.blocks import BLOCK
+
+
+@find_pairs.register(State)
+def _find_pairs(state, k, how, field, scratch):  # type: ignore[no-untyped-def]
+    if how != COMES:
+        look_around(k, field, scratch)
+    if field.cameras.sight.reach < 0.0:
+        return
+    if how == LEAVES:
+        _want_blocks(k, state, scratch)
+    search(field.cameras, k, how, ZERO, ZERO, field, state, scratch)
+    _touch_flips(state, scratch)
+
+
+@inner
+def _want_blocks(k, state, scratch):  # type: ignore[no-untyped-def]
+    """Leave in `WANTED` the blocks from which landmark k hides another or is hidden: nearly everywhere it is not."""
+    hiding, hidden, wanted = state.hides[HIDING], state.hides[HIDDEN], scratch.flags[WANTED]
+    for b in scratch.lists[BLOCKS][: scratch.numbers[BLOCK_COUNT]]:
+        some = np.int16(0)
+        for p in range(b * np.uint64(BLOCK), (b + ONE) * np.uint64(BLOCK)):
+            some |= hiding[k, p] | hidden[k, p]
+        wanted[b] = some != 0
+
+
+@note_neighbour.register(State)
+def _note_neighbour(state, cameras, c, b, i, k, how, place, mine, other, field, scratch):  # type: ignore[no-untyped-def]
+    positions, first, last = field.positions, b * np.uint64(BLOCK), (b + ONE) * np.uint64(BLOCK)
+    ax, ay, az, nx, ny, nz = place
+    lx, ly, lz, vx, vy, vz = pose_of(i, state)
+    one_sight, two_sight, some = sized(cameras.sight, k), sized(cameras.sight, i), np.int64(0)
+    for p in range(first, last):
+        x, y, z = ax - positions[0, p], ay - positions[1, p], az - positions[2, p]
+        ox, oy, oz = lx - positions[0, p], ly - positions[1, p], lz - positions[2, p]
+        squared, square = x * x + y * y + z * z, ox * ox + oy * oy + oz * oz
+        one, two = hide_between(one_sight, two_sight, x, y, z, squared, ox, oy, oz, square, nx, ny, nz, vx, vy, vz)
+        some += one | two
+    if some == 0 or not is_near(field, b, lx, ly, lz):
+        return
+    for p in range(first, last):
+        x, y, z = ax - positions[0, p], ay - positions[1, p], az - positions[2, p]
+        ox, oy, oz = lx - positions[0, p], ly - positions[1, p], lz - positions[2, p]
+        squared, square = x * x + y * y + z * z, ox * ox + oy * oy + oz * oz
+        one, two = hide_between(one_sight, two_sight, x, y, z, squared, ox, oy, oz, square, nx, ny, nz, vx, vy, vz)
+        if one | two:
+            _note_hiding(i, p, one, two, how, scratch)
+
+
+@inlined
+def _note_hiding(i, p, one, two, how, scratch):  # type: ignore[no-untyped-def]
+    """Note from position p that the place hides landmark i, `one`, and that this hides the place, `two`."""
+    changes, hides = scratch.changes, scratch.hides
+    if how != LEAVES:
+        hides[HIDING, p] += one
+        hides[HIDDEN, p] += two
+        if two and scratch.flags[REACHED, p]:
+            touch(p, scratch)
+    if how != ARRIVES:
+        note_pair(i, p, scratch)
+        sign = np.int8(-1) if how == LEAVES else np.int8(1)
+        changes[HIDDEN, i, p] += sign * np.int8(one)
+        changes[HIDING, i, p] += sign * np.int8(two)
+
+
+@inlined
+def turns(reachable, was, now):  # type: ignore[no-untyped-def]
+    """True if a landmark appears or disappears when `now` others hide it instead of `was`."""
+    return reachable & ((was == 0) != (now == 0))
+
+
+@inner
+def _touch_flips(state, scratch):  # type: ignore[no-untyped-def]
+    """Touch the positions from which another landmark appears or disappears."""
+    hidden, reachable, changes = state.hides[HIDDEN], state.reachable, scratch.changes[HIDDEN]
+    for e in range(scratch.numbers[PAIR_COUNT]):
+        i, p = np.uint64(scratch.pairs[WHO, e]), np.uint64(scratch.pairs[WHERE, e])
+        if turns(reachable[i, p], hidden[i, p], hidden[i, p] + changes[i, p]):
+            touch(p, scratch)
+
+
+@inlined
+def list_turning(p, state, scratch):  # type: ignore[no-untyped-def]
+    """List in `NAMES` and `GOES` the other landmarks that appear or disappear at position p; returns their number."""
+    hidden, changes, known, count = state.hides[HIDDEN], scratch.changes[HIDDEN], scratch.known, ZERO
+    names, goes = scratch.lists[NAMES], scratch.lists[GOES]
+    for i in range(np.uint64(known.shape[1])):
+        if known[p, i]:
+            was = hidden[i, p]
+            names[count], goes[count] = i, ALL if was == 0 else ZERO
+            count += np.uint64(turns(state.reachable[i, p], was, was + changes[i, p]))
+    return count
