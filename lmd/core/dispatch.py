@@ -1,8 +1,8 @@
 """Functions that compiled code resolves by the class of their first argument, a named tuple or None.
 
-Like `functools.singledispatch`, but for numba: a kernel calls one name, and is compiled for each class that it is given
-with what that class registered. So a criterion or an objective is one file that no kernel knows of, and the
-compiled code stays cached on disk, which a function handed over as an argument would prevent.
+Like `functools.singledispatch`, but for numba: a kernel calls one name, and is compiled for each class of arguments with
+the function that the class registered. So a criterion or an objective is one file that no kernel imports, and compiled
+code stays cached on disk, which a function as an argument would prevent.
 
     @dispatched
     def area(shape): ...
@@ -28,10 +28,10 @@ R_co = TypeVar("R_co", covariant=True)
 
 
 class Dispatched(Protocol[P, R_co]):
-    """What `dispatched` makes of a function."""
+    """A function that `dispatched` returns."""
 
     def __call__(self, *arguments: P.args, **_: P.kwargs) -> R_co:
-        """What the class of the first argument registered; positional arguments only."""
+        """Call the function that the class of the first argument registered; positional arguments only."""
 
     def register(self, kind: type) -> Callable[[F], F]:
         """Decorate the plain function for a class, with the arguments of the dispatched one."""

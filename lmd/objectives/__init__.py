@@ -1,4 +1,4 @@
-"""What a deployment is for: the value of each position, and the fitness that optimisers climb."""
+"""Objectives of a deployment: the value of each position, and the fitness that optimisers maximise."""
 
 from lmd.objectives.base import Objective
 from lmd.objectives.coverage import Coverage, MeanCoverage

@@ -19,14 +19,16 @@ from lmd.sight.evaluator import Evaluator
 from lmd.sight.kernels import PROBABILITY_ONE
 from lmd.sight.poses import covered_amounts, gains
 
-PRICE_BYTES = 24  # of a view while poses are selected: its price, how often it is covered, and their product
+PRICE_BYTES = 24  # bytes per view while poses are selected: price, count of landmarks, and product
 
 
 class Threshold(NamedTuple):
-    """Positions count from a `threshold` in units on, with weights `relevance` `(Q,)`; a `Target`."""
+    """The weight of positions whose value reaches a threshold; a `Target`."""
 
     threshold: int
+    """Least value of a qualified position, in integer units."""
     relevance: FloatArray
+    """`(Q,)` weights of the positions."""
 
 
 @smoothed.register(Threshold)
@@ -41,9 +43,10 @@ def _worth(target, p, units):  # type: ignore[no-untyped-def]
 
 
 class Mean(NamedTuple):
-    """The mean of the values with weights `relevance` `(Q,)`; a `Target`."""
+    """The weighted mean of the values; a `Target`."""
 
     relevance: FloatArray
+    """`(Q,)` weights of the positions."""
 
 
 @smoothed.register(Mean)
@@ -97,7 +100,7 @@ class Coverage(AtLeast):
 
     def fitness(self, values: FloatArray, relevance: FloatArray) -> FloatArray:
         """See `Objective.fitness`."""
-        # A product and a sum over the last axis: each row is added in the same order whatever the batch.
+        # A product and a sum over the last axis: each row is added in one order for every batch.
         return np.asarray((self.qualified(values) * relevance).sum(axis=-1) / relevance.sum())
 
     def shares(self, values: FloatArray) -> Mapping[str, FloatArray | BoolArray]:
@@ -173,8 +176,8 @@ class MeanCoverage(Coverage):
 class CappedCount:
     """The sum of min(covered, n) over positions and axes, a `Selection`.
 
-    Whether at least n landmarks are covered is not submodular for n >= 2: the first landmark gains nothing. This sum
-    is, if no landmark hides another.
+    The indicator of n covered landmarks is not submodular for n >= 2: the first landmark gains nothing. This sum is
+    submodular if no landmark hides another.
 
     Args:
         evaluator: the scene.

@@ -1,4 +1,4 @@
-"""Localisation: the camera's position is known to within a tolerance, with a probability as large as can be."""
+"""Localisation as an objective: the probability that one image gives the camera's position to within a tolerance."""
 
 import math
 from collections.abc import Mapping
@@ -26,11 +26,10 @@ FITNESS = ("mean", "qualified")
 AMBIGUITY = ("resolved", "ignored")
 # Less than for coverage, as each view costs more: drawn anew on the way, they need not be many.
 SAMPLING = Sampling(positions=1, divisions=8)
-# What the camera knows beforehand when landmarks are selected greedily: the position to so many tolerances, and the
-# rotation to so many rad.
+# Prior of greedy selection: standard deviation of the position, in tolerances, and of the rotation, rad.
 PRIOR_TOLERANCES, PRIOR_ROTATION = 5.0, 1.0
-PRIOR_POSITION = 1.0  # metres, where no tolerance is given
-WORST = 0.05  # of the positions, whose best value is reported
+PRIOR_POSITION = 1.0  # standard deviation of the position without a tolerance, metres
+WORST = 0.05  # share of the worst positions, whose greatest value is reported
 
 
 @dataclass(frozen=True)
