@@ -64,7 +64,7 @@ def _prefetch(array, index):  # type: ignore[no-untyped-def] # noqa: ARG001
 
 @inlined
 def add_digit(digit: np.uint64, carry: np.uint64, goes: np.uint64) -> tuple[np.uint64, np.uint64]:
-    """Add 1 to a binary digit of counts at the axes `carry`, or subtract 1 at those in `goes`; also returns the carry."""
+    """Add 1 to a digit of counts at the axes `carry`, or subtract 1 at those in `goes`; also returns the next carry."""
     return digit ^ carry, carry & (digit ^ goes)
 
 

@@ -13,7 +13,7 @@ LIMITS = (Path("/sys/fs/cgroup/memory.max"), Path("/sys/fs/cgroup/memory/memory.
 
 
 def free_memory() -> float:
-    """Bytes that can be allocated: MemAvailable on Linux, all physical memory elsewhere; limited to that of a container."""
+    """Bytes that can be allocated: MemAvailable on Linux, all memory elsewhere; at most the limit of a container."""
     limits = [path.read_text().strip() for path in LIMITS if path.is_file()]
     if MEMINFO.is_file():
         entries = dict(line.split(":") for line in MEMINFO.read_text().splitlines())

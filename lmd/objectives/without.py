@@ -1,7 +1,8 @@
 """The fitness of a deployment without one landmark, or without two: all of them, exactly.
 
 A landmark is removed by a move (`field`) to a place where no camera sees it. Only the views that it changes are
-evaluated again, so all pairs of 90 landmarks cost no more than a hundred evaluations. A removed landmark hides no other.
+evaluated again, so all pairs of 90 landmarks cost no more than a hundred evaluations. A removed landmark hides no
+other.
 """
 
 import numpy as np
