@@ -1,8 +1,8 @@
 """Functions that compiled code resolves by the class of their first argument, a named tuple or None.
 
 Like `functools.singledispatch`, but for numba: a kernel calls one name, and is compiled for each class of arguments
-with the function that the class registered. So a criterion or an objective is one file that no kernel imports, and compiled
-code stays cached on disk, which a function as an argument would prevent.
+with the function that the class registered. So a criterion or an objective is one file that no kernel imports, and
+compiled code stays cached on disk, which a function as an argument would prevent.
 
     @dispatched
     def area(shape): ...
