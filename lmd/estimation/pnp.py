@@ -7,7 +7,7 @@ import numpy as np
 
 from lmd.core.checks import FloatArray, choice
 from lmd.core.optional import optional
-from lmd.estimation.errors import Errors, pose_errors
+from lmd.estimation.estimators import Errors, pose_errors
 from lmd.estimation.recording import Recording
 from lmd.geometry.pose import PointImage, Solution, body_solutions
 from lmd.geometry.projection import project

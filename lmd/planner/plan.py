@@ -13,8 +13,7 @@ from lmd.scene.labels import Labels
 from lmd.scene.plates import Plates
 from lmd.scene.rig import Rig
 from lmd.scene.scene import Scene
-from lmd.space.heights import lower_edge
-from lmd.space.space import Space
+from lmd.space.space import Space, lower_edge
 from lmd.space.surface import SurfaceArrays
 
 

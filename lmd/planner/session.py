@@ -23,7 +23,7 @@ from lmd.scene.deployment import Deployment
 from lmd.scene.deployment_sources import GivenDeployment
 from lmd.scene.rig import Rig
 from lmd.sight.views import visible
-from lmd.space.heights import lower_edge
+from lmd.space.space import lower_edge
 
 PATIENCE_SECONDS = 1.0  # maximum time that the end of a stopped search is waited for, seconds; compiling takes longer
 

@@ -8,8 +8,7 @@ import numpy as np
 from typing_extensions import override
 
 from lmd.core.checks import BoolArray, FloatArray, InputError, IntArray, check_fields, choice, vector
-from lmd.space.grid import KINDS, checked_spacing, grid_counts, kronecker
-from lmd.space.gridded import Gridded
+from lmd.space.gridded import KINDS, Gridded, checked_spacing, grid_counts, kronecker
 from lmd.space.relevance import Relevance
 from lmd.space.surface import PLACEMENT_TOLERANCE, Surface, SurfaceArrays
 

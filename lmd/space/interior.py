@@ -7,7 +7,7 @@ from functools import cached_property
 import numpy as np
 
 from lmd.core.checks import BoolArray, FloatArray, IntArray
-from lmd.space.grid import combined, grid_axes, grid_counts
+from lmd.space.gridded import combined, grid_axes, grid_counts
 from lmd.space.triangles import Triangles
 
 # Between nodes, metres; more where there would be too many.

@@ -10,8 +10,7 @@ from typing_extensions import override
 from lmd.core.checks import BoolArray, FloatArray, InputError, choice
 from lmd.space.cuboid import box_edges
 from lmd.space.fixture import Fixture
-from lmd.space.grid import KINDS, checked_spacing
-from lmd.space.gridded import Gridded
+from lmd.space.gridded import KINDS, Gridded, checked_spacing
 from lmd.space.parts import FreeVolume, made
 from lmd.space.relevance import Relevance
 from lmd.space.scan import Scan

@@ -8,6 +8,7 @@ import numpy as np
 
 from lmd.core.checks import FloatArray, InputError, check_fields, choice, real, vector
 from lmd.space.blockers import Body
+from lmd.space.polygon import checked_ring
 from lmd.space.surface import Surface
 
 FACES = ("x_min", "x_max", "y_min", "y_max", "bottom", "top")
@@ -205,3 +206,96 @@ def checked_names(name: str, value: Any, known: Sequence[str]) -> tuple[str, ...
     if not given or len(set(given)) != len(given):
         raise InputError(f"{name} must list at least one surface, each once, got {value!r}.", name)
     return tuple(given)
+
+
+# A keep-out may reach so far beyond its surface, metres: it was measured by hand.
+BEYOND_SURFACE_M = 0.05
+
+
+@dataclass(frozen=True)
+class KeepOut:
+    """A part of a surface where nothing may hang: a door, a window, a screen.
+
+    It is measured as one stands before the surface: before a wall, above the floor or below the ceiling with y up.
+
+    Args:
+        surface: its name.
+        from_left: where it begins and ends, from the left edge of the surface, metres.
+        from_below: where it begins and ends, from the lower edge of the surface, metres.
+        corners: vertices [from left, from below] in place of both.
+        name: what it is called on paper, such as `door`.
+
+    Raises:
+        InputError: neither both spans nor corners are given, or it is empty.
+    """
+
+    surface: str
+    from_left: Sequence[float] | None = None
+    from_below: Sequence[float] | None = None
+    corners: Sequence[Sequence[float]] | None = None
+    name: str | None = None
+
+    def __post_init__(self) -> None:
+        if (self.corners is None) == (self.from_left is None) or (self.from_left is None) != (self.from_below is None):
+            raise InputError("from_left and from_below, or corners in their place, must be given.", "from_left")
+        check_name(self.name)
+        if self.corners is not None:
+            check_fields(self, checked_ring, "corners", either_way=True)
+            return
+        for name, span in (("from_left", self.from_left), ("from_below", self.from_below)):
+            start, stop = vector(name, span, 2)
+            if start >= stop:
+                raise InputError(f"{name} must go from the lower to the higher, got {[start, stop]}.", name)
+            object.__setattr__(self, name, (start, stop))
+
+    def check_on(self, name: str, extent: tuple[float, float]) -> None:
+        """Raise `InputError` if it reaches beyond its surface, whose rectangle is `extent`, metres, long and wide.
+
+        Args:
+            name: the argument it came from, for messages.
+            extent: of the surface.
+        """
+        at = np.array(self.ring)
+        beyond = float(max((0.0 - at).max(), (at - extent).max()))
+        if beyond > BEYOND_SURFACE_M:
+            along, up = extent
+            raise InputError(
+                f"{name} reaches {beyond:.4g} m beyond {self.surface}, which is {along:.4g} x {up:.4g} m.", name
+            )
+
+    @property
+    def ring(self) -> FloatArray:
+        """Its vertices (from left, from below), `(N, 2)`, metres."""
+        if self.corners is not None:
+            return np.array(self.corners)
+        assert self.from_left is not None
+        assert self.from_below is not None
+        return _rectangle(*zip(self.from_left, self.from_below, strict=True))
+
+    def region(self, face: Surface) -> Any:
+        """The keep-out in the coordinates of its surface, a polygon of shapely."""
+        import shapely
+
+        return shapely.Polygon(face.seen(self.ring))
+
+
+def all_keep_outs(values: Any, faces: Sequence[str]) -> tuple[KeepOut, ...]:
+    """Keep-outs from the values that a user gave.
+
+    Args:
+        values: list of `KeepOut`s or mappings of their arguments.
+        faces: names of the surfaces.
+
+    Raises:
+        InputError: a value is no keep-out, or its surface is unknown.
+    """
+    parts = all_made("keep_out", KeepOut, values)
+    for i, part in enumerate(parts):
+        choice(f"keep_out[{i}].surface", part.surface, faces)
+    return parts
+
+
+def _rectangle(low: Sequence[float], high: Sequence[float]) -> FloatArray:
+    """Its vertices, counter-clockwise, `(4, 2)`."""
+    (a, b), (c, d) = low, high
+    return np.array([(a, b), (c, b), (c, d), (a, d)])

@@ -13,8 +13,7 @@ from lmd.space.blockers import Blockers
 from lmd.space.cuboid import box_edges
 from lmd.space.fixture import Fixture
 from lmd.space.floor_plan import FloorPlan
-from lmd.space.grid import KINDS, checked_spacing
-from lmd.space.gridded import Gridded, clear_of
+from lmd.space.gridded import KINDS, Gridded, checked_spacing, clear_of
 from lmd.space.parts import Reachable, made
 from lmd.space.polygon import edges
 from lmd.space.relevance import Relevance

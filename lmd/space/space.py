@@ -5,7 +5,8 @@ from typing import Protocol
 
 import numpy as np
 
-from lmd.core.checks import BoolArray, FloatArray, IntArray
+from lmd.core.checks import BoolArray, FloatArray, InputError, IntArray
+from lmd.geometry.trajectory import Trajectory
 from lmd.space.blockers import Blockers
 from lmd.space.fixture import Fixture
 from lmd.space.relevance import Weighing
@@ -82,3 +83,48 @@ class Space(Protocol):
 
     def describe(self) -> str:
         """The room in a few words, such as `room of 7.5 x 5 x 6 m`."""
+
+
+LEVEL_NORMAL_Z = 0.99  # normals with a larger vertical part are those of what is level
+
+
+def floor_of(room: Space) -> float:
+    """Where the floor is, z, metres: the lowest of the large faces that look up, else the lowest point."""
+    level = [face for face in room.faces() if face.normal[2] > LEVEL_NORMAL_Z]
+    sizes = np.array([face.extent[0] * face.extent[1] for face in level])
+    heights = np.array([face.origin[2] for face in level])
+    return float(heights[sizes > sizes.max() / 2.0].min() if level else room.bounds()[0][2])
+
+
+def lower_edge(room: Space, surface: Surface) -> float:
+    """How high the lower edge of a wall is above the floor, metres; 0 for what is not upright."""
+    return float(surface.origin[2]) - floor_of(room) if surface.is_upright else 0.0
+
+
+def check_positions(trajectory: Trajectory, room: Space) -> None:
+    """Raise `InputError` if the camera leaves the closed room, or is inside something that stands in it."""
+    positions = trajectory.poses[:, :3, 3]
+    outside = np.flatnonzero(~room.contains(positions))
+    if outside.size:
+        x, y, z = positions[outside[0]]
+        low, high = room.bounds()
+        beyond = np.linalg.norm(np.maximum(np.maximum(low - positions, positions - high), 0.0), axis=1).max()
+        far = f", up to {beyond:.3g} m beyond it" if beyond > 0.0 else ""
+        more = f"; so are {outside.size} of {len(positions)} poses{far}" if outside.size > 1 or far else ""
+        raise InputError(
+            f"the camera at {trajectory.time[outside[0]]:.16g} s, ({x:.9g}, {y:.9g}, {z:.9g}), is outside the "
+            f"{room.describe()}{more}."
+        )
+
+
+def check_inside(trajectory: Trajectory, room: Space) -> None:
+    """Raise `InputError` as `check_positions`, or if it goes through something that stands in the room."""
+    check_positions(trajectory, room)
+    positions = trajectory.poses[:, :3, 3]
+    through = np.flatnonzero(~room.clear(positions[:-1], positions[1:]))
+    if through.size:
+        x, y, z = positions[through[0]]
+        raise InputError(
+            f"the camera goes straight on from ({x:.9g}, {y:.9g}, {z:.9g}) at {trajectory.time[through[0]]:.16g} s, "
+            f"through something that stands in the {room.describe()}."
+        )

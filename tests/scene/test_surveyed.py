@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from lmd.core.checks import InputError
 from lmd.detection.frames import tagged_room
-from lmd.estimation.tags import corners_of
+from lmd.estimation.sensors import corners_of
 from lmd.evaluation.measured import as_measured, read_measured
 from lmd.evaluation.validation import Sample
 from lmd.geometry.squares import corners, upright

@@ -1,7 +1,6 @@
 import numpy as np
 import pytest
 import shapely
-import yaml
 from examples import examples
 from floor_plans import DOOR, L_SHAPE, PILLAR, RACK, hangs_properly, lab, plan_of, prisms, star
 from hypothesis import given
@@ -67,34 +66,6 @@ def test_a_keep_out_is_measured_from_the_left_as_one_stands_before_its_wall():
     for k, free in enumerate([True, False, True, False]):
         hung = Deployment(marks[k : k + 1], normals[k : k + 1]).hung(room)
         assert (hung.fault(room) is None) == free
-
-
-def test_keep_outs_of_earlier_versions_are_refused_with_what_they_are_now():
-    # Up to then walls were measured from their first vertex, ceilings and obstacles along x or y.
-    for surface_name, old, low, now in [
-        ("wall_0", [4.5, 5.5], [4.5, 0.0, 0.0], r"from_left: \[0\.5, 1\.5\], from_below: \[0, 1\.5\]"),
-        ("wall_2", [0.0, 1.0], [5.0, 2.0, 0.0], r"from_left: \[2, 3\], from_below: \[0, 1\.5\]"),
-        ("hole_0_wall_0", [0.0, 0.25], [1.25, 1.25, 0.0], r"from_left: \[0, 0\.25\], from_below: \[0, 1\.5\]"),
-        ("floor", [1.0, 2.0], [1.0, 0.0, 0.0], r"from_left: \[1, 2\], from_below: \[0, 1\.5\]"),
-        ("ceiling", [1.0, 2.0], [1.0, 0.0, 2.5], r"from_left: \[4, 5\], from_below: \[0, 1\.5\]"),
-        ("obstacle_0_y_min", [0.0, 0.25], [0.0, 3.0, 0.0], r"from_left: \[0, 0\.25\], from_below: \[0, 1\.5\]"),
-    ]:
-        part = {"surface": surface_name, "low": [old[0], 0.0], "high": [old[1], 1.5]}
-        message = rf"^keep_out has the keys low, high, polygon, .*, it is \[{{surface: {surface_name}, {now}}}\]\.$"
-        with pytest.raises(InputError, match=message) as refused:
-            FloorPlan(L_SHAPE, 2.5, holes=[PILLAR], obstacles=[RACK], keep_out=[part])
-        written = yaml.safe_load(str(refused.value).partition("it is ")[2][:-1])
-        room = FloorPlan(L_SHAPE, 2.5, holes=[PILLAR], obstacles=[RACK], keep_out=written)
-        assert_allclose(room.kept_out[0].min(axis=0), low, atol=1e-9)
-    triangle = {"surface": "wall_0", "polygon": [[4.5, 0], [5.5, 0], [5, 1]]}
-    window = {"surface": "wall_1", "low": [0.5, 1], "high": [1, 2]}
-    with pytest.raises(
-        InputError, match=r"it is \[{surface: wall_0, corners: .*}, {surface: wall_1, .*}\]\.$"
-    ) as refused:
-        FloorPlan(L_SHAPE, 2.5, keep_out=[triangle, window])
-    one, other = yaml.safe_load(str(refused.value).partition("it is ")[2][:-1])  # all at once
-    assert one["corners"] == [[1.5, 0], [0.5, 0], [1, 1]]
-    assert other["from_left"] == [1, 1.5]
 
 
 @examples(40)
