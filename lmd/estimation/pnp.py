@@ -12,7 +12,6 @@ from lmd.estimation.recording import Recording
 from lmd.geometry.pose import PointImage, Solution, body_solutions
 from lmd.geometry.projection import project
 from lmd.geometry.se3 import exp
-from lmd.scene.rig import cameras_of, extrinsics_of
 
 AMBIGUOUS = ("odometry", "refuse")
 # Difference of the squared errors of two distinguishable poses: a likelihood ratio of 100.
@@ -71,9 +70,7 @@ def _distance(one: FloatArray, other: FloatArray) -> float:
 def images_of(recording: Recording, s: int, t: int) -> list[PointImage]:
     """Images of known points in each camera of a frame."""
     images, first, count = [], recording.detections(s, t).start, recording.seen_by.shape[-1]
-    for c, (camera, mounted) in enumerate(
-        zip(cameras_of(recording.camera), extrinsics_of(recording.camera), strict=True)
-    ):
+    for c, (camera, mounted) in enumerate(zip(recording.camera.cameras, recording.camera.extrinsics, strict=True)):
         seen = c * count + np.flatnonzero(recording.seen_by[s, t, c])
         its = slice(first, first := first + len(seen))
         noise = np.maximum(recording.noise[its], LEAST_NOISE)

@@ -16,7 +16,6 @@ from lmd.geometry.se3 import adjoint, inverse
 from lmd.render.imaging import Imaging, UInt8Array
 from lmd.render.renderer import Renderer
 from lmd.scene.deployment import Deployment
-from lmd.scene.rig import extrinsics_of
 from lmd.scene.tag import Tag
 
 # Number of frames in a job.
@@ -105,7 +104,7 @@ class RenderedDetector:
         return [
             merged(
                 [self._observed(look, list(islice(found, len(look.in_view)))) for look in those],
-                extrinsics_of(f.camera),
+                f.camera.extrinsics,
             )
             for f, those in zip(flights, looks, strict=True)
         ]

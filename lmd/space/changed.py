@@ -59,7 +59,7 @@ class Changed:
 
 
 class Inset(Changed):
-    """A room with smaller surfaces, such as for the centres of plates.
+    """A room with smaller surfaces, such as for the centres of footprints.
 
     `surfaces_of`, `surface_near` and `faces` use the whole surfaces.
 
