@@ -24,7 +24,6 @@ from lmd.geometry.camera import Camera
 from lmd.geometry.projection import slope
 from lmd.geometry.se3 import adjoint_matrix, axis_and_right, camera_pose, inverse, skew
 from lmd.scene.deployment import Deployment
-from lmd.scene.rig import cameras_of, extrinsics_of
 from lmd.scene.scene import Scene
 from lmd.sight.evaluator import Evaluator, averaged
 from lmd.sight.views import visible_to_each
@@ -175,7 +174,7 @@ class CramerRaoBound:
         relative = recording.noise / largest if largest > 0.0 else np.ones_like(recording.noise)
         runs, corners = [], 1 if recording.tags is None else 4
         cameras, count = recording.seen_by.shape[2:]
-        body = cameras_of(recording.camera), extrinsics_of(recording.camera)
+        body = recording.camera.cameras, recording.camera.extrinsics
         for s, poses in enumerate(recording.poses):
             points = (recording.landmarks if recording.tags is None else recording.tags)[s, :count].reshape(-1, 3)
             seen = np.moveaxis(recording.seen_by[s], 1, 0).repeat(corners, axis=-1)

@@ -15,7 +15,7 @@ from lmd.geometry.camera import Camera
 from lmd.geometry.se3 import act, axis_and_right
 from lmd.geometry.trajectory import Trajectory
 from lmd.scene.deployment import Deployment
-from lmd.scene.rig import Rig, cameras_of
+from lmd.scene.rig import Rig
 from lmd.sight.evaluator import Evaluator
 from lmd.sight.views import visible_to_each
 
@@ -200,7 +200,7 @@ class Recording:
     @property
     def seen_by(self) -> BoolArray:
         """Mask of the landmarks detected by each camera, `(S, T, C, K / C)`."""
-        return self.seen.reshape(*self.seen.shape[:2], len(cameras_of(self.camera)), -1)
+        return self.seen.reshape(*self.seen.shape[:2], len(self.camera.cameras), -1)
 
     @property
     def visible_counts(self) -> IntArray:
@@ -241,7 +241,7 @@ def record(
     observations = detector.observed(flights, each)
     twists = [odometry.measured(f.trajectory.twists, np.diff(time), f.rng.spawn(1)[0]) for f in flights]
     tags = [detector.tags(flight.deployment) for flight in flights]
-    cameras = len(cameras_of(flights[0].camera))
+    cameras = len(flights[0].camera.cameras)
     corners = [observation.corners for observation in observations]
     return Recording(
         time,

@@ -18,7 +18,6 @@ from lmd.geometry.projection import bearings, depth_in_focus, intrinsics, projec
 from lmd.geometry.se3 import act, inverse, skew
 from lmd.geometry.squares import CORNERS, corners
 from lmd.scene.deployment import Deployment
-from lmd.scene.rig import extrinsics_of
 from lmd.scene.tag import Tag
 
 
@@ -49,7 +48,7 @@ class PointDetector:
         """See `Sensor.observed`; the visibility model of the scene decides which landmarks are visible."""
         if self.pixel_noise > 0.0:
             check_images(flights)
-        return [merged(list(map(self._observed, f.looks())), extrinsics_of(f.camera)) for f in flights]
+        return [merged(list(map(self._observed, f.looks())), f.camera.extrinsics) for f in flights]
 
     def tags(self, deployment: Deployment) -> None:
         """See `Sensor.tags`."""
@@ -146,7 +145,7 @@ class TagDetector:
     def observed(self, flights: Sequence[Flight], each: Each = map) -> list[Observation]:
         """See `Sensor.observed`; the visibility model of the scene decides which tags are visible."""
         check_images(flights)
-        return [merged(list(map(self._observed, f.looks())), extrinsics_of(f.camera)) for f in flights]
+        return [merged(list(map(self._observed, f.looks())), f.camera.extrinsics) for f in flights]
 
     def tags(self, deployment: Deployment) -> FloatArray:
         """See `Sensor.tags`."""

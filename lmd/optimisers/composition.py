@@ -8,7 +8,7 @@ from lmd.core.checks import InputError
 from lmd.objectives.base import Objective, selectable
 from lmd.optimisers.selection import GRID_SPACING, Limited, Stock, candidates, select
 from lmd.scene.deployment import Deployment
-from lmd.scene.plates import Plates
+from lmd.scene.footprints import Footprints
 from lmd.scene.scene import Scene
 from lmd.scene.tag import Tag
 from lmd.sight.evaluator import Evaluator
@@ -31,13 +31,13 @@ def composition(
     Raises:
         InputError: that does not suffice for one tag, or the objective has no selection.
     """
-    tag, plates = scene.tag, scene.plates
-    edges, stock = np.array(tag.edges), stock_of_sizes(tag, plates, tag.limit or 0.0)
+    tag, footprints = scene.tag, scene.footprints
+    edges, stock = np.array(tag.edges), stock_of_sizes(tag, footprints, tag.limit or 0.0)
     evaluator = Evaluator(scene.sized(edges), threads=threads)
     relevance = scene.room.relevance.weights(evaluator.positions)
     hung = None if fixed is None else replace(fixed, edges=fixed.edges_of(tag))
-    poses = candidates(plates, edges, GRID_SPACING)
-    chosen, _ = select(selectable(objective).selection(evaluator, relevance), poses, stock, plates, fixed=hung)
+    poses = candidates(footprints, edges, GRID_SPACING)
+    chosen, _ = select(selectable(objective).selection(evaluator, relevance), poses, stock, footprints, fixed=hung)
     if not len(chosen):
         least = float(stock.prices(poses).min())
         if tag.budget is not None:
@@ -47,9 +47,9 @@ def composition(
     return tuple(int((found == edge).sum()) for edge in edges)
 
 
-def stock_of_sizes(tag: Tag, plates: Plates, limit: float) -> Stock:
+def stock_of_sizes(tag: Tag, footprints: Footprints, limit: float) -> Stock:
     """Tags of any of the edges of `tag`, as many as `limit` of paper suffices for, or of cost if it has a budget."""
     if tag.budget is None:
-        return Limited(limit, lambda poses: plates.papers(poses) ** 2)
+        return Limited(limit, lambda poses: footprints.papers(poses) ** 2)
     costs = dict(zip(tag.edges or (), tag.costs or (), strict=True))  # a budget comes with both
     return Limited(limit, lambda poses: np.array([costs[edge] for edge in poses.edges_of(tag).tolist()]))

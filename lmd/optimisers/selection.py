@@ -21,7 +21,7 @@ from lmd.objectives.base import Selection, selectable
 from lmd.problem import Problem
 from lmd.scene.deployment import Deployment
 from lmd.scene.deployment_sources import POINT
-from lmd.scene.plates import Plates
+from lmd.scene.footprints import Footprints
 from lmd.scene.tag import Tag
 from lmd.sight.poses import candidate_poses
 
@@ -89,17 +89,17 @@ def select(
     selection: Selection,
     poses: Deployment,
     stock: int | Stock,
-    plates: Plates | None = None,
+    footprints: Footprints | None = None,
     allowance: float = np.inf,
     fixed: Deployment | None = None,
 ) -> tuple[np.ndarray, int]:
-    """Choose some of the `poses`, each at most once, and none whose plate would overlap another's.
+    """Choose some of the `poses`, each at most once, and none whose footprint would overlap another's.
 
     Args:
         selection: what is climbed, with nothing chosen yet.
         poses: N candidates.
         stock: what there is to hang, or the number of points.
-        plates: of the tags; None for landmarks that are points.
+        footprints: of the tags; None for landmarks that are points.
         allowance: how many gains may be evaluated; fewer poses are chosen if it does not suffice.
         fixed: landmarks that are chosen before the first of the poses.
 
@@ -109,9 +109,9 @@ def select(
     stock = Tags(np.zeros(stock), POINT) if isinstance(stock, int) else stock
     known, taken, prices = np.full(len(poses), np.inf), np.zeros(len(poses), dtype=bool), stock.prices(poses)
     add_each(selection, fixed)
-    if fixed is not None and plates and plates.edge:
+    if fixed is not None and footprints and footprints.edge:
         for k in range(len(fixed)):
-            taken |= plates.touched(poses, fixed[k : k + 1])
+            taken |= footprints.touched(poses, fixed[k : k + 1])
     chosen: list[int] = []
     spent = 0
     while True:
@@ -130,7 +130,7 @@ def select(
             fresh[batch] = True
             spent += len(batch)
         chosen.append(best)
-        taken[plates.touched(poses, poses[best : best + 1]) if plates and plates.edge else best] = True
+        taken[footprints.touched(poses, poses[best : best + 1]) if footprints and footprints.edge else best] = True
         selection.add(poses[best : best + 1])
 
 
@@ -141,24 +141,24 @@ def add_each(selection: Selection, fixed: Deployment | None) -> None:
             selection.add(fixed[k : k + 1])
 
 
-def candidates(plates: Plates, edges: FloatArray, spacing: float) -> Deployment:
+def candidates(footprints: Footprints, edges: FloatArray, spacing: float) -> Deployment:
     """Poses of a grid where tags may hang, for each size of `edges` `(K,)`, metres, see `Deployment.edges`.
 
     The poses have an edge of their own if one of `edges` is known.
     """
     parts, own = [], not np.isnan(edges).all()
-    for edge in np.unique(plates.tag.filled(edges)):
-        poses = candidate_poses(plates.inset(plates.tag.paper_share * edge), spacing)
+    for edge in np.unique(footprints.tag.filled(edges)):
+        poses = candidate_poses(footprints.inset(footprints.tag.paper_share * edge), spacing)
         parts.append(replace(poses, edges=np.full(len(poses), edge if own else np.nan)))
     return reduce(operator.add, parts)
 
 
-def _candidates_within(plates: Plates, edges: FloatArray, spacing: float, most: float) -> Deployment:
+def _candidates_within(footprints: Footprints, edges: FloatArray, spacing: float, most: float) -> Deployment:
     """`candidates`, coarsened until there are no more than `most`, or one of a size for each piece of a surface."""
-    poses, widest = candidates(plates, edges, spacing), max(max(wall.extent) for wall in plates.room.surfaces())
+    poses, widest = candidates(footprints, edges, spacing), max(max(wall.extent) for wall in footprints.room.surfaces())
     while len(poses) > most and spacing < widest:
         spacing *= 1.3
-        poses = candidates(plates, edges, spacing)
+        poses = candidates(footprints, edges, spacing)
     return poses
 
 
@@ -174,10 +174,10 @@ def greedy_start(problem: Problem, start: Deployment, spacing: float, allowance:
     Returns:
         the deployment, and the number of gains evaluated.
     """
-    plates = problem.scene.plates
-    poses = _candidates_within(plates, problem.free_edges, spacing, allowance / 2)
+    footprints = problem.scene.footprints
+    poses = _candidates_within(footprints, problem.free_edges, spacing, allowance / 2)
     selection = selectable(problem.objective).selection(problem.fitness_evaluator, problem.fitness_relevance)
-    chosen, spent = select(selection, poses, stock_of(problem), plates, allowance, problem.hung)
+    chosen, spent = select(selection, poses, stock_of(problem), footprints, allowance, problem.hung)
     return problem.apart(_in_place(problem, start, poses[chosen])) or start if len(chosen) else start, spent
 
 

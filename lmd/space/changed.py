@@ -1,4 +1,4 @@
-"""A space that is a room but for what a subclass says otherwise."""
+"""Rooms derived from another room: with smaller surfaces, or with the positions of a recording."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -19,7 +19,7 @@ Method = TypeVar("Method", bound=Callable[..., Any])
 
 
 def _asked(method: Method) -> Method:
-    """A method of `Space` by which `Changed` asks its room."""
+    """Delegate a method of `Space` to the room."""
 
     @wraps(method)
     def ask(changed: "Changed", *arguments: Any, **named: Any) -> Any:
@@ -29,11 +29,7 @@ def _asked(method: Method) -> Method:
 
 
 class Changed:
-    """A `lmd.space.space.Space` that asks a room; subclasses answer themselves what they change.
-
-    Args:
-        room: the room.
-    """
+    """A `Space` that delegates to a room; subclasses override what they change."""
 
     def __init__(self, room: Space) -> None:
         self._room = room
@@ -63,16 +59,16 @@ class Changed:
 
 
 class Inset(Changed):
-    """A room whose surfaces end before their edges, as by half a plate for the centres of plates.
+    """A room with smaller surfaces, such as for the centres of footprints.
 
-    Those of `surfaces_of`, `surface_near` and `faces` stay the room's, to their edges.
+    `surfaces_of`, `surface_near` and `faces` use the whole surfaces.
 
     Args:
         room: the room.
-        margin: by which every edge of every surface is moved inwards, metres.
+        margin: width of the strip that is removed along all edges, metres.
 
     Raises:
-        InputError: a surface has nothing left.
+        InputError: a surface vanishes.
     """
 
     def __init__(self, room: Space, margin: float) -> None:
@@ -81,38 +77,35 @@ class Inset(Changed):
 
     @override
     def surfaces(self) -> tuple[Surface, ...]:
-        """In the order of the room's."""
+        """Surfaces in the order of those of the room."""
         return self._surfaces
 
 
-ON_BORDER = 1e-9  # metres: a record so close below the border of a cell belongs to the one above
+# Rounding tolerance of the borders of cells, metres: a record this far below a border belongs to the cell above.
+ON_BORDER = 1e-9
 
 
 class _Cells(NamedTuple):
-    """Cells that hold records, ordered by x, y and z.
-
-    of `(T,)` the cell of each record; seconds `(P,)` spent in each; chosen `(P,)` the record nearest to the mean of
-    each: there the camera can be, which the mean of a way around a pillar does not promise.
-    """
+    """Cells with records, ordered by x, y and z."""
 
     of: IntArray
+    """Cell of each record, `(T,)`."""
     seconds: FloatArray
+    """Time spent in each cell, seconds, `(P,)`."""
     chosen: IntArray
+    """Record nearest to the mean of each cell, `(P,)`: unlike the mean, certainly a possible position."""
 
 
 @dataclass(frozen=True)
 class TimeSpent:
-    """The time that a recording spent in the cell of a position, times what else makes it matter.
-
-    Args:
-        positions: of the cells, `(P, 3)`, metres.
-        seconds: in each, `(P,)`.
-        within: the relevance of the room that was recorded.
-    """
+    """Relevance by the time that a recording spent in a cell, times the relevance of the room."""
 
     positions: FloatArray
+    """Positions of the cells, metres, `(P, 3)`."""
     seconds: FloatArray
+    """Time spent in each cell, seconds, `(P,)`."""
     within: Weighing
+    """Relevance of the room."""
 
     def weights(self, points: FloatArray) -> FloatArray:
         """See `Weighing.weights`; a point belongs to the nearest cell."""
@@ -121,13 +114,13 @@ class TimeSpent:
 
 
 class Visited(Changed):
-    """A room whose positions are those of a recording; a `lmd.space.space.Space`.
+    """A room with the positions of a recording; a `Space`.
 
     Args:
         room: the room.
-        positions: of T records, `(T, 3)`, metres.
-        seconds: that each of them lasted, `(T,)`.
-        spacing: edge of the cells, metres: one number or one per axis. They fill space from the world's origin on.
+        positions: positions of T records, metres, `(T, 3)`.
+        seconds: duration of each record, seconds, `(T,)`.
+        spacing: edge of the cells, metres: one number or one per axis. A corner of a cell is the world's origin.
 
     Raises:
         InputError: the spacing is not positive, or so fine that the cells would not fit into memory.
@@ -163,12 +156,12 @@ class Visited(Changed):
 
     @override
     def grid(self) -> FloatArray:
-        """In each cell that was visited the record nearest to the mean of those in it."""
+        """The record nearest to the mean of each visited cell."""
         return self._positions[self._cells.chosen]
 
     @override
     def passable(self, starts: FloatArray, ends: FloatArray) -> BoolArray:
-        """Where the camera was, it may have been nearer to things than the room's clearance."""
+        """As `clear`, since the recorded camera may have violated the clearance of the room."""
         return self.clear(starts, ends)
 
     @override
@@ -178,7 +171,7 @@ class Visited(Changed):
 
     @override
     def jittered_grid(self, repeats: int, rng: np.random.Generator) -> FloatArray:
-        """Records in each cell, drawn by how long they lasted."""
+        """Records of each cell, drawn in proportion to their duration."""
         of, total, _ = self._cells
         by_cell = np.argsort(of, kind="stable")
         ends = np.cumsum(self._seconds[by_cell])
@@ -188,12 +181,12 @@ class Visited(Changed):
 
     @override
     def sample(self, size: int, rng: np.random.Generator) -> FloatArray:
-        """Of the records, by how long they lasted."""
+        """Records, drawn in proportion to their duration."""
         return self._positions[rng.choice(len(self._seconds), size, p=self._seconds / self._seconds.sum())]
 
     @override
     def sample_evenly(self, size: int, rng: np.random.Generator) -> FloatArray:
-        """A record from each of so many equal parts of the time."""
+        """One random record from each of `size` equal parts of the time."""
         ends = np.cumsum(self._seconds)
         times = (np.arange(size) + rng.random(size)) / size * ends[-1]
         return np.asarray(self._positions[np.searchsorted(ends[:-1], times, side="right")])

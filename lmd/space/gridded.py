@@ -1,4 +1,4 @@
-"""Rooms whose camera positions are those of a grid in a box, as far as they can be reached."""
+"""Rooms with camera positions on a grid in a box, limited to the reachable volume."""
 
 import math
 from abc import ABC, abstractmethod
@@ -16,15 +16,15 @@ from lmd.space.surface import FILE_TOLERANCE, PLACEMENT_TOLERANCE, Surface, Surf
 from lmd.space.triangles import Triangles
 
 KINDS = ("cells", "vertices")
-# What a position takes before anything is seen from it, bytes: three coordinates twice over, a value and a weight.
+# Memory of a position, bytes: three coordinates twice, a value and a weight.
 POSITION_BYTES = 64
-# Inverse powers of the root of x^4 = x + 1, the golden ratio of three dimensions (Roberts, 2018): in trials with other
-# irrational steps, square roots for instance, some shapes were hit worse than by independent points; with these, none.
+# Inverse powers of the root of x^4 = x + 1, the golden ratio of three dimensions (Roberts, 2018). With other irrational
+# steps, such as square roots, some shapes were sampled worse than by independent points.
 KRONECKER_STEPS = 1.2207440846057596 ** -np.arange(1.0, 4.0)
 
 
 def checked_spacing(value: Any, size: Sequence[float]) -> float | tuple[float, ...]:
-    """The spacing of a grid in a box of `size`, metres: one number or one per axis.
+    """Check the spacing of a grid in a box of `size`, metres: one number or one per axis.
 
     Raises:
         InputError: it is not positive, or so many positions would not fit into memory.
@@ -59,7 +59,7 @@ def grid_axes(low: FloatArray, high: FloatArray, counts: tuple[int, int, int], k
 
 
 def cell_borders(axes: list[FloatArray], low: FloatArray, high: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Lower and upper corners of the parts of the box that are nearest to each position, `(P, 3)` each."""
+    """Lower and upper corners of the cell of each position, `(P, 3)` each."""
     lows, highs = [], []
     for axis, start, stop in zip(axes, low, high, strict=True):
         between = (axis[1:] + axis[:-1]) / 2.0
@@ -74,10 +74,10 @@ def combined(axes: Sequence[FloatArray]) -> FloatArray:
 
 
 def latin_hypercube(repeats: int, shape: tuple[int, ...], rng: np.random.Generator) -> FloatArray:
-    """Random numbers in [0, 1) `(repeats, *shape)`: each is uniform, but the `repeats` at one place are spread out.
+    """Stratified random numbers in [0, 1), `(repeats, *shape)`, each uniform.
 
-    One of them lies in each of `repeats` equal parts of the interval. As a rule, means over such samples err less than
-    over independent ones.
+    The `repeats` numbers at one index lie in different ones of `repeats` equal parts of the interval. Means over them
+    usually have smaller errors than over independent numbers.
     """
     part = rng.permuted(np.broadcast_to(np.arange(repeats).reshape(-1, *len(shape) * (1,)), (repeats, *shape)), axis=0)
     drawn = (part + rng.random(part.shape)) / repeats
@@ -85,10 +85,10 @@ def latin_hypercube(repeats: int, shape: tuple[int, ...], rng: np.random.Generat
 
 
 def kronecker(shift: FloatArray) -> Callable[[int], FloatArray]:
-    """A function of a number that returns the next so many points of a sequence that fills the unit cube, `(count, 3)`.
+    """Kronecker sequence in the unit cube: a function that returns its next `count` points, `(count, 3)`.
 
-    A Kronecker sequence. From a random `shift` `(3,)`, the first point, each point is uniform, but as a rule means over
-    many err less than over independent ones.
+    With a random first point `shift` `(3,)` each point is uniform, and means over many usually have smaller errors than
+    over independent points.
     """
     drawn = 0
 
@@ -101,22 +101,23 @@ def kronecker(shift: FloatArray) -> Callable[[int], FloatArray]:
     return following
 
 
-# Draws of a position that is in the reachable volume, before its grid position is taken instead.
+# Maximum number of draws of a reachable position in a cell; then the grid position is used.
 MOST_DRAWS = 100
-LEAST_SHARE = 1e-4  # of the box around it that the reachable volume fills
-# Normals whose products with a third differ by less are the same.
+# Least share of the box that the reachable volume must fill.
+LEAST_SHARE = 1e-4
+# Largest difference of the cosines of equal normals with a third direction.
 SAME_WAY = 1e-6
 
 
 def clear_of(blockers: Blockers | Triangles | None, starts: FloatArray, ends: FloatArray) -> BoolArray:
-    """Whether none of what blocks stands between points `(..., 3)`, `(...)`."""
+    """Mask of the lines between points `(..., 3)` that nothing blocks, `(...)`."""
     if blockers is None:
         return np.ones(np.broadcast_shapes(starts.shape, ends.shape)[:-1], dtype=np.bool_)
     return blockers.clear(starts, ends)
 
 
 class Gridded(ABC):
-    """What such rooms share; a subclass is a frozen dataclass that also has the fields below."""
+    """Base of rooms with a grid; a subclass is a frozen dataclass with the fields below."""
 
     reachable: Any
     spacing: Any
@@ -125,11 +126,11 @@ class Gridded(ABC):
     @property
     @abstractmethod
     def box(self) -> tuple[FloatArray, FloatArray]:
-        """Corners of the box around the reachable volume, `(3,)` each."""
+        """Lower and upper corner of the box around the reachable volume, `(3,)` each."""
 
     @abstractmethod
     def reaches(self, points: FloatArray) -> BoolArray:
-        """Whether the camera may be at points `(..., 3)` of the box, `(...)`."""
+        """Mask of the points `(..., 3)` of the box in the reachable volume, `(...)`."""
 
     @abstractmethod
     def contains(self, points: FloatArray) -> BoolArray:
@@ -194,13 +195,13 @@ class Gridded(ABC):
     def sample_evenly(self, size: int, rng: np.random.Generator) -> FloatArray:
         """See `Space.sample_evenly`."""
         low, high = self.box
-        # From a first point that can be reached: the sequence comes back to what can be reached again and again, and
-        # each time at a uniform point. From anywhere, it would more often come to where it has been away from for long.
+        # The first point is reachable: then every return of the sequence to the reachable volume is at a uniform point.
+        # From any first point, returns after long absences would be overrepresented.
         extent = np.where(high > low, high - low, 1.0)  # a robot on the ground may have one height
         return self._reached(size, kronecker((self.sample(1, rng)[0] - low) / extent))
 
     def _reached(self, size: int, following: Callable[[int], FloatArray]) -> FloatArray:
-        """The first `size` of the points of the unit cube `following`, laid over the box, that can be reached."""
+        """First `size` reachable points of the sequence `following`, scaled from the unit cube to the box."""
         low, high = self.box
         drawn, tries = np.empty((0, 3)), 0
         while len(drawn) < size:
@@ -216,9 +217,9 @@ class Gridded(ABC):
         return drawn
 
     def surfaces_of(self, positions: FloatArray, normals: FloatArray) -> IntArray:
-        """See `Space.surfaces_of`; at an edge between two surfaces, the one whose normal is nearer.
+        """See `Space.surfaces_of`; at an edge between two surfaces, the one with the nearer normal.
 
-        Of surfaces in one plane, whose rectangles may overlap, it is the one on which something may hang there.
+        Of surfaces in one plane with overlapping rectangles, the one that allows a landmark there.
         """
         carriers, within, allowed = self._carried(positions)
         hangs = within & self.contains(positions)[..., None]
@@ -227,7 +228,7 @@ class Gridded(ABC):
         return np.where(hangs.any(axis=-1), np.argmax(np.where(same, facing + 1.0, facing), axis=-1), -1)
 
     def _carried(self, points: FloatArray) -> tuple[SurfaceArrays, BoolArray, BoolArray]:
-        """The surfaces, which of their rectangles points `(..., 3)` lie on, and where of these landmarks may hang."""
+        """Surfaces, mask of the rectangles that contain points `(..., 3)`, mask of those that allow a landmark."""
         carriers = SurfaceArrays.of(self.surfaces())
         every = np.arange(len(carriers.normal))
         at = carriers.coordinates(every, np.asarray(points)[..., None, :])

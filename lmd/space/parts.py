@@ -1,4 +1,4 @@
-"""Parts of a room as a user gives them: obstacles, and where the camera may be."""
+"""Parts of a room in a configuration: obstacles, keep-outs, and the reachable volume."""
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -13,20 +13,20 @@ from lmd.space.surface import Surface
 
 FACES = ("x_min", "x_max", "y_min", "y_max", "bottom", "top")
 
-# A room whose longest side is not between these, or whose shortest is longer, metres, was not given in metres.
+# Bounds on the longest side of a room, and on its shortest, metres; other rooms were not given in metres.
 SHORTEST, LONGEST, FLATTEST = 0.3, 1000.0, 200.0
 
 T = TypeVar("T")
 
 
 def check_metres(size: Iterable[float], makes: str, hint: str, argument: str) -> None:
-    """Raise `InputError` if a room of such lengths `(3,)` is none that was given in metres.
+    """Raise `InputError` if the size of a room is implausible in metres.
 
     Args:
-        size: along x, y and z.
-        makes: what made it so, the beginning of the sentence.
-        hint: what to do about it, the end of the sentence.
-        argument: its name.
+        size: lengths along x, y and z.
+        makes: cause, the beginning of the sentence.
+        hint: remedy, the end of the sentence.
+        argument: name of the argument.
     """
     lengths = list(size)
     if not SHORTEST <= max(lengths) <= LONGEST or min(lengths) > FLATTEST:
@@ -40,21 +40,20 @@ def box_text(lengths: Iterable[float]) -> str:
 
 @dataclass(frozen=True)
 class Obstacle:
-    """A box with sides along x, y and z, such as a rack. It blocks the line of sight, and no camera can be in it.
-
-    Args:
-        low, high: its corners, world frame, metres.
-        faces: those of `FACES` that may carry landmarks.
-        name: what it is called on paper, such as `rack`.
+    """Box with sides along x, y and z, such as a rack, that blocks lines of sight and excludes the camera.
 
     Raises:
-        InputError: it is empty, or there is no such face.
+        InputError: the box is empty, or a face is unknown.
     """
 
     low: Sequence[float]
+    """Lower corner, world frame, metres."""
     high: Sequence[float]
+    """Upper corner, world frame, metres."""
     faces: Sequence[str] = ()
+    """Faces of `FACES` that may carry landmarks."""
     name: str | None = None
+    """Name on paper, such as `rack`."""
 
     def __post_init__(self) -> None:
         check_fields(self, vector, "low", "high", size=3)
@@ -69,13 +68,13 @@ class Obstacle:
 
     @property
     def body(self) -> Body:
-        """The convex body that blocks the line of sight."""
+        """Convex body that blocks lines of sight."""
         return Body(
             np.vstack([-np.eye(3), np.eye(3)]) + 0.0, np.append(-np.array(self.low), self.high), np.full(6, True)
         )
 
     def surfaces(self, name: str) -> dict[str, Surface]:
-        """Its faces, by theirs; each is called `<name>_<face>`."""
+        """Faces by name, called `<name>_<face>`."""
         low, high = np.array(self.low), np.array(self.high)
         (lx, ly, lz), (ex, ey, ez) = (float(length) for length in high - low), np.eye(3)
         sides = {
@@ -89,30 +88,28 @@ class Obstacle:
         return {face: Surface(f"{name}_{face}", *sides[face]) for face in FACES}
 
     def corners(self) -> FloatArray:
-        """`(8, 3)`, metres."""
+        """Corners, world frame, metres, `(8, 3)`."""
         return np.stack(np.meshgrid(*zip(self.low, self.high, strict=True), indexing="ij"), axis=-1).reshape(-1, 3)
 
 
 def check_name(name: Any) -> None:
-    """Raise `InputError` if what a part is called on paper is no text; None for parts without a name."""
+    """Raise `InputError` if the name of a part is neither text nor None."""
     if name is not None and (not isinstance(name, str) or not name.strip()):
         raise InputError(f"name must be a text, got {name!r}.", "name")
 
 
 @dataclass(frozen=True)
 class Reachable:
-    """Where the camera may be.
-
-    Args:
-        height: lowest and highest z, metres.
-        clearance: from walls, holes and obstacles, metres; around a corner it is that of its edges.
+    """Reachable volume of a floor plan.
 
     Raises:
         InputError: the heights are in the wrong order, or the clearance is negative.
     """
 
     height: Sequence[float]
+    """Lowest and highest z of the camera, metres."""
     clearance: float = 0.0
+    """Distance from the planes of walls, holes and obstacles, metres."""
 
     def __post_init__(self) -> None:
         low, high = vector("height", self.height, 2)
@@ -124,21 +121,20 @@ class Reachable:
 
 @dataclass(frozen=True)
 class FreeVolume:
-    """Where in a mesh the camera may be: between two heights or in a box, and away from triangles.
-
-    Args:
-        height: lowest and highest z, metres; all along x and y.
-        low, high: corners of a box in place of that, metres.
-        clearance: from every triangle but floor and ceiling, metres.
+    """Reachable volume of a mesh: between two heights or in a box, away from triangles.
 
     Raises:
-        InputError: not just one of both is given, they are in the wrong order, or the clearance is negative.
+        InputError: both or neither are given, they are in the wrong order, or the clearance is negative.
     """
 
     height: Sequence[float] | None = None
+    """Lowest and highest z of the camera, metres."""
     low: Sequence[float] | None = None
+    """Lower corner of a box instead of `height`, metres."""
     high: Sequence[float] | None = None
+    """Upper corner of the box, metres."""
     clearance: float = 0.0
+    """Distance from all triangles except floor and ceiling, metres."""
 
     def __post_init__(self) -> None:
         if (self.height is None) == (self.low is None) or (self.low is None) != (self.high is None):
@@ -153,10 +149,10 @@ class FreeVolume:
 
 
 def made(name: str, kind: type[T], value: Any) -> T:
-    """A part of a class from what a user gave: the part itself, or a mapping of its arguments.
+    """Make a part from its value in a configuration: the part itself, or a mapping of its arguments.
 
     Raises:
-        InputError: it is neither, an argument is unknown or missing, or the class refuses it.
+        InputError: the value is neither, an argument is unknown or missing, or the class refuses it.
     """
     if isinstance(value, kind):
         return value
@@ -174,17 +170,17 @@ def made(name: str, kind: type[T], value: Any) -> T:
 
 
 def all_made(name: str, kind: type[T], values: Any) -> tuple[T, ...]:
-    """A list of such parts."""
+    """Make a list of parts, see `made`."""
     if isinstance(values, str | Mapping) or not isinstance(values, Sequence):
         raise InputError(f"{name} must be a list, got {values!r}.", name)
     return tuple(made(f"{name}[{i}]", kind, value) for i, value in enumerate(values))
 
 
 def checked_band(value: Any, **bounds: float) -> tuple[float, ...] | None:
-    """Lowest and highest z at which landmarks may hang, metres; None for all.
+    """Check the lowest and highest z of landmarks, metres; None for all.
 
     Raises:
-        InputError: it is empty or exceeds `bounds`.
+        InputError: the band is empty or exceeds `bounds`.
     """
     if value is None:
         return None
@@ -195,10 +191,10 @@ def checked_band(value: Any, **bounds: float) -> tuple[float, ...] | None:
 
 
 def checked_names(name: str, value: Any, known: Sequence[str]) -> tuple[str, ...]:
-    """Names of surfaces, each once.
+    """Check a list of names of surfaces.
 
     Raises:
-        InputError: there is none, or one is not `known` or repeated.
+        InputError: the list is empty, or a name is not `known` or repeated.
     """
     given = value if isinstance(value, list | tuple) else ()
     for one in given:
@@ -208,32 +204,30 @@ def checked_names(name: str, value: Any, known: Sequence[str]) -> tuple[str, ...
     return tuple(given)
 
 
-# A keep-out may reach so far beyond its surface, metres: it was measured by hand.
+# Largest distance of a keep-out beyond its surface, metres: keep-outs are measured by hand.
 BEYOND_SURFACE_M = 0.05
 
 
 @dataclass(frozen=True)
 class KeepOut:
-    """A part of a surface where nothing may hang: a door, a window, a screen.
+    """Part of a surface without landmarks, such as a door, a window or a screen.
 
-    It is measured as one stands before the surface: before a wall, above the floor or below the ceiling with y up.
-
-    Args:
-        surface: its name.
-        from_left: where it begins and ends, from the left edge of the surface, metres.
-        from_below: where it begins and ends, from the lower edge of the surface, metres.
-        corners: vertices [from left, from below] in place of both.
-        name: what it is called on paper, such as `door`.
+    Distances are as seen from the front: before a wall, or above the floor or below the ceiling with y up.
 
     Raises:
-        InputError: neither both spans nor corners are given, or it is empty.
+        InputError: neither both spans nor corners are given, or the part is empty.
     """
 
     surface: str
+    """Name of the surface."""
     from_left: Sequence[float] | None = None
+    """Start and end from the left edge of the surface, metres."""
     from_below: Sequence[float] | None = None
+    """Start and end from the lower edge of the surface, metres."""
     corners: Sequence[Sequence[float]] | None = None
+    """Vertices [from left, from below] instead of both spans, metres."""
     name: str | None = None
+    """Name on paper, such as `door`."""
 
     def __post_init__(self) -> None:
         if (self.corners is None) == (self.from_left is None) or (self.from_left is None) != (self.from_below is None):
@@ -249,11 +243,11 @@ class KeepOut:
             object.__setattr__(self, name, (start, stop))
 
     def check_on(self, name: str, extent: tuple[float, float]) -> None:
-        """Raise `InputError` if it reaches beyond its surface, whose rectangle is `extent`, metres, long and wide.
+        """Raise `InputError` if the keep-out reaches beyond its surface.
 
         Args:
-            name: the argument it came from, for messages.
-            extent: of the surface.
+            name: argument with the keep-out, for messages.
+            extent: length and width of the surface, metres.
         """
         at = np.array(self.ring)
         beyond = float(max((0.0 - at).max(), (at - extent).max()))
@@ -265,7 +259,7 @@ class KeepOut:
 
     @property
     def ring(self) -> FloatArray:
-        """Its vertices (from left, from below), `(N, 2)`, metres."""
+        """Vertices (from left, from below), metres, `(N, 2)`."""
         if self.corners is not None:
             return np.array(self.corners)
         assert self.from_left is not None
@@ -273,7 +267,7 @@ class KeepOut:
         return _rectangle(*zip(self.from_left, self.from_below, strict=True))
 
     def region(self, face: Surface) -> Any:
-        """The keep-out in the coordinates of its surface, a polygon of shapely."""
+        """Polygon of shapely in the coordinates of its surface."""
         import shapely
 
         return shapely.Polygon(face.seen(self.ring))
@@ -296,6 +290,6 @@ def all_keep_outs(values: Any, faces: Sequence[str]) -> tuple[KeepOut, ...]:
 
 
 def _rectangle(low: Sequence[float], high: Sequence[float]) -> FloatArray:
-    """Its vertices, counter-clockwise, `(4, 2)`."""
+    """Vertices of a rectangle, counter-clockwise, `(4, 2)`."""
     (a, b), (c, d) = low, high
     return np.array([(a, b), (c, b), (c, d), (a, d)])

@@ -12,15 +12,14 @@ from lmd.space.mesh_file import Mesh
 from lmd.space.parts import KeepOut
 from lmd.space.surface import PLACEMENT_TOLERANCE, Surface
 
-# Two triangles whose normals differ by less than this angle, rad, are in one plane, as long as all corners of the patch
-# are so near to it, metres.
+# Largest angle between adjacent triangles of a patch, rad, and largest distance of its corners from the plane, metres.
 BENT, UNEVEN = 1e-3, 1e-3
-# Borders are straight where no more than this is cut off, metres.
+# Tolerance of the simplification of borders, metres.
 STRAIGHT_M = 1e-6
 
 
 def flat_parts(mesh: Mesh) -> list[IntArray]:
-    """The triangles of each largest part of an object that is not bent at any edge, largest area first."""
+    """Triangles of each planar patch of an object, largest area first."""
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
 
@@ -41,16 +40,16 @@ def areas_of(corners: FloatArray) -> FloatArray:
 
 
 def plane_of(corners: FloatArray) -> tuple[FloatArray, float]:
-    """The plane of triangles `(T, 3, 3)`: mean unit normal, `(3,)`, and how far corners are from it, metres."""
+    """Plane of triangles `(T, 3, 3)`: mean unit normal, `(3,)`, and largest distance of a corner, metres."""
     total = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]).sum(axis=0)
     normal = total / np.linalg.norm(total) + 0.0
     return normal, float(np.ptp(corners @ normal)) / 2.0
 
 
 def surface_of(name: str, corners: FloatArray, normal: FloatArray) -> Surface:
-    """Triangles `(T, 3, 3)` in one plane as a surface, with their shape as where landmarks may hang.
+    """Surface of coplanar triangles `(T, 3, 3)`, whose union is the allowed region.
 
-    Its u and v are right and up as seen from where `normal` `(3,)` points.
+    u and v are right and up as seen from the side of `normal` `(3,)`.
     """
     import shapely
 
@@ -64,12 +63,12 @@ def surface_of(name: str, corners: FloatArray, normal: FloatArray) -> Surface:
     return Surface(name, origin + 0.0, u, v, normal, (length, width)).where(shape)
 
 
-# A door or a window as it was captured is so near to its wall, metres.
+# Largest distance of a captured door or window from its wall, metres.
 ON_WALL = 0.15
 
 
 def lying_on(surface: Surface, name: str, corners: FloatArray) -> KeepOut | None:
-    """The keep-out of a surface that a thing with corners `(N, 3)` makes; None if it does not lie on that surface."""
+    """Keep-out of a surface by a thing with corners `(N, 3)`; None if the thing does not lie on the surface."""
     import shapely
 
     if np.abs((corners - surface.origin) @ surface.normal).max() > ON_WALL:
@@ -86,17 +85,17 @@ def lying_on(surface: Surface, name: str, corners: FloatArray) -> KeepOut | None
 
 
 def grown(shapes: Any, width: float) -> Any:
-    """Shapes with a strip around them, less one where it is negative; corners stay corners."""
+    """Buffer shapes by `width`, metres, possibly negative, with mitred corners."""
     import shapely
 
-    with np.errstate(divide="ignore", invalid="ignore"):  # of trials that GEOS discards
+    with np.errstate(divide="ignore", invalid="ignore"):  # in trials that GEOS discards
         return shapely.buffer(shapes, width, cap_style="square", join_style="mitre")
 
 
 def standing_on(surface: Surface, triangles: FloatArray, height: float) -> list[Any]:
-    """What triangles `(T, 3, 3)` that lie on a patch, or within `height` metres of it, cover of it.
+    """Shapes that triangles `(T, 3, 3)` on a patch, or within `height` metres before it, cover of it.
 
-    Those that cross it at a right angle cover a line.
+    Triangles perpendicular to the patch cover a line.
     """
     import shapely
 

@@ -12,7 +12,7 @@ from lmd.geometry.trajectory import Trajectory
 from lmd.optimisers.encoding import make_encoding
 from lmd.scene import pdf
 from lmd.scene.deployment_sources import RandomDeployment, UniformDeployment
-from lmd.scene.plates import Plates
+from lmd.scene.footprints import Footprints
 from lmd.scene.scene import Scene
 from lmd.scene.tag import Tag
 from lmd.sight.evaluator import Evaluator
@@ -94,8 +94,8 @@ def test_counts_are_those_of_the_floor_plan_and_of_the_reference(plan, visibilit
         same = Cuboid((6.0, 4.0, 2.5), (5.5, 3.5, 1.0), 0.5)
         assert_array_equal(mesh.grid(), same.grid())
     rng = np.random.default_rng(0)
-    plates = Plates(same, Tag(0.2, quiet_zone=0.0))
-    drawn = [plates.draw(RandomDeployment(20), rng), plates.draw(UniformDeployment(24), rng)]
+    footprints = Footprints(same, Tag(0.2, quiet_zone=0.0))
+    drawn = [footprints.draw(RandomDeployment(20), rng), footprints.draw(UniformDeployment(24), rng)]
     for deployment in drawn:
         scenes = [Scene(place, paper_camera(), pdf.grid_with_ends(6), visibility) for place in (same, mesh)]
         here, there = (Evaluator(scene, threads=2).counts(deployment) for scene in scenes)
@@ -129,13 +129,13 @@ def test_tags_hang_where_they_may(room, tmp_path):
                      keep_out=[{**DOOR, "surface": "patch_2"}])  # fmt: skip
     assert_allclose([s.area for s in kept.surfaces()], [5.8 * 2.0 - 1.0 * 1.75, 2.8 * 2.0], atol=1e-6)
     for place in (room, kept):
-        plates = Plates(place, Tag(0.15, quiet_zone=0.0))
-        drawn = plates.draw(RandomDeployment(20), np.random.default_rng(0))
+        footprints = Footprints(place, Tag(0.15, quiet_zone=0.0))
+        drawn = footprints.draw(RandomDeployment(20), np.random.default_rng(0))
         assert hangs_properly(place, drawn.positions, drawn.surfaces, 0.15).all()
         assert_array_equal(place.surfaces_of(drawn.positions, drawn.normals), drawn.surfaces)
-        encoding = make_encoding("wall", plates.hanging, True)
+        encoding = make_encoding("wall", footprints.hanging, True)
         genes = np.random.default_rng(1).random((2, 15 * 3))[:, : 15 * encoding.genes_per_landmark]
-        decoded, _, on, fits = plates.pushed(*encoding.decode(genes), np.full(15, np.nan))
+        decoded, _, on, fits = footprints.pushed(*encoding.decode(genes), np.full(15, np.nan))
         assert hangs_properly(place, decoded.reshape(-1, 3), on.ravel(), 0.15).all()
         assert fits.all()
 

@@ -11,7 +11,7 @@ from lmd.core.checks import InputError
 from lmd.optimisers.encoding import make_encoding
 from lmd.scene.deployment import Deployment
 from lmd.scene.deployment_sources import RandomDeployment, UniformDeployment
-from lmd.scene.plates import Plates
+from lmd.scene.footprints import Footprints
 from lmd.scene.tag import Tag
 from lmd.sight.poses import candidate_poses, wall_cells
 from lmd.space.floor_plan import FloorPlan
@@ -169,13 +169,13 @@ def test_what_is_drawn_decoded_and_pushed_hangs_where_it_may(room, seed):
 
 @pytest.mark.parametrize("kind", ["wall", "paper"])
 def test_genes_mean_places_where_tags_may_hang(kind):
-    plates = Plates(lab(margin=0.05), Tag(0.2, quiet_zone=0.0))
-    encoding = make_encoding(kind, plates.hanging, True)
+    footprints = Footprints(lab(margin=0.05), Tag(0.2, quiet_zone=0.0))
+    encoding = make_encoding(kind, footprints.hanging, True)
     genes = np.random.default_rng(0).random((4, 25 * encoding.genes_per_landmark))
-    positions, _, surfaces, fits = plates.pushed(*encoding.decode(genes), np.full(25, np.nan))
+    positions, _, surfaces, fits = footprints.pushed(*encoding.decode(genes), np.full(25, np.nan))
     assert fits.all()
-    assert hangs_properly(plates.room, positions.reshape(-1, 3), surfaces.ravel(), 0.2).all()
-    start = plates.draw(RandomDeployment(25), np.random.default_rng(1))
+    assert hangs_properly(footprints.room, positions.reshape(-1, 3), surfaces.ravel(), 0.2).all()
+    start = footprints.draw(RandomDeployment(25), np.random.default_rng(1))
     back, _, there = encoding.decode(encoding.encode(start)[None])
     assert_allclose(back[0], start.positions, atol=1e-5)
     assert_array_equal(there[0], start.surfaces)
@@ -191,14 +191,14 @@ def test_genes_reach_each_part_of_a_wall_that_has_several_names():
 
 
 def test_uniform_and_candidates_hang_where_they_may():
-    plates = Plates(lab(), Tag(0.15, quiet_zone=0.0))
-    uniform = plates.draw(UniformDeployment(28), np.random.default_rng(0))
-    poses = candidate_poses(plates.hanging, 0.2)
+    footprints = Footprints(lab(), Tag(0.15, quiet_zone=0.0))
+    uniform = footprints.draw(UniformDeployment(28), np.random.default_rng(0))
+    poses = candidate_poses(footprints.hanging, 0.2)
     for deployment in (uniform, poses):
-        assert hangs_properly(plates.room, deployment.positions, deployment.surfaces, 0.15).all()
-    cells = wall_cells(plates.hanging, 0.2)
+        assert hangs_properly(footprints.room, deployment.positions, deployment.surfaces, 0.15).all()
+    cells = wall_cells(footprints.hanging, 0.2)
     area = 4.0 * np.linalg.norm(cells.half_u, axis=1) * np.linalg.norm(cells.half_v, axis=1)
-    assert_allclose(area.sum(), sum(s.area for s in plates.hanging.surfaces()))
+    assert_allclose(area.sum(), sum(s.area for s in footprints.hanging.surfaces()))
 
 
 def test_random_landmarks_are_uniform_over_slanting_regions():

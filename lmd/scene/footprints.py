@@ -1,9 +1,9 @@
-"""Plates: the papers that tags are printed on. They hang wholly on their surface, and never overlap.
+"""Footprints: the squares that the papers of tags take up. They lie wholly on their surface, and never overlap.
 
-Tags hang upright (`lmd.geometry.squares.upright`), so their papers are squares along the u and v of their surface: two
-do not overlap exactly if their centres are at least an edge apart along u or along v. Landmarks that are points have no
-plates, and nothing here changes them. Tags that are tilted or hang on no surface are not looked at: only a file has
-such.
+Tags hang upright (`lmd.geometry.squares.upright`), so footprints are squares along the u and v of their surface: two do
+not overlap if, and only if, their centres are at least half the sum of their edges apart along u or along v. Points
+have no footprints, and nothing here changes them. Tags that are tilted or hang on no surface, which only files have,
+are left out.
 """
 
 from dataclasses import dataclass, replace
@@ -23,8 +23,8 @@ from lmd.space.surface import FILE_TOLERANCE, SurfaceArrays
 
 
 @dataclass(frozen=True)
-class Plates:
-    """The plates of the tags in a room.
+class Footprints:
+    """The footprints of the tags in a room.
 
     Args:
         room: the room.
@@ -44,7 +44,7 @@ class Plates:
         """The room with what the centres of the smallest tags may use of its surfaces.
 
         Raises:
-            InputError: a surface is narrower than a plate.
+            InputError: a surface is narrower than a footprint.
         """
         return self.inset(self.edge)
 
@@ -60,10 +60,10 @@ class Plates:
         return SurfaceArrays.of(self.hanging.surfaces())
 
     def surfaces_of(self, paper: float) -> SurfaceArrays:
-        """What the centres of tags on papers with this edge, metres, may use; coordinates are those of `hanging`.
+        """Surfaces for the centres of tags on papers with this edge, metres, in the coordinates of `hanging`.
 
         Raises:
-            InputError: a surface is narrower than a plate.
+            InputError: a surface is narrower than a footprint.
         """
         if paper == self.edge:
             return self._surfaces
@@ -75,7 +75,7 @@ class Plates:
         return self._others[paper]
 
     def pieces_of(self, papers: FloatArray) -> tuple[FloatArray, IntArray]:
-        """Where tags on papers of S sizes, `(S,)` metres, may hang: pieces `(T, 6)`, and `first` `(S, W + 1)` of them.
+        """Pieces `(T, 6)` for tags on papers of S sizes, `(S,)` metres, and the `first` `(S, W + 1)` of each surface.
 
         See `SurfaceArrays`.
         """
@@ -93,7 +93,7 @@ class Plates:
         return self.tag.paper_share * deployment.edges_of(self.tag)
 
     def capacity(self, paper: float) -> float:
-        """How many papers with this edge, metres, fit at most: in rows and columns no fewer than in any other way."""
+        """Maximum number of papers with this edge, metres: squares in rows and columns are the densest packing."""
         if not paper:
             return np.inf
         extent = self.surfaces_of(paper).extent
@@ -102,15 +102,15 @@ class Plates:
     def hung(self, fixed: Deployment, beside: DeploymentSource) -> Deployment:
         """Landmarks that hang already, with their surfaces.
 
-        They were measured by hand: what stands a little before or behind a surface has that one, and its plate is in
-        the way there.
+        They were measured by hand: a tag a little before or behind a surface belongs to it, and its footprint is taken
+        there.
 
         Args:
             beside: where the others come from. If these are taken as they are (`FileDeployment.free`), so are those.
 
         Raises:
-            InputError: one lies outside the room, hangs on no surface or faces into its own, or plates overlap or are
-                not wholly on their surface.
+            InputError: one lies outside the room, hangs on no surface or faces into its own, or footprints overlap or
+                are not wholly on their surface.
         """
         with said_of("fixed", "fixed"):
             hung = fixed.hung(self.room, as_they_are(beside), self.papers(fixed))
@@ -123,7 +123,7 @@ class Plates:
         return hung
 
     def draw(self, source: DeploymentSource, rng: np.random.Generator, fixed: Deployment | None = None) -> Deployment:
-        """A deployment from `source` whose plates hang properly; a random one is pushed apart.
+        """A deployment from `source` whose footprints hang properly; a random one is pushed apart.
 
         What a file has is taken as it is if it says so, see `FileDeployment.free`.
 
@@ -133,7 +133,8 @@ class Plates:
                 of their way.
 
         Raises:
-            InputError: the source cannot be drawn from, or plates overlap, are not wholly on their surface or too many.
+            InputError: the source cannot be drawn from, or footprints overlap, are not wholly on their surface or too
+                many.
         """
         placed = not isinstance(source, FileDeployment | GivenDeployment)
         drawn = source.draw(self.room if isinstance(source, FileDeployment) else self.hanging, rng, self.tag)
@@ -164,7 +165,7 @@ class Plates:
         return drawn
 
     def check(self, deployment: Deployment) -> None:
-        """Raise `InputError` if plates overlap or are not wholly on their surface; landmarks know their surfaces."""
+        """Raise `InputError` if footprints overlap or are not wholly on the surfaces that the landmarks name."""
         if not self.edge:
             return
         flat = np.flatnonzero(self._lies_flat(deployment.normals, deployment.surfaces))
@@ -192,7 +193,7 @@ class Plates:
             )
 
     def apart(self, deployment: Deployment, size: float = 1.0, fixed: int = 0) -> Deployment | None:
-        """The deployment with plates pushed apart, None where there is no room for all; see `pushed`."""
+        """The deployment with footprints pushed apart, None where there is no room for all; see `pushed`."""
         parts = deployment.positions[None], deployment.normals[None], deployment.surfaces[None]
         positions, normals, surfaces, fits = self.pushed(*parts, deployment.edges, size, fixed)
         apart = replace(deployment, positions=positions[0], normals=normals[0], surfaces=surfaces[0])
@@ -207,9 +208,9 @@ class Plates:
         size: float = 1.0,
         fixed: int = 0,
     ) -> tuple[FloatArray, FloatArray, IntArray, BoolArray]:
-        """Deployments whose plates are pushed apart, one after the other; what hangs properly stays as it is.
+        """Deployments whose footprints are pushed apart, one after the other; what hangs properly stays as it is.
 
-        A plate that overlaps one before it goes to the nearest free place on its surface, and if there is none to one
+        A footprint that overlaps an earlier one is moved to the nearest free place on its surface, or else to one
         on the next surface that has. The largest come first. Deterministic, so that a search may work with the places
         before the push.
 
@@ -219,7 +220,7 @@ class Plates:
             positions, normals: `(B, K, 3)`, flush.
             surfaces: `(B, K)`.
             edges: `(K,)`, see `Deployment.edges`.
-            size: of the plates, as a share of their true size.
+            size: of the footprints, as a share of their true size.
             fixed: number of landmarks at the beginning that stay where they are.
 
         Returns:
@@ -248,20 +249,20 @@ class Plates:
         return positions, normals, surfaces, fits
 
     def touched(self, poses: Deployment, pose: Deployment) -> BoolArray:
-        """Which of the poses the plate of the one `pose` leaves no room for, `(N,)`; all know their surfaces."""
+        """Mask of the poses whose footprint overlaps that of the single `pose`, `(N,)`; all know their surfaces."""
         s, surface = self._surfaces, poses.surfaces
         away = s.coordinates(surface, poses.positions) - s.coordinates(surface, pose.positions)
         near = np.abs(away).max(axis=1) < (self.papers(poses) + self.papers(pose)) / 2.0 * (1.0 - TOUCHING)
         return np.asarray(near & (surface == pose.surfaces))
 
     def _lies_flat(self, normals: FloatArray, surfaces: IntArray) -> BoolArray:
-        """Which tags `(K,)` lie flat on a surface."""
+        """Mask of the tags that lie flat on a surface, `(K,)`."""
         deviation = np.linalg.norm(normals - self._surfaces.normal[surfaces], axis=1)
         return np.asarray((surfaces >= 0) & (deviation <= FLUSH))
 
 
 def as_they_are(source: DeploymentSource) -> bool:
-    """Whether landmarks from `source` hang wherever they do."""
+    """True if landmarks from `source` are taken as they are."""
     return isinstance(source, FileDeployment) and source.free
 
 
