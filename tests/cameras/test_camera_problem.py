@@ -14,9 +14,8 @@ from lmd.cameras.problem import CameraProblem
 from lmd.core.checks import InputError
 from lmd.formats.rigs import read_mounts, rig_of, write_rig
 from lmd.objectives.base import AtLeast
-from lmd.objectives.coverage import Coverage
+from lmd.objectives.coverage import Coverage, MeanCoverage
 from lmd.objectives.localisation import Localisation
-from lmd.objectives.mean_coverage import MeanCoverage
 from lmd.objectives.sampling import Sampling
 from lmd.optimisers.checkpoint import Checkpoint
 from lmd.optimisers.ledger import Budget
