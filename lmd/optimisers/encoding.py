@@ -1,6 +1,6 @@
 """Encodings (the paper's W): deployments as genes in the unit box, and back.
 
-A black box moves genes in [0, 1]; an encoding says which landmarks they mean. Genes come landmark by landmark.
+A black box varies genes in [0, 1]; an encoding maps them to landmarks. Genes are ordered by landmark.
 """
 
 from typing import Protocol
@@ -13,20 +13,20 @@ from lmd.scene.deployment import Deployment
 from lmd.space.space import Space
 from lmd.space.surface import SurfaceArrays
 
-# A landmark within this distance (m) of a second surface is as near to it as to its own.
+# Distance of a landmark from a second surface below which it is as near to it as to its own, metres.
 ON_SURFACE = 1e-6
-# Keeps an encoded point off the border to the neighbouring piece, as a fraction of the piece.
+# Distance of an encoded point from the border to the neighbouring piece, as a fraction of the piece.
 BORDER_SHARE = 1e-12
 
 KINDS = ("wall", "paper")
 
 
 class Encoding(Protocol):
-    """Genes of one deployment or many."""
+    """Map between genes and landmarks."""
 
     @property
     def genes_per_landmark(self) -> int:
-        """How many genes describe one landmark."""
+        """Number of genes of a landmark."""
 
     def decode(self, genes: FloatArray) -> tuple[FloatArray, FloatArray, np.ndarray]:
         """Positions and normals `(B, K, 3)` and surfaces `(B, K)` of genes `(B, K * genes_per_landmark)` in [0, 1]."""
@@ -35,15 +35,15 @@ class Encoding(Protocol):
         """Genes `(K * genes_per_landmark,)` that decode to `deployment`.
 
         Raises:
-            InputError: a landmark is on no surface that may carry it, or tilted where the encoding is flush.
+            InputError: a landmark is on no surface that may carry it, or is tilted while the encoding is flush.
         """
 
 
 class PaperEncoding:
-    """Five genes a landmark as printed: x, y, z, yaw rho, pitch eta.
+    """Five genes for a landmark as printed: x, y, z, yaw rho, pitch eta.
 
-    The point is projected to the nearest surface that may carry landmarks. With `flush` the landmark takes the
-    surface's normal and the two angle genes, though part of the chromosome, have no effect.
+    The point is projected to the nearest surface that may carry landmarks. With `flush` the landmark has the normal of
+    the surface, and the two genes of angles, though part of the chromosome, have no effect.
     """
 
     genes_per_landmark = 5
@@ -92,12 +92,11 @@ class PaperEncoding:
 
 
 class WallEncoding:
-    """Two genes a landmark: a coordinate along the surfaces laid side by side, and a height on the surface.
+    """Two genes for a landmark: a coordinate along the surfaces laid side by side, and a height on the surface.
 
-    Each surface, or each piece of one where landmarks may hang in some places only, takes a share of the first gene in
-    proportion to its area, so uniform genes are uniform over where landmarks may hang.
-
-    Without `flush`, two more genes turn the normal by up to 90 degrees along the surface's u and v axes.
+    Each piece of a surface where landmarks may hang has a share of the first gene in proportion to its area, so uniform
+    genes are uniform over these places. Without `flush`, two more genes turn the normal by up to 90 degrees towards u
+    and v of the surface.
     """
 
     def __init__(self, room: Space, flush: bool) -> None:
@@ -108,7 +107,7 @@ class WallEncoding:
 
     @property
     def genes_per_landmark(self) -> int:
-        """Two when flush, four otherwise."""
+        """Two if flush, four otherwise."""
         return 2 if self.flush else 4
 
     def decode(self, genes: FloatArray) -> tuple[FloatArray, FloatArray, np.ndarray]:
@@ -141,7 +140,7 @@ class WallEncoding:
 
 
 def make_encoding(kind: str, room: Space, flush: bool) -> Encoding:
-    """The encoding called `kind`, one of `KINDS`.
+    """Make the encoding called `kind`, one of `KINDS`.
 
     Raises:
         InputError: there is no such encoding.
