@@ -12,7 +12,6 @@ from lmd.core.threads import MOST_THREADS
 from lmd.objectives.base import Objective
 from lmd.scene.deployment import Deployment
 from lmd.scene.deployment_sources import DeploymentSource
-from lmd.scene.edges import edges_or
 from lmd.scene.rig import Rig
 from lmd.scene.scene import Scene
 from lmd.sight.evaluator import Evaluator
@@ -119,21 +118,26 @@ class Problem:
         return self.count - self.fixed_count
 
     @property
-    def sizes(self) -> FloatArray | None:
-        """The edges of all landmarks, `(K,)`, metres; None where all have the tag's."""
-        return None if self.edges is None else edges_or(self.edges, self.count, self.scene.tag)
+    def sizes(self) -> FloatArray:
+        """Edges of all landmarks, `(K,)`, metres; zeros for points."""
+        return self.scene.tag.filled(self.edges)
 
     @property
     def hung(self) -> Deployment | None:
         """The fixed landmarks, each with its edge; None for none."""
-        if self.fixed is None or self.sizes is None or self.scene.tag.is_point:
+        if self.fixed is None or self.scene.tag.is_point:
             return self.fixed
         return replace(self.fixed, edges=self.sizes[: self.fixed_count])
 
     @property
-    def free_sizes(self) -> FloatArray | None:
-        """The edges of the landmarks that are to be placed, metres; None where all have the tag's, and of points."""
-        return None if self.sizes is None or self.scene.tag.is_point else self.sizes[self.fixed_count :]
+    def free_edges(self) -> FloatArray:
+        """Own edges of the landmarks that are to be placed, `(N,)`, metres, see `Deployment.edges`."""
+        return self.edges[self.fixed_count :]
+
+    @property
+    def free_sizes(self) -> FloatArray:
+        """Edges of the landmarks that are to be placed, `(N,)`, metres; zeros for points."""
+        return self.sizes[self.fixed_count :]
 
     def draw(self, rng: np.random.Generator) -> Deployment:
         """A deployment to start from, its landmarks with their surfaces, its plates apart."""
@@ -215,7 +219,7 @@ class Problem:
             "camera": _fields(scene.camera),
             **({} if scene.tag.is_point else {"tag": _fields(scene.tag)}),
             **{key: value for key, value in _fields(scene.visibility).items() if key != "edges"},
-            **({} if self.edges is None else {"edges": self.edges.tolist()}),
+            **({} if np.isnan(self.edges).all() else {"edges": self.edges.tolist()}),
         }
 
 

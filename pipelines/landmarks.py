@@ -109,8 +109,7 @@ def take_sizes(node: DictConfig, tag: DictConfig) -> None:
     if tag.get("edge") is not None or tag.get("edges") is not None or node.get("path") is None:
         return
     files = [(name, node[name]) for name in ("path", "fixed") if node.get(name) is not None]
-    edges = [read_deployment(path, name, axes=axes_in(node)).edges for name, path in files]
-    known = np.concatenate([[np.nan] if own is None else own for own in edges])
+    known = np.concatenate([read_deployment(path, name, axes=axes_in(node)).edges for name, path in files])
     if np.isfinite(known).all():
         with open_dict(tag):
             tag.edges = np.unique(known).tolist()

@@ -15,6 +15,8 @@ compiled code stays cached on disk, which a function handed over as an argument 
 from collections.abc import Callable
 from typing import Any, ParamSpec, Protocol, TypeVar, cast
 
+import numpy as np
+from numba import types
 from numba.extending import overload
 
 from lmd.core.compiled import OVERLOAD, OVERLOAD_INLINED
@@ -73,3 +75,21 @@ def _dispatched(declaration: Callable[P, R_co], otherwise: Function | None, opti
     call.register, call.registered = register, table  # type: ignore[attr-defined]
     overload(call, strict=False, jit_options=options)(resolve)
     return cast("Dispatched[P, R_co]", call)
+
+
+def entry(column: Any, k: Any) -> Any:
+    """Entry k of a column `(K,)`, or the number that holds for all K: kernels are compiled for either."""
+    return column[k] if isinstance(column, np.ndarray) else column
+
+
+def _entry_of_column(column: Any, k: Any) -> Any:
+    return column[k]
+
+
+def _number(column: Any, k: Any) -> Any:  # noqa: ARG001 # arguments of `entry`
+    return column
+
+
+@overload(entry, strict=False, jit_options=OVERLOAD_INLINED)
+def _entry(column: Any, k: Any) -> Function:  # noqa: ARG001 # arguments of `entry`
+    return _entry_of_column if isinstance(column, types.Array) else _number

@@ -15,7 +15,6 @@ from lmd.evaluation.mounting import SAMPLE, off_grid_figures
 from lmd.evaluation.validation import Sample
 from lmd.problem import Problem
 from lmd.scene.deployment import Deployment
-from lmd.scene.edges import with_gaps
 from lmd.scene.plates import as_they_are
 from lmd.scene.tag_map_files import read_deployment
 
@@ -53,8 +52,7 @@ def read_measured(
     with said_of(f"measured: {path}", "measured"):
         measured, scene = replace(measured[places], note=measured.note), problem.scene
         hung = measured.hung(scene.room, as_they_are(problem.start), scene.plates.papers(measured))
-    told, planned = with_gaps(hung.edges, len(plan)), with_gaps(plan.edges, len(plan))
-    return replace(hung, labels=plan.labels, edges=np.where(np.isnan(told), planned, told))
+    return replace(hung, labels=plan.labels, edges=np.where(np.isnan(hung.edges), plan.edges, hung.edges))
 
 
 @dataclass(frozen=True)

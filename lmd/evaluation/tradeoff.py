@@ -19,7 +19,7 @@ from lmd.core.checks import FloatArray
 from lmd.evaluation.validation import Sample
 from lmd.objectives.base import selectable
 from lmd.optimisers.composition import stock_of_sizes
-from lmd.optimisers.selection import GRID_SPACING, ROUNDING, Landmarks, candidates, select
+from lmd.optimisers.selection import GRID_SPACING, ROUNDING, Tags, candidates, select
 from lmd.problem import Problem
 from lmd.scene.deployment import Deployment
 from lmd.scene.deployment_sources import GivenDeployment
@@ -72,11 +72,11 @@ def grown(problem: Problem, deployment: Deployment) -> Deployment:
     limit, landmarks of any of its sizes are added until it is used up.
     """
     plates, tag, start = problem.scene.plates, problem.scene.tag, problem.draw(np.random.default_rng(0))
-    poses = candidates(plates, None if tag.limit is None else np.array(tag.edges), GRID_SPACING)
+    poses = candidates(plates, np.array([np.nan] if tag.limit is None else tag.edges), GRID_SPACING)
     selection = selectable(problem.objective).selection(problem.evaluator, problem.relevance)
     limit, prices = _priced(problem, deployment)
     left = limit - prices.sum()
-    stock = Landmarks(int(left)) if tag.limit is None else stock_of_sizes(tag, plates, left)
+    stock = stock_of_sizes(tag, plates, left) if tag.limit else Tags(tag.filled(np.full(int(left), np.nan)), tag)
     chosen, _ = select(selection, poses, stock, plates, fixed=deployment)
     more = deployment + poses[chosen] if len(chosen) else deployment
     if len(more) == problem.count or tag.limit is not None:

@@ -26,7 +26,7 @@ def write_csv(path: Path, tags: TagMap) -> None:
     columns: dict[str, Any] = {
         ID: tags.ids,
         **dict(zip((*COLUMNS, *UP_COLUMNS), placed.T, strict=True)),
-        **({} if deployment.edges is None else {EDGE: tags.sizes}),
+        **({EDGE: tags.sizes} if deployment.has_own_edges else {}),
         **dict(zip((*QUATERNION, *corners), turned.T, strict=True)),
         FAMILY: [tags.tag.family] * len(tags.ids),
     }

@@ -1,5 +1,7 @@
 """How many tags of each size, where only their paper or their cost is given."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from lmd.core.checks import InputError
@@ -33,11 +35,7 @@ def composition(
     edges, stock = np.array(tag.edges), stock_of_sizes(tag, plates, tag.limit or 0.0)
     evaluator = Evaluator(scene.sized(edges), threads=threads)
     relevance = scene.room.relevance.weights(evaluator.positions)
-    hung = (
-        None
-        if fixed is None
-        else Deployment(fixed.positions, fixed.normals, fixed.surfaces, edges=fixed.edges_of(scene.tag))
-    )
+    hung = None if fixed is None else replace(fixed, edges=fixed.edges_of(tag))
     poses = candidates(plates, edges, GRID_SPACING)
     chosen, _ = select(selectable(objective).selection(evaluator, relevance), poses, stock, plates, fixed=hung)
     if not len(chosen):
@@ -45,7 +43,6 @@ def composition(
         if tag.budget is not None:
             raise InputError(f"budget = {tag.budget:g} is too little for a tag: it costs {least:.3g}.", "budget")
         raise InputError(f"paper = {tag.paper:g} square metres is too little for a tag: it takes {least:.3g}.", "paper")
-    assert poses.edges is not None, "candidates have sizes"
     found = poses.edges[chosen]
     return tuple(int((found == edge).sum()) for edge in edges)
 

@@ -63,7 +63,7 @@ class LandmarkGenome:
             positions = _behind(fixed.positions, positions)
             normals = _behind(fixed.normals, normals)
             surfaces = _behind(fixed.surfaces, surfaces)
-        return problem.scene.plates.pushed(positions, normals, surfaces, fixed=problem.fixed_count, edges=problem.edges)
+        return problem.scene.plates.pushed(positions, normals, surfaces, problem.edges, fixed=problem.fixed_count)
 
 
 def _behind(fixed: np.ndarray, free: np.ndarray) -> np.ndarray:

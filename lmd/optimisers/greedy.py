@@ -12,7 +12,7 @@ from lmd.core.checks import InputError, real
 from lmd.objectives.base import Objective, selectable
 from lmd.optimisers.annealing import Annealing, Stage
 from lmd.optimisers.annealing.stage import changed
-from lmd.optimisers.selection import GRID_SPACING, Landmarks, Tags, candidates, greedy_start, select
+from lmd.optimisers.selection import GRID_SPACING, Tags, candidates, greedy_start, select
 from lmd.problem import Problem
 from lmd.scene.deployment import Deployment
 from lmd.scene.deployment_sources import POINT, landmark_count
@@ -99,7 +99,7 @@ class GreedyDeployment:
             poses = candidates(plates, edges, spacing)
         relevance = self.scene.room.relevance.weights(evaluator.positions)
         selection = selectable(self.objective).selection(evaluator, relevance)
-        stock = Landmarks(self.count) if edges is None else Tags(edges)
+        stock = Tags(self.scene.tag.filled(edges), self.scene.tag)
         chosen, _ = select(selection, poses, stock, plates, fixed=self.fixed)
         if len(chosen) < self.count:
             raise InputError(

@@ -141,7 +141,7 @@ class Milp(Optimiser):
         }
         if solved.x is not None:
             taken = np.rint(solved.x).astype(int)  # HiGHS is right to 1e-6
-            placed = _apart if poses.edges is None else _in_order
+            placed = _in_order if poses.has_own_edges else _apart
             note(costs + 1, placed(problem, poses, taken[: len(poses)]))
             self.proven["lattice_found"] = found = float(problem.fitness_relevance @ taken[-program.positions :] / most)
             if solved.status == PROVEN:
@@ -156,7 +156,7 @@ class Milp(Optimiser):
     def _poses(self, problem: Problem) -> Deployment:
         """The lattice, without the places that papers of fixed tags take."""
         plates = problem.scene.plates
-        poses, hung = candidates(plates, problem.free_sizes, self.spacing), problem.hung
+        poses, hung = candidates(plates, problem.free_edges, self.spacing), problem.hung
         if hung is None or not plates.edge:
             return poses
         taken = [plates.touched(poses, hung[k : k + 1]) for k in range(len(hung))]
@@ -165,10 +165,8 @@ class Milp(Optimiser):
 
 def _by_size(problem: Problem, poses: Deployment) -> list[tuple[IntArray, int]]:
     """Of each size of the free landmarks the indices of the poses that are for it, and how many there are."""
-    sizes = problem.free_sizes
-    if sizes is None or poses.edges is None:
-        return [(np.arange(len(poses)), problem.free_count)]
-    return [(np.flatnonzero(poses.edges == edge), int((sizes == edge).sum())) for edge in np.unique(sizes)]
+    sizes, own = problem.free_sizes, poses.edges_of(problem.scene.tag)
+    return [(np.flatnonzero(own == edge), int((sizes == edge).sum())) for edge in np.unique(sizes)]
 
 
 def _copies(problem: Problem) -> int:
@@ -188,10 +186,9 @@ def _apart(problem: Problem, poses: Deployment, copies: IntArray) -> Deployment:
 def _in_order(problem: Problem, poses: Deployment, taken: IntArray) -> Deployment:
     """The deployment with a tag at each pose that is `taken`, `(J,)` 0 or 1, where each landmark has its own size."""
     sizes = problem.free_sizes
-    assert sizes is not None, "tags have sizes"
     order = np.empty(len(sizes), dtype=int)
     for of, _ in _by_size(problem, poses):
-        order[sizes == poses.edges[of[0]]] = of[taken[of] == 1]  # type: ignore[index] # as there are sizes
+        order[sizes == poses.edges[of[0]]] = of[taken[of] == 1]
     chosen = poses[order]
     return problem.complete(Deployment(chosen.positions, chosen.normals, chosen.surfaces))
 

@@ -10,7 +10,7 @@ chosen. Where only the paper or the cost of all is given, candidates compete by 
 
 import operator
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import reduce
 from typing import Protocol
 
@@ -20,7 +20,9 @@ from lmd.core.checks import BoolArray, FloatArray
 from lmd.objectives.base import Selection, selectable
 from lmd.problem import Problem
 from lmd.scene.deployment import Deployment
+from lmd.scene.deployment_sources import POINT
 from lmd.scene.plates import Plates
+from lmd.scene.tag import Tag
 from lmd.sight.poses import candidate_poses
 
 GAINS_BATCH = 32  # poses whose gains are brought up to date together
@@ -39,25 +41,16 @@ class Stock(Protocol):
 
 
 @dataclass(frozen=True)
-class Landmarks:
-    """So many landmarks."""
-
-    count: int
-
-    def prices(self, poses: Deployment) -> FloatArray:
-        """See `Stock.prices`."""
-        return np.ones(len(poses))
-
-    def none_left(self, poses: Deployment, chosen: Sequence[int]) -> BoolArray:
-        """See `Stock.none_left`."""
-        return np.full(len(poses), len(chosen) >= self.count)
-
-
-@dataclass(frozen=True)
 class Tags:
-    """Tags with these edges, `(K,)` metres."""
+    """A number of landmarks of each size.
 
-    edges: FloatArray
+    Args:
+        sizes: edges of the landmarks, `(K,)`, metres; zeros for points.
+        tag: what hangs at poses without an edge of their own.
+    """
+
+    sizes: FloatArray
+    tag: Tag
 
     def prices(self, poses: Deployment) -> FloatArray:
         """See `Stock.prices`."""
@@ -65,10 +58,9 @@ class Tags:
 
     def none_left(self, poses: Deployment, chosen: Sequence[int]) -> BoolArray:
         """See `Stock.none_left`."""
-        assert poses.edges is not None, "candidates have sizes"
-        used = poses.edges[list(chosen)]
-        left = {edge: (self.edges == edge).sum() - (used == edge).sum() for edge in np.unique(poses.edges)}
-        return np.array([left[edge] <= 0 for edge in poses.edges])
+        sizes, of = np.unique(poses.edges_of(self.tag), return_inverse=True)
+        left = (self.sizes == sizes[:, None]).sum(axis=1) - np.bincount(of[list(chosen)], minlength=len(sizes))
+        return np.asarray((left <= 0)[of])
 
 
 @dataclass(frozen=True)
@@ -90,7 +82,7 @@ class Limited:
 
 def stock_of(problem: Problem) -> Stock:
     """The landmarks that a problem has to place."""
-    return Landmarks(problem.free_count) if problem.free_sizes is None else Tags(problem.free_sizes)
+    return Tags(problem.free_sizes, problem.scene.tag)
 
 
 def select(
@@ -106,7 +98,7 @@ def select(
     Args:
         selection: what is climbed, with nothing chosen yet.
         poses: N candidates.
-        stock: what there is to hang, or how many landmarks.
+        stock: what there is to hang, or the number of points.
         plates: of the tags; None for landmarks that are points.
         allowance: how many gains may be evaluated; fewer poses are chosen if it does not suffice.
         fixed: landmarks that are chosen before the first of the poses.
@@ -114,7 +106,7 @@ def select(
     Returns:
         indices of the chosen poses in the order of choice, and the number of gains evaluated.
     """
-    stock = Landmarks(stock) if isinstance(stock, int) else stock
+    stock = Tags(np.zeros(stock), POINT) if isinstance(stock, int) else stock
     known, taken, prices = np.full(len(poses), np.inf), np.zeros(len(poses), dtype=bool), stock.prices(poses)
     add_each(selection, fixed)
     if fixed is not None and plates and plates.edge:
@@ -149,18 +141,19 @@ def add_each(selection: Selection, fixed: Deployment | None) -> None:
             selection.add(fixed[k : k + 1])
 
 
-def candidates(plates: Plates, edges: FloatArray | None, spacing: float) -> Deployment:
-    """The poses of a grid where tags may hang, with each of the sizes in `edges` `(K,)`, metres, if that is given."""
-    if edges is None:
-        return candidate_poses(plates.hanging, spacing)
-    parts = []
-    for edge in np.unique(edges):
+def candidates(plates: Plates, edges: FloatArray, spacing: float) -> Deployment:
+    """Poses of a grid where tags may hang, for each size of `edges` `(K,)`, metres, see `Deployment.edges`.
+
+    The poses have an edge of their own if one of `edges` is known.
+    """
+    parts, own = [], not np.isnan(edges).all()
+    for edge in np.unique(plates.tag.filled(edges)):
         poses = candidate_poses(plates.inset(plates.tag.paper_share * edge), spacing)
-        parts.append(Deployment(poses.positions, poses.normals, poses.surfaces, edges=np.full(len(poses), edge)))
+        parts.append(replace(poses, edges=np.full(len(poses), edge if own else np.nan)))
     return reduce(operator.add, parts)
 
 
-def _candidates_within(plates: Plates, edges: FloatArray | None, spacing: float, most: float) -> Deployment:
+def _candidates_within(plates: Plates, edges: FloatArray, spacing: float, most: float) -> Deployment:
     """`candidates`, coarsened until there are no more than `most`, or one of a size for each piece of a surface."""
     poses, widest = candidates(plates, edges, spacing), max(max(wall.extent) for wall in plates.room.surfaces())
     while len(poses) > most and spacing < widest:
@@ -181,24 +174,18 @@ def greedy_start(problem: Problem, start: Deployment, spacing: float, allowance:
     Returns:
         the deployment, and the number of gains evaluated.
     """
-    plates, edges = problem.scene.plates, problem.free_sizes
-    poses = _candidates_within(plates, edges, spacing, allowance / 2)
+    plates = problem.scene.plates
+    poses = _candidates_within(plates, problem.free_edges, spacing, allowance / 2)
     selection = selectable(problem.objective).selection(problem.fitness_evaluator, problem.fitness_relevance)
     chosen, spent = select(selection, poses, stock_of(problem), plates, allowance, problem.hung)
-    return problem.apart(_in_place(start, problem.free_count, edges, poses[chosen])) or start if len(
-        chosen
-    ) else start, spent
+    return problem.apart(_in_place(problem, start, poses[chosen])) or start if len(chosen) else start, spent
 
 
-def _in_place(start: Deployment, count: int, edges: FloatArray | None, found: Deployment) -> Deployment:
-    """The landmarks of `start` with those `found` in place of the first of each size.
-
-    The last `count` landmarks of the start are to be placed, with these `edges`.
-    """
-    free = np.zeros(count) if edges is None else edges
-    new = np.zeros(len(found)) if found.edges is None else found.edges
-    fixed = len(start) - len(free)
+def _in_place(problem: Problem, start: Deployment, found: Deployment) -> Deployment:
+    """The landmarks of `start` with those `found` in place of the first free ones of each size."""
+    new = found.edges_of(problem.scene.tag)
     for edge in np.unique(new):
         these = np.flatnonzero(new == edge)
-        start = start.put(fixed + np.flatnonzero(free == edge)[: len(these)], found[these])
+        free = problem.fixed_count + np.flatnonzero(problem.free_sizes == edge)
+        start = start.put(free[: len(these)], found[these])
     return Deployment(start.positions, start.normals, start.surfaces)

@@ -8,7 +8,6 @@ import numpy as np
 from lmd.cameras.mounts import MountSpace, rounded
 from lmd.core.checks import LARGEST, FloatArray, InputError, IntArray
 from lmd.scene.deployment import Deployment
-from lmd.scene.edges import with_gaps
 from lmd.scene.fixed import COLUMN
 from lmd.scene.labels import Labels
 from lmd.scene.plates import Plates
@@ -72,8 +71,8 @@ class Plan:
         """
         k, measured = self.index_of(number), self.measured(number, room)
         x, y, z = self.deployment.positions[k]
-        edges = self.deployment.edges
-        size = "" if edges is None or np.isnan(edges[k]) else f", {edges[k]:g} m"
+        edge = self.deployment.edges[k]
+        size = "" if np.isnan(edge) else f", {edge:g} m"
         where = room.surfaces()[int(self.deployment.surfaces[k])].name if measured else "free in the room"
         pinned = ", pinned" if number in self.pinned else ""
         return f"tag {number}: {where}, ({x:.3f}, {y:.3f}, {z:.3f}) m{size}{pinned}"
@@ -100,9 +99,8 @@ class Plan:
         """
         k = self._movable(number)
         rest = np.flatnonzero(np.arange(len(self.deployment)) != k)
-        edges = self.deployment.edges
-        own = None if edges is None else edges[k : k + 1]
-        there = _nearest_free(plates, self.deployment[rest] if rest.size else None, surface, at, own)
+        others = self.deployment[rest] if rest.size else None
+        there = _nearest_free(plates, others, surface, at, self.deployment.edges[k])
         return replace(self, deployment=self.deployment.put(slice(k, k + 1), there))
 
     def resized(self, plates: Plates, number: int, edge: float) -> "Plan":
@@ -112,7 +110,7 @@ class Plan:
             InputError: as for `moved`, or it hangs on no surface.
         """
         k = self._movable(number)
-        edges = with_gaps(self.deployment.edges, len(self.deployment)).copy()
+        edges = self.deployment.edges.copy()
         edges[k] = edge
         surface = int(self.deployment.surfaces[k])
         if surface < 0:
@@ -140,8 +138,7 @@ class Plan:
         more = labels + Labels(np.array([number]), marks)
         if not scene.tag.is_point:
             scene.tag.check_ids(more.ids)
-        own = None if edge is None else np.array([edge])
-        there = _nearest_free(scene.plates, self.deployment, surface, at, own)
+        there = _nearest_free(scene.plates, self.deployment, surface, at, np.nan if edge is None else edge)
         return replace(self, deployment=replace(self.deployment + there, labels=more)), number
 
     def without(self, number: int) -> "Plan":
@@ -199,11 +196,11 @@ class Plan:
 
 
 def _nearest_free(
-    plates: Plates, others: Deployment | None, surface: int, at: FloatArray, edges: FloatArray | None = None
+    plates: Plates, others: Deployment | None, surface: int, at: FloatArray, edge: float = np.nan
 ) -> Deployment:
     """One landmark at the free place nearest to `at` `(2,)` on a surface, with `others` fixed.
 
-    Its edge is `edges` `(1,)`, or that of the scene's tag if None.
+    Its edge is `edge`, metres; NaN for that of the scene's tag.
 
     Raises:
         InputError: there is no such place, or no room for its paper on any surface.
@@ -211,7 +208,7 @@ def _nearest_free(
     surfaces, on = SurfaceArrays.of(plates.hanging.surfaces()), np.array([surface])
     if not (np.abs(at) <= LARGEST).all():  # NaN neither
         raise InputError(f"there is no place at ({at[0]:g}, {at[1]:g}) m.")
-    one = Deployment(surfaces.points(on, np.asarray(at)[None]), surfaces.normal[on], on, edges=edges)
+    one = Deployment(surfaces.points(on, np.asarray(at)[None]), surfaces.normal[on], on, edges=np.array([edge]))
     fixed = 0 if others is None else len(others)
     apart = plates.apart(one if others is None else others + one, fixed=fixed)
     if apart is None:

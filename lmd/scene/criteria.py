@@ -126,16 +126,11 @@ def horizon_of(sight: Sight) -> float:
     return float(getattr(sight, "horizon", math.inf))
 
 
-def largest(sight: Any) -> Any:
-    """The sight of the largest landmarks: what is in view of them, and how far, holds for all."""
-    return getattr(sight, "largest", sight)
-
-
 @overridable
 def sized(sight, k):  # type: ignore[no-untyped-def]
-    """The sight of landmark k of a deployment by itself, for a model that knows landmarks of several sizes.
+    """The sight of landmark k of a deployment: that of a model whose numbers are columns where sizes differ.
 
-    All functions below but `pixel_density` are for the sight of one landmark.
+    All functions below but `in_view` and `pixel_density` take the sight of one landmark.
     """
     return sight
 

@@ -9,7 +9,7 @@ import numpy as np
 from lmd.core.checks import BoolArray, FloatArray, InputError, IntArray, said_of
 from lmd.core.tables import Table, read_table, write_table
 from lmd.geometry.squares import upright
-from lmd.scene.edges import EDGE, checked_edges, edge_column, edges_or, joined
+from lmd.scene.edges import EDGE, checked_edges, edge_column
 from lmd.scene.labels import ID, Labels
 from lmd.scene.surveyed import Surveyed
 from lmd.scene.tag import Tag
@@ -39,8 +39,8 @@ class Deployment:
         labels: what the landmarks are called; None where they are numbered from 0.
         surveyed: places and ups to the last digit, where landmarks were measured behind their surface, or turned in
             their plane; None where `positions` are the places and all hang upright.
-        edges: of the black squares of tags that have a size of their own, `(K,)`, metres, NaN for those that have none;
-            None where none has. See `edges_of`.
+        edges: of the black squares of the tags, `(K,)`, metres; NaN, the default, for that of the scene's tag. See
+            `edges_of`.
         note: how a file was read that may mean something else, a sentence; empty where there is no doubt.
 
     Raises:
@@ -53,7 +53,7 @@ class Deployment:
     surfaces: IntArray = None  # type: ignore[assignment] # always an array once made
     labels: Labels | None = None
     surveyed: Surveyed | None = None
-    edges: FloatArray | None = None
+    edges: FloatArray = None  # type: ignore[assignment] # always an array once made
     note: str = field(default="", compare=False)
 
     def __post_init__(self) -> None:
@@ -88,8 +88,8 @@ class Deployment:
         """The landmarks that `chosen` selects."""
         labels = None if self.labels is None else self.labels[chosen]
         surveyed = None if self.surveyed is None else self.surveyed[chosen]
-        edges = None if self.edges is None else self.edges[chosen]
-        return Deployment(self.positions[chosen], self.normals[chosen], self.surfaces[chosen], labels, surveyed, edges)
+        parts = self.positions[chosen], self.normals[chosen], self.surfaces[chosen]
+        return Deployment(*parts, labels, surveyed, self.edges[chosen])
 
     @property
     def ids(self) -> IntArray:
@@ -105,9 +105,9 @@ class Deployment:
 
     def __add__(self, other: "Deployment") -> "Deployment":
         """The landmarks of both, numbered from 0."""
-        parts = ((getattr(self, name), getattr(other, name)) for name in HUNG)
-        edges = joined([(len(each), each.edges) for each in (self, other)])
-        both = replace(Deployment(*(np.concatenate(part) for part in parts)), edges=edges)
+        columns = ((getattr(self, name), getattr(other, name)) for name in (*HUNG, "edges"))
+        positions, normals, surfaces, edges = (np.concatenate(column) for column in columns)
+        both = Deployment(positions, normals, surfaces, edges=edges)
         if self.surveyed is None and other.surveyed is None:
             return both
         places, ups = (np.concatenate([getattr(each, name) for each in (self, other)]) for name in ("places", "ups"))
@@ -246,12 +246,14 @@ class Deployment:
         ups = upright(self.normals)[1] + 0.0  # no -0
         return ups if self.surveyed is None else self.surveyed.ups_of(self.positions, ups)
 
-    def edges_of(self, tag: Tag) -> FloatArray:
-        """The edge of the black square of each landmark, `(K,)`, metres: its own, or else that of `tag`.
+    @property
+    def has_own_edges(self) -> bool:
+        """True if a landmark has an edge of its own."""
+        return not np.isnan(self.edges).all()
 
-        Landmarks that are points have none: 0.
-        """
-        return edges_or(self.edges, len(self), tag)
+    def edges_of(self, tag: Tag) -> FloatArray:
+        """Edges of the black squares, `(K,)`, metres: the landmark's own, or else that of `tag`; zeros for points."""
+        return tag.filled(self.edges)
 
     def to_csv(self, file: str | Path | TextIO, ups: bool = False) -> None:
         """Write `id,x,y,z,nx,ny,nz` with every digit, so that reading it back gives the same numbers and labels.
@@ -265,7 +267,7 @@ class Deployment:
         columns = dict(zip(COLUMNS, np.hstack([self.places, self.normals]).T, strict=True))
         if ups:
             columns |= zip(UP_COLUMNS, self.ups.T, strict=True)
-        if self.edges is not None:
+        if self.has_own_edges:
             columns[EDGE] = self.edges
         further = {} if self.labels is None else self.labels.columns
         write_table(file, {ID: self.ids, **columns, **further})

@@ -14,7 +14,6 @@ import numpy as np
 from lmd.core.checks import BoolArray, FloatArray, InputError, IntArray, said_of
 from lmd.scene.deployment import FLUSH, Deployment
 from lmd.scene.deployment_sources import DeploymentSource, FileDeployment, GivenDeployment
-from lmd.scene.edges import edges_or
 from lmd.scene.fixed import beside
 from lmd.scene.pushing import TOUCHING, push
 from lmd.scene.tag import Tag
@@ -149,7 +148,7 @@ class Plates:
                 "surfaces hold.",
                 "count",
             )
-        several = placed and drawn.edges is not None
+        several = placed and drawn.has_own_edges
         if source.varies or several or (fixed is not None and not isinstance(source, FileDeployment)):
             apart = self.apart(drawn, fixed=0 if fixed is None else len(fixed))
             if apart is None:
@@ -195,7 +194,7 @@ class Plates:
     def apart(self, deployment: Deployment, size: float = 1.0, fixed: int = 0) -> Deployment | None:
         """The deployment with plates pushed apart, None where there is no room for all; see `pushed`."""
         parts = deployment.positions[None], deployment.normals[None], deployment.surfaces[None]
-        positions, normals, surfaces, fits = self.pushed(*parts, size, fixed, deployment.edges)
+        positions, normals, surfaces, fits = self.pushed(*parts, deployment.edges, size, fixed)
         apart = replace(deployment, positions=positions[0], normals=normals[0], surfaces=surfaces[0])
         return apart if fits[0] else None
 
@@ -204,9 +203,9 @@ class Plates:
         positions: FloatArray,
         normals: FloatArray,
         surfaces: IntArray,
+        edges: FloatArray,
         size: float = 1.0,
         fixed: int = 0,
-        edges: FloatArray | None = None,
     ) -> tuple[FloatArray, FloatArray, IntArray, BoolArray]:
         """Deployments whose plates are pushed apart, one after the other; what hangs properly stays as it is.
 
@@ -219,9 +218,9 @@ class Plates:
         Args:
             positions, normals: `(B, K, 3)`, flush.
             surfaces: `(B, K)`.
+            edges: `(K,)`, see `Deployment.edges`.
             size: of the plates, as a share of their true size.
-            fixed: so many at the beginning stay where they are.
-            edges: see `Deployment.edges`.
+            fixed: number of landmarks at the beginning that stay where they are.
 
         Returns:
             positions, normals, surfaces, and whether there was room for all, `(B,)`.
@@ -234,7 +233,7 @@ class Plates:
             moved[:, :fixed] = False
             return np.where(moved, s.points(surfaces, at), positions), normals, surfaces, fits
         positions, normals, surfaces = positions.copy(), normals.copy(), surfaces.copy()
-        papers = self.tag.paper_share * edges_or(edges, surfaces.shape[1], self.tag)
+        papers = self.tag.paper_share * self.tag.filled(edges)
         order = np.append(np.arange(fixed), fixed + np.argsort(-papers[fixed:], kind="stable"))
         found, of = np.unique(papers[order], return_inverse=True)
         sizes, (pieces, first) = [self.surfaces_of(paper) for paper in found.tolist()], self.pieces_of(found)

@@ -62,14 +62,14 @@ class Scene:
         if seen is not None and seen != self.tag:
             raise InputError(f"tag is {self.tag}, but visibility is about {seen}.", "tag")
 
-    def sized(self, edges: FloatArray | None) -> "Scene":
-        """The same for landmarks with these edges, `(K,)` metres, NaN for the tag's, in every deployment.
+    def sized(self, edges: FloatArray) -> "Scene":
+        """The scene for landmarks with edges `(K,)`, metres, NaN for that of the tag, in every deployment.
 
-        Itself for None, and for tags that are points: these have no size.
+        Itself if all are NaN, and for points, which have no size.
         """
-        if edges is None or self.tag.is_point:
+        if self.tag.is_point or np.isnan(edges).all():
             return self
-        each = tuple(float(edge) for edge in np.where(np.isnan(edges), self.tag.size, edges))
+        each = tuple(self.tag.filled(edges).tolist())
         each = each if len(set(each)) > 1 else each[:1]
         if each == (self.edges or (self.tag.size,)):
             return self

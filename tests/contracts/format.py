@@ -30,6 +30,6 @@ def check_format(form, tags, folder):
     np.testing.assert_array_equal(found.ids, deployment.ids)
     for field in ("positions", "normals", "ups"):
         np.testing.assert_allclose(getattr(found, field), getattr(deployment, field), atol=1e-7, err_msg=field)
-    if found.edges is not None:
+    if found.has_own_edges:
         np.testing.assert_allclose(TagMap(tags.room, tags.tag, found).sizes, tags.sizes, rtol=1e-9)
     return found

@@ -38,7 +38,7 @@ def test_what_was_written_is_read_again(name, family, seed, tmp_path):
     if form.edges == ONE:
         deployment = replace(deployment, edges=None)
     found = check_format(form, TagMap(ROOM, Tag(EDGE, family), deployment), tmp_path)
-    assert (found.edges is not None) == (name not in ("wpilib", "frc971", "rtabmap"))
+    assert found.has_own_edges == (name not in ("wpilib", "frc971", "rtabmap"))
 
 
 def test_duckietown_takes_tags_on_the_floor(tmp_path):

@@ -81,7 +81,7 @@ def test_landmarks_of_different_sizes_exchange_their_places(problem):
 def test_selection_takes_no_more_of_a_size_than_there_are():
     plates, evaluator = scene(TAG).plates, Evaluator(scene(TAG).sized(OWN), threads=1)
     poses, relevance = candidates(plates, OWN, 0.8), np.ones(len(evaluator.positions))
-    chosen, _ = select(COVERAGE.selection(evaluator, relevance), poses, Tags(OWN), plates)
+    chosen, _ = select(COVERAGE.selection(evaluator, relevance), poses, Tags(OWN, TAG), plates)
     np.testing.assert_array_equal(np.sort(poses.edges[chosen]), OWN)
     plates.check(poses[chosen])
 

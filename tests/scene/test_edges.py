@@ -43,7 +43,7 @@ def test_a_file_says_the_edges_and_is_written_again(path, tmp_path):
         "7,0.0,2.0,1.0,1.0,0.0,0.0,,as all",
     ]
     assert_array_equal(Deployment.from_csv(tmp_path / "again.csv").edges, found.edges)
-    assert found[1:2].edges is None
+    assert not found[1:2].has_own_edges
     assert_array_equal((found + found[[2]]).edges, [0.2, np.nan, 0.06, 0.06])
     assert_array_equal((found[[1]] + found).edges, [np.nan, 0.2, np.nan, 0.06])
 
@@ -71,7 +71,7 @@ def test_placed_tags_have_the_edges_in_turn_and_those_of_a_file_their_own(path):
     assert_array_equal(plates.draw(FileDeployment(path), rng).edges_of(several), [0.2, 0.1, 0.06])
     given = Deployment.from_csv(path).hung(ROOM)
     assert_array_equal(plates.draw(GivenDeployment(given), rng).edges, given.edges)
-    assert Plates(ROOM, TAG).draw(RandomDeployment(5), rng).edges is None
+    assert not Plates(ROOM, TAG).draw(RandomDeployment(5), rng).has_own_edges
     whole = plates.draw(RandomDeployment(2), rng, fixed=plates.hung(given, RandomDeployment(2)))
     assert_array_equal(whole.edges_of(several), [0.2, 0.1, 0.06, 0.3, 0.05])
     assert_array_equal(beside(given, given[[0]] + replace(given[[1]], labels=None)).edges_of(TAG)[:3], [0.2, 0.1, 0.06])

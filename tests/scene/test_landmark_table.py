@@ -46,7 +46,7 @@ def assert_faces(found, positions, normal, up):
 def test_a_table_or_a_text_says_places_and_turns(read, text):
     found = read(text)
     assert found.ids.tolist() == [7, 8]
-    assert found.edges is None
+    assert not found.has_own_edges
     assert_faces(found, [[2, 0, 1.2], [4, 0, 1.5]], [0, -1, 0], [0, 0, 1])
     assert "is read as id x y z " in found.note
     assert "the axes x, y, z of a tag point right, up, out, and axes can say otherwise" in found.note

@@ -38,7 +38,7 @@ def test_a_tag_has_the_edge_that_a_table_says_under_another_name(write, name):
 
 def test_words_in_a_column_of_such_a_name_stay_with_the_tag(write):
     found = read_deployment(write("id,x,y,z,nx,ny,nz,side,number\n7,2,0,1.2,0,1,0,north,a\n"))
-    assert found.edges is None
+    assert not found.has_own_edges
     assert dict(found.labels.columns) == {"side": ["north"], "number": ["a"]}
 
 

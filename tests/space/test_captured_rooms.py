@@ -28,7 +28,7 @@ def starts(room, edge, rng):
         yield plates.draw(source, rng)
     encoding = make_encoding("wall", plates.hanging, True)
     genes = rng.random((1, 20 * encoding.genes_per_landmark))
-    positions, normals, surfaces, _ = plates.pushed(*encoding.decode(genes))
+    positions, normals, surfaces, _ = plates.pushed(*encoding.decode(genes), np.full(20, np.nan))
     yield Deployment(positions[0], normals[0], surfaces[0])
 
 

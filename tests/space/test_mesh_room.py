@@ -134,9 +134,8 @@ def test_tags_hang_where_they_may(room, tmp_path):
         assert hangs_properly(place, drawn.positions, drawn.surfaces, 0.15).all()
         assert_array_equal(place.surfaces_of(drawn.positions, drawn.normals), drawn.surfaces)
         encoding = make_encoding("wall", plates.hanging, True)
-        decoded, _, on, fits = plates.pushed(
-            *encoding.decode(np.random.default_rng(1).random((2, 15 * 3))[:, : 15 * encoding.genes_per_landmark])
-        )
+        genes = np.random.default_rng(1).random((2, 15 * 3))[:, : 15 * encoding.genes_per_landmark]
+        decoded, _, on, fits = plates.pushed(*encoding.decode(genes), np.full(15, np.nan))
         assert hangs_properly(place, decoded.reshape(-1, 3), on.ravel(), 0.15).all()
         assert fits.all()
 

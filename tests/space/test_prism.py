@@ -201,7 +201,7 @@ def test_genes_mean_places_where_tags_may_hang(kind):
     plates = Plates(lab(margin=0.05), Tag(0.2, quiet_zone=0.0))
     encoding = make_encoding(kind, plates.hanging, True)
     genes = np.random.default_rng(0).random((4, 25 * encoding.genes_per_landmark))
-    positions, _, surfaces, fits = plates.pushed(*encoding.decode(genes))
+    positions, _, surfaces, fits = plates.pushed(*encoding.decode(genes), np.full(25, np.nan))
     assert fits.all()
     assert hangs_properly(plates.room, positions.reshape(-1, 3), surfaces.ravel(), 0.2).all()
     start = plates.draw(RandomDeployment(25), np.random.default_rng(1))

@@ -27,7 +27,6 @@ from lmd.objectives.localisation.information import (
     variance,
 )
 from lmd.objectives.localisation.rig_ambiguity import has_one_pose, mirrored_numbers, width_of
-from lmd.scene.criteria import largest
 from lmd.scene.deployment import Deployment
 from lmd.scene.scene import Scene
 from lmd.sight.models.paper import dot
@@ -76,7 +75,7 @@ def _seen(
     offset, (right, up) = deployment.positions - position, upright(deployment.normals)
     half = np.reshape(half_of(asked, slice(None)), (-1, 1))  # one, or each tag's
     with np.errstate(all="ignore"):
-        weight = _density(getattr(largest(scene.sight), "lens", None), axes, offset)
+        weight = _density(getattr(scene.sight, "lens", None), axes, offset)
     caps = coverage_caps(scene, deployment, position, axes)
     return caps, (*offset.T, *(half * right).T, *(half * up).T, weight)
 
@@ -106,7 +105,7 @@ def body_information(
             moment = formulas[1](formulas[0](*tags, asked.share), *arm)
             if asks_apart(asked):
                 moment += formulas[3](*tags, _each(asked).square)
-            lens = getattr(largest(scene.visibility.sight(camera)), "lens", None)
+            lens = getattr(scene.visibility.sight(camera), "lens", None)
             weight = gain_of(camera, scene.cameras[0]) * _density(lens, turned, offset)
             shares = [np.where(caps, formulas[2](each, weight), 0.0).sum(axis=1) for each in moment]
         sums[there, : len(shares)] += np.stack(shares, axis=1)

@@ -190,10 +190,7 @@ class Surrogate:
     def _footprints_of(self, count: int, size: float) -> Footprints:
         """Footprints of `count` landmarks, `size` times the true ones; 0 for stacks, which have none."""
         plates, sizes = self._problem.scene.plates, self._problem.sizes
-        if sizes is None or not size:
-            edges = np.full(count, size * plates.edge * (1.0 - TOUCHING))
-            return Footprints(edges, np.zeros(count, dtype=np.int64), self._surfaces.pieces, self._surfaces.first[None])
-        papers = plates.tag.paper_share * sizes
+        papers = plates.tag.paper_share * sizes if size else np.full(count, plates.edge)
         found, of = np.unique(papers, return_inverse=True)
         pieces, first = plates.pieces_of(found)
         return Footprints(size * papers * (1.0 - TOUCHING), of.astype(np.int64), pieces, first)

@@ -39,7 +39,7 @@ from lmd.geometry.camera import MM_PER_M, Camera
 from lmd.geometry.lens import EQUIDISTANT, Lens
 from lmd.geometry.se3 import cross
 from lmd.geometry.squares import VERTICAL_TOLERANCE, upright
-from lmd.scene.criteria import TOLERANCE, sized
+from lmd.scene.criteria import TOLERANCE
 from lmd.scene.tag import Tag
 from lmd.sight.models.fiducial_reference import (
     faces,
@@ -49,11 +49,10 @@ from lmd.sight.models.fiducial_reference import (
     resolved,
     resolved_by_lens,
 )
-from lmd.sight.models.fiducial_sight import FiducialSight
-from lmd.sight.models.lens_sight import NEAR, LensSight
+from lmd.sight.models.fiducial_sight import FiducialSight, of_sizes
+from lmd.sight.models.lens_sight import NEAR, LensSight, of_sizes_behind_lens
 from lmd.sight.models.limits import Limits, limits_of
 from lmd.sight.models.paper import dot
-from lmd.sight.models.sized import SizedSight, sized_sight
 
 # Tags at least this far away are spared the exact test if their centre is well inside the image, metres.
 FAR = 1.6
@@ -102,12 +101,17 @@ class Fiducial:
         """The same for landmarks with these edges, metres."""
         return replace(self, edges=edges)
 
-    def sight(self, camera: Camera) -> FiducialSight | LensSight | SizedSight:
+    def sight(self, camera: Camera) -> FiducialSight | LensSight:
         """See `Criteria.sight`."""
         if self.edges is None:
             return self._sight_of(self.tag, camera)
-        each = {edge: self._sight_of(replace(self.tag, edge=edge), camera) for edge in set(self.edges)}
-        return sized_sight([each[edge] for edge in self.edges]) if len(each) > 1 else each[self.edges[0]]
+        each: dict[float, Any] = {
+            edge: self._sight_of(replace(self.tag, edge=edge), camera) for edge in set(self.edges)
+        }
+        if len(each) == 1:
+            return each[self.edges[0]]  # type: ignore[no-any-return] # a sight
+        sights = [each[edge] for edge in self.edges]
+        return of_sizes(sights) if camera.lens is None else of_sizes_behind_lens(sights)
 
     def _sight_of(self, tag: Tag, camera: Camera) -> FiducialSight | LensSight:
         """The same for a tag."""
@@ -159,7 +163,7 @@ class Fiducial:
         self, camera: Camera, position: FloatArray, axes: FloatArray, landmarks: FloatArray, normals: FloatArray
     ) -> dict[str, BoolArray]:
         """Whether tags meet each criterion taken by itself, `(A, K)` by its name; args as in `covered`."""
-        sight, offset = sized(self.sight(camera), slice(None)), landmarks - position
+        sight, offset = self.sight(camera), landmarks - position
         flat = sight.flat if isinstance(sight, LensSight) else sight
         axis, right = axes[:, None, :3], axes[:, None, 3:]
         frame = np.stack([right, cross(axis, right), axis])  # (3, A, 1, 3)
