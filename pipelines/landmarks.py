@@ -151,7 +151,7 @@ def divide_paper(
     Raises:
         InputError: the limit is too small, or the objective cannot compare sizes.
     """
-    from lmd.optimisers.composition import composition
+    from lmd.optimisers.selection import composition
 
     tag = scene.tag
     if tag.limit is None or tag.counts is not None or "count" not in cfg.deployment or "path" in cfg.deployment:
