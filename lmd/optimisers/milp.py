@@ -1,7 +1,7 @@
 """Best choice of poses from a lattice with a proof of optimality: an integer program, solved by HiGHS.
 
-Let `x_j` be the number of landmarks at pose j of the lattice, `A_jpa` = 1 if a landmark there covers axis a from position
-p without occlusion, else 0, `w_a` the probability of an axis and `r_p` the relevance of a position. The program is
+Let `x_j` be the number of landmarks at pose j of the lattice, `A_jpa` = 1 if a landmark there covers axis a from
+position p without occlusion, else 0, `w_a` the probability of an axis and `r_p` the relevance of a position. Then
 
     maximise   sum_p r_p z_p                                        z_p: position p is qualified
     such that  n y_pa <= sum_j A_jpa x_j   for all p, a             y_pa: at least n landmarks are covered
