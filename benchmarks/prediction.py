@@ -19,11 +19,11 @@ from scipy.optimize import minimize
 
 from lmd.core.checks import BoolArray, FloatArray, IntArray
 from lmd.core.tables import write_table
+from lmd.detection.calibration import fit
 from lmd.detection.corner_errors import CORNER_ERRORS
 from lmd.detection.detectors import AprilTagDetector
 from lmd.detection.evaluation import corner_error, precision_recall
-from lmd.detection.fit import fit
-from lmd.detection.surveyed import FILE, SurveyedViews
+from lmd.detection.views import FILE, SurveyedViews
 from lmd.evaluation.verdicts import verdicts
 from lmd.geometry.camera import Camera
 from lmd.geometry.projection import intrinsics

@@ -77,7 +77,7 @@ class Problem:
         if threads is not None:
             threads = integer("threads", threads, low=1, high=MOST_THREADS)
         self.scene, self.objective, self.start = scene, objective, start
-        self.fixed = None if fixed is None else scene.plates.hung(fixed, start)
+        self.fixed = None if fixed is None else scene.footprints.hung(fixed, start)
         first = self.draw(np.random.default_rng(0))
         self.count, self.labels, self.surveyed = len(first), first.labels, first.surveyed
         self.edges, self.scene = first.edges, scene.sized(first.edges_of(scene.tag))
@@ -140,8 +140,8 @@ class Problem:
         return self.sizes[self.fixed_count :]
 
     def draw(self, rng: np.random.Generator) -> Deployment:
-        """A deployment to start from, its landmarks with their surfaces, its plates apart."""
-        return self.scene.plates.draw(self.start, rng, self.fixed)
+        """A deployment to start from, its landmarks with their surfaces, its footprints apart."""
+        return self.scene.footprints.draw(self.start, rng, self.fixed)
 
     def free(self, deployment: Deployment) -> Deployment:
         """The landmarks of a deployment that are to be placed."""
@@ -152,8 +152,8 @@ class Problem:
         return free if self.fixed is None else self.fixed + free
 
     def apart(self, deployment: Deployment, size: float = 1.0) -> Deployment | None:
-        """The deployment with the free plates pushed out of the way, see `Plates.apart`."""
-        return self.scene.plates.apart(replace(deployment, edges=self.edges), size, self.fixed_count)
+        """The deployment with the free footprints pushed out of the way, see `Footprints.apart`."""
+        return self.scene.footprints.apart(replace(deployment, edges=self.edges), size, self.fixed_count)
 
     def labelled(self, deployment: Deployment) -> Deployment:
         """What an optimiser made of the start: its k-th landmark keeps what that of the start is called, and its edge.

@@ -102,7 +102,7 @@ def detected_in(
     import numpy as np
 
     from lmd.core.checks import InputError
-    from lmd.detection.sharpness import blurred
+    from lmd.detection.images import blurred
     from lmd.mapping.detections import DetectedTags
 
     from .progress import bar
@@ -133,7 +133,7 @@ def detected_in(
 def _read(job: Chunk) -> "list[tuple[Detections, float]]":
     """Detections in each image, and its blur, on one thread."""
     from lmd.core.optional import optional
-    from lmd.detection.sharpness import blur_of
+    from lmd.detection.images import blur_of
 
     optional("cv2", "detection").setNumThreads(1)
     found = []

@@ -38,9 +38,8 @@ def survey(cfg: DictConfig) -> None:
     from lmd.core.checks import InputError, boolean, integer, seed_number
     from lmd.core.tables import write_table
     from lmd.detection.corner_errors import CORNER_ERRORS
-    from lmd.detection.surveyed import FILE as VIEWS
+    from lmd.detection.views import FILE as VIEWS
     from lmd.evaluation.verdicts import verdicts
-    from lmd.scene.rig import Rig
     from lmd.survey.audit import audited, in_the_open, view_columns
     from lmd.survey.keyframes import select_keyframes
     from lmd.survey.next_photographs import next_photographs
@@ -57,7 +56,7 @@ def survey(cfg: DictConfig) -> None:
     with keyed():
         tag.check_edge()
     given = camera_of(cfg.camera)
-    cameras = given.cameras if isinstance(given, Rig) else (given,)
+    cameras = given.cameras
     name, detector = _detector(cfg)
     known, room = _known(cfg, tag, given), instantiate(cfg.room) if cfg.get("room") else None
     scene = _scene(cfg, room, given, tag) if boolean("audit", cfg.audit) else None

@@ -105,7 +105,7 @@ def audit_writers(audit: "Audit", detector: str, title: str) -> dict[str, Callab
     """Functions that write the files of an audit, by the names of the files."""
     import pandas as pd
 
-    from lmd.detection.report import figures
+    from lmd.detection.comparison import figures
     from lmd.plot.frames import save_calibration_figure, save_places_figure
 
     named = {"deployment": "survey", "detector": detector}

@@ -70,7 +70,7 @@ def both(camera=CAMERA):
 
 
 def hung(scene, count=12, seed=0):
-    return scene.plates.draw(RandomDeployment(count), np.random.default_rng(seed))
+    return scene.footprints.draw(RandomDeployment(count), np.random.default_rng(seed))
 
 
 def problems(objective, count=12):

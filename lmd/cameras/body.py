@@ -11,8 +11,7 @@ from typing import Any
 import numpy as np
 
 from lmd.core.checks import BoolArray, FloatArray, InputError, check_fields, choice, real, vector
-from lmd.space.keep_out import KeepOut
-from lmd.space.parts import all_made, checked_names
+from lmd.space.parts import KeepOut, all_made, checked_names
 from lmd.space.surface import Surface, free_of
 
 FACES = ("front", "back", "left", "right", "top", "bottom")

@@ -12,7 +12,7 @@ from lmd.geometry.se3 import camera_pose
 from lmd.geometry.trajectory import Trajectory
 from lmd.scene.scene import Scene
 from lmd.scene.trajectory_files import TrajectoryFile
-from lmd.space.inside import check_inside
+from lmd.space.space import check_inside
 
 # Greatest slope of the minimum-jerk profile, at its middle.
 PEAK_SLOPE = 1.875

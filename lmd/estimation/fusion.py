@@ -8,7 +8,7 @@ import numpy as np
 
 from lmd.core.checks import FloatArray, check_fields, real
 from lmd.core.optional import optional
-from lmd.estimation.errors import Errors, pose_errors
+from lmd.estimation.estimators import Errors, pose_errors
 from lmd.estimation.pnp import images_of, likely
 from lmd.estimation.recording import Recording
 from lmd.geometry.pose import PointImage, body_solutions
@@ -68,7 +68,7 @@ class Measurement(Protocol):
         """The measurement predicted at a pose X, `(d,)`, and its derivative by a body twist (w, v), `(d, 6)`."""
 
 
-class Places(NamedTuple):
+class CameraPoints(NamedTuple):
     """The places of m landmarks in the camera's frame, y = X^-1 C, metres: a `Measurement` of 3 m numbers."""
 
     landmarks: FloatArray
@@ -76,7 +76,7 @@ class Places(NamedTuple):
     covariance: FloatArray
 
     @classmethod
-    def of(cls, recording: Recording, s: int, t: int, uncertainty: Uncertainty) -> "Places":
+    def of(cls, recording: Recording, s: int, t: int, uncertainty: Uncertainty) -> "CameraPoints":
         """Those of frame t of run s."""
         seen, these = recording.seen[s, t], recording.detections(s, t, t + 1)
         noise = np.maximum(recording.noise[these], uncertainty.least_pixel_noise)[:, None, None]
@@ -90,7 +90,7 @@ class Places(NamedTuple):
         return y.reshape(-1), moved.reshape(-1, 6)
 
 
-class Corners(NamedTuple):
+class CornerImages(NamedTuple):
     """The images of the m corners of tags, pixels: a `Measurement` of 2 m numbers."""
 
     images: Sequence[PointImage]
@@ -98,7 +98,7 @@ class Corners(NamedTuple):
     covariance: FloatArray
 
     @classmethod
-    def of(cls, recording: Recording, s: int, t: int, uncertainty: Uncertainty) -> "Corners":
+    def of(cls, recording: Recording, s: int, t: int, uncertainty: Uncertainty) -> "CornerImages":
         """Those of frame t of run s."""
         images = images_of(recording, s, t)
         noise = np.maximum(np.concatenate([image.noise for image in images]), uncertainty.least_pixel_noise).repeat(2)
@@ -135,7 +135,7 @@ class InvariantKalmanFilter(Uncertainty):
         for t, step in enumerate(np.diff(recording.time), start=1):
             ekf.predict(recording.twists[s, t - 1], step, density)
             if recording.seen[s, t].any():
-                places = Places.of(recording, s, t, self)
+                places = CameraPoints.of(recording, s, t, self)
                 ekf.updateWithVector(*places.predicted(ekf.state().matrix()), places.value, places.covariance)
             yield ekf.state().matrix(), ekf.covariance()
 
@@ -166,7 +166,7 @@ class FixedLagSmoother(Uncertainty):
         """The estimates of run s, `(4, 4)` each."""
         gtsam = optional("gtsam", "estimators")
         diagonal, drift = gtsam.noiseModel.Diagonal.Sigmas, self.drift(recording)
-        kind: type[Places | Corners] = Places if recording.corners is None else Corners
+        kind: type[CameraPoints | CornerImages] = CameraPoints if recording.corners is None else CornerImages
         parameters = gtsam.ISAM2Params()
         parameters.setFactorization("QR")  # Cholesky gives up where the first estimate is vague and the odometry good
         smoother = gtsam.IncrementalFixedLagSmoother(self.lag, parameters)

@@ -7,12 +7,11 @@ import numpy as np
 
 from lmd.core.checks import FloatArray, choice
 from lmd.core.optional import optional
-from lmd.estimation.errors import Errors, pose_errors
+from lmd.estimation.estimators import Errors, pose_errors
 from lmd.estimation.recording import Recording
 from lmd.geometry.pose import PointImage, Solution, body_solutions
 from lmd.geometry.projection import project
 from lmd.geometry.se3 import exp
-from lmd.scene.rig import cameras_of, extrinsics_of
 
 AMBIGUOUS = ("odometry", "refuse")
 # Two poses are told apart by their image if one is a hundred times as likely as the other.
@@ -74,9 +73,7 @@ def _distance(one: FloatArray, other: FloatArray) -> float:
 def images_of(recording: Recording, s: int, t: int) -> list[PointImage]:
     """What each camera has of known points in a frame."""
     images, first, count = [], recording.detections(s, t).start, recording.seen_by.shape[-1]
-    for c, (camera, mounted) in enumerate(
-        zip(cameras_of(recording.camera), extrinsics_of(recording.camera), strict=True)
-    ):
+    for c, (camera, mounted) in enumerate(zip(recording.camera.cameras, recording.camera.extrinsics, strict=True)):
         seen = c * count + np.flatnonzero(recording.seen_by[s, t, c])
         its = slice(first, first := first + len(seen))
         noise = np.maximum(recording.noise[its], LEAST_NOISE)

@@ -10,13 +10,12 @@ import numpy as np
 from lmd.core.checks import BoolArray, FloatArray, IntArray, check_fields, real
 from lmd.detection.detectors import Detections, Detector
 from lmd.detection.frames import tagged_room
-from lmd.estimation.recording import Each, Flight, Look, Observation, check_images, joined
-from lmd.estimation.tags import corners_of, observation
+from lmd.estimation.recording import Each, Flight, Look, Observation, check_images, merged
+from lmd.estimation.sensors import corners_of, observation
 from lmd.geometry.se3 import adjoint, inverse
 from lmd.render.imaging import Imaging, UInt8Array
 from lmd.render.renderer import Renderer
 from lmd.scene.deployment import Deployment
-from lmd.scene.rig import extrinsics_of
 from lmd.scene.tag import Tag
 
 # Frames that are rendered and read in one go.
@@ -105,9 +104,9 @@ class RenderedDetector:
         ]
         found = iter([detections for batch in each(read, jobs) for detections in batch])
         return [
-            joined(
+            merged(
                 [self._observed(look, list(islice(found, len(look.in_view)))) for look in those],
-                extrinsics_of(f.camera),
+                f.camera.extrinsics,
             )
             for f, those in zip(flights, looks, strict=True)
         ]

@@ -10,11 +10,9 @@ import pandas as pd
 from lmd.core.checks import FloatArray, InputError, IntArray, argument_of, check_fields, real
 from lmd.core.memory import check_memory
 from lmd.core.words import escaped, markdown_table
-from lmd.estimation.errors import Errors, pose_errors
-from lmd.estimation.estimators import Estimator
+from lmd.estimation.estimators import Errors, Estimator, pose_errors
 from lmd.estimation.flights import TrajectorySource
-from lmd.estimation.odometry import Odometry
-from lmd.estimation.recording import Each, Flight, Recording, Sensor, record
+from lmd.estimation.recording import Each, Flight, Odometry, Recording, Sensor, record
 from lmd.geometry.se3 import exp
 from lmd.geometry.trajectory import Trajectory
 from lmd.problem import Problem

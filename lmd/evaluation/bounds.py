@@ -189,14 +189,14 @@ def _kinds(problem: Problem, evaluator: Evaluator, count: int, spacing: float) -
     Raises:
         InputError: there are several, and another number of landmarks than that of the problem.
     """
-    plates, sizes = problem.scene.plates, problem.free_sizes
+    footprints, sizes = problem.scene.footprints, problem.free_sizes
     if not problem.scene.has_several_sizes:
         sizes = np.full(count - problem.fixed_count, sizes[0])
     elif count != problem.count:
         raise InputError(f"of {count} landmarks it is not known how many have each size.")
     kinds = []
     for edge, number in zip(*np.unique(sizes, return_counts=True), strict=True):
-        cells = wall_cells(plates.inset(plates.tag.paper_share * edge), spacing)
+        cells = wall_cells(footprints.inset(footprints.tag.paper_share * edge), spacing)
         poses = replace(cells.poses, edges=np.full(len(cells.poses), edge or np.nan))
         kinds.append(Kind(evaluator.sized(np.array([edge])), cells, poses, int(number)))
     return kinds

@@ -15,7 +15,7 @@ from lmd.evaluation.mounting import SAMPLE, off_grid_figures
 from lmd.evaluation.validation import Sample
 from lmd.problem import Problem
 from lmd.scene.deployment import Deployment
-from lmd.scene.plates import as_they_are
+from lmd.scene.footprints import as_they_are
 from lmd.scene.tag_map_files import read_deployment
 
 RANDOM_VIEWS = 2000  # number of random poses
@@ -51,7 +51,7 @@ def read_measured(
     places = np.argsort(measured.ids)[np.searchsorted(np.sort(measured.ids), plan.ids)]
     with said_of(f"measured: {path}", "measured"):
         measured, scene = replace(measured[places], note=measured.note), problem.scene
-        hung = measured.hung(scene.room, as_they_are(problem.start), scene.plates.papers(measured))
+        hung = measured.hung(scene.room, as_they_are(problem.start), scene.footprints.papers(measured))
     return replace(hung, labels=plan.labels, edges=np.where(np.isnan(hung.edges), plan.edges, hung.edges))
 
 

@@ -68,13 +68,13 @@ def selection_upper_bound(
         InputError: the objective has no selection, the spacing is not positive, or there are several sizes and another
             number of landmarks than that of the problem.
     """
-    plates, objective = problem.scene.plates, selectable(problem.objective)
+    footprints, objective = problem.scene.footprints, selectable(problem.objective)
     evaluator, relevance = problem.fitness_evaluator, problem.fitness_relevance
     several = problem.scene.has_several_sizes
     if several and count != problem.count:
         raise InputError(f"of {count} landmarks it is not known how many have each size.")
     sizes = problem.free_sizes if several else np.full(count - problem.fixed_count, problem.sizes[0])
-    poses, stock = candidates(plates, problem.free_edges, spacing), Tags(sizes, problem.scene.tag)
+    poses, stock = candidates(footprints, problem.free_edges, spacing), Tags(sizes, problem.scene.tag)
     own = poses.edges_of(problem.scene.tag)
     limit, selection, greedy = limit or TimeLimit(), objective.selection(evaluator, relevance), 0.0
     add_each(selection, problem.hung)
@@ -88,7 +88,7 @@ def selection_upper_bound(
     at_first = largest(selection.gains(poses))
     scans = limit.left / (clock() - began) - 1.0  # one is left for the gains in the end
     chosen, spent = select(
-        objective.selection(evaluator, relevance), poses, stock, plates, scans * len(poses), problem.hung
+        objective.selection(evaluator, relevance), poses, stock, footprints, scans * len(poses), problem.hung
     )
     if spent + (GAINS_BATCH if spent else len(poses)) > scans * len(poses):
         limit.cut.append(f"the greedy choice after {len(chosen)} of {count - problem.fixed_count} landmarks")

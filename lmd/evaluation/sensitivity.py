@@ -166,7 +166,7 @@ def _variants(problem: Problem, deployment: Deployment) -> list[Variant]:
         resized, note = replace(scene, tag=tag, visibility=seen), ""
         larger = replace(deployment, edges=factor * deployment.edges_of(scene.tag))
         try:
-            resized.plates.check(larger)
+            resized.footprints.check(larger)
         except InputError as error:
             note = str(error)
         variants.append(Variant("edge", factor, tag.size, resized.sized(larger.edges), objective, larger, note))

@@ -70,13 +70,13 @@ def grown(problem: Problem, deployment: Deployment) -> Deployment:
     Where the grid of poses has no room for all, the rest hang as in the start of the problem. Where the problem has a
     limit, landmarks of any of its sizes are added until it is used up.
     """
-    plates, tag, start = problem.scene.plates, problem.scene.tag, problem.draw(np.random.default_rng(0))
-    poses = candidates(plates, np.array([np.nan] if tag.limit is None else tag.edges), GRID_SPACING)
+    footprints, tag, start = problem.scene.footprints, problem.scene.tag, problem.draw(np.random.default_rng(0))
+    poses = candidates(footprints, np.array([np.nan] if tag.limit is None else tag.edges), GRID_SPACING)
     selection = selectable(problem.objective).selection(problem.evaluator, problem.relevance)
     limit, prices = _priced(problem, deployment)
     left = limit - prices.sum()
-    stock = stock_of_sizes(tag, plates, left) if tag.limit else Tags(tag.filled(np.full(int(left), np.nan)), tag)
-    chosen, _ = select(selection, poses, stock, plates, fixed=deployment)
+    stock = stock_of_sizes(tag, footprints, left) if tag.limit else Tags(tag.filled(np.full(int(left), np.nan)), tag)
+    chosen, _ = select(selection, poses, stock, footprints, fixed=deployment)
     more = deployment + poses[chosen] if len(chosen) else deployment
     if len(more) == problem.count or tag.limit is not None:
         return more
@@ -103,7 +103,7 @@ def _priced(problem: Problem, deployment: Deployment) -> tuple[float, FloatArray
     free, tag = problem.free(deployment), problem.scene.tag
     if tag.limit is None:
         return problem.free_count, np.ones(len(free))
-    return tag.limit * (1.0 + ROUNDING), stock_of_sizes(tag, problem.scene.plates, tag.limit).prices(free)
+    return tag.limit * (1.0 + ROUNDING), stock_of_sizes(tag, problem.scene.footprints, tag.limit).prices(free)
 
 
 def improved(

@@ -94,6 +94,16 @@ class Camera:
             )
 
     @property
+    def cameras(self) -> "tuple[Camera, ...]":
+        """The camera itself, as a rig has several."""
+        return (self,)
+
+    @property
+    def extrinsics(self) -> FloatArray:
+        """Pose of the camera in the frame that moves, its own, `(1, 4, 4)`."""
+        return np.eye(4)[None]
+
+    @property
     def is_pinhole(self) -> bool:
         """True if everything is in focus."""
         return self.aperture == 0.0

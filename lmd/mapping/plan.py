@@ -26,7 +26,7 @@ from lmd.mapping.paper import (
 from lmd.mapping.plan_pages import HEAD, LIGHT, MARGIN, SMALL, TEXT, Table, begin_titled, draw_tables
 from lmd.mapping.symbols import draw_fixture
 from lmd.mapping.tag_map import TagMap
-from lmd.space.heights import lower_edge
+from lmd.space.space import lower_edge
 from lmd.space.surface import FLAT, Surface
 
 # On the page, all in mm.

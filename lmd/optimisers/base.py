@@ -126,8 +126,8 @@ class Optimiser(ABC):
 class AskTell(Optimiser):
     """Optimisers that propose batches of genes and learn their fitness.
 
-    The plates of tags with a size are pushed apart before they are evaluated (`lmd.scene.plates`); the genes do not
-    change. A deployment whose plates find no room counts as a failed evaluation.
+    Footprints of tags with a size are pushed apart before they are evaluated (`lmd.scene.footprints`); the genes do not
+    change. A deployment whose footprints find no room counts as a failed evaluation.
 
     Subclasses write `_ask` and `_tell` only. Before the first `_ask`, `run` sets
 

@@ -151,7 +151,7 @@ def make_encoding(kind: str, room: Space, flush: bool) -> Encoding:
 
 
 class LandmarkGenome:
-    """Free landmarks of a problem as genes; plates are pushed apart before they are evaluated.
+    """Free landmarks of a problem as genes; footprints are pushed apart before they are evaluated.
 
     Args:
         problem: the problem.
@@ -163,9 +163,9 @@ class LandmarkGenome:
     """
 
     def __init__(self, problem: Problem, kind: str, flush: bool) -> None:
-        if problem.scene.plates.edge and not flush:
+        if problem.scene.footprints.edge and not flush:
             raise InputError("flush must be true where tags have a size: their papers lie flat on the wall.", "flush")
-        self._problem, self._encoding = problem, make_encoding(kind, problem.scene.plates.hanging, flush)
+        self._problem, self._encoding = problem, make_encoding(kind, problem.scene.footprints.hanging, flush)
 
     @property
     def dim(self) -> int:
@@ -182,7 +182,7 @@ class LandmarkGenome:
         return self._encoding.encode(self._problem.free(self._problem.draw(rng)))
 
     def fitness_of_genes(self, genes: FloatArray) -> FloatArray:
-        """See `Genome.fitness_of_genes`: -inf where plates find no room."""
+        """See `Genome.fitness_of_genes`: -inf where footprints find no room."""
         positions, normals, _, fits = self._placed(genes)
         return np.where(fits, self._problem.fitness(positions, normals), -np.inf)
 
@@ -198,14 +198,14 @@ class LandmarkGenome:
         """See `Genome.reached`: no fitness depends on earlier ones."""
 
     def _placed(self, genes: FloatArray) -> tuple[FloatArray, FloatArray, IntArray, BoolArray]:
-        """Decode genes `(B, dim)`, put the fixed landmarks first, and push plates apart; see `Plates.pushed`."""
+        """Decode genes `(B, dim)`, put the fixed landmarks first, and push footprints apart."""
         problem = self._problem
         positions, normals, surfaces = self._encoding.decode(genes)
         if (fixed := problem.fixed) is not None:
             positions = _behind(fixed.positions, positions)
             normals = _behind(fixed.normals, normals)
             surfaces = _behind(fixed.surfaces, surfaces)
-        return problem.scene.plates.pushed(positions, normals, surfaces, problem.edges, fixed=problem.fixed_count)
+        return problem.scene.footprints.pushed(positions, normals, surfaces, problem.edges, fixed=problem.fixed_count)
 
 
 def _behind(fixed: np.ndarray, free: np.ndarray) -> np.ndarray:

@@ -154,11 +154,11 @@ class Milp(Optimiser):
 
     def _poses(self, problem: Problem) -> Deployment:
         """Poses of the lattice, without those where papers of fixed tags hang."""
-        plates = problem.scene.plates
-        poses, hung = candidates(plates, problem.free_edges, self.spacing), problem.hung
-        if hung is None or not plates.edge:
+        footprints = problem.scene.footprints
+        poses, hung = candidates(footprints, problem.free_edges, self.spacing), problem.hung
+        if hung is None or not footprints.edge:
             return poses
-        taken = [plates.touched(poses, hung[k : k + 1]) for k in range(len(hung))]
+        taken = [footprints.touched(poses, hung[k : k + 1]) for k in range(len(hung))]
         return poses[~np.any(taken, axis=0)]
 
 
@@ -170,7 +170,7 @@ def _by_size(problem: Problem, poses: Deployment) -> list[tuple[IntArray, int]]:
 
 def _copies(problem: Problem) -> int:
     """Largest number of landmarks at a pose: points hang in stacks as those of `Annealing`, papers side by side."""
-    return 1 if problem.scene.plates.edge else problem.objective.n
+    return 1 if problem.scene.footprints.edge else problem.objective.n
 
 
 def _apart(problem: Problem, poses: Deployment, copies: IntArray) -> Deployment:
@@ -226,7 +226,7 @@ class _Program:
     @classmethod
     def of(cls, problem: Problem, poses: Deployment) -> "_Program":
         """Make the program for the poses of a lattice."""
-        used, plates, n = _used(problem), problem.scene.plates, problem.objective.n
+        used, footprints, n = _used(problem), problem.scene.footprints, problem.objective.n
 
         def seen(landmarks: Deployment) -> NDArray[np.int8]:
             counts = covered_amounts(problem.evaluator, landmarks, np.ones(len(landmarks)))
@@ -238,7 +238,7 @@ class _Program:
         kinds = [np.unique(views, axis=0, return_inverse=True) for views in cover]
         rows = np.concatenate([distinct for distinct, _ in kinds])
         weights = [np.bincount(kind, weight)[None] for (_, kind), weight in zip(kinds, views, strict=True)]
-        close = [plates.touched(poses, poses[j : j + 1]) for j in range(len(poses))] if plates.edge else []
+        close = [footprints.touched(poses, poses[j : j + 1]) for j in range(len(poses))] if footprints.edge else []
         pairs = np.argwhere(np.triu(close, 1)) if close else np.empty((0, 2), dtype=int)
         overlaps = coo_array((np.ones(pairs.size), (np.arange(len(pairs)).repeat(2), pairs.reshape(-1))),
                              shape=(len(pairs), len(poses)))  # fmt: skip

@@ -21,7 +21,7 @@ from lmd.objectives.base import Objective, Selection, selectable
 from lmd.problem import Problem
 from lmd.scene.deployment import Deployment
 from lmd.scene.deployment_sources import POINT
-from lmd.scene.plates import Plates
+from lmd.scene.footprints import Footprints
 from lmd.scene.scene import Scene
 from lmd.scene.tag import Tag
 from lmd.sight.evaluator import Evaluator
@@ -85,17 +85,17 @@ def select(
     selection: Selection,
     poses: Deployment,
     stock: int | Stock,
-    plates: Plates | None = None,
+    footprints: Footprints | None = None,
     allowance: float = np.inf,
     fixed: Deployment | None = None,
 ) -> tuple[IntArray, int]:
-    """Choose some of the `poses`, each at most once, with plates that do not overlap.
+    """Choose some of the `poses`, each at most once, with footprints that do not overlap.
 
     Args:
         selection: function that is climbed, with nothing chosen yet.
         poses: N candidates.
         stock: landmarks that can be chosen, or the number of points.
-        plates: of the tags; None for landmarks that are points.
+        footprints: of the tags; None for landmarks that are points.
         allowance: largest number of gains to evaluate; fewer poses are chosen if it does not suffice.
         fixed: landmarks that are chosen before the first of the poses.
 
@@ -105,9 +105,9 @@ def select(
     stock = Tags(np.zeros(stock), POINT) if isinstance(stock, int) else stock
     known, taken, prices = np.full(len(poses), np.inf), np.zeros(len(poses), dtype=bool), stock.prices(poses)
     add_each(selection, fixed)
-    if fixed is not None and plates and plates.edge:
+    if fixed is not None and footprints and footprints.edge:
         for k in range(len(fixed)):
-            taken |= plates.touched(poses, fixed[k : k + 1])
+            taken |= footprints.touched(poses, fixed[k : k + 1])
     chosen: list[int] = []
     spent = 0
     while True:
@@ -126,7 +126,7 @@ def select(
             fresh[batch] = True
             spent += len(batch)
         chosen.append(best)
-        taken[plates.touched(poses, poses[best : best + 1]) if plates and plates.edge else best] = True
+        taken[footprints.touched(poses, poses[best : best + 1]) if footprints and footprints.edge else best] = True
         selection.add(poses[best : best + 1])
 
 
@@ -137,24 +137,24 @@ def add_each(selection: Selection, fixed: Deployment | None) -> None:
             selection.add(fixed[k : k + 1])
 
 
-def candidates(plates: Plates, edges: FloatArray, spacing: float) -> Deployment:
+def candidates(footprints: Footprints, edges: FloatArray, spacing: float) -> Deployment:
     """Poses of a grid where tags may hang, for each size of `edges` `(K,)`, metres, see `Deployment.edges`.
 
     The poses have an edge of their own if one of `edges` is known.
     """
     parts, own = [], not np.isnan(edges).all()
-    for edge in np.unique(plates.tag.filled(edges)):
-        poses = candidate_poses(plates.inset(plates.tag.paper_share * edge), spacing)
+    for edge in np.unique(footprints.tag.filled(edges)):
+        poses = candidate_poses(footprints.inset(footprints.tag.paper_share * edge), spacing)
         parts.append(replace(poses, edges=np.full(len(poses), edge if own else np.nan)))
     return reduce(operator.add, parts)
 
 
-def _candidates_within(plates: Plates, edges: FloatArray, spacing: float, most: float) -> Deployment:
+def _candidates_within(footprints: Footprints, edges: FloatArray, spacing: float, most: float) -> Deployment:
     """Make `candidates`, coarsened until they are at most `most`, or one of each size for each piece of a surface."""
-    poses, widest = candidates(plates, edges, spacing), max(max(wall.extent) for wall in plates.room.surfaces())
+    poses, widest = candidates(footprints, edges, spacing), max(max(wall.extent) for wall in footprints.room.surfaces())
     while len(poses) > most and spacing < widest:
         spacing *= 1.3
-        poses = candidates(plates, edges, spacing)
+        poses = candidates(footprints, edges, spacing)
     return poses
 
 
@@ -170,11 +170,11 @@ def greedy_start(problem: Problem, start: Deployment, spacing: float, allowance:
     Returns:
         the deployment, and the number of gains evaluated.
     """
-    plates = problem.scene.plates
-    poses = _candidates_within(plates, problem.free_edges, spacing, allowance / 2)
+    footprints = problem.scene.footprints
+    poses = _candidates_within(footprints, problem.free_edges, spacing, allowance / 2)
     selection = selectable(problem.objective).selection(problem.fitness_evaluator, problem.fitness_relevance)
     chosen, spent = select(
-        selection, poses, Tags(problem.free_sizes, problem.scene.tag), plates, allowance, problem.hung
+        selection, poses, Tags(problem.free_sizes, problem.scene.tag), footprints, allowance, problem.hung
     )
     return problem.apart(_in_place(problem, start, poses[chosen])) or start if len(chosen) else start, spent
 
@@ -203,13 +203,13 @@ def composition(
     Raises:
         InputError: the limit does not suffice for one tag, or the objective has no selection.
     """
-    tag, plates = scene.tag, scene.plates
-    edges, stock = np.array(tag.edges), stock_of_sizes(tag, plates, tag.limit or 0.0)
+    tag, footprints = scene.tag, scene.footprints
+    edges, stock = np.array(tag.edges), stock_of_sizes(tag, footprints, tag.limit or 0.0)
     evaluator = Evaluator(scene.sized(edges), threads=threads)
     relevance = scene.room.relevance.weights(evaluator.positions)
     hung = None if fixed is None else replace(fixed, edges=fixed.edges_of(tag))
-    poses = candidates(plates, edges, GRID_SPACING)
-    chosen, _ = select(selectable(objective).selection(evaluator, relevance), poses, stock, plates, fixed=hung)
+    poses = candidates(footprints, edges, GRID_SPACING)
+    chosen, _ = select(selectable(objective).selection(evaluator, relevance), poses, stock, footprints, fixed=hung)
     if not len(chosen):
         least = float(stock.prices(poses).min())
         if tag.budget is not None:
@@ -219,9 +219,9 @@ def composition(
     return tuple(int((found == edge).sum()) for edge in edges)
 
 
-def stock_of_sizes(tag: Tag, plates: Plates, limit: float) -> Stock:
+def stock_of_sizes(tag: Tag, footprints: Footprints, limit: float) -> Stock:
     """Tags of any edge of `tag` with a limit of cost if it has a budget, or of paper, square metres."""
     if tag.budget is None:
-        return Limited(limit, lambda poses: plates.papers(poses) ** 2)
+        return Limited(limit, lambda poses: footprints.papers(poses) ** 2)
     costs = dict(zip(tag.edges or (), tag.costs or (), strict=True))  # a budget comes with both
     return Limited(limit, lambda poses: np.array([costs[edge] for edge in poses.edges_of(tag).tolist()]))

@@ -88,7 +88,7 @@ def deployment(name: str, state: Mapping[str, Any], problem: Problem, count: int
     Raises:
         InputError: `state` is not one, or of another room.
     """
-    last = len(problem.scene.plates.hanging.surfaces()) - 1
+    last = len(problem.scene.footprints.hanging.surfaces()) - 1
     surfaces = array(f"{name}.surfaces", state["surfaces"], np.int64, count, low=0, high=last)
     normals = array(f"{name}.normals", state["normals"], np.float64, count, 3, low=-1.5, high=1.5)
     return Deployment(points(f"{name}.positions", state["positions"], problem, count), normals, surfaces)

@@ -2,7 +2,7 @@
 
 The recording is cut into blocks of time. Every so many-th block is held out: nothing is optimised on it, and
 `lmd.evaluation.validation` scores a deployment there, at the poses exactly as recorded. The others say where the camera
-is (`lmd.space.visited`) and how it looks there (`lmd.scene.by_position`).
+is (`lmd.space.changed`) and how it looks there (`lmd.scene.by_position`).
 """
 
 import math
@@ -16,8 +16,8 @@ from lmd.core.checks import BoolArray, FloatArray, InputError, IntArray, check_f
 from lmd.scene.by_position import pdf_by_position
 from lmd.scene.pdf import OrientationPdf
 from lmd.scene.trajectory_files import TrajectoryFile
+from lmd.space.changed import Visited
 from lmd.space.space import Space
-from lmd.space.visited import Visited
 
 
 @dataclass(frozen=True)

@@ -152,16 +152,6 @@ def rig_of(camera: Camera | Rig) -> Rig | None:
     return camera if isinstance(camera, Rig) else None
 
 
-def cameras_of(camera: Camera | Rig) -> tuple[Camera, ...]:
-    """The camera, or those of a rig."""
-    return camera.cameras if isinstance(camera, Rig) else (camera,)
-
-
-def extrinsics_of(camera: Camera | Rig) -> FloatArray:
-    """Poses of the cameras in the frame that moves, `(C, 4, 4)`: that of the rig's body, or of the only camera."""
-    return camera.extrinsics if isinstance(camera, Rig) else np.eye(4)[None]
-
-
 class Station(NamedTuple):
     """A place of a camera: its offset from the body's origin, `(3,)`, world frame, metres.
 

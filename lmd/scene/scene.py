@@ -10,9 +10,9 @@ import numpy as np
 from lmd.core.checks import FloatArray, InputError
 from lmd.core.memory import check_views
 from lmd.geometry.camera import Camera
+from lmd.scene.footprints import Footprints
 from lmd.scene.pdf import OrientationPdf, Orientations
-from lmd.scene.plates import Plates
-from lmd.scene.rig import Rig, Station, cameras_of, extrinsics_of, rig_of
+from lmd.scene.rig import Rig, Station, rig_of
 from lmd.scene.tag import Tag
 from lmd.space.space import Space
 
@@ -100,14 +100,14 @@ class Scene:
             raise InputError(f"of {count} landmarks the sizes are not known: there are {len(self.edges)} edges.")
 
     @cached_property
-    def plates(self) -> Plates:
+    def footprints(self) -> Footprints:
         """The papers of the tags, and where they may hang."""
-        return Plates(self.room, self.tag)
+        return Footprints(self.room, self.tag)
 
     @property
     def spacing(self) -> float:
         """How far apart neighbouring landmarks had better be, metres."""
-        return max(self.visibility.spacing, self.plates.edge)
+        return max(self.visibility.spacing, self.footprints.edge)
 
     @property
     def rig(self) -> Rig | None:
@@ -117,12 +117,12 @@ class Scene:
     @property
     def cameras(self) -> tuple[Camera, ...]:
         """The camera, or those of the rig."""
-        return cameras_of(self.camera)
+        return self.camera.cameras
 
     @property
     def extrinsics(self) -> FloatArray:
-        """See `extrinsics_of`."""
-        return extrinsics_of(self.camera)
+        """Poses of the cameras in the frame that moves, `(C, 4, 4)`: that of the rig's body, or of the only camera."""
+        return self.camera.extrinsics
 
     def single_camera(self, what: str) -> Camera:
         """The only camera, for what does not know of rigs.

@@ -15,8 +15,7 @@ from lmd.scene.extrinsics import read_mount
 from lmd.scene.rig import OPTICAL
 from lmd.scene.trajectory_readers import read_rows
 from lmd.scene.trajectory_rows import Rows, steep
-from lmd.space.inside import check_positions
-from lmd.space.space import Space
+from lmd.space.space import Space, check_positions
 
 # From the camera's axes (x right, y down, z the optical axis) to those that an orientation is about.
 FRAMES = {"optical": np.eye(3), "body": OPTICAL}
@@ -114,7 +113,7 @@ class TrajectoryFile:
         """The trajectory, which must lie inside a room.
 
         Args:
-            check: of `lmd.space.inside`.
+            check: of `lmd.space.space`.
 
         Raises:
             InputError: it does not; the message says how far, and what may help.

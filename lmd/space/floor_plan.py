@@ -11,8 +11,7 @@ from lmd.core.checks import BoolArray, FloatArray, InputError, real
 from lmd.space.allowed import polygons
 from lmd.space.blockers import Blockers
 from lmd.space.fixture import Fixture
-from lmd.space.keep_out import all_keep_outs
-from lmd.space.parts import FACES, Obstacle, all_made, check_metres, checked_band, checked_names
+from lmd.space.parts import FACES, Obstacle, all_keep_outs, all_made, check_metres, checked_band, checked_names
 from lmd.space.polygon import checked_ring, edges, on_hull, planes, upright_bodies
 from lmd.space.surface import PLACEMENT_TOLERANCE, Surface, free_of
 
@@ -65,7 +64,7 @@ class FloorPlan:
         }
         for name, value in checked.items():
             object.__setattr__(self, name, value)
-        object.__setattr__(self, "keep_out", all_keep_outs(self.keep_out, list(self._faces), self._seen_before))
+        object.__setattr__(self, "keep_out", all_keep_outs(self.keep_out, list(self._faces)))
         object.__setattr__(self, "band", checked_band(self.band, low=0.0, high=self.height))
         self._check_parts()
         if self.surfaces is not None:
@@ -233,13 +232,6 @@ class FloorPlan:
         parts = [np.array(part.coords) for part in shapely.get_parts(free) if not part.is_empty]
         ends = [np.sort((part - before[:2]) @ face.u[:2]) for part in parts]
         return polygons(shapely.union_all([shapely.box(line[0], 0.0, line[-1], up) for line in ends]))
-
-    def _seen_before(self, name: str, at: FloatArray) -> FloatArray:
-        """Places (a, b) as one stands before a face: earlier versions counted a from the first vertex of a wall."""
-        face = self._faces[name]
-        if name.startswith("hole_"):  # seen from outside of it, its first vertex is on the left
-            return at
-        return np.array([face.extent[0], 0.0]) + at * [-1.0, 1.0] if name.startswith("wall_") else face.seen(at)
 
 
 def _covered(face: Surface, obstacle: Obstacle) -> Any:

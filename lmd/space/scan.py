@@ -13,11 +13,9 @@ from lmd.space.allowed import eroded, polygons, spread, trapezoids
 from lmd.space.fixture import Fixture
 from lmd.space.gravity import LEVEL_NORMAL_Z, STOREY, doubt_of
 from lmd.space.interior import Interior
-from lmd.space.keep_out import KeepOut, all_keep_outs
 from lmd.space.mesh_file import Y_UP, Mesh, read_mesh
-from lmd.space.on_patch import grown, lying_on, standing_on
-from lmd.space.parts import checked_band, checked_names
-from lmd.space.patches import UNEVEN, areas_of, flat_parts, plane_of, surface_of
+from lmd.space.parts import KeepOut, all_keep_outs, checked_band, checked_names
+from lmd.space.patches import UNEVEN, areas_of, flat_parts, grown, lying_on, plane_of, standing_on, surface_of
 from lmd.space.surface import PLACEMENT_TOLERANCE, Surface, free_of
 from lmd.space.triangles import Triangles, unit_normals
 
@@ -79,8 +77,7 @@ class Scan:
             raise InputError(f"up must be given for {self.path!r}: {doubt}", "up")
         if self.surfaces is not None:
             object.__setattr__(self, "surfaces", checked_names("surfaces", self.surfaces, list(self._patches)))
-        # Patches are as they are seen, so here earlier versions measured as this one does.
-        object.__setattr__(self, "keep_out", all_keep_outs(self.keep_out, list(self._patches), lambda _, at: at))
+        object.__setattr__(self, "keep_out", all_keep_outs(self.keep_out, list(self._patches)))
         for i, part in enumerate(self.keep_out):
             corners = self._corners[self._patches[part.surface]]
             part.check_on(f"keep_out[{i}]", surface_of("", corners, plane_of(corners)[0]).extent)

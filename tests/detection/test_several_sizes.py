@@ -6,7 +6,7 @@ import pytest
 
 from lmd.detection.detectors import ArucoDetector
 from lmd.detection.frames import overlapping, qualities, tagged_room
-from lmd.estimation.tags import observation
+from lmd.estimation.sensors import observation
 from lmd.evaluation.maps import Hung
 from lmd.geometry.camera import Camera
 from lmd.geometry.se3 import camera_pose

@@ -17,8 +17,8 @@ from lmd.mapping.symbols import draw_fixture, draw_opening
 from lmd.mapping.tag_map import TagMap
 from lmd.scene.deployment import Deployment
 from lmd.scene.deployment_sources import UniformDeployment
+from lmd.scene.footprints import Footprints
 from lmd.scene.labels import Labels
-from lmd.scene.plates import Plates
 from lmd.scene.tag import Tag
 from lmd.space.cuboid import Cuboid
 from lmd.space.fixture import KINDS
@@ -190,7 +190,7 @@ def lab():
         surfaces=[f"wall_{i}" for i in range(6)],
     )
     source = UniformDeployment(16)
-    return TagMap(room, Tag(0.1), Plates(room, Tag(0.1)).draw(source, np.random.default_rng(0)))
+    return TagMap(room, Tag(0.1), Footprints(room, Tag(0.1)).draw(source, np.random.default_rng(0)))
 
 
 def test_tags_are_hung_from_the_left_around_the_room():

@@ -20,8 +20,8 @@ from lmd.mapping.paper import PAPERS
 from lmd.mapping.sheets import check_sheets, describe_sheets, write_sheets
 from lmd.mapping.tag_map import TagMap
 from lmd.scene.deployment_sources import RandomDeployment, UniformDeployment
+from lmd.scene.footprints import Footprints
 from lmd.scene.labels import Labels
-from lmd.scene.plates import Plates
 from lmd.scene.tag import Tag
 from lmd.space.cuboid import Cuboid
 
@@ -260,7 +260,7 @@ def test_each_size_has_its_own_sheets(tmp_path):
 
 
 def test_the_same_sheets_are_the_same_bytes(tmp_path):
-    room = Plates(ROOM, Tag(0.1, quiet_zone=0.0))
+    room = Footprints(ROOM, Tag(0.1, quiet_zone=0.0))
     deployment = room.draw(RandomDeployment(5), np.random.default_rng(0))
     for name in ("one", "two"):
         write_sheets(tmp_path / name, TagMap(ROOM, Tag(0.08), deployment), "a4")

@@ -13,7 +13,7 @@ from lmd.core.checks import InputError
 from lmd.optimisers.encoding import make_encoding
 from lmd.scene.deployment import Deployment
 from lmd.scene.deployment_sources import RandomDeployment, UniformDeployment
-from lmd.scene.plates import Plates
+from lmd.scene.footprints import Footprints
 from lmd.scene.tag import Tag
 from lmd.space.mesh_room import from_mesh
 from lmd.space.scan import Scan
@@ -23,12 +23,12 @@ HEIGHT = {"height": [0.5, 1.9], "clearance": 0.3}
 
 def starts(room, edge, rng):
     """Deployments as optimisers start from them, and as they decode them."""
-    plates = Plates(room, Tag(edge, quiet_zone=0.0))
+    footprints = Footprints(room, Tag(edge, quiet_zone=0.0))
     for source in (RandomDeployment(40), RandomDeployment(40), UniformDeployment(8)):
-        yield plates.draw(source, rng)
-    encoding = make_encoding("wall", plates.hanging, True)
+        yield footprints.draw(source, rng)
+    encoding = make_encoding("wall", footprints.hanging, True)
     genes = rng.random((1, 20 * encoding.genes_per_landmark))
-    positions, normals, surfaces, _ = plates.pushed(*encoding.decode(genes), np.full(20, np.nan))
+    positions, normals, surfaces, _ = footprints.pushed(*encoding.decode(genes), np.full(20, np.nan))
     yield Deployment(positions[0], normals[0], surfaces[0])
 
 

@@ -23,7 +23,7 @@ from lmd.core.checks import FloatArray, IntArray
 from lmd.core.compiled import inner, kernel
 from lmd.core.layers import layer
 from lmd.incremental.field import Places, accept, bound, lead, placed, settle, smoothed, total_worth, undo
-from lmd.optimisers.annealing.moves import Footprints, Settings, exchange, gather, overlap, pair_up, propose
+from lmd.optimisers.annealing.moves import FootprintArrays, Settings, exchange, gather, overlap, pair_up, propose
 from lmd.space.surface import SurfaceArrays
 
 # Relative safety margin of the bound on a gain: exp may fall by a rounding error or two where its argument rises.
@@ -133,7 +133,7 @@ def walk(
     scratches: Any,
     target: Any,
     surfaces: SurfaceArrays,
-    footprints: Footprints,
+    footprints: FootprintArrays,
     settings: Settings,
     rng: np.random.Generator,
     best: Best,

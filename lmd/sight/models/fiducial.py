@@ -1,4 +1,4 @@
-"""When a real detector sees a fiducial tag: its pitch, its size in the image, its corners, and plates in the way.
+"""When a real detector sees a fiducial tag: its pitch, its size in the image, its corners, and footprints in the way.
 
 Fitted to what ArUco and AprilTag found in renderings of some 60,000 single tags: it predicts them in 95 to 96 % of
 cases, and the probability of seeing at least n tags in whole rooms to 0.02. A tag is seen if
@@ -9,7 +9,7 @@ cases, and the probability of seeing at least n tags in whole rooms to 0.02. A t
   disc at the depth of its centre;
 - the square of the same area in the image has an edge of at least `edge` pixels;
 - the corners of its black square lie in the rectangular image, at least `margin` pixels from its border;
-- no other plate covers its centre or a corner of its black square. Plates are squares of paper, quiet zone included.
+- no other footprint covers its centre or a corner of its black square. Footprints include the quiet zone.
 
 Let (u, v, w) be the tag's centre in the camera's frame and t, s its right and up there. Metres in its plane become
 pixels by J, whose columns are, for t and likewise for s, (f_u (t_u - t_w u / w) / w, f_v (t_v - t_w v / w) / w). The
@@ -94,7 +94,7 @@ class Fiducial:
 
     @property
     def spacing(self) -> float:
-        """See `Criteria.spacing`: plates side by side."""
+        """See `Criteria.spacing`: footprints side by side."""
         return self.tag.paper_edge
 
     def sized(self, edges: tuple[float, ...]) -> "Fiducial":
@@ -135,7 +135,7 @@ class Fiducial:
             reach=(tag.paper_edge + tag.size) ** 2 / 2.0 * (1.0 + TOLERANCE),
             facing=math.cos(math.radians(limits.incidence)) - TOLERANCE,
             half=tag.size / 2.0,
-            plate=tag.paper_edge / 2.0 * (1.0 + TOLERANCE),
+            footprint=tag.paper_edge / 2.0 * (1.0 + TOLERANCE),
             level=VERTICAL_TOLERANCE,
             left=left + TOLERANCE,
             right=right + TOLERANCE,

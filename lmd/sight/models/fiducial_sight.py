@@ -33,7 +33,7 @@ from lmd.sight.obstacles import half_edge
 NEWTON_STEPS = 3
 # Bounds of depths are wider by this, far more than they are rounded.
 MARGIN = 1e-6
-SIZED = ("half", "plate", "area", "sharp", "blurred")  # fields of `FiducialSight` that depend on a tag's size
+SIZED = ("half", "footprint", "area", "sharp", "blurred")  # fields of `FiducialSight` that depend on a tag's size
 
 
 Column = float | FloatArray
@@ -56,7 +56,7 @@ class FiducialSight(NamedTuple):
     """Cosine of the greatest incidence."""
     half: Column
     """Half the edge of the black square, metres."""
-    plate: Column
+    footprint: Column
     """Half the edge of the paper, metres."""
     level: float
     """See `lmd.geometry.squares.upright`."""
@@ -103,12 +103,12 @@ class FiducialSight(NamedTuple):
         return self._replace(reach=-1.0)
 
     def among(self, low: FloatArray, high: FloatArray, landmarks: FloatArray, normals: FloatArray) -> "FiducialSight":
-        """See `Sight.among`: flush plates of a convex room never hide each other."""
+        """See `Sight.among`: flush footprints of a convex room never hide each other."""
         return self if may_hide(self, self.horizon, low, high, landmarks, normals) else self.unhidden()
 
     def shrunk(self, size: float) -> "FiducialSight":
         """See `Sight.shrunk`."""
-        return self._replace(plate=self.plate * size)
+        return self._replace(footprint=self.footprint * size)
 
 
 def of_sizes(sights: Sequence[FiducialSight]) -> FiducialSight:
@@ -121,7 +121,7 @@ def of_sizes(sights: Sequence[FiducialSight]) -> FiducialSight:
 @sized.register(FiducialSight)
 def _sized(sight, k):  # type: ignore[no-untyped-def]
     return FiducialSight(
-        sight.outer_cosine, sight.inset, sight.reach, sight.facing, entry(sight.half, k), entry(sight.plate, k),
+        sight.outer_cosine, sight.inset, sight.reach, sight.facing, entry(sight.half, k), entry(sight.footprint, k),
         sight.level, sight.left, sight.right, sight.top, sight.bottom, sight.focal_u, sight.focal_v,
         entry(sight.area, k), entry(sight.sharp, k), entry(sight.blurred, k), sight.defocus, sight.focus,
         sight.in_focus,
@@ -256,7 +256,7 @@ def _in_view(sight, x, y, z, sine, cosine, ax, ay, az, rx, ry, rz):  # type: ign
 
 @inner
 def _hides(sight, half, ax, ay, az, nx, ny, nz, bx, by, bz, mx, my, mz):  # type: ignore[no-untyped-def]
-    """Whether plate A with normal n hides the centre or a corner of B with normal m and `half` an edge."""
+    """Whether footprint A with normal n hides the centre or a corner of B with normal m and `half` an edge."""
     height = -(nx * ax + ny * ay + nz * az)
     tx, ty, tz, ux, uy, uz = upright_axes(nx, ny, nz, sight.level)
     rx, ry, rz, sx, sy, sz = upright_axes(mx, my, mz, sight.level)
@@ -271,7 +271,7 @@ def _hides(sight, half, ax, ay, az, nx, ny, nz, bx, by, bz, mx, my, mz):  # type
             share = height / (height - side)
             qx, qy, qz = share * cx - ax, share * cy - ay, share * cz - az
             along, across = abs(tx * qx + ty * qy + tz * qz), abs(ux * qx + uy * qy + uz * qz)
-            if along <= sight.plate and across <= sight.plate:
+            if along <= sight.footprint and across <= sight.footprint:
                 return True
     return False
 
@@ -296,7 +296,7 @@ def _hide(sight, other, ax, ay, az, a, bx, by, bz, b, ux, uy, uz, vx, vy, vz):  
 def may_hide(
     sight: FiducialSight, horizon: float, low: FloatArray, high: FloatArray, landmarks: FloatArray, normals: FloatArray
 ) -> bool:
-    """False only if all cameras are in front of all plates, and no corner is behind a plate within the `horizon`.
+    """False only if all cameras are in front of all footprints, and no corner is behind one within the `horizon`.
 
     The other arguments are those of `Sight.among`.
     """

@@ -1,9 +1,9 @@
-"""Plates: the papers that tags are printed on. They hang wholly on their surface, and never overlap.
+"""Footprints: the squares that the papers of tags take up. They lie wholly on their surface, and never overlap.
 
-Tags hang upright (`lmd.geometry.squares.upright`), so their papers are squares along the u and v of their surface: two
-do not overlap exactly if their centres are at least an edge apart along u or along v. Landmarks that are points have no
-plates, and nothing here changes them. Tags that are tilted or hang on no surface are not looked at: only a file has
-such.
+Tags hang upright (`lmd.geometry.squares.upright`), so footprints are squares along the u and v of their surface: two do
+not overlap if, and only if, their centres are at least half the sum of their edges apart along u or along v. Points
+have no footprints, and nothing here changes them. Tags that are tilted or hang on no surface, which only files have,
+are left out.
 """
 
 from dataclasses import dataclass, replace
@@ -23,8 +23,8 @@ from lmd.space.surface import FILE_TOLERANCE, SurfaceArrays
 
 
 @dataclass(frozen=True)
-class Plates:
-    """The plates of the tags in a room.
+class Footprints:
+    """The footprints of the tags in a room.
 
     Args:
         room: the room.
@@ -44,7 +44,7 @@ class Plates:
         """The room with what the centres of the smallest tags may use of its surfaces.
 
         Raises:
-            InputError: a surface is narrower than a plate.
+            InputError: a surface is narrower than a footprint.
         """
         return self.inset(self.edge)
 
@@ -63,7 +63,7 @@ class Plates:
         """What the centres of tags on papers with this edge, metres, may use; coordinates are those of `hanging`.
 
         Raises:
-            InputError: a surface is narrower than a plate.
+            InputError: a surface is narrower than a footprint.
         """
         if paper == self.edge:
             return self._surfaces
@@ -102,15 +102,15 @@ class Plates:
     def hung(self, fixed: Deployment, beside: DeploymentSource) -> Deployment:
         """Landmarks that hang already, with their surfaces.
 
-        They were measured by hand: what stands a little before or behind a surface has that one, and its plate is in
-        the way there.
+        They were measured by hand: a tag a little before or behind a surface belongs to it, and its footprint is taken
+        there.
 
         Args:
             beside: where the others come from. If these are taken as they are (`FileDeployment.free`), so are those.
 
         Raises:
-            InputError: one lies outside the room, hangs on no surface or faces into its own, or plates overlap or are
-                not wholly on their surface.
+            InputError: one lies outside the room, hangs on no surface or faces into its own, or footprints overlap or
+                are not wholly on their surface.
         """
         with said_of("fixed", "fixed"):
             hung = fixed.hung(self.room, as_they_are(beside), self.papers(fixed))
@@ -123,7 +123,7 @@ class Plates:
         return hung
 
     def draw(self, source: DeploymentSource, rng: np.random.Generator, fixed: Deployment | None = None) -> Deployment:
-        """A deployment from `source` whose plates hang properly; a random one is pushed apart.
+        """A deployment from `source` whose footprints hang properly; a random one is pushed apart.
 
         What a file has is taken as it is if it says so, see `FileDeployment.free`.
 
@@ -133,7 +133,8 @@ class Plates:
                 of their way.
 
         Raises:
-            InputError: the source cannot be drawn from, or plates overlap, are not wholly on their surface or too many.
+            InputError: the source cannot be drawn from, or footprints overlap, are not wholly on their surface or too
+                many.
         """
         placed = not isinstance(source, FileDeployment | GivenDeployment)
         drawn = source.draw(self.room if isinstance(source, FileDeployment) else self.hanging, rng, self.tag)
@@ -164,7 +165,7 @@ class Plates:
         return drawn
 
     def check(self, deployment: Deployment) -> None:
-        """Raise `InputError` if plates overlap or are not wholly on their surface; landmarks know their surfaces."""
+        """Raise `InputError` if footprints overlap or are not wholly on the surfaces that the landmarks name."""
         if not self.edge:
             return
         flat = np.flatnonzero(self._lies_flat(deployment.normals, deployment.surfaces))
@@ -192,7 +193,7 @@ class Plates:
             )
 
     def apart(self, deployment: Deployment, size: float = 1.0, fixed: int = 0) -> Deployment | None:
-        """The deployment with plates pushed apart, None where there is no room for all; see `pushed`."""
+        """The deployment with footprints pushed apart, None where there is no room for all; see `pushed`."""
         parts = deployment.positions[None], deployment.normals[None], deployment.surfaces[None]
         positions, normals, surfaces, fits = self.pushed(*parts, deployment.edges, size, fixed)
         apart = replace(deployment, positions=positions[0], normals=normals[0], surfaces=surfaces[0])
@@ -207,9 +208,9 @@ class Plates:
         size: float = 1.0,
         fixed: int = 0,
     ) -> tuple[FloatArray, FloatArray, IntArray, BoolArray]:
-        """Deployments whose plates are pushed apart, one after the other; what hangs properly stays as it is.
+        """Deployments whose footprints are pushed apart, one after the other; what hangs properly stays as it is.
 
-        A plate that overlaps one before it goes to the nearest free place on its surface, and if there is none to one
+        A footprint that overlaps an earlier one is moved to the nearest free place on its surface, or else to one
         on the next surface that has. The largest come first. Deterministic, so that a search may work with the places
         before the push.
 
@@ -219,7 +220,7 @@ class Plates:
             positions, normals: `(B, K, 3)`, flush.
             surfaces: `(B, K)`.
             edges: `(K,)`, see `Deployment.edges`.
-            size: of the plates, as a share of their true size.
+            size: of the footprints, as a share of their true size.
             fixed: number of landmarks at the beginning that stay where they are.
 
         Returns:
@@ -248,7 +249,7 @@ class Plates:
         return positions, normals, surfaces, fits
 
     def touched(self, poses: Deployment, pose: Deployment) -> BoolArray:
-        """Which of the poses the plate of the one `pose` leaves no room for, `(N,)`; all know their surfaces."""
+        """Which of the poses the footprint of the one `pose` leaves no room for, `(N,)`; all know their surfaces."""
         s, surface = self._surfaces, poses.surfaces
         away = s.coordinates(surface, poses.positions) - s.coordinates(surface, pose.positions)
         near = np.abs(away).max(axis=1) < (self.papers(poses) + self.papers(pose)) / 2.0 * (1.0 - TOUCHING)

@@ -21,7 +21,7 @@ from lmd.run import evaluate, optimise
 from lmd.scene import pdf
 from lmd.scene.deployment import Deployment
 from lmd.scene.deployment_sources import FileDeployment, RandomDeployment, UniformDeployment
-from lmd.scene.plates import Plates
+from lmd.scene.footprints import Footprints
 from lmd.scene.scene import Scene
 from lmd.scene.tag import Tag
 from lmd.sight.models.fiducial import Fiducial
@@ -42,7 +42,7 @@ def problem_of(start, visibility=None, sampling=None):
 
 
 def overlaps(deployment, room, edge):
-    """By brute force: pairs on one surface that overlap, and plates that are not wholly on theirs."""
+    """By brute force: pairs on one surface that overlap, and footprints that are not wholly on theirs."""
     found, edge = [], np.broadcast_to(edge, len(deployment))
     for s, surface in enumerate(room.surfaces()):
         on = np.flatnonzero(deployment.surfaces == s)
@@ -62,16 +62,16 @@ def overlaps(deployment, room, edge):
 
 @examples(60)
 @given(room=rooms(), edge=st.floats(0.02, 0.5), count=st.integers(1, 30), seed=seeds)
-def test_plates_are_pushed_apart_or_there_is_no_room(room, edge, count, seed):
-    plates, rng = Plates(room, Tag(edge, quiet_zone=0.0)), np.random.default_rng(seed)
-    drawn = RandomDeployment(count).draw(plates.hanging, rng)
-    apart = plates.apart(drawn)
+def test_footprints_are_pushed_apart_or_there_is_no_room(room, edge, count, seed):
+    footprints, rng = Footprints(room, Tag(edge, quiet_zone=0.0)), np.random.default_rng(seed)
+    drawn = RandomDeployment(count).draw(footprints.hanging, rng)
+    apart = footprints.apart(drawn)
     if apart is None:
-        assert count > plates.capacity(edge) / 4  # squares anywhere block at most four places of a lattice
+        assert count > footprints.capacity(edge) / 4  # squares anywhere block at most four places of a lattice
         return
     assert not overlaps(apart, room, edge)
-    plates.check(apart)
-    again = plates.apart(apart)
+    footprints.check(apart)
+    again = footprints.apart(apart)
     np.testing.assert_array_equal(again.positions, apart.positions)
     np.testing.assert_array_equal(room.surfaces_of(apart.positions, apart.normals) >= 0, True)
 
@@ -84,36 +84,36 @@ def test_plates_are_pushed_apart_or_there_is_no_room(room, edge, count, seed):
     fixed=st.integers(0, 3),
     seed=seeds,
 )
-def test_plates_of_several_sizes_are_pushed_apart(room, edges, count, fixed, seed):
-    plates = Plates(room, Tag(0.3, quiet_zone=0.5, edges=edges))
-    drawn = RandomDeployment(count).draw(plates.hanging, np.random.default_rng(seed), plates.tag)
-    papers = plates.papers(drawn)
+def test_footprints_of_several_sizes_are_pushed_apart(room, edges, count, fixed, seed):
+    footprints = Footprints(room, Tag(0.3, quiet_zone=0.5, edges=edges))
+    drawn = RandomDeployment(count).draw(footprints.hanging, np.random.default_rng(seed), footprints.tag)
+    papers = footprints.papers(drawn)
     np.testing.assert_allclose(papers[: len(edges)], 1.125 * np.array(edges)[:count])
-    apart = plates.apart(drawn)
+    apart = footprints.apart(drawn)
     if apart is None:
         assert (papers**2).sum() > sum(surface.area for surface in room.surfaces()) / 16
         return
     assert not overlaps(apart, room, papers)
-    plates.check(apart)
+    footprints.check(apart)
     np.testing.assert_array_equal(apart.edges, drawn.edges)
-    again = plates.apart(apart)
+    again = footprints.apart(apart)
     np.testing.assert_array_equal(again.positions, apart.positions)
     # Those that hang already stay, and the others make room for them, too.
     fixed = min(fixed, count)
     stays = apart[:fixed] + drawn if fixed else drawn
-    if (beside := plates.apart(stays, fixed=fixed)) is not None:
+    if (beside := footprints.apart(stays, fixed=fixed)) is not None:
         np.testing.assert_array_equal(beside.positions[:fixed], apart.positions[:fixed])
-        assert not overlaps(beside, room, plates.papers(beside))
-    taken = plates.touched(apart, apart[:1])
+        assert not overlaps(beside, room, footprints.papers(beside))
+    taken = footprints.touched(apart, apart[:1])
     assert taken.tolist() == [True] + [False] * (count - 1)
 
 
 def test_a_plate_goes_to_the_nearest_free_place():
     room = paper_room()
-    plates, wall = Plates(room, Tag(0.3, quiet_zone=0.0)), room.surfaces()[0]
+    footprints, wall = Footprints(room, Tag(0.3, quiet_zone=0.0)), room.surfaces()[0]
     at = np.array([[2.0, 2.0], [2.1, 2.05], [2.2, 2.0], [1.0, 1.0]])
     start = Deployment(wall.point(*at.T), np.tile(wall.normal, (4, 1)), np.zeros(4, dtype=int))
-    found = plates.apart(start)
+    found = footprints.apart(start)
     np.testing.assert_allclose(
         np.stack(wall.coordinates(found.positions), axis=1), [[2.0, 2.0], [2.3, 2.05], [2.3, 1.75], [1.0, 1.0]]
     )
@@ -123,10 +123,10 @@ def test_a_plate_goes_to_the_nearest_free_place():
 def test_points_are_left_alone():
     scene = paper_scene()
     drawn = RandomDeployment(90).draw(scene.room, np.random.default_rng(0))
-    assert scene.plates.hanging is scene.room
-    np.testing.assert_array_equal(scene.plates.apart(drawn).positions, drawn.positions)
+    assert scene.footprints.hanging is scene.room
+    np.testing.assert_array_equal(scene.footprints.apart(drawn).positions, drawn.positions)
     stacked = Deployment(drawn.positions[[0, 0]], drawn.normals[[0, 0]], drawn.surfaces[[0, 0]])
-    scene.plates.check(stacked)
+    scene.footprints.check(stacked)
 
 
 STARTS = [RandomDeployment(40), UniformDeployment(40)]
