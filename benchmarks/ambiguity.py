@@ -164,7 +164,7 @@ def deviation(camera: Camera, poses: FloatArray, edge: float, shifts: tuple[floa
         offset = shift * RIGHT - poses[:, :3, 3]
         depth = (poses[:, :3, 2] * offset).sum(axis=1)
         numbers += np.array(moments(*offset.T, *(half * RIGHT.T), *(half * UP.T), 1.0)) / depth**3
-    value, fixed = variance(*numbers)
+    value, fixed = variance(numbers, 0, 1)
     return np.where(fixed, deviation_per_variance(camera, NOISE) * np.sqrt(value), np.inf)
 
 

@@ -109,12 +109,12 @@ class Problem:
 
     @property
     def fixed_count(self) -> int:
-        """How many of the K landmarks hang already."""
+        """Number of landmarks, of K, that are fixed."""
         return 0 if self.fixed is None else len(self.fixed)
 
     @property
     def free_count(self) -> int:
-        """How many of the K landmarks are to be placed."""
+        """Number of landmarks, of K, that are to be placed."""
         return self.count - self.fixed_count
 
     @property
@@ -156,7 +156,7 @@ class Problem:
         return self.scene.footprints.apart(replace(deployment, edges=self.edges), size, self.fixed_count)
 
     def labelled(self, deployment: Deployment) -> Deployment:
-        """What an optimiser made of the start: its k-th landmark keeps what that of the start is called, and its edge.
+        """The deployment that an optimiser made of the start: landmark k keeps its label and its edge.
 
         What stays where it was keeps what was measured of it, too.
         """
@@ -176,7 +176,7 @@ class Problem:
         return self._values(self.evaluator, deployment)
 
     def _values(self, evaluator: Evaluator, deployment: Deployment) -> FloatArray:
-        """The same at the positions of an evaluator, by the edges that the deployment has."""
+        """The objective's value at each position of an evaluator, for the edges of the deployment."""
         sized, landmarks = evaluator.sized(deployment.edges), (deployment.positions[None], deployment.normals[None])
         return np.asarray(self.objective.values(sized, *landmarks)[0])
 
@@ -205,7 +205,7 @@ class Problem:
         return evaluator, np.tile(self.relevance, repeats)
 
     def settings(self) -> Mapping[str, Any]:
-        """What the figures of `metrics` depend on, for the record; None for what is infinite, as JSON has no such."""
+        """Settings that the figures of `metrics` depend on, for the record; infinite numbers are None, as in JSON."""
         scene = self.scene
         return {
             "objective": type(self.objective).__name__,

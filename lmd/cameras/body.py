@@ -44,7 +44,7 @@ class Box:
         object.__setattr__(self, "faces", checked_names("faces", self.faces, FACES) if self.faces else ())
 
     def surfaces(self) -> list[Surface]:
-        """The faces that may carry cameras, whole; for whoever stands before one, u runs to the right and v up.
+        """The faces that may carry cameras, whole; seen from outside, u runs to the right and v up.
 
         On top and bottom v runs forward.
         """
@@ -144,7 +144,7 @@ class Body:
         return float(self._met(centre, rays).mean())
 
     def _met(self, centre: FloatArray, rays: FloatArray) -> BoolArray:
-        """Which rays meet a box, `(R,)`."""
+        """Mask of the rays that meet a box, `(R,)`."""
         low, high = self.corners
         with np.errstate(divide="ignore", invalid="ignore"):
             ends = np.stack([(low - centre) / rays[:, None], (high - centre) / rays[:, None]])

@@ -9,8 +9,7 @@ from typing import Protocol, Self
 import numpy as np
 
 from lmd.core.checks import BoolArray, FloatArray, InputError, IntArray
-from lmd.core.moments import in_order
-from lmd.core.tables import Table, read_table
+from lmd.core.tables import Table, in_order, read_table
 from lmd.detection.detectors import Detector
 from lmd.detection.frames import blur
 from lmd.geometry.camera import Camera

@@ -16,8 +16,8 @@ from lmd.core.tables import write_table
 from lmd.evaluation.validation import Sample, sampled_evaluators
 from lmd.objectives.base import Objective
 from lmd.objectives.localisation import Localisation
+from lmd.objectives.localisation.evaluation import localised_views
 from lmd.objectives.localisation.information import deviation_per_variance
-from lmd.objectives.localisation.views import localised_views
 from lmd.problem import Problem
 from lmd.scene.deployment import Deployment
 from lmd.sight.evaluator import Evaluator, averaged

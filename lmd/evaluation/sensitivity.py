@@ -23,11 +23,10 @@ from lmd.evaluation.validation import Sample, sampled_evaluators
 from lmd.incremental.counts import counts_of
 from lmd.incremental.field import in_order
 from lmd.incremental.move import overlook
+from lmd.objectives.coverage import Mean
 from lmd.objectives.localisation import Localisation
+from lmd.objectives.localisation.evaluation import localised_views
 from lmd.objectives.localisation.field import LocalisationField
-from lmd.objectives.localisation.move import localisation_state
-from lmd.objectives.localisation.objective import Mean
-from lmd.objectives.localisation.views import localised_views
 from lmd.objectives.without import without_landmarks
 from lmd.problem import Problem
 from lmd.scene.deployment import Deployment
@@ -244,7 +243,7 @@ def missed_shares(field: LocalisationField, deployment: Deployment, rng: np.rand
     sets = np.stack([[packed(draw < share) for share in MISS_PROBABILITIES] for draw in draws], axis=1)
     for share, missed in zip(MISS_PROBABILITIES, sets, strict=True):
         overlook(missed, cover, known)
-        state = localisation_state(field, known)
+        state = field.state_with(known)
         enough = binom.sf(cover.n - 1, np.arange(len(deployment) + 1), 1.0 - share)
         drawn = (units[places].mean() / PROBABILITY_ONE for units in (state.located, known.units))
         located, sampled = drawn

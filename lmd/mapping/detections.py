@@ -10,8 +10,7 @@ import numpy as np
 
 from lmd.core.checks import BoolArray, FloatArray, InputError, IntArray
 from lmd.core.files import read_text
-from lmd.core.moments import in_order, time_of
-from lmd.core.tables import COMMENT, read_table, write_table
+from lmd.core.tables import COMMENT, in_order, read_table, time_of, write_table
 from lmd.detection.detectors import Detections
 from lmd.scene.calibration_files import PIXEL_CENTRE
 

@@ -6,8 +6,7 @@ from typing import Any
 import numpy as np
 
 from lmd.core.checks import InputError
-from lmd.core.moments import time_of
-from lmd.core.tables import read_table
+from lmd.core.tables import read_table, time_of
 from lmd.mapping.detections import CAMERAS, TIMES, DetectedTags
 
 NAME = "images"

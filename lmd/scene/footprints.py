@@ -60,7 +60,7 @@ class Footprints:
         return SurfaceArrays.of(self.hanging.surfaces())
 
     def surfaces_of(self, paper: float) -> SurfaceArrays:
-        """What the centres of tags on papers with this edge, metres, may use; coordinates are those of `hanging`.
+        """Surfaces for the centres of tags on papers with this edge, metres, in the coordinates of `hanging`.
 
         Raises:
             InputError: a surface is narrower than a footprint.
@@ -75,7 +75,7 @@ class Footprints:
         return self._others[paper]
 
     def pieces_of(self, papers: FloatArray) -> tuple[FloatArray, IntArray]:
-        """Where tags on papers of S sizes, `(S,)` metres, may hang: pieces `(T, 6)`, and `first` `(S, W + 1)` of them.
+        """Pieces `(T, 6)` for tags on papers of S sizes, `(S,)` metres, and the `first` `(S, W + 1)` of each surface.
 
         See `SurfaceArrays`.
         """
@@ -93,7 +93,7 @@ class Footprints:
         return self.tag.paper_share * deployment.edges_of(self.tag)
 
     def capacity(self, paper: float) -> float:
-        """How many papers with this edge, metres, fit at most: in rows and columns no fewer than in any other way."""
+        """Maximum number of papers with this edge, metres: squares in rows and columns are the densest packing."""
         if not paper:
             return np.inf
         extent = self.surfaces_of(paper).extent
@@ -249,20 +249,20 @@ class Footprints:
         return positions, normals, surfaces, fits
 
     def touched(self, poses: Deployment, pose: Deployment) -> BoolArray:
-        """Which of the poses the footprint of the one `pose` leaves no room for, `(N,)`; all know their surfaces."""
+        """Mask of the poses whose footprint overlaps that of the single `pose`, `(N,)`; all know their surfaces."""
         s, surface = self._surfaces, poses.surfaces
         away = s.coordinates(surface, poses.positions) - s.coordinates(surface, pose.positions)
         near = np.abs(away).max(axis=1) < (self.papers(poses) + self.papers(pose)) / 2.0 * (1.0 - TOUCHING)
         return np.asarray(near & (surface == pose.surfaces))
 
     def _lies_flat(self, normals: FloatArray, surfaces: IntArray) -> BoolArray:
-        """Which tags `(K,)` lie flat on a surface."""
+        """Mask of the tags that lie flat on a surface, `(K,)`."""
         deviation = np.linalg.norm(normals - self._surfaces.normal[surfaces], axis=1)
         return np.asarray((surfaces >= 0) & (deviation <= FLUSH))
 
 
 def as_they_are(source: DeploymentSource) -> bool:
-    """Whether landmarks from `source` hang wherever they do."""
+    """True if landmarks from `source` are taken as they are."""
     return isinstance(source, FileDeployment) and source.free
 
 

@@ -7,13 +7,13 @@ from lmd.space.allowed import allows, nearest
 
 # Relative: papers that share an edge do not overlap, however their distance is rounded.
 TOUCHING = 1e-9
-# Footprints within so many edges are looked at first when one is pushed away.
+# Distance within which footprints are tried first when one is pushed away, in edges of the largest.
 NEARBY_EDGES = 3.0
 
 
 @inner
 def _is_free(k, a, b, s, surface, at, edge):  # type: ignore[no-untyped-def]
-    """Whether footprint k at (a, b) on surface s overlaps none of those before it."""
+    """True if footprint k at (a, b) on surface s overlaps none of those before it."""
     free = True
     for j in range(k):
         least = (edge[j] + edge[k]) / 2.0 * (1.0 - TOUCHING)
@@ -54,7 +54,7 @@ def _nearest_free(k, s, a, b, within, surface, at, pieces, start, stop, edge, li
 
 @kernel
 def push(fixed, surface, at, pieces, first, of, edge, moved):  # type: ignore[no-untyped-def]
-    """Push footprints at `at` `(K, 2)` on `surface` `(K,)` apart, in place, but for so many `fixed` at the beginning.
+    """Push footprints at `at` `(K, 2)` on `surface` `(K,)` apart, in place, but for the first `fixed`.
 
     Their papers have the edges `edge` `(K,)`. A footprint of the size `of[k]` may hang on surface s on the pieces from
     `first[of[k], s]` on. Marks those `moved`; whether all found room.

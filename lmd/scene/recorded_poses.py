@@ -1,6 +1,6 @@
-"""How the camera really moved: a recording of poses in place of a grid of positions and one orientation PDF.
+"""A recording of poses of the camera in place of a grid of positions and one orientation PDF.
 
-The recording is cut into blocks of time. Every so many-th block is held out: nothing is optimised on it, and
+The recording is cut into blocks of time. Each `held_out`-th block is held out: nothing is optimised on it, and
 `lmd.evaluation.validation` scores a deployment there, at the poses exactly as recorded. The others say where the camera
 is (`lmd.space.changed`) and how it looks there (`lmd.scene.by_position`).
 """
@@ -51,7 +51,7 @@ class RecordedPoses(TrajectoryFile):
         bandwidth: of the kernel in position, metres.
         direction_bandwidth: of the kernel in direction, degrees.
         divisions: orientations lie on a grid with the step 180 degrees / divisions.
-        held_out: every so many-th block is held out, at least 2; None for no block.
+        held_out: blocks of which the last is held out, at least 2; None to hold out none.
         block: length of a block, seconds.
 
     Raises:
@@ -93,12 +93,12 @@ class RecordedPoses(TrajectoryFile):
 
     @property
     def seen(self) -> Records:
-        """What a deployment is optimised on."""
+        """Records that a deployment is optimised on."""
         return self._records[~self._is_kept_back]
 
     @property
     def kept_back(self) -> Records:
-        """What is held out."""
+        """Records that are held out."""
         return self._records[self._is_kept_back]
 
     def visited(self, room: Space) -> Visited:
@@ -117,7 +117,7 @@ class RecordedPoses(TrajectoryFile):
         """The orientation PDF, which depends on the position.
 
         Raises:
-            InputError: there is not enough memory for so many records and orientations.
+            InputError: the records and orientations do not fit into memory.
         """
         seen, width = self.seen, math.radians(self.direction_bandwidth)
         return pdf_by_position(seen.poses, seen.seconds, self.bandwidth, width, self.divisions)

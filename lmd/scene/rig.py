@@ -109,7 +109,7 @@ class Rig:
 
     @property
     def needs_roll(self) -> bool:
-        """Whether the body's roll moves a camera or its optical axis."""
+        """True if the body's roll moves a camera or its optical axis."""
         return any(np.any(mount.translation[1:]) or np.any(mount.rotation[1:, 0]) for mount in self.mounts)
 
     @property
@@ -118,7 +118,7 @@ class Rig:
         return np.asarray(inverse(self.extrinsics[0]) @ self.extrinsics)
 
     def views(self, axes: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Where the cameras are and what they look at, for orientations of the body.
+        """Offsets and optical axes of the cameras for orientations of the body.
 
         Args:
             axes: the body's x axis, and right (-y), `(A, 6)`: two unit vectors in the world frame, see

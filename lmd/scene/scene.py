@@ -85,7 +85,7 @@ class Scene:
 
     @property
     def has_several_sizes(self) -> bool:
-        """Whether landmarks have edges of their own that differ."""
+        """True if the edges of landmarks differ."""
         return self.edges is not None and len(self.edges) > 1
 
     def check_one_size(self, what: str) -> None:
@@ -106,7 +106,7 @@ class Scene:
 
     @property
     def spacing(self) -> float:
-        """How far apart neighbouring landmarks had better be, metres."""
+        """Distance at which neighbouring landmarks neither hide each other nor overlap, metres."""
         return max(self.visibility.spacing, self.footprints.edge)
 
     @property
@@ -138,7 +138,7 @@ class Scene:
         return self.cameras[0]
 
     def stations(self, axes: FloatArray) -> Iterator[Station]:
-        """Where the cameras are for orientations of the camera, or of the body of a rig, `(A, 6)`."""
+        """Places of the cameras for orientations of the camera, or of the body of a rig, `(A, 6)`."""
         if self.rig is not None:
             yield from self.rig.stations(axes)
         else:

@@ -13,9 +13,8 @@ from lmd.cameras.mounts import MountSpace
 from lmd.cameras.problem import CameraProblem
 from lmd.core.checks import InputError
 from lmd.objectives.base import AtLeast
-from lmd.objectives.coverage import Coverage
+from lmd.objectives.coverage import Coverage, MeanCoverage
 from lmd.objectives.localisation import Localisation
-from lmd.objectives.mean_coverage import MeanCoverage
 from lmd.objectives.sampling import Sampling
 from lmd.optimisers.checkpoint import Checkpoint
 from lmd.optimisers.ledger import Budget

@@ -11,7 +11,7 @@ from test_fiducial import LENSES, fiducial_scene
 
 from lmd.objectives.localisation import Localisation
 from lmd.objectives.localisation import reference as localisation
-from lmd.objectives.localisation.views import localised_views
+from lmd.objectives.localisation.evaluation import localised_views
 from lmd.scene import pdf
 from lmd.scene.criteria import sized
 from lmd.scene.deployment_sources import RandomDeployment

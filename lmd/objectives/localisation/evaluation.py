@@ -1,65 +1,90 @@
-"""The fast exact path: views localised at each position, compiled with numba.
+"""Counts and information of whole deployments: P_n and L at each position, the compiled path that counts exactly.
 
-Landmarks covered are counted as in `lmd.sight.kernels`, by the same operations. Then, for the views that cover enough,
-the landmarks' numbers (`information`, `ambiguity`) are summed, and the sums decide. Threads share the positions.
+Landmarks covered are counted as in `lmd.sight.kernels`, by the same operations. For the views that cover enough, the
+landmarks' numbers (`information`, `ambiguity`) are summed, and the sums decide. Threads share the positions. Rigs are
+evaluated by `rig`: a loop for each orientation, as each camera is elsewhere for every one of them.
 """
+
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from lmd.core.bits import BITS, LANES, ONE, ZERO, add_digit, at_least, lowest
-from lmd.core.compiled import inlined, kernel
-from lmd.geometry.squares import upright_sides
-from lmd.objectives.localisation.ambiguity import count_tag, tells, told_apart
-from lmd.objectives.localisation.information import WIDTH, half_of, meets, moments, share_of, variance
+from lmd.core.bits import BITS, LANES, ONE, ZERO, Integer, add_digit, at_least, lowest
+from lmd.core.checks import FloatArray, IntArray
+from lmd.core.compiled import kernel
+from lmd.objectives.localisation.ambiguity import has_one_pose
+from lmd.objectives.localisation.information import WIDTH, Precision, meets, share_of, variance
+from lmd.objectives.localisation.reference import reference_views
+from lmd.objectives.localisation.rig import rig_views
+from lmd.objectives.localisation.views import VIEW, landmark_moments
 from lmd.scene.criteria import covering, covers, frame_of, pixel_density, sized
+from lmd.sight.evaluator import Evaluator
 from lmd.sight.kernels import weights_row
 from lmd.sight.obstacles import is_clear, no_ends
+from lmd.sight.poses import CHUNKS_PER_THREAD
 from lmd.sight.viewpoint import gather_near, list_shown, look, take, viewpoint_for
 
 
-@inlined
-def landmark_moments(x, y, z, nx, ny, nz, precision, k):
-    """The `moments` of landmark k, upright at offset (x, y, z) with the unit normal (nx, ny, nz)."""
-    rx, ry, rz, ux, uy, uz = upright_sides(half_of(precision, k), nx, ny, nz)
-    return moments(x, y, z, rx, ry, rz, ux, uy, uz, precision.share)
+class ViewValues(NamedTuple):
+    """Values of the views of B deployments at P positions."""
+
+    covered: IntArray
+    """`(B, P)` P_n in integer units."""
+    localised: IntArray
+    """`(B, P)` L in integer units."""
+    variances: FloatArray
+    """`(B, P, D)` variance of the position, infinite where fewer than n landmarks are covered or two poses look alike;
+    empty unless it is kept."""
 
 
-@inlined
-def meets_row(precision, sums, v):
-    """`meets` and `tells` with the sums of view v in `sums` `(V, WIDTH)`."""
-    within = meets(
-        precision, sums[v, 0], sums[v, 1], sums[v, 2], sums[v, 3], sums[v, 4], sums[v, 5], sums[v, 6], sums[v, 7],
-        sums[v, 8], sums[v, 9], sums[v, 10], sums[v, 11], sums[v, 12], sums[v, 13], sums[v, 14],
-    )  # fmt: skip
-    return within & tells(precision, sums[v, 15])
+def localised_views(
+    evaluator: Evaluator,
+    positions: FloatArray,
+    normals: FloatArray,
+    n: int,
+    precision: Precision,
+    keep: bool = False,
+) -> ViewValues:
+    """Evaluate deployments; the number of threads changes no value. Of a rig, a view has the images of all cameras.
 
-
-@inlined
-def variance_of_row(precision, sums, v):
-    """`variance` with the sums of view v in `sums` `(V, WIDTH)`, infinite where something is open."""
-    value, fixed = variance(
-        sums[v, 0], sums[v, 1], sums[v, 2], sums[v, 3], sums[v, 4], sums[v, 5], sums[v, 6], sums[v, 7],
-        sums[v, 8], sums[v, 9], sums[v, 10], sums[v, 11], sums[v, 12], sums[v, 13], sums[v, 14],
-    )  # fmt: skip
-    return value if fixed & tells(precision, sums[v, 15]) else np.inf
+    Args:
+        evaluator: the scene.
+        positions, normals: `(B, K, 3)` landmarks of B deployments.
+        n: landmarks that must be covered.
+        precision: the least information of a localised view.
+        keep: True to return the variances.
+    """
+    e, batch, size = evaluator, len(positions), len(evaluator.positions)
+    if keep:
+        e.check_memory(8 * batch)
+    if e.by_reference:
+        return ViewValues(*reference_views(e, positions, normals, n, precision, keep))
+    if e.parts:
+        return ViewValues(*rig_views(e, positions, normals, n, precision, keep))
+    covered, localised = np.zeros((2, batch, size), dtype=np.int64)
+    values = ViewValues(covered, localised, np.empty((batch, size, e.axes.shape[1]) if keep else (0, 0, 0)))
+    digits = max(positions.shape[1], n, 2).bit_length()
+    fixed = (*e.batch(positions, normals), n, digits, precision, precision.asks, *values, keep)
+    e.by_blocks(_localise_range, fixed, CHUNKS_PER_THREAD)
+    return values
 
 
 @kernel
-def localise_range(
-    first, last, order, positions, landmarks, normals, sight, horizon, obstacles, axes, bands, tables, weights, n,
-    places, precision, asks, covered, localised, variances, keep,
-):  # fmt: skip
+def _localise_range(
+    first: Integer, last: Integer, order: IntArray, positions: FloatArray, landmarks: FloatArray, normals: FloatArray,
+    sight: Any, horizon: float, obstacles: Any, axes: FloatArray, bands: Any, tables: Any, weights: IntArray,
+    n: Integer, places: Integer, precision: Precision, asks: bool, covered: IntArray, localised: IntArray,
+    variances: FloatArray, keep: bool,
+) -> None:  # fmt: skip
     """Evaluate deployments at the positions `order[first:last]`.
 
     Args:
         first, last, order, positions, landmarks, normals, sight, horizon, obstacles, axes, bands, tables, weights, n:
             see `kernels.evaluate_range`.
         places: binary digits of a number of landmarks.
-        precision: what is asked of a view, see `information`.
-        asks: whether it asks anything.
-        covered, localised: `(B, P)` int64, receive P_n and L in integer units.
-        variances: `(B, P, D)`, receives `variance`, infinite where fewer than n are covered or two poses look alike, if
-            `keep` is set.
+        precision, asks: least information of a localised view, and whether it asks for any.
+        covered, localised, variances: see `ViewValues`.
+        keep: whether `variances` are written.
     """
     words, poses, names = (
         np.uint64(axes.shape[1] // BITS),
@@ -73,7 +98,8 @@ def localise_range(
     bottom, top, shown, directions = view.bottom, view.top, view.shown, view.near[3:]
     caps, digits = np.empty((len(names), words), dtype=np.uint64), np.empty((words, np.uint64(places)), dtype=np.uint64)
     enough, listed = np.empty(words, dtype=np.uint64), np.empty(axes.shape[1], dtype=np.uint64)
-    moment, sums = np.zeros(WIDTH), np.empty((axes.shape[1], WIDTH))
+    moment, sums, several = np.zeros(WIDTH), np.empty((axes.shape[1], WIDTH)), np.empty(words, dtype=np.uint64)
+    flat = sums.reshape(-1)
     # A number that the compiler does not know, or it would unroll loops over it and not vectorise them.
     terms = np.uint64(WIDTH + landmarks.shape[1] - 3)
     for b in range(landmarks.shape[0]):
@@ -119,14 +145,15 @@ def localise_range(
             total, useful, row_of = np.int64(0), np.uint64(0), weights_row(weights, p)
             for i in range(words):
                 enough[i] = has = at_least(digits[i], n)
+                several[i] = at_least(digits[i], 2)
                 while has:
                     a = i * np.uint64(BITS) + lowest(has)
                     has &= has - ONE
                     total += weights[row_of, a]
                     listed[useful] = a
                     useful += ONE
-                    for j in range(terms):
-                        sums[a, j] = 0.0
+                    for t in range(terms):
+                        sums[a, t] = 0.0
             covered[b, p] = localised[b, p] = total
             if not asks and not keep:
                 continue
@@ -134,27 +161,29 @@ def localise_range(
                 k = shown[m]
                 xk, yk, zk = x[k], y[k], z[k]
                 nx, ny, nz = near[3, k], near[4, k], near[5, k]
-                (
-                    moment[0], moment[1], moment[2], moment[3], moment[4], moment[5], moment[6], moment[7],
-                    moment[8], moment[9], moment[10], moment[11], moment[12], moment[13], moment[14],
-                ) = landmark_moments(xk, yk, zk, nx, ny, nz, precision, who[k])  # fmt: skip
-                moment[15] = told_apart(precision, half_of(precision, who[k]), xk, yk, zk, nx, ny, nz)
+                landmark_moments(xk, yk, zk, nx, ny, nz, precision, who[k], moment)
                 for i in range(np.uint64(bottom[k]), np.uint64(top[k])):
                     left = caps[k, i] & enough[i]
                     while left:
                         a = i * np.uint64(BITS) + lowest(left)
                         left &= left - ONE
                         weight = pixel_density(sight, xk, yk, zk, axes, a)
-                        for j in range(terms):
-                            sums[a, j] += share_of(moment[j], weight)
-                        count_tag(precision, sums, a, 1.0)
+                        for t in range(terms):
+                            sums[a, t] += share_of(moment[t], weight)
             if asks:
                 total = np.int64(0)
                 for m in range(useful):
-                    total += weights[row_of, listed[m]] if meets_row(precision, sums, listed[m]) else 0
+                    a, start = listed[m], listed[m] * np.uint64(WIDTH)
+                    one_pose = several[a // VIEW] >> a % VIEW & ONE != ZERO
+                    one_pose |= has_one_pose(precision.residual, flat, start, ONE)
+                    total += weights[row_of, a] if meets(precision, flat, start, ONE) & one_pose else 0
                 localised[b, p] = total
             if keep:
-                for a in range(np.uint64(variances.shape[2])):
-                    variances[b, p, a] = np.inf
+                for i in range(np.uint64(variances.shape[2])):
+                    variances[b, p, i] = np.inf
                 for m in range(useful):
-                    variances[b, p, listed[m]] = variance_of_row(precision, sums, listed[m])
+                    a, start = listed[m], listed[m] * np.uint64(WIDTH)
+                    one_pose = several[a // VIEW] >> a % VIEW & ONE != ZERO
+                    one_pose |= has_one_pose(precision.residual, flat, start, ONE)
+                    value, fixed = variance(flat, start, ONE)
+                    variances[b, p, a] = value if fixed & one_pose else np.inf
