@@ -12,6 +12,7 @@ from lmd.space.allowed import eroded, polygons, spread, trapezoids
 from lmd.space.fixture import Fixture
 from lmd.space.gravity import LEVEL_NORMAL_Z, STOREY, doubt_of
 from lmd.space.interior import Interior
+from lmd.space.mesh import Mesh
 from lmd.space.parts import KeepOut, all_keep_outs, checked_band, checked_names
 from lmd.space.patches import UNEVEN, areas_of, flat_parts, grown, lying_on, plane_of, standing_on, surface_of
 from lmd.space.surface import PLACEMENT_TOLERANCE, Surface, free_of
@@ -39,15 +40,11 @@ class Scan:
 
     Raises:
         InputError: the file is none of a room, it has no patch large enough, a name is not known, a keep-out reaches
-            beyond its patch, or `up` is not given and ambiguous.
+            beyond its patch, or the axis that points up is ambiguous.
     """
 
-    path: str | None
-    """Mesh file."""
-    scale: float = 1.0
-    """Metres per unit of the file."""
-    up: str | None = None
-    """Axis of the file that points up, `z` or `y`; None for that of its format, else z without contrary evidence."""
+    mesh: Mesh
+    """Triangles, z up; `lmd.formats.meshes.read_mesh` reads them from a file."""
     least_area: float = 0.1
     """Area of an upright square that must fit on a patch, square metres."""
     surfaces: Sequence[str] | None = None
@@ -79,7 +76,7 @@ class Scan:
 
     @property
     def doubt(self) -> str | None:
-        """Evidence that another axis than `up` points up; None without evidence."""
+        """Evidence that another axis of the file than `Mesh.up` points up; None without evidence."""
         return doubt_of(self.mesh, undecided=False)
 
     @cached_property
