@@ -164,7 +164,7 @@ def divide_paper(
     Raises:
         InputError: the limit is too small, or the objective cannot compare sizes.
     """
-    from lmd.optimisers.composition import composition
+    from lmd.optimisers.selection import composition
 
     made = scene.tag
     if made.limit is None or made.counts is not None or "count" not in node or "path" in node:

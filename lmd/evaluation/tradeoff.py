@@ -18,8 +18,7 @@ import pandas as pd
 from lmd.core.checks import FloatArray
 from lmd.evaluation.validation import Sample
 from lmd.objectives.base import selectable
-from lmd.optimisers.composition import stock_of_sizes
-from lmd.optimisers.selection import GRID_SPACING, ROUNDING, Tags, candidates, select
+from lmd.optimisers.selection import GRID_SPACING, ROUNDING, Tags, candidates, select, stock_of_sizes
 from lmd.problem import Problem
 from lmd.scene.deployment import Deployment
 from lmd.scene.deployment_sources import GivenDeployment

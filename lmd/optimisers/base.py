@@ -13,7 +13,7 @@ from typing_extensions import override
 from lmd.core.checks import FloatArray, InputError, seed_number
 from lmd.core.compiled import clock
 from lmd.core.memory import check_memory
-from lmd.optimisers.genome import LandmarkGenome
+from lmd.optimisers.encoding import LandmarkGenome
 from lmd.optimisers.ledger import Budget, Ledger, Record
 from lmd.optimisers.stored import array
 from lmd.problem import Genome, Problem

@@ -1,11 +1,11 @@
 """Lazy greedy selection of poses from a grid on the surfaces.
 
-What is climbed is an objective's `selection`, a monotone submodular stand-in. Adding the pose of the largest gain, one
-after the other, comes within 1 - 1/e of the best choice of poses for it. Gains only ever shrink, which is what makes
-the lazy variant (Minoux 1978) exact: a pose needs evaluating again only while its last known gain is the largest.
+Selection climbs the `selection` of an objective, a monotone submodular surrogate. Adding the pose of the largest gain,
+one after the other, reaches 1 - 1/e of the best choice of poses. Gains never rise, so the lazy variant (Minoux 1978) is
+exact: a pose is evaluated again only while its last known gain is the largest.
 
-Where tags have several sizes, a candidate is a pose and a size, and what is left of a size says whether it may still be
-chosen. Where only the paper or the cost of all is given, candidates compete by their gain per square metre or cost.
+Where tags have several sizes, a candidate is a pose and a size, and may be chosen while tags of its size are left.
+Where only the paper or the cost of all tags is limited, candidates compete by their gain per square metre or cost.
 """
 
 import operator
@@ -16,41 +16,40 @@ from typing import Protocol
 
 import numpy as np
 
-from lmd.core.checks import BoolArray, FloatArray
-from lmd.objectives.base import Selection, selectable
+from lmd.core.checks import BoolArray, FloatArray, InputError, IntArray
+from lmd.objectives.base import Objective, Selection, selectable
 from lmd.problem import Problem
 from lmd.scene.deployment import Deployment
 from lmd.scene.deployment_sources import POINT
 from lmd.scene.footprints import Footprints
+from lmd.scene.scene import Scene
 from lmd.scene.tag import Tag
+from lmd.sight.evaluator import Evaluator
 from lmd.sight.poses import candidate_poses
 
-GAINS_BATCH = 32  # poses whose gains are brought up to date together
-GRID_SPACING = 0.25  # of the grid of poses, metres
-ROUNDING = 1e-9  # relative: paper that is used up to a rounding error
+GAINS_BATCH = 32  # poses whose gains are evaluated together
+GRID_SPACING = 0.25  # spacing of the grid of poses, metres
+ROUNDING = 1e-9  # relative tolerance of a limit
 
 
 class Stock(Protocol):
-    """What there is to hang."""
+    """Landmarks that can be chosen."""
 
     def prices(self, poses: Deployment) -> FloatArray:
-        """What each pose takes of it, `(N,)`: gains are divided by that."""
+        """Price of each pose, `(N,)`, by which its gain is divided."""
 
     def none_left(self, poses: Deployment, chosen: Sequence[int]) -> BoolArray:
-        """For which of the poses nothing is left after those `chosen`, `(N,)`."""
+        """Poses for which nothing is left after those `chosen`, `(N,)`."""
 
 
 @dataclass(frozen=True)
 class Tags:
-    """A number of landmarks of each size.
-
-    Args:
-        sizes: edges of the landmarks, `(K,)`, metres; zeros for points.
-        tag: what hangs at poses without an edge of their own.
-    """
+    """A number of landmarks of each size."""
 
     sizes: FloatArray
+    """Edges of the landmarks, `(K,)`, metres; zeros for points."""
     tag: Tag
+    """Tag at poses without an edge of their own."""
 
     def prices(self, poses: Deployment) -> FloatArray:
         """See `Stock.prices`."""
@@ -65,10 +64,12 @@ class Tags:
 
 @dataclass(frozen=True)
 class Limited:
-    """Tags of any size whose prices, square metres of paper or costs, may be `total` in all."""
+    """Tags of any size with a limited total price."""
 
     total: float
+    """Limit, square metres of paper or cost."""
     prices_of: Callable[[Deployment], FloatArray]
+    """Returns the price of each pose, `(N,)`."""
 
     def prices(self, poses: Deployment) -> FloatArray:
         """See `Stock.prices`."""
@@ -80,11 +81,6 @@ class Limited:
         return np.asarray(prices > self.total * (1.0 + ROUNDING) - prices[list(chosen)].sum())
 
 
-def stock_of(problem: Problem) -> Stock:
-    """The landmarks that a problem has to place."""
-    return Tags(problem.free_sizes, problem.scene.tag)
-
-
 def select(
     selection: Selection,
     poses: Deployment,
@@ -92,15 +88,15 @@ def select(
     footprints: Footprints | None = None,
     allowance: float = np.inf,
     fixed: Deployment | None = None,
-) -> tuple[np.ndarray, int]:
-    """Choose some of the `poses`, each at most once, and none whose footprint would overlap another's.
+) -> tuple[IntArray, int]:
+    """Choose some of the `poses`, each at most once, with footprints that do not overlap.
 
     Args:
-        selection: what is climbed, with nothing chosen yet.
+        selection: function that is climbed, with nothing chosen yet.
         poses: N candidates.
-        stock: what there is to hang, or the number of points.
+        stock: landmarks that can be chosen, or the number of points.
         footprints: of the tags; None for landmarks that are points.
-        allowance: how many gains may be evaluated; fewer poses are chosen if it does not suffice.
+        allowance: largest number of gains to evaluate; fewer poses are chosen if it does not suffice.
         fixed: landmarks that are chosen before the first of the poses.
 
     Returns:
@@ -122,7 +118,7 @@ def select(
         fresh = np.zeros(len(poses), dtype=bool)
         while not fresh[best := int(np.argmax(known))]:
             stale = np.flatnonzero(~fresh & ~taken)
-            # At first nothing is known about any pose, afterwards a few at the top decide.
+            # At first all gains are unknown, afterwards only the few largest matter.
             batch = stale[np.argsort(-known[stale], kind="stable")[: GAINS_BATCH if chosen else len(poses)]]
             if spent + len(batch) > allowance:
                 return np.array(chosen, dtype=int), spent
@@ -135,7 +131,7 @@ def select(
 
 
 def add_each(selection: Selection, fixed: Deployment | None) -> None:
-    """Choose the landmarks that hang already, if there are any."""
+    """Choose the landmarks that hang already, if any."""
     if fixed is not None:
         for k in range(len(fixed)):
             selection.add(fixed[k : k + 1])
@@ -154,7 +150,7 @@ def candidates(footprints: Footprints, edges: FloatArray, spacing: float) -> Dep
 
 
 def _candidates_within(footprints: Footprints, edges: FloatArray, spacing: float, most: float) -> Deployment:
-    """`candidates`, coarsened until there are no more than `most`, or one of a size for each piece of a surface."""
+    """Make `candidates`, coarsened until they are at most `most`, or one of each size for each piece of a surface."""
     poses, widest = candidates(footprints, edges, spacing), max(max(wall.extent) for wall in footprints.room.surfaces())
     while len(poses) > most and spacing < widest:
         spacing *= 1.3
@@ -163,13 +159,13 @@ def _candidates_within(footprints: Footprints, edges: FloatArray, spacing: float
 
 
 def greedy_start(problem: Problem, start: Deployment, spacing: float, allowance: float) -> tuple[Deployment, int]:
-    """As many poses as an allowance pays for, chosen greedily; what it cannot pay for stays as in `start`.
+    """Choose landmarks greedily until an allowance is used up; the others stay as in `start`.
 
     Args:
         problem: its objective must have a selection.
         start: K landmarks, the fixed ones first.
-        spacing: of the grid of poses, metres; coarsened if the allowance could not pay for it.
-        allowance: how many gains may be evaluated.
+        spacing: of the grid of poses, metres; larger if the allowance does not suffice for the grid.
+        allowance: largest number of gains to evaluate.
 
     Returns:
         the deployment, and the number of gains evaluated.
@@ -177,15 +173,55 @@ def greedy_start(problem: Problem, start: Deployment, spacing: float, allowance:
     footprints = problem.scene.footprints
     poses = _candidates_within(footprints, problem.free_edges, spacing, allowance / 2)
     selection = selectable(problem.objective).selection(problem.fitness_evaluator, problem.fitness_relevance)
-    chosen, spent = select(selection, poses, stock_of(problem), footprints, allowance, problem.hung)
+    chosen, spent = select(
+        selection, poses, Tags(problem.free_sizes, problem.scene.tag), footprints, allowance, problem.hung
+    )
     return problem.apart(_in_place(problem, start, poses[chosen])) or start if len(chosen) else start, spent
 
 
 def _in_place(problem: Problem, start: Deployment, found: Deployment) -> Deployment:
-    """The landmarks of `start` with those `found` in place of the first free ones of each size."""
+    """Replace the first free landmarks of each size in `start` by those `found`."""
     new = found.edges_of(problem.scene.tag)
     for edge in np.unique(new):
         these = np.flatnonzero(new == edge)
         free = problem.fixed_count + np.flatnonzero(problem.free_sizes == edge)
         start = start.put(free[: len(these)], found[these])
     return Deployment(start.positions, start.normals, start.surfaces)
+
+
+def composition(
+    scene: Scene, objective: Objective, threads: int | None = None, fixed: Deployment | None = None
+) -> tuple[int, ...]:
+    """Number of tags of each edge of a scene's tag, chosen by greedy selection by gain per price.
+
+    Args:
+        scene: its tag has several edges, and a limit of paper or cost.
+        objective: the objective, which has a selection.
+        threads: worker threads, all processors by default; the result does not depend on it.
+        fixed: landmarks that hang already, with their surfaces.
+
+    Raises:
+        InputError: the limit does not suffice for one tag, or the objective has no selection.
+    """
+    tag, footprints = scene.tag, scene.footprints
+    edges, stock = np.array(tag.edges), stock_of_sizes(tag, footprints, tag.limit or 0.0)
+    evaluator = Evaluator(scene.sized(edges), threads=threads)
+    relevance = scene.room.relevance.weights(evaluator.positions)
+    hung = None if fixed is None else replace(fixed, edges=fixed.edges_of(tag))
+    poses = candidates(footprints, edges, GRID_SPACING)
+    chosen, _ = select(selectable(objective).selection(evaluator, relevance), poses, stock, footprints, fixed=hung)
+    if not len(chosen):
+        least = float(stock.prices(poses).min())
+        if tag.budget is not None:
+            raise InputError(f"budget = {tag.budget:g} is too little for a tag: it costs {least:.3g}.", "budget")
+        raise InputError(f"paper = {tag.paper:g} square metres is too little for a tag: it takes {least:.3g}.", "paper")
+    found = poses.edges[chosen]
+    return tuple(int((found == edge).sum()) for edge in edges)
+
+
+def stock_of_sizes(tag: Tag, footprints: Footprints, limit: float) -> Stock:
+    """Tags of any edge of `tag` with a limit of cost if it has a budget, or of paper, square metres."""
+    if tag.budget is None:
+        return Limited(limit, lambda poses: footprints.papers(poses) ** 2)
+    costs = dict(zip(tag.edges or (), tag.costs or (), strict=True))  # a budget comes with both
+    return Limited(limit, lambda poses: np.array([costs[edge] for edge in poses.edges_of(tag).tolist()]))

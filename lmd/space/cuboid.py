@@ -9,6 +9,7 @@ from typing_extensions import override
 
 from lmd.core.checks import BoolArray, FloatArray, InputError, IntArray, check_fields, choice, vector
 from lmd.space.gridded import KINDS, Gridded, checked_spacing, grid_counts, kronecker
+from lmd.space.parts import box_surfaces
 from lmd.space.relevance import Relevance
 from lmd.space.surface import PLACEMENT_TOLERANCE, Surface, SurfaceArrays
 
@@ -134,18 +135,8 @@ class Cuboid(Gridded):
 @lru_cache
 def _walls(size: tuple[float, float, float]) -> dict[str, Surface]:
     """All six walls by name; cached, as a run needs them thousands of times."""
-    ex, ey, ez = np.eye(3)
-    zero = np.zeros(3)
-    lx, ly, lz = size
-    six = (
-        Surface("x_min", zero, ey, ez, ex, (ly, lz)),
-        Surface("x_max", lx * ex, ey, ez, 0.0 - ex, (ly, lz)),
-        Surface("y_min", zero, ex, ez, ey, (lx, lz)),
-        Surface("y_max", ly * ey, ex, ez, 0.0 - ey, (lx, lz)),
-        Surface("floor", zero, ex, ey, ez, (lx, ly)),
-        Surface("ceiling", lz * ez, ex, ey, 0.0 - ez, (lx, ly)),
-    )
-    return {wall.name: wall for wall in six}
+    walls = box_surfaces(np.zeros(3), np.array(size), WALLS, inwards=True)
+    return dict(zip(WALLS, walls, strict=True))
 
 
 def box_edges(low: FloatArray, high: FloatArray) -> FloatArray:

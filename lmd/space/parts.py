@@ -38,6 +38,23 @@ def box_text(lengths: Iterable[float]) -> str:
     return " x ".join(f"{length:.4g}" for length in lengths) + " m"
 
 
+def box_surfaces(low: FloatArray, high: FloatArray, names: Sequence[str], inwards: bool = False) -> list[Surface]:
+    """Faces of a box in the order of `FACES`, with normals outwards unless `inwards`."""
+    (lx, ly, lz), (ex, ey, ez) = (float(length) for length in high - low), np.eye(3)
+    sides = (
+        (low, ey, ez, 0.0 - ex, (ly, lz)),
+        (low + lx * ex, ey, ez, ex, (ly, lz)),
+        (low, ex, ez, 0.0 - ey, (lx, lz)),
+        (low + ly * ey, ex, ez, ey, (lx, lz)),
+        (low, ex, ey, 0.0 - ez, (lx, ly)),
+        (low + lz * ez, ex, ey, ez, (lx, ly)),
+    )
+    return [
+        Surface(name, origin, u, v, 0.0 - normal if inwards else normal, extent)
+        for name, (origin, u, v, normal, extent) in zip(names, sides, strict=True)
+    ]
+
+
 @dataclass(frozen=True)
 class Obstacle:
     """Box with sides along x, y and z, such as a rack, that blocks lines of sight and excludes the camera.
@@ -75,17 +92,8 @@ class Obstacle:
 
     def surfaces(self, name: str) -> dict[str, Surface]:
         """Faces by name, called `<name>_<face>`."""
-        low, high = np.array(self.low), np.array(self.high)
-        (lx, ly, lz), (ex, ey, ez) = (float(length) for length in high - low), np.eye(3)
-        sides = {
-            "x_min": (low, ey, ez, 0.0 - ex, (ly, lz)),
-            "x_max": (low + lx * ex, ey, ez, ex, (ly, lz)),
-            "y_min": (low, ex, ez, 0.0 - ey, (lx, lz)),
-            "y_max": (low + ly * ey, ex, ez, ey, (lx, lz)),
-            "bottom": (low, ex, ey, 0.0 - ez, (lx, ly)),
-            "top": (low + lz * ez, ex, ey, ez, (lx, ly)),
-        }
-        return {face: Surface(f"{name}_{face}", *sides[face]) for face in FACES}
+        names = [f"{name}_{face}" for face in FACES]
+        return dict(zip(FACES, box_surfaces(np.array(self.low), np.array(self.high), names), strict=True))
 
     def corners(self) -> FloatArray:
         """Corners, world frame, metres, `(8, 3)`."""
@@ -264,7 +272,8 @@ class KeepOut:
             return np.array(self.corners)
         assert self.from_left is not None
         assert self.from_below is not None
-        return _rectangle(*zip(self.from_left, self.from_below, strict=True))
+        (a, c), (b, d) = self.from_left, self.from_below
+        return np.array([(a, b), (c, b), (c, d), (a, d)])
 
     def region(self, face: Surface) -> Any:
         """Polygon of shapely in the coordinates of its surface."""
@@ -287,9 +296,3 @@ def all_keep_outs(values: Any, faces: Sequence[str]) -> tuple[KeepOut, ...]:
     for i, part in enumerate(parts):
         choice(f"keep_out[{i}].surface", part.surface, faces)
     return parts
-
-
-def _rectangle(low: Sequence[float], high: Sequence[float]) -> FloatArray:
-    """Vertices of a rectangle, counter-clockwise, `(4, 2)`."""
-    (a, b), (c, d) = low, high
-    return np.array([(a, b), (c, b), (c, d), (a, d)])

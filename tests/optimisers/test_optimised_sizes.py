@@ -17,12 +17,11 @@ from lmd.evaluation.selection_bound import selection_upper_bound
 from lmd.objectives.coverage import Coverage
 from lmd.optimisers.annealing import Annealing, Stage
 from lmd.optimisers.annealing.surrogate import Conditions, Surrogate
-from lmd.optimisers.composition import composition, stock_of_sizes
 from lmd.optimisers.greedy import Greedy, GreedyDeployment
 from lmd.optimisers.ledger import Budget
 from lmd.optimisers.milp import Milp
 from lmd.optimisers.random_search import RandomSearch
-from lmd.optimisers.selection import Tags, candidates, select
+from lmd.optimisers.selection import Tags, candidates, composition, select, stock_of_sizes
 from lmd.problem import Problem
 from lmd.scene import pdf
 from lmd.scene.deployment_sources import RandomDeployment
