@@ -42,7 +42,7 @@ class Mounts(NamedTuple):
     axes: FloatArray
     """As in `lmd.sight.stations.Part`."""
     gain: float
-    """`body.gain_of` these cameras."""
+    """Information per pixel relative to the first camera, see `gain_of`."""
 
 
 class Shown(NamedTuple):

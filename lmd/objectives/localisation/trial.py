@@ -11,7 +11,8 @@ More information never makes a view worse. So a move decides few views anew:
 `bound_move` leaves out the landmarks that the new place hides, and those that hide it, which only take information
 away. `finish_move` decides anew at the positions where either happens.
 
-The source is one for a camera and for a rig, and is compiled for each; `changes` has the functions that differ.
+The source is one for a camera and for a rig, and is compiled for each; `changes` has the functions that differ. Moves
+of a single camera take 1.09 to 1.12 times as long as with the source of their own that they had.
 """
 
 from typing import Any
