@@ -30,6 +30,7 @@ from lmd.core.checks import InputError
 from lmd.evaluation.bounds import Search, average_upper_bound
 from lmd.evaluation.validation import Sample, validation_metrics
 from lmd.export.exports import Format
+from lmd.formats import tag_maps
 from lmd.formats.tag_map import TagMap
 from lmd.objectives.coverage import Coverage
 from lmd.objectives.localisation import Localisation
@@ -38,7 +39,7 @@ from lmd.optimisers.ega import EGA
 from lmd.optimisers.greedy import Greedy
 from lmd.optimisers.ledger import Budget
 from lmd.problem import Problem
-from lmd.scene import pdf, tag_map_files
+from lmd.scene import pdf
 from lmd.scene.criteria import from_position, hide, in_image, in_view
 from lmd.scene.deployment_sources import RandomDeployment
 from lmd.scene.scene import Scene
@@ -195,7 +196,7 @@ def test_the_estimator_keeps_its_contract(guides):
 def test_the_format_keeps_its_contract(guides, tmp_path, monkeypatch):
     writer, reader = (of_path(guides / path) for path in ("lmd/formats/frames.py", READERS))
     form = eval("{" + block('"frames": Format(') + "}", {"Format": Format} | vars(writer))["frames"]
-    monkeypatch.setattr(tag_map_files, "READERS", reader.READERS)
+    monkeypatch.setattr(tag_maps, "READERS", reader.READERS)
     room, rng = paper_room(), np.random.default_rng(0)
     check_format(form, TagMap(room, Tag(0.2), tilted(RandomDeployment(5).draw(room, rng), rng)), tmp_path)
 
