@@ -16,15 +16,15 @@ import numpy as np
 
 from lmd.core.checks import FloatArray, InputError, IntArray
 from lmd.detection.corner_errors import CORNER_ERRORS, CornerErrors
+from lmd.formats.calibration_readers import read_cameras
+from lmd.formats.calibrations import calibrated_camera
+from lmd.formats.detections import DetectedTags, read_detections
+from lmd.formats.trajectories import TrajectoryFile
 from lmd.geometry.camera import Camera
 from lmd.geometry.se3 import act, exp, inverse, laid_over
 from lmd.geometry.trajectory import Trajectory
-from lmd.mapping.detections import DetectedTags, read_detections
-from lmd.scene.calibration_files import read_cameras
-from lmd.scene.camera_calibration import calibrated_camera
 from lmd.scene.tag import Tag
-from lmd.scene.trajectory_files import TrajectoryFile
-from lmd.survey.prior import Known
+from lmd.survey.prior import PriorKnowledge
 from lmd.survey.survey import Survey, survey
 
 HEADER = (
@@ -54,7 +54,7 @@ def row(seed: int, by: str, found: Survey, ids: IntArray, places: FloatArray, se
     print(f"| {' | '.join([str(seed), by, *counts, *text, beside, f'{seconds:.1f}'])} |", flush=True)
 
 
-def attempt(seed: int, by: str, known: Known, ids: IntArray, places: FloatArray, given: Given) -> None:
+def attempt(seed: int, by: str, known: PriorKnowledge, ids: IntArray, places: FloatArray, given: Given) -> None:
     """Map a drive, and print what came of it."""
     began = time.process_time()
     try:
@@ -78,10 +78,10 @@ def simulated(seeds: int, length: float, tags: int) -> None:
         odometry = drives.odometry(driven, rng)
         leaning = drives.odometry(driven, rng, lean=(0.01, 0.003))
         for by, known in (
-            ("images alone", Known(steady=False)),
-            ("constant velocity", Known()),
-            ("odometry", Known(odometry=odometry)),
-            ("odometry, 1 % and 3 mrad/m off", Known(odometry=leaning)),
+            ("images alone", PriorKnowledge(steady=False)),
+            ("constant velocity", PriorKnowledge()),
+            ("odometry", PriorKnowledge(odometry=odometry)),
+            ("odometry, 1 % and 3 mrad/m off", PriorKnowledge(odometry=leaning)),
         ):
             attempt(seed, by, known, np.arange(tags), driven.tags[:, :3, 3], given)
 
@@ -106,7 +106,7 @@ def thinned(folder: Path, edge: float, seeds: int) -> None:
     cameras = [calibrated_camera(path, next(iter(read_cameras(path))) or None)]
     detected = replace(every.of(np.flatnonzero(every.camera == 0)), cameras=every.cameras[:1])
     tag, errors = Tag(edge), CORNER_ERRORS["apriltag"]
-    whole = survey(detected, cameras, tag, errors, Known(steady=False))
+    whole = survey(detected, cameras, tag, errors, PriorKnowledge(steady=False))
     ids, places = whole.ids[whole.placed], whole.found.poses.tags[whole.placed, :3, 3]
     print(HEADER)
     for seed in range(seeds):
@@ -114,9 +114,9 @@ def thinned(folder: Path, edge: float, seeds: int) -> None:
         order = np.lexsort((rng.uniform(size=len(detected)), detected.frame))
         alone = detected.of(np.sort(order[np.flatnonzero(np.diff(detected.frame[order], prepend=-1))]))
         for by, known in (
-            ("images alone", Known(steady=False)),
-            ("constant velocity", Known()),
-            ("odometry", Known(odometry=drifting(folder, rng))),
+            ("images alone", PriorKnowledge(steady=False)),
+            ("constant velocity", PriorKnowledge()),
+            ("odometry", PriorKnowledge(odometry=drifting(folder, rng))),
         ):
             attempt(seed, by, known, ids, places, (alone, cameras, tag, errors))
 

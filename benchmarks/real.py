@@ -24,13 +24,12 @@ from scipy.spatial.transform import Rotation
 from lmd.core.checks import FloatArray
 from lmd.detection.corner_errors import CORNER_ERRORS
 from lmd.detection.detectors import AprilTagDetector, ArucoDetector
-from lmd.geometry.camera import Camera
+from lmd.formats.calibrations import Calibration, calibrated_camera
+from lmd.formats.detections import DetectedTags, read_detections
+from lmd.geometry.camera import PIXEL_CENTRE, Camera
 from lmd.geometry.pose import solutions
-from lmd.mapping.detections import DetectedTags, read_detections
-from lmd.scene.calibration_files import PIXEL_CENTRE
-from lmd.scene.camera_calibration import Calibration, calibrated_camera
 from lmd.scene.tag import Tag
-from lmd.survey.prior import Known
+from lmd.survey.prior import PriorKnowledge
 from lmd.survey.survey import survey
 
 ANGLES = (-60, -30, 30, 60)  # degrees, of the photographs of one tag that was turned
@@ -62,7 +61,7 @@ def by_lmd(recording: Recording, calibrate: bool | None = None) -> Map:
         recording.cameras,
         Tag(recording.edge, recording.family),
         CORNER_ERRORS[recording.detector],
-        Known(),
+        PriorKnowledge(),
         calibrate,
     )
     placed, sigma = np.flatnonzero(found.placed), found.found.sigmas

@@ -94,13 +94,13 @@ def compare(found: Path, true: Path) -> None:
 def aviary(folder: Path, boards: float | None, calibrate: bool | None) -> None:
     """Spacing of the tags on boards of 2 x 3, and the map beside TagSLAM's."""
     from lmd.detection.corner_errors import CORNER_ERRORS
-    from lmd.mapping.detections import read_detections
-    from lmd.scene.camera_calibration import calibrated_camera
+    from lmd.formats.calibrations import calibrated_camera
+    from lmd.formats.detections import read_detections
     from lmd.scene.tag import Tag
     from lmd.survey.boards import Boards
-    from lmd.survey.prior import Known
-    from lmd.survey.summary import to_text
+    from lmd.survey.prior import PriorKnowledge
     from lmd.survey.survey import survey
+    from lmd.survey.terminal import to_text
 
     ids = np.arange(6, 114)
     row, column = np.divmod((ids - 6) % 6, 3)
@@ -108,7 +108,7 @@ def aviary(folder: Path, boards: float | None, calibrate: bool | None) -> None:
     told = Boards(tuple(map(str, (ids - 6) // 6)), ids, places, boards) if boards else None
     camera, detected = calibrated_camera(str(folder / "cameras.yaml")), read_detections(folder / "detections.csv")
     began = time.process_time()
-    found = survey(detected, [camera], Tag(0.12), CORNER_ERRORS["apriltag"], Known(boards=told), calibrate)
+    found = survey(detected, [camera], Tag(0.12), CORNER_ERRORS["apriltag"], PriorKnowledge(boards=told), calibrate)
     print(f"{to_text(found)}\n{time.process_time() - began:.0f} s")
     hung = np.full((114, 3), np.nan)
     hung[found.ids[found.placed]] = found.found.poses.tags[found.placed, :3, 3]
@@ -147,18 +147,23 @@ def perch(folder: Path, calibrate: bool | None) -> None:
 
     from lmd.core.tables import read_table
     from lmd.detection.corner_errors import CORNER_ERRORS
+    from lmd.formats.calibrations import calibrated_camera
+    from lmd.formats.detections import read_detections
     from lmd.geometry.se3 import act, laid_over
-    from lmd.mapping.detections import read_detections
-    from lmd.scene.camera_calibration import calibrated_camera
     from lmd.scene.tag import Tag
-    from lmd.survey.prior import Known
-    from lmd.survey.summary import to_text
+    from lmd.survey.prior import PriorKnowledge
     from lmd.survey.survey import survey
+    from lmd.survey.terminal import to_text
 
     cameras = [calibrated_camera(str(folder / "cameras.yaml"), name) for name in ("cam0", "cam1")]
     began = time.process_time()
     found = survey(
-        read_detections(folder / "detections.csv"), cameras, Tag(0.16), CORNER_ERRORS["apriltag"], Known(), calibrate
+        read_detections(folder / "detections.csv"),
+        cameras,
+        Tag(0.16),
+        CORNER_ERRORS["apriltag"],
+        PriorKnowledge(),
+        calibrate,
     )
     print(f"{to_text(found)}\n{time.process_time() - began:.0f} s")
     table = read_table(folder / "reference_tf_last.csv", name="reference")
@@ -186,13 +191,13 @@ def halves(folder: Path, edge: float, every: int | None) -> None:
     The folder has `detections.csv`, and `cameras.yaml` with the cameras in the order of their names.
     """
     from lmd.detection.corner_errors import CORNER_ERRORS
+    from lmd.formats.calibration_readers import read_cameras
+    from lmd.formats.calibrations import calibrated_camera
+    from lmd.formats.detections import read_detections
     from lmd.geometry.se3 import act, laid_over
-    from lmd.mapping.detections import read_detections
-    from lmd.scene.calibration_files import read_cameras
-    from lmd.scene.camera_calibration import calibrated_camera
     from lmd.scene.tag import Tag
     from lmd.survey.keyframes import select_keyframes
-    from lmd.survey.prior import Known
+    from lmd.survey.prior import PriorKnowledge
     from lmd.survey.survey import survey
 
     detected, path = read_detections(folder / "detections.csv"), str(folder / "cameras.yaml")
@@ -208,7 +213,7 @@ def halves(folder: Path, edge: float, every: int | None) -> None:
         for half in (first, ~first):
             some = select_keyframes(detected.of(np.flatnonzero(half)), every)
             left_out += len(some.left_out)
-            maps.append(survey(some, cameras, Tag(edge), CORNER_ERRORS["apriltag"], Known(), calibrate))
+            maps.append(survey(some, cameras, Tag(edge), CORNER_ERRORS["apriltag"], PriorKnowledge(), calibrate))
         _, *index = np.intersect1d(*(one.ids[one.placed] for one in maps), return_indices=True)
         own = [np.flatnonzero(one.placed)[k] for one, k in zip(maps, index, strict=True)]
         here, there = (one.found.poses.tags[k, :3, 3] for one, k in zip(maps, own, strict=True))
@@ -232,14 +237,14 @@ def measure(frames: int, tags: int) -> None:
     import walks  # of the tests
 
     from lmd.scene.tag import Tag
-    from lmd.survey.prior import Known
+    from lmd.survey.prior import PriorKnowledge
     from lmd.survey.survey import survey
 
     rng = np.random.default_rng(0)
     hung = walks.hung(walks.wall_tags(tags, rng), rng)
     detected = walks.photographed(hung, walks.walk(frames, rng), rng)
     began = time.process_time()
-    found = survey(detected, [walks.CAMERA], Tag(walks.EDGE), walks.constant_errors(0.2), Known())
+    found = survey(detected, [walks.CAMERA], Tag(walks.EDGE), walks.constant_errors(0.2), PriorKnowledge())
     seconds, most = time.process_time() - began, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20
     print(f"{frames} frames, {found.placed.sum()} of {tags} tags: {seconds:.0f} s, {most:.2f} GiB")
 

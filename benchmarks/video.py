@@ -15,11 +15,11 @@ import numpy as np
 import walks  # of the tests
 
 from lmd.core.checks import FloatArray
+from lmd.formats.detections import DetectedTags
 from lmd.geometry.se3 import act, camera_pose, laid_over
-from lmd.mapping.detections import DetectedTags
 from lmd.scene.tag import Tag
 from lmd.survey.keyframes import select_keyframes
-from lmd.survey.prior import Known
+from lmd.survey.prior import PriorKnowledge
 from lmd.survey.survey import survey
 
 RATE, TAGS, SIGMA = 30, 24, 0.2
@@ -64,7 +64,7 @@ def main() -> None:
         detected = filmed(tags, given.seconds, correlated, rng)
         for every in (1, None):
             began, some = time.process_time(), select_keyframes(detected, every)
-            found = survey(some, [walks.CAMERA], Tag(walks.EDGE), walks.constant_errors(SIGMA), Known())
+            found = survey(some, [walks.CAMERA], Tag(walks.EDGE), walks.constant_errors(SIGMA), PriorKnowledge())
             took, placed = time.process_time() - began, np.flatnonzero(found.placed)
             here, there = found.found.poses.tags[placed, :3, 3], tags[found.ids[placed], :3, 3]
             off = np.linalg.norm(act(laid_over(here, there), here) - there, axis=1)

@@ -22,7 +22,7 @@ from .operations.signals import stop, tell
 from .operations.tracking import Tracker
 
 if TYPE_CHECKING:
-    from lmd.survey.survey import Stage
+    from lmd.survey.survey import SurveyStage
 
 CURVE_POINTS = 500  # points of the tracked curve of a whole run
 PATIENCE = 5.0  # time that an optimiser may take to end before a message, seconds
@@ -161,13 +161,13 @@ class Stages:
     """
 
     def __init__(self) -> None:
-        self.interrupted: Stage | None = None
-        self._now: tuple[Stage, int, int] | None = None
+        self.interrupted: SurveyStage | None = None
+        self._now: tuple[SurveyStage, int, int] | None = None
         self._began = 0.0
         self._ended = threading.Event()
         self._thread = threading.Thread(target=self._show, daemon=True)
 
-    def __call__(self, stage: "Stage", done: int = 0, most: int = 0) -> bool:
+    def __call__(self, stage: "SurveyStage", done: int = 0, most: int = 0) -> bool:
         """Note the stage, and return whether the survey is to stop; see `lmd.survey.survey.Observer`."""
         if stop.requested and self.interrupted is None and self._now is not None:
             self.interrupted = self._now[0]

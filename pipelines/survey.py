@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from lmd.scene.scene import Scene
     from lmd.scene.tag import Tag
     from lmd.space.space import Space
-    from lmd.survey.prior import Known
+    from lmd.survey.prior import PriorKnowledge
 
     from .progress import Stages
 
@@ -38,16 +38,15 @@ def survey(cfg: DictConfig) -> None:
     from lmd.core.checks import InputError, boolean, integer, seed_number
     from lmd.core.tables import write_table
     from lmd.detection.corner_errors import CORNER_ERRORS
-    from lmd.detection.surveyed import FILE as VIEWS
+    from lmd.detection.views import FILE as VIEWS
     from lmd.evaluation.verdicts import verdicts
-    from lmd.scene.rig import Rig
     from lmd.survey.audit import audited, in_the_open, view_columns
     from lmd.survey.keyframes import select_keyframes
     from lmd.survey.next_photographs import next_photographs
     from lmd.survey.results import map_of, metrics, needing_photographs
-    from lmd.survey.summary import to_text
-    from lmd.survey.survey import Stage
+    from lmd.survey.survey import SurveyStage
     from lmd.survey.survey import survey as find
+    from lmd.survey.terminal import to_text
 
     from .progress import Stages
     from .tracked_run import keep, tracked
@@ -57,7 +56,7 @@ def survey(cfg: DictConfig) -> None:
     with keyed():
         tag.check_edge()
     given = camera_of(cfg.camera)
-    cameras = given.cameras if isinstance(given, Rig) else (given,)
+    cameras = given.cameras
     name, detector = _detector(cfg)
     known, room = _known(cfg, tag, given), instantiate(cfg.room) if cfg.get("room") else None
     scene = _scene(cfg, room, given, tag) if boolean("audit", cfg.audit) else None
@@ -81,10 +80,10 @@ def survey(cfg: DictConfig) -> None:
             ):
                 found = find(select_keyframes(found_tags, every), cameras, tag, errors, known, calibrate, stages)
             through = tuple(one.found for one in found.calibrated)
-            if not stages(Stage.PROPOSING):
+            if not stages(SurveyStage.PROPOSING):
                 proposed = next_photographs(found, through[0], tag.modules, errors, needing_photographs(found), room)
                 found = replace(found, proposed=proposed)
-            if scene is not None and not stages(Stage.AUDITING):
+            if scene is not None and not stages(SurveyStage.AUDITING):
                 audit = audited(*((found, scene) if room is not None else in_the_open(found, scene)), verdicts)
             found = replace(found, interrupted=stages.interrupted)
     about = f"survey of {found.placed.sum()} tags in {len(found.found.frames)} frames"
@@ -108,7 +107,7 @@ def survey(cfg: DictConfig) -> None:
 
 @contextmanager
 def _map_or_nothing(stages: "Stages") -> Iterator[None]:
-    """Leave no folder, and say so, if the survey is stopped before there is a map."""
+    """Report a stop before there is a map, and remove the empty folder."""
     try:
         yield
     except Stopped:
@@ -156,17 +155,17 @@ def _scene(cfg: DictConfig, room: "Space | None", camera: "Camera | Rig", tag: "
     return Scene(anywhere, camera, solid_angle(1), visibility, tag)  # the audit uses the orientations of the frames
 
 
-def _known(cfg: DictConfig, tag: "Tag", given: "Camera | Rig") -> "Known":
+def _known(cfg: DictConfig, tag: "Tag", given: "Camera | Rig") -> "PriorKnowledge":
     """Prior knowledge of the tags.
 
     Raises:
         InputError: a file cannot be read, or a number is refused.
     """
     from lmd.core.checks import InputError, boolean, integer
+    from lmd.formats.tag_maps import read_deployment
     from lmd.scene.rig import Rig
-    from lmd.scene.tag_map_files import read_deployment
     from lmd.survey.boards import Boards
-    from lmd.survey.prior import Hanging, Known, Points
+    from lmd.survey.prior import Hanging, MeasuredPoints, PriorKnowledge
 
     settings = OmegaConf.to_container(settings_of(cfg, "survey"), resolve=True)
     assert isinstance(settings, dict)
@@ -179,7 +178,7 @@ def _known(cfg: DictConfig, tag: "Tag", given: "Camera | Rig") -> "Known":
     with keyed("survey"):
         hanging = Hanging(**{str(key): value for key, value in settings.items()})
         origin = None if origin is None else integer("origin", origin, low=0)
-        points = None if points is None else Points.from_csv(points)
+        points = None if points is None else MeasuredPoints.from_csv(points)
         mounts = given.mounted if boolean("mounted", mounted) and isinstance(given, Rig) else None
         boards = None if boards is None else Boards.from_csv(boards, printed)
         if not isinstance(floor, list):
@@ -193,7 +192,7 @@ def _known(cfg: DictConfig, tag: "Tag", given: "Camera | Rig") -> "Known":
         fixed = fixed_of(node, tag.own_family)
     note("" if plan is None else plan.note)
     with keyed("survey"):
-        return Known(plan, hanging, fixed, points, boards, mounts, origin, floor, odometry, steady)
+        return PriorKnowledge(plan, hanging, fixed, points, boards, mounts, origin, floor, odometry, steady)
 
 
 def _odometry(given: Any) -> "Trajectory | None":
@@ -203,7 +202,7 @@ def _odometry(given: Any) -> "Trajectory | None":
         InputError: it cannot be read, or is no trajectory.
     """
     from lmd.core.checks import InputError
-    from lmd.scene.trajectory_files import TrajectoryFile
+    from lmd.formats.trajectories import TrajectoryFile
 
     if given is None:
         return None

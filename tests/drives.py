@@ -1,4 +1,4 @@
-"""Drives down a corridor with tags on both walls, of which an image shows mostly one."""
+"""Drives down a corridor with tags on both walls, in which most images show one tag."""
 
 from dataclasses import dataclass, replace
 
@@ -6,16 +6,16 @@ import numpy as np
 import walks
 
 from lmd.core.checks import FloatArray
+from lmd.formats.detections import DetectedTags
 from lmd.geometry.camera import Camera
 from lmd.geometry.se3 import camera_pose, exp, inverse, pose_of
 from lmd.geometry.trajectory import Trajectory
-from lmd.mapping.detections import DetectedTags
 
 CAMERA = Camera(4.0, 0.008, 0.008, (400.0, 300.0), 800, 600, 0.0)
 EDGE, WIDTH = 0.2, 2.4  # of tags and of the corridor, metres
 RATE = 20.0  # images a second
 SPEED = 0.75  # m/s
-# An odometer is off by so much after a metre, standard deviations: metres and rad.
+# Random drift of odometry after a metre, standard deviations: metres and rad.
 DRIFT = (0.01, 0.005)
 
 
@@ -24,10 +24,10 @@ class Drive:
     """A drive and its truth.
 
     Args:
-        tags: poses, `(K, 4, 4)`.
-        frames: poses of the camera, `(F, 4, 4)`.
+        tags: true poses of tags, `(K, 4, 4)`.
+        frames: true poses of the camera, `(F, 4, 4)`.
         times: seconds, `(F,)`.
-        detected: what was detected.
+        detected: detections.
     """
 
     tags: FloatArray
@@ -39,13 +39,13 @@ class Drive:
 def drive(
     length: float, count: int, rng: np.random.Generator, alone: float = 0.97, dark: float = 0.3, sway: float = 1.0
 ) -> Drive:
-    """A drive past `count` tags.
+    """Drive past `count` tags.
 
     Args:
-        length: of the corridor, metres.
-        alone: the share of images that show one tag alone, of those that show any.
-        dark: the share of the time without any, in pieces of a second or two.
-        sway: how much the camera turns and leaves its line; 0 for a drive straight ahead.
+        length: length of the corridor, metres.
+        alone: share of the images with tags that show only one.
+        dark: share of the time without tags, in pieces of a second or two.
+        sway: factor of the deviations of the camera from a straight drive; 0 for none.
     """
     along = (np.arange(count) + 0.5 + rng.uniform(-0.2, 0.2, count)) * length / count
     side = np.arange(count) % 2
@@ -56,7 +56,7 @@ def drive(
     times = np.arange(int(length / SPEED * RATE)) / RATE
 
     def waves(size: float, fastest: float) -> FloatArray:
-        """A smooth motion: some sines of random phase up to so many hertz."""
+        """Smooth motion: some sines of random phase up to `fastest` hertz."""
         hertz = np.linspace(fastest / 6.0, fastest, 6) * rng.uniform(0.9, 1.1, 6)
         return size * np.sqrt(1.0 / 3.0) * np.sin(2.0 * np.pi * (hertz * times[:, None] + rng.uniform(size=6))).sum(1)
 
@@ -82,11 +82,11 @@ def drive(
 def odometry(
     driven: Drive, rng: np.random.Generator, drift: tuple[float, float] = DRIFT, lean: tuple[float, float] = (0.0, 0.0)
 ) -> Trajectory:
-    """What an odometer says of a drive, in a frame of its own.
+    """Odometry of a drive, in a frame of its own.
 
     Args:
         drift: see `DRIFT`.
-        lean: what every metre is off by, ahead and in yaw: metres and rad.
+        lean: bias of every metre, ahead and in yaw: metres and rad.
     """
     step = inverse(driven.frames[:-1]) @ driven.frames[1:]
     far = np.linalg.norm(step[:, :3, 3], axis=1)[:, None]

@@ -11,15 +11,15 @@ import pytest
 from examples import SHARE
 
 from lmd.core.checks import InputError
-from lmd.mapping.detections import read_detections
-from lmd.scene.camera_calibration import calibrated_camera
-from lmd.scene.extrinsics import read_mount
+from lmd.formats.calibrations import calibrated_camera
+from lmd.formats.detections import read_detections
+from lmd.formats.extrinsics import read_mount
+from lmd.formats.meshes import read_mesh
+from lmd.formats.tag_maps import read_deployment
+from lmd.formats.trajectories import TrajectoryFile
 from lmd.scene.pdf import from_csv as read_pdf
-from lmd.scene.tag_map_files import read_deployment
-from lmd.scene.trajectory_files import TrajectoryFile
-from lmd.space.mesh_file import read_mesh
 from lmd.survey.boards import Boards
-from lmd.survey.prior import Points
+from lmd.survey.prior import MeasuredPoints
 
 BROKEN = round(100 * SHARE)  # files of each kind of change
 VALUES = [
@@ -218,7 +218,7 @@ CASES = {
     "room obj": (lambda path: read_mesh(path.rename(path.with_suffix(".obj")), up="z"), OBJ),
     "room roomplan": (lambda path: read_mesh(path.rename(path.with_suffix(".json"))), json.dumps(ROOMPLAN)),
     "detections": (read_detections, DETECTED),
-    "points": (Points.from_csv, "id,x,y,z\n1,0,0,0\n2,1,0,0\n3,0,1,0\n"),
+    "points": (MeasuredPoints.from_csv, "id,x,y,z\n1,0,0,0\n2,1,0,0\n3,0,1,0\n"),
     "boards": (partial(Boards.from_csv, printed=1e-3), "board,id,x,y\na,1,0,0\na,2,0.1,0\n"),
     "pdf": (lambda path: read_pdf(str(path)), "weight,pitch,yaw\n0.25,0.1,1\n0.75,-0.1,2\n"),
 }

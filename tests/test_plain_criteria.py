@@ -15,10 +15,9 @@ from lmd.evaluation.bounds import Search, affordable, average_upper_bound, fitne
 from lmd.evaluation.losses import losses
 from lmd.evaluation.sensitivity import sensitivity
 from lmd.evaluation.validation import Sample, validation_metrics
-from lmd.objectives.coverage import Coverage
+from lmd.objectives.coverage import Coverage, MeanCoverage
 from lmd.objectives.localisation import Localisation
-from lmd.objectives.localisation.views import localised_views
-from lmd.objectives.mean_coverage import MeanCoverage
+from lmd.objectives.localisation.evaluation import localised_views
 from lmd.optimisers.annealing import Annealing
 from lmd.optimisers.ega import EGA
 from lmd.optimisers.greedy import Greedy
@@ -70,7 +69,7 @@ def both(camera=CAMERA):
 
 
 def hung(scene, count=12, seed=0):
-    return scene.plates.draw(RandomDeployment(count), np.random.default_rng(seed))
+    return scene.footprints.draw(RandomDeployment(count), np.random.default_rng(seed))
 
 
 def problems(objective, count=12):

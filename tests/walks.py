@@ -1,24 +1,27 @@
-"""Rooms with tags, walked through with a camera that measures corners with known errors."""
+"""Rooms with tags, walks through them with a camera whose corners have known errors, and surveys of these."""
 
 import numpy as np
 
 from lmd.core.checks import FloatArray
 from lmd.detection.corner_errors import CornerErrors
+from lmd.formats.detections import DetectedTags
 from lmd.geometry.camera import Camera
 from lmd.geometry.projection import project
-from lmd.geometry.se3 import camera_pose, exp, pose_of
+from lmd.geometry.se3 import act, camera_pose, exp, inverse, laid_over, log, pose_of
 from lmd.geometry.squares import CORNERS
-from lmd.mapping.detections import DetectedTags
+from lmd.scene.tag import Tag
+from lmd.survey.prior import PriorKnowledge
 from lmd.survey.sightings import Sightings, sightings_of
+from lmd.survey.survey import survey
 
 CAMERA = Camera(5.0, 0.0048, 0.0048, (800.0, 600.0), 1600, 1200, 0.0)
 EDGE = 0.10
-SMALLEST = 12.0  # pixels, of the shortest side that is found
+SMALLEST = 12.0  # shortest side that is detected, pixels
 NEARLY_SIDEWAYS = 0.2  # cosine of the steepest incidence
 
 
 def on_wall(wall, along, height, width=5.0, depth=4.0):
-    """The pose of a tag flat on one of four walls, `(4, 4)`: x right, y up, z out; `along` of its length."""
+    """Pose of a tag flat on one of four walls, `(4, 4)`: x right, y up, z out; `along` is a share of its length."""
     up, x, y = np.array([0.0, 0.0, 1.0]), along * width, along * depth
     centre, normal = [
         ((x, 0.0, height), (0.0, 1.0, 0.0)),
@@ -36,13 +39,13 @@ def wall_tags(count, rng, height=2.5):
 
 
 def spaced_tags(count, rng):
-    """The same without any that overlap."""
+    """Tags flat on the four walls in turns that do not overlap, `(K, 4, 4)`."""
     each = -(-count // 4)
     return np.stack([on_wall(k % 4, (k // 4 + 0.5) / each, rng.uniform(0.8, 1.8)) for k in range(count)])
 
 
 def hung(poses, rng, place=0.010, turn=0.009):
-    """The same with errors of hanging, in the plane of the wall and, a tenth of it, off it."""
+    """Poses with errors of hanging, in the plane of the wall and, a tenth of these, off it."""
     twist = rng.normal(size=(len(poses), 6)) * [turn / 4, turn / 4, turn, place, place, place / 10]
     return poses @ exp(twist)
 
@@ -55,7 +58,7 @@ def walk(frames, rng, width=5.0, depth=4.0):
 
 
 def photographed(tags, frames, rng, sigma=0.2, camera=CAMERA, mounts=None, edges=EDGE, ids=None):
-    """What a detector would find, with errors of `sigma` pixels in each coordinate."""
+    """Detections with errors of `sigma` pixels in each coordinate."""
     mounts = np.eye(4)[None] if mounts is None else mounts
     square = np.hstack([CORNERS, np.zeros((4, 1))]) / 2.0
     edges = np.broadcast_to(edges, len(tags))
@@ -79,22 +82,42 @@ def photographed(tags, frames, rng, sigma=0.2, camera=CAMERA, mounts=None, edges
 
 
 def constant_errors(sigma):
-    """Corner errors that hang on no pitch: of every coordinate, standard deviation in pixels."""
+    """Corner errors with one standard deviation of every coordinate, pixels, at any pitch."""
     rms = sigma * np.sqrt(2.0)
     return CornerErrors((1.0, 2.0), (rms, rms), (rms, rms))
 
 
 def sightings(detected, ids, edges=EDGE, sigma=0.2, camera=CAMERA) -> Sightings:
-    """Of a family with eight modules."""
+    """Sightings of a family with eight modules."""
     cameras = [camera] * len(detected.cameras)
     edge: FloatArray = np.broadcast_to(np.asarray(edges, dtype=np.float64), len(ids)).copy()
     return sightings_of(detected, cameras, np.asarray(ids), edge, 8, constant_errors(sigma))
 
 
 def one_after_the_other(one: DetectedTags, two: DetectedTags) -> DetectedTags:
-    """Two walks of the same cameras as one."""
+    """Join two walks of the same cameras."""
     frames = len(one.times) + len(two.times)
     both = ((getattr(one, name), getattr(two, name)) for name in ("camera", "ids", "corners"))
     camera, ids, corners = (np.concatenate(pair) for pair in both)
     frame = np.concatenate([one.frame, two.frame + len(one.times)])
     return DetectedTags(tuple(map(str, range(frames))), one.cameras, frame, camera, ids, corners)
+
+
+def surveyed(detected, sigma=0.2, cameras=(CAMERA,), edge=EDGE, calibrate=None, errors=None, **known):
+    """Survey of detections with prior knowledge `known`."""
+    errors = constant_errors(sigma) if errors is None else errors
+    return survey(detected, cameras, Tag(edge), errors, PriorKnowledge(**known), calibrate)
+
+
+def apart(here, there):
+    """Distances of the centres of poses, metres, once these are laid over each other."""
+    here, there = here[:, :3, 3], there[:, :3, 3]
+    return np.linalg.norm(act(laid_over(here, there), here) - there, axis=1)
+
+
+def square_of(found, true):
+    """Squared normalised error of a tag of an `Estimate` beside the tag of the origin: six degrees of freedom."""
+    first = int(np.flatnonzero(found.prior.information.any(axis=1))[0])
+    tag = (first + 1) % len(true)
+    off = log(inverse(true[tag]) @ true[first] @ found.poses.tags[tag])
+    return off @ np.linalg.solve(found.covariances[tag], off)

@@ -14,7 +14,7 @@ from lmd.optimisers.ledger import Budget
 from lmd.planner.actions import call_in_order
 from lmd.planner.colours import FREE, GAINS, PINNED, SEEN, SELECTED, UNKNOWN, VALUES, Rgb, mapped
 from lmd.planner.figures import Additions
-from lmd.planner.plan import Measured
+from lmd.planner.plan import MeasuredPlace
 from lmd.planner.tag_search import SearchProgress
 
 ADDITIONS = {"mean value": "value", "fitness": "fitness"}  # choices of gains on surfaces, and fields of `Additions`
@@ -112,7 +112,7 @@ class PlannerPanel:
 
     @property
     def typed(self) -> tuple[float, float]:
-        """Typed place, left and up, see `Measured`."""
+        """Typed place, left and up, see `MeasuredPlace`."""
         return float(self._left.value), float(self._up.value)
 
     def show_figures(self, rows: Mapping[str, str]) -> None:
@@ -136,7 +136,7 @@ class PlannerPanel:
         else:
             self.say(f"a tag here adds {', '.join(f'{gain:+.3%} to the {name}' for name, gain in gains.items())}")
 
-    def show_tag(self, text: str | None, measured: Measured | None) -> None:
+    def show_tag(self, text: str | None, measured: MeasuredPlace | None) -> None:
         """Show the selected tag and its place; None for no tag, and for a tag on no surface."""
         self._tag.content = _paragraph("tag", text or "no tag is selected")
         if measured is not None:

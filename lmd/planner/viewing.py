@@ -11,7 +11,7 @@ from lmd.space.surface import SurfaceArrays
 
 FIELD_OF_VIEW = math.radians(50.0)  # vertical
 FILLED_SHARE = 0.92  # share of the window's width or height that the room takes
-ASPECT = 1.6  # width by height of a window before the browser tells its own
+ASPECT = 1.6  # width by height of a window before the browser reports its own
 SAME_PLACE = 1e-3  # maximum distance of two equal viewpoints, in diagonals of the room
 EDGE_ON = 1e-6  # minimum cosine between a ray and the normal of a surface that it meets
 ON_SURFACE_M = 1e-6  # tolerance of the borders of a surface, metres

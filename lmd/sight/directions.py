@@ -23,7 +23,7 @@ import numpy as np
 from lmd.core.bits import BITS, LANES, ZERO
 from lmd.core.checks import FloatArray, IntArray
 from lmd.core.compiled import PYTHON, inlined, inner, kernel
-from lmd.scene.criteria import Sight, in_view, largest
+from lmd.scene.criteria import Sight, in_view, sized
 
 SIDE = 16 if PYTHON else 64  # plain Python would fill larger tables for seconds; what they settle is the same
 NOWHERE = SIDE * SIDE  # one row more than there are cells: no axis at all
@@ -125,7 +125,7 @@ def fill_tables(
     centres, rho = _cells()
     chord = (2.0 * np.sin(rho / 2.0) + off) / (2.0 * (1.0 - most))
     angles = rho if off == most == 0.0 else _SLACK + 2.0 * np.arcsin(np.minimum(chord, 1.0))
-    sight = largest(sight)
+    sight = sized(sight, 0)  # landmarks of all sizes have one view
     wide = angles + sight.inset < np.pi / 2.0
     fill = (sight, centres)
     _fill(*fill, np.where(wide, angles + sight.inset, 0.0), axes, shifts, certain)

@@ -80,7 +80,7 @@ class Evaluator:
         else:
             self.sight, self.obstacles = scene.sight, obstacles_at(blockers, self.positions)
 
-    def sized(self, edges: FloatArray | None) -> "Evaluator":
+    def sized(self, edges: FloatArray) -> "Evaluator":
         """The same for landmarks with these edges, see `Scene.sized`."""
         scene = self.scene.sized(edges)
         if scene is self.scene:

@@ -167,7 +167,7 @@ def by_edge(evaluator: Evaluator, poses: Deployment) -> Iterator[tuple[Evaluator
     Raises:
         InputError: the evaluator is for tags of several sizes, and the poses do not say which they have.
     """
-    if poses.edges is None or evaluator.scene.tag.is_point:
+    if evaluator.scene.tag.is_point or not poses.has_own_edges:
         evaluator.scene.check_one_size("what chooses among poses")
         yield evaluator, np.arange(len(poses))
         return

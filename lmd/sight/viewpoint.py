@@ -199,7 +199,7 @@ def is_shown(k, view, directions, count, p, sight, obstacles, clear, ends):
 
     `directions` are the normals among `near`.
     """
-    if not view.reached[k] or (not clear and is_blocked(obstacles, sight, p, ends, view.who[k])):
+    if not view.reached[k] or (not clear and is_blocked(obstacles, sized(sight, view.who[k]), p, ends, view.who[k])):
         return False
     if sight.reach < 0.0:
         return True

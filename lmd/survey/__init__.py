@@ -11,9 +11,9 @@ Modules in the order of a survey, each with what it hands on:
 - `gauge` moves all into one world frame, and removes the choice of that frame from covariances.
 - `residuals` has reprojection errors, Jacobians and robust weights; `schur` the normal equations without frames;
   `adjustment` minimises the robust loss; `linked` does so for frames that motion links.
-- `estimate` is the map with covariances and outliers. `nuisances` refines it with `intrinsics`, shifts of corners and
-  shapes of tags; `resampling` finds errors that are alike in time, and localises held-out frames.
+- `map_estimate` is the map with covariances and outliers. `nuisances` refines it with `intrinsics`, shifts of corners,
+  and shapes of tags; `resampling` finds errors that are alike in time, and localises held-out frames.
 - `faults` finds tags that were moved, hang twice, or have a wrong size or id.
-- `next_photographs` proposes further photographs; `results` has tables and files, `summary` text; `audit` compares
+- `next_photographs` proposes further photographs; `results` has tables and files, `terminal` text; `audit` compares
   detections with a visibility model.
 """

@@ -12,18 +12,10 @@ from threadpoolctl import threadpool_limits
 
 from lmd.core.checks import BoolArray, FloatArray, InputError, IntArray
 from lmd.geometry.se3 import angle_between, exp
-from lmd.survey.estimate import ONE_THREAD, Estimate, Start, adjust, fitting, of_body
 from lmd.survey.gauge import align_tags, into_world
 from lmd.survey.initialisation import FLOOR_PIXELS, Placing, agreeing
-from lmd.survey.residuals import (
-    Poses,
-    Reprojection,
-    normal_equations,
-    solved,
-    squared_errors,
-    student_weight,
-    sums_by,
-)
+from lmd.survey.map_estimate import ONE_THREAD, Estimate, Start, adjust, fitting, of_body
+from lmd.survey.residuals import Poses, Reprojection, normal_equations, solved, squared_errors, student_weight, sums_by
 from lmd.survey.sightings import Sightings
 from lmd.survey.single_poses import single_poses
 
@@ -185,7 +177,7 @@ def errors_of_fixed(found: Estimate, start: Start) -> FloatArray:
         metres and rad, `(K, 2)`; NaN for tags that are not fixed, or within their errors.
 
     Raises:
-        InputError: a tag is so far off that it hangs elsewhere, or the file is of another room.
+        InputError: a tag is farther off than errors of measuring explain.
     """
     off = np.full((len(found.group), 2), np.nan)
     prior = found.prior

@@ -14,8 +14,8 @@ that shows one tag then places that tag beside the tags of the frames before and
   phi = log(R_i^T R_j), and the covariance s^2 [dt^3 / 3, dt^2 / 2; dt^2 / 2, dt]. The velocity is that in the world, as
   a camera that is carried straight ahead may look about.
 
-Real bodies are not driven by white noise, so short links do not tell the errors of long gaps. Stretches of the drive
-without gaps tell them: see `with_bridged_gaps`.
+Real bodies are not driven by white noise, so the errors of long gaps do not follow from those of short links. They are
+measured in stretches of the drive without gaps: see `with_bridged_gaps`.
 
 Source: Barfoot, "State Estimation for Robotics".
 """
@@ -31,7 +31,7 @@ from lmd.geometry.se3 import adjoint_matrix, exp, inverse, log
 from lmd.geometry.trajectory import Trajectory
 from lmd.survey.links import Links, turn_twist
 
-# Prior standard deviations of rotation and translation, until the drive itself tells them.
+# Prior standard deviations of rotation and translation; the drive itself refines them.
 STEADY = (1.0, 1.0)  # change of the turn rate, rad/s, and of the velocity, m/s, within a second
 DRIFT = (0.005, 0.01)  # random drift of odometry after a metre, rad and m
 BIAS = (0.005, 0.02)  # common error of every metre of odometry, rad and m
@@ -216,8 +216,8 @@ class Motion:
 def with_bridged_gaps(motion: Motion, poses: FloatArray) -> Motion:
     """Motion with the errors of a constant velocity across gaps, measured in stretches of the drive without gaps.
 
-    Of two frames that are a gap apart, the velocities before and after the gap predict the relative pose, which the
-    stretch itself knows better.
+    Of two frames that are a gap apart, the velocities before and after the gap predict the relative pose. Its error is
+    that beside the pose by the frames between them.
 
     Args:
         motion: motion at a constant velocity, in pieces.

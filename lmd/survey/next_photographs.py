@@ -17,8 +17,8 @@ from lmd.geometry.camera import Camera
 from lmd.geometry.projection import bearings, project, slope
 from lmd.geometry.se3 import pose_of
 from lmd.space.space import Space
-from lmd.survey.estimate import ONE_THREAD
 from lmd.survey.gauge import gauge_free
+from lmd.survey.map_estimate import ONE_THREAD
 from lmd.survey.residuals import Reprojection
 from lmd.survey.sightings import RESIDUALS, SQUARE, Sightings, shortest_side
 from lmd.survey.survey import Photograph, Survey

@@ -19,10 +19,10 @@ from threadpoolctl import threadpool_limits
 
 from lmd.core.checks import FloatArray, InputError
 from lmd.geometry.camera import Camera
-from lmd.survey.estimate import ONE_THREAD, Estimate, adjust, fitting
 from lmd.survey.initialisation import FLOOR_PIXELS
 from lmd.survey.intrinsics import intrinsics_of, parameter_slopes, with_intrinsics
 from lmd.survey.linked import adjustment_of, constraining
+from lmd.survey.map_estimate import ONE_THREAD, Estimate, adjust, fitting
 from lmd.survey.resampling import inflation
 from lmd.survey.residuals import Poses, Reprojection, squared_errors
 from lmd.survey.sightings import MODES, RESIDUALS, Sightings, inward, shift_basis, shortest_side
@@ -110,7 +110,7 @@ def refine(
         sigmas: prior standard deviations of the values of each, `(P + 2,)`.
         sighted: sightings through other optics.
         keep: True to keep cameras and shapes; their uncertainty still counts.
-        is_stopped: called before each round with its number and the most rounds; True to stop with the best so far.
+        is_stopped: called before each round with its number and the most rounds; True to stop with the present state.
         on_block: called with the number of blocks of time that are done, and of all.
     """
     refinement = _Refinement(given, sigmas, sighted, is_stopped)

@@ -59,7 +59,7 @@ def are_in_line(places: FloatArray) -> bool:
 
 
 @dataclass(frozen=True)
-class Points:
+class MeasuredPoints:
     """Centres of some tags by a tape measure.
 
     Raises:
@@ -80,7 +80,7 @@ class Points:
             raise InputError("points must not lie in a line.", "points")
 
     @classmethod
-    def from_csv(cls, path: Any) -> "Points":
+    def from_csv(cls, path: Any) -> "MeasuredPoints":
         """Read `id,x,y,z`; further columns are ignored.
 
         Raises:
@@ -138,7 +138,7 @@ class Prior:
 
 
 @dataclass(frozen=True)
-class Known:
+class PriorKnowledge:
     """User's knowledge before the survey; None for none.
 
     Raises:
@@ -151,7 +151,7 @@ class Known:
     """Standard deviations of tags beside their plan."""
     fixed: Deployment | None = None
     """Tags with exactly known poses."""
-    points: Points | None = None
+    points: MeasuredPoints | None = None
     """Tags with measured centres."""
     boards: Boards | None = None
     """Tags that were printed on one sheet."""
@@ -181,7 +181,7 @@ class Known:
         """Edges of tags, metres: those of the plan or the fixed tags if given, else that of `tag`."""
         edges = np.full(len(ids), tag.size)
         for known in (self.plan, self.fixed):
-            if known is not None and known.edges is not None:
+            if known is not None:
                 own = dict(zip(known.ids.tolist(), known.edges.tolist(), strict=True))
                 given = np.array([own.get(number, np.nan) for number in ids.tolist()])
                 edges = np.where(np.isnan(given), edges, given)

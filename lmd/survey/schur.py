@@ -27,7 +27,7 @@ LEAST_DAMPING = 1e-9  # relative growth of diagonals in every solution
 Part = tuple[IntArray, FloatArray]
 
 
-class Chunk(NamedTuple):
+class FrameChunk(NamedTuple):
     """f frames with n sightings that are eliminated together."""
 
     some: Sightings
@@ -43,7 +43,7 @@ class Chunk(NamedTuple):
 class Eliminated(NamedTuple):
     """Equations of the frames of a chunk."""
 
-    chunk: Chunk
+    chunk: FrameChunk
     """The frames."""
     block: FloatArray
     """`(f, 6, 6)` H_ff, damped."""
@@ -83,9 +83,9 @@ class SchurSystem:
         self.chunks = [self._chunk(sightings.of(slice(*between))) for between in pairwise(ends)]
 
     @staticmethod
-    def _chunk(some: Sightings) -> Chunk:
+    def _chunk(some: Sightings) -> FrameChunk:
         frames, owner = np.unique(some.frame, return_inverse=True)
-        return Chunk(some, frames, sums_by(owner, len(frames)), owner)
+        return FrameChunk(some, frames, sums_by(owner, len(frames)), owner)
 
     def _jacobians(self, some: Sightings, at: Reprojection) -> list[Part]:
         """Jacobians by each kind of kept unknowns, `(n, 8, 6)`."""

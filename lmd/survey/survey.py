@@ -9,17 +9,17 @@ import numpy as np
 
 from lmd.core.checks import BoolArray, FloatArray, InputError, IntArray
 from lmd.detection.corner_errors import CornerErrors
+from lmd.formats.detections import DetectedTags
 from lmd.geometry.camera import Camera
-from lmd.mapping.detections import DetectedTags
 from lmd.scene.tag import Tag
-from lmd.survey.estimate import Estimate, JoinedGroups, Start, estimate_map, initialise, joined_groups
 from lmd.survey.faults import Faults, errors_of_fixed, find_faults
 from lmd.survey.gauge import motion_to_floor
 from lmd.survey.initialisation import agreeing
 from lmd.survey.intrinsics import Calibrated, prior_sigmas
+from lmd.survey.map_estimate import Estimate, JoinedGroups, Start, estimate_map, initialise, joined_groups
 from lmd.survey.motion import Motion, seconds_of
 from lmd.survey.nuisances import SMALL_SHARE, Optics, refine
-from lmd.survey.prior import Known, Prior
+from lmd.survey.prior import Prior, PriorKnowledge
 from lmd.survey.resampling import HeldOut, hold_out
 from lmd.survey.residuals import squared_errors
 from lmd.survey.sightings import Sightings, sightings_of
@@ -32,7 +32,7 @@ TURNING_STEPS = 3  # maximum number of initialisations; turns of some tags may s
 LOOSE_M, LOOSE_SHARE = 0.25, 0.01
 
 
-class Stage(Enum):
+class SurveyStage(Enum):
     """Stages of a survey, in order."""
 
     PLACING = "placing tags"
@@ -47,17 +47,17 @@ class Stage(Enum):
     @property
     def has_map(self) -> bool:
         """True if there is a map by this stage."""
-        return self not in (Stage.PLACING, Stage.ADJUSTING)
+        return self not in (SurveyStage.PLACING, SurveyStage.ADJUSTING)
 
     @property
     def has_final_map(self) -> bool:
         """True if this stage and later ones do not change the map."""
-        return self.has_map and self not in (Stage.REFINING, Stage.COMPARING)
+        return self.has_map and self not in (SurveyStage.REFINING, SurveyStage.COMPARING)
 
 
 # Called with the stage, the number of its steps that are done, and the most there are, 0 if unknown. It returns True to
 # stop with the map at hand, and may raise if there is none.
-Observer = Callable[[Stage, int, int], bool]
+Observer = Callable[[SurveyStage, int, int], bool]
 
 
 @dataclass(frozen=True)
@@ -78,7 +78,7 @@ class Survey:
 
     detected: DetectedTags
     """Detections."""
-    known: Known
+    known: PriorKnowledge
     """Prior knowledge."""
     found: Estimate
     """Poses and covariances."""
@@ -100,7 +100,7 @@ class Survey:
     """Cameras as estimated from photographs."""
     proposed: tuple[Photograph, ...] = ()
     """Photographs to take next, see `lmd.survey.next_photographs`."""
-    interrupted: Stage | None = None
+    interrupted: SurveyStage | None = None
     """Stage at which the survey was stopped; results of later stages are missing."""
 
     @property
@@ -115,7 +115,7 @@ class Survey:
 
     @property
     def planned(self) -> FloatArray | None:
-        """See `Known.planned`."""
+        """See `PriorKnowledge.planned`."""
         return self.known.planned(self.ids)
 
 
@@ -124,7 +124,7 @@ def survey(
     cameras: Sequence[Camera],
     tag: Tag,
     errors: CornerErrors,
-    known: Known,
+    known: PriorKnowledge,
     calibrate: bool | None = None,
     observer: Observer = lambda _stage, _done, _most: False,
 ) -> Survey:
@@ -158,7 +158,7 @@ def survey(
     sightings = sighted(given)
     prior = replace(known.prior(ids), motion=_motion(detected, sightings, known))
     turns = Turns.none(len(ids))
-    observer(Stage.PLACING, 0, 0)
+    observer(SurveyStage.PLACING, 0, 0)
     for _ in range(TURNING_STEPS):
         start = initialise(sightings, prior)
         more = turns_of(start.poses, start.group, prior, detected.in_order)
@@ -169,20 +169,20 @@ def survey(
         sightings, prior = sighted(given), turns.applied(replace(known.prior(ids), motion=prior.motion))
     else:
         start = initialise(sightings, prior)
-    observer(Stage.ADJUSTING, 0, 0)
+    observer(SurveyStage.ADJUSTING, 0, 0)
     found = _estimate(sightings, prior, known, start, detected)
     shift = [errors.inward_spread, SMALL_SHARE * errors.inward_spread]
     sigmas = [np.append(prior_sigmas(camera, bool(calibrate)), shift) for camera in cameras]
-    on_round, on_block = (partial(observer, stage) for stage in (Stage.REFINING, Stage.COMPARING))
+    on_round, on_block = (partial(observer, stage) for stage in (SurveyStage.REFINING, SurveyStage.COMPARING))
     found, optics = refine(found, given, sigmas, sighted, calibrate is False, on_round, on_block)
-    observer(Stage.CHECKING, 0, 0)
+    observer(SurveyStage.CHECKING, 0, 0)
     found, faults = find_faults(found)
     off_fixed = errors_of_fixed(found, start)
     if known.floor:
         first = int(np.flatnonzero(found.prior.information.any(axis=1))[0])
         found = found.moved(motion_to_floor(found.poses.tags, np.flatnonzero(np.isin(ids, known.floor)), first))
     placed, loose = _placed(found, known)
-    localised = {} if observer(Stage.HOLDING_OUT, 0, 0) else hold_out(found, known.planned(ids))
+    localised = {} if observer(SurveyStage.HOLDING_OUT, 0, 0) else hold_out(found, known.planned(ids))
     calibrated = tuple(
         Calibrated.of(camera, one.camera, one.shifts[0], own[: len(sigma), : len(sigma)] * np.outer(sigma, sigma))
         for camera, one, own, sigma in zip(cameras, optics, found.lens_covariances, sigmas, strict=True)
@@ -191,7 +191,7 @@ def survey(
     return Survey(detected, known, found, faults, placed, localised, turns, off_fixed, loose, joined, calibrated)
 
 
-def _motion(detected: DetectedTags, sightings: Sightings, known: Known) -> Motion | None:
+def _motion(detected: DetectedTags, sightings: Sightings, known: PriorKnowledge) -> Motion | None:
     """Motion that links frames from the beginning; None if frames are independent, or until links are needed."""
     if known.odometry is not None:
         return Motion.by_odometry(seconds_of(detected.times), known.odometry)
@@ -200,14 +200,16 @@ def _motion(detected: DetectedTags, sightings: Sightings, known: Known) -> Motio
     return _steady(detected, sightings, known) if known.steady or most_alone else None
 
 
-def _steady(detected: DetectedTags, sightings: Sightings, known: Known) -> Motion | None:
+def _steady(detected: DetectedTags, sightings: Sightings, known: PriorKnowledge) -> Motion | None:
     """Nearly constant velocity; None if the user rules it out, or if no frames are near in time."""
     motion = Motion.steady(seconds_of(detected.times))
     near = np.isfinite(motion.times).all() and motion.follows(np.unique(sightings.frame)).any()
     return motion if near and known.steady is not False else None
 
 
-def _estimate(sightings: Sightings, prior: Prior, known: Known, start: Start, detected: DetectedTags) -> Estimate:
+def _estimate(
+    sightings: Sightings, prior: Prior, known: PriorKnowledge, start: Start, detected: DetectedTags
+) -> Estimate:
     """Estimate; groups that images leave apart are joined by a nearly constant velocity, if it joins any."""
     found = estimate_map(sightings, prior, known.origin, start)
     motion = _steady(detected, sightings, known) if prior.motion is None and (found.group > 0).any() else None
@@ -217,7 +219,7 @@ def _estimate(sightings: Sightings, prior: Prior, known: Known, start: Start, de
     return linked if (linked.group == 0).sum() > (found.group == 0).sum() else found
 
 
-def _placed(found: Estimate, known: Known) -> tuple[BoolArray, BoolArray]:
+def _placed(found: Estimate, known: PriorKnowledge) -> tuple[BoolArray, BoolArray]:
     """Tags of the map, `(K,)`, and tags that only have too large a covariance for it, `(K,)`.
 
     Raises:

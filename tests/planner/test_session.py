@@ -11,6 +11,7 @@ from paper import paper_room, paper_scene
 from small import problem
 
 from lmd.core.checks import InputError
+from lmd.formats.deployments import FileDeployment
 from lmd.objectives.coverage import Coverage
 from lmd.objectives.localisation import Localisation
 from lmd.objectives.sampling import Sampling
@@ -22,7 +23,7 @@ from lmd.planner.session import PlanningSession
 from lmd.problem import Problem
 from lmd.scene import pdf
 from lmd.scene.deployment import Deployment
-from lmd.scene.deployment_sources import FileDeployment, RandomDeployment
+from lmd.scene.deployment_sources import RandomDeployment
 from lmd.scene.tag import Tag
 
 TAG = Tag(edge=0.2)
@@ -53,7 +54,7 @@ def on_a_floor_plan():
 
 
 def somewhere(of, rng):
-    surfaces = of.scene.plates.hanging.surfaces()
+    surfaces = of.scene.footprints.hanging.surfaces()
     surface = int(rng.integers(len(surfaces)))
     return surface, rng.uniform(-0.5, 0.5 + np.array(surfaces[surface].extent))
 
@@ -89,20 +90,20 @@ def test_figures_equal_those_of_a_full_evaluation(of):
         act(planned, rng)
         assert planned.metrics() == planned.problem.metrics(planned.deployment)
         assert (planned.values() == planned.problem.values(planned.deployment)).all()
-        planned.problem.scene.plates.check(planned.deployment)
-        assert planned.deployment.fault(planned.problem.scene.plates.hanging) is None
+        planned.problem.scene.footprints.check(planned.deployment)
+        assert planned.deployment.fault(planned.problem.scene.footprints.hanging) is None
 
 
 def test_a_tag_moves_to_the_nearest_free_place():
     planned = session()
-    edge, wall = planned.problem.scene.plates.edge, planned.problem.scene.room.surfaces()[0]
+    edge, wall = planned.problem.scene.footprints.edge, planned.problem.scene.room.surfaces()[0]
     planned.drag(3, 0, np.array([-1.0, 2.0]))
     planned.drag(4, 0, np.array([0.0, 2.0]))  # coordinates begin where the centre of a paper may be
     for number, way in ((3, 0.0), (4, edge)):
         there = planned.deployment.positions[planned.plan.index_of(number)]
         a, b = (float(value) for value in wall.coordinates(there))
         assert {round(abs(a - edge / 2), 9), round(abs(b - 2.0 - edge / 2), 9)} == {0.0, round(way, 9)}
-    planned.problem.scene.plates.check(planned.deployment)
+    planned.problem.scene.footprints.check(planned.deployment)
 
 
 def test_a_drag_is_one_step_of_undo_and_redo():
@@ -132,11 +133,11 @@ def test_a_drag_is_one_step_of_undo_and_redo():
 def test_a_new_tag_has_the_least_free_id_and_the_columns_of_the_file(write):
     path = write("id,x,y,z,nx,ny,nz,note\n7,0,2,3,1,0,0,by the door\n0,0,3,3,1,0,0,\n1,7.5,2,3,-1,0,0,\n")
     planned = session(problem(FileDeployment(path), tag=TAG))
-    assert planned.add(2, np.array([1.0, 1.0])) == 2
-    assert planned.add(2, np.array([2.0, 1.0])) == 3
+    assert [planned.add(2, np.array([a, 1.0])) for a in (1.0, 2.0)] == [2, 3]
     planned.delete(0)
     assert planned.deployment.ids.tolist() == [7, 1, 2, 3]
     assert planned.deployment.labels.columns == {"note": ["by the door", "", "", ""]}
+    assert Plan.of(Deployment([[0.0, 2.0, 3.0]] * 2, [[1.0, 0.0, 0.0]] * 2)).deployment.labels.ids.tolist() == [0, 1]
 
 
 def test_of_several_sizes_the_user_chooses():
@@ -148,7 +149,7 @@ def test_of_several_sizes_the_user_chooses():
     planned.drag(0, 0, np.array([1.1, 1.0]))
     planned.drop()
     planned.resize(number, 0.4)
-    k, checked = planned.plan.index_of(number), planned.problem.scene.plates.check
+    k, checked = planned.plan.index_of(number), planned.problem.scene.footprints.check
     checked(planned.deployment)
     assert planned.deployment.edges[k] == 0.4
     assert 0.0 < np.linalg.norm(planned.deployment.positions[k] - at) < 1.0
@@ -214,12 +215,12 @@ def test_the_free_tags_are_optimised_and_the_pinned_ones_stay():
     assert stayed[[0, 17]].all()
     assert not stayed.all()
     assert (planned.deployment.ids == before.ids).all()
-    planned.problem.scene.plates.check(planned.deployment)
+    planned.problem.scene.footprints.check(planned.deployment)
     planned.undo()
     assert planned.deployment is before
 
 
-def test_a_search_can_be_stopped_and_nothing_worse_is_taken():
+def test_a_search_can_be_stopped_and_worse_deployments_are_not_applied():
     planned = session()
     search = planned.optimise(Annealing(), Budget(10**9))
     search.stop()
@@ -273,11 +274,6 @@ def test_tags_in_view_are_those_of_the_reference():
         assert (planned.seen(position, yaw, pitch) == counts[0]).all()
 
 
-def test_a_plan_gives_ids_to_landmarks_without():
-    planned = Plan.of(Deployment([[0.0, 2.0, 3.0], [0.0, 3.0, 3.0]], [[1.0, 0.0, 0.0]] * 2))
-    assert planned.without(0).deployment.ids.tolist() == [1]
-
-
 @pytest.mark.parametrize("of", [lambda: problem(tag=TAG), on_a_floor_plan])
 def test_a_tag_hangs_where_its_place_was_typed(of):
     planned, rng = session(of()), np.random.default_rng(2)
@@ -315,10 +311,9 @@ def test_left_is_as_seen_before_the_wall():
         assert position[2] == pytest.approx(1.5)
 
 
-def test_a_tag_on_no_surface_has_no_place_to_type():
+def test_a_tag_on_no_surface_has_no_measured_place():
     planned = session()
-    free = replace(planned.deployment, surfaces=np.full(len(planned.deployment), -1))
-    planned.plan = Plan(free)
+    planned.plan = Plan(replace(planned.deployment, surfaces=np.full(len(planned.deployment), -1)))
     assert planned.plan.measured(0, planned.problem.scene.room) is None
     with pytest.raises(InputError, match=r"^tag 0 hangs on no surface\.$"):
         planned.place(0, 1.0, 1.0)

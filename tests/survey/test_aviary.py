@@ -7,21 +7,21 @@ import pytest
 import yaml
 
 from lmd.detection.corner_errors import CORNER_ERRORS
-from lmd.mapping.detections import read_detections
-from lmd.scene.camera_calibration import Calibration
+from lmd.formats.calibrations import Calibration
+from lmd.formats.detections import read_detections
 from lmd.scene.tag import Tag
-from lmd.survey.prior import Known
+from lmd.survey.prior import PriorKnowledge
 from lmd.survey.survey import survey
 
 REAL = Path(__file__).parents[2] / "../shared/real/detections/test_13"
-FIRST, EACH, COLUMNS, PITCH = 6, 6, 3, 0.15  # ids of a board, tags on it, tags in a row, metres from tag to tag
-STRIDE = 15  # frames; with all of them the spacing is a third as far off
-pytestmark = pytest.mark.skipif(not REAL.exists(), reason="the files of others are not here")
+FIRST, EACH, COLUMNS, PITCH = 6, 6, 3, 0.15  # first id, tags of a board and of a row, spacing in metres
+STRIDE = 15  # frames; with all of them the error of the spacing is a third
+pytestmark = pytest.mark.skipif(not REAL.exists(), reason="the recording is not available")
 
 
 @pytest.fixture(scope="module")
 def some():
-    """Every fifteenth frame, and by what it was seen."""
+    """Every fifteenth frame, the camera, the tags and the corner errors."""
     camera = yaml.safe_load((REAL / "cameras.yaml").read_text())["cam0"]
     (width, height), numbers = camera["resolution"], camera["intrinsics"]
     calibration = Calibration(width, height, tuple(numbers[:2]), tuple(numbers[2:]), tuple(camera["distortion_coeffs"]))
@@ -32,7 +32,7 @@ def some():
 
 @pytest.fixture(scope="module")
 def found(some):
-    return survey(*some, Known())
+    return survey(*some, PriorKnowledge())
 
 
 def test_all_tags_and_frames_are_placed(found):
@@ -42,7 +42,7 @@ def test_all_tags_and_frames_are_placed(found):
     assert found.faults.sizes == {}
 
 
-def test_boards_that_nobody_told_of_have_their_spacing(found):
+def test_unknown_boards_have_their_spacing(found):
     places = dict(zip(found.ids.tolist(), found.found.poses.tags[:, :3, 3], strict=True))
     off = []
     for number, place in places.items():
@@ -62,14 +62,14 @@ def test_frames_held_out_agree_with_the_map(found):
     assert np.median(found.localised["measured"].shifts) < 0.005
 
 
-def test_its_own_photographs_calibrate_the_camera(some, found):
-    """The pixels of this sensor are square, which the given calibration denies by 0.1 %; 5 seconds."""
-    calibrated = survey(*some, Known(), calibrate=True)
+def test_photographs_calibrate_the_camera(some, found):
+    """The pixels of this sensor are square, but those of the given calibration are 0.1 % off; 5 seconds."""
+    calibrated = survey(*some, PriorKnowledge(), calibrate=True)
     (camera,) = calibrated.calibrated
     assert camera.is_fixed
     given, own = (np.diff(one.focal_pixels)[0] / one.focal_pixels[0] for one in (camera.given, camera.found))
     assert abs(own) < 0.3 * abs(given)
-    kept = survey(*some, Known(), calibrate=False)
+    kept = survey(*some, PriorKnowledge(), calibrate=False)
     before, after, refined = (np.median(one.localised["measured"].errors) for one in (kept, calibrated, found))
     assert after < 0.75 * before
     assert refined < 0.75 * before

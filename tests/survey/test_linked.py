@@ -1,4 +1,4 @@
-"""Adjustments of linked frames, beside dense algebra and beside drives whose truth is known."""
+"""Bundle adjustment of linked frames, beside dense algebra and drives whose truth is known."""
 
 from dataclasses import replace
 
@@ -18,7 +18,7 @@ COUNT, SIGMA = 5, 0.2
 
 
 def system(kind, seed=0):
-    """A short drive near to its true poses."""
+    """A short drive: truth, sightings, prior, and poses near the true ones."""
     rng = np.random.default_rng(seed)
     driven = drives.drive(7.0, COUNT, rng, dark=0.0)
     some = walks.sightings(driven.detected, np.arange(COUNT), drives.EDGE, SIGMA, drives.CAMERA)
@@ -36,7 +36,7 @@ def system(kind, seed=0):
 
 
 def dense(adjustment, poses, is_robust=False):
-    """The slopes and errors of all, whitened: of frames with their velocities, of tags, of what is off alike."""
+    """Whitened Jacobian and errors: columns of frames with their velocities, of tags, and of the bias of odometry."""
     some, links, seen = adjustment.sightings, adjustment.links, adjustment.seen
     at, joints = Reprojection(some, *poses.of(some)), links.at(poses.frames[seen])
     size, width, alike = links.size, joints.error.shape[1], len(joints.bias)
@@ -112,7 +112,7 @@ def test_frames_that_nothing_links_are_adjusted_as_others():
     assert type(adjustment_of(some, replace(prior, motion=None))) is Adjustment
 
 
-def test_one_tag_in_a_frame_tells_of_the_map_where_frames_are_linked():
+def test_a_single_tag_in_a_linked_frame_constrains_the_map():
     _, some, prior, _ = system("steady")
     used = np.ones(len(some), dtype=bool)
     assert constraining(some, used, prior.motion).all()
@@ -121,8 +121,8 @@ def test_one_tag_in_a_frame_tells_of_the_map_where_frames_are_linked():
 
 
 @pytest.mark.parametrize(("kind", "times"), [("odometry", 1.0), ("odometry", 4.0), ("steady", 1.0)])
-def test_a_drive_tells_its_spread(kind, times):
-    """That of odometers is what they were made with, whatever is assumed; a steady motion is far from what is."""
+def test_a_drive_estimates_its_spread(kind, times):
+    """The spread of odometry is that of the simulation; that of a steady motion is far below its prior."""
     found = []
     for seed in range(4):
         driven, some, prior, poses = system(kind, seed)

@@ -10,7 +10,7 @@ from lmd.survey.motion import BIAS, Motion, seconds_of
 
 
 def some_motion(rng, count, kind):
-    """A motion of so many frames at uneven times, and poses near to it."""
+    """A motion of `count` frames at uneven times, and poses near to it."""
     times = np.cumsum(rng.uniform(0.05, 0.3, count))
     path = [np.eye(4)]
     for twist in rng.normal(size=(count - 1, 6)) * [0.2, 0.2, 0.2, 0.1, 0.1, 0.3]:
@@ -33,57 +33,55 @@ def moved(poses, k, axis, by):
     return poses
 
 
+def jacobian(at, k, axis):
+    """Derivative of all errors by one component of the twist of frame k."""
+    slope = np.zeros_like(at.error)
+    slope[k - 1 : k] += at.by_second[k - 1 : k, :, axis]
+    slope[k : k + 1] += at.by_first[k : k + 1, :, axis]
+    return slope
+
+
 @pytest.mark.parametrize("kind", ["steady", "odometry"])
-def test_slopes_of_the_cost_are_those_of_differences(kind):
-    """Velocities, and what every metre is off by, fit the poses best: the cost has its slope with them fixed."""
+def test_the_gradient_of_the_loss_is_that_of_differences(kind):
+    """Velocities and the bias are at their best for the poses, so the gradient is that with these fixed."""
     rng = np.random.default_rng(3)
     motion, poses = some_motion(rng, 6, kind)
     poses = poses @ exp(rng.normal(0.0, 0.01, (6, 6)))
     links, step = motion.links(np.arange(6)), 1e-6
-    links = replace(links, information=1e-3 * links.information)  # none of them counts less
+    links = replace(links, information=1e-3 * links.information)  # so that all links count in full
     at = links.at(poses)
     assert len(links.first) == 5
 
-    def cost(k, axis, by):
+    def loss(k, axis, by):
         there = links.at(moved(poses, k, axis, by))
         return links.loss(links.squares(there.error)) + 0.5 * there.bias @ there.bias
 
-    for k in range(6):
-        for axis in range(6):
-            slope = np.zeros_like(at.error)
-            slope[k - 1 : k] += at.by_second[k - 1 : k, :, axis]
-            slope[k : k + 1] += at.by_first[k : k + 1, :, axis]
-            pulled = np.einsum("mr,mrs,ms->", slope, links.information, at.error)
-            differs = (cost(k, axis, step) - cost(k, axis, -step)) / (2.0 * step)
-            assert pulled == pytest.approx(differs, rel=1e-3, abs=1e-4 * np.abs(links.information).max() * 1e-3)
+    for k, axis in np.ndindex(6, 6):
+        gradient = np.einsum("mr,mrs,ms->", jacobian(at, k, axis), links.information, at.error)
+        expected = (loss(k, axis, step) - loss(k, axis, -step)) / (2.0 * step)
+        assert gradient == pytest.approx(expected, rel=1e-3, abs=1e-4 * np.abs(links.information).max() * 1e-3)
 
 
 @pytest.mark.parametrize("kind", ["steady", "odometry"])
-def test_slopes_of_errors_are_those_of_differences(kind):
+def test_jacobians_of_errors_are_those_of_differences(kind):
     rng = np.random.default_rng(3)
     motion, poses = some_motion(rng, 6, kind)
-    links = motion.links(np.arange(6))
-    # Without links before and after, what is found beside the poses stays as it is: one link at a time, held firmly.
-    firm = replace(links, by_bias=None if links.by_bias is None else 0.0 * links.by_bias)
-    at, step = firm.at(poses), 1e-5
-    for k in range(6):
-        for axis in range(6):
-            there, here = (firm.at(moved(poses, k, axis, by)).error for by in (step, -step))
-            slope = np.zeros_like(at.error)
-            slope[k - 1 : k] += at.by_second[k - 1 : k, :, axis]
-            slope[k : k + 1] += at.by_first[k : k + 1, :, axis]
-            if kind == "odometry":
-                np.testing.assert_allclose(slope, (there - here) / (2.0 * step), atol=2e-5)
-            else:  # of the turn and the way themselves; velocities move, too
-                change = (
-                    rates_at(firm, moved(poses, k, axis, step)) - rates_at(firm, moved(poses, k, axis, -step))
-                ) / (2.0 * step)
-                slope[:, :6] -= firm.seconds[:, None] * change[firm.first]
-                slope[:, 6:] += change[firm.first + 1] - change[firm.first]
-                np.testing.assert_allclose(slope, (there - here) / (2.0 * step), atol=2e-4)
+    links, step = motion.links(np.arange(6)), 1e-5
+    # The bias depends on all poses, so it is switched off.
+    links = replace(links, by_bias=None if links.by_bias is None else 0.0 * links.by_bias)
+    at = links.at(poses)
+    for k, axis in np.ndindex(6, 6):
+        there, here = (moved(poses, k, axis, by) for by in (step, -step))
+        slope = jacobian(at, k, axis)
+        if kind == "steady":  # velocities depend on all poses
+            change = (rates_at(links, there) - rates_at(links, here)) / (2.0 * step)
+            slope[:, :6] -= links.seconds[:, None] * change[links.first]
+            slope[:, 6:] += change[links.first + 1] - change[links.first]
+        expected = (links.at(there).error - links.at(here).error) / (2.0 * step)
+        np.testing.assert_allclose(slope, expected, atol=2e-5 if kind == "odometry" else 2e-4)
 
 
-def test_velocities_are_those_of_the_least_cost():
+def test_velocities_are_those_of_the_least_loss():
     rng = np.random.default_rng(4)
     motion, poses = some_motion(rng, 7, "steady")
     links = motion.links(np.arange(7))
@@ -102,7 +100,7 @@ def test_a_constant_velocity_has_no_error():
     np.testing.assert_allclose(links.at(turning).error, 0.0, atol=1e-8)
 
 
-def test_what_odometry_drifts_over_several_steps_is_what_the_steps_add():
+def test_drift_over_several_steps_is_the_sum_of_the_steps():
     """Covariances of long links against random paths, which share no code with sums of adjoints."""
     rng = np.random.default_rng(5)
     times = np.arange(41) / 20.0
@@ -123,7 +121,7 @@ def test_what_odometry_drifts_over_several_steps_is_what_the_steps_add():
     assert square.mean() == pytest.approx(6.0, abs=0.25)
 
 
-def test_what_every_metre_is_off_by_is_found():
+def test_the_bias_of_odometry_is_found():
     times = np.arange(201) / 20.0
     step, lean = np.array([0.0, 0.02, 0.0, 0.0, 0.0, 0.05]), np.array([0.0, 0.002, 0.0, 0.0, 0.0, 0.01])
     far = 0.05 + 0.3 * 0.02 + 0.01 * 0.05
@@ -143,7 +141,7 @@ def test_odometry_of_another_clock_is_refused():
         Motion.by_odometry(100.0 + np.arange(5.0), drive)
 
 
-def test_odometry_says_nothing_across_a_gap():
+def test_odometry_does_not_link_frames_across_a_gap():
     times = np.array([0.0, 0.1, 0.2, 5.0, 5.1])
     drive = Trajectory(times, np.tile(np.eye(4), (5, 1, 1)))
     motion = Motion.by_odometry(times, drive)

@@ -1,4 +1,4 @@
-"""What a survey wants to have photographed next; some 5 seconds in all."""
+"""Photographs that a survey proposes; some 5 seconds in all."""
 
 from dataclasses import replace
 
@@ -8,20 +8,17 @@ import walks
 
 from lmd.scene.deployment import Deployment
 from lmd.scene.labels import Labels
-from lmd.scene.tag import Tag
 from lmd.space.cuboid import Cuboid
 from lmd.survey.next_photographs import next_photographs
-from lmd.survey.prior import Known
 from lmd.survey.results import needing_photographs, survey_document
-from lmd.survey.summary import to_text
-from lmd.survey.survey import survey
+from lmd.survey.terminal import to_text
 
 COUNT, UNSEEN, SIGMA = 20, 7, 0.2
 ERRORS, ROOM = walks.constant_errors(SIGMA), Cuboid((5.0, 4.0, 2.5), (4.0, 3.0, 1.5), 1.0)
 
 
 def surveyed(detected, plan):
-    found = survey(detected, [walks.CAMERA], Tag(walks.EDGE), ERRORS, Known(plan))
+    found = walks.surveyed(detected, plan=plan)
     return replace(found, proposed=next_photographs(found, walks.CAMERA, 8, ERRORS, needing_photographs(found), ROOM))
 
 
@@ -49,13 +46,13 @@ def test_the_tag_that_was_not_seen_is_in_the_first_photograph(found):
     assert "\nnext 1 " in to_text(found)
 
 
-def test_each_photograph_leaves_less_unknown(found):
+def test_each_photograph_reduces_sigma(found):
     left = [photograph.left for photograph in found.proposed]
     assert left == sorted(left, reverse=True)
 
 
 def test_no_two_photographs_are_nearly_the_same(found):
-    """The second of them would be taken with the errors of the first."""
+    """The second of them would have the errors of the first."""
     poses = np.stack([photograph.pose for photograph in found.proposed])
     first, second = np.triu_indices(len(poses), 1)
     apart = np.linalg.norm(poses[first, :3, 3] - poses[second, :3, 3], axis=1)
@@ -64,8 +61,7 @@ def test_no_two_photographs_are_nearly_the_same(found):
     assert ((apart > 0.29) | (turned > 14.0)).all()
 
 
-def test_what_is_left_is_what_comes_out_once_it_is_taken(room, found):
-    """Where the photograph shows what was foreseen, the survey with it has the standard deviation that was told."""
+def test_the_predicted_sigma_is_that_of_a_survey_with_the_photograph(room, found):
     true, plan, detected = room
     first = found.proposed[0]
     rng = np.random.default_rng(1)
@@ -77,5 +73,5 @@ def test_what_is_left_is_what_comes_out_once_it_is_taken(room, found):
     assert np.sqrt(places.mean()) == pytest.approx(first.left, rel=0.25)
 
 
-def test_without_a_tag_in_need_there_is_nothing_to_take(found):
+def test_without_a_tag_in_need_no_photograph_is_proposed(found):
     assert next_photographs(found, walks.CAMERA, 8, ERRORS, np.empty(0, dtype=np.int64), ROOM) == ()

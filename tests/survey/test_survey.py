@@ -1,4 +1,4 @@
-"""A whole survey, and what it says of itself."""
+"""A whole survey and its results."""
 
 from dataclasses import replace
 
@@ -11,15 +11,12 @@ from lmd.geometry.se3 import inverse
 from lmd.scene.deployment import Deployment
 from lmd.scene.labels import Labels
 from lmd.scene.surveyed import Surveyed
-from lmd.scene.tag import Tag
-from lmd.survey.prior import Known, Points, poses_of
+from lmd.survey.prior import MeasuredPoints, PriorKnowledge, poses_of
 from lmd.survey.results import map_columns, map_of, measured_of, metrics, survey_document
-from lmd.survey.summary import to_text
-from lmd.survey.survey import survey
+from lmd.survey.terminal import to_text
 
 COUNT, FRAMES, SIGMA = 24, 60, 0.2
 UNSEEN, UNPLANNED, ODD = 7, 23, 11
-TAG = Tag(walks.EDGE)
 
 
 def plan_of(poses, ids, edges=None):
@@ -30,7 +27,7 @@ def plan_of(poses, ids, edges=None):
 
 @pytest.fixture(scope="module")
 def room():
-    """Where tags hang, the plan of all but one, and what was detected of all but another one."""
+    """True poses of tags, the plan of all but one, and detections of all but another one."""
     rng = np.random.default_rng(31)
     plan = walks.spaced_tags(COUNT, rng)
     true, edges = walks.hung(plan, rng), np.full(COUNT, walks.EDGE)
@@ -42,42 +39,35 @@ def room():
     return true, plan_of(plan[planned], planned, sizes), detected
 
 
-def surveyed(detected, **known):
-    return survey(detected, [walks.CAMERA], TAG, walks.constant_errors(SIGMA), Known(**known))
-
-
 @pytest.fixture(scope="module")
 def found(room):
     _, plan, detected = room
-    return surveyed(detected, plan=plan)
+    return walks.surveyed(detected, plan=plan)
 
 
-def test_the_map_has_what_was_seen_and_the_measured_places_what_was_planned(room, found):
+def test_the_map_has_the_tags_seen_and_the_measured_file_those_planned(room, found):
     true, plan, _ = room
-    assert map_of(found).ids.tolist() == [k for k in range(COUNT) if k != UNSEEN]
-    measured = measured_of(found)
-    assert measured.ids.tolist() == plan.ids.tolist()
-    place = plan.ids.tolist().index(UNSEEN)
-    np.testing.assert_array_equal(measured.places[place], plan.places[place])
-    off = np.linalg.norm(np.delete(measured.places - true[plan.ids, :3, 3], place, axis=0), axis=1)
-    assert np.median(off) < 0.006  # the plan alone says where the world is
-    np.testing.assert_allclose(poses_of(map_of(found)), found.found.poses.tags[found.placed], atol=1e-12)
-
-
-def test_a_tag_has_the_edge_that_its_plan_says(found):
+    tags, measured = map_of(found), measured_of(found)
+    assert tags.ids.tolist() == [k for k in range(COUNT) if k != UNSEEN]
+    assert tags.edges[[ODD - 1]] == pytest.approx(0.15)  # by the plan
     assert found.faults.sizes == {}
-    assert map_of(found).edges[[ODD - 1]] == pytest.approx(0.15)
+    assert measured.ids.tolist() == plan.ids.tolist()
+    index = plan.ids.tolist().index(UNSEEN)
+    np.testing.assert_array_equal(measured.places[index], plan.places[index])
+    off = np.linalg.norm(np.delete(measured.places - true[plan.ids, :3, 3], index, axis=0), axis=1)
+    assert np.median(off) < 0.006  # the plan alone gives the world
+    np.testing.assert_allclose(poses_of(tags), found.found.poses.tags[found.placed], atol=1e-12)
 
 
-def test_every_tag_that_needs_a_look_is_named(found):
-    text = to_text(found)
+def test_tags_that_need_attention_are_named(found):
+    text, document = to_text(found), survey_document(found)
     assert f"\nnot seen    {UNSEEN}\n" in f"{text}\n"
     assert f"\nnot planned {UNPLANNED}\n" in f"{text}\n"
-    assert UNSEEN in survey_document(found)["another_photograph"]
-    assert {row["id"]: row["state"] for row in survey_document(found)["tags"]}[UNPLANNED] == "placed"
+    assert UNSEEN in document["another_photograph"]
+    assert {row["id"]: row["state"] for row in document["tags"]}[UNPLANNED] == "placed"
 
 
-def test_the_measured_map_is_worth_more_than_the_plan_on_frames_held_out(found):
+def test_the_map_is_better_than_the_plan_on_held_out_frames(found):
     figures = metrics(found)
     assert figures["held_out_error_measured/50"] < 1.5 * SIGMA * np.sqrt(2.0)
     assert figures["held_out_error_planned/50"] > 4.0 * figures["held_out_error_measured/50"]
@@ -85,7 +75,7 @@ def test_the_measured_map_is_worth_more_than_the_plan_on_frames_held_out(found):
     assert len(found.localised["measured"].shifts) >= FRAMES // 8
 
 
-def test_covariances_of_the_map_are_symmetric_and_in_the_world_frame(found):
+def test_covariances_of_the_map_are_in_the_world_frame(found):
     columns = map_columns(found)
     k = int(np.flatnonzero(found.placed)[0])
     turned = found.found.poses.tags[k, :3, :3]
@@ -94,31 +84,25 @@ def test_covariances_of_the_map_are_symmetric_and_in_the_world_frame(found):
     np.testing.assert_allclose(written, expected, rtol=1e-9)
 
 
-def test_a_tag_whose_place_is_known_stays_there(room):
+def test_a_fixed_tag_defines_the_world(room):
     true, _, detected = room
-    fixed = plan_of(true[:1], np.array([0]))
-    found = surveyed(detected, fixed=fixed)
-    pose = found.found.poses.tags[0]
+    pose, other = walks.surveyed(detected, fixed=plan_of(true[:1], np.array([0]))).found.poses.tags[[0, 4]]
     np.testing.assert_allclose(pose, true[0], atol=1e-4)
-    other = inverse(true[0]) @ true[4]
-    np.testing.assert_allclose((inverse(pose) @ found.found.poses.tags[4])[:3, 3], other[:3, 3], atol=0.01)
+    relative = inverse(true[0]) @ true[4]
+    np.testing.assert_allclose((inverse(pose) @ other)[:3, 3], relative[:3, 3], atol=0.01)
 
 
-def test_three_centres_by_the_tape_measure_say_where_the_world_is(room):
+def test_three_centres_by_a_tape_measure_define_the_world(room):
     true, _, detected = room
     few = np.array([0, 5, 10])
-    points = Points(few, true[few, :3, 3] + np.random.default_rng(0).normal(0.0, 0.002, (3, 3)))
-    found = surveyed(detected, points=points)
+    points = MeasuredPoints(few, true[few, :3, 3] + np.random.default_rng(0).normal(0.0, 0.002, (3, 3)))
+    found = walks.surveyed(detected, points=points)
     off = np.linalg.norm(found.found.poses.tags[found.placed, :3, 3] - true[found.ids[found.placed], :3, 3], axis=1)
     assert np.median(off) < 0.006
     assert off.max() < 0.015
-
-
-def test_centres_that_were_not_seen_say_nothing(room):
-    true, _, detected = room
-    few = np.array([0, 5, UNSEEN])
+    unseen = np.array([0, 5, UNSEEN])
     with pytest.raises(InputError, match=r"^points has too few tags that photographs connect"):
-        surveyed(detected, points=Points(few, true[few, :3, 3]))
+        walks.surveyed(detected, points=MeasuredPoints(unseen, true[unseen, :3, 3]))
 
 
 @pytest.mark.parametrize(
@@ -131,34 +115,30 @@ def test_centres_that_were_not_seen_say_nothing(room):
 )
 def test_points_that_fix_no_world_are_refused(ids, places, message):
     with pytest.raises(InputError, match=message):
-        Points(np.array(ids), np.asarray(places, dtype=np.float64))
+        MeasuredPoints(np.array(ids), np.asarray(places, dtype=np.float64))
 
 
-def test_tags_on_the_floor_say_what_is_up(room):
-    """Here one wall is taken for the floor: its tags are at z = 0, face along z, and the distances stay."""
-    true, _, detected = room
+def test_tags_on_the_floor_define_up(room):
+    """One wall is taken for the floor: its tags are at z = 0 and face along z, and distances do not change."""
+    true, plan, detected = room
     floor = [k for k in range(COUNT) if k % 4 == 0]  # all on one wall
-    found = surveyed(detected, floor=tuple(floor), origin=5)
-    poses = {number: found.found.poses.tags[k] for k, number in enumerate(found.ids.tolist())}
-    for number in floor:
-        assert abs(poses[number][2, 3]) < 0.005
-        assert poses[number][2, 2] > 0.999
+    found = walks.surveyed(detected, floor=tuple(floor), origin=5)
+    poses = dict(zip(found.ids.tolist(), found.found.poses.tags, strict=True))
+    on_floor = np.stack([poses[number] for number in floor])
+    assert np.abs(on_floor[:, 2, 3]).max() < 0.005
+    assert on_floor[:, 2, 2].min() > 0.999
     np.testing.assert_allclose(poses[5][:2, 3], 0.0, atol=1e-9)
     assert poses[5][2, 3] == pytest.approx(true[5][1, 3] - true[floor, 1, 3].mean(), abs=0.005)
     assert metrics(found)["held_out_error_measured/50"] < 1.5 * SIGMA * np.sqrt(2.0)
-
-
-def test_a_floor_beside_a_plan_is_refused(room):
-    _, plan, _ = room
     with pytest.raises(InputError, match=r"^floor says where z = 0 is, but the plan"):
-        Known(plan, floor=(1, 2, 3))
+        PriorKnowledge(plan, floor=(1, 2, 3))
 
 
-def test_an_id_that_was_read_once_is_not_believed(room):
+def test_ids_that_were_read_once_are_not_in_the_map(room):
     _, plan, detected = room
     ids = detected.ids.copy()
     ids[5], ids[9] = 100, 101
-    found = surveyed(replace(detected, ids=ids), plan=plan)
+    found = walks.surveyed(replace(detected, ids=ids), plan=plan)
     assert set(map_of(found).ids.tolist()) == {k for k in range(COUNT) if k != UNSEEN}
     assert set(found.ids.tolist()) == set(range(COUNT))
 
@@ -169,10 +149,10 @@ def test_corners_that_do_not_go_around_a_tag_are_refused(room, planned):
     few = detected.of(np.flatnonzero(detected.frame < 10))
     crossed = replace(few, corners=few.corners[:, [0, 2, 1, 3]])
     with pytest.raises(InputError, match=r"^detections: (the corners of tag \d+ are|no two tags of a frame agree)"):
-        surveyed(crossed, plan=plan if planned else None)
+        walks.surveyed(crossed, plan=plan if planned else None)
 
 
-def test_frames_that_contradict_each_other_place_no_tag(room):
+def test_frames_that_contradict_each_other_are_refused(room):
     *_, detected = room
     few, rng = detected.of(np.flatnonzero(detected.frame < 4)), np.random.default_rng(3)
     corners = few.corners.copy()
@@ -180,10 +160,10 @@ def test_frames_that_contradict_each_other_place_no_tag(room):
         (own,) = np.nonzero(few.frame == frame)
         corners[own] = corners[rng.permutation(own)]
     with pytest.raises(InputError, match=r"^detections: no tag is placed, as no 2 sightings of one agree"):
-        surveyed(replace(few, corners=corners))
+        walks.surveyed(replace(few, corners=corners))
 
 
 def test_detections_of_other_tags_are_refused(room):
     _, plan, detected = room
     with pytest.raises(InputError, match=r"^detections has no tag of the plan, and no other one twice\.$"):
-        surveyed(replace(detected, ids=300 + np.arange(len(detected)) % 200).of(np.arange(100)), plan=plan[:1])
+        walks.surveyed(replace(detected, ids=300 + np.arange(len(detected)) % 200).of(np.arange(100)), plan=plan[:1])

@@ -1,4 +1,4 @@
-"""Tags whose corners begin elsewhere, or that hang turned: images by cv2.projectPoints of squares made here."""
+"""Tags whose corners begin elsewhere, or that hang turned: images by cv2.projectPoints of plain squares."""
 
 import re
 from dataclasses import replace
@@ -9,17 +9,14 @@ import pytest
 import walks
 
 from lmd.core.checks import InputError
+from lmd.formats.detections import DetectedTags
 from lmd.geometry.se3 import inverse
-from lmd.mapping.detections import DetectedTags
 from lmd.scene.deployment import Deployment
 from lmd.scene.labels import Labels
 from lmd.scene.surveyed import Surveyed
-from lmd.scene.tag import Tag
 from lmd.survey.boards import Boards
-from lmd.survey.prior import Known
 from lmd.survey.results import map_of
-from lmd.survey.summary import to_text
-from lmd.survey.survey import survey
+from lmd.survey.terminal import to_text
 
 IDS = np.array([2, 3, 5, 7, 11])
 PLACES = np.array([[0.5, 0.0, 1.0], [1.0, 0.0, 1.4], [1.6, 0.0, 0.9], [2.0, 0.0, 1.5], [0.0, 0.7, 1.2]])
@@ -34,7 +31,7 @@ def plan(places=PLACES):
 
 
 def seen(clockwise, places=PLACES, rolled=0):
-    """What six photographs show of tags turned clockwise by quarters, with corners that begin at the one `rolled`."""
+    """Detections in six photographs of tags turned clockwise by quarters, with corners that begin at `rolled`."""
     camera, rng = walks.CAMERA, np.random.default_rng(3)
     matrix = np.eye(3)
     (matrix[0, 0], matrix[1, 1]), matrix[:2, 2] = camera.focal_pixels, camera.principal_point
@@ -59,11 +56,11 @@ def seen(clockwise, places=PLACES, rolled=0):
 
 
 def surveyed(detected, **known):
-    return survey(detected, [walks.CAMERA], Tag(EDGE), walks.constant_errors(SIGMA), Known(**known))
+    return walks.surveyed(detected, SIGMA, edge=EDGE, **known)
 
 
 def line(found, label):
-    """What stands behind a label in the terminal; None without that line."""
+    """Text after a label in the terminal; None without that line."""
     rows = dict(row.split(maxsplit=1) for row in to_text(found).splitlines())
     return rows.get(label)
 
@@ -87,7 +84,7 @@ def test_tags_as_planned_have_no_such_line():
 
 
 @pytest.mark.parametrize("clockwise", [(0, 2, 0, 0, 0), (2, 0, 0, 2, 0), (1, 3, 0, 0, 0), (0, 0, 0, 0, 1)])
-def test_some_that_hang_turned_hang_so_in_the_map_of_a_plan(clockwise):
+def test_planned_tags_that_hang_turned_hang_so_in_the_map(clockwise):
     found = surveyed(seen(clockwise), plan=plan())
     tags = map_of(found)
     np.testing.assert_allclose(tags.places, PLACES, atol=2e-3)
@@ -101,7 +98,7 @@ def test_some_that_hang_turned_hang_so_in_the_map_of_a_plan(clockwise):
 
 
 @pytest.mark.parametrize("clockwise", [(0, 2, 0, 0, 0), (2, 0, 0, 2, 1), (0, 0, 0, 0, 3), (2, 2, 2, 2, 0)])
-def test_fixed_tags_stay_as_they_are_fixed_however_they_are_turned(clockwise):
+def test_fixed_tags_keep_their_poses_at_any_turn(clockwise):
     found = surveyed(seen(clockwise), fixed=plan())
     np.testing.assert_allclose(map_of(found).places, PLACES, atol=1e-6)
     np.testing.assert_allclose(map_of(found).ups, np.tile([0.0, 0.0, 1.0], (5, 1)), atol=1e-6)
@@ -118,7 +115,7 @@ def test_two_fixed_tags_are_enough():
 
 
 def test_corners_of_lmds_own_detectors_are_not_renumbered():
-    """Then all tags do hang upside down, which a map must say."""
+    """So all tags really hang upside down."""
     detected = seen([2] * 5)
     own = DetectedTags.together({"": detected})
     assert not own.in_order
@@ -138,7 +135,7 @@ def test_without_a_plan_the_world_is_that_of_the_tag_as_it_was_seen():
 
 @pytest.mark.parametrize("rolled", [0, 1, 2])
 def test_tags_of_one_sheet_say_which_corner_is_the_first(rolled):
-    """On this wall what is to the right of who looks at it is along -x."""
+    """On this wall the viewer's right is along -x."""
     places = np.stack([-PLACES[:4, 0], PLACES[:4, 2]], axis=1)
     boards = Boards(("sheet",) * 4, IDS[:4], places, 0.0002)
     found = surveyed(seen([0] * 5, rolled=rolled), boards=boards, origin=2)
@@ -178,7 +175,7 @@ def test_a_fixed_tag_that_is_a_little_off_stays_and_is_named():
 @pytest.mark.parametrize("seed", [0, 2])
 @pytest.mark.parametrize("turned", ["all", "each"])
 @pytest.mark.parametrize("as_fixed", [True, False])
-def test_a_room_of_turned_tags_is_mapped_as_the_same_room_upright(seed, turned, as_fixed):
+def test_a_room_of_turned_tags_is_mapped_like_an_upright_one(seed, turned, as_fixed):
     """With a tenth of wrong ids for one of the seeds."""
     rng, count = np.random.default_rng(seed), 20
     planned = walks.spaced_tags(count, rng)
@@ -194,10 +191,7 @@ def test_a_room_of_turned_tags_is_mapped_as_the_same_room_upright(seed, turned, 
         known[:, :3, 3], known[:, :3, 2],
         surveyed=Surveyed(known[:, :3, 3], known[:, :3, 3], known[:, :3, 1]),
     )  # fmt: skip
-    found = survey(
-        replace(detected, corners=rolled), [walks.CAMERA], Tag(walks.EDGE), walks.constant_errors(0.2),
-        Known(**{"fixed" if as_fixed else "plan": deployment}),
-    )  # fmt: skip
+    found = walks.surveyed(replace(detected, corners=rolled), **{"fixed" if as_fixed else "plan": deployment})
     tags = map_of(found)
     assert len(tags) >= count - 1
     off = np.linalg.norm(tags.places - true[tags.ids, :3, 3], axis=1)
