@@ -23,7 +23,7 @@ from omegaconf import OmegaConf
 
 from lmd.core.checks import FloatArray
 from lmd.detection.detectors import AprilTagDetector, ArucoDetector, Detector
-from lmd.detection.frames import draw_poses, look, tagged_room
+from lmd.detection.frames import detect_in_frames, draw_poses, tagged_room
 from lmd.estimation.pnp import likely
 from lmd.geometry.camera import Camera
 from lmd.geometry.pose import pose_error, solutions
@@ -61,7 +61,7 @@ def views(
 ) -> FloatArray:
     """Poses `(count, 4, 4)` that see what hangs at the origin at an incidence, degrees, from all sides.
 
-    The cameras look past it by a `turn` to the side, degrees, None for a random one.
+    The cameras detect_in_frames past it by a `turn` to the side, degrees, None for a random one.
     """
     slant, around = np.radians(incidence), rng.uniform(-np.pi, np.pi, count)
     away = np.stack([np.full(count, np.cos(slant)), np.sin(slant) * np.cos(around), np.sin(slant) * np.sin(around)], 1)
@@ -140,7 +140,7 @@ def by_distance(camera: Camera, rng: np.random.Generator) -> Iterator[str]:
             row = f"| {distance:g} | {incidence} | {told:.3f} | {simulated(camera, poses, points, rng):.3f} |"
             poses = views(RENDERED, distance, incidence, rng)
             exact = project(camera, poses, points)
-            for sighting in look(renderer, DETECTORS, poses, 0, int(rng.integers(2**31))).values():
+            for sighting in detect_in_frames(renderer, DETECTORS, poses, 0, int(rng.integers(2**31))).values():
                 found = np.flatnonzero(sighting.detected[:, 0])
                 if len(found) < RENDERED // 4:
                     row += " |" * 4
@@ -164,7 +164,7 @@ def deviation(camera: Camera, poses: FloatArray, edge: float, shifts: tuple[floa
         offset = shift * RIGHT - poses[:, :3, 3]
         depth = (poses[:, :3, 2] * offset).sum(axis=1)
         numbers += np.array(moments(*offset.T, *(half * RIGHT.T), *(half * UP.T), 1.0)) / depth**3
-    value, fixed = variance(*numbers)
+    value, fixed = variance(numbers, 0, 1)
     return np.where(fixed, deviation_per_variance(camera, NOISE) * np.sqrt(value), np.inf)
 
 
@@ -202,7 +202,7 @@ def found_in(runs: list[str]) -> Iterator[str]:
         )
         renderer = Renderer(scene.camera, tagged_room(scene.room, deployment, scene.tag), Imaging())
         poses = draw_poses(scene, FRAMES, 0)
-        for name, sighting in look(renderer, DETECTORS, poses, 0, 0).items():
+        for name, sighting in detect_in_frames(renderer, DETECTORS, poses, 0, 0).items():
             found = [fitted(scene.camera, renderer.room.corners, image) for image in sighting.corners]
             off = pose_error(poses, np.array([each[0] for each in found]))[0]
             sure, alone = np.array([each[1] for each in found]), sighting.detected.sum(axis=1) == 1

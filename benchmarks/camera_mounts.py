@@ -23,9 +23,10 @@ from hydra import compose, initialize_config_dir
 from lmd.cameras.problem import CameraProblem
 from lmd.core.checks import BoolArray, FloatArray
 from lmd.detection.detectors import AprilTagDetector
-from lmd.detection.evaluation import at_least
-from lmd.detection.frames import draw_poses, look, tagged_room
+from lmd.detection.evaluation import shares_of_frames
+from lmd.detection.frames import detect_in_frames, draw_poses, tagged_room
 from lmd.evaluation.validation import Sample, sampled_values
+from lmd.formats.rigs import read_mounts, rig_of
 from lmd.geometry.camera import Camera
 from lmd.geometry.se3 import axis_and_right, pose_of
 from lmd.optimisers.ledger import Budget
@@ -34,7 +35,6 @@ from lmd.pipelines.app import CONF
 from lmd.pipelines.place_cameras import build_camera_problem
 from lmd.render.renderer import Renderer
 from lmd.scene.rig import Mount, Rig
-from lmd.scene.rig_sources import read_mounts, rig_of
 from lmd.sight.views import visible
 
 HELD_OUT = Sample(groups=8, positions=512, divisions=16)
@@ -81,7 +81,7 @@ def detected(problem: CameraProblem, rig: Rig, bodies: FloatArray) -> BoolArray:
     for i, mount in enumerate(rig.mounts):
         renderer, detectors = Renderer(mount.camera, room), {"apriltag": AprilTagDetector(scene.tag.family)}
         poses = camera_poses(bodies, mount)
-        found.append(look(renderer, detectors, poses, i * len(bodies), SEED)["apriltag"].detected)
+        found.append(detect_in_frames(renderer, detectors, poses, i * len(bodies), SEED)["apriltag"].detected)
     return np.asarray(np.logical_or.reduce(found))
 
 
@@ -126,7 +126,7 @@ def main() -> None:
         for name, rig in rigs.items():
             evaluator = problem.with_rig(rig).evaluator
             told = visible(evaluator, problem.tags, bodies[:, :3, 3], axis_and_right(bodies))
-            shares = [at_least(seen) for seen in (told, detected(problem, rig, bodies))]
+            shares = [shares_of_frames(seen) for seen in (told, detected(problem, rig, bodies))]
             row(name, *(f"{s.share[N - 1]:.1%} +- {s.error[N - 1]:.1%}" for s in shares))
 
 

@@ -16,14 +16,14 @@ import numpy as np
 
 from lmd.core.checks import FloatArray, InputError, IntArray
 from lmd.detection.corner_errors import CORNER_ERRORS, CornerErrors
+from lmd.formats.calibration_readers import read_cameras
+from lmd.formats.calibrations import calibrated_camera
+from lmd.formats.detections import DetectedTags, read_detections
+from lmd.formats.trajectories import TrajectoryFile
 from lmd.geometry.camera import Camera
 from lmd.geometry.se3 import act, exp, inverse, laid_over
 from lmd.geometry.trajectory import Trajectory
-from lmd.mapping.detections import DetectedTags, read_detections
-from lmd.scene.calibration_files import read_cameras
-from lmd.scene.camera_calibration import calibrated_camera
 from lmd.scene.tag import Tag
-from lmd.scene.trajectory_files import TrajectoryFile
 from lmd.survey.prior import PriorKnowledge
 from lmd.survey.survey import Survey, survey
 

@@ -54,7 +54,7 @@ def session_times(overrides: list[str]) -> np.ndarray:
         problem = build_problem(compose("evaluate", [*overrides, "threads=1"]))
     rng, session = np.random.default_rng(0), PlanningSession(problem, problem.draw(np.random.default_rng(0)))
     session.warm_up()
-    surfaces, times = problem.scene.plates.hanging.surfaces(), []
+    surfaces, times = problem.scene.footprints.hanging.surfaces(), []
     for _ in range(DRAGS):
         number, surface = int(rng.integers(len(session.deployment))), int(rng.integers(len(surfaces)))
         place = rng.uniform(size=2) * surfaces[surface].extent

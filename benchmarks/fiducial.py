@@ -33,7 +33,7 @@ MOVES, TRIED = 400, 2  # moves that are bounded and made exact
 def times(scene: Scene, count: int) -> tuple[float, float]:
     """What an evaluation takes, and of a move that is only tried, seconds."""
     rng, evaluator = np.random.default_rng(0), Evaluator(scene, threads=1)
-    start, targets = (scene.plates.draw(RandomDeployment(size), rng) for size in (count, MOVES))
+    start, targets = (scene.footprints.draw(RandomDeployment(size), rng) for size in (count, MOVES))
     field = coverage_field(evaluator, N)
     state = field.state(start)
     args = np.hstack([targets.positions, targets.normals]), targets.surfaces, field, state, field.scratch(state), TRIED

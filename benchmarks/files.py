@@ -11,10 +11,10 @@ from collections.abc import Callable
 from pathlib import Path
 
 from lmd.core.checks import InputError
-from lmd.scene.calibration_files import read_cameras
-from lmd.scene.camera_calibration import calibrated_camera
-from lmd.scene.tag_map_files import read_deployment
-from lmd.scene.trajectory_files import TrajectoryFile
+from lmd.formats.calibration_readers import read_cameras
+from lmd.formats.calibrations import calibrated_camera
+from lmd.formats.tag_maps import read_deployment
+from lmd.formats.trajectories import TrajectoryFile
 
 
 def calibration(path: str) -> str:

@@ -60,7 +60,7 @@ def part_of(scene: Scene, side: float) -> Scene:
 def costs(scene: Scene, count: int) -> Costs:
     """Measure with `count` landmarks hung at random."""
     rng, evaluator = np.random.default_rng(0), Evaluator(scene, threads=1)
-    start, targets = (scene.plates.draw(RandomDeployment(size), rng) for size in (count, MOVES))
+    start, targets = (scene.footprints.draw(RandomDeployment(size), rng) for size in (count, MOVES))
     landmarks = start.positions[None], start.normals[None]
     evaluated = best_of(5, lambda: evaluator.units(*landmarks, N), process_time)
     field = coverage_field(evaluator, N)

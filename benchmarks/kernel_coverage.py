@@ -23,7 +23,7 @@ import pytest
 HERE = Path(__file__).resolve().parents[1]
 COMPILED = ("kernel", "borrowing", "inner", "inlined", "allocating", "register", "overridable")
 TESTS = (
-    *("tests/sight", "tests/objectives", "tests/space", "tests/geometry", "tests/scene/test_plates.py"),
+    *("tests/sight", "tests/objectives", "tests/space", "tests/geometry", "tests/scene/test_footprints.py"),
     *("tests/optimisers/test_walk.py", "tests/optimisers/test_ascent.py", "tests/planner/test_additions.py"),
     *("tests/test_disabled_compiler.py", "tests/test_plain_criteria.py"),
 )

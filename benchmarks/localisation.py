@@ -68,7 +68,10 @@ def in_hall() -> list[float]:
     """Seconds of an evaluation of 1,000 tags in `experiment=hall`: coverage, and localisation that asks nothing."""
     with initialize_config_dir(CONF, version_base="1.3"):
         scene = build_problem(compose("optimise", ["experiment=hall"])).scene
-    evaluator, tags = Evaluator(scene, threads=1), scene.plates.draw(RandomDeployment(1000), np.random.default_rng(0))
+    evaluator, tags = (
+        Evaluator(scene, threads=1),
+        scene.footprints.draw(RandomDeployment(1000), np.random.default_rng(0)),
+    )
     landmarks = tags.positions[None], tags.normals[None]
     objectives: list[Any] = [Coverage(2, 0.65), Localisation(tolerance=math.inf)]
     found = [objective.values(evaluator, *landmarks) for objective in objectives]

@@ -14,6 +14,7 @@ import numpy as np
 import trimesh
 
 from lmd.core.compiled import kernel
+from lmd.formats.meshes import read_mesh_room
 from lmd.geometry.camera import Camera
 from lmd.incremental.coverage_field import coverage_field
 from lmd.incremental.field import bound, settle
@@ -27,7 +28,6 @@ from lmd.sight.models.fiducial import Fiducial
 from lmd.sight.models.paper import Visibility
 from lmd.space.cuboid import Cuboid
 from lmd.space.floor_plan import FloorPlan
-from lmd.space.mesh_room import from_mesh
 from lmd.space.parts import Reachable
 from lmd.space.prism import Prism
 from lmd.space.space import Space
@@ -77,7 +77,7 @@ def as_mesh(parts: list[trimesh.Trimesh]) -> Space:
     whole = trimesh.util.concatenate(parts)
     with tempfile.NamedTemporaryFile(suffix=".stl") as file:
         whole.export(file.name)
-        return from_mesh(file.name, {"height": [0.75, 5.25]}, 0.5, up="z")
+        return read_mesh_room(file.name, {"height": [0.75, 5.25]}, 0.5, up="z")
 
 
 def tasks(room: Space, visibility: Criteria) -> tuple[int, dict[str, Callable[[], object]]]:

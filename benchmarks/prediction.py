@@ -19,19 +19,19 @@ from scipy.optimize import minimize
 
 from lmd.core.checks import BoolArray, FloatArray, IntArray
 from lmd.core.tables import write_table
+from lmd.detection.calibration import fit
 from lmd.detection.corner_errors import CORNER_ERRORS
 from lmd.detection.detectors import AprilTagDetector
 from lmd.detection.evaluation import corner_error, precision_recall
-from lmd.detection.fit import fit
-from lmd.detection.surveyed import FILE, SurveyedViews
+from lmd.detection.views import FILE, SurveyedViews
 from lmd.evaluation.verdicts import verdicts
+from lmd.formats.calibration_readers import read_cameras
+from lmd.formats.calibrations import calibrated_camera
+from lmd.formats.detections import read_detections
+from lmd.formats.images_taken import with_images
 from lmd.geometry.camera import Camera
 from lmd.geometry.projection import intrinsics
-from lmd.mapping.detections import read_detections
-from lmd.mapping.images_taken import with_images
 from lmd.render.imaging import Imaging
-from lmd.scene.calibration_files import read_cameras
-from lmd.scene.camera_calibration import calibrated_camera
 from lmd.scene.pdf import solid_angle
 from lmd.scene.rig import Mount, Rig
 from lmd.scene.scene import Scene

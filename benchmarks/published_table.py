@@ -18,13 +18,13 @@ from lmd.core.checks import FloatArray
 from lmd.detection.corner_errors import CORNER_ERRORS
 from lmd.detection.detectors import ArucoDetector
 from lmd.estimation.cramer_rao import pose_information
+from lmd.formats.calibrations import Calibration
 from lmd.geometry.camera import Camera
 from lmd.geometry.projection import intrinsics, project
 from lmd.geometry.se3 import camera_pose
 from lmd.render.imaging import Imaging
 from lmd.render.renderer import Renderer
 from lmd.render.room import TaggedRoom
-from lmd.scene.camera_calibration import Calibration
 from lmd.scene.tag import Tag
 
 PUBLISHED = (45.3, 24.9, 8.8, 5.1, 3.7, 3.2, 3.0)  # cm

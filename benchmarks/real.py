@@ -24,11 +24,10 @@ from scipy.spatial.transform import Rotation
 from lmd.core.checks import FloatArray
 from lmd.detection.corner_errors import CORNER_ERRORS
 from lmd.detection.detectors import AprilTagDetector, ArucoDetector
-from lmd.geometry.camera import Camera
+from lmd.formats.calibrations import Calibration, calibrated_camera
+from lmd.formats.detections import DetectedTags, read_detections
+from lmd.geometry.camera import PIXEL_CENTRE, Camera
 from lmd.geometry.pose import solutions
-from lmd.mapping.detections import DetectedTags, read_detections
-from lmd.scene.calibration_files import PIXEL_CENTRE
-from lmd.scene.camera_calibration import Calibration, calibrated_camera
 from lmd.scene.tag import Tag
 from lmd.survey.prior import PriorKnowledge
 from lmd.survey.survey import survey

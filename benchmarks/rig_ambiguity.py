@@ -1,6 +1,6 @@
 """How often a body whose cameras see one tag is taken for another one: `python benchmarks/rig_ambiguity.py`.
 
-Prints Markdown tables of `lmd.objectives.localisation.rig_ambiguity` against fits to the corners in all images, which
+Prints Markdown tables of `lmd.objectives.localisation.ambiguity` against fits to the corners in all images, which
 begin at each image's two solutions of OpenCV's IPPE, and share no code with it:
 
 1. by incidence: the closed form over the residual of the other pose, noise-free, and the share of wrong poses, as
@@ -21,8 +21,7 @@ from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
 from lmd.core.checks import FloatArray
-from lmd.objectives.localisation.ambiguity import CONFIDENCE
-from lmd.objectives.localisation.rig_ambiguity import mirrored_numbers, told_by_all
+from lmd.objectives.localisation.ambiguity import CONFIDENCE, mirrored_numbers, rig_ratio
 
 NOISE, EDGE, TOLERANCES = 0.5, 0.1, (0.05, 0.1)  # pixels, metres, metres
 CASES, DRAWS, VIEWS, REPEATS = 60, 60, 1500, 3
@@ -102,7 +101,7 @@ class Cameras:
             half = self.edge / 2.0
             numbers = mirrored_numbers(*-centre, half, 0.0, 0.0, 0.0, half, 0.0, 1.0)
             total += focal**2 * np.array(numbers) / (turn @ -centre)[2] ** 3
-        return float(np.sqrt(total[0])), float(np.sqrt(told_by_all(*total, 1.0)))
+        return float(np.sqrt(total[0])), float(np.sqrt(rig_ratio(*total, 1.0)))
 
 
 def cameras(edge: float, distance: float, incidence: float, spots: FloatArray, rng: np.random.Generator) -> Cameras:

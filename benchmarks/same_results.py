@@ -17,6 +17,7 @@ from pathlib import Path
 HERE = Path(__file__).resolve().parents[1]
 COMMON = ("tracking=none", "validate=false", "threads=2")
 TAGS = ("visibility=fiducial", "tag=printed", "tag.edge=0.16", "objective.thold_p=0.3", "room.spacing=1.0")
+SIZES = ("tag.edges=[0.16,0.3]", "deployment.count=[20,10]")
 RIG = "camera.rig=[{translation: [0, 0.1, 0], yaw: 0.0}, {translation: [0, -0.1, 0], yaw: 3.1}]"
 CONFIGURATIONS = {
     "annealing": ("budget.evaluations=600",),
@@ -27,6 +28,10 @@ CONFIGURATIONS = {
     "annealing, line of sight": ("budget.evaluations=200", "visibility.occlusion=line_of_sight"),
     "annealing, robust": ("budget.evaluations=150", "objective=robust"),
     "annealing, tags": ("budget.evaluations=100", *TAGS),
+    "annealing, two sizes": ("budget.evaluations=100", *TAGS, *SIZES),
+    "annealing, two sizes, localisation": ("budget.evaluations=60", *TAGS, *SIZES, "objective=localisation"),
+    "greedy, two sizes": ("budget.evaluations=60", *TAGS, *SIZES, "optimiser=greedy"),
+    "EGA, two sizes": ("budget.evaluations=200", *TAGS, *SIZES, "optimiser=ega"),
     "annealing, localisation": ("budget.evaluations=60", *TAGS, "objective=localisation"),
     "annealing, floor plan with furniture": ("budget.evaluations=100", "experiment=lab_l_shape"),
     "annealing, a rig": ("budget.evaluations=60", "room.spacing=1.5", "pdf.divisions=6", RIG),

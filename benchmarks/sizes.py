@@ -9,8 +9,8 @@ import numpy as np
 from hydra import compose, initialize_config_dir
 
 from lmd.evaluation.reach import reach
-from lmd.pipelines.app import CONF
-from lmd.pipelines.building import build_problem
+from pipelines.app import CONF
+from pipelines.building import build_problem
 
 EDGES = (0.05, 0.06, 0.07, 0.08, 0.10, 0.12, 0.15)
 POSITIONS = 2000

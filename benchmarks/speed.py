@@ -34,8 +34,8 @@ from lmd.scene.deployment_sources import RandomDeployment
 from lmd.scene.pdf import grid_with_ends
 from lmd.scene.scene import Scene
 from lmd.sight import reference
-from lmd.sight.bands import band_of
 from lmd.sight.blocks import BLOCK
+from lmd.sight.directions import band_of
 from lmd.sight.evaluator import Evaluator
 from lmd.sight.poses import candidate_poses, gains
 

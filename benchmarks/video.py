@@ -15,8 +15,8 @@ import numpy as np
 import walks  # of the tests
 
 from lmd.core.checks import FloatArray
+from lmd.formats.detections import DetectedTags
 from lmd.geometry.se3 import act, camera_pose, laid_over
-from lmd.mapping.detections import DetectedTags
 from lmd.scene.tag import Tag
 from lmd.survey.keyframes import select_keyframes
 from lmd.survey.prior import PriorKnowledge

@@ -23,6 +23,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from lmd.core.checks import InputError as InputError
+    from lmd.formats.deployments import FileDeployment as FileDeployment
     from lmd.geometry.camera import Camera as Camera
     from lmd.objectives.coverage import Coverage as Coverage
     from lmd.objectives.localisation import Localisation as Localisation
@@ -36,7 +37,6 @@ if TYPE_CHECKING:
     from lmd.run import optimise as optimise
     from lmd.scene import pdf as pdf
     from lmd.scene.deployment import Deployment as Deployment
-    from lmd.scene.deployment_sources import FileDeployment as FileDeployment
     from lmd.scene.deployment_sources import RandomDeployment as RandomDeployment
     from lmd.scene.deployment_sources import UniformDeployment as UniformDeployment
     from lmd.scene.rig import Mount as Mount
@@ -62,7 +62,7 @@ _HOMES = {
     "Cuboid": "lmd.space.cuboid",
     "Deployment": "lmd.scene.deployment",
     "Fiducial": "lmd.sight.models.fiducial",
-    "FileDeployment": "lmd.scene.deployment_sources",
+    "FileDeployment": "lmd.formats.deployments",
     "FloorPlan": "lmd.space.floor_plan",
     "InputError": "lmd.core.checks",
     "MeshRoom": "lmd.space.mesh_room",

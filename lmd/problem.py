@@ -12,7 +12,6 @@ from lmd.core.threads import MOST_THREADS
 from lmd.objectives.base import Objective
 from lmd.scene.deployment import Deployment
 from lmd.scene.deployment_sources import DeploymentSource
-from lmd.scene.edges import edges_or
 from lmd.scene.rig import Rig
 from lmd.scene.scene import Scene
 from lmd.sight.evaluator import Evaluator
@@ -78,7 +77,7 @@ class Problem:
         if threads is not None:
             threads = integer("threads", threads, low=1, high=MOST_THREADS)
         self.scene, self.objective, self.start = scene, objective, start
-        self.fixed = None if fixed is None else scene.plates.hung(fixed, start)
+        self.fixed = None if fixed is None else scene.footprints.hung(fixed, start)
         first = self.draw(np.random.default_rng(0))
         self.count, self.labels, self.surveyed = len(first), first.labels, first.surveyed
         self.edges, self.scene = first.edges, scene.sized(first.edges_of(scene.tag))
@@ -110,34 +109,39 @@ class Problem:
 
     @property
     def fixed_count(self) -> int:
-        """How many of the K landmarks hang already."""
+        """Number of landmarks, of K, that are fixed."""
         return 0 if self.fixed is None else len(self.fixed)
 
     @property
     def free_count(self) -> int:
-        """How many of the K landmarks are to be placed."""
+        """Number of landmarks, of K, that are to be placed."""
         return self.count - self.fixed_count
 
     @property
-    def sizes(self) -> FloatArray | None:
-        """The edges of all landmarks, `(K,)`, metres; None where all have the tag's."""
-        return None if self.edges is None else edges_or(self.edges, self.count, self.scene.tag)
+    def sizes(self) -> FloatArray:
+        """Edges of all landmarks, `(K,)`, metres; zeros for points."""
+        return self.scene.tag.filled(self.edges)
 
     @property
     def hung(self) -> Deployment | None:
         """The fixed landmarks, each with its edge; None for none."""
-        if self.fixed is None or self.sizes is None or self.scene.tag.is_point:
+        if self.fixed is None or self.scene.tag.is_point:
             return self.fixed
         return replace(self.fixed, edges=self.sizes[: self.fixed_count])
 
     @property
-    def free_sizes(self) -> FloatArray | None:
-        """The edges of the landmarks that are to be placed, metres; None where all have the tag's, and of points."""
-        return None if self.sizes is None or self.scene.tag.is_point else self.sizes[self.fixed_count :]
+    def free_edges(self) -> FloatArray:
+        """Own edges of the landmarks that are to be placed, `(N,)`, metres, see `Deployment.edges`."""
+        return self.edges[self.fixed_count :]
+
+    @property
+    def free_sizes(self) -> FloatArray:
+        """Edges of the landmarks that are to be placed, `(N,)`, metres; zeros for points."""
+        return self.sizes[self.fixed_count :]
 
     def draw(self, rng: np.random.Generator) -> Deployment:
-        """A deployment to start from, its landmarks with their surfaces, its plates apart."""
-        return self.scene.plates.draw(self.start, rng, self.fixed)
+        """A deployment to start from, its landmarks with their surfaces, its footprints apart."""
+        return self.scene.footprints.draw(self.start, rng, self.fixed)
 
     def free(self, deployment: Deployment) -> Deployment:
         """The landmarks of a deployment that are to be placed."""
@@ -148,11 +152,11 @@ class Problem:
         return free if self.fixed is None else self.fixed + free
 
     def apart(self, deployment: Deployment, size: float = 1.0) -> Deployment | None:
-        """The deployment with the free plates pushed out of the way, see `Plates.apart`."""
-        return self.scene.plates.apart(replace(deployment, edges=self.edges), size, self.fixed_count)
+        """The deployment with the free footprints pushed out of the way, see `Footprints.apart`."""
+        return self.scene.footprints.apart(replace(deployment, edges=self.edges), size, self.fixed_count)
 
     def labelled(self, deployment: Deployment) -> Deployment:
-        """What an optimiser made of the start: its k-th landmark keeps what that of the start is called, and its edge.
+        """The deployment that an optimiser made of the start: landmark k keeps its label and its edge.
 
         What stays where it was keeps what was measured of it, too.
         """
@@ -172,7 +176,7 @@ class Problem:
         return self._values(self.evaluator, deployment)
 
     def _values(self, evaluator: Evaluator, deployment: Deployment) -> FloatArray:
-        """The same at the positions of an evaluator, by the edges that the deployment has."""
+        """The objective's value at each position of an evaluator, for the edges of the deployment."""
         sized, landmarks = evaluator.sized(deployment.edges), (deployment.positions[None], deployment.normals[None])
         return np.asarray(self.objective.values(sized, *landmarks)[0])
 
@@ -201,7 +205,7 @@ class Problem:
         return evaluator, np.tile(self.relevance, repeats)
 
     def settings(self) -> Mapping[str, Any]:
-        """What the figures of `metrics` depend on, for the record; None for what is infinite, as JSON has no such."""
+        """Settings that the figures of `metrics` depend on, for the record; infinite numbers are None, as in JSON."""
         scene = self.scene
         return {
             "objective": type(self.objective).__name__,
@@ -215,7 +219,7 @@ class Problem:
             "camera": _fields(scene.camera),
             **({} if scene.tag.is_point else {"tag": _fields(scene.tag)}),
             **{key: value for key, value in _fields(scene.visibility).items() if key != "edges"},
-            **({} if self.edges is None else {"edges": self.edges.tolist()}),
+            **({} if np.isnan(self.edges).all() else {"edges": self.edges.tolist()}),
         }
 
 

@@ -43,10 +43,10 @@ def evaluate(problem: Problem, deployment: Deployment, validate: bool = False, s
         seed: of the sample used for that.
 
     Raises:
-        InputError: a landmark lies outside the room, or plates overlap.
+        InputError: a landmark lies outside the room, or footprints overlap.
     """
     deployment = deployment.hung(problem.scene.room)
-    problem.scene.plates.check(deployment)
+    problem.scene.footprints.check(deployment)
     problem.objective.check(len(deployment))
     figures = problem.metrics(deployment)
     return figures | validation_metrics(problem, deployment, seed) if validate else figures

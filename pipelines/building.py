@@ -46,7 +46,7 @@ class Parts(NamedTuple):
         """A deployment of the problem."""
         import numpy as np
 
-        return self.scene.plates.draw(self.start, np.random.default_rng(seed), self.fixed)
+        return self.scene.footprints.draw(self.start, np.random.default_rng(seed), self.fixed)
 
 
 def build_problem(cfg: DictConfig, count: str = "deployment.count") -> "Problem":
@@ -87,18 +87,18 @@ def build_parts(cfg: DictConfig, count: str = "deployment.count") -> Parts:
     with names():
         fixed = fixed_of(cfg.deployment, scene.tag.own_family)
     with keyed("tag"):
-        scene = divide_paper(cfg, scene, objective, threads, fixed)
+        scene = divide_paper(cfg.deployment, cfg.tag, scene, objective, threads, fixed)
     with names():
         total = total_of(cfg.deployment, fixed)
     start = instantiate(others_of(cfg.deployment, fixed, total))
     # The problem checks these too, but its messages cannot name the key.
     with keyed("tag"):
-        scene.plates.hanging.surfaces()
+        scene.footprints.hanging.surfaces()
     with keyed("room.relevance"):
         scene.room.relevance.weights(scene.room.grid())
     with names():
         if fixed is not None:
-            fixed = scene.plates.hung(fixed, start)
+            fixed = scene.footprints.hung(fixed, start)
         if isinstance(start, partial):  # a source that depends on the objective
             extra = {} if fixed is None else {"fixed": fixed}
             start = start(scene=scene, objective=objective, threads=threads, **extra)
@@ -151,31 +151,35 @@ def _scene(cfg: DictConfig) -> "Scene":
     from lmd.space.space import Space
 
     tag, camera, visibility = instantiate(cfg.tag), camera_of(cfg.camera), instantiate(cfg.visibility)
-    room, pdf, recorded = _poses(cfg)
+    room, pdf, recorded = _poses(cfg.room, cfg.pdf, cfg.get("poses"))
     check_members("room", room, Space, "docs/api/space.md")
     check_members("visibility", visibility, Criteria, "docs/api/scene.md")
     return Scene(room, camera, pdf, visibility, tag, recorded)
 
 
-def _poses(cfg: DictConfig) -> "tuple[Space, OrientationPdf, RecordedPoses | None]":
+def _poses(
+    room_node: DictConfig, pdf_node: DictConfig, poses_node: DictConfig | None
+) -> "tuple[Space, OrientationPdf, RecordedPoses | None]":
     """The room, the orientation PDF, and the recording that gives both; None where there is no recording."""
     from lmd.core.checks import InputError
 
-    room, recorded = instantiate(cfg.room), bool(cfg.get("poses"))
+    room, recorded = instantiate(room_node), bool(poses_node)
     if scan := getattr(room, "scan", None):  # of a mesh
         if doubt := scan.doubt:
-            print(f"warning: room.up: is it right for {scan.path!r}? {doubt[0].upper()}{doubt[1:]}", file=sys.stderr)
+            print(
+                f"warning: room.up: is it right for {scan.mesh.path!r}? {doubt[0].upper()}{doubt[1:]}", file=sys.stderr
+            )
         note(scan.mesh.note)
-    if recorded == bool(cfg.pdf):
+    if recorded == bool(pdf_node):
         needed = "poses=recorded, which says how the camera looks, needs pdf=recorded"
         cure = "add it to the command line where an experiment has chosen another one"
         raise InputError(f"{needed}; {cure}." if recorded else "pdf=recorded needs poses=recorded.")
     if not recorded:
-        return room, instantiate(cfg.pdf), None
-    poses = instantiate(cfg.poses)
+        return room, instantiate(pdf_node), None
+    poses = instantiate(poses_node, group="poses.")
     with keyed("poses"):
         visited = poses.visited(room)
-    note(poses.note_of("poses."))
+    note(poses.note)
     return visited, poses.pdf, poses
 
 
@@ -185,8 +189,7 @@ def camera_of(node: DictConfig) -> "Camera | Rig":
     Raises:
         InputError: a camera or the rig is refused.
     """
-    from lmd.scene.rig import cameras_of
-    from lmd.scene.rig_sources import brings_cameras, rig_of
+    from lmd.formats.rigs import brings_cameras, rig_of
 
     alone = deepcopy(node)
     with open_dict(alone):
@@ -197,18 +200,18 @@ def camera_of(node: DictConfig) -> "Camera | Rig":
     else:
         with keyed("camera"):
             made = rig_of(mounts, None if brings_cameras(mounts) else instantiate(alone))
-    for camera in cameras_of(made):
+    for camera in made.cameras:
         note(camera.note)
     return made  # type: ignore[no-any-return]
 
 
 def mounts_of(node: DictConfig) -> Any:
-    """Mounts of the group `camera` as `lmd.scene.rig_sources.rig_of` takes them; None for a single camera.
+    """Mounts of the group `camera` as `lmd.formats.rigs.rig_of` takes them; None for a single camera.
 
     Raises:
         InputError: the file of the rig cannot be read.
     """
-    from lmd.scene.rig_sources import read_mounts
+    from lmd.formats.rigs import read_mounts
 
     mounts = node.get("rig")
     plain = OmegaConf.to_container(mounts, resolve=True) if OmegaConf.is_config(mounts) else mounts

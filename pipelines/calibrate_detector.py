@@ -26,8 +26,7 @@ def calibrate(cfg: DictConfig) -> None:
     from lmd.core.checks import integer, real, seed_number
     from lmd.core.optional import optional
     from lmd.detection.board import BoardImages
-    from lmd.detection.calibration import Calibration, foreseen, judged
-    from lmd.detection.fit import fit, intervals
+    from lmd.detection.calibration import DetectorCalibration, fit, frame_scores, intervals, predicted_in_frames
     from lmd.plot.frames import save_limits_figure
 
     from .tracked_run import keep, tracked
@@ -52,14 +51,14 @@ def calibrate(cfg: DictConfig) -> None:
                 text = f"warning: views: {name} finds all of {len(views)} tags, so they tell no limit of it"
                 print(f"{text}; images are needed in which it misses some", file=sys.stderr)
         seen = sightings({"room": subject}, seed, cfg.workers)["room"] if count else {}
-        calibrations: dict[str, Calibration] = {}
+        calibrations: dict[str, DetectorCalibration] = {}
         if isinstance(source, BoardImages) and (copies := source.images.repeated):
             copy, first = next(iter(copies.items()))
             print(f"note: {len(copies)} images are copies and not counted, such as {copy} of {first}", file=sys.stderr)
         for name, (views, limits) in fitted.items():
-            predicted = foreseen(limits.limits, renderer, told.poses)
-            rooms = judged(predicted, seen[name]) if count else {}
-            calibrations[name] = Calibration(views, limits, rooms, source.photographs, spans[name])
+            predicted = predicted_in_frames(limits.limits, renderer, told.poses)
+            rooms = frame_scores(predicted, seen[name]) if count else {}
+            calibrations[name] = DetectorCalibration(views, limits, rooms, source.photographs, spans[name])
         for name, calibration in calibrations.items():
             written.append(directory / f"{tag.family}_{name}.yaml")
             written[-1].write_text(calibration.preset(name, tag.family, f"views={choices()['views']}, seed {seed}"))

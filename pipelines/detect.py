@@ -25,9 +25,9 @@ if TYPE_CHECKING:
     import pandas as pd
 
     from lmd.core.checks import FloatArray
+    from lmd.detection.comparison import Prediction
     from lmd.detection.detectors import Detector
-    from lmd.detection.frames import Sightings
-    from lmd.detection.prediction import Predicted
+    from lmd.detection.evaluation import Matches
     from lmd.problem import Problem
     from lmd.render.renderer import Renderer
 
@@ -46,7 +46,7 @@ class Subject:
 
     problem: "Problem"
     """Problem of the deployment."""
-    prediction: "Predicted"
+    prediction: "Prediction"
     """Predicted sightings in each pose."""
     detectors: Mapping[str, "Detector"]
     """Detectors by name."""
@@ -65,7 +65,7 @@ def detect(cfg: DictConfig) -> None:
     """Let the configured detectors read frames of the configured deployments."""
     from lmd.core.checks import integer, seed_number
     from lmd.core.optional import optional
-    from lmd.detection.report import to_markdown
+    from lmd.detection.comparison import to_markdown
     from lmd.plot.frames import save_calibration_figure
 
     from .tracked_run import keep, title_of, tracked
@@ -112,8 +112,8 @@ def subject_of(cfg: DictConfig, count: int, seed: int) -> Subject:
 
     from lmd.core.checks import InputError
     from lmd.core.memory import check_memory
+    from lmd.detection.comparison import CameraPrediction, Prediction
     from lmd.detection.frames import draw_poses, tagged_room
-    from lmd.detection.prediction import Prediction, RigPrediction
     from lmd.evaluation.verdicts import verdicts
     from lmd.geometry.se3 import axis_and_right
     from lmd.render.renderer import Renderer
@@ -140,9 +140,8 @@ def subject_of(cfg: DictConfig, count: int, seed: int) -> Subject:
     for camera, mounted, predicted in zip(scene.cameras, scene.extrinsics, seen, strict=True):
         own = poses @ mounted
         told = verdicts(scene, deployment, own, camera)
-        parts.append(Prediction(Renderer(camera, room, imaging), own, predicted, told))
-    is_rig = scene.rig is not None
-    return Subject(problem, RigPrediction(tuple(parts), scene.extrinsics, poses) if is_rig else parts[0], detectors)
+        parts.append(CameraPrediction(Renderer(camera, room, imaging), own, predicted, told))
+    return Subject(problem, Prediction(tuple(parts), scene.extrinsics, poses), detectors)
 
 
 class Frames(NamedTuple):
@@ -157,14 +156,14 @@ class Frames(NamedTuple):
     seed: int
 
 
-def sightings(subjects: Mapping[str, Subject], seed: int, workers: int | None) -> dict[str, dict[str, "Sightings"]]:
+def sightings(subjects: Mapping[str, Subject], seed: int, workers: int | None) -> dict[str, dict[str, "Matches"]]:
     """Detections by the names of subject and detector, for any number of workers.
 
     Args:
         subjects: subjects by name.
         workers: number of processes; None for every processor.
     """
-    from lmd.detection.frames import Sightings
+    from lmd.detection.evaluation import Matches
 
     from .progress import bar
     from .workers import in_processes
@@ -182,42 +181,43 @@ def sightings(subjects: Mapping[str, Subject], seed: int, workers: int | None) -
             found[name, camera, first] = part
             progress.update(len(next(iter(part.values())).false))
 
-    def of(name: str, camera: int, detector: str) -> Sightings:
-        return Sightings.joined([found[key][detector] for key in sorted(found) if key[:2] == (name, camera)])
+    def of(name: str, camera: int, detector: str) -> Matches:
+        return Matches.concatenated([found[key][detector] for key in sorted(found) if key[:2] == (name, camera)])
 
     return {
         name: {
-            key: Sightings.beside([of(name, c, key) for c in range(len(subject.prediction.parts))])
+            key: Matches.beside([of(name, c, key) for c in range(len(subject.prediction.parts))])
             for key in subject.detectors
         }
         for name, subject in subjects.items()
     }
 
 
-def _look(job: Frames) -> tuple[str, int, int, dict[str, "Sightings"]]:
+def _look(job: Frames) -> tuple[str, int, int, dict[str, "Matches"]]:
     """Render and read frames, on one thread."""
     from lmd.core.optional import optional
-    from lmd.detection.frames import look
+    from lmd.detection.frames import detect_in_frames
 
     optional("cv2", "detection").setNumThreads(1)
-    return job.name, job.camera, job.first, look(job.renderer, job.detectors, job.poses, job.first, job.seed)
+    found = detect_in_frames(job.renderer, job.detectors, job.poses, job.first, job.seed)
+    return job.name, job.camera, job.first, found
 
 
 def _tables(
     subjects: Mapping[str, Subject],
-    seen: Mapping[str, Mapping[str, "Sightings"]],
-    again: Mapping[str, Mapping[str, "Sightings"]] | None,
+    seen: Mapping[str, Mapping[str, "Matches"]],
+    again: Mapping[str, Mapping[str, "Matches"]] | None,
 ) -> "tuple[pd.DataFrame, pd.DataFrame, pd.DataFrame]":
     """Tables of figures, of classes of pitch and of tags, each with the columns `deployment` and `detector`."""
     import pandas as pd
 
-    from lmd.detection.report import by_pitch, by_tag, figures, repeated
+    from lmd.detection.comparison import by_pitch, by_tag, figures, repeatability
 
     rows, pitches, tags = [], [], []
     for name, subject in subjects.items():
         for detector, found in seen[name].items():
             names = {"deployment": name, "detector": detector}
-            looks = {} if again is None else repeated(found, again[name][detector], subject.prediction)
+            looks = {} if again is None else repeatability(found, again[name][detector], subject.prediction)
             rows.append({**names, **figures(subject.prediction, found), **looks})
             pitches.append(by_pitch(subject.prediction, found).assign(**names))
             tags.append(by_tag(subject.prediction, found).assign(**names))
@@ -242,14 +242,14 @@ def _metrics(figures: "pd.DataFrame") -> dict[str, float]:
 def _save_frames(
     folder: "Path",
     subjects: Mapping[str, Subject],
-    seen: Mapping[str, Mapping[str, "Sightings"]],
+    seen: Mapping[str, Mapping[str, "Matches"]],
     count: int,
     seed: int,
 ) -> "list[Path]":
     """Draw the first frames of each deployment as its first detector reads them, for every camera of a rig."""
     import numpy as np
 
-    from lmd.detection.frames import picture
+    from lmd.detection.frames import rendered_frame
     from lmd.plot.frames import save_frame
 
     files = []
@@ -260,7 +260,7 @@ def _save_frames(
             for i in range(count):
                 folder.mkdir(exist_ok=True)
                 files.append(folder / (f"{name}_{i}_{c}.png" if len(parts) > 1 else f"{name}_{i}.png"))
-                image = picture(told.renderer, told.poses[i], c * len(told.poses) + i, seed)
+                image = rendered_frame(told.renderer, told.poses[i], c * len(told.poses) + i, seed)
                 save_frame(files[-1], image, told.corners[i], told.visible[i], its[i])
     return files
 

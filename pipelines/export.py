@@ -15,7 +15,7 @@ from .outputs import write_all
 from .pipeline import Pipeline
 
 if TYPE_CHECKING:
-    from lmd.mapping.formats import Export
+    from lmd.export.exports import Export
     from lmd.scene.tag import Tag
 
 
@@ -27,7 +27,7 @@ def build_export(cfg: DictConfig, key: str, tag: "Tag") -> "Export":
     Raises:
         InputError: a format is unknown, or cannot hold the tags.
     """
-    from lmd.mapping.formats import FORMATS, Export, formats_of, not_printed
+    from lmd.export.exports import FORMATS, Export, formats_of, not_printed
 
     with keyed(formats=key, paper="paper_size", edge="tag.edge"):
         settings = OmegaConf.to_container(cfg, resolve=True)
@@ -46,9 +46,9 @@ def build_export(cfg: DictConfig, key: str, tag: "Tag") -> "Export":
 def export(cfg: DictConfig) -> None:
     """Write the configured deployment in the configured formats, all files or none."""
     from lmd.core.checks import InputError
-    from lmd.mapping.formats import FORMATS
-    from lmd.mapping.sheets import describe_sheets
-    from lmd.mapping.tag_map import TagMap
+    from lmd.export.exports import FORMATS
+    from lmd.export.sheets import describe_sheets
+    from lmd.formats.tag_map import TagMap
 
     from .tracked_run import keep, tracked
 

@@ -33,8 +33,8 @@ def fixed_of(node: DictConfig, family: str | None) -> "Deployment | None":
     """
     import numpy as np
 
+    from lmd.formats.tag_maps import read_deployment
     from lmd.scene.fixed import COLUMN
-    from lmd.scene.tag_map_files import read_deployment
 
     path = node.get("fixed")
     if path is None:
@@ -104,13 +104,12 @@ def take_sizes(node: DictConfig, tag: DictConfig) -> None:
     """
     import numpy as np
 
-    from lmd.scene.tag_map_files import read_deployment
+    from lmd.formats.tag_maps import read_deployment
 
     if tag.get("edge") is not None or tag.get("edges") is not None or node.get("path") is None:
         return
     files = [(name, node[name]) for name in ("path", "fixed") if node.get(name) is not None]
-    edges = [read_deployment(path, name, axes=axes_in(node)).edges for name, path in files]
-    known = np.concatenate([[np.nan] if own is None else own for own in edges])
+    known = np.concatenate([read_deployment(path, name, axes=axes_in(node)).edges for name, path in files])
     if np.isfinite(known).all():
         with open_dict(tag):
             tag.edges = np.unique(known).tolist()
@@ -143,28 +142,41 @@ def spell_counts(node: DictConfig, tag: DictConfig) -> None:
 
 
 def divide_paper(
-    cfg: DictConfig, scene: "Scene", objective: "Objective", threads: int | None, fixed: "Deployment | None"
+    node: DictConfig,
+    tag: DictConfig,
+    scene: "Scene",
+    objective: "Objective",
+    threads: int | None,
+    fixed: "Deployment | None",
 ) -> "Scene":
     """The scene with a count of each size chosen for `tag.paper` or `tag.budget`, unless counts are given.
 
-    The counts are written to the configuration, which a run records, and named in a note.
+    The counts are written to the groups, which a run records, and named in a note.
+
+    Args:
+        node: group `deployment`, which is changed.
+        tag: group `tag`, which is changed.
+        scene: scene with the tag that `tag` describes.
+        objective: objective of the landmarks.
+        threads: number of threads; None for every processor.
+        fixed: fixed landmarks.
 
     Raises:
         InputError: the limit is too small, or the objective cannot compare sizes.
     """
-    from lmd.optimisers.composition import composition
+    from lmd.optimisers.selection import composition
 
-    tag = scene.tag
-    if tag.limit is None or tag.counts is not None or "count" not in cfg.deployment or "path" in cfg.deployment:
+    made = scene.tag
+    if made.limit is None or made.counts is not None or "count" not in node or "path" in node:
         return scene
     counts = composition(scene, objective, threads, fixed)
-    with open_dict(cfg):
-        cfg.tag.counts = list(counts)
-        cfg.deployment.count = sum(counts) + (0 if fixed is None else len(fixed))
-    tag, visibility = replace(tag, counts=counts), scene.visibility
+    with open_dict(tag), open_dict(node):
+        tag.counts = list(counts)
+        node.count = sum(counts) + (0 if fixed is None else len(fixed))
+    made, visibility = replace(made, counts=counts), scene.visibility
     if hasattr(visibility, "tag"):
-        visibility = replace(visibility, tag=tag)  # type: ignore[type-var]
-    sizes = ", ".join(f"{count} of {edge:g} m" for edge, count in zip(tag.sizes, counts, strict=True))
-    limit = f"tag.budget = {tag.budget:g}" if tag.paper is None else f"tag.paper = {tag.paper:g} square metres"
+        visibility = replace(visibility, tag=made)  # type: ignore[type-var]
+    sizes = ", ".join(f"{count} of {edge:g} m" for edge, count in zip(made.sizes, counts, strict=True))
+    limit = f"tag.budget = {made.budget:g}" if made.paper is None else f"tag.paper = {made.paper:g} square metres"
     note(f"{limit} make {sizes}")
-    return replace(scene, tag=tag, visibility=visibility)
+    return replace(scene, tag=made, visibility=visibility)

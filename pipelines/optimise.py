@@ -87,7 +87,7 @@ def searched(
     """
     from .tracked_run import tracked
 
-    budget, returned = budget_of(cfg), _figure_returned(cfg)
+    budget, returned = budget_of(cfg), _figure_returned(cfg.returns, cfg.validate)
     optimiser.check(problem)
     checkpoint, earlier = _checkpoint_of(cfg, optimiser, problem, further)
     try:
@@ -108,16 +108,16 @@ def summary_of(found: "Result") -> dict[str, Any]:
     return {"evaluations": found.evaluations, "wall_time": found.seconds, "stopped": found.stopped}
 
 
-def _figure_returned(cfg: DictConfig) -> str:
-    """Name of the figure of `record` that sweepers maximise.
+def _figure_returned(returns: Any, validate: bool) -> str:
+    """Name of the figure of `record` that the setting `returns` lets sweepers maximise.
 
     Raises:
         InputError: no figure has that name, or the run leaves it out.
     """
     from lmd.core.checks import InputError, choice
 
-    returned = RETURNS[choice("returns", cfg.returns, list(RETURNS))]
-    if returned == "off_grid" and not cfg.validate:
+    returned = RETURNS[choice("returns", returns, list(RETURNS))]
+    if returned == "off_grid" and not validate:
         raise InputError("returns = grid_free is a figure of the validation, which validate=false leaves out.")
     return returned
 

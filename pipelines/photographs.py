@@ -14,8 +14,8 @@ if TYPE_CHECKING:
 
     from lmd.detection.detectors import Detections, Detector
     from lmd.detection.images import Images
+    from lmd.formats.detections import DetectedTags
     from lmd.geometry.camera import Camera
-    from lmd.mapping.detections import DetectedTags
 
 CHUNK = 8  # images that a worker reads at once
 
@@ -27,9 +27,9 @@ def detected(cfg: DictConfig, cameras: "Sequence[Camera]", detector: "Detector",
         InputError: neither or both of photographs and detections are given, or a file cannot be read.
     """
     from lmd.core.checks import InputError
-    from lmd.mapping.copies import without_copies
-    from lmd.mapping.detections import read_detections
-    from lmd.mapping.images_taken import with_images
+    from lmd.formats.copies import without_copies
+    from lmd.formats.detections import read_detections
+    from lmd.formats.images_taken import with_images
 
     if (cfg.photographs is None) == (cfg.detections is None):
         raise InputError("photographs=DIR, a folder or a video, or detections=FILE.csv must be given, and not both.")
@@ -50,7 +50,7 @@ def _in_images(cfg: DictConfig, cameras: "Sequence[Camera]", detector: "Detector
     from lmd.core.checks import InputError, printable
     from lmd.detection.images import Photographs, folder_entries
     from lmd.detection.video import Video
-    from lmd.mapping.detections import DetectedTags
+    from lmd.formats.detections import DetectedTags
 
     given = Path(str(cfg.photographs))
     if not os.path.lexists(given):
@@ -102,8 +102,8 @@ def detected_in(
     import numpy as np
 
     from lmd.core.checks import InputError
-    from lmd.detection.sharpness import blurred
-    from lmd.mapping.detections import DetectedTags
+    from lmd.detection.images import blurred
+    from lmd.formats.detections import DetectedTags
 
     from .progress import bar
     from .workers import in_processes, processes
@@ -127,13 +127,15 @@ def detected_in(
     if not any(len(one) for one in found):
         raise InputError(f"photographs: no tag is found in any of {count} images; tag.family says which to look for.")
     smeared = np.flatnonzero(blurred(np.array(blurs)))
-    return DetectedTags.in_frames(images.names, found).without({images.names[k]: blurs[k] for k in smeared})
+    return DetectedTags.in_frames(images.names, [one.ids for one in found], [one.corners for one in found]).without(
+        {images.names[k]: blurs[k] for k in smeared}
+    )
 
 
 def _read(job: Chunk) -> "list[tuple[Detections, float]]":
     """Detections in each image, and its blur, on one thread."""
     from lmd.core.optional import optional
-    from lmd.detection.sharpness import blur_of
+    from lmd.detection.images import blur_of
 
     optional("cv2", "detection").setNumThreads(1)
     found = []

@@ -82,8 +82,8 @@ def build_camera_problem(cfg: DictConfig) -> "tuple[CameraProblem, dict[Camera, 
     from lmd.cameras.mounts import MountSpace
     from lmd.cameras.problem import CameraProblem
     from lmd.core.checks import InputError
+    from lmd.formats.rigs import camera_from
     from lmd.scene.rig import Rig
-    from lmd.scene.rig_sources import camera_from
     from lmd.space.parts import made
 
     alone = cfg.camera.copy()
@@ -116,8 +116,8 @@ def _write(
     problem: "CameraProblem", rig: "Rig", sources: "dict[Camera, Any]", title: str, tracker: "Tracker", draw: bool
 ) -> None:
     """Write the rig file and the drawing, and log them."""
+    from lmd.formats.rigs import write_rig
     from lmd.plot.body_drawing import save_body_figure
-    from lmd.scene.rig_sources import write_rig
 
     def write(folder: Path) -> None:
         write_rig(folder / RIG, rig, sources)

@@ -146,7 +146,7 @@ class Ladder:
 
         settings = flat_settings(self.point(at), *SAME_WHEN_RESUMED, "budget")
         arrays = None if given is None else [getattr(given, name).tolist() for name in ARRAYS]
-        if arrays and given and given.edges is not None:
+        if arrays and given and given.has_own_edges:
             arrays.append(given.edges.tolist())
         path = Path(self.cfg.kept) / f"{digest(settings, what, arrays, package_digest())}.json"
         found = read_document(path, content_of)
@@ -270,7 +270,7 @@ class Points:
     def counts(self, found: "Found") -> dict[str, int]:
         """Along limits: the number of landmarks, and of those of each edge."""
         edges = found.deployment.edges
-        if self.limited is None or edges is None:
+        if self.limited is None or not found.deployment.has_own_edges:
             return {}
         from lmd.evaluation.tradeoff import COUNT_OF
 

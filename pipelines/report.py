@@ -110,7 +110,7 @@ def _load(reader: "MlflowReader", run_id: str, trust: Trust) -> "tuple[Problem, 
     parts = trust.parts(found, f"{source}: config.yaml", (*GROUPS, "encoding"))
     landmarks = reader.artifact(run_id, "landmarks.csv")
     # The result in place of the start; `free` because the run accepted it.
-    deployment = {"_target_": "lmd.scene.deployment_sources.FileDeployment", "path": str(landmarks), "free": True}
+    deployment = {"_target_": "lmd.formats.deployments.FileDeployment", "path": str(landmarks), "free": True}
     try:
         problem = build_problem(OmegaConf.create({**parts, "deployment": deployment, "seed": 0, "threads": None}))
     except OmegaConfBaseException as error:

@@ -38,9 +38,8 @@ def survey(cfg: DictConfig) -> None:
     from lmd.core.checks import InputError, boolean, integer, seed_number
     from lmd.core.tables import write_table
     from lmd.detection.corner_errors import CORNER_ERRORS
-    from lmd.detection.surveyed import FILE as VIEWS
+    from lmd.detection.views import FILE as VIEWS
     from lmd.evaluation.verdicts import verdicts
-    from lmd.scene.rig import Rig
     from lmd.survey.audit import audited, in_the_open, view_columns
     from lmd.survey.keyframes import select_keyframes
     from lmd.survey.next_photographs import next_photographs
@@ -57,7 +56,7 @@ def survey(cfg: DictConfig) -> None:
     with keyed():
         tag.check_edge()
     given = camera_of(cfg.camera)
-    cameras = given.cameras if isinstance(given, Rig) else (given,)
+    cameras = given.cameras
     name, detector = _detector(cfg)
     known, room = _known(cfg, tag, given), instantiate(cfg.room) if cfg.get("room") else None
     scene = _scene(cfg, room, given, tag) if boolean("audit", cfg.audit) else None
@@ -163,8 +162,8 @@ def _known(cfg: DictConfig, tag: "Tag", given: "Camera | Rig") -> "PriorKnowledg
         InputError: a file cannot be read, or a number is refused.
     """
     from lmd.core.checks import InputError, boolean, integer
+    from lmd.formats.tag_maps import read_deployment
     from lmd.scene.rig import Rig
-    from lmd.scene.tag_map_files import read_deployment
     from lmd.survey.boards import Boards
     from lmd.survey.prior import Hanging, MeasuredPoints, PriorKnowledge
 
@@ -203,7 +202,7 @@ def _odometry(given: Any) -> "Trajectory | None":
         InputError: it cannot be read, or is no trajectory.
     """
     from lmd.core.checks import InputError
-    from lmd.scene.trajectory_files import TrajectoryFile
+    from lmd.formats.trajectories import TrajectoryFile
 
     if given is None:
         return None

@@ -12,8 +12,8 @@ from .outputs import write_document
 from .provenance import texts_in
 
 if TYPE_CHECKING:
-    from lmd.mapping.detections import DetectedTags
-    from lmd.mapping.formats import Export
+    from lmd.export.exports import Export
+    from lmd.formats.detections import DetectedTags
     from lmd.space.space import Space
     from lmd.survey.audit import Audit
     from lmd.survey.survey import Survey
@@ -40,7 +40,7 @@ def check_folder(directory: Path, cfg: DictConfig, cameras: int, exports: "Expor
         InputError: the folder is refused.
     """
     from lmd.core.checks import InputError
-    from lmd.mapping.formats import FORMATS
+    from lmd.export.exports import FORMATS
 
     own = set(ALWAYS) | {FORMATS[name].file for name in exports.formats}
     own |= {MEASURED} if has_plan else set()
@@ -80,8 +80,8 @@ def writers_of(
         detected: detections in all frames; None if they were read from a file.
     """
     from lmd.core.tables import write_table
-    from lmd.mapping.detections import write_detections
-    from lmd.mapping.tag_map import write_yaml
+    from lmd.formats.detections import write_detections
+    from lmd.formats.tag_map import write_yaml
     from lmd.plot.plans import save_survey_figure
     from lmd.survey.intrinsics import camera_info
     from lmd.survey.results import frame_columns, map_columns, measured_of, survey_document
@@ -105,7 +105,7 @@ def audit_writers(audit: "Audit", detector: str, title: str) -> dict[str, Callab
     """Functions that write the files of an audit, by the names of the files."""
     import pandas as pd
 
-    from lmd.detection.report import figures
+    from lmd.detection.comparison import figures
     from lmd.plot.frames import save_calibration_figure, save_places_figure
 
     named = {"deployment": "survey", "detector": detector}

@@ -27,7 +27,7 @@ from .outputs import write_figures, write_history, write_pictures
 from .provenance import command_line, parameters, source_tags
 
 if TYPE_CHECKING:
-    from lmd.mapping.formats import Export
+    from lmd.export.exports import Export
 
     from .operations.tracking import Tracker
 

@@ -23,8 +23,8 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from lmd.cameras.mounts import MountSpace
+    from lmd.export.exports import Export
     from lmd.geometry.camera import Camera
-    from lmd.mapping.formats import Export
     from lmd.planner.plan import Plan
     from lmd.problem import Problem
 
@@ -90,7 +90,7 @@ def _space(cfg: DictConfig, problem: "Problem") -> "MountSpace | None":
 
 def _calibrations(cfg: DictConfig) -> "Mapping[Camera, Any]":
     """The calibration of each kind of camera for which the rig names one."""
-    from lmd.scene.rig_sources import calibrations_of
+    from lmd.formats.rigs import calibrations_of
 
     mounts = mounts_of(cfg.camera)
     return {} if mounts is None else calibrations_of(mounts)
@@ -100,7 +100,7 @@ def _save(
     directory: Path, problem: "Problem", export: "Export | None", plan: "Plan", sources: "Mapping[Camera, Any]"
 ) -> str:
     """Write landmarks.csv, the rig if there is one, and the exports, all or none; returns the names of the files."""
-    from lmd.scene.rig_sources import write_rig
+    from lmd.formats.rigs import write_rig
 
     scene = problem.scene
     writers = export.writers(scene.room, scene.tag, plan.deployment) if export else {}
@@ -119,7 +119,7 @@ def _save(
 
 def _keep_unsaved(directory: Path, plan: "Plan", sources: "Mapping[Camera, Any]", ups: bool) -> None:
     """Write unsaved tags and cameras to the directory, else to the working or temporary directory, else to stdout."""
-    from lmd.scene.rig_sources import rig_text
+    from lmd.formats.rigs import rig_text
 
     elsewhere, rig = f"unsaved_{secrets.token_hex(4)}", None if plan.rig is None else rig_text(plan.rig, sources)
 

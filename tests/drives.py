@@ -6,10 +6,10 @@ import numpy as np
 import walks
 
 from lmd.core.checks import FloatArray
+from lmd.formats.detections import DetectedTags
 from lmd.geometry.camera import Camera
 from lmd.geometry.se3 import camera_pose, exp, inverse, pose_of
 from lmd.geometry.trajectory import Trajectory
-from lmd.mapping.detections import DetectedTags
 
 CAMERA = Camera(4.0, 0.008, 0.008, (400.0, 300.0), 800, 600, 0.0)
 EDGE, WIDTH = 0.2, 2.4  # of tags and of the corridor, metres

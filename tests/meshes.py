@@ -4,8 +4,8 @@ import numpy as np
 import shapely
 import trimesh
 
+from lmd.formats.meshes import read_mesh_room
 from lmd.space.floor_plan import FloorPlan
-from lmd.space.mesh_room import from_mesh
 
 
 def walls_of(plan: FloorPlan) -> trimesh.Trimesh:
@@ -43,7 +43,7 @@ def written(path, plan):
 def mesh_room(path, plan, height=(0.5, 1.5), clearance=0.25, spacing=0.5, **more):
     """A floor plan as a room from a mesh."""
     reachable = {"height": list(height), "clearance": clearance}
-    return from_mesh(str(written(path, plan)), reachable, spacing, **{"up": "z", **more})
+    return read_mesh_room(str(written(path, plan)), reachable, spacing, **{"up": "z", **more})
 
 
 def quad(origin, u, v):

@@ -11,13 +11,13 @@ import pytest
 from examples import SHARE
 
 from lmd.core.checks import InputError
-from lmd.mapping.detections import read_detections
-from lmd.scene.camera_calibration import calibrated_camera
-from lmd.scene.extrinsics import read_mount
+from lmd.formats.calibrations import calibrated_camera
+from lmd.formats.detections import read_detections
+from lmd.formats.extrinsics import read_mount
+from lmd.formats.meshes import read_mesh
+from lmd.formats.tag_maps import read_deployment
+from lmd.formats.trajectories import TrajectoryFile
 from lmd.scene.pdf import from_csv as read_pdf
-from lmd.scene.tag_map_files import read_deployment
-from lmd.scene.trajectory_files import TrajectoryFile
-from lmd.space.mesh_file import read_mesh
 from lmd.survey.boards import Boards
 from lmd.survey.prior import MeasuredPoints
 

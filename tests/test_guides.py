@@ -29,8 +29,9 @@ from small import problem
 from lmd.core.checks import InputError
 from lmd.evaluation.bounds import Search, average_upper_bound
 from lmd.evaluation.validation import Sample, validation_metrics
-from lmd.mapping.formats import Format
-from lmd.mapping.tag_map import TagMap
+from lmd.export.exports import Format
+from lmd.formats import tag_maps
+from lmd.formats.tag_map import TagMap
 from lmd.objectives.coverage import Coverage
 from lmd.objectives.localisation import Localisation
 from lmd.optimisers.annealing import Annealing
@@ -38,7 +39,7 @@ from lmd.optimisers.ega import EGA
 from lmd.optimisers.greedy import Greedy
 from lmd.optimisers.ledger import Budget
 from lmd.problem import Problem
-from lmd.scene import pdf, tag_map_files
+from lmd.scene import pdf
 from lmd.scene.criteria import from_position, hide, in_image, in_view
 from lmd.scene.deployment_sources import RandomDeployment
 from lmd.scene.scene import Scene
@@ -65,7 +66,7 @@ def block(start):
     return text
 
 
-READERS = "lmd/scene/tag_map_readers.py"
+READERS = "lmd/formats/tag_map_readers.py"
 FILES[READERS] = (  # changed as the guide says
     (ROOT / READERS).read_text(encoding="utf-8")
     .replace("\nclass Reader(", f"\n{block('def _frames')}\n\nclass Reader(")
@@ -193,9 +194,9 @@ def test_the_estimator_keeps_its_contract(guides):
 
 
 def test_the_format_keeps_its_contract(guides, tmp_path, monkeypatch):
-    writer, reader = (of_path(guides / path) for path in ("lmd/mapping/frames.py", READERS))
+    writer, reader = (of_path(guides / path) for path in ("lmd/formats/frames.py", READERS))
     form = eval("{" + block('"frames": Format(') + "}", {"Format": Format} | vars(writer))["frames"]
-    monkeypatch.setattr(tag_map_files, "READERS", reader.READERS)
+    monkeypatch.setattr(tag_maps, "READERS", reader.READERS)
     room, rng = paper_room(), np.random.default_rng(0)
     check_format(form, TagMap(room, Tag(0.2), tilted(RandomDeployment(5).draw(room, rng), rng)), tmp_path)
 

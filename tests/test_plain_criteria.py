@@ -15,10 +15,9 @@ from lmd.evaluation.bounds import Search, affordable, average_upper_bound, fitne
 from lmd.evaluation.losses import losses
 from lmd.evaluation.sensitivity import sensitivity
 from lmd.evaluation.validation import Sample, validation_metrics
-from lmd.objectives.coverage import Coverage
+from lmd.objectives.coverage import Coverage, MeanCoverage
 from lmd.objectives.localisation import Localisation
-from lmd.objectives.localisation.views import localised_views
-from lmd.objectives.mean_coverage import MeanCoverage
+from lmd.objectives.localisation.evaluation import localised_views
 from lmd.optimisers.annealing import Annealing
 from lmd.optimisers.ega import EGA
 from lmd.optimisers.greedy import Greedy
@@ -31,7 +30,7 @@ from lmd.scene.criteria import Covering
 from lmd.scene.deployment_sources import GivenDeployment, RandomDeployment
 from lmd.scene.rig import Mount, Rig
 from lmd.scene.tag import Tag
-from lmd.sight import by_reference
+from lmd.sight import reference
 from lmd.sight.evaluator import Evaluator
 from lmd.sight.models.paper import Visibility
 from lmd.sight.views import visible_to_each
@@ -70,7 +69,7 @@ def both(camera=CAMERA):
 
 
 def hung(scene, count=12, seed=0):
-    return scene.plates.draw(RandomDeployment(count), np.random.default_rng(seed))
+    return scene.footprints.draw(RandomDeployment(count), np.random.default_rng(seed))
 
 
 def problems(objective, count=12):
@@ -184,7 +183,7 @@ def test_an_objective_keeps_its_contract_with_a_criterion_of_two_lines():
 
 
 def test_it_is_said_once_that_there_is_no_compiled_half(capsys):
-    by_reference._tell.cache_clear()
+    reference._tell.cache_clear()
     for _ in range(2):
         for scene in both():
             Evaluator(scene, threads=1)

@@ -6,11 +6,11 @@ import pytest
 from paper import one_position_room, paper_camera, paper_room, paper_scene
 
 from lmd.core.checks import InputError
+from lmd.formats.rigs import rig_of
 from lmd.objectives.coverage import Coverage
 from lmd.problem import Problem
 from lmd.scene import pdf
 from lmd.scene.deployment_sources import RandomDeployment, UniformDeployment
-from lmd.scene.rig_sources import rig_of
 from lmd.sight import reference
 from lmd.space.relevance import Relevance
 

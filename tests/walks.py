@@ -4,11 +4,11 @@ import numpy as np
 
 from lmd.core.checks import FloatArray
 from lmd.detection.corner_errors import CornerErrors
+from lmd.formats.detections import DetectedTags
 from lmd.geometry.camera import Camera
 from lmd.geometry.projection import project
 from lmd.geometry.se3 import act, camera_pose, exp, inverse, laid_over, log, pose_of
 from lmd.geometry.squares import CORNERS
-from lmd.mapping.detections import DetectedTags
 from lmd.scene.tag import Tag
 from lmd.survey.prior import PriorKnowledge
 from lmd.survey.sightings import Sightings, sightings_of

@@ -1,4 +1,4 @@
-"""Where the cameras of a robot go: its body, what each camera would see, and that as a problem for optimisers."""
+"""Placing the cameras of a robot: its body, the views of each camera, and a problem for optimisers."""
 
 from lmd.cameras.body import Body, Box
 from lmd.cameras.mounts import MountSpace

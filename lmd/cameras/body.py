@@ -11,8 +11,7 @@ from typing import Any
 import numpy as np
 
 from lmd.core.checks import BoolArray, FloatArray, InputError, check_fields, choice, real, vector
-from lmd.space.keep_out import KeepOut
-from lmd.space.parts import all_made, checked_names
+from lmd.space.parts import KeepOut, all_made, checked_names
 from lmd.space.surface import Surface, free_of
 
 FACES = ("front", "back", "left", "right", "top", "bottom")
@@ -45,7 +44,7 @@ class Box:
         object.__setattr__(self, "faces", checked_names("faces", self.faces, FACES) if self.faces else ())
 
     def surfaces(self) -> list[Surface]:
-        """The faces that may carry cameras, whole; for whoever stands before one, u runs to the right and v up.
+        """The faces that may carry cameras, whole; seen from outside, u runs to the right and v up.
 
         On top and bottom v runs forward.
         """
@@ -145,7 +144,7 @@ class Body:
         return float(self._met(centre, rays).mean())
 
     def _met(self, centre: FloatArray, rays: FloatArray) -> BoolArray:
-        """Which rays meet a box, `(R,)`."""
+        """Mask of the rays that meet a box, `(R,)`."""
         low, high = self.corners
         with np.errstate(divide="ignore", invalid="ignore"):
             ends = np.stack([(low - centre) / rays[:, None], (high - centre) / rays[:, None]])

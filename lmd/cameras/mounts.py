@@ -1,4 +1,4 @@
-"""Where the cameras of a body may be and how they may be turned, and mounts as genes in the unit box.
+"""Mounts of cameras that a body allows, and mounts as genes in the unit box.
 
 A mount has whole millimetres and milliradians, so that what is written down is what was evaluated.
 """
@@ -27,7 +27,7 @@ QUARTER_TURN = math.pi / 2.0
 
 @dataclass(frozen=True)
 class MountSpace:
-    """The cameras that may be mounted: so many, on the faces of a body, turned within limits.
+    """Mounts of a number of cameras on the faces of a body, turned within limits.
 
     A camera that would see more of its body than it may is turned towards the normal of its face, as far as it must.
 
@@ -71,7 +71,7 @@ class MountSpace:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """What each gene of a camera says."""
+        """Name of each gene of a camera."""
         turns = tuple(name for name in ("yaw", "pitch", "roll") if np.ptp(getattr(self, name)) or name == "yaw")
         return ("along", "up", *turns, *(("lens",) if len(self.lenses) > 1 else ()))
 
@@ -130,7 +130,7 @@ class MountSpace:
         )
 
     def are_apart(self, mounts: Sequence[Mount]) -> bool:
-        """Whether no two of them are too close."""
+        """True if all centres are at least `apart` from each other."""
         at = np.array([mount.translation for mount in mounts])
         distance = np.linalg.norm(at[:, None] - at, axis=-1)[np.triu_indices(len(at), 1)]
         return bool((distance >= self.apart).all())
@@ -204,7 +204,7 @@ def rounded(camera: Camera, place: FloatArray, yaw: float, pitch: float, roll: f
 
 
 def _alike(one: Mount, other: Mount) -> bool:
-    """Whether two mounts are the same but for what rounding does."""
+    """True if two mounts differ by no more than rounding."""
     away = np.abs(np.array(one.translation) - other.translation).max()
     return one.camera == other.camera and max(away, np.abs(one.rotation - other.rotation).max()) <= GIVEN_TOLERANCE
 

@@ -49,13 +49,13 @@ class CameraProblem(Problem):
         scene = replace(problem.scene, camera=Rig((farthest,)))
         super().__init__(scene, problem.objective, problem.start, problem.evaluator.threads, problem.fixed)
         self.views = CameraViews(self.fitness_evaluator, tags)
-        self._most = -np.inf  # the best fitness so far
+        self._most = -np.inf  # best fitness of cameras that stay in the room
         if not self.counts:  # what does not take a rig says so before anything is searched
             self.values_of(space.mounts(space.draw(np.random.default_rng(0))) or ())
 
     @property
     def counts(self) -> bool:
-        """Whether the objective only asks how many landmarks are seen, so that cameras can be looked at one by one."""
+        """True if the objective counts landmarks alone, so that cameras can be evaluated one by one."""
         return isinstance(self.objective, Coverage)
 
     def _corners(self) -> tuple[Mount, ...]:
@@ -69,7 +69,7 @@ class CameraProblem(Problem):
         return tuple(Mount(self.space.lenses[0], tuple(place.tolist())) for place in at)
 
     def stay(self, mounts: Sequence[Mount]) -> bool:
-        """Whether the cameras are in the room wherever the body may be.
+        """True if the cameras are in the room at every position of the body.
 
         The corners of the body are, so they nearly always are, and asking takes as long as looking.
         """

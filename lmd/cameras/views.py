@@ -1,4 +1,4 @@
-"""Which tags each camera of a rig sees from every pose of its body: what several see is a union of bits."""
+"""Tags seen by each camera of a rig from every pose of its body, as bits: several cameras see their union."""
 
 from collections import OrderedDict
 from collections.abc import Sequence
@@ -37,14 +37,14 @@ class CameraViews:
         self._kept: OrderedDict[Mount, np.ndarray] = OrderedDict()
 
     def _alone(self, camera: Camera) -> Evaluator:
-        """The scene with one camera, whose positions nobody asks for."""
+        """Evaluator of the scene with one camera; its positions are not used."""
         if camera not in self._of_camera:
             scene = replace(self._evaluator.scene, camera=camera)
             self._of_camera[camera] = Evaluator(scene, self._evaluator.positions[:1], threads=1)
         return self._of_camera[camera]
 
     def knows(self, mount: Mount) -> bool:
-        """Whether a camera has been looked at before and is remembered."""
+        """True if the views of a camera are kept."""
         return mount in self._kept
 
     def seen(self, mount: Mount) -> np.ndarray:

@@ -1,1 +1,1 @@
-"""What has nothing to do with tags: checks of input, files, tables, memory, threads, and how numba compiles."""
+"""Foundations without tags: checks of input, files, tables, memory, threads, and compiling with numba."""

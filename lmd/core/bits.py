@@ -64,19 +64,19 @@ def _prefetch(array, index):  # type: ignore[no-untyped-def] # noqa: ARG001
 
 @inlined
 def add_digit(digit: np.uint64, carry: np.uint64, goes: np.uint64) -> tuple[np.uint64, np.uint64]:
-    """A binary digit of counts with one more (or one less where `goes`) at `carry`, and what is carried or borrowed."""
+    """Add 1 to a digit of counts at the axes `carry`, or subtract 1 at those in `goes`; also returns the next carry."""
     return digit ^ carry, carry & (digit ^ goes)
 
 
 @inlined
 def equal_so_far(equal: np.uint64, digit: np.uint64, n: Integer, j: Integer) -> np.uint64:
-    """Where counts equal n in digit j, too."""
+    """Axes of the set `equal` whose counts equal n in digit j, too."""
     return equal & (digit if n >> j & 1 else ~digit)
 
 
 @inlined
 def at_least_so_far(reached: np.uint64, digit: np.uint64, n: Integer, j: Integer) -> np.uint64:
-    """Where counts are at least n: from the lowest digit j up, each overrules those below."""
+    """Axes whose counts are at least n in digits 0 to j; `reached` has those of digits 0 to j - 1."""
     return reached & digit if n >> j & 1 else reached | digit
 
 

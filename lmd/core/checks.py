@@ -14,18 +14,18 @@ FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 IntArray = NDArray[np.int64]
 
-LARGEST = 1e12  # numbers beyond mean nothing here, and their products overflow
-LARGEST_SEED = 2**128 - 1  # as many bits as numpy draws for a seed
-LATEST = 1e11  # seconds since 1970: in three thousand years; in milliseconds it was 1973
-APART = 5.0  # seconds from frame to frame: at 200 frames per second they are 5 ms apart
-CREEPING = 5e-3  # m/s: slower than any robot that records itself every APART seconds
-ONE_TURN = 2.0 * math.pi + 0.01  # 6.2832 was rounded up
-# Of a longer message the middle is left out, characters: a file may give a value of any length.
+LARGEST = 1e12  # greatest size of a number in input; products of greater ones overflow
+LARGEST_SEED = 2**128 - 1  # numpy draws 128 bits for a seed
+LATEST = 1e11  # greatest time, seconds since 1970; a later one is taken for milliseconds or nanoseconds
+APART = 5.0  # least median time between frames that may be milliseconds: 5 ms at 200 frames per second
+CREEPING = 5e-3  # median speed, m/s, below which times with frames `APART` are taken for milliseconds
+ONE_TURN = 2.0 * math.pi + 0.01  # greatest angle, rad, with room for rounding; a greater one is taken for degrees
+# Greatest length of a message, characters: the middle of a longer one is cut out.
 LONGEST = 2000
 
 
 def printable(text: str) -> str:
-    """A text with escapes in place of what a terminal would obey or not show, such as names in a stranger's file."""
+    """A text with escapes in place of characters that a terminal would execute or not show."""
     return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)
 
 
@@ -53,7 +53,7 @@ class InputError(ValueError):
 
 @contextmanager
 def argument_of(whole: str) -> Iterator[None]:
-    """Where an `InputError` is about an argument, let it be about that argument of `whole`."""
+    """Rename the argument of an `InputError` to that argument of `whole`."""
     try:
         yield
     except InputError as error:

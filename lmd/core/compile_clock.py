@@ -58,7 +58,7 @@ class CompileClock:
         lines.append(
             f"compiling kernel {self._kernels}, {self._spent:.0f} s so far: {name_of(function).partition(' (')[0]}"
         )
-        with suppress(OSError):  # nobody listens any more
+        with suppress(OSError):  # standard error is closed
             tqdm.write("\n".join(lines), file=sys.stderr)  # above a progress bar
 
     @property

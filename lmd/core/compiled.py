@@ -107,7 +107,7 @@ def inner(function: F) -> F:
 
 
 def inlined(function: F) -> F:
-    """As `inner`, inlined by LLVM whatever its size.
+    """As `inner`, inlined by LLVM at any size.
 
     Only so do loops over it vectorise, and what stays the same moves out of them. For what is called at every position,
     handing over a field, a state and a scratch, hundreds of numbers, would take longer than the work.

@@ -1,8 +1,8 @@
-"""Functions that compiled code resolves by the class of their first argument, a named tuple.
+"""Functions that compiled code resolves by the class of their first argument, a named tuple or None.
 
-Like `functools.singledispatch`, but for numba: a kernel calls one name, and is compiled for each class that it is given
-with what that class registered. So a criterion or an objective is one file that no kernel knows of, and the
-compiled code stays cached on disk, which a function handed over as an argument would prevent.
+Like `functools.singledispatch`, but for numba: a kernel calls one name, and is compiled for each class of arguments
+with the function that the class registered. So a criterion or an objective is one file that no kernel imports, and
+compiled code stays cached on disk, which a function as an argument would prevent.
 
     @dispatched
     def area(shape): ...
@@ -15,6 +15,8 @@ compiled code stays cached on disk, which a function handed over as an argument 
 from collections.abc import Callable
 from typing import Any, ParamSpec, Protocol, TypeVar, cast
 
+import numpy as np
+from numba import types
 from numba.extending import overload
 
 from lmd.core.compiled import OVERLOAD, OVERLOAD_INLINED
@@ -26,13 +28,13 @@ R_co = TypeVar("R_co", covariant=True)
 
 
 class Dispatched(Protocol[P, R_co]):
-    """What `dispatched` makes of a function."""
+    """A function that `dispatched` returns."""
 
     def __call__(self, *arguments: P.args, **_: P.kwargs) -> R_co:
-        """What the class of the first argument registered; positional arguments only."""
+        """Call the function that the class of the first argument registered; positional arguments only."""
 
     def register(self, kind: type) -> Callable[[F], F]:
-        """Decorates the plain function for named tuples of a class, with the arguments of the dispatched one."""
+        """Decorate the plain function for a class, with the arguments of the dispatched one."""
 
 
 def dispatched(declaration: Callable[P, R_co]) -> Dispatched[P, R_co]:
@@ -67,9 +69,27 @@ def _dispatched(declaration: Callable[P, R_co], otherwise: Function | None, opti
         return remember
 
     def resolve(first: Any, *_: Any) -> Function | None:
-        return table.get(getattr(first, "instance_class", object)) or otherwise
+        return table.get(type(None) if first is types.none else getattr(first, "instance_class", object), otherwise)
 
     call.__name__, call.__doc__, call.__module__ = declaration.__name__, declaration.__doc__, declaration.__module__
     call.register, call.registered = register, table  # type: ignore[attr-defined]
     overload(call, strict=False, jit_options=options)(resolve)
     return cast("Dispatched[P, R_co]", call)
+
+
+def entry(column: Any, k: Any) -> Any:
+    """Entry k of a column `(K,)`, or the number that holds for all K: kernels are compiled for either."""
+    return column[k] if isinstance(column, np.ndarray) else column
+
+
+def _entry_of_column(column: Any, k: Any) -> Any:
+    return column[k]
+
+
+def _number(column: Any, k: Any) -> Any:  # noqa: ARG001 # arguments of `entry`
+    return column
+
+
+@overload(entry, strict=False, jit_options=OVERLOAD_INLINED)
+def _entry(column: Any, k: Any) -> Function:  # noqa: ARG001 # arguments of `entry`
+    return _entry_of_column if isinstance(column, types.Array) else _number

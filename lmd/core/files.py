@@ -18,9 +18,9 @@ import yaml
 from lmd.core.checks import InputError, file_path
 from lmd.core.memory import check_memory
 
-# What a byte of a file takes at most while its contents are made sense of, bytes: the texts of a table.
+# Greatest memory per byte of a file while it is parsed, bytes: the texts of a table.
 MEMORY_PER_BYTE = 20.0
-# A calibration has a few kilobytes; so much is read in some seconds.
+# Greatest size of a YAML file, bytes: a calibration has a few kilobytes; half a megabyte takes some seconds to parse.
 LARGEST_YAML = 1 << 19
 
 # Files that are no text, by their first bytes, and the way to a text.
@@ -77,7 +77,7 @@ def read_bytes(path: Any, name: str, largest: float = math.inf, first: int | Non
 
 
 def write_whole(path: Path, content: bytes) -> None:
-    """Write a file, whole or not at all, whatever ends the process or the machine meanwhile."""
+    """Write a file, whole or not at all, even if the process or the machine ends meanwhile."""
     partial = path.with_name(f"{path.name}.partial")  # the next one takes the place of what a kill leaves
     try:
         with partial.open("wb") as file:
@@ -132,7 +132,7 @@ def parse_keys(path: Any, text: str, name: str) -> dict[str, Any]:
         if not is_json and len(text) > LARGEST_YAML:
             raise ValueError(f"it has {len(text):.4g} characters, and at most {LARGEST_YAML:.4g} are taken")
         keys = json.loads(_without(_LAST_COMMA, plain)) if is_json else _yaml(_from_opencv(text))
-    except Exception as error:  # whatever a parser of a broken file runs into
+    except Exception as error:  # a parser of a broken file may raise anything
         reason = " ".join(str(error).split())
         raise InputError(f"{name}: {str(path)!r} cannot be read as YAML or JSON ({reason}).", name) from None
     if not isinstance(keys, dict):
@@ -195,7 +195,7 @@ def check_aliases(text: str) -> None:
 
 
 def _values(node: Any, known: dict[int, float]) -> float:
-    """How many values a node has with every alias written out; infinitely many where it holds itself."""
+    """Number of values of a node with every alias written out; infinite for a node that holds itself."""
     if id(node) not in known:
         known[id(node)] = math.inf
         pairs = isinstance(node, yaml.MappingNode)

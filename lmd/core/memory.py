@@ -1,4 +1,4 @@
-"""Memory: what would not fit is refused before it is taken, in one sentence with both figures."""
+"""Checks that memory suffices before it is allocated; a refusal names both figures."""
 
 import os
 from pathlib import Path
@@ -6,14 +6,14 @@ from pathlib import Path
 from lmd.core.checks import InputError
 
 GIB = 2.0**30
-LITTLE = 2.0**16  # bytes that are always there: looking takes a third of a millisecond
+LITTLE = 2.0**16  # bytes below which memory is not checked: a check takes a third of a millisecond
 MEMINFO = Path("/proc/meminfo")
-# What a container may take, by the two versions of Linux control groups.
+# Limits of a container in the two versions of Linux control groups.
 LIMITS = (Path("/sys/fs/cgroup/memory.max"), Path("/sys/fs/cgroup/memory/memory.limit_in_bytes"))
 
 
 def free_memory() -> float:
-    """Bytes that can be had: what Linux calls available, elsewhere all there are, and no more than a container may."""
+    """Bytes that can be allocated: MemAvailable on Linux, all memory elsewhere; at most the limit of a container."""
     limits = [path.read_text().strip() for path in LIMITS if path.is_file()]
     if MEMINFO.is_file():
         entries = dict(line.split(":") for line in MEMINFO.read_text().splitlines())
@@ -28,8 +28,8 @@ def check_memory(needed: float, what: str, argument: str | None = None) -> None:
 
     Args:
         needed: bytes.
-        what: takes them, the subject of the sentence; it begins with the argument, if one is to blame.
-        argument: its name.
+        what: subject of the sentence; begins with the argument, if one is the cause.
+        argument: name of that argument.
     """
     if needed <= LITTLE:
         return
@@ -40,7 +40,7 @@ def check_memory(needed: float, what: str, argument: str | None = None) -> None:
 
 
 def check_views(each: float, positions: int, orientations: int, landmarks: int | None = None) -> None:
-    """`check_memory` of what is kept of every view, a position in an orientation.
+    """`check_memory` of data that is kept for every view, a position in an orientation.
 
     Args:
         each: bytes of a view, or of a landmark in a view.

@@ -33,7 +33,7 @@ def optional(package: str, extra: str) -> Any:
 
 
 def missing(package: str, extra: str) -> InputError:
-    """What says that a package is not installed, and the command that installs it."""
+    """The error for a package that is not installed, with the command that installs it."""
     root, python = Path(__file__).parents[2], _short(sys.executable)
     source = "'lmd"
     if (root / "constraints.txt").exists():  # a checkout

@@ -1,10 +1,11 @@
-"""CSV tables: writing them with every digit, and reading them with messages that name file, line and value."""
+"""CSV tables: written with every digit, read with messages that name file, line and value; and keys of times."""
 
 import csv
 import io
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from decimal import Decimal, InvalidOperation
 from pathlib import Path
 from typing import Any, TextIO
 
@@ -14,17 +15,17 @@ from numpy.typing import ArrayLike
 from lmd.core.checks import FloatArray, InputError
 from lmd.core.files import read_text
 
-MOST_COLUMNS = 1000
-COMMENT = "#"  # begins a line that is not read
+MOST_COLUMNS = 1000  # a file with more is refused
+COMMENT = "#"  # first character of a line that is skipped
 
 
 def write_table(file: str | Path | TextIO, columns: Mapping[str, ArrayLike]) -> None:
-    """Write a CSV with a header, as `pandas.DataFrame.to_csv` does, which takes long to import.
+    """Write a CSV with a header, as `pandas.DataFrame.to_csv` does; pandas takes long to import.
 
     Args:
         file: its path, or an open text file.
-        columns: numbers or texts by the name of the column, all as many. NaN is left empty; reading any other number
-            back gives the same.
+        columns: numbers or texts by the name of the column, of equal lengths. NaN is left empty; any other number is
+            read back exactly.
     """
     if isinstance(file, str | Path):
         with Path(file).open("w", encoding="utf-8", newline="") as opened:
@@ -212,3 +213,28 @@ def read_numbers(path: Any, columns: Sequence[str], *, name: str) -> FloatArray:
         InputError: the file cannot be read, a column is missing or unknown, a value is no finite number.
     """
     return read_table(path, name=name).numbers(columns)
+
+
+def time_of(text: str) -> Decimal | str:
+    """Key of a time: the number written, or the text if it is none, such as the name of a photograph.
+
+    Nanoseconds since 1970 have more digits than a float.
+    """
+    try:
+        number = Decimal(text)
+    except InvalidOperation:
+        return text
+    return number if number.is_finite() else text
+
+
+def in_order(texts: Iterable[str]) -> list[str]:
+    """Distinct texts of times in ascending order: numbers first, then texts, such as names of photographs."""
+    return sorted(set(texts), key=_time_key)
+
+
+def _time_key(text: str) -> tuple[float, str]:
+    try:
+        number = float(text)
+    except ValueError:
+        number = math.inf
+    return number if math.isfinite(number) else math.inf, text

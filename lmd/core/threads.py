@@ -1,4 +1,4 @@
-"""Work that several threads of one process share: kernels release the GIL."""
+"""Threads that share the work of one process: kernels release the GIL."""
 
 import itertools
 import os
@@ -11,19 +11,19 @@ import numpy as np
 
 T = TypeVar("T")
 
-MOST_THREADS = 1024  # more than any machine gains from
+MOST_THREADS = 1024  # greatest number of threads that a user may ask for
 
 
 def available_threads() -> int:
-    """Processors this process may use."""
+    """Number of processors that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 @cache
 def _helpers(count: int) -> ThreadPoolExecutor:
-    """Threads that stay: to start new ones takes a millisecond, half an evaluation of the paper's room.
+    """Threads that stay alive: starting new ones takes a millisecond, half an evaluation of the paper's room.
 
-    All that share work in a process share them.
+    Every call of `at_once` in a process uses them.
     """
     return ThreadPoolExecutor(count)
 
@@ -33,11 +33,11 @@ if hasattr(os, "register_at_fork"):
 
 
 def at_once(threads: int, work: Callable[..., T], *arguments: Iterable[Any]) -> list[T]:
-    """What `work` returns for each of the arguments, in their order, as `map` would.
+    """Results of `work` for each of the arguments, in their order, as `map` would return them.
 
-    The calling thread does its share, so it is interrupted as if it were alone. After an error nobody begins with
-    another, and what others have begun is waited for. `work` may itself share work: what no thread is free for, the
-    calling one does.
+    The calling thread works too, so it can be interrupted as if it were alone. After an error no thread begins another
+    call, and calls that have begun are waited for. `work` may itself call `at_once`: calls for which no thread is free
+    run in the calling one.
     """
     calls = list(zip(*arguments, strict=True))
     found: list[Any] = [None] * len(calls)

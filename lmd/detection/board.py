@@ -1,4 +1,4 @@
-"""Views of tags in your own images of a printed board whose geometry is known."""
+"""Views of tags in photographs of a printed board with known geometry."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -12,7 +12,7 @@ from lmd.detection.detectors import Detections, Detector
 from lmd.detection.evaluation import CORNER_TOLERANCE, corner_error, match
 from lmd.detection.frames import qualities
 from lmd.detection.images import Photographs
-from lmd.detection.mosaic import OF_EACH, Views, only
+from lmd.detection.views import TagViews, only
 from lmd.geometry.camera import Camera
 from lmd.geometry.pose import pose_from_corners
 from lmd.geometry.se3 import ROW, poses_from_rows
@@ -26,44 +26,42 @@ from lmd.scene.tag import Tag
 
 @dataclass(frozen=True)
 class BoardImages:
-    """Images of a board of tags, a `lmd.detection.calibration.Source`.
-
-    Args:
-        folder: holds the images, all of one camera.
-        tags: CSV with the columns id,x,y,z,nx,ny,nz: number, centre (metres) and unit normal of each tag, in a frame of
-            your choice. Tags hang upright, or along y where they face along z.
-        poses: CSV with the columns image,x,y,z,qx,qy,qz,qw: the name of each image and the camera in the same frame (x
-            right, y down, z the optical axis). None: from the corners that the detector finds, with at least two tags.
-        tolerance: largest distance of a corner from where it should be, pixels.
+    """Photographs of a board of tags; a `lmd.detection.views.ViewSource`.
 
     Raises:
         InputError: a value is missing or out of range.
     """
 
     folder: str | None
+    """Folder of the images, all of one camera."""
     tags: str | None
+    """CSV with the columns id,x,y,z,nx,ny,nz: id, centre (metres) and unit normal of each tag in any frame. Tags hang
+    upright, or along y if they face along z."""
     poses: str | None = None
+    """CSV with the columns image,x,y,z,qx,qy,qz,qw: name of each image, and pose of the camera in the frame of the tags
+    (x right, y down, z the optical axis). None: from the detected corners of at least two tags."""
     tolerance: float = CORNER_TOLERANCE
+    """Largest distance of a corner from its projection, pixels."""
 
     def __post_init__(self) -> None:
         if self.folder is None:
             raise InputError("folder is missing: a folder of images is needed.", "folder")
-        _ = self.images  # which refuses a folder without any
+        _ = self.images  # raises for a folder without images
         if self.tags is None:
             raise InputError("tags is missing: a CSV of the tags on the board is needed.", "tags")
         check_fields(self, real, "tolerance", above=0.0)
 
     def views(
         self, cameras: Sequence[Camera], tag: Tag, detector: Detector, imaging: Imaging, rng: np.random.Generator
-    ) -> Views:
-        """See `Source.views`: each tag that shows its front wholly in an image whose pose is known."""
+    ) -> TagViews:
+        """See `ViewSource.views`: the whole tags of each image with a known pose."""
         camera = only(cameras)
         renderer = Renderer(camera, self.board(tag), imaging)
         known = None if self.poses is None else self._known_poses(self.poses)
         parts = []
         read = self.images.read(0, len(self.images.names), camera)
         for name, image in zip(self.images.names, read, strict=True):
-            if name in self.images.repeated:  # a copy tells nothing new
+            if name in self.images.repeated:  # a copy adds no information
                 continue
             found = detector.detect(image)
             pose = _pose_by(renderer, found, self.tolerance) if known is None else known.get(name)
@@ -73,26 +71,26 @@ class BoardImages:
             matches = match(found, renderer.room.ids, expected, self.tolerance)
             whole = renderer.inside(pose)
             error = corner_error(matches.corners, expected)
-            parts.append(Views(*qualities(renderer, pose), matches.detected, error)[whole])
+            parts.append(TagViews(*qualities(renderer, pose), matches.detected, error)[whole])
         if not sum(map(len, parts)):
             raise InputError(
                 f"folder: in no image of {str(self.folder)!r} is a tag of the board where it should be.", "folder"
             )
-        return Views(*(np.concatenate([getattr(part, name) for part in parts]) for name in OF_EACH))
+        return TagViews.concatenated(parts)
 
     @property
     def photographs(self) -> int:
-        """See `Source.photographs`."""
+        """See `ViewSource.photographs`."""
         return len(self.images.names) - len(self.images.repeated)
 
     @cached_property
     def images(self) -> Photographs:
-        """The images of the folder."""
+        """Images of the folder."""
         assert self.folder is not None
         return Photographs(self.folder)
 
     def board(self, tag: Tag) -> TaggedRoom:
-        """The tags of the board in its frame."""
+        """Tags of the board in its frame."""
         assert self.tags is not None
         table = read_numbers(self.tags, ("id", *COLUMNS), name="tags")
         normals = table[:, 4:] / np.linalg.norm(table[:, 4:], axis=1, keepdims=True)
@@ -100,7 +98,7 @@ class BoardImages:
             return TaggedRoom(tag, table[:, 0].astype(np.int64), table[:, 1:4], normals, upright(normals)[1])
 
     def _known_poses(self, path: str) -> dict[str, FloatArray]:
-        """X by the image's name."""
+        """X by the name of the image."""
         table = read_table(path, name="poses")
         rows = table.numbers(ROW, ("image",))
         if "image" not in table:
@@ -114,7 +112,7 @@ class BoardImages:
 
 
 def _pose_by(renderer: Renderer, found: Detections, tolerance: float) -> FloatArray | None:
-    """X from the corners of the board's tags that were found; None with fewer than two, or if they do not agree."""
+    """X from the detected corners of the board; None with fewer than two tags, or if they are inconsistent."""
     room = renderer.room
     corners = np.full((len(room.ids), 4, 2), np.nan)
     for k, number in enumerate(room.ids):

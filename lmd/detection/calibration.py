@@ -1,84 +1,73 @@
-"""Limits of a detector fitted to views of tags, and how well they predict what they were not fitted to."""
+"""Limits of a detector fitted to views of single tags, and their evidence."""
 
-from collections.abc import Mapping, Sequence
+import math
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
-from lmd.core.checks import BoolArray, FloatArray
-from lmd.detection.detectors import Detector
-from lmd.detection.evaluation import TAG_NUMBERS, agreement, at_least, precision_recall
-from lmd.detection.fit import Fit
-from lmd.detection.frames import Sightings, overlapping, qualities
-from lmd.detection.mosaic import Views
-from lmd.geometry.camera import Camera
-from lmd.render.imaging import Imaging
+from lmd.core.checks import BoolArray, FloatArray, InputError
+from lmd.detection.evaluation import TAG_NUMBERS, Matches, agreement, precision_recall, shares_of_frames
+from lmd.detection.frames import overlapping, qualities
+from lmd.detection.views import Placed, TagViews
 from lmd.render.renderer import Renderer
-from lmd.scene.tag import Tag
 from lmd.sight.models.limits import NAMES, Limits, Preset
 
 INTERVAL_ENDS = ("low", "high")
+# Number of resamples for intervals, and of blocks of time in a recording.
+RESAMPLES, BLOCKS = 20, 20
+# Candidate values; units as in `Limits`.
+PITCHES, BLURS = np.linspace(0.0, 3.0, 31), np.linspace(0.0, 4.0, 41)
+EDGES, INCIDENCES = np.linspace(0.0, 40.0, 41), np.linspace(40.0, 89.0, 50)
+MARGINS = np.linspace(0.0, 150.0, 31)
+# Candidate diameters of an image circle, relative to the largest that a view needs.
+CIRCLES = np.linspace(1.0, 0.4, 61)
+# Fewest views beyond an image circle, and the largest share of them that is detected.
+FEWEST_BEYOND, FOUND_BEYOND = 20, 0.05
 
-
-class Source(Protocol):
-    """Where views of tags come from whose outcome is known."""
-
-    @property
-    def photographs(self) -> int:
-        """How many photographs they are of; 0 where they are rendered."""
-
-    def views(
-        self, cameras: Sequence[Camera], tag: Tag, detector: Detector, imaging: Imaging, rng: np.random.Generator
-    ) -> Views:
-        """Views and what the detector made of them.
-
-        Args:
-            cameras: that take the images; several where they are those of a rig.
-            tag: its family, size and quiet zone.
-            detector: for this family.
-            imaging: lens and light, where images are rendered; blur, where they are read.
-            rng: source of everything random.
-
-        Raises:
-            InputError: it makes views for one camera only, or of other cameras.
-        """
-
-
-def foreseen(limits: Limits, renderer: Renderer, poses: FloatArray) -> BoolArray:
-    """Which tags the limits predict to be found in frames, `(N, K)`.
-
-    Args:
-        limits: of a single tag.
-        renderer: the camera and the tags; those that overlap another one are taken as not found.
-        poses: X, `(N, 4, 4)`.
-    """
-    found = limits.found(*qualities(renderer, poses)) & renderer.inside(poses, limits.margin)
-    return np.asarray(found & ~overlapping(renderer.room))
+Errors = Callable[[BoolArray, BoolArray], NDArray[np.intp]]
+Choice = tuple[int, ...]
 
 
 @dataclass(frozen=True)
-class Calibration:
-    """Limits of one detector and the evidence.
+class Fit:
+    """Limits, and their scores on the held-out half of the views."""
 
-    Args:
-        views: that they come from.
-        fit: the limits, judged on the half of the views that they were not fitted to.
-        rooms: judged on whole frames: `predicted_<n>` and `detected_<n>`, P(>= n), `agreement_2`, `precision`,
-            `recall`; empty where there were none.
-        photographs: that the views are of; 0 where they were rendered.
-        intervals: in which nine of ten limits lie that are fitted to as many views drawn from these, by name; empty
-            where that was not asked for.
-    """
+    limits: Limits
+    """Limits of the detector."""
+    accuracy: float
+    """Share of views predicted correctly."""
+    precision: float
+    """Share of predicted views that are detected."""
+    recall: float
+    """Share of detected views that are predicted."""
+    circles: tuple[float, ...] = ()
+    """Diameter of the image circle of each camera, pixels, infinite if not found; empty for views without `placed`."""
 
-    views: Views
+    @property
+    def known_circles(self) -> dict[int, float]:
+        """Finite `circles` by the number of the camera, from 1."""
+        return {number: diameter for number, diameter in enumerate(self.circles, 1) if math.isfinite(diameter)}
+
+
+@dataclass(frozen=True)
+class DetectorCalibration:
+    """Limits of one detector and their evidence."""
+
+    views: TagViews
+    """Views that the limits are fitted to."""
     fit: Fit
+    """Limits and scores."""
     rooms: dict[str, float]
+    """`frame_scores` in rendered rooms; empty without any."""
     photographs: int = 0
+    """Number of photographs of the views; 0 for renderings."""
     intervals: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    """90 % intervals of the limits by name, see `intervals`; may be empty."""
 
     def figures(self) -> dict[str, float]:
-        """Everything as one row."""
+        """All numbers as one row of a table."""
         limits, fit = self.fit.limits, self.fit
         return {
             "views": len(self.views),
@@ -96,10 +85,12 @@ class Calibration:
         }
 
     def preset(self, detector: str, family: str, source: str) -> str:
-        """The limits as a preset's file, with the evidence as comments.
+        """Text of a preset file with the limits, and the evidence as comments.
 
         Args:
-            source: where the views come from.
+            detector: name of the detector.
+            family: tag family.
+            source: description of the views.
         """
         fit = self.fit
         lines = [f"Limits of {detector} for tags of the family {family}: {source}."]
@@ -126,15 +117,159 @@ class Calibration:
         return Preset(detector, family, fit.limits).to_yaml(lines)
 
 
-def judged(predicted: BoolArray, seen: Sightings) -> dict[str, float]:
-    """`Calibration.rooms` of frames.
+def predicted_in_frames(limits: Limits, renderer: Renderer, poses: FloatArray) -> BoolArray:
+    """Tags that the limits predict to be detected in frames, `(N, K)`; overlapping tags count as not detected.
 
     Args:
-        predicted: `(N, K)`.
-        seen: what the detector found in them.
+        limits: limits of the detector.
+        renderer: camera and tags.
+        poses: X, `(N, 4, 4)`.
+    """
+    found = limits.found(*qualities(renderer, poses)) & renderer.inside(poses, limits.margin)
+    return np.asarray(found & ~overlapping(renderer.room))
+
+
+def frame_scores(predicted: BoolArray, seen: Matches) -> dict[str, float]:
+    """Scores of frames: `frames`, `precision`, `recall`, P(>= n) `predicted_<n>` and `detected_<n>`, `agreement_2`.
+
+    Args:
+        predicted: predicted tags, `(N, K)`.
+        seen: matches in the N frames.
     """
     precision, recall = precision_recall(predicted, seen.detected)
     row = {"frames": float(len(predicted)), "precision": float(precision), "recall": float(recall)}
     for name, which in (("predicted", predicted), ("detected", seen.detected)):
-        row |= {f"{name}_{n}": float(share) for n, share in zip(TAG_NUMBERS, at_least(which).share, strict=True)}
+        shares = shares_of_frames(which).share
+        row |= {f"{name}_{n}": float(share) for n, share in zip(TAG_NUMBERS, shares, strict=True)}
     return row | {"agreement_2": agreement(predicted, seen.detected)}
+
+
+def fit(views: TagViews, rng: np.random.Generator, margin: float) -> Fit:
+    """Fit limits to one half of the views and score them on the other.
+
+    Single views are halved at random. The objective is max(false positives, false negatives), which balances both kinds
+    of error and keeps shares of views, such as P(>= n), without bias.
+
+    The views of a recording are halved in time, as consecutive images are similar. All errors count: some tags are
+    missed for reasons outside the limits, such as glare or occlusion, which the limits must not compensate. The margin
+    and the image circles are fitted, too.
+
+    Args:
+        views: at least two views; those of a recording at two times or more.
+        rng: draws the halves.
+        margin: margin of the limits, pixels, which single views do not determine; for a recording its lower bound.
+
+    Raises:
+        InputError: there are too few views, or the margin is negative.
+    """
+    if len(views) < 2:
+        raise InputError(f"views must be at least 2, got {len(views)}.")
+    if views.placed is None:
+        order = rng.permutation(len(views))
+        train, held_out = views[order[::2]], views[order[1::2]]
+    else:
+        moments = np.unique(views.placed.moment)
+        if len(moments) < 2:
+            raise InputError("views must be of images at two times at least, got one.")
+        early = views.placed.moment < moments[len(moments) // 2]
+        train, held_out = views[early], views[~early]
+    limits, circles = _best(train, margin)
+    predicted = predicted_views(held_out, limits, circles)
+    precision, recall = precision_recall(predicted, held_out.seen)
+    return Fit(limits, float((predicted == held_out.seen).mean()), float(precision), float(recall), circles)
+
+
+def predicted_views(views: TagViews, limits: Limits, circles: tuple[float, ...]) -> BoolArray:
+    """Mask of the views that limits and image circles predict to be detected, `(M,)`."""
+    found = limits.found(views.pitch, views.incidence, views.edge, views.sigma)
+    if (placed := views.placed) is None:
+        return found
+    return found & (placed.border >= limits.margin) & ~(placed.circle > np.array(circles)[placed.camera])
+
+
+def intervals(views: TagViews, rng: np.random.Generator, margin: float) -> dict[str, tuple[float, float]]:
+    """90 % bootstrap intervals of the fitted limits, by name; of a recording, blocks of time are resampled."""
+    drawn = [_best(views[_resampled(views, rng)], margin)[0] for _ in range(RESAMPLES)]
+    names = ["pitch", "blur", "edge", "incidence", *([] if views.placed is None else ["margin"])]
+    rows = {name: [getattr(limits, name) for limits in drawn] for name in names}
+    return {name: (float(np.quantile(row, 0.05)), float(np.quantile(row, 0.95))) for name, row in rows.items()}
+
+
+def _resampled(views: TagViews, rng: np.random.Generator) -> NDArray[np.intp]:
+    """Indices of views drawn with replacement."""
+    if views.placed is None:
+        return rng.integers(0, len(views), len(views))
+    _, rank = np.unique(views.placed.moment, return_inverse=True)
+    block = rank * BLOCKS // (rank.max() + 1)
+    kinds = np.unique(block)
+    return np.concatenate([np.flatnonzero(block == kind) for kind in rng.choice(kinds, len(kinds))])
+
+
+def _best(views: TagViews, margin: float) -> tuple[Limits, tuple[float, ...]]:
+    """Limits and image circles with the fewest errors on `views`.
+
+    Limits that are chosen together form a group; its table holds the views that meet each choice.
+    """
+    placed, margins, circles = views.placed, np.array([margin]), []
+    sharp = views.pitch >= np.hypot(PITCHES[:, None, None], BLURS[:, None] * views.sigma)  # (A, K, M)
+    facing = views.incidence <= np.radians(INCIDENCES)[:, None]  # (B, M)
+    groups = [sharp, (views.edge >= EDGES[:, None, None]) & facing]  # (E, B, M)
+    start: list[Choice] = [(0, 0), (0, len(facing) - 1)]
+    if placed is None:
+        # The better of two searches, one of which starts from the most accurate limits.
+        searches = ((_all_errors, _larger_errors), (_larger_errors,))
+        _, chosen = min(_searched(groups, start, views.seen, kinds) for kinds in searches)
+    else:
+        margins, circles = np.append(margins, MARGINS[margin < MARGINS]), _circles(views, placed)
+        groups.append(placed.border >= margins[:, None])
+        groups += [(placed.camera != c) | ~(placed.circle > own[:, None]) for c, own in enumerate(circles)]
+        _, chosen = _searched(groups, [*start, *[(0,)] * (1 + len(circles))], views.seen, (_all_errors,))
+    (a, k), (e, b), *rest = chosen
+    m, *ends = [index for (index,) in rest] or [0]
+    limits = Limits(*map(float, (PITCHES[a], BLURS[k], EDGES[e], INCIDENCES[b], margins[m])))
+    return limits, tuple(float(own[end]) for own, end in zip(circles, ends, strict=True))
+
+
+def _circles(views: TagViews, placed: Placed) -> list[FloatArray]:
+    """Candidate diameters of the image circle of each camera, descending; the first is infinite."""
+    each = []
+    for camera in range(placed.camera.max() + 1):
+        own = (placed.camera == camera) & np.isfinite(placed.circle)
+        needed, found = placed.circle[own], views.seen[own]
+        sizes = CIRCLES * needed.max(initial=0.0)
+        beyond = needed > sizes[:, None]
+        count = beyond.sum(axis=1)
+        ends = (count >= FEWEST_BEYOND) & ((beyond & found).sum(axis=1) <= FOUND_BEYOND * count)
+        each.append(np.append(np.inf, sizes[ends]))
+    return each
+
+
+def _searched(
+    groups: list[BoolArray], start: list[Choice], seen: BoolArray, kinds: tuple[Errors, ...]
+) -> tuple[int, list[Choice]]:
+    """Fewest errors of the last kind and the choice in each group, from minimising the kinds one after the other.
+
+    Coordinate descent: the groups are optimised in turn, each over all of its choices, until none improves.
+    """
+    chosen, least = list(start), 0
+    for errors in kinds:
+        least, moved = len(seen) + 1, True
+        while moved:
+            moved = False
+            for g, table in enumerate(groups):
+                others = [other[at] for o, (other, at) in enumerate(zip(groups, chosen, strict=True)) if o != g]
+                wrong = errors(table & np.logical_and.reduce(others), seen)
+                if wrong.min() < least:
+                    least, moved = int(wrong.min()), True
+                    chosen[g] = tuple(int(i) for i in np.unravel_index(wrong.argmin(), wrong.shape))
+    return least, chosen
+
+
+def _all_errors(predicted: BoolArray, seen: BoolArray) -> NDArray[np.intp]:
+    """Number of wrong predictions, over the last axis."""
+    return np.asarray((predicted != seen).sum(axis=-1))
+
+
+def _larger_errors(predicted: BoolArray, seen: BoolArray) -> NDArray[np.intp]:
+    """max(false positives, false negatives), over the last axis."""
+    return np.asarray(np.maximum((predicted & ~seen).sum(axis=-1), (~predicted & seen).sum(axis=-1)))

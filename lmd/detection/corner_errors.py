@@ -1,4 +1,4 @@
-"""How far the corners that a detector finds are from where they are, by the tag's pitch."""
+"""Errors of detected corners by the pitch of a tag."""
 
 import math
 from dataclasses import dataclass
@@ -8,36 +8,32 @@ import numpy as np
 
 from lmd.core.checks import FloatArray, InputError, check_fields, real
 
-# The 90 % quantile of the standard normal distribution.
+# 90 % quantile of the standard normal distribution.
 NORMAL_QUANTILE_90 = 1.2815515655446004
 
 
 @dataclass(frozen=True)
 class CornerErrors:
-    """The root mean square error of a tag's four corners, in pixels, log-normal at every pitch.
+    """Distribution of the root mean square error of a tag's four corners: log-normal at every pitch.
 
-    Between the given pitches the logarithms of both quantiles are interpolated linearly in that of the pitch; below the
-    first and above the last they stay. The errors of the corners have this root mean square, and any direction in
-    their eight dimensions is as likely as another.
-
-    Args:
-        pitch: pixels a module where it is shortest, ascending, `(B,)`.
-        median: of the error at these pitches, pixels, `(B,)`.
-        high: its 90 % quantile, `(B,)`.
-        inward: mean shift of a tag's edges towards its middle at these pitches, pixels, `(B,)`; zeros if it is left
-            out. It is a part of the errors above.
-        inward_spread: standard deviation of that shift between blurs and exposures, pixels: one camera in one light has
-            one shift.
+    The logarithms of both quantiles are interpolated linearly in the logarithm of the pitch, and constant beyond the
+    given pitches. The direction of the error in its eight dimensions is uniform.
 
     Raises:
         InputError: the values are not one for each pitch, or the spread is negative.
     """
 
     pitch: tuple[float, ...]
+    """Pixels per module along its shortest direction, ascending, `(B,)`."""
     median: tuple[float, ...]
+    """Median of the error at these pitches, pixels, `(B,)`."""
     high: tuple[float, ...]
+    """90 % quantile of the error at these pitches, pixels, `(B,)`."""
     inward: tuple[float, ...] = ()
+    """Mean shift of a tag's edges towards its middle at these pitches, pixels, `(B,)`, a part of the error; zeros if
+    empty."""
     inward_spread: float = 0.0
+    """Standard deviation of that shift between blurs and exposures, pixels; it is constant for one camera and light."""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "inward", self.inward or (0.0,) * len(self.pitch))
@@ -49,13 +45,13 @@ class CornerErrors:
         check_fields(self, real, "inward_spread", low=0.0)
 
     def _at(self, pitch: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Mean and standard deviation of the error's logarithm, as `pitch`."""
+        """Mean and standard deviation of the logarithm of the error, shape of `pitch`."""
         at, known = np.log(pitch), np.log(self.pitch)
         mean, high = (np.interp(at, known, np.log(values)) for values in (self.median, self.high))
         return mean, (high - mean) / NORMAL_QUANTILE_90
 
     def draw(self, pitch: FloatArray, rng: np.random.Generator) -> FloatArray:
-        """Errors of the corners of tags with these pitches `(...)`, pixels, `(..., 4, 2)`."""
+        """Draw corner errors of tags with pitches `(...)`, pixels, `(..., 4, 2)`."""
         mean, spread = self._at(pitch)
         error = np.exp(mean + spread * rng.standard_normal(pitch.shape))
         direction = rng.standard_normal((*pitch.shape, 4, 2))
@@ -63,23 +59,22 @@ class CornerErrors:
         return np.asarray(direction * (error / np.sqrt(square))[..., None, None])
 
     def inward_at(self, pitch: FloatArray) -> FloatArray:
-        """Mean shift of the edges towards the tag's middle, pixels, as `pitch`, interpolated like the quantiles."""
+        """Mean shift of the edges towards the middle of the tag, pixels, shape of `pitch`, interpolated linearly."""
         return np.asarray(np.interp(np.log(pitch), np.log(self.pitch), self.inward))
 
     def sigma(self, pitch: FloatArray) -> FloatArray:
-        """Standard deviation of one coordinate of one corner, pixels, as `pitch`."""
+        """Standard deviation of one coordinate of one corner, pixels, shape of `pitch`."""
         mean, spread = self._at(pitch)
         return np.asarray(np.exp(mean + spread**2) / np.sqrt(2.0))
 
 
-# The geometric middles of the classes of pitch from 1.25 to 9 pixels a module.
+# Geometric means of the bounds of the classes of pitch, pixels per module.
 PITCH_MIDDLES = tuple(math.sqrt(low * high) for low, high in pairwise((1.25, 1.5, 1.75, 2.0, 2.5, 3.0, 4.0, 6.0, 9.0)))
-# Measured in rendered frames, `python -m pipelines.detect deployment=uniform tag.edge=0.10 poses=400` with these
-# detectors, tags of the family 36h11 and an ordinary camera in good light: 72 to 793 tags in a class. The shifts are
-# those that `python benchmarks/corners.py preset --tags 24` prints, in images by another renderer, in light that is not
-# clipped and has no tone curve, of tags with the white margin that lmd prints.
-# A tone curve adds 0.24 pixels, clipped white 0.32; the cameras of docs/results/survey.md have -0.07 to 0.03. Blur adds
-# as much with ArUco.
+# Errors were measured in rendered frames, `python -m pipelines.detect deployment=uniform tag.edge=0.10 poses=400`, with
+# tags of the family 36h11 and an ordinary camera in good light: 72 to 793 tags per class. Shifts were measured in
+# images of another renderer without clipping and tone curve, `python benchmarks/corners.py preset --tags 24`, of tags
+# with the margin that lmd prints. A tone curve adds 0.24 pixels to the shift, clipped white 0.32; the cameras of
+# docs/results/survey.md have -0.07 to 0.03. Blur changes the shift of ArUco by as much.
 LIGHT_SPREAD, BLUR_SPREAD = 0.1, 0.2
 CORNER_ERRORS = {
     "aruco": CornerErrors(
@@ -96,12 +91,12 @@ CORNER_ERRORS = {
         (0.025, 0.025, 0.022, 0.021, 0.012, 0.005, 0.001, 0.001),
         LIGHT_SPREAD,
     ),
-    # It finds next to nothing below 1.5 pixels a module.
+    # Hardly any detections below 1.5 pixels per module.
     "apriltag_decimate2": CornerErrors(
         PITCH_MIDDLES[1:],
         (0.244, 0.212, 0.151, 0.084, 0.034, 0.018, 0.016),
         (0.497, 0.383, 0.253, 0.147, 0.063, 0.040, 0.039),
-        # Below 2 pixels a module as at 2.24: it reads too few there.
+        # Below 2 pixels per module the shift at 2.24: too few detections.
         (0.046, 0.046, 0.046, 0.017, 0.006, 0.000, 0.000),
         LIGHT_SPREAD,
     ),

@@ -1,8 +1,7 @@
-"""Detectors of tags behind one interface.
+"""Tag detectors with one interface.
 
-All corners are in image coordinates from the border (see `lmd.geometry.projection`) and in the order top-left,
-top-right, bottom-right, bottom-left of the tag as it hangs (see `lmd.scene.tag`), whatever the conventions of the
-library are.
+Corners are in image coordinates from the border (see `lmd.geometry.projection`) and in the order top-left, top-right,
+bottom-right, bottom-left of the upright tag (see `lmd.scene.tag`), independent of the conventions of the library.
 """
 
 from dataclasses import dataclass
@@ -14,15 +13,15 @@ from numpy.typing import NDArray
 
 from lmd.core.checks import FloatArray, InputError, check_fields, choice, integer, real
 from lmd.core.optional import optional
+from lmd.geometry.camera import PIXEL_CENTRE
 from lmd.render.imaging import UInt8Array
-from lmd.scene.calibration_files import PIXEL_CENTRE
 from lmd.scene.tag import FAMILIES, dictionary
 
-# What cv2.aruco calls top-left in a picture of an AprilTag is the bottom-right corner of AprilTag's own.
+# cv2.aruco shows AprilTags upside down: its top-left corner is AprilTag's bottom-right one.
 HALF_TURN = [2, 3, 0, 1]
-# AprilTag begins at the bottom left and goes round counter-clockwise.
+# AprilTag's corners start at the bottom left, counter-clockwise.
 APRILTAG_ORDER = [3, 2, 1, 0]
-# Settings of cv2.aruco. By default it leaves out tags whose perimeter is below 3 % of the image's longer side.
+# Settings of cv2.aruco, which by default ignores tags with a perimeter below 3 % of the longer side of the image.
 ARUCO_PRESETS: dict[str, dict[str, Any]] = {
     "default": {},
     "fine": {"minMarkerPerimeterRate": 0.008, "adaptiveThreshWinSizeStep": 4},
@@ -31,18 +30,16 @@ ARUCO_PRESETS: dict[str, dict[str, Any]] = {
 
 @dataclass(frozen=True)
 class Detections:
-    """What a detector finds in one image.
-
-    Args:
-        ids: numbers of the tags in their family, `(M,)`; one may occur twice.
-        corners: pixels from the border, order as above, `(M, 4, 2)`.
+    """Detections in one image.
 
     Raises:
         InputError: shapes do not match.
     """
 
     ids: NDArray[np.int64]
+    """Ids of the tags in their family, `(M,)`; one may occur twice."""
     corners: FloatArray
+    """Pixels from the border, in the order above, `(M, 4, 2)`."""
 
     def __post_init__(self) -> None:
         ids, corners = np.asarray(self.ids, dtype=np.int64), np.asarray(self.corners, dtype=np.float64)
@@ -56,10 +53,10 @@ class Detections:
 
 
 class Detector(Protocol):
-    """Something that finds tags in an image."""
+    """Detector of tags in an image."""
 
     def detect(self, image: UInt8Array) -> Detections:
-        """The tags in a grey image `(h, w)`.
+        """Detect the tags in a grey image `(h, w)`.
 
         Raises:
             InputError: the image is no grey 8-bit image, or a package is missing.
@@ -68,20 +65,18 @@ class Detector(Protocol):
 
 @dataclass(frozen=True)
 class ArucoDetector:
-    """`cv2.aruco`, corners refined by `CORNER_REFINE_SUBPIX`.
+    """`cv2.aruco` with corners refined by `CORNER_REFINE_SUBPIX`.
 
-    `CORNER_REFINE_APRILTAG` is no choice: it counts pixels from the border, half a pixel from the rest of OpenCV.
-
-    Args:
-        family: one of `lmd.scene.tag.FAMILIES`.
-        preset: `default`, or `fine` for smaller tags.
+    `CORNER_REFINE_APRILTAG` is not used: it counts pixels from the border, half a pixel off the rest of OpenCV.
 
     Raises:
         InputError: an unknown family or preset.
     """
 
     family: str = "36h11"
+    """One of `lmd.scene.tag.FAMILIES`."""
     preset: str = "default"
+    """`default`, or `fine` for smaller tags."""
 
     def __post_init__(self) -> None:
         choice("family", self.family, tuple(FAMILIES))
@@ -98,20 +93,18 @@ class ArucoDetector:
 
 @dataclass(frozen=True)
 class AprilTagDetector:
-    """The AprilTag 3 library, by `pyapriltags`.
-
-    Args:
-        family: one of `lmd.scene.tag.FAMILIES` that the library knows.
-        quad_decimate: factor by which the image is made smaller before quadrilaterals are looked for.
-        most_errors: wrong bits in a tag that are corrected, at most; the library itself corrects two.
+    """AprilTag 3 library, by `pyapriltags`.
 
     Raises:
         InputError: a family that is not AprilTag's, or a value out of range.
     """
 
     family: str = "36h11"
+    """One of `lmd.scene.tag.FAMILIES` that the library knows."""
     quad_decimate: float = 1.0
+    """Factor by which the image is reduced for the detection of quadrilaterals."""
     most_errors: int = 2
+    """Maximum number of corrected bits in a tag; the library corrects two."""
 
     def __post_init__(self) -> None:
         if self.family in FAMILIES and not FAMILIES[self.family].apriltag:
@@ -131,7 +124,7 @@ class AprilTagDetector:
 
 @lru_cache(maxsize=8)
 def _aruco(family: str, preset: str) -> Any:
-    """The detector of OpenCV; kept here, so that an `ArucoDetector` is only its settings and can go to a process."""
+    """Detector of OpenCV, cached here so that an `ArucoDetector` can be pickled."""
     aruco = optional("cv2", "detection").aruco
     parameters = aruco.DetectorParameters()
     parameters.cornerRefinementMethod = aruco.CORNER_REFINE_SUBPIX
@@ -142,7 +135,7 @@ def _aruco(family: str, preset: str) -> Any:
 
 @lru_cache(maxsize=8)
 def _apriltag(family: str, quad_decimate: float) -> Any:
-    """The detector of AprilTag, kept as that of OpenCV is."""
+    """Detector of AprilTag, cached like that of OpenCV."""
     library = optional("pyapriltags", "detection")
     return library.Detector(families=FAMILIES[family].apriltag, nthreads=1, quad_decimate=quad_decimate)
 

@@ -1,47 +1,63 @@
-"""A detector against what was predicted of it: pure functions of arrays.
+"""Detections against expected corners and predictions.
 
 N frames and K tags throughout; `predicted` and `detected` are `(N, K)` bool.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import NamedTuple
+from dataclasses import dataclass, fields
+from typing import NamedTuple, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from lmd.core.checks import BoolArray, FloatArray
+from lmd.core.checks import BoolArray, FloatArray, IntArray
 from lmd.detection.detectors import Detections
 
-# Numbers of tags in a frame that are asked for, n = 1, 2, 3, 4.
+# Numbers of tags n in P(>= n).
 TAG_NUMBERS = np.arange(1, 5)
-# A detection with a corner farther than this from the projection is not of the tag it claims to be, pixels.
+# Largest distance of a corner from its projection, pixels; farther, a detection is not of the tag with its id.
 CORNER_TOLERANCE = 5.0
 
 
 @dataclass(frozen=True)
 class Matches:
-    """Which of K tags a detector found in one frame.
-
-    Args:
-        detected: `(K,)`.
-        corners: as found, pixels, `(K, 4, 2)`; NaN where not detected.
-        false: detections of no tag of the room, or of one that is elsewhere or turned otherwise.
-    """
+    """Tags that a detector found in one frame `()`, or in N frames `(N,)`."""
 
     detected: BoolArray
+    """True for tags found with their id in their place, `(..., K)`."""
     corners: FloatArray
-    false: int
+    """Detected corners, pixels from the border, `(..., K, 4, 2)`; NaN for tags not detected."""
+    false: IntArray
+    """Number of detections of no tag of the room, or of one in another place or orientation, `(...)`."""
+
+    @classmethod
+    def stacked(cls, frames: Sequence["Matches"]) -> Self:
+        """Matches of N frames from those of each."""
+        return cls(*(np.stack([getattr(one, field.name) for one in frames]) for field in fields(cls)))
+
+    @classmethod
+    def concatenated(cls, parts: Sequence["Matches"]) -> Self:
+        """Matches of the frames of several parts."""
+        return cls(*(np.concatenate([getattr(part, field.name) for part in parts]) for field in fields(cls)))
+
+    @classmethod
+    def beside(cls, parts: Sequence["Matches"]) -> Self:
+        """Matches of N frames of the C cameras of a rig side by side, `(N, C K)`."""
+        detected = np.concatenate([part.detected for part in parts], axis=1)
+        corners = np.concatenate([part.corners for part in parts], axis=1)
+        return cls(detected, corners, np.sum([part.false for part in parts], axis=0))
 
 
 def match(
     detections: Detections, ids: NDArray[np.int64], expected: FloatArray, tolerance: float = CORNER_TOLERANCE
 ) -> Matches:
-    """Assign detections to tags by id and place; of several of one tag the nearest counts, the others are false.
+    """Assign the detections of one frame to tags by id and place.
+
+    Of several detections of one tag the nearest counts, the others are false.
 
     Args:
-        detections: of one frame.
-        ids: numbers of the K tags, all different, `(K,)`.
+        detections: detections of the frame.
+        ids: ids of the K tags, all different, `(K,)`.
         expected: exact corners, pixels in the detections' convention and order, `(K, 4, 2)`; NaN is never matched.
         tolerance: largest distance of a corner, pixels.
     """
@@ -56,13 +72,13 @@ def match(
         if off <= tolerance and off < distance[k]:
             corners[k], distance[k] = found, off
     detected = np.isfinite(distance)
-    return Matches(detected, corners, len(detections) - int(detected.sum()))
+    return Matches(detected, corners, np.asarray(len(detections) - int(detected.sum())))
 
 
 def precision_recall(
     predicted: BoolArray, detected: BoolArray, axis: int | None = None
 ) -> tuple[FloatArray, FloatArray]:
-    """Precision and recall: the share of predicted tags that is detected, and the reverse; NaN where there are none.
+    """Share of predicted tags that are detected, and of detected tags that are predicted; NaN without such tags.
 
     Args:
         predicted, detected: `(N, K)`.
@@ -74,14 +90,16 @@ def precision_recall(
 
 
 class Shares(NamedTuple):
-    """Shares of frames and their standard errors, `(4,)` each, for n = 1, 2, 3, 4."""
+    """Shares of frames with at least n = 1, 2, 3, 4 tags."""
 
     share: FloatArray
+    """P(>= n), `(4,)`."""
     error: FloatArray
+    """Standard errors sqrt(p (1 - p) / N), `(4,)`."""
 
 
-def at_least(seen: BoolArray) -> Shares:
-    """P(>= n): share of the frames that have at least n of the tags, with sqrt(p (1 - p) / N) as its error.
+def shares_of_frames(seen: BoolArray) -> Shares:
+    """Shares of the frames with at least n tags.
 
     Args:
         seen: predicted or detected, `(N, K)`.
@@ -91,22 +109,22 @@ def at_least(seen: BoolArray) -> Shares:
 
 
 def agreement(predicted: BoolArray, detected: BoolArray, n: int = 2) -> float:
-    """Share of the frames in which prediction and detector agree whether there are at least n tags."""
+    """Share of the frames in which both or neither of prediction and detector have at least n tags."""
     return float(((predicted.sum(axis=1) >= n) == (detected.sum(axis=1) >= n)).mean())
 
 
 def corner_error(found: FloatArray, expected: FloatArray) -> FloatArray:
-    """Root mean square distance, pixels, `(...)`, of four corners `(..., 4, 2)` from the true ones; NaN for none."""
+    """Root mean square distance of four corners `(..., 4, 2)` from the exact ones, pixels, `(...)`; may be NaN."""
     return np.asarray(np.sqrt(((found - expected) ** 2).sum(axis=-1).mean(axis=-1)))
 
 
 def quantiles_by(value: FloatArray, error: FloatArray, bounds: ArrayLike, quantiles: Sequence[float]) -> FloatArray:
-    """Quantiles of an error in B classes of another value, `(B, Q)`, as of corner errors by pitch; NaN for empty ones.
+    """Quantiles of an error in B classes of another value, `(B, Q)`; NaN for empty classes.
 
     Args:
-        value, error: the same shape; pairs with a NaN are left out.
-        bounds: of the classes, ascending, `(B + 1,)`; a class contains its lower bound.
-        quantiles: Q of them.
+        value, error: arrays of one shape; pairs with a NaN are left out.
+        bounds: bounds of the classes, ascending, `(B + 1,)`; a class contains its lower bound.
+        quantiles: Q probabilities.
     """
     edges = np.asarray(bounds, dtype=np.float64)
     known = np.isfinite(value) & np.isfinite(error)

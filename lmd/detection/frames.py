@@ -1,12 +1,11 @@
-"""Detectors on rendered frames of a deployment."""
+"""Rendered frames of a deployment, and the detections in them."""
 
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping
 
 import numpy as np
 
-from lmd.core.checks import BoolArray, FloatArray, IntArray
+from lmd.core.checks import BoolArray, FloatArray
 from lmd.detection.detectors import Detector
 from lmd.detection.evaluation import Matches, match
 from lmd.detection.quality import apparent_edge, incidence, pitch
@@ -22,14 +21,14 @@ from lmd.scene.scene import Scene
 from lmd.scene.tag import Tag
 from lmd.space.space import Space
 
-# Keeps the poses and the noise apart from every other use of the same seed.
+# Separates the random numbers of poses and noise from other uses of a seed.
 FRAMES_STREAM = 0x646574656374
 
 
 def draw_poses(scene: Scene, count: int, seed: int) -> FloatArray:
-    """Draw poses X, `(count, 4, 4)`: positions uniformly where the camera may be, orientations from the PDF.
+    """Draw poses X, `(count, 4, 4)`, independent of the deployment.
 
-    They do not depend on what hangs in the room.
+    Positions are uniform where the camera may be, orientations follow the PDF.
     """
     rng = np.random.default_rng([seed, FRAMES_STREAM])
     positions = scene.room.sample(count, rng)
@@ -37,11 +36,12 @@ def draw_poses(scene: Scene, count: int, seed: int) -> FloatArray:
 
 
 def nudged(poses: FloatArray, position: float, attitude: float, seed: int) -> FloatArray:
-    """The poses `(N, 4, 4)`, each moved a little at random.
+    """Perturb poses X `(N, 4, 4)` by normal errors.
 
     Args:
         poses: X.
         position, attitude: standard deviations along and about each axis, metres and rad.
+        seed: seed of the errors.
     """
     rng = np.random.default_rng([seed, FRAMES_STREAM, 1])
     turns, shifts = rng.normal(0.0, attitude, (len(poses), 3)), rng.normal(0.0, position, (len(poses), 3))
@@ -49,7 +49,7 @@ def nudged(poses: FloatArray, position: float, attitude: float, seed: int) -> Fl
 
 
 def tagged_room(room: Space, deployment: Deployment, tag: Tag) -> TaggedRoom:
-    """A deployment with tag k at the landmark with the id k, as it hangs, in a room of surfaces.
+    """The tags of a deployment, with their ids and orientations, on the surfaces of a room.
 
     Raises:
         InputError: the tag is a point, or its family is too small.
@@ -60,10 +60,10 @@ def tagged_room(room: Space, deployment: Deployment, tag: Tag) -> TaggedRoom:
 
 
 def qualities(renderer: Renderer, poses: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Pitch, incidence, edge and sigma of every tag, `(N, K)` each, as `Limits.found` takes them.
+    """Pitch, incidence, edge and sigma of every tag, the arguments of `Limits.found`, `(N, K)` each.
 
     Args:
-        renderer: the camera and the tags.
+        renderer: camera and tags.
         poses: X, `(N, 4, 4)`.
     """
     room, camera, imaging = renderer.room, renderer.camera, renderer.imaging
@@ -75,80 +75,47 @@ def qualities(renderer: Renderer, poses: FloatArray) -> tuple[FloatArray, FloatA
 
 
 def blur(camera: Camera, depth: FloatArray, imaging: Imaging) -> FloatArray:
-    """Standard deviation of the whole blur of what is at `depth`, metres, pixels, as `depth`."""
+    """Total blur sigma [pixels] at `depth` [m], shape of `depth`."""
     sigma = blur_sigma(camera, depth, imaging.psf_sigma) if imaging.defocus else np.full_like(depth, imaging.psf_sigma)
-    return np.hypot(sigma, imaging.motion_blur / math.sqrt(12.0))  # of a smear with sharp ends
+    return np.hypot(sigma, imaging.motion_blur / math.sqrt(12.0))  # standard deviation of a uniform smear
 
 
 def overlapping(room: TaggedRoom) -> BoolArray:
-    """Which tags lie, with their quiet zones, over or under another one in the same plane, `(K,)`."""
+    """Mask of the tags that overlap another tag in their plane, quiet zones included, `(K,)`."""
     right = np.cross(room.ups, room.normals)
     offset = room.centres[None] - room.centres[:, None]  # from k to j, (K, K, 3)
     a, b, c = (np.abs((offset * axis[:, None]).sum(axis=-1)) for axis in (right, room.ups, room.normals))
-    same_way = room.normals @ room.normals.T > 1.0 - 1e-6
-    papers = room.tag.paper_share * room.edges
-    over = same_way & (c < 1e-3) & (np.maximum(a, b) < (papers[:, None] + papers) / 2.0 * (1.0 - TOUCHING))
+    parallel = room.normals @ room.normals.T > 1.0 - 1e-6
+    footprints = room.tag.paper_share * room.edges
+    over = parallel & (c < 1e-3) & (np.maximum(a, b) < (footprints[:, None] + footprints) / 2.0 * (1.0 - TOUCHING))
     np.fill_diagonal(over, False)
     return np.asarray(over.any(axis=1))
 
 
-@dataclass(frozen=True)
-class Sightings:
-    """What one detector made of N frames of K tags.
-
-    Args:
-        detected: with the right id in the right place, `(N, K)`.
-        corners: as found, pixels, `(N, K, 4, 2)`; NaN where not detected.
-        false: detections of no tag of the room, or of one that is elsewhere, `(N,)`.
-    """
-
-    detected: BoolArray
-    corners: FloatArray
-    false: IntArray
-
-    @classmethod
-    def joined(cls, parts: "Sequence[Sightings]") -> "Sightings":
-        """The sightings of several parts, one after the other."""
-        return cls(*(np.concatenate([getattr(part, name) for part in parts]) for name in cls.__dataclass_fields__))
-
-    @classmethod
-    def beside(cls, parts: "Sequence[Sightings]") -> "Sightings":
-        """The sightings of all cameras of a rig side by side, `(N, C K)`: N moments, K tags for each camera."""
-        detected = np.concatenate([part.detected for part in parts], axis=1)
-        corners = np.concatenate([part.corners for part in parts], axis=1)
-        return cls(detected, corners, np.sum([part.false for part in parts], axis=0))
-
-
-def picture(renderer: Renderer, pose: FloatArray, number: int, seed: int) -> UInt8Array:
-    """Frame `number` of a run with this seed, the same wherever it is rendered, `(h, w)`."""
+def rendered_frame(renderer: Renderer, pose: FloatArray, number: int, seed: int) -> UInt8Array:
+    """Render frame `number` of a run; its noise depends on `number` and `seed` only, `(h, w)`."""
     return renderer.frame(pose, np.random.default_rng([seed, FRAMES_STREAM, number]))
 
 
-def look(
+def detect_in_frames(
     renderer: Renderer, detectors: Mapping[str, Detector], poses: FloatArray, first: int, seed: int
-) -> dict[str, Sightings]:
-    """Render frames and let every detector read each.
+) -> dict[str, Matches]:
+    """Render frames and run every detector on each.
 
     Args:
-        renderer: the camera in the room.
-        detectors: by name.
+        renderer: camera in the room.
+        detectors: detectors by name.
         poses: X of the frames, `(N, 4, 4)`.
-        first: number of the first of them; the noise of a frame depends on its number.
+        first: number of the first frame.
+        seed: seed of the noise.
 
     Returns:
-        Sightings by the detector's name.
+        matches of the frames by the name of the detector.
     """
     expected, ids = renderer.corners(poses), renderer.room.ids
     matches: dict[str, list[Matches]] = {name: [] for name in detectors}
     for i, pose in enumerate(poses):
-        image = picture(renderer, pose, first + i, seed)
+        image = rendered_frame(renderer, pose, first + i, seed)
         for name, detector in detectors.items():
             matches[name].append(match(detector.detect(image), ids, expected[i]))
-    return {
-        name: Sightings(
-            np.stack([m.detected for m in found]),
-            np.stack([m.corners for m in found]),
-            np.array([m.false for m in found]),
-        )
-        for name, found in matches.items()
-    }
+    return {name: Matches.stacked(found) for name, found in matches.items()}

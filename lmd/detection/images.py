@@ -1,4 +1,4 @@
-"""Images of one camera, such as a folder of photographs."""
+"""Images of one camera: a folder of photographs, and the blur of an image with tags."""
 
 import hashlib
 import io
@@ -10,54 +10,64 @@ from typing import Protocol
 
 import numpy as np
 
-from lmd.core.checks import InputError, file_path, printable
+from lmd.core.checks import BoolArray, FloatArray, InputError, file_path, printable
 from lmd.core.files import read_bytes
 from lmd.core.optional import optional
+from lmd.detection.detectors import Detections
 from lmd.geometry.camera import Camera
 from lmd.geometry.projection import image_size
 from lmd.render.imaging import UInt8Array
 
 IMAGES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp")
-UNREAD = (".heic", ".heif", ".avif", ".dng", ".raw", ".cr2", ".cr3", ".nef", ".arw", ".gif")  # which cameras write
+# Formats that cameras write and that are not read.
+UNREAD = (".heic", ".heif", ".avif", ".dng", ".raw", ".cr2", ".cr3", ".nef", ".arw", ".gif")
+# Fewest pixels per module of tags whose edges are measured, and maximum distance of samples from an edge, pixels.
+LEAST_PITCH, WIDEST_EDGE = 3.0, 12.0
+# Number of samples along an edge and across it.
+SAMPLES, STEPS = 12, 65
+# Part of an edge that is measured: corners are round.
+EDGE_PART = (0.2, 0.8)
+# Grey levels, relative to the step from black to white, between which lie two standard deviations of the blur.
+LOW, HIGH = 0.16, 0.84
+# A frame is blurred beyond this multiple of the median blur, and beyond this blur, pixels.
+TIMES, LEAST = 2.0, 1.0
 
 
 class Images(Protocol):
-    """Grey images that are read when they are needed, if need be by several processes."""
+    """Grey images, read on demand, possibly by several processes."""
 
     @property
     def names(self) -> Sequence[str]:
-        """What each is called, in order."""
+        """Names of the images, in order."""
 
     @property
     def remarks(self) -> Sequence[str]:
-        """Remarks on those that are not read, a sentence each without its end."""
+        """Remarks on files that are not read, one sentence each without a full stop."""
 
     @property
     def is_random_access(self) -> bool:
-        """True if an image is read without those before it."""
+        """True if an image can be read without its predecessors."""
 
     def read(self, first: int, last: int, camera: Camera) -> Iterator[UInt8Array]:
-        """The images from `first` up to but not including `last`, `(h, w)` each.
+        """Read images `first` to `last` (excluded), `(h, w)` each.
 
         Raises:
-            InputError: one cannot be read, or is not of the camera's size.
+            InputError: one cannot be read, or has not the size of the camera.
         """
 
 
 @dataclass(frozen=True)
 class Photographs:
-    """The images of a folder, by name.
-
-    Args:
-        folder: where they are.
-        argument: the argument it came from, for messages.
+    """Images of a folder, ordered by name.
 
     Raises:
-        InputError: there is no such folder, or no image in it.
+        InputError: the folder does not exist, or has no image.
     """
 
     folder: str | Path
+    """Folder of the images."""
     argument: str = "folder"
+    """Argument with the folder, for messages."""
 
     def __post_init__(self) -> None:
         if not self.paths:
@@ -72,7 +82,7 @@ class Photographs:
 
     @cached_property
     def paths(self) -> list[Path]:
-        """The files."""
+        """Files of the images."""
         return self._with(IMAGES)
 
     @property
@@ -93,14 +103,14 @@ class Photographs:
 
     @cached_property
     def repeated(self) -> dict[str, str]:
-        """The names of files with the contents of an earlier one, and the name of that."""
+        """Names of duplicate files, with the name of the first copy."""
         first: dict[bytes, str] = {}
         digests = [hashlib.sha256(read_bytes(path, self.argument)).digest() for path in self.paths]
         earlier = [first.setdefault(digest, name) for digest, name in zip(digests, self.names, strict=True)]
         return {name: one for name, one in zip(self.names, earlier, strict=True) if one != name}
 
     def _with(self, suffixes: Sequence[str]) -> list[Path]:
-        """The files whose names end so, by their names."""
+        """Files with one of the suffixes, ordered by name."""
         paths = [path for path in folder_entries(self.folder, self.argument) if path.suffix.lower() in suffixes]
         return sorted(paths, key=lambda path: printable(path.name))
 
@@ -111,13 +121,14 @@ class Photographs:
 
 
 def folder_entries(folder: str | Path, argument: str) -> list[Path]:
-    """The entries of a folder, by name.
+    """Entries of a folder, ordered by name.
 
     Args:
-        argument: the argument the path came from, for messages.
+        folder: path of the folder.
+        argument: argument with the path, for messages.
 
     Raises:
-        InputError: there is no such folder, or it cannot be read.
+        InputError: the folder does not exist or cannot be read.
     """
     try:
         return sorted(file_path(argument, folder).iterdir())
@@ -129,22 +140,23 @@ def folder_entries(folder: str | Path, argument: str) -> list[Path]:
 
 
 def read_image(path: Path, camera: Camera, argument: str) -> UInt8Array:
-    """A grey image, `(h, w)`.
+    """Read a grey image, `(h, w)`.
 
     Args:
-        camera: has the size that it must have.
-        argument: the argument the path came from, for messages.
+        path: file of the image.
+        camera: camera with the required size.
+        argument: argument with the path, for messages.
 
     Raises:
-        InputError: it cannot be read, or is not of the camera's size.
+        InputError: the file cannot be read, or has not the size of the camera.
     """
     cv2 = optional("cv2", "detection")
     content = read_bytes(path, argument)
     size = image_size(camera)
     written = _pixels(content)
     if written in (size, size[::-1]):
-        # How the camera was held stands in the image. A calibration is of the pixels as the sensor has them, however
-        # that was held, unless its size says that they were turned before.
+        # The file states the orientation of the camera. A calibration is in the sensor's orientation, unless its size
+        # shows that its images were rotated.
         turned = cv2.IMREAD_GRAYSCALE | (cv2.IMREAD_IGNORE_ORIENTATION if written == size else 0)
         image: UInt8Array | None = cv2.imdecode(np.frombuffer(content, np.uint8), turned)
         written = None if image is None else image.shape[::-1]
@@ -156,17 +168,65 @@ def read_image(path: Path, camera: Camera, argument: str) -> UInt8Array:
 
 
 def wrong_size(path: Path, argument: str, written: tuple[int, ...], size: tuple[int, int]) -> InputError:
-    """The error that an image or a video has not the size of the camera."""
+    """Error for an image or a video that has not the size of the camera."""
     found, needed = (" x ".join(map(str, pair)) for pair in (written, size))
     return InputError(f"{argument}: {str(path)!r} has {found} pixels, the camera {needed}.", argument)
 
 
 def _pixels(content: bytes) -> tuple[int, ...] | None:
-    """Width and height that an image says it has: a small file may stand for gigabytes. None if it is no image."""
+    """Width and height in the header, as a small file may decode to gigabytes; None if the file is no image."""
     from PIL import Image
 
     try:
         with Image.open(io.BytesIO(content)) as header:
             return header.size
-    except Exception:  # whatever a reader of a broken file runs into
+    except Exception:  # any error of a reader of a broken file
         return None
+
+
+def blur_of(image: UInt8Array, found: Detections, modules: int) -> float:
+    """Blur of an image by its tags: standard deviation across the second most blurred edge, pixels, median over tags.
+
+    Across the outer edge of a black border the image goes from white to black; between 16 and 84 % of the step lie two
+    standard deviations of the blur. Motion blurs the edges across it only.
+
+    Args:
+        image: grey image, `(h, w)`.
+        found: detections in the image.
+        modules: N of the tag family.
+
+    Returns:
+        NaN if no tag is large enough.
+    """
+    from scipy.ndimage import map_coordinates
+
+    starts, ends = found.corners, np.roll(found.corners, -1, axis=1)  # clockwise, so outside is to the left
+    along = ends - starts
+    lengths = np.linalg.norm(along, axis=-1)
+    pitch = lengths.min(axis=1) / modules
+    own = pitch >= LEAST_PITCH
+    if not own.any():
+        return float("nan")
+    starts, along, lengths, pitch = starts[own], along[own], lengths[own], pitch[own]
+    outwards = np.stack([along[..., 1], -along[..., 0]], axis=-1) / lengths[..., None]
+    reach = np.minimum(0.9 * pitch, WIDEST_EDGE)
+    offsets = np.linspace(-1.0, 1.0, STEPS)
+    middle = starts[:, :, None] + np.linspace(*EDGE_PART, SAMPLES)[:, None] * along[:, :, None]  # (M, 4, S, 2)
+    places = (
+        middle[:, :, :, None] + (reach[:, None, None] * offsets[:, None])[:, None, None] * outwards[:, :, None, None]
+    )
+    grey = map_coordinates(
+        image.astype(np.float64), np.moveaxis(places[..., ::-1] - 0.5, -1, 0), order=1, mode="nearest"
+    )
+    profile = np.maximum.accumulate(grey.mean(axis=2), axis=-1)  # from black to white
+    low, high = profile[..., :1], profile[..., -1:]
+    step = (profile - low) / np.maximum(high - low, 1.0)
+    width = ((step < HIGH) & (step >= LOW)).sum(axis=-1) * (2.0 * reach / (STEPS - 1))[:, None] / 2.0
+    return float(np.median(np.sort(width, axis=1)[:, -2]))
+
+
+def blurred(blurs: FloatArray) -> BoolArray:
+    """Mask of frames that are blurred relative to the median, from the blur of each `(F,)`; NaN counts as sharp."""
+    known = blurs[np.isfinite(blurs)]
+    usual = np.median(known) if known.size else np.inf
+    return np.asarray(np.nan_to_num(blurs) > max(TIMES * usual, LEAST))

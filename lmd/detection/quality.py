@@ -1,13 +1,13 @@
-"""How good a tag looks from a pose: what decides whether a detector finds it.
+"""Quality of the image of a tag: pitch, apparent edge and incidence, which determine its detection.
 
 Let y be the tag's centre and n its unit normal in the camera's frame, z > 0 the depth of y, and P = d(u, v)/dy of the
 pinhole camera, P = [(f_u / z) (1, 0, -x / z); (f_v / z) (0, 1, -y / z)]. Metres in the tag's plane become pixels by
 J = P E with E (3, 2) any orthonormal basis of the plane. Its singular values need no basis, only
 |J|_F^2 = |P|_F^2 - |P n|^2 and |det J| = f_u f_v |n . y| / z^3.
 
-For a lens that distorts P is the slope of its image, and |det J| = |(P_1 x P_2) . n| with the rows of P.
+For a lens that distorts P is the Jacobian of its image, and |det J| = |(P_1 x P_2) . n| with the rows of P.
 
-Everything is a function of arrays: poses `(..., 4, 4)`, K centres and normals `(K, 3)`, results `(..., K)`.
+Poses are `(..., 4, 4)`, centres and normals of K tags `(K, 3)`, results `(..., K)`.
 """
 
 import numpy as np
@@ -26,21 +26,20 @@ def pitch(
     tag: Tag,
     edges: FloatArray | None = None,
 ) -> FloatArray:
-    """Pixels a module where it is shortest: the smaller singular value of J times the edge over N.
+    """Pixels per module along its shortest direction: the smaller singular value of J times the edge over N.
 
     With s = |J|_F^2 and d = |det J| it is d / sqrt((s + sqrt(s^2 - 4 d^2)) / 2).
 
     Args:
-        camera: its focal lengths and its lens.
+        camera: intrinsics and lens.
         pose: X, camera to world, `(..., 4, 4)`.
         centres: world frame, metres, `(K, 3)`.
         normals: unit normals of the front faces, `(K, 3)`.
-        tag: its edge and modules.
-        edges: of tags of several sizes, metres, `(K,)`.
+        tag: number of modules, and edge unless `edges` are given.
+        edges: edge of each tag, metres, `(K,)`.
 
     Returns:
-        `(..., K)`, pixels; NaN for tags that are not in front of the camera, or farther from its axis than its lens
-        images. It does not ask which side is seen.
+        `(..., K)`, pixels, also for the back of a tag; NaN for tags behind the camera or beyond the view of its lens.
     """
     square, determinant = _stretch(camera, pose, centres, normals)
     root = np.sqrt(np.maximum(square**2 - 4.0 * determinant**2, 0.0))
@@ -56,17 +55,13 @@ def apparent_edge(
     tag: Tag,
     edges: FloatArray | None = None,
 ) -> FloatArray:
-    """Edge of the square of the same area in the image, sqrt(|det J|) times the edge; arguments as for `pitch`.
-
-    Returns:
-        `(..., K)`, pixels; NaN for tags that are not in front of the camera.
-    """
+    """Edge of the square of equal area in the image, sqrt(|det J|) times the edge, pixels; arguments as for `pitch`."""
     _, determinant = _stretch(camera, pose, centres, normals)
     return np.asarray(np.sqrt(determinant) * (tag.size if edges is None else edges))
 
 
 def incidence(pose: FloatArray, centres: FloatArray, normals: FloatArray) -> FloatArray:
-    """Angle between a tag's normal and the direction from its centre to the camera, arguments as for `pitch`.
+    """Angle between the normal of a tag and the direction from its centre to the camera; arguments as for `pitch`.
 
     Returns:
         `(..., K)`, rad in [0, pi]; the camera sees the front below pi / 2.
@@ -80,7 +75,7 @@ def incidence(pose: FloatArray, centres: FloatArray, normals: FloatArray) -> Flo
 def _stretch(
     camera: Camera, pose: FloatArray, centres: FloatArray, normals: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Of the image of each tag |J|_F^2 and |det J|, pixels^2 / metre^2, `(..., K)`; NaN for what is not imaged."""
+    """|J|_F^2 and |det J| of each tag, pixels^2 / metre^2, `(..., K)` each; NaN for tags that are not imaged."""
     y, n = to_camera(pose, centres), np.asarray(normals @ pose[..., :3, :3])
     if camera.lens is not None:
         angle = np.arctan2(np.hypot(y[..., 0], y[..., 1]), y[..., 2])

@@ -1,51 +1,99 @@
 """Frames of a video.
 
-Frames are told apart by their times, which a video may keep at any distances. Some kinds of videos have no times, and
-in some no frame can be found but from the first one on.
+Frames are identified by their times, which may have any spacing. Some containers store no times, and some do not
+support seeking.
+
+The decoder also opens playlists, scripts and descriptions of streams, which name other files and addresses. A file of
+unknown origin is passed to it only if its first bytes are those of a video, and only to the demuxer of its container.
 """
 
+import codecs
 import os
+import re
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from lmd.core.checks import InputError, check_fields, real
 from lmd.core.files import read_bytes
 from lmd.core.optional import optional
-from lmd.detection.containers import FIRST, Container, container_of, refusal
 from lmd.detection.images import wrong_size
 from lmd.geometry.camera import Camera
 from lmd.geometry.projection import image_size
 from lmd.render.imaging import UInt8Array
 
-LEAD = 500.0  # milliseconds before a frame to which is sought: OpenCV seeks as if frames were equally far apart
-SAME_TIME = 1e-3  # milliseconds
-MOST_FRAMES = 1e9  # of which a header can tell
-ROUNDED = 1  # frames that a header is off by which tells the length only
+# Number of bytes that identify a container.
+FIRST = 4096
+# Number of packets of a transport stream that must begin with its sync byte.
+LEAST_PACKETS = 4
+
+
+class Container(NamedTuple):
+    """Container format of a video file."""
+
+    name: str
+    """Name for messages."""
+    demuxers: str
+    """FFmpeg's names of its demuxers, separated by commas."""
+    begins: re.Pattern[bytes]
+    """Pattern of the first bytes."""
+
+
+def _kind(name: str, demuxers: str, begins: bytes) -> Container:
+    return Container(name, demuxers, re.compile(begins, re.DOTALL))
+
+
+CONTAINERS = (
+    _kind("MP4 and MOV", "mov", rb".{4}(ftyp|styp|moov|mdat|wide|free|skip|pnot)"),
+    _kind("Matroska and WebM", "matroska,webm", rb"\x1a\x45\xdf\xa3"),
+    _kind("AVI", "avi", rb"RIFF.{4}AVI[ \x19]"),
+    _kind("Ogg", "ogg", rb"OggS\0"),
+    _kind("FLV", "flv", rb"FLV\x01"),
+    _kind("IVF", "ivf", rb"DKIF\0"),
+    _kind("ASF", "asf", rb"\x30\x26\xb2\x75\x8e\x66\xcf\x11"),
+    _kind("MXF", "mxf", rb"\x06\x0e\x2b\x34\x02\x05\x01\x01"),
+    # Packets of 188 bytes, possibly after a time of 4 bytes (camcorders) or before a checksum.
+    *(
+        _kind("MPEG-TS", "mpegts", rb".{%d}\x47(.{%d}\x47){%d}" % (before, size - 1, LEAST_PACKETS - 1))
+        for before, size in ((0, 188), (4, 192), (0, 204))
+    ),
+    _kind("MPEG-PS", "mpeg", rb"\0\0\x01\xba"),
+    _kind("raw MPEG-2", "mpegvideo", rb"\0\0\x01\xb3"),
+    _kind("raw MPEG-4", "m4v", rb"\0\0\x01(\xb0|[\x00-\x1f]\0\0\x01[\x20-\x2f])"),
+    # Start code, then the type of the first unit: parameters, a delimiter or information.
+    _kind("raw H.264", "h264", rb"\0{2,8}\x01[\x07\x27\x47\x67\x06\x09\x29\x49\x69]"),
+    _kind("raw H.265", "hevc", rb"\0{2,8}\x01[\x40\x42\x46\x4e]\x01"),
+)
+IMAGE = re.compile(rb"\x89PNG|\xff\xd8\xff|BM|II\*\0|MM\0\*|RIFF.{4}WEBP|GIF8", re.DOTALL)
+
+# Distance of a seek before a frame, ms: OpenCV seeks as if frames were equidistant.
+LEAD = 500.0
+# Largest difference of equal times, ms.
+SAME_TIME = 1e-3
+# Largest plausible number of frames in a header, and its rounding error where it follows from a length.
+MOST_FRAMES, ROUNDED = 1e9, 1
 
 
 @dataclass(frozen=True)
 class Video:
-    """Some frames of a video; their names are their times, seconds.
-
-    Args:
-        path: the file.
-        rate: frames a second that are taken; at most all are.
-        argument: the argument the path came from, for messages.
+    """Frames of a video at a rate; their names are their times, seconds.
 
     Raises:
-        InputError: the file is no video that OpenCV can read, or the rate is not positive.
+        InputError: OpenCV cannot read the file, or the rate is not positive.
     """
 
     path: str | Path
+    """File of the video."""
     rate: float
+    """Frames per second to take, at most those of the video."""
     argument: str = "path"
+    """Argument with the path, for messages."""
 
     def __post_init__(self) -> None:
         check_fields(self, real, "rate", above=0.0)
@@ -61,7 +109,7 @@ class Video:
 
     @cached_property
     def numbers(self) -> list[int]:
-        """The frames that are taken."""
+        """Indices of the frames to take."""
         return list(range(0, len(self._index.times), max(1, round(self._index.rate / self.rate))))
 
     @property
@@ -81,7 +129,7 @@ class Video:
 
     @cached_property
     def _index(self) -> "_Index":
-        """The times of all frames, from reading all: what a header says of their number may be wrong or missing."""
+        """Times of all frames, from reading all: the number in a header may be wrong or missing."""
         cv2, video = optional("cv2", "detection"), self._opened()
         try:
             stated, rate = video.get(cv2.CAP_PROP_FRAME_COUNT), float(video.get(cv2.CAP_PROP_FPS))
@@ -107,19 +155,19 @@ class Video:
         return InputError(f"{self.argument}: {str(self.path)!r} cannot be read as a video: {why}.", self.argument)
 
     def _opened(self, size: tuple[int, int] | None = None) -> Any:
-        """The video before its first frame.
+        """Open the video before its first frame.
 
         Args:
-            size: of the frames. As of photographs, these are as the sensor has them, however the camera was held,
-                unless only the turned ones have this size. None for those of the sensor.
+            size: required size of the frames, in the orientation of the sensor, or rotated if only then they have this
+                size; None for the orientation of the sensor.
 
         Raises:
-            InputError: it cannot be opened, or has frames of another size.
+            InputError: the video cannot be opened, or has frames of another size.
         """
         cv2 = optional("cv2", "detection")
         container = container_of(read_bytes(self.path, self.argument, first=FIRST))
         with _for(container, cv2):
-            # A name may mean more to FFmpeg than to the system, but for one that begins with a slash.
+            # FFmpeg interprets names, except absolute paths.
             video = cv2.VideoCapture(str(Path(self.path).absolute()), cv2.CAP_FFMPEG)
         if not video.isOpened():
             raise self._unread("OpenCV cannot open it")
@@ -135,7 +183,7 @@ class Video:
         raise wrong_size(Path(self.path), self.argument, found[0], size)
 
     def _at(self, number: int, size: tuple[int, int]) -> Any:
-        """The video at a frame, which is grabbed."""
+        """Open the video and grab a frame."""
         cv2, video = optional("cv2", "detection"), self._opened(size)
         if number and self._index.seeks:
             wanted = 1e3 * self._index.times[number]
@@ -152,7 +200,7 @@ class Video:
     def read(self, first: int, last: int, camera: Camera) -> Iterator[UInt8Array]:
         """See `Images.read`."""
         cv2, size = optional("cv2", "detection"), image_size(camera)
-        self._opened(size).release()  # a wrong size is said before all frames are counted
+        self._opened(size).release()  # report a wrong size before all frames are counted
         wanted = self.numbers[first:last]
         video = self._at(wanted[0], size)
         try:
@@ -173,30 +221,24 @@ class Video:
 
 @dataclass(frozen=True)
 class _Index:
-    """All frames of a video.
-
-    Args:
-        times: seconds.
-        rate: frames a second.
-        stated: frames that the header says there are; 0 if it does not.
-        is_timed: whether the video has the times, and not its rate alone.
-        seeks: whether a frame is found by its time.
-    """
+    """All frames of a video."""
 
     times: list[float]
+    """Times of the frames, seconds."""
     rate: float
+    """Frames per second."""
     stated: int
+    """Number of frames in the header; 0 if unknown."""
     is_timed: bool
+    """True if the video stores times."""
     seeks: bool
+    """True if frames can be sought by time."""
 
 
 @contextmanager
 def _for(container: Container | None, cv2: Any) -> Iterator[None]:
-    """While entered, OpenCV opens files of one kind alone, and says nothing of what is wrong with them.
-
-    It takes the options of FFmpeg from the environment.
-    """
-    assert container is not None, "Video refuses what is none"
+    """Restrict OpenCV to one container and silence its messages; FFmpeg's options come from the environment."""
+    assert container is not None, "Video checks its container"
     options = {
         "OPENCV_FFMPEG_CAPTURE_OPTIONS": f"format_whitelist;{container.demuxers}|protocol_whitelist;file",
         "OPENCV_FFMPEG_LOGLEVEL": "-8",
@@ -212,3 +254,21 @@ def _for(container: Container | None, cv2: Any) -> Iterator[None]:
             os.environ.pop(name)
             if value is not None:
                 os.environ[name] = value
+
+
+def container_of(head: bytes) -> Container | None:
+    """Container of a file that begins with `head`; None if it is not read."""
+    return next((kind for kind in CONTAINERS if kind.begins.match(head)), None)
+
+
+def refusal(head: bytes) -> str:
+    """Reason why a file that begins with `head` is not read: the end of a sentence that begins with its name."""
+    read = ", ".join(dict.fromkeys(kind.name for kind in CONTAINERS))
+    if IMAGE.match(head):
+        return "is one image: a folder of photographs is read, or a video."
+    what = "does not begin as a video does" if head else "is empty"
+    if head and b"\0" not in head:
+        with suppress(UnicodeDecodeError):
+            codecs.getincrementaldecoder("utf-8")().decode(head)  # the last character may be cut
+            what = "is a text, as playlists are, which name other files"
+    return f"cannot be read as a video: it {what}; read are {read}."

@@ -1,1 +1,1 @@
-"""Localisation with the landmarks a camera sees: trajectories, measurements, the observer and its rivals."""
+"""Localisation on simulated flights: sensors, estimators, and the Cramer-Rao bound."""

@@ -1,4 +1,4 @@
-"""The Cramer-Rao bound of a camera's pose from the pixels of the landmarks it sees.
+"""Cramer-Rao bound on the pose of a camera from the images of landmarks.
 
 A perturbation X exp(w, v) moves a landmark at y_i = (x, y, z) in the camera's frame by y_i x w - v, hence its image by
 J_i (w, v) with `J_i = [(f_u / z) (1, 0, -x / z); (f_v / z) (0, 1, -y / z)] [[y_i]x  -I]`; a lens that distorts puts its
@@ -18,6 +18,8 @@ import numpy as np
 import pandas as pd
 
 from lmd.core.checks import BoolArray, FloatArray
+from lmd.estimation.estimators import Errors
+from lmd.estimation.recording import Recording
 from lmd.geometry.camera import Camera
 from lmd.geometry.projection import slope
 from lmd.geometry.se3 import adjoint_matrix, axis_and_right, camera_pose, inverse, skew
@@ -26,9 +28,9 @@ from lmd.scene.scene import Scene
 from lmd.sight.evaluator import Evaluator, averaged
 from lmd.sight.views import visible_to_each
 
-# A smaller eigenvalue of the scaled information is rounding: the pose is not fixed.
+# Least eigenvalue of the scaled information of a determined pose; smaller ones are rounding errors.
 SINGULAR_EIGENVALUE = 1e-9
-# Poses whose information is computed at a time.
+# Number of poses processed at a time.
 POSE_CHUNK = 1 << 14
 
 
@@ -40,9 +42,9 @@ def pose_information(
     Args:
         poses: X, `(F, 4, 4)`.
         landmarks: C_i, world frame, metres, `(K, 3)`.
-        seen: which of them each frame sees, `(F, K)`; they must be in front of the camera.
-        camera: its focal length in pixels, and its distortion.
-        noise: standard deviation of each image if it is not one pixel, in the order of `np.nonzero(seen)`, `(M,)`.
+        seen: mask of the landmarks in view, `(F, K)`; they must be in front of the camera.
+        camera: intrinsics and distortion.
+        noise: standard deviation of each image in the order of `np.nonzero(seen)`, pixels, `(M,)`; None for one pixel.
     """
     frame, landmark = np.nonzero(seen)
     offset = landmarks[landmark] - poses[frame, :3, 3]
@@ -67,15 +69,15 @@ def moment_information(
     seen: BoolArray,
     noise: Sequence[FloatArray] | None = None,
 ) -> FloatArray:
-    """`pose_information` of all cameras of a body on its pose, `(F, 6, 6)`.
+    """`pose_information` of all C cameras on the pose of their body, `(F, 6, 6)`.
 
     Args:
-        cameras: C of them.
-        extrinsics: where they are on the body, `(C, 4, 4)`.
+        cameras: intrinsics of the cameras.
+        extrinsics: poses of the cameras in the frame of the body, `(C, 4, 4)`.
         poses: X of the body, `(F, 4, 4)`.
-        landmarks: `(K, 3)`.
-        seen: which of them each camera sees in each frame, `(C, F, K)`.
-        noise: as there, of each camera.
+        landmarks: world frame, metres, `(K, 3)`.
+        seen: mask of the landmarks in view of each camera, `(C, F, K)`.
+        noise: noise of each camera as in `pose_information`.
     """
     total = np.zeros((len(poses), 6, 6))
     for c, camera in enumerate(cameras):
@@ -86,10 +88,10 @@ def moment_information(
 
 
 def cramer_rao_bound(information: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Smallest standard deviations of position (metres) and attitude (rad), `(...)` each, infinite where not fixed.
+    """Smallest standard deviations of position (metres) and attitude (rad), `(...)` each, infinite without a bound.
 
-    They are the roots of the traces of the position and the attitude block of the inverse. Whether there is one is
-    asked of the information scaled to a diagonal of ones, which does not depend on the units of length and angle.
+    They are the square roots of the traces of the position and the attitude block of the inverse information, which
+    exists if the information scaled to a unit diagonal, which is independent of units, is regular.
 
     Args:
         information: `(..., 6, 6)`.
@@ -104,22 +106,19 @@ def cramer_rao_bound(information: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 @dataclass(frozen=True)
 class CramerRaoMap:
-    """Where localisation is weak: the bound for one pixel of noise over the orientations at each position.
-
-    Args:
-        positions: `(P, 3)`, metres.
-        share: probability, under the orientation PDF, that a single frame fixes the pose, `(P,)`.
-        position: median bound over those orientations, metres, `(P,)`; infinite where there are none.
-        attitude: the same, rad, `(P,)`.
-    """
+    """Bounds for one pixel of noise at each position, over the orientations."""
 
     positions: FloatArray
+    """World frame, metres, `(P, 3)`."""
     share: FloatArray
+    """Probability under the orientation PDF that a single frame determines the pose, `(P,)`."""
     position: FloatArray
+    """Median bound on the position over these orientations, metres, `(P,)`; infinite without any."""
     attitude: FloatArray
+    """Median bound on the attitude over these orientations, rad, `(P,)`; infinite without any."""
 
     def metrics(self) -> dict[str, float]:
-        """The share of poses that a single frame fixes, and the medians of the bounds over positions that have one."""
+        """Share of poses that a single frame determines, and medians of the bounds over the positions that have one."""
         metrics = {"pose_fixed_share": float(self.share.mean())}
         some = self.share > 0.0
         if some.any():
@@ -128,14 +127,14 @@ class CramerRaoMap:
         return metrics
 
     def to_csv(self, path: str | Path) -> None:
-        """Write `x,y,z,share,position,attitude`, one row for each position, empty where the bound is infinite."""
+        """Write `x,y,z,share,position,attitude`, one row per position; infinite bounds are empty."""
         values = np.column_stack([self.positions, self.share, self.position, self.attitude])
         columns = ["x", "y", "z", "share", "position", "attitude"]
         pd.DataFrame(values, columns=columns).replace(np.inf, np.nan).to_csv(path, index=False)
 
 
 def cramer_rao_map(scene: Scene, evaluator: Evaluator, deployment: Deployment) -> CramerRaoMap:
-    """The bound at every position of `evaluator` and every orientation of the PDF."""
+    """Compute the bound at every position of `evaluator` and every orientation of the PDF."""
     pdf, positions, weight = scene.pdf, evaluator.positions, scene.probability(evaluator.positions)
     _, first = np.unique(scene.orientations.index_of, return_index=True)
     turns = camera_pose(np.zeros(3), pdf.yaw[first], pdf.pitch[first], np.asarray(pdf.roll)[first])
@@ -153,9 +152,36 @@ def cramer_rao_map(scene: Scene, evaluator: Evaluator, deployment: Deployment) -
 
 
 def _finite_median(values: FloatArray, weight: FloatArray) -> FloatArray:
-    """Weighted median of the finite values of each row `(P, D)`, `(P,)`; infinite without any."""
+    """Weighted median of the finite values of each row of `(P, D)`, `(P,)`; infinite without any."""
     order = np.argsort(values, axis=1)
     ordered, weights = (np.take_along_axis(v, order, axis=1) for v in (values, np.broadcast_to(weight, values.shape)))
     below = np.cumsum(np.where(np.isfinite(ordered), weights, 0.0), axis=1)
     middle = (below >= below[:, -1:] / 2.0).argmax(axis=1)
     return np.asarray(ordered[np.arange(len(ordered)), middle])
+
+
+@dataclass(frozen=True)
+class CramerRaoBound:
+    """Least RMS error of unbiased estimates from a single frame, by the pixel noise; an `Estimator`.
+
+    A tag is measured by its corners, a point by its centre. An estimator that uses earlier frames may be better. Er is
+    its expectation tr S_vv + 2 tr S_ww.
+    """
+
+    def errors(self, recording: Recording, start: FloatArray) -> Errors:
+        """See `Estimator.errors`."""
+        largest = float(recording.noise.max(initial=0.0))
+        relative = recording.noise / largest if largest > 0.0 else np.ones_like(recording.noise)
+        runs, corners = [], 1 if recording.tags is None else 4
+        cameras, count = recording.seen_by.shape[2:]
+        body = recording.camera.cameras, recording.camera.extrinsics
+        for s, poses in enumerate(recording.poses):
+            points = (recording.landmarks if recording.tags is None else recording.tags)[s, :count].reshape(-1, 3)
+            seen = np.moveaxis(recording.seen_by[s], 1, 0).repeat(corners, axis=-1)
+            camera = np.nonzero(recording.seen[s])[1] // count  # of each detection
+            its = relative[recording.detections(s)]
+            noise = [its[camera == c].repeat(corners) for c in range(cameras)]
+            bounds = cramer_rao_bound(moment_information(*body, poses, points, seen, noise))
+            runs.append([np.where(np.isfinite(bound), bound, np.nan) for bound in bounds])
+        position, attitude = largest * np.array(runs).transpose(1, 0, 2)
+        return Errors(position**2 + 2.0 * attitude**2, position, attitude)

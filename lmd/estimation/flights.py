@@ -8,24 +8,25 @@ import numpy as np
 
 from lmd.core.checks import FloatArray, InputError, check_fields, real, said_of, vector
 from lmd.core.memory import check_memory
+from lmd.formats.trajectories import TrajectoryFile
 from lmd.geometry.se3 import camera_pose
 from lmd.geometry.trajectory import Trajectory
 from lmd.scene.scene import Scene
-from lmd.scene.trajectory_files import TrajectoryFile
-from lmd.space.inside import check_inside
+from lmd.space.space import check_inside
 
-# Greatest slope of the minimum-jerk profile, at its middle.
+# Largest slope of the minimum-jerk profile, at its middle.
 PEAK_SLOPE = 1.875
-MOST_WAYPOINTS = 100  # between two frames
-MOST_DRAWS = 1000  # of a waypoint, until a straight way leads there
-FRAME_BYTES = 1000  # what a frame of random motion takes at the least: its pose, and those of the way there
+# Maximum number of waypoints between two frames, and of draws of a waypoint with a free straight path.
+MOST_WAYPOINTS, MOST_DRAWS = 100, 1000
+# Lower bound on the memory of a frame of random motion, bytes.
+FRAME_BYTES = 1000
 
 
 class TrajectorySource(Protocol):
-    """Something that provides trajectories."""
+    """Source of trajectories."""
 
     def draw(self, scene: Scene, rng: np.random.Generator) -> Trajectory:
-        """A trajectory inside the room of `scene`.
+        """Make a trajectory inside the room of `scene`.
 
         Raises:
             InputError: there is none.
@@ -34,38 +35,36 @@ class TrajectorySource(Protocol):
 
 @dataclass(frozen=True)
 class Pace:
-    """How fast a camera goes from one waypoint to the next, and how often it takes a frame.
+    """Limits of the motion between waypoints, and the frame rate.
 
-    Between two waypoints position, yaw and pitch follow the minimum-jerk profile 10 t^3 - 15 t^4 + 6 t^5, as slowly as
-    both limits ask for; at a waypoint the camera is at rest.
-
-    Args:
-        speed: limit of |v|, m/s.
-        turn_rate: limit of |w|, rad/s; yaw and pitch turn about perpendicular axes.
-        frame_rate: frames per second.
+    Between two waypoints position, yaw and pitch follow the minimum-jerk profile 10 t^3 - 15 t^4 + 6 t^5 at the highest
+    pace within both limits; at a waypoint the camera is at rest.
 
     Raises:
         InputError: a value is not positive.
     """
 
     speed: float
+    """Limit of |v|, m/s."""
     turn_rate: float
+    """Limit of |w|, rad/s; yaw and pitch turn about perpendicular axes."""
     frame_rate: float
+    """Frames per second."""
 
     def __post_init__(self) -> None:
         check_fields(self, real, "speed", "turn_rate", "frame_rate", above=0.0)
 
     def seconds(self, steps: FloatArray) -> FloatArray:
-        """The time in seconds, `(...)`, that each change (x, y, z, yaw, pitch) `(..., 5)` takes."""
+        """Duration of each change (x, y, z, yaw, pitch) `(..., 5)`, seconds, `(...)`."""
         way, turn = np.linalg.norm(steps[..., :3], axis=-1), np.linalg.norm(steps[..., 3:], axis=-1)
         return np.asarray(PEAK_SLOPE * np.maximum(way / self.speed, turn / self.turn_rate))
 
     def through(self, waypoints: FloatArray, duration: float | None = None) -> Trajectory:
-        """The trajectory through waypoints (x, y, z, yaw, pitch).
+        """Make the trajectory through waypoints (x, y, z, yaw, pitch).
 
         Args:
             waypoints: `(N, 5)`, metres and radians; the yaw turns the shorter way.
-            duration: seconds after which it ends; None for the last waypoint.
+            duration: end of the trajectory, seconds; None for the last waypoint.
 
         Raises:
             InputError: two consecutive waypoints are the same.
@@ -78,7 +77,7 @@ class Pace:
             raise InputError(f"waypoints {still[0]} and {still[0] + 1} are the same, {waypoints[still[0]].tolist()}.")
         arrival = np.concatenate([[0.0], np.cumsum(seconds)])
         end = arrival[-1] if duration is None else duration
-        # The small allowance keeps 0.3 s at 10 frames per second at 3 steps however the product rounds.
+        # The allowance for rounding makes 3 steps of 0.3 s at 10 frames per second.
         time = np.arange(int(end * self.frame_rate + 1e-9) + 1) / self.frame_rate
         leg = np.clip(np.searchsorted(arrival, time, side="right") - 1, 0, len(steps) - 1)
         t = (time - arrival[leg]) / seconds[leg]
@@ -88,21 +87,19 @@ class Pace:
 
 @dataclass(frozen=True)
 class RandomMotion:
-    """Random movement in the reachable area: from one random waypoint straight to the next.
+    """Random motion in the reachable volume, straight from one random waypoint to the next.
 
-    Waypoints are uniform in the reachable area, or in what of it can be reached on a straight way from the one before;
-    their orientations follow the orientation PDF of the scene.
-
-    Args:
-        duration: seconds.
-        pace: limits and frame rate.
+    Waypoints are uniform in the part of the reachable volume with a free straight path from the previous one; their
+    orientations follow the orientation PDF of the scene.
 
     Raises:
         InputError: the duration is not positive.
     """
 
     duration: float
+    """Seconds."""
     pace: Pace
+    """Limits and frame rate."""
 
     def __post_init__(self) -> None:
         check_fields(self, real, "duration", above=0.0)
@@ -131,7 +128,7 @@ def _random_waypoint(scene: Scene, rng: np.random.Generator) -> FloatArray:
 
 
 def _next_waypoint(scene: Scene, before: FloatArray, rng: np.random.Generator) -> FloatArray:
-    """Another waypoint, to which a straight way leads from the one `before`; drawn anew until there is one."""
+    """Draw waypoints until one has a free straight path from `before`."""
     for _ in range(MOST_DRAWS):
         waypoint = _random_waypoint(scene, rng)
         if not np.array_equal(waypoint, before) and scene.room.passable(before[:3], waypoint[:3]):
@@ -141,18 +138,14 @@ def _next_waypoint(scene: Scene, before: FloatArray, rng: np.random.Generator) -
 
 
 def _shortest(step: FloatArray) -> FloatArray:
-    """The same change (x, y, z, yaw, pitch) `(5,)` by the shorter turn: its yaw is in [-pi, pi)."""
+    """Wrap the yaw of a change (x, y, z, yaw, pitch) `(5,)` to [-pi, pi)."""
     yaw = (step[3] + np.pi) % (2.0 * np.pi) - np.pi
     return np.array([*step[:3], yaw, step[4]])
 
 
 @dataclass(frozen=True)
 class Waypoints:
-    """Through given waypoints.
-
-    Args:
-        points: [x, y, z, yaw, pitch] each, metres and radians, at least two.
-        pace: limits and frame rate.
+    """Motion through given waypoints.
 
     Raises:
         InputError: fewer than two waypoints, no pace, or a waypoint that is not five finite numbers with a pitch in
@@ -160,7 +153,9 @@ class Waypoints:
     """
 
     points: Sequence[Sequence[float]]
+    """At least two waypoints [x, y, z, yaw, pitch], metres and radians."""
     pace: Pace
+    """Limits and frame rate."""
 
     def __post_init__(self) -> None:
         if isinstance(self.points, str) or not isinstance(self.points, Sequence) or len(self.points) < 2:

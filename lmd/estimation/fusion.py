@@ -1,4 +1,4 @@
-"""Estimators of GTSAM that know how uncertain landmarks and odometry are: a filter, and a smoother over a fixed lag."""
+"""Estimators of GTSAM with models of the measurement noise: a Kalman filter and a fixed-lag smoother."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
@@ -8,7 +8,7 @@ import numpy as np
 
 from lmd.core.checks import FloatArray, check_fields, real
 from lmd.core.optional import optional
-from lmd.estimation.errors import Errors, pose_errors
+from lmd.estimation.estimators import Errors, pose_errors
 from lmd.estimation.pnp import images_of, likely
 from lmd.estimation.recording import Recording
 from lmd.geometry.pose import PointImage, body_solutions
@@ -18,24 +18,22 @@ from lmd.geometry.se3 import skew
 
 @dataclass(frozen=True)
 class Uncertainty:
-    """How far an estimator trusts what it is given.
-
-    Args:
-        attitude: standard deviation of the initial estimate about each axis, rad.
-        position: the same along each axis, metres.
-        least_turn_noise: assumed where that of the odometry is less, rad per root second.
-        least_motion_noise: the same along each axis, metres per root second.
-        least_pixel_noise: assumed where that of the detector is less, pixels.
+    """Uncertainties that an estimator assumes.
 
     Raises:
         InputError: a value is not positive.
     """
 
     attitude: float
+    """Standard deviation of the initial estimate about each axis, rad."""
     position: float
+    """Standard deviation of the initial estimate along each axis, metres."""
     least_turn_noise: float = 1e-3
+    """Lower bound on the noise of the odometry about each axis, rad per root second."""
     least_motion_noise: float = 1e-3
+    """Lower bound on the noise of the odometry along each axis, metres per root second."""
     least_pixel_noise: float = 0.1
+    """Lower bound on the noise of the detector, pixels."""
 
     def __post_init__(self) -> None:
         check_fields(self, real, *self.__dataclass_fields__, above=0.0)
@@ -54,29 +52,29 @@ class Uncertainty:
 
 
 class Measurement(Protocol):
-    """What a frame measures: d numbers that a pose predicts."""
+    """Measurement of a frame: d numbers that a pose predicts."""
 
     @property
     def value(self) -> FloatArray:
-        """`(d,)`."""
+        """Measured numbers, `(d,)`."""
 
     @property
     def covariance(self) -> FloatArray:
-        """`(d, d)`."""
+        """Covariance, `(d, d)`."""
 
     def predicted(self, pose: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """The measurement predicted at a pose X, `(d,)`, and its derivative by a body twist (w, v), `(d, 6)`."""
+        """Predict the measurement at a pose X, `(d,)`, and its Jacobian by a body twist (w, v), `(d, 6)`."""
 
 
-class Places(NamedTuple):
-    """The places of m landmarks in the camera's frame, y = X^-1 C, metres: a `Measurement` of 3 m numbers."""
+class CameraPoints(NamedTuple):
+    """Positions of m landmarks in the camera's frame, y = X^-1 C, metres: a `Measurement` of 3 m numbers."""
 
     landmarks: FloatArray
     value: FloatArray
     covariance: FloatArray
 
     @classmethod
-    def of(cls, recording: Recording, s: int, t: int, uncertainty: Uncertainty) -> "Places":
+    def of(cls, recording: Recording, s: int, t: int, uncertainty: Uncertainty) -> "CameraPoints":
         """Those of frame t of run s."""
         seen, these = recording.seen[s, t], recording.detections(s, t, t + 1)
         noise = np.maximum(recording.noise[these], uncertainty.least_pixel_noise)[:, None, None]
@@ -90,22 +88,22 @@ class Places(NamedTuple):
         return y.reshape(-1), moved.reshape(-1, 6)
 
 
-class Corners(NamedTuple):
-    """The images of the m corners of tags, pixels: a `Measurement` of 2 m numbers."""
+class CornerImages(NamedTuple):
+    """Images of m corners of tags, pixels: a `Measurement` of 2 m numbers."""
 
     images: Sequence[PointImage]
     value: FloatArray
     covariance: FloatArray
 
     @classmethod
-    def of(cls, recording: Recording, s: int, t: int, uncertainty: Uncertainty) -> "Corners":
+    def of(cls, recording: Recording, s: int, t: int, uncertainty: Uncertainty) -> "CornerImages":
         """Those of frame t of run s."""
         images = images_of(recording, s, t)
         noise = np.maximum(np.concatenate([image.noise for image in images]), uncertainty.least_pixel_noise).repeat(2)
         return cls(images, np.concatenate([image.pixels for image in images]).reshape(-1), np.diag(noise**2))
 
     def predicted(self, pose: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """See `Measurement.predicted`; what has no image counts as in the middle of it, and does not move."""
+        """See `Measurement.predicted`; points without an image count as fixed at the principal point."""
         pixels, slopes = [], []
         for image in self.images:
             y = to_camera(pose @ image.mounted, image.points)
@@ -119,7 +117,7 @@ class Corners(NamedTuple):
 
 @dataclass(frozen=True)
 class InvariantKalmanFilter(Uncertainty):
-    """The left-invariant extended Kalman filter of GTSAM with the observer's measurements y_i = X^-1 C_i."""
+    """Left-invariant extended Kalman filter of GTSAM with the observer's measurements y_i = X^-1 C_i."""
 
     def errors(self, recording: Recording, start: FloatArray) -> Errors:
         """See `lmd.estimation.estimators.Estimator.errors`."""
@@ -127,7 +125,7 @@ class InvariantKalmanFilter(Uncertainty):
         return pose_errors(recording.poses, np.array(runs))
 
     def run(self, recording: Recording, s: int, start: FloatArray) -> Iterator[tuple[FloatArray, FloatArray]]:
-        """Follow run s: its estimates, `(4, 4)` each, and their covariances as body twists, `(6, 6)`."""
+        """Estimates of run s, `(4, 4)` each, and their covariances as body twists, `(6, 6)`."""
         gtsam = optional("gtsam", "estimators")
         ekf = gtsam.InvariantEKFPose3(gtsam.Pose3(start), np.diag(self.initial**2))
         density = np.diag(self.drift(recording) ** 2)  # the filter multiplies it by the step
@@ -135,27 +133,25 @@ class InvariantKalmanFilter(Uncertainty):
         for t, step in enumerate(np.diff(recording.time), start=1):
             ekf.predict(recording.twists[s, t - 1], step, density)
             if recording.seen[s, t].any():
-                places = Places.of(recording, s, t, self)
+                places = CameraPoints.of(recording, s, t, self)
                 ekf.updateWithVector(*places.predicted(ekf.state().matrix()), places.value, places.covariance)
             yield ekf.state().matrix(), ekf.covariance()
 
 
 @dataclass(frozen=True)
 class FixedLagSmoother(Uncertainty):
-    """GTSAM's factor graph of the last moments (iSAM2): odometry between frames, and in each what it sees.
+    """Fixed-lag smoother of GTSAM (iSAM2): a factor graph of the odometry and the measurements of recent frames.
 
-    Of tags it takes the image of their corners; it then begins with the first frame that fixes the pose beyond doubt by
-    itself, and follows the odometry until then. Landmarks that are points it takes as the filter does. The estimate of
-    a frame is that of the moment at which it is taken; later ones do not correct it.
-
-    Args:
-        lag: how much of the past stays in the graph, seconds; what is older is summed up in its linearisation.
+    Tags are measured by the images of their corners: the smoother starts with the first frame that determines the pose
+    uniquely, and integrates the odometry before it. Points are measured as by the filter. Later frames do not correct
+    the estimate of a frame.
 
     Raises:
         InputError: a value is not positive.
     """
 
     lag: float = field(default=1.0, kw_only=True)
+    """Time span of the graph, seconds; older frames are marginalised."""
 
     def errors(self, recording: Recording, start: FloatArray) -> Errors:
         """See `lmd.estimation.estimators.Estimator.errors`."""
@@ -166,7 +162,7 @@ class FixedLagSmoother(Uncertainty):
         """The estimates of run s, `(4, 4)` each."""
         gtsam = optional("gtsam", "estimators")
         diagonal, drift = gtsam.noiseModel.Diagonal.Sigmas, self.drift(recording)
-        kind: type[Places | Corners] = Places if recording.corners is None else Corners
+        kind: type[CameraPoints | CornerImages] = CameraPoints if recording.corners is None else CornerImages
         parameters = gtsam.ISAM2Params()
         parameters.setFactorization("QR")  # Cholesky gives up where the first estimate is vague and the odometry good
         smoother = gtsam.IncrementalFixedLagSmoother(self.lag, parameters)
@@ -192,7 +188,7 @@ class FixedLagSmoother(Uncertainty):
 
 
 def _beginning(recording: Recording, s: int, t: int, expected: FloatArray) -> FloatArray | None:
-    """The pose at which a smoother begins with frame t of run s; None if it does not yet."""
+    """Pose at which a smoother starts with frame t of run s; None if the frame does not determine it."""
     if recording.corners is None:
         return expected
     found = likely(body_solutions(images_of(recording, s, t)))
@@ -200,7 +196,7 @@ def _beginning(recording: Recording, s: int, t: int, expected: FloatArray) -> Fl
 
 
 def _factor(gtsam: Any, key: int, measurement: Measurement) -> Any:
-    """A factor on the pose `key`."""
+    """Factor of a measurement on the pose `key`."""
 
     def error(_: Any, values: Any, jacobians: Any) -> FloatArray:
         predicted, jacobian = measurement.predicted(values.atPose3(key).matrix())

@@ -18,7 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from lmd.core.checks import BoolArray, FloatArray, InputError, check_fields, choice, real
-from lmd.estimation.errors import Errors, pose_errors
+from lmd.estimation.estimators import Errors, pose_errors
 from lmd.estimation.recording import Recording
 from lmd.geometry.se3 import act, adjoint, cross, exp, inverse
 

@@ -1,4 +1,4 @@
-"""The camera's pose from each frame on its own."""
+"""Estimator by the Perspective-n-Point problem of each frame."""
 
 from dataclasses import dataclass
 from functools import partial
@@ -7,36 +7,32 @@ import numpy as np
 
 from lmd.core.checks import FloatArray, choice
 from lmd.core.optional import optional
-from lmd.estimation.errors import Errors, pose_errors
+from lmd.estimation.estimators import Errors, pose_errors
 from lmd.estimation.recording import Recording
 from lmd.geometry.pose import PointImage, Solution, body_solutions
 from lmd.geometry.projection import project
 from lmd.geometry.se3 import exp
-from lmd.scene.rig import cameras_of, extrinsics_of
 
 AMBIGUOUS = ("odometry", "refuse")
-# Two poses are told apart by their image if one is a hundred times as likely as the other.
+# Difference of the squared errors of two distinguishable poses: a likelihood ratio of 100.
 TOLD_APART = 2.0 * np.log(100.0)
-# Assumed where measurements are more exact, pixels.
+# Lower bound on the noise, pixels.
 LEAST_NOISE = 0.01
 
 
 @dataclass(frozen=True)
 class PerspectiveNPoint:
-    """The pose of each frame on its own (PnP), see `lmd.geometry.pose`: of a rig from the images of all its cameras.
+    """Pose of each frame from its images alone (PnP), see `lmd.geometry.pose`; of a rig from those of all cameras.
 
-    It takes the corners of all tags in view; of landmarks that are points their centres, of which it needs four, and
-    not their apparent size. Of several poses that fit almost equally well, as with a single tag that is seen from
-    afar, `odometry` takes the one nearest to where the last pose that was beyond doubt leads by the measured twists.
-
-    Args:
-        ambiguous: `odometry`, or `refuse` to give an estimate in such a frame.
+    It uses the corners of all tags in view, or the centres of at least four points.
 
     Raises:
         InputError: an unknown value.
     """
 
     ambiguous: str = "odometry"
+    """Choice among several poses that fit almost equally well, as of a distant tag: `odometry` for the one nearest to
+    the prediction from the last unique pose, `refuse` for no estimate."""
 
     def __post_init__(self) -> None:
         choice("ambiguous", self.ambiguous, AMBIGUOUS)
@@ -50,20 +46,20 @@ class PerspectiveNPoint:
         """The estimates of run s, `(T, 4, 4)`, NaN where there is none."""
         estimates: FloatArray = np.full_like(recording.poses[s], np.nan)
         motions = exp(np.diff(recording.time)[:, None] * recording.twists[s])
-        expected: FloatArray | None = None  # where the last pose that was not ambiguous leads
+        expected: FloatArray | None = None  # prediction from the last unique pose
         for t in range(len(estimates)):
             if expected is not None:
                 expected = expected @ motions[t - 1]
-            rivals = likely(body_solutions(images_of(recording, s, t)))
-            if len(rivals) == 1:
-                expected = estimates[t] = rivals[0]
-            elif rivals and expected is not None and self.ambiguous == "odometry":
-                estimates[t] = min(rivals, key=partial(_distance, expected))
+            candidates = likely(body_solutions(images_of(recording, s, t)))
+            if len(candidates) == 1:
+                expected = estimates[t] = candidates[0]
+            elif candidates and expected is not None and self.ambiguous == "odometry":
+                estimates[t] = min(candidates, key=partial(_distance, expected))
         return estimates
 
 
 def likely(found: list[Solution]) -> list[FloatArray]:
-    """The poses that cannot be told from the best one by their image."""
+    """Poses that are not distinguishable from the best one."""
     return [solution.pose for solution in found if solution.square - found[0].square < TOLD_APART]
 
 
@@ -72,11 +68,9 @@ def _distance(one: FloatArray, other: FloatArray) -> float:
 
 
 def images_of(recording: Recording, s: int, t: int) -> list[PointImage]:
-    """What each camera has of known points in a frame."""
+    """Images of known points in each camera of a frame."""
     images, first, count = [], recording.detections(s, t).start, recording.seen_by.shape[-1]
-    for c, (camera, mounted) in enumerate(
-        zip(cameras_of(recording.camera), extrinsics_of(recording.camera), strict=True)
-    ):
+    for c, (camera, mounted) in enumerate(zip(recording.camera.cameras, recording.camera.extrinsics, strict=True)):
         seen = c * count + np.flatnonzero(recording.seen_by[s, t, c])
         its = slice(first, first := first + len(seen))
         noise = np.maximum(recording.noise[its], LEAST_NOISE)

@@ -1,7 +1,6 @@
-"""What a camera records along its trajectories: which landmarks, and where they are in its own frame.
+"""Recordings of flights: odometry, and the landmarks detected in each frame, in the camera's frame.
 
-A rig is recorded as if it saw C K landmarks: each of its C cameras has K of its own, camera after camera, in one frame,
-that of the body.
+A rig with C cameras is recorded as one camera with C K landmarks, camera by camera, in the frame of the body.
 """
 
 from collections.abc import Callable, Iterable, Sequence
@@ -11,50 +10,77 @@ from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
-from lmd.core.checks import BoolArray, FloatArray, InputError, IntArray
-from lmd.estimation.odometry import Odometry
+from lmd.core.checks import BoolArray, FloatArray, InputError, IntArray, check_fields, real
 from lmd.geometry.camera import Camera
 from lmd.geometry.se3 import act, axis_and_right
 from lmd.geometry.trajectory import Trajectory
 from lmd.scene.deployment import Deployment
-from lmd.scene.rig import Rig, cameras_of
+from lmd.scene.rig import Rig
 from lmd.sight.evaluator import Evaluator
 from lmd.sight.views import visible_to_each
 
-# Applies a function to jobs and gives the results in their order: the built-in `map`, or one with processes to share.
+
+@dataclass(frozen=True)
+class Odometry:
+    """Odometry: twists between frames with independent normal errors, whose integral drifts.
+
+    Raises:
+        InputError: a value is negative.
+    """
+
+    turn_noise: float = 0.0
+    """Standard deviation about each axis, rad per root second."""
+    motion_noise: float = 0.0
+    """Standard deviation along each axis, metres per root second."""
+
+    def __post_init__(self) -> None:
+        check_fields(self, real, "turn_noise", "motion_noise", low=0.0)
+
+    def measured(self, twists: FloatArray, steps: FloatArray, rng: np.random.Generator) -> FloatArray:
+        """Measure twists, `(T - 1, 6)`, rad/s and m/s.
+
+        The integral of white noise of density q over h seconds has the variance q^2 h, its mean q^2 / h.
+
+        Args:
+            twists: true twists, `(T - 1, 6)`.
+            steps: time of each, seconds, `(T - 1,)`.
+            rng: source of the errors.
+        """
+        density = np.repeat([self.turn_noise, self.motion_noise], 3)
+        return np.asarray(twists + rng.standard_normal(twists.shape) * density / np.sqrt(steps)[:, None])
+
+
+# Ordered map of a function over jobs: the built-in `map`, or one with processes.
 Each = Callable[[Callable[[Any], Any], Sequence[Any]], Iterable[Any]]
 
 
 @dataclass(frozen=True)
 class Flight:
-    """A camera's flight over a deployment, or a rig's, whose poses are those of its body.
-
-    Args:
-        evaluator: the scene, whose visibility model decides what is in view.
-        deployment: K landmarks.
-        trajectory: T frames.
-        rng: source of everything random.
-        all_visible: the camera sees every landmark, wherever it looks, as an observer without a camera model assumes.
-    """
+    """Flight of a camera over a deployment, or of a rig, whose poses are those of its body."""
 
     evaluator: Evaluator
+    """Scene with the visibility model."""
     deployment: Deployment
+    """K landmarks."""
     trajectory: Trajectory
+    """T frames."""
     rng: np.random.Generator
+    """Source of everything random."""
     all_visible: bool = False
+    """Every landmark is in view in all frames, as an observer without a camera model assumes."""
 
     @property
     def camera(self) -> Camera | Rig:
-        """That takes the frames."""
+        """Camera or rig that takes the frames."""
         return self.evaluator.scene.camera
 
     @property
     def poses(self) -> FloatArray:
-        """The true X, `(T, 4, 4)`."""
+        """True X, `(T, 4, 4)`."""
         return self.trajectory.poses
 
     def looks(self) -> "list[Look]":
-        """The flight as each of its cameras sees it."""
+        """Views of the flight by each camera."""
         scene = self.evaluator.scene
         if self.all_visible:
             seen = np.ones((len(scene.cameras), len(self.poses), len(self.deployment)), dtype=np.bool_)
@@ -65,51 +91,45 @@ class Flight:
 
 
 class Look(NamedTuple):
-    """A flight as one camera sees it.
-
-    Args:
-        camera: its intrinsics.
-        mounted: where it is on the body, see `lmd.scene.rig.extrinsics_of`, `(4, 4)`.
-        in_view: which landmarks each frame has in view, `(T, K)`.
-        flight: of the body.
-    """
+    """View of a flight by one camera."""
 
     camera: Camera
+    """Intrinsics."""
     mounted: FloatArray
+    """Pose of the camera in the frame of the body, `(4, 4)`."""
     in_view: BoolArray
+    """Mask of the landmarks in view, `(T, K)`."""
     flight: Flight
+    """Flight of the body."""
 
     @property
     def poses(self) -> FloatArray:
-        """The true X of the camera, `(T, 4, 4)`."""
+        """True X of the camera, `(T, 4, 4)`."""
         return self.flight.poses @ self.mounted
 
 
 class Observation(NamedTuple):
-    """What became of K landmarks in the T frames of a flight; M detections in all, in the order of `np.nonzero(seen)`.
-
-    Args:
-        seen: which landmarks each frame has, `(T, K)`.
-        points: where they are in the camera's frame as measured, metres, `(T, K, 3)`; meaningful where seen.
-        noise: standard deviation of each image coordinate as estimators are told it, pixels, `(M,)`.
-        covariance: of a measured point for one pixel of noise, m^2, `(M, 3, 3)`.
-        corners: where a tag's corners were found, pixels from the border, in the order of
-            `lmd.geometry.squares.CORNERS`, `(M, 4, 2)`; None for landmarks that are points.
-    """
+    """M detections of K landmarks in the T frames of a flight, in the order of `np.nonzero(seen)`."""
 
     seen: BoolArray
+    """Mask of the detected landmarks, `(T, K)`."""
     points: FloatArray
+    """Measured positions in the camera's frame, metres, `(T, K, 3)`; meaningful if seen."""
     noise: FloatArray
+    """Standard deviation of the image coordinates that estimators assume, pixels, `(M,)`."""
     covariance: FloatArray
+    """Covariance of the measured position for one pixel of noise, m^2, `(M, 3, 3)`."""
     corners: FloatArray | None = None
+    """Detected corners of tags, pixels from the border, in the order of `lmd.geometry.squares.CORNERS`, `(M, 4, 2)`;
+    None for points."""
 
 
-def joined(parts: Sequence[Observation], mounted: FloatArray) -> Observation:
-    """What all cameras of a body observe as of one, in its frame: T frames of C K landmarks.
+def merged(parts: Sequence[Observation], mounted: FloatArray) -> Observation:
+    """Merge the observations of all cameras of a body into one in its frame: T frames of C K landmarks.
 
     Args:
-        parts: of each camera, in its own frame.
-        mounted: where they are on the body, `(C, 4, 4)`.
+        parts: observation of each camera in its own frame.
+        mounted: poses of the cameras in the frame of the body, `(C, 4, 4)`.
     """
     order = np.argsort(np.concatenate([np.nonzero(part.seen)[0] for part in parts]), kind="stable")
 
@@ -128,76 +148,77 @@ def joined(parts: Sequence[Observation], mounted: FloatArray) -> Observation:
 
 
 class Sensor(Protocol):
-    """What becomes of landmarks in the images of a camera."""
+    """Detector of landmarks in the images of a camera."""
 
     def observed(self, flights: Sequence[Flight], each: Each = map) -> list[Observation]:
-        """What each flight observes.
+        """Observe the landmarks of S flights.
 
         Args:
-            flights: S of them.
-            each: does what takes long.
+            flights: S flights.
+            each: map for slow work.
 
         Raises:
-            InputError: it cannot do without images where all landmarks are visible.
+            InputError: the sensor needs images, but all landmarks are visible.
         """
 
     def tags(self, deployment: Deployment) -> FloatArray | None:
-        """The corners of the tags at the landmarks, world frame, metres, `(K, 4, 3)`; None for points."""
+        """Corners of the tags at the landmarks, world frame, metres, `(K, 4, 3)`; None for points."""
 
 
 @dataclass(frozen=True)
 class Recording:
-    """S runs of T frames, each over K landmarks; M detections in all, in the order of `np.nonzero(seen)`.
+    """M detections of K landmarks in S runs of T frames, in the order of `np.nonzero(seen)`.
 
-    Of a rig with C cameras K is C times as many, see above.
-
-    Args:
-        time: of the frames, seconds, `(T,)`.
-        poses: the true X, `(S, T, 4, 4)`.
-        twists: U from each frame to the next as measured, `(S, T - 1, 6)`; see `Trajectory.twists`.
-        odometry: that measured them.
-        landmarks: C_i in the world frame, metres, `(S, K, 3)`.
-        camera: that recorded them.
-        seen, points, noise, covariance: as in `Observation`, with an axis S in front of T.
-        tags: corners of the tags, world frame, metres, `(S, K, 4, 3)`; None for points.
-        corners: as found, see `Observation`, `(M, 4, 2)`; None for points.
+    K is the number of landmarks times the number of cameras.
     """
 
     time: FloatArray
+    """Times of the frames, seconds, `(T,)`."""
     poses: FloatArray
+    """True X, `(S, T, 4, 4)`."""
     twists: FloatArray
+    """Measured twists U between frames, `(S, T - 1, 6)`, see `Trajectory.twists`."""
     odometry: Odometry
+    """Errors of the twists."""
     landmarks: FloatArray
+    """C_i, world frame, metres, `(S, K, 3)`."""
     camera: Camera | Rig
+    """Camera or rig of the frames."""
     seen: BoolArray
+    """Mask of the detected landmarks, `(S, T, K)`."""
     points: FloatArray
+    """Measured positions in the camera's frame, metres, `(S, T, K, 3)`."""
     noise: FloatArray
+    """See `Observation`, `(M,)`."""
     covariance: FloatArray
+    """See `Observation`, `(M, 3, 3)`."""
     tags: FloatArray | None = None
+    """Corners of the tags, world frame, metres, `(S, K, 4, 3)`; None for points."""
     corners: FloatArray | None = None
+    """Detected corners, see `Observation`, `(M, 4, 2)`; None for points."""
 
     @property
     def seen_by(self) -> BoolArray:
-        """Which of the landmarks each camera has in each frame, `(S, T, C, K / C)`."""
-        return self.seen.reshape(*self.seen.shape[:2], len(cameras_of(self.camera)), -1)
+        """Mask of the landmarks detected by each camera, `(S, T, C, K / C)`."""
+        return self.seen.reshape(*self.seen.shape[:2], len(self.camera.cameras), -1)
 
     @property
     def visible_counts(self) -> IntArray:
-        """Landmarks that any camera has in each frame, `(S, T)`."""
+        """Number of landmarks detected by any camera in each frame, `(S, T)`."""
         return np.asarray(self.seen_by.any(axis=2).sum(axis=-1))
 
     @cached_property
     def _first(self) -> IntArray:
-        """The first detection of each frame of each run, and M, `(S T + 1,)`."""
+        """Index of the first detection of each frame of each run, and M, `(S T + 1,)`."""
         return np.concatenate([[0], np.cumsum(self.seen.sum(axis=-1))])
 
     def detections(self, s: int, first: int = 0, last: int | None = None) -> slice:
-        """Which of the M detections were made in frames `first` to `last` (left out; None for all) of run s."""
+        """Slice of the M detections in frames `first` to `last` (excluded; None for all) of run s."""
         frames = len(self.time)
         return slice(self._first[s * frames + first], self._first[s * frames + (frames if last is None else last)])
 
     def share_visible(self, n: int) -> FloatArray:
-        """Share of time with at least n landmarks, `(S,)`; each frame stands for the time until the next."""
+        """Share of time with at least n landmarks, `(S,)`; each frame counts until the next."""
         enough, steps = self.visible_counts[:, :-1] >= n, np.diff(self.time)
         return np.asarray(enough @ steps / steps.sum())
 
@@ -208,19 +229,19 @@ def record(
     """Record S flights whose trajectories share their times.
 
     Args:
-        detector: noise and missed detections.
-        flights: S of them, with one camera or rig.
-        odometry: measures the twists; None for exact ones.
-        each: does what takes long.
+        detector: sensor of the landmarks.
+        flights: S flights of one camera or rig.
+        odometry: errors of the twists; None for exact ones.
+        each: map for slow work.
 
     Raises:
-        InputError: all landmarks are visible, and the detector needs images.
+        InputError: all landmarks are visible, but the detector needs images.
     """
     odometry, time = odometry or Odometry(), flights[0].trajectory.time
     observations = detector.observed(flights, each)
     twists = [odometry.measured(f.trajectory.twists, np.diff(time), f.rng.spawn(1)[0]) for f in flights]
     tags = [detector.tags(flight.deployment) for flight in flights]
-    cameras = len(cameras_of(flights[0].camera))
+    cameras = len(flights[0].camera.cameras)
     corners = [observation.corners for observation in observations]
     return Recording(
         time,
@@ -239,7 +260,7 @@ def record(
 
 
 def check_images(flights: Sequence[Flight]) -> None:
-    """Raise `InputError` where landmarks without an image are to be seen, for what measures in images."""
+    """Raise `InputError` if all landmarks are visible, for sensors that measure in images."""
     if any(flight.all_visible for flight in flights):
         raise InputError(
             "all_visible must be false where measurements are not exact: a landmark behind the camera has no image.",

@@ -1,4 +1,4 @@
-"""Measurements by a real detector that reads rendered frames."""
+"""Sensor that runs a real detector on rendered frames."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -10,70 +10,67 @@ import numpy as np
 from lmd.core.checks import BoolArray, FloatArray, IntArray, check_fields, real
 from lmd.detection.detectors import Detections, Detector
 from lmd.detection.frames import tagged_room
-from lmd.estimation.recording import Each, Flight, Look, Observation, check_images, joined
-from lmd.estimation.tags import corners_of, observation
+from lmd.estimation.recording import Each, Flight, Look, Observation, check_images, merged
+from lmd.estimation.sensors import corners_of, observation
 from lmd.geometry.se3 import adjoint, inverse
 from lmd.render.imaging import Imaging, UInt8Array
 from lmd.render.renderer import Renderer
 from lmd.scene.deployment import Deployment
-from lmd.scene.rig import extrinsics_of
 from lmd.scene.tag import Tag
 
-# Frames that are rendered and read in one go.
+# Number of frames in a job.
 FRAME_BATCH = 10
 
 
 class Frame(NamedTuple):
-    """A frame to be rendered: X `(4, 4)`, the camera's motion meanwhile `(6,)` or None, and the source of its noise."""
+    """A frame to render."""
 
     pose: FloatArray
+    """X, `(4, 4)`."""
     motion: FloatArray | None
+    """Body twist times the exposure time, `(6,)`; None for no motion."""
     rng: np.random.Generator
+    """Source of the noise."""
 
 
 class Moment(NamedTuple):
-    """A frame of a flight beside what was predicted and found in it.
-
-    Args:
-        time: seconds.
-        pose: X, `(4, 4)`.
-        image: `(h, w)`.
-        expected: exact corners of the K tags, pixels from the border, `(K, 4, 2)`; NaN behind the camera.
-        predicted: which tags the visibility model counts as seen, `(K,)`.
-        found: corners as detected, `(K, 4, 2)`; NaN where not detected.
-    """
+    """A frame of a flight with predictions and detections."""
 
     time: float
+    """Seconds."""
     pose: FloatArray
+    """X, `(4, 4)`."""
     image: UInt8Array
+    """Grey image, `(h, w)`."""
     expected: FloatArray
+    """Exact corners of the K tags, pixels from the border, `(K, 4, 2)`; NaN behind the camera."""
     predicted: BoolArray
+    """Mask of the tags that the visibility model counts as visible, `(K,)`."""
     found: FloatArray
+    """Detected corners, pixels from the border, `(K, 4, 2)`; NaN for tags not detected."""
 
 
 @dataclass(frozen=True)
 class RenderedDetector:
-    """What a detector finds of tags in rendered frames, missing and false ones included; a `Sensor`.
+    """Real detector on rendered frames, with missed and false detections; a `Sensor`.
 
-    A tag's place in the camera's frame comes from its own four corners. A detection with the id of a tag is believed,
-    wherever it is; of two with the same id the larger one. Ids that hang nowhere are left out.
-
-    Args:
-        tag: at every landmark, upright.
-        reader: reads the frames.
-        imaging: lens, light and noise.
-        pixel_noise: standard deviation of corners that estimators are told, pixels.
-        shutter: how long it is open for a frame, seconds; the camera's motion meanwhile blurs the frame.
+    The position of a tag follows from its corners. Every detection with the id of a tag is accepted, of two the larger
+    one; other ids are ignored.
 
     Raises:
-        InputError: the tag is a point, the noise is not positive, or the shutter's time negative.
+        InputError: the tag is a point, the noise is not positive, or the shutter time is negative.
     """
 
     tag: Tag
+    """Tag at every landmark, upright."""
     reader: Detector
+    """Detector of the frames."""
     imaging: Imaging
+    """Lens, light and noise."""
     pixel_noise: float = 0.5
+    """Standard deviation of the corners that estimators assume, pixels."""
     shutter: float = 0.0
+    """Exposure time, seconds; the motion of the camera blurs the frame."""
 
     def __post_init__(self) -> None:
         self.tag.check_edge()
@@ -85,11 +82,11 @@ class RenderedDetector:
         return corners_of(deployment, self.tag)
 
     def batch(self, look: Look) -> "Batch":
-        """The frames of a camera; rendered from a flight with the same source of noise they are the same."""
+        """Frames of a camera; they are reproducible from a flight with an equal `rng`."""
         flight = look.flight
         room = tagged_room(flight.evaluator.scene.room, flight.deployment, self.tag)
         twists = adjoint(inverse(look.mounted), flight.trajectory.twists)
-        motions = self.shutter * np.concatenate([twists, twists[-1:]])  # at the end as in the step before
+        motions = self.shutter * np.concatenate([twists, twists[-1:]])  # the last step once more
         moving = motions if self.shutter > 0.0 else [None] * len(motions)
         frames = zip(look.poses, moving, flight.rng.spawn(len(motions)), strict=True)
         return Batch(Renderer(look.camera, room, self.imaging), self.reader, [Frame(*frame) for frame in frames])
@@ -105,15 +102,15 @@ class RenderedDetector:
         ]
         found = iter([detections for batch in each(read, jobs) for detections in batch])
         return [
-            joined(
+            merged(
                 [self._observed(look, list(islice(found, len(look.in_view)))) for look in those],
-                extrinsics_of(f.camera),
+                f.camera.extrinsics,
             )
             for f, those in zip(flights, looks, strict=True)
         ]
 
     def moments(self, look: Look, frames: Sequence[int]) -> list[Moment]:
-        """Some frames of a camera, to look at."""
+        """Render some frames of a camera for display."""
         flight, poses = look.flight, look.poses
         whole, sight, times = self.batch(look), look.in_view, flight.trajectory.time
         chosen = whole._replace(frames=[whole.frames[t] for t in frames])
@@ -132,29 +129,32 @@ class RenderedDetector:
 
 
 class Batch(NamedTuple):
-    """Frames of one camera, for a process of its own."""
+    """Frames of one camera, a job for a process."""
 
     renderer: Renderer
+    """Renderer of the camera."""
     reader: Detector
+    """Detector of the frames."""
     frames: Sequence[Frame]
+    """Frames to render."""
 
 
 def images(batch: Batch) -> Iterator[UInt8Array]:
-    """The frames of a batch, `(h, w)` each; this uses up their sources of noise."""
+    """Render the frames of a batch, `(h, w)` each, once: their sources of noise advance."""
     return (batch.renderer.frame(frame.pose, frame.rng, frame.motion) for frame in batch.frames)
 
 
 def read(batch: Batch) -> list[Detections]:
-    """What the reader finds in each frame of a batch."""
+    """Detections in each frame of a batch."""
     return [batch.reader.detect(image) for image in images(batch)]
 
 
 def believed(found: Sequence[Detections], ids: IntArray) -> FloatArray:
-    """Corners found in T frames of the tags with `ids` `(K,)`, pixels, `(T, K, 4, 2)`; NaN for a tag not found."""
+    """Detected corners of the tags with `ids` `(K,)` in T frames, pixels, `(T, K, 4, 2)`; NaN for missing tags."""
     corners, place = np.full((len(found), len(ids), 4, 2), np.nan), {number: k for k, number in enumerate(ids.tolist())}
     for t, detections in enumerate(found):
         edges = detections.corners - np.roll(detections.corners, 1, axis=1)
-        for i in np.argsort((edges**2).sum(axis=(1, 2)), kind="stable"):  # the larger one comes last, and stays
+        for i in np.argsort((edges**2).sum(axis=(1, 2)), kind="stable"):  # the largest is assigned last
             if (k := place.get(int(detections.ids[i]))) is not None:
                 corners[t, k] = detections.corners[i]
     return corners

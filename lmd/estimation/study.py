@@ -1,4 +1,4 @@
-"""What deployments do to localisation: the same flights over each of them, and the figures of a table and a plot."""
+"""Study of localisation: equal flights over several deployments, with tables of errors."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -10,45 +10,46 @@ import pandas as pd
 from lmd.core.checks import FloatArray, InputError, IntArray, argument_of, check_fields, real
 from lmd.core.memory import check_memory
 from lmd.core.words import escaped, markdown_table
-from lmd.estimation.errors import Errors, pose_errors
-from lmd.estimation.estimators import Estimator
+from lmd.estimation.estimators import Errors, Estimator, pose_errors
 from lmd.estimation.flights import TrajectorySource
-from lmd.estimation.odometry import Odometry
-from lmd.estimation.recording import Each, Flight, Recording, Sensor, record
+from lmd.estimation.recording import Each, Flight, Odometry, Recording, Sensor, record
 from lmd.geometry.se3 import exp
 from lmd.geometry.trajectory import Trajectory
 from lmd.problem import Problem
 
-# Keeps the flights apart from every other use of the same seed.
+# Separates the random numbers of flights from other uses of a seed.
 FLIGHTS_STREAM = 0x666C79
-SHARES = (1, 2, 3, 4)  # landmarks in view for which the share of time is reported, beside the objective's n
-ERROR_LIMITS = (0.01, 0.02, 0.05)  # position errors of which the share of frames is reported, metres
-SETTLED_SHARE = 0.01  # of the initial Er
-QUANTILES = (0.1, 0.5, 0.9)  # over the seeds: band, median, band
+# Numbers of landmarks in view with a reported share of time, in addition to the n of the objective.
+SHARES = (1, 2, 3, 4)
+# Position errors with a reported share of frames, metres.
+ERROR_LIMITS = (0.01, 0.02, 0.05)
+# Largest Er of a settled estimate, relative to the initial Er.
+SETTLED_SHARE = 0.01
+# Quantiles over the seeds: band, median, band.
+QUANTILES = (0.1, 0.5, 0.9)
+# Maximum number of points of a curve over time.
 CURVE_WINDOWS = 300
 
 
 @dataclass(frozen=True)
 class InitialError:
-    """How wrong the first estimate is; the directions are random.
-
-    Args:
-        position: metres.
-        attitude: rad.
+    """Error of the first estimate, in random directions.
 
     Raises:
         InputError: a value is negative, or the attitude is more than pi.
     """
 
     position: float
+    """Metres."""
     attitude: float
+    """Rad."""
 
     def __post_init__(self) -> None:
         check_fields(self, real, "position", low=0.0)
         check_fields(self, real, "attitude", low=0.0, high=np.pi)
 
     def applied(self, pose: FloatArray, rng: np.random.Generator) -> FloatArray:
-        """A first estimate for a camera at `pose` `(4, 4)`."""
+        """Draw a first estimate of a camera pose `(4, 4)`."""
         directions = rng.normal(size=(2, 3))
         directions /= np.linalg.norm(directions, axis=1, keepdims=True)
         turn = np.concatenate([self.attitude * directions[0], np.zeros(3)])
@@ -59,24 +60,21 @@ class InitialError:
 
 @dataclass(frozen=True)
 class Flights:
-    """S flights, the same for every deployment: one for each seed.
-
-    Args:
-        seeds: `(S,)`.
-        trajectories: S of them with the same times.
-        start: first estimate of each, `(S, 4, 4)`.
-    """
+    """S flights that are independent of the deployment, one for each seed."""
 
     seeds: Sequence[int]
+    """S seeds."""
     trajectories: Sequence[Trajectory]
+    """S trajectories with equal times."""
     start: FloatArray
+    """First estimate of each flight, `(S, 4, 4)`."""
 
     @classmethod
     def draw(cls, problem: Problem, source: TrajectorySource, initial: InitialError, seeds: Sequence[int]) -> "Flights":
-        """One flight for each seed in the scene of `problem`.
+        """Draw one flight for each seed in the scene of `problem`.
 
         Raises:
-            InputError: there is no trajectory, or so many would not fit into memory.
+            InputError: there is no trajectory, or the trajectories do not fit into memory.
         """
         trajectories, start = [], []
         for seed in seeds:
@@ -88,7 +86,7 @@ class Flights:
         return cls(seeds, trajectories, np.stack(start))
 
     def over(self, problem: Problem, all_visible: bool = False) -> list[Flight]:
-        """The flights over the deployment that `problem` starts from; a random one is another for each seed."""
+        """The flights over the start of `problem`; a random start is drawn for each seed."""
         return [
             Flight(
                 problem.evaluator,
@@ -103,37 +101,31 @@ class Flights:
 
 @dataclass(frozen=True)
 class Outcome:
-    """What came of the S flights over one deployment.
-
-    Args:
-        counts: landmarks in each frame, `(S, T)`.
-        shares: share of time with at least n landmarks, by n, `(S,)` each.
-        errors: of each estimator.
-    """
+    """Results of S flights over one deployment."""
 
     counts: IntArray
+    """Number of landmarks in each frame, `(S, T)`."""
     shares: Mapping[int, FloatArray]
+    """Share of time with at least n landmarks, by n, `(S,)` each."""
     errors: Mapping[str, Errors]
+    """Errors by estimator."""
 
 
 @dataclass(frozen=True)
 class FlightStudy:
-    """The outcome for each deployment.
-
-    Args:
-        seeds: of the flights.
-        time: of the frames, seconds, `(T,)`.
-        initial: Er of the first estimates, `(S,)`.
-        outcomes: by the deployment's name.
-    """
+    """Outcomes of several deployments."""
 
     seeds: Sequence[int]
+    """Seeds of the flights."""
     time: FloatArray
+    """Times of the frames, seconds, `(T,)`."""
     initial: FloatArray
+    """Er of the first estimates, `(S,)`."""
     outcomes: Mapping[str, Outcome]
+    """Outcomes by the name of the deployment."""
 
     def figures(self) -> pd.DataFrame:
-        """One row for each deployment, estimator and seed.
+        """Table with one row for each deployment, estimator and seed.
 
         Columns: `mean_visible`, `share_visible_<n>`; `mean_error` (Er over the whole flight); `settling_time` (s, from
         when on Er stays below 1 % of its initial value, infinite if it does not or if there are frames without an

@@ -1,4 +1,4 @@
-"""Accuracy of the position from one image, predicted for every view of a deployment, whatever its objective.
+"""Accuracy of the position from one image, predicted for every view of a deployment, for any objective.
 
 The prediction is the standard deviation of `lmd.objectives.localisation`, infinite for views that cover fewer than n
 landmarks, or a single tag whose two poses look alike. All figures are off the grid: random positions, orientations from
@@ -16,8 +16,8 @@ from lmd.core.tables import write_table
 from lmd.evaluation.validation import Sample, sampled_evaluators
 from lmd.objectives.base import Objective
 from lmd.objectives.localisation import Localisation
+from lmd.objectives.localisation.evaluation import localised_views
 from lmd.objectives.localisation.information import deviation_per_variance
-from lmd.objectives.localisation.views import localised_views
 from lmd.problem import Problem
 from lmd.scene.deployment import Deployment
 from lmd.sight.evaluator import Evaluator, averaged

@@ -178,9 +178,9 @@ class Kind(NamedTuple):
     cells: Cells
     """Pieces of the walls where they may hang."""
     poses: Deployment
-    """Those in the centres of the cells; with their edge, where there are several sizes."""
+    """Landmarks at the centres of the cells, with their edge."""
     number: int
-    """How many there are."""
+    """Number of these landmarks."""
 
 
 def _kinds(problem: Problem, evaluator: Evaluator, count: int, spacing: float) -> list[Kind]:
@@ -189,16 +189,15 @@ def _kinds(problem: Problem, evaluator: Evaluator, count: int, spacing: float) -
     Raises:
         InputError: there are several, and another number of landmarks than that of the problem.
     """
-    plates, sizes = problem.scene.plates, problem.free_sizes
-    if sizes is None or not problem.scene.has_several_sizes:
-        cells = wall_cells(plates.hanging, spacing)
-        return [Kind(evaluator, cells, cells.poses, count - problem.fixed_count)]
-    if count != problem.count:
+    footprints, sizes = problem.scene.footprints, problem.free_sizes
+    if not problem.scene.has_several_sizes:
+        sizes = np.full(count - problem.fixed_count, sizes[0])
+    elif count != problem.count:
         raise InputError(f"of {count} landmarks it is not known how many have each size.")
     kinds = []
     for edge, number in zip(*np.unique(sizes, return_counts=True), strict=True):
-        cells = wall_cells(plates.inset(plates.tag.paper_share * edge), spacing)
-        poses = replace(cells.poses, edges=np.full(len(cells.poses), edge))
+        cells = wall_cells(footprints.inset(footprints.tag.paper_share * edge), spacing)
+        poses = replace(cells.poses, edges=np.full(len(cells.poses), edge or np.nan))
         kinds.append(Kind(evaluator.sized(np.array([edge])), cells, poses, int(number)))
     return kinds
 

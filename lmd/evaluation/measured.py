@@ -13,11 +13,10 @@ from lmd.evaluation.losses import TAGS_LISTED
 from lmd.evaluation.maps import Hung, error_quantiles, errors_text, map_errors, named_figures, percent_text
 from lmd.evaluation.mounting import SAMPLE, off_grid_figures
 from lmd.evaluation.validation import Sample
+from lmd.formats.tag_maps import read_deployment
 from lmd.problem import Problem
 from lmd.scene.deployment import Deployment
-from lmd.scene.edges import with_gaps
-from lmd.scene.plates import as_they_are
-from lmd.scene.tag_map_files import read_deployment
+from lmd.scene.footprints import as_they_are
 
 RANDOM_VIEWS = 2000  # number of random poses
 MEASURED_STREAM = 0x737572766579  # keeps the noise apart from every other use of the seed
@@ -35,7 +34,7 @@ def read_measured(
         path: a CSV like those of plans, or a tag map.
         problem: the problem of the plan.
         plan: K landmarks.
-        axes: directions of the axes of the frame of a tag in a table, see `lmd.scene.placed_tag.axes_of`.
+        axes: directions of the axes of the frame of a tag in a table, see `lmd.formats.placed_tag.axes_of`.
 
     Raises:
         InputError: the file is no deployment, does not have the ids of the plan, or a tag is outside the room and
@@ -52,9 +51,8 @@ def read_measured(
     places = np.argsort(measured.ids)[np.searchsorted(np.sort(measured.ids), plan.ids)]
     with said_of(f"measured: {path}", "measured"):
         measured, scene = replace(measured[places], note=measured.note), problem.scene
-        hung = measured.hung(scene.room, as_they_are(problem.start), scene.plates.papers(measured))
-    told, planned = with_gaps(hung.edges, len(plan)), with_gaps(plan.edges, len(plan))
-    return replace(hung, labels=plan.labels, edges=np.where(np.isnan(told), planned, told))
+        hung = measured.hung(scene.room, as_they_are(problem.start), scene.footprints.papers(measured))
+    return replace(hung, labels=plan.labels, edges=np.where(np.isnan(hung.edges), plan.edges, hung.edges))
 
 
 @dataclass(frozen=True)

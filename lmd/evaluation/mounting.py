@@ -87,7 +87,7 @@ class MountingError:
         on = np.flatnonzero(moved.surfaces >= 0)
         if not len(on):
             return moved
-        apart = problem.scene.plates.apart(moved[on], fixed=int((on < problem.fixed_count).sum()))
+        apart = problem.scene.footprints.apart(moved[on], fixed=int((on < problem.fixed_count).sum()))
         if apart is None:
             raise InputError(f"position = {self.position:g} m leaves no room for all papers.", "position")
         return moved.put(on, apart)

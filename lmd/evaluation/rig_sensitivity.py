@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from lmd.core.checks import BoolArray, FloatArray
-from lmd.objectives.localisation.rig import Moments, covers, located, moments_of
+from lmd.objectives.localisation.rig import Images, covers, images_of, located
 from lmd.scene.deployment import Deployment
 from lmd.sight.evaluator import Evaluator
 
@@ -34,9 +34,9 @@ class RigMoments:
     """Required precision, see `lmd.objectives.localisation.information`."""
 
     @cached_property
-    def moments(self) -> Moments:
+    def moments(self) -> Images:
         """All N moments, with the landmarks in the image of each camera."""
-        return moments_of(self.evaluator, self.deployment)
+        return images_of(self.evaluator, self.deployment)
 
     @property
     def share(self) -> FloatArray:
@@ -44,7 +44,7 @@ class RigMoments:
         weight = self.moments.weight
         return np.asarray(weight / weight.sum())
 
-    def decided(self, moments: Moments, seen: BoolArray) -> BoolArray:
+    def decided(self, moments: Images, seen: BoolArray) -> BoolArray:
         """Find the moments with landmarks `seen` that are localised, and those that cover n landmarks, `(2, M)`."""
         found = located(self.evaluator, self.deployment, moments._replace(seen=seen), self.n, self.precision)
         return np.stack([found, covers(seen, self.n)])

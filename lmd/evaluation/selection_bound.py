@@ -24,7 +24,7 @@ from lmd.core.checks import FloatArray, InputError
 from lmd.core.compiled import clock
 from lmd.evaluation.time_limit import TimeLimit
 from lmd.objectives.base import selectable
-from lmd.optimisers.selection import GAINS_BATCH, Stock, Tags, add_each, candidates, select
+from lmd.optimisers.selection import GAINS_BATCH, Tags, add_each, candidates, select
 from lmd.problem import Problem
 
 # Share of the best that the greedy choice always reaches, where no pose excludes another.
@@ -68,29 +68,27 @@ def selection_upper_bound(
         InputError: the objective has no selection, the spacing is not positive, or there are several sizes and another
             number of landmarks than that of the problem.
     """
-    plates, objective = problem.scene.plates, selectable(problem.objective)
+    footprints, objective = problem.scene.footprints, selectable(problem.objective)
     evaluator, relevance = problem.fitness_evaluator, problem.fitness_relevance
     several = problem.scene.has_several_sizes
     if several and count != problem.count:
         raise InputError(f"of {count} landmarks it is not known how many have each size.")
-    edges = problem.free_sizes if several else None
-    poses = candidates(plates, edges, spacing)
-    stock: int | Stock = count - problem.fixed_count if edges is None else Tags(edges)
+    sizes = problem.free_sizes if several else np.full(count - problem.fixed_count, problem.sizes[0])
+    poses, stock = candidates(footprints, problem.free_edges, spacing), Tags(sizes, problem.scene.tag)
+    own = poses.edges_of(problem.scene.tag)
     limit, selection, greedy = limit or TimeLimit(), objective.selection(evaluator, relevance), 0.0
     add_each(selection, problem.hung)
 
     def largest(gains: FloatArray) -> float:
         """The sum of as many of the largest gains as there are landmarks, of each size."""
-        if edges is None or poses.edges is None:
-            return _largest(gains, count - problem.fixed_count)
-        sizes = zip(*np.unique(edges, return_counts=True), strict=True)
-        return sum(_largest(gains[poses.edges == edge], number) for edge, number in sizes)
+        counts = zip(*np.unique(sizes, return_counts=True), strict=True)
+        return sum(float(np.sort(gains[own == edge])[-number:].sum()) for edge, number in counts)
 
     began = clock()
     at_first = largest(selection.gains(poses))
     scans = limit.left / (clock() - began) - 1.0  # one is left for the gains in the end
     chosen, spent = select(
-        objective.selection(evaluator, relevance), poses, stock, plates, scans * len(poses), problem.hung
+        objective.selection(evaluator, relevance), poses, stock, footprints, scans * len(poses), problem.hung
     )
     if spent + (GAINS_BATCH if spent else len(poses)) > scans * len(poses):
         limit.cut.append(f"the greedy choice after {len(chosen)} of {count - problem.fixed_count} landmarks")
@@ -103,8 +101,3 @@ def selection_upper_bound(
     gains[chosen] = 0.0  # each pose once
     guarantee = 0.0 if limit.cut else GUARANTEE_OF_SIZES if several else GUARANTEE
     return SelectionBound(selection.label, greedy, min(at_first, greedy + largest(gains)), guarantee)
-
-
-def _largest(gains: FloatArray, count: int) -> float:
-    """The sum of the largest `count` gains."""
-    return float(np.sort(gains)[-count:].sum())

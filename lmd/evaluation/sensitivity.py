@@ -1,7 +1,7 @@
 """Sensitivity of the figures of a deployment to assumptions: the noise, the tags, and the detection of every tag.
 
 All variants are measured off the grid, at equal random positions and orientations (`lmd.evaluation.validation`), so
-they differ by the assumption alone. There are two figures, whatever the objective: the mean of L, the probability of
+they differ by the assumption alone. There are two figures, for any objective: the mean of L, the probability of
 localising to the tolerance, and the mean of P_n, the probability of covering n landmarks.
 """
 
@@ -23,11 +23,10 @@ from lmd.evaluation.validation import Sample, sampled_evaluators
 from lmd.incremental.counts import counts_of
 from lmd.incremental.field import in_order
 from lmd.incremental.move import overlook
+from lmd.objectives.coverage import Mean
 from lmd.objectives.localisation import Localisation
+from lmd.objectives.localisation.evaluation import localised_views
 from lmd.objectives.localisation.field import LocalisationField
-from lmd.objectives.localisation.move import localisation_state
-from lmd.objectives.localisation.objective import Mean
-from lmd.objectives.localisation.views import localised_views
 from lmd.objectives.without import without_landmarks
 from lmd.problem import Problem
 from lmd.scene.deployment import Deployment
@@ -166,7 +165,7 @@ def _variants(problem: Problem, deployment: Deployment) -> list[Variant]:
         resized, note = replace(scene, tag=tag, visibility=seen), ""
         larger = replace(deployment, edges=factor * deployment.edges_of(scene.tag))
         try:
-            resized.plates.check(larger)
+            resized.footprints.check(larger)
         except InputError as error:
             note = str(error)
         variants.append(Variant("edge", factor, tag.size, resized.sized(larger.edges), objective, larger, note))
@@ -244,7 +243,7 @@ def missed_shares(field: LocalisationField, deployment: Deployment, rng: np.rand
     sets = np.stack([[packed(draw < share) for share in MISS_PROBABILITIES] for draw in draws], axis=1)
     for share, missed in zip(MISS_PROBABILITIES, sets, strict=True):
         overlook(missed, cover, known)
-        state = localisation_state(field, known)
+        state = field.state_with(known)
         enough = binom.sf(cover.n - 1, np.arange(len(deployment) + 1), 1.0 - share)
         drawn = (units[places].mean() / PROBABILITY_ONE for units in (state.located, known.units))
         located, sampled = drawn

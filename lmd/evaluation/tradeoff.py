@@ -18,8 +18,7 @@ import pandas as pd
 from lmd.core.checks import FloatArray
 from lmd.evaluation.validation import Sample
 from lmd.objectives.base import selectable
-from lmd.optimisers.composition import stock_of_sizes
-from lmd.optimisers.selection import GRID_SPACING, ROUNDING, Landmarks, candidates, select
+from lmd.optimisers.selection import GRID_SPACING, ROUNDING, Tags, candidates, select, stock_of_sizes
 from lmd.problem import Problem
 from lmd.scene.deployment import Deployment
 from lmd.scene.deployment_sources import GivenDeployment
@@ -71,13 +70,13 @@ def grown(problem: Problem, deployment: Deployment) -> Deployment:
     Where the grid of poses has no room for all, the rest hang as in the start of the problem. Where the problem has a
     limit, landmarks of any of its sizes are added until it is used up.
     """
-    plates, tag, start = problem.scene.plates, problem.scene.tag, problem.draw(np.random.default_rng(0))
-    poses = candidates(plates, None if tag.limit is None else np.array(tag.edges), GRID_SPACING)
+    footprints, tag, start = problem.scene.footprints, problem.scene.tag, problem.draw(np.random.default_rng(0))
+    poses = candidates(footprints, np.array([np.nan] if tag.limit is None else tag.edges), GRID_SPACING)
     selection = selectable(problem.objective).selection(problem.evaluator, problem.relevance)
     limit, prices = _priced(problem, deployment)
     left = limit - prices.sum()
-    stock = Landmarks(int(left)) if tag.limit is None else stock_of_sizes(tag, plates, left)
-    chosen, _ = select(selection, poses, stock, plates, fixed=deployment)
+    stock = stock_of_sizes(tag, footprints, left) if tag.limit else Tags(tag.filled(np.full(int(left), np.nan)), tag)
+    chosen, _ = select(selection, poses, stock, footprints, fixed=deployment)
     more = deployment + poses[chosen] if len(chosen) else deployment
     if len(more) == problem.count or tag.limit is not None:
         return more
@@ -104,7 +103,7 @@ def _priced(problem: Problem, deployment: Deployment) -> tuple[float, FloatArray
     free, tag = problem.free(deployment), problem.scene.tag
     if tag.limit is None:
         return problem.free_count, np.ones(len(free))
-    return tag.limit * (1.0 + ROUNDING), stock_of_sizes(tag, problem.scene.plates, tag.limit).prices(free)
+    return tag.limit * (1.0 + ROUNDING), stock_of_sizes(tag, problem.scene.footprints, tag.limit).prices(free)
 
 
 def improved(

@@ -9,7 +9,7 @@ the qualified ratio on that grid flatters it. Three figures do not depend on tha
   from the continuous distribution the PDF stands for;
 - the grid-free average coverage probability, over the random poses of the same sample.
 
-Like `qualified_ratio`, all of them count every position alike, whatever its relevance.
+Like `qualified_ratio`, all of them weigh every position alike, without its relevance.
 
 Where poses were recorded, the figures are those at the poses exactly as recorded: those that were optimised on, and
 those held out.

@@ -11,6 +11,8 @@ from lmd.core.checks import FloatArray, InputError, check_fields, integer, real,
 from lmd.geometry.lens import Lens, lens_of
 
 MM_PER_M = 1000.0
+# Centre of the first pixel from the image's border, pixels: ROS and OpenCV count from it, COLMAP from the border.
+PIXEL_CENTRE = 0.5
 # Maximum half-angle of the cone of view, rad: a wider cone would contain points beside the camera.
 WIDEST_CONE = math.radians(89.0)
 
@@ -92,6 +94,16 @@ class Camera:
             raise InputError(
                 "image_circle needs the distortion of a lens: a pinhole's image has no end.", "image_circle"
             )
+
+    @property
+    def cameras(self) -> "tuple[Camera, ...]":
+        """The camera itself, as a rig has several."""
+        return (self,)
+
+    @property
+    def extrinsics(self) -> FloatArray:
+        """Pose of the camera in the frame that moves, its own, `(1, 4, 4)`."""
+        return np.eye(4)[None]
 
     @property
     def is_pinhole(self) -> bool:

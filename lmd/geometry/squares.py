@@ -36,7 +36,7 @@ def upright(normals: FloatArray) -> tuple[FloatArray, FloatArray]:
 
     Up is the direction in the tag's plane nearest to +z, or nearest to +y if the normal is within `VERTICAL_TOLERANCE`
     of vertical. All tags hang upright: a square is symmetric under quarter turns, so other turns gain little, and
-    plates parallel to the edges of their wall can be mounted with a level.
+    footprints parallel to the edges of their wall can be mounted with a level.
 
     Args:
         normals: unit normals of the front faces, `(..., 3)`.

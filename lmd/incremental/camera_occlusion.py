@@ -53,7 +53,7 @@ def _want_blocks(k, state, scratch):  # type: ignore[no-untyped-def]
 
 
 @note_neighbour.register(State)
-def _note_neighbour(state, cameras, c, b, i, k, how, place, mine, other, field, scratch):  # type: ignore[no-untyped-def]
+def _note_neighbour(state, cameras, c, b, i, k, how, place, box, mine, other, field, scratch):  # type: ignore[no-untyped-def]
     positions, first, last = field.positions, b * np.uint64(BLOCK), (b + ONE) * np.uint64(BLOCK)
     ax, ay, az, nx, ny, nz = place
     lx, ly, lz, vx, vy, vz = pose_of(i, state)

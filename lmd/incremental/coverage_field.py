@@ -12,12 +12,12 @@ from lmd.incremental.field import accept, bound, places_of, settle, undo
 from lmd.incremental.move import carry_out, fill, take_back
 from lmd.incremental.state import RigScratch, RigState, Scratch, State, rig_scratch_of, scratch_of
 from lmd.incremental.trial import bound_move, finish_move
-from lmd.scene.criteria import horizon_of, largest
+from lmd.scene.criteria import horizon_of
 from lmd.scene.deployment import Deployment
 from lmd.sight.blocks import boxes_around
 from lmd.sight.evaluator import Evaluator
-from lmd.sight.obstacles import obstacles_at
-from lmd.sight.stations import Part, places_around, with_sight
+from lmd.sight.mounts import Part, places_around, with_sight
+from lmd.sight.obstacles import half_edge, obstacles_at
 
 # Bytes of a landmark in a camera's view: a bit for the cap, and as much again for occlusion.
 LANDMARK_BYTES = 0.25
@@ -152,7 +152,7 @@ class CoverageField(NamedTuple):
     @property
     def stack(self) -> int:
         """See `Stacking.stack`: tags of several sizes have none."""
-        return self.n if all(largest(sight) is sight for sight in self.cameras.sights) else 0
+        return self.n if all(np.ndim(half_edge(sight)) == 0 for sight in self.cameras.sights) else 0
 
     def stacked(self, fixed: Deployment | None) -> "CoverageField":
         """See `Stacking.stacked`: a stack of n that nothing hides is seen whenever one landmark in its place is.

@@ -107,14 +107,16 @@ def near_line(start, mx, my, mz, hx, hy, hz, radius, ways):  # type: ignore[no-u
 
 
 @dispatched
-def note_neighbour(state, cameras, c, b, i, k, how, place, mine, other, field, scratch):  # type: ignore[no-untyped-def]
+def note_neighbour(state, cameras, c, b, i, k, how, place, box, mine, other, field, scratch):  # type: ignore[no-untyped-def]
     """Find which of landmark i and landmark k at a `place` hides the other from block b, and note it down.
 
     Args:
         cameras: a `OneCamera`, or a `Part` of a rig.
-        c: centre of the cameras.
+        c, b: centre of the cameras, and block of positions.
         how: `LEAVES`, `COMES` or `ARRIVES`.
         place: position and normal, six numbers.
+        box: offset of the place from the centre of the block seen from c, metres, three numbers, and half the length
+            of the box's diagonal.
         mine, other: what a state and a scratch have of the part of a rig.
     """
 
@@ -144,7 +146,8 @@ def search(cameras, k, how, mine, other, field, state, scratch):  # type: ignore
                     i = others[start + lowest(np.uint64(close))]
                     close &= close - np.uint32(1)
                     if i != np.uint64(k):
-                        note_neighbour(state, cameras, c, b, i, k, how, place, mine, other, field, scratch)
+                        box = mx, my, mz, math.sqrt(hx * hx + hy * hy + hz * hz)
+                        note_neighbour(state, cameras, c, b, i, k, how, place, box, mine, other, field, scratch)
 
 
 @inlined

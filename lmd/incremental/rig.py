@@ -10,7 +10,7 @@ from lmd.core.bits import ZERO
 from lmd.core.compiled import allocating, inner
 from lmd.incremental.counts import JUST, SHORT
 from lmd.incremental.nearby import target_of
-from lmd.incremental.rig_occlusion import find_veils
+from lmd.incremental.rig_occlusion import find_occluded
 from lmd.incremental.state import (
     ASKED,
     CAPS,
@@ -20,13 +20,13 @@ from lmd.incremental.state import (
     LAST,
     LISTED,
     LOW,
+    OCCLUDED,
     PAIR_COUNT,
     SPAN_COUNT,
     SURE,
     TOUCHED,
     TOUCHED_COUNT,
     TOUCHED_LIST,
-    VEILED,
     WHERE,
     WHO,
     RigScratch,
@@ -47,8 +47,8 @@ from lmd.incremental.trial import (
     turned,
 )
 from lmd.scene.criteria import frame_of, sized
+from lmd.sight.mounts import blocked_bits, bounds_from, covered_bits, row_from, split
 from lmd.sight.obstacles import find_ends, is_clear, no_ends
-from lmd.sight.stations import blocked_bits, bounds_from, covered_bits, row_from, split
 
 ROW, LEFT_OVER = 0, 1  # rows of `PartScratch.lists`
 
@@ -62,9 +62,9 @@ def _shown_of(state, k, p, w):  # type: ignore[no-untyped-def]
 def _turned(state, i, q, w, scratch):  # type: ignore[no-untyped-def]
     shown = ZERO
     for j in range(len(state.parts)):
-        caps, veiled, flipped = state.parts[j][CAPS], state.parts[j][VEILED], scratch.parts[j].flipped
+        caps, occluded, flipped = state.parts[j][CAPS], state.parts[j][OCCLUDED], scratch.parts[j].flipped
         for m in range(caps.shape[2]):
-            shown |= caps[i, q, m, w] & ~(veiled[i, q, m, w] ^ flipped[i, q, m, w])
+            shown |= caps[i, q, m, w] & ~(occluded[i, q, m, w] ^ flipped[i, q, m, w])
     return state.shown[i, q, w], shown
 
 
@@ -74,7 +74,7 @@ def _forget_views(scratch):  # type: ignore[no-untyped-def]
     for j in range(len(scratch.parts)):
         part = scratch.parts[j]  # copied: outside of other loops
         flipped = part.flipped
-        part.rivals[0] = 0
+        part.occluders[0] = 0
         for e in range(scratch.numbers[PAIR_COUNT]):
             i, q = who[e], where[e]
             for m in range(flipped.shape[2]):
@@ -86,7 +86,7 @@ def _forget_views(scratch):  # type: ignore[no-untyped-def]
 def _find_caps(k, part, positions, body, scratch, rig):  # type: ignore[no-untyped-def]
     """Find in `CAPS` with which orientations of those `ASKED` cameras cover the place tried; add them to `FRESH`.
 
-    Clears `VEILED`.
+    Clears `OCCLUDED`.
 
     Args:
         k: landmark.
@@ -96,7 +96,7 @@ def _find_caps(k, part, positions, body, scratch, rig):  # type: ignore[no-untyp
         scratch, rig: working memory of the part, and of the rig.
     """
     obstacles, asked, fresh = part.obstacles, rig.sets[ASKED], rig.sets[FRESH]
-    cap, veil, seen = scratch.sets[CAPS], scratch.sets[VEILED], scratch.seen
+    cap, tried_occluded, seen = scratch.sets[CAPS], scratch.sets[OCCLUDED], scratch.seen
     x, y, z, most, start, sure = seen[X], seen[Y], seen[Z], seen[HIGH], seen[LOW], seen[SURE]
     row, left_over, reached = scratch.lists[ROW], scratch.lists[LEFT_OVER], scratch.reached
     words, half = np.uint64(asked.shape[1]), np.uint64(part.tables.shape[1] // 2)
@@ -108,7 +108,7 @@ def _find_caps(k, part, positions, body, scratch, rig):  # type: ignore[no-untyp
     for q in positions:
         for m in range(cap.shape[1]):
             for w in range(words):
-                cap[q, m, w] = veil[q, m, w] = ZERO
+                cap[q, m, w] = tried_occluded[q, m, w] = ZERO
     for c in range(len(part.centres)):
         cx, cy, cz, count, kept = part.centres[c, 0], part.centres[c, 1], part.centres[c, 2], ZERO, ZERO
         for i in range(np.uint64(len(positions))):
@@ -154,11 +154,11 @@ def _join(positions, scratch):  # type: ignore[no-untyped-def]
             fresh[q, w] = ZERO
     for j in range(len(scratch.parts)):
         sets = scratch.parts[j].sets
-        cap, veil = sets[CAPS], sets[VEILED]
+        cap, tried_occluded = sets[CAPS], sets[OCCLUDED]
         for q in positions:
             for m in range(cap.shape[1]):
                 for w in range(np.uint64(fresh.shape[1])):
-                    fresh[q, w] |= cap[q, m, w] & ~veil[q, m, w]
+                    fresh[q, w] |= cap[q, m, w] & ~tried_occluded[q, m, w]
 
 
 @inner
@@ -170,7 +170,7 @@ def _see_with(parts, k, positions, field, state, scratch):  # type: ignore[no-un
             fresh[q, w] = ZERO
     for part in literal_unroll(parts):
         _find_caps(k, part, positions, field.positions, scratch.parts[part.number], scratch)
-        find_veils(k, part, field, state, scratch)
+        find_occluded(k, part, field, state, scratch)
     _join(scratch.lists[TOUCHED_LIST][: scratch.numbers[TOUCHED_COUNT]], scratch)
 
 
@@ -226,12 +226,12 @@ def _exchange_sets(state, k, p, w, scratch):  # type: ignore[no-untyped-def]
 @inner
 def _exchange_part(k, positions, mine, other):  # type: ignore[no-untyped-def]
     """Exchange what a part has of landmark k, `mine`, at `positions` for what its scratch has, the `other`."""
-    caps, veiled, cap, veil = mine[CAPS], mine[VEILED], other[CAPS], other[VEILED]
+    caps, occluded, cap, tried_occluded = mine[CAPS], mine[OCCLUDED], other[CAPS], other[OCCLUDED]
     for q in positions:
         for m in range(caps.shape[2]):
             for w in range(caps.shape[3]):
                 caps[k, q, m, w], cap[q, m, w] = cap[q, m, w], caps[k, q, m, w]
-                veiled[k, q, m, w], veil[q, m, w] = veil[q, m, w], veiled[k, q, m, w]
+                occluded[k, q, m, w], tried_occluded[q, m, w] = tried_occluded[q, m, w], occluded[k, q, m, w]
 
 
 @exchange_views.register(RigState)
@@ -244,6 +244,6 @@ def _exchange_views(state, k, scratch):  # type: ignore[no-untyped-def]
         for w in range(np.uint64(state.shown.shape[2])):
             _, state.shown[i, q, w] = turned(state, i, q, w, scratch)
             for j in range(len(state.parts)):
-                veiled, flipped = state.parts[j][VEILED], scratch.parts[j].flipped
-                for m in range(veiled.shape[2]):
-                    veiled[i, q, m, w] ^= flipped[i, q, m, w]
+                occluded, flipped = state.parts[j][OCCLUDED], scratch.parts[j].flipped
+                for m in range(occluded.shape[2]):
+                    occluded[i, q, m, w] ^= flipped[i, q, m, w]

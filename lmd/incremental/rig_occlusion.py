@@ -1,6 +1,6 @@
 """Occlusion from the cameras of a rig: with which orientations another landmark hides one from a camera is a set.
 
-From the centres of the cameras a bound decides for all positions of a block (`stations.may_hide_around`); what is left
+From the centres of the cameras a bound decides for all positions of a block (`mounts.may_hide_around`); what is left
 is tested with each orientation that covers the landmark.
 """
 
@@ -13,10 +13,10 @@ from lmd.core.bits import ZERO, lowest
 from lmd.core.compiled import inlined, inner
 from lmd.incremental.nearby import pose_of, target_of
 from lmd.incremental.occlusion import ARRIVES, COMES, LEAVES, line_radius, note_neighbour, note_pair, search, touch
-from lmd.incremental.state import ASKED, CAPS, VEILED, WHERE, WHO, RigState
+from lmd.incremental.state import ASKED, CAPS, OCCLUDED, WHERE, WHO, RigState
 from lmd.incremental.trial import find_pairs
 from lmd.sight.blocks import BLOCK
-from lmd.sight.stations import hidden_bits, line_room, may_hide_around
+from lmd.sight.mounts import hidden_bits, line_room, may_hide_around
 
 
 @inner
@@ -45,16 +45,16 @@ def _drop_hidden(part, c, i, k, q, px, py, pz, state, flipped):  # type: ignore[
 @inlined
 def _find_pair(part, c, i, k, q, px, py, pz, place, how, mine, other, state, scratch):  # type: ignore[no-untyped-def]
     """Find what landmark k at a `place` hides of landmark i from position q, and note it down."""
-    pose, changed, caps, veiled = pose_of(i, state), False, mine[CAPS], mine[VEILED]
+    pose, changed, caps, occluded = pose_of(i, state), False, mine[CAPS], mine[OCCLUDED]
     for m in range(part.mounts[c], part.mounts[c + 1]):
         for w in range(np.uint64(caps.shape[3])):
             # Little more is read than is needed: these sets are too many for the cache.
-            bits = caps[i, q, m, w] if how == COMES else veiled[i, q, m, w]
+            bits = caps[i, q, m, w] if how == COMES else occluded[i, q, m, w]
             found = _hidden_bits(part, m, w, bits, k, i, px, py, pz, place, pose) if bits else ZERO
             if found == ZERO:
                 continue
             was = flips = other.flipped[i, q, m, w]
-            flips = found if how == LEAVES else (flips & ~found) | (found & ~veiled[i, q, m, w])
+            flips = found if how == LEAVES else (flips & ~found) | (found & ~occluded[i, q, m, w])
             changed |= flips != was
             other.flipped[i, q, m, w] = flips
     if changed and how == LEAVES:
@@ -65,18 +65,14 @@ def _find_pair(part, c, i, k, q, px, py, pz, place, how, mine, other, state, scr
 
 
 @note_neighbour.register(RigState)
-def _note_neighbour(state, part, c, b, i, k, how, place, mine, other, field, scratch):  # type: ignore[no-untyped-def]
-    body, boxes, size, radius = field.positions, field.boxes, len(scratch.units), part.radius[c]
+def _note_neighbour(state, part, c, b, i, k, how, place, box, mine, other, field, scratch):  # type: ignore[no-untyped-def]
+    body, size, radius, (mx, my, mz, diagonal) = field.positions, len(scratch.units), part.radius[c], box
     cx, cy, cz = part.centres[c, 0], part.centres[c, 1], part.centres[c, 2]
-    hx, hy, hz = (
-        np.float32(boxes[3, b] + radius), np.float32(boxes[4, b] + radius), np.float32(boxes[5, b] + radius)
-    )  # fmt: skip
     ax, ay, az, width = place[0], place[1], place[2], line_radius(part.sight)
-    mx, my, mz = ax - boxes[0, b] - cx, ay - boxes[1, b] - cy, az - boxes[2, b] - cz
     ex, ey, ez, lanes = state.poses[0, i] - ax, state.poses[1, i] - ay, state.poses[2, i] - az, np.uint32(0)
     vx, vy, vz, apart = mx + ex, my + ey, mz + ez, math.sqrt(ex * ex + ey * ey + ez * ez)
     far = math.sqrt(max(mx * mx + my * my + mz * mz, vx * vx + vy * vy + vz * vz))
-    most = line_room(far + math.sqrt(hx * hx + hy * hy + hz * hz), apart, radius, width)
+    most = line_room(far + diagonal, apart, radius, width)
     for lane in range(np.uint64(BLOCK)):
         q = b * np.uint64(BLOCK) + lane
         ux, uy, uz = ax - (body[0, q] + cx), ay - (body[1, q] + cy), az - (body[2, q] + cz)
@@ -88,26 +84,26 @@ def _note_neighbour(state, part, c, b, i, k, how, place, mine, other, field, scr
         if how != ARRIVES:
             _find_pair(part, c, i, k, q, body[0, q], body[1, q], body[2, q], place, how, mine, other, state, scratch)
         if how != LEAVES:
-            other.pairs[WHO, other.rivals[0]], other.pairs[WHERE, other.rivals[0]] = i, np.uint64(c * size) + q
-            other.rivals[0] += 1
+            other.pairs[WHO, other.occluders[0]], other.pairs[WHERE, other.occluders[0]] = i, np.uint64(c * size) + q
+            other.occluders[0] += 1
 
 
 @inner
-def find_veils(k, part, field, state, scratch):  # type: ignore[no-untyped-def]
-    """Find in `VEILED` with which of the orientations of `CAPS` that are `ASKED` others hide the place tried."""
+def find_occluded(k, part, field, state, scratch):  # type: ignore[no-untyped-def]
+    """Find in `OCCLUDED` with which of the orientations of `CAPS` that are `ASKED` others hide the place tried."""
     other, size, body = scratch.parts[part.number], np.uint64(len(scratch.units)), field.positions
-    place, asked, cap, veil = target_of(scratch), scratch.sets[ASKED], other.sets[CAPS], other.sets[VEILED]
+    place, asked, cap, tried_occluded = target_of(scratch), scratch.sets[ASKED], other.sets[CAPS], other.sets[OCCLUDED]
     who, where = other.pairs[WHO], other.pairs[WHERE]
-    for e in range(other.rivals[0]):
+    for e in range(other.occluders[0]):
         i, c, q = np.uint64(who[e]), where[e] // size, where[e] % size
         for m in range(part.mounts[c], part.mounts[c + np.uint64(1)]):
             for w in range(np.uint64(cap.shape[2])):
-                bits = cap[q, m, w] & asked[q, w] & ~veil[q, m, w]
+                bits = cap[q, m, w] & asked[q, w] & ~tried_occluded[q, m, w]
                 if bits:
                     px, py, pz = body[0, q], body[1, q], body[2, q]
                     found = _hidden_bits(part, m, w, bits, i, k, px, py, pz, pose_of(i, state), place)
                     if found:
-                        veil[q, m, w] |= found
+                        tried_occluded[q, m, w] |= found
                         touch(q, scratch)
 
 
@@ -118,7 +114,7 @@ def _find_pairs_of(parts, k, how, field, state, scratch):  # type: ignore[no-unt
         if part.sight.reach >= 0.0:
             search(part, k, how, state.parts[part.number], scratch.parts[part.number], field, state, scratch)
             if how == COMES:
-                find_veils(k, part, field, state, scratch)
+                find_occluded(k, part, field, state, scratch)
 
 
 @find_pairs.register(RigState)

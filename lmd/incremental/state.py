@@ -17,7 +17,7 @@ HIDING = 1  # number of other landmarks that this one hides
 
 # Rows of the parts of `RigState`, and of `PartScratch.sets`.
 CAPS = 0  # orientations with which a camera covers a landmark, occlusion ignored
-VEILED = 1  # those of them with which another landmark hides it
+OCCLUDED = 1  # those of them with which another landmark hides it
 
 # Rows of `Scratch.numbers`.
 BLOCK_COUNT = 0  # number of `BLOCKS`
@@ -86,7 +86,7 @@ class RigState(NamedTuple):
     units: np.ndarray
     """As in `State`."""
     parts: tuple[np.ndarray, ...]
-    """`(2, K, Q, M, W)` of each part with M cameras: `CAPS`, `VEILED`."""
+    """`(2, K, Q, M, W)` of each part with M cameras: `CAPS`, `OCCLUDED`."""
     shown: np.ndarray
     """`(K, Q, W)` orientations with which some camera sees a landmark."""
 
@@ -132,10 +132,10 @@ class PartScratch(NamedTuple):
     """The move tried last as one part of a rig sees it, and working memory for Q positions."""
 
     sets: np.ndarray
-    """`(2, Q, M, W)`: `CAPS`, `VEILED` of the place tried among the orientations `ASKED`."""
+    """`(2, Q, M, W)`: `CAPS`, `OCCLUDED` of the place tried among the orientations `ASKED`."""
     flipped: np.ndarray
-    """`(K, Q, M, W)` changes of `VEILED` of the others, for the pairs in `RigScratch`."""
-    rivals: np.ndarray
+    """`(K, Q, M, W)` changes of `OCCLUDED` of the others, for the pairs in `RigScratch`."""
+    occluders: np.ndarray
     """`(1,)` number of `pairs`."""
     pairs: np.ndarray
     """`(2, K C Q)` uint32 pairs of another landmark and a centre around which it may hide the place tried: `WHO`,
@@ -215,7 +215,7 @@ def rig_scratch_of(state: RigState, centres: tuple[int, ...]) -> RigScratch:
         PartScratch(
             sets=np.zeros((2, *part.shape[2:]), dtype=np.uint64),
             flipped=np.zeros(part.shape[1:], dtype=np.uint64),
-            rivals=np.zeros(1, dtype=np.int64),
+            occluders=np.zeros(1, dtype=np.int64),
             pairs=np.empty((2, count * around * size), dtype=np.uint32),
             seen=np.empty((6, size)),
             lists=np.empty((2, size + 1), dtype=np.uint64),

@@ -1,9 +1,8 @@
-"""What a deployment is for: the value of each position, and the fitness that optimisers climb."""
+"""Objectives of a deployment: the value of each position, and the fitness that optimisers maximise."""
 
 from lmd.objectives.base import Objective
-from lmd.objectives.coverage import Coverage
+from lmd.objectives.coverage import Coverage, MeanCoverage
 from lmd.objectives.localisation import Localisation
-from lmd.objectives.mean_coverage import MeanCoverage
 from lmd.objectives.sampling import Sampling
 
 __all__ = ["Coverage", "Localisation", "MeanCoverage", "Objective", "Sampling"]

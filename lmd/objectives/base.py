@@ -1,4 +1,4 @@
-"""What an objective must answer: the value of each position, what that is worth, and what it is called."""
+"""Objectives: the value of each position, the fitness of all values, and their names."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Headline:
-    """The figure that an objective is about, as displays show it.
+    """The main figure of an objective, as displays show it.
 
     Args:
         key: its name among the figures.
@@ -45,24 +45,24 @@ class Headline:
 
 
 class Selection(Protocol):
-    """A monotone submodular stand-in for an objective: what further landmarks gain, given those chosen."""
+    """A monotone submodular surrogate of an objective: gains of further landmarks, given those chosen."""
 
     @property
     def label(self) -> str:
         """The quantity in words, for readers."""
 
     def gains(self, poses: Deployment) -> FloatArray:
-        """What each pose would add, `(N,)`; never more than it would have added before others were chosen."""
+        """Gain of each pose, `(N,)`; never greater than before others were chosen."""
 
     def add(self, pose: Deployment) -> None:
         """Choose one landmark more."""
 
 
 class Objective(Protocol):
-    """What a deployment is for.
+    """The purpose of a deployment.
 
-    An objective with no more than this is climbed by every black box. One that is `Incremental` too is climbed by
-    `annealing`, one that is also `Selectable` by `greedy`.
+    Every black box can maximise an objective with these members; `annealing` needs one that is `Incremental` too,
+    `greedy` one that is `Selectable`.
     """
 
     @property
@@ -71,7 +71,7 @@ class Objective(Protocol):
 
     @property
     def sampling(self) -> "Sampling | None":
-        """Where the fitness is measured; None for the room's grid and the PDF itself."""
+        """Positions and orientations of the fitness; None for the room's grid and the PDF itself."""
 
     @property
     def headline(self) -> Headline:
@@ -79,15 +79,15 @@ class Objective(Protocol):
 
     @property
     def name(self) -> str:
-        """What sets it apart from others of its kind, for titles, such as `n=2 p=0.65`."""
+        """Its settings for titles, such as `n=2 p=0.65`."""
 
     @property
     def value_name(self) -> str:
-        """What the value of a position is called, such as `P_2`."""
+        """Name of the value of a position, such as `P_2`."""
 
     @property
     def value_label(self) -> str:
-        """What it means, for the legend of a picture."""
+        """Meaning of the value, for the legend of a picture."""
 
     @property
     def threshold(self) -> float:
@@ -100,13 +100,13 @@ class Objective(Protocol):
         """The value of each position of `evaluator`, in [0, 1], `(B, P)`, for B deployments `(B, K, 3)`."""
 
     def qualified(self, values: FloatArray) -> BoolArray:
-        """Which positions are good enough, same shape as `values`."""
+        """Flags of positions that are good enough, in the shape of `values`."""
 
     def fitness(self, values: FloatArray, relevance: FloatArray) -> FloatArray:
-        """What optimisers maximise, in [0, 1]: `(..., P)` values, weights `(P,)` -> `(...)`."""
+        """The fitness that optimisers maximise, in [0, 1]: `(..., P)` values, weights `(P,)` -> `(...)`."""
 
     def shares(self, values: FloatArray) -> Mapping[str, FloatArray | BoolArray]:
-        """The figures that are means over positions: what each position contributes, same shape as `values`."""
+        """The figures that are means over positions: contribution of each position, in the shape of `values`."""
 
     def figures(self, values: FloatArray, relevance: FloatArray) -> dict[str, float]:
         """All figures of a deployment from the values of the grid's positions and their relevance, `(P,)` each."""
@@ -120,21 +120,21 @@ class Objective(Protocol):
 
 @runtime_checkable
 class Incremental(Protocol):
-    """What an objective has whose values can be updated as single landmarks move."""
+    """Members of an objective whose values can be updated as single landmarks move."""
 
     def field(self, evaluator: Evaluator) -> "Field":
         """The values at the positions of `evaluator`, ready to be updated."""
 
     def target(self, relevance: FloatArray) -> "Target":
-        """What the values of a field are worth, with weights `(Q,)` in the order of its positions."""
+        """Target for the values of a field, with weights `(Q,)` in the order of its positions."""
 
 
 @runtime_checkable
 class Selectable(Protocol):
-    """What an objective has for which landmarks can be selected one after the other."""
+    """Members of an objective for which landmarks can be selected one after the other."""
 
     def selection(self, evaluator: Evaluator, relevance: FloatArray) -> Selection:
-        """A stand-in that greedy selection can climb, with nothing chosen."""
+        """A surrogate for greedy selection, with no landmark chosen."""
 
 
 def incremental(objective: Objective) -> Incremental:
@@ -164,7 +164,7 @@ def selectable(objective: Objective) -> Selectable:
 
 @dataclass(frozen=True)
 class AtLeast:
-    """What objectives share that ask for n landmarks at the same time, with a probability.
+    """Shared part of objectives that need n landmarks at the same time with a probability.
 
     Args:
         n: landmarks that the camera must see at the same time.

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
+from typing_extensions import override
 
 from lmd.core.checks import BoolArray, FloatArray
 from lmd.incremental.coverage_field import CoverageField, coverage_field
@@ -18,7 +19,44 @@ from lmd.sight.evaluator import Evaluator
 from lmd.sight.kernels import PROBABILITY_ONE
 from lmd.sight.poses import covered_amounts, gains
 
-PRICE_BYTES = 24  # of a view while poses are selected: its price, how often it is covered, and their product
+PRICE_BYTES = 24  # bytes per view while poses are selected: price, count of landmarks, and product
+
+
+class Threshold(NamedTuple):
+    """The weight of positions whose value reaches a threshold; a `Target`."""
+
+    threshold: int
+    """Least value of a qualified position, in integer units."""
+    relevance: FloatArray
+    """`(Q,)` weights of the positions."""
+
+
+@smoothed.register(Threshold)
+def _smoothed(target, p, units, margin, width, share):  # type: ignore[no-untyped-def]
+    above = (units - target.threshold) / PROBABILITY_ONE - margin
+    return target.relevance[p] * (1.0 / (1.0 + math.exp(-above / width)) + share * units / PROBABILITY_ONE)
+
+
+@worth.register(Threshold)
+def _worth(target, p, units):  # type: ignore[no-untyped-def]
+    return target.relevance[p] * (units >= target.threshold)
+
+
+class Mean(NamedTuple):
+    """The weighted mean of the values; a `Target`."""
+
+    relevance: FloatArray
+    """`(Q,)` weights of the positions."""
+
+
+@smoothed.register(Mean)
+def _smoothed_mean(target, p, units, margin, width, share):  # type: ignore[no-untyped-def]
+    return target.relevance[p] * (units / PROBABILITY_ONE)
+
+
+@worth.register(Mean)
+def _worth_of_mean(target, p, units):  # type: ignore[no-untyped-def]
+    return target.relevance[p] * (units / PROBABILITY_ONE)
 
 
 @dataclass(frozen=True)
@@ -62,7 +100,7 @@ class Coverage(AtLeast):
 
     def fitness(self, values: FloatArray, relevance: FloatArray) -> FloatArray:
         """See `Objective.fitness`."""
-        # A product and a sum over the last axis: each row is added in the same order whatever the batch.
+        # A product and a sum over the last axis: each row is added in one order for every batch.
         return np.asarray((self.qualified(values) * relevance).sum(axis=-1) / relevance.sum())
 
     def shares(self, values: FloatArray) -> Mapping[str, FloatArray | BoolArray]:
@@ -102,7 +140,7 @@ class Coverage(AtLeast):
         """See `Objective.field`."""
         return coverage_field(evaluator, self.n)
 
-    def target(self, relevance: FloatArray) -> "Threshold":
+    def target(self, relevance: FloatArray) -> Threshold | Mean:
         """See `Objective.target`."""
         return Threshold(math.ceil((self.thold_p - TOLERANCE) * PROBABILITY_ONE), relevance)
 
@@ -111,29 +149,35 @@ class Coverage(AtLeast):
         return CappedCount(evaluator, relevance, self.n)
 
 
-class Threshold(NamedTuple):
-    """Positions count from a `threshold` in units on, with weights `relevance` `(Q,)`; a `Target`."""
+@dataclass(frozen=True)
+class MeanCoverage(Coverage):
+    """The relevance-weighted mean of P_n: every view counts, not only those beyond a threshold.
 
-    threshold: int
-    relevance: FloatArray
+    Arguments are those of `Coverage`; `thold_p` only says which positions the qualified ratio counts.
+    """
 
+    headline = Headline("average_coverage_probability", "average coverage probability")
+    counted = "views"
 
-@smoothed.register(Threshold)
-def _smoothed(target, p, units, margin, width, share):  # type: ignore[no-untyped-def]
-    above = (units - target.threshold) / PROBABILITY_ONE - margin
-    return target.relevance[p] * (1.0 / (1.0 + math.exp(-above / width)) + share * units / PROBABILITY_ONE)
+    @property
+    @override
+    def name(self) -> str:
+        return f"mean n={self.n}"
 
+    @override
+    def fitness(self, values: FloatArray, relevance: FloatArray) -> FloatArray:
+        return np.asarray((values * relevance).sum(axis=-1) / relevance.sum())
 
-@worth.register(Threshold)
-def _worth(target, p, units):  # type: ignore[no-untyped-def]
-    return target.relevance[p] * (units >= target.threshold)
+    @override
+    def target(self, relevance: FloatArray) -> Mean:
+        return Mean(relevance)
 
 
 class CappedCount:
     """The sum of min(covered, n) over positions and axes, a `Selection`.
 
-    Whether at least n landmarks are covered is not submodular for n >= 2: the first landmark gains nothing. This sum
-    is, if no landmark hides another.
+    The indicator of n covered landmarks is not submodular for n >= 2: the first landmark gains nothing. This sum is
+    submodular if no landmark hides another.
 
     Args:
         evaluator: the scene.

@@ -24,7 +24,7 @@ class Sampling:
             (`lmd.scene.pdf.OrientationPdf.stratified`); a PDF from samples is taken as it is.
 
     Raises:
-        InputError: a number is less than 1, or there is not enough memory for so many orientations.
+        InputError: a number is less than 1, or there is not enough memory for the orientations.
     """
 
     positions: int = 20

@@ -1,8 +1,8 @@
-"""What is left of a deployment without one landmark, or without two: all of them, exactly.
+"""The fitness of a deployment without one landmark, or without two: all of them, exactly.
 
-A landmark is taken away by a move (`field`) to a place from where nobody sees it. Only the views that it or its shadow
-changes are looked at again, so all pairs of 90 landmarks cost no more than a hundred evaluations. What is lost hides
-nothing any more.
+A landmark is removed by a move (`field`) to a place where no camera sees it. Only the views that it changes are
+evaluated again, so all pairs of 90 landmarks cost no more than a hundred evaluations. A removed landmark hides no
+other.
 """
 
 import numpy as np

@@ -24,7 +24,7 @@ from lmd.scene.rig import Mount, Rig
 
 @dataclass(frozen=True)
 class _Best:
-    """Best tags and cameras so far."""
+    """Best tags and cameras."""
 
     fitness: float
     """Fitness of both together."""
@@ -35,7 +35,7 @@ class _Best:
 
 
 class Alternating(Optimiser):
-    """Places cameras, then tags, and so on; each turn begins with the best so far, and is dropped if it is not better.
+    """Places cameras, then tags, and so on; a turn begins with the best before it, and is dropped if it is no better.
 
     `run` takes the budget of each turn of the cameras.
 

@@ -13,7 +13,7 @@ from typing_extensions import override
 from lmd.core.checks import FloatArray, InputError, seed_number
 from lmd.core.compiled import clock
 from lmd.core.memory import check_memory
-from lmd.optimisers.genome import LandmarkGenome
+from lmd.optimisers.encoding import LandmarkGenome
 from lmd.optimisers.ledger import Budget, Ledger, Record
 from lmd.optimisers.stored import array
 from lmd.problem import Genome, Problem
@@ -69,8 +69,8 @@ class Optimiser(ABC):
     def state(self) -> dict[str, Any]:
         """Return the results of the run as data, for a checkpoint; settings are not part of it.
 
-        Data are None, numbers, texts, arrays of NumPy, and lists and mappings of these. `lmd.optimisers.stored` turns
-        generators and deployments into data.
+        Data are None, numbers, texts, arrays of NumPy, and lists and mappings of these; `lmd.optimisers.stored` has
+        functions for generators and deployments.
 
         Raises:
             InputError: the optimiser cannot be checkpointed; the default.
@@ -104,10 +104,10 @@ class Optimiser(ABC):
 
     @abstractmethod
     def found(self, problem: Problem) -> Deployment | None:
-        """Best deployment so far; None while there is none."""
+        """Best deployment; None while there is none."""
 
     def found_rig(self, problem: Problem) -> Rig | None:
-        """Best cameras so far where cameras are placed; None while there are none, and elsewhere."""
+        """Best cameras where cameras are placed; None while there are none, and elsewhere."""
         return None
 
     def result(self, problem: Problem, stopped: str) -> Result:
@@ -126,8 +126,8 @@ class Optimiser(ABC):
 class AskTell(Optimiser):
     """Optimisers that propose batches of genes and learn their fitness.
 
-    The plates of tags with a size are pushed apart before they are evaluated (`lmd.scene.plates`); the genes do not
-    change. A deployment whose plates find no room counts as a failed evaluation.
+    Footprints of tags with a size are pushed apart before they are evaluated (`lmd.scene.footprints`); the genes do not
+    change. A deployment whose footprints find no room counts as a failed evaluation.
 
     Subclasses write `_ask` and `_tell` only. Before the first `_ask`, `run` sets
 
@@ -141,7 +141,7 @@ class AskTell(Optimiser):
             sets before `run`, by default `wall`.
 
     A checkpoint keeps the fitness of all batches, and no genes. `restore` asks and tells all of them again, without an
-    evaluation; so the state of a subclass, of whatever kind, is as it was.
+    evaluation; so the state of any subclass is as it was.
     """
 
     start_size = 1

@@ -1,6 +1,6 @@
-"""Checkpoints: a stopped run goes on where it was.
+"""Checkpoints: files from which a stopped run is resumed.
 
-A checkpoint holds data and no code: the optimiser is made by who resumes, and takes over the state that is read. The
+A checkpoint holds data and no code: an optimiser made from the configuration takes over the state that is read. The
 file is an archive of NumPy's, with the arrays and a document in JSON, and nothing in it is unpickled.
 """
 
@@ -21,32 +21,29 @@ from lmd.optimisers.base import Optimiser
 from lmd.problem import Problem
 
 CHECKPOINT_FILE = "checkpoint.npz"
-FORMAT = "lmd checkpoint 3"  # a number for each way of writing it
-DOCUMENT_KEY = "document"  # the JSON, UTF-8, among the arrays
-ARRAY_KEY = "$array"  # in the document: here belongs the array of that name
-MOST_TEXT = 200  # characters of another's message
+FORMAT = "lmd checkpoint 4"  # its number changes with the content of the file
+DOCUMENT_KEY = "document"  # name of the JSON document, UTF-8, among the arrays
+ARRAY_KEY = "$array"  # key in the document whose value is the name of an array, which replaces it
+MOST_TEXT = 200  # characters of a foreign message that are shown
 
 
 @dataclass
 class Checkpoint:
-    """A run that can be resumed.
-
-    Args:
-        optimiser: the optimiser with everything it needs to go on.
-        settings: flat settings that must be the same when the run goes on.
-        run_id: the tracked run to continue, if any.
-    """
+    """Run that can be resumed."""
 
     optimiser: Optimiser
+    """Optimiser, which holds all of the run."""
     settings: Mapping[str, Any]
+    """Flat settings, which must be equal when the run is resumed."""
     run_id: str | None = None
+    """Tracked run to continue, if any."""
 
     def check(self) -> None:
         """Raise `InputError` if the optimiser cannot be checkpointed."""
         self._content()
 
     def save(self, directory: Path) -> None:
-        """Replace the checkpoint in `directory`; a crash leaves the old one or the new one, never half of one.
+        """Replace the checkpoint in `directory`; after a crash the file is the old one or the new one.
 
         Raises:
             InputError: the optimiser cannot be checkpointed.
@@ -57,10 +54,11 @@ class Checkpoint:
         """Take over the state and the run of the checkpoint in `directory`.
 
         Args:
-            directory: of the run that goes on.
+            directory: of the run to resume.
+            problem: of the run.
 
         Raises:
-            InputError: there is none, it is damaged, or it was made with other settings.
+            InputError: there is no checkpoint, it is damaged, or it was made with other settings.
         """
         path = file_path("resume", directory) / CHECKPOINT_FILE
         if not path.is_file():
@@ -78,7 +76,7 @@ class Checkpoint:
             self.optimiser.restore(state, problem)
         except InputError as error:
             raise InputError(f"{path}: {error}") from error
-        except Exception as error:  # what was written on purpose can raise anything
+        except Exception as error:  # a crafted file can raise any error
             raise InputError(f"{path} cannot be gone on from ({_described(error)}).") from error
         self.run_id = run_id
 
@@ -94,7 +92,7 @@ class Checkpoint:
 
 
 def _without_arrays(name: str, value: Any, arrays: dict[str, Any]) -> Any:
-    """`value` as JSON has it, with the names of its arrays in their place; they go to `arrays`."""
+    """Turn `value` into JSON with names in place of its arrays, which are added to `arrays`."""
     if value is None or isinstance(value, str | bool | int | float):
         return value
     if isinstance(value, np.generic):
@@ -111,18 +109,18 @@ def _without_arrays(name: str, value: Any, arrays: dict[str, Any]) -> Any:
 
 
 def _read(path: Path) -> tuple[dict[str, Any], dict[str, Any], str | None]:
-    """State, settings and run of a checkpoint."""
+    """Read state, settings and run of a checkpoint."""
     try:
         document = _document(path)
         state, run_id = document["state"], document["run"]
-        settings = json.loads(json.dumps(document["settings"]))  # in which there are no arrays
+        settings = json.loads(json.dumps(document["settings"]))  # fails if there are arrays among the settings
         if document["format"] != FORMAT or not isinstance(state, dict) or not isinstance(settings, dict):
             raise ValueError("it is of another kind")
         if not all(map(str.isprintable, settings)):
             raise ValueError("a setting has no such name")
         if run_id is not None and not (isinstance(run_id, str) and run_id.isalnum()):
             raise ValueError("the tracked run has no such name")
-    except Exception as error:  # what is damaged, or was written on purpose, can raise anything
+    except Exception as error:  # a damaged or crafted file can raise any error
         raise InputError(f"{path} is damaged, or no checkpoint of this version ({_described(error)}).") from error
     return state, settings, run_id
 
@@ -131,7 +129,7 @@ def _document(path: Path) -> Any:
     size = path.stat().st_size
     with zipfile.ZipFile(path) as archive:
         members = archive.infolist()
-        # Or a small file could ask for all the memory there is.
+        # Otherwise a small file could claim all memory.
         if any(m.compress_type != zipfile.ZIP_STORED for m in members) or sum(m.file_size for m in members) > size:
             raise ValueError("it is compressed")
     with np.load(path, allow_pickle=False) as archive:
@@ -144,5 +142,5 @@ def _document(path: Path) -> Any:
 
 
 def _described(error: Exception) -> str:
-    """An error in words, of which a file may have made some."""
+    """Text of an error, which may have words from the file."""
     return f"{type(error).__name__}: {' '.join(str(error).split())[:MOST_TEXT]}"

@@ -1,32 +1,33 @@
 """Encodings (the paper's W): deployments as genes in the unit box, and back.
 
-A black box moves genes in [0, 1]; an encoding says which landmarks they mean. Genes come landmark by landmark.
+A black box varies genes in [0, 1]; an encoding maps them to landmarks. Genes are ordered by landmark.
 """
 
 from typing import Protocol
 
 import numpy as np
 
-from lmd.core.checks import FloatArray, choice
+from lmd.core.checks import BoolArray, FloatArray, InputError, IntArray, choice
 from lmd.geometry.frames import landmark_normal, normal_angles
+from lmd.problem import Problem
 from lmd.scene.deployment import Deployment
 from lmd.space.space import Space
 from lmd.space.surface import SurfaceArrays
 
-# A landmark within this distance (m) of a second surface is as near to it as to its own.
+# Distance of a landmark from a second surface below which it is as near to it as to its own, metres.
 ON_SURFACE = 1e-6
-# Keeps an encoded point off the border to the neighbouring piece, as a fraction of the piece.
+# Distance of an encoded point from the border to the neighbouring piece, as a fraction of the piece.
 BORDER_SHARE = 1e-12
 
 KINDS = ("wall", "paper")
 
 
 class Encoding(Protocol):
-    """Genes of one deployment or many."""
+    """Map between genes and landmarks."""
 
     @property
     def genes_per_landmark(self) -> int:
-        """How many genes describe one landmark."""
+        """Number of genes of a landmark."""
 
     def decode(self, genes: FloatArray) -> tuple[FloatArray, FloatArray, np.ndarray]:
         """Positions and normals `(B, K, 3)` and surfaces `(B, K)` of genes `(B, K * genes_per_landmark)` in [0, 1]."""
@@ -35,15 +36,15 @@ class Encoding(Protocol):
         """Genes `(K * genes_per_landmark,)` that decode to `deployment`.
 
         Raises:
-            InputError: a landmark is on no surface that may carry it, or tilted where the encoding is flush.
+            InputError: a landmark is on no surface that may carry it, or is tilted while the encoding is flush.
         """
 
 
 class PaperEncoding:
-    """Five genes a landmark as printed: x, y, z, yaw rho, pitch eta.
+    """Five genes for a landmark as printed: x, y, z, yaw rho, pitch eta.
 
-    The point is projected to the nearest surface that may carry landmarks. With `flush` the landmark takes the
-    surface's normal and the two angle genes, though part of the chromosome, have no effect.
+    The point is projected to the nearest surface that may carry landmarks. With `flush` the landmark has the normal of
+    the surface, and the two genes of angles, though part of the chromosome, have no effect.
     """
 
     genes_per_landmark = 5
@@ -92,12 +93,11 @@ class PaperEncoding:
 
 
 class WallEncoding:
-    """Two genes a landmark: a coordinate along the surfaces laid side by side, and a height on the surface.
+    """Two genes for a landmark: a coordinate along the surfaces laid side by side, and a height on the surface.
 
-    Each surface, or each piece of one where landmarks may hang in some places only, takes a share of the first gene in
-    proportion to its area, so uniform genes are uniform over where landmarks may hang.
-
-    Without `flush`, two more genes turn the normal by up to 90 degrees along the surface's u and v axes.
+    Each piece of a surface where landmarks may hang has a share of the first gene in proportion to its area, so uniform
+    genes are uniform over these places. Without `flush`, two more genes turn the normal by up to 90 degrees towards u
+    and v of the surface.
     """
 
     def __init__(self, room: Space, flush: bool) -> None:
@@ -108,7 +108,7 @@ class WallEncoding:
 
     @property
     def genes_per_landmark(self) -> int:
-        """Two when flush, four otherwise."""
+        """Two if flush, four otherwise."""
         return 2 if self.flush else 4
 
     def decode(self, genes: FloatArray) -> tuple[FloatArray, FloatArray, np.ndarray]:
@@ -141,10 +141,73 @@ class WallEncoding:
 
 
 def make_encoding(kind: str, room: Space, flush: bool) -> Encoding:
-    """The encoding called `kind`, one of `KINDS`.
+    """Make the encoding called `kind`, one of `KINDS`.
 
     Raises:
         InputError: there is no such encoding.
     """
     choice("encoding", kind, KINDS)
     return PaperEncoding(room, flush) if kind == "paper" else WallEncoding(room, flush)
+
+
+class LandmarkGenome:
+    """Free landmarks of a problem as genes; footprints are pushed apart before they are evaluated.
+
+    Args:
+        problem: the problem.
+        kind: of the encoding, see `make_encoding`.
+        flush: True if landmarks lie flat on their surface.
+
+    Raises:
+        InputError: there is no such encoding, or tags with a size are not flush.
+    """
+
+    def __init__(self, problem: Problem, kind: str, flush: bool) -> None:
+        if problem.scene.footprints.edge and not flush:
+            raise InputError("flush must be true where tags have a size: their papers lie flat on the wall.", "flush")
+        self._problem, self._encoding = problem, make_encoding(kind, problem.scene.footprints.hanging, flush)
+
+    @property
+    def dim(self) -> int:
+        """See `Genome.dim`."""
+        return self._problem.free_count * self._encoding.genes_per_landmark
+
+    @property
+    def varies(self) -> bool:
+        """See `Genome.varies`."""
+        return self._problem.start.varies
+
+    def draw_genes(self, rng: np.random.Generator) -> FloatArray:
+        """See `Genome.draw_genes`."""
+        return self._encoding.encode(self._problem.free(self._problem.draw(rng)))
+
+    def fitness_of_genes(self, genes: FloatArray) -> FloatArray:
+        """See `Genome.fitness_of_genes`: -inf where footprints find no room."""
+        positions, normals, _, fits = self._placed(genes)
+        return np.where(fits, self._problem.fitness(positions, normals), -np.inf)
+
+    def deployment(self, genes: FloatArray) -> Deployment:
+        """See `Genome.deployment`."""
+        positions, normals, surfaces, _ = self._placed(genes[None])
+        return Deployment(positions[0], normals[0], surfaces[0])
+
+    def rig(self, genes: FloatArray) -> None:
+        """See `Genome.rig`."""
+
+    def reached(self, fitness: float) -> None:
+        """See `Genome.reached`: no fitness depends on earlier ones."""
+
+    def _placed(self, genes: FloatArray) -> tuple[FloatArray, FloatArray, IntArray, BoolArray]:
+        """Decode genes `(B, dim)`, put the fixed landmarks first, and push footprints apart."""
+        problem = self._problem
+        positions, normals, surfaces = self._encoding.decode(genes)
+        if (fixed := problem.fixed) is not None:
+            positions = _behind(fixed.positions, positions)
+            normals = _behind(fixed.normals, normals)
+            surfaces = _behind(fixed.surfaces, surfaces)
+        return problem.scene.footprints.pushed(positions, normals, surfaces, problem.edges, fixed=problem.fixed_count)
+
+
+def _behind(fixed: np.ndarray, free: np.ndarray) -> np.ndarray:
+    """Put `fixed` `(F, ...)` before each of the arrays `free` `(B, N, ...)`."""
+    return np.concatenate([np.broadcast_to(fixed, (len(free), *fixed.shape)), free], axis=1)

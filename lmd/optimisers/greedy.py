@@ -12,7 +12,7 @@ from lmd.core.checks import InputError, real
 from lmd.objectives.base import Objective, selectable
 from lmd.optimisers.annealing import Annealing, Stage
 from lmd.optimisers.annealing.stage import changed
-from lmd.optimisers.selection import GRID_SPACING, Landmarks, Tags, candidates, greedy_start, select
+from lmd.optimisers.selection import GRID_SPACING, Tags, candidates, greedy_start, select
 from lmd.problem import Problem
 from lmd.scene.deployment import Deployment
 from lmd.scene.deployment_sources import POINT, landmark_count
@@ -92,18 +92,18 @@ class GreedyDeployment:
     @cached_property
     def _deployment(self) -> Deployment:
         evaluator = Evaluator(self.scene, threads=self.threads)
-        plates, edges = self.scene.plates, self.scene.tag.in_turn(self.count)
-        spacing, poses = self.spacing, candidates(plates, edges, self.spacing)
+        footprints, edges = self.scene.footprints, self.scene.tag.in_turn(self.count)
+        spacing, poses = self.spacing, candidates(footprints, edges, self.spacing)
         while len(poses) < self.count:
             spacing /= 1.3
-            poses = candidates(plates, edges, spacing)
+            poses = candidates(footprints, edges, spacing)
         relevance = self.scene.room.relevance.weights(evaluator.positions)
         selection = selectable(self.objective).selection(evaluator, relevance)
-        stock = Landmarks(self.count) if edges is None else Tags(edges)
-        chosen, _ = select(selection, poses, stock, plates, fixed=self.fixed)
+        stock = Tags(self.scene.tag.filled(edges), self.scene.tag)
+        chosen, _ = select(selection, poses, stock, footprints, fixed=self.fixed)
         if len(chosen) < self.count:
             raise InputError(
-                f"spacing = {spacing:.4g} leaves room for {len(chosen)} plates of {plates.edge:.4g} m, too few for "
+                f"spacing = {spacing:.4g} leaves room for {len(chosen)} plates of {footprints.edge:.4g} m, too few for "
                 f"{self.count}.",
                 "spacing",
             )

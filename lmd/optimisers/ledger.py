@@ -49,14 +49,14 @@ class Record:
     evaluations: float
     """Full evaluations spent."""
     best_fitness: float
-    """Best fitness so far."""
+    """Best fitness."""
     wall_time: float
     """Seconds spent."""
 
 
 @dataclass
 class Ledger:
-    """Progress of a run so far."""
+    """Progress of a run."""
 
     evaluations: float = 0
     """Full evaluations spent."""

@@ -1,7 +1,7 @@
-"""The best choice of poses from a lattice, proven: an integer program, solved by HiGHS.
+"""Best choice of poses from a lattice with a proof of optimality: an integer program, solved by HiGHS.
 
-Let `x_j` be how many landmarks hang at pose j of the lattice, `A_jpa` whether one there covers axis a from position p
-when no other landmark hides it, `w_a` the probability of an axis and `r_p` the relevance of a position. The program is
+Let `x_j` be the number of landmarks at pose j of the lattice, `A_jpa` = 1 if a landmark there covers axis a from
+position p without occlusion, else 0, `w_a` the probability of an axis and `r_p` the relevance of a position. Then
 
     maximise   sum_p r_p z_p                                        z_p: position p is qualified
     such that  n y_pa <= sum_j A_jpa x_j   for all p, a             y_pa: at least n landmarks are covered
@@ -9,9 +9,9 @@ when no other landmark hides it, `w_a` the probability of an axis and `r_p` the 
                sum_j x_j = K,   of each size of tags if there are several,   y and z 0 or 1,
                x_j 0 to n for points; 0 or 1 for papers, and x_i + x_j <= 1 where they overlap.
 
-Axes that the same poses cover from a position are one row, with the sum of their weights. Landmarks that hide each
-other only lower what is covered, so the bound holds with hiding, too. What was found is scored with it, the landmarks
-of a stack pulled apart.
+Axes that are covered from a position by equal sets of poses are one row, with the sum of their weights. Occlusion only
+lowers the numbers of covered landmarks, so the bound holds with it, too. The choice is scored with occlusion, the
+landmarks of a stack pulled apart.
 """
 
 import operator
@@ -41,21 +41,20 @@ from lmd.scene.criteria import TOLERANCE
 from lmd.scene.deployment import Deployment
 from lmd.sight.poses import covered_amounts
 
-MOST_PAIRS = 20_000_000  # of a pose and a view; far more than HiGHS solves in an hour
+MOST_PAIRS = 20_000_000  # largest number of pairs of a pose and a view, far more than HiGHS solves in an hour
 PROVEN, INFEASIBLE = 0, 2  # status of scipy.optimize.milp
-POLL_SECONDS = 0.2  # seconds between two looks at the keyboard while the solver works
+POLL_SECONDS = 0.2  # seconds between two calls of the callback while the solver runs
 
 
 class Milp(Optimiser):
-    """The best deployment on a lattice of poses, with a bound that none there exceeds.
+    """Best deployment on a lattice of poses, with a bound for all deployments on it.
 
-    The start counts as found until the solver has something better. Finding what a pose covers costs as much of the
-    budget as moving one landmark; what the solver does costs time alone. It cannot go on where it was: a run that is
-    resumed begins anew.
+    The start is the result until the solver finds a better deployment. The views of a pose cost as much of the budget
+    as moving one landmark; the solver costs time alone. The solver cannot be resumed: a resumed run begins anew.
 
     Args:
         spacing: of the lattice, metres.
-        seconds: that the solver may take; what it has by then is the result, and its bound holds.
+        seconds: time limit of the solver; its best deployment by then is the result, and its bound is valid.
         seed: of the start, see `Optimiser`; the solver draws no random numbers.
 
     Raises:
@@ -81,7 +80,7 @@ class Milp(Optimiser):
             self.best = deployment("best", state["best"], problem, problem.count)
 
     def figures(self) -> dict[str, float]:
-        """The bound, what the solver's choice reaches where nobody hides anybody, and how far the result is below."""
+        """Bound, value of the solver's choice without occlusion, and distance of the result from the bound."""
         return self.proven
 
     @override
@@ -140,8 +139,8 @@ class Milp(Optimiser):
             "lattice_bound": 1.0 if solved.mip_dual_bound is None else min(-solved.mip_dual_bound / most, 1.0)
         }
         if solved.x is not None:
-            taken = np.rint(solved.x).astype(int)  # HiGHS is right to 1e-6
-            placed = _apart if poses.edges is None else _in_order
+            taken = np.rint(solved.x).astype(int)  # HiGHS has a tolerance of 1e-6
+            placed = _in_order if poses.has_own_edges else _apart
             note(costs + 1, placed(problem, poses, taken[: len(poses)]))
             self.proven["lattice_found"] = found = float(problem.fitness_relevance @ taken[-program.positions :] / most)
             if solved.status == PROVEN:
@@ -154,30 +153,28 @@ class Milp(Optimiser):
         return self.best
 
     def _poses(self, problem: Problem) -> Deployment:
-        """The lattice, without the places that papers of fixed tags take."""
-        plates = problem.scene.plates
-        poses, hung = candidates(plates, problem.free_sizes, self.spacing), problem.hung
-        if hung is None or not plates.edge:
+        """Poses of the lattice, without those where papers of fixed tags hang."""
+        footprints = problem.scene.footprints
+        poses, hung = candidates(footprints, problem.free_edges, self.spacing), problem.hung
+        if hung is None or not footprints.edge:
             return poses
-        taken = [plates.touched(poses, hung[k : k + 1]) for k in range(len(hung))]
+        taken = [footprints.touched(poses, hung[k : k + 1]) for k in range(len(hung))]
         return poses[~np.any(taken, axis=0)]
 
 
 def _by_size(problem: Problem, poses: Deployment) -> list[tuple[IntArray, int]]:
-    """Of each size of the free landmarks the indices of the poses that are for it, and how many there are."""
-    sizes = problem.free_sizes
-    if sizes is None or poses.edges is None:
-        return [(np.arange(len(poses)), problem.free_count)]
-    return [(np.flatnonzero(poses.edges == edge), int((sizes == edge).sum())) for edge in np.unique(sizes)]
+    """Indices of the poses of each size of the free landmarks, and the number of these landmarks."""
+    sizes, own = problem.free_sizes, poses.edges_of(problem.scene.tag)
+    return [(np.flatnonzero(own == edge), int((sizes == edge).sum())) for edge in np.unique(sizes)]
 
 
 def _copies(problem: Problem) -> int:
-    """How many landmarks one pose can use: points hang in stacks as those of `Annealing`, papers side by side."""
-    return 1 if problem.scene.plates.edge else problem.objective.n
+    """Largest number of landmarks at a pose: points hang in stacks as those of `Annealing`, papers side by side."""
+    return 1 if problem.scene.footprints.edge else problem.objective.n
 
 
 def _apart(problem: Problem, poses: Deployment, copies: IntArray) -> Deployment:
-    """The deployment with so many landmarks at each pose, `(J,)`, the stacks pulled apart and the fixed ones before."""
+    """Make the deployment with `copies` `(J,)` landmarks at each pose: the fixed ones, then stacks pulled apart."""
     parts, distance = [], STACK_SPREAD * problem.scene.spacing
     for stack in np.unique(copies[copies > 0]).tolist():
         chosen = poses[copies == stack]
@@ -186,54 +183,50 @@ def _apart(problem: Problem, poses: Deployment, copies: IntArray) -> Deployment:
 
 
 def _in_order(problem: Problem, poses: Deployment, taken: IntArray) -> Deployment:
-    """The deployment with a tag at each pose that is `taken`, `(J,)` 0 or 1, where each landmark has its own size."""
+    """Make the deployment with a tag at each pose that is `taken`, `(J,)` 0 or 1, each landmark of its own size."""
     sizes = problem.free_sizes
-    assert sizes is not None, "tags have sizes"
     order = np.empty(len(sizes), dtype=int)
     for of, _ in _by_size(problem, poses):
-        order[sizes == poses.edges[of[0]]] = of[taken[of] == 1]  # type: ignore[index] # as there are sizes
+        order[sizes == poses.edges[of[0]]] = of[taken[of] == 1]
     chosen = poses[order]
     return problem.complete(Deployment(chosen.positions, chosen.normals, chosen.surfaces))
 
 
 def _views(problem: Problem) -> FloatArray:
-    """The probability of every axis that has one, at every position, `(P, A)`."""
+    """Probability of each axis that has one, at each position, `(P, A)`."""
     evaluator = problem.evaluator
     probability = evaluator.probability[:, _used(problem)]
     return np.broadcast_to(probability, (len(evaluator.positions), probability.shape[1]))
 
 
 def _used(problem: Problem) -> BoolArray:
-    """The axes that have a probability; others are there to fill up words."""
+    """Axes that have a probability; others fill up words of bits."""
     return np.asarray(problem.evaluator.probability.max(axis=0) > 0.0)
 
 
 @dataclass(frozen=True)
 class _Program:
-    """The integer program: `x` of the J poses, `y` of the rows, `z` of the P positions.
-
-    Args:
-        covers: which poses cover the views of each row, `(R, J)`.
-        counted: landmarks that hang already and cover them, `(R,)`.
-        weights: of the rows at each position, `(P, R)`.
-        overlaps: pairs of poses of which only one may be taken, `(C, J)`.
-        sizes: which poses are for each of the S sizes, `(S, J)`.
-        counts: how many landmarks have each, `(S,)`.
-        problem: of plain coverage.
-    """
+    """Integer program: `x` of the J poses, `y` of the R rows, `z` of the P positions."""
 
     covers: csr_array
+    """`(R, J)` 1 where a landmark at a pose covers the views of a row."""
     counted: IntArray
+    """`(R,)` number of fixed landmarks that cover them."""
     weights: csr_array
+    """`(P, R)` weights of the rows at each position."""
     overlaps: coo_array
+    """`(C, J)` 1 at both poses of a pair of which only one may be taken."""
     sizes: csr_array
+    """`(S, J)` 1 where a pose is for a size."""
     counts: IntArray
+    """`(S,)` number of landmarks of each size."""
     problem: Problem
+    """Problem of plain coverage."""
 
     @classmethod
     def of(cls, problem: Problem, poses: Deployment) -> "_Program":
-        """The program for the poses of a lattice."""
-        used, plates, n = _used(problem), problem.scene.plates, problem.objective.n
+        """Make the program for the poses of a lattice."""
+        used, footprints, n = _used(problem), problem.scene.footprints, problem.objective.n
 
         def seen(landmarks: Deployment) -> NDArray[np.int8]:
             counts = covered_amounts(problem.evaluator, landmarks, np.ones(len(landmarks)))
@@ -245,7 +238,7 @@ class _Program:
         kinds = [np.unique(views, axis=0, return_inverse=True) for views in cover]
         rows = np.concatenate([distinct for distinct, _ in kinds])
         weights = [np.bincount(kind, weight)[None] for (_, kind), weight in zip(kinds, views, strict=True)]
-        close = [plates.touched(poses, poses[j : j + 1]) for j in range(len(poses))] if plates.edge else []
+        close = [footprints.touched(poses, poses[j : j + 1]) for j in range(len(poses))] if footprints.edge else []
         pairs = np.argwhere(np.triu(close, 1)) if close else np.empty((0, 2), dtype=int)
         overlaps = coo_array((np.ones(pairs.size), (np.arange(len(pairs)).repeat(2), pairs.reshape(-1))),
                              shape=(len(pairs), len(poses)))  # fmt: skip
@@ -257,11 +250,11 @@ class _Program:
 
     @property
     def positions(self) -> int:
-        """P, the last of the variables."""
+        """P, the number of the last variables."""
         return len(self.problem.fitness_relevance)
 
     def solver(self, seconds: float) -> Callable[[], OptimizeResult]:
-        """What lets HiGHS solve it in so much time; the objective is minus the relevance of what is qualified."""
+        """Return a call of HiGHS with a time limit; its objective is minus the relevance of qualified positions."""
         (rows, poses), n = self.covers.shape, self.problem.objective.n
         threshold = max(self.problem.objective.threshold - TOLERANCE, 0.0)
         left = block_array([
@@ -277,7 +270,7 @@ class _Program:
             milp,
             np.concatenate([np.zeros(poses + rows), -self.problem.fitness_relevance]),
             constraints=LinearConstraint(left.tocsc(), low, high),
-            # For n = 1 the rows follow from the poses; for more, half of the landmarks are not half a view.
+            # For n = 1 integral poses make integral rows; for larger n, half of the landmarks are not half a view.
             integrality=np.concatenate([np.ones(poses), np.full(rows, n > 1), np.ones(self.positions)]),
             bounds=Bounds(0.0, np.concatenate([np.full(poses, _copies(self.problem)), np.ones(rows + self.positions)])),
             options={"time_limit": seconds, "mip_rel_gap": 0.0},
@@ -285,7 +278,7 @@ class _Program:
 
 
 def _fulfil(future: "Future[OptimizeResult]", work: Callable[[], OptimizeResult]) -> None:
-    """Do the work, and let who waits for it have what it returns or raises."""
+    """Run `work`, and put its result or its error into `future`."""
     try:
         future.set_result(work())
     except BaseException as error:

@@ -1,63 +1,55 @@
 """Lazy greedy selection of poses from a grid on the surfaces.
 
-What is climbed is an objective's `selection`, a monotone submodular stand-in. Adding the pose of the largest gain, one
-after the other, comes within 1 - 1/e of the best choice of poses for it. Gains only ever shrink, which is what makes
-the lazy variant (Minoux 1978) exact: a pose needs evaluating again only while its last known gain is the largest.
+Selection climbs the `selection` of an objective, a monotone submodular surrogate. Adding the pose of the largest gain,
+one after the other, reaches 1 - 1/e of the best choice of poses. Gains never rise, so the lazy variant (Minoux 1978) is
+exact: a pose is evaluated again only while its last known gain is the largest.
 
-Where tags have several sizes, a candidate is a pose and a size, and what is left of a size says whether it may still be
-chosen. Where only the paper or the cost of all is given, candidates compete by their gain per square metre or cost.
+Where tags have several sizes, a candidate is a pose and a size, and may be chosen while tags of its size are left.
+Where only the paper or the cost of all tags is limited, candidates compete by their gain per square metre or cost.
 """
 
 import operator
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import reduce
 from typing import Protocol
 
 import numpy as np
 
-from lmd.core.checks import BoolArray, FloatArray
-from lmd.objectives.base import Selection, selectable
+from lmd.core.checks import BoolArray, FloatArray, InputError, IntArray
+from lmd.objectives.base import Objective, Selection, selectable
 from lmd.problem import Problem
 from lmd.scene.deployment import Deployment
-from lmd.scene.plates import Plates
+from lmd.scene.deployment_sources import POINT
+from lmd.scene.footprints import Footprints
+from lmd.scene.scene import Scene
+from lmd.scene.tag import Tag
+from lmd.sight.evaluator import Evaluator
 from lmd.sight.poses import candidate_poses
 
-GAINS_BATCH = 32  # poses whose gains are brought up to date together
-GRID_SPACING = 0.25  # of the grid of poses, metres
-ROUNDING = 1e-9  # relative: paper that is used up to a rounding error
+GAINS_BATCH = 32  # poses whose gains are evaluated together
+GRID_SPACING = 0.25  # spacing of the grid of poses, metres
+ROUNDING = 1e-9  # relative tolerance of a limit
 
 
 class Stock(Protocol):
-    """What there is to hang."""
+    """Landmarks that can be chosen."""
 
     def prices(self, poses: Deployment) -> FloatArray:
-        """What each pose takes of it, `(N,)`: gains are divided by that."""
+        """Price of each pose, `(N,)`, by which its gain is divided."""
 
     def none_left(self, poses: Deployment, chosen: Sequence[int]) -> BoolArray:
-        """For which of the poses nothing is left after those `chosen`, `(N,)`."""
-
-
-@dataclass(frozen=True)
-class Landmarks:
-    """So many landmarks."""
-
-    count: int
-
-    def prices(self, poses: Deployment) -> FloatArray:
-        """See `Stock.prices`."""
-        return np.ones(len(poses))
-
-    def none_left(self, poses: Deployment, chosen: Sequence[int]) -> BoolArray:
-        """See `Stock.none_left`."""
-        return np.full(len(poses), len(chosen) >= self.count)
+        """Poses for which nothing is left after those `chosen`, `(N,)`."""
 
 
 @dataclass(frozen=True)
 class Tags:
-    """Tags with these edges, `(K,)` metres."""
+    """A number of landmarks of each size."""
 
-    edges: FloatArray
+    sizes: FloatArray
+    """Edges of the landmarks, `(K,)`, metres; zeros for points."""
+    tag: Tag
+    """Tag at poses without an edge of their own."""
 
     def prices(self, poses: Deployment) -> FloatArray:
         """See `Stock.prices`."""
@@ -65,18 +57,19 @@ class Tags:
 
     def none_left(self, poses: Deployment, chosen: Sequence[int]) -> BoolArray:
         """See `Stock.none_left`."""
-        assert poses.edges is not None, "candidates have sizes"
-        used = poses.edges[list(chosen)]
-        left = {edge: (self.edges == edge).sum() - (used == edge).sum() for edge in np.unique(poses.edges)}
-        return np.array([left[edge] <= 0 for edge in poses.edges])
+        sizes, of = np.unique(poses.edges_of(self.tag), return_inverse=True)
+        left = (self.sizes == sizes[:, None]).sum(axis=1) - np.bincount(of[list(chosen)], minlength=len(sizes))
+        return np.asarray((left <= 0)[of])
 
 
 @dataclass(frozen=True)
 class Limited:
-    """Tags of any size whose prices, square metres of paper or costs, may be `total` in all."""
+    """Tags of any size with a limited total price."""
 
     total: float
+    """Limit, square metres of paper or cost."""
     prices_of: Callable[[Deployment], FloatArray]
+    """Returns the price of each pose, `(N,)`."""
 
     def prices(self, poses: Deployment) -> FloatArray:
         """See `Stock.prices`."""
@@ -88,38 +81,33 @@ class Limited:
         return np.asarray(prices > self.total * (1.0 + ROUNDING) - prices[list(chosen)].sum())
 
 
-def stock_of(problem: Problem) -> Stock:
-    """The landmarks that a problem has to place."""
-    return Landmarks(problem.free_count) if problem.free_sizes is None else Tags(problem.free_sizes)
-
-
 def select(
     selection: Selection,
     poses: Deployment,
     stock: int | Stock,
-    plates: Plates | None = None,
+    footprints: Footprints | None = None,
     allowance: float = np.inf,
     fixed: Deployment | None = None,
-) -> tuple[np.ndarray, int]:
-    """Choose some of the `poses`, each at most once, and none whose plate would overlap another's.
+) -> tuple[IntArray, int]:
+    """Choose some of the `poses`, each at most once, with footprints that do not overlap.
 
     Args:
-        selection: what is climbed, with nothing chosen yet.
+        selection: function that is climbed, with nothing chosen yet.
         poses: N candidates.
-        stock: what there is to hang, or how many landmarks.
-        plates: of the tags; None for landmarks that are points.
-        allowance: how many gains may be evaluated; fewer poses are chosen if it does not suffice.
+        stock: landmarks that can be chosen, or the number of points.
+        footprints: of the tags; None for landmarks that are points.
+        allowance: largest number of gains to evaluate; fewer poses are chosen if it does not suffice.
         fixed: landmarks that are chosen before the first of the poses.
 
     Returns:
         indices of the chosen poses in the order of choice, and the number of gains evaluated.
     """
-    stock = Landmarks(stock) if isinstance(stock, int) else stock
+    stock = Tags(np.zeros(stock), POINT) if isinstance(stock, int) else stock
     known, taken, prices = np.full(len(poses), np.inf), np.zeros(len(poses), dtype=bool), stock.prices(poses)
     add_each(selection, fixed)
-    if fixed is not None and plates and plates.edge:
+    if fixed is not None and footprints and footprints.edge:
         for k in range(len(fixed)):
-            taken |= plates.touched(poses, fixed[k : k + 1])
+            taken |= footprints.touched(poses, fixed[k : k + 1])
     chosen: list[int] = []
     spent = 0
     while True:
@@ -130,7 +118,7 @@ def select(
         fresh = np.zeros(len(poses), dtype=bool)
         while not fresh[best := int(np.argmax(known))]:
             stale = np.flatnonzero(~fresh & ~taken)
-            # At first nothing is known about any pose, afterwards a few at the top decide.
+            # At first all gains are unknown, afterwards only the few largest matter.
             batch = stale[np.argsort(-known[stale], kind="stable")[: GAINS_BATCH if chosen else len(poses)]]
             if spent + len(batch) > allowance:
                 return np.array(chosen, dtype=int), spent
@@ -138,67 +126,102 @@ def select(
             fresh[batch] = True
             spent += len(batch)
         chosen.append(best)
-        taken[plates.touched(poses, poses[best : best + 1]) if plates and plates.edge else best] = True
+        taken[footprints.touched(poses, poses[best : best + 1]) if footprints and footprints.edge else best] = True
         selection.add(poses[best : best + 1])
 
 
 def add_each(selection: Selection, fixed: Deployment | None) -> None:
-    """Choose the landmarks that hang already, if there are any."""
+    """Choose the landmarks that hang already, if any."""
     if fixed is not None:
         for k in range(len(fixed)):
             selection.add(fixed[k : k + 1])
 
 
-def candidates(plates: Plates, edges: FloatArray | None, spacing: float) -> Deployment:
-    """The poses of a grid where tags may hang, with each of the sizes in `edges` `(K,)`, metres, if that is given."""
-    if edges is None:
-        return candidate_poses(plates.hanging, spacing)
-    parts = []
-    for edge in np.unique(edges):
-        poses = candidate_poses(plates.inset(plates.tag.paper_share * edge), spacing)
-        parts.append(Deployment(poses.positions, poses.normals, poses.surfaces, edges=np.full(len(poses), edge)))
+def candidates(footprints: Footprints, edges: FloatArray, spacing: float) -> Deployment:
+    """Poses of a grid where tags may hang, for each size of `edges` `(K,)`, metres, see `Deployment.edges`.
+
+    The poses have an edge of their own if one of `edges` is known.
+    """
+    parts, own = [], not np.isnan(edges).all()
+    for edge in np.unique(footprints.tag.filled(edges)):
+        poses = candidate_poses(footprints.inset(footprints.tag.paper_share * edge), spacing)
+        parts.append(replace(poses, edges=np.full(len(poses), edge if own else np.nan)))
     return reduce(operator.add, parts)
 
 
-def _candidates_within(plates: Plates, edges: FloatArray | None, spacing: float, most: float) -> Deployment:
-    """`candidates`, coarsened until there are no more than `most`, or one of a size for each piece of a surface."""
-    poses, widest = candidates(plates, edges, spacing), max(max(wall.extent) for wall in plates.room.surfaces())
+def _candidates_within(footprints: Footprints, edges: FloatArray, spacing: float, most: float) -> Deployment:
+    """Make `candidates`, coarsened until they are at most `most`, or one of each size for each piece of a surface."""
+    poses, widest = candidates(footprints, edges, spacing), max(max(wall.extent) for wall in footprints.room.surfaces())
     while len(poses) > most and spacing < widest:
         spacing *= 1.3
-        poses = candidates(plates, edges, spacing)
+        poses = candidates(footprints, edges, spacing)
     return poses
 
 
 def greedy_start(problem: Problem, start: Deployment, spacing: float, allowance: float) -> tuple[Deployment, int]:
-    """As many poses as an allowance pays for, chosen greedily; what it cannot pay for stays as in `start`.
+    """Choose landmarks greedily until an allowance is used up; the others stay as in `start`.
 
     Args:
         problem: its objective must have a selection.
         start: K landmarks, the fixed ones first.
-        spacing: of the grid of poses, metres; coarsened if the allowance could not pay for it.
-        allowance: how many gains may be evaluated.
+        spacing: of the grid of poses, metres; larger if the allowance does not suffice for the grid.
+        allowance: largest number of gains to evaluate.
 
     Returns:
         the deployment, and the number of gains evaluated.
     """
-    plates, edges = problem.scene.plates, problem.free_sizes
-    poses = _candidates_within(plates, edges, spacing, allowance / 2)
+    footprints = problem.scene.footprints
+    poses = _candidates_within(footprints, problem.free_edges, spacing, allowance / 2)
     selection = selectable(problem.objective).selection(problem.fitness_evaluator, problem.fitness_relevance)
-    chosen, spent = select(selection, poses, stock_of(problem), plates, allowance, problem.hung)
-    return problem.apart(_in_place(start, problem.free_count, edges, poses[chosen])) or start if len(
-        chosen
-    ) else start, spent
+    chosen, spent = select(
+        selection, poses, Tags(problem.free_sizes, problem.scene.tag), footprints, allowance, problem.hung
+    )
+    return problem.apart(_in_place(problem, start, poses[chosen])) or start if len(chosen) else start, spent
 
 
-def _in_place(start: Deployment, count: int, edges: FloatArray | None, found: Deployment) -> Deployment:
-    """The landmarks of `start` with those `found` in place of the first of each size.
-
-    The last `count` landmarks of the start are to be placed, with these `edges`.
-    """
-    free = np.zeros(count) if edges is None else edges
-    new = np.zeros(len(found)) if found.edges is None else found.edges
-    fixed = len(start) - len(free)
+def _in_place(problem: Problem, start: Deployment, found: Deployment) -> Deployment:
+    """Replace the first free landmarks of each size in `start` by those `found`."""
+    new = found.edges_of(problem.scene.tag)
     for edge in np.unique(new):
         these = np.flatnonzero(new == edge)
-        start = start.put(fixed + np.flatnonzero(free == edge)[: len(these)], found[these])
+        free = problem.fixed_count + np.flatnonzero(problem.free_sizes == edge)
+        start = start.put(free[: len(these)], found[these])
     return Deployment(start.positions, start.normals, start.surfaces)
+
+
+def composition(
+    scene: Scene, objective: Objective, threads: int | None = None, fixed: Deployment | None = None
+) -> tuple[int, ...]:
+    """Number of tags of each edge of a scene's tag, chosen by greedy selection by gain per price.
+
+    Args:
+        scene: its tag has several edges, and a limit of paper or cost.
+        objective: the objective, which has a selection.
+        threads: worker threads, all processors by default; the result does not depend on it.
+        fixed: landmarks that hang already, with their surfaces.
+
+    Raises:
+        InputError: the limit does not suffice for one tag, or the objective has no selection.
+    """
+    tag, footprints = scene.tag, scene.footprints
+    edges, stock = np.array(tag.edges), stock_of_sizes(tag, footprints, tag.limit or 0.0)
+    evaluator = Evaluator(scene.sized(edges), threads=threads)
+    relevance = scene.room.relevance.weights(evaluator.positions)
+    hung = None if fixed is None else replace(fixed, edges=fixed.edges_of(tag))
+    poses = candidates(footprints, edges, GRID_SPACING)
+    chosen, _ = select(selectable(objective).selection(evaluator, relevance), poses, stock, footprints, fixed=hung)
+    if not len(chosen):
+        least = float(stock.prices(poses).min())
+        if tag.budget is not None:
+            raise InputError(f"budget = {tag.budget:g} is too little for a tag: it costs {least:.3g}.", "budget")
+        raise InputError(f"paper = {tag.paper:g} square metres is too little for a tag: it takes {least:.3g}.", "paper")
+    found = poses.edges[chosen]
+    return tuple(int((found == edge).sum()) for edge in edges)
+
+
+def stock_of_sizes(tag: Tag, footprints: Footprints, limit: float) -> Stock:
+    """Tags of any edge of `tag` with a limit of cost if it has a budget, or of paper, square metres."""
+    if tag.budget is None:
+        return Limited(limit, lambda poses: footprints.papers(poses) ** 2)
+    costs = dict(zip(tag.edges or (), tag.costs or (), strict=True))  # a budget comes with both
+    return Limited(limit, lambda poses: np.array([costs[edge] for edge in poses.edges_of(tag).tolist()]))

@@ -1,6 +1,6 @@
-"""Generators and deployments as the data that a checkpoint keeps, and back.
+"""Generators and deployments as data for checkpoints, and checks of data read from them.
 
-Anyone may have written the file, and kernels trust what they are given. So every value is checked on its way in.
+A checkpoint may have been written by an attacker, and kernels do not check indices, so each value is checked.
 """
 
 import sys
@@ -16,7 +16,7 @@ from lmd.scene.deployment import HUNG, Deployment
 from lmd.space.surface import NEAR_SURFACE
 
 LARGEST = sys.float_info.max
-WORD, STATE = 2**32 - 1, 2**128 - 1  # the largest of 32 and of 128 bits
+WORD, STATE = 2**32 - 1, 2**128 - 1  # largest numbers of 32 and of 128 bits
 
 
 def array(
@@ -27,7 +27,7 @@ def array(
     low: float | FloatArray = -LARGEST,
     high: float | FloatArray = LARGEST,
 ) -> np.ndarray:
-    """Return `value` if it is an array of that type and shape, where None stands for any length, in [low, high].
+    """Return `value` if it is an array of this type and shape (None: any length), with values in [low, high].
 
     Raises:
         InputError: it is something else, or has a value that is NaN or out of range.
@@ -44,10 +44,10 @@ def array(
 
 
 def generator_state(rng: np.random.Generator) -> dict[str, Any]:
-    """A generator as data.
+    """Return a generator as data.
 
     Raises:
-        InputError: it is not of the kind that `numpy.random.default_rng` makes.
+        InputError: it was not made by `numpy.random.default_rng`.
     """
     state = dict(rng.bit_generator.state)
     if state["bit_generator"] != "PCG64":
@@ -56,10 +56,10 @@ def generator_state(rng: np.random.Generator) -> dict[str, Any]:
 
 
 def generator(name: str, state: Mapping[str, Any]) -> np.random.Generator:
-    """The generator with the `generator_state` of another.
+    """Make the generator with the `generator_state` of another.
 
     Raises:
-        InputError: it is none.
+        InputError: `state` is not one.
     """
     inner, rng = state["state"], np.random.default_rng(0)
     rng.bit_generator.state = {
@@ -72,33 +72,33 @@ def generator(name: str, state: Mapping[str, Any]) -> np.random.Generator:
 
 
 def deployment_state(deployment: Deployment) -> dict[str, Any]:
-    """A deployment as data, without the labels: they are the problem's (`Problem.labelled`)."""
+    """Return a deployment as data, without its labels, which the problem has (`Problem.labelled`)."""
     return {name: getattr(deployment, name) for name in HUNG}
 
 
 def deployment(name: str, state: Mapping[str, Any], problem: Problem, count: int) -> Deployment:
-    """The deployment with the `deployment_state` of another.
+    """Make the deployment with the `deployment_state` of another.
 
     Args:
         name: for messages.
-        state: of that.
-        problem: in whose room it hangs, each landmark on a surface.
-        count: of its landmarks.
+        state: of the other deployment.
+        problem: gives the room, on whose surfaces the landmarks hang.
+        count: number of landmarks.
 
     Raises:
-        InputError: it is none, or of another room.
+        InputError: `state` is not one, or of another room.
     """
-    last = len(problem.scene.plates.hanging.surfaces()) - 1
+    last = len(problem.scene.footprints.hanging.surfaces()) - 1
     surfaces = array(f"{name}.surfaces", state["surfaces"], np.int64, count, low=0, high=last)
     normals = array(f"{name}.normals", state["normals"], np.float64, count, 3, low=-1.5, high=1.5)
     return Deployment(points(f"{name}.positions", state["positions"], problem, count), normals, surfaces)
 
 
 def points(name: str, value: Any, problem: Problem, count: int) -> FloatArray:
-    """Return `value` if it is so many points `(count, 3)` in the box around a problem's room and fixed tags, metres.
+    """Return `value` if it holds points `(count, 3)` in the box around a problem's room and fixed tags, metres.
 
     Raises:
-        InputError: it is not.
+        InputError: it does not.
     """
     fixed = np.empty((0, 3)) if problem.fixed is None else problem.fixed.positions
     corners = np.vstack([*problem.scene.room.bounds(), fixed])

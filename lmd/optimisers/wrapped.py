@@ -19,8 +19,8 @@ from lmd.optimisers.base import AskTell
 
 # Loss of a failed evaluation, finite as libraries require; fitness lies in [0, 1].
 LOSS_OF_FAILURE = 1e3
-# Fitness is a share of positions, so many deployments tie, and most libraries reject ties and never cross a plateau. So
-# the loss of each evaluation is lower than that of the one before by this amount, far less than one position.
+# Many deployments tie, as fitness is a share of positions; most libraries reject ties and never cross a plateau. So the
+# loss of each evaluation is lower than that of the one before by this amount, far less than one position.
 TIE_BONUS = 1e-12
 STOP_METHODS = ("stop", "should_stop")  # methods of an object that return True after it has ended by its own rules
 
@@ -39,7 +39,7 @@ class Wrapped(AskTell):
     """Library optimisers behind `AskTell`; subclasses write `_open` only.
 
     - An optimiser that ends before the budget is followed by a new one with another seed, which starts from the best
-      genes so far.
+      genes.
     - Libraries draw from global random generators. These are set for each call of a library, and reset afterwards.
     """
 

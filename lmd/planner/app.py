@@ -63,7 +63,7 @@ class Planner:
         self._session = session
         self._save_files, self._optimiser = save, optimiser
         self._actions = ActionQueue()
-        self._surfaces = SurfaceArrays.of(session.problem.scene.plates.hanging.surfaces())
+        self._surfaces = SurfaceArrays.of(session.problem.scene.footprints.hanging.surfaces())
         self._selected: int | None = None
         self._dragged: int | None = None
         self._pointer: Any = None  # last event of a drag, until it is applied

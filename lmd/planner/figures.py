@@ -114,7 +114,7 @@ def _add_up(units, target, fitness, value):  # type: ignore[no-untyped-def]
 
 def candidate_cells(problem: Problem) -> Cells:
     """Coarse grid of about `CANDIDATES` places at which a tag may hang."""
-    room = problem.scene.plates.hanging
+    room = problem.scene.footprints.hanging
     surfaces = SurfaceArrays.of(room.surfaces())
     cells = wall_cells(room, math.sqrt(float(surfaces.area.sum()) / CANDIDATES))
     poses = cells.poses
@@ -161,6 +161,6 @@ def additions(
     before = float((target.relevance * (state.units / PROBABILITY_ONE)).sum())
     taken = np.zeros(len(poses), dtype=np.bool_)
     for k in range(len(deployment)):
-        taken |= problem.scene.plates.touched(poses, deployment[k : k + 1])
+        taken |= problem.scene.footprints.touched(poses, deployment[k : k + 1])
     gained = (fitness - total_worth(target, state.units), value - before)
     return Additions(*(np.where(taken, np.nan, gain) for gain in gained))

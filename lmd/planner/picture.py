@@ -72,7 +72,7 @@ class RoomPicture:
         self.cells = self._drawn_cells()
         self.balls = self._drawn_balls()
         self.tags: Any = None
-        self.captions = Captions(self._scene, problem.scene.plates.hanging.surfaces())
+        self.captions = Captions(self._scene, problem.scene.footprints.hanging.surfaces())
 
     def _draw_outline(self) -> None:
         for name, edges in self._problem.scene.room.outline().items():
@@ -142,7 +142,7 @@ class RoomPicture:
 
     def _halves(self, deployment: Deployment) -> FloatArray:
         """Half the edges of the papers of tags, `(K,)`, metres; half the drawn size of points."""
-        papers = self._problem.scene.plates.papers(deployment)
+        papers = self._problem.scene.footprints.papers(deployment)
         return np.where(papers > 0.0, papers / 2.0, POINT_SIZE * self._diagonal)
 
     def show_survey(self, found: SurveyMap, plan: Deployment) -> None:

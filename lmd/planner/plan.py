@@ -8,14 +8,12 @@ import numpy as np
 from lmd.cameras.mounts import MountSpace, rounded
 from lmd.core.checks import LARGEST, FloatArray, InputError, IntArray
 from lmd.scene.deployment import Deployment
-from lmd.scene.edges import with_gaps
 from lmd.scene.fixed import COLUMN
+from lmd.scene.footprints import Footprints
 from lmd.scene.labels import Labels
-from lmd.scene.plates import Plates
 from lmd.scene.rig import Rig
 from lmd.scene.scene import Scene
-from lmd.space.heights import lower_edge
-from lmd.space.space import Space
+from lmd.space.space import Space, lower_edge
 from lmd.space.surface import SurfaceArrays
 
 
@@ -72,8 +70,8 @@ class Plan:
         """
         k, measured = self.index_of(number), self.measured(number, room)
         x, y, z = self.deployment.positions[k]
-        edges = self.deployment.edges
-        size = "" if edges is None or np.isnan(edges[k]) else f", {edges[k]:g} m"
+        edge = self.deployment.edges[k]
+        size = "" if np.isnan(edge) else f", {edge:g} m"
         where = room.surfaces()[int(self.deployment.surfaces[k])].name if measured else "free in the room"
         pinned = ", pinned" if number in self.pinned else ""
         return f"tag {number}: {where}, ({x:.3f}, {y:.3f}, {z:.3f}) m{size}{pinned}"
@@ -92,7 +90,7 @@ class Plan:
         left, below = surface.seen(np.stack(surface.coordinates(self.deployment.positions[k])))
         return MeasuredPlace(float(left), float(below) + lower_edge(room, surface), surface.is_upright)
 
-    def moved(self, plates: Plates, number: int, surface: int, at: FloatArray) -> "Plan":
+    def moved(self, footprints: Footprints, number: int, surface: int, at: FloatArray) -> "Plan":
         """Move a tag to the free place nearest to `at` `(2,)`, coordinates on a surface, metres.
 
         Raises:
@@ -100,25 +98,24 @@ class Plan:
         """
         k = self._movable(number)
         rest = np.flatnonzero(np.arange(len(self.deployment)) != k)
-        edges = self.deployment.edges
-        own = None if edges is None else edges[k : k + 1]
-        there = _nearest_free(plates, self.deployment[rest] if rest.size else None, surface, at, own)
+        others = self.deployment[rest] if rest.size else None
+        there = _nearest_free(footprints, others, surface, at, self.deployment.edges[k])
         return replace(self, deployment=self.deployment.put(slice(k, k + 1), there))
 
-    def resized(self, plates: Plates, number: int, edge: float) -> "Plan":
+    def resized(self, footprints: Footprints, number: int, edge: float) -> "Plan":
         """Change the edge of a tag, metres, and move it to the nearest free place.
 
         Raises:
             InputError: as for `moved`, or it hangs on no surface.
         """
         k = self._movable(number)
-        edges = with_gaps(self.deployment.edges, len(self.deployment)).copy()
+        edges = self.deployment.edges.copy()
         edges[k] = edge
         surface = int(self.deployment.surfaces[k])
         if surface < 0:
             raise InputError(f"tag {number} hangs on no surface.")
-        at = np.stack(plates.hanging.surfaces()[surface].coordinates(self.deployment.positions[k]))
-        return replace(self, deployment=replace(self.deployment, edges=edges)).moved(plates, number, surface, at)
+        at = np.stack(footprints.hanging.surfaces()[surface].coordinates(self.deployment.positions[k]))
+        return replace(self, deployment=replace(self.deployment, edges=edges)).moved(footprints, number, surface, at)
 
     def added(self, scene: Scene, surface: int, at: FloatArray, edge: float | None = None) -> tuple["Plan", int]:
         """Add a tag at the free place nearest to `at`; return the plan and its id, the least unused one.
@@ -140,8 +137,7 @@ class Plan:
         more = labels + Labels(np.array([number]), marks)
         if not scene.tag.is_point:
             scene.tag.check_ids(more.ids)
-        own = None if edge is None else np.array([edge])
-        there = _nearest_free(scene.plates, self.deployment, surface, at, own)
+        there = _nearest_free(scene.footprints, self.deployment, surface, at, np.nan if edge is None else edge)
         return replace(self, deployment=replace(self.deployment + there, labels=more)), number
 
     def without(self, number: int) -> "Plan":
@@ -199,21 +195,21 @@ class Plan:
 
 
 def _nearest_free(
-    plates: Plates, others: Deployment | None, surface: int, at: FloatArray, edges: FloatArray | None = None
+    footprints: Footprints, others: Deployment | None, surface: int, at: FloatArray, edge: float = np.nan
 ) -> Deployment:
     """One landmark at the free place nearest to `at` `(2,)` on a surface, with `others` fixed.
 
-    Its edge is `edges` `(1,)`, or that of the scene's tag if None.
+    Its edge is `edge`, metres; NaN for that of the scene's tag.
 
     Raises:
         InputError: there is no such place, or no room for its paper on any surface.
     """
-    surfaces, on = SurfaceArrays.of(plates.hanging.surfaces()), np.array([surface])
+    surfaces, on = SurfaceArrays.of(footprints.hanging.surfaces()), np.array([surface])
     if not (np.abs(at) <= LARGEST).all():  # NaN neither
         raise InputError(f"there is no place at ({at[0]:g}, {at[1]:g}) m.")
-    one = Deployment(surfaces.points(on, np.asarray(at)[None]), surfaces.normal[on], on, edges=edges)
+    one = Deployment(surfaces.points(on, np.asarray(at)[None]), surfaces.normal[on], on, edges=np.array([edge]))
     fixed = 0 if others is None else len(others)
-    apart = plates.apart(one if others is None else others + one, fixed=fixed)
+    apart = footprints.apart(one if others is None else others + one, fixed=fixed)
     if apart is None:
-        raise InputError(f"there is no room for one more paper of {plates.papers(one)[0]:.4g} m.")
+        raise InputError(f"there is no room for one more paper of {footprints.papers(one)[0]:.4g} m.")
     return apart[fixed:]

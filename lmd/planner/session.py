@@ -23,7 +23,7 @@ from lmd.scene.deployment import Deployment
 from lmd.scene.deployment_sources import GivenDeployment
 from lmd.scene.rig import Rig
 from lmd.sight.views import visible
-from lmd.space.heights import lower_edge
+from lmd.space.space import lower_edge
 
 PATIENCE_SECONDS = 1.0  # maximum time that the end of a stopped search is waited for, seconds; compiling takes longer
 
@@ -111,7 +111,7 @@ class PlanningSession:
         Raises:
             InputError: as there, or a search is running.
         """
-        self._become(self.plan.moved(self.problem.scene.plates, number, surface, at), number)
+        self._become(self.plan.moved(self.problem.scene.footprints, number, surface, at), number)
 
     def place(self, number: int, left: float, up: float) -> None:
         """Move a tag on its surface to the free place nearest to a `MeasuredPlace`.
@@ -123,7 +123,7 @@ class PlanningSession:
         if index < 0:
             raise InputError(f"tag {number} hangs on no surface.")
         room = self.problem.scene.room
-        surface, hanging = (space.surfaces()[index] for space in (room, self.problem.scene.plates.hanging))
+        surface, hanging = (space.surfaces()[index] for space in (room, self.problem.scene.footprints.hanging))
         point = surface.point(*surface.seen(np.array([left, up - lower_edge(room, surface)])))
         self.drag(number, index, np.array([(point - hanging.origin) @ axis for axis in (hanging.u, hanging.v)]))
         self.drop()
@@ -146,7 +146,7 @@ class PlanningSession:
         Raises:
             InputError: as there, or a search is running.
         """
-        self._become(self.plan.resized(self.problem.scene.plates, number, edge))
+        self._become(self.plan.resized(self.problem.scene.footprints, number, edge))
 
     def add(self, surface: int, at: FloatArray, edge: float | None = None) -> int:
         """Add a tag, see `Plan.added`; returns its id.

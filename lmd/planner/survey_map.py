@@ -9,8 +9,8 @@ import numpy as np
 
 from lmd.core.checks import FloatArray, InputError
 from lmd.core.files import read_text
+from lmd.formats.tag_maps import read_deployment
 from lmd.scene.deployment import Deployment
-from lmd.scene.tag_map_files import read_deployment
 
 MAP, DOCUMENT = "map.csv", "survey.json"
 

@@ -22,7 +22,7 @@ AXES = {"count": "number of landmarks K", "paper": "paper in all [square metres]
 
 
 def save_convergence_figure(path: str | Path, history: Mapping[str, ArrayLike], headline: Headline, title: str) -> None:
-    """Write a PNG of 900 x 500 pixels: the best fitness so far as a step line over evaluations.
+    """Write a PNG of 900 x 500 pixels: the best fitness as a step line over evaluations.
 
     Args:
         path: of the PNG.

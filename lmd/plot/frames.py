@@ -10,10 +10,9 @@ import pandas as pd
 
 from lmd.core.checks import BoolArray, FloatArray
 from lmd.core.optional import optional
-from lmd.detection.calibration import Calibration
+from lmd.detection.calibration import DetectorCalibration, predicted_views
+from lmd.detection.comparison import PLACES
 from lmd.detection.evaluation import TAG_NUMBERS
-from lmd.detection.fit import foretold
-from lmd.detection.report import PLACES
 from lmd.estimation.rendered import Moment
 from lmd.geometry.camera import Camera
 from lmd.geometry.projection import view_edges
@@ -44,7 +43,7 @@ def save_calibration_figure(path: str | Path, figures: pd.DataFrame, pitches: pd
 
     Args:
         path: of the PNG.
-        figures: rows of `lmd.detection.report.figures` with the columns `deployment` and `detector`.
+        figures: rows of `lmd.detection.comparison.figures` with the columns `deployment` and `detector`.
         pitches: rows of `by_pitch`, with the same two columns.
         title: of the figure.
     """
@@ -85,7 +84,7 @@ def save_places_figure(path: str | Path, places: pd.DataFrame, title: str) -> No
 
     Args:
         path: of the PNG.
-        places: rows of `lmd.detection.report.by_place`.
+        places: rows of `lmd.detection.comparison.by_place`.
         title: of the figure.
     """
     figure = new_figure((12.0, 4.6), title)
@@ -104,7 +103,7 @@ def save_places_figure(path: str | Path, places: pd.DataFrame, title: str) -> No
     figure.savefig(path)
 
 
-def save_limits_figure(path: str | Path, calibrations: Mapping[str, Calibration], title: str) -> None:
+def save_limits_figure(path: str | Path, calibrations: Mapping[str, DetectorCalibration], title: str) -> None:
     """Write a PNG: for each detector the views it found, by pitch and blur, and their share by size over the limit.
 
     Args:
@@ -117,7 +116,7 @@ def save_limits_figure(path: str | Path, calibrations: Mapping[str, Calibration]
     for (left, right), (name, calibration) in zip(panels, calibrations.items(), strict=True):
         views, limits = calibration.views, calibration.fit.limits
         facing = replace(limits, pitch=0.0, blur=0.0, edge=0.0)  # and in the image
-        shown = foretold(views, facing, calibration.fit.circles)
+        shown = predicted_views(views, facing, calibration.fit.circles)
         fair = shown & (views.edge >= limits.edge)
         for which, colour, label in ((views.seen, "C0", "found"), (~views.seen, "C3", "not found")):
             chosen = fair & which

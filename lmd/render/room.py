@@ -9,7 +9,6 @@ from numpy.typing import NDArray
 
 from lmd.core.checks import FloatArray, InputError
 from lmd.geometry.squares import corners
-from lmd.scene.edges import edges_or
 from lmd.scene.tag import Tag
 from lmd.space.surface import Surface
 
@@ -46,7 +45,8 @@ class TaggedRoom:
             raise InputError(
                 f"ids must be in [0, {self.tag.ids - 1}] for family {self.tag.family}, got {ids.min()} to {ids.max()}."
             )
-        object.__setattr__(self, "edges", edges_or(self.edges, len(ids), self.tag))
+        edges = np.full(len(ids), np.nan) if self.edges is None else self.edges
+        object.__setattr__(self, "edges", self.tag.filled(edges))
         for name in ("centres", "normals", "ups"):
             array = np.asarray(getattr(self, name), dtype=np.float64)
             if array.shape != (len(ids), 3) or not np.isfinite(array).all():

@@ -2,7 +2,7 @@
 
 from lmd.geometry.camera import Camera
 from lmd.scene.deployment import Deployment
-from lmd.scene.deployment_sources import FileDeployment, RandomDeployment, UniformDeployment
+from lmd.scene.deployment_sources import RandomDeployment, UniformDeployment
 from lmd.scene.rig import Mount, Rig
 from lmd.scene.scene import Scene
 from lmd.scene.tag import Tag
@@ -10,7 +10,6 @@ from lmd.scene.tag import Tag
 __all__ = [
     "Camera",
     "Deployment",
-    "FileDeployment",
     "Mount",
     "RandomDeployment",
     "Rig",

@@ -1,4 +1,4 @@
-"""What a model of sight must answer: whether a camera covers a landmark, in two stages, and who hides whom.
+"""Interface of models of sight: whether a camera covers a landmark, in two stages, and which landmarks hide others.
 
 Most of what decides depends on the camera's position alone, little on its orientation. So each criterion is told twice:
 once for all orientations from a position (`from_position`), once for one orientation (`in_image`): the optical axis and
@@ -12,8 +12,8 @@ A model has two sides:
 - the same compiled for one camera, a named tuple of numbers with the fields and methods of `Sight`, which registers its
   functions with those below. Both must decide alike, bit for bit. A `Covering` has no such half.
 
-What prunes goes by less: bands of axes by a cone that holds every axis that covers a landmark (`low`), tables of
-directions by what is in view at all (`in_view`).
+Pruning uses conservative bounds: bands of axes use a cone that holds every axis that covers a landmark (`low`), tables
+of directions use the field of view alone (`in_view`).
 """
 
 import math
@@ -54,13 +54,13 @@ class Sight(Protocol):
 
     @property
     def tabulated(self) -> bool:
-        """Whether `in_image` is so long that evaluations had better look up what they can (`lmd.sight.directions`)."""
+        """True if `in_image` is slower than looking up directions (`lmd.sight.directions`)."""
 
     def unhidden(self) -> "Sight":
         """The model in which no landmark hides another."""
 
     def among(self, low: FloatArray, high: FloatArray, landmarks: FloatArray, normals: FloatArray) -> "Sight":
-        """The same for these landmarks: `unhidden` if that is easily known to make no difference.
+        """The model for these landmarks: `unhidden` if a quick test shows that none hides another.
 
         Args:
             low, high: corners of a box around all positions of the camera, `(3,)`, metres.
@@ -68,7 +68,7 @@ class Sight(Protocol):
         """
 
     def shrunk(self, size: float) -> "Sight":
-        """The same with landmarks whose body, which hides others, is `size` times as large."""
+        """The model in which the body of a landmark, which hides others, is `size` times as large."""
 
 
 class Criteria(Protocol):
@@ -76,11 +76,11 @@ class Criteria(Protocol):
 
     @property
     def needs_roll(self) -> bool:
-        """Whether the camera's roll about its optical axis matters."""
+        """True if the camera's roll about its optical axis matters."""
 
     @property
     def spacing(self) -> float:
-        """How far apart neighbouring landmarks had better be, so that none hides the other, metres."""
+        """Distance between neighbouring landmarks at which none hides the other, metres."""
 
     def sight(self, camera: Camera) -> Any:
         """These criteria compiled for a camera, a `Sight`; None where there is only the reference."""
@@ -88,7 +88,7 @@ class Criteria(Protocol):
     def covered(
         self, camera: Camera, position: FloatArray, axes: FloatArray, landmarks: FloatArray, normals: FloatArray
     ) -> BoolArray:
-        """Which landmarks the camera covers, `(A, K)`: the reference.
+        """Mask of the landmarks that the camera covers, `(A, K)`: the reference.
 
         Args:
             position: p, `(3,)`, world frame, metres.
@@ -100,7 +100,7 @@ class Criteria(Protocol):
 class Covering(ABC):
     """Criteria in NumPy alone: a class that derives from this writes `covered`, see `Criteria`.
 
-    All figures come from `covered` then (`lmd.sight.by_reference`), which takes longer than the compiled half.
+    All figures come from `covered` then (`lmd.sight.reference`), which takes longer than the compiled half.
     """
 
     needs_roll = True
@@ -126,23 +126,18 @@ def horizon_of(sight: Sight) -> float:
     return float(getattr(sight, "horizon", math.inf))
 
 
-def largest(sight: Any) -> Any:
-    """The sight of the largest landmarks: what is in view of them, and how far, holds for all."""
-    return getattr(sight, "largest", sight)
-
-
 @overridable
 def sized(sight, k):  # type: ignore[no-untyped-def]
-    """The sight of landmark k of a deployment by itself, for a model that knows landmarks of several sizes.
+    """The sight of landmark k of a deployment: that of a model whose numbers are columns where sizes differ.
 
-    All functions below but `pixel_density` are for the sight of one landmark.
+    All functions below but `in_view` and `pixel_density` take the sight of one landmark.
     """
     return sight
 
 
 @dispatched
 def from_position(sight, x, y, z, nx, ny, nz, slack):  # type: ignore[no-untyped-def]
-    """What a landmark is like from a position, whatever the camera's orientation.
+    """Bounds on the coverage of a landmark from a position, over all orientations of the camera.
 
     Args:
         x, y, z: offset of the landmark from the camera, world frame, metres.
@@ -159,7 +154,7 @@ def from_position(sight, x, y, z, nx, ny, nz, slack):  # type: ignore[no-untyped
 
 @overridable
 def from_around(sight, x, y, z, nx, ny, nz, radius):  # type: ignore[no-untyped-def]
-    """What holds of `from_position` for all cameras that are less than `radius` metres from a point.
+    """Bounds on `from_position` over all cameras less than `radius` metres from a point.
 
     Args:
         x, y, z: offset of the landmark from the point, world frame, metres.
@@ -177,7 +172,7 @@ def from_around(sight, x, y, z, nx, ny, nz, radius):  # type: ignore[no-untyped-
 
 @dispatched
 def in_image(sight, x, y, z, nx, ny, nz, low, slack, ax, ay, az, rx, ry, rz):  # type: ignore[no-untyped-def]
-    """Whether a landmark that is `reached` is covered with the optical axis (ax, ay, az), nobody hiding it.
+    """True if the optical axis (ax, ay, az) covers a landmark that is `reached`, without occlusion.
 
     (rx, ry, rz) points to the right of the image, axis x right down.
     The other arguments are those and the answers of `from_position`; an infinite `low` is never covered.
@@ -186,7 +181,7 @@ def in_image(sight, x, y, z, nx, ny, nz, low, slack, ax, ay, az, rx, ry, rz):  #
 
 @dispatched
 def in_view(sight, x, y, z, sine, cosine, ax, ay, az, rx, ry, rz):  # type: ignore[no-untyped-def]
-    """Whether every direction within an angle of the unit vector (x, y, z) is in view with an orientation.
+    """True if every direction within an angle of the unit vector (x, y, z) is in view with an orientation.
 
     `sine` and `cosine` are those of the angle, less than a right one. With a negative sine: whether any direction may
     be that is so near. The directions in view are those of all landmarks that the model may cover.
@@ -204,7 +199,7 @@ def in_cone(least, x, y, z, sine, cosine, ax, ay, az):  # type: ignore[no-untype
 
 @dispatched
 def hide(sight, ax, ay, az, a, bx, by, bz, b, ux, uy, uz, vx, vy, vz):  # type: ignore[no-untyped-def]
-    """Whether landmark A hides B, and B hides A, from where the camera is.
+    """Tell if landmark A hides B, and if B hides A, from the camera's position.
 
     Args:
         ax, ay, az, bx, by, bz: offsets of the two from the camera, metres.
@@ -231,7 +226,7 @@ def covers(sight, x, y, z, nx, ny, nz, low, slack, axes, a):  # type: ignore[no-
 
 @overridable
 def frame_of(sight, nx, ny, nz):  # type: ignore[no-untyped-def]
-    """What `covers_one` needs of a landmark with a normal, the same for all positions and orientations."""
+    """Argument of `covers_one` for a landmark with a normal; it serves all positions and orientations."""
     return nx, ny, nz
 
 
@@ -278,7 +273,7 @@ def covering(sight, left, w, x, y, z, frame, low, high, sure, well, axes):  # ty
 
 
 def depth_first(sight, left, w, x, y, z, frame, low, high, sure, well, axes):  # type: ignore[no-untyped-def]
-    """What a model whose tests are long registers for `covering`: the depth decides most, and is found for all axes."""
+    """`covering` for models with long tests: depths of all axes come first, since they decide most."""
     within, shallow = ZERO, ZERO
     for first in range(np.uint64(0), np.uint64(BITS), np.uint64(LANES)):
         if left >> first << np.uint64(BITS - LANES):

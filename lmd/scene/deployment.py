@@ -9,9 +9,9 @@ import numpy as np
 from lmd.core.checks import BoolArray, FloatArray, InputError, IntArray, said_of
 from lmd.core.tables import Table, read_table, write_table
 from lmd.geometry.squares import upright
-from lmd.scene.edges import EDGE, checked_edges, edge_column, edges_or, joined
+from lmd.scene.edges import EDGE, checked_edges, edge_column
 from lmd.scene.labels import ID, Labels
-from lmd.scene.surveyed import Surveyed
+from lmd.scene.surveyed import Surveyed, in_plane
 from lmd.scene.tag import Tag
 from lmd.space.space import Space
 from lmd.space.surface import FILE_TOLERANCE, PLACEMENT_TOLERANCE, SurfaceArrays
@@ -19,8 +19,6 @@ from lmd.space.surface import FILE_TOLERANCE, PLACEMENT_TOLERANCE, SurfaceArrays
 HUNG = ("positions", "normals", "surfaces")  # the arrays that say where and how landmarks hang
 COLUMNS = ("x", "y", "z", "nx", "ny", "nz")
 UP_COLUMNS = ("ux", "uy", "uz")
-# An up printed with a few decimals is still upright, and in the plane of its tag.
-UP_TOLERANCE, IN_PLANE = 1e-3, 1e-2
 # A normal printed with a few decimals is still a unit normal.
 NORMAL_TOLERANCE = 1e-3
 # A normal this close to that of its surface is flush with it.
@@ -39,8 +37,7 @@ class Deployment:
         labels: what the landmarks are called; None where they are numbered from 0.
         surveyed: places and ups to the last digit, where landmarks were measured behind their surface, or turned in
             their plane; None where `positions` are the places and all hang upright.
-        edges: of the black squares of tags that have a size of their own, `(K,)`, metres, NaN for those that have none;
-            None where none has. See `edges_of`.
+        edges: of the black squares, `(K,)`, metres; NaN, the default, for that of the scene's tag, see `edges_of`.
         note: how a file was read that may mean something else, a sentence; empty where there is no doubt.
 
     Raises:
@@ -53,7 +50,7 @@ class Deployment:
     surfaces: IntArray = None  # type: ignore[assignment] # always an array once made
     labels: Labels | None = None
     surveyed: Surveyed | None = None
-    edges: FloatArray | None = None
+    edges: FloatArray = None  # type: ignore[assignment] # always an array once made
     note: str = field(default="", compare=False)
 
     def __post_init__(self) -> None:
@@ -88,8 +85,8 @@ class Deployment:
         """The landmarks that `chosen` selects."""
         labels = None if self.labels is None else self.labels[chosen]
         surveyed = None if self.surveyed is None else self.surveyed[chosen]
-        edges = None if self.edges is None else self.edges[chosen]
-        return Deployment(self.positions[chosen], self.normals[chosen], self.surfaces[chosen], labels, surveyed, edges)
+        parts = self.positions[chosen], self.normals[chosen], self.surfaces[chosen]
+        return Deployment(*parts, labels, surveyed, self.edges[chosen])
 
     @property
     def ids(self) -> IntArray:
@@ -97,7 +94,7 @@ class Deployment:
         return np.arange(len(self)) if self.labels is None else self.labels.ids
 
     def put(self, chosen: slice | IntArray, there: "Deployment") -> "Deployment":
-        """The same landmarks, but those that `chosen` selects hang where the landmarks of `there` do."""
+        """The deployment with the landmarks that `chosen` selects moved to those of `there`."""
         parts = {name: getattr(self, name).copy() for name in HUNG}
         for name, values in parts.items():
             values[chosen] = getattr(there, name)
@@ -105,16 +102,16 @@ class Deployment:
 
     def __add__(self, other: "Deployment") -> "Deployment":
         """The landmarks of both, numbered from 0."""
-        parts = ((getattr(self, name), getattr(other, name)) for name in HUNG)
-        edges = joined([(len(each), each.edges) for each in (self, other)])
-        both = replace(Deployment(*(np.concatenate(part) for part in parts)), edges=edges)
+        columns = ((getattr(self, name), getattr(other, name)) for name in (*HUNG, "edges"))
+        positions, normals, surfaces, edges = (np.concatenate(column) for column in columns)
+        both = Deployment(positions, normals, surfaces, edges=edges)
         if self.surveyed is None and other.surveyed is None:
             return both
         places, ups = (np.concatenate([getattr(each, name) for each in (self, other)]) for name in ("places", "ups"))
         return replace(both, surveyed=Surveyed(both.positions, places, ups))
 
     def hung(self, room: Space, anywhere: bool = False, papers: float | FloatArray = 0.0) -> "Deployment":
-        """The same landmarks with the surfaces of `room` that they hang on.
+        """The deployment with the surfaces of `room` that the landmarks hang on.
 
         What belongs to a surface (`Space.surface_near`) and was measured behind it, if only with a corner because it
         leans, counts as if it just touched it: nothing is seen through a wall. Its `places` stay what they were.
@@ -148,17 +145,19 @@ class Deployment:
         return replace(hung, surfaces=room.surfaces_of(hung.positions, hung.normals))
 
     def fault(self, room: Space, near: bool = False) -> str | None:
-        """What is wrong with how the landmarks hang, in a clause about the first that hangs on no surface, faces into
-        its own, or hangs where none may; None if all hang properly. They know their surfaces (`hung`), which are those
-        of `room`.
+        """Clause about the first landmark that hangs on no surface, faces into its own, or hangs where none may.
+
+        None if there is none. Landmarks know their surfaces (`hung`), which are those of `room`.
 
         Args:
             near: whether landmarks may stand a little before a surface, see `Space.surface_near`.
         """
         surfaces, some = room.surfaces(), f"of {len(self)} landmarks do"
-        own = self.belonging(room) if near else self._touching(room)
+        distance = self._distance(room)
+        touched = np.where(distance.min(axis=0) > 0.0, -1, distance.argmin(axis=0))
+        own = self.belonging(room) if near else np.where(self.surfaces < 0, touched, self.surfaces)
         if (floating := np.flatnonzero(own < 0)).size:
-            first, distance = int(floating[0]), self._distance(room)
+            first = int(floating[0])
             nearest = int(np.argmin(distance[:, first]))
             return (
                 f"landmark {self._place(first)} hangs in mid-air, {distance[nearest, first]:.4g} m from the nearest "
@@ -186,17 +185,8 @@ class Deployment:
             return self.surfaces
         return np.where(self.surfaces < 0, room.surface_near(self.positions, self.normals), self.surfaces)
 
-    def _touching(self, room: Space) -> IntArray:
-        """The surface of `room` that each hangs on, or else is exactly in the plane of, -1 for none, `(K,)`."""
-        if (self.surfaces >= 0).all():
-            return self.surfaces
-        distance = self._distance(room)
-        return np.where(
-            self.surfaces < 0, np.where(distance.min(axis=0) > 0.0, -1, distance.argmin(axis=0)), self.surfaces
-        )
-
     def before(self, room: Space) -> "Deployment":
-        """The same landmarks, those that belong to no surface of `room` with the one they are nearest to."""
+        """The deployment in which landmarks that belong to no surface of `room` have the nearest one."""
         own = self.belonging(room)
         if own is self.surfaces:
             return self
@@ -215,8 +205,7 @@ class Deployment:
             flush: whether landmarks must lie flat.
 
         Raises:
-            InputError: a landmark hangs on no surface or where none may, faces into its surface, or does not lie flat
-                on it.
+            InputError: a landmark hangs on no surface or where none may, faces into its surface or is not flush.
         """
         hung = self.hung(room)
         if fault := hung.fault(room):
@@ -237,7 +226,7 @@ class Deployment:
 
     @property
     def places(self) -> FloatArray:
-        """Where the landmarks hang to the last digit, `(K, 3)`, world frame, metres."""
+        """Measured positions of the landmarks, `(K, 3)`, world frame, metres; see `Surveyed`."""
         return self.positions if self.surveyed is None else self.surveyed.places_of(self.positions)
 
     @property
@@ -246,12 +235,14 @@ class Deployment:
         ups = upright(self.normals)[1] + 0.0  # no -0
         return ups if self.surveyed is None else self.surveyed.ups_of(self.positions, ups)
 
-    def edges_of(self, tag: Tag) -> FloatArray:
-        """The edge of the black square of each landmark, `(K,)`, metres: its own, or else that of `tag`.
+    @property
+    def has_own_edges(self) -> bool:
+        """True if a landmark has an edge of its own."""
+        return not np.isnan(self.edges).all()
 
-        Landmarks that are points have none: 0.
-        """
-        return edges_or(self.edges, len(self), tag)
+    def edges_of(self, tag: Tag) -> FloatArray:
+        """Edges of the black squares, `(K,)`, metres: the landmark's own, or else that of `tag`; zeros for points."""
+        return tag.filled(self.edges)
 
     def to_csv(self, file: str | Path | TextIO, ups: bool = False) -> None:
         """Write `id,x,y,z,nx,ny,nz` with every digit, so that reading it back gives the same numbers and labels.
@@ -265,7 +256,7 @@ class Deployment:
         columns = dict(zip(COLUMNS, np.hstack([self.places, self.normals]).T, strict=True))
         if ups:
             columns |= zip(UP_COLUMNS, self.ups.T, strict=True)
-        if self.edges is not None:
+        if self.has_own_edges:
             columns[EDGE] = self.edges
         further = {} if self.labels is None else self.labels.columns
         write_table(file, {ID: self.ids, **columns, **further})
@@ -287,7 +278,7 @@ class Deployment:
 
     @classmethod
     def from_table(cls, table: Table) -> "Deployment":
-        """The same of a table that was read."""
+        """Read a deployment from a table, see `from_csv`."""
         path = table.path
         columns = COLUMNS + UP_COLUMNS if any(name in table for name in UP_COLUMNS) else COLUMNS
         rows, labels = table.numbers(columns, None), Labels.of(table, (*columns, EDGE))
@@ -300,22 +291,10 @@ class Deployment:
         return deployment if rows.shape[1] == len(COLUMNS) else deployment.turned(path, rows[:, 6:])
 
     def turned(self, path: str | Path, ups: FloatArray) -> "Deployment":
-        """The same landmarks with the ups `(K, 3)` of a file, if one of them is not upright.
+        """The deployment with the ups `(K, 3)` of a file, if one of them is not upright.
 
         Raises:
             InputError: an up is no unit vector in the plane of its tag.
         """
-        leaning = (ups * self.normals).sum(axis=1, keepdims=True)
-        off = np.maximum(np.abs(leaning[:, 0]), np.abs(np.linalg.norm(ups, axis=1) - 1.0))
-        if (wrong := np.flatnonzero(off > IN_PLANE)).size:
-            up, normal = (", ".join(f"{value:.4g}" for value in v[wrong[0]]) for v in (ups, self.normals))
-            raise InputError(
-                f"{path}: the up of landmark {self.ids[wrong[0]]}, ({up}), is no unit vector in the plane of its tag, "
-                f"whose normal is ({normal})."
-            )
-        level = np.linalg.norm(ups - self.ups, axis=1, keepdims=True) <= UP_TOLERANCE
-        if level.all():
-            return self
-        flat = ups - leaning * self.normals
-        turned = np.where(level, self.ups, flat / np.linalg.norm(flat, axis=1, keepdims=True))
-        return replace(self, surveyed=Surveyed(self.positions, self.positions, turned))
+        turned = in_plane(path, self.ids, self.normals, self.ups, ups)
+        return self if turned is None else replace(self, surveyed=Surveyed(self.positions, self.positions, turned))

@@ -1,16 +1,14 @@
-"""Sources of deployments: random, uniform, from a file, or given."""
+"""Sources of deployments: random, uniform, existing, or given."""
 
 from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
 
-from lmd.core.checks import FloatArray, InputError, IntArray, boolean, choice, integer, said_of
+from lmd.core.checks import FloatArray, IntArray, choice, integer
 from lmd.core.memory import check_memory
 from lmd.scene.deployment import Deployment
-from lmd.scene.placed_tag import axes_of
 from lmd.scene.tag import Tag
-from lmd.scene.tag_map_files import read_deployment
 from lmd.space.space import Space
 from lmd.space.surface import SurfaceArrays
 
@@ -98,46 +96,17 @@ class UniformDeployment:
         return _flush(SurfaceArrays.of(surfaces), np.repeat(np.arange(len(surfaces)), counts), at, tag)
 
 
-@dataclass(frozen=True)
-class FileDeployment:
-    """A deployment from a CSV written by `Deployment.to_csv` or by anyone, or from a tag map.
+class ExistingDeployment:
+    """Landmarks that hang somewhere already: a base of sources, which find them as they are.
 
-    Args:
-        path: the file, see `lmd.scene.tag_map_files.read_deployment`.
-        count: K; if given, the file must have that many rows.
-        free: whether landmarks are taken as they are: they may stand free in the room or outside, face into the surface
-            they hang on or hang where none may, and papers may overlap.
-        family: of the tags, in place of that of the tag that hangs there.
-        axes: where x, y and z of the frame of a tag point in a table, see `lmd.scene.placed_tag.axes_of`.
-
-    Raises:
-        InputError: `free` is neither true nor false, or the axes are no frame.
+    Attributes:
+        path: the file that lists them, for messages.
+        free: True if they may hang anywhere: outside the room, on no surface, overlapping.
     """
 
     path: str | None
-    count: int | None = None
-    free: bool = False
-    family: str | None = None
-    axes: tuple[str, ...] | None = None
+    free: bool
     varies = False
-
-    def __post_init__(self) -> None:
-        boolean("free", self.free)
-        axes_of(self.axes)
-
-    def draw(self, room: Space, rng: np.random.Generator, tag: Tag = POINT) -> Deployment:
-        """See `DeploymentSource.draw`."""
-        if self.path is None:
-            raise InputError("path is missing: a CSV of landmarks or a tag map is needed.", "path")
-        family = None if tag.is_point else self.family or tag.family
-        deployment = read_deployment(self.path, family=family, axes=self.axes)
-        if self.count is not None and self.count != len(deployment):
-            raise InputError(f"count = {self.count}, but {self.path} has {len(deployment)} landmarks.", "count")
-        with said_of(self.path):
-            hung = deployment.hung(room, self.free, tag.paper_share * deployment.edges_of(tag))
-        if not self.free and (fault := hung.fault(room, near=True)):
-            raise InputError(f"free = false, but in {self.path} {fault}.", "free")
-        return hung
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""What hangs already: landmarks that stay where they are, beside those that are placed."""
+"""Fixed landmarks, which hang already, beside those that are placed."""
 
 from dataclasses import replace
 

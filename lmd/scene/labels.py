@@ -1,4 +1,4 @@
-"""What the landmarks of a file are called, and what else it says of them: kept from input to output."""
+"""Ids and further columns of the landmarks of a file, kept from input to output."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field

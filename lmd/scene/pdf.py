@@ -180,7 +180,7 @@ def divisions_of(value: int, pitches: int | None = None) -> int:
         pitches: how many there are if others.
 
     Raises:
-        InputError: it is no positive whole number, or there is not enough memory for so many orientations.
+        InputError: it is no positive whole number, or the orientations do not fit into memory.
     """
     count = integer("divisions", value, low=1)
     made = 2 * count * (pitches or count)

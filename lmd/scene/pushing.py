@@ -1,4 +1,4 @@
-"""Pushing papers apart: each goes to the nearest place where it overlaps none of those before it, see `plates`."""
+"""Pushing papers apart: each goes to the nearest place where it overlaps none of those before it, see `footprints`."""
 
 import numpy as np
 
@@ -7,13 +7,13 @@ from lmd.space.allowed import allows, nearest
 
 # Relative: papers that share an edge do not overlap, however their distance is rounded.
 TOUCHING = 1e-9
-# Plates within so many edges are looked at first when one is pushed away.
+# Distance within which footprints are tried first when one is pushed away, in edges of the largest.
 NEARBY_EDGES = 3.0
 
 
 @inner
 def _is_free(k, a, b, s, surface, at, edge):  # type: ignore[no-untyped-def]
-    """Whether plate k at (a, b) on surface s overlaps none of those before it."""
+    """True if footprint k at (a, b) on surface s overlaps none of those before it."""
     free = True
     for j in range(k):
         least = (edge[j] + edge[k]) / 2.0 * (1.0 - TOUCHING)
@@ -23,10 +23,10 @@ def _is_free(k, a, b, s, surface, at, edge):  # type: ignore[no-untyped-def]
 
 @inner
 def _nearest_free(k, s, a, b, within, surface, at, pieces, start, stop, edge, lines, found):  # type: ignore
-    """Write the free place for plate k nearest to (a, b) on surface s to `found`; whether there is one.
+    """Write the free place for footprint k nearest to (a, b) on surface s to `found`; whether there is one.
 
     A nearest place has each coordinate either unchanged or on a line: a border along u or v, or one that touches
-    another plate. Only plates at most `within` away make lines. The plate may hang on the pieces `start` to `stop`.
+    another footprint. Only footprints at most `within` away make lines. Pieces `start` to `stop` may carry it.
     """
     lines[0, 0], lines[1, 0] = a, b
     across, up = 1, 1
@@ -54,9 +54,9 @@ def _nearest_free(k, s, a, b, within, surface, at, pieces, start, stop, edge, li
 
 @kernel
 def push(fixed, surface, at, pieces, first, of, edge, moved):  # type: ignore[no-untyped-def]
-    """Push plates at `at` `(K, 2)` on `surface` `(K,)` apart, in place, but for so many `fixed` at the beginning.
+    """Push footprints at `at` `(K, 2)` on `surface` `(K,)` apart, in place, but for the first `fixed`.
 
-    Their papers have the edges `edge` `(K,)`. A plate of the size `of[k]` may hang on surface s on the pieces from
+    Their papers have the edges `edge` `(K,)`. A footprint of the size `of[k]` may hang on surface s on the pieces from
     `first[of[k], s]` on. Marks those `moved`; whether all found room.
     """
     lines, found, count = np.empty((2, 2 * len(at) + 4 * len(pieces) + 1)), np.empty(2), first.shape[1] - 1

@@ -1,8 +1,8 @@
-"""How the camera really moved: a recording of poses in place of a grid of positions and one orientation PDF.
+"""A recording of poses of the camera in place of a grid of positions and one orientation PDF.
 
-The recording is cut into blocks of time. Every so many-th block is held out: nothing is optimised on it, and
+The recording is cut into blocks of time. Each `held_out`-th block is held out: nothing is optimised on it, and
 `lmd.evaluation.validation` scores a deployment there, at the poses exactly as recorded. The others say where the camera
-is (`lmd.space.visited`) and how it looks there (`lmd.scene.by_position`).
+is (`lmd.space.changed`) and how it looks there (`lmd.scene.by_position`).
 """
 
 import math
@@ -13,11 +13,11 @@ from functools import cached_property
 import numpy as np
 
 from lmd.core.checks import BoolArray, FloatArray, InputError, IntArray, check_fields, integer, real
+from lmd.geometry.trajectory import Trajectory
 from lmd.scene.by_position import pdf_by_position
 from lmd.scene.pdf import OrientationPdf
-from lmd.scene.trajectory_files import TrajectoryFile
-from lmd.space.space import Space
-from lmd.space.visited import Visited
+from lmd.space.changed import Visited
+from lmd.space.space import Space, check_file_inside
 
 
 @dataclass(frozen=True)
@@ -41,32 +41,36 @@ class Records:
         return Records(self.poses[chosen], self.seconds[chosen], self.block[chosen])
 
 
-@dataclass(frozen=True, kw_only=True)
-class RecordedPoses(TrajectoryFile):
+@dataclass(frozen=True)
+class RecordedPoses:
     """A recording, and what is made of it.
 
     Args:
-        path, frame, times, rate, align, mount: see `TrajectoryFile`.
+        trajectory: of the camera, in the room.
         spacing: edge of the cells that become positions, metres: one number or one per axis.
         bandwidth: of the kernel in position, metres.
         direction_bandwidth: of the kernel in direction, degrees.
         divisions: orientations lie on a grid with the step 180 degrees / divisions.
-        held_out: every so many-th block is held out, at least 2; None for no block.
+        held_out: blocks of which the last is held out, at least 2; None to hold out none.
         block: length of a block, seconds.
+        path: the file that it is from, for messages.
+        note: on how the file was read.
 
     Raises:
-        InputError: a value is out of range, the file is no trajectory, or it is too short for a block to be held out.
+        InputError: a value is out of range, or the recording is too short for a block to be held out.
     """
 
+    trajectory: Trajectory
     spacing: float | Sequence[float]
     bandwidth: float
     direction_bandwidth: float
     divisions: int
     held_out: int | None
     block: float
+    path: str | None = None
+    note: str = ""
 
     def __post_init__(self) -> None:
-        super().__post_init__()
         check_fields(self, real, "bandwidth", "direction_bandwidth", "block", above=0.0)
         check_fields(self, integer, "divisions", low=1)
         if self.held_out is not None:
@@ -93,12 +97,12 @@ class RecordedPoses(TrajectoryFile):
 
     @property
     def seen(self) -> Records:
-        """What a deployment is optimised on."""
+        """Records that a deployment is optimised on."""
         return self._records[~self._is_kept_back]
 
     @property
     def kept_back(self) -> Records:
-        """What is held out."""
+        """Records that are held out."""
         return self._records[self._is_kept_back]
 
     def visited(self, room: Space) -> Visited:
@@ -108,7 +112,7 @@ class RecordedPoses(TrajectoryFile):
             InputError: a pose, held out or not, is outside the room or in something that stands there; or the spacing
                 is refused.
         """
-        self.check_inside(room)
+        check_file_inside(self.path, self.trajectory, room)
         seen = self.seen
         return Visited(room, seen.poses[:, :3, 3], seen.seconds, self.spacing)
 
@@ -117,7 +121,7 @@ class RecordedPoses(TrajectoryFile):
         """The orientation PDF, which depends on the position.
 
         Raises:
-            InputError: there is not enough memory for so many records and orientations.
+            InputError: the records and orientations do not fit into memory.
         """
         seen, width = self.seen, math.radians(self.direction_bandwidth)
         return pdf_by_position(seen.poses, seen.seconds, self.bandwidth, width, self.divisions)

@@ -109,7 +109,7 @@ class Rig:
 
     @property
     def needs_roll(self) -> bool:
-        """Whether the body's roll moves a camera or its optical axis."""
+        """True if the body's roll moves a camera or its optical axis."""
         return any(np.any(mount.translation[1:]) or np.any(mount.rotation[1:, 0]) for mount in self.mounts)
 
     @property
@@ -118,7 +118,7 @@ class Rig:
         return np.asarray(inverse(self.extrinsics[0]) @ self.extrinsics)
 
     def views(self, axes: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Where the cameras are and what they look at, for orientations of the body.
+        """Offsets and optical axes of the cameras for orientations of the body.
 
         Args:
             axes: the body's x axis, and right (-y), `(A, 6)`: two unit vectors in the world frame, see
@@ -150,16 +150,6 @@ class Rig:
 def rig_of(camera: Camera | Rig) -> Rig | None:
     """The rig; None for a single camera."""
     return camera if isinstance(camera, Rig) else None
-
-
-def cameras_of(camera: Camera | Rig) -> tuple[Camera, ...]:
-    """The camera, or those of a rig."""
-    return camera.cameras if isinstance(camera, Rig) else (camera,)
-
-
-def extrinsics_of(camera: Camera | Rig) -> FloatArray:
-    """Poses of the cameras in the frame that moves, `(C, 4, 4)`: that of the rig's body, or of the only camera."""
-    return camera.extrinsics if isinstance(camera, Rig) else np.eye(4)[None]
 
 
 class Station(NamedTuple):

@@ -10,9 +10,9 @@ import numpy as np
 from lmd.core.checks import FloatArray, InputError
 from lmd.core.memory import check_views
 from lmd.geometry.camera import Camera
+from lmd.scene.footprints import Footprints
 from lmd.scene.pdf import OrientationPdf, Orientations
-from lmd.scene.plates import Plates
-from lmd.scene.rig import Rig, Station, cameras_of, extrinsics_of, rig_of
+from lmd.scene.rig import Rig, Station, rig_of
 from lmd.scene.tag import Tag
 from lmd.space.space import Space
 
@@ -62,14 +62,14 @@ class Scene:
         if seen is not None and seen != self.tag:
             raise InputError(f"tag is {self.tag}, but visibility is about {seen}.", "tag")
 
-    def sized(self, edges: FloatArray | None) -> "Scene":
-        """The same for landmarks with these edges, `(K,)` metres, NaN for the tag's, in every deployment.
+    def sized(self, edges: FloatArray) -> "Scene":
+        """The scene for landmarks with edges `(K,)`, metres, NaN for that of the tag, in every deployment.
 
-        Itself for None, and for tags that are points: these have no size.
+        Itself if all are NaN, and for points, which have no size.
         """
-        if edges is None or self.tag.is_point:
+        if self.tag.is_point or np.isnan(edges).all():
             return self
-        each = tuple(float(edge) for edge in np.where(np.isnan(edges), self.tag.size, edges))
+        each = tuple(self.tag.filled(edges).tolist())
         each = each if len(set(each)) > 1 else each[:1]
         if each == (self.edges or (self.tag.size,)):
             return self
@@ -85,7 +85,7 @@ class Scene:
 
     @property
     def has_several_sizes(self) -> bool:
-        """Whether landmarks have edges of their own that differ."""
+        """True if the edges of landmarks differ."""
         return self.edges is not None and len(self.edges) > 1
 
     def check_one_size(self, what: str) -> None:
@@ -100,14 +100,14 @@ class Scene:
             raise InputError(f"of {count} landmarks the sizes are not known: there are {len(self.edges)} edges.")
 
     @cached_property
-    def plates(self) -> Plates:
+    def footprints(self) -> Footprints:
         """The papers of the tags, and where they may hang."""
-        return Plates(self.room, self.tag)
+        return Footprints(self.room, self.tag)
 
     @property
     def spacing(self) -> float:
-        """How far apart neighbouring landmarks had better be, metres."""
-        return max(self.visibility.spacing, self.plates.edge)
+        """Distance at which neighbouring landmarks neither hide each other nor overlap, metres."""
+        return max(self.visibility.spacing, self.footprints.edge)
 
     @property
     def rig(self) -> Rig | None:
@@ -117,12 +117,12 @@ class Scene:
     @property
     def cameras(self) -> tuple[Camera, ...]:
         """The camera, or those of the rig."""
-        return cameras_of(self.camera)
+        return self.camera.cameras
 
     @property
     def extrinsics(self) -> FloatArray:
-        """See `extrinsics_of`."""
-        return extrinsics_of(self.camera)
+        """Poses of the cameras in the frame that moves, `(C, 4, 4)`: that of the rig's body, or of the only camera."""
+        return self.camera.extrinsics
 
     def single_camera(self, what: str) -> Camera:
         """The only camera, for what does not know of rigs.
@@ -138,7 +138,7 @@ class Scene:
         return self.cameras[0]
 
     def stations(self, axes: FloatArray) -> Iterator[Station]:
-        """Where the cameras are for orientations of the camera, or of the body of a rig, `(A, 6)`."""
+        """Places of the cameras for orientations of the camera, or of the body of a rig, `(A, 6)`."""
         if self.rig is not None:
             yield from self.rig.stations(axes)
         else:

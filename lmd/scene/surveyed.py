@@ -1,15 +1,19 @@
-"""Where landmarks hang to the last digit, beside where they are counted as hanging."""
+"""Measured places and ups of landmarks, beside the positions that evaluations use."""
 
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 
-from lmd.core.checks import BoolArray, FloatArray, IntArray
+from lmd.core.checks import BoolArray, FloatArray, InputError, IntArray
+
+# Maximum deviation of an up from upright, as its length, and from a unit vector in the plane of its tag: files round.
+UP_TOLERANCE, IN_PLANE = 1e-3, 1e-2
 
 
 @dataclass(frozen=True)
 class Surveyed:
-    """What somebody measured of K landmarks. It holds for a landmark as long as that is not moved.
+    """Measurements of K landmarks, each of which holds as long as the landmark is not moved.
 
     Args:
         positions: where the landmarks are counted as hanging, `(K, 3)`, world frame, metres.
@@ -35,3 +39,26 @@ class Surveyed:
 
     def _stays(self, positions: FloatArray) -> BoolArray:
         return np.asarray((positions == self.positions).all(axis=1, keepdims=True))
+
+
+def in_plane(
+    path: str | Path, ids: IntArray, normals: FloatArray, upright: FloatArray, ups: FloatArray
+) -> FloatArray | None:
+    """Ups `(K, 3)` of a file, projected to the planes of the tags; None if all are `upright` `(K, 3)`.
+
+    Raises:
+        InputError: an up is no unit vector in the plane of its tag.
+    """
+    leaning = (ups * normals).sum(axis=1, keepdims=True)
+    off = np.maximum(np.abs(leaning[:, 0]), np.abs(np.linalg.norm(ups, axis=1) - 1.0))
+    if (wrong := np.flatnonzero(off > IN_PLANE)).size:
+        up, normal = (", ".join(f"{value:.4g}" for value in v[wrong[0]]) for v in (ups, normals))
+        raise InputError(
+            f"{path}: the up of landmark {ids[wrong[0]]}, ({up}), is no unit vector in the plane of its tag, whose "
+            f"normal is ({normal})."
+        )
+    level = np.linalg.norm(ups - upright, axis=1, keepdims=True) <= UP_TOLERANCE
+    if level.all():
+        return None
+    flat = ups - leaning * normals
+    return np.where(level, upright, flat / np.linalg.norm(flat, axis=1, keepdims=True))

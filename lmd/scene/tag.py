@@ -44,7 +44,7 @@ FAMILIES = {
 
 @dataclass(frozen=True)
 class Tag:
-    """What hangs at every landmark of a deployment.
+    """The tag at every landmark of a deployment; a point if it has no edge.
 
     Args:
         edge: of the outer black square, metres; None or 0 for landmarks that are points, as in the paper, or with
@@ -117,20 +117,24 @@ class Tag:
                 "budget and paper must not both be given: one of them says how many tags there are.", "budget"
             )
 
-    def in_turn(self, count: int) -> FloatArray | None:
-        """The edges of so many landmarks that are placed, `(count,)`, metres; None where one holds for all.
+    def in_turn(self, count: int) -> FloatArray:
+        """Edges of `count` landmarks that are placed, `(count,)`, metres; NaN where that of the tag holds for all.
 
         Raises:
             InputError: they are others than `counts` says.
         """
         if self.edges is None or self.counts is None:
-            return None if self.edges is None else np.resize(self.edges, count)
+            return np.resize(np.nan if self.edges is None else self.edges, count)
         if sum(self.counts) != count:
             raise InputError(f"counts = {list(self.counts)} are not {count} tags.", "counts")
         return np.repeat(self.edges, self.counts)
 
+    def filled(self, edges: FloatArray) -> FloatArray:
+        """Edges `(K,)`, metres, with that of the tag in place of NaN; zeros for points."""
+        return np.zeros(len(edges)) if self.edge is None else np.where(np.isnan(edges), self.edge, edges)
+
     def of_size(self, edge: float) -> "Tag":
-        """The same tag with another edge, metres, and no other size."""
+        """The tag with another edge, metres, and no other size."""
         return replace(self, edge=edge, edges=None, counts=None, paper=None, costs=None, budget=None)
 
     @property
@@ -140,12 +144,12 @@ class Tag:
 
     @property
     def limit(self) -> float | None:
-        """How much paper there is, square metres, or what all tags may cost; None where their number is given."""
+        """Limit on all papers, square metres, or on the cost of all tags; None where their number is given."""
         return self.budget if self.paper is None else self.paper
 
     @property
     def is_point(self) -> bool:
-        """Whether the landmarks have no size."""
+        """True if the landmarks have no size."""
         return self.edge is None
 
     @property

@@ -6,6 +6,10 @@ enough from the border for a landmark to be covered (`Sight.inset`), another tho
 second and not in the first need the exact test. Where the depth decides, too, the first table alone does not do
 (`sure` in `criteria.from_position`).
 
+Tables are too large for work with many landmarks that is done once. There, axes are sorted by height (their z
+coordinate): a cap lies in a cone around the direction of its landmark, and the cone's lowest and highest point bound
+the axes that need the exact test to one contiguous band.
+
 A cell is the projection of a parallelogram or of two triangles, so a cap that holds its corners holds all of it. If
 they are at most rho from the centre of the cell, an axis has every direction of the cell in view that has the centre in
 view by rho, and none that misses it by more.
@@ -18,14 +22,18 @@ import numpy as np
 
 from lmd.core.bits import BITS, LANES, ZERO
 from lmd.core.checks import FloatArray, IntArray
-from lmd.core.compiled import PYTHON, inner, kernel
-from lmd.scene.criteria import Sight, in_view, largest
+from lmd.core.compiled import PYTHON, inlined, inner, kernel
+from lmd.scene.criteria import Sight, in_view, sized
 
 SIDE = 16 if PYTHON else 64  # plain Python would fill larger tables for seconds; what they settle is the same
 NOWHERE = SIDE * SIDE  # one row more than there are cells: no axis at all
 CERTAIN, POSSIBLE = 0, 1  # the tables: axes that have every direction of a cell in view, and some
 # Added to rho, rad: far more than rounding moves a direction, a corner or an angle.
 _SLACK = 1e-6
+# Number of equal intervals of [-1, 1] in which the start of a band of axes is tabulated.
+HEIGHT_BINS = 512
+# Heights this far beyond the cone's ends are still tested; rounding moves the end of a narrow cone by 2e-8.
+HEIGHT_MARGIN = 1e-6
 
 
 @inner
@@ -117,9 +125,43 @@ def fill_tables(
     centres, rho = _cells()
     chord = (2.0 * np.sin(rho / 2.0) + off) / (2.0 * (1.0 - most))
     angles = rho if off == most == 0.0 else _SLACK + 2.0 * np.arcsin(np.minimum(chord, 1.0))
-    sight = largest(sight)
+    sight = sized(sight, 0)  # landmarks of all sizes have one view
     wide = angles + sight.inset < np.pi / 2.0
     fill = (sight, centres)
     _fill(*fill, np.where(wide, angles + sight.inset, 0.0), axes, shifts, certain)
     _fill(*fill, -angles, axes, shifts, possible)
     certain[: len(rho)][~wide] = ZERO
+
+
+def height_index(heights: FloatArray) -> np.ndarray:
+    """`index[b]`: the first axis at or above the bottom of height bin b, less a margin, `(HEIGHT_BINS + 2,)`.
+
+    Args:
+        heights: z coordinates of the axes in ascending order, `(D,)`.
+    """
+    edges = np.linspace(-1.0, 1.0, HEIGHT_BINS + 1)
+    return np.append(np.searchsorted(heights, edges - HEIGHT_MARGIN), len(heights)).astype(np.int64)
+
+
+@inlined
+def band_of(x, y, z, low, slack):
+    """The heights of the axes whose depth of a landmark at offset (x, y, z) may reach `low`.
+
+    They lie in a cone around the direction of the landmark. With a `slack`, in that of any landmark so far away.
+    Scalars only and no branch: a loop over landmarks or positions vectorises with it.
+
+    Returns:
+        the first and last height bin, to be looked up in `height_index`.
+    """
+    distance = np.sqrt(x * x + y * y + z * z)
+    height, cosine = z / distance, min(max(low / distance, -1.0), 1.0)
+    sine = math.sqrt(1.0 - cosine * cosine)
+    across = math.sqrt(max(0.0, 1.0 - height * height))
+    wide = distance - slack <= 0.0  # the slack reaches the camera: any axis
+    bottom = -1.0 if wide | (-height >= cosine) else height * cosine - across * sine
+    top = 1.0 if wide | (height >= cosine) else height * cosine + across * sine
+    scale = HEIGHT_BINS / 2.0
+    first = math.floor((bottom - HEIGHT_MARGIN + 1.0) * scale)
+    # Twice the margin: the table starts each bin one margin early.
+    last = math.floor((top + 2.0 * HEIGHT_MARGIN + 1.0) * scale) + 1
+    return max(first, 0), min(last, HEIGHT_BINS + 1)

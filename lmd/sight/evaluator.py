@@ -16,14 +16,13 @@ from lmd.scene.criteria import horizon_of
 from lmd.scene.deployment import Deployment
 from lmd.scene.scene import Scene
 from lmd.sight import kernels
-from lmd.sight.bands import height_index
 from lmd.sight.blocks import BLOCK, in_blocks
-from lmd.sight.by_reference import ReferenceViews
-from lmd.sight.directions import tables
+from lmd.sight.directions import height_index, tables
 from lmd.sight.kernels import PROBABILITY_ONE
+from lmd.sight.mounts import Part, parts_of, with_sight
 from lmd.sight.obstacles import obstacles_at
+from lmd.sight.reference import ReferenceViews
 from lmd.sight.rig_views import RigViews
-from lmd.sight.stations import Part, parts_of, with_sight
 
 SIZES = 16  # sets of edges whose evaluators are kept
 COUNT_BYTES = 4  # of a view, twice two: the counts of axes, and of orientations of the PDF
@@ -81,7 +80,7 @@ class Evaluator:
         else:
             self.sight, self.obstacles = scene.sight, obstacles_at(blockers, self.positions)
 
-    def sized(self, edges: FloatArray | None) -> "Evaluator":
+    def sized(self, edges: FloatArray) -> "Evaluator":
         """The same for landmarks with these edges, see `Scene.sized`."""
         scene = self.scene.sized(edges)
         if scene is self.scene:

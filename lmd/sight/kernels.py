@@ -5,7 +5,7 @@ re-associated or fused), hence the same bits. Speed comes from skipped work and 
 from approximation:
 
 1. `viewpoint` drops landmarks that no axis covers: some 60 % in the paper's room.
-2. Only axes in a band of heights around the landmark need the exact test (`bands`).
+2. Only axes in a band of heights around the landmark need the exact test (`directions.height_index`).
 3. Where that test is long, sets of axes are bits, and tables of `directions` say which axes surely cover a landmark,
    and which may; the second need the test, but only where the first did not already make enough landmarks.
 4. Probabilities are sums of integers (`PROBABILITY_ONE` per unit), exact in any order.
@@ -60,7 +60,7 @@ def evaluate_range(
         horizon: its `criteria.horizon_of`.
         obstacles: what of the room stands in the way of the positions, see `obstacles`.
         axes: axis and right, `(6, D)`, sorted by height of the axis and filled up to D = 64 W.
-        bands: their `bands.height_index`.
+        bands: their `directions.height_index`.
         tables: their `directions.tables` for models whose tests are long, None for others.
         weights: probability of each axis in integer units, `(1, D)` for all positions or `(P, D)` for each.
         n: landmarks that must be covered.

@@ -20,7 +20,6 @@ from lmd.core.compiled import inlined
 from lmd.core.dispatch import dispatched, overridable
 from lmd.core.memory import check_memory
 from lmd.geometry.squares import VERTICAL_TOLERANCE, upright, upright_axes
-from lmd.scene.criteria import sized
 from lmd.space.blockers import Blockers
 from lmd.space.space import Space
 from lmd.space.triangles import Triangles, is_crossed
@@ -56,7 +55,10 @@ def obstacles_at(blockers: Blockers | Triangles | None, positions: FloatArray) -
 
 @overridable
 def half_edge(sight):  # type: ignore[no-untyped-def]
-    """Half the edge of the square whose corners must be seen, too, metres; 0.0 for a point."""
+    """Half the edge of the square whose corners must be seen, too, metres; 0.0 for a point, a column for several sizes.
+
+    Of the sight of one landmark a number, see `lmd.scene.criteria.sized`.
+    """
     return 0.0
 
 
@@ -79,7 +81,7 @@ def unobstructed(
         position: p, `(3,)`, world frame, metres.
         landmarks, normals: `(K, 3)` positions, metres, and unit normals.
     """
-    points = seen_points(half_edge(sized(sight, slice(None))), landmarks, normals)
+    points = seen_points(half_edge(sight), landmarks, normals)
     return np.asarray(space.clear(np.broadcast_to(position, points.shape), points).all(axis=0))
 
 

@@ -21,8 +21,8 @@ from lmd.core.memory import check_memory
 from lmd.core.threads import in_parts
 from lmd.scene.criteria import TOLERANCE, covers, from_position
 from lmd.scene.deployment import Deployment
-from lmd.sight.bands import band_of
 from lmd.sight.blocks import BLOCK
+from lmd.sight.directions import band_of
 from lmd.sight.evaluator import Evaluator
 from lmd.sight.obstacles import find_ends, is_blocked, no_ends
 from lmd.sight.viewpoint import see_alone
@@ -167,7 +167,7 @@ def by_edge(evaluator: Evaluator, poses: Deployment) -> Iterator[tuple[Evaluator
     Raises:
         InputError: the evaluator is for tags of several sizes, and the poses do not say which they have.
     """
-    if poses.edges is None or evaluator.scene.tag.is_point:
+    if evaluator.scene.tag.is_point or not poses.has_own_edges:
         evaluator.scene.check_one_size("what chooses among poses")
         yield evaluator, np.arange(len(poses))
         return

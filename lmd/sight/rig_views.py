@@ -1,6 +1,6 @@
 """What a rig covers from many positions, summed up: counts, probabilities, and what single poses earn.
 
-The bits come from `station_views`; threads share positions, or poses. Every sum is over the same terms in the same
+The bits come from `rig_sets`; threads share positions, or poses. Every sum is over the same terms in the same
 order whatever their number.
 """
 
@@ -15,8 +15,8 @@ from lmd.core.compiled import kernel
 from lmd.core.threads import in_parts
 from lmd.sight.blocks import in_blocks
 from lmd.sight.kernels import weights_row
-from lmd.sight.station_views import seen_by
-from lmd.sight.stations import Part, with_sight
+from lmd.sight.mounts import Part, with_sight
+from lmd.sight.rig_sets import seen_by
 from lmd.space.blockers import Blockers
 from lmd.space.triangles import Triangles
 

@@ -17,9 +17,8 @@ import numpy as np
 from lmd.core.bits import LANES
 from lmd.core.compiled import allocating, inlined, inner
 from lmd.scene.criteria import from_position, hide_between, sized
-from lmd.sight.bands import band_of
 from lmd.sight.blocks import BLOCK, SINGLE_ERROR
-from lmd.sight.directions import NOWHERE, cell_of
+from lmd.sight.directions import NOWHERE, band_of, cell_of
 from lmd.sight.obstacles import find_ends, is_blocked
 
 REGION = 16 * BLOCK  # positions: what is far from all of these is not looked at for each block
@@ -200,7 +199,7 @@ def is_shown(k, view, directions, count, p, sight, obstacles, clear, ends):
 
     `directions` are the normals among `near`.
     """
-    if not view.reached[k] or (not clear and is_blocked(obstacles, sight, p, ends, view.who[k])):
+    if not view.reached[k] or (not clear and is_blocked(obstacles, sized(sight, view.who[k]), p, ends, view.who[k])):
         return False
     if sight.reach < 0.0:
         return True

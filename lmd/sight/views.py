@@ -13,9 +13,9 @@ from lmd.geometry.se3 import axis_and_right
 from lmd.scene.criteria import covers, sized
 from lmd.scene.deployment import Deployment
 from lmd.scene.scene import Scene
-from lmd.sight.by_reference import seen_from
 from lmd.sight.evaluator import Evaluator
 from lmd.sight.obstacles import is_clear, no_ends, obstacles_at
+from lmd.sight.reference import seen_from
 from lmd.sight.viewpoint import is_shown, look, take, viewpoint_for
 
 

@@ -1,8 +1,8 @@
-"""Where on a surface landmarks may hang: regions of its plane, cut into trapezoids that compiled code can work with.
+"""Allowed regions of a surface for landmarks, cut into trapezoids for compiled code.
 
-A region is a polygon of shapely, or several, in the coordinates (a, b) of the surface. Its trapezoids have two sides
-along v, so that each is six numbers: left and right in a, then the lower border in b on the left and on the right, then
-the upper one. Together they cover the region exactly, and they do not overlap.
+A region is a polygon or multipolygon of shapely in the coordinates (a, b) of the surface. Trapezoids have two sides
+along v, hence six numbers: left and right a, lower b on the left and on the right, upper b on the left and on the
+right. They cover the region exactly without overlaps.
 """
 
 import itertools
@@ -13,20 +13,21 @@ import numpy as np
 from lmd.core.checks import FloatArray
 from lmd.core.compiled import inlined, kernel
 
-# Regions are closed: a place so near is in them, metres.
+# Distance from a closed region that counts as inside, metres.
 EDGE_TOLERANCE = 1e-9
-# Of a region so small nothing is left but rounding, square metres.
+# Least area of a region, square metres; smaller ones are rounding errors.
 MIN_AREA = 1e-9
-TRAPEZOID_NUMBERS = 6  # numbers of a trapezoid
+# Length of a row of trapezoids.
+TRAPEZOID_NUMBERS = 6
 
 
 def rectangle(extent: tuple[float, float]) -> FloatArray:
-    """The trapezoid of a whole surface, `(1, 6)`."""
+    """Trapezoid of a whole surface, `(1, 6)`."""
     return np.array([[0.0, extent[0], 0.0, 0.0, extent[1], extent[1]]])
 
 
 def trapezoids(region: Any) -> FloatArray:
-    """The region cut along v at each of its vertices, `(T, 6)`."""
+    """Cut a region along v at each of its vertices, `(T, 6)`."""
     import shapely
 
     rings = [np.asarray(ring.coords)[:, :2] for ring in shapely.get_parts(shapely.boundary(region))]
@@ -37,7 +38,7 @@ def trapezoids(region: Any) -> FloatArray:
     for start, stop in itertools.pairwise(np.unique(edges[..., 0])):
         across = (left <= start) & (right >= stop)
         slope = (high[across] - low[across]) / (right[across] - left[across])
-        # An edge that ends here has its end here, however the product rounds.
+        # The ends of an edge are exact, without rounding of the product.
         first = np.where(left[across] == start, low[across], low[across] + slope * (start - left[across]))
         last = np.where(right[across] == stop, high[across], low[across] + slope * (stop - left[across]))
         order = np.argsort(first + last, kind="stable")
@@ -49,13 +50,13 @@ def trapezoids(region: Any) -> FloatArray:
 
 
 def sizes(pieces: FloatArray) -> FloatArray:
-    """The areas of trapezoids `(T, 6)`, `(T,)`."""
+    """Areas of trapezoids `(T, 6)`, `(T,)`."""
     left, right, low_left, low_right, high_left, high_right = pieces.T
     return np.asarray((right - left) * (0.5 * (high_left - low_left) + 0.5 * (high_right - low_right)))
 
 
 def eroded(region: Any, margin: float) -> Any:
-    """The places whose square, along u and v and `margin` metres to each side, lies in the region."""
+    """Erode a region by a square along u and v with half edge `margin`, metres."""
     import shapely
 
     if not margin:
@@ -71,7 +72,7 @@ def eroded(region: Any, margin: float) -> Any:
 
 
 def polygons(region: Any) -> Any:
-    """What of a region has an area, in the same order whatever made it."""
+    """Normalise a region to its parts with an area, in a canonical order."""
     import shapely
 
     parts = [part for part in shapely.get_parts(region) if part.area > MIN_AREA]
@@ -81,7 +82,7 @@ def polygons(region: Any) -> Any:
 def _spread(
     left: Any, right: Any, low_left: Any, low_right: Any, high_left: Any, high_right: Any, x: Any, y: Any
 ) -> tuple[Any, Any]:
-    """The place in a trapezoid for x, y in [0, 1]: uniform if they are. Numbers or arrays."""
+    """Map x, y in [0, 1] to a trapezoid, uniform to uniform; numbers or arrays."""
     one, two = high_left - low_left, high_right - low_right
     even = one == two
     root = np.sqrt(np.maximum(one * one + (two * two - one * one) * x, 0.0))
@@ -91,13 +92,13 @@ def _spread(
 
 
 def spread(pieces: FloatArray, at: FloatArray) -> FloatArray:
-    """Places `(..., 2)` in trapezoids `(..., 6)`: uniform if `at` `(..., 2)` is, in the unit square."""
+    """Map `at` `(..., 2)` in the unit square to trapezoids `(..., 6)`, uniform to uniform."""
     columns = [*np.moveaxis(pieces, -1, 0), *np.moveaxis(at, -1, 0)]
     return np.stack(_spread(*columns), axis=-1)
 
 
 def gathered(pieces: FloatArray, places: FloatArray) -> FloatArray:
-    """The inverse of `spread`: from places `(..., 2)` to the unit square."""
+    """Inverse of `spread`: map places `(..., 2)` to the unit square."""
     left, right, low_left, low_right, high_left, high_right = np.moveaxis(pieces, -1, 0)
     one, two = high_left - low_left, high_right - low_right
     share = (places[..., 0] - left) / np.maximum(right - left, 1e-300)
@@ -112,9 +113,9 @@ spread_one = inlined(_spread)
 
 @inlined
 def nearest(pieces, start, stop, a, b):  # type: ignore[no-untyped-def]
-    """The trapezoid from `start` to `stop` and the place in it next to (a, b), which stays if it is in one.
+    """Trapezoid of `start` to `stop` and its place near (a, b), which is (a, b) itself inside a trapezoid.
 
-    The nearest place where borders run along u and v; else one that is near.
+    The place is the nearest one for rectangles, approximately for other trapezoids.
     """
     piece, least, at_a, at_b = start, np.inf, a, b
     for t in range(start, stop):
@@ -132,16 +133,16 @@ def nearest(pieces, start, stop, a, b):  # type: ignore[no-untyped-def]
 
 @inlined
 def allows(pieces, start, stop, a, b):  # type: ignore[no-untyped-def]
-    """Whether (a, b) is in one of the trapezoids from `start` to `stop`."""
+    """True if (a, b) is in one of the trapezoids `start` to `stop`."""
     _, p, q = nearest(pieces, start, stop, a, b)
     return abs(p - a) + abs(q - b) <= EDGE_TOLERANCE
 
 
 @kernel
 def find_nearest(pieces, first, surface, at, out, piece):  # type: ignore[no-untyped-def]
-    """Write the place on each surface `(N,)` nearest to `at` `(N, 2)` to `out`, and in which `piece` `(N,)` it is.
+    """Write the allowed place on each surface `(N,)` nearest to `at` `(N, 2)` to `out`, its trapezoid to `piece`.
 
-    The trapezoids of surface s are those from `first[s]` to `first[s + 1]`.
+    The trapezoids of surface s are `first[s]` to `first[s + 1]`.
     """
     for k in range(len(at)):
         start, stop = first[surface[k]], first[surface[k] + 1]

@@ -1,4 +1,4 @@
-"""A tree of boxes that is walked without a stack, for lines and points that must find the few they meet."""
+"""Bounding volume hierarchy that is traversed without a stack."""
 
 from collections.abc import Sequence
 
@@ -6,14 +6,14 @@ import numpy as np
 
 from lmd.core.checks import FloatArray, IntArray
 
-# Triangles in a box that is not divided further, and in one that is simply halved: to look for the best cut takes time.
+# Maximum number of triangles in a leaf, and in a box that is halved without a search for the best cut.
 LEAF, SMALL = 4, 48
 
 
 def box_tree(
     low: FloatArray, high: FloatArray
 ) -> tuple[IntArray, FloatArray, FloatArray, IntArray, IntArray, IntArray]:
-    """The tree of boxes from `low` to `high` `(T, 3)`, cut so that a ray meets few of them, and their order in it.
+    """Hierarchy of the boxes from `low` to `high` `(T, 3)` that minimises the expected cost of a ray.
 
     Returns:
         order `(T,)`; centres, halves `(N, 3)`, skip, first and stop `(N,)` as in `lmd.space.triangles.Triangles`.
@@ -49,7 +49,7 @@ def box_tree(
 
 
 def _cut(part: IntArray, low: FloatArray, high: FloatArray, middle: FloatArray) -> Sequence[IntArray]:
-    """Some boxes in two parts, by the surface area heuristic (MacDonald and Booth, 1990); a few in the middle."""
+    """Cut boxes into two parts, by the surface area heuristic (MacDonald and Booth, 1990) or, if few, at the median."""
     if len(part) <= SMALL:
         part = part[np.argsort(middle[part, np.argmax(np.ptp(middle[part], axis=0))], kind="stable")]
         return part[: len(part) // 2], part[len(part) // 2 :]

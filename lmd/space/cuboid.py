@@ -1,4 +1,4 @@
-"""A cuboid room with walls that may carry landmarks, and a reachable box inside it."""
+"""A cuboid room with a reachable box."""
 
 import itertools
 from dataclasses import dataclass, field
@@ -8,8 +8,8 @@ import numpy as np
 from typing_extensions import override
 
 from lmd.core.checks import BoolArray, FloatArray, InputError, IntArray, check_fields, choice, vector
-from lmd.space.grid import KINDS, checked_spacing, grid_counts, kronecker
-from lmd.space.gridded import Gridded
+from lmd.space.gridded import KINDS, Gridded, checked_spacing, grid_counts, kronecker
+from lmd.space.parts import box_surfaces
 from lmd.space.relevance import Relevance
 from lmd.space.surface import PLACEMENT_TOLERANCE, Surface, SurfaceArrays
 
@@ -20,25 +20,23 @@ WALLS = ("x_min", "x_max", "y_min", "y_max", "floor", "ceiling")
 class Cuboid(Gridded):
     """A cuboid room with a centred reachable box (Sec. V-A of the paper); a `lmd.space.space.Space`.
 
-    Args:
-        size: inner length, width, height along x, y, z, metres.
-        reachable_size: size of the box the camera may visit, centred in the room, metres.
-        spacing: largest distance between neighbouring positions, metres: one number or one per axis.
-        positions: `cells` puts a position at the centre of each grid cell, `vertices` at each grid vertex.
-        walls: names of the walls that may carry landmarks.
-        relevance: Rel(p), how much each position matters.
-
     Raises:
         InputError: sizes are not positive, the reachable box exceeds the room, a wall is unknown or repeated, or so
             many positions would not fit into memory.
     """
 
     size: tuple[float, float, float]
+    """Inner length, width and height along x, y, z, metres."""
     reachable_size: tuple[float, float, float]
+    """Size of the reachable box, centred in the room, metres."""
     spacing: float | tuple[float, float, float]
+    """Largest distance between neighbouring positions, metres: one number or one per axis."""
     positions: str = "cells"
+    """`cells` for the centres of the grid cells, `vertices` for the vertices."""
     walls: tuple[str, ...] = WALLS
+    """Names of the walls that may carry landmarks."""
     relevance: Relevance = field(default_factory=Relevance)
+    """Rel(p), weights of the positions."""
 
     def __post_init__(self) -> None:
         check_fields(self, vector, "size", "reachable_size", size=3, above=0.0)
@@ -83,13 +81,13 @@ class Cuboid(Gridded):
 
     @override
     def surfaces(self) -> tuple[Surface, ...]:
-        """The walls that may carry landmarks, in the order of `walls`."""
+        """Walls that may carry landmarks, in the order of `walls`."""
         walls = _walls(self.size)
         return tuple(walls[name] for name in self.walls)
 
     @override
     def surfaces_of(self, positions: FloatArray, normals: FloatArray) -> IntArray:
-        """At an edge between two walls, the one whose normal is nearer to the landmark's."""
+        """See `Space.surfaces_of`; at an edge between two walls, the one with the nearer normal."""
         walls = SurfaceArrays.of(self.surfaces())
         on_wall = (np.abs(walls.depth(positions)) <= PLACEMENT_TOLERANCE) & self.contains(positions)[..., None]
         nearest = np.argmax(np.where(on_wall, normals @ walls.normal.T, -np.inf), axis=-1)
@@ -136,19 +134,9 @@ class Cuboid(Gridded):
 
 @lru_cache
 def _walls(size: tuple[float, float, float]) -> dict[str, Surface]:
-    """All six, by their names; a run asks for them thousands of times."""
-    ex, ey, ez = np.eye(3)
-    zero = np.zeros(3)
-    lx, ly, lz = size
-    six = (
-        Surface("x_min", zero, ey, ez, ex, (ly, lz)),
-        Surface("x_max", lx * ex, ey, ez, 0.0 - ex, (ly, lz)),
-        Surface("y_min", zero, ex, ez, ey, (lx, lz)),
-        Surface("y_max", ly * ey, ex, ez, 0.0 - ey, (lx, lz)),
-        Surface("floor", zero, ex, ey, ez, (lx, ly)),
-        Surface("ceiling", lz * ez, ex, ey, 0.0 - ez, (lx, ly)),
-    )
-    return {wall.name: wall for wall in six}
+    """All six walls by name; cached, as a run needs them thousands of times."""
+    walls = box_surfaces(np.zeros(3), np.array(size), WALLS, inwards=True)
+    return dict(zip(WALLS, walls, strict=True))
 
 
 def box_edges(low: FloatArray, high: FloatArray) -> FloatArray:

@@ -1,4 +1,4 @@
-"""A floor plan: what is built, and where on it landmarks may hang."""
+"""Floor plan: built room, and allowed regions for landmarks on its surfaces."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -11,44 +11,39 @@ from lmd.core.checks import BoolArray, FloatArray, InputError, real
 from lmd.space.allowed import polygons
 from lmd.space.blockers import Blockers
 from lmd.space.fixture import Fixture
-from lmd.space.keep_out import all_keep_outs
-from lmd.space.parts import FACES, Obstacle, all_made, check_metres, checked_band, checked_names
+from lmd.space.parts import FACES, Obstacle, all_keep_outs, all_made, check_metres, checked_band, checked_names
 from lmd.space.polygon import checked_ring, edges, on_hull, planes, upright_bodies
 from lmd.space.surface import PLACEMENT_TOLERANCE, Surface, free_of
 
-# From a face to the place before it that must be free, metres.
+# Distance before a face that must be free, metres.
 FREE_BEFORE_M = 1e-3
 
 
 @dataclass(frozen=True)
 class FloorPlan:
-    """A room with upright walls over a simple polygon, with pillars, furniture, doors and windows.
-
-    Args:
-        outline: its vertices [x, y], counter-clockwise, metres. The wall from vertex i to the next is `wall_<i>`.
-        height: of floor to ceiling, metres.
-        holes: pillars from floor to ceiling, a polygon like the outline each; their walls are `hole_<i>_wall_<j>`.
-        obstacles: `Obstacle`s, or mappings of their arguments; their faces are `obstacle_<i>_<face>`.
-        surfaces: which walls, and whether `floor` and `ceiling`, may carry landmarks; None for all. Of an obstacle, its
-            `faces` may besides.
-        keep_out: `KeepOut`s, or mappings of their arguments.
-        band: lowest and highest z at which landmarks may hang on walls and sides, such as people reach, metres; None
-            for all heights.
-        margin: from where landmarks may hang to the edges of a surface, along its u and v, metres.
+    """Room with upright walls over a simple polygon, with pillars, furniture, doors and windows.
 
     Raises:
-        InputError: a polygon crosses itself or runs clockwise, something lies outside or is not known, or nowhere on a
-            surface may anything hang.
+        InputError: a polygon crosses itself or is clockwise, a part lies outside or is unknown, or a surface has no
+            allowed region.
     """
 
     outline: Sequence[Sequence[float]]
+    """Vertices [x, y], counter-clockwise, metres. The wall from vertex i to the next is `wall_<i>`."""
     height: float
+    """Height of the ceiling above the floor, metres."""
     holes: Sequence[Sequence[Sequence[float]]] = ()
+    """Pillars from floor to ceiling, polygons like the outline; their walls are `hole_<i>_wall_<j>`."""
     obstacles: Sequence[Any] = ()
+    """`Obstacle`s, or mappings of their arguments; their faces are `obstacle_<i>_<face>`."""
     surfaces: Sequence[str] | None = None
+    """Walls, `floor` and `ceiling` that may carry landmarks, in addition to the `faces` of obstacles; None for all."""
     keep_out: Sequence[Any] = ()
+    """`KeepOut`s, or mappings of their arguments."""
     band: Sequence[float] | None = None
+    """Lowest and highest z of landmarks on upright surfaces, metres; None for all heights."""
     margin: float = 0.0
+    """Distance of landmarks from the edges of a surface along its u and v, metres."""
 
     def __post_init__(self) -> None:
         if isinstance(self.holes, str) or not isinstance(self.holes, Sequence):
@@ -65,7 +60,7 @@ class FloorPlan:
         }
         for name, value in checked.items():
             object.__setattr__(self, name, value)
-        object.__setattr__(self, "keep_out", all_keep_outs(self.keep_out, list(self._faces), self._seen_before))
+        object.__setattr__(self, "keep_out", all_keep_outs(self.keep_out, list(self._faces)))
         object.__setattr__(self, "band", checked_band(self.band, low=0.0, high=self.height))
         self._check_parts()
         if self.surfaces is not None:
@@ -109,31 +104,31 @@ class FloorPlan:
 
     @cached_property
     def ground(self) -> Any:
-        """The outline without the holes, a polygon of shapely."""
+        """Outline without the holes, a polygon of shapely."""
         import shapely
 
         return shapely.Polygon(self.outline, self.holes)
 
     @cached_property
     def blockers(self) -> Blockers | None:
-        """What can stand between two points of the room."""
+        """Bodies that can block lines between points of the room."""
         bodies = [*upright_bodies(self.ground), *(obstacle.body for obstacle in self.obstacles)]
         return Blockers.of(bodies) if bodies else None
 
     @cached_property
     def hull(self) -> tuple[FloatArray, FloatArray]:
-        """The walls that have all of the room on one side: unit normals `(N, 2)` outwards, and offsets `(N,)`."""
+        """Walls on the convex hull: unit normals outwards `(N, 2)`, and offsets `(N,)`."""
         return planes(edges(self.outline)[on_hull(self.ground)])
 
     @cached_property
     def rim(self) -> tuple[FloatArray, FloatArray]:
-        """The sides of the convex hull, whether or not they are walls, like `hull`: bodies end there."""
+        """All sides of the convex hull as in `hull`; bodies end there."""
         import shapely
 
         return planes(edges(shapely.orient_polygons(self.ground.convex_hull).exterior.coords[:-1]))
 
     def contains(self, points: FloatArray, clearance: float = 0.0) -> BoolArray:
-        """Whether points `(..., 3)` lie in the closed room, so far from walls, holes and obstacles, `(...)`."""
+        """Mask of the points `(..., 3)` in the closed room with `clearance`, metres, `(...)`."""
         p = np.asarray(points)
         inside = np.ones(p.shape[:-1], dtype=np.bool_)
         for (normals, offsets), away in ((self.rim, 0.0), (self.hull, clearance)):
@@ -145,7 +140,7 @@ class FloorPlan:
 
     @cached_property
     def _faces(self) -> dict[str, Surface]:
-        """All faces by their names, whole rectangles."""
+        """All faces by name, as whole rectangles."""
         faces = [self._wall(f"wall_{i}", edge, -1.0) for i, edge in enumerate(edges(self.outline))]
         for i, hole in enumerate(self.holes):
             faces += [self._wall(f"hole_{i}_wall_{j}", edge, 1.0) for j, edge in enumerate(edges(hole))]
@@ -159,7 +154,7 @@ class FloorPlan:
         return {face.name: face for face in faces}
 
     def _wall(self, name: str, edge: FloatArray, side: float) -> Surface:
-        """The wall over an edge; landmarks on it face to the right (1) or to the left (-1) of the edge."""
+        """Wall over an edge that faces to the right (side 1) or to the left (-1) of the edge."""
         (normal,), _ = planes(edge[None])
         length = float(np.linalg.norm(edge[1] - edge[0]))
         # As in a cuboid, u never points to lower x, or to lower y.
@@ -170,24 +165,24 @@ class FloorPlan:
 
     @property
     def faces(self) -> tuple[Surface, ...]:
-        """What is seen of the room, whole."""
+        """Visible faces as whole rectangles."""
         return tuple(self._faces.values())
 
     @property
     def kept_out(self) -> list[FloatArray]:
-        """The vertices of the keep-outs, `(N, 3)` each, world frame, metres."""
+        """Vertices of the keep-outs, world frame, metres, `(N, 3)` each."""
         on = ((self._faces[part.surface], part.ring) for part in self.keep_out)
         return [face.point(*face.seen(ring).T) for face, ring in on]
 
     @property
     def fixtures(self) -> list[Fixture]:
-        """The keep-outs and the obstacles, by their names or else by their places in the lists."""
+        """Keep-outs and obstacles, named by their names or else by their indices."""
         parts = [(f"keep_out {i}", *pair) for i, pair in enumerate(zip(self.keep_out, self.kept_out, strict=True))]
         parts += [(f"obstacle {i}", part, part.corners()) for i, part in enumerate(self.obstacles)]
         return [Fixture(part.name or number, corners) for number, part, corners in parts]
 
     def clearings(self, clearance: float) -> list[list[tuple[float, ...]]]:
-        """The rings of the ground that is so far from walls, holes and obstacles, to draw it."""
+        """Rings of the ground at a distance `clearance`, metres, from walls, holes and obstacles, to draw it."""
         import shapely
 
         taken = [shapely.box(*part.low[:2], *part.high[:2]) for part in self.obstacles]
@@ -196,7 +191,7 @@ class FloorPlan:
 
     @cached_property
     def carriers(self) -> tuple[Surface, ...]:
-        """The surfaces that may carry landmarks: walls in the order of `surfaces`, then the faces of obstacles."""
+        """Surfaces that may carry landmarks: walls in the order of `surfaces`, then faces of obstacles."""
         built = [name for name in self._faces if not name.startswith("obstacle_")]
         names = list(self.surfaces if self.surfaces is not None else built)
         names += [
@@ -205,7 +200,7 @@ class FloorPlan:
         return tuple(self._carrier(self._faces[name]) for name in names)
 
     def _carrier(self, face: Surface) -> Surface:
-        """A face with the places where landmarks may hang."""
+        """Face with its allowed region."""
         taken = [_covered(face, obstacle) for obstacle in self.obstacles]
         taken += [part.region(face) for part in self.keep_out if part.surface == face.name]
         region = free_of(face, self._region(face), self.margin, self.band, taken)
@@ -218,7 +213,7 @@ class FloorPlan:
         return face.where(region)
 
     def _region(self, face: Surface) -> Any:
-        """What there is of a face in its rectangle: of one of an obstacle, what has some of the room before it."""
+        """Part of the rectangle of a face that exists; of an obstacle's face, the part with the room before it."""
         import shapely
 
         along, up = face.extent
@@ -234,16 +229,9 @@ class FloorPlan:
         ends = [np.sort((part - before[:2]) @ face.u[:2]) for part in parts]
         return polygons(shapely.union_all([shapely.box(line[0], 0.0, line[-1], up) for line in ends]))
 
-    def _seen_before(self, name: str, at: FloatArray) -> FloatArray:
-        """Places (a, b) as one stands before a face: earlier versions counted a from the first vertex of a wall."""
-        face = self._faces[name]
-        if name.startswith("hole_"):  # seen from outside of it, its first vertex is on the left
-            return at
-        return np.array([face.extent[0], 0.0]) + at * [-1.0, 1.0] if name.startswith("wall_") else face.seen(at)
-
 
 def _covered(face: Surface, obstacle: Obstacle) -> Any:
-    """The part of a face that an obstacle stands against, in the coordinates of the face."""
+    """Part of a face that an obstacle touches, in the coordinates of the face."""
     import shapely
 
     corners = obstacle.corners() - face.origin

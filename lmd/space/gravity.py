@@ -1,28 +1,28 @@
-"""Which way is up in a mesh: most of what is built is level or upright to a fraction of a degree."""
+"""Up axis of a mesh: most built surfaces are level or upright to a fraction of a degree."""
 
 import numpy as np
 
 from lmd.core.checks import FloatArray
-from lmd.space.mesh_file import Mesh
+from lmd.space.mesh import Mesh
 from lmd.space.patches import areas_of
 from lmd.space.triangles import unit_normals
 
-# A triangle so near to level or upright, rad, counts as built so. Walls hardly ever run so along an axis by chance, and
-# a scan's noise turns its triangles by more.
+# Largest deviation of a level or upright triangle, rad. Few walls are aligned with an axis by chance, and the noise of
+# a scan rotates triangles by more.
 BUILT_TOLERANCE_RAD = 3.5e-3
-# It is decided which of two axes points up where with one of them less than this share of the other's area is built so.
+# Largest ratio of the level or upright areas of two axes that decides between them.
 DECIDING_SHARE = 0.8
-# What is level: the vertical part of its normal is greater. Floor and ceiling are so near to the lowest or the highest
-# point, metres.
+# Least vertical part of the normal of a level triangle, and largest distance of floor and ceiling from the lowest or
+# highest point, metres.
 LEVEL_NORMAL_Z, STOREY = 0.999, 0.1
 
 
 def doubt_of(mesh: Mesh, undecided: bool) -> str | None:
-    """Why the other one of the axes z and y of a mesh's file seems to point up; None where nothing speaks for that.
+    """Evidence that the other one of the axes z and y of a mesh's file points up; None without evidence.
 
     Args:
-        mesh: turned to z up by the axis that is taken to point up.
-        undecided: whether it counts that the room would be less high than it is now, where that is all there is.
+        mesh: mesh rotated to z up by the assumed axis.
+        undecided: True if a lower height of the room decides a tie.
     """
     corners = mesh.vertices[mesh.faces]
     other = "y" if mesh.up == "z" else "z"
@@ -42,7 +42,7 @@ def doubt_of(mesh: Mesh, undecided: bool) -> str | None:
 
 
 def _built_along(corners: FloatArray, up: FloatArray) -> float:
-    """The share of the area of triangles `(T, 3, 3)` that is level or upright where `up` `(3,)` points up."""
+    """Share of the area of triangles `(T, 3, 3)` that is level or upright with respect to `up` `(3,)`."""
     vertical, area = np.abs(unit_normals(corners) @ up), areas_of(corners)
     return float(
         area[(vertical < np.sin(BUILT_TOLERANCE_RAD)) | (vertical > np.cos(BUILT_TOLERANCE_RAD))].sum() / area.sum()
@@ -50,6 +50,6 @@ def _built_along(corners: FloatArray, up: FloatArray) -> float:
 
 
 def _floor_area(corners: FloatArray, up: FloatArray) -> float:
-    """What is level at the lowest point of triangles `(T, 3, 3)`, square metres."""
+    """Area of the level triangles near the lowest point of triangles `(T, 3, 3)`, square metres."""
     height, is_level = corners @ up, np.abs(unit_normals(corners) @ up) > LEVEL_NORMAL_Z
     return float(areas_of(corners)[is_level & (height.max(axis=1) < height.min() + STOREY)].sum())

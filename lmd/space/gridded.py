@@ -1,35 +1,123 @@
-"""Rooms whose camera positions are those of a grid in a box, as far as they can be reached."""
+"""Rooms with camera positions on a grid in a box, limited to the reachable volume."""
 
+import math
 from abc import ABC, abstractmethod
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from functools import cached_property
 from typing import Any, Self
 
 import numpy as np
 
-from lmd.core.checks import BoolArray, FloatArray, InputError, IntArray
+from lmd.core.checks import BoolArray, FloatArray, InputError, IntArray, real, vector
+from lmd.core.memory import check_memory
 from lmd.space.blockers import Blockers
-from lmd.space.grid import cell_borders, combined, grid_axes, grid_counts, kronecker, latin_hypercube
 from lmd.space.surface import FILE_TOLERANCE, PLACEMENT_TOLERANCE, Surface, SurfaceArrays, surface_near
 from lmd.space.triangles import Triangles
 
-# Draws of a position that is in the reachable volume, before its grid position is taken instead.
+KINDS = ("cells", "vertices")
+# Memory of a position, bytes: three coordinates twice, a value and a weight.
+POSITION_BYTES = 64
+# Inverse powers of the root of x^4 = x + 1, the golden ratio of three dimensions (Roberts, 2018). With other irrational
+# steps, such as square roots, some shapes were sampled worse than by independent points.
+KRONECKER_STEPS = 1.2207440846057596 ** -np.arange(1.0, 4.0)
+
+
+def checked_spacing(value: Any, size: Sequence[float]) -> float | tuple[float, ...]:
+    """Check the spacing of a grid in a box of `size`, metres: one number or one per axis.
+
+    Raises:
+        InputError: it is not positive, or so many positions would not fit into memory.
+    """
+    spacing: float | tuple[float, ...]
+    if isinstance(value, Iterable) and not isinstance(value, str):
+        spacing = vector("spacing", value, 3, above=0.0)
+    else:
+        spacing = real("spacing", value, above=0.0)
+    steps = spacing if isinstance(spacing, tuple) else 3 * (spacing,)
+    positions = math.prod(length / step for length, step in zip(size, steps, strict=True))
+    check_memory(POSITION_BYTES * positions, f"spacing = {spacing} makes {positions:.4g} positions, which", "spacing")
+    return spacing
+
+
+def grid_counts(size: FloatArray, spacing: float | Sequence[float], kind: str) -> tuple[int, int, int]:
+    """Number of positions along x, y, z in a box of `size` `(3,)`; `kind` as in `grid_axes`."""
+    # The small allowance keeps 4.5 / 0.5 at 9 cells however the division rounds.
+    cells = np.ceil(np.asarray(size) / np.asarray(spacing) - 1e-9).astype(int)
+    nx, ny, nz = (int(c) for c in np.maximum(cells, 1) + (kind == "vertices"))
+    return nx, ny, nz
+
+
+def grid_axes(low: FloatArray, high: FloatArray, counts: tuple[int, int, int], kind: str) -> list[FloatArray]:
+    """Coordinates of a grid along x, y, z in a box with corners `low` and `high` `(3,)`, metres.
+
+    `cells` puts a position at the centre of each cell, `vertices` at each vertex.
+    """
+    if kind == "vertices":
+        return [np.linspace(a, b, count) for a, b, count in zip(low, high, counts, strict=True)]
+    return [a + (b - a) * (np.arange(n) + 0.5) / n for a, b, n in zip(low, high, counts, strict=True)]
+
+
+def cell_borders(axes: list[FloatArray], low: FloatArray, high: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Lower and upper corners of the cell of each position, `(P, 3)` each."""
+    lows, highs = [], []
+    for axis, start, stop in zip(axes, low, high, strict=True):
+        between = (axis[1:] + axis[:-1]) / 2.0
+        lows.append(np.append(start, between))
+        highs.append(np.append(between, stop))
+    return combined(lows), combined(highs)
+
+
+def combined(axes: Sequence[FloatArray]) -> FloatArray:
+    """Every combination of coordinates along x, y, z, `(P, 3)`; z varies fastest."""
+    return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
+
+
+def latin_hypercube(repeats: int, shape: tuple[int, ...], rng: np.random.Generator) -> FloatArray:
+    """Stratified random numbers in [0, 1), `(repeats, *shape)`, each uniform.
+
+    The `repeats` numbers at one index lie in different ones of `repeats` equal parts of the interval. Means over them
+    usually have smaller errors than over independent numbers.
+    """
+    part = rng.permuted(np.broadcast_to(np.arange(repeats).reshape(-1, *len(shape) * (1,)), (repeats, *shape)), axis=0)
+    drawn = (part + rng.random(part.shape)) / repeats
+    return np.asarray(np.minimum(drawn, np.nextafter(1.0, 0.0)))  # the sum may have been rounded up
+
+
+def kronecker(shift: FloatArray) -> Callable[[int], FloatArray]:
+    """Kronecker sequence in the unit cube: a function that returns its next `count` points, `(count, 3)`.
+
+    With a random first point `shift` `(3,)` each point is uniform, and means over many usually have smaller errors than
+    over independent points.
+    """
+    drawn = 0
+
+    def following(count: int) -> FloatArray:
+        nonlocal drawn
+        index = np.arange(drawn, drawn + count)[:, None]
+        drawn += count
+        return np.asarray((shift + index * KRONECKER_STEPS) % 1.0)
+
+    return following
+
+
+# Maximum number of draws of a reachable position in a cell; then the grid position is used.
 MOST_DRAWS = 100
-LEAST_SHARE = 1e-4  # of the box around it that the reachable volume fills
-# Normals whose products with a third differ by less are the same.
+# Least share of the box that the reachable volume must fill.
+LEAST_SHARE = 1e-4
+# Largest difference of the cosines of equal normals with a third direction.
 SAME_WAY = 1e-6
 
 
 def clear_of(blockers: Blockers | Triangles | None, starts: FloatArray, ends: FloatArray) -> BoolArray:
-    """Whether none of what blocks stands between points `(..., 3)`, `(...)`."""
+    """Mask of the lines between points `(..., 3)` that nothing blocks, `(...)`."""
     if blockers is None:
         return np.ones(np.broadcast_shapes(starts.shape, ends.shape)[:-1], dtype=np.bool_)
     return blockers.clear(starts, ends)
 
 
 class Gridded(ABC):
-    """What such rooms share; a subclass is a frozen dataclass that also has the fields below."""
+    """Base of rooms with a grid; a subclass is a frozen dataclass with the fields below."""
 
     reachable: Any
     spacing: Any
@@ -38,11 +126,11 @@ class Gridded(ABC):
     @property
     @abstractmethod
     def box(self) -> tuple[FloatArray, FloatArray]:
-        """Corners of the box around the reachable volume, `(3,)` each."""
+        """Lower and upper corner of the box around the reachable volume, `(3,)` each."""
 
     @abstractmethod
     def reaches(self, points: FloatArray) -> BoolArray:
-        """Whether the camera may be at points `(..., 3)` of the box, `(...)`."""
+        """Mask of the points `(..., 3)` of the box in the reachable volume, `(...)`."""
 
     @abstractmethod
     def contains(self, points: FloatArray) -> BoolArray:
@@ -107,13 +195,13 @@ class Gridded(ABC):
     def sample_evenly(self, size: int, rng: np.random.Generator) -> FloatArray:
         """See `Space.sample_evenly`."""
         low, high = self.box
-        # From a first point that can be reached: the sequence comes back to what can be reached again and again, and
-        # each time at a uniform point. From anywhere, it would more often come to where it has been away from for long.
+        # The first point is reachable: then every return of the sequence to the reachable volume is at a uniform point.
+        # From any first point, returns after long absences would be overrepresented.
         extent = np.where(high > low, high - low, 1.0)  # a robot on the ground may have one height
         return self._reached(size, kronecker((self.sample(1, rng)[0] - low) / extent))
 
     def _reached(self, size: int, following: Callable[[int], FloatArray]) -> FloatArray:
-        """The first `size` of the points of the unit cube `following`, laid over the box, that can be reached."""
+        """First `size` reachable points of the sequence `following`, scaled from the unit cube to the box."""
         low, high = self.box
         drawn, tries = np.empty((0, 3)), 0
         while len(drawn) < size:
@@ -129,9 +217,9 @@ class Gridded(ABC):
         return drawn
 
     def surfaces_of(self, positions: FloatArray, normals: FloatArray) -> IntArray:
-        """See `Space.surfaces_of`; at an edge between two surfaces, the one whose normal is nearer.
+        """See `Space.surfaces_of`; at an edge between two surfaces, the one with the nearer normal.
 
-        Of surfaces in one plane, whose rectangles may overlap, it is the one on which something may hang there.
+        Of surfaces in one plane with overlapping rectangles, the one that allows a landmark there.
         """
         carriers, within, allowed = self._carried(positions)
         hangs = within & self.contains(positions)[..., None]
@@ -140,7 +228,7 @@ class Gridded(ABC):
         return np.where(hangs.any(axis=-1), np.argmax(np.where(same, facing + 1.0, facing), axis=-1), -1)
 
     def _carried(self, points: FloatArray) -> tuple[SurfaceArrays, BoolArray, BoolArray]:
-        """The surfaces, which of their rectangles points `(..., 3)` lie on, and where of these landmarks may hang."""
+        """Surfaces, mask of the rectangles that contain points `(..., 3)`, mask of those that allow a landmark."""
         carriers = SurfaceArrays.of(self.surfaces())
         every = np.arange(len(carriers.normal))
         at = carriers.coordinates(every, np.asarray(points)[..., None, :])

@@ -1,4 +1,4 @@
-"""Which points are in a room of triangles: those from which one gets to its largest free piece without crossing any."""
+"""Interior of a mesh: the points connected to its largest free component without crossing a triangle."""
 
 import itertools
 from dataclasses import dataclass
@@ -7,32 +7,31 @@ from functools import cached_property
 import numpy as np
 
 from lmd.core.checks import BoolArray, FloatArray, IntArray
-from lmd.space.grid import combined, grid_axes, grid_counts
+from lmd.space.gridded import combined, grid_axes, grid_counts
 from lmd.space.triangles import Triangles
 
-# Between nodes, metres; more where there would be too many.
+# Distance of nodes, metres, increased if there were more than `MOST_NODES`.
 STEP, MOST_NODES = 0.2, 400_000
-# Nodes are at least so far from every triangle, metres: one in the plane of a triangle would lead through it.
+# Least distance of a node from a triangle, metres: a node in the plane of a triangle would connect both sides.
 NODE_CLEARANCE_M = 1e-3
-# A point is asked for lines to nodes up to so many steps away.
+# Largest distance of the nodes that a point is connected to, steps.
 STEPS_TO_NODES = 2
 
 
 @dataclass(frozen=True)
 class Interior:
-    """The free space of a mesh, found out by nodes in a grid that are joined where the way to the next is clear.
+    """Free space of a mesh as a graph of grid nodes, with edges along clear lines.
 
-    A node has something below it: outside of the walls there mostly is no floor. The room is the piece of joined nodes
-    with the largest volume; what is inside of furniture and walls are other pieces.
-
-    Args:
-        triangles: the mesh.
-        low, high: corners of the box around it, `(3,)`, metres.
+    Nodes have a triangle below them, as there usually is no floor outside the walls. The room is the connected
+    component with the largest volume; the insides of furniture and walls are other components.
     """
 
     triangles: Triangles
+    """Mesh."""
     low: FloatArray
+    """Lower corner of the box around the mesh, metres, `(3,)`."""
     high: FloatArray
+    """Upper corner of the box around the mesh, metres, `(3,)`."""
 
     @cached_property
     def _step(self) -> float:
@@ -48,7 +47,7 @@ class Interior:
 
     @cached_property
     def nodes(self) -> tuple[FloatArray, BoolArray]:
-        """All nodes `(N, 3)`, metres, and which of them are in the room `(N,)`."""
+        """All nodes, metres, `(N, 3)`, and the mask of those in the room, `(N,)`."""
         from scipy.sparse import coo_array
         from scipy.sparse.csgraph import connected_components
 
@@ -71,7 +70,7 @@ class Interior:
         return at, free & (piece == np.bincount(piece[free], minlength=1).argmax()) if free.any() else free
 
     def contains(self, points: FloatArray) -> BoolArray:
-        """Whether points `(..., 3)` of the box are in the room or on its walls, `(...)`."""
+        """Mask of the points `(..., 3)` of the box in the room or on its walls, `(...)`."""
         nodes, inside = self.nodes
         flat = np.asarray(points, dtype=np.float64).reshape(-1, 3)
         found, left = np.zeros(len(flat), dtype=np.bool_), np.arange(len(flat))

@@ -1,6 +1,6 @@
-"""A room from a mesh, and where in it the camera may be."""
+"""A room from a mesh with a reachable volume."""
 
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
 
@@ -10,8 +10,7 @@ from typing_extensions import override
 from lmd.core.checks import BoolArray, FloatArray, InputError, choice
 from lmd.space.cuboid import box_edges
 from lmd.space.fixture import Fixture
-from lmd.space.grid import KINDS, checked_spacing
-from lmd.space.gridded import Gridded
+from lmd.space.gridded import KINDS, Gridded, checked_spacing
 from lmd.space.parts import FreeVolume, made
 from lmd.space.relevance import Relevance
 from lmd.space.scan import Scan
@@ -23,15 +22,8 @@ from lmd.space.triangles import Triangles
 class MeshRoom(Gridded):
     """A room from a mesh; a `lmd.space.space.Space`.
 
-    Positions are those of a grid in the box around the mesh, less the clearance, or in a box that is given, which are
-    in the free space and keep the clearance.
-
-    Args:
-        scan: the mesh.
-        reachable: where the camera may be, a `FreeVolume` or a mapping of its arguments.
-        spacing: largest distance between neighbouring positions, metres: one number or one per axis.
-        positions: `cells` puts a position at the centre of each grid cell, `vertices` at each grid vertex.
-        relevance: Rel(p), how much each position matters.
+    Positions are the points of a grid in the box around the mesh, less the clearance, or in a given box, that are in
+    the free space and keep the clearance.
 
     Raises:
         InputError: the reachable volume leaves the mesh or is empty, a value is out of range, or so many positions
@@ -39,10 +31,15 @@ class MeshRoom(Gridded):
     """
 
     scan: Scan
+    """Mesh."""
     reachable: Any
+    """`FreeVolume`, or a mapping of its arguments."""
     spacing: Any
+    """Largest distance between neighbouring positions, metres: one number or one per axis."""
     positions: str = "cells"
+    """`cells` for the centres of the grid cells, `vertices` for the vertices."""
     relevance: Relevance = field(default_factory=Relevance)
+    """Rel(p), weights of the positions."""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "reachable", made("reachable", FreeVolume, self.reachable))
@@ -98,7 +95,7 @@ class MeshRoom(Gridded):
 
     @override
     def contains(self, points: FloatArray) -> BoolArray:
-        """Where landmarks may hang is in the room, also in a niche that is not seen from afar."""
+        """See `Space.contains`; allowed places of landmarks count as inside, also in niches that no node sees."""
         low, high = self.bounds()
         within = (points >= low - PLACEMENT_TOLERANCE) & (points <= high + PLACEMENT_TOLERANCE)
         found = np.asarray(within.all(axis=-1) & self.scan.interior.contains(points))
@@ -136,10 +133,3 @@ class MeshRoom(Gridded):
         """See `Space.describe`."""
         low, high = self.bounds()
         return f"room from a mesh of {' x '.join(f'{length:.4g}' for length in high - low)} m"
-
-
-def from_mesh(path: Any, reachable: Any, spacing: Any, **more: Any) -> MeshRoom:
-    """A `MeshRoom` from the arguments of its mesh and its own, side by side."""
-    names = {field.name for field in fields(Scan)}
-    scan, own = ({name: more[name] for name in more if (name in names) == of_mesh} for of_mesh in (True, False))
-    return MeshRoom(Scan(path, **scan), reachable, spacing, **own)

@@ -1,4 +1,4 @@
-"""Parts of a room as a user gives them: obstacles, and where the camera may be."""
+"""Parts of a room in a configuration: obstacles, keep-outs, and the reachable volume."""
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -8,24 +8,25 @@ import numpy as np
 
 from lmd.core.checks import FloatArray, InputError, check_fields, choice, real, vector
 from lmd.space.blockers import Body
+from lmd.space.polygon import checked_ring
 from lmd.space.surface import Surface
 
 FACES = ("x_min", "x_max", "y_min", "y_max", "bottom", "top")
 
-# A room whose longest side is not between these, or whose shortest is longer, metres, was not given in metres.
+# Bounds on the longest side of a room, and on its shortest, metres; other rooms were not given in metres.
 SHORTEST, LONGEST, FLATTEST = 0.3, 1000.0, 200.0
 
 T = TypeVar("T")
 
 
 def check_metres(size: Iterable[float], makes: str, hint: str, argument: str) -> None:
-    """Raise `InputError` if a room of such lengths `(3,)` is none that was given in metres.
+    """Raise `InputError` if the size of a room is implausible in metres.
 
     Args:
-        size: along x, y and z.
-        makes: what made it so, the beginning of the sentence.
-        hint: what to do about it, the end of the sentence.
-        argument: its name.
+        size: lengths along x, y and z.
+        makes: cause, the beginning of the sentence.
+        hint: remedy, the end of the sentence.
+        argument: name of the argument.
     """
     lengths = list(size)
     if not SHORTEST <= max(lengths) <= LONGEST or min(lengths) > FLATTEST:
@@ -37,23 +38,39 @@ def box_text(lengths: Iterable[float]) -> str:
     return " x ".join(f"{length:.4g}" for length in lengths) + " m"
 
 
+def box_surfaces(low: FloatArray, high: FloatArray, names: Sequence[str], inwards: bool = False) -> list[Surface]:
+    """Faces of a box in the order of `FACES`, with normals outwards unless `inwards`."""
+    (lx, ly, lz), (ex, ey, ez) = (float(length) for length in high - low), np.eye(3)
+    sides = (
+        (low, ey, ez, 0.0 - ex, (ly, lz)),
+        (low + lx * ex, ey, ez, ex, (ly, lz)),
+        (low, ex, ez, 0.0 - ey, (lx, lz)),
+        (low + ly * ey, ex, ez, ey, (lx, lz)),
+        (low, ex, ey, 0.0 - ez, (lx, ly)),
+        (low + lz * ez, ex, ey, ez, (lx, ly)),
+    )
+    return [
+        Surface(name, origin, u, v, 0.0 - normal if inwards else normal, extent)
+        for name, (origin, u, v, normal, extent) in zip(names, sides, strict=True)
+    ]
+
+
 @dataclass(frozen=True)
 class Obstacle:
-    """A box with sides along x, y and z, such as a rack. It blocks the line of sight, and no camera can be in it.
-
-    Args:
-        low, high: its corners, world frame, metres.
-        faces: those of `FACES` that may carry landmarks.
-        name: what it is called on paper, such as `rack`.
+    """Box with sides along x, y and z, such as a rack, that blocks lines of sight and excludes the camera.
 
     Raises:
-        InputError: it is empty, or there is no such face.
+        InputError: the box is empty, or a face is unknown.
     """
 
     low: Sequence[float]
+    """Lower corner, world frame, metres."""
     high: Sequence[float]
+    """Upper corner, world frame, metres."""
     faces: Sequence[str] = ()
+    """Faces of `FACES` that may carry landmarks."""
     name: str | None = None
+    """Name on paper, such as `rack`."""
 
     def __post_init__(self) -> None:
         check_fields(self, vector, "low", "high", size=3)
@@ -68,50 +85,39 @@ class Obstacle:
 
     @property
     def body(self) -> Body:
-        """The convex body that blocks the line of sight."""
+        """Convex body that blocks lines of sight."""
         return Body(
             np.vstack([-np.eye(3), np.eye(3)]) + 0.0, np.append(-np.array(self.low), self.high), np.full(6, True)
         )
 
     def surfaces(self, name: str) -> dict[str, Surface]:
-        """Its faces, by theirs; each is called `<name>_<face>`."""
-        low, high = np.array(self.low), np.array(self.high)
-        (lx, ly, lz), (ex, ey, ez) = (float(length) for length in high - low), np.eye(3)
-        sides = {
-            "x_min": (low, ey, ez, 0.0 - ex, (ly, lz)),
-            "x_max": (low + lx * ex, ey, ez, ex, (ly, lz)),
-            "y_min": (low, ex, ez, 0.0 - ey, (lx, lz)),
-            "y_max": (low + ly * ey, ex, ez, ey, (lx, lz)),
-            "bottom": (low, ex, ey, 0.0 - ez, (lx, ly)),
-            "top": (low + lz * ez, ex, ey, ez, (lx, ly)),
-        }
-        return {face: Surface(f"{name}_{face}", *sides[face]) for face in FACES}
+        """Faces by name, called `<name>_<face>`."""
+        names = [f"{name}_{face}" for face in FACES]
+        return dict(zip(FACES, box_surfaces(np.array(self.low), np.array(self.high), names), strict=True))
 
     def corners(self) -> FloatArray:
-        """`(8, 3)`, metres."""
+        """Corners, world frame, metres, `(8, 3)`."""
         return np.stack(np.meshgrid(*zip(self.low, self.high, strict=True), indexing="ij"), axis=-1).reshape(-1, 3)
 
 
 def check_name(name: Any) -> None:
-    """Raise `InputError` if what a part is called on paper is no text; None for parts without a name."""
+    """Raise `InputError` if the name of a part is neither text nor None."""
     if name is not None and (not isinstance(name, str) or not name.strip()):
         raise InputError(f"name must be a text, got {name!r}.", "name")
 
 
 @dataclass(frozen=True)
 class Reachable:
-    """Where the camera may be.
-
-    Args:
-        height: lowest and highest z, metres.
-        clearance: from walls, holes and obstacles, metres; around a corner it is that of its edges.
+    """Reachable volume of a floor plan.
 
     Raises:
         InputError: the heights are in the wrong order, or the clearance is negative.
     """
 
     height: Sequence[float]
+    """Lowest and highest z of the camera, metres."""
     clearance: float = 0.0
+    """Distance from the planes of walls, holes and obstacles, metres."""
 
     def __post_init__(self) -> None:
         low, high = vector("height", self.height, 2)
@@ -123,21 +129,20 @@ class Reachable:
 
 @dataclass(frozen=True)
 class FreeVolume:
-    """Where in a mesh the camera may be: between two heights or in a box, and away from triangles.
-
-    Args:
-        height: lowest and highest z, metres; all along x and y.
-        low, high: corners of a box in place of that, metres.
-        clearance: from every triangle but floor and ceiling, metres.
+    """Reachable volume of a mesh: between two heights or in a box, away from triangles.
 
     Raises:
-        InputError: not just one of both is given, they are in the wrong order, or the clearance is negative.
+        InputError: both or neither are given, they are in the wrong order, or the clearance is negative.
     """
 
     height: Sequence[float] | None = None
+    """Lowest and highest z of the camera, metres."""
     low: Sequence[float] | None = None
+    """Lower corner of a box instead of `height`, metres."""
     high: Sequence[float] | None = None
+    """Upper corner of the box, metres."""
     clearance: float = 0.0
+    """Distance from all triangles except floor and ceiling, metres."""
 
     def __post_init__(self) -> None:
         if (self.height is None) == (self.low is None) or (self.low is None) != (self.high is None):
@@ -152,10 +157,10 @@ class FreeVolume:
 
 
 def made(name: str, kind: type[T], value: Any) -> T:
-    """A part of a class from what a user gave: the part itself, or a mapping of its arguments.
+    """Make a part from its value in a configuration: the part itself, or a mapping of its arguments.
 
     Raises:
-        InputError: it is neither, an argument is unknown or missing, or the class refuses it.
+        InputError: the value is neither, an argument is unknown or missing, or the class refuses it.
     """
     if isinstance(value, kind):
         return value
@@ -173,17 +178,17 @@ def made(name: str, kind: type[T], value: Any) -> T:
 
 
 def all_made(name: str, kind: type[T], values: Any) -> tuple[T, ...]:
-    """A list of such parts."""
+    """Make a list of parts, see `made`."""
     if isinstance(values, str | Mapping) or not isinstance(values, Sequence):
         raise InputError(f"{name} must be a list, got {values!r}.", name)
     return tuple(made(f"{name}[{i}]", kind, value) for i, value in enumerate(values))
 
 
 def checked_band(value: Any, **bounds: float) -> tuple[float, ...] | None:
-    """Lowest and highest z at which landmarks may hang, metres; None for all.
+    """Check the lowest and highest z of landmarks, metres; None for all.
 
     Raises:
-        InputError: it is empty or exceeds `bounds`.
+        InputError: the band is empty or exceeds `bounds`.
     """
     if value is None:
         return None
@@ -194,10 +199,10 @@ def checked_band(value: Any, **bounds: float) -> tuple[float, ...] | None:
 
 
 def checked_names(name: str, value: Any, known: Sequence[str]) -> tuple[str, ...]:
-    """Names of surfaces, each once.
+    """Check a list of names of surfaces.
 
     Raises:
-        InputError: there is none, or one is not `known` or repeated.
+        InputError: the list is empty, or a name is not `known` or repeated.
     """
     given = value if isinstance(value, list | tuple) else ()
     for one in given:
@@ -205,3 +210,89 @@ def checked_names(name: str, value: Any, known: Sequence[str]) -> tuple[str, ...
     if not given or len(set(given)) != len(given):
         raise InputError(f"{name} must list at least one surface, each once, got {value!r}.", name)
     return tuple(given)
+
+
+# Largest distance of a keep-out beyond its surface, metres: keep-outs are measured by hand.
+BEYOND_SURFACE_M = 0.05
+
+
+@dataclass(frozen=True)
+class KeepOut:
+    """Part of a surface without landmarks, such as a door, a window or a screen.
+
+    Distances are as seen from the front: before a wall, or above the floor or below the ceiling with y up.
+
+    Raises:
+        InputError: neither both spans nor corners are given, or the part is empty.
+    """
+
+    surface: str
+    """Name of the surface."""
+    from_left: Sequence[float] | None = None
+    """Start and end from the left edge of the surface, metres."""
+    from_below: Sequence[float] | None = None
+    """Start and end from the lower edge of the surface, metres."""
+    corners: Sequence[Sequence[float]] | None = None
+    """Vertices [from left, from below] instead of both spans, metres."""
+    name: str | None = None
+    """Name on paper, such as `door`."""
+
+    def __post_init__(self) -> None:
+        if (self.corners is None) == (self.from_left is None) or (self.from_left is None) != (self.from_below is None):
+            raise InputError("from_left and from_below, or corners in their place, must be given.", "from_left")
+        check_name(self.name)
+        if self.corners is not None:
+            check_fields(self, checked_ring, "corners", either_way=True)
+            return
+        for name, span in (("from_left", self.from_left), ("from_below", self.from_below)):
+            start, stop = vector(name, span, 2)
+            if start >= stop:
+                raise InputError(f"{name} must go from the lower to the higher, got {[start, stop]}.", name)
+            object.__setattr__(self, name, (start, stop))
+
+    def check_on(self, name: str, extent: tuple[float, float]) -> None:
+        """Raise `InputError` if the keep-out reaches beyond its surface.
+
+        Args:
+            name: argument with the keep-out, for messages.
+            extent: length and width of the surface, metres.
+        """
+        at = np.array(self.ring)
+        beyond = float(max((0.0 - at).max(), (at - extent).max()))
+        if beyond > BEYOND_SURFACE_M:
+            along, up = extent
+            raise InputError(
+                f"{name} reaches {beyond:.4g} m beyond {self.surface}, which is {along:.4g} x {up:.4g} m.", name
+            )
+
+    @property
+    def ring(self) -> FloatArray:
+        """Vertices (from left, from below), metres, `(N, 2)`."""
+        if self.corners is not None:
+            return np.array(self.corners)
+        assert self.from_left is not None
+        assert self.from_below is not None
+        (a, c), (b, d) = self.from_left, self.from_below
+        return np.array([(a, b), (c, b), (c, d), (a, d)])
+
+    def region(self, face: Surface) -> Any:
+        """Polygon of shapely in the coordinates of its surface."""
+        import shapely
+
+        return shapely.Polygon(face.seen(self.ring))
+
+
+def all_keep_outs(values: Any, faces: Sequence[str]) -> tuple[KeepOut, ...]:
+    """Keep-outs from the values that a user gave.
+
+    Args:
+        values: list of `KeepOut`s or mappings of their arguments.
+        faces: names of the surfaces.
+
+    Raises:
+        InputError: a value is no keep-out, or its surface is unknown.
+    """
+    parts = all_made("keep_out", KeepOut, values)
+    for i, part in enumerate(parts):
+        choice(f"keep_out[{i}].surface", part.surface, faces)
+    return parts

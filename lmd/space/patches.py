@@ -1,23 +1,25 @@
 """Planar patches of a mesh: adjacent triangles in one plane, as surfaces."""
 
+from typing import Any
+
 import numpy as np
 
 from lmd.core.checks import FloatArray, IntArray
 from lmd.core.optional import optional
 from lmd.geometry.squares import upright
 from lmd.space.allowed import polygons
-from lmd.space.mesh_file import Mesh
-from lmd.space.surface import Surface
+from lmd.space.mesh import Mesh
+from lmd.space.parts import KeepOut
+from lmd.space.surface import PLACEMENT_TOLERANCE, Surface
 
-# Two triangles whose normals differ by less than this angle, rad, are in one plane, as long as all corners of the patch
-# are so near to it, metres.
+# Largest angle between adjacent triangles of a patch, rad, and largest distance of its corners from the plane, metres.
 BENT, UNEVEN = 1e-3, 1e-3
-# Borders are straight where no more than this is cut off, metres.
+# Tolerance of the simplification of borders, metres.
 STRAIGHT_M = 1e-6
 
 
 def flat_parts(mesh: Mesh) -> list[IntArray]:
-    """The triangles of each largest part of an object that is not bent at any edge, largest area first."""
+    """Triangles of each planar patch of an object, largest area first."""
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
 
@@ -38,16 +40,16 @@ def areas_of(corners: FloatArray) -> FloatArray:
 
 
 def plane_of(corners: FloatArray) -> tuple[FloatArray, float]:
-    """The plane of triangles `(T, 3, 3)`: mean unit normal, `(3,)`, and how far corners are from it, metres."""
+    """Plane of triangles `(T, 3, 3)`: mean unit normal, `(3,)`, and largest distance of a corner, metres."""
     total = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]).sum(axis=0)
     normal = total / np.linalg.norm(total) + 0.0
     return normal, float(np.ptp(corners @ normal)) / 2.0
 
 
 def surface_of(name: str, corners: FloatArray, normal: FloatArray) -> Surface:
-    """Triangles `(T, 3, 3)` in one plane as a surface, with their shape as where landmarks may hang.
+    """Surface of coplanar triangles `(T, 3, 3)`, whose union is the allowed region.
 
-    Its u and v are right and up as seen from where `normal` `(3,)` points.
+    u and v are right and up as seen from the side of `normal` `(3,)`.
     """
     import shapely
 
@@ -59,3 +61,60 @@ def surface_of(name: str, corners: FloatArray, normal: FloatArray) -> Surface:
     origin = (depth.min() + depth.max()) / 2.0 * normal + low[0] * u + low[1] * v
     length, width = (high - low).tolist()
     return Surface(name, origin + 0.0, u, v, normal, (length, width)).where(shape)
+
+
+# Largest distance of a captured door or window from its wall, metres.
+ON_WALL = 0.15
+
+
+def lying_on(surface: Surface, name: str, corners: FloatArray) -> KeepOut | None:
+    """Keep-out of a surface by a thing with corners `(N, 3)`; None if the thing does not lie on the surface."""
+    import shapely
+
+    if np.abs((corners - surface.origin) @ surface.normal).max() > ON_WALL:
+        return None
+    at = surface.seen(
+        np.stack([(corners - surface.origin) @ surface.u, (corners - surface.origin) @ surface.v], axis=-1)
+    )
+    whole = shapely.Polygon(at)
+    inside = whole.intersection(shapely.box(0.0, 0.0, *surface.extent))
+    if inside.geom_type != "Polygon" or inside.area < whole.area / 2.0:
+        return None
+    ring = shapely.get_coordinates(shapely.orient_polygons(inside))[:-1]
+    return KeepOut(surface.name, corners=[tuple(corner) for corner in ring.tolist()], name=name)
+
+
+def grown(shapes: Any, width: float) -> Any:
+    """Buffer shapes by `width`, metres, possibly negative, with mitred corners."""
+    import shapely
+
+    with np.errstate(divide="ignore", invalid="ignore"):  # in trials that GEOS discards
+        return shapely.buffer(shapes, width, cap_style="square", join_style="mitre")
+
+
+def standing_on(surface: Surface, triangles: FloatArray, height: float) -> list[Any]:
+    """Shapes that triangles `(T, 3, 3)` on a patch, or within `height` metres before it, cover of it.
+
+    Triangles perpendicular to the patch cover a line.
+    """
+    import shapely
+
+    offset = triangles - surface.origin
+    depth = offset @ surface.normal
+    near = (depth.min(axis=1) <= height) & (depth.max(axis=1) >= -PLACEMENT_TOLERANCE)
+    shapes = []
+    for corners, above in zip(offset[near], depth[near], strict=True):
+        part = _between(corners, above, -PLACEMENT_TOLERANCE, height)
+        shapes.append(shapely.MultiPoint(np.stack([part @ surface.u, part @ surface.v], axis=1)).convex_hull)
+    return shapes
+
+
+def _between(corners: FloatArray, height: FloatArray, low: float, high: float) -> FloatArray:
+    """Corners, `(m, 3)` in any order, of the part of a triangle `(3, 3)` between the heights `low` and `high`."""
+    found = [corners[(height >= low) & (height <= high)]]
+    for i, j in ((0, 1), (1, 2), (2, 0)):
+        for limit in (low, high):
+            if (height[i] - limit) * (height[j] - limit) < 0.0:
+                share = (limit - height[i]) / (height[j] - height[i])
+                found.append((corners[i] + share * (corners[j] - corners[i]))[None])
+    return np.concatenate(found)

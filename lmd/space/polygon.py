@@ -8,17 +8,17 @@ import numpy as np
 from lmd.core.checks import FloatArray, InputError, vector
 from lmd.space.blockers import Body
 
-# An edge so near to another one is a part of it, metres.
+# Edges closer than this coincide, metres.
 SAME_EDGE = 1e-9
 
 Ring = tuple[tuple[float, ...], ...]
 
 
 def checked_ring(name: str, value: Any, either_way: bool = False) -> Ring:
-    """The vertices of a simple polygon, metres, counter-clockwise unless they may run `either_way`.
+    """Check the vertices of a simple polygon, metres, counter-clockwise unless `either_way`.
 
     Raises:
-        InputError: they are no polygon, it crosses or touches itself, or runs clockwise.
+        InputError: the value is no polygon, it crosses or touches itself, or runs clockwise.
     """
     import shapely
 
@@ -38,7 +38,7 @@ def checked_ring(name: str, value: Any, either_way: bool = False) -> Ring:
 
 
 def edges(ring: Sequence[Sequence[float]] | FloatArray) -> FloatArray:
-    """From each vertex to the next, `(N, 2, 2)`."""
+    """Edges from each vertex to the next, `(N, 2, 2)`."""
     vertices = np.asarray(ring, dtype=np.float64)
     return np.stack([vertices, np.roll(vertices, -1, axis=0)], axis=1)
 
@@ -52,7 +52,7 @@ def planes(edge: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 
 def on_hull(polygon: Any) -> Any:
-    """Which edges of the outer ring of a polygon lie on its convex hull, `(N,)` bool."""
+    """Mask of the edges of the outer ring of a polygon on its convex hull, `(N,)`."""
     import shapely
 
     middles = shapely.points(edges(polygon.exterior.coords[:-1]).mean(axis=1))
@@ -60,10 +60,9 @@ def on_hull(polygon: Any) -> Any:
 
 
 def upright_bodies(polygon: Any) -> list[Body]:
-    """What stands in the way inside the convex hull of a polygon: the rest of the hull, and the holes.
+    """Unbounded upright bodies that fill the convex hull of a polygon outside the polygon, and its holes.
 
-    They reach from below the floor to above the ceiling. Planes that no line between two points of the polygon can
-    cross, those of the hull, are left out.
+    Planes of the hull are left out, as no line between two points of the polygon crosses them.
     """
     import shapely
 
@@ -85,9 +84,9 @@ def upright_bodies(polygon: Any) -> list[Body]:
 
 
 def _tips(edge: FloatArray, solid: Any) -> tuple[FloatArray, FloatArray]:
-    """Planes through the vertices of a convex piece at which it has no face, only other pieces have.
+    """Planes through the vertices of a convex piece between two edges without a face.
 
-    They are across the piece's way into the room, and keep it from sticking out there.
+    They cut off the overlap with other pieces that would protrude into the room.
     """
     bare = ~solid & ~np.roll(solid, 1)  # at the start of an edge
     way = edge[:, 1] - edge[:, 0]

@@ -1,4 +1,4 @@
-"""A room over a floor plan, and where in it the camera may be."""
+"""A room over a floor plan with a reachable volume."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -13,8 +13,7 @@ from lmd.space.blockers import Blockers
 from lmd.space.cuboid import box_edges
 from lmd.space.fixture import Fixture
 from lmd.space.floor_plan import FloorPlan
-from lmd.space.grid import KINDS, checked_spacing
-from lmd.space.gridded import Gridded, clear_of
+from lmd.space.gridded import KINDS, Gridded, checked_spacing, clear_of
 from lmd.space.parts import Reachable, made
 from lmd.space.polygon import edges
 from lmd.space.relevance import Relevance
@@ -25,14 +24,7 @@ from lmd.space.surface import Surface
 class Prism(Gridded):
     """A room over a floor plan; a `lmd.space.space.Space`.
 
-    Positions are those of a grid in the box around the walls, less the clearance, that are in the reachable volume.
-
-    Args:
-        plan: what is built.
-        reachable: where the camera may be, or a mapping of its arguments.
-        spacing: largest distance between neighbouring positions, metres: one number or one per axis.
-        positions: `cells` puts a position at the centre of each grid cell, `vertices` at each grid vertex.
-        relevance: Rel(p), how much each position matters.
+    Positions are the points of a grid in the box around the walls, less the clearance, in the reachable volume.
 
     Raises:
         InputError: the reachable volume leaves the room or is empty, a value is out of range, or so many positions
@@ -40,10 +32,15 @@ class Prism(Gridded):
     """
 
     plan: FloorPlan
+    """Built room."""
     reachable: Reachable
+    """Reachable volume, or a mapping of its arguments."""
     spacing: float | Sequence[float]
+    """Largest distance between neighbouring positions, metres: one number or one per axis."""
     positions: str = "cells"
+    """`cells` for the centres of the grid cells, `vertices` for the vertices."""
     relevance: Relevance = field(default_factory=Relevance)
+    """Rel(p), weights of the positions."""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "reachable", made("reachable", Reachable, self.reachable))
@@ -140,5 +137,5 @@ def from_floor_plan(
     relevance: Relevance | None = None,
     **plan: Any,
 ) -> Prism:
-    """A `Prism` from the arguments of its plan and its own, side by side."""
+    """Make a `Prism` from its own arguments and those of its plan."""
     return Prism(FloorPlan(outline, height, **plan), reachable, spacing, positions, relevance or Relevance())

@@ -1,4 +1,4 @@
-"""Rel(p), the relevance of a position: uniform, by regions, or from a file."""
+"""Rel(p), relevance of a position: uniform, by regions, or from a file."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -9,12 +9,12 @@ import numpy as np
 from lmd.core.checks import FloatArray, InputError, real, vector
 from lmd.core.tables import read_numbers
 
-# A position and a row of the weights file are the same point within this distance, metres.
+# Largest distance of a position from its row in a file of weights, metres.
 SAME_POINT = 1e-6
 
 
 class Weighing(Protocol):
-    """Says how much each position matters."""
+    """Weights of positions."""
 
     def weights(self, points: FloatArray) -> FloatArray:
         """Weights of `points` `(P, 3)`, `(P,)`, not all zero."""
@@ -22,22 +22,19 @@ class Weighing(Protocol):
 
 @dataclass(frozen=True)
 class Relevance:
-    """How much each position of the reachable area matters (Rel in Eq. H of the paper).
-
-    Args:
-        background: weight of positions in no region.
-        regions: boxes `{low: [x, y, z], high: [x, y, z], weight: w}` in metres, world frame, borders included;
-            a later region overrides an earlier one.
-        path: CSV with columns `x,y,z,weight` that gives a weight to every position of the grid; replaces
-            background and regions.
+    """Weights of the positions of the reachable area (Rel in Eq. H of the paper).
 
     Raises:
         InputError: a weight is negative, a region is malformed, or both regions and a file are given.
     """
 
     background: float = 1.0
+    """Weight of positions in no region."""
     regions: Sequence[Mapping[str, Any]] = ()
+    """Closed boxes `{low: [x, y, z], high: [x, y, z], weight: w}`, metres, world frame; later regions override earlier
+    ones."""
     path: str | None = None
+    """CSV with columns `x,y,z,weight` for every position of the grid, instead of background and regions."""
 
     def __post_init__(self) -> None:
         real("background", self.background, low=0.0)

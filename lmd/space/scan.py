@@ -1,9 +1,8 @@
-"""What a mesh of a room says: where landmarks may hang on it, what is free, and what is in the way."""
+"""Mesh of a room: surfaces for landmarks, free space and obstacles."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -13,97 +12,82 @@ from lmd.space.allowed import eroded, polygons, spread, trapezoids
 from lmd.space.fixture import Fixture
 from lmd.space.gravity import LEVEL_NORMAL_Z, STOREY, doubt_of
 from lmd.space.interior import Interior
-from lmd.space.keep_out import KeepOut, all_keep_outs
-from lmd.space.mesh_file import Y_UP, Mesh, read_mesh
-from lmd.space.on_patch import grown, lying_on, standing_on
-from lmd.space.parts import checked_band, checked_names
-from lmd.space.patches import UNEVEN, areas_of, flat_parts, plane_of, surface_of
+from lmd.space.mesh import Mesh
+from lmd.space.parts import KeepOut, all_keep_outs, checked_band, checked_names
+from lmd.space.patches import UNEVEN, areas_of, flat_parts, grown, lying_on, plane_of, standing_on, surface_of
 from lmd.space.surface import PLACEMENT_TOLERANCE, Surface, free_of
 from lmd.space.triangles import Triangles, unit_normals
 
-# Of the height, which a wall takes at least, and of the ground, which floor and ceiling do.
+# Least share of the height of the room that a wall spans, and of the ground that floor and ceiling cover.
 WALL, GROUND = 0.9, 0.5
-# Relative, by which the coordinates of a file may be rounded.
+# Relative rounding of the coordinates of a file.
 FILE_ROUNDING = 1e-5
-# Nothing hangs where something stands so near before the surface, metres.
+# Distance before a surface within which a thing prevents landmarks, metres.
 FREE_BEFORE_M = 0.01
-# Which side of a patch is the room's is asked at so many places, this far (m) before it, from so many positions.
+# Number of places before a patch, their distance from it in metres, and number of positions that decide its front.
 PLACES, AWAY, WITNESSES = 9, 1e-3, 300
-# Edges between faces that differ by more, rad, are drawn, the longest of them.
+# Least angle between faces at a drawn edge, rad, and maximum number of drawn edges.
 CREASE, MOST_EDGES = 0.35, 5000
 
 
 @dataclass(frozen=True)
 class Scan:
-    """A room from a triangle mesh: a scan or a CAD model. It keeps the coordinates of the file, turned to z up.
+    """Room from a triangle mesh, a scan or a CAD model, in the coordinates of the file rotated to z up.
 
-    Its planar patches are surfaces: adjacent triangles of one object in one plane, if a square of `least_area` hangs
-    there. They have the name of their object in the file, with a number from the largest if it has several; `patch_0`,
-    `patch_1`, ... where the file names none. All triangles block the line of sight, from both sides.
-
-    Args:
-        path: the file, see `lmd.space.mesh_file.read_mesh`.
-        scale: metres in a unit of the file.
-        up: which of its axes points up, `z` or `y`; None for what its format says, else z if nothing is against.
-        least_area: of a square that hangs on a patch upright, square metres.
-        surfaces: names of the patches that may carry landmarks; None for all.
-        keep_out: `KeepOut`s, or mappings of their arguments, measured from the rectangle around the patch.
-        band: lowest and highest z at which landmarks may hang on upright patches, metres; None for all heights.
-        margin: from where landmarks may hang to the edges of a patch, along its u and v, metres.
+    Its surfaces are planar patches: adjacent triangles of one object in one plane that hold a square of `least_area`.
+    They have the name of their object in the file, with a number from the largest if it has several; `patch_0`,
+    `patch_1`, ... without names. All triangles block lines of sight from both sides.
 
     Raises:
         InputError: the file is none of a room, it has no patch large enough, a name is not known, a keep-out reaches
-            beyond its patch, or `up` is not given and hard to tell.
+            beyond its patch, or the axis that points up is ambiguous.
     """
 
-    path: str | None
-    scale: float = 1.0
-    up: str | None = None
+    mesh: Mesh
+    """Triangles, z up; `lmd.formats.meshes.read_mesh` reads them from a file."""
     least_area: float = 0.1
+    """Area of an upright square that must fit on a patch, square metres."""
     surfaces: Sequence[str] | None = None
+    """Names of the patches that may carry landmarks; None for all."""
     keep_out: Sequence[Any] = ()
+    """`KeepOut`s, or mappings of their arguments, measured from the rectangle around the patch."""
     band: Sequence[float] | None = None
+    """Lowest and highest z of landmarks on upright patches, metres; None for all heights."""
     margin: float = 0.0
+    """Distance of landmarks from the edges of a patch along its u and v, metres."""
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "path", str(self.path) if isinstance(self.path, Path) else self.path)
-        check_fields(self, real, "scale", "least_area", above=0.0)
+        check_fields(self, real, "least_area", above=0.0)
         object.__setattr__(self, "band", checked_band(self.band))
         check_fields(self, real, "margin", low=0.0)
         if not self._patches:
             raise InputError(
-                f"least_area = {self.least_area:g} m2 is more than any planar patch of {self.path!r} has.", "least_area"
+                f"least_area = {self.least_area:g} m2 is more than any planar patch of {self.mesh.path!r} has.",
+                "least_area",
             )
-        told = self.up is not None or str(self.path).lower().endswith(Y_UP)
-        if not told and (doubt := doubt_of(self.mesh, undecided=True)):
-            raise InputError(f"up must be given for {self.path!r}: {doubt}", "up")
+        if not self.mesh.up_is_sure and (doubt := doubt_of(self.mesh, undecided=True)):
+            raise InputError(f"up must be given for {self.mesh.path!r}: {doubt}", "up")
         if self.surfaces is not None:
             object.__setattr__(self, "surfaces", checked_names("surfaces", self.surfaces, list(self._patches)))
-        # Patches are as they are seen, so here earlier versions measured as this one does.
-        object.__setattr__(self, "keep_out", all_keep_outs(self.keep_out, list(self._patches), lambda _, at: at))
+        object.__setattr__(self, "keep_out", all_keep_outs(self.keep_out, list(self._patches)))
         for i, part in enumerate(self.keep_out):
             corners = self._corners[self._patches[part.surface]]
             part.check_on(f"keep_out[{i}]", surface_of("", corners, plane_of(corners)[0]).extent)
 
     @property
     def doubt(self) -> str | None:
-        """Why another axis than `up` seems to point up, whoever said so; None where nothing speaks for that."""
+        """Evidence that another axis of the file than `Mesh.up` points up; None without evidence."""
         return doubt_of(self.mesh, undecided=False)
 
     @cached_property
-    def mesh(self) -> Mesh:
-        """The triangles."""
-        return read_mesh(self.path, self.scale, self.up)
-
-    @cached_property
     def triangles(self) -> Triangles:
-        """All of them; their tolerance is more than what any patch is uneven."""
+        """All triangles; their tolerance exceeds the unevenness of all patches."""
         uneven = [plane_of(self._corners[part])[1] for part in self._patches.values()]
         return Triangles.of(self.mesh.vertices, self.mesh.faces, PLACEMENT_TOLERANCE + max(uneven))
 
     @cached_property
     def solids(self) -> Triangles | None:
-        """The triangles from which the camera keeps its clearance: all but those of floor and ceiling."""
+        """Triangles from which the camera keeps its clearance: all except floor and ceiling."""
         z, (low, high) = self._corners[..., 2], self.bounds
         level = np.abs(unit_normals(self._corners)[:, 2]) > LEVEL_NORMAL_Z
         ends = (z.max(axis=1) < low[2] + STOREY) | (z.min(axis=1) > high[2] - STOREY)
@@ -112,7 +96,7 @@ class Scan:
 
     @cached_property
     def interior(self) -> Interior:
-        """The free space in it."""
+        """Free space."""
         return Interior(self.triangles, *self.bounds)
 
     @cached_property
@@ -130,12 +114,12 @@ class Scan:
 
     @property
     def _half_edge(self) -> float:
-        """Half the edge, metres, of the square of `least_area` that has to fit on a patch."""
+        """Half the edge of the square of `least_area`, metres."""
         return float(np.sqrt(self.least_area)) / 2.0 * (1.0 - FILE_ROUNDING)
 
     @cached_property
     def _patches(self) -> dict[str, IntArray]:
-        """The triangles of the patches that are large enough, by their names, the largest first."""
+        """Triangles of the patches that are large enough, by name, the largest first."""
         chosen = []
         for part in self._flat:
             corners = self._corners[part]
@@ -154,9 +138,9 @@ class Scan:
         return named
 
     def carriers(self, positions: FloatArray) -> tuple[Surface, ...]:
-        """The surfaces that may carry landmarks, towards the side from which most of `positions` `(P, 3)` see them.
+        """Surfaces that may carry landmarks, facing the side that most of `positions` `(P, 3)` see.
 
-        Of patches that were not asked for by name, those that are seen from nowhere or have no room left are left out.
+        Unless requested by name, patches that are not visible or have no allowed region are left out.
 
         Raises:
             InputError: one of `surfaces` is such a patch, or none is left.
@@ -176,7 +160,7 @@ class Scan:
         return tuple(carriers)
 
     def _facing(self, name: str, positions: FloatArray) -> Surface | None:
-        """A patch as it is seen from more of the positions; None if from none."""
+        """Patch that faces the side with more of the positions; None if none of them sees it."""
         corners = self._corners[self._patches[name]]
         normal, _ = plane_of(corners)
         surface = surface_of(name, corners, normal)
@@ -189,7 +173,7 @@ class Scan:
         return surface if front >= back else surface_of(name, corners, 0.0 - normal)
 
     def _free(self, surface: Surface) -> Any:
-        """Where on a patch landmarks may hang, None if not even a square of `least_area` does."""
+        """Allowed region of a patch; None if no square of `least_area` fits."""
         standing = standing_on(surface, np.delete(self._corners, self._patches[surface.name], axis=0), FREE_BEFORE_M)
         taken = [_area_of(standing), *(part.region(surface) for part in self._kept_out(surface))]
         region = self._inside(surface, free_of(surface, _shape(surface), self.margin, self.band, taken), standing)
@@ -200,10 +184,10 @@ class Scan:
         return given + [part for thing in self.mesh.on_walls if (part := lying_on(surface, *thing)) is not None]
 
     def _inside(self, surface: Surface, region: Any, standing: Sequence[Any]) -> Any:
-        """The part of a region of a patch that is in the room: not below its floor, beyond a wall or in furniture.
+        """Part of a region of a patch inside the room: not below its floor, beyond a wall or in furniture.
 
-        What stands on the patch divides it into cells; slits of two `FREE_BEFORE_M` between are closed. Nothing crosses
-        a cell, so that all of it is in the room if one place of it is.
+        Things on the patch divide it into cells; slits of two `FREE_BEFORE_M` are closed. Nothing crosses a cell, which
+        is hence inside the room if one of its places is.
         """
         import shapely
 
@@ -229,7 +213,7 @@ class Scan:
 
     @cached_property
     def edges(self) -> FloatArray:
-        """Where it is bent or ends, to draw it, `(M, 2, 3)`."""
+        """Sharp and open edges to draw, `(M, 2, 3)`."""
         triangles, corners = self.triangles, self.triangles.corners
         ends = np.stack([corners, np.roll(corners, -1, axis=1)], axis=2).reshape(-1, 2, 3)
         turn = (triangles.beyond * triangles.normals[:, None]).sum(axis=-1).reshape(-1)
@@ -260,11 +244,11 @@ class Scan:
         ]
 
     def kept_out(self, surfaces: Sequence[Surface]) -> list[FloatArray]:
-        """The vertices of the keep-outs on surfaces, `(N, 3)` each, world frame, metres."""
+        """Vertices of the keep-outs on surfaces, world frame, metres, `(N, 3)` each."""
         return [surface.point(*part.ring.T) for surface in surfaces for part in self._kept_out(surface)]
 
     def keeps_away(self, points: FloatArray, clearance: float) -> BoolArray:
-        """Whether points `(..., 3)` are so far from all but floor and ceiling, `(...)`."""
+        """Mask of the points `(..., 3)` with `clearance`, metres, from all but floor and ceiling, `(...)`."""
         if self.solids is None or not clearance:
             return np.ones(points.shape[:-1], dtype=np.bool_)
         return self.solids.distance(points, clearance) >= clearance - PLACEMENT_TOLERANCE

@@ -21,56 +21,56 @@ from lmd.space.allowed import (
     trapezoids,
 )
 
-# Landmarks this far (m) outside still count as inside: a CSV rounded to micrometres is not an error.
+# Largest distance outside a room or a surface that counts as inside, metres: files are rounded to micrometres.
 PLACEMENT_TOLERANCE = 1e-6
-# Landmarks of a file rounded to micrometres may be so far beside where they may hang, or overlap by so much, metres.
+# Largest distance of a landmark of a file from the allowed region, and largest overlap of two landmarks, metres.
 FILE_TOLERANCE = 2e-6
-
-# Landmarks so far from a surface belong to it, metres: somebody measured them, or they have a board behind them.
+# Maximum distance to a surface that owns a landmark, metres; measured landmarks, or those on a board, are off by less.
 NEAR_SURFACE = 0.05
-# A landmark faces away from a surface if its normal is within 45 degrees of that of the surface.
+# Least cosine between the normals of a surface and of a landmark that faces away from it.
 FACING_COSINE = math.sqrt(0.5)
-# The normal of a wall has a smaller vertical part than this, that of a floor or a ceiling a larger one than that.
+# Largest vertical part of the normal of a wall, and least of that of a floor or a ceiling.
 UPRIGHT, FLAT = 1e-3, 0.5
-
-# A grid whose cells are more elongated than this gives way to one with rows of unequal number.
+# Largest elongation of the cells of an even grid; beyond it rows have unequal numbers of cells.
 MAX_ELONGATION = 3.0
 
 
 @dataclass(frozen=True)
 class Surface:
-    """A rectangle that may carry landmarks: points are origin + a u + b v, 0 <= (a, b) <= extent.
-
-    `u` runs horizontally and `v` up on side walls; on floor and ceiling they run along x and y. `normal` points
-    to where the camera is. Vectors are `(3,)` in the world frame, extents in metres. `allowed` is the region of (a, b)
-    where landmarks may hang, see `lmd.space.allowed`; None for the whole rectangle.
-    """
+    """A rectangle that may carry landmarks: points are origin + a u + b v, 0 <= (a, b) <= extent."""
 
     name: str
+    """Name in configurations and messages."""
     origin: FloatArray
+    """Point with a = b = 0, world frame, metres, `(3,)`."""
     u: FloatArray
+    """Unit vector, horizontal on walls, along x on floor and ceiling, `(3,)`."""
     v: FloatArray
+    """Unit vector, up on walls, along y on floor and ceiling, `(3,)`."""
     normal: FloatArray
+    """Unit vector to the side of the camera, `(3,)`."""
     extent: tuple[float, float]
+    """Lengths along u and v, metres."""
     allowed: Any = None
+    """Region of (a, b) where landmarks may hang, see `lmd.space.allowed`; None for the whole rectangle."""
 
     @cached_property
     def pieces(self) -> FloatArray:
-        """Where landmarks may hang as trapezoids, `(T, 6)`."""
+        """Allowed region as trapezoids, `(T, 6)`."""
         return rectangle(self.extent) if self.allowed is None else trapezoids(self.allowed)
 
     @cached_property
     def parts(self) -> FloatArray:
-        """The corners of `pieces`, counter-clockwise, `(T, 4, 2)`."""
+        """Corners of `pieces`, counter-clockwise, `(T, 4, 2)`."""
         return np.stack([self.pieces[:, [0, 1, 1, 0]], self.pieces[:, [2, 3, 5, 4]]], axis=-1)
 
     @property
     def area(self) -> float:
-        """Where landmarks may hang, square metres."""
+        """Area of the allowed region, square metres."""
         return float(sizes(self.pieces).sum())
 
     def inset(self, margin: float) -> "Surface":
-        """The surface without a strip as wide as `margin`, metres, along the edges of where landmarks may hang.
+        """The surface without a strip of width `margin`, metres, along the edges of its allowed region.
 
         Raises:
             InputError: nothing is left.
@@ -90,7 +90,7 @@ class Surface:
         return self.cropped(left)
 
     def cropped(self, region: Any) -> "Surface":
-        """The rectangle around a region of the surface, with landmarks allowed in the region only."""
+        """Crop the surface to the rectangle around a region, the only allowed one."""
         import shapely
 
         a, b, a_end, b_end = region.bounds
@@ -99,7 +99,7 @@ class Surface:
         return replace(self, origin=self.origin + a * self.u + b * self.v, extent=extent, allowed=allowed)
 
     def where(self, region: Any) -> "Surface":
-        """The surface with landmarks allowed in a region of it only."""
+        """The surface with `region` as its allowed region."""
         import shapely
 
         whole = shapely.box(0.0, 0.0, *self.extent)
@@ -112,18 +112,18 @@ class Surface:
 
     @property
     def is_upright(self) -> bool:
-        """Whether it is a wall, so that from its lower edge is up."""
+        """True for walls."""
         return bool(abs(self.normal[2]) < UPRIGHT)
 
     @property
     def is_mirrored(self) -> bool:
-        """Whether u runs to the left of whoever stands before the surface, `v` pointing up."""
+        """True if u points left for a viewer in front of the surface with `v` up."""
         return bool(np.cross(self.v, self.normal) @ self.u < 0.0)
 
     def seen(self, at: FloatArray) -> FloatArray:
-        """Places (a, b) `(..., 2)` as metres from the left and from the lower edge, for whoever stands before them.
+        """Convert (a, b) `(..., 2)` to distances from the left and the lower edge, seen from the front, metres.
 
-        Applied to these, it gives (a, b) again.
+        The function is its own inverse.
         """
         a, b = np.moveaxis(np.asarray(at, dtype=np.float64), -1, 0)
         return np.stack([self.extent[0] - a if self.is_mirrored else a, b], axis=-1)
@@ -134,10 +134,10 @@ class Surface:
         return np.clip(offset @ self.u, 0.0, self.extent[0]), np.clip(offset @ self.v, 0.0, self.extent[1])
 
     def grid(self, count: int) -> list[tuple[float, float]]:
-        """Surface coordinates of `count` cell centres, with cells as square as an even grid allows.
+        """Surface coordinates of `count` cell centres of a grid with nearly square cells.
 
-        The grid runs along the longer side; 15 landmarks on the paper's walls make 5 x 3. Where landmarks may hang in
-        some places only, the grid is made finer until it has enough of these, and `count` of them are evenly picked.
+        The grid runs along the longer side; 15 landmarks on the paper's walls make 5 x 3. On a surface with an allowed
+        region, the grid is refined until the region has `count` centres, which are picked evenly.
         """
         if count == 0:
             return []
@@ -152,7 +152,7 @@ class Surface:
             cells = math.ceil(1.1 * cells + 1.0)
 
     def _cell_centres(self, count: int) -> list[tuple[float, float]]:
-        """The centres of `count` cells of the whole rectangle."""
+        """Centres of `count` cells of the whole rectangle."""
         swap = self.extent[1] > self.extent[0]
         long, short = max(self.extent), min(self.extent)
 
@@ -171,16 +171,16 @@ class Surface:
         return points
 
     def distance(self, points: FloatArray) -> FloatArray:
-        """How far world points `(..., 3)` are from the surface, `(...)`, metres."""
-        with np.errstate(over="ignore"):  # what is far enough away is infinitely far
+        """Distances of world points `(..., 3)` from the surface, metres, `(...)`."""
+        with np.errstate(over="ignore"):  # very distant points have an infinite distance
             return np.asarray(np.linalg.norm(points - self.point(*self.coordinates(points)), axis=-1))
 
 
 def surface_near(surfaces: Sequence[Surface], positions: FloatArray, normals: FloatArray) -> IntArray:
-    """The index of the surface that each landmark `(K, 3)` belongs to, -1 for none, `(K,)`.
+    """Index of the surface that each landmark `(K, 3)` belongs to, -1 for none, `(K,)`.
 
-    It is at most `NEAR_SURFACE` away, before the surface or behind it. Of several that are so near it belongs to the
-    nearest that it faces away from, or else to the nearest.
+    Of the surfaces within `NEAR_SURFACE`, before or behind the landmark, the nearest one that it faces away from, or
+    else the nearest one.
     """
     distance = np.array([surface.distance(positions) for surface in surfaces])  # (W, K)
     facing = np.array([surface.normal for surface in surfaces]) @ normals.T >= FACING_COSINE
@@ -190,14 +190,14 @@ def surface_near(surfaces: Sequence[Surface], positions: FloatArray, normals: Fl
 
 
 def free_of(face: Surface, region: Any, margin: float, band: Sequence[float] | None, taken: Sequence[Any]) -> Any:
-    """Where on a face landmarks may hang, in its coordinates; empty if nowhere.
+    """Allowed region of a face in its coordinates, possibly empty.
 
     Args:
-        face: upright ones only have the band.
-        region: what there is of it.
-        margin: to the edges of the region, along u and v, metres.
-        band: lowest and highest z, metres.
-        taken: what is not free.
+        face: the face.
+        region: existing part of the face.
+        margin: distance from the edges of the region along u and v, metres.
+        band: lowest and highest z on an upright face, metres.
+        taken: regions that are not free.
     """
     import shapely
 
@@ -212,27 +212,27 @@ class SurfaceArrays(NamedTuple):
     """W surfaces as arrays, for many landmarks at once and for compiled code."""
 
     origin: np.ndarray
-    """`(W, 3)` the corner from which u and v are measured, metres."""
+    """Point with a = b = 0, metres, `(W, 3)`."""
     u: np.ndarray
-    """`(W, 3)` unit, along the surface."""
+    """Unit vectors along the surfaces, `(W, 3)`."""
     v: np.ndarray
-    """`(W, 3)` unit, along the surface."""
+    """Unit vectors along the surfaces, `(W, 3)`."""
     normal: np.ndarray
-    """`(W, 3)` unit."""
+    """Unit normals, `(W, 3)`."""
     extent: np.ndarray
-    """`(W, 2)` along u and v, metres."""
+    """Lengths along u and v, metres, `(W, 2)`."""
     pieces: np.ndarray
-    """`(T, 6)` trapezoids in which landmarks may hang, see `allowed`."""
+    """Trapezoids of the allowed regions, see `lmd.space.allowed`, `(T, 6)`."""
     first: np.ndarray
-    """`(W + 1,)` those of surface w are from `first[w]` to `first[w + 1]`."""
+    """Trapezoids of surface w are `first[w]` to `first[w + 1]`, `(W + 1,)`."""
     of_piece: np.ndarray
-    """`(T,)` the surface of each."""
+    """Surface of each trapezoid, `(T,)`."""
     shares: np.ndarray
-    """`(T,)` the cumulative share of the area, for drawing one."""
+    """Cumulative share of the area, for drawing a trapezoid, `(T,)`."""
 
     @classmethod
     def of(cls, surfaces: Sequence[Surface]) -> "SurfaceArrays":
-        """The arrays of some surfaces, in their order."""
+        """Arrays of surfaces in their order."""
         origin, u, v, normal, extent = (
             np.array([getattr(surface, name) for surface in surfaces])
             for name in ("origin", "u", "v", "normal", "extent")
@@ -245,7 +245,7 @@ class SurfaceArrays(NamedTuple):
 
     @property
     def area(self) -> FloatArray:
-        """The area of each trapezoid, square metres, `(T,)`."""
+        """Area of each trapezoid, square metres, `(T,)`."""
         return sizes(self.pieces)
 
     def depth(self, points: FloatArray) -> FloatArray:
@@ -253,12 +253,12 @@ class SurfaceArrays(NamedTuple):
         return np.asarray(((points[..., None, :] - self.origin) * self.normal).sum(axis=-1))
 
     def points(self, surface: IntArray, at: FloatArray) -> FloatArray:
-        """World points `(..., 3)` on surfaces `(...)` where landmarks may hang, nearest to `at` `(..., 2)`."""
+        """World points `(..., 3)` of the allowed places on surfaces `(...)` nearest to `at` `(..., 2)`."""
         at, _ = self.nearest(surface, at)
         return np.asarray(self.origin[surface] + at[..., :1] * self.u[surface] + at[..., 1:] * self.v[surface])
 
     def nearest(self, surface: IntArray, at: FloatArray) -> tuple[FloatArray, IntArray]:
-        """The places `(..., 2)` on surfaces `(...)` where landmarks may hang nearest to `at`, and their pieces."""
+        """Allowed places `(..., 2)` on surfaces `(...)` nearest to `at`, and their trapezoids."""
         at = np.asarray(at, dtype=np.float64)
         flat, out = at.reshape(-1, 2), np.empty((at.size // 2, 2))
         piece = np.empty(len(flat), dtype=np.int64)
@@ -266,7 +266,7 @@ class SurfaceArrays(NamedTuple):
         return out.reshape(at.shape), piece.reshape(at.shape[:-1])
 
     def allow(self, surface: IntArray, at: FloatArray, tolerance: float = EDGE_TOLERANCE) -> BoolArray:
-        """Whether landmarks may hang at `at` `(..., 2)` on surfaces `(...)`, or `tolerance` metres beside, `(...)`."""
+        """Mask of `at` `(..., 2)` within `tolerance`, metres, of the allowed regions of surfaces `(...)`, `(...)`."""
         return np.asarray(np.abs(self.nearest(surface, at)[0] - at).max(axis=-1) <= tolerance)
 
     def spread(self, piece: IntArray, at: FloatArray) -> FloatArray:
@@ -274,7 +274,7 @@ class SurfaceArrays(NamedTuple):
         return spread(self.pieces[piece], at)
 
     def gathered(self, piece: IntArray, places: FloatArray) -> FloatArray:
-        """The inverse of `spread`."""
+        """Inverse of `spread`."""
         return gathered(self.pieces[piece], places)
 
     def coordinates(self, surface: IntArray, points: FloatArray) -> FloatArray:

@@ -1,4 +1,4 @@
-"""What blocks a line of sight in a mesh: triangles, in a tree of boxes that is asked without a stack.
+"""Triangles of a mesh that block lines of sight, in a hierarchy of boxes that is traversed without a stack.
 
 A line from p to q crosses a triangle if p and q lie on different sides of its plane, both farther from it than the
 tolerance, and the crossing lies within its edges. What happens at an edge depends on the triangle beyond it:
@@ -21,47 +21,47 @@ from lmd.core.checks import BoolArray, FloatArray, IntArray
 from lmd.core.compiled import inner, kernel
 from lmd.space.box_tree import box_tree
 
-# By which boxes are larger than what they hold, relative to the largest coordinate: more than rounding.
+# Padding of the boxes relative to the largest coordinate: more than rounding errors.
 BOX_PADDING = 1e-12
-# A point so close to a plane, or a triangle so thin, metres, has no side; squared, that is an area.
+# Least distance of a point from a plane, and least height of a triangle, metres; its square is the least area.
 THINNEST_M = 1e-7
 
 
 class Triangles(NamedTuple):
-    """T triangles and the N boxes of their tree, in the order in which a walk from the root meets them; metres."""
+    """T triangles and the N boxes of their hierarchy, in the order of a depth-first traversal; metres."""
 
     normals: np.ndarray
-    """`(T, 3)` unit."""
+    """Unit normals, `(T, 3)`."""
     offsets: np.ndarray
-    """`(T,)` n . x of the points x of each plane."""
+    """n . x of the points x of each plane, `(T,)`."""
     corners: np.ndarray
-    """`(T, 3, 3)`."""
+    """Corners, `(T, 3, 3)`."""
     borders: np.ndarray
-    """`(T, 3, 4)` of each edge the unit normal in the plane, inwards, and its offset."""
+    """Unit normal of each edge in the plane, inwards, and its offset, `(T, 3, 4)`."""
     beyond: np.ndarray
-    """`(T, 3, 3)` the normal of the triangle over each edge, on the same side of the surface; 0 if there is none."""
+    """Normal of the triangle beyond each edge on the same side of the surface, or 0, `(T, 3, 3)`."""
     apex: np.ndarray
-    """`(T, 3)` numbers of the corners."""
+    """Indices of the corners among the vertices, `(T, 3)`."""
     ending: np.ndarray
-    """Edges that end at corner v are rows `ending[v]` to `ending[v + 1]` of `spokes`."""
+    """Edges that end at vertex v are rows `ending[v]` to `ending[v + 1]` of `spokes`, `(V + 1,)`."""
     spokes: np.ndarray
-    """`(S, 2, 3)` the normals on either side of an edge."""
+    """Normals on both sides of an edge, `(S, 2, 3)`."""
     centres: np.ndarray
-    """`(N, 3)` of the boxes."""
+    """Centres of the boxes, `(N, 3)`."""
     halves: np.ndarray
-    """`(N, 3)` half the extent of each box."""
+    """Half the extent of the boxes, `(N, 3)`."""
     skip: np.ndarray
-    """`(N,)` the next box if nothing in this one is wanted."""
+    """Next box outside this one, `(N,)`."""
     first: np.ndarray
-    """`(N,)` the first triangle of a box that is not divided."""
+    """First triangle of a leaf, `(N,)`."""
     stop: np.ndarray
-    """`(N,)` the one behind its last."""
+    """End of the triangles of a leaf, excluded, `(N,)`."""
     tolerance: float
-    """By which a line may come near the plane or the edges of a triangle."""
+    """Distance of a line from the plane and the edges of a triangle that counts as a touch."""
 
     @classmethod
     def of(cls, vertices: FloatArray, faces: IntArray, tolerance: float) -> "Triangles":
-        """The triangles with the corners `faces` `(T, 3)` of `vertices` `(V, 3)`; none is degenerate."""
+        """Build the hierarchy of triangles `faces` `(T, 3)` of `vertices` `(V, 3)`, none degenerate."""
         corners = vertices[faces]
         normals = unit_normals(corners)
         way = np.roll(corners, -1, axis=1) - corners
@@ -80,7 +80,7 @@ class Triangles(NamedTuple):
         return cls(*whole)
 
     def clear(self, starts: FloatArray, ends: FloatArray) -> BoolArray:
-        """Whether no triangle is crossed by the lines between points `(..., 3)`, `(...)`."""
+        """Mask of the lines between points `(..., 3)` that cross no triangle, `(...)`."""
         starts, ends = np.broadcast_arrays(starts, ends)
         crossed = np.empty(starts.shape[:-1], dtype=np.bool_)
         first, last = (np.ascontiguousarray(p).reshape(-1, 3) for p in (starts, ends))
@@ -88,15 +88,15 @@ class Triangles(NamedTuple):
         return ~crossed
 
     def distance(self, points: FloatArray, most: float) -> FloatArray:
-        """How far points `(..., 3)` are from the nearest triangle, `(...)`, metres; `most` if it is farther."""
+        """Distances of points `(..., 3)` from the nearest triangle, at most `most`, metres, `(...)`."""
         found = np.empty(points.shape[:-1])
         _find_distance(self, np.ascontiguousarray(points).reshape(-1, 3), most, found.reshape(-1))
         return found
 
     def keeps_away(self, starts: FloatArray, ends: FloatArray, clearance: float) -> BoolArray:
-        """Whether the whole way between points `(..., 3)` is at least so far from every triangle, `(...)`.
+        """Mask of the straight paths between points `(..., 3)` that keep `clearance`, metres, `(...)`.
 
-        It is walked from ball to ball around it that holds no triangle, in steps of at least `STEP`.
+        Sphere tracing in steps of at least `STEP`.
         """
         starts, ends = np.broadcast_arrays(starts, ends)
         kept = np.empty(starts.shape[:-1], dtype=np.bool_)
@@ -105,18 +105,18 @@ class Triangles(NamedTuple):
         return kept
 
 
-# The least step of a walk along a way that keeps its clearance, and how far it looks ahead, metres.
+# Least step and largest search distance of sphere tracing, metres.
 STEP, AHEAD = 1e-3, 1.0
 
 
 def unit_normals(corners: FloatArray) -> FloatArray:
-    """Unit normals `(T, 3)` of triangles `(T, 3, 3)`, to the side from which they run counter-clockwise."""
+    """Unit normals `(T, 3)` of triangles `(T, 3, 3)`, to the side where they are counter-clockwise."""
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     return np.asarray(normals / np.linalg.norm(normals, axis=1, keepdims=True) + 0.0)
 
 
 def _beyond(faces: IntArray, normals: FloatArray) -> FloatArray:
-    """See `Triangles`. Where more than two triangles meet, each has itself beyond the edge: nothing slips through."""
+    """`Triangles.beyond`; at an edge of more than two triangles, each counts as its own neighbour."""
     count = len(faces)
     edge = np.stack([faces, np.roll(faces, -1, axis=1)], axis=-1).reshape(-1, 2)
     own = np.repeat(np.arange(count), 3)
@@ -126,7 +126,7 @@ def _beyond(faces: IntArray, normals: FloatArray) -> FloatArray:
     order = np.argsort(which, kind="stable")
     pairs = order[times[which[order]] == 2].reshape(-1, 2)
     for one, other in (pairs.T, pairs.T[::-1]):
-        # Two triangles on the same side of a surface go along their edge in opposite ways.
+        # Consistently oriented triangles traverse their common edge in opposite directions.
         sense = np.where(forwards[one] == forwards[other], -1.0, 1.0)
         beyond[one] = sense[:, None] * normals[own[other]]
     return beyond.reshape(count, 3, 3)
@@ -134,13 +134,13 @@ def _beyond(faces: IntArray, normals: FloatArray) -> FloatArray:
 
 @inner
 def is_crossed(triangles, px, py, pz, qx, qy, qz):  # type: ignore[no-untyped-def]
-    """Whether the line from p to q crosses a triangle."""
+    """True if the line from p to q crosses a triangle."""
     normals, offsets, borders, beyond = triangles.normals, triangles.offsets, triangles.borders, triangles.beyond
     centres, halves, skip = triangles.centres, triangles.halves, triangles.skip
     first, stop, tolerance = triangles.first, triangles.stop, triangles.tolerance
     wx, wy, wz = qx - px, qy - py, qz - pz
-    # The middle of the line and half of it: a box is apart from it if a plane across an axis of the box, or across one
-    # of these and the line, lies between them.
+    # Separating axes of a box and the line, given by its middle and half: those of the box, and their cross products
+    # with the line.
     mx, my, mz = 0.5 * (px + qx), 0.5 * (py + qy), 0.5 * (pz + qz)
     dx, dy, dz = 0.5 * wx, 0.5 * wy, 0.5 * wz
     ax, ay, az = abs(dx), abs(dy), abs(dz)
@@ -174,7 +174,7 @@ def is_crossed(triangles, px, py, pz, qx, qy, qz):  # type: ignore[no-untyped-de
                     far = e
                 else:
                     near += 1
-            # Near two edges it is at the corner between them, which is the one before the third edge.
+            # A point near two edges is at their common corner, the one before the third edge.
             if within and (near < 2 or not _is_touched(triangles, triangles.apex[i, (far + 2) % 3], wx, wy, wz)):
                 return True
         node += 1
@@ -183,7 +183,7 @@ def is_crossed(triangles, px, py, pz, qx, qy, qz):  # type: ignore[no-untyped-de
 
 @inner
 def _is_touched(triangles, corner, wx, wy, wz):  # type: ignore[no-untyped-def]
-    """Whether a line along w through a corner only touches the surface at one of the edges that end there."""
+    """True if a line along w through a corner only touches the surface at an edge of that corner."""
     spokes, tolerance = triangles.spokes, triangles.tolerance
     for s in range(triangles.ending[corner], triangles.ending[corner + 1]):
         one = wx * spokes[s, 0, 0] + wy * spokes[s, 0, 1] + wz * spokes[s, 0, 2]
@@ -195,7 +195,7 @@ def _is_touched(triangles, corner, wx, wy, wz):  # type: ignore[no-untyped-def]
 
 @inner
 def _distance(triangles, x, y, z, most):  # type: ignore[no-untyped-def]
-    """How far (x, y, z) is from the nearest triangle; `most` if it is farther."""
+    """Distance of (x, y, z) from the nearest triangle, at most `most`."""
     normals, offsets, corners, borders = triangles.normals, triangles.offsets, triangles.corners, triangles.borders
     centres, halves, skip, first, stop = (
         triangles.centres, triangles.halves, triangles.skip, triangles.first, triangles.stop,

@@ -9,11 +9,10 @@ import pandas as pd
 from numpy.typing import ArrayLike
 
 from lmd.core.checks import BoolArray, FloatArray, IntArray
-from lmd.detection.evaluation import CORNER_TOLERANCE, precision_recall
-from lmd.detection.frames import Sightings, overlapping, qualities, tagged_room
-from lmd.detection.prediction import Predicted, Prediction, RigPrediction
-from lmd.detection.report import PITCHES, by_incidence, by_pitch, by_place, by_tag
-from lmd.detection.surveyed import CAMERA, COLUMNS, FRAME
+from lmd.detection.comparison import PITCHES, CameraPrediction, Prediction, by_incidence, by_pitch, by_place, by_tag
+from lmd.detection.evaluation import CORNER_TOLERANCE, Matches, precision_recall
+from lmd.detection.frames import overlapping, qualities, tagged_room
+from lmd.detection.views import CAMERA, COLUMNS, FRAME
 from lmd.geometry.camera import Camera
 from lmd.geometry.projection import image_size, intrinsics, to_camera
 from lmd.geometry.se3 import pose_of
@@ -46,9 +45,9 @@ Verdicts = Callable[[Scene, Deployment, FloatArray, Camera], dict[str, BoolArray
 class Audit:
     """N frames of a survey, and the K tags of its map; with C cameras C K tags, camera by camera."""
 
-    prediction: Predicted
+    prediction: Prediction
     """Predictions of the visibility model."""
-    seen: Sightings
+    seen: Matches
     """Detections; false ones do not show a tag at its pose."""
 
     @cached_property
@@ -147,16 +146,15 @@ def audited(survey: Survey, scene: Scene, verdicts: Verdicts) -> Audit:
     """
     found = survey.found
     tags = map_of(survey)
-    tags = tags.hung(scene.room, anywhere=True, papers=scene.plates.papers(tags))
+    tags = tags.hung(scene.room, anywhere=True, papers=scene.footprints.papers(tags))
     room = tagged_room(scene.room, tags, scene.tag)
     bodies, mounts = found.poses.frames[found.frames], found.poses.mounts
     parts = []
     for camera, mount, taken in zip(scene.cameras, mounts, survey.detected.images[found.frames].T, strict=True):
         poses = bodies @ mount
         seen = visible_through(scene, camera, tags, poses) & taken[:, None]
-        parts.append(Prediction(Renderer(camera, room), poses, seen, verdicts(scene, tags, poses, camera), taken))
-    prediction = parts[0] if len(parts) == 1 else RigPrediction(tuple(parts), mounts, bodies)
-    return Audit(prediction, Sightings.beside(detections_of_map(survey)))
+        parts.append(CameraPrediction(Renderer(camera, room), poses, seen, verdicts(scene, tags, poses, camera), taken))
+    return Audit(Prediction(tuple(parts), mounts, bodies), Matches.beside(detections_of_map(survey)))
 
 
 def in_the_open(survey: Survey, scene: Scene) -> tuple[Survey, Scene]:
@@ -178,7 +176,7 @@ def in_the_open(survey: Survey, scene: Scene) -> tuple[Survey, Scene]:
     return replace(survey, found=found.moved(pose_of(turn, -low))), replace(scene, room=room)
 
 
-def detections_of_map(survey: Survey) -> list[Sightings]:
+def detections_of_map(survey: Survey) -> list[Matches]:
     """Detections of the tags of the map in its frames, for each camera.
 
     A detection shows a tag if the RMS error of its corners is at most `CORNER_TOLERANCE`, also if that is too large for
@@ -202,14 +200,14 @@ def detections_of_map(survey: Survey) -> list[Sightings]:
         at = frame[some.frame[right]], tag[some.tag[right]]
         detected[at], corners[at] = True, some.image[right]
         wrong = own & found.misfits & (frame[some.frame] >= 0) & (off > CORNER_TOLERANCE)
-        each.append(Sightings(detected, corners, np.bincount(frame[some.frame[wrong]], minlength=len(detected))))
+        each.append(Matches(detected, corners, np.bincount(frame[some.frame[wrong]], minlength=len(detected))))
     return each
 
 
 def view_columns(survey: Survey, cameras: Sequence[Camera], tag: Tag, room: Space | None) -> dict[str, ArrayLike]:
     """Columns of `in_view.csv`: a row for each tag that has all its corners in an image and faces the camera.
 
-    Leaves out tags that lie over others or are hidden by the room. See `lmd.detection.surveyed`.
+    Leaves out tags that lie over others or are hidden by the room. See `lmd.detection.views`.
 
     Args:
         survey: the survey.

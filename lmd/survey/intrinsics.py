@@ -6,10 +6,9 @@ from typing import Any
 import numpy as np
 
 from lmd.core.checks import FloatArray
-from lmd.geometry.camera import Camera
+from lmd.geometry.camera import PIXEL_CENTRE, Camera
 from lmd.geometry.lens import Lens
 from lmd.geometry.projection import bearings, slope
-from lmd.scene.calibration_files import PIXEL_CENTRE
 
 # Prior standard deviations of a rough guess: shares of the focal length and of the image's size, and of coefficients.
 FOCAL_SIGMA, CENTRE_SIGMA, COEFFICIENT_SIGMA = 0.1, 0.1, 0.3

@@ -18,7 +18,7 @@ from itertools import combinations_with_replacement
 import numpy as np
 
 from lmd.core.checks import BoolArray, FloatArray, IntArray
-from lmd.mapping.detections import DetectedTags
+from lmd.formats.detections import DetectedTags
 from lmd.survey.motion import SHORTEST_GAP, seconds_of
 
 LONGEST = 0.21  # maximum seconds between keyframes that have frames between them: five a second, with jitter

@@ -181,7 +181,7 @@ class PriorKnowledge:
         """Edges of tags, metres: those of the plan or the fixed tags if given, else that of `tag`."""
         edges = np.full(len(ids), tag.size)
         for known in (self.plan, self.fixed):
-            if known is not None and known.edges is not None:
+            if known is not None:
                 own = dict(zip(known.ids.tolist(), known.edges.tolist(), strict=True))
                 given = np.array([own.get(number, np.nan) for number in ids.tolist()])
                 edges = np.where(np.isnan(given), edges, given)

@@ -8,7 +8,7 @@ from numpy.typing import ArrayLike
 from lmd.core.checks import FloatArray, IntArray
 from lmd.geometry.se3 import ROW, inverse, log
 from lmd.scene.deployment import COLUMNS, UP_COLUMNS, Deployment
-from lmd.scene.edges import EDGE, with_gaps
+from lmd.scene.edges import EDGE
 from lmd.scene.labels import ID, Labels
 from lmd.scene.surveyed import Surveyed
 from lmd.survey.residuals import squared_errors
@@ -37,7 +37,6 @@ def measured_of(survey: Survey) -> Deployment | None:
     if plan is None:
         return None
     found = map_of(survey)
-    assert found.edges is not None
     index = {number: k for k, number in enumerate(found.ids.tolist())}
     own = np.array([index.get(number, -1) for number in plan.ids.tolist()])
     there = own >= 0
@@ -49,7 +48,7 @@ def measured_of(survey: Survey) -> Deployment | None:
     counts = survey.used[np.searchsorted(survey.ids, plan.ids)]
     labels = Labels(plan.ids, {SIGHTINGS: [str(count) for count in counts.tolist()]})
     normals = either(found.normals, plan.normals)
-    edges = either(found.edges, with_gaps(plan.edges, len(plan)))
+    edges = either(found.edges, plan.edges)
     return Deployment(places, normals, labels=labels, surveyed=Surveyed(places, places, ups), edges=edges)
 
 
@@ -60,7 +59,6 @@ def map_columns(survey: Survey) -> dict[str, ArrayLike]:
     covariances = survey.found.in_world(survey.found.covariances)[survey.placed]
     upper = {f"cov_{AXES[i]}_{AXES[j]}": covariances[:, i, j] for i in range(len(AXES)) for j in range(i, len(AXES))}
     assert tags.labels is not None
-    assert tags.edges is not None
     columns = {ID: tags.ids, **dict(zip((*COLUMNS, *UP_COLUMNS), vectors.T, strict=True)), EDGE: tags.edges}
     return {**columns, **tags.labels.columns, "sigma": survey.found.sigmas[survey.placed], **upper}
 

@@ -17,11 +17,11 @@ import numpy as np
 
 from lmd.core.checks import BoolArray, FloatArray, InputError, IntArray
 from lmd.detection.corner_errors import CornerErrors
+from lmd.formats.detections import DetectedTags
 from lmd.geometry.camera import Camera
 from lmd.geometry.projection import bearings, slope
 from lmd.geometry.se3 import pose_of
 from lmd.geometry.squares import CORNERS
-from lmd.mapping.detections import DetectedTags
 
 RESIDUALS = 8  # of a sighting: two for each corner
 # Rotations of tags whose corners are numbered from the first, second, third and fourth one, `(4, 4, 4)`: clockwise by

@@ -9,8 +9,8 @@ import numpy as np
 
 from lmd.core.checks import BoolArray, FloatArray, InputError, IntArray
 from lmd.detection.corner_errors import CornerErrors
+from lmd.formats.detections import DetectedTags
 from lmd.geometry.camera import Camera
-from lmd.mapping.detections import DetectedTags
 from lmd.scene.tag import Tag
 from lmd.survey.faults import Faults, errors_of_fixed, find_faults
 from lmd.survey.gauge import motion_to_floor

@@ -12,10 +12,10 @@ from lmd.cameras.body import Body
 from lmd.cameras.mounts import MountSpace
 from lmd.cameras.problem import CameraProblem
 from lmd.core.checks import InputError
+from lmd.formats.rigs import read_mounts, rig_of, write_rig
 from lmd.objectives.base import AtLeast
-from lmd.objectives.coverage import Coverage
+from lmd.objectives.coverage import Coverage, MeanCoverage
 from lmd.objectives.localisation import Localisation
-from lmd.objectives.mean_coverage import MeanCoverage
 from lmd.objectives.sampling import Sampling
 from lmd.optimisers.checkpoint import Checkpoint
 from lmd.optimisers.ledger import Budget
@@ -23,7 +23,6 @@ from lmd.problem import Problem
 from lmd.scene import pdf
 from lmd.scene.deployment_sources import RandomDeployment
 from lmd.scene.rig import Rig
-from lmd.scene.rig_sources import read_mounts, rig_of, write_rig
 from pipelines.app import CONF
 
 CAMERA, OTHER = paper_camera(), paper_camera(focal_length=8.0)

@@ -6,9 +6,8 @@ import numpy as np
 from paper import paper_scene
 
 from lmd.estimation.flights import Pace, RandomMotion
-from lmd.estimation.measurements import Detector
-from lmd.estimation.odometry import Odometry
-from lmd.estimation.recording import Flight, record
+from lmd.estimation.recording import Flight, Odometry, record
+from lmd.estimation.sensors import PointDetector
 from lmd.geometry import se3
 from lmd.scene.deployment_sources import UniformDeployment
 from lmd.sight.evaluator import Evaluator
@@ -26,7 +25,7 @@ def check_estimator(estimator):
     Args:
         estimator: a `lmd.estimation.estimators.Estimator`.
     """
-    recording = flown(Detector(pixel_noise=0.5), Odometry(0.01, 0.01))
+    recording = flown(PointDetector(pixel_noise=0.5), Odometry(0.01, 0.01))
     start = recording.poses[:, 0] @ se3.exp(np.full(6, NEAR))
     arrays = [field.name for field in fields(recording) if isinstance(getattr(recording, field.name), np.ndarray)]
     before = {name: getattr(recording, name).copy() for name in arrays}
@@ -41,7 +40,7 @@ def check_estimator(estimator):
     np.testing.assert_array_equal(values_of(estimator.errors(recording, start)), found, "not the same again")
     alone = values_of(estimator.errors(first_run(recording), start[:1]))
     np.testing.assert_allclose(alone[:, 0], found[:, 0], rtol=1e-9, atol=1e-12)
-    exact = flown(Detector(), Odometry())
+    exact = flown(PointDetector(), Odometry())
     _, position, attitude = values_of(estimator.errors(exact, exact.poses[:, 0]))
     assert np.nanmedian(position) < 1e-3
     assert np.nanmedian(attitude) < 1e-3

@@ -2,18 +2,18 @@
 
 import numpy as np
 
-from lmd.mapping.tag_map import TagMap
-from lmd.scene.tag_map_files import read_deployment
+from lmd.formats.tag_map import TagMap
+from lmd.formats.tag_maps import read_deployment
 
 
 def check_format(form, tags, folder):
     """Check that the same file is written each time, and that the tags are read from it with their places and turns.
 
     What is printed is read by nobody and has no contract. What the readers of others expect only a test of its own can
-    tell, see `tests/mapping/test_tag_maps.py`.
+    tell, see `tests/formats/test_tag_maps.py`.
 
     Args:
-        form: a `lmd.mapping.formats.Format`, with its reader.
+        form: a `lmd.export.exports.Format`, with its reader.
         tags: a map that the format can hold.
         folder: is written to.
 
@@ -30,6 +30,6 @@ def check_format(form, tags, folder):
     np.testing.assert_array_equal(found.ids, deployment.ids)
     for field in ("positions", "normals", "ups"):
         np.testing.assert_allclose(getattr(found, field), getattr(deployment, field), atol=1e-7, err_msg=field)
-    if found.edges is not None:
+    if found.has_own_edges:
         np.testing.assert_allclose(TagMap(tags.room, tags.tag, found).sizes, tags.sizes, rtol=1e-9)
     return found

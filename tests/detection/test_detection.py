@@ -5,10 +5,11 @@ import numpy as np
 import pytest
 
 from lmd.core.checks import InputError
+from lmd.detection.calibration import fit
 from lmd.detection.detectors import AprilTagDetector, ArucoDetector, Detections
-from lmd.detection.evaluation import agreement, at_least, corner_error, match, precision_recall, quantiles_by
-from lmd.detection.fit import fit
-from lmd.detection.mosaic import Sampling, Views, sample_views
+from lmd.detection.evaluation import agreement, corner_error, match, precision_recall, quantiles_by, shares_of_frames
+from lmd.detection.mosaic import ViewRanges, sample_views
+from lmd.detection.views import TagViews
 from lmd.geometry.camera import Camera
 from lmd.geometry.pose import pose_error, pose_from_corners
 from lmd.geometry.se3 import camera_pose
@@ -82,7 +83,7 @@ def test_an_image_without_tags():
         (lambda: AprilTagDetector("36h12"), "family must be one of 36h11, 25h9, 16h5, got '36h12'"),
         (lambda: AprilTagDetector(quad_decimate=0.5), "quad_decimate must be at least 1"),
         (lambda: Detections(np.arange(2), np.zeros((1, 4, 2))), r"corners must have the shape \(M, 4, 2\)"),
-        (lambda: Sampling(pitch=(3.0, 2.0)), r"pitch must be a range \[low, high\], got \[3, 2\]"),
+        (lambda: ViewRanges(pitch=(3.0, 2.0)), r"pitch must be a range \[low, high\], got \[3, 2\]"),
     ],
 )
 def test_bad_input_gets_a_sentence(make, sentence):
@@ -133,7 +134,7 @@ def test_figures_by_hand():
     np.testing.assert_allclose(precision, [1.0, 0.5, 1.0])
     np.testing.assert_allclose(recall, [1.0, 0.5, 1.0])
     assert np.isnan(precision_recall(predicted, detected, axis=1)[0][3])
-    share, error = at_least(predicted)
+    share, error = shares_of_frames(predicted)
     np.testing.assert_allclose(share, [0.75, 0.5, 0.25, 0.0])
     np.testing.assert_allclose(error, [math.sqrt(0.75 * 0.25 / 4), 0.25, math.sqrt(0.25 * 0.75 / 4), 0.0])
     assert agreement(predicted, detected) == 0.5
@@ -156,7 +157,7 @@ def test_limits_of_known_views_are_found():
     seen = found.copy()
     for outcome in (True, False):  # as many errors of either kind
         seen[rng.choice(np.flatnonzero(found == outcome), 200, replace=False)] = not outcome
-    views = Views(pitch, incidence, edge, sigma, seen, np.zeros(len(pitch)))
+    views = TagViews(pitch, incidence, edge, sigma, seen, np.zeros(len(pitch)))
     result = fit(views, rng, margin=3.0)
     limits = result.limits
     assert limits.pitch == pytest.approx(0.8, abs=0.3)
@@ -172,13 +173,15 @@ def test_neither_kind_of_error_outweighs_the_other():
     rng = np.random.default_rng(0)
     pitch, incidence, sigma = rng.uniform([0.5, 0.0, 0.5], [6.0, 1.4, 0.5], (20000, 3)).T
     seen = rng.random(len(pitch)) < np.clip((pitch - 1.0) / 4.0, 0.0, 0.7)  # the most accurate limit sees too few
-    result = fit(Views(pitch, incidence, np.full(len(pitch), 50.0), sigma, seen, np.zeros(len(pitch))), rng, margin=0.0)
+    result = fit(
+        TagViews(pitch, incidence, np.full(len(pitch), 50.0), sigma, seen, np.zeros(len(pitch))), rng, margin=0.0
+    )
     assert result.precision == pytest.approx(result.recall, abs=0.05)
 
 
 @pytest.mark.parametrize("detector", [ArucoDetector(), AprilTagDetector()])
 def test_easy_views_are_seen_and_hard_ones_are_not(detector):
-    easy = Sampling(pitch=(4.0, 6.0), incidence=(0.0, 1.0), sigma=(0.4, 0.6), noise=(1.0, 2.0))
+    easy = ViewRanges(pitch=(4.0, 6.0), incidence=(0.0, 1.0), sigma=(0.4, 0.6), noise=(1.0, 2.0))
     views = sample_views(CAMERA, Tag(0.1), detector, 60, np.random.default_rng(0), easy)
     assert len(views) == 60
     assert views.seen.mean() > 0.95
@@ -186,7 +189,7 @@ def test_easy_views_are_seen_and_hard_ones_are_not(detector):
     assert (easy.pitch[0] - 1e-9 <= views.pitch).all()
     assert (views.pitch <= easy.pitch[1] + 1e-9).all()
     assert (views.incidence <= 1.0 + 1e-9).all()
-    hard = Sampling(pitch=(0.8, 1.2), sigma=(1.5, 2.0))
+    hard = ViewRanges(pitch=(0.8, 1.2), sigma=(1.5, 2.0))
     again = [sample_views(CAMERA, Tag(0.1), detector, 60, np.random.default_rng(0), hard) for _ in range(2)]
     assert again[0].seen.mean() < 0.1
     np.testing.assert_array_equal(again[0].pitch, again[1].pitch)

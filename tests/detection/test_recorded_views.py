@@ -7,10 +7,8 @@ import pytest
 
 from lmd.core.checks import InputError
 from lmd.core.tables import write_table
-from lmd.detection.calibration import Calibration
-from lmd.detection.fit import fit, foretold, intervals
-from lmd.detection.mosaic import Placed, Views
-from lmd.detection.surveyed import COLUMNS, FILE, SurveyedViews
+from lmd.detection.calibration import DetectorCalibration, fit, intervals, predicted_views
+from lmd.detection.views import COLUMNS, FILE, Placed, SurveyedViews, TagViews
 from lmd.geometry.camera import Camera
 from lmd.render.imaging import Imaging
 from lmd.sight.models.limits import Limits
@@ -22,12 +20,12 @@ FISHEYE = replace(PINHOLE, distortion=(0.0, 0.0, 0.0, 0.0), distortion_model="eq
 
 
 def recording(rng, circles=CIRCLES):
-    """Views of two cameras, evenly over all that matters, found within the true limits and circles."""
+    """TagViews of two cameras, evenly over all that matters, found within the true limits and circles."""
     pitch, incidence, border, circle = rng.uniform([0.5, 0.0, 0.0, 200.0], [6.0, 1.5, 200.0, 1400.0], (COUNT, 4)).T
     camera, moment = rng.integers(0, 2, COUNT), rng.integers(0, MOMENTS, COUNT)
-    views = Views(pitch, incidence, 8.0 * pitch, np.full(COUNT, 0.5), np.zeros(COUNT, dtype=bool), np.zeros(COUNT),
+    views = TagViews(pitch, incidence, 8.0 * pitch, np.full(COUNT, 0.5), np.zeros(COUNT, dtype=bool), np.zeros(COUNT),
                   Placed(camera, moment, border, circle))  # fmt: skip
-    return replace(views, seen=foretold(views, TRUE, circles))
+    return replace(views, seen=predicted_views(views, TRUE, circles))
 
 
 def check(limits):
@@ -44,7 +42,7 @@ def test_margin_and_image_circles_are_found():
     assert found.circles == pytest.approx(CIRCLES, abs=15.0)
     assert found.known_circles == dict(enumerate(found.circles, 1))
     assert min(found.accuracy, found.precision, found.recall) > 0.97
-    text = Calibration(views, found, {}, MOMENTS).preset("apriltag", "36h11", "survey")
+    text = DetectorCalibration(views, found, {}, MOMENTS).preset("apriltag", "36h11", "survey")
     ends = " pixels of camera 1, ".join(f"{diameter:.0f}" for diameter in found.circles)
     assert f"# Fitted with them: image_circle {ends} pixels of camera 2." in text
     assert f"# Fitted to the first half, in time, of {COUNT} views;" in text
@@ -78,7 +76,7 @@ def test_the_first_half_in_time_is_fitted_and_the_second_one_judged():
     changed = replace(views, seen=np.where(late, views.incidence > 1.0, views.seen))
     found = fit(changed, rng, margin=0.0)
     check(found.limits)
-    predicted = foretold(changed, found.limits, found.circles)
+    predicted = predicted_views(changed, found.limits, found.circles)
     assert found.accuracy == (predicted == changed.seen)[late].mean()
     with pytest.raises(InputError, match=r"^views must be of images at two times at least, got one\.$"):
         fit(views[views.placed.moment == 0], rng, margin=0.0)

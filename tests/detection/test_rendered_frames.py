@@ -1,4 +1,4 @@
-"""Rooms of tags, frames of them, limits judged on them, and views from images of a board."""
+"""Rooms of tags, frames of them, limits frame_scores on them, and views from images of a board."""
 
 import math
 import os
@@ -16,14 +16,21 @@ from scipy.spatial.transform import Rotation
 
 from lmd.core.checks import InputError
 from lmd.detection.board import BoardImages
-from lmd.detection.calibration import Calibration, foreseen, judged
+from lmd.detection.calibration import DetectorCalibration, Fit, frame_scores, predicted_in_frames
+from lmd.detection.comparison import CameraPrediction, Prediction, by_pitch, by_tag, figures, repeatability, to_markdown
 from lmd.detection.detectors import AprilTagDetector, ArucoDetector
-from lmd.detection.evaluation import agreement
-from lmd.detection.fit import Fit
-from lmd.detection.frames import Sightings, draw_poses, look, nudged, overlapping, picture, qualities, tagged_room
-from lmd.detection.mosaic import Mosaics, Views
-from lmd.detection.prediction import Prediction
-from lmd.detection.report import by_pitch, by_tag, figures, repeated, to_markdown
+from lmd.detection.evaluation import Matches, agreement
+from lmd.detection.frames import (
+    detect_in_frames,
+    draw_poses,
+    nudged,
+    overlapping,
+    qualities,
+    rendered_frame,
+    tagged_room,
+)
+from lmd.detection.mosaic import Mosaics
+from lmd.detection.views import TagViews
 from lmd.evaluation.verdicts import verdicts
 from lmd.geometry.camera import Camera
 from lmd.geometry.se3 import axis_and_right, camera_pose, poses_from_rows
@@ -103,7 +110,10 @@ def test_a_detector_is_compared_with_itself():
     first, second = np.zeros((2, 4, 3), dtype=bool)
     first[0], first[1], first[2, 0] = True, [True, True, False], True
     second[0], second[1], second[2, :2] = True, [True, False, False], True
-    looks = repeated(*(Sightings(d, np.full((4, 3, 4, 2), np.nan), np.zeros(4, dtype=int)) for d in (first, second)))
+    looks = repeatability(
+        *(Matches(d, np.full((4, 3, 4, 2), np.nan), np.zeros(4, dtype=int)) for d in (first, second)),
+        Prediction((None,), None, None),
+    )
     assert looks == {"repeated_1": 1.0, "repeated_2": 0.5, "repeated_3": 1.0, "repeated_4": 1.0, "repeated_tags": 5 / 7}
 
 
@@ -120,21 +130,25 @@ def seen():
     renderer = Renderer(CAMERA, tagged_room(ROOM, deployment, Tag(0.2)), IMAGING)
     met = verdicts(SCENE, deployment, poses)
     visible = np.logical_and.reduce(list(met.values()))
-    return Prediction(renderer, poses, visible, met), look(renderer, DETECTORS, poses, 0, 7)
+    part = CameraPrediction(renderer, poses, visible, met)
+    return Prediction((part,), np.eye(4)[None], poses), detect_in_frames(renderer, DETECTORS, poses, 0, 7)
 
 
 def test_frames_are_the_same_in_parts_and_after_a_journey(seen):
     prediction, whole = seen
-    renderer = pickle.loads(pickle.dumps(prediction.renderer))
+    renderer = pickle.loads(pickle.dumps(prediction.parts[0].renderer))
     parts = [
-        look(renderer, pickle.loads(pickle.dumps(DETECTORS)), prediction.poses[i : i + 5], i, 7) for i in (0, 5, 10)
+        detect_in_frames(renderer, pickle.loads(pickle.dumps(DETECTORS)), prediction.poses[i : i + 5], i, 7)
+        for i in (0, 5, 10)
     ]
     for name, together in whole.items():
-        joined = Sightings.joined([part[name] for part in parts])
+        joined = Matches.concatenated([part[name] for part in parts])
         np.testing.assert_array_equal(joined.detected, together.detected)
         np.testing.assert_array_equal(joined.corners, together.corners)
         np.testing.assert_array_equal(joined.false, together.false)
-    assert (picture(renderer, prediction.poses[0], 0, 7) != picture(renderer, prediction.poses[0], 1, 7)).any()
+    assert (
+        rendered_frame(renderer, prediction.poses[0], 0, 7) != rendered_frame(renderer, prediction.poses[0], 1, 7)
+    ).any()
 
 
 def test_verdicts_of_the_paper_are_its_criteria(seen):
@@ -176,7 +190,7 @@ def test_figures_count_what_happened(seen):
 def test_what_a_detector_sees_through_a_lens_that_distorts_is_foreseen(lens):
     bent, tag, deployment, poses = replace(CAMERA, distortion=lens), Tag(0.12), uniform(60), draw_poses(SCENE, 10, 0)
     renderer = Renderer(bent, tagged_room(ROOM, deployment, tag), IMAGING)
-    found = look(renderer, {"apriltag": AprilTagDetector()}, poses, 0, 7)["apriltag"].detected
+    found = detect_in_frames(renderer, {"apriltag": AprilTagDetector()}, poses, 0, 7)["apriltag"].detected
     right = []
     for camera in (bent, CAMERA):
         scene = Scene(ROOM, camera, pdf.solid_angle(4), Fiducial(tag, "apriltag"))
@@ -189,12 +203,12 @@ def test_what_a_detector_sees_through_a_lens_that_distorts_is_foreseen(lens):
 def test_limits_foresee_whole_frames(seen):
     prediction, found = seen
     limits = Limits(0.8, 1.8, 12.0, 84.0, 3.0)
-    predicted = foreseen(limits, prediction.renderer, prediction.poses)
-    pitch, incidence, edge, sigma = qualities(prediction.renderer, prediction.poses)
+    predicted = predicted_in_frames(limits, prediction.parts[0].renderer, prediction.poses)
+    pitch, incidence, edge, sigma = qualities(prediction.parts[0].renderer, prediction.poses)
     assert (incidence[predicted] <= math.radians(84.0)).all()
     assert (edge[predicted] >= 12.0).all()
     assert (pitch[predicted] >= np.hypot(0.8, 1.8 * sigma[predicted])).all()
-    row = judged(predicted, found["aruco"])
+    row = frame_scores(predicted, found["aruco"])
     assert row["precision"] > 0.85
     assert row["recall"] > 0.85
     assert row["agreement_2"] > figures(prediction, found["aruco"])["agreement_2"] - 1e-9
@@ -207,7 +221,7 @@ def test_motion_blur_lowers_detections_as_predicted():
         renderer = Renderer(CAMERA, tagged_room(ROOM, deployment, tag), replace(IMAGING, motion_blur=blur))
         scene = replace(SCENE, visibility=Fiducial(tag, motion_blur=blur), tag=tag)
         predicted = visible(Evaluator(scene, 1), deployment, poses[:, :3, 3], axis_and_right(poses))
-        found = look(renderer, {"aruco": ArucoDetector()}, poses, 0, 7)["aruco"].detected
+        found = detect_in_frames(renderer, {"aruco": ArucoDetector()}, poses, 0, 7)["aruco"].detected
         assert agreement(predicted, found) >= 0.9
         counts.append((predicted.sum(), found.sum()))
         # The limits that are fitted to single tags know of it too.
@@ -220,8 +234,8 @@ def test_motion_blur_lowers_detections_as_predicted():
 
 
 def test_a_preset_has_its_evidence(tmp_path):
-    views, limits = Views(*np.ones((4, 6)), np.ones(6, dtype=bool), np.zeros(6)), Limits(0.8, 1.8, 14.0, 84.0, 3.0)
-    calibration = Calibration(views, Fit(limits, 0.95, 0.94, 0.93), {})
+    views, limits = TagViews(*np.ones((4, 6)), np.ones(6, dtype=bool), np.zeros(6)), Limits(0.8, 1.8, 14.0, 84.0, 3.0)
+    calibration = DetectorCalibration(views, Fit(limits, 0.95, 0.94, 0.93), {})
     text = calibration.preset("aruco", "36h11", "seed 0")
     assert text.startswith(
         "# Limits of aruco for tags of the family 36h11: seed 0.\n# Measured on renderings, not on photographs.\n"

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from paper import experiment_room, paper_scene
 
+from lmd.detection.comparison import CameraPrediction, Prediction, by_pitch, by_tag, figures, repeatability
 from lmd.detection.detectors import ArucoDetector
-from lmd.detection.frames import Sightings, draw_poses, look, nudged, tagged_room
-from lmd.detection.prediction import Prediction, RigPrediction
-from lmd.detection.report import by_pitch, by_tag, figures, repeated
+from lmd.detection.evaluation import Matches
+from lmd.detection.frames import detect_in_frames, draw_poses, nudged, tagged_room
 from lmd.evaluation.verdicts import verdicts
 from lmd.geometry.camera import Camera
 from lmd.render.imaging import Imaging
@@ -32,9 +32,9 @@ def seen():
     parts, found = [], []
     for c, mounted in enumerate(RIG.extrinsics):
         met = verdicts(SCENE, deployment, poses @ mounted, CAMERA)
-        parts.append(Prediction(renderer, poses @ mounted, np.logical_and.reduce(list(met.values())), met))
-        found.append(look(renderer, {"aruco": ArucoDetector()}, parts[-1].poses, 4 * c, 0)["aruco"])
-    return RigPrediction(tuple(parts), RIG.extrinsics, poses), Sightings.beside(found), found
+        parts.append(CameraPrediction(renderer, poses @ mounted, np.logical_and.reduce(list(met.values())), met))
+        found.append(detect_in_frames(renderer, {"aruco": ArucoDetector()}, parts[-1].poses, 4 * c, 0)["aruco"])
+    return Prediction(tuple(parts), RIG.extrinsics, poses), Matches.beside(found), found
 
 
 def test_moments_count_what_any_camera_has_and_the_pose_is_of_the_body(seen):
@@ -47,7 +47,7 @@ def test_moments_count_what_any_camera_has_and_the_pose_is_of_the_body(seen):
     assert row["predicted_2"] == (prediction.visible.reshape(4, 2, 12).any(axis=1).sum(axis=1) >= 2).mean()
     assert row["pose_share"] == 1.0
     assert row["position_90"] < 0.02  # metres: it is that of the body, 0.1 m from its cameras
-    assert repeated(both, both, prediction)["repeated_2"] == 1.0
+    assert repeatability(both, both, prediction)["repeated_2"] == 1.0
 
 
 def test_tags_count_once_for_each_camera(seen):

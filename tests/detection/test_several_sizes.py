@@ -6,14 +6,14 @@ import pytest
 
 from lmd.detection.detectors import ArucoDetector
 from lmd.detection.frames import overlapping, qualities, tagged_room
-from lmd.estimation.tags import observation
+from lmd.estimation.sensors import observation
 from lmd.evaluation.maps import Hung
+from lmd.formats.tag_maps import read_deployment
 from lmd.geometry.camera import Camera
 from lmd.geometry.se3 import camera_pose
 from lmd.render.imaging import Imaging
 from lmd.render.renderer import Renderer
 from lmd.scene.tag import Tag
-from lmd.scene.tag_map_files import read_deployment
 from lmd.space.cuboid import Cuboid
 
 ROOM = Cuboid((4.0, 3.0, 3.0), (2.0, 1.0, 1.0), 0.5)

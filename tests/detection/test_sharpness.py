@@ -5,7 +5,7 @@ import pytest
 import walks
 
 from lmd.detection.detectors import Detections
-from lmd.detection.sharpness import blur_of, blurred
+from lmd.detection.images import blur_of, blurred
 from lmd.geometry.camera import Camera
 from lmd.geometry.se3 import camera_pose
 from lmd.render.imaging import Imaging

@@ -9,8 +9,7 @@ import pytest
 from raw_video import h264
 
 from lmd.core.checks import InputError
-from lmd.detection.containers import container_of
-from lmd.detection.video import Video
+from lmd.detection.video import Video, container_of
 from lmd.geometry.camera import Camera
 
 CAMERA = Camera(4.0, 0.02, 0.02, (160.0, 120.0), 320, 240, 0.0)

@@ -8,15 +8,13 @@ from numpy.testing import assert_allclose, assert_array_equal
 from paper import paper_camera, paper_room, paper_scene
 
 from lmd.core.checks import InputError
-from lmd.estimation.cramer_rao import cramer_rao_bound, cramer_rao_map, pose_information
-from lmd.estimation.estimators import CramerRaoBound
+from lmd.estimation.cramer_rao import CramerRaoBound, cramer_rao_bound, cramer_rao_map, pose_information
 from lmd.estimation.flights import Pace, RandomMotion
 from lmd.estimation.fusion import InvariantKalmanFilter
-from lmd.estimation.measurements import Detector, detected
 from lmd.estimation.observer import Observer
-from lmd.estimation.odometry import Odometry
 from lmd.estimation.pnp import PerspectiveNPoint
-from lmd.estimation.recording import Flight, Recording, record
+from lmd.estimation.recording import Flight, Odometry, Recording, record
+from lmd.estimation.sensors import PointDetector, detected
 from lmd.geometry import se3
 from lmd.geometry.projection import project
 from lmd.scene.deployment_sources import UniformDeployment
@@ -39,7 +37,7 @@ def flight(trajectory=FLIGHT, seed=0, all_visible=False):
 
 def recorded(detector=None, flights=(FLIGHT,), seed=0, all_visible=False):
     flown = [flight(trajectory, [seed, i], all_visible) for i, trajectory in enumerate(flights)]
-    return record(detector or Detector(), flown)
+    return record(detector or PointDetector(), flown)
 
 
 def spread_out(frames, detector, count=8, seed=0):
@@ -98,7 +96,7 @@ def test_all_visible_is_all_visible():
         se3.act(FLIGHT.poses, recording.points[0]), np.broadcast_to(UNIFORM.positions, (401, 90, 3)), atol=1e-12
     )
     with pytest.raises(InputError, match=r"^all_visible must be false where measurements are not exact"):
-        recorded(Detector(pixel_noise=0.5), all_visible=True)
+        recorded(PointDetector(pixel_noise=0.5), all_visible=True)
 
 
 def test_missed_detections_are_as_many_as_said():
@@ -110,7 +108,7 @@ def test_missed_detections_are_as_many_as_said():
 
 @pytest.mark.parametrize("camera", CAMERAS.values(), ids=CAMERAS)
 def test_pixel_noise_is_as_large_as_said(camera):
-    detector, focal = Detector(pixel_noise=0.8, edge=0.2), camera.focal_pixels
+    detector, focal = PointDetector(pixel_noise=0.8, edge=0.2), camera.focal_pixels
     points = np.tile([0.9, -0.8, 2.0], (20_000, 1))
     measured = detector.measured(points, camera, np.random.default_rng(0))
     image, exact = (project(camera, np.eye(4), p) for p in (measured, points))
@@ -118,12 +116,12 @@ def test_pixel_noise_is_as_large_as_said(camera):
     assert_allclose((image - exact).mean(axis=0), 0.0, atol=0.03)
     depth = np.linalg.norm(measured, axis=-1) if camera is FISHEYE else measured[:, 2]
     assert_allclose((focal[0] * 0.2 / depth).std(), 0.8, rtol=0.03)
-    assert_array_equal(Detector().measured(points, SCENE.camera, np.random.default_rng(0)), points)
+    assert_array_equal(PointDetector().measured(points, SCENE.camera, np.random.default_rng(0)), points)
 
 
 @pytest.mark.parametrize("camera", CAMERAS.values(), ids=CAMERAS)
 def test_the_covariance_is_that_of_what_is_measured(camera):
-    detector, points = Detector(pixel_noise=0.2, edge=0.3), np.tile([0.9, -0.8, 2.0], (40_000, 1))
+    detector, points = PointDetector(pixel_noise=0.2, edge=0.3), np.tile([0.9, -0.8, 2.0], (40_000, 1))
     measured = detector.measured(points, camera, np.random.default_rng(0))
     covariance = 0.2**2 * detector.covariance(points[:1], camera)[0]
     whitened = np.linalg.solve(np.linalg.cholesky(covariance), (measured - points).T)
@@ -136,7 +134,7 @@ def test_the_focal_length_in_pixels_is_that_of_each_side():
 
 @pytest.mark.parametrize("camera", CAMERAS.values(), ids=CAMERAS)
 def test_the_information_is_that_of_the_images_slopes(camera):
-    recording = spread_out(1, Detector())
+    recording = spread_out(1, PointDetector())
     pose, landmarks = recording.poses[0, 0], recording.landmarks[0]
 
     def image(at):
@@ -152,7 +150,7 @@ def test_the_information_is_that_of_the_images_slopes(camera):
 
 
 def test_information_adds_up_and_nothing_seen_is_none():
-    recording = spread_out(4, Detector(), count=5)
+    recording = spread_out(4, PointDetector(), count=5)
     seen = np.array([[0, 0, 0, 0, 0], [1, 1, 0, 0, 0], [0, 0, 1, 1, 1], [1, 1, 1, 1, 1]], dtype=bool)
     nothing, first, second, both = pose_information(recording.poses[0], recording.landmarks[0], seen, SCENE.camera)
     assert_array_equal(nothing, np.zeros((6, 6)))
@@ -161,7 +159,7 @@ def test_information_adds_up_and_nothing_seen_is_none():
 
 @pytest.mark.parametrize("count", [0, 1, 2, 3, 4])
 def test_the_bound_is_finite_from_three_landmarks_on(count):
-    recording = spread_out(1, Detector(pixel_noise=1.0))
+    recording = spread_out(1, PointDetector(pixel_noise=1.0))
     recording = replace(recording, seen=np.arange(8)[None, None] < count, noise=recording.noise[:count])
     errors = CramerRaoBound().errors(recording, start_near(recording))
     assert np.isfinite(errors.position[0, 0]) == np.isfinite(errors.attitude[0, 0]) == (count >= 3)
@@ -177,7 +175,7 @@ def test_three_landmarks_in_line_do_not_fix_a_pose():
 
 
 def test_the_bound_is_proportional_to_the_noise():
-    one, two = (CramerRaoBound().errors(spread_out(1, Detector(sigma)), None) for sigma in (1.0, 2.0))
+    one, two = (CramerRaoBound().errors(spread_out(1, PointDetector(sigma)), None) for sigma in (1.0, 2.0))
     assert_allclose(2.0 * one.position, two.position)
     assert_allclose(4.0 * one.frobenius, two.frobenius)
 
@@ -193,7 +191,7 @@ def test_pnp_finds_exact_poses_and_only_from_four_landmarks_on():
 
 def test_pnp_reaches_the_bound():
     pytest.importorskip("cv2")
-    recording = spread_out(600, Detector(pixel_noise=0.5))
+    recording = spread_out(600, PointDetector(pixel_noise=0.5))
     pnp = PerspectiveNPoint().errors(recording, None)
     bound = CramerRaoBound().errors(recording, None)
     assert 0.93 < np.sqrt((pnp.position**2).mean()) / bound.position[0, 0] < 1.07
@@ -203,7 +201,7 @@ def test_pnp_reaches_the_bound():
 
 def test_the_kalman_filter_converges_and_averages_the_noise():
     pytest.importorskip("gtsam")
-    recording = recorded(Detector(pixel_noise=0.5))
+    recording = recorded(PointDetector(pixel_noise=0.5))
     start = start_near(recording)
     kalman = InvariantKalmanFilter(attitude=0.3, position=0.3).errors(recording, start)
     observer = Observer().errors(recording, start)
@@ -231,7 +229,7 @@ def test_a_filter_without_spread_is_refused():
 )
 def test_a_bad_detector_is_refused(change, message):
     with pytest.raises(InputError, match=rf"^{message} must be"):
-        Detector(**change)
+        PointDetector(**change)
 
 
 @pytest.fixture(scope="module")
@@ -274,7 +272,7 @@ def test_where_no_frame_fixes_the_pose_there_is_no_bound(coarse, tmp_path):
 
 def test_two_flights_are_recorded_as_each_alone():
     other = RandomMotion(20.0, Pace(1.0, 1.0, 20.0)).draw(SCENE, np.random.default_rng(4))
-    detector = Detector(pixel_noise=0.5, missed=0.1)
+    detector = PointDetector(pixel_noise=0.5, missed=0.1)
     both, alone = recorded(detector, (FLIGHT, other)), recorded(detector, (FLIGHT,))
     assert_array_equal(both.points[0], alone.points[0])
     assert_array_equal(both.seen[0], alone.seen[0])

@@ -9,15 +9,12 @@ from paper import paper_scene
 from scipy.stats import chi2
 
 from lmd.core.checks import InputError
-from lmd.estimation.cramer_rao import cramer_rao_bound, pose_information
-from lmd.estimation.estimators import CramerRaoBound
+from lmd.estimation.cramer_rao import CramerRaoBound, cramer_rao_bound, pose_information
 from lmd.estimation.flights import Pace, RandomMotion
 from lmd.estimation.fusion import FixedLagSmoother, InvariantKalmanFilter
-from lmd.estimation.measurements import Detector
-from lmd.estimation.odometry import Odometry
 from lmd.estimation.pnp import PerspectiveNPoint
-from lmd.estimation.recording import Flight, record
-from lmd.estimation.tags import TagDetector, corners_of, observation
+from lmd.estimation.recording import Flight, Odometry, record
+from lmd.estimation.sensors import PointDetector, TagDetector, corners_of, observation
 from lmd.geometry import se3
 from lmd.geometry.pose import solutions
 from lmd.geometry.projection import project
@@ -57,7 +54,10 @@ def test_odometry_drifts_as_far_as_said():
 
 
 def test_the_noise_of_the_odometry_changes_nothing_else():
-    exact, drifting = recorded(Detector(0.5), flights=FLIGHTS[:1]), recorded(Detector(0.5), DRIFT, FLIGHTS[:1])
+    exact, drifting = (
+        recorded(PointDetector(0.5), flights=FLIGHTS[:1]),
+        recorded(PointDetector(0.5), DRIFT, FLIGHTS[:1]),
+    )
     assert_array_equal(exact.points, drifting.points)
     assert_array_equal(exact.twists[0], FLIGHTS[0].twists)
     assert (drifting.twists != exact.twists).all()
@@ -65,7 +65,7 @@ def test_the_noise_of_the_odometry_changes_nothing_else():
 
 def test_the_filter_knows_how_wrong_it_is():
     """The normalised estimation error squared follows a chi-squared distribution of six degrees."""
-    recording = recorded(Detector(0.5), DRIFT)
+    recording = recorded(PointDetector(0.5), DRIFT)
     start, kalman = start_of(recording, 0.05), InvariantKalmanFilter(0.05, 0.05)
     squares = np.array([
         [
@@ -83,7 +83,7 @@ def test_the_filter_knows_how_wrong_it_is():
 
 
 def test_drift_is_what_landmarks_are_for():
-    recording = recorded(Detector(0.5), DRIFT)
+    recording = recorded(PointDetector(0.5), DRIFT)
     start = start_of(recording, 0.01)
     blind = replace(recording, seen=np.zeros_like(recording.seen))
     kalman = InvariantKalmanFilter(0.01, 0.01)
@@ -92,7 +92,7 @@ def test_drift_is_what_landmarks_are_for():
 
 
 @pytest.mark.parametrize("odometry", [DRIFT, Odometry()])
-@pytest.mark.parametrize("detector", [Detector(0.5), TagDetector(TAG, "aruco")])
+@pytest.mark.parametrize("detector", [PointDetector(0.5), TagDetector(TAG, "aruco")])
 def test_the_smoother_follows_the_camera_from_afar(detector, odometry):
     recording = recorded(detector, odometry, FLIGHTS[:4])
     start = recording.poses[:, 0] @ se3.exp(np.array([0.6, 0.5, 0.6, 0.6, 0.5, 0.6]))

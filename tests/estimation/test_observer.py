@@ -4,8 +4,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from lmd.core.checks import InputError
 from lmd.estimation.observer import FORMS, Observer
-from lmd.estimation.odometry import Odometry
-from lmd.estimation.recording import Recording
+from lmd.estimation.recording import Odometry, Recording
 from lmd.geometry import se3
 from lmd.geometry.trajectory import Trajectory
 

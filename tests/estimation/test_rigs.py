@@ -7,15 +7,13 @@ import pytest
 from numpy.testing import assert_allclose
 from paper import paper_camera, paper_room, paper_scene
 
-from lmd.estimation.cramer_rao import cramer_rao_bound, moment_information
-from lmd.estimation.estimators import CramerRaoBound
+from lmd.estimation.cramer_rao import CramerRaoBound, cramer_rao_bound, moment_information
 from lmd.estimation.flights import Pace, Waypoints
 from lmd.estimation.fusion import FixedLagSmoother, InvariantKalmanFilter
-from lmd.estimation.measurements import Detector
 from lmd.estimation.observer import Observer
 from lmd.estimation.pnp import PerspectiveNPoint
 from lmd.estimation.recording import Flight, record
-from lmd.estimation.tags import TagDetector, corners_of
+from lmd.estimation.sensors import PointDetector, TagDetector, corners_of
 from lmd.geometry.pose import PointImage, body_solutions
 from lmd.geometry.projection import project
 from lmd.geometry.se3 import axis_and_right, camera_pose, exp
@@ -116,7 +114,7 @@ def test_every_estimator_follows_the_body(flight):
 
 
 def test_the_observer_and_points_take_the_body_too(flight):
-    exact = record(Detector(), [flight])
+    exact = record(PointDetector(), [flight])
     wrong = flight.poses[:1] @ exp(np.array([[0.05, 0.1, 0.0, 0.1, 0.0, 0.1]]))
     errors = Observer().errors(exact, wrong)
     assert errors.frobenius[0, -1] < 0.1 * errors.frobenius[0, 0]

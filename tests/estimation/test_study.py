@@ -4,11 +4,11 @@ from numpy.testing import assert_allclose, assert_array_equal
 from paper import paper_room, paper_scene
 
 from lmd.core.checks import InputError
-from lmd.estimation.errors import Errors, pose_errors
-from lmd.estimation.estimators import CramerRaoBound
+from lmd.estimation.cramer_rao import CramerRaoBound
+from lmd.estimation.estimators import Errors, pose_errors
 from lmd.estimation.flights import Pace, RandomMotion
-from lmd.estimation.measurements import Detector
 from lmd.estimation.observer import Observer
+from lmd.estimation.sensors import PointDetector
 from lmd.estimation.study import Flights, FlightStudy, InitialError, Outcome, conduct, to_markdown
 from lmd.geometry import se3
 from lmd.objectives.coverage import Coverage
@@ -63,7 +63,7 @@ def test_the_first_estimate_is_as_wrong_as_said():
 
 def test_every_deployment_has_the_same_flights_and_seeds_do_not_mix():
     together, alone = (
-        conduct(PROBLEMS, flights(*s), dict.fromkeys(PROBLEMS, Detector(0.5, 0.1)), ESTIMATORS, False)
+        conduct(PROBLEMS, flights(*s), dict.fromkeys(PROBLEMS, PointDetector(0.5, 0.1)), ESTIMATORS, False)
         for s in ((3, 4), (4,))
     )
     assert list(together.outcomes) == ["uniform", "random"]
@@ -87,7 +87,9 @@ def test_a_random_deployment_is_another_for_each_seed():
 
 
 def test_with_all_visible_each_deployment_is_flown_twice():
-    study = conduct({"mine": PROBLEMS["uniform"]}, flights(0), {"mine": Detector()}, {"observer": Observer()}, True)
+    study = conduct(
+        {"mine": PROBLEMS["uniform"]}, flights(0), {"mine": PointDetector()}, {"observer": Observer()}, True
+    )
     assert list(study.outcomes) == ["mine", "mine all visible"]
     seen, everything = study.outcomes.values()
     assert (everything.counts == 60).all()
@@ -139,7 +141,7 @@ def test_curves_have_a_window_for_each_frame_or_several():
 
 
 def test_the_table_has_a_row_for_each_deployment_and_estimator():
-    study = conduct(PROBLEMS, flights(0, 1), dict.fromkeys(PROBLEMS, Detector(0.5)), ESTIMATORS, False)
+    study = conduct(PROBLEMS, flights(0, 1), dict.fromkeys(PROBLEMS, PointDetector(0.5)), ESTIMATORS, False)
     lines = to_markdown(study.figures(), 2).splitlines()
     assert [line.split(" | ")[:2] for line in lines[2:]] == [
         [f"| {name}", estimator] for name in PROBLEMS for estimator in ESTIMATORS
@@ -150,13 +152,13 @@ def test_the_table_has_a_row_for_each_deployment_and_estimator():
 
 def test_the_objectives_own_number_is_reported_too():
     many = Problem(SCENE, Coverage(6, 0.5), UniformDeployment(60), threads=1)
-    study = conduct({"mine": many}, flights(0), {"mine": Detector()}, {"observer": Observer()}, False)
+    study = conduct({"mine": many}, flights(0), {"mine": PointDetector()}, {"observer": Observer()}, False)
     assert list(study.outcomes["mine"].shares) == [1, 2, 3, 4, 6]
     assert "time with >= 6 in view" in to_markdown(study.figures(), 6)
 
 
 def test_bad_input_gets_one_sentence():
     with pytest.raises(InputError, match=r"^estimators must name at least one estimator"):
-        conduct(PROBLEMS, flights(0), dict.fromkeys(PROBLEMS, Detector()), {}, False)
+        conduct(PROBLEMS, flights(0), dict.fromkeys(PROBLEMS, PointDetector()), {}, False)
     with pytest.raises(InputError, match=r"^attitude must be in \[0, 3\.14159\], got 4"):
         InitialError(1.0, 4.0)

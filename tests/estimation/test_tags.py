@@ -9,19 +9,18 @@ from numpy.testing import assert_allclose, assert_array_equal
 from paper import paper_camera, paper_scene
 
 from lmd.core.checks import InputError
+from lmd.detection.comparison import PITCHES
 from lmd.detection.corner_errors import CORNER_ERRORS, PITCH_MIDDLES, CornerErrors
 from lmd.detection.detectors import ArucoDetector, Detections
 from lmd.detection.evaluation import corner_error
 from lmd.detection.quality import pitch
-from lmd.detection.report import PITCHES
-from lmd.estimation.estimators import CramerRaoBound
+from lmd.estimation.cramer_rao import CramerRaoBound
 from lmd.estimation.flights import Pace, RandomMotion
 from lmd.estimation.fusion import FixedLagSmoother
-from lmd.estimation.measurements import Detector
 from lmd.estimation.pnp import PerspectiveNPoint
 from lmd.estimation.recording import Flight, record
 from lmd.estimation.rendered import RenderedDetector, believed
-from lmd.estimation.tags import TagDetector, noisy_detector, observation
+from lmd.estimation.sensors import PointDetector, TagDetector, noisy_detector, observation
 from lmd.geometry import se3
 from lmd.geometry.projection import project
 from lmd.geometry.squares import CORNERS
@@ -122,7 +121,7 @@ def test_a_tags_place_is_as_uncertain_as_its_corners_say():
 
 def test_points_stay_points_where_tags_have_no_edge():
     settings = {"reader": "aruco", "pixel_noise": 0.5, "missed": 0.05, "edge": 0.1}
-    assert noisy_detector(Tag(), **settings) == Detector(0.5, 0.05, 0.1)
+    assert noisy_detector(Tag(), **settings) == PointDetector(0.5, 0.05, 0.1)
     assert noisy_detector(TAG, **settings) == TagDetector(TAG, "aruco", 0.05)
 
 

@@ -12,7 +12,7 @@ from lmd.geometry import se3
 from lmd.geometry.frames import optical_axis
 from lmd.geometry.trajectory import Trajectory
 from lmd.scene import pdf
-from lmd.space.inside import check_inside
+from lmd.space.space import check_inside
 
 SCENE = paper_scene()
 PACE = Pace(speed=0.8, turn_rate=1.2, frame_rate=50.0)

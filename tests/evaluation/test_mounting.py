@@ -60,10 +60,10 @@ def test_papers_stay_on_their_walls_and_apart():
         np.array([[0.0, edge / 2.0, 3.0], [0.0, 1.5 * edge, 3.0], [0.0, 2.5 * edge, 3.0]]), np.array([X, X, X])
     )
     problem = problem_of(count=3)
-    plan = side_by_side.hung(problem.scene.plates.hanging)
+    plan = side_by_side.hung(problem.scene.footprints.hanging)
     for seed in range(20):
         hung = off_by(0.02).hung(problem, plan, np.random.default_rng(seed)).deployment
-        problem.scene.plates.check(hung)
+        problem.scene.footprints.check(hung)
         assert not np.allclose(hung.positions, plan.positions)
 
 
@@ -89,7 +89,7 @@ def test_a_fixed_tag_off_every_surface_makes_no_other_one_stay():
                    surfaces=surfaces)  # fmt: skip
     hung = off_by(0.001).hung(problem, over, np.random.default_rng(0)).deployment
     np.testing.assert_array_equal(hung.positions[:2], plan.positions[:2])
-    problem.scene.plates.check(hung)
+    problem.scene.footprints.check(hung)
 
 
 def test_the_plan_is_scored_as_everywhere_and_every_draw_like_any_deployment():

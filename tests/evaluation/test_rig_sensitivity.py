@@ -13,7 +13,7 @@ from lmd.evaluation.sensitivity import MISS_PROBABILITIES, sensitivity
 from lmd.evaluation.validation import Sample
 from lmd.objectives.coverage import Coverage
 from lmd.objectives.localisation import Localisation
-from lmd.objectives.localisation.views import localised_views
+from lmd.objectives.localisation.evaluation import localised_views
 from lmd.problem import Problem
 from lmd.scene import pdf
 from lmd.scene.deployment_sources import UniformDeployment

@@ -21,7 +21,7 @@ from lmd.evaluation.sensitivity import (
 from lmd.evaluation.validation import Sample, sampled_values
 from lmd.objectives.coverage import Coverage
 from lmd.objectives.localisation import Localisation
-from lmd.objectives.localisation.views import localised_views
+from lmd.objectives.localisation.evaluation import localised_views
 from lmd.plot.charts import save_sensitivity_figure
 from lmd.problem import Problem
 from lmd.scene import pdf

@@ -50,7 +50,7 @@ def test_tags_that_are_added_do_not_overlap_and_fit_even_without_a_grid():
     few, more = problem_of(20, tag=tag), problem_of(40, tag=tag)
     larger = grown(more, drawn(few))
     assert len(larger) == 40
-    more.scene.plates.check(larger)
+    more.scene.footprints.check(larger)
 
 
 def test_the_one_that_is_missed_least_goes_first():
@@ -124,7 +124,7 @@ def test_what_is_added_within_a_limit_has_any_size_and_leaves_less_than_a_tag():
     assert 0.6 - 0.125**2 < paper_of(larger) <= 0.6
     again = started(more, larger)
     np.testing.assert_array_equal(again.edges, larger.edges)
-    more.scene.plates.check(drawn(again))
+    more.scene.footprints.check(drawn(again))
 
 
 def test_what_takes_most_for_what_it_gives_goes_first_and_its_paper_is_used_again():
@@ -133,7 +133,7 @@ def test_what_takes_most_for_what_it_gives_goes_first_and_its_paper_is_used_agai
     smaller = shrunk(few, drawn(more))
     assert 0.25 - 0.125**2 < paper_of(smaller) <= 0.25
     assert set(smaller.edges) == {0.1}
-    few.scene.plates.check(smaller)
+    few.scene.footprints.check(smaller)
 
 
 def points_of(values, edge=0.1):

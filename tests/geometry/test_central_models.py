@@ -12,9 +12,9 @@ from composing import composed
 from numpy.testing import assert_allclose
 
 from lmd.core.checks import InputError
+from lmd.formats.calibrations import calibrated_camera, read_calibration
 from lmd.geometry.central_models import restated
 from lmd.geometry.lens import Lens
-from lmd.scene.camera_calibration import calibrated_camera, read_calibration
 from pipelines.building import camera_of
 
 EUROC = Path(__file__).parents[2] / ".." / "shared" / "real" / "calibration" / "basalt_euroc_ds.json"

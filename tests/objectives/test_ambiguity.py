@@ -112,7 +112,7 @@ def test_a_precision_asks_for_the_confidence():
     tag, noise = Tag(0.1), 0.5
     scale = deviation_per_variance(CAMERA, noise)
     asked = resolved(precision(CAMERA, tag, noise, 0.05), scale)
-    least = np.sqrt(asked.square) * FOCAL  # pixels
+    least = np.sqrt(asked.residual) * FOCAL  # pixels
     assert NormalDist().cdf(least / (2.0 * noise)) == pytest.approx(CONFIDENCE)
 
 

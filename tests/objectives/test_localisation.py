@@ -12,7 +12,7 @@ from strategies import BENT, FISHEYE, deployments, distorted_cameras, fiducial_s
 from lmd.core.checks import InputError
 from lmd.objectives.coverage import Coverage
 from lmd.objectives.localisation import Localisation, localisation, reference
-from lmd.objectives.localisation.views import localised_views
+from lmd.objectives.localisation.evaluation import localised_views
 from lmd.scene.deployment_sources import RandomDeployment, UniformDeployment
 from lmd.scene.scene import Scene
 from lmd.scene.tag import Tag

@@ -31,7 +31,7 @@ def small_scene(**visibility):
 
 
 SCENE = small_scene(occlusion="none", thold=0.15)
-POSES = candidate_poses(SCENE.plates.hanging, SPACING)
+POSES = candidate_poses(SCENE.footprints.hanging, SPACING)
 
 
 def information(scene, deployment):

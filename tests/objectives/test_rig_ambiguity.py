@@ -19,10 +19,9 @@ from lmd.geometry.projection import intrinsics, project
 from lmd.geometry.se3 import camera_pose
 from lmd.geometry.squares import corners
 from lmd.objectives.localisation import Localisation, reference
-from lmd.objectives.localisation.ambiguity import telling
-from lmd.objectives.localisation.rig import located, moments_of
-from lmd.objectives.localisation.rig_ambiguity import mirrored_numbers, told_by_all
-from lmd.objectives.localisation.views import localised_views
+from lmd.objectives.localisation.ambiguity import mirrored_numbers, residual_ratio, rig_ratio
+from lmd.objectives.localisation.evaluation import localised_views
+from lmd.objectives.localisation.rig import images_of, located
 from lmd.scene import pdf
 from lmd.scene.rig import Mount, Rig
 from lmd.scene.tag import Tag
@@ -52,7 +51,7 @@ def residual(poses, edge):
         offset, depth = -pose[:3, 3], -pose[:3, 2] @ pose[:3, 3]
         numbers = mirrored_numbers(*offset, *(edge / 2.0 * RIGHT), *(edge / 2.0 * UP), 1.0)
         total += np.prod(camera.focal_pixels) * np.array(numbers) / depth**3
-    return np.sqrt(told_by_all(*total, 1.0))
+    return np.sqrt(rig_ratio(*total, 1.0))
 
 
 def other_residual(poses, edge):
@@ -96,7 +95,7 @@ def test_the_closed_form_is_the_residual_of_the_other_pose_in_all_images(baselin
 
 def test_a_camera_alone_tells_as_much_as_without_a_rig():
     tag = 1.0, 2.0, 0.5, *(0.05 * RIGHT), *(0.05 * UP), 1e-5
-    assert told_by_all(*mirrored_numbers(*tag), 1e-5) == pytest.approx(telling(*tag), rel=1e-9)
+    assert rig_ratio(*mirrored_numbers(*tag), 1e-5) == pytest.approx(residual_ratio(*tag), rel=1e-9)
 
 
 def test_cameras_farther_apart_tell_more():
@@ -136,7 +135,7 @@ def test_the_reference_evaluations_and_any_moves_agree_to_the_bit(data, case, ob
     )
     views = localised_views(evaluator, deployment.positions[None], deployment.normals[None], 1, asked)
     np.testing.assert_array_equal(views.localised[0], expected @ evaluator.weights[0, : len(axes)])
-    moments = moments_of(evaluator, deployment)
+    moments = images_of(evaluator, deployment)
     found = located(evaluator, deployment, moments, 1, asked)
     np.testing.assert_array_equal(found, expected[moments.place, moments.orientation])
     check_field(objective, scene, deployment, data.draw(deployments(scene.room, most=6)), np.random.default_rng(seed))

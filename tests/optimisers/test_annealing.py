@@ -7,6 +7,7 @@ from paper import paper_room, paper_scene
 from small import make, problem
 
 from lmd.core.checks import InputError
+from lmd.formats.deployments import FileDeployment
 from lmd.incremental.state import HIDDEN
 from lmd.objectives.coverage import Coverage
 from lmd.objectives.sampling import Sampling
@@ -18,7 +19,7 @@ from lmd.optimisers.ledger import Budget
 from lmd.problem import Problem
 from lmd.scene import pdf
 from lmd.scene.deployment import Deployment
-from lmd.scene.deployment_sources import FileDeployment, RandomDeployment, UniformDeployment
+from lmd.scene.deployment_sources import RandomDeployment, UniformDeployment
 
 PAIRS = {"temperature": [1e-3, 1e-4], "width": [0.1, 0.01], "step": [1.0, 0.1]}
 TRUE = Conditions(False, 1.0, 1.0, SINGLE_STAGE.settings(0.0, 0.1))

@@ -32,9 +32,9 @@ WITH_TAGS = replace(SCENE, tag=Tag(0.15))
 def test_what_is_found_hangs_where_it_may(optimiser, scene, sampling):
     problem = Problem(scene, Coverage(2, 0.5, sampling=sampling), RandomDeployment(16), threads=1)
     result = optimiser().run(problem, Budget(200))
-    edge, found = scene.plates.edge, result.deployment
+    edge, found = scene.footprints.edge, result.deployment
     assert hangs_properly(scene.room, found.positions, found.surfaces, edge).all()
-    scene.plates.check(found.movable(scene.room))
+    scene.footprints.check(found.movable(scene.room))
     assert result.fitness == problem.fitness_of(found)
 
 

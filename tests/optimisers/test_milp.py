@@ -38,13 +38,14 @@ def problem(count=3, n=2, thold_p=0.04, tag=None, fixed=None, start=None, releva
 
 def best_of_all(p, spacing=SPACING):
     """The fitness of the best choice of poses: points in stacks that nothing hides, papers that do not overlap."""
-    plates = p.scene.plates
-    poses = candidate_poses(plates.hanging, spacing)
-    choices = combinations if plates.edge else combinations_with_replacement
+    footprints = p.scene.footprints
+    poses = candidate_poses(footprints.hanging, spacing)
+    choices = combinations if footprints.edge else combinations_with_replacement
     chosen = np.array([
         each
         for each in choices(range(len(poses)), p.free_count)
-        if not plates.edge or not any(plates.touched(poses[[i]], poses[[j]])[0] for i, j in combinations(each, 2))
+        if not footprints.edge
+        or not any(footprints.touched(poses[[i]], poses[[j]])[0] for i, j in combinations(each, 2))
     ])  # fmt: skip
     positions, normals = poses.positions[chosen], poses.normals[chosen]
     if p.fixed is not None:
@@ -95,7 +96,7 @@ def test_papers_of_tags_do_not_overlap():
     large, optimiser = Tag(1.2), Milp(1.0)
     p = problem(count=2, n=1, tag=large)
     result = optimiser.run(p, PLENTY)
-    p.scene.plates.check(result.deployment)
+    p.scene.footprints.check(result.deployment)
     assert optimiser.figures()["lattice_bound"] == pytest.approx(best_of_all(p, 1.0), abs=1e-12)
 
 

@@ -17,12 +17,11 @@ from lmd.evaluation.selection_bound import selection_upper_bound
 from lmd.objectives.coverage import Coverage
 from lmd.optimisers.annealing import Annealing, Stage
 from lmd.optimisers.annealing.surrogate import Conditions, Surrogate
-from lmd.optimisers.composition import composition, stock_of_sizes
 from lmd.optimisers.greedy import Greedy, GreedyDeployment
 from lmd.optimisers.ledger import Budget
 from lmd.optimisers.milp import Milp
 from lmd.optimisers.random_search import RandomSearch
-from lmd.optimisers.selection import Tags, candidates, select
+from lmd.optimisers.selection import Tags, candidates, composition, select, stock_of_sizes
 from lmd.problem import Problem
 from lmd.scene import pdf
 from lmd.scene.deployment_sources import RandomDeployment
@@ -59,7 +58,7 @@ def test_the_fitness_is_that_of_the_result_and_each_landmark_keeps_its_size(prob
     result = optimiser.run(problem, Budget(40, None))
     np.testing.assert_array_equal(result.deployment.edges, OWN)
     assert result.fitness == problem.fitness_of(result.deployment)
-    problem.scene.plates.check(result.deployment)
+    problem.scene.footprints.check(result.deployment)
     counts = Evaluator(scene(TAG), threads=1).counts(result.deployment)  # by the edges of the deployment itself
     np.testing.assert_array_equal(counts, problem.evaluator.counts(replace(result.deployment, edges=None)))
 
@@ -73,25 +72,27 @@ def test_landmarks_of_different_sizes_exchange_their_places(problem):
     places = [np.array(sorted(each.positions.tolist())) for each in (here, start)]
     np.testing.assert_array_equal(*places)
     assert (here.positions != start.positions).any(axis=1).sum() > 5
-    problem.scene.plates.check(replace(here, edges=problem.edges))
+    problem.scene.footprints.check(replace(here, edges=problem.edges))
     values = surrogate._walkers[0].state.units[surrogate._field.index_of]
     np.testing.assert_array_equal(values, problem.evaluator.units(here.positions[None], here.normals[None], 2)[0])
 
 
 def test_selection_takes_no_more_of_a_size_than_there_are():
-    plates, evaluator = scene(TAG).plates, Evaluator(scene(TAG).sized(OWN), threads=1)
-    poses, relevance = candidates(plates, OWN, 0.8), np.ones(len(evaluator.positions))
-    chosen, _ = select(COVERAGE.selection(evaluator, relevance), poses, Tags(OWN), plates)
+    footprints, evaluator = scene(TAG).footprints, Evaluator(scene(TAG).sized(OWN), threads=1)
+    poses, relevance = candidates(footprints, OWN, 0.8), np.ones(len(evaluator.positions))
+    chosen, _ = select(COVERAGE.selection(evaluator, relevance), poses, Tags(OWN, TAG), footprints)
     np.testing.assert_array_equal(np.sort(poses.edges[chosen]), OWN)
-    plates.check(poses[chosen])
+    footprints.check(poses[chosen])
 
 
 def test_selection_takes_no_more_paper_than_there_is_and_leaves_less_than_a_tag():
-    plates, evaluator, area = scene(TAG).plates, Evaluator(scene(TAG).sized(OWN), threads=1), 0.3
-    poses, relevance = candidates(plates, np.array(EDGES), 0.8), np.ones(len(evaluator.positions))
-    chosen, _ = select(COVERAGE.selection(evaluator, relevance), poses, stock_of_sizes(TAG, plates, area), plates)
-    used = (plates.papers(poses[chosen]) ** 2).sum()
-    assert area - plates.edge**2 < used <= area
+    footprints, evaluator, area = scene(TAG).footprints, Evaluator(scene(TAG).sized(OWN), threads=1), 0.3
+    poses, relevance = candidates(footprints, np.array(EDGES), 0.8), np.ones(len(evaluator.positions))
+    chosen, _ = select(
+        COVERAGE.selection(evaluator, relevance), poses, stock_of_sizes(TAG, footprints, area), footprints
+    )
+    used = (footprints.papers(poses[chosen]) ** 2).sum()
+    assert area - footprints.edge**2 < used <= area
     counts = composition(scene(replace(TAG, counts=None, paper=area)), COVERAGE, threads=1)
     assert 0.0 < (np.array(counts) * (1.25 * np.array(EDGES)) ** 2).sum() <= area
     with pytest.raises(InputError, match=r"^paper = 0\.001 square metres is too little for a tag: it takes 0\.00391"):
@@ -118,12 +119,12 @@ def _few():
 
 def test_no_choice_of_poses_exceeds_the_bounds_and_fractions_of_tags_reach_the_one_on_the_grid(few, monkeypatch):
     monkeypatch.setattr("lmd.evaluation.relaxation.MOST_CELLS", 20_000)  # the bound holds whenever it stops
-    search, plates = Search(3.0, 100, 0.02), few.scene.plates
+    search, footprints = Search(3.0, 100, 0.02), few.scene.footprints
     bound = average_upper_bound(few, 3, search)
     size = len(few.evaluator.positions)
     cover, of = [], []
     for edge, count in zip(FEW.edges, FEW.counts, strict=True):
-        poses = wall_cells(plates.inset(plates.tag.paper_share * edge), search.spacing).poses
+        poses = wall_cells(footprints.inset(footprints.tag.paper_share * edge), search.spacing).poses
         cover.append(cover_matrix(few.scene.sized(np.array([edge])), poses))
         of += [count] * len(poses)
     exact = exact_bound(few, np.vstack(cover), np.array(of), np.full(size, 1.0 / size))
@@ -159,8 +160,8 @@ def replaced(few, objective):
 def choices(problem, poses):
     """All choices of two small tags and a large one whose papers do not overlap."""
     small, large = (np.flatnonzero(poses.edges == edge) for edge in FEW.edges)
-    plates = problem.scene.plates
-    touched = np.array([plates.touched(poses, poses[j : j + 1]) for j in range(len(poses))])
+    footprints = problem.scene.footprints
+    touched = np.array([footprints.touched(poses, poses[j : j + 1]) for j in range(len(poses))])
     for i, j in combinations(small, 2):
         for k in large:
             if not (touched[i, j] or touched[i, k] or touched[j, k]):
@@ -169,7 +170,7 @@ def choices(problem, poses):
 
 def test_the_integer_program_finds_the_best_of_all_choices(few):
     milp, few = Milp(spacing=SPACING), replaced(few, Coverage(1, 0.05))
-    poses = candidates(few.scene.plates, np.array(FEW.edges), SPACING)
+    poses = candidates(few.scene.footprints, np.array(FEW.edges), SPACING)
     all_of_them = np.array(list(choices(few, poses)))
     best = few.fitness(poses.positions[all_of_them], poses.normals[all_of_them]).max()
     result = milp.run(few, Budget(10_000))
@@ -180,7 +181,7 @@ def test_the_integer_program_finds_the_best_of_all_choices(few):
 
 def test_no_choice_exceeds_the_bound_of_a_selection(few):
     bound = selection_upper_bound(few, 3, SPACING)
-    poses = candidates(few.scene.plates, np.array(FEW.edges), SPACING)
+    poses = candidates(few.scene.footprints, np.array(FEW.edges), SPACING)
     reached = []
     for chosen in list(choices(few, poses))[::80]:
         selection = few.objective.selection(few.fitness_evaluator, few.fitness_relevance)

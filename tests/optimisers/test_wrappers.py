@@ -1,6 +1,7 @@
 """What the wrapped libraries add to the contract in test_optimisers."""
 
 import random
+import re
 import subprocess
 import sys
 from functools import partial
@@ -114,20 +115,33 @@ def strategy(x0, step):
     return cma.CMAEvolutionStrategy(x0, step, {"bounds": [0, 1], "verbose": -9})
 
 
-@pytest.mark.parametrize("make", [one_by_one, lambda: AskAndTell(partial(strategy, step=0.2))])
-def test_any_object_that_is_asked_and_told_gets_better(make):
+@pytest.mark.parametrize(
+    ("make", "batches", "least"),
+    [
+        (one_by_one, 60, -2.0),
+        (lambda: AskAndTell(partial(strategy, step=0.2)), 60, -2.0),
+        *((partial(pymoo, name), 60, -2.0) for name in ("GA", "CMAES", "PatternSearch", "DIRECT")),
+        *((partial(PyCma, variant, step=0.2), 40, -1.0) for variant in ("full", "separable", "vkd")),
+        (lambda: Scipy(partial(dual_annealing, no_local_search=True)), 250, -2.0),
+        (lambda: Scipy(partial(differential_evolution, popsize=1)), 250, -2.0),
+        (lambda: Scipy(direct), 250, -2.0),
+    ],
+)
+def test_every_library_gets_better(make, batches, least):
     optimiser = make()
-    run(optimiser, 60)
-    assert optimiser.ledger.best_fitness > -2.0  # the start is at -3.6
+    run(optimiser, batches)
+    assert optimiser.ledger.best_fitness > least  # the start is at -3.6
 
 
-def test_an_object_that_cannot_be_made_says_why():
-    with pytest.raises(InputError, match=r"^start must be one of mean, step, seed, bounds, got 'x0'"):
-        AskAndTell(OneByOne)
-    with pytest.raises(InputError, match=r"^make failed: .*step"):
-        run(AskAndTell(OneByOne, start="mean"), 1)
-    with pytest.raises(InputError, match=r"^make must be a class or a function, got 3"):
-        AskAndTell(3)
+@pytest.mark.parametrize(
+    "make",
+    [
+        *(partial(pymoo, name, pop_size=8) for name in ("GA", "DE", "PSO", "ISRES", "G3PCX")),
+        *(partial(Nevergrad, name, budget=200) for name in ("TwoPointsDE", "PSO", "OnePlusOne", "CMA", "Powell")),
+    ],
+)
+def test_populations_begin_with_the_start(make):
+    np.testing.assert_allclose(run(make(), 1)[0][0], np.full(12, 0.6), rtol=1e-7 if make.func is Nevergrad else 0.0)
 
 
 class Asking:
@@ -156,25 +170,21 @@ class Asking:
     ],
 )
 def test_what_is_no_genes_is_refused_at_once_with_the_name_of_what_asked(asked, message):
+    optimiser = AskAndTell(partial(Asking, asked=asked))
     with pytest.raises(InputError) as told:
-        run(AskAndTell(partial(Asking, asked=asked)), 1)
+        run(optimiser, 1)
     assert str(told.value).startswith(message)
-
-
-def test_nan_is_refused_after_a_good_start_too():
     optimiser = AskAndTell(partial(Asking, asked=[0.5] * 12))
     run(optimiser, 3)
-    optimiser.session.made.asked = [np.nan] * 12
-    with pytest.raises(InputError, match=r"NaN, after 3 evaluations\."):
+    optimiser.session.made.asked = asked
+    with pytest.raises(InputError, match=re.escape(message.replace("after 0", "after 3"))):
         run(optimiser, 1)
 
 
-def test_an_object_that_lacks_a_method_is_named():
-    class Mute(Asking):
-        tell = None
+class Mute(Asking):
+    """Cannot be told."""
 
-    with pytest.raises(InputError, match=r"^make: .*Mute makes an object without the method tell\."):
-        run(AskAndTell(partial(Mute, asked=[0.5])), 1)
+    tell = None
 
 
 def test_lists_of_a_configuration_are_tuples_where_a_function_has_them():
@@ -193,25 +203,6 @@ def test_shgo_is_refused_where_the_corners_of_its_box_do_not_fit_into_memory():
             Scipy(shgo).check(problem(RandomDeployment(count)))
 
 
-@pytest.mark.parametrize("name", ["GA", "DE", "PSO", "ISRES", "G3PCX"])
-def test_populations_of_pymoo_begin_with_the_start(name):
-    first = run(pymoo(name, pop_size=8), 1)[0]
-    np.testing.assert_array_equal(first[0], np.full(12, 0.6))
-
-
-@pytest.mark.parametrize("name", ["GA", "CMAES", "PatternSearch", "DIRECT"])
-def test_pymoo_gets_better(name):
-    optimiser = pymoo(name)
-    run(optimiser, 60)
-    assert optimiser.ledger.best_fitness > -2.0  # the start is at -3.6
-
-
-@pytest.mark.parametrize("name", ["TwoPointsDE", "PSO", "OnePlusOne", "CMA", "Powell"])
-def test_nevergrad_begins_with_the_start(name):
-    first = run(Nevergrad(name, budget=200), 1)[0]
-    np.testing.assert_allclose(first[0], np.full(12, 0.6))
-
-
 def test_a_nevergrad_method_that_cannot_work_in_parallel_is_asked_one_by_one():
     assert [len(genes) for genes in run(Nevergrad("Powell", workers=5, budget=100), 3)] == [1, 1, 1]
     assert [len(genes) for genes in run(Nevergrad("TwoPointsDE", workers=5), 3)] == [5, 5, 5]
@@ -219,41 +210,11 @@ def test_a_nevergrad_method_that_cannot_work_in_parallel_is_asked_one_by_one():
 
 def test_a_nevergrad_family_takes_options():
     run(Nevergrad("DifferentialEvolution", options={"crossover": "twopoints", "popsize": 10}), 3)
-    with pytest.raises(InputError, match=r"^options do not suit nevergrad's DifferentialEvolution: .*genes"):
-        Nevergrad("DifferentialEvolution", options={"genes": 2})
-    with pytest.raises(InputError, match=r"^name = 'TwoPointsDE' is not a family that takes options"):
-        Nevergrad("TwoPointsDE", options={"popsize": 10})
-
-
-def test_a_misspelt_nevergrad_optimiser_brings_up_the_close_ones():
-    with pytest.raises(InputError, match=r"^name = 'TwoPointDE' is not an optimiser of .*; close: TwoPointsDE"):
-        Nevergrad("TwoPointDE")
-
-
-def test_a_nevergrad_optimiser_without_what_it_needs_says_so():
-    with pytest.raises(InputError, match=r"nevergrad's DiscreteBSOOnePlusOne failed: .*needs a budget"):
-        run(Nevergrad("DiscreteBSOOnePlusOne"), 3)
 
 
 def test_nevergrad_is_told_the_budget_of_the_run():
     node = composed("optimise", "optimiser=nevergrad", "budget.evaluations=77").optimiser
     assert instantiate(node, seed=0).budget == 77
-
-
-@pytest.mark.parametrize("variant", ["full", "separable", "vkd"])
-def test_every_variant_of_pycma_gets_better(variant):
-    optimiser = PyCma(variant, step=0.2)
-    run(optimiser, 40)
-    assert optimiser.ledger.best_fitness > -1.0
-
-
-@pytest.mark.parametrize(
-    "minimise", [partial(dual_annealing, no_local_search=True), partial(differential_evolution, popsize=1), direct]
-)
-def test_scipy_gets_better(minimise):
-    optimiser = Scipy(minimise)
-    run(optimiser, 250)
-    assert optimiser.ledger.best_fitness > -2.0
 
 
 def test_scipy_begins_with_the_start_and_once_more_with_the_best_when_it_ends():
@@ -262,11 +223,6 @@ def test_scipy_begins_with_the_start_and_once_more_with_the_best_when_it_ends():
     np.testing.assert_array_equal(asked[0][0], np.full(12, 0.6))
     losses = [np.abs(genes - 0.3).sum() for genes in asked]
     assert any((later == asked[np.argmin(losses[:i])]).all() for i, later in enumerate(asked) if i > 1)
-
-
-def test_what_a_function_of_scipy_raises_is_told():
-    with pytest.raises(InputError, match=r"^minimise failed: Please select a valid mutation strategy"):
-        run(Scipy(partial(differential_evolution, strategy="best")), 1)
 
 
 def test_an_optimiser_that_ends_is_followed_by_one_that_starts_from_the_best():
@@ -370,8 +326,46 @@ def test_random_search_does_not_depend_on_its_batch():
         (lambda: PyCma(step=-1), r"^step must be greater than 0, got -1"),
         (lambda: PyCma(population=2), r"^population must be at least 4, got 2"),
         (lambda: RandomSearch(batch=0), r"^batch must be at least 1, got 0"),
+        (lambda: AskAndTell(OneByOne), r"^start must be one of mean, step, seed, bounds, got 'x0'"),
+        (lambda: AskAndTell(3), r"^make must be a class or a function, got 3"),
+        (
+            lambda: Nevergrad("DifferentialEvolution", options={"genes": 2}),
+            r"^options do not suit nevergrad's DifferentialEvolution: .*genes",
+        ),
+        (
+            lambda: Nevergrad("TwoPointsDE", options={"popsize": 10}),
+            r"^name = 'TwoPointsDE' is not a family that takes options",
+        ),
+        (
+            lambda: Nevergrad("TwoPointDE"),
+            r"^name = 'TwoPointDE' is not an optimiser of .*; close: TwoPointsDE",
+        ),
     ],
 )
 def test_impossible_parameters_are_refused(make, message):
     with pytest.raises(InputError, match=message):
         make()
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda: AskAndTell(OneByOne, start="mean"), r"^make failed: .*step"),
+        (
+            lambda: AskAndTell(partial(Mute, asked=[0.5])),
+            r"^make: .*Mute makes an object without the method tell\.",
+        ),
+        (
+            lambda: Nevergrad("DiscreteBSOOnePlusOne"),
+            r"nevergrad's DiscreteBSOOnePlusOne failed: .*needs a budget",
+        ),
+        (
+            lambda: Scipy(partial(differential_evolution, strategy="best")),
+            r"^minimise failed: Please select a valid mutation strategy",
+        ),
+    ],
+)
+def test_a_library_that_fails_in_the_run_says_why(make, message):
+    optimiser = make()
+    with pytest.raises(InputError, match=message):
+        run(optimiser, 3)

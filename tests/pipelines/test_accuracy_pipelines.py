@@ -55,9 +55,3 @@ def test_accuracy_sets_deployments_side_by_side(tmp_path):
     assert {"figures.csv", "accuracy.png"} <= artifacts
     assert logged["localised_share_20mm/mine"] == pytest.approx(figures.localised_share_20mm.mine)
     assert "predicted_error_median" in done.stdout
-
-
-def test_papers_that_overlap_are_refused(tmp_path):
-    (tmp_path / "mine.csv").write_text(LANDMARKS)
-    processes.refused("accuracy", "deployment=file", "deployment.path=mine.csv", "tag.edge=1.0", cwd=tmp_path,
-                      settings=SMALL, message="landmarks 0 and 1 on x_min overlap")  # fmt: skip

@@ -3,7 +3,7 @@
 import json
 
 import pytest
-from processes import inside, refused
+from processes import inside
 
 from lmd.evaluation.selection_bound import GUARANTEE
 
@@ -43,16 +43,3 @@ def test_the_command_bounds_what_localises(tmp_path):
     )
     assert document["settings"]["objective"] == "Localisation"
     assert 0.0 < document["fitness"]["grid"] <= document["fitness"]["walls"] < 1.0
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    ("override", "message"),
-    [
-        ("bound.spacing=-1", "bound.spacing must be greater than 0, got -1"),
-        ("bound.target=1.5", "bound.target must be in [0, 1], got 1.5"),
-        ("deployment.count=1", "objective.n = 2 exceeds the number of landmarks, 1"),
-    ],
-)
-def test_bad_input_gets_one_sentence_and_leaves_nothing(override, message, tmp_path):
-    refused("bound", *SMALL_BOUND, override, "hydra.run.dir=run", message=message, cwd=tmp_path)

@@ -65,30 +65,3 @@ def test_images_of_a_board(tmp_path):
     assert 20 <= row["views"] <= 32
     assert "room_frames" not in row
     assert "views=images" in (tmp_path / "run" / "36h11_apriltag.yaml").read_text()
-
-
-BAD_INPUT = {
-    "count": (["views.count=1"], "views.count must be at least 2, got 1."),
-    "range": (["views.sampling.pitch=[3,2]"], "views.sampling.pitch must be a range [low, high], got [3, 2]."),
-    "margin": (["margin=-1"], "margin must be at least 0, got -1."),
-    "detector": (["detectors=[]"], "detectors must name at least one detector."),
-}
-
-
-@pytest.mark.parametrize("case", BAD_INPUT)
-def test_bad_input_gets_one_sentence_and_leaves_nothing(case, tmp_path):
-    overrides, message = BAD_INPUT[case]
-    done = call(*overrides, cwd=tmp_path)
-    assert done.returncode == 1
-    assert done.stderr == f"error: {message}\n"
-    assert not list(tmp_path.iterdir())
-
-
-def test_a_folder_that_is_missing_is_named(tmp_path):
-    settings = [s for s in SMALL if not s.startswith("views")]
-    for overrides, message in (
-        ([], "views.folder is missing: a folder of images is needed."),
-        (["views.folder=nowhere"], "views.folder: there is no folder 'nowhere'."),
-    ):
-        done = call("views=images", *overrides, cwd=tmp_path, settings=settings)
-        assert done.stderr == f"error: {message}\n"

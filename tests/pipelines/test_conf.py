@@ -28,13 +28,7 @@ from pipelines.nodes import instantiate
 
 ONLY_OBSERVE = ("trajectory", "detector", "estimator", "odometry")
 ONLY_RENDERED = ("detectors", "imaging", "views")
-OTHER_GROUPS = {
-    "body",
-    "experiment",
-    "recording",
-    *ONLY_OBSERVE,
-    *ONLY_RENDERED,
-}  # tested below, and in test_estimate_pdf_pipeline.py
+OTHER_GROUPS = {"body", "experiment", "recording", *ONLY_OBSERVE, *ONLY_RENDERED}  # other tests build them
 GROUPS = [
     (path.parent.name, path.stem)
     for path in sorted(Path(CONF).glob("*/*.yaml"))
@@ -54,15 +48,8 @@ SWEEPS = {  # the pipeline of each stored sweep, and its number of jobs
 }
 # A file, or the edge of a tag.
 NEEDS_MORE = {
-    ("pdf", "samples"),
-    ("pdf", "recorded"),
-    ("poses", "recorded"),
-    ("room", "mesh"),
-    ("deployment", "file"),
-    ("views", "images"),
-    ("views", "survey"),
-    ("visibility", "fiducial"),
-    ("camera", "calibration"),
+    *(("pdf", "samples"), ("pdf", "recorded"), ("poses", "recorded"), ("room", "mesh"), ("deployment", "file")),
+    *(("views", "images"), ("views", "survey"), ("visibility", "fiducial"), ("camera", "calibration")),
 }
 
 
@@ -203,7 +190,7 @@ def test_the_lab_is_one_word_and_localises_by_the_defaults_of_the_class():
     problem = build_problem(composed("optimise", "experiment=lab"))
     assert problem.objective == Localisation()
     assert (problem.count, problem.scene.tag.edge, problem.scene.room.size) == (24, 0.15, (6.0, 4.0, 2.8))
-    assert problem.scene.plates.edge > 0.15
+    assert problem.scene.footprints.edge > 0.15
     assert len(problem.scene.room.surfaces()) == 5  # no tags on the floor
 
 
@@ -288,13 +275,13 @@ def test_settings_are_flattened_for_the_record():
 def test_tags_and_what_a_detector_sees_are_a_choice():
     problem = build_problem(composed("optimise", "tag.edge=0.2", "tag.quiet_zone=2", "visibility=fiducial"))
     assert problem.scene.tag == problem.scene.visibility.tag
-    assert problem.scene.plates.edge == pytest.approx(0.3)
+    assert problem.scene.footprints.edge == pytest.approx(0.3)
     assert problem.settings()["tag"] == {"edge": 0.2, "family": "36h11", "quiet_zone": 2.0} | dict.fromkeys(
         ["edges", "counts", "paper", "costs", "budget"]
     )
     assert problem.settings()["detector"] == "aruco"
-    assert build_problem(composed("optimise", "tag=printed")).scene.plates.edge == pytest.approx(0.125)
-    assert build_problem(composed("optimise")).scene.plates.edge == 0.0
+    assert build_problem(composed("optimise", "tag=printed")).scene.footprints.edge == pytest.approx(0.125)
+    assert build_problem(composed("optimise")).scene.footprints.edge == 0.0
 
 
 def test_a_model_of_points_takes_papers_that_overlap(write):

@@ -114,30 +114,3 @@ def test_a_deployment_may_have_a_tag_of_its_own(tmp_path):
     assert (figures.repeated_2 == 1.0).all()
     assert figures.repeated_tags["uniform", "aruco"] == 1.0
     assert "| 100.0% | 100.0% |" in done.stdout
-
-
-BAD_INPUT = {
-    "point": (["tag.edge=null"], "tag.edge must be given, in metres: a detector cannot read a point."),
-    "family": (["tag.family=16h5"], "tag.family 16h5 has 30 different tags, too few for 90."),
-    "no family": (["tag.family=36h12"], "tag.family must be one of 36h11"),
-    "other family": (
-        ["tag.family=5x5_100", "detectors=[aruco,apriltag_decimate2]"],
-        "tag.family = 5x5_100 is one of ArUco's, which the detector apriltag_decimate2 does not read: "
-        "detectors=[aruco] does.",
-    ),
-    "detector": (["detectors=[]"], "detectors must name at least one detector."),
-    "preset": (["detectors.aruco.preset=best"], "detectors.aruco.preset must be one of default, fine, got 'best'"),
-    "imaging": (["imaging.noise=-1"], "imaging.noise must be at least 0, got -1."),
-    "distortion": (["camera.distortion=[-3,0,0,0]"], "camera.distortion must show what is farther"),
-    "nudge": (["nudge=[0.002]"], "nudge must be a list of 2 numbers, got [0.002]."),
-    "poses": (["poses=0"], "poses must be at least 1, got 0."),
-    "workers": (["workers=0"], "workers must be at least 1, got 0."),
-}
-
-
-@pytest.mark.parametrize("case", BAD_INPUT)
-def test_bad_input_gets_one_sentence_and_leaves_nothing(case, tmp_path):
-    overrides, message = BAD_INPUT[case]
-    processes.refused(
-        "detect", "deployments=[uniform]", *overrides, "tracking=none", message=message, cwd=tmp_path, settings=SMALL
-    )

@@ -4,29 +4,18 @@ import json
 
 import pytest
 from omegaconf import OmegaConf
-from processes import SMALL, inside, refused
+from processes import SMALL, inside
 
-from lmd.mapping.formats import formats_of
+from lmd.export.exports import formats_of
 from lmd.scene.tag import Tag
 from pipelines.export import build_export
 
 LANDMARKS = "id,x,y,z,nx,ny,nz,note\n7,0,2,3,1,0,0,by the door\n3,0,3,3,1,0,0,\n9,7.5,2,3,-1,0,0,\n"
 TAGS = (*SMALL, "tag.edge=0.15")
 EVERY = {
-    "tags.wpilib.json",
-    "tags.apriltag_ros.yaml",
-    "tags.apriltag_ros2.yaml",
-    "tags.tagslam.yaml",
-    "tags.aruco.yaml",
-    "tags.clover.txt",
-    "tags.fiducial_vlam.yaml",
-    "tags.rtabmap.txt",
-    "tags.fmap",
-    "tags.frc971.json",
-    "tags.csv",
-    "tags.json",
-    "plan.pdf",
-    "sheets.pdf",
+    *("tags.wpilib.json", "tags.apriltag_ros.yaml", "tags.apriltag_ros2.yaml", "tags.tagslam.yaml", "tags.aruco.yaml"),
+    *("tags.clover.txt", "tags.fiducial_vlam.yaml", "tags.rtabmap.txt", "tags.fmap", "tags.frc971.json", "tags.csv"),
+    *("tags.json", "plan.pdf", "sheets.pdf"),
 }
 pytestmark = pytest.mark.slow
 
@@ -115,35 +104,3 @@ def test_a_map_that_says_the_sizes_of_its_tags_needs_no_edge_and_one_tag_no_obje
     done = inside("export", *again, "tag.family=4x4_50", "hydra.run.dir=again", cwd=work, settings=())
     assert done.returncode == 0, done.stderr
     assert (work / "again" / "tags.json").read_bytes() == (work / "out" / "tags.json").read_bytes()
-
-
-@pytest.mark.parametrize(
-    ("pipeline", "overrides", "message"),
-    [
-        ("export", (), "deployment.path is missing: a CSV of landmarks or a tag map is needed."),
-        ("export", ("deployment.path=mine.csv", "tag.edge=null"), "tag.edge must be given, in metres"),
-        ("export", ("deployment.path=mine.csv", "formats=[]"), "formats lists none, so there is nothing to write."),
-        ("export", ("deployment.path=mine.csv", "formats=csv"), "formats must be a list of wpilib, "),
-        ("export", ("deployment.path=mine.csv", "formats=[nosuch]"), "formats must be one of wpilib, "),
-        (
-            "export",
-            ("deployment.path=mine.csv", "tag.family=4x4_50", "formats=[csv,wpilib]"),
-            "formats has wpilib, which knows the families ",
-        ),
-        (
-            "export",
-            ("deployment.path=mine.csv", "tag.edge=2", "deployment.free=true", "formats=[wpilib,sheets]"),
-            "tag.edge = 2 m takes 150 sheets of a4 for a tag, more than 100; a larger paper_size ",
-        ),
-        (
-            "export",
-            ("deployment.path=mine.csv", "paper_size=a5"),
-            "paper_size must be one of a4, a3, letter, got",
-        ),
-        ("export", ("deployment.path=mine.csv", "north=90"), "north must be in [-6.29319, 6.29319], got 90."),
-        ("optimise", ("export=[nosuch]",), "export must be one of wpilib, "),
-        ("optimise", ("export=[wpilib]", "tag.edge=null"), "tag.edge must be given, in metres"),
-    ],
-)
-def test_what_cannot_be_written_is_refused_in_one_sentence(pipeline, overrides, message, work):
-    refused(pipeline, "tracking=none", "hydra.run.dir=out", *overrides, message=message, cwd=work, settings=TAGS)

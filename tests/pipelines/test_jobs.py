@@ -14,21 +14,15 @@ from pipelines.operations.sweeps.names import job_folder, slug, varied_keys
 from pipelines.overrides import key_and_value, quoted
 
 
-def test_folder_names_need_no_quotes_in_an_override():
-    assert slug("n-2_path-out/a b,c=d.csv") == "n-2_path-out-a-b-c-d.csv"
-
-
-def test_a_path_is_quoted_for_an_override():
+def test_names():
+    assert slug("n-2_path-out/a b,c=d.csv") == "n-2_path-out-a-b-c-d.csv"  # needs no quotes in an override
     assert quoted(Path("it's a\\b")) == r"'it\'s a\\b'"
-
-
-def test_what_varies_is_what_has_more_than_one_value():
-    overrides = ["optimiser=ega,sga", "objective.n=2", "seed=range(3)", "room.size=[1,2,3]"]
-    assert varied_keys(overrides) == ("optimiser", "seed")
-
-
-def test_an_override_is_split_at_its_first_equals_sign():
+    assert varied_keys(["optimiser=ega,sga", "objective.n=2", "seed=range(3)", "room.size=[1,2,3]"]) == (
+        "optimiser",
+        "seed",
+    )
     assert key_and_value("+room.note=a=b") == ("room.note", "a=b")
+    assert JobFolder("job").checkpoint.name == CHECKPOINT_FILE
 
 
 @pytest.mark.parametrize(
@@ -92,10 +86,6 @@ def test_a_job_has_one_folder_whatever_varies_beside_it(tmp_path):
     assert job_folder(_root_=root) == name
     root.seed = 1
     assert job_folder(_root_=root) != name
-
-
-def test_a_job_knows_the_checkpoint_of_its_run(tmp_path):
-    assert JobFolder(tmp_path).checkpoint.name == CHECKPOINT_FILE
 
 
 @pytest.mark.slow

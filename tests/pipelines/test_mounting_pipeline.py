@@ -86,20 +86,3 @@ def test_measured_places_are_scored_in_place_of_the_plan(folder):
                               settings=["tracking=none", *settings])  # fmt: skip
         assert done.returncode == 0, done.stderr
     assert pd.read_csv(folder / "export" / "tags.csv").set_index("id").y.to_dict() == {3: 2.03, 5: 2.25, 8: 2.0}
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    ("override", "message"),
-    [
-        ("deployment.mounting_error=-1", "deployment.mounting_error.position must be at least 0, got -1."),
-        ("deployment.mounting_error=much", "deployment.mounting_error.position must be a number, got 'much'."),
-        ("deployment.mounting_error.draws=0", "deployment.mounting_error.draws must be at least 1, got 0."),
-        ("deployment.measured=none.csv", "deployment.measured: there is no file 'none.csv'."),
-        ("deployment.measured=plan2.csv", "deployment.measured: plan2.csv lacks the landmark 8 that is planned"),
-        ("deployment.measured=7", "deployment.measured must be the path of a file or a folder, got 7."),
-    ],
-)
-def test_bad_input_has_one_sentence(folder, override, message):
-    (folder / "plan2.csv").write_text("".join(PLAN.splitlines(keepends=True)[:3]))
-    processes.refused("evaluate", override, message=message, cwd=folder, settings=SMALL)

@@ -157,35 +157,6 @@ def test_a_real_detector_reads_rendered_frames(tmp_path):
         assert np.abs(np.asarray(film.convert("RGB")) - first).max() > 100.0
 
 
-BAD_INPUT = {
-    "no option": (["deployment=nowhere"], "deployments: 'nowhere' is refused: "),
-    "none": (["deployments=[]"], "deployments must list at least one option of conf/deployment"),
-    "no list": (["deployments=null"], "deployments must list at least one option of conf/deployment"),
-    "twice": (["deployment=uniform,uniform"], "deployments has 'uniform' twice: give them names"),
-    "name": (["deployments=['a/b: uniform']"], "deployments: the name 'a/b' must be of letters"),
-    "number": (["deployments=['22 tags: file']"], "deployments: '22 tags: file' is refused: "),
-    "unused": (["deployment=uniform", "deployment.path=a.csv"], "deployment.path=a.csv is for none of the deployments"),
-    "no path": (["deployment=file"], "deployment.path is missing"),
-    "seeds": (["seeds=0"], "seeds must be at least 1, got 0"),
-    "estimator": (["estimator=[]"], "estimator must name at least one estimator"),
-    "gain": (["estimator.observer.gain=100"], "estimator.observer.gain + damping = 101 1/s must stay below 20 1/s"),
-    "tag": (["detector=rendered", "tag.edge=null"], "detector.tag.edge must be given, in metres: a detector"),
-    "ids": (["detector=rendered", "tag.family=16h5"], "tag.family 16h5 has 30 different tags, too few for 90."),
-    "reader": (["detector=noisy", "tag.edge=0.1", "detector.reader=eyes"], "detector.reader must be one of aruco"),
-    "noise": (["all_visible=true"], "all_visible must be false where measurements are not exact"),
-    "film": (["film=5"], "film needs rendered frames: detector=rendered."),
-    "length": (["detector=rendered", "film=0"], "film must be greater than 0, got 0."),
-}
-
-
-@pytest.mark.parametrize("case", BAD_INPUT)
-def test_bad_input_gets_one_sentence_and_leaves_nothing(case, tmp_path):
-    overrides, message = BAD_INPUT[case]
-    processes.refused(
-        "observe", "deployments=[uniform]", *overrides, "tracking=none", message=message, cwd=tmp_path, settings=SMALL
-    )
-
-
 def test_a_trajectory_file_is_flown_by_every_seed(tmp_path):
     rows = "".join(f"{0.1 * i:g},{2 + 0.01 * i:g},2,3,{0.02 * i:g},0\n" for i in range(20))
     (tmp_path / "flight.csv").write_text("time,x,y,z,yaw,pitch\n" + rows)

@@ -12,6 +12,8 @@ from shutil import copytree, ignore_patterns
 
 import pytest
 
+import lmd
+
 ROOT = Path(__file__).parents[2]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())
 INSTALLED = pytest.mark.thorough("pyproject.toml", "pipelines/app.py", "pipelines/hyperparameters.py")
@@ -107,7 +109,7 @@ def work(tmp_path):
 @pytest.mark.slow
 def test_nothing_but_lmd_is_installed_and_nothing_is_missing(wheel):
     names = set(zipfile.ZipFile(wheel).namelist())
-    version = PROJECT["project"]["version"]
+    version = lmd.__version__
     assert {name.split("/")[0] for name in names} == {"lmd", f"lmd-{version}.dist-info"}
     for folder in ("lmd", "pipelines", "conf"):
         below = "" if folder == "lmd" else "lmd/"

@@ -112,14 +112,6 @@ def test_what_cannot_be_is_refused_with_its_key(overrides, message):
         build_problem(composed("optimise", *overrides))
 
 
-def test_a_keep_out_of_an_earlier_version_is_refused_by_its_key():
-    old = "room.keep_out=[{surface: wall_0, low: [4.8, 0], high: [5.7, 2.1]}]"
-    cfg = composed("optimise", "room=floor_plan", old)
-    now = r"\[{surface: wall_0, from_left: \[0\.3, 1\.2\], from_below: \[0, 2\.1\]}\]"
-    with pytest.raises(InputError, match=rf"^room\.keep_out has the keys low, high, polygon, .* it is {now}\.$"):
-        instantiate(cfg.room)
-
-
 def test_what_an_experiment_sets_for_another_choice_is_said_to_be_its(tmp_path):
     message = "deployment.path is no setting that is known; experiment=frc_2025 sets it for another deployment"
     overrides = ("experiment=frc_2025", "deployment=random", "hydra.run.dir=run")

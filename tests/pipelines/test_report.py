@@ -71,21 +71,9 @@ def test_the_page_holds_everything_it_shows(reported):
 
 
 def test_table_2_has_the_median_and_the_range_of_the_newest_sweep_beside_what_was_printed(markdown):
-    assert rows(markdown, ["EGA"]) == [
-        [
-            "3",
-            "81.88%",
-            "50.00% (40.00% to 60.00%)",
-            "-31.88",
-            "75.00%",
-            "60.00%",
-            "-15.00",
-            "91.69%",
-            "90.00%",
-            "-1.69",
-            "–",
-        ]
-    ]
+    (row,) = rows(markdown, ["EGA"])
+    assert row[:4] == ["3", "81.88%", "50.00% (40.00% to 60.00%)", "-31.88"]
+    assert row[4:] == ["75.00%", "60.00%", "-15.00", "91.69%", "90.00%", "-1.69", "–"]
     assert rows(markdown, ["SGA"])[0][:4] == ["1", "53.44%", "30.00%", "-23.44"]
     assert rows(markdown, ["uniform"])[0][:4] == ["1", "43.92%", "20.00%", "-23.92"]
     assert rows(markdown, ["initial"])[0][:4] == ["1", "11.11%", "10.00%", "-1.11"]
@@ -133,6 +121,7 @@ def test_a_chosen_sweep_is_reported_without_what_failed_and_the_rest_names_its_c
     assert "1 of 2 runs of" in markdown
     assert rows(markdown, ["SGA"])[0][:4] == ["0", "53.44%", "–", "–"]
     for sweep, command in COMMANDS.items():
+        assert (ROOT / "conf" / "experiment" / f"{sweep}.yaml").is_file()
         sentence = f"There are no finished runs of the sweep `{sweep}`; `{command}` makes them."
         assert (sentence in markdown) == (sweep != "table2")
 
@@ -181,13 +170,6 @@ def test_a_sweep_whose_own_run_is_gone_is_named(tmp_path):
     MlflowClient(tracking_uri=uri).delete_run(sweep)
     text = write_report(tmp_path / "report", f"tracking.uri={uri}")
     assert f"1 runs of a sweep `landmark_count`, whose own run, `{sweep}`, is gone from the store; the last" in text
-
-
-@pytest.mark.parametrize(("sweep", "command"), COMMANDS.items())
-def test_the_commands_exist(sweep, command):
-    assert (ROOT / "conf" / "experiment" / f"{sweep}.yaml").is_file()
-    assert command.startswith(("python -m pipelines.optimise ", "python -m pipelines.evaluate "))
-    assert f" experiment={sweep}" in command
 
 
 def test_a_saved_page_keeps_what_stands_above_its_generated_part(reported, tmp_path):

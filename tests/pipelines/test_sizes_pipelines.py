@@ -43,7 +43,7 @@ def test_fixed_landmarks_come_on_top():
 def test_paper_says_how_many_there_are(capsys):
     problem, cfg = built(*SIZES, "tag.paper=0.1")
     assert sum(cfg.tag.counts) == problem.count == cfg.deployment.count
-    assert 0.1 - 0.075**2 < (problem.scene.plates.papers(problem.draw(np.random.default_rng(0))) ** 2).sum() <= 0.1
+    assert 0.1 - 0.075**2 < (problem.scene.footprints.papers(problem.draw(np.random.default_rng(0))) ** 2).sum() <= 0.1
     assert "tag.paper = 0.1 square metres make" in capsys.readouterr().err
 
 
@@ -60,7 +60,7 @@ def test_black_boxes_place_what_the_paper_suffices_for(name):
     result = build_optimiser(cfg, 0).run(problem, Budget(40))
     assert result.fitness == problem.fitness_of(result.deployment)
     assert [int((result.deployment.edges == edge).sum()) for edge in cfg.tag.edges] == list(cfg.tag.counts)
-    problem.scene.plates.check(result.deployment)
+    problem.scene.footprints.check(result.deployment)
 
 
 @pytest.mark.parametrize(

@@ -179,30 +179,3 @@ def test_along_paper_the_best_mixture_is_no_worse_than_each_size_alone(tmp_path)
     (parent,) = (run for run in runs if "mlflow.parentRunId" not in run.data.tags)
     curve = client.get_metric_history(parent.info.run_id, "grid_free_qualified_ratio/edges_0.1-0.3")
     assert {3000, 5000} <= {each.step for each in curve}
-
-
-@pytest.mark.parametrize(
-    ("override", "message"),
-    [
-        ("counts=20", "counts must be a list of numbers, got 20."),
-        ("counts=[0]", "counts must be at least 1, got 0."),
-        ("edges=[a]", "edges must be a number, got 'a'."),
-        ("tag.edges=[0.1,0.2]", "tag.edges is for tags of several sizes: give papers=[...] or budgets=[...]"),
-        ("papers=[1]", "papers needs tag.edges=[...]."),
-        ("tag.edges=[0.1,0.2] budgets=[5]", "budgets needs tag.edges=[...] and tag.costs=[...]."),
-        ("papers=[1] budgets=[5]", "papers must not be given with budgets."),
-        ("papers=[1] edges=[0.1]", "papers must not be given with edges."),
-        ("tag.edges=[0.1,0.2] papers=[a]", "papers must be a number, got 'a'."),
-        ("tag.edges=[0.1,0.2] papers=[0.01]", "tag.paper = 0.01 square metres is too little for a tag"),
-        ("seeds=0", "seeds must be at least 1, got 0."),
-        ("wanted=90", "wanted must be in [0, 1], got 90."),
-        ("figure=cost", "figure must be one of "),
-        ("budget.evaluations=0", "budget.evaluations must be at least 1, got 0."),
-        ("objective.n=21", "objective.n = 21 exceeds the number of landmarks, 20."),
-        ("edges=[2]", "counts = 20 tags with papers of 2.5 m are too many"),
-    ],
-)
-def test_bad_input_has_one_sentence(tmp_path, override, message):
-    processes.refused(
-        "tradeoff", *override.split(), message=message, cwd=tmp_path, settings=(*SMALL, "hydra.run.dir=run")
-    )

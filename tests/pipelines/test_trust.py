@@ -67,7 +67,7 @@ TARGETS = {
     "room: {relevance: {_target_: evil.Room}}": "room.relevance._target_ = 'evil.Room'",
     "room: {relevance: {regions: [{low: {_target_: evil.Room}}]}}": "room.relevance.regions.0.low._target_",
     "camera: {rig: [{camera: {_target_: evil.Room, _partial_: true}}]}": "camera.rig.0.camera._target_",
-    "objective: {_target_: lmd.scene.camera_calibration.yaml.load}": "lmd.scene.camera_calibration.yaml.load",  # a walk
+    "objective: {_target_: lmd.formats.calibrations.yaml.load}": "lmd.formats.calibrations.yaml.load",  # a walk
     "objective: {_target_: lmd.core.tables.write_table}": "objective._target_ = 'lmd.core.tables.write_table'",
     "pdf: {_target_: lmd.geometry.camera.Camera}": "pdf._target_ = 'lmd.geometry.camera.Camera'",  # of another group
     "pdf: {_target_: '${optimiser._target_}'}": "pdf._target_ is no name of a class or a function",

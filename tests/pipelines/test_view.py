@@ -17,8 +17,8 @@ from planned import LANDMARKS, SETTINGS, UNSAVED
 from planner_page import LIMIT, Page
 from processes import SMALL, call, command, refused, start
 
+from lmd.formats.rigs import read_mounts
 from lmd.scene.deployment import Deployment
-from lmd.scene.rig_sources import read_mounts
 from pipelines.view import UNSAVED as BEGIN
 
 pytestmark = [pytest.mark.slow, pytest.mark.long]

@@ -41,7 +41,7 @@ def test_gains_are_nan_where_a_paper_would_overlap_another():
     found = additions(planned, deployment, poses)
     away = np.abs(poses.positions[:, None] - deployment.positions).max(axis=-1)
     same = poses.surfaces[:, None] == deployment.surfaces
-    overlaps = (same & (away < planned.scene.plates.edge - 1e-9)).any(axis=1)
+    overlaps = (same & (away < planned.scene.footprints.edge - 1e-9)).any(axis=1)
     assert overlaps.any()
     assert (np.isnan(found.value) == overlaps).all()
     assert (np.isnan(found.fitness) == overlaps).all()
@@ -52,7 +52,7 @@ def test_any_room_has_about_3000_allowed_candidates():
         planned = problem(size=(7.5 * size, 5.0 * size, 6.0 * size))
         poses = candidate_cells(planned).poses
         assert 2500 < len(poses) < 4000
-        assert poses.fault(planned.scene.plates.hanging) is None
+        assert poses.fault(planned.scene.footprints.hanging) is None
 
 
 def test_unwanted_gains_are_not_computed():

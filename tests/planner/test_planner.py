@@ -12,6 +12,7 @@ from paper import paper_scene
 from small import problem
 
 from lmd.core.checks import InputError
+from lmd.formats.trajectories import read_recorded_poses
 from lmd.objectives.coverage import Coverage
 from lmd.optimisers.ledger import Budget
 from lmd.optimisers.random_search import RandomSearch
@@ -23,7 +24,6 @@ from lmd.planner.session import PlanningSession
 from lmd.planner.survey_map import SurveyMap
 from lmd.problem import Problem
 from lmd.scene.deployment_sources import RandomDeployment
-from lmd.scene.recorded_poses import RecordedPoses
 from lmd.space.floor_plan import FloorPlan
 
 viser = pytest.importorskip("viser")
@@ -50,7 +50,7 @@ def planner():
 def recorded(write):
     """A camera that looks ahead at one place for 20 s, of which every third second is held out."""
     path = write("time,x,y,z,yaw,pitch\n" + "".join(f"{t},2,2.5,3,1.5,0\n" for t in range(21)))
-    poses = RecordedPoses(
+    poses = read_recorded_poses(
         path, spacing=0.5, bandwidth=0.2, direction_bandwidth=5.0, divisions=12, held_out=3, block=1.0
     )
     scene = paper_scene()

@@ -11,6 +11,7 @@ from paper import paper_room, paper_scene
 from small import problem
 
 from lmd.core.checks import InputError
+from lmd.formats.deployments import FileDeployment
 from lmd.objectives.coverage import Coverage
 from lmd.objectives.localisation import Localisation
 from lmd.objectives.sampling import Sampling
@@ -22,7 +23,7 @@ from lmd.planner.session import PlanningSession
 from lmd.problem import Problem
 from lmd.scene import pdf
 from lmd.scene.deployment import Deployment
-from lmd.scene.deployment_sources import FileDeployment, RandomDeployment
+from lmd.scene.deployment_sources import RandomDeployment
 from lmd.scene.tag import Tag
 
 TAG = Tag(edge=0.2)
@@ -53,7 +54,7 @@ def on_a_floor_plan():
 
 
 def somewhere(of, rng):
-    surfaces = of.scene.plates.hanging.surfaces()
+    surfaces = of.scene.footprints.hanging.surfaces()
     surface = int(rng.integers(len(surfaces)))
     return surface, rng.uniform(-0.5, 0.5 + np.array(surfaces[surface].extent))
 
@@ -89,20 +90,20 @@ def test_figures_equal_those_of_a_full_evaluation(of):
         act(planned, rng)
         assert planned.metrics() == planned.problem.metrics(planned.deployment)
         assert (planned.values() == planned.problem.values(planned.deployment)).all()
-        planned.problem.scene.plates.check(planned.deployment)
-        assert planned.deployment.fault(planned.problem.scene.plates.hanging) is None
+        planned.problem.scene.footprints.check(planned.deployment)
+        assert planned.deployment.fault(planned.problem.scene.footprints.hanging) is None
 
 
 def test_a_tag_moves_to_the_nearest_free_place():
     planned = session()
-    edge, wall = planned.problem.scene.plates.edge, planned.problem.scene.room.surfaces()[0]
+    edge, wall = planned.problem.scene.footprints.edge, planned.problem.scene.room.surfaces()[0]
     planned.drag(3, 0, np.array([-1.0, 2.0]))
     planned.drag(4, 0, np.array([0.0, 2.0]))  # coordinates begin where the centre of a paper may be
     for number, way in ((3, 0.0), (4, edge)):
         there = planned.deployment.positions[planned.plan.index_of(number)]
         a, b = (float(value) for value in wall.coordinates(there))
         assert {round(abs(a - edge / 2), 9), round(abs(b - 2.0 - edge / 2), 9)} == {0.0, round(way, 9)}
-    planned.problem.scene.plates.check(planned.deployment)
+    planned.problem.scene.footprints.check(planned.deployment)
 
 
 def test_a_drag_is_one_step_of_undo_and_redo():
@@ -148,7 +149,7 @@ def test_of_several_sizes_the_user_chooses():
     planned.drag(0, 0, np.array([1.1, 1.0]))
     planned.drop()
     planned.resize(number, 0.4)
-    k, checked = planned.plan.index_of(number), planned.problem.scene.plates.check
+    k, checked = planned.plan.index_of(number), planned.problem.scene.footprints.check
     checked(planned.deployment)
     assert planned.deployment.edges[k] == 0.4
     assert 0.0 < np.linalg.norm(planned.deployment.positions[k] - at) < 1.0
@@ -214,7 +215,7 @@ def test_the_free_tags_are_optimised_and_the_pinned_ones_stay():
     assert stayed[[0, 17]].all()
     assert not stayed.all()
     assert (planned.deployment.ids == before.ids).all()
-    planned.problem.scene.plates.check(planned.deployment)
+    planned.problem.scene.footprints.check(planned.deployment)
     planned.undo()
     assert planned.deployment is before
 

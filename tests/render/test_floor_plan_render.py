@@ -9,7 +9,7 @@ from lmd.render.imaging import Imaging
 from lmd.render.renderer import Renderer
 from lmd.scene.deployment import Deployment
 from lmd.scene.deployment_sources import RandomDeployment
-from lmd.scene.plates import Plates
+from lmd.scene.footprints import Footprints
 from lmd.scene.tag import Tag
 
 CAMERA = Camera(3.6, 0.02, 0.02, (160.0, 120.0), 320.0, 240.0, 1.0, 1000.0)
@@ -19,7 +19,7 @@ GRID = np.stack(np.meshgrid(*2 * [np.linspace(0.0, 1.0, 9)]), axis=-1).reshape(-
 
 def test_a_tag_is_in_the_picture_where_its_line_of_sight_is_clear():
     room, tag, rng = lab(), Tag(0.2), np.random.default_rng(0)
-    hung = Plates(room, tag).draw(RandomDeployment(10), rng)
+    hung = Footprints(room, tag).draw(RandomDeployment(10), rng)
     nowhere = Deployment([[0.0, 0.0, -100.0]], [[0.0, 0.0, -1.0]])
     empty = Renderer(CAMERA, tagged_room(room, nowhere, tag), SHARP)
     seen = []

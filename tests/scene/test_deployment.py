@@ -10,8 +10,9 @@ from scipy.stats import chisquare, kstest
 from strategies import deployments, rooms, seeds
 
 from lmd.core.checks import InputError
+from lmd.formats.deployments import FileDeployment
 from lmd.scene.deployment import Deployment
-from lmd.scene.deployment_sources import FileDeployment, GivenDeployment, RandomDeployment, UniformDeployment
+from lmd.scene.deployment_sources import GivenDeployment, RandomDeployment, UniformDeployment
 
 HEADER = "id,x,y,z,nx,ny,nz\n"
 

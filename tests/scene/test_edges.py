@@ -8,10 +8,11 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from lmd.core.checks import InputError
 from lmd.evaluation.measured import read_measured
+from lmd.formats.deployments import FileDeployment
 from lmd.scene.deployment import Deployment
-from lmd.scene.deployment_sources import FileDeployment, GivenDeployment, RandomDeployment, UniformDeployment
+from lmd.scene.deployment_sources import GivenDeployment, RandomDeployment, UniformDeployment
 from lmd.scene.fixed import beside
-from lmd.scene.plates import Plates
+from lmd.scene.footprints import Footprints
 from lmd.scene.tag import Tag
 from lmd.space.cuboid import Cuboid
 
@@ -43,7 +44,7 @@ def test_a_file_says_the_edges_and_is_written_again(path, tmp_path):
         "7,0.0,2.0,1.0,1.0,0.0,0.0,,as all",
     ]
     assert_array_equal(Deployment.from_csv(tmp_path / "again.csv").edges, found.edges)
-    assert found[1:2].edges is None
+    assert not found[1:2].has_own_edges
     assert_array_equal((found + found[[2]]).edges, [0.2, np.nan, 0.06, 0.06])
     assert_array_equal((found[[1]] + found).edges, [np.nan, 0.2, np.nan, 0.06])
 
@@ -65,14 +66,14 @@ def test_what_is_no_edge_is_refused(path, edge, sentence):
 
 def test_placed_tags_have_the_edges_in_turn_and_those_of_a_file_their_own(path):
     several = replace(TAG, edges=(0.3, 0.05))
-    plates, rng = Plates(ROOM, several), np.random.default_rng(0)
+    footprints, rng = Footprints(ROOM, several), np.random.default_rng(0)
     for source in (RandomDeployment(5), UniformDeployment(5)):
-        assert_array_equal(plates.draw(source, rng).edges, [0.3, 0.05, 0.3, 0.05, 0.3])
-    assert_array_equal(plates.draw(FileDeployment(path), rng).edges_of(several), [0.2, 0.1, 0.06])
+        assert_array_equal(footprints.draw(source, rng).edges, [0.3, 0.05, 0.3, 0.05, 0.3])
+    assert_array_equal(footprints.draw(FileDeployment(path), rng).edges_of(several), [0.2, 0.1, 0.06])
     given = Deployment.from_csv(path).hung(ROOM)
-    assert_array_equal(plates.draw(GivenDeployment(given), rng).edges, given.edges)
-    assert Plates(ROOM, TAG).draw(RandomDeployment(5), rng).edges is None
-    whole = plates.draw(RandomDeployment(2), rng, fixed=plates.hung(given, RandomDeployment(2)))
+    assert_array_equal(footprints.draw(GivenDeployment(given), rng).edges, given.edges)
+    assert not Footprints(ROOM, TAG).draw(RandomDeployment(5), rng).has_own_edges
+    whole = footprints.draw(RandomDeployment(2), rng, fixed=footprints.hung(given, RandomDeployment(2)))
     assert_array_equal(whole.edges_of(several), [0.2, 0.1, 0.06, 0.3, 0.05])
     assert_array_equal(beside(given, given[[0]] + replace(given[[1]], labels=None)).edges_of(TAG)[:3], [0.2, 0.1, 0.06])
 
@@ -82,13 +83,13 @@ def test_a_paper_hangs_where_its_own_size_has_room(path):
     for edge, fits in ((0.08, True), (0.2, False)):
         path.write_text(wall.format(edge))
         if fits:  # nearer to the corner than a tag with the edge of all may be
-            assert_allclose(Plates(ROOM, TAG).draw(FileDeployment(path), None).edges[0], edge)
+            assert_allclose(Footprints(ROOM, TAG).draw(FileDeployment(path), None).edges[0], edge)
             continue
         with pytest.raises(InputError, match=r"landmark 4 hangs over the edge of x_min, .* its paper is 0\.25 m wide"):
-            Plates(ROOM, TAG).draw(FileDeployment(path), None)
+            Footprints(ROOM, TAG).draw(FileDeployment(path), None)
     path.write_text(FILE.replace("0,2,1,1", "0,1.15,1,1"))
     with pytest.raises(InputError, match=r"overlap: their papers are 0\.125 and 0\.25 m wide, .* 0\.15 m apart"):
-        Plates(ROOM, TAG).draw(FileDeployment(path), None)
+        Footprints(ROOM, TAG).draw(FileDeployment(path), None)
 
 
 @pytest.mark.parametrize(
@@ -116,5 +117,5 @@ def test_a_measured_tag_without_a_size_has_that_of_its_plan(path, tmp_path):
     measured = tmp_path / "measured.csv"
     measured.write_text(FILE.replace(",0.2,", ",,").replace(",0.06,", ",0.07,"))
     problem = type("Any", (), {"start": RandomDeployment(3), "scene": type("Of", (), {"room": ROOM, "tag": TAG})})
-    problem.scene.plates = Plates(ROOM, TAG)
+    problem.scene.footprints = Footprints(ROOM, TAG)
     assert_array_equal(read_measured(measured, problem, plan).edges_of(TAG), [0.2, 0.1, 0.07])

@@ -13,6 +13,7 @@ from small import make, problem
 from strategies import deployments, scenes, seeds
 
 from lmd.core.checks import InputError
+from lmd.formats.deployments import FileDeployment
 from lmd.incremental.coverage_field import coverage_field
 from lmd.objectives.coverage import Coverage
 from lmd.objectives.localisation import Localisation
@@ -21,7 +22,7 @@ from lmd.optimisers.greedy import GreedyDeployment
 from lmd.optimisers.ledger import Budget
 from lmd.problem import Problem
 from lmd.scene.deployment import Deployment
-from lmd.scene.deployment_sources import FileDeployment, RandomDeployment, UniformDeployment
+from lmd.scene.deployment_sources import RandomDeployment, UniformDeployment
 from lmd.scene.fixed import beside
 from lmd.scene.labels import Labels
 from lmd.scene.tag import Tag
@@ -165,7 +166,7 @@ def test_a_walk_on_samples_leaves_alone_what_hangs_already(optimiser, objective)
     result = make(optimiser).run(p, Budget(200))
     np.testing.assert_array_equal(result.deployment.positions[:10], hangs.positions)
     assert result.fitness == p.fitness_of(result.deployment) > p.fitness_of(p.draw(np.random.default_rng(0)))
-    scene.plates.check(result.deployment.hung(scene.room))
+    scene.footprints.check(result.deployment.hung(scene.room))
 
 
 def test_a_good_deployment_with_half_of_it_fixed_gets_no_worse(tmp_path):

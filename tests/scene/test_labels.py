@@ -7,9 +7,10 @@ from small import make, problem
 
 from lmd.core.checks import InputError
 from lmd.detection.frames import tagged_room
+from lmd.formats.deployments import FileDeployment
 from lmd.optimisers.ledger import Budget
 from lmd.scene.deployment import Deployment
-from lmd.scene.deployment_sources import FileDeployment, RandomDeployment
+from lmd.scene.deployment_sources import RandomDeployment
 from lmd.scene.labels import Labels
 from lmd.scene.tag import Tag
 

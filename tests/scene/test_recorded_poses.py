@@ -14,6 +14,7 @@ from scipy.spatial.transform import Rotation
 from lmd.core.checks import InputError
 from lmd.estimation.flights import Pace, RandomMotion
 from lmd.evaluation.validation import describe_validation, exact_values, held_out_metrics, validation_metrics
+from lmd.formats.trajectories import TrajectoryFile, read_recorded_poses
 from lmd.geometry import se3
 from lmd.geometry.frames import angles_of, rotation
 from lmd.objectives.coverage import Coverage
@@ -23,10 +24,8 @@ from lmd.optimisers.ledger import Budget
 from lmd.problem import Problem
 from lmd.scene.deployment import Deployment
 from lmd.scene.deployment_sources import RandomDeployment
-from lmd.scene.recorded_poses import RecordedPoses
 from lmd.scene.rig import Mount, Rig
 from lmd.scene.tag import Tag
-from lmd.scene.trajectory_files import TrajectoryFile
 from lmd.sight.evaluator import Evaluator
 from lmd.sight.models.fiducial import Fiducial
 from lmd.sight.views import visible
@@ -44,7 +43,7 @@ AHEAD, BACK = np.pi / 2, -np.pi / 2  # yaw turns from y towards x
 
 
 def recorded(path, **changes):
-    return RecordedPoses(path, **(DEFAULTS | changes))
+    return read_recorded_poses(path, **(DEFAULTS | changes))
 
 
 def scene_of(poses, room=None):

@@ -14,6 +14,7 @@ from lmd.core.checks import InputError
 from lmd.evaluation.bounds import Search, fitness_upper_bound
 from lmd.evaluation.validation import Sample, validation_metrics
 from lmd.evaluation.verdicts import causes, verdicts
+from lmd.formats.rigs import read_mounts, rig_of
 from lmd.geometry.frames import rotation
 from lmd.objectives.coverage import Coverage
 from lmd.problem import Problem
@@ -22,7 +23,6 @@ from lmd.scene.deployment import Deployment
 from lmd.scene.deployment_sources import RandomDeployment, UniformDeployment
 from lmd.scene.pdf import OrientationPdf
 from lmd.scene.rig import Mount, Rig
-from lmd.scene.rig_sources import read_mounts, rig_of
 from lmd.sight.evaluator import Evaluator
 from lmd.sight.poses import candidate_poses, covered_amounts, gains
 from lmd.sight.reference import counts, coverage_caps

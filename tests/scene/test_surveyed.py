@@ -12,11 +12,12 @@ from scipy.spatial.transform import Rotation
 
 from lmd.core.checks import InputError
 from lmd.detection.frames import tagged_room
-from lmd.estimation.tags import corners_of
+from lmd.estimation.sensors import corners_of
 from lmd.evaluation.measured import as_measured, read_measured
 from lmd.evaluation.validation import Sample
+from lmd.formats.deployments import FileDeployment
+from lmd.formats.tag_map import TagMap
 from lmd.geometry.squares import corners, upright
-from lmd.mapping.tag_map import TagMap
 from lmd.objectives.coverage import Coverage
 from lmd.optimisers.ledger import Budget
 from lmd.optimisers.random_search import RandomSearch
@@ -24,9 +25,9 @@ from lmd.optimisers.stored import points
 from lmd.problem import Problem
 from lmd.scene import pdf
 from lmd.scene.deployment import Deployment
-from lmd.scene.deployment_sources import FileDeployment, RandomDeployment
+from lmd.scene.deployment_sources import RandomDeployment
+from lmd.scene.footprints import Footprints
 from lmd.scene.labels import Labels
-from lmd.scene.plates import Plates
 from lmd.scene.scene import Scene
 from lmd.scene.tag import Tag
 from lmd.sight.models.paper import Visibility
@@ -94,12 +95,12 @@ def test_all_three_inputs_take_it_and_it_is_seen_as_on_its_surface(room, by, tmp
     problem = Problem(scene, Coverage(1, 0.5), RandomDeployment(12))
     tags = hanging(room)
     path = saved(tmp_path / "tags.csv", moved(tags, by))
-    plates, rng, seen = Plates(room, Tag()), np.random.default_rng(0), problem.evaluator.counts(tags)
+    footprints, rng, seen = Footprints(room, Tag()), np.random.default_rng(0), problem.evaluator.counts(tags)
     assert seen.any()
     for taken in (
         FileDeployment(path).draw(room, rng),
         FileDeployment(path, free=True).draw(room, rng),
-        plates.hung(Deployment.from_csv(path), RandomDeployment(3)),
+        footprints.hung(Deployment.from_csv(path), RandomDeployment(3)),
         read_measured(path, problem, tags),
     ):
         assert_array_equal(problem.evaluator.counts(taken), seen)
@@ -114,10 +115,12 @@ def test_outside_is_told_with_what_takes_it_there(room, tmp_path):
     with pytest.raises(InputError, match=message):
         FileDeployment(path).draw(room, rng)
     with pytest.raises(InputError, match=rf"^fixed: {message}"):
-        Plates(room, Tag()).hung(Deployment.from_csv(path), RandomDeployment(3))
+        Footprints(room, Tag()).hung(Deployment.from_csv(path), RandomDeployment(3))
     free = FileDeployment(path, free=True)
     assert_array_equal(free.draw(room, rng).places, Deployment.from_csv(path).positions)
-    assert_array_equal(Plates(room, Tag()).hung(Deployment.from_csv(path), free).places, free.draw(room, rng).places)
+    assert_array_equal(
+        Footprints(room, Tag()).hung(Deployment.from_csv(path), free).places, free.draw(room, rng).places
+    )
     scene = Scene(room, paper_camera(), pdf.grid_with_ends(4), SEEN)
     problem = Problem(scene, Coverage(1, 0.5), free)
     assert len(read_measured(path, problem, problem.draw(rng))) == 1
@@ -133,7 +136,7 @@ def test_a_turn_in_the_plane_is_kept_wherever_the_tag_goes(angle, tmp_path):
     tags = hanging(room)
     ups = turned_by(tags, angle)
     path = saved(tmp_path / "tags.csv", moved(tags, -1e-3), ups)
-    fixed = Plates(room, TAG).hung(Deployment.from_csv(path), RandomDeployment(3))
+    fixed = Footprints(room, TAG).hung(Deployment.from_csv(path), RandomDeployment(3))
     for taken in (FileDeployment(path).draw(room, np.random.default_rng(0)), fixed):
         assert_allclose(taken.ups, ups, atol=1e-12)
         assert_allclose(TagMap(room, TAG, taken).turns.as_matrix()[:, :, 1], ups, atol=1e-12)
@@ -191,13 +194,13 @@ def test_how_far_a_tag_hangs_from_its_plan_counts_what_is_behind_the_wall(tmp_pa
 
 
 def test_a_tag_that_leans_into_its_face_touches_it():
-    room, rng, plates = lab(), np.random.default_rng(0), Plates(lab(), Tag(0.12, quiet_zone=0.0))
+    room, rng, footprints = lab(), np.random.default_rng(0), Footprints(lab(), Tag(0.12, quiet_zone=0.0))
     tags = hanging(room, 60)
     faces = np.array([surface.normal for surface in room.surfaces()])[tags.surfaces]
     tipped = Rotation.from_rotvec(0.02 * rng.normal(size=(60, 3))).apply(np.array(tags.normals))
     leaning = Deployment(tags.positions - 0.001 * faces, tipped)
     for hung in (
-        plates.hung(leaning, FileDeployment("of others", free=True)),
+        footprints.hung(leaning, FileDeployment("of others", free=True)),
         leaning.hung(room, papers=0.12),
     ):
         papers = corners(hung.positions, hung.normals, upright(hung.normals)[1], 0.12)

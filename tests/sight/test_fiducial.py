@@ -158,7 +158,7 @@ def test_a_plate_hides_what_is_behind_it_and_never_what_is_on_its_wall():
     assert seen((0.0, 2.0, 0.0), (0.05, 2.0, 0.05)) == [True, True]  # on the same wall, though they overlap
     deployment = RandomDeployment(300).draw(scene.room, np.random.default_rng(0))
     unhidden = scene.sight.among(*scene.room.bounds(), deployment.positions.T[None], deployment.normals.T[None])
-    assert unhidden.reach > 0.0  # a camera may stand in the plane of a plate ...
+    assert unhidden.reach > 0.0  # a camera may stand in the plane of a footprint ...
     evaluator = Evaluator(scene, threads=1)
     args = evaluator.positions.min(axis=0), evaluator.positions.max(axis=0)
     assert scene.sight.among(*args, deployment.positions.T[None], deployment.normals.T[None]).reach > 0.0  # overhang

@@ -62,7 +62,7 @@ def test_counts_are_those_of_the_reference(scene, seed):
 @pytest.mark.parametrize("fiducial", [False, True])
 def test_obstacles_take_some_landmarks_away(fiducial):
     scene = lab_scene(fiducial)
-    deployment = scene.plates.draw(RandomDeployment(30), np.random.default_rng(0))
+    deployment = scene.footprints.draw(RandomDeployment(30), np.random.default_rng(0))
     evaluator = Evaluator(scene, threads=2)
     with_obstacles = evaluator.counts(deployment)
     evaluator.obstacles = obstacles_at(None, evaluator.positions)
@@ -74,14 +74,14 @@ def test_obstacles_take_some_landmarks_away(fiducial):
 @pytest.mark.parametrize("fiducial", [False, True])
 def test_moves_end_where_a_full_evaluation_does(fiducial):
     scene, rng = lab_scene(fiducial), np.random.default_rng(1)
-    start, targets = (scene.plates.draw(RandomDeployment(count), rng) for count in (12, 8))
+    start, targets = (scene.footprints.draw(RandomDeployment(count), rng) for count in (12, 8))
     check_every_path(scene, start, targets, 2, rng)
 
 
 @pytest.mark.parametrize("fiducial", [False, True])
 def test_what_a_flight_sees_and_what_poses_gain_is_what_is_counted(fiducial):
     scene = lab_scene(fiducial)
-    deployment = scene.plates.draw(RandomDeployment(20), np.random.default_rng(2))
+    deployment = scene.footprints.draw(RandomDeployment(20), np.random.default_rng(2))
     evaluator = Evaluator(scene, threads=1)
     rng = np.random.default_rng(3)
     positions = scene.room.sample(200, rng)

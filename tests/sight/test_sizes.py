@@ -11,14 +11,14 @@ from test_fiducial import LENSES, fiducial_scene
 
 from lmd.objectives.localisation import Localisation
 from lmd.objectives.localisation import reference as localisation
-from lmd.objectives.localisation.views import localised_views
+from lmd.objectives.localisation.evaluation import localised_views
 from lmd.scene import pdf
 from lmd.scene.criteria import sized
 from lmd.scene.deployment_sources import RandomDeployment
 from lmd.scene.rig import Mount, Rig
 from lmd.sight import reference
 from lmd.sight.evaluator import Evaluator
-from lmd.sight.models.sized import SizedSight
+from lmd.sight.obstacles import half_edge
 
 pytestmark = [pytest.mark.slow, pytest.mark.long]  # kernels of two more models of sight
 
@@ -44,7 +44,7 @@ def drawn(scene, seed=0, count=COUNT):
 def test_the_sight_of_a_tag_has_the_numbers_of_a_scene_with_tags_of_its_size(lens):
     plain = lab_scene(lens)
     scene = several(plain)
-    assert isinstance(scene.sight, SizedSight)
+    assert np.shape(half_edge(scene.sight)) == (COUNT,)
     for k, edge in enumerate(scene.edges):
         mine, alone = sized(scene.sight, k), plain.sized(np.array([edge])).sight
         parts = ([getattr(each, "flat", each), *getattr(each, "pinholes", ())] for each in (mine, alone))

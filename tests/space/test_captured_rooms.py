@@ -10,12 +10,12 @@ from meshes import captured, quad
 from numpy.testing import assert_array_equal
 
 from lmd.core.checks import InputError
+from lmd.formats.meshes import read_mesh, read_mesh_room
 from lmd.optimisers.encoding import make_encoding
 from lmd.scene.deployment import Deployment
 from lmd.scene.deployment_sources import RandomDeployment, UniformDeployment
-from lmd.scene.plates import Plates
+from lmd.scene.footprints import Footprints
 from lmd.scene.tag import Tag
-from lmd.space.mesh_room import from_mesh
 from lmd.space.scan import Scan
 
 HEIGHT = {"height": [0.5, 1.9], "clearance": 0.3}
@@ -23,12 +23,12 @@ HEIGHT = {"height": [0.5, 1.9], "clearance": 0.3}
 
 def starts(room, edge, rng):
     """Deployments as optimisers start from them, and as they decode them."""
-    plates = Plates(room, Tag(edge, quiet_zone=0.0))
+    footprints = Footprints(room, Tag(edge, quiet_zone=0.0))
     for source in (RandomDeployment(40), RandomDeployment(40), UniformDeployment(8)):
-        yield plates.draw(source, rng)
-    encoding = make_encoding("wall", plates.hanging, True)
+        yield footprints.draw(source, rng)
+    encoding = make_encoding("wall", footprints.hanging, True)
     genes = rng.random((1, 20 * encoding.genes_per_landmark))
-    positions, normals, surfaces, _ = plates.pushed(*encoding.decode(genes))
+    positions, normals, surfaces, _ = footprints.pushed(*encoding.decode(genes), np.full(20, np.nan))
     yield Deployment(positions[0], normals[0], surfaces[0])
 
 
@@ -36,7 +36,7 @@ def starts(room, edge, rng):
 @examples(10)
 def test_what_is_placed_hangs_in_the_room(seed, tmp_path_factory):
     rng = np.random.default_rng(seed)
-    room = from_mesh(captured(tmp_path_factory.mktemp("room") / "room.glb", rng), HEIGHT, 0.5, up="z")
+    room = read_mesh_room(captured(tmp_path_factory.mktemp("room") / "room.glb", rng), HEIGHT, 0.5, up="z")
     for edge in (0.0, 0.12):
         for deployment in starts(room, edge, rng):
             hung = deployment.movable(room)
@@ -57,7 +57,7 @@ def room_of(path, quads, **more):
     for i, part in enumerate(quads):
         scene.add_geometry(part, node_name=f"part_{i}")
     scene.export(path)
-    return from_mesh(path, HEIGHT, 0.5, up="z", **more)
+    return read_mesh_room(path, HEIGHT, 0.5, up="z", **more)
 
 
 def test_of_patches_in_one_plane_a_landmark_has_the_one_that_it_hangs_on(tmp_path):
@@ -87,23 +87,23 @@ def test_nothing_hangs_below_the_floor_beyond_a_wall_or_in_furniture(tmp_path):
 def test_which_way_is_up_is_asked_where_it_is_hard_to_tell(tmp_path):
     """Walls of a captured room are upright, and turned against the axes of the file."""
     turned = str(captured(tmp_path / "turned.obj", np.random.default_rng(1)))
-    assert Scan(turned).doubt is None
+    assert Scan(read_mesh(turned)).doubt is None
     scene = trimesh.load_scene(turned, split_objects=True, process=False)
     scene.apply_transform(trimesh.transformations.rotation_matrix(-np.pi / 2, [1, 0, 0]))  # y up
     scene.export(tmp_path / "lying.obj")
     lying = str(tmp_path / "lying.obj")
     with pytest.raises(InputError, match=r"^up must be given for .*: with z up .*; with y up .* m high, .* of floor"):
-        Scan(lying)
-    assert Scan(lying, up="y").doubt is None
-    assert Scan(lying, up="z").doubt.startswith("with z up it is ")
+        Scan(read_mesh(lying))
+    assert Scan(read_mesh(lying, up="y")).doubt is None
+    assert Scan(read_mesh(lying, up="z")).doubt.startswith("with z up it is ")
 
 
 def test_a_room_in_line_with_the_axes_is_taken_to_be_wider_than_high(tmp_path):
     tall = trimesh.creation.box(extents=[6.0, 2.5, 4.0])
     tall.export(tmp_path / "tall.stl")
     with pytest.raises(InputError, match=r"^up must be given .* it is 4 m high, with 15 m2 .* it is 2\.5 m high"):
-        Scan(str(tmp_path / "tall.stl"))
-    assert Scan(str(tmp_path / "tall.stl"), up="z").doubt is None
+        Scan(read_mesh(tmp_path / "tall.stl"))
+    assert Scan(read_mesh(tmp_path / "tall.stl", up="z")).doubt is None
     part = {"surface": "patch_0", "from_left": [0.0, 6.1], "from_below": [0.0, 1.0]}
     with pytest.raises(InputError, match=r"^keep_out\[0\] reaches 0\.1 m beyond patch_0, which is 6 x 4 m\.$"):
-        Scan(str(tmp_path / "tall.stl"), up="z", keep_out=[part])
+        Scan(read_mesh(tmp_path / "tall.stl", up="z"), keep_out=[part])

@@ -1,6 +1,6 @@
 import numpy as np
 
-from lmd.space.grid import kronecker, latin_hypercube
+from lmd.space.gridded import kronecker, latin_hypercube
 
 
 def test_numbers_at_one_place_are_spread_out_and_uniform():

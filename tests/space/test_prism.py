@@ -1,7 +1,6 @@
 import numpy as np
 import pytest
 import shapely
-import yaml
 from examples import examples
 from floor_plans import DOOR, L_SHAPE, PILLAR, RACK, hangs_properly, lab, plan_of, prisms, star
 from hypothesis import given
@@ -12,7 +11,7 @@ from lmd.core.checks import InputError
 from lmd.optimisers.encoding import make_encoding
 from lmd.scene.deployment import Deployment
 from lmd.scene.deployment_sources import RandomDeployment, UniformDeployment
-from lmd.scene.plates import Plates
+from lmd.scene.footprints import Footprints
 from lmd.scene.tag import Tag
 from lmd.sight.poses import candidate_poses, wall_cells
 from lmd.space.floor_plan import FloorPlan
@@ -67,34 +66,6 @@ def test_a_keep_out_is_measured_from_the_left_as_one_stands_before_its_wall():
     for k, free in enumerate([True, False, True, False]):
         hung = Deployment(marks[k : k + 1], normals[k : k + 1]).hung(room)
         assert (hung.fault(room) is None) == free
-
-
-def test_keep_outs_of_earlier_versions_are_refused_with_what_they_are_now():
-    # Up to then walls were measured from their first vertex, ceilings and obstacles along x or y.
-    for surface_name, old, low, now in [
-        ("wall_0", [4.5, 5.5], [4.5, 0.0, 0.0], r"from_left: \[0\.5, 1\.5\], from_below: \[0, 1\.5\]"),
-        ("wall_2", [0.0, 1.0], [5.0, 2.0, 0.0], r"from_left: \[2, 3\], from_below: \[0, 1\.5\]"),
-        ("hole_0_wall_0", [0.0, 0.25], [1.25, 1.25, 0.0], r"from_left: \[0, 0\.25\], from_below: \[0, 1\.5\]"),
-        ("floor", [1.0, 2.0], [1.0, 0.0, 0.0], r"from_left: \[1, 2\], from_below: \[0, 1\.5\]"),
-        ("ceiling", [1.0, 2.0], [1.0, 0.0, 2.5], r"from_left: \[4, 5\], from_below: \[0, 1\.5\]"),
-        ("obstacle_0_y_min", [0.0, 0.25], [0.0, 3.0, 0.0], r"from_left: \[0, 0\.25\], from_below: \[0, 1\.5\]"),
-    ]:
-        part = {"surface": surface_name, "low": [old[0], 0.0], "high": [old[1], 1.5]}
-        message = rf"^keep_out has the keys low, high, polygon, .*, it is \[{{surface: {surface_name}, {now}}}\]\.$"
-        with pytest.raises(InputError, match=message) as refused:
-            FloorPlan(L_SHAPE, 2.5, holes=[PILLAR], obstacles=[RACK], keep_out=[part])
-        written = yaml.safe_load(str(refused.value).partition("it is ")[2][:-1])
-        room = FloorPlan(L_SHAPE, 2.5, holes=[PILLAR], obstacles=[RACK], keep_out=written)
-        assert_allclose(room.kept_out[0].min(axis=0), low, atol=1e-9)
-    triangle = {"surface": "wall_0", "polygon": [[4.5, 0], [5.5, 0], [5, 1]]}
-    window = {"surface": "wall_1", "low": [0.5, 1], "high": [1, 2]}
-    with pytest.raises(
-        InputError, match=r"it is \[{surface: wall_0, corners: .*}, {surface: wall_1, .*}\]\.$"
-    ) as refused:
-        FloorPlan(L_SHAPE, 2.5, keep_out=[triangle, window])
-    one, other = yaml.safe_load(str(refused.value).partition("it is ")[2][:-1])  # all at once
-    assert one["corners"] == [[1.5, 0], [0.5, 0], [1, 1]]
-    assert other["from_left"] == [1, 1.5]
 
 
 @examples(40)
@@ -198,13 +169,13 @@ def test_what_is_drawn_decoded_and_pushed_hangs_where_it_may(room, seed):
 
 @pytest.mark.parametrize("kind", ["wall", "paper"])
 def test_genes_mean_places_where_tags_may_hang(kind):
-    plates = Plates(lab(margin=0.05), Tag(0.2, quiet_zone=0.0))
-    encoding = make_encoding(kind, plates.hanging, True)
+    footprints = Footprints(lab(margin=0.05), Tag(0.2, quiet_zone=0.0))
+    encoding = make_encoding(kind, footprints.hanging, True)
     genes = np.random.default_rng(0).random((4, 25 * encoding.genes_per_landmark))
-    positions, _, surfaces, fits = plates.pushed(*encoding.decode(genes))
+    positions, _, surfaces, fits = footprints.pushed(*encoding.decode(genes), np.full(25, np.nan))
     assert fits.all()
-    assert hangs_properly(plates.room, positions.reshape(-1, 3), surfaces.ravel(), 0.2).all()
-    start = plates.draw(RandomDeployment(25), np.random.default_rng(1))
+    assert hangs_properly(footprints.room, positions.reshape(-1, 3), surfaces.ravel(), 0.2).all()
+    start = footprints.draw(RandomDeployment(25), np.random.default_rng(1))
     back, _, there = encoding.decode(encoding.encode(start)[None])
     assert_allclose(back[0], start.positions, atol=1e-5)
     assert_array_equal(there[0], start.surfaces)
@@ -220,14 +191,14 @@ def test_genes_reach_each_part_of_a_wall_that_has_several_names():
 
 
 def test_uniform_and_candidates_hang_where_they_may():
-    plates = Plates(lab(), Tag(0.15, quiet_zone=0.0))
-    uniform = plates.draw(UniformDeployment(28), np.random.default_rng(0))
-    poses = candidate_poses(plates.hanging, 0.2)
+    footprints = Footprints(lab(), Tag(0.15, quiet_zone=0.0))
+    uniform = footprints.draw(UniformDeployment(28), np.random.default_rng(0))
+    poses = candidate_poses(footprints.hanging, 0.2)
     for deployment in (uniform, poses):
-        assert hangs_properly(plates.room, deployment.positions, deployment.surfaces, 0.15).all()
-    cells = wall_cells(plates.hanging, 0.2)
+        assert hangs_properly(footprints.room, deployment.positions, deployment.surfaces, 0.15).all()
+    cells = wall_cells(footprints.hanging, 0.2)
     area = 4.0 * np.linalg.norm(cells.half_u, axis=1) * np.linalg.norm(cells.half_v, axis=1)
-    assert_allclose(area.sum(), sum(s.area for s in plates.hanging.surfaces()))
+    assert_allclose(area.sum(), sum(s.area for s in footprints.hanging.surfaces()))
 
 
 def test_random_landmarks_are_uniform_over_slanting_regions():

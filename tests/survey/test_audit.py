@@ -8,11 +8,10 @@ import walks
 
 from lmd.core.checks import InputError
 from lmd.core.tables import write_table
-from lmd.detection.calibration import Calibration
-from lmd.detection.fit import fit, intervals
-from lmd.detection.frames import Sightings
-from lmd.detection.prediction import Prediction
-from lmd.detection.surveyed import FILE, SurveyedViews
+from lmd.detection.calibration import DetectorCalibration, fit, intervals
+from lmd.detection.comparison import CameraPrediction, Prediction
+from lmd.detection.evaluation import Matches
+from lmd.detection.views import FILE, SurveyedViews
 from lmd.evaluation.verdicts import verdicts
 from lmd.geometry.camera import Camera
 from lmd.geometry.se3 import axis_and_right, pose_of
@@ -73,7 +72,7 @@ def test_limits_fitted_to_a_survey_are_those_of_its_detector(folder):
     assert max(least, by_edge) == pytest.approx(LEAST, abs=0.3)
     assert fitted.accuracy > 0.9
     assert all(low <= high for low, high in spans.values())
-    text = Calibration(views, fitted, {}, source.photographs, spans).preset("apriltag", "36h11", "survey")
+    text = DetectorCalibration(views, fitted, {}, source.photographs, spans).preset("apriltag", "36h11", "survey")
     assert f"# Measured on {source.photographs} photographs." in text
     assert "# 90 % intervals: pitch " in text
 
@@ -170,7 +169,8 @@ def test_successive_misses_are_counted_apart():
     visible, detected = np.ones((12, 2), dtype=bool), np.ones((12, 2), dtype=bool)
     visible[4, 0] = False  # not asked for: the row goes on
     detected[2:9, 0], detected[::3, 1] = False, False
-    prediction = Prediction(None, np.tile(np.eye(4), (12, 1, 1)), visible, {})
-    audit = Audit(prediction, Sightings(detected, np.full((12, 2, 4, 2), np.nan), np.zeros(12, dtype=int)))
+    poses = np.tile(np.eye(4), (12, 1, 1))
+    prediction = Prediction((CameraPrediction(None, poses, visible, {}),), np.eye(4)[None], poses)
+    audit = Audit(prediction, Matches(detected, np.full((12, 2, 4, 2), np.nan), np.zeros(12, dtype=int)))
     assert audit.missed_in_a_row.sum(axis=0).tolist() == [6, 0]
     assert np.flatnonzero(audit.missed_in_a_row[:, 0]).tolist() == [2, 3, 5, 6, 7, 8]

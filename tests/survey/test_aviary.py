@@ -7,8 +7,8 @@ import pytest
 import yaml
 
 from lmd.detection.corner_errors import CORNER_ERRORS
-from lmd.mapping.detections import read_detections
-from lmd.scene.camera_calibration import Calibration
+from lmd.formats.calibrations import Calibration
+from lmd.formats.detections import read_detections
 from lmd.scene.tag import Tag
 from lmd.survey.prior import PriorKnowledge
 from lmd.survey.survey import survey

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from lmd.core.checks import IntArray
-from lmd.mapping.detections import DetectedTags
+from lmd.formats.detections import DetectedTags
 from lmd.survey.keyframes import LONGEST, select_keyframes
 from lmd.survey.motion import SHORTEST_GAP
 

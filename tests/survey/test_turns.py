@@ -9,7 +9,7 @@ import pytest
 import walks
 
 from lmd.core.checks import InputError
-from lmd.mapping.detections import DetectedTags
+from lmd.formats.detections import DetectedTags
 from lmd.scene.deployment import Deployment
 from lmd.scene.labels import Labels
 from lmd.scene.surveyed import Surveyed

@@ -1,11 +1,11 @@
-"""Which of its two poses a single tag has: the planar ambiguity, and when the image tells the two apart.
+"""Planar ambiguity: the two poses of a single tag, and the residual that tells them apart.
 
 A square of edge s at a distance d that is large for it looks nearly the same when its normal is mirrored about the line
 of sight: the two solutions of IPPE. With unit vectors t and u along its right and up, and b to its centre, let
-p = t . b and q = u . b; p^2 + q^2 is the squared sine of the incidence. To the leading order in s / d, shifts, turns
-and foreshortening of the mirrored pose take up all differences of the two images but one: perspective, which tells the
-nearer edge, moves the corners at the ends of one diagonal one way and those of the other the other way. It leaves the
-squared residual
+p = t . b and q = u . b; p^2 + q^2 is the squared sine of the incidence angle. To the leading order in s / d, the
+translation, rotation and foreshortening of the mirrored pose absorb all differences of the two images but one:
+perspective moves the corners of one diagonal in one direction and those of the other diagonal in the opposite one. It
+leaves the squared residual
 
     S = (f s^2 / d^2)^2 (p^2 + q^2 - 4 p^2 q^2)
 
@@ -15,87 +15,79 @@ mirrored one with the probability
     P = Q(sqrt(S) / (2 sigma)),    Q(x) the share of the standard normal distribution above x.
 
 The poses are told apart if P is at most 1 - `CONFIDENCE`. Away from the middle of the image S grows with
-`pixel_density`, as the information does. docs/results/ambiguity.md has what P is off by.
+`pixel_density`, as the information does. docs/results/ambiguity.md has the error of P.
 
-Two tags or more count as told apart: what mirrors one does not fit the other. `rig_ambiguity` has this of a rig.
+Two tags or more count as told apart: the mirrored pose of one does not fit the other.
+
+A rig has one mirrored pose for all cameras. Mirrored about its own line of sight b_i, the tag has the residual S_i in
+camera i; about another line b, its corners are also displaced by twice their depth from the tag's centre times b_i - b.
+To the leading order in edge and baseline over distance, and with the best b, that leaves
+
+    S = sum S_i + sum m_i |b_i - b|^2,    m_i = 4 (f_i s / d_i)^2 (p_i^2 + q_i^2),    b = sum m_i b_i / sum m_i
+
+as every other displacement of the mirrored tag is one for all cameras. As |b_i| = 1, the second sum is M - |h|^2 / M
+with M = sum m_i and h = sum m_i b_i: five numbers that add up. A further camera never lowers S.
+
+At an incidence angle below about 1.5 baselines over distance, radians, there is no second pose at all, which S does not
+contain. docs/results/ambiguity.md has its error.
 """
 
 from statistics import NormalDist
-from typing import NamedTuple
+from typing import Any
 
 import numpy as np
 
+from lmd.core.bits import Integer
 from lmd.core.compiled import inlined
 from lmd.core.dispatch import overridable
-from lmd.geometry.squares import upright_sides
-from lmd.objectives.localisation.information import PosePrecision, Precision, SizedPrecision, meets
+from lmd.objectives.localisation.body import BODY_NUMBERS, BODY_WIDTH
+from lmd.objectives.localisation.information import NEAREST, NUMBERS, QUANTUM, Number, Precision
 from lmd.scene.criteria import TOLERANCE
 
-CONFIDENCE = 0.99  # that the better pose is the right one
-# What a view needs: a tag that covers it adds 1, and S over what S must be. So two tags suffice, or one that tells.
-ENOUGH = 2.0
-# A tag that tells adds no more than this where the camera looks at it, which keeps sums small.
+CONFIDENCE = 0.99  # least probability that the better pose is the true one
+# Greatest residual ratio of a tag that the camera looks at. A greater one is cut off, which keeps sums small.
 MOST = 16.0
+MIRRORED = 5  # numbers of a view of a rig beside those of the body: S over the least S, M and h
+MIRRORED_WIDTH = 32  # of a row of `sums` with these
 
 
-class ResolvedPrecision(NamedTuple):
-    """The same as another precision, of views whose pose is not mistaken for its mirrored one.
-
-    of: the other; half, share, position: see there; square: what S must be in units of f^2.
-    """
-
-    of: Precision | PosePrecision
-    half: float
-    share: float
-    position: float
-    square: float
-
-    @property
-    def asks(self) -> bool:
-        """See `Precision.asks`."""
-        return self.of.asks
-
-
-def resolved(asked: Precision | PosePrecision, scale: float) -> ResolvedPrecision:
+def resolved(asked: Precision, scale: float) -> Precision:
     """The precision `asked` of views that are not ambiguous; scale: `information.deviation_per_variance`."""
     least = 2.0 * NormalDist().inv_cdf(CONFIDENCE) * scale
-    return ResolvedPrecision(asked, asked.half, asked.share, asked.position, least**2 * (1.0 - TOLERANCE))
+    return asked._replace(residual=least**2 * (1.0 - TOLERANCE))
 
 
 @overridable
-def asks_apart(precision):
-    """Whether `precision` asks that two poses of a single tag are told apart."""
-    return False
-
-
-@asks_apart.register(ResolvedPrecision)
-def _asks_apart(precision):
+def _is_limit(limit: float | None) -> bool:
     return True
 
 
-@asks_apart.register(SizedPrecision)
-def _asks_apart_of(precision):
-    return asks_apart(precision.of)
-
-
 @overridable
-def square_of(precision):
-    """What S must be in units of f^2."""
+def least_residual(limit: float | None) -> float:
+    """`Precision.residual`, 0 without a limit."""
+    return limit  # type: ignore[return-value] # None has a function of its own
+
+
+@_is_limit.register(type(None))
+def _is_no_limit(limit: None) -> bool:
+    return False
+
+
+@least_residual.register(type(None))
+def _no_residual(limit: None) -> float:
     return 0.0
 
 
-@square_of.register(ResolvedPrecision)
-def _square_of(precision):
-    return precision.square
-
-
-@square_of.register(SizedPrecision)
-def _square_of_other(precision):
-    return square_of(precision.of)
+@inlined
+def asks_apart(precision: Precision) -> bool:
+    """True if the two poses of a single tag must be told apart."""
+    return _is_limit(precision.residual)
 
 
 @inlined
-def mirrored_square(x, y, z, rx, ry, rz, ux, uy, uz):
+def mirrored_square(
+    x: Number, y: Number, z: Number, rx: Number, ry: Number, rz: Number, ux: Number, uy: Number, uz: Number
+) -> Number:
     """S of a tag times its distance cubed, in units of f^2; arguments as in `information.moments`."""
     squared = x * x + y * y + z * z
     along, above = x * rx + y * ry + z * rz, x * ux + y * uy + z * uz
@@ -104,63 +96,75 @@ def mirrored_square(x, y, z, rx, ry, rz, ux, uy, uz):
 
 
 @inlined
-def telling(x, y, z, rx, ry, rz, ux, uy, uz, square):
-    """S over what it must be, times the distance cubed."""
+def residual_ratio(
+    x: Number, y: Number, z: Number, rx: Number, ry: Number, rz: Number, ux: Number, uy: Number, uz: Number,
+    least: Number,
+) -> Number:  # fmt: skip
+    """S over the `least` S, times the distance cubed; other arguments as in `information.moments`."""
     squared = x * x + y * y + z * z
-    told = mirrored_square(x, y, z, rx, ry, rz, ux, uy, uz) / square
-    return np.minimum(told, MOST * (squared * np.sqrt(squared)))
+    ratio = mirrored_square(x, y, z, rx, ry, rz, ux, uy, uz) / least
+    return np.minimum(ratio, MOST * (squared * np.sqrt(squared)))
 
 
 @overridable
-def told_apart(precision, half, x, y, z, nx, ny, nz):
-    """What a landmark with half an edge adds to the last of a view's numbers, before `share_of`."""
+def camera_residual(
+    least: float | None,
+    x: Number, y: Number, z: Number, rx: Number, ry: Number, rz: Number, ux: Number, uy: Number, uz: Number,
+) -> Number:  # fmt: skip
+    """The last number of a view of a camera, before `share_of`: `residual_ratio`, 0 without a `least` S."""
+    return residual_ratio(x, y, z, rx, ry, rz, ux, uy, uz, least)
+
+
+@camera_residual.register(type(None))
+def _no_camera_residual(
+    least: None,
+    x: Number, y: Number, z: Number, rx: Number, ry: Number, rz: Number, ux: Number, uy: Number, uz: Number,
+) -> Number:  # fmt: skip
     return 0.0
 
 
-@told_apart.register(ResolvedPrecision)
-def _told_apart(precision, half, x, y, z, nx, ny, nz):
-    rx, ry, rz, ux, uy, uz = upright_sides(half, nx, ny, nz)
-    return telling(x, y, z, rx, ry, rz, ux, uy, uz, precision.square)
+@inlined
+def mirrored_numbers(
+    x: Number, y: Number, z: Number, rx: Number, ry: Number, rz: Number, ux: Number, uy: Number, uz: Number,
+    least: Number,
+) -> tuple[Number, Number, Number, Number, Number]:  # fmt: skip
+    """S over the `least` S, M and h of a tag, times its distance cubed, S and M in units of f^2."""
+    squared = x * x + y * y + z * z
+    along, above = x * rx + y * ry + z * rz, x * ux + y * uy + z * uz
+    m = 16.0 * (along * along + above * above) / np.maximum(squared, NEAREST)
+    ratio = residual_ratio(x, y, z, rx, ry, rz, ux, uy, uz, least)
+    return ratio, m * np.sqrt(squared), m * x, m * y, m * z
 
 
-@told_apart.register(SizedPrecision)
-def _told_apart_of(precision, half, x, y, z, nx, ny, nz):
-    return told_apart(precision.of, half, x, y, z, nx, ny, nz)
-
-
-@overridable
-def count_tag(precision, sums, v, factor):
-    """Count a landmark that covers view v of `sums` `(V, WIDTH)` among the last number; -1 takes it away."""
-
-
-@count_tag.register(ResolvedPrecision)
-def _count_tag(precision, sums, v, factor):
-    sums[v, sums.shape[1] - 1] += factor
-
-
-@count_tag.register(SizedPrecision)
-def _count_tag_of(precision, sums, v, factor):
-    count_tag(precision.of, sums, v, factor)
+@inlined
+def rig_ratio(ratio: Number, m: Number, hx: Number, hy: Number, hz: Number, least: Number) -> Number:
+    """S over the `least` S, from the sums of the `mirrored_numbers` of a single tag."""
+    return ratio + (m - (hx * hx + hy * hy + hz * hz) / np.maximum(m, QUANTUM)) / least
 
 
 @overridable
-def tells(precision, told):
-    """Whether views with that last number have one pose, as far as `precision` asks."""
+def has_one_pose(least: float | None, sums: Any, v: Integer, step: Integer) -> Any:
+    """True if the image of view v, of a single tag, has one pose; `sums` as in `information`."""
+    return sums[v + NUMBERS * step] >= 1.0
+
+
+@has_one_pose.register(type(None))
+def _has_any_pose(least: None, sums: Any, v: Integer, step: Integer) -> bool:
     return True
 
 
-@tells.register(ResolvedPrecision)
-def _tells(precision, told):
-    return told >= ENOUGH
+@overridable
+def body_has_one_pose(least: float | None, sums: Any, v: Integer, step: Integer) -> Any:
+    """True if the images of view v of a rig, of a single tag, have one pose; `sums` as in `body`."""
+    r, m = v + BODY_NUMBERS * step, v + (BODY_NUMBERS + 1) * step
+    return rig_ratio(sums[r], sums[m], sums[m + step], sums[m + 2 * step], sums[m + 3 * step], least) >= 1.0
 
 
-@tells.register(SizedPrecision)
-def _tells_of(precision, told):
-    return tells(precision.of, told)
+@body_has_one_pose.register(type(None))
+def _body_has_any_pose(least: None, sums: Any, v: Integer, step: Integer) -> bool:
+    return True
 
 
-@meets.register(ResolvedPrecision)
-def _meets_other(
-    precision, axx, axy, axz, ayy, ayz, azz, gx, gy, gz, cxx, cxy, cxz, cyy, cyz, czz
-):  # fmt: skip
-    return meets(precision.of, axx, axy, axz, ayy, ayz, azz, gx, gy, gz, cxx, cxy, cxz, cyy, cyz, czz)
+def width_of(precision: Precision) -> int:
+    """Width of a row of `sums` of a rig."""
+    return MIRRORED_WIDTH if asks_apart(precision) else BODY_WIDTH

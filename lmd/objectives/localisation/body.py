@@ -1,34 +1,38 @@
-"""How well the images of a rig fix its body: what `information` has of a camera, told of the body.
+"""Fisher information of the images of a rig on the pose of its body, from that on the poses of its cameras.
 
 A camera at the offset o from the body's origin, world frame, moves by v - o x w when the body moves by v and turns by
-w. What A, g and C say of the camera then tells of (v, w) of the body
+w. With A, g and C of the camera (`information`), the information on (v, w) of the body is
 
     [ C       B           ]      B = -C [o]x - [g]x
     [ B^T     A'          ]      A' = A - [o]x C [o]x - [o]x [g]x - [g]x [o]x,
 
-21 numbers. Cameras measure independently, so their information adds up, times the square of their focal lengths, of a
-landmark that two of them see, too; it counts once among the n that a view needs. Each landmark's share of a view is
-rounded as for a single camera, which makes sums exact in any order.
+21 numbers. Cameras measure independently, so their information adds up, times the square of their focal lengths. A
+landmark that two cameras see is in both sums, and counts once among the n that a view needs. Each landmark's share of a
+view is rounded as for a single camera, which makes sums exact in any order.
+
+The numbers of view v are `sums[v + j * step]`, j from 0 to 20: C as xx, xy, xz, yy, yz, zz, B row by row, and A' as C.
 """
+
+from typing import Any
 
 import numpy as np
 
+from lmd.core.bits import Integer
 from lmd.core.compiled import inlined
-from lmd.core.dispatch import dispatched
 from lmd.geometry.camera import Camera
-from lmd.objectives.localisation.information import SINGULAR, PosePrecision, Precision, SizedPrecision
+from lmd.objectives.localisation.information import Number, Precision, inverse_trace, within
 
-# Numbers of a view: C, B row by row, and A', the symmetric ones as xx, xy, xz, yy, yz, zz; three fill up.
-BODY_NUMBERS, BODY_WIDTH = 21, 24
+BODY_NUMBERS = 21  # of a view
+BODY_WIDTH = 24  # of a row of `sums`, which begins at a multiple of 64 bytes
 
 
 def gain_of(camera: Camera, first: Camera) -> float:
-    """What a pixel of a camera is worth in the units of the first one of its rig."""
+    """Information per pixel of a camera over that of the first one of its rig: ratio of the focal lengths squared."""
     return float(np.prod(camera.focal_pixels)) / float(np.prod(first.focal_pixels))
 
 
 @inlined
-def about_body(moments, x, y, z):
+def about_body(moments: tuple[Number, ...], x: Number, y: Number, z: Number) -> tuple[Number, ...]:
     """The 21 numbers of the body from the 15 `information.moments` of a camera at the offset (x, y, z) from it."""
     axx, axy, axz, ayy, ayz, azz, gx, gy, gz, cxx, cxy, cxz, cyy, cyz, czz = moments
     bxx, bxy, bxz = cxz * y - cxy * z, cxx * z - cxz * x + gz, cxy * x - cxx * y - gy
@@ -44,10 +48,12 @@ def about_body(moments, x, y, z):
 
 
 @inlined
-def body_schur(
-    cxx, cxy, cxz, cyy, cyz, czz, bxx, bxy, bxz, byx, byy, byz, bzx, bzy, bzz, axx, axy, axz, ayy, ayz, azz
-):  # fmt: skip
-    """det A, the sum of the principal minors and the determinant of S det A, S = C - B A^-1 B^T, and the trace of A."""
+def _schur(
+    cxx: Number, cxy: Number, cxz: Number, cyy: Number, cyz: Number, czz: Number,
+    bxx: Number, bxy: Number, bxz: Number, byx: Number, byy: Number, byz: Number, bzx: Number, bzy: Number, bzz: Number,
+    axx: Number, axy: Number, axz: Number, ayy: Number, ayz: Number, azz: Number,
+) -> tuple[Number, Number, Number, Number]:  # fmt: skip
+    """det A, the sum of the principal minors and the determinant of S det A, S = C - B A^-1 B^T, and tr A."""
     mxx, mxy, mxz = ayy * azz - ayz * ayz, axz * ayz - axy * azz, axy * ayz - axz * ayy
     myy, myz, mzz = axx * azz - axz * axz, axy * axz - axx * ayz, axx * ayy - axy * axy
     det, trace = axx * mxx + axy * mxy + axz * mxz, axx + ayy + azz
@@ -72,16 +78,9 @@ def body_schur(
 
 
 @inlined
-def _variance(det, minors, rest, trace):
-    """tr S^-1, and whether it is one: False where something is left open."""
-    fixed = (det > SINGULAR * (trace * trace * trace)) & (minors > 0.0) & (rest > 0.0)
-    return minors * det / rest, fixed
-
-
-@inlined
-def _of_position(sums, v, step):
-    """`body_schur` of the position, of the numbers `sums[v]`, `sums[v + step]`, and so on."""
-    return body_schur(
+def _position_schur(sums: Any, v: Integer, step: Integer) -> tuple[Number, Number, Number, Number]:
+    """`_schur` of the position."""
+    return _schur(
         sums[v], sums[v + step], sums[v + 2 * step], sums[v + 3 * step], sums[v + 4 * step], sums[v + 5 * step],
         sums[v + 6 * step], sums[v + 7 * step], sums[v + 8 * step], sums[v + 9 * step], sums[v + 10 * step],
         sums[v + 11 * step], sums[v + 12 * step], sums[v + 13 * step], sums[v + 14 * step], sums[v + 15 * step],
@@ -90,49 +89,34 @@ def _of_position(sums, v, step):
 
 
 @inlined
-def position_variance(sums, v, step):
-    """The trace of the covariance of the position, and whether it has one; arguments as in `_of_position`."""
-    det, minors, rest, trace = _of_position(sums, v, step)
-    return _variance(det, minors, rest, trace)
+def body_variance(sums: Any, v: Integer, step: Integer) -> tuple[Number, Number]:
+    """`inverse_trace` of the position."""
+    det, minors, rest, trace = _position_schur(sums, v, step)
+    return inverse_trace(det, minors, rest, trace)
 
 
 @inlined
-def rotation_variance(sums, v, step):
-    """The same of the rotation: C and A' exchanged, and B turned over."""
-    det, minors, rest, trace = body_schur(
+def body_rotation_variance(sums: Any, v: Integer, step: Integer) -> tuple[Number, Number]:
+    """`inverse_trace` of the rotation: C and A' exchanged, and B transposed."""
+    det, minors, rest, trace = _schur(
         sums[v + 15 * step], sums[v + 16 * step], sums[v + 17 * step], sums[v + 18 * step], sums[v + 19 * step],
         sums[v + 20 * step], sums[v + 6 * step], sums[v + 9 * step], sums[v + 12 * step], sums[v + 7 * step],
         sums[v + 10 * step], sums[v + 13 * step], sums[v + 8 * step], sums[v + 11 * step], sums[v + 14 * step],
         sums[v], sums[v + step], sums[v + 2 * step], sums[v + 3 * step], sums[v + 4 * step], sums[v + 5 * step],
     )  # fmt: skip
-    return _variance(det, minors, rest, trace)
+    return inverse_trace(det, minors, rest, trace)
 
 
 @inlined
-def body_log_det(sums, v, step):
-    """The logarithm of the determinant of the whole information, det A det S."""
-    det, _, rest, _ = _of_position(sums, v, step)
+def body_log_det(sums: Any, v: Integer, step: Integer) -> Number:
+    """Logarithm of the determinant of the information, det A det S."""
+    det, _, rest, _ = _position_schur(sums, v, step)
     return np.log(rest / (det * det))
 
 
-@dispatched
-def body_meets(precision, sums, v, step):
-    """Whether a view is what `precision` asks for; arguments as in `_of_position`."""
-
-
-@body_meets.register(Precision)
-def _meets(precision, sums, v, step):
-    position, fixed = position_variance(sums, v, step)
-    return fixed & (position <= precision.position)
-
-
-@body_meets.register(PosePrecision)
-def _meets_both(precision, sums, v, step):
-    position, fixed = position_variance(sums, v, step)
-    rotation, steady = rotation_variance(sums, v, step)
-    return fixed & steady & (position <= precision.position) & (rotation <= precision.rotation)
-
-
-@body_meets.register(SizedPrecision)
-def _meets_of(precision, sums, v, step):
-    return body_meets(precision.of, sums, v, step)
+@inlined
+def body_meets(precision: Precision, sums: Any, v: Integer, step: Integer) -> Any:
+    """True if the information of a view has the `precision`, ambiguity aside."""
+    position, fixed = body_variance(sums, v, step)
+    rotation, steady = body_rotation_variance(sums, v, step)
+    return within(precision.position, position, fixed) & within(precision.rotation, rotation, steady)

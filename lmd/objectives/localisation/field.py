@@ -1,30 +1,75 @@
-"""The incremental field of localisation: L at every position as single landmarks move."""
+"""The incremental field of localisation: L at every position as single landmarks move, before a camera or a rig."""
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
-from lmd.incremental.coverage_field import CoverageField
-from lmd.incremental.field import accept, bound, settle, undo
-from lmd.incremental.move import take_back
-from lmd.objectives.localisation.move import change_sums, exchange, localisation_state
-from lmd.objectives.localisation.state import LocalisationScratch, LocalisationState, localisation_scratch
-from lmd.objectives.localisation.trial import bound_move, finish_move
+import lmd.objectives.localisation.camera_changes  # it registers its functions, and so does the next
+import lmd.objectives.localisation.rig_changes  # noqa: F401
+from lmd.core.bits import BITS
+from lmd.core.memory import check_views
+from lmd.incremental.coverage_field import CoverageField, coverage_field
+from lmd.incremental.field import accept, bound, placed, settle, undo
+from lmd.incremental.state import RigScratch, RigState, Scratch, State
+from lmd.objectives.localisation.ambiguity import width_of
+from lmd.objectives.localisation.information import WIDTH, Precision
+from lmd.objectives.localisation.pairs import Mounts, mounts_of
+from lmd.objectives.localisation.trial import bound_move, carry_out, finish_move, sum_up_anew, undo_move
+from lmd.objectives.localisation.views import BodyViews, CameraViews, body_views, camera_views
 from lmd.scene.deployment import Deployment
+from lmd.sight.evaluator import Evaluator
+
+
+class LocalisationState(NamedTuple):
+    """The localised views of one deployment; Q positions in the order of the field, orientations in W words."""
+
+    units: np.ndarray
+    """`(Q,)` values in integer units."""
+    located: np.ndarray
+    """`(Q,)` L in integer units."""
+    localised: np.ndarray
+    """`(Q, W)` uint64, orientations with which the camera or the body is localised."""
+    sums: np.ndarray
+    """`(64 Q W, width)` sums over the landmarks that each view shows, the views of a position in the order of the
+    orientations; `(1, width)` if a view only needs n landmarks."""
+    coverage: State | RigState
+    """The counts, and which landmarks are seen."""
+
+
+class LocalisationScratch(NamedTuple):
+    """The move tried last, and working memory.
+
+    Once the move is carried out, `units`, `located`, `LOCALISED` and `coverage` are those of the way back.
+    """
+
+    units: np.ndarray
+    """`(Q,)` values in integer units, after the move."""
+    located: np.ndarray
+    """`(Q,)` L in integer units, after the move."""
+    sets: np.ndarray
+    """`(3, Q, W)` uint64: `LOCALISED`, `LOST`, `GAINED`."""
+    coverage: Scratch | RigScratch
+    """The scratch of coverage; its `units` are P_n."""
+    views: CameraViews | BodyViews
+    """The views that are worked on."""
 
 
 class LocalisationField(NamedTuple):
-    """What does not change while landmarks move; a `lmd.incremental.field.Field`.
+    """Everything that does not change while landmarks move; a `lmd.incremental.field.Field`.
 
-    It has no stacks: landmarks on one point do not tell where the camera is.
-
-    coverage: the field of P_n; precision, asks: see `kernels.localise_range`; weight: of P_n beside L.
+    It has no stacks: landmarks at one point do not localise the camera.
     """
 
     coverage: CoverageField
-    precision: Any
+    """The field of P_n."""
+    precision: Precision
+    """The least information of a localised view."""
     asks: bool
+    """`Precision.asks`."""
     weight: float
+    """Weight of P_n beside L in the values."""
+    mounts: tuple[Mounts, ...]
+    """The mounts of each part of a rig; none for a single camera."""
 
     @property
     def size(self) -> int:
@@ -38,26 +83,53 @@ class LocalisationField(NamedTuple):
 
     def state(self, deployment: Deployment) -> LocalisationState:
         """See `Field.state`."""
-        return localisation_state(self, self.coverage.state(deployment))
+        return self.state_with(self.coverage.state(deployment))
+
+    def state_with(self, known: State | RigState) -> LocalisationState:
+        """The state of a deployment whose coverage is `known`, which becomes part of it."""
+        size, words = known.counts.sets.shape[1:]
+        width = width_of(self.precision) if self.mounts else WIDTH
+        check_views(8.0 * width if self.asks else 0.0, size, BITS * words)
+        state = LocalisationState(
+            units=np.zeros(size, dtype=np.int64),
+            located=np.zeros(size, dtype=np.int64),
+            localised=np.zeros((size, words), dtype=np.uint64),
+            sums=np.zeros((BITS * size * words if self.asks else 1, width)),
+            coverage=known,
+        )
+        sum_up_anew(self, state, self.scratch(state))
+        return state
 
     def scratch(self, state: LocalisationState) -> LocalisationScratch:
         """See `Field.scratch`."""
-        return localisation_scratch(state)
+        return LocalisationScratch(
+            units=state.units.copy(),
+            located=state.located.copy(),
+            sets=np.stack([state.localised, *np.zeros((2, *state.localised.shape), dtype=np.uint64)]),
+            coverage=self.coverage.scratch(state.coverage),
+            views=body_views() if self.mounts else camera_views(),
+        )
+
+
+@placed.register(LocalisationState)
+def _placed(state: LocalisationState) -> State | RigState:
+    return state.coverage
 
 
 bound.register(LocalisationField)(bound_move)
 settle.register(LocalisationField)(finish_move)
+accept.register(LocalisationField)(carry_out)
+undo.register(LocalisationField)(undo_move)
 
 
-@accept.register(LocalisationField)
-def _accept(field, k, state, scratch):  # type: ignore[no-untyped-def]
-    change_sums(k, 1.0, field, state, scratch)
-    take_back(field.coverage, k, state.coverage, scratch.coverage)  # the trial found the cap
-    exchange(state, scratch)
+def localisation_field(evaluator: Evaluator, n: int, precision: Precision, weight: float) -> LocalisationField:
+    """The field of L at the positions of an evaluator.
 
-
-@undo.register(LocalisationField)
-def _undo(field, k, state, scratch):  # type: ignore[no-untyped-def]
-    take_back(field.coverage, k, state.coverage, scratch.coverage)
-    change_sums(k, -1.0, field, state, scratch)
-    exchange(state, scratch)
+    Args:
+        evaluator: has the positions and the cameras.
+        n: landmarks that must be covered.
+        precision: the least information of a localised view.
+        weight: of P_n beside L in the values.
+    """
+    mounts = mounts_of(evaluator, evaluator.parts) if evaluator.parts else ()
+    return LocalisationField(coverage_field(evaluator, n), precision, precision.asks, weight, mounts)

@@ -1,4 +1,4 @@
-"""How well a view fixes the camera: the Fisher information of the corners of the tags that it covers.
+"""Fisher information of the corners of the tags that a view covers, on the pose of its camera.
 
 A corner at the offset d from the camera, r = |d|, b = d / r, is seen in the direction b. Moving the camera by v and
 turning it by w, both in the world frame, turns that direction by b x w - (I - b b^T) v / r. With noise of the same size
@@ -15,19 +15,21 @@ estimated too is the Schur complement
 and the standard deviation of the position is (sigma / f) sqrt(tr S^-1), where tr S^-1 is the sum of the principal 2 x 2
 minors of S over det S. That of the rotation is the same with A and C exchanged.
 
-Pixels are not directions: at an angle with the cosine c = z / r from the optical axis a pixel is worth 1 / c^2 along
-the way to the image's centre, and 1 / c across. A landmark's 15 numbers are therefore weighed with (r / z)^3, r its
-distance and z its depth, which keeps the determinant of each corner's information; behind a lens that distorts with how
-many pixels its model gives a solid angle there (`lmd.scene.criteria.pixel_density`). What that leaves is an error of
-some per cent of the standard deviation, see docs/accuracy.md; the exact information would have 21 numbers for each
-landmark, position *and* orientation. Pixels count as square with the geometric mean of the two focal lengths.
+Pixels are not directions: at an angle with the cosine c = z / r from the optical axis, a turn of the direction moves
+its image 1 / c^2 times as far towards the image's centre, and 1 / c times as far across. A landmark's 15 numbers are
+therefore weighted with (r / z)^3, r its distance and z its depth, which keeps the determinant of each corner's
+information; behind a lens with distortion, with the number of pixels that its model has for a solid angle there
+(`lmd.scene.criteria.pixel_density`). The remaining error is some per cent of the standard deviation, see
+docs/accuracy.md; the exact information would have 21 numbers for each landmark, position *and* orientation. Pixels
+count as square with the geometric mean of the two focal lengths.
 
 A landmark that is a point counts as one corner. Two points leave a turn about the line through them open. One tag alone
-has two poses that look nearly alike, of which these formulas know nothing: see `ambiguity`.
+has two poses that look nearly alike, which these formulas do not contain: see `ambiguity`.
 
-The functions here take numbers or arrays alike: kernels compile what the reference calls, so that both
-decide by the same bits. Each landmark's share of a view is rounded to a multiple of `QUANTUM`: sums of such are exact
-in any order, so that landmarks may be added and taken away again.
+The functions here take numbers or arrays: kernels compile what the reference calls, so that both decide by the same
+bits. The numbers of view v are `sums[v + j * step]`, j from 0 to 14: A as xx, xy, xz, yy, yz, zz, then g, then C. Each
+landmark's share of a view is rounded to a multiple of `QUANTUM`: sums of shares are exact in any order, so landmarks
+may be added and removed again.
 """
 
 from collections.abc import Sequence
@@ -35,86 +37,67 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from lmd.core.bits import Integer
+from lmd.core.checks import FloatArray
 from lmd.core.compiled import inlined
-from lmd.core.dispatch import dispatched, overridable
+from lmd.core.dispatch import overridable
 from lmd.geometry.camera import Camera
 from lmd.scene.criteria import TOLERANCE
 from lmd.scene.tag import Tag
 
-# Numbers of a view: A, g and C, of symmetric matrices xx, xy, xz, yy, yz, zz, and what `ambiguity` has of it.
-WIDTH = 16
+NUMBERS = 15  # of a view: A, g and C
+WIDTH = 16  # of a row of `sums`: these, and what `ambiguity` has of a view
 QUANTUM = 2.0**-36
-# Added and taken away again it rounds to multiples of the quantum, for numbers below 2^15; sums are exact below 2^17.
+# Adding and subtracting it rounds to multiples of the quantum, for numbers below 2^15; sums are exact below 2^17.
 ROUNDER = 1.5 * 2.0**52 * QUANTUM
-NEAREST = 0.1**2  # squared distance, m^2: a corner closer than this counts as so far away, which keeps sums small
-# Below this share of tr(A)^3, det A is rounding: all corners lie in one direction.
+# Squared distance, m^2. A corner that is closer counts as this far away, which keeps sums below 2^17.
+NEAREST = 0.1**2
+# Least det A over tr(A)^3. Below it det A is rounding: all corners lie in one direction.
 SINGULAR = 1e-9
+
+Number = Any  # a number in kernels, an array in the reference
 
 
 class Precision(NamedTuple):
-    """What a view must reach to be localised, in the units of `variance`.
+    """The least information of a localised view; variances are traces of a covariance for `deviation_per_variance` 1.
 
-    half of the tag's edge, metres; share of each of four corners, 1/4 for a point; position the greatest variance,
-    infinite where landmarks only have to be covered.
+    Where a limit is None, kernels are compiled without it.
     """
 
-    half: float
+    halves: FloatArray
+    """`(K,)` half the edge of each tag, `(1,)` if all have one size; metres, 0 for points."""
     share: float
+    """Weight of each of the four corners of a landmark: 1, or 1/4 for a point."""
     position: float
+    """Greatest variance of the position; infinite where landmarks only have to be covered."""
+    rotation: float | None = None
+    """Greatest variance of the rotation."""
+    residual: float | None = None
+    """Least squared residual of the mirrored pose of a single tag, in units of f^2: see `ambiguity`."""
 
     @property
     def asks(self) -> bool:
-        """Whether more is asked than that landmarks are covered."""
-        return bool(np.isfinite(self.position))
+        """True if a view needs more than n covered landmarks."""
+        return bool(np.isfinite(self.position)) or self.rotation is not None
 
 
-class PosePrecision(NamedTuple):
-    """The same for position and rotation, of which at least one is finite."""
-
-    half: float
-    share: float
-    position: float
-    rotation: float
-
-    @property
-    def asks(self) -> bool:
-        """See `Precision.asks`."""
-        return True
-
-
-class SizedPrecision(NamedTuple):
-    """The same for tags of several sizes: what another precision asks, and half the edge of each tag, `(K,)` metres."""
-
-    of: Any
-    halves: np.ndarray
-    share: float
-    position: float
-
-    @property
-    def rotation(self) -> float:
-        """The greatest variance of the rotation."""
-        return float(getattr(self.of, "rotation", np.inf))
-
-    @property
-    def asks(self) -> bool:
-        """See `Precision.asks`."""
-        return bool(self.of.asks)
-
-
-def sized_precision(asked: Any, edges: Sequence[float]) -> SizedPrecision:
-    """What is asked of tags with these edges, `(K,)` metres."""
-    return SizedPrecision(asked, np.array(edges) / 2.0, asked.share, asked.position)
+@inlined
+def half_of(precision: Precision, k: Integer) -> Any:
+    """Half the edge of tag k of a deployment, metres."""
+    if len(precision.halves) == 1:
+        return precision.halves[0]
+    return precision.halves[k]
 
 
 @overridable
-def half_of(precision, k):
-    """Half the edge of tag k of a deployment, metres."""
-    return precision.half
+def within(limit: float | None, variance: Number, fixed: Number) -> Any:
+    """True if a variance, which is finite where it is `fixed`, is at most the limit."""
+    return fixed & (variance <= limit)
 
 
-@half_of.register(SizedPrecision)
-def _half_of(precision, k):
-    return precision.halves[k]
+@within.register(type(None))
+def _within_none(limit: None, variance: Number, fixed: Number) -> Any:
+    return True
 
 
 def deviation_per_variance(camera: Camera, pixel_noise: float) -> float:
@@ -133,32 +116,39 @@ def precision(
     pixel_noise: float,
     tolerance: float,
     rotation: float | None = None,
-    edge: float | None = None,
-) -> Precision | PosePrecision:
-    """What greatest standard deviations of position, metres, and if you like rotation, rad, ask of a view.
+    edges: Sequence[float] | None = None,
+) -> Precision:
+    """The precision that limits the standard deviations of a view.
 
-    The edge is that of all landmarks, metres, if it is not the tag's.
+    Args:
+        camera: the camera, of a rig the first one.
+        tag: the landmarks' tag.
+        pixel_noise: standard deviation of each coordinate of a corner, pixels.
+        tolerance: greatest standard deviation of the position, metres.
+        rotation: greatest standard deviation of the rotation, rad; None for any.
+        edges: of the landmarks, `(K,)`, or one for all, metres; None for the tag's.
     """
     scale = deviation_per_variance(camera, pixel_noise)
-    half, share = (0.0, 0.25) if tag.is_point else ((edge or tag.size) / 2.0, 1.0)
+    halves = np.array([0.0]) if tag.is_point else np.array(edges or (tag.size,)) / 2.0
 
-    def most(deviation: float) -> float:
+    def limit(deviation: float) -> float:
         return (deviation / scale) ** 2 * (1.0 + TOLERANCE)
 
-    asked: Precision | PosePrecision = Precision(half, share, most(tolerance))
-    if rotation is not None:
-        asked = PosePrecision(half, share, most(tolerance), most(rotation))
-    return asked
+    turn = None if rotation is None else limit(rotation)
+    return Precision(halves, 0.25 if tag.is_point else 1.0, limit(tolerance), turn)
 
 
 @inlined
-def moments(x, y, z, rx, ry, rz, ux, uy, uz, share):
+def moments(
+    x: Number, y: Number, z: Number, rx: Number, ry: Number, rz: Number, ux: Number, uy: Number, uz: Number,
+    share: float,
+) -> tuple[Number, ...]:  # fmt: skip
     """A, g and C of a landmark's four corners times r^3, as 15 numbers.
 
     Args:
-        x, y, z: offset of its centre from the camera, metres, and r is how far that is.
+        x, y, z: offset of its centre from the camera, at the distance r, metres.
         rx, ry, rz, ux, uy, uz: from the centre to the middle of its right and of its upper edge, metres.
-        share: of each corner.
+        share: weight of each corner.
     """
     axx = axy = axz = ayy = ayz = azz = gx = gy = gz = cxx = cxy = cxz = cyy = cyz = czz = 0.0
     for i in range(4):
@@ -181,16 +171,25 @@ def moments(x, y, z, rx, ry, rz, ux, uy, uz, share):
 
 
 @inlined
-def share_of(moment, weight):
-    """What a landmark adds to one of the 15 numbers of a view: its moment times `pixel_density`, rounded."""
+def share_of(moment: Number, weight: Number) -> Number:
+    """Share of a landmark in one of the numbers of a view: its moment times `pixel_density`, rounded."""
     return (moment * weight + ROUNDER) - ROUNDER
 
 
 @inlined
-def schur(
-    axx, axy, axz, ayy, ayz, azz, gx, gy, gz, cxx, cxy, cxz, cyy, cyz, czz
-):  # fmt: skip
-    """det A, and the sum of the principal minors and the determinant of S det A."""
+def _schur(sums: Any, v: Integer, step: Integer, first: int, last: int) -> tuple[Number, Number, Number, Number]:
+    """det A, the sum of the principal minors and the determinant of S det A, and tr A.
+
+    A begins at number `first` and C at `last`: (0, 9) for the position, (9, 0) for the rotation.
+    """
+    a, b, c = v + first * step, v + 6 * step, v + last * step
+    axx, axy, axz, ayy, ayz, azz = (
+        sums[a], sums[a + step], sums[a + 2 * step], sums[a + 3 * step], sums[a + 4 * step], sums[a + 5 * step]
+    )  # fmt: skip
+    gx, gy, gz = sums[b], sums[b + step], sums[b + 2 * step]
+    cxx, cxy, cxz, cyy, cyz, czz = (
+        sums[c], sums[c + step], sums[c + 2 * step], sums[c + 3 * step], sums[c + 4 * step], sums[c + 5 * step]
+    )  # fmt: skip
     mxx, mxy, mxz = ayy * azz - ayz * ayz, axz * ayz - axy * azz, axy * ayz - axz * ayy
     det = axx * mxx + axy * mxy + axz * mxz
     hx, hy, hz = axx * gx + axy * gy + axz * gz, axy * gx + ayy * gy + ayz * gz, axz * gx + ayz * gy + azz * gz
@@ -199,55 +198,40 @@ def schur(
     syy, syz, szz = det * cyy - q * ayy + hy * hy, det * cyz - q * ayz + hy * hz, det * czz - q * azz + hz * hz
     nxx, nxy, nxz = syy * szz - syz * syz, sxz * syz - sxy * szz, sxy * syz - sxz * syy
     minors = nxx + (sxx * szz - sxz * sxz) + (sxx * syy - sxy * sxy)
-    return det, minors, sxx * nxx + sxy * nxy + sxz * nxz
+    return det, minors, sxx * nxx + sxy * nxy + sxz * nxz, axx + ayy + azz
 
 
 @inlined
-def variance(
-    axx, axy, axz, ayy, ayz, azz, gx, gy, gz, cxx, cxy, cxz, cyy, cyz, czz
-):  # fmt: skip
-    """tr S^-1, and whether it is one: False where the corners leave something open. Rotation: exchange A and C."""
-    det, minors, rest = schur(axx, axy, axz, ayy, ayz, azz, gx, gy, gz, cxx, cxy, cxz, cyy, cyz, czz)
-    trace = axx + ayy + azz
+def inverse_trace(det: Number, minors: Number, rest: Number, trace: Number) -> tuple[Number, Number]:
+    """tr S^-1, and True if it is finite: False where the corners leave a motion open."""
     fixed = (det > SINGULAR * (trace * trace * trace)) & (minors > 0.0) & (rest > 0.0)
     return minors * det / rest, fixed
 
 
 @inlined
-def log_det(
-    axx, axy, axz, ayy, ayz, azz, gx, gy, gz, cxx, cxy, cxz, cyy, cyz, czz
-):  # fmt: skip
-    """The logarithm of the determinant of the whole information, det A det S."""
-    det, _, rest = schur(axx, axy, axz, ayy, ayz, azz, gx, gy, gz, cxx, cxy, cxz, cyy, cyz, czz)
+def variance(sums: Any, v: Integer, step: Integer) -> tuple[Number, Number]:
+    """`inverse_trace` of the position."""
+    det, minors, rest, trace = _schur(sums, v, step, 0, 9)
+    return inverse_trace(det, minors, rest, trace)
+
+
+@inlined
+def rotation_variance(sums: Any, v: Integer, step: Integer) -> tuple[Number, Number]:
+    """`inverse_trace` of the rotation: A and C exchanged."""
+    det, minors, rest, trace = _schur(sums, v, step, 9, 0)
+    return inverse_trace(det, minors, rest, trace)
+
+
+@inlined
+def log_det(sums: Any, v: Integer, step: Integer) -> Number:
+    """Logarithm of the determinant of the information, det A det S."""
+    det, _, rest, _ = _schur(sums, v, step, 0, 9)
     return np.log(rest / (det * det))
 
 
-@dispatched
-def meets(
-    precision, axx, axy, axz, ayy, ayz, azz, gx, gy, gz, cxx, cxy, cxz, cyy, cyz, czz
-):  # fmt: skip
-    """Whether the information of a view is what `precision` asks for."""
-
-
-@meets.register(Precision)
-def _meets(
-    precision, axx, axy, axz, ayy, ayz, azz, gx, gy, gz, cxx, cxy, cxz, cyy, cyz, czz
-):  # fmt: skip
-    position, fixed = variance(axx, axy, axz, ayy, ayz, azz, gx, gy, gz, cxx, cxy, cxz, cyy, cyz, czz)
-    return fixed & (position <= precision.position)
-
-
-@meets.register(PosePrecision)
-def _meets_both(
-    precision, axx, axy, axz, ayy, ayz, azz, gx, gy, gz, cxx, cxy, cxz, cyy, cyz, czz
-):  # fmt: skip
-    position, fixed = variance(axx, axy, axz, ayy, ayz, azz, gx, gy, gz, cxx, cxy, cxz, cyy, cyz, czz)
-    rotation, steady = variance(cxx, cxy, cxz, cyy, cyz, czz, gx, gy, gz, axx, axy, axz, ayy, ayz, azz)
-    return fixed & steady & (position <= precision.position) & (rotation <= precision.rotation)
-
-
-@meets.register(SizedPrecision)
-def _meets_of(
-    precision, axx, axy, axz, ayy, ayz, azz, gx, gy, gz, cxx, cxy, cxz, cyy, cyz, czz
-):  # fmt: skip
-    return meets(precision.of, axx, axy, axz, ayy, ayz, azz, gx, gy, gz, cxx, cxy, cxz, cyy, cyz, czz)
+@inlined
+def meets(precision: Precision, sums: Any, v: Integer, step: Integer) -> Any:
+    """True if the information of a view has the `precision`, ambiguity aside."""
+    position, fixed = variance(sums, v, step)
+    rotation, steady = rotation_variance(sums, v, step)
+    return within(precision.position, position, fixed) & within(precision.rotation, rotation, steady)

@@ -1,68 +1,145 @@
-"""The expected logarithm of the determinant of the information on the camera's pose: what greedy selection climbs.
+"""The expected logarithm of the determinant of the information on the pose: the objective of greedy selection.
 
-How well a camera is localised is no submodular function of the landmarks: the first one alone is worth nothing. The
-log det of the information is, if there is a prior to begin with and no landmark hides another: a further landmark adds
-less the more is known. It is averaged over positions and orientations. The prior is what the camera knew before: a
-standard deviation of some tolerances makes landmarks share the room, where a wide one would see the first view of a
-place as a greater gain than the accuracy of another.
+The accuracy of localisation is no submodular function of the landmarks: the first one alone has no value. The log det
+of the information is submodular if there is a prior and no landmark hides another: a further landmark adds less the
+more there are. It is averaged over positions and orientations. The prior is what the camera knew before: with a
+standard deviation of some tolerances landmarks share the room; with a wide one, the first view of a place would gain
+more than the accuracy of another.
 """
 
+import math
 from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 
+from lmd.core.bits import ZERO, Integer
 from lmd.core.checks import FloatArray
-from lmd.core.compiled import inlined, kernel
-from lmd.objectives.localisation.information import WIDTH, log_det, share_of
-from lmd.objectives.localisation.kernels import landmark_moments
+from lmd.core.compiled import kernel
+from lmd.core.threads import in_parts
+from lmd.objectives.localisation.body import BODY_WIDTH, body_log_det
+from lmd.objectives.localisation.information import NUMBERS, WIDTH, Precision, log_det, share_of
+from lmd.objectives.localisation.pairs import (
+    Shown,
+    add_of_all,
+    fill_views,
+    give_sums,
+    seen_by_any,
+    shown_by,
+    tags_of,
+    take_sums,
+)
+from lmd.objectives.localisation.reference import information_of, log_det_of
+from lmd.objectives.localisation.views import ORIENTATION, VIEW, BodyViews, body_views, landmark_moments
 from lmd.scene.criteria import covers, pixel_density
 from lmd.scene.deployment import Deployment
 from lmd.scene.scene import Scene
 from lmd.sight.evaluator import Evaluator
+from lmd.sight.mounts import with_sight
 from lmd.sight.obstacles import find_ends, no_ends
 from lmd.sight.poses import by_edge, shared
 from lmd.sight.viewpoint import see_alone
 
-
-@inlined
-def _log_det_with(sums, p, a, moment, weight):
-    """`log_det` of view (p, a) of `sums` `(P, D, WIDTH)` once a landmark with a `moment` is added."""
-    return log_det(
-        sums[p, a, 0] + share_of(moment[0], weight), sums[p, a, 1] + share_of(moment[1], weight),
-        sums[p, a, 2] + share_of(moment[2], weight), sums[p, a, 3] + share_of(moment[3], weight),
-        sums[p, a, 4] + share_of(moment[4], weight), sums[p, a, 5] + share_of(moment[5], weight),
-        sums[p, a, 6] + share_of(moment[6], weight), sums[p, a, 7] + share_of(moment[7], weight),
-        sums[p, a, 8] + share_of(moment[8], weight), sums[p, a, 9] + share_of(moment[9], weight),
-        sums[p, a, 10] + share_of(moment[10], weight), sums[p, a, 11] + share_of(moment[11], weight),
-        sums[p, a, 12] + share_of(moment[12], weight), sums[p, a, 13] + share_of(moment[13], weight),
-        sums[p, a, 14] + share_of(moment[14], weight),
-    )  # fmt: skip
+# Poses of a thread whose views by a rig are kept at a time.
+AT_A_TIME = 64
+# Numbers of a view on the diagonals of the two halves of the information: position, rotation.
+OF_CAMERA, OF_BODY = ([9, 12, 14], [0, 3, 5]), ([0, 3, 5], [15, 18, 20])
 
 
-@kernel
-def _log_det_of(row):
-    """`log_det` of `row` `(WIDTH,)`."""
-    return log_det(
-        row[0], row[1], row[2], row[3], row[4], row[5], row[6], row[7], row[8], row[9], row[10], row[11], row[12],
-        row[13], row[14],
-    )  # fmt: skip
-
-
-@kernel
-def _gains(start, stop, points, normals, prices, positions, sight, obstacles, axes, bands, precision, sums, known, out):
-    """Write what poses `start` to `stop` gain into `out` `(N,)`.
+def log_det_selection(
+    evaluator: Evaluator,
+    relevance: FloatArray,
+    precision: Callable[[Scene], Precision],
+    position: float,
+    rotation: float,
+) -> "LogDeterminant":
+    """The mean over positions and orientations of log det(prior + information), a `Selection`.
 
     Args:
+        evaluator: the scene.
+        relevance: weights of its positions, `(P,)`.
+        precision: the size of the tags of a scene, see `information.precision`.
+        position, rotation: prior information, in the units of `information`: 1 / `variance`.
+    """
+    kind: type[LogDeterminant] = RigLogDeterminant if evaluator.parts else CameraLogDeterminant
+    if evaluator.by_reference:
+        kind = ReferenceLogDeterminant
+    return kind(evaluator, relevance, precision, position, rotation)
+
+
+class LogDeterminant:
+    """See `log_det_selection`; poses of each size of tags are handled by a subclass."""
+
+    label = "mean log det of the information"
+    width = WIDTH
+    of_camera = True
+
+    def __init__(
+        self,
+        evaluator: Evaluator,
+        relevance: FloatArray,
+        precision: Callable[[Scene], Precision],
+        position: float,
+        rotation: float,
+    ) -> None:
+        evaluator.check_memory(8 * (self.width + 2))
+        self.evaluator, self.precision = evaluator, precision
+        self.prices = relevance[:, None] / relevance.sum() * evaluator.probability
+        prior, (of_position, of_rotation) = np.zeros(self.width), OF_CAMERA if self.of_camera else OF_BODY
+        prior[of_position], prior[of_rotation] = position, rotation
+        self.sums = np.tile(prior, (*self.prices.shape, 1))
+        self.known = np.full(self.prices.shape, self.log_det_of(prior))
+
+    def gains(self, poses: Deployment) -> FloatArray:
+        """See `Selection.gains`."""
+        gained = np.empty(len(poses))
+        for e, index in by_edge(self.evaluator, poses):
+            gained[index] = self.gains_of(e, poses[index])
+        return gained
+
+    def add(self, pose: Deployment) -> None:
+        """See `Selection.add`."""
+        for e, _ in by_edge(self.evaluator, pose):
+            self.choose(e, pose)
+
+    def log_det_of(self, numbers: FloatArray) -> Any:
+        """Log det of the information of one view, `(width,)`."""
+        raise NotImplementedError
+
+    def gains_of(self, e: Evaluator, poses: Deployment) -> FloatArray:
+        """Gains of poses whose tags have the one size of evaluator `e`."""
+        raise NotImplementedError
+
+    def choose(self, e: Evaluator, pose: Deployment) -> None:
+        """Add one pose to `sums` and `known`."""
+        raise NotImplementedError
+
+
+@kernel
+def _log_det_of(row: FloatArray) -> Any:
+    return log_det(row, 0, 1)
+
+
+@kernel
+def _gains(
+    start: Integer, stop: Integer, points: FloatArray, normals: FloatArray, prices: FloatArray, positions: FloatArray,
+    sight: Any, obstacles: Any, axes: FloatArray, bands: Any, precision: Precision, sums: FloatArray,
+    known: FloatArray, out: FloatArray,
+) -> None:  # fmt: skip
+    """Write the gains of poses `start` to `stop` to `out` `(N,)`.
+
+    Args:
+        start, stop: range of the poses.
         points, normals: `(N, 3)`.
         prices: of positions and axes, `(P, D)`.
         positions: `(P, 3)`.
         sight, obstacles, axes, bands: see `kernels.evaluate_range`.
         precision: the size of a tag.
-        sums: what is known of each view, `(P, D, WIDTH)`.
+        sums: information of each view, `(P, D, WIDTH)`.
         known: their `log_det`, `(P, D)`.
+        out: receives the gains.
     """
-    ends = no_ends(obstacles, 1)
+    ends, moment, row = no_ends(obstacles, 1), np.zeros(WIDTH), np.zeros(WIDTH)
     for j in range(start, stop):
         nx, ny, nz, gain = normals[j, 0], normals[j, 1], normals[j, 2], 0.0
         pose = points[j, 0], points[j, 1], points[j, 2], nx, ny, nz
@@ -71,78 +148,184 @@ def _gains(start, stop, points, normals, prices, positions, sight, obstacles, ax
             x, y, z, low, first, last = see_alone(pose, positions, p, sight, obstacles, ends, bands)
             if first == last:
                 continue
-            moment = landmark_moments(x, y, z, nx, ny, nz, precision, 0)
+            landmark_moments(x, y, z, nx, ny, nz, precision, 0, moment)
             for a in range(np.uint64(first), np.uint64(last)):
                 if covers(sight, x, y, z, nx, ny, nz, low, 0.0, axes, a):
-                    more = _log_det_with(sums, p, a, moment, pixel_density(sight, x, y, z, axes, a))
-                    gain += prices[p, a] * (more - known[p, a])
+                    weight = pixel_density(sight, x, y, z, axes, a)
+                    for i in range(NUMBERS):
+                        row[i] = sums[p, a, i] + share_of(moment[i], weight)
+                    gain += prices[p, a] * (log_det(row, 0, 1) - known[p, a])
         out[j] = gain
 
 
 @kernel
-def _add(start, stop, point, normal, positions, sight, obstacles, axes, bands, precision, sums, known):
-    """Add a landmark to `sums` and `known` at the positions `start` to `stop`; args as in `_gains`."""
+def _add(
+    start: Integer, stop: Integer, point: FloatArray, normal: FloatArray, positions: FloatArray, sight: Any,
+    obstacles: Any, axes: FloatArray, bands: Any, precision: Precision, sums: FloatArray, known: FloatArray,
+) -> None:  # fmt: skip
+    """Add a landmark to `sums` and `known` at the positions `start` to `stop`; arguments as in `_gains`."""
     nx, ny, nz = normal[0], normal[1], normal[2]
-    ends = no_ends(obstacles, 1)
+    ends, moment = no_ends(obstacles, 1), np.zeros(WIDTH)
     find_ends(obstacles, sight, point[0], point[1], point[2], nx, ny, nz, ends, 0)
     pose = point[0], point[1], point[2], nx, ny, nz
     for p in range(start, stop):
         x, y, z, low, first, last = see_alone(pose, positions, p, sight, obstacles, ends, bands)
         if first == last:
             continue
-        moment = landmark_moments(x, y, z, nx, ny, nz, precision, 0)
+        landmark_moments(x, y, z, nx, ny, nz, precision, 0, moment)
         for a in range(np.uint64(first), np.uint64(last)):
             if covers(sight, x, y, z, nx, ny, nz, low, 0.0, axes, a):
                 weight = pixel_density(sight, x, y, z, axes, a)
-                known[p, a] = _log_det_with(sums, p, a, moment, weight)
-                for i in range(len(moment)):
+                for i in range(NUMBERS):
                     sums[p, a, i] += share_of(moment[i], weight)
+                known[p, a] = log_det(sums[p, a], 0, 1)
 
 
-class LogDeterminant:
-    """The mean over positions and orientations of log det(prior + information), a `Selection`.
+class CameraLogDeterminant(LogDeterminant):
+    """Of a single camera."""
 
-    Args:
-        evaluator: the scene.
-        relevance: weights of its positions, `(P,)`.
-        precision: the size of the tags of a scene, see `information.precision`.
-        position, rotation: information known beforehand, in the units of `information`: 1 / `variance`.
-    """
+    def log_det_of(self, numbers: FloatArray) -> Any:
+        """See `LogDeterminant.log_det_of`."""
+        return _log_det_of(numbers)
 
-    label = "mean log det of the information"
+    def gains_of(self, e: Evaluator, poses: Deployment) -> FloatArray:
+        """See `LogDeterminant.gains_of`."""
+        out = np.empty(len(poses))
+        shared(_gains, len(poses), e.threads, (poses.positions, poses.normals, self.prices, *self._parts(e), out))
+        return out
 
-    def __init__(
-        self,
-        evaluator: Evaluator,
-        relevance: FloatArray,
-        precision: Callable[[Scene], Any],
-        position: float,
-        rotation: float,
-    ) -> None:
-        evaluator.check_memory(8 * (WIDTH + 2))
-        self._evaluator, self._precision = evaluator, precision
-        self._prices = relevance[:, None] / relevance.sum() * evaluator.probability
-        start = np.zeros(WIDTH)
-        start[[0, 3, 5]], start[[9, 12, 14]] = rotation, position
-        self._sums = np.tile(start, (*self._prices.shape, 1))
-        self._known = np.full(self._prices.shape, _log_det_of(start))
-
-    def gains(self, poses: Deployment) -> FloatArray:
-        """See `Selection.gains`."""
-        gained = np.empty(len(poses))
-        for e, index in by_edge(self._evaluator, poses):
-            out = np.empty(len(index))
-            fixed = (poses.positions[index], poses.normals[index], self._prices, *self._parts(e), out)
-            shared(_gains, len(index), e.threads, fixed)
-            gained[index] = out
-        return gained
-
-    def add(self, pose: Deployment) -> None:
-        """See `Selection.add`."""
-        for e, _ in by_edge(self._evaluator, pose):
-            shared(_add, len(e.positions), e.threads, (pose.positions[0], pose.normals[0], *self._parts(e)))
+    def choose(self, e: Evaluator, pose: Deployment) -> None:
+        """See `LogDeterminant.choose`."""
+        shared(_add, len(e.positions), e.threads, (pose.positions[0], pose.normals[0], *self._parts(e)))
 
     def _parts(self, e: Evaluator) -> tuple[Any, ...]:
-        """What kernels take beside the poses, whose tags have the one size of an evaluator."""
-        precision = self._precision(e.scene)
-        return e.positions, e.sight, e.obstacles, e.axes, e.bands, precision, self._sums, self._known
+        """Arguments of the kernels beside the poses."""
+        return e.positions, e.sight, e.obstacles, e.axes, e.bands, self.precision(e.scene), self.sums, self.known
+
+
+@kernel
+def _rig_gains(
+    every: tuple[Shown, ...], tags: FloatArray, prices: FloatArray, positions: FloatArray, precision: Precision,
+    sums: FloatArray, known: FloatArray, views: BodyViews, out: FloatArray,
+) -> None:  # fmt: skip
+    """Write the gains of N poses to `out` `(N,)`.
+
+    Args:
+        every: poses that each part of the rig covers.
+        tags: the poses, see `tags_of`.
+        prices: of positions and orientations, `(P, D)`.
+        positions: of the body, `(P, 3)`.
+        precision: the size of a tag.
+        sums: information of each view, `(P D, BODY_WIDTH)`.
+        known: their `body_log_det`, `(P, D)`.
+        views: working memory.
+        out: receives the gains.
+    """
+    words, which, bits = np.uint64(known.shape[1]) // VIEW, np.zeros(1, dtype=np.int64), views.lists[ORIENTATION]
+    for j in range(len(out)):
+        which[0], out[j] = j, 0.0
+        for p in range(np.uint64(len(positions))):
+            place = positions[p, 0], positions[p, 1], positions[p, 2]
+            for w in range(words):
+                seen, first = seen_by_any(every, p, j, w), (p * words + w) * VIEW
+                if seen == ZERO:
+                    continue
+                count = fill_views(seen, precision, views)
+                take_sums(sums, first, precision, views, count)
+                add_of_all(every, p, which, w, place, tags, precision, views)
+                for v in range(count):
+                    a = w * VIEW + bits[v]
+                    out[j] += prices[p, a] * (body_log_det(views.rows, v, VIEW) - known[p, a])
+
+
+@kernel
+def _rig_add(
+    every: tuple[Shown, ...], tags: FloatArray, positions: FloatArray, precision: Precision, sums: FloatArray,
+    known: FloatArray, views: BodyViews,
+) -> None:  # fmt: skip
+    """Add the only one of the poses to `sums` and `known`; arguments as in `_rig_gains`."""
+    words, which, bits = np.uint64(known.shape[1]) // VIEW, np.zeros(1, dtype=np.int64), views.lists[ORIENTATION]
+    for p in range(np.uint64(len(positions))):
+        place = positions[p, 0], positions[p, 1], positions[p, 2]
+        for w in range(words):
+            seen, first = seen_by_any(every, p, 0, w), (p * words + w) * VIEW
+            if seen == ZERO:
+                continue
+            count = fill_views(seen, precision, views)
+            add_of_all(every, p, which, w, place, tags, precision, views)
+            give_sums(sums, first, precision, views, count)
+            for v in range(count):
+                known[p, w * VIEW + bits[v]] = body_log_det(sums[first + bits[v]], 0, 1)
+
+
+class RigLogDeterminant(LogDeterminant):
+    """Of a rig, on whose body there is the prior."""
+
+    width, of_camera = BODY_WIDTH, False
+
+    def log_det_of(self, numbers: FloatArray) -> Any:
+        """See `LogDeterminant.log_det_of`."""
+        return body_log_det(numbers, 0, 1)
+
+    def gains_of(self, e: Evaluator, poses: Deployment) -> FloatArray:
+        """See `LogDeterminant.gains_of`."""
+        out, precision = np.empty(len(poses)), self.precision(e.scene)
+
+        def work(first: int, last: int) -> None:
+            these = poses[first:last]
+            tags = tags_of(precision, these.positions, these.normals)
+            known = self.prices, e.positions, precision, self._rows, self.known, body_views()
+            _rig_gains(self._shown(e, these), tags, *known, out[first:last])
+
+        in_parts(e.threads, work, len(poses), math.ceil(len(poses) / AT_A_TIME))
+        return out
+
+    def choose(self, e: Evaluator, pose: Deployment) -> None:
+        """See `LogDeterminant.choose`."""
+        precision = self.precision(e.scene)
+        tags = tags_of(precision, pose.positions, pose.normals)
+        _rig_add(self._shown(e, pose), tags, e.positions, precision, self._rows, self.known, body_views())
+
+    @property
+    def _rows(self) -> FloatArray:
+        return self.sums.reshape(-1, self.width)
+
+    def _shown(self, e: Evaluator, poses: Deployment) -> tuple[Shown, ...]:
+        """Poses that the cameras cover if none hides another."""
+        parts = tuple(with_sight(part, part.sight.unhidden()) for part in e.parts)
+        return shown_by(e, parts, e.positions, poses)
+
+
+class ReferenceLogDeterminant(LogDeterminant):
+    """Of a camera or a rig whose visibility model has no compiled half."""
+
+    def __init__(self, evaluator: Evaluator, *prior: Any) -> None:
+        self.of_camera = evaluator.scene.rig is None
+        self.width = WIDTH if self.of_camera else BODY_WIDTH
+        self._scene, self._axes = evaluator.scene, evaluator.scene.orientations.axes
+        super().__init__(evaluator, *prior)
+
+    def log_det_of(self, numbers: FloatArray) -> Any:
+        """See `LogDeterminant.log_det_of`."""
+        return log_det_of(self._scene, np.repeat(numbers[:, None], len(self._axes), axis=1))[0]
+
+    def gains_of(self, e: Evaluator, poses: Deployment) -> FloatArray:
+        """See `LogDeterminant.gains_of`."""
+        gained, size = np.zeros(len(poses)), len(self._axes)
+        for j in range(len(poses)):
+            for p in range(len(e.positions)):
+                more = log_det_of(e.scene, self._with(e, poses[j : j + 1], p))
+                gained[j] += self.prices[p, :size] @ (more - self.known[p, :size])
+        return gained
+
+    def choose(self, e: Evaluator, pose: Deployment) -> None:
+        """See `LogDeterminant.choose`."""
+        size = len(self._axes)
+        for p in range(len(e.positions)):
+            sums = self._with(e, pose, p)
+            self.sums[p, :size], self.known[p, :size] = sums.T, log_det_of(e.scene, sums)
+
+    def _with(self, e: Evaluator, pose: Deployment, p: int) -> FloatArray:
+        """Information of the views from position p with one more pose, `(width, D)`."""
+        sums, _ = information_of(e.scene, pose, self.precision(e.scene), e.positions[p], self._axes)
+        return np.asarray(self.sums[p, : len(self._axes)].T + sums)

@@ -1,33 +1,21 @@
-"""Localisation: the camera's position is known to within a tolerance, with a probability as large as can be."""
+"""Localisation as an objective: the probability that one image gives the camera's position to within a tolerance."""
 
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
 from lmd.core.checks import BoolArray, FloatArray, choice, real
-from lmd.incremental.coverage_field import coverage_field
-from lmd.incremental.field import smoothed, worth
 from lmd.objectives.base import AtLeast, Headline, Selection
-from lmd.objectives.coverage import Threshold
-from lmd.objectives.localisation.ambiguity import ResolvedPrecision, resolved
-from lmd.objectives.localisation.by_reference import ReferenceLogDeterminant
-from lmd.objectives.localisation.changes import mixed
-from lmd.objectives.localisation.field import LocalisationField
-from lmd.objectives.localisation.information import (
-    PosePrecision,
-    Precision,
-    SizedPrecision,
-    deviation_per_variance,
-    precision,
-    sized_precision,
-)
-from lmd.objectives.localisation.log_det import LogDeterminant
-from lmd.objectives.localisation.rig_field import RigLocalisationField, rig_localisation_field
-from lmd.objectives.localisation.rig_log_det import RigLogDeterminant
-from lmd.objectives.localisation.views import localised_views
+from lmd.objectives.coverage import Mean, Threshold
+from lmd.objectives.localisation.ambiguity import resolved
+from lmd.objectives.localisation.evaluation import localised_views
+from lmd.objectives.localisation.field import LocalisationField, localisation_field
+from lmd.objectives.localisation.information import Precision, deviation_per_variance, precision
+from lmd.objectives.localisation.log_det import log_det_selection
+from lmd.objectives.localisation.trial import mixed
 from lmd.objectives.sampling import Sampling
 from lmd.scene.criteria import TOLERANCE
 from lmd.scene.scene import Scene
@@ -38,11 +26,10 @@ FITNESS = ("mean", "qualified")
 AMBIGUITY = ("resolved", "ignored")
 # Less than for coverage, as each view costs more: drawn anew on the way, they need not be many.
 SAMPLING = Sampling(positions=1, divisions=8)
-# What the camera knows beforehand when landmarks are selected greedily: the position to so many tolerances, and the
-# rotation to so many rad.
+# Prior of greedy selection: standard deviation of the position, in tolerances, and of the rotation, rad.
 PRIOR_TOLERANCES, PRIOR_ROTATION = 5.0, 1.0
-PRIOR_POSITION = 1.0  # metres, where no tolerance is given
-WORST = 0.05  # of the positions, whose best value is reported
+PRIOR_POSITION = 1.0  # standard deviation of the position without a tolerance, metres
+WORST = 0.05  # share of the worst positions, whose greatest value is reported
 
 
 @dataclass(frozen=True)
@@ -122,21 +109,18 @@ class Localisation(AtLeast):
         label = f"probability of localising to {1e3 * self.tolerance:g} mm"
         return f"{label}, and of seeing {self.n}, weighted" if self.coverage_weight else label
 
-    def precision(self, scene: Scene) -> Precision | PosePrecision | ResolvedPrecision | SizedPrecision:
-        """What is asked of a view that covers n landmarks, in the units of the first camera."""
+    def precision(self, scene: Scene) -> Precision:
+        """The least information of a localised view that covers n landmarks, in the units of the first camera."""
         camera, noise = scene.cameras[0], self.pixel_noise
-        edges = scene.edges or (None,)
-        asked: Precision | PosePrecision | ResolvedPrecision
-        asked = precision(camera, scene.tag, noise, self.tolerance, self.rotation_tolerance, edges[0])
-        if not (self.n > 1 or self.ambiguity == "ignored" or scene.tag.is_point):
-            asked = resolved(asked, deviation_per_variance(camera, noise))
-        return asked if scene.edges is None or len(edges) < 2 else sized_precision(asked, scene.edges)
+        asked = precision(camera, scene.tag, noise, self.tolerance, self.rotation_tolerance, scene.edges)
+        if self.n > 1 or self.ambiguity == "ignored" or scene.tag.is_point:
+            return asked
+        return resolved(asked, deviation_per_variance(camera, noise))
 
     def values(self, evaluator: Evaluator, positions: FloatArray, normals: FloatArray) -> FloatArray:
         """See `Objective.values`."""
         views = localised_views(evaluator, positions, normals, self.n, self.precision(evaluator.scene))
-        mixture: Any = mixed
-        return np.asarray(mixture(views.localised, views.covered, self.coverage_weight) / PROBABILITY_ONE)
+        return np.asarray(mixed(views.localised, views.covered, self.coverage_weight) / PROBABILITY_ONE)
 
     def fitness(self, values: FloatArray, relevance: FloatArray) -> FloatArray:
         """See `Objective.fitness`."""
@@ -175,14 +159,11 @@ class Localisation(AtLeast):
             "on a finer grid": f"{self.headline.label} {figures[f'finer_grid_{key}']:.2%}",
         }
 
-    def field(self, evaluator: Evaluator) -> LocalisationField | RigLocalisationField:
+    def field(self, evaluator: Evaluator) -> LocalisationField:
         """See `Objective.field`."""
-        asked = self.precision(evaluator.scene)
-        if evaluator.parts:
-            return rig_localisation_field(evaluator, self.n, asked, self.coverage_weight)
-        return LocalisationField(coverage_field(evaluator, self.n), asked, asked.asks, self.coverage_weight)
+        return localisation_field(evaluator, self.n, self.precision(evaluator.scene), self.coverage_weight)
 
-    def target(self, relevance: FloatArray) -> "Mean | Threshold":
+    def target(self, relevance: FloatArray) -> Mean | Threshold:
         """See `Objective.target`."""
         if self.climbs == "mean":
             return Mean(relevance)
@@ -194,29 +175,9 @@ class Localisation(AtLeast):
         scale = deviation_per_variance(scene.cameras[0], self.pixel_noise)
         prior = PRIOR_TOLERANCES * self.tolerance if math.isfinite(self.tolerance) else PRIOR_POSITION
         known = (scale / prior) ** 2, (scale / PRIOR_ROTATION) ** 2
-        made: type[Any] = RigLogDeterminant if evaluator.parts else LogDeterminant
-        if evaluator.by_reference:
-            made = ReferenceLogDeterminant
-        selection: Selection = made(evaluator, relevance, replace(self, ambiguity="ignored").precision, *known)
-        return selection
+        return log_det_selection(evaluator, relevance, replace(self, ambiguity="ignored").precision, *known)
 
 
 def localisation(fitness: str = "mean", **settings: Any) -> Localisation:
     """A `Localisation`, for configurations: `climbs` goes by the name `fitness` there."""
     return Localisation(climbs=fitness, **settings)
-
-
-class Mean(NamedTuple):
-    """The mean of the values with weights `relevance` `(Q,)`; a `Target`."""
-
-    relevance: FloatArray
-
-
-@smoothed.register(Mean)
-def _smoothed(target, p, units, margin, width, share):  # type: ignore[no-untyped-def]
-    return target.relevance[p] * (units / PROBABILITY_ONE)
-
-
-@worth.register(Mean)
-def _worth(target, p, units):  # type: ignore[no-untyped-def]
-    return target.relevance[p] * (units / PROBABILITY_ONE)

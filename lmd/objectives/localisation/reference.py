@@ -1,120 +1,85 @@
-"""Localisation formula by formula: the oracle that every faster path must agree with.
+"""Localisation formula by formula, in NumPy: the specification that every compiled path must equal bit for bit.
 
-Only tests import this, and `by_reference`.
+It also evaluates scenes whose visibility model has no compiled half (`reference_views`, `log_det.ReferenceLogDet`).
 
-Shapes: A orientations, K landmarks, P positions.
+Shapes: A orientations, K landmarks.
 """
 
 from typing import Any
 
 import numpy as np
 
-from lmd.core.checks import BoolArray, FloatArray
+from lmd.core.checks import BoolArray, FloatArray, IntArray
 from lmd.geometry.lens_models import density_of
 from lmd.geometry.se3 import cross
 from lmd.geometry.squares import upright
-from lmd.objectives.localisation.ambiguity import ResolvedPrecision, asks_apart, telling, tells
-from lmd.objectives.localisation.body import about_body, body_log_det, body_meets, gain_of, position_variance
-from lmd.objectives.localisation.information import (
-    PosePrecision,
-    Precision,
-    SizedPrecision,
-    half_of,
-    log_det,
-    meets,
-    moments,
-    share_of,
-    variance,
+from lmd.objectives.localisation.ambiguity import (
+    asks_apart,
+    body_has_one_pose,
+    camera_residual,
+    has_one_pose,
+    mirrored_numbers,
+    width_of,
 )
-from lmd.objectives.localisation.rig_ambiguity import has_one_pose, mirrored_numbers, width_of
-from lmd.scene.criteria import largest
+from lmd.objectives.localisation.body import about_body, body_log_det, body_meets, body_variance, gain_of
+from lmd.objectives.localisation.information import Precision, log_det, meets, moments, share_of, variance
 from lmd.scene.deployment import Deployment
 from lmd.scene.scene import Scene
+from lmd.sight.evaluator import Evaluator
 from lmd.sight.models.paper import dot
 from lmd.sight.reference import cap_count, coverage_caps, n_ple_cap, station_caps
 
 
 def view_information(
-    scene: Scene,
-    deployment: Deployment,
-    asked: Precision | PosePrecision | ResolvedPrecision | SizedPrecision,
-    position: FloatArray,
-    axes: FloatArray,
-) -> FloatArray:
-    """A, g and C of each view, `(15, A)`, of the landmarks that it covers."""
-    caps, (*args, weight) = _seen(scene, deployment, asked, position, axes)
-    formulas: Any = moments
-    with np.errstate(all="ignore"):  # of a landmark that is not covered the depth may be anything
-        shares = [share_of(each, weight) for each in formulas(*args, asked.share)]
-    return np.stack([np.where(caps, share, 0.0).sum(axis=1) for share in shares])
+    scene: Scene, deployment: Deployment, asked: Precision, position: FloatArray, axes: FloatArray
+) -> tuple[FloatArray, BoolArray]:
+    """Sums of the numbers of each view over the landmarks that it covers, `(16, A)`, and which these are, `(A, K)`.
 
-
-def told(
-    scene: Scene,
-    deployment: Deployment,
-    asked: Any,
-    position: FloatArray,
-    axes: FloatArray,
-) -> FloatArray:
-    """What each view has to tell two poses apart, `(A,)`: see `ambiguity.ENOUGH`."""
-    caps, (*args, weight) = _seen(scene, deployment, asked, position, axes)
-    formula: Any = telling
-    with np.errstate(all="ignore"):
-        share = share_of(formula(*args, _each(asked).square), weight)
-    return np.asarray(np.where(caps, 1.0 + share, 0.0).sum(axis=1))
-
-
-def _each(asked: Any) -> Any:
-    """What is asked of each size of tags."""
-    return asked.of if isinstance(asked, SizedPrecision) else asked
-
-
-def _seen(
-    scene: Scene, deployment: Deployment, asked: Any, position: FloatArray, axes: FloatArray
-) -> tuple[BoolArray, tuple[FloatArray, ...]]:
-    """Which landmarks each view covers, `(A, K)`; offsets and sides as `moments` takes them, and `pixel_density`."""
+    The sums are A, g and C, then the residual ratio of `ambiguity`.
+    """
     offset, (right, up) = deployment.positions - position, upright(deployment.normals)
-    half = np.reshape(half_of(asked, slice(None)), (-1, 1))  # one, or each tag's
-    with np.errstate(all="ignore"):
-        weight = _density(getattr(largest(scene.sight), "lens", None), axes, offset)
+    sides: Any = *offset.T, *(asked.halves[:, None] * right).T, *(asked.halves[:, None] * up).T
     caps = coverage_caps(scene, deployment, position, axes)
-    return caps, (*offset.T, *(half * right).T, *(half * up).T, weight)
+    with np.errstate(all="ignore"):  # of a landmark that is not covered the depth may be anything
+        weight = _density(getattr(scene.sight, "lens", None), axes, offset)
+        numbers = *moments(*(*sides, asked.share)), camera_residual(asked.residual, *sides)
+        shares = [share_of(each, weight) for each in numbers]
+    return np.stack([np.where(caps, share, 0.0).sum(axis=1) for share in shares]), caps
 
 
 def body_information(
-    scene: Scene,
-    deployment: Deployment,
-    asked: Any,
-    position: FloatArray,
-    axes: FloatArray,
+    scene: Scene, deployment: Deployment, asked: Precision, position: FloatArray, axes: FloatArray
 ) -> tuple[FloatArray, BoolArray]:
-    """What all cameras of a rig tell of its body in each of its orientations, `(A, width_of(asked))`, and which
-    landmarks they cover, `(A, K)`.
-    """
+    """The same of all cameras of a rig on its body in each of its orientations, `(width_of(asked), A)` and `(A, K)`."""
     sums, covered = np.zeros((len(axes), width_of(asked))), np.zeros((len(axes), len(deployment)), dtype=np.bool_)
-    right, up = upright(deployment.normals)
-    half = np.reshape(half_of(asked, slice(None)), (-1, 1))
-    sides = (half * right, half * up)
-    formulas: tuple[Any, ...] = moments, about_body, share_of, mirrored_numbers
+    sides = [(asked.halves[:, None] * side).T for side in upright(deployment.normals)]
     for station in scene.stations(axes):
         camera, arm, there, turned = station
         caps = station_caps(scene, deployment, position, station)
         covered[there] |= caps
         offset = deployment.positions - (position + arm)
         with np.errstate(all="ignore"):
-            tags = *offset.T, *sides[0].T, *sides[1].T
-            moment = formulas[1](formulas[0](*tags, asked.share), *arm)
+            tags: Any = *offset.T, *sides[0], *sides[1]
+            numbers = about_body(moments(*(*tags, asked.share)), *arm)
             if asks_apart(asked):
-                moment += formulas[3](*tags, _each(asked).square)
-            lens = getattr(largest(scene.visibility.sight(camera)), "lens", None)
+                numbers += mirrored_numbers(*(*tags, asked.residual))
+            lens = getattr(scene.visibility.sight(camera), "lens", None)
             weight = gain_of(camera, scene.cameras[0]) * _density(lens, turned, offset)
-            shares = [np.where(caps, formulas[2](each, weight), 0.0).sum(axis=1) for each in moment]
+            shares = [np.where(caps, share_of(each, weight), 0.0).sum(axis=1) for each in numbers]
         sums[there, : len(shares)] += np.stack(shares, axis=1)
-    return sums, covered
+    return sums.T, covered
+
+
+def information_of(
+    scene: Scene, deployment: Deployment, asked: Precision, position: FloatArray, axes: FloatArray
+) -> tuple[FloatArray, BoolArray]:
+    """`body_information` of a rig, `view_information` of a single camera."""
+    of = body_information if scene.rig is not None else view_information
+    return of(scene, deployment, asked, position, axes)
 
 
 def _density(lens: Any, axes: FloatArray, offset: FloatArray) -> FloatArray:
-    """See `lmd.scene.criteria.pixel_density`, `(A, K)`; `lens` is None for a pinhole."""
+    """`lmd.scene.criteria.pixel_density`, `(A, K)`; `lens` is None for a pinhole."""
     axis, right = axes[:, None, :3], axes[:, None, 3:]
     if lens is None:
         depth = dot(axis, offset)
@@ -123,14 +88,11 @@ def _density(lens: Any, axes: FloatArray, offset: FloatArray) -> FloatArray:
 
 
 def decided(
-    scene: Scene, deployment: Deployment, n: int, asked: Any, position: FloatArray, axes: FloatArray
+    scene: Scene, deployment: Deployment, n: int, asked: Precision, position: FloatArray, axes: FloatArray
 ) -> tuple[BoolArray, BoolArray, FloatArray]:
     """Views that cover n landmarks, and those of them that are localised, flags `(A,)` each.
 
-    Also the variance of the position in each, in the units of `variance`, infinite where not enough is seen, `(A,)`.
-
-    Args:
-        asked: the precision, see `Localisation.precision`.
+    Also the variance of the position in each, infinite where not enough is seen, `(A,)`.
     """
     enough = n_ple_cap(cap_count(coverage_caps(scene, deployment, position, axes)), n)
     found, variances = enough.copy(), np.full(len(axes), np.inf)
@@ -142,39 +104,44 @@ def decided(
 
 
 def _judged(
-    scene: Scene, deployment: Deployment, asked: Any, position: FloatArray, axes: FloatArray
+    scene: Scene, deployment: Deployment, asked: Precision, position: FloatArray, axes: FloatArray
 ) -> tuple[BoolArray, FloatArray]:
-    """Views that meet the precision `asked`, flags, and the variance of the position in each, `(A,)` each."""
+    """Views that have the precision `asked`, flags, and the variance of the position in each, `(A,)` each."""
+    has_precision, one, trace = meets, has_one_pose, variance
+    if scene.rig is not None:
+        has_precision, one, trace = body_meets, body_has_one_pose, body_variance
     with np.errstate(all="ignore"):
-        if scene.rig is not None:
-            sums, covered = body_information(scene, deployment, asked, position, axes)
-            one_pose = n_ple_cap(cap_count(covered), 2) | has_one_pose(asked, sums.T, 0, 1)
-            (value, fixed), met = position_variance(sums.T, 0, 1), body_meets(asked, sums.T, 0, 1)
-        else:
-            sums = view_information(scene, deployment, asked, position, axes)
-            one_pose = np.ones(len(axes), dtype=np.bool_)
-            if asks_apart(asked):
-                one_pose = np.asarray(tells(asked, told(scene, deployment, asked, position, axes)))
-            (value, fixed), met = variance(*sums), meets(asked, *sums)
+        sums, covered = information_of(scene, deployment, asked, position, axes)
+        one_pose = n_ple_cap(cap_count(covered), 2) | one(asked.residual, sums, 0, 1)
+        (value, fixed), met = trace(sums, 0, 1), has_precision(asked, sums, 0, 1)
     return np.asarray(met & one_pose), np.where(fixed & one_pose, value, np.inf)
 
 
 def localised(
-    scene: Scene, deployment: Deployment, n: int, asked: Any, position: FloatArray, axes: FloatArray
+    scene: Scene, deployment: Deployment, n: int, asked: Precision, position: FloatArray, axes: FloatArray
 ) -> BoolArray:
     """Views that are localised, flags `(A,)`; arguments as in `decided`."""
     return decided(scene, deployment, n, asked, position, axes)[1]
 
 
 def log_det_of(scene: Scene, sums: FloatArray) -> FloatArray:
-    """The `log_det` of the information of views, `(A,)`, of sums `(width, A)` as in `information_of`."""
-    return np.asarray(body_log_det(sums, 0, 1) if scene.rig is not None else log_det(*sums))
+    """Logarithm of the determinant of the information of views, `(A,)`, from `information_of`, `(width, A)`."""
+    return np.asarray((body_log_det if scene.rig is not None else log_det)(sums, 0, 1))
 
 
-def information_of(
-    scene: Scene, deployment: Deployment, asked: Any, position: FloatArray, axes: FloatArray
-) -> FloatArray:
-    """Fisher information of each view, `(width, A)`: `view_information` of a camera, `body_information` of a rig."""
-    if scene.rig is not None:
-        return body_information(scene, deployment, asked, position, axes)[0].T
-    return view_information(scene, deployment, asked, position, axes)
+def reference_views(
+    evaluator: Evaluator, positions: FloatArray, normals: FloatArray, n: int, precision: Precision, keep: bool
+) -> tuple[IntArray, IntArray, FloatArray]:
+    """See `evaluation.localised_views`."""
+    scene, axes, places = evaluator.scene, evaluator.scene.orientations.axes, evaluator.positions
+    weights = np.broadcast_to(evaluator.weights[:, : len(axes)], (len(places), len(axes)))
+    covered, localised = np.empty((2, len(positions), len(places)), dtype=np.int64)
+    kept = np.full((len(positions), len(places), evaluator.axes.shape[1]) if keep else (0, 0, 0), np.inf)
+    scene.check_count(positions.shape[1])
+    for b, landmarks in enumerate(map(Deployment, positions, normals)):
+        for p, place in enumerate(places):
+            enough, met, variances = decided(scene, landmarks, n, precision, place, axes)
+            covered[b, p], localised[b, p] = weights[p, enough].sum(), weights[p, met].sum()
+            if keep:
+                kept[b, p, : len(axes)] = variances
+    return covered, localised, kept

@@ -1,6 +1,6 @@
-"""The views of a rig that are localised: moments of all its cameras, whose information is summed (`body`).
+"""Localised views of a rig: the images of all its cameras, whose information on the body is summed (`body`).
 
-A rig of one camera at the body's origin gets the figures of that camera alone.
+A rig of one camera at the body's origin has the values of that camera alone.
 """
 
 import math
@@ -9,22 +9,35 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from lmd.core.bits import ONE, ZERO
+from lmd.core.bits import ONE, ZERO, Integer
 from lmd.core.checks import BoolArray, FloatArray, IntArray
 from lmd.core.compiled import for_kernels, kernel
 from lmd.core.threads import in_parts
-from lmd.objectives.localisation.body import body_meets, gain_of, position_variance
-from lmd.objectives.localisation.looks import add_of_all, looks_of, seen_by_any
-from lmd.objectives.localisation.rig_ambiguity import add_share, has_one_pose, width_of
-from lmd.objectives.localisation.slots import ORIENTATION, VIEW, fill_slots, met_slots, new_slots, tags_of
+from lmd.objectives.localisation.ambiguity import body_has_one_pose, width_of
+from lmd.objectives.localisation.body import body_variance, gain_of
+from lmd.objectives.localisation.information import Precision
+from lmd.objectives.localisation.pairs import (
+    Mounts,
+    Shown,
+    add_of_all,
+    add_to_body,
+    add_up,
+    fill_views,
+    give_sums,
+    seen_by_any,
+    shown_by,
+    tag_of,
+    tags_of,
+)
+from lmd.objectives.localisation.views import ORIENTATION, VIEW, BodyViews, body_views, is_met, met_views
 from lmd.scene.deployment import Deployment
 from lmd.sight.evaluator import Evaluator
 from lmd.sight.kernels import sum_weights
+from lmd.sight.mounts import Part
 from lmd.sight.rig_views import RigViews
-from lmd.sight.stations import Part
 from lmd.sight.views import visible_to_each
 
-VIEWS_AT_ONCE = 1 << 16  # of which the landmarks seen are kept
+VIEWS_AT_ONCE = 1 << 16  # views whose landmarks are kept at a time, 8 bytes per landmark and 64 views
 
 
 def rig_views(
@@ -32,10 +45,10 @@ def rig_views(
     positions: FloatArray,
     normals: FloatArray,
     n: int,
-    precision: Any,
+    precision: Precision,
     keep: bool,
 ) -> tuple[IntArray, IntArray, FloatArray]:
-    """See `views.localised_views`; the precision is in the units of the first camera."""
+    """See `evaluation.localised_views`; the precision is in the units of the first camera."""
     size, orientations = len(evaluator.positions), evaluator.axes.shape[1]
     covered, localised = np.zeros((2, len(positions), size), dtype=np.int64)
     kept = np.full((len(positions), size, orientations) if keep else (0, 0, 0), np.inf)
@@ -45,9 +58,9 @@ def rig_views(
     def work(b: int, parts: tuple[Part, ...], landmarks: Deployment, tags: FloatArray, first: int, last: int) -> None:
         here = order[first:last]
         places, kinds = evaluator.positions[here], weights[here] if len(weights) > 1 else weights
-        every, found = looks_of(evaluator, parts, places, landmarks), np.zeros((2, len(here)), dtype=np.int64)
+        every, found = shown_by(evaluator, parts, places, landmarks), np.zeros((2, len(here)), dtype=np.int64)
         variances = np.full((len(here), orientations), np.inf) if keep else np.empty((0, 0))
-        _localise(every, places, tags, kinds, n, precision, precision.asks, new_slots(), found, variances)
+        _localise(every, places, tags, kinds, n, precision, precision.asks, body_views(), found, variances)
         covered[b, here], localised[b, here] = found
         if keep:
             kept[b, here] = variances
@@ -61,21 +74,25 @@ def rig_views(
 
 
 @kernel
-def _localise(every, positions, tags, weights, n, precision, asks, slots, found, variances):  # type: ignore[no-untyped-def]
-    """Find P_n and L in units, `found` `(2, P)`.
+def _localise(
+    every: tuple[Shown, ...], positions: FloatArray, tags: FloatArray, weights: IntArray, n: Integer,
+    precision: Precision, asks: bool, views: BodyViews, found: IntArray, variances: FloatArray,
+) -> None:  # fmt: skip
+    """Find P_n and L in integer units, `found` `(2, P)`.
 
     Args:
-        every: what the cameras cover, see `Looks`.
+        every: landmarks that each part of the rig covers.
         positions: of the body, `(P, 3)`.
         tags: the landmarks, see `tags_of`.
-        weights: of the orientations in units, `(1, D)` or `(P, D)`.
-        n, precision, asks: see `kernels.localise_range`.
-        slots: working memory.
-        variances: `(P, D)` of infinity, receives those of the position where n are covered and one pose fits; empty if
-            nobody asks.
+        weights: of the orientations in integer units, `(1, D)` or `(P, D)`.
+        n, precision: see `evaluation.localised_views`.
+        asks: `Precision.asks`.
+        views: working memory.
+        variances: `(P, D)` of infinity, receives those of the position where n are covered and one pose fits; or empty.
     """
-    some, words = np.zeros(max(n, 2), dtype=np.uint64), np.uint64(weights.shape[1]) // VIEW
-    shown, bits = np.empty(len(tags), dtype=np.int64), slots.lists[ORIENTATION]
+    some: Any = np.zeros(max(n, 2), dtype=np.uint64)
+    words = np.uint64(weights.shape[1]) // VIEW
+    shown, bits = np.empty(len(tags), dtype=np.int64), views.lists[ORIENTATION]
     for p in range(np.uint64(len(positions))):
         place = positions[p, 0], positions[p, 1], positions[p, 2]
         for w in range(words):
@@ -92,115 +109,102 @@ def _localise(every, positions, tags, weights, n, precision, asks, slots, found,
                 some[0] |= seen
             good = has = some[n - 1]
             if has and (asks or len(variances)):
-                count = fill_slots(has, precision, slots)
-                add_of_all(every, p, shown[:listed], w, place, tags, precision, slots)
+                count = fill_views(has, precision, views)
+                add_of_all(every, p, shown[:listed], w, place, tags, precision, views)
                 if asks:
-                    good = has & met_slots(precision, slots, count, some[1])
+                    good = has & met_views(precision, views, count, some[1])
                 for v in range(count if len(variances) else ZERO):
-                    value, fixed = position_variance(slots.rows, v, VIEW)
-                    fixed &= (some[1] >> bits[v] & ONE != ZERO) | has_one_pose(precision, slots.rows, v, VIEW)
-                    variances[p, w * VIEW + bits[v]] = value if fixed else np.inf
+                    value, fixed = body_variance(views.rows, v, VIEW)
+                    one_pose = some[1] >> bits[v] & ONE != ZERO
+                    one_pose |= body_has_one_pose(precision.residual, views.rows, v, VIEW)
+                    variances[p, w * VIEW + bits[v]] = value if fixed & one_pose else np.inf
             found[0, p] += sum_weights(ZERO, has, weights, p, w)
             found[1, p] += sum_weights(ZERO, good, weights, p, w)
 
 
-class Moments(NamedTuple):
-    """N views of a body that occur.
-
-    Args:
-        place, orientation: which of the positions and of the orientations, `(N,)` each.
-        weight: probability, in units, `(N,)`.
-        positions, axes: of the body, `(N, 3)` and `(N, 6)`.
-        seen: which landmarks each camera covers, `(C, N, K)`.
-    """
+class Images(NamedTuple):
+    """N views of a body that occur, as the images of its C cameras."""
 
     place: IntArray
+    """`(N,)` index of the position."""
     orientation: IntArray
+    """`(N,)` index of the orientation."""
     weight: IntArray
+    """`(N,)` probability in integer units."""
     positions: FloatArray
+    """`(N, 3)` of the body, metres."""
     axes: FloatArray
+    """`(N, 6)` of the body."""
     seen: BoolArray
+    """`(C, N, K)` landmarks that each camera covers."""
 
-    def some(self, which: BoolArray) -> "Moments":
-        """Those that `which` `(N,)` selects."""
-        rows = {name: getattr(self, name)[which] for name in self._fields[:-1]}
-        return self._replace(**rows, seen=self.seen[:, which])
+    def some(self, which: BoolArray) -> "Images":
+        """The views that `which` `(N,)` selects."""
+        rows: dict[str, Any] = {name: getattr(self, name)[which] for name in self._fields[:-1]}
+        return Images(**rows, seen=self.seen[:, which])
 
 
-def moments_of(evaluator: Evaluator, deployment: Deployment, here: slice = slice(None)) -> Moments:
-    """What a rig sees of a deployment at some of an evaluator's positions."""
+def images_of(evaluator: Evaluator, deployment: Deployment, here: slice = slice(None)) -> Images:
+    """Images that a rig takes of a deployment at some of an evaluator's positions."""
     places, axes = evaluator.positions[here], evaluator.scene.orientations.axes
     weights = evaluator.weights if len(evaluator.weights) == 1 else evaluator.weights[here]
     weights = np.broadcast_to(weights[:, : len(axes)], (len(places), len(axes)))
     p, a = np.nonzero(weights)
-    return Moments(p, a, weights[p, a], places[p], axes[a], visible_to_each(evaluator, deployment, places[p], axes[a]))
+    return Images(p, a, weights[p, a], places[p], axes[a], visible_to_each(evaluator, deployment, places[p], axes[a]))
 
 
 def covers(seen: BoolArray, n: int) -> BoolArray:
-    """Whether at least n landmarks are covered by any camera, `(C, N, K)` -> `(N,)`."""
+    """True where at least n landmarks are covered by any camera, `(C, N, K)` -> `(N,)`."""
     return np.asarray(seen.any(axis=0).sum(axis=1) >= n)
 
 
-def located(evaluator: Evaluator, deployment: Deployment, moments: Moments, n: int, precision: Any) -> BoolArray:
-    """Whether the moments are localised, `(N,)`."""
-    found = covers(moments.seen, n)
+def located(evaluator: Evaluator, deployment: Deployment, images: Images, n: int, precision: Precision) -> BoolArray:
+    """Views that are localised, flags `(N,)`."""
+    found = covers(images.seen, n)
     if precision.asks:
-        those = moments.some(found)
-        sums, met = body_information(evaluator, deployment, those, precision), np.empty(len(those.place), np.bool_)
-        _decide(precision, sums.reshape(-1), covers(those.seen, 2), met)
+        those = images.some(found)
+        sums, met = body_sums(evaluator, deployment, those, precision), np.empty(len(those.place), np.bool_)
+        _decide(precision, sums, covers(those.seen, 2), body_views(), met)
         found[found] = met
     return found
 
 
-def body_information(evaluator: Evaluator, deployment: Deployment, moments: Moments, precision: Any) -> FloatArray:
-    """What all cameras tell of the body in the units of the first one, `(N, width_of(precision))`.
-
-    Args:
-        evaluator: the scene.
-        deployment: K landmarks.
-        moments: N of them.
-        precision: has the size of the tags.
-    """
-    scene, (positions, axes, seen) = evaluator.scene, moments[3:]
+def body_sums(evaluator: Evaluator, deployment: Deployment, images: Images, precision: Precision) -> FloatArray:
+    """Information of all images on the body in the units of the first camera, `(N, width_of(precision))`."""
+    scene, (positions, axes, seen) = evaluator.scene, images[3:]
     assert scene.rig is not None
-    landmarks, normals = (for_kernels(v) for v in (deployment.positions, deployment.normals))
-    sums = np.zeros((len(positions), width_of(precision)))
+    tags, sums = (
+        tags_of(precision, deployment.positions, deployment.normals),
+        np.zeros((len(positions), width_of(precision))),
+    )
     for camera, offsets, turned, its in zip(scene.cameras, *scene.rig.views(axes), seen, strict=True):
-        poses = for_kernels(positions), for_kernels(offsets), for_kernels(turned.T)
-        gain, sight = gain_of(camera, scene.cameras[0]), scene.visibility.sight(camera)
-        _add_up(*poses, landmarks, normals, sight, for_kernels(its), precision, gain, sums)
+        there = for_kernels(offsets.T[None]), for_kernels(turned.T[None]), gain_of(camera, scene.cameras[0])
+        mounts = Mounts(0, scene.visibility.sight(camera), *there)
+        _add_images(mounts, for_kernels(positions), tags, for_kernels(its), precision, body_views(), sums)
     return sums
 
 
 @kernel
-def _decide(precision, sums, several, met):  # type: ignore[no-untyped-def]
-    """Find whether views with `several` landmarks and with the numbers `sums` are what the precision asks for."""
-    width = len(sums) // max(len(met), 1)
-    for i in range(len(met)):
-        met[i] = body_meets(precision, sums, i * width, 1) & (several[i] | has_one_pose(precision, sums, i * width, 1))
+def _decide(precision: Precision, sums: FloatArray, several: BoolArray, views: BodyViews, met: BoolArray) -> None:
+    """Find the views that have the precision, from their `sums` `(N, width)` and where they show two landmarks."""
+    for i in range(np.uint64(len(met))):
+        for j in range(np.uint64(sums.shape[1])):
+            views.rows[j * VIEW] = sums[i, j]
+        met[i] = is_met(views, precision, ZERO, several[i])
 
 
 @kernel
-def _add_up(positions, offsets, axes, landmarks, normals, sight, seen, precision, gain, sums):  # type: ignore[no-untyped-def]
-    """Add what the landmarks tell that a camera covers to `sums` `(N, width)`.
-
-    Args:
-        positions: of the body, `(N, 3)`.
-        offsets, axes: of the camera, `(N, 3)` and `(6, N)`.
-        landmarks, normals: `(K, 3)` each.
-        sight: of the camera.
-        seen: `(N, K)`.
-        precision, gain: see `add_share`.
-    """
-    row = np.zeros(sums.shape[1])
-    for i in range(len(positions)):
-        ox, oy, oz = offsets[i, 0], offsets[i, 1], offsets[i, 2]
-        for k in range(len(landmarks)):
+def _add_images(
+    mounts: Mounts, positions: FloatArray, tags: FloatArray, seen: BoolArray, precision: Precision, views: BodyViews,
+    sums: FloatArray,
+) -> None:  # fmt: skip
+    """Add the landmarks that a camera covers, `seen` `(N, K)`, to `sums` `(N, width)`; `mounts` has N orientations."""
+    for i in range(np.uint64(len(positions))):
+        bit = ONE << i % VIEW
+        fill_views(bit, precision, views)
+        for k in range(len(tags)):
             if seen[i, k]:
-                x, y, z = (
-                    landmarks[k, 0] - (positions[i, 0] + ox),
-                    landmarks[k, 1] - (positions[i, 1] + oy),
-                    landmarks[k, 2] - (positions[i, 2] + oz),
-                )
-                nx, ny, nz = normals[k, 0], normals[k, 1], normals[k, 2]
-                add_share(sight, axes, i, x, y, z, nx, ny, nz, ox, oy, oz, precision, k, gain, sums, i, row)
+                place = positions[i, 0], positions[i, 1], positions[i, 2]
+                add_to_body(mounts, 0, i // VIEW, bit, place, tag_of(tags, k), 1.0, precision, views)
+        add_up(precision, views)
+        give_sums(sums, i // VIEW * VIEW, precision, views, ONE)

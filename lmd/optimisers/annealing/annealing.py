@@ -153,9 +153,9 @@ class Annealing(Optimiser):
         """Draw the start, and stack it if the budget suffices; returns the landmarks moved to find the start."""
         count = problem.count
         self.rng = np.random.default_rng(self.seed)
-        start, plates = problem.draw(self.rng), problem.scene.plates
-        movable = problem.free(start).movable(plates.room, flush=plates.edge > 0.0)
-        plates.check(start)  # a file may be taken as it is, with papers that overlap
+        start, footprints = problem.draw(self.rng), problem.scene.footprints
+        movable = problem.free(start).movable(footprints.room, flush=footprints.edge > 0.0)
+        footprints.check(start)  # a file may be taken as it is, with papers that overlap
         self.start = self.here = problem.complete(movable)
         if not stack and problem.start.varies and isinstance(problem.objective, Selectable):
             self.start, spent = greedy_start(problem, self.start, GRID_SPACING, (limit - count) / 2)
@@ -236,7 +236,7 @@ class Annealing(Optimiser):
 
     @property
     def _known(self) -> Deployment:
-        """The best deployment so far."""
+        """The best deployment."""
         assert self.best is not None, "the start was noted"
         return self.best
 

@@ -89,7 +89,10 @@ class Ascent:
             samples: number of samples to draw, each with one position in each cell; on as many threads, if possible.
             rng: draws the samples.
         """
-        surfaces, seeds = SurfaceArrays.of(problem.scene.plates.hanging.surfaces()), rng.integers(2**63, size=samples)
+        surfaces, seeds = (
+            SurfaceArrays.of(problem.scene.footprints.hanging.surfaces()),
+            rng.integers(2**63, size=samples),
+        )
 
         def slopes(seed: int) -> FloatArray:
             sample = problem.resampled(0.0, np.random.default_rng(seed))

@@ -40,7 +40,7 @@ class Settings(NamedTuple):
     """Probability that a landmark exchanges its place with one of another size, where there are several sizes."""
 
 
-class Footprints(NamedTuple):
+class FootprintArrays(NamedTuple):
     """Squares that K landmarks cover on their surfaces; S sizes, W surfaces, T trapezoids.
 
     Moves that let two overlap, or that leave the places where landmarks may hang, are not tried.
@@ -111,7 +111,7 @@ def propose(
     group: IntArray,
     here: Places,
     surfaces: SurfaceArrays,
-    footprints: Footprints,
+    footprints: FootprintArrays,
     settings: Settings,
     rng: np.random.Generator,
     new: FloatArray,
@@ -142,14 +142,14 @@ def propose(
 
 
 @inner
-def _may_hang(k: int, s: int, a: float, b: float, footprints: Footprints) -> bool:
+def _may_hang(k: int, s: int, a: float, b: float, footprints: FootprintArrays) -> bool:
     """Return True if landmark k may hang at (a, b) on surface s; never where s is negative."""
     first = footprints.first[footprints.of[k]]
     return s >= 0 and allows(footprints.pieces, first[s], first[s + 1], a, b)
 
 
 @inner
-def pair_up(k: int, members: IntArray, footprints: Footprints, rng: np.random.Generator, pair: IntArray) -> bool:
+def pair_up(k: int, members: IntArray, footprints: FootprintArrays, rng: np.random.Generator, pair: IntArray) -> bool:
     """Fill `pair` with landmark k and one of the `members` of another size; return False if there is none."""
     start = int(rng.random() * len(members))
     for i in range(len(members)):
@@ -162,7 +162,7 @@ def pair_up(k: int, members: IntArray, footprints: Footprints, rng: np.random.Ge
 
 @inner
 def exchange(
-    pair: IntArray, here: Places, surfaces: SurfaceArrays, footprints: Footprints, new: FloatArray, on: IntArray
+    pair: IntArray, here: Places, surfaces: SurfaceArrays, footprints: FootprintArrays, new: FloatArray, on: IntArray
 ) -> bool:
     """Propose that the landmarks of `pair` exchange their places; returns as `propose`."""
     for m in range(2):
@@ -185,7 +185,7 @@ def overlap(
     new: FloatArray,
     here: Places,
     surfaces: SurfaceArrays,
-    footprints: Footprints,
+    footprints: FootprintArrays,
 ) -> bool:
     """Return True if a footprint of `group` at its new place would overlap another on that surface."""
     poses, edges = here.poses, footprints.edges

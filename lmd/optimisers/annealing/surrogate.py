@@ -18,7 +18,7 @@ from lmd.core.threads import at_once
 from lmd.incremental.field import Field, Places, Stacking, in_order, placed, places_of, runner, stack_of, total_worth
 from lmd.objectives.base import incremental
 from lmd.objectives.reference_field import field_of
-from lmd.optimisers.annealing.moves import Footprints, Settings
+from lmd.optimisers.annealing.moves import FootprintArrays, Settings
 from lmd.optimisers.annealing.walk import Best, walk
 from lmd.optimisers.stored import array, points
 from lmd.problem import Problem
@@ -79,10 +79,10 @@ class Surrogate:
     def __init__(self, problem: Problem, walkers: int, largest: float) -> None:
         self._problem, self._most_walkers, self._largest = problem, walkers, largest
         self._threads = problem.evaluator.threads
-        self._surfaces = SurfaceArrays.of(problem.scene.plates.hanging.surfaces())
+        self._surfaces = SurfaceArrays.of(problem.scene.footprints.hanging.surfaces())
         self._lay_out(problem.fitness_evaluator, problem.fitness_relevance)
         self._climbed: tuple[bool, float] | None = None  # `in_stacks` and `size` of the last walk
-        self._footprints: Footprints
+        self._footprints: FootprintArrays
         self._field: Field
         self._walkers: list[Walker]
 
@@ -114,7 +114,7 @@ class Surrogate:
 
         Args:
             here: stacks, or all landmarks.
-            best: best deployment of the problem so far.
+            best: best deployment of the problem.
             conditions: of the walk.
             moves: number of landmarks, or stacks, to move.
             rng: draws all that is random.
@@ -187,16 +187,13 @@ class Surrogate:
         met = Best(reached, Places(placed(known).poses.copy(), placed(known).surfaces.copy()))
         return Walker(members, np.empty(together, dtype=np.int64), state, scratches, met)
 
-    def _footprints_of(self, count: int, size: float) -> Footprints:
+    def _footprints_of(self, count: int, size: float) -> FootprintArrays:
         """Footprints of `count` landmarks, `size` times the true ones; 0 for stacks, which have none."""
-        plates, sizes = self._problem.scene.plates, self._problem.sizes
-        if sizes is None or not size:
-            edges = np.full(count, size * plates.edge * (1.0 - TOUCHING))
-            return Footprints(edges, np.zeros(count, dtype=np.int64), self._surfaces.pieces, self._surfaces.first[None])
-        papers = plates.tag.paper_share * sizes
+        footprints, sizes = self._problem.scene.footprints, self._problem.sizes
+        papers = footprints.tag.paper_share * sizes if size else np.full(count, footprints.edge)
         found, of = np.unique(papers, return_inverse=True)
-        pieces, first = plates.pieces_of(found)
-        return Footprints(size * papers * (1.0 - TOUCHING), of.astype(np.int64), pieces, first)
+        pieces, first = footprints.pieces_of(found)
+        return FootprintArrays(size * papers * (1.0 - TOUCHING), of.astype(np.int64), pieces, first)
 
     def _slices(self, here: Deployment, first: int, number: int, rng: np.random.Generator) -> list[IntArray]:
         """Indices of the landmarks from `first` on, shared out among `number` slices of the room."""
@@ -234,7 +231,7 @@ def pulled_apart(problem: Problem, stacks: Deployment, angles: FloatArray, stack
     Returns:
         S * `stack` landmarks.
     """
-    surfaces = SurfaceArrays.of(problem.scene.plates.hanging.surfaces())
+    surfaces = SurfaceArrays.of(problem.scene.footprints.hanging.surfaces())
     radius = 0.0 if stack == 1 else distance / (2.0 * math.sin(math.pi / stack))
     angle = angles[:, None] + 2.0 * np.pi * np.arange(stack) / stack
     offsets = radius * np.stack([np.cos(angle), np.sin(angle)], axis=-1)

@@ -6,7 +6,7 @@ over positions of
 
     1 / (1 + exp(-(P_n - thold_p - margin) / width)) + share * P_n.
 
-It keeps the deployment that is best on the true objective (`worth`). As `width` shrinks the two become the same.
+It keeps the deployment that is best on the true objective (`worth`). The two converge as `width` shrinks.
 
 Most moves are rejected, most of them before their exact gain is known: the objective rises with every value, so values
 no lower than the true ones (`bound`) give an upper bound on the gain. If that bound is a loss, so is the gain, and the
@@ -23,7 +23,7 @@ from lmd.core.checks import FloatArray, IntArray
 from lmd.core.compiled import inner, kernel
 from lmd.core.layers import layer
 from lmd.incremental.field import Places, accept, bound, lead, placed, settle, smoothed, total_worth, undo
-from lmd.optimisers.annealing.moves import Footprints, Settings, exchange, gather, overlap, pair_up, propose
+from lmd.optimisers.annealing.moves import FootprintArrays, Settings, exchange, gather, overlap, pair_up, propose
 from lmd.space.surface import SurfaceArrays
 
 # Relative safety margin of the bound on a gain: exp may fall by a rounding error or two where its argument rises.
@@ -133,7 +133,7 @@ def walk(
     scratches: Any,
     target: Any,
     surfaces: SurfaceArrays,
-    footprints: Footprints,
+    footprints: FootprintArrays,
     settings: Settings,
     rng: np.random.Generator,
     best: Best,
@@ -153,7 +153,7 @@ def walk(
         footprints: of all landmarks.
         settings: conditions of the walk.
         rng: draws proposals and decisions.
-        best: the best deployment so far.
+        best: the best deployment.
     """
     # The lead is no kernel of its own: the functions that move landmarks are compiled once for each field, and numba
     # compiles a function that a kernel calls by itself a second time.

@@ -1,4 +1,4 @@
-"""When a real detector sees a fiducial tag: its pitch, its size in the image, its corners, and plates in the way.
+"""When a real detector sees a fiducial tag: its pitch, its size in the image, its corners, and footprints in the way.
 
 Fitted to what ArUco and AprilTag found in renderings of some 60,000 single tags: it predicts them in 95 to 96 % of
 cases, and the probability of seeing at least n tags in whole rooms to 0.02. A tag is seen if
@@ -9,7 +9,7 @@ cases, and the probability of seeing at least n tags in whole rooms to 0.02. A t
   disc at the depth of its centre;
 - the square of the same area in the image has an edge of at least `edge` pixels;
 - the corners of its black square lie in the rectangular image, at least `margin` pixels from its border;
-- no other plate covers its centre or a corner of its black square. Plates are squares of paper, quiet zone included.
+- no other footprint covers its centre or a corner of its black square. Footprints include the quiet zone.
 
 Let (u, v, w) be the tag's centre in the camera's frame and t, s its right and up there. Metres in its plane become
 pixels by J, whose columns are, for t and likewise for s, (f_u (t_u - t_w u / w) / w, f_v (t_v - t_w v / w) / w). The
@@ -39,7 +39,7 @@ from lmd.geometry.camera import MM_PER_M, Camera
 from lmd.geometry.lens import EQUIDISTANT, Lens
 from lmd.geometry.se3 import cross
 from lmd.geometry.squares import VERTICAL_TOLERANCE, upright
-from lmd.scene.criteria import TOLERANCE, sized
+from lmd.scene.criteria import TOLERANCE
 from lmd.scene.tag import Tag
 from lmd.sight.models.fiducial_reference import (
     faces,
@@ -49,11 +49,10 @@ from lmd.sight.models.fiducial_reference import (
     resolved,
     resolved_by_lens,
 )
-from lmd.sight.models.fiducial_sight import FiducialSight
-from lmd.sight.models.lens_sight import NEAR, LensSight
+from lmd.sight.models.fiducial_sight import FiducialSight, of_sizes
+from lmd.sight.models.lens_sight import NEAR, LensSight, of_sizes_behind_lens
 from lmd.sight.models.limits import Limits, limits_of
 from lmd.sight.models.paper import dot
-from lmd.sight.models.sized import SizedSight, sized_sight
 
 # Tags at least this far away are spared the exact test if their centre is well inside the image, metres.
 FAR = 1.6
@@ -95,19 +94,24 @@ class Fiducial:
 
     @property
     def spacing(self) -> float:
-        """See `Criteria.spacing`: plates side by side."""
+        """See `Criteria.spacing`: footprints side by side."""
         return self.tag.paper_edge
 
     def sized(self, edges: tuple[float, ...]) -> "Fiducial":
         """The same for landmarks with these edges, metres."""
         return replace(self, edges=edges)
 
-    def sight(self, camera: Camera) -> FiducialSight | LensSight | SizedSight:
+    def sight(self, camera: Camera) -> FiducialSight | LensSight:
         """See `Criteria.sight`."""
         if self.edges is None:
             return self._sight_of(self.tag, camera)
-        each = {edge: self._sight_of(replace(self.tag, edge=edge), camera) for edge in set(self.edges)}
-        return sized_sight([each[edge] for edge in self.edges]) if len(each) > 1 else each[self.edges[0]]
+        each: dict[float, Any] = {
+            edge: self._sight_of(replace(self.tag, edge=edge), camera) for edge in set(self.edges)
+        }
+        if len(each) == 1:
+            return each[self.edges[0]]  # type: ignore[no-any-return] # a sight
+        sights = [each[edge] for edge in self.edges]
+        return of_sizes(sights) if camera.lens is None else of_sizes_behind_lens(sights)
 
     def _sight_of(self, tag: Tag, camera: Camera) -> FiducialSight | LensSight:
         """The same for a tag."""
@@ -131,7 +135,7 @@ class Fiducial:
             reach=(tag.paper_edge + tag.size) ** 2 / 2.0 * (1.0 + TOLERANCE),
             facing=math.cos(math.radians(limits.incidence)) - TOLERANCE,
             half=tag.size / 2.0,
-            plate=tag.paper_edge / 2.0 * (1.0 + TOLERANCE),
+            footprint=tag.paper_edge / 2.0 * (1.0 + TOLERANCE),
             level=VERTICAL_TOLERANCE,
             left=left + TOLERANCE,
             right=right + TOLERANCE,
@@ -159,7 +163,7 @@ class Fiducial:
         self, camera: Camera, position: FloatArray, axes: FloatArray, landmarks: FloatArray, normals: FloatArray
     ) -> dict[str, BoolArray]:
         """Whether tags meet each criterion taken by itself, `(A, K)` by its name; args as in `covered`."""
-        sight, offset = sized(self.sight(camera), slice(None)), landmarks - position
+        sight, offset = self.sight(camera), landmarks - position
         flat = sight.flat if isinstance(sight, LensSight) else sight
         axis, right = axes[:, None, :3], axes[:, None, 3:]
         frame = np.stack([right, cross(axis, right), axis])  # (3, A, 1, 3)

@@ -84,9 +84,9 @@ def _suffices(sight: FiducialSight, square: FloatArray, determinant: FloatArray,
 
 
 def hidden_by_others(sight: FiducialSight, offset: FloatArray, normals: FloatArray) -> BoolArray:
-    """Whether the line of sight to the centre or a corner of a tag passes through another plate in front of it, `(K,)`.
+    """True where the line of sight to a tag's centre or corner meets another footprint in front of it, `(K,)`.
 
-    Nothing hides what is at most a nanometre (`TOLERANCE`) behind the plane of the plate: plates on one wall never do.
+    A footprint hides nothing that is at most a nanometre (`TOLERANCE`) behind its plane, such as tags on its wall.
     """
     right, up = upright(normals)
     half = np.reshape(sight.half, (-1, 1))  # one, or each tag's
@@ -98,7 +98,7 @@ def hidden_by_others(sight: FiducialSight, offset: FloatArray, normals: FloatArr
     with np.errstate(all="ignore"):  # where the line does not cross the plane, share is anything
         share = height / (height - side)
         at = share[..., None] * points - offset
-        within = (abs(dot(right, at)) <= sight.plate) & (abs(dot(up, at)) <= sight.plate)
+        within = (abs(dot(right, at)) <= sight.footprint) & (abs(dot(up, at)) <= sight.footprint)
     hides = np.asarray(np.any(crosses & within, axis=0))
     hides[np.arange(len(offset)), np.arange(len(offset))] = False
     return np.asarray(hides.any(axis=1))

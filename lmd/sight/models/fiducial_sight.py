@@ -4,12 +4,14 @@ The same operations in the same order as the reference there, hence the same bit
 """
 
 import math
-from typing import NamedTuple
+from collections.abc import Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from lmd.core.checks import FloatArray
 from lmd.core.compiled import inlined, inner, kernel
+from lmd.core.dispatch import entry
 from lmd.geometry.squares import upright_axes
 from lmd.scene.criteria import (
     TOLERANCE,
@@ -22,6 +24,7 @@ from lmd.scene.criteria import (
     hide_between,
     in_image,
     in_view,
+    sized,
 )
 from lmd.scene.deployment import NORMAL_TOLERANCE
 from lmd.sight.obstacles import half_edge
@@ -30,10 +33,18 @@ from lmd.sight.obstacles import half_edge
 NEWTON_STEPS = 3
 # Bounds of depths are wider by this, far more than they are rounded.
 MARGIN = 1e-6
+SIZED = ("half", "footprint", "area", "sharp", "blurred")  # fields of `FiducialSight` that depend on a tag's size
+
+
+Column = float | FloatArray
 
 
 class FiducialSight(NamedTuple):
-    """The criteria as numbers, tolerance included; a `lmd.scene.criteria.Sight`."""
+    """The criteria as numbers, tolerance included; a `lmd.scene.criteria.Sight`.
+
+    What depends on a tag's size is a number where all tags have one, else a column `(K,)`: `sized` has that of one tag.
+    Other numbers are those of the largest tags, which hold for all.
+    """
 
     outer_cosine: float
     """See `Sight.outer_cosine`."""
@@ -43,9 +54,9 @@ class FiducialSight(NamedTuple):
     """See `Sight.reach`."""
     facing: float
     """Cosine of the greatest incidence."""
-    half: float
+    half: Column
     """Half the edge of the black square, metres."""
-    plate: float
+    footprint: Column
     """Half the edge of the paper, metres."""
     level: float
     """See `lmd.geometry.squares.upright`."""
@@ -61,12 +72,12 @@ class FiducialSight(NamedTuple):
     """Focal length along the image's rows, pixels."""
     focal_v: float
     """Focal length along its columns, pixels."""
-    area: float
+    area: Column
     """Least |det J|, pixels^2 / metre^2."""
-    sharp: float
+    sharp: Column
     """Of the least eigenvalue of J^T J that is asked for, sharp + blurred (defocus - focus / depth)^2, in pixels^2 /
     metre^2."""
-    blurred: float
+    blurred: Column
     """See `sharp`."""
     defocus: float
     """See `sharp`."""
@@ -78,7 +89,7 @@ class FiducialSight(NamedTuple):
     @property
     def horizon(self) -> float:
         """See `Sight.horizon`: where a tag in the corner of the image that faces the camera is `resolved`."""
-        least = self.outer_cosine**3 * max(self.area, self.sharp)
+        least = self.outer_cosine**3 * max(np.min(self.area), np.min(self.sharp))
         seen = math.sqrt(self.focal_u * self.focal_v / least) if least else math.inf
         return (seen + math.sqrt(max(self.reach, 0.0))) * (1.0 + NORMAL_TOLERANCE)
 
@@ -92,12 +103,29 @@ class FiducialSight(NamedTuple):
         return self._replace(reach=-1.0)
 
     def among(self, low: FloatArray, high: FloatArray, landmarks: FloatArray, normals: FloatArray) -> "FiducialSight":
-        """See `Sight.among`: flush plates of a convex room never hide each other."""
+        """See `Sight.among`: flush footprints of a convex room never hide each other."""
         return self if may_hide(self, self.horizon, low, high, landmarks, normals) else self.unhidden()
 
     def shrunk(self, size: float) -> "FiducialSight":
         """See `Sight.shrunk`."""
-        return self._replace(plate=self.plate * size)
+        return self._replace(footprint=self.footprint * size)
+
+
+def of_sizes(sights: Sequence[FiducialSight]) -> FiducialSight:
+    """The sight of K tags, given that of each by itself."""
+    largest = max(sights, key=lambda sight: sight.half)
+    columns: dict[str, Any] = {name: np.array([getattr(sight, name) for sight in sights]) for name in SIZED}
+    return largest._replace(**columns)
+
+
+@sized.register(FiducialSight)
+def _sized(sight, k):  # type: ignore[no-untyped-def]
+    return FiducialSight(
+        sight.outer_cosine, sight.inset, sight.reach, sight.facing, entry(sight.half, k), entry(sight.footprint, k),
+        sight.level, sight.left, sight.right, sight.top, sight.bottom, sight.focal_u, sight.focal_v,
+        entry(sight.area, k), entry(sight.sharp, k), entry(sight.blurred, k), sight.defocus, sight.focus,
+        sight.in_focus,
+    )  # fmt: skip
 
 
 @from_position.register(FiducialSight)
@@ -228,7 +256,7 @@ def _in_view(sight, x, y, z, sine, cosine, ax, ay, az, rx, ry, rz):  # type: ign
 
 @inner
 def _hides(sight, half, ax, ay, az, nx, ny, nz, bx, by, bz, mx, my, mz):  # type: ignore[no-untyped-def]
-    """Whether plate A with normal n hides the centre or a corner of B with normal m and `half` an edge."""
+    """Whether footprint A with normal n hides the centre or a corner of B with normal m and `half` an edge."""
     height = -(nx * ax + ny * ay + nz * az)
     tx, ty, tz, ux, uy, uz = upright_axes(nx, ny, nz, sight.level)
     rx, ry, rz, sx, sy, sz = upright_axes(mx, my, mz, sight.level)
@@ -243,7 +271,7 @@ def _hides(sight, half, ax, ay, az, nx, ny, nz, bx, by, bz, mx, my, mz):  # type
             share = height / (height - side)
             qx, qy, qz = share * cx - ax, share * cy - ay, share * cz - az
             along, across = abs(tx * qx + ty * qy + tz * qz), abs(ux * qx + uy * qy + uz * qz)
-            if along <= sight.plate and across <= sight.plate:
+            if along <= sight.footprint and across <= sight.footprint:
                 return True
     return False
 
@@ -268,11 +296,13 @@ def _hide(sight, other, ax, ay, az, a, bx, by, bz, b, ux, uy, uz, vx, vy, vz):  
 def may_hide(
     sight: FiducialSight, horizon: float, low: FloatArray, high: FloatArray, landmarks: FloatArray, normals: FloatArray
 ) -> bool:
-    """False only if all cameras are in front of all plates, and no corner is behind a plate within the `horizon`.
+    """False only if all cameras are in front of all footprints, and no corner is behind one within the `horizon`.
 
     The other arguments are those of `Sight.among`.
     """
-    return sight.reach >= 0.0 and _some_behind(low, high, landmarks, normals, sight.half, sight.level, horizon)
+    return sight.reach >= 0.0 and _some_behind(
+        low, high, landmarks, normals, float(np.max(sight.half)), sight.level, horizon
+    )
 
 
 @kernel

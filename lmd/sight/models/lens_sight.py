@@ -11,7 +11,8 @@ a shorter and of a longer focal length, between whose pitches and areas its own 
 """
 
 import math
-from typing import NamedTuple
+from collections.abc import Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -32,8 +33,9 @@ from lmd.scene.criteria import (
     in_image,
     in_view,
     pixel_density,
+    sized,
 )
-from lmd.sight.models.fiducial_sight import FiducialSight, may_hide
+from lmd.sight.models.fiducial_sight import FiducialSight, may_hide, of_sizes
 from lmd.sight.models.lens_image import corners_inside, in_rectangle, resolves, room_within, stretch_at
 from lmd.sight.obstacles import half_edge
 
@@ -88,7 +90,7 @@ class LensSight(NamedTuple):
     @property
     def horizon(self) -> float:
         """See `Sight.horizon`: a pitch is no greater than the root of |det J|."""
-        needed = max(self.flat.area, self.flat.sharp)
+        needed = max(np.min(self.flat.area), np.min(self.flat.sharp))
         seen = math.sqrt(self.most_area / needed) if needed else math.inf
         return (seen + math.sqrt(max(self.reach, 0.0))) * (1.0 + MARGIN)
 
@@ -111,6 +113,32 @@ class LensSight(NamedTuple):
 
     def _of(self, flat: FiducialSight) -> "LensSight":
         return self._replace(flat=flat, reach=flat.reach)
+
+
+def of_sizes_behind_lens(sights: Sequence[LensSight]) -> LensSight:
+    """The sight of K tags, given that of each by itself."""
+    largest = max(sights, key=lambda sight: sight.flat.half)
+    pinholes: Any = tuple(of_sizes(each) for each in zip(*(sight.pinholes for sight in sights), strict=True))
+    return largest._replace(flat=of_sizes([sight.flat for sight in sights]), pinholes=pinholes)
+
+
+@sized.register(LensSight)
+def _sized(sight, k):  # type: ignore[no-untyped-def]
+    return LensSight(
+        sized(sight.flat, k), sight.lens, sight.reach, sight.inset, sight.cosine, sight.shallowest, sight.least,
+        sight.most, sight.least_area, sight.most_area, sight.stretch, sight.highest, sight.rough, sight.off,
+        _sized_pinholes(sight.lens, sight.pinholes, k),
+    )  # fmt: skip
+
+
+@overridable
+def _sized_pinholes(lens, pinholes, k):  # type: ignore[no-untyped-def]
+    return sized(pinholes[0], k), sized(pinholes[1], k)
+
+
+@_sized_pinholes.register(Equidistant)
+def _no_pinholes(lens, pinholes, k):  # type: ignore[no-untyped-def]
+    return pinholes
 
 
 @from_around.register(LensSight)

@@ -1,0 +1,284 @@
+"""Predictions of a visibility model for frames, compared with detections: figures and tables."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from lmd.core.checks import BoolArray, FloatArray
+from lmd.core.words import escaped, markdown_table
+from lmd.detection.evaluation import (
+    TAG_NUMBERS,
+    Matches,
+    agreement,
+    corner_error,
+    precision_recall,
+    quantiles_by,
+    shares_of_frames,
+)
+from lmd.detection.frames import overlapping
+from lmd.detection.quality import incidence, pitch
+from lmd.geometry.pose import body_from_corners, pose_error
+from lmd.render.renderer import Renderer
+
+# Bounds of the classes of pitch, pixels per module, and of incidence, degrees.
+PITCHES = np.array([0.0, 0.75, 1.0, 1.25, 1.5, 1.75, 2.0, 2.5, 3.0, 4.0, 6.0, 9.0, np.inf])
+INCIDENCES = np.array([0.0, 15.0, 30.0, 45.0, 60.0, 75.0, 90.0])
+# Columns and rows into which an image is divided.
+PLACES = np.array([4, 3])
+QUANTILES = {"median": 0.5, "90": 0.9}
+
+
+@dataclass(frozen=True)
+class CameraPrediction:
+    """Prediction for N frames of one camera in a room with K tags."""
+
+    renderer: Renderer
+    """Camera and tags."""
+    poses: FloatArray
+    """X of the camera, `(N, 4, 4)`."""
+    visible: BoolArray
+    """True for tags that the model counts as visible, `(N, K)`."""
+    met: Mapping[str, BoolArray]
+    """Criteria that are met, by name, `(N, K)` each; empty if the model has none."""
+    taken: BoolArray | None = None
+    """True for frames with an image, `(N,)`; None for all. In other frames no tag is visible or whole."""
+
+    @cached_property
+    def corners(self) -> FloatArray:
+        """Exact corners, pixels, `(N, K, 4, 2)`."""
+        return self.renderer.corners(self.poses)
+
+    @cached_property
+    def whole(self) -> BoolArray:
+        """True for tags that show their front with all corners in the image, `(N, K)`."""
+        inside = self.renderer.inside(self.poses)
+        return inside if self.taken is None else inside & self.taken[:, None]
+
+    @cached_property
+    def pitch(self) -> FloatArray:
+        """Pixels per module, `(N, K)`; NaN for tags that are not whole."""
+        room = self.renderer.room
+        values = pitch(self.renderer.camera, self.poses, room.centres, room.normals, room.tag, room.edges)
+        return np.where(self.whole, values, np.nan)
+
+    @cached_property
+    def incidence(self) -> FloatArray:
+        """Angle between the normal of a tag and the direction to the camera, degrees, `(N, K)`; NaN as for `pitch`."""
+        room = self.renderer.room
+        return np.where(self.whole, np.degrees(incidence(self.poses, room.centres, room.normals)), np.nan)
+
+
+def _beside(name: str) -> cached_property[NDArray[Any]]:
+    """Concatenation of an array of all parts, `(N, C K)`."""
+    return cached_property(lambda whole: np.concatenate([getattr(part, name) for part in whole.parts], axis=1))
+
+
+@dataclass(frozen=True)
+class Prediction:
+    """Prediction for N moments of C cameras on one body: arrays of all cameras side by side, as of C K tags."""
+
+    parts: tuple[CameraPrediction, ...]
+    """Prediction of each camera."""
+    mounted: FloatArray
+    """Poses of the cameras in the frame of the body, `(C, 4, 4)`."""
+    poses: FloatArray
+    """X of the body, `(N, 4, 4)`."""
+
+    visible = _beside("visible")
+    corners = _beside("corners")
+    whole = _beside("whole")
+    pitch = _beside("pitch")
+    incidence = _beside("incidence")
+
+    @cached_property
+    def met(self) -> Mapping[str, BoolArray]:
+        """Criteria that are met, by name, `(N, C K)` each."""
+        names = self.parts[0].met
+        return {name: np.concatenate([part.met[name] for part in self.parts], axis=1) for name in names}
+
+    @cached_property
+    def overlapping(self) -> BoolArray:
+        """True for tags that overlap another one, `(K,)`."""
+        return overlapping(self.parts[0].renderer.room)
+
+    def moved(self, poses: FloatArray) -> "Prediction":
+        """The prediction with other poses of the body."""
+        parts = tuple(replace(part, poses=poses @ at) for part, at in zip(self.parts, self.mounted, strict=True))
+        return replace(self, parts=parts, poses=poses)
+
+    def by_any(self, which: BoolArray) -> BoolArray:
+        """Disjunction over the cameras, `(N, C K)` -> `(N, K)`."""
+        return np.asarray(which.reshape(len(which), len(self.parts), -1).any(axis=1))
+
+
+def figures(prediction: Prediction, seen: Matches) -> dict[str, float]:
+    """Figures of one deployment and one detector.
+
+    A frame of a rig is a moment with the images of all cameras: `predicted_<n>`, `detected_<n>` and `agreement_<n>`
+    count tags of any camera, and the pose is that of the body; single tags count once for each camera.
+
+    `predicted_<n>`, `detected_<n>`: P(>= n), each with its standard error `_error`; `agreement_<n>`: share of frames in
+    which both agree on it; `precision`, `recall` over tags; `left_out`: tags detected in a frame and not predicted, of
+    these `left_out_<criterion>` fail it (one may fail several); `overrated`: tags predicted and not detected, of these
+    `overrated_cut` by the border, and of the whole ones `overrated_overlapping`; `false_a_frame`; `corner_median`,
+    `corner_90`, pixels; `pose_share`: share of frames with a pose; quantiles of its errors, metres and rad.
+    """
+    part = prediction.parts[0]
+    row: dict[str, float] = {"frames": len(prediction.poses), "tags": part.visible.shape[1]}
+    row["overlapping"] = int(prediction.overlapping.sum())
+    visible, detected = prediction.visible, seen.detected
+    by_model, by_detector = prediction.by_any(visible), prediction.by_any(detected)
+    for name, which in (("predicted", by_model), ("detected", by_detector)):
+        for n, share, error in zip(TAG_NUMBERS, *shares_of_frames(which), strict=True):
+            row[f"{name}_{n}"], row[f"{name}_{n}_error"] = float(share), float(error)
+    row |= {f"agreement_{n}": agreement(by_model, by_detector, int(n)) for n in TAG_NUMBERS}
+    precision, recall = precision_recall(visible, detected)
+    row |= {"precision": float(precision), "recall": float(recall)}
+    left_out, overrated = detected & ~visible, visible & ~detected
+    row["left_out"] = int(left_out.sum())
+    row |= {f"left_out_{name}": int((left_out & ~met).sum()) for name, met in prediction.met.items()}
+    row["overrated"], row["overrated_cut"] = int(overrated.sum()), int((overrated & ~prediction.whole).sum())
+    on_others = np.tile(prediction.overlapping, len(prediction.parts))
+    row["overrated_overlapping"] = int((overrated & prediction.whole & on_others).sum())
+    row["false_a_frame"] = float(seen.false.mean())
+    row |= _quantiles("corner", corner_error(seen.corners, prediction.corners))
+    cameras = [part.renderer.camera for part in prediction.parts]
+    images = seen.corners.reshape(len(seen.corners), len(cameras), -1, 4, 2)
+    known = prediction.mounted, part.renderer.room.corners
+    poses = np.stack([body_from_corners(cameras, *known, list(moment)) for moment in images])
+    position, attitude = pose_error(prediction.poses, poses)
+    row["pose_share"] = float(np.isfinite(position).mean())
+    return row | _quantiles("position", position) | _quantiles("attitude", attitude)
+
+
+def repeatability(seen: Matches, again: Matches, prediction: Prediction) -> dict[str, float]:
+    """Agreement of a detector with itself on two renderings of the same frames, which bounds that of a prediction.
+
+    `repeated_<n>`: share of frames in which both agree on at least n tags; `repeated_tags`: share of the tags found in
+    either that are found in both.
+
+    Args:
+        seen, again: matches in the two renderings.
+        prediction: prediction for the frames.
+    """
+    both, either = seen.detected & again.detected, seen.detected | again.detected
+    share = float(both.sum() / either.sum()) if either.any() else np.nan
+    one, other = prediction.by_any(seen.detected), prediction.by_any(again.detected)
+    return {f"repeated_{n}": agreement(one, other, int(n)) for n in TAG_NUMBERS} | {"repeated_tags": share}
+
+
+def _quantiles(name: str, values: FloatArray) -> dict[str, float]:
+    """`QUANTILES` of the finite values, NaN without any."""
+    known = values[np.isfinite(values)]
+    return {f"{name}_{key}": float(np.quantile(known, q)) if known.size else np.nan for key, q in QUANTILES.items()}
+
+
+def by_pitch(prediction: Prediction, seen: Matches) -> pd.DataFrame:
+    """Whole tags by classes of pitch.
+
+    Columns: `pitch_from`, `pitch_to` (pixels per module), `tags`, the shares `predicted` and `detected` of them, and
+    `corner_median`, `corner_90` (pixels). Classes without a tag are left out.
+    """
+    return _by_class(prediction, seen, "pitch", prediction.pitch, PITCHES)
+
+
+def by_incidence(prediction: Prediction, seen: Matches) -> pd.DataFrame:
+    """Whole tags by classes of incidence, `incidence_from` to `incidence_to` degrees; columns as in `by_pitch`."""
+    return _by_class(prediction, seen, "incidence", prediction.incidence, INCIDENCES)
+
+
+def _shares(prediction: Prediction, seen: Matches, members: BoolArray) -> dict[str, float]:
+    """Number of tags, and the shares `predicted` and `detected` of them."""
+    shares = {"predicted": prediction.visible[members].mean(), "detected": seen.detected[members].mean()}
+    return {"tags": int(members.sum())} | shares
+
+
+def _by_class(prediction: Prediction, seen: Matches, name: str, values: FloatArray, bounds: FloatArray) -> pd.DataFrame:
+    """Whole tags by the class of their `values` `(N, K)`."""
+    error = corner_error(seen.corners, prediction.corners)
+    place = np.searchsorted(bounds, values, side="right") - 1
+    quantiles = quantiles_by(values, error, bounds, tuple(QUANTILES.values()))
+    rows = []
+    for b, corner in enumerate(quantiles):
+        members = (place == b) & prediction.whole
+        if members.any():
+            span = {f"{name}_from": bounds[b], f"{name}_to": bounds[b + 1]}
+            corners = {f"corner_{key}": q for key, q in zip(QUANTILES, corner, strict=True)}
+            rows.append(span | _shares(prediction, seen, members) | corners)
+    return pd.DataFrame(rows)
+
+
+def by_place(prediction: Prediction, seen: Matches) -> pd.DataFrame:
+    """Whole tags by the place of their centre in the image.
+
+    Columns: `column`, `row` of the part of the image (`PLACES`); `tags`, and the shares `predicted` and `detected` of
+    them. Parts without a tag are left out.
+    """
+    cameras = [part.renderer.camera for part in prediction.parts]
+    sizes = np.array([(camera.image_width, camera.image_height) for camera in cameras])
+    centres = prediction.corners.mean(axis=2)
+    share = centres / np.repeat(sizes, centres.shape[1] // len(cameras), axis=0)
+    part = np.floor(np.nan_to_num(share, nan=-1.0) * PLACES).astype(int)
+    rows = []
+    for row in range(PLACES[1]):
+        for column in range(PLACES[0]):
+            members = (part == [column, row]).all(axis=-1) & prediction.whole
+            if members.any():
+                rows.append({"column": column, "row": row, **_shares(prediction, seen, members)})
+    return pd.DataFrame(rows)
+
+
+def by_tag(prediction: Prediction, seen: Matches) -> pd.DataFrame:
+    """Rows of tags: `id`, `overlapping`, numbers of frames `predicted` and `detected`, `precision`, `recall`.
+
+    A tag counts in a frame of a rig if it does for any camera.
+    """
+    visible, detected = prediction.by_any(prediction.visible), prediction.by_any(seen.detected)
+    precision, recall = precision_recall(visible, detected, axis=0)
+    return pd.DataFrame({
+        "id": prediction.parts[0].renderer.room.ids,
+        "overlapping": prediction.overlapping,
+        "predicted": visible.sum(axis=0),
+        "detected": detected.sum(axis=0),
+        "precision": precision,
+        "recall": recall,
+    })  # fmt: skip
+
+
+def to_markdown(table: pd.DataFrame) -> str:
+    """Format `figures` as Markdown, one row for each deployment and detector.
+
+    Args:
+        table: columns `deployment` and `detector`, then those of `figures`.
+    """
+    criteria = [c.removeprefix("left_out_") for c in table.columns if c.startswith("left_out_")]
+    names = ["deployment", "detector"]
+    head = [*names, *(f"P(>= {n}) predicted / detected" for n in TAG_NUMBERS), "frames agree on >= 2"]
+    head += ["precision / recall of tags", "false a frame", "corners: median / 90 % [px]", "frames with a pose"]
+    head += ["position: median / 90 % [mm]"]
+    blame = [*names, "detected, not predicted", *(escaped(f"of these fail {c.replace('_', ' ')}") for c in criteria)]
+    blame += ["predicted, not detected", "of these cut by the border", "of the others overlapping"]
+    repeats = ["detector with itself on >= 2", "tags found both times"] if "repeated_tags" in table else []
+    rows, wrong = [], []
+    for row in table.to_dict("records"):
+        own = [escaped(row[name]) for name in names]
+        rows.append([
+            *own,
+            *(f"{row[f'predicted_{n}']:.3f} / {row[f'detected_{n}']:.3f} ± {row[f'detected_{n}_error']:.3f}"
+              for n in TAG_NUMBERS),
+            f"{row['agreement_2']:.1%}",
+            f"{row['precision']:.3f} / {row['recall']:.3f}",
+            f"{row['false_a_frame']:.3f}",
+            f"{row['corner_median']:.2f} / {row['corner_90']:.2f}",
+            f"{row['pose_share']:.1%}",
+            f"{1e3 * row['position_median']:.2f} / {1e3 * row['position_90']:.2f}",
+            *([f"{row['repeated_2']:.1%}", f"{row['repeated_tags']:.1%}"] if repeats else []),
+        ])  # fmt: skip
+        counts = ["left_out", *(f"left_out_{c}" for c in criteria), "overrated", "overrated_cut"]
+        wrong.append([*own, *(f"{row[key]:,.0f}" for key in (*counts, "overrated_overlapping"))])
+    return f"{markdown_table([*head, *repeats], rows)}\n\n{markdown_table(blame, wrong)}\n"

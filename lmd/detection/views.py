@@ -1,0 +1,165 @@
+"""Views of single tags with known outcome: the data that limits of a detector are fitted to, and their sources."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, fields, replace
+from functools import cached_property
+from pathlib import Path
+from typing import Protocol, Self
+
+import numpy as np
+
+from lmd.core.checks import BoolArray, FloatArray, InputError, IntArray
+from lmd.core.tables import Table, in_order, read_table
+from lmd.detection.detectors import Detector
+from lmd.detection.frames import blur
+from lmd.geometry.camera import Camera
+from lmd.render.imaging import Imaging
+from lmd.scene.tag import Tag
+
+# File of a survey with its views, and the columns that name the image.
+FILE, FRAME, CAMERA = "in_view.csv", "time", "camera"
+# Further columns: id, image of the centre (pixels from the border), depth (metres), pitch (pixels per module),
+# incidence (degrees), edge of the square of equal area (pixels), border and circle (pixels, see `Placed`), seen (0 or
+# 1).
+COLUMNS = ("id", "u", "v", "depth", "pitch", "incidence", "edge", "border", "circle", "seen")
+
+
+@dataclass(frozen=True)
+class Placed:
+    """Place and time of M views in the images of a recording."""
+
+    camera: IntArray
+    """Index of the camera in its rig, `(M,)`."""
+    moment: IntArray
+    """Rank of the time of the image, `(M,)`."""
+    border: FloatArray
+    """Least distance of the corners from the border of the image, pixels, `(M,)`."""
+    circle: FloatArray
+    """Diameter of the smallest `Camera.image_circle` with the whole tag, pixels, `(M,)`; NaN without distortion."""
+
+    def __getitem__(self, which: object) -> "Placed":
+        return Placed(*(getattr(self, field.name)[which] for field in fields(self)))
+
+
+@dataclass(frozen=True)
+class TagViews:
+    """M views of single tags, and what a detector made of them."""
+
+    pitch: FloatArray
+    """Pixels per module, see `lmd.detection.quality.pitch`, `(M,)`."""
+    incidence: FloatArray
+    """Angle between the normal of the tag and the direction to the camera, rad, `(M,)`."""
+    edge: FloatArray
+    """Edge of the square of equal area in the image, pixels, `(M,)`."""
+    sigma: FloatArray
+    """Standard deviation of the total blur, pixels, `(M,)`."""
+    seen: BoolArray
+    """True for tags detected with their id in their place, `(M,)`."""
+    error: FloatArray
+    """Root mean square error of the corners, pixels, `(M,)`; NaN for tags not detected."""
+    placed: Placed | None = None
+    """Place and time in a recording; None for single views that are rendered or photographed."""
+
+    def __len__(self) -> int:
+        return len(self.pitch)
+
+    def __getitem__(self, which: object) -> Self:
+        placed = None if self.placed is None else self.placed[which]
+        return replace(self, placed=placed, **{name: getattr(self, name)[which] for name in _ARRAYS})
+
+    @classmethod
+    def concatenated(cls, parts: Sequence["TagViews"]) -> Self:
+        """All views of several parts without `placed`."""
+        return cls(*(np.concatenate([getattr(part, name) for part in parts]) for name in _ARRAYS))
+
+
+_ARRAYS = tuple(field.name for field in fields(TagViews))[:-1]
+
+
+class ViewSource(Protocol):
+    """Source of views with known outcome."""
+
+    @property
+    def photographs(self) -> int:
+        """Number of photographs with the views; 0 for renderings."""
+
+    def views(
+        self, cameras: Sequence[Camera], tag: Tag, detector: Detector, imaging: Imaging, rng: np.random.Generator
+    ) -> TagViews:
+        """Collect views and the outcome of a detector.
+
+        Args:
+            cameras: cameras of the images, several for a rig.
+            tag: family, size and quiet zone.
+            detector: detector of this family.
+            imaging: lens and light of rendered images; blur of photographs.
+            rng: source of everything random.
+
+        Raises:
+            InputError: the source has views for one camera only, or of other cameras.
+        """
+
+
+def only(cameras: Sequence[Camera]) -> Camera:
+    """Return the only camera.
+
+    Raises:
+        InputError: there are several.
+    """
+    if len(cameras) > 1:
+        raise InputError(f"views are those of a single camera, not of a rig of {len(cameras)}.")
+    return cameras[0]
+
+
+@dataclass(frozen=True)
+class SurveyedViews:
+    """Images located by a survey, of one camera or several; a `ViewSource`.
+
+    Raises:
+        InputError: the folder is none of a survey.
+    """
+
+    folder: str | None
+    """Folder of the survey, with its `in_view.csv`."""
+
+    def __post_init__(self) -> None:
+        if self.folder is None:
+            raise InputError("folder is missing: that of a survey is needed.", "folder")
+        if not (Path(self.folder) / FILE).is_file():
+            raise InputError(f"folder: {str(self.folder)!r} is no survey: it holds no {FILE}.", "folder")
+
+    @property
+    def photographs(self) -> int:
+        """See `ViewSource.photographs`."""
+        texts = self._table.texts
+        return len(set(zip(texts[FRAME], texts[CAMERA], strict=True)))
+
+    @cached_property
+    def _table(self) -> Table:
+        assert self.folder is not None
+        return read_table(Path(self.folder) / FILE, name="folder")
+
+    def views(
+        self, cameras: Sequence[Camera], tag: Tag, detector: Detector, imaging: Imaging, rng: np.random.Generator
+    ) -> TagViews:
+        """See `ViewSource.views`; the outcome is that of the survey's own detector.
+
+        Raises:
+            InputError: the survey has more cameras.
+        """
+        number, *columns = self._table.numbers((CAMERA, *COLUMNS), (FRAME,)).T
+        _, _, _, depth, pitch, incidence, edge, border, circle, seen = columns
+        if (count := int(number.max(initial=0))) > len(cameras):
+            raise InputError(
+                f"folder: the survey {str(self.folder)!r} has {count} cameras, here {len(cameras)}.", "folder"
+            )
+        sigma = np.empty(len(depth))
+        for index, camera in enumerate(cameras, 1):
+            sigma[number == index] = blur(camera, depth[number == index], imaging)
+        distorts = np.array([camera.lens is not None for camera in cameras])
+        own, times = number.astype(np.int64) - 1, self._table.texts[FRAME]
+        rank = {text: index for index, text in enumerate(in_order(times))}
+        moment = np.array([rank[text] for text in times])
+        placed = Placed(own, moment, border, np.where(distorts[own], circle, np.nan))
+        unknown = np.full(len(pitch), np.nan)
+        return TagViews(pitch, np.radians(incidence), edge, sigma, seen > 0.0, unknown, placed)

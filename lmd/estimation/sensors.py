@@ -1,0 +1,241 @@
+"""Simulated detectors of points and of tags, with random errors."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from lmd.core.checks import BoolArray, FloatArray, check_fields, choice, real
+from lmd.core.optional import optional
+from lmd.detection.corner_errors import CORNER_ERRORS
+from lmd.detection.quality import pitch
+from lmd.estimation.recording import Each, Flight, Look, Observation, Sensor, check_images, merged
+from lmd.geometry.camera import Camera
+from lmd.geometry.lens import EQUIDISTANT
+from lmd.geometry.pose import straightened
+from lmd.geometry.projection import bearings, depth_in_focus, intrinsics, project, slope
+from lmd.geometry.se3 import act, inverse, skew
+from lmd.geometry.squares import CORNERS, corners
+from lmd.scene.deployment import Deployment
+from lmd.scene.tag import Tag
+
+
+@dataclass(frozen=True)
+class PointDetector:
+    """Detector of landmarks that are points; a `lmd.estimation.recording.Sensor`.
+
+    Three numbers of each landmark and frame have independent normal errors: the image coordinates of its centre, and
+    the apparent length f a / z of its edge, which gives the depth z.
+
+    Raises:
+        InputError: a value is out of range.
+    """
+
+    pixel_noise: float = 0.0
+    """Standard deviation sigma of all three, pixels; 0 for exact measurements."""
+    missed: float = 0.0
+    """Probability that a visible landmark is not detected."""
+    edge: float = 0.1
+    """Edge length a of a landmark, metres."""
+
+    def __post_init__(self) -> None:
+        check_fields(self, real, "pixel_noise", low=0.0)
+        check_fields(self, real, "missed", low=0.0, high=1.0)
+        check_fields(self, real, "edge", above=0.0)
+
+    def observed(self, flights: Sequence[Flight], each: Each = map) -> list[Observation]:
+        """See `Sensor.observed`; the visibility model of the scene decides which landmarks are visible."""
+        if self.pixel_noise > 0.0:
+            check_images(flights)
+        return [merged(list(map(self._observed, f.looks())), f.camera.extrinsics) for f in flights]
+
+    def tags(self, deployment: Deployment) -> None:
+        """See `Sensor.tags`."""
+
+    def _observed(self, look: Look) -> Observation:
+        flight = look.flight
+        seen = detected(look.in_view, self.missed, flight.rng)
+        exact = act(inverse(look.poses), flight.deployment.positions)
+        points = self.measured(exact, look.camera, flight.rng)
+        covariance = self.covariance(points[seen], look.camera)
+        return Observation(seen, points, np.full(len(covariance), self.pixel_noise), covariance)
+
+    def measured(self, points: FloatArray, camera: Camera, rng: np.random.Generator) -> FloatArray:
+        """Measure landmarks at y = (x, y, z) in the camera's frame.
+
+        (x / z, y / z) has the pixel noise over the focal length, z = f a / w that of the edge w >= 1 pixel. Behind a
+        lens that distorts, the noise is added to the distorted image; behind a fisheye, the edge gives the distance
+        instead of z.
+
+        Args:
+            points: y, metres, `(..., 3)`; meaningful for z > 0.
+            camera: intrinsics and lens.
+            rng: source of the noise.
+
+        Returns:
+            measured y, metres, `(..., 3)`.
+        """
+        if self.pixel_noise == 0.0:
+            return points
+        focal, noise = camera.focal_pixels, rng.normal(scale=self.pixel_noise, size=points.shape)
+        if camera.lens is not None:
+            image = project(camera, np.eye(4), points) + noise[..., :2]
+            seen = bearings(camera, image)
+            seen = np.where(np.isfinite(seen), seen, points)  # exact if the noisy image lies outside that of the lens
+            ray = seen / depth_in_focus(camera, seen)[..., None]
+            depth = depth_in_focus(camera, points)[..., None]
+        else:
+            depth = np.where(points[..., 2:] > 0.0, points[..., 2:], 1.0)
+            image = points[..., :2] / depth + noise[..., :2] / focal
+            ray = np.concatenate([image, np.ones_like(depth)], axis=-1)
+        width = np.maximum(focal[0] * self.edge / depth + noise[..., 2:], 1.0)
+        return np.asarray(focal[0] * self.edge / width * ray)
+
+    def covariance(self, measured: FloatArray, camera: Camera) -> FloatArray:
+        """Covariance of y = z (a, b, 1) for one pixel of noise in the image (a, b) and in the edge (z).
+
+        Args:
+            measured: y, metres, `(M, 3)`.
+            camera: intrinsics and lens.
+
+        Returns:
+            `(M, 3, 3)`, m^2.
+        """
+        focal, depth = camera.focal_pixels, depth_in_focus(camera, measured)[:, None]
+        if camera.lens is None:
+            moved = np.zeros((len(measured), 3, 3))
+            moved[:, [0, 1], [0, 1]] = depth / focal
+            moved[:, :, 2] = measured * depth / (focal[0] * self.edge)
+        else:
+            # Jacobian of image and edge by y; the depth grows along the axis, or behind a fisheye along y.
+            away = measured / depth if camera.lens.model == EQUIDISTANT else np.array([0.0, 0.0, 1.0])
+            edge = np.broadcast_to(-focal[0] * self.edge / depth**2 * away, measured.shape)
+            moved = np.linalg.inv(np.concatenate([slope(camera, measured), edge[:, None]], axis=1))
+        return np.asarray(moved @ np.swapaxes(moved, 1, 2))
+
+
+def detected(seen: BoolArray, missed: float, rng: np.random.Generator) -> BoolArray:
+    """Draw the detected ones of the visible landmarks, shape of `seen`, each missed with probability `missed`."""
+    return seen & (rng.random(seen.shape) >= missed)
+
+
+@dataclass(frozen=True)
+class TagDetector:
+    """Detector of tags with the measured errors of a real detector; a `Sensor`.
+
+    Corner errors are drawn by pitch (`lmd.detection.corner_errors`). The position of a tag follows from its corners.
+
+    Raises:
+        InputError: the tag is a point, the detector was not measured, or a value is out of range.
+    """
+
+    tag: Tag
+    """Tag at every landmark, upright."""
+    reader: str = "aruco"
+    """Detector with the errors, one of `CORNER_ERRORS`."""
+    missed: float = 0.0
+    """Probability that a visible tag is not detected."""
+
+    def __post_init__(self) -> None:
+        self.tag.check_edge()
+        choice("reader", self.reader, tuple(CORNER_ERRORS))
+        check_fields(self, real, "missed", low=0.0, high=1.0)
+
+    def observed(self, flights: Sequence[Flight], each: Each = map) -> list[Observation]:
+        """See `Sensor.observed`; the visibility model of the scene decides which tags are visible."""
+        check_images(flights)
+        return [merged(list(map(self._observed, f.looks())), f.camera.extrinsics) for f in flights]
+
+    def tags(self, deployment: Deployment) -> FloatArray:
+        """See `Sensor.tags`."""
+        return corners_of(deployment, self.tag)
+
+    def _observed(self, look: Look) -> Observation:
+        flight = look.flight
+        camera, poses, deployment = look.camera, look.poses, flight.deployment
+        squares = project(camera, poses, self.tags(deployment).reshape(-1, 3)).reshape(len(poses), -1, 4, 2)
+        in_front = np.isfinite(squares).all(axis=(-2, -1))
+        seen = detected(look.in_view & in_front, self.missed, flight.rng)
+        edges = deployment.edges_of(self.tag)
+        pitches = pitch(camera, poses, deployment.positions, deployment.normals, self.tag, edges)[seen]
+        errors = CORNER_ERRORS[self.reader]
+        found = squares[seen] + errors.draw(pitches, flight.rng)
+        return observation(camera, edges, seen, found, errors.sigma(pitches))
+
+
+def noisy_detector(tag: Tag, reader: str, pixel_noise: float, missed: float, edge: float) -> Sensor:
+    """Detector with the noise of a real one for tags, and with constant noise for points.
+
+    Args:
+        tag: tag at every landmark.
+        reader, missed: see `TagDetector`.
+        pixel_noise, missed, edge: see `PointDetector`.
+    """
+    return PointDetector(pixel_noise, missed, edge) if tag.is_point else TagDetector(tag, reader, missed)
+
+
+def corners_of(deployment: Deployment, tag: Tag) -> FloatArray:
+    """Corners of tags at the landmarks, world frame, metres, `(K, 4, 3)`."""
+    return corners(deployment.positions, deployment.normals, deployment.ups, deployment.edges_of(tag))
+
+
+def observation(
+    camera: Camera, edges: FloatArray, seen: BoolArray, found: FloatArray, noise: FloatArray
+) -> Observation:
+    """Observation of tags from their detected corners.
+
+    Args:
+        camera: intrinsics and lens.
+        edges: edges of the tags, metres, `(K,)`.
+        seen: mask of the detected tags, `(T, K)`.
+        found: detected corners, pixels from the border, `(M, 4, 2)`.
+        noise: standard deviation of the corners, pixels, `(M,)`.
+    """
+    points = np.zeros((*seen.shape, 3))
+    own = edges[np.nonzero(seen)[-1]]
+    turns, points[seen] = _places(camera, own, found)
+    return Observation(seen, points, noise, _covariance(camera, own, turns, points[seen]), found)
+
+
+def _places(camera: Camera, edges: FloatArray, found: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Rotation `(M, 3, 3)` from each tag's frame (right, up, normal) to the camera's, and its centre `(M, 3)`.
+
+    Of the two similar poses of a square (IPPE), the one with the smaller reprojection error.
+    """
+    cv2 = optional("cv2", "detection")
+    matrix, squares = intrinsics(camera), _squares(edges)
+    turns, shifts, straight = (
+        np.zeros((len(found), 3)),
+        np.zeros((len(found), 3)),
+        np.tile(np.eye(3), (len(found), 1, 1)),
+    )
+    for i, image in enumerate(np.ascontiguousarray(found)):
+        if camera.lens is not None:
+            straight[i], _, image = straightened(bearings(camera, image))
+            matrix = np.eye(3)
+        _, turn, shift = cv2.solvePnP(
+            squares[i], np.ascontiguousarray(image), matrix, None, flags=cv2.SOLVEPNP_IPPE_SQUARE
+        )
+        turns[i], shifts[i] = np.ravel(turn), np.ravel(shift)
+    back = np.swapaxes(straight, 1, 2)
+    return back @ Rotation.from_rotvec(turns).as_matrix(), (back @ shifts[..., None])[..., 0]
+
+
+def _covariance(camera: Camera, edges: FloatArray, turns: FloatArray, centres: FloatArray) -> FloatArray:
+    """Covariance of tags' centres in the camera's frame for one pixel of noise at their corners, m^2, `(M, 3, 3)`.
+
+    It is a block of the inverse information on the tag's pose: y = R q + t moves by -R [q]x w + v, w in the tag's
+    frame.
+    """
+    squares = _squares(edges)
+    y = centres[:, None] + squares @ np.swapaxes(turns, 1, 2)  # (M, 4, 3)
+    turned = -turns[:, None] @ skew(squares)  # (M, 4, 3, 3)
+    jacobian = slope(camera, y) @ np.concatenate([turned, np.broadcast_to(np.eye(3), turned.shape)], axis=-1)
+    information = (np.swapaxes(jacobian, -1, -2) @ jacobian).sum(axis=1)
+    return np.asarray(np.linalg.inv(information)[:, 3:, 3:])
+
+
+def _squares(edges: FloatArray) -> FloatArray:
+    """Corners of squares with edges `(M,)` in their own frames (right, up, normal), metres, `(M, 4, 3)`."""
+    return np.pad(CORNERS * edges[:, None, None] / 2.0, ((0, 0), (0, 0), (0, 1)))

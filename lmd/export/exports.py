@@ -1,0 +1,180 @@
+"""The formats by name, and the choice of some of them."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from lmd.core.checks import ONE_TURN, InputError, check_fields, choice, real
+from lmd.core.optional import optional
+from lmd.export.paper import PAPERS
+from lmd.export.plan import write_plan
+from lmd.export.sheets import check_sheets, write_sheets
+from lmd.formats import tag_map_writers as maps
+from lmd.formats.tag_map import TagMap
+from lmd.formats.tag_tables import write_csv, write_json
+from lmd.scene.deployment import Deployment
+from lmd.scene.tag import FAMILIES, Tag
+from lmd.space.space import Space
+
+OWN, ONE, NONE = "own", "one", "none"
+
+
+class Format(NamedTuple):
+    """A file that is written of a map.
+
+    Args:
+        file: its name.
+        write: a function of the path, the map as `tags` and, if it is printed, the size of the paper as `paper`; of the
+            plan, where north is as `north` too.
+        only_apriltag: whether its readers know the families of AprilTag only.
+        on_paper: whether it is printed.
+        check: raises `InputError`, a clause without its subject, if it cannot hold the tags of a map; None where it
+            holds any.
+        edges: what it says of the size of tags: `OWN`, that of each; `ONE`, that of all; or `NONE`, nothing.
+    """
+
+    file: str
+    write: Callable[..., None]
+    only_apriltag: bool = False
+    on_paper: bool = False
+    check: Callable[[TagMap], None] | None = None
+    edges: str = OWN
+
+
+FORMATS = {
+    "wpilib": Format("tags.wpilib.json", maps.write_wpilib, only_apriltag=True, edges=NONE),
+    "apriltag_ros": Format("tags.apriltag_ros.yaml", maps.write_apriltag_ros, only_apriltag=True),
+    "apriltag_ros2": Format("tags.apriltag_ros2.yaml", maps.write_apriltag_ros2, only_apriltag=True),
+    "tagslam": Format("tags.tagslam.yaml", maps.write_tagslam, only_apriltag=True),
+    "aruco": Format("tags.aruco.yaml", maps.write_aruco),
+    "csv": Format("tags.csv", write_csv),
+    "json": Format("tags.json", write_json),
+    "clover": Format("tags.clover.txt", maps.write_clover),
+    "fiducial_vlam": Format("tags.fiducial_vlam.yaml", maps.write_fiducial_vlam, edges=ONE),
+    "rtabmap": Format("tags.rtabmap.txt", maps.write_rtabmap, edges=ONE),
+    "limelight": Format("tags.fmap", maps.write_limelight, only_apriltag=True),
+    "frc971": Format("tags.frc971.json", maps.write_frc971, only_apriltag=True, edges=NONE),
+    "duckietown": Format("tags.duckietown.yaml", maps.write_duckietown, only_apriltag=True, check=maps.check_on_floor),
+    "plan": Format("plan.pdf", write_plan, on_paper=True),
+    "sheets": Format("sheets.pdf", write_sheets, on_paper=True),
+}
+
+
+def formats_of(tag: Tag) -> tuple[str, ...]:
+    """The formats whose readers know the family of a tag."""
+    known = FAMILIES[tag.family].apriltag is not None
+    return tuple(name for name, form in FORMATS.items() if known or not form.only_apriltag)
+
+
+def check_printing(name: str, tag: Tag, paper: str) -> None:
+    """Raise `InputError` if a format that is printed cannot be written of tags like this one."""
+    optional("reportlab", "export")
+    if name == "sheets":
+        for edge in tag.sizes:
+            check_sheets(tag.of_size(edge), paper)
+
+
+def not_printed(tag: Tag, paper: str) -> dict[str, str]:
+    """The formats that cannot be printed of tags like this one, and why."""
+    reasons = {}
+    for name, form in FORMATS.items():
+        if form.on_paper:
+            try:
+                check_printing(name, tag, paper)
+            except InputError as error:
+                reasons[name] = str(error)
+    return reasons
+
+
+def one_edge(edges: Sequence[float]) -> str:
+    """Why a format with one edge for all tags cannot hold those with these, metres; a clause without its subject."""
+    return f"it has one edge for all tags, and these have {', '.join(f'{edge:g}' for edge in sorted(edges))} m"
+
+
+@dataclass(frozen=True)
+class Export:
+    """What is to be written of a deployment.
+
+    Args:
+        formats: names of `FORMATS`.
+        paper: what is printed is printed on, one of `lmd.export.paper.PAPERS`.
+        north: where north is on the plan, rad from x towards y; None if that is not known.
+        fitting: whether a format that cannot hold the tags is left out; else it is refused.
+
+    Raises:
+        InputError: a format or the paper is not known, or north is not in radians.
+    """
+
+    formats: tuple[str, ...]
+    paper: str
+    north: float | None = None
+    fitting: bool = False
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.formats, list | tuple):
+            raise InputError(f"formats must be a list of {', '.join(FORMATS)}, got {self.formats!r}.", "formats")
+        for name in self.formats:
+            choice("formats", name, tuple(FORMATS))
+        object.__setattr__(self, "formats", tuple(self.formats))
+        choice("paper", self.paper, tuple(PAPERS))
+        if self.north is not None:
+            check_fields(self, real, "north", low=-ONE_TURN, high=ONE_TURN)
+
+    def check(self, tag: Tag) -> None:
+        """Raise `InputError` if tags like this one cannot be written in each of the formats here."""
+        if self.formats:
+            tag.check_edge()
+        for name in self.formats:
+            if name not in formats_of(tag):
+                known = ", ".join(name for name, family in FAMILIES.items() if family.apriltag)
+                raise InputError(f"formats has {name}, which knows the families {known}, not {tag.family}.", "formats")
+            if FORMATS[name].on_paper:
+                check_printing(name, tag, self.paper)
+            if FORMATS[name].edges == ONE and len(tag.sizes) > 1 and not self.fitting:
+                raise InputError(f"formats has {name}: {one_edge(tag.sizes)}.", "formats")
+
+    def unfit(self, tags: TagMap) -> dict[str, str]:
+        """The formats that cannot hold these tags, and why."""
+        reasons = {}
+        for name in self.formats:
+            try:
+                if FORMATS[name].edges == ONE and len(tags.by_size) > 1:
+                    raise InputError(one_edge([tag.size for tag, _ in tags.by_size]))
+                if (check := FORMATS[name].check) is not None:
+                    check(tags)
+                for tag, _ in tags.by_size if FORMATS[name].on_paper else ():
+                    check_printing(name, tag, self.paper)
+            except InputError as error:
+                reasons[name] = str(error).rstrip(".")
+        return reasons
+
+    def silent(self, tags: TagMap) -> tuple[str, ...]:
+        """The formats that say nothing of the sizes of these tags, which are several."""
+        several = len(tags.by_size) > 1
+        return tuple(name for name in self.formats if several and FORMATS[name].edges == NONE)
+
+    def writers(self, room: Space, tag: Tag, deployment: Deployment) -> dict[str, Callable[[Path], None]]:
+        """What writes each file of these tags, by its name.
+
+        Raises:
+            InputError: there is a format, and the tag is a point, the family lacks an id, or a format cannot hold them.
+        """
+        if not self.formats:
+            return {}
+        tags = TagMap(room, tag, deployment)
+        unfit = self.unfit(tags)
+        for name, reason in unfit.items():
+            if not self.fitting:
+                raise InputError(f"formats has {name}: {reason}.", "formats")
+        writers: dict[str, Callable[[Path], None]] = {}
+        for name in self.formats:
+            if name in unfit:
+                continue
+            form = FORMATS[name]
+            options: dict[str, Any] = {"paper": self.paper} if form.on_paper else {}
+            if name == "plan":
+                options["north"] = self.north
+            writers[form.file] = partial(form.write, tags=tags, **options)
+        return writers

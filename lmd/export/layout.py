@@ -1,0 +1,104 @@
+"""How tags are laid out on sheets of paper, in mm: whole ones in rows and columns, too large ones in pieces."""
+
+import math
+from typing import NamedTuple
+
+from lmd.core.checks import InputError
+from lmd.export.paper import PAPERS
+from lmd.geometry.camera import MM_PER_M
+from lmd.scene.tag import Tag
+
+MARGIN = 8.0  # where many printers do not print
+FOOTER = 7.0  # for the ruler
+MARK, MARK_GAP = 4.0, 1.0  # length of a cut mark, and its distance from what is cut
+LABEL, SMALLEST_LABEL = 3.2, 1.0  # letters of the largest and of the smallest label
+LABEL_GAP = 0.8  # from a label to the edge of the paper
+LABEL_SHARE = 0.36  # of the white margin, which a label takes at most: next to the black square it stays white
+STRIP = 10.0  # of a piece, on which the next one is glued
+MOST_PIECES = 100  # of a tag
+ROUNDING = 1e-6
+
+
+class Whole(NamedTuple):
+    """Sheets with whole tags, cut from each other by straight cuts. Lengths in mm.
+
+    page: width and height. columns, rows: of papers. left, top: of all of them. pitch: from row to row.
+    """
+
+    page: tuple[float, float]
+    columns: int
+    rows: int
+    left: float
+    top: float
+    pitch: float
+
+    @property
+    def per_sheet(self) -> int:
+        """Tags on a sheet."""
+        return self.columns * self.rows
+
+
+class Pieces(NamedTuple):
+    """Sheets with a piece of a tag each. Lengths in mm.
+
+    page: width and height. columns, rows: of pieces. width, height: of a piece, without the strip for the next one.
+    """
+
+    page: tuple[float, float]
+    columns: int
+    rows: int
+    width: float
+    height: float
+
+    @property
+    def per_tag(self) -> int:
+        """Sheets of a tag."""
+        return self.columns * self.rows
+
+
+def label_size(tag: Tag) -> float:
+    """Height of a label in the white margin of a tag, mm; 0 where the margin is too narrow for one."""
+    size = min(LABEL, LABEL_SHARE * (tag.paper_edge - tag.size) / 2.0 * MM_PER_M)
+    return size if size >= SMALLEST_LABEL else 0.0
+
+
+def layout(tag: Tag, paper: str) -> Whole | Pieces:
+    """How most tags come on a sheet, or the fewest sheets on a tag, upright or on its side.
+
+    Raises:
+        InputError: a tag would take more than `MOST_PIECES` sheets.
+    """
+    width, height = PAPERS[paper]
+    pages = (width, height), (height, width)
+    whole = max((_whole(tag, page) for page in pages), key=lambda sheets: sheets.per_sheet)
+    if whole.per_sheet:
+        return whole
+    pieces = min((_pieces(tag, page) for page in pages), key=lambda sheets: sheets.per_tag)
+    if pieces.per_tag > MOST_PIECES:
+        raise InputError(
+            f"edge = {tag.size:g} m takes {pieces.per_tag} sheets of {paper} for a tag, more than {MOST_PIECES}; a "
+            "larger paper_size takes fewer, and a list of formats without sheets none.",
+            "edge",
+        ).within("tag")
+    return pieces
+
+
+def _whole(tag: Tag, page: tuple[float, float]) -> Whole:
+    plate, edge = (MM_PER_M * length for length in (tag.paper_edge, tag.size))
+    width, height = page[0] - 2.0 * MARGIN, page[1] - 2.0 * MARGIN - FOOTER
+    pitch = plate if label_size(tag) else plate + LABEL + 2.0 * LABEL_GAP
+    columns, rows = int((width + ROUNDING) // plate), int((height + ROUNDING) // pitch)
+    if not columns and plate <= page[0] and edge <= width:
+        columns = 1  # what is white needs no printing
+    left, spare = (page[0] - columns * plate) / 2.0, height - rows * pitch
+    return Whole(page, columns, rows, left, page[1] - MARGIN - spare / 2.0, pitch)
+
+
+def _pieces(tag: Tag, page: tuple[float, float]) -> Pieces:
+    plate, around = MM_PER_M * tag.paper_edge, 2.0 * (MARGIN + MARK_GAP + MARK)
+    label = LABEL + LABEL_GAP
+    columns, rows = (
+        1 if plate <= room else math.ceil(plate / (room - STRIP))
+        for room in (page[0] - around, page[1] - around - FOOTER - label)
+    )
+    return Pieces(page, columns, rows, plate / columns, plate / rows)

@@ -1,0 +1,143 @@
+"""The first page of the mounting plan: the floor plan of the room, and in which order the tags are hung."""
+
+import math
+from typing import Any
+
+import numpy as np
+
+from lmd.core.checks import FloatArray, IntArray
+from lmd.export.paper import LINE, fill_polygon, shortened, width_of, write_on_white, write_text
+from lmd.export.symbols import NAME, WALL, draw_fixture, draw_legend, draw_opening
+from lmd.formats.tag_map import TagMap
+from lmd.space.fixture import KINDS
+from lmd.space.space import Space
+from lmd.space.surface import FLAT, Surface
+
+# On the page, mm.
+AROUND = 11.0  # around the room, for names
+NAME_GAP, OUTER_NAME_GAP = 3.0, 6.0  # from a wall to a name
+SMALLEST = 1.5  # letters of a name
+TAG = 1.8  # height of the triangle of a tag
+MANY = 1000  # edges of a room, as a scan has them: they are drawn thinner
+ARROW = 9.0  # length of the arrow to the north
+BEHIND = np.linspace(0.02, 1.0, 20)  # where it is asked whether the room goes on behind a surface, of its size
+
+
+def scale_of(room: Space, width: float, height: float, scales: tuple[int, ...]) -> int:
+    """The largest scale of `scales` at which the floor plan fits into so many mm."""
+    low, high = room.bounds()
+    across, up = (1000.0 * (high - low)[:2]).tolist()
+    fits = [one for one in scales if across <= one * (width - 2.0 * AROUND) and up <= one * (height - 2.0 * AROUND)]
+    return fits[0] if fits else scales[-1]
+
+
+def draw_floor_plan(canvas: Any, tags: TagMap, left: float, top: float, scale: int, north: float | None) -> None:
+    """Draw the room from above, its x to the right, with its upper left corner, names included, at (left, top), mm."""
+    low, high = tags.room.bounds()
+    origin = np.array([left + AROUND, top - AROUND - 1000.0 * (high - low)[1] / scale])
+
+    def place(points: FloatArray) -> FloatArray:
+        return np.asarray(origin + 1000.0 * (np.asarray(points)[..., :2] - low[:2]) / scale)
+
+    fixtures = tags.fixtures
+    bodies = [fixture for fixture in fixtures if fixture.kind == "furniture"]
+    openings = [fixture for fixture in fixtures if fixture.kind != "furniture"]
+    for body in bodies:
+        draw_fixture(canvas, body.kind, place(np.array(body.footprint.exterior.coords[:-1])))
+    drawn = place(tags.room.outline()["room"])
+    canvas.setLineWidth(2.0 * LINE if len(drawn) < MANY else LINE / 2.0)
+    for start, end in drawn.tolist():
+        canvas.line(*start, *end)
+    upright = [surface for surface in tags.room.surfaces() if abs(surface.normal[2]) <= FLAT]
+    canvas.setLineWidth(WALL)
+    for surface in upright:
+        start, end = place(surface.point(np.array([0.0, surface.extent[0]]), np.zeros(2))).tolist()
+        canvas.line(*start, *end)
+    canvas.setLineWidth(LINE)
+    for opening in openings:
+        ends = place(_ends(opening.footprint))
+        draw_opening(canvas, opening.kind, ends)
+        wall = next((surface for surface in upright if opening.on(surface).area > 0.0), None)
+        way = np.array([0.0, 1.0]) if wall is None else _outwards(tags.room, wall)
+        _write_along(canvas, shortened(opening.name), ends, way, NAME_GAP)
+    for body in bodies:
+        x, y = place(body.corners).mean(axis=0).tolist()
+        write_on_white(canvas, x, y, shortened(body.name), size=NAME)
+    hung = {tags.room.surfaces()[index].name: numbers_of(own) for index, own in tags.hung.items() if index >= 0}
+    for surface in upright:
+        # The name of a piece of furniture, or of a door, will do where no tag hangs on it.
+        own = any(fixture.name == surface.name or fixture.has(surface) for fixture in fixtures)
+        if own and surface.name not in hung:
+            continue
+        ends = place(surface.point(np.array([0.0, surface.extent[0]]), np.zeros(2)))
+        text = shortened(surface.name) + (f": {hung[surface.name]}" if surface.name in hung else "")
+        way = surface.normal[:2] if own else _outwards(tags.room, surface)
+        beside = any(fixture.on(surface).area > 0.0 for fixture in openings if not fixture.has(surface))
+        _write_along(canvas, text, ends, way, OUTER_NAME_GAP if beside and not own else NAME_GAP, bold=True)
+    for k in range(len(tags.ids)):
+        _draw_tag(canvas, place(tags.deployment.positions[k]), tags.deployment.normals[k])
+    below = float(origin[1]) - AROUND
+    kinds = [kind for kind in KINDS if any(fixture.kind == kind for fixture in fixtures)]
+    for angle, name in ((0.0, "x"), (math.pi / 2.0, "y")):
+        _draw_arrow(canvas, left, below - 2.0, 0.7 * ARROW, angle, name)
+    draw_legend(canvas, left + 16.0, below, kinds)
+    if north is not None:
+        right = float(place(high)[0]) + AROUND + ARROW
+        start = right - 0.5 * ARROW * math.cos(north), top - ARROW - 0.5 * ARROW * math.sin(north)
+        _draw_arrow(canvas, *start, ARROW, north, "N")
+
+
+def numbers_of(places: IntArray) -> str:
+    """The first and the last of places in the order of hanging, counted from 1, in words."""
+    first, last = int(places[0]) + 1, int(places[-1]) + 1
+    return f"{first}" if first == last else f"{first} to {last}"
+
+
+def _ends(footprint: Any) -> FloatArray:
+    """The two corners of a line or a polygon of shapely that are farthest from each other, `(2, 2)`."""
+    corners = np.array(getattr(footprint, "exterior", footprint).coords)
+    distance = np.linalg.norm(corners[:, None] - corners, axis=-1)
+    return corners[list(np.unravel_index(distance.argmax(), distance.shape))]
+
+
+def _outwards(room: Space, surface: Surface) -> FloatArray:
+    """The way `(2,)` to where a name stands: behind a wall at the edge of the room, before one inside of it."""
+    low, high = room.bounds()
+    middle, normal = surface.point(*np.divide(surface.extent, 2.0)), surface.normal
+    behind = middle - np.linalg.norm(high - low) * BEHIND[:, None] * normal
+    return np.asarray(normal if room.contains(behind).any() else -normal)[:2]
+
+
+def _write_along(canvas: Any, text: str, ends: FloatArray, way: FloatArray, away: float, bold: bool = False) -> None:
+    """Write a text along a line between `ends` `(2, 2)`, beside it in the given way."""
+    length = float(np.linalg.norm(ends[1] - ends[0]))
+    width = width_of(text, NAME, bold)
+    size = NAME if width <= length + 2.0 * away else max(SMALLEST, NAME * (length + 2.0 * away) / width)
+    x, y = (ends.mean(axis=0) + away * way).tolist()
+    turn = math.degrees(math.atan2(*(ends[1] - ends[0])[::-1]))
+    turn = (turn + 80.0) % 180.0 - 80.0  # never upside down, and all walls that run up about the same way
+    aside = 0.35 * size * np.array([math.sin(math.radians(turn)), -math.cos(math.radians(turn))])
+    write_text(canvas, x + aside[0], y + aside[1], text, size=size, bold=bold, align="centre", turn=turn)
+
+
+def _draw_tag(canvas: Any, at: FloatArray, normal: FloatArray) -> None:
+    """A triangle that stands on its wall, a square for a tag on what lies flat: filled on a floor."""
+    if abs(normal[2]) > FLAT:
+        canvas.rect(*(at - TAG / 3.0).tolist(), TAG / 1.5, TAG / 1.5, stroke=1, fill=int(normal[2] > 0.0))
+        return
+    out = normal[:2] / np.linalg.norm(normal[:2])
+    beside = np.array([-out[1], out[0]]) * TAG / 2.0
+    fill_polygon(canvas, [(at + beside).tolist(), (at - beside).tolist(), (at + TAG * out).tolist()])
+
+
+def _draw_arrow(canvas: Any, x: float, y: float, length: float, angle: float, name: str) -> None:
+    """An arrow from (x, y), at `angle` from the page's x axis, rad, with a name beyond its point."""
+    canvas.saveState()
+    canvas.translate(x, y)
+    canvas.rotate(math.degrees(angle))
+    canvas.line(0.0, 0.0, length, 0.0)
+    fill_polygon(canvas, [(length, 0.0), (length - 2.0, 0.8), (length - 2.0, -0.8)])
+    canvas.restoreState()
+    beyond = length + NAME
+    place = x + beyond * math.cos(angle), y + beyond * math.sin(angle) - 0.35 * NAME
+    write_text(canvas, *place, name, size=NAME, bold=True, align="centre")

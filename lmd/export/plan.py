@@ -1,0 +1,247 @@
+"""The mounting plan: the floor plan of the room, then a page for each surface with tags, to scale, with a table.
+
+Tags come in the order of hanging (`TagMap.order`), with a box to tick and room for what was measured.
+"""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from lmd.core.checks import FloatArray, IntArray
+from lmd.export.overview import draw_floor_plan, numbers_of, scale_of
+from lmd.export.paper import (
+    GREY,
+    LINE,
+    PAPERS,
+    document,
+    fill_polygon,
+    shortened,
+    up_arrow,
+    write_on_white,
+    write_text,
+)
+from lmd.export.plan_pages import HEAD, LIGHT, MARGIN, SMALL, TEXT, Table, begin_titled, draw_tables
+from lmd.export.symbols import draw_fixture
+from lmd.formats.tag_map import TagMap
+from lmd.geometry.camera import MM_PER_M
+from lmd.space.space import lower_edge
+from lmd.space.surface import FLAT, Surface
+
+# On the page, all in mm.
+DIMENSION = 6.0  # from the surface to the lines that say how long it is
+TICK = 1.5
+SCALES = (1, 2, 5, 10, 15, 20, 25, 30, 40, 50, 75, 100, 150, 200, 250, 300, 400, 500, 1000, 2000, 5000)
+EDGE_WIDTH = 12.0  # of the column with the edges of tags
+FORBIDDEN = 0.94  # grey of where nothing may hang
+
+HUNG = Table((20.0, 38.0, 10.0, 12.0), (("order of hanging", "", "", ""), ("no.", "surface", "tags", "page")))
+ON_SURFACE = Table(
+    (5.0, 8.0, 10.0, 14.0, 15.0, 14.0, 15.0, 16.0, 16.0),
+    (
+        ("", "", "", "", "centre, mm", "", "lower left of paper", "", "measured, mm"),
+        ("", "no.", "id", *3 * ("from left", "from {edge}")),
+    ),
+    (0, 7, 8),
+)
+FREE = Table(
+    (5.0, 8.0, 11.0, 18.0, 18.0, 18.0, 16.0, 16.0, 16.0),
+    (("", "", "", "", "", "centre, mm", "", "", "measured, mm"), ("", "no.", "id", *2 * ("x", "y", "z"))),
+    (0, 6, 7, 8),
+)
+
+
+@dataclass(frozen=True)
+class View:
+    """A surface as it looks to whoever stands before it, x to the right from its left edge, y up, metres."""
+
+    surface: Surface
+
+    @property
+    def allowed(self) -> list[FloatArray]:
+        """Polygons `(4, 2)` that together are where tags may hang."""
+        return list(self.place(self.surface.point(*np.moveaxis(self.surface.parts, -1, 0))))
+
+    @property
+    def seen(self) -> str:
+        """From where, in words."""
+        up = self.surface.normal[2]
+        return "seen from above" if up > FLAT else "seen from below" if up < -FLAT else "seen from the front"
+
+    def place(self, points: FloatArray) -> FloatArray:
+        """Where world points `(..., 3)` are in this view, `(..., 2)`."""
+        return self.surface.seen(np.stack(self.surface.coordinates(points), axis=-1))
+
+    def corner(self, right: bool, top: bool) -> FloatArray:
+        """A corner of the surface in the world, `(3,)`."""
+        width, height = self.surface.extent
+        return self.surface.point(*self.surface.seen(np.array([width * right, height * top])))
+
+
+def write_plan(path: Path, tags: TagMap, paper: str, north: float | None = None) -> None:
+    """Write `plan.pdf`; tags that stand free in the room are a table at the end.
+
+    Args:
+        paper: one of `lmd.export.paper.PAPERS`, laid on its side.
+        north: where north is on the floor plan, rad from x towards y; None for no arrow.
+    """
+    size = PAPERS[paper][::-1]
+    first, pages = HUNG.pages(len(tags.hung), size[1]) + 1, {}
+    for index, own in tags.hung.items():
+        pages[index] = first
+        first += (FREE if index < 0 else ON_SURFACE).pages(len(own), size[1])
+    with document(path, f"{len(tags.ids)} tags in a {tags.room.describe()}") as canvas:
+        _draw_overview(canvas, size, tags, pages, north)
+        for index, own in tags.hung.items():
+            if index < 0:
+                _draw_free(canvas, size, tags, own)
+            else:
+                _draw_surface(canvas, size, tags, View(tags.room.surfaces()[index]), own)
+
+
+def _draw_overview(
+    canvas: Any, size: tuple[float, float], tags: TagMap, pages: dict[int, int], north: float | None
+) -> None:
+    """The floor plan with the surfaces in the order of hanging; `pages` says where each of them is."""
+    rows = [
+        [numbers_of(own), shortened(tags.place_of(int(tags.order[own[0]]))), str(len(own)), str(pages[index])]
+        for index, own in tags.hung.items()
+    ]
+    room = size[0] - 3.0 * MARGIN - HUNG.width, size[1] - 2.0 * MARGIN - HEAD
+    scale = scale_of(tags.room, *room, SCALES)
+    title = f"{len(tags.ids)} tags of {tags.tag.family}, {tags.edges_in_words}"
+    facts = f"seen from above, scale 1 : {scale}; {tags.room.describe()}; triangles are tags on walls"
+    if (np.abs(tags.deployment.normals[:, 2]) > FLAT).any():
+        facts += ", squares those on floors (black) and ceilings (white)"
+    begin_titled(canvas, size, title, facts)
+    draw_floor_plan(canvas, tags, MARGIN, size[1] - MARGIN - HEAD, scale, north)
+    draw_tables(canvas, size, HUNG, rows, title, facts)
+
+
+def _draw_surface(canvas: Any, size: tuple[float, float], tags: TagMap, view: View, places: IntArray) -> None:
+    own = tags.order[places]
+    width, height = (MM_PER_M * length for length in view.surface.extent)
+    edge = "floor" if view.surface.is_upright else "below"
+    head = tuple(tuple(text.format(edge=edge) for text in line) for line in ON_SURFACE.head)
+    table = _sized(ON_SURFACE._replace(head=head), tags)
+    room_x = size[0] - 3.0 * MARGIN - table.width - DIMENSION - TEXT
+    room_y = size[1] - 2.0 * MARGIN - HEAD - DIMENSION - TEXT
+    scale = next((one for one in SCALES if width <= one * room_x and height <= one * room_y), SCALES[-1])
+    title = f"{view.surface.name}, {view.seen}"
+    facts = f"{width:.0f} x {height:.0f} mm, tags: {len(own)}, scale 1 : {scale}; {tags.room.describe()}"
+    facts += "" if view.surface.allowed is None else "; nothing hangs where it is grey"
+    at, papers = MM_PER_M * tags.at[own], MM_PER_M * tags.papers[own]
+    floor = MM_PER_M * lower_edge(tags.room, view.surface)
+    rows = [
+        [*_named(tags, place, k), *(f"{x:.0f}" for x in (*centre, *(centre - paper / 2.0))), "", ""]
+        for place, k, centre, paper in zip(places, own, at + np.array([0.0, floor]), papers, strict=True)
+    ]
+    begin_titled(canvas, size, title, facts)
+    origin = MARGIN + DIMENSION + TEXT, size[1] - MARGIN - HEAD - height / scale
+    _draw_outline(canvas, origin, tags, view, scale)
+    for k, centre in zip(own, at, strict=True):
+        _draw_tag(canvas, origin, tags, int(k), centre, scale, at, papers)
+    draw_tables(canvas, size, table, rows, title, facts)
+
+
+def _draw_free(canvas: Any, size: tuple[float, float], tags: TagMap, places: IntArray) -> None:
+    own = tags.order[places]
+    positions = MM_PER_M * tags.deployment.positions[own]
+    rows = [
+        [*_named(tags, place, k), *(f"{value:.0f}" for value in at), "", "", ""]
+        for place, k, at in zip(places, own, positions, strict=True)
+    ]
+    title, facts = "free in the room", f"on no surface, tags: {len(own)}; {tags.room.describe()}"
+    begin_titled(canvas, size, title, facts)
+    draw_tables(canvas, size, _sized(FREE, tags), rows, title, facts)
+
+
+def _named(tags: TagMap, place: int, k: int) -> list[str]:
+    """The first texts of the row of tag k, which is hung as number `place`: its edge, too, where there are several."""
+    edge = [f"{MM_PER_M * tags.sizes[k]:.4g}"] if len(tags.by_size) > 1 else []
+    return ["", str(place + 1), str(tags.ids[k]), *edge]
+
+
+def _sized(table: Table, tags: TagMap) -> Table:
+    """A table of tags with a column for their edges after the first three, where there are several."""
+    if len(tags.by_size) == 1:
+        return table
+    head = tuple((*line[:3], text, *line[3:]) for line, text in zip(table.head, ("edge,", "mm"), strict=True))
+    boxes = tuple(box + (box >= 3) for box in table.boxes)
+    return Table((*table.widths[:3], EDGE_WIDTH, *table.widths[3:]), head, boxes)
+
+
+def _draw_outline(canvas: Any, origin: tuple[float, float], tags: TagMap, view: View, scale: int) -> None:
+    """The surface, where on it tags may hang, what is on it, its size, and where its corners are in the world."""
+    left, below = origin
+    width, height = (MM_PER_M * length / scale for length in view.surface.extent)
+    canvas.setFillGray(FORBIDDEN)
+    canvas.rect(left, below, width, height, stroke=0, fill=1)
+    canvas.setFillGray(1.0)
+    for ring in view.allowed:
+        fill_polygon(canvas, [(left + x, below + y) for x, y in MM_PER_M * ring / scale])
+    canvas.setFillGray(0.0)
+    for fixture in tags.fixtures:
+        region = fixture.on(view.surface)
+        if not region.is_empty and fixture.name != view.surface.name:
+            ring = np.array(region.exterior.coords[:-1])
+            draw_fixture(canvas, fixture.kind, origin + MM_PER_M * ring / scale, fixture.name)
+    canvas.setLineWidth(2.0 * LINE)
+    canvas.rect(left, below, width, height)
+    canvas.setLineWidth(LINE)
+    _draw_dimension(canvas, left, below - DIMENSION, width, f"{view.surface.extent[0]:.3f} m")
+    canvas.saveState()
+    canvas.translate(left - DIMENSION, below + height)
+    canvas.rotate(-90.0)
+    _draw_dimension(canvas, 0.0, 0.0, height, f"{view.surface.extent[1]:.3f} m")
+    canvas.restoreState()
+    canvas.setFillGray(GREY)
+    for right in (False, True):
+        for top in (False, True):
+            x, y, z = view.corner(right, top) + 0.0
+            place = left + width * right, below + (height + SMALL / 3.0 if top else -SMALL)
+            text = f"({x:.4g}, {y:.4g}, {z:.4g})"
+            write_text(canvas, *place, text, size=SMALL, align="right" if right else "left")
+    canvas.setFillGray(0.0)
+
+
+def _draw_dimension(canvas: Any, x: float, y: float, length: float, text: str) -> None:
+    """A line of this length with its ends marked, its text below the middle."""
+    canvas.line(x, y, x + length, y)
+    for end in (x, x + length):
+        canvas.line(end, y - TICK, end, y + TICK)
+    write_text(canvas, x + length / 2.0, y - TEXT, text, size=TEXT, align="centre")
+
+
+def _draw_tag(
+    canvas: Any,
+    origin: tuple[float, float],
+    tags: TagMap,
+    k: int,
+    centre: FloatArray,
+    scale: int,
+    at: FloatArray,
+    papers: FloatArray,
+) -> None:
+    """Paper and black square, with a triangle that points up and the number, beside it where no other tag hides it.
+
+    All tags of the surface are `at` `(N, 2)` and have these `papers` `(N,)`, mm.
+    """
+    x, y = origin + centre / scale
+    plate, edge = (MM_PER_M * length / scale for length in (tags.papers[k], tags.sizes[k]))
+    canvas.rect(x - plate / 2.0, y - plate / 2.0, plate, plate)
+    canvas.setFillGray(LIGHT)
+    canvas.rect(x - edge / 2.0, y - edge / 2.0, edge, edge, stroke=0, fill=1)
+    canvas.setFillGray(0.0)
+    if edge >= 2.0 * TEXT:
+        up_arrow(canvas, x, y + 0.1 * edge, 0.3 * edge)
+        write_text(canvas, x, y - 0.4 * edge, str(tags.ids[k]), size=TEXT, align="centre")
+        return
+    up_arrow(canvas, x, y - 0.3 * edge, 0.6 * edge)
+    away = plate / 2.0 + SMALL  # from the tag's centre to the middle of its number
+    places = np.array([(away, 0.0), (-away, 0.0), (0.0, away), (0.0, -away)])
+    distance = np.abs(((at - centre) / scale)[:, None] - places).max(axis=2)
+    free = np.flatnonzero((distance > (papers[:, None] / scale + SMALL) / 2.0).all(axis=0))
+    right, up = places[free[0] if free.size else 0]
+    write_on_white(canvas, x + right, y + up, str(tags.ids[k]), size=SMALL)

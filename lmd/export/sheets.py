@@ -1,0 +1,201 @@
+"""Print sheets: the tags at their true size, to be cut out, in the order of hanging, the smallest sizes first.
+
+In the white margin of each tag stand an arrow that points up, its number and the surface it belongs to. A tag that is
+larger than a sheet comes in pieces, with crosses that fall on each other where pieces are put together. A ruler tells
+whether the printer kept the scale. The black modules of a tag are one path, so that no viewer shows seams between them.
+"""
+
+from collections.abc import Iterable
+from itertools import product
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from lmd.core.optional import optional
+from lmd.export.layout import (
+    FOOTER,
+    LABEL,
+    LABEL_GAP,
+    MARGIN,
+    MARK,
+    MARK_GAP,
+    STRIP,
+    Pieces,
+    Whole,
+    label_size,
+    layout,
+)
+from lmd.export.paper import GREY, PAPERS, begin_page, document, shortened, up_arrow, width_of, write_text
+from lmd.formats.tag_map import TagMap
+from lmd.geometry.camera import MM_PER_M
+from lmd.scene.tag import Tag
+
+# All in mm.
+RULER = 100.0
+CROSS, LINE, HALO = 4.0, 0.2, 0.8  # arm of a registration cross, width of its lines, and of the white around them
+
+
+def check_sheets(tag: Tag, paper: str) -> None:
+    """Raise `InputError` if a tag takes too many sheets, or the package that knows its picture is missing."""
+    optional("cv2", "export")
+    layout(tag, paper)
+
+
+def describe_sheets(tags: TagMap, paper: str) -> str:
+    """How tags are printed, in words."""
+    every = [_described(tag, paper, len(own)) for tag, own in tags.by_size]
+    if len(every) == 1:
+        return every[0]
+    sizes = [f"{MM_PER_M * tag.size:g} mm: {text}" for (tag, _), text in zip(tags.by_size, every, strict=True)]
+    return "; ".join(sizes)
+
+
+def _described(tag: Tag, paper: str, count: int) -> str:
+    sheets = layout(tag, paper)
+    if isinstance(sheets, Whole):
+        return f"{-(-count // sheets.per_sheet)} of {paper}, {sheets.per_sheet} to a sheet"
+    return (
+        f"{count * sheets.per_tag} of {paper}: a tag is larger than a sheet and comes in {sheets.per_tag} pieces, to "
+        f"be put together by their crosses; there is paper_size={'|'.join(PAPERS)}"
+    )
+
+
+def write_sheets(path: Path, tags: TagMap, paper: str) -> None:
+    """Write `sheets.pdf`.
+
+    Args:
+        paper: one of `lmd.export.paper.PAPERS`.
+
+    Raises:
+        InputError: a tag takes too many sheets.
+    """
+    sizes = [(tag, layout(tag, paper), own.tolist()) for tag, own in tags.by_size]
+    with document(path, f"{len(tags.order)} tags of {tags.tag.family}") as canvas:
+        for tag, sheets, own in sizes:
+            if isinstance(sheets, Whole):
+                for first in range(0, len(own), sheets.per_sheet):
+                    _draw_whole(canvas, tags, tag, sheets, own[first : first + sheets.per_sheet])
+            else:
+                for k, row, column in product(own, range(sheets.rows), range(sheets.columns)):
+                    _draw_piece(canvas, tags, tag, sheets, k, row, column)
+
+
+def _draw_whole(canvas: Any, tags: TagMap, tag: Tag, sheets: Whole, chosen: list[int]) -> None:
+    """A sheet with some tags of one size, row by row from the top."""
+    plate = MM_PER_M * tag.paper_edge
+    begin_page(canvas, *sheets.page)
+    xs, ys = set(), set()
+    for place, k in enumerate(chosen):
+        row, column = divmod(place, sheets.columns)
+        x, y = sheets.left + column * plate, sheets.top - (row + 1) * sheets.pitch
+        _draw_tag(canvas, tags, tag, k, x, y)
+        xs |= {x, x + plate}
+        ys |= {y, y + plate}
+    _draw_cuts(canvas, sheets.page, xs, ys)
+    trimmed = f": cut {sheets.left:.1f} mm off left and right" if sheets.left < MARGIN - 0.05 else ""
+    _draw_footer(canvas, tag, trimmed)
+    canvas.showPage()
+
+
+def _draw_piece(canvas: Any, tags: TagMap, tag: Tag, sheets: Pieces, k: int, row: int, column: int) -> None:
+    """A sheet with a piece of a tag, and the strips to its right and below it that go under the next ones."""
+    plate, last = MM_PER_M * tag.paper_edge, (sheets.rows - 1, sheets.columns - 1)
+    below, beside = STRIP * (row < last[0]), STRIP * (column < last[1])
+    left = (sheets.page[0] - sheets.width - beside) / 2.0
+    top = sheets.page[1] - MARGIN - LABEL - LABEL_GAP - MARK - MARK_GAP
+    right, bottom = left + sheets.width, top - sheets.height
+    begin_page(canvas, *sheets.page)
+    canvas.saveState()
+    visible = canvas.beginPath()
+    visible.rect(left, bottom - below, sheets.width + beside, sheets.height + below)
+    canvas.clipPath(visible, stroke=0, fill=0)
+    _draw_tag(canvas, tags, tag, k, left - column * sheets.width, top + row * sheets.height - plate, CROSS)
+    canvas.restoreState()
+    for x, y in product((left, right), (bottom, top)):
+        _draw_cross(canvas, x, y)
+    ends = {left, right + beside}, {bottom - below, top}
+    _draw_cuts(canvas, sheets.page, {left, right}, {bottom, top}, *ends)
+    piece = f"piece {row * sheets.columns + column + 1} of {sheets.per_tag}, row {row + 1}, column {column + 1}"
+    under = "cut at the crosses on the left and above; what is beyond them on the right and below goes under the next"
+    _write_label(canvas, f"{tags.ids[k]}   {tags.place_of(k)}   {piece}", MARGIN, sheets.page[1] - MARGIN, LABEL)
+    _draw_footer(canvas, tag, "")
+    write_text(canvas, MARGIN, MARGIN + FOOTER, under, size=2.4)
+    canvas.showPage()
+
+
+def _draw_tag(canvas: Any, tags: TagMap, tag: Tag, k: int, x: float, y: float, inset: float | None = None) -> None:
+    """The tag with the lower left corner of its paper at (x, y), and its label: above it if its margin has no room.
+
+    In the margin it is `inset` from the edges of the paper, if given, else a quarter of its height.
+    """
+    number = tags.ids[k]
+    plate, edge, module = (MM_PER_M * length for length in (tag.paper_edge, tag.size, tag.module))
+    black = canvas.beginPath()
+    for row, column in np.argwhere(~tag.picture(number)):
+        left, top = x + (plate - edge) / 2.0 + column * module, y + (plate + edge) / 2.0 - row * module
+        black.rect(left, top - module, module, module)
+    canvas.drawPath(black, stroke=0, fill=1)
+    label, size = f"{number}   {shortened(tags.place_of(k))}", label_size(tag)
+    away = size / 4.0 if inset is None else inset
+    start, top = max(x, MARGIN) + away, y + plate - away if size else y + plate + LABEL_GAP + LABEL
+    size = size or LABEL
+    _write_label(
+        canvas, label, start, top, size * min(1.0, (x + plate - start) / (1.75 * size + width_of(label, size)))
+    )
+
+
+def _write_label(canvas: Any, text: str, x: float, top: float, size: float) -> None:
+    """An arrow that points up, and a line of text, below `top`."""
+    up_arrow(canvas, x + size / 2.0, top - 0.75 * size, 0.75 * size)
+    write_text(canvas, x + 1.5 * size, top - 0.75 * size, text, size=size)
+
+
+def _draw_cuts(
+    canvas: Any,
+    page: tuple[float, float],
+    xs: Iterable[float],
+    ys: Iterable[float],
+    ends_x: Iterable[float] = (),
+    ends_y: Iterable[float] = (),
+) -> None:
+    """Marks at both ends of cuts along `xs` and `ys`, outside of them, or on them where the sheet ends.
+
+    The cuts go as far as `ends_x` and `ends_y`, if these are given.
+    """
+    away = MARK_GAP + MARK
+    left, right = min(ends_x or xs), max(ends_x or xs)
+    bottom, top = min(ends_y or ys), max(ends_y or ys)
+    lefts, rights = max(left - away, MARGIN), min(right + away, page[0] - MARGIN)
+    bottoms, tops = max(bottom - away, MARGIN + FOOTER - 1.0), min(top + away, page[1] - MARGIN)
+    for y in ys:
+        canvas.line(lefts, y, lefts + MARK, y)
+        canvas.line(rights - MARK, y, rights, y)
+    for x in xs:
+        canvas.line(x, bottoms, x, bottoms + MARK)
+        canvas.line(x, tops - MARK, x, tops)
+
+
+def _draw_cross(canvas: Any, x: float, y: float) -> None:
+    """A cross that shows on black and on white."""
+    canvas.saveState()
+    for width, grey in ((HALO, 1.0), (LINE, 0.0)):
+        canvas.setLineWidth(width)
+        canvas.setStrokeGray(grey)
+        canvas.line(x - CROSS, y, x + CROSS, y)
+        canvas.line(x, y - CROSS, x, y + CROSS)
+    canvas.restoreState()
+
+
+def _draw_footer(canvas: Any, tag: Tag, more: str) -> None:
+    for mm in range(int(RULER) + 1):
+        length = 5.0 if mm % 50 == 0 else 4.0 if mm % 10 == 0 else 2.0
+        canvas.line(MARGIN + mm, MARGIN, MARGIN + mm, MARGIN + length)
+    canvas.line(MARGIN, MARGIN, MARGIN + RULER, MARGIN)
+    beside = MARGIN + RULER + 4.0
+    canvas.setFillGray(GREY)
+    write_text(canvas, beside, MARGIN + 3.5, f"Print at 100 %: the ruler is {RULER:g} mm long.", size=2.6)
+    edge, plate = (MM_PER_M * length for length in (tag.size, tag.paper_edge))
+    size = f"{tag.family}: black square {edge:.4g} mm, paper {plate:.4g} mm{more}"
+    write_text(canvas, beside, MARGIN, size, size=2.6)
+    canvas.setFillGray(0.0)

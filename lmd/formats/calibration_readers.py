@@ -1,0 +1,297 @@
+"""Calibration files of several ecosystems, restated in the keys of ROS's `camera_info`.
+
+Which format a file has follows from its content. Sources: `sensor_msgs/CameraInfo`, "YAML formats" of Kalibr, the
+calibration samples of OpenCV, `CameraCalibrationCoefficients` of PhotonVision, `cameracalibration.cpp` of WPIcal,
+"Cameras" of COLMAP's output format, Basalt's `calibration.hpp`, "lens models" of mrcal, ORB-SLAM3's
+"Calibration_Tutorial", stella_vslam's examples, `calibration.fbs` of frc971, `CameraFactory` of camodocal (VINS),
+`sensor.yaml` of EuRoC.
+Lenses of other models are restated, see `lmd.geometry.central_models`.
+"""
+
+import ast
+import re
+from collections.abc import Callable, Iterable, Mapping
+from typing import Any
+
+from lmd.core.checks import InputError, vector
+from lmd.core.files import flat, parse_keys, read_text
+from lmd.formats.opencv_calibrations import model_of, opencv, opencv_xml
+from lmd.formats.unread_calibrations import AS_ROS, check_text
+from lmd.geometry.camera import PIXEL_CENTRE
+from lmd.geometry.central_models import GOOD_PIXELS, MODELS, PINHOLE, restated
+from lmd.geometry.lens import EQUIDISTANT
+
+Keys = Mapping[str, Any]
+COLMAP_CAMERA = re.compile(r"^\d+[ \t]+[A-Z_]+[ \t]+\d+[ \t]+\d+[ \t]+\S.*$", re.MULTILINE)
+# What the parameters of a model are, in the order of the file. "f" stands for fx and fy.
+COLMAP_MODELS = {
+    "SIMPLE_PINHOLE": "f cx cy",
+    "PINHOLE": "fx fy cx cy",
+    "SIMPLE_RADIAL": "f cx cy k1",
+    "RADIAL": "f cx cy k1 k2",
+    "OPENCV": "fx fy cx cy k1 k2 p1 p2",
+    "FULL_OPENCV": "fx fy cx cy k1 k2 p1 p2 k3 k4 k5 k6",
+    "OPENCV_FISHEYE": "fx fy cx cy k1 k2 k3 k4",
+    "SIMPLE_RADIAL_FISHEYE": "f cx cy k1",
+    "RADIAL_FISHEYE": "f cx cy k1 k2",
+}
+# What files call the models of `lmd.geometry.lens`: ROS, Kalibr, EuRoC and OpenCV.
+LENS_MODELS = {
+    "plumb_bob": "plumb_bob",
+    "radtan": "plumb_bob",
+    "none": "plumb_bob",
+    "rational_polynomial": "rational_polynomial",
+    "equidistant": EQUIDISTANT,
+    "fisheye": EQUIDISTANT,
+    "kannala_brandt": EQUIDISTANT,
+    "radial-tangential": "plumb_bob",
+    "brown_conrady": "plumb_bob",
+}
+NOTE = "(note)"  # among the keys of ROS: what to say of the lens
+MRCAL = re.compile(r"\s*(#[^\n]*\n\s*)*\{\s*['\"]lensmodel['\"]\s*:")  # the first key
+MRCAL_LENSES = {"PINHOLE": 0, "OPENCV4": 4, "OPENCV5": 5, "OPENCV8": 8, "OPENCV12": 12}
+BROWN_CONRADY = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
+FISHEYE_COEFFICIENTS = ("k1", "k2", "k3", "k4")
+# Of camodocal's fisheye, by the names of the same parameters here.
+CAMODOCAL_FISHEYE = {"fx": "mu", "fy": "mv", "cx": "u0", "cy": "v0", "k1": "k2", "k2": "k3", "k3": "k4", "k4": "k5"}
+CAMODOCAL_UNIFIED = {"fx": "gamma1", "fy": "gamma2", "cx": "u0", "cy": "v0"}
+# ROS's tools print one message after the other.
+FIRST_MESSAGE = re.compile(r"(?<=\n)---[ \t]*\n(?=header:)")
+KALIBR_CAMERA = re.compile(r"cam\d+")
+# Some calibrations hold every point that was seen, or the images. A literal of Python takes more memory than JSON.
+LARGEST, LARGEST_LITERAL = 1 << 25, 1 << 20
+
+
+def read_cameras(path: Any, only: str | None = None) -> dict[str, Keys]:
+    """The cameras of a file by name, each in the keys of ROS; one without a name is called "".
+
+    Args:
+        path: the file, at most `LARGEST` bytes.
+        only: the camera of a chain that is asked for: the lenses of others may be of any model.
+
+    Raises:
+        InputError: the file cannot be read, a key is missing, or the lens is of a model that is not known here.
+    """
+    try:
+        text = FIRST_MESSAGE.split(read_text(path, "path", LARGEST))[0]
+        if rows := COLMAP_CAMERA.findall(text):
+            return _colmap(rows)
+        if MRCAL.match(text):
+            return {"": _mrcal(text)}
+        check_text(text)
+        keys = opencv_xml(text) if text.lstrip().startswith("<") else parse_keys(path, text, "path")
+        if isinstance(section := keys.get("Camera"), Mapping):  # stella_vslam's, as OpenVSLAM's with dots
+            keys = {**keys, **{f"Camera.{name}": value for name, value in section.items()}}
+        if chain := {name: keys[name] for name in keys if KALIBR_CAMERA.fullmatch(name)}:
+            asked = {only: chain[only]} if only in chain else chain
+            return {name: _kalibr(f"{name}.", camera) for name, camera in asked.items()}
+        for marks, reader in READERS:
+            if marks <= keys.keys():
+                return reader(keys)
+        return {"": opencv(keys)}
+    except InputError as error:
+        if str(path).endswith((".npz", ".npy")):
+            raise InputError(f"path: {str(path)!r} is a file of NumPy: {AS_ROS}.", "path") from None
+        raise error if error.argument == "path" else InputError(f"{path}: {error}") from None
+    except (KeyError, IndexError, TypeError, ValueError, AttributeError, ArithmeticError) as error:
+        raise InputError(f"{path}: the key or value {error} is missing or wrong.") from None
+
+
+def _ros(size: Any, matrix: Any, lens: Any, model: str | None = "plumb_bob") -> Keys:
+    """The keys of ROS; `size` and `model` are None where the file does not say; `matrix` has nine numbers."""
+    matrix, lens = (flat(values) if isinstance(values, list) else values for values in (matrix, lens))
+    keys = {"camera_matrix": {"data": matrix}, "distortion_coefficients": {"data": lens}}
+    named = zip(("image_width", "image_height", "distortion_model"), (*size, model), strict=True)
+    return keys | {name: value for name, value in named if value is not None}
+
+
+def _section(keys: Any, name: str) -> Keys:
+    """The keys within a key, or an `InputError`."""
+    if not isinstance(keys, Mapping) or name not in keys:
+        raise InputError(f"the key {name} is missing.")
+    if not isinstance(section := keys[name], Mapping):
+        raise InputError(f"{name} must have keys, got {section!r}.")
+    return section
+
+
+def _list(keys: Any, name: str) -> list[Any]:
+    """The list of a key, or an `InputError`."""
+    if not isinstance(keys, Mapping) or not isinstance(values := keys.get(name), list):
+        raise InputError(f"the key {name} must be a list.")
+    return values
+
+
+def _kalibr(prefix: str, camera: Any, lens: str = "distortion_coeffs") -> Keys:
+    """One camera of a chain; the prefix is for messages."""
+
+    def entry(key: str) -> Any:
+        if not isinstance(camera, Mapping) or key not in camera:
+            raise InputError(f"the key {prefix}{key} is missing.")
+        return camera[key]
+
+    projection = known_lens(entry("camera_model"), ("pinhole", *MODELS))
+    own = MODELS[projection][1] if projection in MODELS else ()
+    distorts = {"omni": ("none", "radtan", "radial-tangential"), "pinhole": tuple(LENS_MODELS)}.get(
+        projection, ("none",)
+    )
+    model = known_lens(entry("distortion_model"), distorts)
+    names = (*own, *PINHOLE)
+    values = dict(zip(names, vector(f"{prefix}intrinsics", entry("intrinsics"), len(names)), strict=True))
+    coefficients = entry(lens) if model != "none" else []
+    size = vector(f"{prefix}resolution", entry("resolution"), 2)
+    if not own:
+        return _ros(size, _matrix(values), coefficients, model)
+    if coefficients:
+        values |= zip(BROWN_CONRADY, vector(f"{prefix}{lens}", coefficients, 4), strict=False)
+    return _central(size, values, projection)
+
+
+def _euroc(keys: Keys) -> dict[str, Keys]:
+    return {"": _kalibr("", keys, "distortion_coefficients")}
+
+
+def _okvis(keys: Keys) -> dict[str, Keys]:
+    cameras = {}
+    for index, camera in enumerate(_list(keys, "cameras")):
+        if not isinstance(camera, Mapping):
+            raise InputError(f"cameras[{index}] must have keys, got {camera!r}.")
+        (fx, fy), (cx, cy) = (vector(name, camera[name], 2) for name in ("focal_length", "principal_point"))
+        model = known_lens(camera["distortion_type"], ("radialtangential", EQUIDISTANT))
+        model, lens = "plumb_bob" if model != EQUIDISTANT else model, camera["distortion_coefficients"]
+        matrix = [fx, 0.0, cx, 0.0, fy, cy, 0.0, 0.0, 1.0]
+        cameras[f"cam{index}"] = _ros(camera["image_dimension"], matrix, lens, model)
+    return cameras
+
+
+def _camodocal(keys: Keys) -> dict[str, Keys]:
+    """The settings of VINS, whose fisheye is Kannala-Brandt's with other names."""
+    known = {"PINHOLE": {}, "KANNALA_BRANDT": CAMODOCAL_FISHEYE, "MEI": CAMODOCAL_UNIFIED}
+    model, size = known_lens(keys["model_type"], known), (keys["image_width"], keys["image_height"])
+    values: dict[str, Any] = {}
+    for name in ("projection_parameters", "distortion_parameters", "mirror_parameters"):
+        values |= _section(keys, name) if name in keys else {}
+    values |= {name: values[theirs] for name, theirs in known[model].items()}
+    return {"": _central(size, values, "omni") if model == "MEI" else _named(size, values, model == "KANNALA_BRANDT")}
+
+
+def _named(size: Any, values: Keys, fisheye: bool) -> Keys:
+    """The keys of ROS from parameters by name: fx, fy, cx, cy, k1, ..."""
+    lens = [values.get(name, 0.0) for name in (FISHEYE_COEFFICIENTS if fisheye else BROWN_CONRADY)]
+    return _ros(size, _matrix(values), lens, EQUIDISTANT if fisheye else "plumb_bob")
+
+
+def _matrix(values: Keys) -> list[float]:
+    return [values["fx"], 0.0, values["cx"], 0.0, values["fy"], values["cy"], 0.0, 0.0, 1.0]
+
+
+def _central(size: Any, values: Keys, model: str) -> Keys:
+    """The keys of ROS from the parameters of a model that is restated, by name: fx, fy, cx, cy, xi, ..., k1, ..."""
+    lens = restated(model, values, size)
+    pinhole = zip(PINHOLE, (*lens.focal_pixels, *lens.principal_point), strict=True)
+    keys = _ros(size, _matrix(dict(pinhole)), list(lens.coefficients), lens.model)
+    off = f"its lens of the model {model} is taken for {lens.model}, which is up to {lens.worst:.2f} pixels off"
+    return {**keys, NOTE: off} if lens.worst > GOOD_PIXELS else keys
+
+
+def known_lens(model: Any, known: Iterable[str]) -> str:
+    """The name of a lens model if it is one of those known.
+
+    Raises:
+        InputError: it is not.
+    """
+    if model not in (names := tuple(known)):
+        raise InputError(
+            f"the lens model {model!r} is not known here, only {', '.join(names)}: calibrate as pinhole with radial "
+            "and tangential distortion or as Kannala-Brandt fisheye, such as by Kalibr's pinhole-radtan and "
+            "pinhole-equi, or convert it, such as by mrcal-convert-lensmodel."
+        )
+    return str(model)
+
+
+def _colmap(rows: list[str]) -> dict[str, Keys]:
+    cameras = {}
+    for row in rows:
+        name, model, width, height, *parameters = row.split()
+        names = COLMAP_MODELS[known_lens(model, COLMAP_MODELS)].split()
+        values = dict(zip(names, map(float, parameters), strict=True))
+        if "f" in values:
+            values["fx"] = values["fy"] = values["f"]
+        for centre in ("cx", "cy"):
+            values[centre] -= PIXEL_CENTRE
+        cameras[f"cam{name}"] = _named((int(width), int(height)), values, model.endswith("FISHEYE"))
+    return cameras
+
+
+def _mrcal(text: str) -> Keys:
+    if len(text) > LARGEST_LITERAL:
+        raise InputError(f"a cameramodel has at most {LARGEST_LITERAL} characters, it has {len(text)}.")
+    try:
+        keys = ast.literal_eval(text.strip())
+    except Exception as error:  # whatever a parser of a broken file runs into
+        raise InputError(
+            f"it is no cameramodel of mrcal ({' '.join(str(error).split()) or type(error).__name__})."
+        ) from None
+    size = MRCAL_LENSES[known_lens(str(keys["lensmodel"]).removeprefix("LENSMODEL_"), MRCAL_LENSES)]
+    fx, fy, cx, cy, *lens = vector("intrinsics", keys["intrinsics"], 4 + size)
+    return _ros(keys["imagersize"], [fx, 0.0, cx, 0.0, fy, cy, 0.0, 0.0, 1.0], lens or [0.0] * 4)
+
+
+def _message(keys: Keys) -> dict[str, Keys]:
+    matrix, lens = (keys[name] if name in keys else keys[name.lower()] for name in "KD")
+    model = model_of({key.lower(): value for key, value in keys.items()}, {"data": lens})
+    return {"": _ros((keys["width"], keys["height"]), matrix, lens, model)}
+
+
+def _photonvision(keys: Keys) -> dict[str, Keys]:
+    size, matrix, lens = (_section(keys, name) for name in ("resolution", "cameraIntrinsics", "distCoeffs"))
+    return {"": _ros((size["width"], size["height"]), matrix["data"], lens["data"])}
+
+
+def _frc971(keys: Keys) -> dict[str, Keys]:
+    size = keys.get("image_width"), keys.get("image_height")  # which it does not say
+    return {"": _ros(size, keys["intrinsics"], keys["dist_coeffs"], keys.get("distortion_model"))}
+
+
+def _basalt(keys: Keys) -> dict[str, Keys]:
+    known = {"pinhole": False, "pinhole-radtan8": False, "kb4": True, "ds": None, "eucm": None}
+    cameras = {}
+    inner = _section(keys, "value0")
+    for index, (camera, size) in enumerate(zip(_list(inner, "intrinsics"), _list(inner, "resolution"), strict=True)):
+        values, fisheye = _section(camera, "intrinsics"), known[model := known_lens(camera["camera_type"], known)]
+        size = vector("resolution", size, 2)
+        cameras[f"cam{index}"] = _central(size, values, model) if fisheye is None else _named(size, values, fisheye)
+    return cameras
+
+
+def _orb_slam(keys: Keys) -> dict[str, Keys]:
+    """The first camera; that of ORB-SLAM2 has no type, and often no size. Of rectified images nothing is distorted."""
+    known = {"PinHole": False, "KannalaBrandt8": True, "Rectified": False}
+    fisheye = known[known_lens(keys.get("Camera.type", "PinHole"), known)]
+    values = {key.split(".", 1)[1]: value for key, value in keys.items() if re.match(r"Camera1?\.", key)}
+    return {"": _named((values.get("width"), values.get("height")), values, fisheye)}
+
+
+def _stella_vslam(keys: Keys) -> dict[str, Keys]:
+    """As OpenVSLAM's."""
+    known = {"perspective": False, "fisheye": True}
+    fisheye = known[known_lens(keys["Camera.model"], known)]
+    values = {key.removeprefix("Camera."): value for key, value in keys.items()}
+    return {"": _named((values.get("cols"), values.get("rows")), values, fisheye)}
+
+
+# By the keys that only files of this format have.
+READERS: tuple[tuple[frozenset[str], Callable[[Keys], dict[str, Keys]]], ...] = (
+    (frozenset({"width", "height", "K", "D"}), _message),
+    (frozenset({"width", "height", "k", "d"}), _message),
+    (frozenset({"cameraIntrinsics", "distCoeffs"}), _photonvision),
+    (frozenset({"intrinsics", "dist_coeffs"}), _frc971),
+    (frozenset({"value0"}), _basalt),
+    (frozenset({"Camera.type"}), _orb_slam),
+    (frozenset({"Camera.model"}), _stella_vslam),
+    (frozenset({"Camera.fx"}), _orb_slam),
+    (frozenset({"cameras", "camera_params"}), _okvis),
+    (frozenset({"cameras", "camera_parameters"}), _okvis),  # OKVIS2
+    (frozenset({"model_type", "projection_parameters"}), _camodocal),
+    (frozenset({"model_type", "mirror_parameters"}), _camodocal),
+    (frozenset({"camera_model", "intrinsics", "distortion_model", "resolution"}), _euroc),
+)

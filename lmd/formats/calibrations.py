@@ -1,0 +1,194 @@
+"""Cameras from calibration files, see `lmd.formats.calibration_readers`.
+
+All of them count pixels from the centre of the first one. `lmd` counts from the image's border, 0.5 more: of what they
+say only the principal point changes.
+"""
+
+import math
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+from lmd.core.checks import InputError, check_fields, integer, real, said_of, vector
+from lmd.formats.calibration_readers import LENS_MODELS, NOTE, known_lens, read_cameras
+from lmd.geometry.camera import PIXEL_CENTRE, Camera
+from lmd.geometry.lens import lens_of
+
+SIZE = ("image_width", "image_height")
+UNCLEAR = 4  # coefficients, which a pinhole may have and a fisheye
+SHORTEST = 0.05  # a focal length that is a smaller share of the image's size is that of no lens
+OPTICS = ("focal_length", "aperture", "focus_distance", "image_circle")  # what no calibration says
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """What was measured of a camera, in pixels.
+
+    Args:
+        image_width, image_height: w and h.
+        focal_pixels: (f / s_u, f / s_v).
+        principal_point: (c_x, c_y), from the centre of the first pixel, as OpenCV counts.
+        distortion, distortion_model: of the lens, see `lmd.geometry.lens.Lens`.
+        note: what whoever uses it should know of where it was read.
+
+    Raises:
+        InputError: a value is out of range, or the lens is none of these.
+    """
+
+    image_width: int
+    image_height: int
+    focal_pixels: tuple[float, ...]
+    principal_point: tuple[float, ...]
+    distortion: tuple[float, ...] = ()
+    distortion_model: str = "plumb_bob"
+    note: str = field(default="", compare=False)
+
+    def __post_init__(self) -> None:
+        check_fields(self, integer, "image_width", "image_height", low=1)
+        check_fields(self, vector, "focal_pixels", size=2, above=0.0)
+        check_fields(self, vector, "principal_point", size=2)
+        size = (self.image_width, self.image_height)
+        if any(focal < SHORTEST * side for focal, side in zip(self.focal_pixels, size, strict=True)):
+            told = " x ".join(f"{focal:.4g}" for focal in self.focal_pixels)
+            raise InputError(
+                f"the focal lengths, {told}, must be in pixels of an image of {size[0]} x {size[1]}: are they divided "
+                "by its size?"
+            )
+        lens = lens_of(self.distortion_model, self.distortion)
+        object.__setattr__(self, "distortion", () if lens is None else lens.coefficients)
+
+    def camera(self, focal_length: float | None = None, aperture: float | None = None, **lens: float) -> Camera:
+        """The camera; without an aperture a pinhole, whose images are sharp at any depth.
+
+        Args:
+            focal_length: f, mm; says how large a pixel is, which only the focus depends on.
+            aperture: effective diameter d_a, mm.
+            lens: `focus_distance` and `image_circle`, see `Camera`.
+
+        Raises:
+            InputError: an aperture or a focus distance comes without what it needs, or `Camera` refuses a value.
+        """
+        if aperture is not None and focal_length is None:
+            raise InputError("focal_length must be given, in mm, where an aperture is.", "focal_length")
+        if aperture is None and lens.get("focus_distance", math.inf) != math.inf:
+            raise InputError("aperture must be given, in mm, where a focus distance is.", "aperture")
+        length = 1.0 if focal_length is None else real("focal_length", focal_length, above=0.0)
+        width, height = (length / pixels for pixels in self.focal_pixels)
+        u, v = (centre + PIXEL_CENTRE for centre in self.principal_point)
+        return Camera(
+            focal_length=length,
+            pixel_width=width,
+            pixel_height=height,
+            principal_point=(u, v),
+            image_width=self.image_width,
+            image_height=self.image_height,
+            aperture=0.0 if aperture is None else aperture,
+            distortion=self.distortion,
+            distortion_model=self.distortion_model,
+            note=self.note,
+            **lens,
+        )
+
+
+def calibrated_camera(
+    path: str | None,
+    name: str | None = None,
+    image_size: Iterable[int] | None = None,
+    distortion_model: str | None = None,
+    focal_length: float | None = None,
+    aperture: float | None = None,
+    focus_distance: float = Camera.focus_distance,
+    image_circle: float = Camera.image_circle,
+) -> Camera:
+    """The camera of a calibration file.
+
+    Args:
+        path, name, image_size, distortion_model: see `read_calibration`.
+        focal_length, aperture, focus_distance, image_circle: see `Calibration.camera`.
+
+    Raises:
+        InputError: see there.
+    """
+    calibration = read_calibration(path, name, image_size, distortion_model)
+    with said_of(path, known=OPTICS):
+        return calibration.camera(focal_length, aperture, focus_distance=focus_distance, image_circle=image_circle)
+
+
+def read_calibration(
+    path: str | None,
+    name: str | None = None,
+    image_size: Iterable[int] | None = None,
+    distortion_model: str | None = None,
+) -> Calibration:
+    """Read a file of one of the formats of `lmd.formats.calibration_readers`.
+
+    Args:
+        name: the camera in a file with several, such as `cam1` of Kalibr; not needed where there is only one.
+        image_size: width and height, pixels; needed where the file has none.
+        distortion_model: of the lens, where the file names none, as OpenCV's scripts do: `fisheye` for its fisheye;
+            needed where there are four coefficients.
+
+    Raises:
+        InputError: the file cannot be read, a key is missing or wrong, the size or the model is another than that of
+            the file, or the lens is of a model that is not known.
+    """
+    if path is None:
+        raise InputError("path is missing: a calibration file is needed.", "path")
+    restated = read_cameras(path, name)
+    if not restated:
+        raise InputError(f"path: {path} has no camera in its list.", "path")
+    cameras = [key for key in restated if key]
+    if name is None and len(cameras) > 1:
+        raise InputError(f"name must be given: {path} has the cameras {', '.join(cameras)}.", "name")
+    if name is not None and name not in cameras:
+        raise InputError(f"name = {name!r} is no camera of {path}, which has {', '.join(cameras) or 'one'}.", "name")
+    chosen = name or (cameras[0] if cameras else "")
+    size = None if image_size is None else vector("image_size", image_size, 2, above=0.0)
+    with said_of(path, known=("distortion_model",)):
+        found = _calibration(path, restated[chosen], size, distortion_model)
+    if size not in (None, known := (found.image_width, found.image_height)):
+        raise InputError(f"image_size must be {list(known)}, as {path} has it, got {list(size)}.", "image_size")
+    return replace(found, note=f"{path}: {found.note}") if found.note else found
+
+
+def _calibration(path: str, keys: Mapping[str, Any], size: tuple[float, ...] | None, asked: str | None) -> Calibration:
+    """From the keys of ROS; of those who use them, only ROS names the model. The path is for messages."""
+    matrix = vector("camera_matrix.data", _entry(keys, "camera_matrix", "data"), 9)
+    focal_u, skew, centre_u, below, focal_v, centre_v, *last = matrix
+    if (skew, below, *last) != (0.0, 0.0, 0.0, 0.0, 1.0):
+        raise InputError(f"camera_matrix.data must be [fx, 0, cx, 0, fy, cy, 0, 0, 1], got {list(matrix)}.")
+    lens = _numbers("distortion_coefficients.data", _entry(keys, "distortion_coefficients", "data"))
+    width, height = (keys.get(name, None if size is None else size[i]) for i, name in enumerate(SIZE))
+    if width is None or height is None:
+        raise InputError(f"{' or '.join(SIZE)} is missing: give image_size, [width, height] in pixels.")
+    name = keys.get("distortion_model") or asked  # drivers leave it empty
+    if name is None and len(lens) == UNCLEAR and any(lens):
+        raise InputError(
+            f"distortion_model must be given: {path} names no model, and its 4 coefficients may be those of "
+            "cv2.fisheye (fisheye) or k1, k2, p1, p2 (plumb_bob).",
+            "distortion_model",
+        )
+    name = name or "plumb_bob"
+    model = LENS_MODELS[known_lens(name, LENS_MODELS)]
+    if asked is not None and LENS_MODELS[known_lens(asked, LENS_MODELS)] != model:
+        raise InputError(f"distortion_model must be {name}, as the file has it, got {asked}.", "distortion_model")
+    note = keys.get(NOTE, "")
+    return Calibration(width, height, (focal_u, focal_v), (centre_u, centre_v), lens, model, note)
+
+
+def _entry(keys: Any, *path: str) -> Any:
+    """The value of a key within keys.
+
+    Raises:
+        InputError: there is none.
+    """
+    for depth, key in enumerate(path):
+        if not isinstance(keys, Mapping) or key not in keys:
+            raise InputError(f"the key {'.'.join(path[: depth + 1])} is missing.")
+        keys = keys[key]
+    return keys
+
+
+def _numbers(name: str, value: Any) -> tuple[float, ...]:
+    """A list of numbers of any length."""
+    return vector(name, value, len(value) if isinstance(value, list) else 5)

@@ -1,0 +1,202 @@
+"""Rooms as headsets and phones capture them: rectangles, polygons and boxes with what they are.
+
+Sources: the scenes of Meta's Immersive Web Emulation Runtime (`spatialEntities`), the scenes that `MRUK` saves in Unity
+(`Rooms`, `Anchors`), `CapturedRoom` of Apple's RoomPlan. All of them have y up, and metres.
+"""
+
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from lmd.core.checks import FloatArray, InputError, vector
+from lmd.core.files import flat
+from lmd.formats.arcs import Arc, strips
+from lmd.formats.floor_below import HULL, floor_below
+from lmd.formats.unread_rooms import kind_of_keys
+from lmd.geometry.se3 import pose_of
+
+Keys = Mapping[str, Any]
+# Nothing hangs there, and they lie on a wall: its own triangles are enough.
+ON_WALLS = ("door", "door_frame", "window", "window_frame", "opening", "wall_art")
+# No thing, or the same once more.
+LEFT_OUT = ("global_mesh", "invisible_wall_face", "inner_wall_face")
+CURVED = "curved walls are made of flat strips, within 1 cm; those that may bend either way bend away from the room"
+# How far a matrix of a file may be from a rotation: files have few digits.
+ROTATION_TOLERANCE = 1e-2
+# The faces of a box by its corners, of which the bits are x, y and z.
+BOX = np.array([[0, 4, 6, 2], [1, 3, 7, 5], [0, 1, 5, 4], [2, 6, 7, 3], [0, 2, 3, 1], [4, 5, 7, 6]])
+
+
+class Part(NamedTuple):
+    """A thing of a room: its flat faces, `(N, 3)` corners each, in the frame of the file."""
+
+    name: str
+    faces: tuple[FloatArray, ...]
+
+
+class Captured(NamedTuple):
+    """The things of a room, and what lies on its walls where nothing hangs."""
+
+    parts: tuple[Part, ...]
+    on_walls: tuple[Part, ...]
+    note: str = ""
+
+
+def read_captured(keys: Keys) -> Captured:
+    """The room in the keys and values of a file.
+
+    Raises:
+        InputError: it is none of these formats, has several rooms, or a value in it is wrong.
+    """
+    if kind := kind_of_keys(keys):
+        raise InputError(f"{kind}.")
+    for mark, reader in READERS.items():
+        if mark in keys:
+            try:
+                found = list(reader(keys))
+            except (KeyError, IndexError, TypeError, ValueError, AttributeError, OverflowError) as error:
+                if isinstance(error, InputError):
+                    raise
+                raise InputError(f"the key or value {' '.join(str(error).split())} is missing or wrong.") from None
+            break
+    else:
+        raise InputError(
+            f"it is no room of a headset or a phone that is known here ({', '.join(READERS)}): it has "
+            f"{', '.join(keys)[:200] or 'no keys'} (docs/rooms.md)."
+        )
+    counts: Counter[str] = Counter()
+    parts: list[Part] = []
+    notes: list[str] = []
+    for name, faces in found:
+        parts.append(Part(f"{name}_{counts[name]}", tuple(faces)))
+        counts[name] += 1
+    if "floor_0" not in (part.name for part in parts):
+        outline, is_sure = floor_below([(part.name, face) for part in parts for face in part.faces])
+        parts.append(Part("floor_0", (outline,)))
+        notes += [] if is_sure else [HULL]
+    on_walls = [part for part in parts if part.name.rpartition("_")[0] in ON_WALLS]
+    if any(thing.get("curve") for thing in keys.get("walls") or ()):
+        notes.append(CURVED)
+    return Captured(tuple(part for part in parts if part not in on_walls), tuple(on_walls), "; ".join(notes))
+
+
+def cut(face: FloatArray) -> FloatArray:
+    """Cut a flat polygon `(N, 3)` into triangles `(T, 3, 3)`; none if it crosses itself or has no area."""
+    import shapely
+
+    _, _, (right, up, _) = np.linalg.svd(face - face.mean(axis=0))
+    flat = shapely.Polygon((face - face.mean(axis=0)) @ np.stack([right, up], axis=1))
+    parts = shapely.get_parts(shapely.constrained_delaunay_triangles(flat)) if flat.is_valid else []
+    corners = [shapely.get_coordinates(part)[:3] @ np.stack([right, up]) + face.mean(axis=0) for part in parts]
+    return np.array(corners).reshape(-1, 3, 3)
+
+
+def _rectangle(low: Any, high: Any) -> FloatArray:
+    (a, b), (c, d) = vector("corner", low, 2), vector("corner", high, 2)
+    return np.array([[a, b, 0.0], [c, b, 0.0], [c, d, 0.0], [a, d, 0.0]])
+
+
+def _box(low: Any, high: Any) -> list[FloatArray]:
+    ends = np.array([vector("corner", low, 3), vector("corner", high, 3)])
+    corners = np.array([[ends[i >> axis & 1, axis] for axis in range(3)] for i in range(8)])
+    return [corners[face] for face in BOX]
+
+
+def _placed(pose: FloatArray, faces: list[FloatArray]) -> list[FloatArray]:
+    return [face @ pose[:3, :3].T + pose[:3, 3] for face in faces]
+
+
+def _xyz(keys: Keys, names: str = "xyz") -> list[Any]:
+    return [keys[name] for name in names]
+
+
+def _webxr(keys: Keys) -> Iterator[tuple[str, list[FloatArray]]]:
+    """By quaternions, boxes and rectangles by a corner and an extent; these lie in x and z."""
+    from scipy.spatial.transform import Rotation
+
+    for thing in keys["spatialEntities"]:
+        label = str(thing.get("semanticLabel_META", "other")).lower()
+        if label in LEFT_OUT or "locatable_META" not in thing:
+            continue
+        place = thing["locatable_META"]
+        turn = Rotation.from_quat(vector("orientation", _xyz(place["orientation"], "xyzw"), 4)).as_matrix()
+        pose = pose_of(turn, np.array(vector("position", _xyz(place["position"]), 3)))
+        if "bounded3D_META" in thing:
+            bounds = thing["bounded3D_META"]
+            low = np.array(vector("offset", _xyz(bounds["offset"]), 3))
+            size = vector("extent", [bounds["extent"][name] for name in ("width", "height", "depth")], 3)
+            yield label, _placed(pose, _box(low, low + size))
+        elif "bounded2D_META" in thing:
+            bounds = thing["bounded2D_META"]
+            low = np.array(vector("offset", _xyz(bounds["offset"], "xy"), 2))
+            size = vector("extent", [bounds["extent"][name] for name in ("width", "height")], 2)
+            yield label, _placed(pose, [_rectangle(low, low + size)[:, [0, 2, 1]]])
+
+
+def _mruk(keys: Keys) -> Iterator[tuple[str, list[FloatArray]]]:
+    """The pieces of a scene of Unity, whose frame is left-handed (z ahead); degrees about y, then x, then z."""
+    from scipy.spatial.transform import Rotation
+
+    system, rooms = keys.get("CoordinateSystem"), keys["Rooms"]
+    if system != "Unity":
+        raise InputError(f"CoordinateSystem must be Unity, got {system!r}: save the scene by MRUK in Unity.")
+    if len(rooms) != 1:
+        raise InputError(f"it has {len(rooms)} rooms: leave one of them in the file.")
+    for thing in rooms[0]["Anchors"]:
+        label = str([*thing.get("SemanticClassifications", ()), "OTHER"][0]).lower()
+        if label in LEFT_OUT:
+            continue
+        place = thing["Transform"]
+        x, y, z = vector("Rotation", place["Rotation"], 3)
+        turn = Rotation.from_euler("YXZ", [y, x, z], degrees=True).as_matrix()
+        pose = pose_of(turn, np.array(vector("Translation", place["Translation"], 3)))
+        if "VolumeBounds" in thing:
+            faces = _box(thing["VolumeBounds"]["Min"], thing["VolumeBounds"]["Max"])
+        elif "PlaneBoundary2D" in thing:
+            faces = [np.array([[*vector("PlaneBoundary2D", at, 2), 0.0] for at in thing["PlaneBoundary2D"]])]
+        elif "PlaneBounds" in thing:
+            faces = [_rectangle(thing["PlaneBounds"]["Min"], thing["PlaneBounds"]["Max"])]
+        else:
+            continue
+        yield label, [face * [1.0, 1.0, -1.0] for face in _placed(pose, faces)]
+
+
+def _roomplan(keys: Keys) -> Iterator[tuple[str, list[FloatArray]]]:
+    """Poses column by column, surfaces in their plane z = 0 or along an arc, boxes around their middle."""
+    ends = [
+        _placed(pose, [half * [[-1.0, 0.0, 0.0], [1.0, 0.0, 0.0]]])[0] for _, pose, half in _surfaces(keys, "walls")
+    ]
+    for kind in ("walls", "doors", "windows", "openings", "floors", "objects"):
+        for i, (thing, pose, half) in enumerate(_surfaces(keys, kind)):
+            if kind == "objects":
+                category = thing.get("category", "object")
+                label = next(iter(category), "object") if isinstance(category, Mapping) else str(category)
+                yield label.lower(), _placed(pose, _box(-half, half))
+            elif curve := thing.get("curve"):
+                others = [(at - pose[:3, 3]) @ pose[:3, :3] for j, at in enumerate(ends) if (kind, j) != ("walls", i)]
+                arc = Arc.of(curve, f"{kind}[{i}].curve")
+                yield kind[:-1], _placed(pose, strips(arc, half[:2], others, f"{kind}[{i}].curve"))
+            elif len(ring := thing.get("polygonCorners") or ()) > 2:
+                yield kind[:-1], _placed(pose, [np.array([vector("polygonCorners", at, 3) for at in ring])])
+            else:
+                yield kind[:-1], _placed(pose, [_rectangle(-half[:2], half[:2])])
+
+
+def _surfaces(keys: Keys, kind: str) -> Iterator[tuple[Keys, FloatArray, FloatArray]]:
+    """The things of a kind in a file of RoomPlan's, with the pose and half the size `(3,)` of each."""
+    for i, thing in enumerate(keys.get(kind) or ()):
+        pose = np.array(vector("transform", flat(thing["transform"]), 16)).reshape(4, 4).T
+        turn = pose[:3, :3]
+        if (pose[3] != [0.0, 0.0, 0.0, 1.0]).any() or np.abs(turn.T @ turn - np.eye(3)).max() > ROTATION_TOLERANCE:
+            raise InputError(f"{kind}[{i}].transform is no rotation and translation, written column by column.")
+        yield thing, pose, np.array(vector("dimensions", thing["dimensions"], 3)) / 2.0
+
+
+# By the key that only files of this format have.
+READERS: dict[str, Callable[[Keys], Iterator[tuple[str, list[FloatArray]]]]] = {
+    "spatialEntities": _webxr,
+    "Rooms": _mruk,
+    "walls": _roomplan,
+}

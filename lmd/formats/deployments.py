@@ -1,0 +1,54 @@
+"""Deployments from files: a table of landmarks, or a tag map."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from lmd.core.checks import InputError, boolean, said_of
+from lmd.formats.placed_tag import axes_of
+from lmd.formats.tag_maps import read_deployment
+from lmd.scene.deployment import Deployment
+from lmd.scene.deployment_sources import POINT, ExistingDeployment
+from lmd.scene.tag import Tag
+from lmd.space.space import Space
+
+
+@dataclass(frozen=True)
+class FileDeployment(ExistingDeployment):
+    """A deployment from a CSV written by `Deployment.to_csv` or by anyone, or from a tag map.
+
+    Args:
+        path: the file, see `lmd.formats.tag_maps.read_deployment`.
+        count: K; if given, the file must have that many rows.
+        free: whether landmarks are taken as they are: they may stand free in the room or outside, face into the surface
+            they hang on or hang where none may, and papers may overlap.
+        family: of the tags, in place of that of the tag that hangs there.
+        axes: where x, y and z of the frame of a tag point in a table, see `lmd.formats.placed_tag.axes_of`.
+
+    Raises:
+        InputError: `free` is neither true nor false, or the axes are no frame.
+    """
+
+    path: str | None
+    count: int | None = None
+    free: bool = False
+    family: str | None = None
+    axes: tuple[str, ...] | None = None
+
+    def __post_init__(self) -> None:
+        boolean("free", self.free)
+        axes_of(self.axes)
+
+    def draw(self, room: Space, rng: np.random.Generator, tag: Tag = POINT) -> Deployment:
+        """See `DeploymentSource.draw`."""
+        if self.path is None:
+            raise InputError("path is missing: a CSV of landmarks or a tag map is needed.", "path")
+        family = None if tag.is_point else self.family or tag.family
+        deployment = read_deployment(self.path, family=family, axes=self.axes)
+        if self.count is not None and self.count != len(deployment):
+            raise InputError(f"count = {self.count}, but {self.path} has {len(deployment)} landmarks.", "count")
+        with said_of(self.path):
+            hung = deployment.hung(room, self.free, tag.paper_share * deployment.edges_of(tag))
+        if not self.free and (fault := hung.fault(room, near=True)):
+            raise InputError(f"free = false, but in {self.path} {fault}.", "free")
+        return hung

@@ -1,0 +1,127 @@
+"""The table of tags that everybody can write: one row a tag, columns by name, between commas or spaces.
+
+    id, x, y, z, then one of
+        nx, ny, nz (and ux, uy, uz)   its normal and its up, see `Deployment.from_table`
+        qx, qy, qz, qw                a unit quaternion
+        roll, pitch, yaw              rad, as ROS has them: Rz(yaw) Ry(pitch) Rx(roll)
+    and if they are known edge, metres, and family.
+
+The quaternion or the angles turn the frame of a tag, whose axes point as `lmd.formats.placed_tag.axes_of` says, to the
+frame of the map. Names may stand in the first line, or in a comment above the values.
+"""
+
+import re
+from collections.abc import Sequence
+
+import numpy as np
+
+from lmd.core.checks import FloatArray, InputError
+from lmd.core.tables import Table, is_number
+from lmd.formats.families import family_named
+from lmd.formats.placed_tag import RIGHT_UP_OUT, axes_of, turn_by_angles, turn_by_quaternion
+from lmd.scene.deployment import COLUMNS, UP_COLUMNS, Deployment
+from lmd.scene.edges import EDGE, edge_column
+from lmd.scene.labels import ID, Labels
+
+FAMILY = "family"
+PLACE, NORMAL, UP = COLUMNS[:3], COLUMNS[3:], UP_COLUMNS
+QUATERNION, ANGLES = ("qx", "qy", "qz", "qw"), ("roll", "pitch", "yaw")
+# What others call columns; a number or an edge is one only if its values are numbers.
+NAMES = {
+    **dict.fromkeys(("tag_id", "tagid", "tag", "marker_id", "markerid", "marker", "fiducial_id", "fiducial"), ID),
+    **dict.fromkeys(("number", "tag_number", "nr", "no"), ID),
+    **dict.fromkeys(("size", "tag_size", "marker_size", "edge_size"), EDGE),
+    **dict.fromkeys(("length", "tag_length", "marker_length", "edge_length", "side", "side_length"), EDGE),
+    **dict.fromkeys(("tag_family", "dictionary", "dict", "aruco_dict"), FAMILY),
+}
+_PLACE = re.compile(r"(?:p|t|pos|position|translation)[_.]?([xyz])")
+_TURN = re.compile(r"(?:q|quat|quaternion|ori|orientation)[_.]?([xyzw])")
+_UNIT = re.compile(r"(.*?)[_\s]?[\[(](\w+)[\])]|(.*)_(m|rad|mm|cm|inch|in|deg|degrees)")
+OUR_UNITS = ("m", "metre", "metres", "meter", "meters", "rad", "radian", "radians")
+
+
+def name_of(column: str) -> str:
+    """The name that a column has here, if it is one of the table's; else its own.
+
+    Raises:
+        InputError: it is one of the table's in another unit.
+    """
+    plain, unit = column.strip().strip("#:;").strip(), None
+    if (found := _UNIT.fullmatch(plain.lower())) is not None:
+        base, unit = (found[1], found[2]) if found[2] else (found[3], found[4])
+    else:
+        base = plain.lower()
+    base = re.sub(r"[\s-]+", "_", base)
+    place, turn = _PLACE.fullmatch(base), _TURN.fullmatch(base)
+    name = place[1] if place else f"q{turn[1]}" if turn else NAMES.get(base, base)
+    if name not in (ID, *PLACE, *NORMAL, *UP, *QUATERNION, *ANGLES, EDGE, FAMILY):
+        return plain
+    if unit is not None and unit not in OUR_UNITS:
+        raise InputError(f"its column {plain!r} is in another unit: places and edges are in metres, angles in radians.")
+    return name
+
+
+def named_columns(columns: Sequence[str]) -> list[str]:
+    """The names of columns here, see `name_of`; a name that is taken already stays what it is."""
+    names: list[str] = []
+    for column in columns:
+        name = name_of(column)
+        names.append(column if name in names or (name != column and name in columns) else name)
+    return names
+
+
+def renamed(table: Table) -> Table:
+    """The table with the names of `named_columns`, but for ids and edges whose values are no numbers."""
+    columns = {}
+    for name, (column, texts) in zip(named_columns(list(table.texts)), table.texts.items(), strict=True):
+        fits = name == column or name not in (ID, EDGE) or all(is_number(text) for text in texts if text)
+        columns[name if fits else column] = texts
+    return Table(table.path, table.lines, columns)
+
+
+def is_by_normals(table: Table) -> bool:
+    """True for a table, with names from here, that has normals of tags, or is not one of tags."""
+    return any(name in table for name in NORMAL) or not all(name in table for name in PLACE)
+
+
+def families_of(table: Table) -> list[str]:
+    """The families that the column `family` names; empty where there is none."""
+    return [family_named(text) for text in table.texts.get(FAMILY, ()) if text]
+
+
+def turned_deployment(table: Table, axes: Sequence[str] | None) -> Deployment:
+    """The tags of a table by their places, and quaternions or angles.
+
+    Args:
+        table: its columns have the names of `named_columns`.
+        axes: where x, y and z of the frame of a tag point, see `axes_of`.
+
+    Raises:
+        InputError: a column is missing, or a value is refused.
+    """
+    quaternions = any(name in table for name in QUATERNION)
+    columns = QUATERNION if quaternions else ANGLES
+    if missing := [name for name in columns if name not in table]:
+        here = ", ".join(table.texts)[:200]
+        lacks = "" if len(missing) == len(columns) else f", and of {', '.join(columns)} it lacks {', '.join(missing)}"
+        wpilib = "; WPILib's own, in inches and degrees, has the header ID,X,Y,Z,Rotation" if "rotation" in here else ""
+        raise InputError(
+            "it says where tags are, and not how they are turned: it needs the columns nx,ny,nz (and ux,uy,uz), or "
+            f"qx,qy,qz,qw, or roll,pitch,yaw in radians; it has {here}{lacks}{wpilib}."
+        )
+    rows, frame = table.numbers((*PLACE, *columns), None), axes_of(axes)
+    labels = Labels.of(table, (*PLACE, *columns, EDGE))
+    turns = np.array([_turn(int(number), row[3:]) for number, row in zip(labels.ids, rows, strict=True)]) @ frame.T
+    pointing = ", ".join(RIGHT_UP_OUT if axes is None else axes)
+    note = (
+        f"{table.path} is read as {' '.join((ID, *PLACE, *columns))}; the axes x, y, z of a tag point {pointing}"
+        f"{', and axes can say otherwise' if axes is None else ''}"
+    )
+    deployment = Deployment(rows[:, :3], turns[:, :, 2], labels=labels, edges=edge_column(table), note=note)
+    return deployment.turned(table.path, turns[:, :, 1])
+
+
+def _turn(number: int, values: FloatArray) -> FloatArray:
+    if len(values) == len(QUATERNION):
+        return turn_by_quaternion(*values.tolist())
+    return turn_by_angles(number, *values.tolist())

@@ -1,0 +1,189 @@
+"""Triangle meshes from files: glTF, OBJ, STL and PLY, by trimesh; rooms of headsets and phones."""
+
+import io
+import json
+import logging
+from dataclasses import fields
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from lmd.core.checks import FloatArray, InputError, IntArray, choice, file_path, printable, real, said_of
+from lmd.core.files import read_bytes
+from lmd.core.optional import optional
+from lmd.formats.captured_rooms import Captured, cut, read_captured
+from lmd.formats.gltf import header_of, triangles_of, with_fractions
+from lmd.formats.polygon_faces import check_ply, with_triangles
+from lmd.formats.unread_rooms import refuse_ending
+from lmd.space.mesh import Mesh
+from lmd.space.mesh_room import MeshRoom
+from lmd.space.parts import box_text, check_metres
+from lmd.space.scan import Scan
+from lmd.space.triangles import THINNEST_M
+
+UP_AXES = ("z", "y")
+CAPTURED = ".json"
+Y_UP = (".gltf", ".glb", CAPTURED)  # what their standard says
+FORMATS = (".gltf", ".glb", ".obj", ".stl", ".ply", CAPTURED)
+# Corners that differ by less are the same, metres: files have 32 bits for a number.
+CORNER_DIGITS = 6
+# Metres in the units that programs export, and the longest side of rooms that are hinted at, metres.
+UNITS = {"metres": 1.0, "millimetres": 0.001, "centimetres": 0.01, "inches": 0.0254, "feet": 0.3048}
+LIKELY = (2.0, 100.0)
+# Of more triangles, what has to be known of each would take gigabytes and minutes.
+MOST_TRIANGLES = 5_000_000
+
+
+def read_mesh(path: str | Path | None, scale: float = 1.0, up: str | None = None) -> Mesh:
+    """Read a mesh; what has no area, or is there twice, is left out.
+
+    Args:
+        scale: metres in a unit of the file.
+        up: which of its axes points up, `z` or `y`; None for what its format says, `y` for glTF and what headsets and
+            phones capture, `z` for others.
+
+    Raises:
+        InputError: the file is missing, holds no triangles or cannot be read, or its size is not that of a room.
+    """
+    if path is None:
+        raise InputError("path is missing: a file with a mesh of the room is needed.", "path")
+    file = file_path("path", path)
+    scale = real("scale", scale, above=0.0)
+    if file.suffix.lower() not in FORMATS:
+        refuse_ending(file, FORMATS)
+    is_sure = up is not None or file.suffix.lower() in Y_UP
+    if up is None:
+        up = "y" if file.suffix.lower() in Y_UP else "z"
+    captured = _captured(file) if file.suffix.lower() == CAPTURED else None
+    parts = _parts(file, choice("up", up, UP_AXES)) if captured is None else _triangulated(captured, up)
+    if not parts:
+        cure = "make a mesh of a cloud of points in MeshLab or CloudCompare"
+        raise InputError(f"path: {str(file)!r} holds no triangles; {cure}.", "path")
+    trimesh = optional("trimesh", "mesh")
+    names = tuple(map(printable, parts))
+    _check_count(file, sum(len(part.faces) for part in parts.values()))
+    of = np.repeat(np.arange(len(parts)), [len(part.faces) for part in parts.values()])
+    whole = trimesh.util.concatenate(list(parts.values()))
+    mesh = trimesh.Trimesh(whole.vertices * scale, whole.faces, process=False)
+    size = np.ptp(mesh.vertices[mesh.faces].reshape(-1, 3), axis=0)
+    check_metres(size, f"scale = {scale:g} makes {str(file)!r}", _hint(size / scale), "scale")
+    mesh.merge_vertices(digits_vertex=CORNER_DIGITS)
+    kept = mesh.unique_faces() & mesh.nondegenerate_faces(height=THINNEST_M)
+    if not kept.any():
+        raise InputError(f"path: {str(file)!r} holds no triangles with an area.", "path")
+    mesh.update_faces(kept)
+    mesh.remove_unreferenced_vertices()
+    things = () if captured is None else captured.on_walls
+    on_walls = tuple((part.name, scale * _turned(face, up)) for part in things for face in part.faces)
+    faces, note = np.array(mesh.faces, dtype=np.int64), "" if captured is None else captured.note
+    return Mesh(np.array(mesh.vertices), faces, of[kept], names, str(path), up, is_sure, on_walls, note)
+
+
+def read_mesh_room(
+    path: Any, reachable: Any, spacing: Any, scale: float = 1.0, up: str | None = None, **more: Any
+) -> MeshRoom:
+    """The room of a mesh in a file.
+
+    Args:
+        path, scale, up: see `read_mesh`.
+        reachable, spacing: see `MeshRoom`.
+        more: further arguments of `Scan` and of `MeshRoom`.
+    """
+    names = {field.name for field in fields(Scan)}
+    scan, own = ({name: more[name] for name in more if (name in names) == of_mesh} for of_mesh in (True, False))
+    return MeshRoom(Scan(read_mesh(path, scale, up), **scan), reachable, spacing, **own)
+
+
+def _hint(size: FloatArray) -> str:
+    """Advice on a file with such lengths `(3,)` along x, y and z, in its own unit."""
+    told = [
+        f"a file in {unit} takes {per:g}, which makes {box_text(per * size)}"
+        for unit, per in UNITS.items()
+        if LIKELY[0] <= per * size.max() <= LIKELY[1]
+    ]
+    return "; ".join(told) or "no usual unit makes a room of it"
+
+
+def _turned(points: FloatArray, up: str) -> FloatArray:
+    """Points of a file with z up."""
+    return (points if up == "z" else points[:, [0, 2, 1]] * [1.0, -1.0, 1.0]) + 0.0
+
+
+def _captured(file: Path) -> Captured:
+    try:
+        keys = json.loads(read_bytes(file, "path"))
+    except (ValueError, RecursionError) as error:
+        if isinstance(error, InputError):
+            raise
+        raise InputError(f"path: {str(file)!r} cannot be read as JSON ({error}).", "path") from None
+    if not isinstance(keys, dict):
+        raise InputError(f"path: {str(file)!r} has no keys.", "path")
+    with said_of(f"path: {str(file)!r}", "path"):
+        return read_captured(keys)
+
+
+def _triangulated(captured: Captured, up: str) -> dict[str, Any]:
+    """The things of a captured room as meshes, by their names."""
+    trimesh = optional("trimesh", "mesh")
+    parts = {}
+    for part in captured.parts:
+        corners = np.concatenate([cut(_turned(face, up)) for face in part.faces])
+        parts[part.name] = trimesh.Trimesh(
+            corners.reshape(-1, 3), np.arange(corners.size // 3).reshape(-1, 3), process=False
+        )
+        parts[part.name].merge_vertices(digits_vertex=CORNER_DIGITS)
+    return parts
+
+
+def _parts(file: Path, up: str) -> dict[str, Any]:
+    """The objects of a file that have triangles, as meshes in its scene, by their names."""
+    trimesh = optional("trimesh", "mesh")
+    logging.getLogger("trimesh").setLevel(logging.WARNING)  # it would say of every object that it has quads
+    content, kind = read_bytes(file, "path"), file.suffix.lower().removeprefix(".")
+    options = {"split_objects": True} if kind == "obj" else {}
+    try:
+        if file.suffix.lower() in Y_UP:
+            header = header_of(file, content)
+            _check_count(file, triangles_of(header))
+            content, kind = with_fractions(header, content, kind)
+        if kind == "obj":
+            content = with_triangles(content)
+        # Of bytes, nothing says where they are from: no other file is looked for, such as materials or textures.
+        # Not processed, or corners that are no numbers would be left out with their triangles.
+        with np.errstate(all="ignore"):  # of numbers that are refused below
+            scene = trimesh.load_scene(io.BytesIO(content), kind, skip_materials=True, process=False, **options)
+        parts = {}
+        for name in sorted(scene.graph.nodes_geometry):
+            matrix, geometry = scene.graph[name]
+            part = scene.geometry[geometry]
+            if isinstance(part, trimesh.Trimesh) and len(part.faces):
+                with np.errstate(all="ignore"):
+                    vertices = trimesh.transform_points(part.vertices, matrix)
+                _check_corners(file, name, vertices, part.faces)
+                parts[name] = trimesh.Trimesh(_turned(vertices, up), part.faces, process=False)
+        if kind == "ply":
+            check_ply(str(file), content, sum(len(part.faces) for part in parts.values()))
+    except InputError:
+        raise
+    except Exception as error:  # whatever a reader of a broken file runs into
+        raise InputError(f"path: {str(file)!r} cannot be read as a mesh ({error}).", "path") from None
+    named = len(parts) > 1 or not any(name.startswith("geometry") for name in parts)
+    return parts if named else {"": next(iter(parts.values()))}
+
+
+def _check_corners(file: Path, name: str, vertices: FloatArray, faces: IntArray) -> None:
+    """Raise `InputError` if a corner of a face is not finite, `ValueError` if there is none of its number."""
+    if not ((faces >= 0) & (faces < len(vertices))).all():
+        raise ValueError("a triangle has a corner that is not there")
+    corners = vertices[faces].reshape(-1, 3)
+    if not (finite := np.isfinite(corners).all(axis=1)).all():
+        place = ", ".join(f"{x:g}" for x in corners[~finite][0])
+        raise InputError(f"path: {str(file)!r} has a corner of {name!r} at ({place}), which is no place.", "path")
+
+
+def _check_count(file: Path, triangles: float) -> None:
+    if triangles > MOST_TRIANGLES:
+        raise InputError(
+            f"path: {str(file)!r} has {triangles:.4g} triangles, more than {MOST_TRIANGLES:.4g}; simplify it.", "path"
+        )

@@ -1,0 +1,126 @@
+"""Calibrations by OpenCV's samples, and by scripts of its users, who call the same things otherwise."""
+
+import re
+import xml.etree.ElementTree as ElementTree
+from collections.abc import Mapping
+from typing import Any
+
+from lmd.core.checks import InputError
+from lmd.core.files import flat
+from lmd.formats.unread_calibrations import unknown_keys, unknown_root
+
+# What OpenCV's samples of other years and scripts of its users call the keys of ROS, in small letters.
+OPENCV_NAMES = {
+    "image_width": ("image_width",),
+    "image_height": ("image_height",),
+    "camera_matrix": ("camera_matrix", "cameramatrix", "mtx", "k"),
+    "distortion_coefficients": (
+        "distortion_coefficients",
+        "dist_coeffs",
+        "distortion_coeffs",
+        "dist_coeff",
+        "distcoeffs",
+        "distortion",
+        "dist",
+        "d",
+    ),
+}
+OPENCV_SIZES = ("image_size", "img_size", "dim")
+DIMENSIONS = "dim"  # which only the recipe for cv2.fisheye writes, beside K and D
+# What scripts call the model of the lens, where others have the name of a product; and those of wide lenses.
+OPENCV_LENSES = (
+    "lens_model",
+    "camera_model",
+    "camera_type",
+    "distortion_type",
+    "lens_type",
+    "projection",
+    "projection_model",
+    "projection_type",
+    "model",
+    "type",
+)
+OPENCV_FISHEYES = ("fisheye_model", "fisheye", "is_fisheye")  # 1 or true; OpenCV's own sample has the first
+NARROW = re.compile(r"rad_?tan|plumb.?bob|brown|radial.tangential|rational")
+WIDE = re.compile(
+    r"fish|omni|equidist|kannala|unified|double.?sphere|scaramuzza|f.?theta|division|inverse|stereographic|equisolid"
+    r"|^(mei|ds|eucm|kb4?|fov)$"
+)
+
+
+def opencv_xml(text: str) -> dict[str, Any]:
+    """The numbers and matrices of OpenCV's `FileStorage`; entities could stand for gigabytes, so none are taken."""
+    if "<!DOCTYPE" in text or "<!ENTITY" in text:
+        raise InputError("an XML file with a document type or entities is not taken.")
+    try:
+        root = ElementTree.fromstring(text)
+    except (ElementTree.ParseError, ValueError) as error:
+        raise InputError(f"it cannot be read as XML ({error}).") from None
+    keys: dict[str, Any] = {}
+    for child in root:
+        data = child.find("data")
+        if data is not None and child.get("type_id") == "opencv-matrix":
+            keys[child.tag] = {"data": [float(number) for number in (data.text or "").split()]}
+        elif (said := (child.text or "").strip().strip('"')) and not len(child):
+            keys[child.tag] = _value(said)
+    if root.tag != "opencv_storage" and not any(isinstance(value, dict) for value in keys.values()):
+        raise unknown_root(root.tag)
+    return keys
+
+
+def _value(text: str) -> Any:
+    """A number, a list of several, or the text."""
+    if not all(re.fullmatch(r"[-+]?\d{1,9}(\.\d{0,17})?", part) for part in text.split()):
+        return text
+    numbers = [float(part) if "." in part else int(part) for part in text.split()]
+    return numbers[0] if len(numbers) == 1 else numbers
+
+
+def opencv(keys: Mapping[str, Any]) -> Mapping[str, Any]:
+    """The keys of ROS from those of OpenCV's samples and scripts, where a matrix may be a list of rows.
+
+    Raises:
+        InputError: they hold no matrix of a camera.
+    """
+    plain = {key.lower(): value for key, value in keys.items()}
+    found = dict(keys)
+    for name, others in OPENCV_NAMES.items():
+        values = [plain[other] for other in others if other in plain]
+        if values and name not in keys:
+            found[name] = values[0]
+    if "camera_matrix" not in found:
+        raise unknown_keys(keys)
+    for name in ("camera_matrix", "distortion_coefficients"):
+        if isinstance(found.get(name), list):
+            found[name] = {"data": flat(found[name])}
+    if (model := model_of(plain, found.get("distortion_coefficients"))) is not None:
+        found["distortion_model"] = model
+    for name in OPENCV_SIZES:
+        if isinstance(size := plain.get(name), list) and len(size) == 2:
+            found = dict(zip(("image_width", "image_height"), size, strict=True)) | found
+    return found
+
+
+def model_of(plain: Mapping[str, Any], lens: Any) -> Any:
+    """The model of the lens, None where the file does not say it in any way.
+
+    Args:
+        plain: the keys, in small letters.
+        lens: the coefficients, as ROS has them.
+    """
+    flags = [str(plain[name]).lower() in ("1", "true", "yes") for name in OPENCV_FISHEYES if name in plain]
+    if any(flags):
+        return "fisheye"
+    if "distortion_model" in plain:
+        return plain["distortion_model"]
+    if "xi" in plain:
+        return "omnidir, which its key xi stands for,"
+    said = [str(plain[name]).lower() for name in OPENCV_LENSES if name in plain]
+    for kind, model in ((WIDE, None), (NARROW, "plumb_bob")):
+        for word in said:
+            if kind.search(word):
+                return model or word
+    four = isinstance(lens, Mapping) and isinstance(lens.get("data"), list) and len(lens["data"]) == 4
+    if DIMENSIONS in plain and four:
+        return "fisheye"
+    return "plumb_bob" if flags else None

@@ -1,0 +1,169 @@
+"""A tag of a map, and the checks of the values that place it, which all readers of maps share.
+
+All readers give the poses of tags in one frame: x to the right of the tag, y up, z out of it to whoever looks at it.
+"""
+
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from lmd.core.checks import FloatArray, InputError, integer, radians, real, vector
+from lmd.geometry.frames import roll_pitch_yaw
+from lmd.geometry.se3 import QUATERNION_TOLERANCE, are_rotations, nearest_rotations
+
+Keys = Mapping[str, Any]
+MM, METRE = 1e-3, 1.0  # metres
+SMALLEST_EDGE, LARGEST_EDGE = 0.005, 2.0  # metres: of a tag of a map; others are asked about
+LAST_ROW = (0.0, 0.0, 0.0, 1.0)  # of a transform
+LAST_ROW_TOLERANCE = 1e-6
+DIRECTIONS = {
+    "right": (1.0, 0.0, 0.0),
+    "left": (-1.0, 0.0, 0.0),
+    "up": (0.0, 1.0, 0.0),
+    "down": (0.0, -1.0, 0.0),
+    "out": (0.0, 0.0, 1.0),
+    "into": (0.0, 0.0, -1.0),
+}
+RIGHT_UP_OUT = ("right", "up", "out")
+
+
+class PlacedTag(NamedTuple):
+    """A tag of a map.
+
+    Args:
+        number: its id.
+        position: of its centre, `(3,)`, metres.
+        axes: from its frame (x right, y up, z out) to that of the map, `(3, 3)`.
+        edge: of the black square, metres; None where the map does not say.
+        family: see `lmd.formats.families.family_named`; None where the map does not say.
+    """
+
+    number: int
+    position: FloatArray
+    axes: FloatArray
+    edge: float | None = None
+    family: str | None = None
+
+
+def axes_of(words: Sequence[str] | None) -> FloatArray:
+    """The axes x, y and z of a frame of a tag, by where they point, as columns in x right, y up, z out, `(3, 3)`.
+
+    Args:
+        words: three of `DIRECTIONS`; None for right, up, out.
+
+    Raises:
+        InputError: they are no right-handed frame.
+    """
+    given = RIGHT_UP_OUT if words is None else words
+    if isinstance(given, list | tuple) and len(given) == 3 and all(isinstance(word, str) for word in given):
+        axes = np.array([DIRECTIONS.get(word, (0.0, 0.0, 0.0)) for word in given]).T
+        if np.linalg.det(axes) > 0.5:
+            return axes
+    raise InputError(
+        f"axes must be three of {', '.join(DIRECTIONS)}, which make a right-handed frame, such as [right,up,out] or "
+        f"[right,down,into], got {words!r}.",
+        "axes",
+    )
+
+
+def number_of(value: Any) -> int:
+    """The id of a tag; raises `InputError` if it is none."""
+    return integer("id", value, low=0)
+
+
+def numbers(keys: Keys, names: Iterable[str]) -> FloatArray:
+    """Some values of a mapping, all of them numbers."""
+    return np.array([real(name, keys[name]) for name in names])
+
+
+def mapping(name: str, value: Any) -> Keys:
+    """Return `value` if it has keys; raises `InputError` if not."""
+    if not isinstance(value, Mapping):
+        raise InputError(f"{name} must be a mapping with keys, got {_kind(value)}.")
+    return value
+
+
+def mappings(name: str, value: Any) -> list[Keys]:
+    """Return `value` as a list of mappings; raises `InputError` if it is none."""
+    if not isinstance(value, list | tuple):
+        raise InputError(f"{name} must be a list, got {_kind(value)}.")
+    return [mapping(f"{name}[{i}]", entry) for i, entry in enumerate(value)]
+
+
+def _kind(value: Any) -> str:
+    """A value in a message, which may be a tree of any depth."""
+    if isinstance(value, Mapping | list | tuple):
+        return "a mapping" if isinstance(value, Mapping) else "a list"
+    return "nothing" if value is None else repr(value)[:80]
+
+
+def edge_of(name: str, value: Any, unit: float = METRE) -> float:
+    """The edge of the black square of a tag, metres.
+
+    Args:
+        unit: of the value, metres.
+
+    Raises:
+        InputError: it is no number, or no usual edge.
+    """
+    edge = unit * real(name, value, above=0.0)
+    if not SMALLEST_EDGE <= edge <= LARGEST_EDGE:
+        counted = "metres" if unit == METRE else "millimetres"
+        raise InputError(
+            f"{name} = {value:g} is in {counted} here, which makes a tag of {edge:g} m: is that meant? Edges of "
+            f"{SMALLEST_EDGE:g} to {LARGEST_EDGE:g} m are taken as they are; a table with a column edge has any."
+        )
+    return edge
+
+
+def turn_by_quaternion(x: float, y: float, z: float, w: float) -> FloatArray:
+    """The matrix of a unit quaternion.
+
+    Raises:
+        InputError: its length is not 1.
+    """
+    from scipy.spatial.transform import Rotation  # slow to load
+
+    length = float(np.linalg.norm([x, y, z, w]))
+    if not abs(length - 1.0) <= QUATERNION_TOLERANCE:
+        raise InputError(
+            f"the quaternion x, y, z, w = {x:g}, {y:g}, {z:g}, {w:g} must have length 1, it has {length:g}."
+        )
+    return np.asarray(Rotation.from_quat([x, y, z, w]).as_matrix())
+
+
+def turn_by_angles(number: int, roll: float, pitch: float, yaw: float) -> FloatArray:
+    """The matrix of ROS's roll, pitch and yaw of a tag, rad.
+
+    Raises:
+        InputError: they look like degrees.
+    """
+    radians(f"tag {number}", roll=np.array([roll]), pitch=np.array([pitch]), yaw=np.array([yaw]))
+    return roll_pitch_yaw([roll, pitch, yaw])
+
+
+def transform_of(number: int, values: Any) -> tuple[FloatArray, FloatArray]:
+    """The place and the rotation of a tag by the 16 numbers of its 4 x 4 transform, row by row.
+
+    Raises:
+        InputError: they are no rigid motion, or written column by column.
+    """
+    pose = np.array(vector("transform", values, 16)).reshape(4, 4)
+    if np.abs(pose[3] - LAST_ROW).max() > LAST_ROW_TOLERANCE:
+        last = ", ".join(f"{value:g}" for value in pose[3])
+        columns = np.abs(pose[:, 3] - LAST_ROW).max() <= LAST_ROW_TOLERANCE
+        guess = ": it looks as if it was written column by column, and must be written row by row" if columns else ""
+        raise InputError(f"tag {number}: the last row of its transform must be 0, 0, 0, 1, it is {last}{guess}.")
+    return pose[:3, 3], orthonormal(pose[:3, :3])
+
+
+def orthonormal(matrix: FloatArray) -> FloatArray:
+    """The rotation nearest to a matrix printed with a few decimals.
+
+    Raises:
+        InputError: it is none.
+    """
+    if not are_rotations(matrix):
+        raise InputError(f"the rotation {np.round(matrix, 4).tolist()} must be orthonormal and right-handed.")
+    return nearest_rotations(matrix)

@@ -1,0 +1,152 @@
+"""Rigs as files and configurations say them: a list of mounts, or a calibration that says where its cameras are."""
+
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from lmd.core.checks import InputError, argument_of
+from lmd.core.files import read_keys
+from lmd.formats.calibrations import OPTICS, calibrated_camera
+from lmd.formats.extrinsics import read_chain
+from lmd.geometry.camera import Camera
+from lmd.scene.rig import ANGLES, OPTICAL, Mount, Rig
+
+KEYS = ("translation", *ANGLES, "quaternion", "camera")
+CAMERA_KEYS = ("path", "name", "image_size", "distortion_model", *OPTICS)
+CHAIN_KEYS = ("path", *KEYS[:-1])
+
+
+def rig_of(mounts: Any, camera: Camera | None = None) -> Rig:
+    """A rig from plain values, as configurations have them.
+
+    Args:
+        mounts: a list of mappings with the arguments of `Mount`; `camera` there is a calibration file, or a mapping
+            with the arguments of `calibrated_camera`. Or a mapping with a calibration file that says where its cameras
+            are as `path`, see `lmd.formats.extrinsics.read_chain`, and where the first camera sits on the body by the
+            other arguments of `Mount`; by default in its origin, looking along its x axis.
+        camera: of those mounts that do not say.
+
+    Raises:
+        InputError: it is no such list, or a value in it is refused.
+    """
+    if _is_chain(mounts):
+        return _chained(mounts)
+    if isinstance(mounts, str | Mapping) or not isinstance(mounts, Iterable):
+        raise InputError(f"rig must be a list of cameras, got {mounts!r}.", "rig")
+    entries = list(mounts)
+    if not entries:
+        raise InputError("rig must have at least one camera, got an empty list.", "rig")
+    return Rig(tuple(_mount(f"rig[{i}]", entry, camera) for i, entry in enumerate(entries)))
+
+
+def read_mounts(path: Any) -> Any:
+    """What `rig_of` makes a rig of, from a file: a list with the key `rig`, or a calibration of several cameras.
+
+    Raises:
+        InputError: the file cannot be read, or its key is no list.
+    """
+    keys = read_keys(path, "rig")
+    if "rig" not in keys:
+        return {"path": path}
+    if not isinstance(mounts := keys["rig"], list):
+        raise InputError(f"rig: {path} has no list of cameras with the key rig.", "rig")
+    return mounts
+
+
+def brings_cameras(mounts: Any) -> bool:
+    """Whether no mount of `rig_of` needs a camera from elsewhere."""
+    if _is_chain(mounts):
+        return True
+    own = [isinstance(m, Mapping) and m.get("camera") is not None for m in (mounts if isinstance(mounts, list) else ())]
+    return bool(own) and all(own)
+
+
+def calibrations_of(mounts: Any) -> dict[Camera, Any]:
+    """Which calibration each kind of camera of `rig_of` has, for `write_rig`; none for the camera of all.
+
+    Raises:
+        InputError: a calibration is refused.
+    """
+    if _is_chain(mounts):
+        sources = [{"path": mounts["path"], "name": name} for name in read_chain(mounts["path"])]
+    else:
+        sources = [entry["camera"] for entry in mounts if entry.get("camera") is not None]
+    return {camera: source for source in sources if (camera := camera_from(source)) is not None}
+
+
+def _is_chain(mounts: Any) -> bool:
+    return isinstance(mounts, Mapping) and "path" in mounts
+
+
+def _chained(given: Mapping[str, Any]) -> Rig:
+    if unknown := [key for key in given if key not in CHAIN_KEYS]:
+        raise InputError(f"rig has no key {unknown[0]!r}, only {', '.join(CHAIN_KEYS)}.", "rig")
+    from scipy.spatial.transform import Rotation
+
+    where = {key: value for key, value in given.items() if key != "path" and value is not None}
+    with argument_of("rig"):
+        poses = read_chain(given["path"])
+        cameras = [calibrated_camera(given["path"], name) for name in poses]
+        first = Mount(cameras[0], **where)
+    mounts = [first]
+    for camera, pose in zip(cameras[1:], list(poses.values())[1:], strict=True):
+        place = np.array(first.translation) + first.rotation @ OPTICAL @ pose[:3, 3]
+        turn = Rotation.from_matrix(first.rotation @ OPTICAL @ pose[:3, :3] @ OPTICAL.T)
+        mounts.append(Mount(camera, tuple(place.tolist()), quaternion=tuple(turn.as_quat().tolist())))
+    return Rig(tuple(mounts))
+
+
+def write_rig(path: Path, rig: Rig, sources: Mapping[Camera, Any]) -> None:
+    """Write a rig file, see `rig_text`."""
+    path.write_text(rig_text(rig, sources), encoding="utf-8")
+
+
+def rig_text(rig: Rig, sources: Mapping[Camera, Any]) -> str:
+    """What a rig file says, see `read_mounts`; numbers are those of the rig, to the bit.
+
+    Args:
+        sources: which calibration each kind of camera has, as `rig_of` takes it; none for the camera of all.
+    """
+    import yaml
+
+    entries = []
+    for mount in rig.mounts:
+        turns: dict[str, Any] = {name: getattr(mount, name) for name in ANGLES}
+        if mount.quaternion is not None:
+            turns = {"quaternion": list(mount.quaternion)}
+        own = {"camera": source} if (source := sources.get(mount.camera)) is not None else {}
+        entries.append({"translation": list(mount.translation), **turns, **own})
+    head = "# Cameras on one body: metres, radians; x forward, y left, z up; positive pitch looks down.\n"
+    return head + str(yaml.safe_dump({"rig": entries}, default_flow_style=None, sort_keys=False))
+
+
+def _mount(name: str, entry: Any, camera: Camera | None) -> Mount:
+    if not isinstance(entry, Mapping):
+        raise InputError(f"{name} must have keys such as translation and yaw, got {entry!r}.", name)
+    if unknown := [key for key in entry if key not in KEYS]:
+        raise InputError(f"{name} has no key {unknown[0]!r}, only {', '.join(KEYS)}.", name)
+    values = {key: value for key, value in entry.items() if value is not None}
+    with argument_of(name):
+        own = camera_from(values.pop("camera", None)) or camera
+        if own is None:
+            raise InputError("camera is missing: there is no other one to take.", "camera")
+        return Mount(own, **values)
+
+
+def camera_from(source: Any) -> Camera | None:
+    """The camera of a mount: of a calibration file, or of the arguments of `calibrated_camera`; None for none.
+
+    Raises:
+        InputError: it is neither, or the file is refused.
+    """
+    if source is None:
+        return None
+    given: Any = {"path": source} if isinstance(source, str | Path) else source
+    if not isinstance(given, Mapping):
+        raise InputError(f"camera must be a calibration file, or keys such as path and name, got {source!r}.", "camera")
+    if unknown := [key for key in given if key not in CAMERA_KEYS]:
+        raise InputError(f"camera has no key {unknown[0]!r}, only {', '.join(CAMERA_KEYS)}.", "camera")
+    with argument_of("camera"):
+        return calibrated_camera(**{"path": None, **{key: value for key, value in given.items() if value is not None}})

@@ -1,0 +1,284 @@
+"""The keys of tag maps in YAML and JSON, as several ecosystems write them.
+
+A format is that of `lmd.formats.placed_tag` with axes named otherwise, or counted from another origin.
+
+Sources: `AprilTagFieldLayout` of WPILib; `TagDetector` of AprilRobotics/apriltag_ros; `Board::parse` and
+`example/tagslam.yaml` of TagSLAM; `Marker::corners_f_map` of ptrmu/fiducial_vlam; `MarkerMap` of ArUco 3;
+`SE2Transform` of duckietown-world; `target_map.fbs` of frc971; "AprilTag Map Specification" of Limelight.
+"""
+
+from collections.abc import Callable, Iterable
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from lmd.core.checks import FloatArray, InputError, integer, radians, real, vector
+from lmd.formats.families import family_named
+from lmd.formats.placed_tag import (
+    MM,
+    Keys,
+    PlacedTag,
+    axes_of,
+    edge_of,
+    mapping,
+    mappings,
+    number_of,
+    numbers,
+    transform_of,
+    turn_by_angles,
+    turn_by_quaternion,
+)
+from lmd.geometry.frames import roll_pitch_yaw
+from lmd.geometry.se3 import exp
+from lmd.scene.edges import EDGE
+
+SQUARE_TOLERANCE = 0.05  # of the sides of a measured square, relative to the longest
+METRES = 1  # aruco_bc_mInfoType of a map in metres
+PIXELS = 0  # the same of a board in pixels
+MOST_ROWS = 200  # of a board of TagSLAM, and columns
+PLACE, QUATERNION = ("x", "y", "z"), ("qx", "qy", "qz", "qw")
+NODE = "ros__parameters"  # begins the parameters of a node of ROS 2
+NODE_DEPTH = 4  # of namespaces above it
+# The columns are a format's axes in the frame of a tag: x right, y up, z out.
+OUT_RIGHT_UP = axes_of(("out", "right", "up"))  # WPILib
+INTO = axes_of(("right", "down", "into"))  # frc971, as AprilTag 3
+FACING_BACK = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])  # the axes of frc971 if it looks along -y
+# OpenCV has the pictures of AprilTag turned by half a turn: whoever detects with it means another up.
+HALF_TURN = np.diag([-1.0, -1.0, 1.0])
+
+
+def parameters_of(keys: Keys) -> Keys:
+    """The parameters of the node in a file of ROS 2; the keys themselves of any other file.
+
+    Raises:
+        InputError: they are those of several nodes.
+    """
+    nodes = list(_nodes(keys, NODE_DEPTH))
+    if len(nodes) > 1:
+        raise InputError(f"it has {NODE} of {len(nodes)} nodes: leave those with the tags in the file.")
+    return {str(key): value for key, value in nodes[0].items()} if nodes else keys
+
+
+def _nodes(keys: Keys, depth: int) -> Iterable[Keys]:
+    for key, value in keys.items():
+        if key == NODE:
+            yield mapping(NODE, value)
+        elif depth and isinstance(value, dict):
+            yield from _nodes(value, depth - 1)
+
+
+def _wpilib(keys: Keys) -> Iterable[PlacedTag]:
+    name = "tags" if "tags" in keys else "field-tags"  # which it is from 2027 on
+    for tag in mappings(name, keys[name]):
+        pose = mapping("pose", tag["pose"])
+        turn = turn_by_quaternion(*numbers(_within(pose, "rotation", "quaternion"), "XYZW"))
+        place = numbers(_within(pose, "translation"), "xyz")
+        yield PlacedTag(number_of(tag["ID"]), place, turn @ OUT_RIGHT_UP.T)
+
+
+def _within(keys: Keys, *path: str) -> Keys:
+    """The mapping below some keys."""
+    for key in path:
+        keys = mapping(key, keys[key])
+    return keys
+
+
+def _own_json(keys: Keys) -> Iterable[PlacedTag]:
+    family = family_named(keys["family"])
+    for tag in mappings("tags", keys["tags"]):
+        turn = turn_by_quaternion(*numbers(_within(tag, "quaternion"), "xyzw"))
+        edge = real(EDGE, tag.get(EDGE, keys[EDGE]), above=0.0)
+        place = np.array(vector("position", tag["position"], 3))
+        yield PlacedTag(number_of(tag["id"]), place, turn, edge, family)
+
+
+FIELD = ("fieldlength", "fieldwidth")  # of Limelight's maps, metres
+
+
+def _limelight(keys: Keys) -> Iterable[PlacedTag]:
+    """From the middle of the field, as the file counts; from its corner where the file says how large the field is."""
+    middle = np.array([real(name, keys.get(name, 0.0)) / 2.0 for name in FIELD])
+    for tag in mappings("fiducials", keys["fiducials"]):
+        number = number_of(tag["id"])
+        place, axes = transform_of(number, tag["transform"])
+        edge = edge_of("size", tag["size"], MM) if "size" in tag else None
+        family = family_named(tag["family"]) if "family" in tag else None
+        yield PlacedTag(number, place + np.array([*middle, 0.0]), axes @ OUT_RIGHT_UP.T, edge, family)
+
+
+def _frc971(keys: Keys) -> Iterable[PlacedTag]:
+    """By a quaternion, or by degrees about the turning axes of a tag that looks along -y, as in 2025."""
+    from scipy.spatial.transform import Rotation  # slow to load
+
+    for tag in mappings("target_poses", keys["target_poses"]):
+        if "w" in (turned := _within(tag, "orientation")):
+            turn = turn_by_quaternion(*numbers(turned, "xyzw"))
+        else:
+            turn = FACING_BACK @ Rotation.from_euler("XYZ", numbers(turned, "xyz"), degrees=True).as_matrix()
+        yield PlacedTag(number_of(tag["id"]), numbers(_within(tag, "position"), "xyz"), turn @ INTO)
+
+
+def _apriltag_ros(keys: Keys) -> Iterable[PlacedTag]:
+    """Tags of the bundle, whose frame is the world; or standalone tags, where they are given places in the world."""
+    listed = keys.get("tag_bundles") or ()
+    if isinstance(listed, dict):
+        raise InputError(
+            "its tag_bundles are those of a port to ROS 2, whose transform has four numbers for a quaternion in an "
+            "order that the file does not say: write them as ROS 1 has them, [{name: ..., layout: [{id, size, x, y, z, "
+            "qx, qy, qz, qw}, ...]}]."
+        )
+    bundles = [bundle for bundle in mappings("tag_bundles", listed) if bundle.get("layout")]
+    alone = mappings("standalone_tags", keys.get("standalone_tags") or ())
+    placed = [tag for tag in alone if not tag.keys().isdisjoint(PLACE)]
+    if not bundles and not placed:
+        raise InputError(
+            "its tags are standalone_tags without places: they need x, y, z, qx, qy, qz, qw, or a bundle of "
+            "tag_bundles with these."
+        )
+    if bundles and placed:
+        raise InputError("it has places in standalone_tags and in tag_bundles: leave one of the two in the file.")
+    if len(bundles) > 1:
+        names = ", ".join(str(bundle.get("name", "without a name"))[:80] for bundle in bundles)
+        raise InputError(f"it has the bundles {names}, each in a frame of its own: leave one of them in the file.")
+    # What TagDetector takes for keys of a layout that are not there.
+    defaults = {**dict.fromkeys((*PLACE, *QUATERNION), 0.0), "qw": 1.0} if bundles else {}
+    for tag in mappings("layout", bundles[0]["layout"]) if bundles else alone:
+        values = numbers({**defaults, **tag}, (*PLACE, *QUATERNION))
+        yield PlacedTag(number_of(tag["id"]), values[:3], turn_by_quaternion(*values[3:]), edge_of("size", tag["size"]))
+
+
+def _tagslam(keys: Keys) -> Iterable[PlacedTag]:
+    """Tags of the static bodies; the others are what TagSLAM looks for."""
+    named = [
+        (name, mapping(str(name), body)) for entry in mappings("bodies", keys["bodies"]) for name, body in entry.items()
+    ]
+    if not any(body.get("is_static") for _, body in named if body.get("tags") or body.get("board")):
+        raise InputError("no body with tags is static: a map is of tags on bodies with is_static: true and a pose.")
+    for name, body in named:
+        own = list(_on_body(body)) if body.get("is_static") else []
+        if own and not body.get("pose"):
+            raise InputError(f"the body {name!r} has no pose: give it one, such as that which TagSLAM found.")
+        if own:
+            position, turn = _tagslam_pose(mapping("pose", body["pose"]))
+            for tag in own:
+                yield tag._replace(position=turn @ tag.position + position, axes=turn @ tag.axes)
+
+
+def _on_body(body: Keys) -> Iterable[PlacedTag]:
+    """The tags of a body in its frame: listed, or those of a board in rows from its corner on."""
+    for tag in mappings("tags", body.get("tags") or ()):
+        position, turn = _tagslam_pose(mapping("pose", tag.get("pose") or {}))
+        size = edge_of("size", tag.get("size", body.get("default_tag_size")))
+        yield PlacedTag(number_of(tag["id"]), position, turn, size)
+    if body.get("board"):
+        board = mapping("board", body["board"])
+        size = edge_of("tag_size", board["tag_size"])
+        pitch = size * (1.0 + real("tag_spacing", board["tag_spacing"]))
+        rows, columns = (integer(name, board[name], low=1, high=MOST_ROWS) for name in ("tag_rows", "tag_columns"))
+        for k in range(rows * columns):
+            centre = pitch * np.array([k % columns, k // columns, 0.0])
+            yield PlacedTag(number_of(board["tag_start_id"]) + k, centre, np.eye(3), size)
+
+
+def _tagslam_pose(pose: Keys) -> tuple[FloatArray, FloatArray]:
+    """Position and rotation, as its axis times its angle; what is not there is zero."""
+    position, rotation = (
+        numbers(mapping(key, pose.get(key) or dict.fromkeys("xyz", 0.0)), "xyz") for key in ("position", "rotation")
+    )
+    radians("pose", rotation=rotation)
+    return position, exp(np.concatenate([rotation, np.zeros(3)]))[:3, :3]
+
+
+def _fiducial_vlam(keys: Keys) -> Iterable[PlacedTag]:
+    edge = edge_of("marker_length", keys["marker_length"])
+    for tag in mappings("markers", keys["markers"]):
+        number = number_of(tag["id"])
+        if "q" in tag:  # of older files
+            position, turn = tag["t"], turn_by_quaternion(*vector("q", tag["q"], 4))
+        else:
+            position, turn = tag["xyz"], turn_by_angles(number, *vector("rpy", tag["rpy"], 3))
+        yield PlacedTag(number, np.array(vector("xyz", position, 3)), turn, edge)
+
+
+def _aruco(keys: Keys) -> Iterable[PlacedTag]:
+    kind = keys.get("aruco_bc_mInfoType", METRES)
+    if kind != METRES:
+        board = "; a board in pixels has no places in a room" if kind == PIXELS else ""
+        raise InputError(f"aruco_bc_mInfoType must be {METRES}, metres, got {str(kind)[:80]}{board}.")
+    family = family_named(keys["aruco_bc_dict"]) if "aruco_bc_dict" in keys else None
+    for tag in mappings("aruco_bc_markers", keys["aruco_bc_markers"]):
+        number = number_of(tag["id"])
+        corners = np.array([vector("corners", corner, 3) for corner in tag["corners"]])
+        if corners.shape != (4, 3):
+            raise InputError(f"the marker {number} must have four corners, it has {len(corners)}.")
+        sides = np.linalg.norm(corners - np.roll(corners, 1, axis=0), axis=1)
+        if np.ptp(sides) > SQUARE_TOLERANCE * sides.max():
+            raise InputError(f"the marker {number} must be a square, its sides are {np.round(sides, 6).tolist()} m.")
+        edge = edge_of("side", float(sides.mean()))
+        # From the left to the right and from the lower to the upper corners, clockwise from the top left.
+        right, up = corners[1] + corners[2] - corners[0] - corners[3], corners[0] + corners[1] - corners[2] - corners[3]
+        if min(np.linalg.norm(right), np.linalg.norm(up)) < edge:  # each is twice the edge
+            raise InputError(f"the marker {number} must have its corners one after the other around it.")
+        right /= np.linalg.norm(right)
+        up -= (up @ right) * right
+        up /= np.linalg.norm(up)
+        axes = np.stack([right, up, np.cross(right, up)], axis=-1)
+        yield PlacedTag(number, corners.mean(axis=0), axes, edge, family)
+
+
+def _duckietown(keys: Keys) -> Iterable[PlacedTag]:
+    """Tags that lie on the floor; those of traffic signs belong to signs, whose heights the map does not say."""
+    for name, value in mapping("objects", keys["objects"]).items():
+        thing = mapping(str(name), value)
+        if thing.get("kind") != "floor_tag":
+            continue
+        tag, pose = _within(thing, "tag", "~TagInstance"), _within(thing, "pose", "~SE2Transform")
+        number, (x, y) = number_of(tag["tag_id"]), vector("p", pose["p"], 2)
+        if "theta_deg" in pose:
+            turn = roll_pitch_yaw([0.0, 0.0, np.radians(real("theta_deg", pose["theta_deg"]))])
+        else:
+            turn = turn_by_angles(number, 0.0, 0.0, real("theta", pose.get("theta", 0.0)))
+        edge, family = edge_of("size", tag["size"]), family_named(tag["family"]) if "family" in tag else None
+        yield PlacedTag(number, np.array([x, y, 0.0]), turn, edge, family)
+
+
+def _corner_note(path: Any, keys: Keys) -> str:
+    """The corner that Limelight's places are counted from, where the file says how large the field is."""
+    if not any(keys.get(name) for name in FIELD):
+        return ""
+    return (
+        f"{path}: places are counted from the corner of its field, half of {' and '.join(FIELD)} away from its origin"
+    )
+
+
+class Reader(NamedTuple):
+    """A format in YAML or JSON.
+
+    Args:
+        format: what it is called.
+        marks: keys that only files of this format have.
+        read: gives the tags.
+        by_opencv: whether those who read such files detect by OpenCV.
+        note: gives a sentence on how a file at a path is read; empty where there is no doubt.
+    """
+
+    format: str
+    marks: frozenset[str]
+    read: Callable[[Keys], Iterable[PlacedTag]]
+    by_opencv: bool = False
+    note: Callable[[Any, Keys], str] = lambda _path, _keys: ""
+
+
+READERS = (
+    Reader("lmd", frozenset({"tags", "family", EDGE}), _own_json),
+    Reader("WPILib", frozenset({"tags"}), _wpilib),
+    Reader("WPILib", frozenset({"field-tags"}), _wpilib),
+    Reader("Limelight", frozenset({"fiducials"}), _limelight, note=_corner_note),
+    Reader("frc971", frozenset({"target_poses"}), _frc971),
+    Reader("apriltag_ros", frozenset({"tag_bundles"}), _apriltag_ros),
+    Reader("apriltag_ros", frozenset({"standalone_tags"}), _apriltag_ros),
+    Reader("TagSLAM", frozenset({"bodies"}), _tagslam),
+    Reader("fiducial_vlam", frozenset({"markers", "marker_length"}), _fiducial_vlam, by_opencv=True),
+    Reader("ArUco", frozenset({"aruco_bc_markers"}), _aruco),
+    Reader("Duckietown", frozenset({"objects"}), _duckietown),
+)

@@ -1,0 +1,237 @@
+"""Maps of the tags as several ecosystems read them; `lmd.formats.tag_map_readers` reads them back.
+
+The frame of a tag is x to the right, y up, z out of it, unless a writer says otherwise.
+"""
+
+import json
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from lmd.core.checks import FloatArray, InputError
+from lmd.formats.tag_map import QUATERNION, TagMap, axes, write_yaml, written
+from lmd.formats.tag_map_readers import INTO, METRES, OUT_RIGHT_UP
+from lmd.geometry.camera import MM_PER_M
+from lmd.scene.tag import FAMILIES
+
+ROOM = "room"  # the name of the body, or the bundle, that has the tags
+# Standard deviations that TagSLAM's own example gives to what is known: a tag that stays where it is, m and rad.
+FIXED = {"position_noise": 1e-4, "rotation_noise": 1e-5}
+OFF_THE_FLOOR = 1e-6  # metres, and the same of a normal
+
+
+def write_apriltag_ros(path: Path, tags: TagMap) -> None:
+    """Write `tags.apriltag_ros.yaml` for ROS 1: one bundle, whose frame is the world frame.
+
+    Source: AprilRobotics/apriltag_ros, `tags.yaml` and `TagDetector::addObjectPoints`.
+    """
+    rows = zip(tags.ids, tags.sizes.tolist(), tags.positions, tags.quaternions.tolist(), strict=True)
+    layout = [
+        {"id": number, "size": size, **axes(position), **dict(zip(QUATERNION, turn, strict=True))}
+        for number, size, position, turn in rows
+    ]
+    family = f"# Its settings.yaml must have tag_family: {FAMILIES[tags.tag.family].apriltag}"
+    write_yaml(path, {"standalone_tags": [], "tag_bundles": [{"name": ROOM, "layout": layout}]}, family)
+
+
+def write_apriltag_ros2(path: Path, tags: TagMap) -> None:
+    """Write `tags.apriltag_ros2.yaml`: the parameters of the node, with a frame for each tag.
+
+    The node only names the tags that it looks for and their size; where they are is for the map of whoever uses it.
+
+    Source: christianrauch/apriltag_ros, `cfg`.
+    """
+    frames = [f"tag_{number}" for number in tags.ids]
+    own = {"ids": tags.ids, "frames": frames, "sizes": tags.sizes.tolist()}
+    parameters = {"family": tags.tag.family, "size": tags.tag.size, "tag": own}
+    write_yaml(path, {"/**": {"ros__parameters": parameters}})
+
+
+def write_aruco(path: Path, tags: TagMap) -> None:
+    """Write `tags.aruco.yaml`, the marker map of the ArUco library.
+
+    Corners are in the order in which the library finds them, clockwise from the top left of the tag's own picture. It
+    reads the code of an AprilTag from the top left on, so its up is AprilTag's. A family that only OpenCV has goes by
+    OpenCV's name. The lines are those of OpenCV's `FileStorage`, which reads no other indentation.
+
+    Source: ArUco 3, `MarkerMap::saveToFile`, `Dictionary` and `DictionaryBased::touulong`.
+    """
+    family = FAMILIES[tags.tag.family]
+    markers = zip(tags.ids, tags.corners.tolist(), strict=True)
+    lines = [
+        "%YAML:1.0",
+        "---",
+        f"aruco_bc_dict: {f'TAG{tags.tag.family}' if family.apriltag else family.dictionary}",
+        f"aruco_bc_nmarkers: {len(tags.ids)}",
+        f"aruco_bc_mInfoType: {METRES}",
+        "aruco_bc_markers:",
+        *(f"   - {{ id: {number}, corners: {corners} }}" for number, corners in markers),
+    ]
+    _write_lines(path, lines)
+
+
+def write_clover(path: Path, tags: TagMap) -> None:
+    """Write `tags.clover.txt`: a line `id length x y z yaw pitch roll` for each tag, metres and radians.
+
+    Clover detects by OpenCV, so a tag's up is OpenCV's. Turns are ROS's `setRPY`: Rz(yaw) Ry(pitch) Rx(roll).
+
+    Source: CopterExpress/clover, `ArucoMap::addMarker`.
+    """
+    values = np.column_stack([tags.sizes, tags.positions, tags.roll_pitch_yaw[:, ::-1]])
+    rows = zip(tags.ids, values.tolist(), strict=True)
+    _write_lines(path, ["# id length x y z yaw pitch roll", *("\t".join(map(str, (n, *row))) for n, row in rows)])
+
+
+def check_on_floor(tags: TagMap) -> None:
+    """Raise `InputError` if a tag does not lie on the floor z = 0: Duckietown's map knows no height."""
+    off = np.abs(np.column_stack([tags.positions[:, 2], tags.deployment.normals - [0.0, 0.0, 1.0]])).max(axis=1)
+    if (wrong := np.flatnonzero(off > OFF_THE_FLOOR)).size:
+        raise InputError(f"it takes tags that lie on the floor only, which tag {tags.ids[wrong[0]]} does not")
+
+
+def write_duckietown(path: Path, tags: TagMap) -> None:
+    """Write `tags.duckietown.yaml`, whose objects go into the map of the city.
+
+    They are where the floor tags lie, and how they are turned about the vertical.
+
+    Source: duckietown/duckietown-world, `SE2Transform` and the maps of autolabs.
+    """
+    degrees = written(np.degrees(tags.turns.as_euler("xyz")[:, 2])).tolist()
+    rows = zip(tags.ids, tags.positions.tolist(), degrees, tags.sizes.tolist(), strict=True)
+    objects = {
+        f"tag{number}": {
+            "kind": "floor_tag",
+            "pose": {"~SE2Transform": {"p": position[:2], "theta_deg": turn}},
+            "tag": {"~TagInstance": {"family": tags.tag.family, "size": size, "tag_id": number}},
+        }
+        for number, position, turn, size in rows
+    }
+    write_yaml(path, {"objects": objects})
+
+
+def write_fiducial_vlam(path: Path, tags: TagMap) -> None:
+    """Write `tags.fiducial_vlam.yaml`: one edge for all tags, and for each a position and roll, pitch, yaw.
+
+    It detects by OpenCV, so a tag's up is OpenCV's. A tag with `f: 1` stays where it is.
+
+    Source: ptrmu/fiducial_vlam, `Map` and `Marker::corners_f_map`.
+    """
+    rows = zip(tags.ids, tags.positions.tolist(), tags.roll_pitch_yaw.tolist(), strict=True)
+    markers = [{"id": number, "u": 1, "f": 1, "xyz": position, "rpy": turn} for number, position, turn in rows]
+    write_yaml(path, {"marker_length": float(tags.sizes[0]), "markers": markers})
+
+
+def write_frc971(path: Path, tags: TagMap) -> None:
+    """Write `tags.frc971.json`: the z axis of a tag points into it, x to its right, y down. It has no edge.
+
+    Source: frc971/971-Robot-Code, `frc971/vision/target_map.fbs` and its README.
+    """
+    from scipy.spatial.transform import Rotation
+
+    quaternions = written((tags.turns * Rotation.from_matrix(INTO)).as_quat(canonical=True))
+    poses = [
+        {"id": number, "position": axes(position), "orientation": dict(zip("xyzw", turn.tolist(), strict=True))}
+        for number, position, turn in zip(tags.ids, tags.positions, quaternions, strict=True)
+    ]
+    write_document(path, {"target_poses": poses})
+
+
+def write_limelight(path: Path, tags: TagMap) -> None:
+    """Write `tags.fmap`: a matrix for each tag, from the middle of the field, and its edge in millimetres.
+
+    The axes of a tag are WPILib's: x out of it, y to the right, z up. The field is the floor of the room.
+
+    Source: Limelight's "AprilTag Map Specification".
+    """
+    (low, _), (length, width) = tags.room.bounds(), _field(tags)
+    poses = np.tile(np.eye(4), (len(tags.ids), 1, 1))
+    poses[:, :3, :3] = written(tags.turns.as_matrix() @ OUT_RIGHT_UP)
+    poses[:, :3, 3] = written(tags.positions - [low[0] + length / 2.0, low[1] + width / 2.0, low[2]])
+    rows = zip(tags.ids, (MM_PER_M * tags.sizes).tolist(), poses.reshape(-1, 16).tolist(), strict=True)
+    family = f"apriltag3_{tags.tag.family}_classic"
+    fiducials = [
+        {"family": family, "id": number, "size": round(size, 9), "transform": pose, "unique": 1}
+        for number, size, pose in rows
+    ]
+    write_document(path, {"type": "frc", "fieldlength": length, "fieldwidth": width, "fiducials": fiducials})
+
+
+def write_rtabmap(path: Path, tags: TagMap) -> None:
+    """Write `tags.rtabmap.txt`, the value of the parameter `Marker/Priors`.
+
+    That is `id x y z roll pitch yaw`, tags with a `|` between them. RTAB-Map detects by OpenCV, so a tag's up is
+    OpenCV's. The edge is another parameter, `Marker/Length`.
+
+    Source: introlab/rtabmap, `Parameters` and `MarkerDetector::detect`.
+    """
+    rows = zip(tags.ids, np.hstack([tags.positions, tags.roll_pitch_yaw]).tolist(), strict=True)
+    _write_lines(path, ["|".join(" ".join(map(str, (number, *row))) for number, row in rows)])
+
+
+def write_tagslam(path: Path, tags: TagMap) -> None:
+    """Write `tags.tagslam.yaml`, to which the camera's body and the parameters of TagSLAM are added.
+
+    The room is a static body, and its tags are where they were planned; a rotation is a rotation vector.
+
+    Source: berndpfrommer/tagslam, `example/tagslam.yaml` and `Tag::get_object_corners`.
+    """
+    poses = zip(tags.ids, tags.sizes.tolist(), tags.positions, written(tags.turns.as_rotvec()), strict=True)
+    body = {
+        "is_static": True,
+        "type": "simple",
+        "default_tag_size": tags.tag.size,
+        "pose": _fixed(np.zeros(3), np.zeros(3)),
+        "tags": [{"id": number, "size": size, "pose": _fixed(*pose)} for number, size, *pose in poses],
+    }
+    write_yaml(path, {"default_body": ROOM, "bodies": [{ROOM: body}]})
+
+
+def write_wpilib(path: Path, tags: TagMap) -> None:
+    """Write `tags.wpilib.json`, the field layout of WPILib, which PhotonVision reads too.
+
+    The x axis of a tag points out of it and its z axis up; the field is the floor of the room. The file has no size:
+    that of the tags is set where the detector is.
+
+    Source: WPILib's `AprilTagFieldLayout`.
+    """
+    from scipy.spatial.transform import Rotation
+
+    quaternions = written((tags.turns * Rotation.from_matrix(OUT_RIGHT_UP)).as_quat(canonical=True, scalar_first=True))
+    length, width = _field(tags)
+    layout = {
+        "tags": [
+            {
+                "ID": number,
+                "pose": {
+                    "translation": axes(position),
+                    "rotation": {"quaternion": dict(zip("WXYZ", quaternion.tolist(), strict=True))},
+                },
+            }
+            for number, position, quaternion in zip(tags.ids, tags.positions, quaternions, strict=True)
+        ],
+        "field": {"length": length, "width": width},
+    }
+    write_document(path, layout)
+
+
+def write_document(path: Path, keys: dict[str, Any]) -> None:
+    """Write keys as JSON."""
+    _write_lines(path, [json.dumps(keys, indent=1)])
+
+
+def _write_lines(path: Path, lines: Iterable[str]) -> None:
+    path.write_text("".join(f"{line}\n" for line in lines), encoding="utf-8")
+
+
+def _field(tags: TagMap) -> tuple[float, float]:
+    """How long and how wide the floor of the room is, metres."""
+    low, high = tags.room.bounds()
+    length, width, _ = (high - low).tolist()
+    return length, width
+
+
+def _fixed(position: FloatArray, rotation: FloatArray) -> dict[str, Any]:
+    noise = {name: axes(np.full(3, deviation)) for name, deviation in FIXED.items()}
+    return {"position": axes(position), "rotation": axes(rotation), **noise}

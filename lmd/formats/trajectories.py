@@ -1,0 +1,213 @@
+"""Recorded trajectories: from a file of somebody's recorder to poses of the camera in the frame of the room."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from lmd.core.checks import ONE_TURN, FloatArray, InputError, choice, real, said_of, vector
+from lmd.formats.extrinsics import read_mount
+from lmd.formats.trajectory_readers import read_rows
+from lmd.formats.trajectory_rows import Rows, steep
+from lmd.geometry.frames import roll_pitch_yaw
+from lmd.geometry.se3 import act, laid_over, pose_of, poses_from_rows
+from lmd.geometry.trajectory import Trajectory
+from lmd.scene.recorded_poses import RecordedPoses
+from lmd.scene.rig import OPTICAL
+from lmd.space.space import Space, check_file_inside, check_positions
+
+# From the camera's axes (x right, y down, z the optical axis) to those that an orientation is about.
+FRAMES = {"optical": np.eye(3), "body": OPTICAL}
+FEWEST = 3  # points that say how two frames lie to each other
+# How far points of two frames may miss each other, in parts of their extent, and how thin their triangle may be.
+MISS, THIN = 0.05, 0.02
+
+
+@dataclass(frozen=True)
+class TrajectoryFile:
+    """The file of a trajectory, and what has to be said of its frames.
+
+    Args:
+        path: a format of `lmd.formats.trajectory_readers`, or a table with the columns time,x,y,z and one of:
+            qx,qy,qz,qw; roll,pitch,yaw of a body as ROS has them; yaw_from_y,pitch_up (and roll_left) of a camera as
+            in `lmd.geometry.frames.rotation`, which time,x,y,z,yaw,pitch are too. Seconds, metres, radians.
+        frame: that orientations are about: `optical` (x right, y down, z the optical axis) or `body` (x along the
+            optical axis, y left, z up; yaw, pitch and roll are then ROS's). Not asked where there is a `mount`.
+        times: a file with the time of each pose, one a line, where the trajectory has none (KITTI, COLMAP).
+        rate: poses a second in place of it.
+        align: where the frame of the recording is in the room: [x, y, z, yaw] of its origin, where its z points up and
+            yaw turns counter-clockwise seen from above; [x, y, z, qx, qy, qz, qw]; or at least three points, each as
+            [x, y, z] in the recording's frame and then in the room's.
+        mount: how the camera sits on what moves: a calibration with extrinsics or {path, name}, see
+            `lmd.formats.extrinsics`; or [x, y, z, yaw, pitch, roll] as in a rig (`lmd.scene.rig`).
+
+    Raises:
+        InputError: a value is refused.
+    """
+
+    path: str | None
+    frame: str = "optical"
+    times: str | None = None
+    rate: float | None = None
+    align: Sequence[Any] | None = None
+    mount: str | Mapping[str, Any] | Sequence[float] | None = None
+
+    def __post_init__(self) -> None:
+        choice("frame", self.frame, list(FRAMES))
+
+    @cached_property
+    def _read(self) -> tuple[Trajectory, Rows]:
+        """The poses of the camera in the room, and the rows that they were read from."""
+        if self.path is None:
+            raise InputError("path is missing: a file of poses is needed.", "path")
+        rows = read_rows(self.path, self.times, self.rate, self.frame)
+        if rows.frame == "optical" and self.frame == "body":
+            raise InputError(f"frame must be optical: {self.path} has the poses of a camera.", "frame")
+        poses = rows.poses
+        if self.mount is not None:
+            if rows.angles:  # they speak of where x looks
+                poses = _turned(poses, FRAMES["body"].T)
+            elif rows.frame == "optical":
+                raise InputError(f"mount must be left out: {self.path} has the poses of the camera itself.", "mount")
+            poses = poses @ _mounted(self.mount)
+        else:
+            poses = _turned(poses, FRAMES[rows.frame or self.frame])
+        if self.align is not None:
+            poses = alignment(self.align) @ poses
+        with said_of(self.path, "path"):
+            return Trajectory(rows.time, poses), rows
+
+    @property
+    def trajectory(self) -> Trajectory:
+        """The poses of the camera in the room.
+
+        Raises:
+            InputError: the file cannot be read, or what it holds is no trajectory; the message names the file.
+        """
+        return self._read[0]
+
+    @property
+    def note(self) -> str:
+        """A note on what was left out of the file, taken for granted or is to be asked; empty if nothing."""
+        return self.note_of("")
+
+    def note_of(self, group: str) -> str:
+        """The same, where the keys of a configuration begin with `group`."""
+        notes = (*self._read[1].notes, self._doubt(group))
+        return "; ".join(filter(None, notes))
+
+    def _doubt(self, group: str) -> str:
+        """A question where nearly all views go up or down, with the keys that answer it."""
+        trajectory, rows = self._read
+        if rows.angles or not (said := steep(trajectory.poses[:, 2, 2], self.path)):
+            return ""
+        cures = ["align, of a recording whose z does not point up"]
+        if self.mount is not None or rows.frame == "body" or self.frame == "body":
+            cures.insert(0, "mount, of a camera that looks elsewhere on the body")
+        elif rows.frame is None:
+            cures.insert(0, "frame=body, of a body with x ahead and z up")
+        return f"{said} If not, say so by {' or '.join(f'{group}{cure}' for cure in cures)}"
+
+    def check_inside(self, room: Space, check: Callable[[Trajectory, Space], None] = check_positions) -> Trajectory:
+        """The trajectory, which must lie inside a room.
+
+        Args:
+            check: of `lmd.space.space`.
+
+        Raises:
+            InputError: it does not; the message says how far, and what may help.
+        """
+        check_file_inside(self.path, self.trajectory, room, check)
+        return self.trajectory
+
+
+def read_recorded_poses(
+    path: str | None,
+    frame: str = "optical",
+    times: str | None = None,
+    rate: float | None = None,
+    align: Sequence[Any] | None = None,
+    mount: str | Mapping[str, Any] | Sequence[float] | None = None,
+    group: str = "",
+    **more: Any,
+) -> RecordedPoses:
+    """Recorded poses from a file.
+
+    Args:
+        path, frame, times, rate, align, mount: see `TrajectoryFile`.
+        group: begins the keys of a configuration in the note.
+        more: the other arguments of `RecordedPoses`.
+
+    Raises:
+        InputError: a value is refused, or the file is no trajectory.
+    """
+    file = TrajectoryFile(path, frame, times, rate, align, mount)
+    return RecordedPoses(file.trajectory, path=path, note=file.note_of(group), **more)
+
+
+def alignment(align: Sequence[Any]) -> FloatArray:
+    """From the frame of a recording to that of a room, `(4, 4)`; see `TrajectoryFile`.
+
+    Raises:
+        InputError: it has another form, or its points do not fit each other or lie on a line.
+    """
+    if isinstance(align, str | Mapping) or not hasattr(align, "__len__"):
+        raise InputError(f"align must be a list, got {align!r}.", "align")
+    if len(align) and not isinstance(align[0], str) and hasattr(align[0], "__len__"):
+        return _fitted(np.array([vector(f"align[{i}]", row, 6) for i, row in enumerate(align)]))
+    if len(align) == 4:
+        x, y, z, yaw = vector("align", align, 4)
+        if abs(yaw) > ONE_TURN:
+            raise InputError(f"align: yaw must be in radians, at most one turn from zero, got {yaw:g}.", "align")
+        return pose_of(roll_pitch_yaw([0.0, 0.0, yaw]), np.array([x, y, z]))
+    if len(align) == 7:
+        try:
+            return np.asarray(poses_from_rows(np.array([vector("align", align, 7)]))[0])
+        except InputError as error:
+            raise InputError(f"align: {str(error).removeprefix('frame 0: ')}", "align") from None
+    raise InputError(
+        "align must be [x, y, z, yaw], [x, y, z, qx, qy, qz, qw] or three points of six numbers, "
+        f"got {len(align)} numbers.",
+        "align",
+    )
+
+
+def _fitted(points: FloatArray) -> FloatArray:
+    """The motion from points to others, `(N, 6)` in pairs, where they say one and fit each other."""
+    if len(points) < FEWEST:
+        raise InputError(f"align must have at least {FEWEST} points, got {len(points)}.", "align")
+    own, room = points[:, :3], points[:, 3:]
+    for name, side in (("the recording's frame", own), ("the room's frame", room)):
+        spread = np.linalg.svd(side - side.mean(axis=0), compute_uv=False)
+        if spread[1] <= THIN * spread[0]:
+            raise InputError(f"align: its points lie on a line in {name}, about which it could turn.", "align")
+    motion = laid_over(own, room)
+    missed = np.linalg.norm(act(motion, own) - room, axis=1)
+    worst, extent = int(np.argmax(missed)), float(np.linalg.norm(room - room.mean(axis=0), axis=1).max())
+    if missed[worst] > MISS * extent:
+        raise InputError(
+            f"align: its points do not fit each other: at best, align[{worst}] is {missed[worst]:.3g} m from where it "
+            "should be.",
+            "align",
+        )
+    return motion
+
+
+def _mounted(mount: str | Mapping[str, Any] | Sequence[float]) -> FloatArray:
+    """The pose of the camera (x right, y down, z the optical axis) on what moves, `(4, 4)`."""
+    if isinstance(mount, str):
+        return read_mount(mount)
+    if isinstance(mount, Mapping):
+        if unknown := [key for key in mount if key not in ("path", "name")]:
+            raise InputError(f"mount has no key {unknown[0]!r}, only path, name.", "mount")
+        return read_mount(mount.get("path"), mount.get("name"))
+    x, y, z, yaw, pitch, roll = vector("mount", mount, 6)
+    for name, angle in (("yaw", yaw), ("pitch", pitch), ("roll", roll)):
+        real(f"mount: {name} in radians,", angle, low=-ONE_TURN, high=ONE_TURN)
+    return pose_of(roll_pitch_yaw([roll, pitch, yaw]) @ FRAMES["body"], np.array([x, y, z]))
+
+
+def _turned(poses: FloatArray, turn: FloatArray) -> FloatArray:
+    return pose_of(poses[:, :3, :3] @ turn, poses[:, :3, 3])

@@ -1,0 +1,274 @@
+"""Formats of trajectories, chosen by what a file holds.
+
+TUM's, EuRoC's, KITTI's, COLMAP's, ROS's, and tables whose header names columns.
+"""
+
+import re
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from lmd.core.checks import FloatArray, InputError, radians
+from lmd.core.files import read_text
+from lmd.core.tables import COMMENT, Headless, Table, is_number, read_headless, read_table
+from lmd.formats.trajectory_columns import (
+    EULER,
+    OWN_ANGLES,
+    OWN_HEADER,
+    POSITION,
+    QUATERNION,
+    Column,
+    check_quaternion_order,
+    is_header,
+    known_columns,
+    lacking,
+    values,
+)
+from lmd.formats.trajectory_rows import NANOSECONDS, Rows, checked_seconds, cleaned
+from lmd.formats.unread_trajectories import check_kind
+from lmd.formats.untimed_trajectories import KITTI, colmap_images, images_in_order, matrices
+from lmd.geometry.frames import roll_pitch_yaw
+from lmd.geometry.se3 import ROW, camera_pose, pose_of, poses_from_rows
+
+TUM = ("time", *ROW)
+EUROC = ("time", *POSITION, "qw", "qx", "qy", "qz")
+VELOCITIES = ("vx", "vy", "vz")  # which VINS writes behind a pose in EuRoC's order
+# Numbers after a pose of TUM's: covariances of rotation and position, or of all six, as halves or in full.
+COVARIANCES = (12, 21, 36)
+# A stamp of 0 among stamps of a clock that counts from 1970 is none.
+EPOCH = 1e8
+# `ros2 topic echo --csv`: how many names of frames follow the time in two parts, and how many values a line has.
+ROS_LINES = {(1, 10), (1, 46), (2, 11), (2, 89)}  # PoseStamped, with covariance; TransformStamped, Odometry
+ROS_BODIES = re.compile(r"/?(.*/)?(base_link|base_footprint|base|body|robot)")
+ROS_OPTICAL = re.compile(r".*optical(_frame|_link)?")
+
+
+def read_rows(path: str, times: str | None, rate: float | None, frame: str) -> Rows:
+    """Read a trajectory of any format that is known.
+
+    Args:
+        times: a file with the time of each pose, one a line, for a format that has none (KITTI, COLMAP).
+        rate: poses a second in place of it, from time 0.
+        frame: that orientations are said to be about, `optical` or `body`: what yaw and pitch mean depends on it.
+
+    Raises:
+        InputError: the file cannot be read, or what it holds is no trajectory; the message names the file.
+    """
+    try:
+        return cleaned(_rows(path, times, rate, frame))
+    except InputError as error:
+        if error.argument is not None or str(path) in str(error):
+            raise
+        raise InputError(f"{path}: {error}") from None
+
+
+def _rows(path: str, times: str | None, rate: float | None, frame: str) -> Rows:
+    text = read_text(path, "path")
+    check_kind(text)
+    if (images := colmap_images(text)) is not None:
+        return images_in_order(str(path), images, times, rate)
+    headless = read_headless(path, name="path")
+    header = None if headless is None else _comment_header(headless)
+    if headless is not None and header is None and headless.width == len(KITTI):
+        return matrices(headless, times, rate)
+    if times is not None or rate is not None:
+        name = "rate" if times is None else "times"
+        raise InputError(f"{name} must be left out: {path} has a time in each line.", name)
+    if headless is None:
+        table = _headed(path, text)
+    elif (stamps := _ros_lines(headless)) is not None:
+        return _of_ros(headless, stamps, frame)
+    else:
+        if header is None:
+            check_quaternion_order(headless.comments)
+        names = _named(headless, header) if header else _by_count(headless)
+        rows = _of_table(headless.table(names), frame)
+        if header is None and tuple(names[: len(EUROC)]) == EUROC:
+            said = f"{path} does not name its columns, and is read as EuRoC's: {' '.join(EUROC)}"
+            rows = replace(rows, notes=(*rows.notes, said))
+        return rows
+    return _of_table(table, frame)
+
+
+def _headed(path: str, text: str) -> Table:
+    """A table whose first line names its columns, with commas or spaces between them."""
+    lines = [(i, line) for i, line in enumerate(text.splitlines(), 1) if line.strip()]
+    lines = [(i, line) for i, line in lines if line.lstrip()[0] != COMMENT]
+    if lines:
+        at, first = lines[0]
+        words = _words(first)
+        if sum(is_number(word) for word in words) >= 3:
+            raise InputError(
+                f"line {at} begins with {words[0][:80]!r}, which is neither a number nor the name of a column: lines "
+                "of a trajectory begin with the time in seconds."
+            )
+        if not any(mark in first for mark in ",;") and len(words) > 1:
+            split = "\t" if "\t" in first.strip() else None
+            body = [(i, [value.strip() for value in line.split(split)]) for i, line in lines[1:]]
+            return Headless(str(path), [first], False, body).table([word.strip() for word in first.split(split)])
+    return read_table(path, name="path")
+
+
+def _words(line: str) -> list[str]:
+    return [word for word in re.split(r"[,\s]+", line.strip()) if word]
+
+
+def _comment_header(text: Headless) -> list[str] | None:
+    """The names of the columns in a comment above the values, if one has them; the last counts."""
+    for comment in reversed(text.comments):
+        names = [name.strip() for name in comment.split(",")] if "," in comment else []
+        certain = text.commas and len(names) == text.width
+        # Units stand apart from the names in some files: p_x [m].
+        words = re.split(r"\s+", re.sub(r"\s+([\[(])", r"\1", comment).strip())
+        for found in (names, [word.strip(",") for word in words]):
+            if found and found[-1] in ("...", ""):
+                found = found[:-1]
+            fits = len(found) == text.width
+            known = {"x", *QUATERNION} <= known_columns(found).keys() or {"x", *EULER} <= known_columns(found).keys()
+            if known and len(found) > text.width:
+                raise InputError(
+                    f"a comment names {len(found)} columns, {', '.join(found)[:200]}, and line {text.rows[0][0]} has "
+                    f"{text.width} values."
+                )
+            if known or (fits and len(found) > 1 and (certain or is_header(found))):
+                return found
+    return None
+
+
+def _named(text: Headless, header: Sequence[str]) -> list[str]:
+    """The names of all columns of a text whose first ones have the names of a header."""
+    names = [*header, *(f"column {i + 1}" for i in range(len(header), text.width))]
+    if len(set(names)) < len(names):
+        raise InputError(f"a comment names a column twice: {', '.join(names)[:200]}.")
+    return names
+
+
+def _by_count(text: Headless) -> list[str]:
+    """The names of columns of a text that does not name them."""
+    first = text.rows[0][1][0]
+    nanoseconds = abs(float(first)) > NANOSECONDS
+    if text.commas and not nanoseconds and text.width == len(TUM):
+        raise InputError(
+            "it has commas and no names of its columns, so that qx or qw may be first: write a first line such as "
+            "time,x,y,z,qx,qy,qz,qw."
+        )
+    order = EUROC if text.commas and nanoseconds else TUM
+    more = text.width - len(order)
+    if order == EUROC and more == len(VELOCITIES):
+        return [*order, *VELOCITIES]
+    if more in (0, *COVARIANCES):
+        return [*order, *(f"column {len(order) + i + 1}" for i in range(more))]
+    raise InputError(
+        f"line {text.rows[0][0]} has {text.width} values, not 8: {' '.join(order)}. Name other columns in a line above "
+        "them, such as '# time x y z roll pitch yaw' (ROS's angles of a body: x ahead, y left, z up, radians)."
+    )
+
+
+def _of_table(table: Table, frame: str) -> Rows:
+    """Rows of a table with a time in each line."""
+    if not table.texts:
+        raise InputError(f"{table.path} is empty; expected the columns {','.join(TUM)}.")
+    columns = known_columns(list(table.texts))
+    if "time" not in columns or not set(POSITION) <= columns.keys():
+        raise lacking(table, columns)
+    scale = columns["time"].scale if columns["time"].unit else None
+    time = values(table, {"time": replace(columns["time"], unit="")}, ["time"])[:, 0]
+    if (rest := _nanoseconds_beside(table, columns["time"])) is not None:
+        time, scale = time + 1e-9 * rest, 1.0
+    place = values(table, columns, POSITION)
+    poses, about, angles, note = _oriented(table, columns, place, frame)
+    known = np.ones(len(time), dtype=np.bool_)
+    notes = [note] if note else []
+    if "id" in table and not any(not is_number(text) for text in table.texts["id"]):
+        known &= table.numbers(["id"], None)[:, 0] >= 0.0
+        if not known.all():
+            left_out = f"{np.count_nonzero(~known)} of {len(known)} rows of {table.path}"
+            notes.append(f"{left_out} have a negative id, as landmarks of RTAB-Map, and are left out")
+    stamps = np.abs(time[known & (time != 0.0)])
+    if stamps.size and (stamps * (scale or 1.0)).min() > EPOCH and (unstamped := known & (time == 0.0)).any():
+        known &= ~unstamped
+        left_out = f"{np.count_nonzero(unstamped)} of {len(known)} rows of {table.path}"
+        notes.append(f"{left_out} have the time 0 among times since 1970, and are left out")
+    if not known.any():
+        raise InputError("it has no pose: all its rows have a negative id.")
+    rows = Rows(table.path, table.lines, time, poses, about, angles).kept(known, *notes)
+    return replace(rows, time=checked_seconds(table.path, rows.time, scale, place[known]))
+
+
+def _nanoseconds_beside(table: Table, time: Column) -> FloatArray | None:
+    """The rest of a time whose whole seconds stand in a column of their own; None where there is none."""
+    found = re.fullmatch(r"(.*?)(secs?|seconds)", time.name)
+    if found is None:
+        return None
+    for unit in ("nsec", "nsecs", "nanosec", "nanosecs", "nanoseconds"):
+        if f"{found[1]}{unit}" in table:
+            rest = table.numbers([f"{found[1]}{unit}"], None)[:, 0]
+            return rest if ((rest >= 0.0) & (rest < 1e9)).all() else None
+    return None
+
+
+def _oriented(
+    table: Table, columns: dict[str, Column], place: FloatArray, frame: str
+) -> tuple[FloatArray, str | None, bool, str]:
+    """Poses by the columns that there are, the frame that they are about, whether they are angles, and a note."""
+    if set(QUATERNION) <= columns.keys():
+        about, note = _frame_of_ros(table, frame)
+        numbers = np.hstack([place, values(table, columns, QUATERNION)])
+        return poses_from_rows(numbers, table.lines), about, False, note
+    header, given = tuple(table.texts), [name for name in EULER if name in columns]
+    own = set(OWN_ANGLES[:2]) <= columns.keys()
+    if own or (header == OWN_HEADER and frame == "optical"):
+        names = [name for name in (OWN_ANGLES if own else ("yaw", "pitch")) if name in columns]
+        turns = dict(zip(("yaw", "pitch", "roll"), values(table, columns, names).T, strict=False))
+        radians("the trajectory", **turns)
+        return camera_pose(place, **turns), "optical", True, ""
+    if not {"yaw", "pitch"} <= set(given):
+        raise lacking(table, columns)
+    order = list(columns)
+    if frame != "body" and ("roll" not in given or order.index("roll") > order.index("yaw")):
+        raise InputError(
+            f"frame must be body if {', '.join(given)} of {table.path} are ROS's (x ahead, y left, z up, yaw "
+            f"counter-clockwise from x). If they are a camera's (yaw clockwise from y, pitch up), call them "
+            f"{', '.join(OWN_ANGLES[: len(given)])}.",
+            "frame",
+        )
+    angles = dict(zip(given, values(table, columns, given).T, strict=True))
+    radians("the trajectory", **angles)
+    turn = roll_pitch_yaw(np.stack([angles.get(name, np.zeros(len(place))) for name in EULER], axis=1))
+    note = (
+        f"{', '.join(given)} of {table.path} are taken as ROS has them, of a body: x ahead, y left, z up, yaw "
+        "counter-clockwise from x"
+    )
+    return pose_of(turn, place), "body", False, note
+
+
+def _frame_of_ros(table: Table, frame: str) -> tuple[str | None, str]:
+    """The frame that the column `child_frame_id` of ROS names by REP 103 and REP 105, if it does, and a note."""
+    found = {text for name in table.texts if name.lower().endswith("child_frame_id") for text in table.texts[name]}
+    if len(found) != 1:
+        return None, ""
+    name = found.pop()
+    if ROS_OPTICAL.fullmatch(name):
+        if frame == "body":
+            raise InputError(f"frame must be optical: the poses of {table.path} are those of {name!r}.", "frame")
+        return "optical", ""
+    if ROS_BODIES.fullmatch(name):
+        return "body", f"poses of {table.path} are those of {name!r}, taken for a body's: x ahead, y left, z up"
+    return None, ""
+
+
+def _ros_lines(text: Headless) -> int | None:
+    """The number of names of frames in a line of `ros2 topic echo --csv`; None for another text."""
+    row = text.rows[0][1]
+    if not text.commas or len(row) < 4 or not (row[0].isdigit() and row[1].isdigit() and len(row[1]) < 10):
+        return None
+    frames = 2 if not is_number(row[3]) else 1
+    return frames if not is_number(row[2]) and (frames, len(row)) in ROS_LINES else None
+
+
+def _of_ros(text: Headless, frames: int, frame: str) -> Rows:
+    """Poses that `ros2 topic echo --csv` printed: seconds, nanoseconds, names of frames, position, quaternion."""
+    names = ["sec", "nanosec", *("frame_id", "child_frame_id")[:frames], *ROW]
+    table = text.table([*names, *(f"column {i + 1}" for i in range(len(names), text.width))])
+    return _of_table(table, frame)

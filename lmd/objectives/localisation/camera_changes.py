@@ -1,0 +1,175 @@
+"""Changes of the views of a single camera as a landmark moves: see `changes`."""
+
+from typing import Any
+
+import numpy as np
+
+from lmd.core.bits import ALL, Integer, WordArray
+from lmd.core.checks import FloatArray
+from lmd.core.compiled import inlined, inner
+from lmd.incremental.nearby import pose_of, target_of
+from lmd.incremental.state import (
+    ASKED,
+    PAIR_COUNT,
+    REACHED,
+    TOUCHED,
+    WHERE,
+    WHO,
+    Scratch,
+    State,
+)
+from lmd.incremental.trial import ask_touched, fresh_of, list_changing, see, see_whole, shown_of, turned
+from lmd.objectives.localisation.changes import (
+    change_sums,
+    find_turns,
+    first_row,
+    look_from,
+    see_place,
+    see_rest,
+    see_touched,
+    sum_anew,
+    sum_views,
+)
+from lmd.objectives.localisation.pairs import (
+    Place,
+)
+from lmd.objectives.localisation.views import (
+    COMES,
+    GOES,
+    LEFT,
+    OTHER,
+    TRIED,
+    add_moments,
+    add_to_sums,
+    landmark_moments,
+    read_rows,
+    replace_moments,
+    take_rows,
+    weigh,
+)
+
+
+@see_place.register(State)
+def _see_place(known: State, k: Integer, n: Integer, localised: WordArray, cover: Any, trial: Scratch) -> Integer:
+    see_whole(k, cover, known, trial)  # to ask for some orientations only would take longer: the tables settle most
+    ask_touched(k, n, True, known, trial)
+    count: Integer = list_changing(known, k, trial)
+    return count
+
+
+@see_touched.register(State)
+def _see_touched(known: State, k: Integer, n: Integer, positions: WordArray, cover: Any, trial: Scratch) -> None:
+    asked = trial.sets[ASKED]
+    for p in positions:
+        for w in range(np.uint64(asked.shape[1])):
+            asked[p, w] = ALL
+    see(known, k, positions, cover, trial)
+    ask_touched(k, n, True, known, trial)
+
+
+@see_rest.register(State)
+def _see_rest(known: State, k: Integer, cover: Any, trial: Scratch) -> None:
+    """Nothing: the trial found all."""
+
+
+@find_turns.register(State)
+def _find_turns(known: State, trial: Scratch, lost: WordArray, gained: WordArray) -> None:
+    who, where = trial.pairs[WHO], trial.pairs[WHERE]
+    for e in range(trial.numbers[PAIR_COUNT]):
+        i, p = np.uint64(who[e]), np.uint64(where[e])
+        for w in range(np.uint64(lost.shape[1])):
+            was, now = turned(known, i, p, w, trial)
+            lost[p, w] |= was & ~now
+            gained[p, w] |= now & ~was
+
+
+@inlined
+def _offset(pose: Any, p: Integer, field: Any) -> Place:
+    """Offset of a landmark with a `pose` from position p, metres."""
+    positions = field.coverage.positions
+    return pose[0] - positions[0, p], pose[1] - positions[1, p], pose[2] - positions[2, p]
+
+
+@inner
+def _find_moments(which: int, pose: Any, k: Integer, p: Integer, field: Any, scratch: Any) -> None:
+    x, y, z = _offset(pose, p, field)
+    landmark_moments(x, y, z, pose[3], pose[4], pose[5], field.precision, k, scratch.views.moments[which])
+
+
+@look_from.register(State)
+def _look_from(known: State, k: Integer, p: Integer, field: Any, scratch: Any) -> None:
+    if known.reachable[k, p]:
+        _find_moments(LEFT, pose_of(k, known), k, p, field, scratch)
+    if scratch.coverage.flags[REACHED, p]:
+        _find_moments(TRIED, target_of(scratch.coverage), k, p, field, scratch)
+
+
+@inner
+def _sum_turning(p: Integer, w: Integer, count: Integer, field: Any, known: State, scratch: Any) -> None:
+    """Change the views taken by the other landmarks that appear or disappear at position p."""
+    trial, views, camera = scratch.coverage, scratch.views, field.coverage.cameras
+    for i in range(np.uint64(known.poses.shape[1])):
+        if not trial.known[p, i]:
+            continue
+        was, now = turned(known, i, p, w, trial)
+        if was != now:
+            pose = pose_of(i, known)
+            _find_moments(OTHER, pose, i, p, field, scratch)
+            x, y, z = _offset(pose, p, field)
+            weigh(GOES, was ^ now, x, y, z, camera.sight, camera.axes, w, views, count)
+            add_moments(views.rows, views.moments[OTHER], views.weights[GOES], 1.0 if now else -1.0, count)
+
+
+@sum_views.register(State)
+def _sum_views(
+    known: State, k: Integer, p: Integer, w: Integer, left: np.uint64, field: Any, state: Any, scratch: Any
+) -> Any:
+    trial, views, camera, first = scratch.coverage, scratch.views, field.coverage.cameras, first_row(p, w, state)
+    count = take_rows(left, first, state.sums, views)
+    x, y, z = _offset(pose_of(k, known), p, field)
+    weigh(GOES, shown_of(known, k, p, w), x, y, z, camera.sight, camera.axes, w, views, count)
+    x, y, z = _offset(target_of(trial), p, field)
+    weigh(COMES, fresh_of(trial, p, w), x, y, z, camera.sight, camera.axes, w, views, count)
+    read_rows(first, state.sums, views, count)
+    replace_moments(views.rows, views.moments[LEFT], views.moments[TRIED], views.weights, count)
+    if trial.flags[TOUCHED, p]:
+        _sum_turning(p, w, count, field, known, scratch)
+    return count
+
+
+@inlined
+def _add(
+    moments: FloatArray, pose: Any, seen: np.uint64, p: Integer, w: Integer, sign: float, field: Any, state: Any
+) -> None:
+    """Add a landmark with these `moments` and a `pose` to the sums of the views in which it is `seen`."""
+    camera, (x, y, z) = field.coverage.cameras, _offset(pose, p, field)
+    add_to_sums(moments, seen, x, y, z, camera.sight, camera.axes, w, sign, first_row(p, w, state), state.sums)
+
+
+@change_sums.register(State)
+def _change_sums(
+    known: State, k: Integer, p: Integer, w: Integer, changed: np.uint64, sign: float, field: Any, state: Any,
+    scratch: Any,
+) -> None:  # fmt: skip
+    trial, moments = scratch.coverage, scratch.views.moments
+    _add(moments[LEFT], pose_of(k, known), shown_of(known, k, p, w), p, w, -sign, field, state)
+    _add(moments[TRIED], target_of(trial), fresh_of(trial, p, w), p, w, sign, field, state)
+    for i in range(np.uint64(known.poses.shape[1] if trial.flags[TOUCHED, p] else 0)):
+        if trial.known[p, i]:
+            was, now = turned(known, i, p, w, trial)
+            if was != now:
+                _find_moments(OTHER, pose_of(i, known), i, p, field, scratch)
+                _add(moments[OTHER], pose_of(i, known), was ^ now, p, w, sign if now else -sign, field, state)
+
+
+@sum_anew.register(State)
+def _sum_anew(known: State, p: Integer, w: Integer, seen: np.uint64, field: Any, state: Any, scratch: Any) -> Any:
+    for i in range(np.uint64(known.poses.shape[1])):
+        shown = shown_of(known, i, p, w)
+        if shown:
+            _find_moments(OTHER, pose_of(i, known), i, p, field, scratch)
+            _add(scratch.views.moments[OTHER], pose_of(i, known), shown, p, w, 1.0, field, state)
+    first = first_row(p, w, state)
+    count = take_rows(seen, first, state.sums, scratch.views)
+    read_rows(first, state.sums, scratch.views, count)
+    return count

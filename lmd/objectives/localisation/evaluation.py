@@ -1,0 +1,189 @@
+"""Counts and information of whole deployments: P_n and L at each position, the compiled path that counts exactly.
+
+Landmarks covered are counted as in `lmd.sight.kernels`, by the same operations. For the views that cover enough, the
+landmarks' numbers (`information`, `ambiguity`) are summed, and the sums decide. Threads share the positions. Rigs are
+evaluated by `rig`: a loop for each orientation, as each camera is elsewhere for every one of them.
+"""
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from lmd.core.bits import BITS, LANES, ONE, ZERO, Integer, add_digit, at_least, lowest
+from lmd.core.checks import FloatArray, IntArray
+from lmd.core.compiled import kernel
+from lmd.objectives.localisation.ambiguity import has_one_pose
+from lmd.objectives.localisation.information import WIDTH, Precision, meets, share_of, variance
+from lmd.objectives.localisation.reference import reference_views
+from lmd.objectives.localisation.rig import rig_views
+from lmd.objectives.localisation.views import VIEW, landmark_moments
+from lmd.scene.criteria import covering, covers, frame_of, pixel_density, sized
+from lmd.sight.evaluator import Evaluator
+from lmd.sight.kernels import weights_row
+from lmd.sight.obstacles import is_clear, no_ends
+from lmd.sight.poses import CHUNKS_PER_THREAD
+from lmd.sight.viewpoint import gather_near, list_shown, look, take, viewpoint_for
+
+
+class ViewValues(NamedTuple):
+    """Values of the views of B deployments at P positions."""
+
+    covered: IntArray
+    """`(B, P)` P_n in integer units."""
+    localised: IntArray
+    """`(B, P)` L in integer units."""
+    variances: FloatArray
+    """`(B, P, D)` variance of the position, infinite where fewer than n landmarks are covered or two poses look alike;
+    empty unless it is kept."""
+
+
+def localised_views(
+    evaluator: Evaluator,
+    positions: FloatArray,
+    normals: FloatArray,
+    n: int,
+    precision: Precision,
+    keep: bool = False,
+) -> ViewValues:
+    """Evaluate deployments; the number of threads changes no value. Of a rig, a view has the images of all cameras.
+
+    Args:
+        evaluator: the scene.
+        positions, normals: `(B, K, 3)` landmarks of B deployments.
+        n: landmarks that must be covered.
+        precision: the least information of a localised view.
+        keep: True to return the variances.
+    """
+    e, batch, size = evaluator, len(positions), len(evaluator.positions)
+    if keep:
+        e.check_memory(8 * batch)
+    if e.by_reference:
+        return ViewValues(*reference_views(e, positions, normals, n, precision, keep))
+    if e.parts:
+        return ViewValues(*rig_views(e, positions, normals, n, precision, keep))
+    covered, localised = np.zeros((2, batch, size), dtype=np.int64)
+    values = ViewValues(covered, localised, np.empty((batch, size, e.axes.shape[1]) if keep else (0, 0, 0)))
+    digits = max(positions.shape[1], n, 2).bit_length()
+    fixed = (*e.batch(positions, normals), n, digits, precision, precision.asks, *values, keep)
+    e.by_blocks(_localise_range, fixed, CHUNKS_PER_THREAD)
+    return values
+
+
+@kernel
+def _localise_range(
+    first: Integer, last: Integer, order: IntArray, positions: FloatArray, landmarks: FloatArray, normals: FloatArray,
+    sight: Any, horizon: float, obstacles: Any, axes: FloatArray, bands: Any, tables: Any, weights: IntArray,
+    n: Integer, places: Integer, precision: Precision, asks: bool, covered: IntArray, localised: IntArray,
+    variances: FloatArray, keep: bool,
+) -> None:  # fmt: skip
+    """Evaluate deployments at the positions `order[first:last]`.
+
+    Args:
+        first, last, order, positions, landmarks, normals, sight, horizon, obstacles, axes, bands, tables, weights, n:
+            see `kernels.evaluate_range`.
+        places: binary digits of a number of landmarks.
+        precision, asks: least information of a localised view, and whether it asks for any.
+        covered, localised, variances: see `ViewValues`.
+        keep: whether `variances` are written.
+    """
+    words, poses, names = (
+        np.uint64(axes.shape[1] // BITS),
+        np.empty((6, landmarks.shape[2])),
+        np.arange(landmarks.shape[2]),
+    )
+    clear, ends, view = is_clear(obstacles), no_ends(obstacles, len(names)), viewpoint_for(len(names))
+    near, who, x, y, z, low, high, deep = (
+        view.near, view.who, view.x, view.y, view.z, view.low, view.high, view.deep
+    )  # fmt: skip
+    bottom, top, shown, directions = view.bottom, view.top, view.shown, view.near[3:]
+    caps, digits = np.empty((len(names), words), dtype=np.uint64), np.empty((words, np.uint64(places)), dtype=np.uint64)
+    enough, listed = np.empty(words, dtype=np.uint64), np.empty(axes.shape[1], dtype=np.uint64)
+    moment, sums, several = np.zeros(WIDTH), np.empty((axes.shape[1], WIDTH)), np.empty(words, dtype=np.uint64)
+    flat = sums.reshape(-1)
+    # A number that the compiler does not know, or it would unroll loops over it and not vectorise them.
+    terms = np.uint64(WIDTH + landmarks.shape[1] - 3)
+    for b in range(landmarks.shape[0]):
+        many = count = 0
+        take(b, landmarks, normals, sight, obstacles, clear, poses, ends)
+        for o in range(first, last):
+            p = order[o]
+            many, count = gather_near(o, first, last, order, positions, horizon, many, count, poses, names, view)
+            look(view, count, positions[p, 0], positions[p, 1], positions[p, 2], sight, tables)
+            found = list_shown(view, directions, count, p, sight, obstacles, clear, ends)
+            digits[:] = ZERO
+            for m in range(found):
+                k = shown[m]
+                xk, yk, zk, least = x[k], y[k], z[k], low[k]
+                nx, ny, nz, mine = near[3, k], near[4, k], near[5, k], sized(sight, who[k])
+                if tables is None:
+                    start, stop = bands[bottom[k]] // LANES, (bands[top[k]] + LANES - 1) // LANES
+                    bottom[k], top[k] = start // 2, (stop + 1) // 2
+                    for i in range(np.uint64(bottom[k]), np.uint64(top[k])):
+                        caps[k, i] = ZERO
+                    for i in range(np.uint64(start), np.uint64(stop)):
+                        half = np.uint32(0)
+                        for lane in range(np.uint64(LANES)):
+                            a = i * np.uint64(LANES) + lane
+                            inside = covers(mine, xk, yk, zk, nx, ny, nz, least, 0.0, axes, a)
+                            half |= np.uint32(inside) << np.uint32(lane)
+                        caps[k, i // np.uint64(2)] |= np.uint64(half) << (i % np.uint64(2) * np.uint64(LANES))
+                else:
+                    certain, possible = tables
+                    given, cell, frame = np.uint64(bottom[k]), np.uint64(top[k]), frame_of(mine, nx, ny, nz)
+                    bottom[k], top[k] = 0, words
+                    for i in range(words):
+                        cap, left = certain[given, i], possible[cell, i] & ~certain[given, i]
+                        if left:
+                            well = certain[cell, i]
+                            cap |= covering(mine, left, i, xk, yk, zk, frame, least, high[k], deep[k], well, axes)
+                        caps[k, i] = cap
+                for i in range(np.uint64(bottom[k]), np.uint64(top[k])):
+                    carry, j = caps[k, i], ZERO
+                    while carry:
+                        digits[i, j], carry = add_digit(digits[i, j], carry, ZERO)
+                        j += ONE
+            total, useful, row_of = np.int64(0), np.uint64(0), weights_row(weights, p)
+            for i in range(words):
+                enough[i] = has = at_least(digits[i], n)
+                several[i] = at_least(digits[i], 2)
+                while has:
+                    a = i * np.uint64(BITS) + lowest(has)
+                    has &= has - ONE
+                    total += weights[row_of, a]
+                    listed[useful] = a
+                    useful += ONE
+                    for t in range(terms):
+                        sums[a, t] = 0.0
+            covered[b, p] = localised[b, p] = total
+            if not asks and not keep:
+                continue
+            for m in range(found):
+                k = shown[m]
+                xk, yk, zk = x[k], y[k], z[k]
+                nx, ny, nz = near[3, k], near[4, k], near[5, k]
+                landmark_moments(xk, yk, zk, nx, ny, nz, precision, who[k], moment)
+                for i in range(np.uint64(bottom[k]), np.uint64(top[k])):
+                    left = caps[k, i] & enough[i]
+                    while left:
+                        a = i * np.uint64(BITS) + lowest(left)
+                        left &= left - ONE
+                        weight = pixel_density(sight, xk, yk, zk, axes, a)
+                        for t in range(terms):
+                            sums[a, t] += share_of(moment[t], weight)
+            if asks:
+                total = np.int64(0)
+                for m in range(useful):
+                    a, start = listed[m], listed[m] * np.uint64(WIDTH)
+                    one_pose = several[a // VIEW] >> a % VIEW & ONE != ZERO
+                    one_pose |= has_one_pose(precision.residual, flat, start, ONE)
+                    total += weights[row_of, a] if meets(precision, flat, start, ONE) & one_pose else 0
+                localised[b, p] = total
+            if keep:
+                for i in range(np.uint64(variances.shape[2])):
+                    variances[b, p, i] = np.inf
+                for m in range(useful):
+                    a, start = listed[m], listed[m] * np.uint64(WIDTH)
+                    one_pose = several[a // VIEW] >> a % VIEW & ONE != ZERO
+                    one_pose |= has_one_pose(precision.residual, flat, start, ONE)
+                    value, fixed = variance(flat, start, ONE)
+                    variances[b, p, a] = value if fixed & one_pose else np.inf

@@ -1,0 +1,278 @@
+"""Pairs of a landmark and a view of a rig: what its cameras see, listed and added up in a loop that vectorises.
+
+The numbers of a pair lie `BITS` apart, those of the pairs side by side.
+"""
+
+from typing import Any, NamedTuple, TypeAlias
+
+import numpy as np
+from numba import literal_unroll
+
+from lmd.core.bits import BITS, ONE, ZERO, Integer, WordArray, lowest, prefetch
+from lmd.core.checks import FloatArray
+from lmd.core.compiled import inlined, inner
+from lmd.geometry.squares import upright
+from lmd.objectives.localisation.ambiguity import MIRRORED, asks_apart, least_residual, mirrored_numbers
+from lmd.objectives.localisation.body import BODY_NUMBERS, about_body, gain_of
+from lmd.objectives.localisation.information import Precision, moments, share_of
+from lmd.objectives.localisation.views import NUMBER, ORIENTATION, TAKEN, VIEW, WHOSE, WORK, BodyViews, whole
+from lmd.scene.criteria import pixel_density
+from lmd.scene.deployment import Deployment
+from lmd.sight.evaluator import Evaluator
+from lmd.sight.mounts import Part
+from lmd.sight.rig_sets import seen_by_each
+
+# Where the numbers of pairs begin: offset, weight, offset of the camera, sides of the tag, and the moments.
+AT = tuple(np.uint64(BITS * i) for i in range(WORK))
+FIRST_MOMENT = np.uint64(13)
+
+Place: TypeAlias = tuple[float, float, float]
+Tag: TypeAlias = tuple[float, float, float, float, float, float, float, float, float]
+
+
+class Mounts(NamedTuple):
+    """The M cameras of a part of a rig, apart from what they cover: a tuple is copied for many calls."""
+
+    number: int
+    """Index of the part."""
+    sight: Any
+    """As in `lmd.sight.mounts.Part`."""
+    offsets: FloatArray
+    """As in `lmd.sight.mounts.Part`."""
+    axes: FloatArray
+    """As in `lmd.sight.mounts.Part`."""
+    gain: float
+    """Information per pixel relative to the first camera, see `gain_of`."""
+
+
+class Shown(NamedTuple):
+    """K landmarks that the cameras of a part cover from P positions of the body."""
+
+    mounts: Mounts
+    """The M cameras."""
+    sets: WordArray
+    """`(M, P, K, W)` orientations with which each camera covers each landmark."""
+
+
+def shown_by(
+    evaluator: Evaluator, parts: tuple[Part, ...], positions: FloatArray, deployment: Deployment
+) -> tuple[Shown, ...]:
+    """Landmarks that the parts of a rig, of the evaluator's or variants of them, cover from `positions` `(P, 3)`."""
+    args = evaluator.scene.room.blockers(), positions, deployment.positions, deployment.normals
+    return tuple(map(Shown, mounts_of(evaluator, parts), [seen_by_each(part, *args) for part in parts]))
+
+
+def mounts_of(evaluator: Evaluator, parts: tuple[Part, ...]) -> tuple[Mounts, ...]:
+    """The mounts of the parts of a rig, of the evaluator's or variants of them."""
+    cameras = evaluator.scene.cameras
+    each = enumerate(zip(parts, dict.fromkeys(cameras), strict=True))
+    return tuple(Mounts(j, p.sight, p.offsets, p.axes, gain_of(kind, cameras[0])) for j, (p, kind) in each)
+
+
+@inlined
+def numbers_of(precision: Precision) -> np.uint64:
+    """Count of the numbers of a view that `precision` needs."""
+    return np.uint64(BODY_NUMBERS + MIRRORED if asks_apart(precision) else BODY_NUMBERS)
+
+
+@inner
+def fill_views(left: np.uint64, precision: Precision, views: BodyViews) -> np.uint64:
+    """Take the orientations `left` of a word, with sums of zero; returns their number."""
+    bits, number, rows, count = views.lists[ORIENTATION], views.lists[NUMBER], views.rows, ZERO
+    views.lists[TAKEN, 0], views.lists[TAKEN, 1] = left, ZERO
+    while left:
+        bit = lowest(left)
+        bits[count], number[bit] = bit, count
+        left &= left - ONE
+        count += ONE
+    for j in range(numbers_of(precision)):
+        for v in range(whole(count)):
+            rows[j * VIEW + v] = 0.0
+    return count
+
+
+@inner
+def fetch_sums(sums: FloatArray, first: Integer, views: BodyViews, count: Integer) -> None:
+    """Prefetch the rows of `sums` `(V, width)` that `take_sums` reads."""
+    width, bits = np.uint64(sums.shape[1]), views.lists[ORIENTATION]
+    for v in range(count):
+        at = (first + bits[v]) * width
+        prefetch(sums, at)
+        prefetch(sums, at + width // np.uint64(2))
+
+
+@inner
+def take_sums(sums: FloatArray, first: Integer, precision: Precision, views: BodyViews, count: Integer) -> None:
+    """Add to the views their rows of `sums` `(V, width)`; the first orientation of the word has row `first`."""
+    bits, rows = views.lists[ORIENTATION], views.rows
+    for v in range(count):
+        for j in range(numbers_of(precision)):
+            rows[j * VIEW + v] += sums[first + bits[v], j]
+
+
+@inner
+def give_sums(sums: FloatArray, first: Integer, precision: Precision, views: BodyViews, count: Integer) -> None:
+    """Add the views to their rows of `sums`."""
+    bits, rows = views.lists[ORIENTATION], views.rows
+    for v in range(count):
+        for j in range(numbers_of(precision)):
+            sums[first + bits[v], j] += rows[j * VIEW + v]
+
+
+def tags_of(precision: Precision, positions: FloatArray, normals: FloatArray) -> FloatArray:
+    """Of landmarks, `(K, 3)`, the centres and from there the middles of the right and the upper edges, `(K, 9)`."""
+    return np.hstack([positions, *(precision.halves[:, None] * side for side in upright(normals))])
+
+
+@inlined
+def tag_of(tags: FloatArray, k: Integer) -> Tag:
+    """Row k of `tags_of`."""
+    return tags[k, 0], tags[k, 1], tags[k, 2], tags[k, 3], tags[k, 4], tags[k, 5], tags[k, 6], tags[k, 7], tags[k, 8]
+
+
+@inner
+def add_to_body(
+    mounts: Mounts, m: Integer, w: Integer, seen: np.uint64, place: tuple[float, float, float], tag: Tag,
+    sign: float, precision: Precision, views: BodyViews,
+) -> None:  # fmt: skip
+    """List a landmark in the views in which a mount sees it, times `sign`; `add_up` adds what is listed.
+
+    Args:
+        mounts, m: the mount.
+        w, seen: the word of the views, and the orientations with which the mount sees the landmark.
+        place: position of the body, metres.
+        tag: the landmark, see `tags_of`.
+        sign: 1 or -1.
+        precision: has the share of each corner.
+        views: the views.
+    """
+    taken = views.lists[TAKEN]
+    left, filled = seen & taken[0], taken[1]
+    if left == ZERO:
+        return
+    number, whose, work = views.lists[NUMBER], views.lists[WHOSE], views.work
+    sight, axes, offsets, value = mounts.sight, mounts.axes[m], mounts.offsets[m], sign * mounts.gain
+    (px, py, pz), (lx, ly, lz, rx, ry, rz, ux, uy, uz) = place, tag
+    while left:
+        bit = lowest(left)
+        left &= left - ONE
+        a, i = w * VIEW + bit, filled
+        ox, oy, oz = offsets[0, a], offsets[1, a], offsets[2, a]
+        x, y, z = lx - (px + ox), ly - (py + oy), lz - (pz + oz)
+        whose[i] = number[bit]
+        work[i], work[AT[1] + i], work[AT[2] + i] = x, y, z
+        work[AT[3] + i] = value * pixel_density(sight, x, y, z, axes, a)
+        work[AT[4] + i], work[AT[5] + i], work[AT[6] + i] = ox, oy, oz
+        work[AT[7] + i], work[AT[8] + i], work[AT[9] + i] = rx, ry, rz
+        work[AT[10] + i], work[AT[11] + i], work[AT[12] + i] = ux, uy, uz
+        filled += ONE
+        if filled == VIEW:
+            taken[1] = filled
+            add_up(precision, views)
+            filled = ZERO
+    taken[1] = filled
+
+
+@inner
+def add_up(precision: Precision, views: BodyViews) -> None:
+    """Add the listed pairs to the views."""
+    rows, work, whose, filled = views.rows, views.work, views.lists[WHOSE], views.lists[TAKEN, 1]
+    _find_moments(work, precision.share, filled)
+    if asks_apart(precision):
+        _find_mirrored(work, least_residual(precision.residual), filled)
+    for i in range(filled):
+        v = whose[i]
+        for j in range(numbers_of(precision)):
+            rows[j * VIEW + v] += work[(FIRST_MOMENT + j) * VIEW + i]
+    views.lists[TAKEN, 1] = ZERO
+
+
+@inner
+def _find_moments(work: FloatArray, share: float, filled: Integer) -> None:
+    """Find the 21 numbers of `filled` pairs; of one array alone, or LLVM would not vectorise this."""
+    for i in range(whole(filled)):
+        weight = work[AT[3] + i]
+        found = about_body(
+            moments(
+                work[i], work[AT[1] + i], work[AT[2] + i], work[AT[7] + i], work[AT[8] + i], work[AT[9] + i],
+                work[AT[10] + i], work[AT[11] + i], work[AT[12] + i], share,
+            ),
+            work[AT[4] + i], work[AT[5] + i], work[AT[6] + i],
+        )  # fmt: skip
+        work[AT[13] + i], work[AT[14] + i], work[AT[15] + i] = (
+            share_of(found[0], weight), share_of(found[1], weight), share_of(found[2], weight),
+        )  # fmt: skip
+        work[AT[16] + i], work[AT[17] + i], work[AT[18] + i] = (
+            share_of(found[3], weight), share_of(found[4], weight), share_of(found[5], weight),
+        )  # fmt: skip
+        work[AT[19] + i], work[AT[20] + i], work[AT[21] + i] = (
+            share_of(found[6], weight), share_of(found[7], weight), share_of(found[8], weight),
+        )  # fmt: skip
+        work[AT[22] + i], work[AT[23] + i], work[AT[24] + i] = (
+            share_of(found[9], weight), share_of(found[10], weight), share_of(found[11], weight),
+        )  # fmt: skip
+        work[AT[25] + i], work[AT[26] + i], work[AT[27] + i] = (
+            share_of(found[12], weight), share_of(found[13], weight), share_of(found[14], weight),
+        )  # fmt: skip
+        work[AT[28] + i], work[AT[29] + i], work[AT[30] + i] = (
+            share_of(found[15], weight), share_of(found[16], weight), share_of(found[17], weight),
+        )  # fmt: skip
+        work[AT[31] + i], work[AT[32] + i], work[AT[33] + i] = (
+            share_of(found[18], weight), share_of(found[19], weight), share_of(found[20], weight),
+        )  # fmt: skip
+
+
+@inner
+def _find_mirrored(work: FloatArray, least: float, filled: Integer) -> None:
+    """Find the `mirrored_numbers` of `filled` pairs."""
+    for i in range(whole(filled)):
+        weight = work[AT[3] + i]
+        found = mirrored_numbers(
+            work[i], work[AT[1] + i], work[AT[2] + i], work[AT[7] + i], work[AT[8] + i], work[AT[9] + i],
+            work[AT[10] + i], work[AT[11] + i], work[AT[12] + i], least,
+        )  # fmt: skip
+        work[AT[34] + i], work[AT[35] + i], work[AT[36] + i], work[AT[37] + i], work[AT[38] + i] = (
+            share_of(found[0], weight), share_of(found[1], weight), share_of(found[2], weight),
+            share_of(found[3], weight), share_of(found[4], weight),
+        )  # fmt: skip
+
+
+@inner
+def _seen_by_part(shown: Shown, p: Integer, k: Integer, w: Integer) -> np.uint64:
+    """`seen_by_any` camera of a part."""
+    seen = ZERO
+    for m in range(len(shown.sets)):
+        seen |= shown.sets[m, p, k, w]
+    return seen
+
+
+@inner
+def _add_part(
+    shown: Shown, p: Integer, which: np.ndarray, w: Integer, place: Place, tags: FloatArray, precision: Precision,
+    views: BodyViews,
+) -> None:  # fmt: skip
+    """`add_of_all` cameras of a part."""
+    for k in which:
+        tag = tag_of(tags, k)
+        for m in range(len(shown.sets)):
+            add_to_body(shown.mounts, m, w, shown.sets[m, p, k, w], place, tag, 1.0, precision, views)
+
+
+@inner
+def seen_by_any(every: tuple[Shown, ...], p: Integer, k: Integer, w: Integer) -> np.uint64:
+    """Orientations of word w with which some camera covers landmark k from position p."""
+    seen = ZERO
+    for shown in literal_unroll(every):
+        seen |= _seen_by_part(shown, p, k, w)
+    return seen
+
+
+@inner
+def add_of_all(
+    every: tuple[Shown, ...], p: Integer, which: np.ndarray, w: Integer, place: Place, tags: FloatArray,
+    precision: Precision, views: BodyViews,
+) -> None:  # fmt: skip
+    """Add the landmarks `which` of `tags` to the views of all cameras, the body at `place`, position p."""
+    for shown in literal_unroll(every):
+        _add_part(shown, p, which, w, place, tags, precision, views)
+    add_up(precision, views)

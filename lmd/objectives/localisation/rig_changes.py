@@ -1,0 +1,206 @@
+"""Changes of the views of a rig as a landmark moves: see `changes`."""
+
+from typing import Any
+
+import numpy as np
+from numba import literal_unroll
+
+from lmd.core.bits import Integer, WordArray
+from lmd.core.compiled import inlined, inner
+from lmd.geometry.squares import upright_sides
+from lmd.incremental.counts import ENOUGH, SHORT
+from lmd.incremental.nearby import pose_of, target_of
+from lmd.incremental.rig import list_near
+from lmd.incremental.state import (
+    ASKED,
+    CAPS,
+    FIRST,
+    LAST,
+    LISTED,
+    OCCLUDED,
+    PAIR_COUNT,
+    SPAN_COUNT,
+    TOUCHED,
+    WHERE,
+    WHO,
+    RigScratch,
+    RigState,
+)
+from lmd.incremental.trial import ask_touched, see, see_whole
+from lmd.objectives.localisation.changes import (
+    change_sums,
+    find_turns,
+    first_row,
+    look_from,
+    see_place,
+    see_rest,
+    see_touched,
+    sum_anew,
+    sum_views,
+)
+from lmd.objectives.localisation.information import Precision, half_of
+from lmd.objectives.localisation.pairs import (
+    Mounts,
+    Place,
+    Tag,
+    add_to_body,
+    add_up,
+    fetch_sums,
+    fill_views,
+    give_sums,
+    take_sums,
+)
+
+
+@see_place.register(RigState)
+def _see_place_by_rig(
+    known: RigState, k: Integer, n: Integer, localised: WordArray, cover: Any, trial: RigScratch
+) -> Integer:
+    # Landmark k matters with n - 1 others in view or more, unless the view is localised and does not show k.
+    asked, short, enough = trial.sets[ASKED], known.counts.sets[SHORT], known.counts.sets[ENOUGH]
+    first, last = trial.lists[FIRST], trial.lists[LAST]
+    for s in range(trial.numbers[SPAN_COUNT]):
+        for q in range(first[s], last[s]):
+            for w in range(np.uint64(asked.shape[1])):
+                mine = known.shown[k, q, w]
+                asked[q, w] = (enough[q, w] & (mine | ~localised[q, w])) | (short[q, w] & ~mine)
+    ask_touched(k, n, True, known, trial)
+    count: Integer = list_near(trial, False)
+    see(known, k, trial.lists[LISTED][:count], cover, trial)
+    return count
+
+
+@see_touched.register(RigState)
+def _see_touched_by_rig(
+    known: RigState, k: Integer, n: Integer, positions: WordArray, cover: Any, trial: RigScratch
+) -> None:
+    ask_touched(k, n, True, known, trial)
+    see(known, k, positions, cover, trial)
+
+
+@see_rest.register(RigState)
+def _see_rest_by_rig(known: RigState, k: Integer, cover: Any, trial: RigScratch) -> None:
+    see_whole(k, cover, known, trial)
+
+
+@inner
+def _find_turns_of_part(
+    mine: WordArray, flipped: WordArray, trial: RigScratch, lost: WordArray, gained: WordArray
+) -> None:
+    caps, veiled, who, where = mine[CAPS], mine[OCCLUDED], trial.pairs[WHO], trial.pairs[WHERE]
+    mounts, words = caps.shape[2], np.uint64(caps.shape[3])
+    for e in range(trial.numbers[PAIR_COUNT]):
+        i, q = np.uint64(who[e]), np.uint64(where[e])
+        for m in range(mounts):
+            for w in range(words):
+                turns = caps[i, q, m, w] & flipped[i, q, m, w]
+                lost[q, w] |= turns & ~veiled[i, q, m, w]
+                gained[q, w] |= turns & veiled[i, q, m, w]
+
+
+@find_turns.register(RigState)
+def _find_turns_of_rig(known: RigState, trial: RigScratch, lost: WordArray, gained: WordArray) -> None:
+    for j in range(len(known.parts)):
+        _find_turns_of_part(known.parts[j], trial.parts[j].flipped, trial, lost, gained)
+
+
+@look_from.register(RigState)
+def _look_from_rig(known: RigState, k: Integer, p: Integer, field: Any, scratch: Any) -> None:
+    """Nothing: moments are those of each camera and orientation."""
+
+
+@inlined
+def _tag(k: Integer, pose: Any, precision: Precision) -> Tag:
+    """Landmark k with a `pose`, see `pairs.tags_of`."""
+    return pose[0], pose[1], pose[2], *upright_sides(half_of(precision, k), pose[3], pose[4], pose[5])
+
+
+@inlined
+def _place(q: Integer, field: Any) -> Place:
+    """Position q of the body."""
+    positions = field.coverage.positions
+    return positions[0, q], positions[1, q], positions[2, q]
+
+
+@inner
+def _add_changes_of_part(
+    mounts: Mounts, known: RigState, k: Integer, q: Integer, w: Integer, sign: float, field: Any, scratch: Any
+) -> None:
+    trial, views, count = scratch.coverage, scratch.views, len(mounts.axes)
+    mine, other = known.parts[mounts.number], trial.parts[mounts.number]
+    caps, veiled, cap, veil = mine[CAPS], mine[OCCLUDED], other.sets[CAPS], other.sets[OCCLUDED]
+    place, precision = _place(q, field), field.precision
+    old, new = _tag(k, pose_of(k, known), precision), _tag(k, target_of(trial), precision)
+    for m in range(count):
+        goes, comes = caps[k, q, m, w] & ~veiled[k, q, m, w], cap[q, m, w] & ~veil[q, m, w]
+        add_to_body(mounts, m, w, goes, place, old, -sign, precision, views)
+        add_to_body(mounts, m, w, comes, place, new, sign, precision, views)
+    for i in range(caps.shape[0] if trial.flags[TOUCHED, q] else 0):
+        for m in range(count if trial.known[q, i] else 0):
+            was, turns = veiled[i, q, m, w], caps[i, q, m, w] & other.flipped[i, q, m, w]
+            if turns:
+                tag = _tag(i, pose_of(i, known), precision)
+                add_to_body(mounts, m, w, turns & ~was, place, tag, -sign, precision, views)
+                add_to_body(mounts, m, w, turns & was, place, tag, sign, precision, views)
+
+
+@inner
+def _add_changes(known: RigState, k: Integer, p: Integer, w: Integer, sign: float, field: Any, scratch: Any) -> None:
+    for mounts in literal_unroll(field.mounts):
+        _add_changes_of_part(mounts, known, k, p, w, sign, field, scratch)
+    add_up(field.precision, scratch.views)
+
+
+@sum_views.register(RigState)
+def _sum_views_of_rig(
+    known: RigState, k: Integer, p: Integer, w: Integer, left: np.uint64, field: Any, state: Any, scratch: Any
+) -> Any:
+    views, first = scratch.views, first_row(p, w, state)
+    count = fill_views(left, field.precision, views)
+    fetch_sums(state.sums, first, views, count)
+    _add_changes(known, k, p, w, 1.0, field, scratch)
+    take_sums(state.sums, first, field.precision, views, count)
+    return count
+
+
+@change_sums.register(RigState)
+def _change_sums_of_rig(
+    known: RigState, k: Integer, p: Integer, w: Integer, changed: np.uint64, sign: float, field: Any, state: Any,
+    scratch: Any,
+) -> None:  # fmt: skip
+    views, first = scratch.views, first_row(p, w, state)
+    count = fill_views(changed, field.precision, views)
+    fetch_sums(state.sums, first, views, count)
+    _add_changes(known, k, p, w, sign, field, scratch)
+    give_sums(state.sums, first, field.precision, views, count)
+
+
+@inner
+def _add_shown_to_part(mounts: Mounts, known: RigState, q: Integer, w: Integer, field: Any, scratch: Any) -> None:
+    mine, place, precision, views = (
+        known.parts[mounts.number], _place(q, field), field.precision, scratch.views
+    )  # fmt: skip
+    caps, veiled = mine[CAPS], mine[OCCLUDED]
+    for i in range(caps.shape[0]):
+        for m in range(caps.shape[2]):
+            seen = caps[i, q, m, w] & ~veiled[i, q, m, w]
+            if seen:
+                tag = _tag(i, pose_of(i, known), precision)
+                add_to_body(mounts, m, w, seen, place, tag, 1.0, precision, views)
+
+
+@inner
+def _add_shown(known: RigState, p: Integer, w: Integer, field: Any, scratch: Any) -> None:
+    for mounts in literal_unroll(field.mounts):
+        _add_shown_to_part(mounts, known, p, w, field, scratch)
+    add_up(field.precision, scratch.views)
+
+
+@sum_anew.register(RigState)
+def _sum_anew_of_rig(
+    known: RigState, p: Integer, w: Integer, seen: np.uint64, field: Any, state: Any, scratch: Any
+) -> Any:
+    count = fill_views(seen, field.precision, scratch.views)
+    _add_shown(known, p, w, field, scratch)
+    give_sums(state.sums, first_row(p, w, state), field.precision, scratch.views, count)
+    return count

@@ -1,0 +1,313 @@
+"""The plan is measured on its rendered pages."""
+
+import itertools
+
+import cv2
+import floor_plans
+import meshes
+import numpy as np
+import pypdfium2
+import pytest
+import trimesh
+
+from lmd.export.paper import PAPERS, begin_page, document
+from lmd.export.plan import View, write_plan
+from lmd.export.symbols import draw_fixture, draw_opening
+from lmd.formats.meshes import read_mesh_room
+from lmd.formats.tag_map import TagMap
+from lmd.geometry.squares import upright
+from lmd.scene.deployment import Deployment
+from lmd.scene.deployment_sources import UniformDeployment
+from lmd.scene.footprints import Footprints
+from lmd.scene.labels import Labels
+from lmd.scene.tag import Tag
+from lmd.space.cuboid import Cuboid
+from lmd.space.fixture import KINDS
+from lmd.space.floor_plan import FloorPlan
+
+ROOM = Cuboid((6.0, 4.0, 2.8), (5.0, 3.0, 1.2), 0.5)
+TAG = Tag(0.2)
+PIXELS = 20  # a mm
+LIGHT = 217  # of the black squares on the plan
+# By hand, for whoever stands before the surface: where the tag is, and where it is from the left and from below, mm.
+SEEN = {
+    "x_min": ((0.0, 1.0, 1.2), (1000, 1200)),
+    "x_max": ((6.0, 1.0, 1.2), (3000, 1200)),
+    "y_min": ((2.0, 0.0, 0.7), (4000, 700)),
+    "y_max": ((2.0, 4.0, 0.7), (2000, 700)),
+    "floor": ((2.0, 1.0, 0.0), (2000, 1000)),
+    "ceiling": ((2.0, 1.0, 2.8), (4000, 1000)),
+}
+# An obstacle that hangs in the room, so that all of its faces are seen.
+FACES = {"low": [4, 0.5, 0.5], "high": [5, 1.5, 1.5], "faces": ["x_min", "x_max", "y_min", "y_max", "bottom", "top"]}
+
+
+def one_tag(name):
+    (surface,) = [surface for surface in ROOM.surfaces() if surface.name == name]
+    position = np.array([SEEN[name][0]])
+    return Deployment(position, surface.normal[None], labels=Labels(np.array([23]))).hung(ROOM)
+
+
+def written(path, deployment, paper="a4", tag=TAG):
+    """The pages after the first."""
+    write_plan(path, TagMap(ROOM, tag, deployment), paper)
+    return list(pypdfium2.PdfDocument(path))[1:]
+
+
+def solid(mask, size):
+    """Where a square of this size is all True."""
+    return cv2.erode(mask.astype(np.uint8), np.ones((size, size), np.uint8))
+
+
+def sides(picture):
+    """The rows and columns of the outline, which alone is so thick and so long."""
+    outline = solid(picture < 100, 4)
+    return [np.flatnonzero(outline.sum(axis=axis) > 0.9 * outline.sum(axis=axis).max()) for axis in (1, 0)]
+
+
+def words(page):
+    return " ".join(page.get_textpage().get_text_range().split())
+
+
+@pytest.mark.parametrize("paper", ["a4", "letter"])
+@pytest.mark.parametrize("name", SEEN)
+def test_a_tag_is_drawn_and_listed_where_it_is_seen(name, paper, tmp_path):
+    (page,) = written(tmp_path / "plan.pdf", one_tag(name), paper)
+    across, up = SEEN[name][1]
+    assert f"23 {across} {up} {across - 125} {up - 125}" in words(page)
+    assert words(page).startswith(f"{name}, seen from")
+    assert page.get_size() == pytest.approx([length * 72 / 25.4 for length in PAPERS[paper][::-1]])
+    picture = np.array(page.render(scale=PIXELS / 72 * 25.4, grayscale=True).to_pil())
+    scale = int(words(page).partition("scale 1 : ")[2].partition(";")[0])
+    rows, columns = sides(picture)
+    square = solid(picture == LIGHT, 12)  # only the black square of the tag is so large and so grey
+    down, right = np.nonzero(square)
+    middle = np.array([(right.min() + right.max()) / 2 - columns.min(), rows.max() - (down.min() + down.max()) / 2])
+    np.testing.assert_allclose(middle / PIXELS * scale, [across, up], atol=0.3 * scale)
+    assert (np.ptp(right) + 11) / PIXELS * scale == pytest.approx(200.0, abs=0.3 * scale)
+    (surface,) = [surface for surface in ROOM.surfaces() if surface.name == name]
+    size = np.ptp(columns), np.ptp(rows)
+    np.testing.assert_allclose(np.divide(size, PIXELS) * scale, 1000 * np.array(surface.extent), atol=0.5 * scale)
+
+
+def test_a_view_is_that_of_a_tag_on_the_surface():
+    for surface in ROOM.surfaces():
+        view, (right, up) = View(surface), upright(surface.normal)
+        middle = surface.point(*np.divide(surface.extent, 2.0))
+        start = view.place(middle)
+        np.testing.assert_allclose(view.place(middle + 0.1 * right) - start, [0.1, 0.0], atol=1e-12)
+        np.testing.assert_allclose(view.place(middle + 0.1 * up) - start, [0.0, 0.1], atol=1e-12)
+        np.testing.assert_allclose(view.place(view.corner(right=False, top=False)), [0.0, 0.0], atol=1e-12)
+        np.testing.assert_allclose(view.place(view.corner(right=True, top=True)), surface.extent, atol=1e-12)
+
+
+def test_keep_outs_are_measured_as_the_plan_shows_them():
+    names = [surface.name for surface in floor_plans.lab(obstacles=[FACES]).surfaces()]
+    assert {"ceiling", "hole_0_wall_3", "obstacle_0_x_min", "obstacle_0_y_max", "obstacle_0_bottom"} < set(names)
+    for name in names:
+        part = {"surface": name, "from_left": [0.1, 0.2], "from_below": [0.3, 0.4]}
+        room = floor_plans.lab(obstacles=[FACES], keep_out=[part], band=None)
+        (surface,) = [surface for surface in room.surfaces() if surface.name == name]
+        seen = View(surface).place(np.array(room.plan.kept_out[0]))
+        np.testing.assert_allclose([seen.min(axis=0), seen.max(axis=0)], [[0.1, 0.3], [0.2, 0.4]], atol=1e-9)
+        corner = View(surface).corner(right=False, top=False) + 0.05 * upright(surface.normal)[0]
+        assert View(surface).place(corner)[0] == pytest.approx(0.05)
+
+
+def test_where_nothing_may_hang_is_grey(tmp_path):
+    room = floor_plans.lab()
+    (wall,) = [surface for surface in room.surfaces() if surface.name == "wall_0"]
+    tag = Deployment(wall.point(3.0, 1.5)[None], wall.normal[None]).hung(room)
+    write_plan(tmp_path / "plan.pdf", TagMap(room, TAG, tag), "a4")
+    _, page = pypdfium2.PdfDocument(tmp_path / "plan.pdf")
+    assert "nothing hangs where it is grey" in words(page)
+    picture = np.array(page.render(scale=PIXELS / 72 * 25.4, grayscale=True).to_pil())
+    rows, columns = sides(picture)
+    size = np.array([np.ptp(columns), np.ptp(rows)]) / [6.0, 2.5]  # pixels a metre
+
+    def grey(x, z):
+        """By hand: whoever stands before this wall has x to the left."""
+        across, up = np.round(size * [6.0 - x, z]).astype(int)
+        return bool(picture[rows.max() - up, columns.min() + across] < 250)
+
+    # The door is from x = 4.5 to 5.5 m up to 2 m, and people reach from 0.25 to 2.25 m.
+    assert all(grey(*at) for at in ((4.6, 0.3), (5.45, 1.7), (5.4, 2.4), (1.0, 0.2)))
+    assert not any(grey(*at) for at in ((4.4, 0.3), (5.6, 1.9), (5.4, 2.1), (1.0, 0.3)))
+
+
+def test_no_tag_hides_the_number_of_its_neighbour(tmp_path):
+    (wall,) = [surface for surface in ROOM.surfaces() if surface.name == "x_min"]
+    at, ids = wall.point(np.array([1.0, 1.13]), np.array([1.0, 1.0])), np.array([77, 88])
+    tags = Deployment(at, np.repeat(wall.normal[None], 2, axis=0), labels=Labels(ids)).hung(ROOM)
+    (page,) = written(tmp_path / "plan.pdf", tags, tag=Tag(0.1))
+    text = page.get_textpage()
+
+    def left_of(number):
+        """Of the number in the drawing: in the table it is further to the right."""
+        found, lefts = text.search(number), []
+        while (match := found.get_next()) is not None:
+            lefts.append(text.get_charbox(match[0])[0])
+        assert len(lefts) == 2
+        return min(lefts) / 72 * 25.4
+
+    # At a scale of 1 : 25 the tags are 125 mm / 25 wide and 130 mm / 25 apart; the numbers are on either side of both.
+    assert left_of("88") - left_of("77") > 130 / 25 + 125 / 25
+
+
+def test_every_tag_is_in_one_table_even_where_they_go_on_another_page(tmp_path):
+    deployment = UniformDeployment(300).draw(ROOM, np.random.default_rng(0))
+    pages = written(tmp_path / "plan.pdf", deployment, tag=Tag(0.05))
+    order = TagMap(ROOM, TAG, deployment).order.tolist()
+    assert len(pages) == 12  # 50 on each of six surfaces, 30 on a page
+    text = [words(page) for page in pages]
+    for index, surface in enumerate(ROOM.surfaces()):
+        view = View(surface)
+        own = " ".join(page for page in text if page.startswith(f"{surface.name},"))
+        for number in np.flatnonzero(deployment.surfaces == index):
+            across, up = 1000 * view.place(deployment.positions[number])
+            place = order.index(number) + 1
+            assert f" {place} {number} {across:.0f} {up:.0f} " in own
+
+
+def test_tags_near_a_surface_belong_to_it_and_others_are_listed_apart(tmp_path):
+    positions, normals = np.array([[0.03, 1.0, 1.2], [3.0, 2.0, 1.0]]), np.array([[1.0, 0.0, 0.0]] * 2)
+    near, free = written(tmp_path / "plan.pdf", Deployment(positions, normals).hung(ROOM))
+    assert words(near).startswith("x_min, seen from the front")
+    assert "0 1000 1200 875 1075" in words(near)
+    assert words(free).startswith("free in the room on no surface, tags: 1;")
+    assert "2 1 3000 2000 1000" in words(free)
+
+
+def lab():
+    """A room with a door, a window, a table and something without a name, and two tags on each of its walls."""
+    room = floor_plans.lab(
+        keep_out=[
+            floor_plans.DOOR,
+            {"name": "big window", "surface": "wall_5", "from_left": [1, 2], "from_below": [1, 2]},
+            {"surface": "wall_1", "from_left": [0.5, 1], "from_below": [1, 2]},
+        ],
+        obstacles=[{**floor_plans.RACK, "name": "rack", "faces": []}],
+        surfaces=[f"wall_{i}" for i in range(6)],
+    )
+    source = UniformDeployment(16)
+    return TagMap(room, Tag(0.1), Footprints(room, Tag(0.1)).draw(source, np.random.default_rng(0)))
+
+
+def test_tags_are_hung_from_the_left_around_the_room():
+    tags = lab()
+    names = [tags.room.surfaces()[index].name for index in tags.route]
+    assert names == ["wall_0", "wall_5", "wall_4", "wall_3", "wall_2", "wall_1"]  # clockwise, seen from above
+    assert sorted(tags.order.tolist()) == list(range(len(tags.ids)))
+    ends = []
+    for index, places in tags.hung.items():
+        own, view = tags.order[places], View(tags.room.surfaces()[index])
+        left = view.place(tags.deployment.positions[own])
+        assert (np.diff(left[:, 0]) > -1e-9).all()
+        assert (np.diff(left[:, 1])[np.diff(left[:, 0]) < 1e-9] > 0.0).all()
+        ends.append((view.corner(right=False, top=False), view.corner(right=True, top=False)))
+    for (_, right), (left, _) in itertools.pairwise(ends):
+        np.testing.assert_allclose(left, right, atol=1e-9)  # where one wall ends, the next begins
+
+
+def test_the_first_page_names_walls_and_fixtures_and_says_where_each_is_hung(tmp_path):
+    tags = lab()
+    write_plan(tmp_path / "plan.pdf", tags, "a4")
+    first, *others = (words(page) for page in pypdfium2.PdfDocument(tmp_path / "plan.pdf"))
+    assert first.startswith("16 tags of 36h11, 100 mm seen from above")
+    for name in ("door", "big window", "rack", "keep_out 2", "furniture", "other"):
+        assert name in first
+    assert " N " not in first
+    for index, places in tags.hung.items():
+        name, numbers = tags.room.surfaces()[index].name, f"{places[0] + 1} to {places[-1] + 1}"
+        assert f"{name}: {numbers}" in first  # at the wall
+        (page,) = [number for number, text in enumerate(others, 2) if text.startswith(f"{name}, seen from the front")]
+        assert f"{numbers} {name} {len(places)} {page}" in first  # in the table
+    for name, fixture in (("wall_0", "door"), ("wall_5", "big window"), ("wall_5", "rack"), ("wall_1", "keep_out 2")):
+        (text,) = [text for text in others if text.startswith(f"{name},")]
+        assert fixture in text
+
+
+def test_heights_are_from_the_floor_even_where_it_is_not_the_lowest_point(tmp_path):
+    plan = FloorPlan(floor_plans.L_SHAPE, 2.5, obstacles=[{"low": [1, 1, 1], "high": [2, 2, 1.5]}])
+    scene = trimesh.load_scene(meshes.written(tmp_path / "lab.glb", plan))
+    scene.add_geometry(trimesh.creation.box(bounds=[(4, 0.5, -1), (5, 1.5, -0.5)]), node_name="pit")
+    scene.add_geometry(trimesh.creation.box(bounds=[(-0.5, -0.5, 2.5), (6.5, 4.5, 2.6)]), node_name="roof")
+    scene.export(tmp_path / "pit.glb")
+    room = read_mesh_room(str(tmp_path / "pit.glb"), {"height": [0.5, 1.5], "clearance": 0.25}, 0.5, up="z")
+    assert room.bounds()[0][2] == -1.0
+    side = next(surface for surface in room.surfaces() if surface.name.startswith("box_0") and surface.normal[0] < -0.9)
+    tag = Deployment(side.point(0.5, 0.25)[None], side.normal[None]).hung(room)
+    write_plan(tmp_path / "plan.pdf", TagMap(room, TAG, tag), "a4")
+    _, page = pypdfium2.PdfDocument(tmp_path / "plan.pdf")
+    assert "1 0 500 1250 375 1125" in words(page)  # 250 mm above the lower edge of the box, which hangs at 1 m
+
+
+def test_doors_windows_and_furniture_are_told_apart_without_their_names(tmp_path):
+    ring, drawn = np.array([(10.0, 10.0), (30.0, 10.0), (30.0, 50.0), (10.0, 50.0)]), {}
+    for kind in KINDS:
+        with document(tmp_path / "symbols.pdf", "symbols") as canvas:
+            begin_page(canvas, 60.0, 60.0)
+            draw_fixture(canvas, kind, ring)
+            draw_opening(canvas, kind, np.array([(40.0, 10.0), (40.0, 50.0)]))
+            canvas.showPage()
+        (page,) = pypdfium2.PdfDocument(tmp_path / "symbols.pdf")
+        drawn[kind] = np.array(page.render(scale=100 / 25.4, grayscale=True).to_pil())
+    for one, other in itertools.combinations(KINDS, 2):
+        different = drawn[one] != drawn[other]
+        assert different[:, :140].any()  # on its wall
+        assert "furniture" in (one, other) or different[:, 140:].any()  # and from above
+
+
+def test_names_in_other_letters_are_written_and_long_ones_shortened(tmp_path):
+    door, rack = {**floor_plans.DOOR, "name": "dve\u0159e"}, {**floor_plans.RACK, "name": 50 * "rack "}
+    room = floor_plans.lab(keep_out=[door], obstacles=[rack])
+    (wall,) = [surface for surface in room.surfaces() if surface.name == "wall_0"]
+    tag = Deployment(wall.point(3.0, 1.5)[None], wall.normal[None]).hung(room)
+    for name in ("one", "two"):
+        write_plan(tmp_path / name, TagMap(room, TAG, tag), "a4")
+    assert (tmp_path / "one").read_bytes() == (tmp_path / "two").read_bytes()
+    first, page = (words(page) for page in pypdfium2.PdfDocument(tmp_path / "one"))
+    assert "dve\u0159e" in first
+    assert "dve\u0159e" in page
+    assert "rack rack rack rack rac\u2026" in first
+
+
+def test_north_is_where_it_is_said_to_be(tmp_path):
+    ends = []
+    for north in (0.0, np.pi / 2, np.pi):
+        write_plan(tmp_path / "plan.pdf", lab(), "a4", north)
+        text = pypdfium2.PdfDocument(tmp_path / "plan.pdf")[0].get_textpage()
+        index, _ = text.search("N", match_case=True, match_whole_word=True).get_next()
+        ends.append(np.mean(np.reshape(text.get_charbox(index), (2, 2)), axis=0))
+    east, up, west = ends
+    assert east[0] - west[0] == pytest.approx(2 * (up[1] - east[1]), abs=1.0)
+    assert up[0] == pytest.approx((east[0] + west[0]) / 2, abs=1.0)
+    assert up[1] > east[1] == pytest.approx(west[1])
+
+
+def test_each_tag_has_a_box_to_tick_and_two_to_write_in(tmp_path):
+    tags = lab()
+    write_plan(tmp_path / "plan.pdf", tags, "a4")
+    _, page, *_ = pypdfium2.PdfDocument(tmp_path / "plan.pdf")
+    assert "measured, mm" in words(page)
+    table = np.array(page.render(scale=PIXELS / 72 * 25.4, grayscale=True).to_pil())[:, PIXELS * 170 :]
+    contours, hierarchy = cv2.findContours((table < 128).astype(np.uint8), cv2.RETR_CCOMP, cv2.CHAIN_APPROX_SIMPLE)
+    inner = [shape for shape, (*_, outer) in zip(contours, hierarchy[0], strict=True) if outer >= 0]
+    sizes = [np.divide(cv2.boundingRect(shape)[2:], PIXELS) for shape in inner]
+    boxes = [tuple(size.round().astype(int).tolist()) for size in sizes if size[1] > 2.5]
+    count = len(next(iter(tags.hung.values())))
+    assert sorted(boxes) == count * [(3, 3)] + 2 * count * [(14, 3)]
+
+
+def test_the_plan_says_how_large_each_tag_is_where_they_differ(tmp_path):
+    tag = Tag(0.1, edges=(0.06, 0.1, 0.3))
+    deployment = UniformDeployment(6, "by_area").draw(ROOM, np.random.default_rng(0), tag)
+    write_plan(tmp_path / "plan.pdf", TagMap(ROOM, tag, deployment), "a4")
+    first, *others = (words(page) for page in pypdfium2.PdfDocument(tmp_path / "plan.pdf"))
+    assert first.startswith("6 tags of 36h11, 60, 100, 300 mm")
+    for number, edge in zip(deployment.ids.tolist(), deployment.edges.tolist(), strict=True):
+        assert any(f" {number} {1000 * edge:.0f} " in text for text in others)
+    with_free = Deployment(deployment.positions * 0.8 + 0.5, deployment.normals, edges=deployment.edges)
+    write_plan(tmp_path / "free.pdf", TagMap(ROOM, tag, with_free), "a4")
+    *_, last = pypdfium2.PdfDocument(tmp_path / "free.pdf")
+    assert "edge," in words(last)

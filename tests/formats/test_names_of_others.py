@@ -1,0 +1,116 @@
+"""Words that others use for the same things, and words that change what values mean."""
+
+import json
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from lmd.core.checks import InputError
+from lmd.formats.calibrations import calibrated_camera
+from lmd.formats.families import family_named
+from lmd.formats.tag_maps import read_deployment
+from lmd.formats.trajectories import TrajectoryFile
+
+
+@pytest.fixture
+def write(tmp_path):
+    def written(text, name="file.csv"):
+        (tmp_path / name).write_text(text)
+        return str(tmp_path / name)
+
+    return written
+
+
+@pytest.mark.parametrize("name", ["tag", "Tag ID", "marker id", "number", "MARKER_ID"])
+def test_a_tag_has_the_number_that_a_table_says_under_another_name(write, name):
+    found = read_deployment(write(f"{name},x,y,z,qx,qy,qz,qw\n7,2,0,1.2,0.5,0.5,0.5,0.5\n9,4,0,1,0.5,0.5,0.5,0.5\n"))
+    assert found.ids.tolist() == [7, 9]
+    found = read_deployment(write(f"{name},X,Y,Z,NX,NY,NZ\n7,2,0,1.2,0,1,0\n9,4,0,1,0,1,0\n"))
+    assert found.ids.tolist() == [7, 9]
+    assert_allclose(found.normals, [[0, 1, 0]] * 2)
+
+
+@pytest.mark.parametrize("name", ["marker_length", "side", "edge length", "tag_size"])
+def test_a_tag_has_the_edge_that_a_table_says_under_another_name(write, name):
+    assert read_deployment(write(f"id,x,y,z,nx,ny,nz,{name}\n7,2,0,1.2,0,1,0,0.2\n")).edges.tolist() == [0.2]
+
+
+def test_words_in_a_column_of_such_a_name_stay_with_the_tag(write):
+    found = read_deployment(write("id,x,y,z,nx,ny,nz,side,number\n7,2,0,1.2,0,1,0,north,a\n"))
+    assert not found.has_own_edges
+    assert dict(found.labels.columns) == {"side": ["north"], "number": ["a"]}
+
+
+@pytest.mark.parametrize("name", ["tag_family", "dictionary"])
+def test_a_family_under_another_name_counts(write, name):
+    path = write(f"id,x,y,z,nx,ny,nz,{name}\n7,2,0,1.2,0,1,0,DICT_APRILTAG_16h5\n")
+    with pytest.raises(InputError, match="family=16h5 is needed"):
+        read_deployment(path, family="36h11")
+
+
+@pytest.mark.parametrize(
+    ("name", "family"),
+    [
+        ("AprilTag36h11", "36h11"),
+        ("apriltag16h5", "16h5"),
+        ("AprilTag 36h11", "36h11"),
+        ("apriltag3_36h11_classic", "36h11"),
+        ("cv2.aruco.DICT_4X4_50", "4x4_50"),
+        ("DICT_APRILTAG_25h9", "25h9"),
+        ("tag36h11", "36h11"),
+    ],
+)
+def test_a_family_has_many_names(name, family):
+    assert family_named(name) == family
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        "0 1 0 0 0.5 0 0 -1 0 0 1 0 1.2",  # a 3 x 4 matrix
+        "0 1 0 0 5 0 1 0 3 0 0 1 2 0 0 0 1",  # 4 x 4, of whole numbers
+        "1 2 0 1 0 0 0 1 0.15 0.2",
+    ],
+)
+def test_long_lines_without_names_are_asked_about(write, line):
+    with pytest.raises(InputError, match="not those of fiducial_slam"):
+        read_deployment(write(line + "\n", "map.txt"))
+
+
+@pytest.mark.parametrize(
+    "comment",
+    ["camera poses, qw qx qy qz", "timestamp position[3] quaternion_wxyz[4]", "format: t x y z w i j k"],
+)
+def test_a_comment_that_says_that_w_comes_first_is_not_passed_over(write, comment):
+    with pytest.raises(InputError, match="has w before x, y, z, and does not name the columns"):
+        _ = TrajectoryFile(write(f"# {comment}\n1.5 0 0 1 1 0 0 0\n2.5 0 0 1 1 0 0 0\n")).trajectory
+    with pytest.raises(InputError, match="has w before x, y, z"):
+        read_deployment(write("# tag id, position (x y z), quaternion (w x y z)\n7 2 0 1.2 0.5 0.5 0.5 0.5\n"))
+
+
+def test_images_of_two_cameras_are_no_trajectory(write):
+    lines = "1 1 0 0 0 0 0 1 1 a1.png\n\n2 1 0 0 0 0 0 1 2 a2.png\n\n"
+    with pytest.raises(InputError, match="of the cameras 1 and 2"):
+        _ = TrajectoryFile(write(lines), rate=1.0).trajectory
+
+
+@pytest.mark.parametrize("model", ["ftheta", "division", "Inverse Brown Conrady"])
+def test_a_model_that_is_not_known_is_refused_wherever_it_stands(write, model):
+    lens = {"K": [[500, 0, 320], [0, 500, 240], [0, 0, 1]], "D": [0.1, 0, 0, 0, 0], "model": model}
+    for keys in (lens | {"image_size": [640, 480]}, lens | {"width": 640, "height": 480}):
+        with pytest.raises(InputError, match="is not known here"):
+            calibrated_camera(write(json.dumps(keys), "camera.json"))
+
+
+def test_a_fisheye_by_its_flag_is_one_beside_width_and_height(write):
+    keys = {"K": [[500, 0, 320], [0, 500, 240], [0, 0, 1]], "D": [0.1, 0, 0, 0], "width": 640, "height": 480}
+    camera = calibrated_camera(write(json.dumps(keys | {"fisheye": True}), "camera.json"))
+    assert camera.lens.model == "equidistant"
+
+
+def test_limelights_field_says_from_where_its_places_are_counted(write):
+    tag = {"id": 1, "size": 165.1, "transform": np.eye(4).ravel().tolist()}
+    found = read_deployment(write(json.dumps({"fiducials": [tag], "fieldlength": 16.0, "fieldwidth": 8.0}), "a.fmap"))
+    assert_allclose(found.positions, [[8, 4, 0]])
+    assert "places are counted from the corner of its field" in found.note

@@ -1,0 +1,412 @@
+"""Maps of others, in the forms in which they come, against what their makers say of them."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from lmd.core.checks import InputError
+from lmd.formats.deployments import FileDeployment
+from lmd.formats.families import NUMBERS, family_named
+from lmd.formats.tag_maps import LARGEST_MAP, read_deployment
+from lmd.scene.tag import FAMILIES, Tag
+from lmd.space.cuboid import Cuboid
+from pipelines.app import CONF
+
+REAL = Path(__file__).parents[2] / "../shared/real/layouts"
+UP = [0.0, 0.0, 1.0]
+WPILIB = {
+    "field": {"length": 8.0, "width": 4.0},
+    "tags": [
+        {
+            "pose": {
+                "rotation": {"quaternion": {"W": 0.0, "X": 0.0, "Y": 0.0, "Z": 1.0}},
+                "translation": {"y": 1.0, "x": 7.5, "z": 0.5},
+            },
+            "ID": 4,
+        }
+    ],
+}
+
+
+@pytest.fixture
+def read(tmp_path):
+    def read_text(text, **options):
+        (tmp_path / "map").write_text(text if isinstance(text, str) else json.dumps(text))
+        return read_deployment(tmp_path / "map", **options)
+
+    return read_text
+
+
+def only(deployment):
+    assert len(deployment) == 1
+    return deployment.ids[0], deployment.positions[0], deployment.normals[0], deployment.ups[0]
+
+
+def assert_is(deployment, number, position, normal, up=UP):
+    found = only(deployment)
+    assert found[0] == number
+    for value, expected in zip(found[1:], (position, normal, up), strict=True):
+        assert_allclose(value, expected, atol=1e-9)
+
+
+def test_wpilib_looks_along_x(read):
+    assert_is(read(WPILIB), 4, [7.5, 1.0, 0.5], [-1, 0, 0])
+    commented = json.dumps(WPILIB, indent=1).replace('"tags"', '/* all of them */ "tags"').replace("}\n ]", "},\n ]")
+    assert_is(read(f"// mine: http://here\n{commented}"), 4, [7.5, 1.0, 0.5], [-1, 0, 0])
+    assert_is(read({"name": "of 2027", "field-tags": WPILIB["tags"]}), 4, [7.5, 1.0, 0.5], [-1, 0, 0])
+
+
+def test_wpilib_drawings_are_in_inches_and_degrees(read):
+    # As the generator of WPILib turns them: about z, then the second angle about the turned y.
+    found = read("ID,X,Y,Z,Z-Rotation,X-Rotation\n4,100,50,10,90,30\n7,0,0,0,180,0\n")
+    assert_allclose(found.positions[0], [2.54, 1.27, 0.254])
+    assert_allclose(found.normals[0], [0.0, np.cos(np.pi / 6), -0.5], atol=1e-12)
+    assert_is(read("ID, X, Y, Z, Rotation\n3,100,50,10,180\n"), 3, [2.54, 1.27, 0.254], [-1, 0, 0])
+    with pytest.raises(InputError, match="it has id, x, y, z, rotation; WPILib's own, in inches and degrees, has the"):
+        read("id,x,y,z,rotation\n1,6.0,1.0,0.6,180\n")
+
+
+def test_frc971_looks_into_the_tag(read):
+    # At the end of the field in positive x it looks back; the quaternion is that of its own map.
+    text = """{
+      /* Targets have positive Z axis pointing into the board */
+      "target_poses": [{"id": 1, "position": {"x": 7.2, "y": -2.9, "z": 0.5},
+                        "orientation": {"w": -0.5, "x": 0.5, "y": -0.5, "z": 0.5}},],
+    }"""
+    assert_is(read(text), 1, [7.2, -2.9, 0.5], [-1, 0, 0])
+    # In degrees, as its map of 2025: that of 0, 0, 0 looks along -y, a positive turn about y, down, is clockwise.
+    degrees = text.replace('"w": -0.5, "x": 0.5, "y": -0.5, "z": 0.5', '"x": 0, "y": 90, "z": 0')
+    assert_is(read(degrees), 1, [7.2, -2.9, 0.5], [-1, 0, 0])
+    assert_is(read(degrees.replace("90", "0")), 1, [7.2, -2.9, 0.5], [0, -1, 0])
+
+
+def test_limelight_counts_from_the_middle(read):
+    # The rotation of a tag that looks along (-0.5, 0.866, 0).
+    turn = [-0.5, -0.866025, 0, 6.8, 0.866025, -0.5, 0, -3.8, 0, 0, 1, 1.3, 0, 0, 0, 1]
+    tag = {"family": "apriltag3_36h11_classic", "id": 1, "size": 165.1, "transform": turn, "unique": 1}
+    found = read({"type": "frc", "fiducials": [tag]})
+    assert_allclose(found.normals[0], [-0.5, 0.866025, 0], atol=1e-6)
+    assert_allclose(found.positions[0], [6.8, -3.8, 1.3])
+    assert found.edges == [0.1651]
+    assert_allclose(read({"fieldlength": 16.0, "fieldwidth": 8.0, "fiducials": [tag]}).positions[0], [14.8, 0.2, 1.3])
+
+
+def test_a_transform_is_written_row_by_row(read):
+    turn = [0, 1, 0, 0, -1, 0, 0, 0, 0, 0, 1, 0, 2.5, -1.25, 1.4, 1]
+    with pytest.raises(
+        InputError, match=r"tag 1: the last row of its transform must be 0, 0, 0, 1, it is 2\.5, -1\.25, 1\.4"
+    ):
+        read({"fiducials": [{"id": 1, "size": 165.1, "transform": turn}]})
+    rows = np.reshape(turn, (4, 4)).T.ravel().tolist()
+    assert_is(read({"fiducials": [{"id": 1, "size": 165.1, "transform": rows}]}), 1, [2.5, -1.25, 1.4], [0, 1, 0])
+    with pytest.raises(InputError, match="the last row of its transform must be 0, 0, 0, 1, it is 0, 0, 0, 2"):
+        read({"fiducials": [{"id": 1, "size": 165.1, "transform": [*rows[:15], 2]}]})
+    with pytest.raises(InputError, match=r"size = 0.1651 is in millimetres here, which makes a tag of 0.0001651 m"):
+        read({"fiducials": [{"id": 1, "size": 0.1651, "transform": rows}]})
+
+
+def fmap(*families):
+    turn = np.eye(4).ravel().tolist()
+    tags = [{"id": k, "size": 165.1, "transform": turn} | ({"family": f} if f else {}) for k, f in enumerate(families)]
+    return {"fiducials": tags}
+
+
+def test_a_map_keeps_to_the_family_that_it_names(read):
+    assert len(read(fmap("apriltag3_16h5_classic", None), family="16h5")) == 2
+    assert len(read(fmap("apriltag3_16h5_classic"))) == 1  # points have no family
+    with pytest.raises(
+        InputError, match=r"^family=16h5 is needed: the tags of .*map are of that family, and not of 36h11"
+    ):
+        read(fmap("apriltag3_16h5_classic"), family="36h11")
+    with pytest.raises(InputError, match="its tags are of the families 16h5 and 36h11"):
+        read(fmap("apriltag3_16h5_classic", "apriltag3_36h11_classic"))
+    with pytest.raises(
+        InputError, match="of the family tagStandard41h12, which is not known here: it must be one of 36h"
+    ):
+        read(fmap("tagStandard41h12"), family="36h11")
+    with pytest.raises(InputError, match="the family of a tag must be a text, got 3"):
+        read(fmap(3))
+
+
+@pytest.mark.parametrize(
+    ("name", "family"),
+    [
+        ("TAG25h9", "25h9"),
+        ("tag36h11", "36h11"),
+        ("DICT_APRILTAG_36h11", "36h11"),
+        ("DICT_APRILTAG_36H11", "36h11"),
+        ("DICT_4X4_50", "4x4_50"),
+        ("aruco_5x5_1000", "5x5_1000"),
+        ("36h11b1", "36h11"),
+        ("ARUCO_MIP_36h12", "ARUCO_MIP_36h12"),
+        ("4x4_17", "4x4_17"),
+        ("ARUCO", "ARUCO"),
+    ],
+)
+def test_families_go_by_many_names(name, family):
+    assert family_named(name) == family
+
+
+def test_the_numbers_of_families_are_those_of_opencv():
+    aruco = pytest.importorskip("cv2").aruco
+    for number, name in NUMBERS.items():
+        if name in FAMILIES:
+            assert getattr(aruco, FAMILIES[name].dictionary) == number
+
+
+def test_a_source_asks_for_the_family_of_its_tag_and_not_of_points(tmp_path):
+    (tmp_path / "map.fmap").write_text(json.dumps(fmap("apriltag3_16h5_classic")))
+    room, rng = Cuboid((8.0, 4.0, 3.0), (7.0, 3.0, 1.0), 0.5), np.random.default_rng(0)
+    for source in (
+        FileDeployment(tmp_path / "map.fmap", free=True),
+        FileDeployment(tmp_path / "map.fmap", None, True, "36h11"),
+    ):
+        assert len(source.draw(room, rng)) == 1
+        with pytest.raises(InputError, match=r"^family=16h5 is needed"):
+            source.draw(room, rng, Tag(0.1))
+
+
+def test_standalone_tags_may_have_places_and_ros_2_wraps_its_parameters(read):
+    tag = "{id: 7, size: 0.1, x: 2.0, y: 0.0, z: 1.2, qx: 0.7071067811865476, qy: 0, qz: 0, qw: 0.7071067811865476}"
+    for text in (
+        f"standalone_tags: [{tag}]\n",
+        f"/**:\n  ros__parameters:\n    tag_bundles:\n      - name: wall\n        layout: [{tag}]\n",
+        f"space:\n  node:\n    ros__parameters: {{standalone_tags: [{tag}]}}\n",
+    ):
+        found = read(text)
+        assert_is(found, 7, [2, 0, 1.2], [0, -1, 0])
+        assert found.edges.tolist() == [0.1]
+    with pytest.raises(InputError, match="the key 'z' is missing"):
+        read("standalone_tags: [{id: 7, size: 0.1, x: 2.0, y: 0.0}]\n")
+    with pytest.raises(InputError, match="places in standalone_tags and in tag_bundles"):
+        read(f"standalone_tags: [{tag}]\ntag_bundles: [{{name: a, layout: [{tag}]}}]\n")
+    with pytest.raises(InputError, match="it has ros__parameters of 2 nodes"):
+        read("a: {ros__parameters: {}}\nb: {ros__parameters: {}}\n")
+    with pytest.raises(InputError, match="four numbers for a quaternion in an order that the file does not say"):
+        read("tag_bundles: {bundle_names: [a], a: {ids: [0], 0: {size: 0.1, transform: [2, 0, 1.2, 1, 0, 0, 0]}}}\n")
+
+
+def test_rtabmap_keeps_tags_in_its_settings_and_among_its_poses(read):
+    text = "[Core]\nVersion=0.21\nMarker\\Priors=7 2.0 0.0 1.2 1.5707963267948966 0 0\nMarker\\Length=0.1\n"
+    found = read(text)
+    assert_is(found, 7, [2, 0, 1.2], [0, -1, 0])
+    assert found.edges.tolist() == [0.1]
+    with pytest.raises(InputError, match=r"^family=16h5 is needed"):
+        read(text + "Marker\\Dictionary=17\n", family="36h11")
+    poses = "#timestamp x y z qx qy qz qw id\n0.0 2 0 1.2 0.5 -0.5 -0.5 0.5 -7\n1700000000.1 0 0 0 0 0 0 1 1\n"
+    assert_is(read(poses), 7, [2, 0, 1.2], [-1, 0, 0])
+    with pytest.raises(InputError, match="poses of RTAB-Map, and no tag"):
+        read(poses.replace(" -7", " 7"))
+
+
+@pytest.mark.parametrize(
+    ("text", "name"),
+    [
+        ("VERTEX_SE3:QUAT 7 2 0 1.2 0 0 0 1\n", "g2o"),
+        ("marker_id,vert_0_x,vert_0_y\n7,0,0\n", "Pupil"),
+        ("- name: wall\n  markers_x: 2\n", "aruco_opencv"),
+        ('{"tag_locations": {}}', "pytagmapper"),
+        ('{"reconstructed_tags": []}', "Visual Marker Mapping"),
+        ("/**: {ros__parameters: {general: {}, marker_000: {}}}\n", "ZED"),
+        ("/**: {ros__parameters: {family: 36h11, size: 0.1, tag: {ids: [1]}}}\n", "apriltag_ros for ROS 2"),
+        ("landmarks: [{id: 1, position: [0, 0, 0]}]\n", "which way the frame of a tag points"),
+    ],
+)
+def test_formats_that_are_not_read_are_named_with_what_is(read, text, name):
+    with pytest.raises(InputError, match=rf"{name}.*; write its tags as a table: a header id,x,y,z,qx,qy,qz,qw,edge"):
+        read(text)
+
+
+def test_a_bundle_of_apriltag_ros(read):
+    text = """
+standalone_tags:
+  [
+  ]
+tag_bundles:
+  [
+    {
+      name: 'desk',
+      layout:
+        [
+          {id: 3, size: 0.05, x: 0.1, y: 0.2, z: 0.0, qw: 1, qx: 0, qy: 0, qz: 0},
+          {id: 5, size: 0.10, qw: 0.7071067811865476, qx: 0.7071067811865476, qy: 0, qz: 0}
+        ]
+    }
+  ]
+"""
+    found = read(text)
+    assert found.ids.tolist() == [3, 5]
+    assert_allclose(found.normals, [[0, 0, 1], [0, -1, 0]], atol=1e-12)
+    assert_allclose(found.ups, [[0, 1, 0], [0, 0, 1]], atol=1e-12)
+    assert found.edges.tolist() == [0.05, 0.1]
+    with pytest.raises(InputError, match="standalone_tags without places: they need x, y, z, qx"):
+        read("standalone_tags: [{id: 1, size: 0.1}]\n")
+    with pytest.raises(InputError, match="it has the bundles a, b, each in a frame of its own"):
+        read("tag_bundles: [{name: a, layout: [{id: 1, size: 0.1}]}, {name: b, layout: [{id: 2, size: 0.1}]}]\n")
+
+
+def test_tagslam_places_bodies_and_tags_on_them(read):
+    text = """
+bodies:
+ - wall:
+     is_static: true
+     type: simple
+     default_tag_size: 0.2
+     pose: {position: {x: 1, y: 2, z: 0}, rotation: {x: 0, y: 0, z: 1.5707963267948966}}
+     tags:
+       - {id: 2, pose: {position: {x: 1, y: 0, z: 0.5}, rotation: {x: 1.5707963267948966, y: 0, z: 0}}}
+ - floor:
+     is_static: true
+     pose: {position: {x: 0, y: 0, z: 0}}
+     board: {tag_start_id: 10, tag_size: 0.1, tag_spacing: 0.5, tag_rows: 2, tag_columns: 2}
+ - rig: {is_static: false, type: simple}
+"""
+    found = read(text)
+    assert found.ids.tolist() == [2, 10, 11, 12, 13]
+    assert_allclose(found.positions[0], [1, 3, 0.5], atol=1e-12)
+    assert_allclose(found.normals[0], [1, 0, 0], atol=1e-12)
+    assert_allclose(found.positions[1:], [[0, 0, 0], [0.15, 0, 0], [0, 0.15, 0], [0.15, 0.15, 0]], atol=1e-12)
+    assert found.edges.tolist() == [0.2, 0.1, 0.1, 0.1, 0.1]
+    with pytest.raises(InputError, match="no body with tags is static: a map is of tags on bodies with is_static"):
+        read(text.replace("is_static: true", "is_static: false"))
+    with pytest.raises(InputError, match="the body 'floor' has no pose: give it one"):
+        read(text.replace("pose: {position: {x: 0, y: 0, z: 0}}\n", "type: board\n"))
+
+
+def test_fiducial_vlam_has_roll_pitch_yaw_or_a_quaternion(read):
+    tag = {"id": 1, "u": 1, "f": 1, "xyz": [0, 0, 1], "rpy": [np.pi / 2, -0.0, -np.pi / 2]}
+    assert_is(read({"marker_length": 0.16, "markers": [tag]}), 1, [0, 0, 1], [-1, 0, 0])
+    older = {"id": 1, "u": 1, "f": 1, "t": [0, 0, 1], "q": [0.5, -0.5, -0.5, 0.5]}
+    assert_is(read({"marker_length": 0.16, "markers": [older]}), 1, [0, 0, 1], [-1, 0, 0])
+
+
+def test_aruco_has_corners_from_the_top_left(read):
+    text = """%YAML:1.0
+---
+aruco_bc_dict: ARUCO_MIP_36h12
+aruco_bc_nmarkers: 1
+aruco_bc_mInfoType: {kind}
+aruco_bc_markers:
+   - {{ id:9, corners:[ [0., 1., 1.2], [0., 1.2, 1.2], [0., 1.2, 1.], [0., 1., 1.] ] }}
+"""
+    found = read(text.format(kind=1))
+    assert_is(found, 9, [0, 1.1, 1.1], [1, 0, 0])
+    assert_allclose(found.edges, [0.2])
+    with pytest.raises(InputError, match="aruco_bc_mInfoType must be 1, metres, got 0"):
+        read(text.format(kind=0))
+    with pytest.raises(InputError, match="the marker 9 must be a square"):
+        read(text.format(kind=1).replace("1.2, 1.2", "1.4, 1.2"))
+
+
+def test_fiducial_slam_saves_degrees_and_what_it_saw_beside_a_tag(read):
+    # Upright on a wall behind y = 2, as by a turn about x by 90 degrees: it looks along -y.
+    found = read("7 1.0 2.0 0.5 90.0 0.0 0.0 0.04 31 8 9\n8 1.0 2.0 1.5 90.0 0.0 90.0 0.01 5\n")
+    assert found.ids.tolist() == [7, 8]
+    assert_allclose(found.positions, [[1.0, 2.0, 0.5], [1.0, 2.0, 1.5]])
+    assert_allclose(found.normals, [[0, -1, 0], [1, 0, 0]], atol=1e-9)
+    assert_allclose(found.ups, [UP, UP], atol=1e-9)
+    with pytest.raises(InputError, match=r"line 2, '8 1 2': it has 3 values, and they are not those of fiducial_slam"):
+        read("7 1.0 2.0 0.5 90.0 0.0 0.0 0.04 31\n8 1 2\n")
+
+
+def test_clover_leaves_out_what_is_zero(read):
+    found = read("# a map\n8\t0.3\t1\t2\n\n9 0.22 1 2 0.5 1.5707963267948966 0 0\n")
+    assert_allclose(found.positions, [[1, 2, 0], [1, 2, 0.5]])
+    assert_allclose(found.ups, [[0, 1, 0], [-1, 0, 0]], atol=1e-12)
+    assert found.edges.tolist() == [0.3, 0.22]
+    # To OpenCV, by which Clover detects, an AprilTag hangs the other way up.
+    assert_allclose(read("8 0.3 1 2", family="36h11").ups, [[0, -1, 0]], atol=1e-12)
+    assert_allclose(read("8 0.3 1 2", family="4x4_50").ups, [[0, 1, 0]], atol=1e-12)
+
+
+def test_rtabmap_separates_tags_by_bars(read):
+    found = read('"1 0 0 1 0 0 0|2 1 0 1 0 0 1.5707963267948966"\n')
+    assert found.ids.tolist() == [1, 2]
+    assert_allclose(found.ups, [[0, 1, 0], [-1, 0, 0]], atol=1e-12)
+
+
+def test_tags_on_the_floor_of_duckietown(read):
+    text = """
+tile_size: 0.585
+tiles: [[asphalt]]
+objects:
+  duckie: {kind: duckie, pose: {~SE2Transform: {p: [1, 1], theta_deg: 0}}}
+  tag300:
+    kind: floor_tag
+    pose: {~SE2Transform: {p: [1.152, 1.008], theta_deg: 270}}
+    tag: {~TagInstance: {family: 36h11, size: 0.065, tag_id: 300}}
+"""
+    assert_is(read(text), 300, [1.152, 1.008, 0], [0, 0, 1], [1, 0, 0])
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ('{"tags": [{"ID": 1}]}', "the key 'pose' is missing"),
+        ('{"tags": []}', "it has no tags with places"),
+        ('{"tags": [{"ID": -1, "pose": 3}]}', r"pose must be a mapping with keys, got 3"),
+        ('{"layout": []}', "no tag map that is known here .*: it has layout"),
+        ("tag_bundles: [3]", r"tag_bundles\[0\] must be a mapping with keys, got 3"),
+        ("/**: {ros__parameters: {family: 36h11}}", "no tag map that is known here .*: it has family"),
+        ("1 0.3 a 2", "could not convert string to float"),
+        ("1 0.3 1 2 3 4 5 6 7.5", "they are not those of fiducial_slam"),
+        ("1 0 0 0 0 0 0 0\n", "an edge of 0 m would be none of a tag. What are its values"),
+        ("1 0.1 0 0\n1 0.1 1 0\n", "id 1 belongs to 2 landmarks"),
+        (json.dumps(WPILIB).replace('"Z": 1.0', '"Z": 2.0'), "must have length 1, it has 2"),
+        ("{", "cannot be read as YAML or JSON"),
+        ("{" + " " * LARGEST_MAP, "has at most 4194304 characters"),
+        ("x,y,z,nx,ny,nz,edge\n1,0,1,0,1,0,wide\n", "edge must be positive metres: .*'wide'"),
+        ("x,y,z,nx,ny,nz,edge\n1,0,1,0,1,0,\n2,0,1,0,1,0,-0.1\n", "edge must be positive metres, landmark 1 has -0.1"),
+    ],
+)
+def test_what_is_no_map_is_refused_with_the_name_of_the_file(read, text, message, tmp_path):
+    with pytest.raises(InputError, match=message) as refused:
+        read(text)
+    assert str(tmp_path / "map") in str(refused.value)
+
+
+def test_a_map_is_a_deployment_beside_the_walls_of_a_room(tmp_path):
+    (tmp_path / "layout.json").write_text(json.dumps(WPILIB))
+    room, rng = Cuboid((8.0, 4.0, 3.0), (7.0, 3.0, 1.0), 0.5), np.random.default_rng(0)
+    with pytest.raises(InputError, match=r"free = false, but in .* hangs in mid-air"):
+        FileDeployment(tmp_path / "layout.json").draw(room, rng)
+    assert len(FileDeployment(tmp_path / "layout.json", free=True).draw(room, rng)) == 1
+
+
+@pytest.mark.skipif(not REAL.exists(), reason="the files of others are not here")
+def test_maps_of_others():
+    counts = {}
+    for path in sorted(REAL.iterdir()):
+        if path.suffix != ".md" and path.name != "tagslam_test_13.yaml":
+            counts[path.stem] = len(read_deployment(path))
+    assert counts == {
+        "clover_nti_novgorod_mixed_sizes": 22,
+        "clover_office_ceiling": 31,
+        "fiducial_vlam_office": 12,
+        "frc971_2023_epa": 8,
+        "frc971_2023_target_map": 8,
+        "tagslam_test_16": 1,
+        "wpilib_2023-chargedup": 8,
+        "wpilib_2025-reefscape-welded": 22,
+    }
+    with pytest.raises(InputError, match="the body 'board_6' has no pose"):  # TagSLAM is to find all of them
+        read_deployment(REAL / "tagslam_test_13.yaml")
+    # The same field by its makers and by a team, which counts from its middle.
+    nominal, team = (
+        read_deployment(REAL / name) for name in ("wpilib_2023-chargedup.json", "frc971_2023_target_map.json")
+    )
+    order = np.argsort(team.ids)
+    assert_allclose(team.positions[order] + [16.54175 / 2, 8.0137 / 2, 0], nominal.positions, atol=0.01)
+    assert_allclose(team.normals[order], nominal.normals, atol=1e-6)
+
+
+@pytest.mark.skipif(not REAL.is_dir(), reason="files of others are not here")
+def test_the_field_that_comes_along_is_that_of_its_makers():
+    own = read_deployment(Path(CONF, "fields/frc_2025.csv"))
+    theirs = read_deployment(REAL / "wpilib_2025-reefscape-welded.json")
+    assert own.ids.tolist() == theirs.ids.tolist() == list(range(1, 23))
+    assert_allclose(own.positions, theirs.positions, atol=2e-4)  # drawings have hundredths of inches
+    assert_allclose(own.normals, theirs.normals, atol=1e-6)

@@ -1,0 +1,165 @@
+"""Bad input of every command: one sentence with the key or the file, exit code 1, and no files."""
+
+import shlex
+from pathlib import Path
+
+import photographs
+import pytest
+from processes import SMALL, refused
+
+from lmd.geometry.camera import Camera
+
+pytestmark = pytest.mark.slow
+HEADER = "id,x,y,z,nx,ny,nz\n"
+FILES = {
+    "two.csv": HEADER + "0,0,1,1,1,0,0\n1,0,2,1,1,0,0\n",
+    "outside.csv": HEADER + "0,0,1,1,1,0,0\n1,0,9,1,1,0,0\n",
+    "wide.csv": HEADER + "0,0,2,3,1,0,0\n1,0,3,3,1,0,0\n2,7.5,2,3,-1,0,0\n",
+    "less.csv": HEADER + "0,0,2,3,1,0,0\n1,0,3,3,1,0,0\n",
+    "half.csv": "yaw,pitch,weight\n0,0,0.5\n",
+    "negative.csv": "yaw,pitch,weight\n0,0,-1\n0,1,2\n",
+    "tilt.csv": "yaw,tilt,weight\n0,0,1\n",
+    "taken": "",
+}
+CAMERA = "pixel_width=0.0116 pixel_height=0.0116 principal_point=[400,300] image_width=800 image_height=600"
+FRAMES = " ".join(["room.spacing=3", *(f"camera.{each}" for each in CAMERA.split()), "tag.edge=0.3"])
+SEARCHES = "room.spacing=1.5 objective.n=1 objective.thold_p=0.3 budget.evaluations=20 seeds=2"
+# Overrides of all cases of a command, in place of `SMALL`.
+SETTINGS = {
+    "bound": "room.spacing=2.0 pdf.divisions=6 bound.spacing=1.0 bound.iterations=40",
+    "calibrate_detector": f"{FRAMES} poses=10",
+    "detect": f"{FRAMES} poses=24 pictures=1 deployments=[uniform]",
+    "observe": "room.spacing=3 seeds=2 trajectory.duration=4 trajectory.pace.frame_rate=10 deployments=[uniform]",
+    "survey": "photographs=photos camera.path=camera.yaml tag.edge=0.25 workers=1",
+    "tradeoff": SEARCHES,
+}
+FILE, MEASURED = "deployment=file deployment.path=", "deployment=file deployment.path=wide.csv tag.edge=0.2 "
+PDF, SIZES = "pdf=samples pdf.path=", "tag.edges=[0.1,0.2]"
+TAGS, MANY = "deployment.path=wide.csv tag.edge=0.15", "would take"
+CASES = [
+    ("evaluate", f"{FILE}outside.csv", "outside.csv: landmark 1 at (0, 9, 1) lies outside the room"),
+    ("evaluate", f"{FILE}none.csv", "deployment.path: there is no file 'none.csv'"),
+    ("evaluate", f"{FILE}null", "deployment.path is missing"),
+    ("evaluate", f"{FILE}two.csv deployment.count=3", "deployment.count = 3, but two.csv has 2 landmarks"),
+    ("evaluate", f"{FILE}5", "deployment.path must be the path of a file or a folder, got 5"),
+    ("evaluate", "seed=-1", "seed must be in [0, 3.40282e+38], got -1"),
+    ("evaluate", f"{PDF}half.csv", "half.csv: the weights must sum to 1, they sum to 0.5"),
+    ("evaluate", f"{PDF}negative.csv", "negative.csv has a negative weight, -1"),
+    ("evaluate", f"{PDF}tilt.csv", "tilt.csv has an unknown column 'tilt'"),
+    ("evaluate", f"{MEASURED} deployment.mounting_error=-1", "deployment.mounting_error.position must be at least 0"),
+    ("evaluate", f"{MEASURED} deployment.mounting_error=much", "deployment.mounting_error.position must be a number"),
+    ("evaluate", f"{MEASURED} deployment.mounting_error.draws=0", "deployment.mounting_error.draws must be at least 1"),
+    ("evaluate", f"{MEASURED} deployment.measured=none.csv", "deployment.measured: there is no file 'none.csv'."),
+    ("evaluate", f"{MEASURED} deployment.measured=less.csv", "deployment.measured: less.csv lacks the landmark 2 that"),
+    ("evaluate", f"{MEASURED} deployment.measured=7", "deployment.measured must be the path of a file or a folder"),
+    ("evaluate", "experiment=table2", "experiment=table2 is for another command: python -m pipelines.optimise experim"),
+    ("optimise", "experiment=table3", "experiment=table3 is for another command: python -m pipelines.evaluate experim"),
+    ("optimise", "deployment.count=1000000000000", f"deployment.count = 1000000000000 landmarks {MANY}"),
+    ("optimise", "resume=5", "resume must be the path of a file or a folder, got 5"),
+    ("optimise", "encoding.flush=foo optimiser=ega", "encoding.flush must be true or false, got 'foo'"),
+    ("optimise", "budget.evaluations=null", "budget.evaluations or seconds must be given"),
+    ("optimise", "export=[nosuch] tag.edge=0.15", "export must be one of wpilib, "),
+    ("optimise", "export=[wpilib]", "tag.edge must be given, in metres"),
+    ("compare", "save_as=[1]", "save_as must be the path of a file or a folder, got [1]"),
+    ("compare", "save_as=taken/here", "save_as = 'taken/here' cannot be written"),
+    ("bound", "bound.spacing=1e-6", f"bound.spacing = 1e-06 makes 3e+13 poses, which {MANY}"),
+    ("bound", "bound.spacing=-1", "bound.spacing must be greater than 0, got -1"),
+    ("bound", "bound.target=1.5", "bound.target must be in [0, 1], got 1.5"),
+    ("bound", "deployment.count=1", "objective.n = 2 exceeds the number of landmarks, 1"),
+    ("accuracy", "deployment=file deployment.path=wide.csv tag.edge=1.0", "landmarks 0 and 1 on x_min overlap"),
+    ("observe", "seeds=1e12", f"seeds = 1000000000000 runs {MANY}"),
+    ("observe", "workers=-1", "workers must be at least 1, got -1"),
+    ("observe", "all_visible=2", "all_visible must be true or false, got 2"),
+    ("observe", "deployment=nowhere", "deployments: 'nowhere' is refused: "),
+    ("observe", "deployments=[]", "deployments must list at least one option of conf/deployment"),
+    ("observe", "deployments=null", "deployments must list at least one option of conf/deployment"),
+    ("observe", "deployment=uniform,uniform", "deployments has 'uniform' twice: give them names"),
+    ("observe", "\"deployments=['a/b: uniform']\"", "deployments: the name 'a/b' must be of letters"),
+    ("observe", "\"deployments=['22 tags: file']\"", "deployments: '22 tags: file' is refused: "),
+    ("observe", "deployment=uniform deployment.path=a.csv", "deployment.path=a.csv is for none of the deployments"),
+    ("observe", "deployment=file", "deployment.path is missing"),
+    ("observe", "seeds=0", "seeds must be at least 1, got 0"),
+    ("observe", "estimator=[]", "estimator must name at least one estimator"),
+    ("observe", "estimator.observer.gain=100", "estimator.observer.gain + damping = 101 1/s must stay below 20 1/s"),
+    ("observe", "detector=rendered tag.edge=null", "detector.tag.edge must be given, in metres: a detector"),
+    ("observe", "detector=rendered tag.family=16h5", "tag.family 16h5 has 30 different tags, too few for 90."),
+    ("observe", "detector=noisy tag.edge=0.1 detector.reader=eyes", "detector.reader must be one of aruco"),
+    ("observe", "all_visible=true", "all_visible must be false where measurements are not exact"),
+    ("observe", "film=5", "film needs rendered frames: detector=rendered."),
+    ("observe", "detector=rendered film=0", "film must be greater than 0, got 0."),
+    ("detect", "poses=1e12", f"poses = 1000000000000 frames of 90 landmarks {MANY}"),
+    ("detect", "tag.edge=null", "tag.edge must be given, in metres: a detector cannot read a point."),
+    ("detect", "tag.family=16h5", "tag.family 16h5 has 30 different tags, too few for 90."),
+    ("detect", "tag.family=36h12", "tag.family must be one of 36h11"),
+    (
+        "detect", "tag.family=5x5_100 detectors=[aruco,apriltag_decimate2]",
+        "is one of ArUco's, which the detector apriltag_decimate2 does not read: detectors=[aruco] does.",
+    ),
+    ("detect", "detectors=[]", "detectors must name at least one detector."),
+    ("detect", "detectors.aruco.preset=best", "detectors.aruco.preset must be one of default, fine, got 'best'"),
+    ("detect", "imaging.noise=-1", "imaging.noise must be at least 0, got -1."),
+    ("detect", "camera.distortion=[-3,0,0,0]", "camera.distortion must show what is farther"),
+    ("detect", "nudge=[0.002]", "nudge must be a list of 2 numbers, got [0.002]."),
+    ("detect", "poses=0", "poses must be at least 1, got 0."),
+    ("detect", "workers=0", "workers must be at least 1, got 0."),
+    ("calibrate_detector", "views.count=1", "views.count must be at least 2, got 1."),
+    ("calibrate_detector", "views.sampling.pitch=[3,2]", "views.sampling.pitch must be a range [low, high]"),
+    ("calibrate_detector", "margin=-1", "margin must be at least 0, got -1."),
+    ("calibrate_detector", "detectors=[]", "detectors must name at least one detector."),
+    ("calibrate_detector", "views=images", "views.folder is missing: a folder of images is needed."),
+    ("calibrate_detector", "views=images views.folder=none", "views.folder: there is no folder 'none'."),
+    ("tradeoff", "counts=20", "counts must be a list of numbers, got 20."),
+    ("tradeoff", "counts=[0]", "counts must be at least 1, got 0."),
+    ("tradeoff", "edges=[a]", "edges must be a number, got 'a'."),
+    ("tradeoff", SIZES, "tag.edges is for tags of several sizes: give papers=[...] or budgets=[...]"),
+    ("tradeoff", "papers=[1]", "papers needs tag.edges=[...]."),
+    ("tradeoff", f"{SIZES} budgets=[5]", "budgets needs tag.edges=[...] and tag.costs=[...]."),
+    ("tradeoff", "papers=[1] budgets=[5]", "papers must not be given with budgets."),
+    ("tradeoff", "papers=[1] edges=[0.1]", "papers must not be given with edges."),
+    ("tradeoff", f"{SIZES} papers=[a]", "papers must be a number, got 'a'."),
+    ("tradeoff", f"{SIZES} papers=[0.01]", "tag.paper = 0.01 square metres is too little for a tag"),
+    ("tradeoff", "seeds=0", "seeds must be at least 1, got 0."),
+    ("tradeoff", "wanted=90", "wanted must be in [0, 1], got 90."),
+    ("tradeoff", "figure=cost", "figure must be one of "),
+    ("tradeoff", "budget.evaluations=0", "budget.evaluations must be at least 1, got 0."),
+    ("tradeoff", "objective.n=21", "objective.n = 21 exceeds the number of landmarks, 20."),
+    ("tradeoff", "edges=[2]", "counts = 20 tags with papers of 2.5 m are too many"),
+    ("export", "tag.edge=0.15", "deployment.path is missing: a CSV of landmarks or a tag map is needed."),
+    ("export", "deployment.path=wide.csv", "tag.edge must be given, in metres"),
+    ("export", f"{TAGS} formats=[]", "formats lists none, so there is nothing to write."),
+    ("export", f"{TAGS} formats=csv", "formats must be a list of wpilib, "),
+    ("export", f"{TAGS} formats=[nosuch]", "formats must be one of wpilib, "),
+    ("export", f"{TAGS} tag.family=4x4_50 formats=[csv,wpilib]", "formats has wpilib, which knows the families "),
+    (
+        "export", f"{TAGS} tag.edge=2 deployment.free=true formats=[wpilib,sheets]",
+        "tag.edge = 2 m takes 150 sheets of a4 for a tag, more than 100; a larger paper_size ",
+    ),
+    ("export", f"{TAGS} paper_size=a5", "paper_size must be one of a4, a3, letter, got"),
+    ("export", f"{TAGS} north=90", "north must be in [-6.29319, 6.29319], got 90."),
+    ("survey", "photographs=null", "photographs=DIR, a folder or a video, or detections=FILE.csv must be given"),
+    ("survey", "photographs=nowhere", "photographs: there is no folder or video 'nowhere'"),
+    ("survey", "photographs=two.csv", "photographs: 'two.csv' cannot be read as a video: it is a text"),
+    ("survey", "photographs=cut.mp4", "photographs: 'cut.mp4' cannot be read as a video: OpenCV cannot open it"),
+    ("survey", "tag.family=4x4_100", "tag.family = 4x4_100 is one of ArUco's, which the detector apriltag does not"),
+    ("survey", "survey.place=0", "survey.place must"),
+    ("survey", "export=[wpilib]", "export needs the room that the tags hang in"),
+    ("survey", "detectors=[apriltag,aruco]", "detectors must name one detector, got ['apriltag', 'aruco']"),
+    ("survey", "audit=true", "audit needs a visibility model of tags: visibility=fiducial"),
+    ("survey", "images=two.csv", "images goes with detections=FILE.csv: with photographs it is known which there are"),
+    ("survey", "deployment=random", "deployment must be a file"),
+    ("survey", "camera.path=two.csv", "two.csv"),
+    ("survey", "\"camera.rig=[{camera: camera.yaml}, {camera: camera.yaml}]\"", "each of 2 cameras, 'photos' has 0"),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("command", "overrides", "message"), CASES)
+def test_bad_input_gets_one_sentence_and_leaves_nothing(command, overrides, message, tmp_path):
+    for name, text in FILES.items():
+        Path(tmp_path, name).write_text(text)
+    if command == "survey":
+        (tmp_path / "photos").mkdir()
+        (tmp_path / "cut.mp4").write_bytes(b"\0\0\0\x18ftypisom\0\0\0\0isom")
+        photographs.calibration(tmp_path / "camera.yaml", Camera(2.2, 0.0075, 0.0075, (320.0, 240.0), 640, 480, 0.0))
+    settings = shlex.split(SETTINGS[command]) if command in SETTINGS else SMALL
+    given = (*shlex.split(overrides), "tracking=none", "hydra.run.dir=run")
+    refused(command, *given, message=message, cwd=tmp_path, settings=settings)

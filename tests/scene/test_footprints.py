@@ -1,0 +1,212 @@
+"""Papers hang wholly on their wall and never overlap: in starts, files, and whatever an optimiser returns."""
+
+import numpy as np
+import pytest
+from examples import examples
+from hypothesis import given
+from hypothesis import strategies as st
+from paper import paper_camera, paper_room, paper_scene
+from strategies import rooms, seeds
+
+from lmd.core.checks import InputError
+from lmd.formats.deployments import FileDeployment
+from lmd.objectives.coverage import Coverage
+from lmd.objectives.localisation import Localisation
+from lmd.objectives.sampling import Sampling
+from lmd.optimisers.annealing import Annealing
+from lmd.optimisers.ega import EGA
+from lmd.optimisers.greedy import Greedy, GreedyDeployment
+from lmd.optimisers.random_search import RandomSearch
+from lmd.problem import Problem
+from lmd.run import evaluate, optimise
+from lmd.scene import pdf
+from lmd.scene.deployment import Deployment
+from lmd.scene.deployment_sources import RandomDeployment, UniformDeployment
+from lmd.scene.footprints import Footprints
+from lmd.scene.scene import Scene
+from lmd.scene.tag import Tag
+from lmd.sight.models.fiducial import Fiducial
+from lmd.sight.models.paper import Visibility
+
+pytestmark = pytest.mark.slow  # images, or kernels of a second model of sight
+
+EDGE = 0.3
+TAG = Tag(EDGE / 1.25)  # its paper is 30 cm wide
+
+
+def problem_of(start, visibility=None, sampling=None):
+    room, angles = paper_room(spacing=1.5), pdf.grid_with_ends(6)
+    scene = Scene(room, paper_camera(), angles, visibility or Visibility(thold=0.28), TAG)
+    # What tags are seen by is compiled for localisation, as commands are.
+    objective = Localisation(tolerance=0.2, sampling=None) if visibility else Coverage(2, 0.4, sampling)
+    return Problem(scene, objective, start, threads=1)
+
+
+def overlaps(deployment, room, edge):
+    """By brute force: pairs on one surface that overlap, and footprints that are not wholly on theirs."""
+    found, edge = [], np.broadcast_to(edge, len(deployment))
+    for s, surface in enumerate(room.surfaces()):
+        on = np.flatnonzero(deployment.surfaces == s)
+        a, b = ((deployment.positions[on] - surface.origin) @ way for way in (surface.u, surface.v))
+        ends = zip((a, b), surface.extent, strict=True)
+        found += [
+            on[i] for at, extent in ends for i in np.flatnonzero(abs(at - extent / 2) > (extent - edge[on]) / 2 + 1e-9)
+        ]
+        found += [
+            (on[i], on[j])
+            for i in range(len(on))
+            for j in range(i)
+            if max(abs(a[i] - a[j]), abs(b[i] - b[j])) < (edge[on[i]] + edge[on[j]]) / 2 * (1.0 - 1e-8)
+        ]
+    return found
+
+
+@examples(60)
+@given(room=rooms(), edge=st.floats(0.02, 0.5), count=st.integers(1, 30), seed=seeds)
+def test_footprints_are_pushed_apart_or_there_is_no_room(room, edge, count, seed):
+    footprints, rng = Footprints(room, Tag(edge, quiet_zone=0.0)), np.random.default_rng(seed)
+    drawn = RandomDeployment(count).draw(footprints.hanging, rng)
+    apart = footprints.apart(drawn)
+    if apart is None:
+        assert count > footprints.capacity(edge) / 4  # squares anywhere block at most four places of a lattice
+        return
+    assert not overlaps(apart, room, edge)
+    footprints.check(apart)
+    again = footprints.apart(apart)
+    np.testing.assert_array_equal(again.positions, apart.positions)
+    np.testing.assert_array_equal(room.surfaces_of(apart.positions, apart.normals) >= 0, True)
+
+
+@examples(60)
+@given(
+    room=rooms(),
+    edges=st.lists(st.floats(0.02, 0.5), min_size=2, max_size=4, unique=True),
+    count=st.integers(2, 30),
+    fixed=st.integers(0, 3),
+    seed=seeds,
+)
+def test_footprints_of_several_sizes_are_pushed_apart(room, edges, count, fixed, seed):
+    footprints = Footprints(room, Tag(0.3, quiet_zone=0.5, edges=edges))
+    drawn = RandomDeployment(count).draw(footprints.hanging, np.random.default_rng(seed), footprints.tag)
+    papers = footprints.papers(drawn)
+    np.testing.assert_allclose(papers[: len(edges)], 1.125 * np.array(edges)[:count])
+    apart = footprints.apart(drawn)
+    if apart is None:
+        assert (papers**2).sum() > sum(surface.area for surface in room.surfaces()) / 16
+        return
+    assert not overlaps(apart, room, papers)
+    footprints.check(apart)
+    np.testing.assert_array_equal(apart.edges, drawn.edges)
+    again = footprints.apart(apart)
+    np.testing.assert_array_equal(again.positions, apart.positions)
+    # Those that hang already stay, and the others make room for them, too.
+    fixed = min(fixed, count)
+    stays = apart[:fixed] + drawn if fixed else drawn
+    if (beside := footprints.apart(stays, fixed=fixed)) is not None:
+        np.testing.assert_array_equal(beside.positions[:fixed], apart.positions[:fixed])
+        assert not overlaps(beside, room, footprints.papers(beside))
+    taken = footprints.touched(apart, apart[:1])
+    assert taken.tolist() == [True] + [False] * (count - 1)
+
+
+def test_a_plate_goes_to_the_nearest_free_place():
+    room = paper_room()
+    footprints, wall = Footprints(room, Tag(0.3, quiet_zone=0.0)), room.surfaces()[0]
+    at = np.array([[2.0, 2.0], [2.1, 2.05], [2.2, 2.0], [1.0, 1.0]])
+    start = Deployment(wall.point(*at.T), np.tile(wall.normal, (4, 1)), np.zeros(4, dtype=int))
+    found = footprints.apart(start)
+    np.testing.assert_allclose(
+        np.stack(wall.coordinates(found.positions), axis=1), [[2.0, 2.0], [2.3, 2.05], [2.3, 1.75], [1.0, 1.0]]
+    )
+    np.testing.assert_array_equal(found.positions[[0, 3]], start.positions[[0, 3]])
+
+
+def test_points_are_left_alone():
+    scene = paper_scene()
+    drawn = RandomDeployment(90).draw(scene.room, np.random.default_rng(0))
+    assert scene.footprints.hanging is scene.room
+    np.testing.assert_array_equal(scene.footprints.apart(drawn).positions, drawn.positions)
+    stacked = Deployment(drawn.positions[[0, 0]], drawn.normals[[0, 0]], drawn.surfaces[[0, 0]])
+    scene.footprints.check(stacked)
+
+
+STARTS = [RandomDeployment(40), UniformDeployment(40)]
+METHODS = {
+    "annealing": Annealing,
+    "annealing, no growth": lambda: Annealing(growth=0.0),
+    "greedy": lambda: Greedy(spacing=0.5),
+    "ega": EGA,
+    "ega, paper's encoding": lambda: EGA(encoding="paper"),
+    "random search": RandomSearch,
+}
+
+
+@pytest.mark.parametrize("start", STARTS, ids=["random", "uniform"])
+@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("visibility", [None, Fiducial(TAG)], ids=["paper", "fiducial"])
+def test_no_optimiser_returns_plates_that_overlap(start, method, visibility):
+    problem = problem_of(start, visibility)
+    for draw in range(3):
+        assert not overlaps(problem.draw(np.random.default_rng(draw)), problem.scene.room, EDGE)
+    result = optimise(problem, evaluations=100, optimiser=METHODS[method]())
+    assert not overlaps(result.deployment, problem.scene.room, EDGE)
+    assert problem.fitness_of(result.deployment) == result.fitness
+    assert evaluate(problem, result.deployment.hung(problem.scene.room))["fitness"] == result.fitness
+
+
+def test_nor_does_annealing_on_samples():
+    problem = problem_of(RandomDeployment(30), sampling=Sampling(2, 6))
+    result = optimise(problem, evaluations=200)
+    assert not overlaps(result.deployment, problem.scene.room, EDGE)
+
+
+def test_greedy_chooses_no_plates_that_overlap():
+    problem = problem_of(RandomDeployment(40))
+    start = GreedyDeployment(40, problem.scene, problem.objective, spacing=0.25, threads=1)
+    assert not overlaps(start.draw(problem.scene.room, np.random.default_rng(0)), problem.scene.room, EDGE)
+    with pytest.raises(InputError, match=r"^spacing = 0\.\d+ leaves room for \d+ plates of 0\.3 m, too few for 900\."):
+        GreedyDeployment(900, problem.scene, problem.objective, threads=1).draw(problem.scene.room, None)
+
+
+def test_files_and_counts_that_cannot_be_are_refused(tmp_path):
+    scene, path = problem_of(UniformDeployment(40)).scene, tmp_path / "tags.csv"
+    start = UniformDeployment(12).draw(scene.room, np.random.default_rng())
+    moved = start.positions.copy()
+    moved[5] = moved[4] + [0.0, 0.1, 0.29] if start.normals[4][0] else moved[4] + [0.1, 0.0, 0.29]
+    Deployment(moved, start.normals).to_csv(path)
+    message = rf"^{path}: landmarks 4 and 5 on y_min overlap: their papers are 0\.3 m wide, their centres 0\.29 m apart"
+    with pytest.raises(InputError, match=message):
+        problem_of(FileDeployment(str(path)))
+    as_they_are = problem_of(FileDeployment(str(path), free=True))
+    np.testing.assert_array_equal(as_they_are.draw(np.random.default_rng(0)).positions, moved)
+    with pytest.raises(InputError, match=r"^landmarks 4 and 5 on y_min overlap"):
+        optimise(as_they_are, evaluations=50)
+    with pytest.raises(InputError, match=r"^landmarks 4 and 5 on y_min overlap"):
+        evaluate(problem_of(UniformDeployment(40)), Deployment(moved, start.normals))
+    moved[5] = moved[5] + [0.0, 0.0, 5.0 - moved[5, 2] + 0.9]
+    Deployment(moved, start.normals).to_csv(path)
+    with pytest.raises(
+        InputError, match=r"landmark 5 hangs over the edge of y_min, or of where tags may hang there: its paper"
+    ):
+        problem_of(FileDeployment(str(path)))
+    with pytest.raises(InputError, match=r"^count = 3000 tags do not fit: 2440 papers of 0\.3 m are all that"):
+        problem_of(RandomDeployment(3000))
+    with pytest.raises(InputError, match=r"^family 16h5 has 30 different tags, too few for 40"):
+        Problem(Scene(scene.room, scene.camera, scene.pdf, scene.visibility, Tag(0.1, "16h5")), Coverage(2, 0.4),
+                UniformDeployment(40))  # fmt: skip
+    with pytest.raises(
+        InputError, match=r"^edge is too large: surface x_min is 5 m wide, too narrow for plates of 6\.25 m"
+    ):
+        Problem(Scene(scene.room, scene.camera, scene.pdf, scene.visibility, Tag(5.0)), Coverage(2, 0.4),
+                UniformDeployment(4))  # fmt: skip
+    tilted = EGA()
+    tilted.flush = False
+    with pytest.raises(InputError, match=r"^flush must be true where tags have a size"):
+        optimise(problem_of(RandomDeployment(10)), evaluations=5, optimiser=tilted)
+
+
+def test_a_visibility_about_another_tag_is_refused():
+    scene = paper_scene()
+    with pytest.raises(InputError, match=r"^tag is Tag\(edge=0\.2"):
+        Scene(scene.room, scene.camera, scene.pdf, Fiducial(Tag(0.1)), Tag(0.2))
+    assert Scene(scene.room, scene.camera, scene.pdf, Fiducial(Tag(0.1))).tag == Tag(0.1)
