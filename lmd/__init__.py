@@ -24,6 +24,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from lmd.core.checks import InputError as InputError
     from lmd.formats.deployments import FileDeployment as FileDeployment
+    from lmd.formats.meshes import read_mesh as read_mesh
     from lmd.geometry.camera import Camera as Camera
     from lmd.objectives.coverage import Coverage as Coverage
     from lmd.objectives.localisation import Localisation as Localisation
@@ -81,6 +82,7 @@ _HOMES = {
     "Visibility": "lmd.sight.models.paper",
     "evaluate": "lmd.run",
     "optimise": "lmd.run",
+    "read_mesh": "lmd.formats.meshes",
     "save_scene_figure": "lmd.plot.deployments",
 }
 

@@ -24,7 +24,7 @@ def note(text: str) -> None:
 
 
 @contextmanager
-def keyed(group: str = "", **keys: str) -> Iterator[None]:
+def keyed(group: str = "", /, **keys: str) -> Iterator[None]:
     """Within the block, an `InputError` that begins with an argument begins with the config key of that argument.
 
     Args:

@@ -7,6 +7,7 @@ has done that (`warm`), unless the start itself matters (`fresh`).
 import atexit
 import importlib
 import io
+import logging
 import os
 import signal
 import subprocess
@@ -49,6 +50,7 @@ def inside(pipeline, *overrides, cwd, settings=SMALL):
     """Run a pipeline to its end in this process; returns as `call`. Sweeps need a process of their own."""
     module = importlib.import_module(f"pipelines.{pipeline}")
     out, err, code = io.StringIO(), io.StringIO(), 0
+    handlers = logging.getLogger().handlers[:]
     with pytest.MonkeyPatch.context() as patch, redirect_stdout(out), redirect_stderr(err):
         patch.chdir(cwd)
         patch.setattr(sys, "argv", [str(module.__file__), *settings, *map(str, overrides)])
@@ -57,6 +59,8 @@ def inside(pipeline, *overrides, cwd, settings=SMALL):
             module.main()
         except SystemExit as ended:
             code = ended.code or 0
+        finally:
+            logging.getLogger().handlers[:] = handlers  # Hydra's write to the folder of the run
     if isinstance(code, str):  # as Python ends
         err.write(f"{code}\n")
         code = 1

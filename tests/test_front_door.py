@@ -9,11 +9,14 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+from floor_plans import L_SHAPE
+from meshes import written
 from processes import environment
 from small import problem
 
 import lmd
 from lmd.optimisers.ega import EGA
+from lmd.space.floor_plan import FloorPlan
 
 FROM_PYTHON = (Path(__file__).parents[1] / "docs" / "api" / "index.md").read_text(encoding="utf-8")
 
@@ -59,6 +62,15 @@ def test_any_deployment_in_the_room_is_scored_and_one_outside_is_not():
         lmd.evaluate(p, lmd.Deployment([[9.0, 1.0, 1.0]] * 2, [[1.0, 0.0, 0.0]] * 2))
     with pytest.raises(lmd.InputError, match=r"n = 2 exceeds the number of landmarks, 1"):
         lmd.evaluate(p, deployment[:1])
+
+
+def test_the_example_of_a_mesh_lists_its_surfaces(tmp_path, monkeypatch, capsys):
+    page = (Path(__file__).parents[1] / "docs" / "rooms.md").read_text(encoding="utf-8")
+    (code,) = (code for code in re.findall(r"```python\n(.*?)```", page, flags=re.DOTALL) if "lmd.Scan(" in code)
+    written(tmp_path / "lab.glb", FloorPlan(L_SHAPE, 2.5))
+    monkeypatch.chdir(tmp_path)
+    exec(code, {})
+    assert capsys.readouterr().out.count(" m2") > 5
 
 
 @pytest.mark.slow

@@ -114,7 +114,7 @@ class PlanningSession:
         self._become(self.plan.moved(self.problem.scene.footprints, number, surface, at), number)
 
     def place(self, number: int, left: float, up: float) -> None:
-        """Move a tag on its surface to the free place nearest to a `MeasuredPlace` one.
+        """Move a tag on its surface to the free place nearest to a `MeasuredPlace`.
 
         Raises:
             InputError: as for `drag`, or it hangs on no surface.

@@ -6,7 +6,6 @@ from functools import cached_property, wraps
 from typing import Any, NamedTuple, TypeVar, cast
 
 import numpy as np
-from scipy.spatial import cKDTree
 from typing_extensions import override
 
 from lmd.core.checks import BoolArray, FloatArray, IntArray
@@ -109,6 +108,8 @@ class TimeSpent:
 
     def weights(self, points: FloatArray) -> FloatArray:
         """See `Weighing.weights`; a point belongs to the nearest cell."""
+        from scipy.spatial import cKDTree  # slow to load, and only recordings need it
+
         _, nearest = cKDTree(self.positions).query(points)
         return np.asarray(self.within.weights(points) * self.seconds[nearest])
 

@@ -103,7 +103,7 @@ def motion_to_prior(tags: FloatArray, prior: Prior) -> FloatArray | None:
 
 
 def _motion_of_centres(tags: FloatArray, prior: Prior, known: IntArray) -> FloatArray | None:
-    """Motion that moves the centres of the tags `known` nearest to their expected ones; None if they fix none."""
+    """Motion that moves the centres of the tags `known` nearest to their expected ones; None if these fix no motion."""
     here = tags[known, :3, 3]
     return None if len(known) < FEWEST_POINTS or are_in_line(here) else laid_over(here, prior.tags[known, :3, 3])
 
@@ -204,11 +204,11 @@ def diagonal_blocks(covariance: FloatArray, count: int) -> FloatArray:
 
 
 def gauge_free(tags: FloatArray) -> FloatArray:
-    """Projection `(6 n, 6 n)` of the twists of n tags to what is left once the map is laid over the true one.
+    """Matrix L `(6 n, 6 n)` that removes the best-fitting motion of the whole map from the twists of n tags.
 
     With T `(6 n, 6)` the twists of all tags due to a motion of the world, and T_p its rows of the centres, the motion
-    that fits the twists x best is g = T_p^+ x_p, and x - T g is left. L P L^T with this matrix L is the covariance of
-    tags beside each other, for the covariance P of their twists.
+    that fits the twists x best is g = T_p^+ x_p, so L x = x - T g. For a covariance P of the twists, L P L^T is that
+    of tags beside each other.
 
     Args:
         tags: poses of the tags, `(n, 4, 4)`.

@@ -211,7 +211,7 @@ def _check_odometry(adjustment: LinkedAdjustment, poses: Poses) -> None:
 
 
 def _worlds(nodes: Nodes, poses: FloatArray, motion: Motion) -> tuple[FloatArray, IntArray]:
-    """Join parts without leaps of the body.
+    """Join parts by relations with which the body does not leap.
 
     A leap between two joined parts has one of two causes: the frames of one part were misread, if these are fewer than
     the frames that support the weakest relation between the parts; else that relation is wrong.

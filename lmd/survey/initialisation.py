@@ -255,7 +255,7 @@ def _rank_within(owner: IntArray) -> IntArray:
     return np.asarray(np.arange(len(owner)) - np.searchsorted(owner, owner))
 
 
-def place(sightings: Sightings, planned: FloatArray, is_linked: bool = False) -> tuple[Poses, IntArray]:
+def place(sightings: Sightings, planned: FloatArray, is_linked: bool) -> tuple[Poses, IntArray]:
     """Place all tags and frames that can be placed.
 
     Args:

@@ -63,7 +63,7 @@ class Optics:
 
 
 def with_nuisances(
-    sightings: Sightings, optics: Sequence[Optics], sigmas: Sequence[FloatArray], poses: Poses | None = None
+    sightings: Sightings, optics: Sequence[Optics], sigmas: Sequence[FloatArray], poses: Poses
 ) -> Sightings:
     """Sightings with the derivatives by their cameras' nuisance parameters.
 
@@ -71,13 +71,11 @@ def with_nuisances(
         sightings: sightings through `optics`.
         optics: optics of each camera.
         sigmas: prior standard deviations of the values of each, `(P + 2,)`.
-        poses: all poses, if known. Shifts are then along the edges of the posed tags. Along detected edges, whose noise
-            is that of the residuals, their estimate would be biased.
+        poses: all poses. Shifts are along the edges of the posed tags: along detected edges, whose noise is that of the
+            residuals, their estimate would be biased.
     """
-    image = sightings.image
-    if poses is not None:
-        error = Reprojection(sightings, *poses.of(sightings)).error.reshape(-1, 4, 2)
-        image = np.where(np.abs(error).max(axis=(1, 2), keepdims=True) < NEAR_PIXELS, image + error, image)
+    image, error = sightings.image, Reprojection(sightings, *poses.of(sightings)).error.reshape(-1, 4, 2)
+    image = np.where(np.abs(error).max(axis=(1, 2), keepdims=True) < NEAR_PIXELS, image + error, image)
     pitch = shortest_side(image) * sightings.pitch / sightings.sizes
     lens = np.zeros((len(sightings), 4, 2, _width(sigmas)))
     for index, (one, sigma) in enumerate(zip(optics, sigmas, strict=True)):

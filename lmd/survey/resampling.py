@@ -106,7 +106,7 @@ def blocks_of_time(found: Estimate) -> list[IntArray]:
     return [found.frames[block == b] for b in range(blocks) if (block == b).any()]
 
 
-def inflation(found: Estimate, report: Callable[[int, int], object] = lambda _done, _most: None) -> float:
+def inflation(found: Estimate, report: Callable[[int, int], object]) -> float:
     """Factor of standard deviations of places by blocks of time, the geometric mean over tags, at least 1.
 
     It is 1 if there are too few frames for blocks. Of linked frames, those with two or more tags count, as far as they

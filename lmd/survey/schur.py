@@ -116,11 +116,8 @@ class SchurSystem:
         # H_kf L^-T, whose product with its transpose is H_kf H_ff^-1 H_fk.
         half = np.linalg.solve(lower, panel.reshape(len(panel), 6, 6 * len(rows)))
         wide = np.ascontiguousarray(half.reshape(6 * len(panel), 6 * len(rows)).T)
-        if len(rows) == self.kept:
-            matrix -= wide @ wide.T
-        else:
-            index = (6 * rows[:, None] + np.arange(6)).ravel()
-            matrix[np.ix_(index, index)] -= wide @ wide.T
+        index = (6 * rows[:, None] + np.arange(6)).ravel()
+        matrix[np.ix_(index, index)] -= wide @ wide.T
         right[rows] -= (wide @ solved(lower, part.gradient).ravel()).reshape(-1, 6)
 
     def eliminate_links(self, poses: Poses, is_robust: bool, matrix: FloatArray, right: FloatArray) -> None:

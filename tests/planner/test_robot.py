@@ -70,18 +70,18 @@ def turned(yaw):
     return Mount(CAMERA, yaw=yaw).rotation
 
 
-def test_on_a_body_it_goes_to_the_nearest_place_where_it_may_be():
+def test_on_a_body_a_camera_moves_to_the_nearest_allowed_mount():
     planned = session(space(keep_out=[KEPT_OUT]))
     planned.mount(0, np.array([0.3, 0.02, 0.15]), turned(0.1))
     assert planned.rig.mounts[0] == Mount(CAMERA, (0.22, 0.02, 0.15), yaw=0.1)
-    planned.mount(0, np.array([0.05, 0.16, 0.1]), turned(1.5))  # there may be none
+    planned.mount(0, np.array([0.05, 0.16, 0.1]), turned(1.5))  # overlaps the kept-out part
     assert planned.rig.mounts[0].translation == (0.0, 0.17, 0.1)
-    planned.mount(0, np.array([0.22, 0.0, 0.1]), turned(np.pi))  # it must not see its body
+    planned.mount(0, np.array([0.22, 0.0, 0.1]), turned(np.pi))  # turned away from its body
     assert planned.space.own_part(planned.rig.mounts[0]) == 0.0
     check(planned)
 
 
-def test_a_camera_is_not_where_it_must_not_be():
+def test_forbidden_mounts_are_refused():
     planned = session(space(apart=0.3))
     plan = planned.plan
     for place, message in (

@@ -11,7 +11,6 @@ from scipy.stats import chi2
 
 from lmd.core.checks import InputError
 from lmd.geometry.se3 import act, adjoint_matrix, inverse, laid_over, log, pose_of
-from lmd.geometry.trajectory import Trajectory
 from lmd.scene.tag import Tag
 from lmd.survey.prior import PriorKnowledge
 from lmd.survey.results import survey_document, tag_columns
@@ -145,15 +144,6 @@ def test_a_tag_that_is_hardly_known_is_not_placed(monkeypatch):
     monkeypatch.setattr("lmd.survey.survey.LOOSE_M", 1e-6)
     with pytest.raises(InputError, match="no tag is known to better than"):
         found_of(driven, known)
-
-
-def test_odometry_of_another_drive_is_refused():
-    rng = np.random.default_rng(7)
-    driven = drives.drive(6.0, 4, rng)
-    odometry = drives.odometry(driven, rng)
-    with pytest.raises(InputError, match="odometry has poses from 1000 to 100") as refused:
-        found_of(driven, PriorKnowledge(odometry=Trajectory(odometry.time + 1000.0, odometry.poses)))
-    assert "the same drive and clock" in str(refused.value)
 
 
 def test_odometry_of_a_body_whose_camera_looks_elsewhere_is_refused():

@@ -11,7 +11,7 @@ from scipy.stats import chi2
 from lmd.geometry.se3 import camera_pose, exp, inverse, log
 from lmd.scene.deployment import Deployment
 from lmd.survey.map_estimate import estimate_map
-from lmd.survey.prior import Prior, PriorKnowledge, poses_of
+from lmd.survey.prior import Prior, PriorKnowledge
 from lmd.survey.residuals import Poses, Reprojection, squared_errors
 
 COUNT, FRAMES, SIGMA = 24, 80, 0.2
@@ -130,8 +130,3 @@ def test_the_loss_is_least():
         moved = found.poses.tags.copy()
         moved[found.mapped[seed + 1]] @= exp(np.random.default_rng(seed).normal(0.0, 3e-5, 6))
         assert loss(replace(found.poses, tags=moved)) > loss(found.poses)
-
-
-def test_poses_of_a_deployment_have_z_along_the_normal():
-    tags = walks.wall_tags(4, np.random.default_rng(2))
-    np.testing.assert_allclose(poses_of(Deployment(tags[:, :3, 3], tags[:, :3, 2])), tags, atol=1e-12)

@@ -137,7 +137,10 @@ def test_the_bias_of_odometry_is_found():
 
 def test_odometry_of_another_clock_is_refused():
     drive = Trajectory(np.arange(5.0), np.tile(np.eye(4), (5, 1, 1)))
-    with pytest.raises(InputError, match=r"odometry has poses from 0 to 4 s, but the frames have 100 to 104 s"):
+    with pytest.raises(
+        InputError,
+        match=r"from 0 to 4 s, but the frames have 100 to 104 s: it must be of the same drive and clock",
+    ):
         Motion.by_odometry(100.0 + np.arange(5.0), drive)
 
 

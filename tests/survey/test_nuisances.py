@@ -14,7 +14,7 @@ from lmd.geometry.projection import project
 from lmd.geometry.se3 import camera_pose
 from lmd.survey.intrinsics import intrinsics_of, prior_sigmas, with_intrinsics
 from lmd.survey.nuisances import Optics, with_nuisances
-from lmd.survey.residuals import Reprojection
+from lmd.survey.residuals import Poses, Reprojection
 from lmd.survey.sightings import MODES, SHAPES, SQUARE, inward, sightings_of
 from lmd.survey.terminal import to_text
 
@@ -109,7 +109,7 @@ def test_jacobians_are_those_of_the_residuals():
     rng = np.random.default_rng(1)
     tag = walks.wall_tags(1, rng)
     frame = camera_pose(tag[:, :3, 3] + [0.4, 1.5, 0.2], np.pi, 0.1, 0.05)
-    one = walks.photographed(tag, frame, rng, SIGMA, camera=TRUE)
+    one = walks.photographed(tag, frame, rng, 0.0, camera=TRUE)
     errors = CornerErrors((1.0, 9.0), (0.3, 0.3), (0.3, 0.3), (0.1, 0.02), 0.1)
     sigmas = [np.append(prior_sigmas(TRUE), [0.1, 0.05])]
 
@@ -122,7 +122,7 @@ def test_jacobians_are_those_of_the_residuals():
         return Reprojection(some, tag, frame, np.eye(4)[None])
 
     values = Optics(TRUE).values
-    found = with_nuisances(sighted(values), [Optics(TRUE)], sigmas)
+    found = with_nuisances(sighted(values), [Optics(TRUE)], sigmas, Poses(tag, frame, np.eye(4)[None]))
     step = np.array([1e-3, 1e-3, 1e-3, 1e-3, 1e-5, 1e-5, 1e-5, 1e-5, 1e-5, 1e-4, 1e-4])
     expected = approx_fprime(values, lambda x: at(sighted(x)).error[0], step)
     np.testing.assert_allclose(found.lens[0, :, : len(values)] / sigmas[0], expected, rtol=0.02, atol=0.02)

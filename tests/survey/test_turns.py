@@ -10,7 +10,6 @@ import walks
 
 from lmd.core.checks import InputError
 from lmd.formats.detections import DetectedTags
-from lmd.geometry.se3 import inverse
 from lmd.scene.deployment import Deployment
 from lmd.scene.labels import Labels
 from lmd.scene.surveyed import Surveyed
@@ -201,9 +200,3 @@ def test_a_room_of_turned_tags_is_mapped_like_an_upright_one(seed, turned, as_fi
         np.testing.assert_array_equal(found.turns.renumbered[tags.ids], quarters[tags.ids])
     else:
         np.testing.assert_array_equal(found.turns.hung[tags.ids], quarters[tags.ids])
-
-
-def test_an_exact_tag_weighs_more_than_any_sighting():
-    found = surveyed(seen([0] * 5), fixed=plan())
-    off = inverse(found.found.prior.tags) @ found.found.poses.tags - np.eye(4)
-    assert np.abs(off).max() < 1e-5
