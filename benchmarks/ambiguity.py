@@ -95,7 +95,7 @@ def candidates(camera: Camera, points: FloatArray, image: FloatArray) -> list[tu
 
 
 def is_mirrored(pose: FloatArray, turn: FloatArray) -> bool:
-    """Whether a turn R, world to camera, is nearer to the mirrored pose than to the true one."""
+    """Return whether a rotation R, world to camera, is nearer to the mirrored pose than to the true one."""
     normal, line = pose[:3, :3].T @ NORMAL[0], pose[:3, :3].T @ -pose[:3, 3]
     line /= np.linalg.norm(line)
     other = normal - 2.0 * (normal @ line) * line
@@ -228,7 +228,7 @@ def fitted(camera: Camera, points: FloatArray, image: FloatArray) -> tuple[Float
 
 
 def table(title: str, head: str, rows: Iterator[str]) -> None:
-    """Print a table as it comes."""
+    """Print a table row by row, as the rows are computed."""
     print(f"\n{title}\n\n| {head} |\n|{' --- |' * (head.count('|') + 1)}")
     for row in rows:
         print(row, flush=True)

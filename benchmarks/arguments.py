@@ -1,4 +1,4 @@
-"""How many LLVM arguments a move hands over: `python benchmarks/arguments.py [--against COMMIT]`.
+"""Count the LLVM arguments that a move passes: `python benchmarks/arguments.py [--against COMMIT]`.
 
 Numba hands a named tuple over number by number: an array of n dimensions is 5 + 2n arguments. Prints a Markdown table
 of the field, the state and the scratch of three problems, beside those of a checkout of the commit, if one is given.
@@ -29,12 +29,12 @@ PROBLEMS = {
 
 
 def width(kinds: Any) -> int:
-    """How many leaves a tuple of tuples of LLVM types has."""
+    """Count the leaves of a nested tuple of LLVM types."""
     return sum(map(width, kinds)) if isinstance(kinds, tuple) else 1
 
 
 def arguments(value: Any) -> int:
-    """How many LLVM arguments a value is."""
+    """Count the LLVM arguments that a value is passed as."""
     return width(default_manager.lookup(numba.typeof(value)).get_argument_type())
 
 

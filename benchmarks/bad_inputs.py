@@ -86,7 +86,7 @@ FILES: dict[str, str | bytes | None] = {  # None for a pipe into which nobody wr
 
 
 def outcome(command: str, checkout: Path) -> str:
-    """What comes of one command in a fresh folder with the files."""
+    """Outcome of one command in a fresh folder with the files."""
     pipeline, *overrides = shlex.split(command)
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)

@@ -55,7 +55,7 @@ def problem_of(count: int) -> CameraProblem:
 
 
 def usual(camera: Camera, count: int, pitch: float) -> Rig:
-    """The first so many of the usual mounts."""
+    """The first `count` of the usual mounts."""
     return Rig(tuple(Mount(camera, (x, y, HEIGHT), yaw, pitch) for (x, y), yaw in USUAL[:count]))
 
 
@@ -75,7 +75,7 @@ def camera_poses(bodies: FloatArray, mount: Mount) -> FloatArray:
 
 
 def detected(problem: CameraProblem, rig: Rig, bodies: FloatArray) -> BoolArray:
-    """Which tags AprilTag finds in the picture of any camera, `(N, K)`."""
+    """Mask of the tags that AprilTag finds in the picture of any camera, `(N, K)`."""
     scene = problem.scene
     room, found = tagged_room(scene.room, problem.tags, scene.tag), []
     for i, mount in enumerate(rig.mounts):

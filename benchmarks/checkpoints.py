@@ -1,4 +1,4 @@
-"""What a checkpoint costs: `python benchmarks/checkpoints.py`.
+"""Measure the cost of a checkpoint: `python benchmarks/checkpoints.py`.
 
 Full runs with the paper's 90 landmarks in a coarse room, whose evaluations take little, so that the optimisers' own
 time shows. Prints a Markdown table: what a run takes, what saving its checkpoint at the end takes, the least of a few

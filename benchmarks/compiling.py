@@ -1,4 +1,4 @@
-"""What compiling takes: `python benchmarks/compiling.py [--against COMMIT] [--rounds N]`.
+"""Measure the cost of compilation: `python benchmarks/compiling.py [--against COMMIT] [--rounds N]`.
 
 Prints a Markdown table of processor seconds and peak memory of tiny runs: the first on an empty cache, and the second.
 Rows are this checkout, with numba as it comes (`LMD_PLAIN_NUMBA=1`) too, and a commit of it. Then the lines of code of

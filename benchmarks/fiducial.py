@@ -1,4 +1,4 @@
-"""What it costs to see as a detector does: `python benchmarks/fiducial.py`.
+"""Measure the cost of the visibility model of a detector: `python benchmarks/fiducial.py`.
 
 Prints a Markdown table of times of the paper's criteria and of a detector's, and their ratios, from one run in the
 paper's room on one thread, in seconds of the processor: tags hung at random without overlapping. Part of the ratio is

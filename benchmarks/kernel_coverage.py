@@ -1,4 +1,4 @@
-"""Which lines of compiled code tests reach: `NUMBA_DISABLE_JIT=1 python benchmarks/kernel_coverage.py [TESTS]`.
+"""List the lines of compiled code that tests reach: `NUMBA_DISABLE_JIT=1 python benchmarks/kernel_coverage.py [TESTS]`.
 
 Runs tests in this process, with kernels as plain Python, and notes the lines of compiled functions that are run. Prints
 Markdown: a table by module, the lines that no test reached, and the tests that were given up since they took too long.
@@ -125,7 +125,7 @@ def compiled(tree: ast.Module) -> Iterator[ast.FunctionDef]:
 
 
 def _is_decorator(part: ast.expr) -> bool:
-    """Whether this is, or calls, one of `COMPILED`."""
+    """Return whether a decorator is, or calls, one of `COMPILED`."""
     names = {each.id for each in ast.walk(part) if isinstance(each, ast.Name)}
     return bool((names | {each.attr for each in ast.walk(part) if isinstance(each, ast.Attribute)}) & set(COMPILED))
 

@@ -1,4 +1,4 @@
-"""What it costs to localise instead of to count: `python benchmarks/localisation.py`.
+"""Compare the cost of localisation with that of coverage: `python benchmarks/localisation.py`.
 
 Prints a Markdown table of times of coverage and of localisation, and their ratios, from one run in the paper's room on
 one thread: 90 tags of 10 cm, at least two of which must be seen, 20 mm. Moves are jumps to anywhere and steps of 10 cm.

@@ -126,7 +126,7 @@ class Running:
         return cls(cell, command, folder, process, time.monotonic() + LIMIT)
 
     def is_over(self) -> bool:
-        """Whether it has ended or taken too long."""
+        """Return whether the command has ended or exceeded its time limit."""
         return not self.process.is_alive() or time.monotonic() > self.ends
 
     def outcome(self) -> str:

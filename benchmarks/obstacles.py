@@ -1,4 +1,4 @@
-"""What obstacles cost: `python benchmarks/obstacles.py [--rounds 5]`.
+"""Measure the cost of obstacles: `python benchmarks/obstacles.py [--rounds 5]`.
 
 The paper's room, all of it between 0.75 and 5.25 m reachable, as a cuboid, the same with ten boxes and two pillars, and
 as a mesh: with the ten boxes, and with these and balls of some 10,000 and 100,000 triangles. What an evaluation and a

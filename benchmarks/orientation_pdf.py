@@ -1,4 +1,4 @@
-"""How well `lmd.orientation` recovers known distributions: `python benchmarks/orientation_pdf.py [RECORDINGS]`.
+"""Measure how well `lmd.orientation` recovers known distributions: `python benchmarks/orientation_pdf.py [RECORDINGS]`.
 
 Each row is over many simulated recordings of 20 minutes: how many samples they give, how often independence is rejected
 at the level of 5 %, how often the family of the yaw is the true one, and the total variation distance between the yaw

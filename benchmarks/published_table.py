@@ -73,7 +73,7 @@ def predicted(camera: Camera, places: FloatArray, views: FloatArray, sigma: floa
 
 
 def solved(camera: Camera, points: FloatArray, image: FloatArray) -> FloatArray:
-    """Where the camera is by OpenCV's `solvePnPRansac`, `(3,)`."""
+    """Position of the camera by OpenCV's `solvePnPRansac`, `(3,)`."""
     matrix = intrinsics(camera)
     _, turn, way, _ = cv2.solvePnPRansac(points, image, matrix, None)
     return np.asarray(-cv2.Rodrigues(turn)[0].T @ way[:, 0])

@@ -1,4 +1,4 @@
-"""What a rig costs: `python benchmarks/rig.py [--rounds 5] [--objective coverage|localisation|...]`.
+"""Measure the cost of a rig: `python benchmarks/rig.py [--rounds 5] [--objective coverage|localisation|...]`.
 
 The paper's room and camera, alone, with another one back to back in the same place, and with both 10 cm from the body's
 origin: what an evaluation and a move of a single landmark take, by default for coverage and for localisation, of tags

@@ -75,7 +75,7 @@ class Cameras:
         return float(np.sqrt(min((each for each, _ in fits if each > 1e-6), default=np.inf)))
 
     def wrong(self, noise: float, draws: int, rng: np.random.Generator) -> float:
-        """How often the best fit is nearer to the mirrored pose than to the true one."""
+        """Fraction of draws in which the best fit is nearer to the mirrored pose than to the true one."""
         exact, line = self.images(np.zeros(6)), self.centres.mean(axis=0)
         line = line / np.linalg.norm(line)
         away = 2.0 * (line[2] * line - np.eye(3)[2])  # from the true normal to the mirrored one
@@ -167,7 +167,7 @@ def localised(rng: np.random.Generator) -> Iterator[str]:
 
 
 def table(title: str, head: str, rows: Iterator[str]) -> None:
-    """Print a table as it comes."""
+    """Print a table row by row, as the rows are computed."""
     print(f"\n{title}\n\n| {head} |\n|{' --- |' * (head.count('|') + 1)}")
     for row in rows:
         print(row, flush=True)

@@ -1,4 +1,4 @@
-"""How high the robust objective comes: `python benchmarks/robust.py EVALUATIONS [OVERRIDE ...]`.
+"""Measure the value that the robust objective reaches: `python benchmarks/robust.py EVALUATIONS [OVERRIDE ...]`.
 
 Optimises the paper's room with `objective=robust` on two threads for three seeds, and prints a Markdown table: seconds
 of the search by the wall clock and of the processor, and the qualified ratio off the grid in per cent. That is measured

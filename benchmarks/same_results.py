@@ -1,4 +1,4 @@
-"""Whether runs end where those of another commit end: `python benchmarks/same_results.py COMMIT`.
+"""Compare the results of runs with those of another commit: `python benchmarks/same_results.py COMMIT`.
 
 Each configuration is run by a checkout of the commit and by this one. Prints a Markdown table with the digest of the
 landmarks, and exits with 1 if any differ by a byte.

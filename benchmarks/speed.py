@@ -104,7 +104,7 @@ def moves(scene: Scene, count: int, step: str) -> float:
 
 
 def all_gains(scene: Scene, threads: int) -> tuple[int, float]:
-    """How many poses a grid of 25 cm has, and the seconds it takes to find the gain of each."""
+    """Number of poses of a grid of 25 cm, and the seconds to compute the gain of each."""
     poses, evaluator = candidate_poses(scene.room, 0.25), Evaluator(scene, threads=threads)
     prices = np.ones((len(evaluator.positions), evaluator.axes.shape[1]))
     return len(poses), best_of(5, lambda: gains(evaluator, poses, prices))
@@ -140,7 +140,7 @@ def speed(scene: Scene) -> Iterator[str]:
 
 
 def stages(scene: Scene) -> Iterator[str]:
-    """Where the time of one evaluation goes, on one thread, by leaving stages out."""
+    """Time of each stage of one evaluation on one thread, measured by leaving stages out."""
     full = evaluation(scene, COUNT, 1)
     unhidden = evaluation(scene, COUNT, 1, occlusion=False)
     geometry = evaluation(scene, COUNT, 1, occlusion=False, caps=False)

@@ -1,4 +1,4 @@
-"""What a start and small jobs cost, against another checkout: `python benchmarks/start.py ../before`.
+"""Measure the cost of a start and of small jobs, against another checkout: `python benchmarks/start.py ../before`.
 
 Both checkouts are timed in turn by the same Python. Prints a Markdown table of processor seconds, those of all
 processes of a command together: first of a run with an empty cache, then of commands whose kernels are compiled and

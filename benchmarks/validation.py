@@ -1,4 +1,4 @@
-"""How exact the figures off the grid are: `python benchmarks/validation.py [evaluations]`.
+"""Measure the accuracy of the figures off the grid: `python benchmarks/validation.py [evaluations]`.
 
 Optimises the paper's room for the robust objective with so few evaluations (400), and draws samples of the qualified
 ratio of the result: from independent positions and from ones that are spread evenly, with more and fewer orientations,

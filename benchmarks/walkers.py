@@ -1,4 +1,4 @@
-"""What two processors are worth to one run: `python benchmarks/walkers.py [repetitions]`.
+"""Measure the speed-up of one run by a second processor: `python benchmarks/walkers.py [repetitions]`.
 
 Optimises the paper's room by `annealing`, whose walkers share the processors, on one thread and on two: for the paper's
 objective, the robust one, and localisation, beside one walker alone. Prints a Markdown table of wall times, the least

@@ -50,7 +50,7 @@ def draw_little(driver):
 
 
 def complaints(driver):
-    """What pages have written to the console as errors since this was asked last."""
+    """Errors that pages have written to the console since the last call."""
     return [entry["message"] for entry in driver.get_log("browser") if entry["level"] == "SEVERE"]
 
 

@@ -1,4 +1,4 @@
-"""How many examples property tests draw: few in `make test`, many in `make test-thorough`."""
+"""Number of examples that property tests draw: few in `make test`, many in `make test-thorough`."""
 
 import os
 

@@ -1,4 +1,4 @@
-"""Sweeps whose jobs fail in the way they are told to, and what is left of them."""
+"""Sweeps with jobs that fail in a configured way, and the runs that they leave."""
 
 import subprocess
 import time
@@ -71,12 +71,12 @@ def start_sweep(cwd, faults, *overrides, tracking=STORE):
 
 
 def runs(cwd):
-    """The parent run of the only sweep, and its children by what they were told to do."""
+    """The parent run of the only sweep, and its child runs by their configured fault."""
     return by_fault(found_in(cwd))
 
 
 def by_fault(found):
-    """Of the runs of one sweep its parent, and its children by what they were told to do."""
+    """The parent run of one sweep, and its child runs by their configured fault."""
     (parent,) = [run for run in found if PARENT not in run.data.tags]
     children = {}
     for run in found:

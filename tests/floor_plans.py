@@ -58,7 +58,7 @@ def random_boxes(rng, count, size):
 
 
 def hangs_properly(room, points, surfaces, edge=0.0):
-    """Whether squares around `points` lie in the free part of their surface, by shapely."""
+    """Return whether squares around `points` lie in the free part of their surface, by shapely."""
     good = []
     for point, number in zip(points, surfaces, strict=True):
         on = room.surfaces()[number]

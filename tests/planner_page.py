@@ -30,7 +30,7 @@ class Page:
         return self.browser.execute_script(f"return {text}", *arguments)
 
     def connects_to(self, address):
-        """Whether the page that is shown can open a websocket to a planner."""
+        """Return whether the open page can open a websocket to a planner."""
         return self.browser.execute_async_script(
             """const [address, protocol, done] = arguments, socket = new WebSocket(address, [protocol]);
             socket.onopen = () => done(true); socket.onclose = () => done(false);""",
@@ -48,7 +48,7 @@ class Page:
             time.sleep(0.3)
 
     def is_settled(self):
-        """Whether nothing is worked out any more."""
+        """Return whether no computation is running."""
         rows = self.rows("off-grid")
         return rows.keys() > {"off the grid"} and not rows.keys() & ESTIMATE.keys()
 
@@ -91,7 +91,7 @@ class Page:
         self.script(f"{options}.find(o => o.innerText == arguments[0]).click()", option)
 
     def pixel(self, point):
-        """Where a place in the room is shown."""
+        """Pixel at which a point of the room is shown."""
         left, top, width, height = self.script(
             "(r => [r.left, r.top, r.width, r.height])(document.querySelector('canvas').getBoundingClientRect())"
         )

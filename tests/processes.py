@@ -163,7 +163,7 @@ class Forked:
         return self._process.exitcode
 
     def communicate(self, timeout=None):
-        """What it has written that was not read yet, until its end."""
+        """Wait for the end of the process; return its output that was not read before."""
         texts = {1: None, 2: None}
 
         def read(number):

@@ -1,4 +1,4 @@
-"""What the property tests of rigs draw from, and the rigs that several of them need."""
+"""Strategies of the property tests of rigs, and the rigs that several tests need."""
 
 import math
 

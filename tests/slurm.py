@@ -95,5 +95,5 @@ def cluster(cpus, kill_wait):
 
 
 def ask(*command):
-    """What one of SLURM's commands prints."""
+    """Output of one of SLURM's commands."""
     return subprocess.run(command, capture_output=True, text=True, check=True).stdout

@@ -1,4 +1,4 @@
-"""What the property tests draw from: valid rooms, cameras, PDFs, visibility models and deployments."""
+"""Strategies of the property tests: valid rooms, cameras, PDFs, visibility models and deployments."""
 
 import math
 from dataclasses import replace
@@ -78,7 +78,7 @@ def distorted_cameras(draw, models=(*BENT, *FISHEYE)):
 
 
 def is_bent(camera):
-    """Whether it has a lens that distorts; one of coefficients that are all zero is none."""
+    """Return whether a camera has a lens that distorts, with at least one coefficient that is not zero."""
     return camera.lens is not None
 
 
@@ -99,7 +99,7 @@ def visibilities(draw):
 
 @st.composite
 def rooms(draw, spacings=(0.4, 0.7, 1.1), cells=3):
-    """Rooms with at most so many cells along an axis, which keeps a scene small."""
+    """Rooms with a limited number of cells along an axis, which keeps a scene small."""
     size = draw(st.tuples(*[st.floats(1.0, 6.0)] * 3))
     shares = draw(st.tuples(*[st.sampled_from([0.1, 0.3, 1.0])] * 3))
     return Cuboid(
@@ -120,7 +120,7 @@ def sampled_pdfs(draw):
 
 
 def pdfs_of(most):
-    """PDFs with so many divisions at most."""
+    """PDFs with a limited number of divisions."""
     divisions = st.integers(4, most)
     return st.one_of(
         st.builds(pdf.grid_with_ends, divisions),
@@ -166,7 +166,7 @@ def flush_deployments(draw, room, most=12):
 
 @st.composite
 def free_deployments(draw, room, most=12):
-    """Anywhere in the room with any normal; some coincide, some sit on a camera position."""
+    """Landmarks anywhere in the room with any normal; some coincide, some sit on a camera position."""
     count = draw(st.integers(1, most))
     rng = np.random.default_rng(draw(seeds))
     positions = rng.random((count, 3)) * room.size

@@ -1,4 +1,4 @@
-"""What each part that can be replaced promises, as functions to call on a part of one's own.
+"""Contracts of the replaceable parts, as functions that check an implementation.
 
 | part | contract |
 | --- | --- |

@@ -1,4 +1,4 @@
-"""What is left without tags, against evaluations of what is left."""
+"""Fitness without some tags, against evaluations of the remaining tags."""
 
 from dataclasses import replace
 from itertools import combinations_with_replacement

@@ -1,4 +1,4 @@
-"""What a wrong map does to the pose, against what follows from geometry."""
+"""Errors of the pose under a wrong map, against geometry."""
 
 from dataclasses import replace
 

@@ -1,4 +1,4 @@
-"""What each criterion takes, against what is covered when it is truly dropped."""
+"""Coverage lost to each criterion, against the coverage without that criterion."""
 
 import math
 from dataclasses import dataclass, replace

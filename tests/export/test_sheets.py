@@ -117,7 +117,7 @@ def test_the_number_and_the_arrow_are_inside_of_the_cut(tmp_path):
 
 
 def crosses(picture):
-    """Where the registration crosses of a sheet are, pixels: a black cross in a white one, found as such."""
+    """Positions of the registration crosses of a sheet, pixels: a black cross in a white one, found as such."""
     half, pixels = 4.0 / MM, round(4.5 / MM)
     ways = np.arange(-pixels, pixels + 1)
     across, along = np.meshgrid(np.abs(ways), np.abs(ways))

@@ -1,4 +1,4 @@
-"""Which images there are, also of those that show no tag."""
+"""The list of images includes those that show no tag."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""What a format has written is read again, to the last digits."""
+"""Files that a format writes are read again to the last digit."""
 
 from dataclasses import replace
 

@@ -70,13 +70,13 @@ def image(family):
 
 @cache
 def found_by_apriltag():
-    """What the library itself says: corners from the bottom left on, counter-clockwise."""
+    """Detections of the AprilTag library itself: corners from the bottom left on, counter-clockwise."""
     detections = pyapriltags.Detector(families="tag36h11", nthreads=1, quad_decimate=1.0).detect(image("36h11"))
     return {tag.tag_id: tag.corners for tag in detections}
 
 
 def found_by_opencv(family, name):
-    """What OpenCV itself says, which counts pixels from the centre of the first one."""
+    """Detections of OpenCV itself, which counts pixels from the centre of the first one."""
     dictionary = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, name))
     parameters = cv2.aruco.DetectorParameters()
     parameters.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_SUBPIX

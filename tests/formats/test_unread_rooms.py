@@ -1,4 +1,4 @@
-"""Files of other kinds: one sentence says what they are and how to come to one that is read."""
+"""Unsupported room files: one sentence names the kind of file and how to convert it."""
 
 import json
 

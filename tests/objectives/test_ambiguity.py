@@ -57,7 +57,7 @@ def by_ippe(image, edge):
 
 
 def share_wrong(pose, edge, images):
-    """How often the better pose is the mirrored one."""
+    """Fraction of draws in which the better pose is the mirrored one."""
     normal, line = pose[:3, :3].T @ NORMAL[0], pose[:3, :3].T @ pose[:3, 3] / -np.linalg.norm(pose[:3, 3])
     mirrored = 2.0 * (normal @ line) * line - normal
     turned = (by_ippe(image, edge)[0][1] @ NORMAL[0] for image in images)

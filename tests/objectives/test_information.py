@@ -58,7 +58,7 @@ def lens_covariance(camera, pose, points):
 
 
 def views(count, rng, deployment, least, scene=SCENE):
-    """Poses, information and corners of random views that cover at least so many landmarks."""
+    """Poses, information and corners of random views that cover at least a given number of landmarks."""
     asked = precision(scene.camera, scene.tag, NOISE, 0.02)
     all_corners = corners(deployment.positions, deployment.normals, upright(deployment.normals)[1], EDGE)
     found = []

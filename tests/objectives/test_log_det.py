@@ -1,4 +1,4 @@
-"""What greedy selection climbs, and its bound, against the determinants of 6 x 6 matrices."""
+"""The surrogate of greedy selection, and its bound, against the determinants of 6 x 6 matrices."""
 
 from dataclasses import replace
 from itertools import combinations

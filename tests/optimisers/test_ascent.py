@@ -24,7 +24,7 @@ def sampled(start=None, threads=1, fixed=None, sampling=SAMPLING):
 
 
 def smooth_fitness(p, evaluator, relevance, deployment):
-    """What the ascent climbs, from a full evaluation."""
+    """Smooth fitness that the ascent increases, from a full evaluation."""
     units = evaluator.units(deployment.positions[None], deployment.normals[None], p.objective.n)[0]
     share = units / PROBABILITY_ONE
     logistic = 1.0 / (1.0 + np.exp(-(share - p.objective.thold_p) / room.WIDTH))

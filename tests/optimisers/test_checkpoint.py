@@ -73,7 +73,7 @@ def changed(members, change):
 
 
 def is_harmless(directory, make, p):
-    """Whether a checkpoint is refused in a sentence, or gone on from within the budget."""
+    """Return whether a checkpoint is refused in a sentence, or resumed within the budget."""
     try:
         optimiser = resumed(directory, p, optimiser=make()).optimiser
     except InputError as error:

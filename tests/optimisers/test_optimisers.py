@@ -1,4 +1,4 @@
-"""What every optimiser promises, checked for every config in conf/optimiser."""
+"""The contract of every optimiser, checked for every config in conf/optimiser."""
 
 from functools import partial
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""What the wrapped libraries add to the contract in test_optimisers."""
+"""Behaviour of the wrapped libraries beyond the contract in test_optimisers."""
 
 import random
 import re

@@ -1,4 +1,4 @@
-"""What `lmd` writes for browsers, opened in one: no error on the console, no request beyond the file itself."""
+"""Pages that `lmd` writes, opened in a browser: no error on the console, no request beyond the file itself."""
 
 import io
 import time

@@ -1,4 +1,4 @@
-"""What a store missed is handed in later, and what strangers ask for is not."""
+"""Entries that a store missed are handed in later; journals of unknown origin are refused."""
 
 import json
 import sys

@@ -62,7 +62,7 @@ def work(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def told(work):
-    """What is printed for each case, and which of the packages it has loaded."""
+    """Output of each case, and the packages that it has loaded."""
     line, options = [sys.executable, "-c", CODE], {"capture_output": True, "text": True, "check": False}
     done = subprocess.run(line, cwd=work, env=environment(), input=json.dumps(CASES), **options)
     assert done.returncode == 0, done.stderr

@@ -1,4 +1,4 @@
-"""Runs that are told to stop: what they leave, and what they say."""
+"""Runs that a signal stops: their files and messages."""
 
 import os
 import re

@@ -149,7 +149,7 @@ def numbers(node, prefix=""):
 
 
 def wrong(pipeline, pickled, key, value, monkeypatch):
-    """What is wrong with how a pipeline takes a value, None for nothing."""
+    """Fault in the way a pipeline handles a value; None without a fault."""
     changed = pickle.loads(pickled)
     OmegaConf.update(changed, key, value)
     monkeypatch.setattr("pipelines.deployments.recompose", lambda *_: copied(changed))

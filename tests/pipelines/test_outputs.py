@@ -1,4 +1,4 @@
-"""Where a run may not write, it says so before Hydra tries."""
+"""A folder without write permission is reported before Hydra writes to it."""
 
 import pytest
 from omegaconf import OmegaConf

@@ -18,7 +18,7 @@ PROCESSES, POINTS = 4, 1600
 
 
 def program(name):
-    """Where one of PostgreSQL's programs is, if it is installed; Debian keeps them off the PATH."""
+    """Path of one of PostgreSQL's programs, if it is installed; Debian keeps them off the PATH."""
     packaged = sorted(Path("/usr/lib/postgresql").glob(f"*/bin/{name}"))
     return shutil.which(name) or (str(packaged[-1]) if packaged else None)
 

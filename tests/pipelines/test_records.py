@@ -1,4 +1,4 @@
-"""What a run keeps of what it found, whatever stops it then; in this process, as no other is the subject."""
+"""Results that a run keeps however it is stopped; tested in process."""
 
 import csv
 import errno

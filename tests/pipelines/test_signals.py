@@ -1,4 +1,4 @@
-"""What a signal does, depending on where the process is."""
+"""Effects of a signal at each stage of a process."""
 
 import os
 import signal

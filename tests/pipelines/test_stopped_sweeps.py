@@ -1,4 +1,4 @@
-"""Sweeps that are killed or told to stop, with their jobs or without: what goes on, and what stops."""
+"""Sweeps that are killed or stopped by a signal, with or without their jobs: the jobs that continue or stop."""
 
 import json
 import os

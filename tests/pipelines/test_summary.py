@@ -1,4 +1,4 @@
-"""What is said of the jobs of a sweep, group by group."""
+"""The summary of the jobs of a sweep, by group."""
 
 from pipelines.operations.sweeps.folder import Job, JobFolder, Sweep
 from pipelines.operations.sweeps.summary import best_and_median, description

@@ -1,4 +1,4 @@
-"""Whoever hands over a folder or a tracking store runs no code by it, and nothing is imported to find that out."""
+"""No code of a folder or a tracking store of others runs, and checking it imports nothing."""
 
 import sys
 from contextlib import suppress

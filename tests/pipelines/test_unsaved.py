@@ -1,4 +1,4 @@
-"""What the planner does with changes that were not saved, whatever ends it and wherever they can be written."""
+"""Unsaved changes of the planner are kept, for every way to end it and every folder that can be written."""
 
 import errno
 import os

@@ -1,4 +1,4 @@
-"""Invalid messages: the planner refuses them, goes on, and serves the next browser."""
+"""Invalid messages: the planner refuses them and still serves the next browser."""
 
 from urllib.parse import urlsplit
 

@@ -1,4 +1,4 @@
-"""Who hides whom, found block by block, against the reference."""
+"""Occluders of each landmark, found block by block, against the reference."""
 
 import numpy as np
 import pytest
@@ -19,7 +19,7 @@ from lmd.sight.models.paper import hidden_by_others
 
 
 def hidden_by_each(scene, landmarks, position):
-    """Which others hide each landmark, `(K, K)`, by the reference, one pair at a time."""
+    """Mask of the landmarks that occlude each landmark, `(K, K)`, by the reference, one pair at a time."""
     offset = landmarks - position
     pairs = [[j != k and hidden_by_others(offset[[k, j]], scene.visibility)[0] for j in range(len(offset))]
              for k in range(len(offset))]  # fmt: skip

@@ -1,4 +1,4 @@
-"""How far a model of sight sees, and that leaving out what is farther changes no count."""
+"""Range of a visibility model: leaving out landmarks beyond it changes no count."""
 
 import math
 

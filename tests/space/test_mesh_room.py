@@ -41,7 +41,7 @@ def surfaces(room):
 
 
 def side_of(surface):
-    """Where the plane of a surface is, and its normal and area."""
+    """Position of the plane of a surface, its normal and its area."""
     return (*np.round([surface.normal @ surface.origin, *surface.normal, surface.area], 5).tolist(),)
 
 

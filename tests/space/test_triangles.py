@@ -32,7 +32,7 @@ def lines(rng, count):
 
 
 def by_trimesh(mesh, starts, ends):
-    """Whether a triangle is hit strictly between the ends, by trimesh and the R-tree."""
+    """Return whether a segment hits a triangle strictly between its ends, by trimesh and the R-tree."""
     hits, ray, _ = mesh.ray.intersects_location(starts, ends - starts)
     before = np.linalg.norm(hits - starts[ray], axis=1) < np.linalg.norm(ends - starts, axis=1)[ray]
     return np.bincount(ray[before], minlength=len(starts)) > 0
