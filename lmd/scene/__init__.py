@@ -1,4 +1,4 @@
-"""What a problem is about: cameras and rigs, how they move and look, tags and where they hang, what counts as seen."""
+"""Parts of a problem: camera or rig, positions and orientations, tags and their deployment, and visibility criteria."""
 
 from lmd.geometry.camera import Camera
 from lmd.scene.deployment import Deployment

@@ -1,19 +1,20 @@
 """An orientation PDF that depends on the position: a kernel estimate from recorded poses.
 
-A camera that drives along aisles does not look everywhere alike. With records t at the positions x_t, orientations R_t
-and lasting tau_t seconds, the probability of the orientation R_a at the position p is
+The orientations of a camera that drives along aisles depend on its position. Record t has the position x_t, the
+orientation R_t and the duration tau_t, seconds. The probability of the orientation R_a at the position p is
 
     w_a(p) = sum_t tau_t G(p - x_t) K_t(a) / sum_t tau_t G(p - x_t),
     G(d)   = exp(-|d|^2 / (2 h^2)),
     K_t(a) = A_a exp(kappa (cos theta_ta - 1)) / sum_b A_b exp(kappa (cos theta_tb - 1)),   kappa = 1 / g^2.
 
-h is the bandwidth in position, g that in direction, theta_ta the angle of the rotation from R_t to R_a. K_t is the von
-Mises-Fisher kernel of rotations: for turns about one axis it is that of directions, and close to a normal distribution
-with the standard deviation g. The R_a are the orientations of a grid of yaw, pitch and the rolls that occur, and A_a is
-the solid angle of their cells. So each record spreads over orientations a probability of exactly one; where g is much
-smaller than the step of the grid, all of it goes to the nearest.
+h is the bandwidth in position, g the bandwidth in direction, and theta_ta the angle of the rotation from R_t to R_a.
+K_t is a von Mises-Fisher kernel of rotations. For turns about one axis it equals the kernel of directions and is close
+to a normal distribution with the standard deviation g. The R_a form a grid of yaw, pitch and the recorded rolls; A_a is
+the solid angle of a grid cell. Each K_t sums to 1 over the orientations. If g is much smaller than the grid step, K_t
+is 1 at the nearest orientation.
 
-Both kernels end where they are `CUT` of their greatest value. A position with no record so near has the PDF of all.
+Both kernels are cut off below `CUT` of their maximum. A position beyond the kernels of all records has the mean PDF of
+the recording.
 """
 
 import math
@@ -30,26 +31,26 @@ from lmd.scene.pdf import OrientationPdf
 
 CUT_AT = 5.0  # bandwidths
 CUT = math.exp(-(CUT_AT**2) / 2.0)
-# Orientations with a smaller probability in all of the recording are left out: each costs time.
+# Least probability of an orientation over the whole recording. Rarer orientations are dropped to save time.
 NEGLIGIBLE = 1e-6
-CHUNK = 1 << 20  # records times orientations, or positions times records, that are looked at together
-ENTRY_BYTES = 20  # of a record and an orientation within its kernel: twice a probability and an index
+CHUNK = 1 << 20  # maximum number of record-orientation or position-record pairs per batch
+ENTRY_BYTES = 20  # memory of a nonzero K_t(a): two copies of a probability and an index
 
 
 def pdf_by_position(
     poses: FloatArray, seconds: FloatArray, bandwidth: float, direction_bandwidth: float, divisions: int
 ) -> OrientationPdf:
-    """The estimate of this module.
+    """Estimate the PDF w_a(p) of this module.
 
     Args:
         poses: X of T records, camera to world, `(T, 4, 4)`.
-        seconds: that each of them lasted, `(T,)`.
+        seconds: duration tau_t of each record, `(T,)`.
         bandwidth: h, metres.
         direction_bandwidth: g, radians.
         divisions: the step of the grid of orientations is pi / divisions.
 
     Returns:
-        its weights are those of all positions together, and `by_position` the estimate.
+        PDF with `by_position`; its `weight` is the mean over the recording.
 
     Raises:
         InputError: the records and orientations would not fit into memory.
@@ -67,7 +68,7 @@ def pdf_by_position(
 
 
 def _grid(poses: FloatArray, divisions: int) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """The grid of orientations, level ones among them: yaw, pitch, roll and solid angle, `(A,)` each."""
+    """Grid of yaw, pitch (poles included) and recorded rolls, and relative solid angle of the cells, `(A,)` each."""
     step = np.pi / divisions
     *_, rolled = angles_of(np.swapaxes(poses[:, :3, :3], 1, 2))
     rolls = np.unique(np.rint(rolled / step) % (2 * divisions)) * step
@@ -78,7 +79,14 @@ def _grid(poses: FloatArray, divisions: int) -> tuple[FloatArray, FloatArray, Fl
 
 
 def _spread(poses: FloatArray, orientations: FloatArray, solid_angle: FloatArray, width: float) -> csr_array:
-    """K_t(a) `(T, A)`; orientations `(A, 3, 3)` world to camera."""
+    """Kernels K_t(a), `(T, A)`.
+
+    Args:
+        poses: X, camera to world, `(T, 4, 4)`.
+        orientations: rotations from the world to the camera, `(A, 3, 3)`.
+        solid_angle: A_a, `(A,)`.
+        width: g, radians.
+    """
     nodes = Rotation.from_matrix(np.swapaxes(orientations, 1, 2)).as_quat()
     recorded = Rotation.from_matrix(poses[:, :3, :3]).as_quat()
     rows = max(CHUNK // len(nodes), 1)
@@ -96,13 +104,13 @@ def _spread(poses: FloatArray, orientations: FloatArray, solid_angle: FloatArray
 
 
 class _Kernels:
-    """w_a(p) at any position.
+    """Kernel estimate w_a(p).
 
     Args:
         positions: x_t, `(T, 3)`, metres.
         seconds: tau_t, `(T,)`.
         spread: K_t(a), `(T, A)`.
-        everywhere: the probabilities of all positions together, `(A,)`.
+        everywhere: mean PDF of the recording, for positions beyond all kernels, `(A,)`.
         bandwidth: h, metres.
     """
 
@@ -113,7 +121,7 @@ class _Kernels:
         self._everywhere, self._bandwidth = everywhere, bandwidth
 
     def probabilities(self, positions: FloatArray) -> FloatArray:
-        """w `(Q, A)` at positions `(Q, 3)`."""
+        """Probabilities w_a(p) at positions p `(Q, 3)`, `(Q, A)`."""
         rows = max(CHUNK // self._records.n, 1)
         parts = [self._near(positions[start : start + rows]) for start in range(0, len(positions), rows)]
         found = np.concatenate(parts)
@@ -121,12 +129,12 @@ class _Kernels:
         return np.where(total > 0.0, found / np.where(total > 0.0, total, 1.0), self._everywhere)
 
     def _near(self, positions: FloatArray) -> FloatArray:
-        """The sums over records above the line, `(Q, A)`."""
+        """Numerators of w_a(p), sum_t tau_t G(p - x_t) K_t(a), at positions p `(Q, 3)`, `(Q, A)`."""
         pairs = cKDTree(positions).sparse_distance_matrix(
             self._records, CUT_AT * self._bandwidth, output_type="ndarray"
         )
         weight = self._seconds[pairs["j"]] * np.exp(-((pairs["v"] / self._bandwidth) ** 2) / 2.0)
         shape = len(positions), self._records.n
         near = csr_array((weight, (pairs["i"], pairs["j"])), shape=shape)
-        near.sort_indices()  # sums in the order of time
+        near.sort_indices()  # fixes the order of summation: by time
         return np.asarray((near @ self._spread).toarray())

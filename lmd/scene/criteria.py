@@ -1,19 +1,23 @@
-"""Interface of models of sight: whether a camera covers a landmark, in two stages, and which landmarks hide others.
+"""Interface of visibility models: tests of whether a camera covers a landmark, and whether landmarks hide others.
 
-Most of what decides depends on the camera's position alone, little on its orientation. So each criterion is told twice:
-once for all orientations from a position (`from_position`), once for one orientation (`in_image`): the optical axis and
-the image's right, which a model that asks for a round cone ignores. Whether another landmark is in the way is a third
-question (`hide`). These functions are scalar, without a branch where it can be helped, and every kernel calls these and
-no others.
+Most criteria depend mainly on the camera's position, so a model is evaluated in stages:
 
-A model has two sides:
+- `from_position` bounds the result for all orientations at a position;
+- `in_image` tests one orientation, given by the optical axis and the image's right; a model with a conical field of
+  view ignores the right;
+- `hide` tests if one landmark occludes another.
 
-- the thresholds that a user sets, a `Criteria`; its `covered` is the reference, NumPy, formula by formula;
-- the same compiled for one camera, a named tuple of numbers with the fields and methods of `Sight`, which registers its
-  functions with those below. Both must decide alike, bit for bit. A `Covering` has no such half.
+These functions are scalar, with as few branches as possible. Kernels call only the functions of this module.
 
-Pruning uses conservative bounds: bands of axes use a cone that holds every axis that covers a landmark (`low`), tables
-of directions use the field of view alone (`in_view`).
+A model has two halves:
+
+- a `Criteria` with the thresholds that a user sets; its `covered` is the NumPy reference;
+- a `Sight`, a named tuple of numbers compiled for one camera, whose type is registered with the functions below.
+
+Both halves must give equal results, bit for bit. A `Covering` has only the first half.
+
+Pruning uses conservative bounds: bands of axes use a cone that contains every axis that covers a landmark (`low`),
+tables of directions use only the field of view (`in_view`).
 """
 
 import math
@@ -28,51 +32,56 @@ from lmd.core.compiled import inlined
 from lmd.core.dispatch import dispatched, overridable
 from lmd.geometry.camera import Camera
 
-# One tolerance for every closed inequality, so that a landmark exactly on a boundary is on it whichever way the
-# number was rounded. Relative for lengths, absolute for cosines and probabilities.
+# Tolerance of every closed inequality: a landmark on a boundary meets the criterion despite rounding. Relative for
+# lengths, absolute for cosines and probabilities.
 TOLERANCE = 1e-9
 
 
 class Sight(Protocol):
-    """The fields and methods of a compiled model of sight, a named tuple."""
+    """Interface of a visibility model compiled for one camera, a named tuple."""
 
     @property
     def outer_cosine(self) -> float:
-        """No axis farther than the angle with this cosine from a landmark's direction covers it."""
+        """Cosine of the largest angle between the optical axis and the direction of a covered landmark."""
 
     @property
     def inset(self) -> float:
-        """Every axis with the landmark's direction `in_view` by this angle, rad, does if its depth is `sure`."""
+        """Angle of a landmark from the border of the field of view that suffices for coverage, rad.
+
+        An orientation with the landmark's direction `in_view` by this angle, and its depth between `low` and `sure` of
+        `from_position`, covers the landmark. Such a landmark is well in view.
+        """
 
     @property
     def reach(self) -> float:
-        """Squared distance from a line of sight beyond which a landmark hides nothing, m^2; negative: none does."""
+        """Squared distance from a line of sight beyond which a landmark cannot block it, m^2; negative for none."""
 
     @property
     def horizon(self) -> float:
-        """See `horizon_of`; a model that does not say sees infinitely far."""
+        """Distance as in `horizon_of`, metres; an optional field, by default infinite."""
 
     @property
     def tabulated(self) -> bool:
-        """True if `in_image` is slower than looking up directions (`lmd.sight.directions`)."""
+        """True if a look-up in a table of directions (`lmd.sight.directions`) is faster than `in_image`."""
 
     def unhidden(self) -> "Sight":
-        """The model in which no landmark hides another."""
+        """Model without occlusion by landmarks."""
 
     def among(self, low: FloatArray, high: FloatArray, landmarks: FloatArray, normals: FloatArray) -> "Sight":
-        """The model for these landmarks: `unhidden` if a quick test shows that none hides another.
+        """Model for given landmarks: `unhidden` if a conservative test excludes occlusion, otherwise the model itself.
 
         Args:
             low, high: corners of a box around all positions of the camera, `(3,)`, metres.
-            landmarks, normals: of B deployments, `(B, 3, K)`.
+            landmarks: positions of the landmarks of B deployments, metres, `(B, 3, K)`.
+            normals: unit normals, `(B, 3, K)`.
         """
 
     def shrunk(self, size: float) -> "Sight":
-        """The model in which the body of a landmark, which hides others, is `size` times as large."""
+        """Model in which the occluding body of each landmark is scaled by `size`."""
 
 
 class Criteria(Protocol):
-    """When a landmark counts as covered: what `visibility` of a scene must be."""
+    """Interface of visibility criteria, the type of `Scene.visibility`."""
 
     @property
     def needs_roll(self) -> bool:
@@ -80,34 +89,36 @@ class Criteria(Protocol):
 
     @property
     def spacing(self) -> float:
-        """Distance between neighbouring landmarks at which none hides the other, metres."""
+        """Least distance between neighbouring landmarks that excludes occlusion of one by the other, metres."""
 
     def sight(self, camera: Camera) -> Any:
-        """These criteria compiled for a camera, a `Sight`; None where there is only the reference."""
+        """Compile the criteria for a camera to a `Sight`; None if there is only the reference."""
 
     def covered(
         self, camera: Camera, position: FloatArray, axes: FloatArray, landmarks: FloatArray, normals: FloatArray
     ) -> BoolArray:
-        """Mask of the landmarks that the camera covers, `(A, K)`: the reference.
+        """Reference mask of the landmarks that the camera covers with each of A orientations, `(A, K)`.
 
         Args:
-            position: p, `(3,)`, world frame, metres.
-            axes: its optical axes and the image's right, `(A, 6)`: two unit vectors.
-            landmarks, normals: `(K, 3)` positions, metres, and unit normals.
+            camera: intrinsics.
+            position: position p of the camera, world frame, metres, `(3,)`.
+            axes: optical axis and image's right of each orientation, two unit vectors, world frame, `(A, 6)`.
+            landmarks: positions, world frame, metres, `(K, 3)`.
+            normals: unit normals, `(K, 3)`.
         """
 
 
 class Covering(ABC):
-    """Criteria in NumPy alone: a class that derives from this writes `covered`, see `Criteria`.
+    """Base of criteria without a compiled half; a subclass implements `covered`, see `Criteria`.
 
-    All figures come from `covered` then (`lmd.sight.reference`), which takes longer than the compiled half.
+    All results are computed from `covered` (`lmd.sight.reference`), which is slower than a compiled model.
     """
 
     needs_roll = True
     spacing = 0.0
 
     def sight(self, camera: Camera) -> Any:
-        """None: there is no compiled half."""
+        """Return None, as there is no compiled half."""
         return None
 
     @abstractmethod
@@ -118,19 +129,20 @@ class Covering(ABC):
 
 
 def horizon_of(sight: Sight) -> float:
-    """The distance beyond which landmarks cannot matter, metres; infinite if there is none.
+    """Distance beyond which landmarks have no effect, metres; infinite if there is no such distance.
 
-    A landmark farther than this from the camera is not covered and hides none that is; nor does one that is farther
-    than this from the one it would hide.
+    A landmark farther than this from the camera is not covered and hides no covered landmark. Two landmarks farther
+    than this from each other do not hide each other.
     """
     return float(getattr(sight, "horizon", math.inf))
 
 
 @overridable
 def sized(sight, k):  # type: ignore[no-untyped-def]
-    """The sight of landmark k of a deployment: that of a model whose numbers are columns where sizes differ.
+    """Compiled model of landmark k.
 
-    All functions below but `in_view` and `pixel_density` take the sight of one landmark.
+    A model for landmarks of several sizes stores arrays with one value per landmark; `sized` selects the values of k.
+    All functions below except `in_view` and `pixel_density` require a model of one landmark.
     """
     return sight
 
@@ -141,57 +153,65 @@ def from_position(sight, x, y, z, nx, ny, nz, slack):  # type: ignore[no-untyped
 
     Args:
         x, y, z: offset of the landmark from the camera, world frame, metres.
-        nx, ny, nz: its unit normal.
-        slack: metres; the answer shall hold for every landmark that far away in the same plane (see `poses`).
+        nx, ny, nz: unit normal of the landmark.
+        slack: metres; `reached` and `low` hold for all landmarks up to this distance away in the landmark's plane (see
+            `lmd.sight.poses`).
 
     Returns:
-        reached: False only if no orientation covers it.
-        low, high: the least and the greatest depth along the optical axis, metres, with which an orientation may.
-        sure: between `low` and this depth every orientation that has it well in view (`Sight.inset`) covers it;
-            infinite if every such orientation does. There is no slack in `high` and `sure`.
+        reached: False only if no orientation covers the landmark.
+        low, high: bounds on the depth along the optical axis at which an orientation covers the landmark, metres;
+            `high` ignores the slack.
+        sure: depth, metres: an orientation with the landmark well in view (`Sight.inset`) and at a depth between `low`
+            and `sure` covers it; infinite if no depth is too large. `sure` ignores the slack.
     """
 
 
 @overridable
 def from_around(sight, x, y, z, nx, ny, nz, radius):  # type: ignore[no-untyped-def]
-    """Bounds on `from_position` over all cameras less than `radius` metres from a point.
+    """Bounds on `from_position` over all camera positions within `radius` of a point.
 
     Args:
         x, y, z: offset of the landmark from the point, world frame, metres.
-        nx, ny, nz: its normal.
-        radius: metres, more than 0.
+        nx, ny, nz: unit normal of the landmark.
+        radius: metres, positive.
 
     Returns:
-        reached: False only if none of the cameras covers it with any orientation; most: the greatest depth along the
-        optical axis, metres, with which one may; start, sure: from which depth on and up to which any camera does that
-        has it well in view (`Sight.inset`); `sure` is -inf if none surely does, inf if no depth is too great, `start`
-        -inf if none is too small.
+        reached: False only if no orientation at any of the positions covers the landmark.
+        most: upper bound on the depth along the optical axis of a covered landmark, metres.
+        start, sure: depths, metres: an orientation with the landmark well in view (`Sight.inset`) and at a depth
+            between them covers it. `start` is -inf if no depth is too small; `sure` is inf if no depth is too large,
+            -inf if coverage is never certain.
     """
     return True, math.inf, 0.0, -math.inf
 
 
 @dispatched
 def in_image(sight, x, y, z, nx, ny, nz, low, slack, ax, ay, az, rx, ry, rz):  # type: ignore[no-untyped-def]
-    """True if the optical axis (ax, ay, az) covers a landmark that is `reached`, without occlusion.
+    """True if an orientation covers a landmark that is `reached`; occlusion is ignored.
 
-    (rx, ry, rz) points to the right of the image, axis x right down.
-    The other arguments are those and the answers of `from_position`; an infinite `low` is never covered.
+    Args:
+        x, y, z, nx, ny, nz, slack: as in `from_position`.
+        low: result of `from_position`; the function is False if it is infinite.
+        ax, ay, az: optical axis, unit vector.
+        rx, ry, rz: image's right, unit vector; axis x right points down in the image.
     """
 
 
 @dispatched
 def in_view(sight, x, y, z, sine, cosine, ax, ay, az, rx, ry, rz):  # type: ignore[no-untyped-def]
-    """True if every direction within an angle of the unit vector (x, y, z) is in view with an orientation.
+    """True if the field of view contains the cone of half-angle delta around a unit vector (x, y, z).
 
-    `sine` and `cosine` are those of the angle, less than a right one. With a negative sine: whether any direction may
-    be that is so near. The directions in view are those of all landmarks that the model may cover.
+    `sine` and `cosine` are those of delta, |delta| < pi / 2. If delta is negative, the function is True if the field of
+    view may contain any part of the cone of half-angle -delta. The field of view contains the directions of all
+    landmarks that the model may cover. Orientation as in `in_image`.
     """
 
 
 @inlined
 def in_cone(least, x, y, z, sine, cosine, ax, ay, az):  # type: ignore[no-untyped-def]
-    """`in_view` where that is a cone around the axis, `least` the cosine of its half-angle theta."""
-    # Made narrower by the angle delta: cos(theta - delta), unless nothing or all is left.
+    """`in_view` for a field of view that is a cone around the optical axis; `least` is the cosine of its half-angle."""
+    # With the half-angle theta, the cone narrowed by delta has the cosine cos(theta - delta), unless it is empty or the
+    # whole sphere.
     edge = least * cosine + math.sqrt(max(0.0, 1.0 - least * least)) * sine
     nothing, everything = (sine > 0.0) & (least > cosine), (sine < 0.0) & (least < -cosine)
     return ((ax * x + ay * y + az * z >= edge) | everything) & (not nothing)
@@ -199,45 +219,45 @@ def in_cone(least, x, y, z, sine, cosine, ax, ay, az):  # type: ignore[no-untype
 
 @dispatched
 def hide(sight, ax, ay, az, a, bx, by, bz, b, ux, uy, uz, vx, vy, vz):  # type: ignore[no-untyped-def]
-    """Tell if landmark A hides B, and if B hides A, from the camera's position.
+    """Test if landmark A hides B, and if B hides A, from the camera's position; two booleans.
 
     Args:
-        ax, ay, az, bx, by, bz: offsets of the two from the camera, metres.
-        a, b: their squared lengths.
+        ax, ay, az, bx, by, bz: offsets of A and B from the camera, metres.
+        a, b: squared lengths of the offsets, m^2.
         ux, uy, uz, vx, vy, vz: unit normals of A and of B.
     """
 
 
 @overridable
 def hide_between(sight, other, ax, ay, az, a, bx, by, bz, b, ux, uy, uz, vx, vy, vz):  # type: ignore[no-untyped-def]
-    """`hide`, given the compiled model for A and the `other` for B: see `sized`.
+    """`hide` for landmarks with two compiled models (see `sized`): `sight` for A, `other` for B.
 
-    A model that knows landmarks of several sizes registers this instead of `hide`.
+    A model with landmarks of several sizes registers this function instead of `hide`.
     """
     return hide(sight, ax, ay, az, a, bx, by, bz, b, ux, uy, uz, vx, vy, vz)
 
 
 @inlined
 def covers(sight, x, y, z, nx, ny, nz, low, slack, axes, a):  # type: ignore[no-untyped-def]
-    """`in_image` with orientation a of `axes` `(6, D)`: axis and right."""
+    """`in_image` for orientation a of `axes` `(6, D)`, whose rows are the optical axis and the image's right."""
     ax, ay, az, rx, ry, rz = axes[0, a], axes[1, a], axes[2, a], axes[3, a], axes[4, a], axes[5, a]
     return in_image(sight, x, y, z, nx, ny, nz, low, slack, ax, ay, az, rx, ry, rz)
 
 
 @overridable
 def frame_of(sight, nx, ny, nz):  # type: ignore[no-untyped-def]
-    """Argument of `covers_one` for a landmark with a normal; it serves all positions and orientations."""
+    """Precomputed argument `frame` of `covers_one` for a landmark with the unit normal (nx, ny, nz)."""
     return nx, ny, nz
 
 
 @overridable
 def covers_one(sight, x, y, z, frame, low, high, sure, well, axes, a):  # type: ignore[no-untyped-def]
-    """`covers` without slack, for single orientations: where much is to be tested, a model may do it in stages.
+    """`covers` without slack; a model with an expensive test may register a version with early exits.
 
     Args:
         x, y, z, low, high, sure: as in `from_position`.
-        frame: of `frame_of`.
-        well: whether orientation a has it well in view, see `sure`.
+        frame: result of `frame_of`.
+        well: True if orientation a has the landmark well in view, see `Sight.inset`.
         axes, a: as in `covers`.
     """
     nx, ny, nz = frame
@@ -246,9 +266,9 @@ def covers_one(sight, x, y, z, frame, low, high, sure, well, axes, a):  # type: 
 
 @overridable
 def pixel_density(sight, x, y, z, axes, a):  # type: ignore[no-untyped-def]
-    """Image of a small solid angle around a landmark that orientation a covers, focal lengths squared, over distance^3.
+    """Image area per solid angle around a landmark that orientation a covers, over distance^3.
 
-    For a pinhole 1 / depth^3.
+    In squared focal lengths per steradian and m^3; 1 / depth^3 for a pinhole.
     """
     depth = axes[0, a] * x + axes[1, a] * y + axes[2, a] * z
     return 1.0 / (depth * depth * depth)
@@ -256,9 +276,10 @@ def pixel_density(sight, x, y, z, axes, a):  # type: ignore[no-untyped-def]
 
 @overridable
 def covering(sight, left, w, x, y, z, frame, low, high, sure, well, axes):  # type: ignore[no-untyped-def]
-    """The axes of word w that are in the set `left` and cover the landmark; arguments as in `covers_one`, `well` a set.
+    """Subset of the axes in `left` that cover the landmark; bit sets of word w.
 
-    To test half a word at once is faster than to pick axes out, where a test is short.
+    Arguments as in `covers_one`, except that `well` is a bit set. All axes of half a word are tested: for a cheap test
+    this is faster than iterating over the set bits.
     """
     nx, ny, nz = frame
     cap = ZERO
@@ -273,7 +294,7 @@ def covering(sight, left, w, x, y, z, frame, low, high, sure, well, axes):  # ty
 
 
 def depth_first(sight, left, w, x, y, z, frame, low, high, sure, well, axes):  # type: ignore[no-untyped-def]
-    """`covering` for models with long tests: depths of all axes come first, since they decide most."""
+    """`covering` for models with an expensive test: depths are compared first, as they decide most cases."""
     within, shallow = ZERO, ZERO
     for first in range(np.uint64(0), np.uint64(BITS), np.uint64(LANES)):
         if left >> first << np.uint64(BITS - LANES):

@@ -1,4 +1,4 @@
-"""Deployments: where the landmarks are."""
+"""Deployments: positions and normals of landmarks."""
 
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -16,12 +16,12 @@ from lmd.scene.tag import Tag
 from lmd.space.space import Space
 from lmd.space.surface import FILE_TOLERANCE, PLACEMENT_TOLERANCE, SurfaceArrays
 
-HUNG = ("positions", "normals", "surfaces")  # the arrays that say where and how landmarks hang
+HUNG = ("positions", "normals", "surfaces")  # fields with the poses of the landmarks
 COLUMNS = ("x", "y", "z", "nx", "ny", "nz")
 UP_COLUMNS = ("ux", "uy", "uz")
-# A normal printed with a few decimals is still a unit normal.
+# Largest error of the length of a normal, which may be printed with few decimals.
 NORMAL_TOLERANCE = 1e-3
-# A normal this close to that of its surface is flush with it.
+# Largest difference between the normals of a landmark and of its surface for which the landmark is flush.
 FLUSH = 1e-6
 
 
@@ -32,13 +32,14 @@ class Deployment:
     Args:
         positions: `(K, 3)`, world frame, metres.
         normals: `(K, 3)` unit normals of the front faces, world frame.
-        surfaces: `(K,)`, index of the surface of its room that each hangs on, -1 where none is known, the default: see
+        surfaces: index of the room's surface that carries each landmark, `(K,)`; -1 (the default) if unknown, see
             `hung`.
-        labels: what the landmarks are called; None where they are numbered from 0.
-        surveyed: places and ups to the last digit, where landmarks were measured behind their surface, or turned in
-            their plane; None where `positions` are the places and all hang upright.
-        edges: of the black squares, `(K,)`, metres; NaN, the default, for that of the scene's tag, see `edges_of`.
-        note: how a file was read that may mean something else, a sentence; empty where there is no doubt.
+        labels: ids and further columns of the landmarks; None for ids from 0.
+        surveyed: exact measured positions and ups of landmarks measured behind their surface or rotated in their plane;
+            None if `positions` are the measured positions and all landmarks hang upright.
+        edges: edges of the black squares, metres, `(K,)`; NaN (the default) for the edge of the scene's tag, see
+            `edges_of`.
+        note: remark on an ambiguous file, a sentence; empty without ambiguity.
 
     Raises:
         InputError: wrong shapes, no landmark, a value that is not finite, a normal that is not unit, or an edge that is
@@ -55,7 +56,7 @@ class Deployment:
 
     def __post_init__(self) -> None:
         for name in ("positions", "normals"):
-            array = np.array(getattr(self, name), dtype=np.float64, order="C")  # kernels are compiled for that
+            array = np.array(getattr(self, name), dtype=np.float64, order="C")  # as kernels are compiled for C order
             if array.ndim != 2 or array.shape[1] != 3 or not len(array):
                 raise InputError(f"deployment {name} must have the shape (K, 3) with K >= 1, got {array.shape}.")
             if not np.isfinite(array).all():
@@ -82,7 +83,7 @@ class Deployment:
         return len(self.positions)
 
     def __getitem__(self, chosen: slice | IntArray | BoolArray) -> "Deployment":
-        """The landmarks that `chosen` selects."""
+        """Deployment of the landmarks selected by `chosen`."""
         labels = None if self.labels is None else self.labels[chosen]
         surveyed = None if self.surveyed is None else self.surveyed[chosen]
         parts = self.positions[chosen], self.normals[chosen], self.surfaces[chosen]
@@ -90,18 +91,18 @@ class Deployment:
 
     @property
     def ids(self) -> IntArray:
-        """The number of each landmark, `(K,)`, all different."""
+        """Unique id of each landmark, `(K,)`."""
         return np.arange(len(self)) if self.labels is None else self.labels.ids
 
     def put(self, chosen: slice | IntArray, there: "Deployment") -> "Deployment":
-        """The deployment with the landmarks that `chosen` selects moved to those of `there`."""
+        """Deployment with the landmarks `chosen` moved to the poses of the landmarks of `there`."""
         parts = {name: getattr(self, name).copy() for name in HUNG}
         for name, values in parts.items():
             values[chosen] = getattr(there, name)
         return replace(self, **parts)
 
     def __add__(self, other: "Deployment") -> "Deployment":
-        """The landmarks of both, numbered from 0."""
+        """Deployment of the landmarks of both, with ids from 0."""
         columns = ((getattr(self, name), getattr(other, name)) for name in (*HUNG, "edges"))
         positions, normals, surfaces, edges = (np.concatenate(column) for column in columns)
         both = Deployment(positions, normals, surfaces, edges=edges)
@@ -111,14 +112,15 @@ class Deployment:
         return replace(both, surveyed=Surveyed(both.positions, places, ups))
 
     def hung(self, room: Space, anywhere: bool = False, papers: float | FloatArray = 0.0) -> "Deployment":
-        """The deployment with the surfaces of `room` that the landmarks hang on.
+        """Deployment with `surfaces` set to the surfaces of `room` that carry the landmarks.
 
-        What belongs to a surface (`Space.surface_near`) and was measured behind it, if only with a corner because it
-        leans, counts as if it just touched it: nothing is seen through a wall. Its `places` stay what they were.
+        A tag that belongs to a surface (`Space.surface_near`) but has a corner behind it is moved along the surface's
+        normal until it touches the surface, as a wall would hide it. Its `places` remain the measured ones.
 
         Args:
-            anywhere: whether landmarks may lie outside the room.
-            papers: edges of their papers, upright, metres, one for all or `(K,)`; 0 for points.
+            room: room of the landmarks.
+            anywhere: True if landmarks may lie outside the room.
+            papers: edges of the footprints, metres, one for all or `(K,)`; 0 for points.
 
         Raises:
             InputError: a landmark lies outside the room and belongs to no surface of it.
@@ -145,12 +147,14 @@ class Deployment:
         return replace(hung, surfaces=room.surfaces_of(hung.positions, hung.normals))
 
     def fault(self, room: Space, near: bool = False) -> str | None:
-        """Clause about the first landmark that hangs on no surface, faces into its own, or hangs where none may.
+        """Clause for a message about the first misplaced landmark; None if all are well placed.
 
-        None if there is none. Landmarks know their surfaces (`hung`), which are those of `room`.
+        A landmark is misplaced if it is on no surface, faces into its surface, or is outside the allowed region.
+        `surfaces` must refer to `room`, see `hung`.
 
         Args:
-            near: whether landmarks may stand a little before a surface, see `Space.surface_near`.
+            room: room of the landmarks.
+            near: True if a small distance from a surface is accepted, see `Space.surface_near`.
         """
         surfaces, some = room.surfaces(), f"of {len(self)} landmarks do"
         distance = self._distance(room)
@@ -180,13 +184,13 @@ class Deployment:
         return None
 
     def belonging(self, room: Space) -> IntArray:
-        """The surface of `room` that each hangs on, or else belongs to (`Space.surface_near`), -1 for none, `(K,)`."""
+        """Index of the surface that carries each landmark, else of `Space.surface_near`, -1 for none, `(K,)`."""
         if (self.surfaces >= 0).all():
             return self.surfaces
         return np.where(self.surfaces < 0, room.surface_near(self.positions, self.normals), self.surfaces)
 
     def before(self, room: Space) -> "Deployment":
-        """The deployment in which landmarks that belong to no surface of `room` have the nearest one."""
+        """Deployment with a surface for every landmark: the one it belongs to (`belonging`), else the nearest one."""
         own = self.belonging(room)
         if own is self.surfaces:
             return self
@@ -195,17 +199,19 @@ class Deployment:
         return replace(self, surfaces=own)
 
     def _distance(self, room: Space) -> FloatArray:
-        """From each surface of `room` to each landmark, `(W, K)`, metres."""
+        """Distances between the surfaces of `room` and the landmarks, metres, `(W, K)`."""
         return np.array([surface.distance(self.positions) for surface in room.surfaces()])
 
     def movable(self, room: Space, flush: bool = True) -> "Deployment":
-        """`hung`, for an optimiser that moves landmarks along surfaces.
+        """`hung` with the checks for an optimiser that moves landmarks along surfaces.
 
         Args:
-            flush: whether landmarks must lie flat.
+            room: room of the landmarks.
+            flush: True if landmarks must be parallel to their surfaces.
 
         Raises:
-            InputError: a landmark hangs on no surface or where none may, faces into its surface or is not flush.
+            InputError: a landmark is on no surface, outside the allowed region, faces into its surface, or is not
+                flush.
         """
         hung = self.hung(room)
         if fault := hung.fault(room):
@@ -231,27 +237,27 @@ class Deployment:
 
     @property
     def ups(self) -> FloatArray:
-        """Unit vectors to the upper edges of tags there, `(K, 3)`, world frame: upright unless they were `surveyed`."""
+        """Unit vectors to the upper edges of the tags, world frame, `(K, 3)`; upright unless `surveyed`."""
         ups = upright(self.normals)[1] + 0.0  # no -0
         return ups if self.surveyed is None else self.surveyed.ups_of(self.positions, ups)
 
     @property
     def has_own_edges(self) -> bool:
-        """True if a landmark has an edge of its own."""
+        """True if any landmark has its own edge."""
         return not np.isnan(self.edges).all()
 
     def edges_of(self, tag: Tag) -> FloatArray:
-        """Edges of the black squares, `(K,)`, metres: the landmark's own, or else that of `tag`; zeros for points."""
+        """Edges of the black squares, metres, `(K,)`: `edges`, with NaN replaced by the edge of `tag`; 0 for points."""
         return tag.filled(self.edges)
 
     def to_csv(self, file: str | Path | TextIO, ups: bool = False) -> None:
-        """Write `id,x,y,z,nx,ny,nz` with every digit, so that reading it back gives the same numbers and labels.
+        """Write a CSV with the columns `id,x,y,z,nx,ny,nz` and all digits; `from_csv` restores equal values and labels.
 
-        Tags with edges of their own have a further column `edge`.
+        If any tag has its own edge, the column `edge` is added.
 
         Args:
-            file: its path, or an open text file.
-            ups: whether to add `ux,uy,uz`, for landmarks that are tags with an upper edge.
+            file: path or open text file.
+            ups: True to add the columns `ux,uy,uz`, the ups of tags.
         """
         columns = dict(zip(COLUMNS, np.hstack([self.places, self.normals]).T, strict=True))
         if ups:
@@ -263,16 +269,17 @@ class Deployment:
 
     @classmethod
     def from_csv(cls, path: str | Path, name: str = "path") -> "Deployment":
-        """Read a CSV with the columns x,y,z,nx,ny,nz (and id, and ux,uy,uz for how tags are turned in their plane).
+        """Read a CSV with the columns x,y,z,nx,ny,nz and optionally id, ux,uy,uz (ups of tags) and edge.
 
-        A column `edge` has the edges of tags, metres, empty for those that have none of their own. Normals are scaled
-        to length 1 if they are printed with few decimals. Further columns are kept as labels.
+        Column `edge` has the edges of tags, metres; an empty cell means the edge of the scene's tag. Normals printed
+        with few decimals are normalised. Further columns are kept as labels.
 
         Args:
-            name: the argument the path came from, for messages.
+            path: path of the file.
+            name: argument with the path, for messages.
 
         Raises:
-            InputError: the file cannot be read, or what it holds is no deployment, or an up is not in its tag's plane.
+            InputError: the file cannot be read or is no deployment, or an up is not in its tag's plane.
         """
         return cls.from_table(read_table(path, name=name))
 
@@ -286,12 +293,12 @@ class Deployment:
         with said_of(path):
             deployment = cls(rows[:, :3], rows[:, 3:6], labels=labels, edges=edges)
         length = np.linalg.norm(deployment.normals, axis=1, keepdims=True)
-        exact = np.abs(length - 1.0) < 1e-12  # dividing these would only move the last bit
+        exact = np.abs(length - 1.0) < 1e-12  # division would only change the last bit
         deployment = replace(deployment, normals=np.where(exact, deployment.normals, deployment.normals / length))
         return deployment if rows.shape[1] == len(COLUMNS) else deployment.turned(path, rows[:, 6:])
 
     def turned(self, path: str | Path, ups: FloatArray) -> "Deployment":
-        """The deployment with the ups `(K, 3)` of a file, if one of them is not upright.
+        """Deployment with the ups `(K, 3)` of a file; unchanged if all are upright.
 
         Raises:
             InputError: an up is no unit vector in the plane of its tag.

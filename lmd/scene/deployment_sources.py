@@ -1,4 +1,4 @@
-"""Sources of deployments: random, uniform, existing, or given."""
+"""Sources of deployments: random, uniform, existing (read from a file), or given."""
 
 from dataclasses import dataclass
 from typing import Protocol
@@ -12,32 +12,33 @@ from lmd.scene.tag import Tag
 from lmd.space.space import Space
 from lmd.space.surface import SurfaceArrays
 
-# What a landmark takes while a deployment is made, bytes: a dozen vectors.
+# Memory of a landmark while a deployment is made, bytes: a dozen vectors.
 LANDMARK_BYTES = 400
 POINT = Tag()
 
 
 class DeploymentSource(Protocol):
-    """Something that provides deployments: a start for optimisers, or what `evaluate` scores."""
+    """Source of deployments, which optimisers start from or `evaluate` scores."""
 
     @property
     def varies(self) -> bool:
-        """Whether two draws differ."""
+        """True if draws are random."""
 
     def draw(self, room: Space, rng: np.random.Generator, tag: Tag = POINT) -> Deployment:
-        """A deployment inside `room`, its landmarks with their surfaces.
+        """Draw a deployment in `room` with the surfaces of its landmarks.
 
         Args:
-            room: its surfaces are where the centres of landmarks may be.
-            tag: what hangs at the landmarks; of one of several sizes they have them in turn.
+            room: room whose surfaces allow the centres of landmarks.
+            rng: source of everything random.
+            tag: tag of the landmarks; its sizes are assigned as in `Tag.in_turn`.
         """
 
 
 def landmark_count(value: int) -> int:
-    """K, the `count` of a source.
+    """Check K, the number of landmarks of a source.
 
     Raises:
-        InputError: it is no positive whole number, or so many landmarks would not fit into memory.
+        InputError: the value is no positive whole number, or the landmarks would not fit into memory.
     """
     count = integer("count", value, low=1)
     check_memory(count * LANDMARK_BYTES, f"count = {count} landmarks", "count")
@@ -69,8 +70,8 @@ class UniformDeployment:
 
     Args:
         count: K.
-        layout: `per_wall` gives every wall the same number (what is left over goes to the largest walls), as in
-            the paper's 15 per wall; `by_area` shares them in proportion to area.
+        layout: `per_wall` for equal numbers per wall, with the remainder on the largest walls, as in the paper (15 per
+            wall); `by_area` for numbers in proportion to area.
     """
 
     count: int
@@ -97,11 +98,11 @@ class UniformDeployment:
 
 
 class ExistingDeployment:
-    """Landmarks that hang somewhere already: a base of sources, which find them as they are.
+    """Base of sources of existing landmarks, which are not moved.
 
     Attributes:
-        path: the file that lists them, for messages.
-        free: True if they may hang anywhere: outside the room, on no surface, overlapping.
+        path: file of the landmarks, for messages.
+        free: True if placement is not checked: landmarks may be outside the room, on no surface, or overlap.
     """
 
     path: str | None
@@ -111,10 +112,10 @@ class ExistingDeployment:
 
 @dataclass(frozen=True)
 class GivenDeployment:
-    """A deployment that is there already.
+    """Source that returns a given deployment.
 
     Args:
-        deployment: with its surfaces.
+        deployment: deployment with known surfaces.
     """
 
     deployment: Deployment

@@ -5,15 +5,19 @@ import numpy as np
 from lmd.core.checks import FloatArray, InputError, IntArray
 from lmd.core.tables import Table
 
-LARGEST_EDGE = 10.0  # metres, of a file: what is beyond is in millimetres
-EDGE = "edge"  # the column with the edge of each tag, metres; empty where the scene's tag says it
+LARGEST_EDGE = 10.0  # largest edge in a file, metres; larger numbers are assumed to be millimetres and refused
+EDGE = "edge"  # column with the edge of each tag, metres; an empty cell means the edge of the scene's tag
 
 
 def checked_edges(edges: FloatArray | None, ids: IntArray) -> FloatArray:
-    """Edges of K tags, `(K,)`, metres, NaN for tags without an own edge; None: all of them.
+    """Check the edges of K tags, metres, `(K,)`; NaN for tags without their own edge.
+
+    Args:
+        edges: edges, or None for K times NaN.
+        ids: ids of the tags, `(K,)`.
 
     Raises:
-        InputError: there are more or fewer than `ids` `(K,)`, or one is not positive.
+        InputError: the numbers of edges and `ids` differ, or an edge is not positive.
     """
     edges = np.full(ids.shape, np.nan) if edges is None else np.array(edges, dtype=np.float64)
     if edges.shape != ids.shape:
@@ -25,10 +29,10 @@ def checked_edges(edges: FloatArray | None, ids: IntArray) -> FloatArray:
 
 
 def edge_column(table: Table) -> FloatArray:
-    """Edges that a file says, `(K,)`, metres, NaN where it leaves one out or has no such column.
+    """Column `EDGE` of a file, metres, `(K,)`; NaN for empty cells or without the column.
 
     Raises:
-        InputError: one is no number, or looks like millimetres.
+        InputError: an edge is no number, or exceeds `LARGEST_EDGE`.
     """
     if EDGE not in table:
         return np.full(len(table.lines), np.nan)

@@ -1,4 +1,4 @@
-"""Fixed landmarks, which hang already, beside those that are placed."""
+"""Fixed landmarks, which exist already, combined with the landmarks to place."""
 
 from dataclasses import replace
 
@@ -9,21 +9,21 @@ from lmd.scene.deployment import Deployment
 from lmd.scene.labels import Labels
 from lmd.space.surface import NEAR_SURFACE
 
-COLUMN = "fixed"  # of a file of landmarks: 1 for those that hung already, 0 for the others
+COLUMN = "fixed"  # column in a file of landmarks: 1 for fixed landmarks, 0 for others
 
 
 def beside(fixed: Deployment, others: Deployment) -> Deployment:
-    """The fixed landmarks, then the others; all keep their ids and columns, and `fixed` says which are which.
+    """Concatenate the fixed landmarks and the others; ids and columns are kept, and the column `COLUMN` is added.
 
-    Others without labels get the least ids that are free. Among those of a file may be the fixed ones themselves, known
-    by their ids: they are left out, and stay where `fixed` has them.
+    Others without labels get the smallest unused ids. `others` may include fixed landmarks, identified by their ids;
+    these are dropped from `others`.
 
     Args:
-        fixed: F landmarks, with their surfaces.
-        others: N landmarks, with their surfaces.
+        fixed: F landmarks with known surfaces.
+        others: N landmarks with known surfaces.
 
     Raises:
-        InputError: one of the others has the id of a fixed one and hangs elsewhere, or there is no other.
+        InputError: an id occurs in both at different positions, or all `others` are fixed landmarks.
     """
     if others.labels is None:
         unused = np.setdiff1d(np.arange(len(fixed) + len(others)), fixed.ids)[: len(others)]

@@ -1,9 +1,9 @@
-"""Footprints: the squares that the papers of tags take up. They lie wholly on their surface, and never overlap.
+"""Footprints: the squares of paper that tags cover. A footprint lies wholly on its surface and overlaps no other.
 
-Tags hang upright (`lmd.geometry.squares.upright`), so footprints are squares along the u and v of their surface: two do
-not overlap if, and only if, their centres are at least half the sum of their edges apart along u or along v. Points
-have no footprints, and nothing here changes them. Tags that are tilted or hang on no surface, which only files have,
-are left out.
+Tags hang upright (`lmd.geometry.squares.upright`), so footprints are squares along u and v of their surface. Two
+footprints with edges e and f do not overlap if and only if their centres are at least (e + f) / 2 apart along u or v.
+Landmarks that are points have no footprints. Tags that are tilted or on no surface, which only files contain, are not
+checked.
 """
 
 from dataclasses import dataclass, replace
@@ -24,11 +24,11 @@ from lmd.space.surface import FILE_TOLERANCE, SurfaceArrays
 
 @dataclass(frozen=True)
 class Footprints:
-    """The footprints of the tags in a room.
+    """Footprints of the tags in a room.
 
     Args:
-        room: the room.
-        tag: what hangs at each landmark.
+        room: room of the tags.
+        tag: family and sizes of the tags.
     """
 
     room: Space
@@ -36,12 +36,12 @@ class Footprints:
 
     @cached_property
     def edge(self) -> float:
-        """Of the smallest papers that are placed here, metres; 0 for landmarks that are points."""
+        """Edge of the smallest footprint to place, metres; 0 for landmarks that are points."""
         return 0.0 if self.tag.is_point else self.tag.paper_share * min(self.tag.sizes)
 
     @cached_property
     def hanging(self) -> Space:
-        """The room with what the centres of the smallest tags may use of its surfaces.
+        """Room with surfaces reduced to the allowed centres of the smallest tags.
 
         Raises:
             InputError: a surface is narrower than a footprint.
@@ -49,7 +49,7 @@ class Footprints:
         return self.inset(self.edge)
 
     def inset(self, paper: float) -> Space:
-        """The room with what the centres of tags on papers with this edge, metres, may use; see `hanging`."""
+        """Room with surfaces reduced to the allowed centres of footprints with the edge `paper`, metres."""
         if not paper:
             return self.room
         with said_of("edge is too large", "edge"):
@@ -60,7 +60,7 @@ class Footprints:
         return SurfaceArrays.of(self.hanging.surfaces())
 
     def surfaces_of(self, paper: float) -> SurfaceArrays:
-        """Surfaces for the centres of tags on papers with this edge, metres, in the coordinates of `hanging`.
+        """Surfaces with the allowed centres of footprints of edge `paper`, metres, in the coordinates of `hanging`.
 
         Raises:
             InputError: a surface is narrower than a footprint.
@@ -75,9 +75,10 @@ class Footprints:
         return self._others[paper]
 
     def pieces_of(self, papers: FloatArray) -> tuple[FloatArray, IntArray]:
-        """Pieces `(T, 6)` for tags on papers of S sizes, `(S,)` metres, and the `first` `(S, W + 1)` of each surface.
+        """Allowed centres of footprints with S different edges `papers` `(S,)`, metres, as trapezoids.
 
-        See `SurfaceArrays`.
+        Returns:
+            `pieces` `(T, 6)`; `first` `(S, W + 1)` for each edge, see `SurfaceArrays`.
         """
         sizes = [self.surfaces_of(paper) for paper in papers.tolist()]
         before = np.cumsum([0, *(len(own.pieces) for own in sizes[:-1])])
@@ -89,28 +90,29 @@ class Footprints:
         return {}
 
     def papers(self, deployment: Deployment) -> FloatArray:
-        """The edges of the papers of tags, `(K,)`, metres; 0 for points."""
+        """Edges of the footprints of tags, metres, `(K,)`; 0 for points."""
         return self.tag.paper_share * deployment.edges_of(self.tag)
 
     def capacity(self, paper: float) -> float:
-        """Maximum number of papers with this edge, metres: squares in rows and columns are the densest packing."""
+        """Upper bound on the number of footprints with the edge `paper`, metres: the sum of grids over the surfaces."""
         if not paper:
             return np.inf
         extent = self.surfaces_of(paper).extent
         return float(np.floor(extent / paper * (1.0 + TOUCHING) + 1.0).prod(axis=1).sum())
 
     def hung(self, fixed: Deployment, beside: DeploymentSource) -> Deployment:
-        """Landmarks that hang already, with their surfaces.
+        """Assign surfaces to existing landmarks and check them.
 
-        They were measured by hand: a tag a little before or behind a surface belongs to it, and its footprint is taken
-        there.
+        As they are measured by hand, a tag slightly in front of or behind a surface belongs to it, and its footprint is
+        that of its projection to the surface.
 
         Args:
-            beside: where the others come from. If these are taken as they are (`free`), so are those.
+            fixed: existing landmarks.
+            beside: source of the other landmarks; if these are not checked (`as_they_are`), `fixed` is not checked.
 
         Raises:
-            InputError: one lies outside the room, hangs on no surface or faces into its own, or footprints overlap or
-                are not wholly on their surface.
+            InputError: a landmark lies outside the room, is on no surface or faces into its surface, or a footprint
+                overlaps another or is not wholly on its surface.
         """
         with said_of("fixed", "fixed"):
             hung = fixed.hung(self.room, as_they_are(beside), self.papers(fixed))
@@ -123,18 +125,19 @@ class Footprints:
         return hung
 
     def draw(self, source: DeploymentSource, rng: np.random.Generator, fixed: Deployment | None = None) -> Deployment:
-        """A deployment from `source` whose footprints hang properly; a random one is pushed apart.
+        """Draw a deployment with valid footprints; footprints of a random deployment are pushed apart.
 
-        What a file has is taken as it is if it says so, see `ExistingDeployment.free`.
+        Deployments of a source with `ExistingDeployment.free` are not checked.
 
         Args:
-            source: what is drawn from.
-            fixed: landmarks that hang already (`hung`). They come first, and whatever is not from a file is pushed out
-                of their way.
+            source: source of the deployment.
+            rng: source of everything random.
+            fixed: existing landmarks from `hung`, which precede the drawn ones in the result. Drawn landmarks that are
+                not from a file are pushed away from them.
 
         Raises:
-            InputError: the source cannot be drawn from, or footprints overlap, are not wholly on their surface or too
-                many.
+            InputError: the source fails, a footprint overlaps another or is not wholly on its surface, or there is no
+                room for all footprints.
         """
         placed = not isinstance(source, ExistingDeployment | GivenDeployment)
         drawn = source.draw(self.room if isinstance(source, ExistingDeployment) else self.hanging, rng, self.tag)
@@ -167,7 +170,7 @@ class Footprints:
         return drawn
 
     def check(self, deployment: Deployment) -> None:
-        """Raise `InputError` if footprints overlap or are not wholly on the surfaces that the landmarks name."""
+        """Raise `InputError` if footprints overlap or are not wholly on the surfaces of their landmarks."""
         if not self.edge:
             return
         flat = np.flatnonzero(self._lies_flat(deployment.normals, deployment.surfaces))
@@ -195,7 +198,7 @@ class Footprints:
             )
 
     def apart(self, deployment: Deployment, size: float = 1.0, fixed: int = 0) -> Deployment | None:
-        """The deployment with footprints pushed apart, None where there is no room for all; see `pushed`."""
+        """Push the footprints of a deployment apart; None without room for all; see `pushed`."""
         parts = deployment.positions[None], deployment.normals[None], deployment.surfaces[None]
         positions, normals, surfaces, fits = self.pushed(*parts, deployment.edges, size, fixed)
         apart = replace(deployment, positions=positions[0], normals=normals[0], surfaces=surfaces[0])
@@ -210,23 +213,23 @@ class Footprints:
         size: float = 1.0,
         fixed: int = 0,
     ) -> tuple[FloatArray, FloatArray, IntArray, BoolArray]:
-        """Deployments whose footprints are pushed apart, one after the other; what hangs properly stays as it is.
+        """Push the footprints of B deployments apart, largest first; valid footprints are not moved.
 
-        A footprint that overlaps an earlier one is moved to the nearest free place on its surface, or else to one
-        on the next surface that has. The largest come first. Deterministic, so that a search may work with the places
-        before the push.
+        A footprint that overlaps an earlier one is moved to the nearest free place on its surface, or else on the next
+        surface with a free place. The result is deterministic, so that a search may use the positions before the push.
 
-        Landmarks that are points only go to the nearest place where they may hang.
+        Landmarks that are points are moved to the nearest allowed place.
 
         Args:
-            positions, normals: `(B, K, 3)`, flush.
-            surfaces: `(B, K)`.
-            edges: `(K,)`, see `Deployment.edges`.
-            size: of the footprints, as a share of their true size.
-            fixed: number of landmarks at the beginning that stay where they are.
+            positions: positions of flush landmarks, metres, `(B, K, 3)`.
+            normals: unit normals, `(B, K, 3)`.
+            surfaces: indices of the surfaces, `(B, K)`.
+            edges: edges of the tags as in `Deployment.edges`, metres, `(K,)`.
+            size: factor on the edges of the footprints.
+            fixed: number of landmarks at the beginning that are not moved.
 
         Returns:
-            positions, normals, surfaces, and whether there was room for all, `(B,)`.
+            positions, normals, surfaces; mask of the deployments with room for all footprints, `(B,)`.
         """
         fits = np.ones(len(positions), dtype=np.bool_)
         s = self._surfaces
@@ -251,23 +254,23 @@ class Footprints:
         return positions, normals, surfaces, fits
 
     def touched(self, poses: Deployment, pose: Deployment) -> BoolArray:
-        """Mask of the poses whose footprint overlaps that of the single `pose`, `(N,)`; all know their surfaces."""
+        """Mask of N landmarks whose footprints overlap the footprint of the landmark `pose`, `(N,)`."""
         s, surface = self._surfaces, poses.surfaces
         away = s.coordinates(surface, poses.positions) - s.coordinates(surface, pose.positions)
         near = np.abs(away).max(axis=1) < (self.papers(poses) + self.papers(pose)) / 2.0 * (1.0 - TOUCHING)
         return np.asarray(near & (surface == pose.surfaces))
 
     def _lies_flat(self, normals: FloatArray, surfaces: IntArray) -> BoolArray:
-        """Mask of the tags that lie flat on a surface, `(K,)`."""
+        """Mask of the tags that are flush with a surface, `(K,)`."""
         deviation = np.linalg.norm(normals - self._surfaces.normal[surfaces], axis=1)
         return np.asarray((surfaces >= 0) & (deviation <= FLUSH))
 
 
 def as_they_are(source: DeploymentSource) -> bool:
-    """True if landmarks from `source` are taken as they are."""
+    """True if the placement of landmarks from `source` is not checked."""
     return isinstance(source, ExistingDeployment) and source.free
 
 
 def _named(papers: FloatArray) -> str:
-    """The edges of papers, metres, each once."""
+    """Distinct edges of footprints, metres, for messages."""
     return " and ".join(f"{paper:.4g}" for paper in np.unique(papers))

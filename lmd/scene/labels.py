@@ -9,19 +9,19 @@ from lmd.core.checks import BoolArray, InputError, IntArray, said_of
 from lmd.core.tables import Table
 
 ID = "id"
-LARGEST = 2**53  # above, not every whole number is a float
+LARGEST = 2**53  # largest id; floats do not represent all whole numbers above it
 
 
 @dataclass(frozen=True)
 class Labels:
-    """The names of K landmarks.
+    """Ids and further columns of K landmarks.
 
     Args:
-        ids: `(K,)` different whole numbers, not negative; of a tag, its number in the family.
+        ids: unique non-negative whole numbers, `(K,)`; the id of a tag is its number in the family.
         columns: further columns of the file by name, K texts each.
 
     Raises:
-        InputError: an id is negative, or occurs twice.
+        InputError: an id is negative or occurs twice.
     """
 
     ids: IntArray
@@ -39,13 +39,14 @@ class Labels:
 
     @classmethod
     def of(cls, table: Table, known: Sequence[str]) -> "Labels":
-        """The labels in a file with landmarks; without a column `id` they are numbered from 0.
+        """Labels from a table of landmarks; without a column `id`, the ids count from 0.
 
         Args:
-            known: columns that are read elsewhere.
+            table: table of the landmarks.
+            known: columns with another meaning, which are not labels.
 
         Raises:
-            InputError: an id is no whole number, negative, or occurs twice.
+            InputError: an id is no whole number, is negative, or occurs twice.
         """
         count = len(table.lines)
         columns = {name: texts for name, texts in table.texts.items() if name not in (ID, *known)}
@@ -60,13 +61,13 @@ class Labels:
             return cls(given.astype(np.int64), columns)
 
     def __add__(self, other: "Labels") -> "Labels":
-        """The labels of both; a column that one of them lacks is empty there."""
+        """Concatenate labels; a column that one of them lacks is filled with empty texts."""
         names = {**self.columns, **other.columns}
         parts = ((part.columns.get(name, [""] * len(part.ids)) for part in (self, other)) for name in names)
         columns = {name: [*mine, *theirs] for name, (mine, theirs) in zip(names, parts, strict=True)}
         return Labels(np.concatenate([self.ids, other.ids]), columns)
 
     def __getitem__(self, chosen: slice | IntArray | BoolArray) -> "Labels":
-        """The labels of the landmarks that `chosen` selects."""
+        """Labels of the landmarks selected by `chosen`."""
         columns = {name: np.array(texts, dtype=object)[chosen].tolist() for name, texts in self.columns.items()}
         return Labels(self.ids[chosen], columns)

@@ -14,19 +14,19 @@ from lmd.core.memory import check_memory
 from lmd.core.tables import read_table, write_table
 from lmd.geometry.frames import optical_axis, rotation
 
-# Two axes are the same direction when every coordinate agrees to this many decimals.
+# Number of decimals to which the coordinates of equal axes agree.
 SAME_AXIS_DECIMALS = 12
-# Each weight may be off by this much: weights printed with six decimals are accepted, and normalised.
+# Largest rounding error of a weight: weights printed with six decimals are accepted and normalised.
 PRINTED_WEIGHT = 0.5e-6
-# What an orientation takes until the distinct ones are found, bytes: its rotation, axes and sorting keys.
+# Memory of an orientation while duplicates are removed, bytes: rotation, axes and sort keys.
 ORIENTATION_BYTES = 600
 
-# Yaw and pitch (radians, `(S,)` each) from points `(S, 2)`: uniform points of the unit square become angles that
+# Map from points `(S, 2)` of the unit square to yaw and pitch, radians, `(S,)` each: uniform points give angles that
 # follow a continuous distribution.
 Angles = Callable[[FloatArray], tuple[FloatArray, FloatArray]]
-# The probability of each orientation at positions `(Q, 3)`, `(Q, A)`.
+# Map from positions `(Q, 3)` to the probability of each orientation, `(Q, A)`.
 ByPosition = Callable[[FloatArray], FloatArray]
-# One roll, or several as (angle, probability), radians.
+# One roll, radians, or a list of pairs (roll, probability).
 Roll = float | Sequence[Sequence[float]]
 
 
@@ -34,11 +34,11 @@ class Orientations(NamedTuple):
     """D distinct orientations of the camera, ordered by the height of the optical axis."""
 
     axes: FloatArray
-    """`(D, 6)` the optical axis and the image's right as unit vectors, world frame; down is axis x right."""
+    """Optical axis and image's right, unit vectors, world frame, `(D, 6)`; axis x right points down in the image."""
     index_of: np.ndarray
-    """`(A,)` which of them each orientation of the PDF is."""
+    """Index in `axes` of each orientation of the PDF, `(A,)`."""
     weight: FloatArray
-    """`(D,)` the probability of each."""
+    """Probabilities, `(D,)`."""
 
 
 @dataclass(frozen=True)
@@ -47,14 +47,14 @@ class OrientationPdf:
 
     Args:
         yaw, pitch: angles of each orientation, radians, `(A,)`; pitch in [-pi/2, pi/2].
-        weight: probability of each orientation, `(A,)`, not negative, sum 1 (what rounding misses is made up).
-        name: where it came from, for messages.
-        refine: builds the same PDF at half the step; None for a PDF that is known only at its orientations.
-        continuous: the continuous distribution that the orientations stand for; None if they stand for themselves.
-        roll: of the camera about its optical axis, radians, one for all or `(A,)`; independent of yaw and pitch where
-            there is a `continuous` distribution of these.
-        by_position: the probabilities where they depend on the position, `weight` being those of all; None where they
-            do not.
+        weight: probability of each orientation, not negative, `(A,)`; normalised if the sum is 1 within rounding.
+        name: name of the source, for messages.
+        refine: function that returns the PDF with half the grid step; None if there is no finer grid.
+        continuous: continuous distribution of yaw and pitch that the grid discretises; None for a discrete one.
+        roll: roll about the optical axis, radians, one for all or `(A,)`; independent of yaw and pitch if `continuous`
+            is given.
+        by_position: position-dependent probabilities, of which `weight` is the mean; None if they do not depend on
+            the position.
 
     Raises:
         InputError: shapes differ, an angle or weight is not finite or out of range, or the sum is not 1.
@@ -92,21 +92,21 @@ class OrientationPdf:
 
     @cached_property
     def by_axis(self) -> Orientations:
-        """The distinct optical axes, whatever the roll; poles and the +-pi seam appear once; `grid_325` has 266."""
+        """Orientations with distinct optical axes; poles and yaws of +-pi are merged, so `grid_325` has 266."""
         return self._distinct(3)
 
     @cached_property
     def by_axis_and_roll(self) -> Orientations:
-        """The distinct orientations: at the poles, each yaw is one."""
+        """Orientations with distinct rotations; at the poles, different yaws remain distinct."""
         return self._distinct(6)
 
     def _distinct(self, size: int) -> Orientations:
-        """The orientations that differ in the first `size` coordinates of axis and right."""
-        # The axis by its own formula: the same bits as ever, which its rows of the rotation need not have.
+        """Orientations that differ in the first `size` of the six coordinates of axis and right."""
+        # `optical_axis` and the last row of `rotation` may differ in the last bits; results depend on the former.
         right = rotation(self.yaw, self.pitch, self.roll)[:, 0]
         axes = np.hstack([optical_axis(self.yaw, self.pitch), right])
         rounded = np.round(axes[:, :size], SAME_AXIS_DECIMALS) + 0.0  # + 0.0 turns -0 into 0
-        # Ordered by height first: the fast path looks only at a band of heights.
+        # Sorted by z first, as kernels test only axes within a band of z.
         keys = np.hstack([rounded[:, 2::-1], rounded[:, 3:]])
         _, first, inverse = np.unique(keys, axis=0, return_index=True, return_inverse=True)
         inverse = inverse.reshape(-1)
@@ -119,15 +119,15 @@ class OrientationPdf:
         return self.by_axis.axes[:, :3]
 
     def finer(self) -> "OrientationPdf":
-        """The PDF at half the step; itself if nothing is known between its orientations."""
+        """PDF with half the grid step; the PDF itself if it has no `refine`."""
         return self if self.refine is None else self.refine()
 
     def stratified(self, divisions: int, rng: np.random.Generator) -> "OrientationPdf":
-        """Orientations drawn from the continuous distribution, equally likely, or itself where there is none.
+        """PDF of stratified draws from the continuous distribution, with equal weights; the PDF itself without one.
 
-        One is drawn in each of 2 divisions x divisions cells of equal probability: unbiased like independent draws, but
-        the P_n of a union of caps errs by divisions^-1.5 instead of divisions^-1, times a number well below 1. Where
-        only one of the two numbers matters, as to a PDF of the yaw, 2 divisions^1.5 equal parts of it do as well.
+        One orientation is drawn in each of 2 divisions x divisions cells of equal probability. Estimates are unbiased,
+        as for independent draws, but the error of P_n for a union of visible axes falls as divisions^-1.5 instead of
+        divisions^-1. For a PDF of the yaw alone, 2 divisions^1.5 strata of the yaw have an error of equal order.
         """
         if self.continuous is None:
             return self
@@ -142,11 +142,11 @@ class OrientationPdf:
         return OrientationPdf(yaw, pitch, weight, f"{self.name}, stratified", roll=self._draw_roll(len(yaw), rng))
 
     def at(self, positions: FloatArray) -> FloatArray:
-        """The probability of each orientation at positions `(Q, 3)`: `(Q, A)`, or `(1, A)` if they share it."""
+        """Probabilities of the orientations at positions `(Q, 3)`, `(Q, A)`; `(1, A)` without `by_position`."""
         return self.weight[None] if self.by_position is None else self.by_position(positions)
 
     def draw_at(self, positions: FloatArray, rng: np.random.Generator) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Draw one orientation at each of the positions `(Q, 3)`, as `draw` does: yaw, pitch and roll, `(Q,)` each."""
+        """Draw yaw, pitch and roll, `(Q,)` each, from the PDF at each of the positions `(Q, 3)`; see `draw`."""
         if self.by_position is None:
             return self.draw(len(positions), rng)
         places, place = np.unique(positions, axis=0, return_inverse=True)
@@ -162,25 +162,25 @@ class OrientationPdf:
         return self.yaw[drawn], self.pitch[drawn], np.asarray(self.roll)[drawn]
 
     def _draw_roll(self, size: int, rng: np.random.Generator) -> FloatArray:
-        """Rolls `(size,)` alone."""
+        """Draw rolls, `(size,)`."""
         roll = np.asarray(self.roll)
         return rng.choice(roll, size, p=self.weight) if np.ptp(roll) > 0.0 else np.full(size, roll[0])
 
     def to_csv(self, path: str | Path) -> None:
-        """Write `yaw,pitch,weight` with every digit, as `from_csv` reads it, and `roll` where there is any."""
+        """Write a CSV for `from_csv`: `yaw,pitch,weight`, and `roll` unless all are 0, with all digits."""
         columns = {"yaw": self.yaw, "pitch": self.pitch, "weight": self.weight}
         write_table(path, columns | ({"roll": np.broadcast_to(self.roll, len(self.yaw))} if np.any(self.roll) else {}))
 
 
 def divisions_of(value: int, pitches: int | None = None) -> int:
-    """The number of pitches of a grid, and half that of its yaws.
+    """Check `divisions`, the number of pitches of a grid and half the number of its yaws.
 
     Args:
-        value: what a user says.
-        pitches: how many there are if others.
+        value: value from a user.
+        pitches: actual number of pitches, if it is not `divisions`.
 
     Raises:
-        InputError: it is no positive whole number, or the orientations do not fit into memory.
+        InputError: the value is no positive whole number, or the orientations do not fit into memory.
     """
     count = integer("divisions", value, low=1)
     made = 2 * count * (pitches or count)
@@ -189,7 +189,7 @@ def divisions_of(value: int, pitches: int | None = None) -> int:
 
 
 def _rolls(roll: Roll) -> Sequence[tuple[float, float]]:
-    """The angles and their probabilities."""
+    """Convert a roll to pairs (roll, probability)."""
     if not isinstance(roll, Iterable):
         return [(real("roll", roll), 1.0)]
     rows = list(roll)
@@ -210,7 +210,7 @@ def _product(
     continuous: Angles,
     rolls: Sequence[tuple[float, float]],
 ) -> OrientationPdf:
-    """Each yaw with each pitch and each roll; `weight` `(len(pitch),)` is that of one yaw with each pitch."""
+    """PDF on the product of yaws, pitches and rolls; `weight` `(len(pitch),)` is the probability of (yaw, pitch)."""
     roll, share = np.array(rolls).T
     grid = (angles.reshape(-1) for angles in np.meshgrid(yaw, pitch, roll, indexing="ij"))
     grid_yaw, grid_pitch, grid_roll = grid
@@ -243,12 +243,12 @@ def _open_yaws(divisions: int) -> FloatArray:
 def grid_with_ends(divisions: int = 12, roll: Roll = 0.0) -> OrientationPdf:
     """Uniform over the angles on a grid that includes both ends (`grid_325` for 12 divisions).
 
-    The grid of the paper's tables: every printed maximum is a multiple of 1/325. It is a probability over angles,
-    not over the sphere: the poles count 25 times, the seam at +-pi twice.
+    The paper's tables use this grid: all printed maxima are multiples of 1/325. The PDF is uniform over the angles, not
+    over the sphere: each pole has 25 orientations, and each direction with a yaw of +-pi has two.
 
     Args:
-        divisions: the step is pi / divisions in yaw and pitch.
-        roll: of the camera about its optical axis, radians: one angle, or several with their probabilities.
+        divisions: number of steps of pi / divisions in pitch, and half the number in yaw.
+        roll: roll of the camera about its optical axis, radians: one angle, or pairs (angle, probability).
     """
     n, roll = divisions_of(divisions), _rolls(roll)
     yaw, pitch = np.linspace(-np.pi, np.pi, 2 * n + 1), np.linspace(-np.pi / 2, np.pi / 2, n + 1)
@@ -286,10 +286,10 @@ def level_flight(divisions: int = 12, pitch: float = 0.0, roll: Roll = 0.0) -> O
 
 
 def from_csv(path: str | None) -> OrientationPdf:
-    """A PDF from a CSV with the columns yaw, pitch (radians) and weight (sum 1), and if you like roll (radians).
+    """PDF from a CSV with the columns yaw, pitch (radians), weight (sum 1) and optionally roll (radians).
 
     Raises:
-        InputError: no path, an unreadable file, or weights that are no probabilities.
+        InputError: there is no path, the file cannot be read, or the weights are no probabilities.
     """
     if path is None:
         raise InputError("path is missing: a CSV with the columns yaw,pitch,weight is needed.", "path")

@@ -1,19 +1,19 @@
-"""Pushing papers apart: each goes to the nearest place where it overlaps none of those before it, see `footprints`."""
+"""Kernel that pushes footprints apart: each to the nearest place without overlap with earlier ones."""
 
 import numpy as np
 
 from lmd.core.compiled import inner, kernel
 from lmd.space.allowed import allows, nearest
 
-# Relative: papers that share an edge do not overlap, however their distance is rounded.
+# Relative rounding tolerance of overlap: footprints that share an edge do not overlap.
 TOUCHING = 1e-9
-# Distance within which footprints are tried first when one is pushed away, in edges of the largest.
+# Radius of the first search for a free place, in edges of the largest footprint; the second search has no limit.
 NEARBY_EDGES = 3.0
 
 
 @inner
 def _is_free(k, a, b, s, surface, at, edge):  # type: ignore[no-untyped-def]
-    """True if footprint k at (a, b) on surface s overlaps none of those before it."""
+    """True if footprint k at (a, b) on surface s overlaps none of the footprints 0 to k - 1."""
     free = True
     for j in range(k):
         least = (edge[j] + edge[k]) / 2.0 * (1.0 - TOUCHING)
@@ -23,10 +23,11 @@ def _is_free(k, a, b, s, surface, at, edge):  # type: ignore[no-untyped-def]
 
 @inner
 def _nearest_free(k, s, a, b, within, surface, at, pieces, start, stop, edge, lines, found):  # type: ignore
-    """Write the free place for footprint k nearest to (a, b) on surface s to `found`; whether there is one.
+    """Write the free place for footprint k nearest to (a, b) on surface s to `found`; False if there is none.
 
-    A nearest place has each coordinate either unchanged or on a line: a border along u or v, or one that touches
-    another footprint. Only footprints at most `within` away make lines. Pieces `start` to `stop` may carry it.
+    Each coordinate of the nearest place is either unchanged or on a candidate line: a border of a trapezoid along u or
+    v, or a line on which footprint k touches another one. Only footprints within a distance of `within` give candidate
+    lines. Trapezoids `start` to `stop` of `pieces` are the allowed centres.
     """
     lines[0, 0], lines[1, 0] = a, b
     across, up = 1, 1
@@ -54,16 +55,23 @@ def _nearest_free(k, s, a, b, within, surface, at, pieces, start, stop, edge, li
 
 @kernel
 def push(fixed, surface, at, pieces, first, of, edge, moved):  # type: ignore[no-untyped-def]
-    """Push footprints at `at` `(K, 2)` on `surface` `(K,)` apart, in place, but for the first `fixed`.
+    """Push K footprints apart in place; False without room for all.
 
-    Their papers have the edges `edge` `(K,)`. A footprint of the size `of[k]` may hang on surface s on the pieces from
-    `first[of[k], s]` on. Marks those `moved`; whether all found room.
+    Args:
+        fixed: number of footprints at the beginning that are not moved.
+        surface: surface of each footprint, `(K,)`; updated.
+        at: centres in surface coordinates, metres, `(K, 2)`; updated.
+        pieces: trapezoids of the allowed centres of S sizes, `(T, 6)`.
+        first: trapezoids of size c on surface s are `first[c, s]` to `first[c, s + 1]`, `(S, W + 1)`.
+        of: size index of each footprint, `(K,)`.
+        edge: edges of the footprints, metres, `(K,)`.
+        moved: mask of the moved footprints, `(K,)`; written.
     """
     lines, found, count = np.empty((2, 2 * len(at) + 4 * len(pieces) + 1)), np.empty(2), first.shape[1] - 1
     for k in range(fixed, len(at)):
         own = first[of[k]]
         _, a, b = nearest(pieces, own[surface[k]], own[surface[k] + 1], at[k, 0], at[k, 1])
-        # What is off by a rounding error is not moved.
+        # An offset within rounding is not corrected.
         rounding = edge[k] - edge[k] * (1.0 - TOUCHING)
         if abs(a - at[k, 0]) + abs(b - at[k, 1]) < rounding and _is_free(k, a, b, surface[k], surface, at, edge):
             continue

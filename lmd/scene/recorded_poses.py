@@ -1,8 +1,8 @@
-"""A recording of poses of the camera in place of a grid of positions and one orientation PDF.
+"""Recorded camera poses, which replace the position grid and the orientation PDF.
 
-The recording is cut into blocks of time. Each `held_out`-th block is held out: nothing is optimised on it, and
-`lmd.evaluation.validation` scores a deployment there, at the poses exactly as recorded. The others say where the camera
-is (`lmd.space.changed`) and how it looks there (`lmd.scene.by_position`).
+The recording is cut into blocks of time. Every `held_out`-th block is held out for validation:
+`lmd.evaluation.validation` scores a deployment at its exact poses. The other blocks give the positions
+(`lmd.space.changed`) and the position-dependent orientation PDF (`lmd.scene.by_position`) for optimisation.
 """
 
 import math
@@ -22,12 +22,12 @@ from lmd.space.space import Space, check_file_inside
 
 @dataclass(frozen=True)
 class Records:
-    """Poses as recorded, each of which lasts until the next; R of them.
+    """R recorded poses, each valid until the next one.
 
     Args:
         poses: X, camera to world, `(R, 4, 4)`.
-        seconds: that each lasted, `(R,)`.
-        block: of time that each is in, `(R,)`.
+        seconds: duration of each pose, seconds, `(R,)`.
+        block: index of the block of time of each pose, `(R,)`.
     """
 
     poses: FloatArray
@@ -43,18 +43,18 @@ class Records:
 
 @dataclass(frozen=True)
 class RecordedPoses:
-    """A recording, and what is made of it.
+    """Recording with the settings of its positions, its orientation PDF and its validation.
 
     Args:
-        trajectory: of the camera, in the room.
-        spacing: edge of the cells that become positions, metres: one number or one per axis.
-        bandwidth: of the kernel in position, metres.
-        direction_bandwidth: of the kernel in direction, degrees.
-        divisions: orientations lie on a grid with the step 180 degrees / divisions.
-        held_out: blocks of which the last is held out, at least 2; None to hold out none.
+        trajectory: trajectory of the camera in the room.
+        spacing: edge of the cells with one position each, metres: one number or one per axis.
+        bandwidth: bandwidth of the kernel in position, metres.
+        direction_bandwidth: bandwidth of the kernel in direction, degrees.
+        divisions: the step of the orientation grid is 180 degrees / divisions.
+        held_out: every `held_out`-th block is held out, at least 2; None to hold out none.
         block: length of a block, seconds.
-        path: the file that it is from, for messages.
-        note: on how the file was read.
+        path: file of the recording, for messages.
+        note: remark on an ambiguous file.
 
     Raises:
         InputError: a value is out of range, or the recording is too short for a block to be held out.
@@ -85,7 +85,7 @@ class RecordedPoses:
 
     @cached_property
     def _records(self) -> Records:
-        """All of them; the last pose only says how long the one before it lasted."""
+        """All records; the last pose of the trajectory only ends the one before it."""
         time = self.trajectory.time
         block = np.floor((time[:-1] - time[0]) / self.block).astype(np.int64)
         return Records(self.trajectory.poses[:-1], np.diff(time), block)
@@ -106,11 +106,10 @@ class RecordedPoses:
         return self._records[self._is_kept_back]
 
     def visited(self, room: Space) -> Visited:
-        """The room with the positions of the recording.
+        """Room with the positions of the recording.
 
         Raises:
-            InputError: a pose, held out or not, is outside the room or in something that stands there; or the spacing
-                is refused.
+            InputError: a pose, held out or not, is outside the room or in an obstacle, or the spacing is out of range.
         """
         check_file_inside(self.path, self.trajectory, room)
         seen = self.seen
@@ -118,7 +117,7 @@ class RecordedPoses:
 
     @cached_property
     def pdf(self) -> OrientationPdf:
-        """The orientation PDF, which depends on the position.
+        """Position-dependent orientation PDF.
 
         Raises:
             InputError: the records and orientations do not fit into memory.

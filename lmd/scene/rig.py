@@ -1,8 +1,8 @@
-"""Several cameras fixed to one body, such as a robot: where each is, and what it then looks at.
+"""Rigs: several cameras fixed to one body, such as a robot.
 
-The body's frame has x forward, y left and z up; its x axis is what an orientation PDF speaks of, and its origin what a
-room's positions are. Yaw, pitch and roll of a camera are those of ROS and URDF: R = Rz(yaw) Ry(pitch) Rx(roll), each
-right-handed about an axis of the body. So a positive yaw turns to the left and a positive pitch looks *down*.
+The body's frame has x forward, y left and z up. Positions of a room are those of the body's origin, and an orientation
+PDF describes the body's x axis. Yaw, pitch and roll of a camera follow ROS and URDF: R = Rz(yaw) Ry(pitch) Rx(roll),
+right-handed about the body's axes. A positive yaw turns to the left, a positive pitch looks *down*.
 """
 
 from collections.abc import Iterator, Sequence
@@ -17,25 +17,25 @@ from lmd.geometry.camera import Camera
 from lmd.geometry.se3 import QUATERNION_TOLERANCE, inverse, pose_of
 
 ANGLES = ("yaw", "pitch", "roll")
-# Cameras that are at the same place but for rounding are at the same place: offsets have this many decimals, metres.
+# Number of decimals of offsets in metres, so that cameras at one place within rounding have equal offsets.
 SAME_PLACE_DECIMALS = 12
-# From x right, y down, z ahead to x forward, y left, z up.
+# Rotation from a frame with x right, y down, z ahead to one with x forward, y left, z up.
 OPTICAL = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
 
 
 @dataclass(frozen=True)
 class Mount:
-    """One camera of a rig, and where it is fixed.
+    """Camera of a rig with its pose on the body.
 
     Args:
-        camera: its intrinsics.
-        translation: of its centre from the body's origin, body frame, metres.
-        yaw, pitch, roll: radians, see above; with none of them it looks along the body's x axis, upright.
-        quaternion: x, y, z, w of the same rotation, in place of the angles: it turns the camera's frame with x along
-            the optical axis, y to the left of the image and z up in it to the body's frame.
+        camera: intrinsics.
+        translation: offset of the camera's centre from the body's origin, body frame, metres.
+        yaw, pitch, roll: radians, see above; with zero angles the camera looks along the body's x axis, upright.
+        quaternion: x, y, z, w of the rotation from the camera's frame (x along the optical axis, y left and z up in the
+            image) to the body's frame, instead of the angles.
 
     Raises:
-        InputError: a number is not finite, the quaternion has not length 1, or comes with an angle.
+        InputError: a number is not finite, the quaternion is not unit, or both quaternion and angles are given.
     """
 
     camera: Camera
@@ -63,7 +63,7 @@ class Mount:
 
     @cached_property
     def rotation(self) -> FloatArray:
-        """From the camera's frame (forward, left, up) to the body's, `(3, 3)`."""
+        """Rotation from the camera's frame (x forward, y left, z up) to the body's frame, `(3, 3)`."""
         from scipy.spatial.transform import Rotation
 
         if self.quaternion is not None:
@@ -73,13 +73,13 @@ class Mount:
 
 @dataclass(frozen=True)
 class Rig:
-    """Cameras on one body; a landmark counts if any of them sees it, and once if several do.
+    """Cameras on one body; a landmark counts once if at least one camera sees it.
 
     Args:
-        mounts: at least one.
+        mounts: cameras with their poses, at least one.
 
     Raises:
-        InputError: there is none.
+        InputError: `mounts` is empty.
     """
 
     mounts: tuple[Mount, ...]
@@ -91,20 +91,21 @@ class Rig:
 
     @property
     def cameras(self) -> tuple[Camera, ...]:
-        """The camera of each mount."""
+        """Camera of each mount."""
         return tuple(mount.camera for mount in self.mounts)
 
     @cached_property
     def extrinsics(self) -> FloatArray:
-        """Poses of the cameras on the body, `(C, 4, 4)`. In either frame x is right, y down and z ahead.
+        """Poses of the cameras in the body's frame, `(C, 4, 4)`; both frames with x right, y down, z ahead.
 
-        With the body's pose X in such a frame (`lmd.geometry.se3.camera_pose`), that of camera c is X extrinsics[c].
+        If X is the pose of the body in this convention (`lmd.geometry.se3.camera_pose`), X extrinsics[c] is the pose of
+        camera c.
         """
         turns = OPTICAL.T @ np.stack([mount.rotation for mount in self.mounts]) @ OPTICAL
         return pose_of(turns, np.stack([mount.translation for mount in self.mounts]) @ OPTICAL)
 
     def with_mount(self, number: int, mount: Mount) -> "Rig":
-        """The rig with another mount of the camera with a number."""
+        """Rig with mount `number` replaced by `mount`."""
         return Rig((*self.mounts[:number], mount, *self.mounts[number + 1 :]))
 
     @property
@@ -114,19 +115,19 @@ class Rig:
 
     @property
     def mounted(self) -> FloatArray:
-        """The poses of the cameras (x right, y down, z the optical axis) in the frame of the first, `(C, 4, 4)`."""
+        """Poses of the cameras in the frame of the first camera (x right, y down, z the optical axis), `(C, 4, 4)`."""
         return np.asarray(inverse(self.extrinsics[0]) @ self.extrinsics)
 
     def views(self, axes: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Offsets and optical axes of the cameras for orientations of the body.
+        """Offsets and orientations of the cameras for A orientations of the body.
 
         Args:
-            axes: the body's x axis, and right (-y), `(A, 6)`: two unit vectors in the world frame, see
+            axes: body's x axis and right (-y), two unit vectors, world frame, `(A, 6)`, see
                 `lmd.scene.pdf.Orientations`.
 
         Returns:
-            offsets from the body's origin, `(C, A, 3)`, world frame, metres; optical axes and the image's right,
-            `(C, A, 6)`.
+            offsets from the body's origin, world frame, metres, `(C, A, 3)`; optical axis and image's right of each
+            camera, unit vectors, world frame, `(C, A, 6)`.
         """
         forward, right = axes[:, :3], axes[:, 3:]
         body = (forward, -right, np.cross(right, forward))
@@ -139,7 +140,7 @@ class Rig:
         return np.round(offsets, SAME_PLACE_DECIMALS) + 0.0, np.stack(turned)  # + 0.0 turns -0 into 0
 
     def stations(self, axes: FloatArray) -> "Iterator[Station]":
-        """The stations of the cameras, camera by camera and place by place."""
+        """Stations of the cameras for orientations `(A, 6)` of the body, ordered by camera and offset."""
         for camera, offsets, turned in zip(self.cameras, *self.views(axes), strict=True):
             places, place = np.unique(offsets, axis=0, return_inverse=True)
             for g, offset in enumerate(places):
@@ -148,18 +149,18 @@ class Rig:
 
 
 def rig_of(camera: Camera | Rig) -> Rig | None:
-    """The rig; None for a single camera."""
+    """Return the rig; None for a single camera."""
     return camera if isinstance(camera, Rig) else None
 
 
 class Station(NamedTuple):
-    """A place of a camera: its offset from the body's origin, `(3,)`, world frame, metres.
-
-    `there` `(a,)` says for which of the body's orientations the camera is there, and axes `(a, 6)` what it then looks
-    at: optical axis and the image's right.
-    """
+    """Camera at one offset from the body's origin, with the orientations of the body that put it there."""
 
     camera: Camera
+    """Intrinsics."""
     offset: FloatArray
+    """Offset from the body's origin, world frame, metres, `(3,)`."""
     there: np.ndarray
+    """Indices of the orientations of the body with this offset, `(a,)`."""
     axes: FloatArray
+    """Optical axis and image's right for each of these orientations, unit vectors, world frame, `(a, 6)`."""

@@ -1,4 +1,4 @@
-"""A scene: everything that stays fixed while landmarks move."""
+"""Scenes: everything that is constant while landmarks are optimised."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
@@ -20,8 +20,8 @@ if TYPE_CHECKING:
     from lmd.scene.criteria import Criteria
     from lmd.scene.recorded_poses import RecordedPoses
 
-PROBABILITY_BYTES = 24  # of an orientation at a position: its probability, which one it is, and its whole units
-SAMPLED_POSITIONS = 512  # random positions of a rig that are looked at
+PROBABILITY_BYTES = 24  # memory per position and orientation: probability, index and quantised probability
+SAMPLED_POSITIONS = 512  # number of random positions of a rig that are checked
 
 
 @dataclass(frozen=True)
@@ -29,18 +29,17 @@ class Scene:
     """Room, camera, orientation PDF, visibility model and tag.
 
     Args:
-        room: where landmarks and camera are.
-        camera: what looks for them; a `Rig` for several cameras on one body, whose poses then are the room's and the
-            PDF's.
-        pdf: where it looks.
-        visibility: when it sees one.
-        tag: what hangs at each landmark; by default what the visibility model is about, or a point.
-        recorded: what room and PDF were recorded by, with the poses kept back to validate on; None if they were not.
-        edges: of each landmark of a deployment, by its index, metres, or one that all have, see `sized`; None where
-            they have the tag's.
+        room: surfaces for landmarks, and positions of the camera.
+        camera: single camera, or a `Rig`; the positions of `room` and the orientations of `pdf` are those of the camera
+            or of the rig's body.
+        pdf: orientation PDF.
+        visibility: criteria of when a landmark is covered.
+        tag: tag at each landmark; by default that of the visibility model, or a point.
+        recorded: recording that room and PDF are derived from, with its held-out poses; None without a recording.
+        edges: edge of each landmark by its index, or one edge for all, metres, see `sized`; None for the edge of `tag`.
 
     Raises:
-        InputError: the visibility model is about another tag.
+        InputError: the visibility model has another tag.
     """
 
     room: Space
@@ -63,9 +62,12 @@ class Scene:
             raise InputError(f"tag is {self.tag}, but visibility is about {seen}.", "tag")
 
     def sized(self, edges: FloatArray) -> "Scene":
-        """The scene for landmarks with edges `(K,)`, metres, NaN for that of the tag, in every deployment.
+        """Scene for deployments of K landmarks with given edges.
 
-        Itself if all are NaN, and for points, which have no size.
+        The scene itself is returned if all edges are NaN, or if landmarks are points.
+
+        Args:
+            edges: edges of the black squares, metres, `(K,)`; NaN for the edge of `tag`.
         """
         if self.tag.is_point or np.isnan(edges).all():
             return self
@@ -80,7 +82,7 @@ class Scene:
 
     @property
     def largest_edge(self) -> float:
-        """Of all landmarks, metres; 0 where they are points."""
+        """Largest edge of a landmark, metres; 0 for points."""
         return 0.0 if self.tag.is_point else max(self.edges or (self.tag.size,))
 
     @property
@@ -89,65 +91,66 @@ class Scene:
         return self.edges is not None and len(self.edges) > 1
 
     def check_one_size(self, what: str) -> None:
-        """Raise `InputError` if there are tags of several sizes, of which `what`, the subject, does not know."""
+        """Raise `InputError` if tags have several sizes; `what` is the subject of the message."""
         if self.edges is not None and self.has_several_sizes:
             sizes = ", ".join(f"{edge:g}" for edge in sorted(set(self.edges)))
             raise InputError(f"{what} works with tags of one size, not with edges of {sizes} m.")
 
     def check_count(self, count: int) -> None:
-        """Raise `InputError` if the edges are those of another number of landmarks."""
+        """Raise `InputError` if `edges` has one value per landmark, but not `count` values."""
         if self.edges is not None and len(self.edges) not in (1, count):
             raise InputError(f"of {count} landmarks the sizes are not known: there are {len(self.edges)} edges.")
 
     @cached_property
     def footprints(self) -> Footprints:
-        """The papers of the tags, and where they may hang."""
+        """Footprints of the tags."""
         return Footprints(self.room, self.tag)
 
     @property
     def spacing(self) -> float:
-        """Distance at which neighbouring landmarks neither hide each other nor overlap, metres."""
+        """Least distance between neighbouring landmarks that excludes occlusion and overlap, metres."""
         return max(self.visibility.spacing, self.footprints.edge)
 
     @property
     def rig(self) -> Rig | None:
-        """The rig; None for a single camera."""
+        """Rig; None for a single camera."""
         return rig_of(self.camera)
 
     @property
     def cameras(self) -> tuple[Camera, ...]:
-        """The camera, or those of the rig."""
+        """Cameras, `(C,)`: the single camera or those of the rig."""
         return self.camera.cameras
 
     @property
     def extrinsics(self) -> FloatArray:
-        """Poses of the cameras in the frame that moves, `(C, 4, 4)`: that of the rig's body, or of the only camera."""
+        """Poses of the cameras in the frame of the rig's body, `(C, 4, 4)`; the identity for a single camera."""
         return self.camera.extrinsics
 
     def single_camera(self, what: str) -> Camera:
-        """The only camera, for what does not know of rigs.
+        """Return the single camera, for functions that do not support rigs.
 
         Args:
-            what: needs it, the subject of the sentence.
+            what: subject of the message.
 
         Raises:
-            InputError: there is a rig.
+            InputError: the scene has a rig.
         """
         if self.rig is not None:
             raise InputError(f"{what} works with a single camera, not with a rig of {len(self.rig.mounts)}.")
         return self.cameras[0]
 
     def stations(self, axes: FloatArray) -> Iterator[Station]:
-        """Places of the cameras for orientations of the camera, or of the body of a rig, `(A, 6)`."""
+        """Stations of the cameras for orientations of the camera or of the rig's body, `(A, 6)`."""
         if self.rig is not None:
             yield from self.rig.stations(axes)
         else:
             yield Station(self.cameras[0], np.zeros(3), np.arange(len(axes)), axes)
 
     def check_inside(self, positions: FloatArray) -> None:
-        """Raise `InputError` if a camera of a rig is outside the room with its body at a position where it may be.
+        """Raise `InputError` if a camera of a rig is outside the room for a possible pose of the body.
 
-        Asked are `positions` `(P, 3)` and random ones, each with the orientations that occur there.
+        Checks `positions` `(P, 3)` of the body and `SAMPLED_POSITIONS` random ones, each with all orientations of
+        nonzero probability there.
         """
         if self.rig is None:
             return
@@ -168,12 +171,12 @@ class Scene:
 
     @property
     def orientations(self) -> Orientations:
-        """The distinct orientations of the PDF, as far as the visibility model and a rig tell them apart."""
+        """Distinct orientations of the PDF; orientations that differ only in roll are merged if roll has no effect."""
         by_rig = self.rig is not None and self.rig.needs_roll
         return self.pdf.by_axis_and_roll if by_rig or self.visibility.needs_roll else self.pdf.by_axis
 
     def probability(self, positions: FloatArray) -> FloatArray:
-        """The probability of each orientation at positions `(Q, 3)`: `(Q, D)`, or `(1, D)` if they share it."""
+        """Probabilities of `orientations` at positions `(Q, 3)`, `(Q, D)`; `(1, D)` if independent of the position."""
         axes, index_of, _ = self.orientations
         check_views(PROBABILITY_BYTES, 1 if self.pdf.by_position is None else len(positions), len(index_of))
         rows = self.pdf.at(positions)
@@ -187,7 +190,7 @@ class Scene:
         return self.visibility.sight(self.cameras[0]) is not None
 
     def check_compiled(self, what: str) -> None:
-        """Raise `InputError` if the visibility model has no compiled half, which `what`, the subject, needs."""
+        """Raise `InputError` if the visibility model has no compiled half; `what` is the subject of the message."""
         if not self.is_compiled:
             name = type(self.visibility).__name__
             raise InputError(
@@ -197,5 +200,5 @@ class Scene:
 
     @cached_property
     def sight(self) -> Any:
-        """The visibility model compiled for the single camera, see `lmd.scene.criteria.Criteria.sight`."""
+        """Visibility model compiled for the single camera, see `lmd.scene.criteria.Criteria.sight`."""
         return self.visibility.sight(self.single_camera("this"))

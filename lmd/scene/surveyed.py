@@ -1,4 +1,4 @@
-"""Measured places and ups of landmarks, beside the positions that evaluations use."""
+"""Measured positions and ups of landmarks, kept apart from the corrected positions that evaluations use."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -7,18 +7,19 @@ import numpy as np
 
 from lmd.core.checks import BoolArray, FloatArray, InputError, IntArray
 
-# Maximum deviation of an up from upright, as its length, and from a unit vector in the plane of its tag: files round.
+# Length of the largest difference between an up and the upright one that counts as upright, and largest deviation of an
+# up in a file from unit length and from the plane of its tag.
 UP_TOLERANCE, IN_PLANE = 1e-3, 1e-2
 
 
 @dataclass(frozen=True)
 class Surveyed:
-    """Measurements of K landmarks, each of which holds as long as the landmark is not moved.
+    """Measurements of K landmarks; a measurement is ignored once its landmark is moved.
 
     Args:
-        positions: where the landmarks are counted as hanging, `(K, 3)`, world frame, metres.
-        places: where they were measured, `(K, 3)`, metres, such as a little behind their wall.
-        ups: unit vectors to their upper edges, `(K, 3)`, in the planes of the tags.
+        positions: corrected positions, on or in front of the surfaces, world frame, metres, `(K, 3)`.
+        places: measured positions, such as slightly behind a wall, world frame, metres, `(K, 3)`.
+        ups: unit vectors in the planes of the tags to their upper edges, world frame, `(K, 3)`.
     """
 
     positions: FloatArray
@@ -26,15 +27,15 @@ class Surveyed:
     ups: FloatArray
 
     def __getitem__(self, chosen: slice | IntArray | BoolArray) -> "Surveyed":
-        """That of the landmarks that `chosen` selects."""
+        """Measurements of the landmarks selected by `chosen`."""
         return Surveyed(self.positions[chosen], self.places[chosen], self.ups[chosen])
 
     def places_of(self, positions: FloatArray) -> FloatArray:
-        """The places of landmarks that are now at `positions` `(K, 3)`, metres, `(K, 3)`."""
+        """Measured positions of landmarks at `positions`, `(K, 3)` each, metres; for moved ones, `positions`."""
         return np.where(self._stays(positions), self.places, positions)
 
     def ups_of(self, positions: FloatArray, upright: FloatArray) -> FloatArray:
-        """Their ups, of those that were moved the `upright` ones, `(K, 3)`."""
+        """Measured ups of landmarks at `positions`, `(K, 3)` each; for moved ones, the `upright` ups."""
         return np.where(self._stays(positions), self.ups, upright)
 
     def _stays(self, positions: FloatArray) -> BoolArray:

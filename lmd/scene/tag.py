@@ -1,8 +1,8 @@
 """Fiducial tags: the families, the size of a tag, and its picture.
 
-A tag is a square of N x N modules, the outer ring of them black, on paper with a white margin (the quiet zone). Its
-up is that of the picture its makers publish. For the ArUco families that is `cv2.aruco.generateImageMarker`; for the
-AprilTag families it is AprilTag's own picture, of which OpenCV's is the same turned by half a turn.
+A tag is a square of N x N modules with a black outer ring, on paper with a white margin (the quiet zone). Up is the top
+of the published picture: of `cv2.aruco.generateImageMarker` for the ArUco families, of AprilTag's own picture for the
+AprilTag families, which OpenCV shows rotated by 180 degrees.
 """
 
 from dataclasses import dataclass, replace
@@ -16,13 +16,13 @@ from lmd.core.optional import optional
 
 @dataclass(frozen=True)
 class Family:
-    """A set of tags of one size.
+    """Family of tags.
 
     Args:
-        modules: N along an edge, the black border included.
+        modules: N, number of modules along an edge, including the black border.
         ids: number of tags.
         dictionary: name of the dictionary in `cv2.aruco`.
-        apriltag: name in the AprilTag library, None where it does not know the family.
+        apriltag: name in the AprilTag library; None if the library lacks the family.
     """
 
     modules: int
@@ -47,24 +47,23 @@ class Tag:
     """The tag at every landmark of a deployment; a point if it has no edge.
 
     Args:
-        edge: of the outer black square, metres; None or 0 for landmarks that are points, as in the paper, or with
-            `edges` for the largest of them.
+        edge: edge of the outer black square, metres. None or 0 for landmarks that are points, as in the paper; with
+            `edges`, None for the largest of them. Landmarks of a file without sizes have this edge.
         family: one of `FAMILIES`.
         quiet_zone: q, width of the white margin on each side, modules.
-        edges: of tags of several sizes, metres: landmarks that are placed here have them in turn, the first landmark
-            the first. None for one size, that of `edge`, which always holds for landmarks of a file that does not say
-            how large they are.
-        counts: how many landmarks that are placed have each of these edges, the first ones the first edge; None where
-            they have them in turn.
-        paper: of all landmarks that are placed, square metres: how many there are of each size is found for it. None
-            where their number is given.
-        costs: of a tag of each of these edges, in any unit.
-        budget: what all landmarks that are placed may cost, in place of `paper`.
+        edges: edges of tags of several sizes, metres; None for one size, `edge`. Placed landmarks are assigned these
+            edges cyclically unless `counts` is given.
+        counts: number of placed landmarks with each of `edges`, in order of the landmarks; None for the cyclic
+            assignment.
+        paper: total area of paper of the placed landmarks, square metres, for which the number of each size is
+            optimised; None if the number of landmarks is given.
+        costs: cost of a tag of each of `edges`, in any unit.
+        budget: total cost of the placed landmarks, instead of `paper`.
 
     Raises:
-        InputError: the edge is negative, the family unknown, the quiet zone negative, an edge of several is not
-            positive or there twice, counts or costs are not one for each edge, paper comes without edges, or a budget
-            without costs or with paper.
+        InputError: the edge or the quiet zone is negative, the family is unknown, a value of `edges` is not positive or
+            repeated, counts or costs are not one for each of `edges`, paper is given without edges, or budget without
+            costs or with paper.
     """
 
     edge: float | None = None
@@ -118,10 +117,10 @@ class Tag:
             )
 
     def in_turn(self, count: int) -> FloatArray:
-        """Edges of `count` landmarks that are placed, `(count,)`, metres; NaN where that of the tag holds for all.
+        """Edges of `count` placed landmarks, metres, `(count,)`; NaN if all have the edge of the tag.
 
         Raises:
-            InputError: they are others than `counts` says.
+            InputError: the sum of `counts` is not `count`.
         """
         if self.edges is None or self.counts is None:
             return np.resize(np.nan if self.edges is None else self.edges, count)
@@ -130,21 +129,21 @@ class Tag:
         return np.repeat(self.edges, self.counts)
 
     def filled(self, edges: FloatArray) -> FloatArray:
-        """Edges `(K,)`, metres, with that of the tag in place of NaN; zeros for points."""
+        """Replace NaN in edges `(K,)`, metres, by the edge of the tag; zeros for points."""
         return np.zeros(len(edges)) if self.edge is None else np.where(np.isnan(edges), self.edge, edges)
 
     def of_size(self, edge: float) -> "Tag":
-        """The tag with another edge, metres, and no other size."""
+        """Tag of the single size `edge`, metres."""
         return replace(self, edge=edge, edges=None, counts=None, paper=None, costs=None, budget=None)
 
     @property
     def sizes(self) -> tuple[float, ...]:
-        """The edges that tags have which are placed, metres; none of points."""
+        """Edges of placed tags, metres; empty for points."""
         return self.edges or (() if self.edge is None else (self.edge,))
 
     @property
     def limit(self) -> float | None:
-        """Limit on all papers, square metres, or on the cost of all tags; None where their number is given."""
+        """Limit on the total paper, square metres, or on the total cost; None if the number of landmarks is given."""
         return self.budget if self.paper is None else self.paper
 
     @property
@@ -154,7 +153,7 @@ class Tag:
 
     @property
     def own_family(self) -> str | None:
-        """The family of the tags; None of landmarks that are points."""
+        """Family of the tags; None for points."""
         return None if self.is_point else self.family
 
     def check_edge(self) -> None:
@@ -174,7 +173,7 @@ class Tag:
 
     @property
     def size(self) -> float:
-        """The edge, metres.
+        """Edge of the black square, metres.
 
         Raises:
             InputError: the tag is a point.
@@ -195,11 +194,11 @@ class Tag:
 
     @property
     def paper_share(self) -> float:
-        """Edge of the paper of a tag as a multiple of the tag's own, 1 + 2 q / N."""
+        """Ratio of the edges of paper and tag, 1 + 2 q / N."""
         return 1.0 + 2.0 * self.quiet_zone / self.modules
 
     def check_ids(self, ids: IntArray) -> None:
-        """Raise `InputError` if the family has fewer tags than there are `ids` `(K,)`, all different, or lacks one."""
+        """Raise `InputError` if the family has fewer than K tags, or lacks one of the `ids` `(K,)`, all different."""
         if len(ids) > self.ids:
             raise InputError(f"family {self.family} has {self.ids} different tags, too few for {len(ids)}.", "family")
         if ids.max() >= self.ids:
@@ -207,7 +206,7 @@ class Tag:
             raise InputError(message, "family")
 
     def picture(self, number: int) -> BoolArray:
-        """The modules of tag `number`, row 0 at the top, True where white, `(N, N)`.
+        """Modules of tag `number`, `(N, N)`, row 0 at the top; True for white.
 
         Raises:
             InputError: the family has no such tag.
@@ -220,6 +219,6 @@ class Tag:
 
 
 def dictionary(family: str) -> Any:
-    """The dictionary of `cv2.aruco` of a family."""
+    """Dictionary of `cv2.aruco` for a family."""
     aruco = optional("cv2", "detection").aruco
     return aruco.getPredefinedDictionary(getattr(aruco, FAMILIES[family].dictionary))

@@ -1,4 +1,4 @@
-"""Rooms: the surfaces that carry landmarks, and where the camera may be."""
+"""Rooms: surfaces that carry landmarks, and reachable positions of the camera."""
 
 from lmd.space.cuboid import Cuboid
 from lmd.space.floor_plan import FloorPlan

@@ -1,8 +1,8 @@
 """Allowed regions of a surface for landmarks, cut into trapezoids for compiled code.
 
-A region is a polygon or multipolygon of shapely in the coordinates (a, b) of the surface. Trapezoids have two sides
-along v, hence six numbers: left and right a, lower b on the left and on the right, upper b on the left and on the
-right. They cover the region exactly without overlaps.
+A region is a shapely polygon or multipolygon in the coordinates (a, b) of the surface, metres. A trapezoid has two
+sides along v and is a row of six numbers: a of the left and the right side, lower b at both sides, upper b at both
+sides. Trapezoids cover the region exactly without overlaps.
 """
 
 import itertools
@@ -17,17 +17,17 @@ from lmd.core.compiled import inlined, kernel
 EDGE_TOLERANCE = 1e-9
 # Least area of a region, square metres; smaller ones are rounding errors.
 MIN_AREA = 1e-9
-# Length of a row of trapezoids.
+# Numbers of a trapezoid.
 TRAPEZOID_NUMBERS = 6
 
 
 def rectangle(extent: tuple[float, float]) -> FloatArray:
-    """Trapezoid of a whole surface, `(1, 6)`."""
+    """Trapezoid of a whole rectangular surface with lengths `extent`, metres, `(1, 6)`."""
     return np.array([[0.0, extent[0], 0.0, 0.0, extent[1], extent[1]]])
 
 
 def trapezoids(region: Any) -> FloatArray:
-    """Cut a region along v at each of its vertices, `(T, 6)`."""
+    """Trapezoids of a region, cut along v at each of its vertices, `(T, 6)`."""
     import shapely
 
     rings = [np.asarray(ring.coords)[:, :2] for ring in shapely.get_parts(shapely.boundary(region))]
@@ -38,19 +38,19 @@ def trapezoids(region: Any) -> FloatArray:
     for start, stop in itertools.pairwise(np.unique(edges[..., 0])):
         across = (left <= start) & (right >= stop)
         slope = (high[across] - low[across]) / (right[across] - left[across])
-        # The ends of an edge are exact, without rounding of the product.
+        # At its ends an edge has the exact b of the vertex.
         first = np.where(left[across] == start, low[across], low[across] + slope * (start - left[across]))
         last = np.where(right[across] == stop, high[across], low[across] + slope * (stop - left[across]))
         order = np.argsort(first + last, kind="stable")
         for lower, upper in order.reshape(-1, 2):
-            # Borders that meet may cross by rounding.
+            # Rounding may make borders cross where they meet.
             top, end = max(first[lower], first[upper]), max(last[lower], last[upper])
             found.append((start, stop, first[lower], last[lower], top, end))
     return np.array(found).reshape(-1, TRAPEZOID_NUMBERS)
 
 
 def sizes(pieces: FloatArray) -> FloatArray:
-    """Areas of trapezoids `(T, 6)`, `(T,)`."""
+    """Areas of trapezoids `(T, 6)`, square metres, `(T,)`."""
     left, right, low_left, low_right, high_left, high_right = pieces.T
     return np.asarray((right - left) * (0.5 * (high_left - low_left) + 0.5 * (high_right - low_right)))
 
@@ -72,7 +72,7 @@ def eroded(region: Any, margin: float) -> Any:
 
 
 def polygons(region: Any) -> Any:
-    """Normalise a region to its parts with an area, in a canonical order."""
+    """Drop parts of a region smaller than `MIN_AREA` and normalise the order of its vertices."""
     import shapely
 
     parts = [part for part in shapely.get_parts(region) if part.area > MIN_AREA]
@@ -82,7 +82,7 @@ def polygons(region: Any) -> Any:
 def _spread(
     left: Any, right: Any, low_left: Any, low_right: Any, high_left: Any, high_right: Any, x: Any, y: Any
 ) -> tuple[Any, Any]:
-    """Map x, y in [0, 1] to a trapezoid, uniform to uniform; numbers or arrays."""
+    """Map x, y in [0, 1] to a point of a trapezoid; uniform x, y give uniform points. Numbers or arrays."""
     one, two = high_left - low_left, high_right - low_right
     even = one == two
     root = np.sqrt(np.maximum(one * one + (two * two - one * one) * x, 0.0))
@@ -92,7 +92,7 @@ def _spread(
 
 
 def spread(pieces: FloatArray, at: FloatArray) -> FloatArray:
-    """Map `at` `(..., 2)` in the unit square to trapezoids `(..., 6)`, uniform to uniform."""
+    """Map points `at` `(..., 2)` of the unit square to trapezoids `(..., 6)`, `(..., 2)`; preserves uniformity."""
     columns = [*np.moveaxis(pieces, -1, 0), *np.moveaxis(at, -1, 0)]
     return np.stack(_spread(*columns), axis=-1)
 
@@ -113,9 +113,9 @@ spread_one = inlined(_spread)
 
 @inlined
 def nearest(pieces, start, stop, a, b):  # type: ignore[no-untyped-def]
-    """Trapezoid of `start` to `stop` and its place near (a, b), which is (a, b) itself inside a trapezoid.
+    """Index of the trapezoid among `start` to `stop` nearest to (a, b), and the nearest point (a, b) of it.
 
-    The place is the nearest one for rectangles, approximately for other trapezoids.
+    The point is exact inside a trapezoid and for rectangles, otherwise approximate.
     """
     piece, least, at_a, at_b = start, np.inf, a, b
     for t in range(start, stop):
@@ -140,9 +140,10 @@ def allows(pieces, start, stop, a, b):  # type: ignore[no-untyped-def]
 
 @kernel
 def find_nearest(pieces, first, surface, at, out, piece):  # type: ignore[no-untyped-def]
-    """Write the allowed place on each surface `(N,)` nearest to `at` `(N, 2)` to `out`, its trapezoid to `piece`.
+    """Find the allowed places nearest to points `at` `(N, 2)` on surfaces `surface` `(N,)`.
 
-    The trapezoids of surface s are `first[s]` to `first[s + 1]`.
+    Writes the places to `out` `(N, 2)` and the indices of their trapezoids to `piece` `(N,)`. The trapezoids of surface
+    s are `first[s]` to `first[s + 1]`.
     """
     for k in range(len(at)):
         start, stop = first[surface[k]], first[surface[k] + 1]

@@ -1,12 +1,12 @@
 """Convex bodies that block lines of sight, each the intersection of half-spaces.
 
-The line from p to q is at p + t (q - p), 0 <= t <= 1. Its height above a plane falls or rises evenly from h(p) to h(q),
-so it is behind the plane from t = h(p) / (h(p) - h(q)) on if h(p) >= 0 > h(q), and up to there if h(p) < 0 <= h(q). A
-body blocks it if there is a t at which it is behind all of them.
+The points of the line from p to q are p + t (q - p), 0 <= t <= 1. Its height h above a plane is linear in t and zero at
+t0 = h(p) / (h(p) - h(q)). The line is behind the plane for t > t0 if h(p) >= 0 > h(q), and for t < t0 if
+h(p) < 0 <= h(q). A body blocks the line if some t is behind all its planes.
 
-A body is open, and smaller by `PLACEMENT_TOLERANCE` than the obstacle: a line along a face, or through an edge or a
-corner, is clear, and so is the last micrometre before a landmark on the body. An obstacle that is not convex consists
-of several bodies, which overlap by `OVERLAP_M` so that no line passes between them.
+A body is an open set, smaller by `PLACEMENT_TOLERANCE` than the obstacle. So a line along a face or through an edge or
+corner is clear, and a body does not hide landmarks on its faces. A non-convex obstacle consists of several bodies,
+which overlap by `OVERLAP_M` so that no line passes between them.
 """
 
 from collections.abc import Sequence
@@ -27,33 +27,33 @@ class Body(NamedTuple):
     normals: FloatArray
     """Unit normals outwards, `(m, 3)`."""
     offsets: FloatArray
-    """n . x of the points x of each plane, metres, `(m,)`."""
+    """Offset n . x of each plane, metres, `(m,)`."""
     solid: BoolArray
     """True for faces, False for planes shared with another body, `(m,)`."""
 
 
 class Blockers(NamedTuple):
-    """Bodies as arrays of J planes."""
+    """M bodies as arrays of their J planes."""
 
     normals: np.ndarray
     """Unit normals outwards, `(J, 3)`."""
     offsets: np.ndarray
-    """n . x of the points x of each plane, with the tolerance, metres, `(J,)`."""
+    """Offset n . x of each plane, moved by the tolerance, metres, `(J,)`."""
     solid: np.ndarray
-    """See `Body`, `(J,)`."""
+    """True for faces, False for planes shared with another body, `(J,)`."""
     first: np.ndarray
     """Planes of body m are `first[m]` to `first[m + 1]`, `(M + 1,)`."""
 
     @classmethod
     def of(cls, bodies: Sequence[Body]) -> "Blockers":
-        """Arrays of at least one body, with the tolerance."""
+        """Make the arrays of at least one body, with faces moved inwards by the tolerance."""
         normals, offsets, solid = (np.concatenate(parts) for parts in zip(*bodies, strict=True))
         offsets = offsets + np.where(solid, -PLACEMENT_TOLERANCE, OVERLAP_M)
         first = np.append(0, np.cumsum([len(body.offsets) for body in bodies]))
         return cls(np.ascontiguousarray(normals), offsets, solid, first)
 
     def grown(self, by: float) -> "Blockers":
-        """The bodies with all faces moved outwards `by` metres."""
+        """Bodies with all faces moved outwards `by` metres."""
         return self._replace(offsets=self.offsets + by * self.solid)
 
     def heights(self, points: FloatArray) -> FloatArray:

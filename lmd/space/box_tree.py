@@ -6,17 +6,22 @@ import numpy as np
 
 from lmd.core.checks import FloatArray, IntArray
 
-# Maximum number of triangles in a leaf, and in a box that is halved without a search for the best cut.
+# Maximum number of triangles in a leaf, and in a box that is cut at the median.
 LEAF, SMALL = 4, 48
 
 
 def box_tree(
     low: FloatArray, high: FloatArray
 ) -> tuple[IntArray, FloatArray, FloatArray, IntArray, IntArray, IntArray]:
-    """Hierarchy of the boxes from `low` to `high` `(T, 3)` that minimises the expected cost of a ray.
+    """Build a hierarchy of T boxes that approximately minimises the expected cost of a ray.
+
+    Args:
+        low: lower corners of the boxes, `(T, 3)`.
+        high: upper corners of the boxes, `(T, 3)`.
 
     Returns:
-        order `(T,)`; centres, halves `(N, 3)`, skip, first and stop `(N,)` as in `lmd.space.triangles.Triangles`.
+        permutation of the boxes, `(T,)`; centres, halves `(N, 3)`, skip, first and stop `(N,)` of the nodes as in
+        `lmd.space.triangles.Triangles`.
     """
     middle = low + high
     order: list[IntArray] = []
@@ -68,6 +73,6 @@ def _cut(part: IntArray, low: FloatArray, high: FloatArray, middle: FloatArray) 
 
 
 def _areas(low: FloatArray, high: FloatArray) -> FloatArray:
-    """Half the surface of boxes `(M, 3)`, `(M,)`."""
+    """Half the surface areas of boxes with corners `low` and `high` `(M, 3)`, `(M,)`."""
     x, y, z = (high - low).T
     return np.asarray(x * y + y * z + z * x)

@@ -18,7 +18,7 @@ Method = TypeVar("Method", bound=Callable[..., Any])
 
 
 def _asked(method: Method) -> Method:
-    """Delegate a method of `Space` to the room."""
+    """Make a method that calls the method of the wrapped room with the name of `method`."""
 
     @wraps(method)
     def ask(changed: "Changed", *arguments: Any, **named: Any) -> Any:
@@ -28,7 +28,7 @@ def _asked(method: Method) -> Method:
 
 
 class Changed:
-    """A `Space` that delegates to a room; subclasses override what they change."""
+    """Base of rooms derived from another room: all methods of `Space` delegate to it unless overridden."""
 
     def __init__(self, room: Space) -> None:
         self._room = room
@@ -58,13 +58,13 @@ class Changed:
 
 
 class Inset(Changed):
-    """A room with smaller surfaces, such as for the centres of footprints.
+    """Room with smaller surfaces, such as the allowed centres of footprints.
 
     `surfaces_of`, `surface_near` and `faces` use the whole surfaces.
 
     Args:
-        room: the room.
-        margin: width of the strip that is removed along all edges, metres.
+        room: original room.
+        margin: width of the strip that is removed along all edges of the surfaces, metres.
 
     Raises:
         InputError: a surface vanishes.
@@ -80,24 +80,24 @@ class Inset(Changed):
         return self._surfaces
 
 
-# Rounding tolerance of the borders of cells, metres: a record this far below a border belongs to the cell above.
+# Rounding tolerance of cell borders, metres: a record less than this below a border belongs to the cell above it.
 ON_BORDER = 1e-9
 
 
 class _Cells(NamedTuple):
-    """Cells with records, ordered by x, y and z."""
+    """P cells that contain records, ordered by x, y and z."""
 
     of: IntArray
-    """Cell of each record, `(T,)`."""
+    """Index of the cell of each record, `(T,)`."""
     seconds: FloatArray
     """Time spent in each cell, seconds, `(P,)`."""
     chosen: IntArray
-    """Record nearest to the mean of each cell, `(P,)`: unlike the mean, certainly a possible position."""
+    """Index of the record nearest to the mean of each cell, `(P,)`; unlike the mean, it is a possible position."""
 
 
 @dataclass(frozen=True)
 class TimeSpent:
-    """Relevance by the time that a recording spent in a cell, times the relevance of the room."""
+    """Relevance of positions of a recording: time spent in the cell times the relevance of the room."""
 
     positions: FloatArray
     """Positions of the cells, metres, `(P, 3)`."""
@@ -115,16 +115,16 @@ class TimeSpent:
 
 
 class Visited(Changed):
-    """A room with the positions of a recording; a `Space`.
+    """Room with the positions of a recording; a `Space`.
 
     Args:
-        room: the room.
+        room: room of the recording.
         positions: positions of T records, metres, `(T, 3)`.
         seconds: duration of each record, seconds, `(T,)`.
-        spacing: edge of the cells, metres: one number or one per axis. A corner of a cell is the world's origin.
+        spacing: edge of the cells, metres: one number or one per axis. The world's origin is a corner of a cell.
 
     Raises:
-        InputError: the spacing is not positive, or so fine that the cells would not fit into memory.
+        InputError: the spacing is not positive, or the cells would not fit into memory.
     """
 
     def __init__(
@@ -152,17 +152,17 @@ class Visited(Changed):
     @property
     @override
     def relevance(self) -> Weighing:
-        """Seconds."""
+        """Time spent in the cells times the relevance of the room."""
         return TimeSpent(self.grid(), self._cells.seconds, self._room.relevance)
 
     @override
     def grid(self) -> FloatArray:
-        """The record nearest to the mean of each visited cell."""
+        """Position of the record nearest to the mean of each visited cell, `(P, 3)`."""
         return self._positions[self._cells.chosen]
 
     @override
     def passable(self, starts: FloatArray, ends: FloatArray) -> BoolArray:
-        """As `clear`, since the recorded camera may have violated the clearance of the room."""
+        """Mask of the lines that are `clear`; the clearance is ignored, as a recorded camera may violate it."""
         return self.clear(starts, ends)
 
     @override
@@ -172,7 +172,7 @@ class Visited(Changed):
 
     @override
     def jittered_grid(self, repeats: int, rng: np.random.Generator) -> FloatArray:
-        """Records of each cell, drawn in proportion to their duration."""
+        """Draw `repeats` records of each cell in proportion to their duration, `(repeats P, 3)`."""
         of, total, _ = self._cells
         by_cell = np.argsort(of, kind="stable")
         ends = np.cumsum(self._seconds[by_cell])
@@ -182,12 +182,12 @@ class Visited(Changed):
 
     @override
     def sample(self, size: int, rng: np.random.Generator) -> FloatArray:
-        """Records, drawn in proportion to their duration."""
+        """Draw records in proportion to their duration, `(size, 3)`."""
         return self._positions[rng.choice(len(self._seconds), size, p=self._seconds / self._seconds.sum())]
 
     @override
     def sample_evenly(self, size: int, rng: np.random.Generator) -> FloatArray:
-        """One random record from each of `size` equal parts of the time."""
+        """Draw one record from each of `size` equal parts of the recorded time, `(size, 3)`."""
         ends = np.cumsum(self._seconds)
         times = (np.arange(size) + rng.random(size)) / size * ends[-1]
         return np.asarray(self._positions[np.searchsorted(ends[:-1], times, side="right")])

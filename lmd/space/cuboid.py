@@ -21,8 +21,8 @@ class Cuboid(Gridded):
     """A cuboid room with a centred reachable box (Sec. V-A of the paper); a `lmd.space.space.Space`.
 
     Raises:
-        InputError: sizes are not positive, the reachable box exceeds the room, a wall is unknown or repeated, or so
-            many positions would not fit into memory.
+        InputError: sizes are not positive, the reachable box exceeds the room, a wall is unknown or repeated, or the
+            positions would not fit into memory.
     """
 
     size: tuple[float, float, float]
@@ -87,7 +87,7 @@ class Cuboid(Gridded):
 
     @override
     def surfaces_of(self, positions: FloatArray, normals: FloatArray) -> IntArray:
-        """See `Space.surfaces_of`; at an edge between two walls, the one with the nearer normal."""
+        """See `Space.surfaces_of`; a landmark at an edge belongs to the wall with the most similar normal."""
         walls = SurfaceArrays.of(self.surfaces())
         on_wall = (np.abs(walls.depth(positions)) <= PLACEMENT_TOLERANCE) & self.contains(positions)[..., None]
         nearest = np.argmax(np.where(on_wall, normals @ walls.normal.T, -np.inf), axis=-1)
@@ -99,10 +99,10 @@ class Cuboid(Gridded):
 
     @override
     def contains(self, points: FloatArray) -> BoolArray:
-        """Whether points `(..., 3)` lie in the closed room, `(...)` bool."""
+        """Mask of the points `(..., 3)` in the closed room, `(...)`."""
         p = np.asarray(points)
         inside = (p >= -PLACEMENT_TOLERANCE) & (p <= np.asarray(self.size) + PLACEMENT_TOLERANCE)
-        return np.asarray(inside[..., 0] & inside[..., 1] & inside[..., 2])  # in a fifth of the time of `all`
+        return np.asarray(inside[..., 0] & inside[..., 1] & inside[..., 2])  # five times faster than `all`
 
     @override
     def blockers(self) -> None:
@@ -134,13 +134,13 @@ class Cuboid(Gridded):
 
 @lru_cache
 def _walls(size: tuple[float, float, float]) -> dict[str, Surface]:
-    """All six walls by name; cached, as a run needs them thousands of times."""
+    """All six walls by name; cached, as a run calls the function thousands of times."""
     walls = box_surfaces(np.zeros(3), np.array(size), WALLS, inwards=True)
     return dict(zip(WALLS, walls, strict=True))
 
 
 def box_edges(low: FloatArray, high: FloatArray) -> FloatArray:
-    """The 12 edges of an axis-aligned box with corners `low` and `high` `(3,)`, as `(12, 2, 3)`."""
+    """Edges of an axis-aligned box with corners `low` and `high` `(3,)`, `(12, 2, 3)`."""
     bits = np.array(list(itertools.product((0, 1), repeat=3)))
     pairs = [(a, b) for a, b in itertools.combinations(bits, 2) if np.abs(a - b).sum() == 1]
     return np.asarray(low + np.array(pairs) * (high - low))

@@ -1,4 +1,4 @@
-"""Doors, windows and furniture of a room by their names, for whoever draws it."""
+"""Named doors, windows and furniture of a room, for drawings."""
 
 import re
 from dataclasses import dataclass
@@ -10,19 +10,19 @@ import numpy as np
 from lmd.core.checks import FloatArray
 from lmd.space.surface import Surface
 
-# What is so near to a surface stands against it, and what is no thicker is flat, metres.
+# Largest distance from a surface of a fixture that touches it, and largest thickness of a flat fixture, metres.
 TOUCHING_M = 0.03
 KINDS = ("door", "window", "furniture", "other")
-NAMED_KIND = re.compile("(?<![a-z])(door|window)")  # a word of the name begins so
+NAMED_KIND = re.compile("(?<![a-z])(door|window)")  # at the beginning of a word
 
 
 @dataclass(frozen=True)
 class Fixture:
-    """A named part of a room that is no wall: a door, a window, a table, a picture.
+    """Named part of a room other than a wall, such as a door, a window, a table or a picture.
 
     Args:
-        name: what it is called.
-        corners: points `(N, 3)` whose convex hull it fills, world frame, metres.
+        name: name on drawings.
+        corners: points whose convex hull is the fixture, world frame, metres, `(N, 3)`.
     """
 
     name: str
@@ -30,7 +30,7 @@ class Fixture:
 
     @cached_property
     def kind(self) -> str:
-        """One of `KINDS`: what its name says, or otherwise `furniture` if it stands on some ground."""
+        """One of `KINDS`: `door` or `window` by the name, else `furniture` if the footprint is thick, else `other`."""
         named = NAMED_KIND.search(self.name.lower())
         if named:
             return named[0]
@@ -38,13 +38,16 @@ class Fixture:
 
     @cached_property
     def footprint(self) -> Any:
-        """The part of the floor that it covers, seen from above: a polygon of shapely, or a line."""
+        """Vertical projection to the floor, a shapely polygon or line."""
         import shapely
 
         return shapely.MultiPoint(self.corners[:, :2]).convex_hull
 
     def has(self, surface: Surface) -> bool:
-        """Whether a surface is one of its faces: it is behind it, and there."""
+        """True if a surface is a face of the fixture.
+
+        The fixture must be behind the surface and contain the point `TOUCHING_M` behind the surface's centre.
+        """
         import shapely
 
         depth = (self.corners - surface.origin) @ surface.normal
@@ -53,9 +56,9 @@ class Fixture:
         return bool(depth.max() < TOUCHING_M and within and self.footprint.covers(shapely.Point(inside[:2])))
 
     def on(self, surface: Surface) -> Any:
-        """The part of a surface that it covers, metres from the left and lower edge: a polygon of shapely, maybe empty.
+        """Part of a surface that the fixture covers, a shapely polygon, possibly empty.
 
-        Nothing of its own faces.
+        Coordinates are metres from the left and the lower edge of the surface. Empty for the fixture's own faces.
         """
         import shapely
 

@@ -15,7 +15,7 @@ from lmd.space.parts import FACES, Obstacle, all_keep_outs, all_made, check_metr
 from lmd.space.polygon import checked_ring, edges, on_hull, planes, upright_bodies
 from lmd.space.surface import PLACEMENT_TOLERANCE, Surface, free_of
 
-# Distance before a face that must be free, metres.
+# Depth of the space in front of a face that must be free, metres.
 FREE_BEFORE_M = 1e-3
 
 
@@ -24,8 +24,8 @@ class FloorPlan:
     """Room with upright walls over a simple polygon, with pillars, furniture, doors and windows.
 
     Raises:
-        InputError: a polygon crosses itself or is clockwise, a part lies outside or is unknown, or a surface has no
-            allowed region.
+        InputError: a polygon crosses itself or is clockwise, an obstacle, hole or keep-out lies outside, a name is
+            unknown, or a surface has no allowed region.
     """
 
     outline: Sequence[Sequence[float]]
@@ -66,10 +66,10 @@ class FloorPlan:
         if self.surfaces is not None:
             built = [name for name in self._faces if not name.startswith("obstacle_")]
             object.__setattr__(self, "surfaces", checked_names("surfaces", self.surfaces, built))
-        self.carriers  # noqa: B018 # raises where nothing may hang
+        self.carriers  # noqa: B018 # raises if a surface has no allowed region
 
     def _check_parts(self) -> None:
-        """Raise `InputError` if holes or obstacles lie outside, or a keep-out beside its surface."""
+        """Raise `InputError` if a hole or obstacle lies outside the room, or a keep-out outside its surface."""
         import shapely
 
         outline, holes = shapely.Polygon(self.outline), [shapely.Polygon(hole) for hole in self.holes]
@@ -104,7 +104,7 @@ class FloorPlan:
 
     @cached_property
     def ground(self) -> Any:
-        """Outline without the holes, a polygon of shapely."""
+        """Outline without the holes, a shapely polygon."""
         import shapely
 
         return shapely.Polygon(self.outline, self.holes)
@@ -117,18 +117,21 @@ class FloorPlan:
 
     @cached_property
     def hull(self) -> tuple[FloatArray, FloatArray]:
-        """Walls on the convex hull: unit normals outwards `(N, 2)`, and offsets `(N,)`."""
+        """Lines of the walls on the convex hull: outward unit normals `(N, 2)`, and offsets, metres, `(N,)`."""
         return planes(edges(self.outline)[on_hull(self.ground)])
 
     @cached_property
     def rim(self) -> tuple[FloatArray, FloatArray]:
-        """All sides of the convex hull as in `hull`; bodies end there."""
+        """Lines of all sides of the convex hull, as in `hull`; bodies outside the outline extend to them."""
         import shapely
 
         return planes(edges(shapely.orient_polygons(self.ground.convex_hull).exterior.coords[:-1]))
 
     def contains(self, points: FloatArray, clearance: float = 0.0) -> BoolArray:
-        """Mask of the points `(..., 3)` in the closed room with `clearance`, metres, `(...)`."""
+        """Mask of the points `(..., 3)` in the closed room, `(...)`.
+
+        Points keep `clearance`, metres, from the planes of walls, holes and obstacles.
+        """
         p = np.asarray(points)
         inside = np.ones(p.shape[:-1], dtype=np.bool_)
         for (normals, offsets), away in ((self.rim, 0.0), (self.hull, clearance)):
@@ -157,7 +160,7 @@ class FloorPlan:
         """Wall over an edge that faces to the right (side 1) or to the left (-1) of the edge."""
         (normal,), _ = planes(edge[None])
         length = float(np.linalg.norm(edge[1] - edge[0]))
-        # As in a cuboid, u never points to lower x, or to lower y.
+        # As in a cuboid, u points towards higher x, or towards higher y if it is along y.
         start, end = sorted(edge.tolist())
         along = np.append((np.array(end) - start) / length, 0.0)
         facing = np.append(normal if side > 0.0 else 0.0 - normal, 0.0)
@@ -176,13 +179,13 @@ class FloorPlan:
 
     @property
     def fixtures(self) -> list[Fixture]:
-        """Keep-outs and obstacles, named by their names or else by their indices."""
+        """Keep-outs and obstacles; those without a name are named by their index."""
         parts = [(f"keep_out {i}", *pair) for i, pair in enumerate(zip(self.keep_out, self.kept_out, strict=True))]
         parts += [(f"obstacle {i}", part, part.corners()) for i, part in enumerate(self.obstacles)]
         return [Fixture(part.name or number, corners) for number, part, corners in parts]
 
     def clearings(self, clearance: float) -> list[list[tuple[float, ...]]]:
-        """Rings of the ground at a distance `clearance`, metres, from walls, holes and obstacles, to draw it."""
+        """Outlines of the ground at least `clearance`, metres, from walls, holes and obstacles, for drawings."""
         import shapely
 
         taken = [shapely.box(*part.low[:2], *part.high[:2]) for part in self.obstacles]
@@ -213,7 +216,7 @@ class FloorPlan:
         return face.where(region)
 
     def _region(self, face: Surface) -> Any:
-        """Part of the rectangle of a face that exists; of an obstacle's face, the part with the room before it."""
+        """Existing part of a face's rectangle; for an obstacle's face, the part with the room in front of it."""
         import shapely
 
         along, up = face.extent

@@ -1,4 +1,4 @@
-"""Up axis of a mesh: most built surfaces are level or upright to a fraction of a degree."""
+"""Test of the up axis of a mesh, as most built surfaces are level or upright to a fraction of a degree."""
 
 import numpy as np
 
@@ -7,22 +7,22 @@ from lmd.space.mesh import Mesh
 from lmd.space.patches import areas_of
 from lmd.space.triangles import unit_normals
 
-# Largest deviation of a level or upright triangle, rad. Few walls are aligned with an axis by chance, and the noise of
-# a scan rotates triangles by more.
+# Largest tilt of a triangle that counts as level or upright, rad. The noise of a scan tilts triangles by more, and few
+# walls are aligned with an axis by chance.
 BUILT_TOLERANCE_RAD = 3.5e-3
-# Largest ratio of the level or upright areas of two axes that decides between them.
+# Ratio of the level or upright areas for two up axes below which the axis with the larger area is the better one.
 DECIDING_SHARE = 0.8
-# Least vertical part of the normal of a level triangle, and largest distance of floor and ceiling from the lowest or
+# Least |n_z| of the unit normal of a level triangle, and largest distance of floor and ceiling from the lowest or
 # highest point, metres.
 LEVEL_NORMAL_Z, STOREY = 0.999, 0.1
 
 
 def doubt_of(mesh: Mesh, undecided: bool) -> str | None:
-    """Evidence that the other one of the axes z and y of a mesh's file points up; None without evidence.
+    """Evidence that the up axis of a mesh's file is not the assumed one (z or y) but the other; None without evidence.
 
     Args:
-        mesh: mesh rotated to z up by the assumed axis.
-        undecided: True if a lower height of the room decides a tie.
+        mesh: mesh, rotated to z up from the assumed axis `Mesh.up`.
+        undecided: True to resolve a tie of the areas in favour of the axis with the lower room.
     """
     corners = mesh.vertices[mesh.faces]
     other = "y" if mesh.up == "z" else "z"

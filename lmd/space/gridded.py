@@ -16,7 +16,7 @@ from lmd.space.surface import FILE_TOLERANCE, PLACEMENT_TOLERANCE, Surface, Surf
 from lmd.space.triangles import Triangles
 
 KINDS = ("cells", "vertices")
-# Memory of a position, bytes: three coordinates twice, a value and a weight.
+# Memory of a position, bytes: two copies of three coordinates, a value and a weight.
 POSITION_BYTES = 64
 # Inverse powers of the root of x^4 = x + 1, the golden ratio of three dimensions (Roberts, 2018). With other irrational
 # steps, such as square roots, some shapes were sampled worse than by independent points.
@@ -27,7 +27,7 @@ def checked_spacing(value: Any, size: Sequence[float]) -> float | tuple[float, .
     """Check the spacing of a grid in a box of `size`, metres: one number or one per axis.
 
     Raises:
-        InputError: it is not positive, or so many positions would not fit into memory.
+        InputError: the spacing is not positive, or the positions would not fit into memory.
     """
     spacing: float | tuple[float, ...]
     if isinstance(value, Iterable) and not isinstance(value, str):
@@ -42,7 +42,7 @@ def checked_spacing(value: Any, size: Sequence[float]) -> float | tuple[float, .
 
 def grid_counts(size: FloatArray, spacing: float | Sequence[float], kind: str) -> tuple[int, int, int]:
     """Number of positions along x, y, z in a box of `size` `(3,)`; `kind` as in `grid_axes`."""
-    # The small allowance keeps 4.5 / 0.5 at 9 cells however the division rounds.
+    # The tolerance of 1e-9 keeps rounding from adding a cell, as in 4.5 / 0.5 = 9.
     cells = np.ceil(np.asarray(size) / np.asarray(spacing) - 1e-9).astype(int)
     nx, ny, nz = (int(c) for c in np.maximum(cells, 1) + (kind == "vertices"))
     return nx, ny, nz
@@ -76,8 +76,8 @@ def combined(axes: Sequence[FloatArray]) -> FloatArray:
 def latin_hypercube(repeats: int, shape: tuple[int, ...], rng: np.random.Generator) -> FloatArray:
     """Stratified random numbers in [0, 1), `(repeats, *shape)`, each uniform.
 
-    The `repeats` numbers at one index lie in different ones of `repeats` equal parts of the interval. Means over them
-    usually have smaller errors than over independent numbers.
+    Each of `repeats` equal parts of [0, 1) contains one of the `repeats` numbers at an index. Means over these numbers
+    usually have smaller errors than means over independent numbers.
     """
     part = rng.permuted(np.broadcast_to(np.arange(repeats).reshape(-1, *len(shape) * (1,)), (repeats, *shape)), axis=0)
     drawn = (part + rng.random(part.shape)) / repeats
@@ -87,8 +87,8 @@ def latin_hypercube(repeats: int, shape: tuple[int, ...], rng: np.random.Generat
 def kronecker(shift: FloatArray) -> Callable[[int], FloatArray]:
     """Kronecker sequence in the unit cube: a function that returns its next `count` points, `(count, 3)`.
 
-    With a random first point `shift` `(3,)` each point is uniform, and means over many usually have smaller errors than
-    over independent points.
+    If the first point `shift` `(3,)` is uniform, every point is uniform. Means over many points usually have smaller
+    errors than means over independent points.
     """
     drawn = 0
 
@@ -101,11 +101,11 @@ def kronecker(shift: FloatArray) -> Callable[[int], FloatArray]:
     return following
 
 
-# Maximum number of draws of a reachable position in a cell; then the grid position is used.
+# Maximum number of draws of a reachable position in a cell; after that the grid position is used.
 MOST_DRAWS = 100
-# Least share of the box that the reachable volume must fill.
+# Least share of reachable volume in the box for random sampling.
 LEAST_SHARE = 1e-4
-# Largest difference of the cosines of equal normals with a third direction.
+# Tolerance of the comparison of cosines between a landmark's normal and the normals of two surfaces.
 SAME_WAY = 1e-6
 
 
@@ -195,9 +195,9 @@ class Gridded(ABC):
     def sample_evenly(self, size: int, rng: np.random.Generator) -> FloatArray:
         """See `Space.sample_evenly`."""
         low, high = self.box
-        # The first point is reachable: then every return of the sequence to the reachable volume is at a uniform point.
-        # From any first point, returns after long absences would be overrepresented.
-        extent = np.where(high > low, high - low, 1.0)  # a robot on the ground may have one height
+        # With a uniform reachable first point, all reachable points of the sequence are uniform. With a first point
+        # uniform in the box, reachable points that follow many unreachable ones would be overrepresented.
+        extent = np.where(high > low, high - low, 1.0)  # the box of a ground robot may have zero height
         return self._reached(size, kronecker((self.sample(1, rng)[0] - low) / extent))
 
     def _reached(self, size: int, following: Callable[[int], FloatArray]) -> FloatArray:
@@ -217,9 +217,9 @@ class Gridded(ABC):
         return drawn
 
     def surfaces_of(self, positions: FloatArray, normals: FloatArray) -> IntArray:
-        """See `Space.surfaces_of`; at an edge between two surfaces, the one with the nearer normal.
+        """See `Space.surfaces_of`; a landmark at an edge belongs to the surface with the most similar normal.
 
-        Of surfaces in one plane with overlapping rectangles, the one that allows a landmark there.
+        Among coplanar surfaces with overlapping rectangles, a landmark belongs to the one that allows it there.
         """
         carriers, within, allowed = self._carried(positions)
         hangs = within & self.contains(positions)[..., None]
@@ -228,7 +228,12 @@ class Gridded(ABC):
         return np.where(hangs.any(axis=-1), np.argmax(np.where(same, facing + 1.0, facing), axis=-1), -1)
 
     def _carried(self, points: FloatArray) -> tuple[SurfaceArrays, BoolArray, BoolArray]:
-        """Surfaces, mask of the rectangles that contain points `(..., 3)`, mask of those that allow a landmark."""
+        """Surfaces at points `(..., 3)`.
+
+        Returns:
+            W surfaces; mask of the rectangles that contain each point, `(..., W)`; mask of the surfaces whose allowed
+            region contains it, `(..., W)`.
+        """
         carriers = SurfaceArrays.of(self.surfaces())
         every = np.arange(len(carriers.normal))
         at = carriers.coordinates(every, np.asarray(points)[..., None, :])

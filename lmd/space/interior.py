@@ -1,4 +1,4 @@
-"""Interior of a mesh: the points connected to its largest free component without crossing a triangle."""
+"""Interior of a mesh: points with a clear line to a node of its largest free component."""
 
 import itertools
 from dataclasses import dataclass
@@ -10,11 +10,11 @@ from lmd.core.checks import BoolArray, FloatArray, IntArray
 from lmd.space.gridded import combined, grid_axes, grid_counts
 from lmd.space.triangles import Triangles
 
-# Distance of nodes, metres, increased if there were more than `MOST_NODES`.
+# Spacing of nodes, metres, and maximum number of nodes; a larger number increases the spacing.
 STEP, MOST_NODES = 0.2, 400_000
 # Least distance of a node from a triangle, metres: a node in the plane of a triangle would connect both sides.
 NODE_CLEARANCE_M = 1e-3
-# Largest distance of the nodes that a point is connected to, steps.
+# Largest distance between a point and the nodes that are tested for a clear line, node spacings per axis.
 STEPS_TO_NODES = 2
 
 
@@ -74,7 +74,7 @@ class Interior:
         nodes, inside = self.nodes
         flat = np.asarray(points, dtype=np.float64).reshape(-1, 3)
         found, left = np.zeros(len(flat), dtype=np.bool_), np.arange(len(flat))
-        # In steps from the first node.
+        # Points in units of the node spacing, relative to the first node.
         at = np.stack(
             [(flat[:, i] - axis[0]) / max(self._pitch[i], 1e-12) for i, axis in enumerate(self._axes)], axis=1
         )
@@ -96,6 +96,6 @@ class Interior:
 
 
 def _nearest_first() -> IntArray:
-    """Offsets to the nodes around a cell, from its lowest corner, `(M, 3)`."""
+    """Integer offsets from the lowest corner of a cell to the nodes around the cell, nearest first, `(M, 3)`."""
     offsets = np.array(list(itertools.product(range(1 - STEPS_TO_NODES, 1 + STEPS_TO_NODES), repeat=3)))
     return offsets[np.argsort(np.abs(offsets - 0.5).sum(axis=1), kind="stable")]

@@ -1,4 +1,4 @@
-"""Triangles of a room, as a file or a program gives them."""
+"""Triangle meshes of rooms."""
 
 from dataclasses import dataclass
 
@@ -7,23 +7,23 @@ from lmd.core.checks import FloatArray, IntArray
 
 @dataclass(frozen=True, eq=False)
 class Mesh:
-    """V corners and T triangles in the world frame, z up, metres, and the objects that they belong to."""
+    """Mesh of V vertices and T triangles of named objects; world frame, z up, metres."""
 
     vertices: FloatArray
-    """Corners, `(V, 3)`."""
+    """Vertices, `(V, 3)`."""
     faces: IntArray
-    """Indices of the corners of each triangle, `(T, 3)`."""
+    """Indices of the vertices of each triangle, `(T, 3)`."""
     of: IntArray
     """Index in `names` of the object of each triangle, `(T,)`."""
     names: tuple[str, ...]
-    """Names of the objects."""
+    """Names of the objects, empty for an object without a name."""
     path: str = "the mesh"
-    """The file, for messages."""
+    """Path of the file, for messages."""
     up: str = "z"
-    """The axis of the file that points up, `z` or `y`."""
+    """Axis of the file that points up, `z` or `y`."""
     up_is_sure: bool = True
-    """True if the user or the format says which axis points up."""
+    """True if the user or the file format defines the up axis."""
     on_walls: tuple[tuple[str, FloatArray], ...] = ()
-    """Names and corners `(N, 3)` of what lies on walls, such as doors: nothing hangs there."""
+    """Names and corners `(N, 3)` of objects on walls, such as doors, which exclude landmarks."""
     note: str = ""
-    """A sentence on how the file was read; empty for nothing."""
+    """Remark on an ambiguous file, a sentence; empty without ambiguity."""

@@ -22,12 +22,12 @@ from lmd.space.triangles import Triangles
 class MeshRoom(Gridded):
     """A room from a mesh; a `lmd.space.space.Space`.
 
-    Positions are the points of a grid in the box around the mesh, less the clearance, or in a given box, that are in
-    the free space and keep the clearance.
+    Positions are the points of a grid that are in the free space of the mesh and keep the clearance. The grid fills a
+    given box, or the box around the mesh reduced by the clearance.
 
     Raises:
-        InputError: the reachable volume leaves the mesh or is empty, a value is out of range, or so many positions
-            would not fit into memory.
+        InputError: the reachable volume leaves the mesh or is empty, a value is out of range, or the positions would
+            not fit into memory.
     """
 
     scan: Scan
@@ -64,7 +64,7 @@ class MeshRoom(Gridded):
                 "nothing, there is no floor below, or spacing is too large.",
                 name,
             )
-        self.surfaces()  # raises where nothing may hang
+        self.surfaces()  # raises if no surface may carry landmarks
 
     @cached_property
     @override
@@ -95,7 +95,7 @@ class MeshRoom(Gridded):
 
     @override
     def contains(self, points: FloatArray) -> BoolArray:
-        """See `Space.contains`; allowed places of landmarks count as inside, also in niches that no node sees."""
+        """See `Space.contains`; allowed places of landmarks count as inside, even without a clear line to a node."""
         low, high = self.bounds()
         within = (points >= low - PLACEMENT_TOLERANCE) & (points <= high + PLACEMENT_TOLERANCE)
         found = np.asarray(within.all(axis=-1) & self.scan.interior.contains(points))
@@ -107,7 +107,7 @@ class MeshRoom(Gridded):
         return self.scan.triangles
 
     def passable(self, starts: FloatArray, ends: FloatArray) -> BoolArray:
-        """See `Space.passable`: the whole way keeps the clearance."""
+        """See `Space.passable`: the whole path keeps the clearance."""
         free, clearance = self.clear(starts, ends), self.reachable.clearance
         return free if self.scan.solids is None else free & self.scan.solids.keeps_away(starts, ends, clearance)
 
@@ -116,7 +116,7 @@ class MeshRoom(Gridded):
         return self.scan.faces
 
     def outline(self) -> dict[str, FloatArray]:
-        """See `Space.outline`; of the reachable area the box around its positions."""
+        """See `Space.outline`; the reachable area is drawn as the box around its positions."""
         grid, kept_out = self.grid(), self.scan.kept_out(self.surfaces())
         parts = {"room": self.scan.edges}
         if kept_out:

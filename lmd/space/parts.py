@@ -13,7 +13,7 @@ from lmd.space.surface import Surface
 
 FACES = ("x_min", "x_max", "y_min", "y_max", "bottom", "top")
 
-# Bounds on the longest side of a room, and on its shortest, metres; other rooms were not given in metres.
+# Bounds on the longest side of a room, and upper bound on its shortest side, metres; beyond them the unit is wrong.
 SHORTEST, LONGEST, FLATTEST = 0.3, 1000.0, 200.0
 
 T = TypeVar("T")
@@ -23,9 +23,9 @@ def check_metres(size: Iterable[float], makes: str, hint: str, argument: str) ->
     """Raise `InputError` if the size of a room is implausible in metres.
 
     Args:
-        size: lengths along x, y and z.
-        makes: cause, the beginning of the sentence.
-        hint: remedy, the end of the sentence.
+        size: lengths along x, y and z, metres.
+        makes: beginning of the message: the cause.
+        hint: end of the message: the remedy.
         argument: name of the argument.
     """
     lengths = list(size)
@@ -34,7 +34,7 @@ def check_metres(size: Iterable[float], makes: str, hint: str, argument: str) ->
 
 
 def box_text(lengths: Iterable[float]) -> str:
-    """Lengths along x, y and z, metres, for messages."""
+    """Text of lengths along x, y and z, metres, for messages."""
     return " x ".join(f"{length:.4g}" for length in lengths) + " m"
 
 
@@ -70,7 +70,7 @@ class Obstacle:
     faces: Sequence[str] = ()
     """Faces of `FACES` that may carry landmarks."""
     name: str | None = None
-    """Name on paper, such as `rack`."""
+    """Name on drawings, such as `rack`."""
 
     def __post_init__(self) -> None:
         check_fields(self, vector, "low", "high", size=3)
@@ -117,7 +117,7 @@ class Reachable:
     height: Sequence[float]
     """Lowest and highest z of the camera, metres."""
     clearance: float = 0.0
-    """Distance from the planes of walls, holes and obstacles, metres."""
+    """Least distance from the planes of walls, holes and obstacles, metres."""
 
     def __post_init__(self) -> None:
         low, high = vector("height", self.height, 2)
@@ -129,20 +129,21 @@ class Reachable:
 
 @dataclass(frozen=True)
 class FreeVolume:
-    """Reachable volume of a mesh: between two heights or in a box, away from triangles.
+    """Reachable volume of a mesh: between two heights or in a box, with a clearance from triangles.
 
     Raises:
-        InputError: both or neither are given, they are in the wrong order, or the clearance is negative.
+        InputError: both or neither of `height` and the box are given, bounds are in the wrong order, or the clearance
+            is negative.
     """
 
     height: Sequence[float] | None = None
     """Lowest and highest z of the camera, metres."""
     low: Sequence[float] | None = None
-    """Lower corner of a box instead of `height`, metres."""
+    """Lower corner of a box, metres, instead of `height`."""
     high: Sequence[float] | None = None
     """Upper corner of the box, metres."""
     clearance: float = 0.0
-    """Distance from all triangles except floor and ceiling, metres."""
+    """Least distance from all triangles except floor and ceiling, metres."""
 
     def __post_init__(self) -> None:
         if (self.height is None) == (self.low is None) or (self.low is None) != (self.high is None):
@@ -160,7 +161,7 @@ def made(name: str, kind: type[T], value: Any) -> T:
     """Make a part from its value in a configuration: the part itself, or a mapping of its arguments.
 
     Raises:
-        InputError: the value is neither, an argument is unknown or missing, or the class refuses it.
+        InputError: the value is neither, an argument is unknown or missing, or the part is invalid.
     """
     if isinstance(value, kind):
         return value
@@ -178,14 +179,14 @@ def made(name: str, kind: type[T], value: Any) -> T:
 
 
 def all_made(name: str, kind: type[T], values: Any) -> tuple[T, ...]:
-    """Make a list of parts, see `made`."""
+    """Make parts from a list of values in a configuration, see `made`."""
     if isinstance(values, str | Mapping) or not isinstance(values, Sequence):
         raise InputError(f"{name} must be a list, got {values!r}.", name)
     return tuple(made(f"{name}[{i}]", kind, value) for i, value in enumerate(values))
 
 
 def checked_band(value: Any, **bounds: float) -> tuple[float, ...] | None:
-    """Check the lowest and highest z of landmarks, metres; None for all.
+    """Check the lowest and highest z of landmarks, metres; None for all heights.
 
     Raises:
         InputError: the band is empty or exceeds `bounds`.
@@ -212,7 +213,7 @@ def checked_names(name: str, value: Any, known: Sequence[str]) -> tuple[str, ...
     return tuple(given)
 
 
-# Largest distance of a keep-out beyond its surface, metres: keep-outs are measured by hand.
+# Largest distance by which a keep-out may reach beyond its surface, metres, as keep-outs are measured by hand.
 BEYOND_SURFACE_M = 0.05
 
 
@@ -220,10 +221,10 @@ BEYOND_SURFACE_M = 0.05
 class KeepOut:
     """Part of a surface without landmarks, such as a door, a window or a screen.
 
-    Distances are as seen from the front: before a wall, or above the floor or below the ceiling with y up.
+    Left and below are as seen by a viewer in front of a wall with z up, or in front of floor or ceiling with y up.
 
     Raises:
-        InputError: neither both spans nor corners are given, or the part is empty.
+        InputError: not exactly both spans or the corners are given, or the part is empty.
     """
 
     surface: str
@@ -233,9 +234,9 @@ class KeepOut:
     from_below: Sequence[float] | None = None
     """Start and end from the lower edge of the surface, metres."""
     corners: Sequence[Sequence[float]] | None = None
-    """Vertices [from left, from below] instead of both spans, metres."""
+    """Vertices [from left, from below], metres, instead of both spans."""
     name: str | None = None
-    """Name on paper, such as `door`."""
+    """Name on drawings, such as `door`."""
 
     def __post_init__(self) -> None:
         if (self.corners is None) == (self.from_left is None) or (self.from_left is None) != (self.from_below is None):
@@ -276,14 +277,14 @@ class KeepOut:
         return np.array([(a, b), (c, b), (c, d), (a, d)])
 
     def region(self, face: Surface) -> Any:
-        """Polygon of shapely in the coordinates of its surface."""
+        """Shapely polygon in the coordinates of the surface `face`."""
         import shapely
 
         return shapely.Polygon(face.seen(self.ring))
 
 
 def all_keep_outs(values: Any, faces: Sequence[str]) -> tuple[KeepOut, ...]:
-    """Keep-outs from the values that a user gave.
+    """Make keep-outs from values in a configuration.
 
     Args:
         values: list of `KeepOut`s or mappings of their arguments.

@@ -12,14 +12,14 @@ from lmd.space.mesh import Mesh
 from lmd.space.parts import KeepOut
 from lmd.space.surface import PLACEMENT_TOLERANCE, Surface
 
-# Largest angle between adjacent triangles of a patch, rad, and largest distance of its corners from the plane, metres.
+# Largest angle between adjacent triangles of a patch, rad, and largest distance of its vertices from its plane, metres.
 BENT, UNEVEN = 1e-3, 1e-3
 # Tolerance of the simplification of borders, metres.
 STRAIGHT_M = 1e-6
 
 
 def flat_parts(mesh: Mesh) -> list[IntArray]:
-    """Triangles of each planar patch of an object, largest area first."""
+    """Indices of the triangles of each planar patch, largest area first; a patch belongs to one object."""
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
 
@@ -40,16 +40,16 @@ def areas_of(corners: FloatArray) -> FloatArray:
 
 
 def plane_of(corners: FloatArray) -> tuple[FloatArray, float]:
-    """Plane of triangles `(T, 3, 3)`: mean unit normal, `(3,)`, and largest distance of a corner, metres."""
+    """Plane fitted to triangles `(T, 3, 3)`: mean unit normal, `(3,)`, and largest distance of a vertex, metres."""
     total = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]).sum(axis=0)
     normal = total / np.linalg.norm(total) + 0.0
     return normal, float(np.ptp(corners @ normal)) / 2.0
 
 
 def surface_of(name: str, corners: FloatArray, normal: FloatArray) -> Surface:
-    """Surface of coplanar triangles `(T, 3, 3)`, whose union is the allowed region.
+    """Surface of coplanar triangles `(T, 3, 3)`; their union is the allowed region.
 
-    u and v are right and up as seen from the side of `normal` `(3,)`.
+    u and v point right and up for a viewer on the side of `normal` `(3,)`.
     """
     import shapely
 
@@ -68,7 +68,7 @@ ON_WALL = 0.15
 
 
 def lying_on(surface: Surface, name: str, corners: FloatArray) -> KeepOut | None:
-    """Keep-out of a surface by a thing with corners `(N, 3)`; None if the thing does not lie on the surface."""
+    """Keep-out for an object with corners `(N, 3)` on a surface; None if the object does not lie on the surface."""
     import shapely
 
     if np.abs((corners - surface.origin) @ surface.normal).max() > ON_WALL:
@@ -85,17 +85,17 @@ def lying_on(surface: Surface, name: str, corners: FloatArray) -> KeepOut | None
 
 
 def grown(shapes: Any, width: float) -> Any:
-    """Buffer shapes by `width`, metres, possibly negative, with mitred corners."""
+    """Buffer shapes by `width`, metres, with mitred corners; a negative width shrinks them."""
     import shapely
 
-    with np.errstate(divide="ignore", invalid="ignore"):  # in trials that GEOS discards
+    with np.errstate(divide="ignore", invalid="ignore"):  # of intermediate results that GEOS discards
         return shapely.buffer(shapes, width, cap_style="square", join_style="mitre")
 
 
 def standing_on(surface: Surface, triangles: FloatArray, height: float) -> list[Any]:
-    """Shapes that triangles `(T, 3, 3)` on a patch, or within `height` metres before it, cover of it.
+    """Projections to a surface of the parts of triangles `(T, 3, 3)` up to `height`, metres, in front of it.
 
-    Triangles perpendicular to the patch cover a line.
+    Shapely shapes in the coordinates of the surface. A triangle perpendicular to the surface gives a line.
     """
     import shapely
 

@@ -1,4 +1,4 @@
-"""Polygons of a floor plan: checks, and the convex bodies that stand on them."""
+"""Polygons of a floor plan: checks, edges, and the upright convex bodies outside them."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -44,7 +44,10 @@ def edges(ring: Sequence[Sequence[float]] | FloatArray) -> FloatArray:
 
 
 def planes(edge: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Unit normals `(N, 2)` to the right of edges `(N, 2, 2)`, outwards if they run counter-clockwise, and offsets."""
+    """Lines n . x = d of edges `(N, 2, 2)`: unit normals n to the right `(N, 2)`, and offsets d, metres, `(N,)`.
+
+    The normals point outwards if the edges run counter-clockwise.
+    """
     way = edge[:, 1] - edge[:, 0]
     way = way / np.linalg.norm(way, axis=1, keepdims=True)
     normals = np.stack([way[:, 1], 0.0 - way[:, 0]], axis=1)
@@ -52,7 +55,7 @@ def planes(edge: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 
 def on_hull(polygon: Any) -> Any:
-    """Mask of the edges of the outer ring of a polygon on its convex hull, `(N,)`."""
+    """Mask of the edges of a polygon's outer ring that lie on its convex hull, `(N,)`."""
     import shapely
 
     middles = shapely.points(edges(polygon.exterior.coords[:-1]).mean(axis=1))
@@ -60,9 +63,9 @@ def on_hull(polygon: Any) -> Any:
 
 
 def upright_bodies(polygon: Any) -> list[Body]:
-    """Unbounded upright bodies that fill the convex hull of a polygon outside the polygon, and its holes.
+    """Upright bodies of unlimited height that fill the holes of a polygon, and its convex hull outside the polygon.
 
-    Planes of the hull are left out, as no line between two points of the polygon crosses them.
+    Sides on the hull are left out, as no line between two points of the polygon crosses them.
     """
     import shapely
 
@@ -84,9 +87,9 @@ def upright_bodies(polygon: Any) -> list[Body]:
 
 
 def _tips(edge: FloatArray, solid: Any) -> tuple[FloatArray, FloatArray]:
-    """Planes through the vertices of a convex piece between two edges without a face.
+    """Lines through the vertices of a convex piece between two edges shared with other pieces.
 
-    They cut off the overlap with other pieces that would protrude into the room.
+    They cut off the tips that would protrude into the room because pieces overlap. Returns normals and offsets.
     """
     bare = ~solid & ~np.roll(solid, 1)  # at the start of an edge
     way = edge[:, 1] - edge[:, 0]

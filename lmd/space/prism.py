@@ -24,15 +24,16 @@ from lmd.space.surface import Surface
 class Prism(Gridded):
     """A room over a floor plan; a `lmd.space.space.Space`.
 
-    Positions are the points of a grid in the box around the walls, less the clearance, in the reachable volume.
+    Positions are the points of a grid that are in the reachable volume. The grid fills the box around the walls reduced
+    by the clearance.
 
     Raises:
-        InputError: the reachable volume leaves the room or is empty, a value is out of range, or so many positions
-            would not fit into memory.
+        InputError: the reachable volume leaves the room or is empty, a value is out of range, or the positions would
+            not fit into memory.
     """
 
     plan: FloorPlan
-    """Built room."""
+    """Floor plan."""
     reachable: Reachable
     """Reachable volume, or a mapping of its arguments."""
     spacing: float | Sequence[float]
@@ -94,7 +95,7 @@ class Prism(Gridded):
         return self.plan.blockers
 
     def passable(self, starts: FloatArray, ends: FloatArray) -> BoolArray:
-        """See `Space.passable`: the whole way keeps the clearance."""
+        """See `Space.passable`: the whole path keeps the clearance."""
         blockers = self.plan.blockers
         return clear_of(blockers and blockers.grown(self.reachable.clearance), starts, ends)
 
@@ -103,7 +104,7 @@ class Prism(Gridded):
         return self.plan.faces
 
     def outline(self) -> dict[str, FloatArray]:
-        """See `Space.outline`; the reachable area as if obstacles reached from floor to ceiling."""
+        """See `Space.outline`; the reachable area is drawn as if obstacles reached from floor to ceiling."""
         plan, (low, high) = self.plan, self.reachable.height
         parts = {"room": [_prism_edges(ring, 0.0, plan.height) for ring in (plan.outline, *plan.holes)]}
         parts["obstacles"] = [box_edges(np.array(part.low), np.array(part.high)) for part in plan.obstacles]
@@ -122,7 +123,7 @@ class Prism(Gridded):
 
 
 def _prism_edges(ring: Sequence[Sequence[float]], low: float, high: float) -> FloatArray:
-    """The edges of an upright prism, `(M, 2, 3)`."""
+    """Edges of an upright prism between heights `low` and `high`, metres, `(M, 2, 3)`."""
     flat = edges(ring)
     bottom, top = (np.insert(flat, 2, z, axis=2) for z in (low, high))
     return np.concatenate([bottom, top, np.stack([bottom[:, 0], top[:, 0]], axis=1)])
@@ -137,5 +138,5 @@ def from_floor_plan(
     relevance: Relevance | None = None,
     **plan: Any,
 ) -> Prism:
-    """Make a `Prism` from its own arguments and those of its plan."""
+    """Make a `Prism` from its arguments and those of its `FloorPlan`."""
     return Prism(FloorPlan(outline, height, **plan), reachable, spacing, positions, relevance or Relevance())

@@ -9,7 +9,7 @@ import numpy as np
 from lmd.core.checks import FloatArray, InputError, real, vector
 from lmd.core.tables import read_numbers
 
-# Largest distance of a position from its row in a file of weights, metres.
+# Largest distance between a position and its row in a file of weights, and tolerance of regions, metres.
 SAME_POINT = 1e-6
 
 
@@ -17,7 +17,7 @@ class Weighing(Protocol):
     """Weights of positions."""
 
     def weights(self, points: FloatArray) -> FloatArray:
-        """Weights of `points` `(P, 3)`, `(P,)`, not all zero."""
+        """Weights of `points` `(P, 3)`, `(P,)`; not all are zero."""
 
 
 @dataclass(frozen=True)

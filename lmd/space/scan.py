@@ -18,13 +18,14 @@ from lmd.space.patches import UNEVEN, areas_of, flat_parts, grown, lying_on, pla
 from lmd.space.surface import PLACEMENT_TOLERANCE, Surface, free_of
 from lmd.space.triangles import Triangles, unit_normals
 
-# Least share of the height of the room that a wall spans, and of the ground that floor and ceiling cover.
+# Objects are walls if they span this share of the room's height, floor or ceiling if they cover this share of its area.
 WALL, GROUND = 0.9, 0.5
 # Relative rounding of the coordinates of a file.
 FILE_ROUNDING = 1e-5
-# Distance before a surface within which a thing prevents landmarks, metres.
+# Objects within this distance in front of a surface exclude landmarks, metres.
 FREE_BEFORE_M = 0.01
-# Number of places before a patch, their distance from it in metres, and number of positions that decide its front.
+# The front of a patch is the side from which more lines to camera positions are clear: number of points on the patch,
+# their distance from it, metres, and number of camera positions.
 PLACES, AWAY, WITNESSES = 9, 1e-3, 300
 # Least angle between faces at a drawn edge, rad, and maximum number of drawn edges.
 CREASE, MOST_EDGES = 0.35, 5000
@@ -32,15 +33,15 @@ CREASE, MOST_EDGES = 0.35, 5000
 
 @dataclass(frozen=True)
 class Scan:
-    """Room from a triangle mesh, a scan or a CAD model, in the coordinates of the file rotated to z up.
+    """Room from a triangle mesh, such as a scan or a CAD model, in the coordinates of the file rotated to z up.
 
-    Its surfaces are planar patches: adjacent triangles of one object in one plane that hold a square of `least_area`.
-    They have the name of their object in the file, with a number from the largest if it has several; `patch_0`,
-    `patch_1`, ... without names. All triangles block lines of sight from both sides.
+    Its surfaces are planar patches: adjacent coplanar triangles of one object into which a square of `least_area` fits.
+    A patch has the name of its object, followed by its rank by area if the object has several patches. Patches of
+    objects without a name are `patch_0`, `patch_1`, ... All triangles block lines of sight from both sides.
 
     Raises:
-        InputError: the file is none of a room, it has no patch large enough, a name is not known, a keep-out reaches
-            beyond its patch, or the axis that points up is ambiguous.
+        InputError: no patch is large enough, a name is unknown, a keep-out reaches beyond its patch, or the up axis is
+            ambiguous.
     """
 
     mesh: Mesh
@@ -81,13 +82,13 @@ class Scan:
 
     @cached_property
     def triangles(self) -> Triangles:
-        """All triangles; their tolerance exceeds the unevenness of all patches."""
+        """All triangles, with a tolerance above the unevenness of all patches."""
         uneven = [plane_of(self._corners[part])[1] for part in self._patches.values()]
         return Triangles.of(self.mesh.vertices, self.mesh.faces, PLACEMENT_TOLERANCE + max(uneven))
 
     @cached_property
     def solids(self) -> Triangles | None:
-        """Triangles from which the camera keeps its clearance: all except floor and ceiling."""
+        """All triangles except those of floor and ceiling, from which the camera keeps its clearance; None if empty."""
         z, (low, high) = self._corners[..., 2], self.bounds
         level = np.abs(unit_normals(self._corners)[:, 2]) > LEVEL_NORMAL_Z
         ends = (z.max(axis=1) < low[2] + STOREY) | (z.min(axis=1) > high[2] - STOREY)
@@ -119,12 +120,12 @@ class Scan:
 
     @cached_property
     def _patches(self) -> dict[str, IntArray]:
-        """Triangles of the patches that are large enough, by name, the largest first."""
+        """Indices of the triangles of each patch that is large enough, by name, largest area first."""
         chosen = []
         for part in self._flat:
             corners = self._corners[part]
             if areas_of(corners).sum() < self.least_area * (1.0 - FILE_ROUNDING):
-                break  # they come by their area
+                break  # all following parts are smaller
             normal, uneven = plane_of(corners)
             if uneven <= UNEVEN:
                 surface = surface_of("", corners, normal)
@@ -138,12 +139,12 @@ class Scan:
         return named
 
     def carriers(self, positions: FloatArray) -> tuple[Surface, ...]:
-        """Surfaces that may carry landmarks, facing the side that most of `positions` `(P, 3)` see.
+        """Surfaces that may carry landmarks, facing the side that is visible from most of `positions` `(P, 3)`.
 
-        Unless requested by name, patches that are not visible or have no allowed region are left out.
+        Patches that are not visible or have no allowed region are left out.
 
         Raises:
-            InputError: one of `surfaces` is such a patch, or none is left.
+            InputError: a patch listed in `surfaces` would be left out, or no patch remains.
         """
         chosen = positions[np.unique(np.linspace(0, len(positions) - 1, WITNESSES).astype(int))]
         carriers = []
@@ -160,7 +161,7 @@ class Scan:
         return tuple(carriers)
 
     def _facing(self, name: str, positions: FloatArray) -> Surface | None:
-        """Patch that faces the side with more of the positions; None if none of them sees it."""
+        """Surface of a patch, facing the side that is visible from more positions; None if neither side is visible."""
         corners = self._corners[self._patches[name]]
         normal, _ = plane_of(corners)
         surface = surface_of(name, corners, normal)
@@ -186,8 +187,8 @@ class Scan:
     def _inside(self, surface: Surface, region: Any, standing: Sequence[Any]) -> Any:
         """Part of a region of a patch inside the room: not below its floor, beyond a wall or in furniture.
 
-        Things on the patch divide it into cells; slits of two `FREE_BEFORE_M` are closed. Nothing crosses a cell, which
-        is hence inside the room if one of its places is.
+        Triangles on the patch divide the region into cells; strips narrower than 2 `FREE_BEFORE_M` are ignored. As no
+        triangle crosses a cell, a cell is inside the room if any of its points is.
         """
         import shapely
 
@@ -203,7 +204,7 @@ class Scan:
 
     @cached_property
     def faces(self) -> tuple[Surface, ...]:
-        """All that is seen, each from both sides."""
+        """Surfaces of all planar parts, each with both of its sides."""
         found = []
         for part in self._flat:
             corners = self._corners[part]
@@ -213,7 +214,7 @@ class Scan:
 
     @cached_property
     def edges(self) -> FloatArray:
-        """Sharp and open edges to draw, `(M, 2, 3)`."""
+        """Sharp edges and edges of a single triangle, for drawings, at most the `MOST_EDGES` longest, `(M, 2, 3)`."""
         triangles, corners = self.triangles, self.triangles.corners
         ends = np.stack([corners, np.roll(corners, -1, axis=1)], axis=2).reshape(-1, 2, 3)
         turn = (triangles.beyond * triangles.normals[:, None]).sum(axis=-1).reshape(-1)
@@ -224,9 +225,10 @@ class Scan:
         return np.asarray(drawn[np.sort(np.argsort(-length, kind="stable")[:MOST_EDGES])])
 
     def fixtures(self, surfaces: Sequence[Surface]) -> list[Fixture]:
-        """The named objects of the file that are no floor, ceiling or wall, and the keep-outs on surfaces.
+        """Named objects of the file other than floor, ceiling and walls, and keep-outs on surfaces.
 
-        Walls reach over nearly all of the height, floor and ceiling over half of the ground.
+        An object is a wall if it spans the share `WALL` of the room's height, floor or ceiling if it covers the share
+        `GROUND` of the room's bounding rectangle.
         """
         low, high = self.bounds
         found = []
@@ -248,7 +250,7 @@ class Scan:
         return [surface.point(*part.ring.T) for surface in surfaces for part in self._kept_out(surface)]
 
     def keeps_away(self, points: FloatArray, clearance: float) -> BoolArray:
-        """Mask of the points `(..., 3)` with `clearance`, metres, from all but floor and ceiling, `(...)`."""
+        """Mask of the points `(..., 3)` at least `clearance`, metres, from all `solids`, `(...)`."""
         if self.solids is None or not clearance:
             return np.ones(points.shape[:-1], dtype=np.bool_)
         return self.solids.distance(points, clearance) >= clearance - PLACEMENT_TOLERANCE

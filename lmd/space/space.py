@@ -15,17 +15,20 @@ from lmd.space.triangles import Triangles
 
 
 class Space(Protocol):
-    """A room: surfaces that may carry landmarks, and positions where the camera may be. World frame, metres."""
+    """Interface of rooms: surfaces that may carry landmarks, and reachable positions. World frame, metres."""
 
     @property
     def relevance(self) -> Weighing:
-        """Rel(p), how much each position matters."""
+        """Rel(p), weights of the positions."""
 
     def surfaces(self) -> tuple[Surface, ...]:
-        """Surfaces that may carry landmarks; landmarks refer to them by index."""
+        """Surfaces that may carry landmarks; a landmark stores the index of its surface."""
 
     def surfaces_of(self, positions: FloatArray, normals: FloatArray) -> IntArray:
-        """Index of the surface that each landmark `(K, 3)` hangs on, `(K,)`, also where none is allowed; or -1."""
+        """Index of the surface whose rectangle contains each landmark `(K, 3)`, `(K,)`; -1 for none.
+
+        The landmark may be outside the allowed region of the surface.
+        """
 
     def surface_near(self, positions: FloatArray, normals: FloatArray) -> IntArray:
         """Index of the surface that each landmark `(K, 3)` belongs to, see `lmd.space.surface.surface_near`."""
@@ -40,24 +43,27 @@ class Space(Protocol):
         """Obstacles between points of the room; None for a convex and empty room."""
 
     def clear(self, starts: FloatArray, ends: FloatArray) -> BoolArray:
-        """Mask of the lines between points `(..., 3)` of the room that nothing blocks, `(...)`: the reference."""
+        """Mask of the lines between points `(..., 3)` of the room that nothing blocks, `(...)`.
+
+        Reference for the compiled kernels.
+        """
 
     def passable(self, starts: FloatArray, ends: FloatArray) -> BoolArray:
         """Mask of the straight paths between reachable points `(..., 3)` that the camera may take, `(...)`."""
 
     def faces(self) -> tuple[Surface, ...]:
-        """Visible faces of the room; each fills its `allowed` region, with or without landmarks."""
+        """Visible faces of the room, also those that may carry no landmarks; `allowed` is the visible region."""
 
     def grid(self) -> FloatArray:
         """Discrete positions Omega_d of the camera, `(P, 3)`."""
 
     def finer(self) -> "Space":
-        """The same room with half the spacing of its grid."""
+        """Room with half the grid spacing."""
 
     def jittered_grid(self, repeats: int, rng: np.random.Generator) -> FloatArray:
         """Draw stratified uniform positions in the cell of each grid position, `(repeats P, 3)`.
 
-        The order is that of `grid`, repeated.
+        Row i belongs to grid position i mod P.
         """
 
     def sample(self, size: int, rng: np.random.Generator) -> FloatArray:
@@ -66,23 +72,23 @@ class Space(Protocol):
     def sample_evenly(self, size: int, rng: np.random.Generator) -> FloatArray:
         """Draw positions evenly spread over the reachable volume, `(size, 3)`.
 
-        Means over them have the expectation of `sample` and usually smaller errors, as the positions are dependent.
+        Means over these positions have the expectation of means over `sample`, and usually smaller errors.
         """
 
     def outline(self) -> Mapping[str, FloatArray]:
-        """Edges of the parts of the room to draw, `(M, 2, 3)` each.
+        """Edges of the parts of the room by name, for drawings, `(M, 2, 3)` each.
 
-        At least `room` and `reachable area`; also `obstacles` and `nothing hangs here`.
+        Names are `room` and `reachable area`, and optionally `obstacles` and `nothing hangs here`.
         """
 
     def fixtures(self) -> Sequence[Fixture]:
-        """Doors, windows, furniture and other things to draw."""
+        """Doors, windows, furniture and other objects, for drawings."""
 
     def describe(self) -> str:
         """Short description, such as `room of 7.5 x 5 x 6 m`."""
 
 
-# Least vertical part of the normal of a level face.
+# Least |n_z| of the unit normal of a level face.
 LEVEL_NORMAL_Z = 0.99
 
 
@@ -131,9 +137,9 @@ def check_inside(trajectory: Trajectory, room: Space) -> None:
 def check_file_inside(
     path: str | None, trajectory: Trajectory, room: Space, check: Callable[[Trajectory, Space], None] = check_positions
 ) -> None:
-    """Raise `InputError` about the file `path` of a trajectory that does not pass `check`.
+    """Raise `InputError` about the file `path` of a trajectory if it fails `check`.
 
-    The message names `align` where most of the trajectory is outside: the file may have a frame of its own.
+    If most of the trajectory is outside the room, the message suggests `align`, as the file may use another frame.
     """
     try:
         check(trajectory, room)

@@ -1,4 +1,4 @@
-"""Surfaces: flat rectangles that may carry landmarks, in all places or in some."""
+"""Surfaces: flat rectangles that may carry landmarks everywhere or in an allowed region."""
 
 import math
 from collections.abc import Sequence
@@ -23,15 +23,16 @@ from lmd.space.allowed import (
 
 # Largest distance outside a room or a surface that counts as inside, metres: files are rounded to micrometres.
 PLACEMENT_TOLERANCE = 1e-6
-# Largest distance of a landmark of a file from the allowed region, and largest overlap of two landmarks, metres.
+# Tolerance for landmarks of a file, metres: distance from the allowed region, and overlap of two footprints.
 FILE_TOLERANCE = 2e-6
-# Maximum distance to a surface that owns a landmark, metres; measured landmarks, or those on a board, are off by less.
+# Largest distance of a landmark from the surface that it belongs to, metres: above errors of measurement and the
+# thickness of a board.
 NEAR_SURFACE = 0.05
-# Least cosine between the normals of a surface and of a landmark that faces away from it.
+# Least cosine of the angle between the normals of a landmark and of the surface that it belongs to.
 FACING_COSINE = math.sqrt(0.5)
-# Largest vertical part of the normal of a wall, and least of that of a floor or a ceiling.
+# Largest |n_z| of the unit normal of a wall, and least |n_z| of the normal of a floor or a ceiling.
 UPRIGHT, FLAT = 1e-3, 0.5
-# Largest elongation of the cells of an even grid; beyond it rows have unequal numbers of cells.
+# Largest ratio of the sides of a cell in a grid with equal rows; a grid with longer cells has unequal rows.
 MAX_ELONGATION = 3.0
 
 
@@ -52,7 +53,7 @@ class Surface:
     extent: tuple[float, float]
     """Lengths along u and v, metres."""
     allowed: Any = None
-    """Region of (a, b) where landmarks may hang, see `lmd.space.allowed`; None for the whole rectangle."""
+    """Allowed region in (a, b), a shapely polygon, see `lmd.space.allowed`; None for the whole rectangle."""
 
     @cached_property
     def pieces(self) -> FloatArray:
@@ -70,7 +71,7 @@ class Surface:
         return float(sizes(self.pieces).sum())
 
     def inset(self, margin: float) -> "Surface":
-        """The surface without a strip of width `margin`, metres, along the edges of its allowed region.
+        """Surface without a strip of width `margin`, metres, along the edges of its allowed region.
 
         Raises:
             InputError: nothing is left.
@@ -90,7 +91,7 @@ class Surface:
         return self.cropped(left)
 
     def cropped(self, region: Any) -> "Surface":
-        """Crop the surface to the rectangle around a region, the only allowed one."""
+        """Surface cropped to the bounding rectangle of `region`, which becomes its allowed region."""
         import shapely
 
         a, b, a_end, b_end = region.bounds
@@ -99,7 +100,7 @@ class Surface:
         return replace(self, origin=self.origin + a * self.u + b * self.v, extent=extent, allowed=allowed)
 
     def where(self, region: Any) -> "Surface":
-        """The surface with `region` as its allowed region."""
+        """Surface with `region` as its allowed region."""
         import shapely
 
         whole = shapely.box(0.0, 0.0, *self.extent)
@@ -129,15 +130,15 @@ class Surface:
         return np.stack([self.extent[0] - a if self.is_mirrored else a, b], axis=-1)
 
     def coordinates(self, points: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Surface coordinates of the projections of world points `(..., 3)`, clipped to the surface."""
+        """Surface coordinates a, b `(...)` of the projections of world points `(..., 3)`, clipped to the rectangle."""
         offset = np.asarray(points) - self.origin
         return np.clip(offset @ self.u, 0.0, self.extent[0]), np.clip(offset @ self.v, 0.0, self.extent[1])
 
     def grid(self, count: int) -> list[tuple[float, float]]:
         """Surface coordinates of `count` cell centres of a grid with nearly square cells.
 
-        The grid runs along the longer side; 15 landmarks on the paper's walls make 5 x 3. On a surface with an allowed
-        region, the grid is refined until the region has `count` centres, which are picked evenly.
+        For the paper's walls and `count` 15 the grid is 5 x 3. On a surface with an allowed region, the grid is refined
+        until at least `count` centres are in the region, of which `count` evenly spaced ones are returned.
         """
         if count == 0:
             return []
@@ -179,8 +180,8 @@ class Surface:
 def surface_near(surfaces: Sequence[Surface], positions: FloatArray, normals: FloatArray) -> IntArray:
     """Index of the surface that each landmark `(K, 3)` belongs to, -1 for none, `(K,)`.
 
-    Of the surfaces within `NEAR_SURFACE`, before or behind the landmark, the nearest one that it faces away from, or
-    else the nearest one.
+    Candidates are surfaces within `NEAR_SURFACE` in front of or behind the landmark. The landmark belongs to the
+    nearest candidate with a similar normal (`FACING_COSINE`), else to the nearest candidate.
     """
     distance = np.array([surface.distance(positions) for surface in surfaces])  # (W, K)
     facing = np.array([surface.normal for surface in surfaces]) @ normals.T >= FACING_COSINE
@@ -193,11 +194,11 @@ def free_of(face: Surface, region: Any, margin: float, band: Sequence[float] | N
     """Allowed region of a face in its coordinates, possibly empty.
 
     Args:
-        face: the face.
-        region: existing part of the face.
+        face: surface.
+        region: existing part of the face, a shapely polygon.
         margin: distance from the edges of the region along u and v, metres.
         band: lowest and highest z on an upright face, metres.
-        taken: regions that are not free.
+        taken: regions that exclude landmarks.
     """
     import shapely
 
@@ -209,7 +210,7 @@ def free_of(face: Surface, region: Any, margin: float, band: Sequence[float] | N
 
 
 class SurfaceArrays(NamedTuple):
-    """W surfaces as arrays, for many landmarks at once and for compiled code."""
+    """W surfaces as arrays, for vectorised and compiled code."""
 
     origin: np.ndarray
     """Point with a = b = 0, metres, `(W, 3)`."""
@@ -228,7 +229,7 @@ class SurfaceArrays(NamedTuple):
     of_piece: np.ndarray
     """Surface of each trapezoid, `(T,)`."""
     shares: np.ndarray
-    """Cumulative share of the area, for drawing a trapezoid, `(T,)`."""
+    """Cumulative share of the area, for drawing random trapezoids, `(T,)`."""
 
     @classmethod
     def of(cls, surfaces: Sequence[Surface]) -> "SurfaceArrays":
@@ -253,12 +254,12 @@ class SurfaceArrays(NamedTuple):
         return np.asarray(((points[..., None, :] - self.origin) * self.normal).sum(axis=-1))
 
     def points(self, surface: IntArray, at: FloatArray) -> FloatArray:
-        """World points `(..., 3)` of the allowed places on surfaces `(...)` nearest to `at` `(..., 2)`."""
+        """World points of the allowed places on surfaces `(...)` nearest to `at` `(..., 2)`, metres, `(..., 3)`."""
         at, _ = self.nearest(surface, at)
         return np.asarray(self.origin[surface] + at[..., :1] * self.u[surface] + at[..., 1:] * self.v[surface])
 
     def nearest(self, surface: IntArray, at: FloatArray) -> tuple[FloatArray, IntArray]:
-        """Allowed places `(..., 2)` on surfaces `(...)` nearest to `at`, and their trapezoids."""
+        """Allowed places on surfaces `(...)` nearest to `at` `(..., 2)`, and indices of their trapezoids `(...)`."""
         at = np.asarray(at, dtype=np.float64)
         flat, out = at.reshape(-1, 2), np.empty((at.size // 2, 2))
         piece = np.empty(len(flat), dtype=np.int64)
@@ -270,7 +271,7 @@ class SurfaceArrays(NamedTuple):
         return np.asarray(np.abs(self.nearest(surface, at)[0] - at).max(axis=-1) <= tolerance)
 
     def spread(self, piece: IntArray, at: FloatArray) -> FloatArray:
-        """Places `(..., 2)` in pieces `(...)`: uniform if `at` `(..., 2)` is, in the unit square."""
+        """Map points `at` `(..., 2)` of the unit square to the trapezoids `piece` `(...)`; preserves uniformity."""
         return spread(self.pieces[piece], at)
 
     def gathered(self, piece: IntArray, places: FloatArray) -> FloatArray:

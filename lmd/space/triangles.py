@@ -1,16 +1,17 @@
 """Triangles of a mesh that block lines of sight, in a hierarchy of boxes that is traversed without a stack.
 
 A line from p to q crosses a triangle if p and q lie on different sides of its plane, both farther from it than the
-tolerance, and the crossing lies within its edges. What happens at an edge depends on the triangle beyond it:
+tolerance, and the crossing lies within its edges. The effective extent at an edge depends on the adjacent triangle:
 
-- if the line crosses the planes of both in the same sense, both reach over the edge by the tolerance, so that no line
-  slips through between them, whether the surface is flat there or bent;
-- if not, the line only touches the surface at that edge, or there is no triangle beyond: both end before the edge by
-  the tolerance. At a corner that goes for every edge that ends there.
+- If the line crosses the planes of both triangles in one sense, both triangles are extended over the edge by the
+  tolerance, so that no line passes between them.
+- If it crosses them in opposite senses, the line only touches the surface at the edge: both triangles are shortened by
+  the tolerance. A triangle without a neighbour at an edge is shortened there, too.
 
-So a line that touches an edge or a corner, or runs along a face, is clear, as with `lmd.space.blockers`.
+At a corner, the line is a touch if it is a touch for any of the edges that end there. So a line that touches an edge or
+a corner, or runs along a face, is clear, as for `lmd.space.blockers`.
 
-Points of a landmark lie in the plane of their own triangles, which hence never hide them.
+Landmarks lie in the planes of their own triangles, which therefore never hide them.
 """
 
 from typing import Any, NamedTuple
@@ -33,31 +34,31 @@ class Triangles(NamedTuple):
     normals: np.ndarray
     """Unit normals, `(T, 3)`."""
     offsets: np.ndarray
-    """n . x of the points x of each plane, `(T,)`."""
+    """Offset n . x of each plane, `(T,)`."""
     corners: np.ndarray
     """Corners, `(T, 3, 3)`."""
     borders: np.ndarray
-    """Unit normal of each edge in the plane, inwards, and its offset, `(T, 3, 4)`."""
+    """Inward unit normal m of each edge in the plane of the triangle, and offset m . x of the edge, `(T, 3, 4)`."""
     beyond: np.ndarray
-    """Normal of the triangle beyond each edge on the same side of the surface, or 0, `(T, 3, 3)`."""
+    """Unit normal of the neighbour at each edge, oriented consistently with `normals`, `(T, 3, 3)`; 0 for none."""
     apex: np.ndarray
-    """Indices of the corners among the vertices, `(T, 3)`."""
+    """Index of the vertex at each corner, `(T, 3)`."""
     ending: np.ndarray
-    """Edges that end at vertex v are rows `ending[v]` to `ending[v + 1]` of `spokes`, `(V + 1,)`."""
+    """Rows of `spokes` for the edges that end at vertex v are `ending[v]` to `ending[v + 1]`, `(V + 1,)`."""
     spokes: np.ndarray
-    """Normals on both sides of an edge, `(S, 2, 3)`."""
+    """Normals of the two triangles at an edge, ordered by end vertex, `(S, 2, 3)`; 0 for a missing triangle."""
     centres: np.ndarray
     """Centres of the boxes, `(N, 3)`."""
     halves: np.ndarray
     """Half the extent of the boxes, `(N, 3)`."""
     skip: np.ndarray
-    """Next box outside this one, `(N,)`."""
+    """Index of the next box that is not inside this one, `(N,)`."""
     first: np.ndarray
-    """First triangle of a leaf, `(N,)`."""
+    """Index of the first triangle of a leaf, `(N,)`."""
     stop: np.ndarray
-    """End of the triangles of a leaf, excluded, `(N,)`."""
+    """Index after the last triangle of a leaf, `(N,)`; equal to `first` for inner boxes."""
     tolerance: float
-    """Distance of a line from the plane and the edges of a triangle that counts as a touch."""
+    """Largest distance of a line from the plane or an edge of a triangle that counts as a touch."""
 
     @classmethod
     def of(cls, vertices: FloatArray, faces: IntArray, tolerance: float) -> "Triangles":
@@ -110,13 +111,13 @@ STEP, AHEAD = 1e-3, 1.0
 
 
 def unit_normals(corners: FloatArray) -> FloatArray:
-    """Unit normals `(T, 3)` of triangles `(T, 3, 3)`, to the side where they are counter-clockwise."""
+    """Unit normals `(T, 3)` of triangles `(T, 3, 3)`, towards viewers that see the corners counter-clockwise."""
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     return np.asarray(normals / np.linalg.norm(normals, axis=1, keepdims=True) + 0.0)
 
 
 def _beyond(faces: IntArray, normals: FloatArray) -> FloatArray:
-    """`Triangles.beyond`; at an edge of more than two triangles, each counts as its own neighbour."""
+    """Compute `Triangles.beyond`; at an edge of more than two triangles, each is its own neighbour."""
     count = len(faces)
     edge = np.stack([faces, np.roll(faces, -1, axis=1)], axis=-1).reshape(-1, 2)
     own = np.repeat(np.arange(count), 3)
@@ -139,8 +140,8 @@ def is_crossed(triangles, px, py, pz, qx, qy, qz):  # type: ignore[no-untyped-de
     centres, halves, skip = triangles.centres, triangles.halves, triangles.skip
     first, stop, tolerance = triangles.first, triangles.stop, triangles.tolerance
     wx, wy, wz = qx - px, qy - py, qz - pz
-    # Separating axes of a box and the line, given by its middle and half: those of the box, and their cross products
-    # with the line.
+    # Separating axis test of a box and the line, given by its middle m and half vector d: axes of the box, and their
+    # cross products with the line.
     mx, my, mz = 0.5 * (px + qx), 0.5 * (py + qy), 0.5 * (pz + qz)
     dx, dy, dz = 0.5 * wx, 0.5 * wy, 0.5 * wz
     ax, ay, az = abs(dx), abs(dy), abs(dz)
@@ -174,7 +175,7 @@ def is_crossed(triangles, px, py, pz, qx, qy, qz):  # type: ignore[no-untyped-de
                     far = e
                 else:
                     near += 1
-            # A point near two edges is at their common corner, the one before the third edge.
+            # A point near two edges is near their common corner, which is opposite the third edge `far`.
             if within and (near < 2 or not _is_touched(triangles, triangles.apex[i, (far + 2) % 3], wx, wy, wz)):
                 return True
         node += 1
