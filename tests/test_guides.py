@@ -8,6 +8,7 @@ import subprocess
 import sys
 import tomllib
 from dataclasses import replace
+from importlib.metadata import EntryPoint
 from pathlib import Path
 from shutil import copytree, ignore_patterns
 
@@ -30,7 +31,7 @@ from lmd.core.checks import InputError
 from lmd.evaluation.bounds import Search, average_upper_bound
 from lmd.evaluation.validation import Sample, validation_metrics
 from lmd.export.exports import Format
-from lmd.formats import tag_maps
+from lmd.formats import registry, tag_maps
 from lmd.formats.tag_map import TagMap
 from lmd.objectives.coverage import Coverage
 from lmd.objectives.localisation import Localisation
@@ -93,7 +94,8 @@ def of(name):
 
 def test_the_guides_have_an_example_of_each_part():
     assert {Path(name).stem for name in MODULES} == {
-        "near", "near_sight", "seen", "rotunda", "climbing", "theirs", "reckoning", "frames", "tag_map_readers", "sizes"
+        "near", "near_sight", "seen", "rotunda", "climbing", "theirs", "reckoning", "frames", "tag_map_readers", "acme",
+        "sizes"
     }  # fmt: skip
 
 
@@ -206,6 +208,19 @@ def of_path(path):
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
     return module
+
+
+def test_the_format_of_another_package_is_found(guides, monkeypatch):
+    project = tomllib.loads(block("[project.entry-points"))["project"]
+    entries = [
+        EntryPoint(name, value, registry.GROUP) for name, value in project["entry-points"][registry.GROUP].items()
+    ]
+    monkeypatch.setattr(registry, "entry_points", lambda group: entries if group == registry.GROUP else [])
+    monkeypatch.setattr(registry, "outside", registry.outside.__wrapped__)
+    file = registry.File("acme.json", '{"acme": {"image_width": 640}}')
+    form = registry.format_of("calibration", file)
+    assert [form] == of("acme").FORMATS
+    assert form.read(file) == {"": {"image_width": 640}}
 
 
 def test_the_pipeline_runs_beside_the_others(guides):

@@ -10,13 +10,14 @@ Lenses of other models are restated, see `lmd.geometry.central_models`.
 
 import ast
 import re
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 from lmd.core.checks import InputError, vector
 from lmd.core.files import flat, parse_keys, read_text
-from lmd.formats.opencv_calibrations import model_of, opencv, opencv_xml
-from lmd.formats.unread_calibrations import AS_ROS, check_text
+from lmd.formats.opencv_calibrations import model_of, opencv_xml
+from lmd.formats.registry import File, format_of
+from lmd.formats.unread_calibrations import AS_ROS, unknown_keys
 from lmd.geometry.camera import PIXEL_CENTRE
 from lmd.geometry.central_models import GOOD_PIXELS, MODELS, PINHOLE, restated
 from lmd.geometry.lens import EQUIDISTANT
@@ -74,21 +75,11 @@ def read_cameras(path: Any, only: str | None = None) -> dict[str, Keys]:
     """
     try:
         text = FIRST_MESSAGE.split(read_text(path, "path", LARGEST))[0]
-        if rows := COLMAP_CAMERA.findall(text):
-            return _colmap(rows)
-        if MRCAL.match(text):
-            return {"": _mrcal(text)}
-        check_text(text)
-        keys = opencv_xml(text) if text.lstrip().startswith("<") else parse_keys(path, text, "path")
-        if isinstance(section := keys.get("Camera"), Mapping):  # stella_vslam's, as OpenVSLAM's with dots
-            keys = {**keys, **{f"Camera.{name}": value for name, value in section.items()}}
-        if chain := {name: keys[name] for name in keys if KALIBR_CAMERA.fullmatch(name)}:
-            asked = {only: chain[only]} if only in chain else chain
-            return {name: _kalibr(f"{name}.", camera) for name, camera in asked.items()}
-        for marks, reader in READERS:
-            if marks <= keys.keys():
-                return reader(keys)
-        return {"": opencv(keys)}
+        file = File(path, text, {"name": only}, lambda text: _keys(path, text))
+        form = format_of("calibration", file)
+        if form is None or form.read is None:
+            raise unknown_keys(file.keys)
+        return form.read(file)  # type: ignore[no-any-return]
     except InputError as error:
         if str(path).endswith((".npz", ".npy")):
             raise InputError(f"path: {str(path)!r} is a file of NumPy: {AS_ROS}.", "path") from None
@@ -121,7 +112,7 @@ def _list(keys: Any, name: str) -> list[Any]:
     return values
 
 
-def _kalibr(prefix: str, camera: Any, lens: str = "distortion_coeffs") -> Keys:
+def _camera(prefix: str, camera: Any, lens: str = "distortion_coeffs") -> Keys:
     """One camera of a chain; the prefix is for messages."""
 
     def entry(key: str) -> Any:
@@ -146,11 +137,13 @@ def _kalibr(prefix: str, camera: Any, lens: str = "distortion_coeffs") -> Keys:
     return _central(size, values, projection)
 
 
-def _euroc(keys: Keys) -> dict[str, Keys]:
-    return {"": _kalibr("", keys, "distortion_coefficients")}
+def euroc(keys: Keys) -> dict[str, Keys]:
+    """The camera of EuRoC's `sensor.yaml`."""
+    return {"": _camera("", keys, "distortion_coefficients")}
 
 
-def _okvis(keys: Keys) -> dict[str, Keys]:
+def okvis(keys: Keys) -> dict[str, Keys]:
+    """The cameras of OKVIS and OKVIS2."""
     cameras = {}
     for index, camera in enumerate(_list(keys, "cameras")):
         if not isinstance(camera, Mapping):
@@ -163,7 +156,7 @@ def _okvis(keys: Keys) -> dict[str, Keys]:
     return cameras
 
 
-def _camodocal(keys: Keys) -> dict[str, Keys]:
+def camodocal(keys: Keys) -> dict[str, Keys]:
     """The settings of VINS, whose fisheye is Kannala-Brandt's with other names."""
     known = {"PINHOLE": {}, "KANNALA_BRANDT": CAMODOCAL_FISHEYE, "MEI": CAMODOCAL_UNIFIED}
     model, size = known_lens(keys["model_type"], known), (keys["image_width"], keys["image_height"])
@@ -208,7 +201,8 @@ def known_lens(model: Any, known: Iterable[str]) -> str:
     return str(model)
 
 
-def _colmap(rows: list[str]) -> dict[str, Keys]:
+def colmap(rows: list[str]) -> dict[str, Keys]:
+    """The cameras of COLMAP's `cameras.txt`, a row for each."""
     cameras = {}
     for row in rows:
         name, model, width, height, *parameters = row.split()
@@ -222,7 +216,8 @@ def _colmap(rows: list[str]) -> dict[str, Keys]:
     return cameras
 
 
-def _mrcal(text: str) -> Keys:
+def mrcal(text: str) -> Keys:
+    """The camera of mrcal's `cameramodel`, a literal of Python."""
     if len(text) > LARGEST_LITERAL:
         raise InputError(f"a cameramodel has at most {LARGEST_LITERAL} characters, it has {len(text)}.")
     try:
@@ -236,23 +231,27 @@ def _mrcal(text: str) -> Keys:
     return _ros(keys["imagersize"], [fx, 0.0, cx, 0.0, fy, cy, 0.0, 0.0, 1.0], lens or [0.0] * 4)
 
 
-def _message(keys: Keys) -> dict[str, Keys]:
+def message(keys: Keys) -> dict[str, Keys]:
+    """The camera of ROS's message."""
     matrix, lens = (keys[name] if name in keys else keys[name.lower()] for name in "KD")
     model = model_of({key.lower(): value for key, value in keys.items()}, {"data": lens})
     return {"": _ros((keys["width"], keys["height"]), matrix, lens, model)}
 
 
-def _photonvision(keys: Keys) -> dict[str, Keys]:
+def photonvision(keys: Keys) -> dict[str, Keys]:
+    """The camera of PhotonVision and WPIcal."""
     size, matrix, lens = (_section(keys, name) for name in ("resolution", "cameraIntrinsics", "distCoeffs"))
     return {"": _ros((size["width"], size["height"]), matrix["data"], lens["data"])}
 
 
-def _frc971(keys: Keys) -> dict[str, Keys]:
+def frc971(keys: Keys) -> dict[str, Keys]:
+    """The camera of frc971."""
     size = keys.get("image_width"), keys.get("image_height")  # which it does not say
     return {"": _ros(size, keys["intrinsics"], keys["dist_coeffs"], keys.get("distortion_model"))}
 
 
-def _basalt(keys: Keys) -> dict[str, Keys]:
+def basalt(keys: Keys) -> dict[str, Keys]:
+    """The cameras of Basalt."""
     known = {"pinhole": False, "pinhole-radtan8": False, "kb4": True, "ds": None, "eucm": None}
     cameras = {}
     inner = _section(keys, "value0")
@@ -263,7 +262,7 @@ def _basalt(keys: Keys) -> dict[str, Keys]:
     return cameras
 
 
-def _orb_slam(keys: Keys) -> dict[str, Keys]:
+def orb_slam(keys: Keys) -> dict[str, Keys]:
     """The first camera; that of ORB-SLAM2 has no type, and often no size. Of rectified images nothing is distorted."""
     known = {"PinHole": False, "KannalaBrandt8": True, "Rectified": False}
     fisheye = known[known_lens(keys.get("Camera.type", "PinHole"), known)]
@@ -271,7 +270,7 @@ def _orb_slam(keys: Keys) -> dict[str, Keys]:
     return {"": _named((values.get("width"), values.get("height")), values, fisheye)}
 
 
-def _stella_vslam(keys: Keys) -> dict[str, Keys]:
+def stella_vslam(keys: Keys) -> dict[str, Keys]:
     """As OpenVSLAM's."""
     known = {"perspective": False, "fisheye": True}
     fisheye = known[known_lens(keys["Camera.model"], known)]
@@ -279,19 +278,15 @@ def _stella_vslam(keys: Keys) -> dict[str, Keys]:
     return {"": _named((values.get("cols"), values.get("rows")), values, fisheye)}
 
 
-# By the keys that only files of this format have.
-READERS: tuple[tuple[frozenset[str], Callable[[Keys], dict[str, Keys]]], ...] = (
-    (frozenset({"width", "height", "K", "D"}), _message),
-    (frozenset({"width", "height", "k", "d"}), _message),
-    (frozenset({"cameraIntrinsics", "distCoeffs"}), _photonvision),
-    (frozenset({"intrinsics", "dist_coeffs"}), _frc971),
-    (frozenset({"value0"}), _basalt),
-    (frozenset({"Camera.type"}), _orb_slam),
-    (frozenset({"Camera.model"}), _stella_vslam),
-    (frozenset({"Camera.fx"}), _orb_slam),
-    (frozenset({"cameras", "camera_params"}), _okvis),
-    (frozenset({"cameras", "camera_parameters"}), _okvis),  # OKVIS2
-    (frozenset({"model_type", "projection_parameters"}), _camodocal),
-    (frozenset({"model_type", "mirror_parameters"}), _camodocal),
-    (frozenset({"camera_model", "intrinsics", "distortion_model", "resolution"}), _euroc),
-)
+def kalibr(keys: Keys, only: str | None) -> dict[str, Keys]:
+    """The cameras of Kalibr's chain, or the one that is asked for."""
+    chain = {name: keys[name] for name in keys if KALIBR_CAMERA.fullmatch(name)}
+    return {name: _camera(f"{name}.", chain[name]) for name in ([only] if only in chain else chain)}
+
+
+def _keys(path: Any, text: str) -> Keys:
+    """The keys of YAML, JSON or OpenCV's XML."""
+    keys = opencv_xml(text) if text.lstrip().startswith("<") else parse_keys(path, text, "path")
+    if isinstance(section := keys.get("Camera"), Mapping):  # stella_vslam's, as OpenVSLAM's with dots
+        keys = {**keys, **{f"Camera.{name}": value for name, value in section.items()}}
+    return keys

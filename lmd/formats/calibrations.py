@@ -120,7 +120,7 @@ def read_calibration(
     image_size: Iterable[int] | None = None,
     distortion_model: str | None = None,
 ) -> Calibration:
-    """Read a file of one of the formats of `lmd.formats.calibration_readers`.
+    """Read a file of one of the formats of `lmd.formats.calibration_formats`.
 
     Args:
         name: the camera in a file with several, such as `cam1` of Kalibr; not needed where there is only one.

@@ -7,7 +7,7 @@ from typing import Any
 
 from lmd.core.checks import InputError
 from lmd.core.files import flat
-from lmd.formats.unread_calibrations import unknown_keys, unknown_root
+from lmd.formats.unread_calibrations import unknown_root
 
 # What OpenCV's samples of other years and scripts of its users call the keys of ROS, in small letters.
 OPENCV_NAMES = {
@@ -76,20 +76,19 @@ def _value(text: str) -> Any:
     return numbers[0] if len(numbers) == 1 else numbers
 
 
-def opencv(keys: Mapping[str, Any]) -> Mapping[str, Any]:
-    """The keys of ROS from those of OpenCV's samples and scripts, where a matrix may be a list of rows.
+def has_matrix(keys: Mapping[str, Any]) -> bool:
+    """True for keys that have the matrix of a camera under one of its names."""
+    return "camera_matrix" in keys or any(key.lower() in OPENCV_NAMES["camera_matrix"] for key in keys)
 
-    Raises:
-        InputError: they hold no matrix of a camera.
-    """
+
+def opencv(keys: Mapping[str, Any]) -> Mapping[str, Any]:
+    """The keys of ROS from those of OpenCV's samples and scripts, where a matrix may be a list of rows."""
     plain = {key.lower(): value for key, value in keys.items()}
     found = dict(keys)
     for name, others in OPENCV_NAMES.items():
         values = [plain[other] for other in others if other in plain]
         if values and name not in keys:
             found[name] = values[0]
-    if "camera_matrix" not in found:
-        raise unknown_keys(keys)
     for name in ("camera_matrix", "distortion_coefficients"):
         if isinstance(found.get(name), list):
             found[name] = {"data": flat(found[name])}

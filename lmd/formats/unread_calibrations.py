@@ -1,10 +1,11 @@
 """Calibrations of other programs that are not read, each with the way to one that is."""
 
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from typing import Any
 
 from lmd.core.checks import InputError
+from lmd.formats.registry import File, Format, has_keys
 
 AS_ROS = (
     "write it as ROS does, with image_width, image_height, camera_matrix: {data: [fx, 0, cx, 0, fy, cy, 0, 0, 1]}, "
@@ -63,13 +64,6 @@ STEREO = [
 HEAD = 2000  # characters that tell
 
 
-def check_text(text: str) -> None:
-    """Raise `InputError` if a text is of a kind that is known not to be a calibration that is read."""
-    for mark, sentence in TEXTS:
-        if re.search(mark, text[:HEAD], re.MULTILINE):
-            raise InputError(f"{sentence}.")
-
-
 def unknown_root(tag: str) -> InputError:
     """The error about an XML file that is none of OpenCV's."""
     other = f"it is XML with the element {tag[:80]!r}, and only OpenCV's opencv_storage is read: {AS_ROS}"
@@ -78,13 +72,29 @@ def unknown_root(tag: str) -> InputError:
 
 def unknown_keys(keys: Mapping[str, Any]) -> InputError:
     """The error about keys that are those of no calibration that is read."""
-    for marks, sentence in KEYS:
-        if marks <= keys.keys():
-            return InputError(f"{sentence}.")
-    if any(pair <= {key.lower() for key in keys} for pair in STEREO):
-        return InputError(f"it holds two cameras of OpenCV's stereo calibration: for each, {AS_ROS}.")
     return InputError(f"it is no calibration that is known here, it has {_few(keys)}: {AS_ROS}.")
 
 
 def _few(keys: Iterable[str]) -> str:
     return ", ".join(keys)[:200] or "no keys"
+
+
+def _begins(mark: str) -> Callable[[File], bool]:
+    return lambda file: re.search(mark, file.text[:HEAD], re.MULTILINE) is not None
+
+
+def _is_stereo(file: File) -> bool:
+    small = {key.lower() for key in file.keys}
+    return any(pair <= small for pair in STEREO)
+
+
+UNREAD_TEXTS = tuple(Format("calibration", "a text", _begins(mark), why_not=sentence) for mark, sentence in TEXTS)
+UNREAD_KEYS = (
+    *(Format("calibration", "keys", has_keys(*marks), why_not=sentence) for marks, sentence in KEYS),
+    Format(
+        "calibration",
+        "OpenCV's stereo calibration",
+        _is_stereo,
+        why_not=f"it holds two cameras of OpenCV's stereo calibration: for each, {AS_ROS}",
+    ),
+)

@@ -1,0 +1,45 @@
+"""The tables of formats in the documentation: `python benchmarks/format_tables.py [--update docs/mounting.md]`.
+
+Prints the rows that the formats of `lmd.formats.registry` have; with `--update`, writes them between the marks of the
+page.
+"""
+
+import argparse
+from pathlib import Path
+
+from lmd.formats.registry import rows
+
+# The cells above the rows of each family.
+HEADS = {"calibration": ("calibration file", "to know")}
+
+
+def table(family: str) -> str:
+    """The table of a family, in Markdown."""
+    head = HEADS[family]
+    lines = (head, ("---",) * len(head), *rows(family))
+    return "".join(f"| {' | '.join(cells)} |\n" for cells in lines)
+
+
+def updated(page: str) -> str:
+    """The text of a page with its tables as they should be; one without marks is left as it is."""
+    for family in HEADS:
+        begin, end = f"<!-- {family} formats -->", f"<!-- end of {family} formats -->"
+        if begin in page:
+            before, rest = page.split(begin)
+            page = f"{before}{begin}\n\n{table(family)}\n{end}{rest.split(end)[1]}"
+    return page
+
+
+def main() -> None:
+    """Print the tables, or write them to a page."""
+    parser = argparse.ArgumentParser(description="Print the tables of formats, in Markdown.")
+    parser.add_argument("--update", type=Path, metavar="PAGE", help="write the tables between the marks of this page")
+    page = parser.parse_args().update
+    if page:
+        page.write_text(updated(page.read_text(encoding="utf-8")), encoding="utf-8")
+    else:
+        print("\n".join(map(table, HEADS)))
+
+
+if __name__ == "__main__":
+    main()
