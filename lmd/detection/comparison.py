@@ -40,7 +40,7 @@ class CameraPrediction:
     renderer: Renderer
     """Camera and tags."""
     poses: FloatArray
-    """X of the camera, `(N, 4, 4)`."""
+    """Poses X of the camera, `(N, 4, 4)`."""
     visible: BoolArray
     """True for tags that the model counts as visible, `(N, K)`."""
     met: Mapping[str, BoolArray]
@@ -61,7 +61,7 @@ class CameraPrediction:
 
     @cached_property
     def pitch(self) -> FloatArray:
-        """Pixels per module, `(N, K)`; NaN for tags that are not whole."""
+        """Pitch, pixels per module, `(N, K)`; NaN for tags that are not whole."""
         room = self.renderer.room
         values = pitch(self.renderer.camera, self.poses, room.centres, room.normals, room.tag, room.edges)
         return np.where(self.whole, values, np.nan)
@@ -87,7 +87,7 @@ class Prediction:
     mounted: FloatArray
     """Poses of the cameras in the frame of the body, `(C, 4, 4)`."""
     poses: FloatArray
-    """X of the body, `(N, 4, 4)`."""
+    """Poses X of the body, `(N, 4, 4)`."""
 
     visible = _beside("visible")
     corners = _beside("corners")

@@ -24,7 +24,7 @@ class CornerErrors:
     """
 
     pitch: tuple[float, ...]
-    """Pixels per module along the most foreshortened direction, ascending, `(B,)`."""
+    """Pitch: pixels per module along the most foreshortened direction, ascending, `(B,)`."""
     median: tuple[float, ...]
     """Median of the error at these pitches, pixels, `(B,)`."""
     high: tuple[float, ...]

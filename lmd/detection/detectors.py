@@ -76,7 +76,7 @@ class ArucoDetector:
     family: str = "36h11"
     """One of `lmd.scene.tag.FAMILIES`."""
     preset: str = "default"
-    """`default`, or `fine` for smaller tags."""
+    """Settings of `cv2.aruco`: `default`, or `fine` for smaller tags."""
 
     def __post_init__(self) -> None:
         choice("family", self.family, tuple(FAMILIES))
@@ -100,7 +100,7 @@ class AprilTagDetector:
     """
 
     family: str = "36h11"
-    """One of `lmd.scene.tag.FAMILIES` that the library knows."""
+    """One of `lmd.scene.tag.FAMILIES` that the library supports."""
     quad_decimate: float = 1.0
     """Factor by which the image is downscaled for the detection of quadrilaterals."""
     most_errors: int = 2

@@ -41,7 +41,7 @@ class ViewRanges:
     """
 
     pitch: tuple[float, float] = (0.5, 6.0)
-    """Pixels per module."""
+    """Pitch, pixels per module."""
     incidence: tuple[float, float] = (0.0, math.radians(88.0))
     """Angle between the normal of the tag and the direction to the camera, rad."""
     sigma: tuple[float, float] = (0.4, 2.0)

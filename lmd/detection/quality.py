@@ -26,9 +26,10 @@ def pitch(
     tag: Tag,
     edges: FloatArray | None = None,
 ) -> FloatArray:
-    """Pixels per module along the most foreshortened direction: smaller singular value of J times edge / N.
+    """Pitch of tags: pixels per module along the most foreshortened direction.
 
-    The singular value is d / sqrt((s + sqrt(s^2 - 4 d^2)) / 2) with s = |J|_F^2 and d = |det J|.
+    Smaller singular value of J times edge / N. With s = |J|_F^2 and d = |det J| the singular value is
+    d / sqrt((s + sqrt(s^2 - 4 d^2)) / 2).
 
     Args:
         camera: intrinsics and lens.

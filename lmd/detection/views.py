@@ -45,7 +45,7 @@ class TagViews:
     """M views of single tags with the outcome of a detector."""
 
     pitch: FloatArray
-    """Pixels per module, see `lmd.detection.quality.pitch`, `(M,)`."""
+    """Pitch, pixels per module, see `lmd.detection.quality.pitch`, `(M,)`."""
     incidence: FloatArray
     """Angle between the normal of the tag and the direction to the camera, rad, `(M,)`."""
     edge: FloatArray

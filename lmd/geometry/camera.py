@@ -37,17 +37,17 @@ class Camera:
     """
 
     focal_length: float
-    """f, mm."""
+    """Focal length f, mm."""
     pixel_width: float
-    """s_u, mm per pixel."""
+    """Pixel width s_u, mm per pixel."""
     pixel_height: float
-    """s_v, mm per pixel."""
+    """Pixel height s_v, mm per pixel."""
     principal_point: tuple[float, float]
-    """(o_u, o_v), pixels from the left and top border."""
+    """Principal point (o_u, o_v), pixels from the left and top border."""
     image_width: float
-    """w, whole pixels."""
+    """Image width w, whole pixels."""
     image_height: float
-    """h, whole pixels."""
+    """Image height h, whole pixels."""
     aperture: float
     """Effective diameter d_a of the aperture, mm; 0 for a pinhole or an unknown aperture, without defocus blur."""
     focus_distance: float = math.inf
@@ -184,7 +184,7 @@ class Camera:
 
     @property
     def focal_pixels(self) -> FloatArray:
-        """(f / s_u, f / s_v), pixels, `(2,)`."""
+        """Focal lengths (f / s_u, f / s_v), pixels, `(2,)`."""
         return np.array([self.focal_length / self.pixel_width, self.focal_length / self.pixel_height])
 
     @property

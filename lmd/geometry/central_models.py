@@ -36,9 +36,9 @@ class Restated(NamedTuple):
     """Lens and intrinsics fitted to a model."""
 
     focal_pixels: tuple[float, float]
-    """(f / s_u, f / s_v), pixels."""
+    """Focal lengths (f / s_u, f / s_v), pixels."""
     principal_point: tuple[float, float]
-    """(c_x, c_y), pixels, in the convention of the model."""
+    """Principal point (c_x, c_y), pixels, in the convention of the model."""
     model: str
     """Name of the lens model, see `lmd.geometry.lens`."""
     coefficients: tuple[float, ...]

@@ -43,7 +43,7 @@ class PointImage(NamedTuple):
     mounted: FloatArray
     """Pose of the camera in the body's frame, `(4, 4)`."""
     points: FloatArray
-    """World frame, metres, `(M, 3)`."""
+    """Known points, world frame, metres, `(M, 3)`."""
     pixels: FloatArray
     """Images of the points, pixels from the border, `(M, 2)`."""
     noise: FloatArray

@@ -18,7 +18,7 @@ class Trajectory:
     """
 
     time: FloatArray
-    """Seconds, increasing, `(T,)`, T >= 2."""
+    """Times, seconds, increasing, `(T,)`, T >= 2."""
     poses: FloatArray
     """Poses X, camera to world, `(T, 4, 4)`."""
 

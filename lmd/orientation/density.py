@@ -66,7 +66,7 @@ class Density:
     """Density fitted to samples, as probabilities of fine cells."""
 
     family: str
-    """`uniform`, `von_mises`, `normal`, `kernel` or `fixed`."""
+    """Family: `uniform`, `von_mises`, `normal`, `kernel` or `fixed`."""
     parameters: dict[str, float]
     """Fitted parameters by name, radians."""
     probability: FloatArray
@@ -226,8 +226,8 @@ def independence_test(samples: Samples, significance: float, rng: np.random.Gene
 
     As bins are categories, the seam of the yaw needs no special treatment, and nonlinear dependence is detected. Bins
     have equal numbers of samples. The p value is the share of random tables with equal margins that have at least the
-    statistic of the data, so it is valid for few samples, too. The test assumes samples independent in time, as
-    the random intervals provide; with samples closer than the correlation time it would reject too often.
+    statistic of the data, so it is valid for few samples, too. The test assumes samples independent in time, as the
+    random intervals provide; with samples closer than the correlation time it would reject too often.
 
     Args:
         samples: samples of yaw and pitch, neither of them fixed.

@@ -1,13 +1,13 @@
-"""The paper's Monte Carlo procedure (Sec. V-D): an orientation PDF from a recording, in five steps.
+"""Monte Carlo procedure of the paper (Sec. V-D): estimate of an orientation PDF from a recording, in five steps.
 
 1. record yaw and pitch of the randomly moving camera (`lmd.orientation.recording`);
 2. sample the recording at random intervals;
 3. make histograms of both angles;
 4. test their independence;
-5. fit a density to each (`lmd.orientation.density`), and multiply the two; or, where independence is rejected, estimate
-   the joint density.
+5. fit a density to each angle (`lmd.orientation.density`) and multiply the two, or estimate the joint density if
+   independence is rejected.
 
-The density is then gathered on the cells of an orientation grid like the paper's.
+The density is then summed over the cells of an orientation grid as in the paper.
 """
 
 from collections.abc import Sequence
@@ -44,7 +44,7 @@ class Marginal:
     """Samples, histogram and fit of one angle."""
 
     samples: FloatArray
-    """Radians, `(S,)`."""
+    """Samples, radians, `(S,)`."""
     axis: AngleCells
     """Fine cells."""
     block: int
@@ -123,7 +123,7 @@ class PdfEstimate:
 
     @property
     def form(self) -> str:
-        """`product` of the marginals, or `joint`."""
+        """Form of the density: `product` of the marginals, or `joint`."""
         return "product" if self.joint is None else "joint"
 
     def summary(self) -> dict[str, Any]:

@@ -39,11 +39,11 @@ class OrientationRecording:
     """
 
     time: FloatArray
-    """Seconds, increasing, `(R,)` with R >= 2."""
+    """Times, seconds, increasing, `(R,)` with R >= 2."""
     yaw: FloatArray
-    """Radians, any value, `(R,)`."""
+    """Yaw, radians, any value, `(R,)`."""
     pitch: FloatArray
-    """Radians in [-pi/2, pi/2], positive looks up, `(R,)`."""
+    """Pitch, radians in [-pi/2, pi/2], positive looks up, `(R,)`."""
     name: str = "recording"
     """Name of the source, for messages."""
     note: str = ""
@@ -224,9 +224,9 @@ class Samples:
     """Measurements of a recording at random times, ordered in time."""
 
     yaw: FloatArray
-    """Radians, `(S,)`."""
+    """Yaw, radians, `(S,)`."""
     pitch: FloatArray
-    """Radians, `(S,)`."""
+    """Pitch, radians, `(S,)`."""
     correlation_time: float
     """Correlation time of the recording, seconds."""
     mean_interval: float

@@ -26,7 +26,7 @@ class TaggedRoom:
     ids: NDArray[np.int64]
     """Number of each tag in the family, all different, `(K,)`."""
     centres: FloatArray
-    """World frame, metres, `(K, 3)`."""
+    """Centres of the tags, world frame, metres, `(K, 3)`."""
     normals: FloatArray
     """Unit normals of the front faces, `(K, 3)`."""
     ups: FloatArray
