@@ -55,7 +55,7 @@ class Camera:
     distortion: tuple[float, ...] = ()
     """Coefficients of the lens in OpenCV's order; empty for a pinhole without distortion."""
     distortion_model: str = "plumb_bob"
-    """`plumb_bob`, `rational_polynomial` or `equidistant`, see `lmd.geometry.lens.Lens`."""
+    """Lens model: `plumb_bob`, `rational_polynomial` or `equidistant`, see `lmd.geometry.lens.Lens`."""
     image_circle: float = math.inf
     """Diameter of the image circle of a distorting lens, pixels; infinite if the circle covers the sensor."""
     note: str = field(default="", compare=False, repr=False)
