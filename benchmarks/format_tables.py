@@ -5,19 +5,24 @@ page.
 """
 
 import argparse
+import re
 from pathlib import Path
 
 from lmd.formats.registry import rows
 
 # The cells above the rows of each family.
 HEADS = {"calibration": ("calibration file", "to know")}
+# The arguments that the rows name, and their keys in the configuration.
+KEYS = {"name": "camera.name", "distortion_model": "camera.distortion_model"}
+ARGUMENT = re.compile(rf"(?<=`)({'|'.join(KEYS)})(?=[=`])")
 
 
 def table(family: str) -> str:
     """The table of a family, in Markdown."""
     head = HEADS[family]
     lines = (head, ("---",) * len(head), *rows(family))
-    return "".join(f"| {' | '.join(cells)} |\n" for cells in lines)
+    text = "".join(f"| {' | '.join(cells)} |\n" for cells in lines)
+    return ARGUMENT.sub(lambda found: KEYS[found[0]], text)
 
 
 def updated(page: str) -> str:

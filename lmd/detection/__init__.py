@@ -1,1 +1,1 @@
-"""Detectors of fiducial tags, what they need of an image, and how well a prediction of it holds."""
+"""Detectors of fiducial tags, calibration of their limits, and comparison of predictions with detections."""

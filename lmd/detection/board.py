@@ -35,13 +35,13 @@ class BoardImages:
     folder: str | None
     """Folder of the images, all of one camera."""
     tags: str | None
-    """CSV with the columns id,x,y,z,nx,ny,nz: id, centre (metres) and unit normal of each tag in any frame. Tags hang
-    upright, or along y if they face along z."""
+    """CSV with the columns id,x,y,z,nx,ny,nz: id, centre (metres) and unit normal of each tag in the board's frame. The
+    up of a tag is +z, or +y for a normal along z."""
     poses: str | None = None
-    """CSV with the columns image,x,y,z,qx,qy,qz,qw: name of each image, and pose of the camera in the frame of the tags
-    (x right, y down, z the optical axis). None: from the detected corners of at least two tags."""
+    """CSV with the columns image,x,y,z,qx,qy,qz,qw: name of each image, and pose of its camera (x right, y down, z the
+    optical axis) in the board's frame. None to estimate poses from the detected corners of at least two tags."""
     tolerance: float = CORNER_TOLERANCE
-    """Largest distance of a corner from its projection, pixels."""
+    """Largest distance between a detected corner and its projection, pixels."""
 
     def __post_init__(self) -> None:
         if self.folder is None:
@@ -54,7 +54,7 @@ class BoardImages:
     def views(
         self, cameras: Sequence[Camera], tag: Tag, detector: Detector, imaging: Imaging, rng: np.random.Generator
     ) -> TagViews:
-        """See `ViewSource.views`: the whole tags of each image with a known pose."""
+        """See `ViewSource.views`: views of the tags that are wholly in an image with a known pose."""
         camera = only(cameras)
         renderer = Renderer(camera, self.board(tag), imaging)
         known = None if self.poses is None else self._known_poses(self.poses)
@@ -98,7 +98,7 @@ class BoardImages:
             return TaggedRoom(tag, table[:, 0].astype(np.int64), table[:, 1:4], normals, upright(normals)[1])
 
     def _known_poses(self, path: str) -> dict[str, FloatArray]:
-        """X by the name of the image."""
+        """Camera poses X by the name of the image."""
         table = read_table(path, name="poses")
         rows = table.numbers(ROW, ("image",))
         if "image" not in table:
@@ -112,7 +112,7 @@ class BoardImages:
 
 
 def _pose_by(renderer: Renderer, found: Detections, tolerance: float) -> FloatArray | None:
-    """X from the detected corners of the board; None with fewer than two tags, or if they are inconsistent."""
+    """Camera pose X from the detected corners of the board; None with fewer than two tags or inconsistent corners."""
     room = renderer.room
     corners = np.full((len(room.ids), 4, 2), np.nan)
     for k, number in enumerate(room.ids):

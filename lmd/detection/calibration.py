@@ -1,4 +1,4 @@
-"""Limits of a detector fitted to views of single tags, and their evidence."""
+"""Fit of the limits of a detector to views of single tags, with scores and intervals."""
 
 import math
 from collections.abc import Callable, Mapping
@@ -17,13 +17,13 @@ from lmd.sight.models.limits import NAMES, Limits, Preset
 INTERVAL_ENDS = ("low", "high")
 # Number of resamples for intervals, and of blocks of time in a recording.
 RESAMPLES, BLOCKS = 20, 20
-# Candidate values; units as in `Limits`.
+# Candidate values of the limits; units as in `Limits`.
 PITCHES, BLURS = np.linspace(0.0, 3.0, 31), np.linspace(0.0, 4.0, 41)
 EDGES, INCIDENCES = np.linspace(0.0, 40.0, 41), np.linspace(40.0, 89.0, 50)
 MARGINS = np.linspace(0.0, 150.0, 31)
-# Candidate diameters of an image circle, relative to the largest that a view needs.
+# Candidate diameters of an image circle, relative to the smallest circle that contains all views.
 CIRCLES = np.linspace(1.0, 0.4, 61)
-# Fewest views beyond an image circle, and the largest share of them that is detected.
+# Evidence for an image circle: least number of views beyond it, and largest share of these that is detected.
 FEWEST_BEYOND, FOUND_BEYOND = 20, 0.05
 
 Errors = Callable[[BoolArray, BoolArray], NDArray[np.intp]]
@@ -32,7 +32,7 @@ Choice = tuple[int, ...]
 
 @dataclass(frozen=True)
 class Fit:
-    """Limits, and their scores on the held-out half of the views."""
+    """Limits with their scores on the held-out half of the views."""
 
     limits: Limits
     """Limits of the detector."""
@@ -43,17 +43,17 @@ class Fit:
     recall: float
     """Share of detected views that are predicted."""
     circles: tuple[float, ...] = ()
-    """Diameter of the image circle of each camera, pixels, infinite if not found; empty for views without `placed`."""
+    """Diameter of the image circle of each camera, pixels; infinite if not found; empty for views without `placed`."""
 
     @property
     def known_circles(self) -> dict[int, float]:
-        """Finite `circles` by the number of the camera, from 1."""
+        """Finite `circles` by camera number, which counts from 1."""
         return {number: diameter for number, diameter in enumerate(self.circles, 1) if math.isfinite(diameter)}
 
 
 @dataclass(frozen=True)
 class DetectorCalibration:
-    """Limits of one detector and their evidence."""
+    """Limits of one detector with the data that support them."""
 
     views: TagViews
     """Views that the limits are fitted to."""
@@ -62,7 +62,7 @@ class DetectorCalibration:
     rooms: dict[str, float]
     """`frame_scores` in rendered rooms; empty without any."""
     photographs: int = 0
-    """Number of photographs of the views; 0 for renderings."""
+    """Number of photographs with the views; 0 for renderings."""
     intervals: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     """90 % intervals of the limits by name, see `intervals`; may be empty."""
 
@@ -85,7 +85,7 @@ class DetectorCalibration:
         }
 
     def preset(self, detector: str, family: str, source: str) -> str:
-        """Text of a preset file with the limits, and the evidence as comments.
+        """Text of a preset file with the limits, and with the scores as comments.
 
         Args:
             detector: name of the detector.
@@ -118,7 +118,7 @@ class DetectorCalibration:
 
 
 def predicted_in_frames(limits: Limits, renderer: Renderer, poses: FloatArray) -> BoolArray:
-    """Tags that the limits predict to be detected in frames, `(N, K)`; overlapping tags count as not detected.
+    """Mask of the tags that the limits predict to be detected in frames, `(N, K)`; False for overlapping tags.
 
     Args:
         limits: limits of the detector.
@@ -147,17 +147,18 @@ def frame_scores(predicted: BoolArray, seen: Matches) -> dict[str, float]:
 def fit(views: TagViews, rng: np.random.Generator, margin: float) -> Fit:
     """Fit limits to one half of the views and score them on the other.
 
-    Single views are halved at random. The objective is max(false positives, false negatives), which balances both kinds
-    of error and keeps shares of views, such as P(>= n), without bias.
+    Views without `placed` are halved at random. The objective is max(false positives, false negatives), which balances
+    both kinds of error, so that predicted shares such as P(>= n) are unbiased.
 
-    The views of a recording are halved in time, as consecutive images are similar. All errors count: some tags are
-    missed for reasons outside the limits, such as glare or occlusion, which the limits must not compensate. The margin
-    and the image circles are fitted, too.
+    The views of a recording are halved in time, as consecutive images are similar. The objective is the number of all
+    errors: balancing them would compensate for tags that are missed because of glare or occlusion, which the limits do
+    not model. The margin and the image circles are fitted, too.
 
     Args:
-        views: at least two views; those of a recording at two times or more.
+        views: at least two views; for a recording at two or more times.
         rng: draws the halves.
-        margin: margin of the limits, pixels, which single views do not determine; for a recording its lower bound.
+        margin: margin of the limits, pixels, which views without `placed` do not determine; for a recording its lower
+            bound.
 
     Raises:
         InputError: there are too few views, or the margin is negative.
@@ -188,7 +189,7 @@ def predicted_views(views: TagViews, limits: Limits, circles: tuple[float, ...])
 
 
 def intervals(views: TagViews, rng: np.random.Generator, margin: float) -> dict[str, tuple[float, float]]:
-    """90 % bootstrap intervals of the fitted limits, by name; of a recording, blocks of time are resampled."""
+    """90 % bootstrap intervals of the fitted limits by name; for a recording, blocks of time are resampled."""
     drawn = [_best(views[_resampled(views, rng)], margin)[0] for _ in range(RESAMPLES)]
     names = ["pitch", "blur", "edge", "incidence", *([] if views.placed is None else ["margin"])]
     rows = {name: [getattr(limits, name) for limits in drawn] for name in names}
@@ -208,7 +209,7 @@ def _resampled(views: TagViews, rng: np.random.Generator) -> NDArray[np.intp]:
 def _best(views: TagViews, margin: float) -> tuple[Limits, tuple[float, ...]]:
     """Limits and image circles with the fewest errors on `views`.
 
-    Limits that are chosen together form a group; its table holds the views that meet each choice.
+    Limits that are optimised jointly form a group: an array of masks of the views that meet each choice of them.
     """
     placed, margins, circles = views.placed, np.array([margin]), []
     sharp = views.pitch >= np.hypot(PITCHES[:, None, None], BLURS[:, None] * views.sigma)  # (A, K, M)
@@ -216,7 +217,7 @@ def _best(views: TagViews, margin: float) -> tuple[Limits, tuple[float, ...]]:
     groups = [sharp, (views.edge >= EDGES[:, None, None]) & facing]  # (E, B, M)
     start: list[Choice] = [(0, 0), (0, len(facing) - 1)]
     if placed is None:
-        # The better of two searches, one of which starts from the most accurate limits.
+        # The better of two searches, the first of which starts from the limits with the fewest errors in total.
         searches = ((_all_errors, _larger_errors), (_larger_errors,))
         _, chosen = min(_searched(groups, start, views.seen, kinds) for kinds in searches)
     else:
@@ -247,9 +248,12 @@ def _circles(views: TagViews, placed: Placed) -> list[FloatArray]:
 def _searched(
     groups: list[BoolArray], start: list[Choice], seen: BoolArray, kinds: tuple[Errors, ...]
 ) -> tuple[int, list[Choice]]:
-    """Fewest errors of the last kind and the choice in each group, from minimising the kinds one after the other.
+    """Minimise the objectives `kinds` one after the other, each from the optimum of the one before.
 
     Coordinate descent: the groups are optimised in turn, each over all of its choices, until none improves.
+
+    Returns:
+        least value of the last objective; choice in each group.
     """
     chosen, least = list(start), 0
     for errors in kinds:

@@ -1,4 +1,4 @@
-"""Predictions of a visibility model for frames, compared with detections: figures and tables."""
+"""Comparison of a visibility model's predictions for frames with detections: figures and tables."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -25,10 +25,10 @@ from lmd.detection.quality import incidence, pitch
 from lmd.geometry.pose import body_from_corners, pose_error
 from lmd.render.renderer import Renderer
 
-# Bounds of the classes of pitch, pixels per module, and of incidence, degrees.
+# Bounds of the classes of pitch, pixels per module, and of the incidence angle, degrees.
 PITCHES = np.array([0.0, 0.75, 1.0, 1.25, 1.5, 1.75, 2.0, 2.5, 3.0, 4.0, 6.0, 9.0, np.inf])
 INCIDENCES = np.array([0.0, 15.0, 30.0, 45.0, 60.0, 75.0, 90.0])
-# Columns and rows into which an image is divided.
+# Number of columns and rows into which an image is divided.
 PLACES = np.array([4, 3])
 QUANTILES = {"median": 0.5, "90": 0.9}
 
@@ -40,13 +40,13 @@ class CameraPrediction:
     renderer: Renderer
     """Camera and tags."""
     poses: FloatArray
-    """X of the camera, `(N, 4, 4)`."""
+    """Poses X of the camera, `(N, 4, 4)`."""
     visible: BoolArray
     """True for tags that the model counts as visible, `(N, K)`."""
     met: Mapping[str, BoolArray]
     """Criteria that are met, by name, `(N, K)` each; empty if the model has none."""
     taken: BoolArray | None = None
-    """True for frames with an image, `(N,)`; None for all. In other frames no tag is visible or whole."""
+    """True for frames with an image, `(N,)`; None if all have one. Without an image no tag is visible or whole."""
 
     @cached_property
     def corners(self) -> FloatArray:
@@ -61,7 +61,7 @@ class CameraPrediction:
 
     @cached_property
     def pitch(self) -> FloatArray:
-        """Pixels per module, `(N, K)`; NaN for tags that are not whole."""
+        """Pitch, pixels per module, `(N, K)`; NaN for tags that are not whole."""
         room = self.renderer.room
         values = pitch(self.renderer.camera, self.poses, room.centres, room.normals, room.tag, room.edges)
         return np.where(self.whole, values, np.nan)
@@ -80,14 +80,14 @@ def _beside(name: str) -> cached_property[NDArray[Any]]:
 
 @dataclass(frozen=True)
 class Prediction:
-    """Prediction for N moments of C cameras on one body: arrays of all cameras side by side, as of C K tags."""
+    """Prediction for N simultaneous frames of C cameras on one body; arrays of the cameras are concatenated to C K."""
 
     parts: tuple[CameraPrediction, ...]
     """Prediction of each camera."""
     mounted: FloatArray
     """Poses of the cameras in the frame of the body, `(C, 4, 4)`."""
     poses: FloatArray
-    """X of the body, `(N, 4, 4)`."""
+    """Poses X of the body, `(N, 4, 4)`."""
 
     visible = _beside("visible")
     corners = _beside("corners")
@@ -107,26 +107,31 @@ class Prediction:
         return overlapping(self.parts[0].renderer.room)
 
     def moved(self, poses: FloatArray) -> "Prediction":
-        """The prediction with other poses of the body."""
+        """Prediction with other poses of the body."""
         parts = tuple(replace(part, poses=poses @ at) for part, at in zip(self.parts, self.mounted, strict=True))
         return replace(self, parts=parts, poses=poses)
 
     def by_any(self, which: BoolArray) -> BoolArray:
-        """Disjunction over the cameras, `(N, C K)` -> `(N, K)`."""
+        """Logical or over the cameras, `(N, C K)` -> `(N, K)`."""
         return np.asarray(which.reshape(len(which), len(self.parts), -1).any(axis=1))
 
 
 def figures(prediction: Prediction, seen: Matches) -> dict[str, float]:
     """Figures of one deployment and one detector.
 
-    A frame of a rig is a moment with the images of all cameras: `predicted_<n>`, `detected_<n>` and `agreement_<n>`
-    count tags of any camera, and the pose is that of the body; single tags count once for each camera.
+    A frame of a rig consists of the simultaneous images of all cameras. `predicted_<n>`, `detected_<n>` and
+    `agreement_<n>` count tags that any camera shows, and the pose is that of the body; other figures count a tag once
+    per camera.
 
-    `predicted_<n>`, `detected_<n>`: P(>= n), each with its standard error `_error`; `agreement_<n>`: share of frames in
-    which both agree on it; `precision`, `recall` over tags; `left_out`: tags detected in a frame and not predicted, of
-    these `left_out_<criterion>` fail it (one may fail several); `overrated`: tags predicted and not detected, of these
-    `overrated_cut` by the border, and of the whole ones `overrated_overlapping`; `false_a_frame`; `corner_median`,
-    `corner_90`, pixels; `pose_share`: share of frames with a pose; quantiles of its errors, metres and rad.
+    - `predicted_<n>`, `detected_<n>`: P(>= n), the share of frames with at least n tags; `_error`: its standard error;
+    - `agreement_<n>`: share of frames in which prediction and detection agree on at least n tags;
+    - `precision`, `recall`: over tags;
+    - `left_out`: tags detected but not predicted; `left_out_<criterion>`: those that fail the criterion;
+    - `overrated`: tags predicted but not detected; `overrated_cut`: those cut by the image border;
+      `overrated_overlapping`: whole ones that overlap another tag;
+    - `false_a_frame`: false detections per frame;
+    - `corner_median`, `corner_90`: quantiles of the corner error, pixels;
+    - `pose_share`: share of frames with a pose; quantiles of the pose errors, metres and rad.
     """
     part = prediction.parts[0]
     row: dict[str, float] = {"frames": len(prediction.poses), "tags": part.visible.shape[1]}
@@ -157,10 +162,10 @@ def figures(prediction: Prediction, seen: Matches) -> dict[str, float]:
 
 
 def repeatability(seen: Matches, again: Matches, prediction: Prediction) -> dict[str, float]:
-    """Agreement of a detector with itself on two renderings of the same frames, which bounds that of a prediction.
+    """Agreement of a detector with itself on two renderings of each frame, a bound on the agreement of predictions.
 
-    `repeated_<n>`: share of frames in which both agree on at least n tags; `repeated_tags`: share of the tags found in
-    either that are found in both.
+    `repeated_<n>`: share of frames in which both renderings agree on at least n tags; `repeated_tags`: number of tags
+    found in both renderings over the number found in either.
 
     Args:
         seen, again: matches in the two renderings.
@@ -173,13 +178,13 @@ def repeatability(seen: Matches, again: Matches, prediction: Prediction) -> dict
 
 
 def _quantiles(name: str, values: FloatArray) -> dict[str, float]:
-    """`QUANTILES` of the finite values, NaN without any."""
+    """`QUANTILES` of the finite values; NaN if there are none."""
     known = values[np.isfinite(values)]
     return {f"{name}_{key}": float(np.quantile(known, q)) if known.size else np.nan for key, q in QUANTILES.items()}
 
 
 def by_pitch(prediction: Prediction, seen: Matches) -> pd.DataFrame:
-    """Whole tags by classes of pitch.
+    """Table of whole tags by classes of pitch.
 
     Columns: `pitch_from`, `pitch_to` (pixels per module), `tags`, the shares `predicted` and `detected` of them, and
     `corner_median`, `corner_90` (pixels). Classes without a tag are left out.
@@ -188,7 +193,7 @@ def by_pitch(prediction: Prediction, seen: Matches) -> pd.DataFrame:
 
 
 def by_incidence(prediction: Prediction, seen: Matches) -> pd.DataFrame:
-    """Whole tags by classes of incidence, `incidence_from` to `incidence_to` degrees; columns as in `by_pitch`."""
+    """Table of whole tags by incidence angle, `incidence_from` to `incidence_to` degrees; columns as in `by_pitch`."""
     return _by_class(prediction, seen, "incidence", prediction.incidence, INCIDENCES)
 
 
@@ -199,7 +204,7 @@ def _shares(prediction: Prediction, seen: Matches, members: BoolArray) -> dict[s
 
 
 def _by_class(prediction: Prediction, seen: Matches, name: str, values: FloatArray, bounds: FloatArray) -> pd.DataFrame:
-    """Whole tags by the class of their `values` `(N, K)`."""
+    """Table of whole tags by classes of `values` `(N, K)`."""
     error = corner_error(seen.corners, prediction.corners)
     place = np.searchsorted(bounds, values, side="right") - 1
     quantiles = quantiles_by(values, error, bounds, tuple(QUANTILES.values()))
@@ -214,7 +219,7 @@ def _by_class(prediction: Prediction, seen: Matches, name: str, values: FloatArr
 
 
 def by_place(prediction: Prediction, seen: Matches) -> pd.DataFrame:
-    """Whole tags by the place of their centre in the image.
+    """Table of whole tags by the place of their centre in the image.
 
     Columns: `column`, `row` of the part of the image (`PLACES`); `tags`, and the shares `predicted` and `detected` of
     them. Parts without a tag are left out.
@@ -234,9 +239,9 @@ def by_place(prediction: Prediction, seen: Matches) -> pd.DataFrame:
 
 
 def by_tag(prediction: Prediction, seen: Matches) -> pd.DataFrame:
-    """Rows of tags: `id`, `overlapping`, numbers of frames `predicted` and `detected`, `precision`, `recall`.
+    """Table of tags: `id`, `overlapping`, numbers of frames `predicted` and `detected`, `precision`, `recall`.
 
-    A tag counts in a frame of a rig if it does for any camera.
+    In a frame of a rig, a tag counts as predicted or detected if it is for any camera.
     """
     visible, detected = prediction.by_any(prediction.visible), prediction.by_any(seen.detected)
     precision, recall = precision_recall(visible, detected, axis=0)

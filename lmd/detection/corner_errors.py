@@ -14,26 +14,27 @@ NORMAL_QUANTILE_90 = 1.2815515655446004
 
 @dataclass(frozen=True)
 class CornerErrors:
-    """Distribution of the root mean square error of a tag's four corners: log-normal at every pitch.
+    """Log-normal distribution of the root mean square error of a tag's four corners, by pitch.
 
-    The logarithms of both quantiles are interpolated linearly in the logarithm of the pitch, and constant beyond the
-    given pitches. The direction of the error in its eight dimensions is uniform.
+    Between the given pitches, log quantiles are interpolated linearly in the log pitch; beyond them they are constant.
+    The direction of the error vector in its eight dimensions is uniform.
 
     Raises:
-        InputError: the values are not one for each pitch, or the spread is negative.
+        InputError: the number of values is not that of the pitches, or the spread is negative.
     """
 
     pitch: tuple[float, ...]
-    """Pixels per module along its shortest direction, ascending, `(B,)`."""
+    """Pitch: pixels per module along the most foreshortened direction, ascending, `(B,)`."""
     median: tuple[float, ...]
     """Median of the error at these pitches, pixels, `(B,)`."""
     high: tuple[float, ...]
     """90 % quantile of the error at these pitches, pixels, `(B,)`."""
     inward: tuple[float, ...] = ()
-    """Mean shift of a tag's edges towards its middle at these pitches, pixels, `(B,)`, a part of the error; zeros if
+    """Mean shift of a tag's edges towards its centre at these pitches, pixels, `(B,)`; included in the error; zeros if
     empty."""
     inward_spread: float = 0.0
-    """Standard deviation of that shift between blurs and exposures, pixels; it is constant for one camera and light."""
+    """Standard deviation of that shift over blurs and exposures, pixels; the shift is constant for one camera and
+    light."""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "inward", self.inward or (0.0,) * len(self.pitch))
@@ -51,7 +52,7 @@ class CornerErrors:
         return mean, (high - mean) / NORMAL_QUANTILE_90
 
     def draw(self, pitch: FloatArray, rng: np.random.Generator) -> FloatArray:
-        """Draw corner errors of tags with pitches `(...)`, pixels, `(..., 4, 2)`."""
+        """Draw corner errors of tags, pixels, `(..., 4, 2)`, for pitches `(...)`, pixels per module."""
         mean, spread = self._at(pitch)
         error = np.exp(mean + spread * rng.standard_normal(pitch.shape))
         direction = rng.standard_normal((*pitch.shape, 4, 2))
@@ -73,8 +74,8 @@ PITCH_MIDDLES = tuple(math.sqrt(low * high) for low, high in pairwise((1.25, 1.5
 # Errors were measured in rendered frames, `python -m pipelines.detect deployment=uniform tag.edge=0.10 poses=400`, with
 # tags of the family 36h11 and an ordinary camera in good light: 72 to 793 tags per class. Shifts were measured in
 # images of another renderer without clipping and tone curve, `python benchmarks/corners.py preset --tags 24`, of tags
-# with the margin that lmd prints. A tone curve adds 0.24 pixels to the shift, clipped white 0.32; the cameras of
-# docs/results/survey.md have -0.07 to 0.03. Blur changes the shift of ArUco by as much.
+# with the margin that lmd prints. A tone curve adds 0.24 pixels to the shift, clipped white 0.32 pixels; the cameras of
+# docs/results/survey.md have shifts of -0.07 to 0.03 pixels. Blur changes the shift of ArUco by similar amounts.
 LIGHT_SPREAD, BLUR_SPREAD = 0.1, 0.2
 CORNER_ERRORS = {
     "aruco": CornerErrors(
@@ -96,7 +97,7 @@ CORNER_ERRORS = {
         PITCH_MIDDLES[1:],
         (0.244, 0.212, 0.151, 0.084, 0.034, 0.018, 0.016),
         (0.497, 0.383, 0.253, 0.147, 0.063, 0.040, 0.039),
-        # Below 2 pixels per module the shift at 2.24: too few detections.
+        # Below 2 pixels per module there are too few detections; the shift is that at 2.24.
         (0.046, 0.046, 0.046, 0.017, 0.006, 0.000, 0.000),
         LIGHT_SPREAD,
     ),

@@ -17,7 +17,7 @@ from lmd.geometry.camera import PIXEL_CENTRE
 from lmd.render.imaging import UInt8Array
 from lmd.scene.tag import FAMILIES, dictionary
 
-# cv2.aruco shows AprilTags upside down: its top-left corner is AprilTag's bottom-right one.
+# cv2.aruco has AprilTags rotated by 180 degrees: its top-left corner is AprilTag's bottom-right corner.
 HALF_TURN = [2, 3, 0, 1]
 # AprilTag's corners start at the bottom left, counter-clockwise.
 APRILTAG_ORDER = [3, 2, 1, 0]
@@ -37,9 +37,9 @@ class Detections:
     """
 
     ids: NDArray[np.int64]
-    """Ids of the tags in their family, `(M,)`; one may occur twice."""
+    """Ids of the tags in their family, `(M,)`; an id may occur several times."""
     corners: FloatArray
-    """Pixels from the border, in the order above, `(M, 4, 2)`."""
+    """Corners, pixels from the border, in the order of `lmd.detection.detectors`, `(M, 4, 2)`."""
 
     def __post_init__(self) -> None:
         ids, corners = np.asarray(self.ids, dtype=np.int64), np.asarray(self.corners, dtype=np.float64)
@@ -70,13 +70,13 @@ class ArucoDetector:
     `CORNER_REFINE_APRILTAG` is not used: it counts pixels from the border, half a pixel off the rest of OpenCV.
 
     Raises:
-        InputError: an unknown family or preset.
+        InputError: the family or preset is unknown.
     """
 
     family: str = "36h11"
     """One of `lmd.scene.tag.FAMILIES`."""
     preset: str = "default"
-    """`default`, or `fine` for smaller tags."""
+    """Settings of `cv2.aruco`: `default`, or `fine` for smaller tags."""
 
     def __post_init__(self) -> None:
         choice("family", self.family, tuple(FAMILIES))
@@ -96,13 +96,13 @@ class AprilTagDetector:
     """AprilTag 3 library, by `pyapriltags`.
 
     Raises:
-        InputError: a family that is not AprilTag's, or a value out of range.
+        InputError: the library lacks the family, or a value is out of range.
     """
 
     family: str = "36h11"
-    """One of `lmd.scene.tag.FAMILIES` that the library knows."""
+    """One of `lmd.scene.tag.FAMILIES` that the library supports."""
     quad_decimate: float = 1.0
-    """Factor by which the image is reduced for the detection of quadrilaterals."""
+    """Factor by which the image is downscaled for the detection of quadrilaterals."""
     most_errors: int = 2
     """Maximum number of corrected bits in a tag; the library corrects two."""
 

@@ -1,4 +1,4 @@
-"""Detections against expected corners and predictions.
+"""Matching of detections to expected corners, and scores of predictions.
 
 N frames and K tags throughout; `predicted` and `detected` are `(N, K)` bool.
 """
@@ -15,7 +15,7 @@ from lmd.detection.detectors import Detections
 
 # Numbers of tags n in P(>= n).
 TAG_NUMBERS = np.arange(1, 5)
-# Largest distance of a corner from its projection, pixels; farther, a detection is not of the tag with its id.
+# Largest distance of a detected corner from its projection, pixels; a detection farther away is false.
 CORNER_TOLERANCE = 5.0
 
 
@@ -24,25 +24,25 @@ class Matches:
     """Tags that a detector found in one frame `()`, or in N frames `(N,)`."""
 
     detected: BoolArray
-    """True for tags found with their id in their place, `(..., K)`."""
+    """True for tags detected with their id within the corner tolerance, `(..., K)`."""
     corners: FloatArray
     """Detected corners, pixels from the border, `(..., K, 4, 2)`; NaN for tags not detected."""
     false: IntArray
-    """Number of detections of no tag of the room, or of one in another place or orientation, `(...)`."""
+    """Number of detections that match no tag of the room by id and corners, `(...)`."""
 
     @classmethod
     def stacked(cls, frames: Sequence["Matches"]) -> Self:
-        """Matches of N frames from those of each."""
+        """Stack the matches of N single frames."""
         return cls(*(np.stack([getattr(one, field.name) for one in frames]) for field in fields(cls)))
 
     @classmethod
     def concatenated(cls, parts: Sequence["Matches"]) -> Self:
-        """Matches of the frames of several parts."""
+        """Concatenate matches along the frames."""
         return cls(*(np.concatenate([getattr(part, field.name) for part in parts]) for field in fields(cls)))
 
     @classmethod
     def beside(cls, parts: Sequence["Matches"]) -> Self:
-        """Matches of N frames of the C cameras of a rig side by side, `(N, C K)`."""
+        """Concatenate the matches of C cameras along the tags, `(N, C K)`."""
         detected = np.concatenate([part.detected for part in parts], axis=1)
         corners = np.concatenate([part.corners for part in parts], axis=1)
         return cls(detected, corners, np.sum([part.false for part in parts], axis=0))
@@ -51,15 +51,15 @@ class Matches:
 def match(
     detections: Detections, ids: NDArray[np.int64], expected: FloatArray, tolerance: float = CORNER_TOLERANCE
 ) -> Matches:
-    """Assign the detections of one frame to tags by id and place.
+    """Assign the detections of one frame to tags by id and corners.
 
-    Of several detections of one tag the nearest counts, the others are false.
+    Of several detections of one tag the nearest one is assigned; the others are false.
 
     Args:
         detections: detections of the frame.
         ids: ids of the K tags, all different, `(K,)`.
-        expected: exact corners, pixels in the detections' convention and order, `(K, 4, 2)`; NaN is never matched.
-        tolerance: largest distance of a corner, pixels.
+        expected: exact corners, convention and order as in `Detections`, pixels, `(K, 4, 2)`; NaN is never matched.
+        tolerance: largest distance between detected and exact corner, pixels.
     """
     corners = np.full((len(ids), 4, 2), np.nan)
     distance = np.full(len(ids), np.inf)
@@ -93,7 +93,7 @@ class Shares(NamedTuple):
     """Shares of frames with at least n = 1, 2, 3, 4 tags."""
 
     share: FloatArray
-    """P(>= n), `(4,)`."""
+    """Share p = P(>= n) of frames with at least n tags, `(4,)`."""
     error: FloatArray
     """Standard errors sqrt(p (1 - p) / N), `(4,)`."""
 
@@ -109,12 +109,12 @@ def shares_of_frames(seen: BoolArray) -> Shares:
 
 
 def agreement(predicted: BoolArray, detected: BoolArray, n: int = 2) -> float:
-    """Share of the frames in which both or neither of prediction and detector have at least n tags."""
+    """Share of the frames in which prediction and detection agree on whether there are at least n tags."""
     return float(((predicted.sum(axis=1) >= n) == (detected.sum(axis=1) >= n)).mean())
 
 
 def corner_error(found: FloatArray, expected: FloatArray) -> FloatArray:
-    """Root mean square distance of four corners `(..., 4, 2)` from the exact ones, pixels, `(...)`; may be NaN."""
+    """Root mean square distance of four corners from the exact corners, `(..., 4, 2)` each, pixels, `(...)`."""
     return np.asarray(np.sqrt(((found - expected) ** 2).sum(axis=-1).mean(axis=-1)))
 
 

@@ -21,14 +21,14 @@ from lmd.scene.scene import Scene
 from lmd.scene.tag import Tag
 from lmd.space.space import Space
 
-# Separates the random numbers of poses and noise from other uses of a seed.
+# Stream key that separates the random numbers of poses and noise from other uses of a seed.
 FRAMES_STREAM = 0x646574656374
 
 
 def draw_poses(scene: Scene, count: int, seed: int) -> FloatArray:
-    """Draw poses X, `(count, 4, 4)`, independent of the deployment.
+    """Draw camera poses X, `(count, 4, 4)`: reachable positions uniformly, orientations from the PDF.
 
-    Positions are uniform where the camera may be, orientations follow the PDF.
+    The poses are independent of the deployment.
     """
     rng = np.random.default_rng([seed, FRAMES_STREAM])
     positions = scene.room.sample(count, rng)
@@ -49,7 +49,7 @@ def nudged(poses: FloatArray, position: float, attitude: float, seed: int) -> Fl
 
 
 def tagged_room(room: Space, deployment: Deployment, tag: Tag) -> TaggedRoom:
-    """The tags of a deployment, with their ids and orientations, on the surfaces of a room.
+    """Tags of a deployment, with ids and ups, on the surfaces of a room.
 
     Raises:
         InputError: the tag is a point, or its family is too small.
@@ -60,7 +60,7 @@ def tagged_room(room: Space, deployment: Deployment, tag: Tag) -> TaggedRoom:
 
 
 def qualities(renderer: Renderer, poses: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Pitch, incidence, edge and sigma of every tag, the arguments of `Limits.found`, `(N, K)` each.
+    """Pitch, incidence angle, apparent edge and blur sigma of every tag, the arguments of `Limits.found`.
 
     Args:
         renderer: camera and tags.
@@ -77,7 +77,7 @@ def qualities(renderer: Renderer, poses: FloatArray) -> tuple[FloatArray, FloatA
 def blur(camera: Camera, depth: FloatArray, imaging: Imaging) -> FloatArray:
     """Total blur sigma [pixels] at `depth` [m], shape of `depth`."""
     sigma = blur_sigma(camera, depth, imaging.psf_sigma) if imaging.defocus else np.full_like(depth, imaging.psf_sigma)
-    return np.hypot(sigma, imaging.motion_blur / math.sqrt(12.0))  # standard deviation of a uniform smear
+    return np.hypot(sigma, imaging.motion_blur / math.sqrt(12.0))  # standard deviation of a uniform distribution
 
 
 def overlapping(room: TaggedRoom) -> BoolArray:

@@ -19,22 +19,22 @@ from lmd.geometry.projection import image_size
 from lmd.render.imaging import UInt8Array
 
 IMAGES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp")
-# Formats that cameras write and that are not read.
+# Suffixes of image formats that cannot be read.
 UNREAD = (".heic", ".heif", ".avif", ".dng", ".raw", ".cr2", ".cr3", ".nef", ".arw", ".gif")
-# Fewest pixels per module of tags whose edges are measured, and maximum distance of samples from an edge, pixels.
+# Least pitch of tags whose edges are measured, pixels per module, and largest distance of samples from an edge, pixels.
 LEAST_PITCH, WIDEST_EDGE = 3.0, 12.0
 # Number of samples along an edge and across it.
 SAMPLES, STEPS = 12, 65
-# Part of an edge that is measured: corners are round.
+# Range along an edge that is sampled, as a share of its length; it excludes the blurred corners.
 EDGE_PART = (0.2, 0.8)
-# Grey levels, relative to the step from black to white, between which lie two standard deviations of the blur.
+# Grey levels relative to the step from black to white, which lie two standard deviations of the blur apart.
 LOW, HIGH = 0.16, 0.84
-# A frame is blurred beyond this multiple of the median blur, and beyond this blur, pixels.
+# A frame counts as blurred if its blur exceeds this multiple of the median blur and this blur, pixels.
 TIMES, LEAST = 2.0, 1.0
 
 
 class Images(Protocol):
-    """Grey images, read on demand, possibly by several processes."""
+    """Interface of grey images, which are read on demand, possibly by several processes."""
 
     @property
     def names(self) -> Sequence[str]:
@@ -52,7 +52,7 @@ class Images(Protocol):
         """Read images `first` to `last` (excluded), `(h, w)` each.
 
         Raises:
-            InputError: one cannot be read, or has not the size of the camera.
+            InputError: an image cannot be read, or its size is not that of the camera.
         """
 
 
@@ -67,7 +67,7 @@ class Photographs:
     folder: str | Path
     """Folder of the images."""
     argument: str = "folder"
-    """Argument with the folder, for messages."""
+    """Name of the argument with the folder, for messages."""
 
     def __post_init__(self) -> None:
         if not self.paths:
@@ -87,7 +87,7 @@ class Photographs:
 
     @property
     def unread(self) -> list[str]:
-        """The names of images of formats that are not read."""
+        """Names of images whose format cannot be read."""
         return [printable(path.name) for path in self._with(UNREAD)]
 
     @property
@@ -98,12 +98,12 @@ class Photographs:
 
     @property
     def names(self) -> list[str]:
-        """See `Images.names`: those of the files, as they can be written and printed."""
+        """See `Images.names`: names of the files, with characters that cannot be encoded replaced."""
         return [printable(path.name) for path in self.paths]
 
     @cached_property
     def repeated(self) -> dict[str, str]:
-        """Names of duplicate files, with the name of the first copy."""
+        """Name of the first copy, by the names of its duplicates."""
         first: dict[bytes, str] = {}
         digests = [hashlib.sha256(read_bytes(path, self.argument)).digest() for path in self.paths]
         earlier = [first.setdefault(digest, name) for digest, name in zip(digests, self.names, strict=True)]
@@ -155,8 +155,8 @@ def read_image(path: Path, camera: Camera, argument: str) -> UInt8Array:
     size = image_size(camera)
     written = _pixels(content)
     if written in (size, size[::-1]):
-        # The file states the orientation of the camera. A calibration is in the sensor's orientation, unless its size
-        # shows that its images were rotated.
+        # The file may state a rotation for display. It is ignored, as a calibration is in the sensor's orientation,
+        # unless the calibrated size shows that the calibration used rotated images.
         turned = cv2.IMREAD_GRAYSCALE | (cv2.IMREAD_IGNORE_ORIENTATION if written == size else 0)
         image: UInt8Array | None = cv2.imdecode(np.frombuffer(content, np.uint8), turned)
         written = None if image is None else image.shape[::-1]
@@ -168,13 +168,16 @@ def read_image(path: Path, camera: Camera, argument: str) -> UInt8Array:
 
 
 def wrong_size(path: Path, argument: str, written: tuple[int, ...], size: tuple[int, int]) -> InputError:
-    """Error for an image or a video that has not the size of the camera."""
+    """Error for an image or a video whose size is not that of the camera."""
     found, needed = (" x ".join(map(str, pair)) for pair in (written, size))
     return InputError(f"{argument}: {str(path)!r} has {found} pixels, the camera {needed}.", argument)
 
 
 def _pixels(content: bytes) -> tuple[int, ...] | None:
-    """Width and height in the header, as a small file may decode to gigabytes; None if the file is no image."""
+    """Width and height in the header of an image file; None if the file is no image.
+
+    Read before decoding, as a small file may decode to gigabytes.
+    """
     from PIL import Image
 
     try:
@@ -185,10 +188,10 @@ def _pixels(content: bytes) -> tuple[int, ...] | None:
 
 
 def blur_of(image: UInt8Array, found: Detections, modules: int) -> float:
-    """Blur of an image by its tags: standard deviation across the second most blurred edge, pixels, median over tags.
+    """Blur of an image, pixels: standard deviation across the second most blurred edge of a tag, median over tags.
 
-    Across the outer edge of a black border the image goes from white to black; between 16 and 84 % of the step lie two
-    standard deviations of the blur. Motion blurs the edges across it only.
+    Across the outer edge of the black border, the distance between 16 and 84 % of the step from black to white is two
+    standard deviations of the blur. Motion blurs only the edges perpendicular to it.
 
     Args:
         image: grey image, `(h, w)`.
@@ -200,7 +203,7 @@ def blur_of(image: UInt8Array, found: Detections, modules: int) -> float:
     """
     from scipy.ndimage import map_coordinates
 
-    starts, ends = found.corners, np.roll(found.corners, -1, axis=1)  # clockwise, so outside is to the left
+    starts, ends = found.corners, np.roll(found.corners, -1, axis=1)  # clockwise, so the outside is on the left
     along = ends - starts
     lengths = np.linalg.norm(along, axis=-1)
     pitch = lengths.min(axis=1) / modules
@@ -226,7 +229,7 @@ def blur_of(image: UInt8Array, found: Detections, modules: int) -> float:
 
 
 def blurred(blurs: FloatArray) -> BoolArray:
-    """Mask of frames that are blurred relative to the median, from the blur of each `(F,)`; NaN counts as sharp."""
+    """Mask of blurred frames, from the blur of each `(F,)`, pixels; NaN counts as sharp."""
     known = blurs[np.isfinite(blurs)]
     usual = np.median(known) if known.size else np.inf
     return np.asarray(np.nan_to_num(blurs) > max(TIMES * usual, LEAST))

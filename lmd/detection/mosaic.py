@@ -1,7 +1,7 @@
 """Mosaics: rendered images with many views of single tags, one per tile.
 
-A tile holds one tag with random pitch and incidence: its centre lies on the ray of the tile at the depth of that pitch.
-The image has the size of the camera's, on which the settings of some detectors depend.
+Each tag has a random pitch and incidence angle. Its centre lies on the ray through the centre of its tile, at the depth
+that gives the pitch. The mosaic has the image size of the camera, as the settings of some detectors depend on it.
 """
 
 import math
@@ -25,7 +25,7 @@ from lmd.render.canvas import PATTERN, REACH, Canvas, pattern
 from lmd.render.imaging import Float32Array, Imaging
 from lmd.scene.tag import Tag
 
-# Edges of tiles, pixels; a view goes into the smallest tile that contains it.
+# Edges of tiles, pixels; a view is rendered in the smallest tile that contains it.
 TILE_EDGES = (64, 128, 256, 512)
 # Lower bound on the memory of a view, bytes.
 VIEW_BYTES = 1000
@@ -34,14 +34,14 @@ CAMERA_POSE = np.eye(4)
 
 @dataclass(frozen=True)
 class ViewRanges:
-    """Ranges of random views: uniform, log-uniform for sigma.
+    """Ranges of the parameters of random views; uniform, except log-uniform for sigma.
 
     Raises:
         InputError: a range is empty or out of bounds.
     """
 
     pitch: tuple[float, float] = (0.5, 6.0)
-    """Pixels per module."""
+    """Pitch, pixels per module."""
     incidence: tuple[float, float] = (0.0, math.radians(88.0))
     """Angle between the normal of the tag and the direction to the camera, rad."""
     sigma: tuple[float, float] = (0.4, 2.0)
@@ -51,7 +51,7 @@ class ViewRanges:
     texture: tuple[float, float] = (0.0, 10.0)
     """Standard deviation of the background, grey levels; one per image."""
     exposure: tuple[float, float] = (0.5, 1.1)
-    """Factor on the light; one per image."""
+    """Exposure, a factor on the light; one per image."""
 
     def __post_init__(self) -> None:
         for name in self.__dataclass_fields__:
@@ -68,7 +68,7 @@ class Mosaics:
     """Random views in rendered mosaics; a `lmd.detection.views.ViewSource`.
 
     Raises:
-        InputError: there are fewer than two.
+        InputError: `count` is less than two.
     """
 
     count: int = 6000
@@ -99,7 +99,7 @@ def sample_views(
 
     Args:
         camera: size and focal lengths of the images; its distortion and blur are ignored.
-        tag: family; its edge has no effect, as the pitch determines the depth.
+        tag: family and quiet zone; the edge has no effect, as the pitch determines the depth.
         detector: detector of the family.
         count: number of views; views too large for the largest tile are left out.
         rng: source of everything random.
@@ -109,12 +109,12 @@ def sample_views(
         InputError: none of the views fits a tile.
     """
     count = integer("count", count, low=1)
-    # Within a tile distortion is negligible.
+    # Distortion is negligible within a tile.
     camera = replace(camera, distortion=(), distortion_model="plumb_bob")
     pitches, tilts = (rng.uniform(*span, count) for span in (ranges.pitch, ranges.incidence))
     sigmas = np.exp(rng.uniform(math.log(ranges.sigma[0]), math.log(ranges.sigma[1]), count))
     width, height = image_size(camera)
-    # At the angle phi from the axis a pinhole stretches by up to 1 / cos(phi) more along one direction than another.
+    # At the angle phi from the optical axis, the radial scale of a pinhole is 1 / cos(phi) times the tangential one.
     matrix = intrinsics(camera)
     ends = (np.array([[0, 0], [width, 0], [0, height], [width, height]]) - matrix[:2, 2]) / np.diag(matrix)[:2]
     stretch = math.sqrt(1.0 + (ends**2).sum(axis=1).max()) / np.cos(tilts)
@@ -150,7 +150,7 @@ def _place(
     rays = np.insert((at - matrix[:2, 2]) / np.diag(matrix)[:2], 2, 1.0, axis=1)
     towards = -rays / np.linalg.norm(rays, axis=1, keepdims=True)
     normals = np.cos(tilts)[:, None] * towards + np.sin(tilts)[:, None] * _across(towards, rng)
-    # Along a ray the pitch of one normal is proportional to 1 / z.
+    # Along a ray, the pitch of tags with one normal is proportional to 1 / z.
     at_one_metre = pitch(camera, CAMERA_POSE, rays, normals, tag)
     return rays * (at_one_metre / pitches)[:, None], normals, _across(normals, rng)
 

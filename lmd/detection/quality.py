@@ -1,11 +1,11 @@
-"""Quality of the image of a tag: pitch, apparent edge and incidence, which determine its detection.
+"""Quality of the image of a tag: pitch, apparent edge and incidence angle, which determine its detection.
 
-Let y be the tag's centre and n its unit normal in the camera's frame, z > 0 the depth of y, and P = d(u, v)/dy of the
-pinhole camera, P = [(f_u / z) (1, 0, -x / z); (f_v / z) (0, 1, -y / z)]. Metres in the tag's plane become pixels by
-J = P E with E (3, 2) any orthonormal basis of the plane. Its singular values need no basis, only
-|J|_F^2 = |P|_F^2 - |P n|^2 and |det J| = f_u f_v |n . y| / z^3.
+Let c = (x, y, z) be the tag's centre and n its unit normal in the camera's frame, z > 0. The Jacobian of a pinhole
+image is P = d(u, v)/dc = [(f_u / z) (1, 0, -x / z); (f_v / z) (0, 1, -y / z)]. The Jacobian J = P E maps metres in the
+tag's plane to pixels, with E (3, 2) any orthonormal basis of the plane. The singular values of J follow from
+|J|_F^2 = |P|_F^2 - |P n|^2 and |det J| = f_u f_v |n . c| / z^3 without a basis.
 
-For a lens that distorts P is the Jacobian of its image, and |det J| = |(P_1 x P_2) . n| with the rows of P.
+For a distorting lens P is the Jacobian of its image, and |det J| = |(P_1 x P_2) . n| with the rows P_1, P_2 of P.
 
 Poses are `(..., 4, 4)`, centres and normals of K tags `(K, 3)`, results `(..., K)`.
 """
@@ -26,9 +26,10 @@ def pitch(
     tag: Tag,
     edges: FloatArray | None = None,
 ) -> FloatArray:
-    """Pixels per module along its shortest direction: the smaller singular value of J times the edge over N.
+    """Pitch of tags: pixels per module along the most foreshortened direction.
 
-    With s = |J|_F^2 and d = |det J| it is d / sqrt((s + sqrt(s^2 - 4 d^2)) / 2).
+    Smaller singular value of J times edge / N. With s = |J|_F^2 and d = |det J| the singular value is
+    d / sqrt((s + sqrt(s^2 - 4 d^2)) / 2).
 
     Args:
         camera: intrinsics and lens.
@@ -39,7 +40,8 @@ def pitch(
         edges: edge of each tag, metres, `(K,)`.
 
     Returns:
-        `(..., K)`, pixels, also for the back of a tag; NaN for tags behind the camera or beyond the view of its lens.
+        `(..., K)`, pixels, also for tags seen from behind; NaN for tags behind the camera or outside the view of its
+        lens.
     """
     square, determinant = _stretch(camera, pose, centres, normals)
     root = np.sqrt(np.maximum(square**2 - 4.0 * determinant**2, 0.0))
@@ -61,10 +63,10 @@ def apparent_edge(
 
 
 def incidence(pose: FloatArray, centres: FloatArray, normals: FloatArray) -> FloatArray:
-    """Angle between the normal of a tag and the direction from its centre to the camera; arguments as for `pitch`.
+    """Incidence angle: between a tag's normal and the direction from its centre to the camera; arguments as in `pitch`.
 
     Returns:
-        `(..., K)`, rad in [0, pi]; the camera sees the front below pi / 2.
+        `(..., K)`, rad in [0, pi]; the front is visible below pi / 2.
     """
     towards = pose[..., None, :3, 3] - centres
     along = (towards * normals).sum(axis=-1)
@@ -87,6 +89,6 @@ def _stretch(
     depth = np.where(y[..., 2] > 0.0, y[..., 2], np.nan)
     ray = y[..., :2] / depth[..., None]
     scale = (focal / depth[..., None]) ** 2
-    moved = n[..., :2] - ray * n[..., 2:]  # P n without its factors f / z
+    moved = n[..., :2] - ray * n[..., 2:]  # P n without the factors f / z
     determinant = focal.prod() * np.abs((n * y).sum(axis=-1)) / depth**3
     return np.asarray((scale * (1.0 + ray**2 - moved**2)).sum(axis=-1)), np.asarray(determinant)

@@ -72,17 +72,17 @@ CONTAINERS = (
 )
 IMAGE = re.compile(rb"\x89PNG|\xff\xd8\xff|BM|II\*\0|MM\0\*|RIFF.{4}WEBP|GIF8", re.DOTALL)
 
-# Distance of a seek before a frame, ms: OpenCV seeks as if frames were equidistant.
+# Seeks aim this far before a frame, ms, as OpenCV assumes equidistant frames.
 LEAD = 500.0
 # Largest difference of equal times, ms.
 SAME_TIME = 1e-3
-# Largest plausible number of frames in a header, and its rounding error where it follows from a length.
+# Largest plausible number of frames in a header, and rounding error of a number computed from the duration.
 MOST_FRAMES, ROUNDED = 1e9, 1
 
 
 @dataclass(frozen=True)
 class Video:
-    """Frames of a video at a rate; their names are their times, seconds.
+    """Frames of a video, sampled at a rate; their names are their times, seconds.
 
     Raises:
         InputError: OpenCV cannot read the file, or the rate is not positive.
@@ -129,7 +129,7 @@ class Video:
 
     @cached_property
     def _index(self) -> "_Index":
-        """Times of all frames, from reading all: the number in a header may be wrong or missing."""
+        """Index of all frames, found by reading the whole video, as the number in a header may be wrong or missing."""
         cv2, video = optional("cv2", "detection"), self._opened()
         try:
             stated, rate = video.get(cv2.CAP_PROP_FRAME_COUNT), float(video.get(cv2.CAP_PROP_FPS))
@@ -158,8 +158,8 @@ class Video:
         """Open the video before its first frame.
 
         Args:
-            size: required size of the frames, in the orientation of the sensor, or rotated if only then they have this
-                size; None for the orientation of the sensor.
+            size: required width and height. Frames are in the sensor's orientation if they then have this size,
+                otherwise rotated as the file states. None for the sensor's orientation and any size.
 
         Raises:
             InputError: the video cannot be opened, or has frames of another size.
@@ -183,7 +183,7 @@ class Video:
         raise wrong_size(Path(self.path), self.argument, found[0], size)
 
     def _at(self, number: int, size: tuple[int, int]) -> Any:
-        """Open the video and grab a frame."""
+        """Open the video with frame `number` grabbed."""
         cv2, video = optional("cv2", "detection"), self._opened(size)
         if number and self._index.seeks:
             wanted = 1e3 * self._index.times[number]
@@ -237,7 +237,7 @@ class _Index:
 
 @contextmanager
 def _for(container: Container | None, cv2: Any) -> Iterator[None]:
-    """Restrict OpenCV to one container and silence its messages; FFmpeg's options come from the environment."""
+    """Context that restricts OpenCV to one container and silences it, by FFmpeg's environment variables."""
     assert container is not None, "Video checks its container"
     options = {
         "OPENCV_FFMPEG_CAPTURE_OPTIONS": f"format_whitelist;{container.demuxers}|protocol_whitelist;file",
@@ -257,12 +257,12 @@ def _for(container: Container | None, cv2: Any) -> Iterator[None]:
 
 
 def container_of(head: bytes) -> Container | None:
-    """Container of a file that begins with `head`; None if it is not read."""
+    """Container format of a file that begins with `head`; None if the format is not accepted."""
     return next((kind for kind in CONTAINERS if kind.begins.match(head)), None)
 
 
 def refusal(head: bytes) -> str:
-    """Reason why a file that begins with `head` is not read: the end of a sentence that begins with its name."""
+    """Reason for the refusal of a file that begins with `head`: predicate of a sentence about the file."""
     read = ", ".join(dict.fromkeys(kind.name for kind in CONTAINERS))
     if IMAGE.match(head):
         return "is one image: a folder of photographs is read, or a video."

@@ -1,4 +1,4 @@
-"""Views of single tags with known outcome: the data that limits of a detector are fitted to, and their sources."""
+"""Views of single tags with the outcome of a detector, to which its limits are fitted, and sources of views."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
@@ -18,9 +18,8 @@ from lmd.scene.tag import Tag
 
 # File of a survey with its views, and the columns that name the image.
 FILE, FRAME, CAMERA = "in_view.csv", "time", "camera"
-# Further columns: id, image of the centre (pixels from the border), depth (metres), pitch (pixels per module),
-# incidence (degrees), edge of the square of equal area (pixels), border and circle (pixels, see `Placed`), seen (0 or
-# 1).
+# Further columns: id; image of the centre, pixels from the border; depth, metres; pitch, pixels per module; incidence
+# angle, degrees; apparent edge, pixels; border and circle, pixels, see `Placed`; seen, 0 or 1.
 COLUMNS = ("id", "u", "v", "depth", "pitch", "incidence", "edge", "border", "circle", "seen")
 
 
@@ -31,11 +30,11 @@ class Placed:
     camera: IntArray
     """Index of the camera in its rig, `(M,)`."""
     moment: IntArray
-    """Rank of the time of the image, `(M,)`."""
+    """Rank of the image's time among all times, `(M,)`."""
     border: FloatArray
-    """Least distance of the corners from the border of the image, pixels, `(M,)`."""
+    """Least distance of a corner from the border of the image, pixels, `(M,)`."""
     circle: FloatArray
-    """Diameter of the smallest `Camera.image_circle` with the whole tag, pixels, `(M,)`; NaN without distortion."""
+    """Diameter of the smallest `Camera.image_circle` that contains the tag, pixels, `(M,)`; NaN without distortion."""
 
     def __getitem__(self, which: object) -> "Placed":
         return Placed(*(getattr(self, field.name)[which] for field in fields(self)))
@@ -43,10 +42,10 @@ class Placed:
 
 @dataclass(frozen=True)
 class TagViews:
-    """M views of single tags, and what a detector made of them."""
+    """M views of single tags with the outcome of a detector."""
 
     pitch: FloatArray
-    """Pixels per module, see `lmd.detection.quality.pitch`, `(M,)`."""
+    """Pitch, pixels per module, see `lmd.detection.quality.pitch`, `(M,)`."""
     incidence: FloatArray
     """Angle between the normal of the tag and the direction to the camera, rad, `(M,)`."""
     edge: FloatArray
@@ -54,7 +53,7 @@ class TagViews:
     sigma: FloatArray
     """Standard deviation of the total blur, pixels, `(M,)`."""
     seen: BoolArray
-    """True for tags detected with their id in their place, `(M,)`."""
+    """True for tags detected with their id within the corner tolerance, `(M,)`."""
     error: FloatArray
     """Root mean square error of the corners, pixels, `(M,)`; NaN for tags not detected."""
     placed: Placed | None = None
@@ -69,7 +68,7 @@ class TagViews:
 
     @classmethod
     def concatenated(cls, parts: Sequence["TagViews"]) -> Self:
-        """All views of several parts without `placed`."""
+        """Concatenate views; `placed` is dropped."""
         return cls(*(np.concatenate([getattr(part, name) for part in parts]) for name in _ARRAYS))
 
 
@@ -77,7 +76,7 @@ _ARRAYS = tuple(field.name for field in fields(TagViews))[:-1]
 
 
 class ViewSource(Protocol):
-    """Source of views with known outcome."""
+    """Source of views with the outcome of a detector."""
 
     @property
     def photographs(self) -> int:
@@ -96,7 +95,7 @@ class ViewSource(Protocol):
             rng: source of everything random.
 
         Raises:
-            InputError: the source has views for one camera only, or of other cameras.
+            InputError: the source does not support these cameras.
         """
 
 
@@ -104,7 +103,7 @@ def only(cameras: Sequence[Camera]) -> Camera:
     """Return the only camera.
 
     Raises:
-        InputError: there are several.
+        InputError: there are several cameras.
     """
     if len(cameras) > 1:
         raise InputError(f"views are those of a single camera, not of a rig of {len(cameras)}.")
@@ -113,14 +112,14 @@ def only(cameras: Sequence[Camera]) -> Camera:
 
 @dataclass(frozen=True)
 class SurveyedViews:
-    """Images located by a survey, of one camera or several; a `ViewSource`.
+    """Views in the images of a survey, with one camera or several; a `ViewSource`.
 
     Raises:
-        InputError: the folder is none of a survey.
+        InputError: the folder is not that of a survey.
     """
 
     folder: str | None
-    """Folder of the survey, with its `in_view.csv`."""
+    """Folder of the survey, which contains `in_view.csv`."""
 
     def __post_init__(self) -> None:
         if self.folder is None:
@@ -142,10 +141,10 @@ class SurveyedViews:
     def views(
         self, cameras: Sequence[Camera], tag: Tag, detector: Detector, imaging: Imaging, rng: np.random.Generator
     ) -> TagViews:
-        """See `ViewSource.views`; the outcome is that of the survey's own detector.
+        """See `ViewSource.views`; `detector` is ignored, as the survey recorded the outcome of its own detector.
 
         Raises:
-            InputError: the survey has more cameras.
+            InputError: the survey has more than `cameras`.
         """
         number, *columns = self._table.numbers((CAMERA, *COLUMNS), (FRAME,)).T
         _, _, _, depth, pitch, incidence, edge, border, circle, seen = columns

@@ -36,7 +36,7 @@ FORMATS = (
         "COLMAP",
         lambda file: COLMAP_CAMERA.search(file.text) is not None,
         lambda file: colmap(COLMAP_CAMERA.findall(file.text)),
-        row=("COLMAP `cameras.txt`", "models without a prism; `camera.name=cam1` has the id 1"),
+        row=("COLMAP `cameras.txt`", "models without a prism; `name=cam1` has the id 1"),
     ),
     Format(
         "calibration",
@@ -53,7 +53,7 @@ FORMATS = (
         lambda file: kalibr(file.keys, file.asked["name"]),
         row=(
             "Kalibr `camchain` (YAML)",
-            "`cam0`, or `camera.name=cam1`: `pinhole` with `radtan`, `equidistant` or `none`; `ds`, `eucm`, `omni`",
+            "`cam0`, or `name=cam1`: `pinhole` with `radtan`, `equidistant` or `none`; `ds`, `eucm`, `omni`",
         ),
     ),
     _marked(
@@ -77,7 +77,7 @@ FORMATS = (
         basalt,
         "Basalt",
         "value0",
-        row=("Basalt (JSON)", "`pinhole`, `pinhole-radtan8`, `kb4`, `ds`, `eucm`; `camera.name=cam0` is the first"),
+        row=("Basalt (JSON)", "`pinhole`, `pinhole-radtan8`, `kb4`, `ds`, `eucm`; `name=cam0` is the first"),
     ),
     _marked(
         orb_slam,
@@ -108,7 +108,7 @@ FORMATS = (
         euroc,
         "EuRoC",
         *("camera_model", "intrinsics", "distortion_model", "resolution"),
-        row=("EuRoC `sensor.yaml`, OKVIS and OKVIS2 (YAML)", "OKVIS: `camera.name=cam0` is the first"),
+        row=("EuRoC `sensor.yaml`, OKVIS and OKVIS2 (YAML)", "OKVIS: `name=cam0` is the first"),
     ),
     Format(
         "calibration",
@@ -118,7 +118,7 @@ FORMATS = (
         row=(
             "OpenCV `FileStorage` (YAML, XML, JSON), scripts",
             "`fisheye_model: 1`, `fisheye: true`, `model: fisheye` or `DIM` for a fisheye; four coefficients without "
-            "a word of the model need `camera.distortion_model` (`fisheye`, `plumb_bob`)",
+            "a word of the model need `distortion_model` (`fisheye`, `plumb_bob`)",
         ),
     ),
     *UNREAD_KEYS,

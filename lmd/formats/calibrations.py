@@ -1,4 +1,4 @@
-"""Cameras from calibration files, see `lmd.formats.calibration_readers`.
+"""Cameras from calibration files, see `lmd.formats.calibration_formats`.
 
 All of them count pixels from the centre of the first one. `lmd` counts from the image's border, 0.5 more: of what they
 say only the principal point changes.

@@ -67,7 +67,10 @@ class Format:
     why_not: str = ""
     """Reason for the refusal and a way to a format that is read, without the full stop."""
     row: tuple[str, ...] = ()
-    """Cells of the table in the documentation; empty for a format that shares the row of another."""
+    """Cells of the table in the documentation, which name arguments, as in `name=cam1`.
+
+    Empty for a format that shares the row of another.
+    """
 
     def __post_init__(self) -> None:
         if self.family not in FAMILIES:

@@ -1,1 +1,1 @@
-"""Frames, rotations, rigid motions, cameras, lenses, projection, and the pose from one image."""
+"""Frames, rotations, rigid motions, cameras, lenses, projection, and pose estimation from one image."""

@@ -11,9 +11,10 @@ from lmd.core.checks import FloatArray, InputError, check_fields, integer, real,
 from lmd.geometry.lens import Lens, lens_of
 
 MM_PER_M = 1000.0
-# Centre of the first pixel from the image's border, pixels: ROS and OpenCV count from it, COLMAP from the border.
+# Distance of the first pixel's centre from the image border, pixels. ROS and OpenCV have their origin at this centre,
+# COLMAP at the border.
 PIXEL_CENTRE = 0.5
-# Maximum half-angle of the cone of view, rad: a wider cone would contain points beside the camera.
+# Largest half-angle of `Camera.cone_half_angle`, rad: a wider cone would contain points at zero depth.
 WIDEST_CONE = math.radians(89.0)
 
 
@@ -36,29 +37,29 @@ class Camera:
     """
 
     focal_length: float
-    """f, mm."""
+    """Focal length f, mm."""
     pixel_width: float
-    """s_u, mm per pixel."""
+    """Pixel width s_u, mm per pixel."""
     pixel_height: float
-    """s_v, mm per pixel."""
+    """Pixel height s_v, mm per pixel."""
     principal_point: tuple[float, float]
-    """(o_u, o_v), pixels from the left and top border."""
+    """Principal point (o_u, o_v), pixels from the left and top border."""
     image_width: float
-    """w, whole pixels."""
+    """Image width w, whole pixels."""
     image_height: float
-    """h, whole pixels."""
+    """Image height h, whole pixels."""
     aperture: float
-    """Effective diameter d_a, mm; 0 for a pinhole or an unknown aperture: everything is in focus."""
+    """Effective diameter d_a of the aperture, mm; 0 for a pinhole or an unknown aperture, without defocus blur."""
     focus_distance: float = math.inf
-    """d_s, mm; may be infinite."""
+    """Distance d_s of the plane in focus, mm; may be infinite."""
     distortion: tuple[float, ...] = ()
     """Coefficients of the lens in OpenCV's order; empty for a pinhole without distortion."""
     distortion_model: str = "plumb_bob"
-    """`plumb_bob`, `rational_polynomial` or `equidistant`, see `lmd.geometry.lens.Lens`."""
+    """Lens model: `plumb_bob`, `rational_polynomial` or `equidistant`, see `lmd.geometry.lens.Lens`."""
     image_circle: float = math.inf
-    """Diameter of the round image behind a lens that distorts, pixels; infinite if it covers the sensor."""
+    """Diameter of the image circle of a distorting lens, pixels; infinite if the circle covers the sensor."""
     note: str = field(default="", compare=False, repr=False)
-    """Remark on the origin of the numbers, for users."""
+    """Remark for users on the origin of the values."""
 
     def __post_init__(self) -> None:
         check_fields(self, real, "focal_length", "pixel_width", "pixel_height", above=0.0)
@@ -97,27 +98,27 @@ class Camera:
 
     @property
     def cameras(self) -> "tuple[Camera, ...]":
-        """The camera itself, as a rig has several."""
+        """Tuple of the camera itself; the interface of `lmd.scene.rig.Rig`."""
         return (self,)
 
     @property
     def extrinsics(self) -> FloatArray:
-        """Pose of the camera in the frame that moves, its own, `(1, 4, 4)`."""
+        """Identity, `(1, 4, 4)`: pose of the camera in the moving frame, which is its own."""
         return np.eye(4)[None]
 
     @property
     def is_pinhole(self) -> bool:
-        """True if everything is in focus."""
+        """True without defocus blur."""
         return self.aperture == 0.0
 
     @cached_property
     def lens(self) -> Lens | None:
-        """Lens that distorts; None for a pinhole without distortion."""
+        """Distorting lens; None for a pinhole without distortion."""
         return lens_of(self.distortion_model, self.distortion)
 
     @property
     def _borders(self) -> FieldOfView:
-        """Distances of the four borders from the principal point, focal lengths."""
+        """Distances of the four image borders from the principal point, focal lengths."""
         u, v = self.principal_point
         width, height = self.pixel_width / self.focal_length, self.pixel_height / self.focal_length
         return FieldOfView(
@@ -131,7 +132,7 @@ class Camera:
     def field_of_view(self) -> FieldOfView:
         """Angles phi_l, phi_r, phi_t, phi_b = atan(border distance on the sensor / f).
 
-        Behind a lens that distorts, the angles that it images at the borders, at most `widest_angle`.
+        For a distorting lens: angles of the rays through the nearest points of the borders, at most `widest_angle`.
         """
         if self.lens is None:
             return FieldOfView(*map(math.atan, self._borders))
@@ -183,12 +184,12 @@ class Camera:
 
     @property
     def focal_pixels(self) -> FloatArray:
-        """(f / s_u, f / s_v), pixels, `(2,)`."""
+        """Focal lengths (f / s_u, f / s_v), pixels, `(2,)`."""
         return np.array([self.focal_length / self.pixel_width, self.focal_length / self.pixel_height])
 
     @property
     def resolution_at_one_metre(self) -> float:
-        """C^R at a depth of 1 m, pixel/mm; at depth z the resolution is C^R / z (Eq. C_k^R)."""
+        """Resolution C^R at a depth of 1 m, pixel/mm; C^R / z at depth z in metres (Eq. C_k^R)."""
         return self.image_distance / (MM_PER_M * max(self.pixel_width, self.pixel_height))
 
     def resolution_depth(self, threshold: float) -> float:

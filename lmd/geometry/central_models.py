@@ -1,14 +1,14 @@
-"""Central camera models of other programs, restated as a lens of `lmd.geometry.lens`.
+"""Central camera models of other programs, converted to a lens of `lmd.geometry.lens`.
 
-A point (u, v, w) at the distance r is imaged, in units of the model's own focal lengths, at (u, v) / d by
+The image of a point (u, v, w) at the distance r is (u, v) / d, in units of the model's focal lengths. The models are
 
 - the double sphere of Usenko, Demmel and Cremers (2018), `ds`: d = alpha sqrt(u^2 + v^2 + s^2) + (1 - alpha) s with
   s = xi r + w;
 - the extended unified model of Khomutenko, Garcia and Martinet (2016), `eucm`:
   d = alpha sqrt(beta (u^2 + v^2) + w^2) + (1 - alpha) w;
-- the unified model of Mei and Rives (2007), `omni` or `MEI`: d = w + xi r, then distorted as a pinhole's image is.
+- the unified model of Mei and Rives (2007), `omni` or `MEI`: d = w + xi r, followed by Brown-Conrady distortion.
 
-`restated` fits a lens by least squares of pixels over the whole image.
+`restated` fits a lens to a model by least squares of the image differences, pixels, over the whole image.
 """
 
 from collections.abc import Callable, Mapping
@@ -20,11 +20,12 @@ from lmd.core.checks import FloatArray, InputError, real, vector
 from lmd.geometry.lens import EQUIDISTANT
 from lmd.geometry.lens_models import BrownConrady, Equidistant, image_of
 
-# Largest difference of a lens from the model, pixels: good enough to stop, and still acceptable.
+# Largest differences between lens and model, pixels: below the first no other lens is tried, above the second none is
+# accepted.
 GOOD_PIXELS, MOST_PIXELS = 0.05, 1.0
-# Largest angle from the axis of the samples, rad, and their number away from the axis and around it.
+# Samples of a model: largest angle theta from the optical axis, rad, number of angles theta, number of azimuths.
 WIDEST, ANGLES, AROUND = 2.6, 160, 144
-# Largest angle from the axis of a pinhole with distortion, rad.
+# Largest angle from the optical axis in an image that the rational model is fitted to, rad.
 WIDEST_PINHOLE = 1.45
 # Offset from the border of a pixel to its centre, pixels.
 CENTRE = 0.5
@@ -32,18 +33,18 @@ Model = Callable[[FloatArray, FloatArray, FloatArray], tuple[FloatArray, FloatAr
 
 
 class Restated(NamedTuple):
-    """A lens with its image plane."""
+    """Lens and intrinsics fitted to a model."""
 
     focal_pixels: tuple[float, float]
-    """(f / s_u, f / s_v), pixels."""
+    """Focal lengths (f / s_u, f / s_v), pixels."""
     principal_point: tuple[float, float]
-    """(c_x, c_y), pixels, in the convention of the model."""
+    """Principal point (c_x, c_y), pixels, in the convention of the model."""
     model: str
     """Name of the lens model, see `lmd.geometry.lens`."""
     coefficients: tuple[float, ...]
     """Coefficients of the lens."""
     worst: float
-    """Largest difference from the model, pixels."""
+    """Largest image difference from the model, pixels."""
 
 
 def double_sphere(xi: Any, alpha: Any) -> Model:
@@ -90,7 +91,7 @@ def _divided(u: FloatArray, v: FloatArray, depth: FloatArray, is_seen: Any) -> t
     return u / depth, v / depth
 
 
-# Models by name, with the names of their own parameters in the order of Kalibr; then the parameters of all.
+# Constructors of the models by name, with the names of their parameters in Kalibr's order.
 MODELS: dict[str, tuple[Callable[..., Model], tuple[str, ...]]] = {
     "ds": (double_sphere, ("xi", "alpha")),
     "eucm": (extended_unified, ("alpha", "beta")),
@@ -104,12 +105,12 @@ def restated(name: str, values: Mapping[str, Any], size: Any) -> Restated:
 
     Args:
         name: one of `MODELS`.
-        values: parameters by name; of `omni` also those of its distortion. Pixels count from the centre of the first.
+        values: parameters by name; for `omni` also `DISTORTION`. The origin of pixels is the centre of the first pixel.
         size: width and height of the image, pixels.
 
     Raises:
-        InputError: a parameter is no number, the model images nothing, or every lens differs from it by more than
-            `MOST_PIXELS` somewhere.
+        InputError: a parameter is no number, the model has no image near the axis, or all fitted lenses differ from the
+            model by more than `MOST_PIXELS`.
         KeyError: a parameter is missing.
     """
     make, own = MODELS[name]
@@ -122,7 +123,7 @@ def restated(name: str, values: Mapping[str, Any], size: Any) -> Restated:
     with np.errstate(all="ignore"):
         u, v = model(*points)
         pixels = np.stack([fx * u + cx, fy * v + cy])
-        rises = np.diff(np.hypot(u, v), axis=0, prepend=-1.0) > 0.0  # until the model folds
+        rises = np.diff(np.hypot(u, v), axis=0, prepend=-1.0) > 0.0  # False beyond the fold of the model
     inside = ((pixels > -CENTRE) & (pixels < np.reshape(size, (2, 1, 1)) - CENTRE)).all(axis=0)
     shown = np.logical_and.accumulate(inside & rises, axis=0)
     if not shown[1].all():
@@ -131,7 +132,7 @@ def restated(name: str, values: Mapping[str, Any], size: Any) -> Restated:
     start = [np.hypot(u[1], v[1]).mean() / theta[1, 0] * focal for focal in (fx, fy)]
     widest = float((theta * shown).max())
     found = _fitted(EQUIDISTANT, 4, lambda k: Equidistant(*k), points, pixels, [*start, cx, cy])
-    if found.worst > GOOD_PIXELS and widest < WIDEST_PINHOLE:  # the rational model has tangential terms, too
+    if found.worst > GOOD_PIXELS and widest < WIDEST_PINHOLE:  # the rational model also fits tangential terms
         rational = _fitted("rational_polynomial", 8, _rational, points, pixels, [*start, cx, cy])
         found = min(found, rational, key=lambda fit: fit.worst)
     if found.worst > MOST_PIXELS:

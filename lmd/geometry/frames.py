@@ -60,7 +60,7 @@ def angles_of(world_to_local_rotation: FloatArray) -> tuple[FloatArray, FloatArr
         radians, shape `(...)` each; the yaw of a vertical optical axis is 0.
     """
     right, axis = world_to_local_rotation[..., 0, :], world_to_local_rotation[..., 2, :]
-    yaw, pitch = (-angle for angle in normal_angles(axis))  # the normal has both angles with the opposite sign
+    yaw, pitch = (-angle for angle in normal_angles(axis))  # `normal_angles` has both signs opposite
     level = rotation(yaw, pitch)
     across, down = ((right * level[..., i, :]).sum(axis=-1) for i in (0, 1))
     return yaw, pitch, np.asarray(np.arctan2(-down, across))
@@ -69,7 +69,7 @@ def angles_of(world_to_local_rotation: FloatArray) -> tuple[FloatArray, FloatArr
 def optical_axis(yaw: ArrayLike, pitch: ArrayLike) -> FloatArray:
     """Unit optical axis Z^c in the world frame: (sin a cos b, cos a cos b, sin b).
 
-    This is the third row of `rotation`; roll does not move it. Positive pitch looks up.
+    The third row of `rotation`, independent of roll. Positive pitch looks up.
 
     Args:
         yaw, pitch: radians, shape `(...)`.

@@ -1,11 +1,12 @@
-"""Lenses that distort: images of points, directions of pixels, and bounds on the local scale up to the fold.
+"""Distorting lenses: images of points, directions of pixels, and bounds on the local scale up to the fold.
 
-The image is in focal lengths from the principal point, points and directions `(..., 3)` are in the camera's frame. See
+Images are in focal lengths from the principal point; points and directions `(..., 3)` are in the camera's frame. See
 `lmd.geometry.lens_models` for the formulas.
 
-On a circle at the angle theta from the axis, a lens stretches directions by `along` the radius and by `across` it.
-Tangential terms and a thin prism change both by at most `sway`. While both exceed the sway, the lens images different
-directions at different places; the angle at which that ends is the `fold`. A model is meaningless beyond its fold.
+At the angle theta from the optical axis, the local scale of a lens (image length per angle) is `along` in the radial
+direction and `across` in the tangential direction. Tangential distortion and a thin prism change both scales by at most
+`sway`. The lens is injective as long as both scales exceed the sway; the `fold` is the angle at which this ends. A
+model is invalid beyond its fold.
 """
 
 from collections.abc import Callable
@@ -20,69 +21,70 @@ from lmd.geometry.lens_models import BrownConrady, Equidistant, image_of, slope_
 
 EQUIDISTANT = "equidistant"
 MODELS = ("plumb_bob", "rational_polynomial", EQUIDISTANT)
-# Numbers of coefficients that OpenCV accepts: up to p2, k3, k6, s4, and the tilt of the sensor.
+# Numbers of coefficients that OpenCV accepts; the last coefficient is p2, k3, k6, s4, or the tilt of the sensor.
 COEFFICIENT_COUNTS = (4, 5, 8, 12, 14)
-# Index of the first coefficient of the tilt.
+# Index of the first coefficient of the sensor's tilt.
 FIRST_TILT = 12
 ORDER_IN_WORDS = "[] or [k1, k2, p1, p2], with k3, with k3 to k6, or with k3 to k6 and s1 to s4"
 WHY_TILTED = "is that of a tilted sensor, which is not known here: calibrate without CALIB_TILTED_MODEL."
-# Number of angles at which a lens is sampled. Values between two samples differ from both by less than these differ.
+# Number of angles at which a lens is sampled. Bounds assume that a value between two neighbouring samples differs from
+# each by at most the difference of the two.
 ANGLE_SAMPLES = 4096
-# Distance of images at which Newton's method has converged, focal lengths, and its maximum number of steps.
+# Newton's method: largest error of the image at convergence, focal lengths, and maximum number of steps.
 IMAGE_TOLERANCE, NEWTON_STEPS = 1e-12, 20
-# Degree of polynomial approximations, and a bound of their rounding error.
+# Degree of polynomial approximations, and bound on their rounding error.
 DEGREE, ROUNDED = 5, 1e-9
 
 
 class Profile(NamedTuple):
-    """A lens at angles theta from the axis; arrays of one shape."""
+    """Image radius and scales of a lens at angles theta from the optical axis; arrays of one shape."""
 
     inner: FloatArray
-    """Least distance of the image from the centre, focal lengths."""
+    """Lower bound on the distance of the image from the principal point, focal lengths."""
     along: FloatArray
-    """Scale along the radius, focal lengths per rad."""
+    """Radial scale, focal lengths per rad."""
     across: FloatArray
-    """Scale around the axis, focal lengths per rad."""
+    """Tangential scale, focal lengths per rad."""
     sway: FloatArray
-    """Largest change of both scales with the direction."""
+    """Largest change of either scale by tangential distortion and prism, focal lengths per rad."""
 
     @property
     def least(self) -> FloatArray:
-        """Lower bound on the scale in any direction."""
+        """Lower bound on the scale over all directions in the image, focal lengths per rad."""
         return np.asarray(np.minimum(self.along, self.across) - self.sway)
 
     @property
     def most(self) -> FloatArray:
-        """Upper bound on the scale in any direction."""
+        """Upper bound on the scale over all directions in the image, focal lengths per rad."""
         return np.asarray(np.maximum(self.along, self.across) + self.sway)
 
 
 class Stretch(NamedTuple):
-    """Bounds on the scale of a lens."""
+    """Bounds on the local scale of a lens up to an angle, see `Lens.stretch`."""
 
     least: float
-    """Lower bound for small angles, focal lengths per rad."""
+    """Lower bound on image length per angle, focal lengths per rad."""
     most: float
-    """Upper bound for small angles, focal lengths per rad."""
+    """Upper bound on image length per angle, focal lengths per rad."""
     least_area: float
-    """Lower bound for small solid angles, square focal lengths per sr."""
+    """Lower bound on image area per solid angle, square focal lengths per sr."""
     most_area: float
-    """Upper bound for small solid angles, square focal lengths per sr."""
+    """Upper bound on image area per solid angle, square focal lengths per sr."""
 
 
 @dataclass(frozen=True)
 class Lens:
-    """A lens that distorts.
+    """Distorting lens.
 
     Raises:
-        InputError: the model is not known, or the coefficients are too many, too few or not finite.
+        InputError: the model is unknown, or the number of coefficients is wrong, or one is not finite.
     """
 
     model: str
     """One of `MODELS`; the first two differ in the number of coefficients only."""
     coefficients: tuple[float, ...]
-    """k1, k2, p1, p2, k3, k4, k5, k6, s1, s2, s3, s4 in OpenCV's order, of which 4, 5, 8 or 12 are given, or 14 with a
-    tilt of zero; k1, k2, k3, k4 for `equidistant`."""
+    """The first 4, 5, 8 or 12 of k1, k2, p1, p2, k3, k4, k5, k6, s1, s2, s3, s4 (OpenCV's order), or all 12 and two
+    zeros for the sensor's tilt; k1, k2, k3, k4 for `equidistant`."""
 
     def __post_init__(self) -> None:
         choice("distortion_model", self.model, MODELS)
@@ -112,15 +114,16 @@ class Lens:
             return np.stack(image_of(self.model_numbers, *np.moveaxis(points, -1, 0)), axis=-1)
 
     def jacobian(self, points: FloatArray) -> FloatArray:
-        """Derivatives of the images by the points, per metre, `(..., 2, 3)`."""
+        """Jacobian of the images by the points, focal lengths per metre, `(..., 2, 3)`."""
         with np.errstate(all="ignore"):
             slopes = slope_of(self.model_numbers, *np.moveaxis(points, -1, 0))
         return np.stack(slopes, axis=-1).reshape(*points.shape[:-1], 2, 3)
 
     def directions(self, image: FloatArray) -> FloatArray:
-        """Unit vectors imaged at `image` `(..., 2)`, `(..., 3)`; NaN where there is none before the fold.
+        """Unit vectors whose images are `image` `(..., 2)`, `(..., 3)`; NaN if there is none within the fold.
 
-        Newton's method finds the angle from the axis without tangential terms and prism, then refines the direction.
+        Newton's method solves for the angle theta, ignoring tangential terms and prism, then refines the direction with
+        all terms.
         """
         length = np.hypot(image[..., 0], image[..., 1])
         radii, angles = self._radii
@@ -142,12 +145,12 @@ class Lens:
 
     @cached_property
     def _radii(self) -> tuple[FloatArray, FloatArray]:
-        """Image radii without the sway up to the fold, and their angles, `(ANGLE_SAMPLES,)` each."""
+        """Image radii without tangential terms and prism, and their angles up to the fold, `(ANGLE_SAMPLES,)` each."""
         theta = np.linspace(0.0, self.fold, ANGLE_SAMPLES)
         return self.profile(theta).across * np.sin(theta), theta
 
     def _refined(self, start: FloatArray, image: FloatArray) -> FloatArray:
-        """Refine directions in front of the camera by Newton's method in the plane at depth 1; unit vectors."""
+        """Refine unit vectors `start` with z > 0 by Newton's method on their intersections with the plane z = 1."""
         found = start / start[..., 2:]
         for _ in range(NEWTON_STEPS):
             slope, (a, b) = self.jacobian(found), np.moveaxis(image - self.image(found), -1, 0)
@@ -160,7 +163,7 @@ class Lens:
 
     @cached_property
     def fold(self) -> float:
-        """Largest angle from the axis that is imaged, rad, below pi / 2, or pi for a fisheye."""
+        """Angle from the optical axis up to which the lens is injective, rad; below pi / 2, or pi for a fisheye."""
         theta = np.linspace(0.0, np.pi if self.model == EQUIDISTANT else np.pi / 2.0, ANGLE_SAMPLES)[:-1]
 
         def folds(angle: Any) -> Any:
@@ -171,16 +174,19 @@ class Lens:
         return _border(folds, theta[bad[0] - 1], theta[bad[0]]) if bad.size else float(theta[-1])
 
     def widest(self, reach: float) -> float:
-        """Least angle beyond which all images up to the fold are at least `reach` from the centre, rad, or the fold."""
+        """Angle beyond which all images are at least `reach`, focal lengths, from the principal point, rad.
+
+        At most the fold.
+        """
         if not self.profile(np.float64(self.fold)).inner > reach:
             return self.fold
         return _border(lambda angle: self.profile(angle).inner >= reach, 0.0, self.fold)
 
     def stretch(self, widest: float, power: int = 0) -> Stretch:
-        """Bounds on the scale for all directions up to the angle `widest`, rad.
+        """Bounds on the local scale up to the angle `widest` from the optical axis, rad.
 
-        With a power of 1 relative to a pinhole, whose scale is between 1 / cos(theta) and 1 / cos(theta)^2 for angles,
-        and 1 / cos(theta)^3 for solid angles.
+        With `power` 1, the bounds are on ratios to the scales of a pinhole: `least` and `least_area` to 1 / cos(theta)
+        and 1 / cos(theta)^3, `most` and `most_area` to 1 / cos(theta)^2 and 1 / cos(theta)^3.
         """
         theta = np.linspace(0.0, widest, ANGLE_SAMPLES)
         profile, cosine = self.profile(theta), np.cos(theta) ** power
@@ -193,16 +199,17 @@ class Lens:
         """Approximate the image of directions up to the angle `widest`, rad, by a polynomial.
 
         Returns:
-            coefficients of s with the image (s(h) x, s(h) y) of a unit vector (x, y, z), h = 1 - z; bound on the error.
+            coefficients of s(h), with the image (s(h) x, s(h) y) of a unit vector (x, y, z) and h = 1 - z; bound on the
+            error, focal lengths.
         """
         return _approximation(self, widest)
 
     def ceiling(self, widest: float) -> tuple[float, ...]:
-        """Coefficients of a polynomial in h = 1 - cos(theta) that bounds the scale up to theta <= `widest`, rad."""
+        """Coefficients of a polynomial in h = 1 - cos(theta) that bounds the scale for theta <= `widest`, rad."""
         return _ceiling(self, widest)
 
     def profile(self, theta: Any) -> Profile:
-        """Image radius and scales at angles theta from the axis, rad."""
+        """Image radius and scales at angles theta from the optical axis, rad."""
         lens = self.model_numbers
         if isinstance(lens, Equidistant):
             powers = theta * theta
@@ -214,14 +221,14 @@ class Lens:
         s = r * r
         above, below = 1.0 + s * (k1 + s * (k2 + s * k3)), 1.0 + s * (k4 + s * (k5 + s * k6))
         steep = (k1 + s * (2.0 * k2 + 3.0 * s * k3) - above / below * (k4 + s * (2.0 * k5 + 3.0 * s * k6))) / below
-        radial = np.where(below > 0.0, above / below, np.nan)  # the model is meaningless beyond a pole
+        radial = np.where(below > 0.0, above / below, np.nan)  # the model is invalid beyond a pole
         shift, prism, wide = 3.0 * np.hypot(p1, p2), np.hypot(s1, s3), np.hypot(s2, s4)
         sway = r * (2.0 * (shift + prism) + 4.0 * wide * s)
         inner = r * radial - s * (shift + prism + wide * s)
         return Profile(inner, (radial + 2.0 * s * steep) / cosine**2, radial / cosine, sway / cosine**2)
 
 
-# A fit takes milliseconds and is needed once for each tag size: cached.
+# Cached, as a fit takes milliseconds and is repeated for each tag size.
 @lru_cache(maxsize=64)
 def _approximation(lens: Lens, widest: float) -> tuple[tuple[float, ...], float]:
     theta = np.linspace(0.0, widest, ANGLE_SAMPLES)
@@ -241,7 +248,7 @@ def _ceiling(lens: Lens, widest: float) -> tuple[float, ...]:
 
 
 def lens_of(model: str, distortion: Any) -> Lens | None:
-    """Lens with these coefficients; None for a pinhole, which has no coefficients or zeros.
+    """Lens of a model with coefficients `distortion`; None for a pinhole, without coefficients or with zeros only.
 
     Raises:
         InputError: see `Lens`.
@@ -261,5 +268,5 @@ def _border(reached: Callable[[Any], Any], low: float, high: float) -> float:
 
 
 def _above(values: FloatArray) -> float:
-    """Upper bound on a function from samples: between two it exceeds neither by more than their difference."""
+    """Upper bound on a sampled function: maximum of the samples plus the largest difference of neighbours."""
     return float(values.max() + np.abs(np.diff(values)).max(initial=0.0))

@@ -1,8 +1,8 @@
 """Lens models as scalar functions: the image of a point and its derivatives.
 
-A model is a named tuple of its coefficients, with OpenCV's names. Kernels compile the functions that NumPy calls with
-arrays, so that both give the same bits. Points (u, v, w) are in the camera's frame: right, down, along the optical
-axis. Images are in focal lengths from the principal point.
+A model is a named tuple of its coefficients, with OpenCV's names. NumPy code calls the functions with arrays, and
+kernels compile them, so that both give equal bits. Points (u, v, w) are in the camera's frame: right, down, along the
+optical axis. Images are in focal lengths from the principal point.
 
 `BrownConrady` images points in front of the camera: with x = u / w, y = v / w and s = x^2 + y^2 at
 
@@ -23,7 +23,7 @@ from lmd.core.compiled import inlined
 from lmd.core.dispatch import dispatched
 
 HALF_TURN = np.pi / 2.0
-# Least divisor: on the axis both numerator and divisor are zero.
+# Lower bound on divisors: on the axis, numerator and divisor are zero.
 TINY = 1e-300
 # atan(p) = p (1 - p^2 (A0 - A1 p^2 + ...)) to rounding for |p| < 7/16, from FreeBSD's s_atan.c.
 A0, A1, A2 = 3.33333333333329318027e-01, -1.99999999998764832476e-01, 1.42857142725034663711e-01
@@ -60,22 +60,22 @@ class Equidistant(NamedTuple):
 
 @dispatched
 def image_of(lens: Any, u: Any, v: Any, w: Any) -> Any:
-    """Image of a point: right and down."""
+    """Image of a point: coordinates to the right and down."""
 
 
 @dispatched
 def slope_of(lens: Any, u: Any, v: Any, w: Any) -> Any:
-    """Derivatives of the image to the right by u, v and w, then of the image down."""
+    """Jacobian of the image: derivatives of the right coordinate by u, v, w, then of the down coordinate."""
 
 
 @dispatched
 def depth_of(lens: Any, u: Any, v: Any, w: Any) -> Any:
-    """Depth of a point that determines focus and apparent size: w, or for a fisheye its distance."""
+    """Depth that determines focus and apparent size: w for a pinhole, the distance of the point for a fisheye."""
 
 
 @inlined
 def density_of(lens: Any, u: Any, v: Any, w: Any) -> Any:
-    """Image area of a small solid angle around a point over the cube of its distance; 1 / w^3 for a pinhole."""
+    """Image area per solid angle at a point, over the cube of its distance; 1 / w^3 for a pinhole."""
     xu, xv, xw, yu, yv, yw = slope_of(lens, u, v, w)
     # The cross product of the rows is parallel to the point.
     along = (xv * yw - xw * yv) * u + (xw * yu - xu * yw) * v + (xu * yv - xv * yu) * w
@@ -118,9 +118,9 @@ def _depth_brown_conrady(lens, u, v, w):  # type: ignore[no-untyped-def]
 
 @inlined
 def _polar(r: Any, w: Any) -> Any:
-    """Angle theta in [0, pi] of a point r from the axis and w along it, theta / r, and the squared distance.
+    """Angle theta in [0, pi] of a point at the distance r from the axis and w along it, theta / r, and r^2 + w^2.
 
-    Computed by arithmetic, since libraries differ in the last bits of an arctangent: theta = 4 atan(p), or pi minus it.
+    theta = 4 atan(p), or pi - 4 atan(p). The arctangent is a polynomial, as libraries differ in its last bits.
     """
     squared = r * r + w * w
     both = np.sqrt(squared) + abs(w)

@@ -15,21 +15,22 @@ from lmd.geometry.se3 import adjoint_matrix, angle_between, exp, inverse, skew
 
 # Fewest points that determine a pose, such as the corners of a tag.
 FEWEST_POINTS = 4
-# Largest extent of planar points across their plane, relative to that along it.
+# Points are coplanar if their extent across the plane is at most this multiple of their extent along it.
 FLATNESS = 1e-6
-# Largest difference of the matrices of equal poses.
+# Largest difference of the matrix elements of equal poses.
 SAME_POSE = 1e-3
-# Largest angle of a ray from the mean ray in the virtual pinhole of a lens that distorts, rad; other rays only refine.
+# Largest angle of a ray from the axis of the virtual pinhole for a distorting lens, rad; rays beyond it are used in the
+# refinement only.
 NEAR_MIDDLE_RAD = np.radians(75.0)
-# Maximum number of Gauss-Newton steps, and the relative decrease of the squared errors below which they end.
+# Gauss-Newton: maximum number of steps, and relative decrease of the sum of squares below which it stops.
 ROUNDS, GAIN = 10, 1e-9
 
 
 class Solution(NamedTuple):
-    """Local optimum of the reprojection error."""
+    """Pose at a local minimum of the reprojection error."""
 
     pose: FloatArray
-    """X, camera or body to world, `(4, 4)`."""
+    """Pose X, camera or body to world, `(4, 4)`."""
     square: float
     """Sum of squared reprojection errors, in units of their standard deviations."""
 
@@ -42,7 +43,7 @@ class PointImage(NamedTuple):
     mounted: FloatArray
     """Pose of the camera in the body's frame, `(4, 4)`."""
     points: FloatArray
-    """World frame, metres, `(M, 3)`."""
+    """Known points, world frame, metres, `(M, 3)`."""
     pixels: FloatArray
     """Images of the points, pixels from the border, `(M, 2)`."""
     noise: FloatArray
@@ -59,10 +60,10 @@ class PointImage(NamedTuple):
 
 
 def body_solutions(images: Sequence[PointImage]) -> list[Solution]:
-    """Poses of a body from the images of all its cameras at one time, best first.
+    """Poses of a body from simultaneous images of its cameras, least error first.
 
     The `solutions` of each camera with at least four points are refined by Gauss-Newton on the images of all cameras.
-    Empty if no camera has four points.
+    The list is empty if no camera has four points.
     """
     images = [image for image in images if len(image.points)]
     found: list[Solution] = []
@@ -83,16 +84,17 @@ def _add(found: list[Solution], pose: FloatArray, square: float) -> None:
 
 
 def solutions(camera: Camera, points: FloatArray, image: FloatArray, noise: ArrayLike = 1.0) -> list[Solution]:
-    """Poses of a camera from the image of points, best first; none with fewer than four points.
+    """Poses of a camera from the image of points, least error first; empty with fewer than four points.
 
-    SQPnP finds the best pose for five or more points that are not coplanar. Coplanar points have two similar poses
-    (IPPE). Four other points may have several: each three of them give up to four (P3P). All are refined by
-    Levenberg-Marquardt, or behind a lens that distorts by Gauss-Newton on the errors in the distorted image.
+    Candidates are the poses of SQPnP, for coplanar points also the two poses of IPPE, and for four other points also
+    up to four poses of P3P for each triple. They are refined by Levenberg-Marquardt, or, for a distorting lens, by
+    Gauss-Newton on the errors in the distorted image.
 
     Args:
+        camera: intrinsics and lens.
         points: world frame, metres, `(M, 3)`.
-        image: pixels from the border, `(M, 2)`.
-        noise: standard deviation of the images, pixels, `()` or `(M,)`.
+        image: images of the points, pixels from the border, `(M, 2)`.
+        noise: standard deviation of the image points, pixels, `()` or `(M,)`.
     """
     if len(points) < FEWEST_POINTS:
         return []
@@ -136,7 +138,7 @@ def _motion(turn: FloatArray, shift: FloatArray) -> FloatArray:
 
 
 def _candidates(world: FloatArray, pixels: FloatArray, matrix: FloatArray) -> list[tuple[FloatArray, FloatArray]]:
-    """Rotations and translations from the world to a pinhole camera that explain an image, see `solutions`."""
+    """Candidate rotation vectors and translations from the world to a pinhole camera, see `solutions`."""
     cv2 = optional("cv2", "estimators")
     extents = np.linalg.svd(world - world.mean(axis=0), compute_uv=False)
     flat = extents[2] <= FLATNESS * extents[0]
@@ -189,7 +191,7 @@ def _refined(images: Sequence[PointImage], pose: FloatArray) -> FloatArray:
 def body_from_corners(
     cameras: Sequence[Camera], mounted: FloatArray, points: FloatArray, images: Sequence[FloatArray]
 ) -> FloatArray:
-    """Best pose of a body from tag corners in the images of its C cameras.
+    """Pose of a body with the least reprojection error of tag corners in the images of its C cameras.
 
     Args:
         cameras: intrinsics.
@@ -198,7 +200,7 @@ def body_from_corners(
         images: detected corners of each camera, pixels from the border, `(M, ..., 2)`; NaN for missing ones.
 
     Returns:
-        X of the body, `(4, 4)`; NaN if no camera has four points, or if there is no solution.
+        X of the body, `(4, 4)`; NaN if no camera has four points or there is no solution.
     """
     shots, world = [], np.reshape(points, (-1, 3))
     for camera, at, image in zip(cameras, mounted, images, strict=True):
@@ -210,7 +212,7 @@ def body_from_corners(
 
 
 def pose_from_corners(camera: Camera, points: FloatArray, image: FloatArray) -> FloatArray:
-    """Best pose of a camera from tag corners, as `body_from_corners` with one camera."""
+    """Pose of a camera from tag corners: `body_from_corners` for one camera."""
     return body_from_corners([camera], np.eye(4)[None], points, [image])
 
 

@@ -14,10 +14,10 @@ from lmd.core.checks import FloatArray
 from lmd.geometry.camera import MM_PER_M, Camera
 from lmd.geometry.lens_models import depth_of
 
-# Parts of a side of the image behind a lens that distorts, and steps from the middle in the search for the fold.
+# Number of segments per image side in the view of a distorting lens, and of steps from the principal point to the
+# border in the search for the fold.
 BEND, STEPS = 16, 100
-# Largest angle from the axis of a view drawn as a pyramid with a flat base, rad; the edges of wider views end at a
-# distance.
+# Largest `Camera.widest_angle` of a view drawn with a flat base, rad; the base of a wider view is a part of a sphere.
 FLAT_BASE = np.radians(75.0)
 
 
@@ -34,7 +34,7 @@ def image_size(camera: Camera) -> tuple[int, int]:
 
 
 def to_camera(pose: FloatArray, points: FloatArray) -> FloatArray:
-    """Transform world points s `(..., K, 3)`, metres, to the frames of camera poses X: y = R^T (s - p)."""
+    """Transform world points s `(..., K, 3)`, metres, to the frames of cameras with poses X: y = R^T (s - p)."""
     return np.asarray((points - pose[..., None, :3, 3]) @ pose[..., :3, :3])
 
 
@@ -47,8 +47,8 @@ def project(camera: Camera, pose: FloatArray, points: FloatArray) -> FloatArray:
         points: world frame, metres, `(..., K, 3)`.
 
     Returns:
-        `(..., K, 2)`, pixels from the border, also of points outside the image; NaN for points behind the camera, or
-        behind a lens that distorts for points beyond the camera's `widest_angle`.
+        `(..., K, 2)`, pixels from the border, also for points outside the image. NaN for points behind the camera, or,
+        for a distorting lens, beyond the camera's `widest_angle`.
     """
     seen, matrix = to_camera(pose, points), intrinsics(camera)
     if camera.lens is None:
@@ -62,8 +62,8 @@ def project(camera: Camera, pose: FloatArray, points: FloatArray) -> FloatArray:
 def slope(camera: Camera, points: FloatArray) -> FloatArray:
     """Jacobian of the image by points y `(..., 3)` in the camera's frame, pixels/m, `(..., 2, 3)`.
 
-    d(u, v)/dy = [(f_u / z) (1, 0, -x / z); (f_v / z) (0, 1, -y / z)], or the focal lengths times the Jacobian of the
-    lens.
+    d(u, v)/dy = [(f_u / z) (1, 0, -x / z); (f_v / z) (0, 1, -y / z)] for a pinhole; the focal lengths in pixels times
+    the Jacobian of the lens otherwise.
     """
     if camera.lens is not None:
         return np.asarray(camera.focal_pixels[:, None] * camera.lens.jacobian(points))
@@ -76,15 +76,15 @@ def slope(camera: Camera, points: FloatArray) -> FloatArray:
 
 
 def bearings(camera: Camera, image: FloatArray) -> FloatArray:
-    """Rays of `image` points `(..., 2)`, pixels from the border.
+    """Rays of image points `(..., 2)`, pixels from the border.
 
     Returns:
-        unit vectors in the camera's frame, `(..., 3)`; NaN where the lens images nothing.
+        unit vectors in the camera's frame, `(..., 3)`; NaN for points beyond the image of the lens.
     """
     rays = (image - np.array(camera.principal_point)) / camera.focal_pixels
     if camera.lens is not None:
         seen = camera.lens.directions(rays)
-        # Without a circle the lens ends where it folds, beyond the image.
+        # Without an image circle only the fold limits the lens; `directions` is NaN beyond it.
         ended = seen[..., 2:] < math.cos(camera.widest_angle) if camera.image_circle < math.inf else False
         return np.where(ended, np.nan, seen)
     ahead = np.concatenate([rays, np.ones_like(rays[..., :1])], axis=-1)
@@ -92,10 +92,10 @@ def bearings(camera: Camera, image: FloatArray) -> FloatArray:
 
 
 def view_edges(camera: Camera, depth: float) -> FloatArray:
-    """Edges of the view of a camera up to a depth, as a pyramid, `(N, 2, 3)`, camera's frame, metres.
+    """Edges of the viewing frustum of a camera, a pyramid, camera's frame, metres, `(N, 2, 3)`.
 
-    The base is the border of the image, or of the part that the lens images; of a view wider than `FLAT_BASE` it is at
-    a distance of `depth`.
+    The base is the border of the image, or of the part of the image within the fold. Its points are at the depth
+    `depth`, metres, or at the distance `depth` for a view wider than `FLAT_BASE`.
     """
     width, height = image_size(camera)
     corners = np.array([[0, 0], [width, 0], [width, height], [0, height]])
@@ -113,9 +113,9 @@ def view_edges(camera: Camera, depth: float) -> FloatArray:
 
 
 def depth_in_focus(camera: Camera, points: FloatArray) -> FloatArray:
-    """Depth of points `(..., 3)` in the camera's frame that determines focus and apparent size, metres, `(...)`.
+    """Depth that determines focus and apparent size of points `(..., 3)`, camera's frame, metres, `(...)`.
 
-    z, or the distance behind a fisheye, see `lmd.geometry.lens_models.depth_of`.
+    z, or the distance for a fisheye, see `lmd.geometry.lens_models.depth_of`.
     """
     if camera.lens is None:
         return points[..., 2]
@@ -123,10 +123,10 @@ def depth_in_focus(camera: Camera, points: FloatArray) -> FloatArray:
 
 
 def blur_disc(camera: Camera, depth: ArrayLike) -> FloatArray:
-    """Diameter c of the blur disc of a point at `depth` (metres, any shape) behind a thin lens, pixels.
+    """Diameter c of the blur disc of a point at `depth` (metres, any shape) for a thin lens, pixels.
 
-    c = d_a f |z - d_s| / (z (d_s - f) min(s_u, s_v)), or d_a f / (z min(s_u, s_v)) when focused at infinity; its bound
-    gives `Camera.depth_of_field`.
+    c = d_a f |z - d_s| / (z (d_s - f) min(s_u, s_v)), or d_a f / (z min(s_u, s_v)) when focused at infinity. The limits
+    of `Camera.depth_of_field` are the depths with c = delta.
     """
     z = np.asarray(depth, dtype=np.float64) * MM_PER_M
     defocus = 1.0 / z

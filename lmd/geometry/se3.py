@@ -14,9 +14,9 @@ from numpy.typing import ArrayLike
 from lmd.core.checks import BoolArray, FloatArray, InputError
 from lmd.geometry.frames import rotation
 
-# Angle below which coefficients come from their Taylor series, rad.
+# Angle below which coefficients are computed by their Taylor series, rad.
 SMALL_ANGLE = 1e-4
-# Largest error of the length of a quaternion, and of R^T R, in a file with few decimals.
+# Tolerances for files with few decimals: error of the length of a quaternion, and of the elements of R^T R.
 QUATERNION_TOLERANCE = 1e-2
 MATRIX_TOLERANCE = 1e-2
 MEDIAN_STEPS = 10
@@ -66,17 +66,13 @@ def are_rotations(matrices: FloatArray) -> BoolArray:
 
 
 def nearest_rotations(matrices: FloatArray) -> FloatArray:
-    """Rotations nearest to matrices `(..., 3, 3)` with a positive determinant, in the Frobenius norm."""
+    """Rotations nearest, in the Frobenius norm, to matrices `(..., 3, 3)` with a positive determinant."""
     left, _, right = np.linalg.svd(matrices)
     return np.asarray(left @ right)
 
 
 def laid_over(points: FloatArray, others: FloatArray) -> FloatArray:
-    """Rigid motion of points `(N, 3)`, not all on a line, to others by least squares.
-
-    Returns:
-        `(4, 4)`.
-    """
+    """Least-squares rigid motion that maps points `(N, 3)`, not collinear, to `others` `(N, 3)`, `(4, 4)`."""
     from scipy.spatial.transform import Rotation
 
     here, there = points.mean(axis=0), others.mean(axis=0)
@@ -104,7 +100,7 @@ def act(pose: FloatArray, points: FloatArray) -> FloatArray:
 
 
 def axis_and_right(pose: FloatArray) -> FloatArray:
-    """The optical axis and the image's right in the world frame, `(..., 6)`, of camera poses X `(..., 4, 4)`."""
+    """Optical axis and image's right, world frame, `(..., 6)`, of camera poses X `(..., 4, 4)`."""
     return np.concatenate([pose[..., :3, 2], pose[..., :3, 0]], axis=-1)
 
 
@@ -124,7 +120,7 @@ def cross(a: FloatArray, b: FloatArray) -> FloatArray:
 
 
 def adjoint(pose: FloatArray, twist: FloatArray) -> FloatArray:
-    """Adjoint map Ad_X (w, v) = (R w, p x R w + R v), `(..., 6)`: a body twist in world coordinates."""
+    """Adjoint map Ad_X (w, v) = (R w, p x R w + R v), from body to world coordinates of a twist, `(..., 6)`."""
     orientation = pose[..., :3, :3]
     angular = (orientation @ twist[..., :3, None])[..., 0]
     linear = (orientation @ twist[..., 3:, None])[..., 0] + cross(pose[..., :3, 3], angular)

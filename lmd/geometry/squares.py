@@ -1,4 +1,4 @@
-"""Squares in space: corners, and the axes of tags that hang upright."""
+"""Squares in space: corners, and right and up of upright tags."""
 
 import math
 
@@ -7,11 +7,11 @@ import numpy as np
 from lmd.core.checks import FloatArray
 from lmd.core.compiled import inlined
 
-# Offsets (right, up) from the centre to the corners, half edges: top-left, top-right, bottom-right, bottom-left as seen
-# from the front, the order of cv2.aruco.
+# Offsets (right, up) of the corners from the centre, in half edges: top-left, top-right, bottom-right, bottom-left as
+# seen from the front, as in cv2.aruco.
 CORNERS = np.array([[-1.0, 1.0], [1.0, 1.0], [1.0, -1.0], [-1.0, -1.0]])
 
-# Largest horizontal part of a unit normal that counts as vertical, as of tags on a floor or a ceiling.
+# Largest length of the horizontal part of a unit normal that counts as vertical, as for tags on a floor or a ceiling.
 VERTICAL_TOLERANCE = 0.1
 
 
@@ -35,8 +35,8 @@ def upright(normals: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Right and up of upright tags, seen from the front: unit vectors `(..., 3)`, world frame.
 
     Up is the direction in the tag's plane nearest to +z, or nearest to +y if the normal is within `VERTICAL_TOLERANCE`
-    of vertical. All tags hang upright: a square is symmetric under quarter turns, so other turns gain little, and
-    footprints parallel to the edges of their wall can be mounted with a level.
+    of vertical. Placed tags are upright: a square is symmetric under quarter turns, so other rotations in the plane
+    gain little, and upright tags can be mounted with a spirit level.
 
     Args:
         normals: unit normals of the front faces, `(..., 3)`.
@@ -53,7 +53,7 @@ def upright(normals: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 @inlined
 def upright_axes(nx, ny, nz, level):  # type: ignore[no-untyped-def]
-    """`upright` of one unit normal (nx, ny, nz), for kernels; `level`: see `VERTICAL_TOLERANCE`."""
+    """`upright` for one unit normal (nx, ny, nz), for kernels; `level` is the tolerance `VERTICAL_TOLERANCE`."""
     across = nx * nx + ny * ny
     on_wall = across > level * level
     square = across if on_wall else nx * nx + nz * nz
@@ -70,6 +70,6 @@ def upright_axes(nx, ny, nz, level):  # type: ignore[no-untyped-def]
 
 @inlined
 def upright_sides(half, nx, ny, nz):  # type: ignore[no-untyped-def]
-    """Vectors from the centre of an upright tag to the middles of its right and its upper edge, of length `half`."""
+    """Vectors of length `half` from the centre of an upright tag to the midpoints of its right and its upper edge."""
     rx, ry, rz, ux, uy, uz = upright_axes(nx, ny, nz, VERTICAL_TOLERANCE)
     return half * rx, half * ry, half * rz, half * ux, half * uy, half * uz

@@ -1,4 +1,4 @@
-"""Trajectories: poses of a camera, frame by frame."""
+"""Trajectories: poses of a camera over time."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -14,13 +14,13 @@ class Trajectory:
     """Poses of a camera at the times of its T frames.
 
     Raises:
-        InputError: fewer than two frames, or times that do not increase.
+        InputError: there are fewer than two frames, or times do not increase.
     """
 
     time: FloatArray
-    """Seconds, increasing, `(T,)`, T >= 2."""
+    """Times, seconds, increasing, `(T,)`, T >= 2."""
     poses: FloatArray
-    """X at each time, camera to world, `(T, 4, 4)`."""
+    """Poses X, camera to world, `(T, 4, 4)`."""
 
     def __post_init__(self) -> None:
         if len(self.time) < 2:
@@ -29,12 +29,12 @@ class Trajectory:
 
     @property
     def twists(self) -> FloatArray:
-        """Body twists U between frames, X_t+1 = X_t exp(h U), `(T - 1, 6)`, rad/s and m/s."""
+        """Body twists U between frames, X_t+1 = X_t exp(h U) with the time step h, `(T - 1, 6)`, rad/s and m/s."""
         return log(inverse(self.poses[:-1]) @ self.poses[1:]) / np.diff(self.time)[:, None]
 
 
 def check_order(time: FloatArray, lines: Sequence[int] | None = None) -> None:
-    """Raise `InputError` if times `(T,)` do not increase, with the line in the file if known."""
+    """Raise `InputError` if times `(T,)` do not increase; `lines` are their lines in a file, for the message."""
     late = np.flatnonzero(np.diff(time) <= 0.0)
     if late.size:
         before, after = time[late[0] : late[0] + 2].tolist()

@@ -1,1 +1,1 @@
-"""From a recording of where a camera looked to its orientation PDF, the paper's Monte Carlo procedure."""
+"""Estimation of an orientation PDF from recorded orientations by the paper's Monte Carlo procedure."""

@@ -1,9 +1,9 @@
 """Steps 4 and 5 of the paper's procedure: test of independence, and fit of a density to samples of one or both angles.
 
-A density is represented by the probabilities of fine cells of its angles. Candidates are compared by the
-cross-validated log-likelihood per sample, which compares parametric families with kernel estimates: each fold, a
-stretch of the recording, is scored by the fit to the others. The simplest family within one standard error of the best
-is chosen (the one-standard-error rule, on paired differences).
+A density is represented by the probabilities of fine cells of its angles. Parametric families and kernel estimates are
+compared by the cross-validated log-likelihood per sample: each fold, a contiguous section of the recording, is scored
+by the fit to the other folds. The one-standard-error rule on paired differences chooses the simplest family within one
+standard error of the best one.
 """
 
 from collections.abc import Callable, Sequence
@@ -19,7 +19,7 @@ from lmd.core.checks import FloatArray, IntArray
 from lmd.orientation.recording import Samples
 
 CROSS_VALIDATION_FOLDS = 10
-# Standard deviations tried for a kernel, in fine cells.
+# Candidate standard deviations of a kernel, fine cells.
 BANDWIDTHS = (1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 8.0, 12.0, 16.0)
 YAW_BINS, PITCH_BINS = 8, 4  # bins of equal frequency in the table of the independence test
 RESAMPLES = 9999  # random tables of that test
@@ -36,7 +36,7 @@ class AngleCells:
     cells: int
     """M, the number of cells."""
     circular: bool
-    """True if `high` and `low` are one direction."""
+    """True if `high` and `low` are equal directions."""
 
     @property
     def width(self) -> float:
@@ -63,10 +63,10 @@ class AngleCells:
 
 @dataclass(frozen=True)
 class Density:
-    """Fitted density."""
+    """Density fitted to samples, as probabilities of fine cells."""
 
     family: str
-    """`uniform`, `von_mises`, `normal`, `kernel` or `fixed`."""
+    """Family: `uniform`, `von_mises`, `normal`, `kernel` or `fixed`."""
     parameters: dict[str, float]
     """Fitted parameters by name, radians."""
     probability: FloatArray
@@ -78,14 +78,14 @@ Family = Callable[[FloatArray, AngleCells], Density]
 
 @dataclass(frozen=True)
 class Candidate:
-    """Family in the comparison."""
+    """Result of one family in the comparison of families."""
 
     density: Density
     """Fit to all samples."""
     log_likelihood: float
     """Cross-validated mean log-likelihood per sample, of probabilities of fine cells."""
     behind: float
-    """Difference from the largest log-likelihood, not negative."""
+    """Largest log-likelihood of all candidates minus `log_likelihood`."""
     standard_error: float
     """Standard error of `behind`, from the differences sample by sample."""
 
@@ -105,7 +105,7 @@ def von_mises(angle: FloatArray, axis: AngleCells) -> Density:
 def normal(angle: FloatArray, axis: AngleCells) -> Density:
     """Fit the normal distribution with the samples' mean and standard deviation, cut to the range of the angle."""
     mean, std = norm.fit(angle)
-    std = max(std, axis.width / 4.0)  # cells do not resolve less, and a fold may hold a single value
+    std = max(std, axis.width / 4.0)  # limited by the width of cells, as a fold may contain a single value
     low, high = (axis.low - mean) / std, (axis.high - mean) / std
     probability = np.diff(truncnorm.cdf(axis.edges, low, high, loc=mean, scale=std))
     return Density("normal", {"mean": float(mean), "standard_deviation": float(std)}, probability)
@@ -125,8 +125,7 @@ def kernel_density(index: tuple[IntArray, ...], axes: tuple[AngleCells, ...]) ->
         axes: one axis or two.
 
     Returns:
-        the probabilities, `(M,)` or `(M_1, M_2)`, and the bandwidth of each axis in radians, chosen by
-        cross-validation.
+        probabilities, `(M,)` or `(M_1, M_2)`; bandwidth of each axis, radians, chosen by cross-validation.
     """
     shape = tuple(axis.cells for axis in axes)
     cell = np.ravel_multi_index(index, shape)
@@ -157,7 +156,7 @@ def kernel_density(index: tuple[IntArray, ...], axes: tuple[AngleCells, ...]) ->
 
 
 def choose(angle: FloatArray, axis: AngleCells, families: Sequence[Family]) -> tuple[Density, tuple[Candidate, ...]]:
-    """Choose a family for samples of an angle by the criterion of this module.
+    """Choose a family for samples of an angle by the one-standard-error rule.
 
     Args:
         angle: radians, ordered in time, `(S,)`.
@@ -185,7 +184,7 @@ def choose(angle: FloatArray, axis: AngleCells, families: Sequence[Family]) -> t
 
 
 def fixed_angle(angle: FloatArray, axis: AngleCells) -> float | None:
-    """Circular mean of samples that all lie within the width of a fine cell; None where they spread further."""
+    """Circular mean of samples if all lie within the width of a fine cell, radians; otherwise None."""
     mean = float(circmean(angle, high=np.pi, low=-np.pi))
     return mean if np.ptp(circular_difference(angle, mean)) < axis.width else None
 
@@ -195,7 +194,10 @@ def _folds(count: int) -> list[IntArray]:
 
 
 def _log_likelihood(probability: FloatArray, count: float, index: IntArray) -> FloatArray:
-    """Log probabilities of held-out samples, `(S,)`; one more uniform sample makes the cost of an outlier finite."""
+    """Log probabilities of held-out samples, `(S,)`.
+
+    The density is mixed with one additional uniform sample, so that the log probability of an outlier is finite.
+    """
     flat = probability.reshape(-1)
     return np.asarray(np.log((count * flat[index] + 1.0 / flat.size) / (count + 1.0)))
 
@@ -205,13 +207,13 @@ class Independence:
     """Outcome of `independence_test`."""
 
     statistic: float
-    """Pearson's chi-squared of the table."""
+    """Pearson's chi-squared statistic of the table."""
     p_value: float
     """P-value of the statistic."""
     table_shape: tuple[int, int]
     """Numbers of bins of yaw and of pitch."""
     significance: float
-    """Level of the test."""
+    """Significance level of the test."""
 
     @property
     def rejected(self) -> bool:
@@ -220,16 +222,16 @@ class Independence:
 
 
 def independence_test(samples: Samples, significance: float, rng: np.random.Generator) -> Independence:
-    """Pearson's chi-squared test of the table of yaw by pitch bins, with a Monte Carlo p value.
+    """Pearson's chi-squared test of the contingency table of yaw and pitch bins, with a Monte Carlo p value.
 
-    Bins are categories, so the seam of the yaw needs no care, and the test detects any dependence that shows in the
-    histograms, not only a linear one. Bins hold equal numbers of samples; the p value is that of random tables with
-    these margins, and so is valid for few samples too. The test assumes independent samples, which the random intervals
-    provide; for samples closer than the correlation time it would reject too often.
+    As bins are categories, the seam of the yaw needs no special treatment, and nonlinear dependence is detected. Bins
+    have equal numbers of samples. The p value is the share of random tables with equal margins that have at least the
+    statistic of the data, so it is valid for few samples, too. The test assumes samples independent in time, as the
+    random intervals provide; with samples closer than the correlation time it would reject too often.
 
     Args:
-        samples: of yaw and pitch, neither of them fixed.
-        significance: level of the test, in [0, 1].
+        samples: samples of yaw and pitch, neither of them fixed.
+        significance: significance level in [0, 1].
         rng: draws the tables.
     """
     around_mean = circular_difference(samples.yaw, circmean(samples.yaw))
@@ -244,11 +246,11 @@ def independence_test(samples: Samples, significance: float, rng: np.random.Gene
 
 
 def circular_difference(angle: FloatArray, origin: float) -> FloatArray:
-    """`angle - origin`, radians in [-pi, pi), any shape."""
+    """Difference `angle - origin` wrapped to [-pi, pi), radians, shape of `angle`."""
     return np.asarray(np.mod(angle - origin + np.pi, 2.0 * np.pi) - np.pi)
 
 
 def _equal_bins(values: FloatArray, bins: int) -> IntArray:
-    """Index of the bin of each value `(S,)`; bins have equal frequencies as far as ties allow, and none is empty."""
+    """Bin index of each value, `(S,)`; bins are not empty and have equal frequencies as far as ties allow."""
     inner = np.quantile(values, np.arange(1, bins) / bins)
     return np.asarray(np.unique(np.searchsorted(inner, values, side="right"), return_inverse=True)[1], dtype=np.int64)

@@ -1,13 +1,13 @@
-"""The paper's Monte Carlo procedure (Sec. V-D): an orientation PDF from a recording, in five steps.
+"""Monte Carlo procedure of the paper (Sec. V-D): estimate of an orientation PDF from a recording, in five steps.
 
 1. record yaw and pitch of the randomly moving camera (`lmd.orientation.recording`);
 2. sample the recording at random intervals;
 3. make histograms of both angles;
 4. test their independence;
-5. fit a density to each (`lmd.orientation.density`), and multiply the two; or, where independence is rejected, estimate
-   the joint density.
+5. fit a density to each angle (`lmd.orientation.density`) and multiply the two, or estimate the joint density if
+   independence is rejected.
 
-The density is then gathered on the cells of an orientation grid like the paper's.
+The density is then summed over the cells of an orientation grid as in the paper.
 """
 
 from collections.abc import Sequence
@@ -31,11 +31,11 @@ from lmd.orientation.density import (
 from lmd.orientation.recording import OrientationRecording, Samples, sample_at_random_intervals
 from lmd.scene.pdf import OrientationPdf, divisions_of
 
-# Fine cells on half a turn, at least: the resolution of densities is 1.9 degrees or less.
+# Least number of fine cells on 180 degrees: the resolution of densities is 1.9 degrees or finer.
 FINE_CELLS = 96
 YAW_FAMILIES = (density.uniform, density.von_mises, density.kernel_estimate)
 PITCH_FAMILIES = (density.uniform, density.normal, density.kernel_estimate)
-# Probability below which a cell of the orientation grid is left out: it costs time, and is invisible in a table.
+# Least probability of a cell of the orientation grid; cells below it are dropped to save time.
 NEGLIGIBLE = 1e-6
 
 
@@ -44,15 +44,15 @@ class Marginal:
     """Samples, histogram and fit of one angle."""
 
     samples: FloatArray
-    """Radians, `(S,)`."""
+    """Samples, radians, `(S,)`."""
     axis: AngleCells
     """Fine cells."""
     block: int
-    """Number of fine cells in a cell of the orientation grid."""
+    """Number of fine cells per cell of the orientation grid."""
     density: Density
     """Chosen density; family `fixed` has a single cell."""
     candidates: tuple[Candidate, ...]
-    """Densities that were compared; none for a fixed angle."""
+    """Densities that were compared; empty for a fixed angle."""
 
     @property
     def is_fixed(self) -> bool:
@@ -71,10 +71,10 @@ class Marginal:
 
     @property
     def histogram(self) -> tuple[FloatArray, FloatArray]:
-        """Edges of the bars `(B + 1,)`, radians, and the samples' densities `(B,)`, 1/rad.
+        """Histogram of the samples: edges of the bins `(B + 1,)`, radians, and densities `(B,)`, 1/rad.
 
-        The bars are cells of the orientation grid, or equal parts of them where the Freedman-Diaconis rule asks for
-        narrower ones.
+        Bins are cells of the orientation grid, divided into equal parts if the Freedman-Diaconis rule requires narrower
+        bins.
         """
         around_mean = circular_difference(self.samples, circmean(self.samples))
         width = 2.0 * iqr(around_mean) / np.cbrt(len(self.samples))
@@ -117,13 +117,13 @@ class PdfEstimate:
     pitch: Marginal
     """Fit of the pitch."""
     independence: Independence | None
-    """Outcome of the test; None where an angle is fixed and there is nothing to test."""
+    """Outcome of the independence test; None if an angle is fixed."""
     joint: Density | None
-    """Joint kernel estimate, probabilities `(M_yaw, M_pitch)`; None where the product is used."""
+    """Joint kernel estimate, probabilities `(M_yaw, M_pitch)`; None if the product of the marginals is used."""
 
     @property
     def form(self) -> str:
-        """`product` of the marginals, or `joint`."""
+        """Form of the density: `product` of the marginals, or `joint`."""
         return "product" if self.joint is None else "joint"
 
     def summary(self) -> dict[str, Any]:
@@ -171,7 +171,7 @@ def estimate_pdf(
         recording: yaw and pitch over time.
         rng: draws the times of the samples and the tables of the independence test.
         divisions: the step of the orientation grid is pi / divisions.
-        mean_interval: between samples, seconds; None for twice the correlation time.
+        mean_interval: mean interval between samples, seconds; None for twice the correlation time.
         significance: level of the independence test.
 
     Raises:
@@ -208,13 +208,15 @@ def _marginal(angle: FloatArray, axis: AngleCells, block: int, families: Sequenc
 
 
 def _gathered(table: FloatArray, yaw: Marginal, pitch: Marginal, name: str) -> OrientationPdf:
-    """PDF on the orientation grid: each cell with its probability, at its mean orientation.
+    """PDF on the orientation grid: the probability of each cell at the mean orientation in the cell.
 
-    The mean orientation, not the middle of a cell, keeps the mean of a pitch that hardly moves.
+    The mean orientation, unlike the centre of the cell, preserves the mean of a pitch that hardly varies.
 
     Args:
-        table: probabilities `(M_yaw, M_pitch)` at the marginals' angles.
-        yaw, pitch: give the angles and the grid.
+        table: probabilities at the angles of the marginals, `(M_yaw, M_pitch)`.
+        yaw: marginal of the yaw.
+        pitch: marginal of the pitch.
+        name: name of the PDF, for messages.
     """
     cell = yaw.grid_cell[:, None] * (pitch.grid_cell[-1] + 1) + pitch.grid_cell
     yaws, pitches = np.meshgrid(yaw.angles, pitch.angles, indexing="ij")

@@ -22,10 +22,10 @@ QUATERNION = ("qw", "qx", "qy", "qz")
 # Further columns of recorded poses, which do not change the optical axis.
 IGNORED = ("x", "y", "z", OWN_ANGLES[2])
 UNIT_TOLERANCE = 1e-3  # largest deviation of the length of a quaternion, printed with a few decimals, from 1
-RECORD_BYTES = 200  # memory of a record while it is simulated: two dozen numbers
-LEAST_SAMPLES = 50  # samples that an estimate needs
-# Mean interval over the correlation time. Half of each interval is fixed, so that no two samples are closer than the
-# correlation time: neighbours then correlate by less than 0.05 for an exponential or a Gaussian autocorrelation.
+RECORD_BYTES = 200  # memory of a record during simulation: two dozen numbers
+LEAST_SAMPLES = 50  # least number of samples for an estimate
+# Default mean interval over the correlation time. The least interval is half the mean, so that samples are at least the
+# correlation time apart; neighbours then correlate by less than 0.05 for an exponential or Gaussian autocorrelation.
 INTERVAL_FACTOR = 2.0
 
 
@@ -34,20 +34,20 @@ class OrientationRecording:
     """Yaw alpha and pitch beta of a camera over time; each record is valid until the next one.
 
     Raises:
-        InputError: shapes differ, fewer than two records, a value is not finite, time does not increase, or a pitch
-            is out of range.
+        InputError: shapes differ, there are fewer than two records, a value is not finite, time does not increase, or a
+            pitch is out of range.
     """
 
     time: FloatArray
-    """Seconds, increasing, `(R,)` with R >= 2."""
+    """Times, seconds, increasing, `(R,)` with R >= 2."""
     yaw: FloatArray
-    """Radians, any turn, `(R,)`."""
+    """Yaw, radians, any value, `(R,)`."""
     pitch: FloatArray
-    """Radians in [-pi/2, pi/2], positive looks up, `(R,)`."""
+    """Pitch, radians in [-pi/2, pi/2], positive looks up, `(R,)`."""
     name: str = "recording"
     """Name of the source, for messages."""
     note: str = ""
-    """Doubt about the angles, a sentence without its end; empty for none."""
+    """Remark on ambiguous angles, a sentence without its full stop; empty without ambiguity."""
 
     def __post_init__(self) -> None:
         for field in ("time", *ANGLES):
@@ -74,19 +74,19 @@ class OrientationRecording:
 
     @property
     def step(self) -> float:
-        """Mean time from record to record, seconds."""
+        """Mean time between records, seconds."""
         return self.duration / (len(self.time) - 1)
 
     def at(self, time: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Yaw and pitch at times within the recording, `(S,)` each: those of the last record before.
+        """Yaw and pitch at times `(S,)` within the recording, `(S,)` each, from the last record before each time.
 
-        Nothing is interpolated, so the seam of the yaw at +-pi needs no care.
+        Without interpolation, the seam of the yaw at +-pi needs no special treatment.
         """
         index = np.searchsorted(self.time, time, side="right") - 1
         return self.yaw[index], self.pitch[index]
 
     def to_csv(self, path: str | Path) -> None:
-        """Write `time,yaw,pitch` with every digit."""
+        """Write a CSV with the columns `time,yaw,pitch` and all digits."""
         rows = np.stack([self.time, self.yaw, self.pitch], axis=1)
         np.savetxt(path, rows, fmt="%.17g", delimiter=",", header="time,yaw,pitch", comments="")
 
@@ -96,10 +96,10 @@ class OrientationRecording:
 
         The quaternion rotates the camera's optical frame (x right, y down, z along the optical axis) to the world
         frame. Yaw and pitch may be called yaw_from_y and pitch_up, as in recordings of poses. Columns x, y, z are
-        ignored. A yaw lies within a turn of zero, since larger values look like degrees.
+        ignored. A yaw beyond +-2 pi is refused, as it may be in degrees.
 
         Raises:
-            InputError: the file cannot be read, is not a recording, or its angles may have another meaning.
+            InputError: the file cannot be read, is not a recording, or its angles are ambiguous.
         """
         table = read_table(path, name="path")
         if "yaw" in table and "roll" in table:
@@ -120,7 +120,7 @@ class OrientationRecording:
             line, its = table.lines[worst], length[worst]
             raise InputError(f"{path} line {line}: the quaternion must have length 1, it has {its:g}.")
         axis = Rotation.from_quat(quaternion, scalar_first=True).apply([0.0, 0.0, 1.0])
-        yaw, pitch = (-angle for angle in normal_angles(axis))  # the normal has both angles with the opposite sign
+        yaw, pitch = (-angle for angle in normal_angles(axis))  # `normal_angles` has both signs opposite
         doubt = f"{said} If not, its quaternions are a body's: turn them" if (said := steep(axis[:, 2], path)) else ""
         return cls(time, yaw, pitch, str(path), doubt)
 
@@ -137,7 +137,7 @@ class FileRecording:
     """Recording from a CSV, see `OrientationRecording.from_csv`."""
 
     path: str | None
-    """Path of the CSV; None is refused in `record`."""
+    """Path of the CSV; `record` raises `InputError` if it is None."""
 
     def record(self, rng: np.random.Generator) -> OrientationRecording:
         """See `RecordingSource.record`."""
@@ -148,23 +148,23 @@ class FileRecording:
 
 @dataclass(frozen=True)
 class SimulatedRecording:
-    """Smooth random motion; at every moment the yaw is von Mises and the pitch truncated normal.
+    """Simulated smooth random motion; at any time the yaw is von Mises and the pitch truncated normal distributed.
 
-    Two stationary Gaussian processes z_1, z_2 have the autocorrelation exp(-t^2 / (2 tau^2)). A phase phi with a
-    uniform start and the rate z_1 / tau is uniform at every moment; the yaw is the von Mises quantile of
-    phi / (2 pi) + 1/2, phi in [-pi, pi), and so passes the seam like any other angle. The pitch is the quantile of
-    c g + sqrt(1 - c^2) z_2, where g is the normal quantile of |phi| / pi.
+    z_1 and z_2 are stationary Gaussian processes with the autocorrelation exp(-t^2 / (2 tau^2)). The phase phi has a
+    uniform start and the rate z_1 / tau, so it is uniform at any time. The yaw is the von Mises quantile of
+    phi / (2 pi) + 1/2 with phi wrapped to [-pi, pi), so the seam is not special. The pitch is the truncated normal
+    quantile with the normal score c g + sqrt(1 - c^2) z_2, where g is the normal quantile of |phi| / pi.
 
     Args:
-        duration: seconds.
+        duration: length of the recording, seconds.
         rate: records per second.
         correlation_time: tau, seconds.
         yaw_mean: mean direction of the yaw, radians.
-        yaw_concentration: kappa >= 0; 0 is uniform.
-        pitch_mean, pitch_std: of the normal distribution that is cut to [-pi/2, pi/2], radians; a std of 0 is a fixed
-            pitch.
-        coupling: c in [-1, 1], correlation of the pitch with the distance of the yaw from its mean (of their normal
-            scores); 0 makes yaw and pitch independent.
+        yaw_concentration: concentration kappa >= 0 of the von Mises distribution; 0 is uniform.
+        pitch_mean: mean of the normal distribution before truncation to [-pi/2, pi/2], radians.
+        pitch_std: standard deviation of that distribution, radians; 0 for a fixed pitch.
+        coupling: c in [-1, 1], correlation between the normal scores of the pitch and of the yaw's distance from its
+            mean; 0 makes yaw and pitch independent.
 
     Raises:
         InputError: a value is out of range.
@@ -198,7 +198,7 @@ class SimulatedRecording:
         z1, z2 = self._processes(rng, count)
         turned = rng.uniform(0.0, 2.0 * np.pi) + np.cumsum(z1) / (self.rate * self.correlation_time)
         phase = np.mod(turned, 2.0 * np.pi) - np.pi
-        # SciPy's quantile function searches for every value; interpolation of the distribution function is as accurate.
+        # Interpolation of the distribution function is as accurate as SciPy's quantile function and faster.
         grid = np.linspace(-np.pi, np.pi, 8193)
         around_mean = np.interp(phase / (2.0 * np.pi) + 0.5, vonmises.cdf(grid, self.yaw_concentration), grid)
         yaw = np.mod(around_mean + self.yaw_mean + np.pi, 2.0 * np.pi) - np.pi
@@ -224,9 +224,9 @@ class Samples:
     """Measurements of a recording at random times, ordered in time."""
 
     yaw: FloatArray
-    """Radians, `(S,)`."""
+    """Yaw, radians, `(S,)`."""
     pitch: FloatArray
-    """Radians, `(S,)`."""
+    """Pitch, radians, `(S,)`."""
     correlation_time: float
     """Correlation time of the recording, seconds."""
     mean_interval: float
@@ -239,19 +239,19 @@ class Samples:
 def sample_at_random_intervals(
     recording: OrientationRecording, mean_interval: float | None, rng: np.random.Generator
 ) -> Samples:
-    """Sample a recording at random intervals: half of the mean interval plus an exponential of that mean.
+    """Sample a recording at random intervals m / 2 + e: m is the mean interval, e exponential with the mean m / 2.
 
-    The fixed half keeps neighbouring samples from being near copies; the random half avoids aliasing with a periodic
-    motion. Records of uneven rate are weighted by their duration.
+    The fixed half limits the correlation of neighbouring samples; the random half avoids aliasing with periodic motion.
+    Records of uneven rate are thus weighted by their duration.
 
     Args:
-        recording: the recording.
-        mean_interval: seconds; None for twice the correlation time, so that samples are nearly independent.
+        recording: recording to sample.
+        mean_interval: mean interval m, seconds; None for twice the correlation time, so that samples are nearly
+            independent.
         rng: draws the intervals.
 
     Raises:
-        InputError: the interval is not positive or shorter than the recording's own step, or there are too few
-            samples.
+        InputError: the interval is not positive or is shorter than the recording's step, or there are too few samples.
     """
     correlation_time = integrated_correlation_time(recording)
     if mean_interval is None:
@@ -277,10 +277,10 @@ def sample_at_random_intervals(
 
 
 def integrated_correlation_time(recording: OrientationRecording) -> float:
-    """Integrated autocorrelation time of the slower one of yaw and pitch, seconds.
+    """Integrated autocorrelation time, seconds; the larger one of yaw and pitch.
 
-    T = step (1 + 2 sum_k rho_k), up to the first lag with rho_k <= 0. The autocorrelation of the yaw is that of the
-    unit vector (cos alpha, sin alpha), which has no seam. A fixed angle has T = step.
+    T = step (1 + 2 sum_k rho_k), summed up to the first lag with rho_k <= 0. For the yaw, rho is the autocorrelation of
+    the unit vector (cos alpha, sin alpha), which has no seam. A fixed angle has T = step.
     """
     times = np.linspace(recording.time[0], recording.time[-1], len(recording.time))
     yaw, pitch = recording.at(times)

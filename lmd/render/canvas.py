@@ -1,8 +1,8 @@
-"""Planes painted in perspective: surfaces first, then tags from far to near.
+"""Perspective drawing of planes: surfaces first, then tags from far to near.
 
-A tag is sampled several times per pixel through its homography, in its bounding box only. The samples are averaged over
-each pixel, blurred together with the outline of the tag, and blended over the background. On an even background this
-equals the blur of the whole image.
+The bounding box of a tag is sampled several times per pixel through the tag's homography. Samples are averaged over
+each pixel, blurred together with the opacity of the tag, and blended over the background. On a uniform background this
+equals blurring the whole image.
 """
 
 import math
@@ -17,9 +17,9 @@ from lmd.core.optional import optional
 from lmd.render.imaging import Float32Array, Imaging, UInt8Array
 from lmd.scene.tag import Tag
 
-# Depth of the near plane, metres; nothing in front of it is drawn.
+# Depth of the near plane, metres; parts nearer to the camera are not drawn.
 NEAR_PLANE = 0.02
-# Standard deviations at which a Gaussian is cut off.
+# Radius of Gaussian kernels, standard deviations.
 REACH = 3.5
 # Maximum number of samples of one tag; larger tags get fewer per pixel.
 MOST_SAMPLES = 4e6
@@ -30,7 +30,7 @@ SHIFT = 4
 
 
 class Canvas:
-    """Light on a pinhole image, float32 grey levels.
+    """Light on a pinhole image, grey levels as float32.
 
     Args:
         matrix: K, camera to homogeneous image coordinates from the border, `(3, 3)`.
@@ -52,11 +52,11 @@ class Canvas:
         """Draw a convex part of a plane.
 
         Args:
-            plane: columns u, v (unit) and the origin, camera frame, metres, `(3, 3)`.
-            shape: vertices (u, v) of the polygon, not negative, `(M, 2)`, metres.
-            grey: grey level.
-            pattern: offset of the grey level, `(T, T)` texels of `TEXEL` metres, repeated over larger polygons; None
-                for a plain surface.
+            plane: columns are the unit vectors u, v and the origin, metres; camera frame, `(3, 3)`.
+            shape: vertices (a, b) of the convex polygon, origin + a u + b v, not negative, metres, `(M, 2)`.
+            grey: mean grey level.
+            pattern: offsets of the grey level, `(T, T)` texels of `TEXEL` metres, tiled over larger polygons; None for
+                a plain surface.
 
         Returns:
             Outline in the image, pixels, `(m, 2)`.
@@ -72,7 +72,7 @@ class Canvas:
         drawn = np.full((height, width), grey, dtype=np.float32)
         if pattern is not None:
             texels = plane @ np.diag([TEXEL, TEXEL, 1.0])
-            # BORDER_WRAP is several times slower, also outside the polygon.
+            # BORDER_WRAP is several times slower, even outside the polygon.
             covers = shape.max() <= len(pattern) * TEXEL
             border = self.cv2.BORDER_REPLICATE if covers else self.cv2.BORDER_WRAP
             drawn += self._warp(pattern, self.matrix @ texels, window, 1, border)
@@ -94,7 +94,7 @@ class Canvas:
             square: corners of the black square in the order of `lmd.geometry.squares.CORNERS`, camera frame, metres,
                 `(4, 3)`.
             sigma: standard deviation of the blur, pixels.
-            hidden_by: image outlines `(m, 2)` of surfaces in front of the tag.
+            hidden_by: image outlines of the surfaces that occlude the tag, pixels, `(m, 2)` each.
         """
         centre = square.mean(axis=0)
         paper = centre + tag.paper_share * (square - centre)
@@ -112,7 +112,7 @@ class Canvas:
         plane = np.stack([right, down, centre - len(picture) / 2.0 * (right + down)], axis=1)
         drawn = self._warp(picture, self.matrix @ plane, window, samples, self.cv2.BORDER_CONSTANT)
         drawn = self.cv2.resize(drawn.astype(np.float32), (width, height), interpolation=self.cv2.INTER_AREA)
-        if (paper[:, 2] < NEAR_PLANE).any():  # the homography also maps points behind the lens
+        if (paper[:, 2] < NEAR_PLANE).any():  # the homography also maps points behind the camera
             front = np.zeros((height, width), dtype=np.float32)
             self._fill(front, outline - window[:2], 1)
             drawn *= front[..., None]
@@ -122,7 +122,12 @@ class Canvas:
         self._over(drawn, window)
 
     def _over(self, drawn: Float32Array, window: tuple[int, int, int, int]) -> None:
-        """Blend a tag, its white and its opaque share `(h, w, 2)`, over a window, which may reach over the border."""
+        """Blend a tag over a window of the image, which may reach over the border.
+
+        Args:
+            drawn: white share and opacity of each pixel, `(h, w, 2)`.
+            window: x, y, width and height, pixels.
+        """
         x, y, width, height = window
         left, top = max(-x, 0), max(-y, 0)
         inside = drawn[top : self.light.shape[0] - y, left : self.light.shape[1] - x]
@@ -131,9 +136,9 @@ class Canvas:
         part += inside[..., 1] * (black - part) + contrast * inside[..., 0]
 
     def _window(self, outline: FloatArray, margin: int) -> tuple[int, int, int, int] | None:
-        """x, y, width and height of the box around an outline and its margin; None outside the image.
+        """Bounding box (x, y, width, height) of an outline, enlarged by `margin`, pixels; None outside the image.
 
-        The box may reach over the border of the image by `margin`, pixels.
+        The box may reach over the border of the image by `margin`.
         """
         if not len(outline):
             return None
@@ -148,7 +153,10 @@ class Canvas:
     def _warp(
         self, picture: Any, homography: FloatArray, window: tuple[int, int, int, int], samples: int, border: int
     ) -> Any:
-        """`picture` through a homography (texels to pixels, both from the border), `samples` per pixel and axis."""
+        """Warp `picture` by a homography from texels to pixels, both from the border.
+
+        The result covers `window` with `samples` per pixel along each axis.
+        """
         x, y, width, height = window
         from_centre = np.array([[1.0, 0.0, 0.5], [0.0, 1.0, 0.5], [0.0, 0.0, 1.0]])
         to_window = np.array([[samples, 0.0, -samples * x - 0.5], [0.0, samples, -samples * y - 0.5], [0.0, 0.0, 1.0]])
@@ -192,7 +200,7 @@ def _area(outline: FloatArray) -> float:
 
 @lru_cache(maxsize=512)
 def texture(tag: Tag, number: int, texels: int) -> UInt8Array:
-    """A tag with its quiet zone, `texels` per module: white and opacity, 0 or 255 each, `(S, S, 2)`."""
+    """Texture of a tag with its quiet zone, `texels` per module: white and opacity, 0 or 255 each, `(S, S, 2)`."""
     modules = np.where(tag.picture(number), 255, 0).astype(np.uint8)
     margin = round(tag.quiet_zone * texels)
     white = np.pad(np.kron(modules, np.ones((texels, texels), dtype=np.uint8)), margin, constant_values=255)
@@ -202,13 +210,13 @@ def texture(tag: Tag, number: int, texels: int) -> UInt8Array:
 # Edge of a texel of a surface's pattern, metres, and its period in texels.
 TEXEL = 0.005
 PATTERN = 1024
-# Maximum number of periods of a pattern along an edge of its array: 3 are 15 m and 38 MB.
+# Maximum number of periods of a pattern along an edge of its array; 3 periods are 15 m and 38 MB.
 MOST_REPEATS = 3
 
 
 @lru_cache(maxsize=2)
 def covering(amplitude: float, seed: int, length: float) -> Float32Array:
-    """Tile `pattern` over a square, up to `MOST_REPEATS` periods, `(T, T)`.
+    """Tile a `pattern` over a square, up to `MOST_REPEATS` periods, `(T, T)`.
 
     Args:
         amplitude: standard deviation, grey levels.
@@ -227,7 +235,7 @@ def pattern(amplitude: float, rng: np.random.Generator) -> Float32Array:
         rng: source of the pattern.
     """
     frequency = np.hypot(*np.meshgrid(np.fft.rfftfreq(PATTERN), np.fft.fftfreq(PATTERN)))
-    # Waves longer than an eighth of the period would look like a gradient across the wall.
+    # Limits the amplitude of waves longer than an eighth of the period, which would look like a gradient of the wall.
     spectrum = np.fft.rfft2(rng.standard_normal((PATTERN, PATTERN))) / np.maximum(frequency, 8.0 / PATTERN)
     spectrum[0, 0] = 0.0
     patches = np.fft.irfft2(spectrum, (PATTERN, PATTERN))

@@ -1,4 +1,4 @@
-"""Imaging: from the light of a scene to grey levels, by lens, exposure and noise."""
+"""Imaging: conversion of the light of a scene to grey levels by lens, exposure and noise."""
 
 import math
 from dataclasses import dataclass
@@ -17,7 +17,7 @@ GREY_LEVELS = 255.0
 
 @dataclass(frozen=True)
 class Imaging:
-    """Settings of an 8-bit image. Surfaces reflect grey levels as seen at exposure 1 and gamma 1.
+    """Settings of an 8-bit image. Brightness of surfaces is given as grey levels at exposure 1 and gamma 1.
 
     Raises:
         InputError: a value is out of range.
@@ -26,13 +26,13 @@ class Imaging:
     psf_sigma: float = 0.5
     """Standard deviation of the point spread function in focus, pixels."""
     defocus: bool = True
-    """Add the blur of a thin lens with the camera's aperture and focus distance."""
+    """True to add the blur of a thin lens with the camera's aperture and focus distance."""
     motion_blur: float = 0.0
-    """Smear in the middle of the image by a rotation in a random direction, pixels."""
+    """Length of the motion blur at the image centre, by a rotation in a random direction, pixels."""
     noise: float = 2.0
-    """Standard deviation of each pixel, grey levels."""
+    """Standard deviation of the noise of a pixel, grey levels."""
     exposure: float = 1.0
-    """Factor on the light."""
+    """Exposure, a factor on the light."""
     gamma: float = 1.0
     """Exponent in grey = 255 (light / 255)^(1 / gamma)."""
     white: float = 220.0
@@ -40,11 +40,11 @@ class Imaging:
     black: float = 25.0
     """Black of a tag, grey levels."""
     wall: float = 150.0
-    """Mean of the surfaces, grey levels; each is brighter or darker by its normal."""
+    """Mean brightness of surfaces, grey levels; shading depends on the normal, see `shade`."""
     texture: float = 0.0
-    """Standard deviation of the pattern on surfaces, grey levels; 0 for plain ones."""
+    """Standard deviation of the pattern on surfaces, grey levels; 0 for plain surfaces."""
     texture_seed: int = 0
-    """Seed of that pattern, which is constant from frame to frame."""
+    """Seed of the pattern, which is constant over frames."""
     supersampling: int = 4
     """Samples of a tag along each axis of a pixel."""
 
@@ -59,7 +59,7 @@ class Imaging:
         check_fields(self, integer, "supersampling", low=1, high=16)
 
     def develop(self, light: Float32Array, rng: np.random.Generator) -> UInt8Array:
-        """Convert `light`, grey levels, to an 8-bit image of its shape, with noise drawn from `rng`."""
+        """Convert `light` `(h, w)`, grey levels, to an 8-bit image, with noise drawn from `rng`."""
         cv2 = optional("cv2", "detection")
         grey: FloatArray | Float32Array = light
         exposure = self.exposure
@@ -70,14 +70,14 @@ class Imaging:
         return np.asarray(cv2.addWeighted(grey, exposure, _grain(grey.shape, rng), self.noise, 0.0, dtype=cv2.CV_8U))
 
     def shade(self, normals: FloatArray) -> FloatArray:
-        """Grey levels of surfaces with unit normals `(..., 3)`: light falls from above and from one side."""
+        """Grey levels of surfaces with unit normals `(..., 3)`, lit from above and from one side."""
         return np.asarray(self.wall * (1.0 + normals @ LIGHT))
 
 
 def _grain(shape: tuple[int, ...], rng: np.random.Generator) -> Float32Array:
-    """Draw standard normal noise: a random stretch of one long cached row.
+    """Draw standard normal noise: a random section of a long cached array.
 
-    New numbers for each image would double its time. Two images may share numbers, at different pixels.
+    Drawing new numbers would double the time of an image. Two images may share numbers at different pixels.
     """
     size, begin = math.prod(shape), int(rng.integers(SPARE_GRAIN))
     return _grain_row(size + SPARE_GRAIN)[begin : begin + size].reshape(shape)
@@ -89,7 +89,7 @@ def _grain_row(size: int) -> Float32Array:
     return np.random.default_rng(0x6E6F697365).standard_normal(size, dtype=np.float32)
 
 
-# Number of places at which the noise of an image may start.
+# Number of start indices of the noise of an image in the cached array.
 SPARE_GRAIN = 2**20
-# Relative brightness by the components of the normal: neighbouring walls differ, so that edges are visible.
+# Relative brightness per component of the normal; adjacent walls differ, so that edges are visible.
 LIGHT = np.array([0.03, 0.05, 0.08])

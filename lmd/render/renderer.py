@@ -1,7 +1,8 @@
 """Frames of a camera in a room with tags.
 
-A frame is assembled from pinhole images, its faces. A camera without distortion has one, the frame itself. A lens that
-images nothing beyond `ONE_FACE` bends one; a wider lens bends the visible faces of a cube around the camera.
+A frame is assembled from pinhole images, its faces. Without distortion, the frame is its only face. For a distorting
+lens, faces are remapped to the frame: one face up to a `Camera.widest_angle` of `ONE_FACE`, otherwise the visible faces
+of a cube around the camera.
 """
 
 import math
@@ -22,26 +23,27 @@ from lmd.render.imaging import Float32Array, Imaging, UInt8Array
 from lmd.render.room import TaggedRoom
 from lmd.space.surface import Surface
 
-# Largest angle from the axis that a lens images by bending one face, rad.
+# Largest angle from the optical axis in the image of a distorting lens with a single face, rad.
 ONE_FACE = math.radians(60.0)
 X, Y, Z = np.eye(3)
-# Rotations from the camera's frame to those of the faces, whose axis is the last row: ahead, right, left, down, up,
-# back.
+# Rotations from the camera's frame to the frames of the cube's faces; the last row is the axis of the face: ahead,
+# right, left, down, up, back.
 CUBE = np.array([(X, Y, Z), (-Z, Y, X), (Z, Y, -X), (X, -Z, Y), (X, Z, -Y), (-X, Y, -Z)]) + 0.0
-# Border of a face around its visible part, for interpolation, pixels.
+# Width of the border around the visible part of a face, for interpolation, pixels.
 MARGIN = 2.0
-# Least scale of a face in the image: at the fold of a lens the scale falls to 0, and the blur would have no bound.
+# Lower bound on the scale of a face in the image. At the fold of a lens the scale is 0, and the blur in the face would
+# be infinite.
 SMALLEST_SCALE = 0.2
-# Least cosine of the angle from the axis of a face by which the blur of a tag is corrected.
+# Lower bound on the cosine of the angle from the axis of a face in the correction of the blur of a tag.
 LEAST_COSINE = 0.5
 # Maximum number of images that motion blur averages.
 MOST_STEPS = 64
-# Maximum distance of a tag behind the surface it hangs on, metres; a surface hides tags that are farther behind it.
+# Largest distance of a tag behind its surface, metres; a surface hides tags that are farther behind it.
 FLUSH = 1e-3
 
 
 class Face(NamedTuple):
-    """A pinhole image that fills a part of the camera's image."""
+    """Pinhole image that fills a part of the camera's image."""
 
     turn: FloatArray
     """Rotation from the camera's frame to that of the pinhole, `(3, 3)`."""
@@ -50,10 +52,10 @@ class Face(NamedTuple):
     size: tuple[int, int]
     """Width and height, pixels."""
     at: tuple[Float32Array, Float32Array] | None
-    """Maps for `cv2.remap`: coordinates in the face of each pixel of the camera's image, `(h, w)` each; None where the
-    face is that image."""
+    """Maps for `cv2.remap`: coordinates in the face for each pixel of the camera's image, `(h, w)` each; None if the
+    face is the camera's image."""
     taken: BoolArray | None
-    """Pixels of the camera's image that come from the face, `(h, w)`."""
+    """Mask of the pixels of the camera's image that show the face, `(h, w)`."""
 
     def scale(self, camera: Camera, point: FloatArray) -> float:
         """Pixels of the camera's image per pixel of the face around a point `(3,)` in the camera's frame."""
@@ -71,7 +73,7 @@ class Face(NamedTuple):
 
 @dataclass(frozen=True)
 class Renderer:
-    """A camera in a room."""
+    """Renderer of a camera in a room with tags."""
 
     camera: Camera
     """Intrinsics."""
@@ -86,7 +88,7 @@ class Renderer:
         Args:
             pose: X, camera to world, in the middle of the exposure, `(4, 4)`.
             rng: source of the noise, and of the direction of the motion.
-            motion: body twist (w, v) times the exposure time, rad and metres, `(6,)`; None for that of `imaging`.
+            motion: body twist (w, v) times the exposure time, rad and metres, `(6,)`; None for `Imaging.motion_blur`.
 
         Returns:
             `(h, w)`.
@@ -99,16 +101,16 @@ class Renderer:
     def corners(self, pose: FloatArray) -> FloatArray:
         """Exact images of the tags' corners from poses `(..., 4, 4)`, pixels from the border, `(..., K, 4, 2)`.
 
-        Includes tags outside the image, turned away or hidden; NaN as in `lmd.geometry.projection.project`.
+        Includes tags outside the image, facing away or occluded. NaN as in `lmd.geometry.projection.project`.
         """
         flat = project(self.camera, pose, self.room.corners.reshape(-1, 3))
         return flat.reshape(*flat.shape[:-2], -1, 4, 2)
 
     def inside(self, pose: FloatArray, margin: float = 0.0) -> BoolArray:
-        """Mask of the tags that show their front with all corners in the image, `(..., K)`.
+        """Mask of the tags whose front faces the camera and whose corners are all in the image, `(..., K)`.
 
         Args:
-            pose: X, `(..., 4, 4)`.
+            pose: X, camera to world, `(..., 4, 4)`.
             margin: least distance of the corners from the border of the image, pixels.
         """
         room, size = self.room, np.array(image_size(self.camera))
@@ -122,7 +124,7 @@ class Renderer:
         return [self._light(pose, face) for face in faces_of(self.camera)]
 
     def _light(self, from_camera: FloatArray, face: Face) -> Float32Array:
-        """Light on one face: surfaces from far to near, blurred, then tags from far to near."""
+        """Light on one face: surfaces drawn from far to near and blurred, then tags from far to near."""
         pose = from_camera.copy()
         pose[:3, :3] = from_camera[:3, :3] @ face.turn.T
         canvas = Canvas(face.matrix, face.size, self.imaging)
@@ -145,21 +147,21 @@ class Renderer:
         return canvas.light
 
     def _sigma(self, square: FloatArray, face: Face) -> float:
-        """Blur of a tag in a face, pixels: that of the image at the depth of its centre over the scale of the face."""
+        """Blur sigma of a tag in a face, pixels: blur at the depth of the tag's centre over the scale of the face."""
         centre, sigma, camera = face.turn.T @ square.mean(axis=0), self.imaging.psf_sigma, self.camera
         if self.imaging.defocus:
             sigma = float(blur_sigma(camera, max(float(depth_in_focus(camera, centre)), NEAR_PLANE), sigma))
         return sigma / face.scale(camera, centre)
 
     def _turn(self, rng: np.random.Generator) -> FloatArray:
-        """Draw a rotation that moves the middle of the image by `Imaging.motion_blur`, a body twist `(6,)`."""
+        """Draw a rotation that moves the image centre by `Imaging.motion_blur`, as a body twist, rad, `(6,)`."""
         direction = rng.uniform(0.0, 2.0 * math.pi)
         shift = self.imaging.motion_blur * np.array([math.cos(direction), math.sin(direction)])
         right, down = shift / self.camera.focal_pixels
         return np.array([down, -right, 0.0, 0.0, 0.0, 0.0])
 
     def _moving(self, pose: FloatArray, motion: FloatArray) -> list[Float32Array]:
-        """Mean light over a motion, in steps of about a pixel."""
+        """Light on each face averaged over a motion, in steps of about a pixel."""
         ends = [self.corners(pose @ exp(t * motion))[self.inside(pose)] for t in (-0.5, 0.5)]
         shift = np.linalg.norm(ends[1] - ends[0], axis=-1)
         longest = float(np.nanmax(shift)) if np.isfinite(shift).any() else 0.0
@@ -172,7 +174,7 @@ class Renderer:
 
     @property
     def _pattern(self) -> Float32Array | None:
-        """Pattern of all surfaces; None for plain ones."""
+        """Pattern of all surfaces; None for plain surfaces."""
         if self.imaging.texture == 0.0:
             return None
         longest = max((float(surface.parts.max()) for surface in self.room.surfaces), default=0.0)
@@ -202,7 +204,7 @@ def faces_of(camera: Camera) -> tuple[Face, ...]:
     for number, turn in enumerate(CUBE):
         taken = imaged & (nearest == number)
         if taken.any():
-            # The face has at least the density of the image everywhere.
+            # Makes the pixel density of the face at least that of the image everywhere.
             focal = math.sqrt((density[taken] * (rays[taken] @ turn[2]) ** 3).max())
             faces.append(_face(turn, np.array([focal, focal]), rays, taken))
     return tuple(faces)
@@ -222,7 +224,7 @@ def _face(turn: FloatArray, focal: FloatArray, rays: FloatArray, taken: BoolArra
 
 
 def _assembled(faces: tuple[Face, ...], lights: list[Float32Array]) -> Float32Array:
-    """Image of the camera from those of its faces; black where the lens images nothing."""
+    """Image of the camera, assembled from its faces; black outside the view of the lens."""
     cv2, whole = optional("cv2", "detection"), lights[0]
     for number, (face, light) in enumerate(zip(faces, lights, strict=True)):
         if face.at is not None and face.taken is not None:

@@ -18,7 +18,7 @@ class TaggedRoom:
     """K tags on the surfaces of a room.
 
     Raises:
-        InputError: shapes do not match, an id occurs twice or is not in the family, or an up is not in its plane.
+        InputError: shapes do not match, an id occurs twice or is not in the family, or an up is not in its tag's plane.
     """
 
     tag: Tag
@@ -26,13 +26,13 @@ class TaggedRoom:
     ids: NDArray[np.int64]
     """Number of each tag in the family, all different, `(K,)`."""
     centres: FloatArray
-    """World frame, metres, `(K, 3)`."""
+    """Centres of the tags, world frame, metres, `(K, 3)`."""
     normals: FloatArray
     """Unit normals of the front faces, `(K, 3)`."""
     ups: FloatArray
     """Unit vectors in the tags' planes to their upper edges, `(K, 3)`."""
     surfaces: Sequence[Surface] = ()
-    """Surfaces behind the tags or in front of them."""
+    """Surfaces that carry or occlude the tags."""
     edges: FloatArray = None  # type: ignore[assignment] # always an array once made
     """Edge of each tag, metres, `(K,)`; None for that of `tag`."""
 

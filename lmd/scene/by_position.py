@@ -1,4 +1,4 @@
-"""An orientation PDF that depends on the position: a kernel estimate from recorded poses.
+"""Position-dependent orientation PDF: kernel estimate from recorded poses.
 
 The orientations of a camera that drives along aisles depend on its position. Record t has the position x_t, the
 orientation R_t and the duration tau_t, seconds. The probability of the orientation R_a at the position p is

@@ -42,7 +42,7 @@ class Sight(Protocol):
 
     @property
     def outer_cosine(self) -> float:
-        """Cosine of the largest angle between the optical axis and the direction of a covered landmark."""
+        """Lower bound on the cosine of the angle between the optical axis and the direction of a covered landmark."""
 
     @property
     def inset(self) -> float:
@@ -62,7 +62,7 @@ class Sight(Protocol):
 
     @property
     def tabulated(self) -> bool:
-        """True if a look-up in a table of directions (`lmd.sight.directions`) is faster than `in_image`."""
+        """True if looking up a table of directions (`lmd.sight.directions`) is faster than `in_image`."""
 
     def unhidden(self) -> "Sight":
         """Model without occlusion by landmarks."""

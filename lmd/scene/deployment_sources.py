@@ -83,7 +83,7 @@ class UniformDeployment:
         choice("layout", self.layout, ("per_wall", "by_area"))
 
     def draw(self, room: Space, rng: np.random.Generator, tag: Tag = POINT) -> Deployment:
-        """See `DeploymentSource.draw`; nothing here is random."""
+        """See `DeploymentSource.draw`; the result is deterministic."""
         surfaces = room.surfaces()
         area = np.array([surface.area for surface in surfaces])
         share = area / area.sum() if self.layout == "by_area" else np.full(len(area), 1.0 / len(area))
@@ -122,7 +122,7 @@ class GivenDeployment:
     varies = False
 
     def draw(self, room: Space, rng: np.random.Generator, tag: Tag = POINT) -> Deployment:
-        """See `DeploymentSource.draw`; nothing here is random."""
+        """See `DeploymentSource.draw`; the result is deterministic."""
         return self.deployment
 
 

@@ -43,7 +43,7 @@ class Orientations(NamedTuple):
 
 @dataclass(frozen=True)
 class OrientationPdf:
-    """A discrete orientation PDF D(alpha, beta).
+    """Discrete orientation PDF D(alpha, beta).
 
     Args:
         yaw, pitch: angles of each orientation, radians, `(A,)`; pitch in [-pi/2, pi/2].

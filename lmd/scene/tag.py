@@ -44,7 +44,7 @@ FAMILIES = {
 
 @dataclass(frozen=True)
 class Tag:
-    """The tag at every landmark of a deployment; a point if it has no edge.
+    """Tag at the landmarks of a deployment; landmarks are points if it has no edge.
 
     Args:
         edge: edge of the outer black square, metres. None or 0 for landmarks that are points, as in the paper; with

@@ -22,7 +22,7 @@ OVERLAP_M = 1e-9
 
 
 class Body(NamedTuple):
-    """A convex body with m planes."""
+    """Convex body with m planes."""
 
     normals: FloatArray
     """Unit normals outwards, `(m, 3)`."""

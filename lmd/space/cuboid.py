@@ -1,4 +1,4 @@
-"""A cuboid room with a reachable box."""
+"""Cuboid room with a reachable box."""
 
 import itertools
 from dataclasses import dataclass, field
@@ -18,7 +18,7 @@ WALLS = ("x_min", "x_max", "y_min", "y_max", "floor", "ceiling")
 
 @dataclass(frozen=True)
 class Cuboid(Gridded):
-    """A cuboid room with a centred reachable box (Sec. V-A of the paper); a `lmd.space.space.Space`.
+    """Cuboid room with a centred reachable box (Sec. V-A of the paper); a `lmd.space.space.Space`.
 
     Raises:
         InputError: sizes are not positive, the reachable box exceeds the room, a wall is unknown or repeated, or the

@@ -1,4 +1,4 @@
-"""A room from a mesh with a reachable volume."""
+"""Room from a mesh with a reachable volume."""
 
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -20,7 +20,7 @@ from lmd.space.triangles import Triangles
 
 @dataclass(frozen=True)
 class MeshRoom(Gridded):
-    """A room from a mesh; a `lmd.space.space.Space`.
+    """Room from a mesh; a `lmd.space.space.Space`.
 
     Positions are the points of a grid that are in the free space of the mesh and keep the clearance. The grid fills a
     given box, or the box around the mesh reduced by the clearance.

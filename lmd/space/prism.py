@@ -1,4 +1,4 @@
-"""A room over a floor plan with a reachable volume."""
+"""Room over a floor plan with a reachable volume."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -22,7 +22,7 @@ from lmd.space.surface import Surface
 
 @dataclass(frozen=True)
 class Prism(Gridded):
-    """A room over a floor plan; a `lmd.space.space.Space`.
+    """Room over a floor plan; a `lmd.space.space.Space`.
 
     Positions are the points of a grid that are in the reachable volume. The grid fills the box around the walls reduced
     by the clearance.

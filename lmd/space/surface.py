@@ -38,7 +38,7 @@ MAX_ELONGATION = 3.0
 
 @dataclass(frozen=True)
 class Surface:
-    """A rectangle that may carry landmarks: points are origin + a u + b v, 0 <= (a, b) <= extent."""
+    """Rectangle that may carry landmarks: points are origin + a u + b v, 0 <= (a, b) <= extent."""
 
     name: str
     """Name in configurations and messages."""
@@ -74,7 +74,7 @@ class Surface:
         """Surface without a strip of width `margin`, metres, along the edges of its allowed region.
 
         Raises:
-            InputError: nothing is left.
+            InputError: the allowed region becomes empty.
         """
         along, up = (length - 2.0 * margin for length in self.extent)
         if min(along, up) < 0.0:
@@ -215,9 +215,9 @@ class SurfaceArrays(NamedTuple):
     origin: np.ndarray
     """Point with a = b = 0, metres, `(W, 3)`."""
     u: np.ndarray
-    """Unit vectors along the surfaces, `(W, 3)`."""
+    """Unit vectors u of the surfaces, see `Surface.u`, `(W, 3)`."""
     v: np.ndarray
-    """Unit vectors along the surfaces, `(W, 3)`."""
+    """Unit vectors v of the surfaces, see `Surface.v`, `(W, 3)`."""
     normal: np.ndarray
     """Unit normals, `(W, 3)`."""
     extent: np.ndarray
