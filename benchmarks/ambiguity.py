@@ -45,7 +45,7 @@ EDGE, NOISE = 0.15, 0.5  # metres, pixels
 DISTANCES, INCIDENCES = (1.5, 2.5, 3.5, 5.0), (10, 25, 45, 60)
 SIMULATED, RENDERED, FRAMES, REPEATS = 1000, 200, 500, 5
 NORMAL, UP, RIGHT = np.array([[1.0, 0.0, 0.0]]), np.array([[0.0, 0.0, 1.0]]), np.array([[0.0, 1.0, 0.0]])
-OFF = 15.0  # a tag is up to so many degrees from the middle of the image, along each axis
+OFF = 15.0  # greatest angle of a tag from the middle of the image along each axis, degrees
 DETECTORS: dict[str, Detector] = {"AprilTag": AprilTagDetector(), "ArUco": ArucoDetector(preset="fine")}
 WRONG = 0.25  # metres, by which a mirrored pose is off at the least
 

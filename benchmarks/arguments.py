@@ -51,7 +51,7 @@ def counted() -> dict[str, tuple[int, int, int]]:
 
 
 def before(commit: str) -> dict[str, tuple[int, int, int]]:
-    """The same of a commit."""
+    """Numbers of arguments at a commit, from its checkout."""
     with checkout(commit) as code:
         path = os.pathsep.join([str(code), str(HERE / "benchmarks")])
         command, environment = [sys.executable, __file__, "--json"], os.environ | {"PYTHONPATH": path}

@@ -15,7 +15,7 @@ from scipy.sparse import csr_matrix
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
-CLEAR = 2.0  # a pose of one tag is believed if the other one that fits has so many times its error
+CLEAR = 2.0  # a pose of one tag is believed if the error of the other solution is larger by this factor
 FARTHEST = np.radians(80.0)  # from the axis, of corners that are used
 OUTLIER = 4.0  # pixels off after the robust pass
 POOR_START = 7.0  # pixels, of nine residuals in ten

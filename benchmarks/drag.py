@@ -35,7 +35,7 @@ from processes import command, start
 
 OBJECTIVES = {"paper": [], "robust": ["objective=robust"], "localisation": ["objective=localisation", "tag.edge=0.10"]}
 DRAGS = 500
-STEPS = 40  # of the mouse
+STEPS = 40  # number of mouse moves
 # Notes when the mouse moves, and when the place of the tag and the figures that are shown change.
 WATCH = """
 window.moved = []; window.shown = [];

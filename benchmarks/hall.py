@@ -1,4 +1,4 @@
-"""What a hall costs: `python benchmarks/hall.py [--picture docs/results/images/hall.png]`.
+"""Time of a hall: `python benchmarks/hall.py [--picture docs/results/images/hall.png]`.
 
 Prints a Markdown table: one evaluation, one moved landmark and the memory of its state in the paper's room, there with
 the tags, camera and PDF of `experiment=hall`, and in that hall from a sixteenth of its floor to the whole, tags at the

@@ -1,9 +1,9 @@
-"""What works with what: `python benchmarks/matrix.py [--seconds S] [--workers W] [PART OF A CELL ...]`.
+"""Supported combinations: `python benchmarks/matrix.py [--seconds S] [--workers W] [PART OF A CELL ...]`.
 
 Runs every command in every cell of {what is seen} x {objective} x {room} x {poses} x {camera} with tiny budgets, and
 writes docs/matrix.md. What has been run is kept in docs/results/matrix.csv, one line each, and not run again; delete
 lines to do so. Cells that differ from the first in one thing come first, then those that differ in two, and so on.
-`--seconds` ends it after so long, the page says what is missing; `--workers` run at the same time, each one command.
+`--seconds` limits the time, and the page names the cells not run; `--workers` run at the same time, each one command.
 """
 
 import argparse

@@ -33,7 +33,7 @@ FAMILY, MODULES = "4x4_50", 6
 CAMERAS = {"640 x 480, 60 degrees": (640, 480, 554.0), "1280 x 720, 70 degrees": (1280, 720, 914.0)}
 ARRANGEMENTS = ("row, 0.25 m apart", "row, 0.5 m apart", "column, 0.25 m apart")
 IMAGING = Imaging(psf_sigma=0.5, noise=2.0, texture=4.0)
-BESIDE, TURNED = 0.3, 6.0  # the camera is so far to either side, metres, and turned from straight ahead, degrees
+BESIDE, TURNED = 0.3, 6.0  # offset of the camera to either side, metres; rotation from straight ahead, degrees
 OFF = 0.002  # of each tag along each axis of the wall, in a map that was measured by hand, metres
 
 

@@ -18,7 +18,7 @@ from lmd.pipelines.building import build_optimiser, build_problem
 
 SEEDS = range(3)
 SAMPLE = Sample(groups=64)
-SAMPLE_SEED = 1_000_000  # of no run, whose own validation would be a quarter of the same sample
+SAMPLE_SEED = 1_000_000  # used by no run: the validation of a run would share a quarter of the sample
 
 
 def main() -> None:

@@ -1,4 +1,4 @@
-"""How fast the exact paths are: `python benchmarks/speed.py [--update docs/results/performance.md] [--against COMMIT]`.
+"""Speed of the exact paths: `python benchmarks/speed.py [--update docs/results/performance.md] [--against COMMIT]`.
 
 Prints Markdown tables of times and ratios, all measured in one run on the paper's problem (756 positions, 325
 orientations, 90 landmarks, the paper's occlusion test) and on larger ones. With `--update`, the part of the page

@@ -250,7 +250,7 @@ def measure(frames: int, tags: int) -> None:
 
 
 def rings(survey: Path, u: float, v: float) -> None:
-    """Where a fisheye ends: how many of the tags that lie wholly in an image were detected."""
+    """Print the detected fraction of the tags wholly in an image, by distance from (u, v), pixels."""
     import pandas as pd
 
     views = pd.read_csv(survey / "in_view.csv")
@@ -259,7 +259,7 @@ def rings(survey: Path, u: float, v: float) -> None:
 
 
 def main() -> None:
-    """See above."""
+    """Run the command that the first argument names."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     commands = parser.add_subparsers(dest="command", required=True)
     walk = commands.add_parser("photograph")

@@ -169,7 +169,7 @@ def figures_of(problem: "Problem", deployment: "Deployment", seed: int) -> dict[
 
 
 def shares_among(figures: Iterable[str]) -> list[str]:
-    """The names of figures that are fractions in [0, 1], of which more is better."""
+    """Names of the figures that are fractions in [0, 1] to be maximised."""
     return [name for name in figures if not NO_SHARE.fullmatch(name)]
 
 

@@ -1,4 +1,4 @@
-"""Runs that go on until they are told to stop, and what they leave; the fixtures `begin` and `endless` start them."""
+"""Runs without an end, stopped by a signal, and their files; the fixtures `begin` and `endless` start them."""
 
 import json
 import time

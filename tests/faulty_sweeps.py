@@ -22,7 +22,7 @@ class Faulty(RandomSearch):
 
     def _tell(self, genes, fitness):
 """
-# It fails in the way it is told to, once it has evaluated something, until the file `repaired` is there.
+# It fails in the configured way after its first evaluations, until the file `repaired` exists.
 FAILS = """\
 print("threads", *(os.environ.get(f"{name}_NUM_THREADS") for name in ("NUMBA", "OMP", "MKL")))
 if Path("repaired").exists():

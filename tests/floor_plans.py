@@ -23,7 +23,7 @@ def lab(spacing=0.5, clearance=0.25, height=(0.5, 1.5), **plan):
 
 
 def blocks(rng, size=5, cuts=4):
-    """A square less random rectangles, with holes where it comes so: many corners in one line."""
+    """A square less random rectangles, with random holes: many corners in one line."""
     while True:
         corners = [np.sort(rng.integers(0, size + 1, (2, 2)), axis=0).ravel() for _ in range(cuts)]
         left = shapely.box(0, 0, size, size).difference(shapely.union_all([shapely.box(*box) for box in corners]))

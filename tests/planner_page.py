@@ -13,7 +13,7 @@ from lmd.planner.background import ESTIMATE
 from lmd.planner.viewing import FIELD_OF_VIEW, framed
 
 LIMIT = 300.0  # seconds
-OF_VISERS = "Unable to preventDefault inside passive event listener"  # what its own page says of every drag
+OF_VISERS = "Unable to preventDefault inside passive event listener"  # error that viser's own page logs on every drag
 
 
 class Page:

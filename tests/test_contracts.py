@@ -1,4 +1,4 @@
-"""The parts of the library keep their contracts; optimisers and formats do so beside their other tests."""
+"""Contracts of the parts of the library; optimisers and formats do so beside their other tests."""
 
 from pathlib import Path
 

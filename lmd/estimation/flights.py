@@ -67,7 +67,7 @@ class Pace:
             duration: end of the trajectory, seconds; None for the last waypoint.
 
         Raises:
-            InputError: two consecutive waypoints are the same.
+            InputError: two consecutive waypoints coincide.
         """
         path = waypoints.copy()
         path[:, 3] = np.unwrap(path[:, 3])

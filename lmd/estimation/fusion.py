@@ -75,7 +75,7 @@ class CameraPoints(NamedTuple):
 
     @classmethod
     def of(cls, recording: Recording, s: int, t: int, uncertainty: Uncertainty) -> "CameraPoints":
-        """Those of frame t of run s."""
+        """Landmarks detected in frame t of run s."""
         seen, these = recording.seen[s, t], recording.detections(s, t, t + 1)
         noise = np.maximum(recording.noise[these], uncertainty.least_pixel_noise)[:, None, None]
         covariance = _block_diagonal(noise**2 * recording.covariance[these])
@@ -97,7 +97,7 @@ class CornerImages(NamedTuple):
 
     @classmethod
     def of(cls, recording: Recording, s: int, t: int, uncertainty: Uncertainty) -> "CornerImages":
-        """Those of frame t of run s."""
+        """Corners detected in frame t of run s."""
         images = images_of(recording, s, t)
         noise = np.maximum(np.concatenate([image.noise for image in images]), uncertainty.least_pixel_noise).repeat(2)
         return cls(images, np.concatenate([image.pixels for image in images]).reshape(-1), np.diag(noise**2))

@@ -1,4 +1,4 @@
-"""Deployments against each other, flight by flight: the same flights are flown over all of them."""
+"""Paired comparison of deployments, flight by flight: equal flights over every deployment."""
 
 import numpy as np
 import pandas as pd
@@ -11,7 +11,7 @@ PAIRED_FIGURE = "within_20mm"
 
 
 def paired(figures: pd.DataFrame) -> pd.DataFrame:
-    """Every deployment against the first one.
+    """Compare every further deployment with the first one.
 
     Args:
         figures: `FlightStudy.figures`, one row for each deployment, estimator and seed.

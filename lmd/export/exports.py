@@ -22,17 +22,17 @@ OWN, ONE, NONE = "own", "one", "none"
 
 
 class Format(NamedTuple):
-    """A file that is written of a map.
+    """File format of a map, a plan or print sheets.
 
     Args:
-        file: its name.
+        file: name of the file.
         write: a function of the path, the map as `tags` and, if it is printed, the size of the paper as `paper`; of the
             plan, where north is as `north` too.
-        only_apriltag: whether its readers know the families of AprilTag only.
-        on_paper: whether it is printed.
+        only_apriltag: True if its readers support only the families of AprilTag.
+        on_paper: True if the file is to be printed.
         check: raises `InputError`, a clause without its subject, if it cannot hold the tags of a map; None where it
             holds any.
-        edges: what it says of the size of tags: `OWN`, that of each; `ONE`, that of all; or `NONE`, nothing.
+        edges: tag sizes in the file: `OWN`, one for each tag; `ONE`, a single one for all tags; `NONE`, no size.
     """
 
     file: str
@@ -95,13 +95,13 @@ def one_edge(edges: Sequence[float]) -> str:
 
 @dataclass(frozen=True)
 class Export:
-    """What is to be written of a deployment.
+    """Settings of the export of a deployment.
 
     Args:
         formats: names of `FORMATS`.
-        paper: what is printed is printed on, one of `lmd.export.paper.PAPERS`.
-        north: where north is on the plan, rad from x towards y; None if that is not known.
-        fitting: whether a format that cannot hold the tags is left out; else it is refused.
+        paper: paper size of printed files, one of `lmd.export.paper.PAPERS`.
+        north: direction of north on the plan, rad from x towards y; None if unknown.
+        fitting: leave out a format that cannot hold the tags, rather than refuse it.
 
     Raises:
         InputError: a format or the paper is not known, or north is not in radians.
@@ -151,12 +151,12 @@ class Export:
         return reasons
 
     def silent(self, tags: TagMap) -> tuple[str, ...]:
-        """The formats that say nothing of the sizes of these tags, which are several."""
+        """Names of the formats without tag sizes, if these tags have several sizes; else empty."""
         several = len(tags.by_size) > 1
         return tuple(name for name in self.formats if several and FORMATS[name].edges == NONE)
 
     def writers(self, room: Space, tag: Tag, deployment: Deployment) -> dict[str, Callable[[Path], None]]:
-        """What writes each file of these tags, by its name.
+        """Functions that write the files of these tags, by the names of the files.
 
         Raises:
             InputError: there is a format, and the tag is a point, the family lacks an id, or a format cannot hold them.

@@ -1,4 +1,4 @@
-"""How tags are laid out on sheets of paper, in mm: whole ones in rows and columns, too large ones in pieces."""
+"""Layout of tags on sheets of paper, mm: whole tags in rows and columns, tags larger than a sheet in pieces."""
 
 import math
 from typing import NamedTuple
@@ -8,14 +8,14 @@ from lmd.export.paper import PAPERS
 from lmd.geometry.camera import MM_PER_M
 from lmd.scene.tag import Tag
 
-MARGIN = 8.0  # where many printers do not print
-FOOTER = 7.0  # for the ruler
-MARK, MARK_GAP = 4.0, 1.0  # length of a cut mark, and its distance from what is cut
-LABEL, SMALLEST_LABEL = 3.2, 1.0  # letters of the largest and of the smallest label
+MARGIN = 8.0  # border of a sheet, on which many printers do not print
+FOOTER = 7.0  # height of the ruler's strip
+MARK, MARK_GAP = 4.0, 1.0  # length of a cut mark, and its distance from the cut piece
+LABEL, SMALLEST_LABEL = 3.2, 1.0  # height of the letters of the largest and of the smallest label
 LABEL_GAP = 0.8  # from a label to the edge of the paper
-LABEL_SHARE = 0.36  # of the white margin, which a label takes at most: next to the black square it stays white
-STRIP = 10.0  # of a piece, on which the next one is glued
-MOST_PIECES = 100  # of a tag
+LABEL_SHARE = 0.36  # greatest fraction of the white margin under a label; the part at the black square stays white
+STRIP = 10.0  # width of the strip of a piece on which the next piece is glued
+MOST_PIECES = 100  # greatest number of pieces of a tag
 ROUNDING = 1e-6
 
 
@@ -63,7 +63,7 @@ def label_size(tag: Tag) -> float:
 
 
 def layout(tag: Tag, paper: str) -> Whole | Pieces:
-    """How most tags come on a sheet, or the fewest sheets on a tag, upright or on its side.
+    """Layout, portrait or landscape, with the most tags on a sheet, or with the fewest sheets for a large tag.
 
     Raises:
         InputError: a tag would take more than `MOST_PIECES` sheets.

@@ -24,7 +24,7 @@ BEHIND = np.linspace(0.02, 1.0, 20)  # where it is asked whether the room goes o
 
 
 def scale_of(room: Space, width: float, height: float, scales: tuple[int, ...]) -> int:
-    """The largest scale of `scales` at which the floor plan fits into so many mm."""
+    """The largest scale of `scales` at which the floor plan fits into `width` x `height`, mm."""
     low, high = room.bounds()
     across, up = (1000.0 * (high - low)[:2]).tolist()
     fits = [one for one in scales if across <= one * (width - 2.0 * AROUND) and up <= one * (height - 2.0 * AROUND)]

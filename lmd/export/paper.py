@@ -36,7 +36,7 @@ def begin_page(canvas: Any, width: float, height: float) -> None:
 
 @cache
 def _own_font(bold: bool) -> str:
-    """The name of the font of matplotlib, which knows more letters, once it is registered."""
+    """Register the font of matplotlib, which has more letters, and return its name."""
     from matplotlib import get_data_path
 
     metrics, fonts = (optional(f"reportlab.pdfbase.{name}", "export") for name in ("pdfmetrics", "ttfonts"))
@@ -46,7 +46,7 @@ def _own_font(bold: bool) -> str:
 
 
 def font_of(text: str, bold: bool) -> str:
-    """The font of a text: that of the viewer, which knows Western European letters, or one that goes with the file."""
+    """Font of a text: the viewer's font for Western European letters, else a font embedded in the file."""
     try:
         text.encode("cp1252")
     except UnicodeEncodeError:

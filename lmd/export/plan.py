@@ -30,11 +30,11 @@ from lmd.space.space import lower_edge
 from lmd.space.surface import FLAT, Surface
 
 # On the page, all in mm.
-DIMENSION = 6.0  # from the surface to the lines that say how long it is
+DIMENSION = 6.0  # distance from the surface to its dimension lines
 TICK = 1.5
 SCALES = (1, 2, 5, 10, 15, 20, 25, 30, 40, 50, 75, 100, 150, 200, 250, 300, 400, 500, 1000, 2000, 5000)
-EDGE_WIDTH = 12.0  # of the column with the edges of tags
-FORBIDDEN = 0.94  # grey of where nothing may hang
+EDGE_WIDTH = 12.0  # width of the column with the edge lengths of tags
+FORBIDDEN = 0.94  # grey level of regions where no tag may hang
 
 HUNG = Table((20.0, 38.0, 10.0, 12.0), (("order of hanging", "", "", ""), ("no.", "surface", "tags", "page")))
 ON_SURFACE = Table(
@@ -54,23 +54,23 @@ FREE = Table(
 
 @dataclass(frozen=True)
 class View:
-    """A surface as it looks to whoever stands before it, x to the right from its left edge, y up, metres."""
+    """View of a surface from its front: x to the right from its left edge, y up, metres."""
 
     surface: Surface
 
     @property
     def allowed(self) -> list[FloatArray]:
-        """Polygons `(4, 2)` that together are where tags may hang."""
+        """Polygons `(4, 2)` whose union is the region where tags may hang."""
         return list(self.place(self.surface.point(*np.moveaxis(self.surface.parts, -1, 0))))
 
     @property
     def seen(self) -> str:
-        """From where, in words."""
+        """Direction of view, in words."""
         up = self.surface.normal[2]
         return "seen from above" if up > FLAT else "seen from below" if up < -FLAT else "seen from the front"
 
     def place(self, points: FloatArray) -> FloatArray:
-        """Where world points `(..., 3)` are in this view, `(..., 2)`."""
+        """Coordinates in this view of world points `(..., 3)`, metres, `(..., 2)`."""
         return self.surface.seen(np.stack(self.surface.coordinates(points), axis=-1))
 
     def corner(self, right: bool, top: bool) -> FloatArray:
@@ -103,7 +103,7 @@ def write_plan(path: Path, tags: TagMap, paper: str, north: float | None = None)
 def _draw_overview(
     canvas: Any, size: tuple[float, float], tags: TagMap, pages: dict[int, int], north: float | None
 ) -> None:
-    """The floor plan with the surfaces in the order of hanging; `pages` says where each of them is."""
+    """The floor plan with the surfaces in the order of hanging; `pages` holds the page of each surface."""
     rows = [
         [numbers_of(own), shortened(tags.place_of(int(tags.order[own[0]]))), str(len(own)), str(pages[index])]
         for index, own in tags.hung.items()

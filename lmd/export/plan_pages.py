@@ -26,11 +26,11 @@ class Table(NamedTuple):
         return sum(self.widths)
 
     def fitting(self, height: float) -> int:
-        """How many rows a page of this height takes."""
+        """Number of rows that fit on a page of this height, mm."""
         return int((height - 2.0 * MARGIN - HEAD) // ROW) - len(self.head)
 
     def pages(self, rows: int, height: float) -> int:
-        """How many pages so many rows take."""
+        """Number of pages for this number of rows."""
         return max(1, math.ceil(rows / self.fitting(height)))
 
 

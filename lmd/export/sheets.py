@@ -37,13 +37,13 @@ CROSS, LINE, HALO = 4.0, 0.2, 0.8  # arm of a registration cross, width of its l
 
 
 def check_sheets(tag: Tag, paper: str) -> None:
-    """Raise `InputError` if a tag takes too many sheets, or the package that knows its picture is missing."""
+    """Raise `InputError` if a tag takes too many sheets, or the package that draws its picture is missing."""
     optional("cv2", "export")
     layout(tag, paper)
 
 
 def describe_sheets(tags: TagMap, paper: str) -> str:
-    """How tags are printed, in words."""
+    """Description of the printed tags, in words."""
     every = [_described(tag, paper, len(own)) for tag, own in tags.by_size]
     if len(every) == 1:
         return every[0]

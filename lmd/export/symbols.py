@@ -1,4 +1,4 @@
-"""How doors, windows and furniture are told apart on paper, in black and white."""
+"""Symbols of doors, windows and furniture on paper, in black and white."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -69,7 +69,7 @@ def draw_opening(canvas: Any, kind: str, ends: FloatArray) -> None:
 
 
 def draw_legend(canvas: Any, x: float, y: float, kinds: Sequence[str]) -> None:
-    """What the symbols of a floor plan mean, in a line."""
+    """Draw the legend of the symbols of a floor plan, in a line."""
     for kind in kinds:
         if kind == "furniture":
             draw_fixture(canvas, kind, np.array([(x, y), (x + 6.0, y), (x + 6.0, y + 3.0), (x, y + 3.0)]))

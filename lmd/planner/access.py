@@ -79,7 +79,7 @@ class Access:
 
 
 def _is_from_here(headers: Any) -> bool:
-    """True if a request names this machine and, for a websocket, comes from a page of this machine."""
+    """True if a request names this machine and, for a websocket, was sent by a page of this machine."""
     hosts, origins = headers.get_all("Host"), headers.get_all("Origin")
     if len(hosts) != 1 or not LOCAL_ADDRESS.fullmatch(hosts[0]):
         return False

@@ -1,4 +1,4 @@
-"""Figures of pose errors, as PNGs: over time, over the positions of a room, and with several maps of the same tags."""
+"""Figures of pose errors, as PNGs: over time, over the positions of a room, and with several maps of some tags."""
 
 from pathlib import Path
 from typing import Any

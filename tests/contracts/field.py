@@ -96,7 +96,7 @@ def _step(which, field, k, state, scratch, pose=(0.0,) * 6, surface=-1):
 
 
 def _alone(scratch):
-    """The scratch as the only one of `layers`."""
+    """Scratch arrays with a leading axis of length 1, the axis of `layers`."""
     if isinstance(scratch, tuple):
         return type(scratch)(*map(_alone, scratch)) if hasattr(scratch, "_fields") else tuple(map(_alone, scratch))
     return scratch[None]

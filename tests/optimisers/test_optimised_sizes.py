@@ -139,7 +139,7 @@ def test_no_choice_of_poses_exceeds_the_bounds_and_fractions_of_tags_reach_the_o
 
 
 def exact_bound(problem, cover, of, shares):
-    """The largest mean of min(c / n, 1) that fractions of tags reach, by HiGHS; `of` says how many each pose is for."""
+    """The largest mean of min(c / n, 1) that fractions of tags reach, by HiGHS; `of`: tags of its size, by pose."""
     weights = np.bincount(problem.scene.orientations.index_of, problem.scene.pdf.weight)
     n = problem.objective.n
     views, poses = cover.shape[1], cover.shape[0]

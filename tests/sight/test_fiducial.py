@@ -1,4 +1,4 @@
-"""What a detector sees: the equations against independent ones, and every fast path against the reference."""
+"""Visibility by a detector: the equations against independent ones, and every fast path against the reference."""
 
 import math
 

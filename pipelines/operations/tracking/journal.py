@@ -1,6 +1,6 @@
 """The journal of a run: its record on disk before it is sent, handed in later where it could not be sent.
 
-A run whose process is gone is told from one that still runs by the tags of `this_process`.
+The tags of `this_process` distinguish a run whose process has ended from one that still runs.
 """
 
 import json
