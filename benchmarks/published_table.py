@@ -80,11 +80,11 @@ def solved(camera: Camera, points: FloatArray, image: FloatArray) -> FloatArray:
 
 
 def errors(camera: Camera, views: FloatArray, images: Iterator[dict[int, FloatArray]], maps: FloatArray) -> FloatArray:
-    """Along the wall and from it, of frames in which all tags were found, metres, `(F, 2)`.
+    """Errors along and normal to the wall of frames in which all tags were found, metres, `(F, 2)`.
 
     Args:
         images: corners of the tags of each view, by number.
-        maps: the centres of the tags that the solver is told, for each view, `(V, K, 3)`.
+        maps: the centres of the tags that the solver assumes, for each view, `(V, K, 3)`.
     """
     found = []
     for view, corners, told in zip(views, images, maps, strict=True):

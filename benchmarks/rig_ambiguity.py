@@ -47,7 +47,7 @@ class Cameras:
 
     @property
     def corners(self) -> FloatArray:
-        """`(4, 3)`."""
+        """Corners of the tag, metres, `(4, 3)`."""
         return self.edge / 2.0 * CORNERS
 
     def images(self, motion: FloatArray) -> FloatArray:

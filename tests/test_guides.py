@@ -78,7 +78,7 @@ MODULES = sorted(name for name in FILES if name.endswith(".py"))
 
 @pytest.fixture(scope="module")
 def guides(tmp_path_factory):
-    """The folder in which the examples lie, from which Python imports."""
+    """The folder of the examples, on the import path of Python."""
     folder = tmp_path_factory.mktemp("guides")
     for name, text in FILES.items():
         (folder / name).parent.mkdir(parents=True, exist_ok=True)

@@ -30,7 +30,7 @@ def test_a_notebook_is_kept_with_its_pictures(path):
 
 @pytest.fixture(scope="module")
 def kernel(tmp_path_factory):
-    """A kernel in an empty folder, for all of them: most of what a notebook takes is to import what all import."""
+    """A kernel in an empty folder, shared by all notebooks: imports take most of the time of each."""
     manager, folders = KernelManager(kernel_name="python3"), [tmp_path_factory.mktemp(name) for name in ("work", "tmp")]
     work, temporary = folders
     manager.start_kernel(cwd=work, env=os.environ | {"PYTHONPATH": str(ROOT), "TMPDIR": str(temporary)})

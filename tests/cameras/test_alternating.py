@@ -1,4 +1,4 @@
-"""Cameras and tags in turn: no turn makes it worse, and a run that is stopped goes on where it was."""
+"""Cameras and tags in turn: no turn lowers the fitness, and a stopped run resumes."""
 
 import numpy as np
 import pytest

@@ -69,7 +69,7 @@ def check_improvement(make, problem, evaluations):
 
 
 def check_seeds(make, problem, whole, small):
-    """The same seed gives the same on any number of threads, another seed something else."""
+    """Check that a seed gives equal results on any number of threads, and another seed different ones."""
     same_run(make().run(problem(threads=2), Budget(whole.evaluations)), whole)
     other = make(seed=1).run(problem(), Budget(31))
     assert not np.array_equal(other.deployment.positions, small.deployment.positions)

@@ -1,4 +1,4 @@
-"""Limits that are fitted to a recording: halves of time, image circles, the margin, and misses that no limit knows."""
+"""Limits that are fitted to a recording: halves of time, image circles, the margin, and misses without a cause."""
 
 from dataclasses import replace
 

@@ -1,4 +1,4 @@
-"""What a rig's cameras find of the same moments, counted together; rendered, a few seconds."""
+"""Detections of all cameras of a rig at equal times, counted together; rendered, a few seconds."""
 
 from dataclasses import replace
 

@@ -1,4 +1,4 @@
-"""How far away a tag is read, and how well it fixes the pose: by hand, and by OpenCV on noisy corners."""
+"""Range of a tag, and the pose error from it: by hand, and by OpenCV on noisy corners."""
 
 import math
 from dataclasses import replace

@@ -1,4 +1,4 @@
-"""What is left of a rig where a camera fails or tags are lost, and poses under a wrong map; the kernels are warm."""
+"""Fitness of a rig without a camera or without tags, and poses under a wrong map; the kernels are warm."""
 
 from dataclasses import replace
 

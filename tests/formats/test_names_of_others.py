@@ -1,4 +1,4 @@
-"""Words that others use for the same things, and words that change what values mean."""
+"""Synonyms in files of other programs, and words that change the meaning of values."""
 
 import json
 

@@ -1,4 +1,4 @@
-"""What all cameras of a rig tell of its body, against the Jacobians of its parts and a calculation by hand."""
+"""Information of all cameras of a rig on its body, against the Jacobians of its parts and a calculation by hand."""
 
 from dataclasses import replace
 

@@ -1,4 +1,4 @@
-"""Every way to come by a deployment hangs tags where they may, in a room with a pillar, a rack and a door."""
+"""Every source of a deployment hangs tags in allowed regions only, in a room with a pillar, a rack and a door."""
 
 from dataclasses import replace
 

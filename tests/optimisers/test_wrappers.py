@@ -41,7 +41,7 @@ def run(optimiser, batches, dim=12, fitness=lambda genes: -np.abs(genes - 0.3).s
 
 
 def losses_told(optimiser, batches, fitness):
-    """What the library is told of so many batches, after a first one."""
+    """Losses passed to the library for a number of batches, after a first one."""
     run(optimiser, 1, fitness=fitness)
     losses, tell = [], optimiser.session.tell
     optimiser.session.tell = lambda genes, told: losses.append(told) or tell(genes, told)

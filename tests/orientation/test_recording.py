@@ -1,4 +1,4 @@
-"""What a recording of orientations is, reads and refuses, and the one that is simulated."""
+"""Recordings of orientations: their files, their refusals, and the simulated one."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""Runs whose disk fills up, and whose tracking server dies: what is kept, and what is said."""
+"""Runs with a full disk or a tracking server that dies: their files and messages."""
 
 import contextlib
 import json

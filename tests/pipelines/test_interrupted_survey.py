@@ -1,4 +1,4 @@
-"""A survey that is told to stop by a signal: the map so far, or nothing."""
+"""A survey that a signal stops: it writes the current map, or nothing."""
 
 import json
 import signal

@@ -20,7 +20,7 @@ pytestmark = pytest.mark.slow
 
 @pytest.fixture(scope="module")
 def cwd(tmp_path_factory):
-    """A drive, and what its odometer says, of the camera and of a body that it is mounted on."""
+    """A drive and its odometry, of the camera and of a body that carries it."""
     folder, rng = tmp_path_factory.mktemp("drive"), np.random.default_rng(5)
     driven = drives.drive(8.0, 6, rng, alone=1.0, dark=0.1)
     odometry = drives.odometry(driven, rng)
