@@ -182,7 +182,7 @@ def test_what_is_no_genes_is_refused_at_once_with_the_name_of_what_asked(asked, 
 
 
 class Mute(Asking):
-    """Cannot be told."""
+    """An optimiser without `tell`."""
 
     tell = None
 

@@ -30,13 +30,13 @@ LANDMARKS = "id,x,y,z,nx,ny,nz\n0,0,1,1,1,0,0\n1,6,2,1,-1,0,0\n"
 
 @cache
 def lab():
-    """What a run records that was told `LAB`."""
+    """Configuration that a run with the overrides `LAB` records."""
     return OmegaConf.to_yaml(composing.composed("optimise", *LAB, "deployment.count=2"))
 
 
 @pytest.fixture
 def earlier(tmp_path, monkeypatch):
-    """What a run leaves that was told `LAB`."""
+    """Folder of a run with the overrides `LAB`."""
     monkeypatch.chdir(tmp_path)
     run = tmp_path / "a run, of old"
     (run / ".hydra").mkdir(parents=True)
@@ -46,7 +46,7 @@ def earlier(tmp_path, monkeypatch):
 
 
 def composed(monkeypatch, pipeline, *arguments, read=read_earlier_run):
-    """What a pipeline composes with these arguments."""
+    """Configuration that a pipeline composes with these arguments."""
     monkeypatch.setattr(sys, "argv", [pipeline, *arguments])
     read()
     return composing.composed(pipeline, *sys.argv[1:])

@@ -1,4 +1,4 @@
-"""What commands load: of what they do not need, each package would take a tenth of a second or more."""
+"""Packages that commands import: each unneeded one would take a tenth of a second or more."""
 
 import json
 import re

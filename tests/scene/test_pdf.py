@@ -276,7 +276,7 @@ def test_of_the_yaw_alone_so_many_are_drawn_as_are_as_exact():
     centres, halves = sectors.uniform(-1.0, 1.0, (300, 3, 1)), sectors.uniform(0.04, 0.3, (300, 3, 1))
 
     def share(turns):
-        """How often two of three sectors are looked into."""
+        """Fraction of the triples of sectors of which at least two contain a turn."""
         return ((np.abs((turns - centres + 1.0) % 2.0 - 1.0) < halves).sum(axis=1) >= 2).mean(axis=1)
 
     exact = share(np.linspace(-1.0, 1.0, 20_001)[:-1])

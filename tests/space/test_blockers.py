@@ -22,7 +22,7 @@ def clear_on_ground(plan, starts, ends):
 
 
 def covered(polygon, starts, ends):
-    """What shapely says: the closed polygon holds the whole line."""
+    """Return by shapely whether the closed polygon contains the whole line."""
     shapely.prepare(polygon)
     return shapely.covers(polygon, shapely.linestrings(np.stack([starts, ends], axis=1)))
 
