@@ -52,7 +52,7 @@ view: install-all  ## the planner in the browser, for experiment=lab
 # Files in their order: those with few tests, which take longest, else come last, one after the other.
 PYTEST := $(BIN)/python -m pytest -n auto --dist loadfile --no-loadscope-reorder
 
-test: install-all  ## the whole test suite
+test: install-all  ## the test suite, without thorough tests
 	$(PYTEST)
 
 test-thorough: install-all  ## all tests: real services, kills, and property tests with ten times as many examples
