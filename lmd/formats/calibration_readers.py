@@ -222,10 +222,9 @@ def mrcal(text: str) -> Keys:
         raise InputError(f"a cameramodel has at most {LARGEST_LITERAL} characters, it has {len(text)}.")
     try:
         keys = ast.literal_eval(text.strip())
-    except Exception as error:  # whatever a parser of a broken file runs into
-        raise InputError(
-            f"it is no cameramodel of mrcal ({' '.join(str(error).split()) or type(error).__name__})."
-        ) from None
+    except Exception as error:  # the parser of Python raises many kinds for a broken file
+        reason = " ".join(str(error).partition(": <ast.")[0].split())  # without the address of a node in memory
+        raise InputError(f"it is no cameramodel of mrcal ({reason or type(error).__name__}).") from None
     size = MRCAL_LENSES[known_lens(str(keys["lensmodel"]).removeprefix("LENSMODEL_"), MRCAL_LENSES)]
     fx, fy, cx, cy, *lens = vector("intrinsics", keys["intrinsics"], 4 + size)
     return _ros(keys["imagersize"], [fx, 0.0, cx, 0.0, fy, cy, 0.0, 0.0, 1.0], lens or [0.0] * 4)

@@ -172,7 +172,7 @@ def test_a_script_may_say_in_words_of_its_own_that_it_is_a_fisheye(said, write):
         (f"{{'lensmodel': {'0' * (1 << 20)}}}", "a cameramodel has at most 1048576 characters"),
         (MRCAL.format("CAHVOR", "1"), "the lens model 'CAHVOR' is not known here"),
         (MRCAL.format("OPENCV4", "1"), "intrinsics must be a list of 8 numbers"),
-        ("{'lensmodel': __import__('os')}", "it is no cameramodel of mrcal"),
+        ("{'lensmodel': __import__('os')}", "it is no cameramodel of mrcal (malformed node or string on line 1)."),
         (FILES["frc971"].replace("image_width", "w"), "image_width or image_height is missing: give image_size, [wi"),
         (FILES["Basalt"].replace('"fx"', '"f"'), "the key or value 'fx' is missing or wrong"),
         ("1 OPENCV 640 480 600 610\n", "the key or value"),
