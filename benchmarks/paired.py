@@ -1,7 +1,8 @@
 """Rows of `speed.py` and `rig.py` against another commit, in turn: `python benchmarks/paired.py COMMIT [--rounds N]`.
 
 Each checkout measures its own rows in a process of its own; the two take turns. A row that is more than 3 % slower is
-measured again, up to five times in all: the least times of both count. Prints a Markdown table of them and their ratio,
+measured again by new processes, up to five times in all: where a process happens to have its arrays decides up to a
+tenth of a row. The least times of both count. Prints a Markdown table of them and their ratio,
 and exits with 1 if a row stays slower.
 """
 
@@ -66,8 +67,10 @@ def taken(work: Callable[[], object]) -> float:
 def serve(script: str) -> None:
     """Measure the rows that are asked for, by their number."""
     import lmd
+    import pipelines
 
-    assert Path(lmd.__file__).parents[1] == Path(os.environ["PYTHONPATH"].partition(os.pathsep)[0]), lmd.__file__
+    code = Path(os.environ["PYTHONPATH"].partition(os.pathsep)[0])
+    assert Path(lmd.__file__).parents[1] == Path(pipelines.__file__).parents[1] == code, lmd.__file__
     rows = speed_rows() if script == "speed" else rig_rows()
     print("\n".join(rows), end="\n\n", flush=True)
     for line in sys.stdin:
@@ -81,8 +84,12 @@ class Checkout:
         folders = os.pathsep.join(map(str, (code, code / "benchmarks")))
         environment = os.environ | {"PYTHONPATH": folders, "NUMBA_CACHE_DIR": str(cache / code.name)}
         # This file is run by its path, from a folder without modules: all that it imports is the checkout's own.
+        # An editable installation finds `lmd.pipelines` in its own checkout, whatever PYTHONPATH has.
         arguments, path = ["", "--serve", script], str(Path(__file__).resolve())
-        run = f"import sys, runpy; sys.argv = {arguments}; runpy.run_path({path!r}, run_name='__main__')"
+        run = (
+            "import sys, runpy, pipelines; sys.modules['lmd.pipelines'] = pipelines; "
+            f"sys.argv = {arguments}; runpy.run_path({path!r}, run_name='__main__')"
+        )
         pipe = subprocess.PIPE
         self._process = subprocess.Popen(
             [sys.executable, "-c", run], cwd=cache, env=environment, stdin=pipe, stdout=pipe, text=True
@@ -109,6 +116,7 @@ def main() -> None:
     parser.add_argument("commit", nargs="?")
     parser.add_argument("--rounds", type=int, default=5)
     parser.add_argument("--only", choices=("speed", "rig"))
+    parser.add_argument("--row", default="", help="of the rows those whose label has this")
     parser.add_argument("--serve", choices=("speed", "rig"), help=argparse.SUPPRESS)
     options = parser.parse_args()
     if options.serve:
@@ -121,10 +129,16 @@ def main() -> None:
             both = [Checkout(code, Path(caches), script) for code in (before, HERE)]
             assert both[0].labels == both[1].labels, "the two commits have the same rows"
             for number, label in enumerate(both[1].labels):
-                for each in both:
-                    each.measure(number)  # compiles
+                if options.row not in label:
+                    continue
                 was = now = np.inf
-                for _ in range(AGAIN):
+                for again in range(AGAIN):
+                    if again:
+                        for each in both:
+                            each.close()
+                        both = [Checkout(code, Path(caches), script) for code in (before, HERE)]
+                    for each in both:
+                        each.measure(number)  # compiles
                     rounds = [[each.measure(number) for each in both] for _ in range(options.rounds)]
                     was, now = (
                         min(1e3 * min(new), old) for new, old in zip(zip(*rounds, strict=True), (was, now), strict=True)

@@ -23,7 +23,7 @@ from lmd.objectives.localisation.changes import (
     change_sums,
     find_turns,
     first_row,
-    look_from,
+    forget_moments,
     see_place,
     see_rest,
     see_touched,
@@ -37,8 +37,8 @@ from lmd.objectives.localisation.views import (
     COMES,
     GOES,
     LEFT,
-    OTHER,
     TRIED,
+    CameraViews,
     add_moments,
     add_to_sums,
     landmark_moments,
@@ -91,17 +91,26 @@ def _offset(pose: Any, p: Integer, field: Any) -> Place:
 
 
 @inner
-def _find_moments(which: int, pose: Any, k: Integer, p: Integer, field: Any, scratch: Any) -> None:
+def _find_moments(pose: Any, k: Integer, p: Integer, field: Any, row: FloatArray) -> None:
     x, y, z = _offset(pose, p, field)
-    landmark_moments(x, y, z, pose[3], pose[4], pose[5], field.precision, k, scratch.views.moments[which])
+    landmark_moments(x, y, z, pose[3], pose[4], pose[5], field.precision, k, row)
 
 
-@look_from.register(State)
-def _look_from(known: State, k: Integer, p: Integer, field: Any, scratch: Any) -> None:
-    if known.reachable[k, p]:
-        _find_moments(LEFT, pose_of(k, known), k, p, field, scratch)
-    if scratch.coverage.flags[REACHED, p]:
-        _find_moments(TRIED, target_of(scratch.coverage), k, p, field, scratch)
+@forget_moments.register(CameraViews)
+def _forget_moments(views: CameraViews, p: Integer) -> None:
+    views.found[p] = 0
+
+
+@inner
+def _look_once(known: State, k: Integer, p: Integer, field: Any, scratch: Any) -> None:
+    """Find the moments of landmark k from position p at both places, once for each move: few positions need them."""
+    views = scratch.views
+    if views.found[p] == 0:
+        views.found[p] = 1
+        if known.reachable[k, p]:
+            _find_moments(pose_of(k, known), k, p, field, views.moments[LEFT, p])
+        if scratch.coverage.flags[REACHED, p]:
+            _find_moments(target_of(scratch.coverage), k, p, field, views.moments[TRIED, p])
 
 
 @inner
@@ -114,10 +123,10 @@ def _sum_turning(p: Integer, w: Integer, count: Integer, field: Any, known: Stat
         was, now = turned(known, i, p, w, trial)
         if was != now:
             pose = pose_of(i, known)
-            _find_moments(OTHER, pose, i, p, field, scratch)
+            _find_moments(pose, i, p, field, views.other)
             x, y, z = _offset(pose, p, field)
             weigh(GOES, was ^ now, x, y, z, camera.sight, camera.axes, w, views, count)
-            add_moments(views.rows, views.moments[OTHER], views.weights[GOES], 1.0 if now else -1.0, count)
+            add_moments(views.rows, views.other, views.weights[GOES], 1.0 if now else -1.0, count)
 
 
 @sum_views.register(State)
@@ -126,12 +135,13 @@ def _sum_views(
 ) -> Any:
     trial, views, camera, first = scratch.coverage, scratch.views, field.coverage.cameras, first_row(p, w, state)
     count = take_rows(left, first, state.sums, views)
+    _look_once(known, k, p, field, scratch)
     x, y, z = _offset(pose_of(k, known), p, field)
     weigh(GOES, shown_of(known, k, p, w), x, y, z, camera.sight, camera.axes, w, views, count)
     x, y, z = _offset(target_of(trial), p, field)
     weigh(COMES, fresh_of(trial, p, w), x, y, z, camera.sight, camera.axes, w, views, count)
     read_rows(first, state.sums, views, count)
-    replace_moments(views.rows, views.moments[LEFT], views.moments[TRIED], views.weights, count)
+    replace_moments(views.rows, views.moments[LEFT, p], views.moments[TRIED, p], views.weights, count)
     if trial.flags[TOUCHED, p]:
         _sum_turning(p, w, count, field, known, scratch)
     return count
@@ -151,15 +161,16 @@ def _change_sums(
     known: State, k: Integer, p: Integer, w: Integer, changed: np.uint64, sign: float, field: Any, state: Any,
     scratch: Any,
 ) -> None:  # fmt: skip
-    trial, moments = scratch.coverage, scratch.views.moments
-    _add(moments[LEFT], pose_of(k, known), shown_of(known, k, p, w), p, w, -sign, field, state)
-    _add(moments[TRIED], target_of(trial), fresh_of(trial, p, w), p, w, sign, field, state)
+    _look_once(known, k, p, field, scratch)
+    trial, moments, other = scratch.coverage, scratch.views.moments, scratch.views.other
+    _add(moments[LEFT, p], pose_of(k, known), shown_of(known, k, p, w), p, w, -sign, field, state)
+    _add(moments[TRIED, p], target_of(trial), fresh_of(trial, p, w), p, w, sign, field, state)
     for i in range(np.uint64(known.poses.shape[1] if trial.flags[TOUCHED, p] else 0)):
         if trial.known[p, i]:
             was, now = turned(known, i, p, w, trial)
             if was != now:
-                _find_moments(OTHER, pose_of(i, known), i, p, field, scratch)
-                _add(moments[OTHER], pose_of(i, known), was ^ now, p, w, sign if now else -sign, field, state)
+                _find_moments(pose_of(i, known), i, p, field, other)
+                _add(other, pose_of(i, known), was ^ now, p, w, sign if now else -sign, field, state)
 
 
 @sum_anew.register(State)
@@ -167,8 +178,8 @@ def _sum_anew(known: State, p: Integer, w: Integer, seen: np.uint64, field: Any,
     for i in range(np.uint64(known.poses.shape[1])):
         shown = shown_of(known, i, p, w)
         if shown:
-            _find_moments(OTHER, pose_of(i, known), i, p, field, scratch)
-            _add(scratch.views.moments[OTHER], pose_of(i, known), shown, p, w, 1.0, field, state)
+            _find_moments(pose_of(i, known), i, p, field, scratch.views.other)
+            _add(scratch.views.other, pose_of(i, known), shown, p, w, 1.0, field, state)
     first = first_row(p, w, state)
     count = take_rows(seen, first, state.sums, scratch.views)
     read_rows(first, state.sums, scratch.views, count)

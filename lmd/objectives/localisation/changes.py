@@ -46,8 +46,8 @@ def find_turns(known: Any, trial: Any, lost: WordArray, gained: WordArray) -> No
 
 
 @dispatched
-def look_from(known: Any, k: Integer, p: Integer, field: Any, scratch: Any) -> None:
-    """Find the moments of landmark k from position p, before `sum_views` and `change_sums` there."""
+def forget_moments(views: Any, p: Integer) -> None:
+    """Forget the moments that the last move found at position p."""
 
 
 @dispatched

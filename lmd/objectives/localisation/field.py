@@ -107,7 +107,7 @@ class LocalisationField(NamedTuple):
             located=state.located.copy(),
             sets=np.stack([state.localised, *np.zeros((2, *state.localised.shape), dtype=np.uint64)]),
             coverage=self.coverage.scratch(state.coverage),
-            views=body_views() if self.mounts else camera_views(),
+            views=body_views() if self.mounts else camera_views(len(state.units)),
         )
 
 

@@ -31,7 +31,7 @@ from lmd.objectives.localisation.changes import (
     change_sums,
     find_turns,
     first_row,
-    look_from,
+    forget_moments,
     see_place,
     see_rest,
     see_touched,
@@ -50,6 +50,7 @@ from lmd.objectives.localisation.pairs import (
     give_sums,
     take_sums,
 )
+from lmd.objectives.localisation.views import BodyViews
 
 
 @see_place.register(RigState)
@@ -104,8 +105,8 @@ def _find_turns_of_rig(known: RigState, trial: RigScratch, lost: WordArray, gain
         _find_turns_of_part(known.parts[j], trial.parts[j].flipped, trial, lost, gained)
 
 
-@look_from.register(RigState)
-def _look_from_rig(known: RigState, k: Integer, p: Integer, field: Any, scratch: Any) -> None:
+@forget_moments.register(BodyViews)
+def _forget_moments_of_rig(views: BodyViews, p: Integer) -> None:
     """Nothing: moments are those of each camera and orientation."""
 
 

@@ -11,8 +11,7 @@ More information never makes a view worse. So a move decides few views anew:
 `bound_move` leaves out the landmarks that the new place hides, and those that hide it, which only take information
 away. `finish_move` decides anew at the positions where either happens.
 
-The source is one for a camera and for a rig, and is compiled for each; `changes` has the functions that differ. Moves
-of a single camera take 1.09 to 1.12 times as long as with the source of their own that they had.
+The source is one for a camera and for a rig, and is compiled for each; `changes` has the functions that differ.
 """
 
 from typing import Any
@@ -40,7 +39,7 @@ from lmd.objectives.localisation.ambiguity import asks_apart
 from lmd.objectives.localisation.changes import (
     change_sums,
     find_turns,
-    look_from,
+    forget_moments,
     see_place,
     see_rest,
     see_touched,
@@ -111,8 +110,6 @@ def _decide(k: Integer, positions: WordArray, field: Any, state: Any, scratch: A
         _find_turns(state, scratch)
     for q in positions:
         located, covered = state.located[q], known.units[q]
-        if field.asks:
-            look_from(known, k, q, field, scratch)
         for w in range(np.uint64(localised.shape[1])):
             was, now, before = shown_of(known, k, q, w), fresh_of(trial, q, w), enough[q, w]
             lost, gained, has = was, now, enough_with(q, w, was, now, counts)
@@ -144,6 +141,7 @@ def bound_move(field: Any, k: Integer, pose: FloatArray, surface: Integer, state
     for s in range(trial.numbers[SPAN_COUNT]):
         for q in range(first[s], last[s]):
             scratch.located[q] = state.located[q]
+            forget_moments(scratch.views, q)
             for w in range(np.uint64(tried.shape[1])):
                 tried[q, w] = state.localised[q, w]
     count = see_place(known, i, cover.n, state.localised, cover, trial)
@@ -169,7 +167,6 @@ def _change_sums(k: Integer, sign: float, field: Any, state: Any, scratch: Any) 
     positions = trial.lists[LISTED][: list_changing(known, k, trial)]
     _find_turns(state, scratch)
     for q in positions:
-        look_from(known, k, q, field, scratch)
         for w in range(np.uint64(state.localised.shape[1])):
             changed = shown_of(known, k, q, w) | fresh_of(trial, q, w)
             if trial.flags[TOUCHED, q]:

@@ -41,7 +41,7 @@ TAKEN = 3  # two numbers: the orientations that are views, as bits, and the numb
 GOES, COMES = 0, 1  # of a landmark that disappears, and of one that appears
 
 # Rows of `CameraViews.moments`.
-LEFT, TRIED, OTHER = 0, 1, 2  # of the landmark that moves at both places, and of another one
+LEFT, TRIED = 0, 1  # of the landmark that moves, at its old place and at the place tried
 
 
 class CameraViews(NamedTuple):
@@ -56,7 +56,11 @@ class CameraViews(NamedTuple):
     weights: FloatArray
     """`(2, BITS)` pixel density of landmarks in each view, 0 where they are not seen: `GOES`, `COMES`."""
     moments: FloatArray
-    """`(3, WIDTH)` moments of landmarks at the position: `LEFT`, `TRIED`, `OTHER`."""
+    """`(2, P, WIDTH)` moments of the landmark that moves, from each position: `LEFT`, `TRIED`."""
+    found: np.ndarray
+    """`(P,)` uint8, 1 where `moments` are those of the move tried last."""
+    other: FloatArray
+    """`(WIDTH,)` moments of another landmark."""
 
 
 class BodyViews(NamedTuple):
@@ -75,10 +79,11 @@ class BodyViews(NamedTuple):
 Views: TypeAlias = CameraViews | BodyViews
 
 
-def camera_views() -> CameraViews:
-    """Working memory for a single camera."""
-    lists, met = np.zeros((4, BITS), np.uint64), np.zeros(BITS, np.uint8)
-    return CameraViews(lists, np.zeros(WIDTH * BITS), met, np.zeros((2, BITS)), np.zeros((3, WIDTH)))
+def camera_views(size: int) -> CameraViews:
+    """Working memory for a single camera at `size` positions."""
+    lists, met, found = np.zeros((4, BITS), np.uint64), np.zeros(BITS, np.uint8), np.zeros(size, np.uint8)
+    rows, weights, moments = np.zeros(WIDTH * BITS), np.zeros((2, BITS)), np.zeros((2, size, WIDTH))
+    return CameraViews(lists, rows, met, weights, moments, found, np.zeros(WIDTH))
 
 
 def body_views() -> BodyViews:
