@@ -15,7 +15,8 @@ from lmd.formats import tag_map_writers as maps
 from lmd.formats.tag_map import TagMap
 from lmd.formats.tag_tables import write_csv, write_json
 from lmd.scene.deployment import Deployment
-from lmd.scene.tag import FAMILIES, Tag
+from lmd.scene.families import FAMILIES
+from lmd.scene.tag import Tag
 from lmd.space.space import Space
 
 OWN, ONE, NONE = "own", "one", "none"
@@ -29,6 +30,7 @@ class Format(NamedTuple):
         write: a function of the path, the map as `tags` and, if it is printed, the size of the paper as `paper`; of the
             plan, where north is as `north` too.
         only_apriltag: True if its readers support only the families of AprilTag.
+        only_opencv: True if its readers support only families that OpenCV has.
         on_paper: True if the file is to be printed.
         check: raises `InputError`, a clause without its subject, if it cannot hold the tags of a map; None where it
             holds any.
@@ -38,9 +40,19 @@ class Format(NamedTuple):
     file: str
     write: Callable[..., None]
     only_apriltag: bool = False
+    only_opencv: bool = False
     on_paper: bool = False
     check: Callable[[TagMap], None] | None = None
     edges: str = OWN
+
+    @property
+    def families(self) -> tuple[str, ...]:
+        """Families of tags that its readers support."""
+        return tuple(
+            name
+            for name, family in FAMILIES.items()
+            if (family.apriltag or not self.only_apriltag) and (family.dictionary or not self.only_opencv)
+        )
 
 
 FORMATS = {
@@ -48,12 +60,12 @@ FORMATS = {
     "apriltag_ros": Format("tags.apriltag_ros.yaml", maps.write_apriltag_ros, only_apriltag=True),
     "apriltag_ros2": Format("tags.apriltag_ros2.yaml", maps.write_apriltag_ros2, only_apriltag=True),
     "tagslam": Format("tags.tagslam.yaml", maps.write_tagslam, only_apriltag=True),
-    "aruco": Format("tags.aruco.yaml", maps.write_aruco),
+    "aruco": Format("tags.aruco.yaml", maps.write_aruco, only_opencv=True),
     "csv": Format("tags.csv", write_csv),
     "json": Format("tags.json", write_json),
-    "clover": Format("tags.clover.txt", maps.write_clover),
-    "fiducial_vlam": Format("tags.fiducial_vlam.yaml", maps.write_fiducial_vlam, edges=ONE),
-    "rtabmap": Format("tags.rtabmap.txt", maps.write_rtabmap, edges=ONE),
+    "clover": Format("tags.clover.txt", maps.write_clover, only_opencv=True),
+    "fiducial_vlam": Format("tags.fiducial_vlam.yaml", maps.write_fiducial_vlam, only_opencv=True, edges=ONE),
+    "rtabmap": Format("tags.rtabmap.txt", maps.write_rtabmap, only_opencv=True, edges=ONE),
     "limelight": Format("tags.fmap", maps.write_limelight, only_apriltag=True),
     "frc971": Format("tags.frc971.json", maps.write_frc971, only_apriltag=True, edges=NONE),
     "duckietown": Format("tags.duckietown.yaml", maps.write_duckietown, only_apriltag=True, check=maps.check_on_floor),
@@ -64,8 +76,7 @@ FORMATS = {
 
 def formats_of(tag: Tag) -> tuple[str, ...]:
     """The formats whose readers know the family of a tag."""
-    known = FAMILIES[tag.family].apriltag is not None
-    return tuple(name for name, form in FORMATS.items() if known or not form.only_apriltag)
+    return tuple(name for name, form in FORMATS.items() if tag.family in form.families)
 
 
 def check_printing(name: str, tag: Tag, paper: str) -> None:
@@ -128,7 +139,7 @@ class Export:
             tag.check_edge()
         for name in self.formats:
             if name not in formats_of(tag):
-                known = ", ".join(name for name, family in FAMILIES.items() if family.apriltag)
+                known = ", ".join(FORMATS[name].families)
                 raise InputError(f"formats has {name}, which knows the families {known}, not {tag.family}.", "formats")
             if FORMATS[name].on_paper:
                 check_printing(name, tag, self.paper)

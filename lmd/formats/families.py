@@ -1,32 +1,14 @@
-"""Families of tags by the names that others give them, such as `TAG16h5` or `DICT_4X4_50`."""
+"""Families of the tags in a map of others."""
 
-import re
 from collections.abc import Iterable
 from typing import Any
 
 from lmd.core.checks import InputError
-from lmd.scene.tag import FAMILIES
+from lmd.scene.families import FAMILIES
 
-# A family as Limelight, the ArUco library, OpenCV and apriltag_ros write it.
-_NAME = re.compile(
-    r"(?:cv2?\.|aruco[._]|dict_|apriltag(?:\d?[_ -])?|tag[_ -]?)*(\d+h\d+|\dx\d_\d+)(?:b1)?(?:_classic)?"
-)
 # Places in OpenCV's list of dictionaries, by which RTAB-Map names them.
-NUMBERS = dict(
-    enumerate([*(name for name in FAMILIES if FAMILIES[name].apriltag is None), "ARUCO_ORIGINAL", "16h5", "25h9"])
-) | {19: "36h10", 20: "36h11", 21: "ARUCO_MIP_36h12"}
-
-
-def family_named(name: Any) -> str:
-    """The family with a name of others: one of `FAMILIES`, or the name itself where it is none of these.
-
-    Raises:
-        InputError: the name is no text.
-    """
-    if not isinstance(name, str):
-        raise InputError(f"the family of a tag must be a text, got {name!r}.")
-    found = _NAME.fullmatch(name.strip().lower())
-    return found[1] if found is not None and found[1] in FAMILIES else name.strip()
+_SQUARE = [f"{bits}x{bits}_{ids}" for bits in (4, 5, 6, 7) for ids in (50, 100, 250, 1000)]
+NUMBERS = dict(enumerate([*_SQUARE, "aruco_original", "16h5", "25h9", "36h10", "36h11", "aruco_mip_36h12"]))
 
 
 def one_family(named: Iterable[str | None]) -> str | None:

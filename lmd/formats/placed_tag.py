@@ -36,7 +36,7 @@ class PlacedTag(NamedTuple):
         position: of its centre, `(3,)`, metres.
         axes: from its frame (x right, y up, z out) to that of the map, `(3, 3)`.
         edge: of the black square, metres; None where the map does not say.
-        family: see `lmd.formats.families.family_named`; None where the map does not say.
+        family: see `lmd.scene.families.family_named`; None where the map does not say.
     """
 
     number: int

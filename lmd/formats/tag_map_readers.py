@@ -13,7 +13,6 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from lmd.core.checks import FloatArray, InputError, integer, radians, real, vector
-from lmd.formats.families import family_named
 from lmd.formats.placed_tag import (
     MM,
     Keys,
@@ -31,6 +30,7 @@ from lmd.formats.placed_tag import (
 from lmd.geometry.frames import roll_pitch_yaw
 from lmd.geometry.se3 import exp
 from lmd.scene.edges import EDGE
+from lmd.scene.families import family_named
 
 SQUARE_TOLERANCE = 0.05  # of the sides of a measured square, relative to the longest
 METRES = 1  # aruco_bc_mInfoType of a map in metres

@@ -12,7 +12,7 @@ import numpy as np
 
 from lmd.core.checks import FloatArray, InputError
 from lmd.core.tables import COMMENT, Table, is_number
-from lmd.formats.families import NUMBERS, family_named
+from lmd.formats.families import NUMBERS
 from lmd.formats.landmark_table import ANGLES, PLACE, QUATERNION, named_columns
 from lmd.formats.placed_tag import (
     LARGEST_EDGE,
@@ -27,6 +27,7 @@ from lmd.formats.trajectory_columns import check_quaternion_order
 from lmd.geometry.frames import roll_pitch_yaw
 from lmd.geometry.se3 import QUATERNION_TOLERANCE
 from lmd.scene.edges import EDGE
+from lmd.scene.families import family_named
 from lmd.scene.labels import ID
 
 CLOVER = (ID, EDGE, *PLACE, "yaw", "pitch", "roll")

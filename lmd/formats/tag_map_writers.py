@@ -14,7 +14,7 @@ from lmd.core.checks import FloatArray, InputError
 from lmd.formats.tag_map import QUATERNION, TagMap, axes, write_yaml, written
 from lmd.formats.tag_map_readers import INTO, METRES, OUT_RIGHT_UP
 from lmd.geometry.camera import MM_PER_M
-from lmd.scene.tag import FAMILIES
+from lmd.scene.families import FAMILIES
 
 ROOM = "room"  # the name of the body, or the bundle, that has the tags
 # Standard deviations that TagSLAM's own example gives to what is known: a tag that stays where it is, m and rad.

@@ -24,8 +24,8 @@ from lmd.formats.tag_map_readers import HALF_TURN, OUT_RIGHT_UP, READERS, parame
 from lmd.formats.tag_map_texts import PRIORS, read_lines, read_priors
 from lmd.geometry.frames import roll_pitch_yaw
 from lmd.scene.deployment import Deployment
+from lmd.scene.families import FAMILIES
 from lmd.scene.labels import Labels
-from lmd.scene.tag import FAMILIES
 
 LARGEST_MAP = 1 << 22  # characters of YAML or JSON; a tag has some hundred
 INCH = 0.0254  # metres

@@ -8,9 +8,9 @@ from numpy.testing import assert_allclose
 
 from lmd.core.checks import InputError
 from lmd.formats.calibrations import calibrated_camera
-from lmd.formats.families import family_named
 from lmd.formats.tag_maps import read_deployment
 from lmd.formats.trajectories import TrajectoryFile
+from lmd.scene.families import family_named
 
 
 @pytest.fixture

@@ -3,7 +3,8 @@ import pytest
 
 from lmd.core.checks import InputError
 from lmd.geometry.squares import corners
-from lmd.scene.tag import FAMILIES, Tag, dictionary
+from lmd.scene.families import FAMILIES, dictionary
+from lmd.scene.tag import Tag
 
 
 @pytest.mark.parametrize("name", FAMILIES)

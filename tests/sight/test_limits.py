@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from lmd.core.checks import InputError
-from lmd.scene.tag import FAMILIES
+from lmd.scene.families import FAMILIES
 from lmd.sight.models.limits import Limits, Preset, limits_of, measured
 
 MINE = Limits(1.1, 1.9, 12.0, 82.0, 2.0)

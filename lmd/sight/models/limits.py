@@ -124,7 +124,7 @@ def limits_of(detector: str, family: str, changes: Mapping[str, Any]) -> Limits:
     """
     for name in changes:
         choice("limits", name, NAMES)
-    kind = family.partition("_")[0]
+    kind = family.partition("_")[0] if family[0].isdigit() else family
     known: Preset | None
     if str(detector).endswith(SUFFIXES):
         known = Preset.from_yaml(detector)
