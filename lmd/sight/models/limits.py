@@ -15,6 +15,7 @@ import numpy as np
 
 from lmd.core.checks import BoolArray, FloatArray, InputError, argument_of, check_fields, choice, real, said_of
 from lmd.core.files import read_keys
+from lmd.scene.families import family_named
 
 FOLDER = Path(__file__).parent / "presets"
 SUFFIXES = (".yaml", ".yml")
@@ -101,7 +102,8 @@ class Preset:
             asked = f"detector, family, {', '.join(NAMES)}"
             raise InputError(f"detector: {str(path)!r} must have the keys {asked} and no others.", "detector")
         with said_of(f"detector: {str(path)!r}", "detector"):
-            return cls(str(keys["detector"]), str(keys["family"]), Limits(**{name: keys[name] for name in NAMES}))
+            limits = Limits(**{name: keys[name] for name in NAMES})
+            return cls(str(keys["detector"]), family_named(str(keys["family"])), limits)
 
 
 @cache
@@ -116,7 +118,7 @@ def limits_of(detector: str, family: str, changes: Mapping[str, Any]) -> Limits:
 
     Args:
         detector: one that was `measured`, or a preset's file.
-        family: of `lmd.scene.tag.FAMILIES`.
+        family: of `lmd.scene.families.FAMILIES`.
         changes: what differs; all of `Limits` for a detector and a family without a preset.
 
     Raises:
