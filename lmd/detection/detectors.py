@@ -15,7 +15,7 @@ from lmd.core.checks import FloatArray, InputError, check_fields, choice, intege
 from lmd.core.optional import optional
 from lmd.geometry.camera import PIXEL_CENTRE
 from lmd.render.imaging import UInt8Array
-from lmd.scene.families import FAMILIES, dictionary
+from lmd.scene.families import FAMILIES, dictionary, family_named
 
 # cv2.aruco has AprilTags rotated by 180 degrees: its top-left corner is AprilTag's bottom-right corner.
 HALF_TURN = [2, 3, 0, 1]
@@ -79,6 +79,7 @@ class ArucoDetector:
     """Settings of `cv2.aruco`: `default`, or `fine` for smaller tags."""
 
     def __post_init__(self) -> None:
+        object.__setattr__(self, "family", family_named(self.family))
         if self.family in FAMILIES and not FAMILIES[self.family].dictionary:
             raise InputError(f"family {self.family} is one of AprilTag's, which only AprilTagDetector reads.", "family")
         choice("family", self.family, tuple(name for name, family in FAMILIES.items() if family.dictionary))
@@ -109,6 +110,7 @@ class AprilTagDetector:
     """Maximum number of corrected bits in a tag; the library corrects two."""
 
     def __post_init__(self) -> None:
+        object.__setattr__(self, "family", family_named(self.family))
         if self.family in FAMILIES and not FAMILIES[self.family].apriltag:
             raise InputError(f"family {self.family} is one of ArUco's, which only ArucoDetector reads.", "family")
         choice("family", self.family, tuple(name for name, family in FAMILIES.items() if family.apriltag))
