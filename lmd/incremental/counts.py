@@ -4,7 +4,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from lmd.core.bits import ALL, ZERO, add_digit, equal_so_far, unpacked
+from lmd.core.bits import ALL, ZERO, Integer, add_digit, equal_so_far, unpacked
 from lmd.core.compiled import inlined, inner
 from lmd.sight.kernels import sum_weights
 
@@ -39,27 +39,27 @@ def given_counts(given: np.ndarray, count: int, n: int) -> Counts:
 
 
 @inlined
-def enough_with(p, w, was, now, counts):
+def enough_with(p: Integer, w: Integer, was: Any, now: Any, counts: Any) -> Any:
     """The axes that cover n or more once one landmark, which `was` covered at some axes, is covered at others `now`."""
     short, just, enough = counts.sets[SHORT], counts.sets[JUST], counts.sets[ENOUGH]
     return (enough[p, w] & ~(was & ~now & just[p, w])) | (now & ~was & short[p, w])
 
 
 @inlined
-def ripple(p, w, changed, goes, n, counts):
-    """Count a landmark less at those axes `changed` that are in `goes`, one more at the others, digit by digit."""
+def ripple(p: Integer, w: Integer, changed: Any, decrement: Any, n: Integer, counts: Any) -> None:
+    """Count a landmark less at those axes `changed` that are in `decrement`, one more at the others, digit by digit."""
     digits, one, two = counts.digits, ALL, ALL
     short, just, enough = counts.sets[SHORT], counts.sets[JUST], counts.sets[ENOUGH]
-    enough[p, w] = enough_with(p, w, changed & goes, changed & ~goes, counts)
+    enough[p, w] = enough_with(p, w, changed & decrement, changed & ~decrement, counts)
     for j in range(np.uint64(digits.shape[2])):
-        digit, changed = add_digit(digits[p, w, j], changed, goes)
+        digit, changed = add_digit(digits[p, w, j], changed, decrement)
         digits[p, w, j] = digit
         one, two = equal_so_far(one, digit, n - 1, j), equal_so_far(two, digit, n, j)
     short[p, w], just[p, w] = one, two
 
 
 @inner
-def sum_up(field, state):
+def sum_up(field: Any, state: Any) -> None:
     """Find P_n from the counts."""
     units, enough = state.units, state.counts.sets[ENOUGH]
     for p in range(np.uint64(len(units))):

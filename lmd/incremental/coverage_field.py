@@ -16,12 +16,12 @@ from lmd.scene.criteria import horizon_of
 from lmd.scene.deployment import Deployment
 from lmd.sight.blocks import boxes_around
 from lmd.sight.evaluator import Evaluator
-from lmd.sight.mounts import Part, places_around, with_sight
+from lmd.sight.mounts import MountGroup, places_around, with_sight
 from lmd.sight.obstacles import half_edge, obstacles_at
 
 # Bytes of a landmark in a camera's view: a bit for the cap, and as much again for occlusion.
 LANDMARK_BYTES = 0.25
-# Bytes of a landmark and a centre around a position of a rig: an entry of `PartScratch.pairs`.
+# Bytes of a landmark and a centre around a position of a rig: an entry of `GroupScratch.pairs`.
 CENTRE_BYTES = 8
 # Bytes of a landmark with a camera and an orientation of a rig: bits of caps, of occlusion, and of its changes.
 CAMERA_BYTES = 3 / 8
@@ -74,38 +74,38 @@ class OneCamera(NamedTuple):
 class RigCameras(NamedTuple):
     """The cameras of a rig, around Q positions of its body, with all its orientations."""
 
-    parts: tuple[Part, ...]
-    """Cameras that are alike, one part for each kind; place g of position q is q G + g of `Part.obstacles`."""
+    groups: tuple[MountGroup, ...]
+    """Cameras that are alike, one group for each kind; place g of position q is q G + g of `MountGroup.obstacles`."""
 
     @property
     def horizon(self) -> float:
         """Distance from the body's origin beyond which a landmark cannot matter, metres."""
-        return max(part.horizon for part in self.parts)
+        return max(group.horizon for group in self.groups)
 
     @property
     def sights(self) -> tuple[Any, ...]:
         """The model of sight of each kind of camera."""
-        return tuple(part.sight for part in self.parts)
+        return tuple(group.sight for group in self.groups)
 
     def with_sights(self, change: Any) -> "RigCameras":
         """The rig with the models of sight that `change` makes of its own."""
-        return RigCameras(tuple(with_sight(part, change(part.sight)) for part in self.parts))
+        return RigCameras(tuple(with_sight(group, change(group.sight)) for group in self.groups))
 
     def state(self, shared: dict[str, Any]) -> RigState:
         """An empty state with the `shared` fields."""
         (size, words), count = shared["counts"].sets.shape[1:], len(shared["surfaces"])
-        mounts = [len(part.axes) for part in self.parts]
-        centres = sum(len(part.centres) for part in self.parts)
+        mounts = [len(group.axes) for group in self.groups]
+        centres = sum(len(group.centres) for group in self.groups)
         check_views(CENTRE_BYTES * centres + CAMERA_BYTES * sum(mounts) * BITS * words, size, 1, count)
         return RigState(
             **shared,
-            parts=tuple(np.zeros((2, count, size, each, words), dtype=np.uint64) for each in mounts),
+            groups=tuple(np.zeros((2, count, size, each, words), dtype=np.uint64) for each in mounts),
             shown=np.zeros((count, size, words), dtype=np.uint64),
         )
 
     def scratch(self, state: RigState) -> RigScratch:
         """Working memory for moves of a state."""
-        return rig_scratch_of(state, tuple(len(part.centres) for part in self.parts))
+        return rig_scratch_of(state, tuple(len(group.centres) for group in self.groups))
 
 
 class CoverageField(NamedTuple):
@@ -184,10 +184,10 @@ def coverage_field(evaluator: Evaluator, n: int) -> CoverageField:
     e, (order, index_of), blockers = evaluator, evaluator.blocks, evaluator.scene.room.blockers()
     ordered = e.positions[order]
     cameras: OneCamera | RigCameras
-    if e.parts:
-        places = (ordered if blockers is None else places_around(ordered, part) for part in e.parts)
-        each = zip(e.parts, places, strict=True)
-        cameras = RigCameras(tuple(part._replace(obstacles=obstacles_at(blockers, at)) for part, at in each))
+    if e.groups:
+        places = (ordered if blockers is None else places_around(ordered, group) for group in e.groups)
+        each = zip(e.groups, places, strict=True)
+        cameras = RigCameras(tuple(group._replace(obstacles=obstacles_at(blockers, at)) for group, at in each))
     else:
         obstacles, tables = obstacles_at(blockers, ordered), np.stack(e.tables)
         cameras = OneCamera(e.sight, horizon_of(e.sight), np.zeros((1, 3)), np.zeros(1), obstacles, e.axes, tables)

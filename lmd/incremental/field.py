@@ -15,6 +15,7 @@ from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 
+from lmd.core.bits import Integer
 from lmd.core.checks import FloatArray, IntArray
 from lmd.core.compiled import borrowing, inner, kernel
 from lmd.core.dispatch import dispatched, dispatched_call, overridable
@@ -102,7 +103,7 @@ class Target(Protocol):
 
 
 @dispatched_call
-def bound(field, k, pose, surface, state, scratch):  # type: ignore[no-untyped-def]
+def bound(field: Any, k: Integer, pose: Any, surface: Integer, state: Any, scratch: Any) -> None:
     """Find values no lower than those with landmark k at `pose` `(6,)`, position and normal, on a surface.
 
     They go to `scratch.units`. Cheap, so that most moves can be dropped before they are settled.
@@ -110,22 +111,22 @@ def bound(field, k, pose, surface, state, scratch):  # type: ignore[no-untyped-d
 
 
 @dispatched_call
-def settle(field, k, state, scratch):  # type: ignore[no-untyped-def]
+def settle(field: Any, k: Integer, state: Any, scratch: Any) -> None:
     """Make the values in `scratch.units` exact."""
 
 
 @dispatched_call
-def accept(field, k, state, scratch):  # type: ignore[no-untyped-def]
+def accept(field: Any, k: Integer, state: Any, scratch: Any) -> None:
     """Carry out the settled move; no other may have been tried or carried out since."""
 
 
 @dispatched_call
-def undo(field, k, state, scratch):  # type: ignore[no-untyped-def]
+def undo(field: Any, k: Integer, state: Any, scratch: Any) -> None:
     """Take back the last accepted move with this scratch, all later ones being taken back."""
 
 
 @dispatched
-def smoothed(target, p, units, margin, width, share):  # type: ignore[no-untyped-def]
+def smoothed(target: Any, p: Integer, units: Any, margin: Any, width: float, share: float) -> Any:
     """What `units` at position p are worth, smoothed over `width` in value, plus `share` of the value itself.
 
     It never falls as the units rise, and is at most (1 + share) times the position's relevance.
@@ -133,18 +134,18 @@ def smoothed(target, p, units, margin, width, share):  # type: ignore[no-untyped
 
 
 @dispatched
-def worth(target, p, units):  # type: ignore[no-untyped-def]
+def worth(target: Any, p: Integer, units: Integer) -> Any:
     """What `units` at position p are worth: summed over the positions, the fitness."""
 
 
 @overridable
-def placed(state):  # type: ignore[no-untyped-def]
+def placed(state: Any) -> Any:
     """The part of a state that has `poses` and `surfaces`: the state itself, unless its class registers another."""
     return state
 
 
 @kernel
-def total_worth(target, units):  # type: ignore[no-untyped-def]
+def total_worth(target: Any, units: Any) -> Any:
     """The fitness of a deployment with the values `units`."""
     total = 0.0
     for p in range(len(units)):
@@ -153,7 +154,7 @@ def total_worth(target, units):  # type: ignore[no-untyped-def]
 
 
 @inner
-def move(field, k, pose, surface, state, scratch):  # type: ignore[no-untyped-def]
+def move(field: Any, k: Integer, pose: Any, surface: Integer, state: Any, scratch: Any) -> None:
     """Move landmark k, whatever that is worth: `bound`, `settle` and `accept`."""
     bound(field, k, pose, surface, state, scratch)
     settle(field, k, state, scratch)
@@ -161,7 +162,7 @@ def move(field, k, pose, surface, state, scratch):  # type: ignore[no-untyped-de
 
 
 @inner
-def lead(places, field, state, scratches, pose):  # type: ignore[no-untyped-def]
+def lead(places: Any, field: Any, state: Any, scratches: Any, pose: Any) -> None:
     """Move the landmarks of `state` that are elsewhere than at `places`, with the first of the `scratches`.
 
     `pose` `(6,)` is working memory.
@@ -177,7 +178,7 @@ def lead(places, field, state, scratches, pose):  # type: ignore[no-untyped-def]
 
 
 @borrowing
-def perform(steps, poses, field, state, scratches, units):  # type: ignore[no-untyped-def]
+def perform(steps: Any, poses: FloatArray, field: Any, state: Any, scratches: Any, units: Any) -> None:
     """Do the steps of moves one after the other.
 
     All that Python asks of a field goes through this kernel, as one is compiled for each kind of field, and for long.

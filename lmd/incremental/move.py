@@ -5,9 +5,11 @@ scratch have of the two places, P_n included, so that `take_back` only has to ex
 moves the counts equal those of a full evaluation, bit for bit.
 """
 
+from typing import Any
+
 import numpy as np
 
-from lmd.core.bits import ALL
+from lmd.core.bits import ALL, Integer
 from lmd.core.compiled import borrowing, inner
 from lmd.incremental.counts import ripple, sum_up
 from lmd.incremental.occlusion import ARRIVES
@@ -24,7 +26,7 @@ from lmd.incremental.trial import (
 
 
 @inner
-def exchange(k, field, state, scratch):  # type: ignore[no-untyped-def]
+def exchange(k: Integer, field: Any, state: Any, scratch: Any) -> None:
     """Exchange what a state and a scratch have of landmark k and of the pairs, and update the counts."""
     words, who, where = np.uint64(state.counts.digits.shape[1]), scratch.pairs[WHO], scratch.pairs[WHERE]
     for p in scratch.lists[LISTED][: list_changing(state, k, scratch)]:
@@ -42,7 +44,7 @@ def exchange(k, field, state, scratch):  # type: ignore[no-untyped-def]
 
 
 @inner
-def take_back(field, k, state, scratch):  # type: ignore[no-untyped-def]
+def take_back(field: Any, k: Integer, state: Any, scratch: Any) -> None:
     """Exchange landmark k for the other place in `scratch`: undo the last `carry_out`, all later ones being undone."""
     k, first, last, units = np.uint64(k), scratch.lists[FIRST], scratch.lists[LAST], scratch.units
     exchange(k, field, state, scratch)
@@ -56,14 +58,14 @@ def take_back(field, k, state, scratch):  # type: ignore[no-untyped-def]
 
 
 @inner
-def carry_out(field, k, state, scratch):  # type: ignore[no-untyped-def]
+def carry_out(field: Any, k: Integer, state: Any, scratch: Any) -> None:
     """Move landmark k to where it was tried last; no other move may have been tried or carried out since."""
     see_whole(np.uint64(k), field, state, scratch)
     take_back(field, k, state, scratch)
 
 
 @borrowing
-def fill(field, state, scratch):  # type: ignore[no-untyped-def]
+def fill(field: Any, state: Any, scratch: Any) -> None:
     """Count the landmarks of `state`, one after the other."""
     for k in range(np.uint64(state.poses.shape[1])):
         for i in range(6):
@@ -76,7 +78,7 @@ def fill(field, state, scratch):  # type: ignore[no-untyped-def]
 
 
 @borrowing
-def overlook(missed, field, state):  # type: ignore[no-untyped-def]
+def overlook(missed: Any, field: Any, state: Any) -> None:
     """Take the sets of axes `missed` `(K, Q, W)` out of the caps; landmarks hide each other as before."""
     caps = state.caps
     for k in range(np.uint64(caps.shape[0])):

@@ -17,14 +17,16 @@ cheap to exact:
 2. Those left are tested from each position by `note_neighbour`: for a camera by the inequalities of the reference, for
    a rig by a bound for all cameras around a centre, then by those inequalities with each orientation.
 
-A camera is searched as a part of a rig with one centre, the position itself, and the radius 0.
+A camera is searched as a group of a rig with one centre, the position itself, and the radius 0.
 """
 
 import math
+from typing import Any
 
 import numpy as np
 
-from lmd.core.bits import LANES, lowest
+from lmd.core.bits import LANES, Integer, lowest
+from lmd.core.checks import FloatArray
 from lmd.core.compiled import inlined, inner
 from lmd.core.dispatch import dispatched
 from lmd.incremental.nearby import pose_of, target_of
@@ -50,13 +52,15 @@ LEAVES, COMES, ARRIVES = np.int64(0), np.int64(1), np.int64(2)
 
 
 @inlined
-def line_radius(sight):  # type: ignore[no-untyped-def]
+def line_radius(sight: Any) -> Any:
     """Greatest distance from a line of sight at which a landmark hides another, metres."""
     return math.sqrt(sight.reach) * (1.0 + SINGLE_ERROR) + TOLERANCE
 
 
 @inner
-def find_ways(ax, ay, az, poses, horizon, others, ways):  # type: ignore[no-untyped-def]
+def find_ways(
+    ax: float, ay: float, az: float, poses: FloatArray, horizon: float, others: np.ndarray, ways: FloatArray
+) -> Any:
     """List the landmarks within the horizon of (ax, ay, az), and the vectors to them; see `Scratch.ways`.
 
     Returns:
@@ -81,7 +85,9 @@ def find_ways(ax, ay, az, poses, horizon, others, ways):  # type: ignore[no-unty
 
 
 @inlined
-def near_line(start, mx, my, mz, hx, hy, hz, radius, ways):  # type: ignore[no-untyped-def]
+def near_line(
+    start: Any, mx: float, my: float, mz: float, hx: Any, hy: Any, hz: Any, radius: float, ways: FloatArray
+) -> Any:
     """Landmarks that pass the first stage above, as bits.
 
     Args:
@@ -107,22 +113,25 @@ def near_line(start, mx, my, mz, hx, hy, hz, radius, ways):  # type: ignore[no-u
 
 
 @dispatched
-def note_neighbour(state, cameras, c, b, i, k, how, place, box, mine, other, field, scratch):  # type: ignore[no-untyped-def]
+def note_neighbour(
+    state: Any, cameras: Any, c: Integer, b: Integer, i: Integer, k: Integer, how: Any, place: Any, box: Any,
+    mine: Any, other: Any, field: Any, scratch: Any,
+) -> None:  # fmt: skip
     """Find which of landmark i and landmark k at a `place` hides the other from block b, and note it down.
 
     Args:
-        cameras: a `OneCamera`, or a `Part` of a rig.
+        cameras: a `OneCamera`, or a `MountGroup` of a rig.
         c, b: centre of the cameras, and block of positions.
         how: `LEAVES`, `COMES` or `ARRIVES`.
         place: position and normal, six numbers.
         box: offset of the place from the centre of the block seen from c, metres, three numbers, and half the length
             of the box's diagonal.
-        mine, other: what a state and a scratch have of the part of a rig.
+        mine, other: what a state and a scratch have of the group of a rig.
     """
 
 
 @inner
-def search(cameras, k, how, mine, other, field, state, scratch):  # type: ignore[no-untyped-def]
+def search(cameras: Any, k: Integer, how: Any, mine: Any, other: Any, field: Any, state: Any, scratch: Any) -> None:
     """Find the landmarks that hide landmark k where it is or where it is tried, and those that it hides there."""
     boxes, poses, ways, width = field.boxes, state.poses, scratch.ways, line_radius(cameras.sight)
     blocks, others = scratch.lists[BLOCKS], scratch.lists[OTHERS]
@@ -151,7 +160,7 @@ def search(cameras, k, how, mine, other, field, state, scratch):  # type: ignore
 
 
 @inlined
-def touch(p, scratch):  # type: ignore[no-untyped-def]
+def touch(p: Integer, scratch: Any) -> None:
     """List position p among those that are `TOUCHED`."""
     numbers = scratch.numbers
     if not scratch.flags[TOUCHED, p]:
@@ -160,7 +169,7 @@ def touch(p, scratch):  # type: ignore[no-untyped-def]
 
 
 @inlined
-def note_pair(i, p, scratch):  # type: ignore[no-untyped-def]
+def note_pair(i: Integer, p: Integer, scratch: Any) -> None:
     """List the pair of landmark i and position p."""
     known, pairs, numbers = scratch.known, scratch.pairs, scratch.numbers
     if not known[p, i]:

@@ -15,7 +15,7 @@ from lmd.incremental.counts import Counts
 HIDDEN = 0  # number of other landmarks that hide this one
 HIDING = 1  # number of other landmarks that this one hides
 
-# Rows of the parts of `RigState`, and of `PartScratch.sets`.
+# Rows of the groups of `RigState`, and of `GroupScratch.sets`.
 CAPS = 0  # orientations with which a camera covers a landmark, occlusion ignored
 OCCLUDED = 1  # those of them with which another landmark hides it
 
@@ -47,7 +47,7 @@ FRESH = 0  # orientations among those `ASKED` with which the place tried is cove
 ASKED = 1  # orientations that are tested
 
 # Rows of `Scratch.pairs`.
-WHO, WHERE = 0, 1  # a landmark, and a position; of `PartScratch.pairs` a centre around a position, c Q + q
+WHO, WHERE = 0, 1  # a landmark, and a position; of `GroupScratch.pairs` a centre around a position, c Q + q
 
 # Rows of `seen`: the place tried as it is seen; `criteria.from_position` and `from_around` explain the bounds.
 X, Y, Z = 0, 1, 2  # its offset from the position, or from the centre, metres
@@ -85,8 +85,8 @@ class RigState(NamedTuple):
     """As in `State`."""
     units: np.ndarray
     """As in `State`."""
-    parts: tuple[np.ndarray, ...]
-    """`(2, K, Q, M, W)` of each part with M cameras: `CAPS`, `OCCLUDED`."""
+    groups: tuple[np.ndarray, ...]
+    """`(2, K, Q, M, W)` of each group with M cameras: `CAPS`, `OCCLUDED`."""
     shown: np.ndarray
     """`(K, Q, W)` orientations with which some camera sees a landmark."""
 
@@ -128,8 +128,8 @@ class Scratch(NamedTuple):
     """`(2, Q)` int32: cell of the tables of directions, and the row of the axes that may have the place in view."""
 
 
-class PartScratch(NamedTuple):
-    """The move tried last as one part of a rig sees it, and working memory for Q positions."""
+class GroupScratch(NamedTuple):
+    """The move tried last as one group of a rig sees it, and working memory for Q positions."""
 
     sets: np.ndarray
     """`(2, Q, M, W)`: `CAPS`, `OCCLUDED` of the place tried among the orientations `ASKED`."""
@@ -149,9 +149,9 @@ class PartScratch(NamedTuple):
 
 
 class RigScratch(NamedTuple):
-    """The move tried last by all parts of a rig, and working memory.
+    """The move tried last by all groups of a rig, and working memory.
 
-    Once the move is carried out, `target`, `SURFACE`, `units`, `FRESH`, and `sets` of the parts are those of the place
+    Once the move is carried out, `target`, `SURFACE`, `units`, `FRESH`, and `sets` of the groups are those of the place
     left.
     """
 
@@ -175,8 +175,8 @@ class RigScratch(NamedTuple):
     """As in `Scratch`."""
     known: np.ndarray
     """As in `Scratch`."""
-    parts: tuple[PartScratch, ...]
-    """The move as each part sees it."""
+    groups: tuple[GroupScratch, ...]
+    """The move as each group sees it."""
 
 
 def _shared_fields(state: State | RigState) -> dict[str, Any]:
@@ -209,18 +209,18 @@ def scratch_of(state: State) -> Scratch:
 
 
 def rig_scratch_of(state: RigState, centres: tuple[int, ...]) -> RigScratch:
-    """Working memory for moves of the landmarks of a rig's `state`; `centres` has their number in each part."""
+    """Working memory for moves of the landmarks of a rig's `state`; `centres` has their number in each group."""
     count, size = state.shown.shape[:2]
-    parts = tuple(
-        PartScratch(
-            sets=np.zeros((2, *part.shape[2:]), dtype=np.uint64),
-            flipped=np.zeros(part.shape[1:], dtype=np.uint64),
+    groups = tuple(
+        GroupScratch(
+            sets=np.zeros((2, *group.shape[2:]), dtype=np.uint64),
+            flipped=np.zeros(group.shape[1:], dtype=np.uint64),
             occluders=np.zeros(1, dtype=np.int64),
             pairs=np.empty((2, count * around * size), dtype=np.uint32),
             seen=np.empty((6, size)),
             lists=np.empty((2, size + 1), dtype=np.uint64),
             reached=np.empty(size, dtype=np.bool_),
         )
-        for part, around in zip(state.parts, centres, strict=True)
+        for group, around in zip(state.groups, centres, strict=True)
     )
-    return RigScratch(**_shared_fields(state), parts=parts)
+    return RigScratch(**_shared_fields(state), groups=groups)

@@ -18,9 +18,12 @@ depend on the position alone, for a rig on the orientation, too. One loop for bo
 one mount takes 1.3 to 1.8 times as long for a trial, 1.9 to 2.7 times for a move that is carried out.
 """
 
+from typing import Any
+
 import numpy as np
 
-from lmd.core.bits import ALL, add_set, at_least, exactly
+from lmd.core.bits import ALL, Integer, add_set, at_least, exactly
+from lmd.core.checks import FloatArray
 from lmd.core.compiled import inner
 from lmd.core.dispatch import dispatched, dispatched_call
 from lmd.incremental.counts import ENOUGH
@@ -43,22 +46,22 @@ from lmd.sight.kernels import sum_weights
 
 
 @dispatched
-def shown_of(state, k, p, w):  # type: ignore[no-untyped-def]
+def shown_of(state: Any, k: Integer, p: Integer, w: Integer) -> Any:
     """Orientations of word w with which landmark k is seen from position p."""
 
 
 @dispatched
-def turned(state, i, p, w, scratch):  # type: ignore[no-untyped-def]
+def turned(state: Any, i: Integer, p: Integer, w: Integer, scratch: Any) -> Any:
     """`shown_of` a landmark of `Scratch.pairs` before and after the move."""
 
 
 @dispatched_call
-def find_pairs(state, k, how, field, scratch):  # type: ignore[no-untyped-def]
+def find_pairs(state: Any, k: Integer, how: Any, field: Any, scratch: Any) -> None:
     """Find the pairs that landmark k concerns as it leaves its place, comes to the place tried or arrives there."""
 
 
 @dispatched_call
-def bound_views(state, k, field, scratch):  # type: ignore[no-untyped-def]
+def bound_views(state: Any, k: Integer, field: Any, scratch: Any) -> Any:
     """Bound P_n at positions that are not touched.
 
     Returns:
@@ -67,17 +70,17 @@ def bound_views(state, k, field, scratch):  # type: ignore[no-untyped-def]
 
 
 @dispatched_call
-def see(state, k, positions, field, scratch):  # type: ignore[no-untyped-def]
+def see(state: Any, k: Integer, positions: np.ndarray, field: Any, scratch: Any) -> None:
     """Find in `FRESH` with which orientations among those `ASKED` landmark k is covered at the place tried."""
 
 
 @dispatched
-def fresh_of(scratch, p, w):  # type: ignore[no-untyped-def]
+def fresh_of(scratch: Any, p: Integer, w: Integer) -> Any:
     """Orientations in `FRESH` with which the landmark is seen at the place tried."""
 
 
 @dispatched_call
-def list_changing(state, k, scratch):  # type: ignore[no-untyped-def]
+def list_changing(state: Any, k: Integer, scratch: Any) -> Any:
     """List in `LISTED` the positions at which a move of landmark k may change anything.
 
     Returns:
@@ -86,7 +89,7 @@ def list_changing(state, k, scratch):  # type: ignore[no-untyped-def]
 
 
 @dispatched
-def exchange_sets(state, k, p, w, scratch):  # type: ignore[no-untyped-def]
+def exchange_sets(state: Any, k: Integer, p: Integer, w: Integer, scratch: Any) -> Any:
     """Exchange the sets of landmark k in word w at position p.
 
     Returns:
@@ -95,7 +98,7 @@ def exchange_sets(state, k, p, w, scratch):  # type: ignore[no-untyped-def]
 
 
 @dispatched_call
-def exchange_views(state, k, scratch):  # type: ignore[no-untyped-def]
+def exchange_views(state: Any, k: Integer, scratch: Any) -> None:
     """Exchange what else a state and a scratch have of the places of landmark k, and apply the pairs.
 
     Done twice, it changes nothing.
@@ -103,12 +106,12 @@ def exchange_views(state, k, scratch):  # type: ignore[no-untyped-def]
 
 
 @dispatched_call
-def forget_views(scratch):  # type: ignore[no-untyped-def]
+def forget_views(scratch: Any) -> None:
     """Clear what the last trial found, by the lists of that trial."""
 
 
 @inner
-def begin_place(k, field, state, scratch):  # type: ignore[no-untyped-def]
+def begin_place(k: Integer, field: Any, state: Any, scratch: Any) -> None:
     """Clear the last trial, and list the blocks near landmark k or the place tried."""
     numbers, who, where = scratch.numbers, scratch.pairs[WHO], scratch.pairs[WHERE]
     touched, places, known = scratch.flags[TOUCHED], scratch.lists[TOUCHED_LIST], scratch.known
@@ -122,7 +125,7 @@ def begin_place(k, field, state, scratch):  # type: ignore[no-untyped-def]
 
 
 @inner
-def begin_move(k, pose, surface, field, state, scratch):  # type: ignore[no-untyped-def]
+def begin_move(k: Integer, pose: Any, surface: Integer, field: Any, state: Any, scratch: Any) -> None:
     """Find what changes as landmark k leaves its place for `pose` `(6,)`, position and normal; copy all values."""
     scratch.numbers[SURFACE], units, before = surface, scratch.units, state.units
     for i in range(6):
@@ -134,7 +137,7 @@ def begin_move(k, pose, surface, field, state, scratch):  # type: ignore[no-unty
 
 
 @inner
-def _count_others(k, state, scratch):  # type: ignore[no-untyped-def]
+def _count_others(k: Integer, state: Any, scratch: Any) -> None:
     """Count in `digits` the landmarks but k at positions that are touched, the pairs having turned."""
     counts, digits, who, where = state.counts.digits, scratch.digits, scratch.pairs[WHO], scratch.pairs[WHERE]
     words = np.uint64(counts.shape[1])
@@ -152,7 +155,7 @@ def _count_others(k, state, scratch):  # type: ignore[no-untyped-def]
 
 
 @inner
-def ask_touched(k, n, or_more, state, scratch):  # type: ignore[no-untyped-def]
+def ask_touched(k: Integer, n: Integer, or_more: bool, state: Any, scratch: Any) -> None:
     """Ask at touched positions for the orientations with n - 1 other landmarks in view, `or_more`."""
     asked, digits = scratch.sets[ASKED], scratch.digits
     _count_others(k, state, scratch)
@@ -162,7 +165,7 @@ def ask_touched(k, n, or_more, state, scratch):  # type: ignore[no-untyped-def]
 
 
 @inner
-def _find_units(k, positions, n, weights, state, scratch):  # type: ignore[no-untyped-def]
+def _find_units(k: Integer, positions: FloatArray, n: Integer, weights: Any, state: Any, scratch: Any) -> None:
     """Find P_n at `positions` with the sets in `FRESH` for landmark k and the pairs as they turn."""
     enough, asked = state.counts.sets[ENOUGH], scratch.sets[ASKED]
     touched, digits = scratch.flags[TOUCHED], scratch.digits
@@ -179,7 +182,7 @@ def _find_units(k, positions, n, weights, state, scratch):  # type: ignore[no-un
 
 
 @inner
-def see_whole(k, field, state, scratch):  # type: ignore[no-untyped-def]
+def see_whole(k: Integer, field: Any, state: Any, scratch: Any) -> None:
     """Find all orientations that cover landmark k at the place tried."""
     positions, asked = scratch.lists[LISTED][: list_changing(state, k, scratch)], scratch.sets[ASKED]
     for p in positions:
@@ -189,7 +192,7 @@ def see_whole(k, field, state, scratch):  # type: ignore[no-untyped-def]
 
 
 @inner
-def bound_move(field, k, pose, surface, state, scratch):  # type: ignore[no-untyped-def]
+def bound_move(field: Any, k: Integer, pose: Any, surface: Integer, state: Any, scratch: Any) -> None:
     """Find upper bounds on P_n with landmark k at `pose` `(6,)`, position and normal, on a surface: `scratch.units`."""
     k = np.uint64(k)
     begin_move(k, pose, surface, field, state, scratch)
@@ -200,7 +203,7 @@ def bound_move(field, k, pose, surface, state, scratch):  # type: ignore[no-unty
 
 
 @inner
-def finish_move(field, k, state, scratch):  # type: ignore[no-untyped-def]
+def finish_move(field: Any, k: Integer, state: Any, scratch: Any) -> None:
     """Make the values that `bound_move` found exact."""
     k = np.uint64(k)
     find_pairs(state, k, COMES, field, scratch)

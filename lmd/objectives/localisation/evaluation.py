@@ -20,9 +20,9 @@ from lmd.objectives.localisation.views import VIEW, landmark_moments
 from lmd.scene.criteria import covering, covers, frame_of, pixel_density, sized
 from lmd.sight.evaluator import Evaluator
 from lmd.sight.kernels import weights_row
-from lmd.sight.obstacles import is_clear, no_ends
+from lmd.sight.obstacles import is_clear, new_ends
 from lmd.sight.poses import CHUNKS_PER_THREAD
-from lmd.sight.viewpoint import gather_near, list_shown, look, take, viewpoint_for
+from lmd.sight.viewpoint import fill_viewpoint, gather_near, list_shown, load_deployment, viewpoint_for
 
 
 class ViewValues(NamedTuple):
@@ -59,13 +59,13 @@ def localised_views(
         e.check_memory(8 * batch)
     if e.by_reference:
         return ViewValues(*reference_views(e, positions, normals, n, precision, keep))
-    if e.parts:
+    if e.groups:
         return ViewValues(*rig_views(e, positions, normals, n, precision, keep))
     covered, localised = np.zeros((2, batch, size), dtype=np.int64)
     values = ViewValues(covered, localised, np.empty((batch, size, e.axes.shape[1]) if keep else (0, 0, 0)))
     digits = max(positions.shape[1], n, 2).bit_length()
     fixed = (*e.batch(positions, normals), n, digits, precision, precision.asks, *values, keep)
-    e.by_blocks(_localise_range, fixed, CHUNKS_PER_THREAD)
+    e.run_over_blocks(_localise_range, fixed, CHUNKS_PER_THREAD)
     return values
 
 
@@ -86,17 +86,20 @@ def _localise_range(
         covered, localised, variances: see `ViewValues`.
         keep: whether `variances` are written.
     """
-    words, poses, names = (
+    words, poses, indices = (
         np.uint64(axes.shape[1] // BITS),
         np.empty((6, landmarks.shape[2])),
         np.arange(landmarks.shape[2]),
     )
-    clear, ends, view = is_clear(obstacles), no_ends(obstacles, len(names)), viewpoint_for(len(names))
-    near, who, x, y, z, low, high, deep = (
-        view.near, view.who, view.x, view.y, view.z, view.low, view.high, view.deep
+    clear, ends, view = is_clear(obstacles), new_ends(obstacles, len(indices)), viewpoint_for(len(indices))
+    near, index, x, y, z, low, high, sure_depth = (
+        view.near_poses, view.near_index, view.x, view.y, view.z, view.low, view.high, view.sure_depth
     )  # fmt: skip
-    bottom, top, shown, directions = view.bottom, view.top, view.shown, view.near[3:]
-    caps, digits = np.empty((len(names), words), dtype=np.uint64), np.empty((words, np.uint64(places)), dtype=np.uint64)
+    bottom, top, shown, directions = view.bottom, view.top, view.shown, view.near_poses[3:]
+    caps, digits = (
+        np.empty((len(indices), words), dtype=np.uint64),
+        np.empty((words, np.uint64(places)), dtype=np.uint64),
+    )
     enough, listed = np.empty(words, dtype=np.uint64), np.empty(axes.shape[1], dtype=np.uint64)
     moment, sums, several = np.zeros(WIDTH), np.empty((axes.shape[1], WIDTH)), np.empty(words, dtype=np.uint64)
     flat = sums.reshape(-1)
@@ -104,17 +107,17 @@ def _localise_range(
     terms = np.uint64(WIDTH + landmarks.shape[1] - 3)
     for b in range(landmarks.shape[0]):
         many = count = 0
-        take(b, landmarks, normals, sight, obstacles, clear, poses, ends)
+        load_deployment(b, landmarks, normals, sight, obstacles, clear, poses, ends)
         for o in range(first, last):
             p = order[o]
-            many, count = gather_near(o, first, last, order, positions, horizon, many, count, poses, names, view)
-            look(view, count, positions[p, 0], positions[p, 1], positions[p, 2], sight, tables)
+            many, count = gather_near(o, first, last, order, positions, horizon, many, count, poses, indices, view)
+            fill_viewpoint(view, count, positions[p, 0], positions[p, 1], positions[p, 2], sight, tables)
             found = list_shown(view, directions, count, p, sight, obstacles, clear, ends)
             digits[:] = ZERO
             for m in range(found):
                 k = shown[m]
                 xk, yk, zk, least = x[k], y[k], z[k], low[k]
-                nx, ny, nz, mine = near[3, k], near[4, k], near[5, k], sized(sight, who[k])
+                nx, ny, nz, mine = near[3, k], near[4, k], near[5, k], sized(sight, index[k])
                 if tables is None:
                     start, stop = bands[bottom[k]] // LANES, (bands[top[k]] + LANES - 1) // LANES
                     bottom[k], top[k] = start // 2, (stop + 1) // 2
@@ -132,11 +135,13 @@ def _localise_range(
                     given, cell, frame = np.uint64(bottom[k]), np.uint64(top[k]), frame_of(mine, nx, ny, nz)
                     bottom[k], top[k] = 0, words
                     for i in range(words):
-                        cap, left = certain[given, i], possible[cell, i] & ~certain[given, i]
+                        visible, left = certain[given, i], possible[cell, i] & ~certain[given, i]
                         if left:
                             well = certain[cell, i]
-                            cap |= covering(mine, left, i, xk, yk, zk, frame, least, high[k], deep[k], well, axes)
-                        caps[k, i] = cap
+                            visible |= covering(
+                                mine, left, i, xk, yk, zk, frame, least, high[k], sure_depth[k], well, axes
+                            )
+                        caps[k, i] = visible
                 for i in range(np.uint64(bottom[k]), np.uint64(top[k])):
                     carry, j = caps[k, i], ZERO
                     while carry:
@@ -161,7 +166,7 @@ def _localise_range(
                 k = shown[m]
                 xk, yk, zk = x[k], y[k], z[k]
                 nx, ny, nz = near[3, k], near[4, k], near[5, k]
-                landmark_moments(xk, yk, zk, nx, ny, nz, precision, who[k], moment)
+                landmark_moments(xk, yk, zk, nx, ny, nz, precision, index[k], moment)
                 for i in range(np.uint64(bottom[k]), np.uint64(top[k])):
                     left = caps[k, i] & enough[i]
                     while left:

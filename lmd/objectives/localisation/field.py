@@ -131,5 +131,5 @@ def localisation_field(evaluator: Evaluator, n: int, precision: Precision, weigh
         precision: the least information of a localised view.
         weight: of P_n beside L in the values.
     """
-    mounts = mounts_of(evaluator, evaluator.parts) if evaluator.parts else ()
+    mounts = mounts_of(evaluator, evaluator.groups) if evaluator.groups else ()
     return LocalisationField(coverage_field(evaluator, n), precision, precision.asks, weight, mounts)

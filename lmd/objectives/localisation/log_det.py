@@ -36,7 +36,7 @@ from lmd.scene.deployment import Deployment
 from lmd.scene.scene import Scene
 from lmd.sight.evaluator import Evaluator
 from lmd.sight.mounts import with_sight
-from lmd.sight.obstacles import find_ends, no_ends
+from lmd.sight.obstacles import find_ends, new_ends
 from lmd.sight.poses import by_edge, shared
 from lmd.sight.viewpoint import see_alone
 
@@ -61,7 +61,7 @@ def log_det_selection(
         precision: the size of the tags of a scene, see `information.precision`.
         position, rotation: prior information, in the units of `information`: 1 / `variance`.
     """
-    kind: type[LogDeterminant] = RigLogDeterminant if evaluator.parts else CameraLogDeterminant
+    kind: type[LogDeterminant] = RigLogDeterminant if evaluator.groups else CameraLogDeterminant
     if evaluator.by_reference:
         kind = ReferenceLogDeterminant
     return kind(evaluator, relevance, precision, position, rotation)
@@ -139,7 +139,7 @@ def _gains(
         known: their `log_det`, `(P, D)`.
         out: receives the gains.
     """
-    ends, moment, row = no_ends(obstacles, 1), np.zeros(WIDTH), np.zeros(WIDTH)
+    ends, moment, row = new_ends(obstacles, 1), np.zeros(WIDTH), np.zeros(WIDTH)
     for j in range(start, stop):
         nx, ny, nz, gain = normals[j, 0], normals[j, 1], normals[j, 2], 0.0
         pose = points[j, 0], points[j, 1], points[j, 2], nx, ny, nz
@@ -165,7 +165,7 @@ def _add(
 ) -> None:  # fmt: skip
     """Add a landmark to `sums` and `known` at the positions `start` to `stop`; arguments as in `_gains`."""
     nx, ny, nz = normal[0], normal[1], normal[2]
-    ends, moment = no_ends(obstacles, 1), np.zeros(WIDTH)
+    ends, moment = new_ends(obstacles, 1), np.zeros(WIDTH)
     find_ends(obstacles, sight, point[0], point[1], point[2], nx, ny, nz, ends, 0)
     pose = point[0], point[1], point[2], nx, ny, nz
     for p in range(start, stop):
@@ -211,7 +211,7 @@ def _rig_gains(
     """Write the gains of N poses to `out` `(N,)`.
 
     Args:
-        every: poses that each part of the rig covers.
+        every: poses that each group of the rig covers.
         tags: the poses, see `tags_of`.
         prices: of positions and orientations, `(P, D)`.
         positions: of the body, `(P, 3)`.
@@ -292,8 +292,8 @@ class RigLogDeterminant(LogDeterminant):
 
     def _shown(self, e: Evaluator, poses: Deployment) -> tuple[Shown, ...]:
         """Poses that the cameras cover if none hides another."""
-        parts = tuple(with_sight(part, part.sight.unhidden()) for part in e.parts)
-        return shown_by(e, parts, e.positions, poses)
+        groups = tuple(with_sight(group, group.sight.unhidden()) for group in e.groups)
+        return shown_by(e, groups, e.positions, poses)
 
 
 class ReferenceLogDeterminant(LogDeterminant):

@@ -19,8 +19,8 @@ from lmd.objectives.localisation.views import NUMBER, ORIENTATION, TAKEN, VIEW, 
 from lmd.scene.criteria import pixel_density
 from lmd.scene.deployment import Deployment
 from lmd.sight.evaluator import Evaluator
-from lmd.sight.mounts import Part
-from lmd.sight.rig_sets import seen_by_each
+from lmd.sight.mounts import MountGroup
+from lmd.sight.rig_sets import covered_sets_by_mount
 
 # Where the numbers of pairs begin: offset, weight, offset of the camera, sides of the tag, and the moments.
 AT = tuple(np.uint64(BITS * i) for i in range(WORK))
@@ -31,22 +31,22 @@ Tag: TypeAlias = tuple[float, float, float, float, float, float, float, float, f
 
 
 class Mounts(NamedTuple):
-    """The M cameras of a part of a rig, apart from what they cover: a tuple is copied for many calls."""
+    """The M cameras of a group of a rig, apart from what they cover: a tuple is copied for many calls."""
 
     number: int
-    """Index of the part."""
+    """Index of the group."""
     sight: Any
-    """As in `lmd.sight.mounts.Part`."""
+    """As in `lmd.sight.mounts.MountGroup`."""
     offsets: FloatArray
-    """As in `lmd.sight.mounts.Part`."""
+    """As in `lmd.sight.mounts.MountGroup`."""
     axes: FloatArray
-    """As in `lmd.sight.mounts.Part`."""
+    """As in `lmd.sight.mounts.MountGroup`."""
     gain: float
     """Information per pixel relative to the first camera, see `gain_of`."""
 
 
 class Shown(NamedTuple):
-    """K landmarks that the cameras of a part cover from P positions of the body."""
+    """K landmarks that the cameras of a group cover from P positions of the body."""
 
     mounts: Mounts
     """The M cameras."""
@@ -55,17 +55,17 @@ class Shown(NamedTuple):
 
 
 def shown_by(
-    evaluator: Evaluator, parts: tuple[Part, ...], positions: FloatArray, deployment: Deployment
+    evaluator: Evaluator, groups: tuple[MountGroup, ...], positions: FloatArray, deployment: Deployment
 ) -> tuple[Shown, ...]:
-    """Landmarks that the parts of a rig, of the evaluator's or variants of them, cover from `positions` `(P, 3)`."""
+    """Landmarks that the groups of a rig, of the evaluator's or variants of them, cover from `positions` `(P, 3)`."""
     args = evaluator.scene.room.blockers(), positions, deployment.positions, deployment.normals
-    return tuple(map(Shown, mounts_of(evaluator, parts), [seen_by_each(part, *args) for part in parts]))
+    return tuple(map(Shown, mounts_of(evaluator, groups), [covered_sets_by_mount(group, *args) for group in groups]))
 
 
-def mounts_of(evaluator: Evaluator, parts: tuple[Part, ...]) -> tuple[Mounts, ...]:
-    """The mounts of the parts of a rig, of the evaluator's or variants of them."""
+def mounts_of(evaluator: Evaluator, groups: tuple[MountGroup, ...]) -> tuple[Mounts, ...]:
+    """The mounts of the groups of a rig, of the evaluator's or variants of them."""
     cameras = evaluator.scene.cameras
-    each = enumerate(zip(parts, dict.fromkeys(cameras), strict=True))
+    each = enumerate(zip(groups, dict.fromkeys(cameras), strict=True))
     return tuple(Mounts(j, p.sight, p.offsets, p.axes, gain_of(kind, cameras[0])) for j, (p, kind) in each)
 
 
@@ -239,7 +239,7 @@ def _find_mirrored(work: FloatArray, least: float, filled: Integer) -> None:
 
 @inner
 def _seen_by_part(shown: Shown, p: Integer, k: Integer, w: Integer) -> np.uint64:
-    """`seen_by_any` camera of a part."""
+    """`seen_by_any` camera of a group."""
     seen = ZERO
     for m in range(len(shown.sets)):
         seen |= shown.sets[m, p, k, w]
@@ -251,7 +251,7 @@ def _add_part(
     shown: Shown, p: Integer, which: np.ndarray, w: Integer, place: Place, tags: FloatArray, precision: Precision,
     views: BodyViews,
 ) -> None:  # fmt: skip
-    """`add_of_all` cameras of a part."""
+    """`add_of_all` cameras of a group."""
     for k in which:
         tag = tag_of(tags, k)
         for m in range(len(shown.sets)):

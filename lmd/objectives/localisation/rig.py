@@ -33,7 +33,7 @@ from lmd.objectives.localisation.views import ORIENTATION, VIEW, BodyViews, body
 from lmd.scene.deployment import Deployment
 from lmd.sight.evaluator import Evaluator
 from lmd.sight.kernels import sum_weights
-from lmd.sight.mounts import Part
+from lmd.sight.mounts import MountGroup
 from lmd.sight.rig_views import RigViews
 from lmd.sight.views import visible_to_each
 
@@ -55,10 +55,12 @@ def rig_views(
     order, weights = evaluator.blocks[0][:size], evaluator.weights
     pieces = max(math.ceil(size * orientations / VIEWS_AT_ONCE), evaluator.threads)
 
-    def work(b: int, parts: tuple[Part, ...], landmarks: Deployment, tags: FloatArray, first: int, last: int) -> None:
+    def work(
+        b: int, groups: tuple[MountGroup, ...], landmarks: Deployment, tags: FloatArray, first: int, last: int
+    ) -> None:
         here = order[first:last]
         places, kinds = evaluator.positions[here], weights[here] if len(weights) > 1 else weights
-        every, found = shown_by(evaluator, parts, places, landmarks), np.zeros((2, len(here)), dtype=np.int64)
+        every, found = shown_by(evaluator, groups, places, landmarks), np.zeros((2, len(here)), dtype=np.int64)
         variances = np.full((len(here), orientations), np.inf) if keep else np.empty((0, 0))
         _localise(every, places, tags, kinds, n, precision, precision.asks, body_views(), found, variances)
         covered[b, here], localised[b, here] = found
@@ -67,9 +69,9 @@ def rig_views(
 
     assert isinstance(evaluator.views, RigViews)
     for b in range(len(positions)):
-        parts = evaluator.views.parts_among(positions[b], normals[b])
+        groups = evaluator.views.groups_among(positions[b], normals[b])
         deployed = Deployment(positions[b], normals[b]), tags_of(precision, positions[b], normals[b])
-        in_parts(evaluator.threads, partial(work, b, parts, *deployed), size, pieces)
+        in_parts(evaluator.threads, partial(work, b, groups, *deployed), size, pieces)
     return covered, localised, kept
 
 
@@ -81,7 +83,7 @@ def _localise(
     """Find P_n and L in integer units, `found` `(2, P)`.
 
     Args:
-        every: landmarks that each part of the rig covers.
+        every: landmarks that each group of the rig covers.
         positions: of the body, `(P, 3)`.
         tags: the landmarks, see `tags_of`.
         weights: of the orientations in integer units, `(1, D)` or `(P, D)`.

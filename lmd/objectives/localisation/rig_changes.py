@@ -85,7 +85,7 @@ def _see_rest_by_rig(known: RigState, k: Integer, cover: Any, trial: RigScratch)
 
 
 @inner
-def _find_turns_of_part(
+def _find_turns_of_group(
     mine: WordArray, flipped: WordArray, trial: RigScratch, lost: WordArray, gained: WordArray
 ) -> None:
     caps, veiled, who, where = mine[CAPS], mine[OCCLUDED], trial.pairs[WHO], trial.pairs[WHERE]
@@ -101,8 +101,8 @@ def _find_turns_of_part(
 
 @find_turns.register(RigState)
 def _find_turns_of_rig(known: RigState, trial: RigScratch, lost: WordArray, gained: WordArray) -> None:
-    for j in range(len(known.parts)):
-        _find_turns_of_part(known.parts[j], trial.parts[j].flipped, trial, lost, gained)
+    for j in range(len(known.groups)):
+        _find_turns_of_group(known.groups[j], trial.groups[j].flipped, trial, lost, gained)
 
 
 @forget_moments.register(BodyViews)
@@ -128,7 +128,7 @@ def _add_changes_of_part(
     mounts: Mounts, known: RigState, k: Integer, q: Integer, w: Integer, sign: float, field: Any, scratch: Any
 ) -> None:
     trial, views, count = scratch.coverage, scratch.views, len(mounts.axes)
-    mine, other = known.parts[mounts.number], trial.parts[mounts.number]
+    mine, other = known.groups[mounts.number], trial.groups[mounts.number]
     caps, veiled, cap, veil = mine[CAPS], mine[OCCLUDED], other.sets[CAPS], other.sets[OCCLUDED]
     place, precision = _place(q, field), field.precision
     old, new = _tag(k, pose_of(k, known), precision), _tag(k, target_of(trial), precision)
@@ -179,7 +179,7 @@ def _change_sums_of_rig(
 @inner
 def _add_shown_to_part(mounts: Mounts, known: RigState, q: Integer, w: Integer, field: Any, scratch: Any) -> None:
     mine, place, precision, views = (
-        known.parts[mounts.number], _place(q, field), field.precision, scratch.views
+        known.groups[mounts.number], _place(q, field), field.precision, scratch.views
     )  # fmt: skip
     caps, veiled = mine[CAPS], mine[OCCLUDED]
     for i in range(caps.shape[0]):
