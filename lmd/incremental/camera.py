@@ -1,7 +1,6 @@
-"""Moves of landmarks before a single camera: its centre is the position itself, whatever the orientation.
+"""Moves of landmarks seen by a single camera, whose centre does not depend on the orientation.
 
-Bounds on the depth and occlusion depend on the position alone, so trials are settled without sets of orientations at
-most positions.
+Depth bounds and occlusion depend on the position alone, so at most positions a trial needs no sets of orientations.
 """
 
 from typing import Any
@@ -85,7 +84,7 @@ def _forget_views(scratch: Any) -> None:
 
 @inner
 def look_around(k: Integer, field: Any, scratch: Any) -> None:
-    """Find what is seen of the place tried from the positions near it."""
+    """Fill `seen`, `REACHED` and the cells of the place tried, from the positions near it."""
     positions, sight, seen = field.positions, sized(field.cameras.sight, k), scratch.seen
     x, y, z, low, high, sure = seen[X], seen[Y], seen[Z], seen[LOW], seen[HIGH], seen[SURE]
     cell, reached, first, last = scratch.cell[CELL], scratch.flags[REACHED], scratch.lists[FIRST], scratch.lists[LAST]
@@ -101,7 +100,7 @@ def look_around(k: Integer, field: Any, scratch: Any) -> None:
 
 @allocating
 def _block(k: Integer, camera: Any, scratch: Any) -> None:
-    """Do not let landmark k reach the place tried where something of the room stands in the way."""
+    """Clear `REACHED` at the positions from which the room blocks the place tried."""
     reached, first, last = scratch.flags[REACHED], scratch.lists[FIRST], scratch.lists[LAST]
     ends, sight = new_ends(camera.obstacles, 1), sized(camera.sight, k)
     x, y, z, nx, ny, nz = target_of(scratch)
@@ -113,7 +112,7 @@ def _block(k: Integer, camera: Any, scratch: Any) -> None:
 
 @bound_views.register(State)
 def _bound_views(state: Any, k: Integer, field: Any, scratch: Any) -> Any:
-    # One pass over words, without sets for all positions: these would cost a tenth of a trial.
+    # One pass over words; writing sets for all positions would take a tenth of a trial.
     sight, axes, weights = sized(field.cameras.sight, k), field.cameras.axes, field.weights
     certain, possible = field.cameras.tables[CERTAIN], field.cameras.tables[POSSIBLE]
     target, seen, flags, lists = scratch.target, scratch.seen, scratch.flags, scratch.lists
@@ -184,10 +183,10 @@ def _see(state: Any, k: Integer, positions: np.ndarray, field: Any, scratch: Any
     frame = frame_of(sight, target[3], target[4], target[5])
     for p in positions:
         row = np.uint64(cell[p] if reached[p] else EMPTY_ROW)
-        given = row if sure[p] == np.inf else np.uint64(EMPTY_ROW)
+        sure_row = row if sure[p] == np.inf else np.uint64(EMPTY_ROW)
         px, py, pz, least, most, deep = x[p], y[p], z[p], low[p], high[p], sure[p]
         for w in range(np.uint64(fresh.shape[1])):
-            cap, well = certain[given, w] & asked[p, w], certain[row, w]
+            cap, well = certain[sure_row, w] & asked[p, w], certain[row, w]
             left = possible[row, w] & asked[p, w] & ~cap
             if left:
                 cap |= covering(sight, left, w, px, py, pz, frame, least, most, deep, well, camera.axes)
@@ -208,7 +207,7 @@ def _exchange_sets(state: Any, k: Integer, p: Integer, w: Integer, scratch: Any)
 
 @inlined
 def _swap(one: Any, other: Any, first: Integer, last: Integer) -> None:
-    """Exchange a part of two arrays; by itself, so that the loop vectorises."""
+    """Exchange the elements `first` to `last - 1` of two arrays; a function of its own, so that the loop vectorises."""
     for p in range(first, last):
         one[p], other[p] = other[p], one[p]
 

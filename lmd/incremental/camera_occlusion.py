@@ -1,6 +1,6 @@
-"""Occlusion from a single camera: a landmark is hidden from a position with all orientations or with none.
+"""Occlusion for a single camera: from a position, a landmark is hidden for all orientations or for none.
 
-A state counts by how many others each landmark is hidden from each position, and how many it hides.
+A state counts for each landmark and position how many others hide it, and how many others it hides.
 """
 
 from typing import Any
@@ -45,7 +45,7 @@ def _find_pairs(state: Any, k: Integer, how: Any, field: Any, scratch: Any) -> N
 
 @inner
 def _want_blocks(k: Integer, state: Any, scratch: Any) -> None:
-    """Leave in `WANTED` the blocks from which landmark k hides another or is hidden: nearly everywhere it is not."""
+    """Reduce `WANTED` to the blocks from which landmark k hides another or is hidden; these are few."""
     hiding, hidden, wanted = state.hides[HIDING], state.hides[HIDDEN], scratch.flags[WANTED]
     for b in scratch.lists[BLOCKS][: scratch.numbers[BLOCK_COUNT]]:
         some = np.int16(0)
@@ -82,7 +82,7 @@ def _note_neighbour(
 
 @inlined
 def _note_hiding(i: Integer, p: Integer, one: Any, two: Any, how: Any, scratch: Any) -> None:
-    """Note from position p that the place hides landmark i, `one`, and that this hides the place, `two`."""
+    """Record for position p that the place hides landmark i (`one`), and that landmark i hides the place (`two`)."""
     changes, hides = scratch.changes, scratch.hides
     if how != LEAVES:
         hides[HIDING, p] += one
@@ -98,7 +98,7 @@ def _note_hiding(i: Integer, p: Integer, one: Any, two: Any, how: Any, scratch: 
 
 @inlined
 def turns(reachable: Any, was: Any, now: Any) -> Any:
-    """True if a landmark appears or disappears when `now` others hide it instead of `was`."""
+    """True if a landmark appears or disappears when the number of its occluders changes from `was` to `now`."""
     return reachable & ((was == 0) != (now == 0))
 
 

@@ -1,8 +1,8 @@
-"""Carrying out moves of single landmarks: exact counts and probabilities, updated instead of recomputed.
+"""Moves of single landmarks that are carried out: counts and P_n are updated instead of recomputed.
 
-`carry_out` makes the last trial true, and it alone needs the new cap with all its axes. It exchanges what a state and a
-scratch have of the two places, P_n included, so that `take_back` only has to exchange them again. After any sequence of
-moves the counts equal those of a full evaluation, bit for bit.
+A state has the data of the old place, a scratch those of the place tried. `carry_out` finds all axes that cover the
+place tried, then exchanges the data of state and scratch, P_n included. A second exchange undoes the move. After any
+sequence of moves, the counts equal those of a full evaluation bit for bit.
 """
 
 from typing import Any
@@ -27,7 +27,7 @@ from lmd.incremental.trial import (
 
 @inner
 def exchange(k: Integer, field: Any, state: Any, scratch: Any) -> None:
-    """Exchange what a state and a scratch have of landmark k and of the pairs, and update the counts."""
+    """Exchange the data of landmark k and of the pairs between state and scratch, and update the counts."""
     words, who, where = np.uint64(state.counts.digits.shape[1]), scratch.pairs[WHO], scratch.pairs[WHERE]
     for p in scratch.lists[LISTED][: list_changing(state, k, scratch)]:
         for w in range(words):
@@ -45,7 +45,10 @@ def exchange(k: Integer, field: Any, state: Any, scratch: Any) -> None:
 
 @inner
 def take_back(field: Any, k: Integer, state: Any, scratch: Any) -> None:
-    """Exchange landmark k for the other place in `scratch`: undo the last `carry_out`, all later ones being undone."""
+    """Exchange the place of landmark k for the place in `scratch`.
+
+    This undoes the last `carry_out` with this scratch; all later moves must have been undone.
+    """
     k, first, last, units = np.uint64(k), scratch.lists[FIRST], scratch.lists[LAST], scratch.units
     exchange(k, field, state, scratch)
     for s in range(scratch.numbers[SPAN_COUNT]):
@@ -59,14 +62,14 @@ def take_back(field: Any, k: Integer, state: Any, scratch: Any) -> None:
 
 @inner
 def carry_out(field: Any, k: Integer, state: Any, scratch: Any) -> None:
-    """Move landmark k to where it was tried last; no other move may have been tried or carried out since."""
+    """Move landmark k to the place tried last; no other move may have been tried or carried out since."""
     see_whole(np.uint64(k), field, state, scratch)
     take_back(field, k, state, scratch)
 
 
 @borrowing
 def fill(field: Any, state: Any, scratch: Any) -> None:
-    """Count the landmarks of `state`, one after the other."""
+    """Count all landmarks of an empty `state`, one after the other, and compute P_n."""
     for k in range(np.uint64(state.poses.shape[1])):
         for i in range(6):
             scratch.target[i] = state.poses[i, k]
@@ -79,7 +82,7 @@ def fill(field: Any, state: Any, scratch: Any) -> None:
 
 @borrowing
 def overlook(missed: Any, field: Any, state: Any) -> None:
-    """Take the sets of axes `missed` `(K, Q, W)` out of the caps; landmarks hide each other as before."""
+    """Remove the sets of axes `missed` `(K, Q, W)` from those that cover the landmarks; occlusion stays unchanged."""
     caps = state.caps
     for k in range(np.uint64(caps.shape[0])):
         for p in range(np.uint64(caps.shape[1])):

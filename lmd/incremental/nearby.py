@@ -1,7 +1,7 @@
-"""Blocks of positions within the horizon of the place that a move leaves or of the place that it tries.
+"""Blocks of positions within the horizon of the old place of a landmark or of the place tried.
 
-A trial works in these blocks alone. Elsewhere no landmark is reached, hidden or hides another. So the next trial clears
-what the last one wrote, and no loop runs over the whole room.
+A trial works in these blocks alone: from other positions, neither place is visible or affects another landmark. The
+next trial clears the entries that the last one wrote, so no loop runs over the whole room.
 """
 
 from typing import Any
@@ -16,7 +16,7 @@ from lmd.sight.blocks import BLOCK
 
 @inlined
 def is_near(field: Any, b: Integer, x: float, y: float, z: float) -> Any:
-    """True if block b is within the horizon of (x, y, z): one test for both landmarks of a pair."""
+    """True if block b is within the horizon of the point (x, y, z), metres."""
     boxes = field.boxes
     dx = max(abs(x - boxes[0, b]) - boxes[3, b], 0.0)
     dy = max(abs(y - boxes[1, b]) - boxes[4, b], 0.0)
@@ -26,14 +26,14 @@ def is_near(field: Any, b: Integer, x: float, y: float, z: float) -> Any:
 
 @inlined
 def target_of(scratch: Any) -> Any:
-    """Position and normal of the place tried, six numbers."""
+    """Position (metres) and unit normal of the place tried, six numbers."""
     target = scratch.target
     return target[0], target[1], target[2], target[3], target[4], target[5]
 
 
 @inlined
 def pose_of(k: Integer, state: Any) -> Any:
-    """Position and normal of landmark k, six numbers."""
+    """Position (metres) and unit normal of landmark k, six numbers."""
     poses = state.poses
     return poses[0, k], poses[1, k], poses[2, k], poses[3, k], poses[4, k], poses[5, k]
 

@@ -1,6 +1,6 @@
-"""Moves of landmarks before a rig: each camera is elsewhere for every orientation of the body.
+"""Moves of landmarks seen by a rig, whose cameras have another position for every orientation of the body.
 
-Counted are orientations of the body: the sets of all cameras of a landmark become one, `RigState.shown`.
+Counts are by orientation of the body: `RigState.shown` is the union over the cameras that see a landmark.
 """
 
 from typing import Any
@@ -75,7 +75,7 @@ def _turned(state: Any, i: Integer, q: Integer, w: Integer, scratch: Any) -> Any
 def _forget_views(scratch: Any) -> None:
     who, where = scratch.pairs[WHO], scratch.pairs[WHERE]
     for j in range(len(scratch.groups)):
-        group = scratch.groups[j]  # copied: outside of other loops
+        group = scratch.groups[j]  # copied by numba
         flipped = group.flipped
         group.occluders[0] = 0
         for e in range(scratch.numbers[PAIR_COUNT]):
@@ -87,14 +87,14 @@ def _forget_views(scratch: Any) -> None:
 
 @allocating
 def _find_caps(k: Integer, group: Any, positions: FloatArray, body: FloatArray, scratch: Any, rig: Any) -> None:
-    """Find in `CAPS` with which orientations of those `ASKED` cameras cover the place tried; add them to `FRESH`.
+    """Write the orientations among `ASKED` with which a camera covers the place tried into `CAPS`; add them to `FRESH`.
 
-    Clears `OCCLUDED`.
+    `OCCLUDED` is cleared.
 
     Args:
         k: landmark.
-        group: cameras.
-        positions: positions to look from.
+        group: a `MountGroup`.
+        positions: indices of the positions of the body to evaluate.
         body: all positions of the body, `(3, Q)`, metres.
         scratch, rig: working memory of the group, and of the rig.
     """
@@ -152,7 +152,7 @@ def _find_caps(k: Integer, group: Any, positions: FloatArray, body: FloatArray, 
 
 @inner
 def _join(positions: FloatArray, scratch: Any) -> None:
-    """Find in `FRESH` what all cameras see of the place tried at `positions`, where others may be in the way."""
+    """Recompute `FRESH` at `positions`: the union over all cameras of `CAPS` without `OCCLUDED`."""
     fresh = scratch.sets[FRESH]
     for q in positions:
         for w in range(np.uint64(fresh.shape[1])):
@@ -168,7 +168,7 @@ def _join(positions: FloatArray, scratch: Any) -> None:
 
 @inner
 def _see_with(groups: Any, k: Integer, positions: FloatArray, field: Any, state: Any, scratch: Any) -> None:
-    """Find what all groups see."""
+    """Run `see` for all groups of a rig."""
     fresh = scratch.sets[FRESH]
     for q in positions:
         for w in range(np.uint64(fresh.shape[1])):
@@ -186,7 +186,10 @@ def _see(state: Any, k: Integer, positions: np.ndarray, field: Any, scratch: Any
 
 @inner
 def list_near(scratch: Any, all_of_them: bool) -> Any:
-    """List in `LISTED` the positions near the place left and the place tried, all or those asked or touched."""
+    """List positions near the old place and the place tried in `LISTED`; returns their number.
+
+    All of them, or those that are touched or have orientations in `ASKED`.
+    """
     listed, first, last, count = scratch.lists[LISTED], scratch.lists[FIRST], scratch.lists[LAST], ZERO
     asked, touched = scratch.sets[ASKED], scratch.flags[TOUCHED]
     for s in range(scratch.numbers[SPAN_COUNT]):
@@ -230,7 +233,7 @@ def _exchange_sets(state: Any, k: Integer, p: Integer, w: Integer, scratch: Any)
 
 @inner
 def _exchange_group(k: Integer, positions: FloatArray, mine: Any, other: Any) -> None:
-    """Exchange what a group has of landmark k, `mine`, at `positions` for what its scratch has, the `other`."""
+    """Exchange the sets of landmark k at `positions` between the state of a group, `mine`, and its scratch, `other`."""
     caps, occluded, cap, tried_occluded = mine[CAPS], mine[OCCLUDED], other[CAPS], other[OCCLUDED]
     for q in positions:
         for m in range(caps.shape[2]):
@@ -243,7 +246,9 @@ def _exchange_group(k: Integer, positions: FloatArray, mine: Any, other: Any) ->
 def _exchange_views(state: Any, k: Integer, scratch: Any) -> None:
     positions = scratch.lists[LISTED][: list_near(scratch, True)]
     for j in range(len(state.groups)):
-        _exchange_group(k, positions, state.groups[j], scratch.groups[j].sets)  # copied: outside of other loops
+        _exchange_group(
+            k, positions, state.groups[j], scratch.groups[j].sets
+        )  # copied by numba
     for e in range(scratch.numbers[PAIR_COUNT]):
         i, q = np.uint64(scratch.pairs[WHO, e]), np.uint64(scratch.pairs[WHERE, e])
         for w in range(np.uint64(state.shown.shape[2])):

@@ -1,7 +1,7 @@
-"""Occlusion from the cameras of a rig: with which orientations another landmark hides one from a camera is a set.
+"""Occlusion for the cameras of a rig: a set of orientations for each landmark, camera and position.
 
-From the centres of the cameras a bound decides for all positions of a block (`mounts.may_hide_around`); what is left
-is tested with each orientation that covers the landmark.
+A bound for all cameras around a centre (`mount_occlusion.may_hide_around`) excludes most pairs of landmarks; the others
+are tested for each orientation that covers the landmark.
 """
 
 import math
@@ -25,7 +25,7 @@ def _hidden_bits(
     group: Any, m: Integer, w: Integer, left: Any, i: Integer, k: Integer, px: float, py: float, pz: float, one: Any,
     other: Any,
 ) -> Any:  # fmt: skip
-    """`hidden_bits`, not inlined."""
+    """`hidden_bits` as a function that is not inlined, which shortens compilation."""
     return hidden_bits(group, m, w, left, i, k, px, py, pz, one, other)
 
 
@@ -34,7 +34,7 @@ def _drop_hidden(
     group: Any, c: Integer, i: Integer, k: Integer, q: Integer, px: float, py: float, pz: float, state: Any,
     flipped: Any,
 ) -> None:  # fmt: skip
-    """Take out of what is `flipped` of landmark i from position q with what another one but k hides it."""
+    """Remove the orientations with which a landmark other than k hides landmark i at position q from `flipped`."""
     other, width = pose_of(i, state), line_radius(group.sight)
     x, y, z = (
         other[0] - (px + group.centres[c, 0]),
@@ -56,11 +56,11 @@ def _find_pair(
     group: Any, c: Integer, i: Integer, k: Integer, q: Integer, px: float, py: float, pz: float, place: Any, how: Any,
     mine: Any, other: Any, state: Any, scratch: Any,
 ) -> None:  # fmt: skip
-    """Find what landmark k at a `place` hides of landmark i from position q, and note it down."""
+    """Record the orientations with which landmark k at a `place` hides landmark i at position q in `flipped`."""
     pose, changed, caps, occluded = pose_of(i, state), False, mine[CAPS], mine[OCCLUDED]
     for m in range(group.mounts[c], group.mounts[c + 1]):
         for w in range(np.uint64(caps.shape[3])):
-            # Little more is read than is needed: these sets are too many for the cache.
+            # The sets exceed the cache, so only those that are needed are read.
             bits = caps[i, q, m, w] if how == COMES else occluded[i, q, m, w]
             found = _hidden_bits(group, m, w, bits, k, i, px, py, pz, place, pose) if bits else ZERO
             if found == ZERO:
@@ -105,7 +105,7 @@ def _note_neighbour(
 
 @inner
 def find_occluded(k: Integer, group: Any, field: Any, state: Any, scratch: Any) -> None:
-    """Find in `OCCLUDED` with which of the orientations of `CAPS` that are `ASKED` others hide the place tried."""
+    """Write the orientations among `CAPS` and `ASKED` for which others hide the place tried into `OCCLUDED`."""
     other, size, body = scratch.groups[group.number], np.uint64(len(scratch.units)), field.positions
     place, asked, cap, tried_occluded = target_of(scratch), scratch.sets[ASKED], other.sets[CAPS], other.sets[OCCLUDED]
     who, where = other.pairs[WHO], other.pairs[WHERE]
@@ -124,7 +124,7 @@ def find_occluded(k: Integer, group: Any, field: Any, state: Any, scratch: Any) 
 
 @inner
 def _find_pairs_of(groups: Any, k: Integer, how: Any, field: Any, state: Any, scratch: Any) -> None:
-    """Find the pairs for all groups."""
+    """Run `find_pairs` for all groups of a rig."""
     for group in literal_unroll(groups):
         if group.sight.reach >= 0.0:
             search(group, k, how, state.groups[group.number], scratch.groups[group.number], field, state, scratch)
