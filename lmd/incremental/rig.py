@@ -246,9 +246,7 @@ def _exchange_group(k: Integer, positions: FloatArray, mine: Any, other: Any) ->
 def _exchange_views(state: Any, k: Integer, scratch: Any) -> None:
     positions = scratch.lists[LISTED][: list_near(scratch, True)]
     for j in range(len(state.groups)):
-        _exchange_group(
-            k, positions, state.groups[j], scratch.groups[j].sets
-        )  # copied by numba
+        _exchange_group(k, positions, state.groups[j], scratch.groups[j].sets)  # copied by numba
     for e in range(scratch.numbers[PAIR_COUNT]):
         i, q = np.uint64(scratch.pairs[WHO, e]), np.uint64(scratch.pairs[WHERE, e])
         for w in range(np.uint64(state.shown.shape[2])):

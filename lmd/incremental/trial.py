@@ -160,7 +160,7 @@ def _count_others(k: Integer, state: Any, scratch: Any) -> None:
 
 @inner
 def ask_touched(k: Integer, n: Integer, or_more: bool, state: Any, scratch: Any) -> None:
-    """Set `ASKED` at touched positions to the orientations that see n - 1 (or, with `or_more`, more) other landmarks."""
+    """Set `ASKED` at touched positions to the orientations that see n - 1 other landmarks, or with `or_more` more."""
     asked, digits = scratch.sets[ASKED], scratch.digits
     _count_others(k, state, scratch)
     for p in scratch.lists[TOUCHED_LIST][: scratch.numbers[TOUCHED_COUNT]]:

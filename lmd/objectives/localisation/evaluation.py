@@ -1,8 +1,8 @@
-"""Counts and information of whole deployments: P_n and L at each position, the compiled path that counts exactly.
+"""P_n and L of whole deployments at each position, in compiled code.
 
-Landmarks covered are counted as in `lmd.sight.kernels`, by the same operations. For the views that cover enough, the
-landmarks' numbers (`information`, `ambiguity`) are summed, and the sums decide. Threads share the positions. Rigs are
-evaluated by `rig`: a loop for each orientation, as each camera is elsewhere for every one of them.
+Landmarks are counted by the operations of `lmd.sight.kernels`. For the views that cover n landmarks, the numbers of the
+landmarks (`information`, `ambiguity`) are summed and compared with the required precision. Threads share the positions.
+`rig` evaluates rigs, whose cameras have another position for every orientation of the body.
 """
 
 from typing import Any, NamedTuple
@@ -29,12 +29,14 @@ class ViewValues(NamedTuple):
     """Values of the views of B deployments at P positions."""
 
     covered: IntArray
-    """`(B, P)` P_n in integer units."""
+    """`(B, P)` quantised P_n."""
     localised: IntArray
-    """`(B, P)` L in integer units."""
+    """`(B, P)` quantised L."""
     variances: FloatArray
-    """`(B, P, D)` variance of the position, infinite where fewer than n landmarks are covered or two poses look alike;
-    empty unless it is kept."""
+    """`(B, P, D)` variance of the position for `deviation_per_variance` 1; empty unless it is kept.
+
+    Infinite for views that cover fewer than n landmarks or are ambiguous.
+    """
 
 
 def localised_views(
@@ -45,13 +47,15 @@ def localised_views(
     precision: Precision,
     keep: bool = False,
 ) -> ViewValues:
-    """Evaluate deployments; the number of threads changes no value. Of a rig, a view has the images of all cameras.
+    """Evaluate deployments; a view of a rig has the images of all its cameras.
+
+    The result does not depend on the number of threads.
 
     Args:
-        evaluator: the scene.
-        positions, normals: `(B, K, 3)` landmarks of B deployments.
-        n: landmarks that must be covered.
-        precision: the least information of a localised view.
+        evaluator: has the scene and the positions.
+        positions, normals: landmarks of B deployments, metres and unit vectors, `(B, K, 3)`.
+        n: number of landmarks that must be covered.
+        precision: least information of a localised view.
         keep: True to return the variances.
     """
     e, batch, size = evaluator, len(positions), len(evaluator.positions)
@@ -81,10 +85,10 @@ def _localise_range(
     Args:
         first, last, order, positions, landmarks, normals, sight, horizon, obstacles, axes, bands, tables, weights, n:
             see `kernels.evaluate_range`.
-        places: binary digits of a number of landmarks.
-        precision, asks: least information of a localised view, and whether it asks for any.
+        places: number of binary digits of a count of landmarks.
+        precision, asks: least information of a localised view, and its `Precision.asks`.
         covered, localised, variances: see `ViewValues`.
-        keep: whether `variances` are written.
+        keep: True to write `variances`.
     """
     words, poses, indices = (
         np.uint64(axes.shape[1] // BITS),
@@ -103,7 +107,7 @@ def _localise_range(
     enough, listed = np.empty(words, dtype=np.uint64), np.empty(axes.shape[1], dtype=np.uint64)
     moment, sums, several = np.zeros(WIDTH), np.empty((axes.shape[1], WIDTH)), np.empty(words, dtype=np.uint64)
     flat = sums.reshape(-1)
-    # A number that the compiler does not know, or it would unroll loops over it and not vectorise them.
+    # With a compile-time constant, LLVM would unroll loops over it and not vectorise them.
     terms = np.uint64(WIDTH + landmarks.shape[1] - 3)
     for b in range(landmarks.shape[0]):
         many = count = 0

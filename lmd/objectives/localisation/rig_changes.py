@@ -1,4 +1,4 @@
-"""Changes of the views of a rig as a landmark moves: see `changes`."""
+"""Functions of `changes` for a rig."""
 
 from typing import Any
 
@@ -57,7 +57,7 @@ from lmd.objectives.localisation.views import BodyViews
 def _see_place_by_rig(
     known: RigState, k: Integer, n: Integer, localised: WordArray, cover: Any, trial: RigScratch
 ) -> Integer:
-    # Landmark k matters with n - 1 others in view or more, unless the view is localised and does not show k.
+    # Landmark k matters if n - 1 others or more are in view, unless the view is localised and does not show k.
     asked, short, enough = trial.sets[ASKED], known.counts.sets[SHORT], known.counts.sets[ENOUGH]
     first, last = trial.lists[FIRST], trial.lists[LAST]
     for s in range(trial.numbers[SPAN_COUNT]):
@@ -107,18 +107,18 @@ def _find_turns_of_rig(known: RigState, trial: RigScratch, lost: WordArray, gain
 
 @forget_moments.register(BodyViews)
 def _forget_moments_of_rig(views: BodyViews, p: Integer) -> None:
-    """Nothing: moments are those of each camera and orientation."""
+    """Do nothing, as a rig stores no moments."""
 
 
 @inlined
 def _tag(k: Integer, pose: Any, precision: Precision) -> Tag:
-    """Landmark k with a `pose`, see `pairs.tags_of`."""
+    """Row of `pairs.tags_of` for landmark k with a `pose`."""
     return pose[0], pose[1], pose[2], *upright_sides(half_of(precision, k), pose[3], pose[4], pose[5])
 
 
 @inlined
 def _place(q: Integer, field: Any) -> Place:
-    """Position q of the body."""
+    """Position q of the body, three numbers, metres."""
     positions = field.coverage.positions
     return positions[0, q], positions[1, q], positions[2, q]
 
