@@ -125,7 +125,7 @@ MAPS = {
                     "tags": [{"id": 2, "pose": {"rotation": {"x": 1.5, "y": 0, "z": 0}}}],
                 }
             }
-        ],
+        ]
     },
     "fiducial_vlam": {"marker_length": 0.16, "markers": [{"id": 1, "xyz": [0, 0, 1], "rpy": [1.5, 0, 0]}]},
     "aruco": {
@@ -140,7 +140,7 @@ MAPS = {
                 "pose": {"~SE2Transform": {"p": [1, 2], "theta_deg": 270}},
                 "tag": {"~TagInstance": {"family": "36h11", "size": 0.065, "tag_id": 300}},
             }
-        },
+        }
     },
 }
 MAP_TEXTS = {
@@ -165,7 +165,7 @@ CALIBRATIONS = {
                 }
             ],
             "resolution": [[640, 480]],
-        },
+        }
     },
     "ros": {
         "image_width": 640,
@@ -181,7 +181,7 @@ CALIBRATIONS = {
             "distortion_model": "radtan",
             "distortion_coeffs": [0.1, 0, 0, 0],
             "resolution": [640, 480],
-        },
+        }
     },
     "euroc": {
         "resolution": [640, 480],

@@ -16,7 +16,6 @@ KAPTURE = (
 )
 SQUARE = "10,20,30,20,30,40,10,40"
 TABLE = ".*; write its tags as a table: a header id,x,y,z,qx,qy,qz,qw,edge"
-OUTLINE = "the outline of a floor plan"
 WALL = {"xStart": 0.0, "yStart": 0.0, "xEnd": 600.0, "yEnd": 0.0, "height": 250.0}
 CAPTURED = {"walls": [{"transform": [1], "dimensions": [1, 1, 0]}]}
 
@@ -92,10 +91,7 @@ BAD = {
             ),
             "",
         ),
-        (
-            {"value0": {"intrinsics": [{"camera_type": "kb4", "intrinsics": [1]}], "resolution": [[1, 2]]}},
-            "",
-        ),
+        ({"value0": {"intrinsics": [{"camera_type": "kb4", "intrinsics": [1]}], "resolution": [[1, 2]]}}, ""),
         ({"value0": "x"}, ""),
         ({"value0": {"intrinsics": ["x"], "resolution": [[1, 2]]}}, ""),
         ({"cameras": ["x"], "camera_params": {}}, ""),
@@ -154,35 +150,14 @@ BAD = {
         ("", "is empty"),
     ],
     "tag map": [
-        (
-            "VERTEX_SE3:QUAT 7 2 0 1.2 0 0 0 1\n",
-            "g2o" + TABLE,
-        ),
-        (
-            "marker_id,vert_0_x,vert_0_y\n7,0,0\n",
-            "Pupil" + TABLE,
-        ),
-        (
-            "- name: wall\n  markers_x: 2\n",
-            "aruco_opencv" + TABLE,
-        ),
+        ("VERTEX_SE3:QUAT 7 2 0 1.2 0 0 0 1\n", "g2o" + TABLE),
+        ("marker_id,vert_0_x,vert_0_y\n7,0,0\n", "Pupil" + TABLE),
+        ("- name: wall\n  markers_x: 2\n", "aruco_opencv" + TABLE),
         ('{"tag_locations": {}}', "pytagmapper" + TABLE),
-        (
-            '{"reconstructed_tags": []}',
-            "Visual Marker Mapping" + TABLE,
-        ),
-        (
-            "/**: {ros__parameters: {general: {}, marker_000: {}}}\n",
-            "ZED" + TABLE,
-        ),
-        (
-            "/**: {ros__parameters: {family: 36h11, size: 0.1, tag: {ids: [1]}}}\n",
-            "apriltag_ros for ROS 2" + TABLE,
-        ),
-        (
-            "landmarks: [{id: 1, position: [0, 0, 0]}]\n",
-            "which way the frame of a tag points" + TABLE,
-        ),
+        ('{"reconstructed_tags": []}', "Visual Marker Mapping" + TABLE),
+        ("/**: {ros__parameters: {general: {}, marker_000: {}}}\n", "ZED" + TABLE),
+        ("/**: {ros__parameters: {family: 36h11, size: 0.1, tag: {ids: [1]}}}\n", "apriltag_ros for ROS 2" + TABLE),
+        ("landmarks: [{id: 1, position: [0, 0, 0]}]\n", "which way the frame of a tag points" + TABLE),
         ('{"tags": [{"ID": 1}]}', "the key 'pose' is missing"),
         ('{"tags": []}', "it has no tags with places"),
         ('{"tags": [{"ID": -1, "pose": 3}]}', r"pose must be a mapping with keys, got 3"),
@@ -205,10 +180,7 @@ BAD = {
         (f"time,id,x0,y0,x1,y1,x2,y2,x3,y3\n0,3.5,{SQUARE}\n", "line 2: id is '3.5', not a whole number"),
         (f"time,id,x0,y0,x1,y1,x2,y2,x3,y3\n0,3,left{SQUARE[2:]}\n", "line 2: x0 is 'left', not a number"),
         ("", "is empty; what is read"),
-        (
-            '[{"targets": [{"fiducialId": 18}]}]',
-            "is JSON or YAML, and no CSV; what is read is a CSV",
-        ),
+        ('[{"targets": [{"fiducialId": 18}]}]', "is JSON or YAML, and no CSV; what is read is a CSV"),
         ("18\n10.0 20.0\n", "has no such columns in its first line, '18'; what is read"),
         ("image,tag_id,corner,x,y\na.png,7,0,10,20\n", "has a row for each corner; what is read is a CSV"),
         (f"time;id;x0;y0;x1;y1;x2;y2;x3;y3\n0;3;{SQUARE}\n", "has semicolons between its columns"),
@@ -233,10 +205,7 @@ BAD = {
         ({"walls": [surface([0, 1, 0], [2, 0, 0], [4, 2.5, 0])]}, "walls[0].transform is no rotation and translation"),
         ({"spatialEntities": [entity("WALL", [10**400, 0, 0], [0, 0, 0, 1])]}, "position[0] must be finite"),
         ({"spatialEntities": [entity("WALL", [0, 0, 0], [0, 0, 0, 10**400])]}, "orientation[3] must be finite"),
-        (
-            {"spatialEntities": [entity("WALL", [0, 0, 0], [0, 0, 0, 1], **rectangle(10**400, 1))]},
-            "must be finite",
-        ),
+        ({"spatialEntities": [entity("WALL", [0, 0, 0], [0, 0, 0, 1], **rectangle(10**400, 1))]}, "must be finite"),
         ([], "has no keys"),
         ("{", "cannot be read as JSON"),
         (

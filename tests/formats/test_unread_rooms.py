@@ -8,8 +8,6 @@ from lmd.formats.room_formats import ENDINGS
 
 UNREAD = [suffix for _, _, suffixes in ENDINGS for suffix in suffixes]
 OUTLINE = "the outline of a floor plan"
-WALL = {"xStart": 0.0, "yStart": 0.0, "xEnd": 600.0, "yEnd": 0.0, "height": 250.0}
-CAPTURED = {"walls": [{"transform": [1], "dimensions": [1, 1, 0]}]}
 
 
 def told(path):
