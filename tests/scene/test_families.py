@@ -74,6 +74,8 @@ def test_a_family_has_no_further_tags():
         ("Standard52h13", "52h13"),
         ("tagCircle21h7", "circle21h7"),
         ("DICT_APRILTAG_36H11", "36h11"),
+        ("AprilTag 36h11", "36h11"),
+        ("apriltag16h5", "16h5"),
         ("DICT_4X4_50", "4x4_50"),
         ("aruco_5x5_1000", "5x5_1000"),
         ("cv2.aruco.DICT_ARUCO_ORIGINAL", "aruco_original"),
