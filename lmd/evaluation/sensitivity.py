@@ -22,7 +22,7 @@ from lmd.evaluation.rig_sensitivity import RigMoments
 from lmd.evaluation.validation import Sample, sampled_evaluators
 from lmd.incremental.counts import counts_of
 from lmd.incremental.field import in_order
-from lmd.incremental.move import overlook
+from lmd.incremental.move import remove_sets
 from lmd.objectives.coverage import Mean
 from lmd.objectives.localisation import Localisation
 from lmd.objectives.localisation.evaluation import localised_views
@@ -242,7 +242,7 @@ def missed_shares(field: LocalisationField, deployment: Deployment, rng: np.rand
     draws = (rng.random((field.size, axes), dtype=np.float32) for _ in range(len(deployment)))
     sets = np.stack([[packed(draw < share) for share in MISS_PROBABILITIES] for draw in draws], axis=1)
     for share, missed in zip(MISS_PROBABILITIES, sets, strict=True):
-        overlook(missed, cover, known)
+        remove_sets(missed, cover, known)
         state = field.state_with(known)
         enough = binom.sf(cover.n - 1, np.arange(len(deployment) + 1), 1.0 - share)
         drawn = (units[places].mean() / PROBABILITY_ONE for units in (state.located, known.units))

@@ -283,14 +283,14 @@ MINE = """
 from typing import NamedTuple
 
 from factors import FACTOR
-from lmd.incremental.field import worth
+from lmd.incremental.field import contribution
 
 
 class Mine(NamedTuple):
     weight: float
 
 
-@worth.register(Mine)
+@contribution.register(Mine)
 def _worth(target, p, units):
     return target.weight * units * FACTOR
 """

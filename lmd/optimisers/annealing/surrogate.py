@@ -16,7 +16,7 @@ import numpy as np
 from lmd.core.checks import FloatArray, IntArray
 from lmd.core.layers import layer, layers
 from lmd.core.threads import at_once
-from lmd.incremental.field import Field, Places, Stacking, in_order, placed, places_of, runner, stack_of, total_worth
+from lmd.incremental.field import Field, Places, Stacking, in_order, placed, places_of, runner, stack_of, total_fitness
 from lmd.objectives.base import incremental
 from lmd.objectives.reference_field import field_of
 from lmd.optimisers.annealing.moves import FootprintArrays, Settings
@@ -184,7 +184,7 @@ class Surrogate:
         exchanged = 2 if len(self._footprints.first) > 1 else 1
         scratches = layers(self._field.scratch(state), max(together, exchanged))
         known = state if best is None else self._true.state(best)
-        reached = np.array([total_worth(self._target, known.units)])
+        reached = np.array([total_fitness(self._target, known.units)])
         met = Best(reached, Places(placed(known).poses.copy(), placed(known).surfaces.copy()))
         return Walker(members, np.empty(together, dtype=np.int64), state, scratches, met)
 
