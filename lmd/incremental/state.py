@@ -191,7 +191,7 @@ def _shared_fields(state: State | RigState) -> dict[str, Any]:
         "units": state.units.copy(),
         "flags": np.zeros((4, size), dtype=np.bool_),
         "lists": np.zeros((DISAPPEARS + 1, max(size * words, count) + 1), dtype=np.uint64),
-        "ways": np.zeros((4, (count // LANES + 1) * LANES), dtype=np.float32),
+        "offsets": np.zeros((4, (count // LANES + 1) * LANES), dtype=np.float32),
         "sets": np.zeros((2, size, words), dtype=np.uint64),
         "digits": np.empty_like(state.counts.digits),
         "pairs": np.empty((2, count * size), dtype=np.uint32),
