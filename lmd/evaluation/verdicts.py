@@ -43,7 +43,7 @@ def verdicts(
         scene: the scene.
         deployment: K landmarks.
         poses: X of the camera, `(N, 4, 4)`.
-        camera: of the scene's rig; None for the only one.
+        camera: camera of the scene's rig; None for the only one.
 
     Raises:
         InputError: the scene has a rig, and no camera is given.
@@ -106,7 +106,7 @@ def causes(scene: Scene, deployment: Deployment, seed: int) -> Causes | None:
     Args:
         scene: the visibility model must have `verdicts`, see `Explained`.
         deployment: K landmarks.
-        seed: of the poses: positions uniform where the camera may be, orientations from the PDF.
+        seed: seed of the poses: positions uniform where the camera may be, orientations from the PDF.
 
     Returns:
         None if the model has no verdicts.

@@ -27,7 +27,7 @@ def new_counts(counted_once: np.ndarray, count: int, n: int) -> Counts:
     """Counts before the first landmark of a deployment is counted.
 
     Args:
-        given: axes that cover one landmark outside of the deployment, sets `(Q, W)`.
+        counted_once: axes that cover one landmark outside of the deployment, sets `(Q, W)`.
         count: number K of landmarks that can be counted.
         n: number of landmarks that must be covered.
     """

@@ -129,7 +129,7 @@ class Scratch(NamedTuple):
     seen: np.ndarray
     """`(6, Q)`: `X` to `SURE`."""
     cell: np.ndarray
-    """`(2, Q)` int32 rows of the tables of directions: the cell of the place, and the cell or `EMPTY_ROW`."""
+    """`(2, Q)` int32: cell of the tables of directions, and the row of `POSSIBLE` (`EMPTY_ROW` if out of reach)."""
 
 
 class GroupScratch(NamedTuple):

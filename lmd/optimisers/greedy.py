@@ -69,7 +69,7 @@ class GreedyDeployment:
         count: number of landmarks.
         scene: the scene.
         objective: the objective, which has a selection.
-        spacing: of the grid of poses, metres.
+        spacing: spacing of the grid of poses, metres.
         threads: worker threads, all processors by default; the result does not depend on it.
         fixed: landmarks that exist already, with their surfaces; the selection adds the others.
 

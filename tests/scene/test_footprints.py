@@ -165,7 +165,7 @@ def test_greedy_chooses_no_plates_that_overlap():
     start = GreedyDeployment(40, problem.scene, problem.objective, spacing=0.25, threads=1)
     assert not overlaps(start.draw(problem.scene.room, np.random.default_rng(0)), problem.scene.room, EDGE)
     with pytest.raises(
-        InputError, match=r"^spacing = 0\.\d+ leaves room for \d+ footprints of 0\.3 m, too few for 900\."
+        InputError, match=r"^spacing = 0\.\d+ leaves room for \d+ footprints of 0\.3 m, too few for 900"
     ):
         GreedyDeployment(900, problem.scene, problem.objective, threads=1).draw(problem.scene.room, None)
 

@@ -111,7 +111,7 @@ class LogDeterminant:
         raise NotImplementedError
 
     def choose(self, e: Evaluator, pose: Deployment) -> None:
-        """Add one pose to `sums` and `known`."""
+        """Add a landmark at one pose to `sums` and `known`."""
         raise NotImplementedError
 
 
@@ -131,7 +131,7 @@ def _gains(
     Args:
         start, stop: range of the poses.
         points, normals: `(N, 3)`.
-        prices: of positions and axes, `(P, D)`.
+        prices: price of each position and axis, `(P, D)`.
         positions: `(P, 3)`.
         sight, obstacles, axes, bands: see `kernels.evaluate_range`.
         precision: has the size of the tags.
@@ -214,7 +214,7 @@ def _rig_gains(
         every: sets of orientations that cover the poses, by mount group.
         tags: centres and sides of the tags at the poses, see `tags_of`.
         prices: price of each position and orientation, `(P, D)`.
-        positions: of the body, `(P, 3)`, metres.
+        positions: positions of the body, `(P, 3)`, metres.
         precision: has the size of the tags.
         sums: information of each view, `(P D, BODY_WIDTH)`.
         known: `body_log_det` of each view, `(P, D)`.

@@ -84,7 +84,7 @@ def _localise(
 
     Args:
         every: coverage of the landmarks by mount group.
-        positions: of the body, `(P, 3)`, metres.
+        positions: positions of the body, `(P, 3)`, metres.
         tags: result of `tags_of`.
         weights: quantised probability of each orientation, `(1, D)` or `(P, D)`.
         n, precision: see `evaluation.localised_views`.

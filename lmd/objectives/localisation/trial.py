@@ -83,7 +83,7 @@ def _decide_word(
         lost, gained: views in which a landmark disappears, and appears, for some camera.
         has: views that cover n landmarks or more.
         several: views that cover two or more.
-        field, state, scratch: of localisation.
+        field, state, scratch: field, state and scratch of localisation.
     """
     known = state.localised[q, w]
     left = has & ((lost & gained) | (lost & known) | (gained & ~known))

@@ -99,11 +99,11 @@ class Surrogate:
         return stack_of(self._true)
 
     def is_true(self, count: int, conditions: Conditions) -> bool:
-        """Return True if one walker alone climbs the problem itself, and so knows the fitness of its deployments.
+        """True if a single walker works on the problem itself, so that the fitness of its deployments is exact.
 
         Args:
             count: number of landmarks or stacks.
-            conditions: of the walk.
+            conditions: conditions of the walk.
         """
         exact = self._problem.objective.sampling is None and not conditions.in_stacks and conditions.size == 1.0
         return exact and self._shared_out(count, conditions.in_stacks)[1] == 1
@@ -116,7 +116,7 @@ class Surrogate:
         Args:
             here: stacks, or all landmarks.
             best: best deployment of the problem.
-            conditions: of the walk.
+            conditions: conditions of the walk.
             moves: number of landmarks, or stacks, to move.
             rng: draws all that is random.
         """

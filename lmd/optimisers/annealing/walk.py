@@ -146,11 +146,11 @@ def walk(
         members: `(M,)` indices of the landmarks that may move, M >= the length of `several`.
         several: `(n,)` working memory: the landmarks that move together.
         field: values of positions, a `Field`.
-        state: of `field`.
+        state: state of `field`.
         scratches: `layers` of a scratch, at least n of them, and two for an exchange.
         target: fitness of values, a `Target`.
-        surfaces: of the room.
-        footprints: of all landmarks.
+        surfaces: surfaces of the room.
+        footprints: footprints of all landmarks.
         settings: conditions of the walk.
         rng: draws proposals and decisions.
         best: the best deployment.
