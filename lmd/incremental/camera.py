@@ -83,7 +83,7 @@ def _clear_views(scratch: Any) -> None:
 
 
 @inner
-def look_around(k: Integer, field: Any, scratch: Any) -> None:
+def view_place(k: Integer, field: Any, scratch: Any) -> None:
     """Fill `seen`, `REACHED` and the cells of the place tried, from the positions near it."""
     positions, sight, seen = field.positions, sized(field.cameras.sight, k), scratch.seen
     x, y, z, low, high, sure = seen[X], seen[Y], seen[Z], seen[LOW], seen[HIGH], seen[SURE]

@@ -9,7 +9,7 @@ import numpy as np
 
 from lmd.core.bits import ALL, ONE, ZERO, Integer
 from lmd.core.compiled import inlined, inner
-from lmd.incremental.camera import look_around
+from lmd.incremental.camera import view_place
 from lmd.incremental.nearby import is_near, pose_of
 from lmd.incremental.occlusion import FIRST_PLACE, NEW_PLACE, OLD_PLACE, note_neighbour, note_pair, search, touch
 from lmd.incremental.state import (
@@ -34,7 +34,7 @@ from lmd.sight.blocks import BLOCK
 @find_pairs.register(State)
 def _find_pairs(state: Any, k: Integer, role: Any, field: Any, scratch: Any) -> None:
     if role != NEW_PLACE:
-        look_around(k, field, scratch)
+        view_place(k, field, scratch)
     if field.cameras.sight.reach < 0.0:
         return
     if role == OLD_PLACE:

@@ -42,9 +42,9 @@ from lmd.objectives.localisation.views import (
     add_moments,
     add_to_sums,
     landmark_moments,
+    load_rows,
     read_rows,
     replace_moments,
-    take_rows,
     weigh,
 )
 
@@ -134,7 +134,7 @@ def _sum_views(
     known: State, k: Integer, p: Integer, w: Integer, left: np.uint64, field: Any, state: Any, scratch: Any
 ) -> Any:
     trial, views, camera, first = scratch.coverage, scratch.views, field.coverage.cameras, first_row(p, w, state)
-    count = take_rows(left, first, state.sums, views)
+    count = load_rows(left, first, state.sums, views)
     _update_moments(known, k, p, field, scratch)
     x, y, z = _offset(pose_of(k, known), p, field)
     weigh(DISAPPEARS, shown_of(known, k, p, w), x, y, z, camera.sight, camera.axes, w, views, count)
@@ -181,6 +181,6 @@ def _sum_anew(known: State, p: Integer, w: Integer, seen: np.uint64, field: Any,
             _find_moments(pose_of(i, known), i, p, field, scratch.views.other)
             _add(scratch.views.other, pose_of(i, known), shown, p, w, 1.0, field, state)
     first = first_row(p, w, state)
-    count = take_rows(seen, first, state.sums, scratch.views)
+    count = load_rows(seen, first, state.sums, scratch.views)
     read_rows(first, state.sums, scratch.views, count)
     return count

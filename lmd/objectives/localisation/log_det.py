@@ -23,11 +23,11 @@ from lmd.objectives.localisation.pairs import (
     Shown,
     add_of_all,
     fill_views,
-    give_sums,
+    load_sums,
     seen_by_any,
     shown_by,
+    store_sums,
     tags_of,
-    take_sums,
 )
 from lmd.objectives.localisation.reference import information_of, log_det_of
 from lmd.objectives.localisation.views import ORIENTATION, VIEW, BodyViews, body_views, landmark_moments
@@ -231,7 +231,7 @@ def _rig_gains(
                 if seen == ZERO:
                     continue
                 count = fill_views(seen, precision, views)
-                take_sums(sums, first, precision, views, count)
+                load_sums(sums, first, precision, views, count)
                 add_of_all(every, p, which, w, place, tags, precision, views)
                 for v in range(count):
                     a = w * VIEW + bits[v]
@@ -253,7 +253,7 @@ def _rig_add(
                 continue
             count = fill_views(seen, precision, views)
             add_of_all(every, p, which, w, place, tags, precision, views)
-            give_sums(sums, first, precision, views, count)
+            store_sums(sums, first, precision, views, count)
             for v in range(count):
                 known[p, w * VIEW + bits[v]] = body_log_det(sums[first + bits[v]], 0, 1)
 

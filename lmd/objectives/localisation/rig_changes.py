@@ -45,10 +45,10 @@ from lmd.objectives.localisation.pairs import (
     Tag,
     add_to_body,
     add_up,
-    fetch_sums,
     fill_views,
-    give_sums,
-    take_sums,
+    load_sums,
+    prefetch_sums,
+    store_sums,
 )
 from lmd.objectives.localisation.views import BodyViews
 
@@ -124,7 +124,7 @@ def _place(q: Integer, field: Any) -> Place:
 
 
 @inner
-def _add_changes_of_part(
+def _add_changes_of_group(
     mounts: Mounts, known: RigState, k: Integer, q: Integer, w: Integer, sign: float, field: Any, scratch: Any
 ) -> None:
     trial, views, count = scratch.coverage, scratch.views, len(mounts.axes)
@@ -149,7 +149,7 @@ def _add_changes_of_part(
 @inner
 def _add_changes(known: RigState, k: Integer, p: Integer, w: Integer, sign: float, field: Any, scratch: Any) -> None:
     for mounts in literal_unroll(field.mounts):
-        _add_changes_of_part(mounts, known, k, p, w, sign, field, scratch)
+        _add_changes_of_group(mounts, known, k, p, w, sign, field, scratch)
     add_up(field.precision, scratch.views)
 
 
@@ -159,9 +159,9 @@ def _sum_views_of_rig(
 ) -> Any:
     views, first = scratch.views, first_row(p, w, state)
     count = fill_views(left, field.precision, views)
-    fetch_sums(state.sums, first, views, count)
+    prefetch_sums(state.sums, first, views, count)
     _add_changes(known, k, p, w, 1.0, field, scratch)
-    take_sums(state.sums, first, field.precision, views, count)
+    load_sums(state.sums, first, field.precision, views, count)
     return count
 
 
@@ -172,13 +172,13 @@ def _change_sums_of_rig(
 ) -> None:  # fmt: skip
     views, first = scratch.views, first_row(p, w, state)
     count = fill_views(changed, field.precision, views)
-    fetch_sums(state.sums, first, views, count)
+    prefetch_sums(state.sums, first, views, count)
     _add_changes(known, k, p, w, sign, field, scratch)
-    give_sums(state.sums, first, field.precision, views, count)
+    store_sums(state.sums, first, field.precision, views, count)
 
 
 @inner
-def _add_shown_to_part(mounts: Mounts, known: RigState, q: Integer, w: Integer, field: Any, scratch: Any) -> None:
+def _add_shown_of_group(mounts: Mounts, known: RigState, q: Integer, w: Integer, field: Any, scratch: Any) -> None:
     mine, place, precision, views = (
         known.groups[mounts.number], _place(q, field), field.precision, scratch.views
     )  # fmt: skip
@@ -194,7 +194,7 @@ def _add_shown_to_part(mounts: Mounts, known: RigState, q: Integer, w: Integer, 
 @inner
 def _add_shown(known: RigState, p: Integer, w: Integer, field: Any, scratch: Any) -> None:
     for mounts in literal_unroll(field.mounts):
-        _add_shown_to_part(mounts, known, p, w, field, scratch)
+        _add_shown_of_group(mounts, known, p, w, field, scratch)
     add_up(field.precision, scratch.views)
 
 
@@ -204,5 +204,5 @@ def _sum_anew_of_rig(
 ) -> Any:
     count = fill_views(seen, field.precision, scratch.views)
     _add_shown(known, p, w, field, scratch)
-    give_sums(state.sums, first_row(p, w, state), field.precision, scratch.views, count)
+    store_sums(state.sums, first_row(p, w, state), field.precision, scratch.views, count)
     return count

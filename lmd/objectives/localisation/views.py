@@ -187,7 +187,7 @@ def replace_moments(
 
 
 @inlined
-def take_rows(left: np.uint64, first: Integer, sums: FloatArray, views: CameraViews) -> np.uint64:
+def load_rows(left: np.uint64, first: Integer, sums: FloatArray, views: CameraViews) -> np.uint64:
     """Begin views for the orientations `left` of a word, and prefetch their rows of `sums` from `first` on.
 
     Returns:
@@ -204,7 +204,7 @@ def take_rows(left: np.uint64, first: Integer, sums: FloatArray, views: CameraVi
 
 @inlined
 def read_rows(first: Integer, sums: FloatArray, views: CameraViews, count: Integer) -> None:
-    """Copy the rows of `sums` that `take_rows` has prefetched into the views."""
+    """Copy the rows of `sums` that `load_rows` has prefetched into the views."""
     bits, rows = views.lists[ORIENTATION], views.rows
     for v in range(count):
         for j in range(np.uint64(WIDTH)):
