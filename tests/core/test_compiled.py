@@ -297,9 +297,9 @@ def _worth(target, p, units):
 CALL = """
 import numpy as np
 from mine import Mine
-from lmd.incremental.field import total_worth
+from lmd.incremental.field import total_fitness
 
-print(total_worth(Mine(2.0), np.arange(4)))
+print(total_fitness(Mine(2.0), np.arange(4)))
 """
 
 
