@@ -12,9 +12,9 @@ from examples import SHARE
 
 from lmd.core.checks import InputError
 from lmd.formats.calibrations import calibrated_camera
-from lmd.formats.detections import read_detections
-from lmd.formats.extrinsics import read_mount
+from lmd.formats.detection_formats import read_detections
 from lmd.formats.meshes import read_mesh
+from lmd.formats.rigs import read_mount
 from lmd.formats.tag_maps import read_deployment
 from lmd.formats.trajectories import TrajectoryFile
 from lmd.scene.pdf import from_csv as read_pdf

@@ -11,17 +11,7 @@ import numpy as np
 
 from lmd.core.checks import FloatArray, IntArray
 from lmd.export.overview import draw_floor_plan, numbers_of, scale_of
-from lmd.export.paper import (
-    GREY,
-    LINE,
-    PAPERS,
-    document,
-    fill_polygon,
-    shortened,
-    up_arrow,
-    write_on_white,
-    write_text,
-)
+from lmd.export.paper import GREY, LINE, PAPERS, document, fill_polygon, shortened, up_arrow, write_on_white, write_text
 from lmd.export.plan_pages import HEAD, LIGHT, MARGIN, SMALL, TEXT, Table, begin_titled, draw_tables
 from lmd.export.symbols import draw_fixture
 from lmd.formats.tag_map import TagMap

@@ -1,16 +1,19 @@
-"""A tag of a map, and the checks of the values that place it, which all readers of maps share.
+"""A tag of a map, its family by the names of others, and the checks of the values that place it.
 
 All readers give the poses of tags in one frame: x to the right of the tag, y up, z out of it to whoever looks at it.
 """
 
+import re
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from lmd.core.checks import FloatArray, InputError, integer, radians, real, vector
+from lmd.core.tables import Table
 from lmd.geometry.frames import roll_pitch_yaw
 from lmd.geometry.se3 import QUATERNION_TOLERANCE, are_rotations, nearest_rotations
+from lmd.scene.tag import FAMILIES
 
 Keys = Mapping[str, Any]
 MM, METRE = 1e-3, 1.0  # metres
@@ -26,6 +29,14 @@ DIRECTIONS = {
     "into": (0.0, 0.0, -1.0),
 }
 RIGHT_UP_OUT = ("right", "up", "out")
+# A family as Limelight, the ArUco library, OpenCV and apriltag_ros write it.
+_NAME = re.compile(
+    r"(?:cv2?\.|aruco[._]|dict_|apriltag(?:\d?[_ -])?|tag[_ -]?)*(\d+h\d+|\dx\d_\d+)(?:b1)?(?:_classic)?"
+)
+# Places in OpenCV's list of dictionaries, by which RTAB-Map names them.
+NUMBERS = dict(
+    enumerate([*(name for name in FAMILIES if FAMILIES[name].apriltag is None), "ARUCO_ORIGINAL", "16h5", "25h9"])
+) | {19: "36h10", 20: "36h11", 21: "ARUCO_MIP_36h12"}
 
 
 class PlacedTag(NamedTuple):
@@ -36,7 +47,7 @@ class PlacedTag(NamedTuple):
         position: of its centre, `(3,)`, metres.
         axes: from its frame (x right, y up, z out) to that of the map, `(3, 3)`.
         edge: of the black square, metres; None where the map does not say.
-        family: see `lmd.formats.families.family_named`; None where the map does not say.
+        family: see `family_named`; None where the map does not say.
     """
 
     number: int
@@ -44,6 +55,22 @@ class PlacedTag(NamedTuple):
     axes: FloatArray
     edge: float | None = None
     family: str | None = None
+
+
+class Found(NamedTuple):
+    """The tags of a file.
+
+    Args:
+        tags: of a map of others.
+        table: a table of tags, in place of these; see `lmd.formats.landmark_table`.
+        by_opencv: True if those who read such files detect by OpenCV.
+        note: an assumption about the file, a sentence; empty without any.
+    """
+
+    tags: Sequence[PlacedTag]
+    table: Table | None = None
+    by_opencv: bool = False
+    note: str = ""
 
 
 def axes_of(words: Sequence[str] | None) -> FloatArray:
@@ -167,3 +194,42 @@ def orthonormal(matrix: FloatArray) -> FloatArray:
     if not are_rotations(matrix):
         raise InputError(f"the rotation {np.round(matrix, 4).tolist()} must be orthonormal and right-handed.")
     return nearest_rotations(matrix)
+
+
+def family_named(name: Any) -> str:
+    """The family with a name of others: one of `FAMILIES`, or the name itself where it is none of these.
+
+    Raises:
+        InputError: the name is no text.
+    """
+    if not isinstance(name, str):
+        raise InputError(f"the family of a tag must be a text, got {name!r}.")
+    found = _NAME.fullmatch(name.strip().lower())
+    return found[1] if found is not None and found[1] in FAMILIES else name.strip()
+
+
+def one_family(named: Iterable[str | None]) -> str | None:
+    """The family of the tags of a map, of which each may say its own; None where none says any.
+
+    Raises:
+        InputError: they are of several families.
+    """
+    families = sorted({family for family in named if family is not None})
+    if len(families) > 1:
+        raise InputError(
+            f"its tags are of the families {' and '.join(families)}, which may have equal ids: leave the tags of one "
+            "family in the file."
+        )
+    return families[0] if families else None
+
+
+def check_family(path: Any, told: str | None, wanted: str | None) -> None:
+    """Raise `InputError` if the tags of a map at `path` are of another family than is wanted, if both are known."""
+    if told is None or wanted is None or told == wanted:
+        return
+    if told not in FAMILIES:
+        raise InputError(
+            f"{path}: its tags are of the family {told}, which is not known here: it must be one of "
+            f"{', '.join(FAMILIES)}, or the landmarks be points."
+        )
+    raise InputError(f"family={told} is needed: the tags of {path} are of that family, and not of {wanted}.", "family")

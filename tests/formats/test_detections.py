@@ -4,7 +4,8 @@ import pytest
 
 from lmd.core.checks import InputError
 from lmd.detection.detectors import AprilTagDetector, Detections
-from lmd.formats.detections import DetectedTags, read_detections, write_detections
+from lmd.formats.detection_formats import read_detections, write_detections
+from lmd.formats.detections import DetectedTags
 from lmd.scene.tag import Tag
 
 HEADER = "topic,stamp,id,hamming,x0,y0,x1,y1,x2,y2,x3,y3\n"

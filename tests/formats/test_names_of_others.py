@@ -8,7 +8,7 @@ from numpy.testing import assert_allclose
 
 from lmd.core.checks import InputError
 from lmd.formats.calibrations import calibrated_camera
-from lmd.formats.families import family_named
+from lmd.formats.placed_tag import family_named
 from lmd.formats.tag_maps import read_deployment
 from lmd.formats.trajectories import TrajectoryFile
 

@@ -9,7 +9,7 @@ from numpy.testing import assert_allclose
 
 from lmd.core.checks import InputError
 from lmd.formats.deployments import FileDeployment
-from lmd.formats.families import NUMBERS, family_named
+from lmd.formats.placed_tag import NUMBERS, family_named
 from lmd.formats.tag_maps import LARGEST_MAP, read_deployment
 from lmd.scene.tag import FAMILIES, Tag
 from lmd.space.cuboid import Cuboid

@@ -5,9 +5,10 @@ import json
 import pytest
 
 from lmd.core.checks import InputError
-from lmd.formats.meshes import FORMATS, read_mesh
-from lmd.formats.unread_rooms import ENDINGS
+from lmd.formats.meshes import SUFFIXES, read_mesh
+from lmd.formats.room_formats import ENDINGS
 
+UNREAD = [suffix for _, _, suffixes in ENDINGS for suffix in suffixes]
 OUTLINE = "the outline of a floor plan"
 WALL = {"xStart": 0.0, "yStart": 0.0, "xEnd": 600.0, "yEnd": 0.0, "height": 250.0}
 CAPTURED = {"walls": [{"transform": [1], "dimensions": [1, 1, 0]}]}
@@ -22,11 +23,11 @@ def told(path):
     return message
 
 
-@pytest.mark.parametrize("ending", [*ENDINGS, ".rmf", ""])
+@pytest.mark.parametrize("ending", [*UNREAD, ".rmf", ""])
 def test_an_ending_that_is_not_read(ending, tmp_path):
     message = told(tmp_path / f"room{ending.upper()}")
-    assert f"must end in one of {', '.join(FORMATS)}" in message
-    assert ("; this is " if ending in ENDINGS else "docs/rooms.md") in message
+    assert f"must end in one of {', '.join(SUFFIXES)}" in message
+    assert ("; this is " if ending in UNREAD else "docs/rooms.md") in message
 
 
 @pytest.mark.parametrize(
