@@ -5,17 +5,24 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from lmd.core.checks import BoolArray, FloatArray, InputError, IntArray, real, vector
+from lmd.core.checks import BoolArray, FloatArray, InputError, IntArray
 from lmd.formats.occupancy_grid import OccupancyGrid, read_occupancy_grid
-from lmd.space.parts import check_metres
+from lmd.formats.plans import ReadPlan, Stretch
+from lmd.formats.registry import File
 from lmd.space.polygon import edges
-from lmd.space.prism import Prism, from_floor_plan
-from lmd.space.relevance import Relevance
+
+NO_WALL = "no wall"
 
 # Least area of a free region that a note mentions, square metres.
 MENTIONED_M2 = 0.5
 # Shortest stretch of an edge without occupied cells that excludes landmarks, metres; a wall has shorter gaps by chance.
 SHORTEST_GAP_M = 0.2
+# Greatest tolerance of a ring, such as a pillar, over its shorter side.
+PILLAR_SHARE = 0.2
+# Least sine of the angle between edges whose lines are intersected.
+LEAST_ANGLE_SINE = 0.2
+# Tolerance of the comparison of distances, cells.
+ROUNDING = 1e-9
 # Greatest number of corners; a run with more would take hours.
 MOST_CORNERS = 4000
 
@@ -28,99 +35,40 @@ class Region(NamedTuple):
     to_wall: FloatArray
     """Distance of the centre of each cell to that of the nearest occupied cell, cells, `(H, W)`."""
     note: str
-    """Sentence on the parts of the map that are left out."""
+    """Clauses on the parts of the map that are left out."""
 
 
-def read_map_room(
-    path: Any,
-    height: Any,
-    reachable: Any,
-    spacing: Any,
-    tolerance: float = 0.1,
-    speck: float = 0.2,
-    passage: float = 0.3,
-    start: Any = None,
-    surfaces: Any = None,
-    keep_out: Any = (),
-    margin: float = 0.0,
-    positions: str = "cells",
-    relevance: Relevance | None = None,
-    **plan: Any,
-) -> Prism:
-    """Room over the free region of an occupancy grid, in the frame of the map.
+def read_map(file: File) -> ReadPlan:
+    """Read the free region of an occupancy grid, in the frame of the map.
 
     Args:
-        path: YAML file of the map.
-        height: see `FloorPlan`.
-        reachable, spacing, positions, relevance: see `Prism`.
-        tolerance: greatest distance of a wall from the contour of the cells, metres.
-        speck: groups of cells that are not free count as free if both sides are shorter than this, metres.
-        passage: parts of the free region that are narrower than this, metres, are left out.
-        start: point (x, y) of the map frame in the region, metres; None for the largest region.
-        margin: see `FloorPlan`.
-        surfaces: see `FloorPlan`; None for all walls with occupied cells.
-        keep_out: see `FloorPlan`, in addition to stretches without occupied cells.
-        plan: further arguments of `FloorPlan`.
+        file: YAML file of the map; `asked` has `tolerance`, `speck`, `passage` and `start` of `read_plan_room`.
 
     Raises:
-        InputError: the file or a value is refused, or there is no free region.
+        InputError: the file or a setting is refused, or there is no free region.
     """
-    grid, height, margin = read_occupancy_grid(path), real("height", height, above=0.0), real("margin", margin, low=0.0)
-    region = free_region(
-        grid,
-        real("tolerance", tolerance, above=0.0) / grid.resolution,
-        real("speck", speck, low=0.0) / grid.resolution,
-        real("passage", passage, low=0.0) / grid.resolution,
-        None if start is None else vector("start", start, 2),
-    )
+    grid, tolerance = read_occupancy_grid(file.path), file.asked["tolerance"]
+    speck, passage = (file.asked[name] / grid.resolution for name in ("speck", "passage"))
+    region = free_region(grid, tolerance / grid.resolution, speck, passage, file.asked["start"])
     holes = [np.array(ring.coords[:0:-1]) for ring in region.polygon.interiors]
     rings = [np.array(region.polygon.exterior.coords[:-1]), *holes]
     corners = sum(map(len, rings))
     if corners > MOST_CORNERS:
         raise InputError(
-            f"tolerance = {tolerance:g} leaves {corners} corners of {str(path)!r}, more than {MOST_CORNERS}; a larger "
-            "tolerance, speck or passage leaves fewer.",
+            f"tolerance = {tolerance:g} leaves {corners} corners of {str(file.path)!r}, more than {MOST_CORNERS}; a "
+            "larger tolerance, speck or passage leaves fewer.",
             "tolerance",
         )
-    names = ["wall_{}", *(f"hole_{i}_wall_{{}}" for i in range(len(rings) - 1))]
-    walls: list[str] = []
-    beyond: list[dict[str, Any]] = []
-    for i, (ring, name) in enumerate(zip(rings, names, strict=True)):
-        for j, edge in enumerate(edges(ring)):
-            spans = _gaps(edge, region.to_wall, tolerance / grid.resolution + 1.5, SHORTEST_GAP_M / grid.resolution)
-            length = float(np.linalg.norm(edge[1] - edge[0]))
-            bare = np.diff([0.0, *(end for span in spans for end in span), length])[::2]
-            if grid.resolution * bare.max() <= 2.0 * margin:
-                continue
-            walls.append(name.format(j))
-            for span in spans:
-                # The left end of a wall, as seen from the room, is the end of an edge of the outline.
-                a, b = span if i else (length - span[1], length - span[0])
-                left = [grid.resolution * a, grid.resolution * b]
-                beyond.append({"surface": walls[-1], "from_left": left, "from_below": [0.0, height], "name": "no wall"})
-    if not walls:
-        raise InputError(f"path: {str(path)!r} has no walls around its free region, on which landmarks could hang.", "path")
-    outline, *pillars = (grid.in_map(ring).tolist() for ring in rings)
-    check_metres(
-        [*np.ptp(np.array(outline), axis=0), height],
-        f"path: {str(path)!r} with resolution = {grid.resolution:g} makes",
-        "the resolution is in metres per pixel",
-        "path",
-    )
-    return from_floor_plan(
-        outline,
-        height,
-        reachable,
-        spacing,
-        positions,
-        relevance,
-        holes=pillars,
-        surfaces=walls if surfaces is None else surfaces,
-        keep_out=[*beyond, *keep_out],
-        margin=margin,
-        note="; ".join(filter(None, [grid.note, region.note])),
-        **plan,
-    )
+    most, shortest = tolerance / grid.resolution + 1.5, SHORTEST_GAP_M / grid.resolution
+    stretches = [
+        Stretch(i, j, grid.resolution * start, grid.resolution * stop, NO_WALL)
+        for i, ring in enumerate(rings)
+        for j, edge in enumerate(edges(ring))
+        for start, stop in _gaps(edge, region.to_wall, most, shortest)
+    ]
+    told = "; ".join(filter(None, [grid.note, region.note]))
+    note = f"{file.path}: {told}" if told else ""
+    return ReadPlan([grid.in_map(ring) for ring in rings], stretches, f"resolution = {grid.resolution:g}", note)
 
 
 def free_region(
@@ -130,8 +78,8 @@ def free_region(
 
     Args:
         grid: map.
-        tolerance, speck, passage: as in `read_map_room`, in cells.
-        start: as in `read_map_room`.
+        tolerance, speck, passage: see `lmd.formats.plans.read_plan_room`; in cells.
+        start: as there, metres.
     """
     import shapely
     from scipy import ndimage
@@ -160,22 +108,25 @@ def free_region(
     # A right-angled corner of the region is sqrt(2) radii from the core.
     region = free & (ndimage.distance_transform_edt(labels != chosen) <= math.sqrt(2.0) * radius)
     region = _without_pinches(region, labels == chosen)
-    others = [(areas[i], i) for i in range(1, count + 1) if i != chosen and areas[i] * grid.resolution**2 > MENTIONED_M2]
+    others = [
+        (areas[i], i) for i in range(1, count + 1) if i != chosen and areas[i] * grid.resolution**2 > MENTIONED_M2
+    ]
 
     polygon = _simplified(_polygon(region), tolerance)
     told = [_left_out(grid, labels, others, corner)]
     if small:
         told.append(f"{len(small)} groups of cells smaller than {speck * grid.resolution:g} m count as free")
-    note = f"{grid.path}: {'; '.join(filter(None, told))}" if any(told) else ""
     to_wall = np.full(np.add(grid.cells.shape, 2), np.inf)
     to_wall[top : bottom + 3, left : right + 3] = (
         ndimage.distance_transform_edt(~occupied) if occupied.any() else np.inf
     )
-    return Region(shapely.transform(polygon, lambda at: at + corner), to_wall[1:-1, 1:-1], note)
+    return Region(
+        shapely.transform(polygon, lambda at: at + corner), to_wall[1:-1, 1:-1], "; ".join(filter(None, told))
+    )
 
 
 def _longest(box: tuple[slice, ...]) -> int:
-    return max(side.stop - side.start for side in box)
+    return max(int(side.stop - side.start) for side in box)
 
 
 def _at(
@@ -203,7 +154,11 @@ def _left_out(grid: OccupancyGrid, labels: IntArray, others: list[tuple[int, int
     middle = len(rows) // 2
     x, y = grid.in_map(np.array([columns[middle], rows[middle]]) + 0.5 + corner)
     area = grid.resolution**2 * sum(size for size, _ in others)
-    many = f"{len(others)} free areas, {area:.3g} m2 in all, are" if len(others) > 1 else f"a free area of {area:.3g} m2 is"
+    many = (
+        f"{len(others)} free areas, {area:.3g} m2 in all, are"
+        if len(others) > 1
+        else f"a free area of {area:.3g} m2 is"
+    )
     return f"{many} left out; room.start=[{x:.2f},{y:.2f}] takes the {'largest' if len(others) > 1 else 'one'} of them"
 
 
@@ -233,18 +188,67 @@ def _polygon(region: BoolArray) -> Any:
 
 
 def _simplified(polygon: Any, tolerance: float) -> Any:
-    """Polygon within `tolerance` of one of cells, whose rings do not touch."""
+    """Polygon whose edges fit those of a polygon of cells within a tolerance, in cells; its rings do not touch."""
     import shapely
 
+    contours = [shapely.Polygon(ring) for ring in (polygon.exterior, *polygon.interiors)]
+    sides = [np.ptp(shapely.get_coordinates(contour), axis=0).min() for contour in contours]
     while True:
-        simple = shapely.orient_polygons(shapely.simplify(polygon, tolerance))
-        rings = [simple.exterior, *simple.interiors]
-        holes = shapely.STRtree(rings)
-        pairs = holes.query(rings, predicate="intersects").T
-        if simple.is_valid and (pairs[:, 0] == pairs[:, 1]).all():
-            break
+        simple, fitted = [], []
+        for contour, side in zip(contours, sides, strict=True):
+            own = min(tolerance, PILLAR_SHARE * side)
+            corners = shapely.get_coordinates(shapely.simplify(contour, own))[:-1]
+            simple.append(corners)
+            fitted.append(_fitted(corners, shapely.get_coordinates(contour)[:-1], own))
+        for exterior, *holes in (fitted, simple):
+            found = shapely.Polygon(exterior, holes)
+            rings = [found.exterior, *found.interiors]
+            touching = shapely.STRtree(rings).query(rings, predicate="intersects")
+            if found.is_valid and touching.shape[1] == len(rings):
+                return shapely.orient_polygons(found)
         tolerance /= 2.0
-    return simple
+
+
+def _fitted(simple: FloatArray, contour: FloatArray, tolerance: float) -> FloatArray:
+    """Move the vertices of a ring so that its edges are the lines of least squares through the contour.
+
+    A vertex keeps its place where an edge would leave the tolerance.
+
+    Args:
+        simple: vertices of the ring, some of those of the contour, `(N, 2)`.
+        contour: vertices of the contour, `(M, 2)`.
+        tolerance: greatest distance of the contour from an edge, cells.
+    """
+    import shapely
+
+    index = {tuple(vertex): i for i, vertex in enumerate(contour.tolist())}
+    first = [index[tuple(vertex)] for vertex in simple.tolist()]
+    samples, middles, ways = [], np.empty_like(simple), np.empty_like(simple)
+    for k, (start, stop) in enumerate(zip(first, np.roll(first, -1).tolist(), strict=True)):
+        along = contour[np.arange(start, stop + (len(contour) if stop <= start else 0) + 1) % len(contour)]
+        points = shapely.get_coordinates(shapely.segmentize(shapely.LineString(along), 0.5))
+        centred = (points[1:] + points[:-1]) / 2.0
+        middles[k] = centred.mean(axis=0)
+        ways[k] = np.linalg.svd(centred - middles[k], full_matrices=False)[2][0]
+        samples.append(shapely.points(points))
+    moved = simple.copy()
+    for k, vertex in enumerate(simple):
+        (a, b), (u, v) = middles[[k - 1, k]], ways[[k - 1, k]]
+        across = u[0] * v[1] - u[1] * v[0]
+        if abs(across) > LEAST_ANGLE_SINE:
+            moved[k] = a + u * ((b - a)[0] * v[1] - (b - a)[1] * v[0]) / across
+        else:
+            moved[k] = (a + u * ((vertex - a) @ u) + b + v * ((vertex - b) @ v)) / 2.0
+    kept = np.linalg.norm(moved - simple, axis=1) > tolerance
+    while True:
+        ring = np.where(kept[:, None], simple, moved)
+        far = np.array(
+            [shapely.distance(shapely.LineString(e), at).max() for e, at in zip(edges(ring), samples, strict=True)]
+        )
+        late = (far > tolerance + ROUNDING) & ~(kept & np.roll(kept, -1))
+        if not late.any():
+            return ring
+        kept |= late | np.roll(late, 1)
 
 
 def _gaps(edge: FloatArray, to_wall: FloatArray, most: float, shortest: float) -> list[tuple[float, float]]:

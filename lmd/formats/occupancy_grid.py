@@ -40,7 +40,7 @@ class OccupancyGrid(NamedTuple):
     is_free: BoolArray
     """Mask of the free cells, `(H, W)`."""
     note: str = ""
-    """Remark on an ambiguous file, a sentence; empty without ambiguity."""
+    """Remark on an ambiguous file, a clause; empty without ambiguity."""
 
     def in_map(self, at: FloatArray) -> FloatArray:
         """Points of the map frame, metres, from points (column, row) in cells from the corner of cell (0, 0)."""
@@ -55,7 +55,7 @@ class OccupancyGrid(NamedTuple):
         return np.asarray((np.asarray(points) - [x, y]) @ turn / self.resolution)
 
 
-def read_occupancy_grid(path: str | Path | None) -> OccupancyGrid:
+def read_occupancy_grid(path: str | Path) -> OccupancyGrid:
     """Read the map of a YAML file and its picture.
 
     In the modes `trinary` and `scale`, cells between the thresholds are neither free nor occupied, as AMCL takes them.
@@ -64,11 +64,7 @@ def read_occupancy_grid(path: str | Path | None) -> OccupancyGrid:
     Raises:
         InputError: a file is missing or cannot be read, or a key is missing or wrong.
     """
-    if path is None:
-        raise InputError("path is missing: the YAML file of an occupancy grid is needed, such as map.yaml.", "path")
     file = file_path("path", path)
-    if file.suffix.lower() not in (".yaml", ".yml"):
-        raise InputError(f"path = {str(file)!r} must be the .yaml of the map, which has its scale and origin.", "path")
     keys = read_keys(file, "path")
     with said_of(f"path: {str(file)!r}", "path"):
         _check_keys(keys)
@@ -90,7 +86,7 @@ def read_occupancy_grid(path: str | Path | None) -> OccupancyGrid:
     if not negate and (saved & is_free).any() and (grey == SAVED_FREE).any():
         is_free = is_free & ~saved
         note = (
-            f"{path}: free_thresh = {free:g} makes nav2 drive over the grey {SAVED_UNKNOWN} that map_saver writes for "
+            f"free_thresh = {free:g} makes nav2 drive over the grey {SAVED_UNKNOWN} that map_saver writes for "
             "unknown cells; here they are unknown"
         )
     return OccupancyGrid(str(path), cells, resolution, (x, y, yaw), cells == OCCUPIED, is_free, note)
@@ -125,11 +121,7 @@ def occupancy(
 
 def _check_keys(keys: Mapping[str, Any]) -> None:
     """Raise `InputError` if the keys of a file are not those of a map."""
-    if "levels" in keys:
-        raise InputError("it is a building of Open-RMF, no occupancy grid: room=floor_plan reads it.")
     lacking = [name for name in KEYS if name not in keys]
-    if len(lacking) == len(KEYS):
-        raise InputError(f"it is no map of an occupancy grid: it has none of the keys {', '.join(KEYS)}.")
     if lacking:
         raise InputError(f"the key {lacking[0]} is missing, which nav2_map_server needs too.")
 
@@ -153,6 +145,9 @@ def _picture(path: Path) -> tuple[FloatArray, BoolArray]:
     """Grey values from 0 to 255, and mask of the opaque pixels of a picture, `(H, W)` each; the first row is on top."""
     Image = optional("PIL.Image", "analysis")  # noqa: N806 # a module
     content = read_bytes(path, "image")
+    if not content or content.startswith(b"version https://git-lfs"):
+        kind = "a pointer of Git LFS: `git lfs pull` fetches the picture" if content else "empty"
+        raise InputError(f"image: {str(path)!r} cannot be read as a picture: it is {kind}.")
     try:
         with Image.open(io.BytesIO(content)) as picture:
             if picture.width * picture.height > MOST_CELLS:
@@ -169,4 +164,5 @@ def _picture(path: Path) -> tuple[FloatArray, BoolArray]:
     except InputError:
         raise
     except Exception as error:  # a decoder of a broken file may raise anything
-        raise InputError(f"image: {str(path)!r} cannot be read as a picture ({error}).") from None
+        reason = "its kind is not known" if type(error).__name__ == "UnidentifiedImageError" else error
+        raise InputError(f"image: {str(path)!r} cannot be read as a picture ({reason}).") from None
