@@ -19,7 +19,7 @@ from lmd.scene.deployment import Deployment
 from lmd.scene.footprints import as_they_are
 
 RANDOM_VIEWS = 2000  # number of random poses
-MEASURED_STREAM = 0x737572766579  # keeps the noise apart from every other use of the seed
+MEASURED_STREAM = 0x737572766579  # separates the random numbers of the noise from other uses of the seed
 
 
 def read_measured(

@@ -39,7 +39,7 @@ FACTORS = (0.5, 0.7, 1.0, 1.4, 2.0)  # multiples of the assumed value
 MISS_PROBABILITIES = (0.0, 0.05, 0.1, 0.2)  # probability that a covered landmark is not detected; ascending
 SAMPLE = Sample(groups=48, positions=128, divisions=12)
 SHARE_COLUMNS = ["localised_share", "covered_share"]
-MISSES_STREAM = 0x6D697373  # keeps the draws of missed landmarks apart from every other use of the seed
+MISSES_STREAM = 0x6D697373  # separates the random numbers of missed landmarks from other uses of the seed
 
 
 @dataclass(frozen=True)
@@ -69,7 +69,7 @@ class Sensitivity:
     assumptions: pd.DataFrame
     """Columns `assumption,factor,value,localised_share,covered_share,note`; shares are NaN where there is a note."""
     misses: pd.DataFrame
-    """Columns `missed,localised_share,covered_share`: each covered landmark is missed with this probability."""
+    """Columns `missed,localised_share,covered_share`; `missed` is the probability that a covered landmark is missed."""
     tags: pd.DataFrame
     """Columns `id,localised_loss,covered_loss`: losses of the shares without each landmark."""
     lost: pd.DataFrame

@@ -17,7 +17,7 @@ from lmd.scene.deployment import Deployment
 from lmd.scene.scene import Scene
 from lmd.sight.obstacles import unobstructed
 
-# Keeps the poses apart from every other use of the seed.
+# Separates the random numbers of the poses from other uses of the seed.
 CAUSES_STREAM = 0x7768790A
 POSITIONS, VIEWS = 256, 16  # number of random positions, and of random orientations at each
 
@@ -70,16 +70,16 @@ def _verdicts_of(
 
 @dataclass(frozen=True)
 class Causes:
-    """Shares of landmarks that the criteria leave out; a look is one landmark from one camera in one random pose."""
+    """Shares of sightings that meet the criteria; a sighting is a landmark and a camera in a random pose."""
 
     looks: int
-    """Number of looks."""
+    """Number of sightings."""
     covered: float
-    """Share of the looks that meet every criterion."""
+    """Share of the sightings that meet every criterion."""
     met: Mapping[str, float]
-    """Share of the looks that meet a criterion, by its name."""
+    """Share of the sightings that meet a criterion, by its name."""
     without: Mapping[str, float]
-    """Share of the looks that meet all other criteria, by the name of the criterion."""
+    """Share of the sightings that meet all other criteria, by the name of the criterion."""
     limits: Mapping[str, str]
     """Limits of the criteria in a few words each, by name."""
 
@@ -101,7 +101,7 @@ class Causes:
 
 
 def causes(scene: Scene, deployment: Deployment, seed: int) -> Causes | None:
-    """Measure the shares that each criterion leaves out.
+    """Measure the shares of sightings that meet each criterion.
 
     Args:
         scene: the visibility model must have `verdicts`, see `Explained`.
@@ -118,7 +118,7 @@ def causes(scene: Scene, deployment: Deployment, seed: int) -> Causes | None:
     poses = camera_pose(positions, *scene.pdf.draw_at(positions, rng)).reshape(POSITIONS, VIEWS, 4, 4)
     names: list[str] = []
     met, without, covered = [], [], 0
-    for here in poses:  # one after the other, as all looks at once would take much memory
+    for here in poses:  # one pose after the other, to save memory
         for camera, offset, _, axes in scene.stations(axis_and_right(here)):
             found = _verdicts_of(scene, camera, deployment, here[0, :3, 3] + offset, axes)
             names, passed = list(found), np.stack(list(found.values()))

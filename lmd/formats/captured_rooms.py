@@ -153,7 +153,9 @@ def mruk(keys: Keys) -> Iterator[Thing]:
         if "VolumeBounds" in thing:
             faces = _box(thing["VolumeBounds"]["Min"], thing["VolumeBounds"]["Max"])
         elif "PlaneBoundary2D" in thing:
-            faces = [np.array([[*vector("PlaneBoundary2D", at, 2), 0.0] for at in thing["PlaneBoundary2D"]])]
+            if len(ring := thing["PlaneBoundary2D"]) < 3:
+                raise InputError(f"PlaneBoundary2D must have at least three corners, got {len(ring)}.")
+            faces = [np.array([[*vector("PlaneBoundary2D", at, 2), 0.0] for at in ring])]
         elif "PlaneBounds" in thing:
             faces = [_rectangle(thing["PlaneBounds"]["Min"], thing["PlaneBounds"]["Max"])]
         else:

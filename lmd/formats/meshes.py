@@ -102,7 +102,11 @@ def read_mesh(path: str | Path | None, scale: float = 1.0, up: str | None = None
         raise InputError(f"path: {str(file)!r} holds no triangles; {cure}.", "path")
     trimesh = optional("trimesh", "mesh")
     names = tuple(map(printable, parts))
-    _check_count(file, sum(len(part.faces) for part in parts.values()))
+    flat = InputError(f"path: {str(file)!r} holds no triangles with an area.", "path")
+    count = sum(len(part.faces) for part in parts.values())
+    if not count:
+        raise flat
+    _check_count(file, count)
     of = np.repeat(np.arange(len(parts)), [len(part.faces) for part in parts.values()])
     whole = trimesh.util.concatenate(list(parts.values()))
     mesh = trimesh.Trimesh(whole.vertices * scale, whole.faces, process=False)
@@ -111,7 +115,7 @@ def read_mesh(path: str | Path | None, scale: float = 1.0, up: str | None = None
     mesh.merge_vertices(digits_vertex=CORNER_DIGITS)
     kept = mesh.unique_faces() & mesh.nondegenerate_faces(height=THINNEST_M)
     if not kept.any():
-        raise InputError(f"path: {str(file)!r} holds no triangles with an area.", "path")
+        raise flat
     mesh.update_faces(kept)
     mesh.remove_unreferenced_vertices()
     on_walls = tuple((part.name, scale * _turned(face, up)) for part in captured.on_walls for face in part.faces)

@@ -51,8 +51,7 @@ def write_apriltag_ros2(path: Path, tags: TagMap) -> None:
 
     Source: christianrauch/apriltag_ros, `cfg`.
     """
-    frames = [f"tag_{number}" for number in tags.ids]
-    own = {"ids": tags.ids, "frames": frames, "sizes": tags.sizes.tolist()}
+    own = {"ids": tags.ids, "frames": [f"tag_{number}" for number in tags.ids], "sizes": tags.sizes.tolist()}
     parameters = {"family": tags.tag.family, "size": tags.tag.size, "tag": own}
     write_yaml(path, {"/**": {"ros__parameters": parameters}})
 

@@ -129,10 +129,15 @@ def _deployment(path: Any, tags: Sequence[PlacedTag], note: str) -> Deployment:
     return deployment.turned(path, axes[:, :, 1])
 
 
-def _row(program: str, written: str, file: str, read_as: str) -> str:
-    """A row of the table in the documentation; `file` describes the content of the written file."""
-    writer = WRITERS[written]
-    return f"{program} | `{written}`{' *' if writer.only_apriltag else ''} | `{writer.file}`{file} | {read_as}"
+def _row(written: str, cells: str) -> str:
+    """A row of the table in the documentation.
+
+    Args:
+        written: name in `formats`.
+        cells: the program, what the written file holds after its name, and what is read.
+    """
+    writer, (program, file, is_read) = WRITERS[written], cells.split(" | ")
+    return f"{program} | `{written}`{' *' if writer.only_apriltag else ''} | `{writer.file}`{file} | {is_read}"
 
 
 def _keyed(
@@ -171,11 +176,9 @@ KEYED = (
         readers.wpilib,
         "tags",
         row=_row(
-            "WPILib, PhotonVision",
             "wpilib",
-            ", the field layout",
-            "yes; also its drawings, a CSV in inches and degrees with the header `ID,X,Y,Z,Rotation` or "
-            "`ID,X,Y,Z,Z-Rotation,X-Rotation`",
+            "WPILib, PhotonVision | , the field layout | yes; also its drawings, a CSV in inches and degrees with"
+            " the header `ID,X,Y,Z,Rotation` or `ID,X,Y,Z,Z-Rotation,X-Rotation`",
         ),
     ),
     _keyed("WPILib", readers.wpilib, "field-tags"),
@@ -183,24 +186,23 @@ KEYED = (
         "Limelight",
         readers.limelight,
         "fiducials",
-        row=_row("Limelight", "limelight", ", the field map", "yes, `size`; transforms row by row"),
+        row=_row("limelight", "Limelight | , the field map | yes, `size`; transforms row by row"),
         note=readers.corner_note,
     ),
     _keyed(
         "frc971",
         readers.frc971,
         "target_poses",
-        row=_row("frc971", "frc971", ", the target map", "yes; a quaternion, or degrees as in 2025"),
+        row=_row("frc971", "frc971 | , the target map | yes; a quaternion, or degrees as in 2025"),
     ),
     _keyed(
         "apriltag_ros",
         readers.apriltag_ros,
         "tag_bundles",
         row=_row(
-            "AprilRobotics/apriltag_ros (ROS 1)",
             "apriltag_ros",
-            ": one bundle called `room`",
-            "the only one of `tag_bundles`, or `standalone_tags` with `x` ... `qw`; `size`",
+            "AprilRobotics/apriltag_ros (ROS 1) | : one bundle called `room` | the only one of `tag_bundles`, or "
+            "`standalone_tags` with `x` ... `qw`; `size`",
         ),
     ),
     _keyed("apriltag_ros", readers.apriltag_ros, "standalone_tags"),
@@ -209,10 +211,9 @@ KEYED = (
         readers.tagslam,
         "bodies",
         row=_row(
-            "TagSLAM",
             "tagslam",
-            ": the room as a static body; the camera's body comes from you",
-            "static bodies with a `pose`: their `tags`, or a `board`; `size`, `default_tag_size`",
+            "TagSLAM | : the room as a static body; the camera's body comes from you | static bodies with a "
+            "`pose`: their `tags`, or a `board`; `size`, `default_tag_size`",
         ),
     ),
     _keyed(
@@ -220,24 +221,23 @@ KEYED = (
         readers.fiducial_vlam,
         "markers",
         "marker_length",
-        row=_row("fiducial_vlam", "fiducial_vlam", ": all tags stay where they are", "yes, `marker_length`"),
+        row=_row("fiducial_vlam", "fiducial_vlam | : all tags stay where they are | yes, `marker_length`"),
         by_opencv=True,
     ),
     _keyed(
         "ArUco",
         readers.aruco,
         "aruco_bc_markers",
-        row=_row("ArUco library", "aruco", ": marker map in metres", "yes, by the corners"),
+        row=_row("aruco", "ArUco library | : marker map in metres | yes, by the corners"),
     ),
     _keyed(
         "Duckietown",
         readers.duckietown,
         "objects",
         row=_row(
-            "Duckietown",
             "duckietown",
-            ": tags on the floor, for the `objects` of the city's map",
-            "`objects` of the kind `floor_tag`, `size`",
+            "Duckietown | : tags on the floor, for the `objects` of the city's map | `objects` of the kind "
+            "`floor_tag`, `size`",
         ),
     ),
 )
@@ -249,11 +249,9 @@ FORMATS = (
         lambda file: PRIORS.search(file.text) is not None or "|" in file.first,
         lambda file: read_priors(file.text),
         row=_row(
-            "RTAB-Map",
             "rtabmap",
-            ": the value of `Marker/Priors`",
-            "`id x y z roll pitch yaw`, alone or in its `.ini` (`Marker/Length`); its exported poses with a "
-            "negative id",
+            "RTAB-Map | : the value of `Marker/Priors` | `id x y z roll pitch yaw`, alone or in its `.ini` "
+            "(`Marker/Length`); its exported poses with a negative id",
         ),
     ),
     *(_refused(_first(begins), reason) for begins, reason in BY_TEXT),
@@ -267,7 +265,7 @@ FORMATS = (
             f"it is no tag map that is known here ({KNOWN}): it has {', '.join(file.keys)[:200]}; {TABLE}"
         ),
         row=_row(
-            "christianrauch/apriltag_ros (ROS 2)", "apriltag_ros2", ": parameters of the node, without places", "no"
+            "apriltag_ros2", "christianrauch/apriltag_ros (ROS 2) | : parameters of the node, without places | no"
         ),
     ),
     Format(
@@ -275,7 +273,7 @@ FORMATS = (
         "lines",
         _first(IS_NUMBER),
         lambda file: read_lines(file.path, file.text),
-        row=_row("Clover", "clover", ": `aruco_map`", "`id length x y z yaw pitch roll`, `length`")
+        row=_row("clover", "Clover | : `aruco_map` | `id length x y z yaw pitch roll`, `length`")
         + "\nfiducial_slam | | not written | what it saves: `id x y z roll pitch yaw variance ...`, degrees",
     ),
     Format(

@@ -1,11 +1,13 @@
-"""Occlusion from a single camera: a landmark is hidden from a position with all orientations or with none.
+"""Occlusion for a single camera: from a position, a landmark is hidden for all orientations or for none.
 
-A state counts by how many others each landmark is hidden from each position, and how many it hides.
+A state counts for each landmark and position how many others hide it, and how many others it hides.
 """
+
+from typing import Any
 
 import numpy as np
 
-from lmd.core.bits import ALL, ONE, ZERO
+from lmd.core.bits import ALL, ONE, ZERO, Integer
 from lmd.core.compiled import inlined, inner
 from lmd.incremental.camera import look_around
 from lmd.incremental.nearby import is_near, pose_of
@@ -30,7 +32,7 @@ from lmd.sight.blocks import BLOCK
 
 
 @find_pairs.register(State)
-def _find_pairs(state, k, how, field, scratch):  # type: ignore[no-untyped-def]
+def _find_pairs(state: Any, k: Integer, how: Any, field: Any, scratch: Any) -> None:
     if how != COMES:
         look_around(k, field, scratch)
     if field.cameras.sight.reach < 0.0:
@@ -42,8 +44,8 @@ def _find_pairs(state, k, how, field, scratch):  # type: ignore[no-untyped-def]
 
 
 @inner
-def _want_blocks(k, state, scratch):  # type: ignore[no-untyped-def]
-    """Leave in `WANTED` the blocks from which landmark k hides another or is hidden: nearly everywhere it is not."""
+def _want_blocks(k: Integer, state: Any, scratch: Any) -> None:
+    """Reduce `WANTED` to the blocks from which landmark k hides another or is hidden; these are few."""
     hiding, hidden, wanted = state.hides[HIDING], state.hides[HIDDEN], scratch.flags[WANTED]
     for b in scratch.lists[BLOCKS][: scratch.numbers[BLOCK_COUNT]]:
         some = np.int16(0)
@@ -53,7 +55,10 @@ def _want_blocks(k, state, scratch):  # type: ignore[no-untyped-def]
 
 
 @note_neighbour.register(State)
-def _note_neighbour(state, cameras, c, b, i, k, how, place, box, mine, other, field, scratch):  # type: ignore[no-untyped-def]
+def _note_neighbour(
+    state: Any, cameras: Any, c: Integer, b: Integer, i: Integer, k: Integer, how: Any, place: Any, box: Any,
+    mine: Any, other: Any, field: Any, scratch: Any,
+) -> None:  # fmt: skip
     positions, first, last = field.positions, b * np.uint64(BLOCK), (b + ONE) * np.uint64(BLOCK)
     ax, ay, az, nx, ny, nz = place
     lx, ly, lz, vx, vy, vz = pose_of(i, state)
@@ -76,8 +81,8 @@ def _note_neighbour(state, cameras, c, b, i, k, how, place, box, mine, other, fi
 
 
 @inlined
-def _note_hiding(i, p, one, two, how, scratch):  # type: ignore[no-untyped-def]
-    """Note from position p that the place hides landmark i, `one`, and that this hides the place, `two`."""
+def _note_hiding(i: Integer, p: Integer, one: Any, two: Any, how: Any, scratch: Any) -> None:
+    """Record for position p that the place hides landmark i (`one`), and that landmark i hides the place (`two`)."""
     changes, hides = scratch.changes, scratch.hides
     if how != LEAVES:
         hides[HIDING, p] += one
@@ -92,13 +97,13 @@ def _note_hiding(i, p, one, two, how, scratch):  # type: ignore[no-untyped-def]
 
 
 @inlined
-def turns(reachable, was, now):  # type: ignore[no-untyped-def]
-    """True if a landmark appears or disappears when `now` others hide it instead of `was`."""
+def turns(reachable: Any, was: Any, now: Any) -> Any:
+    """True if a landmark appears or disappears when the number of its occluders changes from `was` to `now`."""
     return reachable & ((was == 0) != (now == 0))
 
 
 @inner
-def _touch_flips(state, scratch):  # type: ignore[no-untyped-def]
+def _touch_flips(state: Any, scratch: Any) -> None:
     """Touch the positions from which another landmark appears or disappears."""
     hidden, reachable, changes = state.hides[HIDDEN], state.reachable, scratch.changes[HIDDEN]
     for e in range(scratch.numbers[PAIR_COUNT]):
@@ -108,7 +113,7 @@ def _touch_flips(state, scratch):  # type: ignore[no-untyped-def]
 
 
 @inlined
-def list_turning(p, state, scratch):  # type: ignore[no-untyped-def]
+def list_turning(p: Integer, state: Any, scratch: Any) -> Any:
     """List in `NAMES` and `GOES` the other landmarks that appear or disappear at position p; returns their number."""
     hidden, changes, known, count = state.hides[HIDDEN], scratch.changes[HIDDEN], scratch.known, ZERO
     names, goes = scratch.lists[NAMES], scratch.lists[GOES]

@@ -1,13 +1,15 @@
-"""Carrying out moves of single landmarks: exact counts and probabilities, updated instead of recomputed.
+"""Moves of single landmarks that are carried out: counts and P_n are updated instead of recomputed.
 
-`carry_out` makes the last trial true, and it alone needs the new cap with all its axes. It exchanges what a state and a
-scratch have of the two places, P_n included, so that `take_back` only has to exchange them again. After any sequence of
-moves the counts equal those of a full evaluation, bit for bit.
+A state has the data of the old place, a scratch those of the place tried. `carry_out` finds all axes that cover the
+place tried, then exchanges the data of state and scratch, P_n included. A second exchange undoes the move. After any
+sequence of moves, the counts equal those of a full evaluation bit for bit.
 """
+
+from typing import Any
 
 import numpy as np
 
-from lmd.core.bits import ALL
+from lmd.core.bits import ALL, Integer
 from lmd.core.compiled import borrowing, inner
 from lmd.incremental.counts import ripple, sum_up
 from lmd.incremental.occlusion import ARRIVES
@@ -24,8 +26,8 @@ from lmd.incremental.trial import (
 
 
 @inner
-def exchange(k, field, state, scratch):  # type: ignore[no-untyped-def]
-    """Exchange what a state and a scratch have of landmark k and of the pairs, and update the counts."""
+def exchange(k: Integer, field: Any, state: Any, scratch: Any) -> None:
+    """Exchange the data of landmark k and of the pairs between state and scratch, and update the counts."""
     words, who, where = np.uint64(state.counts.digits.shape[1]), scratch.pairs[WHO], scratch.pairs[WHERE]
     for p in scratch.lists[LISTED][: list_changing(state, k, scratch)]:
         for w in range(words):
@@ -42,8 +44,11 @@ def exchange(k, field, state, scratch):  # type: ignore[no-untyped-def]
 
 
 @inner
-def take_back(field, k, state, scratch):  # type: ignore[no-untyped-def]
-    """Exchange landmark k for the other place in `scratch`: undo the last `carry_out`, all later ones being undone."""
+def take_back(field: Any, k: Integer, state: Any, scratch: Any) -> None:
+    """Exchange the place of landmark k for the place in `scratch`.
+
+    This undoes the last `carry_out` with this scratch; all later moves must have been undone.
+    """
     k, first, last, units = np.uint64(k), scratch.lists[FIRST], scratch.lists[LAST], scratch.units
     exchange(k, field, state, scratch)
     for s in range(scratch.numbers[SPAN_COUNT]):
@@ -56,15 +61,15 @@ def take_back(field, k, state, scratch):  # type: ignore[no-untyped-def]
 
 
 @inner
-def carry_out(field, k, state, scratch):  # type: ignore[no-untyped-def]
-    """Move landmark k to where it was tried last; no other move may have been tried or carried out since."""
+def carry_out(field: Any, k: Integer, state: Any, scratch: Any) -> None:
+    """Move landmark k to the place tried last; no other move may have been tried or carried out since."""
     see_whole(np.uint64(k), field, state, scratch)
     take_back(field, k, state, scratch)
 
 
 @borrowing
-def fill(field, state, scratch):  # type: ignore[no-untyped-def]
-    """Count the landmarks of `state`, one after the other."""
+def fill(field: Any, state: Any, scratch: Any) -> None:
+    """Count all landmarks of an empty `state`, one after the other, and compute P_n."""
     for k in range(np.uint64(state.poses.shape[1])):
         for i in range(6):
             scratch.target[i] = state.poses[i, k]
@@ -76,8 +81,8 @@ def fill(field, state, scratch):  # type: ignore[no-untyped-def]
 
 
 @borrowing
-def overlook(missed, field, state):  # type: ignore[no-untyped-def]
-    """Take the sets of axes `missed` `(K, Q, W)` out of the caps; landmarks hide each other as before."""
+def overlook(missed: Any, field: Any, state: Any) -> None:
+    """Remove the sets of axes `missed` `(K, Q, W)` from those that cover the landmarks; occlusion stays unchanged."""
     caps = state.caps
     for k in range(np.uint64(caps.shape[0])):
         for p in range(np.uint64(caps.shape[1])):

@@ -1,7 +1,5 @@
 """Unsupported room files: one sentence names the kind of file and how to convert it."""
 
-import json
-
 import pytest
 
 from lmd.core.checks import InputError
@@ -10,8 +8,6 @@ from lmd.formats.room_formats import ENDINGS
 
 UNREAD = [suffix for _, _, suffixes in ENDINGS for suffix in suffixes]
 OUTLINE = "the outline of a floor plan"
-WALL = {"xStart": 0.0, "yStart": 0.0, "xEnd": 600.0, "yEnd": 0.0, "height": 250.0}
-CAPTURED = {"walls": [{"transform": [1], "dimensions": [1, 1, 0]}]}
 
 
 def told(path):
@@ -43,27 +39,6 @@ def test_a_text_in_yaml(text, expected, tmp_path):
     path.write_text(text)
     with pytest.raises(InputError, match=expected):
         read_mesh(path)
-
-
-@pytest.mark.parametrize(
-    ("keys", "expected"),
-    [
-        (
-            {"walls": [WALL], "rooms": []},
-            "it has the walls of Sweet Home 3D, in centimetres: export its 3D view to OBJ",
-        ),
-        ({"floorplan": {"corners": {}, "walls": []}, "items": []}, "it is a plan of Blueprint3D, in centimetres"),
-        ({"rooms": [CAPTURED, CAPTURED]}, "a CapturedStructure of RoomPlan's with 2 rooms: `jq '.rooms[0]'"),
-        ({"type": "FeatureCollection", "features": []}, "it has polygons in GeoJSON"),
-        ({"asset": {}, "meshes": []}, "let its name end in .gltf"),
-        ({"metadata": {}, "object": {}}, "it is a scene of three.js"),
-        ({"levels": {}}, "it is a building of Open-RMF"),
-    ],
-)
-def test_a_json_file_of_another_program(keys, expected, tmp_path):
-    path = tmp_path / "room.json"
-    path.write_text(json.dumps(keys))
-    assert expected in told(path)
 
 
 def test_the_unit_of_a_file_is_asked_for(tmp_path):

@@ -1,4 +1,4 @@
-"""Changes of the views of a rig as a landmark moves: see `changes`."""
+"""Functions of `changes` for a rig."""
 
 from typing import Any
 
@@ -57,7 +57,7 @@ from lmd.objectives.localisation.views import BodyViews
 def _see_place_by_rig(
     known: RigState, k: Integer, n: Integer, localised: WordArray, cover: Any, trial: RigScratch
 ) -> Integer:
-    # Landmark k matters with n - 1 others in view or more, unless the view is localised and does not show k.
+    # Landmark k matters if n - 1 others or more are in view, unless the view is localised and does not show k.
     asked, short, enough = trial.sets[ASKED], known.counts.sets[SHORT], known.counts.sets[ENOUGH]
     first, last = trial.lists[FIRST], trial.lists[LAST]
     for s in range(trial.numbers[SPAN_COUNT]):
@@ -85,7 +85,7 @@ def _see_rest_by_rig(known: RigState, k: Integer, cover: Any, trial: RigScratch)
 
 
 @inner
-def _find_turns_of_part(
+def _find_turns_of_group(
     mine: WordArray, flipped: WordArray, trial: RigScratch, lost: WordArray, gained: WordArray
 ) -> None:
     caps, veiled, who, where = mine[CAPS], mine[OCCLUDED], trial.pairs[WHO], trial.pairs[WHERE]
@@ -101,24 +101,24 @@ def _find_turns_of_part(
 
 @find_turns.register(RigState)
 def _find_turns_of_rig(known: RigState, trial: RigScratch, lost: WordArray, gained: WordArray) -> None:
-    for j in range(len(known.parts)):
-        _find_turns_of_part(known.parts[j], trial.parts[j].flipped, trial, lost, gained)
+    for j in range(len(known.groups)):
+        _find_turns_of_group(known.groups[j], trial.groups[j].flipped, trial, lost, gained)
 
 
 @forget_moments.register(BodyViews)
 def _forget_moments_of_rig(views: BodyViews, p: Integer) -> None:
-    """Nothing: moments are those of each camera and orientation."""
+    """Do nothing, as a rig stores no moments."""
 
 
 @inlined
 def _tag(k: Integer, pose: Any, precision: Precision) -> Tag:
-    """Landmark k with a `pose`, see `pairs.tags_of`."""
+    """Row of `pairs.tags_of` for landmark k with a `pose`."""
     return pose[0], pose[1], pose[2], *upright_sides(half_of(precision, k), pose[3], pose[4], pose[5])
 
 
 @inlined
 def _place(q: Integer, field: Any) -> Place:
-    """Position q of the body."""
+    """Position q of the body, three numbers, metres."""
     positions = field.coverage.positions
     return positions[0, q], positions[1, q], positions[2, q]
 
@@ -128,7 +128,7 @@ def _add_changes_of_part(
     mounts: Mounts, known: RigState, k: Integer, q: Integer, w: Integer, sign: float, field: Any, scratch: Any
 ) -> None:
     trial, views, count = scratch.coverage, scratch.views, len(mounts.axes)
-    mine, other = known.parts[mounts.number], trial.parts[mounts.number]
+    mine, other = known.groups[mounts.number], trial.groups[mounts.number]
     caps, veiled, cap, veil = mine[CAPS], mine[OCCLUDED], other.sets[CAPS], other.sets[OCCLUDED]
     place, precision = _place(q, field), field.precision
     old, new = _tag(k, pose_of(k, known), precision), _tag(k, target_of(trial), precision)
@@ -179,7 +179,7 @@ def _change_sums_of_rig(
 @inner
 def _add_shown_to_part(mounts: Mounts, known: RigState, q: Integer, w: Integer, field: Any, scratch: Any) -> None:
     mine, place, precision, views = (
-        known.parts[mounts.number], _place(q, field), field.precision, scratch.views
+        known.groups[mounts.number], _place(q, field), field.precision, scratch.views
     )  # fmt: skip
     caps, veiled = mine[CAPS], mine[OCCLUDED]
     for i in range(caps.shape[0]):
