@@ -101,13 +101,16 @@ def free_region(
     core = free & (ndimage.distance_transform_edt(free) >= radius)
     labels, count = ndimage.label(core)
     if not count:
-        raise InputError(f"passage is wider than every free region of {grid.path!r}.", "passage")
-    areas = np.bincount(labels.ravel())
-    areas[0] = 0
-    chosen = int(np.argmax(areas)) if start is None else _at(grid, labels, free, start, corner, radius)
+        raise InputError(
+            f"passage = {passage * grid.resolution:g} is wider than every free region of {grid.path!r}.", "passage"
+        )
+    away, nearest = ndimage.distance_transform_edt(~core, return_indices=True)
     # A right-angled corner of the region is sqrt(2) radii from the core.
-    region = free & (ndimage.distance_transform_edt(labels != chosen) <= math.sqrt(2.0) * radius)
-    region = _without_pinches(region, labels == chosen)
+    parts = np.where(free & (away <= math.sqrt(2.0) * radius), labels[tuple(nearest)], 0)
+    areas = np.bincount(parts.ravel())
+    areas[0] = 0
+    chosen = int(np.argmax(areas)) if start is None else _at(grid, parts, start, corner)
+    region = _without_pinches(parts == chosen, labels == chosen)
     others = [
         (areas[i], i) for i in range(1, count + 1) if i != chosen and areas[i] * grid.resolution**2 > MENTIONED_M2
     ]
@@ -129,21 +132,15 @@ def _longest(box: tuple[slice, ...]) -> int:
     return max(int(side.stop - side.start) for side in box)
 
 
-def _at(
-    grid: OccupancyGrid, labels: IntArray, free: BoolArray, start: tuple[float, ...], corner: IntArray, radius: float
-) -> int:
-    """Label of the core nearest to a point in a free cell."""
-    at = grid.in_cells(np.array(start)) - corner
-    column, row = np.floor(at).astype(int)
-    inside = 0 <= row < free.shape[0] and 0 <= column < free.shape[1]
-    if not inside or not free[row, column]:
-        raise InputError(f"start = {list(start)} is not in a free cell of {grid.path!r}.", "start")
-    rows, columns = np.nonzero(labels)
-    away = np.hypot(rows - row, columns - column)
-    nearest = int(np.argmin(away))
-    if away[nearest] > math.sqrt(2.0) * radius + 1.0:
-        raise InputError(f"start = {list(start)} is in a part of {grid.path!r} that is narrower than passage.", "start")
-    return int(labels[rows[nearest], columns[nearest]])
+def _at(grid: OccupancyGrid, parts: IntArray, start: tuple[float, ...], corner: IntArray) -> int:
+    """Label of the part of the free region at a point."""
+    column, row = np.floor(grid.in_cells(np.array(start)) - corner).astype(int)
+    inside = 0 <= row < parts.shape[0] and 0 <= column < parts.shape[1]
+    if not inside or not parts[row, column]:
+        raise InputError(
+            f"start = {list(start)} is not in a free cell of {grid.path!r}, or narrower than passage there.", "start"
+        )
+    return int(parts[row, column])
 
 
 def _left_out(grid: OccupancyGrid, labels: IntArray, others: list[tuple[int, int]], corner: IntArray) -> str:
@@ -191,15 +188,20 @@ def _simplified(polygon: Any, tolerance: float) -> Any:
     """Polygon whose edges fit those of a polygon of cells within a tolerance, in cells; its rings do not touch."""
     import shapely
 
-    contours = [shapely.Polygon(ring) for ring in (polygon.exterior, *polygon.interiors)]
-    sides = [np.ptp(shapely.get_coordinates(contour), axis=0).min() for contour in contours]
+    contours = []
+    for ring in (polygon.exterior, *polygon.interiors):
+        vertices = np.array(ring.coords[:-1])
+        # Simplifying keeps the first vertex, so it has to be a corner.
+        first = np.argmax(np.linalg.norm(vertices - vertices.mean(axis=0), axis=1))
+        contours.append(np.roll(vertices, -first, axis=0))
+    sides = [np.ptp(contour, axis=0).min() for contour in contours]
     while True:
         simple, fitted = [], []
         for contour, side in zip(contours, sides, strict=True):
             own = min(tolerance, PILLAR_SHARE * side)
-            corners = shapely.get_coordinates(shapely.simplify(contour, own))[:-1]
+            corners = shapely.get_coordinates(shapely.simplify(shapely.Polygon(contour), own))[:-1]
             simple.append(corners)
-            fitted.append(_fitted(corners, shapely.get_coordinates(contour)[:-1], own))
+            fitted.append(_fitted(corners, contour, own))
         for exterior, *holes in (fitted, simple):
             found = shapely.Polygon(exterior, holes)
             rings = [found.exterior, *found.interiors]
@@ -228,6 +230,9 @@ def _fitted(simple: FloatArray, contour: FloatArray, tolerance: float) -> FloatA
         along = contour[np.arange(start, stop + (len(contour) if stop <= start else 0) + 1) % len(contour)]
         points = shapely.get_coordinates(shapely.segmentize(shapely.LineString(along), 0.5))
         centred = (points[1:] + points[:-1]) / 2.0
+        away = np.linalg.norm(centred[:, None] - along[[0, -1]], axis=-1).min(axis=1)
+        inner = away > tolerance  # of a corner, whose place is known to the tolerance
+        centred = centred[inner] if inner.mean() > 0.5 else centred
         middles[k] = centred.mean(axis=0)
         ways[k] = np.linalg.svd(centred - middles[k], full_matrices=False)[2][0]
         samples.append(shapely.points(points))

@@ -12,14 +12,13 @@ def _refused(recognises: Callable[[Any], bool], why_not: str) -> Format:
 
 
 FORMATS = (
-    _refused(ends(".dwg"), "a .dwg is not read: save it as DXF, or convert it by ODA File Converter"),
     _refused(
         ends(".pgm", ".png", ".bmp", ".jpg", ".jpeg"),
         "a picture has no scale and no origin: the map's .yaml, which names the picture, has both",
     ),
     _refused(
         lambda file: not ends(".yaml", ".yml")(file),
-        "a floor plan is the .yaml of an occupancy grid or a .dxf; room=mesh reads models (docs/rooms.md)",
+        "a floor plan is the .yaml of an occupancy grid; room=mesh reads models (docs/rooms.md)",
     ),
     _refused(
         has_keys("levels"),

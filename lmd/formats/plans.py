@@ -20,6 +20,10 @@ EXAMPLE = {
 }
 
 
+# Tolerance of the comparison of lengths, metres.
+ROUNDING_M = 1e-9
+
+
 class Stretch(NamedTuple):
     """Part of an edge of a plan where nothing hangs, such as a door."""
 
@@ -49,7 +53,7 @@ class ReadPlan(NamedTuple):
 
 
 class PlanFile(File):
-    """File of a floor plan; `asked` has `start`, `tolerance`, `speck`, `passage`, `layers`, `unit` and `gap`."""
+    """File of a floor plan; `asked` has `start`, `tolerance`, `speck` and `passage`."""
 
     @override
     def refused(self, reason: str) -> InputError:
@@ -72,9 +76,6 @@ def read_plan_room(
     tolerance: Any = 0.1,
     speck: Any = 0.2,
     passage: Any = 0.3,
-    layers: Any = None,
-    unit: Any = None,
-    gap: Any = 1.3,
     least_width: Any = 0.4,
     **plan: Any,
 ) -> Prism:
@@ -91,25 +92,22 @@ def read_plan_room(
         tolerance: greatest distance of a wall from the contour in the file, metres.
         speck: groups of cells of an occupancy grid that are not free count as free if both sides are shorter, metres.
         passage: parts of an occupancy grid's free region that are narrower, metres, are left out.
-        layers: names of the layers of a drawing with walls; None for those whose names say so.
-        unit: unit of a drawing, one of `lmd.formats.meshes.UNITS`; None for the one that it names.
         least_width: least width of the free stretch of a wall that carries landmarks by default, metres.
-        gap: widest gap between walls of a drawing that is a door or a window, metres.
 
     Raises:
         InputError: the file or a value is refused.
     """
+    if path is None and outline is None:
+        raise InputError("path is missing: a file with a floor plan is needed, such as map.yaml.", "path")
     if path is None:
         own = {"holes": holes, "keep_out": keep_out, "surfaces": surfaces, "margin": margin, **plan}
         return from_floor_plan(outline, height, reachable, spacing, positions, relevance, **own)
     for name, value in (("outline", outline), ("holes", holes)):
         if value not in (None, (), [], EXAMPLE[name]):
             raise InputError(f"{name} and path are both given: leave out {name}, or take path=null.", name)
-    asked = {"start": None if start is None else vector("start", start, 2), "layers": layers, "unit": unit}
+    asked = {"start": None if start is None else vector("start", start, 2)}
     asked["tolerance"] = real("tolerance", tolerance, above=0.0)
-    asked |= {
-        name: real(name, value, low=0.0) for name, value in (("speck", speck), ("passage", passage), ("gap", gap))
-    }
+    asked |= {name: real(name, value, low=0.0) for name, value in (("speck", speck), ("passage", passage))}
     file, height, margin = file_path("path", path), real("height", height, above=0.0), real("margin", margin, low=0.0)
     found: ReadPlan = read("floor plan", PlanFile(file, asked=asked))
     check_metres(
@@ -120,7 +118,7 @@ def read_plan_room(
     )
     walls, parts = _walls(found, height, margin, real("least_width", least_width, low=0.0))
     if surfaces is None and not walls:
-        raise InputError(f"path: {str(path)!r} has no walls with {least_width:g} m for landmarks.", "path")
+        raise InputError(f"path: {str(path)!r} has no wall with a free stretch of {least_width:g} m.", "path")
     rings = [ring.tolist() for ring in found.rings]
     return from_floor_plan(
         rings[0],
@@ -151,7 +149,7 @@ def _walls(found: ReadPlan, height: float, margin: float, least_width: float) ->
             free, reached = 0.0, margin
             for start, stop, _ in [*spans, (length - margin, length, "")]:
                 free, reached = max(free, start - reached), max(reached, stop)
-            if free > 0.0 and free >= least_width:
+            if free > ROUNDING_M and free >= least_width - ROUNDING_M:
                 walls.append(name)
             for start, stop, label in spans:
                 # The left end of a wall, as seen from the room, is the end of an edge of the outline.

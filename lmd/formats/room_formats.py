@@ -10,11 +10,10 @@ from lmd.formats.registry import File, Format, anything, ends, has_keys
 
 OUTLINE = "take the corners of the floor from it, in metres, as the outline of a floor plan (docs/rooms.md)"
 MODEL = "export .glb or .obj from the program that made it, or import it into Blender and export it from there"
-GRID = "room=occupancy_grid room.path=map.yaml reads it, with its map.yaml"
+GRID = "room=occupancy_grid room.path=map.yaml reads it"
 # Kinds of files that are not read, and the way to one that is, by the ends of their names.
 ENDINGS = (
-    ("a drawing", "room=floor_plan room.path=plan.dxf reads it", (".dxf",)),
-    ("a drawing", "save it as DXF, which room=floor_plan room.path=plan.dxf reads", (".dwg",)),
+    ("a drawing", f"{OUTLINE}, or extrude its walls in FreeCAD and export .obj", (".dxf", ".dwg")),
     ("a drawing", f"{OUTLINE}: its own units are none", (".svg",)),
     ("a picture", OUTLINE, (".pdf", ".png", ".jpg", ".jpeg")),
     ("the picture of an occupancy grid", GRID, (".pgm",)),
