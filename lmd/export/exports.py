@@ -15,7 +15,7 @@ from lmd.formats.registry import NONE, ONE, Writer, outside
 from lmd.formats.tag_map import TagMap
 from lmd.formats.tag_map_writers import WRITERS
 from lmd.scene.deployment import Deployment
-from lmd.scene.tag import FAMILIES, Tag
+from lmd.scene.tag import Tag
 from lmd.space.space import Space
 
 
@@ -34,8 +34,7 @@ FORMATS = all_formats()
 
 def formats_of(tag: Tag) -> tuple[str, ...]:
     """The formats whose readers know the family of a tag."""
-    known = FAMILIES[tag.family].apriltag is not None
-    return tuple(name for name, form in FORMATS.items() if known or not form.only_apriltag)
+    return tuple(name for name, form in FORMATS.items() if tag.family in form.families)
 
 
 def check_printing(name: str, tag: Tag, paper: str) -> None:
@@ -98,7 +97,7 @@ class Export:
             tag.check_edge()
         for name in self.formats:
             if name not in formats_of(tag):
-                known = ", ".join(name for name, family in FAMILIES.items() if family.apriltag)
+                known = ", ".join(FORMATS[name].families)
                 raise InputError(f"formats has {name}, which knows the families {known}, not {tag.family}.", "formats")
             if FORMATS[name].on_paper:
                 check_printing(name, tag, self.paper)

@@ -58,7 +58,7 @@ class Pieces(NamedTuple):
 
 def label_size(tag: Tag) -> float:
     """Height of a label in the white margin of a tag, mm; 0 where the margin is too narrow for one."""
-    size = min(LABEL, LABEL_SHARE * (tag.paper_edge - tag.size) / 2.0 * MM_PER_M)
+    size = min(LABEL, LABEL_SHARE * (tag.paper_edge - tag.picture_edge) / 2.0 * MM_PER_M)
     return size if size >= SMALLEST_LABEL else 0.0
 
 
@@ -84,7 +84,7 @@ def layout(tag: Tag, paper: str) -> Whole | Pieces:
 
 
 def _whole(tag: Tag, page: tuple[float, float]) -> Whole:
-    plate, edge = (MM_PER_M * length for length in (tag.paper_edge, tag.size))
+    plate, edge = (MM_PER_M * length for length in (tag.paper_edge, tag.picture_edge))
     width, height = page[0] - 2.0 * MARGIN, page[1] - 2.0 * MARGIN - FOOTER
     pitch = plate if label_size(tag) else plate + LABEL + 2.0 * LABEL_GAP
     columns, rows = int((width + ROUNDING) // plate), int((height + ROUNDING) // pitch)

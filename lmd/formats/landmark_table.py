@@ -18,9 +18,10 @@ import numpy as np
 
 from lmd.core.checks import FloatArray, InputError
 from lmd.core.tables import COMMENT, Table, is_number, read_table
-from lmd.formats.placed_tag import RIGHT_UP_OUT, axes_of, family_named, turn_by_angles, turn_by_quaternion
+from lmd.formats.placed_tag import RIGHT_UP_OUT, axes_of, turn_by_angles, turn_by_quaternion
 from lmd.scene.deployment import COLUMNS, UP_COLUMNS, Deployment
 from lmd.scene.edges import EDGE, edge_column
+from lmd.scene.families import family_named
 from lmd.scene.labels import ID, Labels
 
 FAMILY = "family"

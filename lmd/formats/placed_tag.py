@@ -3,7 +3,6 @@
 All readers give the poses of tags in one frame: x to the right of the tag, y up, z out of it to whoever looks at it.
 """
 
-import re
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, NamedTuple
 
@@ -13,7 +12,7 @@ from lmd.core.checks import FloatArray, InputError, integer, radians, real, vect
 from lmd.core.tables import Table
 from lmd.geometry.frames import roll_pitch_yaw
 from lmd.geometry.se3 import QUATERNION_TOLERANCE, are_rotations, nearest_rotations
-from lmd.scene.tag import FAMILIES
+from lmd.scene.families import FAMILIES
 
 Keys = Mapping[str, Any]
 MM, METRE = 1e-3, 1.0  # metres
@@ -29,14 +28,9 @@ DIRECTIONS = {
     "into": (0.0, 0.0, -1.0),
 }
 RIGHT_UP_OUT = ("right", "up", "out")
-# A family as Limelight, the ArUco library, OpenCV and apriltag_ros write it.
-_NAME = re.compile(
-    r"(?:cv2?\.|aruco[._]|dict_|apriltag(?:\d?[_ -])?|tag[_ -]?)*(\d+h\d+|\dx\d_\d+)(?:b1)?(?:_classic)?"
-)
 # Places in OpenCV's list of dictionaries, by which RTAB-Map names them.
-NUMBERS = dict(
-    enumerate([*(name for name in FAMILIES if FAMILIES[name].apriltag is None), "ARUCO_ORIGINAL", "16h5", "25h9"])
-) | {19: "36h10", 20: "36h11", 21: "ARUCO_MIP_36h12"}
+_SQUARE = [f"{bits}x{bits}_{ids}" for bits in (4, 5, 6, 7) for ids in (50, 100, 250, 1000)]
+NUMBERS = dict(enumerate([*_SQUARE, "aruco_original", "16h5", "25h9", "36h10", "36h11", "aruco_mip_36h12"]))
 
 
 class PlacedTag(NamedTuple):
@@ -47,7 +41,7 @@ class PlacedTag(NamedTuple):
         position: of its centre, `(3,)`, metres.
         axes: from its frame (x right, y up, z out) to that of the map, `(3, 3)`.
         edge: of the black square, metres; None where the map does not say.
-        family: see `family_named`; None where the map does not say.
+        family: see `lmd.scene.families.family_named`; None where the map does not say.
     """
 
     number: int
@@ -194,18 +188,6 @@ def orthonormal(matrix: FloatArray) -> FloatArray:
     if not are_rotations(matrix):
         raise InputError(f"the rotation {np.round(matrix, 4).tolist()} must be orthonormal and right-handed.")
     return nearest_rotations(matrix)
-
-
-def family_named(name: Any) -> str:
-    """The family with a name of others: one of `FAMILIES`, or the name itself where it is none of these.
-
-    Raises:
-        InputError: the name is no text.
-    """
-    if not isinstance(name, str):
-        raise InputError(f"the family of a tag must be a text, got {name!r}.")
-    found = _NAME.fullmatch(name.strip().lower())
-    return found[1] if found is not None and found[1] in FAMILIES else name.strip()
 
 
 def one_family(named: Iterable[str | None]) -> str | None:

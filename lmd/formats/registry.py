@@ -18,6 +18,7 @@ from typing import Any, NamedTuple
 from lmd.core.checks import InputError
 from lmd.core.files import parse_keys, read_text
 from lmd.core.tables import COMMENT
+from lmd.scene.families import FAMILIES as TAG_FAMILIES
 
 GROUP = "lmd.formats"
 # Module of each family, whose `FORMATS` are tried in their order; the last one takes every file.
@@ -91,6 +92,7 @@ class Writer(NamedTuple):
         write: a function of the path, the map as `tags` and, if it is printed, the size of the paper as `paper`; of the
             plan, where north is as `north` too.
         only_apriltag: True if its readers support only the families of AprilTag.
+        only_opencv: True if its readers support only families that OpenCV has.
         on_paper: True if the file is to be printed.
         check: raises `InputError`, a clause without its subject, if it cannot hold the tags of a map; None where it
             holds any.
@@ -100,9 +102,19 @@ class Writer(NamedTuple):
     file: str
     write: Callable[..., None]
     only_apriltag: bool = False
+    only_opencv: bool = False
     on_paper: bool = False
     check: Callable[[Any], None] | None = None
     edges: str = "own"
+
+    @property
+    def families(self) -> tuple[str, ...]:
+        """Families of tags that its readers support."""
+        return tuple(
+            name
+            for name, family in TAG_FAMILIES.items()
+            if (family.apriltag or not self.only_apriltag) and (family.dictionary or not self.only_opencv)
+        )
 
 
 OWN, ONE, NONE = "own", "one", "none"  # values of `Writer.edges`

@@ -14,7 +14,8 @@ from lmd.formats.tag_map_readers import HALF_TURN
 from lmd.geometry.camera import MM_PER_M
 from lmd.geometry.squares import corners
 from lmd.scene.deployment import Deployment
-from lmd.scene.tag import FAMILIES, Tag
+from lmd.scene.families import FAMILIES
+from lmd.scene.tag import Tag
 from lmd.space.fixture import Fixture
 from lmd.space.space import Space
 from lmd.space.surface import FLAT

@@ -20,7 +20,6 @@ from lmd.formats.placed_tag import (
     PlacedTag,
     axes_of,
     edge_of,
-    family_named,
     mapping,
     mappings,
     number_of,
@@ -32,6 +31,7 @@ from lmd.formats.placed_tag import (
 from lmd.geometry.frames import roll_pitch_yaw
 from lmd.geometry.se3 import exp
 from lmd.scene.edges import EDGE
+from lmd.scene.families import family_named
 
 SQUARE_TOLERANCE = 0.05  # of the sides of a measured square, relative to the longest
 METRES = 1  # aruco_bc_mInfoType of a map in metres

@@ -20,7 +20,6 @@ from lmd.formats.placed_tag import (
     Found,
     PlacedTag,
     edge_of,
-    family_named,
     number_of,
     turn_by_angles,
     turn_by_quaternion,
@@ -29,6 +28,7 @@ from lmd.formats.trajectory_columns import check_quaternion_order
 from lmd.geometry.frames import roll_pitch_yaw
 from lmd.geometry.se3 import QUATERNION_TOLERANCE
 from lmd.scene.edges import EDGE
+from lmd.scene.families import family_named
 from lmd.scene.labels import ID
 
 CLOVER = (ID, EDGE, *PLACE, "yaw", "pitch", "roll")

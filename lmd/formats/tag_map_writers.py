@@ -19,8 +19,8 @@ from lmd.formats.tag_map_readers import INTO, METRES, OUT_RIGHT_UP
 from lmd.geometry.camera import MM_PER_M
 from lmd.scene.deployment import COLUMNS, UP_COLUMNS
 from lmd.scene.edges import EDGE
+from lmd.scene.families import FAMILIES
 from lmd.scene.labels import ID
-from lmd.scene.tag import FAMILIES
 
 CORNER_NAMES = ("top_left", "top_right", "bottom_right", "bottom_left")
 FRAME = "metres; z up; of a tag x is right, y up, z out of it; its quaternion turns this frame to the world"
@@ -288,12 +288,12 @@ WRITERS = {
     "apriltag_ros": Writer("tags.apriltag_ros.yaml", write_apriltag_ros, only_apriltag=True),
     "apriltag_ros2": Writer("tags.apriltag_ros2.yaml", write_apriltag_ros2, only_apriltag=True),
     "tagslam": Writer("tags.tagslam.yaml", write_tagslam, only_apriltag=True),
-    "aruco": Writer("tags.aruco.yaml", write_aruco),
+    "aruco": Writer("tags.aruco.yaml", write_aruco, only_opencv=True),
     "csv": Writer("tags.csv", write_csv),
     "json": Writer("tags.json", write_json),
-    "clover": Writer("tags.clover.txt", write_clover),
-    "fiducial_vlam": Writer("tags.fiducial_vlam.yaml", write_fiducial_vlam, edges=ONE),
-    "rtabmap": Writer("tags.rtabmap.txt", write_rtabmap, edges=ONE),
+    "clover": Writer("tags.clover.txt", write_clover, only_opencv=True),
+    "fiducial_vlam": Writer("tags.fiducial_vlam.yaml", write_fiducial_vlam, only_opencv=True, edges=ONE),
+    "rtabmap": Writer("tags.rtabmap.txt", write_rtabmap, only_opencv=True, edges=ONE),
     "limelight": Writer("tags.fmap", write_limelight, only_apriltag=True),
     "frc971": Writer("tags.frc971.json", write_frc971, only_apriltag=True, edges=NONE),
     "duckietown": Writer("tags.duckietown.yaml", write_duckietown, only_apriltag=True, check=check_on_floor),

@@ -22,8 +22,8 @@ from lmd.formats.tag_map_texts import PRIORS, read_lines, read_priors
 from lmd.formats.tag_map_writers import WRITERS
 from lmd.scene.deployment import Deployment
 from lmd.scene.edges import EDGE
+from lmd.scene.families import FAMILIES
 from lmd.scene.labels import Labels
-from lmd.scene.tag import FAMILIES
 
 LARGEST_MAP = 1 << 22  # characters of YAML or JSON; a tag has some hundred
 EDGE_DIGITS = 12  # the rest is rounding: of millimetres as metres, or of the sides of a square

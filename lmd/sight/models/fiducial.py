@@ -9,8 +9,8 @@ to 96 % of these detections, and the probability of seeing at least n tags in wh
   sigma^2 = psf_sigma^2 + (c / 4)^2 + motion_blur^2 / 12, c the diameter of the circle of confusion of a thin lens at
   the depth of the tag's centre;
 - the square root of its image area is at least `edge` pixels;
-- the corners of its black square lie in the rectangular image, at least `margin` pixels from the border;
-- no other footprint covers its centre or a corner of its black square. Footprints include the quiet zone.
+- the corners of its picture lie in the rectangular image, at least `margin` pixels from the border;
+- no other footprint covers its centre or a corner of its picture. Footprints include the quiet zone.
 
 Let (u, v, w) be the tag's centre in the camera frame, and t, s its right and up. The Jacobian J maps metres in the
 plane of the tag to pixels. Its column for t is (f_u (t_u - t_w u / w) / w, f_v (t_v - t_w v / w) / w); the column for
@@ -131,10 +131,10 @@ class Fiducial:
         wide = math.hypot(max(left, right), max(top, bottom))
         flat = FiducialSight(
             outer_cosine=(1.0 - TOLERANCE) / math.hypot(1.0, wide),
-            inset=math.asin(min(1.0, 1.5 * tag.size / 2.0 / FAR)),
-            reach=(tag.paper_edge + tag.size) ** 2 / 2.0 * (1.0 + TOLERANCE),
+            inset=math.asin(min(1.0, 1.5 * tag.picture_edge / 2.0 / FAR)),
+            reach=(tag.paper_edge + tag.picture_edge) ** 2 / 2.0 * (1.0 + TOLERANCE),
             facing=math.cos(math.radians(limits.incidence)) - TOLERANCE,
-            half=tag.size / 2.0,
+            half=tag.picture_edge / 2.0,
             footprint=tag.paper_edge / 2.0 * (1.0 + TOLERANCE),
             level=VERTICAL_TOLERANCE,
             left=left + TOLERANCE,

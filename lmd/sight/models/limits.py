@@ -15,6 +15,7 @@ import numpy as np
 
 from lmd.core.checks import BoolArray, FloatArray, InputError, argument_of, check_fields, choice, real, said_of
 from lmd.core.files import read_keys
+from lmd.scene.families import family_named
 
 FOLDER = Path(__file__).parent / "presets"
 SUFFIXES = (".yaml", ".yml")
@@ -103,7 +104,8 @@ class Preset:
             asked = f"detector, family, {', '.join(NAMES)}"
             raise InputError(f"detector: {str(path)!r} must have the keys {asked} and no others.", "detector")
         with said_of(f"detector: {str(path)!r}", "detector"):
-            return cls(str(keys["detector"]), str(keys["family"]), Limits(**{name: keys[name] for name in NAMES}))
+            limits = Limits(**{name: keys[name] for name in NAMES})
+            return cls(str(keys["detector"]), family_named(str(keys["family"])), limits)
 
 
 @cache
@@ -118,7 +120,7 @@ def limits_of(detector: str, family: str, changes: Mapping[str, Any]) -> Limits:
 
     Args:
         detector: name of a measured detector, or the path of a preset.
-        family: one of `lmd.scene.tag.FAMILIES`.
+        family: one of `lmd.scene.families.FAMILIES`.
         changes: replacements for single limits; all limits for a detector and a family without a preset.
 
     Raises:
@@ -126,7 +128,7 @@ def limits_of(detector: str, family: str, changes: Mapping[str, Any]) -> Limits:
     """
     for name in changes:
         choice("limits", name, NAMES)
-    kind = family.partition("_")[0]
+    kind = family.partition("_")[0] if family[0].isdigit() else family
     known: Preset | None
     if str(detector).endswith(SUFFIXES):
         known = Preset.from_yaml(detector)
