@@ -105,7 +105,7 @@ def read_plan_room(
     for name, value in (("outline", outline), ("holes", holes)):
         if value not in (None, (), [], EXAMPLE[name]):
             raise InputError(f"{name} and path are both given: leave out {name}, or take path=null.", name)
-    asked = {"start": None if start is None else vector("start", start, 2)}
+    asked: dict[str, Any] = {"start": None if start is None else vector("start", start, 2)}
     asked["tolerance"] = real("tolerance", tolerance, above=0.0)
     asked |= {name: real(name, value, low=0.0) for name, value in (("speck", speck), ("passage", passage))}
     file, height, margin = file_path("path", path), real("height", height, above=0.0), real("margin", margin, low=0.0)
