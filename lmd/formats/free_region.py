@@ -156,7 +156,7 @@ def _left_out(grid: OccupancyGrid, labels: IntArray, others: list[tuple[int, int
         if len(others) > 1
         else f"a free area of {area:.3g} m2 is"
     )
-    return f"{many} left out; room.start=[{x:.2f},{y:.2f}] takes the {'largest' if len(others) > 1 else 'one'} of them"
+    return f"{many} left out; start = [{x:.2f},{y:.2f}] takes the {'largest' if len(others) > 1 else 'one'} of them"
 
 
 def _without_pinches(region: BoolArray, core: BoolArray) -> BoolArray:

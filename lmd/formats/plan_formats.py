@@ -18,7 +18,7 @@ FORMATS = (
     ),
     _refused(
         lambda file: not ends(".yaml", ".yml")(file),
-        "a floor plan is the .yaml of an occupancy grid; room=mesh reads models (docs/rooms.md)",
+        "a floor plan is the .yaml of an occupancy grid; the room mesh is read from a model (docs/rooms.md)",
     ),
     _refused(
         has_keys("levels"),

@@ -137,7 +137,7 @@ def test_the_largest_free_region_is_the_room_and_others_are_named(tmp_path):
     room = room_of(path)
     assert shapely.Polygon(room.plan.outline).bounds == pytest.approx((0, 0, 5, 4))
     assert not room.plan.holes
-    told, start = room.plan.note.split("room.start=")
+    told, start = room.plan.note.split("start = ")
     assert told.startswith(f"{path}: a free area of 11.6 m2 is left out")
     assert "1 groups of cells smaller than 0.2 m count as free" in start
     other = room_of(path, start=yaml.safe_load(start[: start.index("]") + 1]), speck=0.05)
@@ -223,7 +223,7 @@ def test_bad_input_is_refused_in_a_sentence(tmp_path, keys, more, expected):
     ("name", "text", "expected"),
     [
         ("map.pgm", "", r"map\.pgm': a picture has no scale and no origin: the map's \.yaml"),
-        ("room.glb", "", r"room=mesh reads models"),
+        ("room.glb", "", r"the room mesh is read from a model"),
         ("rmf.yaml", "levels: {}\n", r"it is a building of Open-RMF"),
         ("map.yaml", "camera: 5\n", r"it has none of the keys of an occupancy grid"),
         (

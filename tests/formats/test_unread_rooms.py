@@ -31,7 +31,7 @@ def test_an_ending_that_is_not_read(ending, tmp_path):
     [
         (
             "image: map.pgm\nresolution: 0.05\norigin: [0, 0, 0]\n",
-            "this is the map of an occupancy grid: room=occupancy_grid",
+            "this is the map of an occupancy grid: the room occupancy_grid",
         ),
         ("levels:\n  L1: {}\n", "this is a building of Open-RMF"),
         ("outline: [[0, 0]]\n", "docs/rooms.md"),
