@@ -7,10 +7,13 @@ A format is added by a line: its file's name and a text. `tests/formats/test_bad
 import json
 
 from captured import ROOMS
+from occupancy_maps import KEYS, hall
+from PIL import Image
 
 from lmd.formats.calibrations import calibrated_camera
 from lmd.formats.detection_formats import read_detections
 from lmd.formats.meshes import read_mesh
+from lmd.formats.plans import read_plan_room
 from lmd.formats.tag_maps import read_deployment
 from lmd.formats.trajectories import TrajectoryFile
 
@@ -222,11 +225,18 @@ def read_trajectory(path):
     return TrajectoryFile(str(path), rate=10.0 if untimed else None).trajectory
 
 
+def read_plan(path):
+    """Read a floor plan; the picture of a map is written beside it."""
+    Image.fromarray(hall()[::-1]).save(path.with_name("map.pgm"))
+    return read_plan_room(None, 2.5, {"height": [0.5, 1.0]}, 1.0, path=str(path))
+
+
 READERS = {
     "calibration": calibrated_camera,
     "trajectory": read_trajectory,
     "tag map": lambda path: read_deployment(path, family="36h11"),
     "room": read_mesh,
+    "floor plan": read_plan,
     "detections": read_detections,
 }
 SAMPLES = {
@@ -234,5 +244,6 @@ SAMPLES = {
     "trajectory": TRAJECTORIES,
     "tag map": {name: json.dumps(keys) for name, keys in MAPS.items()} | MAP_TEXTS,
     "room": {"room.obj": OBJ} | {f"{name}.json": json.dumps(keys) for name, keys in ROOMS.items()},
+    "floor plan": {"map.yaml": json.dumps(KEYS | {"image": "map.pgm"})},
     "detections": {"table": DETECTED},
 }

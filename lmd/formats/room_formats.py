@@ -10,7 +10,7 @@ from lmd.formats.registry import File, Format, anything, ends, has_keys
 
 OUTLINE = "take the corners of the floor from it, in metres, as the outline of a floor plan (docs/rooms.md)"
 MODEL = "export .glb or .obj from the program that made it, or import it into Blender and export it from there"
-GRID = f"an occupancy grid has no walls to hang tags on; {OUTLINE}: pixels times its resolution, from its origin"
+GRID = "the room occupancy_grid is read from map.yaml"
 # Kinds of files that are not read, and the way to one that is, by the ends of their names.
 ENDINGS = (
     ("a drawing", f"{OUTLINE}, or extrude its walls in FreeCAD and export .obj", (".dxf", ".dwg")),
