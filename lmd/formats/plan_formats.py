@@ -3,6 +3,7 @@
 from collections.abc import Callable
 from typing import Any
 
+from lmd.formats.dxf import read_drawing
 from lmd.formats.free_region import read_map
 from lmd.formats.registry import Format, anything, ends, has_keys
 
@@ -12,13 +13,15 @@ def _refused(recognises: Callable[[Any], bool], why_not: str) -> Format:
 
 
 FORMATS = (
+    Format("floor plan", "DXF", ends(".dxf"), read_drawing, row="DXF (`.dxf`) | AutoCAD, LibreCAD, QCAD, FreeCAD"),
+    _refused(ends(".dwg"), "a .dwg is not read: save it as DXF, or convert it by ODA File Converter"),
     _refused(
         ends(".pgm", ".png", ".bmp", ".jpg", ".jpeg"),
         "a picture has no scale and no origin: the map's .yaml, which names the picture, has both",
     ),
     _refused(
         lambda file: not ends(".yaml", ".yml")(file),
-        "a floor plan is the .yaml of an occupancy grid; the room mesh is read from a model (docs/rooms.md)",
+        "a floor plan is the .yaml of an occupancy grid or a .dxf; the room mesh is read from a model (docs/rooms.md)",
     ),
     _refused(
         has_keys("levels"),

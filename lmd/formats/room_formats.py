@@ -13,7 +13,8 @@ MODEL = "export .glb or .obj from the program that made it, or import it into Bl
 GRID = "the room occupancy_grid is read from map.yaml"
 # Kinds of files that are not read, and the way to one that is, by the ends of their names.
 ENDINGS = (
-    ("a drawing", f"{OUTLINE}, or extrude its walls in FreeCAD and export .obj", (".dxf", ".dwg")),
+    ("a drawing", "the room floor_plan is read from it", (".dxf",)),
+    ("a drawing", "save it as DXF, from which the room floor_plan is read", (".dwg",)),
     ("a drawing", f"{OUTLINE}: its own units are none", (".svg",)),
     ("a picture", OUTLINE, (".pdf", ".png", ".jpg", ".jpeg")),
     ("the picture of an occupancy grid", GRID, (".pgm",)),
