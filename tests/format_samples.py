@@ -237,6 +237,19 @@ DXF = (
 )
 
 
+RMF = json.dumps(
+    {
+        "levels": {
+            "L1": {
+                "vertices": [[x, y, 0, ""] for x, y in _SQUARE],
+                "walls": [[i, (i + 1) % 4] for i in range(4)],
+                "measurements": [[0, 1, {"distance": [3, 6.0]}]],
+            }
+        }
+    }
+)
+
+
 def read_plan(path):
     """Read a floor plan; the picture of a map is written beside it."""
     Image.fromarray(hall()[::-1]).save(path.with_name("map.pgm"))
@@ -256,6 +269,6 @@ SAMPLES = {
     "trajectory": TRAJECTORIES,
     "tag map": {name: json.dumps(keys) for name, keys in MAPS.items()} | MAP_TEXTS,
     "room": {"room.obj": OBJ} | {f"{name}.json": json.dumps(keys) for name, keys in ROOMS.items()},
-    "floor plan": {"map.yaml": json.dumps(KEYS | {"image": "map.pgm"}), "plan.dxf": DXF},
+    "floor plan": {"map.yaml": json.dumps(KEYS | {"image": "map.pgm"}), "plan.dxf": DXF, "building.yaml": RMF},
     "detections": {"table": DETECTED},
 }

@@ -6,6 +6,7 @@ from typing import Any
 from lmd.formats.dxf import read_drawing
 from lmd.formats.free_region import read_map
 from lmd.formats.registry import Format, anything, ends, has_keys
+from lmd.formats.rmf_buildings import read_building
 
 
 def _refused(recognises: Callable[[Any], bool], why_not: str) -> Format:
@@ -21,11 +22,10 @@ FORMATS = (
     ),
     _refused(
         lambda file: not ends(".yaml", ".yml")(file),
-        "a floor plan is the .yaml of an occupancy grid or a .dxf; the room mesh is read from a model (docs/rooms.md)",
+        "a floor plan is a .dxf, or a .yaml of nav2 or of Open-RMF; the room mesh is read from a model (docs/rooms.md)",
     ),
-    _refused(
-        has_keys("levels"),
-        "it is a building of Open-RMF: rmf_building_map_tools make a world of it, of which nav2 makes a map",
+    Format(
+        "floor plan", "Open-RMF", has_keys("levels"), read_building, row="`building.yaml` | Open-RMF's traffic editor"
     ),
     Format(
         "floor plan",

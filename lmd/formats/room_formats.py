@@ -79,10 +79,7 @@ def _is_blueprint(file: File) -> bool:
 FORMATS = (
     *(_refused(ends(*suffixes), f"this is {kind}: {way}") for kind, way, suffixes in ENDINGS),
     _refused(_yaml("image", "resolution"), f"this is the map of an occupancy grid: {GRID}"),
-    _refused(
-        _yaml("levels"),
-        f"this is a building of Open-RMF: {OUTLINE}: its vertices are pixels, and a measurement has their scale",
-    ),
+    _refused(_yaml("levels"), "this is a building of Open-RMF: the room floor_plan is read from it"),
     Format(
         "room",
         "triangles",
@@ -113,7 +110,7 @@ FORMATS = (
         lambda file: has_keys("metadata", "geometries")(file) or has_keys("metadata", "object")(file),
         "it is a scene of three.js: open it in its editor and export .glb",
     ),
-    _refused(has_keys("levels"), f"it is a building of Open-RMF: {OUTLINE}"),
+    _refused(has_keys("levels"), "it is a building of Open-RMF: the room floor_plan is read from building.yaml"),
     _captured(
         "WebXR", "spatialEntities", webxr, "WebXR scene (JSON) | a Quest, as Immersive Web Emulation Runtime saves it"
     ),
