@@ -117,9 +117,13 @@ def _shapes(entities: Any, kind: str = "line", outer: str = "0") -> Iterator[tup
 
 
 def _flattened(entity: Any, tolerance: float) -> FloatArray:
-    """Vertices of a shape, `(N, 2)`, in the unit of the drawing."""
+    """Vertices of a shape, `(N, 2)`, in the unit of the drawing; none of a shape that is no line, such as a mesh."""
     make_path = optional("ezdxf.path", "drawings").make_path
-    return np.array([[at.x, at.y] for at in make_path(entity).flattening(tolerance)]).reshape(-1, 2)
+    try:
+        vertices = [[at.x, at.y] for at in make_path(entity).flattening(tolerance)]
+    except (TypeError, ValueError, ArithmeticError):
+        vertices = []
+    return np.array(vertices).reshape(-1, 2)
 
 
 def _layers(file: File, drawn: Counter[str]) -> set[str]:

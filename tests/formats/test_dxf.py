@@ -95,6 +95,7 @@ def test_single_lines_with_a_gap_and_curves(draw):
         for start, end in (((0, 4000), (0, 0)), ((0, 0), (2000, 0)), ((2900, 0), (6000, 0)), ((6000, 0), (6000, 4000))):
             space.add_line(start, end)
         space.add_circle((3000, 3000), 300)
+        space.add_polymesh((3, 3))  # no line
 
     room = room_of(draw(fill))
     area = 24.0 + np.pi * 9.0 / 2.0 - np.pi * 0.09
