@@ -16,9 +16,9 @@ import numpy as np
 
 from lmd.core.checks import FloatArray, InputError, IntArray
 from lmd.detection.corner_errors import CORNER_ERRORS, CornerErrors
-from lmd.formats.calibration_readers import read_cameras
-from lmd.formats.calibrations import calibrated_camera
-from lmd.formats.detections import DetectedTags, read_detections
+from lmd.formats.calibrations import calibrated_camera, read_cameras
+from lmd.formats.detection_formats import read_detections
+from lmd.formats.detections import DetectedTags
 from lmd.formats.trajectories import TrajectoryFile
 from lmd.geometry.camera import Camera
 from lmd.geometry.se3 import act, exp, inverse, laid_over

@@ -11,8 +11,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from lmd.core.checks import InputError
-from lmd.formats.calibration_readers import read_cameras
-from lmd.formats.calibrations import calibrated_camera
+from lmd.formats.calibrations import calibrated_camera, read_cameras
 from lmd.formats.tag_maps import read_deployment
 from lmd.formats.trajectories import TrajectoryFile
 

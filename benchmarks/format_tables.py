@@ -1,7 +1,7 @@
-"""The tables of formats in the documentation: `python benchmarks/format_tables.py [--update docs/mounting.md]`.
+"""The tables of formats in the documentation: `python benchmarks/format_tables.py [--update docs/mounting.md ...]`.
 
 Prints the rows that the formats of `lmd.formats.registry` have; with `--update`, writes them between the marks of the
-page.
+pages.
 """
 
 import argparse
@@ -11,17 +11,30 @@ from pathlib import Path
 from lmd.formats.registry import rows
 
 # The cells above the rows of each family.
-HEADS = {"calibration": ("calibration file", "to know")}
+HEADS = {
+    "calibration": "calibration file | to know",
+    "trajectory": "`poses.path` | content of a line",
+    "tag map": "stack | `formats` | file | is [read](#maps-that-are-read), with the tag's size in",
+    "room": "file | from",
+    "floor plan": "file | from",
+    "detections": "file | content",
+}
 # The arguments that the rows name, and their keys in the configuration.
-KEYS = {"name": "camera.name", "distortion_model": "camera.distortion_model"}
+KEYS = {
+    "name": "camera.name",
+    "distortion_model": "camera.distortion_model",
+    "times": "poses.times",
+    "rate": "poses.rate",
+    "frame": "poses.frame",
+}
 ARGUMENT = re.compile(rf"(?<=`)({'|'.join(KEYS)})(?=[=`])")
 
 
 def table(family: str) -> str:
     """The table of a family, in Markdown."""
     head = HEADS[family]
-    lines = (head, ("---",) * len(head), *rows(family))
-    text = "".join(f"| {' | '.join(cells)} |\n" for cells in lines)
+    rule = " | ".join("---" for _ in head.split(" | "))
+    text = "".join(f"| {cells} |\n" for cells in (head, rule, *rows(family)))
     return ARGUMENT.sub(lambda found: KEYS[found[0]], text)
 
 
@@ -38,11 +51,11 @@ def updated(page: str) -> str:
 def main() -> None:
     """Print the tables, or write them to a page."""
     parser = argparse.ArgumentParser(description="Print the tables of formats, in Markdown.")
-    parser.add_argument("--update", type=Path, metavar="PAGE", help="write the tables between the marks of this page")
-    page = parser.parse_args().update
-    if page:
+    parser.add_argument("--update", type=Path, metavar="PAGE", nargs="+", help="write the tables of these pages")
+    pages = parser.parse_args().update
+    for page in pages or ():
         page.write_text(updated(page.read_text(encoding="utf-8")), encoding="utf-8")
-    else:
+    if not pages:
         print("\n".join(map(table, HEADS)))
 
 

@@ -25,10 +25,8 @@ from lmd.detection.detectors import AprilTagDetector
 from lmd.detection.evaluation import corner_error, precision_recall
 from lmd.detection.tag_views import FILE, SurveyedViews
 from lmd.evaluation.verdicts import verdicts
-from lmd.formats.calibration_readers import read_cameras
-from lmd.formats.calibrations import calibrated_camera
-from lmd.formats.detections import read_detections
-from lmd.formats.images_taken import with_images
+from lmd.formats.calibrations import calibrated_camera, read_cameras
+from lmd.formats.detection_formats import read_detections, with_images
 from lmd.geometry.camera import Camera
 from lmd.geometry.projection import intrinsics
 from lmd.render.imaging import Imaging

@@ -25,7 +25,8 @@ from lmd.core.checks import FloatArray
 from lmd.detection.corner_errors import CORNER_ERRORS
 from lmd.detection.detectors import AprilTagDetector, ArucoDetector
 from lmd.formats.calibrations import Calibration, calibrated_camera
-from lmd.formats.detections import DetectedTags, read_detections
+from lmd.formats.detection_formats import read_detections
+from lmd.formats.detections import DetectedTags
 from lmd.geometry.camera import PIXEL_CENTRE, Camera
 from lmd.geometry.pose import solutions
 from lmd.scene.tag import Tag

@@ -95,7 +95,7 @@ def aviary(folder: Path, boards: float | None, calibrate: bool | None) -> None:
     """Spacing of the tags on boards of 2 x 3, and the map beside TagSLAM's."""
     from lmd.detection.corner_errors import CORNER_ERRORS
     from lmd.formats.calibrations import calibrated_camera
-    from lmd.formats.detections import read_detections
+    from lmd.formats.detection_formats import read_detections
     from lmd.scene.tag import Tag
     from lmd.survey.boards import Boards
     from lmd.survey.prior import PriorKnowledge
@@ -148,7 +148,7 @@ def perch(folder: Path, calibrate: bool | None) -> None:
     from lmd.core.tables import read_table
     from lmd.detection.corner_errors import CORNER_ERRORS
     from lmd.formats.calibrations import calibrated_camera
-    from lmd.formats.detections import read_detections
+    from lmd.formats.detection_formats import read_detections
     from lmd.geometry.se3 import act, laid_over
     from lmd.scene.tag import Tag
     from lmd.survey.prior import PriorKnowledge
@@ -191,9 +191,8 @@ def halves(folder: Path, edge: float, every: int | None) -> None:
     The folder has `detections.csv`, and `cameras.yaml` with the cameras in the order of their names.
     """
     from lmd.detection.corner_errors import CORNER_ERRORS
-    from lmd.formats.calibration_readers import read_cameras
-    from lmd.formats.calibrations import calibrated_camera
-    from lmd.formats.detections import read_detections
+    from lmd.formats.calibrations import calibrated_camera, read_cameras
+    from lmd.formats.detection_formats import read_detections
     from lmd.geometry.se3 import act, laid_over
     from lmd.scene.tag import Tag
     from lmd.survey.keyframes import select_keyframes

@@ -106,15 +106,16 @@ def detector_of(cfg: DictConfig, name: str) -> "Detector":
         InputError: there is none, it refuses its arguments, or does not read the family of the tags.
     """
     from lmd.core.checks import InputError
-    from lmd.scene.tag import FAMILIES
+    from lmd.scene.families import FAMILIES, family_named
 
     settings = settings_of(cfg, f"detectors.{name}")
     try:
         detector: Detector = instantiate(settings)
     except InputError:
-        family = FAMILIES.get(str(settings.get("family")))
-        if family is None or family.apriltag:
+        family = FAMILIES.get(family_named(str(settings.get("family"))))
+        if family is None or (family.apriltag and family.dictionary):
             raise
-        text = f"tag.family = {settings.family} is one of ArUco's, which the detector {name} does not read"
-        raise InputError(f"{text}: detectors=[aruco] does.") from None
+        owner, reader = ("AprilTag", "apriltag") if family.apriltag else ("ArUco", "aruco")
+        text = f"tag.family = {settings.family} is one of {owner}'s, which the detector {name} does not read"
+        raise InputError(f"{text}: detectors=[{reader}] does.") from None
     return detector

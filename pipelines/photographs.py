@@ -27,9 +27,8 @@ def detected(cfg: DictConfig, cameras: "Sequence[Camera]", detector: "Detector",
         InputError: neither or both of photographs and detections are given, or a file cannot be read.
     """
     from lmd.core.checks import InputError
-    from lmd.formats.copies import without_copies
-    from lmd.formats.detections import read_detections
-    from lmd.formats.images_taken import with_images
+    from lmd.formats.detection_formats import read_detections, with_images
+    from lmd.formats.detections import without_copies
 
     if (cfg.photographs is None) == (cfg.detections is None):
         raise InputError("photographs=DIR, a folder or a video, or detections=FILE.csv must be given, and not both.")

@@ -80,7 +80,7 @@ def writers_of(
         detected: detections in all frames; None if they were read from a file.
     """
     from lmd.core.tables import write_table
-    from lmd.formats.detections import write_detections
+    from lmd.formats.detection_formats import write_detections
     from lmd.formats.tag_map import write_yaml
     from lmd.plot.plans import save_survey_figure
     from lmd.survey.intrinsics import camera_info

@@ -30,8 +30,8 @@ from small import problem
 from lmd.core.checks import InputError
 from lmd.evaluation.bounds import Search, average_upper_bound
 from lmd.evaluation.validation import Sample, validation_metrics
-from lmd.export.exports import Format
-from lmd.formats import registry, tag_maps
+from lmd.export import exports
+from lmd.formats import registry
 from lmd.formats.tag_map import TagMap
 from lmd.objectives.coverage import Coverage
 from lmd.objectives.localisation import Localisation
@@ -67,12 +67,6 @@ def block(start):
     return text
 
 
-READERS = "lmd/formats/tag_map_readers.py"
-FILES[READERS] = (  # changed as the guide says
-    (ROOT / READERS).read_text(encoding="utf-8")
-    .replace("\nclass Reader(", f"\n{block('def _frames')}\n\nclass Reader(")
-    .replace("\nREADERS = (\n", "\nREADERS = (\n    " + re.search("`(Reader.*,)`", GUIDES)[1] + "\n")
-)  # fmt: skip
 MODULES = sorted(name for name in FILES if name.endswith(".py"))
 
 
@@ -94,7 +88,7 @@ def of(name):
 
 def test_the_guides_have_an_example_of_each_part():
     assert {Path(name).stem for name in MODULES} == {
-        "near", "near_sight", "seen", "rotunda", "climbing", "theirs", "reckoning", "frames", "tag_map_readers", "acme",
+        "near", "near_sight", "seen", "rotunda", "climbing", "theirs", "reckoning", "frames", "acme",
         "sizes"
     }  # fmt: skip
 
@@ -195,32 +189,30 @@ def test_the_estimator_keeps_its_contract(guides):
     check_estimator(of("reckoning").DeadReckoning())
 
 
-def test_the_format_keeps_its_contract(guides, tmp_path, monkeypatch):
-    writer, reader = (of_path(guides / path) for path in ("lmd/formats/frames.py", READERS))
-    form = eval("{" + block('"frames": Format(') + "}", {"Format": Format} | vars(writer))["frames"]
-    monkeypatch.setattr(tag_maps, "READERS", reader.READERS)
-    room, rng = paper_room(), np.random.default_rng(0)
-    check_format(form, TagMap(room, Tag(0.2), tilted(RandomDeployment(5).draw(room, rng), rng)), tmp_path)
-
-
-def of_path(path):
-    spec = importlib.util.spec_from_file_location(path.stem, path)
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
-
-
-def test_the_format_of_another_package_is_found(guides, monkeypatch):
+@pytest.fixture
+def packages(guides, monkeypatch):
+    """The entry points of the examples of formats."""
     project = tomllib.loads(block("[project.entry-points"))["project"]
     entries = [
         EntryPoint(name, value, registry.GROUP) for name, value in project["entry-points"][registry.GROUP].items()
     ]
     monkeypatch.setattr(registry, "entry_points", lambda group: entries if group == registry.GROUP else [])
-    monkeypatch.setattr(registry, "outside", registry.outside.__wrapped__)
-    file = registry.File("acme.json", '{"acme": {"image_width": 640}}')
-    form = registry.format_of("calibration", file)
-    assert [form] == of("acme").FORMATS
-    assert form.read(file) == {"": {"image_width": 640}}
+    uncached = registry.outside.__wrapped__
+    for module in (registry, exports):
+        monkeypatch.setattr(module, "outside", uncached)
+
+
+@pytest.mark.usefixtures("packages")
+def test_the_format_keeps_its_contract(tmp_path):
+    room, rng = paper_room(), np.random.default_rng(0)
+    tags = TagMap(room, Tag(0.2), tilted(RandomDeployment(5).draw(room, rng), rng))
+    check_format(exports.all_formats()["frames"], tags, tmp_path)
+
+
+@pytest.mark.usefixtures("packages")
+def test_the_format_of_another_package_is_found(tmp_path):
+    (tmp_path / "acme.json").write_text('{"acme": {"image_width": 640}}')
+    assert registry.read("calibration", registry.File(tmp_path / "acme.json")) == {"": {"image_width": 640}}
 
 
 def test_the_pipeline_runs_beside_the_others(guides):

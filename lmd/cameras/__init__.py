@@ -1,4 +1,4 @@
-"""Placing the cameras of a robot: its body, the views of each camera, and a problem for optimisers."""
+"""Placement of the cameras of a robot: its body, the views of each camera, and the optimisation problem."""
 
 from lmd.cameras.body import Body, Box
 from lmd.cameras.mounts import MountSpace

@@ -1,4 +1,4 @@
-"""A robot's body: boxes whose faces may carry cameras, and which cameras should not see.
+"""Body of a robot: boxes whose faces may carry cameras and which should not fill their images.
 
 The frame is that of rigs (`lmd.scene.rig`): x forward, y to the left, z up.
 """
@@ -15,18 +15,18 @@ from lmd.space.parts import KeepOut, all_made, checked_names
 from lmd.space.surface import Surface, free_of
 
 FACES = ("front", "back", "left", "right", "top", "bottom")
-# Outward normals of the faces, in their order.
+# Outward unit normals of the faces, in the order of `FACES`.
 NORMALS = np.array([[1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, 1], [0, 0, -1]], dtype=np.float64)
 
 
 @dataclass(frozen=True)
 class Box:
-    """A box of the body, its edges along the axes.
+    """Axis-aligned box of the body.
 
     Args:
         low, high: opposite corners, body frame, metres.
-        faces: those that may carry cameras, of `FACES`; none for a box that is only in the way.
-        name: goes before the names of its faces, as in `mast_front`, where there are several boxes.
+        faces: names of the faces that may carry cameras, from `FACES`; empty for a box that is only an obstacle.
+        name: prefix of the names of its faces if there are several boxes, as in `mast_front`.
 
     Raises:
         InputError: the box is empty, or there is no such face.
@@ -44,9 +44,9 @@ class Box:
         object.__setattr__(self, "faces", checked_names("faces", self.faces, FACES) if self.faces else ())
 
     def surfaces(self) -> list[Surface]:
-        """The faces that may carry cameras, whole; seen from outside, u runs to the right and v up.
+        """Entire faces that may carry cameras; seen from outside, u points to the right and v up.
 
-        On top and bottom v runs forward.
+        On top and bottom v points forward.
         """
         found = []
         for face in self.faces:
@@ -64,13 +64,13 @@ class Box:
 
 @dataclass(frozen=True)
 class Body:
-    """The robot that carries cameras.
+    """Body of a robot that carries cameras.
 
     Args:
-        boxes: what it is made of, `Box` or mappings of its arguments.
-        keep_out: parts of faces where no camera may go, `KeepOut` or mappings of its arguments.
-        margin: of a camera's centre to the edges of a face, metres.
-        standoff: of a camera's centre before its face, metres.
+        boxes: boxes of the body, `Box` or mappings of its arguments.
+        keep_out: regions of faces without cameras, `KeepOut` or mappings of its arguments.
+        margin: least distance of a camera's centre from the edges of its face, metres.
+        standoff: distance of a camera's centre from its face, metres.
         own_share: greatest share of a camera's image that may show the body.
 
     Raises:
@@ -108,14 +108,14 @@ class Body:
 
     @cached_property
     def corners(self) -> tuple[FloatArray, FloatArray]:
-        """The lowest and the highest corner of each box, `(B, 3)`."""
+        """Lowest and highest corner of each box, body frame, metres, `(B, 3)` each."""
         return np.array([box.low for box in self._boxes]), np.array([box.high for box in self._boxes])
 
     def surfaces(self) -> tuple[Surface, ...]:
-        """The faces that may carry cameras, with where on them; a face with no such place is left out.
+        """Faces that may carry cameras, with the allowed regions; faces without such a region are left out.
 
         Raises:
-            InputError: none has.
+            InputError: no face has an allowed region.
         """
         return self._surfaces
 
@@ -137,17 +137,17 @@ class Body:
         return tuple(left)
 
     def own_part(self, centre: FloatArray, rays: FloatArray) -> float:
-        """The share of rays `(R, 3)` from a camera's centre `(3,)` that meet the body; 1 from inside of it."""
+        """Share of the rays `(R, 3)` from a camera's centre `(3,)` that hit the body; 1 from inside the body."""
         low, high = self.corners
         if ((centre > low) & (centre < high)).all(axis=1).any():
             return 1.0
         return float(self._met(centre, rays).mean())
 
     def _met(self, centre: FloatArray, rays: FloatArray) -> BoolArray:
-        """Mask of the rays that meet a box, `(R,)`."""
+        """Mask of the rays that hit a box, `(R,)`."""
         low, high = self.corners
         with np.errstate(divide="ignore", invalid="ignore"):
             ends = np.stack([(low - centre) / rays[:, None], (high - centre) / rays[:, None]])
-        # A ray within the plane of a side, 0 / 0, only grazes it.
+        # A ray within the plane of a face (0 / 0) does not hit it.
         enters, leaves = (np.nan_to_num(of, nan=0.0) for of in (ends.min(axis=0), ends.max(axis=0)))
         return np.asarray(((leaves.min(axis=-1) > enters.max(axis=-1)) & (leaves.min(axis=-1) > 0.0)).any(axis=1))

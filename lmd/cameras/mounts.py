@@ -1,6 +1,6 @@
-"""Mounts of cameras that a body allows, and mounts as genes in the unit box.
+"""Admissible mounts of cameras on a body, and their encoding as genes in the unit box.
 
-A mount has whole millimetres and milliradians, so that what is written down is what was evaluated.
+Mounts are rounded to whole millimetres and milliradians, so a written mount is exactly the one that was evaluated.
 """
 
 import math
@@ -17,28 +17,28 @@ from lmd.geometry.projection import bearings
 from lmd.scene.rig import Mount, Rig
 from lmd.space.surface import SurfaceArrays
 
-DECIMALS = 3  # of metres and radians
-IMAGE_SAMPLES = (17, 13)  # of an image, along its width and its height, for what it shows of the body
-TURN_STEPS = 8  # steps in which a camera that sees its body is turned away from it
-GIVEN_TOLERANCE = 0.0016  # metres: how far a mount that is given may be from its place as genes have it, and rad
-DRAWS_PER_CAMERA = 200  # random mounts for each camera, at most
+DECIMALS = 3  # number of decimals of positions, metres, and angles, radians
+IMAGE_SAMPLES = (17, 13)  # pixels sampled along width and height of an image to measure the share of the body
+TURN_STEPS = 8  # number of equal steps in which a camera that sees too much of the body is turned
+GIVEN_TOLERANCE = 0.0016  # greatest deviation of a given mount from its encoding, metres and rad; else it is refused
+DRAWS_PER_CAMERA = 200  # greatest number of random mounts drawn for each camera
 QUARTER_TURN = math.pi / 2.0
 
 
 @dataclass(frozen=True)
 class MountSpace:
-    """Mounts of a number of cameras on the faces of a body, turned within limits.
+    """Search space: mounts of `count` cameras on the faces of a body, with limits on their angles.
 
-    A camera that would see more of its body than it may is turned towards the normal of its face, as far as it must.
+    A camera that would see too much of the body is turned towards the normal of its face until it does not.
 
     Args:
-        body: carries them.
-        lenses: kinds of cameras to choose from; every camera may be any of them.
-        count: of the cameras.
-        yaw: lowest and highest turn from the normal of an upright face, to the left, rad; on others a camera may look
-            any way.
-        pitch: the same of the pitch, positive down, as for `Mount`.
-        roll: the same of the roll.
+        body: body that carries the cameras.
+        lenses: kinds of cameras; each camera may be of any kind.
+        count: number of cameras.
+        yaw: least and greatest yaw from the normal of an upright face, positive to the left, rad; on top and bottom
+            the yaw is free.
+        pitch: least and greatest pitch, positive down as for `Mount`, rad.
+        roll: least and greatest roll, rad.
         apart: least distance between the centres of two cameras, metres.
 
     Raises:
@@ -76,7 +76,7 @@ class MountSpace:
         return ("along", "up", *turns, *(("lens",) if len(self.lenses) > 1 else ()))
 
     def mount(self, genes: FloatArray) -> Mount | None:
-        """The camera that genes `(G,)` in [0, 1] mean; None if it sees more of its body than it may any way."""
+        """Decode the genes `(G,)` in [0, 1] of a camera; None if it sees too much of the body at any angle."""
         s, of = self._surfaces, dict(zip(self.names, genes.tolist(), strict=True))
         edges = np.append(0.0, s.shares)
         piece = int(np.clip(np.searchsorted(edges, of["along"], side="right") - 1, 0, len(s.shares) - 1))
@@ -103,16 +103,16 @@ class MountSpace:
         return None
 
     def mounts(self, genes: FloatArray) -> tuple[Mount, ...] | None:
-        """The cameras that genes `(count, G)` mean; None if one cannot be, or two are too close."""
+        """Decode the genes `(count, G)` of all cameras; None if one is not admissible, or two are too close."""
         found = [self.mount(row) for row in genes]
         mounts = tuple(mount for mount in found if mount is not None)
         return mounts if len(mounts) == len(found) and self.are_apart(mounts) else None
 
     def draw(self, rng: np.random.Generator) -> FloatArray:
-        """Genes `(count, G)` of random cameras that may be mounted together.
+        """Genes `(count, G)` of random admissible cameras.
 
         Raises:
-            InputError: none were found.
+            InputError: no admissible cameras were found.
         """
         genes, mounts = [], list[Mount]()
         for _ in range(DRAWS_PER_CAMERA * self.count):
@@ -130,22 +130,22 @@ class MountSpace:
         )
 
     def are_apart(self, mounts: Sequence[Mount]) -> bool:
-        """True if all centres are at least `apart` from each other."""
+        """True if the distances between all centres are at least `apart`."""
         at = np.array([mount.translation for mount in mounts])
         distance = np.linalg.norm(at[:, None] - at, axis=-1)[np.triu_indices(len(at), 1)]
         return bool((distance >= self.apart).all())
 
     def own_part(self, mount: Mount) -> float:
-        """The share of a camera's image that shows its body, by a sample of its pixels."""
+        """Share of a camera's image that shows the body, from a sample of pixels."""
         if mount.camera not in self._rays:
             self._rays[mount.camera] = _rays_of(mount.camera)
         return self.body.own_part(np.array(mount.translation), self._rays[mount.camera] @ mount.rotation.T)
 
     def genes(self, rig: Rig) -> FloatArray:
-        """Genes `(count, G)` of cameras that are mounted already.
+        """Encode the cameras of a rig as genes `(count, G)`.
 
         Raises:
-            InputError: they are not as many, or one is not where and how it may be.
+            InputError: the rig has another number of cameras, or a mount is not admissible.
         """
         if len(rig.mounts) != self.count:
             raise InputError(f"count = {self.count}, but {len(rig.mounts)} cameras are given.", "count")
@@ -159,10 +159,10 @@ class MountSpace:
         return np.stack(found)
 
     def moved(self, rig: Rig, number: int, mount: Mount) -> Rig:
-        """The rig with a camera where and how it may be mounted nearest to `mount`.
+        """Copy of a rig with camera `number` at the admissible mount nearest to `mount`.
 
         Raises:
-            InputError: it would see its body there however it is turned, or be too close to another.
+            InputError: there the camera sees too much of the body at any angle, or is too close to another camera.
         """
         there = self.mount(self._nearest_genes(mount))
         if there is None:
@@ -173,7 +173,7 @@ class MountSpace:
         return rig.with_mount(number, there)
 
     def _nearest_genes(self, mount: Mount) -> FloatArray:
-        """The genes of a camera `(G,)` of which the `mount` is nearest to another, wherever that may be."""
+        """Genes `(G,)` of the mount nearest to `mount`, which need not be admissible."""
         s, place = self._surfaces, np.array(mount.translation)
         foot = place - self.body.standoff * s.normal  # (W, 3)
         every = np.arange(len(foot))
@@ -198,13 +198,13 @@ class MountSpace:
 
 
 def rounded(camera: Camera, place: FloatArray, yaw: float, pitch: float, roll: float) -> Mount:
-    """A mount in whole millimetres and milliradians."""
+    """Make a mount rounded to whole millimetres and milliradians."""
     yaw, pitch, roll = (round(value, DECIMALS) + 0.0 for value in (_turned(yaw), pitch, roll))
     return Mount(camera, tuple((np.round(place, DECIMALS) + 0.0).tolist()), yaw, pitch, roll)
 
 
 def _alike(one: Mount, other: Mount) -> bool:
-    """True if two mounts differ by no more than rounding."""
+    """True if two mounts differ by at most the rounding."""
     away = np.abs(np.array(one.translation) - other.translation).max()
     return one.camera == other.camera and max(away, np.abs(one.rotation - other.rotation).max()) <= GIVEN_TOLERANCE
 
@@ -222,12 +222,12 @@ def _within(limits: Sequence[float], gene: float) -> float:
 
 
 def _turned(angle: float) -> float:
-    """An angle in [-pi, pi]."""
+    """Wrap an angle to [-pi, pi]."""
     return math.remainder(angle, 2.0 * math.pi)
 
 
 def _rays_of(camera: Camera) -> FloatArray:
-    """Viewing directions of a sample of an image's pixels, borders included: forward, left, up, `(R, 3)`."""
+    """Viewing directions of sampled pixels, borders included, as forward, left, up, `(R, 3)`."""
     sizes = (camera.image_width, camera.image_height)
     u, v = (np.linspace(0.0, size, samples) for size, samples in zip(sizes, IMAGE_SAMPLES, strict=True))
     seen = bearings(camera, np.stack(np.meshgrid(u, v), axis=-1).reshape(-1, 2))

@@ -1,4 +1,4 @@
-"""Placing cameras as a problem that every optimiser of genes can take: the tags are given, the cameras vary."""
+"""Placement of cameras as a problem for black-box optimisers: the tags are given, the cameras vary."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -20,14 +20,14 @@ from lmd.sight.kernels import PROBABILITY_ONE
 class CameraProblem(Problem):
     """Maximise the objective's fitness over the cameras of a rig.
 
-    The fitness of cameras is that of a `Problem` with their rig, to the bit. For objectives that count landmarks each
-    camera is looked at once and remembered; for others every rig is evaluated anew.
+    The fitness equals that of a `Problem` with the rig of the cameras, bit for bit. For objectives that count
+    landmarks, the views of each camera are evaluated once and cached; for others every rig is evaluated anew.
 
     Args:
-        problem: the scene, whose camera is not asked for, and the objective.
-        tags: the landmarks, which stay.
-        space: which cameras may be mounted.
-        start: cameras to begin with; random ones by default.
+        problem: has the scene, whose camera is replaced, and the objective.
+        tags: the landmarks, which do not move.
+        space: admissible mounts.
+        start: cameras of the start; random ones by default.
 
     Raises:
         InputError: the body would leave the room, cameras of `start` are none of `space`, or the objective does not
@@ -44,13 +44,13 @@ class CameraProblem(Problem):
             if error.argument != "rig":
                 raise
             raise InputError(f"boxes leave the room: {error}", "boxes") from None
-        # What a rig's problem asks of orientations, it asks if a roll of the body moves any corner.
+        # The orientations of a rig's problem include a roll if a roll of the body moves a camera.
         farthest = max(corners, key=lambda mount: float(np.linalg.norm(mount.translation[1:])))
         scene = replace(problem.scene, camera=Rig((farthest,)))
         super().__init__(scene, problem.objective, problem.start, problem.evaluator.threads, problem.fixed)
         self.views = CameraViews(self.fitness_evaluator, tags)
-        self._most = -np.inf  # best fitness of cameras that stay in the room
-        if not self.counts:  # what does not take a rig says so before anything is searched
+        self._most = -np.inf  # best fitness of cameras that stay in the room at all positions
+        if not self.counts:  # an objective that does not take a rig raises an error here
             self.values_of(space.mounts(space.draw(np.random.default_rng(0))) or ())
 
     @property
@@ -59,7 +59,7 @@ class CameraProblem(Problem):
         return isinstance(self.objective, Coverage)
 
     def _corners(self) -> tuple[Mount, ...]:
-        """Cameras at the corners of the faces: where these are in the room, the body is."""
+        """Mounts at the corners of the faces: the body is in the room if these are."""
         at = [
             face.point(a, b) + self.space.body.standoff * face.normal
             for face in self.space.body.surfaces()
@@ -71,7 +71,7 @@ class CameraProblem(Problem):
     def stay(self, mounts: Sequence[Mount]) -> bool:
         """True if the cameras are in the room at every position of the body.
 
-        The corners of the body are, so they nearly always are, and asking takes as long as looking.
+        The test takes as long as an evaluation and nearly always succeeds, as the corners of the body are in the room.
         """
         try:
             replace(self.scene, camera=Rig(tuple(mounts))).check_inside(self.evaluator.positions)
@@ -80,7 +80,7 @@ class CameraProblem(Problem):
         return True
 
     def values_of(self, mounts: Sequence[Mount]) -> FloatArray:
-        """The objective's value at every position the fitness is measured at, `(Q,)`."""
+        """Value of the objective at every position of the fitness, `(Q,)`."""
         if self.counts:
             return np.asarray(self.views.units(mounts, self.objective.n) / PROBABILITY_ONE)
         measured = self.fitness_evaluator
@@ -89,7 +89,7 @@ class CameraProblem(Problem):
         return np.asarray(self.objective.values(evaluator, *landmarks)[0])
 
     def fitness_of_cameras(self, mounts: Sequence[Mount] | None) -> float:
-        """The fitness of cameras, -inf where they cannot be; only what is better than all before is asked to `stay`."""
+        """Fitness of cameras, -inf if they are not admissible; `stay` is tested only for a new best fitness."""
         if mounts is None:
             return -np.inf
         fitness = float(self.objective.fitness(self.values_of(mounts), self.fitness_relevance))
@@ -100,7 +100,7 @@ class CameraProblem(Problem):
         return fitness
 
     def reached(self, fitness: float) -> None:
-        """See `Genome.reached`: what is worse than it is not asked to `stay`."""
+        """See `Genome.reached`; `stay` is not tested for a lower fitness."""
         self._most = max(self._most, fitness)
 
     @property

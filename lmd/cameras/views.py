@@ -1,4 +1,4 @@
-"""Tags seen by each camera of a rig from every pose of its body, as bits: several cameras see their union."""
+"""Tags seen by each camera of a rig from every pose of its body, as bit sets; a rig sees the union of its cameras."""
 
 from collections import OrderedDict
 from collections.abc import Sequence
@@ -14,41 +14,41 @@ from lmd.scene.rig import Mount, Rig
 from lmd.sight.evaluator import Evaluator
 from lmd.sight.views import visible
 
-MOST_BYTES = 1 << 28  # of what is kept of cameras looked at before
-PARTS_PER_THREAD = 4  # pieces of work for each thread
+MOST_BYTES = 1 << 28  # greatest memory of cached views, bytes; the least recently used are dropped beyond it
+PARTS_PER_THREAD = 4  # number of chunks per thread
 
 
 class CameraViews:
-    """The views of single cameras, counted together: a camera that moved is all that is looked at anew.
+    """Cache of the views of single cameras; only a camera with a new mount is evaluated.
 
     Args:
-        evaluator: of a rig, with the positions and the orientations of the body.
-        deployment: the tags, K of them.
+        evaluator: evaluator of a rig; has the positions and orientations of the body.
+        deployment: K tags.
     """
 
     def __init__(self, evaluator: Evaluator, deployment: Deployment) -> None:
         self._evaluator, self._deployment = evaluator, deployment
         axes = evaluator.scene.orientations.axes
         weights = np.broadcast_to(evaluator.weights[:, : len(axes)], (len(evaluator.positions), len(axes)))
-        self._position, self._orientation = np.nonzero(weights)  # poses that occur, (N,) each
+        self._position, self._orientation = np.nonzero(weights)  # poses with a positive probability, (N,) each
         self._weights = weights[self._position, self._orientation]
         self._axes = axes
         self._of_camera: dict[Camera, Evaluator] = {}
         self._kept: OrderedDict[Mount, np.ndarray] = OrderedDict()
 
     def _alone(self, camera: Camera) -> Evaluator:
-        """Evaluator of the scene with one camera; its positions are not used."""
+        """Evaluator of the scene with a single camera; its positions are not used."""
         if camera not in self._of_camera:
             scene = replace(self._evaluator.scene, camera=camera)
             self._of_camera[camera] = Evaluator(scene, self._evaluator.positions[:1], threads=1)
         return self._of_camera[camera]
 
     def knows(self, mount: Mount) -> bool:
-        """True if the views of a camera are kept."""
+        """True if the views of a mount are cached."""
         return mount in self._kept
 
     def seen(self, mount: Mount) -> np.ndarray:
-        """The tags that a camera sees from the N poses of its body, sets `(N, W)`."""
+        """Tags that a camera sees from the N poses of the body, bit sets `(N, W)`."""
         if mount not in self._kept:
             self._kept[mount] = self._look(mount)
             size = 8 * (1 + (len(self._deployment) - 1) // 64) * len(self._position)
@@ -70,11 +70,11 @@ class CameraViews:
         return packed(found)
 
     def units(self, mounts: Sequence[Mount], n: int) -> np.ndarray:
-        """P_n at each position in units of 1 / `PROBABILITY_ONE`, `(P,)`."""
+        """Quantised P_n at each position, `(P,)`."""
         union = np.uint64(0)
         for mount in mounts:
             union = union | self.seen(mount)  # type: ignore[assignment] # an array from the first on
         enough = np.bitwise_count(union).sum(axis=-1) >= n
-        # Sums of whole numbers up to 2^52 are exact in doubles, too.
+        # Sums of integers up to 2^52 are exact in float64.
         summed = np.bincount(self._position, self._weights * enough, len(self._evaluator.positions))
         return summed.astype(np.int64)

@@ -1,1 +1,1 @@
-"""Foundations without tags: checks of input, files, tables, memory, threads, and compiling with numba."""
+"""Foundations: checks of input, files, tables, memory, threads, and compilation with numba."""

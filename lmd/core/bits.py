@@ -14,18 +14,18 @@ Integer: TypeAlias = int | np.integer[Any]  # an index or a count in compiled co
 WordArray: TypeAlias = NDArray[np.uint64]  # sets of axes
 
 BITS = 64
-LANES = 32  # axes or landmarks tested at a time, a bit of a word each
+LANES = 32  # number of axes or landmarks that are tested at once, one bit each
 ZERO, ONE, ALL = np.uint64(0), np.uint64(1), np.uint64(2**64 - 1)
-HALF, LOWER = np.uint64(32), np.uint64(2**32 - 1)  # two numbers in one word: a << HALF | b
+HALF, LOWER = np.uint64(32), np.uint64(2**32 - 1)  # shift and mask for two numbers in a word, a << HALF | b
 
 
 def lowest(word: Any) -> np.uint64:
-    """Index of the lowest bit that is set in a word other than 0; compiled, one instruction."""
+    """Index of the lowest set bit of a word other than 0; compiled, it is one instruction."""
     return np.uint64((int(word) & -int(word)).bit_length() - 1)
 
 
 def prefetch(array: Any, index: Any) -> None:
-    """Ask for two lines of the cache, 16 numbers of 64 bits from this one on of an array in C order, needed soon."""
+    """Prefetch 16 elements of 64 bits (two cache lines) from `index` on; the array is in C order."""
 
 
 @intrinsic
@@ -63,33 +63,36 @@ def _prefetch(array, index):  # type: ignore[no-untyped-def] # noqa: ARG001
 
 
 @inlined
-def add_digit(digit: np.uint64, carry: np.uint64, goes: np.uint64) -> tuple[np.uint64, np.uint64]:
-    """Add 1 to a digit of counts at the axes `carry`, or subtract 1 at those in `goes`; also returns the next carry."""
-    return digit ^ carry, carry & (digit ^ goes)
+def add_digit(digit: np.uint64, carry: np.uint64, decrement: np.uint64) -> tuple[np.uint64, np.uint64]:
+    """Add `carry` to one binary digit of the counts, or subtract it at the axes in `decrement`.
+
+    Sets of axes are words. Returns the new digit and the carry (or borrow) for the next digit.
+    """
+    return digit ^ carry, carry & (digit ^ decrement)
 
 
 @inlined
 def equal_so_far(equal: np.uint64, digit: np.uint64, n: Integer, j: Integer) -> np.uint64:
-    """Axes of the set `equal` whose counts equal n in digit j, too."""
+    """Subset of the axes `equal` whose count has the digit j of n."""
     return equal & (digit if n >> j & 1 else ~digit)
 
 
 @inlined
 def at_least_so_far(reached: np.uint64, digit: np.uint64, n: Integer, j: Integer) -> np.uint64:
-    """Axes whose counts are at least n in digits 0 to j; `reached` has those of digits 0 to j - 1."""
+    """Axes whose counts, taken modulo 2^(j + 1), are at least n modulo 2^(j + 1); `reached` is the result for j - 1."""
     return reached & digit if n >> j & 1 else reached | digit
 
 
 @inlined
-def add_set(digits: WordArray, axes: np.uint64, goes: np.uint64) -> None:
-    """Count one less in `digits` `(J,)`, the lowest first, at `axes` that are in `goes`, one more at the others."""
+def add_set(digits: WordArray, axes: np.uint64, decrement: np.uint64) -> None:
+    """Add 1 to the counts at `axes`, or subtract 1 at those in `decrement`; `digits` `(J,)`, lowest first."""
     for j in range(np.uint64(len(digits))):
-        digits[j], axes = add_digit(digits[j], axes, goes)
+        digits[j], axes = add_digit(digits[j], axes, decrement)
 
 
 @inlined
 def exactly(digits: WordArray, n: Integer) -> np.uint64:
-    """The axes where the counts `digits` `(J,)` equal n."""
+    """Axes whose counts, binary `digits` `(J,)`, equal n."""
     equal = ALL
     for j in range(np.uint64(len(digits))):
         equal = equal_so_far(equal, digits[j], n, j)
@@ -98,7 +101,7 @@ def exactly(digits: WordArray, n: Integer) -> np.uint64:
 
 @inlined
 def at_least(digits: WordArray, n: Integer) -> np.uint64:
-    """The axes where the counts `digits` `(J,)` are at least n."""
+    """Axes whose counts, binary `digits` `(J,)`, are at least n."""
     reached = ALL
     for j in range(np.uint64(len(digits))):
         reached = at_least_so_far(reached, digits[j], n, j)
@@ -106,19 +109,19 @@ def at_least(digits: WordArray, n: Integer) -> np.uint64:
 
 
 def in_words(values: np.ndarray) -> np.ndarray:
-    """Fill the last axis of `values` `(..., D)` up with zeros to whole words."""
+    """Pad the last axis of `values` `(..., D)` with zeros to a multiple of `BITS`."""
     missing = -values.shape[-1] % BITS
     return np.ascontiguousarray(np.pad(values, [(0, 0)] * (values.ndim - 1) + [(0, missing)]))
 
 
 def packed(flags: np.ndarray) -> np.ndarray:
-    """The sets `(..., W)` uint64 of `flags` `(..., D)`."""
+    """Bit sets `(..., W)` uint64 of `flags` `(..., D)`."""
     missing = -flags.shape[-1] % BITS
     padded = np.pad(flags, [(0, 0)] * (flags.ndim - 1) + [(0, missing)])
     return np.packbits(padded, axis=-1, bitorder="little").view("<u8").astype(np.uint64, copy=False)
 
 
 def unpacked(words: np.ndarray, size: int) -> np.ndarray:
-    """The flags `(..., size)` of the sets `words` `(..., W)`, 0 or 1."""
+    """Flags `(..., size)`, 0 or 1, of the bit sets `words` `(..., W)`."""
     octets = np.ascontiguousarray(words.astype("<u8", copy=False)).view(np.uint8)
     return np.unpackbits(octets, axis=-1, count=size, bitorder="little")

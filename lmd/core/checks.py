@@ -14,27 +14,27 @@ FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 IntArray = NDArray[np.int64]
 
-LARGEST = 1e12  # greatest size of a number in input; products of greater ones overflow
-LARGEST_SEED = 2**128 - 1  # numpy draws 128 bits for a seed
-LATEST = 1e11  # greatest time, seconds since 1970; a later one is taken for milliseconds or nanoseconds
+LARGEST = 1e12  # greatest magnitude of a number in input; products of greater numbers may overflow
+LARGEST_SEED = 2**128 - 1  # greatest seed, as numpy uses 128 bits
+LATEST = 1e11  # greatest time, seconds since 1970; later times are taken for milliseconds or nanoseconds
 APART = 5.0  # least median time between frames that may be milliseconds: 5 ms at 200 frames per second
 CREEPING = 5e-3  # median speed, m/s, below which times with frames `APART` are taken for milliseconds
-ONE_TURN = 2.0 * math.pi + 0.01  # greatest angle, rad, with room for rounding; a greater one is taken for degrees
-# Greatest length of a message, characters: the middle of a longer one is cut out.
+ONE_TURN = 2.0 * math.pi + 0.01  # greatest angle, rad, with a margin for rounding; greater angles are taken for degrees
+# Greatest length of a message, characters; the middle of a longer message is cut out.
 LONGEST = 2000
 
 
 def printable(text: str) -> str:
-    """A text with escapes in place of characters that a terminal would execute or not show."""
+    """Text with escapes in place of control and other non-printable characters."""
     return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)
 
 
 class InputError(ValueError):
-    """The user's input is wrong.
+    """Error in the user's input.
 
     Args:
-        message: one sentence meant for the user; it is made `printable`.
-        argument: the name of the argument that the message begins with, if it does.
+        message: one sentence for the user; it is made `printable`.
+        argument: name of the wrong argument, with which the message begins; None if there is none.
     """
 
     def __init__(self, message: str, argument: str | None = None) -> None:
@@ -45,7 +45,7 @@ class InputError(ValueError):
         self.argument = argument
 
     def within(self, whole: str) -> "InputError":
-        """The same error about an argument of `whole`, itself an argument; unchanged if it names no argument."""
+        """Copy of the error for the argument `whole.argument`; unchanged if the error names no argument."""
         if self.argument is None:
             return self
         return InputError(f"{whole}.{self}", f"{whole}.{self.argument}")
@@ -53,7 +53,7 @@ class InputError(ValueError):
 
 @contextmanager
 def argument_of(whole: str) -> Iterator[None]:
-    """Rename the argument of an `InputError` to that argument of `whole`."""
+    """Prefix the argument of an `InputError` with `whole.`."""
     try:
         yield
     except InputError as error:
@@ -62,9 +62,9 @@ def argument_of(whole: str) -> Iterator[None]:
 
 @contextmanager
 def said_of(source: object, argument: str | None = None, known: Container[str | None] = ()) -> Iterator[None]:
-    """Let an `InputError` begin with the `source` of the input, and be about the `argument` that it came from.
+    """Prefix the message of an `InputError` with the `source` of the input, and replace its argument by `argument`.
 
-    Errors about one of the arguments that are `known` stay what they are.
+    Errors about an argument in `known` stay unchanged.
     """
     try:
         yield
@@ -111,7 +111,7 @@ def real(
 
 
 def integer(name: str, value: Any, *, low: int, high: int | None = None) -> int:
-    """Return `value` as an int in [low, high], see `real`; a float that is whole will do, such as 1e3.
+    """Return `value` as an int in [low, high], see `real`; whole floats such as 1e3 pass.
 
     Raises:
         InputError: `value` is not a whole number or is out of range.
@@ -124,7 +124,7 @@ def integer(name: str, value: Any, *, low: int, high: int | None = None) -> int:
 
 
 def seed_number(value: Any) -> int:
-    """Return `value`, called `seed`, as the seed of a random generator.
+    """Return `value` as the seed of a random generator; messages call it `seed`.
 
     Raises:
         InputError: it is no whole number from 0 to `LARGEST_SEED`.
@@ -136,7 +136,7 @@ def boolean(name: str, value: Any) -> bool:
     """Return `value` if it is True or False.
 
     Raises:
-        InputError: it is neither, also where Python would take it for one.
+        InputError: it is neither, for example 0 or 1.
     """
     if not isinstance(value, bool):
         raise InputError(f"{name} must be true or false, got {value!r}.", name)
@@ -155,7 +155,7 @@ def choice(name: str, value: Any, options: Sequence[str]) -> str:
 
 
 def vector(name: str, value: Any, size: int | None, **bounds: Any) -> tuple[float, ...]:
-    """Return `value` as a tuple of `size` floats, or of one or more where that is None, each checked by `real`.
+    """Return `value` as a tuple of `size` floats, each checked by `real`; any positive size if that is None.
 
     Raises:
         InputError: wrong length, or an entry is not an admissible number.
@@ -170,14 +170,16 @@ def vector(name: str, value: Any, size: int | None, **bounds: Any) -> tuple[floa
 
 
 def check_members(name: str, part: Any, protocol: type, page: str) -> None:
-    """Raise `InputError` if `part`, which may be of a user's own class, lacks a method or property of a protocol.
+    """Raise `InputError` if an object of a user's class lacks a method or property of a protocol.
 
     Args:
-        name: the argument that it came from.
-        page: where these are described.
+        name: name of the argument.
+        part: the object.
+        protocol: class that names the members.
+        page: page of the documentation that describes them.
     """
     wanted = [member for member in vars(protocol) if not member.startswith("_")]
-    # Only what seems to lack is asked for by itself: a property may take long, or raise.
+    # A property may take long or raise, so only members that a static look-up does not find are evaluated.
     absent = [member for member in wanted if inspect.getattr_static(part, member, wanted) is wanted]
     lacking = [member for member in absent if not hasattr(part, member)]
     if lacking:
@@ -186,13 +188,13 @@ def check_members(name: str, part: Any, protocol: type, page: str) -> None:
 
 
 def check_fields(instance: Any, check: Callable[..., Any], *names: str, **bounds: Any) -> None:
-    """Put what a check returns into fields of a frozen dataclass, each in its turn.
+    """Replace fields of a frozen dataclass by the results of a check.
 
     Args:
-        instance: of the dataclass.
-        check: called with the name and the value of a field, and with `bounds`.
-        names: of the fields.
-        bounds: what else the check takes.
+        instance: the dataclass.
+        check: called with the name and the value of each field, and with `bounds`.
+        names: names of the fields.
+        bounds: further keyword arguments of the check.
     """
     for name in names:
         object.__setattr__(instance, name, check(name, getattr(instance, name), **bounds))
@@ -202,7 +204,7 @@ def file_path(name: str, value: Any) -> Path:
     """Return `value` as a path.
 
     Raises:
-        InputError: it is no text.
+        InputError: it is neither a text nor a path.
     """
     if not isinstance(value, str | Path):
         raise InputError(f"{name} must be the path of a file or a folder, got {value!r}.", name)
@@ -210,10 +212,10 @@ def file_path(name: str, value: Any) -> Path:
 
 
 def seconds(source: str, time: FloatArray, positions: FloatArray | None = None) -> None:
-    """Raise `InputError` if times `(T,)` from the file `source`, in seconds since whenever, look like smaller units.
+    """Raise `InputError` if times `(T,)` of the file `source`, in seconds from any origin, look like smaller units.
 
-    With the `positions` `(T, 3)` at these times, in metres, times since the start of the file are recognised too:
-    frames that are seconds apart, between which the camera creeps, are milliseconds apart.
+    With `positions` `(T, 3)`, metres, times from the start of the file are checked too: frames seconds apart between
+    which the camera hardly moves are taken for milliseconds.
     """
     latest = float(np.abs(time).max())
     if latest > LATEST:
@@ -233,7 +235,7 @@ def seconds(source: str, time: FloatArray, positions: FloatArray | None = None) 
 
 
 def radians(source: str, **angles: FloatArray) -> None:
-    """Raise `InputError` if angles from the file `source`, by their names, look like degrees: beyond one turn."""
+    """Raise `InputError` if named angles of the file `source` exceed one turn, which looks like degrees."""
     for name, angle in angles.items():
         worst = float(angle[np.argmax(np.abs(angle))])
         if abs(worst) > ONE_TURN:

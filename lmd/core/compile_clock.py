@@ -1,6 +1,6 @@
-"""The compiler of `lmd`'s own functions, which numba takes as an option: it is timed and says what it compiles.
+"""Compiler class for `lmd`'s functions, passed to numba as an option; it measures its time and prints progress.
 
-Functions that others compile are not timed.
+Functions of other packages are not timed.
 """
 
 import gc
@@ -14,25 +14,25 @@ from typing import Any
 from numba import types
 from numba.core.compiler import Compiler
 
-# How often Python looks for garbage while it compiles: most of what that makes stays, and looking as often as it does
-# by default would take a twelfth of the time.
+# Thresholds of Python's garbage collector during compilation. Most objects of the compiler stay alive; collections at
+# the default thresholds would take a twelfth of the time.
 GARBAGE_THRESHOLDS = (20_000, 50, 1_000)
 
 
 class CompileClock:
-    """The time that this process has waited for the compiler, in any of its threads."""
+    """Clock without the time during which this process compiles, in any of its threads."""
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
-        self._compiling = 0  # functions, of which most are parts of others
+        self._compiling = 0  # number of functions being compiled; most are nested in others
         self._began = self._spent = 0.0
-        self._kernels = 0  # whose compiling has begun
+        self._kernels = 0  # number of kernels whose compilation has begun
         self._thresholds = gc.get_threshold()
-        self.kept = "it is kept for the next time"  # what becomes of what is compiled
+        self.cache_note = "it is kept for the next time"  # part of the message on the first compilation
 
     @contextmanager
     def stopped(self, function: Any) -> Iterator[None]:
-        """Stop the clock while a function is compiled, and say which one it is unless it is a part of another."""
+        """Stop the clock while a function is compiled; print its name unless the compilation is nested in another."""
         with self._lock:
             self._compiling += 1
             if outermost := self._compiling == 1:
@@ -41,7 +41,7 @@ class CompileClock:
                     gc.set_threshold(*map(max, self._thresholds, GARBAGE_THRESHOLDS))
         try:
             if outermost:
-                self._tell(function)
+                self._print_progress(function)
             yield
         finally:
             with self._lock:
@@ -50,10 +50,10 @@ class CompileClock:
                     self._spent += time.perf_counter() - self._began
                     gc.set_threshold(*self._thresholds)
 
-    def _tell(self, function: Any) -> None:
+    def _print_progress(self, function: Any) -> None:
         from tqdm import tqdm
 
-        lines = [] if self._kernels else [f"compiling what this needs; {self.kept}"]
+        lines = [] if self._kernels else [f"compiling what this needs; {self.cache_note}"]
         self._kernels += 1
         lines.append(
             f"compiling kernel {self._kernels}, {self._spent:.0f} s so far: {name_of(function).partition(' (')[0]}"
@@ -67,7 +67,7 @@ class CompileClock:
         return self._compiling > 0
 
     def read(self) -> float:
-        """The time without what was spent, seconds."""
+        """Time without compilation, seconds."""
         with self._lock:
             return (self._began if self._compiling else time.perf_counter()) - self._spent
 
@@ -76,15 +76,15 @@ CLOCK = CompileClock()
 
 
 class TimedCompiler(Compiler):
-    """numba's compiler, which stops `CLOCK`."""
+    """numba's compiler; `CLOCK` stands still while it works."""
 
-    returns_arrays = True  # also in tuples, and where they are not counted
+    returns_arrays = True  # False: a function may return a counted array, but no array in a tuple
 
     def compile_extra(self, func: Any) -> Any:
         """Compile a function.
 
         Raises:
-            TypeError: it returns arrays, or other memory, and may not.
+            TypeError: it returns arrays that nothing would hold, see `StrictCompiler`.
         """
         counted, models = self.state.flags.nrt, self.state.targetctx.data_model_manager
         with CLOCK.stopped(func):
@@ -100,12 +100,12 @@ class TimedCompiler(Compiler):
 
 
 class StrictCompiler(TimedCompiler):
-    """Refuses functions that return arrays which nothing would hold."""
+    """Refuses functions that return arrays in tuples or without a reference count, as these would be freed early."""
 
     returns_arrays = False
 
 
 def name_of(function: Any) -> str:
-    """The name of a function for messages, with its module, file and line."""
+    """Name of a function for messages, with module, file and line."""
     code, module = function.__code__, (function.__module__ or "").removeprefix("lmd.")
     return f"{module}.{function.__qualname__} ({code.co_filename}, line {code.co_firstlineno})"

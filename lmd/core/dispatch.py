@@ -1,8 +1,8 @@
-"""Functions that compiled code resolves by the class of their first argument, a named tuple or None.
+"""Single dispatch in compiled code: the class of the first argument (a named tuple or None) selects the function.
 
-Like `functools.singledispatch`, but for numba: a kernel calls one name, and is compiled for each class of arguments
-with the function that the class registered. So a criterion or an objective is one file that no kernel imports, and
-compiled code stays cached on disk, which a function as an argument would prevent.
+This is `functools.singledispatch` for numba. A kernel calls one name; it is compiled for each class of arguments with
+the function that is registered for the class. So a criterion or an objective is one file that no kernel imports.
+Compiled code stays cached on disk, which functions as arguments would prevent.
 
     @dispatched
     def area(shape): ...
@@ -31,24 +31,27 @@ class Dispatched(Protocol[P, R_co]):
     """A function that `dispatched` returns."""
 
     def __call__(self, *arguments: P.args, **_: P.kwargs) -> R_co:
-        """Call the function that the class of the first argument registered; positional arguments only."""
+        """Call the function that is registered for the class of the first argument; positional arguments only."""
 
     def register(self, kind: type) -> Callable[[F], F]:
-        """Decorate the plain function for a class, with the arguments of the dispatched one."""
+        """Decorator that registers a function for a class; it takes the arguments of the dispatched function."""
 
 
 def dispatched(declaration: Callable[P, R_co]) -> Dispatched[P, R_co]:
-    """A function with the name and the docstring of `declaration`, whose body is never used; inlined, see `inlined`."""
+    """Make a dispatched function with name and docstring of `declaration`; calls are inlined (`compiled.inlined`).
+
+    The body of `declaration` is not used.
+    """
     return _dispatched(declaration, None, OVERLOAD_INLINED)
 
 
 def dispatched_call(declaration: Callable[P, R_co]) -> Dispatched[P, R_co]:
-    """As `dispatched`, for a long function: it is not inlined."""
+    """As `dispatched`, but calls are not inlined; for long functions."""
     return _dispatched(declaration, None, OVERLOAD)
 
 
 def overridable(declaration: Callable[P, R_co]) -> Dispatched[P, R_co]:
-    """`dispatched`, but the body of `declaration` serves the classes that register nothing."""
+    """As `dispatched`, but the body of `declaration` is used for classes without a registered function."""
     return _dispatched(declaration, declaration, OVERLOAD_INLINED)
 
 
@@ -78,7 +81,7 @@ def _dispatched(declaration: Callable[P, R_co], otherwise: Function | None, opti
 
 
 def entry(column: Any, k: Any) -> Any:
-    """Entry k of a column `(K,)`, or the number that holds for all K: kernels are compiled for either."""
+    """Entry k of a column `(K,)`; a number is returned as it is, for all k. Kernels are compiled for both types."""
     return column[k] if isinstance(column, np.ndarray) else column
 
 

@@ -1,7 +1,7 @@
-"""Files that users name, read in one place.
+"""Readers of files that users name: bytes, text, and keys in YAML or JSON.
 
-A file may come from a stranger: it may be a pipe or a device, larger than the memory, or a few hundred bytes that stand
-for gigabytes. Each of these is refused in one sentence before it is read.
+Files are not trusted. Pipes, devices, files larger than the memory, and small files that expand to gigabytes are
+refused with one sentence before they are read.
 """
 
 import json
@@ -18,12 +18,12 @@ import yaml
 from lmd.core.checks import InputError, file_path
 from lmd.core.memory import check_memory
 
-# Greatest memory per byte of a file while it is parsed, bytes: the texts of a table.
+# Greatest memory during parsing per byte of a file, bytes; a table of short texts needs it.
 MEMORY_PER_BYTE = 20.0
-# Greatest size of a YAML file, bytes: a calibration has a few kilobytes; half a megabyte takes some seconds to parse.
+# Greatest size of a YAML file, bytes; larger files are refused, as half a megabyte takes seconds to parse.
 LARGEST_YAML = 1 << 19
 
-# Files that are no text, by their first bytes, and the way to a text.
+# Binary formats by their first bytes, with advice on converting them to text.
 _BINARIES = {
     b"PK\x03\x04": "an archive, such as NumPy's .npz: write what it holds as text",
     b"\x93NUMPY": "an array of NumPy: write what it holds as text",
@@ -39,20 +39,21 @@ _KINDS = {stat.S_IFDIR: "a directory", stat.S_IFIFO: "a pipe", stat.S_IFCHR: "a 
 
 
 def read_bytes(path: Any, name: str, largest: float = math.inf, first: int | None = None) -> bytes:
-    """The contents of a file.
+    """Contents of a file.
 
     Args:
-        name: the argument the path came from, for messages.
-        largest: bytes that it may have.
-        first: bytes that are read; None for all.
+        path: path of the file.
+        name: argument that gave the path, for messages.
+        largest: greatest size of the file, bytes.
+        first: number of bytes to read; None for all.
 
     Raises:
-        InputError: it is missing, no regular file, larger than is allowed or than fits into memory, or not readable.
+        InputError: the file is missing, not regular, not readable, larger than `largest`, or does not fit into memory.
     """
     source = file_path(name, path)
     refused = f"{name}: {str(path)!r} cannot be read"
     try:
-        descriptor = os.open(source, os.O_RDONLY | os.O_NONBLOCK)  # does not wait for who writes into a pipe
+        descriptor = os.open(source, os.O_RDONLY | os.O_NONBLOCK)  # opening a pipe does not wait for a writer
         try:
             status = os.fstat(descriptor)
             if not stat.S_ISREG(status.st_mode):
@@ -77,8 +78,8 @@ def read_bytes(path: Any, name: str, largest: float = math.inf, first: int | Non
 
 
 def write_whole(path: Path, content: bytes) -> None:
-    """Write a file, whole or not at all, even if the process or the machine ends meanwhile."""
-    partial = path.with_name(f"{path.name}.partial")  # the next one takes the place of what a kill leaves
+    """Write a file atomically: after a crash it has the old or the new content."""
+    partial = path.with_name(f"{path.name}.partial")  # a file left by a kill is overwritten
     try:
         with partial.open("wb") as file:
             file.write(content)
@@ -91,10 +92,10 @@ def write_whole(path: Path, content: bytes) -> None:
 
 
 def read_text(path: Any, name: str, largest: float = math.inf) -> str:
-    """The text of a file in UTF-8, see `read_bytes`.
+    """Text of a file in UTF-8, see `read_bytes`.
 
     Raises:
-        InputError: as there, or it is no such text.
+        InputError: as in `read_bytes`, or the file is not UTF-8.
     """
     content = read_bytes(path, name, largest)
     if kind := next((kind for start, kind in _BINARIES.items() if content.startswith(start)), ""):
@@ -105,27 +106,27 @@ def read_text(path: Any, name: str, largest: float = math.inf) -> str:
         raise InputError(f"{name}: {str(path)!r} cannot be read as text ({error}).", name) from None
 
 
-# A comment of JSON as many programs write it, or a comma after the last entry; texts are left as they are.
+# Patterns of a JSON string, of a comment, and of a comma after the last entry; the latter two are removed.
 _TEXT, _COMMENT, _LAST_COMMA = r'"(?:\\.|[^"\\])*"', r"//[^\n]*|/\*.*?\*/", r",(?=\s*[}\]])"
 
 
 def read_keys(path: Any, name: str) -> dict[str, Any]:
-    """The keys and values of a file in YAML or JSON, see `read_bytes` and `parse_keys`."""
+    """Keys and values of a file in YAML or JSON, see `read_bytes` and `parse_keys`."""
     return parse_keys(path, read_text(path, name, LARGEST_YAML), name)
 
 
 def parse_keys(path: Any, text: str, name: str) -> dict[str, Any]:
-    """The keys and values of a text in YAML or JSON; there may be matrices of OpenCV, and comments.
+    """Keys and values of a text in YAML or JSON; OpenCV matrices and comments are allowed.
 
     Args:
-        path: where the text is from, for messages.
-        text: at most `LARGEST_YAML` characters of YAML, which takes long to read.
-        name: the argument the path came from.
+        path: file of the text, for messages.
+        text: the text; at most `LARGEST_YAML` characters of YAML.
+        name: argument that gave the path, for messages.
 
     Raises:
-        InputError: it is neither, or has no keys.
+        InputError: the text is neither YAML nor JSON, or has no keys.
     """
-    # YAML takes most of JSON, but no tabs.
+    # A YAML parser reads most of JSON, but refuses tabs.
     plain = _without(_COMMENT, text) if text.lstrip()[:1] in ("{", "/") else text
     is_json = plain.lstrip().startswith("{")
     try:
@@ -141,25 +142,25 @@ def parse_keys(path: Any, text: str, name: str) -> dict[str, Any]:
 
 
 def flat(values: Iterable[Any]) -> list[Any]:
-    """The values of a list, and those of the lists within it."""
+    """Flatten a list by one level: entries that are lists are replaced by their entries."""
     return [value for row in values for value in (row if isinstance(row, list) else [row])]
 
 
 def _from_opencv(text: str) -> str:
-    """YAML of OpenCV as others read it: it may begin with %YAML:1.0, and then has no space in `{ id:9 }` or `id:9`."""
+    """Convert OpenCV's YAML to standard YAML: drop a first line `%YAML:1.0`, and write `id: 9` for `id:9`."""
     plain = re.sub(r"\A%YAML.*\n", "", text)
     return plain if plain == text else re.sub(r"([{,]\s*\w+|^\s*[\w.]+):(?=\S)", r"\1: ", plain, flags=re.MULTILINE)
 
 
 def _without(pattern: str, text: str) -> str:
-    """A text of JSON without what matches outside of its texts."""
+    """Remove matches of `pattern` from JSON, except within strings."""
     return re.sub(f"({_TEXT})|{pattern}", lambda found: found[1] or "", text, flags=re.DOTALL)
 
 
 class _Loader(yaml.SafeLoader):  # type: ignore[misc] # yaml has no types
-    """Takes OpenCV's matrices for mappings, and 1e-5 for a number, which to YAML 1.1 is a text.
+    """YAML loader that reads OpenCV matrices as mappings and 1e-5 as a number, which YAML 1.1 reads as a text.
 
-    Not libyaml's, which is faster: where values are nested deeply, it overflows the stack of the process.
+    libyaml's faster loader is not used, as deeply nested values overflow the stack of the process.
     """
 
 
@@ -170,7 +171,7 @@ _Loader.add_implicit_resolver(
 
 
 def _integer(loader: Any, node: Any) -> int:
-    """An integer that can be printed: in other bases than ten, Python reads longer ones. None of YAML's base 60."""
+    """Read an integer; base 60 of YAML and integers too long to print are refused."""
     if ":" in node.value:
         raise ValueError(f"{node.value[:20]!r} is no number")
     value = loader.construct_yaml_int(node)
@@ -182,20 +183,20 @@ _Loader.add_constructor("tag:yaml.org,2002:int", _integer)
 
 
 def _yaml(text: str) -> Any:
-    text = re.sub(r"\n---\s*\Z", "\n", text)  # with which ROS's tools end a message
+    text = re.sub(r"\n---\s*\Z", "\n", text)  # ROS tools end a message with ---
     check_aliases(text)
     return yaml.load(text, _Loader)
 
 
 def check_aliases(text: str) -> None:
-    """Raise `ValueError` if the aliases of a text in YAML stand for more values than it has characters."""
+    """Raise `ValueError` if YAML with expanded aliases has more values than the text has characters."""
     root = yaml.compose(text, _Loader)
     if root is not None and (values := _values(root, {})) > len(text):
         raise ValueError(f"its aliases stand for {values:.4g} values")
 
 
 def _values(node: Any, known: dict[int, float]) -> float:
-    """Number of values of a node with every alias written out; infinite for a node that holds itself."""
+    """Number of values of a node with expanded aliases; infinite for a node that contains itself."""
     if id(node) not in known:
         known[id(node)] = math.inf
         pairs = isinstance(node, yaml.MappingNode)

@@ -1,6 +1,6 @@
-"""The parts of numba's inside that kernels rely on: libraries, compilers and a cache (docs/engine.md).
+"""Subclasses of numba's internal classes: libraries, compilers and a cache of kernels (docs/engine.md).
 
-They are subclasses for `lmd`'s own functions alone. Nothing of numba or llvmlite is changed.
+Only `lmd`'s functions use them; numba and llvmlite are not patched.
 """
 
 import glob
@@ -18,25 +18,26 @@ from numba.core.compiler import Flags
 from lmd.core.compile_clock import StrictCompiler, name_of
 from lmd.core.sources import classes_in, digest_of
 
-UNREADABLE = AttributeError, EOFError, ImportError, pickle.UnpicklingError  # the disk was full, or a class is gone
-PATIENCE_SECONDS = 60.0  # to wait for another process that compiles the same kernel: longer than any takes
-LOCKS: dict[Any, dict[str, FileLock]] = {}  # of the kernels that this process compiles, by function and signature
-FLAGS_HASH = hash(Flags())  # of the names of all options, so the same for all flags
-PYTHON_WRAPPER = "_ZN7cpython"  # how numba's names of the functions begin through which Python calls compiled code
+# Errors of truncated cache files, or of removed classes.
+UNREADABLE = AttributeError, EOFError, ImportError, pickle.UnpicklingError
+PATIENCE_SECONDS = 60.0  # greatest wait for another process that compiles the kernel; then it is compiled here too
+LOCKS: dict[Any, dict[str, FileLock]] = {}  # locks of the kernels that this process compiles, by function and signature
+FLAGS_HASH = hash(Flags())  # one hash for all flags; equality decides
+PYTHON_WRAPPER = "_ZN7cpython"  # prefix of the names of numba's wrappers that Python calls
 
 
 class _Library(JITCodeLibrary):
-    """The code of a function."""
+    """LLVM code of a function."""
 
     def _optimize_functions(self, module: Any) -> None:
-        """As numba's, at level 1: the whole kernel is optimised again. Level 0 takes longer, as more is linked."""
+        """Optimise functions at level 1, as the whole kernel is optimised again; at level 0 linking takes longer."""
         module.data_layout = self._codegen._data_layout
         for function in module.functions:
             passes, builder = self._codegen._function_pass_manager(opt=1)
             passes.run(function, builder)
 
     def _linked_into(self, module: Any) -> Any:
-        """A module, linked with each library that this calls, after all that call it: LLVM drops what none calls."""
+        """Link a module with the called libraries, callers first, so that LLVM drops functions without a caller."""
         for library in reversed(_called_by(self, {})):
             self._reload_init.update(library._reload_init)
             inner = isinstance(library, _InnerLibrary)
@@ -45,7 +46,7 @@ class _Library(JITCodeLibrary):
 
 
 class _KernelLibrary(_Library):
-    """The code of a kernel. Its wrapper for Python is not optimised: it has no loops, and hundreds of arguments."""
+    """LLVM code of a kernel. The wrapper for Python is not optimised: it has hundreds of arguments and no loops."""
 
     def finalize(self) -> None:
         for function in self._final_module.functions:
@@ -55,23 +56,23 @@ class _KernelLibrary(_Library):
         self._linked_into(self._final_module)
         for function in self._final_module.functions:
             if function.linkage == Linkage.linkonce_odr and not function.is_declaration:
-                function.linkage = "internal"  # LLVM inlines what is called once, and drops arguments that are not used
+                function.linkage = "internal"  # lets LLVM inline functions with one caller, and drop unused arguments
         self._linking_libraries.clear()
         super().finalize()
 
 
 class _InnerLibrary(_Library):
-    """The code of an inner function, for LLVM: machine code is made of the kernels that are linked with it."""
+    """LLVM code of an inner function; machine code is generated only for kernels that link it."""
 
     def finalize(self) -> None:
         self._raise_if_finalized()
         for function in self._final_module.functions:
             if not function.is_declaration and function.linkage == Linkage.external:
-                function.linkage = "linkonce_odr"  # dropped where nothing calls it any more
+                function.linkage = "linkonce_odr"  # dropped once all calls are inlined
         self._finalized = True
 
     def _get_module_for_linking(self) -> Any:
-        return self._linked_into(self._final_module.clone())  # for a numba function of somebody's own
+        return self._linked_into(self._final_module.clone())  # for a numba function outside of `lmd`
 
     def get_pointer_to_function(self, name: str) -> int:
         return 0
@@ -79,11 +80,11 @@ class _InnerLibrary(_Library):
     codegen = property(lambda self: self)  # numba calls its `set_env`
 
     def set_env(self, name: str, environment: Any) -> None:
-        """Nothing: what machine code would need of Python."""
+        """Do nothing: only machine code needs an environment."""
 
 
 def _called_by(library: Any, found: dict[Any, None]) -> list[Any]:
-    """The libraries that one calls, directly or through inner functions, each after all that it calls."""
+    """Libraries that a library calls, directly or through inner functions; callees precede callers."""
     for called in library._linking_libraries:
         if called not in found:
             if isinstance(called, _InnerLibrary):
@@ -93,7 +94,7 @@ def _called_by(library: Any, found: dict[Any, None]) -> list[Any]:
 
 
 class _Flags(Flags):
-    """numba's, compared by the options that are set, as this is asked for each item that is read of an array."""
+    """Flags compared by the options that are set; numba compares flags for each array element that is read."""
 
     def __eq__(self, other: object) -> bool:
         if not isinstance(other, Flags):
@@ -106,7 +107,7 @@ class _Flags(Flags):
 
 
 class KernelCompiler(StrictCompiler):
-    """Compiles kernels; inner functions are linked with them once."""
+    """Compiler of kernels; inner functions are linked into a kernel once."""
 
     library: type[_Library] = _KernelLibrary
 
@@ -117,7 +118,7 @@ class KernelCompiler(StrictCompiler):
         self.state.flags = _Flags(self.state.flags)
 
     def compile_extra(self, func: Any) -> Any:
-        """See `TimedCompiler`; what cannot be compiled holds up no other process."""
+        """See `TimedCompiler`; after an error the locks are released, so that no other process waits."""
         try:
             return super().compile_extra(func)
         except BaseException:
@@ -128,7 +129,7 @@ class KernelCompiler(StrictCompiler):
 
 
 class InnerCompiler(KernelCompiler):
-    """Compiles inner functions, unless they use objects of Python, as `print` does: these are not linked."""
+    """Compiler of inner functions; functions that use Python objects, as `print` does, are refused."""
 
     library = _InnerLibrary
 
@@ -136,7 +137,7 @@ class InnerCompiler(KernelCompiler):
         """See `TimedCompiler`.
 
         Raises:
-            TypeError: it uses objects of Python.
+            TypeError: the function uses Python objects.
         """
         result = super().compile_extra(func)
         if any("missing Environment" in str(each) for each in result.library._final_module.global_variables):
@@ -145,16 +146,16 @@ class InnerCompiler(KernelCompiler):
 
 
 class AllocatingCompiler(InnerCompiler):
-    """Compiles inner functions that count their arrays, or that count them if what calls them does."""
+    """Compiler of inner functions with reference counts, or with the reference counts of their callers."""
 
     returns_arrays = True
 
 
 class Cache(FunctionCache):
-    """Keeps kernels on disk, each while the code that it is made of has the same digest.
+    """Disk cache of kernels; an entry is valid while the digest of its source code is unchanged.
 
-    An index holds what was compiled for classes of the same modules: to read another would import modules. Of several
-    processes that need the same kernel one compiles it for all.
+    There is one index for each set of modules of the argument classes, since reading an index imports these modules. If
+    several processes need a kernel, one of them compiles it.
     """
 
     def __init__(self, function: Any) -> None:
@@ -162,7 +163,7 @@ class Cache(FunctionCache):
         self._locks = LOCKS.setdefault(function, {})
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
-        """The kernel that was kept; where another process is about to compile it, once that has."""
+        """Load a kernel from the cache; waits for another process that is compiling it."""
         classes = classes_in(getattr(sig, "args", sig))
         names = sorted({kind.__module__ for kind in classes})
         base = f"{self._impl.filename_base}-{hashlib.sha256(repr(names).encode()).hexdigest()[:8]}"
@@ -188,7 +189,7 @@ class Cache(FunctionCache):
         return found
 
     def save_overload(self, sig: Any, data: Any) -> None:
-        """Keep a compiled kernel."""
+        """Store a compiled kernel, and release its lock."""
         try:
             super().save_overload(sig, data)
         finally:
@@ -197,9 +198,9 @@ class Cache(FunctionCache):
 
 
 class _Index(IndexDataCacheFile):
-    """Written by one process at a time; files that cannot be read are as if they were not there.
+    """Index of the cache, written by one process at a time; unreadable files count as missing.
 
-    Files of kernels have the digest in their name: one that was written before is never taken for another.
+    The names of kernel files contain the digest, so an old file is never taken for a new one.
     """
 
     def __init__(self, folder: str, base: str, digest: str) -> None:
@@ -216,11 +217,11 @@ class _Index(IndexDataCacheFile):
         try:
             return super()._load_data(name)
         except UNREADABLE as error:
-            raise OSError(f"{name} cannot be read") from error  # for numba, it is not there
+            raise OSError(f"{name} cannot be read") from error  # numba takes this for a missing file
 
     def save(self, key: Any, data: Any) -> None:
         with FileLock(f"{self._index_path}.lock"):
-            if not self._load_index():  # what there is was made of other code
+            if not self._load_index():  # existing files have another digest
                 for old in Path(self._cache_path).glob(f"{glob.escape(self._index_name.removesuffix('nbi'))}*.nbc"):
                     old.unlink(missing_ok=True)
             super().save(key, data)

@@ -1,6 +1,6 @@
-"""Several named tuples of arrays as one, along a first axis: so how many there are is no part of a compiled type.
+"""Stacks of equal named tuples of arrays: one named tuple whose arrays have an additional first axis.
 
-A tuple of n named tuples would be: kernels would be compiled anew for every n.
+Kernels are compiled once for all lengths; for a tuple of n named tuples they would be compiled for each n.
 """
 
 from typing import Any, TypeVar
@@ -15,13 +15,16 @@ Bundle = TypeVar("Bundle")
 
 
 def layers(bundle: Bundle, number: int) -> Bundle:
-    """So many copies of a named tuple of arrays, along a new first axis; an array that it has twice stays one."""
+    """Stack `number` copies of a named tuple of arrays along a new first axis; shared arrays stay shared."""
     made: Bundle = _copied(bundle, number, {})
     return made
 
 
 def _copied(part: Any, number: int, copies: dict[int, np.ndarray]) -> Any:
-    """`copies` are those made already; not a function within `layers`, which would keep them as garbage in a circle."""
+    """Stack copies of a part; `copies` has those made already, by id.
+
+    As a closure of `layers` it would be part of a reference cycle, which delays the release of the arrays.
+    """
     if isinstance(part, tuple):
         return _made(type(part), [_copied(inner, number, copies) for inner in part])
     if id(part) not in copies:
@@ -30,7 +33,7 @@ def _copied(part: Any, number: int, copies: dict[int, np.ndarray]) -> Any:
 
 
 def layer(bundle: Any, number: Any) -> Any:
-    """One of `layers`, as views; in kernels, too."""
+    """Layer `number` of a result of `layers`, as views; also in kernels."""
     if isinstance(bundle, tuple):
         return _made(type(bundle), (layer(part, number) for part in bundle))
     return bundle[number]
@@ -42,7 +45,7 @@ def _made(kind: type, parts: Any) -> Any:
 
 @overload(layer, jit_options=OVERLOAD_INLINED)
 def _layer(bundle, number):  # type: ignore[no-untyped-def] # noqa: ARG001 # numba compares names and annotations
-    # numba has no map over tuples of different types: what is taken of each array is written down.
+    # numba cannot map over tuples of mixed types, so source code that indexes each array is generated.
     kinds: dict[str, Any] = {}
     lines: list[str] = []
     picked = _written(bundle, "bundle", kinds, lines)
@@ -51,15 +54,15 @@ def _layer(bundle, number):  # type: ignore[no-untyped-def] # noqa: ARG001 # num
 
 
 def _written(part: Any, name: str, kinds: dict[str, Any], lines: list[str]) -> str:
-    """The layer of what has this name, as Python.
+    """Python expression for the layer of a variable.
 
-    A tuple within a tuple gets a name of its own, since LLVM takes half a minute over all paths through a large one.
+    Nested tuples are assigned to variables first; otherwise LLVM takes half a minute for a large tuple.
 
     Args:
-        part: its type.
-        name: of a variable.
-        kinds: gets the classes of named tuples that it names.
-        lines: gets the assignments that come before.
+        part: numba type of the variable.
+        name: name of the variable.
+        kinds: receives the classes of named tuples that the expression uses, by name.
+        lines: receives the assignments that precede the expression.
     """
     if isinstance(part, types.Array):
         return f"{name}[number]"

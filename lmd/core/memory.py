@@ -1,4 +1,4 @@
-"""Checks that memory suffices before it is allocated; a refusal names both figures."""
+"""Checks of free memory before large allocations; the error names the needed and the free memory."""
 
 import os
 from pathlib import Path
@@ -6,14 +6,14 @@ from pathlib import Path
 from lmd.core.checks import InputError
 
 GIB = 2.0**30
-LITTLE = 2.0**16  # bytes below which memory is not checked: a check takes a third of a millisecond
+LITTLE = 2.0**16  # greatest allocation that is not checked, bytes; a check takes a third of a millisecond
 MEMINFO = Path("/proc/meminfo")
-# Limits of a container in the two versions of Linux control groups.
+# Files with the memory limit of a container, in versions 2 and 1 of Linux control groups.
 LIMITS = (Path("/sys/fs/cgroup/memory.max"), Path("/sys/fs/cgroup/memory/memory.limit_in_bytes"))
 
 
 def free_memory() -> float:
-    """Bytes that can be allocated: MemAvailable on Linux, all memory elsewhere; at most the limit of a container."""
+    """Free memory, bytes: MemAvailable on Linux, else the total memory; at most the limit of a container."""
     limits = [path.read_text().strip() for path in LIMITS if path.is_file()]
     if MEMINFO.is_file():
         entries = dict(line.split(":") for line in MEMINFO.read_text().splitlines())
@@ -24,12 +24,12 @@ def free_memory() -> float:
 
 
 def check_memory(needed: float, what: str, argument: str | None = None) -> None:
-    """Raise `InputError` if there is less memory than is needed.
+    """Raise `InputError` if the free memory does not suffice.
 
     Args:
-        needed: bytes.
-        what: subject of the sentence; begins with the argument, if one is the cause.
-        argument: name of that argument.
+        needed: needed memory, bytes.
+        what: subject of the message; it begins with `argument` if that is given.
+        argument: name of the argument that is the cause.
     """
     if needed <= LITTLE:
         return
@@ -40,12 +40,12 @@ def check_memory(needed: float, what: str, argument: str | None = None) -> None:
 
 
 def check_views(each: float, positions: int, orientations: int, landmarks: int | None = None) -> None:
-    """`check_memory` of data that is kept for every view, a position in an orientation.
+    """Call `check_memory` for data that is stored for every view (position and orientation).
 
     Args:
-        each: bytes of a view, or of a landmark in a view.
-        positions, orientations: their numbers.
-        landmarks: K where something is kept of each landmark in each view, None where it is not.
+        each: memory per view, or per landmark and view, bytes.
+        positions, orientations: number of positions and of orientations.
+        landmarks: number of landmarks if data is stored for each landmark and view, else None.
     """
     what = f"{positions} positions x {orientations} orientations"
     what += "" if landmarks is None else f" x {landmarks} landmarks"

@@ -1,4 +1,4 @@
-"""Packages that only some uses need: imported when first used, with one sentence when they are missing."""
+"""Optional packages: imported at their first use; a missing package raises an error with the install command."""
 
 import importlib
 import os
@@ -8,7 +8,7 @@ from typing import Any
 
 from lmd.core.checks import InputError
 
-# Packages that are imported where they are used or named in configurations, and the extra that installs them.
+# Optional packages, and the extra of `lmd` that installs each.
 EXTRAS = {
     "cma": "optimisers",
     "cv2": "detection",
@@ -21,7 +21,7 @@ EXTRAS = {
 
 
 def optional(package: str, extra: str) -> Any:
-    """The package named `package`, which pip's extra `lmd[extra]` installs.
+    """Import the package named `package`, which `pip install lmd[extra]` installs.
 
     Raises:
         InputError: it is not installed.
@@ -33,7 +33,7 @@ def optional(package: str, extra: str) -> Any:
 
 
 def missing(package: str, extra: str) -> InputError:
-    """The error for a package that is not installed, with the command that installs it."""
+    """Error for a package that is not installed; its message has the command that installs it."""
     root, python = Path(__file__).parents[2], _short(sys.executable)
     source = "'lmd"
     if (root / "constraints.txt").exists():  # a checkout
@@ -42,7 +42,7 @@ def missing(package: str, extra: str) -> InputError:
 
 
 def missing_of(error: BaseException | None) -> InputError | None:
-    """`missing` for an error that was caused by a package of `EXTRAS`, None for any other."""
+    """Result of `missing` if an error was caused by the absence of a package of `EXTRAS`, else None."""
     while error is not None and not isinstance(error, ModuleNotFoundError):
         error = error.__cause__ or error.__context__
     name = getattr(error, "name", None) or ""

@@ -1,4 +1,4 @@
-"""Digests of code: what was compiled, or kept otherwise, is stale when the code that made it has changed."""
+"""Digests of source code, for caches that expire when the code changes."""
 
 import hashlib
 import inspect
@@ -13,15 +13,15 @@ from typing import Any
 import numpy as np
 from numba import types
 
-# Top-level packages whose files do not count. numba's own cache knows its version.
+# Top-level packages that are not part of a digest; numba's cache checks the version of numba itself.
 NOT_COUNTED = (sys.stdlib_module_names - {"__main__"}) | {"llvmlite", "numba", "numpy"}
-ENGINE = ("lmd.core.compiled", "lmd.core.dispatch", "lmd.core.inside_numba")  # how code is compiled
+ENGINE = ("lmd.core.compiled", "lmd.core.dispatch", "lmd.core.inside_numba")  # modules that decide how code is compiled
 CONSTANTS = (bool, int, float, complex, str, bytes, type(None), Enum, np.generic)
 
 
 @cache
 def package_digest() -> str:
-    """A digest of all code of `lmd`."""
+    """Digest of all Python files of `lmd`."""
     digest = hashlib.sha256()
     for path in sorted(Path(__file__).parents[1].rglob("*.py")):
         digest.update(path.read_bytes())
@@ -29,18 +29,23 @@ def package_digest() -> str:
 
 
 def digest_of(kernel: FunctionType, classes: Iterable[type]) -> str | None:
-    """A digest of the code that a kernel is compiled from; None if some of it is in no module's file.
+    """Digest of the code that a kernel is compiled from; None if a part of it is not in the file of a module.
 
-    It covers the kernel, the functions that it calls, directly or not, as they were loaded, the files that define them
-    and the classes of its arguments, and the values of the constants that the functions use. All are found by the names
-    in the code of the functions. Of a function that is `dispatched` those count that these classes registered.
+    It covers
+
+    - the kernel and all functions that it calls, directly or indirectly, as loaded;
+    - the files that define these functions and the classes of the arguments;
+    - the values of the constants that the functions use.
+
+    They are found by the names in the code of the functions. Of a `dispatched` function, the variants registered for
+    the classes of the arguments are covered.
 
     Args:
-        kernel: the plain function.
-        classes: of its arguments, see `classes_in`.
+        kernel: the plain Python function.
+        classes: classes of its arguments, see `classes_in`.
     """
     kinds, known = set(classes), -1
-    while known != len(kinds):  # functions name further classes, for which others may be registered
+    while known != len(kinds):  # functions may use further classes, with further registered functions
         known = len(kinds)
         texts, functions, waiting = set[str](), set[FunctionType](), [kernel]
         while waiting:
@@ -67,7 +72,7 @@ def digest_of(kernel: FunctionType, classes: Iterable[type]) -> str | None:
 
 
 def classes_in(kinds: Any) -> set[type]:
-    """The classes of the named tuples in a sequence of numba types, and in their members."""
+    """Classes of the named tuples in a sequence of numba types, at any depth."""
     found = set[type]()
     for kind in kinds:
         if named := getattr(kind, "instance_class", None):
@@ -82,11 +87,11 @@ def _counts(module: str) -> bool:
 
 
 def _used_by(function: FunctionType) -> Iterator[tuple[str, Any]]:
-    """The names in the code of a function, and the values that they have there; functions as Python wrote them."""
+    """Yield the global and nonlocal names in the code of a function with their values; functions are unwrapped."""
     names = set(_names_in(function.__code__))
     spaces = [function.__globals__, inspect.getclosurevars(function).nonlocals]
     values = [("default", value) for value in function.__defaults__ or ()]
-    for space in spaces:  # it grows by the modules that are named
+    for space in spaces:  # the loop appends the modules that the code names
         for name in names & space.keys():
             value = space[name]
             if not isinstance(value, ModuleType):
@@ -106,19 +111,19 @@ def _names_in(code: CodeType) -> Iterator[str]:
 
 
 def _text_of_code(code: CodeType) -> str:
-    """The instructions of a function, and what they name; of nested functions too."""
+    """Bytecode, names and constants of a function and of its nested functions, as text."""
     constants = [_text_of_code(each) if isinstance(each, CodeType) else _text_of(each) for each in code.co_consts]
     return f"{code.co_code.hex()} {code.co_names} {code.co_varnames} {constants}"
 
 
 def _resolved(function: FunctionType, kinds: set[type]) -> list[FunctionType]:
-    """The function; one that is `dispatched`, with those that are registered for some of the classes."""
+    """The function; for a `dispatched` one, also the variants that are registered for the classes."""
     table = getattr(function, "registered", {})
     return [function, *(inspect.unwrap(table[kind]) for kind in kinds & table.keys())]
 
 
 def _text_of(value: Any) -> str:
-    """A constant's value, as text; the type of what cannot be one."""
+    """Value of a constant as text; the name of the type for other objects."""
     if isinstance(value, np.ndarray):
         return f"{value.dtype}{value.shape}{value.tobytes().hex()}"
     if isinstance(value, tuple | frozenset):

@@ -1,4 +1,4 @@
-"""CSV tables: written with every digit, read with messages that name file, line and value; and keys of times."""
+"""Readers and writers of CSV tables, with messages that name file, line and value; sort keys of times."""
 
 import csv
 import io
@@ -15,17 +15,17 @@ from numpy.typing import ArrayLike
 from lmd.core.checks import FloatArray, InputError
 from lmd.core.files import read_text
 
-MOST_COLUMNS = 1000  # a file with more is refused
+MOST_COLUMNS = 1000  # greatest number of columns; a file with more is refused
 COMMENT = "#"  # first character of a line that is skipped
 
 
 def write_table(file: str | Path | TextIO, columns: Mapping[str, ArrayLike]) -> None:
-    """Write a CSV with a header, as `pandas.DataFrame.to_csv` does; pandas takes long to import.
+    """Write a CSV with a header, as `pandas.DataFrame.to_csv` does (pandas takes long to import).
 
     Args:
-        file: its path, or an open text file.
-        columns: numbers or texts by the name of the column, of equal lengths. NaN is left empty; any other number is
-            read back exactly.
+        file: path, or an open text file.
+        columns: numbers or texts by name of the column, of equal lengths. NaN becomes an empty cell; other numbers have
+            enough digits to be read back exactly.
     """
     if isinstance(file, str | Path):
         with Path(file).open("w", encoding="utf-8", newline="") as opened:
@@ -39,12 +39,12 @@ def write_table(file: str | Path | TextIO, columns: Mapping[str, ArrayLike]) -> 
 
 @dataclass(frozen=True)
 class Table:
-    """The texts of a CSV with a header.
+    """Texts of a CSV with a header.
 
     Args:
-        path: the file, for messages.
-        lines: where each row stands in it, from 1.
-        texts: by the name of the column, one for each row.
+        path: path of the file, for messages.
+        lines: line number of each row, from 1.
+        texts: texts of the rows by name of the column.
     """
 
     path: str
@@ -55,11 +55,11 @@ class Table:
         return column in self.texts
 
     def numbers(self, columns: Sequence[str], optional: Sequence[str] | None = ()) -> FloatArray:
-        """Some columns as finite numbers, `(rows, len(columns))`.
+        """Columns as finite numbers, `(rows, len(columns))`.
 
         Args:
-            columns: in the order of the result.
-            optional: columns that may be there besides; None for any.
+            columns: names of the columns, in the order of the result.
+            optional: further columns that the table may have; None for any.
 
         Raises:
             InputError: the file is empty, a column is missing or unknown, or a value is no finite number.
@@ -89,14 +89,15 @@ class Table:
 
 
 def read_table(path: Any, *, name: str) -> Table:
-    """Read a CSV with a header; blank lines and lines that begin with # are left out.
+    """Read a CSV with a header; blank lines and lines that begin with # are skipped.
 
     Args:
-        name: the argument the path came from, for messages.
+        path: path of the file.
+        name: argument that gave the path, for messages.
 
     Raises:
-        InputError: the file is missing or no CSV, has semicolons in place of commas, too many columns or two of a name,
-            or a row of another length.
+        InputError: the file is missing or no CSV, has semicolons instead of commas, too many columns, two columns with
+            one name, or rows of different lengths.
     """
     content = _lines(read_text(path, name))
     try:
@@ -107,7 +108,7 @@ def read_table(path: Any, *, name: str) -> Table:
     if not rows:
         return Table(str(path), (), {})
     (_, header), *body = rows
-    if len(header) == 1 and ";" in header[0]:  # as spreadsheets write them where a comma is the sign for decimals
+    if len(header) == 1 and ";" in header[0]:  # spreadsheets write them in locales with a decimal comma
         raise InputError(f"{path} has semicolons between its columns: save it with commas, and with points in numbers.")
     if len(header) > MOST_COLUMNS:
         raise InputError(f"{path} has {len(header)} columns, more than {MOST_COLUMNS}; the first line is its header.")
@@ -126,12 +127,13 @@ def read_table(path: Any, *, name: str) -> Table:
 
 @dataclass(frozen=True)
 class Headless:
-    """The values of a text without a header: with spaces or commas between them, as many in each line.
+    """Values of a file without a header, separated by spaces or commas.
 
     Args:
-        comments: the lines before the first values, which begin with #, without it.
-        commas: whether commas stand between the values.
-        rows: where each row stands in the file, from 1, and its texts.
+        path: path of the file, for messages.
+        comments: comment lines before the first values, without #.
+        commas: True if commas separate the values.
+        rows: line number, from 1, and texts of each row.
     """
 
     path: str
@@ -141,14 +143,14 @@ class Headless:
 
     @property
     def width(self) -> int:
-        """Values in each line."""
+        """Number of values in the first row."""
         return len(self.rows[0][1])
 
     def table(self, columns: Sequence[str]) -> Table:
-        """The values with names for their columns.
+        """Table of the values with the given column names.
 
         Raises:
-            InputError: a line has another number of values.
+            InputError: a row has more or fewer values than there are names.
         """
         for line, row in self.rows:
             if len(row) != len(columns):
@@ -160,11 +162,11 @@ class Headless:
 
 
 def read_headless(path: Any, *, name: str) -> Headless | None:
-    """Read a text of values without a header, such as a trajectory of TUM's tools.
+    """Read a file of values without a header, such as a TUM trajectory.
 
     Args:
-        path: the file; blank lines and lines that begin with # are left out.
-        name: the argument the path came from, for messages.
+        path: path of the file; blank lines and lines that begin with # are skipped.
+        name: argument that gave the path, for messages.
 
     Returns:
         None if the first line does not begin with a number.
@@ -178,7 +180,7 @@ def read_headless(path: Any, *, name: str) -> Headless | None:
     rows = [(i, [value.strip() for value in line.split(",")] if commas else line.split()) for i, line in lines]
     if not rows or not is_number(rows[0][1][0]):
         return None
-    if commas and not any(row[-1] for _, row in rows):  # a comma ends each line
+    if commas and not any(row[-1] for _, row in rows):  # each line ends with a comma
         rows = [(i, row[:-1]) for i, row in rows]
     before = [line.strip().lstrip(COMMENT).strip() for line in text.splitlines()[: rows[0][0] - 1]]
     return Headless(str(path), [comment for comment in before if comment], commas, rows)
@@ -194,17 +196,18 @@ def is_number(text: str) -> bool:
 
 
 def _lines(text: str) -> list[tuple[int, str]]:
-    """The lines of a text that are neither blank nor comments, with their numbers."""
+    """Lines of a text that are neither blank nor comments, with their line numbers from 1."""
     lines = io.StringIO(text, newline="")
     return [(i, line) for i, line in enumerate(lines, 1) if line.strip() and line.lstrip()[0] != COMMENT]
 
 
 def read_numbers(path: Any, columns: Sequence[str], *, name: str) -> FloatArray:
-    """Read the numeric `columns` of a CSV with a header, in that order.
+    """Read numeric columns of a CSV with a header.
 
     Args:
-        columns: columns that must be there.
-        name: the argument the path came from, for messages.
+        path: path of the file.
+        columns: names of the columns, in the order of the result; the file must have no others.
+        name: argument that gave the path, for messages.
 
     Returns:
         `(rows, len(columns))` finite float64.
@@ -216,9 +219,9 @@ def read_numbers(path: Any, columns: Sequence[str], *, name: str) -> FloatArray:
 
 
 def time_of(text: str) -> Decimal | str:
-    """Key of a time: the number written, or the text if it is none, such as the name of a photograph.
+    """Key of a time: its decimal number, or the text if it is not a number, such as the name of a photograph.
 
-    Nanoseconds since 1970 have more digits than a float.
+    A float has too few digits for nanoseconds since 1970.
     """
     try:
         number = Decimal(text)
@@ -228,7 +231,7 @@ def time_of(text: str) -> Decimal | str:
 
 
 def in_order(texts: Iterable[str]) -> list[str]:
-    """Distinct texts of times in ascending order: numbers first, then texts, such as names of photographs."""
+    """Distinct times in ascending order: numbers first, then other texts, such as names of photographs."""
     return sorted(set(texts), key=_time_key)
 
 

@@ -1,4 +1,4 @@
-"""Threads that share the work of one process: kernels release the GIL."""
+"""Threads within a process; kernels release the GIL."""
 
 import itertools
 import os
@@ -11,7 +11,7 @@ import numpy as np
 
 T = TypeVar("T")
 
-MOST_THREADS = 1024  # greatest number of threads that a user may ask for
+MOST_THREADS = 1024  # greatest number of threads in a setting; more are refused
 
 
 def available_threads() -> int:
@@ -21,23 +21,23 @@ def available_threads() -> int:
 
 @cache
 def _helpers(count: int) -> ThreadPoolExecutor:
-    """Threads that stay alive: starting new ones takes a millisecond, half an evaluation of the paper's room.
+    """Pool of threads, shared by all calls of `at_once` in a process.
 
-    Every call of `at_once` in a process uses them.
+    Starting threads takes a millisecond, half an evaluation of the paper's room.
     """
     return ThreadPoolExecutor(count)
 
 
 if hasattr(os, "register_at_fork"):
-    os.register_at_fork(after_in_child=_helpers.cache_clear)  # the threads are the parent's
+    os.register_at_fork(after_in_child=_helpers.cache_clear)  # a child process has none of its parent's threads
 
 
 def at_once(threads: int, work: Callable[..., T], *arguments: Iterable[Any]) -> list[T]:
-    """Results of `work` for each of the arguments, in their order, as `map` would return them.
+    """Results of `work` for each of the arguments, in the order of `map`.
 
-    The calling thread works too, so it can be interrupted as if it were alone. After an error no thread begins another
-    call, and calls that have begun are waited for. `work` may itself call `at_once`: calls for which no thread is free
-    run in the calling one.
+    The calling thread works too, so Ctrl-C interrupts it as usual. After an error, no further call begins, and the
+    function waits for calls that have begun. `work` may call `at_once`; calls for which no thread is free run in the
+    calling thread.
     """
     calls = list(zip(*arguments, strict=True))
     found: list[Any] = [None] * len(calls)
@@ -59,7 +59,7 @@ def at_once(threads: int, work: Callable[..., T], *arguments: Iterable[Any]) -> 
         begun = [other for other in others if not other.cancel()]
         try:
             wait(begun)
-        except BaseException:  # told to stop while waiting: arrays that others still write must not be left to them
+        except BaseException:  # interrupted: wait again, as other threads still write to shared arrays
             wait(begun)
             raise
     for other in begun:
@@ -73,6 +73,6 @@ def _exhaust(left: Iterator[int]) -> None:
 
 
 def in_parts(threads: int, work: Callable[[int, int], object], size: int, parts: int) -> None:
-    """Do `work(first, last)` for `parts` equal parts of `range(size)`, or each of its numbers if those are fewer."""
+    """Call `work(first, last)` for at most `parts` equal ranges that cover `range(size)`."""
     edges = np.linspace(0, size, min(size, parts) + 1).astype(int).tolist()
     at_once(threads, lambda part: work(*part), itertools.pairwise(edges))

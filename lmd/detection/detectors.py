@@ -15,7 +15,7 @@ from lmd.core.checks import FloatArray, InputError, check_fields, choice, intege
 from lmd.core.optional import optional
 from lmd.geometry.camera import PIXEL_CENTRE
 from lmd.render.imaging import UInt8Array
-from lmd.scene.tag import FAMILIES, dictionary
+from lmd.scene.families import FAMILIES, dictionary, family_named
 
 # cv2.aruco has AprilTags rotated by 180 degrees: its top-left corner is AprilTag's bottom-right corner.
 HALF_TURN = [2, 3, 0, 1]
@@ -70,16 +70,19 @@ class ArucoDetector:
     `CORNER_REFINE_APRILTAG` is not used: it counts pixels from the border, half a pixel off the rest of OpenCV.
 
     Raises:
-        InputError: the family or preset is unknown.
+        InputError: OpenCV lacks the family, or the preset is unknown.
     """
 
     family: str = "36h11"
-    """One of `lmd.scene.tag.FAMILIES`."""
+    """One of `lmd.scene.families.FAMILIES` that OpenCV has."""
     preset: str = "default"
     """Settings of `cv2.aruco`: `default`, or `fine` for smaller tags."""
 
     def __post_init__(self) -> None:
-        choice("family", self.family, tuple(FAMILIES))
+        object.__setattr__(self, "family", family_named(self.family))
+        if self.family in FAMILIES and not FAMILIES[self.family].dictionary:
+            raise InputError(f"family {self.family} is one of AprilTag's, which only AprilTagDetector reads.", "family")
+        choice("family", self.family, tuple(name for name, family in FAMILIES.items() if family.dictionary))
         choice("preset", self.preset, tuple(ARUCO_PRESETS))
 
     def detect(self, image: UInt8Array) -> Detections:
@@ -100,13 +103,14 @@ class AprilTagDetector:
     """
 
     family: str = "36h11"
-    """One of `lmd.scene.tag.FAMILIES` that the library supports."""
+    """One of `lmd.scene.families.FAMILIES` that the library supports."""
     quad_decimate: float = 1.0
     """Factor by which the image is downscaled for the detection of quadrilaterals."""
     most_errors: int = 2
     """Maximum number of corrected bits in a tag; the library corrects two."""
 
     def __post_init__(self) -> None:
+        object.__setattr__(self, "family", family_named(self.family))
         if self.family in FAMILIES and not FAMILIES[self.family].apriltag:
             raise InputError(f"family {self.family} is one of ArUco's, which only ArucoDetector reads.", "family")
         choice("family", self.family, tuple(name for name, family in FAMILIES.items() if family.apriltag))

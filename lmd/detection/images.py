@@ -190,8 +190,8 @@ def _pixels(content: bytes) -> tuple[int, ...] | None:
 def blur_of(image: UInt8Array, found: Detections, modules: int) -> float:
     """Blur of an image, pixels: standard deviation across the second most blurred edge of a tag, median over tags.
 
-    Across the outer edge of the black border, the distance between 16 and 84 % of the step from black to white is two
-    standard deviations of the blur. Motion blurs only the edges perpendicular to it.
+    Across the edge between the detected corners, the distance between 16 and 84 % of the step from black to white is
+    two standard deviations of the blur. Motion blurs only the edges perpendicular to it.
 
     Args:
         image: grey image, `(h, w)`.
@@ -221,7 +221,9 @@ def blur_of(image: UInt8Array, found: Detections, modules: int) -> float:
     grey = map_coordinates(
         image.astype(np.float64), np.moveaxis(places[..., ::-1] - 0.5, -1, 0), order=1, mode="nearest"
     )
-    profile = np.maximum.accumulate(grey.mean(axis=2), axis=-1)  # from black to white
+    across = grey.mean(axis=2)
+    rises = across[..., -1:] >= across[..., :1]  # the white of some families is inside
+    profile = np.maximum.accumulate(np.where(rises, across, across[..., ::-1]), axis=-1)  # from black to white
     low, high = profile[..., :1], profile[..., -1:]
     step = (profile - low) / np.maximum(high - low, 1.0)
     width = ((step < HIGH) & (step >= LOW)).sum(axis=-1) * (2.0 * reach / (STEPS - 1))[:, None] / 2.0

@@ -118,7 +118,7 @@ def sample_views(
     matrix = intrinsics(camera)
     ends = (np.array([[0, 0], [width, 0], [0, height], [width, height]]) - matrix[:2, 2]) / np.diag(matrix)[:2]
     stretch = math.sqrt(1.0 + (ends**2).sum(axis=1).max()) / np.cos(tilts)
-    paper = pitches * (tag.modules + 2.0 * tag.quiet_zone)
+    paper = pitches * tag.paper_modules
     diameter = math.sqrt(2.0) * paper * stretch + 2.0 * REACH * sigmas
     patches = pattern(1.0, rng)
     views = []

@@ -1,4 +1,4 @@
-"""Accuracy of the position from one image, predicted for every view of a deployment, for any objective.
+"""Predicted accuracy of the position from one image, for every view of a deployment and any objective.
 
 The prediction is the standard deviation of `lmd.objectives.localisation`, infinite for views that cover fewer than n
 landmarks, or a single tag whose two poses look alike. All figures are off the grid: random positions, orientations from
@@ -26,7 +26,7 @@ from lmd.sight.kernels import PROBABILITY_ONE
 if TYPE_CHECKING:
     import pandas as pd
 
-TOLERANCES = (0.01, 0.02, 0.05)  # position errors that a view may have to count as localised, metres
+TOLERANCES = (0.01, 0.02, 0.05)  # greatest position errors of a localised view, metres
 SAMPLE = Sample(groups=8, positions=512, divisions=23)
 
 
@@ -56,12 +56,12 @@ def _share_name(tolerance: float) -> str:
 def accuracy_metrics(problem: Problem, deployment: Deployment, seed: int, sample: Sample = SAMPLE) -> dict[str, float]:
     """Mean of P_n, shares of views localised to `TOLERANCES`, median and 90 % quantile of the predicted error, metres.
 
-    The quantiles are over all views, and left out where they are infinite, as too few views cover n landmarks.
+    The quantiles are over all views; infinite quantiles are left out.
 
     Args:
         problem: gives the scene, n, and the noise of a corner.
         deployment: K landmarks.
-        seed: of the sample.
+        seed: seed of the sample.
         sample: its size.
     """
     parts = []

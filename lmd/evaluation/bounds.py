@@ -20,14 +20,13 @@ accelerated projected ascent. No choice gives a bound below F(x).
 The largest g_j is sought over a grid of poses while x is improved, and in the end over the whole walls, by branch and
 bound on cells (`lmd.sight.poses`): that makes the bound one for every flush deployment.
 
-Landmarks that hang already are not chosen: where nothing hides them they cover b_pa, and c_pa = b_pa + sum_j x_j A_jpa
-adds sum_pa y_pa b_pa to the constant, with K the number of the others.
+Fixed landmarks are not chosen: without occlusion they cover b_pa, and c_pa = b_pa + sum_j x_j A_jpa adds
+sum_pa y_pa b_pa to the constant, with K the number of free landmarks.
 
 With K_s tags of size s, x_js of them at pose j, each size has covers A^s_jpa and gains g_js of its own, and K max_j g_j
 becomes sum_s K_s max_j g_js, each sought where a tag of that size may hang.
 
-A view that is localised covers n landmarks, so these bounds also hold for `Localisation`, but take no account of its
-tolerance.
+A localised view covers n landmarks, so these bounds also hold for `Localisation`, but ignore its tolerance.
 """
 
 import math
@@ -50,11 +49,11 @@ from lmd.scene.deployment import Deployment
 from lmd.sight.evaluator import Evaluator
 from lmd.sight.poses import Cells, gains, wall_cells
 
-# Largest number of landmarks; a target that needs more is out of reach.
+# Greatest number of landmarks; a target that needs more raises an error.
 MOST_LANDMARKS = 10_000
-# Time limit: each pose is scanned at most this often for all bounds of a problem.
+# Number of scans of each pose that the time limit allows for all bounds of a problem.
 SCANS = 250
-CALIBRATION_POSES = 500  # poses whose scan is timed
+CALIBRATION_POSES = 500  # number of poses whose scan is timed
 MULTIPLIERS_SHARE = 0.3  # share of the time for the multipliers
 
 
@@ -90,11 +89,11 @@ class UpperBound:
     grid: float
     """Bound for all deployments on the grid of poses."""
     fractional: float
-    """Value that fractions of landmarks on that grid reach; no bound for the grid is lower."""
+    """Value reached by fractional landmarks on that grid; no bound for the grid is lower."""
     dual: Dual
     """Multipliers."""
     gain: float
-    """Largest gain of a flush landmark with them; of several sizes the mean, weighted by their numbers."""
+    """Largest gain of a flush landmark with these multipliers; for several sizes the mean weighted by their numbers."""
 
 
 def average_upper_bound(problem: Problem, count: int, search: Search) -> UpperBound:
@@ -109,7 +108,7 @@ def fitness_upper_bound(problem: Problem, count: int, search: Search) -> UpperBo
     evaluator, relevance = problem.fitness_evaluator, problem.fitness_relevance
     objective = _at_most_coverage(problem)
     averaged = isinstance(objective, Localisation) and objective.climbs == "mean"
-    # Positions qualify from TOLERANCE below thold_p; where nothing is asked, all do.
+    # Positions qualify from TOLERANCE below thold_p; for thold_p = 0 all do.
     threshold = 1.0 if averaged else objective.thold_p - TOLERANCE
     if threshold <= 0.0:
         return UpperBound(1.0, 1.0, 1.0, Dual(1.0, np.zeros((len(relevance), evaluator.axes.shape[1]))), 0.0)
@@ -120,8 +119,8 @@ def fitness_upper_bound(problem: Problem, count: int, search: Search) -> UpperBo
 def fewest_landmarks(problem: Problem, target: float, search: Search) -> int:
     """Lower bound on the number of landmarks that reach a fitness of `target`; the fixed ones and one more count.
 
-    A dual bounds the fitness by a line in K. From too few landmarks on, the number rises to where their line reaches
-    the target, which by concavity is never too many, until the bound reaches the target.
+    A dual bounds the fitness by a line in K. The number starts too small and is raised to the point where the line
+    reaches the target, which by concavity is not too many, until the bound reaches the target.
 
     Raises:
         InputError: not even `MOST_LANDMARKS` reach it, or tags have several sizes.
@@ -174,7 +173,7 @@ class Kind(NamedTuple):
     """The free landmarks of one size."""
 
     evaluator: Evaluator
-    """The scene with tags of that size alone."""
+    """Evaluator of the scene with tags of that size alone."""
     cells: Cells
     """Pieces of the walls where they may hang."""
     poses: Deployment
@@ -210,12 +209,12 @@ def _bound(problem: Problem, relaxation: Relaxation, count: int, search: Search)
     poses = [(kind.poses, kind.number) for kind in kinds]
     dual, grid, fractional = solve(relaxation, poses, search.iterations, search.tolerance, solving)
     limit.cut += solving.cut
-    if grid >= 1.0:  # the walls cannot lower it
+    if grid >= 1.0:  # the search on the walls cannot lower the bound
         return UpperBound(1.0, 1.0, fractional, dual, 0.0)
     each, tolerance = np.empty(len(kinds)), search.tolerance / free
     for i, kind in enumerate(kinds):
         walls = limit.part(1.0 / (len(kinds) - i))
         each[i] = largest_gain(kind.evaluator, kind.cells, dual.prices, tolerance, walls)
         limit.cut += walls.cut
-    gain = float(each.max() - numbers @ (each.max() - each) / free)  # their mean; for one size exactly its own gain
+    gain = float(each.max() - numbers @ (each.max() - each) / free)  # weighted mean; for one size exactly its gain
     return UpperBound(dual.bound(free, gain), grid, fractional, dual, gain)

@@ -1,4 +1,4 @@
-"""Losses of fitness without single tags and without pairs of tags."""
+"""Losses of fitness on removal of each tag, and of each pair of tags."""
 
 from dataclasses import dataclass
 
@@ -19,7 +19,7 @@ FITNESS_ROUNDING = 1e-12  # largest difference in fitness that is taken for a ro
 
 @dataclass(frozen=True)
 class Losses:
-    """Fitness that is left without landmarks."""
+    """Fitness after removal of landmarks."""
 
     ids: IntArray
     """Ids of K landmarks, `(K,)`."""
@@ -43,11 +43,11 @@ class Losses:
 
     @property
     def idle(self) -> IntArray:
-        """Ids of the landmarks without any one of which the fitness is as high."""
+        """Ids of the landmarks whose removal does not change the fitness."""
         return np.sort(self.ids[np.diagonal(self.without) >= self.fitness - FITNESS_ROUNDING])
 
     def metrics(self) -> dict[str, float]:
-        """Least and mean fitness over the loss of any one landmark, and of any two."""
+        """Least and mean fitness after the loss of one landmark, and of two."""
         one, two = np.diagonal(self.without), self.without[np.triu_indices(len(self.ids), 1)]
         return {
             f"fitness_without_{name}_{kind}": float(figure(left))

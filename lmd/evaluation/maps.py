@@ -1,4 +1,4 @@
-"""Errors of the pose due to a wrong map: tags hang in one place, and the estimate assumes another.
+"""Pose errors due to a wrong map: the estimate assumes other places of the tags than the true ones.
 
 The pose is estimated from one image by PnP (`lmd.geometry.pose`), for a rig from the images of all its cameras. A map
 that is displaced as a whole by a rigid motion T displaces the pose by T; independent errors of tags partly cancel out.
@@ -38,7 +38,7 @@ class Hung:
 
     @classmethod
     def of(cls, deployment: Deployment) -> "Hung":
-        """Tags with the upper edges of the deployment."""
+        """Make from a deployment, with its upper edges."""
         return cls(deployment, deployment.ups)
 
     def points(self, tag: Tag) -> FloatArray:

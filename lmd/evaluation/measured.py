@@ -19,7 +19,7 @@ from lmd.scene.deployment import Deployment
 from lmd.scene.footprints import as_they_are
 
 RANDOM_VIEWS = 2000  # number of random poses
-MEASURED_STREAM = 0x737572766579  # keeps the noise apart from every other use of the seed
+MEASURED_STREAM = 0x737572766579  # separates the random numbers of the noise from other uses of the seed
 
 
 def read_measured(
@@ -98,13 +98,13 @@ def as_measured(
     sample: Sample = SAMPLE,
     views: int = RANDOM_VIEWS,
 ) -> Measured:
-    """Score a deployment as measured beside its plan. No result depends on the threads.
+    """Score a deployment as measured beside its plan. Results do not depend on the number of threads.
 
     Args:
         problem: gives the scene and the objective.
         plan: K landmarks.
         measured: these landmarks at their measured places.
-        seed: of the random positions and the views.
+        seed: seed of the random positions and the views.
         sample: random positions off the grid.
         views: number of random views.
     """

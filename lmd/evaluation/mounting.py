@@ -1,8 +1,8 @@
-"""Figures of a deployment as mounted: each tag hangs a little off its place in the plan.
+"""Figures of a deployment with random errors of mounting.
 
-Every draw mounts all tags with independent errors, and is scored like any deployment, on the grid and at random
-positions off it. The pose is then estimated from single images with the map as planned, and for comparison with the map
-as mounted, which a survey would give.
+In every draw all tags have independent errors. A draw is evaluated like any deployment, on the grid and at random
+positions off it. Then the pose is estimated from single images with the planned map, and for comparison with the
+mounted map, which a survey would give.
 """
 
 from dataclasses import dataclass, replace
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 SAMPLE = Sample(groups=8, positions=256, divisions=23)
 VIEWS_PER_DRAW = 40  # number of random poses of a draw
 POSE_BYTES = 4 * 4 * 8  # memory of a pose
-MOUNTING_STREAM = 0x6D6F756E74  # keeps the draws apart from every other use of the seed
+MOUNTING_STREAM = 0x6D6F756E74  # separates the random numbers of the draws from other uses of the seed
 
 
 @dataclass(frozen=True)
@@ -60,8 +60,8 @@ class MountingError:
     def hung(self, problem: Problem, plan: Deployment, rng: np.random.Generator) -> Hung:
         """Draw the tags of a plan as they are mounted.
 
-        Tags stay on their surface, and footprints do not overlap: a tag that would hang over an edge, or over a tag
-        before it, moves to the nearest place where it may hang. Tags that hang already (`Problem.fixed`) stay.
+        Tags stay on their surface, and footprints do not overlap: a tag that would extend beyond an edge, or overlap an
+        earlier tag, moves to the nearest allowed place. Fixed tags (`Problem.fixed`) stay.
 
         Args:
             problem: gives the surfaces, the footprints, and the fixed tags.
@@ -143,13 +143,13 @@ class Mounted:
 
 
 def mounted(problem: Problem, plan: Deployment, error: MountingError, seed: int, sample: Sample = SAMPLE) -> Mounted:
-    """Score a plan as it may be mounted. No result depends on the threads.
+    """Score a plan as it may be mounted. Results do not depend on the number of threads.
 
     Args:
         problem: gives the scene and the objective.
         plan: K landmarks with their surfaces.
-        error: of the mounting.
-        seed: of the draws, of the random positions, and of the views.
+        error: distribution of the mounting errors.
+        seed: seed of the draws, of the random positions, and of the views.
         sample: random positions off the grid, shared by all draws.
 
     Raises:

@@ -1,4 +1,4 @@
-"""Range at which a camera reads one tag, and the pose error with that tag alone: without a room or a deployment.
+"""Range of distances at which a camera reads a single tag, and the pose error from that tag.
 
 The tag hangs upright in the middle of the view and is turned about the vertical by the incidence angle.
 """
@@ -31,9 +31,9 @@ class Reach:
     """
 
     nearest: float
-    """Metres."""
+    """Least distance, metres."""
     farthest: float
-    """Metres."""
+    """Greatest distance, metres."""
 
 
 def _hung(distance: float, incidence: float) -> tuple[FloatArray, FloatArray]:
@@ -68,7 +68,7 @@ def smallest_edge(criteria_of: Callable[[float], Criteria], camera: Camera, dist
     Args:
         criteria_of: makes the criteria for tags with an edge, metres.
         camera: the camera.
-        distance: from the tag, metres.
+        distance: distance from the tag, metres.
         incidence: angle, rad.
     """
     tried = distance * np.geomspace(1e-3, 1.0, DISTANCE_STEPS)
@@ -76,7 +76,7 @@ def smallest_edge(criteria_of: Callable[[float], Criteria], camera: Camera, dist
     def read(edge: float) -> bool:
         return edge > 0.0 and is_read(criteria_of(edge), camera, distance, incidence)
 
-    # Sizes that are read have no gaps, so the sizes between two that are not read are tried only if no coarse one is.
+    # The sizes that are read form an interval; if no coarse size is read, all sizes are tried.
     for step in (COARSE_STEPS, 1):
         for index in range(0, DISTANCE_STEPS, step):
             if read(tried[index]):
@@ -85,7 +85,7 @@ def smallest_edge(criteria_of: Callable[[float], Criteria], camera: Camera, dist
 
 
 def _border(holds: Callable[[float], bool], inside: float, outside: float) -> float:
-    """Value nearest to `outside` for which `holds` is true, as it is at `inside`, by bisection."""
+    """Value nearest to `outside` for which `holds` is True, by bisection; it is True at `inside`."""
     while abs(outside - inside) > RELATIVE_TOLERANCE * max(abs(inside), abs(outside)):
         middle = (inside + outside) / 2.0
         inside, outside = (middle, outside) if holds(middle) else (inside, middle)

@@ -22,12 +22,12 @@ from lmd.scene.deployment import Deployment
 from lmd.sight.evaluator import Evaluator, averaged
 from lmd.sight.poses import Cells, covered_amounts, gains
 
-# Half-width over which the kink of min(v, 1) is rounded off, at first and at last. Halved after each 25 steps.
+# First and last half-width of the smoothing of min(v, 1); it is halved after each 25 steps.
 FIRST_WIDTH, LAST_WIDTH, STEPS_PER_WIDTH = 0.3, 0.01, 25
-# Cells that branch and bound scans at most, a minute or two on two cores; the bound is valid whenever it stops.
+# Greatest number of cells that branch and bound scans, a minute or two on two cores; the bound is then still valid.
 MOST_CELLS = 2_000_000
-BATCH = 10_000  # cells that are cut at a time, at most
-PROBES = 500  # new cells at whose centres a landmark is tried, the most promising ones
+BATCH = 10_000  # greatest number of cells that are divided at a time
+PROBES = 500  # number of new cells, those with the highest bounds, at whose centres a landmark is evaluated
 BATCH_SHARE = 0.05  # share of the time left for each batch
 
 
@@ -57,7 +57,7 @@ class Relaxation:
     threshold: float
     """t, in (0, 1]."""
     fixed: Deployment | None = None
-    """Landmarks that hang already."""
+    """Fixed landmarks."""
 
     @property
     def weights(self) -> FloatArray:
@@ -66,7 +66,7 @@ class Relaxation:
 
     @cached_property
     def already(self) -> FloatArray | float:
-        """b, `(P, D)`; 0 where nothing is fixed."""
+        """b, `(P, D)`; 0 without fixed landmarks."""
         return 0.0 if self.fixed is None else covered_amounts(self.evaluator, self.fixed, np.ones(len(self.fixed)))
 
     def value(self, added: FloatArray) -> float:
@@ -85,7 +85,7 @@ class Relaxation:
 
 
 def smoothed_min(v: FloatArray, width: float) -> tuple[FloatArray, FloatArray]:
-    """Return min(v, 1) with its kink rounded off within `width`, and its slope in [0, 1]; `v` has any shape."""
+    """min(v, 1), smoothed within `width` of its kink, and its slope in [0, 1]; `v` has any shape."""
     slope = np.clip((1.0 + width - v) / (2.0 * width), 0.0, 1.0)
     # The integral of the slope: 1 on the right of the kink, v on the left.
     return np.where(slope < 1.0, 1.0 - width * slope**2, v), slope
@@ -112,7 +112,7 @@ def solve(
         kinds: poses that landmarks of a size may take, and the number of these landmarks, for each size.
         iterations: largest number of steps.
         tolerance: distance between the bound and the largest F at which to stop.
-        limit: of the time.
+        limit: limit of the time.
 
     Returns:
         the best multipliers found, their bound for choices of the poses, and the largest F found.
@@ -123,7 +123,7 @@ def solve(
     x = ahead = np.concatenate([np.full(len(own), number / len(own)) for own, number in kinds])
     began = clock()
     covered = covered_ahead = covered_amounts(evaluator, poses, x)
-    scan = clock() - began  # of all poses
+    scan = clock() - began  # time for all poses
     fractional, momentum, curvature = relaxation.value(covered), 1.0, 0.0
     best, grid = Dual(1.0, np.zeros_like(covered)), 1.0
     for step in range(iterations):
@@ -153,7 +153,7 @@ def solve(
         else:
             break
         fractional = max(fractional, relaxation.value(covered_new))
-        # Momentum that leads downhill, or belongs to another width, is dropped.
+        # The momentum is reset if it leads downhill or belongs to another width.
         if gradient @ (new - x) < 0.0 or step % STEPS_PER_WIDTH == STEPS_PER_WIDTH - 1:
             momentum = 1.0
         before, momentum = momentum, (1.0 + math.sqrt(1.0 + 4.0 * momentum**2)) / 2.0
@@ -172,12 +172,12 @@ def largest_gain(
         evaluator: scene with landmarks of one size.
         cells: pieces of wall.
         prices: y, `(P, D)`, not negative.
-        tolerance: difference from the gain of some landmark in the end, if the time suffices.
-        limit: of the time; None for none.
+        tolerance: greatest difference between the bound and the gain of a landmark at the end, if the time suffices.
+        limit: limit of the time; None for none.
     """
     limit, began = limit or TimeLimit(), clock()
     largest, looked_at = 0.0, 0
-    # The most promising cells come first: whenever the search stops, the first on the heap bounds all that are left.
+    # The heap is sorted by bound, so its first entry bounds all remaining cells whenever the search stops.
     heap: list[tuple[float, int, Cells]] = []
     while True:
         most = gains(evaluator, cells.poses, prices, cells.radius)

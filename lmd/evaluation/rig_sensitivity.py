@@ -1,9 +1,9 @@
-"""Figures of a rig where a camera fails, or where images miss landmarks that they show.
+"""Figures of a rig with a failed camera, or with landmarks that are not detected in some images.
 
-All are measured at equal moments: the landmarks in each image are found once, and parts of them are removed.
+All figures use the same poses: the landmarks in each image are found once, then some are removed.
 
-It is no case of `lmd.evaluation.sensitivity` for a single camera: there landmarks are missed in the words of a compiled
-field, with the exact mean of P_n, here in all images of a moment, by one draw.
+`lmd.evaluation.sensitivity` does this for a single camera with the bit sets of a compiled field and an exact mean of
+P_n; here one random draw for all images of a pose decides.
 """
 
 from collections.abc import Sequence
@@ -84,7 +84,7 @@ class RigMoments:
             return change
 
         alone = np.stack([lose(k) for k in range(count)], axis=1)  # (2, K, N)
-        only = alone @ (~shown)  # change by k in the moments that do not show the other one, (2, K, K)
+        only = alone @ (~shown)  # change by k in the moments that do not show the other landmark, (2, K, K)
         change = only + np.swapaxes(only, 1, 2)
         for i, j in combinations(range(count), 2):
             change[:, i, j] = change[:, j, i] = change[:, i, j] + lose(i, j).sum(axis=1)

@@ -62,7 +62,7 @@ def selection_upper_bound(
         problem: the problem.
         count: number of landmarks.
         spacing: largest distance between poses, metres.
-        limit: of the time after one scan of every pose; None for none.
+        limit: limit of the time after one scan of every pose; None for none.
 
     Raises:
         InputError: the objective has no selection, the spacing is not positive, or there are several sizes and another
@@ -80,13 +80,13 @@ def selection_upper_bound(
     add_each(selection, problem.hung)
 
     def largest(gains: FloatArray) -> float:
-        """The sum of as many of the largest gains as there are landmarks, of each size."""
+        """Sum of the K_s largest gains of each size s."""
         counts = zip(*np.unique(sizes, return_counts=True), strict=True)
         return sum(float(np.sort(gains[own == edge])[-number:].sum()) for edge, number in counts)
 
     began = clock()
     at_first = largest(selection.gains(poses))
-    scans = limit.left / (clock() - began) - 1.0  # one is left for the gains in the end
+    scans = limit.left / (clock() - began) - 1.0  # one scan is reserved for the gains at the end
     chosen, spent = select(
         objective.selection(evaluator, relevance), poses, stock, footprints, scans * len(poses), problem.hung
     )

@@ -1,4 +1,4 @@
-"""Time limits of the search for a bound, which is valid whenever the search ends."""
+"""Time limits for the search for a bound; an interrupted search still gives a valid bound."""
 
 from collections.abc import Callable
 from math import inf
@@ -7,17 +7,17 @@ from lmd.core.compiled import clock
 
 
 class TimeLimit:
-    """Seconds from now on, without those in which kernels are compiled.
+    """Time limit from now on, without the time of compilation.
 
     Args:
-        seconds: infinite for no limit, where results do not depend on the time.
-        report: called now and then with the progress in words.
+        seconds: limit, seconds; infinite for no limit, with reproducible results.
+        report: called with texts on the progress.
     """
 
     def __init__(self, seconds: float = inf, report: Callable[[str], None] = lambda _: None) -> None:
         self.seconds, self.report, self._until = seconds, report, clock() + seconds
         self.cut: list[str] = []
-        """Searches that were cut short, in words."""
+        """Descriptions of the searches that were cut short."""
 
     @property
     def left(self) -> float:
@@ -29,7 +29,7 @@ class TimeLimit:
         return TimeLimit(share * self.left, self.report)
 
     def leaves(self, seconds: float, what: str) -> bool:
-        """Return True if at least `seconds` are left; if not, note that `what` was cut short."""
+        """True if at least `seconds` are left; otherwise record that `what` was cut short."""
         if seconds <= self.left:
             return True
         self.cut.append(what)

@@ -1,10 +1,11 @@
 """Trade-off between the number or size of landmarks and a figure: deployments along it improve their neighbours.
 
-A deployment of K landmarks is the best after three searches: from the start of the problem; from the deployment of
-fewer landmarks, with some added where the gain is largest; and from that of more, without those of the least loss.
+The deployment of K landmarks is the best of three searches: from the start of the problem; from the deployment with
+fewer landmarks, after adding those with the largest gain; and from the deployment with more landmarks, after removing
+those with the least loss.
 
-Where paper or cost is limited in place of K, and tags may have any of several sizes, gains and losses are divided by
-the paper or the cost of the tag. So neighbours also find other mixtures of sizes.
+If paper or cost is limited instead of K, and tags may have several sizes, gains and losses are divided by the paper or
+the cost of the tag. So the searches also find other mixtures of sizes.
 """
 
 from collections.abc import Callable, Iterable, Mapping
@@ -67,8 +68,8 @@ def started(problem: Problem, deployment: Deployment) -> Problem:
 def grown(problem: Problem, deployment: Deployment) -> Deployment:
     """Add landmarks to a deployment, chosen greedily by the objective's selection, up to the number of `problem`.
 
-    Where the grid of poses has no room for all, the rest hang as in the start of the problem. Where the problem has a
-    limit, landmarks of any of its sizes are added until it is used up.
+    If the grid of poses has no room for all, the rest stay as in the start of the problem. With a limit of paper or
+    cost, landmarks of any size are added until it is used up.
     """
     footprints, tag, start = problem.scene.footprints, problem.scene.tag, problem.draw(np.random.default_rng(0))
     poses = candidates(footprints, np.array([np.nan] if tag.limit is None else tag.edges), GRID_SPACING)
@@ -86,7 +87,7 @@ def grown(problem: Problem, deployment: Deployment) -> Deployment:
 def shrunk(problem: Problem, deployment: Deployment) -> Deployment:
     """Remove landmarks from a deployment, the least loss first, down to the number of `problem`; fixed ones stay.
 
-    Where the problem has a limit, losses are divided by the share of the limit, and what is left of it is used again.
+    With a limit of paper or cost, losses are divided by the share of the limit, and the released share is used again.
     """
     while True:
         limit, prices = _priced(problem, deployment)
@@ -200,6 +201,6 @@ def between(points: pd.DataFrame, figure: str, wanted: float, axis: Axis = COUNT
     for curve, row in fewest(points, figure, wanted, axis).iterrows():
         reached = float(row[axis.along])
         below = points.loc[(points[axis.curve] == curve) & (points[axis.along] < reached), axis.along].max()
-        if np.isfinite(reached) and reached - below >= 2 * axis.step:  # NaN where nothing is below
+        if np.isfinite(reached) and reached - below >= 2 * axis.step:  # NaN if no number is below
             halves.append((curve, below.item() + max(int((reached - below) / 2 / axis.step), 1) * axis.step))
     return halves

@@ -1,7 +1,7 @@
 """Validation: figures of a deployment off the grid it was optimised on.
 
-An optimiser pushes the positions it is scored at just past the threshold, for the orientations it is scored with:
-the qualified ratio on that grid flatters it. Three figures do not depend on that grid:
+An optimiser raises the values at the positions and orientations of its fitness just above the threshold, so the
+qualified ratio on that grid is biased. Three figures do not depend on the grid:
 
 - the qualified ratio on a finer grid: half the spacing, half the step of the orientations. It is computed in full
   and has no standard error;
@@ -9,10 +9,10 @@ the qualified ratio on that grid flatters it. Three figures do not depend on tha
   from the continuous distribution the PDF stands for;
 - the grid-free average coverage probability, over the random poses of the same sample.
 
-Like `qualified_ratio`, all of them weigh every position alike, without its relevance.
+Like `qualified_ratio`, they weigh all positions equally, without the relevance.
 
-Where poses were recorded, the figures are those at the poses exactly as recorded: those that were optimised on, and
-those held out.
+For recorded poses, the figures are those at the recorded poses: the poses used for the optimisation, and those held
+out.
 """
 
 from collections.abc import Callable, Iterator, Mapping
@@ -34,7 +34,7 @@ from lmd.sight.evaluator import Evaluator
 if TYPE_CHECKING:
     from lmd.scene.recorded_poses import RecordedPoses, Records
 
-# Keeps the sample apart from every other use of the seed.
+# Separates the random numbers of the sample from other uses of the seed.
 VALIDATION_STREAM = 0x76616C
 MOST_OF_A_RIG = 64, 8  # most positions in a group, and divisions, where a rig's criteria have no compiled half
 
@@ -44,9 +44,9 @@ class Sample:
     """Size of a sample of random poses: `groups` times `positions` positions, each in many orientations.
 
     The positions of a group are spread evenly, from a random shift. They share their orientations, one in each of
-    2 `divisions` x `divisions` cells of equal probability, or fewer of the yaw alone. With thousands of these P_n is
-    without bias, and its noise moves as many positions over the threshold as below it. Another group has another shift
-    and other orientations, so errors average out, and the spread of the groups shows the rest.
+    2 `divisions` x `divisions` cells of equal probability, fewer for a PDF of the yaw alone. With thousands of
+    orientations P_n is unbiased, and its noise moves as many positions above the threshold as below it. Each group has
+    its own shift and orientations, so errors average out, and the spread of the groups gives the standard error.
 
     Raises:
         InputError: a number is too small.
@@ -80,7 +80,7 @@ def validation_metrics(
     Args:
         problem: the problem.
         deployment: K landmarks.
-        seed: of the sample.
+        seed: seed of the sample.
         sample: its size; the default one if None.
         between: called before each group; it may raise to give up.
     """
@@ -147,7 +147,7 @@ def sampled_evaluators(scene: Scene, seed: int, sample: Sample, threads: int) ->
         most, finest = MOST_OF_A_RIG
         sample = Sample(sample.groups, min(sample.positions, most), min(sample.divisions, finest))
     rng = np.random.default_rng([seed, VALIDATION_STREAM])
-    by_reference = PYTHON and scene.rig is None  # kernels run as plain Python would take hours
+    by_reference = PYTHON and scene.rig is None  # kernels in plain Python would take hours
     for _ in range(sample.groups):
         positions = scene.room.sample_evenly(sample.positions, rng)
         drawn = replace(scene, pdf=scene.pdf.stratified(sample.divisions, rng))

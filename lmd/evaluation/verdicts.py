@@ -17,7 +17,7 @@ from lmd.scene.deployment import Deployment
 from lmd.scene.scene import Scene
 from lmd.sight.obstacles import unobstructed
 
-# Keeps the poses apart from every other use of the seed.
+# Separates the random numbers of the poses from other uses of the seed.
 CAUSES_STREAM = 0x7768790A
 POSITIONS, VIEWS = 256, 16  # number of random positions, and of random orientations at each
 
@@ -43,7 +43,7 @@ def verdicts(
         scene: the scene.
         deployment: K landmarks.
         poses: X of the camera, `(N, 4, 4)`.
-        camera: of the scene's rig; None for the only one.
+        camera: camera of the scene's rig; None for the only one.
 
     Raises:
         InputError: the scene has a rig, and no camera is given.
@@ -70,16 +70,16 @@ def _verdicts_of(
 
 @dataclass(frozen=True)
 class Causes:
-    """Shares of landmarks that the criteria leave out; a look is one landmark from one camera in one random pose."""
+    """Shares of sightings that meet the criteria; a sighting is a landmark and a camera in a random pose."""
 
-    looks: int
-    """Number of looks."""
+    sightings: int
+    """Number of sightings."""
     covered: float
-    """Share of the looks that meet every criterion."""
+    """Share of the sightings that meet every criterion."""
     met: Mapping[str, float]
-    """Share of the looks that meet a criterion, by its name."""
+    """Share of the sightings that meet a criterion, by its name."""
     without: Mapping[str, float]
-    """Share of the looks that meet all other criteria, by the name of the criterion."""
+    """Share of the sightings that meet all other criteria, by the name of the criterion."""
     limits: Mapping[str, str]
     """Limits of the criteria in a few words each, by name."""
 
@@ -96,17 +96,17 @@ class Causes:
             rows.append((name.replace("_", " "), *shares, self.limits.get(name, "")))
         width = max(len(name) for name, *_ in rows)
         lines = [f"{name:<{width}}  {met:>7}  {without:>18}  {limit}".rstrip() for name, met, without, limit in rows]
-        head = f"{self.covered:.2%} of {self.looks:,} looks at single landmarks, from random poses, cover them"
+        head = f"{self.covered:.2%} of {self.sightings:,} sightings of single landmarks, from random poses, cover them"
         return "\n".join([head, *lines])
 
 
 def causes(scene: Scene, deployment: Deployment, seed: int) -> Causes | None:
-    """Measure the shares that each criterion leaves out.
+    """Measure the shares of sightings that meet each criterion.
 
     Args:
         scene: the visibility model must have `verdicts`, see `Explained`.
         deployment: K landmarks.
-        seed: of the poses: positions uniform where the camera may be, orientations from the PDF.
+        seed: seed of the poses: positions uniform where the camera may be, orientations from the PDF.
 
     Returns:
         None if the model has no verdicts.
@@ -118,7 +118,7 @@ def causes(scene: Scene, deployment: Deployment, seed: int) -> Causes | None:
     poses = camera_pose(positions, *scene.pdf.draw_at(positions, rng)).reshape(POSITIONS, VIEWS, 4, 4)
     names: list[str] = []
     met, without, covered = [], [], 0
-    for here in poses:  # one after the other, as all looks at once would take much memory
+    for here in poses:  # one pose after the other, to save memory
         for camera, offset, _, axes in scene.stations(axis_and_right(here)):
             found = _verdicts_of(scene, camera, deployment, here[0, :3, 3] + offset, axes)
             names, passed = list(found), np.stack(list(found.values()))
@@ -126,14 +126,14 @@ def causes(scene: Scene, deployment: Deployment, seed: int) -> Causes | None:
             met.append(passed.sum(axis=(1, 2)))
             without.append((failed == ~passed).sum(axis=(1, 2)))  # it fails no criterion, or this one alone
             covered += int((failed == 0).sum())
-    looks = len(positions) * len(deployment) * len(scene.cameras)
+    sightings = len(positions) * len(deployment) * len(scene.cameras)
 
     def shares(counts: list[IntArray]) -> dict[str, float]:
-        return dict(zip(names, (np.sum(counts, axis=0) / looks).tolist(), strict=True))
+        return dict(zip(names, (np.sum(counts, axis=0) / sightings).tolist(), strict=True))
 
     describe = getattr(scene.visibility, "limits_for", None)
     described = [describe(camera) for camera in dict.fromkeys(scene.cameras)] if describe else []
     limits = {name: " | ".join(dict.fromkeys(each[name] for each in described)) for name in (described or [{}])[0]}
     if "obstacles" in names:
         limits["obstacles"] = "nothing of the room in the way"
-    return Causes(looks, covered / looks, shares(met), shares(without), limits)
+    return Causes(sightings, covered / sightings, shares(met), shares(without), limits)

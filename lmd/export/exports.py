@@ -4,68 +4,37 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 from lmd.core.checks import ONE_TURN, InputError, check_fields, choice, real
 from lmd.core.optional import optional
 from lmd.export.paper import PAPERS
 from lmd.export.plan import write_plan
 from lmd.export.sheets import check_sheets, write_sheets
-from lmd.formats import tag_map_writers as maps
+from lmd.formats.registry import NONE, ONE, Writer, outside
 from lmd.formats.tag_map import TagMap
-from lmd.formats.tag_tables import write_csv, write_json
+from lmd.formats.tag_map_writers import WRITERS
 from lmd.scene.deployment import Deployment
-from lmd.scene.tag import FAMILIES, Tag
+from lmd.scene.tag import Tag
 from lmd.space.space import Space
 
-OWN, ONE, NONE = "own", "one", "none"
+
+def all_formats() -> dict[str, Writer]:
+    """The outputs by name, with those of other packages."""
+    theirs = {form.name: form.writer for form in outside() if form.writer is not None}
+    printed = {
+        "plan": Writer("plan.pdf", write_plan, on_paper=True),
+        "sheets": Writer("sheets.pdf", write_sheets, on_paper=True),
+    }
+    return WRITERS | theirs | printed
 
 
-class Format(NamedTuple):
-    """File format of a map, a plan or print sheets.
-
-    Args:
-        file: name of the file.
-        write: a function of the path, the map as `tags` and, if it is printed, the size of the paper as `paper`; of the
-            plan, where north is as `north` too.
-        only_apriltag: True if its readers support only the families of AprilTag.
-        on_paper: True if the file is to be printed.
-        check: raises `InputError`, a clause without its subject, if it cannot hold the tags of a map; None where it
-            holds any.
-        edges: tag sizes in the file: `OWN`, one for each tag; `ONE`, a single one for all tags; `NONE`, no size.
-    """
-
-    file: str
-    write: Callable[..., None]
-    only_apriltag: bool = False
-    on_paper: bool = False
-    check: Callable[[TagMap], None] | None = None
-    edges: str = OWN
-
-
-FORMATS = {
-    "wpilib": Format("tags.wpilib.json", maps.write_wpilib, only_apriltag=True, edges=NONE),
-    "apriltag_ros": Format("tags.apriltag_ros.yaml", maps.write_apriltag_ros, only_apriltag=True),
-    "apriltag_ros2": Format("tags.apriltag_ros2.yaml", maps.write_apriltag_ros2, only_apriltag=True),
-    "tagslam": Format("tags.tagslam.yaml", maps.write_tagslam, only_apriltag=True),
-    "aruco": Format("tags.aruco.yaml", maps.write_aruco),
-    "csv": Format("tags.csv", write_csv),
-    "json": Format("tags.json", write_json),
-    "clover": Format("tags.clover.txt", maps.write_clover),
-    "fiducial_vlam": Format("tags.fiducial_vlam.yaml", maps.write_fiducial_vlam, edges=ONE),
-    "rtabmap": Format("tags.rtabmap.txt", maps.write_rtabmap, edges=ONE),
-    "limelight": Format("tags.fmap", maps.write_limelight, only_apriltag=True),
-    "frc971": Format("tags.frc971.json", maps.write_frc971, only_apriltag=True, edges=NONE),
-    "duckietown": Format("tags.duckietown.yaml", maps.write_duckietown, only_apriltag=True, check=maps.check_on_floor),
-    "plan": Format("plan.pdf", write_plan, on_paper=True),
-    "sheets": Format("sheets.pdf", write_sheets, on_paper=True),
-}
+FORMATS = all_formats()
 
 
 def formats_of(tag: Tag) -> tuple[str, ...]:
     """The formats whose readers know the family of a tag."""
-    known = FAMILIES[tag.family].apriltag is not None
-    return tuple(name for name, form in FORMATS.items() if known or not form.only_apriltag)
+    return tuple(name for name, form in FORMATS.items() if tag.family in form.families)
 
 
 def check_printing(name: str, tag: Tag, paper: str) -> None:
@@ -128,7 +97,7 @@ class Export:
             tag.check_edge()
         for name in self.formats:
             if name not in formats_of(tag):
-                known = ", ".join(name for name, family in FAMILIES.items() if family.apriltag)
+                known = ", ".join(FORMATS[name].families)
                 raise InputError(f"formats has {name}, which knows the families {known}, not {tag.family}.", "formats")
             if FORMATS[name].on_paper:
                 check_printing(name, tag, self.paper)

@@ -58,7 +58,7 @@ class Pieces(NamedTuple):
 
 def label_size(tag: Tag) -> float:
     """Height of a label in the white margin of a tag, mm; 0 where the margin is too narrow for one."""
-    size = min(LABEL, LABEL_SHARE * (tag.paper_edge - tag.size) / 2.0 * MM_PER_M)
+    size = min(LABEL, LABEL_SHARE * (tag.paper_edge - tag.picture_edge) / 2.0 * MM_PER_M)
     return size if size >= SMALLEST_LABEL else 0.0
 
 
@@ -84,12 +84,12 @@ def layout(tag: Tag, paper: str) -> Whole | Pieces:
 
 
 def _whole(tag: Tag, page: tuple[float, float]) -> Whole:
-    plate, edge = (MM_PER_M * length for length in (tag.paper_edge, tag.size))
+    plate, edge = (MM_PER_M * length for length in (tag.paper_edge, tag.picture_edge))
     width, height = page[0] - 2.0 * MARGIN, page[1] - 2.0 * MARGIN - FOOTER
     pitch = plate if label_size(tag) else plate + LABEL + 2.0 * LABEL_GAP
-    columns, rows = int((width + ROUNDING) // plate), int((height + ROUNDING) // pitch)
-    if not columns and plate <= page[0] and edge <= width:
-        columns = 1  # what is white needs no printing
+    rows = int((height + ROUNDING) // pitch)
+    # Papers fill the page: their outer white margins need no printing.
+    columns = int(min(page[0] + ROUNDING, width + ROUNDING + plate - edge) // plate)
     left, spare = (page[0] - columns * plate) / 2.0, height - rows * pitch
     return Whole(page, columns, rows, left, page[1] - MARGIN - spare / 2.0, pitch)
 

@@ -13,19 +13,7 @@ from typing import Any
 import numpy as np
 
 from lmd.core.optional import optional
-from lmd.export.layout import (
-    FOOTER,
-    LABEL,
-    LABEL_GAP,
-    MARGIN,
-    MARK,
-    MARK_GAP,
-    STRIP,
-    Pieces,
-    Whole,
-    label_size,
-    layout,
-)
+from lmd.export.layout import FOOTER, LABEL, LABEL_GAP, MARGIN, MARK, MARK_GAP, STRIP, Pieces, Whole, label_size, layout
 from lmd.export.paper import GREY, PAPERS, begin_page, document, shortened, up_arrow, width_of, write_text
 from lmd.formats.tag_map import TagMap
 from lmd.geometry.camera import MM_PER_M
@@ -130,7 +118,7 @@ def _draw_tag(canvas: Any, tags: TagMap, tag: Tag, k: int, x: float, y: float, i
     In the margin it is `inset` from the edges of the paper, if given, else a quarter of its height.
     """
     number = tags.ids[k]
-    plate, edge, module = (MM_PER_M * length for length in (tag.paper_edge, tag.size, tag.module))
+    plate, edge, module = (MM_PER_M * length for length in (tag.paper_edge, tag.picture_edge, tag.module))
     black = canvas.beginPath()
     for row, column in np.argwhere(~tag.picture(number)):
         left, top = x + (plate - edge) / 2.0 + column * module, y + (plate + edge) / 2.0 - row * module
@@ -196,6 +184,7 @@ def _draw_footer(canvas: Any, tag: Tag, more: str) -> None:
     canvas.setFillGray(GREY)
     write_text(canvas, beside, MARGIN + 3.5, f"Print at 100 %: the ruler is {RULER:g} mm long.", size=2.6)
     edge, plate = (MM_PER_M * length for length in (tag.size, tag.paper_edge))
-    size = f"{tag.family}: black square {edge:.4g} mm, paper {plate:.4g} mm{more}"
+    square = "black square" if tag.picture_share == 1.0 else "square inside the black ring"
+    size = f"{tag.family}: {square} {edge:.4g} mm, paper {plate:.4g} mm{more}"
     write_text(canvas, beside, MARGIN, size, size=2.6)
     canvas.setFillGray(0.0)

@@ -14,10 +14,8 @@ from collections.abc import Iterable, Mapping
 from typing import Any
 
 from lmd.core.checks import InputError, vector
-from lmd.core.files import flat, parse_keys, read_text
-from lmd.formats.opencv_calibrations import model_of, opencv_xml
-from lmd.formats.registry import File, format_of
-from lmd.formats.unread_calibrations import AS_ROS, unknown_keys
+from lmd.core.files import flat
+from lmd.formats.opencv_calibrations import model_of
 from lmd.geometry.camera import PIXEL_CENTRE
 from lmd.geometry.central_models import GOOD_PIXELS, MODELS, PINHOLE, restated
 from lmd.geometry.lens import EQUIDISTANT
@@ -56,36 +54,8 @@ FISHEYE_COEFFICIENTS = ("k1", "k2", "k3", "k4")
 # Of camodocal's fisheye, by the names of the same parameters here.
 CAMODOCAL_FISHEYE = {"fx": "mu", "fy": "mv", "cx": "u0", "cy": "v0", "k1": "k2", "k2": "k3", "k3": "k4", "k4": "k5"}
 CAMODOCAL_UNIFIED = {"fx": "gamma1", "fy": "gamma2", "cx": "u0", "cy": "v0"}
-# ROS's tools print one message after the other.
-FIRST_MESSAGE = re.compile(r"(?<=\n)---[ \t]*\n(?=header:)")
 KALIBR_CAMERA = re.compile(r"cam\d+")
-# Some calibrations hold every point that was seen, or the images. A literal of Python takes more memory than JSON.
-LARGEST, LARGEST_LITERAL = 1 << 25, 1 << 20
-
-
-def read_cameras(path: Any, only: str | None = None) -> dict[str, Keys]:
-    """The cameras of a file by name, each in the keys of ROS; one without a name is called "".
-
-    Args:
-        path: the file, at most `LARGEST` bytes.
-        only: the camera of a chain that is asked for: the lenses of others may be of any model.
-
-    Raises:
-        InputError: the file cannot be read, a key is missing, or the lens is of a model that is not known here.
-    """
-    try:
-        text = FIRST_MESSAGE.split(read_text(path, "path", LARGEST))[0]
-        file = File(path, text, {"name": only}, lambda text: _keys(path, text))
-        form = format_of("calibration", file)
-        if form is None or form.read is None:
-            raise unknown_keys(file.keys)
-        return form.read(file)  # type: ignore[no-any-return]
-    except InputError as error:
-        if str(path).endswith((".npz", ".npy")):
-            raise InputError(f"path: {str(path)!r} is a file of NumPy: {AS_ROS}.", "path") from None
-        raise error if error.argument == "path" else InputError(f"{path}: {error}") from None
-    except (KeyError, IndexError, TypeError, ValueError, AttributeError, ArithmeticError) as error:
-        raise InputError(f"{path}: the key or value {error} is missing or wrong.") from None
+LARGEST_LITERAL = 1 << 20  # characters; a literal of Python takes more memory than JSON
 
 
 def _ros(size: Any, matrix: Any, lens: Any, model: str | None = "plumb_bob") -> Keys:
@@ -281,11 +251,3 @@ def kalibr(keys: Keys, only: str | None) -> dict[str, Keys]:
     """The cameras of Kalibr's chain, or the one that is asked for."""
     chain = {name: keys[name] for name in keys if KALIBR_CAMERA.fullmatch(name)}
     return {name: _camera(f"{name}.", chain[name]) for name in ([only] if only in chain else chain)}
-
-
-def _keys(path: Any, text: str) -> Keys:
-    """The keys of YAML, JSON or OpenCV's XML."""
-    keys = opencv_xml(text) if text.lstrip().startswith("<") else parse_keys(path, text, "path")
-    if isinstance(section := keys.get("Camera"), Mapping):  # stella_vslam's, as OpenVSLAM's with dots
-        keys = {**keys, **{f"Camera.{name}": value for name, value in section.items()}}
-    return keys

@@ -10,13 +10,17 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 from lmd.core.checks import InputError, check_fields, integer, real, said_of, vector
-from lmd.formats.calibration_readers import LENS_MODELS, NOTE, known_lens, read_cameras
+from lmd.formats.calibration_formats import CalibrationFile
+from lmd.formats.calibration_readers import LENS_MODELS, NOTE, known_lens
+from lmd.formats.opencv_calibrations import AS_ROS
+from lmd.formats.registry import read
 from lmd.geometry.camera import PIXEL_CENTRE, Camera
 from lmd.geometry.lens import lens_of
 
 SIZE = ("image_width", "image_height")
 UNCLEAR = 4  # coefficients, which a pinhole may have and a fisheye
 SHORTEST = 0.05  # a focal length that is a smaller share of the image's size is that of no lens
+LARGEST = 1 << 25  # bytes of a file: some hold every point that was seen, or the images
 OPTICS = ("focal_length", "aperture", "focus_distance", "image_circle")  # what no calibration says
 
 
@@ -149,6 +153,29 @@ def read_calibration(
     if size not in (None, known := (found.image_width, found.image_height)):
         raise InputError(f"image_size must be {list(known)}, as {path} has it, got {list(size)}.", "image_size")
     return replace(found, note=f"{path}: {found.note}") if found.note else found
+
+
+def read_cameras(path: Any, only: str | None = None) -> dict[str, Mapping[str, Any]]:
+    """Read the cameras of a file by name, each in the keys of ROS; one without a name is called "".
+
+    Args:
+        path: the file, at most `LARGEST` bytes.
+        only: the camera of a chain that is asked for: the lenses of others may be of any model.
+
+    Raises:
+        InputError: the file cannot be read, a key is missing, or the lens is of a model that is not known here.
+    """
+    try:
+        cameras: dict[str, Mapping[str, Any]] = read(
+            "calibration", CalibrationFile(path, asked={"name": only}, largest=LARGEST)
+        )
+    except InputError as error:
+        if str(path).endswith((".npz", ".npy")):
+            raise InputError(f"path: {str(path)!r} is a file of NumPy: {AS_ROS}.", "path") from None
+        raise error if error.argument == "path" else InputError(f"{path}: {error}") from None
+    except (KeyError, IndexError, TypeError, ValueError, AttributeError, ArithmeticError) as error:
+        raise InputError(f"{path}: the key or value {error} is missing or wrong.") from None
+    return cameras
 
 
 def _calibration(path: str, keys: Mapping[str, Any], size: tuple[float, ...] | None, asked: str | None) -> Calibration:

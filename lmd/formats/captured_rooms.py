@@ -5,19 +5,24 @@ Sources: the scenes of Meta's Immersive Web Emulation Runtime (`spatialEntities`
 """
 
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping
-from typing import Any, NamedTuple
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
 from lmd.core.checks import FloatArray, InputError, vector
 from lmd.core.files import flat
 from lmd.formats.arcs import Arc, strips
-from lmd.formats.floor_below import HULL, floor_below
-from lmd.formats.unread_rooms import kind_of_keys
 from lmd.geometry.se3 import pose_of
 
+if TYPE_CHECKING:
+    import shapely
+
 Keys = Mapping[str, Any]
+Thing = tuple[str, list[FloatArray]]  # of a room: its kind, and its faces
+JOINED = 0.15  # metres between the ends of walls that meet
+LEAST_SHARE = 0.5  # of what all things extend over that walls must enclose
+HULL = "it has no floor, and its walls do not close: the floor is the convex hull of all that was captured"
 # Nothing hangs there, and they lie on a wall: its own triangles are enough.
 ON_WALLS = ("door", "door_frame", "window", "window_frame", "opening", "wall_art")
 # No thing, or the same once more.
@@ -44,28 +49,21 @@ class Captured(NamedTuple):
     note: str = ""
 
 
-def read_captured(keys: Keys) -> Captured:
+def captured_by(reader: Callable[[Keys], Iterator[Thing]], keys: Keys) -> Captured:
     """The room in the keys and values of a file.
 
+    Args:
+        reader: gives the things of the room: what each is, and its faces.
+
     Raises:
-        InputError: it is none of these formats, has several rooms, or a value in it is wrong.
+        InputError: there are several rooms, or a value is wrong.
     """
-    if kind := kind_of_keys(keys):
-        raise InputError(f"{kind}.")
-    for mark, reader in READERS.items():
-        if mark in keys:
-            try:
-                found = list(reader(keys))
-            except (KeyError, IndexError, TypeError, ValueError, AttributeError, OverflowError) as error:
-                if isinstance(error, InputError):
-                    raise
-                raise InputError(f"the key or value {' '.join(str(error).split())} is missing or wrong.") from None
-            break
-    else:
-        raise InputError(
-            f"it is no room of a headset or a phone that is known here ({', '.join(READERS)}): it has "
-            f"{', '.join(keys)[:200] or 'no keys'} (docs/rooms.md)."
-        )
+    try:
+        found = list(reader(keys))
+    except (KeyError, IndexError, TypeError, ValueError, AttributeError, OverflowError) as error:
+        if isinstance(error, InputError):
+            raise
+        raise InputError(f"the key or value {' '.join(str(error).split())} is missing or wrong.") from None
     counts: Counter[str] = Counter()
     parts: list[Part] = []
     notes: list[str] = []
@@ -112,7 +110,7 @@ def _xyz(keys: Keys, names: str = "xyz") -> list[Any]:
     return [keys[name] for name in names]
 
 
-def _webxr(keys: Keys) -> Iterator[tuple[str, list[FloatArray]]]:
+def webxr(keys: Keys) -> Iterator[Thing]:
     """By quaternions, boxes and rectangles by a corner and an extent; these lie in x and z."""
     from scipy.spatial.transform import Rotation
 
@@ -135,7 +133,7 @@ def _webxr(keys: Keys) -> Iterator[tuple[str, list[FloatArray]]]:
             yield label, _placed(pose, [_rectangle(low, low + size)[:, [0, 2, 1]]])
 
 
-def _mruk(keys: Keys) -> Iterator[tuple[str, list[FloatArray]]]:
+def mruk(keys: Keys) -> Iterator[Thing]:
     """The pieces of a scene of Unity, whose frame is left-handed (z ahead); degrees about y, then x, then z."""
     from scipy.spatial.transform import Rotation
 
@@ -155,7 +153,9 @@ def _mruk(keys: Keys) -> Iterator[tuple[str, list[FloatArray]]]:
         if "VolumeBounds" in thing:
             faces = _box(thing["VolumeBounds"]["Min"], thing["VolumeBounds"]["Max"])
         elif "PlaneBoundary2D" in thing:
-            faces = [np.array([[*vector("PlaneBoundary2D", at, 2), 0.0] for at in thing["PlaneBoundary2D"]])]
+            if len(ring := thing["PlaneBoundary2D"]) < 3:
+                raise InputError(f"PlaneBoundary2D must have at least three corners, got {len(ring)}.")
+            faces = [np.array([[*vector("PlaneBoundary2D", at, 2), 0.0] for at in ring])]
         elif "PlaneBounds" in thing:
             faces = [_rectangle(thing["PlaneBounds"]["Min"], thing["PlaneBounds"]["Max"])]
         else:
@@ -163,7 +163,7 @@ def _mruk(keys: Keys) -> Iterator[tuple[str, list[FloatArray]]]:
         yield label, [face * [1.0, 1.0, -1.0] for face in _placed(pose, faces)]
 
 
-def _roomplan(keys: Keys) -> Iterator[tuple[str, list[FloatArray]]]:
+def roomplan(keys: Keys) -> Iterator[Thing]:
     """Poses column by column, surfaces in their plane z = 0 or along an arc, boxes around their middle."""
     ends = [
         _placed(pose, [half * [[-1.0, 0.0, 0.0], [1.0, 0.0, 0.0]]])[0] for _, pose, half in _surfaces(keys, "walls")
@@ -194,9 +194,49 @@ def _surfaces(keys: Keys, kind: str) -> Iterator[tuple[Keys, FloatArray, FloatAr
         yield thing, pose, np.array(vector("dimensions", thing["dimensions"], 3)) / 2.0
 
 
-# By the key that only files of this format have.
-READERS: dict[str, Callable[[Keys], Iterator[tuple[str, list[FloatArray]]]]] = {
-    "spatialEntities": _webxr,
-    "Rooms": _mruk,
-    "walls": _roomplan,
-}
+def floor_below(faces: Sequence[tuple[str, FloatArray]]) -> tuple[FloatArray, bool]:
+    """The outline `(N, 3)` of a floor below faces `(n, 3)`, which have y up, and whether walls enclose it.
+
+    Walls that do not close leave the convex hull of all faces.
+
+    Args:
+        faces: with the names of what they are of.
+
+    Raises:
+        InputError: there is nothing that extends over an area.
+    """
+    import shapely
+
+    corners = np.concatenate([face for _, face in faces] or [np.zeros((0, 3))])
+    hull = shapely.MultiPoint(corners[:, [0, 2]]).convex_hull
+    if hull.geom_type != "Polygon":
+        raise InputError("it has neither a floor nor walls.")
+    walls = np.array([_ends(face) for name, face in faces if name.startswith("wall")]).reshape(-1, 2)
+    closed = _enclosed(walls)
+    if closed is None or closed.area < LEAST_SHARE * hull.area:
+        closed, is_sure = hull, False
+    else:
+        is_sure = True
+    ring = shapely.get_coordinates(closed.exterior)[:-1]
+    return np.insert(ring, 1, corners[:, 1].min(), axis=1), is_sure
+
+
+def _ends(face: FloatArray) -> FloatArray:
+    """The ends of a wall as it is seen from above, `(2, 2)`: its two corners that are farthest apart there."""
+    flat = face[:, [0, 2]]
+    away = np.linalg.norm(flat[:, None] - flat, axis=-1)
+    return np.asarray(flat[list(np.unravel_index(np.argmax(away), away.shape))])
+
+
+def _enclosed(ends: FloatArray) -> "shapely.Polygon | None":
+    """The largest polygon that walls with these ends, two of each `(2 n, 2)`, enclose; None for none."""
+    import shapely
+
+    if not len(ends):
+        return None
+    joined = np.linalg.norm(ends[:, None] - ends, axis=-1) < JOINED
+    middles = (joined[..., None] * ends).sum(axis=1) / joined.sum(axis=1)[:, None]
+    first = np.argmax(joined, axis=1)  # each end stands for those that meet there
+    lines = shapely.linestrings(middles[first].reshape(-1, 2, 2))
+    areas = shapely.get_parts(shapely.polygonize(shapely.get_parts(shapely.union_all(lines))))
+    return max(areas, key=lambda polygon: polygon.area, default=None)

@@ -1,30 +1,13 @@
-"""Detections that others made: the corners of tags in the frames of one or several cameras, from a CSV."""
+"""Detections: the corners of tags in the frames of one or several cameras."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from decimal import Decimal
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from lmd.core.checks import BoolArray, FloatArray, InputError, IntArray
-from lmd.core.files import read_text
-from lmd.core.tables import COMMENT, in_order, read_table, time_of, write_table
-from lmd.geometry.camera import PIXEL_CENTRE
 
-# In OpenCV's pixels, clockwise from the top left of the tag as it was made.
-CORNER_COLUMNS = tuple(f"{axis}{corner}" for corner in range(4) for axis in "xy")
-TIMES, CAMERAS = ("time", "stamp", "timestamp", "image"), ("camera", "topic", "cam", "camera_id")
-READ = (
-    f"what is read is a CSV with a row for each tag and the columns {' or '.join(TIMES)}, id, x0, y0, ..., x3, y3, the "
-    "corners clockwise from the tag's top left in OpenCV's pixels"
-)
-FROM_APRILTAG = [3, 2, 1, 0]
-# Columns of a header that has others are named if it lacks so few; else the header is shown, characters at most.
-MOST_LACKING, SHOWN = 4, 80
-# A quadrilateral smaller than this, square pixels, has no corners to speak of.
-LEAST_AREA = 1.0
+SAME = 0.01  # pixels that corners of copies differ by, at most
 
 
 @dataclass(frozen=True)
@@ -143,77 +126,36 @@ def signed_area(corners: FloatArray) -> FloatArray:
     return np.asarray((x * np.roll(y, -1, axis=-1) - np.roll(x, -1, axis=-1) * y).sum(axis=-1) / 2.0)
 
 
-def read_detections(path: Any) -> DetectedTags:
-    """Read `id,x0,y0,...,x3,y3`, corners clockwise from the top left in OpenCV's pixels, with `time`.
+def without_copies(detected: DetectedTags) -> DetectedTags:
+    """Those of images that differ from all earlier ones of their camera; the others are in `copies`, by their names.
 
-    The time may be called `stamp` or `image`, and be any text, such as the name of a photograph.
-
-    `camera` or `topic` says which camera saw a tag; without it there is one. Further columns are ignored. Where most
-    corners go round counter-clockwise they are taken for those of the AprilTag library, which begins at the bottom
-    left. Detections that go round the other way than most are left out.
-
-    Raises:
-        InputError: the file cannot be read, lacks a column, or a value is no number.
+    The image of a camera in a frame is a copy where it shows the same tags, each corner `SAME` or less away. The errors
+    of corners in two photographs are independent; in a photograph and its copy they are equal.
     """
-    name = "detections"
-    _check_header(path, name)
-    table = read_table(path, name=name)
-    time, camera = (next((known for known in known_as if known in table), "") for known_as in (TIMES, CAMERAS))
-    values = table.numbers(("id", *CORNER_COLUMNS), None)
-    ids = values[:, 0].astype(np.int64)
-    if (wrong := np.flatnonzero((ids != values[:, 0]) | (ids < 0))).size:
-        text = table.texts["id"][wrong[0]]
-        raise InputError(f"{path} line {table.lines[wrong[0]]}: id is {text!r}, not a whole number from 0.", name)
-    # Nanoseconds since 1970 have more digits than a float, so frames are told apart by what is written.
-    moments = _as_first_written(table.texts[time])
-    place = {text: index for index, text in enumerate(in_order(moments))}
-    names = sorted(set(table.texts[camera])) if camera else [""]
-    cameras = np.searchsorted(names, table.texts[camera]) if camera else np.zeros(len(ids), dtype=np.int64)
-    corners = values[:, 1:9].reshape(-1, 4, 2) + PIXEL_CENTRE
-    if 2 * (signed_area(corners) < 0.0).sum() > len(corners):
-        corners = corners[:, FROM_APRILTAG]
-    usable = signed_area(corners) >= LEAST_AREA
-    if not usable.any():
-        raise InputError(f"{path} has no detection with four corners around an area.", name)
-    frames = np.array([place[text] for text in moments])
-    found = DetectedTags(tuple(place), tuple(names), frames, np.asarray(cameras, dtype=np.int64), ids, corners)
-    return found.of(np.flatnonzero(usable))
-
-
-def _as_first_written(texts: Sequence[str]) -> list[str]:
-    """Texts for times, equal numbers as the first of them was written: 9.5 and 9.50 are one time."""
-    written: dict[Decimal | str, str] = {}
-    return [written.setdefault(time_of(text), text) for text in texts]
-
-
-def write_detections(path: Path, detected: DetectedTags) -> None:
-    """Write what `read_detections` reads."""
-    corners = (detected.corners - PIXEL_CENTRE).reshape(-1, 8)
-    columns: dict[str, Any] = {TIMES[0]: [detected.times[frame] for frame in detected.frame.tolist()]}
-    if len(detected.cameras) > 1:
-        columns[CAMERAS[0]] = [detected.cameras[camera] for camera in detected.camera.tolist()]
-    write_table(path, {**columns, "id": detected.ids, **dict(zip(CORNER_COLUMNS, corners.T, strict=True))})
-
-
-def _check_header(path: Any, name: str) -> None:
-    """Raise `InputError` if a file does not begin with the columns of detections, whatever else it is."""
-    text = read_text(path, name)
-    lines = [line for line in text.splitlines() if line.strip() and not line.lstrip().startswith(COMMENT)]
-    header = [column.strip().strip('"') for column in lines[0].split(",")] if lines else []
-    if len(header) == 1 and ";" in header[0]:
-        return  # which `read_table` refuses
-    lacks = [column for column in ("id", *CORNER_COLUMNS) if column not in header]
-    lacks = [" or ".join(TIMES)] * (not set(TIMES) & set(header)) + lacks
-    if not lacks:
-        return
-    if not lines:
-        found = "is empty"
-    elif lines[0].lstrip().startswith(("{", "[")):
-        found = "is JSON or YAML, and no CSV"
-    elif {"corner", "x", "y"} <= set(header):
-        found = "has a row for each corner"
-    elif len(lacks) > MOST_LACKING:
-        found = f"has no such columns in its first line, {lines[0].strip()[:SHOWN]!r}"
-    else:
-        found = f"lacks the column{'s' * (len(lacks) > 1)} {', '.join(lacks)}"
-    raise InputError(f"{name}: {str(path)!r} {found}; {READ}.", name)
+    x, y = detected.corners[:, 0, 0], detected.corners[:, 0, 1]
+    order = np.lexsort((y, x, detected.ids, detected.frame, detected.camera))
+    image = np.stack([detected.camera, detected.frame], axis=1)[order]
+    begins = np.flatnonzero(np.any(np.diff(image, axis=0, prepend=-1), axis=1))
+    kept: list[np.ndarray] = []
+    copies = {}
+    taken = detected.images.copy()
+    first: dict[tuple[int, ...], tuple[list[str], FloatArray, int]] = {}
+    for own in np.split(order, begins[1:]):
+        camera, corners = int(detected.camera[own[0]]), detected.corners[own].ravel()
+        name = detected.times[detected.frame[own[0]]]
+        called = f"{detected.cameras[camera]}/{name}" if len(detected.cameras) > 1 else name
+        key = (camera, *detected.ids[own].tolist())
+        names, known, count = first.get(key, ([], np.empty((4, len(corners))), 0))
+        near = np.flatnonzero(np.abs(known[:count, 0] - corners[0]) <= SAME)
+        same = near[(np.abs(known[near] - corners) <= SAME).all(axis=1)]
+        if same.size:
+            copies[called] = names[same[0]]
+            taken[detected.frame[own[0]], camera] = False
+            continue
+        if count == len(known):
+            known = np.concatenate([known, np.empty_like(known)])
+        known[count] = corners
+        names.append(called)
+        first[key] = names, known, count + 1
+        kept.append(own)
+    return replace(detected.of(np.sort(np.concatenate(kept))), copies=copies, taken=taken)

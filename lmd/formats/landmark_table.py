@@ -12,15 +12,16 @@ frame of the map. Names may stand in the first line, or in a comment above the v
 
 import re
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
 from lmd.core.checks import FloatArray, InputError
-from lmd.core.tables import Table, is_number
-from lmd.formats.families import family_named
+from lmd.core.tables import COMMENT, Table, is_number, read_table
 from lmd.formats.placed_tag import RIGHT_UP_OUT, axes_of, turn_by_angles, turn_by_quaternion
 from lmd.scene.deployment import COLUMNS, UP_COLUMNS, Deployment
 from lmd.scene.edges import EDGE, edge_column
+from lmd.scene.families import family_named
 from lmd.scene.labels import ID, Labels
 
 FAMILY = "family"
@@ -125,3 +126,19 @@ def _turn(number: int, values: FloatArray) -> FloatArray:
     if len(values) == len(QUATERNION):
         return turn_by_quaternion(*values.tolist())
     return turn_by_angles(number, *values.tolist())
+
+
+def headed_table(path: Any, lines: Sequence[str], name: str) -> Table:
+    """A table with its header, whose columns may be apart by commas or by spaces."""
+    header = lines[0].split() if lines else []
+    if not header or len(header) == 1 or "," in lines[0]:
+        return read_table(path, name=name)
+    rows = [line.split(COMMENT)[0].split() for line in lines[1:]]
+    for row in rows:
+        if len(row) != len(header):
+            raise InputError(f"the line {' '.join(row)[:200]!r} has {len(row)} values, the header {len(header)}.")
+    if len(set(header)) < len(header):
+        raise InputError("its header names a column twice.")
+    return Table(
+        str(path), range(2, len(lines) + 1), {column: [row[j] for row in rows] for j, column in enumerate(header)}
+    )

@@ -1,21 +1,23 @@
-"""Triangle meshes from files: glTF, OBJ, STL and PLY, by trimesh; rooms of headsets and phones."""
+"""Meshes of rooms from files, see `lmd.formats.room_formats`; triangles of glTF, OBJ, STL and PLY, by trimesh."""
 
 import io
 import json
 import logging
+import re
+from collections.abc import Mapping
 from dataclasses import fields
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from lmd.core.checks import FloatArray, InputError, IntArray, choice, file_path, printable, real, said_of
+from lmd.core.checks import FloatArray, InputError, IntArray, choice, file_path, printable, real
 from lmd.core.files import read_bytes
 from lmd.core.optional import optional
-from lmd.formats.captured_rooms import Captured, cut, read_captured
+from lmd.formats.captured_rooms import Captured, cut
 from lmd.formats.gltf import header_of, triangles_of, with_fractions
-from lmd.formats.polygon_faces import check_ply, with_triangles
-from lmd.formats.unread_rooms import refuse_ending
+from lmd.formats.registry import File, read
 from lmd.space.mesh import Mesh
 from lmd.space.mesh_room import MeshRoom
 from lmd.space.parts import box_text, check_metres
@@ -25,7 +27,7 @@ from lmd.space.triangles import THINNEST_M
 UP_AXES = ("z", "y")
 CAPTURED = ".json"
 Y_UP = (".gltf", ".glb", CAPTURED)  # what their standard says
-FORMATS = (".gltf", ".glb", ".obj", ".stl", ".ply", CAPTURED)
+SUFFIXES = (".gltf", ".glb", ".obj", ".stl", ".ply", CAPTURED)
 # Corners that differ by less are the same, metres: files have 32 bits for a number.
 CORNER_DIGITS = 6
 # Metres in the units that programs export, and the longest side of rooms that are hinted at, metres.
@@ -33,6 +35,45 @@ UNITS = {"metres": 1.0, "millimetres": 0.001, "centimetres": 0.01, "inches": 0.0
 LIKELY = (2.0, 100.0)
 # Of more triangles, what has to be known of each would take gigabytes and minutes.
 MOST_TRIANGLES = 5_000_000
+_CORNER = re.compile(r"(-?\d+)")
+_PLY_FACES = re.compile(rb"^element\s+face\s+(\d+)\s*$", re.MULTILINE)
+
+
+class RoomFile(File):
+    """A file of a room; `asked` has its axis `up`."""
+
+    @cached_property
+    def content(self) -> bytes:
+        """The bytes."""
+        return read_bytes(self.path, self.argument)
+
+    @cached_property
+    def keys(self) -> Mapping[str, Any]:
+        """The keys and values of JSON, or of YAML if the suffix says so; none of another file.
+
+        Raises:
+            InputError: the text is neither.
+        """
+        if self.suffix in (".yaml", ".yml"):
+            return super().keys
+        if self.suffix != CAPTURED:
+            return {}
+        try:
+            keys = json.loads(self.content)
+        except (ValueError, RecursionError) as error:
+            if isinstance(error, InputError):
+                raise
+            raise InputError(f"path: {str(self.path)!r} cannot be read as JSON ({error}).", "path") from None
+        if not isinstance(keys, dict):
+            raise InputError(f"path: {str(self.path)!r} has no keys.", "path")
+        return keys
+
+    def refused(self, reason: str) -> InputError:
+        """The error about a room that is not read; with the suffixes that are read if it has another one."""
+        if self.suffix in SUFFIXES:
+            return InputError(f"path: {str(self.path)!r}: {reason}.", "path")
+        known = f"path = {str(self.path)!r} must end in one of {', '.join(SUFFIXES)}"
+        return InputError(f"{known}; {reason}." if reason else f"{known} (docs/rooms.md).", "path")
 
 
 def read_mesh(path: str | Path | None, scale: float = 1.0, up: str | None = None) -> Mesh:
@@ -50,19 +91,22 @@ def read_mesh(path: str | Path | None, scale: float = 1.0, up: str | None = None
         raise InputError("path is missing: a file with a mesh of the room is needed.", "path")
     file = file_path("path", path)
     scale = real("scale", scale, above=0.0)
-    if file.suffix.lower() not in FORMATS:
-        refuse_ending(file, FORMATS)
     is_sure = up is not None or file.suffix.lower() in Y_UP
     if up is None:
         up = "y" if file.suffix.lower() in Y_UP else "z"
-    captured = _captured(file) if file.suffix.lower() == CAPTURED else None
-    parts = _parts(file, choice("up", up, UP_AXES)) if captured is None else _triangulated(captured, up)
+    found = read("room", RoomFile(file, asked={"up": choice("up", up, UP_AXES)}))
+    captured = found if isinstance(found, Captured) else Captured((), ())
+    parts = _triangulated(found, up) if isinstance(found, Captured) else found
     if not parts:
         cure = "make a mesh of a cloud of points in MeshLab or CloudCompare"
         raise InputError(f"path: {str(file)!r} holds no triangles; {cure}.", "path")
     trimesh = optional("trimesh", "mesh")
     names = tuple(map(printable, parts))
-    _check_count(file, sum(len(part.faces) for part in parts.values()))
+    flat = InputError(f"path: {str(file)!r} holds no triangles with an area.", "path")
+    count = sum(len(part.faces) for part in parts.values())
+    if not count:
+        raise flat
+    _check_count(file, count)
     of = np.repeat(np.arange(len(parts)), [len(part.faces) for part in parts.values()])
     whole = trimesh.util.concatenate(list(parts.values()))
     mesh = trimesh.Trimesh(whole.vertices * scale, whole.faces, process=False)
@@ -71,13 +115,12 @@ def read_mesh(path: str | Path | None, scale: float = 1.0, up: str | None = None
     mesh.merge_vertices(digits_vertex=CORNER_DIGITS)
     kept = mesh.unique_faces() & mesh.nondegenerate_faces(height=THINNEST_M)
     if not kept.any():
-        raise InputError(f"path: {str(file)!r} holds no triangles with an area.", "path")
+        raise flat
     mesh.update_faces(kept)
     mesh.remove_unreferenced_vertices()
-    things = () if captured is None else captured.on_walls
-    on_walls = tuple((part.name, scale * _turned(face, up)) for part in things for face in part.faces)
-    faces, note = np.array(mesh.faces, dtype=np.int64), "" if captured is None else captured.note
-    return Mesh(np.array(mesh.vertices), faces, of[kept], names, str(path), up, is_sure, on_walls, note)
+    on_walls = tuple((part.name, scale * _turned(face, up)) for part in captured.on_walls for face in part.faces)
+    faces = np.array(mesh.faces, dtype=np.int64)
+    return Mesh(np.array(mesh.vertices), faces, of[kept], names, str(path), up, is_sure, on_walls, captured.note)
 
 
 def read_mesh_room(
@@ -110,19 +153,6 @@ def _turned(points: FloatArray, up: str) -> FloatArray:
     return (points if up == "z" else points[:, [0, 2, 1]] * [1.0, -1.0, 1.0]) + 0.0
 
 
-def _captured(file: Path) -> Captured:
-    try:
-        keys = json.loads(read_bytes(file, "path"))
-    except (ValueError, RecursionError) as error:
-        if isinstance(error, InputError):
-            raise
-        raise InputError(f"path: {str(file)!r} cannot be read as JSON ({error}).", "path") from None
-    if not isinstance(keys, dict):
-        raise InputError(f"path: {str(file)!r} has no keys.", "path")
-    with said_of(f"path: {str(file)!r}", "path"):
-        return read_captured(keys)
-
-
 def _triangulated(captured: Captured, up: str) -> dict[str, Any]:
     """The things of a captured room as meshes, by their names."""
     trimesh = optional("trimesh", "mesh")
@@ -136,11 +166,12 @@ def _triangulated(captured: Captured, up: str) -> dict[str, Any]:
     return parts
 
 
-def _parts(file: Path, up: str) -> dict[str, Any]:
-    """The objects of a file that have triangles, as meshes in its scene, by their names."""
+def triangles(room: RoomFile) -> dict[str, Any]:
+    """The objects of a file that have triangles, as meshes in its scene, by their names, z up."""
+    file, up = Path(room.path), room.asked["up"]
     trimesh = optional("trimesh", "mesh")
     logging.getLogger("trimesh").setLevel(logging.WARNING)  # it would say of every object that it has quads
-    content, kind = read_bytes(file, "path"), file.suffix.lower().removeprefix(".")
+    content, kind = room.content, file.suffix.lower().removeprefix(".")
     options = {"split_objects": True} if kind == "obj" else {}
     try:
         if file.suffix.lower() in Y_UP:
@@ -148,7 +179,7 @@ def _parts(file: Path, up: str) -> dict[str, Any]:
             _check_count(file, triangles_of(header))
             content, kind = with_fractions(header, content, kind)
         if kind == "obj":
-            content = with_triangles(content)
+            content = _with_triangles(content)
         # Of bytes, nothing says where they are from: no other file is looked for, such as materials or textures.
         # Not processed, or corners that are no numbers would be left out with their triangles.
         with np.errstate(all="ignore"):  # of numbers that are refused below
@@ -163,7 +194,7 @@ def _parts(file: Path, up: str) -> dict[str, Any]:
                 _check_corners(file, name, vertices, part.faces)
                 parts[name] = trimesh.Trimesh(_turned(vertices, up), part.faces, process=False)
         if kind == "ply":
-            check_ply(str(file), content, sum(len(part.faces) for part in parts.values()))
+            _check_ply(str(file), content, sum(len(part.faces) for part in parts.values()))
     except InputError:
         raise
     except Exception as error:  # whatever a reader of a broken file runs into
@@ -186,4 +217,56 @@ def _check_count(file: Path, triangles: float) -> None:
     if triangles > MOST_TRIANGLES:
         raise InputError(
             f"path: {str(file)!r} has {triangles:.4g} triangles, more than {MOST_TRIANGLES:.4g}; simplify it.", "path"
+        )
+
+
+def _with_triangles(content: bytes) -> bytes:
+    """An OBJ with triangles in place of faces of more than three corners; what cannot be cut stays as it is."""
+    lines = content.decode("utf-8", "surrogateescape").splitlines()
+    places: list[list[float]] = []
+    result = []
+    for line in lines:
+        words = line.split()
+        if words[:1] == ["v"] and len(words) >= 4:
+            places.append([_place(word) for word in words[1:4]])
+        if words[:1] == ["f"] and len(words) > 4:
+            result += _cut_face(line, words[1:], places)
+        else:
+            result.append(line)
+    return "\n".join([*result, ""]).encode("utf-8", "surrogateescape")
+
+
+def _place(word: str) -> float:
+    try:
+        return float(word)
+    except ValueError:
+        return np.nan  # which the reader of the file refuses
+
+
+def _cut_face(line: str, words: list[str], places: list[list[float]]) -> list[str]:
+    """The lines of the triangles of a face; the line of the face itself if they cannot be found."""
+    found = [_CORNER.match(word) for word in words]
+    numbers = [int(each[1]) for each in found if each is not None]
+    index = [number - 1 if number > 0 else len(places) + number for number in numbers]
+    if len(index) < len(words) or not all(0 <= i < len(places) for i in index):
+        return [line]
+    corners: FloatArray = np.array([places[i] for i in index])
+    triangles = cut(corners) if np.isfinite(corners).all() else np.empty((0, 3, 3))
+    if len(triangles) != len(words) - 2:  # it is bent, crosses itself, or has no area
+        return [line]
+    nearest = np.linalg.norm(triangles[:, :, None] - corners, axis=-1).argmin(axis=-1)
+    ahead = np.cross(corners, np.roll(corners, -1, axis=0)).sum(axis=0)
+    around = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0]) @ ahead
+    order = np.where(around[:, None] < 0.0, nearest[:, ::-1], nearest)
+    return [f"f {' '.join(words[i] for i in triangle)}" for triangle in order.tolist()]
+
+
+def _check_ply(name: str, content: bytes, triangles: int) -> None:
+    """Raise `InputError` for a PLY with faces of more than three corners, of which a reader made `triangles`."""
+    found = _PLY_FACES.search(content[: content.find(b"end_header")])
+    if found is not None and triangles > int(found[1]):
+        raise InputError(
+            f"path: {name!r} has faces of more than three corners, which may be cut wrongly: export triangles (in "
+            "Blender, `Triangulated Mesh`), or an .obj, whose faces are cut as they are outlined.",
+            "path",
         )

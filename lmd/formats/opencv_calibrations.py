@@ -7,8 +7,11 @@ from typing import Any
 
 from lmd.core.checks import InputError
 from lmd.core.files import flat
-from lmd.formats.unread_calibrations import unknown_root
 
+AS_ROS = (
+    "write it as ROS does, with image_width, image_height, camera_matrix: {data: [fx, 0, cx, 0, fy, cy, 0, 0, 1]}, "
+    "distortion_model and distortion_coefficients: {data: [k1, k2, p1, p2, k3]}"
+)
 # What OpenCV's samples of other years and scripts of its users call the keys of ROS, in small letters.
 OPENCV_NAMES = {
     "image_width": ("image_width",),
@@ -48,14 +51,28 @@ WIDE = re.compile(
 )
 
 
-def opencv_xml(text: str) -> dict[str, Any]:
-    """The numbers and matrices of OpenCV's `FileStorage`; entities could stand for gigabytes, so none are taken."""
+def xml_of(text: str) -> ElementTree.Element | None:
+    """The element that holds all others of XML, None for another text; entities could stand for gigabytes.
+
+    Raises:
+        InputError: the text has entities, or is broken.
+    """
+    if not text.lstrip().startswith("<"):
+        return None
     if "<!DOCTYPE" in text or "<!ENTITY" in text:
         raise InputError("an XML file with a document type or entities is not taken.")
     try:
-        root = ElementTree.fromstring(text)
+        return ElementTree.fromstring(text)
     except (ElementTree.ParseError, ValueError) as error:
         raise InputError(f"it cannot be read as XML ({error}).") from None
+
+
+def opencv_xml(root: ElementTree.Element) -> dict[str, Any]:
+    """The numbers and matrices of OpenCV's `FileStorage`.
+
+    Raises:
+        InputError: it is none.
+    """
     keys: dict[str, Any] = {}
     for child in root:
         data = child.find("data")
@@ -64,7 +81,9 @@ def opencv_xml(text: str) -> dict[str, Any]:
         elif (said := (child.text or "").strip().strip('"')) and not len(child):
             keys[child.tag] = _value(said)
     if root.tag != "opencv_storage" and not any(isinstance(value, dict) for value in keys.values()):
-        raise unknown_root(root.tag)
+        raise InputError(
+            f"it is XML with the element {root.tag[:80]!r}, and only OpenCV's opencv_storage is read: {AS_ROS}."
+        )
     return keys
 
 

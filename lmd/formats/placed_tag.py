@@ -1,4 +1,4 @@
-"""A tag of a map, and the checks of the values that place it, which all readers of maps share.
+"""A tag of a map, its family by the names of others, and the checks of the values that place it.
 
 All readers give the poses of tags in one frame: x to the right of the tag, y up, z out of it to whoever looks at it.
 """
@@ -9,8 +9,10 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from lmd.core.checks import FloatArray, InputError, integer, radians, real, vector
+from lmd.core.tables import Table
 from lmd.geometry.frames import roll_pitch_yaw
 from lmd.geometry.se3 import QUATERNION_TOLERANCE, are_rotations, nearest_rotations
+from lmd.scene.families import FAMILIES
 
 Keys = Mapping[str, Any]
 MM, METRE = 1e-3, 1.0  # metres
@@ -26,6 +28,9 @@ DIRECTIONS = {
     "into": (0.0, 0.0, -1.0),
 }
 RIGHT_UP_OUT = ("right", "up", "out")
+# Places in OpenCV's list of dictionaries, by which RTAB-Map names them.
+_SQUARE = [f"{bits}x{bits}_{ids}" for bits in (4, 5, 6, 7) for ids in (50, 100, 250, 1000)]
+NUMBERS = dict(enumerate([*_SQUARE, "aruco_original", "16h5", "25h9", "36h10", "36h11", "aruco_mip_36h12"]))
 
 
 class PlacedTag(NamedTuple):
@@ -36,7 +41,7 @@ class PlacedTag(NamedTuple):
         position: of its centre, `(3,)`, metres.
         axes: from its frame (x right, y up, z out) to that of the map, `(3, 3)`.
         edge: of the black square, metres; None where the map does not say.
-        family: see `lmd.formats.families.family_named`; None where the map does not say.
+        family: see `lmd.scene.families.family_named`; None where the map does not say.
     """
 
     number: int
@@ -44,6 +49,22 @@ class PlacedTag(NamedTuple):
     axes: FloatArray
     edge: float | None = None
     family: str | None = None
+
+
+class Found(NamedTuple):
+    """The tags of a file.
+
+    Args:
+        tags: of a map of others.
+        table: a table of tags, in place of these; see `lmd.formats.landmark_table`.
+        by_opencv: True if those who read such files detect by OpenCV.
+        note: an assumption about the file, a sentence; empty without any.
+    """
+
+    tags: Sequence[PlacedTag]
+    table: Table | None = None
+    by_opencv: bool = False
+    note: str = ""
 
 
 def axes_of(words: Sequence[str] | None) -> FloatArray:
@@ -167,3 +188,30 @@ def orthonormal(matrix: FloatArray) -> FloatArray:
     if not are_rotations(matrix):
         raise InputError(f"the rotation {np.round(matrix, 4).tolist()} must be orthonormal and right-handed.")
     return nearest_rotations(matrix)
+
+
+def one_family(named: Iterable[str | None]) -> str | None:
+    """The family of the tags of a map, of which each may say its own; None where none says any.
+
+    Raises:
+        InputError: they are of several families.
+    """
+    families = sorted({family for family in named if family is not None})
+    if len(families) > 1:
+        raise InputError(
+            f"its tags are of the families {' and '.join(families)}, which may have equal ids: leave the tags of one "
+            "family in the file."
+        )
+    return families[0] if families else None
+
+
+def check_family(path: Any, told: str | None, wanted: str | None) -> None:
+    """Raise `InputError` if the tags of a map at `path` are of another family than is wanted, if both are known."""
+    if told is None or wanted is None or told == wanted:
+        return
+    if told not in FAMILIES:
+        raise InputError(
+            f"{path}: its tags are of the family {told}, which is not known here: it must be one of "
+            f"{', '.join(FAMILIES)}, or the landmarks be points."
+        )
+    raise InputError(f"family={told} is needed: the tags of {path} are of that family, and not of {wanted}.", "family")

@@ -1,37 +1,59 @@
-"""The formats of files that are read, in one register, with those of other packages.
+"""Registry of the file formats that are read and written, with those of other packages.
 
 A package adds formats by an entry point of the group `lmd.formats`: a `Format`, or a list of them. They are tried
 before those of `lmd`.
 """
 
+import math
+import re
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import cache, cached_property
 from importlib import import_module
 from importlib.metadata import entry_points
 from itertools import chain
-from typing import Any
+from pathlib import Path
+from typing import Any, NamedTuple
 
 from lmd.core.checks import InputError
-from lmd.core.files import parse_keys
+from lmd.core.files import parse_keys, read_text
+from lmd.core.tables import COMMENT
+from lmd.scene.families import FAMILIES as TAG_FAMILIES
 
 GROUP = "lmd.formats"
-# The module of each family, whose `FORMATS` are tried in their order.
-FAMILIES = {"calibration": "lmd.formats.calibration_formats"}
+# Module of each family, whose `FORMATS` are tried in their order; the last one takes every file.
+FAMILIES = {
+    "calibration": "lmd.formats.calibration_formats",
+    "trajectory": "lmd.formats.trajectory_formats",
+    "tag map": "lmd.formats.tag_maps",
+    "room": "lmd.formats.room_formats",
+    "floor plan": "lmd.formats.plan_formats",
+    "detections": "lmd.formats.detection_formats",
+}
+HEAD = 2000  # characters in which `begins` looks for a mark
 
 
 @dataclass(frozen=True)
 class File:
-    """A file whose format is asked for."""
+    """A file whose format is asked for; it is read when its content is first used."""
 
     path: Any
-    """For messages, and for readers of other packages."""
-    text: str
-    """Its text."""
+    """Path of the file."""
+    argument: str = "path"
+    """Name of the argument that the path came from, for messages."""
     asked: Mapping[str, Any] = field(default_factory=dict)
-    """Settings of the user that some formats of the family need, by name."""
-    parse: Callable[[str], Mapping[str, Any]] | None = None
-    """Function that reads the keys of `text`; None for YAML or JSON."""
+    """Settings of the user that formats of the family need, by name."""
+    largest: float = math.inf
+    """Maximum size, bytes; a larger file is refused."""
+
+    @cached_property
+    def text(self) -> str:
+        """The text.
+
+        Raises:
+            InputError: the file cannot be read, or holds no text.
+        """
+        return read_text(self.path, self.argument, self.largest)
 
     @cached_property
     def keys(self) -> Mapping[str, Any]:
@@ -40,37 +62,96 @@ class File:
         Raises:
             InputError: the text is neither.
         """
-        return parse_keys(self.path, self.text, "path") if self.parse is None else self.parse(self.text)
+        return parse_keys(self.path, self.text, self.argument)
 
     @cached_property
+    def lines(self) -> list[str]:
+        """The lines that are neither blank nor comments."""
+        return [line for line in self.text.splitlines() if line.strip() and line.lstrip()[0] != COMMENT]
+
+    @property
     def first(self) -> str:
-        """The first line that is neither blank nor a comment; empty if there is none."""
-        lines = (line for line in self.text.splitlines() if line.strip() and not line.lstrip().startswith("#"))
-        return next(lines, "")
+        """The first of `lines`; empty if there is none."""
+        return self.lines[0] if self.lines else ""
+
+    @property
+    def suffix(self) -> str:
+        """The end of the file's name, such as `.json`, in small letters."""
+        return Path(self.path).suffix.lower()
+
+    def refused(self, reason: str) -> InputError:
+        """The error about a file of a format that is refused for a reason."""
+        return InputError(f"{reason}.")
+
+
+class Writer(NamedTuple):
+    """The output of a format: a tag map, a plan or print sheets.
+
+    Args:
+        file: name of the file.
+        write: a function of the path, the map as `tags` and, if it is printed, the size of the paper as `paper`; of the
+            plan, where north is as `north` too.
+        only_apriltag: True if its readers support only the families of AprilTag.
+        only_opencv: True if its readers support only families that OpenCV has.
+        on_paper: True if the file is to be printed.
+        check: raises `InputError`, a clause without its subject, if it cannot hold the tags of a map; None where it
+            holds any.
+        edges: tag sizes in the file: `OWN`, one for each tag; `ONE`, a single one for all tags; `NONE`, no size.
+    """
+
+    file: str
+    write: Callable[..., None]
+    only_apriltag: bool = False
+    only_opencv: bool = False
+    on_paper: bool = False
+    check: Callable[[Any], None] | None = None
+    edges: str = "own"
+
+    @property
+    def families(self) -> tuple[str, ...]:
+        """Families of tags that its readers support."""
+        return tuple(
+            name
+            for name, family in TAG_FAMILIES.items()
+            if (family.apriltag or not self.only_apriltag) and (family.dictionary or not self.only_opencv)
+        )
+
+
+OWN, ONE, NONE = "own", "one", "none"  # values of `Writer.edges`
 
 
 @dataclass(frozen=True)
 class Format:
-    """A format that is read, or recognised and refused."""
+    """A format that is read, written, or recognised and refused."""
 
     family: str
     """One of `FAMILIES`."""
     name: str
-    """Name of the program or the standard."""
+    """Name of the program or the standard; the name in `formats` of one that is written."""
     recognises: Callable[[Any], bool]
     """Function that is true for a `File` of this format, of those that no earlier format recognises."""
     read: Callable[[Any], Any] | None = None
     """Function that reads a `File`, None for a format that is refused.
 
-    That of a calibration returns the cameras by name, each in the keys of ROS's `camera_info`.
+    | family | it returns |
+    | --- | --- |
+    | calibration | the cameras by name, each in the keys of ROS's `camera_info` |
+    | trajectory | `lmd.formats.trajectory_rows.Rows` |
+    | tag map | `lmd.formats.placed_tag.Found` |
+    | room | `lmd.formats.captured_rooms.Captured`, or meshes of trimesh by name, z up |
+    | floor plan | `lmd.formats.plan_formats.ReadPlan` |
+    | detections | `lmd.formats.detections.DetectedTags` |
     """
-    why_not: str = ""
-    """Reason for the refusal and a way to a format that is read, without the full stop."""
-    row: tuple[str, ...] = ()
-    """Cells of the table in the documentation, which name arguments, as in `name=cam1`.
+    why_not: str | Callable[[Any], str] = ""
+    """Reason for the refusal and a way to a format that is read, without the full stop; may be a function of a `File`.
+    """
+    row: str = ""
+    """Row of the table in the documentation, with ` | ` between cells; it names arguments, as in `name=cam1`.
 
-    Empty for a format that shares the row of another.
+    Several kinds of file have a line each; empty for a format that shares the row of another.
     """
+    writer: Writer | None = None
+    """Output of the format; None if it is only read."""
 
     def __post_init__(self) -> None:
         if self.family not in FAMILIES:
@@ -80,6 +161,21 @@ class Format:
 def has_keys(*names: str) -> Callable[[File], bool]:
     """A test for files that have all these keys."""
     return lambda file: set(names) <= file.keys.keys()
+
+
+def begins(mark: str) -> Callable[[File], bool]:
+    """A test for files whose first characters have a regular expression, in which `^` begins a line."""
+    return lambda file: re.search(mark, file.text[:HEAD], re.MULTILINE) is not None
+
+
+def ends(*suffixes: str) -> Callable[[File], bool]:
+    """A test for files whose names end in one of these suffixes."""
+    return lambda file: file.suffix in suffixes
+
+
+def anything(_: File) -> bool:
+    """True for every file, as the last format of a family is."""
+    return True
 
 
 @cache
@@ -110,25 +206,32 @@ def _takes(form: Format, file: File) -> bool:
         return False
 
 
-def format_of(family: str, file: File) -> Format | None:
-    """The format of a file; None if it is not known.
+def format_of(family: str, file: File) -> Format:
+    """The first format of a family that recognises a file."""
+    theirs = (form for form in outside() if form.family == family and _takes(form, file))
+    ours = (form for form in formats(family) if form.recognises(file))
+    return next(chain(theirs, ours))
+
+
+def read(family: str, file: File) -> Any:
+    """The content of a file, see `Format.read`.
 
     Raises:
-        InputError: the format is known and refused.
+        InputError: the format is refused or not known, or the file is damaged.
     """
-    theirs = (form for form in outside() if form.family == family and _takes(form, file))
-    ours = (form for form in _own(family) if form.recognises(file))
-    found = next(chain(theirs, ours), None)
-    if found is not None and found.read is None:
-        raise InputError(f"{found.why_not}.")
+    form = format_of(family, file)
+    if form.read is None:
+        raise file.refused(form.why_not if isinstance(form.why_not, str) else form.why_not(file))
+    return form.read(file)
+
+
+def formats(family: str) -> tuple[Format, ...]:
+    """The formats of a family in `lmd`, in the order in which they are tried."""
+    found: tuple[Format, ...] = import_module(FAMILIES[family]).FORMATS
     return found
 
 
-def _own(family: str) -> tuple[Format, ...]:
-    formats: tuple[Format, ...] = import_module(FAMILIES[family]).FORMATS
-    return formats
-
-
-def rows(family: str) -> list[tuple[str, ...]]:
+def rows(family: str) -> list[str]:
     """The rows of the table of a family in the documentation, by the alphabet."""
-    return sorted((form.row for form in _own(family) if form.row), key=lambda row: row[0].lower())
+    found = (row for form in formats(family) for row in form.row.splitlines())
+    return sorted(found, key=lambda row: row.strip("`").lower())

@@ -14,8 +14,10 @@ from lmd.formats.tag_map_readers import HALF_TURN
 from lmd.geometry.camera import MM_PER_M
 from lmd.geometry.squares import corners
 from lmd.scene.deployment import Deployment
-from lmd.scene.tag import FAMILIES, Tag
+from lmd.scene.families import FAMILIES
+from lmd.scene.tag import Tag
 from lmd.space.fixture import Fixture
+from lmd.space.names import name_for_people
 from lmd.space.space import Space
 from lmd.space.surface import FLAT
 
@@ -105,10 +107,15 @@ class TagMap:
         """Of each surface of `route` the places of its tags in `order`, counted from 0."""
         return {index: np.flatnonzero(self.surfaces[self.order] == index) for index in self.route}
 
+    @cached_property
+    def names(self) -> list[str]:
+        """Name of each surface of the room for people."""
+        return [name_for_people(surface, self.fixtures) for surface in self.room.surfaces()]
+
     def place_of(self, k: int) -> str:
-        """The name of the surface of tag k, in words where there is none."""
+        """Name of the surface of tag k for people."""
         surface = self.surfaces[k]
-        return "free in the room" if surface < 0 else self.room.surfaces()[surface].name
+        return "free in the room" if surface < 0 else self.names[surface]
 
     @cached_property
     def sizes(self) -> FloatArray:

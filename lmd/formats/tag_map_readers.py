@@ -7,13 +7,13 @@ Sources: `AprilTagFieldLayout` of WPILib; `TagDetector` of AprilRobotics/aprilta
 `SE2Transform` of duckietown-world; `target_map.fbs` of frc971; "AprilTag Map Specification" of Limelight.
 """
 
-from collections.abc import Callable, Iterable
-from typing import Any, NamedTuple
+from collections.abc import Iterable
+from typing import Any
 
 import numpy as np
 
 from lmd.core.checks import FloatArray, InputError, integer, radians, real, vector
-from lmd.formats.families import family_named
+from lmd.core.tables import read_table
 from lmd.formats.placed_tag import (
     MM,
     Keys,
@@ -31,11 +31,13 @@ from lmd.formats.placed_tag import (
 from lmd.geometry.frames import roll_pitch_yaw
 from lmd.geometry.se3 import exp
 from lmd.scene.edges import EDGE
+from lmd.scene.families import family_named
 
 SQUARE_TOLERANCE = 0.05  # of the sides of a measured square, relative to the longest
 METRES = 1  # aruco_bc_mInfoType of a map in metres
 PIXELS = 0  # the same of a board in pixels
 MOST_ROWS = 200  # of a board of TagSLAM, and columns
+INCH = 0.0254  # metres
 PLACE, QUATERNION = ("x", "y", "z"), ("qx", "qy", "qz", "qw")
 NODE = "ros__parameters"  # begins the parameters of a node of ROS 2
 NODE_DEPTH = 4  # of namespaces above it
@@ -67,7 +69,8 @@ def _nodes(keys: Keys, depth: int) -> Iterable[Keys]:
             yield from _nodes(value, depth - 1)
 
 
-def _wpilib(keys: Keys) -> Iterable[PlacedTag]:
+def wpilib(keys: Keys) -> Iterable[PlacedTag]:
+    """Tags of WPILib's field layout."""
     name = "tags" if "tags" in keys else "field-tags"  # which it is from 2027 on
     for tag in mappings(name, keys[name]):
         pose = mapping("pose", tag["pose"])
@@ -83,7 +86,8 @@ def _within(keys: Keys, *path: str) -> Keys:
     return keys
 
 
-def _own_json(keys: Keys) -> Iterable[PlacedTag]:
+def own_json(keys: Keys) -> Iterable[PlacedTag]:
+    """Tags of the JSON that `lmd` writes."""
     family = family_named(keys["family"])
     for tag in mappings("tags", keys["tags"]):
         turn = turn_by_quaternion(*numbers(_within(tag, "quaternion"), "xyzw"))
@@ -95,7 +99,7 @@ def _own_json(keys: Keys) -> Iterable[PlacedTag]:
 FIELD = ("fieldlength", "fieldwidth")  # of Limelight's maps, metres
 
 
-def _limelight(keys: Keys) -> Iterable[PlacedTag]:
+def limelight(keys: Keys) -> Iterable[PlacedTag]:
     """From the middle of the field, as the file counts; from its corner where the file says how large the field is."""
     middle = np.array([real(name, keys.get(name, 0.0)) / 2.0 for name in FIELD])
     for tag in mappings("fiducials", keys["fiducials"]):
@@ -106,7 +110,7 @@ def _limelight(keys: Keys) -> Iterable[PlacedTag]:
         yield PlacedTag(number, place + np.array([*middle, 0.0]), axes @ OUT_RIGHT_UP.T, edge, family)
 
 
-def _frc971(keys: Keys) -> Iterable[PlacedTag]:
+def frc971(keys: Keys) -> Iterable[PlacedTag]:
     """By a quaternion, or by degrees about the turning axes of a tag that looks along -y, as in 2025."""
     from scipy.spatial.transform import Rotation  # slow to load
 
@@ -118,7 +122,7 @@ def _frc971(keys: Keys) -> Iterable[PlacedTag]:
         yield PlacedTag(number_of(tag["id"]), numbers(_within(tag, "position"), "xyz"), turn @ INTO)
 
 
-def _apriltag_ros(keys: Keys) -> Iterable[PlacedTag]:
+def apriltag_ros(keys: Keys) -> Iterable[PlacedTag]:
     """Tags of the bundle, whose frame is the world; or standalone tags, where they are given places in the world."""
     listed = keys.get("tag_bundles") or ()
     if isinstance(listed, dict):
@@ -147,7 +151,7 @@ def _apriltag_ros(keys: Keys) -> Iterable[PlacedTag]:
         yield PlacedTag(number_of(tag["id"]), values[:3], turn_by_quaternion(*values[3:]), edge_of("size", tag["size"]))
 
 
-def _tagslam(keys: Keys) -> Iterable[PlacedTag]:
+def tagslam(keys: Keys) -> Iterable[PlacedTag]:
     """Tags of the static bodies; the others are what TagSLAM looks for."""
     named = [
         (name, mapping(str(name), body)) for entry in mappings("bodies", keys["bodies"]) for name, body in entry.items()
@@ -189,7 +193,8 @@ def _tagslam_pose(pose: Keys) -> tuple[FloatArray, FloatArray]:
     return position, exp(np.concatenate([rotation, np.zeros(3)]))[:3, :3]
 
 
-def _fiducial_vlam(keys: Keys) -> Iterable[PlacedTag]:
+def fiducial_vlam(keys: Keys) -> Iterable[PlacedTag]:
+    """Tags of fiducial_vlam, by roll, pitch, yaw or by a quaternion."""
     edge = edge_of("marker_length", keys["marker_length"])
     for tag in mappings("markers", keys["markers"]):
         number = number_of(tag["id"])
@@ -200,7 +205,8 @@ def _fiducial_vlam(keys: Keys) -> Iterable[PlacedTag]:
         yield PlacedTag(number, np.array(vector("xyz", position, 3)), turn, edge)
 
 
-def _aruco(keys: Keys) -> Iterable[PlacedTag]:
+def aruco(keys: Keys) -> Iterable[PlacedTag]:
+    """Tags of a marker map of ArUco, by their corners."""
     kind = keys.get("aruco_bc_mInfoType", METRES)
     if kind != METRES:
         board = "; a board in pixels has no places in a room" if kind == PIXELS else ""
@@ -226,7 +232,7 @@ def _aruco(keys: Keys) -> Iterable[PlacedTag]:
         yield PlacedTag(number, corners.mean(axis=0), axes, edge, family)
 
 
-def _duckietown(keys: Keys) -> Iterable[PlacedTag]:
+def duckietown(keys: Keys) -> Iterable[PlacedTag]:
     """Tags that lie on the floor; those of traffic signs belong to signs, whose heights the map does not say."""
     for name, value in mapping("objects", keys["objects"]).items():
         thing = mapping(str(name), value)
@@ -242,7 +248,7 @@ def _duckietown(keys: Keys) -> Iterable[PlacedTag]:
         yield PlacedTag(number, np.array([x, y, 0.0]), turn, edge, family)
 
 
-def _corner_note(path: Any, keys: Keys) -> str:
+def corner_note(path: Any, keys: Keys) -> str:
     """The corner that Limelight's places are counted from, where the file says how large the field is."""
     if not any(keys.get(name) for name in FIELD):
         return ""
@@ -251,34 +257,12 @@ def _corner_note(path: Any, keys: Keys) -> str:
     )
 
 
-class Reader(NamedTuple):
-    """A format in YAML or JSON.
-
-    Args:
-        format: what it is called.
-        marks: keys that only files of this format have.
-        read: gives the tags.
-        by_opencv: whether those who read such files detect by OpenCV.
-        note: gives a sentence on how a file at a path is read; empty where there is no doubt.
-    """
-
-    format: str
-    marks: frozenset[str]
-    read: Callable[[Keys], Iterable[PlacedTag]]
-    by_opencv: bool = False
-    note: Callable[[Any, Keys], str] = lambda _path, _keys: ""
-
-
-READERS = (
-    Reader("lmd", frozenset({"tags", "family", EDGE}), _own_json),
-    Reader("WPILib", frozenset({"tags"}), _wpilib),
-    Reader("WPILib", frozenset({"field-tags"}), _wpilib),
-    Reader("Limelight", frozenset({"fiducials"}), _limelight, note=_corner_note),
-    Reader("frc971", frozenset({"target_poses"}), _frc971),
-    Reader("apriltag_ros", frozenset({"tag_bundles"}), _apriltag_ros),
-    Reader("apriltag_ros", frozenset({"standalone_tags"}), _apriltag_ros),
-    Reader("TagSLAM", frozenset({"bodies"}), _tagslam),
-    Reader("fiducial_vlam", frozenset({"markers", "marker_length"}), _fiducial_vlam, by_opencv=True),
-    Reader("ArUco", frozenset({"aruco_bc_markers"}), _aruco),
-    Reader("Duckietown", frozenset({"objects"}), _duckietown),
-)
+def wpilib_drawing(path: Any, name: str) -> list[PlacedTag]:
+    """Inches, and degrees about z and then about y, as the drawings of a field have them."""
+    table = read_table(path, name=name)
+    rows = table.numbers(tuple(table.texts)[:6])
+    found = []
+    for number, x, y, z, yaw, pitch in np.pad(rows, ((0, 0), (0, 6 - rows.shape[1]))).tolist():
+        turn = roll_pitch_yaw(np.radians([0.0, pitch, yaw]))
+        found.append(PlacedTag(number_of(number), INCH * np.array([x, y, z]), turn @ OUT_RIGHT_UP.T))
+    return found

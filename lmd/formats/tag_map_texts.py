@@ -12,11 +12,12 @@ import numpy as np
 
 from lmd.core.checks import FloatArray, InputError
 from lmd.core.tables import COMMENT, Table, is_number
-from lmd.formats.families import NUMBERS, family_named
 from lmd.formats.landmark_table import ANGLES, PLACE, QUATERNION, named_columns
 from lmd.formats.placed_tag import (
     LARGEST_EDGE,
+    NUMBERS,
     SMALLEST_EDGE,
+    Found,
     PlacedTag,
     edge_of,
     number_of,
@@ -27,6 +28,7 @@ from lmd.formats.trajectory_columns import check_quaternion_order
 from lmd.geometry.frames import roll_pitch_yaw
 from lmd.geometry.se3 import QUATERNION_TOLERANCE
 from lmd.scene.edges import EDGE
+from lmd.scene.families import family_named
 from lmd.scene.labels import ID
 
 CLOVER = (ID, EDGE, *PLACE, "yaw", "pitch", "roll")
@@ -80,22 +82,6 @@ class Line(NamedTuple):
         return number_of(int(self.texts[0]))
 
 
-class Read(NamedTuple):
-    """The reading of a text.
-
-    Args:
-        tags: of a format of others.
-        table: a table of tags, in place of these.
-        by_opencv: whether those who read such files detect by OpenCV.
-        note: what was taken for granted, a sentence; empty for nothing.
-    """
-
-    tags: list[PlacedTag]
-    table: Table | None = None
-    by_opencv: bool = True
-    note: str = ""
-
-
 def lines_of(text: str) -> tuple[list[str], list[Line]]:
     """The comments above the first values, without #, and the lines with values, without comments behind them."""
     comments, lines = list[str](), list[Line]()
@@ -108,7 +94,7 @@ def lines_of(text: str) -> tuple[list[str], list[Line]]:
     return comments, lines
 
 
-def read_lines(path: Any, text: str) -> Read:
+def read_lines(path: Any, text: str) -> Found:
     """The tags of a text whose first value is a number.
 
     Raises:
@@ -117,7 +103,9 @@ def read_lines(path: Any, text: str) -> Read:
     comments, lines = lines_of(text)
     names = _named(comments, lines)
     if names is not None and names[0] == RTABMAP_POSES[0] and ID in names:
-        return Read(_rtabmap_poses(lines, names), note=f"{path}: its tags are the poses of RTAB-Map with a negative id")
+        return Found(
+            _rtabmap_poses(lines, names), None, True, f"{path}: its tags are the poses of RTAB-Map with a negative id"
+        )
     if names is not None and names != list(CLOVER[: len(names)]):
         for line in lines:
             if len(line.texts) != len(names):
@@ -125,15 +113,14 @@ def read_lines(path: Any, text: str) -> Read:
                     f"line {line.number} has {len(line.texts)} values, but a comment names {len(names)}: "
                     f"{' '.join(names)}."
                 )
-        columns = {name: [line.texts[j] for line in lines] for j, name in enumerate(names)}
-        return Read([], Table(str(path), [line.number for line in lines], columns))
+        return Found([], _table(path, lines, names))
     if names is None and "," in text.splitlines()[lines[0].number - 1]:
         raise InputError(
             "it has no header: its first line must name the columns, such as id,x,y,z,qx,qy,qz,qw or "
             "id,x,y,z,nx,ny,nz (docs/mounting.md)."
         )
     if names is not None:
-        return Read([_clover(line) for line in lines])
+        return Found([_clover(line) for line in lines], by_opencv=True)
     check_quaternion_order(comments)
     return _by_number(path, lines)
 
@@ -158,14 +145,16 @@ def _named(comments: Sequence[str], lines: Sequence[Line]) -> list[str] | None:
     return None
 
 
-def _by_number(path: Any, lines: list[Line]) -> Read:
+def _by_number(path: Any, lines: list[Line]) -> Found:
     """The tags of lines that nothing names, by how many values they have and what these can be."""
     widths = {len(line.texts) for line in lines}
     most, count = max(widths), len(lines[0].texts)
     if count > len(FIDUCIAL_SLAM) or (count == len(FIDUCIAL_SLAM) and not _are_quaternions(lines, widths)):
         if odd := [line for line in lines if not _may_be_fiducial_slam(line)]:
             raise _question(odd[0], f"it has {len(odd[0].texts)} values, and they are not those of fiducial_slam")
-        return Read([_fiducial_slam(line) for line in lines], note=_note(path, FIDUCIAL_SLAM, "fiducial_slam's"))
+        return Found(
+            [_fiducial_slam(line) for line in lines], None, True, _note(path, FIDUCIAL_SLAM, "fiducial_slam's")
+        )
     if count < CLOVER_LEAST or most > len(CLOVER):
         raise _question(lines[0], "its lines have no names")
     if len(widths) == 1 and most == len(BY_ANGLES):
@@ -177,20 +166,20 @@ def _by_number(path: Any, lines: list[Line]) -> Read:
         raise _question(lines[edges.index(odd[0])], f"an edge of {odd[0]:g} m would be none of a tag")
     if most < len(BY_ANGLES) and len(set(edges)) > max(1, len(edges) // FEW):
         raise _question(lines[0], "nearly every tag would have an edge of its own")
-    return Read([_clover(line) for line in lines], note=_note(path, CLOVER[:most], "Clover's"))
+    return Found([_clover(line) for line in lines], None, True, _note(path, CLOVER[:most], "Clover's"))
 
 
-def _angles(path: Any, lines: list[Line]) -> Read:
+def _angles(path: Any, lines: list[Line]) -> Found:
     """Lines of seven values: a tag of RTAB-Map if it is one, and angles unless Clover's without the roll could be."""
     if len(lines) == 1:
-        return Read([_by_angles(lines[0])], note=_note(path, BY_ANGLES, "RTAB-Map's"))
+        return Found([_by_angles(lines[0])], None, True, _note(path, BY_ANGLES, "RTAB-Map's"))
     edges = [line.values(CLOVER[: len(BY_ANGLES)])[0] for line in lines]
     if all(SMALLEST_EDGE <= edge <= LARGEST_EDGE for edge in edges):
         raise _question(lines[0], f"it may be {' '.join(BY_ANGLES)}, or Clover's {' '.join(CLOVER[:-1])}")
-    return Read([], _table(path, lines, BY_ANGLES))
+    return Found([], _table(path, lines, BY_ANGLES))
 
 
-def _quaternions(path: Any, lines: list[Line]) -> Read:
+def _quaternions(path: Any, lines: list[Line]) -> Found:
     """Lines of eight values, the last four of length one: quaternions, unless they can be Clover's z and angles."""
     values = np.array([line.values(BY_QUATERNION) for line in lines])
     is_edge = ((values[:, 0] >= SMALLEST_EDGE) & (values[:, 0] <= LARGEST_EDGE)).all()
@@ -198,9 +187,9 @@ def _quaternions(path: Any, lines: list[Line]) -> Read:
     plain = (turns.max(axis=1) > SAME_AS_ONE).all()  # 1, 0, 0, 0 in some order: z = 1 without a turn, too
     if plain and is_edge and not (turns[:, 3] > SAME_AS_ONE).all():
         if (turns[:, 0] > SAME_AS_ONE).all():
-            return Read([_clover(line) for line in lines], note=_note(path, CLOVER, "Clover's"))
+            return Found([_clover(line) for line in lines], None, True, _note(path, CLOVER, "Clover's"))
         raise _question(lines[0], f"it may be {' '.join(BY_QUATERNION)}, or Clover's {' '.join(CLOVER)}")
-    return Read([], _table(path, lines, BY_QUATERNION))
+    return Found([], _table(path, lines, BY_QUATERNION))
 
 
 def _are_quaternions(lines: Sequence[Line], widths: set[int]) -> bool:
@@ -259,7 +248,7 @@ def _by_angles(line: Line) -> PlacedTag:
     return PlacedTag(line.id, values[:3], turn_by_angles(line.id, *values[3:].tolist()))
 
 
-def read_priors(text: str) -> Read:
+def read_priors(text: str) -> Found:
     """The value of RTAB-Map's `Marker/Priors`, alone or in its configuration: tags with a `|` between them.
 
     Raises:
@@ -279,7 +268,7 @@ def read_priors(text: str) -> Read:
         if len(texts) != len(BY_ANGLES):
             raise InputError(f"{entry[:200]!r} must be: {' '.join(BY_ANGLES)}.")
         tags.append(_by_angles(Line(1, texts))._replace(edge=edge, family=family))
-    return Read(tags)
+    return Found(tags, by_opencv=True)
 
 
 def _setting(text: str, name: str) -> str | None:

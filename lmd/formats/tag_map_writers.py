@@ -11,11 +11,19 @@ from typing import Any
 import numpy as np
 
 from lmd.core.checks import FloatArray, InputError
+from lmd.core.tables import write_table
+from lmd.formats.landmark_table import FAMILY
+from lmd.formats.registry import NONE, ONE, Writer
 from lmd.formats.tag_map import QUATERNION, TagMap, axes, write_yaml, written
 from lmd.formats.tag_map_readers import INTO, METRES, OUT_RIGHT_UP
 from lmd.geometry.camera import MM_PER_M
-from lmd.scene.tag import FAMILIES
+from lmd.scene.deployment import COLUMNS, UP_COLUMNS
+from lmd.scene.edges import EDGE
+from lmd.scene.families import FAMILIES
+from lmd.scene.labels import ID
 
+CORNER_NAMES = ("top_left", "top_right", "bottom_right", "bottom_left")
+FRAME = "metres; z up; of a tag x is right, y up, z out of it; its quaternion turns this frame to the world"
 ROOM = "room"  # the name of the body, or the bundle, that has the tags
 # Standard deviations that TagSLAM's own example gives to what is known: a tag that stays where it is, m and rad.
 FIXED = {"position_noise": 1e-4, "rotation_noise": 1e-5}
@@ -43,8 +51,7 @@ def write_apriltag_ros2(path: Path, tags: TagMap) -> None:
 
     Source: christianrauch/apriltag_ros, `cfg`.
     """
-    frames = [f"tag_{number}" for number in tags.ids]
-    own = {"ids": tags.ids, "frames": frames, "sizes": tags.sizes.tolist()}
+    own = {"ids": tags.ids, "frames": [f"tag_{number}" for number in tags.ids], "sizes": tags.sizes.tolist()}
     parameters = {"family": tags.tag.family, "size": tags.tag.size, "tag": own}
     write_yaml(path, {"/**": {"ros__parameters": parameters}})
 
@@ -235,3 +242,59 @@ def _field(tags: TagMap) -> tuple[float, float]:
 def _fixed(position: FloatArray, rotation: FloatArray) -> dict[str, Any]:
     noise = {name: axes(np.full(3, deviation)) for name, deviation in FIXED.items()}
     return {"position": axes(position), "rotation": axes(rotation), **noise}
+
+
+def write_csv(path: Path, tags: TagMap) -> None:
+    """Write `tags.csv`: what `Deployment.to_csv` writes, then quaternion, corners and family."""
+    deployment = tags.deployment
+    placed = np.hstack([deployment.places, deployment.normals, deployment.ups])
+    turned = np.hstack([tags.quaternions, tags.corners.reshape(-1, 12)])
+    corners = [f"{corner}_{axis}" for corner in CORNER_NAMES for axis in "xyz"]
+    columns: dict[str, Any] = {
+        ID: tags.ids,
+        **dict(zip((*COLUMNS, *UP_COLUMNS), placed.T, strict=True)),
+        **({EDGE: tags.sizes} if deployment.has_own_edges else {}),
+        **dict(zip((*QUATERNION, *corners), turned.T, strict=True)),
+        FAMILY: [tags.tag.family] * len(tags.ids),
+    }
+    labels = {} if deployment.labels is None else deployment.labels.columns
+    write_table(path, columns | {name: texts for name, texts in labels.items() if name not in columns})
+
+
+def write_json(path: Path, tags: TagMap) -> None:
+    """Write `tags.json`."""
+    rows = zip(tags.ids, tags.sizes.tolist(), tags.positions, tags.quaternions, tags.corners, strict=True)
+    document = {
+        "family": tags.tag.family,
+        EDGE: tags.tag.size,
+        "frame": FRAME,
+        "tags": [
+            {
+                ID: number,
+                EDGE: size,
+                "position": position.tolist(),
+                "quaternion": dict(zip("wxyz", quaternion.tolist(), strict=True)),
+                "corners": dict(zip(CORNER_NAMES, corners.tolist(), strict=True)),
+            }
+            for number, size, position, quaternion, corners in rows
+        ],
+    }
+    write_document(path, document)
+
+
+# By their names in `formats`.
+WRITERS = {
+    "wpilib": Writer("tags.wpilib.json", write_wpilib, only_apriltag=True, edges=NONE),
+    "apriltag_ros": Writer("tags.apriltag_ros.yaml", write_apriltag_ros, only_apriltag=True),
+    "apriltag_ros2": Writer("tags.apriltag_ros2.yaml", write_apriltag_ros2, only_apriltag=True),
+    "tagslam": Writer("tags.tagslam.yaml", write_tagslam, only_apriltag=True),
+    "aruco": Writer("tags.aruco.yaml", write_aruco, only_opencv=True),
+    "csv": Writer("tags.csv", write_csv),
+    "json": Writer("tags.json", write_json),
+    "clover": Writer("tags.clover.txt", write_clover, only_opencv=True),
+    "fiducial_vlam": Writer("tags.fiducial_vlam.yaml", write_fiducial_vlam, only_opencv=True, edges=ONE),
+    "rtabmap": Writer("tags.rtabmap.txt", write_rtabmap, only_opencv=True, edges=ONE),
+    "limelight": Writer("tags.fmap", write_limelight, only_apriltag=True),
+    "frc971": Writer("tags.frc971.json", write_frc971, only_apriltag=True, edges=NONE),
+    "duckietown": Writer("tags.duckietown.yaml", write_duckietown, only_apriltag=True, check=check_on_floor),
+}

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 
 from lmd.core.checks import ONE_TURN, FloatArray, InputError, choice, real, said_of, vector
-from lmd.formats.extrinsics import read_mount
-from lmd.formats.trajectory_readers import read_rows
+from lmd.formats.rigs import read_mount
+from lmd.formats.trajectory_formats import read_rows
 from lmd.formats.trajectory_rows import Rows, steep
 from lmd.geometry.frames import roll_pitch_yaw
 from lmd.geometry.se3 import act, laid_over, pose_of, poses_from_rows
@@ -30,7 +30,7 @@ class TrajectoryFile:
     """The file of a trajectory, and what has to be said of its frames.
 
     Args:
-        path: a format of `lmd.formats.trajectory_readers`, or a table with the columns time,x,y,z and one of:
+        path: a format of `lmd.formats.trajectory_formats`, or a table with the columns time,x,y,z and one of:
             qx,qy,qz,qw; roll,pitch,yaw of a body as ROS has them; yaw_from_y,pitch_up (and roll_left) of a camera as
             in `lmd.geometry.frames.rotation`, which time,x,y,z,yaw,pitch are too. Seconds, metres, radians.
         frame: that orientations are about: `optical` (x right, y down, z the optical axis) or `body` (x along the
@@ -41,7 +41,7 @@ class TrajectoryFile:
             yaw turns counter-clockwise seen from above; [x, y, z, qx, qy, qz, qw]; or at least three points, each as
             [x, y, z] in the recording's frame and then in the room's.
         mount: how the camera sits on what moves: a calibration with extrinsics or {path, name}, see
-            `lmd.formats.extrinsics`; or [x, y, z, yaw, pitch, roll] as in a rig (`lmd.scene.rig`).
+            `lmd.formats.rigs`; or [x, y, z, yaw, pitch, roll] as in a rig (`lmd.scene.rig`).
 
     Raises:
         InputError: a value is refused.

@@ -1,12 +1,13 @@
-"""Moves of landmarks before a single camera: its centre is the position itself, whatever the orientation.
+"""Moves of landmarks seen by a single camera, whose centre does not depend on the orientation.
 
-Bounds on the depth and occlusion depend on the position alone, so trials are settled without sets of orientations at
-most positions.
+Depth bounds and occlusion depend on the position alone, so at most positions a trial needs no sets of orientations.
 """
+
+from typing import Any
 
 import numpy as np
 
-from lmd.core.bits import ALL, BITS, HALF, LOWER, ONE, ZERO, lowest
+from lmd.core.bits import ALL, BITS, HALF, LOWER, ONE, ZERO, Integer, lowest
 from lmd.core.compiled import allocating, inlined, inner
 from lmd.incremental.counts import JUST, SHORT
 from lmd.incremental.nearby import target_of
@@ -17,11 +18,13 @@ from lmd.incremental.state import (
     HIDDEN,
     HIDING,
     HIGH,
+    LANDMARK,
     LAST,
     LISTED,
     LOW,
     PAIR_COUNT,
     PLACES,
+    POSITION,
     REACHED,
     SPAN_COUNT,
     SURE,
@@ -30,8 +33,6 @@ from lmd.incremental.state import (
     TOUCHED_LIST,
     UNSURE,
     VISIBLE,
-    WHERE,
-    WHO,
     Scratch,
     State,
     X,
@@ -40,9 +41,9 @@ from lmd.incremental.state import (
 )
 from lmd.incremental.trial import (
     bound_views,
+    clear_views,
     exchange_sets,
     exchange_views,
-    forget_views,
     fresh_of,
     list_changing,
     see,
@@ -50,31 +51,31 @@ from lmd.incremental.trial import (
     turned,
 )
 from lmd.scene.criteria import covering, covers_one, frame_of, from_position, sized
-from lmd.sight.directions import CERTAIN, NOWHERE, POSSIBLE, cell_of
+from lmd.sight.directions import CERTAIN, EMPTY_ROW, POSSIBLE, cell_of
 from lmd.sight.kernels import weights_row
-from lmd.sight.obstacles import find_ends, is_blocked, is_clear, no_ends
+from lmd.sight.obstacles import find_ends, is_blocked, is_clear, new_ends
 
 CELL, OUTER = 0, 1  # rows of `Scratch.cell`
 
 
 @shown_of.register(State)
-def _shown_of(state, k, p, w):  # type: ignore[no-untyped-def]
-    return state.caps[k, p, w] if state.hides[HIDDEN, k, p] == 0 else ZERO
+def _shown_of(state: Any, k: Integer, p: Integer, w: Integer) -> Any:
+    return state.covered[k, p, w] if state.hides[HIDDEN, k, p] == 0 else ZERO
 
 
 @turned.register(State)
-def _turned(state, i, p, w, scratch):  # type: ignore[no-untyped-def]
-    cap, hidden = state.caps[i, p, w], state.hides[HIDDEN, i, p]
-    return cap if hidden == 0 else ZERO, cap if hidden + scratch.changes[HIDDEN, i, p] == 0 else ZERO
+def _turned(state: Any, i: Integer, p: Integer, w: Integer, scratch: Any) -> Any:
+    covered, hidden = state.covered[i, p, w], state.hides[HIDDEN, i, p]
+    return covered if hidden == 0 else ZERO, covered if hidden + scratch.changes[HIDDEN, i, p] == 0 else ZERO
 
 
-@forget_views.register(Scratch)
-def _forget_views(scratch):  # type: ignore[no-untyped-def]
-    who, where, changes = scratch.pairs[WHO], scratch.pairs[WHERE], scratch.changes
+@clear_views.register(Scratch)
+def _clear_views(scratch: Any) -> None:
+    landmark, position, changes = scratch.pairs[LANDMARK], scratch.pairs[POSITION], scratch.changes
     first, last, reached = scratch.lists[FIRST], scratch.lists[LAST], scratch.flags[REACHED]
     hidden, hiding = scratch.hides[HIDDEN], scratch.hides[HIDING]
     for e in range(scratch.numbers[PAIR_COUNT]):
-        changes[HIDDEN, who[e], where[e]] = changes[HIDING, who[e], where[e]] = 0
+        changes[HIDDEN, landmark[e], position[e]] = changes[HIDING, landmark[e], position[e]] = 0
     for s in range(scratch.numbers[SPAN_COUNT]):
         for p in range(first[s], last[s]):
             reached[p] = False
@@ -82,8 +83,8 @@ def _forget_views(scratch):  # type: ignore[no-untyped-def]
 
 
 @inner
-def look_around(k, field, scratch):  # type: ignore[no-untyped-def]
-    """Find what is seen of the place tried from the positions near it."""
+def view_place(k: Integer, field: Any, scratch: Any) -> None:
+    """Fill `seen`, `REACHED` and the cells of the place tried, from the positions near it."""
     positions, sight, seen = field.positions, sized(field.cameras.sight, k), scratch.seen
     x, y, z, low, high, sure = seen[X], seen[Y], seen[Z], seen[LOW], seen[HIGH], seen[SURE]
     cell, reached, first, last = scratch.cell[CELL], scratch.flags[REACHED], scratch.lists[FIRST], scratch.lists[LAST]
@@ -98,10 +99,10 @@ def look_around(k, field, scratch):  # type: ignore[no-untyped-def]
 
 
 @allocating
-def _block(k, camera, scratch):  # type: ignore[no-untyped-def]
-    """Do not let landmark k reach the place tried where something of the room stands in the way."""
+def _block(k: Integer, camera: Any, scratch: Any) -> None:
+    """Clear `REACHED` at the positions from which the room blocks the place tried."""
     reached, first, last = scratch.flags[REACHED], scratch.lists[FIRST], scratch.lists[LAST]
-    ends, sight = no_ends(camera.obstacles, 1), sized(camera.sight, k)
+    ends, sight = new_ends(camera.obstacles, 1), sized(camera.sight, k)
     x, y, z, nx, ny, nz = target_of(scratch)
     find_ends(camera.obstacles, sight, x, y, z, nx, ny, nz, ends, 0)
     for s in range(scratch.numbers[SPAN_COUNT]):
@@ -110,42 +111,42 @@ def _block(k, camera, scratch):  # type: ignore[no-untyped-def]
 
 
 @bound_views.register(State)
-def _bound_views(state, k, field, scratch):  # type: ignore[no-untyped-def]
-    # One pass over words, without sets for all positions: these would cost a tenth of a trial.
+def _bound_views(state: Any, k: Integer, field: Any, scratch: Any) -> Any:
+    # One pass over words; writing sets for all positions would take a tenth of a trial.
     sight, axes, weights = sized(field.cameras.sight, k), field.cameras.axes, field.weights
     certain, possible = field.cameras.tables[CERTAIN], field.cameras.tables[POSSIBLE]
     target, seen, flags, lists = scratch.target, scratch.seen, scratch.flags, scratch.lists
     frame = frame_of(sight, target[3], target[4], target[5])
-    caps, reachable, hidden = state.caps, state.reachable, state.hides[HIDDEN]
+    covered, reachable, hidden = state.covered, state.reachable, state.hides[HIDDEN]
     short, just = state.counts.sets[SHORT], state.counts.sets[JUST]
     x, y, z, low, high, sure = seen[X], seen[Y], seen[Z], seen[LOW], seen[HIGH], seen[SURE]
     cell, outer, reached, touched = scratch.cell[CELL], scratch.cell[OUTER], flags[REACHED], flags[TOUCHED]
     visible, listed, firsts, lasts = lists[VISIBLE], lists[LISTED], lists[FIRST], lists[LAST]
     units, unsure, places = scratch.units, lists[UNSURE], lists[PLACES]
-    count, found, size = ZERO, ZERO, np.uint64(caps.shape[2])
+    count, found, size = ZERO, ZERO, np.uint64(covered.shape[2])
     for s in range(scratch.numbers[SPAN_COUNT]):
         first, last = firsts[s], lasts[s]
         for p in range(first, last):
             shown = reached[p] & (not touched[p])
-            outer[p] = cell[p] if shown else NOWHERE
+            outer[p] = cell[p] if shown else EMPTY_ROW
             visible[p] = ALL if reachable[k, p] & (hidden[k, p] == 0) & (not touched[p]) else ZERO
         for p in range(first, last):
             listed[count] = p
-            count += np.uint64((visible[p] != ZERO) | (outer[p] != NOWHERE))
+            count += np.uint64((visible[p] != ZERO) | (outer[p] != EMPTY_ROW))
     for m in range(count):
         p = listed[m]
         o = np.uint64(outer[p])
-        i = o if sure[p] == np.inf else np.uint64(NOWHERE)
+        i = o if sure[p] == np.inf else np.uint64(EMPTY_ROW)
         for w in range(size):
-            was = caps[k, p, w] & visible[p]
+            was = covered[k, p, w] & visible[p]
             unsure[found] = (short[p, w] & ~was & possible[o, w]) | (just[p, w] & was & ~certain[i, w])
             places[found] = p << HALF | w
             found += np.uint64(unsure[found] != ZERO)
     for m in range(found):
         left, p, w = unsure[m], places[m] >> HALF, places[m] & LOWER
-        px, py, pz, least = x[p], y[p], z[p], low[p] if outer[p] != NOWHERE else np.inf
+        px, py, pz, least = x[p], y[p], z[p], low[p] if outer[p] != EMPTY_ROW else np.inf
         well = certain[np.uint64(outer[p]), w]
-        was, change, row = caps[k, p, w] & visible[p], np.int64(0), weights_row(weights, p)
+        was, change, row = covered[k, p, w] & visible[p], np.int64(0), weights_row(weights, p)
         while left:
             bit = lowest(left)
             a = w * np.uint64(BITS) + bit
@@ -160,7 +161,7 @@ def _bound_views(state, k, field, scratch):  # type: ignore[no-untyped-def]
 
 
 @list_changing.register(State)
-def _list_changing(state, k, scratch):  # type: ignore[no-untyped-def]
+def _list_changing(state: Any, k: Integer, scratch: Any) -> Any:
     reachable, reached, touched = state.reachable, scratch.flags[REACHED], scratch.flags[TOUCHED]
     listed, first, last = scratch.lists[LISTED], scratch.lists[FIRST], scratch.lists[LAST]
     count = ZERO
@@ -172,7 +173,7 @@ def _list_changing(state, k, scratch):  # type: ignore[no-untyped-def]
 
 
 @see.register(State)
-def _see(state, k, positions, field, scratch):  # type: ignore[no-untyped-def]
+def _see(state: Any, k: Integer, positions: np.ndarray, field: Any, scratch: Any) -> None:
     camera, sight, target, seen = field.cameras, sized(field.cameras.sight, k), scratch.target, scratch.seen
     certain, possible, fresh, asked = (
         camera.tables[CERTAIN], camera.tables[POSSIBLE], scratch.sets[FRESH], scratch.sets[ASKED]
@@ -181,41 +182,41 @@ def _see(state, k, positions, field, scratch):  # type: ignore[no-untyped-def]
     cell, reached = scratch.cell[CELL], scratch.flags[REACHED]
     frame = frame_of(sight, target[3], target[4], target[5])
     for p in positions:
-        row = np.uint64(cell[p] if reached[p] else NOWHERE)
-        given = row if sure[p] == np.inf else np.uint64(NOWHERE)
+        row = np.uint64(cell[p] if reached[p] else EMPTY_ROW)
+        sure_row = row if sure[p] == np.inf else np.uint64(EMPTY_ROW)
         px, py, pz, least, most, deep = x[p], y[p], z[p], low[p], high[p], sure[p]
         for w in range(np.uint64(fresh.shape[1])):
-            cap, well = certain[given, w] & asked[p, w], certain[row, w]
-            left = possible[row, w] & asked[p, w] & ~cap
+            covered, well = certain[sure_row, w] & asked[p, w], certain[row, w]
+            left = possible[row, w] & asked[p, w] & ~covered
             if left:
-                cap |= covering(sight, left, w, px, py, pz, frame, least, most, deep, well, camera.axes)
-            fresh[p, w] = cap
+                covered |= covering(sight, left, w, px, py, pz, frame, least, most, deep, well, camera.axes)
+            fresh[p, w] = covered
 
 
 @fresh_of.register(Scratch)
-def _fresh_of(scratch, p, w):  # type: ignore[no-untyped-def]
+def _fresh_of(scratch: Any, p: Integer, w: Integer) -> Any:
     return scratch.sets[FRESH, p, w] if scratch.hides[HIDDEN, p] == 0 else ZERO
 
 
 @exchange_sets.register(State)
-def _exchange_sets(state, k, p, w, scratch):  # type: ignore[no-untyped-def]
-    was, now, cap = shown_of(state, k, p, w), fresh_of(scratch, p, w), state.caps[k, p, w]
-    state.caps[k, p, w], scratch.sets[FRESH, p, w] = scratch.sets[FRESH, p, w], cap
+def _exchange_sets(state: Any, k: Integer, p: Integer, w: Integer, scratch: Any) -> Any:
+    was, now, covered = shown_of(state, k, p, w), fresh_of(scratch, p, w), state.covered[k, p, w]
+    state.covered[k, p, w], scratch.sets[FRESH, p, w] = scratch.sets[FRESH, p, w], covered
     return was, now
 
 
 @inlined
-def _swap(one, other, first, last):  # type: ignore[no-untyped-def]
-    """Exchange a part of two arrays; by itself, so that the loop vectorises."""
+def _swap(one: Any, other: Any, first: Integer, last: Integer) -> None:
+    """Exchange the elements `first` to `last - 1` of two arrays; a function of its own, so that the loop vectorises."""
     for p in range(first, last):
         one[p], other[p] = other[p], one[p]
 
 
 @exchange_views.register(State)
-def _exchange_views(state, k, scratch):  # type: ignore[no-untyped-def]
+def _exchange_views(state: Any, k: Integer, scratch: Any) -> None:
     changes, lists, hidden, hiding = scratch.changes, scratch.lists, state.hides[HIDDEN], state.hides[HIDING]
     for e in range(scratch.numbers[PAIR_COUNT]):
-        i, p = np.uint64(scratch.pairs[WHO, e]), np.uint64(scratch.pairs[WHERE, e])
+        i, p = np.uint64(scratch.pairs[LANDMARK, e]), np.uint64(scratch.pairs[POSITION, e])
         hidden[i, p] += changes[HIDDEN, i, p]
         hiding[i, p] += changes[HIDING, i, p]
         changes[HIDDEN, i, p], changes[HIDING, i, p] = -changes[HIDDEN, i, p], -changes[HIDING, i, p]

@@ -1,4 +1,4 @@
-"""The incremental field of coverage: P_n at every position as single landmarks move, before a camera or a rig."""
+"""Incremental field of coverage: P_n at every position while single landmarks move, for a camera or a rig."""
 
 from typing import Any, NamedTuple
 
@@ -7,31 +7,31 @@ import numpy as np
 from lmd.core.bits import BITS, packed
 from lmd.core.memory import check_views
 from lmd.incremental import camera, camera_occlusion, rig, rig_occlusion  # noqa: F401 # they register their functions
-from lmd.incremental.counts import counts_of, given_counts
+from lmd.incremental.counts import counts_of, new_counts
 from lmd.incremental.field import accept, bound, places_of, settle, undo
-from lmd.incremental.move import carry_out, fill, take_back
+from lmd.incremental.move import carry_out, exchange_place, fill
 from lmd.incremental.state import RigScratch, RigState, Scratch, State, rig_scratch_of, scratch_of
 from lmd.incremental.trial import bound_move, finish_move
 from lmd.scene.criteria import horizon_of
 from lmd.scene.deployment import Deployment
 from lmd.sight.blocks import boxes_around
 from lmd.sight.evaluator import Evaluator
-from lmd.sight.mounts import Part, places_around, with_sight
+from lmd.sight.mounts import MountGroup, places_around, with_sight
 from lmd.sight.obstacles import half_edge, obstacles_at
 
-# Bytes of a landmark in a camera's view: a bit for the cap, and as much again for occlusion.
+# Memory of a landmark per view of a camera, bytes: a bit for coverage, a bit for occlusion.
 LANDMARK_BYTES = 0.25
-# Bytes of a landmark and a centre around a position of a rig: an entry of `PartScratch.pairs`.
+# Memory of a landmark per position and centre of a rig, bytes: an entry of `GroupScratch.pairs`.
 CENTRE_BYTES = 8
-# Bytes of a landmark with a camera and an orientation of a rig: bits of caps, of occlusion, and of its changes.
+# Memory of a landmark per position, mount and orientation of a rig, bytes: bits of coverage, occlusion and its change.
 CAMERA_BYTES = 3 / 8
 
 
 class OneCamera(NamedTuple):
-    """A single camera, at Q positions with all orientations."""
+    """A single camera at Q positions with all orientations."""
 
     sight: Any
-    """The compiled model of sight."""
+    """Compiled model of sight."""
     horizon: float
     """See `criteria.horizon_of`, metres."""
     centres: np.ndarray
@@ -39,29 +39,29 @@ class OneCamera(NamedTuple):
     radius: np.ndarray
     """`(1,)` zero: distance of the camera from the centre, metres."""
     obstacles: Any
-    """Obstacles of the room before the positions, see `lmd.sight.obstacles`."""
+    """Obstacles of the room seen from the positions, see `lmd.sight.obstacles`."""
     axes: np.ndarray
-    """`(6, 64 W)` optical axis and right, filled up with zeros to whole words."""
+    """`(6, 64 W)` optical axis and right, padded with zeros to whole words."""
     tables: np.ndarray
-    """`(2, cells + 1, W)`: `CERTAIN`, `POSSIBLE` of `lmd.sight.directions`."""
+    """`(2, cells + 1, W)` tables `CERTAIN`, `POSSIBLE` of `lmd.sight.directions`."""
 
     @property
     def sights(self) -> tuple[Any, ...]:
-        """The model of sight of each kind of camera."""
+        """Models of sight by kind of camera."""
         return (self.sight,)
 
     def with_sights(self, change: Any) -> "OneCamera":
-        """The camera with the model of sight that `change` makes of its own."""
+        """Copy with the model of sight `change(sight)`."""
         sight = change(self.sight)
         return self._replace(sight=sight, horizon=horizon_of(sight))
 
     def state(self, shared: dict[str, Any]) -> State:
-        """An empty state with the `shared` fields."""
+        """Empty state; `shared` has the fields that do not depend on the cameras."""
         (size, words), count = shared["counts"].sets.shape[1:], len(shared["surfaces"])
         check_views(LANDMARK_BYTES, size, BITS * words, count)
         return State(
             **shared,
-            caps=np.zeros((count, size, words), dtype=np.uint64),
+            covered=np.zeros((count, size, words), dtype=np.uint64),
             reachable=np.zeros((count, size), dtype=np.bool_),
             hides=np.zeros((2, count, size), dtype=np.int16),
         )
@@ -72,59 +72,59 @@ class OneCamera(NamedTuple):
 
 
 class RigCameras(NamedTuple):
-    """The cameras of a rig, around Q positions of its body, with all its orientations."""
+    """The cameras of a rig at Q positions of its body with all orientations."""
 
-    parts: tuple[Part, ...]
-    """Cameras that are alike, one part for each kind; place g of position q is q G + g of `Part.obstacles`."""
+    groups: tuple[MountGroup, ...]
+    """Mounts by kind of camera; `MountGroup.obstacles` has the camera position of place g and position q as q G + g."""
 
     @property
     def horizon(self) -> float:
-        """Distance from the body's origin beyond which a landmark cannot matter, metres."""
-        return max(part.horizon for part in self.parts)
+        """Distance from the body's origin beyond which a landmark has no effect, metres."""
+        return max(group.horizon for group in self.groups)
 
     @property
     def sights(self) -> tuple[Any, ...]:
-        """The model of sight of each kind of camera."""
-        return tuple(part.sight for part in self.parts)
+        """Models of sight by kind of camera."""
+        return tuple(group.sight for group in self.groups)
 
     def with_sights(self, change: Any) -> "RigCameras":
-        """The rig with the models of sight that `change` makes of its own."""
-        return RigCameras(tuple(with_sight(part, change(part.sight)) for part in self.parts))
+        """Copy with the models of sight `change(sight)`."""
+        return RigCameras(tuple(with_sight(group, change(group.sight)) for group in self.groups))
 
     def state(self, shared: dict[str, Any]) -> RigState:
-        """An empty state with the `shared` fields."""
+        """Empty state; `shared` has the fields that do not depend on the cameras."""
         (size, words), count = shared["counts"].sets.shape[1:], len(shared["surfaces"])
-        mounts = [len(part.axes) for part in self.parts]
-        centres = sum(len(part.centres) for part in self.parts)
+        mounts = [len(group.axes) for group in self.groups]
+        centres = sum(len(group.centres) for group in self.groups)
         check_views(CENTRE_BYTES * centres + CAMERA_BYTES * sum(mounts) * BITS * words, size, 1, count)
         return RigState(
             **shared,
-            parts=tuple(np.zeros((2, count, size, each, words), dtype=np.uint64) for each in mounts),
+            groups=tuple(np.zeros((2, count, size, each, words), dtype=np.uint64) for each in mounts),
             shown=np.zeros((count, size, words), dtype=np.uint64),
         )
 
     def scratch(self, state: RigState) -> RigScratch:
         """Working memory for moves of a state."""
-        return rig_scratch_of(state, tuple(len(part.centres) for part in self.parts))
+        return rig_scratch_of(state, tuple(len(group.centres) for group in self.groups))
 
 
 class CoverageField(NamedTuple):
-    """Everything that does not change while landmarks move; a `lmd.incremental.field.Field`."""
+    """Constant data of the field of coverage; a `lmd.incremental.field.Field`."""
 
     positions: np.ndarray
-    """`(3, Q)` positions in blocks of `BLOCK` neighbours, the last block filled up with copies; metres."""
+    """`(3, Q)` positions in blocks of `BLOCK` neighbours, the last block padded with copies; metres."""
     index_of: np.ndarray
-    """`(P,)` index of each position of the evaluator among them."""
+    """`(P,)` index in `positions` of each position of the evaluator."""
     boxes: np.ndarray
-    """`(6, Q / BLOCK)` boxes around the blocks: centres, and half the sides, metres."""
+    """`(6, Q / BLOCK)` bounding boxes of the blocks: centres and half sides, metres."""
     horizon: float
-    """Distance from a position beyond which a landmark cannot matter, metres."""
+    """Distance from a position beyond which a landmark has no effect, metres."""
     cameras: OneCamera | RigCameras
-    """The cameras that look."""
-    given: np.ndarray
-    """`(Q, W)` axes at which one landmark is covered beside those of a state."""
+    """Camera or rig."""
+    counted_once: np.ndarray
+    """`(Q, W)` axes that cover one landmark outside of the deployment, see `stacked`."""
     weights: np.ndarray
-    """Weights of the axes, see `kernels.evaluate_range`."""
+    """Quantised probability of each axis, `(1, 64 W)` or `(Q, 64 W)`, see `kernels.evaluate_range`."""
     n: int
     """Number of landmarks that must be covered."""
 
@@ -138,7 +138,7 @@ class CoverageField(NamedTuple):
         state = self.cameras.state(
             {
                 **places_of(deployment)._asdict(),
-                "counts": given_counts(self.given, len(deployment), self.n),
+                "counts": new_counts(self.counted_once, len(deployment), self.n),
                 "units": np.zeros(self.size, dtype=np.int64),
             }
         )
@@ -151,24 +151,25 @@ class CoverageField(NamedTuple):
 
     @property
     def stack(self) -> int:
-        """See `Stacking.stack`: tags of several sizes have none."""
+        """See `Stacking.stack`; 0 for tags of several sizes."""
         return self.n if all(np.ndim(half_edge(sight)) == 0 for sight in self.cameras.sights) else 0
 
     def stacked(self, fixed: Deployment | None) -> "CoverageField":
-        """See `Stacking.stacked`: a stack of n that nothing hides is seen whenever one landmark in its place is.
+        """See `Stacking.stacked`.
 
-        Where n fixed landmarks are covered, it is as if one stack were.
+        Without occlusion, a stack of n landmarks is covered if one landmark at its place is covered, so n becomes 1.
+        Axes that cover n fixed landmarks count as covering one stack.
         """
-        given = self.given
+        counted_once = self.counted_once
         if fixed is not None:
-            given = packed(counts_of(self.state(fixed), given.shape[1] * BITS) >= self.n)
-        return self._seen_by(lambda sight: sight.unhidden())._replace(n=1, given=given)
+            counted_once = packed(counts_of(self.state(fixed), counted_once.shape[1] * BITS) >= self.n)
+        return self._with_sights(lambda sight: sight.unhidden())._replace(n=1, counted_once=counted_once)
 
     def shrunk(self, size: float) -> "CoverageField":
         """See `Stacking.shrunk`."""
-        return self._seen_by(lambda sight: sight.shrunk(size))
+        return self._with_sights(lambda sight: sight.shrunk(size))
 
-    def _seen_by(self, change: Any) -> "CoverageField":
+    def _with_sights(self, change: Any) -> "CoverageField":
         cameras = self.cameras.with_sights(change)
         return self._replace(cameras=cameras, horizon=cameras.horizon)
 
@@ -176,22 +177,22 @@ class CoverageField(NamedTuple):
 bound.register(CoverageField)(bound_move)
 settle.register(CoverageField)(finish_move)
 accept.register(CoverageField)(carry_out)
-undo.register(CoverageField)(take_back)
+undo.register(CoverageField)(exchange_place)
 
 
 def coverage_field(evaluator: Evaluator, n: int) -> CoverageField:
-    """The field of P_n at the positions of an evaluator."""
+    """Field of P_n at the positions of an evaluator."""
     e, (order, index_of), blockers = evaluator, evaluator.blocks, evaluator.scene.room.blockers()
     ordered = e.positions[order]
     cameras: OneCamera | RigCameras
-    if e.parts:
-        places = (ordered if blockers is None else places_around(ordered, part) for part in e.parts)
-        each = zip(e.parts, places, strict=True)
-        cameras = RigCameras(tuple(part._replace(obstacles=obstacles_at(blockers, at)) for part, at in each))
+    if e.groups:
+        places = (ordered if blockers is None else places_around(ordered, group) for group in e.groups)
+        each = zip(e.groups, places, strict=True)
+        cameras = RigCameras(tuple(group._replace(obstacles=obstacles_at(blockers, at)) for group, at in each))
     else:
         obstacles, tables = obstacles_at(blockers, ordered), np.stack(e.tables)
         cameras = OneCamera(e.sight, horizon_of(e.sight), np.zeros((1, 3)), np.zeros(1), obstacles, e.axes, tables)
-    given = np.zeros((len(order), e.axes.shape[1] // BITS), dtype=np.uint64)
+    counted_once = np.zeros((len(order), e.axes.shape[1] // BITS), dtype=np.uint64)
     weights = e.weights[order] if len(e.weights) > 1 else e.weights
     boxes, positions = np.vstack(boxes_around(ordered)), np.ascontiguousarray(ordered.T)
-    return CoverageField(positions, index_of, boxes, cameras.horizon, cameras, given, weights, n)
+    return CoverageField(positions, index_of, boxes, cameras.horizon, cameras, counted_once, weights, n)

@@ -1,13 +1,13 @@
-"""Incremental fields: values of positions that are updated as single landmarks move, and what they are worth.
+"""Incremental fields: values of positions, updated while single landmarks move, and the fitness they give.
 
-`annealing` climbs any objective with a field. A field is a named tuple of arrays that does not change while landmarks
-move; what does is in its state, and a move that is only tried leaves its traces in a scratch. A move goes through
+`annealing` optimises any objective with a field. A field is a named tuple of constant arrays. Its state has the arrays
+that change with the landmarks, and a scratch has those of a move that is tried. A move consists of
 
     bound -> settle -> accept (-> undo),
 
-and may be dropped after each of the first two. A field of another class registers plain Python, and kernels run as such
-for it (`runner`). The value of each position is a probability in whole units, of which
-`PROBABILITY_ONE` are 1: sums of integers are exact, so updating ends at the same values as computing anew.
+and may be dropped after each of the first two steps. A field that is no named tuple registers plain Python functions,
+and kernels then run as plain Python (`runner`). Values are quantised probabilities (`PROBABILITY_ONE` stands for 1).
+Sums of integers are exact, so updated values equal recomputed ones.
 """
 
 from collections.abc import Callable
@@ -15,6 +15,7 @@ from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 
+from lmd.core.bits import Integer
 from lmd.core.checks import FloatArray, IntArray
 from lmd.core.compiled import borrowing, inner, kernel
 from lmd.core.dispatch import dispatched, dispatched_call, overridable
@@ -23,49 +24,49 @@ from lmd.scene.deployment import Deployment
 
 
 class Field(Protocol):
-    """The fields and methods of such a named tuple; its class registers `bound`, `settle`, `accept` and `undo`.
+    """Interface of incremental fields; a class registers `bound`, `settle`, `accept` and `undo`.
 
-    A state has `poses` `(6, K)`, positions and normals, `surfaces` `(K,)` and `units` `(Q,)` int64, the values. A
-    scratch has `units`, those of the move tried last.
+    A state has `poses` `(6, K)` (positions, metres, and unit normals), `surfaces` `(K,)` and the quantised values
+    `units` `(Q,)` int64. A scratch has `units`, the values of the move tried last.
     """
 
     @property
     def size(self) -> int:
-        """Q, at least P: some positions may be there twice."""
+        """Number Q of positions of the field, at least P; some are copies."""
 
     @property
     def index_of(self) -> Any:
-        """Where each position of the evaluator is among the Q of the field, `(P,)`."""
+        """`(P,)` index in the field of each position of the evaluator."""
 
     def state(self, deployment: Deployment) -> Any:
-        """The values of a deployment, ready for moves."""
+        """State of a deployment."""
 
     def scratch(self, state: Any) -> Any:
-        """Working memory for moves of a state."""
+        """Scratch for moves of a state."""
 
 
 @runtime_checkable
 class Stacking(Protocol):
-    """What a field has beside that if landmarks on one point, none hiding another, serve as one: a stack."""
+    """Interface of fields with stacks: groups of coincident landmarks that move as one and do not hide each other."""
 
     @property
     def stack(self) -> int:
-        """How many landmarks are in a stack."""
+        """Number of landmarks in a stack."""
 
     def stacked(self, fixed: Deployment | None) -> Field:
-        """The field of stacks, moved as if they were single landmarks, beside those that are fixed."""
+        """Field in which each landmark of a state stands for a stack; `fixed` landmarks are counted in addition."""
 
     def shrunk(self, size: float) -> Field:
-        """The field of landmarks whose bodies are `size` times as large, for stacks that are pulled apart."""
+        """Field with the occluding bodies of landmarks scaled by `size`; used to separate the landmarks of a stack."""
 
 
 def stack_of(field: Field) -> int:
-    """How many landmarks are in a stack; 0 if the field has none."""
+    """Number of landmarks in a stack; 0 for a field without stacks."""
     return field.stack if isinstance(field, Stacking) else 0
 
 
 def runner(field: Field, function: Any) -> Callable[..., Any]:
-    """A kernel that takes a field, or the plain Python of it for one that is no named tuple."""
+    """Kernel `function` for a field; its plain Python version if the field is no named tuple."""
     chosen: Callable[..., Any] = function if isinstance(field, tuple) else getattr(function, "py_func", function)
     return chosen
 
@@ -80,91 +81,92 @@ class Places(NamedTuple):
     poses: np.ndarray
     """`(6, K)` positions, metres, and unit normals."""
     surfaces: np.ndarray
-    """`(K,)` that they hang on."""
+    """`(K,)` indices of the surfaces that carry the landmarks."""
 
     def deployment(self) -> Deployment:
-        """The landmarks."""
+        """Deployment with these landmarks."""
         return Deployment(self.poses[:3].T.copy(), self.poses[3:].T.copy(), self.surfaces.copy())
 
 
 def places_of(deployment: Deployment) -> Places:
-    """The places of its landmarks."""
+    """Places of the landmarks of a deployment."""
     poses = np.ascontiguousarray(np.hstack([deployment.positions, deployment.normals]).T)
     return Places(poses, deployment.surfaces.copy())
 
 
 class Target(Protocol):
-    """The fields of a named tuple that says what values are worth; its class registers `smoothed` and `worth`."""
+    """Interface of the fitness of values, a named tuple; its class registers `smoothed` and `contribution`."""
 
     @property
     def relevance(self) -> FloatArray:
-        """The weight of each position of the field, `(Q,)`, with sum 1."""
+        """`(Q,)` weights of the positions, with sum 1."""
 
 
 @dispatched_call
-def bound(field, k, pose, surface, state, scratch):  # type: ignore[no-untyped-def]
-    """Find values no lower than those with landmark k at `pose` `(6,)`, position and normal, on a surface.
+def bound(field: Any, k: Integer, pose: Any, surface: Integer, state: Any, scratch: Any) -> None:
+    """Write upper bounds on the values with landmark k at `pose` on a surface into `scratch.units`.
 
-    They go to `scratch.units`. Cheap, so that most moves can be dropped before they are settled.
+    `pose` `(6,)` is position (metres) and unit normal. Bounds are cheap and let most moves be dropped.
     """
 
 
 @dispatched_call
-def settle(field, k, state, scratch):  # type: ignore[no-untyped-def]
-    """Make the values in `scratch.units` exact."""
+def settle(field: Any, k: Integer, state: Any, scratch: Any) -> None:
+    """Replace the bounds in `scratch.units` by the exact values."""
 
 
 @dispatched_call
-def accept(field, k, state, scratch):  # type: ignore[no-untyped-def]
-    """Carry out the settled move; no other may have been tried or carried out since."""
+def accept(field: Any, k: Integer, state: Any, scratch: Any) -> None:
+    """Carry out the settled move; no other move may have been tried or carried out since."""
 
 
 @dispatched_call
-def undo(field, k, state, scratch):  # type: ignore[no-untyped-def]
-    """Take back the last accepted move with this scratch, all later ones being taken back."""
+def undo(field: Any, k: Integer, state: Any, scratch: Any) -> None:
+    """Undo the last accepted move with this scratch; all later moves must have been undone."""
 
 
 @dispatched
-def smoothed(target, p, units, margin, width, share):  # type: ignore[no-untyped-def]
-    """What `units` at position p are worth, smoothed over `width` in value, plus `share` of the value itself.
+def smoothed(target: Any, p: Integer, units: Any, margin: Any, width: float, share: float) -> Any:
+    """Contribution of the value `units` at position p to the smoothed fitness.
 
-    It never falls as the units rise, and is at most (1 + share) times the position's relevance.
+    The step at the threshold is smoothed over `width`, and `share` of the value itself is added. The contribution
+    increases monotonically with `units`, up to (1 + share) times the relevance of the position.
     """
 
 
 @dispatched
-def worth(target, p, units):  # type: ignore[no-untyped-def]
-    """What `units` at position p are worth: summed over the positions, the fitness."""
+def contribution(target: Any, p: Integer, units: Integer) -> Any:
+    """Contribution of the value `units` at position p to the fitness, the sum over the positions."""
 
 
 @overridable
-def placed(state):  # type: ignore[no-untyped-def]
-    """The part of a state that has `poses` and `surfaces`: the state itself, unless its class registers another."""
+def placed(state: Any) -> Any:
+    """Part of a state with `poses` and `surfaces`: the state itself, unless its class registers another function."""
     return state
 
 
 @kernel
-def total_worth(target, units):  # type: ignore[no-untyped-def]
-    """The fitness of a deployment with the values `units`."""
+def total_fitness(target: Any, units: Any) -> Any:
+    """Fitness of a deployment with the values `units` `(Q,)`."""
     total = 0.0
     for p in range(len(units)):
-        total += worth(target, p, units[p])
+        total += contribution(target, p, units[p])
     return total
 
 
 @inner
-def move(field, k, pose, surface, state, scratch):  # type: ignore[no-untyped-def]
-    """Move landmark k, whatever that is worth: `bound`, `settle` and `accept`."""
+def move(field: Any, k: Integer, pose: Any, surface: Integer, state: Any, scratch: Any) -> None:
+    """Move landmark k unconditionally: `bound`, `settle` and `accept`."""
     bound(field, k, pose, surface, state, scratch)
     settle(field, k, state, scratch)
     accept(field, k, state, scratch)
 
 
 @inner
-def lead(places, field, state, scratches, pose):  # type: ignore[no-untyped-def]
-    """Move the landmarks of `state` that are elsewhere than at `places`, with the first of the `scratches`.
+def move_to(places: Any, field: Any, state: Any, scratches: Any, pose: Any) -> None:
+    """Move the landmarks of `state` to `places`, using the first of the `scratches`.
 
-    `pose` `(6,)` is working memory.
+    Landmarks that are there already do not move. `pose` `(6,)` is working memory.
     """
     scratch, known = layer(scratches, 0), placed(state)
     for k in range(len(places.surfaces)):
@@ -177,18 +179,19 @@ def lead(places, field, state, scratches, pose):  # type: ignore[no-untyped-def]
 
 
 @borrowing
-def perform(steps, poses, field, state, scratches, units):  # type: ignore[no-untyped-def]
-    """Do the steps of moves one after the other.
+def perform(steps: Any, poses: FloatArray, field: Any, state: Any, scratches: Any, units: Any) -> None:
+    """Execute steps of moves one after the other.
 
-    All that Python asks of a field goes through this kernel, as one is compiled for each kind of field, and for long.
+    Python calls a field only through this kernel, since every kernel is compiled for each class of field, which takes
+    long.
 
     Args:
-        steps: `(S, 4)` int64: which of `BOUND`, `SETTLE`, `ACCEPT`, `UNDO`; landmark; surface; which of the scratches.
-        poses: `(S, 6)`, position and normal to be bounded.
-        field, state: whose landmarks move.
-        scratches: `layers` of one.
-        units: `(S, Q)` int64, receives after each step the values tried or, once they are accepted or undone, of the
-            state; or `(0, 0)`.
+        steps: `(S, 4)` int64: one of `BOUND`, `SETTLE`, `ACCEPT`, `UNDO`; landmark; surface; index of the scratch.
+        poses: `(S, 6)` position (metres) and unit normal, for `BOUND`.
+        field, state: field and state of the landmarks.
+        scratches: result of `layers` for a scratch.
+        units: receives the values after each step, `(S, Q)` int64: those of the scratch after `BOUND` and `SETTLE`,
+            else those of the state; `(0, 0)` to skip them.
     """
     for s in range(len(steps)):
         which, k, surface, scratch = steps[s, 0], steps[s, 1], steps[s, 2], layer(scratches, steps[s, 3])
@@ -207,7 +210,7 @@ def perform(steps, poses, field, state, scratches, units):  # type: ignore[no-un
 
 
 def moved(places: Places, state: Any) -> tuple[IntArray, FloatArray]:
-    """The steps, and their poses, for `perform` to move what in `state` is elsewhere than at `places`."""
+    """Steps and poses for `perform` that move the landmarks of `state` to `places`."""
     known = placed(state)
     elsewhere = (places.poses != known.poses).any(axis=0) | (places.surfaces != known.surfaces)
     which = np.flatnonzero(elsewhere)
@@ -218,7 +221,7 @@ def moved(places: Places, state: Any) -> tuple[IntArray, FloatArray]:
 
 
 def in_order(field: Field, relevance: FloatArray) -> FloatArray:
-    """The weights `(P,)` of an evaluator's positions, normalised, in the order of the field, `(Q,)`."""
+    """Normalised weights `(P,)` of the evaluator's positions, in the order of the field, `(Q,)`."""
     ordered = np.zeros(field.size)
     ordered[field.index_of] = relevance / relevance.sum()
     return ordered

@@ -1,20 +1,22 @@
-"""Blocks of positions within the horizon of the place that a move leaves or of the place that it tries.
+"""Blocks of positions within the horizon of the old place of a landmark or of the place tried.
 
-A trial works in these blocks alone. Elsewhere no landmark is reached, hidden or hides another. So the next trial clears
-what the last one wrote, and no loop runs over the whole room.
+A trial works in these blocks alone: from other positions, neither place is visible or affects another landmark. The
+next trial clears the entries that the last one wrote, so no loop runs over the whole room.
 """
+
+from typing import Any
 
 import numpy as np
 
-from lmd.core.bits import ONE
+from lmd.core.bits import ONE, Integer
 from lmd.core.compiled import inlined, inner
 from lmd.incremental.state import AIMED, BLOCK_COUNT, BLOCKS, FIRST, LAST, SPAN_COUNT, WANTED
 from lmd.sight.blocks import BLOCK
 
 
 @inlined
-def is_near(field, b, x, y, z):  # type: ignore[no-untyped-def]
-    """True if block b is within the horizon of (x, y, z): one test for both landmarks of a pair."""
+def is_near(field: Any, b: Integer, x: float, y: float, z: float) -> Any:
+    """True if block b is within the horizon of the point (x, y, z), metres."""
     boxes = field.boxes
     dx = max(abs(x - boxes[0, b]) - boxes[3, b], 0.0)
     dy = max(abs(y - boxes[1, b]) - boxes[4, b], 0.0)
@@ -23,21 +25,21 @@ def is_near(field, b, x, y, z):  # type: ignore[no-untyped-def]
 
 
 @inlined
-def target_of(scratch):  # type: ignore[no-untyped-def]
-    """Position and normal of the place tried, six numbers."""
+def target_of(scratch: Any) -> Any:
+    """Position (metres) and unit normal of the place tried, six numbers."""
     target = scratch.target
     return target[0], target[1], target[2], target[3], target[4], target[5]
 
 
 @inlined
-def pose_of(k, state):  # type: ignore[no-untyped-def]
-    """Position and normal of landmark k, six numbers."""
+def pose_of(k: Integer, state: Any) -> Any:
+    """Position (metres) and unit normal of landmark k, six numbers."""
     poses = state.poses
     return poses[0, k], poses[1, k], poses[2, k], poses[3, k], poses[4, k], poses[5, k]
 
 
 @inner
-def list_blocks(k, field, state, scratch):  # type: ignore[no-untyped-def]
+def list_blocks(k: Integer, field: Any, state: Any, scratch: Any) -> None:
     """List the blocks near landmark k or near the place tried."""
     target, poses, numbers, size = scratch.target, state.poses, scratch.numbers, field.boxes.shape[1]
     ax, ay, az = target[0], target[1], target[2]

@@ -1,30 +1,30 @@
-"""Occlusion between a landmark that moves and the others: pairs of another landmark and a position.
+"""Occlusion between a moving landmark and the others: pairs of another landmark and a position.
 
-Positions come in blocks of neighbours, and only those within the horizon of both landmarks count. Two stages, from
-cheap to exact:
+Only blocks of positions within the horizon of both landmarks are searched, in two stages:
 
-1. Seen from a whole block, most landmarks are so far off the direction of the place that no position of the block needs
-   the exact test. Let m be the offset of the place a from the centre of the block, e = o - a the way from there to a
-   landmark o. From a position delta away from the centre, a and o lie at a' = m - delta and o' = a' + e. One of them
-   hides the other only within r = sqrt(reach) of the line of sight: if |a' x o'| <= r max(|a'|, |o'|). As
-   a' x o' = m x e - delta x e, and the block fits into a box of half the size h, the first component of m x e is then
-   at most
+1. A bound excludes most landmarks for all positions of a block. Let m be the offset of the place a from the centre of
+   the block, and e = o - a the vector to a landmark o. From the position delta away from the centre, a and o have the
+   offsets a' = m - delta and o' = a' + e. One of them hides the other only within r = sqrt(reach) of the line of sight:
+   if |a' x o'| <= r max(|a'|, |o'|). As a' x o' = m x e - delta x e, and the block fits into a box with the half sides
+   h, the first component of m x e is then at most
 
        h_y |e_z| + h_z |e_y| + r (|m| + |h| + |e|),
 
-   and so on around. All landmarks are tested in single precision, and `SINGLE_ERROR` covers its rounding: each of
-   the sums above is off by less than five roundings of 6e-8 of itself or of (|m| + |h|) |e|.
-2. Those left are tested from each position by `note_neighbour`: for a camera by the inequalities of the reference, for
-   a rig by a bound for all cameras around a centre, then by those inequalities with each orientation.
+   and the other components by cyclic permutation. The test is in float32; `SINGLE_ERROR` covers its rounding: the error
+   of each sum is below five roundings of 6e-8 of itself or of (|m| + |h|) |e|.
+2. `note_neighbour` tests the remaining landmarks from each position: for a camera by the inequalities of the reference,
+   for a rig by a bound for all cameras around a centre, then by these inequalities for each orientation.
 
-A camera is searched as a part of a rig with one centre, the position itself, and the radius 0.
+A camera is treated as a mount group with one centre, the position itself, and the radius 0.
 """
 
 import math
+from typing import Any
 
 import numpy as np
 
-from lmd.core.bits import LANES, lowest
+from lmd.core.bits import LANES, Integer, lowest
+from lmd.core.checks import FloatArray
 from lmd.core.compiled import inlined, inner
 from lmd.core.dispatch import dispatched
 from lmd.incremental.nearby import pose_of, target_of
@@ -32,64 +32,70 @@ from lmd.incremental.state import (
     AIMED,
     BLOCK_COUNT,
     BLOCKS,
+    LANDMARK,
     OTHERS,
     PAIR_COUNT,
+    POSITION,
     TOUCHED,
     TOUCHED_COUNT,
     TOUCHED_LIST,
     WANTED,
-    WHERE,
-    WHO,
 )
 from lmd.scene.criteria import TOLERANCE
 from lmd.sight.blocks import SINGLE_ERROR
 
-# Reasons to search around a place: a landmark leaves it, comes to it from another, or is counted for the first time.
-# NumPy's: of Python's numbers each may be a type of its own for numba.
-LEAVES, COMES, ARRIVES = np.int64(0), np.int64(1), np.int64(2)
+# Roles of a place that is searched: old place, place tried, or place of a landmark that is counted the first time.
+# NumPy integers, as numba gives each Python constant a type of its own.
+OLD_PLACE, NEW_PLACE, FIRST_PLACE = np.int64(0), np.int64(1), np.int64(2)
 
 
 @inlined
-def line_radius(sight):  # type: ignore[no-untyped-def]
+def line_radius(sight: Any) -> Any:
     """Greatest distance from a line of sight at which a landmark hides another, metres."""
     return math.sqrt(sight.reach) * (1.0 + SINGLE_ERROR) + TOLERANCE
 
 
 @inner
-def find_ways(ax, ay, az, poses, horizon, others, ways):  # type: ignore[no-untyped-def]
-    """List the landmarks within the horizon of (ax, ay, az), and the vectors to them; see `Scratch.ways`.
+def find_offsets(
+    ax: float, ay: float, az: float, poses: FloatArray, horizon: float, others: np.ndarray, offsets: FloatArray
+) -> Any:
+    """List the landmarks within the horizon of (ax, ay, az) in `others`, and the vectors to them in `offsets`.
+
+    See `Scratch.offsets`.
 
     Returns:
-        their number, filled up to whole words.
+        number of landmarks, rounded up to a multiple of `LANES`.
     """
     count, most = poses.shape[1], np.float32(horizon * (1.0 + SINGLE_ERROR))
     for i in range(count):
         dx, dy, dz = poses[0, i] - ax, poses[1, i] - ay, poses[2, i] - az
-        ways[0, i], ways[1, i], ways[2, i], ways[3, i] = dx, dy, dz, math.sqrt(dx * dx + dy * dy + dz * dz)
+        offsets[0, i], offsets[1, i], offsets[2, i], offsets[3, i] = dx, dy, dz, math.sqrt(dx * dx + dy * dy + dz * dz)
         others[i] = i
     if most < np.inf:
         count = 0
         for i in range(poses.shape[1]):
-            dx, dy, dz, distance = ways[0, i], ways[1, i], ways[2, i], ways[3, i]
+            dx, dy, dz, distance = offsets[0, i], offsets[1, i], offsets[2, i], offsets[3, i]
             others[count] = i
-            ways[0, count], ways[1, count], ways[2, count], ways[3, count] = dx, dy, dz, distance
+            offsets[0, count], offsets[1, count], offsets[2, count], offsets[3, count] = dx, dy, dz, distance
             count += distance <= most
     filled = (count + LANES - 1) & -LANES
     for i in range(count, filled):
-        ways[3, i] = -np.inf  # nothing comes close to those that fill up
+        offsets[3, i] = -np.inf  # padding that fails every test
     return filled
 
 
 @inlined
-def near_line(start, mx, my, mz, hx, hy, hz, radius, ways):  # type: ignore[no-untyped-def]
-    """Landmarks that pass the first stage above, as bits.
+def near_line(
+    start: Any, mx: float, my: float, mz: float, hx: Any, hy: Any, hz: Any, radius: float, offsets: FloatArray
+) -> Any:
+    """Bit set of the landmarks that pass the first stage of the search.
 
     Args:
-        start: the first of `LANES`.
-        mx, my, mz: offset of the place from the centre of the box.
-        hx, hy, hz: half its sides.
-        radius: from `line_radius`.
-        ways: from `find_ways`.
+        start: index of the first of `LANES` landmarks.
+        mx, my, mz: offset of the place from the centre of the box, metres.
+        hx, hy, hz: half sides of the box, metres.
+        radius: result of `line_radius`, metres.
+        ways: result of `find_offsets`.
     """
     far = math.sqrt(mx * mx + my * my + mz * mz) + math.sqrt(hx * hx + hy * hy + hz * hz)
     shift, slope = np.float32(radius * far), np.float32(radius + SINGLE_ERROR * far)
@@ -97,8 +103,8 @@ def near_line(start, mx, my, mz, hx, hy, hz, radius, ways):  # type: ignore[no-u
     close = np.uint32(0)
     for lane in range(np.uint64(LANES)):
         i = start + lane
-        ex, ey, ez = ways[0, i], ways[1, i], ways[2, i]
-        room = shift + slope * ways[3, i]
+        ex, ey, ez = offsets[0, i], offsets[1, i], offsets[2, i]
+        room = shift + slope * offsets[3, i]
         near = abs(uy * ez - uz * ey) <= hz * abs(ey) + hy * abs(ez) + room
         near &= abs(uz * ex - ux * ez) <= hx * abs(ez) + hz * abs(ex) + room
         near &= abs(ux * ey - uy * ex) <= hy * abs(ex) + hx * abs(ey) + room
@@ -107,29 +113,35 @@ def near_line(start, mx, my, mz, hx, hy, hz, radius, ways):  # type: ignore[no-u
 
 
 @dispatched
-def note_neighbour(state, cameras, c, b, i, k, how, place, box, mine, other, field, scratch):  # type: ignore[no-untyped-def]
-    """Find which of landmark i and landmark k at a `place` hides the other from block b, and note it down.
+def note_neighbour(
+    state: Any, cameras: Any, c: Integer, b: Integer, i: Integer, k: Integer, role: Any, place: Any, box: Any,
+    mine: Any, other: Any, field: Any, scratch: Any,
+) -> None:  # fmt: skip
+    """Record the positions of block b from which landmark i and landmark k at a `place` hide one another.
 
     Args:
-        cameras: a `OneCamera`, or a `Part` of a rig.
-        c, b: centre of the cameras, and block of positions.
-        how: `LEAVES`, `COMES` or `ARRIVES`.
-        place: position and normal, six numbers.
-        box: offset of the place from the centre of the block seen from c, metres, three numbers, and half the length
-            of the box's diagonal.
-        mine, other: what a state and a scratch have of the part of a rig.
+        cameras: a `OneCamera`, or a `MountGroup` of a rig.
+        c, b: indices of the centre and of the block of positions.
+        role: `OLD_PLACE`, `NEW_PLACE` or `FIRST_PLACE`.
+        place: position (metres) and unit normal, six numbers.
+        box: offset of the place from the centre of the block as seen from c, and half the diagonal of the block's box,
+            four numbers, metres.
+        mine, other: fields of a state and of a scratch for the mount group; unused for a camera.
     """
 
 
 @inner
-def search(cameras, k, how, mine, other, field, state, scratch):  # type: ignore[no-untyped-def]
-    """Find the landmarks that hide landmark k where it is or where it is tried, and those that it hides there."""
-    boxes, poses, ways, width = field.boxes, state.poses, scratch.ways, line_radius(cameras.sight)
+def search(cameras: Any, k: Integer, role: Any, mine: Any, other: Any, field: Any, state: Any, scratch: Any) -> None:
+    """Call `note_neighbour` for all landmarks that may hide landmark k, or be hidden by it, at a place.
+
+    Arguments as in `note_neighbour`; the place is the old one or the place tried, by `role`.
+    """
+    boxes, poses, offsets, width = field.boxes, state.poses, scratch.offsets, line_radius(cameras.sight)
     blocks, others = scratch.lists[BLOCKS], scratch.lists[OTHERS]
-    wanted = scratch.flags[WANTED if how == LEAVES else AIMED]
-    place = pose_of(k, state) if how == LEAVES else target_of(scratch)
+    wanted = scratch.flags[WANTED if role == OLD_PLACE else AIMED]
+    place = pose_of(k, state) if role == OLD_PLACE else target_of(scratch)
     ax, ay, az = place[0], place[1], place[2]
-    filled = find_ways(ax, ay, az, poses, cameras.horizon, others, ways)
+    filled = find_offsets(ax, ay, az, poses, cameras.horizon, others, offsets)
     for c in range(len(cameras.centres)):
         cx, cy, cz, radius = cameras.centres[c, 0], cameras.centres[c, 1], cameras.centres[c, 2], cameras.radius[c]
         for e in range(scratch.numbers[BLOCK_COUNT]):
@@ -141,18 +153,18 @@ def search(cameras, k, how, mine, other, field, state, scratch):  # type: ignore
                 np.float32(boxes[3, b] + radius), np.float32(boxes[4, b] + radius), np.float32(boxes[5, b] + radius)
             )  # fmt: skip
             for start in range(np.uint64(0), np.uint64(filled), np.uint64(LANES)):
-                close = near_line(start, mx, my, mz, hx, hy, hz, width, ways)
+                close = near_line(start, mx, my, mz, hx, hy, hz, width, offsets)
                 while close:
                     i = others[start + lowest(np.uint64(close))]
                     close &= close - np.uint32(1)
                     if i != np.uint64(k):
                         box = mx, my, mz, math.sqrt(hx * hx + hy * hy + hz * hz)
-                        note_neighbour(state, cameras, c, b, i, k, how, place, box, mine, other, field, scratch)
+                        note_neighbour(state, cameras, c, b, i, k, role, place, box, mine, other, field, scratch)
 
 
 @inlined
-def touch(p, scratch):  # type: ignore[no-untyped-def]
-    """List position p among those that are `TOUCHED`."""
+def touch(p: Integer, scratch: Any) -> None:
+    """Mark position p as `TOUCHED`."""
     numbers = scratch.numbers
     if not scratch.flags[TOUCHED, p]:
         scratch.flags[TOUCHED, p], scratch.lists[TOUCHED_LIST, numbers[TOUCHED_COUNT]] = True, p
@@ -160,9 +172,9 @@ def touch(p, scratch):  # type: ignore[no-untyped-def]
 
 
 @inlined
-def note_pair(i, p, scratch):  # type: ignore[no-untyped-def]
-    """List the pair of landmark i and position p."""
+def note_pair(i: Integer, p: Integer, scratch: Any) -> None:
+    """Append landmark i and position p to `Scratch.pairs`."""
     known, pairs, numbers = scratch.known, scratch.pairs, scratch.numbers
     if not known[p, i]:
-        known[p, i], pairs[WHO, numbers[PAIR_COUNT]], pairs[WHERE, numbers[PAIR_COUNT]] = True, i, p
+        known[p, i], pairs[LANDMARK, numbers[PAIR_COUNT]], pairs[POSITION, numbers[PAIR_COUNT]] = True, i, p
         numbers[PAIR_COUNT] += 1

@@ -1,34 +1,37 @@
-"""Moves of landmarks before a rig: each camera is elsewhere for every orientation of the body.
+"""Moves of landmarks seen by a rig, whose cameras have another position for every orientation of the body.
 
-Counted are orientations of the body: the sets of all cameras of a landmark become one, `RigState.shown`.
+Counts are by orientation of the body: `RigState.shown` is the union over the cameras that see a landmark.
 """
+
+from typing import Any
 
 import numpy as np
 from numba import literal_unroll
 
-from lmd.core.bits import ZERO
+from lmd.core.bits import ZERO, Integer
+from lmd.core.checks import FloatArray
 from lmd.core.compiled import allocating, inner
 from lmd.incremental.counts import JUST, SHORT
 from lmd.incremental.nearby import target_of
 from lmd.incremental.rig_occlusion import find_occluded
 from lmd.incremental.state import (
     ASKED,
-    CAPS,
+    COVERED,
     FIRST,
     FRESH,
     HIGH,
+    LANDMARK,
     LAST,
     LISTED,
     LOW,
     OCCLUDED,
     PAIR_COUNT,
+    POSITION,
     SPAN_COUNT,
     SURE,
     TOUCHED,
     TOUCHED_COUNT,
     TOUCHED_LIST,
-    WHERE,
-    WHO,
     RigScratch,
     RigState,
     X,
@@ -37,9 +40,9 @@ from lmd.incremental.state import (
 )
 from lmd.incremental.trial import (
     bound_views,
+    clear_views,
     exchange_sets,
     exchange_views,
-    forget_views,
     fresh_of,
     list_changing,
     see,
@@ -47,141 +50,146 @@ from lmd.incremental.trial import (
     turned,
 )
 from lmd.scene.criteria import frame_of, sized
-from lmd.sight.mounts import blocked_bits, bounds_from, covered_bits, row_from, split
-from lmd.sight.obstacles import find_ends, is_clear, no_ends
+from lmd.sight.mounts import blocked_bits, bounds_from, covered_bits, split_by_certainty, table_row
+from lmd.sight.obstacles import find_ends, is_clear, new_ends
 
-ROW, LEFT_OVER = 0, 1  # rows of `PartScratch.lists`
+ROW, LEFT_OVER = 0, 1  # rows of `GroupScratch.lists`
 
 
 @shown_of.register(RigState)
-def _shown_of(state, k, p, w):  # type: ignore[no-untyped-def]
+def _shown_of(state: Any, k: Integer, p: Integer, w: Integer) -> Any:
     return state.shown[k, p, w]
 
 
 @turned.register(RigState)
-def _turned(state, i, q, w, scratch):  # type: ignore[no-untyped-def]
+def _turned(state: Any, i: Integer, q: Integer, w: Integer, scratch: Any) -> Any:
     shown = ZERO
-    for j in range(len(state.parts)):
-        caps, occluded, flipped = state.parts[j][CAPS], state.parts[j][OCCLUDED], scratch.parts[j].flipped
-        for m in range(caps.shape[2]):
-            shown |= caps[i, q, m, w] & ~(occluded[i, q, m, w] ^ flipped[i, q, m, w])
+    for j in range(len(state.groups)):
+        covered, occluded, flipped = state.groups[j][COVERED], state.groups[j][OCCLUDED], scratch.groups[j].flipped
+        for m in range(covered.shape[2]):
+            shown |= covered[i, q, m, w] & ~(occluded[i, q, m, w] ^ flipped[i, q, m, w])
     return state.shown[i, q, w], shown
 
 
-@forget_views.register(RigScratch)
-def _forget_views(scratch):  # type: ignore[no-untyped-def]
-    who, where = scratch.pairs[WHO], scratch.pairs[WHERE]
-    for j in range(len(scratch.parts)):
-        part = scratch.parts[j]  # copied: outside of other loops
-        flipped = part.flipped
-        part.occluders[0] = 0
+@clear_views.register(RigScratch)
+def _clear_views(scratch: Any) -> None:
+    landmark, position = scratch.pairs[LANDMARK], scratch.pairs[POSITION]
+    for j in range(len(scratch.groups)):
+        group = scratch.groups[j]  # copied by numba
+        flipped = group.flipped
+        group.occluders[0] = 0
         for e in range(scratch.numbers[PAIR_COUNT]):
-            i, q = who[e], where[e]
+            i, q = landmark[e], position[e]
             for m in range(flipped.shape[2]):
                 for w in range(flipped.shape[3]):
                     flipped[i, q, m, w] = ZERO
 
 
 @allocating
-def _find_caps(k, part, positions, body, scratch, rig):  # type: ignore[no-untyped-def]
-    """Find in `CAPS` with which orientations of those `ASKED` cameras cover the place tried; add them to `FRESH`.
+def _find_covered(k: Integer, group: Any, positions: FloatArray, body: FloatArray, scratch: Any, rig: Any) -> None:
+    """Write the orientations among `ASKED` that cover the place tried into `COVERED`, and add them to `FRESH`.
 
-    Clears `OCCLUDED`.
+    `OCCLUDED` is cleared.
 
     Args:
         k: landmark.
-        part: cameras.
-        positions: positions to look from.
+        group: a `MountGroup`.
+        positions: indices of the positions of the body to evaluate.
         body: all positions of the body, `(3, Q)`, metres.
-        scratch, rig: working memory of the part, and of the rig.
+        scratch, rig: working memory of the group, and of the rig.
     """
-    obstacles, asked, fresh = part.obstacles, rig.sets[ASKED], rig.sets[FRESH]
-    cap, tried_occluded, seen = scratch.sets[CAPS], scratch.sets[OCCLUDED], scratch.seen
+    obstacles, asked, fresh = group.obstacles, rig.sets[ASKED], rig.sets[FRESH]
+    tried_covered, tried_occluded, seen = scratch.sets[COVERED], scratch.sets[OCCLUDED], scratch.seen
     x, y, z, most, start, sure = seen[X], seen[Y], seen[Z], seen[HIGH], seen[LOW], seen[SURE]
     row, left_over, reached = scratch.lists[ROW], scratch.lists[LEFT_OVER], scratch.reached
-    words, half = np.uint64(asked.shape[1]), np.uint64(part.tables.shape[1] // 2)
+    words, half = np.uint64(asked.shape[1]), np.uint64(group.tables.shape[1] // 2)
     tx, ty, tz, nx, ny, nz = target_of(rig)
-    sight = sized(part.sight, k)
-    clear, frame, ends = is_clear(obstacles), frame_of(sight, nx, ny, nz), no_ends(obstacles, 1)
+    sight = sized(group.sight, k)
+    clear, frame, ends = is_clear(obstacles), frame_of(sight, nx, ny, nz), new_ends(obstacles, 1)
     if not clear:
         find_ends(obstacles, sight, tx, ty, tz, nx, ny, nz, ends, 0)
     for q in positions:
-        for m in range(cap.shape[1]):
+        for m in range(tried_covered.shape[1]):
             for w in range(words):
-                cap[q, m, w] = tried_occluded[q, m, w] = ZERO
-    for c in range(len(part.centres)):
-        cx, cy, cz, count, kept = part.centres[c, 0], part.centres[c, 1], part.centres[c, 2], ZERO, ZERO
+                tried_covered[q, m, w] = tried_occluded[q, m, w] = ZERO
+    for c in range(len(group.centres)):
+        cx, cy, cz, count, kept = group.centres[c, 0], group.centres[c, 1], group.centres[c, 2], ZERO, ZERO
         for i in range(np.uint64(len(positions))):
             q = positions[i]
             xq, yq, zq = tx - (body[0, q] + cx), ty - (body[1, q] + cy), tz - (body[2, q] + cz)
             x[i], y[i], z[i] = xq, yq, zq
-            reached[i], most[i], start[i], sure[i] = bounds_from(part, c, k, xq, yq, zq, nx, ny, nz)
+            reached[i], most[i], start[i], sure[i] = bounds_from(group, c, k, xq, yq, zq, nx, ny, nz)
         for i in range(np.uint64(len(positions))):
             left_over[count] = i
             count += np.uint64(reached[i])
         for i in left_over[:count]:
-            row[i] = row_from(part, c, x[i], y[i], z[i])
+            row[i] = table_row(group, c, x[i], y[i], z[i])
         for i in left_over[:count]:
             q, some = positions[i], ZERO
-            for m in range(part.mounts[c], part.mounts[c + 1]):
+            for m in range(group.mounts[c], group.mounts[c + 1]):
                 for w in range(words):
-                    left = part.tables[row[i], half + np.uint64(m) * words + w] & asked[q, w]
-                    cap[q, m, w] = left
+                    left = group.tables[row[i], half + np.uint64(m) * words + w] & asked[q, w]
+                    tried_covered[q, m, w] = left
                     some |= left
             left_over[kept] = i
             kept += np.uint64(some != ZERO)
         for i in left_over[:kept]:
             q = positions[i]
             px, py, pz, bounds = body[0, q], body[1, q], body[2, q], (most[i], start[i], sure[i])
-            for m in range(part.mounts[c], part.mounts[c + 1]):
+            for m in range(group.mounts[c], group.mounts[c + 1]):
                 for w in range(words):
-                    if cap[q, m, w] == ZERO:
+                    if tried_covered[q, m, w] == ZERO:
                         continue
-                    found, left = split(part, m, w, cap[q, m, w], words, x[i], y[i], z[i], *bounds, row[i])
-                    found |= covered_bits(part, m, w, left, k, px, py, pz, tx, ty, tz, nx, ny, nz, frame)
+                    found, left = split_by_certainty(
+                        group, m, w, tried_covered[q, m, w], words, x[i], y[i], z[i], *bounds, row[i]
+                    )
+                    found |= covered_bits(group, m, w, left, k, px, py, pz, tx, ty, tz, nx, ny, nz, frame)
                     if not clear:
-                        found &= ~blocked_bits(part, m, w, found, k, q, ends, 0)
-                    cap[q, m, w] = found
+                        found &= ~blocked_bits(group, m, w, found, k, q, ends, 0)
+                    tried_covered[q, m, w] = found
                     fresh[q, w] |= found
 
 
 @inner
-def _join(positions, scratch):  # type: ignore[no-untyped-def]
-    """Find in `FRESH` what all cameras see of the place tried at `positions`, where others may be in the way."""
+def _join(positions: FloatArray, scratch: Any) -> None:
+    """Recompute `FRESH` at `positions`: the union over all cameras of `COVERED` without `OCCLUDED`."""
     fresh = scratch.sets[FRESH]
     for q in positions:
         for w in range(np.uint64(fresh.shape[1])):
             fresh[q, w] = ZERO
-    for j in range(len(scratch.parts)):
-        sets = scratch.parts[j].sets
-        cap, tried_occluded = sets[CAPS], sets[OCCLUDED]
+    for j in range(len(scratch.groups)):
+        sets = scratch.groups[j].sets
+        tried_covered, tried_occluded = sets[COVERED], sets[OCCLUDED]
         for q in positions:
-            for m in range(cap.shape[1]):
+            for m in range(tried_covered.shape[1]):
                 for w in range(np.uint64(fresh.shape[1])):
-                    fresh[q, w] |= cap[q, m, w] & ~tried_occluded[q, m, w]
+                    fresh[q, w] |= tried_covered[q, m, w] & ~tried_occluded[q, m, w]
 
 
 @inner
-def _see_with(parts, k, positions, field, state, scratch):  # type: ignore[no-untyped-def]
-    """Find what all parts see."""
+def _see_with(groups: Any, k: Integer, positions: FloatArray, field: Any, state: Any, scratch: Any) -> None:
+    """Run `see` for all groups of a rig."""
     fresh = scratch.sets[FRESH]
     for q in positions:
         for w in range(np.uint64(fresh.shape[1])):
             fresh[q, w] = ZERO
-    for part in literal_unroll(parts):
-        _find_caps(k, part, positions, field.positions, scratch.parts[part.number], scratch)
-        find_occluded(k, part, field, state, scratch)
+    for group in literal_unroll(groups):
+        _find_covered(k, group, positions, field.positions, scratch.groups[group.number], scratch)
+        find_occluded(k, group, field, state, scratch)
     _join(scratch.lists[TOUCHED_LIST][: scratch.numbers[TOUCHED_COUNT]], scratch)
 
 
 @see.register(RigState)
-def _see(state, k, positions, field, scratch):  # type: ignore[no-untyped-def]
-    _see_with(field.cameras.parts, k, positions, field, state, scratch)
+def _see(state: Any, k: Integer, positions: np.ndarray, field: Any, scratch: Any) -> None:
+    _see_with(field.cameras.groups, k, positions, field, state, scratch)
 
 
 @inner
-def list_near(scratch, all_of_them):  # type: ignore[no-untyped-def]
-    """List in `LISTED` the positions near the place left and the place tried, all or those asked or touched."""
+def list_near(scratch: Any, all_of_them: bool) -> Any:
+    """List positions near the old place and the place tried in `LISTED`; returns their number.
+
+    All of them, or those that are touched or have orientations in `ASKED`.
+    """
     listed, first, last, count = scratch.lists[LISTED], scratch.lists[FIRST], scratch.lists[LAST], ZERO
     asked, touched = scratch.sets[ASKED], scratch.flags[TOUCHED]
     for s in range(scratch.numbers[SPAN_COUNT]):
@@ -195,7 +203,7 @@ def list_near(scratch, all_of_them):  # type: ignore[no-untyped-def]
 
 
 @bound_views.register(RigState)
-def _bound_views(state, k, field, scratch):  # type: ignore[no-untyped-def]
+def _bound_views(state: Any, k: Integer, field: Any, scratch: Any) -> Any:
     shown, asked, short, just = state.shown, scratch.sets[ASKED], state.counts.sets[SHORT], state.counts.sets[JUST]
     first, last, touched = scratch.lists[FIRST], scratch.lists[LAST], scratch.flags[TOUCHED]
     for s in range(scratch.numbers[SPAN_COUNT]):
@@ -207,43 +215,43 @@ def _bound_views(state, k, field, scratch):  # type: ignore[no-untyped-def]
 
 
 @list_changing.register(RigState)
-def _list_changing(state, k, scratch):  # type: ignore[no-untyped-def]
+def _list_changing(state: Any, k: Integer, scratch: Any) -> Any:
     return list_near(scratch, True)
 
 
 @fresh_of.register(RigScratch)
-def _fresh_of(scratch, p, w):  # type: ignore[no-untyped-def]
+def _fresh_of(scratch: Any, p: Integer, w: Integer) -> Any:
     return scratch.sets[FRESH, p, w]
 
 
 @exchange_sets.register(RigState)
-def _exchange_sets(state, k, p, w, scratch):  # type: ignore[no-untyped-def]
+def _exchange_sets(state: Any, k: Integer, p: Integer, w: Integer, scratch: Any) -> Any:
     was, now = state.shown[k, p, w], scratch.sets[FRESH, p, w]
     state.shown[k, p, w], scratch.sets[FRESH, p, w] = now, was
     return was, now
 
 
 @inner
-def _exchange_part(k, positions, mine, other):  # type: ignore[no-untyped-def]
-    """Exchange what a part has of landmark k, `mine`, at `positions` for what its scratch has, the `other`."""
-    caps, occluded, cap, tried_occluded = mine[CAPS], mine[OCCLUDED], other[CAPS], other[OCCLUDED]
+def _exchange_group(k: Integer, positions: FloatArray, mine: Any, other: Any) -> None:
+    """Exchange the sets of landmark k at `positions` between the state of a group, `mine`, and its scratch, `other`."""
+    covered, occluded, tried_covered, tried_occluded = mine[COVERED], mine[OCCLUDED], other[COVERED], other[OCCLUDED]
     for q in positions:
-        for m in range(caps.shape[2]):
-            for w in range(caps.shape[3]):
-                caps[k, q, m, w], cap[q, m, w] = cap[q, m, w], caps[k, q, m, w]
+        for m in range(covered.shape[2]):
+            for w in range(covered.shape[3]):
+                covered[k, q, m, w], tried_covered[q, m, w] = tried_covered[q, m, w], covered[k, q, m, w]
                 occluded[k, q, m, w], tried_occluded[q, m, w] = tried_occluded[q, m, w], occluded[k, q, m, w]
 
 
 @exchange_views.register(RigState)
-def _exchange_views(state, k, scratch):  # type: ignore[no-untyped-def]
+def _exchange_views(state: Any, k: Integer, scratch: Any) -> None:
     positions = scratch.lists[LISTED][: list_near(scratch, True)]
-    for j in range(len(state.parts)):
-        _exchange_part(k, positions, state.parts[j], scratch.parts[j].sets)  # copied: outside of other loops
+    for j in range(len(state.groups)):
+        _exchange_group(k, positions, state.groups[j], scratch.groups[j].sets)  # copied by numba
     for e in range(scratch.numbers[PAIR_COUNT]):
-        i, q = np.uint64(scratch.pairs[WHO, e]), np.uint64(scratch.pairs[WHERE, e])
+        i, q = np.uint64(scratch.pairs[LANDMARK, e]), np.uint64(scratch.pairs[POSITION, e])
         for w in range(np.uint64(state.shown.shape[2])):
             _, state.shown[i, q, w] = turned(state, i, q, w, scratch)
-            for j in range(len(state.parts)):
-                occluded, flipped = state.parts[j][OCCLUDED], scratch.parts[j].flipped
+            for j in range(len(state.groups)):
+                occluded, flipped = state.groups[j][OCCLUDED], scratch.groups[j].flipped
                 for m in range(occluded.shape[2]):
                     occluded[i, q, m, w] ^= flipped[i, q, m, w]

@@ -1,7 +1,7 @@
 """State and scratch of moves of single landmarks: the coverage of one deployment, and working memory.
 
-A camera and a rig share the fields that have the same name. Arrays of one type and shape are rows of one array, with a
-name for each row: numba hands each array over as 5 + 2n numbers, n its dimensions, to all that is not inlined.
+Camera and rig share the meaning of fields with equal names. Arrays of equal type and shape are rows of one array, with
+a constant for each row: numba passes an n-dimensional array as 5 + 2n numbers to functions that are not inlined.
 """
 
 from typing import Any, NamedTuple
@@ -12,12 +12,12 @@ from lmd.core.bits import LANES
 from lmd.incremental.counts import Counts
 
 # Rows of `State.hides`, `Scratch.hides` and `Scratch.changes`.
-HIDDEN = 0  # number of other landmarks that hide this one
-HIDING = 1  # number of other landmarks that this one hides
+HIDDEN = 0  # number of other landmarks that hide the landmark
+HIDING = 1  # number of other landmarks that the landmark hides
 
-# Rows of the parts of `RigState`, and of `PartScratch.sets`.
-CAPS = 0  # orientations with which a camera covers a landmark, occlusion ignored
-OCCLUDED = 1  # those of them with which another landmark hides it
+# Rows of the arrays in `RigState.groups`, and of `GroupScratch.sets`.
+COVERED = 0  # orientations with which a camera covers a landmark, occlusion ignored
+OCCLUDED = 1  # orientations among `COVERED` with which another landmark hides the landmark
 
 # Rows of `Scratch.numbers`.
 BLOCK_COUNT = 0  # number of `BLOCKS`
@@ -27,55 +27,59 @@ PAIR_COUNT = 3  # number of `pairs`
 TOUCHED_COUNT = 4  # number of positions in `TOUCHED_LIST`
 
 # Rows of `Scratch.flags`.
-AIMED = 0  # by block: within the horizon of the place tried
-WANTED = 1  # by block: may be searched for neighbours of the place left
-TOUCHED = 2  # by position: another landmark appears or disappears, or hides the place tried
-REACHED = 3  # by position: some orientation covers the place tried, occlusion ignored; of a single camera
+AIMED = 0  # by block: True within the horizon of the place tried
+WANTED = 1  # by block: True if it is searched for neighbours of the old place
+TOUCHED = 2  # by position: True if another landmark appears or disappears, or hides the place tried
+REACHED = 3  # by position: True if some orientation covers the place tried, occlusion ignored; camera only
 
 # Rows of `Scratch.lists`.
 LISTED = 0  # positions to work on
-BLOCKS = 1  # blocks of positions within the horizon of the place left or tried
-FIRST, LAST = 2, 3  # spans of their positions: the first position, and the one behind the last
+BLOCKS = 1  # blocks of positions within the horizon of the old place or of the place tried
+FIRST, LAST = 2, 3  # contiguous spans of positions of these blocks: first position, and one past the last
 OTHERS = 4  # landmarks within the horizon of a place
 TOUCHED_LIST = 5  # positions that are `TOUCHED`
-VISIBLE = 6  # by position: all bits where the landmark is seen at the place left, else none; of a single camera
-UNSURE, PLACES = 7, 8  # sets of axes to be tested, and their position and word: p << HALF | w; of a single camera
-NAMES, GOES = 9, 10  # landmarks that turn at a position; all bits for one that disappears; of a single camera
+VISIBLE = 6  # by position: a word of ones if the landmark is seen at its old place, else 0; camera only
+UNSURE, PLACES = 7, 8  # sets of axes to be tested, and position and word of each, p << HALF | w; camera only
+# Landmarks that appear or disappear at a position, and a word of ones if a landmark disappears; camera only.
+TURNING, DISAPPEARS = 9, 10
 
 # Rows of `Scratch.sets`.
-FRESH = 0  # orientations among those `ASKED` with which the place tried is covered; of a camera, occlusion ignored
+FRESH = 0  # orientations among `ASKED` that cover the place tried; for a camera, occlusion is ignored
 ASKED = 1  # orientations that are tested
 
 # Rows of `Scratch.pairs`.
-WHO, WHERE = 0, 1  # a landmark, and a position; of `PartScratch.pairs` a centre around a position, c Q + q
+LANDMARK, POSITION = (
+    0,
+    1,
+)  # a landmark, and a position; in `GroupScratch.pairs`, centre c and position q as c Q + q
 
-# Rows of `seen`: the place tried as it is seen; `criteria.from_position` and `from_around` explain the bounds.
-X, Y, Z = 0, 1, 2  # its offset from the position, or from the centre, metres
+# Rows of `seen`: the place tried as seen from a position; bounds as in `criteria.from_position` and `from_around`.
+X, Y, Z = 0, 1, 2  # offset of the place from the position, or from the centre, metres
 LOW, HIGH = 3, 4  # least and greatest depth at which it may be covered, metres
-SURE = 5  # depth up to which, from `LOW` on, every axis that has it well in view covers it, metres
+SURE = 5  # depth, metres: an axis with the place well in view, at a depth from `LOW` to this, covers it
 
 
 class State(NamedTuple):
-    """The coverage of one deployment of K landmarks by a camera, from Q positions in the field's order, W words."""
+    """Coverage of K landmarks by a camera from Q positions in the field's order, with W words of axes."""
 
     poses: np.ndarray
     """`(6, K)` positions of the landmarks, metres, and unit normals."""
     surfaces: np.ndarray
-    """`(K,)` surfaces that the landmarks hang on."""
+    """`(K,)` indices of the surfaces that carry the landmarks."""
     counts: Counts
     """Number of landmarks covered."""
     units: np.ndarray
-    """`(Q,)` P_n in integer units."""
-    caps: np.ndarray
+    """`(Q,)` quantised P_n."""
+    covered: np.ndarray
     """`(K, Q, W)` axes that cover each landmark, occlusion ignored."""
     reachable: np.ndarray
     """`(K, Q)` True where any axis covers the landmark, occlusion ignored."""
     hides: np.ndarray
-    """`(2, K, Q)` int16: `HIDDEN`, `HIDING`, within the horizon."""
+    """`(2, K, Q)` int16: `HIDDEN`, `HIDING`, for positions within the horizon."""
 
 
 class RigState(NamedTuple):
-    """The coverage of one deployment by a rig; orientations are those of its body."""
+    """Coverage of K landmarks by a rig; orientations are those of its body."""
 
     poses: np.ndarray
     """As in `State`."""
@@ -85,37 +89,37 @@ class RigState(NamedTuple):
     """As in `State`."""
     units: np.ndarray
     """As in `State`."""
-    parts: tuple[np.ndarray, ...]
-    """`(2, K, Q, M, W)` of each part with M cameras: `CAPS`, `OCCLUDED`."""
+    groups: tuple[np.ndarray, ...]
+    """`(2, K, Q, M, W)` sets `COVERED`, `OCCLUDED` for each group of M mounts."""
     shown: np.ndarray
-    """`(K, Q, W)` orientations with which some camera sees a landmark."""
+    """`(K, Q, W)` orientations with which some camera sees a landmark, occlusion included."""
 
 
 class Scratch(NamedTuple):
-    """The move tried last, and working memory.
+    """The move tried last, and working memory, for a camera.
 
-    Once the move is carried out, `target`, `SURFACE`, `units`, `FRESH`, `REACHED`, `hides` and `changes` are those of
-    the way back.
+    After the move is carried out, `target`, `SURFACE`, `units`, `FRESH`, `REACHED`, `hides` and `changes` describe the
+    reverse move.
     """
 
     target: np.ndarray
-    """`(6,)` position and normal tried."""
+    """`(6,)` position (metres) and unit normal of the place tried."""
     numbers: np.ndarray
     """`(5,)` int64: `BLOCK_COUNT` to `TOUCHED_COUNT`."""
     units: np.ndarray
-    """`(Q,)` P_n with the landmark at the place tried."""
+    """`(Q,)` quantised P_n with the landmark at the place tried, or upper bounds on it."""
     flags: np.ndarray
     """`(4, Q)` bool: `AIMED` to `REACHED`."""
     lists: np.ndarray
-    """`(11, max(Q W, K) + 1)` uint64: `LISTED` to `GOES`."""
-    ways: np.ndarray
-    """`(4, K + 1)`, filled up to whole words: vectors to the `OTHERS`, and their lengths, metres, single precision."""
+    """`(11, max(Q W, K) + 1)` uint64: `LISTED` to `DISAPPEARS`."""
+    offsets: np.ndarray
+    """`(4, L)` float32, L > K a multiple of `LANES`: vectors to the `OTHERS` and their lengths, metres."""
     sets: np.ndarray
     """`(2, Q, W)`: `FRESH`, `ASKED`."""
     digits: np.ndarray
-    """`(Q, W, J)` binary digits of the counts without the landmark where positions are `TOUCHED`."""
+    """`(Q, W, J)` binary digits of the counts without the landmark, at `TOUCHED` positions."""
     pairs: np.ndarray
-    """`(2, K Q)` uint32 pairs of another landmark and a position that the move concerns: `WHO`, `WHERE`."""
+    """`(2, K Q)` uint32 pairs of another landmark and a position that the move affects: `LANDMARK`, `POSITION`."""
     known: np.ndarray
     """`(Q, K)` True for the `pairs`."""
     changes: np.ndarray
@@ -125,34 +129,33 @@ class Scratch(NamedTuple):
     seen: np.ndarray
     """`(6, Q)`: `X` to `SURE`."""
     cell: np.ndarray
-    """`(2, Q)` int32: cell of the tables of directions, and the row of the axes that may have the place in view."""
+    """`(2, Q)` int32: cell of the tables of directions, and the row of `POSSIBLE` (`EMPTY_ROW` if out of reach)."""
 
 
-class PartScratch(NamedTuple):
-    """The move tried last as one part of a rig sees it, and working memory for Q positions."""
+class GroupScratch(NamedTuple):
+    """The move tried last for one mount group of a rig, and working memory."""
 
     sets: np.ndarray
-    """`(2, Q, M, W)`: `CAPS`, `OCCLUDED` of the place tried among the orientations `ASKED`."""
+    """`(2, Q, M, W)` sets `COVERED`, `OCCLUDED` of the place tried, among the orientations `ASKED`."""
     flipped: np.ndarray
-    """`(K, Q, M, W)` changes of `OCCLUDED` of the others, for the pairs in `RigScratch`."""
+    """`(K, Q, M, W)` orientations whose `OCCLUDED` changes for the pairs in `RigScratch`."""
     occluders: np.ndarray
     """`(1,)` number of `pairs`."""
     pairs: np.ndarray
-    """`(2, K C Q)` uint32 pairs of another landmark and a centre around which it may hide the place tried: `WHO`,
-    `WHERE`."""
+    """`(2, K C Q)` uint32 pairs of a landmark that may hide the place tried, and a centre: `LANDMARK`, `POSITION`."""
     seen: np.ndarray
-    """`(6, Q)`: `X` to `SURE`, from the centre looked from last."""
+    """`(6, Q)`: `X` to `SURE`, from the centre evaluated last."""
     lists: np.ndarray
-    """`(2, Q + 1)` uint64: rows of the tables of directions, and positions that are not settled yet."""
+    """`(2, Q + 1)` uint64: rows of the tables of directions, and undecided positions."""
     reached: np.ndarray
-    """`(Q,)` True where any orientation may cover the place tried."""
+    """`(Q,)` True if some orientation may cover the place tried."""
 
 
 class RigScratch(NamedTuple):
-    """The move tried last by all parts of a rig, and working memory.
+    """The move tried last, and working memory, for a rig.
 
-    Once the move is carried out, `target`, `SURFACE`, `units`, `FRESH`, and `sets` of the parts are those of the place
-    left.
+    After the move is carried out, `target`, `SURFACE`, `units`, `FRESH`, and `sets` of the groups are those of the old
+    place.
     """
 
     target: np.ndarray
@@ -165,7 +168,7 @@ class RigScratch(NamedTuple):
     """As in `Scratch`."""
     lists: np.ndarray
     """As in `Scratch`."""
-    ways: np.ndarray
+    offsets: np.ndarray
     """As in `Scratch`."""
     sets: np.ndarray
     """As in `Scratch`."""
@@ -175,20 +178,20 @@ class RigScratch(NamedTuple):
     """As in `Scratch`."""
     known: np.ndarray
     """As in `Scratch`."""
-    parts: tuple[PartScratch, ...]
-    """The move as each part sees it."""
+    groups: tuple[GroupScratch, ...]
+    """The move for each mount group."""
 
 
 def _shared_fields(state: State | RigState) -> dict[str, Any]:
-    """Fields of a scratch that do not depend on whether a camera or a rig looks."""
+    """Fields that the scratch of a camera and of a rig share."""
     count, (size, words) = len(state.surfaces), state.counts.sets.shape[1:]
     return {
         "target": np.empty(6),
         "numbers": np.zeros(5, dtype=np.int64),
         "units": state.units.copy(),
         "flags": np.zeros((4, size), dtype=np.bool_),
-        "lists": np.zeros((GOES + 1, max(size * words, count) + 1), dtype=np.uint64),
-        "ways": np.zeros((4, (count // LANES + 1) * LANES), dtype=np.float32),
+        "lists": np.zeros((DISAPPEARS + 1, max(size * words, count) + 1), dtype=np.uint64),
+        "offsets": np.zeros((4, (count // LANES + 1) * LANES), dtype=np.float32),
         "sets": np.zeros((2, size, words), dtype=np.uint64),
         "digits": np.empty_like(state.counts.digits),
         "pairs": np.empty((2, count * size), dtype=np.uint32),
@@ -197,8 +200,8 @@ def _shared_fields(state: State | RigState) -> dict[str, Any]:
 
 
 def scratch_of(state: State) -> Scratch:
-    """Working memory for moves of the landmarks of a camera's `state`."""
-    count, size, _ = state.caps.shape
+    """Scratch for the state of a camera."""
+    count, size, _ = state.covered.shape
     return Scratch(
         **_shared_fields(state),
         changes=np.zeros((2, count, size), dtype=np.int8),
@@ -209,18 +212,18 @@ def scratch_of(state: State) -> Scratch:
 
 
 def rig_scratch_of(state: RigState, centres: tuple[int, ...]) -> RigScratch:
-    """Working memory for moves of the landmarks of a rig's `state`; `centres` has their number in each part."""
+    """Scratch for the state of a rig; `centres` has the number of centres of each group."""
     count, size = state.shown.shape[:2]
-    parts = tuple(
-        PartScratch(
-            sets=np.zeros((2, *part.shape[2:]), dtype=np.uint64),
-            flipped=np.zeros(part.shape[1:], dtype=np.uint64),
+    groups = tuple(
+        GroupScratch(
+            sets=np.zeros((2, *group.shape[2:]), dtype=np.uint64),
+            flipped=np.zeros(group.shape[1:], dtype=np.uint64),
             occluders=np.zeros(1, dtype=np.int64),
             pairs=np.empty((2, count * around * size), dtype=np.uint32),
             seen=np.empty((6, size)),
             lists=np.empty((2, size + 1), dtype=np.uint64),
             reached=np.empty(size, dtype=np.bool_),
         )
-        for part, around in zip(state.parts, centres, strict=True)
+        for group, around in zip(state.groups, centres, strict=True)
     )
-    return RigScratch(**_shared_fields(state), parts=parts)
+    return RigScratch(**_shared_fields(state), groups=groups)

@@ -1,120 +1,124 @@
-"""Trying to move one landmark: P_n if it stood elsewhere, first bounded, then exact.
+"""Trial of a move of one landmark: P_n with the landmark at another place, first an upper bound, then exact.
 
-A moved landmark changes the counts at a position in at most four ways: its old cap goes, caps that it hid come back,
-caps that it now hides go, its new cap comes. Everything else stays as it is, there and at every position where none of
-the four happens. The decisions are those of `lmd.sight.kernels`, operation by operation.
+A move changes the counts at a position in at most four ways: the landmark is no longer covered at its old place;
+landmarks that it hid appear; landmarks that it hides at the new place disappear; it is covered at the new place. The
+decisions repeat the operations of `lmd.sight.kernels`.
 
-Sets of axes are bits. The caps of all landmarks where they are, and at each position the axes one landmark short of n
-and those with just n, are known beforehand. So a trial tests few axes: those where P_n depends on the landmark.
+Sets of axes are bit sets. A state has the axes that cover each landmark and, at each position, the axes that cover
+n - 1 and n landmarks. Only for these axes does P_n depend on the landmark, so a trial tests few axes.
 
-1. `bound_move` leaves out what the new place hides and what hides it. Both only take caps away, and P_n never falls
-   with another cap, so its values are never below P_n. `bound_views` finds them; at *touched* positions, where another
-   landmark appears, the others are counted first (`count_others`).
-2. `finish_move` searches around the new place, which touches more positions, and finds P_n at all touched ones.
+1. `bound_move` ignores the occlusion by and of the landmark at the new place. Occlusion only removes axes, and P_n does
+   not decrease when axes are added, so the result is an upper bound. At *touched* positions, where another landmark
+   appears, the other landmarks are counted first (`_count_others`).
+2. `finish_move` searches for occlusion around the new place, which touches more positions, and computes P_n at all
+   touched positions.
 
-The source is one for a camera and for a rig, and is compiled for each. They differ in the functions declared first,
-which `lmd.incremental.camera` and `lmd.incremental.rig` register for their states: for a camera occlusion and bounds
-depend on the position alone, for a rig on the orientation, too. One loop for both was measured: a camera as a rig of
-one mount takes 1.3 to 1.8 times as long for a trial, 1.9 to 2.7 times for a move that is carried out.
+Camera and rig share this source, compiled for each. The functions declared first differ: `lmd.incremental.camera` and
+`lmd.incremental.rig` register them for their states. For a camera, occlusion and bounds depend on the position alone,
+for a rig also on the orientation. A single loop is slower: a camera as a rig with one mount takes 1.3 to 1.8 times as
+long for a trial, and 1.9 to 2.7 times for a move that is carried out.
 """
+
+from typing import Any
 
 import numpy as np
 
-from lmd.core.bits import ALL, add_set, at_least, exactly
+from lmd.core.bits import ALL, Integer, add_set, at_least, exactly
+from lmd.core.checks import FloatArray
 from lmd.core.compiled import inner
 from lmd.core.dispatch import dispatched, dispatched_call
 from lmd.incremental.counts import ENOUGH
 from lmd.incremental.nearby import list_blocks
-from lmd.incremental.occlusion import COMES, LEAVES
+from lmd.incremental.occlusion import NEW_PLACE, OLD_PLACE
 from lmd.incremental.state import (
     ASKED,
+    LANDMARK,
     LISTED,
     PAIR_COUNT,
+    POSITION,
     SURFACE,
     TOUCHED,
     TOUCHED_COUNT,
     TOUCHED_LIST,
-    WHERE,
-    WHO,
 )
 from lmd.sight.kernels import sum_weights
 
-# Indices are unsigned where it counts: signed ones cost extra instructions, as they might be negative.
+# Indices in inner loops are unsigned; signed indices need extra instructions, as they may be negative.
 
 
 @dispatched
-def shown_of(state, k, p, w):  # type: ignore[no-untyped-def]
+def shown_of(state: Any, k: Integer, p: Integer, w: Integer) -> Any:
     """Orientations of word w with which landmark k is seen from position p."""
 
 
 @dispatched
-def turned(state, i, p, w, scratch):  # type: ignore[no-untyped-def]
-    """`shown_of` a landmark of `Scratch.pairs` before and after the move."""
+def turned(state: Any, i: Integer, p: Integer, w: Integer, scratch: Any) -> Any:
+    """Result of `shown_of` for landmark i of `Scratch.pairs` before and after the move."""
 
 
 @dispatched_call
-def find_pairs(state, k, how, field, scratch):  # type: ignore[no-untyped-def]
-    """Find the pairs that landmark k concerns as it leaves its place, comes to the place tried or arrives there."""
+def find_pairs(state: Any, k: Integer, role: Any, field: Any, scratch: Any) -> None:
+    """Find the pairs of another landmark and a position that are affected by landmark k; `role` names the place."""
 
 
 @dispatched_call
-def bound_views(state, k, field, scratch):  # type: ignore[no-untyped-def]
+def bound_views(state: Any, k: Integer, field: Any, scratch: Any) -> Any:
     """Bound P_n at positions that are not touched.
 
     Returns:
-        number of positions in `LISTED`, at which `see` and `find_units` have to finish; all touched ones are there.
+        number of positions in `LISTED` for role `see` and `_find_units` are still needed, touched positions included.
     """
 
 
 @dispatched_call
-def see(state, k, positions, field, scratch):  # type: ignore[no-untyped-def]
-    """Find in `FRESH` with which orientations among those `ASKED` landmark k is covered at the place tried."""
+def see(state: Any, k: Integer, positions: np.ndarray, field: Any, scratch: Any) -> None:
+    """Write the orientations among `ASKED` that cover landmark k at the place tried into `FRESH`."""
 
 
 @dispatched
-def fresh_of(scratch, p, w):  # type: ignore[no-untyped-def]
-    """Orientations in `FRESH` with which the landmark is seen at the place tried."""
+def fresh_of(scratch: Any, p: Integer, w: Integer) -> Any:
+    """Orientations in `FRESH` with which the landmark is seen at the place tried, occlusion included."""
 
 
 @dispatched_call
-def list_changing(state, k, scratch):  # type: ignore[no-untyped-def]
-    """List in `LISTED` the positions at which a move of landmark k may change anything.
+def list_changing(state: Any, k: Integer, scratch: Any) -> Any:
+    """List the positions that a move of landmark k may affect in `LISTED`.
 
     Returns:
-        their number.
+        number of positions.
     """
 
 
 @dispatched
-def exchange_sets(state, k, p, w, scratch):  # type: ignore[no-untyped-def]
-    """Exchange the sets of landmark k in word w at position p.
+def exchange_sets(state: Any, k: Integer, p: Integer, w: Integer, scratch: Any) -> Any:
+    """Exchange word w of the sets of landmark k at position p between state and scratch.
 
     Returns:
-        the orientations with which it was seen, and those with which it is seen now.
+        orientations with which the landmark was seen before, and is seen after the exchange.
     """
 
 
 @dispatched_call
-def exchange_views(state, k, scratch):  # type: ignore[no-untyped-def]
-    """Exchange what else a state and a scratch have of the places of landmark k, and apply the pairs.
+def exchange_views(state: Any, k: Integer, scratch: Any) -> None:
+    """Exchange the other data of landmark k between state and scratch, and apply the changes of the pairs.
 
-    Done twice, it changes nothing.
+    A second call undoes the first.
     """
 
 
 @dispatched_call
-def forget_views(scratch):  # type: ignore[no-untyped-def]
-    """Clear what the last trial found, by the lists of that trial."""
+def clear_views(scratch: Any) -> None:
+    """Clear the entries of the scratch that the last trial wrote."""
 
 
 @inner
-def begin_place(k, field, state, scratch):  # type: ignore[no-untyped-def]
-    """Clear the last trial, and list the blocks near landmark k or the place tried."""
-    numbers, who, where = scratch.numbers, scratch.pairs[WHO], scratch.pairs[WHERE]
+def begin_place(k: Integer, field: Any, state: Any, scratch: Any) -> None:
+    """Clear the last trial, and list the blocks near landmark k and the place tried."""
+    numbers, landmark, position = scratch.numbers, scratch.pairs[LANDMARK], scratch.pairs[POSITION]
     touched, places, known = scratch.flags[TOUCHED], scratch.lists[TOUCHED_LIST], scratch.known
-    forget_views(scratch)
+    clear_views(scratch)
     for e in range(numbers[PAIR_COUNT]):
-        known[where[e], who[e]] = False
+        known[position[e], landmark[e]] = False
     for e in range(numbers[TOUCHED_COUNT]):
         touched[places[e]] = False
     numbers[PAIR_COUNT] = numbers[TOUCHED_COUNT] = 0
@@ -122,21 +126,29 @@ def begin_place(k, field, state, scratch):  # type: ignore[no-untyped-def]
 
 
 @inner
-def begin_move(k, pose, surface, field, state, scratch):  # type: ignore[no-untyped-def]
-    """Find what changes as landmark k leaves its place for `pose` `(6,)`, position and normal; copy all values."""
+def begin_move(k: Integer, pose: Any, surface: Integer, field: Any, state: Any, scratch: Any) -> None:
+    """Begin a trial with landmark k at `pose` `(6,)`: find the pairs of the old place, and copy all values.
+
+    `pose` is position (metres) and unit normal.
+    """
     scratch.numbers[SURFACE], units, before = surface, scratch.units, state.units
     for i in range(6):
         scratch.target[i] = pose[i]
     begin_place(k, field, state, scratch)
-    find_pairs(state, k, LEAVES, field, scratch)
+    find_pairs(state, k, OLD_PLACE, field, scratch)
     for p in range(len(units)):
         units[p] = before[p]
 
 
 @inner
-def _count_others(k, state, scratch):  # type: ignore[no-untyped-def]
-    """Count in `digits` the landmarks but k at positions that are touched, the pairs having turned."""
-    counts, digits, who, where = state.counts.digits, scratch.digits, scratch.pairs[WHO], scratch.pairs[WHERE]
+def _count_others(k: Integer, state: Any, scratch: Any) -> None:
+    """Count the landmarks other than k at touched positions in `digits`, with the pairs as after the move."""
+    counts, digits, landmark, position = (
+        state.counts.digits,
+        scratch.digits,
+        scratch.pairs[LANDMARK],
+        scratch.pairs[POSITION],
+    )
     words = np.uint64(counts.shape[1])
     for p in scratch.lists[TOUCHED_LIST][: scratch.numbers[TOUCHED_COUNT]]:
         for w in range(words):
@@ -144,7 +156,7 @@ def _count_others(k, state, scratch):  # type: ignore[no-untyped-def]
                 digits[p, w, j] = counts[p, w, j]
             add_set(digits[p, w], shown_of(state, k, p, w), ALL)
     for e in range(scratch.numbers[PAIR_COUNT]):
-        i, p = np.uint64(who[e]), np.uint64(where[e])
+        i, p = np.uint64(landmark[e]), np.uint64(position[e])
         for w in range(words):
             was, now = turned(state, i, p, w, scratch)
             if was != now:
@@ -152,8 +164,8 @@ def _count_others(k, state, scratch):  # type: ignore[no-untyped-def]
 
 
 @inner
-def ask_touched(k, n, or_more, state, scratch):  # type: ignore[no-untyped-def]
-    """Ask at touched positions for the orientations with n - 1 other landmarks in view, `or_more`."""
+def ask_touched(k: Integer, n: Integer, or_more: bool, state: Any, scratch: Any) -> None:
+    """Set `ASKED` at touched positions to the orientations that see n - 1 other landmarks, or with `or_more` more."""
     asked, digits = scratch.sets[ASKED], scratch.digits
     _count_others(k, state, scratch)
     for p in scratch.lists[TOUCHED_LIST][: scratch.numbers[TOUCHED_COUNT]]:
@@ -162,8 +174,8 @@ def ask_touched(k, n, or_more, state, scratch):  # type: ignore[no-untyped-def]
 
 
 @inner
-def _find_units(k, positions, n, weights, state, scratch):  # type: ignore[no-untyped-def]
-    """Find P_n at `positions` with the sets in `FRESH` for landmark k and the pairs as they turn."""
+def _find_units(k: Integer, positions: FloatArray, n: Integer, weights: Any, state: Any, scratch: Any) -> None:
+    """Compute P_n at `positions` from the sets in `FRESH` of landmark k, with the pairs as after the move."""
     enough, asked = state.counts.sets[ENOUGH], scratch.sets[ASKED]
     touched, digits = scratch.flags[TOUCHED], scratch.digits
     for p in positions:
@@ -179,8 +191,8 @@ def _find_units(k, positions, n, weights, state, scratch):  # type: ignore[no-un
 
 
 @inner
-def see_whole(k, field, state, scratch):  # type: ignore[no-untyped-def]
-    """Find all orientations that cover landmark k at the place tried."""
+def see_whole(k: Integer, field: Any, state: Any, scratch: Any) -> None:
+    """Run `see` for all orientations."""
     positions, asked = scratch.lists[LISTED][: list_changing(state, k, scratch)], scratch.sets[ASKED]
     for p in positions:
         for w in range(np.uint64(asked.shape[1])):
@@ -189,8 +201,8 @@ def see_whole(k, field, state, scratch):  # type: ignore[no-untyped-def]
 
 
 @inner
-def bound_move(field, k, pose, surface, state, scratch):  # type: ignore[no-untyped-def]
-    """Find upper bounds on P_n with landmark k at `pose` `(6,)`, position and normal, on a surface: `scratch.units`."""
+def bound_move(field: Any, k: Integer, pose: Any, surface: Integer, state: Any, scratch: Any) -> None:
+    """Write upper bounds on P_n with landmark k at `pose` on a surface into `scratch.units`, see `field.bound`."""
     k = np.uint64(k)
     begin_move(k, pose, surface, field, state, scratch)
     ask_touched(k, field.n, False, state, scratch)
@@ -200,10 +212,10 @@ def bound_move(field, k, pose, surface, state, scratch):  # type: ignore[no-unty
 
 
 @inner
-def finish_move(field, k, state, scratch):  # type: ignore[no-untyped-def]
-    """Make the values that `bound_move` found exact."""
+def finish_move(field: Any, k: Integer, state: Any, scratch: Any) -> None:
+    """Replace the bounds of `bound_move` by the exact P_n."""
     k = np.uint64(k)
-    find_pairs(state, k, COMES, field, scratch)
+    find_pairs(state, k, NEW_PLACE, field, scratch)
     ask_touched(k, field.n, False, state, scratch)
     positions = scratch.lists[TOUCHED_LIST][: scratch.numbers[TOUCHED_COUNT]]
     see(state, k, positions, field, scratch)

@@ -21,11 +21,11 @@ class Headline:
     """The main figure of an objective, as displays show it.
 
     Args:
-        key: its name among the figures.
-        label: its name for readers.
-        scale: from the figure to the unit shown.
-        unit: shown behind the number.
-        limits: least and greatest value on axes, in the unit shown; None to fit the data.
+        key: name among the figures.
+        label: name in displays.
+        scale: factor from the figure to the displayed unit.
+        unit: unit, displayed after the number.
+        limits: least and greatest value on axes, in the displayed unit; None to fit the data.
     """
 
     key: str
@@ -35,12 +35,12 @@ class Headline:
     limits: tuple[float, float] | None = (0.0, 100.0)
 
     def text(self, value: float) -> str:
-        """A value for readers, such as `81.88%`."""
+        """Formatted value, such as `81.88%`."""
         return f"{self.scale * value:.2f}{self.unit}"
 
     @property
     def axis(self) -> str:
-        """The label of an axis."""
+        """Label of an axis."""
         return f"{self.label} [{self.unit}]"
 
 
@@ -49,25 +49,25 @@ class Selection(Protocol):
 
     @property
     def label(self) -> str:
-        """The quantity in words, for readers."""
+        """Name of the quantity in displays."""
 
     def gains(self, poses: Deployment) -> FloatArray:
-        """Gain of each pose, `(N,)`; never greater than before others were chosen."""
+        """Gain of each pose, `(N,)`; it does not increase when landmarks are chosen."""
 
     def add(self, pose: Deployment) -> None:
-        """Choose one landmark more."""
+        """Add a landmark to the chosen ones."""
 
 
 class Objective(Protocol):
-    """The purpose of a deployment.
+    """Interface of objectives: the value of each position, and the fitness.
 
-    Every black box can maximise an objective with these members; `annealing` needs one that is `Incremental` too,
-    `greedy` one that is `Selectable`.
+    Black-box optimisers need these members only; `annealing` needs an `Incremental` objective, `greedy` a `Selectable`
+    one.
     """
 
     @property
     def n(self) -> int:
-        """Landmarks that a useful view has at the least."""
+        """Least number of landmarks in a useful view."""
 
     @property
     def sampling(self) -> "Sampling | None":
@@ -75,11 +75,11 @@ class Objective(Protocol):
 
     @property
     def headline(self) -> Headline:
-        """The figure that displays show."""
+        """Main figure of the objective."""
 
     @property
     def name(self) -> str:
-        """Its settings for titles, such as `n=2 p=0.65`."""
+        """Settings as a short text for titles, such as `n=2 p=0.65`."""
 
     @property
     def value_name(self) -> str:
@@ -91,31 +91,31 @@ class Objective(Protocol):
 
     @property
     def threshold(self) -> float:
-        """The value from which on a position is qualified."""
+        """Least value of a qualified position."""
 
     def check(self, count: int) -> None:
-        """Raise `InputError` if `count` landmarks are too few for it."""
+        """Raise `InputError` if `count` landmarks are too few for the objective."""
 
     def values(self, evaluator: Evaluator, positions: FloatArray, normals: FloatArray) -> FloatArray:
-        """The value of each position of `evaluator`, in [0, 1], `(B, P)`, for B deployments `(B, K, 3)`."""
+        """Value of each position of `evaluator` in [0, 1], `(B, P)`, for B deployments `(B, K, 3)`."""
 
     def qualified(self, values: FloatArray) -> BoolArray:
-        """Flags of positions that are good enough, in the shape of `values`."""
+        """Mask of the qualified positions, shape of `values`."""
 
     def fitness(self, values: FloatArray, relevance: FloatArray) -> FloatArray:
-        """The fitness that optimisers maximise, in [0, 1]: `(..., P)` values, weights `(P,)` -> `(...)`."""
+        """Fitness in [0, 1] that optimisers maximise: values `(..., P)`, weights `(P,)` -> `(...)`."""
 
     def shares(self, values: FloatArray) -> Mapping[str, FloatArray | BoolArray]:
-        """The figures that are means over positions: contribution of each position, in the shape of `values`."""
+        """Figures that are means over positions: contribution of each position, shape of `values`, by name."""
 
     def figures(self, values: FloatArray, relevance: FloatArray) -> dict[str, float]:
-        """All figures of a deployment from the values of the grid's positions and their relevance, `(P,)` each."""
+        """Figures of a deployment from values and relevance of the grid's positions, `(P,)` each."""
 
     def describe(self, figures: Mapping[str, float], positions: int, count: int) -> dict[str, str]:
-        """The figures of a number of positions and landmarks, as labelled sentences for the terminal."""
+        """Figures as labelled sentences for the terminal, with the numbers of positions and landmarks."""
 
     def describe_validation(self, figures: Mapping[str, float]) -> dict[str, str]:
-        """The figures off the grid (`lmd.evaluation.validation`) as labelled sentences for the terminal."""
+        """Figures of `lmd.evaluation.validation` as labelled sentences for the terminal."""
 
 
 @runtime_checkable
@@ -123,25 +123,25 @@ class Incremental(Protocol):
     """Members of an objective whose values can be updated as single landmarks move."""
 
     def field(self, evaluator: Evaluator) -> "Field":
-        """The values at the positions of `evaluator`, ready to be updated."""
+        """Incremental field of the values at the positions of `evaluator`."""
 
     def target(self, relevance: FloatArray) -> "Target":
-        """Target for the values of a field, with weights `(Q,)` in the order of its positions."""
+        """Fitness of the values of a field, a `Target`; `relevance` `(Q,)` is in the order of the field."""
 
 
 @runtime_checkable
 class Selectable(Protocol):
-    """Members of an objective for which landmarks can be selected one after the other."""
+    """Members of an objective with a surrogate for greedy selection."""
 
     def selection(self, evaluator: Evaluator, relevance: FloatArray) -> Selection:
-        """A surrogate for greedy selection, with no landmark chosen."""
+        """Surrogate for greedy selection, with no landmark chosen."""
 
 
 def incremental(objective: Objective) -> Incremental:
-    """The objective, which must have a field.
+    """Return an objective that has a field.
 
     Raises:
-        InputError: it has none.
+        InputError: the objective has no field.
     """
     if isinstance(objective, Incremental):
         return objective
@@ -152,10 +152,10 @@ def incremental(objective: Objective) -> Incremental:
 
 
 def selectable(objective: Objective) -> Selectable:
-    """The objective, which must have a selection.
+    """Return an objective that has a selection.
 
     Raises:
-        InputError: it has none.
+        InputError: the objective has no selection.
     """
     if isinstance(objective, Selectable):
         return objective
@@ -164,11 +164,11 @@ def selectable(objective: Objective) -> Selectable:
 
 @dataclass(frozen=True)
 class AtLeast:
-    """Shared part of objectives that need n landmarks at the same time with a probability.
+    """Base of objectives that count landmarks seen at the same time.
 
     Args:
-        n: landmarks that the camera must see at the same time.
-        thold_p: the value from which on a position is qualified.
+        n: least number of landmarks that the camera must see at the same time.
+        thold_p: least value of a qualified position.
 
     Raises:
         InputError: n < 1 or thold_p outside [0, 1].

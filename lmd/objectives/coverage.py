@@ -10,7 +10,7 @@ from typing_extensions import override
 
 from lmd.core.checks import BoolArray, FloatArray
 from lmd.incremental.coverage_field import CoverageField, coverage_field
-from lmd.incremental.field import smoothed, worth
+from lmd.incremental.field import contribution, smoothed
 from lmd.objectives.base import AtLeast, Headline
 from lmd.objectives.sampling import Sampling
 from lmd.scene.criteria import TOLERANCE
@@ -23,10 +23,10 @@ PRICE_BYTES = 24  # bytes per view while poses are selected: price, count of lan
 
 
 class Threshold(NamedTuple):
-    """The weight of positions whose value reaches a threshold; a `Target`."""
+    """Total weight of the positions whose value reaches a threshold; a `Target`."""
 
     threshold: int
-    """Least value of a qualified position, in integer units."""
+    """Least quantised value of a qualified position."""
     relevance: FloatArray
     """`(Q,)` weights of the positions."""
 
@@ -37,13 +37,13 @@ def _smoothed(target, p, units, margin, width, share):  # type: ignore[no-untype
     return target.relevance[p] * (1.0 / (1.0 + math.exp(-above / width)) + share * units / PROBABILITY_ONE)
 
 
-@worth.register(Threshold)
-def _worth(target, p, units):  # type: ignore[no-untyped-def]
+@contribution.register(Threshold)
+def _contribution(target, p, units):  # type: ignore[no-untyped-def]
     return target.relevance[p] * (units >= target.threshold)
 
 
 class Mean(NamedTuple):
-    """The weighted mean of the values; a `Target`."""
+    """Weighted mean of the values; a `Target`."""
 
     relevance: FloatArray
     """`(Q,)` weights of the positions."""
@@ -54,7 +54,7 @@ def _smoothed_mean(target, p, units, margin, width, share):  # type: ignore[no-u
     return target.relevance[p] * (units / PROBABILITY_ONE)
 
 
-@worth.register(Mean)
+@contribution.register(Mean)
 def _worth_of_mean(target, p, units):  # type: ignore[no-untyped-def]
     return target.relevance[p] * (units / PROBABILITY_ONE)
 
@@ -66,9 +66,9 @@ class Coverage(AtLeast):
     Eq. argmaxH of the paper, normalised. The value of a position p is P_n(p).
 
     Args:
-        n: landmarks the camera must see at the same time.
-        thold_p: probability of that from which on a position is qualified.
-        sampling: where the fitness is measured; None for the room's grid and the PDF itself.
+        n: least number of landmarks that the camera must see at the same time.
+        thold_p: least P_n of a qualified position.
+        sampling: random positions and orientations of the fitness; None for the room's grid and the PDF itself.
 
     Raises:
         InputError: n < 1 or thold_p outside [0, 1].
@@ -77,7 +77,7 @@ class Coverage(AtLeast):
     sampling: Sampling | None = None
 
     headline = Headline("qualified_ratio", "qualified ratio")
-    counted = "positions qualified"  # what the headline is a share of, for readers
+    counted = "positions qualified"  # subject of the headline figure in displays
 
     @property
     def name(self) -> str:
@@ -100,7 +100,7 @@ class Coverage(AtLeast):
 
     def fitness(self, values: FloatArray, relevance: FloatArray) -> FloatArray:
         """See `Objective.fitness`."""
-        # A product and a sum over the last axis: each row is added in one order for every batch.
+        # A product and a sum over the last axis, so the order of each sum does not depend on the batch.
         return np.asarray((self.qualified(values) * relevance).sum(axis=-1) / relevance.sum())
 
     def shares(self, values: FloatArray) -> Mapping[str, FloatArray | BoolArray]:
@@ -108,7 +108,7 @@ class Coverage(AtLeast):
         return {"qualified_ratio": self.qualified(values), "average_coverage_probability": values}
 
     def figures(self, values: FloatArray, relevance: FloatArray) -> dict[str, float]:
-        """The paper's three indices, fractions in [0, 1], and H, the cost (a sum of relevance, Eq. H2)."""
+        """The three indices of the paper, fractions in [0, 1], and the cost H (a sum of relevance, Eq. H2)."""
         return {
             **{key: float(share.mean()) for key, share in self.shares(values).items()},
             "maximum_coverage_probability": float(values.max()),
@@ -151,9 +151,9 @@ class Coverage(AtLeast):
 
 @dataclass(frozen=True)
 class MeanCoverage(Coverage):
-    """The relevance-weighted mean of P_n: every view counts, not only those beyond a threshold.
+    """Relevance-weighted mean of P_n over all positions.
 
-    Arguments are those of `Coverage`; `thold_p` only says which positions the qualified ratio counts.
+    Arguments as in `Coverage`; `thold_p` is used only for the figure of the qualified ratio.
     """
 
     headline = Headline("average_coverage_probability", "average coverage probability")
@@ -174,15 +174,15 @@ class MeanCoverage(Coverage):
 
 
 class CappedCount:
-    """The sum of min(covered, n) over positions and axes, a `Selection`.
+    """Weighted sum of min(covered, n) over positions and axes, a `Selection`.
 
-    The indicator of n covered landmarks is not submodular for n >= 2: the first landmark gains nothing. This sum is
+    The indicator of n covered landmarks is not submodular for n >= 2, as the first landmark gains nothing. This sum is
     submodular if no landmark hides another.
 
     Args:
-        evaluator: the scene.
-        relevance: weights of its positions, `(P,)`.
-        n: landmarks that should be covered at the same time.
+        evaluator: has the scene and the positions.
+        relevance: weights of the positions, `(P,)`.
+        n: number of landmarks that should be covered at the same time.
     """
 
     label = "expected number of landmarks in view, as far as it is asked for"

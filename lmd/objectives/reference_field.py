@@ -1,7 +1,7 @@
-"""The field of any objective where the visibility model has no compiled half: each move is a whole evaluation.
+"""Incremental field for visibility models without a compiled half: each move is a full evaluation.
 
-It runs as plain Python (`lmd.incremental.field.runner`), and has no stacks: what landmarks would be without hiding one
-another is not known.
+It runs as plain Python (`lmd.incremental.field.runner`). It has no stacks, as the model cannot be evaluated without
+occlusion.
 """
 
 from dataclasses import dataclass
@@ -23,29 +23,29 @@ class ReferenceState(NamedTuple):
     poses: np.ndarray
     """`(6, K)` positions, metres, and unit normals."""
     surfaces: np.ndarray
-    """`(K,)`."""
+    """`(K,)` indices of the surfaces."""
     units: np.ndarray
-    """`(Q,)` the values."""
+    """`(Q,)` quantised values."""
 
 
 class ReferenceScratch(NamedTuple):
-    """A move that is tried; once it is carried out, where the landmark was, and the values before."""
+    """The move tried last; after it is carried out, the old place and the old values."""
 
     pose: np.ndarray
-    """`(6,)` position and normal."""
+    """`(6,)` position (metres) and unit normal."""
     surface: np.ndarray
-    """`(1,)`."""
+    """`(1,)` index of the surface."""
     units: np.ndarray
-    """`(Q,)` the values."""
+    """`(Q,)` quantised values."""
 
 
 @dataclass(frozen=True)
 class ReferenceField:
-    """A `lmd.incremental.field.Field` whose values are the objective's own, for Q positions of an evaluator.
+    """A `lmd.incremental.field.Field` with the values of an objective at the positions of an evaluator.
 
     Args:
-        objective: says what the positions are worth.
-        evaluator: has the positions.
+        objective: computes the values.
+        evaluator: has the Q positions.
     """
 
     objective: Objective
@@ -71,16 +71,16 @@ class ReferenceField:
         return ReferenceScratch(np.empty(6), np.empty(1, dtype=np.int64), state.units.copy())
 
     def units(self, poses: FloatArray) -> np.ndarray:
-        """The values in whole units, `(Q,)`, of landmarks with `poses` `(6, K)`."""
+        """Quantised values `(Q,)` of landmarks with `poses` `(6, K)`."""
         values = self.objective.values(self.evaluator, poses[:3].T[None], poses[3:].T[None])[0]
         return np.asarray(np.rint(values * PROBABILITY_ONE), dtype=np.int64)
 
 
 def field_of(objective: Objective, evaluator: Evaluator) -> Field:
-    """The field of an objective.
+    """Incremental field of an objective; a `ReferenceField` without a compiled half.
 
     Raises:
-        InputError: it has none.
+        InputError: the objective has no field.
     """
     with_field = incremental(objective)
     return ReferenceField(objective, evaluator) if evaluator.by_reference else with_field.field(evaluator)
@@ -95,13 +95,13 @@ def _try(field, k, pose, surface, state, scratch):  # type: ignore[no-untyped-de
 
 @settle.register(ReferenceField)
 def _leave(field, k, state, scratch):  # type: ignore[no-untyped-def]
-    """The values tried are exact."""
+    """Do nothing, as the bounds are exact values."""
 
 
 @accept.register(ReferenceField)
 @undo.register(ReferenceField)
 def _exchange(field, k, state, scratch):  # type: ignore[no-untyped-def] # noqa: ARG001
-    """Exchange what the state has of landmark k, and its values, with those of the scratch."""
+    """Exchange the place of landmark k and the values between state and scratch."""
     pairs = (
         (state.poses[:, k], scratch.pose),
         (state.surfaces[k : k + 1], scratch.surface),

@@ -1,4 +1,4 @@
-"""Fresh positions and orientations instead of the room's grid, which an optimiser learns by heart."""
+"""Random positions and orientations for the fitness; an optimiser would overfit the room's grid."""
 
 from dataclasses import dataclass, replace
 
@@ -15,13 +15,13 @@ POSITION_BYTES = 3 * 8
 
 @dataclass(frozen=True)
 class Sampling:
-    """Random positions and orientations for a fitness that the room's grid cannot fool.
+    """Size of a stratified random sample of positions and orientations.
 
     Args:
-        positions: drawn in the cell of each position of the room's grid, whose relevance they share.
-        divisions: orientations are drawn one in each of 2 `divisions` x `divisions` cells of equal probability, from
-            the continuous distribution that the PDF stands for, fewer of the yaw alone
-            (`lmd.scene.pdf.OrientationPdf.stratified`); a PDF from samples is taken as it is.
+        positions: number of positions drawn in the cell of each grid position, whose relevance they share.
+        divisions: one orientation is drawn in each of 2 `divisions` x `divisions` cells of equal probability of the
+            continuous distribution behind the PDF (fewer cells for a PDF of the yaw alone, see
+            `lmd.scene.pdf.OrientationPdf.stratified`); a PDF from samples is used unchanged.
 
     Raises:
         InputError: a number is less than 1, or there is not enough memory for the orientations.
@@ -35,7 +35,7 @@ class Sampling:
         object.__setattr__(self, "divisions", divisions_of(self.divisions))
 
     def evaluator(self, scene: Scene, repeats: int, rng: np.random.Generator, threads: int | None) -> Evaluator:
-        """The evaluator at a draw of `repeats` positions in each cell, which go through the grid again and again.
+        """Evaluator at random positions, `repeats` in each cell of the grid; the cells repeat in the order of the grid.
 
         Raises:
             InputError: there is not enough memory for them.

@@ -1,29 +1,28 @@
-"""The fitness of a deployment without one landmark, or without two: all of them, exactly.
+"""Exact fitness of a deployment without each landmark, and without each pair of landmarks.
 
-A landmark is removed by a move (`field`) to a place where no camera sees it. Only the views that it changes are
-evaluated again, so all pairs of 90 landmarks cost no more than a hundred evaluations. A removed landmark hides no
-other.
+A landmark is removed by a move to a place where no camera sees it and where it hides no other. Only the affected views
+are evaluated again, so all pairs of 90 landmarks cost no more than a hundred evaluations.
 """
 
 import numpy as np
 
 from lmd.core.checks import FloatArray
 from lmd.core.layers import layers
-from lmd.incremental.field import ACCEPT, BOUND, UNDO, Field, Target, perform, runner, total_worth
+from lmd.incremental.field import ACCEPT, BOUND, UNDO, Field, Target, perform, runner, total_fitness
 from lmd.scene.deployment import Deployment
 
-# Out of reach, and with its back to every camera: position, metres, and normal.
+# Pose of a removed landmark: position out of reach, metres, and a normal that faces no camera.
 AWAY = np.array([0.0, 0.0, 1e6, 0.0, 0.0, 1.0])
 
 
 def without_landmarks(field: Field, target: Target, deployment: Deployment) -> FloatArray:
-    """The fitness without landmarks i and j, `(K, K)`; without i alone for i = j.
+    """Fitness without landmarks i and j, `(K, K)`; without i alone for i = j.
 
-    A move is not settled: what is left out until then is what the landmark hides, and is hidden by, at its new place.
+    Moves are not settled, as the removed landmark neither hides others at its new place nor is hidden there.
 
     Args:
-        field: values of positions.
-        target: what they are worth.
+        field: incremental field of the values.
+        target: fitness of the values.
         deployment: K landmarks.
     """
     state, count = field.state(deployment), len(deployment)
@@ -34,5 +33,5 @@ def without_landmarks(field: Field, target: Target, deployment: Deployment) -> F
         steps = np.array([(BOUND, i, -1, 0), (ACCEPT, i, -1, 0), *others, (UNDO, i, -1, 0)])
         runner(field, perform)(steps, poses, field, state, scratches, units)
         for j in range(i, count):
-            fitness[i, j] = fitness[j, i] = total_worth(target, units[1 + j - i])
+            fitness[i, j] = fitness[j, i] = total_fitness(target, units[1 + j - i])
     return fitness

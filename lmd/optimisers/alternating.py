@@ -1,4 +1,4 @@
-"""Cameras and tags placed in turn: block coordinate ascent, each turn by its own optimiser."""
+"""Alternating placement of cameras and tags: block coordinate ascent, with an optimiser for each block."""
 
 import math
 from collections.abc import Callable, Mapping
@@ -35,12 +35,13 @@ class _Best:
 
 
 class Alternating(Optimiser):
-    """Places cameras, then tags, and so on; a turn begins with the best before it, and is dropped if it is no better.
+    """Alternating placement of cameras and tags.
 
-    `run` takes the budget of each turn of the cameras.
+    A turn begins with the best result before it, and is discarded if it is not better. The budget of `run` is that of
+    each turn of the cameras.
 
     Args:
-        cameras: makes the optimiser of a turn of the cameras from its seed, which is `seed`, `seed + 1`, ...
+        cameras: makes the optimiser for a turn of the cameras from a seed: `seed`, `seed + 1`, ...
         rounds: number of turns of the cameras, and of the tags.
         tag_budget: budget of each turn of the tags, which `Annealing` places.
         seed: see `Optimiser`.
@@ -54,11 +55,11 @@ class Alternating(Optimiser):
         self.cameras, self.tag_budget = cameras, tag_budget
         self.rounds = integer("rounds", rounds, low=1)
         self.reached: list[float] = []  # best fitness after each completed turn
-        self.best: _Best | None = None  # of the completed turns
+        self.best: _Best | None = None  # best result of the completed turns
         self.began = 0  # number of records before the current turn
         self.inner: Optimiser | None = None  # optimiser of the current turn
         self.posed: Problem  # problem of the current turn
-        self.space: MountSpace  # of the cameras
+        self.space: MountSpace  # mounts of the cameras
 
     @override
     def state(self) -> dict[str, Any]:
@@ -153,7 +154,7 @@ class Alternating(Optimiser):
             ledger.note(spent + record.evaluations, record.best_fitness)
 
     def _best(self) -> _Best:
-        """Return the best, of the current turn if that is better."""
+        """Best of all turns, the current one included."""
         best, inner = self.best, self.inner
         if inner is not None and inner.ledger.best_fitness > (best.fitness if best else -math.inf):
             found = inner.result(self.posed, "interrupted")
@@ -178,7 +179,7 @@ def _rig_state(rig: Rig, space: MountSpace) -> FloatArray:
 
 
 def _rig_of(state: Any, space: MountSpace) -> Rig:
-    """Make the rig with the `_rig_state` of another.
+    """Make a rig from the `_rig_state` of another rig.
 
     Raises:
         InputError: the rig may not be mounted.

@@ -38,9 +38,9 @@ class Result:
     history: tuple[Record, ...]
     """Best fitness against evaluations and wall time."""
     stopped: str
-    """`budget` if the budget is used up, `interrupted` if the callback stopped the run, `proven` if none is better."""
+    """`budget` if the budget is used up, `interrupted` by the callback, `proven` if the result is proved optimal."""
     rig: Rig | None = None
-    """Best cameras found, where cameras are placed and the deployment is given; None elsewhere."""
+    """Best cameras found if cameras are placed and the deployment is given, else None."""
 
 
 # Called after every batch; stops the run by returning True.
@@ -50,11 +50,10 @@ Callback = Callable[["Optimiser"], bool | None]
 class Optimiser(ABC):
     """Interface of optimisers for pipelines.
 
-    The instance holds all of the run: another call of `run`, or a call after `restore`, continues where the last one
-    stopped.
+    The instance has the whole state of a run: a second call of `run`, or a call after `restore`, continues the run.
 
     Args:
-        seed: of the random generator of the run.
+        seed: seed of the random generator of the run.
     """
 
     def __init__(self, seed: int = 0) -> None:
@@ -82,7 +81,7 @@ class Optimiser(ABC):
 
         Args:
             state: read from a file, which may be malicious, so each value has to be checked.
-            problem: of the run.
+            problem: problem of the run.
 
         Raises:
             InputError: `state` is not valid.
@@ -107,11 +106,11 @@ class Optimiser(ABC):
         """Best deployment; None while there is none."""
 
     def found_rig(self, problem: Problem) -> Rig | None:
-        """Best cameras where cameras are placed; None while there are none, and elsewhere."""
+        """Best cameras; None before any is found, or if no cameras are placed."""
         return None
 
     def result(self, problem: Problem, stopped: str) -> Result:
-        """Result of `run` from the ledger, also of a run that was left in the middle.
+        """Result of `run` from the ledger, also for an interrupted run.
 
         Raises:
             InputError: no deployment was found.
@@ -124,10 +123,10 @@ class Optimiser(ABC):
 
 
 class AskTell(Optimiser):
-    """Optimisers that propose batches of genes and learn their fitness.
+    """Base of optimisers that propose batches of genes and receive their fitness.
 
-    Footprints of tags with a size are pushed apart before they are evaluated (`lmd.scene.footprints`); the genes do not
-    change. A deployment whose footprints find no room counts as a failed evaluation.
+    Overlapping footprints are pushed apart before an evaluation (`lmd.scene.footprints`); the genes do not change. A
+    deployment without room for its footprints counts as a failed evaluation.
 
     Subclasses write `_ask` and `_tell` only. Before the first `_ask`, `run` sets
 
@@ -140,8 +139,8 @@ class AskTell(Optimiser):
         encoding: encoding of landmarks, `wall` or `paper` (`lmd.optimisers.encoding`); None for the one that the caller
             sets before `run`, by default `wall`.
 
-    A checkpoint keeps the fitness of all batches, and no genes. `restore` asks and tells all of them again, without an
-    evaluation; so the state of any subclass is as it was.
+    A checkpoint has the fitness of all batches, but no genes. `restore` repeats all calls of `_ask` and `_tell` with
+    this fitness, without evaluations, which reproduces the state of any subclass.
     """
 
     start_size = 1
@@ -164,13 +163,13 @@ class AskTell(Optimiser):
 
     @abstractmethod
     def _tell(self, genes: FloatArray, fitness: FloatArray) -> None:
-        """Learn the fitness `(B,)` of the genes just asked for; never NaN, a failed evaluation is -inf."""
+        """Receive the fitness `(B,)` of the genes of the last `_ask`; a failed evaluation is -inf, never NaN."""
 
     def ask(self) -> FloatArray:
         """Return the next batch, `(B, dim)`, clipped to the unit box.
 
         Raises:
-            InputError: the method has proposed something else than genes.
+            InputError: the method did not return genes of the right shape.
         """
         asked = self._ask()
         try:
@@ -185,11 +184,11 @@ class AskTell(Optimiser):
         return np.clip(genes, 0.0, 1.0)
 
     def tell(self, genes: FloatArray, fitness: FloatArray) -> None:
-        """Note a batch and pass it to the method; NaN counts as -inf."""
+        """Record a batch and pass it to the method; NaN counts as -inf."""
         self._tell(genes, self._note(genes, fitness))
 
     def _note(self, genes: FloatArray, fitness: FloatArray) -> FloatArray:
-        """Note a batch; returns the fitness, with -inf for NaN."""
+        """Record a batch; returns the fitness, with -inf for NaN."""
         fitness = np.where(np.isnan(fitness), -np.inf, fitness)
         self.told.append((_checksum(genes), fitness.copy()))
         best = int(np.argmax(fitness))
@@ -198,10 +197,10 @@ class AskTell(Optimiser):
         return fitness
 
     def _note_or_tell(self, genes: FloatArray, fitness: FloatArray, asked: int) -> None:
-        """Tell the fitness of a complete batch of `asked` genes; of an incomplete one only note it."""
+        """Pass a complete batch of `asked` genes to the method; an incomplete batch is only recorded."""
         if len(genes) == asked:
             self.tell(genes, fitness)
-        else:  # the method cannot learn from a part of a batch
+        else:  # `_tell` needs a complete batch
             self._note(genes, fitness)
 
     @override
@@ -215,7 +214,7 @@ class AskTell(Optimiser):
 
     @override
     def restore(self, state: Mapping[str, Any], problem: Problem) -> None:
-        """Ask and tell all batches again, which takes the time that the method took."""
+        """See `Optimiser.restore`; all batches are repeated, which takes the computing time of the method."""
         checksums = array("checksums", state["checksums"], np.uint32, None)
         seconds = array("wall_time", state["wall_time"], np.float64, len(checksums), low=0.0)
         batches = array("batches", state["batches"], np.int64, len(checksums), low=1)

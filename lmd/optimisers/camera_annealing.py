@@ -1,7 +1,7 @@
-"""Simulated annealing of the cameras of a rig, one camera after the other: our own method for placing cameras.
+"""Simulated annealing of the cameras of a rig, one camera after the other.
 
-Only the camera that is tried has to be evaluated anew (`lmd.cameras.views`), so a sweep over all cameras costs one
-evaluation. A try changes some genes of a camera by a step that shrinks, or draws the whole camera anew.
+Only the moved camera is evaluated (`lmd.cameras.views`), so a sweep over all cameras costs one evaluation. A move
+changes some genes of a camera by a random step, whose size shrinks during the run, or draws the camera anew.
 """
 
 import math
@@ -21,19 +21,21 @@ from lmd.problem import Problem
 from lmd.scene.deployment import Deployment
 from lmd.scene.rig import Rig
 
-SHARE_SKIPPED = 0.5  # share of the schedule that is skipped where the start is given
+SHARE_SKIPPED = 0.5  # share of the schedule that is skipped for a given start
 
 
 class CameraAnnealing(Optimiser):
-    """Anneals mounts in the unit box of their genes.
+    """Simulated annealing of mounts in the unit box of their genes.
 
-    Given cameras are improved from the middle of the schedule on, so that hot moves do not discard them.
+    A run from given cameras begins in the middle of the schedule, so that moves at a high temperature do not discard
+    them.
 
     Args:
         temperature: first and last temperature, in units of the energy.
         step: first and last standard deviation of a changed gene.
-        jump: first and last share of tries that draw a camera anew.
-        mean_share: weight of the mean value of all positions in the energy, beside the fitness: it leads over plateaus.
+        jump: first and last share of moves that draw a camera anew.
+        mean_share: weight of the mean value over positions in the energy, beside the fitness; it gives a slope on
+            plateaus of the fitness.
         seed: see `Optimiser`.
 
     Raises:
@@ -117,7 +119,7 @@ class CameraAnnealing(Optimiser):
             fitness, there = self._scored(problem, tried)
             if fitness > best:
                 best, self.best = fitness, tried
-            # The first condition also holds where both are -inf, at an impossible start.
+            # The first condition also holds if both are -inf, for a start that is not admissible.
             if there >= energy or self.rng.random() < math.exp((there - energy) / temperature):
                 self.here, energy = tried, there
         return energy, best
@@ -130,11 +132,11 @@ class CameraAnnealing(Optimiser):
         chosen = self.rng.random(len(genes)) < 0.5
         chosen[self.rng.integers(len(genes))] = True
         moved = genes + chosen * self.rng.normal(0.0, step, len(genes))
-        moved[0] %= 1.0  # the faces of the body lie side by side, in a circle
+        moved[0] %= 1.0  # the first gene is periodic, as the faces form a circle
         return np.clip(moved, 0.0, 1.0)
 
     def _scored(self, problem: CameraProblem, genes: FloatArray) -> tuple[float, float]:
-        """Fitness and energy of cameras; -inf where they are impossible."""
+        """Fitness and energy of cameras; -inf for cameras that are not admissible."""
         mounts = problem.space.mounts(genes)
         fitness = problem.fitness_of_cameras(mounts)
         if mounts is None or not math.isfinite(fitness):

@@ -14,9 +14,9 @@ from lmd.scene.deployment import Deployment
 from lmd.space.space import Space
 from lmd.space.surface import SurfaceArrays
 
-# Distance of a landmark from a second surface below which it is as near to it as to its own, metres.
+# Greatest difference of the distances to two surfaces that counts as equal, metres.
 ON_SURFACE = 1e-6
-# Distance of an encoded point from the border to the neighbouring piece, as a fraction of the piece.
+# Least distance of an encoded point from the border between pieces, as a fraction of the piece.
 BORDER_SHARE = 1e-12
 
 KINDS = ("wall", "paper")
@@ -56,7 +56,7 @@ class PaperEncoding:
         self.size = high - self.low
         planes = np.column_stack([self.surfaces.normal, (self.surfaces.normal * self.surfaces.origin).sum(axis=1)])
         alike = np.abs(planes[:, None] - planes).max(axis=-1) <= ON_SURFACE
-        # In a convex room the nearest plane is that of the nearest surface, if each has its own.
+        # In a convex room with one surface per plane, the nearest plane belongs to the nearest surface.
         self.planes_tell = room.blockers() is None and not np.triu(alike, 1).any()
 
     def decode(self, genes: FloatArray) -> tuple[FloatArray, FloatArray, np.ndarray]:
@@ -74,7 +74,7 @@ class PaperEncoding:
         """See `Encoding.encode`."""
         surface = deployment.movable(self.room, self.flush).surfaces
         points = np.clip(deployment.positions, self.low, self.low + self.size)
-        # A point on an edge is as near to a second surface: step away from that one, so that decoding finds its own.
+        # A point on an edge is moved away from the second surface, so that decoding finds its own.
         tied = (self._distance(points) <= ON_SURFACE) & (np.arange(len(self.surfaces.normal)) != surface[:, None])
         points = points + 2.0 * ON_SURFACE * (tied[..., None] * self.surfaces.normal).sum(axis=1)
         yaw, pitch = normal_angles(deployment.normals)
@@ -155,7 +155,7 @@ class LandmarkGenome:
 
     Args:
         problem: the problem.
-        kind: of the encoding, see `make_encoding`.
+        kind: name of the encoding, see `make_encoding`.
         flush: True if landmarks lie flat on their surface.
 
     Raises:

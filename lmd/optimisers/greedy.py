@@ -27,11 +27,11 @@ REFINING_STAGE = Stage(temperature=(4e-5, 2e-5), width=(0.02, 0.006), step=(0.3,
 class Greedy(Annealing):
     """Greedy selection from a grid of wall poses, refined by a cool walk with the rest of the budget.
 
-    Footprints at poses of the grid do not overlap. The gain of one pose costs as much of the budget as moving one
+    The footprints of chosen poses do not overlap. Evaluating the gain of a pose costs as much of the budget as moving a
     landmark.
 
     Args:
-        spacing: of the grid, metres; coarsened if the budget could not pay for it.
+        spacing: spacing of the grid, metres; it is enlarged if the budget does not suffice.
         single: conditions of the refinement, or a mapping of those that differ from the default ones.
         seed: see `Optimiser`.
 
@@ -52,7 +52,7 @@ class Greedy(Annealing):
         selectable(problem.objective)
 
     def _begin(self, problem: Problem, stack: int, limit: float) -> int:
-        """Build the start greedily; landmarks beyond the budget stay where the problem's start has them."""
+        """Build the start greedily; landmarks beyond the budget stay as in the problem's start."""
         super()._begin(problem, stack, limit)
         self.start, spent = greedy_start(problem, self.start, self.spacing, (limit - problem.count) / 2)
         self.here = self.start
@@ -69,9 +69,9 @@ class GreedyDeployment:
         count: number of landmarks.
         scene: the scene.
         objective: the objective, which has a selection.
-        spacing: of the grid of poses, metres.
+        spacing: spacing of the grid of poses, metres.
         threads: worker threads, all processors by default; the result does not depend on it.
-        fixed: landmarks that hang already, with their surfaces: the selection starts from them, and adds the others.
+        fixed: landmarks that exist already, with their surfaces; the selection adds the others.
 
     Raises:
         InputError: a value is out of range.
@@ -103,8 +103,8 @@ class GreedyDeployment:
         chosen, _ = select(selection, poses, stock, footprints, fixed=self.fixed)
         if len(chosen) < self.count:
             raise InputError(
-                f"spacing = {spacing:.4g} leaves room for {len(chosen)} plates of {footprints.edge:.4g} m, too few for "
-                f"{self.count}.",
+                f"spacing = {spacing:.4g} leaves room for {len(chosen)} footprints of {footprints.edge:.4g} m, too few "
+                f"for {self.count}.",
                 "spacing",
             )
         return poses[chosen]

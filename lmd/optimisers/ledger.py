@@ -1,4 +1,4 @@
-"""Budget of a run, and its ledger: what was spent and reached."""
+"""Budget of a run, and its ledger: spent evaluations and time, and best fitness."""
 
 import math
 from collections.abc import Mapping
@@ -20,9 +20,9 @@ class Budget:
     """
 
     evaluations: int | None = None
-    """Full evaluations of a deployment, never exceeded; one moved landmark counts 1/K. None for no limit."""
+    """Greatest number of full evaluations; a moved landmark counts 1/K. None for no limit."""
     seconds: float | None = None
-    """Wall time after which no new evaluation starts, without that of the compiler; None for no limit."""
+    """Wall time after which no evaluation starts, seconds, without compilation; None for no limit."""
 
     def __post_init__(self) -> None:
         if self.evaluations is None and self.seconds is None:
@@ -38,7 +38,7 @@ class Budget:
         return math.inf if self.evaluations is None else self.evaluations
 
     def used(self, evaluations: float, seconds: float) -> float:
-        """Share of the budget that is spent, the larger one of both limits; 1 or more when it is used up."""
+        """Spent share of the budget, the larger of the two limits; 1 or more if it is used up."""
         return max(evaluations / self.limit, seconds / (self.seconds or math.inf))
 
 
@@ -68,7 +68,7 @@ class Ledger:
     """Records in the order of time."""
 
     def note(self, evaluations: float, fitness: float) -> bool:
-        """Note that `evaluations` are spent and the last one reached `fitness`; returns True if that is the best."""
+        """Record `evaluations` and the `fitness` of the last one; returns True if it is the best."""
         is_best = fitness > self.best_fitness
         self.evaluations, self.best_fitness = evaluations, fitness if is_best else self.best_fitness
         self.history.append(Record(evaluations, self.best_fitness, self.seconds))
@@ -80,7 +80,7 @@ class Ledger:
 
     @classmethod
     def of(cls, state: Mapping[str, Any]) -> "Ledger":
-        """Make the ledger with the `state` of another.
+        """Make a ledger from the `state` of another ledger.
 
         Raises:
             InputError: `state` is not one.

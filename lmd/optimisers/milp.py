@@ -10,8 +10,8 @@ position p without occlusion, else 0, `w_a` the probability of an axis and `r_p`
                x_j 0 to n for points; 0 or 1 for papers, and x_i + x_j <= 1 where they overlap.
 
 Axes that are covered from a position by equal sets of poses are one row, with the sum of their weights. Occlusion only
-lowers the numbers of covered landmarks, so the bound holds with it, too. The choice is scored with occlusion, the
-landmarks of a stack pulled apart.
+reduces the numbers of covered landmarks, so the bound also holds with occlusion. The chosen deployment is evaluated
+with occlusion, after the landmarks of each stack are separated.
 """
 
 import operator
@@ -53,9 +53,9 @@ class Milp(Optimiser):
     as moving one landmark; the solver costs time alone. The solver cannot be resumed: a resumed run begins anew.
 
     Args:
-        spacing: of the lattice, metres.
+        spacing: spacing of the lattice, metres.
         seconds: time limit of the solver; its best deployment by then is the result, and its bound is valid.
-        seed: of the start, see `Optimiser`; the solver draws no random numbers.
+        seed: seed of the start, see `Optimiser`; the solver draws no random numbers.
 
     Raises:
         InputError: a parameter is out of range.
@@ -98,7 +98,7 @@ class Milp(Optimiser):
                 f"{lattice}, and {views} views: no more than {MOST_PAIRS:.3g} pairs of a pose and a view make a "
                 "program that can be solved."
             )
-        if any(len(of) * _copies(problem) < count for of, count in _by_size(problem, lattice_poses)):
+        if any(len(of) * _per_pose(problem) < count for of, count in _by_size(problem, lattice_poses)):
             raise InputError(f"{lattice}: too few for {problem.free_count} landmarks.")
 
     @override
@@ -139,7 +139,7 @@ class Milp(Optimiser):
             "lattice_bound": 1.0 if solved.mip_dual_bound is None else min(-solved.mip_dual_bound / most, 1.0)
         }
         if solved.x is not None:
-            taken = np.rint(solved.x).astype(int)  # HiGHS has a tolerance of 1e-6
+            taken = np.rint(solved.x).astype(int)  # HiGHS returns integers to 1e-6
             placed = _in_order if poses.has_own_edges else _apart
             note(costs + 1, placed(problem, poses, taken[: len(poses)]))
             self.proven["lattice_found"] = found = float(problem.fitness_relevance @ taken[-program.positions :] / most)
@@ -153,7 +153,7 @@ class Milp(Optimiser):
         return self.best
 
     def _poses(self, problem: Problem) -> Deployment:
-        """Poses of the lattice, without those where papers of fixed tags hang."""
+        """Poses of the lattice whose footprints do not overlap those of fixed tags."""
         footprints = problem.scene.footprints
         poses, hung = candidates(footprints, problem.free_edges, self.spacing), problem.hung
         if hung is None or not footprints.edge:
@@ -168,13 +168,13 @@ def _by_size(problem: Problem, poses: Deployment) -> list[tuple[IntArray, int]]:
     return [(np.flatnonzero(own == edge), int((sizes == edge).sum())) for edge in np.unique(sizes)]
 
 
-def _copies(problem: Problem) -> int:
-    """Largest number of landmarks at a pose: points hang in stacks as those of `Annealing`, papers side by side."""
+def _per_pose(problem: Problem) -> int:
+    """Largest number of landmarks at a pose: n for points, as in a stack of `Annealing`; 1 for tags with a size."""
     return 1 if problem.scene.footprints.edge else problem.objective.n
 
 
 def _apart(problem: Problem, poses: Deployment, copies: IntArray) -> Deployment:
-    """Make the deployment with `copies` `(J,)` landmarks at each pose: the fixed ones, then stacks pulled apart."""
+    """Make the deployment with `copies` `(J,)` landmarks at each pose: fixed landmarks first, then separated stacks."""
     parts, distance = [], STACK_SPREAD * problem.scene.spacing
     for stack in np.unique(copies[copies > 0]).tolist():
         chosen = poses[copies == stack]
@@ -183,7 +183,7 @@ def _apart(problem: Problem, poses: Deployment, copies: IntArray) -> Deployment:
 
 
 def _in_order(problem: Problem, poses: Deployment, taken: IntArray) -> Deployment:
-    """Make the deployment with a tag at each pose that is `taken`, `(J,)` 0 or 1, each landmark of its own size."""
+    """Make the deployment with a tag at each pose with `taken` `(J,)` 1, in the order of the problem's sizes."""
     sizes = problem.free_sizes
     order = np.empty(len(sizes), dtype=int)
     for of, _ in _by_size(problem, poses):
@@ -193,14 +193,14 @@ def _in_order(problem: Problem, poses: Deployment, taken: IntArray) -> Deploymen
 
 
 def _views(problem: Problem) -> FloatArray:
-    """Probability of each axis that has one, at each position, `(P, A)`."""
+    """Probability of each axis that `_used` selects, at each position, `(P, A)`."""
     evaluator = problem.evaluator
     probability = evaluator.probability[:, _used(problem)]
     return np.broadcast_to(probability, (len(evaluator.positions), probability.shape[1]))
 
 
 def _used(problem: Problem) -> BoolArray:
-    """Axes that have a probability; others fill up words of bits."""
+    """Mask of the axes with a positive probability; the others pad words of bits."""
     return np.asarray(problem.evaluator.probability.max(axis=0) > 0.0)
 
 
@@ -209,15 +209,15 @@ class _Program:
     """Integer program: `x` of the J poses, `y` of the R rows, `z` of the P positions."""
 
     covers: csr_array
-    """`(R, J)` 1 where a landmark at a pose covers the views of a row."""
+    """`(R, J)` 1 if a landmark at the pose covers the views of the row."""
     counted: IntArray
-    """`(R,)` number of fixed landmarks that cover them."""
+    """`(R,)` number of fixed landmarks that cover the views of each row."""
     weights: csr_array
-    """`(P, R)` weights of the rows at each position."""
+    """`(P, R)` probability of the views of each row, at its position."""
     overlaps: coo_array
-    """`(C, J)` 1 at both poses of a pair of which only one may be taken."""
+    """`(C, J)` 1 at the two poses of a pair with overlapping footprints."""
     sizes: csr_array
-    """`(S, J)` 1 where a pose is for a size."""
+    """`(S, J)` 1 if the pose is for tags of the size."""
     counts: IntArray
     """`(S,)` number of landmarks of each size."""
     problem: Problem
@@ -270,9 +270,11 @@ class _Program:
             milp,
             np.concatenate([np.zeros(poses + rows), -self.problem.fitness_relevance]),
             constraints=LinearConstraint(left.tocsc(), low, high),
-            # For n = 1 integral poses make integral rows; for larger n, half of the landmarks are not half a view.
+            # For n = 1, integral x give integral y; for larger n, y must be declared integral.
             integrality=np.concatenate([np.ones(poses), np.full(rows, n > 1), np.ones(self.positions)]),
-            bounds=Bounds(0.0, np.concatenate([np.full(poses, _copies(self.problem)), np.ones(rows + self.positions)])),
+            bounds=Bounds(
+                0.0, np.concatenate([np.full(poses, _per_pose(self.problem)), np.ones(rows + self.positions)])
+            ),
             options={"time_limit": seconds, "mip_rel_gap": 0.0},
         )
 

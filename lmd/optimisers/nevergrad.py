@@ -65,7 +65,7 @@ class Nevergrad(Wrapped):
             raise InputError(f"name = {self.name!r} is not {kind} of nevergrad; close: {close or 'none'}.", "name")
         try:
             return getattr(families, self.name)(**self.options)  # type: ignore[no-any-return]
-        except Exception as error:  # each family refuses options in its own way
+        except Exception as error:  # families raise different errors
             raise InputError(f"options do not suit nevergrad's {self.name}: {error}", "options") from error
 
     def _open(self, start: FloatArray, rng: np.random.Generator) -> LibraryOptimiser:
@@ -87,9 +87,9 @@ class _Running:
         self.workers = 1 if getattr(method, "no_parallelization", False) else settings.workers
         try:
             self.optimiser = method(box, budget=settings.budget, num_workers=self.workers)
-        except Exception as error:  # missing extras, a missing budget: each says it in its own way
+        except Exception as error:  # missing extras and budgets raise different errors
             raise InputError(f"nevergrad's {self.name} cannot be made: {error}") from error
-        if not self.optimiser.recast:  # recast ones take no suggestions, but begin at the first start anyway
+        if not self.optimiser.recast:  # recast optimisers take no suggestions; they begin at the first start
             for genes in start[::-1]:  # the last suggestion is asked for first
                 self.optimiser.suggest(genes)
         self.asked: list[Any] = []

@@ -35,7 +35,7 @@ class Pymoo(Wrapped):
             raise InputError(f"algorithm must be a function of no arguments, got {algorithm!r}.", "algorithm")
         try:
             made = algorithm()
-        except Exception as error:  # each algorithm refuses parameters in its own way
+        except Exception as error:  # algorithms raise different errors
             raise InputError(f"algorithm cannot be made: {error}", "algorithm") from error
         if not isinstance(made, Algorithm):
             raise InputError(f"algorithm makes a {type(made).__name__}, not a pymoo algorithm.", "algorithm")
@@ -85,7 +85,7 @@ class _Running:
 
         asked = self.asked if isinstance(self.asked, Population) else Population.create(self.asked)
         asked.set("X", genes)
-        # The algorithm's own evaluator counts the evaluations that the algorithm depends on.
+        # Some algorithms read the number of evaluations from their evaluator.
         static = StaticProblem(self.problem, F=losses[:, None])
         self.algorithm.evaluator.eval(static, asked, skip_already_evaluated=False)
         self.algorithm.tell(infills=self.asked)

@@ -1,11 +1,11 @@
 """Lazy greedy selection of poses from a grid on the surfaces.
 
-Selection climbs the `selection` of an objective, a monotone submodular surrogate. Adding the pose of the largest gain,
-one after the other, reaches 1 - 1/e of the best choice of poses. Gains never rise, so the lazy variant (Minoux 1978) is
-exact: a pose is evaluated again only while its last known gain is the largest.
+It maximises the `selection` of an objective, a monotone submodular surrogate. Adding the pose with the largest gain,
+one after the other, reaches 1 - 1/e of the best choice of poses. Gains do not increase, so the lazy variant (Minoux
+1978) is exact: a pose is evaluated again only while its last known gain is the largest.
 
-Where tags have several sizes, a candidate is a pose and a size, and may be chosen while tags of its size are left.
-Where only the paper or the cost of all tags is limited, candidates compete by their gain per square metre or cost.
+For tags of several sizes, a candidate is a pose with a size, and may be chosen while tags of its size are left. If the
+paper or the cost of all tags is limited instead, candidates are compared by their gain per square metre or cost.
 """
 
 import operator
@@ -39,7 +39,7 @@ class Stock(Protocol):
         """Price of each pose, `(N,)`, by which its gain is divided."""
 
     def none_left(self, poses: Deployment, chosen: Sequence[int]) -> BoolArray:
-        """Poses for which nothing is left after those `chosen`, `(N,)`."""
+        """Mask `(N,)` of the poses for which no landmark is left after those `chosen`."""
 
 
 @dataclass(frozen=True)
@@ -92,10 +92,10 @@ def select(
     """Choose some of the `poses`, each at most once, with footprints that do not overlap.
 
     Args:
-        selection: function that is climbed, with nothing chosen yet.
+        selection: surrogate with no landmark chosen.
         poses: N candidates.
         stock: landmarks that can be chosen, or the number of points.
-        footprints: of the tags; None for landmarks that are points.
+        footprints: footprints of the tags; None for landmarks that are points.
         allowance: largest number of gains to evaluate; fewer poses are chosen if it does not suffice.
         fixed: landmarks that are chosen before the first of the poses.
 
@@ -118,7 +118,7 @@ def select(
         fresh = np.zeros(len(poses), dtype=bool)
         while not fresh[best := int(np.argmax(known))]:
             stale = np.flatnonzero(~fresh & ~taken)
-            # At first all gains are unknown, afterwards only the few largest matter.
+            # At first all gains are unknown; later only the largest are evaluated again.
             batch = stale[np.argsort(-known[stale], kind="stable")[: GAINS_BATCH if chosen else len(poses)]]
             if spent + len(batch) > allowance:
                 return np.array(chosen, dtype=int), spent
@@ -131,7 +131,7 @@ def select(
 
 
 def add_each(selection: Selection, fixed: Deployment | None) -> None:
-    """Choose the landmarks that hang already, if any."""
+    """Add the `fixed` landmarks to a selection, if there are any."""
     if fixed is not None:
         for k in range(len(fixed)):
             selection.add(fixed[k : k + 1])
@@ -150,7 +150,7 @@ def candidates(footprints: Footprints, edges: FloatArray, spacing: float) -> Dep
 
 
 def _candidates_within(footprints: Footprints, edges: FloatArray, spacing: float, most: float) -> Deployment:
-    """Make `candidates`, coarsened until they are at most `most`, or one of each size for each piece of a surface."""
+    """`candidates` with a spacing at which they are at most `most`, or one of each size for each piece of a surface."""
     poses, widest = candidates(footprints, edges, spacing), max(max(wall.extent) for wall in footprints.room.surfaces())
     while len(poses) > most and spacing < widest:
         spacing *= 1.3
@@ -164,7 +164,7 @@ def greedy_start(problem: Problem, start: Deployment, spacing: float, allowance:
     Args:
         problem: its objective must have a selection.
         start: K landmarks, the fixed ones first.
-        spacing: of the grid of poses, metres; larger if the allowance does not suffice for the grid.
+        spacing: spacing of the grid of poses, metres; larger if the allowance does not suffice for the grid.
         allowance: largest number of gains to evaluate.
 
     Returns:
@@ -198,7 +198,7 @@ def composition(
         scene: its tag has several edges, and a limit of paper or cost.
         objective: the objective, which has a selection.
         threads: worker threads, all processors by default; the result does not depend on it.
-        fixed: landmarks that hang already, with their surfaces.
+        fixed: fixed landmarks, with their surfaces.
 
     Raises:
         InputError: the limit does not suffice for one tag, or the objective has no selection.

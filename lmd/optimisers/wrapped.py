@@ -19,8 +19,8 @@ from lmd.optimisers.base import AskTell
 
 # Loss of a failed evaluation, finite as libraries require; fitness lies in [0, 1].
 LOSS_OF_FAILURE = 1e3
-# Many deployments tie, as fitness is a share of positions; most libraries reject ties and never cross a plateau. So the
-# loss of each evaluation is lower than that of the one before by this amount, far less than one position.
+# Decrease of the loss with each evaluation, far less than a position contributes. Many deployments have equal fitness,
+# and most libraries reject ties; with the decrease they cross plateaus.
 TIE_BONUS = 1e-12
 STOP_METHODS = ("stop", "should_stop")  # methods of an object that return True after it has ended by its own rules
 
@@ -186,7 +186,7 @@ class AskAndTell(Wrapped):
         arguments = {key: value for key, value in given.items() if key in self.takes}
         try:
             made = self.make(**{self.starts_at: start[0], **arguments})
-        except Exception as error:  # each library refuses parameters in its own way
+        except Exception as error:  # libraries raise different errors
             raise InputError(f"make failed: {error}", "make") from error
         for method in ("ask", "tell"):
             if not callable(getattr(made, method, None)):

@@ -91,7 +91,7 @@ class Canvas:
         Args:
             tag: family and size.
             number: id.
-            square: corners of the black square in the order of `lmd.geometry.squares.CORNERS`, camera frame, metres,
+            square: corners of the tag in the order of `lmd.geometry.squares.CORNERS`, camera frame, metres,
                 `(4, 3)`.
             sigma: standard deviation of the blur, pixels.
             hidden_by: image outlines of the surfaces that occlude the tag, pixels, `(m, 2)` each.
@@ -105,7 +105,7 @@ class Canvas:
             return
         width, height = window[2:]
         samples = max(1, min(self.imaging.supersampling, int(math.sqrt(MOST_SAMPLES / (width * height)))))
-        pitch = samples * math.sqrt(_area(outline)) / (tag.modules + 2.0 * tag.quiet_zone)
+        pitch = samples * math.sqrt(_area(outline)) / tag.paper_modules
         texels = int(np.clip(2 ** round(math.log2(max(pitch, 1.0))), 2, MOST_TEXELS))
         picture = texture(tag, number, texels)
         right, down = ((square[i] - square[0]) / (tag.modules * texels) for i in (1, 3))

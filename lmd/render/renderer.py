@@ -103,18 +103,25 @@ class Renderer:
 
         Includes tags outside the image, facing away or occluded. NaN as in `lmd.geometry.projection.project`.
         """
-        flat = project(self.camera, pose, self.room.corners.reshape(-1, 3))
+        return self._images(pose, self.room.corners)
+
+    def picture_corners(self, pose: FloatArray) -> FloatArray:
+        """`corners` of the whole pictures."""
+        return self._images(pose, self.room.picture_corners)
+
+    def _images(self, pose: FloatArray, squares: FloatArray) -> FloatArray:
+        flat = project(self.camera, pose, squares.reshape(-1, 3))
         return flat.reshape(*flat.shape[:-2], -1, 4, 2)
 
     def inside(self, pose: FloatArray, margin: float = 0.0) -> BoolArray:
-        """Mask of the tags whose front faces the camera and whose corners are all in the image, `(..., K)`.
+        """Mask of the tags whose front faces the camera and whose whole picture is in the image, `(..., K)`.
 
         Args:
             pose: X, camera to world, `(..., 4, 4)`.
             margin: least distance of the corners from the border of the image, pixels.
         """
         room, size = self.room, np.array(image_size(self.camera))
-        image = self.corners(pose)
+        image = self.picture_corners(pose)
         within = ((image >= margin) & (image <= size - margin)).all(axis=(-2, -1))
         towards = pose[..., None, :3, 3] - room.centres
         return np.asarray(within & ((towards * room.normals).sum(axis=-1) > 0.0))

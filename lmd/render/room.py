@@ -59,5 +59,12 @@ class TaggedRoom:
 
     @cached_property
     def corners(self) -> FloatArray:
-        """Corners of the black squares in the order of `squares.CORNERS`, world frame, metres, `(K, 4, 3)`."""
+        """Corners of the tags in the order of `squares.CORNERS`, world frame, metres, `(K, 4, 3)`."""
         return corners(self.centres, self.normals, self.ups, self.edges)
+
+    @cached_property
+    def picture_corners(self) -> FloatArray:
+        """Corners of the whole pictures, which the image must contain, like `corners`."""
+        if self.tag.picture_share == 1.0:
+            return self.corners
+        return corners(self.centres, self.normals, self.ups, self.tag.picture_share * self.edges)

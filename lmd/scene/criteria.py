@@ -26,7 +26,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from lmd.core.bits import BITS, LANES, ONE, ZERO, lowest
+from lmd.core.bits import BITS, LANES, ONE, ZERO, Integer, lowest
 from lmd.core.checks import BoolArray, FloatArray
 from lmd.core.compiled import inlined
 from lmd.core.dispatch import dispatched, overridable
@@ -138,7 +138,7 @@ def horizon_of(sight: Sight) -> float:
 
 
 @overridable
-def sized(sight, k):  # type: ignore[no-untyped-def]
+def sized(sight: Any, k: Integer) -> Any:
     """Compiled model of landmark k.
 
     A model for landmarks of several sizes stores arrays with one value per landmark; `sized` selects the values of k.
@@ -148,7 +148,7 @@ def sized(sight, k):  # type: ignore[no-untyped-def]
 
 
 @dispatched
-def from_position(sight, x, y, z, nx, ny, nz, slack):  # type: ignore[no-untyped-def]
+def from_position(sight: Any, x: float, y: float, z: float, nx: float, ny: float, nz: float, slack: float) -> Any:
     """Bounds on the coverage of a landmark from a position, over all orientations of the camera.
 
     Args:
@@ -167,7 +167,7 @@ def from_position(sight, x, y, z, nx, ny, nz, slack):  # type: ignore[no-untyped
 
 
 @overridable
-def from_around(sight, x, y, z, nx, ny, nz, radius):  # type: ignore[no-untyped-def]
+def from_around(sight: Any, x: float, y: float, z: float, nx: float, ny: float, nz: float, radius: float) -> Any:
     """Bounds on `from_position` over all camera positions within `radius` of a point.
 
     Args:
@@ -186,7 +186,10 @@ def from_around(sight, x, y, z, nx, ny, nz, radius):  # type: ignore[no-untyped-
 
 
 @dispatched
-def in_image(sight, x, y, z, nx, ny, nz, low, slack, ax, ay, az, rx, ry, rz):  # type: ignore[no-untyped-def]
+def in_image(
+    sight: Any, x: float, y: float, z: float, nx: float, ny: float, nz: float, low: float, slack: float, ax: float,
+    ay: float, az: float, rx: float, ry: float, rz: float,
+) -> Any:  # fmt: skip
     """True if an orientation covers a landmark that is `reached`; occlusion is ignored.
 
     Args:
@@ -198,7 +201,10 @@ def in_image(sight, x, y, z, nx, ny, nz, low, slack, ax, ay, az, rx, ry, rz):  #
 
 
 @dispatched
-def in_view(sight, x, y, z, sine, cosine, ax, ay, az, rx, ry, rz):  # type: ignore[no-untyped-def]
+def in_view(
+    sight: Any, x: float, y: float, z: float, sine: float, cosine: float, ax: float, ay: float, az: float, rx: float,
+    ry: float, rz: float,
+) -> Any:  # fmt: skip
     """True if the field of view contains the cone of half-angle delta around a unit vector (x, y, z).
 
     `sine` and `cosine` are those of delta, |delta| < pi / 2. If delta is negative, the function is True if the field of
@@ -208,7 +214,9 @@ def in_view(sight, x, y, z, sine, cosine, ax, ay, az, rx, ry, rz):  # type: igno
 
 
 @inlined
-def in_cone(least, x, y, z, sine, cosine, ax, ay, az):  # type: ignore[no-untyped-def]
+def in_cone(
+    least: float, x: float, y: float, z: float, sine: float, cosine: float, ax: float, ay: float, az: float
+) -> Any:
     """`in_view` for a field of view that is a cone around the optical axis; `least` is the cosine of its half-angle."""
     # With the half-angle theta, the cone narrowed by delta has the cosine cos(theta - delta), unless it is empty or the
     # whole sphere.
@@ -218,7 +226,10 @@ def in_cone(least, x, y, z, sine, cosine, ax, ay, az):  # type: ignore[no-untype
 
 
 @dispatched
-def hide(sight, ax, ay, az, a, bx, by, bz, b, ux, uy, uz, vx, vy, vz):  # type: ignore[no-untyped-def]
+def hide(
+    sight: Any, ax: float, ay: float, az: float, a: float, bx: float, by: float, bz: float, b: float, ux: float,
+    uy: float, uz: float, vx: float, vy: float, vz: float,
+) -> Any:  # fmt: skip
     """Test if landmark A hides B, and if B hides A, from the camera's position; two booleans.
 
     Args:
@@ -229,7 +240,10 @@ def hide(sight, ax, ay, az, a, bx, by, bz, b, ux, uy, uz, vx, vy, vz):  # type: 
 
 
 @overridable
-def hide_between(sight, other, ax, ay, az, a, bx, by, bz, b, ux, uy, uz, vx, vy, vz):  # type: ignore[no-untyped-def]
+def hide_between(
+    sight: Any, other: Any, ax: float, ay: float, az: float, a: float, bx: float, by: float, bz: float, b: float,
+    ux: float, uy: float, uz: float, vx: float, vy: float, vz: float,
+) -> Any:  # fmt: skip
     """`hide` for landmarks with two compiled models (see `sized`): `sight` for A, `other` for B.
 
     A model with landmarks of several sizes registers this function instead of `hide`.
@@ -238,20 +252,26 @@ def hide_between(sight, other, ax, ay, az, a, bx, by, bz, b, ux, uy, uz, vx, vy,
 
 
 @inlined
-def covers(sight, x, y, z, nx, ny, nz, low, slack, axes, a):  # type: ignore[no-untyped-def]
+def covers(
+    sight: Any, x: float, y: float, z: float, nx: float, ny: float, nz: float, low: float, slack: float,
+    axes: FloatArray, a: Integer,
+) -> Any:  # fmt: skip
     """`in_image` for orientation a of `axes` `(6, D)`, whose rows are the optical axis and the image's right."""
     ax, ay, az, rx, ry, rz = axes[0, a], axes[1, a], axes[2, a], axes[3, a], axes[4, a], axes[5, a]
     return in_image(sight, x, y, z, nx, ny, nz, low, slack, ax, ay, az, rx, ry, rz)
 
 
 @overridable
-def frame_of(sight, nx, ny, nz):  # type: ignore[no-untyped-def]
+def frame_of(sight: Any, nx: float, ny: float, nz: float) -> Any:
     """Precomputed argument `frame` of `covers_one` for a landmark with the unit normal (nx, ny, nz)."""
     return nx, ny, nz
 
 
 @overridable
-def covers_one(sight, x, y, z, frame, low, high, sure, well, axes, a):  # type: ignore[no-untyped-def]
+def covers_one(
+    sight: Any, x: float, y: float, z: float, frame: Any, low: float, high: float, sure: float, well: Any,
+    axes: FloatArray, a: Integer,
+) -> Any:  # fmt: skip
     """`covers` without slack; a model with an expensive test may register a version with early exits.
 
     Args:
@@ -265,7 +285,7 @@ def covers_one(sight, x, y, z, frame, low, high, sure, well, axes, a):  # type: 
 
 
 @overridable
-def pixel_density(sight, x, y, z, axes, a):  # type: ignore[no-untyped-def]
+def pixel_density(sight: Any, x: float, y: float, z: float, axes: FloatArray, a: Integer) -> Any:
     """Image area per solid angle around a landmark that orientation a covers, over distance^3.
 
     In squared focal lengths per steradian and m^3; 1 / depth^3 for a pinhole.
@@ -275,25 +295,31 @@ def pixel_density(sight, x, y, z, axes, a):  # type: ignore[no-untyped-def]
 
 
 @overridable
-def covering(sight, left, w, x, y, z, frame, low, high, sure, well, axes):  # type: ignore[no-untyped-def]
+def covering(
+    sight: Any, left: Any, w: Integer, x: float, y: float, z: float, frame: Any, low: float, high: float, sure: float,
+    well: Any, axes: FloatArray,
+) -> Any:  # fmt: skip
     """Subset of the axes in `left` that cover the landmark; bit sets of word w.
 
     Arguments as in `covers_one`, except that `well` is a bit set. All axes of half a word are tested: for a cheap test
     this is faster than iterating over the set bits.
     """
     nx, ny, nz = frame
-    cap = ZERO
+    visible = ZERO
     for first in range(np.uint64(0), np.uint64(BITS), np.uint64(LANES)):
         if left >> first << np.uint64(BITS - LANES):
             half = np.uint32(0)
             for lane in range(np.uint64(LANES)):
                 a = w * np.uint64(BITS) + first + lane
                 half |= np.uint32(covers(sight, x, y, z, nx, ny, nz, low, 0.0, axes, a)) << np.uint32(lane)
-            cap |= np.uint64(half) << first
-    return cap & left
+            visible |= np.uint64(half) << first
+    return visible & left
 
 
-def depth_first(sight, left, w, x, y, z, frame, low, high, sure, well, axes):  # type: ignore[no-untyped-def]
+def depth_first(
+    sight: Any, left: Any, w: Integer, x: float, y: float, z: float, frame: Any, low: float, high: float, sure: float,
+    well: Any, axes: FloatArray,
+) -> Any:  # fmt: skip
     """`covering` for models with an expensive test: depths are compared first, as they decide most cases."""
     within, shallow = ZERO, ZERO
     for first in range(np.uint64(0), np.uint64(BITS), np.uint64(LANES)):
@@ -306,11 +332,11 @@ def depth_first(sight, left, w, x, y, z, frame, low, high, sure, well, axes):  #
                 two |= np.uint32(depth <= sure) << np.uint32(lane)
             within, shallow = within | np.uint64(one) << first, shallow | np.uint64(two) << first
     left &= within
-    cap = left & well & shallow
-    left &= ~cap
+    visible = left & well & shallow
+    left &= ~visible
     while left:
         bit: Any = lowest(left)
         a, central = w * np.uint64(BITS) + bit, (well >> bit & ONE) != ZERO
-        cap |= np.uint64(covers_one(sight, x, y, z, frame, low, high, sure, central, axes, a)) << bit
+        visible |= np.uint64(covers_one(sight, x, y, z, frame, low, high, sure, central, axes, a)) << bit
         left &= left - ONE
-    return cap
+    return visible

@@ -1,45 +1,15 @@
-"""Fiducial tags: the families, the size of a tag, and its picture.
+"""Fiducial tags: the size of a tag and of its paper.
 
-A tag is a square of N x N modules with a black outer ring, on paper with a white margin (the quiet zone). Up is the top
-of the published picture: of `cv2.aruco.generateImageMarker` for the ArUco families, of AprilTag's own picture for the
-AprilTag families, which OpenCV shows rotated by 180 degrees.
+A tag is a square of N x N modules between the corners that detectors find (see `lmd.scene.families`), on paper with a
+white margin, the quiet zone.
 """
 
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 
 from lmd.core.checks import BoolArray, FloatArray, InputError, IntArray, check_fields, choice, integer, real, vector
-from lmd.core.optional import optional
-
-
-@dataclass(frozen=True)
-class Family:
-    """Family of tags.
-
-    Args:
-        modules: N, number of modules along an edge, including the black border.
-        ids: number of tags.
-        dictionary: name of the dictionary in `cv2.aruco`.
-        apriltag: name in the AprilTag library; None if the library lacks the family.
-    """
-
-    modules: int
-    ids: int
-    dictionary: str
-    apriltag: str | None = None
-
-
-FAMILIES = {
-    "36h11": Family(8, 587, "DICT_APRILTAG_36h11", "tag36h11"),
-    "25h9": Family(7, 35, "DICT_APRILTAG_25h9", "tag25h9"),
-    "16h5": Family(6, 30, "DICT_APRILTAG_16h5", "tag16h5"),
-} | {
-    f"{bits}x{bits}_{ids}": Family(bits + 2, ids, f"DICT_{bits}X{bits}_{ids}")
-    for bits in (4, 5, 6, 7)
-    for ids in (50, 100, 250, 1000)
-}
+from lmd.scene.families import FAMILIES, Family, family_named, picture
 
 
 @dataclass(frozen=True)
@@ -47,9 +17,10 @@ class Tag:
     """Tag at the landmarks of a deployment; landmarks are points if it has no edge.
 
     Args:
-        edge: edge of the outer black square, metres. None or 0 for landmarks that are points, as in the paper; with
-            `edges`, None for the largest of them. Landmarks of a file without sizes have this edge.
-        family: one of `FAMILIES`.
+        edge: edge between the detected corners, metres: of the outer black square of most families. None or 0 for
+            landmarks that are points, as in the paper; with `edges`, None for the largest of them. Landmarks of a file
+            without sizes have this edge.
+        family: one of `lmd.scene.families.FAMILIES`, or a name that a library has for it.
         quiet_zone: q, width of the white margin on each side, modules.
         edges: edges of tags of several sizes, metres; None for one size, `edge`. Placed landmarks are assigned these
             edges cyclically unless `counts` is given.
@@ -82,6 +53,7 @@ class Tag:
                 "edge",
             )
         object.__setattr__(self, "edge", float(self.edge) if self.edge else None)
+        object.__setattr__(self, "family", family_named(self.family))
         choice("family", self.family, tuple(FAMILIES))
         check_fields(self, real, "quiet_zone", low=0.0)
         if self.edges is not None:
@@ -162,18 +134,23 @@ class Tag:
             raise InputError("edge must be given, in metres: a detector cannot read a point.", "edge").within("tag")
 
     @property
+    def in_family(self) -> Family:
+        """Properties of the family."""
+        return FAMILIES[self.family]
+
+    @property
     def modules(self) -> int:
         """N, modules along the edge."""
-        return FAMILIES[self.family].modules
+        return self.in_family.modules
 
     @property
     def ids(self) -> int:
         """Number of different tags in the family."""
-        return FAMILIES[self.family].ids
+        return self.in_family.ids
 
     @property
     def size(self) -> float:
-        """Edge of the black square, metres.
+        """Edge between the detected corners, metres.
 
         Raises:
             InputError: the tag is a point.
@@ -188,14 +165,29 @@ class Tag:
         return self.size / self.modules
 
     @property
-    def paper_edge(self) -> float:
-        """Edge of the paper with its quiet zone, s (1 + 2 q / N), metres."""
-        return self.size * self.paper_share
+    def picture_share(self) -> float:
+        """Ratio of the edges of the whole picture and of the tag, M / N; 1 if there is no data around the square."""
+        return self.in_family.picture_modules / self.modules
+
+    @property
+    def picture_edge(self) -> float:
+        """Edge of the whole picture, metres."""
+        return self.size * self.picture_share
+
+    @property
+    def paper_modules(self) -> float:
+        """Edge of the paper with its quiet zone, M + 2 q, modules."""
+        return self.in_family.picture_modules + 2.0 * self.quiet_zone
 
     @property
     def paper_share(self) -> float:
-        """Ratio of the edges of paper and tag, 1 + 2 q / N."""
-        return 1.0 + 2.0 * self.quiet_zone / self.modules
+        """Ratio of the edges of paper and tag, (M + 2 q) / N."""
+        return self.picture_share + 2.0 * self.quiet_zone / self.modules
+
+    @property
+    def paper_edge(self) -> float:
+        """Edge of the paper, metres."""
+        return self.size * self.paper_share
 
     def check_ids(self, ids: IntArray) -> None:
         """Raise `InputError` if the family has fewer than K tags, or lacks one of the `ids` `(K,)`, all different."""
@@ -206,19 +198,9 @@ class Tag:
             raise InputError(message, "family")
 
     def picture(self, number: int) -> BoolArray:
-        """Modules of tag `number`, `(N, N)`, row 0 at the top; True for white.
+        """Modules of tag `number`, `(M, M)`, row 0 at the top; True for white.
 
         Raises:
             InputError: the family has no such tag.
         """
-        integer("tag id", number, low=0, high=self.ids - 1)
-        family = FAMILIES[self.family]
-        aruco = optional("cv2", "detection").aruco
-        picture = aruco.generateImageMarker(dictionary(self.family), int(number), family.modules) > 0
-        return np.asarray(picture[::-1, ::-1] if family.apriltag else picture)
-
-
-def dictionary(family: str) -> Any:
-    """Dictionary of `cv2.aruco` for a family."""
-    aruco = optional("cv2", "detection").aruco
-    return aruco.getPredefinedDictionary(getattr(aruco, FAMILIES[family].dictionary))
+        return picture(self.family, number)

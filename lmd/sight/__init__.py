@@ -1,1 +1,1 @@
-"""Coverage geometry: which landmarks a camera sees, and with what probability at least n of them."""
+"""Coverage geometry: landmarks that a camera sees, and the probability P_n of seeing at least n of them."""

@@ -1,28 +1,28 @@
-"""Blocks of neighbouring positions: what is far from a block is far from all of them, so it is looked at only once."""
+"""Blocks of neighbouring positions: one distance test against a block's bounding box serves all its positions."""
 
 import numpy as np
 
 from lmd.core.checks import FloatArray
 
-# Positions and landmarks come in blocks of this many: loops over whole blocks vectorise without a remainder.
+# Number of positions or landmarks in a block: loops over whole blocks vectorise without a remainder.
 BLOCK = 16
 
-# The square of a cosine in single precision is off by less than this: a dozen roundings of 6e-8.
+# Upper bound on the error of a squared cosine in single precision: a dozen roundings of 6e-8.
 SINGLE_ERROR = 2e-6
 
 
 def boxes_around(positions: FloatArray) -> tuple[np.ndarray, np.ndarray]:
-    """Boxes around blocks of `BLOCK` positions `(Q, 3)`: centres, and half the sides, `(3, Q / BLOCK)`."""
+    """Bounding boxes of blocks of `BLOCK` positions `(Q, 3)`, metres: centres and half sides, each `(3, Q / BLOCK)`."""
     blocks = positions.reshape(-1, BLOCK, 3)
     least, most = blocks.min(axis=1), blocks.max(axis=1)
-    halves = ((most - least) / 2.0 * (1.0 + SINGLE_ERROR)).astype(np.float32)  # never less for the rounding
+    halves = ((most - least) / 2.0 * (1.0 + SINGLE_ERROR)).astype(np.float32)  # rounded up
     return np.ascontiguousarray(((least + most) / 2.0).T), np.ascontiguousarray(halves.T)
 
 
-def _by_blocks(positions: FloatArray) -> np.ndarray:
-    """Indices `(P,)` that put positions `(P, 3)` into an order in which neighbours come in blocks.
+def _block_order(positions: FloatArray) -> np.ndarray:
+    """Permutation `(P,)` that puts positions `(P, 3)` into blocks of neighbours.
 
-    Each round cuts all parts that are longer than a block in two, across their longest side.
+    Each round cuts every segment that is longer than a block in two, across the longest side of its bounding box.
     """
     order, edges = np.arange(len(positions)), np.array([0, len(positions)])
     while (too_long := np.diff(edges) > BLOCK).any():
@@ -37,11 +37,13 @@ def _by_blocks(positions: FloatArray) -> np.ndarray:
 
 
 def in_blocks(positions: FloatArray) -> tuple[np.ndarray, np.ndarray]:
-    """Indices `(Q,)` that put positions `(P, 3)` into blocks of neighbours, and where each is then, `(P,)`.
+    """Order of positions `(P, 3)` in blocks of neighbours; copies of a position pad the last block.
 
-    The longest side is cut in two; the last block is filled up with copies.
+    Returns:
+        order: indices of the positions, `(Q,)`, Q a multiple of `BLOCK`.
+        index_of: place of each position in `order`, `(P,)`.
     """
-    order = _by_blocks(positions)
+    order = _block_order(positions)
     order = np.append(order, np.full(-len(order) % BLOCK, order[-1]))
     index_of = np.empty(len(positions), dtype=np.int64)
     index_of[order[::-1]] = np.arange(len(order))[::-1]  # the first of several copies

@@ -1,22 +1,26 @@
-"""Which axes can cover a landmark, looked up by the direction in which it is.
+"""Tables of the axes that can cover a landmark, by the direction of the landmark from the camera.
 
-The sphere of directions is cut into cells: it is projected onto an octahedron, which is unfolded into a square of
-`SIDE` x `SIDE` cells. For each cell, one table holds the axes that have *every* direction of the cell in view, far
-enough from the border for a landmark to be covered (`Sight.inset`), another those that have *some*. Only axes in the
-second and not in the first need the exact test. Where the depth decides, too, the first table alone does not do
-(`sure` in `criteria.from_position`).
+The sphere of directions is projected onto an octahedron, which is unfolded into a square of `SIDE` x `SIDE` cells. Two
+tables have a set of axes for each cell:
 
-Tables are too large for work with many landmarks that is done once. There, axes are sorted by height (their z
-coordinate): a cap lies in a cone around the direction of its landmark, and the cone's lowest and highest point bound
-the axes that need the exact test to one contiguous band.
+- `CERTAIN`: axes that have *every* direction of the cell in view, at least `Sight.inset` from the border;
+- `POSSIBLE`: axes that have *some* direction of the cell in view.
 
-A cell is the projection of a parallelogram or of two triangles, so a cap that holds its corners holds all of it. If
-they are at most rho from the centre of the cell, an axis has every direction of the cell in view that has the centre in
-view by rho, and none that misses it by more.
+Only axes that are possible and not certain need the exact test. A certain axis covers the landmark only at the depths
+`low` to `sure` of `criteria.from_position`.
+
+Tables are too large for one pass over many landmarks. There, axes are sorted by height (their z coordinate). The axes
+that cover a landmark lie in a cone around its direction, so the lowest and the highest point of the cone bound the axes
+that need the exact test to one contiguous band.
+
+A cell is the projection of a parallelogram or of two triangles, so a spherical cap that contains its corners contains
+the cell. Let rho be the greatest angle between the centre and a corner. An axis that has the centre in view by rho has
+every direction of the cell in view; an axis that misses the centre by more than rho has none.
 """
 
 import math
 from functools import cache
+from typing import Any
 
 import numpy as np
 
@@ -25,31 +29,33 @@ from lmd.core.checks import FloatArray, IntArray
 from lmd.core.compiled import PYTHON, inlined, inner, kernel
 from lmd.scene.criteria import Sight, in_view, sized
 
-SIDE = 16 if PYTHON else 64  # plain Python would fill larger tables for seconds; what they settle is the same
-NOWHERE = SIDE * SIDE  # one row more than there are cells: no axis at all
-CERTAIN, POSSIBLE = 0, 1  # the tables: axes that have every direction of a cell in view, and some
-# Added to rho, rad: far more than rounding moves a direction, a corner or an angle.
+SIDE = 16 if PYTHON else 64  # cells per side; plain Python takes seconds to fill larger tables
+EMPTY_ROW = SIDE * SIDE  # row of the tables after those of the cells: the empty set
+CERTAIN, POSSIBLE = 0, 1  # index of the table of certain and of possible axes
+# Margin added to rho, rad; it exceeds the rounding of directions, corners and angles.
 _SLACK = 1e-6
-# Number of equal intervals of [-1, 1] in which the start of a band of axes is tabulated.
+# Number of equal bins of the heights [-1, 1] for which the first axis is tabulated.
 HEIGHT_BINS = 512
-# Heights this far beyond the cone's ends are still tested; rounding moves the end of a narrow cone by 2e-8.
+# Margin of the heights beyond the ends of the cone; rounding moves the end of a narrow cone by 2e-8.
 HEIGHT_MARGIN = 1e-6
 
 
 @inner
-def cell_of(x, y, z):
-    """The cell of the direction of (x, y, z), anything if that is zero."""
+def cell_of(x: Any, y: Any, z: Any) -> Any:
+    """Index of the cell that contains the direction of (x, y, z); arbitrary for a zero vector."""
     scale = 1.0 / (abs(x) + abs(y) + abs(z))
     u, v = x * scale, y * scale
     below_u, below_v = math.copysign(1.0 - abs(v), u), math.copysign(1.0 - abs(u), v)
     u, v = (below_u if z < 0.0 else u), (below_v if z < 0.0 else v)
+    row: Any
+    column: Any
     row, column = np.int32((u + 1.0) * (SIDE / 2.0)), np.int32((v + 1.0) * (SIDE / 2.0))
     return max(0, min(row, SIDE - 1)) * SIDE + max(0, min(column, SIDE - 1))
 
 
 @cache
 def _cells() -> tuple[FloatArray, FloatArray]:
-    """The directions of the centres of the cells, `(3, SIDE * SIDE)`, and the angle rho of each, rad."""
+    """Unit directions of the centres of the cells, `(3, SIDE * SIDE)`, and angles rho, rad, `(SIDE * SIDE,)`."""
     edge = np.linspace(-1.0, 1.0, SIDE + 1)
     u, v = np.meshgrid(edge, edge, indexing="ij")
     z = 1.0 - abs(u) - abs(v)
@@ -64,10 +70,19 @@ def _cells() -> tuple[FloatArray, FloatArray]:
 
 
 @kernel
-def _fill(sight, centres, angles, axes, shifts, table):
-    """Set in `table` `(cells, W)` the axes that have the centre of a cell in view by its one of the `angles`.
+def _fill(
+    sight: Any, centres: FloatArray, angles: FloatArray, axes: FloatArray, shifts: FloatArray, table: np.ndarray
+) -> None:
+    """Fill a table with the axes that have the centre of each cell in view by the angle of that cell.
 
-    `shifts` `(3, 64 W)` are subtracted from the centre for each axis, which gives the direction seen from elsewhere.
+    Args:
+        sight: compiled model of sight.
+        centres: unit directions of the centres of the cells, `(3, cells)`.
+        angles: angle from the border of the field of view by cell, `(cells,)`, rad.
+        axes: axis and right, `(6, 64 W)`.
+        shifts: displacement of the camera by axis, over the distance of the landmark, `(3, 64 W)`; it is subtracted
+            from the centre.
+        table: receives the sets of axes, `(cells, W)`.
     """
     for c in range(len(angles)):
         x, y, z, sine, cosine = centres[0, c], centres[1, c], centres[2, c], math.sin(angles[c]), math.cos(angles[c])
@@ -89,12 +104,12 @@ def _fill(sight, centres, angles, axes, shifts, table):
 
 
 def tables(sight: Sight, axes: FloatArray) -> tuple[np.ndarray, np.ndarray]:
-    """Sets `(NOWHERE + 1, W)` of the axes that have every, and some, direction of each cell in view.
+    """Tables `CERTAIN` and `POSSIBLE` of sets of axes, `(EMPTY_ROW + 1, W)` each.
 
     Args:
-        axes: axis and right, `(6, 64 W)`, filled up with zeros to whole words.
+        axes: axis and right, `(6, 64 W)`, padded with zeros to whole words.
     """
-    certain, possible = np.zeros((2, NOWHERE + 1, axes.shape[1] // BITS), dtype=np.uint64)
+    certain, possible = np.zeros((2, EMPTY_ROW + 1, axes.shape[1] // BITS), dtype=np.uint64)
     fill_tables(sight, axes, np.zeros((3, axes.shape[1])), 0.0, 0.0, certain=certain, possible=possible)
     return certain, possible
 
@@ -103,29 +118,30 @@ def fill_tables(
     sight: Sight,
     axes: FloatArray,
     shifts: FloatArray,
-    most: float,
-    off: float,
+    longest: float,
+    error: float,
     *,
     certain: IntArray,
     possible: IntArray,
 ) -> None:
-    """Fill the first rows of `certain` and `possible` `(>= SIDE * SIDE, W)` for cameras that are moved a little.
+    """Fill the tables for cameras that are displaced from the point whose directions the cells have.
 
-    A direction u from the point that they are moved about is the direction of u - s from one that is moved by s times
-    the landmark's distance. If u is in a cell, and s differs from `shifts`, both differ from what the table is made for
-    by a chord of at most 2 sin(rho / 2) + `off` between vectors no shorter than 1 - `most`.
+    Let u be the unit direction of a landmark from the point, and s the displacement of the camera over the distance of
+    the landmark. The camera sees the landmark in the direction of u - s. If u lies in a cell, and `shifts` approximates
+    s, then u - s differs from the tabulated vector by at most 2 sin(rho / 2) + `error`; both vectors have at least the
+    length 1 - `longest`.
 
     Args:
         sight, axes: as in `tables`.
-        shifts: of each axis, `(3, 64 W)`.
-        most: the length of the longest s.
-        off: how far s may be from `shifts`.
-        certain, possible: what is filled.
+        shifts: approximate s by axis, `(3, 64 W)`.
+        longest: upper bound on |s|.
+        error: upper bound on the distance between s and `shifts`.
+        certain, possible: their first `SIDE * SIDE` rows are filled, `(>= SIDE * SIDE, W)`.
     """
     centres, rho = _cells()
-    chord = (2.0 * np.sin(rho / 2.0) + off) / (2.0 * (1.0 - most))
-    angles = rho if off == most == 0.0 else _SLACK + 2.0 * np.arcsin(np.minimum(chord, 1.0))
-    sight = sized(sight, 0)  # landmarks of all sizes have one view
+    chord = (2.0 * np.sin(rho / 2.0) + error) / (2.0 * (1.0 - longest))
+    angles = rho if error == longest == 0.0 else _SLACK + 2.0 * np.arcsin(np.minimum(chord, 1.0))
+    sight = sized(sight, 0)  # the field of view does not depend on the size
     wide = angles + sight.inset < np.pi / 2.0
     fill = (sight, centres)
     _fill(*fill, np.where(wide, angles + sight.inset, 0.0), axes, shifts, certain)
@@ -134,7 +150,7 @@ def fill_tables(
 
 
 def height_index(heights: FloatArray) -> np.ndarray:
-    """`index[b]`: the first axis at or above the bottom of height bin b, less a margin, `(HEIGHT_BINS + 2,)`.
+    """First axis at or above the bottom of each height bin, less a margin, `(HEIGHT_BINS + 2,)`.
 
     Args:
         heights: z coordinates of the axes in ascending order, `(D,)`.
@@ -144,24 +160,24 @@ def height_index(heights: FloatArray) -> np.ndarray:
 
 
 @inlined
-def band_of(x, y, z, low, slack):
-    """The heights of the axes whose depth of a landmark at offset (x, y, z) may reach `low`.
+def band_of(x: float, y: float, z: float, low: Any, slack: Any) -> Any:
+    """Height bins of the axes along which a landmark at the offset (x, y, z) may have a depth of at least `low`.
 
-    They lie in a cone around the direction of the landmark. With a `slack`, in that of any landmark so far away.
-    Scalars only and no branch: a loop over landmarks or positions vectorises with it.
+    These axes lie in a cone around the direction of the landmark. With a positive `slack` (metres) the bins hold for
+    all landmarks within this distance. The function has no branches, so that loops over it vectorise.
 
     Returns:
-        the first and last height bin, to be looked up in `height_index`.
+        the first and the last height bin, indices of `height_index`.
     """
     distance = np.sqrt(x * x + y * y + z * z)
     height, cosine = z / distance, min(max(low / distance, -1.0), 1.0)
     sine = math.sqrt(1.0 - cosine * cosine)
     across = math.sqrt(max(0.0, 1.0 - height * height))
-    wide = distance - slack <= 0.0  # the slack reaches the camera: any axis
+    wide = distance - slack <= 0.0  # the slack reaches the camera, so any axis is possible
     bottom = -1.0 if wide | (-height >= cosine) else height * cosine - across * sine
     top = 1.0 if wide | (height >= cosine) else height * cosine + across * sine
     scale = HEIGHT_BINS / 2.0
     first = math.floor((bottom - HEIGHT_MARGIN + 1.0) * scale)
-    # Twice the margin: the table starts each bin one margin early.
+    # Twice the margin, as `height_index` starts each bin one margin early.
     last = math.floor((top + 2.0 * HEIGHT_MARGIN + 1.0) * scale) + 1
     return max(first, 0), min(last, HEIGHT_BINS + 1)

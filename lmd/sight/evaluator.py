@@ -1,4 +1,4 @@
-"""Counts and probabilities of many deployments in one scene, on the fast exact path."""
+"""Counts of covered landmarks and probabilities P_n of deployments at every position of a scene."""
 
 import copy
 import math
@@ -19,17 +19,20 @@ from lmd.sight import kernels
 from lmd.sight.blocks import BLOCK, in_blocks
 from lmd.sight.directions import height_index, tables
 from lmd.sight.kernels import PROBABILITY_ONE
-from lmd.sight.mounts import Part, parts_of, with_sight
+from lmd.sight.mounts import MountGroup, mount_groups, with_sight
 from lmd.sight.obstacles import obstacles_at
 from lmd.sight.reference import ReferenceViews
 from lmd.sight.rig_views import RigViews
 
-SIZES = 16  # sets of edges whose evaluators are kept
-COUNT_BYTES = 4  # of a view, twice two: the counts of axes, and of orientations of the PDF
+SIZES = 16  # greatest number of sets of tag sizes whose evaluators are cached; the cache is cleared beyond it
+COUNT_BYTES = 4  # memory of a view: an int16 count of its axis, and one of its orientation of the PDF
 
 
-def in_units(probability: FloatArray) -> IntArray:
-    """Probabilities `(N, D)` in whole units; what rounding leaves over in a row goes to its heaviest axis."""
+def quantised(probability: FloatArray) -> IntArray:
+    """Probabilities `(N, D)` as integers with the sum `PROBABILITY_ONE` in each row.
+
+    The largest entry of a row takes its rounding remainder.
+    """
     weights = np.rint(probability * PROBABILITY_ONE).astype(np.int64)
     rows = np.arange(len(weights))
     weights[rows, weights.argmax(axis=1)] += PROBABILITY_ONE - weights.sum(axis=1)
@@ -37,7 +40,7 @@ def in_units(probability: FloatArray) -> IntArray:
 
 
 def averaged(values: FloatArray | BoolArray, probability: FloatArray) -> FloatArray:
-    """The mean over axes of `values` `(P, D)` with the probabilities `(1, D)` or `(P, D)`, `(P,)`."""
+    """Mean `(P,)` of `values` `(P, D)` over the axes, weighted by `probability` `(1, D)` or `(P, D)`."""
     if len(probability) == 1:
         return np.asarray(values @ probability[0])
     return np.asarray(np.einsum("pd,pd->p", values, probability))
@@ -47,10 +50,10 @@ class Evaluator:
     """Evaluates deployments at every position of a scene.
 
     Args:
-        scene: what stays fixed.
+        scene: room, cameras, orientations and criteria.
         positions: `(P, 3)` camera positions, metres; the room's grid by default.
         threads: worker threads; all available processors by default. Results do not depend on it.
-        by_reference: whether NumPy decides instead of kernels; so it is where criteria have no compiled half.
+        by_reference: True to use the NumPy reference instead of kernels, as criteria without a compiled half always do.
     """
 
     def __init__(
@@ -67,21 +70,21 @@ class Evaluator:
         axes, self.axis_of, _ = scene.orientations
         self.axes = in_words(axes.T)
         self.bands = height_index(axes[:, 2])
-        self.weights = in_units(in_words(scene.probability(self.positions)))
+        self.weights = quantised(in_words(scene.probability(self.positions)))
         self._sized: dict[tuple[float, ...], Evaluator] = {}
-        self.parts: tuple[Part, ...] = ()
-        self.views: RigViews | ReferenceViews | None = None  # instead of the kernels for a single camera
+        self.groups: tuple[MountGroup, ...] = ()
+        self.views: RigViews | ReferenceViews | None = None  # None for a single camera, whose kernels this class calls
         if by_reference or not scene.is_compiled:
             self.views = ReferenceViews(scene, self.positions)
             return
-        blockers, self.parts = scene.room.blockers(), parts_of(scene)
-        if self.parts:
-            self.views = RigViews(self.parts, blockers, self.positions, self.threads)
+        blockers, self.groups = scene.room.blockers(), mount_groups(scene)
+        if self.groups:
+            self.views = RigViews(self.groups, blockers, self.positions, self.threads)
         else:
             self.sight, self.obstacles = scene.sight, obstacles_at(blockers, self.positions)
 
     def sized(self, edges: FloatArray) -> "Evaluator":
-        """The same for landmarks with these edges, see `Scene.sized`."""
+        """Evaluator for tags with the given edges, `(K,)` metres, see `Scene.sized`; the last ones are cached."""
         scene = self.scene.sized(edges)
         if scene is self.scene:
             return self
@@ -89,7 +92,7 @@ class Evaluator:
         if len(self._sized) >= SIZES:
             self._sized.clear()
         if key not in self._sized and scene.largest_edge > self.scene.largest_edge:
-            # What is looked up is made for the largest.
+            # Tables and obstacles are made for the largest tag.
             self._sized[key] = Evaluator(scene, self.positions, self.threads)
         elif key not in self._sized:
             other = copy.copy(self)
@@ -99,8 +102,8 @@ class Evaluator:
             elif isinstance(self.views, RigViews):
                 kinds = dict.fromkeys(scene.cameras)
                 sights = (scene.visibility.sight(kind) for kind in kinds)
-                other.parts = tuple(with_sight(part, sight) for part, sight in zip(self.parts, sights, strict=True))
-                other.views = RigViews(other.parts, self.views.blockers, self.positions, self.threads)
+                other.groups = tuple(with_sight(group, sight) for group, sight in zip(self.groups, sights, strict=True))
+                other.views = RigViews(other.groups, self.views.blockers, self.positions, self.threads)
             else:
                 other.sight = scene.sight
             self._sized[key] = other
@@ -108,40 +111,40 @@ class Evaluator:
 
     @property
     def by_reference(self) -> bool:
-        """True if NumPy decides instead of kernels."""
+        """True if the NumPy reference is used instead of kernels."""
         return isinstance(self.views, ReferenceViews)
 
     @property
     def probability(self) -> FloatArray:
-        """Of each axis, `(1, 64 W)` where it is the same at all positions, else `(P, 64 W)`."""
+        """Probability of each axis, `(1, 64 W)` if it is equal at all positions, else `(P, 64 W)`."""
         return np.asarray(self.weights / PROBABILITY_ONE)
 
     @cached_property
     def tables(self) -> tuple[np.ndarray, np.ndarray]:
-        """Which axes surely cover, and may cover, a landmark in each direction (`lmd.sight.directions.tables`)."""
+        """Tables `CERTAIN` and `POSSIBLE` of the axes, see `lmd.sight.directions.tables`."""
         return tables(self.sight, self.axes)
 
     @cached_property
     def blocks(self) -> tuple[IntArray, IntArray]:
-        """The positions by blocks of neighbours, see `in_blocks`."""
+        """Positions in blocks of neighbours, results of `in_blocks`."""
         return in_blocks(self.positions)
 
     def check_memory(self, each: float) -> None:
-        """Raise `InputError` if `each` bytes of every position and axis do not fit into memory."""
+        """Raise `InputError` if `each` bytes for every pair of position and axis do not fit into memory."""
         check_views(each, len(self.positions), self.axes.shape[1])
 
     def counts(self, deployment: Deployment) -> np.ndarray:
-        """Landmarks covered at every position and orientation of the PDF, `(P, A)` int16."""
+        """Number of landmarks covered at every position and orientation of the PDF, `(P, A)` int16."""
         landmarks = deployment.positions[None], deployment.normals[None]
         _, counts = self.sized(deployment.edges)._evaluate(*landmarks, 1, keep=True)
         return np.asarray(counts[0][:, self.axis_of])
 
     def units(self, positions: FloatArray, normals: FloatArray, n: int) -> np.ndarray:
-        """P_n at every position in units of 1 / `PROBABILITY_ONE`.
+        """Quantised P_n at every position, in units of 1 / `PROBABILITY_ONE`.
 
         Args:
-            positions, normals: `(B, K, 3)` landmarks of B deployments.
-            n: landmarks that must be covered.
+            positions, normals: landmarks of B deployments, metres and unit vectors, `(B, K, 3)`.
+            n: number of landmarks that must be covered.
 
         Returns:
             `(B, P)` int64.
@@ -157,7 +160,7 @@ class Evaluator:
     def _evaluate(
         self, positions: FloatArray, normals: FloatArray, n: int, keep: bool
     ) -> tuple[np.ndarray, np.ndarray]:
-        """P_n in units `(B, P)`, and with `keep` the counts `(B, P, D)`; positions are shared between threads."""
+        """Quantised P_n `(B, P)`, and with `keep` the counts `(B, P, D)`; threads share the positions."""
         size, axes = len(self.positions), self.axes.shape[1]
         if keep:
             self.check_memory(COUNT_BYTES * len(positions))
@@ -169,11 +172,11 @@ class Evaluator:
                 kept = counts[b] if keep else counts[0:0].reshape(0, 0)
                 units[b] = self.views.evaluate(landmarks, facing, self.weights, n, kept)
             return units, counts
-        self.by_blocks(kernels.evaluate_range, (*self.batch(positions, normals), n, units, counts, keep))
+        self.run_over_blocks(kernels.evaluate_range, (*self.batch(positions, normals), n, units, counts, keep))
         return units, counts
 
     def batch(self, positions: FloatArray, normals: FloatArray) -> tuple[Any, ...]:
-        """What kernels take of the scene and of B deployments `(B, K, 3)`: `order` to `weights` of `evaluate_range`."""
+        """Arguments `order` to `weights` of `kernels.evaluate_range` for B deployments `(B, K, 3)`."""
         self.scene.check_count(positions.shape[1])
         landmarks = tuple(for_kernels(v.transpose(0, 2, 1)) for v in (positions, normals))
         sight = self.sight.among(self._low, self._high, *landmarks)
@@ -181,8 +184,11 @@ class Evaluator:
         seen = (sight, horizon_of(sight), self.obstacles, self.axes, self.bands, tables, self.weights)
         return self.blocks[0][: len(self.positions)], self.positions, *landmarks, *seen
 
-    def by_blocks(self, kernel: Any, fixed: tuple[Any, ...], each: int = 1) -> None:
-        """Run `kernel(first, last, *fixed)` over blocks of positions, so many parts for each thread."""
+    def run_over_blocks(self, kernel: Any, fixed: tuple[Any, ...], each: int = 1) -> None:
+        """Run `kernel(first, last, *fixed)` over all positions on the threads, in `each` chunks per thread.
+
+        Chunks consist of whole blocks.
+        """
         size = len(self.positions)
 
         def job(first: int, last: int) -> None:

@@ -1,20 +1,21 @@
-"""What of the room stands between a camera and a landmark: the last criterion that the position alone decides.
+"""Obstacles of the room between a camera and a landmark.
 
-A landmark is blocked if a body of the room (`lmd.space.blockers`) blocks the line of sight to any point of it that must
-be seen: its centre, and for tags the corners of their black squares, too. The heights of the camera's positions above
-the planes of the bodies are known beforehand, those of a landmark's points are found once for all positions. So a body
-is mostly out of the way after a few comparisons: if all are in front of one of its planes.
+A landmark is blocked if a convex body of the room (`lmd.space.blockers`) intersects the line of sight to a required
+point: the centre, and for tags the corners of the black square. The heights of the camera's positions above the planes
+of the bodies are precomputed, those of a landmark's points are computed once for all positions. Most bodies are then
+excluded by a few comparisons, as all points lie in front of one of their planes.
 
-A room from a mesh has triangles in place of bodies (`lmd.space.triangles`). They are too many for heights above each:
-`Shadows` has the positions themselves, and each line is sent through the tree of the triangles.
+A room from a mesh has triangles in place of bodies (`lmd.space.triangles`). They are too many for a
+table of heights: `MeshObstacles` has the positions, and each line of sight traverses the tree of the triangles.
 
-A room with nothing in the way has `Obstacles` without a body: kernels are not compiled for it by itself.
+An empty room has `Obstacles` without a body, so kernels need not be compiled separately for it.
 """
 
 from typing import Any, NamedTuple
 
 import numpy as np
 
+from lmd.core.bits import Integer
 from lmd.core.checks import BoolArray, FloatArray
 from lmd.core.compiled import inlined
 from lmd.core.dispatch import dispatched, overridable
@@ -24,46 +25,55 @@ from lmd.space.blockers import Blockers
 from lmd.space.space import Space
 from lmd.space.triangles import Triangles, is_crossed
 
-POINTS = 5  # of a tag: centre and corners
+POINTS = 5  # number of required points of a tag: centre and corners
 
 
 class Obstacles(NamedTuple):
-    """The arrays of `Blockers`, and the heights of P positions above their planes, `(P, J)`, metres."""
+    """Convex bodies with J planes in total, and P camera positions."""
 
     normals: np.ndarray
+    """`(J, 3)` outward unit normals of the planes, see `Blockers`."""
     offsets: np.ndarray
+    """`(J,)` distances of the planes from the origin, metres, see `Blockers`."""
     first: np.ndarray
+    """First plane of each body, and J, see `Blockers`."""
     heights: np.ndarray
+    """`(P, J)` signed heights of the positions above the planes, metres."""
 
 
-class Shadows(NamedTuple):
-    """The triangles of a mesh, and P positions, `(P, 3)`, metres."""
+class MeshObstacles(NamedTuple):
+    """The triangles of a mesh, and P camera positions."""
 
     triangles: Triangles
+    """Triangles with their search tree."""
     positions: np.ndarray
+    """`(P, 3)` positions, metres."""
 
 
-def obstacles_at(blockers: Blockers | Triangles | None, positions: FloatArray) -> Obstacles | Shadows:
-    """What stands in the way of cameras at `positions` `(P, 3)`."""
+def obstacles_at(blockers: Blockers | Triangles | None, positions: FloatArray) -> Obstacles | MeshObstacles:
+    """Obstacles prepared for cameras at `positions` `(P, 3)`, metres."""
     if blockers is None:
         return Obstacles(np.empty((0, 3)), np.empty(0), np.zeros(1, dtype=np.int64), np.empty((0, 0)))
     if isinstance(blockers, Triangles):
-        return Shadows(blockers, np.ascontiguousarray(positions))
+        return MeshObstacles(blockers, np.ascontiguousarray(positions))
     check_memory(8 * len(positions) * len(blockers.offsets), f"{len(positions)} positions beside obstacles")
     return Obstacles(blockers.normals, blockers.offsets, blockers.first, blockers.heights(positions))
 
 
 @overridable
-def half_edge(sight):  # type: ignore[no-untyped-def]
-    """Half the edge of the square whose corners must be seen, too, metres; 0.0 for a point, a column for several sizes.
+def half_edge(sight: Any) -> Any:
+    """Half the edge of the square whose corners must be seen, metres; 0.0 for a point landmark.
 
-    Of the sight of one landmark a number, see `lmd.scene.criteria.sized`.
+    A model of landmarks of several sizes returns a column `(K,)`, a `sized` model a number.
     """
     return 0.0
 
 
-def seen_points(half: float | FloatArray, landmarks: FloatArray, normals: FloatArray) -> FloatArray:
-    """The points of landmarks `(K, 3)` that must be seen, `(1, K, 3)` or, given half an edge, `(5, K, 3)`."""
+def required_points(half: float | FloatArray, landmarks: FloatArray, normals: FloatArray) -> FloatArray:
+    """Points of the landmarks `(K, 3)` that must be seen: centres `(1, K, 3)`, or centres and corners `(5, K, 3)`.
+
+    `half` is half the edge, metres, a number or `(K,)`; 0 for point landmarks.
+    """
     if not np.any(half):
         return landmarks[None]
     right, up = (np.reshape(half, (-1, 1)) * side for side in upright(normals))
@@ -74,58 +84,62 @@ def seen_points(half: float | FloatArray, landmarks: FloatArray, normals: FloatA
 def unobstructed(
     space: Space, sight: Any, position: FloatArray, landmarks: FloatArray, normals: FloatArray
 ) -> BoolArray:
-    """Which landmarks nothing of the room blocks from a position, `(K,)`: the reference.
+    """Mask `(K,)` of the landmarks that the room does not block from a position; the reference.
 
     Args:
         space: the room.
         position: p, `(3,)`, world frame, metres.
         landmarks, normals: `(K, 3)` positions, metres, and unit normals.
     """
-    points = seen_points(half_edge(sight), landmarks, normals)
+    points = required_points(half_edge(sight), landmarks, normals)
     return np.asarray(space.clear(np.broadcast_to(position, points.shape), points).all(axis=0))
 
 
 @dispatched
-def is_clear(obstacles):  # type: ignore[no-untyped-def]
-    """Whether there is nothing that could block anything."""
+def is_clear(obstacles: Any) -> Any:
+    """True if there are no obstacles."""
 
 
 @is_clear.register(Obstacles)
-def _has_no_body(obstacles):  # type: ignore[no-untyped-def]
+def _has_no_body(obstacles: Any) -> Any:
     return len(obstacles.first) == 1
 
 
-@is_clear.register(Shadows)
-def _has_no_triangle(obstacles):  # type: ignore[no-untyped-def]
+@is_clear.register(MeshObstacles)
+def _has_no_triangle(obstacles: Any) -> Any:
     return False
 
 
 @dispatched
-def no_ends(obstacles, count):  # type: ignore[no-untyped-def]
-    """Room for the heights of so many landmarks, see `find_ends`."""
+def new_ends(obstacles: Any, count: Integer) -> Any:
+    """Return an empty array `ends` for `count` landmarks, see `find_ends`."""
 
 
-@no_ends.register(Obstacles)
-def _no_ends(obstacles, count):  # type: ignore[no-untyped-def]
+@new_ends.register(Obstacles)
+def _new_ends(obstacles: Any, count: Integer) -> Any:
     return np.empty((count, POINTS + 1, len(obstacles.offsets)))
 
 
-@no_ends.register(Shadows)
-def _no_end_points(obstacles, count):  # type: ignore[no-untyped-def]
+@new_ends.register(MeshObstacles)
+def _no_end_points(obstacles: Any, count: Integer) -> Any:
     return np.empty((count, POINTS, 3))
 
 
 @dispatched
-def find_ends(obstacles, sight, x, y, z, nx, ny, nz, ends, k):  # type: ignore[no-untyped-def]
-    """Write the points of landmark k at (x, y, z) into `ends`.
+def find_ends(
+    obstacles: Any, sight: Any, x: float, y: float, z: float, nx: float, ny: float, nz: float, ends: Any, k: Integer
+) -> None:
+    """Write the required points of landmark k at (x, y, z) with the normal (nx, ny, nz) into `ends`.
 
-    Before bodies these are heights above their planes, `(K, 6, J)`, of which the last row are the least; before
-    triangles the points themselves, `(K, 5, 3)`.
+    For `Obstacles`, `ends` `(K, 6, J)` has the heights of the five points above the planes, then their minimum. For
+    `MeshObstacles`, `ends` `(K, 5, 3)` has the points, metres.
     """
 
 
 @find_ends.register(Obstacles)
-def _find_ends(obstacles, sight, x, y, z, nx, ny, nz, ends, k):  # type: ignore[no-untyped-def]
+def _find_ends(
+    obstacles: Any, sight: Any, x: float, y: float, z: float, nx: float, ny: float, nz: float, ends: Any, k: Integer
+) -> None:
     half, normals, offsets = half_edge(sight), obstacles.normals, obstacles.offsets
     rx, ry, rz, ux, uy, uz = upright_axes(nx, ny, nz, VERTICAL_TOLERANCE)
     for i in range(POINTS if half > 0.0 else 1):
@@ -136,8 +150,10 @@ def _find_ends(obstacles, sight, x, y, z, nx, ny, nz, ends, k):  # type: ignore[
             ends[k, POINTS, j] = height if i == 0 else min(height, ends[k, POINTS, j])
 
 
-@find_ends.register(Shadows)
-def _find_end_points(obstacles, sight, x, y, z, nx, ny, nz, ends, k):  # type: ignore[no-untyped-def]
+@find_ends.register(MeshObstacles)
+def _find_end_points(
+    obstacles: Any, sight: Any, x: float, y: float, z: float, nx: float, ny: float, nz: float, ends: Any, k: Integer
+) -> None:
     half = half_edge(sight)
     rx, ry, rz, ux, uy, uz = upright_axes(nx, ny, nz, VERTICAL_TOLERANCE)
     for i in range(POINTS if half > 0.0 else 1):
@@ -145,25 +161,32 @@ def _find_end_points(obstacles, sight, x, y, z, nx, ny, nz, ends, k):  # type: i
 
 
 @inlined
-def _point(i, half, x, y, z, rx, ry, rz, ux, uy, uz):  # type: ignore[no-untyped-def]
-    """Point i of a landmark at (x, y, z) with right r and up u: the centre, then r + u, -(r + u), r - u, -(r - u)."""
+def _point(
+    i: Integer, half: float, x: float, y: float, z: float, rx: float, ry: float, rz: float, ux: float, uy: float,
+    uz: float,
+) -> Any:  # fmt: skip
+    """Point i of a landmark at c = (x, y, z): c, then c + h (r + u), c - h (r + u), c + h (r - u), c - h (r - u).
+
+    h is `half` the edge, r and u are the unit vectors to the right and up.
+    """
     way, up = half * (0.0 if i == 0 else 1.0 if i % 2 == 1 else -1.0), 1.0 if i < 3 else -1.0
     return x + way * (rx + up * ux), y + way * (ry + up * uy), z + way * (rz + up * uz)
 
 
 @dispatched
-def is_blocked(obstacles, sight, p, ends, k):  # type: ignore[no-untyped-def]
-    """Whether something blocks landmark k from position p; `ends` as in `find_ends`."""
+def is_blocked(obstacles: Any, sight: Any, p: Integer, ends: Any, k: Integer) -> Any:
+    """True if an obstacle blocks landmark k from position p; `ends` as in `find_ends`."""
 
 
 @is_blocked.register(Obstacles)
-def _is_blocked(obstacles, sight, p, ends, k):  # type: ignore[no-untyped-def]
-    # One nest of loops: to hand arrays on to a function would cost more than the work.
+def _is_blocked(obstacles: Any, sight: Any, p: Integer, ends: Any, k: Integer) -> Any:
+    # One nest of loops: passing arrays to a function would take longer than the work.
     first, heights = obstacles.first, obstacles.heights
     points = POINTS if half_edge(sight) > 0.0 else 1
     for m in range(len(first) - 1):
         for turn in range(points + 1):
-            # The least heights come first: with them the line enters no later and leaves no earlier than to any point.
+            # The minima are tested first: with them the line enters each half-space no later, and leaves it no
+            # earlier, than the line to any point.
             row = POINTS if turn == 0 else turn - 1
             entered, left = 0.0, 1.0
             for j in range(first[m], first[m + 1]):
@@ -182,8 +205,8 @@ def _is_blocked(obstacles, sight, p, ends, k):  # type: ignore[no-untyped-def]
     return False
 
 
-@is_blocked.register(Shadows)
-def _is_shadowed(obstacles, sight, p, ends, k):  # type: ignore[no-untyped-def]
+@is_blocked.register(MeshObstacles)
+def _is_shadowed(obstacles: Any, sight: Any, p: Integer, ends: Any, k: Integer) -> Any:
     at, triangles = obstacles.positions, obstacles.triangles
     for i in range(POINTS if half_edge(sight) > 0.0 else 1):
         if is_crossed(triangles, at[p, 0], at[p, 1], at[p, 2], ends[k, i, 0], ends[k, i, 1], ends[k, i, 2]):

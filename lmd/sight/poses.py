@@ -1,10 +1,12 @@
-"""Every landmark pose of a wall grid at once: what each would gain, and what fractions of them cover.
+"""Gains and coverage of many candidate poses on the walls, each evaluated without the other landmarks.
 
-Both functions see a landmark on its own, hidden by no other. With a `slack` they describe all landmarks of a piece of
-wall instead of one: an axis is within reach of the piece if some landmark at most `slack` from its centre may cover it.
-Moving by delta within the wall changes depth and distance by at most |delta| and leaves n . d as it is, so every
-condition loosened by `slack` holds for the whole piece; without slack the decisions are those of `kernels`. What of the
-room blocks a piece is not asked: some of it may be seen past it.
+`gains` sums prices over the positions and axes that cover a pose; `covered_amounts` sums amounts of poses over the
+positions and axes.
+
+With a `slack` a pose stands for a cell of a wall: an axis counts if it may cover some landmark at most `slack` from the
+centre. A move by delta within the wall changes depth and distance by at most |delta| and leaves n . d unchanged, so
+conditions that are loosened by `slack` hold for the whole cell. Obstacles of the room are then ignored, as a part of
+the cell may be visible beside them. Without slack the decisions equal those of `kernels`.
 """
 
 import math
@@ -15,6 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from lmd.core.bits import Integer
 from lmd.core.checks import FloatArray, real
 from lmd.core.compiled import for_kernels, kernel
 from lmd.core.memory import check_memory
@@ -24,23 +27,23 @@ from lmd.scene.deployment import Deployment
 from lmd.sight.blocks import BLOCK
 from lmd.sight.directions import band_of
 from lmd.sight.evaluator import Evaluator
-from lmd.sight.obstacles import find_ends, is_blocked, no_ends
+from lmd.sight.obstacles import find_ends, is_blocked, new_ends
 from lmd.sight.viewpoint import see_alone
 from lmd.space.space import Space
 from lmd.space.surface import SurfaceArrays
 
-# Poses, or positions, that a thread works on at a time: the work differs much between walls.
+# Number of chunks of poses or positions per thread; several balance the load, as the work differs between walls.
 CHUNKS_PER_THREAD = 8
-CELL_BYTES = 400  # what a cell takes while they are made: its vectors, and those of the pose, some of them twice
+CELL_BYTES = 400  # memory of a cell while cells are made: vectors of cell and pose, partly held twice
 
 
 @dataclass(frozen=True)
 class Cells:
-    """Rectangular pieces of the walls, each with a flush landmark at its centre.
+    """Rectangular cells of the walls, each with a flush landmark at its centre.
 
     Args:
-        poses: the N landmarks.
-        half_u, half_v: from each centre to the middle of two neighbouring sides, `(N, 3)`, metres.
+        poses: N landmarks at the centres of the cells.
+        half_u, half_v: vectors from each centre to the midpoints of two neighbouring sides, `(N, 3)`, metres.
     """
 
     poses: Deployment
@@ -49,15 +52,15 @@ class Cells:
 
     @property
     def radius(self) -> FloatArray:
-        """From each centre to the corners, `(N,)`, metres, rounded up."""
+        """Distance from each centre to the corners, `(N,)`, metres, rounded up."""
         return np.asarray(np.linalg.norm(self.half_u + self.half_v, axis=1) * (1.0 + TOLERANCE))
 
     def picked(self, index: NDArray[Any]) -> "Cells":
-        """The cells that `index` selects, numbers or `(N,)` bool."""
+        """Subset of the cells; `index` holds integers or is a mask `(N,)`."""
         return Cells(self.poses[index], self.half_u[index], self.half_v[index])
 
     def quarters(self) -> "Cells":
-        """Each cell cut into four, `4 N` cells."""
+        """Cells of half the width: four for each cell, `4 N` in total."""
         u, v = self.half_u / 2.0, self.half_v / 2.0
         points = np.concatenate([self.poses.positions + i * u + j * v for i in (-1, 1) for j in (-1, 1)])
         normals, surfaces = np.tile(self.poses.normals, (4, 1)), np.tile(self.poses.surfaces, 4)
@@ -65,12 +68,12 @@ class Cells:
 
 
 def wall_cells(room: Space, spacing: float) -> Cells:
-    """Where landmarks may hang cut into cells at most `spacing` metres wide, wall by wall and piece by piece.
+    """Cut the allowed pieces of all walls into cells at most `spacing` metres wide.
 
-    Cells of one piece are equal. Those at borders that run neither along u nor v may stick out.
+    Cells of a piece are congruent. A cell at a border that is parallel to neither u nor v may extend beyond it.
 
     Raises:
-        InputError: the spacing is not positive, or so many cells would not fit into memory.
+        InputError: the spacing is not positive, or the cells would not fit into memory.
     """
     real("spacing", spacing, above=0.0)
     parts = []
@@ -78,7 +81,7 @@ def wall_cells(room: Space, spacing: float) -> Cells:
     for number, wall, piece in pieces:
         left, low = piece[0], piece[2:4].min()
         sides = piece[1] - left, piece[4:].max() - low
-        # The small allowance keeps 7.5 / 0.25 at 30 cells however the division rounds.
+        # The allowance makes 7.5 / 0.25 = 30 cells regardless of rounding.
         counts = [max(int(np.ceil(length / spacing - 1e-9)), 1) for length in sides]
         made = f"spacing = {spacing:g} makes {math.prod(counts):.4g} poses, which"
         check_memory(CELL_BYTES * math.prod(counts), made, "spacing")
@@ -94,7 +97,7 @@ def wall_cells(room: Space, spacing: float) -> Cells:
 
 
 def _meets(piece: FloatArray, a: FloatArray, b: FloatArray, half_u: float, half_v: float) -> NDArray[np.bool_]:
-    """Whether cells with the centres `a`, `b` `(N,)` meet a trapezoid `(6,)`, see `lmd.space.allowed`."""
+    """Mask `(N,)` of the cells with the centres (a, b) that meet a trapezoid `(6,)`, see `lmd.space.allowed`."""
     left, right, *borders = piece
     ends = (np.clip((a + way * half_u - left) / max(right - left, 1e-300), 0.0, 1.0) for way in (-1.0, 1.0))
     low, high = zip(
@@ -105,18 +108,24 @@ def _meets(piece: FloatArray, a: FloatArray, b: FloatArray, half_u: float, half_
 
 
 def candidate_poses(room: Space, spacing: float) -> Deployment:
-    """A flush landmark at the centre of every cell of `wall_cells` where one may hang."""
+    """Flush landmarks at the centres of `wall_cells`, without the centres at which no landmark may hang."""
     poses, surfaces = wall_cells(room, spacing).poses, SurfaceArrays.of(room.surfaces())
     return poses[surfaces.allow(poses.surfaces, surfaces.coordinates(poses.surfaces, poses.positions))]
 
 
 @kernel
-def _gains(start, stop, points, normals, slack, prices, positions, sight, obstacles, axes, bands, out):
-    """Write the gains of poses `start` to `stop` into `out` `(N,)`; args as in `gains`, positions `(3, P)`."""
+def _gains(
+    start: Integer, stop: Integer, points: FloatArray, normals: FloatArray, slack: FloatArray, prices: FloatArray,
+    positions: FloatArray, sight: Any, obstacles: Any, axes: FloatArray, bands: np.ndarray, out: FloatArray,
+) -> None:  # fmt: skip
+    """Write the gains of the poses `start` to `stop - 1` into `out` `(N,)`.
+
+    Arguments as in `gains`, except that the positions are `(3, P)`.
+    """
     size, row = positions.shape[1], np.empty(axes.shape[1])
     x, y, z, low = np.empty(size), np.empty(size), np.empty(size), np.empty(size)
     bottom, top, reached = np.empty(size, np.int32), np.empty(size, np.int32), np.empty(size, np.bool_)
-    ends = no_ends(obstacles, 1)
+    ends = new_ends(obstacles, 1)
     for j in range(start, stop):
         px, py, pz = points[j, 0], points[j, 1], points[j, 2]
         nx, ny, nz = normals[j, 0], normals[j, 1], normals[j, 2]
@@ -134,7 +143,7 @@ def _gains(start, stop, points, normals, slack, prices, positions, sight, obstac
                 continue
             xp, yp, zp, least = x[p], y[p], z[p], low[p]
             start_axis, stop_axis = bands[bottom[p]] & -BLOCK, (bands[top[p]] + BLOCK - 1) & -BLOCK
-            # One sum per axis, so that the loop vectorises without re-association.
+            # One sum per axis: the loop vectorises, and no sum is reordered.
             for a in range(np.uint64(start_axis), np.uint64(stop_axis)):
                 covered = covers(sight, xp, yp, zp, nx, ny, nz, least, near, axes, a)
                 row[a] += prices[p, a] if covered else 0.0
@@ -145,9 +154,15 @@ def _gains(start, stop, points, normals, slack, prices, positions, sight, obstac
 
 
 @kernel
-def _cover(start, stop, points, normals, amounts, positions, sight, obstacles, axes, bands, out):
-    """Write what covers positions `start` to `stop` into `out` `(P, D)` of zeros; args as in `covered_amounts`."""
-    ends = no_ends(obstacles, 1)
+def _sum_covered(
+    start: Integer, stop: Integer, points: FloatArray, normals: FloatArray, amounts: FloatArray, positions: FloatArray,
+    sight: Any, obstacles: Any, axes: FloatArray, bands: Any, out: Any,
+) -> None:  # fmt: skip
+    """Add the covered amounts at the positions `start` to `stop - 1` to `out` `(P, D)`.
+
+    Arguments as in `covered_amounts`.
+    """
+    ends = new_ends(obstacles, 1)
     for j in range(len(points)):
         if amounts[j] == 0.0:
             continue
@@ -162,10 +177,10 @@ def _cover(start, stop, points, normals, amounts, positions, sight, obstacles, a
 
 
 def by_edge(evaluator: Evaluator, poses: Deployment) -> Iterator[tuple[Evaluator, NDArray[Any]]]:
-    """The poses whose tags have one size each, as indices, and the evaluator for it.
+    """Yield an evaluator and the indices of the poses for each size of the tags.
 
     Raises:
-        InputError: the evaluator is for tags of several sizes, and the poses do not say which they have.
+        InputError: the scene has tags of several sizes, and the poses have no column of sizes.
     """
     if evaluator.scene.tag.is_point or not poses.has_own_edges:
         evaluator.scene.check_one_size("what chooses among poses")
@@ -177,15 +192,15 @@ def by_edge(evaluator: Evaluator, poses: Deployment) -> Iterator[tuple[Evaluator
 
 
 def gains(evaluator: Evaluator, poses: Deployment, prices: FloatArray, slack: FloatArray | None = None) -> FloatArray:
-    """What each pose earns: the sum of the prices of the positions and axes it covers.
+    """Sum of the prices of the positions and axes that cover each pose.
 
     Args:
         poses: N poses.
-        prices: `(P, D)` per position and axis of `evaluator`.
-        slack: count what flush landmarks within this distance of each pose on its wall cover, `(N,)`, metres.
+        prices: price of each position and axis of the evaluator, `(P, D)`.
+        slack: radius on the wall of the cell that each pose stands for, `(N,)`, metres; 0 by default.
 
     Returns:
-        `(N,)`, the same for any number of threads.
+        `(N,)`; it does not depend on the number of threads.
     """
     gained, slack = np.empty(len(poses)), np.zeros(len(poses)) if slack is None else slack
     positions = for_kernels(evaluator.positions.T)
@@ -201,14 +216,14 @@ def gains(evaluator: Evaluator, poses: Deployment, prices: FloatArray, slack: Fl
 
 
 def covered_amounts(evaluator: Evaluator, poses: Deployment, amounts: FloatArray) -> FloatArray:
-    """How much of the poses covers each position and axis, c = sum_j x_j cover_j.
+    """Amount of covered landmarks c = sum_j x_j cover_j at each position and axis.
 
     Args:
         poses: N poses.
         amounts: x, `(N,)`, not negative.
 
     Returns:
-        `(P, D)`, the same for any number of threads.
+        c, `(P, D)`; it does not depend on the number of threads.
     """
     out = np.zeros((len(evaluator.positions), evaluator.axes.shape[1]))
     for e, index in by_edge(evaluator, poses):
@@ -217,10 +232,10 @@ def covered_amounts(evaluator: Evaluator, poses: Deployment, amounts: FloatArray
             out += e.views.covered_amounts(*these)
         else:
             fixed = (*these, e.positions, e.sight, e.obstacles, e.axes, e.bands, out)
-            shared(_cover, len(e.positions), e.threads, fixed)
+            shared(_sum_covered, len(e.positions), e.threads, fixed)
     return out
 
 
 def shared(kernel: Callable[..., None], size: int, threads: int, fixed: tuple[Any, ...]) -> None:
-    """Run `kernel(start, stop, *fixed)` over `range(size)` on several threads."""
+    """Run `kernel(start, stop, *fixed)` over `range(size)` on the threads, in `CHUNKS_PER_THREAD` chunks each."""
     in_parts(threads, lambda first, last: kernel(first, last, *fixed), size, threads * CHUNKS_PER_THREAD)

@@ -1,7 +1,7 @@
-"""The coverage model of the paper on top of the criteria: the oracle every faster path must agree with.
+"""Reference of the coverage model of the paper in float64 NumPy; compiled code must equal it.
 
-float64 NumPy, one function per definition; the criteria themselves are the `covered` of the scene's visibility model.
-`ReferenceViews` evaluates a scene by it, position by position, if the visibility model has no compiled half.
+There is one function per definition of the paper; the criteria are `Criteria.covered` of the scene's visibility model.
+`ReferenceViews` evaluates scenes whose visibility model has no compiled half.
 
 Shapes: A orientations, K landmarks, P positions.
 Source: Lei et al., "Optimization of Directional Landmark Deployment for Visual Observer on SE(3)", Sec. III-IV.
@@ -24,10 +24,16 @@ from lmd.sight.obstacles import unobstructed
 
 
 def coverage_caps(scene: Scene, deployment: Deployment, position: FloatArray, axes: FloatArray) -> BoolArray:
-    """Which axes `(A, 6)` lie in the coverage spherical cap S_k^C(p) of each landmark (Definition 1), `(A, K)`.
+    """Mask `(A, K)`: axis a lies in the coverage spherical cap S_k^C(p) of landmark k (Definition 1).
 
-    Empty for landmarks that something in the room blocks. For a rig, position and axes are those of its body: some
-    camera covers the landmark, each from its own pose.
+    A landmark that the room blocks has an empty cap. For a rig, position and axes are those of its body, and the cap is
+    the union over the cameras, each at its own pose.
+
+    Args:
+        scene: has the criteria, the room and the cameras.
+        deployment: K landmarks.
+        position: p, `(3,)`, world frame, metres.
+        axes: optical axis and image's right, `(A, 6)`, unit vectors, world frame.
     """
     covered = np.zeros((len(axes), len(deployment)), dtype=np.bool_)
     for station in scene.stations(axes):
@@ -36,7 +42,7 @@ def coverage_caps(scene: Scene, deployment: Deployment, position: FloatArray, ax
 
 
 def station_caps(scene: Scene, deployment: Deployment, position: FloatArray, station: Station) -> BoolArray:
-    """The same for the camera of a station, and the orientations with which it is there, `(a, K)`."""
+    """Coverage caps for the camera of a station and the a orientations that bring it there, mask `(a, K)`."""
     landmarks, place = (deployment.positions, deployment.normals), position + station.offset
     seen = scene.visibility.covered(station.camera, place, station.axes, *landmarks)
     clear = unobstructed(scene.room, scene.visibility.sight(station.camera), place, *landmarks)
@@ -44,28 +50,28 @@ def station_caps(scene: Scene, deployment: Deployment, position: FloatArray, sta
 
 
 def cap_count(caps: BoolArray) -> IntArray:
-    """Num(S_k^C(p)): how many caps each axis passes through, `(A, K)` -> `(A,)` (Definition 2)."""
+    """Num(S_k^C(p)): number of caps that contain each axis, `(A, K)` -> `(A,)` (Definition 2)."""
     return np.asarray(caps.sum(axis=-1))
 
 
 def n_ple_cap(counts: IntArray, n: int) -> BoolArray:
-    """S^n(p): the axes that pass through at least n caps (Definition 2), same shape as `counts`."""
+    """S^n(p): mask of the axes in at least n caps (Definition 2), shape of `counts`."""
     return np.asarray(counts >= n)
 
 
 def coverage_probability(
     counts: IntArray, pdf: OrientationPdf, n: int, positions: FloatArray | None = None
 ) -> FloatArray:
-    """P_n(p): the probability of the n-ple cap under the PDF (Eq. P_n), `(..., A)` -> `(...)`.
+    """P_n(p): probability of the n-ple cap under the PDF (Eq. P_n), `(..., A)` -> `(...)`.
 
-    `positions` `(P, 3)` are those of the counts `(P, A)`, for a PDF that depends on them.
+    A PDF that depends on the position needs the `positions` `(P, 3)` of the counts `(P, A)`.
     """
     weight = pdf.weight if positions is None else pdf.at(positions)
     return np.asarray((n_ple_cap(counts, n) * weight).sum(axis=-1))
 
 
 def qualified(probability: FloatArray, thold_p: float) -> BoolArray:
-    """Qual: P_n(p) >= thold_p (Eq. Qual), same shape as `probability`."""
+    """Qual: P_n(p) >= thold_p (Eq. Qual), shape of `probability`."""
     return np.asarray(probability >= thold_p - TOLERANCE)
 
 
@@ -75,41 +81,41 @@ def cost(is_qualified: BoolArray, relevance: FloatArray) -> float:
 
 
 def counts(scene: Scene, deployment: Deployment) -> IntArray:
-    """Landmarks covered at every grid position and orientation of the PDF, `(P, A)`."""
-    axes, index_of, _ = scene.orientations  # those that are the same (poles, the seam) are asked once
+    """Number of landmarks covered at every grid position and orientation of the PDF, `(P, A)`."""
+    axes, index_of, _ = scene.orientations  # equal orientations (poles, seam) are evaluated once
     counted = [cap_count(coverage_caps(scene, deployment, p, axes)) for p in scene.room.grid()]
     return np.stack(counted)[:, index_of]
 
 
 @cache
-def _tell(name: str) -> None:
-    """Say once in a process that the visibility model with this name has no compiled half."""
+def _warn_uncompiled(name: str) -> None:
+    """Print once per process that the visibility model with this name has no compiled half."""
     slow = "an evaluation takes some 100 times as long, a move of annealing some 1000 times"
     cure = 'see CONTRIBUTING.md, "Compile a criterion"'
     print(f"note: {name} has no compiled half, so its NumPy decides: {slow}; {cure}", file=sys.stderr)
 
 
 class ReferenceViews:
-    """The views of a camera, or of a rig, from P positions, with D orientations.
+    """Coverage by the reference from P positions of a camera (or of the body of a rig) with D orientations.
 
     Args:
-        scene: its visibility model need have no compiled half.
-        positions: of the camera, or of the body of the rig, `(P, 3)`, metres.
+        scene: may have a visibility model without a compiled half.
+        positions: positions of the camera, or of the body of the rig, `(P, 3)`, metres.
     """
 
     def __init__(self, scene: Scene, positions: FloatArray) -> None:
         self._scene, self._positions, self._axes = scene, positions, scene.orientations.axes
         if not scene.is_compiled:
-            _tell(type(scene.visibility).__name__)
+            _warn_uncompiled(type(scene.visibility).__name__)
 
     def caps(self, deployment: Deployment, p: int) -> BoolArray:
-        """Landmarks that each orientation covers from position p, flags `(D, K)`."""
+        """Mask of the landmarks that each orientation covers from position p, `(D, K)`."""
         return coverage_caps(self._scene, deployment, self._positions[p], self._axes)
 
     def evaluate(
         self, landmarks: FloatArray, normals: FloatArray, weights: np.ndarray, n: int, counts: np.ndarray
     ) -> np.ndarray:
-        """P_n in integer units of one deployment, `(P,)`; arguments as in `rig_views.RigViews.evaluate`."""
+        """Quantised P_n of one deployment, `(P,)`; arguments as in `rig_views.RigViews.evaluate`."""
         deployment, size = Deployment(landmarks, normals), len(self._axes)
         rows = np.broadcast_to(weights[:, :size], (len(self._positions), size))
         units = np.empty(len(rows), dtype=np.int64)
@@ -121,7 +127,7 @@ class ReferenceViews:
         return units
 
     def gains(self, landmarks: FloatArray, normals: FloatArray, prices: FloatArray, slack: FloatArray) -> FloatArray:
-        """See `poses.gains`: of N poses with `landmarks` and `normals` `(N, 3)`, and no slack."""
+        """See `poses.gains`; N poses with `landmarks` and `normals` `(N, 3)`; `slack` must be 0."""
         if slack.any():
             self._scene.check_compiled("a bound on what pieces of the walls earn")
         alone = (self._alone(landmarks[[j]], normals[[j]]) for j in range(len(landmarks)))
@@ -135,7 +141,7 @@ class ReferenceViews:
         return in_words(out)
 
     def _alone(self, landmark: FloatArray, normal: FloatArray) -> BoolArray:
-        """From where a single landmark `(1, 3)` is covered, `(P, D)`."""
+        """Mask of the positions and orientations that cover a single landmark `(1, 3)`, `(P, D)`."""
         deployment = Deployment(landmark, normal)
         return np.stack([self.caps(deployment, p)[:, 0] for p in range(len(self._positions))])
 
@@ -143,7 +149,7 @@ class ReferenceViews:
 def seen_from(
     scene: Scene, camera: Camera, deployment: Deployment, positions: FloatArray, axes: FloatArray
 ) -> BoolArray:
-    """Landmarks that a camera covers, flags `(N, K)`, from poses with positions `(N, 3)` and axes `(N, 6)`."""
+    """Mask `(N, K)` of the landmarks that a camera covers from poses with positions `(N, 3)` and axes `(N, 6)`."""
     seen = np.empty((len(positions), len(deployment)), dtype=np.bool_)
     places, place = np.unique(positions, axis=0, return_inverse=True)
     order = np.argsort(place.reshape(-1), kind="stable")

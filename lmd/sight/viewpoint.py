@@ -1,71 +1,83 @@
-"""What a position sees, whoever asks: the landmarks that are near, in reach, unblocked and not hidden.
+"""Landmarks seen from one camera position: near, within reach, not blocked by the room, not hidden by others.
 
-Every decision is the reference's, by the same float64 operations in the same order. `lmd.sight.kernels` counts what is
-seen, `lmd.objectives.localisation` sums up what it tells, `lmd.sight.views` picks single orientations, and
-`lmd.sight.poses` looks at each landmark on its own.
+Every decision repeats the float64 operations of the reference in their order. Users: `lmd.sight.kernels` counts the
+landmarks, `lmd.objectives.localisation` sums up their information, `lmd.sight.views` tests single orientations, and
+`lmd.sight.poses` tests each landmark without the others.
 
-Landmarks are dropped in stages, from cheap to dear: those beyond the horizon of a region of blocks of positions, then
-of a block; per position those that are too near, too far or face away; what the room blocks; what others hide. These
-have directions close to that of the landmark, which is found in single precision first.
+Landmarks are dropped in stages, the cheapest first:
+
+1. landmarks beyond the horizon of a region, which is 16 blocks of positions, then of a block;
+2. for each position, landmarks that are too near or too far, or that face away;
+3. landmarks that the room blocks;
+4. landmarks that others hide. An occluder has nearly the direction of the hidden landmark; single precision finds the
+   possible occluders, the exact test decides.
 """
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from lmd.core.bits import LANES
+from lmd.core.bits import LANES, Integer
+from lmd.core.checks import FloatArray
 from lmd.core.compiled import allocating, inlined, inner
 from lmd.scene.criteria import from_position, hide_between, sized
 from lmd.sight.blocks import BLOCK, SINGLE_ERROR
-from lmd.sight.directions import NOWHERE, band_of, cell_of
+from lmd.sight.directions import EMPTY_ROW, band_of, cell_of
 from lmd.sight.obstacles import find_ends, is_blocked
 
-REGION = 16 * BLOCK  # positions: what is far from all of these is not looked at for each block
+REGION = 16 * BLOCK  # positions in a region; landmarks beyond its horizon are not tested for its blocks
 
 
 class Viewpoint(NamedTuple):
-    """Working memory for the view of K landmarks from one position after the other."""
+    """Working memory: K landmarks as seen from one position, which is overwritten for the next position.
 
-    around: np.ndarray
-    """Positions and normals of the landmarks near a region of blocks, `(6, K)`, metres."""
-    region: np.ndarray
-    """Which they are, `(K,)`."""
-    near: np.ndarray
-    """The same near a block, `(6, K)`; all that follows goes by their order."""
-    who: np.ndarray
-    """Which they are, `(K,)`."""
+    Entry k of the fields after `near_index` belongs to landmark k of `near_poses`.
+    """
+
+    region_poses: np.ndarray
+    """`(6, K)` positions (metres) and unit normals of the landmarks within the horizon of the region."""
+    region_index: np.ndarray
+    """`(K,)` indices of these landmarks in the deployment."""
+    near_poses: np.ndarray
+    """`(6, K)` positions (metres) and unit normals of the landmarks within the horizon of the block."""
+    near_index: np.ndarray
+    """`(K,)` indices of these landmarks in the deployment."""
     x: np.ndarray
-    """Offset from the position, `(K,)`, world frame, metres; so are y and z."""
+    """`(K,)` first coordinate of the offset from the position, world frame, metres."""
     y: np.ndarray
+    """`(K,)` second coordinate, metres."""
     z: np.ndarray
+    """`(K,)` third coordinate, metres."""
     squared: np.ndarray
-    """The square of its length, `(K,)`."""
+    """`(K,)` squared length of the offset, m^2."""
     low: np.ndarray
-    """The least depth with which an orientation may cover it, `(K,)`, see `criteria.from_position`."""
+    """`(K,)` least depth at which an orientation may cover the landmark, metres, see `criteria.from_position`."""
     high: np.ndarray
-    """The greatest."""
-    deep: np.ndarray
-    """Up to which depth all do that have it well in view: `sure` of `criteria.from_position`."""
+    """`(K,)` greatest such depth, metres."""
+    sure_depth: np.ndarray
+    """`(K,)` depth `sure` of `criteria.from_position`, metres."""
     bottom: np.ndarray
-    """The first height of `bands`, or with tables the row of orientations that surely cover it, `(K,)`."""
+    """`(K,)` first height bin of `bands`; with tables, the row of orientations that surely cover the landmark."""
     top: np.ndarray
-    """The last height, or the row of those that may."""
+    """`(K,)` last height bin; with tables, the row of orientations that may cover the landmark."""
     reached: np.ndarray
-    """Whether any orientation may cover it, `(K,)`."""
+    """`(K,)` True if some orientation may cover the landmark."""
     u: np.ndarray
-    """Direction in single precision, filled up to whole `LANES`, as are v, w and `close`."""
+    """First coordinate of the unit direction; float32, padded to a multiple of `LANES` like the next three."""
     v: np.ndarray
+    """Second coordinate."""
     w: np.ndarray
+    """Third coordinate."""
     close: np.ndarray
-    """The square of the cosine from which on the landmark may hide another in a direction."""
+    """Least squared cosine between the directions of this landmark and of one that it may hide."""
     shown: np.ndarray
-    """The landmarks that are seen with some orientation, a list `(K,)`."""
+    """`(K,)` list of the landmarks that some orientation sees; the caller keeps its length."""
 
 
 @allocating
-def viewpoint_for(count):
-    """A `Viewpoint` of so many landmarks."""
+def viewpoint_for(count: Integer) -> Viewpoint:
+    """Return a `Viewpoint` for `count` landmarks."""
     whole = (count + LANES - 1) & -LANES
     return Viewpoint(
         np.empty((6, count)), np.empty(count, np.int64), np.empty((6, count)), np.empty(count, np.int64),
@@ -77,8 +89,8 @@ def viewpoint_for(count):
 
 
 @inner
-def box_around(positions, among):
-    """The lowest and the highest corner of a box around those of the `positions` `(P, 3)`, three numbers each."""
+def box_around(positions: FloatArray, among: np.ndarray) -> Any:
+    """Bounding box of the positions with the indices `among`: lowest and highest corner, three numbers each."""
     low = high = positions[among[0], 0], positions[among[0], 1], positions[among[0], 2]
     for p in among[1:]:
         x, y, z = positions[p, 0], positions[p, 1], positions[p, 2]
@@ -88,20 +100,23 @@ def box_around(positions, among):
 
 
 @inner
-def gather(low, high, horizon, count, poses, names, near, who):
-    """Write position and normal of the landmarks at most `horizon` metres from a box into `near` `(6, K)`.
-
-    Which they are goes into `who` `(K,)`.
+def gather(
+    low: Any, high: Any, horizon: float, count: Integer, poses: FloatArray, indices: np.ndarray, near: FloatArray,
+    index: np.ndarray,
+) -> Any:  # fmt: skip
+    """Copy the landmarks at most `horizon` metres from a box.
 
     Args:
         low, high: corners of the box, three numbers each.
         horizon: see `criteria.horizon_of`.
-        count: so many landmarks are looked at.
+        count: number of landmarks to test.
         poses: their positions and normals, `(6, K)`.
-        names: which they are, `(K,)`.
+        indices: their indices in the deployment, `(K,)`.
+        near: receives positions and normals of the landmarks found, `(6, K)`.
+        index: receives their indices in the deployment, `(K,)`.
 
     Returns:
-        how many there are.
+        number of landmarks found.
     """
     most, found = horizon * horizon, 0
     for k in range(count):
@@ -110,14 +125,20 @@ def gather(low, high, horizon, count, poses, names, near, who):
         dz = max(low[2] - z, z - high[2], 0.0)
         near[0, found], near[1, found], near[2, found] = x, y, z
         near[3, found], near[4, found], near[5, found] = poses[3, k], poses[4, k], poses[5, k]
-        who[found] = names[k]
+        index[found] = indices[k]
         found += dx * dx + dy * dy + dz * dz <= most
     return found
 
 
 @inner
-def take(b, landmarks, normals, sight, obstacles, clear, poses, ends):
-    """Write deployment b of `landmarks`, `normals` `(B, 3, K)` into `poses` `(6, K)`, and its `obstacles.find_ends`."""
+def load_deployment(
+    b: Integer, landmarks: FloatArray, normals: FloatArray, sight: Any, obstacles: Any, clear: bool, poses: FloatArray,
+    ends: FloatArray,
+) -> None:  # fmt: skip
+    """Write deployment b into `poses` `(6, K)` and, unless the room is `clear`, into `ends` (`obstacles.find_ends`).
+
+    `landmarks` and `normals` are `(B, 3, K)`.
+    """
     for k in range(landmarks.shape[2]):
         x, y, z = landmarks[b, 0, k], landmarks[b, 1, k], landmarks[b, 2, k]
         for i in range(3):
@@ -129,77 +150,95 @@ def take(b, landmarks, normals, sight, obstacles, clear, poses, ends):
 
 
 @inlined
-def gather_near(o, first, last, order, positions, horizon, many, count, poses, names, view):
-    """Gather the landmarks near position `order[o]` where a region, or a block, of `order[first:last]` begins.
+def gather_near(
+    o: Integer, first: Integer, last: Integer, order: np.ndarray, positions: FloatArray, horizon: float, many: Integer,
+    count: Integer, poses: FloatArray, indices: np.ndarray, view: Viewpoint,
+) -> Any:  # fmt: skip
+    """Update the landmarks near the region and the block of position `order[o]`, if `o` is the first of either.
 
     Args:
-        many, count: how many landmarks were near the last region and block.
-        poses, names: all landmarks, `(6, K)` and `(K,)`.
+        first, last: the caller works on `order[first:last]`.
+        order: positions by blocks of neighbours, `(P,)`.
+        many, count: numbers of landmarks near the region and the block of the previous position.
+        poses, indices: all landmarks, `(6, K)` and `(K,)`.
+        view: its landmarks are updated.
 
     Returns:
-        how many are now.
+        many, count: numbers of landmarks near the region and the block of this position.
     """
     if o == first or o % REGION == 0:
         low, high = box_around(positions, order[o : min(o - o % REGION + REGION, last)])
-        many = gather(low, high, horizon, len(names), poses, names, view.around, view.region)
+        many = gather(low, high, horizon, len(indices), poses, indices, view.region_poses, view.region_index)
     if o == first or o % BLOCK == 0:
         low, high = box_around(positions, order[o : min(o - o % BLOCK + BLOCK, last)])
-        count = gather(low, high, horizon, many, view.around, view.region, view.near, view.who)
-        view.close[count : (count + BLOCK - 1) & -BLOCK] = 2.0  # no direction comes close to those that fill up
+        count = gather(low, high, horizon, many, view.region_poses, view.region_index, view.near_poses, view.near_index)
+        view.close[count : (count + BLOCK - 1) & -BLOCK] = 2.0  # padding: an unreachable threshold
     return many, count
 
 
 @inlined
-def look(view, count, px, py, pz, sight, tables):
-    """Find what the first `count` landmarks are like from (px, py, pz), whatever the orientation."""
-    near, who, x, y, z, squared, low, high, deep = (
-        view.near, view.who, view.x, view.y, view.z, view.squared, view.low, view.high, view.deep
+def fill_viewpoint(view: Viewpoint, count: Integer, px: float, py: float, pz: float, sight: Any, tables: Any) -> None:
+    """Fill `view` for the first `count` landmarks and a camera at (px, py, pz), for all orientations."""
+    near, index, x, y, z, squared, low, high, sure_depth = (
+        view.near_poses, view.near_index, view.x, view.y, view.z, view.squared, view.low, view.high, view.sure_depth
     )  # fmt: skip
     bottom, top, reached, u, v, w, close = view.bottom, view.top, view.reached, view.u, view.v, view.w, view.close
     for k in range(count):
-        # Kept in variables: to read back what was just written would keep the loop from vectorising.
+        # Local variables: reading back from the arrays would keep the loop from vectorising.
         xk, yk, zk = near[0, k] - px, near[1, k] - py, near[2, k] - pz
         nx, ny, nz = near[3, k], near[4, k], near[5, k]
-        in_reach, least, most, sure = from_position(sized(sight, who[k]), xk, yk, zk, nx, ny, nz, 0.0)
+        in_reach, least, most, sure = from_position(sized(sight, index[k]), xk, yk, zk, nx, ny, nz, 0.0)
         if tables is None:
             bottom[k], top[k] = band_of(xk, yk, zk, least, 0.0)
         else:
             cell = cell_of(xk, yk, zk)
-            bottom[k], top[k] = NOWHERE if sure < math.inf else cell, cell
+            bottom[k], top[k] = EMPTY_ROW if sure < math.inf else cell, cell
         x[k], y[k], z[k], squared[k] = xk, yk, zk, xk * xk + yk * yk + zk * zk
-        reached[k], low[k], high[k], deep[k] = in_reach, least, most, sure
+        reached[k], low[k], high[k], sure_depth[k] = in_reach, least, most, sure
     if sight.reach >= 0.0:
         for k in range(count):
-            here = squared[k] == 0.0  # such a landmark hides all others
+            here = squared[k] == 0.0  # a landmark at the camera hides all others
             scale = 0.0 if here else 1.0 / math.sqrt(squared[k])
             u[k], v[k], w[k] = scale * x[k], scale * y[k], scale * z[k]
             close[k] = -1.0 if here else 1.0 - SINGLE_ERROR - sight.reach / squared[k]
 
 
 @inner
-def is_hidden(k, count, who, x, y, z, squared, normals, sight):
-    """Whether one of the first `count` landmarks hides landmark k.
+def is_hidden(
+    k: Integer, count: Integer, index: np.ndarray, x: FloatArray, y: FloatArray, z: FloatArray, squared: FloatArray,
+    normals: FloatArray, sight: Any,
+) -> bool:  # fmt: skip
+    """True if one of the first `count` landmarks hides landmark k.
 
-    Which they are in the deployment, `who`, offsets `x, y, z` and their `squared` lengths `(K,)`, `normals` `(3, K)`.
+    Args:
+        index: indices in the deployment, `(K,)`.
+        x, y, z: offsets from the camera, `(K,)`, metres.
+        squared: squared lengths of the offsets, `(K,)`, m^2.
+        normals: unit normals, `(3, K)`.
     """
     xk, yk, zk, sk, hiding = x[k], y[k], z[k], squared[k], 0
-    nx, ny, nz, mine = normals[0, k], normals[1, k], normals[2, k], sized(sight, who[k])
+    nx, ny, nz, mine = normals[0, k], normals[1, k], normals[2, k], sized(sight, index[k])
     for j in range(count):
         ux, uy, uz = normals[0, j], normals[1, j], normals[2, j]
         hides, _ = hide_between(
-            sized(sight, who[j]), mine, x[j], y[j], z[j], squared[j], xk, yk, zk, sk, ux, uy, uz, nx, ny, nz
+            sized(sight, index[j]), mine, x[j], y[j], z[j], squared[j], xk, yk, zk, sk, ux, uy, uz, nx, ny, nz
         )  # fmt: skip
         hiding += hides & (j != k)
     return hiding > 0
 
 
 @inlined
-def is_shown(k, view, directions, count, p, sight, obstacles, clear, ends):
-    """Whether landmark k is in reach of position p, nothing blocks it, and none of the first `count` hides it.
+def is_shown(
+    k: Integer, view: Viewpoint, normals: FloatArray, count: Integer, p: Integer, sight: Any, obstacles: Any,
+    clear: bool, ends: FloatArray,
+) -> Any:  # fmt: skip
+    """True if some orientation sees landmark k from position p: within reach, not blocked by the room, not hidden.
 
-    `directions` are the normals among `near`.
+    The first `count` landmarks may hide it; `normals` `(3, K)` are theirs.
     """
-    if not view.reached[k] or (not clear and is_blocked(obstacles, sized(sight, view.who[k]), p, ends, view.who[k])):
+    if not view.reached[k] or (
+        not clear and is_blocked(obstacles, sized(sight, view.near_index[k]), p, ends, view.near_index[k])
+    ):
         return False
     if sight.reach < 0.0:
         return True
@@ -208,34 +247,42 @@ def is_shown(k, view, directions, count, p, sight, obstacles, clear, ends):
     for j in range(np.uint64((count + BLOCK - 1) & -BLOCK)):
         cosine = u[j] * uk + v[j] * vk + w[j] * wk
         suspects += np.int32(cosine * cosine >= close[j])
-    # The landmark itself is always one of the suspects.
+    # Landmark k itself is always one of the suspects.
     return suspects <= 1 or not is_hidden(
-        k, count, view.who, view.x, view.y, view.z, view.squared, directions, sight
+        k, count, view.near_index, view.x, view.y, view.z, view.squared, normals, sight
     )  # fmt: skip
 
 
 @inlined
-def list_shown(view, directions, count, p, sight, obstacles, clear, ends):
-    """List the landmarks that `is_shown` in `shown`; returns how many."""
+def list_shown(
+    view: Viewpoint, normals: FloatArray, count: Integer, p: Integer, sight: Any, obstacles: Any, clear: bool,
+    ends: FloatArray,
+) -> Any:  # fmt: skip
+    """List the landmarks that pass `is_shown` in `view.shown`; returns their number."""
     shown, found = view.shown, np.uint64(0)
     for k in range(count):
-        if is_shown(k, view, directions, count, p, sight, obstacles, clear, ends):
+        if is_shown(k, view, normals, count, p, sight, obstacles, clear, ends):
             shown[found] = k
             found += np.uint64(1)
     return found
 
 
 @inlined
-def see_alone(pose, positions, p, sight, obstacles, ends, bands):
-    """What position p of `positions` `(P, 3)` sees of a landmark that none hides.
+def see_alone(
+    pose: Any, positions: FloatArray, p: Integer, sight: Any, obstacles: Any, ends: Any, bands: np.ndarray
+) -> Any:
+    """Offset of a landmark from position p and the axes that may cover it; other landmarks are ignored.
 
     Args:
-        pose: its position and normal, six numbers.
-        ends: of `obstacles.find_ends`, the landmark being the first.
+        pose: position and unit normal of the landmark, six numbers.
+        positions: positions of the camera, `(P, 3)`, metres.
+        ends: result of `obstacles.find_ends`, with the landmark as the first.
+        bands: result of `directions.height_index`.
 
     Returns:
-        its offset, three numbers; the least depth of `criteria.from_position`; the first axis that may cover it, and
-        the one behind the last, equal if none does.
+        x, y, z: offset, metres.
+        low: least depth of `criteria.from_position`, metres.
+        start, stop: the axes `start` to `stop - 1` may cover the landmark; equal if none does.
     """
     lx, ly, lz, nx, ny, nz = pose
     x, y, z = lx - positions[p, 0], ly - positions[p, 1], lz - positions[p, 2]

@@ -1,8 +1,10 @@
-"""Which landmarks a camera sees from a sequence of poses: the coverage of `kernels`, pose by pose.
+"""Landmarks that a camera sees from each pose of a sequence.
 
-The decisions are those of the fast path and hence of the reference, operation by operation: what an optimiser counts
-is what a moving camera sees.
+The decisions repeat the operations of `kernels` and of the reference, so the coverage along a trajectory equals the
+coverage that an optimiser counts.
 """
+
+from typing import Any
 
 import numpy as np
 
@@ -14,22 +16,28 @@ from lmd.scene.criteria import covers, sized
 from lmd.scene.deployment import Deployment
 from lmd.scene.scene import Scene
 from lmd.sight.evaluator import Evaluator
-from lmd.sight.obstacles import is_clear, no_ends, obstacles_at
+from lmd.sight.obstacles import is_clear, new_ends, obstacles_at
 from lmd.sight.reference import seen_from
-from lmd.sight.viewpoint import is_shown, look, take, viewpoint_for
+from lmd.sight.viewpoint import fill_viewpoint, is_shown, load_deployment, viewpoint_for
 
 
 @kernel
-def _see(positions, axes, landmarks, normals, sight, obstacles, seen):
-    """Fill `seen` `(N, K)` of False; positions `(N, 3)`, axes `(6, N)`, the others as in `kernels.evaluate_range`."""
+def _mark_visible(
+    positions: FloatArray, axes: FloatArray, landmarks: FloatArray, normals: FloatArray, sight: Any, obstacles: Any,
+    seen: Any,
+) -> None:  # fmt: skip
+    """Set the entries of `seen` `(N, K)` for the landmarks covered from N poses.
+
+    Positions are `(N, 3)`, axes `(6, N)`; other arguments as in `kernels.evaluate_range`.
+    """
     count, clear = landmarks.shape[2], is_clear(obstacles)
-    view, ends = viewpoint_for(count), no_ends(obstacles, count)
-    take(0, landmarks, normals, sight, obstacles, clear, view.near, ends)
-    x, y, z, low, reached, directions = view.x, view.y, view.z, view.low, view.reached, view.near[3:]
+    view, ends = viewpoint_for(count), new_ends(obstacles, count)
+    load_deployment(0, landmarks, normals, sight, obstacles, clear, view.near_poses, ends)
+    x, y, z, low, reached, directions = view.x, view.y, view.z, view.low, view.reached, view.near_poses[3:]
     for k in range(count):
-        view.who[k] = k
+        view.near_index[k] = k
     for i in range(len(positions)):
-        look(view, count, positions[i, 0], positions[i, 1], positions[i, 2], sight, None)
+        fill_viewpoint(view, count, positions[i, 0], positions[i, 1], positions[i, 2], sight, None)
         for k in range(count):
             nx, ny, nz = directions[0, k], directions[1, k], directions[2, k]
             mine = sized(sight, k)
@@ -38,19 +46,20 @@ def _see(positions, axes, landmarks, normals, sight, obstacles, seen):
 
 
 def visible(evaluator: Evaluator, deployment: Deployment, positions: FloatArray, axes: FloatArray) -> BoolArray:
-    """Whether each landmark is covered from each pose, `(N, K)`.
+    """Mask of the landmarks covered from each pose, `(N, K)`; for a rig, by any of its cameras.
 
     Args:
         deployment: K landmarks.
-        positions: of the camera, `(N, 3)`, world frame, metres; for a rig of its body, as the axes are.
-        axes: its optical axes and the image's right, `(N, 6)`: two unit vectors in the world frame
-            (`lmd.geometry.se3.axis_and_right`). Without the right, `(N, 3)`, for criteria that need no roll.
+        positions: positions of the camera, or of the body of a rig, `(N, 3)`, world frame, metres.
+        axes: optical axis and image's right of the camera (or of the body), two unit vectors in the world frame,
+            `(N, 6)` (`lmd.geometry.se3.axis_and_right`); `(N, 3)` without the right suffices for criteria that need no
+            roll.
     """
     return np.asarray(visible_to_each(evaluator, deployment, positions, axes).any(axis=0))
 
 
 def visible_to_each(evaluator: Evaluator, deployment: Deployment, positions: FloatArray, axes: FloatArray) -> BoolArray:
-    """The same for each of the scene's cameras, `(C, N, K)`."""
+    """Mask of the landmarks covered from each pose by each camera of the scene, `(C, N, K)`; args as in `visible`."""
     evaluator = evaluator.sized(deployment.edges)
     scene, axes = evaluator.scene, np.pad(axes, [(0, 0), (0, 6 - axes.shape[1])])
     if scene.rig is None:
@@ -63,7 +72,7 @@ def visible_to_each(evaluator: Evaluator, deployment: Deployment, positions: Flo
 
 
 def visible_through(scene: Scene, camera: Camera, deployment: Deployment, poses: FloatArray) -> BoolArray:
-    """The same for one of its cameras that is at `poses` `(N, 4, 4)`, see `lmd.geometry.se3.camera_pose`, `(N, K)`."""
+    """Mask `(N, K)` of the landmarks covered by a camera at `poses` `(N, 4, 4)`, see `lmd.geometry.se3.camera_pose`."""
     scene = scene.sized(deployment.edges)
     return _visible(scene, camera, deployment, poses[:, :3, 3], axis_and_right(poses))
 
@@ -71,7 +80,7 @@ def visible_through(scene: Scene, camera: Camera, deployment: Deployment, poses:
 def _visible(
     scene: Scene, camera: Camera, deployment: Deployment, positions: FloatArray, axes: FloatArray
 ) -> BoolArray:
-    """`visible` for one camera, axes `(N, 6)`."""
+    """Mask of the landmarks covered by one camera, `(N, K)`; positions `(N, 3)`, axes `(N, 6)`."""
     scene.check_count(len(deployment))
     sight = scene.visibility.sight(camera)
     if sight is None:
@@ -79,5 +88,5 @@ def _visible(
     seen = np.zeros((len(positions), len(deployment)), dtype=np.bool_)
     landmarks, normals = (for_kernels(v.T[None]) for v in (deployment.positions, deployment.normals))
     positions, axes = for_kernels(positions), for_kernels(axes.T)
-    _see(positions, axes, landmarks, normals, sight, obstacles_at(scene.room.blockers(), positions), seen)
+    _mark_visible(positions, axes, landmarks, normals, sight, obstacles_at(scene.room.blockers(), positions), seen)
     return seen

@@ -247,7 +247,7 @@ def _in_images(
     if room is not None:
         clear = room.clear(poses[frame, :3, 3], tags.centres[k] + OFF_WALL * tags.normals[k])
         frame, k = frame[clear], k[clear]
-    corners, camera = renderer.corners(poses)[frame, k], renderer.camera
+    corners, camera = renderer.picture_corners(poses)[frame, k], renderer.camera
     depth = to_camera(poses, tags.centres)[frame, k, 2]
     sizes = pitch[frame, k], np.degrees(incidence[frame, k]), edge[frame, k]
     border = np.minimum(corners, image_size(camera) - corners).min(axis=(1, 2), initial=np.inf)

@@ -8,7 +8,7 @@
 | space: a room, `lmd.space.space.Space` | `contracts.space.check_space` |
 | optimiser: `lmd.optimisers.base.Optimiser` | `contracts.optimiser.check_optimiser` |
 | estimator: `lmd.estimation.estimators.Estimator` | `contracts.estimator.check_estimator` |
-| format: of tag maps, `lmd.export.exports.Format` | `contracts.format.check_format` |
+| format: of tag maps, `lmd.formats.registry.Writer` | `contracts.format.check_format` |
 
 Each raises `AssertionError` where a promise is broken. The tests call it on every implementation of the library.
 """

@@ -13,7 +13,7 @@ def check_format(form, tags, folder):
     tell, see `tests/formats/test_tag_maps.py`.
 
     Args:
-        form: a `lmd.export.exports.Format`, with its reader.
+        form: a `lmd.formats.registry.Writer`, with its reader.
         tags: a map that the format can hold.
         folder: is written to.
 

@@ -32,10 +32,14 @@ DETECTORS = {
     "aruco 25h9": (ArucoDetector("25h9"), "25h9", 0.6),
     "aruco 4x4": (ArucoDetector("4x4_50"), "4x4_50", 0.6),
     "aruco 6x6": (ArucoDetector("6x6_250"), "6x6_250", 0.6),
+    "aruco original": (ArucoDetector("aruco_original"), "aruco_original", 0.6),
+    "aruco mip 36h12": (ArucoDetector("aruco_mip_36h12"), "aruco_mip_36h12", 0.6),
     "apriltag 36h11": (AprilTagDetector("36h11"), "36h11", 0.3),
     "apriltag 36h11, half size": (AprilTagDetector("36h11", quad_decimate=2.0), "36h11", 0.3),
     "apriltag 25h9": (AprilTagDetector("25h9"), "25h9", 0.3),
     "apriltag 16h5": (AprilTagDetector("16h5", most_errors=0), "16h5", 0.3),
+    "apriltag 41h12": (AprilTagDetector("41h12"), "41h12", 0.3),
+    "apriltag circle21h7": (AprilTagDetector("circle21h7", most_errors=0), "circle21h7", 0.3),
 }
 
 
@@ -47,9 +51,17 @@ def room(family):
     return TaggedRoom(Tag(0.2, family), np.arange(3, 11), centres, np.tile([0.0, -1.0, 0.0], (8, 1)), ups, WALLS)
 
 
+@pytest.mark.thorough("lmd/scene/families.py", "lmd/detection/detectors.py")
+def test_the_largest_family_is_found_too():
+    check_known_answers(AprilTagDetector("52h13"), "52h13", 0.3)  # its table takes 3.2 GB
+
+
 @pytest.mark.parametrize("name", DETECTORS)
 def test_known_answers(name):
-    detector, family, tolerance = DETECTORS[name]
+    check_known_answers(*DETECTORS[name])
+
+
+def check_known_answers(detector, family, tolerance):
     renderer = Renderer(CAMERA, room(family), Imaging(texture=4.0))
     found = detector.detect(renderer.frame(POSE, np.random.default_rng(0)))
     expected = renderer.corners(POSE)
@@ -80,7 +92,8 @@ def test_an_image_without_tags():
         (lambda: ArucoDetector("36h12"), "family must be one of 36h11"),
         (lambda: ArucoDetector(preset="best"), "preset must be one of default, fine, got 'best'"),
         (lambda: AprilTagDetector("4x4_50"), "family 4x4_50 is one of ArUco's, which only ArucoDetector reads"),
-        (lambda: AprilTagDetector("36h12"), "family must be one of 36h11, 25h9, 16h5, got '36h12'"),
+        (lambda: ArucoDetector("41h12"), "family 41h12 is one of AprilTag's, which only AprilTagDetector reads"),
+        (lambda: AprilTagDetector("36h12"), "family must be one of 36h11, 25h9, 16h5, 41h12, .*, got '36h12'"),
         (lambda: AprilTagDetector(quad_decimate=0.5), "quad_decimate must be at least 1"),
         (lambda: Detections(np.arange(2), np.zeros((1, 4, 2))), r"corners must have the shape \(M, 4, 2\)"),
         (lambda: ViewRanges(pitch=(3.0, 2.0)), r"pitch must be a range \[low, high\], got \[3, 2\]"),

@@ -184,10 +184,7 @@ def data(*values):
         (ROS | {"image_height": 480.5}, "image_height must be a whole number, got 480.5."),
         (ROS | {"camera_matrix": data(1, 2)}, "camera_matrix.data must be a list of 9 numbers, got [1, 2]."),
         (ROS | {"camera_matrix": data(600, 3, 320, 0, 600, 240, 0, 0, 1)}, "camera_matrix.data must be [fx, 0, cx, 0,"),
-        (
-            ROS | {"camera_matrix": data(-6, 0, 320, 0, 600, 240, 0, 0, 1)},
-            "focal_pixels[0] must be greater than 0",
-        ),
+        (ROS | {"camera_matrix": data(-6, 0, 320, 0, 600, 240, 0, 0, 1)}, "focal_pixels[0] must be greater than 0"),
         (
             ROS | {"camera_matrix": data(600, 0, 900, 0, 600, 240, 0, 0, 1)},
             "principal_point must lie inside the 640 x 480",

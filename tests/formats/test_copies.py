@@ -1,8 +1,7 @@
 import numpy as np
 import pytest
 
-from lmd.formats.copies import without_copies
-from lmd.formats.detections import DetectedTags
+from lmd.formats.detections import DetectedTags, without_copies
 
 SQUARE = np.array([[10.0, 20.0], [30.0, 20.0], [30.0, 40.0], [10.0, 40.0]])
 

@@ -2,9 +2,9 @@ import numpy as np
 import pyapriltags
 import pytest
 
-from lmd.core.checks import InputError
 from lmd.detection.detectors import AprilTagDetector, Detections
-from lmd.formats.detections import DetectedTags, read_detections, write_detections
+from lmd.formats.detection_formats import read_detections, write_detections
+from lmd.formats.detections import DetectedTags
 from lmd.scene.tag import Tag
 
 HEADER = "topic,stamp,id,hamming,x0,y0,x1,y1,x2,y2,x3,y3\n"
@@ -100,26 +100,3 @@ def test_frames_of_a_detector_keep_their_places():
     assert found.times == ("a", "b", "c")
     assert found.frame.tolist() == [0, 0, 2, 2]
     assert found.ids.tolist() == [3, 5, 3, 5]
-
-
-@pytest.mark.parametrize(
-    ("text", "message"),
-    [
-        ("id,x0,y0,x1,y1,x2,y2,x3,y3\n", "lacks the column time or stamp or timestamp or image; what is read is a CSV"),
-        (f"time,id,x0,y0,x1,y1,x2,y2,x3\n0,3,{SQUARE[:-3]}\n", "lacks the column y3; what is read"),
-        (f"time,id,x0,y0,x1,y1,x2,y2,x3,y3\n0,3.5,{SQUARE}\n", "line 2: id is '3.5', not a whole number"),
-        (f"time,id,x0,y0,x1,y1,x2,y2,x3,y3\n0,3,left{SQUARE[2:]}\n", "line 2: x0 is 'left', not a number"),
-        ("", "is empty; what is read"),
-        (
-            '[{"targets": [{"fiducialId": 18}]}]',
-            "is JSON or YAML, and no CSV; what is read is a CSV",
-        ),
-        ("18\n10.0 20.0\n", "has no such columns in its first line, '18'; what is read"),
-        ("image,tag_id,corner,x,y\na.png,7,0,10,20\n", "has a row for each corner; what is read is a CSV"),
-        (f"time;id;x0;y0;x1;y1;x2;y2;x3;y3\n0;3;{SQUARE}\n", "has semicolons between its columns"),
-        ("time,id,x0,y0,x1,y1,x2,y2,x3,y3\n0,3,1,1,1,1,1,1,1,1\n", "no detection with four corners"),
-    ],
-)
-def test_a_wrong_file_is_refused_in_one_sentence(tmp_path, text, message):
-    with pytest.raises(InputError, match=message):
-        read_detections(written(tmp_path, text))

@@ -5,7 +5,7 @@ import pytest
 import shapely
 
 from lmd.core.checks import InputError
-from lmd.formats.floor_below import floor_below
+from lmd.formats.captured_rooms import floor_below
 
 L = np.array([(0, 0), (6, 0), (6, 2), (3, 2), (3, 4), (0, 4)], dtype=np.float64)  # 18 m2; its hull has 21
 

@@ -5,9 +5,8 @@ import pytest
 
 from lmd.core.checks import InputError
 from lmd.detection.detectors import Detections
-from lmd.formats.copies import without_copies
-from lmd.formats.detections import DetectedTags
-from lmd.formats.images_taken import with_images
+from lmd.formats.detection_formats import with_images
+from lmd.formats.detections import DetectedTags, without_copies
 
 SQUARE = np.array([[0.0, 0.0], [9.0, 0.0], [9.0, 9.0], [0.0, 9.0]])
 

@@ -8,7 +8,6 @@ from numpy.testing import assert_allclose
 
 from lmd.core.checks import InputError
 from lmd.formats.calibrations import calibrated_camera
-from lmd.formats.families import family_named
 from lmd.formats.tag_maps import read_deployment
 from lmd.formats.trajectories import TrajectoryFile
 
@@ -42,29 +41,6 @@ def test_words_in_a_column_of_such_a_name_stay_with_the_tag(write):
     assert dict(found.labels.columns) == {"side": ["north"], "number": ["a"]}
 
 
-@pytest.mark.parametrize("name", ["tag_family", "dictionary"])
-def test_a_family_under_another_name_counts(write, name):
-    path = write(f"id,x,y,z,nx,ny,nz,{name}\n7,2,0,1.2,0,1,0,DICT_APRILTAG_16h5\n")
-    with pytest.raises(InputError, match="family=16h5 is needed"):
-        read_deployment(path, family="36h11")
-
-
-@pytest.mark.parametrize(
-    ("name", "family"),
-    [
-        ("AprilTag36h11", "36h11"),
-        ("apriltag16h5", "16h5"),
-        ("AprilTag 36h11", "36h11"),
-        ("apriltag3_36h11_classic", "36h11"),
-        ("cv2.aruco.DICT_4X4_50", "4x4_50"),
-        ("DICT_APRILTAG_25h9", "25h9"),
-        ("tag36h11", "36h11"),
-    ],
-)
-def test_a_family_has_many_names(name, family):
-    assert family_named(name) == family
-
-
 @pytest.mark.parametrize(
     "line",
     [
@@ -79,8 +55,7 @@ def test_long_lines_without_names_are_asked_about(write, line):
 
 
 @pytest.mark.parametrize(
-    "comment",
-    ["camera poses, qw qx qy qz", "timestamp position[3] quaternion_wxyz[4]", "format: t x y z w i j k"],
+    "comment", ["camera poses, qw qx qy qz", "timestamp position[3] quaternion_wxyz[4]", "format: t x y z w i j k"]
 )
 def test_a_comment_that_says_that_w_comes_first_is_not_passed_over(write, comment):
     with pytest.raises(InputError, match="has w before x, y, z, and does not name the columns"):

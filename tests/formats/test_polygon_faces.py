@@ -21,10 +21,7 @@ def area(mesh):
 def test_a_concave_face_of_an_obj_has_its_own_area(tmp_path, first):
     lines = [f"v {x} {y} {z}" for z in (0.0, 2.5) for x, y in OUTLINE]
     order = [1 + (first + i) % 6 for i in range(6)]
-    lines += [
-        "f " + " ".join(map(str, order)),
-        "f " + " ".join(f"{i - 7}//1" for i in order),
-    ]  # and a ceiling
+    lines += ["f " + " ".join(map(str, order)), "f " + " ".join(f"{i - 7}//1" for i in order)]  # and a ceiling
     (tmp_path / "room.obj").write_text("vn 0 0 1\n" + "\n".join(lines) + "\n")
     assert area(read_mesh(str(tmp_path / "room.obj"), up="z")) == pytest.approx(36.0)
 

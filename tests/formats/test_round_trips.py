@@ -9,7 +9,8 @@ from contracts.format import check_format
 from scipy.spatial.transform import Rotation
 
 from lmd.core.checks import InputError
-from lmd.export.exports import FORMATS, ONE, Export
+from lmd.export.exports import FORMATS, Export
+from lmd.formats.registry import ONE
 from lmd.formats.tag_map import TagMap
 from lmd.scene.deployment import Deployment
 from lmd.scene.labels import Labels

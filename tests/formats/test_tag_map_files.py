@@ -9,9 +9,7 @@ from numpy.testing import assert_allclose
 
 from lmd.core.checks import InputError
 from lmd.formats.deployments import FileDeployment
-from lmd.formats.families import NUMBERS, family_named
-from lmd.formats.tag_maps import LARGEST_MAP, read_deployment
-from lmd.scene.tag import FAMILIES, Tag
+from lmd.formats.tag_maps import read_deployment
 from lmd.space.cuboid import Cuboid
 from pipelines.app import CONF
 
@@ -108,67 +106,6 @@ def test_a_transform_is_written_row_by_row(read):
         read({"fiducials": [{"id": 1, "size": 0.1651, "transform": rows}]})
 
 
-def fmap(*families):
-    turn = np.eye(4).ravel().tolist()
-    tags = [{"id": k, "size": 165.1, "transform": turn} | ({"family": f} if f else {}) for k, f in enumerate(families)]
-    return {"fiducials": tags}
-
-
-def test_a_map_keeps_to_the_family_that_it_names(read):
-    assert len(read(fmap("apriltag3_16h5_classic", None), family="16h5")) == 2
-    assert len(read(fmap("apriltag3_16h5_classic"))) == 1  # points have no family
-    with pytest.raises(
-        InputError, match=r"^family=16h5 is needed: the tags of .*map are of that family, and not of 36h11"
-    ):
-        read(fmap("apriltag3_16h5_classic"), family="36h11")
-    with pytest.raises(InputError, match="its tags are of the families 16h5 and 36h11"):
-        read(fmap("apriltag3_16h5_classic", "apriltag3_36h11_classic"))
-    with pytest.raises(
-        InputError, match="of the family tagStandard41h12, which is not known here: it must be one of 36h"
-    ):
-        read(fmap("tagStandard41h12"), family="36h11")
-    with pytest.raises(InputError, match="the family of a tag must be a text, got 3"):
-        read(fmap(3))
-
-
-@pytest.mark.parametrize(
-    ("name", "family"),
-    [
-        ("TAG25h9", "25h9"),
-        ("tag36h11", "36h11"),
-        ("DICT_APRILTAG_36h11", "36h11"),
-        ("DICT_APRILTAG_36H11", "36h11"),
-        ("DICT_4X4_50", "4x4_50"),
-        ("aruco_5x5_1000", "5x5_1000"),
-        ("36h11b1", "36h11"),
-        ("ARUCO_MIP_36h12", "ARUCO_MIP_36h12"),
-        ("4x4_17", "4x4_17"),
-        ("ARUCO", "ARUCO"),
-    ],
-)
-def test_families_go_by_many_names(name, family):
-    assert family_named(name) == family
-
-
-def test_the_numbers_of_families_are_those_of_opencv():
-    aruco = pytest.importorskip("cv2").aruco
-    for number, name in NUMBERS.items():
-        if name in FAMILIES:
-            assert getattr(aruco, FAMILIES[name].dictionary) == number
-
-
-def test_a_source_asks_for_the_family_of_its_tag_and_not_of_points(tmp_path):
-    (tmp_path / "map.fmap").write_text(json.dumps(fmap("apriltag3_16h5_classic")))
-    room, rng = Cuboid((8.0, 4.0, 3.0), (7.0, 3.0, 1.0), 0.5), np.random.default_rng(0)
-    for source in (
-        FileDeployment(tmp_path / "map.fmap", free=True),
-        FileDeployment(tmp_path / "map.fmap", None, True, "36h11"),
-    ):
-        assert len(source.draw(room, rng)) == 1
-        with pytest.raises(InputError, match=r"^family=16h5 is needed"):
-            source.draw(room, rng, Tag(0.1))
-
-
 def test_standalone_tags_may_have_places_and_ros_2_wraps_its_parameters(read):
     tag = "{id: 7, size: 0.1, x: 2.0, y: 0.0, z: 1.2, qx: 0.7071067811865476, qy: 0, qz: 0, qw: 0.7071067811865476}"
     for text in (
@@ -200,24 +137,6 @@ def test_rtabmap_keeps_tags_in_its_settings_and_among_its_poses(read):
     assert_is(read(poses), 7, [2, 0, 1.2], [-1, 0, 0])
     with pytest.raises(InputError, match="poses of RTAB-Map, and no tag"):
         read(poses.replace(" -7", " 7"))
-
-
-@pytest.mark.parametrize(
-    ("text", "name"),
-    [
-        ("VERTEX_SE3:QUAT 7 2 0 1.2 0 0 0 1\n", "g2o"),
-        ("marker_id,vert_0_x,vert_0_y\n7,0,0\n", "Pupil"),
-        ("- name: wall\n  markers_x: 2\n", "aruco_opencv"),
-        ('{"tag_locations": {}}', "pytagmapper"),
-        ('{"reconstructed_tags": []}', "Visual Marker Mapping"),
-        ("/**: {ros__parameters: {general: {}, marker_000: {}}}\n", "ZED"),
-        ("/**: {ros__parameters: {family: 36h11, size: 0.1, tag: {ids: [1]}}}\n", "apriltag_ros for ROS 2"),
-        ("landmarks: [{id: 1, position: [0, 0, 0]}]\n", "which way the frame of a tag points"),
-    ],
-)
-def test_formats_that_are_not_read_are_named_with_what_is(read, text, name):
-    with pytest.raises(InputError, match=rf"{name}.*; write its tags as a table: a header id,x,y,z,qx,qy,qz,qw,edge"):
-        read(text)
 
 
 def test_a_bundle_of_apriltag_ros(read):
@@ -340,32 +259,6 @@ objects:
     tag: {~TagInstance: {family: 36h11, size: 0.065, tag_id: 300}}
 """
     assert_is(read(text), 300, [1.152, 1.008, 0], [0, 0, 1], [1, 0, 0])
-
-
-@pytest.mark.parametrize(
-    ("text", "message"),
-    [
-        ('{"tags": [{"ID": 1}]}', "the key 'pose' is missing"),
-        ('{"tags": []}', "it has no tags with places"),
-        ('{"tags": [{"ID": -1, "pose": 3}]}', r"pose must be a mapping with keys, got 3"),
-        ('{"layout": []}', "no tag map that is known here .*: it has layout"),
-        ("tag_bundles: [3]", r"tag_bundles\[0\] must be a mapping with keys, got 3"),
-        ("/**: {ros__parameters: {family: 36h11}}", "no tag map that is known here .*: it has family"),
-        ("1 0.3 a 2", "could not convert string to float"),
-        ("1 0.3 1 2 3 4 5 6 7.5", "they are not those of fiducial_slam"),
-        ("1 0 0 0 0 0 0 0\n", "an edge of 0 m would be none of a tag. What are its values"),
-        ("1 0.1 0 0\n1 0.1 1 0\n", "id 1 belongs to 2 landmarks"),
-        (json.dumps(WPILIB).replace('"Z": 1.0', '"Z": 2.0'), "must have length 1, it has 2"),
-        ("{", "cannot be read as YAML or JSON"),
-        ("{" + " " * LARGEST_MAP, "has at most 4194304 characters"),
-        ("x,y,z,nx,ny,nz,edge\n1,0,1,0,1,0,wide\n", "edge must be positive metres: .*'wide'"),
-        ("x,y,z,nx,ny,nz,edge\n1,0,1,0,1,0,\n2,0,1,0,1,0,-0.1\n", "edge must be positive metres, landmark 1 has -0.1"),
-    ],
-)
-def test_what_is_no_map_is_refused_with_the_name_of_the_file(read, text, message, tmp_path):
-    with pytest.raises(InputError, match=message) as refused:
-        read(text)
-    assert str(tmp_path / "map") in str(refused.value)
 
 
 def test_a_map_is_a_deployment_beside_the_walls_of_a_room(tmp_path):

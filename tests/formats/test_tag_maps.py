@@ -279,8 +279,14 @@ def test_by_hand():
 
 @pytest.mark.parametrize("name", [name for name, form in FORMATS.items() if form.only_apriltag])
 def test_readers_of_apriltags_are_given_no_others(name):
-    with pytest.raises(InputError, match=f"^formats has {name}, which knows the families 36h11, 25h9, 16h5, not 4x4_"):
+    with pytest.raises(InputError, match=f"^formats has {name}, which knows the families 36h11, 25h9, .*, not 4x4_50"):
         Export([name], "a4").check(Tag(EDGE, "4x4_50"))
+
+
+@pytest.mark.parametrize("name", ["aruco", "clover", "fiducial_vlam", "rtabmap"])
+def test_readers_that_detect_by_opencv_are_given_its_families(name):
+    with pytest.raises(InputError, match=f"^formats has {name}, which knows the families 36h11, .*, not 41h12"):
+        Export([name], "a4").check(Tag(EDGE, "tagStandard41h12"))
 
 
 def test_what_cannot_be_written_is_said():

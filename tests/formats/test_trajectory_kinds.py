@@ -86,56 +86,6 @@ def test_what_images_of_colmap_leave_open_is_asked(write, content, settings, mes
         read(write(content), **settings)
 
 
-KAPTURE = (
-    "timestamp, device_id, qw, qx, qy, qz, tx, ty, tz\n0, cam0, 1, 0, 0, 0, 0, 0, 0\n1, cam0, 1, 0, 0, 0, 0, 0, 0\n"
-)
-
-
-@pytest.mark.parametrize(
-    ("content", "message"),
-    [
-        (
-            f"# kapture format: 1.1\n# {KAPTURE}",
-            "trajectory of kapture, .* world to camera, .* [(]kapture_export_colmap",
-        ),
-        (KAPTURE, "trajectory of kapture"),
-        ("VERTEX_SE3:QUAT 0 1 2 3 0 0 0 1\n", "a pose graph of g2o, which has no times"),
-        ("header:\n  stamp:\n    sec: 1\n", "record it as CSV, by ros2 topic echo --csv"),
-        ('{"frames": [{"transform_matrix": []}]}', "it is JSON"),
-        ("VehicleName\tTimeStamp\tPOS_X\tPOS_Y\tPOS_Z\tQ_W\tQ_X\tQ_Y\tQ_Z\n", "AirSim, .* north, east and down"),
-        ("NVM_V3\n\n2\n", "VisualSFM"),
-        ("lidar0,100.000000,100.000000,1,0,0,0,1\n", "line 1 begins with 'lidar0', which is neither a number nor"),
-        (
-            "# when x y z qw qx qy qz\n0 1 1 1 1 0 0 0\n1 1 1 1 1 0 0 0\n",
-            "no column with a name that is known as the time",
-        ),
-        ("# image_id x y z qw qx qy qz\n0 1 1 1 1 0 0 0\n", "no column with a name that is known as the time"),
-        ("#t, e, n, u, a, b, c, d\n0,1,1,1,1,0,0,0\n", "lacks x, y, z, qx"),
-        ("# t e n u q_a q_b q_c q_d\n0 1 1 1 1 0 0 0\n", "lacks x, y, z, qx"),
-        ("# t x y z qw qx qy qz vx\n0 1 1 1 1 0 0 0\n", "a comment names 9 columns, .* and line 2 has 8 values"),
-        ("0,1,1,1,1,0,0,0\n1,1,1,1,1,0,0,0\n", "so that qx or qw may be first: write a first line such as time,x"),
-        ("timestamp,p_x,p_y,x,p_z,qx,qy,qz,qw\n", "its columns 'p_x' and 'x' may both be x: leave one"),
-        ("time,x [ft],y [ft],z [ft],qx,qy,qz,qw\n0,1,1,1,0,0,0,1\n", r"the unit 'ft' of the column 'x \[ft\]' is not"),
-        ("timestamp,position[0],position[1],position[2],q[0],q[1],q[2],q[3]\n1,1,1,1,1,0,0,0\n", "lacks x|which is w"),
-        ("timestamp,x,y,z,q[0],q[1],q[2],q[3]\n1,1,1,1,1,0,0,0\n", r"from 'q\[0\]' on do not say which is w"),
-        (
-            "Timestamp,/a/translation/x,/a/translation/y,/a/rotation/value\n0,1,1,0\n",
-            "lacks z, .* add z, the height, and roll = pitch = 0",
-        ),
-        ("1478254247676381 1 1 1 0 0 0 1\n", "looks like milliseconds, microseconds or nanoseconds: divide it, or let"),
-        ("# time_ns x y z qx qy qz qw\n0.0 1 1 1 0 0 0 1\n0.1 1 1 1 0 0 0 1\n", "cannot be in the unit that it names"),
-        ("0 1 1 1 0 0 0.001 0.029\n1 1 1 1 0 0 0 1\n", "line 1: the quaternion must have length 1, it has 0.0290"),
-        ("0 " * 25 + "\n", "line 1 has 25 values, not 8: .* Name other columns in a line above them"),
-        ("#timestamp x y z qx qy qz qw id\n1 1 1 1 0 0 0 1 -3\n", "it has no pose: all its rows have a negative id"),
-        ("", "is empty"),
-    ],
-)
-def test_what_is_no_trajectory_says_what_lacks(write, content, message):
-    with pytest.raises(InputError, match=message) as refused:
-        read(write(content))
-    assert "\n" not in str(refused.value)
-
-
 ROS = text(STAMPS, *AT.T, *RPY.T, head="time,x,y,z,roll,pitch,yaw\n")
 
 

@@ -11,7 +11,7 @@ import pytest
 import walks
 from endless import ended, wait_for
 
-from lmd.formats.detections import write_detections
+from lmd.formats.detection_formats import write_detections
 
 SETTINGS = ["detections=detections.csv", "camera.path=camera.yaml", f"tag.edge={walks.EDGE}", "tracking=none",
             "hydra.run.dir=out"]  # fmt: skip

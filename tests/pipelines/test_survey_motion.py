@@ -11,7 +11,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from lmd.core.tables import write_table
-from lmd.formats.detections import write_detections
+from lmd.formats.detection_formats import write_detections
 
 SETTINGS = ["detections=detections.csv", "camera.path=camera.yaml", f"tag.edge={drives.EDGE}", "tracking=none",
             "hydra.run.dir=out"]  # fmt: skip

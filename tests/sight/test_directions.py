@@ -14,7 +14,7 @@ from lmd.core.bits import in_words, unpacked
 from lmd.scene import pdf
 from lmd.scene.criteria import in_view as seen
 from lmd.scene.tag import Tag
-from lmd.sight.directions import NOWHERE, SIDE, cell_of, tables
+from lmd.sight.directions import EMPTY_ROW, SIDE, cell_of, tables
 from lmd.sight.models.fiducial import Fiducial
 
 AXIS = pdf.grid_with_ends(8).axes
@@ -52,7 +52,7 @@ def test_no_axis_with_a_direction_in_view_is_missed_and_the_certain_ones_have_al
     near = towards + 0.99 * math.tan(sight.inset) * directions(rng.integers(2**32), 50)
     assert all(in_view(near / np.linalg.norm(near, axis=1, keepdims=True), certain[cells]))
     for table in (certain, possible):
-        assert not table[NOWHERE].any()
+        assert not table[EMPTY_ROW].any()
 
 
 def test_a_cone_narrower_than_a_cell_contains_none():
@@ -63,14 +63,14 @@ def test_a_cone_narrower_than_a_cell_contains_none():
 
 @pytest.mark.parametrize("which", [0, 1])
 def test_tables_leave_little_to_be_tested(which):
-    certain, possible = (unpacked(t, REAL)[:NOWHERE].mean() for t in tables(sights(0.65)[which], AXES))
+    certain, possible = (unpacked(t, REAL)[:EMPTY_ROW].mean() for t in tables(sights(0.65)[which], AXES))
     assert 0.03 < certain < possible < 2.5 * certain
 
 
 def test_every_direction_has_a_cell_and_the_opposite_one_another():
     towards = directions(0)
     cells, opposite = (np.array([cell_of(*d) for d in sign * towards]) for sign in (1, -1))
-    assert ((cells >= 0) & (cells < NOWHERE)).all()
+    assert ((cells >= 0) & (cells < EMPTY_ROW)).all()
     assert (cells != opposite).all()
     assert len(np.unique(cells)) > 0.3 * min(len(towards), SIDE * SIDE)
     np.testing.assert_array_equal(cells, [cell_of(*(7.0 * d)) for d in towards])

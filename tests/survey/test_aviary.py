@@ -8,7 +8,7 @@ import yaml
 
 from lmd.detection.corner_errors import CORNER_ERRORS
 from lmd.formats.calibrations import Calibration
-from lmd.formats.detections import read_detections
+from lmd.formats.detection_formats import read_detections
 from lmd.scene.tag import Tag
 from lmd.survey.prior import PriorKnowledge
 from lmd.survey.survey import survey

@@ -1,4 +1,4 @@
-"""Localisation as an objective: how often one image tells where the camera is to within a tolerance."""
+"""Localisation as an objective: the probability that one image gives the camera's position to a tolerance."""
 
 from lmd.objectives.localisation.objective import Localisation, localisation
 

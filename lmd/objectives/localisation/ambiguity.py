@@ -17,7 +17,7 @@ mirrored one with the probability
 The poses are told apart if P is at most 1 - `CONFIDENCE`. Away from the middle of the image S grows with
 `pixel_density`, as the information does. docs/results/ambiguity.md has the error of P.
 
-Two tags or more count as told apart: the mirrored pose of one does not fit the other.
+Two tags or more are unambiguous: the mirrored pose of one does not fit the other.
 
 A rig has one mirrored pose for all cameras. Mirrored about its own line of sight b_i, the tag has the residual S_i in
 camera i; about another line b, its corners are also displaced by twice their depth from the tag's centre times b_i - b.
@@ -45,14 +45,14 @@ from lmd.objectives.localisation.information import NEAREST, NUMBERS, QUANTUM, N
 from lmd.scene.criteria import TOLERANCE
 
 CONFIDENCE = 0.99  # least probability that the better pose is the true one
-# Greatest residual ratio of a tag that the camera looks at. A greater one is cut off, which keeps sums small.
+# Greatest residual ratio of a tag; greater ratios are clipped, which keeps sums exact.
 MOST = 16.0
-MIRRORED = 5  # numbers of a view of a rig beside those of the body: S over the least S, M and h
-MIRRORED_WIDTH = 32  # of a row of `sums` with these
+MIRRORED = 5  # additional numbers of a view of a rig: S over the least S, M, and h (three)
+MIRRORED_WIDTH = 32  # length of a row of `sums` with the additional numbers
 
 
 def resolved(asked: Precision, scale: float) -> Precision:
-    """The precision `asked` of views that are not ambiguous; scale: `information.deviation_per_variance`."""
+    """Copy of a precision that requires unambiguous views; `scale` is `information.deviation_per_variance`."""
     least = 2.0 * NormalDist().inv_cdf(CONFIDENCE) * scale
     return asked._replace(residual=least**2 * (1.0 - TOLERANCE))
 
@@ -91,7 +91,7 @@ def mirrored_square(
     """S of a tag times its distance cubed, in units of f^2; arguments as in `information.moments`."""
     squared = x * x + y * y + z * z
     along, above = x * rx + y * ry + z * rz, x * ux + y * uy + z * uz
-    p, q = along * along / squared, above * above / squared  # times half the edge, squared
+    p, q = along * along / squared, above * above / squared  # both times the squared half edge
     return 16.0 * ((rx * rx + ry * ry + rz * rz) * (p + q) - 4.0 * (p * q)) / np.sqrt(squared)
 
 
@@ -111,7 +111,7 @@ def camera_residual(
     least: float | None,
     x: Number, y: Number, z: Number, rx: Number, ry: Number, rz: Number, ux: Number, uy: Number, uz: Number,
 ) -> Number:  # fmt: skip
-    """The last number of a view of a camera, before `share_of`: `residual_ratio`, 0 without a `least` S."""
+    """Last number of a view of a camera, before `share_of`: `residual_ratio`, or 0 without a `least` S."""
     return residual_ratio(x, y, z, rx, ry, rz, ux, uy, uz, least)
 
 
@@ -144,7 +144,7 @@ def rig_ratio(ratio: Number, m: Number, hx: Number, hy: Number, hz: Number, leas
 
 @overridable
 def has_one_pose(least: float | None, sums: Any, v: Integer, step: Integer) -> Any:
-    """True if the image of view v, of a single tag, has one pose; `sums` as in `information`."""
+    """True if the image of a single tag in view v determines one pose; `sums` as in `information`."""
     return sums[v + NUMBERS * step] >= 1.0
 
 
@@ -155,7 +155,7 @@ def _has_any_pose(least: None, sums: Any, v: Integer, step: Integer) -> bool:
 
 @overridable
 def body_has_one_pose(least: float | None, sums: Any, v: Integer, step: Integer) -> Any:
-    """True if the images of view v of a rig, of a single tag, have one pose; `sums` as in `body`."""
+    """True if the images of a single tag in view v of a rig determine one pose; `sums` as in `body`."""
     r, m = v + BODY_NUMBERS * step, v + (BODY_NUMBERS + 1) * step
     return rig_ratio(sums[r], sums[m], sums[m + step], sums[m + 2 * step], sums[m + 3 * step], least) >= 1.0
 

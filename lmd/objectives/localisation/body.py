@@ -22,18 +22,18 @@ from lmd.core.compiled import inlined
 from lmd.geometry.camera import Camera
 from lmd.objectives.localisation.information import Number, Precision, inverse_trace, within
 
-BODY_NUMBERS = 21  # of a view
-BODY_WIDTH = 24  # of a row of `sums`, which begins at a multiple of 64 bytes
+BODY_NUMBERS = 21  # numbers of a view: C, B and A'
+BODY_WIDTH = 24  # length of a row of `sums`; rows begin at multiples of 64 bytes
 
 
 def gain_of(camera: Camera, first: Camera) -> float:
-    """Information per pixel of a camera over that of the first one of its rig: ratio of the focal lengths squared."""
+    """Information per pixel of a camera relative to the first camera of its rig: ratio of the squared focal lengths."""
     return float(np.prod(camera.focal_pixels)) / float(np.prod(first.focal_pixels))
 
 
 @inlined
 def about_body(moments: tuple[Number, ...], x: Number, y: Number, z: Number) -> tuple[Number, ...]:
-    """The 21 numbers of the body from the 15 `information.moments` of a camera at the offset (x, y, z) from it."""
+    """The 21 numbers of the body from the 15 `information.moments` of a camera at the offset (x, y, z) [m]."""
     axx, axy, axz, ayy, ayz, azz, gx, gy, gz, cxx, cxy, cxz, cyy, cyz, czz = moments
     bxx, bxy, bxz = cxz * y - cxy * z, cxx * z - cxz * x + gz, cxy * x - cxx * y - gy
     byx, byy, byz = cyz * y - cyy * z - gz, cxy * z - cyz * x, cyy * x - cxy * y + gx

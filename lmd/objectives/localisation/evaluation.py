@@ -1,8 +1,8 @@
-"""Counts and information of whole deployments: P_n and L at each position, the compiled path that counts exactly.
+"""P_n and L of whole deployments at each position, in compiled code.
 
-Landmarks covered are counted as in `lmd.sight.kernels`, by the same operations. For the views that cover enough, the
-landmarks' numbers (`information`, `ambiguity`) are summed, and the sums decide. Threads share the positions. Rigs are
-evaluated by `rig`: a loop for each orientation, as each camera is elsewhere for every one of them.
+Landmarks are counted by the operations of `lmd.sight.kernels`. For the views that cover n landmarks, the numbers of the
+landmarks (`information`, `ambiguity`) are summed and compared with the required precision. Threads share the positions.
+`rig` evaluates rigs, whose cameras have another position for every orientation of the body.
 """
 
 from typing import Any, NamedTuple
@@ -20,21 +20,23 @@ from lmd.objectives.localisation.views import VIEW, landmark_moments
 from lmd.scene.criteria import covering, covers, frame_of, pixel_density, sized
 from lmd.sight.evaluator import Evaluator
 from lmd.sight.kernels import weights_row
-from lmd.sight.obstacles import is_clear, no_ends
+from lmd.sight.obstacles import is_clear, new_ends
 from lmd.sight.poses import CHUNKS_PER_THREAD
-from lmd.sight.viewpoint import gather_near, list_shown, look, take, viewpoint_for
+from lmd.sight.viewpoint import fill_viewpoint, gather_near, list_shown, load_deployment, viewpoint_for
 
 
 class ViewValues(NamedTuple):
     """Values of the views of B deployments at P positions."""
 
     covered: IntArray
-    """`(B, P)` P_n in integer units."""
+    """`(B, P)` quantised P_n."""
     localised: IntArray
-    """`(B, P)` L in integer units."""
+    """`(B, P)` quantised L."""
     variances: FloatArray
-    """`(B, P, D)` variance of the position, infinite where fewer than n landmarks are covered or two poses look alike;
-    empty unless it is kept."""
+    """`(B, P, D)` variance of the position for `deviation_per_variance` 1; empty unless it is kept.
+
+    Infinite for views that cover fewer than n landmarks or are ambiguous.
+    """
 
 
 def localised_views(
@@ -45,13 +47,15 @@ def localised_views(
     precision: Precision,
     keep: bool = False,
 ) -> ViewValues:
-    """Evaluate deployments; the number of threads changes no value. Of a rig, a view has the images of all cameras.
+    """Evaluate deployments; a view of a rig has the images of all its cameras.
+
+    The result does not depend on the number of threads.
 
     Args:
-        evaluator: the scene.
-        positions, normals: `(B, K, 3)` landmarks of B deployments.
-        n: landmarks that must be covered.
-        precision: the least information of a localised view.
+        evaluator: has the scene and the positions.
+        positions, normals: landmarks of B deployments, metres and unit vectors, `(B, K, 3)`.
+        n: number of landmarks that must be covered.
+        precision: least information of a localised view.
         keep: True to return the variances.
     """
     e, batch, size = evaluator, len(positions), len(evaluator.positions)
@@ -59,13 +63,13 @@ def localised_views(
         e.check_memory(8 * batch)
     if e.by_reference:
         return ViewValues(*reference_views(e, positions, normals, n, precision, keep))
-    if e.parts:
+    if e.groups:
         return ViewValues(*rig_views(e, positions, normals, n, precision, keep))
     covered, localised = np.zeros((2, batch, size), dtype=np.int64)
     values = ViewValues(covered, localised, np.empty((batch, size, e.axes.shape[1]) if keep else (0, 0, 0)))
     digits = max(positions.shape[1], n, 2).bit_length()
     fixed = (*e.batch(positions, normals), n, digits, precision, precision.asks, *values, keep)
-    e.by_blocks(_localise_range, fixed, CHUNKS_PER_THREAD)
+    e.run_over_blocks(_localise_range, fixed, CHUNKS_PER_THREAD)
     return values
 
 
@@ -81,64 +85,67 @@ def _localise_range(
     Args:
         first, last, order, positions, landmarks, normals, sight, horizon, obstacles, axes, bands, tables, weights, n:
             see `kernels.evaluate_range`.
-        places: binary digits of a number of landmarks.
-        precision, asks: least information of a localised view, and whether it asks for any.
+        places: number of binary digits of a count of landmarks.
+        precision, asks: least information of a localised view, and its `Precision.asks`.
         covered, localised, variances: see `ViewValues`.
-        keep: whether `variances` are written.
+        keep: True to write `variances`.
     """
-    words, poses, names = (
+    words, poses, indices = (
         np.uint64(axes.shape[1] // BITS),
         np.empty((6, landmarks.shape[2])),
         np.arange(landmarks.shape[2]),
     )
-    clear, ends, view = is_clear(obstacles), no_ends(obstacles, len(names)), viewpoint_for(len(names))
-    near, who, x, y, z, low, high, deep = (
-        view.near, view.who, view.x, view.y, view.z, view.low, view.high, view.deep
+    clear, ends, view = is_clear(obstacles), new_ends(obstacles, len(indices)), viewpoint_for(len(indices))
+    near, index, x, y, z, low, high, sure_depth = (
+        view.near_poses, view.near_index, view.x, view.y, view.z, view.low, view.high, view.sure_depth
     )  # fmt: skip
-    bottom, top, shown, directions = view.bottom, view.top, view.shown, view.near[3:]
-    caps, digits = np.empty((len(names), words), dtype=np.uint64), np.empty((words, np.uint64(places)), dtype=np.uint64)
+    bottom, top, shown, directions = view.bottom, view.top, view.shown, view.near_poses[3:]
+    visible_axes = np.empty((len(indices), words), dtype=np.uint64)
+    digits = np.empty((words, np.uint64(places)), dtype=np.uint64)
     enough, listed = np.empty(words, dtype=np.uint64), np.empty(axes.shape[1], dtype=np.uint64)
     moment, sums, several = np.zeros(WIDTH), np.empty((axes.shape[1], WIDTH)), np.empty(words, dtype=np.uint64)
     flat = sums.reshape(-1)
-    # A number that the compiler does not know, or it would unroll loops over it and not vectorise them.
+    # With a compile-time constant, LLVM would unroll loops over it and not vectorise them.
     terms = np.uint64(WIDTH + landmarks.shape[1] - 3)
     for b in range(landmarks.shape[0]):
         many = count = 0
-        take(b, landmarks, normals, sight, obstacles, clear, poses, ends)
+        load_deployment(b, landmarks, normals, sight, obstacles, clear, poses, ends)
         for o in range(first, last):
             p = order[o]
-            many, count = gather_near(o, first, last, order, positions, horizon, many, count, poses, names, view)
-            look(view, count, positions[p, 0], positions[p, 1], positions[p, 2], sight, tables)
+            many, count = gather_near(o, first, last, order, positions, horizon, many, count, poses, indices, view)
+            fill_viewpoint(view, count, positions[p, 0], positions[p, 1], positions[p, 2], sight, tables)
             found = list_shown(view, directions, count, p, sight, obstacles, clear, ends)
             digits[:] = ZERO
             for m in range(found):
                 k = shown[m]
                 xk, yk, zk, least = x[k], y[k], z[k], low[k]
-                nx, ny, nz, mine = near[3, k], near[4, k], near[5, k], sized(sight, who[k])
+                nx, ny, nz, mine = near[3, k], near[4, k], near[5, k], sized(sight, index[k])
                 if tables is None:
                     start, stop = bands[bottom[k]] // LANES, (bands[top[k]] + LANES - 1) // LANES
                     bottom[k], top[k] = start // 2, (stop + 1) // 2
                     for i in range(np.uint64(bottom[k]), np.uint64(top[k])):
-                        caps[k, i] = ZERO
+                        visible_axes[k, i] = ZERO
                     for i in range(np.uint64(start), np.uint64(stop)):
                         half = np.uint32(0)
                         for lane in range(np.uint64(LANES)):
                             a = i * np.uint64(LANES) + lane
                             inside = covers(mine, xk, yk, zk, nx, ny, nz, least, 0.0, axes, a)
                             half |= np.uint32(inside) << np.uint32(lane)
-                        caps[k, i // np.uint64(2)] |= np.uint64(half) << (i % np.uint64(2) * np.uint64(LANES))
+                        visible_axes[k, i // np.uint64(2)] |= np.uint64(half) << (i % np.uint64(2) * np.uint64(LANES))
                 else:
                     certain, possible = tables
                     given, cell, frame = np.uint64(bottom[k]), np.uint64(top[k]), frame_of(mine, nx, ny, nz)
                     bottom[k], top[k] = 0, words
                     for i in range(words):
-                        cap, left = certain[given, i], possible[cell, i] & ~certain[given, i]
+                        visible, left = certain[given, i], possible[cell, i] & ~certain[given, i]
                         if left:
                             well = certain[cell, i]
-                            cap |= covering(mine, left, i, xk, yk, zk, frame, least, high[k], deep[k], well, axes)
-                        caps[k, i] = cap
+                            visible |= covering(
+                                mine, left, i, xk, yk, zk, frame, least, high[k], sure_depth[k], well, axes
+                            )
+                        visible_axes[k, i] = visible
                 for i in range(np.uint64(bottom[k]), np.uint64(top[k])):
-                    carry, j = caps[k, i], ZERO
+                    carry, j = visible_axes[k, i], ZERO
                     while carry:
                         digits[i, j], carry = add_digit(digits[i, j], carry, ZERO)
                         j += ONE
@@ -161,9 +168,9 @@ def _localise_range(
                 k = shown[m]
                 xk, yk, zk = x[k], y[k], z[k]
                 nx, ny, nz = near[3, k], near[4, k], near[5, k]
-                landmark_moments(xk, yk, zk, nx, ny, nz, precision, who[k], moment)
+                landmark_moments(xk, yk, zk, nx, ny, nz, precision, index[k], moment)
                 for i in range(np.uint64(bottom[k]), np.uint64(top[k])):
-                    left = caps[k, i] & enough[i]
+                    left = visible_axes[k, i] & enough[i]
                     while left:
                         a = i * np.uint64(BITS) + lowest(left)
                         left &= left - ONE

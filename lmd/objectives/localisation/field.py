@@ -1,10 +1,10 @@
-"""The incremental field of localisation: L at every position as single landmarks move, before a camera or a rig."""
+"""Incremental field of localisation: L at every position while single landmarks move, for a camera or a rig."""
 
 from typing import NamedTuple
 
 import numpy as np
 
-import lmd.objectives.localisation.camera_changes  # it registers its functions, and so does the next
+import lmd.objectives.localisation.camera_changes  # the two imports register functions
 import lmd.objectives.localisation.rig_changes  # noqa: F401
 from lmd.core.bits import BITS
 from lmd.core.memory import check_views
@@ -21,55 +21,57 @@ from lmd.sight.evaluator import Evaluator
 
 
 class LocalisationState(NamedTuple):
-    """The localised views of one deployment; Q positions in the order of the field, orientations in W words."""
+    """Localised views of a deployment at Q positions in the order of the field, with W words of orientations."""
 
     units: np.ndarray
-    """`(Q,)` values in integer units."""
+    """`(Q,)` quantised values."""
     located: np.ndarray
-    """`(Q,)` L in integer units."""
+    """`(Q,)` quantised L."""
     localised: np.ndarray
-    """`(Q, W)` uint64, orientations with which the camera or the body is localised."""
+    """`(Q, W)` uint64 sets of orientations with which the camera or the body is localised."""
     sums: np.ndarray
-    """`(64 Q W, width)` sums over the landmarks that each view shows, the views of a position in the order of the
-    orientations; `(1, width)` if a view only needs n landmarks."""
+    """`(64 Q W, width)` sums of the numbers of the landmarks in each view, by position, then orientation.
+
+    `(1, width)` if a view only needs n landmarks.
+    """
     coverage: State | RigState
-    """The counts, and which landmarks are seen."""
+    """State of the field of coverage."""
 
 
 class LocalisationScratch(NamedTuple):
     """The move tried last, and working memory.
 
-    Once the move is carried out, `units`, `located`, `LOCALISED` and `coverage` are those of the way back.
+    After the move is carried out, `units`, `located`, `LOCALISED` and `coverage` describe the reverse move.
     """
 
     units: np.ndarray
-    """`(Q,)` values in integer units, after the move."""
+    """`(Q,)` quantised values after the move, or upper bounds."""
     located: np.ndarray
-    """`(Q,)` L in integer units, after the move."""
+    """`(Q,)` quantised L after the move, or upper bounds."""
     sets: np.ndarray
-    """`(3, Q, W)` uint64: `LOCALISED`, `LOST`, `GAINED`."""
+    """`(3, Q, W)` uint64 sets `LOCALISED`, `LOST`, `GAINED`."""
     coverage: Scratch | RigScratch
-    """The scratch of coverage; its `units` are P_n."""
+    """Scratch of the field of coverage; its `units` are quantised P_n."""
     views: CameraViews | BodyViews
-    """The views that are worked on."""
+    """Working memory for views."""
 
 
 class LocalisationField(NamedTuple):
-    """Everything that does not change while landmarks move; a `lmd.incremental.field.Field`.
+    """Constant data of the field of localisation; a `lmd.incremental.field.Field`.
 
-    It has no stacks: landmarks at one point do not localise the camera.
+    It has no stacks, as landmarks at one point do not localise the camera.
     """
 
     coverage: CoverageField
-    """The field of P_n."""
+    """Field of P_n."""
     precision: Precision
-    """The least information of a localised view."""
+    """Least information of a localised view."""
     asks: bool
     """`Precision.asks`."""
     weight: float
-    """Weight of P_n beside L in the values."""
+    """Weight w of P_n in the values, (1 - w) L + w P_n."""
     mounts: tuple[Mounts, ...]
-    """The mounts of each part of a rig; none for a single camera."""
+    """Mounts of each group of a rig; empty for a single camera."""
 
     @property
     def size(self) -> int:
@@ -86,7 +88,7 @@ class LocalisationField(NamedTuple):
         return self.state_with(self.coverage.state(deployment))
 
     def state_with(self, known: State | RigState) -> LocalisationState:
-        """The state of a deployment whose coverage is `known`, which becomes part of it."""
+        """State of a deployment with the coverage `known`, which becomes a field of the state."""
         size, words = known.counts.sets.shape[1:]
         width = width_of(self.precision) if self.mounts else WIDTH
         check_views(8.0 * width if self.asks else 0.0, size, BITS * words)
@@ -123,13 +125,13 @@ undo.register(LocalisationField)(undo_move)
 
 
 def localisation_field(evaluator: Evaluator, n: int, precision: Precision, weight: float) -> LocalisationField:
-    """The field of L at the positions of an evaluator.
+    """Field of L at the positions of an evaluator.
 
     Args:
         evaluator: has the positions and the cameras.
-        n: landmarks that must be covered.
-        precision: the least information of a localised view.
-        weight: of P_n beside L in the values.
+        n: number of landmarks that must be covered.
+        precision: least information of a localised view.
+        weight: weight w of P_n in the values, (1 - w) L + w P_n.
     """
-    mounts = mounts_of(evaluator, evaluator.parts) if evaluator.parts else ()
+    mounts = mounts_of(evaluator, evaluator.groups) if evaluator.groups else ()
     return LocalisationField(coverage_field(evaluator, n), precision, precision.asks, weight, mounts)

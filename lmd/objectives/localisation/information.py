@@ -1,4 +1,4 @@
-"""Fisher information of the corners of the tags that a view covers, on the pose of its camera.
+"""Fisher information on the pose of a camera from the tag corners in a view.
 
 A corner at the offset d from the camera, r = |d|, b = d / r, is seen in the direction b. Moving the camera by v and
 turning it by w, both in the world frame, turns that direction by b x w - (I - b b^T) v / r. With noise of the same size
@@ -7,29 +7,28 @@ in all directions, corners together have the information
     [ C       -[g]x ]       A = sum (I - b b^T),   g = sum b / r,   C = sum (I - b b^T) / r^2
     [ [g]x     A    ]
 
-on (v, w): 15 numbers, which do not depend on where the camera looks. What is left for the position once the rotation is
-estimated too is the Schur complement
+on (v, w): 15 numbers, which do not depend on the orientation of the camera. The information on the position, with the
+rotation estimated too, is the Schur complement
 
     S = C - ((g^T A g) A - (A g) (A g)^T) / det A,
 
 and the standard deviation of the position is (sigma / f) sqrt(tr S^-1), where tr S^-1 is the sum of the principal 2 x 2
-minors of S over det S. That of the rotation is the same with A and C exchanged.
+minors of S over det S. For the rotation, A and C are exchanged.
 
-Pixels are not directions: at an angle with the cosine c = z / r from the optical axis, a turn of the direction moves
-its image 1 / c^2 times as far towards the image's centre, and 1 / c times as far across. A landmark's 15 numbers are
-therefore weighted with (r / z)^3, r its distance and z its depth, which keeps the determinant of each corner's
-information; behind a lens with distortion, with the number of pixels that its model has for a solid angle there
-(`lmd.scene.criteria.pixel_density`). The remaining error is some per cent of the standard deviation, see
-docs/accuracy.md; the exact information would have 21 numbers for each landmark, position *and* orientation. Pixels
-count as square with the geometric mean of the two focal lengths.
+Noise is isotropic in pixels, not in directions. At the cosine c = z / r from the optical axis, a rotation of the
+direction moves the image by 1 / c^2 radially and 1 / c tangentially. The 15 numbers of a landmark are therefore
+weighted with (r / z)^3, r its distance and z its depth, which preserves the determinant of the information of each
+corner; for a lens with distortion the weight is `lmd.scene.criteria.pixel_density`. The remaining error is some per
+cent of the standard deviation, see docs/accuracy.md. The exact information would need 21 numbers for each landmark,
+position *and* orientation. Pixels count as square, with the geometric mean of the two focal lengths.
 
-A landmark that is a point counts as one corner. Two points leave a turn about the line through them open. One tag alone
-has two poses that look nearly alike, which these formulas do not contain: see `ambiguity`.
+A point landmark counts as one corner. Two points leave the rotation about the line through them undetermined. A single
+tag has two poses with nearly equal images, which these formulas ignore; see `ambiguity`.
 
-The functions here take numbers or arrays: kernels compile what the reference calls, so that both decide by the same
-bits. The numbers of view v are `sums[v + j * step]`, j from 0 to 14: A as xx, xy, xz, yy, yz, zz, then g, then C. Each
-landmark's share of a view is rounded to a multiple of `QUANTUM`: sums of shares are exact in any order, so landmarks
-may be added and removed again.
+The functions take numbers or arrays. Kernels compile the functions that the reference calls, so the results are equal
+bit for bit. The numbers of view v are `sums[v + j * step]`, j from 0 to 14: A as xx, xy, xz, yy, yz, zz, then g, then
+C. The contribution of a landmark is rounded to a multiple of `QUANTUM`. Sums are then exact in any order, so landmarks
+can be added and removed again.
 """
 
 from collections.abc import Sequence
@@ -45,23 +44,23 @@ from lmd.geometry.camera import Camera
 from lmd.scene.criteria import TOLERANCE
 from lmd.scene.tag import Tag
 
-NUMBERS = 15  # of a view: A, g and C
-WIDTH = 16  # of a row of `sums`: these, and what `ambiguity` has of a view
+NUMBERS = 15  # numbers of a view: A, g and C
+WIDTH = 16  # length of a row of `sums`: these numbers, and the residual ratio of `ambiguity`
 QUANTUM = 2.0**-36
-# Adding and subtracting it rounds to multiples of the quantum, for numbers below 2^15; sums are exact below 2^17.
+# Adding and subtracting this number rounds numbers below 2^15 to multiples of `QUANTUM`; sums are exact below 2^17.
 ROUNDER = 1.5 * 2.0**52 * QUANTUM
-# Squared distance, m^2. A corner that is closer counts as this far away, which keeps sums below 2^17.
+# Least squared distance of a corner, m^2; a closer corner counts as this far away, which keeps sums below 2^17.
 NEAREST = 0.1**2
-# Least det A over tr(A)^3. Below it det A is rounding: all corners lie in one direction.
+# Least det A / tr(A)^3; below it det A is a rounding error, as all corners lie in one direction.
 SINGULAR = 1e-9
 
 Number = Any  # a number in kernels, an array in the reference
 
 
 class Precision(NamedTuple):
-    """The least information of a localised view; variances are traces of a covariance for `deviation_per_variance` 1.
+    """Limits of a localised view; variances are traces of a covariance for `deviation_per_variance` 1.
 
-    Where a limit is None, kernels are compiled without it.
+    Kernels are compiled without a limit that is None.
     """
 
     halves: FloatArray
@@ -69,7 +68,7 @@ class Precision(NamedTuple):
     share: float
     """Weight of each of the four corners of a landmark: 1, or 1/4 for a point."""
     position: float
-    """Greatest variance of the position; infinite where landmarks only have to be covered."""
+    """Greatest variance of the position; infinite if n covered landmarks suffice."""
     rotation: float | None = None
     """Greatest variance of the rotation."""
     residual: float | None = None
@@ -91,7 +90,7 @@ def half_of(precision: Precision, k: Integer) -> Any:
 
 @overridable
 def within(limit: float | None, variance: Number, fixed: Number) -> Any:
-    """True if a variance, which is finite where it is `fixed`, is at most the limit."""
+    """True if a variance is at most the limit; `fixed` is True where the variance is finite."""
     return fixed & (variance <= limit)
 
 
@@ -118,7 +117,7 @@ def precision(
     rotation: float | None = None,
     edges: Sequence[float] | None = None,
 ) -> Precision:
-    """The precision that limits the standard deviations of a view.
+    """Precision from the greatest standard deviations of a view.
 
     Args:
         camera: the camera, of a rig the first one.
@@ -126,7 +125,7 @@ def precision(
         pixel_noise: standard deviation of each coordinate of a corner, pixels.
         tolerance: greatest standard deviation of the position, metres.
         rotation: greatest standard deviation of the rotation, rad; None for any.
-        edges: of the landmarks, `(K,)`, or one for all, metres; None for the tag's.
+        edges: edges of the tags, `(K,)`, or one for all, metres; None for the edge of `tag`.
     """
     scale = deviation_per_variance(camera, pixel_noise)
     halves = np.array([0.0]) if tag.is_point else np.array(edges or (tag.size,)) / 2.0
@@ -143,11 +142,11 @@ def moments(
     x: Number, y: Number, z: Number, rx: Number, ry: Number, rz: Number, ux: Number, uy: Number, uz: Number,
     share: float,
 ) -> tuple[Number, ...]:  # fmt: skip
-    """A, g and C of a landmark's four corners times r^3, as 15 numbers.
+    """A, g and C of the four corners of a landmark times r^3, as 15 numbers.
 
     Args:
-        x, y, z: offset of its centre from the camera, at the distance r, metres.
-        rx, ry, rz, ux, uy, uz: from the centre to the middle of its right and of its upper edge, metres.
+        x, y, z: offset of the centre from the camera, metres; its length is r.
+        rx, ry, rz, ux, uy, uz: vectors from the centre to the midpoints of the right and of the upper edge, metres.
         share: weight of each corner.
     """
     axx = axy = axz = ayy = ayz = azz = gx = gy = gz = cxx = cxy = cxz = cyy = cyz = czz = 0.0
@@ -172,7 +171,7 @@ def moments(
 
 @inlined
 def share_of(moment: Number, weight: Number) -> Number:
-    """Share of a landmark in one of the numbers of a view: its moment times `pixel_density`, rounded."""
+    """Contribution of a landmark to a number of a view: its moment times `pixel_density`, rounded to `QUANTUM`."""
     return (moment * weight + ROUNDER) - ROUNDER
 
 
@@ -203,7 +202,7 @@ def _schur(sums: Any, v: Integer, step: Integer, first: int, last: int) -> tuple
 
 @inlined
 def inverse_trace(det: Number, minors: Number, rest: Number, trace: Number) -> tuple[Number, Number]:
-    """tr S^-1, and True if it is finite: False where the corners leave a motion open."""
+    """tr S^-1, and True if it is finite; False if the corners leave a motion undetermined."""
     fixed = (det > SINGULAR * (trace * trace * trace)) & (minors > 0.0) & (rest > 0.0)
     return minors * det / rest, fixed
 

@@ -1,10 +1,10 @@
-"""The expected logarithm of the determinant of the information on the pose: the objective of greedy selection.
+"""Expected log determinant of the information on the pose, the surrogate of localisation for greedy selection.
 
-The accuracy of localisation is no submodular function of the landmarks: the first one alone has no value. The log det
-of the information is submodular if there is a prior and no landmark hides another: a further landmark adds less the
-more there are. It is averaged over positions and orientations. The prior is what the camera knew before: with a
-standard deviation of some tolerances landmarks share the room; with a wide one, the first view of a place would gain
-more than the accuracy of another.
+The accuracy of localisation is not submodular in the landmarks, as the first landmark alone has no value. The log det
+of prior plus information is submodular if no landmark hides another: each further landmark adds less. It is averaged
+over positions and orientations. The prior is the information on the pose before the image. With a standard deviation
+of some tolerances, the selected landmarks spread over the room; with a wide prior, the first view of a place would gain
+more than any improvement of another.
 """
 
 import math
@@ -23,11 +23,11 @@ from lmd.objectives.localisation.pairs import (
     Shown,
     add_of_all,
     fill_views,
-    give_sums,
+    load_sums,
     seen_by_any,
     shown_by,
+    store_sums,
     tags_of,
-    take_sums,
 )
 from lmd.objectives.localisation.reference import information_of, log_det_of
 from lmd.objectives.localisation.views import ORIENTATION, VIEW, BodyViews, body_views, landmark_moments
@@ -36,13 +36,13 @@ from lmd.scene.deployment import Deployment
 from lmd.scene.scene import Scene
 from lmd.sight.evaluator import Evaluator
 from lmd.sight.mounts import with_sight
-from lmd.sight.obstacles import find_ends, no_ends
+from lmd.sight.obstacles import find_ends, new_ends
 from lmd.sight.poses import by_edge, shared
 from lmd.sight.viewpoint import see_alone
 
-# Poses of a thread whose views by a rig are kept at a time.
+# Greatest number of poses per thread whose views by a rig are in memory at a time.
 AT_A_TIME = 64
-# Numbers of a view on the diagonals of the two halves of the information: position, rotation.
+# Indices of the numbers of a view on the diagonal of the information: position, rotation.
 OF_CAMERA, OF_BODY = ([9, 12, 14], [0, 3, 5]), ([0, 3, 5], [15, 18, 20])
 
 
@@ -53,22 +53,22 @@ def log_det_selection(
     position: float,
     rotation: float,
 ) -> "LogDeterminant":
-    """The mean over positions and orientations of log det(prior + information), a `Selection`.
+    """Mean over positions and orientations of log det(prior + information), a `Selection`.
 
     Args:
-        evaluator: the scene.
-        relevance: weights of its positions, `(P,)`.
-        precision: the size of the tags of a scene, see `information.precision`.
-        position, rotation: prior information, in the units of `information`: 1 / `variance`.
+        evaluator: has the scene and the positions.
+        relevance: weights of the positions, `(P,)`.
+        precision: returns the `information.precision` of a scene, which has the size of its tags.
+        position, rotation: prior information on position and rotation, 1 / `variance` of `information`.
     """
-    kind: type[LogDeterminant] = RigLogDeterminant if evaluator.parts else CameraLogDeterminant
+    kind: type[LogDeterminant] = RigLogDeterminant if evaluator.groups else CameraLogDeterminant
     if evaluator.by_reference:
         kind = ReferenceLogDeterminant
     return kind(evaluator, relevance, precision, position, rotation)
 
 
 class LogDeterminant:
-    """See `log_det_selection`; poses of each size of tags are handled by a subclass."""
+    """Base of the selections of `log_det_selection`; a subclass evaluates poses of one tag size."""
 
     label = "mean log det of the information"
     width = WIDTH
@@ -107,11 +107,11 @@ class LogDeterminant:
         raise NotImplementedError
 
     def gains_of(self, e: Evaluator, poses: Deployment) -> FloatArray:
-        """Gains of poses whose tags have the one size of evaluator `e`."""
+        """Gains `(N,)` of poses with the tag size of evaluator `e`."""
         raise NotImplementedError
 
     def choose(self, e: Evaluator, pose: Deployment) -> None:
-        """Add one pose to `sums` and `known`."""
+        """Add a landmark at one pose to `sums` and `known`."""
         raise NotImplementedError
 
 
@@ -131,15 +131,15 @@ def _gains(
     Args:
         start, stop: range of the poses.
         points, normals: `(N, 3)`.
-        prices: of positions and axes, `(P, D)`.
+        prices: price of each position and axis, `(P, D)`.
         positions: `(P, 3)`.
         sight, obstacles, axes, bands: see `kernels.evaluate_range`.
-        precision: the size of a tag.
+        precision: has the size of the tags.
         sums: information of each view, `(P, D, WIDTH)`.
-        known: their `log_det`, `(P, D)`.
+        known: `log_det` of each view, `(P, D)`.
         out: receives the gains.
     """
-    ends, moment, row = no_ends(obstacles, 1), np.zeros(WIDTH), np.zeros(WIDTH)
+    ends, moment, row = new_ends(obstacles, 1), np.zeros(WIDTH), np.zeros(WIDTH)
     for j in range(start, stop):
         nx, ny, nz, gain = normals[j, 0], normals[j, 1], normals[j, 2], 0.0
         pose = points[j, 0], points[j, 1], points[j, 2], nx, ny, nz
@@ -165,7 +165,7 @@ def _add(
 ) -> None:  # fmt: skip
     """Add a landmark to `sums` and `known` at the positions `start` to `stop`; arguments as in `_gains`."""
     nx, ny, nz = normal[0], normal[1], normal[2]
-    ends, moment = no_ends(obstacles, 1), np.zeros(WIDTH)
+    ends, moment = new_ends(obstacles, 1), np.zeros(WIDTH)
     find_ends(obstacles, sight, point[0], point[1], point[2], nx, ny, nz, ends, 0)
     pose = point[0], point[1], point[2], nx, ny, nz
     for p in range(start, stop):
@@ -182,7 +182,7 @@ def _add(
 
 
 class CameraLogDeterminant(LogDeterminant):
-    """Of a single camera."""
+    """Selection by the log determinant for a single camera."""
 
     def log_det_of(self, numbers: FloatArray) -> Any:
         """See `LogDeterminant.log_det_of`."""
@@ -199,7 +199,7 @@ class CameraLogDeterminant(LogDeterminant):
         shared(_add, len(e.positions), e.threads, (pose.positions[0], pose.normals[0], *self._parts(e)))
 
     def _parts(self, e: Evaluator) -> tuple[Any, ...]:
-        """Arguments of the kernels beside the poses."""
+        """Arguments of the kernels after the poses."""
         return e.positions, e.sight, e.obstacles, e.axes, e.bands, self.precision(e.scene), self.sums, self.known
 
 
@@ -211,13 +211,13 @@ def _rig_gains(
     """Write the gains of N poses to `out` `(N,)`.
 
     Args:
-        every: poses that each part of the rig covers.
-        tags: the poses, see `tags_of`.
-        prices: of positions and orientations, `(P, D)`.
-        positions: of the body, `(P, 3)`.
-        precision: the size of a tag.
+        every: sets of orientations that cover the poses, by mount group.
+        tags: centres and sides of the tags at the poses, see `tags_of`.
+        prices: price of each position and orientation, `(P, D)`.
+        positions: positions of the body, `(P, 3)`, metres.
+        precision: has the size of the tags.
         sums: information of each view, `(P D, BODY_WIDTH)`.
-        known: their `body_log_det`, `(P, D)`.
+        known: `body_log_det` of each view, `(P, D)`.
         views: working memory.
         out: receives the gains.
     """
@@ -231,7 +231,7 @@ def _rig_gains(
                 if seen == ZERO:
                     continue
                 count = fill_views(seen, precision, views)
-                take_sums(sums, first, precision, views, count)
+                load_sums(sums, first, precision, views, count)
                 add_of_all(every, p, which, w, place, tags, precision, views)
                 for v in range(count):
                     a = w * VIEW + bits[v]
@@ -243,7 +243,7 @@ def _rig_add(
     every: tuple[Shown, ...], tags: FloatArray, positions: FloatArray, precision: Precision, sums: FloatArray,
     known: FloatArray, views: BodyViews,
 ) -> None:  # fmt: skip
-    """Add the only one of the poses to `sums` and `known`; arguments as in `_rig_gains`."""
+    """Add the single pose in `every` to `sums` and `known`; arguments as in `_rig_gains`."""
     words, which, bits = np.uint64(known.shape[1]) // VIEW, np.zeros(1, dtype=np.int64), views.lists[ORIENTATION]
     for p in range(np.uint64(len(positions))):
         place = positions[p, 0], positions[p, 1], positions[p, 2]
@@ -253,13 +253,13 @@ def _rig_add(
                 continue
             count = fill_views(seen, precision, views)
             add_of_all(every, p, which, w, place, tags, precision, views)
-            give_sums(sums, first, precision, views, count)
+            store_sums(sums, first, precision, views, count)
             for v in range(count):
                 known[p, w * VIEW + bits[v]] = body_log_det(sums[first + bits[v]], 0, 1)
 
 
 class RigLogDeterminant(LogDeterminant):
-    """Of a rig, on whose body there is the prior."""
+    """Selection by the log determinant for a rig; prior and information are those of the pose of its body."""
 
     width, of_camera = BODY_WIDTH, False
 
@@ -291,13 +291,13 @@ class RigLogDeterminant(LogDeterminant):
         return self.sums.reshape(-1, self.width)
 
     def _shown(self, e: Evaluator, poses: Deployment) -> tuple[Shown, ...]:
-        """Poses that the cameras cover if none hides another."""
-        parts = tuple(with_sight(part, part.sight.unhidden()) for part in e.parts)
-        return shown_by(e, parts, e.positions, poses)
+        """Sets of orientations that cover the poses, by mount group, without occlusion by landmarks."""
+        groups = tuple(with_sight(group, group.sight.unhidden()) for group in e.groups)
+        return shown_by(e, groups, e.positions, poses)
 
 
 class ReferenceLogDeterminant(LogDeterminant):
-    """Of a camera or a rig whose visibility model has no compiled half."""
+    """Selection by the log determinant for a visibility model without a compiled half, by NumPy."""
 
     def __init__(self, evaluator: Evaluator, *prior: Any) -> None:
         self.of_camera = evaluator.scene.rig is None
@@ -326,6 +326,6 @@ class ReferenceLogDeterminant(LogDeterminant):
             self.sums[p, :size], self.known[p, :size] = sums.T, log_det_of(e.scene, sums)
 
     def _with(self, e: Evaluator, pose: Deployment, p: int) -> FloatArray:
-        """Information of the views from position p with one more pose, `(width, D)`."""
+        """Information of the views from position p with an additional pose, `(width, D)`."""
         sums, _ = information_of(e.scene, pose, self.precision(e.scene), e.positions[p], self._axes)
         return np.asarray(self.sums[p, : len(self._axes)].T + sums)

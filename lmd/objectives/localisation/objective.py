@@ -24,34 +24,34 @@ from lmd.sight.kernels import PROBABILITY_ONE
 
 FITNESS = ("mean", "qualified")
 AMBIGUITY = ("resolved", "ignored")
-# Less than for coverage, as each view costs more: drawn anew on the way, they need not be many.
+# Smaller samples than for coverage, as each view costs more; samples are drawn anew during a run.
 SAMPLING = Sampling(positions=1, divisions=8)
 # Prior of greedy selection: standard deviation of the position, in tolerances, and of the rotation, rad.
 PRIOR_TOLERANCES, PRIOR_ROTATION = 5.0, 1.0
 PRIOR_POSITION = 1.0  # standard deviation of the position without a tolerance, metres
-WORST = 0.05  # share of the worst positions, whose greatest value is reported
+WORST = 0.05  # quantile of the values over positions that is reported
 
 
 @dataclass(frozen=True)
 class Localisation(AtLeast):
-    """The probability that one image tells where the camera is.
+    """Probability that one image localises the camera.
 
-    A view is localised when at least n landmarks are covered *and* the standard deviation of the position that the
-    pixels of their corners allow (`information`) is at most the tolerance. The value L(p) of a position is the
-    probability of that. Tags have the corners of `scene.tag`; landmarks that are points take three for a pose.
+    A view is localised if at least n landmarks are covered *and* the standard deviation of the position, computed from
+    their corners (`information`), is at most the tolerance. The value L(p) of a position is the probability of a
+    localised view. Tags have the corners of `scene.tag`; a pose from point landmarks needs three of them.
 
     Args:
-        n: landmarks that the camera must see at the same time.
-        thold_p: the value from which on a position is qualified.
+        n: least number of landmarks that the camera must see at the same time.
+        thold_p: least value of a qualified position.
         tolerance: greatest standard deviation of the position, metres; infinite for plain coverage.
         pixel_noise: standard deviation of each coordinate of a corner, pixels.
-        climbs: what optimisers maximise: `mean`, of L over the positions, or `qualified`, the share of positions whose
-            L reaches `thold_p`.
-        rotation_tolerance: greatest standard deviation of the rotation, rad; None where it does not matter.
-        ambiguity: of a single tag, where n is 1: a view counts if its two poses are told apart, `resolved`
-            (`localisation.ambiguity`), or anyhow, `ignored`.
-        coverage_weight: of P_n beside L in the value, (1 - w) L + w P_n.
-        sampling: where the fitness is measured; None for the room's grid and the PDF itself.
+        climbs: fitness that optimisers maximise: `mean` of the values over positions, or `qualified`, the share of
+            positions whose value reaches `thold_p`.
+        rotation_tolerance: greatest standard deviation of the rotation, rad; None for no limit.
+        ambiguity: rule for a view of a single tag (n = 1): `resolved` requires that its two poses can be distinguished
+            (`localisation.ambiguity`), `ignored` does not.
+        coverage_weight: weight w of P_n in the value, (1 - w) L + w P_n.
+        sampling: random positions and orientations of the fitness; None for the room's grid and the PDF itself.
 
     Raises:
         InputError: a value is out of range.
@@ -88,7 +88,7 @@ class Localisation(AtLeast):
 
     @property
     def _share(self) -> str:
-        """The name of the mean value among the figures."""
+        """Name of the mean value among the figures."""
         return "weighted_share" if self.coverage_weight else "localised_share"
 
     @property
@@ -110,7 +110,7 @@ class Localisation(AtLeast):
         return f"{label}, and of seeing {self.n}, weighted" if self.coverage_weight else label
 
     def precision(self, scene: Scene) -> Precision:
-        """The least information of a localised view that covers n landmarks, in the units of the first camera."""
+        """Least information of a localised view, in the units of the first camera."""
         camera, noise = scene.cameras[0], self.pixel_noise
         asked = precision(camera, scene.tag, noise, self.tolerance, self.rotation_tolerance, scene.edges)
         if self.n > 1 or self.ambiguity == "ignored" or scene.tag.is_point:
@@ -124,15 +124,15 @@ class Localisation(AtLeast):
 
     def fitness(self, values: FloatArray, relevance: FloatArray) -> FloatArray:
         """See `Objective.fitness`."""
-        worth = values if self.climbs == "mean" else self.qualified(values)
-        return np.asarray((worth * relevance).sum(axis=-1) / relevance.sum())
+        contribution = values if self.climbs == "mean" else self.qualified(values)
+        return np.asarray((contribution * relevance).sum(axis=-1) / relevance.sum())
 
     def shares(self, values: FloatArray) -> Mapping[str, FloatArray | BoolArray]:
         """See `Objective.shares`."""
         return {self._share: values, "qualified_ratio": self.qualified(values)}
 
     def figures(self, values: FloatArray, relevance: FloatArray) -> dict[str, float]:
-        """The mean value, the share of positions that are qualified, and the value of the worst 5 % of positions."""
+        """Mean value, share of qualified positions, and 5 % quantile of the values."""
         return {
             **{key: float(share.mean()) for key, share in self.shares(values).items()},
             "worst_positions": float(np.quantile(values, WORST)),
@@ -170,7 +170,7 @@ class Localisation(AtLeast):
         return Threshold(math.ceil((self.thold_p - TOLERANCE) * PROBABILITY_ONE), relevance)
 
     def selection(self, evaluator: Evaluator, relevance: FloatArray) -> Selection:
-        """See `Objective.selection`: the log det of the information, from a prior of some tolerances."""
+        """See `Objective.selection`; the log det of the information with a prior of some tolerances."""
         scene = evaluator.scene
         scale = deviation_per_variance(scene.cameras[0], self.pixel_noise)
         prior = PRIOR_TOLERANCES * self.tolerance if math.isfinite(self.tolerance) else PRIOR_POSITION
@@ -179,5 +179,5 @@ class Localisation(AtLeast):
 
 
 def localisation(fitness: str = "mean", **settings: Any) -> Localisation:
-    """A `Localisation`, for configurations: `climbs` goes by the name `fitness` there."""
+    """Make a `Localisation` from a configuration, which calls `climbs` `fitness`."""
     return Localisation(climbs=fitness, **settings)

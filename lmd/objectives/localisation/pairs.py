@@ -1,6 +1,6 @@
-"""Pairs of a landmark and a view of a rig: what its cameras see, listed and added up in a loop that vectorises.
+"""Pairs of a landmark and a view of a rig: they are listed first, then their information is summed.
 
-The numbers of a pair lie `BITS` apart, those of the pairs side by side.
+The loop over listed pairs vectorises: number j of pair e lies at `work[j * BITS + e]`.
 """
 
 from typing import Any, NamedTuple, TypeAlias
@@ -19,10 +19,10 @@ from lmd.objectives.localisation.views import NUMBER, ORIENTATION, TAKEN, VIEW, 
 from lmd.scene.criteria import pixel_density
 from lmd.scene.deployment import Deployment
 from lmd.sight.evaluator import Evaluator
-from lmd.sight.mounts import Part
-from lmd.sight.rig_sets import seen_by_each
+from lmd.sight.mounts import MountGroup
+from lmd.sight.rig_sets import covered_sets_by_mount
 
-# Where the numbers of pairs begin: offset, weight, offset of the camera, sides of the tag, and the moments.
+# First index of each group of numbers: offset, weight, offset of the camera, sides of the tag, moments.
 AT = tuple(np.uint64(BITS * i) for i in range(WORK))
 FIRST_MOMENT = np.uint64(13)
 
@@ -31,53 +31,53 @@ Tag: TypeAlias = tuple[float, float, float, float, float, float, float, float, f
 
 
 class Mounts(NamedTuple):
-    """The M cameras of a part of a rig, apart from what they cover: a tuple is copied for many calls."""
+    """Fields of a `MountGroup` that localisation needs; a small tuple, as many calls copy it."""
 
     number: int
-    """Index of the part."""
+    """Index of the group."""
     sight: Any
-    """As in `lmd.sight.mounts.Part`."""
+    """See `MountGroup`."""
     offsets: FloatArray
-    """As in `lmd.sight.mounts.Part`."""
+    """See `MountGroup`."""
     axes: FloatArray
-    """As in `lmd.sight.mounts.Part`."""
+    """See `MountGroup`."""
     gain: float
     """Information per pixel relative to the first camera, see `gain_of`."""
 
 
 class Shown(NamedTuple):
-    """K landmarks that the cameras of a part cover from P positions of the body."""
+    """Coverage of K landmarks by the M cameras of a mount group from P positions of the body."""
 
     mounts: Mounts
-    """The M cameras."""
+    """Mounts of the cameras."""
     sets: WordArray
-    """`(M, P, K, W)` orientations with which each camera covers each landmark."""
+    """`(M, P, K, W)` sets of orientations with which each camera covers each landmark."""
 
 
 def shown_by(
-    evaluator: Evaluator, parts: tuple[Part, ...], positions: FloatArray, deployment: Deployment
+    evaluator: Evaluator, groups: tuple[MountGroup, ...], positions: FloatArray, deployment: Deployment
 ) -> tuple[Shown, ...]:
-    """Landmarks that the parts of a rig, of the evaluator's or variants of them, cover from `positions` `(P, 3)`."""
+    """Coverage of a deployment by mount groups of the evaluator, or variants of them, from `positions` `(P, 3)`."""
     args = evaluator.scene.room.blockers(), positions, deployment.positions, deployment.normals
-    return tuple(map(Shown, mounts_of(evaluator, parts), [seen_by_each(part, *args) for part in parts]))
+    return tuple(map(Shown, mounts_of(evaluator, groups), [covered_sets_by_mount(group, *args) for group in groups]))
 
 
-def mounts_of(evaluator: Evaluator, parts: tuple[Part, ...]) -> tuple[Mounts, ...]:
-    """The mounts of the parts of a rig, of the evaluator's or variants of them."""
+def mounts_of(evaluator: Evaluator, groups: tuple[MountGroup, ...]) -> tuple[Mounts, ...]:
+    """Mounts of mount groups of the evaluator, or variants of them."""
     cameras = evaluator.scene.cameras
-    each = enumerate(zip(parts, dict.fromkeys(cameras), strict=True))
+    each = enumerate(zip(groups, dict.fromkeys(cameras), strict=True))
     return tuple(Mounts(j, p.sight, p.offsets, p.axes, gain_of(kind, cameras[0])) for j, (p, kind) in each)
 
 
 @inlined
 def numbers_of(precision: Precision) -> np.uint64:
-    """Count of the numbers of a view that `precision` needs."""
+    """Number of numbers of a view that `precision` needs."""
     return np.uint64(BODY_NUMBERS + MIRRORED if asks_apart(precision) else BODY_NUMBERS)
 
 
 @inner
 def fill_views(left: np.uint64, precision: Precision, views: BodyViews) -> np.uint64:
-    """Take the orientations `left` of a word, with sums of zero; returns their number."""
+    """Begin views for the orientations `left` of a word, with sums of zero; returns their number."""
     bits, number, rows, count = views.lists[ORIENTATION], views.lists[NUMBER], views.rows, ZERO
     views.lists[TAKEN, 0], views.lists[TAKEN, 1] = left, ZERO
     while left:
@@ -92,8 +92,8 @@ def fill_views(left: np.uint64, precision: Precision, views: BodyViews) -> np.ui
 
 
 @inner
-def fetch_sums(sums: FloatArray, first: Integer, views: BodyViews, count: Integer) -> None:
-    """Prefetch the rows of `sums` `(V, width)` that `take_sums` reads."""
+def prefetch_sums(sums: FloatArray, first: Integer, views: BodyViews, count: Integer) -> None:
+    """Prefetch the rows of `sums` `(V, width)` that `load_sums` reads; arguments as there."""
     width, bits = np.uint64(sums.shape[1]), views.lists[ORIENTATION]
     for v in range(count):
         at = (first + bits[v]) * width
@@ -102,8 +102,8 @@ def fetch_sums(sums: FloatArray, first: Integer, views: BodyViews, count: Intege
 
 
 @inner
-def take_sums(sums: FloatArray, first: Integer, precision: Precision, views: BodyViews, count: Integer) -> None:
-    """Add to the views their rows of `sums` `(V, width)`; the first orientation of the word has row `first`."""
+def load_sums(sums: FloatArray, first: Integer, precision: Precision, views: BodyViews, count: Integer) -> None:
+    """Add the rows of `sums` `(V, width)` to the views; the first orientation of the word has the row `first`."""
     bits, rows = views.lists[ORIENTATION], views.rows
     for v in range(count):
         for j in range(numbers_of(precision)):
@@ -111,8 +111,8 @@ def take_sums(sums: FloatArray, first: Integer, precision: Precision, views: Bod
 
 
 @inner
-def give_sums(sums: FloatArray, first: Integer, precision: Precision, views: BodyViews, count: Integer) -> None:
-    """Add the views to their rows of `sums`."""
+def store_sums(sums: FloatArray, first: Integer, precision: Precision, views: BodyViews, count: Integer) -> None:
+    """Add the views to the rows of `sums`; arguments as in `load_sums`."""
     bits, rows = views.lists[ORIENTATION], views.rows
     for v in range(count):
         for j in range(numbers_of(precision)):
@@ -120,7 +120,7 @@ def give_sums(sums: FloatArray, first: Integer, precision: Precision, views: Bod
 
 
 def tags_of(precision: Precision, positions: FloatArray, normals: FloatArray) -> FloatArray:
-    """Of landmarks, `(K, 3)`, the centres and from there the middles of the right and the upper edges, `(K, 9)`."""
+    """Tags as rows `(K, 9)`: centre, and vectors from it to the midpoints of the right and upper edge, metres."""
     return np.hstack([positions, *(precision.halves[:, None] * side for side in upright(normals))])
 
 
@@ -135,16 +135,16 @@ def add_to_body(
     mounts: Mounts, m: Integer, w: Integer, seen: np.uint64, place: tuple[float, float, float], tag: Tag,
     sign: float, precision: Precision, views: BodyViews,
 ) -> None:  # fmt: skip
-    """List a landmark in the views in which a mount sees it, times `sign`; `add_up` adds what is listed.
+    """List the pairs of a landmark and the views in which a mount sees it; `add_up` adds the listed pairs.
 
     Args:
-        mounts, m: the mount.
-        w, seen: the word of the views, and the orientations with which the mount sees the landmark.
+        mounts, m: mount m of a group.
+        w, seen: index of the word, and its orientations with which the mount sees the landmark.
         place: position of the body, metres.
-        tag: the landmark, see `tags_of`.
-        sign: 1 or -1.
+        tag: row of `tags_of`.
+        sign: 1 to add the landmark, -1 to remove it.
         precision: has the share of each corner.
-        views: the views.
+        views: has the list and the sums.
     """
     taken = views.lists[TAKEN]
     left, filled = seen & taken[0], taken[1]
@@ -175,7 +175,7 @@ def add_to_body(
 
 @inner
 def add_up(precision: Precision, views: BodyViews) -> None:
-    """Add the listed pairs to the views."""
+    """Add the information of the listed pairs to the views, and clear the list."""
     rows, work, whose, filled = views.rows, views.work, views.lists[WHOSE], views.lists[TAKEN, 1]
     _find_moments(work, precision.share, filled)
     if asks_apart(precision):
@@ -189,7 +189,7 @@ def add_up(precision: Precision, views: BodyViews) -> None:
 
 @inner
 def _find_moments(work: FloatArray, share: float, filled: Integer) -> None:
-    """Find the 21 numbers of `filled` pairs; of one array alone, or LLVM would not vectorise this."""
+    """Compute the 21 numbers of the first `filled` pairs; all in one array, so that LLVM vectorises the loop."""
     for i in range(whole(filled)):
         weight = work[AT[3] + i]
         found = about_body(
@@ -224,7 +224,7 @@ def _find_moments(work: FloatArray, share: float, filled: Integer) -> None:
 
 @inner
 def _find_mirrored(work: FloatArray, least: float, filled: Integer) -> None:
-    """Find the `mirrored_numbers` of `filled` pairs."""
+    """Compute the `mirrored_numbers` of the first `filled` pairs."""
     for i in range(whole(filled)):
         weight = work[AT[3] + i]
         found = mirrored_numbers(
@@ -238,8 +238,8 @@ def _find_mirrored(work: FloatArray, least: float, filled: Integer) -> None:
 
 
 @inner
-def _seen_by_part(shown: Shown, p: Integer, k: Integer, w: Integer) -> np.uint64:
-    """`seen_by_any` camera of a part."""
+def _seen_by_group(shown: Shown, p: Integer, k: Integer, w: Integer) -> np.uint64:
+    """Orientations of word w with which some camera of a group covers landmark k from position p."""
     seen = ZERO
     for m in range(len(shown.sets)):
         seen |= shown.sets[m, p, k, w]
@@ -247,11 +247,11 @@ def _seen_by_part(shown: Shown, p: Integer, k: Integer, w: Integer) -> np.uint64
 
 
 @inner
-def _add_part(
+def _add_of_group(
     shown: Shown, p: Integer, which: np.ndarray, w: Integer, place: Place, tags: FloatArray, precision: Precision,
     views: BodyViews,
 ) -> None:  # fmt: skip
-    """`add_of_all` cameras of a part."""
+    """`add_of_all` for the cameras of a group."""
     for k in which:
         tag = tag_of(tags, k)
         for m in range(len(shown.sets)):
@@ -263,7 +263,7 @@ def seen_by_any(every: tuple[Shown, ...], p: Integer, k: Integer, w: Integer) ->
     """Orientations of word w with which some camera covers landmark k from position p."""
     seen = ZERO
     for shown in literal_unroll(every):
-        seen |= _seen_by_part(shown, p, k, w)
+        seen |= _seen_by_group(shown, p, k, w)
     return seen
 
 
@@ -272,7 +272,10 @@ def add_of_all(
     every: tuple[Shown, ...], p: Integer, which: np.ndarray, w: Integer, place: Place, tags: FloatArray,
     precision: Precision, views: BodyViews,
 ) -> None:  # fmt: skip
-    """Add the landmarks `which` of `tags` to the views of all cameras, the body at `place`, position p."""
+    """Add the landmarks `which` to the views of all cameras, with the body at `place`, position p.
+
+    `every` has the coverage by group, `tags` is the result of `tags_of`.
+    """
     for shown in literal_unroll(every):
-        _add_part(shown, p, which, w, place, tags, precision, views)
+        _add_of_group(shown, p, which, w, place, tags, precision, views)
     add_up(precision, views)

@@ -1,6 +1,7 @@
-"""Localisation formula by formula, in NumPy: the specification that every compiled path must equal bit for bit.
+"""Reference of localisation in NumPy, one function per formula; compiled code must equal it bit for bit.
 
-It also evaluates scenes whose visibility model has no compiled half (`reference_views`, `log_det.ReferenceLogDet`).
+It also evaluates scenes whose visibility model has no compiled half (`reference_views`,
+`log_det.ReferenceLogDeterminant`).
 
 Shapes: A orientations, K landmarks.
 """
@@ -33,14 +34,14 @@ from lmd.sight.reference import cap_count, coverage_caps, n_ple_cap, station_cap
 def view_information(
     scene: Scene, deployment: Deployment, asked: Precision, position: FloatArray, axes: FloatArray
 ) -> tuple[FloatArray, BoolArray]:
-    """Sums of the numbers of each view over the landmarks that it covers, `(16, A)`, and which these are, `(A, K)`.
+    """Sums of the numbers of the landmarks in each view, `(16, A)`, and mask `(A, K)` of the covered landmarks.
 
     The sums are A, g and C, then the residual ratio of `ambiguity`.
     """
     offset, (right, up) = deployment.positions - position, upright(deployment.normals)
     sides: Any = *offset.T, *(asked.halves[:, None] * right).T, *(asked.halves[:, None] * up).T
     caps = coverage_caps(scene, deployment, position, axes)
-    with np.errstate(all="ignore"):  # of a landmark that is not covered the depth may be anything
+    with np.errstate(all="ignore"):  # the depth of a landmark that is not covered is arbitrary
         weight = _density(getattr(scene.sight, "lens", None), axes, offset)
         numbers = *moments(*(*sides, asked.share)), camera_residual(asked.residual, *sides)
         shares = [share_of(each, weight) for each in numbers]
@@ -50,7 +51,10 @@ def view_information(
 def body_information(
     scene: Scene, deployment: Deployment, asked: Precision, position: FloatArray, axes: FloatArray
 ) -> tuple[FloatArray, BoolArray]:
-    """The same of all cameras of a rig on its body in each of its orientations, `(width_of(asked), A)` and `(A, K)`."""
+    """Sums of the information of all cameras of a rig on the pose of its body, and mask of the covered landmarks.
+
+    Shapes `(width_of(asked), A)` and `(A, K)`; A orientations of the body.
+    """
     sums, covered = np.zeros((len(axes), width_of(asked))), np.zeros((len(axes), len(deployment)), dtype=np.bool_)
     sides = [(asked.halves[:, None] * side).T for side in upright(deployment.normals)]
     for station in scene.stations(axes):
@@ -73,7 +77,7 @@ def body_information(
 def information_of(
     scene: Scene, deployment: Deployment, asked: Precision, position: FloatArray, axes: FloatArray
 ) -> tuple[FloatArray, BoolArray]:
-    """`body_information` of a rig, `view_information` of a single camera."""
+    """`body_information` for a rig, `view_information` for a single camera."""
     of = body_information if scene.rig is not None else view_information
     return of(scene, deployment, asked, position, axes)
 
@@ -90,9 +94,9 @@ def _density(lens: Any, axes: FloatArray, offset: FloatArray) -> FloatArray:
 def decided(
     scene: Scene, deployment: Deployment, n: int, asked: Precision, position: FloatArray, axes: FloatArray
 ) -> tuple[BoolArray, BoolArray, FloatArray]:
-    """Views that cover n landmarks, and those of them that are localised, flags `(A,)` each.
+    """Masks `(A,)` of the views that cover n landmarks and of the localised views, and variance of the position `(A,)`.
 
-    Also the variance of the position in each, infinite where not enough is seen, `(A,)`.
+    The variance is infinite in views that do not determine the pose.
     """
     enough = n_ple_cap(cap_count(coverage_caps(scene, deployment, position, axes)), n)
     found, variances = enough.copy(), np.full(len(axes), np.inf)
@@ -106,7 +110,7 @@ def decided(
 def _judged(
     scene: Scene, deployment: Deployment, asked: Precision, position: FloatArray, axes: FloatArray
 ) -> tuple[BoolArray, FloatArray]:
-    """Views that have the precision `asked`, flags, and the variance of the position in each, `(A,)` each."""
+    """Mask of the views that have the precision `asked`, and variance of the position, `(A,)` each."""
     has_precision, one, trace = meets, has_one_pose, variance
     if scene.rig is not None:
         has_precision, one, trace = body_meets, body_has_one_pose, body_variance
@@ -120,7 +124,7 @@ def _judged(
 def localised(
     scene: Scene, deployment: Deployment, n: int, asked: Precision, position: FloatArray, axes: FloatArray
 ) -> BoolArray:
-    """Views that are localised, flags `(A,)`; arguments as in `decided`."""
+    """Mask `(A,)` of the localised views; arguments as in `decided`."""
     return decided(scene, deployment, n, asked, position, axes)[1]
 
 

@@ -23,9 +23,9 @@ from lmd.objectives.localisation.pairs import (
     add_to_body,
     add_up,
     fill_views,
-    give_sums,
     seen_by_any,
     shown_by,
+    store_sums,
     tag_of,
     tags_of,
 )
@@ -33,7 +33,7 @@ from lmd.objectives.localisation.views import ORIENTATION, VIEW, BodyViews, body
 from lmd.scene.deployment import Deployment
 from lmd.sight.evaluator import Evaluator
 from lmd.sight.kernels import sum_weights
-from lmd.sight.mounts import Part
+from lmd.sight.mounts import MountGroup
 from lmd.sight.rig_views import RigViews
 from lmd.sight.views import visible_to_each
 
@@ -55,10 +55,12 @@ def rig_views(
     order, weights = evaluator.blocks[0][:size], evaluator.weights
     pieces = max(math.ceil(size * orientations / VIEWS_AT_ONCE), evaluator.threads)
 
-    def work(b: int, parts: tuple[Part, ...], landmarks: Deployment, tags: FloatArray, first: int, last: int) -> None:
+    def work(
+        b: int, groups: tuple[MountGroup, ...], landmarks: Deployment, tags: FloatArray, first: int, last: int
+    ) -> None:
         here = order[first:last]
         places, kinds = evaluator.positions[here], weights[here] if len(weights) > 1 else weights
-        every, found = shown_by(evaluator, parts, places, landmarks), np.zeros((2, len(here)), dtype=np.int64)
+        every, found = shown_by(evaluator, groups, places, landmarks), np.zeros((2, len(here)), dtype=np.int64)
         variances = np.full((len(here), orientations), np.inf) if keep else np.empty((0, 0))
         _localise(every, places, tags, kinds, n, precision, precision.asks, body_views(), found, variances)
         covered[b, here], localised[b, here] = found
@@ -67,9 +69,9 @@ def rig_views(
 
     assert isinstance(evaluator.views, RigViews)
     for b in range(len(positions)):
-        parts = evaluator.views.parts_among(positions[b], normals[b])
+        groups = evaluator.views.groups_among(positions[b], normals[b])
         deployed = Deployment(positions[b], normals[b]), tags_of(precision, positions[b], normals[b])
-        in_parts(evaluator.threads, partial(work, b, parts, *deployed), size, pieces)
+        in_parts(evaluator.threads, partial(work, b, groups, *deployed), size, pieces)
     return covered, localised, kept
 
 
@@ -78,17 +80,18 @@ def _localise(
     every: tuple[Shown, ...], positions: FloatArray, tags: FloatArray, weights: IntArray, n: Integer,
     precision: Precision, asks: bool, views: BodyViews, found: IntArray, variances: FloatArray,
 ) -> None:  # fmt: skip
-    """Find P_n and L in integer units, `found` `(2, P)`.
+    """Write quantised P_n and L into `found` `(2, P)`.
 
     Args:
-        every: landmarks that each part of the rig covers.
-        positions: of the body, `(P, 3)`.
-        tags: the landmarks, see `tags_of`.
-        weights: of the orientations in integer units, `(1, D)` or `(P, D)`.
+        every: coverage of the landmarks by mount group.
+        positions: positions of the body, `(P, 3)`, metres.
+        tags: result of `tags_of`.
+        weights: quantised probability of each orientation, `(1, D)` or `(P, D)`.
         n, precision: see `evaluation.localised_views`.
         asks: `Precision.asks`.
         views: working memory.
-        variances: `(P, D)` of infinity, receives those of the position where n are covered and one pose fits; or empty.
+        variances: receives the variance of the position in unambiguous views of n landmarks, `(P, D)` filled with
+            infinity; or empty.
     """
     some: Any = np.zeros(max(n, 2), dtype=np.uint64)
     words = np.uint64(weights.shape[1]) // VIEW
@@ -123,29 +126,29 @@ def _localise(
 
 
 class Images(NamedTuple):
-    """N views of a body that occur, as the images of its C cameras."""
+    """Images of the C cameras of a rig in the N views with a positive probability."""
 
     place: IntArray
     """`(N,)` index of the position."""
     orientation: IntArray
     """`(N,)` index of the orientation."""
     weight: IntArray
-    """`(N,)` probability in integer units."""
+    """`(N,)` quantised probability."""
     positions: FloatArray
-    """`(N, 3)` of the body, metres."""
+    """`(N, 3)` position of the body, metres."""
     axes: FloatArray
-    """`(N, 6)` of the body."""
+    """`(N, 6)` axis and right of the body, unit vectors."""
     seen: BoolArray
-    """`(C, N, K)` landmarks that each camera covers."""
+    """`(C, N, K)` mask of the landmarks that each camera covers."""
 
     def some(self, which: BoolArray) -> "Images":
-        """The views that `which` `(N,)` selects."""
+        """Subset of the views; `which` is a mask `(N,)`."""
         rows: dict[str, Any] = {name: getattr(self, name)[which] for name in self._fields[:-1]}
         return Images(**rows, seen=self.seen[:, which])
 
 
 def images_of(evaluator: Evaluator, deployment: Deployment, here: slice = slice(None)) -> Images:
-    """Images that a rig takes of a deployment at some of an evaluator's positions."""
+    """Images of a deployment by a rig at the positions `here` of an evaluator."""
     places, axes = evaluator.positions[here], evaluator.scene.orientations.axes
     weights = evaluator.weights if len(evaluator.weights) == 1 else evaluator.weights[here]
     weights = np.broadcast_to(weights[:, : len(axes)], (len(places), len(axes)))
@@ -154,12 +157,12 @@ def images_of(evaluator: Evaluator, deployment: Deployment, here: slice = slice(
 
 
 def covers(seen: BoolArray, n: int) -> BoolArray:
-    """True where at least n landmarks are covered by any camera, `(C, N, K)` -> `(N,)`."""
+    """Mask of the views in which at least n landmarks are covered by any camera, `(C, N, K)` -> `(N,)`."""
     return np.asarray(seen.any(axis=0).sum(axis=1) >= n)
 
 
 def located(evaluator: Evaluator, deployment: Deployment, images: Images, n: int, precision: Precision) -> BoolArray:
-    """Views that are localised, flags `(N,)`."""
+    """Mask `(N,)` of the localised views."""
     found = covers(images.seen, n)
     if precision.asks:
         those = images.some(found)
@@ -186,7 +189,10 @@ def body_sums(evaluator: Evaluator, deployment: Deployment, images: Images, prec
 
 @kernel
 def _decide(precision: Precision, sums: FloatArray, several: BoolArray, views: BodyViews, met: BoolArray) -> None:
-    """Find the views that have the precision, from their `sums` `(N, width)` and where they show two landmarks."""
+    """Write the mask of the views that have the precision into `met` `(N,)`.
+
+    `sums` `(N, width)` is their information; `several` `(N,)` is True for two landmarks or more.
+    """
     for i in range(np.uint64(len(met))):
         for j in range(np.uint64(sums.shape[1])):
             views.rows[j * VIEW] = sums[i, j]
@@ -198,7 +204,7 @@ def _add_images(
     mounts: Mounts, positions: FloatArray, tags: FloatArray, seen: BoolArray, precision: Precision, views: BodyViews,
     sums: FloatArray,
 ) -> None:  # fmt: skip
-    """Add the landmarks that a camera covers, `seen` `(N, K)`, to `sums` `(N, width)`; `mounts` has N orientations."""
+    """Add the landmarks in the mask `seen` `(N, K)` of a camera to `sums` `(N, width)`; `mounts` has N orientations."""
     for i in range(np.uint64(len(positions))):
         bit = ONE << i % VIEW
         fill_views(bit, precision, views)
@@ -207,4 +213,4 @@ def _add_images(
                 place = positions[i, 0], positions[i, 1], positions[i, 2]
                 add_to_body(mounts, 0, i // VIEW, bit, place, tag_of(tags, k), 1.0, precision, views)
         add_up(precision, views)
-        give_sums(sums, i // VIEW * VIEW, precision, views, ONE)
+        store_sums(sums, i // VIEW * VIEW, precision, views, ONE)

@@ -1,10 +1,9 @@
-"""Views that are worked on together: those of one position with some orientations of a word of bits.
+"""Working memory for the views of one position with the orientations of one word.
 
-Number j of view v lies at `rows[j * BITS + v]`, so that loops over views vectorise. The source is one for a camera and
-for a rig, and is compiled for each. A camera looks from one point with all orientations, so a landmark has one set of
-moments for all views of a position. A camera of a rig is elsewhere for each orientation: the moments are found for each
-pair of a landmark and a view, in a loop over listed pairs that vectorises (`pairs`); for a single camera that would be
-up to 64 times as often.
+Number j of view v lies at `rows[j * BITS + v]`, so that loops over views vectorise. Camera and rig share the source,
+compiled for each. A single camera has one position for all orientations, so a landmark has one set of moments for all
+views of a position. A camera of a rig has another position for each orientation, so moments are computed for each pair
+of a landmark and a view (`pairs`); for a single camera this would be up to 64 times the work.
 """
 
 from typing import Any, NamedTuple, TypeAlias
@@ -29,19 +28,19 @@ from lmd.scene.criteria import pixel_density
 
 GROUP = np.uint64(8)
 VIEW = np.uint64(BITS)
-WORK = 13 + BODY_NUMBERS + MIRRORED  # numbers of a pair, see `pairs.AT`
+WORK = 13 + BODY_NUMBERS + MIRRORED  # number of numbers of a pair, see `pairs.AT`
 
 # Rows of `lists`.
 ORIENTATION = 0  # orientation of each view in its word
 NUMBER = 1  # view of each orientation
-WHOSE = 2  # view of each pair; of a rig
-TAKEN = 3  # two numbers: the orientations that are views, as bits, and the number of listed pairs
+WHOSE = 2  # view of each listed pair; rig only
+TAKEN = 3  # two numbers: set of the orientations of the views, and number of listed pairs
 
 # Rows of `CameraViews.weights`.
-GOES, COMES = 0, 1  # of a landmark that disappears, and of one that appears
+DISAPPEARS, APPEARS = 0, 1  # weights of a landmark that disappears, and of one that appears
 
 # Rows of `CameraViews.moments`.
-LEFT, TRIED = 0, 1  # of the landmark that moves, at its old place and at the place tried
+LEFT, TRIED = 0, 1  # moments of the moving landmark at its old place and at the place tried
 
 
 class CameraViews(NamedTuple):
@@ -52,13 +51,13 @@ class CameraViews(NamedTuple):
     rows: FloatArray
     """`(WIDTH BITS,)` sums of the views."""
     met: np.ndarray
-    """`(BITS,)` uint8, 1 for a view that has the precision."""
+    """`(BITS,)` uint8, 1 for a view with the required precision."""
     weights: FloatArray
-    """`(2, BITS)` pixel density of landmarks in each view, 0 where they are not seen: `GOES`, `COMES`."""
+    """`(2, BITS)` pixel density of landmarks in each view, 0 where they are not seen: `DISAPPEARS`, `APPEARS`."""
     moments: FloatArray
     """`(2, P, WIDTH)` moments of the landmark that moves, from each position: `LEFT`, `TRIED`."""
     found: np.ndarray
-    """`(P,)` uint8, 1 where `moments` are those of the move tried last."""
+    """`(P,)` uint8, 1 if `moments` are those of the move tried last."""
     other: FloatArray
     """`(WIDTH,)` moments of another landmark."""
 
@@ -94,7 +93,7 @@ def body_views() -> BodyViews:
 
 @dispatched
 def is_met(views: Any, precision: Precision, v: Integer, several: Any) -> Any:
-    """True if view v has the precision; `several` if it shows two landmarks or more."""
+    """True if view v has the precision; `several` is True if it shows two landmarks or more."""
 
 
 @is_met.register(CameraViews)
@@ -110,13 +109,13 @@ def _body_is_met(views: BodyViews, precision: Precision, v: Integer, several: An
 
 @inlined
 def whole(count: Integer) -> np.uint64:
-    """`count` rounded up to whole groups: LLVM would add a loop for the rest that does not vectorise."""
+    """`count` rounded up to a multiple of the vector length, so that loops need no scalar remainder."""
     return (count + GROUP - ONE) & ~(GROUP - ONE)
 
 
 @inner
 def met_views(precision: Precision, views: Views, count: Integer, several: np.uint64) -> np.uint64:
-    """Orientations whose view has the precision, as bits; `several` those that show two landmarks or more."""
+    """Set of the orientations whose views have the precision; `several` is the set with two landmarks or more."""
     bits, met, good = views.lists[ORIENTATION], views.met, ZERO
     for v in range(whole(count)):
         met[v] = is_met(views, precision, v, several >> bits[v] & ONE != ZERO)
@@ -127,9 +126,10 @@ def met_views(precision: Precision, views: Views, count: Integer, several: np.ui
 
 @inlined
 def seen_twice(was: np.uint64, now: np.uint64, digits: WordArray) -> np.uint64:
-    """Orientations with which two landmarks or more are seen.
+    """Set of the orientations that see two landmarks or more after a landmark moves.
 
-    The counts `digits` `(J,)` contain a landmark where it `was` seen; it is seen `now`.
+    The counts `digits` `(J,)` are those before the move. `was` and `now` are the orientations that see the landmark
+    before and after it.
     """
     found, change = ZERO, was ^ now
     for j in range(np.uint64(len(digits))):
@@ -142,7 +142,7 @@ def seen_twice(was: np.uint64, now: np.uint64, digits: WordArray) -> np.uint64:
 def landmark_moments(
     x: float, y: float, z: float, nx: float, ny: float, nz: float, precision: Precision, k: Integer, row: FloatArray
 ) -> None:
-    """Write the numbers of landmark k at an offset, upright with the unit normal (nx, ny, nz), to `row` `(WIDTH,)`."""
+    """Write the moments of landmark k at the offset (x, y, z) with the normal (nx, ny, nz) into `row` `(WIDTH,)`."""
     rx, ry, rz, ux, uy, uz = upright_sides(half_of(precision, k), nx, ny, nz)
     (
         row[0], row[1], row[2], row[3], row[4], row[5], row[6], row[7], row[8], row[9], row[10], row[11], row[12],
@@ -156,7 +156,7 @@ def weigh(
     which: int, seen: np.uint64, x: float, y: float, z: float, sight: Any, axes: FloatArray, w: Integer,
     views: CameraViews, count: Integer,
 ) -> None:  # fmt: skip
-    """Find in row `which` of `weights` the pixel density of a landmark in the views of word w in which it is `seen`."""
+    """Write the pixel density of a landmark in the views of word w that see it into row `which` of `weights`."""
     bits, weights = views.lists[ORIENTATION], views.weights[which]
     for v in range(count):
         bit = bits[v]
@@ -175,18 +175,20 @@ def add_moments(rows: FloatArray, moments: FloatArray, weights: FloatArray, sign
 
 
 @inner
-def replace_moments(rows: FloatArray, goes: FloatArray, comes: FloatArray, weights: FloatArray, count: Integer) -> None:
-    """Subtract from the rows of a camera's views a landmark with the moments `goes`, and add one with `comes`."""
-    for j in range(np.uint64(len(goes))):
-        old, new = goes[j], comes[j]
+def replace_moments(
+    rows: FloatArray, lost: FloatArray, gained: FloatArray, weights: FloatArray, count: Integer
+) -> None:
+    """Subtract a landmark with the moments `lost` from the rows of a camera's views, and add one with `gained`."""
+    for j in range(np.uint64(len(lost))):
+        old, new = lost[j], gained[j]
         for v in range(whole(count)):
-            number = rows[j * VIEW + v] - share_of(old, weights[GOES, v])
-            rows[j * VIEW + v] = number + share_of(new, weights[COMES, v])
+            number = rows[j * VIEW + v] - share_of(old, weights[DISAPPEARS, v])
+            rows[j * VIEW + v] = number + share_of(new, weights[APPEARS, v])
 
 
 @inlined
-def take_rows(left: np.uint64, first: Integer, sums: FloatArray, views: CameraViews) -> np.uint64:
-    """Take the orientations `left` of a word with their rows of `sums`, of which the first is `first`.
+def load_rows(left: np.uint64, first: Integer, sums: FloatArray, views: CameraViews) -> np.uint64:
+    """Begin views for the orientations `left` of a word, and prefetch their rows of `sums` from `first` on.
 
     Returns:
         number of the views.
@@ -202,7 +204,7 @@ def take_rows(left: np.uint64, first: Integer, sums: FloatArray, views: CameraVi
 
 @inlined
 def read_rows(first: Integer, sums: FloatArray, views: CameraViews, count: Integer) -> None:
-    """Read the rows of `sums` that `take_rows` has prefetched."""
+    """Copy the rows of `sums` that `load_rows` has prefetched into the views."""
     bits, rows = views.lists[ORIENTATION], views.rows
     for v in range(count):
         for j in range(np.uint64(WIDTH)):
@@ -214,7 +216,7 @@ def add_to_sums(
     moments: FloatArray, seen: np.uint64, x: float, y: float, z: float, sight: Any, axes: FloatArray, w: Integer,
     sign: float, first: Integer, sums: FloatArray,
 ) -> None:  # fmt: skip
-    """Add a landmark with `moments` `(WIDTH,)` to the rows of `sums` of the views of word w in which it is `seen`."""
+    """Add a landmark with `moments` `(WIDTH,)` to the rows of `sums` of the orientations `seen` of word w."""
     while seen:
         bit = lowest(seen)
         seen &= seen - ONE

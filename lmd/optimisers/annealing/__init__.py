@@ -1,4 +1,4 @@
-"""Simulated annealing on the surfaces of a room: our own method, and the strongest here."""
+"""Simulated annealing of landmarks on the surfaces of a room."""
 
 from lmd.optimisers.annealing.annealing import Annealing
 from lmd.optimisers.annealing.stage import Stage

@@ -1,18 +1,18 @@
-"""Simulated annealing on the surfaces of a room: our own method, and the strongest here.
+"""Simulated annealing of landmarks on the surfaces of a room.
 
-Landmarks that serve a threshold of n organise themselves in clusters of about n. So a run from a random start has up to
-three parts:
+Good deployments for a threshold of n landmarks have clusters of about n. So a run from a random start has up to three
+stages:
 
-1. K/n *stacks* of n landmarks on one point are annealed as if nothing hid anything. This is the problem for n = 1 with
+1. K/n *stacks* (groups of n coincident landmarks) are annealed without occlusion. This is the problem for n = 1 with
    K/n landmarks: smaller, smoother and faster to evaluate.
-2. Each stack is pulled apart, and single landmarks are annealed coolly. At the whole distance at which footprints no
-   longer hide each other, the landmarks of a stack would cover less than the stack did. So footprints are small at
-   first and *grow* to their size, and landmarks make room for each other little by little.
-3. For an objective with a sampling, an ascent along the slopes of all landmarks at once (`ascent`) finds the local
-   optimum, where single moves are smaller than the error of a sample.
+2. The landmarks of each stack are separated, and single landmarks are annealed at a low temperature. Footprints that no
+   longer hide each other would cover less than the stack. So footprints are small at first and *grow* to their size,
+   and landmarks separate gradually.
+3. For an objective with a sampling, a gradient ascent of all landmarks at once (`ascent`) finds the local optimum, as
+   the gains of single moves are below the error of a sample.
 
-The walk mostly climbs a `surrogate` of the problem. The deployment that it leads to is checked on the problem now and
-then, which costs an evaluation.
+The walk mostly maximises a `surrogate` of the problem. From time to time its deployment is evaluated on the problem,
+which costs an evaluation of the budget.
 """
 
 import math
@@ -45,16 +45,16 @@ from lmd.optimisers.stored import array, deployment, deployment_state, generator
 from lmd.problem import Problem
 from lmd.scene.deployment import Deployment
 
-MAX_MOVES = 2000  # moved landmarks in a stretch of the walk, after which the budget and the callback are consulted
-MIN_STRETCHES = 500  # stretches in a run, so that conditions change smoothly
-CHECK_EVALUATIONS = 10  # evaluations' worth of moves on a surrogate before its deployment is checked on the problem
-CHECK_FACTOR_ON_SAMPLES = 2  # times as many on samples, which are drawn and laid out for each stretch
-ASCENT_STEPS = 10  # steps of the ascent before its deployment is checked
-SMALLEST_SIZE = 0.2  # size of footprints, over the true one, when stacks are pulled apart
+MAX_MOVES = 2000  # greatest number of moves in a stretch; after each stretch budget and callback are checked
+MIN_STRETCHES = 500  # least number of stretches in a run, so that conditions change smoothly
+CHECK_EVALUATIONS = 10  # cost of the moves on a surrogate, in evaluations, between two evaluations on the problem
+CHECK_FACTOR_ON_SAMPLES = 2  # factor of `CHECK_EVALUATIONS` on samples, which are drawn for each stretch
+ASCENT_STEPS = 10  # number of steps of the ascent between two evaluations on the problem
+SMALLEST_SIZE = 0.2  # size of footprints over the true size when the landmarks of stacks are separated
 
 
 class Annealing(Optimiser):
-    """Simulated annealing of stacks, then of single landmarks, which hang flush on a surface.
+    """Simulated annealing of stacks, then of single landmarks, which lie flush on a surface.
 
     A start that does not vary (`uniform`, `file`) is improved as it is, under conditions of its own and with footprints
     of their true size from the beginning. A flush landmark is never worse than a tilted one inside a cuboid.
@@ -102,14 +102,14 @@ class Annealing(Optimiser):
         self.spread = real("spread", spread, low=0.0)
         self.largest = real("largest", largest, above=0.0, high=1.0)
         self.walkers = integer("walkers", walkers, low=1)
-        self.spent = 0  # moved landmarks: K make an evaluation
+        self.spent = 0  # number of moved landmarks; K moves count as an evaluation
         self.rng: np.random.Generator
         self.start: Deployment
-        self.angles: FloatArray | None = None  # direction in which each stack is pulled apart; None without stacks
+        self.angles: FloatArray | None = None  # directions in which stacks are separated; None without stacks
         self.in_stacks = False
-        self.here: Deployment  # where the walk is: stacks first, then all landmarks
-        self.mean_places: MeanPlaces | None = None  # of the walk of single landmarks on samples
-        self.walked: Deployment | None = None  # deployment that the walk on a surrogate last led to
+        self.here: Deployment  # current deployment of the walk: stacks, later all landmarks
+        self.mean_places: MeanPlaces | None = None  # mean places of the walk of single landmarks on samples
+        self.walked: Deployment | None = None  # last deployment of the walk on a surrogate
         self.ascent: Ascent | None = None
         self.best: Deployment | None = None
 
@@ -128,7 +128,7 @@ class Annealing(Optimiser):
         surrogate = Surrogate(problem, self.walkers, self.largest)
 
         def note(moved: int, deployment: Deployment | None) -> None:
-            """Note moves that led to `deployment`, or to none that may be the best."""
+            """Record the cost of moves, and the resulting `deployment` unless it cannot be the best."""
             self.spent += moved
             fitness = -math.inf if deployment is None else problem.fitness_of(deployment)
             ledger.seconds = clock() - began
@@ -150,12 +150,12 @@ class Annealing(Optimiser):
         return self.result(problem, stopped)
 
     def _begin(self, problem: Problem, stack: int, limit: float) -> int:
-        """Draw the start, and stack it if the budget suffices; returns the landmarks moved to find the start."""
+        """Draw the start, as stacks if the budget suffices; returns the cost of the start in moved landmarks."""
         count = problem.count
         self.rng = np.random.default_rng(self.seed)
         start, footprints = problem.draw(self.rng), problem.scene.footprints
         movable = problem.free(start).movable(footprints.room, flush=footprints.edge > 0.0)
-        footprints.check(start)  # a file may be taken as it is, with papers that overlap
+        footprints.check(start)  # footprints in a file may overlap
         self.start = self.here = problem.complete(movable)
         if not stack and problem.start.varies and isinstance(problem.objective, Selectable):
             self.start, spent = greedy_start(problem, self.start, GRID_SPACING, (limit - count) / 2)
@@ -171,13 +171,13 @@ class Annealing(Optimiser):
         return 0
 
     def _walk(self, problem: Problem, surrogate: Surrogate, used: float, left: float) -> tuple[int, Deployment | None]:
-        """Walk a stretch; returns the landmarks moved, and the deployment that this led to if it may be the best.
+        """Walk a stretch; returns the number of moved landmarks, and the resulting deployment if it may be the best.
 
         Args:
             problem: the problem.
-            surrogate: of `problem`.
-            used: share of the budget.
-            left: landmarks that may be moved until the walk ends.
+            surrogate: surrogate of `problem`.
+            used: spent share of the budget.
+            left: number of landmarks that may be moved until the walk ends.
         """
         count, stack = problem.count, surrogate.stack
         if self.in_stacks and used >= self.stacked_share:
@@ -191,7 +191,7 @@ class Annealing(Optimiser):
             return int(left), None
         longer = CHECK_FACTOR_ON_SAMPLES if problem.objective.sampling else 1
         stretch = longer * max(stretch, CHECK_EVALUATIONS * count)
-        # The last stretch takes what would be too little for one more.
+        # The last stretch includes a rest that is too small for another stretch.
         stretch = stretch if left >= 2 * (stretch + count) else left - count
         each = stack if self.in_stacks else 1
         moves = int(stretch) // each
@@ -201,7 +201,7 @@ class Annealing(Optimiser):
         return moves * each + count, self.walked
 
     def _climb(self, problem: Problem, used: float, left: float) -> tuple[int, Deployment | None]:
-        """Ascend some steps; arguments and result as of `_walk`, but `left` until the end of the run."""
+        """Make steps of the ascent; arguments and result as in `_walk`, but `left` counts to the end of the run."""
         count, each = problem.count, PLACES_TRIED * problem.free_count
         steps = int(min(ASCENT_STEPS, (left - count) / each))
         if steps < 1:
@@ -215,7 +215,7 @@ class Annealing(Optimiser):
         return steps * each + count, self.here
 
     def _conditions(self, problem: Problem, used: float) -> Conditions:
-        """Return the conditions of the walk after a share `used` of the budget."""
+        """Conditions of the walk after the share `used` of the budget."""
         if self.in_stacks:
             done = used / self.stacked_share
             return Conditions(True, 1.0, done, self.stacked.settings(done, near=0.0))
@@ -241,14 +241,14 @@ class Annealing(Optimiser):
         return self.best
 
     def _mean(self, problem: Problem) -> Deployment:
-        """Return the mean of the places of a walk on samples; the last places where growing footprints drive it."""
+        """Mean places of a walk on samples; the last places while growing footprints push landmarks apart."""
         if problem.objective.sampling is None or self.angles is not None:
             return self.here
         self.mean_places = self.mean_places or MeanPlaces(self.here)
         return self.mean_places.add(self.here)
 
     def _apart(self, problem: Problem, stack: int, size: float) -> Deployment:
-        """Pull each stack apart for footprints of this size; landmarks in no stack stay where they began."""
+        """Separate the landmarks of each stack for footprints of this size; landmarks in no stack stay at the start."""
         assert self.angles is not None, "there are stacks"
         distance = self.spread * size * problem.scene.spacing
         apart = problem.complete(pulled_apart(problem, self.here, self.angles, stack, distance))

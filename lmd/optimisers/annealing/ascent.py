@@ -1,12 +1,12 @@
-"""Gradient ascent of all landmarks at once on fresh samples: annealing on samples ends with it.
+"""Gradient ascent of all landmarks at once on random samples, the last stage of annealing on samples.
 
-A walk on samples stops short of a local optimum: the gain of a small step of one landmark soon is less than the error
-of the sample. Here each sample serves all landmarks, and the steps average over samples.
+A walk on samples does not reach a local optimum, as the gain of a small step of one landmark is below the error of the
+sample. Here each sample is used for all landmarks, and the steps average over samples.
 
-The slope of the smoothed objective (`walk`) along u and v of a landmark's surface is a central difference of values
-that are exact on the sample, (f(x + d) - f(x - d)) / 2 d, occlusion included. So any objective with a field can be
-climbed. The difference is taken over millimetres: pairs hang just far enough apart not to hide each other, and a wider
-difference would smear that edge and push them further apart. The steps are those of Adam (Kingma and Ba, 2015), which
+The slope of the smoothed objective (`walk`) along u and v of a landmark's surface is a central difference
+(f(x + d) - f(x - d)) / 2 d of values that are exact on the sample, occlusion included. So any objective with a field
+can be maximised. d is some millimetres: neighbours are just far enough apart not to hide each other, and a larger d
+would smooth this edge and push them further apart. The steps are those of Adam (Kingma and Ba, 2015), which
 are smaller where samples disagree about the direction.
 """
 
@@ -26,11 +26,11 @@ from lmd.problem import Problem
 from lmd.scene.deployment import Deployment
 from lmd.space.surface import SurfaceArrays
 
-PLACES_TRIED = 4  # places at which a landmark is tried in each step
+PLACES_TRIED = 4  # number of places at which a landmark is evaluated in each step
 DIFFERENCE_M = 3e-3  # d, metres
-STEP_M = 3e-3, 3e-4  # step of a landmark along u and v where all samples agree, at first and at last, metres
+STEP_M = 3e-3, 3e-4  # first and last step along u and v if all samples agree, metres
 WIDTH, SHARE = 6e-3, 0.02  # width and share of the smoothed objective, as in `Settings`
-MOMENT_DECAY = 0.9, 0.999  # share of the mean slope, and of the mean squared slope, that a step keeps
+MOMENT_DECAY = 0.9, 0.999  # decay per step of the mean slope and of the mean squared slope
 
 
 @kernel
@@ -53,7 +53,7 @@ def _slopes(
         for side in range(2):
             rise = run = 0.0
             for sign in (-1.0, 1.0):
-                # Not beyond the end of the surface: nothing is seen through the wall around the corner.
+                # The difference ends at the border of the surface, as a landmark beyond it is not visible.
                 away = min(max(place[side] + sign * DIFFERENCE_M, 0.0), surfaces.extent[s, side]) - place[side]
                 for i in range(3):
                     along = surfaces.u[s, i] if side == 0 else surfaces.v[s, i]
@@ -68,10 +68,10 @@ def _slopes(
 
 
 class Ascent:
-    """Adam's means of the slopes of K landmarks.
+    """State of Adam: means of the slopes of K landmarks.
 
     Args:
-        count: K.
+        count: number K of landmarks.
     """
 
     def __init__(self, count: int) -> None:

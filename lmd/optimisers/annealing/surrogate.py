@@ -1,7 +1,8 @@
-"""Surrogates of a problem that simulated annealing climbs, and the way back to deployments of the problem itself.
+"""Surrogates of a problem for simulated annealing, and the conversion of their results to deployments.
 
-The surrogates are *stacks*, n landmarks on one point that hide nothing; footprints that are smaller than the true ones;
-and, for an objective with a sampling, samples drawn anew for each stretch of the walk. A surrogate may be all of these.
+A surrogate has one or more of these simplifications: *stacks*, groups of n coincident landmarks that do not hide
+others; footprints smaller than the true ones; and, for an objective with a sampling, samples drawn anew for each
+stretch of the walk.
 """
 
 import math
@@ -15,7 +16,7 @@ import numpy as np
 from lmd.core.checks import FloatArray, IntArray
 from lmd.core.layers import layer, layers
 from lmd.core.threads import at_once
-from lmd.incremental.field import Field, Places, Stacking, in_order, placed, places_of, runner, stack_of, total_worth
+from lmd.incremental.field import Field, Places, Stacking, in_order, placed, places_of, runner, stack_of, total_fitness
 from lmd.objectives.base import incremental
 from lmd.objectives.reference_field import field_of
 from lmd.optimisers.annealing.moves import FootprintArrays, Settings
@@ -27,7 +28,7 @@ from lmd.scene.pushing import TOUCHING
 from lmd.sight.evaluator import Evaluator
 from lmd.space.surface import SurfaceArrays
 
-STACK_SPREAD = 1.6  # distance in virtual diameters at which the landmarks of a stack no longer hide each other
+STACK_SPREAD = 1.6  # distance of separated landmarks, in virtual diameters, at which they do not hide each other
 AVERAGING_ETA = 3  # eta: at any time the last quarter of a walk has at least half of the weight in its mean
 RESTART_M = 0.5  # distance of a landmark from its mean beyond which the mean begins anew, metres
 NOWHERE = Places(np.empty((6, 0)), np.empty(0, dtype=np.int64))
@@ -35,7 +36,7 @@ NOWHERE = Places(np.empty((6, 0)), np.empty(0, dtype=np.int64))
 
 @dataclass(frozen=True)
 class Conditions:
-    """Conditions of a stretch of the walk: which surrogate it climbs, and how."""
+    """Surrogate and settings for a stretch of the walk."""
 
     in_stacks: bool
     """True if each moved landmark is a stack."""
@@ -52,23 +53,23 @@ class Walker:
     """Memory of one of several simultaneous walks."""
 
     members: IntArray
-    """`(M,)` landmarks that it moves."""
+    """`(M,)` indices of the landmarks that the walker moves."""
     group: IntArray
     """`(n,)` working memory: landmarks that move together."""
     state: Any
-    """State of the field, with the landmarks where this walker has left them."""
+    """State of the field with the landmarks at the end of the walker's last stretch."""
     scratches: Any
     """`layers` of a scratch, one for each landmark of a group."""
     best: Best
-    """Best deployment that it met; of the true problem only where the walker is alone on it."""
+    """Best deployment of the walk; best for the true problem only if a single walker walks on it."""
 
 
 class Surrogate:
     """A problem in the arrays of the walk, and the walkers on it.
 
-    Walkers climb at once, on all processors. Each moves landmarks of its own while the others stay; then all moves are
-    put together. Walkers share out the room by slices across a random direction, as landmarks far apart are hardly ever
-    seen together. Their number does not depend on the machine, and so neither does the result.
+    Walkers run in parallel. Each moves its own landmarks while the others stay; then all moves are combined. The room
+    is divided between walkers by slices across a random direction, as distant landmarks are rarely seen together. The
+    number of walkers, and so the result, does not depend on the machine.
 
     Args:
         problem: the true problem.
@@ -98,11 +99,11 @@ class Surrogate:
         return stack_of(self._true)
 
     def is_true(self, count: int, conditions: Conditions) -> bool:
-        """Return True if one walker alone climbs the problem itself, and so knows the fitness of its deployments.
+        """True if a single walker works on the problem itself, so that the fitness of its deployments is exact.
 
         Args:
             count: number of landmarks or stacks.
-            conditions: of the walk.
+            conditions: conditions of the walk.
         """
         exact = self._problem.objective.sampling is None and not conditions.in_stacks and conditions.size == 1.0
         return exact and self._shared_out(count, conditions.in_stacks)[1] == 1
@@ -115,7 +116,7 @@ class Surrogate:
         Args:
             here: stacks, or all landmarks.
             best: best deployment of the problem.
-            conditions: of the walk.
+            conditions: conditions of the walk.
             moves: number of landmarks, or stacks, to move.
             rng: draws all that is random.
         """
@@ -135,10 +136,10 @@ class Surrogate:
         return self._together(), first.places.deployment() if found else None
 
     def _prepare(self, here: Deployment, best: Deployment, conditions: Conditions, rng: np.random.Generator) -> Places:
-        """Make walkers ready; returns where they have to go first, `NOWHERE` if they are there.
+        """Prepare the walkers; returns the places at which they begin, `NOWHERE` if they are there already.
 
-        Samples grow with the square of the share of the stage that is done: a rough direction will do for the first
-        moves, but the last ones are smaller than the error of a small sample.
+        The size of samples grows with the square of the share of the stage that is done: early moves need only a rough
+        estimate, late moves are smaller than the error of a small sample.
         """
         in_stacks, size = conditions.in_stacks, conditions.size
         redrawn = self._problem.resampled(self._largest * conditions.done**2, rng)
@@ -151,7 +152,7 @@ class Surrogate:
         self._climbed = in_stacks, size
         if not in_stacks:
             pushed = self._problem.apart(here, size)
-            here = best if pushed is None else pushed  # without room for larger footprints, the best found has it
+            here = best if pushed is None else pushed  # no room for larger footprints
         self._footprints = self._footprints_of(len(here), 0.0 if in_stacks else size)
         slices = self._slices(here, self._first_movable(in_stacks), number, rng)
         if same:
@@ -173,17 +174,17 @@ class Surrogate:
         return 0 if in_stacks else self._problem.fixed_count
 
     def _shared_out(self, count: int, in_stacks: bool) -> tuple[int, int]:
-        """Return how many of `count` landmarks can move together, and the number of walkers."""
+        """Number of landmarks that can move together, of `count`, and number of walkers."""
         movable = count - self._first_movable(in_stacks)
         together = 1 if in_stacks else max(1, min(self.stack, movable))
         return together, max(1, min(self._most_walkers, movable // together))
 
     def _walker(self, best: Deployment | None, together: int, members: IntArray, state: Any) -> Walker:
-        """Make a walker that begins with `state`, and has to beat `best`, or the landmarks of the state."""
+        """Make a walker that begins with `state`; its best deployment is `best`, or that of the state if None."""
         exchanged = 2 if len(self._footprints.first) > 1 else 1
         scratches = layers(self._field.scratch(state), max(together, exchanged))
         known = state if best is None else self._true.state(best)
-        reached = np.array([total_worth(self._target, known.units)])
+        reached = np.array([total_fitness(self._target, known.units)])
         met = Best(reached, Places(placed(known).poses.copy(), placed(known).surfaces.copy()))
         return Walker(members, np.empty(together, dtype=np.int64), state, scratches, met)
 
@@ -196,7 +197,7 @@ class Surrogate:
         return FootprintArrays(size * papers * (1.0 - TOUCHING), of.astype(np.int64), pieces, first)
 
     def _slices(self, here: Deployment, first: int, number: int, rng: np.random.Generator) -> list[IntArray]:
-        """Indices of the landmarks from `first` on, shared out among `number` slices of the room."""
+        """Indices of the landmarks from `first` on, divided into `number` slices of the room."""
         movable = np.arange(first, len(here))
         if number == 1:
             return [movable]
@@ -204,7 +205,7 @@ class Surrogate:
         return [np.sort(part) for part in np.array_split(across, number)]
 
     def _together(self) -> Deployment:
-        """Put the moves of all walkers together."""
+        """Combine the moves of all walkers."""
         known = placed(self._walkers[0].state)
         poses, surfaces = known.poses.copy(), known.surfaces.copy()
         for walker in self._walkers[1:]:
@@ -214,12 +215,12 @@ class Surrogate:
 
 
 def count_stacks(problem: Problem, stack: int) -> int:
-    """Number of stacks of `stack` landmarks among those to be placed; the rest is in none."""
+    """Number of stacks of `stack` landmarks among the free landmarks; the remaining ones are in no stack."""
     return problem.free_count // stack if stack else 0
 
 
 def pulled_apart(problem: Problem, stacks: Deployment, angles: FloatArray, stack: int, distance: float) -> Deployment:
-    """Pull stacks apart: landmarks on a circle around each, neighbours `distance` metres apart.
+    """Separate the landmarks of stacks: each on a circle around its stack, neighbours `distance` metres apart.
 
     Args:
         problem: gives the surfaces.
@@ -243,9 +244,9 @@ def pulled_apart(problem: Problem, stacks: Deployment, angles: FloatArray, stack
 class MeanPlaces:
     """Weighted mean of the places of each landmark since it last jumped, or moved to another surface.
 
-    On samples drawn anew a walk never rests: each step is right for its sample only, and the next sample leads back.
-    The mean of its places is nearer to what all samples agree on than any of them. Later places weigh more, since the
-    walk still improves: averaging of polynomial decay (Shamir and Zhang, 2013).
+    On random samples a walk does not converge, as each step fits its sample only. The mean of its places is closer to
+    the optimum over all samples than any single place. Later places have a larger weight, as the walk still improves:
+    averaging with polynomial decay (Shamir and Zhang, 2013).
 
     Args:
         start: K landmarks.

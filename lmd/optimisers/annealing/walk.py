@@ -1,17 +1,17 @@
 """Metropolis walk of simulated annealing: landmarks move, one or a few at a time, on a smoothed objective.
 
-An objective that counts positions whose value reaches a threshold is a staircase, which hides whether a move nearly
-qualified a position. The walk climbs a smooth surrogate (`smoothed`); for coverage this is the relevance-weighted mean
+An objective that counts positions above a threshold is piecewise constant, so it gives no credit for a position that is
+nearly qualified. The walk maximises a smooth surrogate (`smoothed`); for coverage it is the relevance-weighted mean
 over positions of
 
     1 / (1 + exp(-(P_n - thold_p - margin) / width)) + share * P_n.
 
-It keeps the deployment that is best on the true objective (`worth`). The two converge as `width` shrinks.
+It records the best deployment by the true objective (`contribution`). Both converge as `width` shrinks.
 
-Most moves are rejected, most of them before their exact gain is known: the objective rises with every value, so values
-no lower than the true ones (`bound`) give an upper bound on the gain. If that bound is a loss, so is the gain, and the
-random number that decides is drawn at once. If even the bound is rejected, the gain would be too; otherwise the gain
-and the same number decide. So neither decisions nor random numbers depend on the bound.
+Most moves are rejected before their exact gain is computed. The objective is monotone in every value, so upper bounds
+on the values (`bound`) give an upper bound on the gain. If the bound is negative, the gain is negative, and the random
+number of Metropolis' rule is drawn. If the rule rejects the bound, it would reject the gain; otherwise it is applied to
+the gain with the same number. So decisions and random numbers do not depend on the bound.
 """
 
 import math
@@ -22,19 +22,19 @@ import numpy as np
 from lmd.core.checks import FloatArray, IntArray
 from lmd.core.compiled import inner, kernel
 from lmd.core.layers import layer
-from lmd.incremental.field import Places, accept, bound, lead, placed, settle, smoothed, total_worth, undo
+from lmd.incremental.field import Places, accept, bound, move_to, placed, settle, smoothed, total_fitness, undo
 from lmd.optimisers.annealing.moves import FootprintArrays, Settings, exchange, gather, overlap, pair_up, propose
 from lmd.space.surface import SurfaceArrays
 
-# Relative safety margin of the bound on a gain: exp may fall by a rounding error or two where its argument rises.
+# Relative safety margin of the bound on a gain, as the computed exp is not exactly monotone.
 _SLACK = 1e-12
 
 
 class Best(NamedTuple):
-    """Best deployment that the walk met."""
+    """Best deployment of the walk."""
 
     fitness: FloatArray
-    """`(1,)` its fitness."""
+    """`(1,)` fitness of the deployment."""
     places: Places
     """Poses and surfaces of its landmarks."""
 
@@ -45,7 +45,7 @@ class Known(NamedTuple):
     total: float
     """Sum of `terms`."""
     units: IntArray
-    """`(Q,)` values, in units of `PROBABILITY_ONE`."""
+    """`(Q,)` quantised values."""
     terms: FloatArray
     """`(Q,)` contribution of each position."""
     tried: FloatArray
@@ -68,7 +68,7 @@ def _sum_values(units: IntArray, known: Known, target: Any, settings: Settings) 
 @inner
 def _keep_best(units: IntArray, here: Places, target: Any, best: Best) -> None:
     """Update `best` if the landmarks `here`, with the values `units`, are better."""
-    fitness, places = total_worth(target, units), best.places
+    fitness, places = total_fitness(target, units), best.places
     if fitness > best.fitness[0]:
         best.fitness[0] = fitness
         for k in range(len(here.surfaces)):
@@ -142,22 +142,21 @@ def walk(
 
     Args:
         moves: number of landmarks moved in all; moves that are not tried count.
-        places: where the walk begins; an empty one leaves it where `state` is.
+        places: places at the begin of the walk; if empty, the walk begins at `state`.
         members: `(M,)` indices of the landmarks that may move, M >= the length of `several`.
         several: `(n,)` working memory: the landmarks that move together.
         field: values of positions, a `Field`.
-        state: of `field`.
+        state: state of `field`.
         scratches: `layers` of a scratch, at least n of them, and two for an exchange.
         target: fitness of values, a `Target`.
-        surfaces: of the room.
-        footprints: of all landmarks.
+        surfaces: surfaces of the room.
+        footprints: footprints of all landmarks.
         settings: conditions of the walk.
         rng: draws proposals and decisions.
         best: the best deployment.
     """
-    # The lead is no kernel of its own: the functions that move landmarks are compiled once for each field, and numba
-    # compiles a function that a kernel calls by itself a second time.
-    lead(places, field, state, scratches, np.empty(6))
+    # A part of this kernel: in a kernel of its own, the functions that move landmarks would be compiled a second time.
+    move_to(places, field, state, scratches, np.empty(6))
     layout = placed(state)
     here, positions, count = Places(layout.poses, layout.surfaces), len(state.units), len(members)
     units = state.units.copy()

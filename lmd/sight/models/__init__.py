@@ -1,4 +1,4 @@
-"""The criteria: what counts as seen, by the paper and by a detector that was measured."""
+"""Visibility models: the criteria of the paper, and those of a detector with measured limits."""
 
 from lmd.sight.models.fiducial import Fiducial
 from lmd.sight.models.limits import Limits

@@ -1,25 +1,26 @@
-"""When a real detector sees a fiducial tag: its pitch, its size in the image, its corners, and footprints in the way.
+"""Visibility model of a tag detector: incidence angle, pitch, image area, field of view and occlusion.
 
-Fitted to what ArUco and AprilTag found in renderings of some 60,000 single tags: it predicts them in 95 to 96 % of
-cases, and the probability of seeing at least n tags in whole rooms to 0.02. A tag is seen if
+Its limits are fitted to the detections of ArUco and AprilTag in renderings of some 60,000 single tags. It predicts 95
+to 96 % of these detections, and the probability of seeing at least n tags in whole rooms to 0.02. A tag is seen if
 
-- it faces the camera at an incidence of at most `incidence`;
-- its pitch, the pixels a module has where it is shortest, is at least sqrt(pitch^2 + (blur sigma)^2) with `pitch` and
-  `blur` of the detector and sigma^2 = psf_sigma^2 + (c / 4)^2 + motion_blur^2 / 12, c the diameter of the thin lens's
-  disc at the depth of its centre;
-- the square of the same area in the image has an edge of at least `edge` pixels;
-- the corners of its black square lie in the rectangular image, at least `margin` pixels from its border;
-- no other footprint covers its centre or a corner of its black square. Footprints include the quiet zone.
+- its incidence angle is at most `incidence`;
+- its pitch, the image length of a module in the direction in which it is shortest, is at least
+  sqrt(pitch^2 + (blur sigma)^2), with `pitch` and `blur` of the detector and
+  sigma^2 = psf_sigma^2 + (c / 4)^2 + motion_blur^2 / 12, c the diameter of the circle of confusion of a thin lens at
+  the depth of the tag's centre;
+- the square root of its image area is at least `edge` pixels;
+- the corners of its picture lie in the rectangular image, at least `margin` pixels from the border;
+- no other footprint covers its centre or a corner of its picture. Footprints include the quiet zone.
 
-Let (u, v, w) be the tag's centre in the camera's frame and t, s its right and up there. Metres in its plane become
-pixels by J, whose columns are, for t and likewise for s, (f_u (t_u - t_w u / w) / w, f_v (t_v - t_w v / w) / w). The
-smaller eigenvalue of J^T J is at least T if 2 T <= |J|^2 and T^2 - |J|^2 T + det(J)^2 >= 0, and
+Let (u, v, w) be the tag's centre in the camera frame, and t, s its right and up. The Jacobian J maps metres in the
+plane of the tag to pixels. Its column for t is (f_u (t_u - t_w u / w) / w, f_v (t_v - t_w v / w) / w); the column for
+s is alike. The smaller eigenvalue of J^T J is at least T if 2 T <= |J|^2 and T^2 - |J|^2 T + det(J)^2 >= 0. Moreover
 |det J| = f_u f_v |n . d| / w^3.
 
-A corner is within a border if it is in a half-space, so the tag is if its farthest corner is. A lens that distorts
-bends these borders: then the centre and each corner are imaged by themselves, must be no farther from the axis than
-`Camera.widest_angle`, and J is the slope of the lens times t and s. Behind a fisheye, which has no depth at a right
-angle from its axis, the blur is that at the distance of the centre.
+Each border of a pinhole image is a half-space in the camera frame, so the farthest corner decides. With lens
+distortion, the centre and each corner are projected one by one and must lie within `Camera.widest_angle` of the axis,
+and J is the Jacobian of the lens times (t, s). For a fisheye, the blur is computed at the distance of the centre
+instead of the depth, which is 0 at 90 degrees from the axis.
 
 All tags hang upright (`lmd.geometry.squares.upright`).
 
@@ -54,23 +55,22 @@ from lmd.sight.models.lens_sight import NEAR, LensSight, of_sizes_behind_lens
 from lmd.sight.models.limits import Limits, limits_of
 from lmd.sight.models.paper import dot
 
-# Tags at least this far away are spared the exact test if their centre is well inside the image, metres.
+# Least distance at which tags with the centre well in view need no exact test of the corners, metres.
 FAR = 1.6
 
 
 @dataclass(frozen=True)
 class Fiducial:
-    """What a detector sees of tags; a `lmd.scene.criteria.Criteria`.
+    """Criteria of a tag detector; a `lmd.scene.criteria.Criteria`.
 
     Args:
-        tag: what hangs at each landmark.
-        detector: whose limits hold: `aruco`, `apriltag`, `apriltag_decimate2`, `wpilib`, or a file; see
+        tag: size and family of the tags.
+        detector: name of measured limits (`aruco`, `apriltag`, `apriltag_decimate2`, `wpilib`), or a file, see
             `lmd.sight.models.limits`.
-        limits: what differs from these; all of them for a detector or a family that was not measured.
-        psf_sigma: standard deviation of the sharpest image of a point, pixels.
-        motion_blur: length of the smear of a point while the shutter is open, pixels.
-        edges: of each landmark of a deployment, by its index, metres, or one that all have; None for that of
-            the tag.
+        limits: replacements for single limits; all limits for a detector or a family that was not measured.
+        psf_sigma: standard deviation of the point spread function in focus, pixels.
+        motion_blur: path of an image point during the exposure, pixels.
+        edges: edge of the tag at each landmark, or one edge for all, metres; None for the edge of `tag`.
 
     Raises:
         InputError: the tag is a point, the detector's limits are not known, or a value is out of range.
@@ -94,11 +94,11 @@ class Fiducial:
 
     @property
     def spacing(self) -> float:
-        """See `Criteria.spacing`: footprints side by side."""
+        """See `Criteria.spacing`; the edge of a footprint."""
         return self.tag.paper_edge
 
     def sized(self, edges: tuple[float, ...]) -> "Fiducial":
-        """The same for landmarks with these edges, metres."""
+        """Copy for landmarks with the given edges, metres."""
         return replace(self, edges=edges)
 
     def sight(self, camera: Camera) -> FiducialSight | LensSight:
@@ -114,7 +114,7 @@ class Fiducial:
         return of_sizes(sights) if camera.lens is None else of_sizes_behind_lens(sights)
 
     def _sight_of(self, tag: Tag, camera: Camera) -> FiducialSight | LensSight:
-        """The same for a tag."""
+        """Compiled model for a tag of one size."""
         limits = self.limits
         assert isinstance(limits, Limits)
         margin, (centre_u, centre_v), (focal_u, focal_v) = limits.margin, camera.principal_point, camera.focal_pixels
@@ -131,10 +131,10 @@ class Fiducial:
         wide = math.hypot(max(left, right), max(top, bottom))
         flat = FiducialSight(
             outer_cosine=(1.0 - TOLERANCE) / math.hypot(1.0, wide),
-            inset=math.asin(min(1.0, 1.5 * tag.size / 2.0 / FAR)),
-            reach=(tag.paper_edge + tag.size) ** 2 / 2.0 * (1.0 + TOLERANCE),
+            inset=math.asin(min(1.0, 1.5 * tag.picture_edge / 2.0 / FAR)),
+            reach=(tag.paper_edge + tag.picture_edge) ** 2 / 2.0 * (1.0 + TOLERANCE),
             facing=math.cos(math.radians(limits.incidence)) - TOLERANCE,
-            half=tag.size / 2.0,
+            half=tag.picture_edge / 2.0,
             footprint=tag.paper_edge / 2.0 * (1.0 + TOLERANCE),
             level=VERTICAL_TOLERANCE,
             left=left + TOLERANCE,
@@ -155,14 +155,14 @@ class Fiducial:
     def covered(
         self, camera: Camera, position: FloatArray, axes: FloatArray, landmarks: FloatArray, normals: FloatArray
     ) -> BoolArray:
-        """See `Criteria.covered`: every criterion is met."""
+        """See `Criteria.covered`."""
         met = self.verdicts(camera, position, axes, landmarks, normals)
         return np.asarray(np.logical_and.reduce(list(met.values())))
 
     def verdicts(
         self, camera: Camera, position: FloatArray, axes: FloatArray, landmarks: FloatArray, normals: FloatArray
     ) -> dict[str, BoolArray]:
-        """Whether tags meet each criterion taken by itself, `(A, K)` by its name; args as in `covered`."""
+        """Masks `(A, K)` of the tags that meet each criterion, by its name; args as in `covered`."""
         sight, offset = self.sight(camera), landmarks - position
         flat = sight.flat if isinstance(sight, LensSight) else sight
         axis, right = axes[:, None, :3], axes[:, None, 3:]
@@ -191,17 +191,20 @@ class Fiducial:
             "field_of_view": f"every corner in the image of {across:.3g} x {down:.3g} degrees, "
             f"{limits.margin:g} pixels from its border",
             "facing": f"incidence up to {limits.incidence:.3g} degrees",
-            "hiding": "no other plate before the centre or a corner",
+            "hiding": "no other footprint before the centre or a corner",
         }
 
 
 @lru_cache
 def _through(lens: Lens, widest: float, flat: FiducialSight) -> LensSight:
-    """What is seen through a lens up to the angle `widest`, rad; `flat` as if it did not distort."""
+    """Compiled model for a lens with distortion and the greatest angle `widest` from its axis, rad.
+
+    `flat` is the compiled model without distortion.
+    """
     bounds = lens.stretch(widest)
-    # From there to what is in view, a way may lead beyond the widest angle only if that is more than a right one.
+    # An arc between two directions in view leaves the widest angle only if that exceeds 90 degrees.
     around = widest if widest <= math.pi / 2.0 else min(widest + NEAR, math.pi)
-    rough, off = lens.approximation(widest)
+    approximation, image_error = lens.approximation(widest)
     low, high, area = min(flat.focal_u, flat.focal_v), max(flat.focal_u, flat.focal_v), flat.focal_u * flat.focal_v
     return LensSight(
         flat=flat,
@@ -209,24 +212,24 @@ def _through(lens: Lens, widest: float, flat: FiducialSight) -> LensSight:
         reach=flat.reach,
         inset=flat.inset,
         cosine=math.cos(widest) - TOLERANCE,
-        shallowest=1.0 if lens.model == EQUIDISTANT else math.cos(widest),
-        least=max(bounds.least, 0.0) * low,
-        most=bounds.most * high,
-        least_area=max(bounds.least_area, 0.0) * area,
-        most_area=bounds.most_area * area,
+        min_depth_ratio=1.0 if lens.model == EQUIDISTANT else math.cos(widest),
+        min_pitch=max(bounds.least, 0.0) * low,
+        max_pitch=bounds.most * high,
+        min_area=max(bounds.least_area, 0.0) * area,
+        max_area=bounds.most_area * area,
         stretch=lens.ceiling(around),
-        highest=1.0 - math.cos(around),
-        rough=rough,
-        off=off,
+        stretch_end=1.0 - math.cos(around),
+        approximation=approximation,
+        image_error=image_error,
         pinholes=() if lens.model == EQUIDISTANT else _pinholes(lens, widest, flat),
     )
 
 
 def _pinholes(lens: Lens, widest: float, flat: FiducialSight) -> tuple[FiducialSight, FiducialSight]:
-    """Pinholes that resolve no more than the lens, and no less, at each depth."""
+    """Pinholes whose pitch and area are lower and upper bounds of those of the lens at each depth."""
     rates = lens.stretch(widest, power=1)
     shorter = rates.least if min(rates.least, rates.least_area) > 0.0 else 0.0
-    longer = max(rates.most, math.sqrt(rates.most_area))  # a pitch is no greater than the root of an area
+    longer = max(rates.most, math.sqrt(rates.most_area))  # pitch^2 <= area
 
     def pinhole(rate: float, area: float) -> FiducialSight:
         return flat._replace(

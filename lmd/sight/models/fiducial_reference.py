@@ -1,4 +1,4 @@
-"""The criteria of `lmd.sight.models.fiducial` one by one in NumPy: compiled code repeats their operations in order.
+"""NumPy reference of each criterion of `lmd.sight.models.fiducial`; compiled code repeats the operations in order.
 
 Shapes: A orientations, K tags. Lengths are metres; frames are the world's unless said otherwise.
 """
@@ -15,17 +15,17 @@ from lmd.sight.models.paper import dot
 
 
 def faces(sight: FiducialSight, offset: FloatArray, normals: FloatArray) -> BoolArray:
-    """Whether the incidence is small enough, `(K,)`: -n . d >= cos(incidence) |d|."""
+    """Mask `(K,)` of the tags with a small enough incidence angle: -n . d >= cos(incidence) |d|."""
     return np.asarray(-dot(normals, offset) >= sight.facing * np.sqrt(dot(offset, offset)))
 
 
 def in_rectangle(sight: FiducialSight, centre: FloatArray, sides: list[FloatArray]) -> BoolArray:
-    """Whether the four corners are in front of the camera and within the borders, `(A, K)`.
+    """Mask `(A, K)` of the tags with all corners in front of the camera and within the borders.
 
     Args:
-        sight: the borders.
-        centre: (u, v, w) of the centre in the camera's frame, `(3, A, K)`.
-        sides: the same of the tag's right and up, unit vectors.
+        sight: has the borders.
+        centre: centres (u, v, w) in the camera frame, metres, `(3, A, K)`.
+        sides: right and up of the tags, unit vectors in the camera frame, `(3, A, K)` each.
     """
     (u, v, w), half, ((tu, tv, tw), (su, sv, sw)) = centre, sight.half, sides
     inside = half * (abs(tw) + abs(sw)) < w
@@ -37,11 +37,14 @@ def in_rectangle(sight: FiducialSight, centre: FloatArray, sides: list[FloatArra
 
 
 def in_bent_rectangle(sight: LensSight, centre: FloatArray, sides: list[FloatArray]) -> BoolArray:
-    """`in_rectangle` where the lens distorts: centre and corners are in directions that are imaged, and that within."""
+    """Mask of the tags with centre and corners within the widest angle of a lens with distortion and in the image.
+
+    Arguments as in `in_rectangle`.
+    """
     right, up = sides
     inside, flat = np.ones(centre.shape[1:], dtype=np.bool_), sight.flat
     one, two = flat.half * (right + up), flat.half * (right - up)
-    with np.errstate(all="ignore"):  # a corner beside the camera is not in the image, whatever the numbers say
+    with np.errstate(all="ignore"):  # a corner beside the camera is outside; NaN compares as False
         for u, v, w in (centre, centre + one, centre - one, centre + two, centre - two):
             across, down = image_of(sight.lens, u, v, w)
             inside &= w >= sight.cosine * np.sqrt(u * u + v * v + w * w)
@@ -52,9 +55,9 @@ def in_bent_rectangle(sight: LensSight, centre: FloatArray, sides: list[FloatArr
 def resolved(
     sight: FiducialSight, centre: FloatArray, sides: list[FloatArray], offset: FloatArray, normals: FloatArray
 ) -> BoolArray:
-    """Whether pitch and area suffice, `(A, K)`; the arguments are those of `in_rectangle` and `faces`."""
+    """Mask `(A, K)` of the tags with sufficient pitch and area; arguments as in `in_rectangle` and `faces`."""
     (u, v, w), ((tu, tv, tw), (su, sv, sw)) = centre, sides
-    with np.errstate(all="ignore"):  # a tag beside the camera is not resolved, whatever the numbers say
+    with np.errstate(all="ignore"):  # a tag beside the camera is not resolved; NaN compares as False
         per = 1.0 / w
         fu, fv, at_u, at_v = sight.focal_u * per, sight.focal_v * per, u * per, v * per
         one, two, three, four = tu - at_u * tw, su - at_u * sw, tv - at_v * tw, sv - at_v * sw
@@ -63,7 +66,7 @@ def resolved(
 
 
 def resolved_by_lens(sight: LensSight, centre: FloatArray, sides: list[FloatArray]) -> BoolArray:
-    """The same where the lens distorts."""
+    """Mask `(A, K)` of the tags with sufficient pitch and area through a lens with distortion."""
     (u, v, w), ((tu, tv, tw), (su, sv, sw)), flat = centre, sides, sight.flat
     with np.errstate(all="ignore"):
         xu, xv, xw, yu, yv, yw = slope_of(sight.lens, u, v, w)
@@ -76,7 +79,7 @@ def resolved_by_lens(sight: LensSight, centre: FloatArray, sides: list[FloatArra
 
 
 def _suffices(sight: FiducialSight, square: FloatArray, determinant: FloatArray, per: FloatArray) -> BoolArray:
-    """Whether |J|_F^2 and |det J| suffice at the depth 1 / `per`."""
+    """Mask of sufficient pitch and area for `square` = |J|_F^2 and `determinant` = |det J| at the depth 1 / `per`."""
     blur = sight.defocus - sight.focus * per
     least = sight.sharp + sight.blurred * (blur * blur)
     enough = (2.0 * least <= square) & (determinant >= sight.area)
@@ -84,18 +87,20 @@ def _suffices(sight: FiducialSight, square: FloatArray, determinant: FloatArray,
 
 
 def hidden_by_others(sight: FiducialSight, offset: FloatArray, normals: FloatArray) -> BoolArray:
-    """True where the line of sight to a tag's centre or corner meets another footprint in front of it, `(K,)`.
+    """Mask `(K,)` of the tags with the centre or a corner behind the footprint of another tag.
 
-    A footprint hides nothing that is at most a nanometre (`TOLERANCE`) behind its plane, such as tags on its wall.
+    A footprint does not hide points at most `TOLERANCE` metres behind its plane, such as tags on its wall.
     """
     right, up = upright(normals)
-    half = np.reshape(sight.half, (-1, 1))  # one, or each tag's
+    half = np.reshape(sight.half, (-1, 1))  # one number, or a column
     r, s = half * right, half * up
-    points = np.stack([offset, *(offset + way for way in (r + s, -(r + s), r - s, -(r - s)))])[:, :, None]  # of B
-    height = -dot(normals, offset)  # of the camera above the plane of A, (K,)
-    side = dot(normals, points) + height  # and of each point of B, (5, K, K): B first
+    points = np.stack([offset, *(offset + way for way in (r + s, -(r + s), r - s, -(r - s)))])[
+        :, :, None
+    ]  # points of B
+    height = -dot(normals, offset)  # height of the camera above the plane of A, (K,)
+    side = dot(normals, points) + height  # heights of the points of B above the plane of A, (5, B, A)
     crosses = ((height > 0.0) & (side < -TOLERANCE)) | ((height < 0.0) & (side > TOLERANCE))
-    with np.errstate(all="ignore"):  # where the line does not cross the plane, share is anything
+    with np.errstate(all="ignore"):  # `share` is arbitrary for a line that does not cross the plane
         share = height / (height - side)
         at = share[..., None] * points - offset
         within = (abs(dot(right, at)) <= sight.footprint) & (abs(dot(up, at)) <= sight.footprint)

@@ -1,6 +1,10 @@
-"""Where a lens that distorts images a tag, and how well: what `lmd.sight.models.lens_sight` asks of one orientation."""
+"""Projection of a tag through a lens with distortion for one orientation; used by `lmd.sight.models.lens_sight`.
+
+Points (u, v, w) are in the camera frame, metres. Image lengths are in focal lengths.
+"""
 
 import math
+from typing import Any
 
 import numpy as np
 
@@ -10,30 +14,36 @@ from lmd.scene.criteria import TOLERANCE
 
 
 @inlined
-def _polynomial(coefficients, h):  # type: ignore[no-untyped-def]
-    """The value at h of a polynomial of the fifth degree."""
+def _polynomial(coefficients: Any, h: float) -> Any:
+    """Value at h of a polynomial of degree 5 with the `coefficients` of h^0 to h^5."""
     a, b, c, d, e, f = coefficients
     s = h * h
     return a + b * h + s * (c + d * h + s * (e + f * h))
 
 
 @inlined
-def stretch_at(sight, height):  # type: ignore[no-untyped-def]
-    """How far the image of a direction moves at most with it up to h = `height`, focal lengths for a radian."""
-    return _polynomial(sight.stretch, min(height, sight.highest))
+def stretch_at(sight: Any, height: float) -> Any:
+    """Upper bound on the image motion per rotation of the direction, for 1 - cos(theta) <= `height`.
+
+    In focal lengths per radian.
+    """
+    return _polynomial(sight.stretch, min(height, sight.stretch_end))
 
 
 @inlined
-def room_within(sight, u, v, w, per):  # type: ignore[no-untyped-def]
-    """How far within the borders a point at the distance 1 / `per` is imaged, to `off`; negative outside."""
-    flat, scale = sight.flat, per * _polynomial(sight.rough, 1.0 - w * per)
+def room_within(sight: Any, u: float, v: float, w: float, per: float) -> Any:
+    """Approximate distance of the image of a point from the nearest border, in focal lengths; negative outside.
+
+    The error is at most `image_error`; 1 / `per` is the distance of the point.
+    """
+    flat, scale = sight.flat, per * _polynomial(sight.approximation, 1.0 - w * per)
     across, down = scale * u, scale * v
     return min(flat.right - across, flat.left + across, flat.bottom - down, flat.top + down)
 
 
 @inlined
-def in_rectangle(sight, u, v, w):  # type: ignore[no-untyped-def]
-    """Whether a point (u, v, w) in the camera's frame is in the image."""
+def in_rectangle(sight: Any, u: float, v: float, w: float) -> Any:
+    """True if the image contains the point (u, v, w); exact."""
     flat = sight.flat
     across, down = image_of(sight.lens, u, v, w)
     inside = w >= sight.cosine * math.sqrt(u * u + v * v + w * w)
@@ -41,28 +51,32 @@ def in_rectangle(sight, u, v, w):  # type: ignore[no-untyped-def]
 
 
 @inlined
-def is_inside(sight, u, v, w):  # type: ignore[no-untyped-def]
-    """The same, exactly only where the rough image does not tell."""
+def is_inside(sight: Any, u: float, v: float, w: float) -> Any:
+    """Equal to `in_rectangle`; the exact test is made only if the approximate projection does not decide."""
     per = 1.0 / np.sqrt(u * u + v * v + w * w)
     room = room_within(sight, u, v, w, per)
-    if (w * per > sight.cosine + TOLERANCE) & (abs(room) > sight.off):
+    if (w * per > sight.cosine + TOLERANCE) & (abs(room) > sight.image_error):
         return room > 0.0
     return in_rectangle(sight, u, v, w)
 
 
 @inlined
-def corners_inside(sight, u, v, w, tu, tv, tw, uu, uv, uw):  # type: ignore[no-untyped-def]
-    """Whether the corners are in the image: centre, right and up of the tag in the camera's frame."""
+def corners_inside(
+    sight: Any, u: float, v: float, w: float, tu: float, tv: float, tw: float, uu: float, uv: float, uw: float
+) -> Any:
+    """True if the image contains all corners of the tag with centre (u, v, w), right (tu, tv, tw), up (uu, uv, uw)."""
     half = sight.flat.half
-    pu, pv, pw = half * (tu + uu), half * (tv + uv), half * (tw + uw)  # to one corner, and to its neighbour
+    pu, pv, pw = half * (tu + uu), half * (tv + uv), half * (tw + uw)  # offsets of a corner and of its neighbour
     qu, qv, qw = half * (tu - uu), half * (tv - uv), half * (tw - uw)
     inside = is_inside(sight, u + pu, v + pv, w + pw) and is_inside(sight, u - pu, v - pv, w - pw)
     return inside and is_inside(sight, u + qu, v + qv, w + qw) and is_inside(sight, u - qu, v - qv, w - qw)
 
 
 @inlined
-def resolves(sight, u, v, w, tu, tv, tw, uu, uv, uw):  # type: ignore[no-untyped-def]
-    """Whether pitch and area suffice."""
+def resolves(
+    sight: Any, u: float, v: float, w: float, tu: float, tv: float, tw: float, uu: float, uv: float, uw: float
+) -> Any:
+    """True if pitch and area of the tag suffice; arguments as in `corners_inside`."""
     flat = sight.flat
     xu, xv, xw, yu, yv, yw = slope_of(sight.lens, u, v, w)
     one, two = xu * tu + xv * tv + xw * tw, xu * uu + xv * uv + xw * uw

@@ -1,13 +1,18 @@
-"""What a detector sees through a lens that distorts: `lmd.sight.models.fiducial` as scalar functions for a camera.
+"""Criteria of `lmd.sight.models.fiducial` for a lens with distortion, compiled as scalar functions.
 
-The criteria are those of `fiducial_sight`, with two differences: centre and corners are imaged one by one, must be in
-the rectangle and no farther from the axis than the camera's widest angle, which may be beyond a right one; and J is the
-slope of the lens.
+They differ from `fiducial_sight` in two points:
 
-Bounds come from how the lens stretches small angles (`lmd.geometry.lens.Stretch`). A tag at the distance d with the
-incidence i has a pitch between `least` cos(i) / d and `most` cos(i) / d, and |det J| between `least_area` cos(i) / d^2
-and `most_area` cos(i) / d^2, wherever in the image it is. A lens that is no fisheye is also compared with pinholes of
-a shorter and of a longer focal length, between whose pitches and areas its own are at each depth.
+- the centre and each corner are projected through the lens; they must lie in the image rectangle and within the
+  camera's widest angle from the optical axis, which may exceed 90 degrees;
+- J is the Jacobian of the projection through the lens.
+
+Bounds follow from the angular stretch of the lens (`lmd.geometry.lens.Stretch`). Anywhere in the image, a tag at the
+distance d with the incidence i satisfies
+
+    min_pitch cos(i) / d <= pitch <= max_pitch cos(i) / d,
+    min_area cos(i) / d^2 <= |det J| <= max_area cos(i) / d^2.
+
+Except for a fisheye, two pinholes with a shorter and a longer focal length also bound pitch and area at each depth.
 """
 
 import math
@@ -16,6 +21,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from lmd.core.bits import Integer
 from lmd.core.checks import FloatArray
 from lmd.core.dispatch import overridable
 from lmd.geometry.lens_models import BrownConrady, Equidistant, density_of, image_of
@@ -35,24 +41,24 @@ from lmd.scene.criteria import (
     pixel_density,
     sized,
 )
-from lmd.sight.models.fiducial_sight import FiducialSight, may_hide, of_sizes
+from lmd.sight.models.fiducial_sight import FiducialSight, of_sizes
+from lmd.sight.models.footprints import may_hide
 from lmd.sight.models.lens_image import corners_inside, in_rectangle, resolves, room_within, stretch_at
 from lmd.sight.obstacles import half_edge
 
-# Bounds of pitch and area are wider by this, relative: what the square of a normal may be off, and more.
+# Relative safety margin of the bounds on pitch and area; it exceeds the error of a normal's squared length.
 MARGIN = 1e-2
-# The image beyond a right angle is bounded for directions so near to those in view, rad.
+# Greatest angle from the field of view for which the image beyond 90 degrees is bounded, rad.
 NEAR = 0.1
-# asin(s) <= s (1 + (pi / 2 - 1) s^2).
-ARC = math.pi / 2.0 - 1.0
-DIAGONAL = 1.4143  # half of a square's diagonal in halves of its edge, rounded up
+ARC = math.pi / 2.0 - 1.0  # constant of the bound asin(s) <= s (1 + ARC s^2)
+DIAGONAL = 1.4143  # diagonal of a square over its edge, rounded up
 
 
 class LensSight(NamedTuple):
-    """The criteria as numbers, tolerance included; a `lmd.scene.criteria.Sight`."""
+    """Thresholds with tolerances for one camera; a `lmd.scene.criteria.Sight`."""
 
     flat: FiducialSight
-    """What does not depend on the lens, and the borders in the distorted image."""
+    """Thresholds that do not depend on the lens, and the borders of the distorted image."""
     lens: BrownConrady | Equidistant
     """Coefficients of the lens."""
     reach: float
@@ -60,38 +66,38 @@ class LensSight(NamedTuple):
     inset: float
     """See `Sight.inset`."""
     cosine: float
-    """Cosine of the widest angle."""
-    shallowest: float
-    """Least `depth_of` in view at a distance of 1."""
-    least: float
-    """Least pitch of a metre that faces the camera at a distance of 1 m, pixels."""
-    most: float
-    """Greatest such pitch, pixels."""
-    least_area: float
-    """Least |det J| there, pixels^2."""
-    most_area: float
-    """Greatest |det J| there, pixels^2."""
+    """Cosine of the camera's widest angle from the optical axis."""
+    min_depth_ratio: float
+    """Least `lens_models.depth_of` over distance within the widest angle."""
+    min_pitch: float
+    """Least image length of a metre that faces the camera at a distance of 1 m, pixels."""
+    max_pitch: float
+    """Greatest such image length, pixels."""
+    min_area: float
+    """Least image area of a square metre that faces the camera at a distance of 1 m, pixels^2."""
+    max_area: float
+    """Greatest such image area, pixels^2."""
     stretch: tuple[float, ...]
-    """See `Lens.ceiling`."""
-    highest: float
-    """1 - cos(theta) of the angle up to which `stretch` holds."""
-    rough: tuple[float, ...]
-    """See `Lens.approximation`."""
-    off: float
-    """How far `rough` is off at most, focal lengths."""
+    """Coefficients of an upper bound on the stretch, see `Lens.ceiling`."""
+    stretch_end: float
+    """1 - cos(theta) for the greatest angle theta at which `stretch` holds."""
+    approximation: tuple[float, ...]
+    """Coefficients of an approximate projection, see `Lens.approximation`."""
+    image_error: float
+    """Upper bound on the error of `approximation`, focal lengths."""
     pinholes: tuple[FiducialSight, FiducialSight] | tuple[()]
-    """Pinholes that resolve no more than the lens, and no less; none for a fisheye."""
+    """Pinholes whose pitch and area are lower and upper bounds of those of the lens; none for a fisheye."""
 
     @property
     def outer_cosine(self) -> float:
-        """See `Sight.outer_cosine`: negative where the lens sees what is behind it."""
+        """See `Sight.outer_cosine`; negative for a widest angle beyond 90 degrees."""
         return self.cosine - TOLERANCE
 
     @property
     def horizon(self) -> float:
-        """See `Sight.horizon`: a pitch is no greater than the root of |det J|."""
+        """See `Sight.horizon`; it uses pitch^2 <= |det J|."""
         needed = max(np.min(self.flat.area), np.min(self.flat.sharp))
-        seen = math.sqrt(self.most_area / needed) if needed else math.inf
+        seen = math.sqrt(self.max_area / needed) if needed else math.inf
         return (seen + math.sqrt(max(self.reach, 0.0))) * (1.0 + MARGIN)
 
     @property
@@ -116,58 +122,58 @@ class LensSight(NamedTuple):
 
 
 def of_sizes_behind_lens(sights: Sequence[LensSight]) -> LensSight:
-    """The sight of K tags, given that of each by itself."""
+    """Compiled model of K tags from the compiled model of each."""
     largest = max(sights, key=lambda sight: sight.flat.half)
     pinholes: Any = tuple(of_sizes(each) for each in zip(*(sight.pinholes for sight in sights), strict=True))
     return largest._replace(flat=of_sizes([sight.flat for sight in sights]), pinholes=pinholes)
 
 
 @sized.register(LensSight)
-def _sized(sight, k):  # type: ignore[no-untyped-def]
+def _sized(sight: Any, k: Integer) -> Any:
     return LensSight(
-        sized(sight.flat, k), sight.lens, sight.reach, sight.inset, sight.cosine, sight.shallowest, sight.least,
-        sight.most, sight.least_area, sight.most_area, sight.stretch, sight.highest, sight.rough, sight.off,
-        _sized_pinholes(sight.lens, sight.pinholes, k),
+        sized(sight.flat, k), sight.lens, sight.reach, sight.inset, sight.cosine, sight.min_depth_ratio,
+        sight.min_pitch, sight.max_pitch, sight.min_area, sight.max_area, sight.stretch, sight.stretch_end,
+        sight.approximation, sight.image_error, _sized_pinholes(sight.lens, sight.pinholes, k),
     )  # fmt: skip
 
 
 @overridable
-def _sized_pinholes(lens, pinholes, k):  # type: ignore[no-untyped-def]
+def _sized_pinholes(lens: Any, pinholes: Any, k: Integer) -> Any:
     return sized(pinholes[0], k), sized(pinholes[1], k)
 
 
 @_sized_pinholes.register(Equidistant)
-def _no_pinholes(lens, pinholes, k):  # type: ignore[no-untyped-def]
+def _no_pinholes(lens: Any, pinholes: Any, k: Integer) -> Any:
     return pinholes
 
 
 @from_around.register(LensSight)
-def _from_around(sight, x, y, z, nx, ny, nz, radius):  # type: ignore[no-untyped-def]
+def _from_around(sight: Any, x: float, y: float, z: float, nx: float, ny: float, nz: float, radius: float) -> Any:
     return from_around(sight.flat, x, y, z, nx, ny, nz, radius)
 
 
 @half_edge.register(LensSight)
-def _half_edge(sight):  # type: ignore[no-untyped-def]
+def _half_edge(sight: Any) -> Any:
     return sight.flat.half
 
 
 @from_position.register(LensSight)
-def _from_position(sight, x, y, z, nx, ny, nz, slack):  # type: ignore[no-untyped-def]
+def _from_position(sight: Any, x: float, y: float, z: float, nx: float, ny: float, nz: float, slack: float) -> Any:
     flat = sight.flat
     distance = np.sqrt(x * x + y * y + z * z)
     nearest = distance - slack
     along = -(nx * x + ny * y + nz * z)
-    # The blur at the least and at the greatest depth.
+    # Blur at the least and at the greatest depth.
     per = 1.0 / distance
-    near, far = flat.defocus - flat.focus * per / sight.shallowest, flat.defocus - flat.focus * per
+    near, far = flat.defocus - flat.focus * per / sight.min_depth_ratio, flat.defocus - flat.focus * per
     sharpest, softest = max(0.0, near, -far), max(abs(near), abs(far))
     sharpest = 0.0 if slack > 0.0 else sharpest
     fewest, needed = flat.sharp + flat.blurred * sharpest * sharpest, flat.sharp + flat.blurred * softest * softest
-    pitch, area = sight.most * along, sight.most_area * along
+    pitch, area = sight.max_pitch * along, sight.max_area * along
     squared, cubed = nearest * nearest, nearest * nearest * nearest
     resolved = cubed * max(flat.area, fewest) <= area * (1.0 + MARGIN)
     resolved &= (fewest * squared * squared <= pitch * pitch * (1.0 + MARGIN)) | (nearest <= 0.0)
-    pitch, area = sight.least * along, sight.least_area * along
+    pitch, area = sight.min_pitch * along, sight.min_area * along
     squared, cubed = distance * distance, distance * distance * distance
     surely = (needed * squared * squared <= pitch * pitch * (1.0 - MARGIN)) & (
         flat.area * cubed <= area * (1.0 - MARGIN)
@@ -175,8 +181,7 @@ def _from_position(sight, x, y, z, nx, ny, nz, slack):  # type: ignore[no-untype
     reached = (along >= flat.facing * nearest) & (along >= 0.0) & resolved
     outer = sight.cosine - TOLERANCE
     low = min(outer * nearest, outer * (distance + slack)) - slack
-    # Far enough away, its corners are in the image wherever its direction is well in view; that no depth is sure is
-    # said by one that none has.
+    # Far enough away, all corners are in the image if the direction is well in view.
     steady = distance * math.sin(sight.inset) >= 1.5 * flat.half
     among, high, sure = _by_depth(sight.lens, sight.pinholes, x, y, z, nx, ny, nz, slack)
     sure = math.inf if surely else max(sure, low - distance)
@@ -184,46 +189,56 @@ def _from_position(sight, x, y, z, nx, ny, nz, slack):  # type: ignore[no-untype
 
 
 @overridable
-def _by_depth(lens, pinholes, x, y, z, nx, ny, nz, slack):  # type: ignore[no-untyped-def]
-    """Whether it is reached, the greatest depth and the `sure` one, see `from_position`, as the pinholes say."""
+def _by_depth(
+    lens: Any, pinholes: Any, x: float, y: float, z: float, nx: float, ny: float, nz: float, slack: float
+) -> Any:
+    """Results `reached`, `high` and `sure` of `from_position`, bounded by the two pinholes."""
     _, _, _, sure = from_position(pinholes[0], x, y, z, nx, ny, nz, slack)
     reached, _, high, _ = from_position(pinholes[1], x, y, z, nx, ny, nz, slack)
     return reached, high, sure
 
 
 @_by_depth.register(Equidistant)
-def _by_distance(lens, pinholes, x, y, z, nx, ny, nz, slack):  # type: ignore[no-untyped-def]
+def _by_distance(
+    lens: Any, pinholes: Any, x: float, y: float, z: float, nx: float, ny: float, nz: float, slack: float
+) -> Any:
     return True, math.inf, -math.inf
 
 
 @frame_of.register(LensSight)
-def _frame_of(sight, nx, ny, nz):  # type: ignore[no-untyped-def]
+def _frame_of(sight: Any, nx: float, ny: float, nz: float) -> Any:
     return nx, ny, nz, *upright_axes(nx, ny, nz, sight.flat.level)
 
 
 @in_view.register(LensSight)
-def _in_view(sight, x, y, z, sine, cosine, ax, ay, az, rx, ry, rz):  # type: ignore[no-untyped-def]
+def _in_view(
+    sight: Any, x: float, y: float, z: float, sine: float, cosine: float, ax: float, ay: float, az: float, rx: float,
+    ry: float, rz: float,
+) -> Any:  # fmt: skip
     flat, least = sight.flat, sight.cosine + (TOLERANCE if sine > 0.0 else -TOLERANCE)
     dx, dy, dz = ay * rz - az * ry, az * rx - ax * rz, ax * ry - ay * rx
     u, v, w = rx * x + ry * y + rz * z, dx * x + dy * y + dz * z, ax * x + ay * y + az * z
     across, down = image_of(sight.lens, u, v, w)
-    # The stretch halfway bounds the nearer half of the way, that at its end the farther one.
+    # The stretch at the middle of the arc bounds its first half, the stretch at its end the second half.
     angle, end = sine * (1.0 + ARC * sine * sine), 1.0 - w * cosine + math.sqrt(max(0.0, 1.0 - w * w)) * abs(sine)
-    end = sight.highest if w <= -cosine else end  # the way leads past the opposite of the axis
+    end = sight.stretch_end if w <= -cosine else end  # the arc passes the direction opposite to the axis
     halfway = min(end, 1.0 - w + abs(angle) / 2.0)
     room = angle * (stretch_at(sight, halfway) + stretch_at(sight, end)) / 2.0
     inside = (flat.right - across >= room) & (flat.left + across >= room)
     inside &= (flat.bottom - down >= room) & (flat.top + down >= room)
-    # Nothing is known of images beyond the widest angle.
+    # Beyond the widest angle the projection is undefined.
     unknown = (sine < 0.0) & ((w < sight.cosine) | ((sight.cosine < 0.0) & (sine < -NEAR)))
     return in_cone(least, x, y, z, sine, cosine, ax, ay, az) & (inside | unknown)
 
 
 @in_image.register(LensSight)
-def _in_image(sight, x, y, z, nx, ny, nz, low, slack, ax, ay, az, rx, ry, rz):  # type: ignore[no-untyped-def]
+def _in_image(
+    sight: Any, x: float, y: float, z: float, nx: float, ny: float, nz: float, low: float, slack: float, ax: float,
+    ay: float, az: float, rx: float, ry: float, rz: float,
+) -> Any:  # fmt: skip
     tx, ty, tz, ux, uy, uz = upright_axes(nx, ny, nz, sight.flat.level)
     dx, dy, dz = ay * rz - az * ry, az * rx - ax * rz, ax * ry - ay * rx
-    # The centre, and the tag's right and up, in the camera's frame.
+    # Centre, right and up of the tag in the camera frame.
     u, v, w = rx * x + ry * y + rz * z, dx * x + dy * y + dz * z, ax * x + ay * y + az * z
     tu, tv, tw = rx * tx + ry * ty + rz * tz, dx * tx + dy * ty + dz * tz, ax * tx + ay * ty + az * tz
     uu, uv, uw = rx * ux + ry * uy + rz * uz, dx * ux + dy * uy + dz * uz, ax * ux + ay * uy + az * uz
@@ -233,7 +248,10 @@ def _in_image(sight, x, y, z, nx, ny, nz, low, slack, ax, ay, az, rx, ry, rz):  
 
 
 @covers_one.register(LensSight)
-def _covers_one(sight, x, y, z, frame, low, high, sure, well, axes, a):  # type: ignore[no-untyped-def]
+def _covers_one(
+    sight: Any, x: float, y: float, z: float, frame: Any, low: float, high: float, sure: float, well: Any,
+    axes: FloatArray, a: Integer,
+) -> Any:  # fmt: skip
     _, _, _, tx, ty, tz, ux, uy, uz = frame
     ax, ay, az, rx, ry, rz = axes[0, a], axes[1, a], axes[2, a], axes[3, a], axes[4, a], axes[5, a]
     w = ax * x + ay * y + az * z
@@ -245,18 +263,18 @@ def _covers_one(sight, x, y, z, frame, low, high, sure, well, axes, a):  # type:
     u, v = rx * x + ry * y + rz * z, dx * x + dy * y + dz * z
     inside = well & (sure > -math.inf)
     if not inside:
-        # What depends on the landmark alone, the compiler moves out of the loop over axes.
+        # The compiler moves terms that depend on the landmark alone out of the loop over axes.
         per = 1.0 / np.sqrt(x * x + y * y + z * z)
         height, room = 1.0 - w * per, room_within(sight, u, v, w, per)
-        if room < -sight.off:
+        if room < -sight.image_error:
             return False
-        if (room <= sight.off or w * per <= sight.cosine + TOLERANCE) and not in_rectangle(sight, u, v, w):
+        if (room <= sight.image_error or w * per <= sight.cosine + TOLERANCE) and not in_rectangle(sight, u, v, w):
             return False
-        # The angle between the centre and a corner at most, and how far that is in the image.
+        # Upper bounds on the angle between centre and corner, and on its length in the image.
         sine = DIAGONAL * sight.flat.half * per
         angle = sine * (1.0 + ARC * sine * sine)
         inside = (sine <= 1.0) & (w * per >= sight.cosine + angle)
-        inside &= room >= angle * stretch_at(sight, height + angle) + sight.off
+        inside &= room >= angle * stretch_at(sight, height + angle) + sight.image_error
     tu, tv, tw = rx * tx + ry * ty + rz * tz, dx * tx + dy * ty + dz * tz, ax * tx + ay * ty + az * tz
     uu, uv, uw = rx * ux + ry * uy + rz * uz, dx * ux + dy * uy + dz * uz, ax * ux + ay * uy + az * uz
     if w > sure and not resolves(sight, u, v, w, tu, tv, tw, uu, uv, uw):
@@ -268,12 +286,15 @@ covering.register(LensSight)(depth_first)
 
 
 @hide_between.register(LensSight)
-def _hide(sight, other, ax, ay, az, a, bx, by, bz, b, ux, uy, uz, vx, vy, vz):  # type: ignore[no-untyped-def]
+def _hide(
+    sight: Any, other: Any, ax: float, ay: float, az: float, a: float, bx: float, by: float, bz: float, b: float,
+    ux: float, uy: float, uz: float, vx: float, vy: float, vz: float,
+) -> Any:  # fmt: skip
     return hide_between(sight.flat, other.flat, ax, ay, az, a, bx, by, bz, b, ux, uy, uz, vx, vy, vz)
 
 
 @pixel_density.register(LensSight)
-def _pixel_density(sight, x, y, z, axes, a):  # type: ignore[no-untyped-def]
+def _pixel_density(sight: Any, x: float, y: float, z: float, axes: FloatArray, a: Integer) -> Any:
     ax, ay, az, rx, ry, rz = axes[0, a], axes[1, a], axes[2, a], axes[3, a], axes[4, a], axes[5, a]
     dx, dy, dz = ay * rz - az * ry, az * rx - ax * rz, ax * ry - ay * rx
     u, v, w = rx * x + ry * y + rz * z, dx * x + dy * y + dz * z, ax * x + ay * y + az * z

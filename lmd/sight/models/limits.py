@@ -1,7 +1,7 @@
-"""What a detector needs of a tag: `Limits`, and the presets that hold those which were measured.
+"""Limits of a detector: the least pitch, size and margin and the greatest incidence angle at which it finds a tag.
 
-A preset is a YAML file with the keys `detector`, `family` and those of `Limits`, and with its evidence as comments.
-`lmd/sight/models/presets` has some; `pipelines.calibrate_detector` writes more of the same kind.
+A preset is a YAML file with the keys `detector`, `family` and the fields of `Limits`; comments give the evidence.
+`lmd/sight/models/presets` has the presets of the package; `pipelines.calibrate_detector` writes new ones.
 """
 
 import math
@@ -15,6 +15,7 @@ import numpy as np
 
 from lmd.core.checks import BoolArray, FloatArray, InputError, argument_of, check_fields, choice, real, said_of
 from lmd.core.files import read_keys
+from lmd.scene.families import family_named
 
 FOLDER = Path(__file__).parent / "presets"
 SUFFIXES = (".yaml", ".yml")
@@ -22,12 +23,12 @@ SUFFIXES = (".yaml", ".yml")
 
 @dataclass(frozen=True)
 class Limits:
-    """What a tag must be like for a detector to find it; the terms are those of `lmd.detection.quality`.
+    """Limits within which a detector finds a tag, in the terms of `lmd.detection.quality`.
 
     Args:
-        pitch: a, least pixels a module without blur.
-        blur: k, how many more for each pixel of blur: the least pitch is sqrt(pitch^2 + (blur sigma)^2).
-        edge: m, least edge of the square of the same area, pixels.
+        pitch: a, least pitch without blur, pixels per module.
+        blur: k, increase with the blur sigma: the least pitch is sqrt(pitch^2 + (blur sigma)^2).
+        edge: m, least square root of the image area, pixels.
         incidence: b, greatest angle between the tag's normal and the direction to the camera, degrees.
         margin: least distance of the corners from the image's border, pixels.
 
@@ -46,13 +47,15 @@ class Limits:
         check_fields(self, real, "incidence", above=0.0, high=89.0)
 
     def found(self, pitch: FloatArray, incidence: FloatArray, edge: FloatArray, sigma: FloatArray) -> BoolArray:
-        """Whether views wholly in the image are found, arrays of one shape; NaN (behind the camera) is not.
+        """Mask of the views that the detector finds, for tags wholly in the image; arrays of one shape.
+
+        Views with NaN (behind the camera) are not found.
 
         Args:
-            pitch: pixels a module.
-            incidence: rad.
-            edge: pixels.
-            sigma: standard deviation of the whole blur, pixels.
+            pitch: pitch, pixels per module.
+            incidence: incidence angle, rad.
+            edge: square root of the image area, pixels.
+            sigma: standard deviation of the total blur, pixels.
         """
         least = np.hypot(self.pitch, self.blur * sigma)
         return np.asarray((pitch >= least) & (edge >= self.edge) & (incidence <= math.radians(self.incidence)))
@@ -70,12 +73,12 @@ MEANING = {
 
 @dataclass(frozen=True)
 class Preset:
-    """Limits with what they were measured of.
+    """Measured limits of a detector for a family of tags.
 
     Args:
-        detector: its name.
-        family: of tags, or what the names of several families begin with: `4x4`.
-        limits: of the two.
+        detector: name of the detector.
+        family: name of a family of tags, or the common prefix of several, such as `4x4`.
+        limits: the measured limits.
     """
 
     detector: str
@@ -83,7 +86,7 @@ class Preset:
     limits: Limits
 
     def to_yaml(self, evidence: Sequence[str]) -> str:
-        """The file, with lines of `evidence` (without `#`) before it."""
+        """Text of the YAML file; the lines of `evidence` (without `#`) precede the keys as comments."""
         lines = [*(f"# {line}" for line in evidence), f"detector: {self.detector}", f"family: {self.family}"]
         lines += [f"{name}: {getattr(self.limits, name):.4g}  # {MEANING[name]}" for name in NAMES]
         return "".join(f"{line}\n" for line in lines)
@@ -101,12 +104,13 @@ class Preset:
             asked = f"detector, family, {', '.join(NAMES)}"
             raise InputError(f"detector: {str(path)!r} must have the keys {asked} and no others.", "detector")
         with said_of(f"detector: {str(path)!r}", "detector"):
-            return cls(str(keys["detector"]), str(keys["family"]), Limits(**{name: keys[name] for name in NAMES}))
+            limits = Limits(**{name: keys[name] for name in NAMES})
+            return cls(str(keys["detector"]), family_named(str(keys["family"])), limits)
 
 
 @cache
 def measured() -> dict[tuple[str, str], Preset]:
-    """The presets of this package by detector and family."""
+    """Presets of this package by detector and family."""
     presets = [Preset.from_yaml(path) for path in sorted(FOLDER.iterdir()) if path.suffix in SUFFIXES]
     return {(preset.detector, preset.family): preset for preset in presets}
 
@@ -115,16 +119,16 @@ def limits_of(detector: str, family: str, changes: Mapping[str, Any]) -> Limits:
     """The limits of a detector for a family of tags.
 
     Args:
-        detector: one that was `measured`, or a preset's file.
-        family: of `lmd.scene.tag.FAMILIES`.
-        changes: what differs; all of `Limits` for a detector and a family without a preset.
+        detector: name of a measured detector, or the path of a preset.
+        family: one of `lmd.scene.families.FAMILIES`.
+        changes: replacements for single limits; all limits for a detector and a family without a preset.
 
     Raises:
-        InputError: the detector is not known with this family, or a change is none of `Limits`.
+        InputError: there is no preset for detector and family, or `changes` has an unknown key.
     """
     for name in changes:
         choice("limits", name, NAMES)
-    kind = family.partition("_")[0]
+    kind = family.partition("_")[0] if family[0].isdigit() else family
     known: Preset | None
     if str(detector).endswith(SUFFIXES):
         known = Preset.from_yaml(detector)

@@ -1,14 +1,14 @@
 """The paper's four criteria: resolution, field of view, focus and occlusion (Sec. III).
 
-Each equation in NumPy, the reference. Decisions use closed inequalities with the shared `TOLERANCE`, and the few
-sums behind them are written out term by term: compiled code that repeats the same operations in the same order reaches
-the same bits, hence identical counts, even for a landmark exactly on a boundary.
+This is the NumPy reference, one function per equation. Decisions are closed inequalities with the shared `TOLERANCE`,
+and sums are written out term by term. Compiled code repeats the operations in their order, so its counts are identical
+even for a landmark exactly on a boundary.
 
 A landmark at distance d that is not occluded is covered iff its depth z along the optical axis satisfies
 
     max(min_cosine d, min_depth) <= z <= max_depth,
 
-where the field of view gives the cosine, focus the least depth, focus and resolution the greatest.
+where `min_cosine` follows from the field of view, `min_depth` from focus, `max_depth` from focus and resolution.
 
 Shapes: A orientations, K landmarks. Lengths are metres, angles radians, frames world.
 Source: Lei et al., "Optimization of Directional Landmark Deployment for Visual Observer on SE(3)".
@@ -33,10 +33,10 @@ class Visibility:
 
     Args:
         thold: coverage-strength threshold, pixel/mm.
-        nu: virtual diameter nu_k of a landmark, metres; another landmark closer than this to the line of sight
-            hides it. 0 switches that test off (and lets an optimiser stack landmarks on one point).
+        nu: virtual diameter nu_k of a landmark, metres; a landmark closer than this to the line of sight of another
+            hides it. 0 switches the test off, so an optimiser may put several landmarks on one point.
         occlusion: `paper` tests the distance to the whole line through camera and landmark, as printed;
-            `line_of_sight` only counts landmarks in front of the camera and not farther than the one looked at;
+            `line_of_sight` tests only landmarks in front of the camera and not farther than the landmark in question;
             `none` ignores other landmarks. All modes require the landmark to face the camera.
         circle_of_confusion: permissible diameter delta, pixels.
 
@@ -59,12 +59,12 @@ class Visibility:
 
     @property
     def tests_other_landmarks(self) -> bool:
-        """Whether one landmark can hide another."""
+        """True if one landmark can hide another."""
         return self.occlusion != "none" and self.nu > 0.0
 
     @property
     def spacing(self) -> float:
-        """See `Criteria.spacing`: the virtual diameter."""
+        """See `Criteria.spacing`; the virtual diameter."""
         return self.nu
 
     def covered(
@@ -77,7 +77,7 @@ class Visibility:
     def verdicts(
         self, camera: Camera, position: FloatArray, axes: FloatArray, landmarks: FloatArray, normals: FloatArray
     ) -> dict[str, BoolArray]:
-        """Whether landmarks meet each criterion taken by itself, `(A, K)` by its name; args as in `covered`."""
+        """Masks `(A, K)` of the landmarks that meet each criterion, by its name; args as in `covered`."""
         offset = landmarks - position
         distance = np.sqrt(dot(offset, offset))
         depth = dot(axes[:, None, :], offset[None, :, :])
@@ -109,8 +109,8 @@ class Visibility:
         near, far = camera.depth_of_field(self.circle_of_confusion)
         at_one_metre, thold = camera.resolution_at_one_metre, self.thold * (1.0 - TOLERANCE)
         depth = at_one_metre / thold
-        # The division above may round to either side of the last depth whose strength still reaches the
-        # threshold; stepping there makes the bound agree bit for bit with `strength >= threshold`.
+        # The quotient may round to either side of the greatest depth that passes `strength >= threshold`; single steps
+        # lead to that depth, so the bound equals the reference bit for bit.
         while at_one_metre / depth < thold:
             depth = math.nextafter(depth, 0.0)
         while at_one_metre / (further := math.nextafter(depth, math.inf)) >= thold:
@@ -133,21 +133,21 @@ def resolution(camera: Camera, depth: FloatArray) -> FloatArray:
     """C^R = f d_s / ((d_s - f) z max(s_u, s_v)), pixel/mm (Eq. C_k^R).
 
     Args:
-        depth: z^c, any shape, metres; what lies behind the camera has resolution 0.
+        depth: z^c, any shape, metres; the resolution behind the camera is 0.
     """
     positive = np.where(depth > 0.0, depth, np.inf)
-    with np.errstate(over="ignore"):  # a depth too small to divide by has infinite resolution
+    with np.errstate(over="ignore"):  # a tiny depth has infinite resolution
         return np.asarray(camera.resolution_at_one_metre / positive)
 
 
 def field_of_view(camera: Camera, depth: FloatArray, distance: FloatArray) -> BoolArray:
     """C^FOV: z > 0 and sqrt(x^2 + y^2) / z <= tan(min(phi)), as z >= |s| cos(min(phi)) (Eq. C_k^FOV).
 
-    Both forms describe the same cone; this one needs no division and no roll.
+    The two forms describe one cone; the second needs neither division nor roll.
 
     Args:
         depth: z^c, metres.
-        distance: |s^c|, metres, same shape.
+        distance: |s^c|, metres, shape of `depth`.
     """
     return np.asarray(depth >= distance * (math.cos(camera.cone_half_angle) - TOLERANCE)) & (depth > 0.0)
 
@@ -159,27 +159,27 @@ def focus(camera: Camera, circle_of_confusion: float, depth: FloatArray) -> Bool
 
 
 def faces_away(offset: FloatArray, distance: FloatArray, normals: FloatArray) -> BoolArray:
-    """zeta >= pi/2: the camera cannot see the front face (Eq. occlusion1).
+    """Mask `(K,)` of the landmarks with zeta >= pi/2, whose front face the camera cannot see (Eq. occlusion1).
 
     cos(zeta) = n . (p - s) / |p - s| is compared with 0.
 
     Args:
-        offset: s_k - p, `(K, 3)`.
-        distance: |s_k - p|, `(K,)`.
-        normals: n_k, `(K, 3)`.
+        offset: s_k - p, metres, `(K, 3)`.
+        distance: |s_k - p|, metres, `(K,)`.
+        normals: n_k, unit vectors, `(K, 3)`.
     """
     return np.asarray(-dot(normals, offset) <= TOLERANCE * distance)
 
 
 def hidden_by_others(offset: FloatArray, visibility: Visibility) -> BoolArray:
-    """Another landmark lies within nu of the line of sight (Eq. occlusion2), `(K,)`.
+    """Mask `(K,)` of the landmarks with another landmark within nu of the line of sight (Eq. occlusion2).
 
     The paper's |s_j - p| sqrt(1 - cos^2) is the distance from s_j to the line through p and s_k, that is
     |d_j x d_k| / |d_k|, which stays accurate for nearly collinear landmarks.
 
     Args:
-        offset: d = s - p, `(K, 3)`.
-        visibility: the virtual diameter nu, and which part of the line counts.
+        offset: d = s - p, metres, `(K, 3)`.
+        visibility: has the virtual diameter nu and the occlusion mode.
     """
     count = len(offset)
     if not visibility.tests_other_landmarks:
@@ -199,7 +199,7 @@ def hidden_by_others(offset: FloatArray, visibility: Visibility) -> BoolArray:
 
 
 def occlusion(offset: FloatArray, distance: FloatArray, normals: FloatArray, visibility: Visibility) -> BoolArray:
-    """C^O: False where a landmark is occluded (Eq. C_k^O), `(K,)`. Args as in the two tests it joins."""
+    """C^O: mask `(K,)` of the landmarks that are not occluded (Eq. C_k^O); args as in the two tests above."""
     return ~(faces_away(offset, distance, normals) | hidden_by_others(offset, visibility))
 
 

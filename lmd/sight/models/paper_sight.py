@@ -1,25 +1,25 @@
-"""The paper's criteria as scalar functions: `lmd.sight.models.paper` compiled for a camera."""
+"""Criteria of `lmd.sight.models.paper` for one camera, compiled as scalar functions."""
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from lmd.core.checks import FloatArray
 from lmd.scene.criteria import TOLERANCE, from_around, from_position, hide, in_cone, in_image, in_view
 
 
 class PaperSight(NamedTuple):
-    """The criteria as bounds on the depth, tolerance included; a `lmd.scene.criteria.Sight`."""
+    """Bounds on the depth with tolerances for one camera; a `lmd.scene.criteria.Sight`."""
 
     min_cosine: float
-    """Of the cone of view."""
+    """Cosine of the half-angle of the cone of view."""
     min_depth: float
-    """Metres."""
+    """Least depth, metres."""
     max_depth: float
-    """Metres."""
+    """Greatest depth, metres."""
     reach: float
-    """Squared nu, m^2."""
+    """Squared virtual diameter nu, m^2; negative without occlusion."""
     whole_line: bool
-    """Whether a landmark hides another from behind the camera, too, and from beyond it."""
+    """True if landmarks behind the camera, or farther than the hidden one, also hide it."""
 
     @property
     def outer_cosine(self) -> float:
@@ -28,19 +28,19 @@ class PaperSight(NamedTuple):
 
     @property
     def inset(self) -> float:
-        """See `Sight.inset`: a landmark is a point."""
+        """See `Sight.inset`; 0, as a landmark is a point."""
         return 0.0
 
     @property
     def horizon(self) -> float:
-        """See `Sight.horizon`: a landmark on the whole line hides others from however far away."""
+        """See `Sight.horizon`; infinite for `whole_line`, as landmarks at any distance may hide others."""
         if self.min_cosine <= 0.0 or (self.whole_line and self.reach >= 0.0):
             return math.inf
         return (self.max_depth / self.min_cosine + math.sqrt(max(self.reach, 0.0))) * (1.0 + 2.0 * TOLERANCE)
 
     @property
     def tabulated(self) -> bool:
-        """See `Sight.tabulated`: a depth and two comparisons."""
+        """See `Sight.tabulated`; the test is a depth and two comparisons."""
         return False
 
     def unhidden(self) -> "PaperSight":
@@ -48,7 +48,7 @@ class PaperSight(NamedTuple):
         return self._replace(reach=-1.0)
 
     def among(self, low: FloatArray, high: FloatArray, landmarks: FloatArray, normals: FloatArray) -> "PaperSight":
-        """See `Sight.among`: a landmark may hide any other."""
+        """See `Sight.among`; no occlusion is excluded."""
         return self
 
     def shrunk(self, size: float) -> "PaperSight":
@@ -57,7 +57,7 @@ class PaperSight(NamedTuple):
 
 
 @from_position.register(PaperSight)
-def _from_position(sight, x, y, z, nx, ny, nz, slack):  # type: ignore[no-untyped-def]
+def _from_position(sight: Any, x: float, y: float, z: float, nx: float, ny: float, nz: float, slack: float) -> Any:
     distance = math.sqrt(x * x + y * y + z * z)
     nearest = distance - slack
     low = max(nearest * sight.min_cosine, sight.min_depth) - slack
@@ -70,7 +70,7 @@ def _from_position(sight, x, y, z, nx, ny, nz, slack):  # type: ignore[no-untype
 
 
 @from_around.register(PaperSight)
-def _from_around(sight, x, y, z, nx, ny, nz, radius):  # type: ignore[no-untyped-def]
+def _from_around(sight: Any, x: float, y: float, z: float, nx: float, ny: float, nz: float, radius: float) -> Any:
     distance, along = math.sqrt(x * x + y * y + z * z), -(nx * x + ny * y + nz * z)
     nearest, farthest = max(distance - radius, 0.0), (distance + radius) * (1.0 + TOLERANCE)
     least = min(nearest * sight.min_cosine, farthest * sight.min_cosine)
@@ -82,18 +82,27 @@ def _from_around(sight, x, y, z, nx, ny, nz, radius):  # type: ignore[no-untyped
 
 
 @in_image.register(PaperSight)
-def _in_image(sight, x, y, z, nx, ny, nz, low, slack, ax, ay, az, rx, ry, rz):  # type: ignore[no-untyped-def]
+def _in_image(
+    sight: Any, x: float, y: float, z: float, nx: float, ny: float, nz: float, low: float, slack: float, ax: float,
+    ay: float, az: float, rx: float, ry: float, rz: float,
+) -> Any:  # fmt: skip
     depth = ax * x + ay * y + az * z
     return (depth >= low) & (depth <= sight.max_depth + slack)
 
 
 @in_view.register(PaperSight)
-def _in_view(sight, x, y, z, sine, cosine, ax, ay, az, rx, ry, rz):  # type: ignore[no-untyped-def]
+def _in_view(
+    sight: Any, x: float, y: float, z: float, sine: float, cosine: float, ax: float, ay: float, az: float, rx: float,
+    ry: float, rz: float,
+) -> Any:  # fmt: skip
     return in_cone(sight.min_cosine + (TOLERANCE if sine > 0.0 else -TOLERANCE), x, y, z, sine, cosine, ax, ay, az)
 
 
 @hide.register(PaperSight)
-def _hide(sight, ax, ay, az, a, bx, by, bz, b, ux, uy, uz, vx, vy, vz):  # type: ignore[no-untyped-def]
+def _hide(
+    sight: Any, ax: float, ay: float, az: float, a: float, bx: float, by: float, bz: float, b: float, ux: float,
+    uy: float, uz: float, vx: float, vy: float, vz: float,
+) -> Any:  # fmt: skip
     cx = ay * bz - az * by
     cy = az * bx - ax * bz
     cz = ax * by - ay * bx

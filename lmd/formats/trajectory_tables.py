@@ -1,7 +1,4 @@
-"""Formats of trajectories, chosen by what a file holds.
-
-TUM's, EuRoC's, KITTI's, COLMAP's, ROS's, and tables whose header names columns.
-"""
+"""Trajectories with a time in each line: TUM's, EuRoC's, ROS's, and tables whose header names columns."""
 
 import re
 from collections.abc import Sequence
@@ -10,8 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from lmd.core.checks import FloatArray, InputError, radians
-from lmd.core.files import read_text
-from lmd.core.tables import COMMENT, Headless, Table, is_number, read_headless, read_table
+from lmd.core.tables import COMMENT, Headless, Table, is_number, read_table
 from lmd.formats.trajectory_columns import (
     EULER,
     OWN_ANGLES,
@@ -25,9 +21,7 @@ from lmd.formats.trajectory_columns import (
     lacking,
     values,
 )
-from lmd.formats.trajectory_rows import NANOSECONDS, Rows, checked_seconds, cleaned
-from lmd.formats.unread_trajectories import check_kind
-from lmd.formats.untimed_trajectories import KITTI, colmap_images, images_in_order, matrices
+from lmd.formats.trajectory_rows import NANOSECONDS, Rows, checked_seconds
 from lmd.geometry.frames import roll_pitch_yaw
 from lmd.geometry.se3 import ROW, camera_pose, pose_of, poses_from_rows
 
@@ -44,54 +38,7 @@ ROS_BODIES = re.compile(r"/?(.*/)?(base_link|base_footprint|base|body|robot)")
 ROS_OPTICAL = re.compile(r".*optical(_frame|_link)?")
 
 
-def read_rows(path: str, times: str | None, rate: float | None, frame: str) -> Rows:
-    """Read a trajectory of any format that is known.
-
-    Args:
-        times: a file with the time of each pose, one a line, for a format that has none (KITTI, COLMAP).
-        rate: poses a second in place of it, from time 0.
-        frame: that orientations are said to be about, `optical` or `body`: what yaw and pitch mean depends on it.
-
-    Raises:
-        InputError: the file cannot be read, or what it holds is no trajectory; the message names the file.
-    """
-    try:
-        return cleaned(_rows(path, times, rate, frame))
-    except InputError as error:
-        if error.argument is not None or str(path) in str(error):
-            raise
-        raise InputError(f"{path}: {error}") from None
-
-
-def _rows(path: str, times: str | None, rate: float | None, frame: str) -> Rows:
-    text = read_text(path, "path")
-    check_kind(text)
-    if (images := colmap_images(text)) is not None:
-        return images_in_order(str(path), images, times, rate)
-    headless = read_headless(path, name="path")
-    header = None if headless is None else _comment_header(headless)
-    if headless is not None and header is None and headless.width == len(KITTI):
-        return matrices(headless, times, rate)
-    if times is not None or rate is not None:
-        name = "rate" if times is None else "times"
-        raise InputError(f"{name} must be left out: {path} has a time in each line.", name)
-    if headless is None:
-        table = _headed(path, text)
-    elif (stamps := _ros_lines(headless)) is not None:
-        return _of_ros(headless, stamps, frame)
-    else:
-        if header is None:
-            check_quaternion_order(headless.comments)
-        names = _named(headless, header) if header else _by_count(headless)
-        rows = _of_table(headless.table(names), frame)
-        if header is None and tuple(names[: len(EUROC)]) == EUROC:
-            said = f"{path} does not name its columns, and is read as EuRoC's: {' '.join(EUROC)}"
-            rows = replace(rows, notes=(*rows.notes, said))
-        return rows
-    return _of_table(table, frame)
-
-
-def _headed(path: str, text: str) -> Table:
+def headed(path: str, text: str) -> Table:
     """A table whose first line names its columns, with commas or spaces between them."""
     lines = [(i, line) for i, line in enumerate(text.splitlines(), 1) if line.strip()]
     lines = [(i, line) for i, line in lines if line.lstrip()[0] != COMMENT]
@@ -114,7 +61,7 @@ def _words(line: str) -> list[str]:
     return [word for word in re.split(r"[,\s]+", line.strip()) if word]
 
 
-def _comment_header(text: Headless) -> list[str] | None:
+def comment_header(text: Headless) -> list[str] | None:
     """The names of the columns in a comment above the values, if one has them; the last counts."""
     for comment in reversed(text.comments):
         names = [name.strip() for name in comment.split(",")] if "," in comment else []
@@ -134,6 +81,19 @@ def _comment_header(text: Headless) -> list[str] | None:
             if known or (fits and len(found) > 1 and (certain or is_header(found))):
                 return found
     return None
+
+
+def of_lines(text: Headless, header: Sequence[str] | None, frame: str) -> Rows:
+    """Rows of a text whose columns are named by a comment above the values, or follow from their number."""
+    if header is not None:
+        return of_table(text.table(_named(text, header)), frame)
+    check_quaternion_order(text.comments)
+    names = _by_count(text)
+    rows = of_table(text.table(names), frame)
+    if tuple(names[: len(EUROC)]) == EUROC:
+        said = f"{text.path} does not name its columns, and is read as EuRoC's: {' '.join(EUROC)}"
+        rows = replace(rows, notes=(*rows.notes, said))
+    return rows
 
 
 def _named(text: Headless, header: Sequence[str]) -> list[str]:
@@ -165,7 +125,7 @@ def _by_count(text: Headless) -> list[str]:
     )
 
 
-def _of_table(table: Table, frame: str) -> Rows:
+def of_table(table: Table, frame: str) -> Rows:
     """Rows of a table with a time in each line."""
     if not table.texts:
         raise InputError(f"{table.path} is empty; expected the columns {','.join(TUM)}.")
@@ -258,7 +218,7 @@ def _frame_of_ros(table: Table, frame: str) -> tuple[str | None, str]:
     return None, ""
 
 
-def _ros_lines(text: Headless) -> int | None:
+def ros_lines(text: Headless) -> int | None:
     """The number of names of frames in a line of `ros2 topic echo --csv`; None for another text."""
     row = text.rows[0][1]
     if not text.commas or len(row) < 4 or not (row[0].isdigit() and row[1].isdigit() and len(row[1]) < 10):
@@ -267,8 +227,8 @@ def _ros_lines(text: Headless) -> int | None:
     return frames if not is_number(row[2]) and (frames, len(row)) in ROS_LINES else None
 
 
-def _of_ros(text: Headless, frames: int, frame: str) -> Rows:
+def of_ros(text: Headless, frame: str) -> Rows:
     """Poses that `ros2 topic echo --csv` printed: seconds, nanoseconds, names of frames, position, quaternion."""
-    names = ["sec", "nanosec", *("frame_id", "child_frame_id")[:frames], *ROW]
+    names = ["sec", "nanosec", *("frame_id", "child_frame_id")[: ros_lines(text)], *ROW]
     table = text.table([*names, *(f"column {i + 1}" for i in range(len(names), text.width))])
-    return _of_table(table, frame)
+    return of_table(table, frame)

@@ -1,0 +1,176 @@
+"""Files of detections by other programs: the formats, and the list of the images that were taken."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from decimal import Decimal
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from lmd.core.checks import InputError
+from lmd.core.tables import in_order, read_table, time_of, write_table
+from lmd.formats.detections import DetectedTags, signed_area
+from lmd.formats.registry import File, Format, anything, read
+from lmd.geometry.camera import PIXEL_CENTRE
+
+NAME, IMAGES = "detections", "images"  # arguments that paths come from
+# In OpenCV's pixels, clockwise from the top left of the tag as it was made.
+CORNER_COLUMNS = tuple(f"{axis}{corner}" for corner in range(4) for axis in "xy")
+TIMES, CAMERAS = ("time", "stamp", "timestamp", "image"), ("camera", "topic", "cam", "camera_id")
+READ = (
+    f"what is read is a CSV with a row for each tag and the columns {' or '.join(TIMES)}, id, x0, y0, ..., x3, y3, the "
+    "corners clockwise from the tag's top left in OpenCV's pixels"
+)
+FROM_APRILTAG = [3, 2, 1, 0]
+# Columns of a header that has others are named if it lacks so few; else the header is shown, characters at most.
+MOST_LACKING, SHOWN = 4, 80
+# A quadrilateral smaller than this, square pixels, has no corners to speak of.
+LEAST_AREA = 1.0
+
+
+class DetectionsFile(File):
+    """A file of detections; its first line may name columns."""
+
+    @cached_property
+    def header(self) -> list[str]:
+        """The columns that the first line names."""
+        return [column.strip().strip('"') for column in self.first.split(",")]
+
+    @cached_property
+    def lacks(self) -> list[str]:
+        """The columns that the header lacks."""
+        lacks = [column for column in ("id", *CORNER_COLUMNS) if column not in self.header]
+        return [" or ".join(TIMES)] * (not set(TIMES) & set(self.header)) + lacks
+
+    def refused(self, reason: str) -> InputError:
+        """The error about a file that is no table of detections, with what is read."""
+        return InputError(f"{self.argument}: {str(self.path)!r} {reason}; {READ}.", self.argument)
+
+
+def read_detections(path: Any) -> DetectedTags:
+    """Read `id,x0,y0,...,x3,y3`, corners clockwise from the top left in OpenCV's pixels, with `time`.
+
+    The time may be called `stamp` or `image`, and be any text, such as the name of a photograph.
+
+    `camera` or `topic` says which camera saw a tag; without it there is one. Further columns are ignored. Where most
+    corners go round counter-clockwise they are taken for those of the AprilTag library, which begins at the bottom
+    left. Detections that go round the other way than most are left out.
+
+    Raises:
+        InputError: the file cannot be read, lacks a column, or a value is no number.
+    """
+    found: DetectedTags = read("detections", DetectionsFile(path, NAME))
+    return found
+
+
+def _read_csv(file: File) -> DetectedTags:
+    path, name = file.path, file.argument
+    table = read_table(path, name=name)
+    time, camera = (next((known for known in known_as if known in table), "") for known_as in (TIMES, CAMERAS))
+    values = table.numbers(("id", *CORNER_COLUMNS), None)
+    ids = values[:, 0].astype(np.int64)
+    if (wrong := np.flatnonzero((ids != values[:, 0]) | (ids < 0))).size:
+        text = table.texts["id"][wrong[0]]
+        raise InputError(f"{path} line {table.lines[wrong[0]]}: id is {text!r}, not a whole number from 0.", name)
+    # Nanoseconds since 1970 have more digits than a float, so frames are told apart by what is written.
+    moments = _as_first_written(table.texts[time])
+    place = {text: index for index, text in enumerate(in_order(moments))}
+    names = sorted(set(table.texts[camera])) if camera else [""]
+    cameras = np.searchsorted(names, table.texts[camera]) if camera else np.zeros(len(ids), dtype=np.int64)
+    corners = values[:, 1:9].reshape(-1, 4, 2) + PIXEL_CENTRE
+    if 2 * (signed_area(corners) < 0.0).sum() > len(corners):
+        corners = corners[:, FROM_APRILTAG]
+    usable = signed_area(corners) >= LEAST_AREA
+    if not usable.any():
+        raise InputError(f"{path} has no detection with four corners around an area.", name)
+    frames = np.array([place[text] for text in moments])
+    found = DetectedTags(tuple(place), tuple(names), frames, np.asarray(cameras, dtype=np.int64), ids, corners)
+    return found.of(np.flatnonzero(usable))
+
+
+def _as_first_written(texts: Sequence[str]) -> list[str]:
+    """Texts for times, equal numbers as the first of them was written: 9.5 and 9.50 are one time."""
+    written: dict[Decimal | str, str] = {}
+    return [written.setdefault(time_of(text), text) for text in texts]
+
+
+def write_detections(path: Path, detected: DetectedTags) -> None:
+    """Write what `read_detections` reads."""
+    corners = (detected.corners - PIXEL_CENTRE).reshape(-1, 8)
+    columns: dict[str, Any] = {TIMES[0]: [detected.times[frame] for frame in detected.frame.tolist()]}
+    if len(detected.cameras) > 1:
+        columns[CAMERAS[0]] = [detected.cameras[camera] for camera in detected.camera.tolist()]
+    write_table(path, {**columns, "id": detected.ids, **dict(zip(CORNER_COLUMNS, corners.T, strict=True))})
+
+
+def with_images(detected: DetectedTags, path: Any) -> DetectedTags:
+    """Detections that know which images there are, from a CSV with a row for each image.
+
+    It has the columns of `read_detections` for time and camera; others are ignored, and so are
+    images of times at which nothing was detected.
+
+    Raises:
+        InputError: the file cannot be read or lacks a column, or it lacks an image in which a tag was detected.
+    """
+    table = read_table(path, name=IMAGES)
+    time, camera = (next((known for known in known_as if known in table), "") for known_as in (TIMES, CAMERAS))
+    if not time:
+        raise InputError(f"{IMAGES}: {str(path)!r} has no column {' or '.join(TIMES)}.", IMAGES)
+    if not camera and len(detected.cameras) > 1:
+        raise InputError(
+            f"{IMAGES}: {str(path)!r} has no column {' or '.join(CAMERAS)}, and detections are of "
+            f"{len(detected.cameras)} cameras.",
+            IMAGES,
+        )
+    frame = {time_of(text): index for index, text in enumerate(detected.times)}
+    number = {name: index for index, name in enumerate(detected.cameras)}
+    cameras = table.texts[camera] if camera and len(number) > 1 else [detected.cameras[0]] * len(table.lines)
+    taken = np.zeros((len(detected.times), len(detected.cameras)), dtype=bool)
+    for text, name in zip(table.texts[time], cameras, strict=True):
+        if (index := frame.get(time_of(text))) is not None and name in number:
+            taken[index, number[name]] = True
+    if (lacking := np.flatnonzero(~taken[detected.frame, detected.camera])).size:
+        first = lacking[0]
+        of = f" of {detected.cameras[detected.camera[first]]}" if len(number) > 1 else ""
+        raise InputError(
+            f"{IMAGES}: {str(path)!r} lacks the image{of} at {detected.times[detected.frame[first]]}, in which a tag "
+            "was detected.",
+            IMAGES,
+        )
+    return replace(detected, taken=taken)
+
+
+def _lacking(file: DetectionsFile) -> str:
+    if not file.lines:
+        return "is empty"
+    if len(file.lacks) > MOST_LACKING:
+        return f"has no such columns in its first line, {file.first.strip()[:SHOWN]!r}"
+    return f"lacks the column{'s' * (len(file.lacks) > 1)} {', '.join(file.lacks)}"
+
+
+FORMATS = (
+    Format(
+        "detections",
+        "table",
+        # One with semicolons is refused by the reader of tables.
+        lambda file: not file.lacks or (len(file.header) == 1 and ";" in file.first),
+        _read_csv,
+        row="table (CSV) | a row for each tag, with `time` (`stamp`, `image`), `id`, `x0,y0,...,x3,y3`, and `camera` "
+        "(`topic`) of a rig",
+    ),
+    Format(
+        "detections",
+        "JSON or YAML",
+        lambda file: file.first.lstrip().startswith(("{", "[")),
+        why_not="is JSON or YAML, and no CSV",
+    ),
+    Format(
+        "detections",
+        "a row for each corner",
+        lambda file: {"corner", "x", "y"} <= set(file.header),
+        why_not="has a row for each corner",
+    ),
+    Format("detections", "another file", anything, why_not=_lacking),
+)

@@ -1,0 +1,125 @@
+"""Occlusion of one landmark by another from the cameras of a rig.
+
+Bounds for all cameras around a centre exclude most pairs of landmarks; the exact test of `criteria` decides the others.
+"""
+
+import math
+from typing import Any
+
+import numpy as np
+
+from lmd.core.bits import BITS, LANES, ONE, ZERO, Integer, lowest
+from lmd.core.compiled import inlined
+from lmd.scene.criteria import hide_between, sized
+from lmd.sight.blocks import SINGLE_ERROR
+
+
+@inlined
+def hidden_bits(
+    group: Any, m: Integer, w: Integer, left: Any, i: Integer, k: Integer, px: float, py: float, pz: float, one: Any,
+    other: Any,
+) -> Any:  # fmt: skip
+    """Subset of the orientations `left` of word w that satisfy `hides_from`."""
+    found = ZERO
+    while left:
+        bit = lowest(left)
+        left &= left - ONE
+        found |= np.uint64(hides_from(group, m, w * np.uint64(BITS) + bit, i, k, px, py, pz, one, other)) << bit
+    return found
+
+
+@inlined
+def hides_from(
+    group: Any, m: Integer, a: Integer, i: Integer, k: Integer, px: float, py: float, pz: float, one: Any, other: Any
+) -> Any:
+    """True if landmark i hides landmark k from mount m with orientation a of the body at (px, py, pz).
+
+    `one` and `other` are position and unit normal of landmarks i and k, six numbers each.
+    """
+    offsets = group.offsets
+    sx, sy, sz = px + offsets[m, 0, a], py + offsets[m, 1, a], pz + offsets[m, 2, a]
+    ax, ay, az, ux, uy, uz = one
+    bx, by, bz, vx, vy, vz = other
+    ax, ay, az, bx, by, bz = ax - sx, ay - sy, az - sz, bx - sx, by - sy, bz - sz
+    first, second = ax * ax + ay * ay + az * az, bx * bx + by * by + bz * bz
+    mine, theirs = sized(group.sight, i), sized(group.sight, k)
+    hides, _ = hide_between(mine, theirs, ax, ay, az, first, bx, by, bz, second, ux, uy, uz, vx, vy, vz)
+    return hides
+
+
+@inlined
+def may_hide_around(
+    ax: float, ay: float, az: float, bx: float, by: float, bz: float, radius: float, width: float
+) -> Any:
+    """False only if of two landmarks neither hides the other from any camera within `radius` of a centre.
+
+    Let a and b be the offsets of the landmarks from the centre. From a camera displaced by delta the offsets are
+    a' = a - delta and b' = b - delta, and a' x b' = a x b - delta x (b - a). One landmark hides the other only within
+    `width` = sqrt(reach) of the line of sight, that is if |a' x b'| <= width max(|a'|, |b'|).
+    """
+    ex, ey, ez = bx - ax, by - ay, bz - az
+    cx, cy, cz = ay * ez - az * ey, az * ex - ax * ez, ax * ey - ay * ex
+    longest = math.sqrt(max(ax * ax + ay * ay + az * az, bx * bx + by * by + bz * bz))
+    apart = math.sqrt(ex * ex + ey * ey + ez * ez)
+    return cx * cx + cy * cy + cz * cz <= hiding_bound(longest, apart, radius, width)
+
+
+@inlined
+def hiding_bound(longest: float, apart: float, radius: float, width: float) -> Any:
+    """Upper bound on |a x b|^2 for `may_hide_around`, m^4; `longest` is max(|a|, |b|), `apart` is |b - a|."""
+    room = (width * (longest + radius) + radius * apart) * (1.0 + SINGLE_ERROR) + SINGLE_ERROR
+    return room * room
+
+
+@inlined
+def _may_occlude(j: Integer, k: Integer, mine: Any, view: Any) -> Any:
+    """False only if landmark j hides landmark k from no camera within the radius; float32; True for j = k.
+
+    From a position within the radius of the centre, the direction of a landmark at the distance d turns by at most
+    asin(radius / d), and the landmark hides others within asin(width / (d - radius)) of its direction. So the sine of
+    the angle between occluder j and landmark k is at most radius / d_j + width / (d_j - radius), which is `close[j]`,
+    plus radius / d_k, which is `mine`.
+    """
+    u, v, w = view.u, view.v, view.w
+    cosine, sine = u[j] * u[k] + v[j] * v[k] + w[j] * w[k], view.close[j] + mine
+    return cosine * cosine + sine * sine >= np.float32(1.0 - 2.0 * SINGLE_ERROR)
+
+
+@inlined
+def _sine_of_turn(k: Integer, view: Any, radius: float) -> Any:
+    """Upper bound on the sine of the angle by which the direction of landmark k may turn, radius / d; float32."""
+    return np.float32(min(radius / math.sqrt(view.squared[k]), 1.0) if view.squared[k] > 0.0 else 1.0)
+
+
+@inlined
+def find_suspects(k: Integer, view: Any, count: Integer, radius: float, close: Any) -> Any:
+    """Write the landmarks that may hide landmark k as bits into `close` `(blocks,)`; returns True if there are any."""
+    mine, any_found = _sine_of_turn(k, view, radius), np.uint32(0)
+    for b in range((count + LANES - 1) // LANES):
+        found = np.uint32(0)
+        for lane in range(np.uint64(LANES)):
+            j = np.uint64(b * LANES) + lane
+            found |= np.uint32(_may_occlude(j, k, mine, view)) << np.uint32(lane)
+        if b == k // LANES:
+            found &= ~(np.uint32(1) << np.uint32(k % LANES))
+        if b == count // LANES:  # padding
+            found &= (np.uint32(1) << np.uint32(count % LANES)) - np.uint32(1)
+        close[b] = found
+        any_found |= found
+    return any_found != 0
+
+
+@inlined
+def list_occluders(
+    k: Integer, view: Any, radius: float, width: float, close: Any, blocks: Integer, occluders: np.ndarray
+) -> Any:
+    """List the suspects of the first `blocks` words of `close` that pass `may_hide_around`; returns their number."""
+    x, y, z, kept = view.x, view.y, view.z, 0
+    for b in range(blocks):
+        left = np.uint64(close[b])
+        while left:
+            j = b * LANES + np.int64(lowest(left))
+            left &= left - ONE
+            occluders[kept] = j
+            kept += may_hide_around(x[j], y[j], z[j], x[k], y[k], z[k], radius, width)
+    return kept

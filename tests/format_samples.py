@@ -1,0 +1,274 @@
+"""Small samples of each format that is read, and the readers of the families.
+
+A format is added by a line: its file's name and a text. `tests/formats/test_bad_files.py` damages each of them, and
+`tests/test_fuzz_readers.py` changes their bits, types, sizes and nesting.
+"""
+
+import itertools
+import json
+
+from captured import ROOMS
+from occupancy_maps import KEYS, hall
+from PIL import Image
+
+from lmd.formats.calibrations import calibrated_camera
+from lmd.formats.detection_formats import read_detections
+from lmd.formats.meshes import read_mesh
+from lmd.formats.plans import read_plan_room
+from lmd.formats.tag_maps import read_deployment
+from lmd.formats.trajectories import TrajectoryFile
+
+MATRIX = [600.0, 0.0, 320.0, 0.0, 610.0, 240.0, 0.0, 0.0, 1.0]
+LENS = [-0.2, 0.05, 0.001, -0.002, 0.01]
+NAMES = dict(zip(["fx", "fy", "cx", "cy"], [600.0, 610.0, 320.0, 240.0], strict=True))
+BASALT = {
+    "camera_type": "pinhole-radtan8",
+    "intrinsics": NAMES | dict(zip(["k1", "k2", "p1", "p2", "k3"], LENS, strict=True)),
+}
+MRCAL = "{{ 'lensmodel': 'LENSMODEL_{}',\n 'intrinsics': [600, 610, 320, 240, {},],\n 'imagersize': [640, 480] }}"
+XML = """<?xml version="1.0"?>
+<opencv_storage><image_width>640</image_width><image_height>480</image_height>
+<camera_matrix type_id="opencv-matrix"><rows>3</rows><cols>3</cols><dt>d</dt>
+<data>600. 0. 320. 0. 610. 240. 0. 0. 1.</data></camera_matrix>
+<distortion_coefficients type_id="opencv-matrix"><data>-0.2 0.05 1e-3 -2e-3 0.01</data></distortion_coefficients>
+</opencv_storage>"""
+SCRIPT = {
+    "camera_matrix": [MATRIX[:3], MATRIX[3:6], MATRIX[6:]],
+    "distortion_coefficients": LENS,
+    "avg_reprojection_error": 0.2,
+}
+FILES = {
+    "OpenCV XML": XML,
+    "OpenCV 2": XML.replace("camera_matrix", "Camera_Matrix")
+    .replace("distortion_c", "Distortion_C")
+    .replace("_w", "_W"),
+    "script of OpenCV": json.dumps({"mtx": SCRIPT["camera_matrix"], "dist": [LENS], "img_size": [640, 480]}),
+    "ros topic echo": "width: 640\nheight: 480\ndistortion_model: plumb_bob\n" + f"d: {LENS}\nk: {MATRIX}\n---\n",
+    "EuRoC": "%YAML:1.0\nT_BS:\n  data: [1.0]\ncamera_model: pinhole\ndistortion_model: radial-tangential\n"
+    f"resolution: [640, 480]\nintrinsics: {list(NAMES.values())}\ndistortion_coefficients: {LENS}\n",
+    "OKVIS": "cameras:\n  - {T_SC: [1.0], image_dimension: [640, 480], distortion_type: radialtangential,\n"
+    f"     distortion_coefficients: {LENS}, focal_length: [600, 610],\n"
+    "     principal_point: [320, 240]}\ncamera_params: {}\n",
+    "VINS": "%YAML:1.0\n---\nmodel_type: PINHOLE\nimage_width:640\nimage_height: 480\ndistortion_parameters:\n"
+    "   k1: -0.2\n   k2: 0.05\n   p1: 0.001\n   p2: -0.002\n   k3: 0.01\n"
+    "projection_parameters:\n   fx:600.0\n   fy: 610.0\n   cx: 320.0\n   cy: 240.0\n",
+    "message": json.dumps({"width": 640, "height": 480, "K": MATRIX, "D": LENS}),
+    "another script": json.dumps(
+        {
+            "model": "Raspberry Pi 3 wide",
+            "image_size": [640, 480],
+            "fisheye": False,
+            "camera_matrix": SCRIPT["camera_matrix"],
+            "distortion_coeffs": LENS,
+        }
+    ),
+    "message of ROS 2": json.dumps({"width": 640, "height": 480, "k": MATRIX, "d": [*LENS, 0.0, 0.0, 0.0]}),
+    "PhotonVision": json.dumps(
+        {
+            "resolution": {"width": 640.0, "height": 480.0},
+            "cameraIntrinsics": {"rows": 3, "cols": 3, "data": MATRIX},
+            "distCoeffs": {"rows": 1, "cols": 5, "data": LENS},
+        }
+    ),
+    "COLMAP": "# cameras\n1 FULL_OPENCV 640 480 600 610 320.5 240.5 -0.2 0.05 0.001 -0.002 0.01 0 0 0\n",
+    "Basalt": json.dumps({"value0": {"intrinsics": [BASALT], "resolution": [[640, 480]]}}),
+    "ORB-SLAM3": '%YAML:1.0\nCamera.type: "PinHole"\nCamera1.fx: 600.0\nCamera1.fy: 610.0\nCamera1.cx: 320.0\n'
+    "Camera1.cy: 240.0\nCamera1.k1: -0.2\nCamera1.k2: 0.05\nCamera1.p1: 0.001\nCamera1.p2: -0.002\nCamera1.k3: 0.01\n"
+    "Camera.width: 640\nCamera.height: 480\n",
+    "OpenVSLAM": 'Camera.model: "perspective"\nCamera.fx: 600.0\nCamera.fy: 610.0\nCamera.cx: 320.0\nCamera.cy: 240.0\n'
+    "Camera.k1: -0.2\nCamera.k2: 0.05\nCamera.p1: 0.001\nCamera.p2: -0.002\nCamera.k3: 0.01\n"
+    "Camera.cols: 640\nCamera.rows: 480\n",
+    "stella_vslam": "Camera:\n  {model: perspective, fx: 600.0, fy: 610.0, cx: 320.0, cy: 240.0, k1: -0.2, k2: 0.05,\n"
+    "   p1: 0.001, p2: -0.002, k3: 0.01, cols: 640, rows: 480}\nMapping: {backend: g2o}\n",
+    "mrcal": MRCAL.format("OPENCV5", "-0.2, 0.05, 0.001, -0.002, 0.01"),
+    "frc971": json.dumps({"intrinsics": MATRIX, "dist_coeffs": LENS, "image_width": 640, "image_height": 480}),
+}
+FILES["OKVIS2"] = FILES["OKVIS"].replace("camera_params", "camera_parameters")
+QUATERNION = {"x": 0.0, "y": 0.0, "z": 0.0, "w": 1.0}
+MAPS = {
+    "wpilib": {
+        "field": {"length": 8.0, "width": 4.0},
+        "tags": [
+            {
+                "ID": 4,
+                "pose": {
+                    "rotation": {"quaternion": dict(zip("WXYZ", (1, 0, 0, 0), strict=True))},
+                    "translation": {"x": 1.0, "y": 1.0, "z": 0.5},
+                },
+            }
+        ],
+    },
+    "own": {"family": "36h11", "edge": 0.1, "tags": [{"id": 1, "position": [1, 2, 3], "quaternion": QUATERNION}]},
+    "limelight": {
+        "fieldlength": 8.0,
+        "fiducials": [
+            {
+                "family": "apriltag3_36h11_classic",
+                "id": 1,
+                "size": 152.4,
+                "transform": [1, 0, 0, 2, 0, 1, 0, 3, 0, 0, 1, 4, 0, 0, 0, 1],
+            }
+        ],
+    },
+    "frc971": {"target_poses": [{"id": 1, "position": {"x": 1, "y": 2, "z": 3}, "orientation": QUATERNION}]},
+    "apriltag_ros": {"standalone_tags": [], "tag_bundles": [{"name": "a", "layout": [{"id": 1, "size": 0.1, "x": 1}]}]},
+    "standalone": {
+        "standalone_tags": [
+            {"id": 1, "size": 0.1, **QUATERNION, **{f"q{axis}": value for axis, value in QUATERNION.items()}}
+        ]
+    },
+    "ros2": {"/**": {"ros__parameters": {"tag_bundles": [{"name": "a", "layout": [{"id": 1, "size": 0.1, "x": 1}]}]}}},
+    "tagslam": {
+        "bodies": [
+            {
+                "wall": {
+                    "is_static": True,
+                    "default_tag_size": 0.2,
+                    "pose": {"position": {"x": 1, "y": 2, "z": 0}},
+                    "board": {"tag_start_id": 10, "tag_size": 0.1, "tag_spacing": 0.5, "tag_rows": 2, "tag_columns": 2},
+                    "tags": [{"id": 2, "pose": {"rotation": {"x": 1.5, "y": 0, "z": 0}}}],
+                }
+            }
+        ]
+    },
+    "fiducial_vlam": {"marker_length": 0.16, "markers": [{"id": 1, "xyz": [0, 0, 1], "rpy": [1.5, 0, 0]}]},
+    "aruco": {
+        "aruco_bc_dict": "TAG36h11",
+        "aruco_bc_mInfoType": 1,
+        "aruco_bc_markers": [{"id": 9, "corners": [[0, 1, 1.2], [0, 1.2, 1.2], [0, 1.2, 1], [0, 1, 1]]}],
+    },
+    "duckietown": {
+        "objects": {
+            "tag": {
+                "kind": "floor_tag",
+                "pose": {"~SE2Transform": {"p": [1, 2], "theta_deg": 270}},
+                "tag": {"~TagInstance": {"family": "36h11", "size": 0.065, "tag_id": 300}},
+            }
+        }
+    },
+}
+MAP_TEXTS = {
+    "normals": "id,x,y,z,nx,ny,nz,ux,uy,uz,edge,family\n1,0,1,0,1,0,0,0,0,1,0.1,36h11\n2,0,2,0,1,0,0,0,0,1,,\n",
+    "quaternions": "id,x,y,z,qx,qy,qz,qw,edge\n1,0,1,0,0,0,0,1,0.1\n2,0,2,0,0,0,0,1,\n",
+    "spaces": "id x y z roll pitch yaw\n1 0 1 0 1.57 0 0\n2 0 2 0 1.57 0 0\n",
+    "clover": "# id length x y z yaw pitch roll\n8\t0.3\t1\t2\n9 0.22 1 2 0.5 1.57 0 0\n",
+    "headless": "8 3 1 2 0.5 0.5 0.5 0.5\n9 4 1 2 0 0 0 1\n",
+    "fiducial_slam": "7 1.0 2.0 0.5 90.0 0.0 0.0 0.04 31 8 9\n",
+    "rtabmap": "1 0 0 1 0 0 0|2 1 0 1 0 0 1.57\n",
+    "rtabmap ini": "[Core]\nMarker\\Priors=1 0 0 1 0 0 0|2 1 0 1 0 0 1.57\nMarker\\Length=0.1\nMarker\\Dictionary=20\n",
+    "rtabmap poses": "#timestamp x y z qx qy qz qw id\n0.0 1 2 3 0 0 0 1 -7\n1.5 1 2 3 0 0 0 1 4\n",
+    "wpilib drawing": "ID,X,Y,Z,Z-Rotation,X-Rotation\n4,100,50,10,90,30\n",
+}
+CALIBRATIONS = {
+    "basalt": {
+        "value0": {
+            "intrinsics": [
+                {
+                    "camera_type": "kb4",
+                    "intrinsics": {"fx": 500, "fy": 500, "cx": 320, "cy": 240, "k1": 0, "k2": 0, "k3": 0, "k4": 0},
+                }
+            ],
+            "resolution": [[640, 480]],
+        }
+    },
+    "ros": {
+        "image_width": 640,
+        "image_height": 480,
+        "distortion_model": "plumb_bob",
+        "camera_matrix": {"rows": 3, "cols": 3, "data": [500, 0, 320, 0, 500, 240, 0, 0, 1]},
+        "distortion_coefficients": {"rows": 1, "cols": 5, "data": [0.1, 0, 0, 0, 0]},
+    },
+    "kalibr": {
+        "cam0": {
+            "camera_model": "pinhole",
+            "intrinsics": [500, 500, 320, 240],
+            "distortion_model": "radtan",
+            "distortion_coeffs": [0.1, 0, 0, 0],
+            "resolution": [640, 480],
+        }
+    },
+    "euroc": {
+        "resolution": [640, 480],
+        "camera_model": "pinhole",
+        "intrinsics": [500, 500, 320, 240],
+        "distortion_model": "radial-tangential",
+        "distortion_coefficients": [0.1, 0, 0, 0],
+    },
+    "orb_slam": {
+        "Camera.type": "PinHole",
+        "Camera.fx": 500.0,
+        "Camera.fy": 500.0,
+        "Camera.cx": 320.0,
+        "Camera.cy": 240.0,
+        "Camera.k1": 0.1,
+        "Camera.k2": 0.0,
+        "Camera.p1": 0.0,
+        "Camera.p2": 0.0,
+        "Camera.width": 640,
+        "Camera.height": 480,
+    },
+}
+TRAJECTORIES = {
+    "table": "time,x,y,z,qx,qy,qz,qw\n0,1,2,3,0,0,0,1\n0.1,1.1,2,3,0,0,0,1\n",
+    "ros": "0,0,map,1,2,3,0,0,0,1\n0,100000000,map,1.1,2,3,0,0,0,1\n",
+    "kitti": "1 0 0 1 0 1 0 2 0 0 1 3\n1 0 0 1.1 0 1 0 2 0 0 1 3\n",
+    "colmap": "3 1 0 0 0 1 2 3 1 img3.png\n12.5 7.25 -1\n4 1 0 0 0 1.1 2 3 1 img4.png\n\n",
+    "tum": "0 1 2 3 0 0 0 1\n0.1 1.1 2 3 0 0 0 1\n0.2 1.2 2 3 0 0 0 1\n",
+    "euroc": "#timestamp, p_x, p_y, p_z, q_w, q_x, q_y, q_z\n1e18,1,2,3,1,0,0,0\n1000000000100000000,1.1,2,3,1,0,0,0\n",
+    "angles": "time,x,y,z,yaw,pitch\n0,1,2,3,0,0\n0.1,1.1,2,3,0.1,0\n",
+}
+OBJ = "v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 1\nf 1 2 3\nf 1 3 4\nf 1 2 4\nf 2 3 4\n"
+DETECTED = "time,id,x0,y0,x1,y1,x2,y2,x3,y3\n0,1,10,10,20,10,20,20,10,20\n1,1,11,10,21,10,21,20,11,20\n"
+
+
+def read_trajectory(path):
+    untimed = path.name in ("kitti", "colmap")
+    return TrajectoryFile(str(path), rate=10.0 if untimed else None).trajectory
+
+
+_SQUARE = [(0, 0), (6, 0), (6, 4), (0, 4)]
+_LINES = (
+    f"0\nLINE\n8\nWALLS\n10\n{a}\n20\n{b}\n30\n0\n11\n{c}\n21\n{d}\n31\n0\n"
+    for (a, b), (c, d) in itertools.pairwise([*_SQUARE, _SQUARE[0]])
+)
+DXF = (
+    "0\nSECTION\n2\nHEADER\n9\n$ACADVER\n1\nAC1009\n9\n$INSUNITS\n70\n6\n0\nENDSEC\n"
+    f"0\nSECTION\n2\nENTITIES\n{''.join(_LINES)}0\nENDSEC\n0\nEOF\n"
+)
+
+
+RMF = json.dumps(
+    {
+        "levels": {
+            "L1": {
+                "vertices": [[x, y, 0, ""] for x, y in _SQUARE],
+                "walls": [[i, (i + 1) % 4] for i in range(4)],
+                "measurements": [[0, 1, {"distance": [3, 6.0]}]],
+            }
+        }
+    }
+)
+
+
+def read_plan(path):
+    """Read a floor plan; the picture of a map is written beside it."""
+    Image.fromarray(hall()[::-1]).save(path.with_name("map.pgm"))
+    return read_plan_room(None, 2.5, {"height": [0.5, 1.0]}, 1.0, path=str(path))
+
+
+READERS = {
+    "calibration": calibrated_camera,
+    "trajectory": read_trajectory,
+    "tag map": lambda path: read_deployment(path, family="36h11"),
+    "room": read_mesh,
+    "floor plan": read_plan,
+    "detections": read_detections,
+}
+SAMPLES = {
+    "calibration": FILES | {name: json.dumps(keys) for name, keys in CALIBRATIONS.items()},
+    "trajectory": TRAJECTORIES,
+    "tag map": {name: json.dumps(keys) for name, keys in MAPS.items()} | MAP_TEXTS,
+    "room": {"room.obj": OBJ} | {f"{name}.json": json.dumps(keys) for name, keys in ROOMS.items()},
+    "floor plan": {"map.yaml": json.dumps(KEYS | {"image": "map.pgm"}), "plan.dxf": DXF, "building.yaml": RMF},
+    "detections": {"table": DETECTED},
+}

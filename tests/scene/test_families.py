@@ -1,0 +1,91 @@
+import ctypes
+
+import numpy as np
+import pytest
+
+from lmd.core.checks import InputError
+from lmd.scene.families import FAMILIES, dictionary, family_named, picture
+from lmd.scene.tag import Tag
+
+OF_OPENCV = [name for name, family in FAMILIES.items() if family.dictionary]
+OF_APRILTAG = [name for name, family in FAMILIES.items() if family.apriltag]
+
+
+@pytest.mark.parametrize("name", OF_OPENCV)
+def test_the_table_of_families_is_that_of_opencv(name):
+    assert dictionary(name).markerSize + 2 == FAMILIES[name].modules
+    assert len(dictionary(name).bytesList) == FAMILIES[name].ids
+
+
+@pytest.mark.parametrize("name", OF_APRILTAG)
+def test_pictures_and_the_table_are_those_of_the_apriltag_library(name):
+    pyapriltags = pytest.importorskip("pyapriltags")
+    from pyapriltags.apriltags import _ImageU8
+
+    library, family = pyapriltags.Detector(families="").libc, FAMILIES[name]
+    described = getattr(library, f"{family.apriltag}_create")()
+    known = described.contents
+    assert (known.ncodes, known.width_at_border) == (family.ids, family.modules)
+    library.apriltag_to_image.restype = ctypes.POINTER(_ImageU8)
+    for number in (0, 7, family.ids - 1):
+        image = library.apriltag_to_image(described, number).contents
+        rows = np.ctypeslib.as_array(image.buf, (image.height, image.stride))[:, : image.width] > 0
+        margin = (len(rows) - family.picture_modules) // 2
+        theirs = rows[margin : len(rows) - margin, margin : len(rows) - margin]
+        ours = picture(name, number)
+        if name.startswith("circle"):  # outside of the circle is paper, where the library leaves black
+            data = np.zeros_like(ours)
+            data[1:-1, 1:-1] = data[[0, -1], 3:6] = data[3:6][:, [0, -1]] = True
+            data[3:6, 0] = data[3:6, -1] = True
+            assert ours[~data].all()
+            ours, theirs = ours[data], theirs[data]
+        assert (ours == theirs).all()
+
+
+@pytest.mark.parametrize("name", ["36h11", "16h5", "4x4_50", "aruco_original"])
+def test_a_picture_has_a_black_border_and_something_inside(name):
+    shown = picture(name, 3)
+    border = np.ones_like(shown)
+    border[1:-1, 1:-1] = False
+    assert shown.shape == (FAMILIES[name].modules,) * 2
+    assert not shown[border].any()
+    assert shown.any()
+
+
+def test_an_apriltag_hangs_as_in_apriltags_own_picture():
+    # The first row inside the border of its tag 0; OpenCV has it, backwards, as the last.
+    assert "".join(".#"[not white] for white in picture("36h11", 0)[1]) == "#..#.#.#"
+
+
+def test_a_family_has_no_further_tags():
+    with pytest.raises(InputError, match=r"tag id must be in \[0, 34\], got 35"):
+        picture("25h9", 35)
+
+
+@pytest.mark.parametrize(
+    ("name", "family"),
+    [
+        ("tag36h11", "36h11"),
+        ("TAG25h9", "25h9"),
+        ("36h11b1", "36h11"),
+        ("apriltag3_16h5_classic", "16h5"),
+        ("kTag16h5", "16h5"),
+        ("tagStandard41h12", "41h12"),
+        ("Standard52h13", "52h13"),
+        ("tagCircle21h7", "circle21h7"),
+        ("DICT_APRILTAG_36H11", "36h11"),
+        ("AprilTag 36h11", "36h11"),
+        ("apriltag16h5", "16h5"),
+        ("DICT_4X4_50", "4x4_50"),
+        ("aruco_5x5_1000", "5x5_1000"),
+        ("cv2.aruco.DICT_ARUCO_ORIGINAL", "aruco_original"),
+        ("ARUCO", "aruco_original"),
+        ("ARUCO_MIP_36h12", "aruco_mip_36h12"),
+        ("4x4_17", "4x4_17"),
+        ("tagCustom48h12", "tagCustom48h12"),
+    ],
+)
+def test_a_family_has_names_in_many_libraries(name, family):
+    assert family_named(name) == family
+    if family in FAMILIES:
+        assert Tag(0.1, name) == Tag(0.1, family)
