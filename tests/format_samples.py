@@ -4,6 +4,7 @@ A format is added by a line: its file's name and a text. `tests/formats/test_bad
 `tests/test_fuzz_readers.py` changes their bits, types, sizes and nesting.
 """
 
+import itertools
 import json
 
 import map_samples
@@ -227,6 +228,30 @@ def read_trajectory(path):
     return TrajectoryFile(str(path), rate=10.0 if untimed else None).trajectory
 
 
+_SQUARE = [(0, 0), (6, 0), (6, 4), (0, 4)]
+_LINES = (
+    f"0\nLINE\n8\nWALLS\n10\n{a}\n20\n{b}\n30\n0\n11\n{c}\n21\n{d}\n31\n0\n"
+    for (a, b), (c, d) in itertools.pairwise([*_SQUARE, _SQUARE[0]])
+)
+DXF = (
+    "0\nSECTION\n2\nHEADER\n9\n$ACADVER\n1\nAC1009\n9\n$INSUNITS\n70\n6\n0\nENDSEC\n"
+    f"0\nSECTION\n2\nENTITIES\n{''.join(_LINES)}0\nENDSEC\n0\nEOF\n"
+)
+
+
+RMF = json.dumps(
+    {
+        "levels": {
+            "L1": {
+                "vertices": [[x, y, 0, ""] for x, y in _SQUARE],
+                "walls": [[i, (i + 1) % 4] for i in range(4)],
+                "measurements": [[0, 1, {"distance": [3, 6.0]}]],
+            }
+        }
+    }
+)
+
+
 def read_plan(path):
     """Read a floor plan; the picture of a map is written beside it."""
     Image.fromarray(hall()[::-1]).save(path.with_name("map.pgm"))
@@ -246,6 +271,6 @@ SAMPLES = {
     "trajectory": TRAJECTORIES,
     "tag map": {name: json.dumps(keys) for name, keys in MAPS.items()} | MAP_TEXTS | map_samples.TEXTS,
     "room": {"room.obj": OBJ} | {f"{name}.json": json.dumps(keys) for name, keys in ROOMS.items()},
-    "floor plan": {"map.yaml": json.dumps(KEYS | {"image": "map.pgm"})},
+    "floor plan": {"map.yaml": json.dumps(KEYS | {"image": "map.pgm"}), "plan.dxf": DXF, "building.yaml": RMF},
     "detections": {"table": DETECTED},
 }

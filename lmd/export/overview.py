@@ -16,7 +16,9 @@ from lmd.space.surface import FLAT, Surface
 # On the page, mm.
 AROUND = 11.0  # around the room, for names
 NAME_GAP, OUTER_NAME_GAP = 3.0, 6.0  # from a wall to a name
-STEP, MOST_STEPS = 1.0, 12  # by which a name moves out of the way of others
+# By which a name moves out of the way of others, away from its wall and along it, the shortest first.
+SHIFTS = np.stack(np.meshgrid(np.arange(0.0, 21.0, 1.5), np.arange(-20.0, 21.0, 2.5)), axis=-1).reshape(-1, 2)
+SHIFTS = SHIFTS[np.argsort(np.abs(SHIFTS).sum(axis=1), kind="stable")]
 TAG = 1.8  # height of the triangle of a tag
 MANY = 1000  # edges of a room, as a scan has them: they are drawn thinner
 ARROW = 9.0  # length of the arrow to the north
@@ -33,6 +35,8 @@ def scale_of(room: Space, width: float, height: float, scales: tuple[int, ...]) 
 
 def draw_floor_plan(canvas: Any, tags: TagMap, left: float, top: float, scale: int, north: float | None) -> None:
     """Draw the room from above, its x to the right, with its upper left corner, names included, at (left, top), mm."""
+    import shapely
+
     low, high = tags.room.bounds()
     origin = np.array([left + AROUND, top - AROUND - 1000.0 * (high - low)[1] / scale])
 
@@ -50,11 +54,12 @@ def draw_floor_plan(canvas: Any, tags: TagMap, left: float, top: float, scale: i
         canvas.line(*start, *end)
     upright = [surface for surface in tags.room.surfaces() if abs(surface.normal[2]) <= FLAT]
     canvas.setLineWidth(WALL)
+    taken: list[Any] = []
     for surface in upright:
         start, end = place(surface.point(np.array([0.0, surface.extent[0]]), np.zeros(2))).tolist()
         canvas.line(*start, *end)
+        taken.append(shapely.LineString([start, end]))
     canvas.setLineWidth(LINE)
-    taken: list[Any] = []
     for opening in openings:
         ends = place(_ends(opening.footprint))
         draw_opening(canvas, opening.kind, ends)
@@ -114,9 +119,10 @@ def _outwards(room: Space, surface: Surface) -> FloatArray:
 def _write_along(
     canvas: Any, text: str, ends: FloatArray, way: FloatArray, away: float, taken: list[Any], bold: bool = False
 ) -> None:
-    """Write a text beside a line between `ends` `(2, 2)`, in the given way, clear of the boxes `taken` by other texts.
+    """Write a text beside a line between `ends` `(2, 2)`, in the given way, clear of walls and other texts, `taken`.
 
-    It stands along the line, or upright where the line is too short for it. Its own box is added to `taken`.
+    It stands along the line, or upright where the line is too short for it. Its own box is added to `taken`. A line
+    leads to a text that had to move.
     """
     import shapely
 
@@ -128,12 +134,15 @@ def _write_along(
     else:
         middle = middle + abs(way[0]) * (width - NAME) / 2.0 * way
     box = shapely.affinity.rotate(shapely.box(-width / 2.0, -NAME / 2.0, width / 2.0, NAME / 2.0), turn, origin=(0, 0))
-    box = shapely.affinity.translate(box, *middle)
-    others, steps = np.array(taken), 0
-    while steps < MOST_STEPS and shapely.intersects(others, box).any():
-        middle, steps = middle + STEP * way, steps + 1
-        box = shapely.affinity.translate(box, *(STEP * way))
-    taken.append(box)
+    others, start = np.array(taken), middle
+    for shift in SHIFTS @ np.array([way, [-way[1], way[0]]]):
+        place = shapely.affinity.translate(box, *(start + shift))
+        if not shapely.intersects(others, place).any():
+            middle = start + shift
+            break
+    if np.linalg.norm(middle - start) > NAME:
+        canvas.line(*ends.mean(axis=0).tolist(), *(middle - 0.5 * NAME * way).tolist())
+    taken.append(shapely.affinity.translate(box, *middle))
     aside = 0.35 * NAME * np.array([math.sin(math.radians(turn)), -math.cos(math.radians(turn))])
     x, y = (middle + aside).tolist()
     write_text(canvas, x, y, text, size=NAME, bold=bold, align="centre", turn=turn)

@@ -3,8 +3,10 @@
 from collections.abc import Callable
 from typing import Any
 
+from lmd.formats.dxf import read_drawing
 from lmd.formats.free_region import read_map
 from lmd.formats.registry import Format, anything, ends, has_keys
+from lmd.formats.rmf_buildings import read_building
 
 
 def _refused(recognises: Callable[[Any], bool], why_not: str) -> Format:
@@ -12,17 +14,18 @@ def _refused(recognises: Callable[[Any], bool], why_not: str) -> Format:
 
 
 FORMATS = (
+    Format("floor plan", "DXF", ends(".dxf"), read_drawing, row="DXF (`.dxf`) | AutoCAD, LibreCAD, QCAD, FreeCAD"),
+    _refused(ends(".dwg"), "a .dwg is not read: save it as DXF, or convert it by ODA File Converter"),
     _refused(
         ends(".pgm", ".png", ".bmp", ".jpg", ".jpeg"),
         "a picture has no scale and no origin: the map's .yaml, which names the picture, has both",
     ),
     _refused(
         lambda file: not ends(".yaml", ".yml")(file),
-        "a floor plan is the .yaml of an occupancy grid; the room mesh is read from a model (docs/rooms.md)",
+        "a floor plan is a .dxf, or a .yaml of nav2 or of Open-RMF; the room mesh is read from a model (docs/rooms.md)",
     ),
-    _refused(
-        has_keys("levels"),
-        "it is a building of Open-RMF: rmf_building_map_tools make a world of it, of which nav2 makes a map",
+    Format(
+        "floor plan", "Open-RMF", has_keys("levels"), read_building, row="`building.yaml` | Open-RMF's traffic editor"
     ),
     Format(
         "floor plan",

@@ -53,7 +53,7 @@ class ReadPlan(NamedTuple):
 
 
 class PlanFile(File):
-    """File of a floor plan; `asked` has `start`, `tolerance`, `speck` and `passage`."""
+    """File of a floor plan; `asked` has `start`, `tolerance`, `speck`, `passage`, `layers`, `unit` and `gap`."""
 
     @override
     def refused(self, reason: str) -> InputError:
@@ -76,6 +76,9 @@ def read_plan_room(
     tolerance: Any = 0.1,
     speck: Any = 0.2,
     passage: Any = 0.3,
+    layers: Any = None,
+    unit: Any = None,
+    gap: Any = 1.3,
     least_width: Any = 0.4,
     **plan: Any,
 ) -> Prism:
@@ -92,6 +95,9 @@ def read_plan_room(
         tolerance: greatest distance of a wall from the contour in the file, metres.
         speck: groups of cells of an occupancy grid that are not free count as free if both sides are shorter, metres.
         passage: parts of an occupancy grid's free region that are narrower, metres, are left out.
+        layers: names of the layers of a drawing with walls; None for those whose names say so.
+        unit: unit of a drawing, one of `lmd.formats.dxf.UNITS`; None for the one that it names.
+        gap: widest gap between walls of a drawing that is closed, such as a door, metres.
         least_width: least width of the free stretch of a wall that carries landmarks by default, metres.
 
     Raises:
@@ -105,9 +111,15 @@ def read_plan_room(
     for name, value in (("outline", outline), ("holes", holes)):
         if value not in (None, (), [], EXAMPLE[name]):
             raise InputError(f"{name} and path are both given: leave out {name}, or take path=null.", name)
-    asked: dict[str, Any] = {"start": None if start is None else vector("start", start, 2)}
+    asked: dict[str, Any] = {
+        "start": None if start is None else vector("start", start, 2),
+        "layers": layers,
+        "unit": unit,
+    }
     asked["tolerance"] = real("tolerance", tolerance, above=0.0)
-    asked |= {name: real(name, value, low=0.0) for name, value in (("speck", speck), ("passage", passage))}
+    asked |= {
+        name: real(name, value, low=0.0) for name, value in (("speck", speck), ("passage", passage), ("gap", gap))
+    }
     file, height, margin = file_path("path", path), real("height", height, above=0.0), real("margin", margin, low=0.0)
     found: ReadPlan = read("floor plan", PlanFile(file, asked=asked))
     check_metres(

@@ -45,7 +45,8 @@ def save_room_figure(path: str | Path, room: Space, title: str) -> None:
     draw_plan(axes, room, lw=1.0)
     carried = []
     for surface in room.surfaces():
-        for piece in shapely.get_parts(surface.allowed) if surface.is_upright and surface.allowed is not None else ():
+        allowed = shapely.box(0.0, 0.0, *surface.extent) if surface.allowed is None else surface.allowed
+        for piece in shapely.get_parts(allowed) if surface.is_upright else ():
             left, _, right, _ = piece.bounds
             carried.append(surface.point(np.array([left, right]), np.zeros(2))[:, :2])
     axes.add_collection(LineCollection(carried, colors=LANDMARK, linewidths=2.0, label="landmarks may hang here"))

@@ -7,12 +7,7 @@ from lmd.space.fixture import Fixture
 from lmd.space.parts import FACES
 from lmd.space.surface import Surface
 
-SIDES = {
-    "x_min": "side at least x",
-    "x_max": "side at greatest x",
-    "y_min": "side at least y",
-    "y_max": "side at greatest y",
-}
+FLAT_FACES = ("bottom", "top")
 _FACE = re.compile(rf"obstacle_(\d+)_({'|'.join(FACES)})")
 _SIDE_OF_PILLAR = re.compile(r"hole_(\d+)_wall_(\d+)")
 _WALL = re.compile(r"wall_(\d+)")
@@ -34,5 +29,5 @@ def name_for_people(surface: Surface, fixtures: Sequence[Fixture] = ()) -> str:
         return f"wall {int(found[1]) + 1}"
     if found := _FACE.fullmatch(surface.name):
         body = next((part.name for part in fixtures if part.has(surface)), f"obstacle {found[1]}")
-        return f"{body}, {SIDES.get(found[2], found[2])}"
+        return f"{body}, {found[2] if found[2] in FLAT_FACES else f'side {found[2]}'}"
     return surface.name

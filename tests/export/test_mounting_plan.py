@@ -228,18 +228,19 @@ def test_the_first_page_names_walls_and_fixtures_and_says_where_each_is_hung(tmp
         assert fixture in text
 
 
-def test_names_around_a_pillar_do_not_overlap(tmp_path):
-    room = floor_plans.lab()
+def test_names_around_pillars_do_not_overlap(tmp_path):
+    holes = [[[x, 1.0], [x + 0.35, 1.0], [x + 0.35, 1.35], [x, 1.35]] for x in (1.0, 1.6)]
+    room = floor_plans.lab(holes=holes)
     drawn = Footprints(room, TAG).draw(UniformDeployment(24), np.random.default_rng(0))
     write_plan(tmp_path / "plan.pdf", TagMap(room, TAG, drawn), "a4")
     text, boxes = next(iter(pypdfium2.PdfDocument(tmp_path / "plan.pdf"))).get_textpage(), []
-    for side in range(1, 5):
-        found = text.search(f"pillar 1, side {side}")
+    for pillar, side in itertools.product((1, 2), range(1, 5)):
+        found = text.search(f"pillar {pillar}, side {side}")
         while at := found.get_next():
             corners = np.array([text.get_charbox(i) for i in range(at[0], sum(at))])
             if corners[:, 2].max() < 500.0:  # on the left of the table
                 boxes.append((corners[:, :2].min(axis=0), corners[:, 2:].max(axis=0)))
-    assert len(boxes) == 4
+    assert len(boxes) == 8
     for (low, high), (others_low, others_high) in itertools.combinations(boxes, 2):
         assert (low >= others_high).any() or (others_low >= high).any()
 

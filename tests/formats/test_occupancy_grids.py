@@ -224,7 +224,7 @@ def test_bad_input_is_refused_in_a_sentence(tmp_path, keys, more, expected):
     [
         ("map.pgm", "", r"map\.pgm': a picture has no scale and no origin: the map's \.yaml"),
         ("room.glb", "", r"the room mesh is read from a model"),
-        ("rmf.yaml", "levels: {}\n", r"it is a building of Open-RMF"),
+        ("rmf.yaml", "levels: {}\n", r"layers must name one level of"),
         ("map.yaml", "camera: 5\n", r"it has none of the keys of an occupancy grid"),
         (
             "map.yaml",
@@ -237,7 +237,7 @@ def test_bad_input_is_refused_in_a_sentence(tmp_path, keys, more, expected):
 def test_another_file_is_refused_in_a_sentence(tmp_path, name, text, expected):
     if text is not None:
         (tmp_path / name).write_text(text)
-    with pytest.raises(InputError, match=rf"^path: .*{expected}"):
+    with pytest.raises(InputError, match=rf"^(path: .*|){expected}"):
         room_of(str(tmp_path / name))
 
 

@@ -12,7 +12,7 @@ RACK = {"low": [4, 0.5, 0.5], "high": [5, 1.5, 1.5], "faces": ["x_min", "top"]}
     [
         ("wall_0", "wall 1"),
         ("hole_0_wall_1", "pillar 1, side 2"),
-        ("obstacle_0_x_min", "rack, side at least x"),
+        ("obstacle_0_x_min", "rack, side x_min"),
         ("obstacle_0_top", "rack, top"),
         ("obstacle_1_top", "obstacle 1, top"),
         ("ceiling", "ceiling"),
