@@ -74,7 +74,7 @@ def gazebo(root: Element, path: Any, axes: Sequence[str] | None) -> Found:
     if not tags:
         raise InputError("it is a file of Gazebo in which no model, picture or material has the name of a tag.")
     sides = "plates that lie show their tag on the upper side" if up else "tags are where their pictures are"
-    return Found(tags, note=f"{path}: {sides}; it does not say how large they are, as the size of a picture includes its margin")
+    return Found(tags, note=f"{path}: {sides}; their edges are not read, as pictures include a margin")
 
 
 def _named(seen: Seen) -> tuple[str | None, int] | None:
