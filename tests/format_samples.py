@@ -7,6 +7,7 @@ A format is added by a line: its file's name and a text. `tests/formats/test_bad
 import itertools
 import json
 
+import map_samples
 from captured import ROOMS
 from occupancy_maps import KEYS, hall
 from PIL import Image
@@ -147,6 +148,7 @@ MAPS = {
         }
     },
 }
+MAPS |= map_samples.KEYED
 MAP_TEXTS = {
     "normals": "id,x,y,z,nx,ny,nz,ux,uy,uz,edge,family\n1,0,1,0,1,0,0,0,0,1,0.1,36h11\n2,0,2,0,1,0,0,0,0,1,,\n",
     "quaternions": "id,x,y,z,qx,qy,qz,qw,edge\n1,0,1,0,0,0,0,1,0.1\n2,0,2,0,0,0,0,1,\n",
@@ -267,7 +269,7 @@ READERS = {
 SAMPLES = {
     "calibration": FILES | {name: json.dumps(keys) for name, keys in CALIBRATIONS.items()},
     "trajectory": TRAJECTORIES,
-    "tag map": {name: json.dumps(keys) for name, keys in MAPS.items()} | MAP_TEXTS,
+    "tag map": {name: json.dumps(keys) for name, keys in MAPS.items()} | MAP_TEXTS | map_samples.TEXTS,
     "room": {"room.obj": OBJ} | {f"{name}.json": json.dumps(keys) for name, keys in ROOMS.items()},
     "floor plan": {"map.yaml": json.dumps(KEYS | {"image": "map.pgm"}), "plan.dxf": DXF, "building.yaml": RMF},
     "detections": {"table": DETECTED},

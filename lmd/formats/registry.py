@@ -25,7 +25,7 @@ GROUP = "lmd.formats"
 FAMILIES = {
     "calibration": "lmd.formats.calibration_formats",
     "trajectory": "lmd.formats.trajectory_formats",
-    "tag map": "lmd.formats.tag_maps",
+    "tag map": "lmd.formats.tag_map_formats",
     "room": "lmd.formats.room_formats",
     "floor plan": "lmd.formats.plan_formats",
     "detections": "lmd.formats.detection_formats",

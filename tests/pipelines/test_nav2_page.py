@@ -60,7 +60,7 @@ def test_the_commands_of_the_page_lead_to_tags_in_the_frame_of_the_map(tmp_path)
         shapely.Polygon((corners[1] + 0.5) @ turn.T + ORIGIN).boundary
     )
     planned = read_deployment(str(tmp_path / "optimise" / "landmarks.csv"))
-    exported = read_deployment(str(tmp_path / "export" / "tags.apriltag_ros.yaml"))
+    exported = read_deployment(str(tmp_path / "export" / "tags.ros2_tf.launch.py"))
     for found in (planned, exported):
         assert len(found) == 6
         assert shapely.distance(walls, shapely.points(found.positions[:, :2])).max() < 1e-3
