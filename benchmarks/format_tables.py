@@ -16,6 +16,7 @@ HEADS = {
     "trajectory": "`poses.path` | content of a line",
     "tag map": "stack | `formats` | file | is [read](#maps-that-are-read), with the tag's size in",
     "room": "file | from",
+    "floor plan": "file | from",
     "detections": "file | content",
 }
 # The arguments that the rows name, and their keys in the configuration.

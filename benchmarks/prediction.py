@@ -23,7 +23,7 @@ from lmd.detection.calibration import fit
 from lmd.detection.corner_errors import CORNER_ERRORS
 from lmd.detection.detectors import AprilTagDetector
 from lmd.detection.evaluation import corner_error, precision_recall
-from lmd.detection.views import FILE, SurveyedViews
+from lmd.detection.tag_views import FILE, SurveyedViews
 from lmd.evaluation.verdicts import verdicts
 from lmd.formats.calibrations import calibrated_camera, read_cameras
 from lmd.formats.detection_formats import read_detections, with_images

@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from lmd.optimisers.annealing import Annealing as Annealing
     from lmd.optimisers.base import Result as Result
     from lmd.optimisers.ledger import Budget as Budget
-    from lmd.plot.deployments import save_scene_figure as save_scene_figure
+    from lmd.plot.scenes import save_scene_figure as save_scene_figure
     from lmd.problem import Problem as Problem
     from lmd.run import evaluate as evaluate
     from lmd.run import optimise as optimise
@@ -83,7 +83,7 @@ _HOMES = {
     "evaluate": "lmd.run",
     "optimise": "lmd.run",
     "read_mesh": "lmd.formats.meshes",
-    "save_scene_figure": "lmd.plot.deployments",
+    "save_scene_figure": "lmd.plot.scenes",
 }
 
 __version__ = "0.1.0"

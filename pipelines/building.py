@@ -170,6 +170,8 @@ def _poses(
                 f"warning: room.up: is it right for {scan.mesh.path!r}? {doubt[0].upper()}{doubt[1:]}", file=sys.stderr
             )
         note(scan.mesh.note)
+    if plan := getattr(room, "plan", None):
+        note(plan.note)
     if recorded == bool(pdf_node):
         needed = "poses=recorded, which says how the camera looks, needs pdf=recorded"
         cure = "add it to the command line where an experiment has chosen another one"

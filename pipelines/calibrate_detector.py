@@ -27,7 +27,7 @@ def calibrate(cfg: DictConfig) -> None:
     from lmd.core.optional import optional
     from lmd.detection.board import BoardImages
     from lmd.detection.calibration import DetectorCalibration, fit, frame_scores, intervals, predicted_in_frames
-    from lmd.plot.frames import save_limits_figure
+    from lmd.plot.detection_figures import save_limits_figure
 
     from .tracked_run import keep, tracked
 

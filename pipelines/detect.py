@@ -25,9 +25,9 @@ if TYPE_CHECKING:
     import pandas as pd
 
     from lmd.core.checks import FloatArray
-    from lmd.detection.comparison import Prediction
     from lmd.detection.detectors import Detector
     from lmd.detection.evaluation import Matches
+    from lmd.detection.predictions import Prediction
     from lmd.problem import Problem
     from lmd.render.renderer import Renderer
 
@@ -65,8 +65,8 @@ def detect(cfg: DictConfig) -> None:
     """Let the configured detectors read frames of the configured deployments."""
     from lmd.core.checks import integer, seed_number
     from lmd.core.optional import optional
-    from lmd.detection.comparison import to_markdown
-    from lmd.plot.frames import save_calibration_figure
+    from lmd.detection.predictions import to_markdown
+    from lmd.plot.detection_figures import save_calibration_figure
 
     from .tracked_run import keep, title_of, tracked
 
@@ -112,8 +112,8 @@ def subject_of(cfg: DictConfig, count: int, seed: int) -> Subject:
 
     from lmd.core.checks import InputError
     from lmd.core.memory import check_memory
-    from lmd.detection.comparison import CameraPrediction, Prediction
     from lmd.detection.frames import draw_poses, tagged_room
+    from lmd.detection.predictions import CameraPrediction, Prediction
     from lmd.evaluation.verdicts import verdicts
     from lmd.geometry.se3 import axis_and_right
     from lmd.render.renderer import Renderer
@@ -211,7 +211,7 @@ def _tables(
     """Tables of figures, of classes of pitch and of tags, each with the columns `deployment` and `detector`."""
     import pandas as pd
 
-    from lmd.detection.comparison import by_pitch, by_tag, figures, repeatability
+    from lmd.detection.predictions import by_pitch, by_tag, figures, repeatability
 
     rows, pitches, tags = [], [], []
     for name, subject in subjects.items():
@@ -250,7 +250,7 @@ def _save_frames(
     import numpy as np
 
     from lmd.detection.frames import rendered_frame
-    from lmd.plot.frames import save_frame
+    from lmd.plot.detection_figures import save_frame
 
     files = []
     for name, subject in subjects.items():

@@ -20,7 +20,7 @@ def estimate(cfg: DictConfig) -> None:
 
     from lmd.core.checks import seed_number
     from lmd.orientation.procedure import estimate_pdf
-    from lmd.plot.directions import save_orientation_figure
+    from lmd.plot.orientations import save_orientation_figure
 
     from .outputs import all_or_none
     from .tracked_run import keep, tracked

@@ -41,7 +41,7 @@ def evaluate(cfg: DictConfig) -> float:
     from lmd.core.compiled import clock
     from lmd.optimisers.ledger import Record
 
-    from .tracked_run import Extras, record, title_of, tracked
+    from .tracked_run import Extras, draw_room, record, title_of, tracked
 
     began = clock()
     problem = build_problem(cfg)
@@ -57,6 +57,7 @@ def evaluate(cfg: DictConfig) -> float:
     history = [Record(1, problem.metrics(deployment)["fitness"], clock() - began)]
     subject = choices()["deployment"]
     with tracked(cfg, subject, title_of(problem, subject)) as tracker:
+        draw_room(cfg, problem, tracker)
         drawn, asked = bool(cfg.picture), [name for name in ("losses", "sensitivity") if cfg[name]]
         summary: dict[str, Any] = localise(problem, deployment, seed, tracker, drawn) if cfg.localisation else {}
         texts = []

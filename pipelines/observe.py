@@ -115,7 +115,7 @@ def _save_films(
     """Write the beginning of the first flight over each deployment as an animated picture."""
     import numpy as np
 
-    from lmd.plot.frames import save_film
+    from lmd.plot.detection_figures import save_film
 
     files = []
     for name, problem in problems.items():

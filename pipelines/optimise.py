@@ -85,13 +85,14 @@ def searched(
     Raises:
         InputError: a setting is refused, or the run to resume has other settings.
     """
-    from .tracked_run import tracked
+    from .tracked_run import draw_room, tracked
 
     budget, returned = budget_of(cfg), _figure_returned(cfg.returns, cfg.validate)
     optimiser.check(problem)
     checkpoint, earlier = _checkpoint_of(cfg, optimiser, problem, further)
     try:
         with tracked(cfg, choices()["optimiser"], about, earlier) as tracker:
+            draw_room(cfg, problem, tracker)
             found, in_haste = _run(problem, budget, checkpoint, tracker, cfg.checkpoint_seconds)
             figures = keep(tracker, found, in_haste)
     except (Stopped, OSError):

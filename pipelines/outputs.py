@@ -115,8 +115,8 @@ def write_pictures(
         the files, and a text for each file that could not be written.
     """
     from lmd.plot.charts import save_convergence_figure
-    from lmd.plot.deployments import save_scene_figure
     from lmd.plot.page import save_scene_page
+    from lmd.plot.scenes import save_scene_figure
 
     headline, table = problem.objective.headline, columns_of(history)
     writers: dict[str, Callable[[Path], object]] = {}

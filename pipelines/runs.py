@@ -53,7 +53,7 @@ REPLACED = ("hydra.run.dir", "hydra.sweep.dir", "hydra.searchpath")  # settings 
 
 
 @dataclass(frozen=True)
-class GoingOn:
+class ResumeCommand:
     """The command that resumes a run."""
 
     command: str
@@ -64,7 +64,7 @@ class GoingOn:
     """The reason why it is only shown."""
 
 
-def going_on(run: "pd.Series", trust: Trust) -> GoingOn | None:
+def resume_command(run: "pd.Series", trust: Trust) -> ResumeCommand | None:
     """The command that resumes a run; None if the run has finished or has left no checkpoint.
 
     A sweep, with its jobs, is resumed by its own command.
@@ -85,16 +85,16 @@ def going_on(run: "pd.Series", trust: Trust) -> GoingOn | None:
     if not folder.is_dir():
         if run.get("tags.host") == socket.gethostname():
             return None
-        return GoingOn(printable(command), why_not=f"its folder {printable(str(folder))} is not on this host")
+        return ResumeCommand(printable(command), why_not=f"its folder {printable(str(folder))} is not on this host")
     if not is_sweep and not (folder / CHECKPOINT_FILE).is_file():
         return None
     try:
         pipeline, arguments = _command(folder, is_sweep, trust)
     except InputError as error:
         shown = command if is_sweep else f"{command} {at('resume', folder)}"
-        return GoingOn(printable(shown), why_not=str(error).rstrip("."))
+        return ResumeCommand(printable(shown), why_not=str(error).rstrip("."))
     process = (sys.executable, "-m", f"{PACKAGE}.{pipeline}", *arguments)
-    return GoingOn(printable(f"{command_of(pipeline)} {shlex.join(arguments)}"), process)
+    return ResumeCommand(printable(f"{command_of(pipeline)} {shlex.join(arguments)}"), process)
 
 
 def _command(folder: Path, is_sweep: bool, trust: Trust) -> tuple[str, list[str]]:
@@ -196,7 +196,7 @@ def runs(cfg: DictConfig) -> None:
     table = reader.runs().iloc[-last:]
     print(_listed(table))
     trust = Trust.given()
-    unfinished = {str(run_id): again for run_id, run in table.iterrows() if (again := going_on(run, trust))}
+    unfinished = {str(run_id): again for run_id, run in table.iterrows() if (again := resume_command(run, trust))}
     for run_id, again in unfinished.items():
         name = printable(f"{table['name'][run_id]} ({run_id})")
         if again.process:
@@ -218,7 +218,7 @@ def _listed(table: "pd.DataFrame") -> str:
     return str(shown.to_string(index=False, na_rep="", float_format="{:g}".format))
 
 
-def _resume(unfinished: Mapping[str, GoingOn], wanted: str) -> None:
+def _resume(unfinished: Mapping[str, ResumeCommand], wanted: str) -> None:
     """Replace this process by the command that resumes the run `wanted`, or the last one."""
     from lmd.core.checks import InputError
 

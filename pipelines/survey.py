@@ -38,7 +38,7 @@ def survey(cfg: DictConfig) -> None:
     from lmd.core.checks import InputError, boolean, integer, seed_number
     from lmd.core.tables import write_table
     from lmd.detection.corner_errors import CORNER_ERRORS
-    from lmd.detection.views import FILE as VIEWS
+    from lmd.detection.tag_views import FILE as VIEWS
     from lmd.evaluation.verdicts import verdicts
     from lmd.survey.audit import audited, in_the_open, view_columns
     from lmd.survey.keyframes import select_keyframes

@@ -105,8 +105,8 @@ def audit_writers(audit: "Audit", detector: str, title: str) -> dict[str, Callab
     """Functions that write the files of an audit, by the names of the files."""
     import pandas as pd
 
-    from lmd.detection.comparison import figures
-    from lmd.plot.frames import save_calibration_figure, save_places_figure
+    from lmd.detection.predictions import figures
+    from lmd.plot.detection_figures import save_calibration_figure, save_places_figure
 
     named = {"deployment": "survey", "detector": detector}
     row = pd.DataFrame([{**named, **figures(audit.prediction, audit.seen)}])

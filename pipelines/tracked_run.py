@@ -23,7 +23,7 @@ from .operations.signals import Stopped, stop
 from .operations.sweeps.folder import current_job, reason_of
 from .operations.sweeps.names import override_tags, short_name
 from .operations.tracking import RunStart
-from .outputs import write_figures, write_history, write_pictures
+from .outputs import write_all, write_figures, write_history, write_pictures
 from .provenance import command_line, parameters, source_tags
 
 if TYPE_CHECKING:
@@ -105,6 +105,19 @@ def tracked(cfg: DictConfig, subject: str, about: str = "", earlier: Earlier | N
     except BaseException as error:
         tracker.finish("KILLED" if isinstance(error, KeyboardInterrupt) else "FAILED", reason_of(error))
         raise
+
+
+def draw_room(cfg: DictConfig, problem: Problem, tracker: "Tracker") -> None:
+    """Write room.png, a room over a floor plan from a file as it was understood, before anything is computed."""
+    plan = getattr(problem.scene.room, "plan", None)
+    if not cfg.picture or plan is None or plan.path is None:
+        return
+    from lmd.plot.plans import save_room_figure
+
+    title = f"{Path(plan.path).name}: {problem.scene.room.describe()}"
+    files = write_all(run_directory(), {"room.png": lambda path: save_room_figure(path, problem.scene.room, title)})
+    tracker.log_artifacts(files)
+    print(f"room     {files[0]}", flush=True)
 
 
 def log_child(

@@ -37,7 +37,7 @@ def view(cfg: DictConfig) -> None:
 
     from lmd.core.checks import integer
     from lmd.core.optional import optional
-    from lmd.planner.app import Planner
+    from lmd.planner.server import Planner
     from lmd.planner.session import PlanningSession
     from lmd.planner.survey_map import SurveyMap
 

@@ -13,7 +13,7 @@ from lmd.scene import pdf
 from lmd.scene.deployment import Deployment
 from lmd.scene.deployment_sources import RandomDeployment
 from lmd.scene.scene import Scene
-from lmd.scene.tag import Tag
+from lmd.scene.tag import FAMILIES, Tag
 from lmd.sight.models.fiducial import Fiducial
 from lmd.sight.models.limits import measured
 from lmd.sight.models.paper import OCCLUSION_MODES, Visibility
@@ -145,7 +145,7 @@ def rolled_pdfs(draw, kinds=pdfs):
 def fiducials(draw):
     detector, family = draw(st.sampled_from(list(measured())))
     edge = draw(st.one_of(st.sampled_from([0.05, 0.1, 0.3]), st.floats(0.05, 0.3)))
-    tag = Tag(edge, family if family == "36h11" else f"{family}_50", draw(st.sampled_from([0.0, 1.0, 2.0])))
+    tag = Tag(edge, family if family in FAMILIES else f"{family}_50", draw(st.sampled_from([0.0, 1.0, 2.0])))
     return Fiducial(
         tag, detector, psf_sigma=draw(st.sampled_from([0.0, 0.5, 2.0])), motion_blur=draw(st.sampled_from([0.0, 3.0]))
     )

@@ -12,7 +12,7 @@ from lmd.detection.detectors import Detections, Detector
 from lmd.detection.evaluation import CORNER_TOLERANCE, corner_error, match
 from lmd.detection.frames import qualities
 from lmd.detection.images import Photographs
-from lmd.detection.views import TagViews, only
+from lmd.detection.tag_views import TagViews, only
 from lmd.geometry.camera import Camera
 from lmd.geometry.pose import pose_from_corners
 from lmd.geometry.se3 import ROW, poses_from_rows
@@ -26,7 +26,7 @@ from lmd.scene.tag import Tag
 
 @dataclass(frozen=True)
 class BoardImages:
-    """Photographs of a board of tags; a `lmd.detection.views.ViewSource`.
+    """Photographs of a board of tags; a `lmd.detection.tag_views.ViewSource`.
 
     Raises:
         InputError: a value is missing or out of range.

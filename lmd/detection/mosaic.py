@@ -17,7 +17,7 @@ from lmd.core.memory import check_memory
 from lmd.detection.detectors import Detections, Detector
 from lmd.detection.evaluation import CORNER_TOLERANCE, corner_error
 from lmd.detection.quality import apparent_edge, incidence, pitch
-from lmd.detection.views import TagViews, only
+from lmd.detection.tag_views import TagViews, only
 from lmd.geometry.camera import Camera
 from lmd.geometry.projection import image_size, intrinsics, project
 from lmd.geometry.squares import corners
@@ -65,7 +65,7 @@ class ViewRanges:
 
 @dataclass(frozen=True)
 class Mosaics:
-    """Random views in rendered mosaics; a `lmd.detection.views.ViewSource`.
+    """Random views in rendered mosaics; a `lmd.detection.tag_views.ViewSource`.
 
     Raises:
         InputError: `count` is less than two.

@@ -61,7 +61,7 @@ def accuracy_metrics(problem: Problem, deployment: Deployment, seed: int, sample
     Args:
         problem: gives the scene, n, and the noise of a corner.
         deployment: K landmarks.
-        seed: of the sample.
+        seed: seed of the sample.
         sample: its size.
     """
     parts = []

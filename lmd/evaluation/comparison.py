@@ -19,7 +19,7 @@ from lmd.scene.deployment import Deployment
 
 TABLE_TARGETS = (0.25, 0.5, 0.75)  # quantiles of the final fitness of all runs
 CURVE_TARGETS = 50  # number of targets of a curve
-CONFIDENCE = 0.95  # of intervals
+CONFIDENCE = 0.95  # confidence level of intervals
 LEAST_PAIRS = 2  # pairs that a test needs
 
 
@@ -75,7 +75,7 @@ def compared(runs: Sequence[OptimiserRun], key: str, reference: str | None = Non
     `seconds`; `a12` and `p_value` against the reference.
 
     Args:
-        runs: of all optimisers.
+        runs: runs of all optimisers.
         key: name of the figure; higher is better.
         reference: every optimiser is tested against this one. None tests every two against each other; the table then
             refers to its first row.
@@ -134,7 +134,7 @@ def _all_against_all(complete: pd.DataFrame, reference: str) -> tuple[pd.DataFra
 
 
 def expected_running_time(runs: Sequence[OptimiserRun], fitness: float) -> float:
-    """Evaluations of all runs until `fitness` or their end, over the number of runs that reached it (ERT of COCO)."""
+    """Expected running time (ERT of COCO): evaluations of all runs until they reach `fitness` or end, per success."""
     spent = [min(run.evaluations_to(fitness), run.history[-1].evaluations) for run in runs]
     reached = sum(np.isfinite(run.evaluations_to(fitness)) for run in runs)
     return sum(spent) / reached if reached else np.inf
@@ -217,7 +217,7 @@ def median_interval(values: FloatArray, seed: int) -> tuple[float, float]:
 
     Args:
         values: the sample `(N,)`.
-        seed: of the bootstrap.
+        seed: seed of the bootstrap.
     """
     if len(values) == 1:
         return float(values[0]), float(values[0])

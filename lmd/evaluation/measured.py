@@ -98,13 +98,13 @@ def as_measured(
     sample: Sample = SAMPLE,
     views: int = RANDOM_VIEWS,
 ) -> Measured:
-    """Score a deployment as measured beside its plan. No result depends on the threads.
+    """Score a deployment as measured beside its plan. Results do not depend on the number of threads.
 
     Args:
         problem: gives the scene and the objective.
         plan: K landmarks.
         measured: these landmarks at their measured places.
-        seed: of the random positions and the views.
+        seed: seed of the random positions and the views.
         sample: random positions off the grid.
         views: number of random views.
     """

@@ -143,13 +143,13 @@ class Mounted:
 
 
 def mounted(problem: Problem, plan: Deployment, error: MountingError, seed: int, sample: Sample = SAMPLE) -> Mounted:
-    """Score a plan as it may be mounted. No result depends on the threads.
+    """Score a plan as it may be mounted. Results do not depend on the number of threads.
 
     Args:
         problem: gives the scene and the objective.
         plan: K landmarks with their surfaces.
-        error: of the mounting.
-        seed: of the draws, of the random positions, and of the views.
+        error: distribution of the mounting errors.
+        seed: seed of the draws, of the random positions, and of the views.
         sample: random positions off the grid, shared by all draws.
 
     Raises:

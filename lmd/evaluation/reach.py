@@ -68,7 +68,7 @@ def smallest_edge(criteria_of: Callable[[float], Criteria], camera: Camera, dist
     Args:
         criteria_of: makes the criteria for tags with an edge, metres.
         camera: the camera.
-        distance: from the tag, metres.
+        distance: distance from the tag, metres.
         incidence: angle, rad.
     """
     tried = distance * np.geomspace(1e-3, 1.0, DISTANCE_STEPS)

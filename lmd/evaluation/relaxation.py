@@ -112,7 +112,7 @@ def solve(
         kinds: poses that landmarks of a size may take, and the number of these landmarks, for each size.
         iterations: largest number of steps.
         tolerance: distance between the bound and the largest F at which to stop.
-        limit: of the time.
+        limit: limit of the time.
 
     Returns:
         the best multipliers found, their bound for choices of the poses, and the largest F found.
@@ -123,7 +123,7 @@ def solve(
     x = ahead = np.concatenate([np.full(len(own), number / len(own)) for own, number in kinds])
     began = clock()
     covered = covered_ahead = covered_amounts(evaluator, poses, x)
-    scan = clock() - began  # of all poses
+    scan = clock() - began  # time for all poses
     fractional, momentum, curvature = relaxation.value(covered), 1.0, 0.0
     best, grid = Dual(1.0, np.zeros_like(covered)), 1.0
     for step in range(iterations):
@@ -173,7 +173,7 @@ def largest_gain(
         cells: pieces of wall.
         prices: y, `(P, D)`, not negative.
         tolerance: greatest difference between the bound and the gain of a landmark at the end, if the time suffices.
-        limit: of the time; None for none.
+        limit: limit of the time; None for none.
     """
     limit, began = limit or TimeLimit(), clock()
     largest, looked_at = 0.0, 0

@@ -62,7 +62,7 @@ def selection_upper_bound(
         problem: the problem.
         count: number of landmarks.
         spacing: largest distance between poses, metres.
-        limit: of the time after one scan of every pose; None for none.
+        limit: limit of the time after one scan of every pose; None for none.
 
     Raises:
         InputError: the objective has no selection, the spacing is not positive, or there are several sizes and another

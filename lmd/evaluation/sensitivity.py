@@ -22,7 +22,7 @@ from lmd.evaluation.rig_sensitivity import RigMoments
 from lmd.evaluation.validation import Sample, sampled_evaluators
 from lmd.incremental.counts import counts_of
 from lmd.incremental.field import in_order
-from lmd.incremental.move import overlook
+from lmd.incremental.move import remove_sets
 from lmd.objectives.coverage import Mean
 from lmd.objectives.localisation import Localisation
 from lmd.objectives.localisation.evaluation import localised_views
@@ -115,12 +115,12 @@ class Sensitivity:
 
 
 def sensitivity(problem: Problem, deployment: Deployment, seed: int, sample: Sample = SAMPLE) -> Sensitivity:
-    """Measure the figures of a deployment under other assumptions. No result depends on the threads.
+    """Measure the figures of a deployment under other assumptions. Results do not depend on the number of threads.
 
     Args:
         problem: gives the scene, and the assumptions of its objective, or of the default `Localisation` with its n.
         deployment: K landmarks.
-        seed: of the sample, and of the missed landmarks.
+        seed: seed of the sample, and of the missed landmarks.
         sample: size of the sample.
     """
     variants = _variants(problem, deployment)
@@ -223,7 +223,7 @@ def missed_shares(field: LocalisationField, deployment: Deployment, rng: np.rand
     """Means of L and P_n where each covered landmark is missed with the probabilities `MISS_PROBABILITIES`.
 
     L is estimated by one draw for every landmark in every view. All probabilities share the draw, so that a landmark
-    missed with one is missed with all greater. P_n is exact: a binomial number of the covered landmarks is left. Missed
+    missed with one is missed with all greater. P_n is exact: the number of detected landmarks is binomial. Missed
     landmarks still hide others.
 
     Args:
@@ -242,7 +242,7 @@ def missed_shares(field: LocalisationField, deployment: Deployment, rng: np.rand
     draws = (rng.random((field.size, axes), dtype=np.float32) for _ in range(len(deployment)))
     sets = np.stack([[packed(draw < share) for share in MISS_PROBABILITIES] for draw in draws], axis=1)
     for share, missed in zip(MISS_PROBABILITIES, sets, strict=True):
-        overlook(missed, cover, known)
+        remove_sets(missed, cover, known)
         state = field.state_with(known)
         enough = binom.sf(cover.n - 1, np.arange(len(deployment) + 1), 1.0 - share)
         drawn = (units[places].mean() / PROBABILITY_ONE for units in (state.located, known.units))

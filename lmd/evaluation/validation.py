@@ -80,7 +80,7 @@ def validation_metrics(
     Args:
         problem: the problem.
         deployment: K landmarks.
-        seed: of the sample.
+        seed: seed of the sample.
         sample: its size; the default one if None.
         between: called before each group; it may raise to give up.
     """

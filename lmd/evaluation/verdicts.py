@@ -43,7 +43,7 @@ def verdicts(
         scene: the scene.
         deployment: K landmarks.
         poses: X of the camera, `(N, 4, 4)`.
-        camera: of the scene's rig; None for the only one.
+        camera: camera of the scene's rig; None for the only one.
 
     Raises:
         InputError: the scene has a rig, and no camera is given.
@@ -72,7 +72,7 @@ def _verdicts_of(
 class Causes:
     """Shares of sightings that meet the criteria; a sighting is a landmark and a camera in a random pose."""
 
-    looks: int
+    sightings: int
     """Number of sightings."""
     covered: float
     """Share of the sightings that meet every criterion."""
@@ -96,7 +96,7 @@ class Causes:
             rows.append((name.replace("_", " "), *shares, self.limits.get(name, "")))
         width = max(len(name) for name, *_ in rows)
         lines = [f"{name:<{width}}  {met:>7}  {without:>18}  {limit}".rstrip() for name, met, without, limit in rows]
-        head = f"{self.covered:.2%} of {self.looks:,} looks at single landmarks, from random poses, cover them"
+        head = f"{self.covered:.2%} of {self.sightings:,} sightings of single landmarks, from random poses, cover them"
         return "\n".join([head, *lines])
 
 
@@ -106,7 +106,7 @@ def causes(scene: Scene, deployment: Deployment, seed: int) -> Causes | None:
     Args:
         scene: the visibility model must have `verdicts`, see `Explained`.
         deployment: K landmarks.
-        seed: of the poses: positions uniform where the camera may be, orientations from the PDF.
+        seed: seed of the poses: positions uniform where the camera may be, orientations from the PDF.
 
     Returns:
         None if the model has no verdicts.
@@ -126,14 +126,14 @@ def causes(scene: Scene, deployment: Deployment, seed: int) -> Causes | None:
             met.append(passed.sum(axis=(1, 2)))
             without.append((failed == ~passed).sum(axis=(1, 2)))  # it fails no criterion, or this one alone
             covered += int((failed == 0).sum())
-    looks = len(positions) * len(deployment) * len(scene.cameras)
+    sightings = len(positions) * len(deployment) * len(scene.cameras)
 
     def shares(counts: list[IntArray]) -> dict[str, float]:
-        return dict(zip(names, (np.sum(counts, axis=0) / looks).tolist(), strict=True))
+        return dict(zip(names, (np.sum(counts, axis=0) / sightings).tolist(), strict=True))
 
     describe = getattr(scene.visibility, "limits_for", None)
     described = [describe(camera) for camera in dict.fromkeys(scene.cameras)] if describe else []
     limits = {name: " | ".join(dict.fromkeys(each[name] for each in described)) for name in (described or [{}])[0]}
     if "obstacles" in names:
         limits["obstacles"] = "nothing of the room in the way"
-    return Causes(looks, covered / looks, shares(met), shares(without), limits)
+    return Causes(sightings, covered / sightings, shares(met), shares(without), limits)

@@ -87,9 +87,9 @@ def _whole(tag: Tag, page: tuple[float, float]) -> Whole:
     plate, edge = (MM_PER_M * length for length in (tag.paper_edge, tag.picture_edge))
     width, height = page[0] - 2.0 * MARGIN, page[1] - 2.0 * MARGIN - FOOTER
     pitch = plate if label_size(tag) else plate + LABEL + 2.0 * LABEL_GAP
-    columns, rows = int((width + ROUNDING) // plate), int((height + ROUNDING) // pitch)
-    if not columns and plate <= page[0] and edge <= width:
-        columns = 1  # what is white needs no printing
+    rows = int((height + ROUNDING) // pitch)
+    # Papers fill the page: their outer white margins need no printing.
+    columns = int(min(page[0] + ROUNDING, width + ROUNDING + plate - edge) // plate)
     left, spare = (page[0] - columns * plate) / 2.0, height - rows * pitch
     return Whole(page, columns, rows, left, page[1] - MARGIN - spare / 2.0, pitch)
 

@@ -16,7 +16,9 @@ from lmd.space.surface import FLAT, Surface
 # On the page, mm.
 AROUND = 11.0  # around the room, for names
 NAME_GAP, OUTER_NAME_GAP = 3.0, 6.0  # from a wall to a name
-SMALLEST = 1.5  # letters of a name
+# By which a name moves out of the way of others, away from its wall and along it, the shortest first.
+SHIFTS = np.stack(np.meshgrid(np.arange(0.0, 21.0, 1.5), np.arange(-20.0, 21.0, 2.5)), axis=-1).reshape(-1, 2)
+SHIFTS = SHIFTS[np.argsort(np.abs(SHIFTS).sum(axis=1), kind="stable")]
 TAG = 1.8  # height of the triangle of a tag
 MANY = 1000  # edges of a room, as a scan has them: they are drawn thinner
 ARROW = 9.0  # length of the arrow to the north
@@ -33,6 +35,8 @@ def scale_of(room: Space, width: float, height: float, scales: tuple[int, ...]) 
 
 def draw_floor_plan(canvas: Any, tags: TagMap, left: float, top: float, scale: int, north: float | None) -> None:
     """Draw the room from above, its x to the right, with its upper left corner, names included, at (left, top), mm."""
+    import shapely
+
     low, high = tags.room.bounds()
     origin = np.array([left + AROUND, top - AROUND - 1000.0 * (high - low)[1] / scale])
 
@@ -50,30 +54,34 @@ def draw_floor_plan(canvas: Any, tags: TagMap, left: float, top: float, scale: i
         canvas.line(*start, *end)
     upright = [surface for surface in tags.room.surfaces() if abs(surface.normal[2]) <= FLAT]
     canvas.setLineWidth(WALL)
+    taken: list[Any] = []
     for surface in upright:
         start, end = place(surface.point(np.array([0.0, surface.extent[0]]), np.zeros(2))).tolist()
         canvas.line(*start, *end)
+        taken.append(shapely.LineString([start, end]))
     canvas.setLineWidth(LINE)
     for opening in openings:
         ends = place(_ends(opening.footprint))
         draw_opening(canvas, opening.kind, ends)
         wall = next((surface for surface in upright if opening.on(surface).area > 0.0), None)
         way = np.array([0.0, 1.0]) if wall is None else _outwards(tags.room, wall)
-        _write_along(canvas, shortened(opening.name), ends, way, NAME_GAP)
+        _write_along(canvas, shortened(opening.name), ends, way, NAME_GAP, taken)
     for body in bodies:
         x, y = place(body.corners).mean(axis=0).tolist()
         write_on_white(canvas, x, y, shortened(body.name), size=NAME)
-    hung = {tags.room.surfaces()[index].name: numbers_of(own) for index, own in tags.hung.items() if index >= 0}
-    for surface in upright:
+    hung = {index: numbers_of(own) for index, own in tags.hung.items() if index >= 0}
+    for index, surface in enumerate(tags.room.surfaces()):
+        if abs(surface.normal[2]) > FLAT:
+            continue
         # The name of a piece of furniture, or of a door, will do where no tag hangs on it.
         own = any(fixture.name == surface.name or fixture.has(surface) for fixture in fixtures)
-        if own and surface.name not in hung:
+        if own and index not in hung:
             continue
         ends = place(surface.point(np.array([0.0, surface.extent[0]]), np.zeros(2)))
-        text = shortened(surface.name) + (f": {hung[surface.name]}" if surface.name in hung else "")
+        text = shortened(tags.names[index]) + (f": {hung[index]}" if index in hung else "")
         way = surface.normal[:2] if own else _outwards(tags.room, surface)
         beside = any(fixture.on(surface).area > 0.0 for fixture in openings if not fixture.has(surface))
-        _write_along(canvas, text, ends, way, OUTER_NAME_GAP if beside and not own else NAME_GAP, bold=True)
+        _write_along(canvas, text, ends, way, OUTER_NAME_GAP if beside and not own else NAME_GAP, taken, bold=True)
     for k in range(len(tags.ids)):
         _draw_tag(canvas, place(tags.deployment.positions[k]), tags.deployment.normals[k])
     below = float(origin[1]) - AROUND
@@ -108,16 +116,36 @@ def _outwards(room: Space, surface: Surface) -> FloatArray:
     return np.asarray(normal if room.contains(behind).any() else -normal)[:2]
 
 
-def _write_along(canvas: Any, text: str, ends: FloatArray, way: FloatArray, away: float, bold: bool = False) -> None:
-    """Write a text along a line between `ends` `(2, 2)`, beside it in the given way."""
-    length = float(np.linalg.norm(ends[1] - ends[0]))
-    width = width_of(text, NAME, bold)
-    size = NAME if width <= length + 2.0 * away else max(SMALLEST, NAME * (length + 2.0 * away) / width)
-    x, y = (ends.mean(axis=0) + away * way).tolist()
-    turn = math.degrees(math.atan2(*(ends[1] - ends[0])[::-1]))
-    turn = (turn + 80.0) % 180.0 - 80.0  # never upside down, and all walls that run up about the same way
-    aside = 0.35 * size * np.array([math.sin(math.radians(turn)), -math.cos(math.radians(turn))])
-    write_text(canvas, x + aside[0], y + aside[1], text, size=size, bold=bold, align="centre", turn=turn)
+def _write_along(
+    canvas: Any, text: str, ends: FloatArray, way: FloatArray, away: float, taken: list[Any], bold: bool = False
+) -> None:
+    """Write a text beside a line between `ends` `(2, 2)`, in the given way, clear of walls and other texts, `taken`.
+
+    It stands along the line, or upright where the line is too short for it. Its own box is added to `taken`. A line
+    leads to a text that had to move.
+    """
+    import shapely
+
+    length, width = float(np.linalg.norm(ends[1] - ends[0])), width_of(text, NAME, bold)
+    middle, turn = ends.mean(axis=0) + away * way, 0.0
+    if width <= length + 2.0 * away:
+        turn = math.degrees(math.atan2(*(ends[1] - ends[0])[::-1]))
+        turn = (turn + 80.0) % 180.0 - 80.0  # never upside down, and all walls that run up about the same way
+    else:
+        middle = middle + abs(way[0]) * (width - NAME) / 2.0 * way
+    box = shapely.affinity.rotate(shapely.box(-width / 2.0, -NAME / 2.0, width / 2.0, NAME / 2.0), turn, origin=(0, 0))
+    others, start = np.array(taken), middle
+    for shift in SHIFTS @ np.array([way, [-way[1], way[0]]]):
+        place = shapely.affinity.translate(box, *(start + shift))
+        if not shapely.intersects(others, place).any():
+            middle = start + shift
+            break
+    if np.linalg.norm(middle - start) > NAME:
+        canvas.line(*ends.mean(axis=0).tolist(), *(middle - 0.5 * NAME * way).tolist())
+    taken.append(shapely.affinity.translate(box, *middle))
+    aside = 0.35 * NAME * np.array([math.sin(math.radians(turn)), -math.cos(math.radians(turn))])
+    x, y = (middle + aside).tolist()
+    write_text(canvas, x, y, text, size=NAME, bold=bold, align="centre", turn=turn)
 
 
 def _draw_tag(canvas: Any, at: FloatArray, normal: FloatArray) -> None:

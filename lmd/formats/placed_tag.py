@@ -17,6 +17,7 @@ from lmd.scene.families import FAMILIES
 Keys = Mapping[str, Any]
 MM, METRE = 1e-3, 1.0  # metres
 SMALLEST_EDGE, LARGEST_EDGE = 0.005, 2.0  # metres: of a tag of a map; others are asked about
+SQUARE_TOLERANCE = 0.05  # of the sides of a measured square, relative to the longest
 LAST_ROW = (0.0, 0.0, 0.0, 1.0)  # of a transform
 LAST_ROW_TOLERANCE = 1e-6
 DIRECTIONS = {
@@ -59,12 +60,15 @@ class Found(NamedTuple):
         table: a table of tags, in place of these; see `lmd.formats.landmark_table`.
         by_opencv: True if those who read such files detect by OpenCV.
         note: an assumption about the file, a sentence; empty without any.
+        any_frame: True if the file does not say where the axes of the frame of a tag point, so that a user can; see
+            `axes_of`.
     """
 
     tags: Sequence[PlacedTag]
     table: Table | None = None
     by_opencv: bool = False
     note: str = ""
+    any_frame: bool = False
 
 
 def axes_of(words: Sequence[str] | None) -> FloatArray:
@@ -177,6 +181,29 @@ def transform_of(number: int, values: Any) -> tuple[FloatArray, FloatArray]:
         guess = ": it looks as if it was written column by column, and must be written row by row" if columns else ""
         raise InputError(f"tag {number}: the last row of its transform must be 0, 0, 0, 1, it is {last}{guess}.")
     return pose[:3, 3], orthonormal(pose[:3, :3])
+
+
+def tag_of_corners(number: int, corners: FloatArray, family: str | None) -> PlacedTag:
+    """The tag between four corners `(4, 3)`, metres, clockwise from the top left.
+
+    Raises:
+        InputError: they are not four, no square, or not one after the other around it.
+    """
+    if corners.shape != (4, 3):
+        raise InputError(f"the marker {number} must have four corners, it has {len(corners)}.")
+    sides = np.linalg.norm(corners - np.roll(corners, 1, axis=0), axis=1)
+    if np.ptp(sides) > SQUARE_TOLERANCE * sides.max():
+        raise InputError(f"the marker {number} must be a square, its sides are {np.round(sides, 6).tolist()} m.")
+    edge = edge_of("side", float(sides.mean()))
+    # From the left to the right and from the lower to the upper corners.
+    right, up = corners[1] + corners[2] - corners[0] - corners[3], corners[0] + corners[1] - corners[2] - corners[3]
+    if min(np.linalg.norm(right), np.linalg.norm(up)) < edge:  # each is twice the edge
+        raise InputError(f"the marker {number} must have its corners one after the other around it.")
+    right /= np.linalg.norm(right)
+    up -= (up @ right) * right
+    up /= np.linalg.norm(up)
+    axes = np.stack([right, up, np.cross(right, up)], axis=-1)
+    return PlacedTag(number, corners.mean(axis=0), axes, edge, family)
 
 
 def orthonormal(matrix: FloatArray) -> FloatArray:

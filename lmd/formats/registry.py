@@ -25,8 +25,9 @@ GROUP = "lmd.formats"
 FAMILIES = {
     "calibration": "lmd.formats.calibration_formats",
     "trajectory": "lmd.formats.trajectory_formats",
-    "tag map": "lmd.formats.tag_maps",
+    "tag map": "lmd.formats.tag_map_formats",
     "room": "lmd.formats.room_formats",
+    "floor plan": "lmd.formats.plan_formats",
     "detections": "lmd.formats.detection_formats",
 }
 HEAD = 2000  # characters in which `begins` looks for a mark
@@ -138,6 +139,7 @@ class Format:
     | trajectory | `lmd.formats.trajectory_rows.Rows` |
     | tag map | `lmd.formats.placed_tag.Found` |
     | room | `lmd.formats.captured_rooms.Captured`, or meshes of trimesh by name, z up |
+    | floor plan | `lmd.formats.plan_formats.ReadPlan` |
     | detections | `lmd.formats.detections.DetectedTags` |
     """
     why_not: str | Callable[[Any], str] = ""

@@ -10,10 +10,11 @@ from lmd.formats.registry import File, Format, anything, ends, has_keys
 
 OUTLINE = "take the corners of the floor from it, in metres, as the outline of a floor plan (docs/rooms.md)"
 MODEL = "export .glb or .obj from the program that made it, or import it into Blender and export it from there"
-GRID = f"an occupancy grid has no walls to hang tags on; {OUTLINE}: pixels times its resolution, from its origin"
+GRID = "the room occupancy_grid is read from map.yaml"
 # Kinds of files that are not read, and the way to one that is, by the ends of their names.
 ENDINGS = (
-    ("a drawing", f"{OUTLINE}, or extrude its walls in FreeCAD and export .obj", (".dxf", ".dwg")),
+    ("a drawing", "the room floor_plan is read from it", (".dxf",)),
+    ("a drawing", "save it as DXF, from which the room floor_plan is read", (".dwg",)),
     ("a drawing", f"{OUTLINE}: its own units are none", (".svg",)),
     ("a picture", OUTLINE, (".pdf", ".png", ".jpg", ".jpeg")),
     ("the picture of an occupancy grid", GRID, (".pgm",)),
@@ -78,10 +79,7 @@ def _is_blueprint(file: File) -> bool:
 FORMATS = (
     *(_refused(ends(*suffixes), f"this is {kind}: {way}") for kind, way, suffixes in ENDINGS),
     _refused(_yaml("image", "resolution"), f"this is the map of an occupancy grid: {GRID}"),
-    _refused(
-        _yaml("levels"),
-        f"this is a building of Open-RMF: {OUTLINE}: its vertices are pixels, and a measurement has their scale",
-    ),
+    _refused(_yaml("levels"), "this is a building of Open-RMF: the room floor_plan is read from it"),
     Format(
         "room",
         "triangles",
@@ -112,7 +110,7 @@ FORMATS = (
         lambda file: has_keys("metadata", "geometries")(file) or has_keys("metadata", "object")(file),
         "it is a scene of three.js: open it in its editor and export .glb",
     ),
-    _refused(has_keys("levels"), f"it is a building of Open-RMF: {OUTLINE}"),
+    _refused(has_keys("levels"), "it is a building of Open-RMF: the room floor_plan is read from building.yaml"),
     _captured(
         "WebXR", "spatialEntities", webxr, "WebXR scene (JSON) | a Quest, as Immersive Web Emulation Runtime saves it"
     ),

@@ -17,6 +17,7 @@ from lmd.scene.deployment import Deployment
 from lmd.scene.families import FAMILIES
 from lmd.scene.tag import Tag
 from lmd.space.fixture import Fixture
+from lmd.space.names import name_for_people
 from lmd.space.space import Space
 from lmd.space.surface import FLAT
 
@@ -106,10 +107,15 @@ class TagMap:
         """Of each surface of `route` the places of its tags in `order`, counted from 0."""
         return {index: np.flatnonzero(self.surfaces[self.order] == index) for index in self.route}
 
+    @cached_property
+    def names(self) -> list[str]:
+        """Name of each surface of the room for people."""
+        return [name_for_people(surface, self.fixtures) for surface in self.room.surfaces()]
+
     def place_of(self, k: int) -> str:
-        """The name of the surface of tag k, in words where there is none."""
+        """Name of the surface of tag k for people."""
         surface = self.surfaces[k]
-        return "free in the room" if surface < 0 else self.room.surfaces()[surface].name
+        return "free in the room" if surface < 0 else self.names[surface]
 
     @cached_property
     def sizes(self) -> FloatArray:

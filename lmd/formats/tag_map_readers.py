@@ -2,9 +2,9 @@
 
 A format is that of `lmd.formats.placed_tag` with axes named otherwise, or counted from another origin.
 
-Sources: `AprilTagFieldLayout` of WPILib; `TagDetector` of AprilRobotics/apriltag_ros; `Board::parse` and
-`example/tagslam.yaml` of TagSLAM; `Marker::corners_f_map` of ptrmu/fiducial_vlam; `MarkerMap` of ArUco 3;
-`SE2Transform` of duckietown-world; `target_map.fbs` of frc971; "AprilTag Map Specification" of Limelight.
+Sources: `AprilTagFieldLayout` of WPILib; `Board::parse` and `example/tagslam.yaml` of TagSLAM; `Marker::corners_f_map`
+of ptrmu/fiducial_vlam; `MarkerMap` of ArUco 3; `SE2Transform` of duckietown-world; `target_map.fbs` of frc971;
+"AprilTag Map Specification" of Limelight.
 """
 
 from collections.abc import Iterable
@@ -24,6 +24,7 @@ from lmd.formats.placed_tag import (
     mappings,
     number_of,
     numbers,
+    tag_of_corners,
     transform_of,
     turn_by_angles,
     turn_by_quaternion,
@@ -33,14 +34,27 @@ from lmd.geometry.se3 import exp
 from lmd.scene.edges import EDGE
 from lmd.scene.families import family_named
 
-SQUARE_TOLERANCE = 0.05  # of the sides of a measured square, relative to the longest
 METRES = 1  # aruco_bc_mInfoType of a map in metres
 PIXELS = 0  # the same of a board in pixels
 MOST_ROWS = 200  # of a board of TagSLAM, and columns
 INCH = 0.0254  # metres
-PLACE, QUATERNION = ("x", "y", "z"), ("qx", "qy", "qz", "qw")
 NODE = "ros__parameters"  # begins the parameters of a node of ROS 2
 NODE_DEPTH = 4  # of namespaces above it
+# Keys of the maps that are known, which tell the node with the tags from others in its file.
+MARKS = frozenset(
+    {
+        "tags",
+        "field-tags",
+        "fiducials",
+        "target_poses",
+        "tag_bundles",
+        "standalone_tags",
+        "bodies",
+        "markers",
+        "objects",
+    }
+    | {"aruco_bc_markers", "tag_locations", "reconstructed_tags", "marker_000", "landmarks", "tag"}
+)
 # The columns are a format's axes in the frame of a tag: x right, y up, z out.
 OUT_RIGHT_UP = axes_of(("out", "right", "up"))  # WPILib
 INTO = axes_of(("right", "down", "into"))  # frc971, as AprilTag 3
@@ -50,15 +64,31 @@ HALF_TURN = np.diag([-1.0, -1.0, 1.0])
 
 
 def parameters_of(keys: Keys) -> Keys:
-    """The parameters of the node in a file of ROS 2; the keys themselves of any other file.
+    """The parameters of the node with tags in a file of ROS 2; the keys themselves of any other file.
 
     Raises:
-        InputError: they are those of several nodes.
+        InputError: several nodes have tags, or none of several.
     """
-    nodes = list(_nodes(keys, NODE_DEPTH))
+    nodes = [_nested(node) for node in _nodes(keys, NODE_DEPTH)]
+    if len(nodes) > 1:
+        nodes = [node for node in nodes if not MARKS.isdisjoint(node)] or nodes
     if len(nodes) > 1:
         raise InputError(f"it has {NODE} of {len(nodes)} nodes: leave those with the tags in the file.")
-    return {str(key): value for key, value in nodes[0].items()} if nodes else keys
+    return nodes[0] if nodes else keys
+
+
+def _nested(parameters: Keys) -> dict[str, Any]:
+    """Parameters by their names, of which ROS 2 writes `a.b` for `b` in the namespace `a`, too."""
+    nested: dict[str, Any] = {}
+    for name, value in parameters.items():
+        *spaces, last = str(name).split(".")
+        inner = nested
+        for space in spaces:
+            inner = inner.setdefault(space, {})
+            if not isinstance(inner, dict):
+                raise InputError(f"the parameter {name} is in {space}, which has a value of its own.")
+        inner[last] = {**inner[last], **value} if isinstance(value, dict) and last in inner else value
+    return nested
 
 
 def _nodes(keys: Keys, depth: int) -> Iterable[Keys]:
@@ -120,35 +150,6 @@ def frc971(keys: Keys) -> Iterable[PlacedTag]:
         else:
             turn = FACING_BACK @ Rotation.from_euler("XYZ", numbers(turned, "xyz"), degrees=True).as_matrix()
         yield PlacedTag(number_of(tag["id"]), numbers(_within(tag, "position"), "xyz"), turn @ INTO)
-
-
-def apriltag_ros(keys: Keys) -> Iterable[PlacedTag]:
-    """Tags of the bundle, whose frame is the world; or standalone tags, where they are given places in the world."""
-    listed = keys.get("tag_bundles") or ()
-    if isinstance(listed, dict):
-        raise InputError(
-            "its tag_bundles are those of a port to ROS 2, whose transform has four numbers for a quaternion in an "
-            "order that the file does not say: write them as ROS 1 has them, [{name: ..., layout: [{id, size, x, y, z, "
-            "qx, qy, qz, qw}, ...]}]."
-        )
-    bundles = [bundle for bundle in mappings("tag_bundles", listed) if bundle.get("layout")]
-    alone = mappings("standalone_tags", keys.get("standalone_tags") or ())
-    placed = [tag for tag in alone if not tag.keys().isdisjoint(PLACE)]
-    if not bundles and not placed:
-        raise InputError(
-            "its tags are standalone_tags without places: they need x, y, z, qx, qy, qz, qw, or a bundle of "
-            "tag_bundles with these."
-        )
-    if bundles and placed:
-        raise InputError("it has places in standalone_tags and in tag_bundles: leave one of the two in the file.")
-    if len(bundles) > 1:
-        names = ", ".join(str(bundle.get("name", "without a name"))[:80] for bundle in bundles)
-        raise InputError(f"it has the bundles {names}, each in a frame of its own: leave one of them in the file.")
-    # What TagDetector takes for keys of a layout that are not there.
-    defaults = {**dict.fromkeys((*PLACE, *QUATERNION), 0.0), "qw": 1.0} if bundles else {}
-    for tag in mappings("layout", bundles[0]["layout"]) if bundles else alone:
-        values = numbers({**defaults, **tag}, (*PLACE, *QUATERNION))
-        yield PlacedTag(number_of(tag["id"]), values[:3], turn_by_quaternion(*values[3:]), edge_of("size", tag["size"]))
 
 
 def tagslam(keys: Keys) -> Iterable[PlacedTag]:
@@ -215,21 +216,7 @@ def aruco(keys: Keys) -> Iterable[PlacedTag]:
     for tag in mappings("aruco_bc_markers", keys["aruco_bc_markers"]):
         number = number_of(tag["id"])
         corners = np.array([vector("corners", corner, 3) for corner in tag["corners"]])
-        if corners.shape != (4, 3):
-            raise InputError(f"the marker {number} must have four corners, it has {len(corners)}.")
-        sides = np.linalg.norm(corners - np.roll(corners, 1, axis=0), axis=1)
-        if np.ptp(sides) > SQUARE_TOLERANCE * sides.max():
-            raise InputError(f"the marker {number} must be a square, its sides are {np.round(sides, 6).tolist()} m.")
-        edge = edge_of("side", float(sides.mean()))
-        # From the left to the right and from the lower to the upper corners, clockwise from the top left.
-        right, up = corners[1] + corners[2] - corners[0] - corners[3], corners[0] + corners[1] - corners[2] - corners[3]
-        if min(np.linalg.norm(right), np.linalg.norm(up)) < edge:  # each is twice the edge
-            raise InputError(f"the marker {number} must have its corners one after the other around it.")
-        right /= np.linalg.norm(right)
-        up -= (up @ right) * right
-        up /= np.linalg.norm(up)
-        axes = np.stack([right, up, np.cross(right, up)], axis=-1)
-        yield PlacedTag(number, corners.mean(axis=0), axes, edge, family)
+        yield tag_of_corners(number, corners, family)
 
 
 def duckietown(keys: Keys) -> Iterable[PlacedTag]:

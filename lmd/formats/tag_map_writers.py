@@ -3,7 +3,6 @@
 The frame of a tag is x to the right, y up, z out of it, unless a writer says otherwise.
 """
 
-import json
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
@@ -11,19 +10,14 @@ from typing import Any
 import numpy as np
 
 from lmd.core.checks import FloatArray, InputError
-from lmd.core.tables import write_table
-from lmd.formats.landmark_table import FAMILY
+from lmd.formats.own_tag_maps import write_csv, write_document, write_json
 from lmd.formats.registry import NONE, ONE, Writer
+from lmd.formats.ros2_tf import write_ros2_tf
 from lmd.formats.tag_map import QUATERNION, TagMap, axes, write_yaml, written
 from lmd.formats.tag_map_readers import INTO, METRES, OUT_RIGHT_UP
 from lmd.geometry.camera import MM_PER_M
-from lmd.scene.deployment import COLUMNS, UP_COLUMNS
-from lmd.scene.edges import EDGE
 from lmd.scene.families import FAMILIES
-from lmd.scene.labels import ID
 
-CORNER_NAMES = ("top_left", "top_right", "bottom_right", "bottom_left")
-FRAME = "metres; z up; of a tag x is right, y up, z out of it; its quaternion turns this frame to the world"
 ROOM = "room"  # the name of the body, or the bundle, that has the tags
 # Standard deviations that TagSLAM's own example gives to what is known: a tag that stays where it is, m and rad.
 FIXED = {"position_noise": 1e-4, "rotation_noise": 1e-5}
@@ -223,11 +217,6 @@ def write_wpilib(path: Path, tags: TagMap) -> None:
     write_document(path, layout)
 
 
-def write_document(path: Path, keys: dict[str, Any]) -> None:
-    """Write keys as JSON."""
-    _write_lines(path, [json.dumps(keys, indent=1)])
-
-
 def _write_lines(path: Path, lines: Iterable[str]) -> None:
     path.write_text("".join(f"{line}\n" for line in lines), encoding="utf-8")
 
@@ -244,49 +233,12 @@ def _fixed(position: FloatArray, rotation: FloatArray) -> dict[str, Any]:
     return {"position": axes(position), "rotation": axes(rotation), **noise}
 
 
-def write_csv(path: Path, tags: TagMap) -> None:
-    """Write `tags.csv`: what `Deployment.to_csv` writes, then quaternion, corners and family."""
-    deployment = tags.deployment
-    placed = np.hstack([deployment.places, deployment.normals, deployment.ups])
-    turned = np.hstack([tags.quaternions, tags.corners.reshape(-1, 12)])
-    corners = [f"{corner}_{axis}" for corner in CORNER_NAMES for axis in "xyz"]
-    columns: dict[str, Any] = {
-        ID: tags.ids,
-        **dict(zip((*COLUMNS, *UP_COLUMNS), placed.T, strict=True)),
-        **({EDGE: tags.sizes} if deployment.has_own_edges else {}),
-        **dict(zip((*QUATERNION, *corners), turned.T, strict=True)),
-        FAMILY: [tags.tag.family] * len(tags.ids),
-    }
-    labels = {} if deployment.labels is None else deployment.labels.columns
-    write_table(path, columns | {name: texts for name, texts in labels.items() if name not in columns})
-
-
-def write_json(path: Path, tags: TagMap) -> None:
-    """Write `tags.json`."""
-    rows = zip(tags.ids, tags.sizes.tolist(), tags.positions, tags.quaternions, tags.corners, strict=True)
-    document = {
-        "family": tags.tag.family,
-        EDGE: tags.tag.size,
-        "frame": FRAME,
-        "tags": [
-            {
-                ID: number,
-                EDGE: size,
-                "position": position.tolist(),
-                "quaternion": dict(zip("wxyz", quaternion.tolist(), strict=True)),
-                "corners": dict(zip(CORNER_NAMES, corners.tolist(), strict=True)),
-            }
-            for number, size, position, quaternion, corners in rows
-        ],
-    }
-    write_document(path, document)
-
-
 # By their names in `formats`.
 WRITERS = {
     "wpilib": Writer("tags.wpilib.json", write_wpilib, only_apriltag=True, edges=NONE),
     "apriltag_ros": Writer("tags.apriltag_ros.yaml", write_apriltag_ros, only_apriltag=True),
     "apriltag_ros2": Writer("tags.apriltag_ros2.yaml", write_apriltag_ros2, only_apriltag=True),
+    "ros2_tf": Writer("tags.ros2_tf.launch.py", write_ros2_tf, only_apriltag=True, edges=NONE),
     "tagslam": Writer("tags.tagslam.yaml", write_tagslam, only_apriltag=True),
     "aruco": Writer("tags.aruco.yaml", write_aruco, only_opencv=True),
     "csv": Writer("tags.csv", write_csv),

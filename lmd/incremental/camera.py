@@ -18,11 +18,13 @@ from lmd.incremental.state import (
     HIDDEN,
     HIDING,
     HIGH,
+    LANDMARK,
     LAST,
     LISTED,
     LOW,
     PAIR_COUNT,
     PLACES,
+    POSITION,
     REACHED,
     SPAN_COUNT,
     SURE,
@@ -31,8 +33,6 @@ from lmd.incremental.state import (
     TOUCHED_LIST,
     UNSURE,
     VISIBLE,
-    WHERE,
-    WHO,
     Scratch,
     State,
     X,
@@ -41,9 +41,9 @@ from lmd.incremental.state import (
 )
 from lmd.incremental.trial import (
     bound_views,
+    clear_views,
     exchange_sets,
     exchange_views,
-    forget_views,
     fresh_of,
     list_changing,
     see,
@@ -60,22 +60,22 @@ CELL, OUTER = 0, 1  # rows of `Scratch.cell`
 
 @shown_of.register(State)
 def _shown_of(state: Any, k: Integer, p: Integer, w: Integer) -> Any:
-    return state.caps[k, p, w] if state.hides[HIDDEN, k, p] == 0 else ZERO
+    return state.covered[k, p, w] if state.hides[HIDDEN, k, p] == 0 else ZERO
 
 
 @turned.register(State)
 def _turned(state: Any, i: Integer, p: Integer, w: Integer, scratch: Any) -> Any:
-    cap, hidden = state.caps[i, p, w], state.hides[HIDDEN, i, p]
-    return cap if hidden == 0 else ZERO, cap if hidden + scratch.changes[HIDDEN, i, p] == 0 else ZERO
+    covered, hidden = state.covered[i, p, w], state.hides[HIDDEN, i, p]
+    return covered if hidden == 0 else ZERO, covered if hidden + scratch.changes[HIDDEN, i, p] == 0 else ZERO
 
 
-@forget_views.register(Scratch)
-def _forget_views(scratch: Any) -> None:
-    who, where, changes = scratch.pairs[WHO], scratch.pairs[WHERE], scratch.changes
+@clear_views.register(Scratch)
+def _clear_views(scratch: Any) -> None:
+    landmark, position, changes = scratch.pairs[LANDMARK], scratch.pairs[POSITION], scratch.changes
     first, last, reached = scratch.lists[FIRST], scratch.lists[LAST], scratch.flags[REACHED]
     hidden, hiding = scratch.hides[HIDDEN], scratch.hides[HIDING]
     for e in range(scratch.numbers[PAIR_COUNT]):
-        changes[HIDDEN, who[e], where[e]] = changes[HIDING, who[e], where[e]] = 0
+        changes[HIDDEN, landmark[e], position[e]] = changes[HIDING, landmark[e], position[e]] = 0
     for s in range(scratch.numbers[SPAN_COUNT]):
         for p in range(first[s], last[s]):
             reached[p] = False
@@ -83,7 +83,7 @@ def _forget_views(scratch: Any) -> None:
 
 
 @inner
-def look_around(k: Integer, field: Any, scratch: Any) -> None:
+def view_place(k: Integer, field: Any, scratch: Any) -> None:
     """Fill `seen`, `REACHED` and the cells of the place tried, from the positions near it."""
     positions, sight, seen = field.positions, sized(field.cameras.sight, k), scratch.seen
     x, y, z, low, high, sure = seen[X], seen[Y], seen[Z], seen[LOW], seen[HIGH], seen[SURE]
@@ -117,13 +117,13 @@ def _bound_views(state: Any, k: Integer, field: Any, scratch: Any) -> Any:
     certain, possible = field.cameras.tables[CERTAIN], field.cameras.tables[POSSIBLE]
     target, seen, flags, lists = scratch.target, scratch.seen, scratch.flags, scratch.lists
     frame = frame_of(sight, target[3], target[4], target[5])
-    caps, reachable, hidden = state.caps, state.reachable, state.hides[HIDDEN]
+    covered, reachable, hidden = state.covered, state.reachable, state.hides[HIDDEN]
     short, just = state.counts.sets[SHORT], state.counts.sets[JUST]
     x, y, z, low, high, sure = seen[X], seen[Y], seen[Z], seen[LOW], seen[HIGH], seen[SURE]
     cell, outer, reached, touched = scratch.cell[CELL], scratch.cell[OUTER], flags[REACHED], flags[TOUCHED]
     visible, listed, firsts, lasts = lists[VISIBLE], lists[LISTED], lists[FIRST], lists[LAST]
     units, unsure, places = scratch.units, lists[UNSURE], lists[PLACES]
-    count, found, size = ZERO, ZERO, np.uint64(caps.shape[2])
+    count, found, size = ZERO, ZERO, np.uint64(covered.shape[2])
     for s in range(scratch.numbers[SPAN_COUNT]):
         first, last = firsts[s], lasts[s]
         for p in range(first, last):
@@ -138,7 +138,7 @@ def _bound_views(state: Any, k: Integer, field: Any, scratch: Any) -> Any:
         o = np.uint64(outer[p])
         i = o if sure[p] == np.inf else np.uint64(EMPTY_ROW)
         for w in range(size):
-            was = caps[k, p, w] & visible[p]
+            was = covered[k, p, w] & visible[p]
             unsure[found] = (short[p, w] & ~was & possible[o, w]) | (just[p, w] & was & ~certain[i, w])
             places[found] = p << HALF | w
             found += np.uint64(unsure[found] != ZERO)
@@ -146,7 +146,7 @@ def _bound_views(state: Any, k: Integer, field: Any, scratch: Any) -> Any:
         left, p, w = unsure[m], places[m] >> HALF, places[m] & LOWER
         px, py, pz, least = x[p], y[p], z[p], low[p] if outer[p] != EMPTY_ROW else np.inf
         well = certain[np.uint64(outer[p]), w]
-        was, change, row = caps[k, p, w] & visible[p], np.int64(0), weights_row(weights, p)
+        was, change, row = covered[k, p, w] & visible[p], np.int64(0), weights_row(weights, p)
         while left:
             bit = lowest(left)
             a = w * np.uint64(BITS) + bit
@@ -186,11 +186,11 @@ def _see(state: Any, k: Integer, positions: np.ndarray, field: Any, scratch: Any
         sure_row = row if sure[p] == np.inf else np.uint64(EMPTY_ROW)
         px, py, pz, least, most, deep = x[p], y[p], z[p], low[p], high[p], sure[p]
         for w in range(np.uint64(fresh.shape[1])):
-            cap, well = certain[sure_row, w] & asked[p, w], certain[row, w]
-            left = possible[row, w] & asked[p, w] & ~cap
+            covered, well = certain[sure_row, w] & asked[p, w], certain[row, w]
+            left = possible[row, w] & asked[p, w] & ~covered
             if left:
-                cap |= covering(sight, left, w, px, py, pz, frame, least, most, deep, well, camera.axes)
-            fresh[p, w] = cap
+                covered |= covering(sight, left, w, px, py, pz, frame, least, most, deep, well, camera.axes)
+            fresh[p, w] = covered
 
 
 @fresh_of.register(Scratch)
@@ -200,8 +200,8 @@ def _fresh_of(scratch: Any, p: Integer, w: Integer) -> Any:
 
 @exchange_sets.register(State)
 def _exchange_sets(state: Any, k: Integer, p: Integer, w: Integer, scratch: Any) -> Any:
-    was, now, cap = shown_of(state, k, p, w), fresh_of(scratch, p, w), state.caps[k, p, w]
-    state.caps[k, p, w], scratch.sets[FRESH, p, w] = scratch.sets[FRESH, p, w], cap
+    was, now, covered = shown_of(state, k, p, w), fresh_of(scratch, p, w), state.covered[k, p, w]
+    state.covered[k, p, w], scratch.sets[FRESH, p, w] = scratch.sets[FRESH, p, w], covered
     return was, now
 
 
@@ -216,7 +216,7 @@ def _swap(one: Any, other: Any, first: Integer, last: Integer) -> None:
 def _exchange_views(state: Any, k: Integer, scratch: Any) -> None:
     changes, lists, hidden, hiding = scratch.changes, scratch.lists, state.hides[HIDDEN], state.hides[HIDING]
     for e in range(scratch.numbers[PAIR_COUNT]):
-        i, p = np.uint64(scratch.pairs[WHO, e]), np.uint64(scratch.pairs[WHERE, e])
+        i, p = np.uint64(scratch.pairs[LANDMARK, e]), np.uint64(scratch.pairs[POSITION, e])
         hidden[i, p] += changes[HIDDEN, i, p]
         hiding[i, p] += changes[HIDING, i, p]
         changes[HIDDEN, i, p], changes[HIDING, i, p] = -changes[HIDDEN, i, p], -changes[HIDING, i, p]

@@ -9,21 +9,21 @@ import numpy as np
 
 from lmd.core.bits import ALL, ONE, ZERO, Integer
 from lmd.core.compiled import inlined, inner
-from lmd.incremental.camera import look_around
+from lmd.incremental.camera import view_place
 from lmd.incremental.nearby import is_near, pose_of
-from lmd.incremental.occlusion import ARRIVES, COMES, LEAVES, note_neighbour, note_pair, search, touch
+from lmd.incremental.occlusion import FIRST_PLACE, NEW_PLACE, OLD_PLACE, note_neighbour, note_pair, search, touch
 from lmd.incremental.state import (
     BLOCK_COUNT,
     BLOCKS,
-    GOES,
+    DISAPPEARS,
     HIDDEN,
     HIDING,
-    NAMES,
+    LANDMARK,
     PAIR_COUNT,
+    POSITION,
     REACHED,
+    TURNING,
     WANTED,
-    WHERE,
-    WHO,
     State,
 )
 from lmd.incremental.trial import find_pairs
@@ -32,14 +32,14 @@ from lmd.sight.blocks import BLOCK
 
 
 @find_pairs.register(State)
-def _find_pairs(state: Any, k: Integer, how: Any, field: Any, scratch: Any) -> None:
-    if how != COMES:
-        look_around(k, field, scratch)
+def _find_pairs(state: Any, k: Integer, role: Any, field: Any, scratch: Any) -> None:
+    if role != NEW_PLACE:
+        view_place(k, field, scratch)
     if field.cameras.sight.reach < 0.0:
         return
-    if how == LEAVES:
+    if role == OLD_PLACE:
         _want_blocks(k, state, scratch)
-    search(field.cameras, k, how, ZERO, ZERO, field, state, scratch)
+    search(field.cameras, k, role, ZERO, ZERO, field, state, scratch)
     _touch_flips(state, scratch)
 
 
@@ -56,7 +56,7 @@ def _want_blocks(k: Integer, state: Any, scratch: Any) -> None:
 
 @note_neighbour.register(State)
 def _note_neighbour(
-    state: Any, cameras: Any, c: Integer, b: Integer, i: Integer, k: Integer, how: Any, place: Any, box: Any,
+    state: Any, cameras: Any, c: Integer, b: Integer, i: Integer, k: Integer, role: Any, place: Any, box: Any,
     mine: Any, other: Any, field: Any, scratch: Any,
 ) -> None:  # fmt: skip
     positions, first, last = field.positions, b * np.uint64(BLOCK), (b + ONE) * np.uint64(BLOCK)
@@ -77,21 +77,21 @@ def _note_neighbour(
         squared, square = x * x + y * y + z * z, ox * ox + oy * oy + oz * oz
         one, two = hide_between(one_sight, two_sight, x, y, z, squared, ox, oy, oz, square, nx, ny, nz, vx, vy, vz)
         if one | two:
-            _note_hiding(i, p, one, two, how, scratch)
+            _note_hiding(i, p, one, two, role, scratch)
 
 
 @inlined
-def _note_hiding(i: Integer, p: Integer, one: Any, two: Any, how: Any, scratch: Any) -> None:
+def _note_hiding(i: Integer, p: Integer, one: Any, two: Any, role: Any, scratch: Any) -> None:
     """Record for position p that the place hides landmark i (`one`), and that landmark i hides the place (`two`)."""
     changes, hides = scratch.changes, scratch.hides
-    if how != LEAVES:
+    if role != OLD_PLACE:
         hides[HIDING, p] += one
         hides[HIDDEN, p] += two
         if two and scratch.flags[REACHED, p]:
             touch(p, scratch)
-    if how != ARRIVES:
+    if role != FIRST_PLACE:
         note_pair(i, p, scratch)
-        sign = np.int8(-1) if how == LEAVES else np.int8(1)
+        sign = np.int8(-1) if role == OLD_PLACE else np.int8(1)
         changes[HIDDEN, i, p] += sign * np.int8(one)
         changes[HIDING, i, p] += sign * np.int8(two)
 
@@ -107,19 +107,19 @@ def _touch_flips(state: Any, scratch: Any) -> None:
     """Touch the positions from which another landmark appears or disappears."""
     hidden, reachable, changes = state.hides[HIDDEN], state.reachable, scratch.changes[HIDDEN]
     for e in range(scratch.numbers[PAIR_COUNT]):
-        i, p = np.uint64(scratch.pairs[WHO, e]), np.uint64(scratch.pairs[WHERE, e])
+        i, p = np.uint64(scratch.pairs[LANDMARK, e]), np.uint64(scratch.pairs[POSITION, e])
         if turns(reachable[i, p], hidden[i, p], hidden[i, p] + changes[i, p]):
             touch(p, scratch)
 
 
 @inlined
 def list_turning(p: Integer, state: Any, scratch: Any) -> Any:
-    """List in `NAMES` and `GOES` the other landmarks that appear or disappear at position p; returns their number."""
+    """List the other landmarks that appear or disappear at position p in `TURNING`; returns their number."""
     hidden, changes, known, count = state.hides[HIDDEN], scratch.changes[HIDDEN], scratch.known, ZERO
-    names, goes = scratch.lists[NAMES], scratch.lists[GOES]
+    turning, disappears = scratch.lists[TURNING], scratch.lists[DISAPPEARS]
     for i in range(np.uint64(known.shape[1])):
         if known[p, i]:
             was = hidden[i, p]
-            names[count], goes[count] = i, ALL if was == 0 else ZERO
+            turning[count], disappears[count] = i, ALL if was == 0 else ZERO
             count += np.uint64(turns(state.reachable[i, p], was, was + changes[i, p]))
     return count

@@ -23,19 +23,19 @@ class Counts(NamedTuple):
     """`(3, Q, W)`: `SHORT`, `JUST`, `ENOUGH`."""
 
 
-def given_counts(given: np.ndarray, count: int, n: int) -> Counts:
+def new_counts(counted_once: np.ndarray, count: int, n: int) -> Counts:
     """Counts before the first landmark of a deployment is counted.
 
     Args:
-        given: axes that cover one landmark outside of the deployment, sets `(Q, W)`.
+        counted_once: axes that cover one landmark outside of the deployment, sets `(Q, W)`.
         count: number K of landmarks that can be counted.
         n: number of landmarks that must be covered.
     """
-    digits = np.zeros((*given.shape, max(count + bool(given.any()), n).bit_length()), dtype=np.uint64)
-    digits[:, :, 0] = given
-    none = np.zeros_like(given)
-    just = given if n == 1 else none
-    return Counts(digits, np.stack([{1: ~given, 2: given}.get(n, none), just, just]))
+    digits = np.zeros((*counted_once.shape, max(count + bool(counted_once.any()), n).bit_length()), dtype=np.uint64)
+    digits[:, :, 0] = counted_once
+    none = np.zeros_like(counted_once)
+    just = counted_once if n == 1 else none
+    return Counts(digits, np.stack([{1: ~counted_once, 2: counted_once}.get(n, none), just, just]))
 
 
 @inlined
@@ -46,7 +46,7 @@ def enough_with(p: Integer, w: Integer, was: Any, now: Any, counts: Any) -> Any:
 
 
 @inlined
-def ripple(p: Integer, w: Integer, changed: Any, decrement: Any, n: Integer, counts: Any) -> None:
+def update_counts(p: Integer, w: Integer, changed: Any, decrement: Any, n: Integer, counts: Any) -> None:
     """Update the counts at the axes `changed`: subtract 1 at those in `decrement`, add 1 at the others."""
     digits, one, two = counts.digits, ALL, ALL
     short, just, enough = counts.sets[SHORT], counts.sets[JUST], counts.sets[ENOUGH]

@@ -7,9 +7,9 @@ import numpy as np
 from lmd.core.bits import BITS, packed
 from lmd.core.memory import check_views
 from lmd.incremental import camera, camera_occlusion, rig, rig_occlusion  # noqa: F401 # they register their functions
-from lmd.incremental.counts import counts_of, given_counts
+from lmd.incremental.counts import counts_of, new_counts
 from lmd.incremental.field import accept, bound, places_of, settle, undo
-from lmd.incremental.move import carry_out, fill, take_back
+from lmd.incremental.move import carry_out, exchange_place, fill
 from lmd.incremental.state import RigScratch, RigState, Scratch, State, rig_scratch_of, scratch_of
 from lmd.incremental.trial import bound_move, finish_move
 from lmd.scene.criteria import horizon_of
@@ -61,7 +61,7 @@ class OneCamera(NamedTuple):
         check_views(LANDMARK_BYTES, size, BITS * words, count)
         return State(
             **shared,
-            caps=np.zeros((count, size, words), dtype=np.uint64),
+            covered=np.zeros((count, size, words), dtype=np.uint64),
             reachable=np.zeros((count, size), dtype=np.bool_),
             hides=np.zeros((2, count, size), dtype=np.int16),
         )
@@ -121,7 +121,7 @@ class CoverageField(NamedTuple):
     """Distance from a position beyond which a landmark has no effect, metres."""
     cameras: OneCamera | RigCameras
     """Camera or rig."""
-    given: np.ndarray
+    counted_once: np.ndarray
     """`(Q, W)` axes that cover one landmark outside of the deployment, see `stacked`."""
     weights: np.ndarray
     """Quantised probability of each axis, `(1, 64 W)` or `(Q, 64 W)`, see `kernels.evaluate_range`."""
@@ -138,7 +138,7 @@ class CoverageField(NamedTuple):
         state = self.cameras.state(
             {
                 **places_of(deployment)._asdict(),
-                "counts": given_counts(self.given, len(deployment), self.n),
+                "counts": new_counts(self.counted_once, len(deployment), self.n),
                 "units": np.zeros(self.size, dtype=np.int64),
             }
         )
@@ -160,10 +160,10 @@ class CoverageField(NamedTuple):
         Without occlusion, a stack of n landmarks is covered if one landmark at its place is covered, so n becomes 1.
         Axes that cover n fixed landmarks count as covering one stack.
         """
-        given = self.given
+        counted_once = self.counted_once
         if fixed is not None:
-            given = packed(counts_of(self.state(fixed), given.shape[1] * BITS) >= self.n)
-        return self._with_sights(lambda sight: sight.unhidden())._replace(n=1, given=given)
+            counted_once = packed(counts_of(self.state(fixed), counted_once.shape[1] * BITS) >= self.n)
+        return self._with_sights(lambda sight: sight.unhidden())._replace(n=1, counted_once=counted_once)
 
     def shrunk(self, size: float) -> "CoverageField":
         """See `Stacking.shrunk`."""
@@ -177,7 +177,7 @@ class CoverageField(NamedTuple):
 bound.register(CoverageField)(bound_move)
 settle.register(CoverageField)(finish_move)
 accept.register(CoverageField)(carry_out)
-undo.register(CoverageField)(take_back)
+undo.register(CoverageField)(exchange_place)
 
 
 def coverage_field(evaluator: Evaluator, n: int) -> CoverageField:
@@ -192,7 +192,7 @@ def coverage_field(evaluator: Evaluator, n: int) -> CoverageField:
     else:
         obstacles, tables = obstacles_at(blockers, ordered), np.stack(e.tables)
         cameras = OneCamera(e.sight, horizon_of(e.sight), np.zeros((1, 3)), np.zeros(1), obstacles, e.axes, tables)
-    given = np.zeros((len(order), e.axes.shape[1] // BITS), dtype=np.uint64)
+    counted_once = np.zeros((len(order), e.axes.shape[1] // BITS), dtype=np.uint64)
     weights = e.weights[order] if len(e.weights) > 1 else e.weights
     boxes, positions = np.vstack(boxes_around(ordered)), np.ascontiguousarray(ordered.T)
-    return CoverageField(positions, index_of, boxes, cameras.horizon, cameras, given, weights, n)
+    return CoverageField(positions, index_of, boxes, cameras.horizon, cameras, counted_once, weights, n)

@@ -95,7 +95,7 @@ def places_of(deployment: Deployment) -> Places:
 
 
 class Target(Protocol):
-    """Interface of the fitness of values, a named tuple; its class registers `smoothed` and `worth`."""
+    """Interface of the fitness of values, a named tuple; its class registers `smoothed` and `contribution`."""
 
     @property
     def relevance(self) -> FloatArray:
@@ -135,7 +135,7 @@ def smoothed(target: Any, p: Integer, units: Any, margin: Any, width: float, sha
 
 
 @dispatched
-def worth(target: Any, p: Integer, units: Integer) -> Any:
+def contribution(target: Any, p: Integer, units: Integer) -> Any:
     """Contribution of the value `units` at position p to the fitness, the sum over the positions."""
 
 
@@ -146,11 +146,11 @@ def placed(state: Any) -> Any:
 
 
 @kernel
-def total_worth(target: Any, units: Any) -> Any:
+def total_fitness(target: Any, units: Any) -> Any:
     """Fitness of a deployment with the values `units` `(Q,)`."""
     total = 0.0
     for p in range(len(units)):
-        total += worth(target, p, units[p])
+        total += contribution(target, p, units[p])
     return total
 
 
@@ -163,7 +163,7 @@ def move(field: Any, k: Integer, pose: Any, surface: Integer, state: Any, scratc
 
 
 @inner
-def lead(places: Any, field: Any, state: Any, scratches: Any, pose: Any) -> None:
+def move_to(places: Any, field: Any, state: Any, scratches: Any, pose: Any) -> None:
     """Move the landmarks of `state` to `places`, using the first of the `scratches`.
 
     Landmarks that are there already do not move. `pose` `(6,)` is working memory.

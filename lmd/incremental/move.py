@@ -11,9 +11,19 @@ import numpy as np
 
 from lmd.core.bits import ALL, Integer
 from lmd.core.compiled import borrowing, inner
-from lmd.incremental.counts import ripple, sum_up
-from lmd.incremental.occlusion import ARRIVES
-from lmd.incremental.state import FIRST, HIDDEN, LAST, LISTED, PAIR_COUNT, SPAN_COUNT, SURFACE, WHERE, WHO
+from lmd.incremental.counts import sum_up, update_counts
+from lmd.incremental.occlusion import FIRST_PLACE
+from lmd.incremental.state import (
+    FIRST,
+    HIDDEN,
+    LANDMARK,
+    LAST,
+    LISTED,
+    PAIR_COUNT,
+    POSITION,
+    SPAN_COUNT,
+    SURFACE,
+)
 from lmd.incremental.trial import (
     begin_place,
     exchange_sets,
@@ -28,23 +38,27 @@ from lmd.incremental.trial import (
 @inner
 def exchange(k: Integer, field: Any, state: Any, scratch: Any) -> None:
     """Exchange the data of landmark k and of the pairs between state and scratch, and update the counts."""
-    words, who, where = np.uint64(state.counts.digits.shape[1]), scratch.pairs[WHO], scratch.pairs[WHERE]
+    words, landmark, position = (
+        np.uint64(state.counts.digits.shape[1]),
+        scratch.pairs[LANDMARK],
+        scratch.pairs[POSITION],
+    )
     for p in scratch.lists[LISTED][: list_changing(state, k, scratch)]:
         for w in range(words):
             was, now = exchange_sets(state, k, p, w, scratch)
             if was != now:
-                ripple(p, w, was ^ now, was, field.n, state.counts)
+                update_counts(p, w, was ^ now, was, field.n, state.counts)
     for e in range(scratch.numbers[PAIR_COUNT]):
-        i, p = np.uint64(who[e]), np.uint64(where[e])
+        i, p = np.uint64(landmark[e]), np.uint64(position[e])
         for w in range(words):
             was, now = turned(state, i, p, w, scratch)
             if was != now:
-                ripple(p, w, was ^ now, was, field.n, state.counts)
+                update_counts(p, w, was ^ now, was, field.n, state.counts)
     exchange_views(state, k, scratch)
 
 
 @inner
-def take_back(field: Any, k: Integer, state: Any, scratch: Any) -> None:
+def exchange_place(field: Any, k: Integer, state: Any, scratch: Any) -> None:
     """Exchange the place of landmark k for the place in `scratch`.
 
     This undoes the last `carry_out` with this scratch; all later moves must have been undone.
@@ -64,7 +78,7 @@ def take_back(field: Any, k: Integer, state: Any, scratch: Any) -> None:
 def carry_out(field: Any, k: Integer, state: Any, scratch: Any) -> None:
     """Move landmark k to the place tried last; no other move may have been tried or carried out since."""
     see_whole(np.uint64(k), field, state, scratch)
-    take_back(field, k, state, scratch)
+    exchange_place(field, k, state, scratch)
 
 
 @borrowing
@@ -74,22 +88,22 @@ def fill(field: Any, state: Any, scratch: Any) -> None:
         for i in range(6):
             scratch.target[i] = state.poses[i, k]
         begin_place(k, field, state, scratch)
-        find_pairs(state, k, ARRIVES, field, scratch)
+        find_pairs(state, k, FIRST_PLACE, field, scratch)
         see_whole(k, field, state, scratch)
         exchange(k, field, state, scratch)
     sum_up(field, state)
 
 
 @borrowing
-def overlook(missed: Any, field: Any, state: Any) -> None:
+def remove_sets(missed: Any, field: Any, state: Any) -> None:
     """Remove the sets of axes `missed` `(K, Q, W)` from those that cover the landmarks; occlusion stays unchanged."""
-    caps = state.caps
-    for k in range(np.uint64(caps.shape[0])):
-        for p in range(np.uint64(caps.shape[1])):
+    covered = state.covered
+    for k in range(np.uint64(covered.shape[0])):
+        for p in range(np.uint64(covered.shape[1])):
             shown = state.reachable[k, p] & (state.hides[HIDDEN, k, p] == 0)
-            for w in range(np.uint64(caps.shape[2])):
-                gone = caps[k, p, w] & missed[k, p, w]
-                caps[k, p, w] ^= gone
+            for w in range(np.uint64(covered.shape[2])):
+                gone = covered[k, p, w] & missed[k, p, w]
+                covered[k, p, w] ^= gone
                 if shown and gone:
-                    ripple(p, w, gone, ALL, field.n, state.counts)
+                    update_counts(p, w, gone, ALL, field.n, state.counts)
     sum_up(field, state)

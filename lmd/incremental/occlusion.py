@@ -32,21 +32,21 @@ from lmd.incremental.state import (
     AIMED,
     BLOCK_COUNT,
     BLOCKS,
+    LANDMARK,
     OTHERS,
     PAIR_COUNT,
+    POSITION,
     TOUCHED,
     TOUCHED_COUNT,
     TOUCHED_LIST,
     WANTED,
-    WHERE,
-    WHO,
 )
 from lmd.scene.criteria import TOLERANCE
 from lmd.sight.blocks import SINGLE_ERROR
 
-# Reasons to search around a place: it is the old place, the place tried, or the place of a landmark that is counted for
-# the first time. NumPy integers, as numba gives each Python constant a type of its own.
-LEAVES, COMES, ARRIVES = np.int64(0), np.int64(1), np.int64(2)
+# Roles of a place that is searched: old place, place tried, or place of a landmark that is counted the first time.
+# NumPy integers, as numba gives each Python constant a type of its own.
+OLD_PLACE, NEW_PLACE, FIRST_PLACE = np.int64(0), np.int64(1), np.int64(2)
 
 
 @inlined
@@ -56,12 +56,12 @@ def line_radius(sight: Any) -> Any:
 
 
 @inner
-def find_ways(
-    ax: float, ay: float, az: float, poses: FloatArray, horizon: float, others: np.ndarray, ways: FloatArray
+def find_offsets(
+    ax: float, ay: float, az: float, poses: FloatArray, horizon: float, others: np.ndarray, offsets: FloatArray
 ) -> Any:
-    """List the landmarks within the horizon of (ax, ay, az) in `others`, and the vectors to them in `ways`.
+    """List the landmarks within the horizon of (ax, ay, az) in `others`, and the vectors to them in `offsets`.
 
-    See `Scratch.ways`.
+    See `Scratch.offsets`.
 
     Returns:
         number of landmarks, rounded up to a multiple of `LANES`.
@@ -69,24 +69,24 @@ def find_ways(
     count, most = poses.shape[1], np.float32(horizon * (1.0 + SINGLE_ERROR))
     for i in range(count):
         dx, dy, dz = poses[0, i] - ax, poses[1, i] - ay, poses[2, i] - az
-        ways[0, i], ways[1, i], ways[2, i], ways[3, i] = dx, dy, dz, math.sqrt(dx * dx + dy * dy + dz * dz)
+        offsets[0, i], offsets[1, i], offsets[2, i], offsets[3, i] = dx, dy, dz, math.sqrt(dx * dx + dy * dy + dz * dz)
         others[i] = i
     if most < np.inf:
         count = 0
         for i in range(poses.shape[1]):
-            dx, dy, dz, distance = ways[0, i], ways[1, i], ways[2, i], ways[3, i]
+            dx, dy, dz, distance = offsets[0, i], offsets[1, i], offsets[2, i], offsets[3, i]
             others[count] = i
-            ways[0, count], ways[1, count], ways[2, count], ways[3, count] = dx, dy, dz, distance
+            offsets[0, count], offsets[1, count], offsets[2, count], offsets[3, count] = dx, dy, dz, distance
             count += distance <= most
     filled = (count + LANES - 1) & -LANES
     for i in range(count, filled):
-        ways[3, i] = -np.inf  # padding that fails every test
+        offsets[3, i] = -np.inf  # padding that fails every test
     return filled
 
 
 @inlined
 def near_line(
-    start: Any, mx: float, my: float, mz: float, hx: Any, hy: Any, hz: Any, radius: float, ways: FloatArray
+    start: Any, mx: float, my: float, mz: float, hx: Any, hy: Any, hz: Any, radius: float, offsets: FloatArray
 ) -> Any:
     """Bit set of the landmarks that pass the first stage of the search.
 
@@ -95,7 +95,7 @@ def near_line(
         mx, my, mz: offset of the place from the centre of the box, metres.
         hx, hy, hz: half sides of the box, metres.
         radius: result of `line_radius`, metres.
-        ways: result of `find_ways`.
+        ways: result of `find_offsets`.
     """
     far = math.sqrt(mx * mx + my * my + mz * mz) + math.sqrt(hx * hx + hy * hy + hz * hz)
     shift, slope = np.float32(radius * far), np.float32(radius + SINGLE_ERROR * far)
@@ -103,8 +103,8 @@ def near_line(
     close = np.uint32(0)
     for lane in range(np.uint64(LANES)):
         i = start + lane
-        ex, ey, ez = ways[0, i], ways[1, i], ways[2, i]
-        room = shift + slope * ways[3, i]
+        ex, ey, ez = offsets[0, i], offsets[1, i], offsets[2, i]
+        room = shift + slope * offsets[3, i]
         near = abs(uy * ez - uz * ey) <= hz * abs(ey) + hy * abs(ez) + room
         near &= abs(uz * ex - ux * ez) <= hx * abs(ez) + hz * abs(ex) + room
         near &= abs(ux * ey - uy * ex) <= hy * abs(ex) + hx * abs(ey) + room
@@ -114,7 +114,7 @@ def near_line(
 
 @dispatched
 def note_neighbour(
-    state: Any, cameras: Any, c: Integer, b: Integer, i: Integer, k: Integer, how: Any, place: Any, box: Any,
+    state: Any, cameras: Any, c: Integer, b: Integer, i: Integer, k: Integer, role: Any, place: Any, box: Any,
     mine: Any, other: Any, field: Any, scratch: Any,
 ) -> None:  # fmt: skip
     """Record the positions of block b from which landmark i and landmark k at a `place` hide one another.
@@ -122,7 +122,7 @@ def note_neighbour(
     Args:
         cameras: a `OneCamera`, or a `MountGroup` of a rig.
         c, b: indices of the centre and of the block of positions.
-        how: `LEAVES`, `COMES` or `ARRIVES`.
+        role: `OLD_PLACE`, `NEW_PLACE` or `FIRST_PLACE`.
         place: position (metres) and unit normal, six numbers.
         box: offset of the place from the centre of the block as seen from c, and half the diagonal of the block's box,
             four numbers, metres.
@@ -131,17 +131,17 @@ def note_neighbour(
 
 
 @inner
-def search(cameras: Any, k: Integer, how: Any, mine: Any, other: Any, field: Any, state: Any, scratch: Any) -> None:
+def search(cameras: Any, k: Integer, role: Any, mine: Any, other: Any, field: Any, state: Any, scratch: Any) -> None:
     """Call `note_neighbour` for all landmarks that may hide landmark k, or be hidden by it, at a place.
 
-    Arguments as in `note_neighbour`; the place is the old one or the place tried, by `how`.
+    Arguments as in `note_neighbour`; the place is the old one or the place tried, by `role`.
     """
-    boxes, poses, ways, width = field.boxes, state.poses, scratch.ways, line_radius(cameras.sight)
+    boxes, poses, offsets, width = field.boxes, state.poses, scratch.offsets, line_radius(cameras.sight)
     blocks, others = scratch.lists[BLOCKS], scratch.lists[OTHERS]
-    wanted = scratch.flags[WANTED if how == LEAVES else AIMED]
-    place = pose_of(k, state) if how == LEAVES else target_of(scratch)
+    wanted = scratch.flags[WANTED if role == OLD_PLACE else AIMED]
+    place = pose_of(k, state) if role == OLD_PLACE else target_of(scratch)
     ax, ay, az = place[0], place[1], place[2]
-    filled = find_ways(ax, ay, az, poses, cameras.horizon, others, ways)
+    filled = find_offsets(ax, ay, az, poses, cameras.horizon, others, offsets)
     for c in range(len(cameras.centres)):
         cx, cy, cz, radius = cameras.centres[c, 0], cameras.centres[c, 1], cameras.centres[c, 2], cameras.radius[c]
         for e in range(scratch.numbers[BLOCK_COUNT]):
@@ -153,13 +153,13 @@ def search(cameras: Any, k: Integer, how: Any, mine: Any, other: Any, field: Any
                 np.float32(boxes[3, b] + radius), np.float32(boxes[4, b] + radius), np.float32(boxes[5, b] + radius)
             )  # fmt: skip
             for start in range(np.uint64(0), np.uint64(filled), np.uint64(LANES)):
-                close = near_line(start, mx, my, mz, hx, hy, hz, width, ways)
+                close = near_line(start, mx, my, mz, hx, hy, hz, width, offsets)
                 while close:
                     i = others[start + lowest(np.uint64(close))]
                     close &= close - np.uint32(1)
                     if i != np.uint64(k):
                         box = mx, my, mz, math.sqrt(hx * hx + hy * hy + hz * hz)
-                        note_neighbour(state, cameras, c, b, i, k, how, place, box, mine, other, field, scratch)
+                        note_neighbour(state, cameras, c, b, i, k, role, place, box, mine, other, field, scratch)
 
 
 @inlined
@@ -176,5 +176,5 @@ def note_pair(i: Integer, p: Integer, scratch: Any) -> None:
     """Append landmark i and position p to `Scratch.pairs`."""
     known, pairs, numbers = scratch.known, scratch.pairs, scratch.numbers
     if not known[p, i]:
-        known[p, i], pairs[WHO, numbers[PAIR_COUNT]], pairs[WHERE, numbers[PAIR_COUNT]] = True, i, p
+        known[p, i], pairs[LANDMARK, numbers[PAIR_COUNT]], pairs[POSITION, numbers[PAIR_COUNT]] = True, i, p
         numbers[PAIR_COUNT] += 1

@@ -16,22 +16,22 @@ from lmd.incremental.nearby import target_of
 from lmd.incremental.rig_occlusion import find_occluded
 from lmd.incremental.state import (
     ASKED,
-    CAPS,
+    COVERED,
     FIRST,
     FRESH,
     HIGH,
+    LANDMARK,
     LAST,
     LISTED,
     LOW,
     OCCLUDED,
     PAIR_COUNT,
+    POSITION,
     SPAN_COUNT,
     SURE,
     TOUCHED,
     TOUCHED_COUNT,
     TOUCHED_LIST,
-    WHERE,
-    WHO,
     RigScratch,
     RigState,
     X,
@@ -40,9 +40,9 @@ from lmd.incremental.state import (
 )
 from lmd.incremental.trial import (
     bound_views,
+    clear_views,
     exchange_sets,
     exchange_views,
-    forget_views,
     fresh_of,
     list_changing,
     see,
@@ -65,29 +65,29 @@ def _shown_of(state: Any, k: Integer, p: Integer, w: Integer) -> Any:
 def _turned(state: Any, i: Integer, q: Integer, w: Integer, scratch: Any) -> Any:
     shown = ZERO
     for j in range(len(state.groups)):
-        caps, occluded, flipped = state.groups[j][CAPS], state.groups[j][OCCLUDED], scratch.groups[j].flipped
-        for m in range(caps.shape[2]):
-            shown |= caps[i, q, m, w] & ~(occluded[i, q, m, w] ^ flipped[i, q, m, w])
+        covered, occluded, flipped = state.groups[j][COVERED], state.groups[j][OCCLUDED], scratch.groups[j].flipped
+        for m in range(covered.shape[2]):
+            shown |= covered[i, q, m, w] & ~(occluded[i, q, m, w] ^ flipped[i, q, m, w])
     return state.shown[i, q, w], shown
 
 
-@forget_views.register(RigScratch)
-def _forget_views(scratch: Any) -> None:
-    who, where = scratch.pairs[WHO], scratch.pairs[WHERE]
+@clear_views.register(RigScratch)
+def _clear_views(scratch: Any) -> None:
+    landmark, position = scratch.pairs[LANDMARK], scratch.pairs[POSITION]
     for j in range(len(scratch.groups)):
         group = scratch.groups[j]  # copied by numba
         flipped = group.flipped
         group.occluders[0] = 0
         for e in range(scratch.numbers[PAIR_COUNT]):
-            i, q = who[e], where[e]
+            i, q = landmark[e], position[e]
             for m in range(flipped.shape[2]):
                 for w in range(flipped.shape[3]):
                     flipped[i, q, m, w] = ZERO
 
 
 @allocating
-def _find_caps(k: Integer, group: Any, positions: FloatArray, body: FloatArray, scratch: Any, rig: Any) -> None:
-    """Write the orientations among `ASKED` with which a camera covers the place tried into `CAPS`; add them to `FRESH`.
+def _find_covered(k: Integer, group: Any, positions: FloatArray, body: FloatArray, scratch: Any, rig: Any) -> None:
+    """Write the orientations among `ASKED` that cover the place tried into `COVERED`, and add them to `FRESH`.
 
     `OCCLUDED` is cleared.
 
@@ -99,7 +99,7 @@ def _find_caps(k: Integer, group: Any, positions: FloatArray, body: FloatArray, 
         scratch, rig: working memory of the group, and of the rig.
     """
     obstacles, asked, fresh = group.obstacles, rig.sets[ASKED], rig.sets[FRESH]
-    cap, tried_occluded, seen = scratch.sets[CAPS], scratch.sets[OCCLUDED], scratch.seen
+    tried_covered, tried_occluded, seen = scratch.sets[COVERED], scratch.sets[OCCLUDED], scratch.seen
     x, y, z, most, start, sure = seen[X], seen[Y], seen[Z], seen[HIGH], seen[LOW], seen[SURE]
     row, left_over, reached = scratch.lists[ROW], scratch.lists[LEFT_OVER], scratch.reached
     words, half = np.uint64(asked.shape[1]), np.uint64(group.tables.shape[1] // 2)
@@ -109,9 +109,9 @@ def _find_caps(k: Integer, group: Any, positions: FloatArray, body: FloatArray, 
     if not clear:
         find_ends(obstacles, sight, tx, ty, tz, nx, ny, nz, ends, 0)
     for q in positions:
-        for m in range(cap.shape[1]):
+        for m in range(tried_covered.shape[1]):
             for w in range(words):
-                cap[q, m, w] = tried_occluded[q, m, w] = ZERO
+                tried_covered[q, m, w] = tried_occluded[q, m, w] = ZERO
     for c in range(len(group.centres)):
         cx, cy, cz, count, kept = group.centres[c, 0], group.centres[c, 1], group.centres[c, 2], ZERO, ZERO
         for i in range(np.uint64(len(positions))):
@@ -129,7 +129,7 @@ def _find_caps(k: Integer, group: Any, positions: FloatArray, body: FloatArray, 
             for m in range(group.mounts[c], group.mounts[c + 1]):
                 for w in range(words):
                     left = group.tables[row[i], half + np.uint64(m) * words + w] & asked[q, w]
-                    cap[q, m, w] = left
+                    tried_covered[q, m, w] = left
                     some |= left
             left_over[kept] = i
             kept += np.uint64(some != ZERO)
@@ -138,32 +138,32 @@ def _find_caps(k: Integer, group: Any, positions: FloatArray, body: FloatArray, 
             px, py, pz, bounds = body[0, q], body[1, q], body[2, q], (most[i], start[i], sure[i])
             for m in range(group.mounts[c], group.mounts[c + 1]):
                 for w in range(words):
-                    if cap[q, m, w] == ZERO:
+                    if tried_covered[q, m, w] == ZERO:
                         continue
                     found, left = split_by_certainty(
-                        group, m, w, cap[q, m, w], words, x[i], y[i], z[i], *bounds, row[i]
+                        group, m, w, tried_covered[q, m, w], words, x[i], y[i], z[i], *bounds, row[i]
                     )
                     found |= covered_bits(group, m, w, left, k, px, py, pz, tx, ty, tz, nx, ny, nz, frame)
                     if not clear:
                         found &= ~blocked_bits(group, m, w, found, k, q, ends, 0)
-                    cap[q, m, w] = found
+                    tried_covered[q, m, w] = found
                     fresh[q, w] |= found
 
 
 @inner
 def _join(positions: FloatArray, scratch: Any) -> None:
-    """Recompute `FRESH` at `positions`: the union over all cameras of `CAPS` without `OCCLUDED`."""
+    """Recompute `FRESH` at `positions`: the union over all cameras of `COVERED` without `OCCLUDED`."""
     fresh = scratch.sets[FRESH]
     for q in positions:
         for w in range(np.uint64(fresh.shape[1])):
             fresh[q, w] = ZERO
     for j in range(len(scratch.groups)):
         sets = scratch.groups[j].sets
-        cap, tried_occluded = sets[CAPS], sets[OCCLUDED]
+        tried_covered, tried_occluded = sets[COVERED], sets[OCCLUDED]
         for q in positions:
-            for m in range(cap.shape[1]):
+            for m in range(tried_covered.shape[1]):
                 for w in range(np.uint64(fresh.shape[1])):
-                    fresh[q, w] |= cap[q, m, w] & ~tried_occluded[q, m, w]
+                    fresh[q, w] |= tried_covered[q, m, w] & ~tried_occluded[q, m, w]
 
 
 @inner
@@ -174,7 +174,7 @@ def _see_with(groups: Any, k: Integer, positions: FloatArray, field: Any, state:
         for w in range(np.uint64(fresh.shape[1])):
             fresh[q, w] = ZERO
     for group in literal_unroll(groups):
-        _find_caps(k, group, positions, field.positions, scratch.groups[group.number], scratch)
+        _find_covered(k, group, positions, field.positions, scratch.groups[group.number], scratch)
         find_occluded(k, group, field, state, scratch)
     _join(scratch.lists[TOUCHED_LIST][: scratch.numbers[TOUCHED_COUNT]], scratch)
 
@@ -234,11 +234,11 @@ def _exchange_sets(state: Any, k: Integer, p: Integer, w: Integer, scratch: Any)
 @inner
 def _exchange_group(k: Integer, positions: FloatArray, mine: Any, other: Any) -> None:
     """Exchange the sets of landmark k at `positions` between the state of a group, `mine`, and its scratch, `other`."""
-    caps, occluded, cap, tried_occluded = mine[CAPS], mine[OCCLUDED], other[CAPS], other[OCCLUDED]
+    covered, occluded, tried_covered, tried_occluded = mine[COVERED], mine[OCCLUDED], other[COVERED], other[OCCLUDED]
     for q in positions:
-        for m in range(caps.shape[2]):
-            for w in range(caps.shape[3]):
-                caps[k, q, m, w], cap[q, m, w] = cap[q, m, w], caps[k, q, m, w]
+        for m in range(covered.shape[2]):
+            for w in range(covered.shape[3]):
+                covered[k, q, m, w], tried_covered[q, m, w] = tried_covered[q, m, w], covered[k, q, m, w]
                 occluded[k, q, m, w], tried_occluded[q, m, w] = tried_occluded[q, m, w], occluded[k, q, m, w]
 
 
@@ -248,7 +248,7 @@ def _exchange_views(state: Any, k: Integer, scratch: Any) -> None:
     for j in range(len(state.groups)):
         _exchange_group(k, positions, state.groups[j], scratch.groups[j].sets)  # copied by numba
     for e in range(scratch.numbers[PAIR_COUNT]):
-        i, q = np.uint64(scratch.pairs[WHO, e]), np.uint64(scratch.pairs[WHERE, e])
+        i, q = np.uint64(scratch.pairs[LANDMARK, e]), np.uint64(scratch.pairs[POSITION, e])
         for w in range(np.uint64(state.shown.shape[2])):
             _, state.shown[i, q, w] = turned(state, i, q, w, scratch)
             for j in range(len(state.groups)):

@@ -13,8 +13,17 @@ from numba import literal_unroll
 from lmd.core.bits import ZERO, Integer, lowest
 from lmd.core.compiled import inlined, inner
 from lmd.incremental.nearby import pose_of, target_of
-from lmd.incremental.occlusion import ARRIVES, COMES, LEAVES, line_radius, note_neighbour, note_pair, search, touch
-from lmd.incremental.state import ASKED, CAPS, OCCLUDED, WHERE, WHO, RigState
+from lmd.incremental.occlusion import (
+    FIRST_PLACE,
+    NEW_PLACE,
+    OLD_PLACE,
+    line_radius,
+    note_neighbour,
+    note_pair,
+    search,
+    touch,
+)
+from lmd.incremental.state import ASKED, COVERED, LANDMARK, OCCLUDED, POSITION, RigState
 from lmd.incremental.trial import find_pairs
 from lmd.sight.blocks import BLOCK
 from lmd.sight.mount_occlusion import hidden_bits, hiding_bound, may_hide_around
@@ -53,23 +62,23 @@ def _drop_hidden(
 
 @inlined
 def _find_pair(
-    group: Any, c: Integer, i: Integer, k: Integer, q: Integer, px: float, py: float, pz: float, place: Any, how: Any,
+    group: Any, c: Integer, i: Integer, k: Integer, q: Integer, px: float, py: float, pz: float, place: Any, role: Any,
     mine: Any, other: Any, state: Any, scratch: Any,
 ) -> None:  # fmt: skip
     """Record the orientations with which landmark k at a `place` hides landmark i at position q in `flipped`."""
-    pose, changed, caps, occluded = pose_of(i, state), False, mine[CAPS], mine[OCCLUDED]
+    pose, changed, covered, occluded = pose_of(i, state), False, mine[COVERED], mine[OCCLUDED]
     for m in range(group.mounts[c], group.mounts[c + 1]):
-        for w in range(np.uint64(caps.shape[3])):
+        for w in range(np.uint64(covered.shape[3])):
             # The sets exceed the cache, so only those that are needed are read.
-            bits = caps[i, q, m, w] if how == COMES else occluded[i, q, m, w]
+            bits = covered[i, q, m, w] if role == NEW_PLACE else occluded[i, q, m, w]
             found = _hidden_bits(group, m, w, bits, k, i, px, py, pz, place, pose) if bits else ZERO
             if found == ZERO:
                 continue
             was = flips = other.flipped[i, q, m, w]
-            flips = found if how == LEAVES else (flips & ~found) | (found & ~occluded[i, q, m, w])
+            flips = found if role == OLD_PLACE else (flips & ~found) | (found & ~occluded[i, q, m, w])
             changed |= flips != was
             other.flipped[i, q, m, w] = flips
-    if changed and how == LEAVES:
+    if changed and role == OLD_PLACE:
         _drop_hidden(group, c, i, k, q, px, py, pz, state, other.flipped)
     if changed:
         touch(q, scratch)
@@ -78,7 +87,7 @@ def _find_pair(
 
 @note_neighbour.register(RigState)
 def _note_neighbour(
-    state: Any, group: Any, c: Integer, b: Integer, i: Integer, k: Integer, how: Any, place: Any, box: Any, mine: Any,
+    state: Any, group: Any, c: Integer, b: Integer, i: Integer, k: Integer, role: Any, place: Any, box: Any, mine: Any,
     other: Any, field: Any, scratch: Any,
 ) -> None:  # fmt: skip
     body, size, radius, (mx, my, mz, diagonal) = field.positions, len(scratch.units), group.radius[c], box
@@ -96,24 +105,32 @@ def _note_neighbour(
     while lanes:
         q = b * np.uint64(BLOCK) + lowest(np.uint64(lanes))
         lanes &= lanes - np.uint32(1)
-        if how != ARRIVES:
-            _find_pair(group, c, i, k, q, body[0, q], body[1, q], body[2, q], place, how, mine, other, state, scratch)
-        if how != LEAVES:
-            other.pairs[WHO, other.occluders[0]], other.pairs[WHERE, other.occluders[0]] = i, np.uint64(c * size) + q
+        if role != FIRST_PLACE:
+            _find_pair(group, c, i, k, q, body[0, q], body[1, q], body[2, q], place, role, mine, other, state, scratch)
+        if role != OLD_PLACE:
+            other.pairs[LANDMARK, other.occluders[0]], other.pairs[POSITION, other.occluders[0]] = (
+                i,
+                np.uint64(c * size) + q,
+            )
             other.occluders[0] += 1
 
 
 @inner
 def find_occluded(k: Integer, group: Any, field: Any, state: Any, scratch: Any) -> None:
-    """Write the orientations among `CAPS` and `ASKED` for which others hide the place tried into `OCCLUDED`."""
+    """Write the orientations among `COVERED` and `ASKED` for role others hide the place tried into `OCCLUDED`."""
     other, size, body = scratch.groups[group.number], np.uint64(len(scratch.units)), field.positions
-    place, asked, cap, tried_occluded = target_of(scratch), scratch.sets[ASKED], other.sets[CAPS], other.sets[OCCLUDED]
-    who, where = other.pairs[WHO], other.pairs[WHERE]
+    place, asked, tried_covered, tried_occluded = (
+        target_of(scratch),
+        scratch.sets[ASKED],
+        other.sets[COVERED],
+        other.sets[OCCLUDED],
+    )
+    landmark, position = other.pairs[LANDMARK], other.pairs[POSITION]
     for e in range(other.occluders[0]):
-        i, c, q = np.uint64(who[e]), where[e] // size, where[e] % size
+        i, c, q = np.uint64(landmark[e]), position[e] // size, position[e] % size
         for m in range(group.mounts[c], group.mounts[c + np.uint64(1)]):
-            for w in range(np.uint64(cap.shape[2])):
-                bits = cap[q, m, w] & asked[q, w] & ~tried_occluded[q, m, w]
+            for w in range(np.uint64(tried_covered.shape[2])):
+                bits = tried_covered[q, m, w] & asked[q, w] & ~tried_occluded[q, m, w]
                 if bits:
                     px, py, pz = body[0, q], body[1, q], body[2, q]
                     found = _hidden_bits(group, m, w, bits, i, k, px, py, pz, pose_of(i, state), place)
@@ -123,15 +140,15 @@ def find_occluded(k: Integer, group: Any, field: Any, state: Any, scratch: Any) 
 
 
 @inner
-def _find_pairs_of(groups: Any, k: Integer, how: Any, field: Any, state: Any, scratch: Any) -> None:
+def _find_pairs_of(groups: Any, k: Integer, role: Any, field: Any, state: Any, scratch: Any) -> None:
     """Run `find_pairs` for all groups of a rig."""
     for group in literal_unroll(groups):
         if group.sight.reach >= 0.0:
-            search(group, k, how, state.groups[group.number], scratch.groups[group.number], field, state, scratch)
-            if how == COMES:
+            search(group, k, role, state.groups[group.number], scratch.groups[group.number], field, state, scratch)
+            if role == NEW_PLACE:
                 find_occluded(k, group, field, state, scratch)
 
 
 @find_pairs.register(RigState)
-def _find_pairs(state: Any, k: Integer, how: Any, field: Any, scratch: Any) -> None:
-    _find_pairs_of(field.cameras.groups, k, how, field, state, scratch)
+def _find_pairs(state: Any, k: Integer, role: Any, field: Any, scratch: Any) -> None:
+    _find_pairs_of(field.cameras.groups, k, role, field, state, scratch)

@@ -16,8 +16,8 @@ HIDDEN = 0  # number of other landmarks that hide the landmark
 HIDING = 1  # number of other landmarks that the landmark hides
 
 # Rows of the arrays in `RigState.groups`, and of `GroupScratch.sets`.
-CAPS = 0  # orientations with which a camera covers a landmark, occlusion ignored
-OCCLUDED = 1  # orientations among `CAPS` with which another landmark hides the landmark
+COVERED = 0  # orientations with which a camera covers a landmark, occlusion ignored
+OCCLUDED = 1  # orientations among `COVERED` with which another landmark hides the landmark
 
 # Rows of `Scratch.numbers`.
 BLOCK_COUNT = 0  # number of `BLOCKS`
@@ -41,14 +41,17 @@ TOUCHED_LIST = 5  # positions that are `TOUCHED`
 VISIBLE = 6  # by position: a word of ones if the landmark is seen at its old place, else 0; camera only
 UNSURE, PLACES = 7, 8  # sets of axes to be tested, and position and word of each, p << HALF | w; camera only
 # Landmarks that appear or disappear at a position, and a word of ones if a landmark disappears; camera only.
-NAMES, GOES = 9, 10
+TURNING, DISAPPEARS = 9, 10
 
 # Rows of `Scratch.sets`.
 FRESH = 0  # orientations among `ASKED` that cover the place tried; for a camera, occlusion is ignored
 ASKED = 1  # orientations that are tested
 
 # Rows of `Scratch.pairs`.
-WHO, WHERE = 0, 1  # landmark, and position; in `GroupScratch.pairs` centre c and position q as c Q + q
+LANDMARK, POSITION = (
+    0,
+    1,
+)  # a landmark, and a position; in `GroupScratch.pairs`, centre c and position q as c Q + q
 
 # Rows of `seen`: the place tried as seen from a position; bounds as in `criteria.from_position` and `from_around`.
 X, Y, Z = 0, 1, 2  # offset of the place from the position, or from the centre, metres
@@ -67,7 +70,7 @@ class State(NamedTuple):
     """Number of landmarks covered."""
     units: np.ndarray
     """`(Q,)` quantised P_n."""
-    caps: np.ndarray
+    covered: np.ndarray
     """`(K, Q, W)` axes that cover each landmark, occlusion ignored."""
     reachable: np.ndarray
     """`(K, Q)` True where any axis covers the landmark, occlusion ignored."""
@@ -87,7 +90,7 @@ class RigState(NamedTuple):
     units: np.ndarray
     """As in `State`."""
     groups: tuple[np.ndarray, ...]
-    """`(2, K, Q, M, W)` sets `CAPS`, `OCCLUDED` for each group of M mounts."""
+    """`(2, K, Q, M, W)` sets `COVERED`, `OCCLUDED` for each group of M mounts."""
     shown: np.ndarray
     """`(K, Q, W)` orientations with which some camera sees a landmark, occlusion included."""
 
@@ -108,15 +111,15 @@ class Scratch(NamedTuple):
     flags: np.ndarray
     """`(4, Q)` bool: `AIMED` to `REACHED`."""
     lists: np.ndarray
-    """`(11, max(Q W, K) + 1)` uint64: `LISTED` to `GOES`."""
-    ways: np.ndarray
+    """`(11, max(Q W, K) + 1)` uint64: `LISTED` to `DISAPPEARS`."""
+    offsets: np.ndarray
     """`(4, L)` float32, L > K a multiple of `LANES`: vectors to the `OTHERS` and their lengths, metres."""
     sets: np.ndarray
     """`(2, Q, W)`: `FRESH`, `ASKED`."""
     digits: np.ndarray
     """`(Q, W, J)` binary digits of the counts without the landmark, at `TOUCHED` positions."""
     pairs: np.ndarray
-    """`(2, K Q)` uint32 pairs of another landmark and a position that the move affects: `WHO`, `WHERE`."""
+    """`(2, K Q)` uint32 pairs of another landmark and a position that the move affects: `LANDMARK`, `POSITION`."""
     known: np.ndarray
     """`(Q, K)` True for the `pairs`."""
     changes: np.ndarray
@@ -126,20 +129,20 @@ class Scratch(NamedTuple):
     seen: np.ndarray
     """`(6, Q)`: `X` to `SURE`."""
     cell: np.ndarray
-    """`(2, Q)` int32 rows of the tables of directions: the cell of the place, and the cell or `EMPTY_ROW`."""
+    """`(2, Q)` int32: cell of the tables of directions, and the row of `POSSIBLE` (`EMPTY_ROW` if out of reach)."""
 
 
 class GroupScratch(NamedTuple):
     """The move tried last for one mount group of a rig, and working memory."""
 
     sets: np.ndarray
-    """`(2, Q, M, W)` sets `CAPS`, `OCCLUDED` of the place tried, among the orientations `ASKED`."""
+    """`(2, Q, M, W)` sets `COVERED`, `OCCLUDED` of the place tried, among the orientations `ASKED`."""
     flipped: np.ndarray
     """`(K, Q, M, W)` orientations whose `OCCLUDED` changes for the pairs in `RigScratch`."""
     occluders: np.ndarray
     """`(1,)` number of `pairs`."""
     pairs: np.ndarray
-    """`(2, K C Q)` uint32 pairs of a landmark that may hide the place tried, and a centre: `WHO`, `WHERE`."""
+    """`(2, K C Q)` uint32 pairs of a landmark that may hide the place tried, and a centre: `LANDMARK`, `POSITION`."""
     seen: np.ndarray
     """`(6, Q)`: `X` to `SURE`, from the centre evaluated last."""
     lists: np.ndarray
@@ -165,7 +168,7 @@ class RigScratch(NamedTuple):
     """As in `Scratch`."""
     lists: np.ndarray
     """As in `Scratch`."""
-    ways: np.ndarray
+    offsets: np.ndarray
     """As in `Scratch`."""
     sets: np.ndarray
     """As in `Scratch`."""
@@ -187,8 +190,8 @@ def _shared_fields(state: State | RigState) -> dict[str, Any]:
         "numbers": np.zeros(5, dtype=np.int64),
         "units": state.units.copy(),
         "flags": np.zeros((4, size), dtype=np.bool_),
-        "lists": np.zeros((GOES + 1, max(size * words, count) + 1), dtype=np.uint64),
-        "ways": np.zeros((4, (count // LANES + 1) * LANES), dtype=np.float32),
+        "lists": np.zeros((DISAPPEARS + 1, max(size * words, count) + 1), dtype=np.uint64),
+        "offsets": np.zeros((4, (count // LANES + 1) * LANES), dtype=np.float32),
         "sets": np.zeros((2, size, words), dtype=np.uint64),
         "digits": np.empty_like(state.counts.digits),
         "pairs": np.empty((2, count * size), dtype=np.uint32),
@@ -198,7 +201,7 @@ def _shared_fields(state: State | RigState) -> dict[str, Any]:
 
 def scratch_of(state: State) -> Scratch:
     """Scratch for the state of a camera."""
-    count, size, _ = state.caps.shape
+    count, size, _ = state.covered.shape
     return Scratch(
         **_shared_fields(state),
         changes=np.zeros((2, count, size), dtype=np.int8),

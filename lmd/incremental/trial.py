@@ -29,17 +29,17 @@ from lmd.core.compiled import inner
 from lmd.core.dispatch import dispatched, dispatched_call
 from lmd.incremental.counts import ENOUGH
 from lmd.incremental.nearby import list_blocks
-from lmd.incremental.occlusion import COMES, LEAVES
+from lmd.incremental.occlusion import NEW_PLACE, OLD_PLACE
 from lmd.incremental.state import (
     ASKED,
+    LANDMARK,
     LISTED,
     PAIR_COUNT,
+    POSITION,
     SURFACE,
     TOUCHED,
     TOUCHED_COUNT,
     TOUCHED_LIST,
-    WHERE,
-    WHO,
 )
 from lmd.sight.kernels import sum_weights
 
@@ -57,8 +57,8 @@ def turned(state: Any, i: Integer, p: Integer, w: Integer, scratch: Any) -> Any:
 
 
 @dispatched_call
-def find_pairs(state: Any, k: Integer, how: Any, field: Any, scratch: Any) -> None:
-    """Find the pairs of another landmark and a position that are affected by landmark k; `how` names the place."""
+def find_pairs(state: Any, k: Integer, role: Any, field: Any, scratch: Any) -> None:
+    """Find the pairs of another landmark and a position that are affected by landmark k; `role` names the place."""
 
 
 @dispatched_call
@@ -66,7 +66,7 @@ def bound_views(state: Any, k: Integer, field: Any, scratch: Any) -> Any:
     """Bound P_n at positions that are not touched.
 
     Returns:
-        number of positions in `LISTED` for which `see` and `_find_units` are still needed, touched positions included.
+        number of positions in `LISTED` for role `see` and `_find_units` are still needed, touched positions included.
     """
 
 
@@ -107,18 +107,18 @@ def exchange_views(state: Any, k: Integer, scratch: Any) -> None:
 
 
 @dispatched_call
-def forget_views(scratch: Any) -> None:
+def clear_views(scratch: Any) -> None:
     """Clear the entries of the scratch that the last trial wrote."""
 
 
 @inner
 def begin_place(k: Integer, field: Any, state: Any, scratch: Any) -> None:
     """Clear the last trial, and list the blocks near landmark k and the place tried."""
-    numbers, who, where = scratch.numbers, scratch.pairs[WHO], scratch.pairs[WHERE]
+    numbers, landmark, position = scratch.numbers, scratch.pairs[LANDMARK], scratch.pairs[POSITION]
     touched, places, known = scratch.flags[TOUCHED], scratch.lists[TOUCHED_LIST], scratch.known
-    forget_views(scratch)
+    clear_views(scratch)
     for e in range(numbers[PAIR_COUNT]):
-        known[where[e], who[e]] = False
+        known[position[e], landmark[e]] = False
     for e in range(numbers[TOUCHED_COUNT]):
         touched[places[e]] = False
     numbers[PAIR_COUNT] = numbers[TOUCHED_COUNT] = 0
@@ -135,7 +135,7 @@ def begin_move(k: Integer, pose: Any, surface: Integer, field: Any, state: Any, 
     for i in range(6):
         scratch.target[i] = pose[i]
     begin_place(k, field, state, scratch)
-    find_pairs(state, k, LEAVES, field, scratch)
+    find_pairs(state, k, OLD_PLACE, field, scratch)
     for p in range(len(units)):
         units[p] = before[p]
 
@@ -143,7 +143,12 @@ def begin_move(k: Integer, pose: Any, surface: Integer, field: Any, state: Any, 
 @inner
 def _count_others(k: Integer, state: Any, scratch: Any) -> None:
     """Count the landmarks other than k at touched positions in `digits`, with the pairs as after the move."""
-    counts, digits, who, where = state.counts.digits, scratch.digits, scratch.pairs[WHO], scratch.pairs[WHERE]
+    counts, digits, landmark, position = (
+        state.counts.digits,
+        scratch.digits,
+        scratch.pairs[LANDMARK],
+        scratch.pairs[POSITION],
+    )
     words = np.uint64(counts.shape[1])
     for p in scratch.lists[TOUCHED_LIST][: scratch.numbers[TOUCHED_COUNT]]:
         for w in range(words):
@@ -151,7 +156,7 @@ def _count_others(k: Integer, state: Any, scratch: Any) -> None:
                 digits[p, w, j] = counts[p, w, j]
             add_set(digits[p, w], shown_of(state, k, p, w), ALL)
     for e in range(scratch.numbers[PAIR_COUNT]):
-        i, p = np.uint64(who[e]), np.uint64(where[e])
+        i, p = np.uint64(landmark[e]), np.uint64(position[e])
         for w in range(words):
             was, now = turned(state, i, p, w, scratch)
             if was != now:
@@ -210,7 +215,7 @@ def bound_move(field: Any, k: Integer, pose: Any, surface: Integer, state: Any, 
 def finish_move(field: Any, k: Integer, state: Any, scratch: Any) -> None:
     """Replace the bounds of `bound_move` by the exact P_n."""
     k = np.uint64(k)
-    find_pairs(state, k, COMES, field, scratch)
+    find_pairs(state, k, NEW_PLACE, field, scratch)
     ask_touched(k, field.n, False, state, scratch)
     positions = scratch.lists[TOUCHED_LIST][: scratch.numbers[TOUCHED_COUNT]]
     see(state, k, positions, field, scratch)

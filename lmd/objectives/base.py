@@ -106,7 +106,7 @@ class Objective(Protocol):
         """Fitness in [0, 1] that optimisers maximise: values `(..., P)`, weights `(P,)` -> `(...)`."""
 
     def shares(self, values: FloatArray) -> Mapping[str, FloatArray | BoolArray]:
-        """Contribution of each position to the figures that are means over positions, shape of `values`, by name."""
+        """Figures that are means over positions: contribution of each position, shape of `values`, by name."""
 
     def figures(self, values: FloatArray, relevance: FloatArray) -> dict[str, float]:
         """Figures of a deployment from values and relevance of the grid's positions, `(P,)` each."""

@@ -10,7 +10,7 @@ from typing_extensions import override
 
 from lmd.core.checks import BoolArray, FloatArray
 from lmd.incremental.coverage_field import CoverageField, coverage_field
-from lmd.incremental.field import smoothed, worth
+from lmd.incremental.field import contribution, smoothed
 from lmd.objectives.base import AtLeast, Headline
 from lmd.objectives.sampling import Sampling
 from lmd.scene.criteria import TOLERANCE
@@ -37,8 +37,8 @@ def _smoothed(target, p, units, margin, width, share):  # type: ignore[no-untype
     return target.relevance[p] * (1.0 / (1.0 + math.exp(-above / width)) + share * units / PROBABILITY_ONE)
 
 
-@worth.register(Threshold)
-def _worth(target, p, units):  # type: ignore[no-untyped-def]
+@contribution.register(Threshold)
+def _contribution(target, p, units):  # type: ignore[no-untyped-def]
     return target.relevance[p] * (units >= target.threshold)
 
 
@@ -54,7 +54,7 @@ def _smoothed_mean(target, p, units, margin, width, share):  # type: ignore[no-u
     return target.relevance[p] * (units / PROBABILITY_ONE)
 
 
-@worth.register(Mean)
+@contribution.register(Mean)
 def _worth_of_mean(target, p, units):  # type: ignore[no-untyped-def]
     return target.relevance[p] * (units / PROBABILITY_ONE)
 

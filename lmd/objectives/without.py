@@ -8,7 +8,7 @@ import numpy as np
 
 from lmd.core.checks import FloatArray
 from lmd.core.layers import layers
-from lmd.incremental.field import ACCEPT, BOUND, UNDO, Field, Target, perform, runner, total_worth
+from lmd.incremental.field import ACCEPT, BOUND, UNDO, Field, Target, perform, runner, total_fitness
 from lmd.scene.deployment import Deployment
 
 # Pose of a removed landmark: position out of reach, metres, and a normal that faces no camera.
@@ -33,5 +33,5 @@ def without_landmarks(field: Field, target: Target, deployment: Deployment) -> F
         steps = np.array([(BOUND, i, -1, 0), (ACCEPT, i, -1, 0), *others, (UNDO, i, -1, 0)])
         runner(field, perform)(steps, poses, field, state, scratches, units)
         for j in range(i, count):
-            fitness[i, j] = fitness[j, i] = total_worth(target, units[1 + j - i])
+            fitness[i, j] = fitness[j, i] = total_fitness(target, units[1 + j - i])
     return fitness

@@ -55,11 +55,11 @@ class Alternating(Optimiser):
         self.cameras, self.tag_budget = cameras, tag_budget
         self.rounds = integer("rounds", rounds, low=1)
         self.reached: list[float] = []  # best fitness after each completed turn
-        self.best: _Best | None = None  # of the completed turns
+        self.best: _Best | None = None  # best result of the completed turns
         self.began = 0  # number of records before the current turn
         self.inner: Optimiser | None = None  # optimiser of the current turn
         self.posed: Problem  # problem of the current turn
-        self.space: MountSpace  # of the cameras
+        self.space: MountSpace  # mounts of the cameras
 
     @override
     def state(self) -> dict[str, Any]:
@@ -179,7 +179,7 @@ def _rig_state(rig: Rig, space: MountSpace) -> FloatArray:
 
 
 def _rig_of(state: Any, space: MountSpace) -> Rig:
-    """Make the rig with the `_rig_state` of another.
+    """Make a rig from the `_rig_state` of another rig.
 
     Raises:
         InputError: the rig may not be mounted.

@@ -81,7 +81,7 @@ class Optimiser(ABC):
 
         Args:
             state: read from a file, which may be malicious, so each value has to be checked.
-            problem: of the run.
+            problem: problem of the run.
 
         Raises:
             InputError: `state` is not valid.

@@ -54,8 +54,8 @@ class Checkpoint:
         """Take over the state and the run of the checkpoint in `directory`.
 
         Args:
-            directory: of the run to resume.
-            problem: of the run.
+            directory: directory of the run to resume.
+            problem: problem of the run.
 
         Raises:
             InputError: there is no checkpoint, it is damaged, or it was made with other settings.

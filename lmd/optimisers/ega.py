@@ -14,7 +14,7 @@ class EGA(AskTell):
     replaced by random ones; the others form the recombinant pool, exchange a run of genes and mutate. Fit is the
     problem's fitness, pop_0 the problem's start (filled up with random chromosomes), T the budget.
 
-    Parameters choose what the paper does not specify. The defaults are the literal reading.
+    The parameters fix choices that the paper leaves open. The defaults follow its text literally.
 
     Args:
         population: M.

@@ -155,7 +155,7 @@ class LandmarkGenome:
 
     Args:
         problem: the problem.
-        kind: of the encoding, see `make_encoding`.
+        kind: name of the encoding, see `make_encoding`.
         flush: True if landmarks lie flat on their surface.
 
     Raises:

@@ -69,7 +69,7 @@ class GreedyDeployment:
         count: number of landmarks.
         scene: the scene.
         objective: the objective, which has a selection.
-        spacing: of the grid of poses, metres.
+        spacing: spacing of the grid of poses, metres.
         threads: worker threads, all processors by default; the result does not depend on it.
         fixed: landmarks that exist already, with their surfaces; the selection adds the others.
 
@@ -103,8 +103,8 @@ class GreedyDeployment:
         chosen, _ = select(selection, poses, stock, footprints, fixed=self.fixed)
         if len(chosen) < self.count:
             raise InputError(
-                f"spacing = {spacing:.4g} leaves room for {len(chosen)} plates of {footprints.edge:.4g} m, too few for "
-                f"{self.count}.",
+                f"spacing = {spacing:.4g} leaves room for {len(chosen)} footprints of {footprints.edge:.4g} m, too few "
+                f"for {self.count}.",
                 "spacing",
             )
         return poses[chosen]

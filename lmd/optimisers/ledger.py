@@ -80,7 +80,7 @@ class Ledger:
 
     @classmethod
     def of(cls, state: Mapping[str, Any]) -> "Ledger":
-        """Make the ledger with the `state` of another.
+        """Make a ledger from the `state` of another ledger.
 
         Raises:
             InputError: `state` is not one.

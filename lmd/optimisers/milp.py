@@ -53,9 +53,9 @@ class Milp(Optimiser):
     as moving one landmark; the solver costs time alone. The solver cannot be resumed: a resumed run begins anew.
 
     Args:
-        spacing: of the lattice, metres.
+        spacing: spacing of the lattice, metres.
         seconds: time limit of the solver; its best deployment by then is the result, and its bound is valid.
-        seed: of the start, see `Optimiser`; the solver draws no random numbers.
+        seed: seed of the start, see `Optimiser`; the solver draws no random numbers.
 
     Raises:
         InputError: a parameter is out of range.

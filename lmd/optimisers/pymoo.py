@@ -85,7 +85,7 @@ class _Running:
 
         asked = self.asked if isinstance(self.asked, Population) else Population.create(self.asked)
         asked.set("X", genes)
-        # The algorithm's own evaluator counts the evaluations that the algorithm depends on.
+        # Some algorithms read the number of evaluations from their evaluator.
         static = StaticProblem(self.problem, F=losses[:, None])
         self.algorithm.evaluator.eval(static, asked, skip_already_evaluated=False)
         self.algorithm.tell(infills=self.asked)

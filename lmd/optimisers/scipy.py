@@ -67,7 +67,7 @@ class _Call:
         arguments = {"bounds": [(0.0, 1.0)] * len(start)} | {key: given[key] for key in given if key in taken}
         self.asked: SimpleQueue[FloatArray | None] = SimpleQueue()
         self.told: SimpleQueue[float] = SimpleQueue()
-        self.loss = np.nan  # of the genes asked for last
+        self.loss = np.nan  # loss of the genes asked for last
         self.failure: Exception | None = None
         self.thread = threading.Thread(target=self._minimise, args=(minimise, arguments), daemon=True)
 

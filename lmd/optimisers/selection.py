@@ -95,7 +95,7 @@ def select(
         selection: surrogate with no landmark chosen.
         poses: N candidates.
         stock: landmarks that can be chosen, or the number of points.
-        footprints: of the tags; None for landmarks that are points.
+        footprints: footprints of the tags; None for landmarks that are points.
         allowance: largest number of gains to evaluate; fewer poses are chosen if it does not suffice.
         fixed: landmarks that are chosen before the first of the poses.
 
@@ -164,7 +164,7 @@ def greedy_start(problem: Problem, start: Deployment, spacing: float, allowance:
     Args:
         problem: its objective must have a selection.
         start: K landmarks, the fixed ones first.
-        spacing: of the grid of poses, metres; larger if the allowance does not suffice for the grid.
+        spacing: spacing of the grid of poses, metres; larger if the allowance does not suffice for the grid.
         allowance: largest number of gains to evaluate.
 
     Returns:
@@ -198,7 +198,7 @@ def composition(
         scene: its tag has several edges, and a limit of paper or cost.
         objective: the objective, which has a selection.
         threads: worker threads, all processors by default; the result does not depend on it.
-        fixed: landmarks that hang already, with their surfaces.
+        fixed: fixed landmarks, with their surfaces.
 
     Raises:
         InputError: the limit does not suffice for one tag, or the objective has no selection.

@@ -18,7 +18,7 @@ class SGA(AskTell):
         population: M.
         recombination_min, recombination_max: the shortest and longest run of genes exchanged, as fractions of the
             chromosome.
-        mutation_probability: of each gene, which is then drawn anew.
+        mutation_probability: probability that a gene is drawn anew.
         encoding: see `AskTell`.
         seed: see `Optimiser`.
 

@@ -56,7 +56,7 @@ def generator_state(rng: np.random.Generator) -> dict[str, Any]:
 
 
 def generator(name: str, state: Mapping[str, Any]) -> np.random.Generator:
-    """Make the generator with the `generator_state` of another.
+    """Make a generator from the `generator_state` of another generator.
 
     Raises:
         InputError: `state` is not one.
@@ -77,11 +77,11 @@ def deployment_state(deployment: Deployment) -> dict[str, Any]:
 
 
 def deployment(name: str, state: Mapping[str, Any], problem: Problem, count: int) -> Deployment:
-    """Make the deployment with the `deployment_state` of another.
+    """Make a deployment from the `deployment_state` of another deployment.
 
     Args:
-        name: for messages.
-        state: of the other deployment.
+        name: name of the argument, for messages.
+        state: data of the other deployment.
         problem: gives the room, on whose surfaces the landmarks hang.
         count: number of landmarks.
 

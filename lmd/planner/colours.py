@@ -3,6 +3,7 @@
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from lmd.core.checks import FloatArray
 from lmd.plot import common
 
 Rgb = tuple[int, int, int]
@@ -27,6 +28,12 @@ GAINS = "magma"  # colour map of gains by one more tag
 def alike(colour: Rgb, count: int) -> Colours:
     """`count` times one colour, `(count, 3)`."""
     return np.tile(np.array(colour, dtype=np.uint8), (count, 1))
+
+
+def span_of(values: FloatArray) -> tuple[float, float]:
+    """Least and greatest of values from 0 to 1 `(N,)`; 0 and 1 if all are equal."""
+    low, high = float(values.min()), float(values.max())
+    return (low, high) if low < high else (0.0, 1.0)
 
 
 def mapped(name: str, shares: ArrayLike) -> Colours:

@@ -9,7 +9,7 @@ import numpy as np
 from lmd.core.checks import FloatArray
 from lmd.core.compiled import kernel
 from lmd.core.layers import layers
-from lmd.incremental.field import BOUND, NO_UNITS, SETTLE, in_order, moved, perform, places_of, runner, total_worth
+from lmd.incremental.field import BOUND, NO_UNITS, SETTLE, in_order, moved, perform, places_of, runner, total_fitness
 from lmd.objectives.base import incremental
 from lmd.objectives.reference_field import field_of
 from lmd.objectives.without import AWAY
@@ -105,7 +105,7 @@ class Additions(NamedTuple):
 def _add_up(units, target, fitness, value):  # type: ignore[no-untyped-def]
     """Write the fitness and the mean value of each row of `units` `(N, Q)`."""
     for i in range(len(units)):
-        fitness[i] = total_worth(target, units[i])
+        fitness[i] = total_fitness(target, units[i])
         total = 0.0
         for p in range(units.shape[1]):
             total += target.relevance[p] * (units[i, p] / PROBABILITY_ONE)
@@ -162,5 +162,5 @@ def additions(
     taken = np.zeros(len(poses), dtype=np.bool_)
     for k in range(len(deployment)):
         taken |= problem.scene.footprints.touched(poses, deployment[k : k + 1])
-    gained = (fitness - total_worth(target, state.units), value - before)
+    gained = (fitness - total_fitness(target, state.units), value - before)
     return Additions(*(np.where(taken, np.nan, gain) for gain in gained))

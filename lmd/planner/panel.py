@@ -8,11 +8,11 @@ from typing import Any
 
 import numpy as np
 
-from lmd.core.checks import IntArray
+from lmd.core.checks import FloatArray, IntArray
 from lmd.core.compiled import is_compiling
 from lmd.optimisers.ledger import Budget
 from lmd.planner.actions import call_in_order
-from lmd.planner.colours import FREE, GAINS, PINNED, SEEN, SELECTED, UNKNOWN, VALUES, Rgb, mapped
+from lmd.planner.colours import FREE, GAINS, PINNED, SEEN, SELECTED, UNKNOWN, VALUES, Rgb, mapped, span_of
 from lmd.planner.figures import Additions
 from lmd.planner.plan import MeasuredPlace
 from lmd.planner.tag_search import SearchProgress
@@ -88,6 +88,7 @@ class PlannerPanel:
         colours.float(x=GAP, y=-GAP, width=WIDTH)
         self.say(HINT)
         self.show_tag(None, None)
+        self._span = (0.0, 1.0)
         self.show_legend(None)
         self.show_seen(None)
 
@@ -165,9 +166,15 @@ class PlannerPanel:
             text = f"{progress.used:.0%} of {limits}; best fitness {progress.fitness:.2%}"
         self._progress.content = _paragraph("progress", text)
 
+    def show_values(self, values: FloatArray) -> None:
+        """Show the span of the values of positions `(P,)` in the legend."""
+        self._span = span_of(values)
+        self.show_legend(self._most)
+
     def show_legend(self, most: float | None) -> None:
         """Show the legend; `most` is the gain at the brightest place, None while surfaces are grey."""
-        self._legend.content = _legend_html(self._value, most)
+        self._most = most
+        self._legend.content = _legend_html(self._value, self._span, most)
 
 
 def _within(slider: Any) -> float:
@@ -191,15 +198,16 @@ def _paragraph(name: str, text: str, style: str = "") -> str:
     return f'<p id="{name}" style="font-size: 0.85em; margin: 0.4em 1em; {style}">{html.escape(text)}</p>'
 
 
-def _legend_html(value: str, most: float | None) -> str:
+def _legend_html(value: str, span: tuple[float, float], most: float | None) -> str:
     """Table of the colours.
 
     Args:
-        value: label of the values of positions, from 0 to 1.
+        value: label of the values of positions.
+        span: values of positions at both ends of their colours, from 0 to 1.
         most: gain at the brightest place of a surface; None while surfaces are grey.
     """
     rows = [f'<td colspan=2 style="white-space: normal">positions: {html.escape(value)}</td>']
-    rows.append(f"<td></td><td>{_scale(VALUES, '0', '1')}</td>")
+    rows.append(f"<td></td><td>{_scale(VALUES, *(f'{end:.1%}' for end in span))}</td>")
     if most is not None:
         rows.append(f"<td>a tag adds&ensp;</td><td>{_scale(GAINS, '0', f'+{most:.3%}')}</td>")
         rows.append(f"<td></td><td>{_square(UNKNOWN)} would overlap</td>")

@@ -22,6 +22,7 @@ from lmd.planner.colours import (
     alike,
     mapped,
     rgb,
+    span_of,
 )
 from lmd.planner.figures import candidate_cells
 from lmd.planner.plan import Plan
@@ -173,8 +174,9 @@ class RoomPicture:
             )  # fmt: skip
 
     def show_values(self, values: FloatArray) -> None:
-        """Colour the positions by values `(P,)`."""
-        self.balls.batched_colors = mapped(VALUES, values)
+        """Colour the positions by values `(P,)`, over the span of these."""
+        low, high = span_of(values)
+        self.balls.batched_colors = mapped(VALUES, (values - low) / (high - low))
 
     def show_additions(self, gains: FloatArray | None) -> None:
         """Colour the surfaces by gains `(N,)`, from 0 to the largest; grey for None."""

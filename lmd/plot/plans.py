@@ -18,11 +18,42 @@ from lmd.survey.survey import Survey
 
 NO_MEDIAN_COLOUR = "#c8c8c8"  # colour of places without a finite median
 PLANNED, UNSEEN, PROPOSED = "#9e9e9e", "#ff7f0e", "#2ca02c"
+POSITION = "#1f77b4"
 ELLIPSE_SIGMAS = 2.0  # semi-axes of ellipses, standard deviations
 ARROW_SHARE = 0.08  # length of the median arrow over that of the room
 WEDGE_SHARE = 0.05  # length of the wedge of a photograph to take over that of the room
 ELLIPSE_POINTS = 40
 MOST_NAMED = 12  # largest number of tags that the right panel names, those farthest off
+
+
+def save_room_figure(path: str | Path, room: Space, title: str) -> None:
+    """Write a PNG: a room from above, with its walls that carry landmarks and the positions of the camera.
+
+    Args:
+        path: of the PNG.
+        room: room.
+        title: of the figure.
+    """
+    import shapely
+    from matplotlib.collections import LineCollection
+
+    length, width, _ = common.size_of(room)
+    figure = new_figure((11.0, float(np.clip(11.0 * width / length, 4.0, 22.0)) + 0.8), title)
+    axes: Any = figure.subplots()
+    axes.set(aspect="equal", xlabel="x [m]", ylabel="y [m]")
+    axes.plot(*room.grid()[:, :2].T, ".", color=POSITION, markersize=2.0, label="position of the camera", zorder=1)
+    draw_plan(axes, room, lw=1.0)
+    carried = []
+    for surface in room.surfaces():
+        allowed = shapely.box(0.0, 0.0, *surface.extent) if surface.allowed is None else surface.allowed
+        for piece in shapely.get_parts(allowed) if surface.is_upright else ():
+            left, _, right, _ = piece.bounds
+            carried.append(surface.point(np.array([left, right]), np.zeros(2))[:, :2])
+    axes.add_collection(LineCollection(carried, colors=LANDMARK, linewidths=2.0, label="landmarks may hang here"))
+    handles, labels = axes.get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower center", ncols=4, frameon=False)
+    figure.savefig(path)
+    shrink(path)
 
 
 def save_accuracy_figure(path: str | Path, deployments: Mapping[str, tuple[Problem, Deployment]], title: str) -> None:

@@ -60,7 +60,7 @@ def evaluate_range(
     Args:
         first, last: range of indices of `order`.
         order: positions by blocks of neighbours, `(P,)`.
-        positions: of the camera, `(P, 3)`, metres.
+        positions: positions of the camera, `(P, 3)`, metres.
         landmarks, normals: positions, metres, and unit normals of B deployments, `(B, 3, K)`.
         sight: compiled model of sight.
         horizon: result of `criteria.horizon_of`, metres.

@@ -64,7 +64,7 @@ def coverage_probability(
 ) -> FloatArray:
     """P_n(p): probability of the n-ple cap under the PDF (Eq. P_n), `(..., A)` -> `(...)`.
 
-    For a PDF that depends on the position, `positions` `(P, 3)` are those of the counts `(P, A)`.
+    A PDF that depends on the position needs the `positions` `(P, 3)` of the counts `(P, A)`.
     """
     weight = pdf.weight if positions is None else pdf.at(positions)
     return np.asarray((n_ple_cap(counts, n) * weight).sum(axis=-1))
@@ -100,7 +100,7 @@ class ReferenceViews:
 
     Args:
         scene: may have a visibility model without a compiled half.
-        positions: of the camera, or of the body of the rig, `(P, 3)`, metres.
+        positions: positions of the camera, or of the body of the rig, `(P, 3)`, metres.
     """
 
     def __init__(self, scene: Scene, positions: FloatArray) -> None:

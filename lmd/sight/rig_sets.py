@@ -70,7 +70,7 @@ def _add_covered(
     """Add the orientations with which the cameras of a group cover each landmark to `seen`.
 
     Args:
-        positions: of the body, in blocks of neighbours, `(P, 3)`, metres.
+        positions: positions of the body, in blocks of neighbours, `(P, 3)`, metres.
         group: if its sight is `unhidden`, occlusion by landmarks is ignored.
         landmarks, normals: positions, metres, and unit normals, `(1, 3, K)`.
         slack: see `criteria.from_position`, `(K,)`, metres; obstacles are ignored for a landmark with a slack.
@@ -226,7 +226,7 @@ def covered_sets(
     Args:
         groups: the mounts of the rig.
         blockers: bodies of the room that block lines of sight; None for none.
-        positions: of the body, `(P, 3)`, metres.
+        positions: positions of the body, `(P, 3)`, metres.
         landmarks, normals: positions, metres, and unit normals, `(K, 3)`.
         slack: see `_add_covered`, `(K,)`, metres.
         n: number of landmarks that suffices for each position and orientation; 0 for all landmarks.

@@ -89,7 +89,7 @@ class RigViews:
     Args:
         groups: mounts of the rig, for D orientations.
         blockers: bodies of the room that block lines of sight; None for none.
-        positions: of the body, `(P, 3)`, metres.
+        positions: positions of the body, `(P, 3)`, metres.
         threads: number of threads.
     """
 

@@ -275,7 +275,7 @@ def see_alone(
 
     Args:
         pose: position and unit normal of the landmark, six numbers.
-        positions: of the camera, `(P, 3)`, metres.
+        positions: positions of the camera, `(P, 3)`, metres.
         ends: result of `obstacles.find_ends`, with the landmark as the first.
         bands: result of `directions.height_index`.
 

@@ -50,7 +50,7 @@ def visible(evaluator: Evaluator, deployment: Deployment, positions: FloatArray,
 
     Args:
         deployment: K landmarks.
-        positions: of the camera, or of the body of a rig, `(N, 3)`, world frame, metres.
+        positions: positions of the camera, or of the body of a rig, `(N, 3)`, world frame, metres.
         axes: optical axis and image's right of the camera (or of the body), two unit vectors in the world frame,
             `(N, 6)` (`lmd.geometry.se3.axis_and_right`); `(N, 3)` without the right suffices for criteria that need no
             roll.

@@ -93,8 +93,8 @@ class Cuboid(Gridded):
         nearest = np.argmax(np.where(on_wall, normals @ walls.normal.T, -np.inf), axis=-1)
         return np.where(on_wall.any(axis=-1), nearest, -1)
 
+    @override
     def bounds(self) -> tuple[FloatArray, FloatArray]:
-        """See `Space.bounds`."""
         return np.zeros(3), np.asarray(self.size)
 
     @override
@@ -108,28 +108,12 @@ class Cuboid(Gridded):
     def blockers(self) -> None:
         """See `Space.blockers`: a cuboid is convex and empty."""
 
-    def passable(self, starts: FloatArray, ends: FloatArray) -> BoolArray:
-        """See `Space.passable`."""
-        return self.clear(starts, ends)
-
-    def faces(self) -> tuple[Surface, ...]:
-        """See `Space.faces`."""
-        return self.surfaces()
-
     def outline(self) -> dict[str, FloatArray]:
         """See `Space.outline`."""
         return {
             "room": box_edges(*self.bounds()),
             "reachable area": box_edges(self.reachable_low, self.reachable_high),
         }
-
-    def fixtures(self) -> tuple[()]:
-        """See `Space.fixtures`: a cuboid is empty."""
-        return ()
-
-    def describe(self) -> str:
-        """See `Space.describe`."""
-        return f"room of {' x '.join(f'{length:g}' for length in self.size)} m"
 
 
 @lru_cache

@@ -44,6 +44,10 @@ class FloorPlan:
     """Lowest and highest z of landmarks on upright surfaces, metres; None for all heights."""
     margin: float = 0.0
     """Distance of landmarks from the edges of a surface along its u and v, metres."""
+    path: str | None = None
+    """Path of the file that the plan was read from."""
+    note: str = ""
+    """Remark on the file that the plan was read from, a sentence; empty without one."""
 
     def __post_init__(self) -> None:
         if isinstance(self.holes, str) or not isinstance(self.holes, Sequence):

@@ -5,13 +5,14 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from functools import cached_property
-from typing import Any, Self
+from typing import Any, ClassVar, Self
 
 import numpy as np
 
 from lmd.core.checks import BoolArray, FloatArray, InputError, IntArray, real, vector
 from lmd.core.memory import check_memory
 from lmd.space.blockers import Blockers
+from lmd.space.fixture import Fixture
 from lmd.space.surface import FILE_TOLERANCE, PLACEMENT_TOLERANCE, Surface, SurfaceArrays, surface_near
 from lmd.space.triangles import Triangles
 
@@ -122,6 +123,10 @@ class Gridded(ABC):
     reachable: Any
     spacing: Any
     positions: str
+    kind: ClassVar[str] = "room"
+    """First words of `describe`."""
+    digits: ClassVar[int] = 6
+    """Significant digits of the lengths in `describe`."""
 
     @property
     @abstractmethod
@@ -144,9 +149,42 @@ class Gridded(ABC):
     def blockers(self) -> Blockers | Triangles | None:
         """See `Space.blockers`."""
 
+    @abstractmethod
+    def bounds(self) -> tuple[FloatArray, FloatArray]:
+        """See `Space.bounds`."""
+
     def clear(self, starts: FloatArray, ends: FloatArray) -> BoolArray:
         """See `Space.clear`."""
         return clear_of(self.blockers(), starts, ends)
+
+    def passable(self, starts: FloatArray, ends: FloatArray) -> BoolArray:
+        """See `Space.passable`."""
+        return self.clear(starts, ends)
+
+    def faces(self) -> tuple[Surface, ...]:
+        """See `Space.faces`."""
+        return self.surfaces()
+
+    def fixtures(self) -> Sequence[Fixture]:
+        """See `Space.fixtures`."""
+        return ()
+
+    def describe(self) -> str:
+        """See `Space.describe`."""
+        low, high = self.bounds()
+        return f"{self.kind} of {' x '.join(f'{length:.{self.digits}g}' for length in high - low)} m"
+
+    def _set_grid(self, lacking: str, argument: str) -> None:
+        """Check `spacing` and that the grid has a position.
+
+        Args:
+            lacking: message about a grid without positions.
+            argument: name of the argument that the message is about.
+        """
+        low, high = self.box
+        object.__setattr__(self, "spacing", checked_spacing(self.spacing, (high - low).tolist()))
+        if not len(self.grid()):
+            raise InputError(lacking, argument)
 
     def grid_shape(self) -> tuple[int, int, int]:
         """Number of positions along x, y, z of the box."""

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from typing_extensions import override
@@ -10,7 +10,7 @@ from typing_extensions import override
 from lmd.core.checks import BoolArray, FloatArray, InputError, choice
 from lmd.space.cuboid import box_edges
 from lmd.space.fixture import Fixture
-from lmd.space.gridded import KINDS, Gridded, checked_spacing
+from lmd.space.gridded import KINDS, Gridded
 from lmd.space.parts import FreeVolume, made
 from lmd.space.relevance import Relevance
 from lmd.space.scan import Scan
@@ -40,6 +40,8 @@ class MeshRoom(Gridded):
     """`cells` for the centres of the grid cells, `vertices` for the vertices."""
     relevance: Relevance = field(default_factory=Relevance)
     """Rel(p), weights of the positions."""
+    kind: ClassVar[str] = "room from a mesh"
+    digits: ClassVar[int] = 4
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "reachable", made("reachable", FreeVolume, self.reachable))
@@ -57,13 +59,11 @@ class MeshRoom(Gridded):
                 f"from {ranges} m.",
                 name,
             )
-        object.__setattr__(self, "spacing", checked_spacing(self.spacing, (high - low).tolist()))
-        if not len(self.grid()):
-            raise InputError(
-                f"{name} and clearance = {self.reachable.clearance:g} hold no position of the grid: triangles leave "
-                "nothing, there is no floor below, or spacing is too large.",
-                name,
-            )
+        self._set_grid(
+            f"{name} and clearance = {self.reachable.clearance:g} hold no position of the grid: triangles leave "
+            "nothing, there is no floor below, or spacing is too large.",
+            name,
+        )
         self.surfaces()  # raises if no surface may carry landmarks
 
     @cached_property
@@ -89,8 +89,8 @@ class MeshRoom(Gridded):
     def surfaces(self) -> tuple[Surface, ...]:
         return self._surfaces
 
+    @override
     def bounds(self) -> tuple[FloatArray, FloatArray]:
-        """See `Space.bounds`."""
         return self.scan.bounds
 
     @override
@@ -106,13 +106,14 @@ class MeshRoom(Gridded):
     def blockers(self) -> Triangles:
         return self.scan.triangles
 
+    @override
     def passable(self, starts: FloatArray, ends: FloatArray) -> BoolArray:
         """See `Space.passable`: the whole path keeps the clearance."""
         free, clearance = self.clear(starts, ends), self.reachable.clearance
         return free if self.scan.solids is None else free & self.scan.solids.keeps_away(starts, ends, clearance)
 
+    @override
     def faces(self) -> tuple[Surface, ...]:
-        """See `Space.faces`."""
         return self.scan.faces
 
     def outline(self) -> dict[str, FloatArray]:
@@ -125,11 +126,6 @@ class MeshRoom(Gridded):
             )
         return parts | {"reachable area": box_edges(grid.min(axis=0), grid.max(axis=0))}
 
+    @override
     def fixtures(self) -> list[Fixture]:
-        """See `Space.fixtures`."""
         return self.scan.fixtures(self.surfaces())
-
-    def describe(self) -> str:
-        """See `Space.describe`."""
-        low, high = self.bounds()
-        return f"room from a mesh of {' x '.join(f'{length:.4g}' for length in high - low)} m"

@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from typing_extensions import override
@@ -13,7 +13,7 @@ from lmd.space.blockers import Blockers
 from lmd.space.cuboid import box_edges
 from lmd.space.fixture import Fixture
 from lmd.space.floor_plan import FloorPlan
-from lmd.space.gridded import KINDS, Gridded, checked_spacing, clear_of
+from lmd.space.gridded import KINDS, Gridded, clear_of
 from lmd.space.parts import Reachable, made
 from lmd.space.polygon import edges
 from lmd.space.relevance import Relevance
@@ -42,6 +42,7 @@ class Prism(Gridded):
     """`cells` for the centres of the grid cells, `vertices` for the vertices."""
     relevance: Relevance = field(default_factory=Relevance)
     """Rel(p), weights of the positions."""
+    kind: ClassVar[str] = "room over a floor plan"
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "reachable", made("reachable", Reachable, self.reachable))
@@ -58,13 +59,11 @@ class Prism(Gridded):
                 f"reachable.clearance = {self.reachable.clearance:g} leaves nothing of the {self.describe()}.",
                 "reachable.clearance",
             )
-        object.__setattr__(self, "spacing", checked_spacing(self.spacing, (high - low).tolist()))
-        if not len(self.grid()):
-            raise InputError(
-                f"reachable.height = {list(self.reachable.height)} and clearance = {self.reachable.clearance:g} hold "
-                "no position of the grid: walls, holes and obstacles leave nothing, or spacing is too large.",
-                "reachable.height",
-            )
+        self._set_grid(
+            f"reachable.height = {list(self.reachable.height)} and clearance = {self.reachable.clearance:g} hold no "
+            "position of the grid: walls, holes and obstacles leave nothing, or spacing is too large.",
+            "reachable.height",
+        )
 
     @cached_property
     @override
@@ -81,8 +80,8 @@ class Prism(Gridded):
     def surfaces(self) -> tuple[Surface, ...]:
         return self.plan.carriers
 
+    @override
     def bounds(self) -> tuple[FloatArray, FloatArray]:
-        """See `Space.bounds`."""
         vertices = np.array(self.plan.outline)
         return np.append(vertices.min(axis=0), 0.0), np.append(vertices.max(axis=0), self.plan.height)
 
@@ -94,13 +93,14 @@ class Prism(Gridded):
     def blockers(self) -> Blockers | None:
         return self.plan.blockers
 
+    @override
     def passable(self, starts: FloatArray, ends: FloatArray) -> BoolArray:
         """See `Space.passable`: the whole path keeps the clearance."""
         blockers = self.plan.blockers
         return clear_of(blockers and blockers.grown(self.reachable.clearance), starts, ends)
 
+    @override
     def faces(self) -> tuple[Surface, ...]:
-        """See `Space.faces`."""
         return self.plan.faces
 
     def outline(self) -> dict[str, FloatArray]:
@@ -112,14 +112,9 @@ class Prism(Gridded):
         parts["reachable area"] = [_prism_edges(ring, low, high) for ring in plan.clearings(self.reachable.clearance)]
         return {name: np.concatenate(drawn) for name, drawn in parts.items() if drawn}
 
+    @override
     def fixtures(self) -> list[Fixture]:
-        """See `Space.fixtures`."""
         return self.plan.fixtures
-
-    def describe(self) -> str:
-        """See `Space.describe`."""
-        low, high = self.bounds()
-        return f"room over a floor plan of {' x '.join(f'{length:g}' for length in high - low)} m"
 
 
 def _prism_edges(ring: Sequence[Sequence[float]], low: float, high: float) -> FloatArray:

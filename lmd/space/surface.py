@@ -79,14 +79,15 @@ class Surface:
         along, up = (length - 2.0 * margin for length in self.extent)
         if min(along, up) < 0.0:
             raise InputError(
-                f"surface {self.name} is {min(self.extent):.4g} m wide, too narrow for plates of {2.0 * margin:.4g} m."
+                f"surface {self.name} is {min(self.extent):.4g} m wide, too narrow for footprints of "
+                f"{2.0 * margin:.4g} m."
             )
         if self.allowed is None:
             return replace(self, origin=self.origin + margin * (self.u + self.v), extent=(along, up))
         left = eroded(self.allowed, margin)
         if left.is_empty:
             raise InputError(
-                f"surface {self.name} has no place for plates of {2.0 * margin:.4g} m where landmarks may hang."
+                f"surface {self.name} has no place for footprints of {2.0 * margin:.4g} m where landmarks may hang."
             )
         return self.cropped(left)
 

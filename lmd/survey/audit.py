@@ -9,10 +9,10 @@ import pandas as pd
 from numpy.typing import ArrayLike
 
 from lmd.core.checks import BoolArray, FloatArray, IntArray
-from lmd.detection.comparison import PITCHES, CameraPrediction, Prediction, by_incidence, by_pitch, by_place, by_tag
 from lmd.detection.evaluation import CORNER_TOLERANCE, Matches, precision_recall
 from lmd.detection.frames import overlapping, qualities, tagged_room
-from lmd.detection.views import CAMERA, COLUMNS, FRAME
+from lmd.detection.predictions import PITCHES, CameraPrediction, Prediction, by_incidence, by_pitch, by_place, by_tag
+from lmd.detection.tag_views import CAMERA, COLUMNS, FRAME
 from lmd.geometry.camera import Camera
 from lmd.geometry.projection import image_size, intrinsics, to_camera
 from lmd.geometry.se3 import pose_of
@@ -207,7 +207,7 @@ def detections_of_map(survey: Survey) -> list[Matches]:
 def view_columns(survey: Survey, cameras: Sequence[Camera], tag: Tag, room: Space | None) -> dict[str, ArrayLike]:
     """Columns of `in_view.csv`: a row for each tag that has all its corners in an image and faces the camera.
 
-    Leaves out tags that lie over others or are hidden by the room. See `lmd.detection.views`.
+    Leaves out tags that lie over others or are hidden by the room. See `lmd.detection.tag_views`.
 
     Args:
         survey: the survey.

@@ -12,8 +12,8 @@ from lmd.evaluation.comparison import OptimiserRun, compared
 from lmd.objectives.coverage import Coverage
 from lmd.plot.charts import save_comparison_figure, save_heat_map
 from lmd.plot.common import new_figure
-from lmd.plot.deployments import save_deployments_figure
-from lmd.plot.directions import save_cap_figure
+from lmd.plot.orientations import save_cap_figure
+from lmd.plot.scenes import save_deployments_figure
 
 from ..app import command_of
 from .document import Picture, Section, Table, Text, comparison_table

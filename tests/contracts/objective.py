@@ -6,7 +6,7 @@ import pytest
 from contracts.field import check_field
 from lmd.core.checks import InputError
 from lmd.evaluation.validation import Sample, validation_metrics
-from lmd.incremental.field import in_order, smoothed, total_worth
+from lmd.incremental.field import in_order, smoothed, total_fitness
 from lmd.objectives.base import Incremental, Selectable
 from lmd.objectives.reference_field import field_of
 from lmd.problem import Problem
@@ -90,8 +90,8 @@ def check_target(objective, evaluator, batch, relevance):
     target = objective.target(weights)
     for each in batch:
         values = objective.values(evaluator, each.positions[None], each.normals[None])[0]
-        worth = total_worth(target, field.state(each).units)
-        assert worth == pytest.approx(float(objective.fitness(values, relevance)), abs=1e-9)
+        fitness = total_fitness(target, field.state(each).units)
+        assert fitness == pytest.approx(float(objective.fitness(values, relevance)), abs=1e-9)
     steps, heaviest = np.linspace(0, PROBABILITY_ONE, 50).astype(np.int64), int(weights.argmax())
     for share in (0.0, 0.2):
         curve = [smoothed(target, heaviest, units, 0.0, 0.02, share) for units in steps]

@@ -283,23 +283,23 @@ MINE = """
 from typing import NamedTuple
 
 from factors import FACTOR
-from lmd.incremental.field import worth
+from lmd.incremental.field import contribution
 
 
 class Mine(NamedTuple):
     weight: float
 
 
-@worth.register(Mine)
+@contribution.register(Mine)
 def _worth(target, p, units):
     return target.weight * units * FACTOR
 """
 CALL = """
 import numpy as np
 from mine import Mine
-from lmd.incremental.field import total_worth
+from lmd.incremental.field import total_fitness
 
-print(total_worth(Mine(2.0), np.arange(4)))
+print(total_fitness(Mine(2.0), np.arange(4)))
 """
 
 

@@ -9,7 +9,7 @@ from lmd.detection.calibration import fit
 from lmd.detection.detectors import AprilTagDetector, ArucoDetector, Detections
 from lmd.detection.evaluation import agreement, corner_error, match, precision_recall, quantiles_by, shares_of_frames
 from lmd.detection.mosaic import ViewRanges, sample_views
-from lmd.detection.views import TagViews
+from lmd.detection.tag_views import TagViews
 from lmd.geometry.camera import Camera
 from lmd.geometry.pose import pose_error, pose_from_corners
 from lmd.geometry.se3 import camera_pose

@@ -8,7 +8,7 @@ import pytest
 from lmd.core.checks import InputError
 from lmd.core.tables import write_table
 from lmd.detection.calibration import DetectorCalibration, fit, intervals, predicted_views
-from lmd.detection.views import COLUMNS, FILE, Placed, SurveyedViews, TagViews
+from lmd.detection.tag_views import COLUMNS, FILE, Placed, SurveyedViews, TagViews
 from lmd.geometry.camera import Camera
 from lmd.render.imaging import Imaging
 from lmd.sight.models.limits import Limits

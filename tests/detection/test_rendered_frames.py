@@ -17,7 +17,6 @@ from scipy.spatial.transform import Rotation
 from lmd.core.checks import InputError
 from lmd.detection.board import BoardImages
 from lmd.detection.calibration import DetectorCalibration, Fit, frame_scores, predicted_in_frames
-from lmd.detection.comparison import CameraPrediction, Prediction, by_pitch, by_tag, figures, repeatability, to_markdown
 from lmd.detection.detectors import AprilTagDetector, ArucoDetector
 from lmd.detection.evaluation import Matches, agreement
 from lmd.detection.frames import (
@@ -30,7 +29,16 @@ from lmd.detection.frames import (
     tagged_room,
 )
 from lmd.detection.mosaic import Mosaics
-from lmd.detection.views import TagViews
+from lmd.detection.predictions import (
+    CameraPrediction,
+    Prediction,
+    by_pitch,
+    by_tag,
+    figures,
+    repeatability,
+    to_markdown,
+)
+from lmd.detection.tag_views import TagViews
 from lmd.evaluation.verdicts import verdicts
 from lmd.geometry.camera import Camera
 from lmd.geometry.se3 import axis_and_right, camera_pose, poses_from_rows

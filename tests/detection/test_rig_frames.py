@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from paper import experiment_room, paper_scene
 
-from lmd.detection.comparison import CameraPrediction, Prediction, by_pitch, by_tag, figures, repeatability
 from lmd.detection.detectors import ArucoDetector
 from lmd.detection.evaluation import Matches
 from lmd.detection.frames import detect_in_frames, draw_poses, nudged, tagged_room
+from lmd.detection.predictions import CameraPrediction, Prediction, by_pitch, by_tag, figures, repeatability
 from lmd.evaluation.verdicts import verdicts
 from lmd.geometry.camera import Camera
 from lmd.render.imaging import Imaging

@@ -9,10 +9,10 @@ from numpy.testing import assert_allclose, assert_array_equal
 from paper import paper_camera, paper_scene
 
 from lmd.core.checks import InputError
-from lmd.detection.comparison import PITCHES
 from lmd.detection.corner_errors import CORNER_ERRORS, PITCH_MIDDLES, CornerErrors
 from lmd.detection.detectors import ArucoDetector, Detections
 from lmd.detection.evaluation import corner_error
+from lmd.detection.predictions import PITCHES
 from lmd.detection.quality import pitch
 from lmd.estimation.cramer_rao import CramerRaoBound
 from lmd.estimation.flights import Pace, RandomMotion

@@ -36,7 +36,7 @@ def looks(scene, deployment, seed=0, positions=256):
 def test_dropping_a_criterion_covers_what_it_is_said_to(thold):
     scene = paper_scene(thold=thold)
     found = causes(scene, UNIFORM, 0)
-    assert found.looks == 256 * VIEWS * 30
+    assert found.sightings == 256 * VIEWS * 30
     assert found.covered == pytest.approx(looks(scene, UNIFORM), abs=0.0)
     endless = Visibility(thold=1e-9)
     alone = Visibility(thold=thold, occlusion="none")

@@ -218,13 +218,31 @@ def test_the_first_page_names_walls_and_fixtures_and_says_where_each_is_hung(tmp
         assert name in first
     assert " N " not in first
     for index, places in tags.hung.items():
-        name, numbers = tags.room.surfaces()[index].name, f"{places[0] + 1} to {places[-1] + 1}"
+        name, numbers = tags.names[index], f"{places[0] + 1} to {places[-1] + 1}"
         assert f"{name}: {numbers}" in first  # at the wall
         (page,) = [number for number, text in enumerate(others, 2) if text.startswith(f"{name}, seen from the front")]
         assert f"{numbers} {name} {len(places)} {page}" in first  # in the table
-    for name, fixture in (("wall_0", "door"), ("wall_5", "big window"), ("wall_5", "rack"), ("wall_1", "keep_out 2")):
+        assert f"; {tags.room.surfaces()[index].name} in files" in others[page - 2]
+    for name, fixture in (("wall 1", "door"), ("wall 6", "big window"), ("wall 6", "rack"), ("wall 2", "keep_out 2")):
         (text,) = [text for text in others if text.startswith(f"{name},")]
         assert fixture in text
+
+
+def test_names_around_pillars_do_not_overlap(tmp_path):
+    holes = [[[x, 1.0], [x + 0.35, 1.0], [x + 0.35, 1.35], [x, 1.35]] for x in (1.0, 1.6)]
+    room = floor_plans.lab(holes=holes)
+    drawn = Footprints(room, TAG).draw(UniformDeployment(24), np.random.default_rng(0))
+    write_plan(tmp_path / "plan.pdf", TagMap(room, TAG, drawn), "a4")
+    text, boxes = next(iter(pypdfium2.PdfDocument(tmp_path / "plan.pdf"))).get_textpage(), []
+    for pillar, side in itertools.product((1, 2), range(1, 5)):
+        found = text.search(f"pillar {pillar}, side {side}")
+        while at := found.get_next():
+            corners = np.array([text.get_charbox(i) for i in range(at[0], sum(at))])
+            if corners[:, 2].max() < 500.0:  # on the left of the table
+                boxes.append((corners[:, :2].min(axis=0), corners[:, 2:].max(axis=0)))
+    assert len(boxes) == 8
+    for (low, high), (others_low, others_high) in itertools.combinations(boxes, 2):
+        assert (low >= others_high).any() or (others_low >= high).any()
 
 
 def test_heights_are_from_the_floor_even_where_it_is_not_the_lowest_point(tmp_path):

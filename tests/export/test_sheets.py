@@ -20,6 +20,7 @@ from lmd.export.paper import PAPERS
 from lmd.export.sheets import check_sheets, describe_sheets, write_sheets
 from lmd.formats.tag_map import TagMap
 from lmd.scene.deployment_sources import RandomDeployment, UniformDeployment
+from lmd.scene.families import FAMILIES
 from lmd.scene.footprints import Footprints
 from lmd.scene.labels import Labels
 from lmd.scene.tag import Tag
@@ -53,8 +54,10 @@ def pages(path):
         (Tag(0.1651), "a4", 1, 1),  # of FIRST robotics: the paper is wider than what is printed of it
         (Tag(0.1651), "letter", 1, 1),
         (Tag(0.1), "a4", 3, 2),
+        (Tag(0.1185), "a4", 3, 2),  # the papers of two fill the width of the sheet
+        (Tag(0.0625, "41h12"), "a4", 3, 2),
         (Tag(0.1), "letter", 3, 2),
-        (Tag(0.08), "a4", 3, 2),
+        (Tag(0.08), "a4", 5, 4),
         (Tag(0.06), "a4", 8, 6),
         (Tag(0.05), "letter", 14, 12),
         (Tag(0.04, "25h9"), "a4", 16, 15),
@@ -64,7 +67,9 @@ def pages(path):
 )
 def test_a_detector_reads_every_tag_upright_and_at_its_size(tag, paper, count, per_page, tmp_path):
     sheets(tmp_path / "sheets.pdf", tag, count, paper, first=5)
-    detectors = [ArucoDetector(tag.family)] + ([] if "_" in tag.family else [AprilTagDetector(tag.family)])
+    family, detectors = FAMILIES[tag.family], []
+    detectors += [ArucoDetector(tag.family)] if family.dictionary else []
+    detectors += [AprilTagDetector(tag.family)] if family.apriltag else []
     printed = list(pages(tmp_path / "sheets.pdf"))
     assert len(printed) == math.ceil(count / per_page)
     for detector in detectors:
@@ -79,7 +84,8 @@ def test_a_detector_reads_every_tag_upright_and_at_its_size(tag, paper, count, p
             np.testing.assert_allclose(bottom_left - top_left, np.tile([0.0, edge], (len(found), 1)), atol=0.25)
             np.testing.assert_allclose(bottom_right - bottom_left, np.tile([edge, 0.0], (len(found), 1)), atol=0.25)
             # The paper with its quiet zone is on the sheet, and white around the black square.
-            margin = 500 * (tag.paper_edge - tag.size)
+            margin, around = 500 * (tag.paper_edge - tag.picture_edge), 500 * (tag.picture_edge - tag.size)
+            edge, top_left = 1000 * tag.picture_edge, top_left - around
             assert top_left.min() > 7.5
             assert top_left.min() - margin > -0.1
             inner = 0.5 * margin  # further out are labels and marks
@@ -207,13 +213,13 @@ def test_maps_do_not_wait_for_a_package_that_prints(monkeypatch):
 @examples(100)
 @given(
     edge=st.floats(0.01, 0.8),
-    family=st.sampled_from(["36h11", "16h5", "4x4_50"]),
+    family=st.sampled_from(["36h11", "16h5", "4x4_50", "52h13"]),
     quiet_zone=st.floats(0.0, 3.0),
     paper=st.sampled_from(list(PAPERS)),
 )
 def test_what_is_black_is_where_printers_print(edge, family, quiet_zone, paper):
     tag = Tag(edge, family, quiet_zone)
-    sheets, plate, black = layout(tag, paper), 1000 * tag.paper_edge, 1000 * tag.size
+    sheets, plate, black = layout(tag, paper), 1000 * tag.paper_edge, 1000 * tag.picture_edge
     width, height = sheets.page
     assert sorted(sheets.page) == sorted(PAPERS[paper])
     if isinstance(sheets, Whole):

@@ -4,20 +4,9 @@ import json
 import re
 
 import pytest
+from camera_samples import KINECT_CAMERA, MATLAB, METASHAPE, OAK, OAK_EXTRINSICS, REPORT
 from captured import MRUK, anchor, entity, rectangle, surface
-from format_samples import (
-    FILES,
-    KINECT_CAMERA,
-    MATLAB,
-    METASHAPE,
-    MRCAL,
-    OAK,
-    OAK_EXTRINSICS,
-    READERS,
-    REPORT,
-    SAMPLES,
-    content,
-)
+from format_samples import FILES, MRCAL, READERS, SAMPLES, content
 
 from lmd.core.checks import InputError
 from lmd.formats import registry
@@ -183,14 +172,14 @@ BAD = {
         ("", "is empty"),
     ],
     "tag map": [
-        ("VERTEX_SE3:QUAT 7 2 0 1.2 0 0 0 1\n", "g2o" + TABLE),
+        ("VERTEX_SE3:QUAT 7 2 0 1.2 0 0 0 1\n", "g2o with 1 poses and without edges to a landmark: export the poses"),
         ("marker_id,vert_0_x,vert_0_y\n7,0,0\n", "Pupil" + TABLE),
         ("- name: wall\n  markers_x: 2\n", "aruco_opencv" + TABLE),
-        ('{"tag_locations": {}}', "pytagmapper" + TABLE),
-        ('{"reconstructed_tags": []}', "Visual Marker Mapping" + TABLE),
-        ("/**: {ros__parameters: {general: {}, marker_000: {}}}\n", "ZED" + TABLE),
+        ('{"tag_locations": {}}', "it has no tags with places"),
+        ('{"reconstructed_tags": []}', "it has no tags with places"),
+        ("/**: {ros__parameters: {general: {}, marker_000: {}}}\n", "the key 'marker_size' is missing"),
         ("/**: {ros__parameters: {family: 36h11, size: 0.1, tag: {ids: [1]}}}\n", "apriltag_ros for ROS 2" + TABLE),
-        ("landmarks: [{id: 1, position: [0, 0, 0]}]\n", "which way the frame of a tag points" + TABLE),
+        ("landmarks: [{id: 1, position: [0, 0, 0]}]\n", "has no orientation or rotation or rpy; it has id, position"),
         ('{"tags": [{"ID": 1}]}', "the key 'pose' is missing"),
         ('{"tags": []}', "it has no tags with places"),
         ('{"tags": [{"ID": -1, "pose": 3}]}', r"pose must be a mapping with keys, got 3"),

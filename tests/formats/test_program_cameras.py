@@ -4,14 +4,7 @@ import json
 
 import numpy as np
 import pytest
-from format_samples import (
-    ARRAYS,
-    LENS,
-    MATLAB,
-    METASHAPE,
-    NERF,
-    REPORT,
-)
+from camera_samples import ARRAYS, LENS, MATLAB, METASHAPE, NERF, REPORT
 from numpy.testing import assert_allclose
 from rays import RAYS, by_opencv, images, radial
 from scipy.io import loadmat

@@ -39,7 +39,7 @@ def test_what_was_written_is_read_again(name, family, seed, tmp_path):
     if form.edges == ONE:
         deployment = replace(deployment, edges=None)
     found = check_format(form, TagMap(ROOM, Tag(EDGE, family), deployment), tmp_path)
-    assert found.has_own_edges == (name not in ("wpilib", "frc971", "rtabmap"))
+    assert found.has_own_edges == (name not in ("wpilib", "frc971", "rtabmap", "ros2_tf"))
 
 
 def test_duckietown_takes_tags_on_the_floor(tmp_path):
@@ -61,6 +61,6 @@ def test_what_has_one_edge_takes_no_tags_with_several():
     assert set(unfit) == {"fiducial_vlam", "rtabmap"}
     with pytest.raises(InputError, match=r"^formats has fiducial_vlam: .* 0\.05, 0\.3, 0\.4125 m"):
         export.writers(ROOM, Tag(EDGE), several)
-    assert export.silent(TagMap(ROOM, Tag(EDGE), several)) == ("wpilib", "frc971")
+    assert export.silent(TagMap(ROOM, Tag(EDGE), several)) == ("wpilib", "ros2_tf", "frc971")
     with pytest.raises(InputError, match=r"^formats has rtabmap: .* 0\.05, 0\.1 m\.$"):  # before anything is placed
         Export(["rtabmap"], "a4").check(Tag(EDGE, edges=[0.1, 0.05]))

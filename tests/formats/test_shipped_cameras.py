@@ -5,18 +5,8 @@ import json
 import cv2
 import numpy as np
 import pytest
-from format_samples import (
-    FTC,
-    KINECT_CAMERA,
-    KINECT_LENS,
-    LENS,
-    OAK,
-    OAK_EXTRINSICS,
-    REALSENSE,
-    SAMPLES,
-    SIZES,
-    content,
-)
+from camera_samples import FTC, KINECT_CAMERA, KINECT_LENS, LENS, OAK, OAK_EXTRINSICS, REALSENSE, SIZES
+from format_samples import SAMPLES, content
 from numpy.testing import assert_allclose
 from rays import RAYS, by_opencv, images, radial
 

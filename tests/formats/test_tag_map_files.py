@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from map_files import UP, assert_is, reader
 from numpy.testing import assert_allclose
 
 from lmd.core.checks import InputError
@@ -14,7 +15,6 @@ from lmd.space.cuboid import Cuboid
 from pipelines.app import CONF
 
 REAL = Path(__file__).parents[2] / "../shared/real/layouts"
-UP = [0.0, 0.0, 1.0]
 WPILIB = {
     "field": {"length": 8.0, "width": 4.0},
     "tags": [
@@ -31,23 +31,7 @@ WPILIB = {
 
 @pytest.fixture
 def read(tmp_path):
-    def read_text(text, **options):
-        (tmp_path / "map").write_text(text if isinstance(text, str) else json.dumps(text))
-        return read_deployment(tmp_path / "map", **options)
-
-    return read_text
-
-
-def only(deployment):
-    assert len(deployment) == 1
-    return deployment.ids[0], deployment.positions[0], deployment.normals[0], deployment.ups[0]
-
-
-def assert_is(deployment, number, position, normal, up=UP):
-    found = only(deployment)
-    assert found[0] == number
-    for value, expected in zip(found[1:], (position, normal, up), strict=True):
-        assert_allclose(value, expected, atol=1e-9)
+    return reader(tmp_path)
 
 
 def test_wpilib_looks_along_x(read):
@@ -104,67 +88,6 @@ def test_a_transform_is_written_row_by_row(read):
         read({"fiducials": [{"id": 1, "size": 165.1, "transform": [*rows[:15], 2]}]})
     with pytest.raises(InputError, match=r"size = 0.1651 is in millimetres here, which makes a tag of 0.0001651 m"):
         read({"fiducials": [{"id": 1, "size": 0.1651, "transform": rows}]})
-
-
-def test_standalone_tags_may_have_places_and_ros_2_wraps_its_parameters(read):
-    tag = "{id: 7, size: 0.1, x: 2.0, y: 0.0, z: 1.2, qx: 0.7071067811865476, qy: 0, qz: 0, qw: 0.7071067811865476}"
-    for text in (
-        f"standalone_tags: [{tag}]\n",
-        f"/**:\n  ros__parameters:\n    tag_bundles:\n      - name: wall\n        layout: [{tag}]\n",
-        f"space:\n  node:\n    ros__parameters: {{standalone_tags: [{tag}]}}\n",
-    ):
-        found = read(text)
-        assert_is(found, 7, [2, 0, 1.2], [0, -1, 0])
-        assert found.edges.tolist() == [0.1]
-    with pytest.raises(InputError, match="the key 'z' is missing"):
-        read("standalone_tags: [{id: 7, size: 0.1, x: 2.0, y: 0.0}]\n")
-    with pytest.raises(InputError, match="places in standalone_tags and in tag_bundles"):
-        read(f"standalone_tags: [{tag}]\ntag_bundles: [{{name: a, layout: [{tag}]}}]\n")
-    with pytest.raises(InputError, match="it has ros__parameters of 2 nodes"):
-        read("a: {ros__parameters: {}}\nb: {ros__parameters: {}}\n")
-    with pytest.raises(InputError, match="four numbers for a quaternion in an order that the file does not say"):
-        read("tag_bundles: {bundle_names: [a], a: {ids: [0], 0: {size: 0.1, transform: [2, 0, 1.2, 1, 0, 0, 0]}}}\n")
-
-
-def test_rtabmap_keeps_tags_in_its_settings_and_among_its_poses(read):
-    text = "[Core]\nVersion=0.21\nMarker\\Priors=7 2.0 0.0 1.2 1.5707963267948966 0 0\nMarker\\Length=0.1\n"
-    found = read(text)
-    assert_is(found, 7, [2, 0, 1.2], [0, -1, 0])
-    assert found.edges.tolist() == [0.1]
-    with pytest.raises(InputError, match=r"^family=16h5 is needed"):
-        read(text + "Marker\\Dictionary=17\n", family="36h11")
-    poses = "#timestamp x y z qx qy qz qw id\n0.0 2 0 1.2 0.5 -0.5 -0.5 0.5 -7\n1700000000.1 0 0 0 0 0 0 1 1\n"
-    assert_is(read(poses), 7, [2, 0, 1.2], [-1, 0, 0])
-    with pytest.raises(InputError, match="poses of RTAB-Map, and no tag"):
-        read(poses.replace(" -7", " 7"))
-
-
-def test_a_bundle_of_apriltag_ros(read):
-    text = """
-standalone_tags:
-  [
-  ]
-tag_bundles:
-  [
-    {
-      name: 'desk',
-      layout:
-        [
-          {id: 3, size: 0.05, x: 0.1, y: 0.2, z: 0.0, qw: 1, qx: 0, qy: 0, qz: 0},
-          {id: 5, size: 0.10, qw: 0.7071067811865476, qx: 0.7071067811865476, qy: 0, qz: 0}
-        ]
-    }
-  ]
-"""
-    found = read(text)
-    assert found.ids.tolist() == [3, 5]
-    assert_allclose(found.normals, [[0, 0, 1], [0, -1, 0]], atol=1e-12)
-    assert_allclose(found.ups, [[0, 1, 0], [0, 0, 1]], atol=1e-12)
-    assert found.edges.tolist() == [0.05, 0.1]
-    with pytest.raises(InputError, match="standalone_tags without places: they need x, y, z, qx"):
-        read("standalone_tags: [{id: 1, size: 0.1}]\n")
-    with pytest.raises(InputError, match="it has the bundles a, b, each in a frame of its own"):
-        read("tag_bundles: [{name: a, layout: [{id: 1, size: 0.1}]}, {name: b, layout: [{id: 2, size: 0.1}]}]\n")
 
 
 def test_tagslam_places_bodies_and_tags_on_them(read):

@@ -143,11 +143,11 @@ def exact_bound(problem, cover, of, shares):
     weights = np.bincount(problem.scene.orientations.index_of, problem.scene.pdf.weight)
     n = problem.objective.n
     views, poses = cover.shape[1], cover.shape[0]
-    worth = (shares[:, None] * weights).reshape(-1)
+    contribution = (shares[:, None] * weights).reshape(-1)
     rows = block_array([[csr_array(-cover.T / n), eye_array(views)]])
     totals = np.array([np.append(of == count, np.zeros(views)) for count in np.unique(of)])
     bounds = [(0, None)] * poses + [(None, 1)] * views
-    cost = np.append(np.zeros(poses), -worth)
+    cost = np.append(np.zeros(poses), -contribution)
     solved = linprog(cost, rows, np.zeros(views), totals, np.unique(of), bounds, method="highs")
     assert solved.success
     return -solved.fun

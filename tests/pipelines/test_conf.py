@@ -48,7 +48,14 @@ SWEEPS = {  # the pipeline of each stored sweep, and its number of jobs
 }
 # A file, or the edge of a tag.
 NEEDS_MORE = {
-    *(("pdf", "samples"), ("pdf", "recorded"), ("poses", "recorded"), ("room", "mesh"), ("deployment", "file")),
+    *(
+        ("pdf", "samples"),
+        ("pdf", "recorded"),
+        ("poses", "recorded"),
+        ("room", "mesh"),
+        ("room", "occupancy_grid"),
+        ("deployment", "file"),
+    ),
     *(("views", "images"), ("views", "survey"), ("visibility", "fiducial"), ("camera", "calibration")),
 }
 

@@ -15,7 +15,7 @@ TAGS = (*SMALL, "tag.edge=0.15")
 EVERY = {
     *("tags.wpilib.json", "tags.apriltag_ros.yaml", "tags.apriltag_ros2.yaml", "tags.tagslam.yaml", "tags.aruco.yaml"),
     *("tags.clover.txt", "tags.fiducial_vlam.yaml", "tags.rtabmap.txt", "tags.fmap", "tags.frc971.json", "tags.csv"),
-    *("tags.json", "plan.pdf", "sheets.pdf"),
+    *("tags.json", "tags.ros2_tf.launch.py", "plan.pdf", "sheets.pdf"),
 }
 pytestmark = pytest.mark.slow
 

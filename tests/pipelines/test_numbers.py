@@ -94,7 +94,7 @@ def _nothing_begins(monkeypatch, tmp_path):
     for name in (
         "pipelines.tracked_run.tracked",
         "pipelines.operations.tracking.MlflowReader",
-        "lmd.planner.app.Planner",
+        "lmd.planner.server.Planner",
         "lmd.survey.survey.survey",
     ):
         monkeypatch.setattr(name, _begin)

@@ -8,8 +8,8 @@ from lmd.geometry.frames import optical_axis
 from lmd.objectives.coverage import Coverage
 from lmd.plot import common
 from lmd.plot.charts import save_heat_map
-from lmd.plot.deployments import save_deployments_figure
-from lmd.plot.directions import hemisphere, save_cap_figure
+from lmd.plot.orientations import hemisphere, save_cap_figure
+from lmd.plot.scenes import save_deployments_figure
 from lmd.problem import Problem
 from lmd.scene import pdf
 from lmd.scene.deployment import Deployment

@@ -10,8 +10,8 @@ import pytest
 from hydra import compose, initialize_config_dir
 from planned import LANDMARKS, SETTINGS, UNSAVED
 
-from lmd.planner.app import Planner
 from lmd.planner.plan import Plan
+from lmd.planner.server import Planner
 from lmd.scene.deployment import Deployment
 from pipelines.app import CONF
 from pipelines.operations.signals import Stopped
@@ -33,7 +33,7 @@ def test_what_is_unsaved_is_kept_before_anything_is_waited_for(tmp_path, monkeyp
             kept.append(Deployment.from_csv(tmp_path / UNSAVED).ids.tolist())
             super().close()
 
-    monkeypatch.setattr("lmd.planner.app.Planner", Ended)
+    monkeypatch.setattr("lmd.planner.server.Planner", Ended)
     monkeypatch.setattr("pipelines.view.run_directory", lambda: tmp_path)
     mine = write_lines(tmp_path / "mine.csv", LANDMARKS.splitlines())
     with initialize_config_dir(CONF, version_base="1.3"):

@@ -13,7 +13,7 @@ from lmd.core.checks import InputError
 from lmd.optimisers.ledger import Budget
 from lmd.optimisers.random_search import RandomSearch
 from lmd.planner.access import Access
-from lmd.planner.app import Planner
+from lmd.planner.server import Planner
 from lmd.planner.session import PlanningSession
 
 viser = pytest.importorskip("viser")

@@ -8,8 +8,8 @@ from small import problem
 
 from lmd.optimisers.ledger import Budget
 from lmd.optimisers.random_search import RandomSearch
-from lmd.planner.app import Planner
 from lmd.planner.panel import PlannerPanel
+from lmd.planner.server import Planner
 from lmd.planner.session import PlanningSession
 
 viser = pytest.importorskip("viser")

@@ -2,6 +2,7 @@
 
 import math
 
+import numpy as np
 import pytest
 
 from lmd.core.checks import InputError
@@ -64,3 +65,15 @@ def test_the_legend_has_colours_with_numbers(gui):
     panel.show_legend(0.01422)
     for part in ("linear-gradient(to right, rgb(68, 1, 84)", "+1.422%", "P(see &lt;2&gt;)", *TAGS):
         assert part in panel._legend.content
+
+
+def test_colours_of_positions_span_the_values_that_are_there(gui):
+    panel, values = PlannerPanel(gui, "P", Budget(1), ids=True), np.array([0.02, 0.071, 0.05])
+    assert "0.0% <span" in panel._legend.content
+    panel.show_values(values)
+    assert "2.0% <span" in panel._legend.content
+    assert "</span> 7.1%" in panel._legend.content
+    panel.show_legend(0.5)
+    assert "</span> 7.1%" in panel._legend.content  # a legend of surfaces leaves it
+    panel.show_values(np.zeros(3))
+    assert "</span> 100.0%" in panel._legend.content

@@ -16,10 +16,10 @@ from lmd.formats.trajectories import read_recorded_poses
 from lmd.objectives.coverage import Coverage
 from lmd.optimisers.ledger import Budget
 from lmd.optimisers.random_search import RandomSearch
-from lmd.planner.app import Planner
 from lmd.planner.background import TO_COME
 from lmd.planner.panel import PlannerPanel
 from lmd.planner.picture import BALL_RADIUS, Captions, RoomPicture
+from lmd.planner.server import Planner
 from lmd.planner.session import PlanningSession
 from lmd.planner.survey_map import SurveyMap
 from lmd.problem import Problem

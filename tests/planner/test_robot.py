@@ -12,7 +12,7 @@ from lmd.geometry.se3 import axis_and_right, camera_pose
 from lmd.objectives.coverage import Coverage
 from lmd.optimisers.ledger import Budget
 from lmd.optimisers.random_search import RandomSearch
-from lmd.planner.app import Planner
+from lmd.planner.server import Planner
 from lmd.planner.session import PlanningSession
 from lmd.problem import Problem
 from lmd.scene import pdf

@@ -7,8 +7,8 @@ from floor_plans import lab
 from paper import paper_scene
 
 from lmd.objectives.coverage import Coverage
-from lmd.plot.deployments import save_scene_figure
 from lmd.plot.page import save_scene_page
+from lmd.plot.scenes import save_scene_figure
 from lmd.problem import Problem
 from lmd.scene import pdf
 from lmd.scene.deployment_sources import RandomDeployment

@@ -15,8 +15,8 @@ from lmd.objectives.coverage import Coverage
 from lmd.plot import common
 from lmd.plot.charts import save_convergence_figure
 from lmd.plot.common import qualified_labels
-from lmd.plot.deployments import save_scene_figure
 from lmd.plot.page import save_scene_page
+from lmd.plot.scenes import save_scene_figure
 from lmd.problem import Problem
 from lmd.scene.deployment import Deployment
 from lmd.scene.deployment_sources import RandomDeployment, UniformDeployment
@@ -127,7 +127,7 @@ def test_plotting_libraries_load_late_and_pyplot_never(tmp_path, deployment):
     deployment.to_csv(tmp_path / "deployment.csv")
     code = """if True:
         import sys
-        import lmd.plot.charts, lmd.plot.page, lmd.plot.deployments
+        import lmd.plot.charts, lmd.plot.page, lmd.plot.scenes
         assert not {"matplotlib", "plotly"} & set(sys.modules)
         import numpy as np
         import lmd

@@ -164,7 +164,9 @@ def test_greedy_chooses_no_plates_that_overlap():
     problem = problem_of(RandomDeployment(40))
     start = GreedyDeployment(40, problem.scene, problem.objective, spacing=0.25, threads=1)
     assert not overlaps(start.draw(problem.scene.room, np.random.default_rng(0)), problem.scene.room, EDGE)
-    with pytest.raises(InputError, match=r"^spacing = 0\.\d+ leaves room for \d+ plates of 0\.3 m, too few for 900\."):
+    with pytest.raises(
+        InputError, match=r"^spacing = 0\.\d+ leaves room for \d+ footprints of 0\.3 m, too few for 900"
+    ):
         GreedyDeployment(900, problem.scene, problem.objective, threads=1).draw(problem.scene.room, None)
 
 
@@ -195,7 +197,7 @@ def test_files_and_counts_that_cannot_be_are_refused(tmp_path):
         Problem(Scene(scene.room, scene.camera, scene.pdf, scene.visibility, Tag(0.1, "16h5")), Coverage(2, 0.4),
                 UniformDeployment(40))  # fmt: skip
     with pytest.raises(
-        InputError, match=r"^edge is too large: surface x_min is 5 m wide, too narrow for plates of 6\.25 m"
+        InputError, match=r"^edge is too large: surface x_min is 5 m wide, too narrow for footprints of 6\.25 m"
     ):
         Problem(Scene(scene.room, scene.camera, scene.pdf, scene.visibility, Tag(5.0)), Coverage(2, 0.4),
                 UniformDeployment(4))  # fmt: skip

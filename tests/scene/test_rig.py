@@ -184,7 +184,7 @@ def test_off_the_grid_bounds_and_causes_know_rigs():
     bound = fitness_upper_bound(problem, 6, Search(spacing=1.0, iterations=20)).walls
     assert bound >= problem.fitness_of(deployment)
     found = causes(scene, deployment, 0)
-    assert found.looks == 2 * 256 * 16 * 6
+    assert found.sightings == 2 * 256 * 16 * 6
     assert found.limits["field_of_view"] == "within 34.8 degrees of the optical axis"
 
 

@@ -106,10 +106,10 @@ def test_each_tag_alone_is_seen_as_in_a_scene_with_tags_of_its_size():
     deployment, _, _ = drawn(plain)
     scene, axes, some = several(plain), plain.orientations.axes, 0
     for position in plain.room.grid()[:20]:
-        caps = reference.coverage_caps(scene, deployment, position, axes)
+        covered = reference.coverage_caps(scene, deployment, position, axes)
         for k in range(COUNT):
             alone = plain.sized(scene.edges[k : k + 1])
-            cap = reference.coverage_caps(alone, deployment[k : k + 1], position, axes)[:, 0]
-            assert (caps[:, k] <= cap).all()
-            some += (caps[:, k] & cap).sum()
+            covered_now = reference.coverage_caps(alone, deployment[k : k + 1], position, axes)[:, 0]
+            assert (covered[:, k] <= covered_now).all()
+            some += (covered[:, k] & covered_now).sum()
     assert some > 1000

@@ -9,9 +9,9 @@ import walks
 from lmd.core.checks import InputError
 from lmd.core.tables import write_table
 from lmd.detection.calibration import DetectorCalibration, fit, intervals
-from lmd.detection.comparison import CameraPrediction, Prediction
 from lmd.detection.evaluation import Matches
-from lmd.detection.views import FILE, SurveyedViews
+from lmd.detection.predictions import CameraPrediction, Prediction
+from lmd.detection.tag_views import FILE, SurveyedViews
 from lmd.evaluation.verdicts import verdicts
 from lmd.geometry.camera import Camera
 from lmd.geometry.se3 import axis_and_right, pose_of

@@ -1,4 +1,4 @@
-"""Changes of the views of a single camera as a landmark moves: see `changes`."""
+"""Functions of `changes` for a single camera."""
 
 from typing import Any
 
@@ -10,20 +10,20 @@ from lmd.core.compiled import inlined, inner
 from lmd.incremental.nearby import pose_of, target_of
 from lmd.incremental.state import (
     ASKED,
+    LANDMARK,
     PAIR_COUNT,
+    POSITION,
     REACHED,
     TOUCHED,
-    WHERE,
-    WHO,
     Scratch,
     State,
 )
 from lmd.incremental.trial import ask_touched, fresh_of, list_changing, see, see_whole, shown_of, turned
 from lmd.objectives.localisation.changes import (
     change_sums,
+    clear_moments,
     find_turns,
     first_row,
-    forget_moments,
     see_place,
     see_rest,
     see_touched,
@@ -34,24 +34,24 @@ from lmd.objectives.localisation.pairs import (
     Place,
 )
 from lmd.objectives.localisation.views import (
-    COMES,
-    GOES,
+    APPEARS,
+    DISAPPEARS,
     LEFT,
     TRIED,
     CameraViews,
     add_moments,
     add_to_sums,
     landmark_moments,
+    load_rows,
     read_rows,
     replace_moments,
-    take_rows,
     weigh,
 )
 
 
 @see_place.register(State)
 def _see_place(known: State, k: Integer, n: Integer, localised: WordArray, cover: Any, trial: Scratch) -> Integer:
-    see_whole(k, cover, known, trial)  # to ask for some orientations only would take longer: the tables settle most
+    see_whole(k, cover, known, trial)  # all orientations: the tables decide most, so a selection would take longer
     ask_touched(k, n, True, known, trial)
     count: Integer = list_changing(known, k, trial)
     return count
@@ -69,14 +69,14 @@ def _see_touched(known: State, k: Integer, n: Integer, positions: WordArray, cov
 
 @see_rest.register(State)
 def _see_rest(known: State, k: Integer, cover: Any, trial: Scratch) -> None:
-    """Nothing: the trial found all."""
+    """Do nothing, as the trial finds all orientations."""
 
 
 @find_turns.register(State)
 def _find_turns(known: State, trial: Scratch, lost: WordArray, gained: WordArray) -> None:
-    who, where = trial.pairs[WHO], trial.pairs[WHERE]
+    landmark, position = trial.pairs[LANDMARK], trial.pairs[POSITION]
     for e in range(trial.numbers[PAIR_COUNT]):
-        i, p = np.uint64(who[e]), np.uint64(where[e])
+        i, p = np.uint64(landmark[e]), np.uint64(position[e])
         for w in range(np.uint64(lost.shape[1])):
             was, now = turned(known, i, p, w, trial)
             lost[p, w] |= was & ~now
@@ -96,14 +96,14 @@ def _find_moments(pose: Any, k: Integer, p: Integer, field: Any, row: FloatArray
     landmark_moments(x, y, z, pose[3], pose[4], pose[5], field.precision, k, row)
 
 
-@forget_moments.register(CameraViews)
-def _forget_moments(views: CameraViews, p: Integer) -> None:
+@clear_moments.register(CameraViews)
+def _clear_moments(views: CameraViews, p: Integer) -> None:
     views.found[p] = 0
 
 
 @inner
-def _look_once(known: State, k: Integer, p: Integer, field: Any, scratch: Any) -> None:
-    """Find the moments of landmark k from position p at both places, once for each move: few positions need them."""
+def _update_moments(known: State, k: Integer, p: Integer, field: Any, scratch: Any) -> None:
+    """Compute the moments of landmark k at both places from position p, unless this move has done so."""
     views = scratch.views
     if views.found[p] == 0:
         views.found[p] = 1
@@ -115,7 +115,7 @@ def _look_once(known: State, k: Integer, p: Integer, field: Any, scratch: Any) -
 
 @inner
 def _sum_turning(p: Integer, w: Integer, count: Integer, field: Any, known: State, scratch: Any) -> None:
-    """Change the views taken by the other landmarks that appear or disappear at position p."""
+    """Update the current views by the other landmarks that appear or disappear at position p."""
     trial, views, camera = scratch.coverage, scratch.views, field.coverage.cameras
     for i in range(np.uint64(known.poses.shape[1])):
         if not trial.known[p, i]:
@@ -125,8 +125,8 @@ def _sum_turning(p: Integer, w: Integer, count: Integer, field: Any, known: Stat
             pose = pose_of(i, known)
             _find_moments(pose, i, p, field, views.other)
             x, y, z = _offset(pose, p, field)
-            weigh(GOES, was ^ now, x, y, z, camera.sight, camera.axes, w, views, count)
-            add_moments(views.rows, views.other, views.weights[GOES], 1.0 if now else -1.0, count)
+            weigh(DISAPPEARS, was ^ now, x, y, z, camera.sight, camera.axes, w, views, count)
+            add_moments(views.rows, views.other, views.weights[DISAPPEARS], 1.0 if now else -1.0, count)
 
 
 @sum_views.register(State)
@@ -134,12 +134,12 @@ def _sum_views(
     known: State, k: Integer, p: Integer, w: Integer, left: np.uint64, field: Any, state: Any, scratch: Any
 ) -> Any:
     trial, views, camera, first = scratch.coverage, scratch.views, field.coverage.cameras, first_row(p, w, state)
-    count = take_rows(left, first, state.sums, views)
-    _look_once(known, k, p, field, scratch)
+    count = load_rows(left, first, state.sums, views)
+    _update_moments(known, k, p, field, scratch)
     x, y, z = _offset(pose_of(k, known), p, field)
-    weigh(GOES, shown_of(known, k, p, w), x, y, z, camera.sight, camera.axes, w, views, count)
+    weigh(DISAPPEARS, shown_of(known, k, p, w), x, y, z, camera.sight, camera.axes, w, views, count)
     x, y, z = _offset(target_of(trial), p, field)
-    weigh(COMES, fresh_of(trial, p, w), x, y, z, camera.sight, camera.axes, w, views, count)
+    weigh(APPEARS, fresh_of(trial, p, w), x, y, z, camera.sight, camera.axes, w, views, count)
     read_rows(first, state.sums, views, count)
     replace_moments(views.rows, views.moments[LEFT, p], views.moments[TRIED, p], views.weights, count)
     if trial.flags[TOUCHED, p]:
@@ -151,7 +151,7 @@ def _sum_views(
 def _add(
     moments: FloatArray, pose: Any, seen: np.uint64, p: Integer, w: Integer, sign: float, field: Any, state: Any
 ) -> None:
-    """Add a landmark with these `moments` and a `pose` to the sums of the views in which it is `seen`."""
+    """Add a landmark with `moments` and a `pose` to the sums of the views `seen` of word w, times `sign`."""
     camera, (x, y, z) = field.coverage.cameras, _offset(pose, p, field)
     add_to_sums(moments, seen, x, y, z, camera.sight, camera.axes, w, sign, first_row(p, w, state), state.sums)
 
@@ -161,7 +161,7 @@ def _change_sums(
     known: State, k: Integer, p: Integer, w: Integer, changed: np.uint64, sign: float, field: Any, state: Any,
     scratch: Any,
 ) -> None:  # fmt: skip
-    _look_once(known, k, p, field, scratch)
+    _update_moments(known, k, p, field, scratch)
     trial, moments, other = scratch.coverage, scratch.views.moments, scratch.views.other
     _add(moments[LEFT, p], pose_of(k, known), shown_of(known, k, p, w), p, w, -sign, field, state)
     _add(moments[TRIED, p], target_of(trial), fresh_of(trial, p, w), p, w, sign, field, state)
@@ -181,6 +181,6 @@ def _sum_anew(known: State, p: Integer, w: Integer, seen: np.uint64, field: Any,
             _find_moments(pose_of(i, known), i, p, field, scratch.views.other)
             _add(scratch.views.other, pose_of(i, known), shown, p, w, 1.0, field, state)
     first = first_row(p, w, state)
-    count = take_rows(seen, first, state.sums, scratch.views)
+    count = load_rows(seen, first, state.sums, scratch.views)
     read_rows(first, state.sums, scratch.views, count)
     return count

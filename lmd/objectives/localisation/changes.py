@@ -1,7 +1,7 @@
-"""Landmarks that appear in views or disappear as one moves: the functions of `trial` that differ for camera and rig.
+"""Functions of `trial` that differ for camera and rig: landmarks that appear in views or disappear.
 
-For a single camera (`camera_changes`) a landmark is hidden from a position with all orientations or with none, and its
-moments are found once for a position. For a rig (`rig_changes`) both are found for each camera and orientation.
+For a single camera (`camera_changes`), a landmark is hidden at a position for all orientations or for none, and has one
+set of moments per position. For a rig (`rig_changes`), both depend on the mount and the orientation.
 """
 
 from typing import Any
@@ -16,13 +16,13 @@ from lmd.objectives.localisation.views import VIEW
 
 @dispatched_call
 def see_place(known: Any, k: Integer, n: Integer, localised: WordArray, cover: Any, trial: Any) -> Any:
-    """Find in `FRESH` all orientations that matter with which landmark k is seen at the place tried.
+    """Write the relevant orientations with which landmark k is seen at the place tried into `FRESH`.
 
     Args:
         known, trial: state and scratch of coverage.
         k: the landmark.
         n: landmarks that must be covered.
-        localised: `(Q, W)` views that are localised.
+        localised: sets of localised views, `(Q, W)`.
         cover: field of coverage.
 
     Returns:
@@ -32,12 +32,12 @@ def see_place(known: Any, k: Integer, n: Integer, localised: WordArray, cover: A
 
 @dispatched_call
 def see_touched(known: Any, k: Integer, n: Integer, positions: WordArray, cover: Any, trial: Any) -> None:
-    """`see_place` anew at `positions` that are touched."""
+    """Repeat `see_place` at the touched `positions`."""
 
 
 @dispatched_call
 def see_rest(known: Any, k: Integer, cover: Any, trial: Any) -> None:
-    """Find in `FRESH` all other orientations, for a move that is carried out."""
+    """Add all other orientations to `FRESH`, for a move that is carried out."""
 
 
 @dispatched_call
@@ -46,15 +46,15 @@ def find_turns(known: Any, trial: Any, lost: WordArray, gained: WordArray) -> No
 
 
 @dispatched
-def forget_moments(views: Any, p: Integer) -> None:
-    """Forget the moments that the last move found at position p."""
+def clear_moments(views: Any, p: Integer) -> None:
+    """Discard the moments that the last move stored for position p."""
 
 
 @dispatched
 def sum_views(
     known: Any, k: Integer, p: Integer, w: Integer, left: np.uint64, field: Any, state: Any, scratch: Any
 ) -> Any:
-    """Find the sums of the views `left` of word w after the move.
+    """Compute the sums of the views `left` of word w after the move.
 
     Returns:
         number of the views.
@@ -78,7 +78,7 @@ def change_sums(
 
 @dispatched
 def sum_anew(known: Any, p: Integer, w: Integer, seen: np.uint64, field: Any, state: Any, scratch: Any) -> Any:
-    """Add all landmarks to the sums of the views of word w in which some are `seen`, and take these views.
+    """Add all landmarks to the sums of the views `seen` of word w, and begin these views.
 
     Returns:
         number of the views.
@@ -87,5 +87,5 @@ def sum_anew(known: Any, p: Integer, w: Integer, seen: np.uint64, field: Any, st
 
 @inlined
 def first_row(p: Integer, w: Integer, state: Any) -> Any:
-    """Row of the sums of the first orientation of word w at position p."""
+    """Index of the row of `sums` for the first orientation of word w at position p."""
     return (p * np.uint64(state.localised.shape[1]) + w) * VIEW

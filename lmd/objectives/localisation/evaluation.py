@@ -100,10 +100,8 @@ def _localise_range(
         view.near_poses, view.near_index, view.x, view.y, view.z, view.low, view.high, view.sure_depth
     )  # fmt: skip
     bottom, top, shown, directions = view.bottom, view.top, view.shown, view.near_poses[3:]
-    caps, digits = (
-        np.empty((len(indices), words), dtype=np.uint64),
-        np.empty((words, np.uint64(places)), dtype=np.uint64),
-    )
+    visible_axes = np.empty((len(indices), words), dtype=np.uint64)
+    digits = np.empty((words, np.uint64(places)), dtype=np.uint64)
     enough, listed = np.empty(words, dtype=np.uint64), np.empty(axes.shape[1], dtype=np.uint64)
     moment, sums, several = np.zeros(WIDTH), np.empty((axes.shape[1], WIDTH)), np.empty(words, dtype=np.uint64)
     flat = sums.reshape(-1)
@@ -126,14 +124,14 @@ def _localise_range(
                     start, stop = bands[bottom[k]] // LANES, (bands[top[k]] + LANES - 1) // LANES
                     bottom[k], top[k] = start // 2, (stop + 1) // 2
                     for i in range(np.uint64(bottom[k]), np.uint64(top[k])):
-                        caps[k, i] = ZERO
+                        visible_axes[k, i] = ZERO
                     for i in range(np.uint64(start), np.uint64(stop)):
                         half = np.uint32(0)
                         for lane in range(np.uint64(LANES)):
                             a = i * np.uint64(LANES) + lane
                             inside = covers(mine, xk, yk, zk, nx, ny, nz, least, 0.0, axes, a)
                             half |= np.uint32(inside) << np.uint32(lane)
-                        caps[k, i // np.uint64(2)] |= np.uint64(half) << (i % np.uint64(2) * np.uint64(LANES))
+                        visible_axes[k, i // np.uint64(2)] |= np.uint64(half) << (i % np.uint64(2) * np.uint64(LANES))
                 else:
                     certain, possible = tables
                     given, cell, frame = np.uint64(bottom[k]), np.uint64(top[k]), frame_of(mine, nx, ny, nz)
@@ -145,9 +143,9 @@ def _localise_range(
                             visible |= covering(
                                 mine, left, i, xk, yk, zk, frame, least, high[k], sure_depth[k], well, axes
                             )
-                        caps[k, i] = visible
+                        visible_axes[k, i] = visible
                 for i in range(np.uint64(bottom[k]), np.uint64(top[k])):
-                    carry, j = caps[k, i], ZERO
+                    carry, j = visible_axes[k, i], ZERO
                     while carry:
                         digits[i, j], carry = add_digit(digits[i, j], carry, ZERO)
                         j += ONE
@@ -172,7 +170,7 @@ def _localise_range(
                 nx, ny, nz = near[3, k], near[4, k], near[5, k]
                 landmark_moments(xk, yk, zk, nx, ny, nz, precision, index[k], moment)
                 for i in range(np.uint64(bottom[k]), np.uint64(top[k])):
-                    left = caps[k, i] & enough[i]
+                    left = visible_axes[k, i] & enough[i]
                     while left:
                         a = i * np.uint64(BITS) + lowest(left)
                         left &= left - ONE

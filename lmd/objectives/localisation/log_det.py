@@ -23,11 +23,11 @@ from lmd.objectives.localisation.pairs import (
     Shown,
     add_of_all,
     fill_views,
-    give_sums,
+    load_sums,
     seen_by_any,
     shown_by,
+    store_sums,
     tags_of,
-    take_sums,
 )
 from lmd.objectives.localisation.reference import information_of, log_det_of
 from lmd.objectives.localisation.views import ORIENTATION, VIEW, BodyViews, body_views, landmark_moments
@@ -111,7 +111,7 @@ class LogDeterminant:
         raise NotImplementedError
 
     def choose(self, e: Evaluator, pose: Deployment) -> None:
-        """Add one pose to `sums` and `known`."""
+        """Add a landmark at one pose to `sums` and `known`."""
         raise NotImplementedError
 
 
@@ -131,7 +131,7 @@ def _gains(
     Args:
         start, stop: range of the poses.
         points, normals: `(N, 3)`.
-        prices: of positions and axes, `(P, D)`.
+        prices: price of each position and axis, `(P, D)`.
         positions: `(P, 3)`.
         sight, obstacles, axes, bands: see `kernels.evaluate_range`.
         precision: has the size of the tags.
@@ -214,7 +214,7 @@ def _rig_gains(
         every: sets of orientations that cover the poses, by mount group.
         tags: centres and sides of the tags at the poses, see `tags_of`.
         prices: price of each position and orientation, `(P, D)`.
-        positions: of the body, `(P, 3)`, metres.
+        positions: positions of the body, `(P, 3)`, metres.
         precision: has the size of the tags.
         sums: information of each view, `(P D, BODY_WIDTH)`.
         known: `body_log_det` of each view, `(P, D)`.
@@ -231,7 +231,7 @@ def _rig_gains(
                 if seen == ZERO:
                     continue
                 count = fill_views(seen, precision, views)
-                take_sums(sums, first, precision, views, count)
+                load_sums(sums, first, precision, views, count)
                 add_of_all(every, p, which, w, place, tags, precision, views)
                 for v in range(count):
                     a = w * VIEW + bits[v]
@@ -253,7 +253,7 @@ def _rig_add(
                 continue
             count = fill_views(seen, precision, views)
             add_of_all(every, p, which, w, place, tags, precision, views)
-            give_sums(sums, first, precision, views, count)
+            store_sums(sums, first, precision, views, count)
             for v in range(count):
                 known[p, w * VIEW + bits[v]] = body_log_det(sums[first + bits[v]], 0, 1)
 

@@ -124,8 +124,8 @@ class Localisation(AtLeast):
 
     def fitness(self, values: FloatArray, relevance: FloatArray) -> FloatArray:
         """See `Objective.fitness`."""
-        worth = values if self.climbs == "mean" else self.qualified(values)
-        return np.asarray((worth * relevance).sum(axis=-1) / relevance.sum())
+        contribution = values if self.climbs == "mean" else self.qualified(values)
+        return np.asarray((contribution * relevance).sum(axis=-1) / relevance.sum())
 
     def shares(self, values: FloatArray) -> Mapping[str, FloatArray | BoolArray]:
         """See `Objective.shares`."""

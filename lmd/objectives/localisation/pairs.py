@@ -92,8 +92,8 @@ def fill_views(left: np.uint64, precision: Precision, views: BodyViews) -> np.ui
 
 
 @inner
-def fetch_sums(sums: FloatArray, first: Integer, views: BodyViews, count: Integer) -> None:
-    """Prefetch the rows of `sums` `(V, width)` that `take_sums` reads; arguments as there."""
+def prefetch_sums(sums: FloatArray, first: Integer, views: BodyViews, count: Integer) -> None:
+    """Prefetch the rows of `sums` `(V, width)` that `load_sums` reads; arguments as there."""
     width, bits = np.uint64(sums.shape[1]), views.lists[ORIENTATION]
     for v in range(count):
         at = (first + bits[v]) * width
@@ -102,7 +102,7 @@ def fetch_sums(sums: FloatArray, first: Integer, views: BodyViews, count: Intege
 
 
 @inner
-def take_sums(sums: FloatArray, first: Integer, precision: Precision, views: BodyViews, count: Integer) -> None:
+def load_sums(sums: FloatArray, first: Integer, precision: Precision, views: BodyViews, count: Integer) -> None:
     """Add the rows of `sums` `(V, width)` to the views; the first orientation of the word has the row `first`."""
     bits, rows = views.lists[ORIENTATION], views.rows
     for v in range(count):
@@ -111,8 +111,8 @@ def take_sums(sums: FloatArray, first: Integer, precision: Precision, views: Bod
 
 
 @inner
-def give_sums(sums: FloatArray, first: Integer, precision: Precision, views: BodyViews, count: Integer) -> None:
-    """Add the views to the rows of `sums`; arguments as in `take_sums`."""
+def store_sums(sums: FloatArray, first: Integer, precision: Precision, views: BodyViews, count: Integer) -> None:
+    """Add the views to the rows of `sums`; arguments as in `load_sums`."""
     bits, rows = views.lists[ORIENTATION], views.rows
     for v in range(count):
         for j in range(numbers_of(precision)):
@@ -238,7 +238,7 @@ def _find_mirrored(work: FloatArray, least: float, filled: Integer) -> None:
 
 
 @inner
-def _seen_by_part(shown: Shown, p: Integer, k: Integer, w: Integer) -> np.uint64:
+def _seen_by_group(shown: Shown, p: Integer, k: Integer, w: Integer) -> np.uint64:
     """Orientations of word w with which some camera of a group covers landmark k from position p."""
     seen = ZERO
     for m in range(len(shown.sets)):
@@ -247,7 +247,7 @@ def _seen_by_part(shown: Shown, p: Integer, k: Integer, w: Integer) -> np.uint64
 
 
 @inner
-def _add_part(
+def _add_of_group(
     shown: Shown, p: Integer, which: np.ndarray, w: Integer, place: Place, tags: FloatArray, precision: Precision,
     views: BodyViews,
 ) -> None:  # fmt: skip
@@ -263,7 +263,7 @@ def seen_by_any(every: tuple[Shown, ...], p: Integer, k: Integer, w: Integer) ->
     """Orientations of word w with which some camera covers landmark k from position p."""
     seen = ZERO
     for shown in literal_unroll(every):
-        seen |= _seen_by_part(shown, p, k, w)
+        seen |= _seen_by_group(shown, p, k, w)
     return seen
 
 
@@ -277,5 +277,5 @@ def add_of_all(
     `every` has the coverage by group, `tags` is the result of `tags_of`.
     """
     for shown in literal_unroll(every):
-        _add_part(shown, p, which, w, place, tags, precision, views)
+        _add_of_group(shown, p, which, w, place, tags, precision, views)
     add_up(precision, views)

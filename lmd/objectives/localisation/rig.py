@@ -23,9 +23,9 @@ from lmd.objectives.localisation.pairs import (
     add_to_body,
     add_up,
     fill_views,
-    give_sums,
     seen_by_any,
     shown_by,
+    store_sums,
     tag_of,
     tags_of,
 )
@@ -84,7 +84,7 @@ def _localise(
 
     Args:
         every: coverage of the landmarks by mount group.
-        positions: of the body, `(P, 3)`, metres.
+        positions: positions of the body, `(P, 3)`, metres.
         tags: result of `tags_of`.
         weights: quantised probability of each orientation, `(1, D)` or `(P, D)`.
         n, precision: see `evaluation.localised_views`.
@@ -213,4 +213,4 @@ def _add_images(
                 place = positions[i, 0], positions[i, 1], positions[i, 2]
                 add_to_body(mounts, 0, i // VIEW, bit, place, tag_of(tags, k), 1.0, precision, views)
         add_up(precision, views)
-        give_sums(sums, i // VIEW * VIEW, precision, views, ONE)
+        store_sums(sums, i // VIEW * VIEW, precision, views, ONE)

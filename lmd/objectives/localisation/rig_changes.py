@@ -13,25 +13,25 @@ from lmd.incremental.nearby import pose_of, target_of
 from lmd.incremental.rig import list_near
 from lmd.incremental.state import (
     ASKED,
-    CAPS,
+    COVERED,
     FIRST,
+    LANDMARK,
     LAST,
     LISTED,
     OCCLUDED,
     PAIR_COUNT,
+    POSITION,
     SPAN_COUNT,
     TOUCHED,
-    WHERE,
-    WHO,
     RigScratch,
     RigState,
 )
 from lmd.incremental.trial import ask_touched, see, see_whole
 from lmd.objectives.localisation.changes import (
     change_sums,
+    clear_moments,
     find_turns,
     first_row,
-    forget_moments,
     see_place,
     see_rest,
     see_touched,
@@ -45,10 +45,10 @@ from lmd.objectives.localisation.pairs import (
     Tag,
     add_to_body,
     add_up,
-    fetch_sums,
     fill_views,
-    give_sums,
-    take_sums,
+    load_sums,
+    prefetch_sums,
+    store_sums,
 )
 from lmd.objectives.localisation.views import BodyViews
 
@@ -88,15 +88,15 @@ def _see_rest_by_rig(known: RigState, k: Integer, cover: Any, trial: RigScratch)
 def _find_turns_of_group(
     mine: WordArray, flipped: WordArray, trial: RigScratch, lost: WordArray, gained: WordArray
 ) -> None:
-    caps, veiled, who, where = mine[CAPS], mine[OCCLUDED], trial.pairs[WHO], trial.pairs[WHERE]
-    mounts, words = caps.shape[2], np.uint64(caps.shape[3])
+    covered, occluded, landmark, position = mine[COVERED], mine[OCCLUDED], trial.pairs[LANDMARK], trial.pairs[POSITION]
+    mounts, words = covered.shape[2], np.uint64(covered.shape[3])
     for e in range(trial.numbers[PAIR_COUNT]):
-        i, q = np.uint64(who[e]), np.uint64(where[e])
+        i, q = np.uint64(landmark[e]), np.uint64(position[e])
         for m in range(mounts):
             for w in range(words):
-                turns = caps[i, q, m, w] & flipped[i, q, m, w]
-                lost[q, w] |= turns & ~veiled[i, q, m, w]
-                gained[q, w] |= turns & veiled[i, q, m, w]
+                turns = covered[i, q, m, w] & flipped[i, q, m, w]
+                lost[q, w] |= turns & ~occluded[i, q, m, w]
+                gained[q, w] |= turns & occluded[i, q, m, w]
 
 
 @find_turns.register(RigState)
@@ -105,8 +105,8 @@ def _find_turns_of_rig(known: RigState, trial: RigScratch, lost: WordArray, gain
         _find_turns_of_group(known.groups[j], trial.groups[j].flipped, trial, lost, gained)
 
 
-@forget_moments.register(BodyViews)
-def _forget_moments_of_rig(views: BodyViews, p: Integer) -> None:
+@clear_moments.register(BodyViews)
+def _clear_moments_of_rig(views: BodyViews, p: Integer) -> None:
     """Do nothing, as a rig stores no moments."""
 
 
@@ -124,31 +124,32 @@ def _place(q: Integer, field: Any) -> Place:
 
 
 @inner
-def _add_changes_of_part(
+def _add_changes_of_group(
     mounts: Mounts, known: RigState, k: Integer, q: Integer, w: Integer, sign: float, field: Any, scratch: Any
 ) -> None:
     trial, views, count = scratch.coverage, scratch.views, len(mounts.axes)
     mine, other = known.groups[mounts.number], trial.groups[mounts.number]
-    caps, veiled, cap, veil = mine[CAPS], mine[OCCLUDED], other.sets[CAPS], other.sets[OCCLUDED]
+    covered, occluded = mine[COVERED], mine[OCCLUDED]
+    tried_covered, tried_occluded = other.sets[COVERED], other.sets[OCCLUDED]
     place, precision = _place(q, field), field.precision
     old, new = _tag(k, pose_of(k, known), precision), _tag(k, target_of(trial), precision)
     for m in range(count):
-        goes, comes = caps[k, q, m, w] & ~veiled[k, q, m, w], cap[q, m, w] & ~veil[q, m, w]
-        add_to_body(mounts, m, w, goes, place, old, -sign, precision, views)
-        add_to_body(mounts, m, w, comes, place, new, sign, precision, views)
-    for i in range(caps.shape[0] if trial.flags[TOUCHED, q] else 0):
+        was, now = covered[k, q, m, w] & ~occluded[k, q, m, w], tried_covered[q, m, w] & ~tried_occluded[q, m, w]
+        add_to_body(mounts, m, w, was, place, old, -sign, precision, views)
+        add_to_body(mounts, m, w, now, place, new, sign, precision, views)
+    for i in range(covered.shape[0] if trial.flags[TOUCHED, q] else 0):
         for m in range(count if trial.known[q, i] else 0):
-            was, turns = veiled[i, q, m, w], caps[i, q, m, w] & other.flipped[i, q, m, w]
+            hidden, turns = occluded[i, q, m, w], covered[i, q, m, w] & other.flipped[i, q, m, w]
             if turns:
                 tag = _tag(i, pose_of(i, known), precision)
-                add_to_body(mounts, m, w, turns & ~was, place, tag, -sign, precision, views)
-                add_to_body(mounts, m, w, turns & was, place, tag, sign, precision, views)
+                add_to_body(mounts, m, w, turns & ~hidden, place, tag, -sign, precision, views)
+                add_to_body(mounts, m, w, turns & hidden, place, tag, sign, precision, views)
 
 
 @inner
 def _add_changes(known: RigState, k: Integer, p: Integer, w: Integer, sign: float, field: Any, scratch: Any) -> None:
     for mounts in literal_unroll(field.mounts):
-        _add_changes_of_part(mounts, known, k, p, w, sign, field, scratch)
+        _add_changes_of_group(mounts, known, k, p, w, sign, field, scratch)
     add_up(field.precision, scratch.views)
 
 
@@ -158,9 +159,9 @@ def _sum_views_of_rig(
 ) -> Any:
     views, first = scratch.views, first_row(p, w, state)
     count = fill_views(left, field.precision, views)
-    fetch_sums(state.sums, first, views, count)
+    prefetch_sums(state.sums, first, views, count)
     _add_changes(known, k, p, w, 1.0, field, scratch)
-    take_sums(state.sums, first, field.precision, views, count)
+    load_sums(state.sums, first, field.precision, views, count)
     return count
 
 
@@ -171,20 +172,20 @@ def _change_sums_of_rig(
 ) -> None:  # fmt: skip
     views, first = scratch.views, first_row(p, w, state)
     count = fill_views(changed, field.precision, views)
-    fetch_sums(state.sums, first, views, count)
+    prefetch_sums(state.sums, first, views, count)
     _add_changes(known, k, p, w, sign, field, scratch)
-    give_sums(state.sums, first, field.precision, views, count)
+    store_sums(state.sums, first, field.precision, views, count)
 
 
 @inner
-def _add_shown_to_part(mounts: Mounts, known: RigState, q: Integer, w: Integer, field: Any, scratch: Any) -> None:
+def _add_shown_of_group(mounts: Mounts, known: RigState, q: Integer, w: Integer, field: Any, scratch: Any) -> None:
     mine, place, precision, views = (
         known.groups[mounts.number], _place(q, field), field.precision, scratch.views
     )  # fmt: skip
-    caps, veiled = mine[CAPS], mine[OCCLUDED]
-    for i in range(caps.shape[0]):
-        for m in range(caps.shape[2]):
-            seen = caps[i, q, m, w] & ~veiled[i, q, m, w]
+    covered, occluded = mine[COVERED], mine[OCCLUDED]
+    for i in range(covered.shape[0]):
+        for m in range(covered.shape[2]):
+            seen = covered[i, q, m, w] & ~occluded[i, q, m, w]
             if seen:
                 tag = _tag(i, pose_of(i, known), precision)
                 add_to_body(mounts, m, w, seen, place, tag, 1.0, precision, views)
@@ -193,7 +194,7 @@ def _add_shown_to_part(mounts: Mounts, known: RigState, q: Integer, w: Integer, 
 @inner
 def _add_shown(known: RigState, p: Integer, w: Integer, field: Any, scratch: Any) -> None:
     for mounts in literal_unroll(field.mounts):
-        _add_shown_to_part(mounts, known, p, w, field, scratch)
+        _add_shown_of_group(mounts, known, p, w, field, scratch)
     add_up(field.precision, scratch.views)
 
 
@@ -203,5 +204,5 @@ def _sum_anew_of_rig(
 ) -> Any:
     count = fill_views(seen, field.precision, scratch.views)
     _add_shown(known, p, w, field, scratch)
-    give_sums(state.sums, first_row(p, w, state), field.precision, scratch.views, count)
+    store_sums(state.sums, first_row(p, w, state), field.precision, scratch.views, count)
     return count

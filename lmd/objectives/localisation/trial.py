@@ -1,17 +1,17 @@
-"""Moves of single landmarks: L at every position, first bounded, then exact, then carried out or taken back.
+"""Moves of single landmarks: bounds on L, exact L, and moves that are carried out or undone.
 
-The counts, and which landmarks hide which, are those of the field of coverage (`lmd.incremental.trial`). Localisation
-adds the sums of the numbers of every view (`information`, `body`), exact in any order, and the sets of localised views.
-More information never makes a view worse. So a move decides few views anew:
+Counts and occlusion are those of the field of coverage (`lmd.incremental.trial`). The field of localisation adds the
+sums of the numbers of every view (`information`, `body`), exact in any order, and the sets of localised views. Further
+landmarks never reduce the information of a view, so a move requires few decisions:
 
-- where a landmark only disappears, those that are localised and still cover n landmarks;
-- where one only appears, those that are not localised and cover n landmarks by then;
-- where both happens, all that cover n landmarks.
+- for views in which landmarks only disappear: those that are localised and still cover n landmarks;
+- for views in which landmarks only appear: those that are not localised and now cover n landmarks;
+- for views with both: all that cover n landmarks.
 
-`bound_move` leaves out the landmarks that the new place hides, and those that hide it, which only take information
-away. `finish_move` decides anew at the positions where either happens.
+`bound_move` ignores occlusion by and of the landmark at the new place; occlusion only reduces information.
+`finish_move` repeats the decisions at the positions with such occlusion.
 
-The source is one for a camera and for a rig, and is compiled for each; `changes` has the functions that differ.
+Camera and rig share this source, compiled for each; `changes` declares the functions that differ.
 """
 
 from typing import Any
@@ -22,8 +22,8 @@ from lmd.core.bits import ALL, ZERO, Integer, WordArray, at_least
 from lmd.core.checks import FloatArray
 from lmd.core.compiled import inlined, inner, kernel
 from lmd.incremental.counts import ENOUGH, enough_with
-from lmd.incremental.move import take_back
-from lmd.incremental.occlusion import COMES
+from lmd.incremental.move import exchange_place
+from lmd.incremental.occlusion import NEW_PLACE
 from lmd.incremental.state import (
     ASKED,
     FIRST,
@@ -38,8 +38,8 @@ from lmd.incremental.trial import begin_move, find_pairs, fresh_of, list_changin
 from lmd.objectives.localisation.ambiguity import asks_apart
 from lmd.objectives.localisation.changes import (
     change_sums,
+    clear_moments,
     find_turns,
-    forget_moments,
     see_place,
     see_rest,
     see_touched,
@@ -51,19 +51,19 @@ from lmd.sight.kernels import sum_weights
 
 # Rows of `LocalisationScratch.sets`.
 LOCALISED = 0  # localised views, as in the state, after the move
-LOST = 1  # views of touched positions in which another landmark disappears from some camera
-GAINED = 2  # views of touched positions in which another one appears
+LOST = 1  # views of touched positions in which another landmark disappears for some camera
+GAINED = 2  # views of touched positions in which another landmark appears for some camera
 
 
 @inlined
 def mixed(located: Any, covered: Any, weight: float) -> Any:
-    """(1 - weight) L + weight P_n in integer units; never falls as either rises."""
+    """Quantised (1 - weight) L + weight P_n; monotone in both."""
     return located + np.int64(weight * (covered - located))
 
 
 @inner
 def _find_turns(state: Any, scratch: Any) -> None:
-    """Find `LOST` and `GAINED` at positions that are touched, of all landmarks but the one that moves."""
+    """Fill `LOST` and `GAINED` at touched positions, for all landmarks except the moving one."""
     lost, gained, trial = scratch.sets[LOST], scratch.sets[GAINED], scratch.coverage
     for q in trial.lists[TOUCHED_LIST][: trial.numbers[TOUCHED_COUNT]]:
         for w in range(np.uint64(lost.shape[1])):
@@ -76,14 +76,14 @@ def _decide_word(
     k: Integer, q: Integer, w: Integer, lost: np.uint64, gained: np.uint64, has: np.uint64, several: np.uint64,
     field: Any, state: Any, scratch: Any,
 ) -> Any:  # fmt: skip
-    """Find the localised views of word w among those that cover n landmarks, `has`.
+    """Decide the views of word w that cover n landmarks, `has`; writes `LOCALISED`.
 
     Args:
         k, q, w: landmark, position and word.
-        lost, gained: views in which a landmark disappears from some camera, and appears.
+        lost, gained: views in which a landmark disappears, and appears, for some camera.
         has: views that cover n landmarks or more.
         several: views that cover two or more.
-        field, state, scratch: of localisation.
+        field, state, scratch: field, state and scratch of localisation.
     """
     known = state.localised[q, w]
     left = has & ((lost & gained) | (lost & known) | (gained & ~known))
@@ -102,7 +102,7 @@ def _sum_up(q: Integer, located: np.int64, covered: np.int64, weight: float, val
 
 @inner
 def _decide(k: Integer, positions: WordArray, field: Any, state: Any, scratch: Any) -> None:
-    """Find the values at `positions`, with `FRESH` of landmark k, the pairs having turned."""
+    """Compute the values at `positions` from `FRESH` of landmark k, with the pairs as after the move."""
     known, trial, n, weights = state.coverage, scratch.coverage, field.coverage.n, field.coverage.weights
     counts, enough, digits = known.counts, known.counts.sets[ENOUGH], trial.digits
     asked, touched, localised = trial.sets[ASKED], trial.flags[TOUCHED], scratch.sets[LOCALISED]
@@ -132,7 +132,7 @@ def _decide(k: Integer, positions: WordArray, field: Any, state: Any, scratch: A
 
 @inner
 def bound_move(field: Any, k: Integer, pose: FloatArray, surface: Integer, state: Any, scratch: Any) -> None:
-    """Find upper bounds on the values with landmark k at `pose` `(6,)` on a surface: `scratch.units`."""
+    """Write upper bounds on the values with landmark k at `pose` `(6,)` on a surface into `scratch.units`."""
     cover, known, trial, i = field.coverage, state.coverage, scratch.coverage, np.uint64(k)
     begin_move(i, pose, surface, cover, known, trial)
     for q in range(len(scratch.units)):
@@ -141,7 +141,7 @@ def bound_move(field: Any, k: Integer, pose: FloatArray, surface: Integer, state
     for s in range(trial.numbers[SPAN_COUNT]):
         for q in range(first[s], last[s]):
             scratch.located[q] = state.located[q]
-            forget_moments(scratch.views, q)
+            clear_moments(scratch.views, q)
             for w in range(np.uint64(tried.shape[1])):
                 tried[q, w] = state.localised[q, w]
     count = see_place(known, i, cover.n, state.localised, cover, trial)
@@ -150,9 +150,9 @@ def bound_move(field: Any, k: Integer, pose: FloatArray, surface: Integer, state
 
 @inner
 def finish_move(field: Any, k: Integer, state: Any, scratch: Any) -> None:
-    """Make the values that `bound_move` found exact."""
+    """Replace the bounds of `bound_move` by the exact values."""
     cover, known, trial, i = field.coverage, state.coverage, scratch.coverage, np.uint64(k)
-    find_pairs(known, i, COMES, cover, trial)
+    find_pairs(known, i, NEW_PLACE, cover, trial)
     positions = trial.lists[TOUCHED_LIST][: trial.numbers[TOUCHED_COUNT]]
     see_touched(known, i, cover.n, positions, cover, trial)
     _decide(i, positions, field, state, scratch)
@@ -160,7 +160,7 @@ def finish_move(field: Any, k: Integer, state: Any, scratch: Any) -> None:
 
 @inner
 def _change_sums(k: Integer, sign: float, field: Any, state: Any, scratch: Any) -> None:
-    """Change the sums by the move tried last, or with a `sign` of -1 back; landmark k is still at its old place."""
+    """Update the sums by the move tried last (`sign` 1), or undo this (`sign` -1); landmark k is at its old place."""
     if not field.asks:
         return
     known, trial = state.coverage, scratch.coverage
@@ -177,7 +177,7 @@ def _change_sums(k: Integer, sign: float, field: Any, state: Any, scratch: Any) 
 
 @inner
 def _exchange(state: Any, scratch: Any) -> None:
-    """Exchange the values of a state and a scratch near the move."""
+    """Exchange the values near the move between state and scratch."""
     first, last, localised = scratch.coverage.lists[FIRST], scratch.coverage.lists[LAST], scratch.sets[LOCALISED]
     for s in range(scratch.coverage.numbers[SPAN_COUNT]):
         for p in range(first[s], last[s]):
@@ -189,24 +189,24 @@ def _exchange(state: Any, scratch: Any) -> None:
 
 @inner
 def carry_out(field: Any, k: Integer, state: Any, scratch: Any) -> None:
-    """Move landmark k to the place tried last: see `lmd.incremental.move.carry_out`."""
+    """Move landmark k to the place tried last, see `lmd.incremental.move.carry_out`."""
     see_rest(state.coverage, np.uint64(k), field.coverage, scratch.coverage)
     _change_sums(np.uint64(k), 1.0, field, state, scratch)
-    take_back(field.coverage, k, state.coverage, scratch.coverage)
+    exchange_place(field.coverage, k, state.coverage, scratch.coverage)
     _exchange(state, scratch)
 
 
 @inner
 def undo_move(field: Any, k: Integer, state: Any, scratch: Any) -> None:
-    """Undo the last `carry_out`: see `lmd.incremental.move.take_back`."""
-    take_back(field.coverage, k, state.coverage, scratch.coverage)
+    """Undo the last `carry_out`, see `lmd.incremental.move.exchange_place`."""
+    exchange_place(field.coverage, k, state.coverage, scratch.coverage)
     _change_sums(np.uint64(k), -1.0, field, state, scratch)
     _exchange(state, scratch)
 
 
 @inner
 def _meet_anew(q: Integer, w: Integer, field: Any, state: Any, scratch: Any) -> np.uint64:
-    """Sum up all landmarks in word w, and find the views that have the precision."""
+    """Sum the numbers of all landmarks in the views of word w; returns the views that have the precision."""
     known, seen = state.coverage, ZERO
     for k in range(np.uint64(known.poses.shape[1])):
         seen |= shown_of(known, k, q, w)
@@ -217,7 +217,7 @@ def _meet_anew(q: Integer, w: Integer, field: Any, state: Any, scratch: Any) -> 
 
 @kernel
 def sum_up_anew(field: Any, state: Any, scratch: Any) -> None:
-    """Sum up all landmarks, and find the values."""
+    """Compute the sums of all views and the values from all landmarks of a state."""
     known, weights = state.coverage, field.coverage.weights
     for q in range(np.uint64(len(state.units))):
         located = np.int64(0)

@@ -37,7 +37,7 @@ WHOSE = 2  # view of each listed pair; rig only
 TAKEN = 3  # two numbers: set of the orientations of the views, and number of listed pairs
 
 # Rows of `CameraViews.weights`.
-GOES, COMES = 0, 1  # weights of a landmark that disappears, and of one that appears
+DISAPPEARS, APPEARS = 0, 1  # weights of a landmark that disappears, and of one that appears
 
 # Rows of `CameraViews.moments`.
 LEFT, TRIED = 0, 1  # moments of the moving landmark at its old place and at the place tried
@@ -53,7 +53,7 @@ class CameraViews(NamedTuple):
     met: np.ndarray
     """`(BITS,)` uint8, 1 for a view with the required precision."""
     weights: FloatArray
-    """`(2, BITS)` pixel density of landmarks in each view, 0 where they are not seen: `GOES`, `COMES`."""
+    """`(2, BITS)` pixel density of landmarks in each view, 0 where they are not seen: `DISAPPEARS`, `APPEARS`."""
     moments: FloatArray
     """`(2, P, WIDTH)` moments of the landmark that moves, from each position: `LEFT`, `TRIED`."""
     found: np.ndarray
@@ -175,17 +175,19 @@ def add_moments(rows: FloatArray, moments: FloatArray, weights: FloatArray, sign
 
 
 @inner
-def replace_moments(rows: FloatArray, goes: FloatArray, comes: FloatArray, weights: FloatArray, count: Integer) -> None:
-    """Subtract a landmark with the moments `goes` from the rows of a camera's views, and add one with `comes`."""
-    for j in range(np.uint64(len(goes))):
-        old, new = goes[j], comes[j]
+def replace_moments(
+    rows: FloatArray, lost: FloatArray, gained: FloatArray, weights: FloatArray, count: Integer
+) -> None:
+    """Subtract a landmark with the moments `lost` from the rows of a camera's views, and add one with `gained`."""
+    for j in range(np.uint64(len(lost))):
+        old, new = lost[j], gained[j]
         for v in range(whole(count)):
-            number = rows[j * VIEW + v] - share_of(old, weights[GOES, v])
-            rows[j * VIEW + v] = number + share_of(new, weights[COMES, v])
+            number = rows[j * VIEW + v] - share_of(old, weights[DISAPPEARS, v])
+            rows[j * VIEW + v] = number + share_of(new, weights[APPEARS, v])
 
 
 @inlined
-def take_rows(left: np.uint64, first: Integer, sums: FloatArray, views: CameraViews) -> np.uint64:
+def load_rows(left: np.uint64, first: Integer, sums: FloatArray, views: CameraViews) -> np.uint64:
     """Begin views for the orientations `left` of a word, and prefetch their rows of `sums` from `first` on.
 
     Returns:
@@ -202,7 +204,7 @@ def take_rows(left: np.uint64, first: Integer, sums: FloatArray, views: CameraVi
 
 @inlined
 def read_rows(first: Integer, sums: FloatArray, views: CameraViews, count: Integer) -> None:
-    """Copy the rows of `sums` that `take_rows` has prefetched into the views."""
+    """Copy the rows of `sums` that `load_rows` has prefetched into the views."""
     bits, rows = views.lists[ORIENTATION], views.rows
     for v in range(count):
         for j in range(np.uint64(WIDTH)):

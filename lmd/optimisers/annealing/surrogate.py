@@ -16,7 +16,7 @@ import numpy as np
 from lmd.core.checks import FloatArray, IntArray
 from lmd.core.layers import layer, layers
 from lmd.core.threads import at_once
-from lmd.incremental.field import Field, Places, Stacking, in_order, placed, places_of, runner, stack_of, total_worth
+from lmd.incremental.field import Field, Places, Stacking, in_order, placed, places_of, runner, stack_of, total_fitness
 from lmd.objectives.base import incremental
 from lmd.objectives.reference_field import field_of
 from lmd.optimisers.annealing.moves import FootprintArrays, Settings
@@ -99,11 +99,11 @@ class Surrogate:
         return stack_of(self._true)
 
     def is_true(self, count: int, conditions: Conditions) -> bool:
-        """Return True if one walker alone climbs the problem itself, and so knows the fitness of its deployments.
+        """True if a single walker works on the problem itself, so that the fitness of its deployments is exact.
 
         Args:
             count: number of landmarks or stacks.
-            conditions: of the walk.
+            conditions: conditions of the walk.
         """
         exact = self._problem.objective.sampling is None and not conditions.in_stacks and conditions.size == 1.0
         return exact and self._shared_out(count, conditions.in_stacks)[1] == 1
@@ -116,7 +116,7 @@ class Surrogate:
         Args:
             here: stacks, or all landmarks.
             best: best deployment of the problem.
-            conditions: of the walk.
+            conditions: conditions of the walk.
             moves: number of landmarks, or stacks, to move.
             rng: draws all that is random.
         """
@@ -184,7 +184,7 @@ class Surrogate:
         exchanged = 2 if len(self._footprints.first) > 1 else 1
         scratches = layers(self._field.scratch(state), max(together, exchanged))
         known = state if best is None else self._true.state(best)
-        reached = np.array([total_worth(self._target, known.units)])
+        reached = np.array([total_fitness(self._target, known.units)])
         met = Best(reached, Places(placed(known).poses.copy(), placed(known).surfaces.copy()))
         return Walker(members, np.empty(together, dtype=np.int64), state, scratches, met)
 

@@ -6,7 +6,7 @@ over positions of
 
     1 / (1 + exp(-(P_n - thold_p - margin) / width)) + share * P_n.
 
-It records the best deployment by the true objective (`worth`). Both converge as `width` shrinks.
+It records the best deployment by the true objective (`contribution`). Both converge as `width` shrinks.
 
 Most moves are rejected before their exact gain is computed. The objective is monotone in every value, so upper bounds
 on the values (`bound`) give an upper bound on the gain. If the bound is negative, the gain is negative, and the random
@@ -22,7 +22,7 @@ import numpy as np
 from lmd.core.checks import FloatArray, IntArray
 from lmd.core.compiled import inner, kernel
 from lmd.core.layers import layer
-from lmd.incremental.field import Places, accept, bound, lead, placed, settle, smoothed, total_worth, undo
+from lmd.incremental.field import Places, accept, bound, move_to, placed, settle, smoothed, total_fitness, undo
 from lmd.optimisers.annealing.moves import FootprintArrays, Settings, exchange, gather, overlap, pair_up, propose
 from lmd.space.surface import SurfaceArrays
 
@@ -68,7 +68,7 @@ def _sum_values(units: IntArray, known: Known, target: Any, settings: Settings) 
 @inner
 def _keep_best(units: IntArray, here: Places, target: Any, best: Best) -> None:
     """Update `best` if the landmarks `here`, with the values `units`, are better."""
-    fitness, places = total_worth(target, units), best.places
+    fitness, places = total_fitness(target, units), best.places
     if fitness > best.fitness[0]:
         best.fitness[0] = fitness
         for k in range(len(here.surfaces)):
@@ -146,17 +146,17 @@ def walk(
         members: `(M,)` indices of the landmarks that may move, M >= the length of `several`.
         several: `(n,)` working memory: the landmarks that move together.
         field: values of positions, a `Field`.
-        state: of `field`.
+        state: state of `field`.
         scratches: `layers` of a scratch, at least n of them, and two for an exchange.
         target: fitness of values, a `Target`.
-        surfaces: of the room.
-        footprints: of all landmarks.
+        surfaces: surfaces of the room.
+        footprints: footprints of all landmarks.
         settings: conditions of the walk.
         rng: draws proposals and decisions.
         best: the best deployment.
     """
     # A part of this kernel: in a kernel of its own, the functions that move landmarks would be compiled a second time.
-    lead(places, field, state, scratches, np.empty(6))
+    move_to(places, field, state, scratches, np.empty(6))
     layout = placed(state)
     here, positions, count = Places(layout.poses, layout.surfaces), len(state.units), len(members)
     units = state.units.copy()

@@ -92,9 +92,11 @@ def hidden_by_others(sight: FiducialSight, offset: FloatArray, normals: FloatArr
     A footprint does not hide points at most `TOLERANCE` metres behind its plane, such as tags on its wall.
     """
     right, up = upright(normals)
-    half = np.reshape(sight.half, (-1, 1))  # of all tags, or of each
+    half = np.reshape(sight.half, (-1, 1))  # one number, or a column
     r, s = half * right, half * up
-    points = np.stack([offset, *(offset + way for way in (r + s, -(r + s), r - s, -(r - s)))])[:, :, None]  # of B
+    points = np.stack([offset, *(offset + way for way in (r + s, -(r + s), r - s, -(r - s)))])[
+        :, :, None
+    ]  # points of B
     height = -dot(normals, offset)  # height of the camera above the plane of A, (K,)
     side = dot(normals, points) + height  # heights of the points of B above the plane of A, (5, B, A)
     crosses = ((height > 0.0) & (side < -TOLERANCE)) | ((height < 0.0) & (side > TOLERANCE))

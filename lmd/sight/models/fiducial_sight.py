@@ -281,8 +281,8 @@ def _hide(
     sight: Any, other: Any, ax: float, ay: float, az: float, a: float, bx: float, by: float, bz: float, b: float,
     ux: float, uy: float, uz: float, vx: float, vy: float, vz: float,
 ) -> Any:  # fmt: skip
-    # Early exit: the camera is in front of both planes, and no corner is behind the other tag's plane. A corner is at
-    # most half the diagonal times the sine of the angle between the planes below the centre.
+    # Early exit: the camera is in front of both planes, and no corner is behind the other tag's plane. The centre is
+    # at most half the diagonal times the sine of the angle between the planes above a corner.
     cx, cy, cz = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
     sine = math.sqrt(cx * cx + cy * cy + cz * cz)
     below_a, below_b = 1.5 * other.half * sine - 0.5 * TOLERANCE, 1.5 * sight.half * sine - 0.5 * TOLERANCE

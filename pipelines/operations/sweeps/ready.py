@@ -21,7 +21,7 @@ for module in (
     "lmd.incremental.coverage_field",
     "lmd.optimisers.annealing",
     "lmd.plot.charts",
-    "lmd.plot.deployments",
+    "lmd.plot.scenes",
     "matplotlib.backends.backend_agg",
     "matplotlib.figure",
     "mpl_toolkits.mplot3d",

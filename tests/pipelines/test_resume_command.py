@@ -15,7 +15,7 @@ import pipelines.runs
 from lmd.core.checks import InputError
 from lmd.optimisers.checkpoint import CHECKPOINT_FILE
 from pipelines.app import CONF
-from pipelines.runs import going_on
+from pipelines.runs import resume_command
 from pipelines.trust import Trust
 
 STORED = "python -m pipelines.optimise optimiser._target_=os.system"
@@ -57,7 +57,7 @@ def left(tmp_path):
 def told(folder, status="KILLED", **tags):
     """What is known of a run of a store."""
     known = {"command": STORED, "folder": str(folder), "host": "elsewhere"} | tags
-    return going_on(pd.Series({"status": status} | {f"tags.{k}": v for k, v in known.items()}), Trust.given())
+    return resume_command(pd.Series({"status": status} | {f"tags.{k}": v for k, v in known.items()}), Trust.given())
 
 
 def test_a_run_goes_on_by_what_hydra_wrote_into_its_folder(says, left):

@@ -261,7 +261,9 @@ class Planner:
         with self._server.atomic():
             self._show_tags()
             self._robot.show()
-            self._picture.show_values(session.values())
+            values = session.values()
+            self._picture.show_values(values)
+            self._panel.show_values(values)
             positions, count = len(problem.relevance), len(session.deployment)
             self._panel.show_figures(problem.objective.describe(session.metrics(), positions, count))
             self._background.announce()

@@ -11,8 +11,8 @@ import pandas as pd
 from lmd.core.checks import BoolArray, FloatArray
 from lmd.core.optional import optional
 from lmd.detection.calibration import DetectorCalibration, predicted_views
-from lmd.detection.comparison import PLACES
 from lmd.detection.evaluation import TAG_NUMBERS
+from lmd.detection.predictions import PLACES
 from lmd.estimation.rendered import Moment
 from lmd.geometry.camera import Camera
 from lmd.geometry.projection import view_edges
@@ -43,7 +43,7 @@ def save_calibration_figure(path: str | Path, figures: pd.DataFrame, pitches: pd
 
     Args:
         path: of the PNG.
-        figures: rows of `lmd.detection.comparison.figures` with the columns `deployment` and `detector`.
+        figures: rows of `lmd.detection.predictions.figures` with the columns `deployment` and `detector`.
         pitches: rows of `by_pitch`, with the same two columns.
         title: of the figure.
     """
@@ -84,7 +84,7 @@ def save_places_figure(path: str | Path, places: pd.DataFrame, title: str) -> No
 
     Args:
         path: of the PNG.
-        places: rows of `lmd.detection.comparison.by_place`.
+        places: rows of `lmd.detection.predictions.by_place`.
         title: of the figure.
     """
     figure = new_figure((12.0, 4.6), title)

@@ -1,0 +1,158 @@
+"""Floor plans in DXF drawings."""
+
+import io
+import logging
+import re
+from collections import Counter
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+
+from lmd.core.checks import FloatArray, InputError, choice
+from lmd.core.files import read_bytes
+from lmd.core.optional import optional
+from lmd.formats.plans import ReadPlan
+from lmd.formats.registry import File
+from lmd.formats.wall_lines import Drawing, plan_of
+
+# Metres in the units that may be asked for, and their codes in $INSUNITS.
+UNITS = {"metres": 1.0, "millimetres": 0.001, "centimetres": 0.01, "inches": 0.0254, "feet": 0.3048}
+CODES = {1: "inches", 2: "feet", 4: "millimetres", 5: "centimetres", 6: "metres"}
+# Names of layers and blocks in the languages of drawings.
+WALL = re.compile(r"wall|wand|waende|wände|mauer|mur|pared|parede|vegg|vägg|стен|墙|壁", re.IGNORECASE)
+DOOR = re.compile(r"door|tür|tuer|porte|puerta|porta(?!l)|двер|门|ドア", re.IGNORECASE)
+WINDOW = re.compile(r"window|wind\b|glaz|fenster|fenêtre|fenetre|ventana|janela|окн|窗|窓", re.IGNORECASE)
+SHAPES = ("LINE", "LWPOLYLINE", "POLYLINE", "ARC", "CIRCLE", "ELLIPSE", "SPLINE")
+# Version of DXF that has subclasses.
+NEWER = b"AC1015"
+NESTED = ("INSERT", "MLINE")
+# Greatest number of segments of lines.
+MOST_SEGMENTS = 50_000
+
+
+def read_drawing(file: File) -> ReadPlan:
+    """Read the room in a drawing, in its frame.
+
+    Args:
+        file: drawing; `asked` has `layers`, `unit`, `gap`, `tolerance` and `start` of `read_plan_room`.
+
+    Raises:
+        InputError: the file cannot be read, a layer is unknown, the unit is not known, or walls enclose no room.
+    """
+    return plan_of(file, _lines(file))
+
+
+def _lines(file: File) -> Drawing:
+    import shapely
+
+    ezdxf = optional("ezdxf", "drawings")
+    content = read_bytes(file.path, "path")
+    if b"\0" in content and not content.startswith(b"AutoCAD Binary DXF"):
+        raise InputError(f"path: {str(file.path)!r} cannot be read as DXF: it is neither text nor binary DXF.", "path")
+    optional("ezdxf.recover", "drawings")
+    logging.getLogger("ezdxf").setLevel(logging.CRITICAL)  # it notes each entity that it repairs
+    try:
+        document, _ = ezdxf.recover.read(io.BytesIO(_with_subclasses(content)))
+        found = list(_shapes(document.modelspace()))
+    except (OSError, ValueError, KeyError, TypeError, IndexError, AttributeError, ezdxf.DXFError) as error:
+        raise InputError(f"path: {str(file.path)!r} cannot be read as DXF ({error}).", "path") from None
+    drawn = Counter(layer for kind, layer, _ in found if kind == "line")
+    if not drawn:
+        raise InputError(f"path: {str(file.path)!r} cannot be read as DXF: it has no lines.", "path")
+    layers = _layers(file, drawn)
+    unit = _unit(
+        file, int(document.header.get("$INSUNITS", 0) or 0), [e for k, n, e in found if k == "line" and n in layers]
+    )
+    scale = UNITS[unit]
+    paths: dict[str, list[FloatArray]] = {"line": [], "window": []}
+    boxes = []
+    for kind, layer, entity in found:
+        if kind == "line" and layer not in layers:
+            continue
+        vertices = scale * _flattened(entity, file.asked["tolerance"] / scale)
+        if kind in paths and len(vertices) > 1:
+            paths[kind].append(vertices)
+        if kind in ("door", "window") and len(vertices) > 1:
+            boxes.append((kind, shapely.box(*vertices.min(axis=0), *vertices.max(axis=0))))
+    count = sum(map(len, paths["line"]))
+    if not count or count > MOST_SEGMENTS:
+        raise InputError(
+            f"path: {str(file.path)!r} has {count} lines of walls, and 1 to {MOST_SEGMENTS} are taken.", "path"
+        )
+    left = [f"{name} ({number})" for name, number in drawn.most_common() if name not in layers]
+    note = f"walls are the lines of {', '.join(sorted(layers))}"
+    note += f", without those of {', '.join(left[:8])}{' and more' if len(left) > 8 else ''}" if left else ""
+    walls, windows = (shapely.MultiLineString(lines) for lines in paths.values())
+    return Drawing(walls, windows, boxes, unit, note)
+
+
+def _with_subclasses(content: bytes) -> bytes:
+    """A drawing whose polylines have the marks of subclasses, which some programs leave out."""
+    lines = content.replace(b"\r\n", b"\n").split(b"\n")
+    if b"LWPOLYLINE" not in content or b"AcDbPolyline" in content:
+        return content
+    result, i = [], 0
+    while i + 1 < len(lines):
+        result += lines[i : i + 2]
+        i += 2
+        if lines[i - 1].strip() == b"LWPOLYLINE":
+            own: dict[bool, list[bytes]] = {True: [], False: []}
+            while i + 1 < len(lines) and lines[i].strip() != b"0":
+                own[lines[i].strip() in (b"5", b"6", b"8", b"62")] += lines[i : i + 2]
+                i += 2
+            result += [b"100", b"AcDbEntity", *own[True], b"100", b"AcDbPolyline", *own[False]]
+    text = b"\n".join([*result, b""]).replace(b"AC1009", NEWER)
+    return text if b"$ACADVER" in text else b"0\nSECTION\n2\nHEADER\n9\n$ACADVER\n1\n" + NEWER + b"\n0\nENDSEC\n" + text
+
+
+def _shapes(entities: Any, kind: str = "line", outer: str = "0") -> Iterator[tuple[str, str, Any]]:
+    """Kind (`line`, `door` or `window`), layer and entity of the shapes of a drawing, also of those in blocks."""
+    for entity in entities:
+        layer = entity.dxf.layer if entity.dxf.layer != "0" else outer
+        name = f"{layer} {entity.dxf.get('name', '')}" if entity.dxftype() == "INSERT" else layer
+        own = "window" if WINDOW.search(name) else "door" if DOOR.search(name) else kind
+        if entity.dxftype() in NESTED:
+            yield from _shapes(entity.virtual_entities(), own, layer)
+        elif entity.dxftype() in SHAPES:
+            yield own, layer, entity
+
+
+def _flattened(entity: Any, tolerance: float) -> FloatArray:
+    """Vertices of a shape, `(N, 2)`, in the unit of the drawing; none of a shape that is no line, such as a mesh."""
+    make_path = optional("ezdxf.path", "drawings").make_path
+    try:
+        vertices = [[at.x, at.y] for at in make_path(entity).flattening(tolerance)]
+    except (TypeError, ValueError, ArithmeticError):
+        vertices = []
+    return np.array(vertices).reshape(-1, 2)
+
+
+def _layers(file: File, drawn: Counter[str]) -> set[str]:
+    """Names of the layers with walls."""
+    asked = file.asked["layers"]
+    if asked is not None:
+        if isinstance(asked, str) or not all(isinstance(name, str) for name in asked):
+            raise InputError(f"layers must be a list of names, got {asked!r}.", "layers")
+        known = {name.lower(): name for name in drawn}
+        for name in asked:
+            choice("layers", name.lower(), list(known))
+        return {known[name.lower()] for name in asked}
+    named = {name for name in drawn if WALL.search(name)}
+    if named or len(drawn) == 1:
+        return named or set(drawn)
+    told = ", ".join(f"{name} ({number} lines)" for name, number in drawn.most_common(12)) or "none"
+    raise InputError(f"layers must name those with the walls of {str(file.path)!r}, which has {told}.", "layers")
+
+
+def _unit(file: File, code: int, entities: list[Any]) -> str:
+    if file.asked["unit"] is not None:
+        return choice("unit", file.asked["unit"], list(UNITS))
+    if code in CODES:
+        return CODES[code]
+    corners = np.concatenate([_flattened(entity, 1.0) for entity in entities])
+    size = np.ptp(corners, axis=0)
+    told = [f"{name} make {size[0] * per:.3g} x {size[1] * per:.3g} m" for name, per in UNITS.items()]
+    raise InputError(
+        f"unit is needed, as {str(file.path)!r} names none ($INSUNITS = {code}): {', '.join(told)}.", "unit"
+    )

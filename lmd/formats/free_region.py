@@ -1,0 +1,270 @@
+"""Floor plan of the free region of an occupancy grid."""
+
+import math
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from lmd.core.checks import BoolArray, FloatArray, InputError, IntArray
+from lmd.formats.occupancy_grid import OccupancyGrid, read_occupancy_grid
+from lmd.formats.plans import ReadPlan, Stretch
+from lmd.formats.registry import File
+from lmd.space.polygon import edges
+
+NO_WALL = "no wall"
+
+# Least area of a free region that a note mentions, square metres.
+MENTIONED_M2 = 0.5
+# Shortest stretch of an edge without occupied cells that excludes landmarks, metres; a wall has shorter gaps by chance.
+SHORTEST_GAP_M = 0.2
+# Greatest tolerance of a ring, such as a pillar, over its shorter side.
+PILLAR_SHARE = 0.2
+# Least sine of the angle between edges whose lines are intersected.
+LEAST_ANGLE_SINE = 0.2
+# Tolerance of the comparison of distances, cells.
+ROUNDING = 1e-9
+# Greatest number of corners; a run with more would take hours.
+MOST_CORNERS = 4000
+
+
+class Region(NamedTuple):
+    """Free region of a map, in cells from the corner of cell (0, 0)."""
+
+    polygon: Any
+    """Region with its holes, a shapely polygon."""
+    to_wall: FloatArray
+    """Distance of the centre of each cell to that of the nearest occupied cell, cells, `(H, W)`."""
+    note: str
+    """Clauses on the parts of the map that are left out."""
+
+
+def read_map(file: File) -> ReadPlan:
+    """Read the free region of an occupancy grid, in the frame of the map.
+
+    Args:
+        file: YAML file of the map; `asked` has `tolerance`, `speck`, `passage` and `start` of `read_plan_room`.
+
+    Raises:
+        InputError: the file or a setting is refused, or there is no free region.
+    """
+    grid, tolerance = read_occupancy_grid(file.path), file.asked["tolerance"]
+    speck, passage = (file.asked[name] / grid.resolution for name in ("speck", "passage"))
+    region = free_region(grid, tolerance / grid.resolution, speck, passage, file.asked["start"])
+    holes = [np.array(ring.coords[:0:-1]) for ring in region.polygon.interiors]
+    rings = [np.array(region.polygon.exterior.coords[:-1]), *holes]
+    corners = sum(map(len, rings))
+    if corners > MOST_CORNERS:
+        raise InputError(
+            f"tolerance = {tolerance:g} leaves {corners} corners of {str(file.path)!r}, more than {MOST_CORNERS}; a "
+            "larger tolerance, speck or passage leaves fewer.",
+            "tolerance",
+        )
+    most, shortest = tolerance / grid.resolution + 1.5, SHORTEST_GAP_M / grid.resolution
+    stretches = [
+        Stretch(i, j, grid.resolution * start, grid.resolution * stop, NO_WALL)
+        for i, ring in enumerate(rings)
+        for j, edge in enumerate(edges(ring))
+        for start, stop in _gaps(edge, region.to_wall, most, shortest)
+    ]
+    told = "; ".join(filter(None, [grid.note, region.note]))
+    note = f"{file.path}: {told}" if told else ""
+    return ReadPlan([grid.in_map(ring) for ring in rings], stretches, f"resolution = {grid.resolution:g}", note)
+
+
+def free_region(
+    grid: OccupancyGrid, tolerance: float, speck: float, passage: float, start: tuple[float, ...] | None
+) -> Region:
+    """Find the free region of a map.
+
+    Args:
+        grid: map.
+        tolerance, speck, passage: see `lmd.formats.plans.read_plan_room`; in cells.
+        start: as there, metres.
+    """
+    import shapely
+    from scipy import ndimage
+
+    known = grid.is_free | grid.is_occupied
+    if not grid.is_free.any():
+        raise InputError(f"path: {grid.path!r} has no free cells.", "path")
+    (top, left), (bottom, right) = (f(np.argwhere(known), axis=0) for f in (np.min, np.max))
+    crop = (slice(top, bottom + 1), slice(left, right + 1))
+    free, occupied = (np.pad(cells[crop], 1) for cells in (grid.is_free, grid.is_occupied))
+    corner = np.array([left - 1, top - 1])
+
+    labels, _ = ndimage.label(~free, np.ones((3, 3)))
+    small = [i for i, box in enumerate(ndimage.find_objects(labels), 1) if _longest(box) < speck]
+    specks = np.isin(labels, small)
+    free, occupied = free | specks, occupied & ~specks
+
+    radius = passage / 2.0
+    core = free & (ndimage.distance_transform_edt(free) >= radius)
+    labels, count = ndimage.label(core)
+    if not count:
+        raise InputError(
+            f"passage = {passage * grid.resolution:g} is wider than every free region of {grid.path!r}.", "passage"
+        )
+    away, nearest = ndimage.distance_transform_edt(~core, return_indices=True)
+    # A right-angled corner of the region is sqrt(2) radii from the core.
+    parts = np.where(free & (away <= math.sqrt(2.0) * radius), labels[tuple(nearest)], 0)
+    areas = np.bincount(parts.ravel())
+    areas[0] = 0
+    chosen = int(np.argmax(areas)) if start is None else _at(grid, parts, start, corner)
+    region = _without_pinches(parts == chosen, labels == chosen)
+    others = [
+        (areas[i], i) for i in range(1, count + 1) if i != chosen and areas[i] * grid.resolution**2 > MENTIONED_M2
+    ]
+
+    polygon = _simplified(_polygon(region), tolerance)
+    told = [_left_out(grid, labels, others, corner)]
+    if small:
+        told.append(f"{len(small)} groups of cells smaller than {speck * grid.resolution:g} m count as free")
+    to_wall = np.full(np.add(grid.cells.shape, 2), np.inf)
+    to_wall[top : bottom + 3, left : right + 3] = (
+        ndimage.distance_transform_edt(~occupied) if occupied.any() else np.inf
+    )
+    return Region(
+        shapely.transform(polygon, lambda at: at + corner), to_wall[1:-1, 1:-1], "; ".join(filter(None, told))
+    )
+
+
+def _longest(box: tuple[slice, ...]) -> int:
+    return max(int(side.stop - side.start) for side in box)
+
+
+def _at(grid: OccupancyGrid, parts: IntArray, start: tuple[float, ...], corner: IntArray) -> int:
+    """Label of the part of the free region at a point."""
+    column, row = np.floor(grid.in_cells(np.array(start)) - corner).astype(int)
+    inside = 0 <= row < parts.shape[0] and 0 <= column < parts.shape[1]
+    if not inside or not parts[row, column]:
+        raise InputError(
+            f"start = {list(start)} is not in a free cell of {grid.path!r}, or narrower than passage there.", "start"
+        )
+    return int(parts[row, column])
+
+
+def _left_out(grid: OccupancyGrid, labels: IntArray, others: list[tuple[int, int]], corner: IntArray) -> str:
+    if not others:
+        return ""
+    _, largest = max(others)
+    rows, columns = np.nonzero(labels == largest)
+    middle = len(rows) // 2
+    x, y = grid.in_map(np.array([columns[middle], rows[middle]]) + 0.5 + corner)
+    area = grid.resolution**2 * sum(size for size, _ in others)
+    many = (
+        f"{len(others)} free areas, {area:.3g} m2 in all, are"
+        if len(others) > 1
+        else f"a free area of {area:.3g} m2 is"
+    )
+    return f"{many} left out; start = [{x:.2f},{y:.2f}] takes the {'largest' if len(others) > 1 else 'one'} of them"
+
+
+def _without_pinches(region: BoolArray, core: BoolArray) -> BoolArray:
+    """Part of a region that is connected to its core, without pairs of cells that only share a corner."""
+    from scipy import ndimage
+
+    while True:
+        labels, _ = ndimage.label(region)
+        region = np.isin(labels, np.setdiff1d(np.unique(labels[core]), [0]))
+        a, b, c, d = region[:-1, :-1], region[:-1, 1:], region[1:, :-1], region[1:, 1:]
+        falling, rising = a & d & ~b & ~c, b & c & ~a & ~d
+        if not (falling | rising).any():
+            return region
+        region = region.copy()
+        region[1:, 1:][falling] = False
+        region[1:, :-1][rising] = False
+
+
+def _polygon(region: BoolArray) -> Any:
+    """Union of the cells of a connected mask, a shapely polygon in cells."""
+    import shapely
+
+    change = np.diff(np.pad(region.astype(np.int8), ((0, 0), (1, 1))), axis=1)
+    (rows, starts), (_, stops) = np.nonzero(change == 1), np.nonzero(change == -1)
+    return shapely.union_all(shapely.box(starts, rows, stops, rows + 1))
+
+
+def _simplified(polygon: Any, tolerance: float) -> Any:
+    """Polygon whose edges fit those of a polygon of cells within a tolerance, in cells; its rings do not touch."""
+    import shapely
+
+    contours = []
+    for ring in (polygon.exterior, *polygon.interiors):
+        vertices = np.array(ring.coords[:-1])
+        # Simplifying keeps the first vertex, so it has to be a corner.
+        first = np.argmax(np.linalg.norm(vertices - vertices.mean(axis=0), axis=1))
+        contours.append(np.roll(vertices, -first, axis=0))
+    sides = [np.ptp(contour, axis=0).min() for contour in contours]
+    while True:
+        simple, fitted = [], []
+        for contour, side in zip(contours, sides, strict=True):
+            own = min(tolerance, PILLAR_SHARE * side)
+            corners = shapely.get_coordinates(shapely.simplify(shapely.Polygon(contour), own))[:-1]
+            simple.append(corners)
+            fitted.append(_fitted(corners, contour, own))
+        for exterior, *holes in (fitted, simple):
+            found = shapely.Polygon(exterior, holes)
+            rings = [found.exterior, *found.interiors]
+            touching = shapely.STRtree(rings).query(rings, predicate="intersects")
+            if found.is_valid and touching.shape[1] == len(rings):
+                return shapely.orient_polygons(found)
+        tolerance /= 2.0
+
+
+def _fitted(simple: FloatArray, contour: FloatArray, tolerance: float) -> FloatArray:
+    """Move the vertices of a ring so that its edges are the lines of least squares through the contour.
+
+    A vertex keeps its place where an edge would leave the tolerance.
+
+    Args:
+        simple: vertices of the ring, some of those of the contour, `(N, 2)`.
+        contour: vertices of the contour, `(M, 2)`.
+        tolerance: greatest distance of the contour from an edge, cells.
+    """
+    import shapely
+
+    index = {tuple(vertex): i for i, vertex in enumerate(contour.tolist())}
+    first = [index[tuple(vertex)] for vertex in simple.tolist()]
+    samples, middles, ways = [], np.empty_like(simple), np.empty_like(simple)
+    for k, (start, stop) in enumerate(zip(first, np.roll(first, -1).tolist(), strict=True)):
+        along = contour[np.arange(start, stop + (len(contour) if stop <= start else 0) + 1) % len(contour)]
+        points = shapely.get_coordinates(shapely.segmentize(shapely.LineString(along), 0.5))
+        centred = (points[1:] + points[:-1]) / 2.0
+        away = np.linalg.norm(centred[:, None] - along[[0, -1]], axis=-1).min(axis=1)
+        inner = away > tolerance  # of a corner, whose place is known to the tolerance
+        centred = centred[inner] if inner.mean() > 0.5 else centred
+        middles[k] = centred.mean(axis=0)
+        ways[k] = np.linalg.svd(centred - middles[k], full_matrices=False)[2][0]
+        samples.append(shapely.points(points))
+    moved = simple.copy()
+    for k, vertex in enumerate(simple):
+        (a, b), (u, v) = middles[[k - 1, k]], ways[[k - 1, k]]
+        across = u[0] * v[1] - u[1] * v[0]
+        if abs(across) > LEAST_ANGLE_SINE:
+            moved[k] = a + u * ((b - a)[0] * v[1] - (b - a)[1] * v[0]) / across
+        else:
+            moved[k] = (a + u * ((vertex - a) @ u) + b + v * ((vertex - b) @ v)) / 2.0
+    kept = np.linalg.norm(moved - simple, axis=1) > tolerance
+    while True:
+        ring = np.where(kept[:, None], simple, moved)
+        far = np.array(
+            [shapely.distance(shapely.LineString(e), at).max() for e, at in zip(edges(ring), samples, strict=True)]
+        )
+        late = (far > tolerance + ROUNDING) & ~(kept & np.roll(kept, -1))
+        if not late.any():
+            return ring
+        kept |= late | np.roll(late, 1)
+
+
+def _gaps(edge: FloatArray, to_wall: FloatArray, most: float, shortest: float) -> list[tuple[float, float]]:
+    """Stretches (from, to) of an edge, in cells from its start, that are farther than `most` cells from a wall."""
+    length = float(np.linalg.norm(edge[1] - edge[0]))
+    count = max(math.ceil(2.0 * length), 1)
+    share = (np.arange(count) + 0.5) / count
+    at = np.floor(edge[0] + share[:, None] * (edge[1] - edge[0])).astype(int)
+    high = np.array(to_wall.shape)[::-1] - 1
+    column, row = np.clip(at, 0, high).T
+    steps = np.diff(np.concatenate([[0], (to_wall[row, column] > most).astype(int), [0]]))
+    starts, stops = (np.flatnonzero(steps == way) * length / count for way in (1, -1))
+    whole = [(0.0, length)] if len(starts) and stops[0] - starts[0] == length else []
+    return whole or [(float(a), float(b)) for a, b in zip(starts, stops, strict=True) if b - a >= shortest]

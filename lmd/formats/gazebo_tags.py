@@ -1,0 +1,180 @@
+"""Tags in a world of Gazebo: the plates, planes and meshes that show a picture of one.
+
+A box shows its picture on each side. On upright sides the picture is upright; on the upper side its up is x, on the
+lower one minus x. So a plate shows a tag on both sides. The side that another body covers is not seen, nor that of a
+lying plate that looks down. Of an upright plate with two free sides, and of a mesh, a user says which way the frame of
+the model points. A plane shows its picture with x right and y up.
+
+Sources: `MeshManager::CreateBox` and `CreatePlane` of Gazebo classic and gz-common; the models of
+koide3/gazebo_apriltag.
+"""
+
+import re
+from collections.abc import Iterable, Iterator, Sequence
+from typing import Any
+from xml.etree.ElementTree import Element
+
+import numpy as np
+
+from lmd.core.checks import FloatArray, InputError
+from lmd.formats.gazebo_worlds import Seen, seen_in
+from lmd.formats.placed_tag import Found, PlacedTag, axes_of, number_of
+from lmd.scene.families import family_named
+
+SEPARATOR = r"[_/ .-]?"
+# Names of pictures, models and materials: of a family with the number of a tag, or of the number alone.
+APRILTAG = re.compile(
+    rf"tag{SEPARATOR}(?:standard|circle|custom)?{SEPARATOR}(\d\d)[_h-]h?(\d\d?)[_/ -](?:id{SEPARATOR})?(\d+)", re.I
+)
+ARUCO = re.compile(rf"(?<!\d)([4-7]x[4-7][_-](?:50|100|250|1000))[_/ -](?:id{SEPARATOR})?(\d+)", re.I)
+NUMBERED = re.compile(
+    rf"(?:april{SEPARATOR}tag|aruco(?:{SEPARATOR}(?:marker|tag|box))?|ar{SEPARATOR}tag|fiducial(?:{SEPARATOR}marker)?"
+    rf"|(?<![a-z])tag){SEPARATOR}(?:id{SEPARATOR})?(\d+)(?![\dhx])",
+    re.I,
+)
+CIRCLE = "21"  # modules of the family whose name begins with circle
+KNOWN_PLATE = re.compile(r"Apriltag36_11_\d{5}")  # models of koide3/gazebo_apriltag
+KNOWN_SIZE = (1.0, 1.0, 0.01)  # of these, metres
+PLAIN = "Gazebo/"  # begins the names of materials without a picture of a tag
+THIN = 0.2  # thickness of a plate, relative to its next larger side
+LYING = 0.99  # cosine of the turn of a plate that lies
+BESIDE = 1e-3  # metres before a side at which a body covers it
+# Right, up and out of the picture on the sides of a box, by the axis across the side and its sign, as columns.
+SIDES = {
+    (0, 1): np.array([[0, 0, 1], [1, 0, 0], [0, 1, 0]], dtype=float),
+    (0, -1): np.array([[0, 0, -1], [-1, 0, 0], [0, 1, 0]], dtype=float),
+    (1, 1): np.array([[-1, 0, 0], [0, 0, 1], [0, 1, 0]], dtype=float),
+    (1, -1): np.array([[1, 0, 0], [0, 0, -1], [0, 1, 0]], dtype=float),
+    (2, 1): np.array([[0, 1, 0], [-1, 0, 0], [0, 0, 1]], dtype=float),
+    (2, -1): np.array([[0, -1, 0], [-1, 0, 0], [0, 0, -1]], dtype=float),
+}
+
+
+def gazebo(root: Element, path: Any, axes: Sequence[str] | None) -> Found:
+    """The tags of a world or a model.
+
+    Args:
+        axes: where the axes of the frame of a plate or a mesh with a tag point, see `axes_of`; None if a user does not
+            say.
+
+    Raises:
+        InputError: there is none, or a tag is on a side that the file leaves open.
+    """
+    bodies = [(seen, _numbers(seen.element, "geometry/box/size")) for seen in seen_in(root, path, "collision")]
+    boxes = [(seen.pose, size) for seen, size in bodies if size is not None and len(size) == 3]
+    tags, up = list[PlacedTag](), False
+    for seen in seen_in(root, path, "visual"):
+        named = _named(seen)
+        if named is None:
+            continue
+        family, number = named
+        centre, turn, lies = _side(seen, number, boxes, axes)
+        up |= lies
+        tags.append(PlacedTag(number_of(number), centre, turn, None, family))
+    if not tags:
+        raise InputError("it is a file of Gazebo in which no model, picture or material has the name of a tag.")
+    sides = "plates that lie show their tag on the upper side" if up else "tags are where their pictures are"
+    return Found(tags, note=f"{path}: {sides}; their edges are not read, as pictures include a margin")
+
+
+def _named(seen: Seen) -> tuple[str | None, int] | None:
+    """The family and the number of the tag that a visual shows; None if it shows none."""
+    if seen.element is None:  # a model that is elsewhere
+        return _first(seen.names)
+    pictures = [text for text in _texts(seen.element, "material") if not text.startswith(PLAIN)]
+    if pictures:
+        return _first(pictures) or _first(seen.names)
+    meshes = _texts(seen.element, "geometry/mesh/uri")
+    return _first([*meshes, *seen.names]) if meshes else None
+
+
+def _texts(element: Element, path: str) -> list[str]:
+    """The names of pictures, scripts and meshes below elements; colours are none."""
+    below = [part for found in element.findall(path) for part in found.iter()]
+    return [part.text.strip() for part in below if part.tag in ("name", "uri", "albedo_map") and part.text]
+
+
+def _first(texts: Iterable[str]) -> tuple[str | None, int] | None:
+    for text in texts:
+        if found := APRILTAG.search(text):
+            family = f"{'circle' if found[1] == CIRCLE else ''}{found[1]}h{int(found[2])}"
+            return family_named(family), int(found[3])
+        if found := ARUCO.search(text):
+            return family_named(found[1].replace("-", "_")), int(found[2])
+        if found := NUMBERED.search(text):
+            return None, int(found[1])
+    return None
+
+
+def _numbers(element: Element | None, path: str) -> FloatArray | None:
+    """The positive sizes of an element; None where there are none."""
+    text = None if element is None else element.findtext(path)
+    try:
+        values = np.array([float(word) for word in (text or "").split()])
+    except ValueError:
+        return None
+    return values if values.size and (values > 0.0).all() and np.isfinite(values).all() else None
+
+
+def _side(
+    seen: Seen, number: int, boxes: Sequence[tuple[FloatArray, FloatArray]], axes: Sequence[str] | None
+) -> tuple[FloatArray, FloatArray, bool]:
+    """The centre and the axes of the tag that a visual shows, and whether a lying plate decided its side."""
+    size = _numbers(seen.element, "geometry/box/size")
+    if seen.element is None and any(KNOWN_PLATE.search(name) for name in seen.names):
+        size = np.array(KNOWN_SIZE)
+    plate = size is not None and len(size) == 3 and np.sort(size)[0] <= THIN * np.sort(size)[1]
+    if axes is not None:
+        turn = axes_of(axes).T
+        half = 0.0 if size is None or len(size) != 3 else float(np.abs(turn[:, 2]) @ size) / 2.0
+        return *_placed(seen, turn, half), False
+    if seen.element is not None and (normal := seen.element.findtext("geometry/plane/normal")) is not None:
+        if np.allclose([float(word) for word in normal.split()], [0.0, 0.0, 1.0]):
+            return *_placed(seen, np.eye(3), 0.0), False
+    elif seen.element is not None and seen.element.find("geometry/plane") is not None:
+        return *_placed(seen, np.eye(3), 0.0), False
+    if not plate or size is None:
+        raise InputError(
+            f"the tag {number} ({', '.join(seen.names)[:120]}) is on a model whose shape does not say which side shows "
+            "it: say by axes which way x, y and z of the model point, such as axes=[out,right,up], or put the folder "
+            "of the model beside the file."
+        )
+    thin = int(np.argmin(size))
+    sides = [(thin, 1), (thin, -1)]
+    found = [(*_placed(seen, SIDES[side], float(size[thin]) / 2.0), side) for side in sides]
+    free = [one for one in found if not _covered(one[0] + BESIDE * one[1][:, 2], boxes)]
+    if len(free) == 1:
+        return *free[0][:2], False
+    upper = [one for one in found if one[1][2, 2] > LYING]
+    if upper:
+        return *upper[0][:2], True
+    raise InputError(
+        f"the tag {number} ({', '.join(seen.names)[:120]}) is on both sides of an upright plate: {_choices(sides)}."
+    )
+
+
+def _placed(seen: Seen, turn: FloatArray, half: float) -> tuple[FloatArray, FloatArray]:
+    """The centre and the axes in the world of a picture in front of the middle of a visual by `half`, metres."""
+    axes: FloatArray = seen.pose[:3, :3] @ turn
+    return seen.pose[:3, 3] + half * axes[:, 2], axes
+
+
+def _covered(point: FloatArray, boxes: Iterable[tuple[FloatArray, FloatArray]]) -> bool:
+    """True if a point of the world is in a box."""
+    return any((np.abs(pose[:3, :3].T @ (point - pose[:3, 3])) < size / 2.0).all() for pose, size in boxes)
+
+
+def _choices(sides: Sequence[tuple[int, int]]) -> str:
+    """The values of `axes` that choose one of the sides of a plate."""
+    words = [
+        f"axes=[{','.join(_words(SIDES[side]))}] takes that towards {'-+'[side[1] > 0]}{'xyz'[side[0]]} of it"
+        for side in sides
+    ]
+    return ", ".join(words)
+
+
+def _words(turn: FloatArray) -> Iterator[str]:
+    """Directions of the axes x, y and z of a model in the frame of its picture, in words."""
+    for row in turn:
+        axis = int(np.argmax(np.abs(row)))
+        yield (("left", "right"), ("down", "up"), ("into", "out"))[axis][int(row[axis] > 0.0)]

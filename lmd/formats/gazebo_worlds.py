@@ -1,0 +1,172 @@
+"""Worlds and models of Gazebo in SDF: the places of what is seen in them.
+
+A pose is `x y z roll pitch yaw`, metres and radians, of the element around it, or of the frame that `relative_to`
+names. A model that a world includes is read from the folder of its name beside the world, or below `models` there or
+one folder above. The poses in the `state` that Gazebo saved with a world are those of its models.
+
+Sources: the SDF specification (sdformat.org), "Pose Frame Semantics"; `World::LoadModels` of Gazebo classic.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, NamedTuple
+from xml.etree.ElementTree import Element
+
+import numpy as np
+
+from lmd.core.checks import FloatArray, InputError, radians
+from lmd.core.files import read_text
+from lmd.formats.opencv_calibrations import xml_of
+from lmd.formats.placed_tag import turn_by_quaternion
+from lmd.geometry.frames import roll_pitch_yaw
+
+MODEL_FILE, MODELS = "model.sdf", "models"
+LARGEST_MODEL = 1 << 22  # bytes of the file of a model
+DEEPEST = 20  # frames that refer to each other, and models in models
+NAMED = ("link", "model", "frame", "include", "joint")  # elements whose frames others may refer to
+SELF = ("", "__model__", "world")
+QUATERNION = "quat_xyzw"
+
+
+class Seen(NamedTuple):
+    """A visual or a collision of a world."""
+
+    element: Element | None
+    """The element; None for a model that is included and was not found."""
+    pose: FloatArray
+    """Transform from its frame to the world, `(4, 4)`, metres."""
+    names: tuple[str, ...]
+    """Names of the element and those around it, and the model's URI, the innermost first."""
+
+
+@dataclass(frozen=True)
+class Scope:
+    """A world or a model, whose elements refer to frames by names."""
+
+    element: Element
+    pose: FloatArray
+    """Transform from its frame to the world, `(4, 4)`."""
+    folder: Path
+    """Folder beside which models are looked for."""
+    names: tuple[str, ...] = ()
+    """Names of the models around its elements, the innermost first."""
+
+    def placed(self, element: Element, depth: int = 0) -> FloatArray:
+        """The transform from the frame of an element of this scope to the world.
+
+        Raises:
+            InputError: a pose is broken, or refers to a frame that is not there or to itself.
+        """
+        pose = element.find("pose")
+        reference = "" if pose is None else pose.get("relative_to") or pose.get("frame") or ""
+        reference = reference or element.get("attached_to") or ""
+        base = self.pose if reference in SELF else self.frame(reference, depth + 1)
+        return base @ matrix_of(pose, element.get("name", element.tag))
+
+    def frame(self, name: str, depth: int) -> FloatArray:
+        """The transform from a frame that is named in this scope to the world; `model::link` is one in a model."""
+        if depth > DEEPEST:
+            raise InputError(f"the frame {name!r} refers to itself.")
+        first, _, rest = name.partition("::")
+        for element in self.element:
+            if element.tag in NAMED and _name(element) == first:
+                placed = self.placed(element, depth)
+                return Scope(element, placed, self.folder).frame(rest, depth + 1) if rest else placed
+        raise InputError(f"a pose is relative to the frame {name!r}, which is not in the file.")
+
+
+def matrix_of(pose: Element | None, name: str) -> FloatArray:
+    """The transform of a pose, `(4, 4)`; that of an element without one is the identity.
+
+    Raises:
+        InputError: it has not six finite numbers, or angles that look like degrees.
+    """
+    matrix = np.eye(4)
+    if pose is None or not (pose.text or "").strip():
+        return matrix
+    words = (pose.text or "").split()
+    by_quaternion = pose.get("rotation_format") == QUATERNION
+    try:
+        values = np.array([float(word) for word in words])
+    except ValueError:
+        values = np.array([np.nan])
+    if len(values) != (7 if by_quaternion else 6) or not np.isfinite(values).all():
+        wanted = "x y z qx qy qz qw" if by_quaternion else "x y z roll pitch yaw"
+        raise InputError(f"the pose of {name!r} must be {wanted}, got {' '.join(words)[:80]!r}.")
+    matrix[:3, 3] = values[:3]
+    if by_quaternion:
+        matrix[:3, :3] = turn_by_quaternion(*values[3:].tolist())
+        return matrix
+    angles = np.radians(values[3:]) if pose.get("degrees") in ("true", "1") else values[3:]
+    radians(f"the pose of {name!r}", **dict(zip(("roll", "pitch", "yaw"), angles[:, None], strict=True)))
+    matrix[:3, :3] = roll_pitch_yaw(angles)
+    return matrix
+
+
+def seen_in(root: Element, path: Any, tag: str) -> Iterator[Seen]:
+    """All elements `tag`, such as `visual`, of the models of a world or of a file with one model.
+
+    Raises:
+        InputError: a pose cannot be resolved.
+    """
+    folder = Path(path).parent
+    worlds = root.findall("world") or [root]
+    for world in worlds:
+        scope = Scope(world, np.eye(4), folder)
+        saved = {_name(model): matrix_of(model.find("pose"), _name(model)) for model in world.findall("state/model")}
+        yield from _models(scope, tag, saved, 0)
+
+
+def _models(scope: Scope, tag: str, saved: dict[str, FloatArray], depth: int) -> Iterator[Seen]:
+    """The elements of the models in a scope, at saved poses where there are some."""
+    if depth > DEEPEST:
+        raise InputError(f"models are in models, more than {DEEPEST} deep.")
+    for element in scope.element:
+        if element.tag == "model":
+            names = (_name(element), *scope.names)
+            model, pose = element, scope.placed(element)
+        elif element.tag == "include":
+            uri = (element.findtext("uri") or "").strip()
+            names = tuple(filter(None, (_name(element), uri, *scope.names)))
+            found = _included(scope.folder, uri)
+            if found is None:
+                yield Seen(None, saved.get(_name(element), scope.placed(element)), names)
+                continue
+            model = found
+            pose = scope.placed(element if element.find("pose") is not None else model)
+            names = (*names, _name(model))
+        else:
+            continue
+        if element.get("placement_frame") or (element.findtext("placement_frame") or "").strip():
+            raise InputError(
+                f"the model {names[0]!r} is placed by a placement_frame, which is not read: give its pose."
+            )
+        inner = Scope(model, saved.get(names[0], pose), scope.folder, names)
+        for link in model.findall("link"):
+            at = inner.placed(link)
+            for part in link.findall(tag):
+                own = at @ matrix_of(part.find("pose"), part.get("name", tag))
+                yield Seen(part, own, tuple(filter(None, (part.get("name"), link.get("name"), *names))))
+        yield from _models(inner, tag, {}, depth + 1)
+
+
+def _name(element: Element) -> str:
+    """The name of an element; of an include, the name that it gives the model or the end of its URI."""
+    if element.tag != "include":
+        return element.get("name", "")
+    return (element.findtext("name") or "").strip() or (element.findtext("uri") or "").strip().rpartition("/")[2]
+
+
+def _included(folder: Path, uri: str) -> Element | None:
+    """The model of a URI beside a world; None if it is not there."""
+    name = uri.removeprefix("model://").removeprefix("file://").strip("/")
+    name = name.removesuffix(f"/{MODEL_FILE}")
+    if not name or ".." in Path(name).parts or Path(name).is_absolute():
+        return None
+    for place in (folder, folder / MODELS, folder.parent / MODELS, folder.parent):
+        file = place / name / MODEL_FILE
+        if file.is_file():
+            root = xml_of(read_text(file, "path", LARGEST_MODEL))
+            return None if root is None else root.find("model")
+    return None

@@ -1,0 +1,168 @@
+"""Occupancy grids of ROS: `map.yaml` with a picture, as nav2_map_server reads them.
+
+Source: `loadMapFromFile` of nav2_map_server. A cell is occupied at 100, free at 0, and unknown at -1.
+"""
+
+import io
+import math
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from lmd.core.checks import BoolArray, FloatArray, InputError, IntArray, file_path, real, said_of, vector
+from lmd.core.files import read_bytes, read_keys
+from lmd.core.optional import optional
+
+KEYS = ("image", "resolution", "origin", "negate", "occupied_thresh", "free_thresh")
+MODES = ("trinary", "scale", "raw")
+OCCUPIED, FREE, UNKNOWN = 100, 0, -1
+# Greatest number of cells; contours of larger maps would take gigabytes.
+MOST_CELLS = 60_000_000
+# Grey values that map_saver writes for unknown and for free cells.
+SAVED_UNKNOWN, SAVED_FREE = 205, 254
+
+
+class OccupancyGrid(NamedTuple):
+    """Occupancy grid of H x W cells."""
+
+    path: str
+    """Path of the YAML file, for messages."""
+    cells: IntArray
+    """Occupancy in per cent, -1 for unknown, `(H, W)`; the first row has the lowest y in the frame of the picture."""
+    resolution: float
+    """Side of a cell, metres."""
+    origin: tuple[float, float, float]
+    """Pose of the outer corner of cell (0, 0) in the map frame: x, y, metres, and yaw, rad."""
+    is_occupied: BoolArray
+    """Mask of the occupied cells, `(H, W)`."""
+    is_free: BoolArray
+    """Mask of the free cells, `(H, W)`."""
+    note: str = ""
+    """Remark on an ambiguous file, a clause; empty without ambiguity."""
+
+    def in_map(self, at: FloatArray) -> FloatArray:
+        """Points of the map frame, metres, from points (column, row) in cells from the corner of cell (0, 0)."""
+        x, y, yaw = self.origin
+        turn = np.array([[math.cos(yaw), -math.sin(yaw)], [math.sin(yaw), math.cos(yaw)]])
+        return np.asarray(self.resolution * np.asarray(at) @ turn.T + [x, y])
+
+    def in_cells(self, points: FloatArray) -> FloatArray:
+        """Points (column, row) in cells from points of the map frame, metres; the inverse of `in_map`."""
+        x, y, yaw = self.origin
+        turn = np.array([[math.cos(yaw), -math.sin(yaw)], [math.sin(yaw), math.cos(yaw)]])
+        return np.asarray((np.asarray(points) - [x, y]) @ turn / self.resolution)
+
+
+def read_occupancy_grid(path: str | Path) -> OccupancyGrid:
+    """Read the map of a YAML file and its picture.
+
+    In the modes `trinary` and `scale`, cells between the thresholds are neither free nor occupied, as AMCL takes them.
+    In the mode `raw` the thresholds apply to the occupancy, as map_saver applies them.
+
+    Raises:
+        InputError: a file is missing or cannot be read, or a key is missing or wrong.
+    """
+    file = file_path("path", path)
+    keys = read_keys(file, "path")
+    with said_of(f"path: {str(file)!r}", "path"):
+        _check_keys(keys)
+        resolution = real("resolution", keys["resolution"], above=0.0)
+        x, y, yaw = vector("origin", keys["origin"], 3)
+        occupied, free = (real(name, keys[name]) for name in ("occupied_thresh", "free_thresh"))
+        if free >= occupied:
+            raise InputError(f"free_thresh = {free:g} must be below occupied_thresh = {occupied:g}.")
+        negate, mode = _negate(keys["negate"]), str(keys.get("mode", MODES[0])).lower()
+        if mode not in MODES:
+            raise InputError(f"mode must be one of {', '.join(MODES)}, got {keys['mode']!r}.")
+        grey, is_opaque = _picture(_beside(file, keys["image"]))
+    cells = occupancy(grey, is_opaque, mode, negate, occupied, free)[::-1]
+    if mode == "raw":
+        is_occupied, is_free = cells >= 100.0 * occupied, (cells >= 0) & (cells <= 100.0 * free)
+        return OccupancyGrid(str(path), cells, resolution, (x, y, yaw), is_occupied, is_free)
+    is_free, note = cells == FREE, ""
+    saved = grey[::-1] == SAVED_UNKNOWN
+    if not negate and (saved & is_free).any() and (grey == SAVED_FREE).any():
+        is_free = is_free & ~saved
+        note = (
+            f"free_thresh = {free:g} makes nav2 drive over the grey {SAVED_UNKNOWN} that map_saver writes for "
+            "unknown cells; here they are unknown"
+        )
+    return OccupancyGrid(str(path), cells, resolution, (x, y, yaw), cells == OCCUPIED, is_free, note)
+
+
+def occupancy(
+    grey: FloatArray, is_opaque: BoolArray, mode: str, negate: bool, occupied_thresh: float, free_thresh: float
+) -> IntArray:
+    """Occupancy in per cent, -1 for unknown, `(H, W)`, of the pixels of a map.
+
+    Args:
+        grey: grey values from 0 to 255, `(H, W)`.
+        is_opaque: mask of the pixels that are not transparent, `(H, W)`.
+        mode: one of `MODES`.
+        negate: True if white is occupied.
+        occupied_thresh: least occupancy of an occupied cell, from 0 to 1.
+        free_thresh: greatest occupancy of a free cell, from 0 to 1.
+    """
+    if mode == "raw":
+        return np.where(grey <= OCCUPIED, grey, UNKNOWN).astype(np.int8)
+    # nav2 compares in single precision.
+    occupied, free = np.float32(occupied_thresh), np.float32(free_thresh)
+    value = grey.astype(np.float32) / np.float32(255.0)
+    value = value if negate else np.float32(1.0) - value
+    cells = np.where(value >= occupied, OCCUPIED, UNKNOWN)
+    if mode == "scale":
+        between = np.round((value - free) / (occupied - free) * 100.0)
+        cells = np.where((value > free) & (value < occupied), between, cells)
+    cells = np.where(value <= free, FREE, cells)
+    return np.where(is_opaque, cells, UNKNOWN).astype(np.int8)
+
+
+def _check_keys(keys: Mapping[str, Any]) -> None:
+    """Raise `InputError` if the keys of a file are not those of a map."""
+    lacking = [name for name in KEYS if name not in keys]
+    if lacking:
+        raise InputError(f"the key {lacking[0]} is missing, which nav2_map_server needs too.")
+
+
+def _negate(value: Any) -> bool:
+    if value not in (0, 1, True, False):
+        raise InputError(f"negate must be 0, 1, true or false, got {value!r}.")
+    return bool(value)
+
+
+def _beside(file: Path, image: Any) -> Path:
+    """Path of a picture, relative to its YAML file; an absolute path of another machine is looked for beside it."""
+    if not isinstance(image, str) or not image.strip():
+        raise InputError(f"image must be the path of the picture, got {image!r}.")
+    picture = file.parent / image
+    beside = file.parent / Path(image.replace("\\", "/")).name
+    return beside if not picture.exists() and beside.exists() else picture
+
+
+def _picture(path: Path) -> tuple[FloatArray, BoolArray]:
+    """Grey values from 0 to 255, and mask of the opaque pixels of a picture, `(H, W)` each; the first row is on top."""
+    Image = optional("PIL.Image", "analysis")  # noqa: N806 # a module
+    content = read_bytes(path, "image")
+    if not content or content.startswith(b"version https://git-lfs"):
+        kind = "a pointer of Git LFS: `git lfs pull` fetches the picture" if content else "empty"
+        raise InputError(f"image: {str(path)!r} cannot be read as a picture: it is {kind}.")
+    try:
+        with Image.open(io.BytesIO(content)) as picture:
+            if picture.width * picture.height > MOST_CELLS:
+                raise InputError(f"image: {str(path)!r} has {picture.width} x {picture.height} cells, more than 6e7.")
+            if picture.mode.startswith("I"):  # 16 bits
+                grey = np.round(np.asarray(picture, dtype=np.float64) / 257.0)
+                return grey.astype(np.uint8), np.ones(grey.shape, dtype=np.bool_)
+            if picture.mode == "P":
+                picture = picture.convert("RGBA" if "transparency" in picture.info else "RGB")
+            is_opaque = np.ones((picture.height, picture.width), dtype=np.bool_)
+            if "A" in picture.getbands():
+                is_opaque = np.asarray(picture.getchannel("A")) == 255
+            return np.asarray(picture.convert("L")), is_opaque
+    except InputError:
+        raise
+    except Exception as error:  # a decoder of a broken file may raise anything
+        reason = "its kind is not known" if type(error).__name__ == "UnidentifiedImageError" else error
+        raise InputError(f"image: {str(path)!r} cannot be read as a picture ({reason}).") from None

@@ -1,0 +1,106 @@
+"""Launch file of ROS 2 with a static transform from the frame of the map to each tag.
+
+Its frames have the names that apriltag_ros gives to detected tags, such as `tag36h11:7`, and its axes: x to the right,
+y up, z out of the tag. One container has all of the transforms, as a program for each would soon be more than a
+computer has participants of DDS.
+
+Sources: christianrauch/apriltag_ros, `pnp` and `child_frame_id`; `tf2_ros::StaticTransformBroadcasterNode`.
+"""
+
+import ast
+import re
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+
+from lmd.core.checks import InputError, vector
+from lmd.formats.placed_tag import PlacedTag, number_of, turn_by_quaternion
+from lmd.formats.tag_map import TagMap, written
+from lmd.scene.families import FAMILIES, family_named
+
+TAGS_OF_LAUNCH = re.compile(r"^TAGS = (\[\n(?:    \(.*\),\n)+\])$", re.MULTILINE)
+LAUNCH = '''"""Static transforms from the frame of the map to {count} tags.
+
+    ros2 launch ./{file} frame:=map
+
+The frame of a tag is named as apriltag_ros names it: x is to the right of the tag, y up, z out of it. A frame has one
+parent, so let the detector name what it sees otherwise (its parameter frames, as in tags.apriltag_ros2.yaml).
+"""
+
+from launch import LaunchDescription
+from launch.actions import DeclareLaunchArgument
+from launch.substitutions import LaunchConfiguration
+from launch_ros.actions import ComposableNodeContainer
+from launch_ros.descriptions import ComposableNode
+
+# The frame of each tag; x, y, z, metres; qx, qy, qz, qw from the frame of the tag to that of the map.
+TAGS = [
+{rows}
+]
+
+
+def generate_launch_description():
+    transforms = [
+        ComposableNode(
+            package="tf2_ros",
+            plugin="tf2_ros::StaticTransformBroadcasterNode",
+            name=frame.replace(":", "_"),
+            parameters=[
+                {{
+                    "frame_id": LaunchConfiguration("frame"),
+                    "child_frame_id": frame,
+                    "translation.x": x,
+                    "translation.y": y,
+                    "translation.z": z,
+                    "rotation.x": qx,
+                    "rotation.y": qy,
+                    "rotation.z": qz,
+                    "rotation.w": qw,
+                }}
+            ],
+        )
+        for frame, x, y, z, qx, qy, qz, qw in TAGS
+    ]
+    container = ComposableNodeContainer(
+        name="tags",
+        namespace="",
+        package="rclcpp_components",
+        executable="component_container",
+        composable_node_descriptions=transforms,
+    )
+    return LaunchDescription([DeclareLaunchArgument("frame", default_value="map"), container])
+'''
+
+
+def write_ros2_tf(path: Path, tags: TagMap) -> None:
+    """Write `tags.ros2_tf.launch.py`, which `ros2 launch` runs; its argument `frame` is the frame of the map."""
+    family = FAMILIES[tags.tag.family].apriltag or tags.tag.family
+    poses = np.hstack([tags.positions, written(tags.turns.as_quat(canonical=True))]).tolist()
+    rows = "\n".join(
+        f'    ("{family}:{number}", {", ".join(map(repr, pose))}),'
+        for number, pose in zip(tags.ids, poses, strict=True)
+    )
+    text = LAUNCH.format(count=len(tags.ids), file="tags.ros2_tf.launch.py", rows=rows)
+    path.write_text(text, encoding="utf-8")
+
+
+def read_launch(text: str) -> Iterator[PlacedTag]:
+    """The tags of a launch file that `write_ros2_tf` wrote, which is not run.
+
+    Raises:
+        InputError: a row is no frame with seven numbers.
+    """
+    found = TAGS_OF_LAUNCH.search(text)
+    try:
+        rows = ast.literal_eval("" if found is None else found[1])
+    except (ValueError, SyntaxError, MemoryError, RecursionError):
+        raise InputError("its TAGS must be a list of frames with seven numbers.") from None
+    for row in rows:
+        frame, *values = row
+        family, colon, number = str(frame).rpartition(":")
+        if not colon or not number.isdecimal():
+            raise InputError(f"the frame of a tag must be a family and a number, such as tag36h11:7, got {frame!r}.")
+        pose = np.array(vector(f"{frame}", values, 7))
+        turn = turn_by_quaternion(*pose[3:].tolist())
+        yield PlacedTag(number_of(int(number)), pose[:3], turn, None, family_named(family))

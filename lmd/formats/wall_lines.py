@@ -1,0 +1,156 @@
+"""Room that lines of walls enclose, as in a drawing."""
+
+from collections.abc import Iterator
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from lmd.core.checks import BoolArray, FloatArray, InputError, IntArray
+from lmd.formats.plans import ReadPlan, Stretch
+from lmd.formats.registry import File
+from lmd.space.polygon import edges
+
+# Half the thickness of lines, metres; walls move by it.
+LINE_M = 1e-4
+# Half the thickness of a wall that is a single line with the room on both sides, metres.
+PARTITION_M = 0.01
+# Greatest distance of a wall's face from the lines of walls, metres.
+NEAR_M = 0.011
+# Distance of the lines from the frame around them, metres.
+FRAME_M = 10.0
+# Growth of the box of a door or a window so that it meets its wall, metres.
+BOX_M = 0.05
+# Greatest width of a region that is the inside of a wall, metres.
+THICKEST_M = 0.5
+
+
+class Drawing(NamedTuple):
+    """Lines of a drawing, metres."""
+
+    walls: Any
+    """Lines of the walls, a shapely geometry."""
+    windows: Any
+    """Lines of the windows, which close gaps."""
+    boxes: list[tuple[str, Any]]
+    """Doors and windows that are blocks: `door` or `window`, and its box, a shapely polygon."""
+    unit: str
+    """Name of the unit."""
+    note: str
+    """Clause on the layers that are left out."""
+
+
+def plan_of(file: File, drawing: Drawing) -> ReadPlan:
+    """Find the room in a drawing, in its frame.
+
+    Gaps between walls are closed by the straight lines between their ends. The room is a region that no line crosses,
+    except those in the region, such as a pillar.
+
+    Args:
+        file: file; `asked` has `gap` and `start` of `read_plan_room`.
+        drawing: lines of the file.
+
+    Raises:
+        InputError: walls enclose no room.
+    """
+    import shapely
+
+    room, others = _enclosed(file, drawing)
+    room = room.buffer(LINE_M, join_style="mitre")
+    partitions = drawing.walls.intersection(room.buffer(-2.0 * LINE_M))
+    room = room.difference(partitions.buffer(PARTITION_M, cap_style="square", join_style="mitre"))
+    room = max(shapely.get_parts(room), key=lambda part: float(part.area))
+    room = shapely.orient_polygons(shapely.simplify(room, 4.0 * LINE_M))
+    rings = [np.array(room.exterior.coords[:-1]), *(np.array(ring.coords[:0:-1]) for ring in room.interiors)]
+    near = drawing.walls.buffer(NEAR_M)
+    stretches = [
+        Stretch(i, j, *span)
+        for i, ring in enumerate(rings)
+        for j, edge in enumerate(edges(ring))
+        for span in _openings(edge, near, drawing.boxes)
+    ]
+    note = "; ".join(filter(None, [drawing.note, others]))
+    return ReadPlan(rings, stretches, f"unit = {drawing.unit}", f"{file.path}: {note}" if note else "")
+
+
+def _enclosed(file: File, drawing: Drawing) -> tuple[Any, str]:
+    """Region of the room, a shapely polygon, and a clause on other regions."""
+    import shapely
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+
+    lines = shapely.union_all([drawing.walls, drawing.windows], grid_size=LINE_M)
+    solid = lines.buffer(LINE_M, cap_style="square", join_style="mitre")
+    low, high = np.array(lines.bounds[:2]) - FRAME_M, np.array(lines.bounds[2:]) + FRAME_M
+    free = shapely.box(*low, *high).difference(solid)
+    triangles = shapely.get_parts(shapely.constrained_delaunay_triangles(free))
+    corners = shapely.get_coordinates(triangles).reshape(-1, 4, 2)[:, :3]
+    first, second, length = _shared(corners)
+    count, gap = len(corners), file.asked["gap"]
+
+    def labelled(passable: BoolArray) -> IntArray:
+        pairs = (first[passable], second[passable])
+        graph = coo_array((np.ones(len(pairs[0])), pairs), shape=(count, count))
+        return np.asarray(connected_components(graph, directed=False)[1])
+
+    labels, area = labelled(length > gap), shapely.area(triangles)
+    areas = np.bincount(labels, area)
+    outside = labels[(corners == low).all(axis=2).any(axis=1)]
+    areas[outside] = 0.0
+    if file.asked["start"] is None:
+        chosen = int(np.argmax(areas))
+    else:
+        at = np.flatnonzero(shapely.covers(triangles, shapely.Point(file.asked["start"])))
+        chosen = int(labels[at[0]]) if len(at) else int(outside[0])
+    # Parts behind a short line that lead nowhere else, such as a niche, belong to the room.
+    is_small = (areas[labels] <= gap**2) & (labels != chosen) & ~np.isin(labels, outside)
+    clusters = labelled(is_small[first] & is_small[second])
+    beside = np.concatenate([np.stack([first, second], axis=1), np.stack([second, first], axis=1)])
+    leads = is_small[beside[:, 0]] & ~is_small[beside[:, 1]] & (labels[beside[:, 1]] != chosen)
+    meets = is_small[beside[:, 0]] & (labels[beside[:, 1]] == chosen)
+    pockets = np.setdiff1d(clusters[beside[meets, 0]], clusters[beside[leads, 0]])
+    inside = (labels == chosen) | (is_small & np.isin(clusters, pockets))
+    room = max(shapely.get_parts(shapely.union_all(triangles[inside])), key=lambda part: float(part.area))
+    if areas[chosen] == 0.0 or room.buffer(-THICKEST_M / 2.0).is_empty:
+        where = "the walls" if file.asked["start"] is None else f"start = {list(file.asked['start'])}: the walls"
+        raise InputError(
+            f"path: {where} of {str(file.path)!r} enclose no room; a gap is wider than gap = {gap:g}, or walls are in "
+            "another layer.",
+            "path",
+        )
+    areas[chosen] = 0.0
+    other = int(np.argmax(areas))
+    if areas[other] <= gap**2:
+        return room, ""
+    x, y = corners[np.flatnonzero(labels == other)[0]].mean(axis=0)
+    return room, f"a region of {areas[other]:.3g} m2 is left out: start = [{x:.2f},{y:.2f}] takes it"
+
+
+def _shared(corners: FloatArray) -> tuple[IntArray, IntArray, FloatArray]:
+    """Edges that two triangles `(T, 3, 2)` share: indices of both triangles, and lengths."""
+    sides = np.stack([corners, np.roll(corners, -1, axis=1)], axis=2).reshape(-1, 2, 2)
+    swap = (sides[:, 0, 0] > sides[:, 1, 0]) | ((sides[:, 0, 0] == sides[:, 1, 0]) & (sides[:, 0, 1] > sides[:, 1, 1]))
+    sides[swap] = sides[swap][:, ::-1]
+    order = np.lexsort(sides.reshape(-1, 4).T)
+    same = (sides[order[1:]] == sides[order[:-1]]).all(axis=(1, 2))
+    pairs = np.stack([order[:-1][same], order[1:][same]])
+    length = np.linalg.norm(sides[pairs[0], 1] - sides[pairs[0], 0], axis=1)
+    return pairs[0] // 3, pairs[1] // 3, length
+
+
+def _openings(edge: FloatArray, near: Any, boxes: list[tuple[str, Any]]) -> Iterator[tuple[float, float, str]]:
+    """Start, end and name of the parts of an edge without a wall, and of those at a door or a window."""
+    import shapely
+
+    line, spans = shapely.LineString(edge), []
+    for kind, box in [("", None), *boxes]:
+        met = line.difference(near) if box is None else line.intersection(box.buffer(BOX_M))
+        for part in shapely.get_parts(met)[~shapely.is_empty(shapely.get_parts(met))]:
+            ends = shapely.line_locate_point(line, shapely.points(part.coords))
+            if np.ptp(ends) > NEAR_M:
+                name = kind or next((each for each, other in boxes if other.intersects(part)), "opening")
+                spans.append((max(ends.min() - NEAR_M, 0.0), min(ends.max() + NEAR_M, line.length), name))
+    reached = -1.0
+    for start, stop, name in sorted(spans, key=lambda span: (span[0], -span[1])):
+        if stop > reached:
+            yield float(max(start, reached)), float(stop), name
+            reached = stop

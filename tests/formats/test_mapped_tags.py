@@ -1,0 +1,144 @@
+"""Maps of programs for mapping and localisation, against what their sources compute of them."""
+
+import copy
+
+import numpy as np
+import pytest
+from map_files import assert_is, reader
+from map_samples import CORNERS, HALF, KEYED, LANELET
+from numpy.testing import assert_allclose
+
+from lmd.core.checks import InputError
+
+
+@pytest.fixture
+def read(tmp_path):
+    return reader(tmp_path)
+
+
+def changed(name, change):
+    """A copy of a sample after a change of it in place."""
+    keys = copy.deepcopy(KEYED[name])
+    change(keys)
+    return keys
+
+
+def test_a_reconstruction_has_texts_and_its_quaternion_begins_with_w(read):
+    # computeMarkerCorners3D: (-w/2, -h/2, 0) is the first corner of AprilTag, its lower left one.
+    found = read(KEYED["visual marker mapping"], family="36h11")
+    assert_is(found, 7, [2, 0, 1.2], [0, -1, 0])
+    assert found.edges.tolist() == [0.1]
+    with pytest.raises(InputError, match=r"^family=36h11 is needed"):
+        read(KEYED["visual marker mapping"], family="16h5")
+    for key, value, message in (
+        ("height", "0.2", "tag 7: width = 0.1 and height = 0.2 must be equal"),
+        ("rotation", ["1", "1", "0", "0"], "must have length 1, it has 1.414"),
+        ("translation", ["here", "0", "0"], "translation must be a number, got 'here'"),
+    ):
+        with pytest.raises(InputError, match=message):
+            read(
+                changed(
+                    "visual marker mapping", lambda keys, k=key, v=value: keys["reconstructed_tags"][0].update({k: v})
+                )
+            )
+
+
+def test_pytagmapper_has_transforms_or_tags_that_lie(read):
+    found = read(KEYED["pytagmapper"])
+    assert found.ids.tolist() == [7, 8]
+    assert_allclose(found.normals, [[0, -1, 0]] * 2, atol=1e-12)
+    assert_allclose(found.ups, [[0, 0, 1]] * 2, atol=1e-12)
+    assert found.edges.tolist() == [0.1, 0.2]
+    # xytz_to_SE3 and xyt_to_SE2: a turn about z.
+    up = [-np.sin(0.5), np.cos(0.5), 0.0]
+    assert_is(read(KEYED["pytagmapper 2.5d"]), 7, [1, 2, 0.25], [0, 0, 1], up)
+    flat = {"tag_side_length": 0.1, "tag_locations": {"7": [1, 2, 0.5]}}  # without map_type, as of older versions
+    assert_is(read(flat), 7, [1, 2, 0], [0, 0, 1], up)
+    # OpenCV, by which it detects, has AprilTags the other way up.
+    assert_is(read(flat, family="36h11"), 7, [1, 2, 0], [0, 0, 1], [-up[0], -up[1], 0])
+    with pytest.raises(InputError, match=r"map_type must be 2d, 2\.5d or 3d, got '4d'"):
+        read(flat | {"map_type": "4d"})
+    with pytest.raises(InputError, match=r"tag_locations\.7 must be a list of 3 numbers"):
+        read(flat | {"tag_locations": {"7": [1, 2]}})
+    with pytest.raises(InputError, match="tag 7: yaw = 90 looks like degrees"):
+        read(flat | {"tag_locations": {"7": [1, 2, 90]}})
+
+
+def test_the_frame_of_a_marker_of_the_zed_has_x_out_of_it(read):
+    # A camera 2 m before marker 0, upright, has T = diag(1, -1, -1) and t = (0, 0, 2). As `ZedArucoLoc` multiplies:
+    pose = np.eye(4)
+    pose[:3, :3], pose[2, 3] = np.diag([1.0, -1.0, -1.0]), 2.0
+    image_to_aruco, ros_to_image = np.diag([-1.0, -1.0, 1.0, 1.0]), np.eye(4)
+    ros_to_image[:3, :3] = [[0, -1, 0], [0, 0, -1], [1, 0, 0]]
+    turned = image_to_aruco @ ros_to_image
+    camera = np.linalg.inv(turned) @ np.linalg.inv(image_to_aruco @ pose) @ turned
+    assert_allclose(camera[:3, 3], [2, 0, 0], atol=1e-12)  # before the marker along its x
+    assert_allclose(camera[:3, 2], [0, 0, 1], atol=1e-12)  # upright, as the marker is
+    keys = changed("zed", lambda keys: keys["marker_000"].update(orientation=[0.0, 0.0, 0.0]))
+    found = read({"/**": {"ros__parameters": keys}})
+    assert_is(found, 7, [2, 0, 1.2], [1, 0, 0])
+    assert found.edges.tolist() == [0.16]
+    with pytest.raises(InputError, match=r"marker_000\.position must be a list of 3 numbers"):
+        read(changed("zed", lambda keys: keys["marker_000"].update(position=[0.0])))
+
+
+def test_a_list_of_landmarks_leaves_open_where_the_axes_of_a_tag_point(read):
+    upright = [np.pi / 2, 0, 0]
+    keys = {"landmarks": [{"id": 7, "position": {"x": 2, "y": 0, "z": 1.2}, "orientation": upright}]}
+    found = read(keys)
+    assert_is(found, 7, [2, 0, 1.2], [0, -1, 0])
+    assert "the axes x, y, z of a tag point right, up, out, and axes can say otherwise" in found.note
+    quaternion = {
+        "landmarks": [{"id": 7, "size": 0.1, "pose": {"position": [2, 0, 1.2], "rotation": [HALF, 0, 0, HALF]}}]
+    }
+    assert_is(read(quaternion), 7, [2, 0, 1.2], [0, -1, 0])
+    assert read(quaternion).edges.tolist() == [0.1]
+    # With x out of the tag, z up: that of a roll of zero.
+    keys["landmarks"][0]["orientation"] = {"roll": 0, "pitch": 0, "yaw": -np.pi / 2}
+    assert_is(read(keys, axes=["out", "right", "up"]), 7, [2, 0, 1.2], [0, -1, 0])
+    for change, message in (
+        ({"orientation": [90, 0, 0]}, "tag 7: roll = 90 looks like degrees"),
+        ({"orientation": [1, 0]}, r"landmarks\[0\]: its orientation must be roll, pitch, yaw, rad, or x, y, z, w"),
+        ({"position": [1, "a", 0]}, r"landmarks\[0\]: position\[1\] must be a number, got 'a'"),
+    ):
+        with pytest.raises(InputError, match=message):
+            read({"landmarks": [keys["landmarks"][0] | change]})
+    with pytest.raises(InputError, match=r"landmarks\[0\] has no orientation or rotation or rpy; it has id, position"):
+        read({"landmarks": [{"id": 7, "position": [1, 2, 3]}]})
+
+
+def test_a_landmark_of_autoware_has_its_corners_from_the_lower_left_one_on(read):
+    found = read(LANELET, family="36h11")
+    assert_is(found, 7, [2.1, 0, 1.1], [0, -1, 0])
+    assert_allclose(found.edges, [0.2])
+    # The first corner is a twin of the last: a polygon that is closed.
+    assert_is(read(LANELET.replace('<nd ref="3"/>', '<nd ref="3"/><nd ref="0"/>')), 7, [2.1, 0, 1.1], [0, -1, 0])
+    # Axes of `LandmarkManager::parse_landmarks`: from the first to the second, from the second to the third.
+    v0, v1, v2, _ = np.array(CORNERS)
+    x, y = (v1 - v0) / np.linalg.norm(v1 - v0), (v2 - v1) / np.linalg.norm(v2 - v1)
+    assert_allclose([np.cross(x, y), y], [found.normals[0], found.ups[0]], atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("pose_marker", "line_thin", "without a way of the type pose_marker, so without tags"),
+        ('k="marker_id" v="7"', 'k="marker_id" v="none"', "marker_id must be the number of its tag, got 'none'"),
+        ('<nd ref="3"/>', "", "the way 5 must have four corners, it has 3"),
+        ('ref="3"', 'ref="9"', "the way 5: the node 9 of a corner is missing"),
+        ('k="ele" v="1.2"', 'k="ele" v="high"', "its node 2 must have local_x, local_y and ele, metres"),
+        ('k="local_x" v="2.2"', 'k="local_x" v="2.4"', "the marker 7 must be a square"),
+        ("<osm", "<gpx", "it cannot be read as XML"),
+        ("</osm>", "", "it cannot be read as XML"),
+    ],
+)
+def test_a_broken_landmark_of_autoware_is_refused(old, new, message, read):
+    with pytest.raises(InputError, match=message):
+        read(LANELET.replace(old, new))
+
+
+def test_other_xml_is_refused(read):
+    with pytest.raises(
+        InputError, match="it is XML with the element gpx, and Gazebo's sdf and Lanelet2's osm are read; write"
+    ):
+        read("<gpx></gpx>")
