@@ -16,7 +16,7 @@ LARGEST_ARRAY, DEEPEST = 256, 6
 ZIP, NUMPY, HDF5, MATLAB = b"PK\x03\x04", b"\x93NUMPY", b"\x89HDF", b"MATLAB 5.0"
 HDF5_AT = 512  # MATLAB writes a text before it
 PICKLE = (b"\x80\x02", b"\x80\x03", b"\x80\x04", b"\x80\x05")
-SAVEZ = "numpy.savez('camera.npz', mtx=mtx, dist=dist)"
+SAVEZ = "numpy.savez('lens.npz', mtx=mtx, dist=dist)"
 
 
 def arrays_of(path: Any, name: str, largest: float) -> Mapping[str, Any] | None:
@@ -38,7 +38,7 @@ def arrays_of(path: Any, name: str, largest: float) -> Mapping[str, Any] | None:
         raise InputError(f"{where} is a single array of NumPy, without the other half: write both by {SAVEZ}.", name)
     if start.startswith(HDF5) or content[HDF5_AT : HDF5_AT + 4] == HDF5:
         raise InputError(
-            f"{where} is a file of MATLAB's version 7.3: save('camera.mat', 'params', '-v7') with params = "
+            f"{where} is a file of MATLAB's version 7.3: save('lens.mat', 'params', '-v7') with params = "
             "toStruct(cameraParams).",
             name,
         )
@@ -81,6 +81,6 @@ def _mat(content: bytes, largest: float) -> dict[str, Any]:
     if not keys:
         raise InputError(
             "holds objects of MATLAB, which only MATLAB reads: params = toStruct(cameraParams) and "
-            "save('camera.mat', 'params', '-v7')."
+            "save('lens.mat', 'params', '-v7')."
         )
     return keys
