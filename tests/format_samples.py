@@ -8,6 +8,7 @@ import itertools
 import json
 
 import camera_samples
+import detection_samples
 import map_samples
 from camera_samples import LENS, MATRIX, NAMES, SCRIPT, SIZES
 from captured import ROOMS
@@ -270,7 +271,7 @@ SAMPLES = {
     "tag map": {name: json.dumps(keys) for name, keys in MAPS.items()} | MAP_TEXTS | map_samples.TEXTS,
     "room": {"room.obj": OBJ} | {f"{name}.json": json.dumps(keys) for name, keys in ROOMS.items()},
     "floor plan": {"map.yaml": json.dumps(KEYS | {"image": "map.pgm"}), "plan.dxf": DXF, "building.yaml": RMF},
-    "detections": {"table": DETECTED},
+    "detections": {"table": DETECTED} | detection_samples.SAMPLES,
 }
 
 

@@ -1,6 +1,6 @@
 """Files of detections by other programs: the formats, and the list of the images that were taken."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from decimal import Decimal
 from functools import cached_property
@@ -9,8 +9,16 @@ from typing import Any
 
 import numpy as np
 
-from lmd.core.checks import InputError
+from lmd.core.checks import FloatArray, InputError, IntArray
 from lmd.core.tables import in_order, read_table, time_of, write_table
+from lmd.formats.detection_readers import (
+    SeenTag,
+    documents_of,
+    has_results,
+    limelight,
+    photonvision,
+    visual_marker_mapping,
+)
 from lmd.formats.detections import DetectedTags, signed_area
 from lmd.formats.registry import File, Format, anything, read
 from lmd.geometry.camera import PIXEL_CENTRE
@@ -20,8 +28,9 @@ NAME, IMAGES = "detections", "images"  # arguments that paths come from
 CORNER_COLUMNS = tuple(f"{axis}{corner}" for corner in range(4) for axis in "xy")
 TIMES, CAMERAS = ("time", "stamp", "timestamp", "image"), ("camera", "topic", "cam", "camera_id")
 READ = (
-    f"what is read is a CSV with a row for each tag and the columns {' or '.join(TIMES)}, id, x0, y0, ..., x3, y3, the "
-    "corners clockwise from the tag's top left in OpenCV's pixels"
+    "what is read is JSON of PhotonVision, Limelight and Visual Marker Mapping, or a CSV with a row for each tag and "
+    f"the columns {' or '.join(TIMES)}, id, x0, y0, ..., x3, y3, the corners clockwise from the tag's top left in "
+    "OpenCV's pixels"
 )
 FROM_APRILTAG = [3, 2, 1, 0]
 # Columns of a header that has others are named if it lacks so few; else the header is shown, characters at most.
@@ -32,6 +41,19 @@ LEAST_AREA = 1.0
 
 class DetectionsFile(File):
     """A file of detections; its first line may name columns."""
+
+    @cached_property
+    def documents(self) -> list[Any] | None:
+        """The values of JSON, of the whole text or of its lines; None for another text.
+
+        Raises:
+            InputError: it begins as JSON, and is broken.
+        """
+        try:
+            return documents_of(self.text)
+        except (ValueError, RecursionError) as error:
+            reason = " ".join(str(error).split())[:SHOWN]
+            raise InputError(f"{self.argument}: {str(self.path)!r} is no JSON ({reason}).", self.argument) from None
 
     @cached_property
     def header(self) -> list[str]:
@@ -50,7 +72,9 @@ class DetectionsFile(File):
 
 
 def read_detections(path: Any) -> DetectedTags:
-    """Read `id,x0,y0,...,x3,y3`, corners clockwise from the top left in OpenCV's pixels, with `time`.
+    """Read JSON of `lmd.formats.detection_readers`, or `id,x0,y0,...,x3,y3` with `time`.
+
+    The corners of a table are clockwise from the top left in OpenCV's pixels.
 
     The time may be called `stamp` or `image`, and be any text, such as the name of a photograph.
 
@@ -76,10 +100,32 @@ def _read_csv(file: File) -> DetectedTags:
         raise InputError(f"{path} line {table.lines[wrong[0]]}: id is {text!r}, not a whole number from 0.", name)
     # Nanoseconds since 1970 have more digits than a float, so frames are told apart by what is written.
     moments = _as_first_written(table.texts[time])
-    place = {text: index for index, text in enumerate(in_order(moments))}
     names = sorted(set(table.texts[camera])) if camera else [""]
     cameras = np.searchsorted(names, table.texts[camera]) if camera else np.zeros(len(ids), dtype=np.int64)
     corners = values[:, 1:9].reshape(-1, 4, 2) + PIXEL_CENTRE
+    return _detections(path, name, moments, names, cameras, ids, corners)
+
+
+def _detections(
+    path: Any,
+    name: str,
+    moments: Sequence[str],
+    names: Sequence[str],
+    cameras: IntArray,
+    ids: IntArray,
+    corners: FloatArray,
+) -> DetectedTags:
+    """The detections that have an area, with corners from the tag's top left.
+
+    Args:
+        path, name: the file and its argument, for messages.
+        moments: times of their frames, equal for one frame.
+        names: what the cameras are called.
+        cameras: the camera of each.
+        ids: numbers of the tags.
+        corners: pixels from the border, in the order of OpenCV or of AprilTag, `(N, 4, 2)`.
+    """
+    place = {text: index for index, text in enumerate(in_order(moments))}
     if 2 * (signed_area(corners) < 0.0).sum() > len(corners):
         corners = corners[:, FROM_APRILTAG]
     usable = signed_area(corners) >= LEAST_AREA
@@ -88,6 +134,31 @@ def _read_csv(file: File) -> DetectedTags:
     frames = np.array([place[text] for text in moments])
     found = DetectedTags(tuple(place), tuple(names), frames, np.asarray(cameras, dtype=np.int64), ids, corners)
     return found.of(np.flatnonzero(usable))
+
+
+def _from_json(read_tags: Callable[[list[Any]], Iterator[SeenTag]]) -> Callable[[DetectionsFile], DetectedTags]:
+    """A reader of JSON."""
+
+    def read_json(file: DetectionsFile) -> DetectedTags:
+        where = f"{file.argument}: {str(file.path)!r}"
+        try:
+            seen = list(read_tags(file.documents or []))
+        except InputError as error:
+            raise InputError(f"{where} {error}.".replace("..", "."), file.argument) from None
+        except KeyError as error:
+            raise InputError(f"{where} lacks the key {str(error)[:SHOWN]}.", file.argument) from None
+        except (IndexError, TypeError, ValueError, AttributeError, ArithmeticError):
+            raise InputError(f"{where} has a value of another kind than its program writes.", file.argument) from None
+        if not seen:
+            raise InputError(f"{where} has no detection of a tag with corners.", file.argument)
+        names = sorted({tag.camera for tag in seen})
+        cameras, ids = (
+            np.array(of, dtype=np.int64) for of in zip(*((names.index(t.camera), t.number) for t in seen), strict=True)
+        )
+        corners = np.array([tag.corners for tag in seen])
+        return _detections(file.path, file.argument, [tag.time for tag in seen], names, cameras, ids, corners)
+
+    return read_json
 
 
 def _as_first_written(texts: Sequence[str]) -> list[str]:
@@ -162,9 +233,31 @@ FORMATS = (
     ),
     Format(
         "detections",
-        "JSON or YAML",
-        lambda file: file.first.lstrip().startswith(("{", "[")),
-        why_not="is JSON or YAML, and no CSV",
+        "PhotonVision",
+        has_results("targets"),
+        _from_json(photonvision),
+        row="PhotonVision (JSON, or a line for each result) | `PhotonPipelineResult` with `metadata` and "
+        "`detectedCorners`: a list, or one for each camera by name; of its AprilTag pipeline",
+    ),
+    Format(
+        "detections",
+        "Limelight",
+        has_results("Fiducial"),
+        _from_json(limelight),
+        row="Limelight (JSON, or a line for each result) | `Fiducial` with `pts`, which its pipeline must send",
+    ),
+    Format(
+        "detections",
+        "Visual Marker Mapping",
+        has_results("tag_observations"),
+        _from_json(visual_marker_mapping),
+        row="Visual Marker Mapping `marker_detections.json` | corners of `--do_corner_refinement`",
+    ),
+    Format(
+        "detections",
+        "other JSON",
+        lambda file: file.documents is not None,
+        why_not="is JSON without targets, Fiducial or tag_observations",
     ),
     Format(
         "detections",

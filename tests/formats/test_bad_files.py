@@ -6,6 +6,7 @@ import re
 import pytest
 from camera_samples import KINECT_CAMERA, MATLAB, METASHAPE, OAK, OAK_EXTRINSICS, REPORT
 from captured import MRUK, anchor, entity, rectangle, surface
+from detection_samples import CORNERS, LIMELIGHT, PHOTON, VMM
 from format_samples import FILES, MRCAL, READERS, SAMPLES, content
 
 from lmd.core.checks import InputError
@@ -197,14 +198,31 @@ BAD = {
         ("x,y,z,nx,ny,nz,edge\n1,0,1,0,1,0,\n2,0,1,0,1,0,-0.1\n", "edge must be positive metres, landmark 1 has -0.1"),
     ],
     "detections": [
-        ("id,x0,y0,x1,y1,x2,y2,x3,y3\n", "lacks the column time or stamp or timestamp or image; what is read is a CSV"),
+        ("id,x0,y0,x1,y1,x2,y2,x3,y3\n", "lacks the column time or stamp or timestamp or image; what is read is JSON"),
         (f"time,id,x0,y0,x1,y1,x2,y2,x3\n0,3,{SQUARE[:-3]}\n", "lacks the column y3; what is read"),
         (f"time,id,x0,y0,x1,y1,x2,y2,x3,y3\n0,3.5,{SQUARE}\n", "line 2: id is '3.5', not a whole number"),
         (f"time,id,x0,y0,x1,y1,x2,y2,x3,y3\n0,3,left{SQUARE[2:]}\n", "line 2: x0 is 'left', not a number"),
         ("", "is empty; what is read"),
-        ('[{"targets": [{"fiducialId": 18}]}]', "is JSON or YAML, and no CSV; what is read is a CSV"),
+        ('[{"targets": [{"fiducialId": 18}]}]', "has a result without captureTimestampMicros in its metadata"),
+        ([PHOTON[0] | {"targets": 3}], "has a value of another kind than its program writes"),
+        (VMM | {"tag_observations": [{}]}, "lacks the key 'observations'"),
+        (
+            '{"a": [1, 2]}',
+            "is JSON without targets, Fiducial or tag_observations; what is read is JSON of PhotonVision",
+        ),
+        ('{"a": [1, 2]', "is no JSON"),
+        ([PHOTON[0] | {"targets": []}], "has no detection of a tag with corners"),
+        (json.dumps(PHOTON).replace(": 18", ": 1.5"), "has the fiducialId 1.5, which is not a whole number"),
+        (
+            json.dumps(LIMELIGHT).replace(json.dumps(CORNERS), "[]"),
+            "has no corners, pts is empty: let the pipeline send",
+        ),
+        (json.dumps(LIMELIGHT).replace("10.0", "-10.0"), "has corners below 0: its pts count from the middle"),
+        (json.dumps(LIMELIGHT).replace('"ts"', '"t"'), "has a result without ts, so its time is not known"),
+        (json.dumps(LIMELIGHT).replace("[10.0, 20.0], ", "", 1), "must have four corners in pts, got [["),
+        (VMM | {"images": []}, "has an observation in the image 0, which is not among its images"),
         ("18\n10.0 20.0\n", "has no such columns in its first line, '18'; what is read"),
-        ("image,tag_id,corner,x,y\na.png,7,0,10,20\n", "has a row for each corner; what is read is a CSV"),
+        ("image,tag_id,corner,x,y\na.png,7,0,10,20\n", "has a row for each corner; what is read is JSON"),
         (f"time;id;x0;y0;x1;y1;x2;y2;x3;y3\n0;3;{SQUARE}\n", "has semicolons between its columns"),
         ("time,id,x0,y0,x1,y1,x2,y2,x3,y3\n0,3,1,1,1,1,1,1,1,1\n", "no detection with four corners"),
     ],

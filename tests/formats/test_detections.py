@@ -1,6 +1,9 @@
+import json
+
 import numpy as np
 import pyapriltags
 import pytest
+from detection_samples import LIMELIGHT, PHOTON, VMM
 
 from lmd.detection.detectors import AprilTagDetector, Detections
 from lmd.formats.detection_formats import read_detections, write_detections
@@ -100,3 +103,30 @@ def test_frames_of_a_detector_keep_their_places():
     assert found.times == ("a", "b", "c")
     assert found.frame.tolist() == [0, 0, 2, 2]
     assert found.ids.tolist() == [3, 5, 3, 5]
+
+
+ACROSS = np.array([[10.0, 10.0], [20.0, 10.0], [20.0, 20.0], [10.0, 20.0]])  # clockwise from the top left
+
+
+@pytest.mark.parametrize(
+    ("keys", "offset", "times"),
+    [
+        (PHOTON, 0.0, ("0.325917", "0.325918")),  # AprilTag 3 counts from the border
+        (LIMELIGHT, 0.0, ("1.3255",)),
+        (LIMELIGHT["Results"] | {"ts_us": 1325501}, 0.0, ("1.325501",)),
+        (VMM, 0.5, ("DSC1.JPG",)),  # cv2.cornerSubPix counts from the centre of the first pixel
+    ],
+)
+def test_json_of_other_programs(keys, offset, times, tmp_path):
+    found = read_detections(written(tmp_path, json.dumps(keys)))
+    assert (found.times, found.ids.tolist(), found.cameras) == (times, [18] * len(times), ("",))
+    shift = np.arange(len(times))[:, None, None] * [1.0, 0.0]
+    np.testing.assert_allclose(found.corners, ACROSS + offset + shift)
+
+
+def test_results_may_be_lines_and_have_cameras(tmp_path):
+    lines = "".join(json.dumps(result) + "\n" for result in PHOTON)
+    whole = read_detections(written(tmp_path, json.dumps(PHOTON)))
+    assert read_detections(written(tmp_path, lines)).times == whole.times
+    found = read_detections(written(tmp_path, json.dumps({"left": PHOTON, "right": PHOTON[:1]})))
+    assert (found.cameras, found.camera.tolist()) == (("left", "right"), [0, 0, 1])

@@ -1,0 +1,152 @@
+"""Detections by other programs in JSON: PhotonVision, Limelight, Visual Marker Mapping.
+
+PhotonVision's corners go counter-clockwise from the tag's bottom left; those of its AprilTag pipeline count from the
+border of the image, as AprilTag 3 does (of its ArUco pipeline, from the centre of the first pixel, which no file says).
+Limelight documents neither for fiducials: its corners are taken for AprilTag 3's. Visual Marker Mapping writes corners
+counter-clockwise from the bottom left, from the centre of the first pixel where `cv2.cornerSubPix` has refined them.
+
+Sources: `PhotonPipelineResult`, `PhotonTrackedTarget`, `TrackedTarget` and `PhotonArucoDetector`
+(PhotonVision/photonvision); "JSON Results Specification" of Limelight; `DetectionIO.cpp` and `TagDetector_Umich.cpp`
+(cfneuhaus/visual_marker_mapping).
+"""
+
+import json
+from collections.abc import Callable, Iterator, Mapping
+from decimal import Decimal
+from typing import Any, NamedTuple
+
+from lmd.core.checks import InputError, real, vector
+from lmd.geometry.camera import PIXEL_CENTRE
+
+MICROSECONDS, MILLISECONDS = Decimal(1_000_000), Decimal(1_000)  # per second
+# Times of a result of Limelight, in the order in which they are tried, and their units.
+LIMELIGHT_TIMES = (("ts_us", MICROSECONDS), ("ts", MILLISECONDS))
+SHOWN = 160  # characters of a message
+DEEPEST = 3  # names of cameras and lists around the results
+
+
+class SeenTag(NamedTuple):
+    """A detection."""
+
+    camera: str
+    """Name of the camera; empty if there is one."""
+    time: str
+    """Time of the frame, seconds, or its name."""
+    number: int
+    """Number of the tag."""
+    corners: list[tuple[float, ...]]
+    """Four corners in the order of the file, pixels from the border of the image, (x, y)."""
+
+
+def documents_of(text: str) -> list[Any] | None:
+    """The JSON of a text, or of each of its lines; None if it is none.
+
+    Raises:
+        ValueError, RecursionError: it begins as JSON, and is broken.
+    """
+    if not text.lstrip().startswith(("{", "[")):
+        return None
+    try:
+        return [json.loads(text)]
+    except ValueError as error:
+        lines = [line for line in text.splitlines() if line.strip()]
+        if len(lines) < 2 or not all(line.strip()[0] == "{" for line in lines):
+            raise error
+        return [json.loads(line) for line in lines]
+
+
+def _results(documents: Any, key: str, camera: str = "", depth: int = DEEPEST) -> Iterator[tuple[str, Any]]:
+    """The results within documents, with the names of their cameras: mappings that have a key."""
+    if isinstance(documents, Mapping):
+        if key in documents:
+            yield camera, documents
+        elif depth:
+            for name, inner in documents.items():
+                yield from _results(inner, key, camera if name == "Results" else str(name), depth - 1)
+    elif isinstance(documents, list):
+        for inner in documents:
+            yield from _results(inner, key, camera, depth - (depth < DEEPEST))
+
+
+def has_results(key: str) -> Callable[[Any], bool]:
+    """A test for files of results with a key."""
+    return lambda file: file.documents is not None and any(True for _ in _results(file.documents, key))
+
+
+def photonvision(documents: list[Any]) -> Iterator[SeenTag]:
+    """The AprilTags of PhotonVision's results; a time is that of the capture."""
+    for camera, result in _results(documents, "targets"):
+        time = _photon_time(result)
+        for target in result["targets"]:
+            number = target.get("fiducialId", -1)
+            corners = target.get("detectedCorners") or []
+            if number == -1 or not corners:
+                continue  # a shape, or an object
+            yield SeenTag(camera, time, _number("fiducialId", number), _corners("detectedCorners", corners, 0.0))
+
+
+def _photon_time(result: Mapping[str, Any]) -> str:
+    metadata = result.get("metadata")
+    known = (metadata, "captureTimestampMicros", MICROSECONDS), (result, "timestampSeconds", Decimal(1))
+    for keys, name, unit in known:
+        if isinstance(keys, Mapping) and name in keys and (time := real(name, keys[name])) >= 0.0:
+            return _seconds(keys[name], time, unit)
+    raise InputError("has a result without captureTimestampMicros in its metadata, so its time is not known")
+
+
+def _seconds(written: Any, time: float, unit: Decimal) -> str:
+    """A time as a text of seconds, whole numbers to the last digit."""
+    return f"{Decimal(written if isinstance(written, int) else repr(time)) / unit:f}"
+
+
+def limelight(documents: list[Any]) -> Iterator[SeenTag]:
+    """The fiducials of Limelight's results that have corners.
+
+    Raises:
+        InputError: none of the fiducials has corners, or these count from the middle of the image.
+    """
+    empty = False
+    found = False
+    for camera, result in _results(documents, "Fiducial"):
+        name, unit = next((pair for pair in LIMELIGHT_TIMES if pair[0] in result), ("", Decimal(1)))
+        if not name:
+            raise InputError("has a result without ts, so its time is not known")
+        time = _seconds(result[name], real(name, result[name]), unit)
+        for fiducial in result["Fiducial"]:
+            if not (points := fiducial.get("pts")):
+                empty = True
+                continue
+            corners = _corners("pts", points, 0.0)
+            if min(map(min, corners)) < 0.0:
+                raise InputError("has corners below 0: its pts count from the middle of the image")
+            found = True
+            yield SeenTag(camera, time, _number("fID", fiducial["fID"]), corners)
+    if empty and not found:
+        raise InputError("has no corners, pts is empty: let the pipeline send corners, and record again")
+
+
+def visual_marker_mapping(documents: list[Any]) -> Iterator[SeenTag]:
+    """The observations of Visual Marker Mapping, whose numbers are texts; a frame is called by its image."""
+    for _, keys in _results(documents, "tag_observations"):
+        images = {int(image["id"]): str(image["filename"]) for image in keys.get("images") or []}
+        for seen in keys["tag_observations"] or []:
+            corners = [[float(number) for number in corner] for corner in seen["observations"]]
+            number, image = int(seen["tag_id"]), int(seen["image_id"])
+            if image not in images:
+                raise InputError(f"has an observation in the image {image}, which is not among its images")
+            yield SeenTag("", images[image], _number("tag_id", number), _corners("observations", corners, PIXEL_CENTRE))
+
+
+def _number(name: str, value: Any) -> int:
+    number = real(name, value, low=0.0)
+    if number != int(number):
+        raise InputError(f"has the {name} {value!r}, which is not a whole number")
+    return int(number)
+
+
+def _corners(name: str, corners: Any, offset: float) -> list[tuple[float, ...]]:
+    """Four corners as pixels from the border; each is a pair, or a mapping with x and y."""
+    if not isinstance(corners, list) or len(corners) != 4:
+        raise InputError(f"must have four corners in {name}, got {corners!r}"[:SHOWN])
+    pairs = ([corner["x"], corner["y"]] if isinstance(corner, Mapping) else corner for corner in corners)
+    return [tuple(number + offset for number in vector(f"{name}[{i}]", pair, 2)) for i, pair in enumerate(pairs)]
