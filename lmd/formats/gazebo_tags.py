@@ -35,7 +35,7 @@ KNOWN_SIZE = (1.0, 1.0, 0.01)  # of these, metres
 PLAIN = "Gazebo/"  # begins the names of materials without a picture of a tag
 THIN = 0.2  # thickness of a plate, relative to its next larger side
 LYING = 0.99  # cosine of the turn of a plate that lies
-BESIDE = 1e-3  # metres before a side at which a body covers it
+BESIDE = (1e-6, 1e-3)  # metres before a side, at which a body that is there covers it
 # Right, up and out of the picture on the sides of a box, by the axis across the side and its sign, as columns.
 SIDES = {
     (0, 1): np.array([[0, 0, 1], [1, 0, 0], [0, 1, 0]], dtype=float),
@@ -57,14 +57,18 @@ def gazebo(root: Element, path: Any, axes: Sequence[str] | None) -> Found:
     Raises:
         InputError: there is none, or a tag is on a side that the file leaves open.
     """
-    bodies = [(seen, _numbers(seen.element, "geometry/box/size")) for seen in seen_in(root, path, "collision")]
-    boxes = [(seen.pose, size) for seen, size in bodies if size is not None and len(size) == 3]
+    visuals = list(seen_in(root, path, "visual"))
+    sized = [
+        (seen, _numbers(seen.element, "geometry/box/size")) for seen in (*visuals, *seen_in(root, path, "collision"))
+    ]
+    bodies = [(seen, size) for seen, size in sized if size is not None and len(size) == 3]
     tags, up = list[PlacedTag](), False
-    for seen in seen_in(root, path, "visual"):
+    for seen in visuals:
         named = _named(seen)
         if named is None:
             continue
         family, number = named
+        boxes = [(body.pose, size) for body, size in bodies if body is not seen]
         centre, turn, lies = _side(seen, number, boxes, axes)
         up |= lies
         tags.append(PlacedTag(number_of(number), centre, turn, None, family))
@@ -155,7 +159,7 @@ def _side(
     thin = int(np.argmin(size))
     sides = [(thin, 1), (thin, -1)]
     found = [(*_placed(seen, SIDES[side], float(size[thin]) / 2.0), side) for side in sides]
-    free = [one for one in found if not _covered(one[0] + BESIDE * one[1][:, 2], boxes)]
+    free = [one for one in found if not any(_covered(one[0] + by * one[1][:, 2], boxes) for by in BESIDE)]
     if len(free) == 1:
         return *free[0][:2], False
     upper = [one for one in found if one[1][2, 2] > LYING]

@@ -13,7 +13,7 @@ from lmd.core.checks import FloatArray, InputError, vector
 from lmd.formats.placed_tag import Keys, PlacedTag, edge_of, mapping, number_of, turn_by_angles, turn_by_quaternion
 from lmd.scene.families import family_named
 
-LISTS = ("landmarks", "markers", "tags", "apriltags", "aruco_markers")
+LISTS = ("landmarks", "markers", "tags", "apriltags", "aruco_markers", "tag_locations")
 IDS = ("id", "tag_id", "marker_id", "aruco_id")
 POSITIONS = ("position", "position_m", "translation", "xyz", "pos", "location")
 ANGLES = ("orientation", "rotation", "rpy", "orientation_rpy", "rotation_rpy", "euler", "angles")
@@ -53,13 +53,13 @@ def listed(keys: Keys) -> Iterable[PlacedTag]:
 def _list_of(keys: Keys) -> str | None:
     for name in LISTS:
         value = keys.get(name)
-        if isinstance(value, dict) and value and all(str(key).isdecimal() for key in value):
-            return name
-        if (
-            isinstance(value, list)
-            and value
-            and all(isinstance(one, dict) and _first(one, IDS) is not None for one in value)
-        ):
+        if isinstance(value, dict):
+            numbered, entries = all(str(key).isdecimal() for key in value), list(value.values())
+        else:
+            numbered, entries = False, value if isinstance(value, list) else []
+        if not entries or not all(isinstance(one, dict) for one in entries):
+            continue
+        if numbered or all(_first(one, IDS) is not None for one in entries):
             return name
     return None
 

@@ -71,6 +71,14 @@ def test_a_plate_on_a_body_shows_its_tag_away_from_it(pose, out, read):
     assert_is(found, 7, [x + 0.005 * out[0], 0.5, 1], out)
 
 
+def test_a_plate_with_a_back_shows_its_tag_in_front(read):
+    shape = f"<geometry><box><size>{UPRIGHT}</size></box></geometry>"
+    back = f"<visual name='back'><pose>-0.01 0 0 0 0 0</pose>{shape}</visual>"
+    text = world(plate("gate", "tag36h11_7", UPRIGHT, "3 0.5 1 0 0 0").replace("</link>", f"{back}</link>"))
+    assert_is(read(text), 7, [3.005, 0.5, 1], [1, 0, 0])
+    assert_is(read(text.replace("<sdf", "<!-- -- --><sdf")), 7, [3.005, 0.5, 1], [1, 0, 0])
+
+
 def test_a_free_upright_plate_is_asked_about(read):
     text = world(plate("gate", "tag36h11_7", UPRIGHT, "3 0.5 1 0 0 0"))
     with pytest.raises(

@@ -25,6 +25,7 @@ def read(tmp_path):
         {"markers": [{"marker_id": "7", "pose": {"position": PLACE, "orientation_xyzw": [HALF, 0, 0, HALF]}}]},
         {"markers": [{"id": 7, "x": 2, "y": 0, "z": 1.2, "roll": np.pi / 2, "pitch": 0, "yaw": 0}]},
         {"markers": {"7": {"x": 2, "y": 0, "z": 1.2, "qx": HALF, "qy": 0, "qz": 0, "qw": HALF}}},
+        {"tag_locations": [{"id": 7, "x": 2, "y": 0, "z": 1.2, "qx": HALF, "qy": 0, "qz": 0, "qw": HALF}]},
         {"apriltags": [{"id": 7, "xyz": PLACE, "orientation": {"x": HALF, "y": 0, "z": 0, "w": HALF}}]},
     ],
 )
