@@ -22,6 +22,8 @@ HEADS = {
 # The arguments that the rows name, and their keys in the configuration.
 KEYS = {
     "name": "camera.name",
+    "image_size": "camera.image_size",
+    "image_circle": "camera.image_circle",
     "distortion_model": "camera.distortion_model",
     "times": "poses.times",
     "rate": "poses.rate",

@@ -7,7 +7,9 @@ A format is added by a line: its file's name and a text. `tests/formats/test_bad
 import itertools
 import json
 
+import camera_samples
 import map_samples
+from camera_samples import LENS, MATRIX, NAMES, SCRIPT, SIZES
 from captured import ROOMS
 from occupancy_maps import KEYS, hall
 from PIL import Image
@@ -19,9 +21,6 @@ from lmd.formats.plans import read_plan_room
 from lmd.formats.tag_maps import read_deployment
 from lmd.formats.trajectories import TrajectoryFile
 
-MATRIX = [600.0, 0.0, 320.0, 0.0, 610.0, 240.0, 0.0, 0.0, 1.0]
-LENS = [-0.2, 0.05, 0.001, -0.002, 0.01]
-NAMES = dict(zip(["fx", "fy", "cx", "cy"], [600.0, 610.0, 320.0, 240.0], strict=True))
 BASALT = {
     "camera_type": "pinhole-radtan8",
     "intrinsics": NAMES | dict(zip(["k1", "k2", "p1", "p2", "k3"], LENS, strict=True)),
@@ -33,11 +32,6 @@ XML = """<?xml version="1.0"?>
 <data>600. 0. 320. 0. 610. 240. 0. 0. 1.</data></camera_matrix>
 <distortion_coefficients type_id="opencv-matrix"><data>-0.2 0.05 1e-3 -2e-3 0.01</data></distortion_coefficients>
 </opencv_storage>"""
-SCRIPT = {
-    "camera_matrix": [MATRIX[:3], MATRIX[3:6], MATRIX[6:]],
-    "distortion_coefficients": LENS,
-    "avg_reprojection_error": 0.2,
-}
 FILES = {
     "OpenCV XML": XML,
     "OpenCV 2": XML.replace("camera_matrix", "Camera_Matrix")
@@ -223,6 +217,10 @@ OBJ = "v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 1\nf 1 2 3\nf 1 3 4\nf 1 2 4\nf 2 3 4\n"
 DETECTED = "time,id,x0,y0,x1,y1,x2,y2,x3,y3\n0,1,10,10,20,10,20,20,10,20\n1,1,11,10,21,10,21,20,11,20\n"
 
 
+def read_camera(path):
+    return calibrated_camera(path, image_size=SIZES.get(path.name))
+
+
 def read_trajectory(path):
     untimed = path.name in ("kitti", "colmap")
     return TrajectoryFile(str(path), rate=10.0 if untimed else None).trajectory
@@ -259,7 +257,7 @@ def read_plan(path):
 
 
 READERS = {
-    "calibration": calibrated_camera,
+    "calibration": read_camera,
     "trajectory": read_trajectory,
     "tag map": lambda path: read_deployment(path, family="36h11"),
     "room": read_mesh,
@@ -267,10 +265,15 @@ READERS = {
     "detections": read_detections,
 }
 SAMPLES = {
-    "calibration": FILES | {name: json.dumps(keys) for name, keys in CALIBRATIONS.items()},
+    "calibration": FILES | {name: json.dumps(keys) for name, keys in CALIBRATIONS.items()} | camera_samples.SAMPLES,
     "trajectory": TRAJECTORIES,
     "tag map": {name: json.dumps(keys) for name, keys in MAPS.items()} | MAP_TEXTS | map_samples.TEXTS,
     "room": {"room.obj": OBJ} | {f"{name}.json": json.dumps(keys) for name, keys in ROOMS.items()},
     "floor plan": {"map.yaml": json.dumps(KEYS | {"image": "map.pgm"}), "plan.dxf": DXF, "building.yaml": RMF},
     "detections": {"table": DETECTED},
 }
+
+
+def content(sample):
+    """The bytes of a sample, which may be a text."""
+    return sample if isinstance(sample, bytes) else sample.encode()

@@ -10,10 +10,10 @@ from functools import partial
 
 import pytest
 from examples import SHARE
-from format_samples import READERS, SAMPLES
+from format_samples import READERS, SAMPLES, content
 
 from lmd.core.checks import InputError
-from lmd.formats.rigs import read_mount
+from lmd.formats.extrinsics import read_mount
 from lmd.scene.pdf import from_csv as read_pdf
 from lmd.survey.boards import Boards
 from lmd.survey.prior import MeasuredPoints
@@ -97,15 +97,22 @@ def changed(tree, rng):
     return tree
 
 
+def broken_bytes(data, rng):
+    """Bytes with a changed bit."""
+    changed_data = bytearray(data)
+    changed_data[rng.randrange(len(data))] ^= 1 << rng.randrange(8)
+    return bytes(changed_data)
+
+
 def broken(text, rng):
-    """A file of a text as bytes, with a change."""
+    """A file of a text or bytes as bytes, with a change."""
+    if isinstance(text, bytes):
+        return broken_bytes(text, rng)
     if text.startswith('{"') and rng.random() < 0.6:
         return json.dumps(changed(json.loads(text), rng)).encode()
     kind, place = rng.randrange(4), rng.randrange(len(text))
     if kind == 0:
-        content = bytearray(text.encode())
-        content[rng.randrange(len(content))] ^= 1 << rng.randrange(8)
-        return bytes(content)
+        return broken_bytes(text.encode(), rng)
     if kind == 1:
         return (text[:place] + text[place + rng.randrange(20) :]).encode()
     if kind == 2:
@@ -118,15 +125,14 @@ def broken(text, rng):
 def test_a_broken_file_is_read_or_refused_in_a_sentence(name, tmp_path):
     read, file, text = CASES[name]
     path = tmp_path / file
-    path.write_text(text)
+    path.write_bytes(content(text))
     read(path)
     rng = random.Random(name)
     for _ in range(BROKEN):
-        content = broken(text, rng)
-        path.write_bytes(content)
+        path.write_bytes(changed_file := broken(text, rng))
         try:
             read(path)
         except InputError:
             pass
         except Exception as error:
-            pytest.fail(f"{type(error).__name__}: {error}\nof {content!r}")
+            pytest.fail(f"{type(error).__name__}: {error}\nof {changed_file!r}")

@@ -1,11 +1,12 @@
 """The formats of calibrations, in the order in which they are tried."""
 
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from functools import cached_property
 from typing import Any
 from xml.etree.ElementTree import Element
 
+from lmd.formats.array_files import arrays_of
 from lmd.formats.calibration_readers import (
     COLMAP_CAMERA,
     KALIBR_CAMERA,
@@ -23,71 +24,42 @@ from lmd.formats.calibration_readers import (
     orb_slam,
     photonvision,
     stella_vslam,
+    within,
 )
+from lmd.formats.device_calibrations import azure_kinect, depthai, ftc
 from lmd.formats.opencv_calibrations import AS_ROS, has_matrix, opencv, opencv_xml, xml_of
+from lmd.formats.program_calibrations import (
+    caltech,
+    intrinsics_of_open3d,
+    is_matlab,
+    is_stereo_of_matlab,
+    kalibr_report,
+    matlab,
+    metashape,
+    nerf,
+    open3d,
+    visual_marker_mapping,
+)
+from lmd.formats.realsense_calibrations import is_realsense, realsense, realsense_text
+from lmd.formats.refused_calibrations import KEYS, ROOTS, STEREO, TEXTS
 from lmd.formats.registry import File, Format, anything, begins, has_keys
 
 # ROS's tools print one message after the other.
 FIRST_MESSAGE = re.compile(r"(?<=\n)---[ \t]*\n(?=header:)")
-TOPIC = "ros2 topic echo --once TOPIC/camera_info > info.yaml"
-_NUMBER = r"[-+]?\.?\d[-+.\deE]*"
-# By what the first characters hold.
-TEXTS = (
-    (
-        r"^Calibration results\s*$|^Camera-system parameters",
-        "it is Kalibr's report: the camchain*.yaml beside it is read",
-    ),
-    (
-        r"\A(\s*#.*\n)*\s*\[(LEFT|RIGHT)_CAM_",
-        f"it is the calibration that Stereolabs keeps of a ZED, for several resolutions: {TOPIC}, or {AS_ROS}",
-    ),
-    (r"\A\s*#?\s*oST version", "it is ROS's ost.txt: the ost.yaml beside it is read"),
-    (r"\A(\s*[#;].*\n)*\s*\[[^\]\n\"'{,]+\]\s*\n\s*[\w ]+=", f"it has sections and keys, as an INI file: {AS_ROS}"),
-    (
-        rf"\A(\s*#.*\n)*\s*{_NUMBER}([,;\s]+{_NUMBER})+\s*$",
-        f"it holds numbers without names, such as a camera's matrix alone: {AS_ROS}",
-    ),
-)
-# By the element that holds all others of an XML file.
-ROOTS = {
-    "Calibrations": (
-        "it holds webcams of FTC: of the one with the right size take focalLength as fx, fy, principalPoint as cx, cy, "
-        f"and {AS_ROS}"
-    ),
-    "root": f"it is a file such as ViSP's: of a model take px, py, u0, v0 as fx, fy, cx, cy, and {AS_ROS}",
-    "calibration": "it is Metashape's own calibration: export the camera as OpenCV's XML, which is read",
-}
-# By keys that only files of this kind have.
-KEYS = (
-    ({"cameraData"}, f"it is DepthAI's calibration of an OAK: {TOPIC}, or {AS_ROS}"),
-    ({"ppx", "ppy"}, f"it holds the intrinsics of a RealSense: {TOPIC}, or take ppx, ppy as cx, cy, and {AS_ROS}"),
-    (
-        {"fl_x"},
-        "it is a file of nerfstudio or instant-ngp: COLMAP's cameras.txt beside it is read (colmap model_converter "
-        f"--output_type TXT), or {AS_ROS}",
-    ),
-    (
-        {"vertical_resolution", "horizontal_resolution"},
-        f"it is a calibration of Visual Marker Mapping, with numbers as texts: {AS_ROS}",
-    ),
-    ({"sfm_data_version"}, f"it is a scene of OpenMVG: COLMAP's cameras.txt is read, or {AS_ROS}"),
-    ({"intrinsic_matrix"}, f"it is a camera of Open3D, whose matrix is written by columns: {AS_ROS}"),
-    ({"fx", "fy", "cx", "cy"}, f"it has fx, fy, cx, cy by themselves: {AS_ROS}"),
-)
-# Two matrices of one name with an end that tells them apart: M1 and M2, camera_matrix_left and camera_matrix_right.
-_ENDS = (("1", "2"), ("_1", "_2"), ("left", "right"), ("_left", "_right"), ("l", "r"), ("_l", "_r"), ("0", "1"))
-STEREO = [
-    {f"{name}{end}" for end in ends} for name in ("m", "k", "mtx", "cameramatrix", "camera_matrix") for ends in _ENDS
-]
 
 
 class CalibrationFile(File):
     """A calibration; its keys may be those of OpenCV's XML."""
 
     @cached_property
+    def arrays(self) -> Keys | None:
+        """The keys of a file of arrays; None for a text."""
+        return arrays_of(self.path, self.argument, self.largest)
+
+    @cached_property
     def text(self) -> str:
-        """The text, of several messages of ROS the first."""
-        return FIRST_MESSAGE.split(super().text)[0]
+        """The text, of several messages of ROS the first; empty for a file of arrays."""
+        return FIRST_MESSAGE.split(super().text)[0] if self.arrays is None else ""
 
     @cached_property
     def root(self) -> Element | None:
@@ -96,18 +68,20 @@ class CalibrationFile(File):
 
     @cached_property
     def keys(self) -> Keys:
-        """The keys of YAML, JSON or OpenCV's XML; those of a section `Camera` as `Camera.fx`, too.
+        """The keys of YAML, JSON, OpenCV's XML or arrays; those of a section `Camera` as `Camera.fx`, too.
 
         Raises:
             InputError: the text is neither.
         """
+        if self.arrays is not None:
+            return self.arrays
         keys = super().keys if self.root is None else opencv_xml(self.root)
         if isinstance(section := keys.get("Camera"), dict):  # stella_vslam's, as OpenVSLAM's with dots
             keys = {**keys, **{f"Camera.{name}": value for name, value in section.items()}}
         return keys
 
 
-def _marked(read: Callable[[Keys], dict[str, Keys]], name: str, *keys: str, row: str = "") -> Format:
+def _marked(read: Callable[[Keys], Mapping[str, Any]], name: str, *keys: str, row: str = "") -> Format:
     """A format that is recognised by keys that no other has."""
     return Format("calibration", name, has_keys(*keys), lambda file: read(file.keys), row=row)
 
@@ -121,6 +95,18 @@ def _has_root(tag: str) -> Callable[[CalibrationFile], bool]:
     return lambda file: (
         file.root is not None and file.root.tag == tag and file.root.find("*[@type_id='opencv-matrix']") is None
     )
+
+
+def _is_metashape(file: CalibrationFile) -> bool:
+    root = file.root
+    if root is None:
+        return False
+    return root.find("projection" if root.tag == "calibration" else ".//sensor/calibration") is not None
+
+
+def _frames_have(file: File, name: str) -> bool:
+    frames = file.keys.get("frames")
+    return isinstance(frames, list) and bool(frames) and isinstance(frames[0], dict) and name in frames[0]
 
 
 def _is_stereo(file: File) -> bool:
@@ -143,7 +129,41 @@ FORMATS = (
         lambda file: {"": mrcal(file.text)},
         row="mrcal `cameramodel` | pinhole, `OPENCV4` to `OPENCV12`",
     ),
+    Format(
+        "calibration",
+        "Kalibr's report",
+        begins(r"^Calibration results\s*$|^Camera-system parameters"),
+        lambda file: kalibr_report(file.text, file.asked),
+        row="Kalibr `results-cam.txt` | models as in its `camchain`; no size; `name=cam1`",
+    ),
+    Format(
+        "calibration",
+        "RealSense",
+        lambda file: 'Intrinsic of "' in file.text,
+        lambda file: realsense_text(file.text, file.asked),
+        row="RealSense: `rs-enumerate-devices -c` (text), `rs2_intrinsics` (JSON) | `name=Color/1280x720`, or "
+        '`image_size`; coefficients of "inverse Brown Conrady" that are not 0 need `distortion_model` '
+        "(`inverse_brown_conrady` as documented, `plumb_bob` as computed by librealsense and ROS)",
+    ),
     *(_refused(begins(mark), sentence) for mark, sentence in TEXTS),
+    Format(
+        "calibration",
+        "FTC",
+        _has_root("Calibrations"),
+        lambda file: ftc(file.root),
+        row="FTC `teamwebcamcalibrations.xml` | `name=Logitech:0x0825/640x480`, or `name=Logitech:0x0825` and "
+        "`image_size`",
+    ),
+    Format(
+        "calibration",
+        "Metashape",
+        lambda file: (
+            (file.root is not None and file.root.find(".//calibration/f/..") is not None) or _is_metashape(file)
+        ),
+        lambda file: metashape(file.root),
+        row="Metashape (XML): a camera's calibration, `cameras.xml`, or OpenCV's export | frame cameras and "
+        "fisheyes; `name=sensor0`",
+    ),
     *(_refused(_has_root(tag), sentence) for tag, sentence in ROOTS.items()),
     Format(
         "calibration",
@@ -202,13 +222,69 @@ FORMATS = (
     ),
     Format(
         "calibration",
+        "DepthAI",
+        has_keys("cameraData"),
+        lambda file: depthai(file.keys),
+        row="DepthAI: an OAK's calibration (JSON) | `name=CAM_A`; perspective with up to 12 coefficients, fisheye",
+    ),
+    Format(
+        "calibration",
+        "Azure Kinect",
+        has_keys("CalibrationInformation"),
+        lambda file: azure_kinect(file.keys),
+        row="Azure Kinect (JSON in its recordings) | `name=color/1280x720`, `depth/640x576`, or `image_size`; the end "
+        "of its image as `image_circle`",
+    ),
+    Format(
+        "calibration",
+        "RealSense",
+        lambda file: any(within(file.keys, is_realsense)),
+        lambda file: realsense(file.keys, file.asked),
+    ),
+    Format(
+        "calibration",
+        "MATLAB",
+        lambda file: any(within(file.keys, lambda keys: is_matlab(keys) or is_stereo_of_matlab(keys))),
+        lambda file: matlab(file.keys),
+        row="MATLAB: `toStruct(...)` as `.mat` (`-v7`) or by `jsonencode`; Caltech's `Calib_Results.mat` | of two "
+        "cameras `name=cam1` and `cam2` in Caltech's and `stereoParameters`",
+    ),
+    Format(
+        "calibration",
+        "Caltech",
+        lambda file: has_keys("fc", "cc")(file) or has_keys("fc_left")(file),
+        lambda file: caltech(file.keys),
+    ),
+    Format(
+        "calibration",
+        "nerfstudio",
+        lambda file: "fl_x" in file.keys or "camera_angle_x" in file.keys or _frames_have(file, "fl_x"),
+        lambda file: nerf(file.keys, file.asked),
+        row="nerfstudio, instant-ngp `transforms.json` | `OPENCV`, `OPENCV_FISHEYE`, pinholes; `name=cam0` where "
+        "frames differ",
+    ),
+    _marked(
+        visual_marker_mapping,
+        "Visual Marker Mapping",
+        *("horizontal_resolution", "vertical_resolution", "fx"),
+        row="Visual Marker Mapping `camera_intrinsics.json` | numbers as texts",
+    ),
+    Format(
+        "calibration",
+        "Open3D",
+        lambda file: bool(intrinsics_of_open3d(file.keys)) and not has_matrix(file.keys),
+        lambda file: open3d(file.keys),
+        row="Open3D `PinholeCameraIntrinsic`, trajectories (JSON) | matrices by columns",
+    ),
+    Format(
+        "calibration",
         "OpenCV",
         lambda file: has_matrix(file.keys),
         lambda file: {"": opencv(file.keys)},
         row=(
-            "OpenCV `FileStorage` (YAML, XML, JSON), scripts | `fisheye_model: 1`, `fisheye: true`, `model: fisheye` "
-            "or `DIM` for a fisheye; four coefficients without a word of the model need `distortion_model` "
-            "(`fisheye`, `plumb_bob`)"
+            "OpenCV `FileStorage` (YAML, XML, JSON), scripts, NumPy's `.npz` | `fisheye_model: 1`, `fisheye: true`, "
+            "`model: fisheye` or `DIM` for a fisheye; four coefficients without a word of the model need "
+            "`distortion_model` (`fisheye`, `plumb_bob`)"
         ),
     ),
     *(_refused(has_keys(*marks), sentence) for marks, sentence in KEYS),

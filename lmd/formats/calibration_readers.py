@@ -10,17 +10,19 @@ Lenses of other models are restated, see `lmd.geometry.central_models`.
 
 import ast
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
 from lmd.core.checks import InputError, vector
 from lmd.core.files import flat
 from lmd.formats.opencv_calibrations import model_of
 from lmd.geometry.camera import PIXEL_CENTRE
-from lmd.geometry.central_models import GOOD_PIXELS, MODELS, PINHOLE, restated
+from lmd.geometry.central_models import GOOD_PIXELS, MODELS, PINHOLE, Model, Restated, nearest_lens, restated
 from lmd.geometry.lens import EQUIDISTANT
 
 Keys = Mapping[str, Any]
+# Cameras by name, each in the keys of ROS, or a function that returns them or raises an error of this camera only.
+Cameras = dict[str, Keys | Callable[[], Keys]]
 COLMAP_CAMERA = re.compile(r"^\d+[ \t]+[A-Z_]+[ \t]+\d+[ \t]+\d+[ \t]+\S.*$", re.MULTILINE)
 # What the parameters of a model are, in the order of the file. "f" stands for fx and fy.
 COLMAP_MODELS = {
@@ -46,7 +48,9 @@ LENS_MODELS = {
     "radial-tangential": "plumb_bob",
     "brown_conrady": "plumb_bob",
 }
-NOTE = "(note)"  # among the keys of ROS: what to say of the lens
+# Among the keys of ROS: a sentence on the lens; the diameter of the round image, pixels; a frame and the pose of the
+# camera in it, `(4, 4)`, None if it is not known; true if the reader has taken the lens model that was asked for.
+NOTE, CIRCLE, POSE, ANSWERED = "(note)", "(image circle)", "(pose)", "(answered)"
 MRCAL = re.compile(r"\s*(#[^\n]*\n\s*)*\{\s*['\"]lensmodel['\"]\s*:")  # the first key
 MRCAL_LENSES = {"PINHOLE": 0, "OPENCV4": 4, "OPENCV5": 5, "OPENCV8": 8, "OPENCV12": 12}
 BROWN_CONRADY = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
@@ -55,10 +59,11 @@ FISHEYE_COEFFICIENTS = ("k1", "k2", "k3", "k4")
 CAMODOCAL_FISHEYE = {"fx": "mu", "fy": "mv", "cx": "u0", "cy": "v0", "k1": "k2", "k2": "k3", "k3": "k4", "k4": "k5"}
 CAMODOCAL_UNIFIED = {"fx": "gamma1", "fy": "gamma2", "cx": "u0", "cy": "v0"}
 KALIBR_CAMERA = re.compile(r"cam\d+")
+LONGEST = 64  # entries of a list or mapping that are searched for cameras
 LARGEST_LITERAL = 1 << 20  # characters; a literal of Python takes more memory than JSON
 
 
-def _ros(size: Any, matrix: Any, lens: Any, model: str | None = "plumb_bob") -> Keys:
+def ros_keys(size: Any, matrix: Any, lens: Any, model: str | None = "plumb_bob") -> Keys:
     """The keys of ROS; `size` and `model` are None where the file does not say; `matrix` has nine numbers."""
     matrix, lens = (flat(values) if isinstance(values, list) else values for values in (matrix, lens))
     keys = {"camera_matrix": {"data": matrix}, "distortion_coefficients": {"data": lens}}
@@ -66,7 +71,7 @@ def _ros(size: Any, matrix: Any, lens: Any, model: str | None = "plumb_bob") -> 
     return keys | {name: value for name, value in named if value is not None}
 
 
-def _section(keys: Any, name: str) -> Keys:
+def section(keys: Any, name: str) -> Keys:
     """The keys within a key, or an `InputError`."""
     if not isinstance(keys, Mapping) or name not in keys:
         raise InputError(f"the key {name} is missing.")
@@ -75,15 +80,15 @@ def _section(keys: Any, name: str) -> Keys:
     return section
 
 
-def _list(keys: Any, name: str) -> list[Any]:
+def entries(keys: Any, name: str) -> list[Any]:
     """The list of a key, or an `InputError`."""
     if not isinstance(keys, Mapping) or not isinstance(values := keys.get(name), list):
         raise InputError(f"the key {name} must be a list.")
     return values
 
 
-def _camera(prefix: str, camera: Any, lens: str = "distortion_coeffs") -> Keys:
-    """One camera of a chain; the prefix is for messages."""
+def camera_of_chain(prefix: str, camera: Any, lens: str = "distortion_coeffs") -> Keys:
+    """One camera of a chain; the prefix is for messages. A resolution of None is not known."""
 
     def entry(key: str) -> Any:
         if not isinstance(camera, Mapping) or key not in camera:
@@ -99,30 +104,33 @@ def _camera(prefix: str, camera: Any, lens: str = "distortion_coeffs") -> Keys:
     names = (*own, *PINHOLE)
     values = dict(zip(names, vector(f"{prefix}intrinsics", entry("intrinsics"), len(names)), strict=True))
     coefficients = entry(lens) if model != "none" else []
-    size = vector(f"{prefix}resolution", entry("resolution"), 2)
+    resolution = entry("resolution")
+    if resolution is None and own:
+        raise InputError("image_width or image_height is missing: give image_size, [width, height] in pixels.")
+    size = (None, None) if resolution is None else vector(f"{prefix}resolution", resolution, 2)
     if not own:
-        return _ros(size, _matrix(values), coefficients, model)
+        return ros_keys(size, _matrix(values), coefficients, model)
     if coefficients:
         values |= zip(BROWN_CONRADY, vector(f"{prefix}{lens}", coefficients, 4), strict=False)
-    return _central(size, values, projection)
+    return central(size, values, projection)
 
 
 def euroc(keys: Keys) -> dict[str, Keys]:
     """The camera of EuRoC's `sensor.yaml`."""
-    return {"": _camera("", keys, "distortion_coefficients")}
+    return {"": camera_of_chain("", keys, "distortion_coefficients")}
 
 
 def okvis(keys: Keys) -> dict[str, Keys]:
     """The cameras of OKVIS and OKVIS2."""
     cameras = {}
-    for index, camera in enumerate(_list(keys, "cameras")):
+    for index, camera in enumerate(entries(keys, "cameras")):
         if not isinstance(camera, Mapping):
             raise InputError(f"cameras[{index}] must have keys, got {camera!r}.")
         (fx, fy), (cx, cy) = (vector(name, camera[name], 2) for name in ("focal_length", "principal_point"))
         model = known_lens(camera["distortion_type"], ("radialtangential", EQUIDISTANT))
         model, lens = "plumb_bob" if model != EQUIDISTANT else model, camera["distortion_coefficients"]
         matrix = [fx, 0.0, cx, 0.0, fy, cy, 0.0, 0.0, 1.0]
-        cameras[f"cam{index}"] = _ros(camera["image_dimension"], matrix, lens, model)
+        cameras[f"cam{index}"] = ros_keys(camera["image_dimension"], matrix, lens, model)
     return cameras
 
 
@@ -132,28 +140,57 @@ def camodocal(keys: Keys) -> dict[str, Keys]:
     model, size = known_lens(keys["model_type"], known), (keys["image_width"], keys["image_height"])
     values: dict[str, Any] = {}
     for name in ("projection_parameters", "distortion_parameters", "mirror_parameters"):
-        values |= _section(keys, name) if name in keys else {}
+        values |= section(keys, name) if name in keys else {}
     values |= {name: values[theirs] for name, theirs in known[model].items()}
-    return {"": _central(size, values, "omni") if model == "MEI" else _named(size, values, model == "KANNALA_BRANDT")}
+    return {"": central(size, values, "omni") if model == "MEI" else named(size, values, model == "KANNALA_BRANDT")}
 
 
-def _named(size: Any, values: Keys, fisheye: bool) -> Keys:
+def named(size: Any, values: Keys, fisheye: bool) -> Keys:
     """The keys of ROS from parameters by name: fx, fy, cx, cy, k1, ..."""
     lens = [values.get(name, 0.0) for name in (FISHEYE_COEFFICIENTS if fisheye else BROWN_CONRADY)]
-    return _ros(size, _matrix(values), lens, EQUIDISTANT if fisheye else "plumb_bob")
+    return ros_keys(size, _matrix(values), lens, EQUIDISTANT if fisheye else "plumb_bob")
 
 
 def _matrix(values: Keys) -> list[float]:
     return [values["fx"], 0.0, values["cx"], 0.0, values["fy"], values["cy"], 0.0, 0.0, 1.0]
 
 
-def _central(size: Any, values: Keys, model: str) -> Keys:
+def central(size: Any, values: Keys, model: str) -> Keys:
     """The keys of ROS from the parameters of a model that is restated, by name: fx, fy, cx, cy, xi, ..., k1, ..."""
-    lens = restated(model, values, size)
+    return _noted(restated(model, values, size), size, f"of the model {model}")
+
+
+def fitted(model: Model, focal: Any, centre: Any, size: Any, name: str, guess: Sequence[float]) -> Keys:
+    """The keys of ROS from a model that is restated, see `nearest_lens`; the name is for a note."""
+    return _noted(nearest_lens(model, focal, centre, size, guess), size, name)
+
+
+def _noted(lens: Restated, size: Any, name: str) -> Keys:
     pinhole = zip(PINHOLE, (*lens.focal_pixels, *lens.principal_point), strict=True)
-    keys = _ros(size, _matrix(dict(pinhole)), list(lens.coefficients), lens.model)
-    off = f"its lens of the model {model} is taken for {lens.model}, which is up to {lens.worst:.2f} pixels off"
+    keys = ros_keys(size, _matrix(dict(pinhole)), list(lens.coefficients), lens.model)
+    off = f"its lens {name} is taken for {lens.model}, which is up to {lens.worst:.2f} pixels off"
     return {**keys, NOTE: off} if lens.worst > GOOD_PIXELS else keys
+
+
+def within(keys: Any, wanted: Any, name: str = "", depth: int = 4) -> Iterable[tuple[str, Keys]]:
+    """The mappings within keys that are wanted, by the keys above them with `/` between; not those in long lists."""
+    if isinstance(keys, Mapping) and wanted(keys):
+        yield name, keys
+    elif depth and isinstance(keys, Mapping | list) and len(keys) <= LONGEST:
+        inner = keys.items() if isinstance(keys, Mapping) else enumerate(keys)
+        for key, value in inner:
+            yield from within(value, wanted, f"{name}/{key}" if name else str(key), depth - 1)
+
+
+def matrix_of(name: str, values: Any) -> tuple[float, ...]:
+    """The nine numbers of a matrix, which may be a list of rows."""
+    return vector(name, flat(values) if isinstance(values, list) else values, 9)
+
+
+def row_by_row(name: str, values: Any) -> tuple[float, ...]:
+    """The matrix of a camera row by row, from its nine numbers by rows or by columns; the last row is 0, 0, 1."""
+    matrix = matrix_of(name, values)
+    return tuple(matrix[3 * (i % 3) + i // 3] for i in range(9)) if matrix[6] or matrix[7] else matrix
 
 
 def known_lens(model: Any, known: Iterable[str]) -> str:
@@ -182,7 +219,7 @@ def colmap(rows: list[str]) -> dict[str, Keys]:
             values["fx"] = values["fy"] = values["f"]
         for centre in ("cx", "cy"):
             values[centre] -= PIXEL_CENTRE
-        cameras[f"cam{name}"] = _named((int(width), int(height)), values, model.endswith("FISHEYE"))
+        cameras[f"cam{name}"] = named((int(width), int(height)), values, model.endswith("FISHEYE"))
     return cameras
 
 
@@ -197,37 +234,39 @@ def mrcal(text: str) -> Keys:
         raise InputError(f"it is no cameramodel of mrcal ({reason or type(error).__name__}).") from None
     size = MRCAL_LENSES[known_lens(str(keys["lensmodel"]).removeprefix("LENSMODEL_"), MRCAL_LENSES)]
     fx, fy, cx, cy, *lens = vector("intrinsics", keys["intrinsics"], 4 + size)
-    return _ros(keys["imagersize"], [fx, 0.0, cx, 0.0, fy, cy, 0.0, 0.0, 1.0], lens or [0.0] * 4)
+    return ros_keys(keys["imagersize"], [fx, 0.0, cx, 0.0, fy, cy, 0.0, 0.0, 1.0], lens or [0.0] * 4)
 
 
 def message(keys: Keys) -> dict[str, Keys]:
     """The camera of ROS's message."""
     matrix, lens = (keys[name] if name in keys else keys[name.lower()] for name in "KD")
     model = model_of({key.lower(): value for key, value in keys.items()}, {"data": lens})
-    return {"": _ros((keys["width"], keys["height"]), matrix, lens, model)}
+    return {"": ros_keys((keys["width"], keys["height"]), matrix, lens, model)}
 
 
 def photonvision(keys: Keys) -> dict[str, Keys]:
     """The camera of PhotonVision and WPIcal."""
-    size, matrix, lens = (_section(keys, name) for name in ("resolution", "cameraIntrinsics", "distCoeffs"))
-    return {"": _ros((size["width"], size["height"]), matrix["data"], lens["data"])}
+    size, matrix, lens = (section(keys, name) for name in ("resolution", "cameraIntrinsics", "distCoeffs"))
+    return {"": ros_keys((size["width"], size["height"]), matrix["data"], lens["data"])}
 
 
 def frc971(keys: Keys) -> dict[str, Keys]:
     """The camera of frc971."""
     size = keys.get("image_width"), keys.get("image_height")  # which it does not say
-    return {"": _ros(size, keys["intrinsics"], keys["dist_coeffs"], keys.get("distortion_model"))}
+    return {"": ros_keys(size, keys["intrinsics"], keys["dist_coeffs"], keys.get("distortion_model"))}
 
 
 def basalt(keys: Keys) -> dict[str, Keys]:
     """The cameras of Basalt."""
     known = {"pinhole": False, "pinhole-radtan8": False, "kb4": True, "ds": None, "eucm": None}
     cameras = {}
-    inner = _section(keys, "value0")
-    for index, (camera, size) in enumerate(zip(_list(inner, "intrinsics"), _list(inner, "resolution"), strict=True)):
-        values, fisheye = _section(camera, "intrinsics"), known[model := known_lens(camera["camera_type"], known)]
+    inner = section(keys, "value0")
+    for index, (camera, size) in enumerate(
+        zip(entries(inner, "intrinsics"), entries(inner, "resolution"), strict=True)
+    ):
+        values, fisheye = section(camera, "intrinsics"), known[model := known_lens(camera["camera_type"], known)]
         size = vector("resolution", size, 2)
-        cameras[f"cam{index}"] = _central(size, values, model) if fisheye is None else _named(size, values, fisheye)
+        cameras[f"cam{index}"] = central(size, values, model) if fisheye is None else named(size, values, fisheye)
     return cameras
 
 
@@ -236,7 +275,7 @@ def orb_slam(keys: Keys) -> dict[str, Keys]:
     known = {"PinHole": False, "KannalaBrandt8": True, "Rectified": False}
     fisheye = known[known_lens(keys.get("Camera.type", "PinHole"), known)]
     values = {key.split(".", 1)[1]: value for key, value in keys.items() if re.match(r"Camera1?\.", key)}
-    return {"": _named((values.get("width"), values.get("height")), values, fisheye)}
+    return {"": named((values.get("width"), values.get("height")), values, fisheye)}
 
 
 def stella_vslam(keys: Keys) -> dict[str, Keys]:
@@ -244,10 +283,10 @@ def stella_vslam(keys: Keys) -> dict[str, Keys]:
     known = {"perspective": False, "fisheye": True}
     fisheye = known[known_lens(keys["Camera.model"], known)]
     values = {key.removeprefix("Camera."): value for key, value in keys.items()}
-    return {"": _named((values.get("cols"), values.get("rows")), values, fisheye)}
+    return {"": named((values.get("cols"), values.get("rows")), values, fisheye)}
 
 
 def kalibr(keys: Keys, only: str | None) -> dict[str, Keys]:
     """The cameras of Kalibr's chain, or the one that is asked for."""
     chain = {name: keys[name] for name in keys if KALIBR_CAMERA.fullmatch(name)}
-    return {name: _camera(f"{name}.", chain[name]) for name in ([only] if only in chain else chain)}
+    return {name: camera_of_chain(f"{name}.", chain[name]) for name in ([only] if only in chain else chain)}

@@ -5,14 +5,14 @@ say only the principal point changes.
 """
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from typing import Any
 
 from lmd.core.checks import InputError, check_fields, integer, real, said_of, vector
 from lmd.formats.calibration_formats import CalibrationFile
-from lmd.formats.calibration_readers import LENS_MODELS, NOTE, known_lens
-from lmd.formats.opencv_calibrations import AS_ROS
+from lmd.formats.calibration_readers import ANSWERED, CIRCLE, LENS_MODELS, NOTE, Cameras, known_lens
 from lmd.formats.registry import read
 from lmd.geometry.camera import PIXEL_CENTRE, Camera
 from lmd.geometry.lens import lens_of
@@ -33,6 +33,7 @@ class Calibration:
         focal_pixels: (f / s_u, f / s_v).
         principal_point: (c_x, c_y), from the centre of the first pixel, as OpenCV counts.
         distortion, distortion_model: of the lens, see `lmd.geometry.lens.Lens`.
+        image_circle: diameter of the round image, pixels; infinite if the file does not say it.
         note: what whoever uses it should know of where it was read.
 
     Raises:
@@ -45,6 +46,7 @@ class Calibration:
     principal_point: tuple[float, ...]
     distortion: tuple[float, ...] = ()
     distortion_model: str = "plumb_bob"
+    image_circle: float = math.inf
     note: str = field(default="", compare=False)
 
     def __post_init__(self) -> None:
@@ -60,6 +62,8 @@ class Calibration:
             )
         lens = lens_of(self.distortion_model, self.distortion)
         object.__setattr__(self, "distortion", () if lens is None else lens.coefficients)
+        if lens is None:
+            object.__setattr__(self, "image_circle", math.inf)  # the image of a pinhole has no end
 
     def camera(self, focal_length: float | None = None, aperture: float | None = None, **lens: float) -> Camera:
         """The camera; without an aperture a pinhole, whose images are sharp at any depth.
@@ -79,6 +83,8 @@ class Calibration:
         length = 1.0 if focal_length is None else real("focal_length", focal_length, above=0.0)
         width, height = (length / pixels for pixels in self.focal_pixels)
         u, v = (centre + PIXEL_CENTRE for centre in self.principal_point)
+        if lens.get("image_circle", math.inf) == math.inf:
+            lens["image_circle"] = self.image_circle
         return Camera(
             focal_length=length,
             pixel_width=width,
@@ -127,10 +133,11 @@ def read_calibration(
     """Read a file of one of the formats of `lmd.formats.calibration_formats`.
 
     Args:
-        name: the camera in a file with several, such as `cam1` of Kalibr; not needed where there is only one.
+        name: the camera in a file with several, such as `cam1` of Kalibr; not needed where there is only one. Of names
+            such as `color/1280x720` the part before `/` is enough with `image_size`.
         image_size: width and height, pixels; needed where the file has none.
         distortion_model: of the lens, where the file names none, as OpenCV's scripts do: `fisheye` for its fisheye;
-            needed where there are four coefficients.
+            needed where there are four coefficients, and for RealSense's "inverse Brown Conrady".
 
     Raises:
         InputError: the file cannot be read, a key is missing or wrong, the size or the model is another than that of
@@ -138,44 +145,75 @@ def read_calibration(
     """
     if path is None:
         raise InputError("path is missing: a calibration file is needed.", "path")
-    restated = read_cameras(path, name)
-    if not restated:
-        raise InputError(f"path: {path} has no camera in its list.", "path")
-    cameras = [key for key in restated if key]
-    if name is None and len(cameras) > 1:
-        raise InputError(f"name must be given: {path} has the cameras {', '.join(cameras)}.", "name")
-    if name is not None and name not in cameras:
-        raise InputError(f"name = {name!r} is no camera of {path}, which has {', '.join(cameras) or 'one'}.", "name")
-    chosen = name or (cameras[0] if cameras else "")
     size = None if image_size is None else vector("image_size", image_size, 2, above=0.0)
+    restated = read_cameras(path, name, size, distortion_model)
+    chosen = _chosen(path, list(restated), name, size)
+    keys = keys_of(path, restated[chosen])
     with said_of(path, known=("distortion_model",)):
-        found = _calibration(path, restated[chosen], size, distortion_model)
+        found = _calibration(path, keys, size, distortion_model)
     if size not in (None, known := (found.image_width, found.image_height)):
         raise InputError(f"image_size must be {list(known)}, as {path} has it, got {list(size)}.", "image_size")
     return replace(found, note=f"{path}: {found.note}") if found.note else found
 
 
-def read_cameras(path: Any, only: str | None = None) -> dict[str, Mapping[str, Any]]:
+def _chosen(path: str, names: list[str], name: str | None, size: tuple[float, ...] | None) -> str:
+    """The camera that is asked for: by its name, or by the part before `/` and the size, which ends some names."""
+    if not names:
+        raise InputError(f"path: {path} has no camera in its list.", "path")
+    cameras = [key for key in names if key]
+    if name in cameras:
+        return str(name)
+    left = cameras if name is None else [key for key in cameras if key.startswith(f"{name}/")]
+    if name is not None and not left:
+        raise InputError(f"name = {name!r} is no camera of {path}, which has {', '.join(cameras) or 'one'}.", "name")
+    if size is not None and (sized := [key for key in left if f"/{size[0]:.0f}x{size[1]:.0f}" in key]):
+        left = sized
+    if len(left) > 1:
+        raise InputError(f"name must be given: {path} has the cameras {', '.join(left)}.", "name")
+    return left[0] if left else ""
+
+
+def read_cameras(
+    path: Any, only: str | None = None, image_size: Any = None, distortion_model: str | None = None
+) -> Cameras:
     """Read the cameras of a file by name, each in the keys of ROS; one without a name is called "".
 
     Args:
         path: the file, at most `LARGEST` bytes.
         only: the camera of a chain that is asked for: the lenses of others may be of any model.
+        image_size, distortion_model: see `read_calibration`.
 
     Raises:
         InputError: the file cannot be read, a key is missing, or the lens is of a model that is not known here.
     """
+    asked = {"name": only, "image_size": image_size, "distortion_model": distortion_model}
+    with _damaged(path):
+        cameras: Cameras = read("calibration", CalibrationFile(path, asked=asked, largest=LARGEST))
+    return cameras
+
+
+def keys_of(path: Any, camera: Mapping[str, Any] | Callable[[], Mapping[str, Any]]) -> Mapping[str, Any]:
+    """The keys of ROS of a camera of `read_cameras`; the path is for messages."""
+    if isinstance(camera, Mapping):
+        return camera
+    with _damaged(path):
+        return camera()
+
+
+@contextmanager
+def _damaged(path: Any) -> Iterator[None]:
+    """Errors of readers as sentences that name the file."""
     try:
-        cameras: dict[str, Mapping[str, Any]] = read(
-            "calibration", CalibrationFile(path, asked={"name": only}, largest=LARGEST)
-        )
+        yield
     except InputError as error:
-        if str(path).endswith((".npz", ".npy")):
-            raise InputError(f"path: {str(path)!r} is a file of NumPy: {AS_ROS}.", "path") from None
-        raise error if error.argument == "path" else InputError(f"{path}: {error}") from None
+        if error.argument == "path":
+            raise
+        if error.argument == "distortion_model":  # a message begins with its argument
+            what, _, why = str(error).partition(": ")
+            raise InputError(f"{what}: {path}: {why}", error.argument) from None
+        raise InputError(f"{path}: {error}") from None
     except (KeyError, IndexError, TypeError, ValueError, AttributeError, ArithmeticError) as error:
         raise InputError(f"{path}: the key or value {error} is missing or wrong.") from None
-    return cameras
 
 
 def _calibration(path: str, keys: Mapping[str, Any], size: tuple[float, ...] | None, asked: str | None) -> Calibration:
@@ -188,6 +226,7 @@ def _calibration(path: str, keys: Mapping[str, Any], size: tuple[float, ...] | N
     width, height = (keys.get(name, None if size is None else size[i]) for i, name in enumerate(SIZE))
     if width is None or height is None:
         raise InputError(f"{' or '.join(SIZE)} is missing: give image_size, [width, height] in pixels.")
+    asked = None if keys.get(ANSWERED) else asked
     name = keys.get("distortion_model") or asked  # drivers leave it empty
     if name is None and len(lens) == UNCLEAR and any(lens):
         raise InputError(
@@ -199,8 +238,8 @@ def _calibration(path: str, keys: Mapping[str, Any], size: tuple[float, ...] | N
     model = LENS_MODELS[known_lens(name, LENS_MODELS)]
     if asked is not None and LENS_MODELS[known_lens(asked, LENS_MODELS)] != model:
         raise InputError(f"distortion_model must be {name}, as the file has it, got {asked}.", "distortion_model")
-    note = keys.get(NOTE, "")
-    return Calibration(width, height, (focal_u, focal_v), (centre_u, centre_v), lens, model, note)
+    ends = (keys.get(CIRCLE, math.inf), keys.get(NOTE, ""))
+    return Calibration(width, height, (focal_u, focal_v), (centre_u, centre_v), lens, model, *ends)
 
 
 def _entry(keys: Any, *path: str) -> Any:

@@ -1,6 +1,7 @@
 """Floor plans in DXF drawings."""
 
 import io
+import logging
 import re
 from collections import Counter
 from collections.abc import Iterator
@@ -50,6 +51,7 @@ def _lines(file: File) -> Drawing:
     if b"\0" in content and not content.startswith(b"AutoCAD Binary DXF"):
         raise InputError(f"path: {str(file.path)!r} cannot be read as DXF: it is neither text nor binary DXF.", "path")
     optional("ezdxf.recover", "drawings")
+    logging.getLogger("ezdxf").setLevel(logging.CRITICAL)  # it notes each entity that it repairs
     try:
         document, _ = ezdxf.recover.read(io.BytesIO(_with_subclasses(content)))
         found = list(_shapes(document.modelspace()))

@@ -12,22 +12,25 @@ AS_ROS = (
     "write it as ROS does, with image_width, image_height, camera_matrix: {data: [fx, 0, cx, 0, fy, cy, 0, 0, 1]}, "
     "distortion_model and distortion_coefficients: {data: [k1, k2, p1, p2, k3]}"
 )
-# What OpenCV's samples of other years and scripts of its users call the keys of ROS, in small letters.
+# What OpenCV's samples of other years and scripts of its users call the keys of ROS, in small letters without `_`.
 OPENCV_NAMES = {
-    "image_width": ("image_width",),
-    "image_height": ("image_height",),
-    "camera_matrix": ("camera_matrix", "cameramatrix", "mtx", "k"),
+    "image_width": ("imagewidth",),
+    "image_height": ("imageheight",),
+    "camera_matrix": ("cameramatrix", "cammatrix", "cammtx", "mtx", "k", "matrix"),
     "distortion_coefficients": (
-        "distortion_coefficients",
-        "dist_coeffs",
-        "distortion_coeffs",
-        "dist_coeff",
+        "distortioncoefficients",
+        "distortioncoeffs",
+        "distortioncoeff",
         "distcoeffs",
+        "distcoeff",
+        "distcoefs",
+        "distcoef",
         "distortion",
         "dist",
         "d",
     ),
 }
+VAGUE = "matrix"  # that of a camera only if there is a distortion, too
 OPENCV_SIZES = ("image_size", "img_size", "dim")
 DIMENSIONS = "dim"  # which only the recipe for cv2.fisheye writes, beside K and D
 # What scripts call the model of the lens, where others have the name of a product; and those of wide lenses.
@@ -97,15 +100,22 @@ def _value(text: str) -> Any:
 
 def has_matrix(keys: Mapping[str, Any]) -> bool:
     """True for keys that have the matrix of a camera under one of its names."""
-    return "camera_matrix" in keys or any(key.lower() in OPENCV_NAMES["camera_matrix"] for key in keys)
+    plain = {_plain(key) for key in keys}
+    found = plain & set(OPENCV_NAMES["camera_matrix"])
+    return bool(found - {VAGUE}) or (bool(found) and not plain.isdisjoint(OPENCV_NAMES["distortion_coefficients"]))
+
+
+def _plain(key: str) -> str:
+    return key.lower().replace("_", "")
 
 
 def opencv(keys: Mapping[str, Any]) -> Mapping[str, Any]:
     """The keys of ROS from those of OpenCV's samples and scripts, where a matrix may be a list of rows."""
     plain = {key.lower(): value for key, value in keys.items()}
+    short = {_plain(key): value for key, value in keys.items()}
     found = dict(keys)
     for name, others in OPENCV_NAMES.items():
-        values = [plain[other] for other in others if other in plain]
+        values = [short[other] for other in others if other in short]
         if values and name not in keys:
             found[name] = values[0]
     for name in ("camera_matrix", "distortion_coefficients"):

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from lmd.core.checks import ONE_TURN, FloatArray, InputError, choice, real, said_of, vector
-from lmd.formats.rigs import read_mount
+from lmd.formats.extrinsics import read_mount
 from lmd.formats.trajectory_formats import read_rows
 from lmd.formats.trajectory_rows import Rows, steep
 from lmd.geometry.frames import roll_pitch_yaw

@@ -8,10 +8,19 @@ The image of a point (u, v, w) at the distance r is (u, v) / d, in units of the 
   d = alpha sqrt(beta (u^2 + v^2) + w^2) + (1 - alpha) w;
 - the unified model of Mei and Rives (2007), `omni` or `MEI`: d = w + xi r, followed by Brown-Conrady distortion.
 
-`restated` fits a lens to a model by least squares of the image differences, pixels, over the whole image.
+Others are pinholes, which image (x, y) = (u, v) / w at a polynomial of x, y and s = x^2 + y^2:
+
+- `power_series`, of Metashape and nerfstudio: g = 1 + k1 s + ... + k4 s^4, times x and y, plus the tangential terms
+  of OpenCV times 1 + p3 s + p4 s^2; Metashape then adds b y' to x';
+- `modified_brown_conrady`, of RealSense: the tangential terms are those of the point (g x, g y);
+- `inverse_brown_conrady`, of RealSense: the polynomial of the image is the point;
+- `kinect`, of Azure Kinect: the distortion is that around a centre of its own, and its tangential terms have 1 in
+  place of OpenCV's factor 2 of x y.
+
+`nearest_lens` fits a lens to a model by least squares of the image differences, pixels, over the whole image.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -27,6 +36,8 @@ GOOD_PIXELS, MOST_PIXELS = 0.05, 1.0
 WIDEST, ANGLES, AROUND = 2.6, 160, 144
 # Largest angle from the optical axis in an image that the rational model is fitted to, rad.
 WIDEST_PINHOLE = 1.45
+# Fixed points of the inverse polynomial: steps, and the largest last one, focal lengths, of one that converged.
+INVERSION_STEPS, INVERTED = 60, 1e-9
 # Offset from the border of a pixel to its centre, pixels.
 CENTRE = 0.5
 Model = Callable[[FloatArray, FloatArray, FloatArray], tuple[FloatArray, FloatArray]]
@@ -86,6 +97,71 @@ def unified(xi: Any, k1: Any = 0.0, k2: Any = 0.0, p1: Any = 0.0, p2: Any = 0.0)
     return image
 
 
+def power_series(radial: Sequence[float], tangential: Sequence[float], shear: float = 0.0) -> Model:
+    """Model of Metashape and nerfstudio: `radial` k1, k2, ...; `tangential` p1, p2, p3, p4 or fewer; `shear` b."""
+    p1, p2, p3, p4 = (*tangential, *(0.0,) * (4 - len(tangential)))
+
+    def image(u: FloatArray, v: FloatArray, w: FloatArray) -> tuple[FloatArray, FloatArray]:
+        x, y = _divided(u, v, w, True)
+        s = x * x + y * y
+        g, more = np.polynomial.polynomial.polyval(s, [1.0, *radial]), 1.0 + s * (p3 + s * p4)
+        across, down = _tangential(x, y, p1, p2)
+        down = g * y + more * down
+        return g * x + more * across + shear * down, down
+
+    return image
+
+
+def modified_brown_conrady(k1: float, k2: float, p1: float, p2: float, k3: float) -> Model:
+    """Model of RealSense whose tangential terms are those of the radially distorted point."""
+
+    def image(u: FloatArray, v: FloatArray, w: FloatArray) -> tuple[FloatArray, FloatArray]:
+        x, y = _divided(u, v, w, True)
+        s = x * x + y * y
+        g = 1.0 + s * (k1 + s * (k2 + s * k3))
+        x, y = g * x, g * y
+        return x + 2.0 * p1 * x * y + p2 * (s + 2.0 * x * x), y + 2.0 * p2 * x * y + p1 * (s + 2.0 * y * y)
+
+    return image
+
+
+def inverse_brown_conrady(k1: float, k2: float, p1: float, p2: float, k3: float) -> Model:
+    """Model of RealSense whose polynomial undistorts; NaN where its inversion by fixed points does not converge."""
+
+    def image(u: FloatArray, v: FloatArray, w: FloatArray) -> tuple[FloatArray, FloatArray]:
+        x, y = a, b = _divided(u, v, w, True)
+        for _ in range(INVERSION_STEPS):
+            s = a * a + b * b
+            g = 1.0 + s * (k1 + s * (k2 + s * k3))
+            across, down = _tangential(a, b, p1, p2)
+            last, a, b = a, (x - across) / g, (y - down) / g
+        return np.where(np.abs(a - last) < INVERTED, a, np.nan), b
+
+    return image
+
+
+def kinect(radial: Sequence[float], p1: float, p2: float, centre: Sequence[float], factor: float) -> Model:
+    """Model of Azure Kinect: `radial` k1 to k6, `centre` of the distortion, and the factor of x y."""
+    k1, k2, k3, k4, k5, k6 = radial
+
+    def image(u: FloatArray, v: FloatArray, w: FloatArray) -> tuple[FloatArray, FloatArray]:
+        x, y = _divided(u, v, w, True)
+        x, y = x - centre[0], y - centre[1]
+        s = x * x + y * y
+        g = (1.0 + s * (k1 + s * (k2 + s * k3))) / (1.0 + s * (k4 + s * (k5 + s * k6)))
+        across = g * x + p2 * (s + 2.0 * x * x) + factor * p1 * x * y
+        down = g * y + p1 * (s + 2.0 * y * y) + factor * p2 * x * y
+        return across + centre[0], down + centre[1]
+
+    return image
+
+
+def _tangential(x: FloatArray, y: FloatArray, p1: float, p2: float) -> tuple[FloatArray, FloatArray]:
+    """OpenCV's tangential terms."""
+    s = x * x + y * y
+    return 2.0 * p1 * x * y + p2 * (s + 2.0 * x * x), 2.0 * p2 * x * y + p1 * (s + 2.0 * y * y)
+
+
 def _divided(u: FloatArray, v: FloatArray, depth: FloatArray, is_seen: Any) -> tuple[FloatArray, FloatArray]:
     depth = np.where(is_seen & (depth > 0.0), depth, np.nan)
     return u / depth, v / depth
@@ -116,7 +192,25 @@ def restated(name: str, values: Mapping[str, Any], size: Any) -> Restated:
     make, own = MODELS[name]
     fx, fy, cx, cy = (real(key, values[key]) for key in PINHOLE)
     distortion = [values.get(key, 0.0) for key in DISTORTION] if make is unified else []
-    model, size = make(*(values[key] for key in own), *distortion), vector("size", list(size), 2, above=0.0)
+    return nearest_lens(make(*(values[key] for key in own), *distortion), (fx, fy), (cx, cy), size)
+
+
+def nearest_lens(model: Model, focal: Any, centre: Any, size: Any, guess: Sequence[float] = ()) -> Restated:
+    """Fit a lens to a model.
+
+    Args:
+        model: the image `(x, y)` of points, in focal lengths; NaN where there is none.
+        focal: focal lengths (f_x, f_y), pixels.
+        centre: principal point (c_x, c_y), pixels from the centre of the first pixel.
+        size: width and height of the image, pixels.
+        guess: the first coefficients of a similar lens of `BrownConrady`, with which its fit begins, thin prism and
+            all, and before that of a fisheye; empty for a lens of any kind.
+
+    Raises:
+        InputError: the model has no image near the axis, or all fitted lenses differ from the model by more than
+            `MOST_PIXELS`.
+    """
+    (fx, fy), (cx, cy), size = focal, centre, vector("size", list(size), 2, above=0.0)
     theta = np.linspace(0.0, WIDEST, ANGLES)[:, None]
     phi = np.linspace(0.0, 2.0 * np.pi, AROUND, endpoint=False)
     points = np.sin(theta) * np.cos(phi), np.sin(theta) * np.sin(phi), np.cos(theta) * np.ones_like(phi)
@@ -129,11 +223,17 @@ def restated(name: str, values: Mapping[str, Any], size: Any) -> Restated:
     if not shown[1].all():
         raise InputError("the model images nothing around its axis: its numbers are wrong.")
     points, pixels = tuple(of[shown] for of in points), pixels[:, shown]
-    start = [np.hypot(u[1], v[1]).mean() / theta[1, 0] * focal for focal in (fx, fy)]
+    start = [np.hypot(u[1], v[1]).mean() / theta[1, 0] * length for length in (fx, fy)]
     widest = float((theta * shown).max())
-    found = _fitted(EQUIDISTANT, 4, lambda k: Equidistant(*k), points, pixels, [*start, cx, cy])
+    if guess:
+        begin = [fx, fy, cx, cy, *guess, *(0.0,) * (len(BrownConrady._fields) - len(guess))]
+        found = _fitted("rational_polynomial", BrownConrady._make, points, pixels, begin)
+        if found.worst <= GOOD_PIXELS:
+            return found
+    wide = _fitted(EQUIDISTANT, lambda k: Equidistant(*k), points, pixels, [*start, cx, cy, *(0.0,) * 4])
+    found = min(found, wide, key=lambda fit: fit.worst) if guess else wide
     if found.worst > GOOD_PIXELS and widest < WIDEST_PINHOLE:  # the rational model also fits tangential terms
-        rational = _fitted("rational_polynomial", 8, _rational, points, pixels, [*start, cx, cy])
+        rational = _fitted("rational_polynomial", _rational, points, pixels, [*start, cx, cy, *(0.0,) * 8])
         found = min(found, rational, key=lambda fit: fit.worst)
     if found.worst > MOST_PIXELS:
         raise InputError(
@@ -148,7 +248,7 @@ def _rational(coefficients: FloatArray) -> BrownConrady:
 
 
 def _fitted(
-    name: str, count: int, lens: Callable[[Any], Any], points: tuple[FloatArray, ...], pixels: FloatArray, start: Any
+    name: str, lens: Callable[[Any], Any], points: tuple[FloatArray, ...], pixels: FloatArray, start: Any
 ) -> Restated:
     from scipy.optimize import least_squares  # slow to load
 
@@ -156,7 +256,7 @@ def _fitted(
         x, y = image_of(lens(numbers[4:]), *points)
         return np.concatenate([numbers[0] * x + numbers[2] - pixels[0], numbers[1] * y + numbers[3] - pixels[1]])
 
-    found = least_squares(off, [*start, *(0.0,) * count], x_scale="jac")
+    found = least_squares(off, start, x_scale="jac")
     fx, fy, cx, cy, *coefficients = map(float, found.x)
     worst = float(np.hypot(*found.fun.reshape(2, -1)).max())
     return Restated((fx, fy), (cx, cy), name, tuple(coefficients), worst)

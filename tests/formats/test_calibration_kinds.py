@@ -108,9 +108,3 @@ def test_the_first_of_several_messages_of_ros_is_read(write):
     one = "header:\n  frame_id: cam\nheight: 480\nwidth: 640\ndistortion_model: plumb_bob\n"
     one += f"d: [0.1, 0, 0, 0, 0]\nk: {np.ravel(K).tolist()}\n---\n"
     assert read_calibration(write(one * 3)) == read_calibration(write(one))
-
-
-def test_a_file_of_numpy_is_named(tmp_path):
-    np.savez(tmp_path / "camera.npz", K=K, D=D)
-    with pytest.raises(InputError, match=r"^path: .*camera\.npz' is a file of NumPy: write it as ROS does"):
-        read_calibration(tmp_path / "camera.npz")

@@ -68,8 +68,8 @@ def test_a_format_that_is_recognised_and_refused_gives_its_sentence(others, writ
     others([READ, REFUSED])
     with pytest.raises(InputError, match=r": it is of acme 1: convert it by acme-upgrade\.$"):
         calibrated_camera(write(json.dumps({"acme_1": 0, **ROS})))
-    with pytest.raises(InputError, match="it is DepthAI's calibration of an OAK"):
-        calibrated_camera(write(json.dumps({"cameraData": []})))
+    with pytest.raises(InputError, match="it is a scene of OpenMVG"):
+        calibrated_camera(write(json.dumps({"sfm_data_version": "0.3"})))
 
 
 def test_an_entry_point_that_holds_no_format_is_named(others, write):
