@@ -40,6 +40,7 @@ KEYED = {
         "marker_000": {"aruco_id": 7, "position": [2, 0, 1.2], "orientation": [0, 0, -1.57]},
         "marker_001": {"aruco_id": 8, "position": [2, 0, 1.2], "orientation": [0, 0, -1.57]},
     },
+    "tags by number": {"tags": {"7": {"xyz": [2, 0, 1.2], "quaternion_wxyz": [HALF, HALF, 0, 0]}}},
     "landmarks": {"landmarks": [{"id": 7, "position": [2, 0, 1.2], "orientation": [1.57, 0, 0]}]},
 }
 CORNERS = (

@@ -19,26 +19,23 @@ import numpy as np
 from lmd.core.checks import FloatArray, InputError
 from lmd.formats.gazebo_worlds import Seen, seen_in
 from lmd.formats.placed_tag import Found, PlacedTag, axes_of, number_of
-from lmd.scene.families import family_named
+from lmd.scene.families import FAMILIES, family_named
 
-SEPARATOR = r"[_/ .-]?"
-# Names of pictures, models and materials: of a family with the number of a tag, or of the number alone.
-APRILTAG = re.compile(
-    rf"tag{SEPARATOR}(?:standard|circle|custom)?{SEPARATOR}(\d\d)[_h-]h?(\d\d?)[_/ -](?:id{SEPARATOR})?(\d+)", re.I
+# Words of names of pictures, models and materials that show a tag; a number after one is that of the tag.
+WORD = re.compile(
+    r"april[_/ .-]?tag|aruco|(?<![a-z])ar[_/ .-]?tag|fiducial|(?<![a-z])tag(?=[_/ .-]?\d|standard|circle|custom)", re.I
 )
-ARUCO = re.compile(rf"(?<!\d)([4-7]x[4-7][_-](?:50|100|250|1000))[_/ -](?:id{SEPARATOR})?(\d+)", re.I)
-NUMBERED = re.compile(
-    rf"(?:april{SEPARATOR}tag|aruco(?:{SEPARATOR}(?:marker|tag|box))?|ar{SEPARATOR}tag|fiducial(?:{SEPARATOR}marker)?"
-    rf"|(?<![a-z])tag){SEPARATOR}(?:id{SEPARATOR})?(\d+)(?![\dhx])",
-    re.I,
-)
+APRILTAG = re.compile(r"(?<!\d)(16|21|25|36|41|48|49|52)[_-]?h?[_-]?(0?\d|1[0-3])(?!\d)", re.I)
+ARUCO = re.compile(r"(?<!\d)(?:(50|100|250|1000)[_-])?([4-7]x[4-7])(?:[_-](50|100|250|1000)(?=[_/ -]))?", re.I)
+ORIGINAL = re.compile(r"original", re.I)
+NUMBER = re.compile(r"(?<![\dx.])(\d+)(?!\d|(?:[.]\d+)?(?:mm|cm|m)(?![a-z])|x\d|[.]\d)", re.I)
 CIRCLE = "21"  # modules of the family whose name begins with circle
 KNOWN_PLATE = re.compile(r"Apriltag36_11_\d{5}")  # models of koide3/gazebo_apriltag
 KNOWN_SIZE = (1.0, 1.0, 0.01)  # of these, metres
 PLAIN = "Gazebo/"  # begins the names of materials without a picture of a tag
 THIN = 0.2  # thickness of a plate, relative to its next larger side
 LYING = 0.99  # cosine of the turn of a plate that lies
-BESIDE = 1e-3  # metres before a side at which a body covers it
+BESIDE = (1e-6, 1e-3)  # metres before a side, at which a body that is there covers it
 # Right, up and out of the picture on the sides of a box, by the axis across the side and its sign, as columns.
 SIDES = {
     (0, 1): np.array([[0, 0, 1], [1, 0, 0], [0, 1, 0]], dtype=float),
@@ -60,19 +57,26 @@ def gazebo(root: Element, path: Any, axes: Sequence[str] | None) -> Found:
     Raises:
         InputError: there is none, or a tag is on a side that the file leaves open.
     """
-    bodies = [(seen, _numbers(seen.element, "geometry/box/size")) for seen in seen_in(root, path, "collision")]
-    boxes = [(seen.pose, size) for seen, size in bodies if size is not None and len(size) == 3]
+    visuals = list(seen_in(root, path, "visual"))
+    sized = [
+        (seen, _numbers(seen.element, "geometry/box/size")) for seen in (*visuals, *seen_in(root, path, "collision"))
+    ]
+    bodies = [(seen, size) for seen, size in sized if size is not None and len(size) == 3]
     tags, up = list[PlacedTag](), False
-    for seen in seen_in(root, path, "visual"):
+    for seen in visuals:
         named = _named(seen)
         if named is None:
             continue
         family, number = named
+        boxes = [(body.pose, size) for body, size in bodies if body is not seen]
         centre, turn, lies = _side(seen, number, boxes, axes)
         up |= lies
         tags.append(PlacedTag(number_of(number), centre, turn, None, family))
     if not tags:
-        raise InputError("it is a file of Gazebo in which no model, picture or material has the name of a tag.")
+        raise InputError(
+            "it is a file of Gazebo in which no model, picture or material has a name with the number of a tag, such "
+            "as Apriltag36_11_00003 or aruco_marker_7."
+        )
     sides = "plates that lie show their tag on the upper side" if up else "tags are where their pictures are"
     return Found(tags, note=f"{path}: {sides}; their edges are not read, as pictures include a margin")
 
@@ -95,15 +99,28 @@ def _texts(element: Element, path: str) -> list[str]:
 
 
 def _first(texts: Iterable[str]) -> tuple[str | None, int] | None:
+    """The family and the number in the first of these names that has a word for a tag and a number."""
     for text in texts:
-        if found := APRILTAG.search(text):
-            family = f"{'circle' if found[1] == CIRCLE else ''}{found[1]}h{int(found[2])}"
-            return family_named(family), int(found[3])
-        if found := ARUCO.search(text):
-            return family_named(found[1].replace("-", "_")), int(found[2])
-        if found := NUMBERED.search(text):
-            return None, int(found[1])
+        word = WORD.search(text)
+        if word is None:
+            continue
+        family, rest = _family_and_rest(text[word.end() :])
+        if numbers := NUMBER.findall(rest):
+            return family, int(numbers[-1])
     return None
+
+
+def _family_and_rest(text: str) -> tuple[str | None, str]:
+    """The family that a name says after the word for a tag, and the text without it."""
+    for found in APRILTAG.finditer(text):
+        name = family_named(f"{'circle' if found[1] == CIRCLE else ''}{found[1]}h{int(found[2])}")
+        if name in FAMILIES:
+            return name, f"{text[: found.start()]}_{text[found.end() :]}"
+    if aruco := ARUCO.search(text):
+        ids = aruco[1] or aruco[3]
+        family = None if ids is None else f"{aruco[2].lower()}_{ids}"
+        return family, f"{text[: aruco.start()]}_{text[aruco.end() :]}"
+    return ("aruco_original" if ORIGINAL.search(text) else None), text
 
 
 def _numbers(element: Element | None, path: str) -> FloatArray | None:
@@ -142,7 +159,7 @@ def _side(
     thin = int(np.argmin(size))
     sides = [(thin, 1), (thin, -1)]
     found = [(*_placed(seen, SIDES[side], float(size[thin]) / 2.0), side) for side in sides]
-    free = [one for one in found if not _covered(one[0] + BESIDE * one[1][:, 2], boxes)]
+    free = [one for one in found if not any(_covered(one[0] + by * one[1][:, 2], boxes) for by in BESIDE)]
     if len(free) == 1:
         return *free[0][:2], False
     upper = [one for one in found if one[1][2, 2] > LYING]

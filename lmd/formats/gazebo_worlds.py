@@ -15,7 +15,7 @@ from xml.etree.ElementTree import Element
 
 import numpy as np
 
-from lmd.core.checks import FloatArray, InputError, radians
+from lmd.core.checks import FloatArray, InputError
 from lmd.core.files import read_text
 from lmd.formats.opencv_calibrations import xml_of
 from lmd.formats.placed_tag import turn_by_quaternion
@@ -80,7 +80,7 @@ def matrix_of(pose: Element | None, name: str) -> FloatArray:
     """The transform of a pose, `(4, 4)`; that of an element without one is the identity.
 
     Raises:
-        InputError: it has not six finite numbers, or angles that look like degrees.
+        InputError: it has not six finite numbers.
     """
     matrix = np.eye(4)
     if pose is None or not (pose.text or "").strip():
@@ -99,7 +99,6 @@ def matrix_of(pose: Element | None, name: str) -> FloatArray:
         matrix[:3, :3] = turn_by_quaternion(*values[3:].tolist())
         return matrix
     angles = np.radians(values[3:]) if pose.get("degrees") in ("true", "1") else values[3:]
-    radians(f"the pose of {name!r}", **dict(zip(("roll", "pitch", "yaw"), angles[:, None], strict=True)))
     matrix[:3, :3] = roll_pitch_yaw(angles)
     return matrix
 
@@ -165,8 +164,8 @@ def _included(folder: Path, uri: str) -> Element | None:
     if not name or ".." in Path(name).parts or Path(name).is_absolute():
         return None
     for place in (folder, folder / MODELS, folder.parent / MODELS, folder.parent):
-        file = place / name / MODEL_FILE
-        if file.is_file():
-            root = xml_of(read_text(file, "path", LARGEST_MODEL))
+        files = [place / name / MODEL_FILE, *sorted((place / name).glob("*.sdf"))]
+        if found := [file for file in files if file.is_file()]:
+            root = xml_of(read_text(found[0], "path", LARGEST_MODEL))
             return None if root is None else root.find("model")
     return None

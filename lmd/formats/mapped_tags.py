@@ -31,9 +31,6 @@ PLANAR, LIFTED, SPATIAL = "2d", "2.5d", "3d"  # kinds of maps of pytagmapper
 VALUES = {PLANAR: ("x", "y", "yaw"), LIFTED: ("x", "y", "yaw", "z")}
 DEFAULT = "default"  # the size of tags that have none of their own
 MARKER = re.compile(r"marker_\d+")
-# Names of the values of a list of landmarks that was written by hand.
-POSITIONS, ORIENTATIONS = ("position", "translation", "xyz"), ("orientation", "rotation", "rpy")
-QUATERNION_SIZE, ANGLES_SIZE = 4, 3
 
 
 def visual_marker_mapping(keys: Keys) -> Iterable[PlacedTag]:
@@ -95,48 +92,6 @@ def zed(keys: Keys) -> Iterable[PlacedTag]:
             continue
         marker = mapping(name, keys[name])
         number = number_of(marker["aruco_id"])
-        turn = turn_by_angles(number, *vector(f"{name}.orientation", marker["orientation"], ANGLES_SIZE))
+        turn = turn_by_angles(number, *vector(f"{name}.orientation", marker["orientation"], 3))
         place = np.array(vector(f"{name}.position", marker["position"], 3))
         yield PlacedTag(number, place, turn @ OUT_RIGHT_UP.T, edge)
-
-
-def landmarks(keys: Keys) -> Iterable[PlacedTag]:
-    """Tags of a list with an id, a position and an orientation: roll, pitch and yaw, or a quaternion x, y, z, w.
-
-    The list does not say how their frames are turned, which a user can.
-    """
-    family = family_named(keys["family"]) if "family" in keys else None
-    for i, tag in enumerate(mappings("landmarks", keys["landmarks"])):
-        name, number = f"landmarks[{i}]", number_of(tag["id"])
-        position, orientation = _first(name, tag, POSITIONS), _first(name, tag, ORIENTATIONS)
-        turn = vector(
-            f"{name}: orientation", _values(orientation, ("x", "y", "z", "w"), ("roll", "pitch", "yaw")), None
-        )
-        if len(turn) not in (ANGLES_SIZE, QUATERNION_SIZE):
-            raise InputError(
-                f"{name}: its orientation must be roll, pitch, yaw, rad, or x, y, z, w of a quaternion, it has "
-                f"{len(turn)} values."
-            )
-        by_angles = len(turn) == ANGLES_SIZE
-        axes = turn_by_angles(number, *turn) if by_angles else turn_by_quaternion(*turn)
-        size = tag.get("size", keys.get("size", keys.get("marker_size")))
-        edge = None if size is None else edge_of("size", size)
-        yield PlacedTag(number, np.array(vector(f"{name}: position", _values(position, "xyz"), 3)), axes, edge, family)
-
-
-def _first(name: str, tag: Keys, names: Iterable[str]) -> Any:
-    """The value of the first of these names that a tag has; a pose may be around it."""
-    pose = mapping(f"{name}.pose", tag["pose"]) if "pose" in tag else tag
-    for key in names:
-        if key in pose:
-            return pose[key]
-    raise InputError(f"{name} has no {' or '.join(names)}; it has {', '.join(map(str, pose))}.")
-
-
-def _values(value: Any, *names: Iterable[str]) -> Any:
-    """The values of a mapping that has one of these groups of names; any other value as it is."""
-    if isinstance(value, dict):
-        for group in map(tuple, names):
-            if set(group) <= value.keys():
-                return [value[name] for name in group]
-    return value

@@ -14,6 +14,7 @@ from lmd.formats import tag_map_readers as readers
 from lmd.formats.gazebo_tags import gazebo
 from lmd.formats.landmark_table import headed_table
 from lmd.formats.lanelet_maps import autoware
+from lmd.formats.listed_tags import is_list, listed
 from lmd.formats.placed_tag import Found, Keys, PlacedTag
 from lmd.formats.pose_graphs import read_graph
 from lmd.formats.registry import File, Format, anything, has_keys
@@ -63,17 +64,15 @@ def _keyed(
     row: str = "",
     by_opencv: bool = False,
     note: Callable[[Any, Keys], str] = lambda _path, _keys: "",
-    any_frame: bool = False,
 ) -> Format:
     """A format of YAML or JSON with keys that no other has.
 
     Args:
         note: gives a sentence on how a file at a path is read; empty where there is no doubt.
-        any_frame: see `Found`.
     """
 
     def read_keyed(file: File) -> Found:
-        return Found(list(reader(file.keys)), None, by_opencv, note(file.path, file.keys), any_frame)
+        return Found(list(reader(file.keys)), None, by_opencv, note(file.path, file.keys))
 
     return Format("tag map", name, has_keys(*keys), read_keyed, row=row)
 
@@ -87,8 +86,25 @@ def _first(begins: re.Pattern[str]) -> Callable[[File], bool]:
     return lambda file: begins.match(file.first) is not None
 
 
+LIST = Format(
+    "tag map",
+    "a list of tags",
+    lambda file: is_list(file.keys),
+    lambda file: Found(list(listed(file.keys)), any_frame=True),
+    row="a list `landmarks`, `markers` or `tags` | | not written | `id`, `position`, `orientation` as in "
+    "[a table](#a-table-of-your-own), `size`",
+)
 KEYED = (
     _keyed("lmd", readers.own_json, "tags", "family", EDGE),
+    _keyed(
+        "fiducial_vlam",
+        readers.fiducial_vlam,
+        "markers",
+        "marker_length",
+        row=_row("fiducial_vlam", "fiducial_vlam | : all tags stay where they are | yes, `marker_length`"),
+        by_opencv=True,
+    ),
+    LIST,
     _keyed(
         "WPILib",
         readers.wpilib,
@@ -136,14 +152,6 @@ KEYED = (
         ),
     ),
     _keyed(
-        "fiducial_vlam",
-        readers.fiducial_vlam,
-        "markers",
-        "marker_length",
-        row=_row("fiducial_vlam", "fiducial_vlam | : all tags stay where they are | yes, `marker_length`"),
-        by_opencv=True,
-    ),
-    _keyed(
         "ArUco",
         readers.aruco,
         "aruco_bc_markers",
@@ -179,14 +187,6 @@ KEYED = (
         "marker_000",
         row="ZED's ArUco localisation | | not written | `aruco_loc.yaml`, `marker_size`",
         by_opencv=True,
-    ),
-    _keyed(
-        "landmarks",
-        mapped_tags.landmarks,
-        "landmarks",
-        row="a list `landmarks` | | not written | `id`, `position`, `orientation` as in "
-        "[a table](#a-table-of-your-own), `size`",
-        any_frame=True,
     ),
 )
 KNOWN = ", ".join(dict.fromkeys(form.name for form in KEYED))

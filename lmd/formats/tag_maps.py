@@ -24,6 +24,7 @@ from lmd.scene.labels import Labels
 LARGEST_MAP = 1 << 22  # characters of YAML or JSON; a tag has some hundred
 EDGE_DIGITS = 12  # the rest is rounding: of millimetres as metres, or of the sides of a square
 IS_JSON = re.compile(r"(\s|//[^\n]*\n|/\*.*?\*/)*{", re.DOTALL)  # comments may come first
+XML_COMMENT = re.compile(r"<!--.*?-->", re.DOTALL)  # may have -- within, which Gazebo takes and XML does not
 IS_YAML = re.compile(r"%YAML|---|\s*['\"]?[\w/*]+['\"]?\s*:")
 
 
@@ -42,7 +43,7 @@ class TagMapFile(File):
         Raises:
             InputError: the text begins as XML and is none, or has entities.
         """
-        return xml_of(self.text)
+        return xml_of(XML_COMMENT.sub("", self.text))
 
     @cached_property
     def keys(self) -> Keys:

@@ -17,7 +17,7 @@ from pipelines.nodes import instantiate
 ROOT = Path(__file__).parents[2]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
 # Names of packages that are not those of their modules.
-NAMES = {"cv2": "opencv-python-headless", "hydra_plugins": "hydra-joblib-launcher"}
+NAMES = {"PIL": "pillow", "cv2": "opencv-python-headless", "hydra_plugins": "hydra-joblib-launcher"}
 
 
 def extras_asked_for():

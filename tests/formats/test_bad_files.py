@@ -180,7 +180,7 @@ BAD = {
         ('{"reconstructed_tags": []}', "it has no tags with places"),
         ("/**: {ros__parameters: {general: {}, marker_000: {}}}\n", "the key 'marker_size' is missing"),
         ("/**: {ros__parameters: {family: 36h11, size: 0.1, tag: {ids: [1]}}}\n", "apriltag_ros for ROS 2" + TABLE),
-        ("landmarks: [{id: 1, position: [0, 0, 0]}]\n", "has no orientation or rotation or rpy; it has id, position"),
+        ("landmarks: [{id: 1, position: [0, 0, 0]}]\n", "has no orientation: it needs roll, pitch and yaw, rad"),
         ('{"tags": [{"ID": 1}]}', "the key 'pose' is missing"),
         ('{"tags": []}', "it has no tags with places"),
         ('{"tags": [{"ID": -1, "pose": 3}]}', r"pose must be a mapping with keys, got 3"),

@@ -5,7 +5,7 @@ import copy
 import numpy as np
 import pytest
 from map_files import assert_is, reader
-from map_samples import CORNERS, HALF, KEYED, LANELET
+from map_samples import CORNERS, KEYED, LANELET
 from numpy.testing import assert_allclose
 
 from lmd.core.checks import InputError
@@ -80,31 +80,6 @@ def test_the_frame_of_a_marker_of_the_zed_has_x_out_of_it(read):
     assert found.edges.tolist() == [0.16]
     with pytest.raises(InputError, match=r"marker_000\.position must be a list of 3 numbers"):
         read(changed("zed", lambda keys: keys["marker_000"].update(position=[0.0])))
-
-
-def test_a_list_of_landmarks_leaves_open_where_the_axes_of_a_tag_point(read):
-    upright = [np.pi / 2, 0, 0]
-    keys = {"landmarks": [{"id": 7, "position": {"x": 2, "y": 0, "z": 1.2}, "orientation": upright}]}
-    found = read(keys)
-    assert_is(found, 7, [2, 0, 1.2], [0, -1, 0])
-    assert "the axes x, y, z of a tag point right, up, out, and axes can say otherwise" in found.note
-    quaternion = {
-        "landmarks": [{"id": 7, "size": 0.1, "pose": {"position": [2, 0, 1.2], "rotation": [HALF, 0, 0, HALF]}}]
-    }
-    assert_is(read(quaternion), 7, [2, 0, 1.2], [0, -1, 0])
-    assert read(quaternion).edges.tolist() == [0.1]
-    # With x out of the tag, z up: that of a roll of zero.
-    keys["landmarks"][0]["orientation"] = {"roll": 0, "pitch": 0, "yaw": -np.pi / 2}
-    assert_is(read(keys, axes=["out", "right", "up"]), 7, [2, 0, 1.2], [0, -1, 0])
-    for change, message in (
-        ({"orientation": [90, 0, 0]}, "tag 7: roll = 90 looks like degrees"),
-        ({"orientation": [1, 0]}, r"landmarks\[0\]: its orientation must be roll, pitch, yaw, rad, or x, y, z, w"),
-        ({"position": [1, "a", 0]}, r"landmarks\[0\]: position\[1\] must be a number, got 'a'"),
-    ):
-        with pytest.raises(InputError, match=message):
-            read({"landmarks": [keys["landmarks"][0] | change]})
-    with pytest.raises(InputError, match=r"landmarks\[0\] has no orientation or rotation or rpy; it has id, position"):
-        read({"landmarks": [{"id": 7, "position": [1, 2, 3]}]})
 
 
 def test_a_landmark_of_autoware_has_its_corners_from_the_lower_left_one_on(read):

@@ -1,0 +1,117 @@
+"""Lists of tags that people write in YAML or JSON: a list `landmarks`, `markers` or `tags`, or a mapping by numbers.
+
+A tag has an id, a position and an orientation, under one of the names here. The list does not say where the axes of the
+frame of a tag point, which a user can. Four values of an orientation must say which of them is w.
+"""
+
+from collections.abc import Iterable
+from typing import Any
+
+import numpy as np
+
+from lmd.core.checks import FloatArray, InputError, vector
+from lmd.formats.placed_tag import Keys, PlacedTag, edge_of, mapping, number_of, turn_by_angles, turn_by_quaternion
+from lmd.scene.families import family_named
+
+LISTS = ("landmarks", "markers", "tags", "apriltags", "aruco_markers", "tag_locations")
+IDS = ("id", "tag_id", "marker_id", "aruco_id")
+POSITIONS = ("position", "position_m", "translation", "xyz", "pos", "location")
+ANGLES = ("orientation", "rotation", "rpy", "orientation_rpy", "rotation_rpy", "euler", "angles")
+QUATERNIONS = ("quaternion", "orientation", "rotation", "q")
+ORDERED = {f"{name}_{order}": order for name in QUATERNIONS for order in ("xyzw", "wxyz")}
+SIZES = ("size", "tag_size", "marker_size", "tag_size_m", "marker_length", "size_m", "edge")
+FAMILIES = ("family", "tag_family", "dictionary", "dict")
+PLACE, TURN, QUATERNION = ("x", "y", "z"), ("roll", "pitch", "yaw"), ("qx", "qy", "qz", "qw")
+
+
+def is_list(keys: Keys) -> bool:
+    """True for keys with a list of tags, each with an id, or a mapping of tags by their numbers."""
+    return _list_of(keys) is not None
+
+
+def listed(keys: Keys) -> Iterable[PlacedTag]:
+    """The tags of a list.
+
+    Raises:
+        InputError: a tag lacks its place or its turn, or a value is refused.
+    """
+    name = _list_of(keys)
+    assert name is not None
+    common = {key: value for key, value in keys.items() if not isinstance(value, dict | list)}
+    entries = keys[name].items() if isinstance(keys[name], dict) else enumerate(keys[name])
+    for key, entry in entries:
+        at = f"{name}[{key}]"
+        tag = mapping(at, entry)
+        number = _number(key if isinstance(keys[name], dict) else _first(tag, IDS))
+        pose = {**tag, **mapping(f"{at}.pose", tag["pose"])} if isinstance(tag.get("pose"), dict) else tag
+        size, family = _first({**common, **tag}, SIZES), _first({**common, **tag}, FAMILIES)
+        edge = None if size is None else edge_of(f"{at}: size", size)
+        named = None if family is None else family_named(family)
+        yield PlacedTag(number, _place(at, pose), _turn(at, number, pose), edge, named)
+
+
+def _list_of(keys: Keys) -> str | None:
+    for name in LISTS:
+        value = keys.get(name)
+        if isinstance(value, dict):
+            numbered, entries = all(str(key).isdecimal() for key in value), list(value.values())
+        else:
+            numbered, entries = False, value if isinstance(value, list) else []
+        if not entries or not all(isinstance(one, dict) for one in entries):
+            continue
+        if numbered or all(_first(one, IDS) is not None for one in entries):
+            return name
+    return None
+
+
+def _number(value: Any) -> int:
+    return number_of(int(value) if isinstance(value, str) and value.isdecimal() else value)
+
+
+def _first(keys: Keys, names: Iterable[str]) -> Any:
+    """The value of the first of these names that has one; None if none has."""
+    return next((keys[name] for name in names if keys.get(name) is not None), None)
+
+
+def _together(at: str, keys: Keys, names: Iterable[str]) -> FloatArray | None:
+    """The values of all these names; None if a key is missing."""
+    values = [keys.get(name) for name in names]
+    return None if None in values else np.array(vector(f"{at}: {', '.join(names)}", values, len(values)))
+
+
+def _place(at: str, pose: Keys) -> FloatArray:
+    value = _first(pose, POSITIONS)
+    if isinstance(value, dict):
+        pose, value = value, None
+    place = _together(at, pose, PLACE) if value is None else np.array(vector(f"{at}: position", value, 3))
+    if place is None:
+        raise InputError(f"{at} has no position of x, y and z, metres; it has {', '.join(map(str, pose))[:200]}.")
+    return place
+
+
+def _turn(at: str, number: int, pose: Keys) -> FloatArray:
+    """The matrix of the orientation of a tag, by a quaternion or by roll, pitch and yaw."""
+    for name, order in ORDERED.items():
+        if pose.get(name) is not None:
+            values = dict(zip(order, vector(f"{at}: {name}", pose[name], 4), strict=True))
+            return turn_by_quaternion(*(values[axis] for axis in "xyzw"))
+    value = _first(pose, (*ANGLES, *QUATERNIONS))
+    inner = value if isinstance(value, dict) else pose
+    for names in ((*"xyzw",), QUATERNION) if isinstance(value, dict) else (QUATERNION,):
+        if (quaternion := _together(at, inner, names)) is not None:
+            return turn_by_quaternion(*quaternion.tolist())
+    if value is None or isinstance(value, dict):
+        angles = _together(at, inner, TURN)
+        if angles is None:
+            raise InputError(
+                f"{at} has no orientation: it needs roll, pitch and yaw, rad, or qx, qy, qz and qw; it has "
+                f"{', '.join(map(str, inner))[:200]}."
+            )
+        return turn_by_angles(number, *angles.tolist())
+    turn = vector(f"{at}: orientation", value, None)
+    if len(turn) != 3:
+        raise InputError(
+            f"{at}: its orientation must be roll, pitch, yaw, rad, or a quaternion whose name says where w is, such as "
+            f"quaternion_xyzw; it has {len(turn)} values."
+        )
+    return turn_by_angles(number, *turn)
