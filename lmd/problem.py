@@ -54,8 +54,8 @@ class Problem:
     `fitness_evaluator` and `fitness_relevance` are those an optimiser climbs: the same, or the objective's sampling.
 
     Args:
-        scene: what stays fixed.
-        objective: what the deployment is for.
+        scene: scene, which stays fixed.
+        objective: objective, which is maximised.
         start: deployments an optimiser may start from; they also fix the number of landmarks K.
         threads: worker threads, all processors by default; results do not depend on it.
         fixed: landmarks that hang already and stay where they are. They are the first of every deployment; the start
@@ -191,7 +191,7 @@ class Problem:
         For methods that can change what they climb on the way: what is drawn anew cannot be learnt by heart.
 
         Args:
-            share: of the positions drawn in each cell, at least one of them.
+            share: share of the positions that is drawn in each cell, at least one position.
             rng: draws them.
 
         Returns:
