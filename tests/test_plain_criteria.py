@@ -183,7 +183,7 @@ def test_an_objective_keeps_its_contract_with_a_criterion_of_two_lines():
 
 
 def test_it_is_said_once_that_there_is_no_compiled_half(capsys):
-    reference._tell.cache_clear()
+    reference._warn_uncompiled.cache_clear()
     for _ in range(2):
         for scene in both():
             Evaluator(scene, threads=1)

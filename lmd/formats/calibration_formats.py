@@ -27,13 +27,13 @@ from lmd.formats.calibration_readers import (
     within,
 )
 from lmd.formats.device_calibrations import azure_kinect, depthai, ftc
+from lmd.formats.kalibr_reports import kalibr_report
 from lmd.formats.opencv_calibrations import AS_ROS, has_matrix, opencv, opencv_xml, xml_of
 from lmd.formats.program_calibrations import (
     caltech,
     intrinsics_of_open3d,
     is_matlab,
     is_stereo_of_matlab,
-    kalibr_report,
     matlab,
     metashape,
     nerf,

@@ -9,7 +9,7 @@ Sources: the comments of `teamwebcamcalibrations.xml` (FIRST-Tech-Challenge/FtcR
 """
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from functools import partial
 from typing import Any
 from xml.etree.ElementTree import Element
@@ -20,6 +20,7 @@ from lmd.core.checks import FloatArray, InputError, real, vector
 from lmd.core.files import flat
 from lmd.formats.calibration_readers import (
     CIRCLE,
+    NOTE,
     POSE,
     Cameras,
     Keys,
@@ -48,6 +49,7 @@ DEPTH_MODES = (
 COLOR_SIZES = ((1280, 720), (1920, 1080), (2560, 1440), (2048, 1536), (3840, 2160), (4096, 3072))
 KINECT_MODELS = {"CALIBRATION_LensDistortionModelBrownConrady": 2.0, "CALIBRATION_LensDistortionModelRational6KT": 1.0}
 KINECT_CAMERAS = {"CALIBRATION_CameraLocationD0": "depth", "CALIBRATION_CameraLocationPV0": "color"}
+POLE_STEPS = 1000  # of the squared tangent of the angle from the axis
 LEAST_RADIUS, USUAL_RADIUS = 1e-4, 1.7  # MetricRadius below the first is not known, and taken for the second
 
 
@@ -94,10 +96,27 @@ def depthai(keys: Keys) -> dict[str, Keys]:
         lens = info["distortionCoeff"][:4] if fisheye else info["distortionCoeff"]
         size = [info[name] or None for name in ("width", "height")]
         model = EQUIDISTANT if fisheye else "rational_polynomial"
-        cameras[_socket(socket)] = {**ros_keys(size, matrix, lens, model), POSE: _oak_pose(infos, socket)}
+        own = ros_keys(size, matrix, lens, model)
+        note = {} if fisheye or None in size or len(lens) < 8 else _pole_note(size, matrix, lens)
+        cameras[_socket(socket)] = {**own, **note, POSE: _oak_pose(infos, socket)}
     if not cameras:
         raise InputError("none of its cameras is calibrated: every intrinsicMatrix is empty or zero.")
     return cameras
+
+
+def _pole_note(size: Sequence[Any], matrix: Sequence[float], lens: Sequence[float]) -> Keys:
+    """A note on a pole of a rational lens within the image, which factory calibrations may have.
+
+    OpenCV goes on beyond it, as numerator and denominator change their signs together; here the lens ends.
+    """
+    fx, _, cx, _, fy, cy, *_ = matrix
+    farthest = math.hypot(max(cx, size[0] - cx) / fx, max(cy, size[1] - cy) / fy)
+    s = np.linspace(0.0, farthest**2, POLE_STEPS)
+    below = np.polynomial.polynomial.polyval(s, [1.0, *lens[5:8]]) <= 0.0
+    if not below.any():
+        return {}
+    angle = math.degrees(math.atan(math.sqrt(s[np.argmax(below)])))
+    return {NOTE: f"its rational lens has a pole at {angle:.0f} degrees from the axis, and shows nothing beyond"}
 
 
 def _socket(number: int) -> str:

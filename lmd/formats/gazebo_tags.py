@@ -75,7 +75,8 @@ def gazebo(root: Element, path: Any, axes: Sequence[str] | None) -> Found:
     if not tags:
         raise InputError(
             "it is a file of Gazebo in which no model, picture or material has a name with the number of a tag, such "
-            "as Apriltag36_11_00003 or aruco_marker_7."
+            "as Apriltag36_11_00003 or aruco_marker_7: rename the model, or write its tags as a table "
+            "(docs/mounting.md)."
         )
     sides = "plates that lie show their tag on the upper side" if up else "tags are where their pictures are"
     return Found(tags, note=f"{path}: {sides}; their edges are not read, as pictures include a margin")

@@ -7,6 +7,7 @@ one folder above. The poses in the `state` that Gazebo saved with a world are th
 Sources: the SDF specification (sdformat.org), "Pose Frame Semantics"; `World::LoadModels` of Gazebo classic.
 """
 
+import re
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -27,6 +28,7 @@ DEEPEST = 20  # frames that refer to each other, and models in models
 NAMED = ("link", "model", "frame", "include", "joint")  # elements whose frames others may refer to
 SELF = ("", "__model__", "world")
 QUATERNION = "quat_xyzw"
+COMMENT = re.compile(r"<!--.*?-->", re.DOTALL)
 
 
 class Seen(NamedTuple):
@@ -68,12 +70,26 @@ class Scope:
         """The transform from a frame that is named in this scope to the world; `model::link` is one in a model."""
         if depth > DEEPEST:
             raise InputError(f"the frame {name!r} refers to itself.")
+        if name in SELF:
+            return self.pose
         first, _, rest = name.partition("::")
-        for element in self.element:
-            if element.tag in NAMED and _name(element) == first:
-                placed = self.placed(element, depth)
-                return Scope(element, placed, self.folder).frame(rest, depth + 1) if rest else placed
+        elements = [element for element in self.element if element.tag in NAMED]
+        for element in elements:
+            if _name(element) == name:  # names of a flattened model have :: in them
+                return self.placed(element, depth)
+        for element in elements if rest else ():
+            if _name(element) == first:
+                return Scope(element, self.placed(element, depth), self.folder).frame(rest, depth + 1)
         raise InputError(f"a pose is relative to the frame {name!r}, which is not in the file.")
+
+
+def root_of(text: str) -> Element | None:
+    """The outermost element of XML, None for another text; comments may have -- within, as Gazebo takes them.
+
+    Raises:
+        InputError: the text begins as XML and is none, or has entities.
+    """
+    return xml_of(COMMENT.sub("", text))
 
 
 def matrix_of(pose: Element | None, name: str) -> FloatArray:
@@ -166,6 +182,9 @@ def _included(folder: Path, uri: str) -> Element | None:
     for place in (folder, folder / MODELS, folder.parent / MODELS, folder.parent):
         files = [place / name / MODEL_FILE, *sorted((place / name).glob("*.sdf"))]
         if found := [file for file in files if file.is_file()]:
-            root = xml_of(read_text(found[0], "path", LARGEST_MODEL))
+            try:
+                root = root_of(read_text(found[0], "path", LARGEST_MODEL))
+            except InputError as error:
+                raise InputError(f"the model {name!r} of {found[0]}: {error}") from None
             return None if root is None else root.find("model")
     return None

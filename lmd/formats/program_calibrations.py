@@ -2,7 +2,7 @@
 
 | program | the principal point counts from |
 | --- | --- |
-| Open3D, Visual Marker Mapping, Kalibr, Caltech's toolbox for MATLAB | the centre of the first pixel, as OpenCV |
+| Open3D, Visual Marker Mapping, Caltech's toolbox for MATLAB | the centre of the first pixel, as OpenCV |
 | MATLAB's toolbox for computer vision | one pixel to the left of and above that centre |
 | Metashape | the middle of the image, from whose border pixels are counted |
 | nerfstudio, instant-ngp | the border of the image |
@@ -10,8 +10,7 @@
 Sources: `PinholeCameraIntrinsic` and `PinholeCameraParameters` of Open3D, whose matrices are written by columns;
 `cameraIntrinsicsToOpenCV` and `stereoParametersToOpenCV` of MATLAB; "Camera models" in Metashape's manual;
 `colmap_utils.py`, `camera_utils.py` and `cameras.py` (nerfstudio-project/nerfstudio), `nerf_loader.cu`
-(NVlabs/instant-ngp); `CameraUtils.py` and `quaternion_algebra.cpp` (ethz-asl/kalibr), whose quaternions are JPL's;
-`CameraUtilities.cpp` (cfneuhaus/visual_marker_mapping).
+(NVlabs/instant-ngp); `CameraUtilities.cpp` (cfneuhaus/visual_marker_mapping).
 """
 
 import math
@@ -28,7 +27,6 @@ from lmd.formats.calibration_readers import (
     POSE,
     Cameras,
     Keys,
-    camera_of_chain,
     fitted,
     known_lens,
     matrix_of,
@@ -45,24 +43,6 @@ from lmd.geometry.se3 import inverse, pose_of
 FIRST_PIXEL = 1.0  # MATLAB's coordinate of the centre of the first pixel
 MOST_FRAMES = 64  # different cameras of frames in a file; more are refused
 MILLIMETRES = 1000.0
-# Kalibr: what the classes of its cameras are called in its chains.
-KALIBR_CLASSES = {
-    "DistortedPinhole": ("pinhole", "radtan"),
-    "EquidistantPinhole": ("pinhole", "equidistant"),
-    "EquidistantDistortedPinhole": ("pinhole", "equidistant"),
-    "Pinhole": ("pinhole", "none"),
-    "Omni": ("omni", "none"),
-    "DistortedOmni": ("omni", "radtan"),
-    "ExtendedUnified": ("eucm", "none"),
-    "DoubleSphere": ("ds", "none"),
-}
-_LIST = r"\s*\[([^\]]*)\]"
-KALIBR_CAMERA = re.compile(
-    rf"^[ \t]*(cam\d+)[ \t]*\([^\n]*\):\s*type:[^\n]*\.(\w+?)(?:CameraGeometry)?'>\s*distortion:{_LIST}[^:]*?"
-    rf"projection:{_LIST}",
-    re.MULTILINE,
-)
-KALIBR_BASELINE = re.compile(rf"baseline T_(\d+)_(\d+):\s*q:{_LIST}[^t]*?\bt:{_LIST}")
 NERF_FISHEYE = "OPENCV_FISHEYE"
 NERF_MODELS = ("OPENCV", "PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL", NERF_FISHEYE)
 METASHAPE = ("f", "cx", "cy", "b1", "b2", "k1", "k2", "k3", "k4", "p1", "p2", "p3", "p4")
@@ -208,7 +188,15 @@ def _metashape(calibration: Element) -> Keys:
     if not (k4 or b2 or p3 or p4):
         return ros_keys(size, matrix, [k1, k2, p2, p1, k3])
     model = power_series((k1, k2, k3, k4), (p2, p1, p3, p4), b2 / (f + b1))
-    return fitted(model, (f + b1, f), centre, size, "of Metashape", [k1, k2, p2, p1, k3])
+    try:
+        return fitted(model, (f + b1, f), centre, size, "of Metashape", [k1, k2, p2, p1, k3])
+    except InputError as error:
+        if not b2:
+            raise
+        way = "optimise the cameras without fitting b2, and export them again"
+        raise InputError(
+            f"its skew b2 = {b2:.4g} pixels is more than a lens without skew can follow: {way}."
+        ) from error
 
 
 def nerf(keys: Keys, asked: Keys) -> Cameras:
@@ -259,38 +247,3 @@ def _nerf(keys: Keys, asked: Keys) -> Keys:
         "of nerfstudio",
         [*radial[:2], *tangential, radial[2]],
     )
-
-
-def kalibr_report(text: str, asked: Keys) -> Cameras:
-    """The cameras of Kalibr's `results-cam.txt`, with their poses in the first; it does not say their size."""
-    cameras: Cameras = {}
-    pose, baselines = np.eye(4), {int(n): (q, t) for n, _, q, t in KALIBR_BASELINE.findall(text)}
-    for index, (name, kind, distortion, projection) in enumerate(KALIBR_CAMERA.findall(text)):
-        model, lens = KALIBR_CLASSES[known_lens(kind, KALIBR_CLASSES)]
-        entry = {"camera_model": model, "distortion_model": lens, "resolution": asked.get("image_size")}
-        entry |= {"intrinsics": _floats(projection), "distortion_coeffs": _floats(distortion)}
-        known = index == 0 or index in baselines
-        if index in baselines:
-            turn, shift = (_floats(numbers) for numbers in baselines[index])
-            pose = pose @ inverse(pose_of(_jpl(turn), np.array(vector("t", shift, 3))))
-        place = ("cam0", pose if known else None)
-        cameras[name] = lambda name=name, entry=entry, place=place: {  # type: ignore[misc]
-            **camera_of_chain(f"{name}.", entry),
-            POSE: place,
-        }
-    if not cameras:
-        raise InputError(
-            "it is a report of Kalibr without the cameras' projection: the camchain*.yaml beside it is read."
-        )
-    return {"": next(iter(cameras.values()))} if len(cameras) == 1 else cameras
-
-
-def _floats(text: str) -> list[float]:
-    return [float(number) for number in text.replace(",", " ").split()]
-
-
-def _jpl(quaternion: list[float]) -> FloatArray:
-    """The matrix of a quaternion x, y, z, w of JPL, which is the transpose of Hamilton's."""
-    from scipy.spatial.transform import Rotation
-
-    return np.asarray(Rotation.from_quat(vector("q", quaternion, 4)).as_matrix()).T

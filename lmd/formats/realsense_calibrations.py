@@ -8,6 +8,7 @@ Brown Conrady" has two meanings there: `rs_types.h` says that its polynomial und
 `rs2_project_point_to_pixel` distorts by it (issues 6382, 7335, 7734 and pull request 13833 leave it open).
 """
 
+import itertools
 import re
 from collections.abc import Mapping
 from functools import partial
@@ -42,9 +43,7 @@ REALSENSE_MODELS = (
 )
 INVERSE = REALSENSE_MODELS[2]
 SERIAL = r"Serial Number\s*:\s*(\S+)"
-INTRINSIC = (
-    r"Intrinsic of \"([^\"\n]+)\"\s*/\s*\d+x\d+[^\n{]*\{?([^}\n]*)\}?[^\n]*\n((?:[ \t#/]*[A-Z][\w ()]*:[^\n]*\n?)+)"
-)
+INTRINSIC = r"Intrinsic of \"([^\"\n]+)\"\s*/\s*\d+x\d+[^\n]*\n((?:[ \t#/]*[A-Z][\w ()]*:[^\n]*\n?)+)"
 REALSENSE = re.compile(f"{SERIAL}|{INTRINSIC}")
 EXTRINSIC = re.compile(
     r"Extrinsic from \"([^\"\n]+)\"\s+To\s+\"([^\"\n]+)\"\s*:\s*Rotation Matrix:\s*([-+.\deE\s]+?)"
@@ -55,18 +54,19 @@ EXTRINSIC = re.compile(
 def realsense_text(text: str, asked: Keys) -> Cameras:
     """The streams that `rs-enumerate-devices -c` prints, by `STREAM/WIDTHxHEIGHT`, with their poses.
 
-    The serial number comes before the name where the text has several devices.
+    The serial number comes before the name where the text has several devices, and `/2` behind that of the second
+    stream of one size, such as raw images beside rectified ones.
     """
     device, found, extrinsics = "", [], {}
     for part in REALSENSE.finditer(text):
         if part[1]:
             device = part[1]
             continue
-        lines = (line.strip(" \t#/").split(":", 1) for line in part[4].splitlines())
+        lines = (line.strip(" \t#/").split(":", 1) for line in part[3].splitlines())
         given = {name.strip().lower(): value.strip() for name, value in lines}
         numbers = {name: float(given[name]) for name in ("width", "height", "fx", "fy", "ppx", "ppy")}
         camera = {**numbers, "model": given["distortion"], "coeffs": [float(k) for k in given["coeffs"].split()]}
-        found.append((device, part[2], part[3].strip(), camera))
+        found.append((device, part[2], camera))
     several = len({device for device, *_ in found}) > 1
     if not several:
         extrinsics = {
@@ -75,9 +75,10 @@ def realsense_text(text: str, asked: Keys) -> Cameras:
         }
     cameras: Cameras = {}
     sources: dict[str, Keys] = {}
-    for device, stream, forms, camera in found:
+    for device, stream, camera in found:
         name = f"{device}/" * several + f"{stream}/{camera['width']:.0f}x{camera['height']:.0f}"
-        name += f"/{forms}" * (name in sources and sources[name] != camera)  # raw and rectified images of one size
+        if name in sources and sources[name] != camera:  # raw and rectified images of one size, or another device
+            name = next(f"{name}/{n}" for n in itertools.count(2) if sources.get(f"{name}/{n}", camera) == camera)
         if name in cameras:
             continue
         sources[name] = camera

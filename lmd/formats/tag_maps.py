@@ -13,8 +13,8 @@ import numpy as np
 
 from lmd.core.checks import FloatArray, InputError
 from lmd.formats import tag_map_readers as readers
+from lmd.formats.gazebo_worlds import root_of
 from lmd.formats.landmark_table import families_of, is_by_normals, renamed, turned_deployment
-from lmd.formats.opencv_calibrations import xml_of
 from lmd.formats.placed_tag import RIGHT_UP_OUT, Found, Keys, PlacedTag, axes_of, check_family, one_family
 from lmd.formats.registry import File, read
 from lmd.scene.deployment import Deployment
@@ -24,7 +24,6 @@ from lmd.scene.labels import Labels
 LARGEST_MAP = 1 << 22  # characters of YAML or JSON; a tag has some hundred
 EDGE_DIGITS = 12  # the rest is rounding: of millimetres as metres, or of the sides of a square
 IS_JSON = re.compile(r"(\s|//[^\n]*\n|/\*.*?\*/)*{", re.DOTALL)  # comments may come first
-XML_COMMENT = re.compile(r"<!--.*?-->", re.DOTALL)  # may have -- within, which Gazebo takes and XML does not
 IS_YAML = re.compile(r"%YAML|---|\s*['\"]?[\w/*]+['\"]?\s*:")
 
 
@@ -43,7 +42,7 @@ class TagMapFile(File):
         Raises:
             InputError: the text begins as XML and is none, or has entities.
         """
-        return xml_of(XML_COMMENT.sub("", self.text))
+        return root_of(self.text)
 
     @cached_property
     def keys(self) -> Keys:

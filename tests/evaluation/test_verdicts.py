@@ -53,7 +53,7 @@ def test_where_the_resolution_asks_for_less_depth_than_the_focus_allows_it_is_to
     assert found.without["resolution"] > 0.05
     assert found.met["facing"] == 1.0  # in front of a wall, whose landmarks are flush
     text = found.to_text().splitlines()
-    assert text[0].startswith("0.00% of 122,880 looks")
+    assert text[0].startswith("0.00% of 122,880 sightings of single landmarks")
     assert text[2].startswith("resolution ")
     assert text[2].endswith("depth up to 0.72 m (thold = 1.2 pixel/mm)")
     assert any(line.startswith("focus ") and line.endswith("depth from 0.975 to 10 m") for line in text)

@@ -123,6 +123,12 @@ def test_poses_are_relative_to_what_is_around_or_to_a_named_frame(read):
     assert_allclose(found.positions[1], [1, 2, 0.505], atol=1e-12)
     with pytest.raises(InputError, match="a pose is relative to the frame 'shelf', which is not in the file"):
         read(world(outer.replace(around, "")))
+    # A model that Gazebo has flattened: its links have :: in their names.
+    tag = plate("tag", "tag36h11_9", "0.3 0.3 0.01").replace(
+        '<link name="l">', '<link name="l"><pose relative_to="x::b"/>'
+    )
+    base = '<link name="x::b"><pose>0 0 1 0 0 0</pose></link><link name="l">'
+    assert_is(read(world(tag.replace('<link name="l">', base))), 9, [0, 0, 1.005], [0, 0, 1], [1, 0, 0])
     with pytest.raises(InputError, match="the frame 'a' refers to itself"):
         read(world('<frame name="a" attached_to="a"/>' + beside))
 

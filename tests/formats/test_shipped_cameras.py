@@ -58,6 +58,14 @@ def test_an_oak_images_by_opencv_s_rational_model(write):
     assert_allclose(images(camera), there, atol=1e-9)
 
 
+def test_a_pole_in_the_image_of_an_oak_is_noted(write):
+    """1 + k4 s = 0 at s = 0.25."""
+    lens = [-4.0, 0.0, 0.0, 0.0, 0.0, -4.0, 0.0, 0.0, *[0.0] * 6]
+    camera = calibrated_camera(write(json.dumps({"cameraData": [[0, OAK | {"distortionCoeff": lens}]]})))
+    assert "has a pole at 27 degrees from the axis, and shows nothing beyond" in camera.note
+    assert calibrated_camera(write(json.dumps({"cameraData": [[0, OAK]]}))).note == ""
+
+
 def test_an_oak_is_a_rig_in_metres(write):
     """Socket 1 refers to 0, and 2 to 1: points go to the next camera, in centimetres."""
     chained = OAK | {"extrinsics": OAK_EXTRINSICS | {"toCameraSocket": 1}}

@@ -27,9 +27,9 @@ def walked(n, occlusion, stage):
         moves.settle(*arguments)
 
     with pytest.MonkeyPatch.context() as patch:
-        # Uncompiled, so that its parts can be exchanged; nothing leads elsewhere than where the walk is.
+        # Uncompiled, so that its parts can be exchanged; the walk begins where it is.
         parts = {"bound": moves.bound, "settle": spy, "accept": moves.accept, "undo": moves.undo}
-        for name, part in {**parts, "lead": lambda *_: None, "_try": module._try}.items():
+        for name, part in {**parts, "move_to": lambda *_: None, "_try": module._try}.items():
             patch.setattr(module, name, part)
         (walker,) = surrogate._walkers
         memory = surrogate._field, walker.state, walker.scratches

@@ -37,6 +37,7 @@ def waiting(self, stage, done=0, most=0):
             time.sleep(0.01)
     return observe(self, stage, done, most)
 signals.Stop._handle, progress.Stages.__call__ = counted, waiting
+progress.SHOWN_AFTER = 600.0  # on a loaded machine no survey is short
 signals.stop.listen()
 """
 pytestmark = pytest.mark.slow

@@ -142,7 +142,10 @@ def limits_of(detector: str, family: str, changes: Mapping[str, Any]) -> Limits:
             return replace(known.limits, **changes)
         if set(changes) == set(NAMES):
             return Limits(**changes)
-    pairs = ", ".join(" with ".join(pair) for pair in measured())
+    families: dict[str, list[str]] = {}
+    for name, own in measured():
+        families.setdefault(name, []).append(own)
+    pairs = "; ".join(f"{name} with {', '.join(own)}" for name, own in families.items())
     raise InputError(
         f"detector {detector} was not measured with tags of family {family}, only {pairs}; "
         f"limits must give {', '.join(NAMES)}.",
