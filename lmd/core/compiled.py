@@ -41,8 +41,8 @@ LINKED = _numba is not None and numba.__version__.rpartition(".")[0] in KNOWN an
 _OPTIONS: Any = {"nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True}
 # Options of inner functions. `forceinline` is set in any case: unset, a function inherits it from its first caller.
 _CALLED: Any = _OPTIONS | {"no_cpython_wrapper": True, "forceinline": False}
-# No reference counts for arguments: the caller holds the arrays. Atomic counting would take a seventh of a move, and
-# more if two threads count one array.
+# No reference counts for arguments: the caller holds the arrays. Atomic counting would take a seventh of the time of
+# a move, and more if two threads count one array.
 _UNCOUNTED: Any = {"_nrt": False}
 _KERNEL, _INNER, _ALLOCATING = (
     (_numba.KernelCompiler, _numba.InnerCompiler, _numba.AllocatingCompiler)

@@ -11,7 +11,7 @@ Only blocks of positions within the horizon of both landmarks are searched, in t
        h_y |e_z| + h_z |e_y| + r (|m| + |h| + |e|),
 
    and the other components by cyclic permutation. The test is in float32; `SINGLE_ERROR` covers its rounding: the error
-   of each sum is below five roundings of 6e-8 of itself or of (|m| + |h|) |e|.
+   of each sum is below 5 * 6e-8 times the larger of the sum and (|m| + |h|) |e|.
 2. `note_neighbour` tests the remaining landmarks from each position: for a camera by the inequalities of the reference,
    for a rig by a bound for all cameras around a centre, then by these inequalities for each orientation.
 

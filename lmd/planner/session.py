@@ -228,7 +228,7 @@ class PlanningSession:
         return search.progress.fitness - before
 
     def end_search(self) -> None:
-        """Stop the search, if there is one, and apply its best deployment, unless it compiles for long."""
+        """Stop the search, if any, and apply its best deployment if it ends within `PATIENCE_SECONDS`."""
         if self.search is not None:
             self.search.stop()
             with suppress(InputError):

@@ -20,7 +20,7 @@ from lmd.survey.sightings import Sightings
 from lmd.survey.single_poses import single_poses
 
 FEWEST_SIGHTINGS, LEAST_SHARE = 3, 0.5  # minimum number, and share of a tag's outliers, that show it at a second pose
-APART_EDGES, TURNED_RAD = 0.2, 0.3  # minimum distance of the two poses of a tag, in edges, or rotation, rad
+APART_EDGES, TURNED_RAD = 0.2, 0.3  # two poses of a tag differ from this distance, in edges, or rotation, rad, on
 OUT_OF_ORDER_SHARE = 0.1  # maximum share of frames before and after a move that are out of order
 # A size is wrong if it differs by this share and by this number of standard deviations, and if this share of sightings
 # fits the other size.

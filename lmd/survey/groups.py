@@ -254,7 +254,7 @@ def _worlds(nodes: Nodes, poses: FloatArray, motion: Motion) -> tuple[FloatArray
 
 
 def _spanned(count: int, relations: Sequence[Relation]) -> tuple[FloatArray, IntArray, IntArray]:
-    """Worlds of parts, see `_worlds`, by the spanning tree of the first relations.
+    """Worlds of parts, see `_worlds`, by the spanning tree that takes relations in their order.
 
     Returns:
         also the index of the relation that first joined each pair of parts, the weakest between them, `(P, P)`.

@@ -42,7 +42,7 @@ class Reprojection:
     """Residuals of sightings at some poses, and their Jacobians with respect to right-hand twists: X -> X exp(twist).
 
     Args:
-        sightings: N of them.
+        sightings: N sightings.
         tags, frames, mounts: poses of the tag, the frame and the mount of each sighting, `(N, 4, 4)`.
     """
 
