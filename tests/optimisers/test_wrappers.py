@@ -1,7 +1,6 @@
 """Behaviour of the wrapped libraries beyond the contract in test_optimisers."""
 
 import random
-import re
 import subprocess
 import sys
 from functools import partial
@@ -11,6 +10,7 @@ import numpy as np
 import pytest
 from composing import composed
 from contracts.optimiser import check_going_on
+from libraries import OneByOne, pymoo, run
 from omegaconf import OmegaConf
 from processes import environment
 from scipy.optimize import differential_evolution, direct, dual_annealing, minimize, shgo
@@ -20,24 +20,12 @@ from lmd.core.checks import InputError
 from lmd.optimisers.ledger import Budget
 from lmd.optimisers.nevergrad import Nevergrad
 from lmd.optimisers.pycma import PyCma
-from lmd.optimisers.pymoo import Pymoo
 from lmd.optimisers.random_search import RandomSearch
 from lmd.optimisers.scipy import Scipy
 from lmd.optimisers.wrapped import AskAndTell, Wrapped
 from lmd.scene.deployment_sources import RandomDeployment
 from pipelines.hyperparameters import completed
 from pipelines.nodes import instantiate
-
-
-def run(optimiser, batches, dim=12, fitness=lambda genes: -np.abs(genes - 0.3).sum(axis=1)):
-    """Start or go on with an optimiser; returns the batches it asked for."""
-    if not optimiser.ledger.evaluations:
-        optimiser.dim, optimiser.rng, optimiser.start = dim, np.random.default_rng(0), np.full((1, dim), 0.6)
-    asked = []
-    for _ in range(batches):
-        asked.append(optimiser.ask())
-        optimiser.tell(asked[-1], fitness(asked[-1]))
-    return asked
 
 
 def losses_told(optimiser, batches, fitness):
@@ -47,22 +35,6 @@ def losses_told(optimiser, batches, fitness):
     optimiser.session.tell = lambda genes, told: losses.append(told) or tell(genes, told)
     run(optimiser, batches, fitness=fitness)
     return losses
-
-
-def pymoo(name, **parameters):
-    from pymoo.algorithms.soo.nonconvex import cmaes, de, direct, g3pcx, ga, isres, pattern, pso
-
-    module = {
-        "GA": ga,
-        "DE": de,
-        "PSO": pso,
-        "CMAES": cmaes,
-        "PatternSearch": pattern,
-        "ISRES": isres,
-        "G3PCX": g3pcx,
-        "DIRECT": direct,
-    }
-    return Pymoo(partial(getattr(module[name], name), **parameters))
 
 
 class Stubborn(Wrapped):
@@ -84,25 +56,6 @@ class Stubborn(Wrapped):
                 print("chatter")
 
         return Session()
-
-
-class OneByOne:
-    """Proposes one set of genes at a time, is told pairs, and ends after five rounds, as the package cmaes does it."""
-
-    def __init__(self, mean, step, seed, bounds):
-        assert bounds.shape == (len(mean), 2)
-        self.best, self.step, self.rng, self.rounds = (np.inf, mean), step, np.random.default_rng(seed), 0
-
-    def ask(self):
-        return self.best[1] + self.rng.normal(0.0, self.step, len(self.best[1]))
-
-    def tell(self, pairs):
-        self.rounds += 1
-        assert len(pairs) == 4
-        self.best = min([self.best, *((loss, genes) for genes, loss in pairs)], key=lambda pair: pair[0])
-
-    def should_stop(self):
-        return self.rounds >= 5
 
 
 def one_by_one():
@@ -142,49 +95,6 @@ def test_every_library_gets_better(make, batches, least):
 )
 def test_populations_begin_with_the_start(make):
     np.testing.assert_allclose(run(make(), 1)[0][0], np.full(12, 0.6), rtol=1e-7 if make.func is Nevergrad else 0.0)
-
-
-class Asking:
-    """Asks for what it is told to."""
-
-    def __init__(self, x0, asked):
-        self.asked = asked
-
-    def ask(self):
-        return self.asked
-
-    def tell(self, genes, losses):
-        pass
-
-
-@pytest.mark.parametrize(
-    ("asked", "message"),
-    [
-        ([np.nan] * 12, "Asking asked for genes of which 12 of 12 are NaN, after 0 evaluations."),
-        (np.where(np.eye(12) > 0, np.nan, 0.5), "Asking asked for genes of which 12 of 144 are NaN"),
-        (["a"] * 12, "Asking asked for ['a', 'a'"),
-        ([["0.1"] * 12, [None] * 11], "Asking asked for [['0.1'"),
-        (object, "Asking asked for <class 'object'>, not for genes (B, 12)."),
-        ([[0.5] * 11], "Asking asked for genes of shape (1, 11), not (B, 12)."),
-        ([], "Asking asked for genes of shape (1, 0), not (B, 12)."),
-    ],
-)
-def test_what_is_no_genes_is_refused_at_once_with_the_name_of_what_asked(asked, message):
-    optimiser = AskAndTell(partial(Asking, asked=asked))
-    with pytest.raises(InputError) as told:
-        run(optimiser, 1)
-    assert str(told.value).startswith(message)
-    optimiser = AskAndTell(partial(Asking, asked=[0.5] * 12))
-    run(optimiser, 3)
-    optimiser.session.made.asked = asked
-    with pytest.raises(InputError, match=re.escape(message.replace("after 0", "after 3"))):
-        run(optimiser, 1)
-
-
-class Mute(Asking):
-    """An optimiser without `tell`."""
-
-    tell = None
 
 
 def test_lists_of_a_configuration_are_tuples_where_a_function_has_them():
@@ -305,67 +215,3 @@ def test_libraries_leave_the_global_generators_alone_and_are_silent(capfd, recwa
 def test_random_search_does_not_depend_on_its_batch():
     one, other = run(RandomSearch(batch=4), 6), run(RandomSearch(batch=12), 2)
     np.testing.assert_array_equal(np.concatenate(one), np.concatenate(other))
-
-
-@pytest.mark.parametrize(
-    ("make", "message"),
-    [
-        (lambda: Pymoo("GA"), r"^algorithm must be a function of no arguments, got 'GA'"),
-        (lambda: Pymoo(dict), r"^algorithm makes a dict, not a pymoo algorithm"),
-        (
-            lambda: pymoo("DE", variant="DE/rand"),
-            r"^algorithm cannot be made: Please provide a valid variant",
-        ),
-        (lambda: pymoo("GA", pop_size=-1), r"^algorithm\.pop_size must be at least 1, got -1"),
-        (lambda: Nevergrad("DE", workers=0), r"^workers must be at least 1, got 0"),
-        (lambda: Nevergrad("DE", step=0), r"^step must be greater than 0, got 0"),
-        (lambda: Nevergrad("DE", budget=0.5), r"^budget must be a whole number, got 0\.5"),
-        (lambda: Scipy("DE"), r"^minimise must be a function of an objective and bounds, got 'DE'"),
-        (lambda: Scipy(np.linalg.norm), r"^minimise must be a function of an objective and bounds, got <function norm"),
-        (lambda: PyCma("sparse"), r"^variant must be one of full, separable, vkd, got 'sparse'"),
-        (lambda: PyCma(step=-1), r"^step must be greater than 0, got -1"),
-        (lambda: PyCma(population=2), r"^population must be at least 4, got 2"),
-        (lambda: RandomSearch(batch=0), r"^batch must be at least 1, got 0"),
-        (lambda: AskAndTell(OneByOne), r"^start must be one of mean, step, seed, bounds, got 'x0'"),
-        (lambda: AskAndTell(3), r"^make must be a class or a function, got 3"),
-        (
-            lambda: Nevergrad("DifferentialEvolution", options={"genes": 2}),
-            r"^options do not suit nevergrad's DifferentialEvolution: .*genes",
-        ),
-        (
-            lambda: Nevergrad("TwoPointsDE", options={"popsize": 10}),
-            r"^name = 'TwoPointsDE' is not a family that takes options",
-        ),
-        (
-            lambda: Nevergrad("TwoPointDE"),
-            r"^name = 'TwoPointDE' is not an optimiser of .*; close: TwoPointsDE",
-        ),
-    ],
-)
-def test_impossible_parameters_are_refused(make, message):
-    with pytest.raises(InputError, match=message):
-        make()
-
-
-@pytest.mark.parametrize(
-    ("make", "message"),
-    [
-        (lambda: AskAndTell(OneByOne, start="mean"), r"^make failed: .*step"),
-        (
-            lambda: AskAndTell(partial(Mute, asked=[0.5])),
-            r"^make: .*Mute makes an object without the method tell\.",
-        ),
-        (
-            lambda: Nevergrad("DiscreteBSOOnePlusOne"),
-            r"nevergrad's DiscreteBSOOnePlusOne failed: .*needs a budget",
-        ),
-        (
-            lambda: Scipy(partial(differential_evolution, strategy="best")),
-            r"^minimise failed: Please select a valid mutation strategy",
-        ),
-    ],
-)
-def test_a_library_that_fails_in_the_run_says_why(make, message):
-    optimiser = make()
-    with pytest.raises(InputError, match=message):
-        run(optimiser, 3)
