@@ -16,7 +16,7 @@ from lmd.scene.rig import Rig
 from lmd.scene.scene import Scene
 from lmd.sight.evaluator import Evaluator
 
-# Seeds every draw of an objective's `Sampling`: the problem is the same for every seed of an optimiser.
+# Seeds every draw of an objective's `Sampling`: every seed of an optimiser gives one problem.
 SAMPLING_STREAM = 0x64657369
 
 
@@ -50,12 +50,12 @@ class Genome(Protocol):
 class Problem:
     """Maximise the objective's fitness over deployments of K landmarks.
 
-    `evaluator` and `relevance` `(P,)` are those of the room's grid and the PDF, for every figure that is reported.
-    `fitness_evaluator` and `fitness_relevance` are those an optimiser climbs: the same, or the objective's sampling.
+    `evaluator` and `relevance` `(P,)` belong to the room's grid and the PDF; reported figures use them. Optimisers use
+    `fitness_evaluator` and `fitness_relevance`, which belong to that grid or to the objective's sampling.
 
     Args:
-        scene: what stays fixed.
-        objective: what the deployment is for.
+        scene: scene, which stays fixed.
+        objective: objective, which is maximised.
         start: deployments an optimiser may start from; they also fix the number of landmarks K.
         threads: worker threads, all processors by default; results do not depend on it.
         fixed: landmarks that hang already and stay where they are. They are the first of every deployment; the start
@@ -191,7 +191,7 @@ class Problem:
         For methods that can change what they climb on the way: what is drawn anew cannot be learnt by heart.
 
         Args:
-            share: of the positions drawn in each cell, at least one of them.
+            share: share of the positions that is drawn in each cell, at least one position.
             rng: draws them.
 
         Returns:

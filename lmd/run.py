@@ -19,12 +19,12 @@ def optimise(
     """Find a deployment for a problem.
 
     Args:
-        problem: what is maximised.
-        evaluations: full evaluations it may cost at most; one moved landmark counts 1/K.
+        problem: problem whose fitness is maximised.
+        evaluations: maximum number of full evaluations; one moved landmark counts 1/K.
         seconds: wall time after which no new evaluation starts. At least one of the two limits is needed.
-        seed: of the optimiser; the same seed gives the same result.
-        optimiser: the method; `Annealing`, our best, by default. One that is given has its own seed.
-        callback: called after every batch; returning True stops the run.
+        seed: random seed of the optimiser; the same seed gives the same result.
+        optimiser: optimiser, `Annealing` by default. `seed` does not affect a given optimiser.
+        callback: function called after every batch; if it returns True, the run stops.
 
     Raises:
         InputError: there is no limit, or the optimiser cannot take the problem.
@@ -34,13 +34,13 @@ def optimise(
 
 
 def evaluate(problem: Problem, deployment: Deployment, validate: bool = False, seed: int = 0) -> dict[str, float]:
-    """The figures of a deployment, fractions in [0, 1].
+    """Figures of a deployment, fractions in [0, 1].
 
     Args:
-        problem: what it is scored for.
+        problem: problem that defines the figures.
         deployment: any number of landmarks in the problem's room.
-        validate: also score it off the problem's grid, see `lmd.evaluation.validation`; takes a second.
-        seed: of the sample used for that.
+        validate: True to compute figures off the problem's grid too, see `lmd.evaluation.validation`; takes a second.
+        seed: random seed of the sample off the grid.
 
     Raises:
         InputError: a landmark lies outside the room, or footprints overlap.

@@ -10,10 +10,10 @@ import weight
 
 # Docstrings and comments with each phrase, at most. Lower a number when you have lowered the count.
 CEILINGS = {
-    "docstring begins with What, How, Whether, Where, Who or Which": 12,
+    "docstring begins with What, How, Whether, Where, Who or Which": 0,
     "so many, so far, so much": 2,
-    "the same, without a noun": 11,
-    "nobody, whoever, whatever": 8,
+    "the same, without a noun": 4,
+    "nobody, whoever, whatever": 0,
     "what it is of": 1,
 }
 MODULE = '''"""What it is.

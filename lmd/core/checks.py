@@ -136,7 +136,7 @@ def boolean(name: str, value: Any) -> bool:
     """Return `value` if it is True or False.
 
     Raises:
-        InputError: it is neither, for example 0 or 1.
+        InputError: `value` is neither True nor False, for example 0 or 1.
     """
     if not isinstance(value, bool):
         raise InputError(f"{name} must be true or false, got {value!r}.", name)
@@ -147,7 +147,7 @@ def choice(name: str, value: Any, options: Sequence[str]) -> str:
     """Return `value` if it is one of `options`.
 
     Raises:
-        InputError: it is not.
+        InputError: `value` is not one of `options`.
     """
     if value not in options:
         raise InputError(f"{name} must be one of {', '.join(options)}, got {value!r}.", name)

@@ -77,7 +77,7 @@ class _InnerLibrary(_Library):
     def get_pointer_to_function(self, name: str) -> int:
         return 0
 
-    codegen = property(lambda self: self)  # numba calls its `set_env`
+    codegen = property(lambda self: self)  # numba calls `codegen().set_env`
 
     def set_env(self, name: str, environment: Any) -> None:
         """Do nothing: only machine code needs an environment."""

@@ -176,7 +176,7 @@ def wrong_size(path: Path, argument: str, written: tuple[int, ...], size: tuple[
 def _pixels(content: bytes) -> tuple[int, ...] | None:
     """Width and height in the header of an image file; None if the file is no image.
 
-    Read before decoding, as a small file may decode to gigabytes.
+    Callers check this size before decoding, as a small file may decode to gigabytes.
     """
     from PIL import Image
 

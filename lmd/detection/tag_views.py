@@ -150,7 +150,7 @@ class SurveyedViews:
         _, _, _, depth, pitch, incidence, edge, border, circle, seen = columns
         if (count := int(number.max(initial=0))) > len(cameras):
             raise InputError(
-                f"folder: the survey {str(self.folder)!r} has {count} cameras, here {len(cameras)}.", "folder"
+                f"folder: the survey {str(self.folder)!r} has {count} cameras, but {len(cameras)} are given.", "folder"
             )
         sigma = np.empty(len(depth))
         for index, camera in enumerate(cameras, 1):

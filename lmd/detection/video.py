@@ -159,7 +159,8 @@ class Video:
 
         Args:
             size: required width and height. Frames are in the sensor's orientation if they then have this size,
-                otherwise rotated as the file states. None for the sensor's orientation and any size.
+                otherwise rotated as the file states. If it is None, frames have any size and the
+                sensor's orientation.
 
         Raises:
             InputError: the video cannot be opened, or has frames of another size.

@@ -29,7 +29,7 @@ class TrajectorySource(Protocol):
         """Make a trajectory inside the room of `scene`.
 
         Raises:
-            InputError: there is none.
+            InputError: the room has no such trajectory.
         """
 
 

@@ -122,8 +122,8 @@ class Observer:
         if longest * (self.gain + self.damping) >= STABILITY_LIMIT:
             raise InputError(
                 f"gain + damping = {self.gain + self.damping:g} 1/s must stay below "
-                f"{STABILITY_LIMIT / longest:g} 1/s, {STABILITY_LIMIT:g} over the longest time between frames, "
-                f"{longest:g} s.",
+                f"{STABILITY_LIMIT / longest:g} 1/s, which is {STABILITY_LIMIT:g} divided by "
+                f"the longest time between frames, {longest:g} s.",
                 "gain",
             )
 

@@ -194,7 +194,7 @@ def conduct(
 
     Args:
         problems: by the deployment's name; all share one scene.
-        flights: what is flown.
+        flights: flights to localise, equal for all deployments.
         detectors: noise and missed detections, by the deployment's name.
         estimators: by name.
         all_visible: fly over each deployment a second time, as `<name> all visible`, with every landmark in view.
@@ -233,7 +233,8 @@ def to_markdown(figures: pd.DataFrame, n: int) -> str:
 
     Args:
         figures: one row for each deployment, estimator and seed.
-        n: of the objective; the share of time with as many in view is shown beside that with 3, which fix a pose.
+        n: n of the objective; the share of time with n landmarks in view is shown beside the share with 3, which fix a
+            pose.
     """
     head = ["deployment", "estimator", *(f"time with >= {m} in view" for m in sorted({n, 3}))]
     head += ["mean Er (10 to 90 %)", "settled after [s]", "position [mm]", "attitude [mrad]", "available"]

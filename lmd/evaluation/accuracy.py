@@ -38,7 +38,7 @@ def as_localisation(objective: Objective) -> Localisation:
 def predicted_errors(problem: Problem, deployment: Deployment, evaluator: Evaluator) -> tuple[FloatArray, FloatArray]:
     """Predict the standard deviation of the position in each view, metres, `(P, D)` for D orientations, and P_n `(P,)`.
 
-    The noise of a corner and the rule for single tags are those of the objective, or of the default `Localisation`.
+    The noise of a corner and the rule for single tags come from the objective, or from the default `Localisation`.
     """
     objective, scene = problem.objective, problem.scene
     of_any = replace(as_localisation(objective), tolerance=np.inf, rotation_tolerance=None)

@@ -179,7 +179,7 @@ class Kind(NamedTuple):
     poses: Deployment
     """Landmarks at the centres of the cells, with their edge."""
     number: int
-    """Number of these landmarks."""
+    """Number of landmarks that may take the poses."""
 
 
 def _kinds(problem: Problem, evaluator: Evaluator, count: int, spacing: float) -> list[Kind]:

@@ -45,7 +45,7 @@ class Comparison:
     table: pd.DataFrame
     """One row per optimiser, the best first; `compared` names its columns."""
     targets: tuple[float, ...]
-    """Quartiles of the final fitness of all runs; `evaluations_to_1` is about the first of them."""
+    """Quartiles of the final fitness of all runs; column `evaluations_to_<i>` belongs to quartile i, from 1 on."""
     reference: str
     """Optimiser that effect sizes and p-values of the table are against."""
     test: str

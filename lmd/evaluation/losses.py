@@ -24,7 +24,7 @@ class Losses:
     ids: IntArray
     """Ids of K landmarks, `(K,)`."""
     fitness: float
-    """Fitness with all of them."""
+    """Fitness with all landmarks."""
     without: FloatArray
     """`(K, K)` fitness without landmarks i and j; without i alone for i = j."""
 

@@ -87,7 +87,7 @@ def map_errors(
 
 
 def named_figures(*tables: "pd.DataFrame") -> dict[str, float]:
-    """Finite values of tables by row and column, `fitness/5` for column `5 %`."""
+    """Finite values of tables by `<row>/<column>`, without ` %`: row `fitness`, column `5 %` is `fitness/5`."""
     return {
         f"{row}/{column}".replace(" %", ""): float(value)
         for table in tables

@@ -55,8 +55,8 @@ def selection_upper_bound(
 ) -> SelectionBound:
     """Bound the selection of `count` landmarks, fixed ones among them, from a grid of poses `spacing` metres apart.
 
-    Views are those of the problem's fitness. The greedy choice keeps footprints apart, the bound also holds for those
-    that overlap. The result does not depend on the number of threads.
+    The bound counts the views that the problem's fitness counts. The greedy choice keeps footprints apart; the bound
+    also holds for overlapping footprints. The result does not depend on the number of threads.
 
     Args:
         problem: the problem.

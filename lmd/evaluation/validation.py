@@ -75,7 +75,7 @@ def validation_metrics(
 
     They are means over positions of the `shares` of the objective: its headline on the finer grid, all of them
     grid-free. Their standard errors come from the spread of the groups, which covers positions and orientations. Where
-    poses were recorded, the figures are those of `held_out_metrics`.
+    poses were recorded, `held_out_metrics` computes the figures.
 
     Args:
         problem: the problem.
@@ -157,7 +157,7 @@ def sampled_evaluators(scene: Scene, seed: int, sample: Sample, threads: int) ->
 def held_out_metrics(problem: Problem, deployment: Deployment, recorded: "RecordedPoses") -> dict[str, float]:
     """Shares of recorded time, fractions in [0, 1], in which a view is qualified: n landmarks covered, or localised.
 
-    `recorded_share` is that of the time optimised on, `held_out_share` that of the time held out, if any. The standard
+    `recorded_share` refers to the time optimised on, `held_out_share` to the time held out, if any. The standard
     error assumes that blocks of time are independent, not records; it needs two blocks.
 
     Args:

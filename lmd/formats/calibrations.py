@@ -26,7 +26,7 @@ OPTICS = ("focal_length", "aperture", "focus_distance", "image_circle")  # what 
 
 @dataclass(frozen=True)
 class Calibration:
-    """What was measured of a camera, in pixels.
+    """Intrinsic calibration of a camera, in pixels.
 
     Args:
         image_width, image_height: w and h.
@@ -34,7 +34,7 @@ class Calibration:
         principal_point: (c_x, c_y), from the centre of the first pixel, as OpenCV counts.
         distortion, distortion_model: of the lens, see `lmd.geometry.lens.Lens`.
         image_circle: diameter of the round image, pixels; infinite if the file does not say it.
-        note: what whoever uses it should know of where it was read.
+        note: remark for the user on the origin of the values.
 
     Raises:
         InputError: a value is out of range, or the lens is none of these.

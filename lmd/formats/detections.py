@@ -57,7 +57,7 @@ class DetectedTags:
 
     @property
     def images(self) -> BoolArray:
-        """`taken`, whatever is known, `(F, C)`."""
+        """`taken`, `(F, C)`; all True if it is None."""
         return np.ones((len(self.times), len(self.cameras)), dtype=bool) if self.taken is None else self.taken
 
     @classmethod
@@ -80,7 +80,7 @@ class DetectedTags:
 
     @classmethod
     def together(cls, parts: Mapping[str, "DetectedTags"]) -> "DetectedTags":
-        """What several cameras, by their names in ascending order, saw in frames that have equal names."""
+        """Merge detections of several cameras, by ascending name; frames with equal names become one frame."""
         times = sorted({time for part in parts.values() for time in part.times})
         places = [np.searchsorted(times, part.times)[part.frame] for part in parts.values()]
         camera = np.repeat(np.arange(len(parts)), [len(part) for part in parts.values()])

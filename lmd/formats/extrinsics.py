@@ -79,9 +79,7 @@ def _posed(path: Any, names: Any, shared: Mapping[str, Any]) -> dict[str, FloatA
         return {}
     streams = {name.split("/")[0] for name in cameras}
     if names is None and len(streams) < len(cameras):
-        raise InputError(
-            f"names must be given, as [A, B], where a file has several sizes: {', '.join(cameras)}.", "names"
-        )
+        raise InputError(f"names must be given, as [A, B]: {path} has {', '.join(cameras)}.", "names")
     if unknown := [name for name in names or () if name not in cameras]:
         raise InputError(f"names: {path} has no camera {unknown[0]!r}, only {', '.join(cameras)}.", "names")
     placed = {name: keys_of(path, cameras[name])[POSE] for name in names or cameras}
@@ -94,7 +92,7 @@ def _posed(path: Any, names: Any, shared: Mapping[str, Any]) -> dict[str, FloatA
 
 
 def _on_body(keys: Mapping[str, Any]) -> dict[str, Callable[[], FloatArray]]:
-    """What reads the pose of each camera on the body, from its optical frame to the body's."""
+    """Functions that read the pose of each camera, from its optical frame to the body's."""
     found: dict[str, Callable[[], FloatArray]] = {}
     for camera, entry in keys.items():
         if not (isinstance(entry, Mapping) and CHAINED.fullmatch(camera)):
@@ -118,7 +116,7 @@ def _on_body(keys: Mapping[str, Any]) -> dict[str, Callable[[], FloatArray]]:
 
 
 def _chain(keys: Mapping[str, Any]) -> dict[str, Callable[[], FloatArray]] | None:
-    """What reads the pose of each camera of Kalibr's chain in the first; None if they are not chained."""
+    """Functions that read the pose of each camera of Kalibr's chain in the frame of the first; None without a chain."""
     names = sorted((name for name in keys if CHAINED.fullmatch(name)), key=lambda name: int(name[3:]))
     entries = [keys[name] for name in names]
     if not entries or not all(isinstance(entry, Mapping) and "T_cn_cnm1" in entry for entry in entries[1:]):

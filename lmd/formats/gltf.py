@@ -27,7 +27,7 @@ DATA = "data:application/octet-stream;base64,"
 def header_of(file: Path, content: bytes) -> dict[str, Any]:
     """The JSON part of a glTF, checked: it has its triangles in itself, as they are, and no more than it says.
 
-    What is read must be in the file that is named: by its contents another run knows whether it is the same.
+    All data must be in the named file, as another run recognises the room by the contents of that file.
 
     Raises:
         InputError: the triangles are elsewhere, compressed or placed by an extension that is not read.

@@ -28,7 +28,7 @@ UP_AXES = ("z", "y")
 CAPTURED = ".json"
 Y_UP = (".gltf", ".glb", CAPTURED)  # what their standard says
 SUFFIXES = (".gltf", ".glb", ".obj", ".stl", ".ply", CAPTURED)
-# Corners that differ by less are the same, metres: files have 32 bits for a number.
+# Decimals of a metre to which corners are rounded before they are compared: files have 32 bits for a number.
 CORNER_DIGITS = 6
 # Metres in the units that programs export, and the longest side of rooms that are hinted at, metres.
 UNITS = {"metres": 1.0, "millimetres": 0.001, "centimetres": 0.01, "inches": 0.0254, "feet": 0.3048}
@@ -197,7 +197,7 @@ def triangles(room: RoomFile) -> dict[str, Any]:
             _check_ply(str(file), content, sum(len(part.faces) for part in parts.values()))
     except InputError:
         raise
-    except Exception as error:  # whatever a reader of a broken file runs into
+    except Exception as error:  # readers of broken files raise errors of any kind
         raise InputError(f"path: {str(file)!r} cannot be read as a mesh ({error}).", "path") from None
     named = len(parts) > 1 or not any(name.startswith("geometry") for name in parts)
     return parts if named else {"": next(iter(parts.values()))}

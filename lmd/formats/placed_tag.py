@@ -1,6 +1,6 @@
 """A tag of a map, its family by the names of others, and the checks of the values that place it.
 
-All readers give the poses of tags in one frame: x to the right of the tag, y up, z out of it to whoever looks at it.
+All readers give the poses of tags in one frame: x to the right of the tag, y up, z out of it towards the viewer.
 """
 
 from collections.abc import Iterable, Mapping, Sequence

@@ -44,7 +44,7 @@ def rig_of(mounts: Any, camera: Camera | None = None) -> Rig:
 
 
 def read_mounts(path: Any) -> Any:
-    """What `rig_of` makes a rig of, from a file: a list with the key `rig`, or a calibration of several cameras.
+    """Read the mounts for `rig_of` from a file: a list with the key `rig`, or a calibration of several cameras.
 
     Raises:
         InputError: the file cannot be read, or its key is no list.
@@ -58,7 +58,7 @@ def read_mounts(path: Any) -> Any:
 
 
 def brings_cameras(mounts: Any) -> bool:
-    """Whether no mount of `rig_of` needs a camera from elsewhere."""
+    """Return True if every mount for `rig_of` has its own camera."""
     if _is_chain(mounts):
         return True
     own = [isinstance(m, Mapping) and m.get("camera") is not None for m in (mounts if isinstance(mounts, list) else ())]
@@ -66,7 +66,7 @@ def brings_cameras(mounts: Any) -> bool:
 
 
 def calibrations_of(mounts: Any) -> dict[Camera, Any]:
-    """Which calibration each kind of camera of `rig_of` has, for `write_rig`; none for the camera of all.
+    """Calibrations by camera of `rig_of`, for `write_rig`; the default camera of the rig has none.
 
     Raises:
         InputError: a calibration is refused.
@@ -113,10 +113,10 @@ def write_rig(path: Path, rig: Rig, sources: Mapping[Camera, Any]) -> None:
 
 
 def rig_text(rig: Rig, sources: Mapping[Camera, Any]) -> str:
-    """What a rig file says, see `read_mounts`; numbers are those of the rig, to the bit.
+    """Text of a rig file, see `read_mounts`; numbers equal those of the rig to the bit.
 
     Args:
-        sources: which calibration each kind of camera has, as `rig_of` takes it; none for the camera of all.
+        sources: calibration by camera, as `rig_of` takes it; the default camera of the rig has none.
     """
     import yaml
 

@@ -1,4 +1,4 @@
-"""Where the tags of a deployment are, as every format is written from it."""
+"""Poses of the tags of a deployment, from which every format is written."""
 
 import warnings
 from dataclasses import dataclass
@@ -65,14 +65,14 @@ class TagMap:
 
     @cached_property
     def fixtures(self) -> tuple[Fixture, ...]:
-        """What stands in the room."""
+        """Fixtures of the room: doors, windows, furniture and others."""
         return tuple(self.room.fixtures())
 
     @cached_property
     def at(self) -> FloatArray:
-        """How far each is from the left and the lower edge of its surface, `(K, 2)`, metres; NaN for free ones.
+        """Distance of each tag from the left and the lower edge of its surface, `(K, 2)`, metres; NaN for free tags.
 
-        That is as one stands before the surface.
+        Left is as seen by a viewer who faces the surface.
         """
         at = np.full((len(self.ids), 2), np.nan)
         for index, surface in enumerate(self.room.surfaces()):
@@ -145,7 +145,7 @@ class TagMap:
 
     @cached_property
     def turns(self) -> "Rotation":
-        """From the frame of each tag to the world: x to its right, y up, z out of it to whoever looks at it."""
+        """Rotation from the frame of each tag to the world: x to its right, y up, z out of it towards the viewer."""
         from scipy.spatial.transform import Rotation
 
         up, normal = self.deployment.ups, self.deployment.normals

@@ -59,7 +59,7 @@ MARKS = frozenset(
 OUT_RIGHT_UP = axes_of(("out", "right", "up"))  # WPILib
 INTO = axes_of(("right", "down", "into"))  # frc971, as AprilTag 3
 FACING_BACK = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])  # the axes of frc971 if it looks along -y
-# OpenCV has the pictures of AprilTag turned by half a turn: whoever detects with it means another up.
+# OpenCV has the pictures of AprilTag turned by half a turn: OpenCV's detections have the opposite up.
 HALF_TURN = np.diag([-1.0, -1.0, 1.0])
 
 

@@ -41,7 +41,7 @@ def write_apriltag_ros(path: Path, tags: TagMap) -> None:
 def write_apriltag_ros2(path: Path, tags: TagMap) -> None:
     """Write `tags.apriltag_ros2.yaml`: the parameters of the node, with a frame for each tag.
 
-    The node only names the tags that it looks for and their size; where they are is for the map of whoever uses it.
+    The parameters list the tags to detect and their size. They have no poses: consumers of the node bring a map.
 
     Source: christianrauch/apriltag_ros, `cfg`.
     """
@@ -222,7 +222,7 @@ def _write_lines(path: Path, lines: Iterable[str]) -> None:
 
 
 def _field(tags: TagMap) -> tuple[float, float]:
-    """How long and how wide the floor of the room is, metres."""
+    """Length and width of the floor of the room, metres."""
     low, high = tags.room.bounds()
     length, width, _ = (high - low).tolist()
     return length, width

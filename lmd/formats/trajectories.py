@@ -94,7 +94,7 @@ class TrajectoryFile:
         return self.note_of("")
 
     def note_of(self, group: str) -> str:
-        """The same, where the keys of a configuration begin with `group`."""
+        """The note, with keys of a configuration that begin with `group`."""
         notes = (*self._read[1].notes, self._doubt(group))
         return "; ".join(filter(None, notes))
 

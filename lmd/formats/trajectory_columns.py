@@ -98,7 +98,7 @@ def known_column(name: str) -> tuple[str, Column] | None:
     """The name of a column here, and the column; None for a name that is not known."""
     plain = name.strip().strip("'\"").lstrip("#%_ \t").lower()
     unit = ""
-    # Digits in brackets count the columns of an array, in whatever order: q[0].
+    # Digits in brackets count the columns of an array, in any order: q[0].
     if (brackets := _BRACKETS.search(plain)) is not None and not brackets[1].isdigit():
         unit, plain = brackets[1], plain[: brackets.start()]
     for kind, pattern in _COMPILED:
@@ -115,7 +115,7 @@ def known_columns(names: Sequence[str]) -> dict[str, Column]:
     """The columns that are known, by what they are called here; of several times the first is taken.
 
     Raises:
-        InputError: two columns may be the same.
+        InputError: two columns may hold one quantity.
     """
     found: dict[str, Column] = {}
     for name in names:

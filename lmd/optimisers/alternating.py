@@ -37,7 +37,7 @@ class _Best:
 class Alternating(Optimiser):
     """Alternating placement of cameras and tags.
 
-    A turn begins with the best result before it, and is discarded if it is not better. The budget of `run` is that of
+    A turn begins with the best result before it, and is discarded if it is not better. The budget of `run` holds for
     each turn of the cameras.
 
     Args:

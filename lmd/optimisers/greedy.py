@@ -32,7 +32,7 @@ class Greedy(Annealing):
 
     Args:
         spacing: spacing of the grid, metres; it is enlarged if the budget does not suffice.
-        single: conditions of the refinement, or a mapping of those that differ from the default ones.
+        single: conditions of the refinement, or a mapping of the fields that differ from the default.
         seed: see `Optimiser`.
 
     Raises:

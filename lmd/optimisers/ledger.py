@@ -16,7 +16,7 @@ class Budget:
     """Limits of a run.
 
     Raises:
-        InputError: a limit is not positive, or there is none.
+        InputError: a limit is not positive, or no limit is given.
     """
 
     evaluations: int | None = None
@@ -83,7 +83,7 @@ class Ledger:
         """Make a ledger from the `state` of another ledger.
 
         Raises:
-            InputError: `state` is not one.
+            InputError: `state` is not the state of a ledger.
         """
         evaluations = array("evaluations", state["evaluations"], np.float64, None, low=0.0)
         best = array("best_fitness", state["best_fitness"], np.float64, len(evaluations), low=-math.inf)

@@ -87,9 +87,9 @@ class Milp(Optimiser):
     def check(self, problem: Problem) -> None:
         objective = problem.objective
         if not isinstance(objective, Coverage) or objective.sampling is not None:
-            raise InputError("the integer program is that of plain coverage at the grid's own positions.")
+            raise InputError("the integer program needs the objective of plain coverage at the grid's own positions.")
         if problem.scene.rig is not None:
-            raise InputError("the integer program is that of one camera, not of a rig.")
+            raise InputError("the integer program needs a single camera, not a rig.")
         lattice_poses = self._poses(problem)
         poses, views = len(lattice_poses), _views(problem).size
         lattice = f"the lattice of the integer program has {poses} poses, {self.spacing:g} m apart"

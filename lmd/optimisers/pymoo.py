@@ -46,7 +46,7 @@ class Pymoo(Wrapped):
 
 
 def _size(algorithm: Any) -> int:
-    """Number of candidates that the algorithm begins with; a local search goes on from the best of them."""
+    """Number of candidates that the algorithm begins with; a local search continues from the best candidate."""
     from pymoo.core.variable import get
 
     size = getattr(algorithm, "n_sample_points", None) or getattr(algorithm, "pop_size", None) or 1

@@ -59,7 +59,7 @@ def generator(name: str, state: Mapping[str, Any]) -> np.random.Generator:
     """Make a generator from the `generator_state` of another generator.
 
     Raises:
-        InputError: `state` is not one.
+        InputError: `state` is not the state of a generator.
     """
     inner, rng = state["state"], np.random.default_rng(0)
     rng.bit_generator.state = {

@@ -19,8 +19,8 @@ from lmd.optimisers.base import AskTell
 
 # Loss of a failed evaluation, finite as libraries require; fitness lies in [0, 1].
 LOSS_OF_FAILURE = 1e3
-# Decrease of the loss with each evaluation, far less than a position contributes. Many deployments have equal fitness,
-# and most libraries reject ties; with the decrease they cross plateaus.
+# Amount by which the loss decreases with each evaluation; one position contributes far more. Many deployments have
+# equal fitness, and most libraries reject ties; with the decrease they cross plateaus.
 TIE_BONUS = 1e-12
 STOP_METHODS = ("stop", "should_stop")  # methods of an object that return True after it has ended by its own rules
 

@@ -1,4 +1,4 @@
-"""Actions: a queue of what browsers and threads ask for, which one thread does in order."""
+"""Actions: a queue of requests from browsers and threads, which one thread runs in order."""
 
 import logging
 from collections.abc import Callable

@@ -27,7 +27,7 @@ Wanted = Callable[[], bool]
 
 
 class Worker(Generic[Question]):
-    """A daemon thread that works on one question at a time; only the latest question counts.
+    """A daemon thread that answers one request at a time; a new request replaces the previous one.
 
     Args:
         work: called with a question, and with a function that returns True while the answer is wanted.

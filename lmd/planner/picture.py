@@ -51,7 +51,7 @@ class RoomPicture:
     """Everything that is drawn but the robot.
 
     `tags`, `cells` and `balls` are handles of viser for callbacks. Their instances are the tags of the plan, in its
-    order, the candidate places, and the positions of the grid. `depth` is that of drawn frustums, metres.
+    order, the candidate places, and the positions of the grid. `depth` is the length of drawn frustums, metres.
 
     Args:
         server: server of viser.
@@ -174,7 +174,7 @@ class RoomPicture:
             )  # fmt: skip
 
     def show_values(self, values: FloatArray) -> None:
-        """Colour the positions by values `(P,)`, over the span of these."""
+        """Colour the positions by values `(P,)`, from the smallest to the largest value."""
         low, high = span_of(values)
         self.balls.batched_colors = mapped(VALUES, (values - low) / (high - low))
 

@@ -124,7 +124,7 @@ class Plan:
             scene: scene of the tags.
             surface: index of a surface.
             at: see `moved`.
-            edge: edge of the tag, metres; None for that of the scene's tag.
+            edge: edge of the tag, metres; None for the edge of the scene's tag.
 
         Raises:
             InputError: there is no room for its paper, or the family has no tag left.
@@ -199,7 +199,7 @@ def _nearest_free(
 ) -> Deployment:
     """One landmark at the free place nearest to `at` `(2,)` on a surface, with `others` fixed.
 
-    Its edge is `edge`, metres; NaN for that of the scene's tag.
+    `edge` is the edge of its tag, metres; NaN for the edge of the scene's tag.
 
     Raises:
         InputError: there is no such place, or no room for its paper on any surface.

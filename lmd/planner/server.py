@@ -90,7 +90,7 @@ class Planner:
         return self._access.address(self._server.get_port())
 
     def run(self) -> None:
-        """Do actions until an exception ends this; the best deployment of a search is kept."""
+        """Run actions until an exception other than `InputError`; the best deployment of a search is kept."""
         try:
             while True:
                 action = self._actions.next(IDLE_SECONDS) or self._idle
@@ -249,7 +249,7 @@ class Planner:
         try:
             self._panel.say(f"saved in {self._save_files(self._session.plan)}")
         except OSError as error:
-            raise InputError(f"this could not be saved ({error}).") from None
+            raise InputError(f"the plan could not be saved ({error}).") from None
         self._session.note_saved()
 
     # Display.

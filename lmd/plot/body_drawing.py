@@ -29,10 +29,10 @@ def save_body_figure(path: Path, body: Body, rig: Rig, title: str) -> None:
     """Draw the cameras of a rig on a body, with dimensions, and a table of their mounts.
 
     Args:
-        path: of the PNG.
+        path: path of the PNG.
         body: carries the cameras.
         rig: the cameras.
-        title: of the figure.
+        title: title of the figure.
     """
     figure = new_figure((10.0, 6.2 + 0.25 * len(rig.mounts)), title)
     grid = figure.add_gridspec(2, 2, height_ratios=[5.4, 0.8 + 0.25 * len(rig.mounts)])
@@ -91,8 +91,8 @@ def _edges(mount: Mount, across: bool) -> list[FloatArray]:
     """Directions from one border of the image to the opposite one, body frame, `(3,)` each.
 
     Args:
-        mount: of the camera.
-        across: from the left border to the right one; else from the top to the bottom.
+        mount: mount of the camera.
+        across: True for directions from the left border to the right one, False for top to bottom.
     """
     left, right, top, bottom = mount.camera.field_of_view
     found = []

@@ -25,10 +25,10 @@ def save_convergence_figure(path: str | Path, history: Mapping[str, ArrayLike], 
     """Write a PNG of 900 x 500 pixels: the best fitness as a step line over evaluations.
 
     Args:
-        path: of the PNG.
+        path: path of the PNG.
         history: `evaluations`, `best_fitness` and `wall_time` (seconds since the start) of at least one record.
         headline: name and unit of the fitness.
-        title: of the figure.
+        title: title of the figure.
     """
     from matplotlib.ticker import MaxNLocator
 
@@ -69,11 +69,11 @@ def save_comparison_figure(
     one has the share of all seeds and targets that were reached (`attained`), as COCO and IOHprofiler draw it.
 
     Args:
-        path: of the PNG.
-        runs: of all optimisers and seeds.
+        path: path of the PNG.
+        runs: runs of all optimisers and seeds.
         axis: `evaluations` or `wall_time`.
         headline: name and unit of the fitness.
-        title: of the figure.
+        title: title of the figure.
     """
     import matplotlib as mpl
 
@@ -142,10 +142,10 @@ def save_tradeoff_figure(
     Where sizes are mixed, one more panel shows the number of tags of each size.
 
     Args:
-        path: of the PNG.
+        path: path of the PNG.
         points: as for `lmd.evaluation.tradeoff.front`.
         panels: from left to right; their figures are shares.
-        title: of the figure.
+        title: title of the figure.
         axis: as for `front`.
     """
     from lmd.evaluation.tradeoff import COUNTS, MIXED
@@ -195,11 +195,11 @@ def save_heat_map(path: str | Path, tables: "Mapping[str, pd.DataFrame]", title:
     """Write a PNG of heat maps side by side, with the value in every cell.
 
     Args:
-        path: of the PNG.
+        path: path of the PNG.
         tables: shares (fractions; NaN for a cell without a run), by the heading of their panel. The index and the
             columns are named, and equal in all tables.
-        title: of the figure.
-        label: of the shares.
+        title: title of the figure.
+        label: label of the shares.
     """
     rows, columns = next(iter(tables.values())).shape
     size = (1.6 + 1.0 * max(columns, 3) * len(tables), 1.8 + 0.8 * max(rows, 3))

@@ -42,10 +42,10 @@ def save_calibration_figure(path: str | Path, figures: pd.DataFrame, pitches: pd
     """Write a PNG: for each deployment P(>= n) predicted and detected, and below it both shares of tags by pitch.
 
     Args:
-        path: of the PNG.
+        path: path of the PNG.
         figures: rows of `lmd.detection.predictions.figures` with the columns `deployment` and `detector`.
         pitches: rows of `by_pitch`, with the same two columns.
-        title: of the figure.
+        title: title of the figure.
     """
     names, detectors = list(figures.deployment.unique()), list(figures.detector.unique())
     figure = new_figure((2.0 + 5.0 * len(names), 9.0), title)
@@ -83,9 +83,9 @@ def save_places_figure(path: str | Path, places: pd.DataFrame, title: str) -> No
     """Write a PNG: the shares of tags that were predicted and detected, by their place in the image.
 
     Args:
-        path: of the PNG.
+        path: path of the PNG.
         places: rows of `lmd.detection.predictions.by_place`.
-        title: of the figure.
+        title: title of the figure.
     """
     figure = new_figure((12.0, 4.6), title)
     panels: Any = figure.subplots(1, 2)
@@ -107,9 +107,9 @@ def save_limits_figure(path: str | Path, calibrations: Mapping[str, DetectorCali
     """Write a PNG: for each detector the views it found, by pitch and blur, and their share by size over the limit.
 
     Args:
-        path: of the PNG.
+        path: path of the PNG.
         calibrations: by the detector's name.
-        title: of the figure.
+        title: title of the figure.
     """
     figure = new_figure((12.0, 0.6 + 4.2 * len(calibrations)), title)
     panels: Any = figure.subplots(len(calibrations), 2, squeeze=False)
@@ -196,12 +196,12 @@ def save_film(
     """Write an animated picture that takes as long as the flight: a frame beside the room with the camera.
 
     Args:
-        path: of the animated picture.
-        moments: of the flight, at least two, in order.
+        path: path of the animated picture.
+        moments: moments of the flight, at least two, in order.
         camera: gives the shape of the pyramid.
         room: drawn in black.
         landmarks: positions of the tags, `(K, 3)`, world frame, metres.
-        title: of the film.
+        title: title of the film.
     """
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure

@@ -51,12 +51,12 @@ def save_cap_figure(
     that region under the scene's orientation PDF.
 
     Args:
-        path: of the PNG.
+        path: path of the PNG.
         scene: camera, visibility and PDF.
         deployment: the landmarks l_k whose coverage spherical caps overlap.
         position: p, `(3,)`, metres.
         n: number of caps that must overlap.
-        title: of the figure.
+        title: title of the figure.
     """
     from matplotlib.colors import BoundaryNorm, ListedColormap
     from matplotlib.patches import Circle

@@ -34,10 +34,10 @@ def save_scene_page(path: str | Path, problem: Problem, deployment: Deployment, 
     Two buttons switch the positions between colours of the objective's value and qualified or not.
 
     Args:
-        path: of the page.
+        path: path of the page.
         problem: its room is drawn in black, the reachable area dotted and grey.
         deployment: drawn as red arrows along the normals, blue ones for landmarks that hung already.
-        title: of the page.
+        title: title of the page.
     """
     import plotly.graph_objects as go
 

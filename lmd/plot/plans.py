@@ -30,9 +30,9 @@ def save_room_figure(path: str | Path, room: Space, title: str) -> None:
     """Write a PNG: a room from above, with its walls that carry landmarks and the positions of the camera.
 
     Args:
-        path: of the PNG.
+        path: path of the PNG.
         room: room.
-        title: of the figure.
+        title: title of the figure.
     """
     import shapely
     from matplotlib.collections import LineCollection
@@ -59,12 +59,12 @@ def save_room_figure(path: str | Path, room: Space, title: str) -> None:
 def save_accuracy_figure(path: str | Path, deployments: Mapping[str, tuple[Problem, Deployment]], title: str) -> None:
     """Write a PNG: top views with the landmarks and the median predicted error as colour, on one scale.
 
-    The median is that of all views of the grid's positions above a place of the plan.
+    The median is taken over all orientations and heights at each place of the plan.
 
     Args:
-        path: of the PNG.
+        path: path of the PNG.
         deployments: a deployment and the problem that it is judged for, by the heading of its panel.
-        title: of the figure.
+        title: title of the figure.
     """
     from matplotlib import colormaps
     from matplotlib.colors import LogNorm
@@ -102,10 +102,10 @@ def save_survey_figure(path: str | Path, survey: Survey, room: Space | None, tit
     """Write a PNG of 1500 x 700 pixels: tags from above beside the plan, and the distance of each tag from its place.
 
     Args:
-        path: of the PNG.
-        survey: what is drawn.
+        path: path of the PNG.
+        survey: survey that is drawn.
         room: its outline is drawn; None where it is unknown.
-        title: of the figure.
+        title: title of the figure.
     """
     figure = new_figure((15.0, 7.0))
     left, right = figure.subplots(1, 2)

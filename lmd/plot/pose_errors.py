@@ -27,12 +27,12 @@ def save_error_figure(
     """Write a PNG: for each estimator the errors over time, below them the landmarks in view.
 
     Args:
-        path: of the PNG.
+        path: path of the PNG.
         curves: `FlightStudy.curves`.
-        time: of the frames, `(T,)`, seconds.
+        time: time of the frames, `(T,)`, seconds.
         counts: number of landmarks in each frame of one flight, `(T,)`, by deployment.
         n: number of landmarks that is marked by a dotted line.
-        title: of the figure.
+        title: title of the figure.
     """
     estimators, names = list(curves.estimator.unique()), list(counts)
     columns = len(estimators)
@@ -69,10 +69,10 @@ def save_cramer_rao_map(path: str | Path, room: Space, bounds: CramerRaoMap, tit
     """Write a PNG: at each position the share of single frames that fix the pose, and their median position bound.
 
     Args:
-        path: of the PNG.
+        path: path of the PNG.
         room: drawn as a box.
         bounds: of one deployment.
-        title: of the figure.
+        title: title of the figure.
     """
     from matplotlib.colors import LogNorm
 
@@ -107,9 +107,9 @@ def save_map_figure(path: str | Path, views: pd.DataFrame, title: str) -> None:
     """Write a PNG of 800 x 500 pixels: the share of views with a position error below that of the axis, for each map.
 
     Args:
-        path: of the PNG.
+        path: path of the PNG.
         views: rows of `lmd.evaluation.maps.map_errors`; views without an estimate count as infinitely far off.
-        title: of the figure.
+        title: title of the figure.
     """
     figure = new_figure((8.0, 5.0))
     axes = figure.subplots()

@@ -23,10 +23,10 @@ def save_scene_figure(path: str | Path, problem: Problem, deployment: Deployment
     """Write a PNG of 1500 x 750 pixels: positions coloured by the objective's value, and by whether they qualify.
 
     Args:
-        path: of the PNG.
+        path: path of the PNG.
         problem: its room is drawn in black, the reachable area dashed and grey.
         deployment: drawn as red arrows along the normals, blue ones for landmarks that hung already.
-        title: of the figure.
+        title: title of the figure.
     """
     from matplotlib.figure import Figure
     from matplotlib.lines import Line2D
@@ -70,9 +70,9 @@ def save_deployments_figure(
     """Write a PNG of deployments side by side, two in a row, with the positions that each qualifies.
 
     Args:
-        path: of the PNG.
+        path: path of the PNG.
         deployments: a deployment and the problem that it is scored for, by the heading of its panel.
-        title: of the figure.
+        title: title of the figure.
     """
     from matplotlib.figure import Figure
     from matplotlib.lines import Line2D

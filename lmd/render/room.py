@@ -34,7 +34,7 @@ class TaggedRoom:
     surfaces: Sequence[Surface] = ()
     """Surfaces that carry or occlude the tags."""
     edges: FloatArray = None  # type: ignore[assignment] # always an array once made
-    """Edge of each tag, metres, `(K,)`; None for that of `tag`."""
+    """Edge of each tag, metres, `(K,)`; None for the edge of `tag`."""
 
     def __post_init__(self) -> None:
         ids = np.asarray(self.ids)

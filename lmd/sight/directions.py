@@ -73,7 +73,7 @@ def _cells() -> tuple[FloatArray, FloatArray]:
 def _fill(
     sight: Any, centres: FloatArray, angles: FloatArray, axes: FloatArray, shifts: FloatArray, table: np.ndarray
 ) -> None:
-    """Fill a table with the axes that have the centre of each cell in view by the angle of that cell.
+    """Write, for each cell, the set of axes whose field of view holds the centre with the cell's angle as margin.
 
     Args:
         sight: compiled model of sight.

@@ -113,7 +113,7 @@ def find_suspects(k: Integer, view: Any, count: Integer, radius: float, close: A
 def list_occluders(
     k: Integer, view: Any, radius: float, width: float, close: Any, blocks: Integer, occluders: np.ndarray
 ) -> Any:
-    """List the suspects of the first `blocks` words of `close` that pass `may_hide_around`; returns their number."""
+    """Write the landmarks of `close` that pass `may_hide_around` to `occluders`; returns their number."""
     x, y, z, kept = view.x, view.y, view.z, 0
     for b in range(blocks):
         left = np.uint64(close[b])

@@ -54,7 +54,7 @@ class Viewpoint(NamedTuple):
     low: np.ndarray
     """`(K,)` least depth at which an orientation may cover the landmark, metres, see `criteria.from_position`."""
     high: np.ndarray
-    """`(K,)` greatest such depth, metres."""
+    """`(K,)` greatest depth at which an orientation may cover the landmark, metres."""
     sure_depth: np.ndarray
     """`(K,)` depth `sure` of `criteria.from_position`, metres."""
     bottom: np.ndarray
@@ -247,7 +247,7 @@ def is_shown(
     for j in range(np.uint64((count + BLOCK - 1) & -BLOCK)):
         cosine = u[j] * uk + v[j] * vk + w[j] * wk
         suspects += np.int32(cosine * cosine >= close[j])
-    # Landmark k itself is always one of the suspects.
+    # `suspects` always includes landmark k itself.
     return suspects <= 1 or not is_hidden(
         k, count, view.near_index, view.x, view.y, view.z, view.squared, normals, sight
     )  # fmt: skip

@@ -1,6 +1,6 @@
 """A survey: a map of tags from detections of them, by bundle adjustment.
 
-Modules in the order of a survey, each with what it hands on:
+Modules in the order of a survey, each with its result:
 
 - `survey` calls all steps in order; its `Survey` is the result.
 - `keyframes` selects the frames of a video; `sightings` converts detections to measurements of bundle adjustment.
@@ -8,7 +8,7 @@ Modules in the order of a survey, each with what it hands on:
 - `initialisation` finds rough poses of tags and frames, group by group, from `single_poses` by one sighting each.
 - `turns` finds tags that hang turned, and corners in another order.
 - `groups` joins groups that no image connects, by the `motion` between frames, whose constraints are `links`.
-- `gauge` moves all into one world frame, and removes the choice of that frame from covariances.
+- `gauge` moves all poses into one world frame, and removes the choice of that frame from covariances.
 - `residuals` has reprojection errors, Jacobians and robust weights; `schur` the normal equations without frames;
   `adjustment` minimises the robust loss; `linked` does so for frames that motion links.
 - `map_estimate` is the map with covariances and outliers. `nuisances` refines it with `intrinsics`, shifts of corners,

@@ -3,7 +3,7 @@
 A sighting has eight residuals e in pixels and chi^2 = |e|^2 / sigma^2, where sigma^2 is the variance by the detector
 and a floor for errors of lenses and bodies. Minimised is the sum of Student's losses, see `lmd.survey.residuals`, also
 for priors of tags that are not exact, by Levenberg-Marquardt steps with the weights of reweighted least squares. The
-floor is estimated so that the weighted mean of chi^2 is that of normal errors.
+floor is estimated so that the weighted mean of chi^2 has the value expected for normal errors.
 """
 
 from collections.abc import Sequence
@@ -71,7 +71,7 @@ class Adjustment(SchurSystem):
     def covariance(self, poses: Poses, floor: float) -> FloatArray:
         """Marginal covariance of the kept unknowns, `(6 kept, 6 kept)`; NaN for tags without sightings.
 
-        It is that of least squares with the weight slope^2 / spread of all sightings, see `efficiency`.
+        It equals the covariance of least squares that weight all sightings by slope^2 / spread, see `efficiency`.
         """
         slope, spread = self.efficiency(poses, floor)
         matrix, *_ = self.schur_system(poses, floor, 0.0, slope**2 / spread)

@@ -117,8 +117,8 @@ def into_world(
         sightings: sightings of the tags.
         poses: poses in a world of its own for each group.
         group: group of each tag, `(K,)`, -1 for tags without a pose.
-        prior: prior of the tags. If it has none of them, the tag `origin` is added to it.
-        origin: id of the tag whose frame is then the world; None for the one seen most often.
+        prior: prior of the tags. If it holds no tag, the tag `origin` is added to it.
+        origin: id of the tag whose frame is then the world; None for the tag seen most often.
 
     Raises:
         InputError: `origin` has no pose, or the prior is too little to fix a world.

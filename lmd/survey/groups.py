@@ -204,8 +204,8 @@ def _check_odometry(adjustment: LinkedAdjustment, poses: Poses) -> None:
     off = float((adjustment.links.squares(at.error) > MOST_SQUARE).mean())
     if off > MOST_OFF or np.abs(at.bias).max() > MOST_BIAS:
         raise InputError(
-            "odometry does not move as the images do: does it need a mount or frame=body, as it is that of a body and "
-            "not of the (first) camera, or is it of another drive?",
+            "odometry does not move as the images do: does it need a mount or frame=body, as it describes a body and "
+            "not the (first) camera, or is it of another drive?",
             "odometry",
         )
 

@@ -160,8 +160,8 @@ def estimate_map(sightings: Sightings, prior: Prior, origin: int | None = None, 
     Args:
         sightings: sightings; at least one frame must show two tags.
         prior: prior of the tags.
-        origin: id of the tag whose frame is the world if no tag has a prior; None for the one seen most often.
-        start: initial poses; None for those of `initialise`.
+        origin: id of the tag whose frame is the world if no tag has a prior; None for the tag seen most often.
+        start: initial poses; None for the poses of `initialise`.
 
     Raises:
         InputError: no two tags were seen together, `origin` is not placed, or known centres are too few for a world.

@@ -3,7 +3,7 @@
 All of them have priors and are estimated together with the map, so that its covariance accounts for them.
 
 - *Intrinsics* theta: a corner found at x and imaged at pi(p, theta) has e = pi(p, theta) - x. So the derivative of e by
-  theta is that of the image of the direction b in which x was seen. After each step the directions are computed anew.
+  theta is d pi(b, theta) / d theta at the direction b in which x was seen. Each step recomputes the directions.
 - *Shifts*: blur and exposure move the edges of all tags in the images of a camera inward or outward by
   s_1 + s_2 (2 / pitch)^2 pixels, beside the measured shift of the detector. Tags then look smaller or larger.
 - *Shapes*: see `lmd.survey.sightings.SHAPES`. Their standard deviation is estimated by expectation-maximisation: it is

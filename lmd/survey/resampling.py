@@ -2,10 +2,11 @@
 
 *Held-out frames*: frames are localised by a map that is made from the other frames.
 
-*Blocks of time*: the covariance C of an adjustment takes the errors of all sightings for independent. Errors of a drive
-are not, as exposure, blur and errors of the lens model change slowly. So frames are cut into blocks of time with
+*Blocks of time*: the covariance C of an adjustment assumes that errors of sightings are independent. Errors of a drive
+are correlated, as exposure, blur and errors of the lens model change slowly. So frames are cut into blocks of time with
 equally many sightings. Block b adds S_b to the normal equations S = C^-1, and g_b to their right side, which sums to 0.
-The map is off by the sum of x_b = C (1 - S_b C)^-1/2 g_b, whose squares sum to its covariance: C without correlations.
+Block b contributes x_b = C (1 - S_b C)^-1/2 g_b to the error of the map. The covariance of the map is the sum of
+x_b x_b', which equals C if errors are uncorrelated.
 The inverse root, in place of the inverse, which leaves each block out (jackknife), does not overrate blocks that alone
 hold a part of the map.
 

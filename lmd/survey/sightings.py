@@ -148,7 +148,8 @@ def sightings_of(
 ) -> Sightings:
     """Convert detections of the tags `ids` to sightings.
 
-    Leaves out detections of other tags, and those with a corner outside of the image or of what the lens images.
+    Leaves out detections of other tags, and detections with a corner outside of the image or of the domain of the lens
+    model.
 
     Args:
         detected: the detections.

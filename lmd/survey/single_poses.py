@@ -13,7 +13,7 @@ from lmd.geometry.se3 import pose_of
 from lmd.survey.residuals import Reprojection
 from lmd.survey.sightings import Sightings
 
-ASSUMED_PIXELS = 0.3  # standard deviation of corners beside the detector's own, for the odds of the two poses, pixels
+ASSUMED_PIXELS = 0.3  # added in quadrature to the detector's standard deviation, for the odds of the two poses, pixels
 
 
 @dataclass(frozen=True)
@@ -45,7 +45,7 @@ def single_poses(sightings: Sightings) -> SinglePoses:
         _, turns, ways, _ = cv2.solvePnPGeneric(corners, image, np.eye(3), None, flags=cv2.SOLVEPNP_IPPE_SQUARE)
         if not turns:
             seen = f"tag {sightings.ids[sightings.tag[index]]}"
-            text = f"detections: the corners of {seen} are those of no square in a frame; they go around the tag."
+            text = f"detections: the corners of {seen} form no square in a frame; list them around the tag."
             raise InputError(text, "detections")
         for which in range(2):
             turn = cv2.Rodrigues(turns[which % len(turns)])[0]

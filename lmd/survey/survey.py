@@ -39,10 +39,10 @@ class SurveyStage(Enum):
     ADJUSTING = "adjusting"
     REFINING = "refining the cameras"
     COMPARING = "comparing blocks of time"
-    CHECKING = "looking for what does not fit"
+    CHECKING = "looking for faulty tags"
     HOLDING_OUT = "holding frames out"
     PROPOSING = "looking for the next photographs"
-    AUDITING = "comparing with what was predicted"
+    AUDITING = "comparing with predictions"
 
     @property
     def has_map(self) -> bool:

@@ -10,7 +10,7 @@ from lmd.survey.survey import Survey
 
 NOTICED = 0.01  # minimum floor of corners that is shown, pixels
 TURNS = ("a quarter turn clockwise", "half a turn", "a quarter turn counter-clockwise")
-_few = partial(few, most=12)  # lists 12 tags at most
+_few = partial(few, most=12)  # a function that lists at most 12 tags
 
 
 def to_text(survey: Survey) -> str:

@@ -17,8 +17,9 @@ from lmd.survey.prior import Prior
 from lmd.survey.residuals import Poses, squared_errors
 from lmd.survey.sightings import QUARTERS, Sightings
 
-# Maximum distance from the planned centre, metres, angle from the planned normal and from quarter turns, rad, of a tag
-# whose turn is known; and minimum share of the tags of a group that are near their planned centres.
+# A tag gets a turn if it is nearer to its planned centre than NEAR, metres, and if its angles to the planned normal and
+# to a multiple of 90 degrees are below FACING and IN_QUARTERS, rad. LEAST_SHARE is the minimum share of tags of a group
+# that are NEAR; below it no tag of the group gets a turn.
 NEAR, FACING, IN_QUARTERS, LEAST_SHARE = 0.3, 0.5, 0.35, 0.5
 
 
@@ -64,8 +65,8 @@ def turned_as_seen(sightings: Sightings, poses: Poses) -> Poses:
 def turns_of(poses: Poses, group: IntArray, prior: Prior, in_order: bool) -> Turns:
     """Turns of tags beside the prior.
 
-    A turn that most tags share is that of their corners' order, unless the order is known. Exactly known tags hang as
-    the prior has them.
+    A turn that most tags share is attributed to the order of the corners, unless the order is known. Exactly known tags
+    hang as the prior has them.
 
     Args:
         poses: rough poses.

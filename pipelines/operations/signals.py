@@ -149,7 +149,7 @@ def _ignore(number: int) -> None:
 
 
 def _unless_stopped(unraisable: "sys.UnraisableHookArgs") -> None:
-    """Drop a `Stopped` that was raised where exceptions are not propagated; `requested` is set all the same."""
+    """Drop a `Stopped` that was raised where exceptions are not propagated; `requested` is set nevertheless."""
     if not isinstance(unraisable.exc_value, Stopped):
         sys.__unraisablehook__(unraisable)
 

@@ -126,11 +126,11 @@ def with_camera(p, camera):
     ("change", "optimiser", "message"),
     [
         (lambda p: Problem(p.scene, Coverage(2, 0.5, Sampling(2, 4)), p.start, 1), Milp(), "of plain coverage at the"),
-        (lambda p: Problem(p.scene, Localisation(), p.start, 1), Milp(), "of plain coverage at the grid's own"),
+        (lambda p: Problem(p.scene, Localisation(), p.start, 1), Milp(), "plain coverage at the grid's own"),
         (
             lambda p: with_camera(p, Rig((Mount(p.scene.camera, (0.1, 0.0, 0.0)), Mount(p.scene.camera)))),
             Milp(),
-            "of one camera, not of a rig",
+            "a single camera, not a rig",
         ),
         (lambda p: p, Milp(0.02), r"has \d+ poses, 0.02 m apart, and \d+ views: no more than 2e\+07 pairs"),
         (lambda _: problem(count=13), Milp(5.0), "has 6 poses, 5 m apart: too few for 13 landmarks"),

@@ -91,7 +91,7 @@ def test_told_to_stop_once_the_map_is_final_it_says_what_it_leaves_out(told):
 
 @pytest.mark.parametrize(
     ("at", "doing"),
-    [([("PLACING", 0)], "placing tags"), ([("REFINING", 1), ("CHECKING", 0)], "looking for what does not fit")],
+    [([("PLACING", 0)], "placing tags"), ([("REFINING", 1), ("CHECKING", 0)], "looking for faulty tags")],
 )
 def test_told_before_there_is_a_map_or_twice_it_leaves_nothing(told, at, doing, tmp_path):
     code, out, err = told(*at)

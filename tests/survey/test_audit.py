@@ -85,7 +85,7 @@ def test_a_folder_that_is_no_survey_is_refused(tmp_path):
 def test_a_survey_of_more_cameras_is_refused(folder):
     folder, cameras = folder
     with pytest.raises(
-        InputError, match=rf"^folder: the survey .* has {len(cameras)} cameras, here {len(cameras) - 1}\.$"
+        InputError, match=rf"^folder: the survey .* has {len(cameras)} cameras, but {len(cameras) - 1} are given\.$"
     ):
         SurveyedViews(str(folder)).views(cameras[1:], TAG, None, Imaging(), np.random.default_rng(0))
 

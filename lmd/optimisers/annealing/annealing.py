@@ -61,7 +61,7 @@ class Annealing(Optimiser):
 
     Args:
         stacked: conditions of the stage that moves stacks; like `single`, `sampled` and `given` a `Stage`, or a mapping
-            of what differs from the default one.
+            of the fields that differ from the default stage.
         single: conditions of the stage that moves the landmarks of stacks pulled apart.
         sampled: conditions of that stage for an objective with a sampling, whose samples the walk must not overfit.
         given: conditions of the only stage if the start is given: warmer, as it may be far from good, and on samples

@@ -27,8 +27,8 @@ from lmd.scene.deployment import Deployment
 from lmd.space.surface import SurfaceArrays
 
 PLACES_TRIED = 4  # number of places at which a landmark is evaluated in each step
-DIFFERENCE_M = 3e-3  # d, metres
-STEP_M = 3e-3, 3e-4  # first and last step along u and v if all samples agree, metres
+DIFFERENCE_M = 3e-3  # step d of the difference quotient, metres
+STEP_M = 3e-3, 3e-4  # first and last step of Adam along u and v, metres, if the slope is constant
 WIDTH, SHARE = 6e-3, 0.02  # width and share of the smoothed objective, as in `Settings`
 MOMENT_DECAY = 0.9, 0.999  # decay per step of the mean slope and of the mean squared slope
 
@@ -125,7 +125,7 @@ class Ascent:
         """Take over the `state` of another ascent of as many landmarks.
 
         Raises:
-            InputError: `state` is not one.
+            InputError: `state` is not the state of such an ascent.
         """
         count = len(self._mean)
         self._mean = array("ascent.mean", state["mean"], np.float64, count, 2)

@@ -274,7 +274,7 @@ class MeanPlaces:
         """Take over the `state` of another mean of as many landmarks in the room of `problem`.
 
         Raises:
-            InputError: `state` is not one.
+            InputError: `state` is not the state of such a mean.
         """
         count = len(self._places)
         self._mean = points("mean_places.mean", state["mean"], problem, count)

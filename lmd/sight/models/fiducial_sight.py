@@ -161,7 +161,7 @@ def _from_position(sight: Any, x: float, y: float, z: float, nx: float, ny: floa
     root = math.sqrt(max(inside, 0.0))
     near = (middle - root) / square * (1.0 + MARGIN)
     far = min((middle + root) / square, np.sqrt(max(product, 0.0) / (sight.area * distance))) * (1.0 - MARGIN)
-    steady = distance * math.sin(sight.inset) >= 1.5 * sight.half  # more than half the diagonal
+    steady = distance * math.sin(sight.inset) >= 1.5 * sight.half  # 1.5 half edges exceed half the diagonal of the tag
     sure = far if steady & (inside > 0.0) & (near <= least) else -math.inf
     reached = (along >= sight.facing * nearest) & (along >= 0.0) & resolved & ((slack > 0.0) | (high >= least))
     return reached, least - slack, high, math.inf if sure >= distance else sure
