@@ -70,7 +70,9 @@ def draw_floor_plan(canvas: Any, tags: TagMap, left: float, top: float, scale: i
         x, y = place(body.corners).mean(axis=0).tolist()
         write_on_white(canvas, x, y, shortened(body.name), size=NAME)
     hung = {index: numbers_of(own) for index, own in tags.hung.items() if index >= 0}
-    for index, surface in enumerate(tags.room.surfaces()):
+    # Names with tags come first; others are left out where there is no room for them.
+    for index in sorted(range(len(tags.room.surfaces())), key=lambda index: index not in hung):
+        surface = tags.room.surfaces()[index]
         if abs(surface.normal[2]) > FLAT:
             continue
         # The name of a piece of furniture, or of a door, will do where no tag hangs on it.
@@ -81,7 +83,8 @@ def draw_floor_plan(canvas: Any, tags: TagMap, left: float, top: float, scale: i
         text = shortened(tags.names[index]) + (f": {hung[index]}" if index in hung else "")
         way = surface.normal[:2] if own else _outwards(tags.room, surface)
         beside = any(fixture.on(surface).area > 0.0 for fixture in openings if not fixture.has(surface))
-        _write_along(canvas, text, ends, way, OUTER_NAME_GAP if beside and not own else NAME_GAP, taken, bold=True)
+        away = OUTER_NAME_GAP if beside and not own else NAME_GAP
+        _write_along(canvas, text, ends, way, away, taken, bold=True, needed=index in hung)
     for k in range(len(tags.ids)):
         _draw_tag(canvas, place(tags.deployment.positions[k]), tags.deployment.normals[k])
     below = float(origin[1]) - AROUND
@@ -117,12 +120,19 @@ def _outwards(room: Space, surface: Surface) -> FloatArray:
 
 
 def _write_along(
-    canvas: Any, text: str, ends: FloatArray, way: FloatArray, away: float, taken: list[Any], bold: bool = False
+    canvas: Any,
+    text: str,
+    ends: FloatArray,
+    way: FloatArray,
+    away: float,
+    taken: list[Any],
+    bold: bool = False,
+    needed: bool = True,
 ) -> None:
     """Write a text beside a line between `ends` `(2, 2)`, in the given way, clear of walls and other texts, `taken`.
 
     It stands along the line, or upright where the line is too short for it. Its own box is added to `taken`. A line
-    leads to a text that had to move.
+    leads to a text that had to move; a text that is not `needed` is left out instead.
     """
     import shapely
 
@@ -134,17 +144,23 @@ def _write_along(
     else:
         middle = middle + abs(way[0]) * (width - NAME) / 2.0 * way
     box = shapely.affinity.rotate(shapely.box(-width / 2.0, -NAME / 2.0, width / 2.0, NAME / 2.0), turn, origin=(0, 0))
-    others, start = np.array(taken), middle
+    others = np.array(taken)
+
+    def overlaps(shift: FloatArray) -> bool:
+        return bool(shapely.intersects(others, shapely.affinity.translate(box, *(middle + shift))).any())
+
     for shift in SHIFTS @ np.array([way, [-way[1], way[0]]]):
-        place = shapely.affinity.translate(box, *(start + shift))
-        if not shapely.intersects(others, place).any():
-            middle = start + shift
+        if not overlaps(shift):
             break
-    if np.linalg.norm(middle - start) > NAME:
-        canvas.line(*ends.mean(axis=0).tolist(), *(middle - 0.5 * NAME * way).tolist())
-    taken.append(shapely.affinity.translate(box, *middle))
+    else:
+        shift = np.zeros(2)
+    if not needed and (np.linalg.norm(shift) > NAME or overlaps(shift)):
+        return
+    if np.linalg.norm(shift) > NAME:
+        canvas.line(*ends.mean(axis=0).tolist(), *(middle + shift - 0.5 * NAME * way).tolist())
+    taken.append(shapely.affinity.translate(box, *(middle + shift)))
     aside = 0.35 * NAME * np.array([math.sin(math.radians(turn)), -math.cos(math.radians(turn))])
-    x, y = (middle + aside).tolist()
+    x, y = (middle + shift + aside).tolist()
     write_text(canvas, x, y, text, size=NAME, bold=bold, align="centre", turn=turn)
 
 

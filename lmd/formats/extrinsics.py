@@ -79,9 +79,7 @@ def _posed(path: Any, names: Any, shared: Mapping[str, Any]) -> dict[str, FloatA
         return {}
     streams = {name.split("/")[0] for name in cameras}
     if names is None and len(streams) < len(cameras):
-        raise InputError(
-            f"names must be given, as [A, B], where a file has several sizes: {', '.join(cameras)}.", "names"
-        )
+        raise InputError(f"names must be given, as [A, B]: {path} has {', '.join(cameras)}.", "names")
     if unknown := [name for name in names or () if name not in cameras]:
         raise InputError(f"names: {path} has no camera {unknown[0]!r}, only {', '.join(cameras)}.", "names")
     placed = {name: keys_of(path, cameras[name])[POSE] for name in names or cameras}

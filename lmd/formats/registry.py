@@ -135,7 +135,7 @@ class Format:
 
     | family | it returns |
     | --- | --- |
-    | calibration | the cameras by name, each in the keys of ROS's `camera_info` |
+    | calibration | the cameras by name, each in the keys of ROS's `camera_info`, or a function that returns them |
     | trajectory | `lmd.formats.trajectory_rows.Rows` |
     | tag map | `lmd.formats.placed_tag.Found` |
     | room | `lmd.formats.captured_rooms.Captured`, or meshes of trimesh by name, z up |

@@ -16,7 +16,7 @@ from lmd.scene.rig import ANGLES, OPTICAL, Mount, Rig
 KEYS = ("translation", *ANGLES, "quaternion", "camera")
 CAMERA_KEYS = ("path", "name", "image_size", "distortion_model", *OPTICS)
 SHARED_KEYS = ("image_size", "distortion_model")
-CHAIN_KEYS = ("path", "names", *SHARED_KEYS, *KEYS[:-1])
+CHAIN_KEYS = ("path", *KEYS[:-1], "names", *SHARED_KEYS)
 
 
 def rig_of(mounts: Any, camera: Camera | None = None) -> Rig:

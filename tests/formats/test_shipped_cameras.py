@@ -139,6 +139,10 @@ def test_streams_of_a_realsense_are_a_rig(write):
     assert read_calibration(path, "Depth").distortion == ()
     assert read_calibration(path, image_size=[640, 480]).distortion == tuple(LENS)
     poses = read_chain(path, ["Color/640x480", "Depth/1280x720"])
+    twice = write(REALSENSE + depth + depth.replace("640", "641") + REALSENSE.replace("600", "601"), "twice.txt")
+    with pytest.raises(InputError, match=r"names must be given, as \[A, B\]: .*twice.txt has Color/640x480, Depth"):
+        read_chain(twice)
+    assert read_calibration(twice, "Color/640x480/2").focal_pixels == (601.0, 610.0)
     assert_allclose(
         (poses["Depth/1280x720"] @ [1.0, 2.0, 3.0, 1.0])[:3], turn @ [1, 2, 3] + [0.015, 0, 1e-3], atol=1e-12
     )
