@@ -22,7 +22,7 @@ MORE = re.compile(r"\+(\d+)")  # a count that is added to that of the fixed land
 def fixed_of(node: DictConfig, family: str | None) -> "Deployment | None":
     """The landmarks that keep their places; None for none.
 
-    With `marked`, they are those that the file marks: the file of a run has the others too.
+    With `marked`, only landmarks that the file marks as fixed; the file of a run has movable landmarks too.
 
     Args:
         node: group `deployment`.

@@ -133,7 +133,7 @@ def _record(
     off_grid, beside = headline_off_grid(problem), COVERED if isinstance(problem.objective, Localisation) else LOCALISED
     if problem.scene.recorded is None:
         panels = {off_grid: Panel(f"{headline.label}, off the grid", off_grid, headline.key)}
-    else:  # a share of time, which has no counterpart on the grid
+    else:  # the figure is a fraction of recorded time, which the grid of positions cannot give
         panels = {off_grid: Panel(LABELS[off_grid], off_grid)}
     others = [name for name in (beside, figure) if name in table and name not in panels]
     panels |= {name: Panel(LABELS.get(name, name), name) for name in others}

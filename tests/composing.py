@@ -38,7 +38,7 @@ def _compose_sooner():
     def parse_once(self, *text):
         if text not in parsed:
             parsed[text] = parse_rule(self, *text)
-        return copy.deepcopy(parsed[text])  # Hydra notes in it where it comes from
+        return copy.deepcopy(parsed[text])  # Hydra writes the source of an override into the override
 
     def choices_if_needed(overrides, defaults, self_added):
         return choices(overrides, defaults, self_added) if any(d.is_interpolation() for d in defaults) else None

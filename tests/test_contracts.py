@@ -1,4 +1,4 @@
-"""Contracts of the parts of the library; optimisers and formats do so beside their other tests."""
+"""Contracts of the parts of the library; those of optimisers and formats are beside their other tests."""
 
 from pathlib import Path
 

@@ -119,7 +119,7 @@ def _shapes(entities: Any, kind: str = "line", outer: str = "0") -> Iterator[tup
 
 
 def _flattened(entity: Any, tolerance: float) -> FloatArray:
-    """Vertices of a shape, `(N, 2)`, in the unit of the drawing; none of a shape that is no line, such as a mesh."""
+    """Vertices of a shape, `(N, 2)`, in the unit of the drawing; empty for shapes without a path, such as a mesh."""
     make_path = optional("ezdxf.path", "drawings").make_path
     try:
         vertices = [[at.x, at.y] for at in make_path(entity).flattening(tolerance)]

@@ -75,7 +75,7 @@ def _posed(path: Any, names: Any, shared: Mapping[str, Any]) -> dict[str, FloatA
         cameras = read_cameras(path, **shared)
         if POSE not in keys_of(path, next(iter(cameras.values()))):
             return {}
-    except (InputError, StopIteration):  # a file that says where cameras are may be no calibration, or of other lenses
+    except (InputError, StopIteration):  # a file of poses need not hold calibrations of supported lenses
         return {}
     streams = {name.split("/")[0] for name in cameras}
     if names is None and len(streams) < len(cameras):

@@ -33,7 +33,7 @@ class Region(NamedTuple):
     polygon: Any
     """Region with its holes, a shapely polygon."""
     to_wall: FloatArray
-    """Distance of the centre of each cell to that of the nearest occupied cell, cells, `(H, W)`."""
+    """Distance between the centres of each cell and its nearest occupied cell, in cells, `(H, W)`."""
     note: str
     """Clauses on the parts of the map that are left out."""
 

@@ -67,7 +67,7 @@ class Scope:
         return base @ matrix_of(pose, element.get("name", element.tag))
 
     def frame(self, name: str, depth: int) -> FloatArray:
-        """The transform from a frame that is named in this scope to the world; `model::link` is one in a model."""
+        """Transform from a frame of this scope to the world; `model::link` names a frame inside a model."""
         if depth > DEEPEST:
             raise InputError(f"the frame {name!r} refers to itself.")
         if name in SELF:

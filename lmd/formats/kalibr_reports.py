@@ -32,7 +32,7 @@ KALIBR_BASELINE = re.compile(rf"baseline T_(\d+)_(\d+):\s*q:{_LIST}[^t]*?\bt:{_L
 
 
 def kalibr_report(text: str, asked: Keys) -> Cameras:
-    """The cameras of Kalibr's `results-cam.txt`, with their poses in the first; it does not say their size."""
+    """The cameras of Kalibr's `results-cam.txt`, with poses in the first camera; the file has no image sizes."""
     cameras: Cameras = {}
     pose, baselines = np.eye(4), {int(n): (q, t) for n, _, q, t in KALIBR_BASELINE.findall(text)}
     for index, (name, kind, distortion, projection) in enumerate(KALIBR_CAMERA.findall(text)):

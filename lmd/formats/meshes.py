@@ -204,7 +204,7 @@ def triangles(room: RoomFile) -> dict[str, Any]:
 
 
 def _check_corners(file: Path, name: str, vertices: FloatArray, faces: IntArray) -> None:
-    """Raise `InputError` if a corner of a face is not finite, `ValueError` if there is none of its number."""
+    """Raise `InputError` if a face has a corner that is not finite, `ValueError` if its index has no vertex."""
     if not ((faces >= 0) & (faces < len(vertices))).all():
         raise ValueError("a triangle has a corner that is not there")
     corners = vertices[faces].reshape(-1, 3)

@@ -93,7 +93,7 @@ def axes_of(words: Sequence[str] | None) -> FloatArray:
 
 
 def number_of(value: Any) -> int:
-    """The id of a tag; raises `InputError` if it is none."""
+    """The id of a tag; raises `InputError` if `value` is no integer >= 0."""
     return integer("id", value, low=0)
 
 

@@ -63,7 +63,7 @@ def read_graph(path: Any, text: str) -> Found:
 
 
 def _leading(vertices: list[int]) -> set[int]:
-    """The vertices before the one with the least number, if each is greater than all that follow it."""
+    """The vertices before the least number, if each exceeds the least number and all numbers after it."""
     poses = vertices[vertices.index(min(vertices)) :] if vertices else []
     leading = vertices[: len(vertices) - len(poses)]
     return set(leading) if leading and min(leading) > max(poses) else set()

@@ -148,7 +148,7 @@ def camera_from(source: Any) -> Camera | None:
     """The camera of a mount: of a calibration file, or of the arguments of `calibrated_camera`; None for none.
 
     Raises:
-        InputError: it is neither, or the file is refused.
+        InputError: `source` is neither a file nor such arguments, or the file is refused.
     """
     if source is None:
         return None

@@ -22,7 +22,7 @@ def read_building(file: File) -> ReadPlan:
     """Read the room on a level of a building, in the frame that Open-RMF gives the level.
 
     Args:
-        file: `building.yaml`; `asked` has `layers`, the name of the level, and `gap` and `start` of `read_plan_room`.
+        file: `building.yaml`; its `asked` has `layers` (name of the level), `gap` and `start` (see `read_plan_room`).
 
     Raises:
         InputError: a value is missing or wrong, the level is not known, or its walls enclose no room.

@@ -90,7 +90,7 @@ class TrajectoryFile:
 
     @property
     def note(self) -> str:
-        """A note on what was left out of the file, taken for granted or is to be asked; empty if nothing."""
+        """Omitted rows, assumptions and open questions of the file, as a note; empty if there are none."""
         return self.note_of("")
 
     def note_of(self, group: str) -> str:

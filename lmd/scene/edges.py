@@ -13,7 +13,7 @@ def checked_edges(edges: FloatArray | None, ids: IntArray) -> FloatArray:
     """Check the edges of K tags, metres, `(K,)`; NaN for tags without their own edge.
 
     Args:
-        edges: edges, or None for K times NaN.
+        edges: edges, metres, `(K,)`; None if no tag has its own edge.
         ids: ids of the tags, `(K,)`.
 
     Raises:

@@ -45,7 +45,7 @@ class Surveyed:
 def in_plane(
     path: str | Path, ids: IntArray, normals: FloatArray, upright: FloatArray, ups: FloatArray
 ) -> FloatArray | None:
-    """Ups `(K, 3)` of a file, projected to the planes of the tags; None if all are `upright` `(K, 3)`.
+    """Project a file's up vectors `(K, 3)` to the planes of their tags; None if all equal `upright` `(K, 3)`.
 
     Raises:
         InputError: an up is no unit vector in the plane of its tag.

@@ -210,7 +210,7 @@ class Gridded(ABC):
         return replace(self, spacing=tuple(np.broadcast_to(self.spacing, 3) / 2.0))  # type: ignore[type-var]
 
     def jittered_grid(self, repeats: int, rng: np.random.Generator) -> FloatArray:
-        """See `Space.jittered_grid`: in the part of each cell that is in the reachable volume."""
+        """See `Space.jittered_grid`; each position is drawn from the reachable part of its cell."""
         positions, reached = self._grid
         borders = (corner[reached] for corner in cell_borders(self._grid_axes(), *self.box))
         low, high = (np.tile(corner, (repeats, 1)) for corner in borders)

@@ -62,7 +62,7 @@ def check_small_budgets(make, problem):
 
 
 def check_improvement(make, problem, evaluations):
-    """It improves on its start."""
+    """Check that the optimiser's result is better than a random start."""
     p = problem(UniformDeployment(30))
     before = p.fitness_of(p.draw(np.random.default_rng()))
     assert make().run(p, Budget(evaluations)).fitness > before

@@ -232,7 +232,7 @@ def test_motion_blur_lowers_detections_as_predicted():
         found = detect_in_frames(renderer, {"aruco": ArucoDetector()}, poses, 0, 7)["aruco"].detected
         assert agreement(predicted, found) >= 0.9
         counts.append((predicted.sum(), found.sum()))
-        # The limits that are fitted to single tags know of it too.
+        # The blur of single tags, to which limits are fitted, contains motion blur too.
         sigma = qualities(renderer, poses)[3]
         still = qualities(replace(renderer, imaging=IMAGING), poses)[3]
         np.testing.assert_allclose(sigma**2, still**2 + blur**2 / 12.0)

@@ -158,7 +158,7 @@ def test_rays_through_a_gap_are_left_out_and_doors_are_not(tmp_path):
 def test_nothing_hangs_where_the_map_has_no_wall(tmp_path):
     grey = hall()
     box(grey, 5.9, -0.1, 6.2, 4.1, UNKNOWN)  # the eastern wall was never seen
-    box(grey, 1.0, -0.1, 2.5, 0.0, UNKNOWN)  # nor this part of the southern one
+    box(grey, 1.0, -0.1, 2.5, 0.0, UNKNOWN)  # 1.5 m of the southern wall were never seen
     room = room_of(write_map(tmp_path, grey))
     for surface in room.surfaces():
         a, b = (surface.point(at, 1.0) for at in (0.0, surface.extent[0]))

@@ -39,7 +39,7 @@ def ray_of_extended(x, y, alpha, beta):
 
 
 def ray_of_unified(x, y, xi, **distortion):
-    """Mei and Rives, equation 5, behind OpenCV's inverse of the distortion."""
+    """Ray by equation 5 of Mei and Rives, after OpenCV has removed the distortion."""
     lens = np.array([distortion.get(name, 0.0) for name in ("k1", "k2", "p1", "p2")])
     criteria = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_MAX_ITER, 500, 1e-14)
     flat = cv2.undistortPoints(np.stack([x, y], axis=-1)[:, None], np.eye(3), lens, criteria=criteria)

@@ -35,7 +35,7 @@ LOCALISATION = Localisation(n=2, tolerance=0.01)
 
 
 def body_matrices(scene, deployment, position, axes):
-    """Information on position and rotation of the body of each landmark, `(A, K, 6, 6)`, in the first one's units."""
+    """Information on position and rotation of the body by each landmark, `(A, K, 6, 6)`, scaled to the first camera."""
     total = 0.0
     first = deviation_per_variance(scene.cameras[0], 1.0)
     for camera, offsets, turned in zip(scene.cameras, *scene.camera.views(axes), strict=True):

@@ -45,7 +45,7 @@ def test_a_row_for_each_point_and_the_fewest_between_the_counts(done):
         document = json.loads((cwd / "run" / "tradeoff.json").read_text())
         (fewest,) = (row["count"] for row in document["fewest"] if row["edge"] == edge)
         medians = same.groupby("count")[FIGURE].median()
-        if fewest is None:  # by small tags nobody localises so well
+        if fewest is None:  # no count of the small tags reaches 0.2
             assert (edge, (medians < 0.2).all()) == (0.1, True)
             continue
         assert 6 < fewest < 10

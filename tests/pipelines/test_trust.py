@@ -1,4 +1,4 @@
-"""No code of a folder or a tracking store of others runs, and checking it imports nothing."""
+"""Commands run no code from untrusted folders or tracking stores, and checking these imports nothing."""
 
 import sys
 from contextlib import suppress

@@ -51,7 +51,7 @@ def _heard():
 
 @pytest.mark.usefixtures("_heard")
 def test_a_terminal_that_interrupts_the_workers_is_left_to_who_began_them():
-    """One that raised would print a traceback."""
+    """A worker that raised KeyboardInterrupt would print a traceback."""
     assert list(in_processes(ignores_interrupts, range(3), workers=2, name=str, ordered=True)) == [True] * 3
     assert not ignores_interrupts(0)
 

@@ -98,7 +98,7 @@ def test_a_tag_moves_to_the_nearest_free_place():
     planned = session()
     edge, wall = planned.problem.scene.footprints.edge, planned.problem.scene.room.surfaces()[0]
     planned.drag(3, 0, np.array([-1.0, 2.0]))
-    planned.drag(4, 0, np.array([0.0, 2.0]))  # coordinates begin where the centre of a paper may be
+    planned.drag(4, 0, np.array([0.0, 2.0]))  # coordinates are 0 at the nearest place that a paper's centre may take
     for number, way in ((3, 0.0), (4, edge)):
         there = planned.deployment.positions[planned.plan.index_of(number)]
         a, b = (float(value) for value in wall.coordinates(there))

@@ -1,4 +1,4 @@
-"""Moves of single landmarks: the field of coverage ends where the reference does."""
+"""After moves of single landmarks, the incremental field of coverage equals the reference."""
 
 import numpy as np
 import pytest

@@ -40,7 +40,7 @@ class Job:
     overrides: tuple[str, ...]
     """Its overrides, as on the command line."""
     varied: Mapping[str, str]
-    """Those that differ from job to job, as `{"objective.n": "2"}`."""
+    """Overrides that differ between the jobs of the sweep, as `{"objective.n": "2"}`."""
     status: str = "running"
     """`running`, `finished`, `interrupted`, `failed` (by an error of its own) or `killed`."""
     value: float | None = None
