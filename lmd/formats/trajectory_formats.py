@@ -158,7 +158,7 @@ def images_in_order(path: str, images: Sequence[Image], times: str | None, rate:
             )
         if _folder(one.name) != _folder(other.name):
             raise InputError(
-                f"its images are of several folders, such as {one.name} and {other.name}: leave those of one camera."
+                f"its images are of several folders, such as {one.name} and {other.name}: keep those of one camera."
             )
         if _in_words(one.name) > _in_words(other.name):
             raise InputError(

@@ -66,7 +66,7 @@ def by_the_detection_package(scene, deployment, poses):
     with np.errstate(all="ignore"):
         sigma = np.hypot(blur_sigma(camera, depth, fiducial.psf_sigma), fiducial.motion_blur / math.sqrt(12.0))
         least = np.hypot(limits.pitch, limits.blur * sigma)
-        square = corners(centres, normals, upright(normals)[1], tag.size)
+        square = corners(centres, normals, upright(normals)[1], tag.picture_edge)
         points = project(camera, poses, square.reshape(-1, 3)).reshape(*depth.shape, 4, 2)
         if camera.lens is not None:  # which need not show what is between the corners
             points = np.concatenate([points, project(camera, poses, centres)[..., None, :]], axis=-2)
