@@ -144,18 +144,14 @@ def _write_along(
     else:
         middle = middle + abs(way[0]) * (width - NAME) / 2.0 * way
     box = shapely.affinity.rotate(shapely.box(-width / 2.0, -NAME / 2.0, width / 2.0, NAME / 2.0), turn, origin=(0, 0))
-    others = np.array(taken)
-
-    def overlaps(shift: FloatArray) -> bool:
-        return bool(shapely.intersects(others, shapely.affinity.translate(box, *(middle + shift))).any())
-
-    for shift in SHIFTS @ np.array([way, [-way[1], way[0]]]):
-        if not overlaps(shift):
+    others, shifts = np.array(taken), SHIFTS if needed else SHIFTS[np.linalg.norm(SHIFTS, axis=1) <= NAME]
+    for shift in shifts @ np.array([way, [-way[1], way[0]]]):
+        if not shapely.intersects(others, shapely.affinity.translate(box, *(middle + shift))).any():
             break
     else:
+        if not needed:
+            return
         shift = np.zeros(2)
-    if not needed and (np.linalg.norm(shift) > NAME or overlaps(shift)):
-        return
     if np.linalg.norm(shift) > NAME:
         canvas.line(*ends.mean(axis=0).tolist(), *(middle + shift - 0.5 * NAME * way).tolist())
     taken.append(shapely.affinity.translate(box, *(middle + shift)))
