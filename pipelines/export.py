@@ -27,7 +27,7 @@ def build_export(cfg: DictConfig, key: str, tag: "Tag") -> "Export":
     Raises:
         InputError: a format is unknown, or cannot hold the tags.
     """
-    from lmd.export.exports import FORMATS, Export, formats_of, not_printed
+    from lmd.export.exports import Export, all_formats, formats_of, not_printed
 
     with keyed(formats=key, paper="paper_size", edge="tag.edge"):
         settings = OmegaConf.to_container(cfg, resolve=True)
@@ -38,7 +38,7 @@ def build_export(cfg: DictConfig, key: str, tag: "Tag") -> "Export":
             left_out = not_printed(tag, paper)
             chosen = replace(chosen, formats=tuple(name for name in chosen.formats if name not in left_out))
             for name, reason in left_out.items():
-                print(f"note: {FORMATS[name].file} is not written: {reason}", file=sys.stderr)
+                print(f"note: {all_formats()[name].file} is not written: {reason}", file=sys.stderr)
         chosen.check(tag)
     return chosen
 
@@ -46,7 +46,7 @@ def build_export(cfg: DictConfig, key: str, tag: "Tag") -> "Export":
 def export(cfg: DictConfig) -> None:
     """Write the configured deployment in the configured formats, all files or none."""
     from lmd.core.checks import InputError
-    from lmd.export.exports import FORMATS
+    from lmd.export.exports import all_formats
     from lmd.export.sheets import describe_sheets
     from lmd.formats.tag_map import TagMap
 
@@ -64,9 +64,9 @@ def export(cfg: DictConfig) -> None:
     writers = chosen.writers(scene.room, scene.tag, deployment)
     tags = TagMap(scene.room, scene.tag, deployment)
     for name, reason in chosen.unfit(tags).items():
-        print(f"note: {FORMATS[name].file} is not written: {reason}", file=sys.stderr)
+        print(f"note: {all_formats()[name].file} is not written: {reason}", file=sys.stderr)
     for name in chosen.silent(tags):
-        print(f"note: {FORMATS[name].file} does not say that tags have {tags.edges_in_words}", file=sys.stderr)
+        print(f"note: {all_formats()[name].file} does not say that tags have {tags.edges_in_words}", file=sys.stderr)
     with tracked(cfg, "export", f"export {parts.objective.name} K={len(deployment)}") as tracker:
         files = write_all(run_directory(), writers)
         keep(tracker, files, {})

@@ -40,9 +40,9 @@ def check_folder(directory: Path, cfg: DictConfig, cameras: int, exports: "Expor
         InputError: the folder is refused.
     """
     from lmd.core.checks import InputError
-    from lmd.export.exports import FORMATS
+    from lmd.export.exports import all_formats
 
-    own = set(ALWAYS) | {FORMATS[name].file for name in exports.formats}
+    own = set(ALWAYS) | {all_formats()[name].file for name in exports.formats}
     own |= {MEASURED} if has_plan else set()
     own |= {DETECTED} if cfg.detections is None else set()
     own |= set(camera_files(cameras))
@@ -52,7 +52,7 @@ def check_folder(directory: Path, cfg: DictConfig, cameras: int, exports: "Expor
             raise InputError(f"hydra.run.dir: {str(directory / name)!r} is a folder, where a file is to be written.")
     if not (directory / DOCUMENT).is_file():
         return
-    known = {MEASURED, DETECTED, *AUDIT, *(form.file for form in FORMATS.values())}
+    known = {MEASURED, DETECTED, *AUDIT, *(form.file for form in all_formats().values())}
     known |= {path.name for path in directory.glob("camera*.yaml")}
     read = {os.path.realpath(text) for text in texts_in(OmegaConf.to_container(cfg, resolve=True))}
     left = [name for name in sorted(known - own) if (directory / name).is_file()]

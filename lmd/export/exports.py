@@ -29,12 +29,9 @@ def all_formats() -> dict[str, Writer]:
     return WRITERS | theirs | printed
 
 
-FORMATS = all_formats()
-
-
 def formats_of(tag: Tag) -> tuple[str, ...]:
     """The formats whose readers know the family of a tag."""
-    return tuple(name for name, form in FORMATS.items() if tag.family in form.families)
+    return tuple(name for name, form in all_formats().items() if tag.family in form.families)
 
 
 def check_printing(name: str, tag: Tag, paper: str) -> None:
@@ -48,7 +45,7 @@ def check_printing(name: str, tag: Tag, paper: str) -> None:
 def not_printed(tag: Tag, paper: str) -> dict[str, str]:
     """The formats that cannot be printed of tags like this one, and why."""
     reasons = {}
-    for name, form in FORMATS.items():
+    for name, form in all_formats().items():
         if form.on_paper:
             try:
                 check_printing(name, tag, paper)
@@ -67,7 +64,7 @@ class Export:
     """Settings of the export of a deployment.
 
     Args:
-        formats: names of `FORMATS`.
+        formats: names in `all_formats`.
         paper: paper size of printed files, one of `lmd.export.paper.PAPERS`.
         north: direction of north on the plan, rad from x towards y; None if unknown.
         fitting: leave out a format that cannot hold the tags, rather than refuse it.
@@ -83,9 +80,9 @@ class Export:
 
     def __post_init__(self) -> None:
         if not isinstance(self.formats, list | tuple):
-            raise InputError(f"formats must be a list of {', '.join(FORMATS)}, got {self.formats!r}.", "formats")
+            raise InputError(f"formats must be a list of {', '.join(all_formats())}, got {self.formats!r}.", "formats")
         for name in self.formats:
-            choice("formats", name, tuple(FORMATS))
+            choice("formats", name, tuple(all_formats()))
         object.__setattr__(self, "formats", tuple(self.formats))
         choice("paper", self.paper, tuple(PAPERS))
         if self.north is not None:
@@ -97,11 +94,11 @@ class Export:
             tag.check_edge()
         for name in self.formats:
             if name not in formats_of(tag):
-                known = ", ".join(FORMATS[name].families)
+                known = ", ".join(all_formats()[name].families)
                 raise InputError(f"formats has {name}, which knows the families {known}, not {tag.family}.", "formats")
-            if FORMATS[name].on_paper:
+            if all_formats()[name].on_paper:
                 check_printing(name, tag, self.paper)
-            if FORMATS[name].edges == ONE and len(tag.sizes) > 1 and not self.fitting:
+            if all_formats()[name].edges == ONE and len(tag.sizes) > 1 and not self.fitting:
                 raise InputError(f"formats has {name}: {one_edge(tag.sizes)}.", "formats")
 
     def unfit(self, tags: TagMap) -> dict[str, str]:
@@ -109,11 +106,11 @@ class Export:
         reasons = {}
         for name in self.formats:
             try:
-                if FORMATS[name].edges == ONE and len(tags.by_size) > 1:
+                if all_formats()[name].edges == ONE and len(tags.by_size) > 1:
                     raise InputError(one_edge([tag.size for tag, _ in tags.by_size]))
-                if (check := FORMATS[name].check) is not None:
+                if (check := all_formats()[name].check) is not None:
                     check(tags)
-                for tag, _ in tags.by_size if FORMATS[name].on_paper else ():
+                for tag, _ in tags.by_size if all_formats()[name].on_paper else ():
                     check_printing(name, tag, self.paper)
             except InputError as error:
                 reasons[name] = str(error).rstrip(".")
@@ -122,7 +119,7 @@ class Export:
     def silent(self, tags: TagMap) -> tuple[str, ...]:
         """Names of the formats without tag sizes, if these tags have several sizes; else empty."""
         several = len(tags.by_size) > 1
-        return tuple(name for name in self.formats if several and FORMATS[name].edges == NONE)
+        return tuple(name for name in self.formats if several and all_formats()[name].edges == NONE)
 
     def writers(self, room: Space, tag: Tag, deployment: Deployment) -> dict[str, Callable[[Path], None]]:
         """Functions that write the files of these tags, by the names of the files.
@@ -141,7 +138,7 @@ class Export:
         for name in self.formats:
             if name in unfit:
                 continue
-            form = FORMATS[name]
+            form = all_formats()[name]
             options: dict[str, Any] = {"paper": self.paper} if form.on_paper else {}
             if name == "plan":
                 options["north"] = self.north

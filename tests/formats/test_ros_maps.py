@@ -12,7 +12,7 @@ from numpy.testing import assert_allclose
 from scipy.spatial.transform import Rotation
 
 from lmd.core.checks import InputError
-from lmd.export.exports import FORMATS
+from lmd.export.exports import all_formats
 from lmd.formats.tag_map import TagMap
 from lmd.scene.deployment import Deployment
 from lmd.scene.labels import Labels
@@ -215,7 +215,7 @@ def test_the_launch_file_places_tags_where_they_are(family, tmp_path, monkeypatc
     axes, places = Rotation.random(5, rng).as_matrix(), rng.uniform(-20, 20, (5, 3))
     turned = Deployment(places, axes[:, :, 2], labels=Labels(np.arange(5) * 3)).turned("here", axes[:, :, 1])
     tags = TagMap(Cuboid((6.0, 4.0, 2.8), (5.0, 3.0, 1.2), 0.5), Tag(0.16, family), turned)
-    form = FORMATS["ros2_tf"]
+    form = all_formats()["ros2_tf"]
     form.write(tmp_path / form.file, tags=tags)
     found = launched(tmp_path / form.file, monkeypatch)
     assert (found.argument.args, found.argument.default_value) == (("frame",), "map")

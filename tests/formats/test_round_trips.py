@@ -9,7 +9,7 @@ from contracts.format import check_format
 from scipy.spatial.transform import Rotation
 
 from lmd.core.checks import InputError
-from lmd.export.exports import FORMATS, Export
+from lmd.export.exports import Export, all_formats
 from lmd.formats.registry import ONE
 from lmd.formats.tag_map import TagMap
 from lmd.scene.deployment import Deployment
@@ -18,7 +18,7 @@ from lmd.scene.tag import Tag
 from lmd.space.cuboid import Cuboid
 
 ROOM, EDGE = Cuboid((6.0, 4.0, 2.8), (5.0, 3.0, 1.2), 0.5), 0.3
-MAPS = tuple(name for name, form in FORMATS.items() if not form.on_paper and name != "duckietown")
+MAPS = tuple(name for name, form in all_formats().items() if not form.on_paper and name != "duckietown")
 WITH_PLACES = tuple(name for name in MAPS if name != "apriltag_ros2")
 
 
@@ -35,7 +35,7 @@ def turned_anyhow(seed):
 @pytest.mark.parametrize("family", ["36h11", "4x4_50"])
 @pytest.mark.parametrize("name", WITH_PLACES)
 def test_what_was_written_is_read_again(name, family, seed, tmp_path):
-    form, deployment = FORMATS[name], turned_anyhow(seed)
+    form, deployment = all_formats()[name], turned_anyhow(seed)
     if form.edges == ONE:
         deployment = replace(deployment, edges=None)
     found = check_format(form, TagMap(ROOM, Tag(EDGE, family), deployment), tmp_path)
@@ -46,7 +46,7 @@ def test_duckietown_takes_tags_on_the_floor(tmp_path):
     up = np.array([[0.0, 0.0, 1.0]] * 2)
     lying = Deployment(np.array([[1.0, 2.0, 0.0], [3.0, 1.5, 0.0]]), up, labels=Labels(np.array([300, 17])))
     turned = lying.turned("here", np.array([[0.0, 1.0, 0.0], [-np.sin(0.3), np.cos(0.3), 0.0]]))
-    check_format(FORMATS["duckietown"], TagMap(ROOM, Tag(0.065), turned), tmp_path)
+    check_format(all_formats()["duckietown"], TagMap(ROOM, Tag(0.065), turned), tmp_path)
     objects = yaml.safe_load((tmp_path / "once").read_text())["objects"]
     assert objects["tag17"]["pose"]["~SE2Transform"] == {"p": [3.0, 1.5], "theta_deg": pytest.approx(np.degrees(0.3))}
     assert objects["tag300"]["tag"]["~TagInstance"] == {"family": "36h11", "size": 0.065, "tag_id": 300}

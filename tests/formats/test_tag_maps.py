@@ -12,7 +12,7 @@ import pytest
 import yaml
 
 from lmd.core.checks import InputError
-from lmd.export.exports import FORMATS, Export
+from lmd.export.exports import Export, all_formats
 from lmd.formats.tag_map import TagMap
 from lmd.geometry.camera import Camera
 from lmd.geometry.projection import intrinsics
@@ -46,7 +46,7 @@ DEPLOYMENT = Deployment(
     np.array([normal for _, normal in PLACES.values()], dtype=float),
     labels=Labels(np.array(list(PLACES)), {"note": [f"note {number}" for number in PLACES]}),
 ).hung(ROOM)
-MAPS = tuple(name for name, form in FORMATS.items() if not form.on_paper and name != "duckietown")
+MAPS = tuple(name for name, form in all_formats().items() if not form.on_paper and name != "duckietown")
 UNIT = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) / 2.0  # AprilTag's own order: from the bottom left, to the right
 
 
@@ -224,7 +224,7 @@ def test_the_node_of_ros_2_is_told_what_to_look_for(files):
 @pytest.mark.parametrize("family", ["36h11", "4x4_50"])
 @pytest.mark.parametrize("name", ["clover", "rtabmap", "fiducial_vlam"])
 def test_those_who_detect_by_opencv_find_the_camera(name, family, tmp_path):
-    form = FORMATS[name]
+    form = all_formats()[name]
     form.write(tmp_path / form.file, tags=tag_map(family))
     text = (tmp_path / form.file).read_text()
     if name == "fiducial_vlam":
@@ -277,7 +277,7 @@ def test_by_hand():
     assert not np.signbit(tags.corners[tags.corners == 0.0]).any()
 
 
-@pytest.mark.parametrize("name", [name for name, form in FORMATS.items() if form.only_apriltag])
+@pytest.mark.parametrize("name", [name for name, form in all_formats().items() if form.only_apriltag])
 def test_readers_of_apriltags_are_given_no_others(name):
     with pytest.raises(InputError, match=f"^formats has {name}, which knows the families 36h11, 25h9, .*, not 4x4_50"):
         Export([name], "a4").check(Tag(EDGE, "4x4_50"))
