@@ -45,18 +45,6 @@ def test_genes_outside_the_unit_box_are_clipped():
     Outside().run(problem(), Budget(4))
 
 
-def test_genes_of_the_wrong_shape_are_refused():
-    class Wrong(AskTell):
-        def _ask(self):
-            return np.zeros((2, 3))
-
-        def _tell(self, genes, fitness):
-            raise AssertionError
-
-    with pytest.raises(InputError, match=r"Wrong asked for genes of shape \(2, 3\), not \(B, 60\)"):
-        Wrong().run(problem(), Budget(4))
-
-
 @pytest.mark.parametrize("values", [{"evaluations": 0}, {"evaluations": 1.5}, {"evaluations": 5, "seconds": 0}])
 def test_an_impossible_budget_is_refused(values):
     with pytest.raises(InputError, match=r"^(evaluations|seconds) must"):
