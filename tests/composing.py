@@ -8,6 +8,7 @@ from functools import cache
 from hydra import compose, initialize_config_dir
 from hydra._internal import defaults_list
 from hydra._internal.core_plugins.importlib_resources_config_source import ImportlibResourcesConfigSource
+from hydra._internal.hydra import Hydra
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from omegaconf import _utils, base
 
@@ -57,4 +58,17 @@ def _compose_sooner():
     base.parse = _utils.parse = cache(base.parse)  # of interpolations, into trees that are only walked
 
 
+def _look_for_a_mode_only_where_one_may_be_set():
+    """Hydra composes everything once more to see whether a configuration says that it is a sweep."""
+    look = Hydra.get_mode
+    may_set = ("experiment=", "+experiment=", "hydra.mode", "hydra.searchpath", "+hydra", "hydra/")
+
+    def get_mode(self, config_name, overrides):
+        own = any(source.provider == "command-line" for source in self.config_loader.get_sources())
+        return look(self, config_name, overrides) if own or any(o.startswith(may_set) for o in overrides) else None
+
+    Hydra.get_mode = get_mode
+
+
 _compose_sooner()
+_look_for_a_mode_only_where_one_may_be_set()

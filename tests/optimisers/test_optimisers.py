@@ -17,9 +17,17 @@ from pipelines.app import CONF
 # milp is no search that a budget of any size serves, and cameras are no landmarks: both have tests of their own.
 NAMES = sorted({path.stem for path in Path(CONF, "optimiser").glob("*.yaml")} - {"camera_annealing", "milp"})
 QUICK = {"annealing", "cma_es", "ega"}  # one of each kind
+# Other parameters of a class that another file has too.
+OTHERS = {"ega_tuned", "nevergrad_pso", "ngopt", "one_plus_one", "pymoo_de", "pymoo_pso"}
+OTHER = pytest.mark.thorough("conf/optimiser", "constraints.txt", "lmd/optimisers", "tests/contracts")
 
 
-@pytest.mark.parametrize("name", [pytest.param(n, marks=() if n in QUICK else pytest.mark.slow) for n in NAMES])
+def kept(name):
+    marks = () if name in QUICK else (pytest.mark.slow, *([OTHER] if name in OTHERS else []))
+    return pytest.param(name, marks=marks)
+
+
+@pytest.mark.parametrize("name", map(kept, NAMES))
 def test_every_optimiser_keeps_its_contract(name, tmp_path):
     check_optimiser(partial(make, name), problem, tmp_path)
 
