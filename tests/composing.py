@@ -7,11 +7,12 @@ from functools import cache
 
 from hydra import compose, initialize_config_dir
 from hydra._internal import defaults_list
-from hydra._internal.core_plugins.importlib_resources_config_source import ImportlibResourcesConfigSource
 from hydra._internal.hydra import Hydra
+from hydra._internal.sources_registry import SourcesRegistry
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from omegaconf import _utils, base
 
+import pipelines.hyperparameters  # noqa: F401 # lets Hydra register its own loaders, and adds one
 from pipelines.app import CONF
 
 
@@ -23,8 +24,9 @@ def composed(pipeline, *overrides, **more):
 
 def _compose_sooner():
     """Spare what is read, parsed or asked for again, and copies of what nobody changes: a third of composing."""
+    resources = SourcesRegistry.instance().types["pkg"]  # Hydra has executed its module anew, so it is no import
     load, parse_rule, choices = (
-        ImportlibResourcesConfigSource.load_config,
+        resources.load_config,
         OverridesParser.parse_rule,
         defaults_list._create_interpolation_map,
     )
@@ -51,7 +53,7 @@ def _compose_sooner():
         new.__dict__.update(self.__dict__, flags=dict(self.flags or {}), resolver_cache=caches)
         return new
 
-    ImportlibResourcesConfigSource.load_config = load_once
+    resources.load_config = load_once
     OverridesParser.parse_rule = parse_once
     defaults_list._create_interpolation_map = choices_if_needed
     base.Metadata.__deepcopy__ = copied
