@@ -100,7 +100,9 @@ def test_the_examples_are_in_style(guides, line):
     check([sys.executable, "-m", *line, *(config if line[1] == "check" else config[:2]), *MODULES], guides)
 
 
+@pytest.mark.thorough("CONTRIBUTING.md", "lmd", "pipelines", "pyproject.toml")
 def test_the_examples_have_types(guides):
+    """10 s of processor time where mypy has not read `lmd` before."""
     # A module of the package is one only beside the others.
     alone = [name for name in MODULES if not name.startswith("pipelines/")]
     cache = ["--cache-dir", str(ROOT / ".mypy_cache"), "--config-file", str(ROOT / "pyproject.toml")]

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from contracts.optimiser import check_optimiser
-from small import make, problem
+from small import make, marked, problem
 
 from lmd.core.checks import InputError
 from lmd.optimisers.base import AskTell
@@ -15,19 +15,10 @@ from lmd.problem import Problem
 from pipelines.app import CONF
 
 # milp is no search that a budget of any size serves, and cameras are no landmarks: both have tests of their own.
-NAMES = sorted({path.stem for path in Path(CONF, "optimiser").glob("*.yaml")} - {"camera_annealing", "milp"})
-QUICK = {"annealing", "cma_es", "ega"}  # one of each kind
-# Other parameters of a class that another file has too.
-OTHERS = {"ega_tuned", "nevergrad_pso", "ngopt", "one_plus_one", "pymoo_de", "pymoo_pso"}
-OTHER = pytest.mark.thorough("conf/optimiser", "constraints.txt", "lmd/optimisers", "tests/contracts")
+NAMES = {path.stem for path in Path(CONF, "optimiser").glob("*.yaml")} - {"camera_annealing", "milp"}
 
 
-def kept(name):
-    marks = () if name in QUICK else (pytest.mark.slow, *([OTHER] if name in OTHERS else []))
-    return pytest.param(name, marks=marks)
-
-
-@pytest.mark.parametrize("name", map(kept, NAMES))
+@pytest.mark.parametrize("name", marked(NAMES))
 def test_every_optimiser_keeps_its_contract(name, tmp_path):
     check_optimiser(partial(make, name), problem, tmp_path)
 
