@@ -71,7 +71,7 @@ def nearest_rotations(matrices: FloatArray) -> FloatArray:
     return np.asarray(left @ right)
 
 
-def laid_over(points: FloatArray, others: FloatArray) -> FloatArray:
+def rigid_alignment(points: FloatArray, others: FloatArray) -> FloatArray:
     """Least-squares rigid motion that maps points `(N, 3)`, not collinear, to `others` `(N, 3)`, `(4, 4)`."""
     from scipy.spatial.transform import Rotation
 
@@ -166,7 +166,7 @@ def log(pose: FloatArray) -> FloatArray:
     return np.concatenate([angular, linear[..., 0]], axis=-1)
 
 
-def middle(poses: FloatArray) -> FloatArray:
+def median_pose(poses: FloatArray) -> FloatArray:
     """Robust mean of poses `(n, 4, 4)`: iterated median of their twists."""
     result = poses[len(poses) // 2]
     for _ in range(MEDIAN_STEPS):

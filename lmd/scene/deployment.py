@@ -16,7 +16,7 @@ from lmd.scene.tag import Tag
 from lmd.space.space import Space
 from lmd.space.surface import FILE_TOLERANCE, PLACEMENT_TOLERANCE, SurfaceArrays
 
-HUNG = ("positions", "normals", "surfaces")  # fields with the poses of the landmarks
+POSE_FIELDS = ("positions", "normals", "surfaces")  # fields with the poses of the landmarks
 COLUMNS = ("x", "y", "z", "nx", "ny", "nz")
 UP_COLUMNS = ("ux", "uy", "uz")
 # Largest error of the length of a normal, which may be printed with few decimals.
@@ -33,7 +33,7 @@ class Deployment:
         positions: `(K, 3)`, world frame, metres.
         normals: `(K, 3)` unit normals of the front faces, world frame.
         surfaces: index of the room's surface that carries each landmark, `(K,)`; -1 (the default) if unknown, see
-            `hung`.
+            `with_surfaces`.
         labels: ids and further columns of the landmarks; None for ids from 0.
         surveyed: exact measured positions and ups of landmarks measured behind their surface or rotated in their plane;
             None if `positions` are the measured positions and all landmarks hang upright.
@@ -96,14 +96,14 @@ class Deployment:
 
     def put(self, chosen: slice | IntArray, there: "Deployment") -> "Deployment":
         """Deployment with the landmarks `chosen` moved to the poses of the landmarks of `there`."""
-        parts = {name: getattr(self, name).copy() for name in HUNG}
+        parts = {name: getattr(self, name).copy() for name in POSE_FIELDS}
         for name, values in parts.items():
             values[chosen] = getattr(there, name)
         return replace(self, **parts)
 
     def __add__(self, other: "Deployment") -> "Deployment":
         """Deployment of the landmarks of both, with ids from 0."""
-        columns = ((getattr(self, name), getattr(other, name)) for name in (*HUNG, "edges"))
+        columns = ((getattr(self, name), getattr(other, name)) for name in (*POSE_FIELDS, "edges"))
         positions, normals, surfaces, edges = (np.concatenate(column) for column in columns)
         both = Deployment(positions, normals, surfaces, edges=edges)
         if self.surveyed is None and other.surveyed is None:
@@ -111,7 +111,7 @@ class Deployment:
         places, ups = (np.concatenate([getattr(each, name) for each in (self, other)]) for name in ("places", "ups"))
         return replace(both, surveyed=Surveyed(both.positions, places, ups))
 
-    def hung(self, room: Space, anywhere: bool = False, papers: float | FloatArray = 0.0) -> "Deployment":
+    def with_surfaces(self, room: Space, anywhere: bool = False, papers: float | FloatArray = 0.0) -> "Deployment":
         """Deployment with `surfaces` set to the surfaces of `room` that carry the landmarks.
 
         A tag that belongs to a surface (`Space.surface_near`) but has a corner behind it is moved along the surface's
@@ -134,7 +134,7 @@ class Deployment:
                 f"{self._distance(room)[:, first].min():.4g} m from the nearest surface; only with free=true is it "
                 "taken there."
             )
-        depth = np.take_along_axis(SurfaceArrays.of(surfaces).depth(self.positions), own[:, None], axis=1)
+        depth = np.take_along_axis(SurfaceArrays.of(surfaces).heights(self.positions), own[:, None], axis=1)
         normals = np.array([surface.normal for surface in surfaces])[own]
         sides = np.stack(upright(self.normals))  # right and up
         leaning = np.abs((sides * normals).sum(axis=-1)).sum(axis=0)
@@ -150,7 +150,7 @@ class Deployment:
         """Clause for a message about the first misplaced landmark; None if all are well placed.
 
         A landmark is misplaced if it is on no surface, faces into its surface, or is outside the allowed region.
-        `surfaces` must refer to `room`, see `hung`.
+        `surfaces` must refer to `room`, see `with_surfaces`.
 
         Args:
             room: room of the landmarks.
@@ -203,7 +203,7 @@ class Deployment:
         return np.array([surface.distance(self.positions) for surface in room.surfaces()])
 
     def movable(self, room: Space, flush: bool = True) -> "Deployment":
-        """`hung` with the checks for an optimiser that moves landmarks along surfaces.
+        """`with_surfaces` with the checks for an optimiser that moves landmarks along surfaces.
 
         Args:
             room: room of the landmarks.
@@ -213,7 +213,7 @@ class Deployment:
             InputError: a landmark is on no surface, outside the allowed region, faces into its surface, or is not
                 flush.
         """
-        hung = self.hung(room)
+        hung = self.with_surfaces(room)
         if fault := hung.fault(room):
             raise InputError(f"{fault}, so it cannot be a start.")
         hung = hung.before(room)

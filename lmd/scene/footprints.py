@@ -100,7 +100,7 @@ class Footprints:
         extent = self.surfaces_of(paper).extent
         return float(np.floor(extent / paper * (1.0 + TOUCHING) + 1.0).prod(axis=1).sum())
 
-    def hung(self, fixed: Deployment, beside: DeploymentSource) -> Deployment:
+    def checked_fixed(self, fixed: Deployment, beside: DeploymentSource) -> Deployment:
         """Assign surfaces to existing landmarks and check them.
 
         As they are measured by hand, a tag slightly in front of or behind a surface belongs to it, and its footprint is
@@ -115,7 +115,7 @@ class Footprints:
                 overlaps another or is not wholly on its surface.
         """
         with said_of("fixed", "fixed"):
-            hung = fixed.hung(self.room, as_they_are(beside), self.papers(fixed))
+            hung = fixed.with_surfaces(self.room, as_they_are(beside), self.papers(fixed))
             if as_they_are(beside):
                 return hung.before(self.hanging)
             if fault := hung.fault(self.room, near=True):
@@ -132,8 +132,8 @@ class Footprints:
         Args:
             source: source of the deployment.
             rng: source of everything random.
-            fixed: existing landmarks from `hung`, which precede the drawn ones in the result. Drawn landmarks that are
-                not from a file are pushed away from them.
+            fixed: existing landmarks from `checked_fixed`, which precede the drawn ones in the result. Drawn
+                landmarks that are not from a file are pushed away from the fixed ones.
 
         Raises:
             InputError: the source fails, a footprint overlaps another or is not wholly on its surface, or there is no
@@ -154,7 +154,7 @@ class Footprints:
             )
         several = placed and drawn.has_own_edges
         if source.varies or several or (fixed is not None and not isinstance(source, ExistingDeployment)):
-            apart = self.apart(drawn, fixed=0 if fixed is None else len(fixed))
+            apart = self.separated(drawn, fixed=0 if fixed is None else len(fixed))
             if apart is None:
                 raise InputError(
                     f"count = {len(drawn)} tags with papers of {_named(papers)} m are too many to be hung at random.",
@@ -197,7 +197,7 @@ class Footprints:
                 f"{_named(paper[pairs[0]])} m wide, their centres {distance[i, j]:.4g} m apart along the edges."
             )
 
-    def apart(self, deployment: Deployment, size: float = 1.0, fixed: int = 0) -> Deployment | None:
+    def separated(self, deployment: Deployment, size: float = 1.0, fixed: int = 0) -> Deployment | None:
         """Push the footprints of a deployment apart; None without room for all; see `pushed`."""
         parts = deployment.positions[None], deployment.normals[None], deployment.surfaces[None]
         positions, normals, surfaces, fits = self.pushed(*parts, deployment.edges, size, fixed)

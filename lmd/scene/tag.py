@@ -88,7 +88,7 @@ class Tag:
                 "budget and paper must not both be given: one of them says how many tags there are.", "budget"
             )
 
-    def in_turn(self, count: int) -> FloatArray:
+    def edges_in_order(self, count: int) -> FloatArray:
         """Edges of `count` placed landmarks, metres, `(count,)`; NaN if all have the edge of the tag.
 
         Raises:

@@ -3,7 +3,7 @@
 The sphere of directions is projected onto an octahedron, which is unfolded into a square of `SIDE` x `SIDE` cells. Two
 tables have a set of axes for each cell:
 
-- `CERTAIN`: axes that have *every* direction of the cell in view, at least `Sight.inset` from the border;
+- `CERTAIN`: axes that have *every* direction of the cell in view, at least `SightModel.inset` from the border;
 - `POSSIBLE`: axes that have *some* direction of the cell in view.
 
 Only axes that are possible and not certain need the exact test. A certain axis covers the landmark only at the depths
@@ -27,7 +27,7 @@ import numpy as np
 from lmd.core.bits import BITS, LANES, ZERO
 from lmd.core.checks import FloatArray, IntArray
 from lmd.core.compiled import PYTHON, inlined, inner, kernel
-from lmd.scene.criteria import Sight, in_view, sized
+from lmd.scene.criteria import SightModel, in_view, sized
 
 SIDE = 16 if PYTHON else 64  # cells per side; plain Python takes seconds to fill larger tables
 EMPTY_ROW = SIDE * SIDE  # row of the tables after those of the cells: the empty set
@@ -103,7 +103,7 @@ def _fill(
             table[c, w] = word
 
 
-def tables(sight: Sight, axes: FloatArray) -> tuple[np.ndarray, np.ndarray]:
+def tables(sight: SightModel, axes: FloatArray) -> tuple[np.ndarray, np.ndarray]:
     """Tables `CERTAIN` and `POSSIBLE` of sets of axes, `(EMPTY_ROW + 1, W)` each.
 
     Args:
@@ -115,7 +115,7 @@ def tables(sight: Sight, axes: FloatArray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def fill_tables(
-    sight: Sight,
+    sight: SightModel,
     axes: FloatArray,
     shifts: FloatArray,
     longest: float,

@@ -122,7 +122,7 @@ def _horizon(sight: Any, offsets: FloatArray) -> float:
 
 
 def with_sight(group: MountGroup, sight: Any) -> MountGroup:
-    """Copy of a group with another model of sight, such as `Sight.unhidden`."""
+    """Copy of a group with another model of sight, such as `SightModel.unhidden`."""
     return group._replace(sight=sight, horizon=_horizon(sight, group.places))
 
 

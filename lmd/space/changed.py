@@ -114,7 +114,7 @@ class TimeSpent:
         return np.asarray(self.within.weights(points) * self.seconds[nearest])
 
 
-class Visited(Changed):
+class RecordedRoom(Changed):
     """Room with the positions of a recording; a `Space`.
 
     Args:
@@ -166,9 +166,9 @@ class Visited(Changed):
         return self.clear(starts, ends)
 
     @override
-    def finer(self) -> "Visited":
+    def finer(self) -> "RecordedRoom":
         half = tuple(np.broadcast_to(self._spacing, 3) / 2.0)
-        return Visited(self._room, self._positions, self._seconds, half)
+        return RecordedRoom(self._room, self._positions, self._seconds, half)
 
     @override
     def jittered_grid(self, repeats: int, rng: np.random.Generator) -> FloatArray:

@@ -179,7 +179,7 @@ class FloorPlan:
     def kept_out(self) -> list[FloatArray]:
         """Vertices of the keep-outs, world frame, metres, `(N, 3)` each."""
         on = ((self._faces[part.surface], part.ring) for part in self.keep_out)
-        return [face.point(*face.seen(ring).T) for face, ring in on]
+        return [face.point(*face.from_left_and_below(ring).T) for face, ring in on]
 
     @property
     def fixtures(self) -> list[Fixture]:

@@ -276,7 +276,7 @@ class Gridded(ABC):
         every = np.arange(len(carriers.normal))
         at = carriers.coordinates(every, np.asarray(points)[..., None, :])
         within = ((at >= -PLACEMENT_TOLERANCE) & (at <= carriers.extent + PLACEMENT_TOLERANCE)).all(axis=-1)
-        within &= np.abs(carriers.depth(points)) <= PLACEMENT_TOLERANCE
+        within &= np.abs(carriers.heights(points)) <= PLACEMENT_TOLERANCE
         allowed = within.copy()
         allowed[within] = carriers.allow(np.broadcast_to(every, within.shape)[within], at[within], FILE_TOLERANCE)
         return carriers, within, allowed

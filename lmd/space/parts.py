@@ -280,7 +280,7 @@ class KeepOut:
         """Shapely polygon in the coordinates of the surface `face`."""
         import shapely
 
-        return shapely.Polygon(face.seen(self.ring))
+        return shapely.Polygon(face.from_left_and_below(self.ring))
 
 
 def all_keep_outs(values: Any, faces: Sequence[str]) -> tuple[KeepOut, ...]:

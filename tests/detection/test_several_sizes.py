@@ -29,7 +29,7 @@ def renderer(tmp_path):
     path = tmp_path / "map.txt"
     path.write_text(MAP)
     # The edge of the tag holds for none: the map says all.
-    hung = read_deployment(path, family="4x4_50").hung(ROOM)
+    hung = read_deployment(path, family="4x4_50").with_surfaces(ROOM)
     return Renderer(CAMERA, tagged_room(ROOM, hung, Tag(0.5, "4x4_50")), Imaging(texture=4.0))
 
 

@@ -79,7 +79,7 @@ def _no_residual(limit: None) -> float:
 
 
 @inlined
-def asks_apart(precision: Precision) -> bool:
+def resolves_ambiguity(precision: Precision) -> bool:
     """True if the two poses of a single tag must be told apart."""
     return _is_limit(precision.residual)
 
@@ -167,4 +167,4 @@ def _body_has_any_pose(least: None, sums: Any, v: Integer, step: Integer) -> boo
 
 def width_of(precision: Precision) -> int:
     """Width of a row of `sums` of a rig."""
-    return MIRRORED_WIDTH if asks_apart(precision) else BODY_WIDTH
+    return MIRRORED_WIDTH if resolves_ambiguity(precision) else BODY_WIDTH

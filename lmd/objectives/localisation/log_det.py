@@ -20,12 +20,12 @@ from lmd.core.threads import in_parts
 from lmd.objectives.localisation.body import BODY_WIDTH, body_log_det
 from lmd.objectives.localisation.information import NUMBERS, WIDTH, Precision, log_det, share_of
 from lmd.objectives.localisation.pairs import (
-    Shown,
+    GroupCoverage,
     add_of_all,
+    coverage_by_group,
     fill_views,
     load_sums,
     seen_by_any,
-    shown_by,
     store_sums,
     tags_of,
 )
@@ -205,7 +205,7 @@ class CameraLogDeterminant(LogDeterminant):
 
 @kernel
 def _rig_gains(
-    every: tuple[Shown, ...], tags: FloatArray, prices: FloatArray, positions: FloatArray, precision: Precision,
+    every: tuple[GroupCoverage, ...], tags: FloatArray, prices: FloatArray, positions: FloatArray, precision: Precision,
     sums: FloatArray, known: FloatArray, views: BodyViews, out: FloatArray,
 ) -> None:  # fmt: skip
     """Write the gains of N poses to `out` `(N,)`.
@@ -240,7 +240,7 @@ def _rig_gains(
 
 @kernel
 def _rig_add(
-    every: tuple[Shown, ...], tags: FloatArray, positions: FloatArray, precision: Precision, sums: FloatArray,
+    every: tuple[GroupCoverage, ...], tags: FloatArray, positions: FloatArray, precision: Precision, sums: FloatArray,
     known: FloatArray, views: BodyViews,
 ) -> None:  # fmt: skip
     """Add the single pose in `every` to `sums` and `known`; arguments as in `_rig_gains`."""
@@ -290,10 +290,10 @@ class RigLogDeterminant(LogDeterminant):
     def _rows(self) -> FloatArray:
         return self.sums.reshape(-1, self.width)
 
-    def _shown(self, e: Evaluator, poses: Deployment) -> tuple[Shown, ...]:
+    def _shown(self, e: Evaluator, poses: Deployment) -> tuple[GroupCoverage, ...]:
         """Sets of orientations that cover the poses, by mount group, without occlusion by landmarks."""
         groups = tuple(with_sight(group, group.sight.unhidden()) for group in e.groups)
-        return shown_by(e, groups, e.positions, poses)
+        return coverage_by_group(e, groups, e.positions, poses)
 
 
 class ReferenceLogDeterminant(LogDeterminant):

@@ -12,7 +12,7 @@ from lmd.core.bits import BITS, ONE, ZERO, Integer, WordArray, lowest, prefetch
 from lmd.core.checks import FloatArray
 from lmd.core.compiled import inlined, inner
 from lmd.geometry.squares import upright
-from lmd.objectives.localisation.ambiguity import MIRRORED, asks_apart, least_residual, mirrored_numbers
+from lmd.objectives.localisation.ambiguity import MIRRORED, least_residual, mirrored_numbers, resolves_ambiguity
 from lmd.objectives.localisation.body import BODY_NUMBERS, about_body, gain_of
 from lmd.objectives.localisation.information import Precision, moments, share_of
 from lmd.objectives.localisation.views import NUMBER, ORIENTATION, TAKEN, VIEW, WHOSE, WORK, BodyViews, whole
@@ -45,7 +45,7 @@ class Mounts(NamedTuple):
     """Information per pixel relative to the first camera, see `gain_of`."""
 
 
-class Shown(NamedTuple):
+class GroupCoverage(NamedTuple):
     """Coverage of K landmarks by the M cameras of a mount group from P positions of the body."""
 
     mounts: Mounts
@@ -54,12 +54,13 @@ class Shown(NamedTuple):
     """`(M, P, K, W)` sets of orientations with which each camera covers each landmark."""
 
 
-def shown_by(
+def coverage_by_group(
     evaluator: Evaluator, groups: tuple[MountGroup, ...], positions: FloatArray, deployment: Deployment
-) -> tuple[Shown, ...]:
+) -> tuple[GroupCoverage, ...]:
     """Coverage of a deployment by mount groups of the evaluator, or variants of them, from `positions` `(P, 3)`."""
     args = evaluator.scene.room.blockers(), positions, deployment.positions, deployment.normals
-    return tuple(map(Shown, mounts_of(evaluator, groups), [covered_sets_by_mount(group, *args) for group in groups]))
+    sets = [covered_sets_by_mount(group, *args) for group in groups]
+    return tuple(map(GroupCoverage, mounts_of(evaluator, groups), sets))
 
 
 def mounts_of(evaluator: Evaluator, groups: tuple[MountGroup, ...]) -> tuple[Mounts, ...]:
@@ -72,7 +73,7 @@ def mounts_of(evaluator: Evaluator, groups: tuple[MountGroup, ...]) -> tuple[Mou
 @inlined
 def numbers_of(precision: Precision) -> np.uint64:
     """Number of numbers of a view that `precision` needs."""
-    return np.uint64(BODY_NUMBERS + MIRRORED if asks_apart(precision) else BODY_NUMBERS)
+    return np.uint64(BODY_NUMBERS + MIRRORED if resolves_ambiguity(precision) else BODY_NUMBERS)
 
 
 @inner
@@ -178,7 +179,7 @@ def add_up(precision: Precision, views: BodyViews) -> None:
     """Add the information of the listed pairs to the views, and clear the list."""
     rows, work, whose, filled = views.rows, views.work, views.lists[WHOSE], views.lists[TAKEN, 1]
     _find_moments(work, precision.share, filled)
-    if asks_apart(precision):
+    if resolves_ambiguity(precision):
         _find_mirrored(work, least_residual(precision.residual), filled)
     for i in range(filled):
         v = whose[i]
@@ -238,7 +239,7 @@ def _find_mirrored(work: FloatArray, least: float, filled: Integer) -> None:
 
 
 @inner
-def _seen_by_group(shown: Shown, p: Integer, k: Integer, w: Integer) -> np.uint64:
+def _seen_by_group(shown: GroupCoverage, p: Integer, k: Integer, w: Integer) -> np.uint64:
     """Orientations of word w with which some camera of a group covers landmark k from position p."""
     seen = ZERO
     for m in range(len(shown.sets)):
@@ -248,8 +249,8 @@ def _seen_by_group(shown: Shown, p: Integer, k: Integer, w: Integer) -> np.uint6
 
 @inner
 def _add_of_group(
-    shown: Shown, p: Integer, which: np.ndarray, w: Integer, place: Place, tags: FloatArray, precision: Precision,
-    views: BodyViews,
+    shown: GroupCoverage, p: Integer, which: np.ndarray, w: Integer, place: Place, tags: FloatArray,
+    precision: Precision, views: BodyViews,
 ) -> None:  # fmt: skip
     """`add_of_all` for the cameras of a group."""
     for k in which:
@@ -259,7 +260,7 @@ def _add_of_group(
 
 
 @inner
-def seen_by_any(every: tuple[Shown, ...], p: Integer, k: Integer, w: Integer) -> np.uint64:
+def seen_by_any(every: tuple[GroupCoverage, ...], p: Integer, k: Integer, w: Integer) -> np.uint64:
     """Orientations of word w with which some camera covers landmark k from position p."""
     seen = ZERO
     for shown in literal_unroll(every):
@@ -269,7 +270,7 @@ def seen_by_any(every: tuple[Shown, ...], p: Integer, k: Integer, w: Integer) ->
 
 @inner
 def add_of_all(
-    every: tuple[Shown, ...], p: Integer, which: np.ndarray, w: Integer, place: Place, tags: FloatArray,
+    every: tuple[GroupCoverage, ...], p: Integer, which: np.ndarray, w: Integer, place: Place, tags: FloatArray,
     precision: Precision, views: BodyViews,
 ) -> None:  # fmt: skip
     """Add the landmarks `which` to the views of all cameras, with the body at `place`, position p.

@@ -35,7 +35,7 @@ from lmd.incremental.state import (
     TOUCHED_LIST,
 )
 from lmd.incremental.trial import begin_move, find_pairs, fresh_of, list_changing, shown_of
-from lmd.objectives.localisation.ambiguity import asks_apart
+from lmd.objectives.localisation.ambiguity import resolves_ambiguity
 from lmd.objectives.localisation.changes import (
     change_sums,
     clear_moments,
@@ -119,7 +119,7 @@ def _decide(k: Integer, positions: WordArray, field: Any, state: Any, scratch: A
             elif was | now == ZERO:
                 continue
             several = ALL
-            if asks_apart(field.precision):
+            if resolves_ambiguity(field.precision):
                 several = (
                     seen_twice(ZERO, now, digits[q, w]) if touched[q] else seen_twice(was, now, counts.digits[q, w])
                 )

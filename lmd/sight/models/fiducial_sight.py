@@ -42,18 +42,18 @@ Column = float | FloatArray
 
 
 class FiducialSight(NamedTuple):
-    """Thresholds with tolerances for one camera; a `lmd.scene.criteria.Sight`.
+    """Thresholds with tolerances for one camera; a `lmd.scene.criteria.SightModel`.
 
     A field that depends on the size of a tag is a number if all tags have one size, else a column `(K,)`, from which
     `sized` selects. Other fields hold for all tags; their values are those of the largest.
     """
 
     outer_cosine: float
-    """See `Sight.outer_cosine`."""
+    """See `SightModel.outer_cosine`."""
     inset: float
-    """See `Sight.inset`."""
+    """See `SightModel.inset`."""
     reach: float
-    """See `Sight.reach`."""
+    """See `SightModel.reach`."""
     facing: float
     """Cosine of the greatest incidence angle."""
     half: Column
@@ -92,26 +92,26 @@ class FiducialSight(NamedTuple):
 
     @property
     def horizon(self) -> float:
-        """See `Sight.horizon`; the greatest distance at which a tag in the corner of the image is resolved."""
+        """See `SightModel.horizon`; the greatest distance at which a tag in the corner of the image is resolved."""
         least = self.outer_cosine**3 * max(np.min(self.area), np.min(self.sharp))
         seen = math.sqrt(self.focal_u * self.focal_v / least) if least else math.inf
         return (seen + math.sqrt(max(self.reach, 0.0))) * (1.0 + NORMAL_TOLERANCE)
 
     @property
     def tabulated(self) -> bool:
-        """See `Sight.tabulated`."""
+        """See `SightModel.tabulated`."""
         return True
 
     def unhidden(self) -> "FiducialSight":
-        """See `Sight.unhidden`."""
+        """See `SightModel.unhidden`."""
         return self._replace(reach=-1.0)
 
     def among(self, low: FloatArray, high: FloatArray, landmarks: FloatArray, normals: FloatArray) -> "FiducialSight":
-        """See `Sight.among`; flush footprints in a convex room do not hide each other."""
+        """See `SightModel.among`; flush footprints in a convex room do not hide each other."""
         return self if may_hide(self, self.horizon, low, high, landmarks, normals) else self.unhidden()
 
     def shrunk(self, size: float) -> "FiducialSight":
-        """See `Sight.shrunk`."""
+        """See `SightModel.shrunk`."""
         return self._replace(footprint=self.footprint * size)
 
 
