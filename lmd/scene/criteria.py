@@ -161,7 +161,7 @@ def from_position(sight: Any, x: float, y: float, z: float, nx: float, ny: float
         reached: False only if no orientation covers the landmark.
         low, high: bounds on the depth along the optical axis at which an orientation covers the landmark, metres;
             `high` ignores the slack.
-        sure: depth, metres: an orientation with the landmark well in view (`SightModel.inset`) and at a depth between
+        sure: depth, metres. An orientation with the landmark well in view (`SightModel.inset`) and at a depth between
             `low` and `sure` covers it; infinite if no depth is too large. `sure` ignores the slack.
     """
 
@@ -178,7 +178,7 @@ def from_around(sight: Any, x: float, y: float, z: float, nx: float, ny: float, 
     Returns:
         reached: False only if no orientation at any of the positions covers the landmark.
         most: upper bound on the depth along the optical axis of a covered landmark, metres.
-        start, sure: depths, metres: an orientation with the landmark well in view (`SightModel.inset`) and at a depth
+        start, sure: depths, metres. An orientation with the landmark well in view (`SightModel.inset`) and at a depth
             between them covers it. `start` is -inf if no depth is too small; `sure` is inf if no depth is too large,
             -inf if coverage is never certain.
     """
@@ -207,9 +207,9 @@ def in_view(
 ) -> Any:  # fmt: skip
     """True if the field of view contains the cone of half-angle delta around a unit vector (x, y, z).
 
-    `sine` and `cosine` are those of delta, |delta| < pi / 2. If delta is negative, the function is True if the field of
-    view may contain any part of the cone of half-angle -delta. The field of view contains the directions of all
-    landmarks that the model may cover. Orientation as in `in_image`.
+    `sine` and `cosine` are sin(delta) and cos(delta), |delta| < pi / 2. If delta is negative, the function is True if
+    the field of view may contain any part of the cone of half-angle -delta. The field of view contains the directions
+    of all landmarks that the model may cover. Orientation as in `in_image`.
     """
 
 

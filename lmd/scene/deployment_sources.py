@@ -18,7 +18,7 @@ POINT = Tag()
 
 
 class DeploymentSource(Protocol):
-    """Source of deployments, which optimisers start from or `evaluate` scores."""
+    """Source of deployments: starts of optimisers, or deployments that `evaluate` scores."""
 
     @property
     def varies(self) -> bool:

@@ -90,11 +90,13 @@ class Footprints:
         return {}
 
     def papers(self, deployment: Deployment) -> FloatArray:
-        """Edges of the footprints of tags, metres, `(K,)`; 0 for points."""
+        """Edges of the footprints of a deployment's tags, metres, `(K,)`; 0 for points."""
         return self.tag.paper_share * deployment.edges_of(self.tag)
 
     def capacity(self, paper: float) -> float:
-        """Upper bound on the number of footprints with the edge `paper`, metres: the sum of grids over the surfaces."""
+        """Upper bound on the number of footprints with the edge `paper`, metres: the sum over surfaces of the sizes of
+        grids.
+        """
         if not paper:
             return np.inf
         extent = self.surfaces_of(paper).extent
@@ -103,12 +105,13 @@ class Footprints:
     def checked_fixed(self, fixed: Deployment, beside: DeploymentSource) -> Deployment:
         """Assign surfaces to existing landmarks and check them.
 
-        As they are measured by hand, a tag slightly in front of or behind a surface belongs to it, and its footprint is
-        that of its projection to the surface.
+        Positions are measured by hand, so a tag slightly in front of or behind a surface belongs to the surface. Its
+        footprint is the footprint of its projection to the surface.
 
         Args:
             fixed: existing landmarks.
-            beside: source of the other landmarks; if these are not checked (`as_they_are`), `fixed` is not checked.
+            beside: source of the other landmarks; if that source is not checked (`as_they_are`), `fixed` is not checked
+                either.
 
         Raises:
             InputError: a landmark lies outside the room, is on no surface or faces into its surface, or a footprint
@@ -198,7 +201,7 @@ class Footprints:
             )
 
     def separated(self, deployment: Deployment, size: float = 1.0, fixed: int = 0) -> Deployment | None:
-        """Push the footprints of a deployment apart; None without room for all; see `pushed`."""
+        """Push the footprints of a deployment apart; None if there is no room for all, see `pushed`."""
         parts = deployment.positions[None], deployment.normals[None], deployment.surfaces[None]
         positions, normals, surfaces, fits = self.pushed(*parts, deployment.edges, size, fixed)
         apart = replace(deployment, positions=positions[0], normals=normals[0], surfaces=surfaces[0])

@@ -85,7 +85,7 @@ class RecordedPoses:
 
     @cached_property
     def _records(self) -> Records:
-        """All records; the last pose of the trajectory only ends the one before it."""
+        """All records; the last pose of the trajectory is no record, as it only ends the record before it."""
         time = self.trajectory.time
         block = np.floor((time[:-1] - time[0]) / self.block).astype(np.int64)
         return Records(self.trajectory.poses[:-1], np.diff(time), block)

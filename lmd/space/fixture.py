@@ -30,7 +30,9 @@ class Fixture:
 
     @cached_property
     def kind(self) -> str:
-        """One of `KINDS`: `door` or `window` by the name, else `furniture` if the footprint is thick, else `other`."""
+        """One of `KINDS`: `door` or `window` if the name says so, else `furniture` if the footprint is thick, else
+        `other`.
+        """
         named = NAMED_KIND.search(self.name.lower())
         if named:
             return named[0]

@@ -134,7 +134,7 @@ class FloorPlan:
     def contains(self, points: FloatArray, clearance: float = 0.0) -> BoolArray:
         """Mask of the points `(..., 3)` in the closed room, `(...)`.
 
-        Points keep `clearance`, metres, from the planes of walls, holes and obstacles.
+        Only points at least `clearance`, metres, from the planes of walls, holes and obstacles count.
         """
         p = np.asarray(points)
         inside = np.ones(p.shape[:-1], dtype=np.bool_)
