@@ -1,6 +1,6 @@
 """Counts, probabilities, gains and covered amounts of a rig, from the sets of orientations of `rig_sets`.
 
-Threads share the positions or the poses. The order of each sum does not depend on the number of threads.
+Positions or poses are divided among the threads. The order of each sum does not depend on the number of threads.
 """
 
 import math

@@ -1,4 +1,4 @@
-"""Pairs of a landmark and a view of a rig: they are listed first, then their information is summed.
+"""Pairs of a landmark and a view of a rig: pairs are listed first, then the information of all pairs is summed.
 
 The loop over listed pairs vectorises: number j of pair e lies at `work[j * BITS + e]`.
 """
@@ -72,13 +72,13 @@ def mounts_of(evaluator: Evaluator, groups: tuple[MountGroup, ...]) -> tuple[Mou
 
 @inlined
 def numbers_of(precision: Precision) -> np.uint64:
-    """Number of numbers of a view that `precision` needs."""
+    """Length of the list of numbers of a view that `precision` needs."""
     return np.uint64(BODY_NUMBERS + MIRRORED if resolves_ambiguity(precision) else BODY_NUMBERS)
 
 
 @inner
 def fill_views(left: np.uint64, precision: Precision, views: BodyViews) -> np.uint64:
-    """Begin views for the orientations `left` of a word, with sums of zero; returns their number."""
+    """Begin views for the orientations `left` of a word, with sums of zero, and return the number of views."""
     bits, number, rows, count = views.lists[ORIENTATION], views.lists[NUMBER], views.rows, ZERO
     views.lists[TAKEN, 0], views.lists[TAKEN, 1] = left, ZERO
     while left:
@@ -94,7 +94,7 @@ def fill_views(left: np.uint64, precision: Precision, views: BodyViews) -> np.ui
 
 @inner
 def prefetch_sums(sums: FloatArray, first: Integer, views: BodyViews, count: Integer) -> None:
-    """Prefetch the rows of `sums` `(V, width)` that `load_sums` reads; arguments as there."""
+    """Prefetch the rows of `sums` `(V, width)` that `load_sums` reads; arguments as in `load_sums`."""
     width, bits = np.uint64(sums.shape[1]), views.lists[ORIENTATION]
     for v in range(count):
         at = (first + bits[v]) * width
@@ -121,7 +121,9 @@ def store_sums(sums: FloatArray, first: Integer, precision: Precision, views: Bo
 
 
 def tags_of(precision: Precision, positions: FloatArray, normals: FloatArray) -> FloatArray:
-    """Tags as rows `(K, 9)`: centre, and vectors from it to the midpoints of the right and upper edge, metres."""
+    """Tags as rows `(K, 9)`: centre, and vectors from the centre to the midpoints of the right and upper edge,
+    metres.
+    """
     return np.hstack([positions, *(precision.halves[:, None] * side for side in upright(normals))])
 
 
@@ -140,12 +142,12 @@ def add_to_body(
 
     Args:
         mounts, m: mount m of a group.
-        w, seen: index of the word, and its orientations with which the mount sees the landmark.
+        w, seen: index of a word, and the orientations of that word with which the mount sees the landmark.
         place: position of the body, metres.
         tag: row of `tags_of`.
         sign: 1 to add the landmark, -1 to remove it.
-        precision: has the share of each corner.
-        views: has the list and the sums.
+        precision: share of each corner.
+        views: list of pairs, and sums.
     """
     taken = views.lists[TAKEN]
     left, filled = seen & taken[0], taken[1]
@@ -190,7 +192,9 @@ def add_up(precision: Precision, views: BodyViews) -> None:
 
 @inner
 def _find_moments(work: FloatArray, share: float, filled: Integer) -> None:
-    """Compute the 21 numbers of the first `filled` pairs; all in one array, so that LLVM vectorises the loop."""
+    """Compute the 21 numbers of the first `filled` pairs; all numbers are in one array, so that LLVM vectorises the
+    loop.
+    """
     for i in range(whole(filled)):
         weight = work[AT[3] + i]
         found = about_body(

@@ -1,6 +1,6 @@
 """Reference of localisation in NumPy, one function per formula; compiled code must equal it bit for bit.
 
-It also evaluates scenes whose visibility model has no compiled half (`reference_views`,
+The reference also evaluates scenes whose visibility model has no compiled half (`reference_views`,
 `log_det.ReferenceLogDeterminant`).
 
 Shapes: A orientations, K landmarks.

@@ -1,6 +1,6 @@
-"""Localised views of a rig: the images of all its cameras, whose information on the body is summed (`body`).
+"""Localised views of a rig: a view has the images of all cameras, and their information on the body is summed (`body`).
 
-A rig of one camera at the body's origin has the values of that camera alone.
+A rig with one camera at the body's origin has the values of the single camera.
 """
 
 import math
@@ -37,7 +37,7 @@ from lmd.sight.mounts import MountGroup
 from lmd.sight.rig_views import RigViews
 from lmd.sight.views import visible_to_each
 
-VIEWS_AT_ONCE = 1 << 16  # views whose landmarks are kept at a time, 8 bytes per landmark and 64 views
+VIEWS_AT_ONCE = 1 << 16  # greatest number of views in memory, 8 bytes per landmark and 64 views
 
 
 def rig_views(
@@ -88,10 +88,10 @@ def _localise(
         tags: result of `tags_of`.
         weights: quantised probability of each orientation, `(1, D)` or `(P, D)`.
         n, precision: see `evaluation.localised_views`.
-        asks: `Precision.asks`.
+        asks: value of `Precision.asks`.
         views: working memory.
         variances: receives the variance of the position in unambiguous views of n landmarks, `(P, D)` filled with
-            infinity; or empty.
+            infinity; empty to skip the variances.
     """
     some: Any = np.zeros(max(n, 2), dtype=np.uint64)
     words = np.uint64(weights.shape[1]) // VIEW
@@ -142,7 +142,7 @@ class RigImages(NamedTuple):
     """`(C, N, K)` mask of the landmarks that each camera covers."""
 
     def some(self, which: BoolArray) -> "RigImages":
-        """Subset of the views; `which` is a mask `(N,)`."""
+        """Images in the views selected by the mask `which` `(N,)`."""
         rows: dict[str, Any] = {name: getattr(self, name)[which] for name in self._fields[:-1]}
         return RigImages(**rows, seen=self.seen[:, which])
 
@@ -193,7 +193,7 @@ def body_sums(evaluator: Evaluator, deployment: Deployment, images: RigImages, p
 def _decide(precision: Precision, sums: FloatArray, several: BoolArray, views: BodyViews, met: BoolArray) -> None:
     """Write the mask of the views that have the precision into `met` `(N,)`.
 
-    `sums` `(N, width)` is their information; `several` `(N,)` is True for two landmarks or more.
+    `sums` `(N, width)` is the information of the views; `several` `(N,)` is True for views of two or more landmarks.
     """
     for i in range(np.uint64(len(met))):
         for j in range(np.uint64(sums.shape[1])):

@@ -1,6 +1,6 @@
 """Criteria of `lmd.sight.models.fiducial` for a lens with distortion, compiled as scalar functions.
 
-They differ from `fiducial_sight` in two points:
+The functions differ from `fiducial_sight` in two points:
 
 - the centre and each corner are projected through the lens; they must lie in the image rectangle and within the
   camera's widest angle from the optical axis, which may exceed 90 degrees;
@@ -72,21 +72,21 @@ class LensSight(NamedTuple):
     min_pitch: float
     """Least image length of a metre that faces the camera at a distance of 1 m, pixels."""
     max_pitch: float
-    """Greatest such image length, pixels."""
+    """Greatest image length of a metre that faces the camera at a distance of 1 m, pixels."""
     min_area: float
     """Least image area of a square metre that faces the camera at a distance of 1 m, pixels^2."""
     max_area: float
-    """Greatest such image area, pixels^2."""
+    """Greatest image area of a square metre that faces the camera at a distance of 1 m, pixels^2."""
     stretch: tuple[float, ...]
     """Coefficients of an upper bound on the stretch, see `Lens.ceiling`."""
     stretch_end: float
-    """1 - cos(theta) for the greatest angle theta at which `stretch` holds."""
+    """1 - cos(theta) for the greatest angle theta at which the bound `stretch` holds."""
     approximation: tuple[float, ...]
     """Coefficients of an approximate projection, see `Lens.approximation`."""
     image_error: float
     """Upper bound on the error of `approximation`, focal lengths."""
     pinholes: tuple[FiducialSight, FiducialSight] | tuple[()]
-    """Pinholes whose pitch and area are lower and upper bounds of those of the lens; none for a fisheye."""
+    """Two pinholes whose pitches and areas bound the lens's from below and from above; none for a fisheye."""
 
     @property
     def outer_cosine(self) -> float:
@@ -270,7 +270,7 @@ def _covers_one(
             return False
         if (room <= sight.image_error or w * per <= sight.cosine + TOLERANCE) and not in_rectangle(sight, u, v, w):
             return False
-        # Upper bounds on the angle between centre and corner, and on its length in the image.
+        # Upper bounds on the angle between centre and corner, and on the distance between their images.
         sine = DIAGONAL * sight.flat.half * per
         angle = sine * (1.0 + ARC * sine * sine)
         inside = (sine <= 1.0) & (w * per >= sight.cosine + angle)

@@ -19,7 +19,7 @@ class PaperSight(NamedTuple):
     reach: float
     """Squared virtual diameter nu, m^2; negative without occlusion."""
     whole_line: bool
-    """True if landmarks behind the camera, or farther than the hidden one, also hide it."""
+    """True if landmarks behind the camera, or farther than the hidden landmark, also hide a landmark."""
 
     @property
     def outer_cosine(self) -> float:
