@@ -16,6 +16,7 @@ EXTRAS = {
     "hydra_plugins.hydra_joblib_launcher": "sweeps",
     "hydra_plugins.hydra_submitit_launcher": "sweeps",
     "nevergrad": "optimisers",
+    "niapy": "optimisers",
     "pymoo": "optimisers",
 }
 

@@ -36,7 +36,7 @@ class Result:
     seconds: float
     """Wall time spent, over all parts of a resumed run, without that of the compiler."""
     history: tuple[Record, ...]
-    """Best fitness against evaluations and wall time."""
+    """Best fitness against evaluations and wall time: each improvement, and the end of each batch."""
     stopped: str
     """`budget` if the budget is used up, `interrupted` by the callback, `proven` if the result is proved optimal."""
     rig: Rig | None = None
@@ -155,7 +155,7 @@ class AskTell(Optimiser):
         super().__init__(seed)
         self.encoding = encoding
         self.best_genes: FloatArray | None = None
-        self.told: list[tuple[int, FloatArray]] = []  # checksum of the genes and fitness of each batch
+        self.told: list[tuple[int, FloatArray, float]] = []  # of each batch: checksum of genes, fitness, seconds spent
 
     @abstractmethod
     def _ask(self) -> FloatArray:
@@ -190,9 +190,8 @@ class AskTell(Optimiser):
     def _note(self, genes: FloatArray, fitness: FloatArray) -> FloatArray:
         """Record a batch; returns the fitness, with -inf for NaN."""
         fitness = np.where(np.isnan(fitness), -np.inf, fitness)
-        self.told.append((_checksum(genes), fitness.copy()))
-        best = int(np.argmax(fitness))
-        if self.ledger.note(self.ledger.evaluations + len(genes), float(fitness[best])):
+        self.told.append((_checksum(genes), fitness.copy(), self.ledger.seconds))
+        if (best := self.ledger.note_batch(fitness)) is not None:
             self.best_genes = genes[best].copy()
         return fitness
 
@@ -206,10 +205,10 @@ class AskTell(Optimiser):
     @override
     def state(self) -> dict[str, Any]:
         return {
-            "checksums": np.array([checksum for checksum, _ in self.told], dtype=np.uint32),
-            "batches": np.array([len(fitness) for _, fitness in self.told], dtype=np.int64),
-            "fitness": np.concatenate([np.empty(0), *(fitness for _, fitness in self.told)]),
-            "wall_time": np.array([record.wall_time for record in self.ledger.history], dtype=np.float64),
+            "checksums": np.array([checksum for checksum, _, _ in self.told], dtype=np.uint32),
+            "batches": np.array([len(fitness) for _, fitness, _ in self.told], dtype=np.int64),
+            "fitness": np.concatenate([np.empty(0), *(fitness for _, fitness, _ in self.told)]),
+            "wall_time": np.array([seconds for _, _, seconds in self.told], dtype=np.float64),
         }
 
     @override
