@@ -21,7 +21,7 @@ from lmd.optimisers.base import Optimiser
 from lmd.problem import Problem
 
 CHECKPOINT_FILE = "checkpoint.npz"
-FORMAT = "lmd checkpoint 4"  # its number changes with the content of the file
+FORMAT = "lmd checkpoint 5"  # its number changes with the content of the file
 DOCUMENT_KEY = "document"  # name of the JSON document, UTF-8, among the arrays
 ARRAY_KEY = "$array"  # key in the document whose value is the name of an array, which replaces it
 MOST_TEXT = 200  # characters of a foreign message that are shown
