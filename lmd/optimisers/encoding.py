@@ -83,7 +83,7 @@ class PaperEncoding:
 
     def _distance(self, points: FloatArray) -> FloatArray:
         """Distance from points `(..., 3)` to each surface, or to its plane if that suffices, `(..., W)`, metres."""
-        s, depth = self.surfaces, np.abs(self.surfaces.depth(points))
+        s, depth = self.surfaces, np.abs(self.surfaces.heights(points))
         if self.planes_tell:
             return depth
         every = np.arange(len(s.normal))

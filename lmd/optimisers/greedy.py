@@ -92,7 +92,7 @@ class GreedyDeployment:
     @cached_property
     def _deployment(self) -> Deployment:
         evaluator = Evaluator(self.scene, threads=self.threads)
-        footprints, edges = self.scene.footprints, self.scene.tag.in_turn(self.count)
+        footprints, edges = self.scene.footprints, self.scene.tag.edges_in_order(self.count)
         spacing, poses = self.spacing, candidates(footprints, edges, self.spacing)
         while len(poses) < self.count:
             spacing /= 1.3

@@ -140,7 +140,7 @@ class Milp(Optimiser):
         }
         if solved.x is not None:
             taken = np.rint(solved.x).astype(int)  # HiGHS returns integers to 1e-6
-            placed = _in_order if poses.has_own_edges else _apart
+            placed = _in_order if poses.has_own_edges else _separated
             note(costs + 1, placed(problem, poses, taken[: len(poses)]))
             self.proven["lattice_found"] = found = float(problem.fitness_relevance @ taken[-program.positions :] / most)
             if solved.status == PROVEN:
@@ -155,7 +155,7 @@ class Milp(Optimiser):
     def _poses(self, problem: Problem) -> Deployment:
         """Poses of the lattice whose footprints do not overlap those of fixed tags."""
         footprints = problem.scene.footprints
-        poses, hung = candidates(footprints, problem.free_edges, self.spacing), problem.hung
+        poses, hung = candidates(footprints, problem.free_edges, self.spacing), problem.fixed_with_edges
         if hung is None or not footprints.edge:
             return poses
         taken = [footprints.touched(poses, hung[k : k + 1]) for k in range(len(hung))]
@@ -173,7 +173,7 @@ def _per_pose(problem: Problem) -> int:
     return 1 if problem.scene.footprints.edge else problem.objective.n
 
 
-def _apart(problem: Problem, poses: Deployment, copies: IntArray) -> Deployment:
+def _separated(problem: Problem, poses: Deployment, copies: IntArray) -> Deployment:
     """Make the deployment with `copies` `(J,)` landmarks at each pose: fixed landmarks first, then separated stacks."""
     parts, distance = [], STACK_SPREAD * problem.scene.spacing
     for stack in np.unique(copies[copies > 0]).tolist():
@@ -233,7 +233,7 @@ class _Program:
             return np.minimum(counts[:, used], n).astype(np.int8)
 
         views = _views(problem)
-        already = np.zeros(views.shape, np.int8) if problem.hung is None else seen(problem.hung)
+        already = np.zeros(views.shape, np.int8) if problem.fixed_with_edges is None else seen(problem.fixed_with_edges)
         cover = np.stack([already, *(seen(poses[j : j + 1]) for j in range(len(poses)))], axis=-1)  # (P, A, 1 + J)
         kinds = [np.unique(views, axis=0, return_inverse=True) for views in cover]
         rows = np.concatenate([distinct for distinct, _ in kinds])

@@ -55,10 +55,10 @@ class Scipy(Wrapped):
             check_memory(BYTES_OF_PAIR * 4.0 ** min(dim, MOST_GENES), corners, "minimise")
 
     def _open(self, start: FloatArray, rng: np.random.Generator) -> LibraryOptimiser:
-        return _Call(self.minimise, start[0], rng)
+        return Call(self.minimise, start[0], rng)
 
 
-class _Call:
+class Call:
     """Call of the function, in a thread that works only while `ask` waits for it."""
 
     def __init__(self, minimise: Callable[..., Any], start: FloatArray, rng: np.random.Generator) -> None:
@@ -83,6 +83,7 @@ class _Call:
         return self.told.get()
 
     def ask(self) -> FloatArray | None:
+        """See `LibraryOptimiser.ask`."""
         if self.thread.ident is None:
             self.thread.start()
         else:
@@ -93,4 +94,5 @@ class _Call:
         return None if genes is None else genes[None]
 
     def tell(self, genes: FloatArray, losses: FloatArray) -> None:
+        """See `LibraryOptimiser.tell`."""
         self.loss = float(losses[0])

@@ -174,9 +174,9 @@ def greedy_start(problem: Problem, start: Deployment, spacing: float, allowance:
     poses = _candidates_within(footprints, problem.free_edges, spacing, allowance / 2)
     selection = selectable(problem.objective).selection(problem.fitness_evaluator, problem.fitness_relevance)
     chosen, spent = select(
-        selection, poses, Tags(problem.free_sizes, problem.scene.tag), footprints, allowance, problem.hung
+        selection, poses, Tags(problem.free_sizes, problem.scene.tag), footprints, allowance, problem.fixed_with_edges
     )
-    return problem.apart(_in_place(problem, start, poses[chosen])) or start if len(chosen) else start, spent
+    return problem.separated(_in_place(problem, start, poses[chosen])) or start if len(chosen) else start, spent
 
 
 def _in_place(problem: Problem, start: Deployment, found: Deployment) -> Deployment:

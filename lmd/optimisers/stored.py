@@ -12,7 +12,7 @@ from numpy.typing import DTypeLike
 
 from lmd.core.checks import FloatArray, InputError, integer
 from lmd.problem import Problem
-from lmd.scene.deployment import HUNG, Deployment
+from lmd.scene.deployment import POSE_FIELDS, Deployment
 from lmd.space.surface import NEAR_SURFACE
 
 LARGEST = sys.float_info.max
@@ -73,7 +73,7 @@ def generator(name: str, state: Mapping[str, Any]) -> np.random.Generator:
 
 def deployment_state(deployment: Deployment) -> dict[str, Any]:
     """Return a deployment as data, without its labels, which the problem has (`Problem.labelled`)."""
-    return {name: getattr(deployment, name) for name in HUNG}
+    return {name: getattr(deployment, name) for name in POSE_FIELDS}
 
 
 def deployment(name: str, state: Mapping[str, Any], problem: Problem, count: int) -> Deployment:

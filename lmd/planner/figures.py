@@ -39,19 +39,19 @@ class Values:
 
     def __init__(self, problem: Problem, deployment: Deployment) -> None:
         self._problem = problem
-        self._grid = _Followed(problem, problem.evaluator, deployment)
+        self._grid = _FieldValues(problem, problem.evaluator, deployment)
         sampled = problem.fitness_evaluator is not problem.evaluator
-        self._climbed = _Followed(problem, problem.fitness_evaluator, deployment) if sampled else self._grid
+        self._climbed = _FieldValues(problem, problem.fitness_evaluator, deployment) if sampled else self._grid
 
-    def follow(self, deployment: Deployment) -> None:
+    def update(self, deployment: Deployment) -> None:
         """Change the deployment.
 
         Raises:
             InputError: there is too little memory.
         """
-        self._grid.follow(deployment)
+        self._grid.update(deployment)
         if self._climbed is not self._grid:
-            self._climbed.follow(deployment)
+            self._climbed.update(deployment)
 
     def values(self) -> FloatArray:
         """See `Problem.values`."""
@@ -65,7 +65,7 @@ class Values:
         return {**figures, "fitness": float(fitness)}
 
 
-class _Followed:
+class _FieldValues:
     """Values at the positions of one evaluator."""
 
     def __init__(self, problem: Problem, evaluator: Evaluator, deployment: Deployment) -> None:
@@ -78,7 +78,7 @@ class _Followed:
         state: Any = self._field.state(deployment)
         self._state, self._scratches = state, layers(self._field.scratch(state), 1)
 
-    def follow(self, deployment: Deployment) -> None:
+    def update(self, deployment: Deployment) -> None:
         """Move the landmarks whose places differ."""
         if np.array_equal(deployment.edges_of(self._evaluator.scene.tag), self._edges):
             steps, poses = moved(places_of(deployment), self._state)

@@ -87,7 +87,7 @@ class Plan:
         if index < 0:
             return None
         surface = room.surfaces()[index]
-        left, below = surface.seen(np.stack(surface.coordinates(self.deployment.positions[k])))
+        left, below = surface.from_left_and_below(np.stack(surface.coordinates(self.deployment.positions[k])))
         return MeasuredPlace(float(left), float(below) + lower_edge(room, surface), surface.is_upright)
 
     def moved(self, footprints: Footprints, number: int, surface: int, at: FloatArray) -> "Plan":
@@ -209,7 +209,7 @@ def _nearest_free(
         raise InputError(f"there is no place at ({at[0]:g}, {at[1]:g}) m.")
     one = Deployment(surfaces.points(on, np.asarray(at)[None]), surfaces.normal[on], on, edges=np.array([edge]))
     fixed = 0 if others is None else len(others)
-    apart = footprints.apart(one if others is None else others + one, fixed=fixed)
+    apart = footprints.separated(one if others is None else others + one, fixed=fixed)
     if apart is None:
         raise InputError(f"there is no room for one more paper of {footprints.papers(one)[0]:.4g} m.")
     return apart[fixed:]

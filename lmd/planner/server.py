@@ -273,7 +273,7 @@ class Planner:
         session = self._session
         deployment, plan = session.deployment, session.plan
         stands = self._robot.position
-        seen = None if stands is None else session.seen(stands, *self._panel.view)
+        seen = None if stands is None else session.visible_tags(stands, *self._panel.view)
         self._panel.show_seen(None if seen is None else np.sort(deployment.ids[seen]))
         if self._selected not in deployment.ids:
             self._selected = None

@@ -90,7 +90,7 @@ class PlanningSession:
         """See `Problem.metrics`."""
         return self._values.metrics()
 
-    def seen(self, position: FloatArray, yaw: float, pitch: float) -> BoolArray:
+    def visible_tags(self, position: FloatArray, yaw: float, pitch: float) -> BoolArray:
         """True for tags that a level camera at `position` `(3,)`, metres, covers; yaw and pitch in rad, `(K,)`."""
         pose = camera_pose(position[None], np.array([yaw]), np.array([pitch]))
         return np.asarray(visible(self.problem.evaluator, self.deployment, position[None], axis_and_right(pose))[0])
@@ -99,10 +99,10 @@ class PlanningSession:
         """Compile everything, so that the user does not wait for it later."""
         deployment, position = self.deployment, self.problem.evaluator.positions[0]
         turned = replace(deployment, positions=deployment.positions[::-1], normals=deployment.normals[::-1])
-        self._values.follow(turned)
-        self._values.follow(deployment)
+        self._values.update(turned)
+        self._values.update(deployment)
         self.problem.values(deployment)
-        self.seen(position, 0.0, 0.0)
+        self.visible_tags(position, 0.0, 0.0)
         additions(self.problem, deployment, deployment[:1])
 
     def drag(self, number: int, surface: int, at: FloatArray) -> None:
@@ -124,7 +124,7 @@ class PlanningSession:
             raise InputError(f"tag {number} hangs on no surface.")
         room = self.problem.scene.room
         surface, hanging = (space.surfaces()[index] for space in (room, self.problem.scene.footprints.hanging))
-        point = surface.point(*surface.seen(np.array([left, up - lower_edge(room, surface)])))
+        point = surface.point(*surface.from_left_and_below(np.array([left, up - lower_edge(room, surface)])))
         self.drag(number, index, np.array([(point - hanging.origin) @ axis for axis in (hanging.u, hanging.v)]))
         self.drop()
 
@@ -246,7 +246,7 @@ class PlanningSession:
     def _follow(self, plan: Plan) -> None:
         """Update the problem and the values to another plan."""
         if plan.rig is None or plan.rig is self.rig:
-            self._values.follow(plan.deployment)
+            self._values.update(plan.deployment)
         else:
             # A start that varies may take long to draw, so the present tags replace it.
             start = GivenDeployment(self.problem.free(plan.deployment)) if self.problem.start.varies else None

@@ -146,7 +146,7 @@ def audited(survey: Survey, scene: Scene, verdicts: Verdicts) -> Audit:
     """
     found = survey.found
     tags = map_of(survey)
-    tags = tags.hung(scene.room, anywhere=True, papers=scene.footprints.papers(tags))
+    tags = tags.with_surfaces(scene.room, anywhere=True, papers=scene.footprints.papers(tags))
     room = tagged_room(scene.room, tags, scene.tag)
     bodies, mounts = found.poses.frames[found.frames], found.poses.mounts
     parts = []

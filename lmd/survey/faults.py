@@ -93,10 +93,10 @@ def _adjusted(found: Estimate, poses: Poses) -> Estimate:
 
 
 def _placed_beside(found: Estimate, some: Sightings, fewest: int, share: float = LEAST_SHARE) -> Poses:
-    """Poses of the tags of some sightings, see `Sightings.apart`, with all frames fixed."""
+    """Poses of the tags of some sightings, see `Sightings.with_separate_cameras`, with all frames fixed."""
     placing = Placing(some, single_poses(some))
     placing.frames = np.asarray((found.poses.frames[None] @ found.poses.mounts[:, None]).reshape(-1, 4, 4))
-    placing.settle(np.arange(len(some)), by_frame=False, fewest=fewest, share=share)
+    placing.place(np.arange(len(some)), by_frame=False, fewest=fewest, share=share)
     return placing.poses
 
 
@@ -104,7 +104,7 @@ def _second_places(found: Estimate, gross: BoolArray) -> list[SecondPlace]:
     """Second poses of tags on which sightings among the `gross` outliers, `(N,)`, agree."""
     counts = found.sightings.counts(gross)
     often = counts[found.sightings.tag] >= FEWEST_SIGHTINGS
-    some = found.sightings.of(np.flatnonzero(gross & often)).apart()
+    some = found.sightings.of(np.flatnonzero(gross & often)).with_separate_cameras()
     if not len(some):
         return []
     poses = _placed_beside(found, some, FEWEST_SIGHTINGS)
@@ -142,7 +142,7 @@ def _sizes(found: Estimate) -> tuple[dict[int, float], Poses]:
     astray = sightings.counts(found.used) == 0
     lost = np.flatnonzero(astray[some.tag])
     if lost.size:
-        tags[astray] = _placed_beside(found, some.of(lost).apart(), fewest=0, share=0.0).tags[astray]
+        tags[astray] = _placed_beside(found, some.of(lost).with_separate_cameras(), fewest=0, share=0.0).tags[astray]
     edges, growth, summed = some.edges, np.zeros(count), sums_by(some.tag, count)
     for _ in range(SIZE_STEPS):
         scaled = replace(some, edges=edges * np.exp(growth))

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from lmd.core.checks import BoolArray, FloatArray, InputError, IntArray
-from lmd.geometry.se3 import adjoint_matrix, inverse, laid_over, pose_of
+from lmd.geometry.se3 import adjoint_matrix, inverse, pose_of, rigid_alignment
 from lmd.survey.prior import EXACT_SIGMA, FEWEST_POINTS, Prior, are_in_line
 from lmd.survey.residuals import DEGREES_OF_FREEDOM, Poses
 from lmd.survey.sightings import Sightings
@@ -105,7 +105,7 @@ def motion_to_prior(tags: FloatArray, prior: Prior) -> FloatArray | None:
 def _motion_of_centres(tags: FloatArray, prior: Prior, known: IntArray) -> FloatArray | None:
     """Motion that moves the centres of the tags `known` nearest to their expected ones; None if these fix no motion."""
     here = tags[known, :3, 3]
-    return None if len(known) < FEWEST_POINTS or are_in_line(here) else laid_over(here, prior.tags[known, :3, 3])
+    return None if len(known) < FEWEST_POINTS or are_in_line(here) else rigid_alignment(here, prior.tags[known, :3, 3])
 
 
 def into_world(

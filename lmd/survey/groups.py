@@ -16,9 +16,9 @@ from typing import NamedTuple
 import numpy as np
 
 from lmd.core.checks import BoolArray, FloatArray, InputError, IntArray
-from lmd.geometry.se3 import angle_between, inverse, log, middle
+from lmd.geometry.se3 import angle_between, inverse, log, median_pose
 from lmd.survey.initialisation import FLOOR_PIXELS, agreeing
-from lmd.survey.linked import LinkedAdjustment
+from lmd.survey.linked_adjustment import LinkedAdjustment
 from lmd.survey.links import MOST_SQUARE
 from lmd.survey.motion import LONGEST_GAP, Motion, with_bridged_gaps
 from lmd.survey.prior import EXACT_SIGMA, Prior
@@ -289,7 +289,7 @@ def _relations(nodes: Nodes, poses: FloatArray, motion: Motion, velocities: Floa
     found = []
     for own in np.split(order, starts[1:]) if len(order) else []:
         own = own[:PAIRS]
-        centre = middle(between[own])
+        centre = median_pose(between[own])
         off = log(inverse(centre) @ between[own])
         near = (np.linalg.norm(off[:, :3], axis=1) < AGREE_TURN) & (np.linalg.norm(off[:, 3:], axis=1) < AGREE_PLACE)
         # A frame with a misread id is near to many frames, so each frame counts once.

@@ -47,7 +47,7 @@ class Placing:
     """Tags and frames of some sightings that are placed one after the other.
 
     Args:
-        sightings: sightings of one camera, see `Sightings.apart`.
+        sightings: sightings of one camera, see `Sightings.with_separate_cameras`.
         single: their poses by single sightings.
         is_linked: True if frames are linked by motion, so that no single sighting is trusted.
     """
@@ -106,7 +106,7 @@ class Placing:
         """Place frames, then tags, on which several sightings agree; False if there is none."""
         before = self._count()
         for by_frame in (True, False):
-            self.settle(self.waiting(by_frame), by_frame, fewest=FEWEST)
+            self.place(self.waiting(by_frame), by_frame, fewest=FEWEST)
         return self._count() > before
 
     def _risk(self) -> bool:
@@ -116,7 +116,7 @@ class Placing:
             waiting = waiting[self.single.odds[waiting] > LIKELY]
             if waiting.size:
                 before = self._count()
-                self.settle(waiting[[np.argmax(self.single.odds[waiting])]], by_frame, fewest=1)
+                self.place(waiting[[np.argmax(self.single.odds[waiting])]], by_frame, fewest=1)
                 if self._count() > before:
                     return True
         return False
@@ -140,7 +140,7 @@ class Placing:
                 return
             disagree = known & (error > MUCH_WORSE * np.median(error[known]))
             share = np.bincount(owner, disagree) / np.maximum(np.bincount(owner, known), 1)
-            self.settle(np.flatnonzero(known & (share[owner] > DISPUTED)), by_frame, fewest=FEWEST)
+            self.place(np.flatnonzero(known & (share[owner] > DISPUTED)), by_frame, fewest=FEWEST)
 
     def _adjust(self, steps: int) -> None:
         """Adjust all placed tags and frames, with the first tag of each group fixed."""
@@ -154,7 +154,7 @@ class Placing:
         poses, _ = adjustment.run(self.poses, FLOOR_PIXELS, steps)
         self.tags, self.frames = poses.tags, poses.frames
 
-    def settle(self, index: IntArray, by_frame: bool, fewest: int, share: float = LEAST_SHARE) -> None:
+    def place(self, index: IntArray, by_frame: bool, fewest: int, share: float = LEAST_SHARE) -> None:
         """Place the frames of the sightings `index`, whose tags are placed; or their tags, whose frames are placed.
 
         Args:
@@ -259,7 +259,7 @@ def place(sightings: Sightings, planned: FloatArray, is_linked: bool) -> tuple[P
     """Place all tags and frames that can be placed.
 
     Args:
-        sightings: sightings of cameras each of which is a body of its own, see `Sightings.apart`.
+        sightings: sightings of cameras each of which is a body of its own, see `Sightings.with_separate_cameras`.
         planned: planned poses of tags, `(K, 4, 4)`; NaN if unknown.
         is_linked: True if frames are linked by motion.
 
@@ -272,7 +272,7 @@ def place(sightings: Sightings, planned: FloatArray, is_linked: bool) -> tuple[P
     for quarter in QUARTERS if known.any() else ():
         placing = Placing(sightings, single, is_linked)
         placing.tags[known], placing.group[known] = (planned @ quarter)[known], 0
-        placing.settle(placing.waiting(by_frame=True), by_frame=True, fewest=FEWEST)
+        placing.place(placing.waiting(by_frame=True), by_frame=True, fewest=FEWEST)
         tried.append(placing)
     if tried:
         tried = [max(tried, key=Placing.agreed)]

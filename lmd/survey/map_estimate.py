@@ -7,12 +7,12 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from lmd.core.checks import BoolArray, FloatArray, InputError, IntArray
-from lmd.geometry.se3 import inverse, middle, skew
+from lmd.geometry.se3 import inverse, median_pose, skew
 from lmd.survey.adjustment import Adjustment
 from lmd.survey.gauge import diagonal_blocks, gauge_free, into_world
 from lmd.survey.groups import join_groups
 from lmd.survey.initialisation import FLOOR_PIXELS, place
-from lmd.survey.linked import LinkedAdjustment, adjustment_of, constraining
+from lmd.survey.linked_adjustment import LinkedAdjustment, adjustment_of, constraining
 from lmd.survey.prior import Prior
 from lmd.survey.residuals import Poses, squared_errors
 from lmd.survey.sightings import Sightings
@@ -133,7 +133,7 @@ class Start:
     """Initial poses."""
 
     poses: Poses
-    """Rough poses, with each camera as a body of its own, see `Sightings.apart`."""
+    """Rough poses, with each camera as a body of its own, see `Sightings.with_separate_cameras`."""
     group: IntArray
     """`(K,)` group of each tag, -1 for tags that are not placed. Each group has a world of its own."""
 
@@ -145,7 +145,7 @@ def initialise(sightings: Sightings, prior: Prior) -> Start:
         InputError: no two tags were seen together.
     """
     with threadpool_limits(limits=ONE_THREAD):
-        apart = sightings.apart()
+        apart = sightings.with_separate_cameras()
         # Frames of two cameras must be placed to find the mounts.
         is_linked = prior.motion is not None and (sightings.cameras == 1 or prior.mounts is not None)
         rough, group = place(apart, np.where(prior.is_posed[:, None, None], prior.tags, np.nan), is_linked)
@@ -238,7 +238,7 @@ def _mounted(sightings: Sightings, apart: Poses, mounts: FloatArray | None) -> P
 
     Args:
         sightings: sightings of the body.
-        apart: poses for `sightings.apart()`.
+        apart: poses for `sightings.with_separate_cameras()`.
         mounts: poses of the cameras on the body, `(C, 4, 4)`; None to estimate them.
 
     Raises:
@@ -252,7 +252,7 @@ def _mounted(sightings: Sightings, apart: Poses, mounts: FloatArray | None) -> P
         if mounts is not None:
             found[camera] = mounts[camera]
         elif both.any():
-            found[camera] = middle(inverse(frames[both]) @ views[camera, both])
+            found[camera] = median_pose(inverse(frames[both]) @ views[camera, both])
         else:
             raise InputError(f"detections have no frame that shows where camera {camera + 1} is mounted.", "detections")
         fresh = there & ~both

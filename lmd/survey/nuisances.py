@@ -21,7 +21,7 @@ from lmd.core.checks import FloatArray, InputError
 from lmd.geometry.camera import Camera
 from lmd.survey.initialisation import FLOOR_PIXELS
 from lmd.survey.intrinsics import intrinsics_of, parameter_slopes, with_intrinsics
-from lmd.survey.linked import adjustment_of, constraining
+from lmd.survey.linked_adjustment import adjustment_of, constraining
 from lmd.survey.map_estimate import ONE_THREAD, Estimate, adjust, fitting
 from lmd.survey.resampling import inflation
 from lmd.survey.residuals import Poses, Reprojection, squared_errors

@@ -23,7 +23,7 @@ from lmd.core.checks import BoolArray, FloatArray, IntArray
 from lmd.geometry.se3 import exp
 from lmd.survey.adjustment import Adjustment
 from lmd.survey.gauge import gauge_free
-from lmd.survey.linked import constraining
+from lmd.survey.linked_adjustment import constraining
 from lmd.survey.map_estimate import ONE_THREAD, Estimate, adjust
 from lmd.survey.prior import EXACT_SIGMA
 from lmd.survey.residuals import Poses, Reprojection, normal_equations, solved, squared_errors, student_weight, sums_by

@@ -121,7 +121,7 @@ class SchurSystem:
         right[rows] -= (wide @ solved(lower, part.gradient).ravel()).reshape(-1, 6)
 
     def eliminate_links(self, poses: Poses, is_robust: bool, matrix: FloatArray, right: FloatArray) -> None:
-        """Eliminate linked frames: none, see `lmd.survey.linked`."""
+        """Eliminate linked frames: none, see `lmd.survey.linked_adjustment`."""
 
     def schur_system(
         self, poses: Poses, floor: float, damping: float, weight: float | None = None

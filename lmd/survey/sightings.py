@@ -97,7 +97,7 @@ class Sightings:
         rest = {name: getattr(self, name)[chosen] for name in names}
         return replace(self, **rest)
 
-    def apart(self) -> "Sightings":
+    def with_separate_cameras(self) -> "Sightings":
         """Sightings with every camera as a body of its own: C F frames, those of the first camera first."""
         order = np.argsort(self.frame + self.camera * self.frames, kind="stable")
         some = self.of(order)

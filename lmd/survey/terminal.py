@@ -116,7 +116,7 @@ def _turned(survey: Survey) -> str:
     """Tags that are turned beside their plan, and the treatment of their turns."""
     turns = survey.turns
     shown = np.bincount(survey.found.sightings.tag, minlength=len(survey.ids)) > 0
-    hung = np.where(turns.hung, turns.hung, turns.on_sheets)
+    hung = np.where(turns.beside_plan, turns.beside_plan, turns.beside_sheets)
     parts = [
         f"{words}: {_few(survey.ids[own])}; {made}"
         for made, by in (("their corners are renumbered", turns.renumbered), ("they hang so in the map", hung))

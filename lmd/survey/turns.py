@@ -29,9 +29,9 @@ class Turns:
 
     renumbered: IntArray
     """`(K,)` turns by which the corners of detections are renumbered."""
-    hung: IntArray
+    beside_plan: IntArray
     """`(K,)` turns of the tags beside their plan; 0 if unknown."""
-    on_sheets: IntArray
+    beside_sheets: IntArray
     """`(K,)` turns of the tags beside their sheets; 0 if unknown."""
 
     @classmethod
@@ -40,19 +40,19 @@ class Turns:
         return cls(*np.zeros((3, count), dtype=np.int64))
 
     def __bool__(self) -> bool:
-        return any(turned.any() for turned in (self.renumbered, self.hung, self.on_sheets))
+        return any(turned.any() for turned in (self.renumbered, self.beside_plan, self.beside_sheets))
 
     def __add__(self, other: "Turns") -> "Turns":
         """Turns of tags whose remaining turns, once these are applied, are `other`."""
-        names = ("renumbered", "hung", "on_sheets")
+        names = ("renumbered", "beside_plan", "beside_sheets")
         return Turns(*((getattr(self, name) + getattr(other, name)) % 4 for name in names))
 
     def applied(self, prior: Prior) -> Prior:
         """Prior of tags that hang turned."""
         sheets = prior.sheets
         if sheets is not None:
-            sheets = replace(sheets, poses=sheets.poses @ QUARTERS[self.on_sheets[sheets.tag]])
-        return replace(prior, tags=prior.tags @ QUARTERS[self.hung], sheets=sheets)
+            sheets = replace(sheets, poses=sheets.poses @ QUARTERS[self.beside_sheets[sheets.tag]])
+        return replace(prior, tags=prior.tags @ QUARTERS[self.beside_plan], sheets=sheets)
 
 
 def turned_as_seen(sightings: Sightings, poses: Poses) -> Poses:
@@ -89,8 +89,8 @@ def turns_of(poses: Poses, group: IntArray, prior: Prior, in_order: bool) -> Tur
         renumbered[:] = np.argmax(counts)
     exact = prior.exact & (seen >= 0)
     renumbered[exact] = seen[exact]
-    hung, hung_on_sheets = (np.where(turned < 0, 0, (turned - renumbered) % 4) for turned in (seen, on_sheets))
-    return Turns(renumbered, hung, hung_on_sheets)
+    remaining = (np.where(turned < 0, 0, (turned - renumbered) % 4) for turned in (seen, on_sheets))
+    return Turns(renumbered, *remaining)
 
 
 def _quarters(tags: FloatArray, planned: FloatArray, group: IntArray) -> IntArray:

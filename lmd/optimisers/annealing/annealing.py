@@ -181,7 +181,7 @@ class Annealing(Optimiser):
         """
         count, stack = problem.count, surrogate.stack
         if self.in_stacks and used >= self.stacked_share:
-            self.in_stacks, self.here = False, self._apart(problem, stack, SMALLEST_SIZE if self.growth else 1.0)
+            self.in_stacks, self.here = False, self._separated(problem, stack, SMALLEST_SIZE if self.growth else 1.0)
         conditions = self._conditions(problem, used)
         stretch = min(MAX_MOVES, max(1.0, (self.spent + left) / MIN_STRETCHES), left)
         if surrogate.is_true(len(self.here), conditions):
@@ -196,8 +196,8 @@ class Annealing(Optimiser):
         each = stack if self.in_stacks else 1
         moves = int(stretch) // each
         self.here, _ = surrogate.walk(self.here, self._known, conditions, moves, self.rng)
-        led_to = self._apart(problem, stack, 1.0) if self.in_stacks else self._mean(problem)
-        self.walked = problem.apart(led_to)
+        led_to = self._separated(problem, stack, 1.0) if self.in_stacks else self._mean(problem)
+        self.walked = problem.separated(led_to)
         return moves * each + count, self.walked
 
     def _climb(self, problem: Problem, used: float, left: float) -> tuple[int, Deployment | None]:
@@ -247,7 +247,7 @@ class Annealing(Optimiser):
         self.mean_places = self.mean_places or MeanPlaces(self.here)
         return self.mean_places.add(self.here)
 
-    def _apart(self, problem: Problem, stack: int, size: float) -> Deployment:
+    def _separated(self, problem: Problem, stack: int, size: float) -> Deployment:
         """Separate the landmarks of each stack for footprints of this size; landmarks in no stack stay at the start."""
         assert self.angles is not None, "there are stacks"
         distance = self.spread * size * problem.scene.spacing

@@ -115,7 +115,7 @@ class Ascent:
         at = surfaces.coordinates(here.surfaces, here.positions) + away
         moved = Deployment(surfaces.points(here.surfaces, at), here.normals, here.surfaces)
         moved = problem.complete(problem.free(moved))
-        return problem.apart(moved) or here
+        return problem.separated(moved) or here
 
     def state(self) -> dict[str, Any]:
         """Return the means as data."""

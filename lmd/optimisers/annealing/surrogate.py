@@ -151,7 +151,7 @@ class Surrogate:
             self._lay_out(*redrawn)
         self._climbed = in_stacks, size
         if not in_stacks:
-            pushed = self._problem.apart(here, size)
+            pushed = self._problem.separated(here, size)
             here = best if pushed is None else pushed  # no room for larger footprints
         self._footprints = self._footprints_of(len(here), 0.0 if in_stacks else size)
         slices = self._slices(here, self._first_movable(in_stacks), number, rng)
