@@ -1,4 +1,4 @@
-"""The formats of calibrations, in the order in which they are tried."""
+"""Formats of calibrations, in the order in which they are tried."""
 
 import re
 from collections.abc import Callable, Mapping

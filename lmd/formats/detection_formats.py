@@ -77,11 +77,11 @@ def read_detections(path: Any) -> DetectedTags:
 
     The corners of a table are clockwise from the top left in OpenCV's pixels.
 
-    The time may be called `stamp` or `image`, and be any text, such as the name of a photograph.
+    The column of the time may have the name `stamp` or `image`, and hold any text, such as the name of a photograph.
 
-    `camera` or `topic` says which camera saw a tag; without it there is one. Further columns are ignored. Where most
-    corners go round counter-clockwise they are taken for those of the AprilTag library, which begins at the bottom
-    left. Detections that go round the other way than most are left out.
+    Column `camera` or `topic` names the camera; without it there is one camera. Further columns are ignored. If most
+    detections have counter-clockwise corners, these are the AprilTag library's, which begin at the bottom left.
+    Detections with the opposite sense are left out.
 
     Raises:
         InputError: the file cannot be read, lacks a column, or a value is no number.

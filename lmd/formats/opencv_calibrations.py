@@ -33,7 +33,7 @@ OPENCV_NAMES = {
 VAGUE = "matrix"  # a camera matrix only if there is a distortion, too
 OPENCV_SIZES = ("image_size", "img_size", "dim")
 DIMENSIONS = "dim"  # key that only the recipe for cv2.fisheye writes, beside K and D
-# What scripts call the model of the lens, where others have the name of a product; and those of wide lenses.
+# Names of keys with the lens model in scripts, which may also hold the name of a product; and values for wide lenses.
 OPENCV_LENSES = (
     "lens_model",
     "camera_model",
