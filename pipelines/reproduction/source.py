@@ -1,4 +1,4 @@
-"""The source of a reproduction report: the runs of a tracking store."""
+"""Source of a reproduction report: the runs of a tracking store."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -7,6 +7,7 @@ from pathlib import Path
 import pandas as pd
 
 from lmd.core.checks import LARGEST, InputError, printable
+from lmd.core.tables import read_numbers
 from lmd.evaluation.comparison import OptimiserRun
 from lmd.optimisers.ledger import Record
 from lmd.plot.common import shrink
@@ -15,6 +16,7 @@ from lmd.scene.deployment import Deployment
 
 from ..nodes import note
 from ..operations.tracking import PARENT_TAG, MlflowReader
+from ..outputs import HISTORY_FILE, columns_of
 from .document import Picture
 
 INDICES = {
@@ -37,7 +39,7 @@ COLUMNS = [
     *(SEED, BUDGET, COUNT, *PAIR, *(f"metrics.{index}" for index in INDICES), GRID_FREE),
 ]
 
-# Parameters that a section reads as numbers, by its sweep; in a store they are texts of any origin.
+# Parameters that a section reads as numbers, by sweep; in a store, parameters are texts of any origin.
 NUMBERS = {
     "table2": [SEED],
     "table3": PAIR,
@@ -45,25 +47,25 @@ NUMBERS = {
     "landmark_count": [COUNT],
     "optimisers": [SEED],
 }
-# The problem and the deployment of a run, by its id.
+# Function that returns the problem and the deployment of a run, by the id of the run.
 Load = Callable[[str], tuple[Problem, Deployment]]
 
 
 @dataclass(frozen=True)
 class Source:
-    """The runs of a report, and the folder of its pictures."""
+    """Runs of a report, and the folder of its pictures."""
 
     reader: MlflowReader
     """Reader of the tracking store."""
     runs: pd.DataFrame
     """Runs of `MlflowReader.runs`."""
     load: Load
-    """Loads the problem and the deployment of a run."""
+    """Function that loads the problem and the deployment of a run."""
     folder: Path
     """Folder of the pictures."""
 
     def jobs(self, sweep: str) -> pd.DataFrame:
-        """The finished runs of the newest sweep of that name, one for each job, the oldest first.
+        """Finished runs of the newest sweep with a name, one for each job, the oldest first.
 
         A run whose parameter is no number is left out, with a note.
         """
@@ -82,23 +84,22 @@ class Source:
         return jobs
 
     def optimiser_runs(self, jobs: pd.DataFrame) -> list[OptimiserRun]:
-        """Results and convergence of optimisations; a run without its files or curve is left out, with a note."""
+        """Results and histories of optimisations; a run without its files is left out, with a note."""
         found = []
         for run_id, job in jobs.iterrows():
-            curve = [Record(*point) for point in self.reader.curve(str(run_id), "best_fitness")]
             try:
-                if not curve:
-                    raise InputError("it has no curve best_fitness")
+                table = self.reader.artifact(str(run_id), HISTORY_FILE)
+                history = [Record(*row) for row in read_numbers(table, list(columns_of([])), name=HISTORY_FILE)]
                 deployment = Deployment.from_csv(self.reader.artifact(str(run_id), "landmarks.csv"))
             except InputError as error:
                 note(printable(f"run {run_id} is left out: {error}"))
                 continue
             metrics = {index: job[f"metrics.{index}"] for index in INDICES}
-            found.append(OptimiserRun(str(job[OPTIMISER]), int(float(job[SEED])), metrics, curve, deployment))
+            found.append(OptimiserRun(str(job[OPTIMISER]), int(float(job[SEED])), metrics, history, deployment))
         return found
 
     def picture(self, name: str, caption: str, draw: Callable[[Path], None]) -> Picture:
-        """A picture that `draw` writes into the folder."""
+        """Picture that `draw` writes into the folder."""
         path = self.folder / f"{name}.png"
         draw(path)
         shrink(path)
