@@ -14,7 +14,7 @@ from lmd.scene.rig import Mount, Rig
 from lmd.sight.evaluator import Evaluator
 from lmd.sight.views import visible
 
-MOST_BYTES = 1 << 28  # greatest memory of cached views, bytes; the least recently used are dropped beyond it
+MOST_BYTES = 1 << 28  # greatest memory of cached views, bytes; beyond it the least recently used views are dropped
 PARTS_PER_THREAD = 4  # number of chunks per thread
 
 
@@ -22,7 +22,7 @@ class CameraViews:
     """Cache of the views of single cameras; only a camera with a new mount is evaluated.
 
     Args:
-        evaluator: evaluator of a rig; has the positions and orientations of the body.
+        evaluator: evaluator of a rig, with the positions and orientations of the body.
         deployment: K tags.
     """
 
@@ -47,7 +47,7 @@ class CameraViews:
         """True if the views of a mount are cached."""
         return mount in self._kept
 
-    def seen(self, mount: Mount) -> np.ndarray:
+    def visible_tags(self, mount: Mount) -> np.ndarray:
         """Tags that a camera sees from the N poses of the body, bit sets `(N, W)`."""
         if mount not in self._kept:
             self._kept[mount] = self._look(mount)
@@ -73,7 +73,7 @@ class CameraViews:
         """Quantised P_n at each position, `(P,)`."""
         union = np.uint64(0)
         for mount in mounts:
-            union = union | self.seen(mount)  # type: ignore[assignment] # an array from the first on
+            union = union | self.visible_tags(mount)  # type: ignore[assignment] # an array from the first on
         enough = np.bitwise_count(union).sum(axis=-1) >= n
         # Sums of integers up to 2^52 are exact in float64.
         summed = np.bincount(self._position, self._weights * enough, len(self._evaluator.positions))

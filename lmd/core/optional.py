@@ -25,7 +25,7 @@ def optional(package: str, extra: str) -> Any:
     """Import the package named `package`, which `pip install lmd[extra]` installs.
 
     Raises:
-        InputError: it is not installed.
+        InputError: the package is not installed.
     """
     try:
         return importlib.import_module(package)

@@ -1,8 +1,8 @@
 """Figures of a deployment with random errors of mounting.
 
 In every draw all tags have independent errors. A draw is evaluated like any deployment, on the grid and at random
-positions off it. Then the pose is estimated from single images with the planned map, and for comparison with the
-mounted map, which a survey would give.
+positions. Then poses are estimated from single images with the planned map, and for comparison with the map of the
+mounted tags, which a survey would give.
 """
 
 from dataclasses import dataclass, replace
@@ -13,7 +13,15 @@ import numpy as np
 from lmd.core.checks import FloatArray, InputError, check_fields, integer, real
 from lmd.core.memory import check_memory
 from lmd.detection.frames import draw_poses
-from lmd.evaluation.maps import QUANTILES, Hung, error_quantiles, errors_text, map_errors, named_figures, percent_text
+from lmd.evaluation.maps import (
+    QUANTILES,
+    MountedTags,
+    error_quantiles,
+    errors_text,
+    map_errors,
+    named_figures,
+    percent_text,
+)
 from lmd.evaluation.validation import Sample, sampled_evaluators
 from lmd.geometry.squares import upright
 from lmd.problem import Problem
@@ -37,11 +45,11 @@ class MountingError:
     """
 
     position: float
-    """Along each of the two directions of the surface, metres."""
+    """Error of position along each of the two directions of the surface, metres."""
     turn: float
-    """In the plane of the tag, rad."""
+    """Error of rotation in the plane of the tag, rad."""
     tilt: float
-    """Of the normal about each of the two directions of the surface, rad: a tag that does not lie flat."""
+    """Error of the normal about each of the two directions of the surface, rad."""
     draws: int
     """Number of mountings drawn."""
 
@@ -57,14 +65,14 @@ class MountingError:
         """True if all tags hang as planned."""
         return not (self.position or self.turn or self.tilt)
 
-    def hung(self, problem: Problem, plan: Deployment, rng: np.random.Generator) -> Hung:
+    def draw(self, problem: Problem, plan: Deployment, rng: np.random.Generator) -> MountedTags:
         """Draw the tags of a plan as they are mounted.
 
         Tags stay on their surface, and footprints do not overlap: a tag that would extend beyond an edge, or overlap an
         earlier tag, moves to the nearest allowed place. Fixed tags (`Problem.fixed`) stay.
 
         Args:
-            problem: gives the surfaces, the footprints, and the fixed tags.
+            problem: problem with the surfaces, the footprints, and the fixed tags.
             plan: K landmarks with their surfaces.
             rng: draws the errors.
 
@@ -77,17 +85,17 @@ class MountingError:
         shift = np.where(free, rng.normal(0.0, self.position, (len(plan), 2)), 0.0)
         turns = np.where(free, rng.normal(0.0, (self.tilt, self.tilt, self.turn), (len(plan), 3)), 0.0)
         along = np.stack(upright(plan.normals), axis=1)  # (K, 2, 3)
-        moved = self._apart(problem, replace(plan, positions=plan.positions + (shift[:, None] @ along)[:, 0]))
+        moved = self._separated(problem, replace(plan, positions=plan.positions + (shift[:, None] @ along)[:, 0]))
         axes = np.stack([*upright(moved.normals), moved.normals], axis=-1)
         _, ups, normals = np.moveaxis(axes @ Rotation.from_rotvec(turns).as_matrix(), -1, 0)
-        return Hung(replace(moved, normals=normals), ups)
+        return MountedTags(replace(moved, normals=normals), ups)
 
-    def _apart(self, problem: Problem, moved: Deployment) -> Deployment:
-        """Push the landmarks on surfaces apart; those on none stay."""
+    def _separated(self, problem: Problem, moved: Deployment) -> Deployment:
+        """Push the landmarks on surfaces apart; landmarks on no surface stay."""
         on = np.flatnonzero(moved.surfaces >= 0)
         if not len(on):
             return moved
-        apart = problem.scene.footprints.apart(moved[on], fixed=int((on < problem.fixed_count).sum()))
+        apart = problem.scene.footprints.separated(moved[on], fixed=int((on < problem.fixed_count).sum()))
         if apart is None:
             raise InputError(f"position = {self.position:g} m leaves no room for all papers.", "position")
         return moved.put(on, apart)
@@ -104,9 +112,9 @@ class Mounted:
     n: int
     """Number of tags that a view must show for a pose."""
     planned: "pd.Series"
-    """Figures as planned, on the grid, and at random positions as `grid_free_...`."""
+    """Figures of the plan on the grid, and at random positions as `grid_free_...`."""
     draws: "pd.DataFrame"
-    """These figures of each draw, a row each."""
+    """Figures as in `planned`, with a row for each draw."""
     views: "pd.DataFrame"
     """Errors of the pose with the map as `planned` and as `mounted`, see `map_errors`, and the `draw`."""
 
@@ -146,7 +154,7 @@ def mounted(problem: Problem, plan: Deployment, error: MountingError, seed: int,
     """Score a plan as it may be mounted. Results do not depend on the number of threads.
 
     Args:
-        problem: gives the scene and the objective.
+        problem: problem with the scene and the objective.
         plan: K landmarks with their surfaces.
         error: distribution of the mounting errors.
         seed: seed of the draws, of the random positions, and of the views.
@@ -159,13 +167,13 @@ def mounted(problem: Problem, plan: Deployment, error: MountingError, seed: int,
 
     plan = replace(plan, surveyed=None)  # tags are mounted at their places on the surfaces
     streams = np.random.default_rng([seed, MOUNTING_STREAM]).spawn(error.draws)
-    hung = [error.hung(problem, plan, rng) for rng in streams]
+    hung = [error.draw(problem, plan, rng) for rng in streams]
     all_of_them = [plan, *(each.deployment for each in hung)]
     on_grid = pd.DataFrame([problem.metrics(deployment) for deployment in all_of_them])
     figures = pd.concat([on_grid, off_grid_figures(problem, all_of_them, seed, sample)], axis=1)
     poses = draw_poses(problem.scene, error.draws * VIEWS_PER_DRAW, seed).reshape(error.draws, VIEWS_PER_DRAW, 4, 4)
     drawn = zip(hung, poses, streams, strict=True)
-    as_planned = Hung.of(plan)
+    as_planned = MountedTags.of(plan)
     views = [
         map_errors(problem, each, {"planned": as_planned, "mounted": each}, some, rng) for each, some, rng in drawn
     ]
@@ -175,7 +183,9 @@ def mounted(problem: Problem, plan: Deployment, error: MountingError, seed: int,
 
 
 def off_grid_figures(problem: Problem, deployments: list[Deployment], seed: int, sample: Sample) -> "pd.DataFrame":
-    """Shares of the objective for deployments of K landmarks, a row each, at random positions that they share."""
+    """Shares of the objective at random positions, equal for all deployments; a row for each deployment of K
+    landmarks.
+    """
     import pandas as pd
 
     positions, normals = (np.stack([getattr(d, name) for d in deployments]) for name in ("positions", "normals"))

@@ -1,6 +1,6 @@
-"""The mounting plan: the floor plan of the room, then a page for each surface with tags, to scale, with a table.
+"""Mounting plan: floor plan of the room, then a page for each surface with tags, to scale, with a table.
 
-Tags come in the order of hanging (`TagMap.order`), with a box to tick and room for what was measured.
+Tags are listed in the order of hanging (`TagMap.order`), with a box to tick and space for measured values.
 """
 
 from dataclasses import dataclass
@@ -19,14 +19,14 @@ from lmd.geometry.camera import MM_PER_M
 from lmd.space.space import lower_edge
 from lmd.space.surface import FLAT, Surface
 
-# On the page, all in mm.
+# Lengths on the page, mm.
 DIMENSION = 6.0  # distance from the surface to its dimension lines
 TICK = 1.5
 SCALES = (1, 2, 5, 10, 15, 20, 25, 30, 40, 50, 75, 100, 150, 200, 250, 300, 400, 500, 1000, 2000, 5000)
 EDGE_WIDTH = 12.0  # width of the column with the edge lengths of tags
 FORBIDDEN = 0.94  # grey level of regions where no tag may hang
 
-HUNG = Table((20.0, 38.0, 10.0, 12.0), (("order of hanging", "", "", ""), ("no.", "surface", "tags", "page")))
+ORDER = Table((20.0, 38.0, 10.0, 12.0), (("order of hanging", "", "", ""), ("no.", "surface", "tags", "page")))
 ON_SURFACE = Table(
     (5.0, 8.0, 10.0, 14.0, 15.0, 14.0, 15.0, 16.0, 16.0),
     (
@@ -44,7 +44,7 @@ FREE = Table(
 
 @dataclass(frozen=True)
 class View:
-    """View of a surface from its front: x to the right from its left edge, y up, metres."""
+    """View of a surface from its front: x to the right from the left edge, y up, metres."""
 
     surface: Surface
 
@@ -54,36 +54,36 @@ class View:
         return list(self.place(self.surface.point(*np.moveaxis(self.surface.parts, -1, 0))))
 
     @property
-    def seen(self) -> str:
+    def direction(self) -> str:
         """Direction of view, in words."""
         up = self.surface.normal[2]
         return "seen from above" if up > FLAT else "seen from below" if up < -FLAT else "seen from the front"
 
     def place(self, points: FloatArray) -> FloatArray:
         """Coordinates in this view of world points `(..., 3)`, metres, `(..., 2)`."""
-        return self.surface.seen(np.stack(self.surface.coordinates(points), axis=-1))
+        return self.surface.from_left_and_below(np.stack(self.surface.coordinates(points), axis=-1))
 
     def corner(self, right: bool, top: bool) -> FloatArray:
-        """A corner of the surface in the world, `(3,)`."""
+        """Corner of the surface in the world, `(3,)`."""
         width, height = self.surface.extent
-        return self.surface.point(*self.surface.seen(np.array([width * right, height * top])))
+        return self.surface.point(*self.surface.from_left_and_below(np.array([width * right, height * top])))
 
 
 def write_plan(path: Path, tags: TagMap, paper: str, north: float | None = None) -> None:
-    """Write `plan.pdf`; tags that stand free in the room are a table at the end.
+    """Write `plan.pdf`; tags that stand free in the room are in a table at the end.
 
     Args:
-        paper: one of `lmd.export.paper.PAPERS`, laid on its side.
-        north: where north is on the floor plan, rad from x towards y; None for no arrow.
+        paper: one of `lmd.export.paper.PAPERS`, in landscape orientation.
+        north: direction of north on the floor plan, rad from x towards y; None for no arrow.
     """
     size = PAPERS[paper][::-1]
-    first, pages = HUNG.pages(len(tags.hung), size[1]) + 1, {}
-    for index, own in tags.hung.items():
+    first, pages = ORDER.pages(len(tags.tags_by_surface), size[1]) + 1, {}
+    for index, own in tags.tags_by_surface.items():
         pages[index] = first
         first += (FREE if index < 0 else ON_SURFACE).pages(len(own), size[1])
     with document(path, f"{len(tags.ids)} tags in a {tags.room.describe()}") as canvas:
         _draw_overview(canvas, size, tags, pages, north)
-        for index, own in tags.hung.items():
+        for index, own in tags.tags_by_surface.items():
             if index < 0:
                 _draw_free(canvas, size, tags, own)
             else:
@@ -93,12 +93,12 @@ def write_plan(path: Path, tags: TagMap, paper: str, north: float | None = None)
 def _draw_overview(
     canvas: Any, size: tuple[float, float], tags: TagMap, pages: dict[int, int], north: float | None
 ) -> None:
-    """The floor plan with the surfaces in the order of hanging; `pages` holds the page of each surface."""
+    """Draw the floor plan with the surfaces in the order of hanging; `pages` has the page of each surface."""
     rows = [
         [numbers_of(own), shortened(tags.place_of(int(tags.order[own[0]]))), str(len(own)), str(pages[index])]
-        for index, own in tags.hung.items()
+        for index, own in tags.tags_by_surface.items()
     ]
-    room = size[0] - 3.0 * MARGIN - HUNG.width, size[1] - 2.0 * MARGIN - HEAD
+    room = size[0] - 3.0 * MARGIN - ORDER.width, size[1] - 2.0 * MARGIN - HEAD
     scale = scale_of(tags.room, *room, SCALES)
     title = f"{len(tags.ids)} tags of {tags.tag.family}, {tags.edges_in_words}"
     facts = f"seen from above, scale 1 : {scale}; {tags.room.describe()}; triangles are tags on walls"
@@ -106,7 +106,7 @@ def _draw_overview(
         facts += ", squares those on floors (black) and ceilings (white)"
     begin_titled(canvas, size, title, facts)
     draw_floor_plan(canvas, tags, MARGIN, size[1] - MARGIN - HEAD, scale, north)
-    draw_tables(canvas, size, HUNG, rows, title, facts)
+    draw_tables(canvas, size, ORDER, rows, title, facts)
 
 
 def _draw_surface(
@@ -120,7 +120,7 @@ def _draw_surface(
     room_x = size[0] - 3.0 * MARGIN - table.width - DIMENSION - TEXT
     room_y = size[1] - 2.0 * MARGIN - HEAD - DIMENSION - TEXT
     scale = next((one for one in SCALES if width <= one * room_x and height <= one * room_y), SCALES[-1])
-    title = f"{name}, {view.seen}"
+    title = f"{name}, {view.direction}"
     facts = f"{width:.0f} x {height:.0f} mm, tags: {len(own)}, scale 1 : {scale}; {tags.room.describe()}"
     facts += "" if view.surface.allowed is None else "; nothing hangs where it is grey"
     facts += "" if name == view.surface.name else f"; {view.surface.name} in files"
@@ -151,13 +151,13 @@ def _draw_free(canvas: Any, size: tuple[float, float], tags: TagMap, places: Int
 
 
 def _named(tags: TagMap, place: int, k: int) -> list[str]:
-    """The first texts of the row of tag k, which is hung as number `place`: its edge, too, where there are several."""
+    """First texts of the row of tag k, which is hung as number `place`; with its edge if there are several."""
     edge = [f"{MM_PER_M * tags.sizes[k]:.4g}"] if len(tags.by_size) > 1 else []
     return ["", str(place + 1), str(tags.ids[k]), *edge]
 
 
 def _sized(table: Table, tags: TagMap) -> Table:
-    """A table of tags with a column for their edges after the first three, where there are several."""
+    """Table of tags, with a column of edges after the first three columns if there are several edges."""
     if len(tags.by_size) == 1:
         return table
     head = tuple((*line[:3], text, *line[3:]) for line, text in zip(table.head, ("edge,", "mm"), strict=True))
@@ -166,7 +166,9 @@ def _sized(table: Table, tags: TagMap) -> Table:
 
 
 def _draw_outline(canvas: Any, origin: tuple[float, float], tags: TagMap, view: View, scale: int) -> None:
-    """The surface, where on it tags may hang, what is on it, its size, and where its corners are in the world."""
+    """Draw a surface with its allowed regions, the fixtures on it, its size, and the positions of its corners in the
+    world.
+    """
     left, below = origin
     width, height = (MM_PER_M * length / scale for length in view.surface.extent)
     canvas.setFillGray(FORBIDDEN)
@@ -200,7 +202,7 @@ def _draw_outline(canvas: Any, origin: tuple[float, float], tags: TagMap, view: 
 
 
 def _draw_dimension(canvas: Any, x: float, y: float, length: float, text: str) -> None:
-    """A line of this length with its ends marked, its text below the middle."""
+    """Draw a line of a length with marked ends, and a text below its middle."""
     canvas.line(x, y, x + length, y)
     for end in (x, x + length):
         canvas.line(end, y - TICK, end, y + TICK)
@@ -217,9 +219,9 @@ def _draw_tag(
     at: FloatArray,
     papers: FloatArray,
 ) -> None:
-    """Paper and black square, with a triangle that points up and the number, beside it where no other tag hides it.
+    """Draw paper and black square, a triangle that points up, and the number beside the tag, clear of other tags.
 
-    All tags of the surface are `at` `(N, 2)` and have these `papers` `(N,)`, mm.
+    The N tags of the surface are `at` `(N, 2)` and have the `papers` `(N,)`, mm.
     """
     x, y = origin + centre / scale
     plate, edge = (MM_PER_M * length / scale for length in (tags.papers[k], tags.sizes[k]))

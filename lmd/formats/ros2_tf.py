@@ -1,8 +1,8 @@
 """Launch file of ROS 2 with a static transform from the frame of the map to each tag.
 
-Its frames have the names that apriltag_ros gives to detected tags, such as `tag36h11:7`, and its axes: x to the right,
-y up, z out of the tag. One container has all of the transforms, as a program for each would soon be more than a
-computer has participants of DDS.
+Frames have the names and the axes of apriltag_ros: `tag36h11:7`, with x to the right, y up, z out of the tag. One
+container publishes all transforms, as one process per transform would exceed the number of DDS participants of a
+computer.
 
 Sources: christianrauch/apriltag_ros, `pnp` and `child_frame_id`; `tf2_ros::StaticTransformBroadcasterNode`.
 """
@@ -16,7 +16,7 @@ import numpy as np
 
 from lmd.core.checks import InputError, vector
 from lmd.formats.placed_tag import PlacedTag, number_of, turn_by_quaternion
-from lmd.formats.tag_map import TagMap, written
+from lmd.formats.tag_map import TagMap, rounded_values
 from lmd.scene.families import FAMILIES, family_named
 
 TAGS_OF_LAUNCH = re.compile(r"^TAGS = (\[\n(?:    \(.*\),\n)+\])$", re.MULTILINE)
@@ -76,7 +76,7 @@ def generate_launch_description():
 def write_ros2_tf(path: Path, tags: TagMap) -> None:
     """Write `tags.ros2_tf.launch.py`, which `ros2 launch` runs; its argument `frame` is the frame of the map."""
     family = FAMILIES[tags.tag.family].apriltag or tags.tag.family
-    poses = np.hstack([tags.positions, written(tags.turns.as_quat(canonical=True))]).tolist()
+    poses = np.hstack([tags.positions, rounded_values(tags.turns.as_quat(canonical=True))]).tolist()
     rows = "\n".join(
         f'    ("{family}:{number}", {", ".join(map(repr, pose))}),'
         for number, pose in zip(tags.ids, poses, strict=True)
@@ -86,7 +86,7 @@ def write_ros2_tf(path: Path, tags: TagMap) -> None:
 
 
 def read_launch(text: str) -> Iterator[PlacedTag]:
-    """The tags of a launch file that `write_ros2_tf` wrote, which is not run.
+    """Read the tags of a launch file that `write_ros2_tf` wrote; the file is not run.
 
     Raises:
         InputError: a row is no frame with seven numbers.

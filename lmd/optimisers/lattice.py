@@ -1,6 +1,6 @@
 """Integer program for landmarks on a lattice of poses, for HiGHS.
 
-Let `x_j` be the number of landmarks at pose j of the lattice, `A_jpa` = 1 if a landmark there covers axis a from
+Let `x_j` be the number of landmarks at pose j of the lattice, `A_jpa` = 1 if a landmark at pose j covers axis a from
 position p without occlusion, else 0, `w_a` the probability of an axis and `r_p` the relevance of a position. Then
 
     maximise   sum_p r_p z_p                                        z_p: position p is qualified
@@ -9,9 +9,9 @@ position p without occlusion, else 0, `w_a` the probability of an axis and `r_p`
                sum_j x_j = K,   of each size of tags if there are several,   y and z 0 or 1,
                x_j 0 to n for points; 0 or 1 for papers, and x_i + x_j <= 1 where they overlap.
 
-Axes that are covered from a position by equal sets of poses are one row, with the sum of their weights. Occlusion only
-reduces the numbers of covered landmarks, so a bound on the program also holds with occlusion. The chosen deployment is
-evaluated with occlusion, after the landmarks of each stack are separated.
+Axes that equal sets of poses cover from a position are combined to one row, with the sum of their weights. Occlusion
+only reduces the numbers of covered landmarks, so a bound on the program also holds with occlusion. The chosen
+deployment is evaluated with occlusion, after the landmarks of each stack are separated.
 """
 
 import operator
@@ -36,7 +36,7 @@ from lmd.scene.criteria import TOLERANCE
 from lmd.scene.deployment import Deployment
 from lmd.sight.poses import covered_amounts
 
-MOST_PAIRS = 20_000_000  # largest number of pairs of a pose and a view, far more than HiGHS solves in an hour
+MOST_PAIRS = 20_000_000  # largest number of pairs of a pose and a view; HiGHS solves far fewer pairs in an hour
 POLL_SECONDS = 0.2  # seconds between two questions while the solver runs
 
 
@@ -47,7 +47,7 @@ def lattice_of(problem: Problem, spacing: float) -> Deployment:
 
 def without_touching(problem: Problem, poses: Deployment) -> Deployment:
     """The poses whose footprints do not overlap those of fixed tags."""
-    footprints, hung = problem.scene.footprints, problem.hung
+    footprints, hung = problem.scene.footprints, problem.fixed_with_edges
     if hung is None or not footprints.edge:
         return poses
     taken = [footprints.touched(poses, hung[k : k + 1]) for k in range(len(hung))]
@@ -126,7 +126,7 @@ def _views(problem: Problem) -> FloatArray:
 
 
 def _used(problem: Problem) -> BoolArray:
-    """Mask of the axes with a positive probability; the others pad words of bits."""
+    """Mask of the axes with a positive probability; axes of probability 0 only pad words of bits."""
     return np.asarray(problem.evaluator.probability.max(axis=0) > 0.0)
 
 
@@ -159,7 +159,11 @@ class Program:
     def of(cls, problem: Problem, poses: Deployment, covers: NDArray[np.int8], margin: float = 0.0) -> "Program":
         """Make the program for the poses of a lattice, with their `covers_of` and a threshold higher by `margin`."""
         views, footprints = _views(problem), problem.scene.footprints
-        already = np.zeros(views.shape, np.int8) if problem.hung is None else _seen(problem, problem.hung)
+        already = (
+            np.zeros(views.shape, np.int8)
+            if problem.fixed_with_edges is None
+            else _seen(problem, problem.fixed_with_edges)
+        )
         cover = np.concatenate([already[..., None], covers], axis=-1)  # (P, A, 1 + J)
         kinds = [np.unique(views, axis=0, return_inverse=True) for views in cover]
         rows = np.concatenate([distinct for distinct, _ in kinds])

@@ -150,7 +150,7 @@ class LatticeSearch(Optimiser):
         """Return the greedy choice, as the number of landmarks at each pose; needs no view that is not paid for."""
         selection = selectable(problem.objective).selection(problem.fitness_evaluator, problem.fitness_relevance)
         footprints, stock = problem.scene.footprints, Tags(problem.free_sizes, problem.scene.tag)
-        chosen, _ = select(selection, self.lattice, stock, footprints, fixed=problem.hung)
+        chosen, _ = select(selection, self.lattice, stock, footprints, fixed=problem.fixed_with_edges)
         if footprints.edge and len(chosen) < problem.free_count:
             raise InputError(
                 f"the greedy choice finds room for {len(chosen)} of {problem.free_count} papers on the lattice of "

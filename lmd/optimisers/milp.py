@@ -21,12 +21,13 @@ PROVEN, INFEASIBLE = 0, 2  # status of scipy.optimize.milp
 class Milp(Optimiser):
     """Best deployment on a lattice of poses, with a bound for all deployments on it.
 
-    The start is the result until the solver finds a better deployment. The views of a pose cost as much of the budget
-    as moving one landmark; the solver costs time alone. The solver cannot be resumed: a resumed run begins anew.
+    The start is the result until the solver finds a better deployment. Computing the views of a pose costs as much of
+    the budget as moving one landmark; the solver costs only time. The solver cannot be resumed: a resumed run begins
+    anew.
 
     Args:
         spacing: spacing of the lattice, metres.
-        seconds: time limit of the solver; its best deployment by then is the result, and its bound is valid.
+        seconds: time limit of the solver; the best deployment found by then is the result, and the bound is valid.
         seed: seed of the start, see `Optimiser`; the solver draws no random numbers.
 
     Raises:

@@ -1,5 +1,7 @@
 """Evaluations are recorded for each candidate, whatever the size of batches."""
 
+import time
+
 import numpy as np
 import pytest
 from contracts.optimiser import NanProblem, Scores
@@ -7,6 +9,7 @@ from small import problem
 
 from lmd.evaluation.comparison import OptimiserRun, attained, curve_targets, expected_running_time
 from lmd.optimisers.checkpoint import Checkpoint
+from lmd.optimisers.ega import EGA
 from lmd.optimisers.ledger import Budget, Ledger
 from lmd.optimisers.random_search import RandomSearch
 
@@ -56,3 +59,27 @@ def test_a_checkpoint_restores_the_history(batch, tmp_path):
     again = Checkpoint(RandomSearch(batch), {})
     again.resume(tmp_path, problem())
     assert again.optimiser.ledger.history == optimiser.ledger.history
+
+
+@pytest.mark.parametrize("budget", [Budget(60), Budget(seconds=0.2)])
+def test_no_more_candidates_are_drawn_to_start_from_than_the_budget_can_evaluate(budget, capsys, tmp_path):
+    optimiser = EGA(population=100_000)
+    began = time.process_time()
+    found = optimiser.run(problem(), budget)
+    assert time.process_time() - began < 4.0  # to draw them all would take a minute
+    assert found.evaluations <= budget.limit
+    assert len(optimiser.start) < 100_000
+    assert f"note: EGA: of its 100000 candidates to start from the budget allows {len(optimiser.start)};" in (
+        capsys.readouterr().err
+    )
+    Checkpoint(optimiser, {}).save(tmp_path)
+    again = Checkpoint(EGA(population=100_000), {})
+    again.resume(tmp_path, problem())
+    assert again.optimiser.ledger.history == optimiser.ledger.history
+
+
+def test_a_start_within_the_budget_is_drawn_whole_without_a_word(capsys):
+    optimiser = EGA(population=60)
+    optimiser.run(problem(), Budget(60))
+    assert len(optimiser.start) == 60
+    assert capsys.readouterr().err == ""
