@@ -46,7 +46,7 @@ def fixed_of(node: DictConfig, family: str | None) -> "Deployment | None":
 
 
 def axes_in(node: DictConfig) -> Any:
-    """Directions of a tag's axes in the tables that a group `deployment` names; None for those of this project."""
+    """Directions of a tag's axes in the tables that a group `deployment` names; None for the axes of this project."""
     axes = node.get(AXES)
     return OmegaConf.to_container(axes) if OmegaConf.is_config(axes) else axes
 

@@ -156,7 +156,7 @@ class Pipeline:
             is_composed = True
             return self.runner(cfg, self.task)
 
-        run_composed.__module__ = f"{PACKAGE}.{self.name}"  # Hydra names its job after it
+        run_composed.__module__ = f"{PACKAGE}.{self.name}"  # Hydra names the job after this module
         compose = hydra.main(version_base="1.3", config_path=CONF, config_name=self.name)
         atexit.register(gc.freeze)  # otherwise the last garbage collection takes a second with mlflow
         try:

@@ -1,6 +1,6 @@
 """Body of a robot: boxes whose faces may carry cameras, and which should not fill the cameras' images.
 
-The frame is that of rigs (`lmd.scene.rig`): x forward, y to the left, z up.
+The frame is the body's frame of `lmd.scene.rig`: x forward, y to the left, z up.
 """
 
 from collections.abc import Mapping, Sequence

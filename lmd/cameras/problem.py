@@ -20,7 +20,7 @@ from lmd.sight.kernels import PROBABILITY_ONE
 class CameraProblem(Problem):
     """Problem of maximising the objective's fitness over the cameras of a rig.
 
-    The fitness equals that of a `Problem` with the rig of the cameras, bit for bit. For objectives that count
+    The fitness equals the fitness of a `Problem` with the rig of the cameras, bit for bit. For objectives that count
     landmarks, the views of each camera are evaluated once and cached; for others every rig is evaluated anew.
 
     Args:

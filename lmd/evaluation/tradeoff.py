@@ -116,7 +116,7 @@ def improved(
     problem_of: Callable[[Key], Problem],
     search: Callable[[Key, Problem, str], Found],
 ) -> dict[Key, Found]:
-    """Search from the neighbours of chosen deployments, and return the better deployment for each number of landmarks.
+    """For chosen numbers of landmarks, search again from the neighbouring deployments; keep the better deployment.
 
     Args:
         known: deployments by their number of landmarks, or their limit; adjacent entries are neighbours.
@@ -152,7 +152,7 @@ def front(points: pd.DataFrame, figures: list[str], axis: Axis = COUNTS) -> pd.D
 
 
 def mixtures(points: pd.DataFrame, axis: Axis) -> pd.Series | None:
-    """Numbers of tags of each edge, metres, at each point, such as `51 of 0.06`, for the seed of the greatest fitness.
+    """Numbers of tags by edge length, such as `51 of 0.06` (metres), for each point; of several seeds, for the best.
 
     Args:
         points, axis: as for `front`.

@@ -15,7 +15,7 @@ NEAR = 0.01
 JOINED = 0.3
 # If the ends for the two signs of angles differ by less than this, metres, the other walls decide between the signs.
 ALIKE = 0.05
-LARGEST_RADIUS = 1000.0  # largest radius of an arc, metres; larger ones are refused
+LARGEST_RADIUS = 1000.0  # largest radius of an arc, metres; arcs of larger radii are refused
 
 
 @dataclass(frozen=True)

@@ -113,7 +113,7 @@ def write_rig(path: Path, rig: Rig, sources: Mapping[Camera, Any]) -> None:
 
 
 def rig_text(rig: Rig, sources: Mapping[Camera, Any]) -> str:
-    """Text of a rig file, see `read_mounts`; numbers equal those of the rig to the bit.
+    """Text of a rig file, see `read_mounts`; numbers equal the rig's numbers to the bit.
 
     Args:
         sources: calibration by camera, as in `rig_of`; the default camera of the rig has none.

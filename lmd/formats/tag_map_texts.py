@@ -170,7 +170,9 @@ def _by_number(path: Any, lines: list[Line]) -> Found:
 
 
 def _angles(path: Any, lines: list[Line]) -> Found:
-    """Lines of seven values: a tag of RTAB-Map if it is one, and angles unless Clover's without the roll could be."""
+    """Read lines of seven values. A single line is a tag of RTAB-Map; several lines have angles, and are refused if
+    they may as well be Clover's without the roll.
+    """
     if len(lines) == 1:
         return Found([_by_angles(lines[0])], None, True, _note(path, BY_ANGLES, "RTAB-Map's"))
     edges = [line.values(CLOVER[: len(BY_ANGLES)])[0] for line in lines]

@@ -128,7 +128,7 @@ def given_times(count: int, what: str, times: str | None, rate: float | None) ->
 
 
 def steep(sines: FloatArray, path: object) -> str:
-    """Question if nearly all views look up or down, as happens if the frame of a body is taken for a camera's.
+    """Question if nearly all views look up or down, as they do if body poses are read as camera poses.
 
     Args:
         sines: sine of the pitch of each view, `(T,)`.

@@ -40,10 +40,10 @@ class Drawing(NamedTuple):
 
 
 def plan_of(file: File, drawing: Drawing) -> ReadPlan:
-    """Find the room in a drawing, in its frame.
+    """Find the room in a drawing; the result is in the frame of the drawing.
 
-    Gaps between walls are closed by the straight lines between their ends. The room is a region that no line crosses,
-    except those in the region, such as a pillar.
+    Gaps between walls are closed by the straight lines between their ends. The room is a region that no line crosses;
+    lines inside the region, such as a pillar, are allowed.
 
     Args:
         file: file; `asked` has `gap` and `start` of `read_plan_room`.

@@ -41,12 +41,12 @@ POLL_SECONDS = 0.2  # seconds between two questions while the solver runs
 
 
 def lattice_of(problem: Problem, spacing: float) -> Deployment:
-    """Poses of a lattice whose footprints do not overlap those of fixed tags; `spacing` in metres."""
+    """Poses of a lattice whose footprints do not overlap footprints of fixed tags; `spacing` in metres."""
     return without_touching(problem, candidates(problem.scene.footprints, problem.free_edges, spacing))
 
 
 def without_touching(problem: Problem, poses: Deployment) -> Deployment:
-    """The poses whose footprints do not overlap those of fixed tags."""
+    """The poses whose footprints do not overlap footprints of fixed tags."""
     footprints, hung = problem.scene.footprints, problem.fixed_with_edges
     if hung is None or not footprints.edge:
         return poses

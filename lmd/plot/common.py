@@ -74,7 +74,7 @@ def logarithmic_ticks(low: float, high: float) -> FloatArray:
 
 
 def set_ticks(axis: Any, ticks: FloatArray) -> None:
-    """Put ticks with short numbers on an axis or a colour bar, and no minor ones."""
+    """Put ticks with short numbers on an axis or a colour bar, and remove minor ticks."""
     axis.set_ticks(ticks.tolist(), labels=[f"{tick:g}" for tick in ticks])
     axis.set_ticks([], minor=True)
 
