@@ -25,6 +25,8 @@ class Sweep:
     """Its tracked run, the parent of its jobs' runs; None where nothing is recorded."""
     round: int = 0
     """Number of commands that have grown it before the last one."""
+    asked: int | None = None
+    """Number of jobs that the last command asks for; None for a search, which proposes them one after the other."""
 
 
 @dataclass(frozen=True)
@@ -48,7 +50,7 @@ class Job:
     reason: str = ""
     """The reason why it did not finish."""
     seconds: float = 0.0
-    """Wall time, seconds."""
+    """Wall time over all sittings that the job goes on from, seconds."""
     round: int = 0
     """`Sweep.round` of the last command that asked for it."""
 
@@ -133,6 +135,7 @@ class SweepFolder:
         self.path = Path(path)
         self.record = self.path / "sweep.json"
         self.table = self.path / "jobs.csv"
+        self.groups = self.path / "by_group.md"
 
     def load(self) -> Sweep | None:
         """The sweep; None where there is none."""
