@@ -179,8 +179,8 @@ def fewest(points: pd.DataFrame, figure: str, wanted: float, axis: Axis = COUNTS
 
     Returns:
         table indexed by the curve. Column `axis.along`: least number at which the median over the seeds reaches
-            `wanted`; `least` and `greatest`: extremes over the seeds of each seed's least number. Infinite if no number
-            reaches `wanted`.
+        `wanted`; `least` and `greatest`: extremes over the seeds of each seed's least number. Infinite if no number
+        reaches `wanted`.
     """
     rows = {}
     for curve, same in points.groupby(axis.curve):

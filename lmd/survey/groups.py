@@ -1,11 +1,12 @@
 """Groups of tags that no image connects, joined by the motion of the body between the frames of the groups.
 
 1. Tags that several images show together form a part. Each other tag is a part by itself, as an id that was misread in
-one image would connect distant tags. 2. A frame that shows one tag of a part has two possible poses relative to the
-part, which look alike (IPPE). The smoothest sequence of such poses is found for each part (Viterbi). 3. Each part is
-adjusted by itself, with links between its own frames, which also estimates the spread of the motion. 4. Two frames of
-different parts that are near in time give a relation, the relative pose of the parts. Relations on which most frames
-agree join parts first (maximum spanning tree).
+   one image would connect distant tags.
+2. A frame that shows one tag of a part has two possible poses relative to the part, which look alike (IPPE). The
+   smoothest sequence of such poses is found for each part (Viterbi).
+3. Each part is adjusted by itself, with links between its own frames, which also estimates the spread of the motion.
+4. Two frames of different parts that are near in time give a relation, the relative pose of the parts. Relations on
+   which most frames agree join parts first (maximum spanning tree).
 """
 
 from collections.abc import Sequence

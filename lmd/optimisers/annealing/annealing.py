@@ -4,9 +4,10 @@ Good deployments for a threshold of n landmarks have clusters of about n landmar
 to three stages:
 
 1. K/n *stacks* (groups of n coincident landmarks) are annealed without occlusion. A stack acts as one landmark of a
-problem with n = 1, which is smaller, smoother and faster to evaluate. 2. The landmarks of each stack are separated, and
-single landmarks are annealed at a low temperature. Landmarks pushed apart at once, until none hides another, would
-cover less than the stack. So footprints are small at first and *grow* to their size, and landmarks separate gradually.
+   problem with n = 1, which is smaller, smoother and faster to evaluate.
+2. The landmarks of each stack are separated, and single landmarks are annealed at a low temperature. Landmarks pushed
+   apart at once, until none hides another, would cover less than the stack. So footprints are small at first and *grow*
+   to their size, and landmarks separate gradually.
 3. For an objective with a sampling, a gradient ascent of all landmarks at once (`ascent`) finds the local optimum, as
    the gains of single moves are below the error of a sample.
 
