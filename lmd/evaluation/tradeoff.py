@@ -139,7 +139,7 @@ def front(points: pd.DataFrame, figures: list[str], axis: Axis = COUNTS) -> pd.D
     """Medians of `figures` over the seeds, and the least and greatest value of the first figure.
 
     Args:
-        points: a row for each curve, point along it, and `seed`.
+        points: a row for each curve, point along the curve, and `seed`.
         figures: columns of `points`.
         axis: names the columns of the curve and of the point.
 
