@@ -40,7 +40,7 @@ def nudged(poses: FloatArray, position: float, attitude: float, seed: int) -> Fl
 
     Args:
         poses: X.
-        position, attitude: standard deviations along and about each axis, metres and rad.
+        position, attitude: standard deviations along each axis, metres, and about each axis, rad.
         seed: seed of the errors.
     """
     rng = np.random.default_rng([seed, FRAMES_STREAM, 1])
@@ -100,7 +100,7 @@ def rendered_frame(renderer: Renderer, pose: FloatArray, number: int, seed: int)
 def detect_in_frames(
     renderer: Renderer, detectors: Mapping[str, Detector], poses: FloatArray, first: int, seed: int
 ) -> dict[str, Matches]:
-    """Render frames and run every detector on each.
+    """Render frames and run every detector on each frame.
 
     Args:
         renderer: camera in the room.

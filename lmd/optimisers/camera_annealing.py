@@ -28,14 +28,14 @@ class CameraAnnealing(Optimiser):
     """Simulated annealing of mounts in the unit box of their genes.
 
     A run from given cameras begins in the middle of the schedule, so that moves at a high temperature do not discard
-    them.
+    the given cameras.
 
     Args:
         temperature: first and last temperature, in units of the energy.
         step: first and last standard deviation of a changed gene.
         jump: first and last share of moves that draw a camera anew.
-        mean_share: weight of the mean value over positions in the energy, beside the fitness; it gives a slope on
-            plateaus of the fitness.
+        mean_share: weight in the energy of the mean value over positions, beside the fitness. The mean has a slope
+            where the fitness is constant.
         seed: see `Optimiser`.
 
     Raises:

@@ -31,7 +31,7 @@ class Greedy(Annealing):
     landmark.
 
     Args:
-        spacing: spacing of the grid, metres; it is enlarged if the budget does not suffice.
+        spacing: spacing of the grid, metres; enlarged if the budget does not suffice.
         single: conditions of the refinement, or a mapping of the fields that differ from the default.
         seed: see `Optimiser`.
 
@@ -63,15 +63,15 @@ class Greedy(Annealing):
 class GreedyDeployment:
     """Greedy selection as a start for any optimiser, or as a deployment to score (`deployment=greedy`).
 
-    Building it is not charged to the budget of the optimiser that starts from it.
+    The cost of the selection is not charged to the budget of the optimiser that starts from it.
 
     Args:
         count: number of landmarks.
         scene: the scene.
         objective: the objective, which has a selection.
         spacing: spacing of the grid of poses, metres.
-        threads: worker threads, all processors by default; the result does not depend on it.
-        fixed: landmarks that exist already, with their surfaces; the selection adds the others.
+        threads: worker threads, all processors by default; the result does not depend on the number.
+        fixed: landmarks that exist already, with their surfaces; the selection adds the other landmarks.
 
     Raises:
         InputError: a value is out of range.

@@ -21,13 +21,14 @@ from lmd.sight.poses import Cells, wall_cells
 from lmd.space.surface import SurfaceArrays
 
 CANDIDATES = 3000  # approximate number of candidate places in a room
-CANDIDATE_BATCH = 64  # candidate places between two checks whether the result is wanted
+CANDIDATE_BATCH = 64  # number of candidate places between two checks if the result is wanted
 
 
 class Values:
-    """Values and figures of a deployment, equal to those of `Problem` to the last bit.
+    """Values and figures of a deployment, equal to the results of `Problem` to the last bit.
 
-    They are updated when tags move (`lmd.incremental.field`), and computed anew when their number or sizes change.
+    Values are updated when tags move (`lmd.incremental.field`), and computed anew when the number or sizes of tags
+    change.
 
     Args:
         problem: scene and objective; its number of landmarks does not matter.
@@ -44,7 +45,7 @@ class Values:
         self._climbed = _FieldValues(problem, problem.fitness_evaluator, deployment) if sampled else self._grid
 
     def update(self, deployment: Deployment) -> None:
-        """Change the deployment.
+        """Update the values to another deployment.
 
         Raises:
             InputError: there is too little memory.
@@ -92,13 +93,14 @@ class _FieldValues:
 
 
 class Additions(NamedTuple):
-    """Gains by one more tag at each of N places; NaN where its paper would overlap another."""
+    """Gains by one more tag at each of N places; NaN where its paper would overlap another paper."""
 
     fitness: FloatArray
     """`(N,)` gain of the fitness."""
     value: FloatArray
-    """`(N,)` gain of the mean of the objective's value over positions, weighted by their relevance. It also ranks
-    places that lift no position over a threshold."""
+    """`(N,)` gain of the mean of the objective's value over positions, weighted by their relevance. The mean value also
+    ranks places where a tag lifts no position over a threshold.
+    """
 
 
 @kernel
@@ -126,17 +128,17 @@ def additions(
 ) -> Additions | None:
     """Gains by one more tag at each of N poses.
 
-    An invisible landmark is moved from place to place (`lmd.incremental.field`). Moves are settled, so that shadows
-    count, but never accepted.
+    An invisible landmark is moved from place to place (`lmd.incremental.field`). Moves are settled, so that occlusion
+    counts, but never accepted.
 
     Args:
-        problem: scene and objective; gains are those on its grid.
+        problem: scene and objective; gains are computed on its grid.
         deployment: K landmarks.
         poses: N places, with their surfaces.
-        wanted: called now and then; False to stop.
+        wanted: called repeatedly; returns False to stop.
 
     Returns:
-        None if stopped.
+        gains; None if `wanted` returned False.
 
     Raises:
         InputError: the objective has no field.

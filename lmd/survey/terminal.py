@@ -8,7 +8,7 @@ from lmd.core.words import few
 from lmd.survey.results import metrics, needing_photographs, tag_columns
 from lmd.survey.survey import Survey
 
-NOTICED = 0.01  # minimum floor of corners that is shown, pixels
+NOTICED = 0.01  # minimum floor of the corners' standard deviation that is printed, pixels
 TURNS = ("a quarter turn clockwise", "half a turn", "a quarter turn counter-clockwise")
 _few = partial(few, most=12)  # a function that lists at most 12 tags
 
@@ -85,7 +85,7 @@ def _motion(survey: Survey) -> dict[str, str]:
 
 
 def _troubles(survey: Survey) -> dict[str, str]:
-    """Lines on faults and missing photographs; empty texts without any."""
+    """Texts on faults and missing photographs by kind; empty for kinds that do not occur."""
     ids, times, faults, state = survey.ids.tolist(), survey.detected.times, survey.faults, tag_columns(survey)["state"]
     by_state: dict[str, list[int]] = {}
     for number, text in zip(ids, np.asarray(state).tolist(), strict=True):

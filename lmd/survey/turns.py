@@ -1,8 +1,9 @@
-"""Turns: tags that are rotated by quarter turns beside their plan, or whose corners are numbered from another one.
+"""Turns: tags that hang rotated from their plan by quarter turns, or whose corners are numbered from another corner.
 
 OpenCV numbers the corners of an AprilTag from the bottom right. A tag then seems to hang upside down, and its pose is
-off by half a turn about its normal. Centres and normals do not depend on the order, so these align the map with the
-plan. A tag that then differs from its plan by quarter turns hangs turned, or its corners are in another order.
+off by half a turn about its normal. Centres and normals do not depend on the order of corners, so they align the map
+with the plan. If a tag still differs from its plan by quarter turns, it hangs turned, or its corners are in another
+order.
 """
 
 from dataclasses import dataclass, replace
@@ -30,9 +31,9 @@ class Turns:
     renumbered: IntArray
     """`(K,)` turns by which the corners of detections are renumbered."""
     beside_plan: IntArray
-    """`(K,)` turns of the tags beside their plan; 0 if unknown."""
+    """`(K,)` turns of the tags from their planned poses; 0 if unknown."""
     beside_sheets: IntArray
-    """`(K,)` turns of the tags beside their sheets; 0 if unknown."""
+    """`(K,)` turns of the tags from their poses on sheets; 0 if unknown."""
 
     @classmethod
     def none(cls, count: int) -> "Turns":
@@ -43,7 +44,7 @@ class Turns:
         return any(turned.any() for turned in (self.renumbered, self.beside_plan, self.beside_sheets))
 
     def __add__(self, other: "Turns") -> "Turns":
-        """Turns of tags whose remaining turns, once these are applied, are `other`."""
+        """Sum of these turns and of the turns `other`, found after these turns were applied."""
         names = ("renumbered", "beside_plan", "beside_sheets")
         return Turns(*((getattr(self, name) + getattr(other, name)) % 4 for name in names))
 
@@ -63,10 +64,10 @@ def turned_as_seen(sightings: Sightings, poses: Poses) -> Poses:
 
 
 def turns_of(poses: Poses, group: IntArray, prior: Prior, in_order: bool) -> Turns:
-    """Turns of tags beside the prior.
+    """Turns of tags from their prior poses.
 
     A turn that most tags share is attributed to the order of the corners, unless the order is known. Exactly known tags
-    hang as the prior has them.
+    are assumed to hang as in the prior.
 
     Args:
         poses: rough poses.
@@ -76,7 +77,7 @@ def turns_of(poses: Poses, group: IntArray, prior: Prior, in_order: bool) -> Tur
     """
     known = prior.is_posed & (group >= 0)
     seen = _quarters(poses.tags, prior.tags, np.where(known, group, -1))
-    if (lost := prior.exact & (seen < 0)).any():  # as the plan of the others is wrong
+    if (lost := prior.exact & (seen < 0)).any():  # the plan of the other tags is wrong
         seen = np.where(lost, _quarters(poses.tags, prior.tags, np.where(known & prior.exact, group, -1)), seen)
     on_sheets = np.full(len(group), -1)
     if (sheets := prior.sheets) is not None:
@@ -94,7 +95,7 @@ def turns_of(poses: Poses, group: IntArray, prior: Prior, in_order: bool) -> Tur
 
 
 def _quarters(tags: FloatArray, planned: FloatArray, group: IntArray) -> IntArray:
-    """Quarter turns of tags `(K, 4, 4)` beside planned ones, in groups `(K,)`; -1 if unknown."""
+    """Quarter turns of tags `(K, 4, 4)` from their planned poses, by group `(K,)`; -1 if unknown."""
     turned = np.full(len(group), -1)
     for g in np.unique(group[group >= 0]):
         own = np.flatnonzero(group == g)

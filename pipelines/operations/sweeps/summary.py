@@ -1,4 +1,4 @@
-"""The results of the jobs of a sweep: a table of jobs, and figures by group for its tracked run.
+"""Results of the jobs of a sweep: a table of jobs, and figures by group for its tracked run.
 
 A group is the jobs that differ in their seed alone. Figures are over one group, never over several: groups are of
 different problems or methods.
@@ -29,7 +29,7 @@ Groups = dict[tuple[str, ...], Found]  # by the values of the varied keys but th
 
 
 def found_by(jobs: Iterable[tuple[JobFolder, Job]]) -> Found:
-    """The jobs with their figures, which are empty for jobs that have not finished."""
+    """Jobs with their figures, which are empty for unfinished jobs."""
     return [(folder, job, folder.figures() if job.status == "finished" else {}) for folder, job in jobs]
 
 
@@ -49,7 +49,7 @@ def write_jobs(path: Path, sweep: Sweep, found: Found) -> None:
 
 
 def best_and_median(sweep: Sweep, found: Found) -> dict[str, float]:
-    """The best and the median of each figure over the seeds; empty if the jobs are of several groups."""
+    """Best value and median of each figure over the seeds; empty if the jobs are of several groups."""
     summary: dict[str, float] = {}
     if len(_groups(sweep, found)) == 1:
         for key in FIGURES:
@@ -59,7 +59,7 @@ def best_and_median(sweep: Sweep, found: Found) -> dict[str, float]:
 
 
 def description(sweep: Sweep, found: Found, total: int) -> str:
-    """The best group if all have one problem, the varied keys, and the figures of every group, in Markdown.
+    """Description in Markdown: the best group if all have one problem, varied keys, figures of every group.
 
     Args:
         sweep: the sweep.
