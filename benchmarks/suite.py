@@ -11,9 +11,6 @@ known. Its value is that of the NumPy reference.
 import argparse
 import re
 import sys
-from dataclasses import replace
-from functools import partial
-from pathlib import Path
 
 import numpy as np
 import yaml
@@ -30,7 +27,7 @@ from lmd.optimisers.camera_annealing import CameraAnnealing
 from lmd.optimisers.greedy import Greedy
 from lmd.optimisers.ledger import Budget
 from lmd.suite.best import POINT, best_path, reference_fitness
-from lmd.suite.documents import Best, Document, folder
+from lmd.suite.documents import Document, folder
 
 OPTIMISERS = {"annealing": Annealing, "camera_annealing": CameraAnnealing, "greedy": Greedy}
 BOUND_SECONDS = 90.0
@@ -87,7 +84,7 @@ def best(name: str, optimiser: str | None, evaluations: int | None, seed: int) -
     if result.rig is None:
         result.deployment.to_csv(path, ups=not problem.scene.tag.is_point)
     else:
-        write_rig(path, result.rig, {camera: None for camera in result.rig.cameras})
+        write_rig(path, result.rig, dict.fromkeys(result.rig.cameras))
     by = f"{method}, {budget} evaluations, seed {seed}"
     put(frozen, "best", {"value": value, "off_grid": round(float(off_grid), 6), "by": by})
 
@@ -114,7 +111,9 @@ def front(frozen: Document, box: lmd.suite.BlackBox, budget: int, seed: int) -> 
     for i, axis in enumerate("xyz"):
         columns[f"n{axis}"] = np.concatenate([each.normals[:, i] for _, each in rows])
     write_table(best_path(frozen), columns)
-    put(frozen, "best", {"value": value, "off_grid": None, "by": f"NSGA-II of pymoo, {budget} evaluations, seed {seed}"})
+    put(
+        frozen, "best", {"value": value, "off_grid": None, "by": f"NSGA-II of pymoo, {budget} evaluations, seed {seed}"}
+    )
 
 
 def put(frozen: Document, key: str, value: object) -> None:
