@@ -27,7 +27,7 @@ from lmd.optimisers.camera_annealing import CameraAnnealing
 from lmd.optimisers.greedy import Greedy
 from lmd.optimisers.ledger import Budget
 from lmd.suite.best import POINT, best_path, reference_fitness
-from lmd.suite.documents import Document, folder
+from lmd.suite.documents import FOLDER, Document
 
 OPTIMISERS = {"annealing": Annealing, "camera_annealing": CameraAnnealing, "greedy": Greedy}
 BOUND_SECONDS = 90.0
@@ -118,7 +118,7 @@ def front(frozen: Document, box: lmd.suite.BlackBox, budget: int, seed: int) -> 
 
 def put(frozen: Document, key: str, value: object) -> None:
     """Replace a value of a document, whose other lines stay."""
-    path = folder() / f"{frozen.name}.yaml"
+    path = FOLDER / f"{frozen.name}.yaml"
     text = yaml.safe_dump([value], sort_keys=False, width=1000, default_flow_style=True).strip()[1:-1]
     line = re.compile(rf"^{key}:.*$", re.MULTILINE)
     path.write_text(line.sub(lambda _: f"{key}: {text}", path.read_text(), count=1))

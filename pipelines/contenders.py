@@ -149,18 +149,19 @@ def _copy(job: Contender, earlier: Path, directory: Path) -> None:
 def run_contender(job: Contender) -> "OptimiserRun":
     """Do one run, on one thread."""
     from lmd.evaluation.comparison import OptimiserRun
-    from lmd.evaluation.validation import headline_off_grid, validation_metrics
+    from lmd.evaluation.tradeoff import SAMPLE
+    from lmd.evaluation.validation import Sample, headline_off_grid, validation_metrics
     from lmd.optimisers.ledger import Budget
 
-    if job.problem:
+    if job.problem:  # of a suite there are thousands of runs
         from lmd.suite import problem as of_suite
 
-        problem, budget = of_suite(job.problem).problem, Budget(job.evaluations)
+        problem, budget, sample = of_suite(job.problem).problem, Budget(job.evaluations), SAMPLE
     else:
-        problem, budget = build_problem(job.cfg), budget_of(job.cfg)
+        problem, budget, sample = build_problem(job.cfg), budget_of(job.cfg), Sample()
     result = build_optimiser(job.cfg, job.seed).run(problem, budget)
     scored = problem if result.rig is None else problem.with_rig(result.rig)
     metrics = dict(scored.metrics(result.deployment))
     if job.cfg.validate:
-        metrics["off_grid"] = validation_metrics(scored, result.deployment, job.seed)[headline_off_grid(scored)]
+        metrics["off_grid"] = validation_metrics(scored, result.deployment, job.seed, sample)[headline_off_grid(scored)]
     return OptimiserRun(job.optimiser, job.seed, metrics, result.history, result.deployment, result.rig, job.problem)

@@ -55,13 +55,15 @@ def write_leaderboard(
 
 def _section(held: "Tournament", label: str, frozen: "Mapping[str, Document]") -> list[str]:
     """The table of a figure, and the tests below it."""
+    import numpy as np
+
     from lmd.core.words import as_code, markdown_table
 
     names = list(held.values)
     rows = [["**mean rank**", *(f"**{rank:.2f}**" if rank == rank else "" for rank in held.ranks), "", ""]]
-    for problem, row in held.values.iterrows():
-        known = frozen[str(problem)]
-        cells = [_cell(row[name], row.max()) for name in names]
+    for problem, values in zip(held.values.index, held.values.to_numpy(), strict=True):
+        known, greatest = frozen[problem], float(np.nanmax(values))
+        cells = [_cell(value, greatest) for value in values.tolist()]
         best = "" if known.best is None else f"{known.best.off_grid if label != 'fitness' else known.best.value:.4f}"
         rows.append([as_code(problem), *cells, best, "" if known.bound is None else f"{known.bound:.4f}"])
     head = [label, *map(as_code, names), "best known", "bound"]
@@ -96,13 +98,14 @@ def _profiles(path: Path, runs: "Sequence[OptimiserRun]", frozen: "Mapping[str, 
     import numpy as np
 
     from lmd.evaluation.iohprofiler import attained_share
-    from lmd.evaluation.tournament import TARGET_SHARE, profile, running_time_ratios
+    from lmd.evaluation.tournament import TARGET_SHARE, profile, running_time_ratios, tournament
     from lmd.plot.ranks import save_profile_figure
 
     known = {name: _best_known(name, runs, document) for name, document in frozen.items()}
     ratios = running_time_ratios(runs, known)
     at, shares = np.geomspace(1.0, RATIOS, POINTS), np.geomspace(LEAST_SHARE, 1.0, POINTS)
-    profiles = {str(name): profile(column.to_numpy(), at) for name, column in ratios.items()}
+    names = tournament(runs, "fitness").ranks.index
+    profiles = {str(name): profile(ratios[name].to_numpy(), at) for name in names}
     curves: dict[str, FloatArray] = {}
     for name in profiles:
         own = [run for run in runs if run.optimiser == name]

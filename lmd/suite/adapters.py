@@ -24,7 +24,7 @@ def pymoo_problem(problem: BlackBox) -> Any:
     """
     core = optional("pymoo.core.problem", "optimisers")
 
-    class PymooProblem(core.Problem):  # type: ignore[misc] # pymoo has no types
+    class PymooProblem(core.Problem):  # type: ignore[misc,name-defined] # pymoo has no types
         """Minimise the negative values."""
 
         def __init__(self) -> None:

@@ -1,4 +1,4 @@
-"""Best candidates known of the problems of the suite: `conf/suite/best`, each evaluated by the NumPy reference.
+"""Best candidates known of the problems of the suite: `problems/best`, each evaluated by the NumPy reference.
 
 A deployment is a table of landmarks, cameras are a rig file, and a front is a table of landmarks with the number of the
 point in the column `point`.
@@ -16,7 +16,7 @@ from lmd.problem import Problem
 from lmd.scene.deployment import Deployment
 from lmd.scene.rig import Rig
 from lmd.sight.evaluator import Evaluator
-from lmd.suite.documents import Document, document, folder
+from lmd.suite.documents import FOLDER, Document, document
 
 POINT = "point"
 """Column of the table of a front."""
@@ -25,7 +25,7 @@ POINT = "point"
 def best_path(frozen: Document) -> Path:
     """File of the best candidate known of a problem."""
     kind = "yaml" if "cameras" in frozen.problem else "csv"
-    return folder() / "best" / f"{frozen.name}.{kind}"
+    return FOLDER / "best" / f"{frozen.name}.{kind}"
 
 
 def best_deployments(name: str) -> list[Deployment]:

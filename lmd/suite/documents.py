@@ -1,4 +1,4 @@
-"""Documents of the suite: `conf/suite/NAME.yaml`, each a frozen problem with its hash, bound, budgets and best value."""
+"""Documents of the suite: `problems/NAME.yaml`, each a frozen problem with its hash, bound, budgets and best value."""
 
 import hashlib
 import json
@@ -8,7 +8,6 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-import lmd.core
 from lmd.core.checks import InputError, choice, integer, real
 from lmd.core.files import read_bytes, read_keys
 
@@ -18,13 +17,8 @@ FILE = "path"
 """Key of a file within `problem`, relative to the folder of the suite."""
 HASH_DIGITS = 16
 KEYS = ("about", "set", "version", "hash", "budgets", "bound", "best", "problem")
-PACKAGE = Path(lmd.core.__file__).parents[1]
-
-
-def folder() -> Path:
-    """Folder of the documents: `conf/suite` beside `lmd` in a checkout, within `lmd` where it is installed."""
-    inside = PACKAGE / "conf" / "suite"
-    return inside if inside.is_dir() else PACKAGE.parent / "conf" / "suite"
+FOLDER = Path(__file__).parent / "problems"
+"""Folder of the documents and of the files that they name; not in `conf`, where Hydra would take it for a group."""
 
 
 @dataclass(frozen=True)
@@ -79,7 +73,7 @@ class Document:
         """Digest of the nodes of the problem and of the bytes of all files that they name."""
         text = hashlib.sha256(json.dumps(self.problem, sort_keys=True).encode())
         for file in sorted(set(_files(self.problem))):
-            text.update(read_bytes(folder() / file, f"{self.name}: {FILE}"))
+            text.update(read_bytes(FOLDER / file, f"{self.name}: {FILE}"))
         return text.hexdigest()[:HASH_DIGITS]
 
 
@@ -90,7 +84,7 @@ def names(which: str = "full") -> list[str]:
         InputError: there is no such set.
     """
     choice("set", which, SETS)
-    every = sorted(path.stem for path in folder().glob("*.yaml"))
+    every = sorted(path.stem for path in FOLDER.glob("*.yaml"))
     return every if which == "full" else [name for name in every if document(name).set == which]
 
 
@@ -102,7 +96,7 @@ def document(name: str) -> Document:
         InputError: there is no problem of that name, or its document is damaged.
     """
     choice("suite", name, names())
-    path = folder() / f"{name}.yaml"
+    path = FOLDER / f"{name}.yaml"
     values = read_keys(path, "suite")
     if set(values) != set(KEYS):
         raise InputError(f"suite: {path.name} must have the keys {', '.join(KEYS)}, got {', '.join(values)}.")

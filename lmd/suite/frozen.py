@@ -13,7 +13,7 @@ from lmd.formats.rigs import rig_of
 from lmd.problem import Problem
 from lmd.scene.scene import Scene
 from lmd.suite.black_box import BlackBox
-from lmd.suite.documents import FILE, Document, document, folder
+from lmd.suite.documents import FILE, FOLDER, Document, document
 from lmd.suite.several import SeveralObjectives, TagChoice
 
 TARGET = "_target_"
@@ -72,4 +72,4 @@ def _made(node: Any) -> Any:
 
 
 def _path(value: str | None) -> str | None:
-    return None if value is None else str(Path(folder(), value))
+    return None if value is None else str(Path(FOLDER, value))

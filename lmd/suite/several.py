@@ -37,7 +37,7 @@ class SeveralObjectives(BlackBox):
 
     @override
     def score(self, genes: FloatArray, seed: int = 0) -> Mapping[str, float]:
-        scores = {}
+        scores = dict[str, float]()
         for box in self.boxes:
             scores |= {f"{box.objectives[0]}: {key}": value for key, value in box.score(genes, seed).items()}
         return scores
