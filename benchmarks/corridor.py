@@ -21,7 +21,7 @@ from lmd.formats.detection_formats import read_detections
 from lmd.formats.detections import DetectedTags
 from lmd.formats.trajectories import TrajectoryFile
 from lmd.geometry.camera import Camera
-from lmd.geometry.se3 import act, exp, inverse, laid_over
+from lmd.geometry.se3 import act, exp, inverse, rigid_alignment
 from lmd.geometry.trajectory import Trajectory
 from lmd.scene.tag import Tag
 from lmd.survey.prior import PriorKnowledge
@@ -42,7 +42,7 @@ def row(seed: int, by: str, found: Survey, ids: IntArray, places: FloatArray, se
     here, there = found.found.poses.tags[some, :3, 3], places[np.searchsorted(ids, found.ids[some])]
     text = ["-"] * 3
     if len(some) > 2:
-        off = np.linalg.norm(act(laid_over(here, there), here) - there, axis=1)
+        off = np.linalg.norm(act(rigid_alignment(here, there), here) - there, axis=1)
         sigma = found.found.sigmas[some]
         text = [
             " / ".join(f"{1e3 * x:.1f}" for x in np.quantile(off, [0.5, 0.9, 1.0])),

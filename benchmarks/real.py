@@ -93,7 +93,7 @@ METHODS: dict[str, Callable[[Recording], Map]] = {
 }
 
 
-def laid_over(here: FloatArray, there: FloatArray, scaled: bool = False) -> tuple[FloatArray, float]:
+def rigid_alignment(here: FloatArray, there: FloatArray, scaled: bool = False) -> tuple[FloatArray, float]:
     """Points `(K, 3)` moved onto others by the best rigid motion, or similarity; and its scale."""
     a, b = here - here.mean(axis=0), there - there.mean(axis=0)
     left, values, right = np.linalg.svd(a.T @ b)
@@ -106,7 +106,7 @@ def apart(one: Map, other: Map, scaled: bool = False) -> tuple[FloatArray, float
     """Distances of the tags in both once one map is laid over the other, metres, and the scale that this took."""
     both = sorted(one.tags.keys() & other.tags.keys())
     here, there = (np.array([own.tags[number][:3, 3] for number in both]) for own in (one, other))
-    moved, scale = laid_over(here, there, scaled)
+    moved, scale = rigid_alignment(here, there, scaled)
     return np.asarray(np.linalg.norm(moved - there, axis=1)), scale
 
 

@@ -149,7 +149,7 @@ def perch(folder: Path, calibrate: bool | None) -> None:
     from lmd.detection.corner_errors import CORNER_ERRORS
     from lmd.formats.calibrations import calibrated_camera
     from lmd.formats.detection_formats import read_detections
-    from lmd.geometry.se3 import act, laid_over
+    from lmd.geometry.se3 import act, rigid_alignment
     from lmd.scene.tag import Tag
     from lmd.survey.prior import PriorKnowledge
     from lmd.survey.survey import survey
@@ -176,7 +176,7 @@ def perch(folder: Path, calibrate: bool | None) -> None:
     both = [k for k in np.flatnonzero(found.placed) if int(found.ids[k]) in told]
     theirs = np.array([place(told[int(found.ids[k])]) for k in both])
     own = found.found.poses.tags[both, :3, 3]
-    off = 1e3 * np.linalg.norm(act(laid_over(own, theirs), own) - theirs, axis=1)
+    off = 1e3 * np.linalg.norm(act(rigid_alignment(own, theirs), own) - theirs, axis=1)
     print(f"{len(both)} tags off TagSLAM's: median {np.median(off):.2f}, largest {off.max():.2f} mm")
     if (row := rows.get("cam1")) is not None:
         turn = Rotation.from_quat([float(table.texts[f"q{axis}"][row]) for axis in "xyzw"])
@@ -193,7 +193,7 @@ def halves(folder: Path, edge: float, every: int | None) -> None:
     from lmd.detection.corner_errors import CORNER_ERRORS
     from lmd.formats.calibrations import calibrated_camera, read_cameras
     from lmd.formats.detection_formats import read_detections
-    from lmd.geometry.se3 import act, laid_over
+    from lmd.geometry.se3 import act, rigid_alignment
     from lmd.scene.tag import Tag
     from lmd.survey.keyframes import select_keyframes
     from lmd.survey.prior import PriorKnowledge
@@ -216,7 +216,7 @@ def halves(folder: Path, edge: float, every: int | None) -> None:
         _, *index = np.intersect1d(*(one.ids[one.placed] for one in maps), return_indices=True)
         own = [np.flatnonzero(one.placed)[k] for one, k in zip(maps, index, strict=True)]
         here, there = (one.found.poses.tags[k, :3, 3] for one, k in zip(maps, own, strict=True))
-        apart = np.linalg.norm(act(laid_over(here, there), here) - there, axis=1)
+        apart = np.linalg.norm(act(rigid_alignment(here, there), here) - there, axis=1)
         stated = np.hypot(*(one.found.sigmas[k] for one, k in zip(maps, own, strict=True)))
         within, told = float((apart <= 3.0 * stated).mean()), 1e3 * np.median(stated)
         low, high = 1e3 * np.quantile(apart, [0.5, 0.9])

@@ -16,7 +16,7 @@ import walks  # of the tests
 
 from lmd.core.checks import FloatArray
 from lmd.formats.detections import DetectedTags
-from lmd.geometry.se3 import act, camera_pose, laid_over
+from lmd.geometry.se3 import act, camera_pose, rigid_alignment
 from lmd.scene.tag import Tag
 from lmd.survey.keyframes import select_keyframes
 from lmd.survey.prior import PriorKnowledge
@@ -67,7 +67,7 @@ def main() -> None:
             found = survey(some, [walks.CAMERA], Tag(walks.EDGE), walks.constant_errors(SIGMA), PriorKnowledge())
             took, placed = time.process_time() - began, np.flatnonzero(found.placed)
             here, there = found.found.poses.tags[placed, :3, 3], tags[found.ids[placed], :3, 3]
-            off = np.linalg.norm(act(laid_over(here, there), here) - there, axis=1)
+            off = np.linalg.norm(act(rigid_alignment(here, there), here) - there, axis=1)
             stated = np.sqrt(np.trace(found.found.gauge_free_covariances[placed][:, 3:, 3:], axis1=1, axis2=2))
             ratio = float(np.sqrt(np.mean((off / stated) ** 2)))
             figures = f"{1e3 * np.median(off):.2f} | {1e3 * np.median(stated):.2f} | {ratio:.2f}"

@@ -77,7 +77,7 @@ class Problem:
         if threads is not None:
             threads = integer("threads", threads, low=1, high=MOST_THREADS)
         self.scene, self.objective, self.start = scene, objective, start
-        self.fixed = None if fixed is None else scene.footprints.hung(fixed, start)
+        self.fixed = None if fixed is None else scene.footprints.checked_fixed(fixed, start)
         first = self.draw(np.random.default_rng(0))
         self.count, self.labels, self.surveyed = len(first), first.labels, first.surveyed
         self.edges, self.scene = first.edges, scene.sized(first.edges_of(scene.tag))
@@ -123,7 +123,7 @@ class Problem:
         return self.scene.tag.filled(self.edges)
 
     @property
-    def hung(self) -> Deployment | None:
+    def fixed_with_edges(self) -> Deployment | None:
         """The fixed landmarks, each with its edge; None for none."""
         if self.fixed is None or self.scene.tag.is_point:
             return self.fixed
@@ -151,9 +151,9 @@ class Problem:
         """The fixed landmarks, if there are any, and then the `free` ones."""
         return free if self.fixed is None else self.fixed + free
 
-    def apart(self, deployment: Deployment, size: float = 1.0) -> Deployment | None:
-        """The deployment with the free footprints pushed out of the way, see `Footprints.apart`."""
-        return self.scene.footprints.apart(replace(deployment, edges=self.edges), size, self.fixed_count)
+    def separated(self, deployment: Deployment, size: float = 1.0) -> Deployment | None:
+        """The deployment with the free footprints pushed out of the way, see `Footprints.separated`."""
+        return self.scene.footprints.separated(replace(deployment, edges=self.edges), size, self.fixed_count)
 
     def labelled(self, deployment: Deployment) -> Deployment:
         """The deployment that an optimiser made of the start: landmark k keeps its label and its edge.

@@ -45,7 +45,7 @@ def evaluate(problem: Problem, deployment: Deployment, validate: bool = False, s
     Raises:
         InputError: a landmark lies outside the room, or footprints overlap.
     """
-    deployment = deployment.hung(problem.scene.room)
+    deployment = deployment.with_surfaces(problem.scene.room)
     problem.scene.footprints.check(deployment)
     problem.objective.check(len(deployment))
     figures = problem.metrics(deployment)

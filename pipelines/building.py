@@ -98,7 +98,7 @@ def build_parts(cfg: DictConfig, count: str = "deployment.count") -> Parts:
         scene.room.relevance.weights(scene.room.grid())
     with names():
         if fixed is not None:
-            fixed = scene.footprints.hung(fixed, start)
+            fixed = scene.footprints.checked_fixed(fixed, start)
         if isinstance(start, partial):  # a source that depends on the objective
             extra = {} if fixed is None else {"fixed": fixed}
             start = start(scene=scene, objective=objective, threads=threads, **extra)

@@ -3,6 +3,7 @@
 import atexit
 import errno
 import json
+import math
 import os
 import shutil
 import sys
@@ -24,6 +25,7 @@ if TYPE_CHECKING:
     from lmd.scene.deployment import Deployment
 
 LEAST_FREE = 1 << 20  # least free disk space for a run to begin, bytes
+HISTORY_FILE = "history.csv"
 PARTIAL = ".partial_"  # prefix of folders whose files are moved when all are written
 RESERVED_BYTES = 1 << 16  # reserved disk space, bytes: more than landmarks and figures of a thousand tags
 
@@ -79,17 +81,18 @@ def write_figures(
 
 
 def write_history(directory: Path, history: "Sequence[Record]") -> tuple[list[Path], list[str]]:
-    """Write history.csv, the best fitness over a run, unless the disk is full; returns as `write_pictures` does."""
+    """Write the history, the best fitness over a run, unless the disk is full; returns as `write_pictures` does."""
     from lmd.core.tables import write_table
 
-    return _write_what_fits(directory, {"history.csv": lambda path: write_table(path, columns_of(history))})
+    return _write_what_fits(directory, {HISTORY_FILE: lambda path: write_table(path, columns_of(history))})
 
 
 def columns_of(history: "Sequence[Record]") -> dict[str, list[float]]:
-    """The history of a run as columns of a table."""
+    """The history of a run as columns of a table, from the first successful evaluation on."""
     from lmd.optimisers.ledger import Record
 
-    return {key.name: [getattr(row, key.name) for row in history] for key in fields(Record)}
+    known = [record for record in history if math.isfinite(record.best_fitness)]
+    return {key.name: [getattr(record, key.name) for record in known] for key in fields(Record)}
 
 
 def write_pictures(

@@ -1,5 +1,6 @@
 """Progress of a run: bar, curve, checkpoints."""
 
+import math
 import sys
 import threading
 import time
@@ -32,7 +33,16 @@ SHOWN_AFTER = 2.0  # time after which the stages of a survey are shown, seconds
 
 
 def thinned(history: Sequence[Record], most: int = CURVE_POINTS) -> list[tuple[int, float, float]]:
-    """At most `most` points (evaluations, best fitness, seconds), evenly chosen, the last record among them."""
+    """At most `most` points (evaluations, best fitness, seconds) of a history, the last record among them.
+
+    A longer history is reduced to its improvements, and these evenly if they are too many. Records before the first
+    successful evaluation are left out.
+    """
+    history = [record for record in history if math.isfinite(record.best_fitness)]
+    if len(history) > most:
+        last = len(history) - 1
+        rises = (i for i in range(1, last) if history[i].best_fitness > history[i - 1].best_fitness)
+        history = [history[i] for i in (0, *rises, last)]
     stride = -(-len(history) // most) or 1
     kept = reversed(history[::-1][::stride])
     return [(int(r.evaluations), r.best_fitness, r.wall_time) for r in kept]

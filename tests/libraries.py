@@ -4,6 +4,7 @@ from functools import partial
 
 import numpy as np
 
+from lmd.optimisers.niapy import NiaPy
 from lmd.optimisers.pymoo import Pymoo
 
 
@@ -32,6 +33,12 @@ def pymoo(name, **parameters):
         "DIRECT": direct,
     }
     return Pymoo(partial(getattr(module[name], name), **parameters))
+
+
+def l_shade(evaluations=None, **parameters):
+    from niapy.algorithms.modified import LpsrSuccessHistoryAdaptiveDifferentialEvolution
+
+    return NiaPy(partial(LpsrSuccessHistoryAdaptiveDifferentialEvolution, **parameters), evaluations)
 
 
 class OneByOne:

@@ -9,8 +9,10 @@ from composing import composed
 from omegaconf import OmegaConf
 
 import pipelines.report
+from lmd.optimisers.ledger import Record
 from pipelines.building import build_problem
 from pipelines.operations.tracking import PARENT_TAG, MlflowTracker, RunStart
+from pipelines.outputs import write_history
 
 SMALL = ("room.spacing=1.5", "deployment.count=6", "objective.thold_p=0.5", "threads=1")
 AVERAGE, MAXIMUM = 0.6, 0.9  # of every run
@@ -47,7 +49,6 @@ def record_sweep(uri, folder, name, jobs, pipeline="optimise"):
         params = settings | {"deployment.count": 90} | overrides
         tracker.start(RunStart(f"{name} {number}", folder / name / str(number), params, tags))
         if status == "FINISHED":
-            tracker.log_curve("best_fitness", [(30, ratio / 2.0, 0.1), (60, ratio, 0.2)])
             tracker.log_metrics(
                 {
                     "qualified_ratio": ratio,
@@ -55,7 +56,8 @@ def record_sweep(uri, folder, name, jobs, pipeline="optimise"):
                     "maximum_coverage_probability": MAXIMUM,
                 }
             )
-            tracker.log_artifacts([folder / "landmarks.csv", folder / "config.yaml"])
+            write_history(folder, [Record(30, ratio / 2.0, 0.1), Record(60, ratio, 0.2)])
+            tracker.log_artifacts([folder / name for name in ("landmarks.csv", "history.csv", "config.yaml")])
         tracker.finish(status)
     parent.log_metrics({"jobs": len(jobs)})
     parent.finish("FINISHED")

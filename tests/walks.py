@@ -7,7 +7,7 @@ from lmd.detection.corner_errors import CornerErrors
 from lmd.formats.detections import DetectedTags
 from lmd.geometry.camera import Camera
 from lmd.geometry.projection import project
-from lmd.geometry.se3 import act, camera_pose, exp, inverse, laid_over, log, pose_of
+from lmd.geometry.se3 import act, camera_pose, exp, inverse, log, pose_of, rigid_alignment
 from lmd.geometry.squares import CORNERS
 from lmd.scene.tag import Tag
 from lmd.survey.prior import PriorKnowledge
@@ -112,7 +112,7 @@ def surveyed(detected, sigma=0.2, cameras=(CAMERA,), edge=EDGE, calibrate=None, 
 def apart(here, there):
     """Distances of the centres of poses, metres, once these are laid over each other."""
     here, there = here[:, :3, 3], there[:, :3, 3]
-    return np.linalg.norm(act(laid_over(here, there), here) - there, axis=1)
+    return np.linalg.norm(act(rigid_alignment(here, there), here) - there, axis=1)
 
 
 def square_of(found, true):

@@ -47,7 +47,7 @@ class CameraViews:
         """True if the views of a mount are cached."""
         return mount in self._kept
 
-    def seen(self, mount: Mount) -> np.ndarray:
+    def visible_tags(self, mount: Mount) -> np.ndarray:
         """Tags that a camera sees from the N poses of the body, bit sets `(N, W)`."""
         if mount not in self._kept:
             self._kept[mount] = self._look(mount)
@@ -73,7 +73,7 @@ class CameraViews:
         """Quantised P_n at each position, `(P,)`."""
         union = np.uint64(0)
         for mount in mounts:
-            union = union | self.seen(mount)  # type: ignore[assignment] # an array from the first on
+            union = union | self.visible_tags(mount)  # type: ignore[assignment] # an array from the first on
         enough = np.bitwise_count(union).sum(axis=-1) >= n
         # Sums of integers up to 2^52 are exact in float64.
         summed = np.bincount(self._position, self._weights * enough, len(self._evaluator.positions))

@@ -17,8 +17,9 @@ IntArray = NDArray[np.int64]
 LARGEST = 1e12  # greatest magnitude of a number in input; products of greater numbers may overflow
 LARGEST_SEED = 2**128 - 1  # greatest seed, as numpy uses 128 bits
 LATEST = 1e11  # greatest time, seconds since 1970; later times are taken for milliseconds or nanoseconds
-APART = 5.0  # least median time between frames that may be milliseconds: 5 ms at 200 frames per second
-CREEPING = 5e-3  # median speed, m/s, below which times with frames `APART` are taken for milliseconds
+# Least median difference of times that may be milliseconds: 5 ms between frames is a rate of 200 frames per second.
+APART = 5.0
+CREEPING = 5e-3  # median speed, m/s, below which times with differences of `APART` or more are taken for milliseconds
 ONE_TURN = 2.0 * math.pi + 0.01  # greatest angle, rad, with a margin for rounding; greater angles are taken for degrees
 # Greatest length of a message, characters; the middle of a longer message is cut out.
 LONGEST = 2000
@@ -127,7 +128,7 @@ def seed_number(value: Any) -> int:
     """Return `value` as the seed of a random generator; messages call it `seed`.
 
     Raises:
-        InputError: it is no whole number from 0 to `LARGEST_SEED`.
+        InputError: `value` is no whole number from 0 to `LARGEST_SEED`.
     """
     return integer("seed", value, low=0, high=LARGEST_SEED)
 
@@ -155,7 +156,7 @@ def choice(name: str, value: Any, options: Sequence[str]) -> str:
 
 
 def vector(name: str, value: Any, size: int | None, **bounds: Any) -> tuple[float, ...]:
-    """Return `value` as a tuple of `size` floats, each checked by `real`; any positive size if that is None.
+    """Return `value` as a tuple of `size` floats, each checked by `real`; `size` None allows any length but 0.
 
     Raises:
         InputError: wrong length, or an entry is not an admissible number.
@@ -176,7 +177,7 @@ def check_members(name: str, part: Any, protocol: type, page: str) -> None:
         name: name of the argument.
         part: the object.
         protocol: class that names the members.
-        page: page of the documentation that describes them.
+        page: page of the documentation that describes the members.
     """
     wanted = [member for member in vars(protocol) if not member.startswith("_")]
     # A property may take long or raise, so only members that a static look-up does not find are evaluated.
@@ -204,7 +205,7 @@ def file_path(name: str, value: Any) -> Path:
     """Return `value` as a path.
 
     Raises:
-        InputError: it is neither a text nor a path.
+        InputError: `value` is neither a text nor a path.
     """
     if not isinstance(value, str | Path):
         raise InputError(f"{name} must be the path of a file or a folder, got {value!r}.", name)
@@ -214,8 +215,8 @@ def file_path(name: str, value: Any) -> Path:
 def seconds(source: str, time: FloatArray, positions: FloatArray | None = None) -> None:
     """Raise `InputError` if times `(T,)` of the file `source`, in seconds from any origin, look like smaller units.
 
-    With `positions` `(T, 3)`, metres, times from the start of the file are checked too: frames seconds apart between
-    which the camera hardly moves are taken for milliseconds.
+    With `positions` `(T, 3)`, metres, the speed is checked too: frames that are seconds apart, while the camera hardly
+    moves, have times in milliseconds.
     """
     latest = float(np.abs(time).max())
     if latest > LATEST:

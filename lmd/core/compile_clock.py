@@ -1,4 +1,4 @@
-"""Compiler class for `lmd`'s functions, passed to numba as an option; it measures its time and prints progress.
+"""numba compiler for `lmd`'s functions that measures the compilation time and prints progress.
 
 Functions of other packages are not timed.
 """
@@ -84,7 +84,7 @@ class TimedCompiler(Compiler):
         """Compile a function.
 
         Raises:
-            TypeError: it returns arrays that nothing would hold, see `StrictCompiler`.
+            TypeError: the function returns arrays without a reference count, see `StrictCompiler`.
         """
         counted, models = self.state.flags.nrt, self.state.targetctx.data_model_manager
         with CLOCK.stopped(func):

@@ -110,8 +110,9 @@ def inner(function: F) -> F:
 def inlined(function: F) -> F:
     """As `inner`, but LLVM inlines the function regardless of its size.
 
-    Then loops over it vectorise, and invariant terms move out of them. At one call per position, passing a field, a
-    state and a scratch (hundreds of numbers) would take longer than the work.
+    Then LLVM vectorises loops that call the function, and moves invariant terms out of the loops. An inlined function
+    also needs no arguments: a field, a state and a scratch are hundreds of numbers, and passing them at each position
+    would take longer than the work.
     """
     return _made_inner(function, _INNER, _UNCOUNTED | _INLINED)
 
@@ -135,6 +136,6 @@ def for_kernels(array: Any) -> Any:
 
 
 def load_compiler() -> None:
-    """Initialise numba's compiler, which takes a third of a second and else happens at the first kernel."""
+    """Initialise numba's compiler now, in a third of a second, instead of at the first kernel."""
     if not PYTHON:
         numba.core.registry.cpu_target.target_context.refresh()

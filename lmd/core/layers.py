@@ -21,9 +21,10 @@ def layers(bundle: Bundle, number: int) -> Bundle:
 
 
 def _copied(part: Any, number: int, copies: dict[int, np.ndarray]) -> Any:
-    """Stack copies of a part; `copies` has those made already, by id.
+    """Stack copies of a part of a bundle; `copies` has the stacks made before, by the id of the part.
 
-    As a closure of `layers` it would be part of a reference cycle, which delays the release of the arrays.
+    The function is no closure of `layers`: a recursive closure is a reference cycle, which delays the release of
+    arrays.
     """
     if isinstance(part, tuple):
         return _made(type(part), [_copied(inner, number, copies) for inner in part])

@@ -16,6 +16,7 @@ EXTRAS = {
     "hydra_plugins.hydra_joblib_launcher": "sweeps",
     "hydra_plugins.hydra_submitit_launcher": "sweeps",
     "nevergrad": "optimisers",
+    "niapy": "optimisers",
     "pymoo": "optimisers",
 }
 
@@ -24,7 +25,7 @@ def optional(package: str, extra: str) -> Any:
     """Import the package named `package`, which `pip install lmd[extra]` installs.
 
     Raises:
-        InputError: it is not installed.
+        InputError: the package is not installed.
     """
     try:
         return importlib.import_module(package)

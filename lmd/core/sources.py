@@ -37,8 +37,8 @@ def digest_of(kernel: FunctionType, classes: Iterable[type]) -> str | None:
     - the files that define these functions and the classes of the arguments;
     - the values of the constants that the functions use.
 
-    They are found by the names in the code of the functions. Of a `dispatched` function, the variants registered for
-    the classes of the arguments are covered.
+    Called functions, classes and constants are found by the names in the code. Of a `dispatched` function, only the
+    variants registered for the classes of the arguments count.
 
     Args:
         kernel: the plain Python function.

@@ -108,7 +108,7 @@ def read_table(path: Any, *, name: str) -> Table:
     if not rows:
         return Table(str(path), (), {})
     (_, header), *body = rows
-    if len(header) == 1 and ";" in header[0]:  # spreadsheets write them in locales with a decimal comma
+    if len(header) == 1 and ";" in header[0]:  # spreadsheets write semicolons in locales with a decimal comma
         raise InputError(f"{path} has semicolons between its columns: save it with commas, and with points in numbers.")
     if len(header) > MOST_COLUMNS:
         raise InputError(f"{path} has {len(header)} columns, more than {MOST_COLUMNS}; the first line is its header.")

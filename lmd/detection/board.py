@@ -46,7 +46,7 @@ class BoardImages:
     def __post_init__(self) -> None:
         if self.folder is None:
             raise InputError("folder is missing: a folder of images is needed.", "folder")
-        _ = self.images  # raises for a folder without images
+        _ = self.images  # raises an error for a folder without images
         if self.tags is None:
             raise InputError("tags is missing: a CSV of the tags on the board is needed.", "tags")
         check_fields(self, real, "tolerance", above=0.0)
@@ -61,7 +61,7 @@ class BoardImages:
         parts = []
         read = self.images.read(0, len(self.images.names), camera)
         for name, image in zip(self.images.names, read, strict=True):
-            if name in self.images.repeated:  # a copy adds no information
+            if name in self.images.repeated:  # a copy of an image adds no information
                 continue
             found = detector.detect(image)
             pose = _pose_by(renderer, found, self.tolerance) if known is None else known.get(name)
@@ -90,7 +90,7 @@ class BoardImages:
         return Photographs(self.folder)
 
     def board(self, tag: Tag) -> TaggedRoom:
-        """Tags of the board in its frame."""
+        """Tags of the board, in the board's frame."""
         assert self.tags is not None
         table = read_numbers(self.tags, ("id", *COLUMNS), name="tags")
         normals = table[:, 4:] / np.linalg.norm(table[:, 4:], axis=1, keepdims=True)

@@ -23,7 +23,7 @@ EDGES, INCIDENCES = np.linspace(0.0, 40.0, 41), np.linspace(40.0, 89.0, 50)
 MARGINS = np.linspace(0.0, 150.0, 31)
 # Candidate diameters of an image circle, relative to the smallest circle that contains all views.
 CIRCLES = np.linspace(1.0, 0.4, 61)
-# Evidence for an image circle: least number of views beyond it, and largest share of these that is detected.
+# Evidence for an image circle: least number of views beyond the circle, and largest detected share of these views.
 FEWEST_BEYOND, FOUND_BEYOND = 20, 0.05
 
 Errors = Callable[[BoolArray, BoolArray], NDArray[np.intp]]
@@ -56,7 +56,7 @@ class DetectorCalibration:
     """Limits of one detector with the data that support them."""
 
     views: TagViews
-    """Views that the limits are fitted to."""
+    """Views to which the limits are fitted."""
     fit: Fit
     """Limits and scores."""
     rooms: dict[str, float]
@@ -145,7 +145,7 @@ def frame_scores(predicted: BoolArray, seen: Matches) -> dict[str, float]:
 
 
 def fit(views: TagViews, rng: np.random.Generator, margin: float) -> Fit:
-    """Fit limits to one half of the views and score them on the other.
+    """Fit limits to one half of the views and score them on the other half.
 
     Views without `placed` are halved at random. The objective is max(false positives, false negatives), which balances
     both kinds of error, so that predicted shares such as P(>= n) are unbiased.
@@ -209,7 +209,8 @@ def _resampled(views: TagViews, rng: np.random.Generator) -> NDArray[np.intp]:
 def _best(views: TagViews, margin: float) -> tuple[Limits, tuple[float, ...]]:
     """Limits and image circles with the fewest errors on `views`.
 
-    Limits that are optimised jointly form a group: an array of masks of the views that meet each choice of them.
+    Limits that are optimised jointly form a group: an array of masks, one per choice of these limits, of the views that
+    meet them.
     """
     placed, margins, circles = views.placed, np.array([margin]), []
     sharp = views.pitch >= np.hypot(PITCHES[:, None, None], BLURS[:, None] * views.sigma)  # (A, K, M)
@@ -217,7 +218,8 @@ def _best(views: TagViews, margin: float) -> tuple[Limits, tuple[float, ...]]:
     groups = [sharp, (views.edge >= EDGES[:, None, None]) & facing]  # (E, B, M)
     start: list[Choice] = [(0, 0), (0, len(facing) - 1)]
     if placed is None:
-        # The better of two searches, the first of which starts from the limits with the fewest errors in total.
+        # The better result of two searches is taken; the first search starts from the limits with the fewest errors in
+        # total.
         searches = ((_all_errors, _larger_errors), (_larger_errors,))
         _, chosen = min(_searched(groups, start, views.seen, kinds) for kinds in searches)
     else:
@@ -248,9 +250,9 @@ def _circles(views: TagViews, placed: Placed) -> list[FloatArray]:
 def _searched(
     groups: list[BoolArray], start: list[Choice], seen: BoolArray, kinds: tuple[Errors, ...]
 ) -> tuple[int, list[Choice]]:
-    """Minimise the objectives `kinds` one after the other, each from the optimum of the one before.
+    """Minimise the objectives `kinds` one after the other, each from the optimum of the previous objective.
 
-    Coordinate descent: the groups are optimised in turn, each over all of its choices, until none improves.
+    This is a coordinate descent: groups are optimised in turn, each over all of its choices, until no group improves.
 
     Returns:
         least value of the last objective; choice in each group.
@@ -270,10 +272,10 @@ def _searched(
 
 
 def _all_errors(predicted: BoolArray, seen: BoolArray) -> NDArray[np.intp]:
-    """Number of wrong predictions, over the last axis."""
+    """Number of wrong predictions along the last axis."""
     return np.asarray((predicted != seen).sum(axis=-1))
 
 
 def _larger_errors(predicted: BoolArray, seen: BoolArray) -> NDArray[np.intp]:
-    """max(false positives, false negatives), over the last axis."""
+    """max(false positives, false negatives) along the last axis."""
     return np.asarray(np.maximum((predicted & ~seen).sum(axis=-1), (~predicted & seen).sum(axis=-1)))

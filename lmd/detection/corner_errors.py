@@ -20,7 +20,7 @@ class CornerErrors:
     The direction of the error vector in its eight dimensions is uniform.
 
     Raises:
-        InputError: the number of values is not that of the pitches, or the spread is negative.
+        InputError: the numbers of values and of pitches differ, or the spread is negative.
     """
 
     pitch: tuple[float, ...]
@@ -33,8 +33,9 @@ class CornerErrors:
     """Mean shift of a tag's edges towards its centre at these pitches, pixels, `(B,)`; included in the error; zeros if
     empty."""
     inward_spread: float = 0.0
-    """Standard deviation of that shift over blurs and exposures, pixels; the shift is constant for one camera and
-    light."""
+    """Standard deviation of the shift `inward` over blurs and exposures, pixels; the shift is constant for one camera
+    and light.
+    """
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "inward", self.inward or (0.0,) * len(self.pitch))
@@ -92,12 +93,12 @@ CORNER_ERRORS = {
         (0.025, 0.025, 0.022, 0.021, 0.012, 0.005, 0.001, 0.001),
         LIGHT_SPREAD,
     ),
-    # Hardly any detections below 1.5 pixels per module.
+    # There are hardly any detections below 1.5 pixels per module.
     "apriltag_decimate2": CornerErrors(
         PITCH_MIDDLES[1:],
         (0.244, 0.212, 0.151, 0.084, 0.034, 0.018, 0.016),
         (0.497, 0.383, 0.253, 0.147, 0.063, 0.040, 0.039),
-        # Below 2 pixels per module there are too few detections; the shift is that at 2.24.
+        # Below 2 pixels per module there are too few detections; the shift at 2.24 pixels per module is used.
         (0.046, 0.046, 0.046, 0.017, 0.006, 0.000, 0.000),
         LIGHT_SPREAD,
     ),

@@ -17,7 +17,7 @@ from lmd.geometry.camera import PIXEL_CENTRE
 from lmd.render.imaging import UInt8Array
 from lmd.scene.families import FAMILIES, dictionary, family_named
 
-# cv2.aruco has AprilTags rotated by 180 degrees: its top-left corner is AprilTag's bottom-right corner.
+# cv2.aruco rotates AprilTags by 180 degrees: its top-left corner is AprilTag's bottom-right corner.
 HALF_TURN = [2, 3, 0, 1]
 # AprilTag's corners start at the bottom left, counter-clockwise.
 APRILTAG_ORDER = [3, 2, 1, 0]
@@ -76,7 +76,7 @@ class ArucoDetector:
     family: str = "36h11"
     """One of `lmd.scene.families.FAMILIES` that OpenCV has."""
     preset: str = "default"
-    """Settings of `cv2.aruco`: `default`, or `fine` for smaller tags."""
+    """Settings of `cv2.aruco`: `default`, or `fine` to detect smaller tags, too."""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "family", family_named(self.family))
@@ -128,7 +128,7 @@ class AprilTagDetector:
 
 @lru_cache(maxsize=8)
 def _aruco(family: str, preset: str) -> Any:
-    """Detector of OpenCV, cached here so that an `ArucoDetector` can be pickled."""
+    """Detector of OpenCV; it is cached here, and not stored in `ArucoDetector`, which can thus be pickled."""
     aruco = optional("cv2", "detection").aruco
     parameters = aruco.DetectorParameters()
     parameters.cornerRefinementMethod = aruco.CORNER_REFINE_SUBPIX
@@ -139,7 +139,7 @@ def _aruco(family: str, preset: str) -> Any:
 
 @lru_cache(maxsize=8)
 def _apriltag(family: str, quad_decimate: float) -> Any:
-    """Detector of AprilTag, cached like that of OpenCV."""
+    """Detector of the AprilTag library, cached like the detector of OpenCV."""
     library = optional("pyapriltags", "detection")
     return library.Detector(families=FAMILIES[family].apriltag, nthreads=1, quad_decimate=quad_decimate)
 

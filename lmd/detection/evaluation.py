@@ -1,6 +1,6 @@
 """Matching of detections to expected corners, and scores of predictions.
 
-N frames and K tags throughout; `predicted` and `detected` are `(N, K)` bool.
+Arrays have N frames and K tags; `predicted` and `detected` are `(N, K)` bool.
 """
 
 from collections.abc import Sequence
@@ -53,7 +53,7 @@ def match(
 ) -> Matches:
     """Assign the detections of one frame to tags by id and corners.
 
-    Of several detections of one tag the nearest one is assigned; the others are false.
+    Of several detections of one tag, the detection nearest to it is assigned; the others are false.
 
     Args:
         detections: detections of the frame.
@@ -78,7 +78,8 @@ def match(
 def precision_recall(
     predicted: BoolArray, detected: BoolArray, axis: int | None = None
 ) -> tuple[FloatArray, FloatArray]:
-    """Share of predicted tags that are detected, and of detected tags that are predicted; NaN without such tags.
+    """Precision and recall: share of predicted tags that are detected, and share of detected tags that are predicted;
+    NaN without such tags.
 
     Args:
         predicted, detected: `(N, K)`.

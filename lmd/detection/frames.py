@@ -40,7 +40,7 @@ def nudged(poses: FloatArray, position: float, attitude: float, seed: int) -> Fl
 
     Args:
         poses: X.
-        position, attitude: standard deviations along and about each axis, metres and rad.
+        position, attitude: standard deviations along each axis, metres, and about each axis, rad.
         seed: seed of the errors.
     """
     rng = np.random.default_rng([seed, FRAMES_STREAM, 1])

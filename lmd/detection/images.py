@@ -27,9 +27,9 @@ LEAST_PITCH, WIDEST_EDGE = 3.0, 12.0
 SAMPLES, STEPS = 12, 65
 # Range along an edge that is sampled, as a share of its length; it excludes the blurred corners.
 EDGE_PART = (0.2, 0.8)
-# Grey levels relative to the step from black to white, which lie two standard deviations of the blur apart.
+# Two grey levels, as shares of the step from black to white: on a blurred edge they are two standard deviations apart.
 LOW, HIGH = 0.16, 0.84
-# A frame counts as blurred if its blur exceeds this multiple of the median blur and this blur, pixels.
+# A frame counts as blurred if its blur exceeds `TIMES` times the median blur, and also `LEAST` pixels.
 TIMES, LEAST = 2.0, 1.0
 
 
@@ -52,7 +52,7 @@ class Images(Protocol):
         """Read images `first` to `last` (excluded), `(h, w)` each.
 
         Raises:
-            InputError: an image cannot be read, or its size is not that of the camera.
+            InputError: an image cannot be read, or its size differs from the camera's.
         """
 
 
@@ -103,7 +103,7 @@ class Photographs:
 
     @cached_property
     def repeated(self) -> dict[str, str]:
-        """Name of the first copy, by the names of its duplicates."""
+        """Name of the first copy of an image, by the names of its duplicates."""
         first: dict[bytes, str] = {}
         digests = [hashlib.sha256(read_bytes(path, self.argument)).digest() for path in self.paths]
         earlier = [first.setdefault(digest, name) for digest, name in zip(digests, self.names, strict=True)]
@@ -148,15 +148,15 @@ def read_image(path: Path, camera: Camera, argument: str) -> UInt8Array:
         argument: argument with the path, for messages.
 
     Raises:
-        InputError: the file cannot be read, or has not the size of the camera.
+        InputError: the file cannot be read, or its size differs from the camera's.
     """
     cv2 = optional("cv2", "detection")
     content = read_bytes(path, argument)
     size = image_size(camera)
     written = _pixels(content)
     if written in (size, size[::-1]):
-        # The file may state a rotation for display. It is ignored, as a calibration is in the sensor's orientation,
-        # unless the calibrated size shows that the calibration used rotated images.
+        # The file may state a rotation for display. The rotation is ignored, as a calibration is in the sensor's
+        # orientation, unless the calibrated size shows that the calibration used rotated images.
         turned = cv2.IMREAD_GRAYSCALE | (cv2.IMREAD_IGNORE_ORIENTATION if written == size else 0)
         image: UInt8Array | None = cv2.imdecode(np.frombuffer(content, np.uint8), turned)
         written = None if image is None else image.shape[::-1]
@@ -168,7 +168,7 @@ def read_image(path: Path, camera: Camera, argument: str) -> UInt8Array:
 
 
 def wrong_size(path: Path, argument: str, written: tuple[int, ...], size: tuple[int, int]) -> InputError:
-    """Error for an image or a video whose size is not that of the camera."""
+    """Error for an image or a video whose size differs from the camera's."""
     found, needed = (" x ".join(map(str, pair)) for pair in (written, size))
     return InputError(f"{argument}: {str(path)!r} has {found} pixels, the camera {needed}.", argument)
 
@@ -191,7 +191,7 @@ def blur_of(image: UInt8Array, found: Detections, modules: int) -> float:
     """Blur of an image, pixels: standard deviation across the second most blurred edge of a tag, median over tags.
 
     Across the edge between the detected corners, the distance between 16 and 84 % of the step from black to white is
-    two standard deviations of the blur. Motion blurs only the edges perpendicular to it.
+    two standard deviations of the blur. Motion blurs only the edges perpendicular to the motion.
 
     Args:
         image: grey image, `(h, w)`.
@@ -222,7 +222,7 @@ def blur_of(image: UInt8Array, found: Detections, modules: int) -> float:
         image.astype(np.float64), np.moveaxis(places[..., ::-1] - 0.5, -1, 0), order=1, mode="nearest"
     )
     across = grey.mean(axis=2)
-    rises = across[..., -1:] >= across[..., :1]  # the white of some families is inside
+    rises = across[..., -1:] >= across[..., :1]  # in some families the white side is inside
     profile = np.maximum.accumulate(np.where(rises, across, across[..., ::-1]), axis=-1)  # from black to white
     low, high = profile[..., :1], profile[..., -1:]
     step = (profile - low) / np.maximum(high - low, 1.0)

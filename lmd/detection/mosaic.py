@@ -88,7 +88,7 @@ class Mosaics:
     def views(
         self, cameras: Sequence[Camera], tag: Tag, detector: Detector, imaging: Imaging, rng: np.random.Generator
     ) -> TagViews:
-        """See `ViewSource.views`; light and blur are random, not those of `imaging`."""
+        """See `ViewSource.views`; light and blur are random, and not taken from `imaging`."""
         return sample_views(only(cameras), tag, detector, self.count, rng, self.sampling)
 
 
@@ -114,7 +114,7 @@ def sample_views(
     pitches, tilts = (rng.uniform(*span, count) for span in (ranges.pitch, ranges.incidence))
     sigmas = np.exp(rng.uniform(math.log(ranges.sigma[0]), math.log(ranges.sigma[1]), count))
     width, height = image_size(camera)
-    # At the angle phi from the optical axis, the radial scale of a pinhole is 1 / cos(phi) times the tangential one.
+    # At the angle phi from the optical axis, the radial scale of a pinhole is 1 / cos(phi) times the tangential scale.
     matrix = intrinsics(camera)
     ends = (np.array([[0, 0], [width, 0], [0, height], [width, height]]) - matrix[:2, 2]) / np.diag(matrix)[:2]
     stretch = math.sqrt(1.0 + (ends**2).sum(axis=1).max()) / np.cos(tilts)

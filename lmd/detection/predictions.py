@@ -46,7 +46,9 @@ class CameraPrediction:
     met: Mapping[str, BoolArray]
     """Criteria that are met, by name, `(N, K)` each; empty if the model has none."""
     taken: BoolArray | None = None
-    """True for frames with an image, `(N,)`; None if all have one. Without an image no tag is visible or whole."""
+    """True for frames with an image, `(N,)`; None if all frames have an image. Without an image no tag is visible or
+    whole.
+    """
 
     @cached_property
     def corners(self) -> FloatArray:
@@ -74,7 +76,7 @@ class CameraPrediction:
 
 
 def _beside(name: str) -> cached_property[NDArray[Any]]:
-    """Concatenation of an array of all parts, `(N, C K)`."""
+    """Property that concatenates the arrays `name` of all parts, `(N, C K)`."""
     return cached_property(lambda whole: np.concatenate([getattr(part, name) for part in whole.parts], axis=1))
 
 
@@ -103,7 +105,7 @@ class Prediction:
 
     @cached_property
     def overlapping(self) -> BoolArray:
-        """True for tags that overlap another one, `(K,)`."""
+        """True for tags that overlap another tag, `(K,)`."""
         return overlapping(self.parts[0].renderer.room)
 
     def moved(self, poses: FloatArray) -> "Prediction":
@@ -120,15 +122,15 @@ def figures(prediction: Prediction, seen: Matches) -> dict[str, float]:
     """Figures of one deployment and one detector.
 
     A frame of a rig consists of the simultaneous images of all cameras. `predicted_<n>`, `detected_<n>` and
-    `agreement_<n>` count tags that any camera shows, and the pose is that of the body; other figures count a tag once
-    per camera.
+    `agreement_<n>` count tags that any camera shows, and the pose is the pose of the body; other figures count a tag
+    once per camera.
 
     - `predicted_<n>`, `detected_<n>`: P(>= n), the share of frames with at least n tags; `_error`: its standard error;
     - `agreement_<n>`: share of frames in which prediction and detection agree on at least n tags;
     - `precision`, `recall`: over tags;
-    - `left_out`: tags detected but not predicted; `left_out_<criterion>`: those that fail the criterion;
-    - `overrated`: tags predicted but not detected; `overrated_cut`: those cut by the image border;
-      `overrated_overlapping`: whole ones that overlap another tag;
+    - `left_out`: tags detected but not predicted; `left_out_<criterion>`: the tags among them that fail the criterion;
+    - `overrated`: tags predicted but not detected; among them, `overrated_cut`: tags cut by the image border,
+      `overrated_overlapping`: whole tags that overlap another tag;
     - `false_a_frame`: false detections per frame;
     - `corner_median`, `corner_90`: quantiles of the corner error, pixels;
     - `pose_share`: share of frames with a pose; quantiles of the pose errors, metres and rad.
@@ -186,7 +188,7 @@ def _quantiles(name: str, values: FloatArray) -> dict[str, float]:
 def by_pitch(prediction: Prediction, seen: Matches) -> pd.DataFrame:
     """Table of whole tags by classes of pitch.
 
-    Columns: `pitch_from`, `pitch_to` (pixels per module), `tags`, the shares `predicted` and `detected` of them, and
+    Columns: `pitch_from`, `pitch_to` (pixels per module), number of `tags`, shares `predicted` and `detected`, and
     `corner_median`, `corner_90` (pixels). Classes without a tag are left out.
     """
     return _by_class(prediction, seen, "pitch", prediction.pitch, PITCHES)
@@ -198,7 +200,7 @@ def by_incidence(prediction: Prediction, seen: Matches) -> pd.DataFrame:
 
 
 def _shares(prediction: Prediction, seen: Matches, members: BoolArray) -> dict[str, float]:
-    """Number of tags, and the shares `predicted` and `detected` of them."""
+    """Number of tags among `members`, and shares of these tags that are `predicted` and `detected`."""
     shares = {"predicted": prediction.visible[members].mean(), "detected": seen.detected[members].mean()}
     return {"tags": int(members.sum())} | shares
 
@@ -221,8 +223,8 @@ def _by_class(prediction: Prediction, seen: Matches, name: str, values: FloatArr
 def by_place(prediction: Prediction, seen: Matches) -> pd.DataFrame:
     """Table of whole tags by the place of their centre in the image.
 
-    Columns: `column`, `row` of the part of the image (`PLACES`); `tags`, and the shares `predicted` and `detected` of
-    them. Parts without a tag are left out.
+    Columns: `column`, `row` of the part of the image (`PLACES`); number of `tags`, and shares `predicted` and
+    `detected`. Parts without a tag are left out.
     """
     cameras = [part.renderer.camera for part in prediction.parts]
     sizes = np.array([(camera.image_width, camera.image_height) for camera in cameras])
@@ -241,7 +243,7 @@ def by_place(prediction: Prediction, seen: Matches) -> pd.DataFrame:
 def by_tag(prediction: Prediction, seen: Matches) -> pd.DataFrame:
     """Table of tags: `id`, `overlapping`, numbers of frames `predicted` and `detected`, `precision`, `recall`.
 
-    In a frame of a rig, a tag counts as predicted or detected if it is for any camera.
+    In a frame of a rig, a tag counts as predicted (or detected) if it is predicted (or detected) for any camera.
     """
     visible, detected = prediction.by_any(prediction.visible), prediction.by_any(seen.detected)
     precision, recall = precision_recall(visible, detected, axis=0)
@@ -259,7 +261,7 @@ def to_markdown(table: pd.DataFrame) -> str:
     """Format `figures` as Markdown, one row for each deployment and detector.
 
     Args:
-        table: columns `deployment` and `detector`, then those of `figures`.
+        table: columns `deployment` and `detector`, then the figures.
     """
     criteria = [c.removeprefix("left_out_") for c in table.columns if c.startswith("left_out_")]
     names = ["deployment", "detector"]

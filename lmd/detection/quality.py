@@ -5,7 +5,8 @@ image is P = d(u, v)/dc = [(f_u / z) (1, 0, -x / z); (f_v / z) (0, 1, -y / z)]. 
 tag's plane to pixels, with E (3, 2) any orthonormal basis of the plane. The singular values of J follow from
 |J|_F^2 = |P|_F^2 - |P n|^2 and |det J| = f_u f_v |n . c| / z^3 without a basis.
 
-For a distorting lens P is the Jacobian of its image, and |det J| = |(P_1 x P_2) . n| with the rows P_1, P_2 of P.
+For a distorting lens P is the Jacobian of the image through the lens, and |det J| = |(P_1 x P_2) . n| with the rows
+P_1, P_2 of P.
 
 Poses are `(..., 4, 4)`, centres and normals of K tags `(K, 3)`, results `(..., K)`.
 """
@@ -28,7 +29,7 @@ def pitch(
 ) -> FloatArray:
     """Pitch of tags: pixels per module along the most foreshortened direction.
 
-    Smaller singular value of J times edge / N. With s = |J|_F^2 and d = |det J| the singular value is
+    The pitch is the smaller singular value of J times edge / N. With s = |J|_F^2 and d = |det J| the singular value is
     d / sqrt((s + sqrt(s^2 - 4 d^2)) / 2).
 
     Args:
@@ -63,7 +64,7 @@ def apparent_edge(
 
 
 def incidence(pose: FloatArray, centres: FloatArray, normals: FloatArray) -> FloatArray:
-    """Incidence angle: between a tag's normal and the direction from its centre to the camera; arguments as in `pitch`.
+    """Incidence angle, between a tag's normal and the direction from its centre to the camera; arguments as in `pitch`.
 
     Returns:
         `(..., K)`, rad in [0, pi]; the front is visible below pi / 2.

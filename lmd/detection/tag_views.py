@@ -1,4 +1,4 @@
-"""Views of single tags with the outcome of a detector, to which its limits are fitted, and sources of views."""
+"""Views of single tags with the outcome of a detector, for fitting the detector's limits; and sources of views."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
@@ -16,7 +16,7 @@ from lmd.geometry.camera import Camera
 from lmd.render.imaging import Imaging
 from lmd.scene.tag import Tag
 
-# File of a survey with its views, and the columns that name the image.
+# File of a survey with the views of its tags, and the two columns that name the image.
 FILE, FRAME, CAMERA = "in_view.csv", "time", "camera"
 # Further columns: id; image of the centre, pixels from the border; depth, metres; pitch, pixels per module; incidence
 # angle, degrees; apparent edge, pixels; border and circle, pixels, see `Placed`; seen, 0 or 1.
@@ -115,7 +115,7 @@ class SurveyedViews:
     """Views in the images of a survey, with one camera or several; a `ViewSource`.
 
     Raises:
-        InputError: the folder is not that of a survey.
+        InputError: the folder is not the folder of a survey.
     """
 
     folder: str | None

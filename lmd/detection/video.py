@@ -1,10 +1,10 @@
 """Frames of a video.
 
-Frames are identified by their times, which may have any spacing. Some containers store no times, and some do not
+Frames are identified by their times, which need not be equally spaced. Some containers store no times, and some do not
 support seeking.
 
 The decoder also opens playlists, scripts and descriptions of streams, which name other files and addresses. A file of
-unknown origin is passed to it only if its first bytes are those of a video, and only to the demuxer of its container.
+unknown origin is passed to the decoder only if it begins like a video, and only to the demuxer of its container.
 """
 
 import codecs
@@ -40,7 +40,7 @@ class Container(NamedTuple):
     name: str
     """Name for messages."""
     demuxers: str
-    """FFmpeg's names of its demuxers, separated by commas."""
+    """FFmpeg's names of the container's demuxers, separated by commas."""
     begins: re.Pattern[bytes]
     """Pattern of the first bytes."""
 
@@ -58,7 +58,7 @@ CONTAINERS = (
     _kind("IVF", "ivf", rb"DKIF\0"),
     _kind("ASF", "asf", rb"\x30\x26\xb2\x75\x8e\x66\xcf\x11"),
     _kind("MXF", "mxf", rb"\x06\x0e\x2b\x34\x02\x05\x01\x01"),
-    # Packets of 188 bytes, possibly after a time of 4 bytes (camcorders) or before a checksum.
+    # Packets of 188 bytes, possibly preceded by a time of 4 bytes (camcorders) or followed by a checksum.
     *(
         _kind("MPEG-TS", "mpegts", rb".{%d}\x47(.{%d}\x47){%d}" % (before, size - 1, LEAST_PACKETS - 1))
         for before, size in ((0, 188), (4, 192), (0, 204))
@@ -72,9 +72,9 @@ CONTAINERS = (
 )
 IMAGE = re.compile(rb"\x89PNG|\xff\xd8\xff|BM|II\*\0|MM\0\*|RIFF.{4}WEBP|GIF8", re.DOTALL)
 
-# Seeks aim this far before a frame, ms, as OpenCV assumes equidistant frames.
+# Time before a frame at which a seek aims, ms, as OpenCV assumes equidistant frames.
 LEAD = 500.0
-# Largest difference of equal times, ms.
+# Largest difference between times that count as equal, ms.
 SAME_TIME = 1e-3
 # Largest plausible number of frames in a header, and rounding error of a number computed from the duration.
 MOST_FRAMES, ROUNDED = 1e9, 1
@@ -129,7 +129,9 @@ class Video:
 
     @cached_property
     def _index(self) -> "_Index":
-        """Index of all frames, found by reading the whole video, as the number in a header may be wrong or missing."""
+        """Index of all frames. The whole video is read for it, as the number of frames in a header may be wrong or
+        missing.
+        """
         cv2, video = optional("cv2", "detection"), self._opened()
         try:
             stated, rate = video.get(cv2.CAP_PROP_FRAME_COUNT), float(video.get(cv2.CAP_PROP_FPS))
@@ -158,9 +160,8 @@ class Video:
         """Open the video before its first frame.
 
         Args:
-            size: required width and height. Frames are in the sensor's orientation if they then have this size,
-                otherwise rotated as the file states. If it is None, frames have any size and the
-                sensor's orientation.
+            size: required width and height. Frames are in the sensor's orientation if they have this size there,
+                otherwise rotated as the file states. None for any size, in the sensor's orientation.
 
         Raises:
             InputError: the video cannot be opened, or has frames of another size.
@@ -168,7 +169,7 @@ class Video:
         cv2 = optional("cv2", "detection")
         container = container_of(read_bytes(self.path, self.argument, first=FIRST))
         with _for(container, cv2):
-            # FFmpeg interprets names, except absolute paths.
+            # FFmpeg interprets names unless they are absolute paths.
             video = cv2.VideoCapture(str(Path(self.path).absolute()), cv2.CAP_FFMPEG)
         if not video.isOpened():
             raise self._unread("OpenCV cannot open it")

@@ -1,13 +1,13 @@
 """Cramer-Rao bound on the pose of a camera from the images of landmarks.
 
 A perturbation X exp(w, v) moves a landmark at y_i = (x, y, z) in the camera's frame by y_i x w - v, hence its image by
-J_i (w, v) with `J_i = [(f_u / z) (1, 0, -x / z); (f_v / z) (0, 1, -y / z)] [[y_i]x  -I]`; a lens that distorts puts its
-Jacobian (`lmd.geometry.lens`) in place of what follows the focal lengths. With pixel noise sigma the information is
-sum J_i^T J_i / sigma^2, and no unbiased estimate from this one frame has a smaller covariance than its
-inverse. Fewer than three landmarks, or three in line, do not fix the pose: the bound is infinite.
+J_i (w, v) with `J_i = [(f_u / z) (1, 0, -x / z); (f_v / z) (0, 1, -y / z)] [[y_i]x  -I]`; for a distorting lens, the
+lens's Jacobian (`lmd.geometry.lens`) replaces the factors of the focal lengths. With pixel noise sigma the information
+is sum J_i^T J_i / sigma^2, and no unbiased estimate from this one frame has a smaller covariance than the inverse of
+the information. Fewer than three landmarks, or three in line, do not determine the pose: the bound is infinite.
 
-The cameras of a rig move by Ad_{M^-1} (w, v) with their body, where M is where a camera is on it
-(`lmd.scene.rig.Rig.extrinsics`); the information of a moment is the sum of Ad^T I Ad over them.
+A camera of a rig with the pose M on the body (`lmd.scene.rig.Rig.extrinsics`) moves by Ad_{M^-1} (w, v) when the body
+moves by (w, v). The information of a moment is the sum of Ad^T I Ad over the cameras.
 """
 
 from collections.abc import Sequence
@@ -28,7 +28,7 @@ from lmd.scene.scene import Scene
 from lmd.sight.evaluator import Evaluator, averaged
 from lmd.sight.views import visible_to_each
 
-# Least eigenvalue of the scaled information of a determined pose; smaller ones are rounding errors.
+# Least eigenvalue of the scaled information of a determined pose; smaller eigenvalues are rounding errors.
 SINGULAR_EIGENVALUE = 1e-9
 # Number of poses processed at a time.
 POSE_CHUNK = 1 << 14
@@ -90,8 +90,9 @@ def moment_information(
 def cramer_rao_bound(information: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Smallest standard deviations of position (metres) and attitude (rad), `(...)` each, infinite without a bound.
 
-    They are the square roots of the traces of the position and the attitude block of the inverse information, which
-    exists if the information scaled to a unit diagonal, which is independent of units, is regular.
+    The deviations are the square roots of the traces of the position block and the attitude block of the inverse
+    information. The inverse exists if the information, scaled to a unit diagonal and thus independent of units, is
+    regular.
 
     Args:
         information: `(..., 6, 6)`.
@@ -113,12 +114,16 @@ class CramerRaoMap:
     share: FloatArray
     """Probability under the orientation PDF that a single frame determines the pose, `(P,)`."""
     position: FloatArray
-    """Median bound on the position over these orientations, metres, `(P,)`; infinite without any."""
+    """Median bound on the position over the orientations that determine the pose, metres, `(P,)`; infinite without
+    any.
+    """
     attitude: FloatArray
-    """Median bound on the attitude over these orientations, rad, `(P,)`; infinite without any."""
+    """Median bound on the attitude over the orientations that determine the pose, rad, `(P,)`; infinite without any."""
 
     def metrics(self) -> dict[str, float]:
-        """Share of poses that a single frame determines, and medians of the bounds over the positions that have one."""
+        """Share of poses that a single frame determines, and medians of the bounds over the positions with a finite
+        bound.
+        """
         metrics = {"pose_fixed_share": float(self.share.mean())}
         some = self.share > 0.0
         if some.any():
@@ -127,7 +132,9 @@ class CramerRaoMap:
         return metrics
 
     def to_csv(self, path: str | Path) -> None:
-        """Write `x,y,z,share,position,attitude`, one row per position; infinite bounds are empty."""
+        """Write a CSV with the columns `x,y,z,share,position,attitude`, one row per position; infinite bounds are
+        empty.
+        """
         values = np.column_stack([self.positions, self.share, self.position, self.attitude])
         columns = ["x", "y", "z", "share", "position", "attitude"]
         pd.DataFrame(values, columns=columns).replace(np.inf, np.nan).to_csv(path, index=False)
@@ -162,10 +169,10 @@ def _finite_median(values: FloatArray, weight: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True)
 class CramerRaoBound:
-    """Least RMS error of unbiased estimates from a single frame, by the pixel noise; an `Estimator`.
+    """Least RMS error of unbiased estimates from a single frame, given the pixel noise; an `Estimator`.
 
-    A tag is measured by its corners, a point by its centre. An estimator that uses earlier frames may be better. Er is
-    its expectation tr S_vv + 2 tr S_ww.
+    A tag is measured by its corners, a point by its centre. An estimator that uses earlier frames may be better. The
+    error Er is its expectation tr S_vv + 2 tr S_ww.
     """
 
     def errors(self, recording: Recording, start: FloatArray) -> Errors:
@@ -178,7 +185,7 @@ class CramerRaoBound:
         for s, poses in enumerate(recording.poses):
             points = (recording.landmarks if recording.tags is None else recording.tags)[s, :count].reshape(-1, 3)
             seen = np.moveaxis(recording.seen_by[s], 1, 0).repeat(corners, axis=-1)
-            camera = np.nonzero(recording.seen[s])[1] // count  # of each detection
+            camera = np.nonzero(recording.seen[s])[1] // count  # camera of each detection
             its = relative[recording.detections(s)]
             noise = [its[camera == c].repeat(corners) for c in range(cameras)]
             bounds = cramer_rao_bound(moment_information(*body, poses, points, seen, noise))

@@ -44,7 +44,7 @@ class Estimator(Protocol):
 
         Args:
             recording: S runs.
-            start: initial estimate of the pose, `(S, 4, 4)`; estimators without one ignore it.
+            start: initial estimate of the pose, `(S, 4, 4)`; ignored by estimators that need none.
 
         Raises:
             InputError: the estimator does not support this recording, or needs a missing package.

@@ -37,8 +37,8 @@ class TrajectorySource(Protocol):
 class Pace:
     """Limits of the motion between waypoints, and the frame rate.
 
-    Between two waypoints position, yaw and pitch follow the minimum-jerk profile 10 t^3 - 15 t^4 + 6 t^5 at the highest
-    pace within both limits; at a waypoint the camera is at rest.
+    Between two waypoints position, yaw and pitch follow the minimum-jerk profile 10 t^3 - 15 t^4 + 6 t^5, as fast as
+    `speed` and `turn_rate` allow; at a waypoint the camera is at rest.
 
     Raises:
         InputError: a value is not positive.
@@ -89,15 +89,15 @@ class Pace:
 class RandomMotion:
     """Random motion in the reachable volume, straight from one random waypoint to the next.
 
-    Waypoints are uniform in the part of the reachable volume with a free straight path from the previous one; their
-    orientations follow the orientation PDF of the scene.
+    Waypoints are uniform in the part of the reachable volume with a free straight path from the previous waypoint;
+    their orientations follow the orientation PDF of the scene.
 
     Raises:
         InputError: the duration is not positive.
     """
 
     duration: float
-    """Seconds."""
+    """Duration of the motion, seconds."""
     pace: Pace
     """Limits and frame rate."""
 
@@ -148,8 +148,8 @@ class Waypoints:
     """Motion through given waypoints.
 
     Raises:
-        InputError: fewer than two waypoints, no pace, or a waypoint that is not five finite numbers with a pitch in
-            [-pi/2, pi/2].
+        InputError: there are fewer than two waypoints, or no pace, or a waypoint is not five finite numbers with a
+            pitch in [-pi/2, pi/2].
     """
 
     points: Sequence[Sequence[float]]
@@ -169,7 +169,7 @@ class Waypoints:
             real(f"points[{i}] pitch", pitch, low=-np.pi / 2, high=np.pi / 2)
 
     def draw(self, scene: Scene, rng: np.random.Generator) -> Trajectory:
-        """See `TrajectorySource.draw`; nothing here is random."""
+        """See `TrajectorySource.draw`; the trajectory is not random."""
         trajectory = self.pace.through(np.array(self.points, dtype=np.float64))
         with said_of("points", "points"):
             check_inside(trajectory, scene.room)
@@ -178,8 +178,8 @@ class Waypoints:
 
 @dataclass(frozen=True)
 class FileTrajectory(TrajectoryFile):
-    """A recorded or planned trajectory, one pose for each frame, see `TrajectoryFile`."""
+    """Recorded or planned trajectory from a file, with one pose for each frame, see `TrajectoryFile`."""
 
     def draw(self, scene: Scene, rng: np.random.Generator) -> Trajectory:
-        """See `TrajectorySource.draw`; nothing here is random."""
+        """See `TrajectorySource.draw`; the trajectory is not random."""
         return self.check_inside(scene.room, check_inside)

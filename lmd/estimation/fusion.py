@@ -52,7 +52,7 @@ class Uncertainty:
 
 
 class Measurement(Protocol):
-    """Measurement of a frame: d numbers that a pose predicts."""
+    """Measurement of a frame: d numbers, which are predicted from a pose."""
 
     @property
     def value(self) -> FloatArray:
@@ -60,7 +60,7 @@ class Measurement(Protocol):
 
     @property
     def covariance(self) -> FloatArray:
-        """Covariance, `(d, d)`."""
+        """Covariance of the measured numbers, `(d, d)`."""
 
     def predicted(self, pose: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Predict the measurement at a pose X, `(d,)`, and its Jacobian by a body twist (w, v), `(d, 6)`."""
@@ -103,7 +103,9 @@ class CornerImages(NamedTuple):
         return cls(images, np.concatenate([image.pixels for image in images]).reshape(-1), np.diag(noise**2))
 
     def predicted(self, pose: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """See `Measurement.predicted`; points without an image count as fixed at the principal point."""
+        """See `Measurement.predicted`; a point without an image is predicted at the principal point, with a zero
+        Jacobian.
+        """
         pixels, slopes = [], []
         for image in self.images:
             y = to_camera(pose @ image.mounted, image.points)
@@ -128,7 +130,7 @@ class InvariantKalmanFilter(Uncertainty):
         """Estimates of run s, `(4, 4)` each, and their covariances as body twists, `(6, 6)`."""
         gtsam = optional("gtsam", "estimators")
         ekf = gtsam.InvariantEKFPose3(gtsam.Pose3(start), np.diag(self.initial**2))
-        density = np.diag(self.drift(recording) ** 2)  # the filter multiplies it by the step
+        density = np.diag(self.drift(recording) ** 2)  # the filter multiplies the density by the time step
         yield start, ekf.covariance()
         for t, step in enumerate(np.diff(recording.time), start=1):
             ekf.predict(recording.twists[s, t - 1], step, density)
@@ -142,9 +144,9 @@ class InvariantKalmanFilter(Uncertainty):
 class FixedLagSmoother(Uncertainty):
     """Fixed-lag smoother of GTSAM (iSAM2): a factor graph of the odometry and the measurements of recent frames.
 
-    Tags are measured by the images of their corners: the smoother starts with the first frame that determines the pose
-    uniquely, and integrates the odometry before it. Points are measured as by the filter. Later frames do not correct
-    the estimate of a frame.
+    Tags are measured by the images of their corners. The smoother starts with the first frame that determines the pose
+    uniquely; estimates for earlier frames integrate the odometry. Points are measured as in the Kalman filter. The
+    estimate of a frame is not corrected by later frames.
 
     Raises:
         InputError: a value is not positive.
@@ -159,12 +161,12 @@ class FixedLagSmoother(Uncertainty):
         return pose_errors(recording.poses, np.array(runs))
 
     def _run(self, recording: Recording, s: int, start: FloatArray) -> Iterator[FloatArray]:
-        """The estimates of run s, `(4, 4)` each."""
+        """Estimates of run s, `(4, 4)` each."""
         gtsam = optional("gtsam", "estimators")
         diagonal, drift = gtsam.noiseModel.Diagonal.Sigmas, self.drift(recording)
         kind: type[CameraPoints | CornerImages] = CameraPoints if recording.corners is None else CornerImages
         parameters = gtsam.ISAM2Params()
-        parameters.setFactorization("QR")  # Cholesky gives up where the first estimate is vague and the odometry good
+        parameters.setFactorization("QR")  # Cholesky fails if the first estimate is vague and the odometry precise
         smoother = gtsam.IncrementalFixedLagSmoother(self.lag, parameters)
         estimate, begun = gtsam.Pose3(start), False
         for t, time in enumerate(recording.time):
@@ -188,7 +190,7 @@ class FixedLagSmoother(Uncertainty):
 
 
 def _beginning(recording: Recording, s: int, t: int, expected: FloatArray) -> FloatArray | None:
-    """Pose at which a smoother starts with frame t of run s; None if the frame does not determine it."""
+    """Pose at which a smoother starts with frame t of run s; None if the frame does not determine the pose."""
     if recording.corners is None:
         return expected
     found = likely(body_solutions(images_of(recording, s, t)))
@@ -208,7 +210,7 @@ def _factor(gtsam: Any, key: int, measurement: Measurement) -> Any:
 
 
 def _block_diagonal(blocks: FloatArray) -> FloatArray:
-    """`(m, 3, 3)` blocks on the diagonal of a `(3 m, 3 m)` matrix."""
+    """Block diagonal matrix `(3 m, 3 m)` of blocks `(m, 3, 3)`."""
     m = len(blocks)
     matrix = np.zeros((m, 3, m, 3))
     matrix[np.arange(m), :, np.arange(m), :] = blocks

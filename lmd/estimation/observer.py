@@ -1,14 +1,14 @@
-"""The observer on SE(3): X-hat' = X-hat (U - epsilon - P(k_0 I_4 Q(Y-hat - Y))) from the landmarks in view.
+"""Observer on SE(3): X-hat' = X-hat (U - epsilon - P(k_0 I_4 Q(Y-hat - Y))) from the landmarks in view.
 
 Notation: y_i = X^-1 C_i measured, yh_i = Xh^-1 C_i predicted, e_i = yh_i - y_i, f = 1/2 sum k_i |e_i|^2, all sums over
 the landmarks visible at that instant. With the metric diag(l^2 I, I) on twists (w, v) the descent direction is
 
 - left-invariant, as printed:  -eps = (l^-2 sum k_i yh_i x e_i, sum k_i e_i),
-- right-invariant:             -eps = Ad_{Xh^-1} (l^-2 sum k_i C_i x s_i, sum k_i s_i) with s_i = C_i - Xh y_i,
+- right-invariant:             -eps = Ad_{Xh^-1} (l^-2 sum k_i C_i x s_i, sum k_i s_i) with s_i = C_i - Xh y_i.
 
-the latter with error dynamics that do not depend on the trajectory. The paper takes Q, k_0 and P from a work that is
-not public. Here Q(d) = -d e_4^T / m with d = Yh - Y and m landmarks in view, and P is the orthogonal projection to
-se(3): -P(k_0 I_4 Q) is then the translation k_0 mean(e_i), which damps for k_0 > 0.
+The error dynamics of the right-invariant form do not depend on the trajectory. The paper takes Q, k_0 and P from a work
+that is not public. Here Q(d) = -d e_4^T / m with d = Yh - Y and m landmarks in view, and P is the orthogonal projection
+to se(3): -P(k_0 I_4 Q) is then the translation k_0 mean(e_i), which damps for k_0 > 0.
 
 Source: Lei et al., "Optimization of Directional Landmark Deployment for Visual Observer on SE(3)", Sec. II-A.
 """
@@ -23,13 +23,13 @@ from lmd.estimation.recording import Recording
 from lmd.geometry.se3 import act, adjoint, cross, exp, inverse
 
 FORMS = ("right", "left")
-# Product of the time step and the sum of the gains at and beyond which the correction diverges.
+# The correction diverges if the time step times the sum of the gains reaches this value.
 STABILITY_LIMIT = 2.0
 
 
 @dataclass(frozen=True)
 class Observer:
-    """Observer that predicts with the measured twist and corrects with the landmarks in view.
+    """Observer: prediction with the measured twist, and correction with the landmarks in view.
 
     Raises:
         InputError: a value is out of range.
@@ -38,12 +38,13 @@ class Observer:
     form: str = "right"
     """`right`-invariant, or `left`-invariant as printed."""
     gain: float = 10.0
-    """kappa, 1/s. All k_i of a frame are kappa / sum(1 + |z_i|^2 / l^2), z = C (right) or y (left): kappa is the
-    fastest rate of convergence for any number of landmarks."""
+    """kappa, 1/s. All k_i of a frame are kappa / sum(1 + |z_i|^2 / l^2), where z is C (right) or y (left). So kappa is
+    the fastest rate of convergence for any number of landmarks.
+    """
     damping: float = 1.0
-    """k_0, 1/s."""
+    """Damping k_0, 1/s."""
     length: float = 2.0
-    """l of the metric, metres: the position error that weighs as much as a radian."""
+    """Length l of the metric, metres: the position error with the weight of one radian."""
 
     def __post_init__(self) -> None:
         choice("form", self.form, FORMS)
@@ -93,8 +94,8 @@ class Observer:
         """Xh at every frame, corrected with its landmarks, `(S, T, 4, 4)`.
 
         Each step is exact for a constant twist and a constant correction: Xh <- Xh exp(h U), then Xh <- Xh exp(h xi)
-        with the landmarks of the new frame. The origin is moved to the centroid of all K landmarks: the arms C_i of the
-        right-invariant form are then short, and it converges faster.
+        with the landmarks of the new frame. The origin is moved to the centroid of all K landmarks, so the arms C_i of
+        the right-invariant form are short, and this form converges faster.
 
         Args:
             recording: S runs.

@@ -18,9 +18,10 @@ def paired(figures: pd.DataFrame) -> pd.DataFrame:
 
     Returns:
         A row for each estimator and further deployment, with the columns `estimator`, `deployment`, `against`;
-        `position_ratio`, the median over the flights of the ratio of the position errors, `position_better`, the number
-        of flights with the smaller one, of `flights` with both; `within_20mm_gain`, the mean difference of the shares
-        of frames; and for both `..._p`, the two-sided p-value of the Wilcoxon signed-rank test. NaN without a flight.
+        `flights`, the number of flights with estimates for both deployments; `position_ratio`, the median over these
+        flights of the ratio of the position errors; `position_better`, the number of flights in which the further
+        deployment has the smaller error; `within_20mm_gain`, the mean difference of the shares of frames within 20 mm;
+        `position_p` and `within_20mm_p`, two-sided p-values of the Wilcoxon signed-rank test. NaN without a flight.
     """
     rows = []
     for estimator, runs in figures.groupby("estimator", sort=False):
@@ -46,14 +47,14 @@ def paired(figures: pd.DataFrame) -> pd.DataFrame:
 
 
 def _p_value(differences: FloatArray) -> float:
-    """The p-value of the Wilcoxon signed-rank test; 1 if nothing differs."""
+    """P-value of the Wilcoxon signed-rank test; 1 if no flight differs."""
     if not differences.size:
         return np.nan
     return float(wilcoxon(differences).pvalue) if differences.any() else 1.0
 
 
 def to_markdown(pairs: pd.DataFrame) -> str:
-    """`paired` as a Markdown table."""
+    """Format the result of `paired` as a Markdown table."""
     head = ["deployment", "against", "estimator", "position error", "smaller in", "p", "more frames within 20 mm", "p"]
     rows = [
         [

@@ -14,7 +14,7 @@ from lmd.geometry.projection import project
 from lmd.geometry.se3 import exp
 
 AMBIGUOUS = ("odometry", "refuse")
-# Difference of the squared errors of two distinguishable poses: a likelihood ratio of 100.
+# Least difference of the squared errors of two distinguishable poses, for a likelihood ratio of 100.
 TOLD_APART = 2.0 * np.log(100.0)
 # Lower bound on the noise, pixels.
 LEAST_NOISE = 0.01
@@ -22,17 +22,19 @@ LEAST_NOISE = 0.01
 
 @dataclass(frozen=True)
 class PerspectiveNPoint:
-    """Pose of each frame from its images alone (PnP), see `lmd.geometry.pose`; of a rig from those of all cameras.
+    """Pose of each frame from its images alone (PnP), see `lmd.geometry.pose`; for a rig, from the images of all
+    cameras.
 
-    It uses the corners of all tags in view, or the centres of at least four points.
+    The estimator uses the corners of all tags in view, or the centres of at least four points.
 
     Raises:
-        InputError: an unknown value.
+        InputError: `ambiguous` has an unknown value.
     """
 
     ambiguous: str = "odometry"
-    """Choice among several poses that fit almost equally well, as of a distant tag: `odometry` for the one nearest to
-    the prediction from the last unique pose, `refuse` for no estimate."""
+    """Choice among several poses that fit almost equally well, as for a distant tag: `odometry` takes the pose nearest
+    to the prediction from the last unique pose, `refuse` gives no estimate.
+    """
 
     def __post_init__(self) -> None:
         choice("ambiguous", self.ambiguous, AMBIGUOUS)
@@ -43,7 +45,7 @@ class PerspectiveNPoint:
         return pose_errors(recording.poses, np.stack([self._run(recording, s) for s in range(len(recording.poses))]))
 
     def _run(self, recording: Recording, s: int) -> FloatArray:
-        """The estimates of run s, `(T, 4, 4)`, NaN where there is none."""
+        """Estimates of run s, `(T, 4, 4)`; NaN for frames without an estimate."""
         estimates: FloatArray = np.full_like(recording.poses[s], np.nan)
         motions = exp(np.diff(recording.time)[:, None] * recording.twists[s])
         expected: FloatArray | None = None  # prediction from the last unique pose
@@ -59,7 +61,7 @@ class PerspectiveNPoint:
 
 
 def likely(found: list[Solution]) -> list[FloatArray]:
-    """Poses that are not distinguishable from the best one."""
+    """Poses that are not distinguishable from the best pose."""
     return [solution.pose for solution in found if solution.square - found[0].square < TOLD_APART]
 
 

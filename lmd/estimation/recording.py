@@ -1,6 +1,6 @@
 """Recordings of flights: odometry, and the landmarks detected in each frame, in the camera's frame.
 
-A rig with C cameras is recorded as one camera with C K landmarks, camera by camera, in the frame of the body.
+A rig with C cameras is recorded as one camera, in the frame of the body, with C K landmarks ordered by camera.
 """
 
 from collections.abc import Callable, Iterable, Sequence
@@ -39,24 +39,25 @@ class Odometry:
     def measured(self, twists: FloatArray, steps: FloatArray, rng: np.random.Generator) -> FloatArray:
         """Measure twists, `(T - 1, 6)`, rad/s and m/s.
 
-        The integral of white noise of density q over h seconds has the variance q^2 h, its mean q^2 / h.
+        For white noise of density q, the integral over h seconds has the variance q^2 h, and the mean over h seconds
+        q^2 / h.
 
         Args:
             twists: true twists, `(T - 1, 6)`.
-            steps: time of each, seconds, `(T - 1,)`.
+            steps: duration of each twist, seconds, `(T - 1,)`.
             rng: source of the errors.
         """
         density = np.repeat([self.turn_noise, self.motion_noise], 3)
         return np.asarray(twists + rng.standard_normal(twists.shape) * density / np.sqrt(steps)[:, None])
 
 
-# Ordered map of a function over jobs: the built-in `map`, or one with processes.
+# Map of a function over jobs that keeps their order: the built-in `map`, or a map with processes.
 Each = Callable[[Callable[[Any], Any], Sequence[Any]], Iterable[Any]]
 
 
 @dataclass(frozen=True)
 class Flight:
-    """Flight of a camera over a deployment, or of a rig, whose poses are those of its body."""
+    """Flight of a camera or a rig over a deployment; the poses of a rig are the poses of its body."""
 
     evaluator: Evaluator
     """Scene with the visibility model."""
@@ -67,7 +68,7 @@ class Flight:
     rng: np.random.Generator
     """Source of everything random."""
     all_visible: bool = False
-    """Every landmark is in view in all frames, as an observer without a camera model assumes."""
+    """True if every landmark is in view in all frames, as an observer without a camera model assumes."""
 
     @property
     def camera(self) -> Camera | Rig:
@@ -114,7 +115,7 @@ class Observation(NamedTuple):
     seen: BoolArray
     """Mask of the detected landmarks, `(T, K)`."""
     points: FloatArray
-    """Measured positions in the camera's frame, metres, `(T, K, 3)`; meaningful if seen."""
+    """Measured positions in the camera's frame, metres, `(T, K, 3)`; arbitrary for landmarks that are not seen."""
     noise: FloatArray
     """Standard deviation of the image coordinates that estimators assume, pixels, `(M,)`."""
     covariance: FloatArray
@@ -125,7 +126,8 @@ class Observation(NamedTuple):
 
 
 def merged(parts: Sequence[Observation], mounted: FloatArray) -> Observation:
-    """Merge the observations of all cameras of a body into one in its frame: T frames of C K landmarks.
+    """Merge the observations of all cameras of a body into one observation in the body's frame: T frames of C K
+    landmarks.
 
     Args:
         parts: observation of each camera in its own frame.
@@ -155,7 +157,7 @@ class Sensor(Protocol):
 
         Args:
             flights: S flights.
-            each: map for slow work.
+            each: map that runs slow work, see `Each`.
 
         Raises:
             InputError: the sensor needs images, but all landmarks are visible.
@@ -218,7 +220,7 @@ class Recording:
         return slice(self._first[s * frames + first], self._first[s * frames + (frames if last is None else last)])
 
     def share_visible(self, n: int) -> FloatArray:
-        """Share of time with at least n landmarks, `(S,)`; each frame counts until the next."""
+        """Share of time with at least n landmarks, `(S,)`; a frame counts for the time until the next frame."""
         enough, steps = self.visible_counts[:, :-1] >= n, np.diff(self.time)
         return np.asarray(enough @ steps / steps.sum())
 
@@ -231,8 +233,8 @@ def record(
     Args:
         detector: sensor of the landmarks.
         flights: S flights of one camera or rig.
-        odometry: errors of the twists; None for exact ones.
-        each: map for slow work.
+        odometry: errors of the twists; None for exact twists.
+        each: map that runs slow work, see `Each`.
 
     Raises:
         InputError: all landmarks are visible, but the detector needs images.

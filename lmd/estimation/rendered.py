@@ -37,7 +37,7 @@ class Moment(NamedTuple):
     """A frame of a flight with predictions and detections."""
 
     time: float
-    """Seconds."""
+    """Time of the frame, seconds."""
     pose: FloatArray
     """X, `(4, 4)`."""
     image: UInt8Array
@@ -54,8 +54,8 @@ class Moment(NamedTuple):
 class RenderedDetector:
     """Real detector on rendered frames, with missed and false detections; a `Sensor`.
 
-    The position of a tag follows from its corners. Every detection with the id of a tag is accepted, of two the larger
-    one; other ids are ignored.
+    The position of a tag follows from its corners. Every detection with the id of a tag is accepted, the largest if
+    there are several; other ids are ignored.
 
     Raises:
         InputError: the tag is a point, the noise is not positive, or the shutter time is negative.
@@ -82,11 +82,11 @@ class RenderedDetector:
         return corners_of(deployment, self.tag)
 
     def batch(self, look: Look) -> "Batch":
-        """Frames of a camera; they are reproducible from a flight with an equal `rng`."""
+        """Frames of a camera; a flight with an equal `rng` gives equal frames."""
         flight = look.flight
         room = tagged_room(flight.evaluator.scene.room, flight.deployment, self.tag)
         twists = adjoint(inverse(look.mounted), flight.trajectory.twists)
-        motions = self.shutter * np.concatenate([twists, twists[-1:]])  # the last step once more
+        motions = self.shutter * np.concatenate([twists, twists[-1:]])  # the last twist is repeated for the last frame
         moving = motions if self.shutter > 0.0 else [None] * len(motions)
         frames = zip(look.poses, moving, flight.rng.spawn(len(motions)), strict=True)
         return Batch(Renderer(look.camera, room, self.imaging), self.reader, [Frame(*frame) for frame in frames])
@@ -129,7 +129,7 @@ class RenderedDetector:
 
 
 class Batch(NamedTuple):
-    """Frames of one camera, a job for a process."""
+    """Frames of one camera: a job for a process."""
 
     renderer: Renderer
     """Renderer of the camera."""
@@ -140,7 +140,7 @@ class Batch(NamedTuple):
 
 
 def images(batch: Batch) -> Iterator[UInt8Array]:
-    """Render the frames of a batch, `(h, w)` each, once: their sources of noise advance."""
+    """Render the frames of a batch, `(h, w)` each. A second call gives other noise, as the frames' `rng` advance."""
     return (batch.renderer.frame(frame.pose, frame.rng, frame.motion) for frame in batch.frames)
 
 
@@ -154,7 +154,7 @@ def believed(found: Sequence[Detections], ids: IntArray) -> FloatArray:
     corners, place = np.full((len(found), len(ids), 4, 2), np.nan), {number: k for k, number in enumerate(ids.tolist())}
     for t, detections in enumerate(found):
         edges = detections.corners - np.roll(detections.corners, 1, axis=1)
-        for i in np.argsort((edges**2).sum(axis=(1, 2)), kind="stable"):  # the largest is assigned last
+        for i in np.argsort((edges**2).sum(axis=(1, 2)), kind="stable"):  # the largest is assigned last and wins
             if (k := place.get(int(detections.ids[i]))) is not None:
                 corners[t, k] = detections.corners[i]
     return corners

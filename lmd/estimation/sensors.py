@@ -25,15 +25,15 @@ from lmd.scene.tag import Tag
 class PointDetector:
     """Detector of landmarks that are points; a `lmd.estimation.recording.Sensor`.
 
-    Three numbers of each landmark and frame have independent normal errors: the image coordinates of its centre, and
-    the apparent length f a / z of its edge, which gives the depth z.
+    Three measured numbers of each landmark have independent normal errors: the two image coordinates of the centre, and
+    the apparent length f a / z of the edge, which gives the depth z.
 
     Raises:
         InputError: a value is out of range.
     """
 
     pixel_noise: float = 0.0
-    """Standard deviation sigma of all three, pixels; 0 for exact measurements."""
+    """Standard deviation sigma of the three numbers, pixels; 0 for exact measurements."""
     missed: float = 0.0
     """Probability that a visible landmark is not detected."""
     edge: float = 0.1
@@ -64,12 +64,12 @@ class PointDetector:
     def measured(self, points: FloatArray, camera: Camera, rng: np.random.Generator) -> FloatArray:
         """Measure landmarks at y = (x, y, z) in the camera's frame.
 
-        (x / z, y / z) has the pixel noise over the focal length, z = f a / w that of the edge w >= 1 pixel. Behind a
-        lens that distorts, the noise is added to the distorted image; behind a fisheye, the edge gives the distance
-        instead of z.
+        The noise of (x / z, y / z) is the pixel noise over the focal length; the noise of z = f a / w is that of the
+        apparent edge w >= 1 pixel. For a distorting lens, the noise is added to the distorted image; for a fisheye, the
+        edge gives the distance instead of z.
 
         Args:
-            points: y, metres, `(..., 3)`; meaningful for z > 0.
+            points: y, metres, `(..., 3)`; the result is arbitrary for z <= 0.
             camera: intrinsics and lens.
             rng: source of the noise.
 
@@ -82,7 +82,7 @@ class PointDetector:
         if camera.lens is not None:
             image = project(camera, np.eye(4), points) + noise[..., :2]
             seen = bearings(camera, image)
-            seen = np.where(np.isfinite(seen), seen, points)  # exact if the noisy image lies outside that of the lens
+            seen = np.where(np.isfinite(seen), seen, points)  # else the noisy point has no ray
             ray = seen / depth_in_focus(camera, seen)[..., None]
             depth = depth_in_focus(camera, points)[..., None]
         else:
@@ -93,7 +93,8 @@ class PointDetector:
         return np.asarray(focal[0] * self.edge / width * ray)
 
     def covariance(self, measured: FloatArray, camera: Camera) -> FloatArray:
-        """Covariance of y = z (a, b, 1) for one pixel of noise in the image (a, b) and in the edge (z).
+        """Covariance of y = z (a, b, 1) for one pixel of noise in the image (a, b) and in the apparent edge, which
+        gives z.
 
         Args:
             measured: y, metres, `(M, 3)`.
@@ -116,7 +117,9 @@ class PointDetector:
 
 
 def detected(seen: BoolArray, missed: float, rng: np.random.Generator) -> BoolArray:
-    """Draw the detected ones of the visible landmarks, shape of `seen`, each missed with probability `missed`."""
+    """Draw a mask of the detected landmarks, shape of `seen`; a visible landmark is missed with the probability
+    `missed`.
+    """
     return seen & (rng.random(seen.shape) >= missed)
 
 
@@ -133,7 +136,7 @@ class TagDetector:
     tag: Tag
     """Tag at every landmark, upright."""
     reader: str = "aruco"
-    """Detector with the errors, one of `CORNER_ERRORS`."""
+    """Detector whose errors are drawn, one of `CORNER_ERRORS`."""
     missed: float = 0.0
     """Probability that a visible tag is not detected."""
 
@@ -165,7 +168,7 @@ class TagDetector:
 
 
 def noisy_detector(tag: Tag, reader: str, pixel_noise: float, missed: float, edge: float) -> Sensor:
-    """Detector with the noise of a real one for tags, and with constant noise for points.
+    """Detector with the noise of a real detector for tags, and with constant noise for points.
 
     Args:
         tag: tag at every landmark.
@@ -199,9 +202,10 @@ def observation(
 
 
 def _places(camera: Camera, edges: FloatArray, found: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Rotation `(M, 3, 3)` from each tag's frame (right, up, normal) to the camera's, and its centre `(M, 3)`.
+    """Rotation `(M, 3, 3)` from each tag's frame (right, up, normal) to the camera's frame, and the tag's centre `(M,
+    3)`.
 
-    Of the two similar poses of a square (IPPE), the one with the smaller reprojection error.
+    Of the two similar poses of a square (IPPE), the pose with the smaller reprojection error is taken.
     """
     cv2 = optional("cv2", "detection")
     matrix, squares = intrinsics(camera), _squares(edges)
@@ -225,8 +229,8 @@ def _places(camera: Camera, edges: FloatArray, found: FloatArray) -> tuple[Float
 def _covariance(camera: Camera, edges: FloatArray, turns: FloatArray, centres: FloatArray) -> FloatArray:
     """Covariance of tags' centres in the camera's frame for one pixel of noise at their corners, m^2, `(M, 3, 3)`.
 
-    It is a block of the inverse information on the tag's pose: y = R q + t moves by -R [q]x w + v, w in the tag's
-    frame.
+    The covariance is a block of the inverse information on the tag's pose: a corner y = R q + t moves by -R [q]x w + v,
+    with w in the tag's frame.
     """
     squares = _squares(edges)
     y = centres[:, None] + squares @ np.swapaxes(turns, 1, 2)  # (M, 4, 3)

@@ -25,7 +25,7 @@ SHARES = (1, 2, 3, 4)
 ERROR_LIMITS = (0.01, 0.02, 0.05)
 # Largest Er of a settled estimate, relative to the initial Er.
 SETTLED_SHARE = 0.01
-# Quantiles over the seeds: band, median, band.
+# Quantiles over the seeds: lower end of the band, median, upper end of the band.
 QUANTILES = (0.1, 0.5, 0.9)
 # Maximum number of points of a curve over time.
 CURVE_WINDOWS = 300
@@ -40,9 +40,9 @@ class InitialError:
     """
 
     position: float
-    """Metres."""
+    """Position error, metres."""
     attitude: float
-    """Rad."""
+    """Attitude error, rad."""
 
     def __post_init__(self) -> None:
         check_fields(self, real, "position", low=0.0)
@@ -86,7 +86,7 @@ class Flights:
         return cls(seeds, trajectories, np.stack(start))
 
     def over(self, problem: Problem, all_visible: bool = False) -> list[Flight]:
-        """The flights over the start of `problem`; a random start is drawn for each seed."""
+        """Flights over the start of `problem`; a random start is drawn for each seed."""
         return [
             Flight(
                 problem.evaluator,
@@ -127,11 +127,11 @@ class FlightStudy:
     def figures(self) -> pd.DataFrame:
         """Table with one row for each deployment, estimator and seed.
 
-        Columns: `mean_visible`, `share_visible_<n>`; `mean_error` (Er over the whole flight); `settling_time` (s, from
-        when on Er stays below 1 % of its initial value, infinite if it does not or if there are frames without an
+        Columns: `mean_visible`, `share_visible_<n>`; `mean_error` (Er over the whole flight); `settling_time` (s, the
+        time after which Er stays below 1 % of its initial value; infinite if there is no such time or a frame has no
         estimate); `position_error` (m) and `attitude_error` (rad), medians over the second half of the flight;
-        `within_<n>mm`, the share of its frames with a smaller position error, those without an estimate counted as
-        larger; `available`, the share of frames with an estimate.
+        `within_<n>mm`, the share of frames in the second half with a smaller position error, where frames without an
+        estimate count as larger; `available`, the share of frames with an estimate.
         """
         rows = []
         for name, outcome in self.outcomes.items():
@@ -149,7 +149,7 @@ class FlightStudy:
     def _error_figures(self, errors: Errors) -> dict[str, FloatArray]:
         half = len(self.time) // 2
         large = errors.frobenius > SETTLED_SHARE * self.initial[:, None]
-        after = len(self.time) - large[:, ::-1].argmax(axis=1)  # the frame after the last large one
+        after = len(self.time) - large[:, ::-1].argmax(axis=1)  # the frame after the last frame with a large error
         settled = np.append(self.time - self.time[0], np.inf)[np.where(large.any(axis=1), after, 0)]
         settled = np.where(errors.available < 1.0, np.inf, settled)
         return {
@@ -193,16 +193,17 @@ def conduct(
     """Fly over each deployment and let each estimator localise the camera.
 
     Args:
-        problems: by the deployment's name; all share one scene.
+        problems: problems by the name of the deployment; all share one scene.
         flights: flights to localise, equal for all deployments.
-        detectors: noise and missed detections, by the deployment's name.
-        estimators: by name.
-        all_visible: fly over each deployment a second time, as `<name> all visible`, with every landmark in view.
-        odometry: measures the twists; None for exact ones.
-        each: does what takes long.
+        detectors: detectors, with noise and missed detections, by the name of the deployment.
+        estimators: estimators by name.
+        all_visible: True to fly over each deployment a second time, as `<name> all visible`, with every landmark in
+            view.
+        odometry: errors of the twists; None for exact twists.
+        each: map that runs slow work, see `lmd.estimation.recording.Each`.
 
     Raises:
-        InputError: an estimator is missing, or cannot work with what is recorded.
+        InputError: there is no estimator, or an estimator does not support the recording.
     """
     if not estimators:
         raise InputError("estimators must name at least one estimator.", "estimators")
@@ -229,11 +230,11 @@ def _errors(estimators: Mapping[str, Estimator], recording: Recording, start: Fl
 
 
 def to_markdown(figures: pd.DataFrame, n: int) -> str:
-    """`FlightStudy.figures` as a Markdown table: medians over the seeds.
+    """Format `FlightStudy.figures` as a Markdown table of medians over the seeds.
 
     Args:
         figures: one row for each deployment, estimator and seed.
-        n: n of the objective; the share of time with n landmarks in view is shown beside the share with 3, which fix a
+        n: n of the objective; the table has the share of time with n landmarks in view, and with 3, which determine a
             pose.
     """
     head = ["deployment", "estimator", *(f"time with >= {m} in view" for m in sorted({n, 3}))]
@@ -258,17 +259,19 @@ def to_markdown(figures: pd.DataFrame, n: int) -> str:
 
 
 def within() -> dict[str, float]:
-    """Columns of `FlightStudy.figures` with the share of frames within a position error, and these, metres."""
+    """Columns of `FlightStudy.figures` with shares of frames within a position error, and the position error of each,
+    metres.
+    """
     return {f"within_{1e3 * limit:g}mm": limit for limit in ERROR_LIMITS}
 
 
 def _each_run(reduce: Callable[[FloatArray], Any], values: FloatArray) -> FloatArray:
-    """`reduce` over the finite values of each row, NaN for a row without."""
+    """Apply `reduce` to the finite values of each row; NaN for a row without finite values."""
     rows = [row[np.isfinite(row)] for row in values]
     return np.array([reduce(row) if row.size else np.nan for row in rows])
 
 
 def _band(values: FloatArray) -> FloatArray:
-    """`QUANTILES` of the finite values, NaN without any."""
+    """`QUANTILES` of the finite values; NaN without finite values."""
     finite = values[np.isfinite(values)]
     return np.quantile(finite, QUANTILES) if finite.size else np.full(len(QUANTILES), np.nan)

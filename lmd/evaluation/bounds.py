@@ -100,7 +100,7 @@ def average_upper_bound(problem: Problem, count: int, search: Search) -> UpperBo
     """Bound the mean of P_n over the grid (positions count alike) for `count` landmarks."""
     size = len(problem.evaluator.positions)
     shares, n = np.full(size, 1.0 / size), _at_most_coverage(problem).n
-    return _bound(problem, Relaxation(problem.evaluator, shares, n, 1.0, problem.hung), count, search)
+    return _bound(problem, Relaxation(problem.evaluator, shares, n, 1.0, problem.fixed_with_edges), count, search)
 
 
 def fitness_upper_bound(problem: Problem, count: int, search: Search) -> UpperBound:
@@ -112,7 +112,7 @@ def fitness_upper_bound(problem: Problem, count: int, search: Search) -> UpperBo
     threshold = 1.0 if averaged else objective.thold_p - TOLERANCE
     if threshold <= 0.0:
         return UpperBound(1.0, 1.0, 1.0, Dual(1.0, np.zeros((len(relevance), evaluator.axes.shape[1]))), 0.0)
-    relaxation = Relaxation(evaluator, relevance / relevance.sum(), objective.n, threshold, problem.hung)
+    relaxation = Relaxation(evaluator, relevance / relevance.sum(), objective.n, threshold, problem.fixed_with_edges)
     return _bound(problem, relaxation, count, search)
 
 

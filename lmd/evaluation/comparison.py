@@ -156,8 +156,8 @@ def best_at(runs: Sequence[OptimiserRun], axis: str, at: FloatArray) -> FloatArr
 
 
 def curve_targets(runs: Sequence[OptimiserRun]) -> FloatArray:
-    """Targets for `attained` `(T,)`, evenly spaced above the worst start of a run, up to the best fitness reached."""
-    low = min(run.history[0].best_fitness for run in runs)
+    """Targets for `attained` `(T,)`, evenly spaced above the worst first success, up to the best fitness reached."""
+    low = min(next(r.best_fitness for r in run.history if np.isfinite(r.best_fitness)) for run in runs)
     high = max(run.history[-1].best_fitness for run in runs)
     return np.linspace(low, high, CURVE_TARGETS + 1)[1:]
 

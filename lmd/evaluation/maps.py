@@ -28,7 +28,7 @@ QUANTILES = (0.05, 0.5, 0.95)
 
 
 @dataclass(frozen=True)
-class Hung:
+class MountedTags:
     """Tags with their upper edges, which need not be upright."""
 
     deployment: Deployment
@@ -37,7 +37,7 @@ class Hung:
     """Unit vectors in the planes of the tags that point to their upper edges, `(K, 3)`, world frame."""
 
     @classmethod
-    def of(cls, deployment: Deployment) -> "Hung":
+    def of(cls, deployment: Deployment) -> "MountedTags":
         """Make from a deployment, with its upper edges."""
         return cls(deployment, deployment.ups)
 
@@ -48,7 +48,7 @@ class Hung:
 
 
 def map_errors(
-    problem: Problem, truth: Hung, maps: Mapping[str, Hung], poses: FloatArray, rng: np.random.Generator
+    problem: Problem, truth: MountedTags, maps: Mapping[str, MountedTags], poses: FloatArray, rng: np.random.Generator
 ) -> "pd.DataFrame":
     """Measure errors of the pose from single images, one row for each pose from which at least n tags are seen.
 

@@ -10,7 +10,7 @@ import pandas as pd
 from lmd.core.checks import InputError, said_of
 from lmd.detection.frames import draw_poses
 from lmd.evaluation.losses import TAGS_LISTED
-from lmd.evaluation.maps import Hung, error_quantiles, errors_text, map_errors, named_figures, percent_text
+from lmd.evaluation.maps import MountedTags, error_quantiles, errors_text, map_errors, named_figures, percent_text
 from lmd.evaluation.mounting import SAMPLE, off_grid_figures
 from lmd.evaluation.validation import Sample
 from lmd.formats.tag_maps import read_deployment
@@ -51,7 +51,7 @@ def read_measured(
     places = np.argsort(measured.ids)[np.searchsorted(np.sort(measured.ids), plan.ids)]
     with said_of(f"measured: {path}", "measured"):
         measured, scene = replace(measured[places], note=measured.note), problem.scene
-        hung = measured.hung(scene.room, as_they_are(problem.start), scene.footprints.papers(measured))
+        hung = measured.with_surfaces(scene.room, as_they_are(problem.start), scene.footprints.papers(measured))
     return replace(hung, labels=plan.labels, edges=np.where(np.isnan(hung.edges), plan.edges, hung.edges))
 
 
@@ -111,7 +111,7 @@ def as_measured(
     both = {"planned": plan, "measured": measured}
     on_grid = pd.DataFrame([problem.metrics(each) for each in both.values()])
     figures = pd.concat([on_grid, off_grid_figures(problem, list(both.values()), seed, sample)], axis=1)
-    maps, poses = {name: Hung.of(each) for name, each in both.items()}, draw_poses(problem.scene, views, seed)
+    maps, poses = {name: MountedTags.of(each) for name, each in both.items()}, draw_poses(problem.scene, views, seed)
     noise = np.random.default_rng([seed, MEASURED_STREAM])
     return Measured(
         problem.objective.n,

@@ -13,7 +13,15 @@ import numpy as np
 from lmd.core.checks import FloatArray, InputError, check_fields, integer, real
 from lmd.core.memory import check_memory
 from lmd.detection.frames import draw_poses
-from lmd.evaluation.maps import QUANTILES, Hung, error_quantiles, errors_text, map_errors, named_figures, percent_text
+from lmd.evaluation.maps import (
+    QUANTILES,
+    MountedTags,
+    error_quantiles,
+    errors_text,
+    map_errors,
+    named_figures,
+    percent_text,
+)
 from lmd.evaluation.validation import Sample, sampled_evaluators
 from lmd.geometry.squares import upright
 from lmd.problem import Problem
@@ -57,7 +65,7 @@ class MountingError:
         """True if all tags hang as planned."""
         return not (self.position or self.turn or self.tilt)
 
-    def hung(self, problem: Problem, plan: Deployment, rng: np.random.Generator) -> Hung:
+    def draw(self, problem: Problem, plan: Deployment, rng: np.random.Generator) -> MountedTags:
         """Draw the tags of a plan as they are mounted.
 
         Tags stay on their surface, and footprints do not overlap: a tag that would extend beyond an edge, or overlap an
@@ -77,17 +85,17 @@ class MountingError:
         shift = np.where(free, rng.normal(0.0, self.position, (len(plan), 2)), 0.0)
         turns = np.where(free, rng.normal(0.0, (self.tilt, self.tilt, self.turn), (len(plan), 3)), 0.0)
         along = np.stack(upright(plan.normals), axis=1)  # (K, 2, 3)
-        moved = self._apart(problem, replace(plan, positions=plan.positions + (shift[:, None] @ along)[:, 0]))
+        moved = self._separated(problem, replace(plan, positions=plan.positions + (shift[:, None] @ along)[:, 0]))
         axes = np.stack([*upright(moved.normals), moved.normals], axis=-1)
         _, ups, normals = np.moveaxis(axes @ Rotation.from_rotvec(turns).as_matrix(), -1, 0)
-        return Hung(replace(moved, normals=normals), ups)
+        return MountedTags(replace(moved, normals=normals), ups)
 
-    def _apart(self, problem: Problem, moved: Deployment) -> Deployment:
+    def _separated(self, problem: Problem, moved: Deployment) -> Deployment:
         """Push the landmarks on surfaces apart; those on none stay."""
         on = np.flatnonzero(moved.surfaces >= 0)
         if not len(on):
             return moved
-        apart = problem.scene.footprints.apart(moved[on], fixed=int((on < problem.fixed_count).sum()))
+        apart = problem.scene.footprints.separated(moved[on], fixed=int((on < problem.fixed_count).sum()))
         if apart is None:
             raise InputError(f"position = {self.position:g} m leaves no room for all papers.", "position")
         return moved.put(on, apart)
@@ -159,13 +167,13 @@ def mounted(problem: Problem, plan: Deployment, error: MountingError, seed: int,
 
     plan = replace(plan, surveyed=None)  # tags are mounted at their places on the surfaces
     streams = np.random.default_rng([seed, MOUNTING_STREAM]).spawn(error.draws)
-    hung = [error.hung(problem, plan, rng) for rng in streams]
+    hung = [error.draw(problem, plan, rng) for rng in streams]
     all_of_them = [plan, *(each.deployment for each in hung)]
     on_grid = pd.DataFrame([problem.metrics(deployment) for deployment in all_of_them])
     figures = pd.concat([on_grid, off_grid_figures(problem, all_of_them, seed, sample)], axis=1)
     poses = draw_poses(problem.scene, error.draws * VIEWS_PER_DRAW, seed).reshape(error.draws, VIEWS_PER_DRAW, 4, 4)
     drawn = zip(hung, poses, streams, strict=True)
-    as_planned = Hung.of(plan)
+    as_planned = MountedTags.of(plan)
     views = [
         map_errors(problem, each, {"planned": as_planned, "mounted": each}, some, rng) for each, some, rng in drawn
     ]

@@ -65,22 +65,22 @@ class Relaxation:
         return self.evaluator.probability
 
     @cached_property
-    def already(self) -> FloatArray | float:
+    def fixed_coverage(self) -> FloatArray | float:
         """b, `(P, D)`; 0 without fixed landmarks."""
         return 0.0 if self.fixed is None else covered_amounts(self.evaluator, self.fixed, np.ones(len(self.fixed)))
 
     def value(self, added: FloatArray) -> float:
         """F at c - b `(P, D)`."""
-        seen = averaged(np.minimum((added + self.already) / self.n, 1.0), self.weights)
+        seen = averaged(np.minimum((added + self.fixed_coverage) / self.n, 1.0), self.weights)
         return float(self.shares @ np.minimum(seen / self.threshold, 1.0))
 
     def smoothed(self, added: FloatArray, width: float) -> tuple[float, Dual]:
         """Smoothed F at c - b `(P, D)`, and its slopes as multipliers; the prices are its gradient in c."""
-        by_axis, slope = smoothed_min((added + self.already) / self.n, width)
+        by_axis, slope = smoothed_min((added + self.fixed_coverage) / self.n, width)
         by_position, z = smoothed_min(averaged(by_axis, self.weights) / self.threshold, width)
         prices = slope * self.weights * (z * self.shares / (self.n * self.threshold))[:, None]
         constant = self.shares @ (1.0 - z + z / self.threshold) - self.n * prices.sum()
-        constant += (self.already * prices).sum()
+        constant += (self.fixed_coverage * prices).sum()
         return float(self.shares @ by_position), Dual(float(constant), prices)
 
 

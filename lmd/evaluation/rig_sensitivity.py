@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from lmd.core.checks import BoolArray, FloatArray
-from lmd.objectives.localisation.rig import Images, covers, images_of, located
+from lmd.objectives.localisation.rig import RigImages, covers, images_of, located
 from lmd.scene.deployment import Deployment
 from lmd.sight.evaluator import Evaluator
 
@@ -34,7 +34,7 @@ class RigMoments:
     """Required precision, see `lmd.objectives.localisation.information`."""
 
     @cached_property
-    def moments(self) -> Images:
+    def moments(self) -> RigImages:
         """All N moments, with the landmarks in the image of each camera."""
         return images_of(self.evaluator, self.deployment)
 
@@ -44,7 +44,7 @@ class RigMoments:
         weight = self.moments.weight
         return np.asarray(weight / weight.sum())
 
-    def decided(self, moments: Images, seen: BoolArray) -> BoolArray:
+    def decided(self, moments: RigImages, seen: BoolArray) -> BoolArray:
         """Find the moments with landmarks `seen` that are localised, and those that cover n landmarks, `(2, M)`."""
         found = located(self.evaluator, self.deployment, moments._replace(seen=seen), self.n, self.precision)
         return np.stack([found, covers(seen, self.n)])

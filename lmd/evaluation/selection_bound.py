@@ -77,7 +77,7 @@ def selection_upper_bound(
     poses, stock = candidates(footprints, problem.free_edges, spacing), Tags(sizes, problem.scene.tag)
     own = poses.edges_of(problem.scene.tag)
     limit, selection, greedy = limit or TimeLimit(), objective.selection(evaluator, relevance), 0.0
-    add_each(selection, problem.hung)
+    add_each(selection, problem.fixed_with_edges)
 
     def largest(gains: FloatArray) -> float:
         """Sum of the K_s largest gains of each size s."""
@@ -87,9 +87,8 @@ def selection_upper_bound(
     began = clock()
     at_first = largest(selection.gains(poses))
     scans = limit.left / (clock() - began) - 1.0  # one scan is reserved for the gains at the end
-    chosen, spent = select(
-        objective.selection(evaluator, relevance), poses, stock, footprints, scans * len(poses), problem.hung
-    )
+    empty, fixed = objective.selection(evaluator, relevance), problem.fixed_with_edges
+    chosen, spent = select(empty, poses, stock, footprints, scans * len(poses), fixed)
     if spent + (GAINS_BATCH if spent else len(poses)) > scans * len(poses):
         limit.cut.append(f"the greedy choice after {len(chosen)} of {count - problem.fixed_count} landmarks")
     if not len(chosen):

@@ -81,7 +81,7 @@ def grown(problem: Problem, deployment: Deployment) -> Deployment:
     more = deployment + poses[chosen] if len(chosen) else deployment
     if len(more) == problem.count or tag.limit is not None:
         return more
-    return problem.apart(more + start[len(more) :]) or start
+    return problem.separated(more + start[len(more) :]) or start
 
 
 def shrunk(problem: Problem, deployment: Deployment) -> Deployment:

@@ -166,7 +166,7 @@ def held_out_metrics(problem: Problem, deployment: Deployment, recorded: "Record
         recorded: the poses.
     """
     metrics: dict[str, float] = {}
-    for name, records in (("recorded", recorded.seen), ("held_out", recorded.kept_back)):
+    for name, records in (("recorded", recorded.training), ("held_out", recorded.kept_back)):
         if not len(records):
             continue
         share, error = _share_and_error(exact_values(problem, deployment, records), records)

@@ -69,7 +69,7 @@ def draw_floor_plan(canvas: Any, tags: TagMap, left: float, top: float, scale: i
     for body in bodies:
         x, y = place(body.corners).mean(axis=0).tolist()
         write_on_white(canvas, x, y, shortened(body.name), size=NAME)
-    hung = {index: numbers_of(own) for index, own in tags.hung.items() if index >= 0}
+    hung = {index: numbers_of(own) for index, own in tags.tags_by_surface.items() if index >= 0}
     # Names with tags come first; others are left out where there is no room for them.
     for index in sorted(range(len(tags.room.surfaces())), key=lambda index: index not in hung):
         surface = tags.room.surfaces()[index]

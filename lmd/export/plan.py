@@ -26,7 +26,7 @@ SCALES = (1, 2, 5, 10, 15, 20, 25, 30, 40, 50, 75, 100, 150, 200, 250, 300, 400,
 EDGE_WIDTH = 12.0  # width of the column with the edge lengths of tags
 FORBIDDEN = 0.94  # grey level of regions where no tag may hang
 
-HUNG = Table((20.0, 38.0, 10.0, 12.0), (("order of hanging", "", "", ""), ("no.", "surface", "tags", "page")))
+ORDER = Table((20.0, 38.0, 10.0, 12.0), (("order of hanging", "", "", ""), ("no.", "surface", "tags", "page")))
 ON_SURFACE = Table(
     (5.0, 8.0, 10.0, 14.0, 15.0, 14.0, 15.0, 16.0, 16.0),
     (
@@ -54,19 +54,19 @@ class View:
         return list(self.place(self.surface.point(*np.moveaxis(self.surface.parts, -1, 0))))
 
     @property
-    def seen(self) -> str:
+    def direction(self) -> str:
         """Direction of view, in words."""
         up = self.surface.normal[2]
         return "seen from above" if up > FLAT else "seen from below" if up < -FLAT else "seen from the front"
 
     def place(self, points: FloatArray) -> FloatArray:
         """Coordinates in this view of world points `(..., 3)`, metres, `(..., 2)`."""
-        return self.surface.seen(np.stack(self.surface.coordinates(points), axis=-1))
+        return self.surface.from_left_and_below(np.stack(self.surface.coordinates(points), axis=-1))
 
     def corner(self, right: bool, top: bool) -> FloatArray:
         """A corner of the surface in the world, `(3,)`."""
         width, height = self.surface.extent
-        return self.surface.point(*self.surface.seen(np.array([width * right, height * top])))
+        return self.surface.point(*self.surface.from_left_and_below(np.array([width * right, height * top])))
 
 
 def write_plan(path: Path, tags: TagMap, paper: str, north: float | None = None) -> None:
@@ -77,13 +77,13 @@ def write_plan(path: Path, tags: TagMap, paper: str, north: float | None = None)
         north: where north is on the floor plan, rad from x towards y; None for no arrow.
     """
     size = PAPERS[paper][::-1]
-    first, pages = HUNG.pages(len(tags.hung), size[1]) + 1, {}
-    for index, own in tags.hung.items():
+    first, pages = ORDER.pages(len(tags.tags_by_surface), size[1]) + 1, {}
+    for index, own in tags.tags_by_surface.items():
         pages[index] = first
         first += (FREE if index < 0 else ON_SURFACE).pages(len(own), size[1])
     with document(path, f"{len(tags.ids)} tags in a {tags.room.describe()}") as canvas:
         _draw_overview(canvas, size, tags, pages, north)
-        for index, own in tags.hung.items():
+        for index, own in tags.tags_by_surface.items():
             if index < 0:
                 _draw_free(canvas, size, tags, own)
             else:
@@ -96,9 +96,9 @@ def _draw_overview(
     """The floor plan with the surfaces in the order of hanging; `pages` holds the page of each surface."""
     rows = [
         [numbers_of(own), shortened(tags.place_of(int(tags.order[own[0]]))), str(len(own)), str(pages[index])]
-        for index, own in tags.hung.items()
+        for index, own in tags.tags_by_surface.items()
     ]
-    room = size[0] - 3.0 * MARGIN - HUNG.width, size[1] - 2.0 * MARGIN - HEAD
+    room = size[0] - 3.0 * MARGIN - ORDER.width, size[1] - 2.0 * MARGIN - HEAD
     scale = scale_of(tags.room, *room, SCALES)
     title = f"{len(tags.ids)} tags of {tags.tag.family}, {tags.edges_in_words}"
     facts = f"seen from above, scale 1 : {scale}; {tags.room.describe()}; triangles are tags on walls"
@@ -106,7 +106,7 @@ def _draw_overview(
         facts += ", squares those on floors (black) and ceilings (white)"
     begin_titled(canvas, size, title, facts)
     draw_floor_plan(canvas, tags, MARGIN, size[1] - MARGIN - HEAD, scale, north)
-    draw_tables(canvas, size, HUNG, rows, title, facts)
+    draw_tables(canvas, size, ORDER, rows, title, facts)
 
 
 def _draw_surface(
@@ -120,7 +120,7 @@ def _draw_surface(
     room_x = size[0] - 3.0 * MARGIN - table.width - DIMENSION - TEXT
     room_y = size[1] - 2.0 * MARGIN - HEAD - DIMENSION - TEXT
     scale = next((one for one in SCALES if width <= one * room_x and height <= one * room_y), SCALES[-1])
-    title = f"{name}, {view.seen}"
+    title = f"{name}, {view.direction}"
     facts = f"{width:.0f} x {height:.0f} mm, tags: {len(own)}, scale 1 : {scale}; {tags.room.describe()}"
     facts += "" if view.surface.allowed is None else "; nothing hangs where it is grey"
     facts += "" if name == view.surface.name else f"; {view.surface.name} in files"

@@ -48,7 +48,7 @@ class FileDeployment(ExistingDeployment):
         if self.count is not None and self.count != len(deployment):
             raise InputError(f"count = {self.count}, but {self.path} has {len(deployment)} landmarks.", "count")
         with said_of(self.path):
-            hung = deployment.hung(room, self.free, tag.paper_share * deployment.edges_of(tag))
+            hung = deployment.with_surfaces(room, self.free, tag.paper_share * deployment.edges_of(tag))
         if not self.free and (fault := hung.fault(room, near=True)):
             raise InputError(f"free = false, but in {self.path} {fault}.", "free")
         return hung

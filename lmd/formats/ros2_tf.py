@@ -16,7 +16,7 @@ import numpy as np
 
 from lmd.core.checks import InputError, vector
 from lmd.formats.placed_tag import PlacedTag, number_of, turn_by_quaternion
-from lmd.formats.tag_map import TagMap, written
+from lmd.formats.tag_map import TagMap, rounded_values
 from lmd.scene.families import FAMILIES, family_named
 
 TAGS_OF_LAUNCH = re.compile(r"^TAGS = (\[\n(?:    \(.*\),\n)+\])$", re.MULTILINE)
@@ -76,7 +76,7 @@ def generate_launch_description():
 def write_ros2_tf(path: Path, tags: TagMap) -> None:
     """Write `tags.ros2_tf.launch.py`, which `ros2 launch` runs; its argument `frame` is the frame of the map."""
     family = FAMILIES[tags.tag.family].apriltag or tags.tag.family
-    poses = np.hstack([tags.positions, written(tags.turns.as_quat(canonical=True))]).tolist()
+    poses = np.hstack([tags.positions, rounded_values(tags.turns.as_quat(canonical=True))]).tolist()
     rows = "\n".join(
         f'    ("{family}:{number}", {", ".join(map(repr, pose))}),'
         for number, pose in zip(tags.ids, poses, strict=True)

@@ -77,7 +77,9 @@ class TagMap:
         at = np.full((len(self.ids), 2), np.nan)
         for index, surface in enumerate(self.room.surfaces()):
             own = self.surfaces == index
-            at[own] = surface.seen(np.stack(surface.coordinates(self.deployment.positions[own]), axis=-1))
+            at[own] = surface.from_left_and_below(
+                np.stack(surface.coordinates(self.deployment.positions[own]), axis=-1)
+            )
         return at
 
     @cached_property
@@ -103,7 +105,7 @@ class TagMap:
         return np.asarray(np.lexsort((self.deployment.ids, below, left, rank)))
 
     @cached_property
-    def hung(self) -> dict[int, IntArray]:
+    def tags_by_surface(self) -> dict[int, IntArray]:
         """Of each surface of `route` the places of its tags in `order`, counted from 0."""
         return {index: np.flatnonzero(self.surfaces[self.order] == index) for index in self.route}
 
@@ -141,7 +143,7 @@ class TagMap:
     @property
     def positions(self) -> FloatArray:
         """Their centres, `(K, 3)`."""
-        return written(self.deployment.places)
+        return rounded_values(self.deployment.places)
 
     @cached_property
     def turns(self) -> "Rotation":
@@ -160,20 +162,20 @@ class TagMap:
         turns = self.turns * Rotation.from_matrix(HALF_TURN) if half else self.turns
         with warnings.catch_warnings():  # where yaw and roll are about one axis, any split of their sum will do
             warnings.filterwarnings("ignore", message="Gimbal lock")
-            return written(turns.as_euler("xyz"))
+            return rounded_values(turns.as_euler("xyz"))
 
     @property
     def quaternions(self) -> FloatArray:
         """`turns` as w, x, y, z with w >= 0, `(K, 4)`."""
-        return written(self.turns.as_quat(canonical=True, scalar_first=True))
+        return rounded_values(self.turns.as_quat(canonical=True, scalar_first=True))
 
     @property
     def corners(self) -> FloatArray:
         """Of the black squares, top-left, top-right, bottom-right, bottom-left seen from the front, `(K, 4, 3)`."""
-        return written(corners(self.deployment.places, self.deployment.normals, self.deployment.ups, self.sizes))
+        return rounded_values(corners(self.deployment.places, self.deployment.normals, self.deployment.ups, self.sizes))
 
 
-def written(values: FloatArray) -> FloatArray:
+def rounded_values(values: FloatArray) -> FloatArray:
     """Values as files hold them: without what is less than any of them means, and without -0."""
     return np.asarray(np.round(values, DECIMALS) + 0.0)
 

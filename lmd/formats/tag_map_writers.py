@@ -13,7 +13,7 @@ from lmd.core.checks import FloatArray, InputError
 from lmd.formats.own_tag_maps import write_csv, write_document, write_json
 from lmd.formats.registry import NONE, ONE, Writer
 from lmd.formats.ros2_tf import write_ros2_tf
-from lmd.formats.tag_map import QUATERNION, TagMap, axes, write_yaml, written
+from lmd.formats.tag_map import QUATERNION, TagMap, axes, rounded_values, write_yaml
 from lmd.formats.tag_map_readers import INTO, METRES, OUT_RIGHT_UP
 from lmd.geometry.camera import MM_PER_M
 from lmd.scene.families import FAMILIES
@@ -99,7 +99,7 @@ def write_duckietown(path: Path, tags: TagMap) -> None:
 
     Source: duckietown/duckietown-world, `SE2Transform` and the maps of autolabs.
     """
-    degrees = written(np.degrees(tags.turns.as_euler("xyz")[:, 2])).tolist()
+    degrees = rounded_values(np.degrees(tags.turns.as_euler("xyz")[:, 2])).tolist()
     rows = zip(tags.ids, tags.positions.tolist(), degrees, tags.sizes.tolist(), strict=True)
     objects = {
         f"tag{number}": {
@@ -131,7 +131,7 @@ def write_frc971(path: Path, tags: TagMap) -> None:
     """
     from scipy.spatial.transform import Rotation
 
-    quaternions = written((tags.turns * Rotation.from_matrix(INTO)).as_quat(canonical=True))
+    quaternions = rounded_values((tags.turns * Rotation.from_matrix(INTO)).as_quat(canonical=True))
     poses = [
         {"id": number, "position": axes(position), "orientation": dict(zip("xyzw", turn.tolist(), strict=True))}
         for number, position, turn in zip(tags.ids, tags.positions, quaternions, strict=True)
@@ -148,8 +148,8 @@ def write_limelight(path: Path, tags: TagMap) -> None:
     """
     (low, _), (length, width) = tags.room.bounds(), _field(tags)
     poses = np.tile(np.eye(4), (len(tags.ids), 1, 1))
-    poses[:, :3, :3] = written(tags.turns.as_matrix() @ OUT_RIGHT_UP)
-    poses[:, :3, 3] = written(tags.positions - [low[0] + length / 2.0, low[1] + width / 2.0, low[2]])
+    poses[:, :3, :3] = rounded_values(tags.turns.as_matrix() @ OUT_RIGHT_UP)
+    poses[:, :3, 3] = rounded_values(tags.positions - [low[0] + length / 2.0, low[1] + width / 2.0, low[2]])
     rows = zip(tags.ids, (MM_PER_M * tags.sizes).tolist(), poses.reshape(-1, 16).tolist(), strict=True)
     family = f"apriltag3_{tags.tag.family}_classic"
     fiducials = [
@@ -178,7 +178,7 @@ def write_tagslam(path: Path, tags: TagMap) -> None:
 
     Source: berndpfrommer/tagslam, `example/tagslam.yaml` and `Tag::get_object_corners`.
     """
-    poses = zip(tags.ids, tags.sizes.tolist(), tags.positions, written(tags.turns.as_rotvec()), strict=True)
+    poses = zip(tags.ids, tags.sizes.tolist(), tags.positions, rounded_values(tags.turns.as_rotvec()), strict=True)
     body = {
         "is_static": True,
         "type": "simple",
@@ -199,7 +199,9 @@ def write_wpilib(path: Path, tags: TagMap) -> None:
     """
     from scipy.spatial.transform import Rotation
 
-    quaternions = written((tags.turns * Rotation.from_matrix(OUT_RIGHT_UP)).as_quat(canonical=True, scalar_first=True))
+    quaternions = rounded_values(
+        (tags.turns * Rotation.from_matrix(OUT_RIGHT_UP)).as_quat(canonical=True, scalar_first=True)
+    )
     length, width = _field(tags)
     layout = {
         "tags": [

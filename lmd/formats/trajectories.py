@@ -12,7 +12,7 @@ from lmd.formats.extrinsics import read_mount
 from lmd.formats.trajectory_formats import read_rows
 from lmd.formats.trajectory_rows import Rows, steep
 from lmd.geometry.frames import roll_pitch_yaw
-from lmd.geometry.se3 import act, laid_over, pose_of, poses_from_rows
+from lmd.geometry.se3 import act, pose_of, poses_from_rows, rigid_alignment
 from lmd.geometry.trajectory import Trajectory
 from lmd.scene.recorded_poses import RecordedPoses
 from lmd.scene.rig import OPTICAL
@@ -183,7 +183,7 @@ def _fitted(points: FloatArray) -> FloatArray:
         spread = np.linalg.svd(side - side.mean(axis=0), compute_uv=False)
         if spread[1] <= THIN * spread[0]:
             raise InputError(f"align: its points lie on a line in {name}, about which it could turn.", "align")
-    motion = laid_over(own, room)
+    motion = rigid_alignment(own, room)
     missed = np.linalg.norm(act(motion, own) - room, axis=1)
     worst, extent = int(np.argmax(missed)), float(np.linalg.norm(room - room.mean(axis=0), axis=1).max())
     if missed[worst] > MISS * extent:

@@ -103,7 +103,7 @@ class Camera:
 
     @property
     def extrinsics(self) -> FloatArray:
-        """Identity, `(1, 4, 4)`: pose of the camera in the moving frame, which is its own."""
+        """Identity, `(1, 4, 4)`: the moving frame of a single camera is the frame of the camera."""
         return np.eye(4)[None]
 
     @property

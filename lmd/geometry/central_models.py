@@ -8,14 +8,14 @@ The image of a point (u, v, w) at the distance r is (u, v) / d, in units of the 
   d = alpha sqrt(beta (u^2 + v^2) + w^2) + (1 - alpha) w;
 - the unified model of Mei and Rives (2007), `omni` or `MEI`: d = w + xi r, followed by Brown-Conrady distortion.
 
-Others are pinholes, which image (x, y) = (u, v) / w at a polynomial of x, y and s = x^2 + y^2:
+The other models are pinholes: the image is a polynomial of (x, y) = (u, v) / w and s = x^2 + y^2.
 
 - `power_series`, of Metashape and nerfstudio: g = 1 + k1 s + ... + k4 s^4, times x and y, plus the tangential terms
   of OpenCV times 1 + p3 s + p4 s^2; Metashape then adds b y' to x';
-- `modified_brown_conrady`, of RealSense: the tangential terms are those of the point (g x, g y);
-- `inverse_brown_conrady`, of RealSense: the polynomial of the image is the point;
-- `kinect`, of Azure Kinect: the distortion is that around a centre of its own, and its tangential terms have 1 in
-  place of OpenCV's factor 2 of x y.
+- `modified_brown_conrady`, of RealSense: the tangential terms are evaluated at (g x, g y) instead of (x, y);
+- `inverse_brown_conrady`, of RealSense: the polynomial maps the image to (x, y);
+- `kinect`, of Azure Kinect: the distortion has its own centre, and the factor of x y in the tangential terms is 1
+  instead of OpenCV's 2.
 
 `nearest_lens` fits a lens to a model by least squares of the image differences, pixels, over the whole image.
 """
@@ -29,14 +29,15 @@ from lmd.core.checks import FloatArray, InputError, real, vector
 from lmd.geometry.lens import EQUIDISTANT
 from lmd.geometry.lens_models import BrownConrady, Equidistant, image_of
 
-# Largest differences between lens and model, pixels: below the first no other lens is tried, above the second none is
-# accepted.
+# Largest differences between lens and model, pixels. A fit within `GOOD_PIXELS` ends the search for a lens; a fit
+# beyond `MOST_PIXELS` is refused.
 GOOD_PIXELS, MOST_PIXELS = 0.05, 1.0
 # Samples of a model: largest angle theta from the optical axis, rad, number of angles theta, number of azimuths.
 WIDEST, ANGLES, AROUND = 2.6, 160, 144
-# Largest angle from the optical axis in an image that the rational model is fitted to, rad.
+# Largest angle from the optical axis, rad, in images to which the rational model is fitted.
 WIDEST_PINHOLE = 1.45
-# Fixed points of the inverse polynomial: steps, and the largest last one, focal lengths, of one that converged.
+# Fixed-point iteration that inverts a polynomial: number of steps, and largest last step, focal lengths, at
+# convergence.
 INVERSION_STEPS, INVERTED = 60, 1e-9
 # Offset from the border of a pixel to its centre, pixels.
 CENTRE = 0.5
@@ -126,7 +127,7 @@ def modified_brown_conrady(k1: float, k2: float, p1: float, p2: float, k3: float
 
 
 def inverse_brown_conrady(k1: float, k2: float, p1: float, p2: float, k3: float) -> Model:
-    """Model of RealSense whose polynomial undistorts; NaN where its inversion by fixed points does not converge."""
+    """Model of RealSense whose polynomial undistorts; NaN where the fixed-point inversion does not converge."""
 
     def image(u: FloatArray, v: FloatArray, w: FloatArray) -> tuple[FloatArray, FloatArray]:
         x, y = a, b = _divided(u, v, w, True)
@@ -199,12 +200,12 @@ def nearest_lens(model: Model, focal: Any, centre: Any, size: Any, guess: Sequen
     """Fit a lens to a model.
 
     Args:
-        model: the image `(x, y)` of points, in focal lengths; NaN where there is none.
+        model: function of points that returns their images `(x, y)`, focal lengths; NaN for points without an image.
         focal: focal lengths (f_x, f_y), pixels.
         centre: principal point (c_x, c_y), pixels from the centre of the first pixel.
         size: width and height of the image, pixels.
-        guess: the first coefficients of a similar lens of `BrownConrady`, with which its fit begins, thin prism and
-            all, and before that of a fisheye; empty for a lens of any kind.
+        guess: first coefficients of a `BrownConrady` lens that is similar to the model. That lens, with thin prism, is
+            then fitted first, from these coefficients. Empty to begin with a fisheye.
 
     Raises:
         InputError: the model has no image near the axis, or all fitted lenses differ from the model by more than

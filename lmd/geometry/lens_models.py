@@ -74,8 +74,8 @@ def depth_of(lens: Any, u: Any, v: Any, w: Any) -> Any:
 
 
 @inlined
-def density_of(lens: Any, u: Any, v: Any, w: Any) -> Any:
-    """Image area per solid angle at a point, over the cube of its distance; 1 / w^3 for a pinhole."""
+def area_per_solid_angle(lens: Any, u: Any, v: Any, w: Any) -> Any:
+    """Image area per solid angle at a point, divided by the cube of the point's distance; 1 / w^3 for a pinhole."""
     xu, xv, xw, yu, yv, yw = slope_of(lens, u, v, w)
     # The cross product of the rows is parallel to the point.
     along = (xv * yw - xw * yv) * u + (xw * yu - xu * yw) * v + (xu * yv - xv * yu) * w

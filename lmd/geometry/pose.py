@@ -86,9 +86,9 @@ def _add(found: list[Solution], pose: FloatArray, square: float) -> None:
 def solutions(camera: Camera, points: FloatArray, image: FloatArray, noise: ArrayLike = 1.0) -> list[Solution]:
     """Poses of a camera from the image of points, least error first; empty with fewer than four points.
 
-    Candidates are the poses of SQPnP, for coplanar points also the two poses of IPPE, and for four other points also
-    up to four poses of P3P for each triple. They are refined by Levenberg-Marquardt, or, for a distorting lens, by
-    Gauss-Newton on the errors in the distorted image.
+    Candidates are the poses of SQPnP. Coplanar points add the two poses of IPPE; four points that are not coplanar add
+    up to four poses of P3P for each triple. Candidates are refined by Levenberg-Marquardt, or, for a distorting lens,
+    by Gauss-Newton on the errors in the distorted image.
 
     Args:
         camera: intrinsics and lens.

@@ -71,7 +71,7 @@ def nearest_rotations(matrices: FloatArray) -> FloatArray:
     return np.asarray(left @ right)
 
 
-def laid_over(points: FloatArray, others: FloatArray) -> FloatArray:
+def rigid_alignment(points: FloatArray, others: FloatArray) -> FloatArray:
     """Least-squares rigid motion that maps points `(N, 3)`, not collinear, to `others` `(N, 3)`, `(4, 4)`."""
     from scipy.spatial.transform import Rotation
 
@@ -166,8 +166,8 @@ def log(pose: FloatArray) -> FloatArray:
     return np.concatenate([angular, linear[..., 0]], axis=-1)
 
 
-def middle(poses: FloatArray) -> FloatArray:
-    """Robust mean of poses `(n, 4, 4)`: iterated median of their twists."""
+def median_pose(poses: FloatArray) -> FloatArray:
+    """Robust mean of poses `(n, 4, 4)`: iterated median of their twists from the current estimate."""
     result = poses[len(poses) // 2]
     for _ in range(MEDIAN_STEPS):
         result = result @ exp(np.median(log(inverse(result) @ poses), axis=0))
@@ -177,7 +177,7 @@ def middle(poses: FloatArray) -> FloatArray:
 def angle_between(a: FloatArray, b: FloatArray) -> FloatArray:
     """Angle of the rotation from pose `a` to pose `b`, `(...)`, rad in [0, pi].
 
-    From |R_a - R_b|_F = 2 sqrt(2) sin(t / 2), which is accurate for small angles.
+    The angle t follows from |R_a - R_b|_F = 2 sqrt(2) sin(t / 2), which is accurate for small angles.
     """
     chord = np.linalg.norm(a[..., :3, :3] - b[..., :3, :3], axis=(-2, -1))
     return np.asarray(2.0 * np.arcsin(np.clip(chord / np.sqrt(8.0), 0.0, 1.0)))

@@ -84,13 +84,13 @@ def _clear_views(scratch: Any) -> None:
 
 @inner
 def view_place(k: Integer, field: Any, scratch: Any) -> None:
-    """Fill `seen`, `REACHED` and the cells of the place tried, from the positions near it."""
+    """Fill `seen`, `REACHED` and the cells of the place tried, for the positions near the place."""
     positions, sight, seen = field.positions, sized(field.cameras.sight, k), scratch.seen
     x, y, z, low, high, sure = seen[X], seen[Y], seen[Z], seen[LOW], seen[HIGH], seen[SURE]
     cell, reached, first, last = scratch.cell[CELL], scratch.flags[REACHED], scratch.lists[FIRST], scratch.lists[LAST]
     ax, ay, az, nx, ny, nz = target_of(scratch)
     for s in range(scratch.numbers[SPAN_COUNT]):
-        for p in range(first[s], last[s]):  # without a branch, so that it vectorises
+        for p in range(first[s], last[s]):  # without a branch, so that the loop vectorises
             x[p], y[p], z[p] = ax - positions[0, p], ay - positions[1, p], az - positions[2, p]
             reached[p], low[p], high[p], sure[p] = from_position(sight, x[p], y[p], z[p], nx, ny, nz, 0.0)
             cell[p] = cell_of(x[p], y[p], z[p])
@@ -112,7 +112,7 @@ def _block(k: Integer, camera: Any, scratch: Any) -> None:
 
 @bound_views.register(State)
 def _bound_views(state: Any, k: Integer, field: Any, scratch: Any) -> Any:
-    # One pass over words; writing sets for all positions would take a tenth of a trial.
+    # All words are handled in one pass: writing sets for all positions first would take a tenth of a trial.
     sight, axes, weights = sized(field.cameras.sight, k), field.cameras.axes, field.weights
     certain, possible = field.cameras.tables[CERTAIN], field.cameras.tables[POSSIBLE]
     target, seen, flags, lists = scratch.target, scratch.seen, scratch.flags, scratch.lists

@@ -45,7 +45,7 @@ def _find_pairs(state: Any, k: Integer, role: Any, field: Any, scratch: Any) -> 
 
 @inner
 def _want_blocks(k: Integer, state: Any, scratch: Any) -> None:
-    """Reduce `WANTED` to the blocks from which landmark k hides another or is hidden; these are few."""
+    """Reduce `WANTED` to the few blocks from which landmark k hides another landmark or is hidden."""
     hiding, hidden, wanted = state.hides[HIDING], state.hides[HIDDEN], scratch.flags[WANTED]
     for b in scratch.lists[BLOCKS][: scratch.numbers[BLOCK_COUNT]]:
         some = np.int16(0)
@@ -82,7 +82,7 @@ def _note_neighbour(
 
 @inlined
 def _note_hiding(i: Integer, p: Integer, one: Any, two: Any, role: Any, scratch: Any) -> None:
-    """Record for position p that the place hides landmark i (`one`), and that landmark i hides the place (`two`)."""
+    """Record that, from position p, the place hides landmark i (if `one`) and landmark i hides the place (if `two`)."""
     changes, hides = scratch.changes, scratch.hides
     if role != OLD_PLACE:
         hides[HIDING, p] += one
@@ -104,7 +104,7 @@ def turns(reachable: Any, was: Any, now: Any) -> Any:
 
 @inner
 def _touch_flips(state: Any, scratch: Any) -> None:
-    """Touch the positions from which another landmark appears or disappears."""
+    """Mark the positions from which another landmark appears or disappears as `TOUCHED`."""
     hidden, reachable, changes = state.hides[HIDDEN], state.reachable, scratch.changes[HIDDEN]
     for e in range(scratch.numbers[PAIR_COUNT]):
         i, p = np.uint64(scratch.pairs[LANDMARK, e]), np.uint64(scratch.pairs[POSITION, e])
@@ -114,7 +114,7 @@ def _touch_flips(state: Any, scratch: Any) -> None:
 
 @inlined
 def list_turning(p: Integer, state: Any, scratch: Any) -> Any:
-    """List the other landmarks that appear or disappear at position p in `TURNING`; returns their number."""
+    """List the other landmarks that appear or disappear at position p in `TURNING`, and return their number."""
     hidden, changes, known, count = state.hides[HIDDEN], scratch.changes[HIDDEN], scratch.known, ZERO
     turning, disappears = scratch.lists[TURNING], scratch.lists[DISAPPEARS]
     for i in range(np.uint64(known.shape[1])):

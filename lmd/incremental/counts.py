@@ -40,14 +40,16 @@ def new_counts(counted_once: np.ndarray, count: int, n: int) -> Counts:
 
 @inlined
 def enough_with(p: Integer, w: Integer, was: Any, now: Any, counts: Any) -> Any:
-    """Axes that cover n landmarks or more after the axes that cover one landmark change from `was` to `now`."""
+    """Axes that cover n landmarks or more, after a move changes the axes that cover one of the landmarks from `was` to
+    `now`.
+    """
     short, just, enough = counts.sets[SHORT], counts.sets[JUST], counts.sets[ENOUGH]
     return (enough[p, w] & ~(was & ~now & just[p, w])) | (now & ~was & short[p, w])
 
 
 @inlined
 def update_counts(p: Integer, w: Integer, changed: Any, decrement: Any, n: Integer, counts: Any) -> None:
-    """Update the counts at the axes `changed`: subtract 1 at those in `decrement`, add 1 at the others."""
+    """Update the counts at the axes `changed`: subtract 1 at the axes in `decrement`, add 1 at the other axes."""
     digits, one, two = counts.digits, ALL, ALL
     short, just, enough = counts.sets[SHORT], counts.sets[JUST], counts.sets[ENOUGH]
     enough[p, w] = enough_with(p, w, changed & decrement, changed & ~decrement, counts)

@@ -75,7 +75,7 @@ class RigCameras(NamedTuple):
     """The cameras of a rig at Q positions of its body with all orientations."""
 
     groups: tuple[MountGroup, ...]
-    """Mounts by kind of camera; `MountGroup.obstacles` has the camera position of place g and position q as q G + g."""
+    """Mounts by kind of camera; row q G + g of `MountGroup.obstacles` is the camera at place g for position q."""
 
     @property
     def horizon(self) -> float:
@@ -158,7 +158,7 @@ class CoverageField(NamedTuple):
         """See `Stacking.stacked`.
 
         Without occlusion, a stack of n landmarks is covered if one landmark at its place is covered, so n becomes 1.
-        Axes that cover n fixed landmarks count as covering one stack.
+        Axes that cover n fixed landmarks count as axes that cover one stack.
         """
         counted_once = self.counted_once
         if fixed is not None:

@@ -1,13 +1,13 @@
 """Incremental fields: values of positions, updated while single landmarks move, and the fitness they give.
 
 `annealing` optimises any objective with a field. A field is a named tuple of constant arrays. Its state has the arrays
-that change with the landmarks, and a scratch has those of a move that is tried. A move consists of
+that change with the landmarks, and a scratch has the arrays of a move that is tried. A move consists of
 
     bound -> settle -> accept (-> undo),
 
-and may be dropped after each of the first two steps. A field that is no named tuple registers plain Python functions,
-and kernels then run as plain Python (`runner`). Values are quantised probabilities (`PROBABILITY_ONE` stands for 1).
-Sums of integers are exact, so updated values equal recomputed ones.
+and may be dropped after `bound` or after `settle`. A field that is no named tuple registers plain Python functions, and
+kernels then run as plain Python (`runner`). Values are quantised probabilities (`PROBABILITY_ONE` stands for 1). Sums
+of integers are exact, so updated values equal recomputed ones.
 """
 
 from collections.abc import Callable
@@ -32,7 +32,7 @@ class Field(Protocol):
 
     @property
     def size(self) -> int:
-        """Number Q of positions of the field, at least P; some are copies."""
+        """Number Q of positions of the field, at least P: some positions are copies."""
 
     @property
     def index_of(self) -> Any:
@@ -95,7 +95,9 @@ def places_of(deployment: Deployment) -> Places:
 
 
 class Target(Protocol):
-    """Interface of the fitness of values, a named tuple; its class registers `smoothed` and `contribution`."""
+    """Interface of the function from values to fitness: a named tuple whose class registers `smoothed` and
+    `contribution`.
+    """
 
     @property
     def relevance(self) -> FloatArray:
@@ -136,7 +138,7 @@ def smoothed(target: Any, p: Integer, units: Any, margin: Any, width: float, sha
 
 @dispatched
 def contribution(target: Any, p: Integer, units: Integer) -> Any:
-    """Contribution of the value `units` at position p to the fitness, the sum over the positions."""
+    """Contribution of the value `units` at position p to the fitness; the fitness is the sum of all contributions."""
 
 
 @overridable
@@ -166,7 +168,7 @@ def move(field: Any, k: Integer, pose: Any, surface: Integer, state: Any, scratc
 def move_to(places: Any, field: Any, state: Any, scratches: Any, pose: Any) -> None:
     """Move the landmarks of `state` to `places`, using the first of the `scratches`.
 
-    Landmarks that are there already do not move. `pose` `(6,)` is working memory.
+    Landmarks that are already at their place do not move. `pose` `(6,)` is working memory.
     """
     scratch, known = layer(scratches, 0), placed(state)
     for k in range(len(places.surfaces)):
@@ -182,16 +184,15 @@ def move_to(places: Any, field: Any, state: Any, scratches: Any, pose: Any) -> N
 def perform(steps: Any, poses: FloatArray, field: Any, state: Any, scratches: Any, units: Any) -> None:
     """Execute steps of moves one after the other.
 
-    Python calls a field only through this kernel, since every kernel is compiled for each class of field, which takes
-    long.
+    Python calls a field only through this kernel: every kernel is compiled for each class of field, which takes long.
 
     Args:
         steps: `(S, 4)` int64: one of `BOUND`, `SETTLE`, `ACCEPT`, `UNDO`; landmark; surface; index of the scratch.
         poses: `(S, 6)` position (metres) and unit normal, for `BOUND`.
         field, state: field and state of the landmarks.
         scratches: result of `layers` for a scratch.
-        units: receives the values after each step, `(S, Q)` int64: those of the scratch after `BOUND` and `SETTLE`,
-            else those of the state; `(0, 0)` to skip them.
+        units: receives the values after each step, `(S, Q)` int64: the scratch's values after `BOUND` and `SETTLE`,
+            else the state's values; `(0, 0)` to skip the values.
     """
     for s in range(len(steps)):
         which, k, surface, scratch = steps[s, 0], steps[s, 1], steps[s, 2], layer(scratches, steps[s, 3])

@@ -1,8 +1,8 @@
 """Moves of single landmarks that are carried out: counts and P_n are updated instead of recomputed.
 
-A state has the data of the old place, a scratch those of the place tried. `carry_out` finds all axes that cover the
-place tried, then exchanges the data of state and scratch, P_n included. A second exchange undoes the move. After any
-sequence of moves, the counts equal those of a full evaluation bit for bit.
+A state has the data of the old place, and a scratch has the data of the place tried. `carry_out` finds all axes that
+cover the place tried, then exchanges the data of state and scratch, P_n included. A second exchange undoes the move.
+After any sequence of moves, the counts equal those of a full evaluation bit for bit.
 """
 
 from typing import Any
@@ -96,7 +96,7 @@ def fill(field: Any, state: Any, scratch: Any) -> None:
 
 @borrowing
 def remove_sets(missed: Any, field: Any, state: Any) -> None:
-    """Remove the sets of axes `missed` `(K, Q, W)` from those that cover the landmarks; occlusion stays unchanged."""
+    """Remove the axes `missed`, sets `(K, Q, W)`, from the axes that cover the landmarks; occlusion stays unchanged."""
     covered = state.covered
     for k in range(np.uint64(covered.shape[0])):
         for p in range(np.uint64(covered.shape[1])):

@@ -1,7 +1,7 @@
 """Blocks of positions within the horizon of the old place of a landmark or of the place tried.
 
-A trial works in these blocks alone: from other positions, neither place is visible or affects another landmark. The
-next trial clears the entries that the last one wrote, so no loop runs over the whole room.
+A trial works in these blocks alone: from other positions neither place is visible, and neither affects another
+landmark. Each trial clears the entries that the previous trial wrote, so no loop runs over the whole room.
 """
 
 from typing import Any
@@ -46,7 +46,7 @@ def list_blocks(k: Integer, field: Any, state: Any, scratch: Any) -> None:
     mx, my, mz = poses[0, k], poses[1, k], poses[2, k]
     aimed, wanted = scratch.flags[AIMED], scratch.flags[WANTED]
     blocks, first, last = scratch.lists[BLOCKS], scratch.lists[FIRST], scratch.lists[LAST]
-    for b in range(size):  # without a branch, so that it vectorises
+    for b in range(size):  # without a branch, so that the loop vectorises
         aimed[b] = is_near(field, b, ax, ay, az)
         wanted[b] = aimed[b] | is_near(field, b, mx, my, mz)
     count = number = 0

@@ -12,8 +12,8 @@ Only blocks of positions within the horizon of both landmarks are searched, in t
 
    and the other components by cyclic permutation. The test is in float32; `SINGLE_ERROR` covers its rounding: the error
    of each sum is below 5 * 6e-8 times the larger of the sum and (|m| + |h|) |e|.
-2. `note_neighbour` tests the remaining landmarks from each position: for a camera by the inequalities of the reference,
-   for a rig by a bound for all cameras around a centre, then by these inequalities for each orientation.
+2. `note_neighbour` tests the remaining landmarks from each position: for a camera by the inequalities of the reference;
+for a rig by a bound for all cameras around a centre, and then by the inequalities for each orientation.
 
 A camera is treated as a mount group with one centre, the position itself, and the radius 0.
 """
@@ -44,8 +44,8 @@ from lmd.incremental.state import (
 from lmd.scene.criteria import TOLERANCE
 from lmd.sight.blocks import SINGLE_ERROR
 
-# Roles of a place that is searched: old place, place tried, or place of a landmark that is counted the first time.
-# NumPy integers, as numba gives each Python constant a type of its own.
+# Roles of a place in a search: old place, place tried, or place of a landmark that is counted for the first time. The
+# roles are NumPy integers, as numba gives each Python constant a type of its own.
 OLD_PLACE, NEW_PLACE, FIRST_PLACE = np.int64(0), np.int64(1), np.int64(2)
 
 
@@ -59,7 +59,7 @@ def line_radius(sight: Any) -> Any:
 def find_offsets(
     ax: float, ay: float, az: float, poses: FloatArray, horizon: float, others: np.ndarray, offsets: FloatArray
 ) -> Any:
-    """List the landmarks within the horizon of (ax, ay, az) in `others`, and the vectors to them in `offsets`.
+    """List the landmarks within the horizon of (ax, ay, az) in `others`, and the vectors to the landmarks in `offsets`.
 
     See `Scratch.offsets`.
 
@@ -95,7 +95,7 @@ def near_line(
         mx, my, mz: offset of the place from the centre of the box, metres.
         hx, hy, hz: half sides of the box, metres.
         radius: result of `line_radius`, metres.
-        ways: result of `find_offsets`.
+        offsets: array filled by `find_offsets`.
     """
     far = math.sqrt(mx * mx + my * my + mz * mz) + math.sqrt(hx * hx + hy * hy + hz * hz)
     shift, slope = np.float32(radius * far), np.float32(radius + SINGLE_ERROR * far)
@@ -117,7 +117,7 @@ def note_neighbour(
     state: Any, cameras: Any, c: Integer, b: Integer, i: Integer, k: Integer, role: Any, place: Any, box: Any,
     mine: Any, other: Any, field: Any, scratch: Any,
 ) -> None:  # fmt: skip
-    """Record the positions of block b from which landmark i and landmark k at a `place` hide one another.
+    """Record the positions of block b from which landmark k at a `place` hides landmark i or is hidden by landmark i.
 
     Args:
         cameras: a `OneCamera`, or a `MountGroup` of a rig.
@@ -132,9 +132,9 @@ def note_neighbour(
 
 @inner
 def search(cameras: Any, k: Integer, role: Any, mine: Any, other: Any, field: Any, state: Any, scratch: Any) -> None:
-    """Call `note_neighbour` for all landmarks that may hide landmark k, or be hidden by it, at a place.
+    """Call `note_neighbour` for all landmarks that may hide landmark k at a place, or may be hidden by k.
 
-    Arguments as in `note_neighbour`; the place is the old one or the place tried, by `role`.
+    Arguments as in `note_neighbour`; `role` selects the old place or the place tried.
     """
     boxes, poses, offsets, width = field.boxes, state.poses, scratch.offsets, line_radius(cameras.sight)
     blocks, others = scratch.lists[BLOCKS], scratch.lists[OTHERS]

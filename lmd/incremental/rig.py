@@ -1,6 +1,7 @@
 """Moves of landmarks seen by a rig, whose cameras have another position for every orientation of the body.
 
-Counts are by orientation of the body: `RigState.shown` is the union over the cameras that see a landmark.
+Landmarks are counted for each orientation of the body: `RigState.shown` is the union over the cameras that see a
+landmark.
 """
 
 from typing import Any
@@ -188,7 +189,8 @@ def _see(state: Any, k: Integer, positions: np.ndarray, field: Any, scratch: Any
 def list_near(scratch: Any, all_of_them: bool) -> Any:
     """List positions near the old place and the place tried in `LISTED`; returns their number.
 
-    All of them, or those that are touched or have orientations in `ASKED`.
+    With `all_of_them` all these positions are listed, else the positions that are touched or have orientations in
+    `ASKED`.
     """
     listed, first, last, count = scratch.lists[LISTED], scratch.lists[FIRST], scratch.lists[LAST], ZERO
     asked, touched = scratch.sets[ASKED], scratch.flags[TOUCHED]

@@ -117,7 +117,9 @@ def _note_neighbour(
 
 @inner
 def find_occluded(k: Integer, group: Any, field: Any, state: Any, scratch: Any) -> None:
-    """Write the orientations among `COVERED` and `ASKED` for role others hide the place tried into `OCCLUDED`."""
+    """Write the orientations of `COVERED` and `ASKED` with which other landmarks hide the place tried into
+    `OCCLUDED`.
+    """
     other, size, body = scratch.groups[group.number], np.uint64(len(scratch.units)), field.positions
     place, asked, tried_covered, tried_occluded = (
         target_of(scratch),

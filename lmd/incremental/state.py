@@ -53,10 +53,10 @@ LANDMARK, POSITION = (
     1,
 )  # a landmark, and a position; in `GroupScratch.pairs`, centre c and position q as c Q + q
 
-# Rows of `seen`: the place tried as seen from a position; bounds as in `criteria.from_position` and `from_around`.
+# Rows of `seen`: the place tried as seen from a position, with the bounds of `criteria.from_position` or `from_around`.
 X, Y, Z = 0, 1, 2  # offset of the place from the position, or from the centre, metres
-LOW, HIGH = 3, 4  # least and greatest depth at which it may be covered, metres
-SURE = 5  # depth, metres: an axis with the place well in view, at a depth from `LOW` to this, covers it
+LOW, HIGH = 3, 4  # least and greatest depth at which the place may be covered, metres
+SURE = 5  # depth, metres: an axis with the place well in view, at a depth from `LOW` to `SURE`, covers the place
 
 
 class State(NamedTuple):
@@ -67,7 +67,7 @@ class State(NamedTuple):
     surfaces: np.ndarray
     """`(K,)` indices of the surfaces that carry the landmarks."""
     counts: Counts
-    """Number of landmarks covered."""
+    """Number of landmarks that each axis covers."""
     units: np.ndarray
     """`(Q,)` quantised P_n."""
     covered: np.ndarray
@@ -79,16 +79,16 @@ class State(NamedTuple):
 
 
 class RigState(NamedTuple):
-    """Coverage of K landmarks by a rig; orientations are those of its body."""
+    """Coverage of K landmarks by a rig, for orientations of its body."""
 
     poses: np.ndarray
-    """As in `State`."""
+    """See `State`."""
     surfaces: np.ndarray
-    """As in `State`."""
+    """See `State`."""
     counts: Counts
-    """As in `State`."""
+    """See `State`."""
     units: np.ndarray
-    """As in `State`."""
+    """See `State`."""
     groups: tuple[np.ndarray, ...]
     """`(2, K, Q, M, W)` sets `COVERED`, `OCCLUDED` for each group of M mounts."""
     shown: np.ndarray
@@ -109,13 +109,13 @@ class Scratch(NamedTuple):
     units: np.ndarray
     """`(Q,)` quantised P_n with the landmark at the place tried, or upper bounds on it."""
     flags: np.ndarray
-    """`(4, Q)` bool: `AIMED` to `REACHED`."""
+    """`(4, Q)` bool, by block or position: `AIMED` to `REACHED`."""
     lists: np.ndarray
     """`(11, max(Q W, K) + 1)` uint64: `LISTED` to `DISAPPEARS`."""
     offsets: np.ndarray
     """`(4, L)` float32, L > K a multiple of `LANES`: vectors to the `OTHERS` and their lengths, metres."""
     sets: np.ndarray
-    """`(2, Q, W)`: `FRESH`, `ASKED`."""
+    """`(2, Q, W)` sets of orientations `FRESH` and `ASKED`."""
     digits: np.ndarray
     """`(Q, W, J)` binary digits of the counts without the landmark, at `TOUCHED` positions."""
     pairs: np.ndarray
@@ -125,9 +125,9 @@ class Scratch(NamedTuple):
     changes: np.ndarray
     """`(2, K, Q)` int8 changes of `State.hides`, for the `pairs`."""
     hides: np.ndarray
-    """`(2, Q)` int16: `HIDDEN`, `HIDING` of the place tried."""
+    """`(2, Q)` int16 numbers `HIDDEN` and `HIDING` for the place tried."""
     seen: np.ndarray
-    """`(6, Q)`: `X` to `SURE`."""
+    """`(6, Q)` place tried as seen from each position: `X` to `SURE`."""
     cell: np.ndarray
     """`(2, Q)` int32: cell of the tables of directions, and the row of `POSSIBLE` (`EMPTY_ROW` if out of reach)."""
 
@@ -154,36 +154,36 @@ class GroupScratch(NamedTuple):
 class RigScratch(NamedTuple):
     """The move tried last, and working memory, for a rig.
 
-    After the move is carried out, `target`, `SURFACE`, `units`, `FRESH`, and `sets` of the groups are those of the old
+    After the move is carried out, `target`, `SURFACE`, `units`, `FRESH`, and `sets` of the groups describe the old
     place.
     """
 
     target: np.ndarray
-    """As in `Scratch`."""
+    """See `Scratch`."""
     numbers: np.ndarray
-    """As in `Scratch`."""
+    """See `Scratch`."""
     units: np.ndarray
-    """As in `Scratch`."""
+    """See `Scratch`."""
     flags: np.ndarray
-    """As in `Scratch`."""
+    """See `Scratch`."""
     lists: np.ndarray
-    """As in `Scratch`."""
+    """See `Scratch`."""
     offsets: np.ndarray
-    """As in `Scratch`."""
+    """See `Scratch`."""
     sets: np.ndarray
-    """As in `Scratch`."""
+    """See `Scratch`."""
     digits: np.ndarray
-    """As in `Scratch`."""
+    """See `Scratch`."""
     pairs: np.ndarray
-    """As in `Scratch`."""
+    """See `Scratch`."""
     known: np.ndarray
-    """As in `Scratch`."""
+    """See `Scratch`."""
     groups: tuple[GroupScratch, ...]
     """The move for each mount group."""
 
 
 def _shared_fields(state: State | RigState) -> dict[str, Any]:
-    """Fields that the scratch of a camera and of a rig share."""
+    """Fields that are common to the scratch of a camera and the scratch of a rig."""
     count, (size, words) = len(state.surfaces), state.counts.sets.shape[1:]
     return {
         "target": np.empty(6),

@@ -1,22 +1,23 @@
 """Trial of a move of one landmark: P_n with the landmark at another place, first an upper bound, then exact.
 
-A move changes the counts at a position in at most four ways: the landmark is no longer covered at its old place;
-landmarks that it hid appear; landmarks that it hides at the new place disappear; it is covered at the new place. The
-decisions repeat the operations of `lmd.sight.kernels`.
+A move of a landmark changes the counts at a position in at most four ways: the landmark is no longer covered at its old
+place; landmarks that were hidden by it appear; landmarks that it hides from the new place disappear; it is covered at
+the new place. The decisions repeat the operations of `lmd.sight.kernels`.
 
 Sets of axes are bit sets. A state has the axes that cover each landmark and, at each position, the axes that cover
 n - 1 and n landmarks. Only for these axes does P_n depend on the landmark, so a trial tests few axes.
 
-1. `bound_move` ignores the occlusion by and of the landmark at the new place. Occlusion only removes axes, and P_n does
+1. `bound_move` ignores that the landmark at the new place hides others or is hidden. Occlusion only removes axes, and
+P_n does
    not decrease when axes are added, so the result is an upper bound. At *touched* positions, where another landmark
    appears, the other landmarks are counted first (`_count_others`).
 2. `finish_move` searches for occlusion around the new place, which touches more positions, and computes P_n at all
    touched positions.
 
-Camera and rig share this source, compiled for each. The functions declared first differ: `lmd.incremental.camera` and
-`lmd.incremental.rig` register them for their states. For a camera, occlusion and bounds depend on the position alone,
-for a rig also on the orientation. A single loop is slower: a camera as a rig with one mount takes 1.3 to 1.8 times as
-long for a trial, and 1.9 to 2.7 times for a move that is carried out.
+Camera and rig share this source, compiled for each. Only the functions declared first in this file differ:
+`lmd.incremental.camera` and `lmd.incremental.rig` register versions for their states. Occlusion and bounds depend on
+the position alone for a camera, and also on the orientation for a rig. Treating a camera as a rig with one mount would
+be slower: 1.3 to 1.8 times for a trial, and 1.9 to 2.7 times for a move that is carried out.
 """
 
 from typing import Any
@@ -66,7 +67,7 @@ def bound_views(state: Any, k: Integer, field: Any, scratch: Any) -> Any:
     """Bound P_n at positions that are not touched.
 
     Returns:
-        number of positions in `LISTED` for role `see` and `_find_units` are still needed, touched positions included.
+        number of positions in `LISTED`, touched positions included, for which `see` and `_find_units` are still needed.
     """
 
 
@@ -100,7 +101,8 @@ def exchange_sets(state: Any, k: Integer, p: Integer, w: Integer, scratch: Any) 
 
 @dispatched_call
 def exchange_views(state: Any, k: Integer, scratch: Any) -> None:
-    """Exchange the other data of landmark k between state and scratch, and apply the changes of the pairs.
+    """Exchange the data of landmark k other than its sets between state and scratch, and apply the changes of the
+    pairs.
 
     A second call undoes the first.
     """
@@ -127,7 +129,8 @@ def begin_place(k: Integer, field: Any, state: Any, scratch: Any) -> None:
 
 @inner
 def begin_move(k: Integer, pose: Any, surface: Integer, field: Any, state: Any, scratch: Any) -> None:
-    """Begin a trial with landmark k at `pose` `(6,)`: find the pairs of the old place, and copy all values.
+    """Begin a trial with landmark k at `pose` `(6,)`: find the pairs of the old place, and copy all values of the
+    state.
 
     `pose` is position (metres) and unit normal.
     """
@@ -142,7 +145,9 @@ def begin_move(k: Integer, pose: Any, surface: Integer, field: Any, state: Any, 
 
 @inner
 def _count_others(k: Integer, state: Any, scratch: Any) -> None:
-    """Count the landmarks other than k at touched positions in `digits`, with the pairs as after the move."""
+    """Count the landmarks other than k at touched positions in `digits`, with the occlusion of the pairs after the
+    move.
+    """
     counts, digits, landmark, position = (
         state.counts.digits,
         scratch.digits,
@@ -165,7 +170,9 @@ def _count_others(k: Integer, state: Any, scratch: Any) -> None:
 
 @inner
 def ask_touched(k: Integer, n: Integer, or_more: bool, state: Any, scratch: Any) -> None:
-    """Set `ASKED` at touched positions to the orientations that see n - 1 other landmarks, or with `or_more` more."""
+    """Set `ASKED` at touched positions to the orientations that see n - 1 other landmarks, or at least n - 1 if
+    `or_more`.
+    """
     asked, digits = scratch.sets[ASKED], scratch.digits
     _count_others(k, state, scratch)
     for p in scratch.lists[TOUCHED_LIST][: scratch.numbers[TOUCHED_COUNT]]:
@@ -175,7 +182,9 @@ def ask_touched(k: Integer, n: Integer, or_more: bool, state: Any, scratch: Any)
 
 @inner
 def _find_units(k: Integer, positions: FloatArray, n: Integer, weights: Any, state: Any, scratch: Any) -> None:
-    """Compute P_n at `positions` from the sets in `FRESH` of landmark k, with the pairs as after the move."""
+    """Compute P_n at `positions` from the sets `FRESH` of landmark k, with the occlusion of the pairs after the
+    move.
+    """
     enough, asked = state.counts.sets[ENOUGH], scratch.sets[ASKED]
     touched, digits = scratch.flags[TOUCHED], scratch.digits
     for p in positions:

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Headline:
-    """The main figure of an objective, as displays show it.
+    """Main figure of an objective, and its format in displays.
 
     Args:
         key: name among the figures.
@@ -45,7 +45,7 @@ class Headline:
 
 
 class Selection(Protocol):
-    """A monotone submodular surrogate of an objective: gains of further landmarks, given those chosen."""
+    """Monotone submodular surrogate of an objective: gains of further landmarks, given the chosen landmarks."""
 
     @property
     def label(self) -> str:
@@ -55,14 +55,14 @@ class Selection(Protocol):
         """Gain of each pose, `(N,)`; it does not increase when landmarks are chosen."""
 
     def add(self, pose: Deployment) -> None:
-        """Add a landmark to the chosen ones."""
+        """Add a landmark to the chosen landmarks."""
 
 
 class Objective(Protocol):
     """Interface of objectives: the value of each position, and the fitness.
 
-    Black-box optimisers need these members only; `annealing` needs an `Incremental` objective, `greedy` a `Selectable`
-    one.
+    Black-box optimisers need these members only; `annealing` needs an `Incremental` objective, and `greedy` needs a
+    `Selectable` objective.
     """
 
     @property
@@ -106,7 +106,7 @@ class Objective(Protocol):
         """Fitness in [0, 1] that optimisers maximise: values `(..., P)`, weights `(P,)` -> `(...)`."""
 
     def shares(self, values: FloatArray) -> Mapping[str, FloatArray | BoolArray]:
-        """Figures that are means over positions: contribution of each position, shape of `values`, by name."""
+        """Contribution of each position, shape of `values`, to each figure that is a mean over positions, by name."""
 
     def figures(self, values: FloatArray, relevance: FloatArray) -> dict[str, float]:
         """Figures of a deployment from values and relevance of the grid's positions, `(P,)` each."""
@@ -126,7 +126,9 @@ class Incremental(Protocol):
         """Incremental field of the values at the positions of `evaluator`."""
 
     def target(self, relevance: FloatArray) -> "Target":
-        """Fitness of the values of a field, a `Target`; `relevance` `(Q,)` is in the order of the field."""
+        """Function from the values of a field to the fitness, a `Target`; `relevance` `(Q,)` is in the order of the
+        field.
+        """
 
 
 @runtime_checkable
@@ -134,7 +136,7 @@ class Selectable(Protocol):
     """Members of an objective with a surrogate for greedy selection."""
 
     def selection(self, evaluator: Evaluator, relevance: FloatArray) -> Selection:
-        """Surrogate for greedy selection, with no landmark chosen."""
+        """Surrogate for greedy selection, before a landmark is chosen."""
 
 
 def incremental(objective: Objective) -> Incremental:

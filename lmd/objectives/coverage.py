@@ -1,4 +1,4 @@
-"""The paper's objective: at least n landmarks in view with a probability that reaches a threshold."""
+"""Objective of the paper: the probability of at least n landmarks in view must reach a threshold."""
 
 import math
 from collections.abc import Mapping
@@ -19,7 +19,7 @@ from lmd.sight.evaluator import Evaluator
 from lmd.sight.kernels import PROBABILITY_ONE
 from lmd.sight.poses import covered_amounts, gains
 
-PRICE_BYTES = 24  # bytes per view while poses are selected: price, count of landmarks, and product
+PRICE_BYTES = 24  # memory of a view while poses are selected, bytes: price, count of landmarks, and product of the two
 
 
 class Threshold(NamedTuple):
@@ -63,7 +63,7 @@ def _worth_of_mean(target, p, units):  # type: ignore[no-untyped-def]
 class Coverage(AtLeast):
     """Multiple coverage probability: the relevance-weighted share of positions whose P_n reaches thold_p.
 
-    Eq. argmaxH of the paper, normalised. The value of a position p is P_n(p).
+    This is Eq. argmaxH of the paper, normalised. The value of a position p is P_n(p).
 
     Args:
         n: least number of landmarks that the camera must see at the same time.
@@ -100,7 +100,7 @@ class Coverage(AtLeast):
 
     def fitness(self, values: FloatArray, relevance: FloatArray) -> FloatArray:
         """See `Objective.fitness`."""
-        # A product and a sum over the last axis, so the order of each sum does not depend on the batch.
+        # No matrix product: a sum over the last axis has an order that does not depend on the batch.
         return np.asarray((self.qualified(values) * relevance).sum(axis=-1) / relevance.sum())
 
     def shares(self, values: FloatArray) -> Mapping[str, FloatArray | BoolArray]:
@@ -176,11 +176,11 @@ class MeanCoverage(Coverage):
 class CappedCount:
     """Weighted sum of min(covered, n) over positions and axes, a `Selection`.
 
-    The indicator of n covered landmarks is not submodular for n >= 2, as the first landmark gains nothing. This sum is
-    submodular if no landmark hides another.
+    For n >= 2 the indicator of n covered landmarks is not submodular, as the first landmark gains nothing. The sum of
+    min(covered, n) is submodular if no landmark hides another.
 
     Args:
-        evaluator: has the scene and the positions.
+        evaluator: scene and positions.
         relevance: weights of the positions, `(P,)`.
         n: number of landmarks that should be covered at the same time.
     """

@@ -1,7 +1,7 @@
 """Incremental field for visibility models without a compiled half: each move is a full evaluation.
 
-It runs as plain Python (`lmd.incremental.field.runner`). It has no stacks, as the model cannot be evaluated without
-occlusion.
+The field runs as plain Python (`lmd.incremental.field.runner`). It has no stacks, as the model cannot be evaluated
+without occlusion.
 """
 
 from dataclasses import dataclass
@@ -45,7 +45,7 @@ class ReferenceField:
 
     Args:
         objective: computes the values.
-        evaluator: has the Q positions.
+        evaluator: evaluator with the Q positions.
     """
 
     objective: Objective
@@ -77,7 +77,7 @@ class ReferenceField:
 
 
 def field_of(objective: Objective, evaluator: Evaluator) -> Field:
-    """Incremental field of an objective; a `ReferenceField` without a compiled half.
+    """Incremental field of an objective; a `ReferenceField` if the visibility model has no compiled half.
 
     Raises:
         InputError: the objective has no field.

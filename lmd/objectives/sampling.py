@@ -1,4 +1,4 @@
-"""Random positions and orientations for the fitness; an optimiser would overfit the room's grid."""
+"""Random positions and orientations for the fitness, as an optimiser would overfit the room's grid."""
 
 from dataclasses import dataclass, replace
 
@@ -18,7 +18,8 @@ class Sampling:
     """Size of a stratified random sample of positions and orientations.
 
     Args:
-        positions: number of positions drawn in the cell of each grid position, whose relevance they share.
+        positions: number of positions drawn in the cell of each grid position; they share the relevance of that
+            position.
         divisions: one orientation is drawn in each of 2 `divisions` x `divisions` cells of equal probability of the
             continuous distribution behind the PDF (fewer cells for a PDF of the yaw alone, see
             `lmd.scene.pdf.OrientationPdf.stratified`); a PDF from samples is used unchanged.
@@ -35,10 +36,11 @@ class Sampling:
         object.__setattr__(self, "divisions", divisions_of(self.divisions))
 
     def evaluator(self, scene: Scene, repeats: int, rng: np.random.Generator, threads: int | None) -> Evaluator:
-        """Evaluator at random positions, `repeats` in each cell of the grid; the cells repeat in the order of the grid.
+        """Evaluator at random positions, `repeats` in each cell of the grid: one position per cell in grid order, then
+        again.
 
         Raises:
-            InputError: there is not enough memory for them.
+            InputError: there is not enough memory for the positions.
         """
         cells = len(scene.room.grid())
         what = f"sampling.positions = {repeats} in each of {cells} cells"

@@ -1,7 +1,7 @@
 """Exact fitness of a deployment without each landmark, and without each pair of landmarks.
 
-A landmark is removed by a move to a place where no camera sees it and where it hides no other. Only the affected views
-are evaluated again, so all pairs of 90 landmarks cost no more than a hundred evaluations.
+A landmark is removed by a move to a place where no camera sees it and where it hides no other landmark. Only the
+affected views are evaluated again, so all pairs of 90 landmarks cost no more than a hundred evaluations.
 """
 
 import numpy as np
@@ -16,7 +16,7 @@ AWAY = np.array([0.0, 0.0, 1e6, 0.0, 0.0, 1.0])
 
 
 def without_landmarks(field: Field, target: Target, deployment: Deployment) -> FloatArray:
-    """Fitness without landmarks i and j, `(K, K)`; without i alone for i = j.
+    """Fitness without landmarks i and j, `(K, K)`; on the diagonal, fitness without landmark i.
 
     Moves are not settled, as the removed landmark neither hides others at its new place nor is hidden there.
 

@@ -24,10 +24,10 @@ from lmd.scene.rig import Mount, Rig
 
 @dataclass(frozen=True)
 class _Best:
-    """Best tags and cameras."""
+    """Best tags and cameras of the completed turns."""
 
     fitness: float
-    """Fitness of both together."""
+    """Fitness of the tags together with the cameras."""
     tags: Deployment
     """Landmarks."""
     rig: Rig
@@ -37,8 +37,8 @@ class _Best:
 class Alternating(Optimiser):
     """Alternating placement of cameras and tags.
 
-    A turn begins with the best result before it, and is discarded if it is not better. The budget of `run` holds for
-    each turn of the cameras.
+    A turn begins with the best result of earlier turns, and its own result is discarded unless it is better. The budget
+    of `run` is the budget of each turn of the cameras.
 
     Args:
         cameras: makes the optimiser for a turn of the cameras from a seed: `seed`, `seed + 1`, ...
@@ -56,7 +56,7 @@ class Alternating(Optimiser):
         self.rounds = integer("rounds", rounds, low=1)
         self.reached: list[float] = []  # best fitness after each completed turn
         self.best: _Best | None = None  # best result of the completed turns
-        self.began = 0  # number of records before the current turn
+        self.began = 0  # number of records made before the current turn
         self.inner: Optimiser | None = None  # optimiser of the current turn
         self.posed: Problem  # problem of the current turn
         self.space: MountSpace  # mounts of the cameras

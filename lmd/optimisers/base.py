@@ -1,6 +1,7 @@
 """Base classes of optimisers: the interface for pipelines, and the ask/tell loop."""
 
 import math
+import sys
 import zlib
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
@@ -21,6 +22,7 @@ from lmd.scene.deployment import Deployment
 from lmd.scene.rig import Rig
 
 GENE_BYTES = 8  # memory of a gene
+AT_ONCE = 1000  # largest number of evaluations between two looks at the clock
 
 
 @dataclass(frozen=True)
@@ -36,7 +38,7 @@ class Result:
     seconds: float
     """Wall time spent, over all parts of a resumed run, without that of the compiler."""
     history: tuple[Record, ...]
-    """Best fitness against evaluations and wall time."""
+    """Best fitness against evaluations and wall time: each improvement, and the end of each batch."""
     stopped: str
     """`budget` if the budget is used up, `interrupted` by the callback, `proven` if the result is proved optimal."""
     rig: Rig | None = None
@@ -132,7 +134,7 @@ class AskTell(Optimiser):
 
     - `self.dim`: number of genes,
     - `self.rng`: a `numpy.random.Generator`, the only source of randomness to use,
-    - `self.start`: `(S, dim)` genes to start from, 1 <= S <= `self.start_size`.
+    - `self.start`: `(S, dim)` genes to start from, 1 <= S <= `self.start_size`, no more than the budget can evaluate.
 
     Args:
         seed: see `Optimiser`.
@@ -155,7 +157,7 @@ class AskTell(Optimiser):
         super().__init__(seed)
         self.encoding = encoding
         self.best_genes: FloatArray | None = None
-        self.told: list[tuple[int, FloatArray]] = []  # checksum of the genes and fitness of each batch
+        self.told: list[tuple[int, FloatArray, float]] = []  # of each batch: checksum of genes, fitness, seconds spent
 
     @abstractmethod
     def _ask(self) -> FloatArray:
@@ -190,9 +192,8 @@ class AskTell(Optimiser):
     def _note(self, genes: FloatArray, fitness: FloatArray) -> FloatArray:
         """Record a batch; returns the fitness, with -inf for NaN."""
         fitness = np.where(np.isnan(fitness), -np.inf, fitness)
-        self.told.append((_checksum(genes), fitness.copy()))
-        best = int(np.argmax(fitness))
-        if self.ledger.note(self.ledger.evaluations + len(genes), float(fitness[best])):
+        self.told.append((_checksum(genes), fitness.copy(), self.ledger.seconds))
+        if (best := self.ledger.note_batch(fitness)) is not None:
             self.best_genes = genes[best].copy()
         return fitness
 
@@ -206,10 +207,11 @@ class AskTell(Optimiser):
     @override
     def state(self) -> dict[str, Any]:
         return {
-            "checksums": np.array([checksum for checksum, _ in self.told], dtype=np.uint32),
-            "batches": np.array([len(fitness) for _, fitness in self.told], dtype=np.int64),
-            "fitness": np.concatenate([np.empty(0), *(fitness for _, fitness in self.told)]),
-            "wall_time": np.array([record.wall_time for record in self.ledger.history], dtype=np.float64),
+            "checksums": np.array([checksum for checksum, _, _ in self.told], dtype=np.uint32),
+            "batches": np.array([len(fitness) for _, fitness, _ in self.told], dtype=np.int64),
+            "fitness": np.concatenate([np.empty(0), *(fitness for _, fitness, _ in self.told)]),
+            "wall_time": np.array([seconds for _, _, seconds in self.told], dtype=np.float64),
+            "starts": np.array([len(self.start) if self.told else 0], dtype=np.int64),
         }
 
     @override
@@ -219,7 +221,10 @@ class AskTell(Optimiser):
         seconds = array("wall_time", state["wall_time"], np.float64, len(checksums), low=0.0)
         batches = array("batches", state["batches"], np.int64, len(checksums), low=1)
         fitness = array("fitness", state["fitness"], np.float64, int(batches.sum()), low=-math.inf)
-        self._draw_start(problem)
+        if not len(checksums):
+            return
+        starts = array("starts", state["starts"], np.int64, 1, low=1, high=self.start_size)
+        self._draw_start(problem, Budget(int(starts[0])))
         told = np.split(fitness, np.cumsum(batches))[:-1]
         for checksum, known, by_then in zip(checksums.tolist(), told, seconds.tolist(), strict=True):
             genes = self.ask()
@@ -233,31 +238,41 @@ class AskTell(Optimiser):
             self._note_or_tell(genes, known, asked)
         self._genome(problem).reached(self.ledger.best_fitness)
 
-    def _draw_start(self, problem: Problem) -> None:
-        """Set `dim`, `rng` and `start`."""
+    def _draw_start(self, problem: Problem, budget: Budget) -> None:
+        """Set `dim`, `rng` and `start`, which has no more candidates than the budget can evaluate."""
         genome = self._genome(problem)
         self.dim = genome.dim
         taken = f"optimiser: {self.start_size} candidates of {self.dim} genes at a time"
         check_memory(GENE_BYTES * self.start_size * self.dim, taken)
         self.rng = np.random.default_rng(self.seed)
-        draws = self.start_size if genome.varies else 1
-        self.start = np.stack([genome.draw_genes(self.rng) for _ in range(draws)])
+        began, start = clock(), [genome.draw_genes(self.rng)]
+        while genome.varies and len(start) < self.start_size and budget.used(len(start), clock() - began) < 1.0:
+            start.append(genome.draw_genes(self.rng))
+        self.start = np.stack(start)
 
     @override
     def run(self, problem: Problem, budget: Budget, callback: Callback | None = None) -> Result:
         """Ask, evaluate and tell until the budget is used up; a batch that would exceed it is cut short."""
         ledger, genome = self.ledger, self._genome(problem)
-        if not ledger.evaluations:
-            self._draw_start(problem)
         began = clock() - ledger.seconds
+        if not ledger.evaluations:
+            self._draw_start(problem, budget)
+            if genome.varies and len(self.start) < self.start_size:
+                drawn = f"of its {self.start_size} candidates to start from the budget allows {len(self.start)}"
+                print(f"note: {self.called}: {drawn}; no generation will be complete", file=sys.stderr)
         stopped = "budget"
         while budget.used(ledger.evaluations, ledger.seconds) < 1.0:
             genes = self.ask()
             asked = len(genes)
             genes = genes[: int(min(asked, budget.limit - ledger.evaluations))]
-            fitness = genome.fitness_of_genes(genes)
-            ledger.seconds = clock() - began
-            self._note_or_tell(genes, fitness, asked)
+            parts = []
+            for first in range(0, len(genes), AT_ONCE):
+                parts.append(genome.fitness_of_genes(genes[first : first + AT_ONCE]))
+                ledger.seconds = clock() - began
+                if budget.used(0, ledger.seconds) >= 1.0:
+                    break
+            fitness = np.concatenate(parts)
+            self._note_or_tell(genes[: len(fitness)], fitness, asked)
             if callback and callback(self):
                 stopped = "interrupted"
                 break

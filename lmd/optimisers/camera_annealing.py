@@ -28,14 +28,14 @@ class CameraAnnealing(Optimiser):
     """Simulated annealing of mounts in the unit box of their genes.
 
     A run from given cameras begins in the middle of the schedule, so that moves at a high temperature do not discard
-    them.
+    the given cameras.
 
     Args:
         temperature: first and last temperature, in units of the energy.
         step: first and last standard deviation of a changed gene.
         jump: first and last share of moves that draw a camera anew.
-        mean_share: weight of the mean value over positions in the energy, beside the fitness; it gives a slope on
-            plateaus of the fitness.
+        mean_share: weight in the energy of the mean value over positions, beside the fitness. The mean has a slope
+            where the fitness is constant.
         seed: see `Optimiser`.
 
     Raises:
@@ -92,9 +92,9 @@ class CameraAnnealing(Optimiser):
         energy = self._scored(cameras, self.here)[1]
         while (used := budget.used(ledger.evaluations, ledger.seconds)) < 1.0:
             skipped = 0.0 if cameras.varies else SHARE_SKIPPED
-            energy, best = self._swept(cameras, skipped + (1.0 - skipped) * used, energy)
+            energy, fitness = self._swept(cameras, skipped + (1.0 - skipped) * used, energy)
             ledger.seconds = clock() - began
-            ledger.note(ledger.evaluations + 1, best)
+            self._note(fitness)
             if callback and callback(self):
                 stopped = "interrupted"
                 break
@@ -108,21 +108,29 @@ class CameraAnnealing(Optimiser):
     def found_rig(self, problem: Problem) -> Rig | None:
         return None if self.best is None else _cameras(problem).rig(self.best.reshape(-1))
 
-    def _swept(self, problem: CameraProblem, used: float, energy: float) -> tuple[float, float]:
-        """Try to move each camera once; returns the energy of the cameras afterwards, and the best fitness."""
+    def _note(self, fitness: FloatArray) -> None:
+        """Record the `fitness` `(C,)` of a sweep's moves, each of which costs 1/C evaluations."""
+        ledger, spent, last = self.ledger, self.ledger.evaluations, len(fitness) - 1
+        for move, reached in enumerate(fitness.tolist()):
+            if reached > ledger.best_fitness and move < last:
+                ledger.note(spent + (move + 1) / len(fitness), reached)
+        ledger.note(spent + 1, reached)
+
+    def _swept(self, problem: CameraProblem, used: float, energy: float) -> tuple[float, FloatArray]:
+        """Try to move each camera once; returns the energy of the cameras afterwards, and the fitness of each move."""
         assert self.here is not None
-        best = self.ledger.best_fitness
+        best, reached = self.ledger.best_fitness, np.empty(len(self.here))
         temperature = self.temperature[0] * (self.temperature[1] / self.temperature[0]) ** used
         for camera in range(len(self.here)):
             tried = self.here.copy()
             tried[camera] = self._changed(tried[camera], used)
-            fitness, there = self._scored(problem, tried)
-            if fitness > best:
-                best, self.best = fitness, tried
+            reached[camera], there = self._scored(problem, tried)
+            if reached[camera] > best:
+                best, self.best = reached[camera], tried
             # The first condition also holds if both are -inf, for a start that is not admissible.
             if there >= energy or self.rng.random() < math.exp((there - energy) / temperature):
                 self.here, energy = tried, there
-        return energy, best
+        return energy, reached
 
     def _changed(self, genes: FloatArray, used: float) -> FloatArray:
         """Change the genes of a camera `(G,)`."""

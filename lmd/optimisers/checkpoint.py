@@ -1,7 +1,7 @@
 """Checkpoints: files from which a stopped run is resumed.
 
-A checkpoint holds data and no code: an optimiser made from the configuration takes over the state that is read. The
-file is an archive of NumPy's, with the arrays and a document in JSON, and nothing in it is unpickled.
+A checkpoint holds data and no code: an optimiser made from the configuration takes over the state in the file. The file
+is a NumPy archive with the arrays and a JSON document; nothing is unpickled.
 """
 
 import io
@@ -21,10 +21,10 @@ from lmd.optimisers.base import Optimiser
 from lmd.problem import Problem
 
 CHECKPOINT_FILE = "checkpoint.npz"
-FORMAT = "lmd checkpoint 4"  # its number changes with the content of the file
+FORMAT = "lmd checkpoint 5"  # the number changes when the content of the file changes
 DOCUMENT_KEY = "document"  # name of the JSON document, UTF-8, among the arrays
-ARRAY_KEY = "$array"  # key in the document whose value is the name of an array, which replaces it
-MOST_TEXT = 200  # characters of a foreign message that are shown
+ARRAY_KEY = "$array"  # key of a mapping in the document that stands for the named array
+MOST_TEXT = 200  # greatest number of characters shown of an error of another library
 
 
 @dataclass
@@ -32,7 +32,7 @@ class Checkpoint:
     """Run that can be resumed."""
 
     optimiser: Optimiser
-    """Optimiser, which holds all of the run."""
+    """Optimiser, which has the whole state of the run."""
     settings: Mapping[str, Any]
     """Flat settings, which must be equal when the run is resumed."""
     run_id: str | None = None
@@ -113,7 +113,7 @@ def _read(path: Path) -> tuple[dict[str, Any], dict[str, Any], str | None]:
     try:
         document = _document(path)
         state, run_id = document["state"], document["run"]
-        settings = json.loads(json.dumps(document["settings"]))  # fails if there are arrays among the settings
+        settings = json.loads(json.dumps(document["settings"]))  # fails if the settings contain arrays
         if document["format"] != FORMAT or not isinstance(state, dict) or not isinstance(settings, dict):
             raise ValueError("it is of another kind")
         if not all(map(str.isprintable, settings)):
@@ -129,7 +129,7 @@ def _document(path: Path) -> Any:
     size = path.stat().st_size
     with zipfile.ZipFile(path) as archive:
         members = archive.infolist()
-        # Otherwise a small file could claim all memory.
+        # Compressed members are refused: a small file could fill the memory.
         if any(m.compress_type != zipfile.ZIP_STORED for m in members) or sum(m.file_size for m in members) > size:
             raise ValueError("it is compressed")
     with np.load(path, allow_pickle=False) as archive:
@@ -142,5 +142,5 @@ def _document(path: Path) -> Any:
 
 
 def _described(error: Exception) -> str:
-    """Text of an error, which may have words from the file."""
+    """Text of an error, which may quote the file."""
     return f"{type(error).__name__}: {' '.join(str(error).split())[:MOST_TEXT]}"

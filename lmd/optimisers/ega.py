@@ -10,11 +10,11 @@ from lmd.optimisers.operators import exchange, filled_up, recombination_range, r
 class EGA(AskTell):
     """Elimination genetic algorithm, the nine-tuple (W, Fit, pop_0, M, Q, Y_min, Y_max, Psi, T).
 
-    Each generation the best chromosome survives unchanged, so the best fitness never falls; the Q worst are
-    replaced by random ones; the others form the recombinant pool, exchange a run of genes and mutate. Fit is the
-    problem's fitness, pop_0 the problem's start (filled up with random chromosomes), T the budget.
+    In each generation the best chromosome survives unchanged, so the best fitness never falls. The Q worst chromosomes
+    are replaced by random chromosomes. The others form the recombinant pool, exchange a run of genes and mutate. Fit is
+    the problem's fitness, pop_0 the problem's start (filled up with random chromosomes), T the budget.
 
-    The parameters fix choices that the paper leaves open. The defaults follow its text literally.
+    The parameters fix choices that the paper leaves open. The defaults follow the text of the paper literally.
 
     Args:
         population: M.
@@ -22,11 +22,12 @@ class EGA(AskTell):
         recombination_min, recombination_max: Y_min and Y_max, the shortest and longest run of genes exchanged, as
             fractions of the chromosome: the printed 100 and 300 of 450 genes.
         mutation_probability: Psi, for each gene of a recombined chromosome.
-        partner: `pool` pairs the pool at random and both exchange; `survivor` gives each a run of the survivor's
-            genes.
-        acceptance: `always` lets a child replace its parent; `if_better` only if its fitness is not lower.
-        mutation: `reset` draws a new gene; `gaussian` moves it by a normal step.
-        mutation_scale: standard deviation of that step (genes span 1).
+        partner: `pool` pairs the chromosomes of the pool at random, and each pair exchanges a run of genes; `survivor`
+            gives each chromosome a run of the survivor's genes.
+        acceptance: `always` lets a child replace its parent; `if_better` does so only if the child's fitness is not
+            lower.
+        mutation: `reset` draws a gene anew; `gaussian` moves the gene by a normal step.
+        mutation_scale: standard deviation of the normal step (genes span 1).
         encoding: W, see `AskTell`.
         seed: see `Optimiser`.
 
@@ -74,7 +75,7 @@ class EGA(AskTell):
             parents, parent_fitness = self.population[1:], self.fitness[1:]
             if self.acceptance == "if_better":
                 worse = fitness < parent_fitness
-                worse[len(worse) - self.eliminated :] = False  # the eliminated are replaced in any case
+                worse[len(worse) - self.eliminated :] = False  # eliminated chromosomes are replaced in any case
                 genes = np.where(worse[:, None], parents, genes)
                 fitness = np.where(worse, parent_fitness, fitness)
             genes = np.vstack([self.population[:1], genes])

@@ -14,7 +14,7 @@ from lmd.scene.deployment import Deployment
 from lmd.space.space import Space
 from lmd.space.surface import SurfaceArrays
 
-# Greatest difference of the distances to two surfaces that counts as equal, metres.
+# Greatest difference between the distances to two surfaces that counts as none, metres.
 ON_SURFACE = 1e-6
 # Least distance of an encoded point from the border between pieces, as a fraction of the piece.
 BORDER_SHARE = 1e-12
@@ -44,7 +44,7 @@ class PaperEncoding:
     """Five genes for a landmark as printed: x, y, z, yaw rho, pitch eta.
 
     The point is projected to the nearest surface that may carry landmarks. With `flush` the landmark has the normal of
-    the surface, and the two genes of angles, though part of the chromosome, have no effect.
+    the surface, and the two genes of angles have no effect, though they are part of the chromosome.
     """
 
     genes_per_landmark = 5
@@ -74,7 +74,8 @@ class PaperEncoding:
         """See `Encoding.encode`."""
         surface = deployment.movable(self.room, self.flush).surfaces
         points = np.clip(deployment.positions, self.low, self.low + self.size)
-        # A point on an edge is moved away from the second surface, so that decoding finds the landmark's surface.
+        # A point on an edge of two surfaces is moved away from the second one, so that decoding finds the landmark's
+        # surface.
         tied = (self._distance(points) <= ON_SURFACE) & (np.arange(len(self.surfaces.normal)) != surface[:, None])
         points = points + 2.0 * ON_SURFACE * (tied[..., None] * self.surfaces.normal).sum(axis=1)
         yaw, pitch = normal_angles(deployment.normals)
@@ -82,8 +83,10 @@ class PaperEncoding:
         return np.clip(np.hstack([(points - self.low) / self.size, angles]), 0.0, 1.0).reshape(-1)
 
     def _distance(self, points: FloatArray) -> FloatArray:
-        """Distance from points `(..., 3)` to each surface, or to its plane if that suffices, `(..., W)`, metres."""
-        s, depth = self.surfaces, np.abs(self.surfaces.depth(points))
+        """Distance from points `(..., 3)` to each surface, or to its plane if the planes suffice, `(..., W)`,
+        metres.
+        """
+        s, depth = self.surfaces, np.abs(self.surfaces.heights(points))
         if self.planes_tell:
             return depth
         every = np.arange(len(s.normal))
@@ -182,7 +185,7 @@ class LandmarkGenome:
         return self._encoding.encode(self._problem.free(self._problem.draw(rng)))
 
     def fitness_of_genes(self, genes: FloatArray) -> FloatArray:
-        """See `Genome.fitness_of_genes`: -inf where footprints find no room."""
+        """See `Genome.fitness_of_genes`; the fitness is -inf if there is no room for the footprints."""
         positions, normals, _, fits = self._placed(genes)
         return np.where(fits, self._problem.fitness(positions, normals), -np.inf)
 
@@ -195,7 +198,7 @@ class LandmarkGenome:
         """See `Genome.rig`."""
 
     def reached(self, fitness: float) -> None:
-        """See `Genome.reached`: no fitness depends on earlier ones."""
+        """See `Genome.reached`; the fitness of genes does not depend on earlier evaluations."""
 
     def _placed(self, genes: FloatArray) -> tuple[FloatArray, FloatArray, IntArray, BoolArray]:
         """Decode genes `(B, dim)`, put the fixed landmarks first, and push footprints apart."""

@@ -63,15 +63,15 @@ class Greedy(Annealing):
 class GreedyDeployment:
     """Greedy selection as a start for any optimiser, or as a deployment to score (`deployment=greedy`).
 
-    Building it is not charged to the budget of the optimiser that starts from it.
+    The cost of the selection is not charged to the budget of the optimiser that starts from it.
 
     Args:
         count: number of landmarks.
         scene: the scene.
         objective: the objective, which has a selection.
         spacing: spacing of the grid of poses, metres.
-        threads: worker threads, all processors by default; the result does not depend on it.
-        fixed: landmarks that exist already, with their surfaces; the selection adds the others.
+        threads: worker threads, all processors by default; the result does not depend on the number.
+        fixed: landmarks that exist already, with their surfaces; the selection adds the other landmarks.
 
     Raises:
         InputError: a value is out of range.
@@ -92,7 +92,7 @@ class GreedyDeployment:
     @cached_property
     def _deployment(self) -> Deployment:
         evaluator = Evaluator(self.scene, threads=self.threads)
-        footprints, edges = self.scene.footprints, self.scene.tag.in_turn(self.count)
+        footprints, edges = self.scene.footprints, self.scene.tag.edges_in_order(self.count)
         spacing, poses = self.spacing, candidates(footprints, edges, self.spacing)
         while len(poses) < self.count:
             spacing /= 1.3

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from lmd.core.checks import InputError, check_fields, integer, real
+from lmd.core.checks import FloatArray, InputError, check_fields, integer, real
 from lmd.optimisers.stored import array
 
 
@@ -51,7 +51,7 @@ class Record:
     best_fitness: float
     """Best fitness."""
     wall_time: float
-    """Seconds spent."""
+    """Seconds spent; all records of a batch have the time of its end, as its candidates are evaluated together."""
 
 
 @dataclass
@@ -73,6 +73,21 @@ class Ledger:
         self.evaluations, self.best_fitness = evaluations, fitness if is_best else self.best_fitness
         self.history.append(Record(evaluations, self.best_fitness, self.seconds))
         return is_best
+
+    def note_batch(self, fitness: FloatArray) -> int | None:
+        """Record a batch of evaluations with `fitness` `(B,)` as if they were made one after the other.
+
+        The history gets a record at each improvement and one at the end of the batch, so that the evaluations to reach
+        a fitness do not depend on the size of batches.
+
+        Returns:
+            the index of the best fitness, or None if none is better than the fitness before.
+        """
+        spent, best = self.evaluations, np.maximum.accumulate(np.append(self.best_fitness, fitness))
+        improved = np.flatnonzero(best[1:] > best[:-1]).tolist()
+        for index in dict.fromkeys([*improved, len(fitness) - 1]):
+            self.note(spent + index + 1, float(fitness[index]))
+        return improved[-1] if improved else None
 
     def state(self) -> dict[str, Any]:
         """Return the history as arrays `(N,)`, for a checkpoint; the rest follows from it."""

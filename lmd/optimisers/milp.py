@@ -1,6 +1,6 @@
 """Best choice of poses from a lattice with a proof of optimality: an integer program, solved by HiGHS.
 
-Let `x_j` be the number of landmarks at pose j of the lattice, `A_jpa` = 1 if a landmark there covers axis a from
+Let `x_j` be the number of landmarks at pose j of the lattice, `A_jpa` = 1 if a landmark at pose j covers axis a from
 position p without occlusion, else 0, `w_a` the probability of an axis and `r_p` the relevance of a position. Then
 
     maximise   sum_p r_p z_p                                        z_p: position p is qualified
@@ -9,9 +9,9 @@ position p without occlusion, else 0, `w_a` the probability of an axis and `r_p`
                sum_j x_j = K,   of each size of tags if there are several,   y and z 0 or 1,
                x_j 0 to n for points; 0 or 1 for papers, and x_i + x_j <= 1 where they overlap.
 
-Axes that are covered from a position by equal sets of poses are one row, with the sum of their weights. Occlusion only
-reduces the numbers of covered landmarks, so the bound also holds with occlusion. The chosen deployment is evaluated
-with occlusion, after the landmarks of each stack are separated.
+Axes that equal sets of poses cover from a position are combined to one row, with the sum of their weights. Occlusion
+only reduces the numbers of covered landmarks, so the bound also holds with occlusion. The chosen deployment is
+evaluated with occlusion, after the landmarks of each stack are separated.
 """
 
 import operator
@@ -41,7 +41,7 @@ from lmd.scene.criteria import TOLERANCE
 from lmd.scene.deployment import Deployment
 from lmd.sight.poses import covered_amounts
 
-MOST_PAIRS = 20_000_000  # largest number of pairs of a pose and a view, far more than HiGHS solves in an hour
+MOST_PAIRS = 20_000_000  # largest number of pairs of a pose and a view; HiGHS solves far fewer pairs in an hour
 PROVEN, INFEASIBLE = 0, 2  # status of scipy.optimize.milp
 POLL_SECONDS = 0.2  # seconds between two calls of the callback while the solver runs
 
@@ -49,12 +49,13 @@ POLL_SECONDS = 0.2  # seconds between two calls of the callback while the solver
 class Milp(Optimiser):
     """Best deployment on a lattice of poses, with a bound for all deployments on it.
 
-    The start is the result until the solver finds a better deployment. The views of a pose cost as much of the budget
-    as moving one landmark; the solver costs time alone. The solver cannot be resumed: a resumed run begins anew.
+    The start is the result until the solver finds a better deployment. Computing the views of a pose costs as much of
+    the budget as moving one landmark; the solver costs only time. The solver cannot be resumed: a resumed run begins
+    anew.
 
     Args:
         spacing: spacing of the lattice, metres.
-        seconds: time limit of the solver; its best deployment by then is the result, and its bound is valid.
+        seconds: time limit of the solver; the best deployment found by then is the result, and the bound is valid.
         seed: seed of the start, see `Optimiser`; the solver draws no random numbers.
 
     Raises:
@@ -140,7 +141,7 @@ class Milp(Optimiser):
         }
         if solved.x is not None:
             taken = np.rint(solved.x).astype(int)  # HiGHS returns integers to 1e-6
-            placed = _in_order if poses.has_own_edges else _apart
+            placed = _in_order if poses.has_own_edges else _separated
             note(costs + 1, placed(problem, poses, taken[: len(poses)]))
             self.proven["lattice_found"] = found = float(problem.fitness_relevance @ taken[-program.positions :] / most)
             if solved.status == PROVEN:
@@ -155,7 +156,7 @@ class Milp(Optimiser):
     def _poses(self, problem: Problem) -> Deployment:
         """Poses of the lattice whose footprints do not overlap those of fixed tags."""
         footprints = problem.scene.footprints
-        poses, hung = candidates(footprints, problem.free_edges, self.spacing), problem.hung
+        poses, hung = candidates(footprints, problem.free_edges, self.spacing), problem.fixed_with_edges
         if hung is None or not footprints.edge:
             return poses
         taken = [footprints.touched(poses, hung[k : k + 1]) for k in range(len(hung))]
@@ -173,7 +174,7 @@ def _per_pose(problem: Problem) -> int:
     return 1 if problem.scene.footprints.edge else problem.objective.n
 
 
-def _apart(problem: Problem, poses: Deployment, copies: IntArray) -> Deployment:
+def _separated(problem: Problem, poses: Deployment, copies: IntArray) -> Deployment:
     """Make the deployment with `copies` `(J,)` landmarks at each pose: fixed landmarks first, then separated stacks."""
     parts, distance = [], STACK_SPREAD * problem.scene.spacing
     for stack in np.unique(copies[copies > 0]).tolist():
@@ -200,7 +201,7 @@ def _views(problem: Problem) -> FloatArray:
 
 
 def _used(problem: Problem) -> BoolArray:
-    """Mask of the axes with a positive probability; the others pad words of bits."""
+    """Mask of the axes with a positive probability; axes of probability 0 only pad words of bits."""
     return np.asarray(problem.evaluator.probability.max(axis=0) > 0.0)
 
 
@@ -233,7 +234,7 @@ class _Program:
             return np.minimum(counts[:, used], n).astype(np.int8)
 
         views = _views(problem)
-        already = np.zeros(views.shape, np.int8) if problem.hung is None else seen(problem.hung)
+        already = np.zeros(views.shape, np.int8) if problem.fixed_with_edges is None else seen(problem.fixed_with_edges)
         cover = np.stack([already, *(seen(poses[j : j + 1]) for j in range(len(poses)))], axis=-1)  # (P, A, 1 + J)
         kinds = [np.unique(views, axis=0, return_inverse=True) for views in cover]
         rows = np.concatenate([distinct for distinct, _ in kinds])
@@ -250,7 +251,7 @@ class _Program:
 
     @property
     def positions(self) -> int:
-        """P, the number of the last variables."""
+        """P, the number of variables z, which come last."""
         return len(self.problem.fitness_relevance)
 
     def solver(self, seconds: float) -> Callable[[], OptimizeResult]:

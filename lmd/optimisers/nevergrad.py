@@ -13,20 +13,20 @@ from lmd.optimisers.wrapped import LibraryOptimiser, Wrapped
 
 
 class Nevergrad(Wrapped):
-    """A nevergrad optimiser on the unit box, which gets the start as a suggestion.
+    """Optimiser of nevergrad on the unit box, which gets the start as a suggestion.
 
     Args:
         name: a registered optimiser, e.g. `TwoPointsDE`, `NGOpt`, `RLSOnePlusOne`, or a family to be configured by
             `options`, e.g. `DifferentialEvolution`, `EvolutionStrategy`.
         options: parameters of the family.
         workers: number of deployments asked for at a time; 1 for methods that cannot take more.
-        budget: number of evaluations that the method plans with, which some require; None for unknown.
+        budget: number of evaluations that the method plans with, which some methods require; None for unknown.
         step: standard deviation of a step (genes span 1); None for nevergrad's default, 1/6.
         encoding: see `AskTell`.
         seed: see `Optimiser`.
 
     Raises:
-        InputError: there is no such optimiser, it does not work here, or a parameter is out of range.
+        InputError: there is no such optimiser, it cannot be used through ask and tell, or a parameter is out of range.
     """
 
     def __init__(
@@ -51,7 +51,7 @@ class Nevergrad(Wrapped):
         """Return the function that makes the optimiser.
 
         Raises:
-            InputError: nevergrad has no optimiser of that name, or it refuses the options.
+            InputError: nevergrad has no optimiser of that name, or the optimiser refuses the options.
         """
         optional("nevergrad", "optimisers")
         from nevergrad.optimization import families, registry
@@ -90,7 +90,7 @@ class _Running:
         except Exception as error:  # missing extras and budgets raise different errors
             raise InputError(f"nevergrad's {self.name} cannot be made: {error}") from error
         if not self.optimiser.recast:  # recast optimisers take no suggestions; they begin at the first start
-            for genes in start[::-1]:  # the last suggestion is asked for first
+            for genes in start[::-1]:  # nevergrad asks for the last suggestion first
                 self.optimiser.suggest(genes)
         self.asked: list[Any] = []
 

@@ -22,14 +22,16 @@ def recombination_range(shortest: float, longest: float) -> tuple[float, float]:
 
 
 def run_of_genes(rng: np.random.Generator, dim: int, shortest: float, longest: float) -> slice:
-    """Draw a run of genes in a chromosome of `dim`; its length is between two fractions of `dim`."""
+    """Draw a run of genes in a chromosome of `dim` genes; the run is between `shortest` and `longest` times `dim`
+    long.
+    """
     length = int(rng.integers(round(shortest * dim), round(longest * dim), endpoint=True))
     first = int(rng.integers(0, dim - length, endpoint=True))
     return slice(first, first + length)
 
 
 def exchange(rng: np.random.Generator, parents: FloatArray, shortest: float, longest: float) -> FloatArray:
-    """Pair up parents at random and exchange a run of each pair, `(B, dim)`; one left over is copied."""
+    """Pair up parents at random and exchange a run of genes in each pair, `(B, dim)`; an unpaired parent is copied."""
     children = parents.copy()
     order = rng.permutation(len(parents))
     for i, j in zip(order[0::2], order[1::2], strict=False):

@@ -12,11 +12,11 @@ from lmd.optimisers.wrapped import LibraryOptimiser, Wrapped
 class PyCma(Wrapped):
     """Covariance matrix adaptation on the unit box.
 
-    The mean begins at the start; when the strategy stops by itself, a new one begins at the best genes.
+    The mean begins at the start; when the strategy stops by itself, a new strategy begins at the best genes.
 
     Args:
         variant: covariance that is learnt: `full`, which takes some 100 evaluations per gene; `separable`, one variance
-            per gene; `vkd`, the variances and a few directions.
+            per gene; `vkd`, variances and a few directions.
         step: initial standard deviation sigma_0 (genes span 1).
         population: lambda; None for 4 + 3 ln(dim).
         encoding: see `AskTell`.

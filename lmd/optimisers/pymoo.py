@@ -11,10 +11,10 @@ from lmd.optimisers.wrapped import LibraryOptimiser, Wrapped
 
 
 class Pymoo(Wrapped):
-    """A pymoo algorithm on the unit box.
+    """Algorithm of pymoo on the unit box.
 
     Its first population is the start, filled up with uniform genes. pymoo's default termination is replaced by the
-    budget. Local searches keep their own, and restart from the best genes when they end.
+    budget. Local searches keep their own termination, and restart from the best genes when they end.
 
     Args:
         algorithm: makes the algorithm; in YAML a node with `_target_` (the class), `_partial_: true` and its
@@ -46,11 +46,11 @@ class Pymoo(Wrapped):
 
 
 def _size(algorithm: Any) -> int:
-    """Number of candidates that the algorithm begins with; a local search continues from the best candidate."""
+    """Number of candidates with which the algorithm begins; a local search continues from the best candidate."""
     from pymoo.core.variable import get
 
     size = getattr(algorithm, "n_sample_points", None) or getattr(algorithm, "pop_size", None) or 1
-    return integer("algorithm.pop_size", get(size), low=1)  # some algorithms keep it as a variable of pymoo
+    return integer("algorithm.pop_size", get(size), low=1)  # some algorithms store the size as a variable of pymoo
 
 
 class _Running:

@@ -6,10 +6,10 @@ from lmd.optimisers.operators import filled_up
 
 
 class RandomSearch(AskTell):
-    """The start, then uniform genes.
+    """Random search: the start, then uniform genes.
 
     Args:
-        batch: deployments drawn at a time; the result does not depend on it.
+        batch: deployments drawn at a time; the result does not depend on the number.
         encoding: see `AskTell`; with `wall`, uniform genes are uniform over the walls.
         seed: see `Optimiser`.
 
@@ -27,4 +27,4 @@ class RandomSearch(AskTell):
         return self.rng.random((self.batch, self.dim))
 
     def _tell(self, genes: FloatArray, fitness: FloatArray) -> None:
-        """Learn nothing."""
+        """Do nothing, as random search learns nothing from the fitness."""

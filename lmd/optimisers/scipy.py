@@ -14,15 +14,16 @@ from lmd.core.memory import check_memory
 from lmd.optimisers.wrapped import LibraryOptimiser, Wrapped, name_of, with_tuples
 from lmd.problem import Problem
 
-# shgo begins with the corners of the unit box and their neighbours: 88, 1017 and 3968 MB with 10, 12 and 13 genes.
+# shgo begins with the corners of the unit box and their neighbours, which takes 88, 1017 and 3968 MB with 10, 12 and 13
+# genes.
 BYTES_OF_PAIR = 60.0  # memory of a pair of corners
 MOST_GENES = 400  # genes beyond which a float cannot hold the number of pairs
 
 
 class Scipy(Wrapped):
-    """A function such as `scipy.optimize.dual_annealing` on the unit box.
+    """Optimisation on the unit box by a function such as `scipy.optimize.dual_annealing`.
 
-    It begins with the start if it has an argument `x0`. When it ends by its own rules, it is called again.
+    The function gets the start if it has an argument `x0`. When it ends by its own rules, it is called again.
 
     Args:
         minimise: called with the objective and `bounds`; in YAML a node with `_target_` (the function),
@@ -55,11 +56,11 @@ class Scipy(Wrapped):
             check_memory(BYTES_OF_PAIR * 4.0 ** min(dim, MOST_GENES), corners, "minimise")
 
     def _open(self, start: FloatArray, rng: np.random.Generator) -> LibraryOptimiser:
-        return _Call(self.minimise, start[0], rng)
+        return Call(self.minimise, start[0], rng)
 
 
-class _Call:
-    """Call of the function, in a thread that works only while `ask` waits for it."""
+class Call:
+    """Call of the function, in a thread that works only while `ask` waits for the thread."""
 
     def __init__(self, minimise: Callable[..., Any], start: FloatArray, rng: np.random.Generator) -> None:
         taken = inspect.signature(minimise).parameters
@@ -83,6 +84,7 @@ class _Call:
         return self.told.get()
 
     def ask(self) -> FloatArray | None:
+        """See `LibraryOptimiser.ask`."""
         if self.thread.ident is None:
             self.thread.start()
         else:
@@ -93,4 +95,5 @@ class _Call:
         return None if genes is None else genes[None]
 
     def tell(self, genes: FloatArray, losses: FloatArray) -> None:
+        """See `LibraryOptimiser.tell`."""
         self.loss = float(losses[0])

@@ -1,8 +1,8 @@
 """Lazy greedy selection of poses from a grid on the surfaces.
 
-It maximises the `selection` of an objective, a monotone submodular surrogate. Adding the pose with the largest gain,
-one after the other, reaches 1 - 1/e of the best choice of poses. Gains do not increase, so the lazy variant (Minoux
-1978) is exact: a pose is evaluated again only while its last known gain is the largest.
+The surrogate is the `selection` of an objective, which is monotone and submodular. Adding the pose with the largest
+gain, one after the other, reaches 1 - 1/e of the value of the best choice of poses. Gains do not increase, so the lazy
+variant (Minoux 1978) is exact: a pose is evaluated again only while its last known gain is the largest.
 
 For tags of several sizes, a candidate is a pose with a size, and may be chosen while tags of its size are left. If the
 paper or the cost of all tags is limited instead, candidates are compared by their gain per square metre or cost.
@@ -36,10 +36,10 @@ class Stock(Protocol):
     """Landmarks that can be chosen."""
 
     def prices(self, poses: Deployment) -> FloatArray:
-        """Price of each pose, `(N,)`, by which its gain is divided."""
+        """Price of each pose, `(N,)`, by which the gain of the pose is divided."""
 
     def none_left(self, poses: Deployment, chosen: Sequence[int]) -> BoolArray:
-        """Mask `(N,)` of the poses for which no landmark is left after those `chosen`."""
+        """Mask `(N,)` of the poses for which no landmark is left after the `chosen` poses."""
 
 
 @dataclass(frozen=True)
@@ -67,7 +67,7 @@ class Limited:
     """Tags of any size with a limited total price."""
 
     total: float
-    """Limit, square metres of paper or cost."""
+    """Limit on the total price: square metres of paper, or cost."""
     prices_of: Callable[[Deployment], FloatArray]
     """Returns the price of each pose, `(N,)`."""
 
@@ -92,11 +92,11 @@ def select(
     """Choose some of the `poses`, each at most once, with footprints that do not overlap.
 
     Args:
-        selection: surrogate with no landmark chosen.
+        selection: surrogate for which no landmark is chosen yet.
         poses: N candidates.
         stock: landmarks that can be chosen, or the number of points.
         footprints: footprints of the tags; None for landmarks that are points.
-        allowance: largest number of gains to evaluate; fewer poses are chosen if it does not suffice.
+        allowance: largest number of gains to evaluate; fewer poses are chosen if the allowance does not suffice.
         fixed: landmarks that are chosen before the first of the poses.
 
     Returns:
@@ -118,7 +118,7 @@ def select(
         fresh = np.zeros(len(poses), dtype=bool)
         while not fresh[best := int(np.argmax(known))]:
             stale = np.flatnonzero(~fresh & ~taken)
-            # At first all gains are unknown; later only the largest are evaluated again.
+            # At first all gains are unknown and evaluated; later only the largest are evaluated again.
             batch = stale[np.argsort(-known[stale], kind="stable")[: GAINS_BATCH if chosen else len(poses)]]
             if spent + len(batch) > allowance:
                 return np.array(chosen, dtype=int), spent
@@ -140,7 +140,7 @@ def add_each(selection: Selection, fixed: Deployment | None) -> None:
 def candidates(footprints: Footprints, edges: FloatArray, spacing: float) -> Deployment:
     """Poses of a grid where tags may hang, for each size of `edges` `(K,)`, metres, see `Deployment.edges`.
 
-    The poses have an edge of their own if one of `edges` is known.
+    The poses have their own edges if any of `edges` is not NaN.
     """
     parts, own = [], not np.isnan(edges).all()
     for edge in np.unique(footprints.tag.filled(edges)):
@@ -150,7 +150,9 @@ def candidates(footprints: Footprints, edges: FloatArray, spacing: float) -> Dep
 
 
 def _candidates_within(footprints: Footprints, edges: FloatArray, spacing: float, most: float) -> Deployment:
-    """`candidates` with a spacing at which they are at most `most`, or one of each size for each piece of a surface."""
+    """`candidates` with a spacing that gives at most `most` poses, or one pose of each size for each piece of a
+    surface.
+    """
     poses, widest = candidates(footprints, edges, spacing), max(max(wall.extent) for wall in footprints.room.surfaces())
     while len(poses) > most and spacing < widest:
         spacing *= 1.3
@@ -162,7 +164,7 @@ def greedy_start(problem: Problem, start: Deployment, spacing: float, allowance:
     """Choose landmarks greedily until an allowance is used up; the others stay as in `start`.
 
     Args:
-        problem: its objective must have a selection.
+        problem: problem whose objective has a selection.
         start: K landmarks, the fixed ones first.
         spacing: spacing of the grid of poses, metres; larger if the allowance does not suffice for the grid.
         allowance: largest number of gains to evaluate.
@@ -174,13 +176,13 @@ def greedy_start(problem: Problem, start: Deployment, spacing: float, allowance:
     poses = _candidates_within(footprints, problem.free_edges, spacing, allowance / 2)
     selection = selectable(problem.objective).selection(problem.fitness_evaluator, problem.fitness_relevance)
     chosen, spent = select(
-        selection, poses, Tags(problem.free_sizes, problem.scene.tag), footprints, allowance, problem.hung
+        selection, poses, Tags(problem.free_sizes, problem.scene.tag), footprints, allowance, problem.fixed_with_edges
     )
-    return problem.apart(_in_place(problem, start, poses[chosen])) or start if len(chosen) else start, spent
+    return problem.separated(_in_place(problem, start, poses[chosen])) or start if len(chosen) else start, spent
 
 
 def _in_place(problem: Problem, start: Deployment, found: Deployment) -> Deployment:
-    """Replace the first free landmarks of each size in `start` by those `found`."""
+    """Replace the first free landmarks of each size in `start` by the landmarks `found`."""
     new = found.edges_of(problem.scene.tag)
     for edge in np.unique(new):
         these = np.flatnonzero(new == edge)
@@ -195,9 +197,9 @@ def composition(
     """Number of tags of each edge of a scene's tag, chosen by greedy selection by gain per price.
 
     Args:
-        scene: its tag has several edges, and a limit of paper or cost.
+        scene: scene whose tag has several edges, and a limit of paper or cost.
         objective: the objective, which has a selection.
-        threads: worker threads, all processors by default; the result does not depend on it.
+        threads: worker threads, all processors by default; the result does not depend on the number.
         fixed: fixed landmarks, with their surfaces.
 
     Raises:
@@ -220,8 +222,8 @@ def composition(
 
 
 def stock_of_sizes(tag: Tag, footprints: Footprints, limit: float) -> Stock:
-    """Tags of any edge of `tag` with a limit of cost if it has a budget, or of paper, square metres."""
+    """Tags of any edge of `tag`, limited in cost if the tag has a budget, else limited in paper, square metres."""
     if tag.budget is None:
         return Limited(limit, lambda poses: footprints.papers(poses) ** 2)
-    costs = dict(zip(tag.edges or (), tag.costs or (), strict=True))  # a budget comes with both
+    costs = dict(zip(tag.edges or (), tag.costs or (), strict=True))  # a tag with a budget has edges and costs
     return Limited(limit, lambda poses: np.array([costs[edge] for edge in poses.edges_of(tag).tolist()]))

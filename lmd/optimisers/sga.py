@@ -10,8 +10,8 @@ from lmd.optimisers.operators import exchange, filled_up, recombination_range, r
 class SGA(AskTell):
     """Standard genetic algorithm.
 
-    Each generation M parents are drawn with a probability proportional to their fitness (a roulette wheel, so one
-    chromosome can be drawn often), pair up, exchange a run of genes and mutate; the children replace the
+    In each generation M parents are drawn with a probability proportional to their fitness (by a roulette wheel, so one
+    chromosome can be drawn often). The parents pair up, exchange a run of genes and mutate; the children replace the
     population. So the population can get worse; the result is the best chromosome of all generations.
 
     Args:
@@ -53,7 +53,9 @@ class SGA(AskTell):
         self.population, self.fitness = genes, fitness
 
     def _roulette(self) -> np.ndarray:
-        """Indices of M parents; a failed evaluation has no share of the wheel, and if all have none, all are equal."""
+        """Indices of M parents. A failed evaluation has no share of the wheel; if all evaluations failed, the shares
+        are equal.
+        """
         share = np.maximum(self.fitness, 0.0)
         if not share.any():
             share = np.ones(len(share))

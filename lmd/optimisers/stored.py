@@ -12,7 +12,7 @@ from numpy.typing import DTypeLike
 
 from lmd.core.checks import FloatArray, InputError, integer
 from lmd.problem import Problem
-from lmd.scene.deployment import HUNG, Deployment
+from lmd.scene.deployment import POSE_FIELDS, Deployment
 from lmd.space.surface import NEAR_SURFACE
 
 LARGEST = sys.float_info.max
@@ -30,7 +30,7 @@ def array(
     """Return `value` if it is an array of this type and shape (None: any length), with values in [low, high].
 
     Raises:
-        InputError: it is something else, or has a value that is NaN or out of range.
+        InputError: `value` is no such array, or an element is NaN or out of range.
     """
     wanted = f"{np.dtype(dtype)} of shape ({', '.join('N' if size is None else str(size) for size in shape)})"
     if not isinstance(value, np.ndarray):
@@ -47,7 +47,7 @@ def generator_state(rng: np.random.Generator) -> dict[str, Any]:
     """Return a generator as data.
 
     Raises:
-        InputError: it was not made by `numpy.random.default_rng`.
+        InputError: the generator was not made by `numpy.random.default_rng`.
     """
     state = dict(rng.bit_generator.state)
     if state["bit_generator"] != "PCG64":
@@ -73,7 +73,7 @@ def generator(name: str, state: Mapping[str, Any]) -> np.random.Generator:
 
 def deployment_state(deployment: Deployment) -> dict[str, Any]:
     """Return a deployment as data, without its labels, which the problem has (`Problem.labelled`)."""
-    return {name: getattr(deployment, name) for name in HUNG}
+    return {name: getattr(deployment, name) for name in POSE_FIELDS}
 
 
 def deployment(name: str, state: Mapping[str, Any], problem: Problem, count: int) -> Deployment:
@@ -82,11 +82,11 @@ def deployment(name: str, state: Mapping[str, Any], problem: Problem, count: int
     Args:
         name: name of the argument, for messages.
         state: data of the other deployment.
-        problem: gives the room, on whose surfaces the landmarks hang.
+        problem: problem with the room on whose surfaces the landmarks hang.
         count: number of landmarks.
 
     Raises:
-        InputError: `state` is not one, or of another room.
+        InputError: `state` is not the state of a deployment in the room.
     """
     last = len(problem.scene.footprints.hanging.surfaces()) - 1
     surfaces = array(f"{name}.surfaces", state["surfaces"], np.int64, count, low=0, high=last)
@@ -98,7 +98,7 @@ def points(name: str, value: Any, problem: Problem, count: int) -> FloatArray:
     """Return `value` if it holds points `(count, 3)` in the box around a problem's room and fixed tags, metres.
 
     Raises:
-        InputError: it does not.
+        InputError: `value` is no such array, or a point is outside the box.
     """
     fixed = np.empty((0, 3)) if problem.fixed is None else problem.fixed.positions
     corners = np.vstack([*problem.scene.room.bounds(), fixed])

@@ -1,4 +1,6 @@
-"""Optimisers of other libraries behind `AskTell`: seeding, silence and restarts; any object with `ask` and `tell`."""
+"""Optimisers of other libraries behind `AskTell`: seeds, suppressed output and restarts; any object with `ask` and
+`tell`.
+"""
 
 import inspect
 import io
@@ -19,20 +21,20 @@ from lmd.optimisers.base import AskTell
 
 # Loss of a failed evaluation, finite as libraries require; fitness lies in [0, 1].
 LOSS_OF_FAILURE = 1e3
-# Amount by which the loss decreases with each evaluation; one position contributes far more. Many deployments have
-# equal fitness, and most libraries reject ties; with the decrease they cross plateaus.
+# Amount by which the loss of equal fitness decreases with each evaluation, far less than one position contributes. Many
+# deployments have equal fitness, and most libraries reject ties; the decrease lets them cross plateaus.
 TIE_BONUS = 1e-12
 STOP_METHODS = ("stop", "should_stop")  # methods of an object that return True after it has ended by its own rules
 
 
 class LibraryOptimiser(Protocol):
-    """Running optimiser of a library; it minimises."""
+    """Running optimiser of a library, which minimises the loss."""
 
     def ask(self) -> FloatArray | None:
         """Return the next genes `(B, dim)`, or None when the optimiser has ended by its own rules."""
 
     def tell(self, genes: FloatArray, losses: FloatArray) -> None:
-        """Learn the losses `(B,)` of the genes asked for, which are now inside the unit box."""
+        """Learn the losses `(B,)` of the genes asked for, after the genes were clipped to the unit box."""
 
 
 class Wrapped(AskTell):
@@ -40,7 +42,8 @@ class Wrapped(AskTell):
 
     - An optimiser that ends before the budget is followed by a new one with another seed, which starts from the best
       genes.
-    - Libraries draw from global random generators. These are set for each call of a library, and reset afterwards.
+    - Libraries draw from global random generators. The global generators are seeded for each call of a library, and
+      reset afterwards.
     """
 
     def __init__(self, seed: int = 0, encoding: str | None = None) -> None:
@@ -104,7 +107,7 @@ class Wrapped(AskTell):
 
 
 def _inner(call: Callable[..., Any]) -> Callable[..., Any]:
-    """Return the function within partial ones."""
+    """Return the function inside nested `functools.partial` objects."""
     while isinstance(call, partial):
         call = call.func
     return call
@@ -116,7 +119,9 @@ def name_of(call: Callable[..., Any]) -> str:
 
 
 def with_tuples(call: Callable[..., Any]) -> Callable[..., Any]:
-    """Turn lists in a partial function to tuples where its defaults are tuples: configurations have lists only."""
+    """Turn lists among the arguments of a partial function into tuples where the defaults are tuples, as configurations
+    have only lists.
+    """
     if not isinstance(call, partial):
         return call
     parameters = inspect.signature(call).parameters
@@ -145,11 +150,12 @@ def _global_state_of(seed: int) -> tuple[Any, Any]:
 
 
 class AskAndTell(Wrapped):
-    """Any object with `ask` and `tell` behind `AskTell`: it proposes genes in the unit box, and learns their losses.
+    """Any object with `ask` and `tell` behind `AskTell`: the object proposes genes in the unit box, and learns their
+    losses.
 
     Args:
-        make: makes the object; in YAML a node with `_target_` (the class), `_partial_: true` and its parameters. It is
-            called with the start `(dim,)`, and with a `seed` and with `bounds` `(dim, 2)` where it has such arguments.
+        make: makes the object; in YAML a node with `_target_` (the class), `_partial_: true` and its parameters. `make`
+            is called with the start `(dim,)`, and with a `seed` and with `bounds` `(dim, 2)` if it has such arguments.
         start: name of the argument for the start, such as `x0` or `mean`.
         batch: number of calls of `ask` before `tell`, for an object that proposes one set of genes at a time.
         told: arguments of `tell`: `arrays` for genes and losses, `pairs` for a list of (genes, loss).
@@ -157,7 +163,7 @@ class AskAndTell(Wrapped):
         seed: see `Optimiser`.
 
     Raises:
-        InputError: `make` is not a function with that argument, or a parameter is out of range.
+        InputError: `make` is not a function with the argument `start`, or a parameter is out of range.
     """
 
     def __init__(

@@ -22,7 +22,7 @@ CROSS_VALIDATION_FOLDS = 10
 # Candidate standard deviations of a kernel, fine cells.
 BANDWIDTHS = (1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 8.0, 12.0, 16.0)
 YAW_BINS, PITCH_BINS = 8, 4  # bins of equal frequency in the table of the independence test
-RESAMPLES = 9999  # random tables of that test
+RESAMPLES = 9999  # random tables of the independence test
 
 
 @dataclass(frozen=True)
@@ -83,7 +83,7 @@ class Candidate:
     density: Density
     """Fit to all samples."""
     log_likelihood: float
-    """Cross-validated mean log-likelihood per sample, of probabilities of fine cells."""
+    """Cross-validated mean log-likelihood per sample, with the probabilities of fine cells."""
     behind: float
     """Largest log-likelihood of all candidates minus `log_likelihood`."""
     standard_error: float
@@ -103,7 +103,9 @@ def von_mises(angle: FloatArray, axis: AngleCells) -> Density:
 
 
 def normal(angle: FloatArray, axis: AngleCells) -> Density:
-    """Fit the normal distribution with the samples' mean and standard deviation, cut to the range of the angle."""
+    """Fit the normal distribution with the mean and the standard deviation of the samples, truncated to the range of
+    the angle.
+    """
     mean, std = norm.fit(angle)
     std = max(std, axis.width / 4.0)  # limited by the width of cells, as a fold may contain a single value
     low, high = (axis.low - mean) / std, (axis.high - mean) / std
@@ -194,7 +196,7 @@ def _folds(count: int) -> list[IntArray]:
 
 
 def _log_likelihood(probability: FloatArray, count: float, index: IntArray) -> FloatArray:
-    """Log probabilities of held-out samples, `(S,)`.
+    """Log probabilities of the cells of held-out samples, `(S,)`.
 
     The density is mixed with one additional uniform sample, so that the log probability of an outlier is finite.
     """
@@ -224,10 +226,10 @@ class Independence:
 def independence_test(samples: Samples, significance: float, rng: np.random.Generator) -> Independence:
     """Pearson's chi-squared test of the contingency table of yaw and pitch bins, with a Monte Carlo p value.
 
-    As bins are categories, the seam of the yaw needs no special treatment, and nonlinear dependence is detected. Bins
-    have equal numbers of samples. The p value is the share of random tables with equal margins that have at least the
-    statistic of the data, so it is valid for few samples, too. The test assumes samples independent in time, as the
-    random intervals provide; with samples closer than the correlation time it would reject too often.
+    Bins are categories, so the seam of the yaw needs no special treatment, and nonlinear dependence is detected. Bins
+    have equal numbers of samples. The p value is the share of random tables with equal margins whose statistic is at
+    least that of the data, so it is valid for few samples, too. The test assumes independent samples, which random
+    intervals provide; for samples closer in time than the correlation time it would reject too often.
 
     Args:
         samples: samples of yaw and pitch, neither of them fixed.

@@ -162,7 +162,7 @@ class SimulatedRecording:
         yaw_mean: mean direction of the yaw, radians.
         yaw_concentration: concentration kappa >= 0 of the von Mises distribution; 0 is uniform.
         pitch_mean: mean of the normal distribution before truncation to [-pi/2, pi/2], radians.
-        pitch_std: standard deviation of that distribution, radians; 0 for a fixed pitch.
+        pitch_std: standard deviation of the normal distribution before truncation, radians; 0 for a fixed pitch.
         coupling: c in [-1, 1], correlation between the normal scores of the pitch and of the yaw's distance from its
             mean; 0 makes yaw and pitch independent.
 
@@ -242,7 +242,7 @@ def sample_at_random_intervals(
     """Sample a recording at random intervals m / 2 + e: m is the mean interval, e exponential with the mean m / 2.
 
     The fixed half limits the correlation of neighbouring samples; the random half avoids aliasing with periodic motion.
-    Records of uneven rate are thus weighted by their duration.
+    So records are drawn in proportion to their durations, even if the rate of the recording is uneven.
 
     Args:
         recording: recording to sample.
@@ -277,7 +277,7 @@ def sample_at_random_intervals(
 
 
 def integrated_correlation_time(recording: OrientationRecording) -> float:
-    """Integrated autocorrelation time, seconds; the larger one of yaw and pitch.
+    """Integrated autocorrelation time, seconds: the larger of the times of yaw and pitch.
 
     T = step (1 + 2 sum_k rho_k), summed up to the first lag with rho_k <= 0. For the yaw, rho is the autocorrelation of
     the unit vector (cos alpha, sin alpha), which has no seam. A fixed angle has T = step.

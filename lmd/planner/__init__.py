@@ -1,7 +1,7 @@
-"""Planning by hand: a browser in which tags are dragged over the surfaces of a room, with all figures updated at once.
+"""Planning by hand: the user drags tags over the surfaces of a room in a browser, and all figures are updated at once.
 
-- `app` serves the planner; `access` guards it; `actions` queues what browsers ask for.
-- `session` is the state behind it: a `plan` with undo, its `figures`, and a `tag_search` by an optimiser.
-- `background` computes slower figures while the user rests.
+- `server` serves the planner; `access` refuses other pages; `actions` is the queue of requests from browsers.
+- `session` is the state of planning: a `plan` with undo, its `figures`, and a `tag_search` by an optimiser.
+- `background` computes slower figures while the user does nothing.
 - `panel`, `picture` and `robot` draw; `viewing` relates the view of a browser to the room; `survey_map` reads a survey.
 """

@@ -3,10 +3,10 @@
 Browsers let the page of any site open a websocket to this machine, and the server of viser accepts every request. Three
 checks refuse other pages, from their own origin or with their own name resolved to this machine (DNS rebinding):
 
-- the path begins with a token that is new at each start. The page opens its websocket below its own address, so it
-  passes the token on, also when it is reloaded or connects again;
+- the path begins with a token that is new at each start. The page opens its websocket below its own address, so the
+  websocket's path has the token, also after a reload or a new connection;
 - the header `Host` names this machine;
-- the header `Origin` of a websocket is that of a page from the same host and port.
+- the header `Origin` of a websocket names a page from this host and port.
 """
 
 import hmac
@@ -23,14 +23,14 @@ from lmd.core.checks import InputError
 from lmd.core.optional import optional
 
 HOST = "127.0.0.1"  # listening address, which other machines cannot reach
-LOCAL_ADDRESS = re.compile(r"(127\.0\.0\.1|localhost)(:\d+)?")  # any port, as it may be forwarded
+LOCAL_ADDRESS = re.compile(r"(127\.0\.0\.1|localhost)(:\d+)?")  # any port, as the port may be forwarded
 TOKEN_BYTES = 18
 
 Answer = Callable[[Any, Any], Any]
 
 
 class Access:
-    """Refuses requests, or forwards them without the token."""
+    """Check of requests: a request is refused, or forwarded without the token."""
 
     def __init__(self) -> None:
         self._path = f"/{secrets.token_urlsafe(TOKEN_BYTES)}"
@@ -45,7 +45,7 @@ class Access:
         """Check all requests to a server of viser that starts within this context.
 
         Raises:
-            InputError: the server does not let requests be checked.
+            InputError: the server has no hook for checking requests.
         """
         server = optional("websockets.asyncio.server", "view")
         serve = server.serve
@@ -54,7 +54,7 @@ class Access:
             self._is_asked = True
             return serve(*arguments, process_request=partial(self._answer, process_request), **options)
 
-        server.serve = checked  # viser has no option for it
+        server.serve = checked  # viser has no option for such a check
         try:
             yield
         finally:
@@ -63,7 +63,7 @@ class Access:
             raise InputError("this version of viser cannot be kept from talking to every web page; 1.1.1 can.")
 
     def _answer(self, hand_on: Answer, connection: Any, request: Any) -> Any:
-        """Refuse or forward a request; the server's `process_request`."""
+        """Refuse or forward a request; the function `process_request` of the server."""
         path = self._inner_path(request.path)
         if path is None:
             return connection.respond(HTTPStatus.FORBIDDEN, "This is not the address that the planner has printed.\n")

@@ -1,4 +1,4 @@
-"""Actions: a queue of requests from browsers and threads, which one thread runs in order."""
+"""Actions: requests from browsers and threads in a queue, which one thread runs in order."""
 
 import logging
 from collections.abc import Callable
@@ -14,7 +14,7 @@ Action = Callable[[], None]
 
 
 class ActionQueue:
-    """A queue of actions: any thread puts them in, one thread takes them out."""
+    """Queue of actions: any thread may append an action, and one thread runs the actions."""
 
     def __init__(self) -> None:
         self._queue: SimpleQueue[Action] = SimpleQueue()
@@ -37,7 +37,7 @@ class ActionQueue:
     def put_answer(self, answer: Callable[..., None], *of_event: Any) -> None:
         """Append the answer to a browser's event.
 
-        Browsers may send any values. An answer that fails because of them raises InputError only.
+        Browsers may send any values. An answer that fails because of such values raises only InputError.
         """
         self.put(partial(_answer, answer, *of_event))
 
@@ -53,7 +53,7 @@ def _answer(answer: Callable[..., None], *of_event: Any) -> None:
 
 
 def call_in_order(register: Callable[[Any], object], answer: Callable[[Any], None]) -> None:
-    """Call `answer` for events of viser in viser's own thread, which it must not block."""
+    """Call `answer` for events of viser in viser's own thread; `answer` must not block."""
 
     async def call(event: Any) -> None:  # viser runs plain functions in a pool of threads, in any order
         answer(event)

@@ -1,4 +1,4 @@
-"""Background work: figures that take longer, computed in a thread of their own while the user rests."""
+"""Background work: slow figures, computed in a thread of their own while the user does nothing."""
 
 import threading
 from collections.abc import Callable, Iterator
@@ -17,7 +17,7 @@ from lmd.planner.session import PlanningSession, Posed
 from lmd.problem import Problem
 from lmd.scene.deployment import Deployment
 
-PATIENCE_SECONDS = 0.5  # maximum time that the end of unwanted work is waited for, seconds
+PATIENCE_SECONDS = 0.5  # maximum time to wait for the end of unwanted work, seconds
 TO_COME = {"off the grid": "..."}
 FIRST_SAMPLE = Sample(groups=8, positions=256, divisions=8)  # takes a fiftieth of the time of the whole sample
 ESTIMATE = {"a first estimate": "all digits follow"}
@@ -31,7 +31,7 @@ class Worker(Generic[Question]):
 
     Args:
         work: called with a question, and with a function that returns True while the answer is wanted.
-        failed: called in that thread with a question that cannot be answered, and the reason in a sentence.
+        failed: called in the worker's thread with a question that cannot be answered, and the reason in a sentence.
     """
 
     def __init__(self, work: Callable[[Question, Wanted], None], failed: Callable[[Question, str], None]) -> None:
@@ -43,7 +43,9 @@ class Worker(Generic[Question]):
         self._thread.start()
 
     def ask(self, question: Question | None) -> None:
-        """Replace the question; None for none. A question is answered once, until another one or None is asked."""
+        """Replace the question; None for no question. A question is answered once, unless another question replaces it
+        before.
+        """
         with self._changed:
             if question is None:
                 self._question = None
@@ -52,7 +54,7 @@ class Worker(Generic[Question]):
                 self._changed.notify()
 
     def close(self) -> None:
-        """End once the work at hand checks whether it is wanted; it does not while it compiles."""
+        """End the thread when its work next checks if the answer is wanted; compilation makes no such checks."""
         with self._changed:
             self._question, self._closing = None, True
             self._changed.notify()
@@ -77,11 +79,11 @@ class Worker(Generic[Question]):
 
 
 class UnwantedError(Exception):
-    """The answer is not wanted any more."""
+    """Raised when the answer is not wanted any more."""
 
 
 def off_grid(problem: Problem, deployment: Deployment, seed: int, wanted: Wanted) -> Iterator[dict[str, str]]:
-    """Figures off the grid as labelled sentences: an estimate from a small sample, then those of `evaluate`.
+    """Figures off the grid as labelled sentences: estimates from a small sample, then the figures of `evaluate`.
 
     Recorded poses need no sample, so they have no estimate.
 
@@ -89,7 +91,7 @@ def off_grid(problem: Problem, deployment: Deployment, seed: int, wanted: Wanted
         problem: scene and objective.
         deployment: the tags.
         seed: seed of the samples.
-        wanted: called now and then; False to end the iteration.
+        wanted: called repeatedly; returns False to end the iteration.
     """
 
     def check() -> None:
@@ -110,11 +112,11 @@ class Background:
     """Computes and shows an estimate of figures off the grid, gains of one more tag, then exact figures off the grid.
 
     Args:
-        session: session whose plan it works on.
+        session: session with the plan.
         actions: queue for results.
         panel: panel that shows figures.
         picture: picture that shows gains on surfaces.
-        seed: seed of the sample off the grid; None to leave these figures out.
+        seed: seed of the sample off the grid; None to compute no figures off the grid.
     """
 
     def __init__(
@@ -135,7 +137,7 @@ class Background:
             self._panel.show_off_grid(TO_COME)
 
     def begin(self) -> None:
-        """Work on the present plan, unless this is done or being done."""
+        """Start the work on the present plan, unless it is finished or under way."""
         self._worker.ask(self._session.posed)
 
     def stop(self) -> None:
@@ -154,7 +156,7 @@ class Background:
         self._panel.show_legend(None if gains is None else float(np.nanmax(gains, initial=0.0)))
 
     def _work(self, posed: Posed, wanted: Wanted) -> None:
-        """Runs in the worker's thread."""
+        """Compute and report all results for a plan; runs in the worker's thread."""
         figures = iter(()) if self._seed is None else off_grid(*posed, self._seed, wanted)
         self._hand_over(posed, next(figures, None))
         found = additions(*posed, self._picture.candidates.poses, wanted)
@@ -176,5 +178,5 @@ class Background:
 
     def _take_failure(self, posed: Posed, why: str) -> None:
         if posed is self._session.posed:
-            self._panel.show_off_grid({})  # none will follow
+            self._panel.show_off_grid({})  # no figures will follow
             self._panel.say(why, refused=True)

@@ -21,13 +21,14 @@ from lmd.sight.poses import Cells, wall_cells
 from lmd.space.surface import SurfaceArrays
 
 CANDIDATES = 3000  # approximate number of candidate places in a room
-CANDIDATE_BATCH = 64  # candidate places between two checks whether the result is wanted
+CANDIDATE_BATCH = 64  # number of candidate places between two checks if the result is wanted
 
 
 class Values:
     """Values and figures of a deployment, equal to those of `Problem` to the last bit.
 
-    They are updated when tags move (`lmd.incremental.field`), and computed anew when their number or sizes change.
+    Values are updated when tags move (`lmd.incremental.field`), and computed anew when the number or sizes of tags
+    change.
 
     Args:
         problem: scene and objective; its number of landmarks does not matter.
@@ -39,19 +40,19 @@ class Values:
 
     def __init__(self, problem: Problem, deployment: Deployment) -> None:
         self._problem = problem
-        self._grid = _Followed(problem, problem.evaluator, deployment)
+        self._grid = _FieldValues(problem, problem.evaluator, deployment)
         sampled = problem.fitness_evaluator is not problem.evaluator
-        self._climbed = _Followed(problem, problem.fitness_evaluator, deployment) if sampled else self._grid
+        self._climbed = _FieldValues(problem, problem.fitness_evaluator, deployment) if sampled else self._grid
 
-    def follow(self, deployment: Deployment) -> None:
-        """Change the deployment.
+    def update(self, deployment: Deployment) -> None:
+        """Update the values to another deployment.
 
         Raises:
             InputError: there is too little memory.
         """
-        self._grid.follow(deployment)
+        self._grid.update(deployment)
         if self._climbed is not self._grid:
-            self._climbed.follow(deployment)
+            self._climbed.update(deployment)
 
     def values(self) -> FloatArray:
         """See `Problem.values`."""
@@ -65,7 +66,7 @@ class Values:
         return {**figures, "fitness": float(fitness)}
 
 
-class _Followed:
+class _FieldValues:
     """Values at the positions of one evaluator."""
 
     def __init__(self, problem: Problem, evaluator: Evaluator, deployment: Deployment) -> None:
@@ -78,7 +79,7 @@ class _Followed:
         state: Any = self._field.state(deployment)
         self._state, self._scratches = state, layers(self._field.scratch(state), 1)
 
-    def follow(self, deployment: Deployment) -> None:
+    def update(self, deployment: Deployment) -> None:
         """Move the landmarks whose places differ."""
         if np.array_equal(deployment.edges_of(self._evaluator.scene.tag), self._edges):
             steps, poses = moved(places_of(deployment), self._state)
@@ -92,13 +93,14 @@ class _Followed:
 
 
 class Additions(NamedTuple):
-    """Gains by one more tag at each of N places; NaN where its paper would overlap another."""
+    """Gains by one more tag at each of N places; NaN where its paper would overlap another paper."""
 
     fitness: FloatArray
     """`(N,)` gain of the fitness."""
     value: FloatArray
-    """`(N,)` gain of the mean of the objective's value over positions, weighted by their relevance. It also ranks
-    places that lift no position over a threshold."""
+    """`(N,)` gain of the mean of the objective's value over positions, weighted by their relevance. The mean value also
+    ranks places where a tag lifts no position over a threshold.
+    """
 
 
 @kernel
@@ -126,17 +128,17 @@ def additions(
 ) -> Additions | None:
     """Gains by one more tag at each of N poses.
 
-    An invisible landmark is moved from place to place (`lmd.incremental.field`). Moves are settled, so that shadows
-    count, but never accepted.
+    An invisible landmark is moved from place to place (`lmd.incremental.field`). Moves are settled, so that occlusion
+    counts, but never accepted.
 
     Args:
-        problem: scene and objective; gains are those on its grid.
+        problem: scene and objective; gains are computed on its grid.
         deployment: K landmarks.
         poses: N places, with their surfaces.
-        wanted: called now and then; False to stop.
+        wanted: called repeatedly; returns False to stop.
 
     Returns:
-        None if stopped.
+        gains; None if `wanted` returned False.
 
     Raises:
         InputError: the objective has no field.

@@ -1,4 +1,4 @@
-"""The panel beside the picture: figures, buttons, sliders and the legend, as widgets of viser."""
+"""Panel beside the picture: figures, buttons, sliders and the legend, as widgets of viser."""
 
 import html
 import math
@@ -17,7 +17,8 @@ from lmd.planner.figures import Additions
 from lmd.planner.plan import MeasuredPlace
 from lmd.planner.tag_search import SearchProgress
 
-ADDITIONS = {"mean value": "value", "fitness": "fitness"}  # choices of gains on surfaces, and fields of `Additions`
+# Gains that surfaces can show: name in the panel, and field of `Additions`.
+ADDITIONS = {"mean value": "value", "fitness": "fitness"}
 NO_ADDITION = "nothing"
 HINT = "drag a tag; click a tag, a position or a surface"
 UNDO, REDO, PIN, DELETE, SAVE = "Undo", "Redo", "Pin or unpin", "Delete", "Save"
@@ -25,7 +26,7 @@ RESIZE = "Give the tag this size"
 PLACE, FROM_FLOOR, FROM_BELOW = "Hang it there", "from floor, m", "from below, m"
 WIDTH, GAP = 290.0, 12.0  # width of the legend, and its distance from the lower left corner of the picture, pixels
 OPTIMISE, STOP = "Optimise the free tags", "Stop, keep the best"
-COLOUR_STOPS = 9  # colours of a scale in the legend
+COLOUR_STOPS = 9  # number of colours in a scale of the legend
 LEGEND_STYLE = "font-size: 0.75em; padding: 0 0.8em; white-space: nowrap; line-height: 1.4"
 TAGS = {"free": FREE, "pinned": PINNED, "selected": SELECTED, "seen": SEEN}
 
@@ -61,7 +62,7 @@ class PlannerPanel:
             self._size = gui.add_dropdown("size", tuple(self._edges) or ("",), visible=len(self._edges) > 1)
             self.resize = gui.add_button(RESIZE, visible=len(self._edges) > 1)
         with gui.add_folder("Optimise"):
-            # Floats: viser makes an integer widget of an integer, and cannot send it fractions.
+            # Limits are floats, as viser makes an integer widget for an integer, and cannot send fractions to it.
             self._limits = {
                 name: gui.add_number(f"budget, {name}", float(limit), step=1.0)
                 for name, limit in asdict(budget).items()
@@ -75,7 +76,7 @@ class PlannerPanel:
             self.yaw = gui.add_slider("yaw, degrees", -180.0, 180.0, 1.0, 0.0)
             self.pitch = gui.add_slider("pitch, degrees", -90.0, 90.0, 1.0, 0.0)
             for slider in (self.yaw, self.pitch):
-                # In viser's thread, which might else send browsers a value after it was put back.
+                # `_put_back` runs in viser's thread, which might otherwise send the old value to browsers afterwards.
                 call_in_order(slider.on_update, _put_back)
         with gui.add_folder("Show"):
             self.positions = gui.add_checkbox("positions", initial_value=True)
@@ -113,7 +114,7 @@ class PlannerPanel:
 
     @property
     def typed(self) -> tuple[float, float]:
-        """Typed place, left and up, see `MeasuredPlace`."""
+        """Place that the user has typed: `left` and `up` of a `MeasuredPlace`."""
         return float(self._left.value), float(self._up.value)
 
     def show_figures(self, rows: Mapping[str, str]) -> None:
@@ -178,13 +179,13 @@ class PlannerPanel:
 
 
 def _within(slider: Any) -> float:
-    """Value of a slider, 0 if a browser has sent one outside of its range."""
+    """Value of a slider; 0 if a browser has sent a value outside the slider's range."""
     value = float(slider.value)
     return value if slider.min <= value <= slider.max else 0.0
 
 
 def _put_back(event: Any) -> None:
-    """Put a slider back to 0 if a browser has sent a value outside of its range."""
+    """Reset a slider to 0 if a browser has sent a value outside the slider's range."""
     event.target.value = _within(event.target)
 
 
@@ -199,11 +200,11 @@ def _paragraph(name: str, text: str, style: str = "") -> str:
 
 
 def _legend_html(value: str, span: tuple[float, float], most: float | None) -> str:
-    """Table of the colours.
+    """HTML table of the colours.
 
     Args:
         value: label of the values of positions.
-        span: values of positions at both ends of their colours, from 0 to 1.
+        span: values, from 0 to 1, that the first and the last colour of positions mean.
         most: gain at the brightest place of a surface; None while surfaces are grey.
     """
     rows = [f'<td colspan=2 style="white-space: normal">positions: {html.escape(value)}</td>']
@@ -216,7 +217,7 @@ def _legend_html(value: str, span: tuple[float, float], most: float | None) -> s
 
 
 def _scale(name: str, low: str, high: str) -> str:
-    """Bar with the colours of a map, between the values of its ends."""
+    """HTML bar with the colours of a map, between the values at its ends."""
     colours = ", ".join(_css(tuple(colour)) for colour in mapped(name, np.linspace(0.0, 1.0, COLOUR_STOPS)).tolist())
     return f"{low} {_box('6em', f'linear-gradient(to right, {colours})')} {high}"
 

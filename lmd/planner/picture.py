@@ -1,4 +1,4 @@
-"""The picture: surfaces, positions and tags of a room with captions, drawn by viser."""
+"""Picture of a room by viser: surfaces, positions and tags, with captions."""
 
 import math
 from collections.abc import Sequence
@@ -36,19 +36,19 @@ from lmd.space.surface import FLAT, Surface
 SQUARE = np.array([[-1.0, -1.0, 0.0], [1.0, -1.0, 0.0], [1.0, 1.0, 0.0], [-1.0, 1.0, 0.0]])
 TRIANGLES = np.array([[0, 1, 2], [0, 2, 3]])
 MESH_OPTIONS = {"lod": "off", "cast_shadow": False, "receive_shadow": False}  # options of viser's batched meshes
-TAG_OFFSET_M = 0.01  # distance from a surface to the tags before it, so that they are visible, metres
+TAG_OFFSET_M = 0.01  # distance at which tags are drawn in front of their surface, to be visible, metres
 BALL_RADIUS = 0.12  # radius of a position, relative to the spacing of positions
 POINT_SIZE = 0.008  # half the edge of a point landmark, in diagonals of the room
 CELL_SHARE = 0.97  # coloured share of the width and height of a cell
 OFFSET_MAGNIFICATION = 20.0  # magnification of the lines from planned to measured places
-LIGHT_INTENSITY = 2.0  # intensity at which viser shows colours nearly as given
-NAME, ID, CHOSEN = 1.0, 0.75, 1.1  # sizes of letters, relative to viser's
-MOST_CAPTIONS = 120  # maximum number of ids that are shown at first; more would hide the tags
+LIGHT_INTENSITY = 2.0  # intensity of the light at which viser hardly changes colours
+NAME, ID, CHOSEN = 1.0, 0.75, 1.1  # sizes of letters, relative to viser's default
+MOST_CAPTIONS = 120  # maximum number of ids shown at the start; more ids would hide the tags
 FRUSTUM_DEPTH = 0.08  # depth of drawn frustums, in diagonals of the room
 
 
 class RoomPicture:
-    """Everything that is drawn but the robot.
+    """Drawing of everything except the robot.
 
     `tags`, `cells` and `balls` are handles of viser for callbacks. Their instances are the tags of the plan, in its
     order, the candidate places, and the positions of the grid. `depth` is the length of drawn frustums, metres.
@@ -65,7 +65,7 @@ class RoomPicture:
         self._diagonal = float(np.linalg.norm(high - low))
         self.depth = FRUSTUM_DEPTH * self._diagonal
         self._framing = Framing(server, low, high)
-        # Ambient light only: shades would change colours, which mean values.
+        # The light is ambient: shading would change the colours, which represent values.
         self._scene.configure_default_lights(enabled=False)
         self._scene.configure_environment_map(None)
         self._scene.add_light_ambient("/light", intensity=LIGHT_INTENSITY)
@@ -113,8 +113,8 @@ class RoomPicture:
         Args:
             plan: the plan.
             selected: id of the selected tag; None for none.
-            seen: True for tags that stand out, `(K,)`; None for none.
-            ids: True to show all ids, False for that of the selected tag only.
+            seen: True for tags that are highlighted, `(K,)`; None for none.
+            ids: True to show all ids, False to show only the id of the selected tag.
 
         Returns:
             True if `tags` is a new handle without callbacks.
@@ -142,7 +142,7 @@ class RoomPicture:
         return fresh
 
     def _halves(self, deployment: Deployment) -> FloatArray:
-        """Half the edges of the papers of tags, `(K,)`, metres; half the drawn size of points."""
+        """Half the edges of the papers of tags, `(K,)`, metres; for points, half the drawn size."""
         papers = self._problem.scene.footprints.papers(deployment)
         return np.where(papers > 0.0, papers / 2.0, POINT_SIZE * self._diagonal)
 
@@ -179,7 +179,7 @@ class RoomPicture:
         self.balls.batched_colors = mapped(VALUES, (values - low) / (high - low))
 
     def show_additions(self, gains: FloatArray | None) -> None:
-        """Colour the surfaces by gains `(N,)`, from 0 to the largest; grey for None."""
+        """Colour the surfaces by gains `(N,)`, from 0 to the largest gain; grey for None."""
         if gains is None:
             self.cells.batched_colors = alike(UNKNOWN, len(self.candidates.poses))
             return
@@ -214,7 +214,7 @@ class Captions:
             label.visible = visible
 
     def show_ids(self, ids: IntArray, places: FloatArray, selected: int | None, visible: bool) -> None:
-        """Show the ids `(K,)` of tags at `places` `(K, 3)`; the selected one is larger and always visible."""
+        """Show the ids `(K,)` of tags at `places` `(K, 3)`; the id of the selected tag is larger and always visible."""
         for k, (number, place) in enumerate(zip(ids.tolist(), places.tolist(), strict=True)):
             self._show_id(k, (str(number), tuple(place), number == selected, visible or number == selected))
         for label in self._ids[len(ids) :]:
@@ -222,7 +222,9 @@ class Captions:
         del self._shown[len(ids) :]
 
     def _show_id(self, k: int, wanted: tuple[str, tuple[float, ...], bool, bool]) -> None:
-        """Update the label k if it differs from `wanted`: there may be hundreds, and each is sent to browsers."""
+        """Update the label k if it differs from `wanted`; there may be hundreds of labels, and each update is sent to
+        browsers.
+        """
         if k == len(self._ids):
             self._ids.append(self._scene.add_label(f"/ids/{k}", "", anchor="bottom-center", visible=False))
         if k < len(self._shown) and self._shown[k] == wanted:

@@ -1,4 +1,4 @@
-"""A plan: tags, pinned or free, and movable cameras."""
+"""Plan: tags, pinned or free, and movable cameras."""
 
 from dataclasses import dataclass, replace
 from typing import NamedTuple
@@ -18,7 +18,7 @@ from lmd.space.surface import SurfaceArrays
 
 
 class MeasuredPlace(NamedTuple):
-    """A place on a surface as one measures it before the wall, as in `plan.pdf`."""
+    """Place on a surface as measured by a person in front of it, as in `plan.pdf`."""
 
     left: float
     """Distance from the left edge, metres."""
@@ -30,10 +30,10 @@ class MeasuredPlace(NamedTuple):
 
 @dataclass(frozen=True)
 class Plan:
-    """Tags and cameras; every change makes a new plan."""
+    """Tags and cameras. A plan is immutable; every change returns a new plan."""
 
     deployment: Deployment
-    """Tags with their ids and surfaces; `of` gives ids to landmarks without."""
+    """Tags with their ids and surfaces; `of` gives ids to landmarks that have none."""
     pinned: frozenset[int] = frozenset()
     """Ids of tags that do not move."""
     rig: Rig | None = None
@@ -41,7 +41,7 @@ class Plan:
 
     @classmethod
     def of(cls, deployment: Deployment, hung: Deployment | None = None, rig: Rig | None = None) -> "Plan":
-        """Plan of a deployment, with the tags that are `hung` already pinned."""
+        """Plan of a deployment, in which the tags `hung`, which hang already, are pinned."""
         labels = deployment.labels or Labels(deployment.ids)
         pinned = frozenset() if hung is None else frozenset(hung.ids.tolist())
         return cls(replace(deployment, labels=labels), pinned, rig)
@@ -77,7 +77,7 @@ class Plan:
         return f"tag {number}: {where}, ({x:.3f}, {y:.3f}, {z:.3f}) m{size}{pinned}"
 
     def measured(self, number: int, room: Space) -> "MeasuredPlace | None":
-        """Place of the tag with an id on its surface; None if it hangs on none.
+        """Place of the tag with an id on its surface; None if the tag hangs on no surface.
 
         Raises:
             InputError: there is no such tag.
@@ -87,14 +87,14 @@ class Plan:
         if index < 0:
             return None
         surface = room.surfaces()[index]
-        left, below = surface.seen(np.stack(surface.coordinates(self.deployment.positions[k])))
+        left, below = surface.from_left_and_below(np.stack(surface.coordinates(self.deployment.positions[k])))
         return MeasuredPlace(float(left), float(below) + lower_edge(room, surface), surface.is_upright)
 
     def moved(self, footprints: Footprints, number: int, surface: int, at: FloatArray) -> "Plan":
         """Move a tag to the free place nearest to `at` `(2,)`, coordinates on a surface, metres.
 
         Raises:
-            InputError: there is no such tag, it is pinned, or there is no room for its paper.
+            InputError: there is no such tag, the tag is pinned, or there is no room for its paper.
         """
         k = self._movable(number)
         rest = np.flatnonzero(np.arange(len(self.deployment)) != k)
@@ -106,7 +106,7 @@ class Plan:
         """Change the edge of a tag, metres, and move it to the nearest free place.
 
         Raises:
-            InputError: as for `moved`, or it hangs on no surface.
+            InputError: as for `moved`, or the tag hangs on no surface.
         """
         k = self._movable(number)
         edges = self.deployment.edges.copy()
@@ -118,7 +118,7 @@ class Plan:
         return replace(self, deployment=replace(self.deployment, edges=edges)).moved(footprints, number, surface, at)
 
     def added(self, scene: Scene, surface: int, at: FloatArray, edge: float | None = None) -> tuple["Plan", int]:
-        """Add a tag at the free place nearest to `at`; return the plan and its id, the least unused one.
+        """Add a tag at the free place nearest to `at`; return the plan and the tag's id, which is the least unused id.
 
         Args:
             scene: scene of the tags.
@@ -144,7 +144,7 @@ class Plan:
         """Delete a tag.
 
         Raises:
-            InputError: there is no such tag, it is pinned, or it is the last one.
+            InputError: there is no such tag, or the tag is pinned or the last one.
         """
         k = self._movable(number)
         if len(self.deployment) == 1:
@@ -152,7 +152,7 @@ class Plan:
         return replace(self, deployment=self.deployment[np.flatnonzero(np.arange(len(self.deployment)) != k)])
 
     def toggled(self, number: int) -> "Plan":
-        """Pin a free tag, or free a pinned one.
+        """Pin a free tag, or free a pinned tag.
 
         Raises:
             InputError: there is no such tag.
@@ -165,9 +165,9 @@ class Plan:
 
         Args:
             number: index of the camera.
-            place: its centre, `(3,)`, metres, body frame.
-            turn: see `Mount.rotation`, `(3, 3)`.
-            space: allowed mounts, of which the nearest is taken; None to allow all.
+            place: centre of the camera, `(3,)`, metres, body frame.
+            turn: rotation of the camera, see `Mount.rotation`, `(3, 3)`.
+            space: allowed mounts; the camera gets the nearest allowed mount. None to allow all mounts.
 
         Raises:
             InputError: the camera cannot be mounted there.
@@ -175,7 +175,7 @@ class Plan:
         from scipy.spatial.transform import Rotation
 
         assert self.rig is not None, "there are cameras to move"
-        if not (np.abs(place) <= LARGEST).all():  # NaN neither
+        if not (np.abs(place) <= LARGEST).all():  # also refuses NaN
             raise InputError(f"a camera cannot be at {place} m.")
         angles = Rotation.from_matrix(turn).as_euler("ZYX").tolist()
         mount = rounded(self.rig.mounts[number].camera, place, *angles)
@@ -186,7 +186,7 @@ class Plan:
         """Index of a tag that is not pinned.
 
         Raises:
-            InputError: there is no such tag, or it is pinned.
+            InputError: there is no such tag, or the tag is pinned.
         """
         k = self.index_of(number)
         if number in self.pinned:
@@ -197,19 +197,19 @@ class Plan:
 def _nearest_free(
     footprints: Footprints, others: Deployment | None, surface: int, at: FloatArray, edge: float = np.nan
 ) -> Deployment:
-    """One landmark at the free place nearest to `at` `(2,)` on a surface, with `others` fixed.
+    """Deployment of one landmark at the free place nearest to `at` `(2,)` on a surface, with `others` fixed.
 
-    `edge` is the edge of its tag, metres; NaN for the edge of the scene's tag.
+    `edge` is the edge of the landmark's tag, metres; NaN for the edge of the scene's tag.
 
     Raises:
-        InputError: there is no such place, or no room for its paper on any surface.
+        InputError: `at` is no place on the surface, or no surface has room for the paper.
     """
     surfaces, on = SurfaceArrays.of(footprints.hanging.surfaces()), np.array([surface])
-    if not (np.abs(at) <= LARGEST).all():  # NaN neither
+    if not (np.abs(at) <= LARGEST).all():  # also refuses NaN
         raise InputError(f"there is no place at ({at[0]:g}, {at[1]:g}) m.")
     one = Deployment(surfaces.points(on, np.asarray(at)[None]), surfaces.normal[on], on, edges=np.array([edge]))
     fixed = 0 if others is None else len(others)
-    apart = footprints.apart(one if others is None else others + one, fixed=fixed)
+    apart = footprints.separated(one if others is None else others + one, fixed=fixed)
     if apart is None:
         raise InputError(f"there is no room for one more paper of {footprints.papers(one)[0]:.4g} m.")
     return apart[fixed:]

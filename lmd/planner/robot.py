@@ -1,4 +1,4 @@
-"""The robot in the picture: its body, its cameras, and handles that move a camera."""
+"""Robot in the picture: body, cameras, and handles that move a camera."""
 
 from collections.abc import Callable
 from functools import partial
@@ -17,20 +17,20 @@ from lmd.planner.session import PlanningSession
 from lmd.planner.viewing import framed
 from lmd.scene.rig import OPTICAL, Mount, Rig
 
-NONE, CAMERA = "none", "camera {}"  # choices of the camera to move
+NONE, CAMERA = "none", "camera {}"  # texts of the choices of the camera to move
 HINT = "choose a camera, then drag its arrows, squares and rings"
 HANDLES_SHARE = 0.6  # length of the handles, relative to the depth of frustums
 BODY_OPACITY = 0.5
 
 
 class Robot:
-    """The body and its fixed cameras.
+    """Drawing of the body and its fixed cameras.
 
     Args:
         server: server of viser.
         depth: depth of the drawn frustums, metres.
         camera: initial camera or rig.
-        body: body that carries it; None if unknown.
+        body: body that carries the cameras; None if unknown.
     """
 
     def __init__(self, server: Any, depth: float, camera: Camera | Rig, body: Body | None) -> None:
@@ -60,7 +60,7 @@ class Robot:
         self._frame.position, self._frame.visible, self.position = position, True, position
 
     def show(self) -> None:
-        """Draw the present cameras; fixed ones do not change."""
+        """Draw the present cameras; fixed cameras do not change."""
 
     def _show_mounts(self, mounts: tuple[Mount, ...]) -> None:
         for view, mount in zip(self._views, mounts, strict=True):
@@ -68,7 +68,7 @@ class Robot:
 
 
 class Rigging(Robot):
-    """The body and the cameras of a rig, which the user moves.
+    """Drawing of the body and the cameras of a rig, which the user can move.
 
     Args:
         server: server of viser.
@@ -85,7 +85,7 @@ class Rigging(Robot):
         super().__init__(server, depth, session.rig, session.space.body if session.space else None)
         self._session, self._actions, self._changed = session, actions, changed
         self._number: int | None = None
-        self._latest: Any = None  # last place and quaternion of the handles, until they are applied
+        self._latest: Any = None  # last place and quaternion of the handles that are not applied yet
         self._is_held = False
         with server.gui.add_folder("Cameras"):
             self._text = server.gui.add_html("")
@@ -150,7 +150,7 @@ class Rigging(Robot):
 def robot_of(
     server: Any, depth: float, session: PlanningSession, actions: ActionQueue, changed: Callable[[], None]
 ) -> Robot:
-    """The robot of a session: a `Rigging` if its cameras can be moved."""
+    """Robot of a session: a `Rigging` if its cameras can be moved, else a `Robot`."""
     if session.rig is None:
         return Robot(server, depth, session.problem.scene.camera, None)
     return Rigging(server, depth, session, actions, changed)
@@ -167,7 +167,7 @@ def _turn(wxyz: Any) -> FloatArray:
     """Rotation `(3, 3)` of a quaternion w, x, y, z that a browser has sent.
 
     Raises:
-        InputError: it is no rotation.
+        InputError: the quaternion is no rotation.
     """
     from scipy.spatial.transform import Rotation
 

@@ -1,7 +1,8 @@
 """The planner: a planning session in a browser.
 
-Threads: viser's callbacks, a search and background work each have a thread of their own. They only put actions into one
-queue. The thread in `Planner.run` does these in order. It alone uses the session, so there is no lock.
+Threads: viser's callbacks, a search and background work each have their own thread. These threads only append actions
+to one queue. The thread in `Planner.run` runs the actions in order; only this thread uses the session, so no lock is
+needed.
 """
 
 import contextlib
@@ -30,23 +31,23 @@ from lmd.planner.survey_map import SurveyMap
 from lmd.planner.viewing import pointed_at
 from lmd.space.surface import SurfaceArrays
 
-IDLE_SECONDS = 0.5  # time without an action, after which background work begins, seconds
+IDLE_SECONDS = 0.5  # time without an action after which background work begins, seconds
 
 
 class Planner:
-    """Serves a session to browsers on this machine, at an address that is new each time (`lmd.planner.access`).
+    """Server of a session for browsers on this machine, at an address that is new at each start (`lmd.planner.access`).
 
     Args:
         session: session to serve.
-        port: port of the address; 0 for a free one.
-        save: writes a plan and returns a text on its files.
-        optimiser: makes the optimiser of a search.
+        port: port of the address; 0 for any free port.
+        save: function that writes a plan and returns a text about the files.
+        optimiser: function that makes the optimiser of a search.
         budget: initial budget of searches.
-        seed: seed of the sample off the grid; None to leave these figures out.
+        seed: seed of the sample off the grid; None to compute no figures off the grid.
         survey: map of a survey to draw beside the tags; None for none.
 
     Raises:
-        InputError: viser is not installed or cannot be guarded, or the port is taken.
+        InputError: viser is not installed or its requests cannot be checked, or the port is in use.
     """
 
     def __init__(
@@ -66,10 +67,10 @@ class Planner:
         self._surfaces = SurfaceArrays.of(session.problem.scene.footprints.hanging.surfaces())
         self._selected: int | None = None
         self._dragged: int | None = None
-        self._pointer: Any = None  # last event of a drag, until it is applied
+        self._pointer: Any = None  # last event of a drag that is not applied yet
         logging.getLogger("websockets.server").setLevel(logging.WARNING)
         self._access = Access()
-        with contextlib.redirect_stdout(io.StringIO()), self._access.checking():  # it prints a banner
+        with contextlib.redirect_stdout(io.StringIO()), self._access.checking():  # viser prints a banner
             self._server = viser.ViserServer(host=HOST, port=port, verbose=False)
         if port not in (0, self._server.get_port()):
             self._server.stop()
@@ -273,7 +274,7 @@ class Planner:
         session = self._session
         deployment, plan = session.deployment, session.plan
         stands = self._robot.position
-        seen = None if stands is None else session.seen(stands, *self._panel.view)
+        seen = None if stands is None else session.visible_tags(stands, *self._panel.view)
         self._panel.show_seen(None if seen is None else np.sort(deployment.ids[seen]))
         if self._selected not in deployment.ids:
             self._selected = None

@@ -1,6 +1,6 @@
-"""A planning session: the plan, its history and its figures, without a browser.
+"""Planning session: the plan, its history and its figures, independent of browsers.
 
-Only one thread may use a session. A search that it starts works on a copy, and calls back when it is done.
+Only one thread may use a session. A search of a session works on a copy of the plan, and calls a function when it ends.
 """
 
 from collections.abc import Callable
@@ -25,11 +25,11 @@ from lmd.scene.rig import Rig
 from lmd.sight.views import visible
 from lmd.space.space import lower_edge
 
-PATIENCE_SECONDS = 1.0  # maximum time that the end of a stopped search is waited for, seconds; compiling takes longer
+PATIENCE_SECONDS = 1.0  # maximum time to wait for the end of a stopped search, seconds; compilation may take longer
 
 
 class Posed(NamedTuple):
-    """A deployment for a problem."""
+    """Deployment together with its problem."""
 
     problem: Problem
     """Scene and objective."""
@@ -38,7 +38,7 @@ class Posed(NamedTuple):
 
 
 class PlanningSession:
-    """Changes of a plan by a user. Each change is one step that can be undone; a refused one changes nothing.
+    """Changes of a plan by a user. Each change is one step that can be undone; a refused change has no effect.
 
     Args:
         problem: scene and objective. Its fixed landmarks stay pinned.
@@ -55,7 +55,7 @@ class PlanningSession:
             space.genes(rig)
         self.problem, self.space = problem, space
         self.plan = self._saved = Plan.of(deployment, problem.fixed, rig)
-        self.posed = Posed(problem, self.plan.deployment)  # a new one after every change
+        self.posed = Posed(problem, self.plan.deployment)  # replaced at every change
         self._hung = self.plan.pinned
         self._values = Values(problem, deployment)
         self._past: list[Plan] = []
@@ -70,7 +70,7 @@ class PlanningSession:
 
     @property
     def is_saved(self) -> bool:
-        """True if tags and cameras are as last saved, or as at first."""
+        """True if tags and cameras are unchanged since the last save, or since the start."""
         return self.plan.deployment is self._saved.deployment and self.rig is self._saved.rig
 
     @property
@@ -90,26 +90,26 @@ class PlanningSession:
         """See `Problem.metrics`."""
         return self._values.metrics()
 
-    def seen(self, position: FloatArray, yaw: float, pitch: float) -> BoolArray:
+    def visible_tags(self, position: FloatArray, yaw: float, pitch: float) -> BoolArray:
         """True for tags that a level camera at `position` `(3,)`, metres, covers; yaw and pitch in rad, `(K,)`."""
         pose = camera_pose(position[None], np.array([yaw]), np.array([pitch]))
         return np.asarray(visible(self.problem.evaluator, self.deployment, position[None], axis_and_right(pose))[0])
 
     def warm_up(self) -> None:
-        """Compile everything, so that the user does not wait for it later."""
+        """Compile all kernels, so that the user does not wait for compilation later."""
         deployment, position = self.deployment, self.problem.evaluator.positions[0]
         turned = replace(deployment, positions=deployment.positions[::-1], normals=deployment.normals[::-1])
-        self._values.follow(turned)
-        self._values.follow(deployment)
+        self._values.update(turned)
+        self._values.update(deployment)
         self.problem.values(deployment)
-        self.seen(position, 0.0, 0.0)
+        self.visible_tags(position, 0.0, 0.0)
         additions(self.problem, deployment, deployment[:1])
 
     def drag(self, number: int, surface: int, at: FloatArray) -> None:
-        """Move a tag, see `Plan.moved`. All moves until `drop` are one step.
+        """Move a tag, see `Plan.moved`. All moves until `drop` are undone as one step.
 
         Raises:
-            InputError: as there, or a search is running.
+            InputError: as for `Plan.moved`, or a search is running.
         """
         self._become(self.plan.moved(self.problem.scene.footprints, number, surface, at), number)
 
@@ -117,22 +117,22 @@ class PlanningSession:
         """Move a tag on its surface to the free place nearest to a `MeasuredPlace`.
 
         Raises:
-            InputError: as for `drag`, or it hangs on no surface.
+            InputError: as for `drag`, or the tag hangs on no surface.
         """
         index = int(self.deployment.surfaces[self.plan.index_of(number)])
         if index < 0:
             raise InputError(f"tag {number} hangs on no surface.")
         room = self.problem.scene.room
         surface, hanging = (space.surfaces()[index] for space in (room, self.problem.scene.footprints.hanging))
-        point = surface.point(*surface.seen(np.array([left, up - lower_edge(room, surface)])))
+        point = surface.point(*surface.from_left_and_below(np.array([left, up - lower_edge(room, surface)])))
         self.drag(number, index, np.array([(point - hanging.origin) @ axis for axis in (hanging.u, hanging.v)]))
         self.drop()
 
     def mount(self, number: int, place: FloatArray, turn: FloatArray) -> None:
-        """Move a camera, see `Plan.mounted`. All moves until `drop` are one step.
+        """Move a camera, see `Plan.mounted`. All moves until `drop` are undone as one step.
 
         Raises:
-            InputError: as there, it would be outside the room, or a search is running.
+            InputError: as for `Plan.mounted`, or a camera would be outside the room, or a search is running.
         """
         self._become(self.plan.mounted(number, place, turn, self.space), f"camera {number}")
 
@@ -144,15 +144,15 @@ class PlanningSession:
         """Change the edge of a tag, see `Plan.resized`.
 
         Raises:
-            InputError: as there, or a search is running.
+            InputError: as for `Plan.resized`, or a search is running.
         """
         self._become(self.plan.resized(self.problem.scene.footprints, number, edge))
 
     def add(self, surface: int, at: FloatArray, edge: float | None = None) -> int:
-        """Add a tag, see `Plan.added`; returns its id.
+        """Add a tag, see `Plan.added`, and return its id.
 
         Raises:
-            InputError: as there, or a search is running.
+            InputError: as for `Plan.added`, or a search is running.
         """
         plan, number = self.plan.added(self.problem.scene, surface, at, edge)
         self._become(plan)
@@ -162,7 +162,7 @@ class PlanningSession:
         """Delete a tag, see `Plan.without`.
 
         Raises:
-            InputError: as there, too few would be left for the objective, or a search is running.
+            InputError: as for `Plan.without`, or too few tags would be left for the objective, or a search is running.
         """
         self.problem.objective.check(len(self.deployment) - 1)
         self._become(self.plan.without(number))
@@ -171,7 +171,7 @@ class PlanningSession:
         """Pin a tag, or unpin it.
 
         Raises:
-            InputError: there is no such tag, it is a fixed one, or a search is running.
+            InputError: there is no such tag, the tag is fixed by the problem, or a search is running.
         """
         if number in self._hung:
             raise InputError(f"tag {number} hangs already, so it stays pinned.")
@@ -181,7 +181,7 @@ class PlanningSession:
         """Undo the last step.
 
         Raises:
-            InputError: there is none, or a search is running.
+            InputError: there is no step to undo, or a search is running.
         """
         self._step(self._past, self._future, "undo")
 
@@ -189,7 +189,7 @@ class PlanningSession:
         """Redo the step that was undone last.
 
         Raises:
-            InputError: there is none, or a search is running.
+            InputError: there is no step to redo, or a search is running.
         """
         self._step(self._future, self._past, "redo")
 
@@ -197,7 +197,7 @@ class PlanningSession:
         """Start a search, see `TagSearch`; no other change is allowed until `take`.
 
         Raises:
-            InputError: as there, or a search is running.
+            InputError: as for `TagSearch`, or a search is running.
         """
         self._check_idle()
         self.search = TagSearch(self.problem, self.plan, optimiser, budget, done)
@@ -208,10 +208,10 @@ class PlanningSession:
         """Wait for the end of the search and apply its best deployment, if better, as one step.
 
         Args:
-            patience: maximum time to wait, seconds; later results are lost. None to wait for the end.
+            patience: maximum time to wait, seconds, after which the result is dropped. None to wait for the end.
 
         Returns:
-            the gain of fitness.
+            gain of the fitness.
 
         Raises:
             InputError: the search failed.
@@ -246,9 +246,9 @@ class PlanningSession:
     def _follow(self, plan: Plan) -> None:
         """Update the problem and the values to another plan."""
         if plan.rig is None or plan.rig is self.rig:
-            self._values.follow(plan.deployment)
+            self._values.update(plan.deployment)
         else:
-            # A start that varies may take long to draw, so the present tags replace it.
+            # A random start may take long to draw, so the present tags replace it.
             start = GivenDeployment(self.problem.free(plan.deployment)) if self.problem.start.varies else None
             problem = self.problem.with_rig(plan.rig, start)
             self._values, self.problem = Values(problem, plan.deployment), problem

@@ -29,7 +29,7 @@ class SurveyMap:
         """Read the directory of a survey.
 
         Raises:
-            InputError: it lacks a file of a survey, or one cannot be read.
+            InputError: a file of the survey is missing or cannot be read.
         """
         tags = read_deployment(Path(str(folder)) / MAP, "survey")
         text = read_text(Path(str(folder)) / DOCUMENT, "survey")
@@ -41,7 +41,7 @@ class SurveyMap:
             raise InputError(f"survey: {str(folder)!r} holds no {DOCUMENT} of a survey.", "survey") from None
 
     def offsets(self, plan: Deployment, magnified: float) -> FloatArray:
-        """Lines from planned places towards the measured ones, `magnified` times as long, `(n, 2, 3)`."""
+        """Lines from planned places towards measured places, `magnified` times as long as the offset, `(n, 2, 3)`."""
         _, of, among = np.intersect1d(plan.ids, self.tags.ids, return_indices=True)
         start = plan.places[of]
         return np.stack([start, start + magnified * (self.tags.places[among] - start)], axis=1)

@@ -34,10 +34,10 @@ class TagSearch:
         plan: initial plan, which is not changed.
         optimiser: optimiser that has not run yet.
         budget: budget of the search.
-        done: called in that thread when the search has ended, also by an error.
+        done: called in the thread of the search when it has ended, also after an error.
 
     Raises:
-        InputError: no tag is free, or the pinned tags are refused as fixed ones.
+        InputError: no tag is free, or the pinned tags are refused as fixed tags.
     """
 
     def __init__(
@@ -69,11 +69,11 @@ class TagSearch:
         self._thread.start()
 
     def stop(self) -> None:
-        """End after the batch that is being evaluated."""
+        """End the search after the present batch of evaluations."""
         self._stopped.set()
 
     def join(self, patience: float | None = None) -> None:
-        """Wait for the end, at most `patience` seconds."""
+        """Wait for the end of the search, at most `patience` seconds."""
         self._thread.join(patience)
 
     @property

@@ -1,4 +1,6 @@
-"""Viewing: the camera of a browser so that the room fills its window, and the place that a ray of it points at."""
+"""Viewing: viewpoint of a browser from which the room fills the window, and the place at which a ray meets a
+surface.
+"""
 
 import math
 from typing import Any, NamedTuple
@@ -9,8 +11,8 @@ from lmd.core.checks import FloatArray
 from lmd.plot.common import viewer
 from lmd.space.surface import SurfaceArrays
 
-FIELD_OF_VIEW = math.radians(50.0)  # vertical
-FILLED_SHARE = 0.92  # share of the window's width or height that the room takes
+FIELD_OF_VIEW = math.radians(50.0)  # vertical field of view of a browser, rad
+FILLED_SHARE = 0.92  # share of the window's width or height that the room fills
 ASPECT = 1.6  # width by height of a window before the browser reports its own
 SAME_PLACE = 1e-3  # maximum distance of two equal viewpoints, in diagonals of the room
 EDGE_ON = 1e-6  # minimum cosine between a ray and the normal of a surface that it meets
@@ -41,7 +43,8 @@ def framed(low: FloatArray, high: FloatArray, aspect: float) -> BrowserView:
     corners = choices @ axes.T
     deep = corners[:, 2]
     slopes = FILLED_SHARE * math.tan(FIELD_OF_VIEW / 2.0) * np.array([aspect, 1.0])
-    # A corner at (x, deep) is in view from (c, d) if |x - c| <= slope (deep - d): c has a choice as long as d is small.
+    # A corner at (x, deep) is in view from (c, d) if |x - c| <= slope (deep - d). A viewpoint c exists if d is small
+    # enough.
     edges = [((corners[:, i] - s * deep).max(), (corners[:, i] + s * deep).min(), s) for i, s in enumerate(slopes)]
     across = [(below + above) / 2.0 for below, above, _ in edges]
     nearest = min((above - below) / (2.0 * slope) for below, above, slope in edges)
@@ -50,7 +53,8 @@ def framed(low: FloatArray, high: FloatArray, aspect: float) -> BrowserView:
 
 
 class Framing:
-    """Keeps the room in the window of each browser, at any size, until the user moves the view.
+    """Framing of the room in the window of each browser, also after a change of its size, until the user moves the
+    view.
 
     Args:
         server: server of viser.
@@ -97,18 +101,18 @@ class Place(NamedTuple):
     surface: int
     """Index of the surface."""
     at: FloatArray
-    """`(2,)` coordinates on it, metres."""
+    """`(2,)` coordinates on the surface, metres."""
 
 
 def pointed_at(surfaces: SurfaceArrays, eye: FloatArray, way: FloatArray, own: int = -1) -> Place | None:
     """First place where a ray meets the front of a surface.
 
     Backs are transparent, so that walls between the viewer and the room do not stop the ray. A ray that meets no front
-    ends in the plane of the surface `own`, on either side: so a tag that is dragged beyond the edge of its wall, or
-    that is seen from behind, stays on the wall.
+    ends in the plane of the surface `own`, whose front or back it may meet. So a tag that is dragged beyond the edge of
+    its wall, or that is seen from behind, stays on the wall.
 
     Args:
-        surfaces: W surfaces, taken for rectangles, although landmarks may hang in parts of them only.
+        surfaces: W surfaces, treated as whole rectangles, even where no landmark may hang.
         eye: start of the ray, `(3,)`, world frame, metres.
         way: direction of the ray, `(3,)`.
         own: index of a surface; -1 for none.

@@ -90,7 +90,7 @@ def save_comparison_figure(
     for i, (name, group) in enumerate(groups.items()):
         colour = colours(i % colours.N)
         curves = headline.scale * best_at(group, axis, at)
-        known = ~np.isnan(curves).any(axis=0)
+        known = np.isfinite(curves).all(axis=0)
         curves = curves[:, known]
         median = np.median(curves, axis=0)
         convergence.fill_between(at[known], curves.min(axis=0), curves.max(axis=0), color=colour, alpha=0.2, lw=0)

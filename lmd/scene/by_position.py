@@ -104,7 +104,7 @@ def _spread(poses: FloatArray, orientations: FloatArray, solid_angle: FloatArray
 
 
 class _Kernels:
-    """Kernel estimate w_a(p).
+    """Kernel estimate w_a(p) of the PDF at a position.
 
     Args:
         positions: x_t, `(T, 3)`, metres.
@@ -136,5 +136,5 @@ class _Kernels:
         weight = self._seconds[pairs["j"]] * np.exp(-((pairs["v"] / self._bandwidth) ** 2) / 2.0)
         shape = len(positions), self._records.n
         near = csr_array((weight, (pairs["i"], pairs["j"])), shape=shape)
-        near.sort_indices()  # fixes the order of summation: by time
+        near.sort_indices()  # so that records are summed in order of time
         return np.asarray((near @ self._spread).toarray())

@@ -12,7 +12,7 @@ These functions are scalar, with as few branches as possible. Kernels call only 
 A model has two halves:
 
 - a `Criteria` with the thresholds that a user sets; its `covered` is the NumPy reference;
-- a `Sight`, a named tuple of numbers compiled for one camera, whose type is registered with the functions below.
+- a `SightModel`, a named tuple of numbers compiled for one camera, whose type is registered with the functions below.
 
 Both halves must give equal results, bit for bit. A `Covering` has only the first half.
 
@@ -37,7 +37,7 @@ from lmd.geometry.camera import Camera
 TOLERANCE = 1e-9
 
 
-class Sight(Protocol):
+class SightModel(Protocol):
     """Interface of a visibility model compiled for one camera, a named tuple."""
 
     @property
@@ -64,10 +64,10 @@ class Sight(Protocol):
     def tabulated(self) -> bool:
         """True if looking up a table of directions (`lmd.sight.directions`) is faster than `in_image`."""
 
-    def unhidden(self) -> "Sight":
+    def unhidden(self) -> "SightModel":
         """Model without occlusion by landmarks."""
 
-    def among(self, low: FloatArray, high: FloatArray, landmarks: FloatArray, normals: FloatArray) -> "Sight":
+    def among(self, low: FloatArray, high: FloatArray, landmarks: FloatArray, normals: FloatArray) -> "SightModel":
         """Model for given landmarks: `unhidden` if a conservative test excludes occlusion, otherwise the model itself.
 
         Args:
@@ -76,7 +76,7 @@ class Sight(Protocol):
             normals: unit normals, `(B, 3, K)`.
         """
 
-    def shrunk(self, size: float) -> "Sight":
+    def shrunk(self, size: float) -> "SightModel":
         """Model in which the occluding body of each landmark is scaled by `size`."""
 
 
@@ -92,7 +92,7 @@ class Criteria(Protocol):
         """Least distance between neighbouring landmarks that excludes occlusion of one by the other, metres."""
 
     def sight(self, camera: Camera) -> Any:
-        """Compile the criteria for a camera to a `Sight`; None if there is only the reference."""
+        """Compile the criteria for a camera to a `SightModel`; None if there is only the reference."""
 
     def covered(
         self, camera: Camera, position: FloatArray, axes: FloatArray, landmarks: FloatArray, normals: FloatArray
@@ -128,7 +128,7 @@ class Covering(ABC):
         """See `Criteria.covered`."""
 
 
-def horizon_of(sight: Sight) -> float:
+def horizon_of(sight: SightModel) -> float:
     """Distance beyond which landmarks have no effect, metres; infinite if there is no such distance.
 
     A landmark farther than this from the camera is not covered and hides no covered landmark. Two landmarks farther
@@ -161,8 +161,8 @@ def from_position(sight: Any, x: float, y: float, z: float, nx: float, ny: float
         reached: False only if no orientation covers the landmark.
         low, high: bounds on the depth along the optical axis at which an orientation covers the landmark, metres;
             `high` ignores the slack.
-        sure: depth, metres: an orientation with the landmark well in view (`Sight.inset`) and at a depth between `low`
-            and `sure` covers it; infinite if no depth is too large. `sure` ignores the slack.
+        sure: depth, metres. An orientation with the landmark well in view (`SightModel.inset`) and at a depth between
+            `low` and `sure` covers it; infinite if no depth is too large. `sure` ignores the slack.
     """
 
 
@@ -178,7 +178,7 @@ def from_around(sight: Any, x: float, y: float, z: float, nx: float, ny: float, 
     Returns:
         reached: False only if no orientation at any of the positions covers the landmark.
         most: upper bound on the depth along the optical axis of a covered landmark, metres.
-        start, sure: depths, metres: an orientation with the landmark well in view (`Sight.inset`) and at a depth
+        start, sure: depths, metres. An orientation with the landmark well in view (`SightModel.inset`) and at a depth
             between them covers it. `start` is -inf if no depth is too small; `sure` is inf if no depth is too large,
             -inf if coverage is never certain.
     """
@@ -207,9 +207,9 @@ def in_view(
 ) -> Any:  # fmt: skip
     """True if the field of view contains the cone of half-angle delta around a unit vector (x, y, z).
 
-    `sine` and `cosine` are those of delta, |delta| < pi / 2. If delta is negative, the function is True if the field of
-    view may contain any part of the cone of half-angle -delta. The field of view contains the directions of all
-    landmarks that the model may cover. Orientation as in `in_image`.
+    `sine` and `cosine` are sin(delta) and cos(delta), |delta| < pi / 2. If delta is negative, the function is True if
+    the field of view may contain any part of the cone of half-angle -delta. The field of view contains the directions
+    of all landmarks that the model may cover. Orientation as in `in_image`.
     """
 
 
@@ -277,7 +277,7 @@ def covers_one(
     Args:
         x, y, z, low, high, sure: as in `from_position`.
         frame: result of `frame_of`.
-        well: True if orientation a has the landmark well in view, see `Sight.inset`.
+        well: True if orientation a has the landmark well in view, see `SightModel.inset`.
         axes, a: as in `covers`.
     """
     nx, ny, nz = frame

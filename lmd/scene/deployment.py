@@ -16,7 +16,7 @@ from lmd.scene.tag import Tag
 from lmd.space.space import Space
 from lmd.space.surface import FILE_TOLERANCE, PLACEMENT_TOLERANCE, SurfaceArrays
 
-HUNG = ("positions", "normals", "surfaces")  # fields with the poses of the landmarks
+POSE_FIELDS = ("positions", "normals", "surfaces")  # fields with the poses of the landmarks
 COLUMNS = ("x", "y", "z", "nx", "ny", "nz")
 UP_COLUMNS = ("ux", "uy", "uz")
 # Largest error of the length of a normal, which may be printed with few decimals.
@@ -33,9 +33,9 @@ class Deployment:
         positions: `(K, 3)`, world frame, metres.
         normals: `(K, 3)` unit normals of the front faces, world frame.
         surfaces: index of the room's surface that carries each landmark, `(K,)`; -1 (the default) if unknown, see
-            `hung`.
+            `with_surfaces`.
         labels: ids and further columns of the landmarks; None for ids from 0.
-        surveyed: exact measured positions and ups of landmarks measured behind their surface or rotated in their plane;
+        surveyed: measured positions and ups, for landmarks measured behind their surface or rotated in their plane;
             None if `positions` are the measured positions and all landmarks hang upright.
         edges: edges of the black squares, metres, `(K,)`; NaN (the default) for the edge of the scene's tag, see
             `edges_of`.
@@ -56,7 +56,7 @@ class Deployment:
 
     def __post_init__(self) -> None:
         for name in ("positions", "normals"):
-            array = np.array(getattr(self, name), dtype=np.float64, order="C")  # as kernels are compiled for C order
+            array = np.array(getattr(self, name), dtype=np.float64, order="C")  # kernels are compiled for C order
             if array.ndim != 2 or array.shape[1] != 3 or not len(array):
                 raise InputError(f"deployment {name} must have the shape (K, 3) with K >= 1, got {array.shape}.")
             if not np.isfinite(array).all():
@@ -96,14 +96,14 @@ class Deployment:
 
     def put(self, chosen: slice | IntArray, there: "Deployment") -> "Deployment":
         """Deployment with the landmarks `chosen` moved to the poses of the landmarks of `there`."""
-        parts = {name: getattr(self, name).copy() for name in HUNG}
+        parts = {name: getattr(self, name).copy() for name in POSE_FIELDS}
         for name, values in parts.items():
             values[chosen] = getattr(there, name)
         return replace(self, **parts)
 
     def __add__(self, other: "Deployment") -> "Deployment":
         """Deployment of the landmarks of both, with ids from 0."""
-        columns = ((getattr(self, name), getattr(other, name)) for name in (*HUNG, "edges"))
+        columns = ((getattr(self, name), getattr(other, name)) for name in (*POSE_FIELDS, "edges"))
         positions, normals, surfaces, edges = (np.concatenate(column) for column in columns)
         both = Deployment(positions, normals, surfaces, edges=edges)
         if self.surveyed is None and other.surveyed is None:
@@ -111,11 +111,12 @@ class Deployment:
         places, ups = (np.concatenate([getattr(each, name) for each in (self, other)]) for name in ("places", "ups"))
         return replace(both, surveyed=Surveyed(both.positions, places, ups))
 
-    def hung(self, room: Space, anywhere: bool = False, papers: float | FloatArray = 0.0) -> "Deployment":
+    def with_surfaces(self, room: Space, anywhere: bool = False, papers: float | FloatArray = 0.0) -> "Deployment":
         """Deployment with `surfaces` set to the surfaces of `room` that carry the landmarks.
 
-        A tag that belongs to a surface (`Space.surface_near`) but has a corner behind it is moved along the surface's
-        normal until it touches the surface, as a wall would hide it. Its `places` remain the measured ones.
+        A tag that belongs to a surface (`Space.surface_near`) but has a corner behind the surface would be hidden by
+        the wall. Such a tag is moved along the normal until it touches the surface; `places` keeps the measured
+        position.
 
         Args:
             room: room of the landmarks.
@@ -134,7 +135,7 @@ class Deployment:
                 f"{self._distance(room)[:, first].min():.4g} m from the nearest surface; only with free=true is it "
                 "taken there."
             )
-        depth = np.take_along_axis(SurfaceArrays.of(surfaces).depth(self.positions), own[:, None], axis=1)
+        depth = np.take_along_axis(SurfaceArrays.of(surfaces).heights(self.positions), own[:, None], axis=1)
         normals = np.array([surface.normal for surface in surfaces])[own]
         sides = np.stack(upright(self.normals))  # right and up
         leaning = np.abs((sides * normals).sum(axis=-1)).sum(axis=0)
@@ -150,7 +151,7 @@ class Deployment:
         """Clause for a message about the first misplaced landmark; None if all are well placed.
 
         A landmark is misplaced if it is on no surface, faces into its surface, or is outside the allowed region.
-        `surfaces` must refer to `room`, see `hung`.
+        `surfaces` must refer to `room`, see `with_surfaces`.
 
         Args:
             room: room of the landmarks.
@@ -184,13 +185,15 @@ class Deployment:
         return None
 
     def belonging(self, room: Space) -> IntArray:
-        """Index of the surface that carries each landmark, else of `Space.surface_near`, -1 for none, `(K,)`."""
+        """Index of the surface that carries each landmark, else of the surface nearby (`Space.surface_near`), else -1,
+        `(K,)`.
+        """
         if (self.surfaces >= 0).all():
             return self.surfaces
         return np.where(self.surfaces < 0, room.surface_near(self.positions, self.normals), self.surfaces)
 
     def before(self, room: Space) -> "Deployment":
-        """Deployment with a surface for every landmark: the one it belongs to (`belonging`), else the nearest one."""
+        """Deployment with a surface for every landmark: the surface in `belonging`, else the nearest surface."""
         own = self.belonging(room)
         if own is self.surfaces:
             return self
@@ -203,7 +206,7 @@ class Deployment:
         return np.array([surface.distance(self.positions) for surface in room.surfaces()])
 
     def movable(self, room: Space, flush: bool = True) -> "Deployment":
-        """`hung` with the checks for an optimiser that moves landmarks along surfaces.
+        """Deployment `with_surfaces` that an optimiser can move along surfaces, or an error.
 
         Args:
             room: room of the landmarks.
@@ -213,7 +216,7 @@ class Deployment:
             InputError: a landmark is on no surface, outside the allowed region, faces into its surface, or is not
                 flush.
         """
-        hung = self.hung(room)
+        hung = self.with_surfaces(room)
         if fault := hung.fault(room):
             raise InputError(f"{fault}, so it cannot be a start.")
         hung = hung.before(room)
@@ -293,7 +296,7 @@ class Deployment:
         with said_of(path):
             deployment = cls(rows[:, :3], rows[:, 3:6], labels=labels, edges=edges)
         length = np.linalg.norm(deployment.normals, axis=1, keepdims=True)
-        exact = np.abs(length - 1.0) < 1e-12  # division would only change the last bit
+        exact = np.abs(length - 1.0) < 1e-12  # dividing these normals would only change the last bit
         deployment = replace(deployment, normals=np.where(exact, deployment.normals, deployment.normals / length))
         return deployment if rows.shape[1] == len(COLUMNS) else deployment.turned(path, rows[:, 6:])
 

@@ -18,7 +18,7 @@ POINT = Tag()
 
 
 class DeploymentSource(Protocol):
-    """Source of deployments, which optimisers start from or `evaluate` scores."""
+    """Source of deployments: starts of optimisers, or deployments that `evaluate` scores."""
 
     @property
     def varies(self) -> bool:
@@ -30,7 +30,7 @@ class DeploymentSource(Protocol):
         Args:
             room: room whose surfaces allow the centres of landmarks.
             rng: source of everything random.
-            tag: tag of the landmarks; its sizes are assigned as in `Tag.in_turn`.
+            tag: tag of the landmarks; its sizes are assigned as in `Tag.edges_in_order`.
         """
 
 
@@ -129,4 +129,4 @@ class GivenDeployment:
 def _flush(surfaces: SurfaceArrays, surface: IntArray, at: FloatArray, tag: Tag) -> Deployment:
     """Landmarks flush on their surfaces `(K,)` at surface coordinates `(K, 2)`."""
     points, normals = surfaces.points(surface, at), surfaces.normal[surface]
-    return Deployment(points, normals, surface, edges=tag.in_turn(len(surface)))
+    return Deployment(points, normals, surface, edges=tag.edges_in_order(len(surface)))

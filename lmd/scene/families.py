@@ -1,9 +1,10 @@
 """Families of fiducial tags, their names, and the pictures of their tags.
 
-The edge of a tag is that between the corners which detectors find: of the outer black square of most families, and of
-the white square within the black ring of AprilTag's newer ones (41h12, 52h13, circle21h7), which have data around the
-ring, too. Up is the top of the published picture: of `cv2.aruco.generateImageMarker` for the ArUco families, of
-AprilTag's own picture for the AprilTag families, which OpenCV shows rotated by 180 degrees.
+The edge of a tag is the distance between neighbouring corners that detectors find. In most families these are the
+corners of the outer black square. In AprilTag's newer families (41h12, 52h13, circle21h7), which also have data around
+the black ring, they are the corners of the white square within the ring. Up is the top of the published picture: the
+picture of `cv2.aruco.generateImageMarker` for ArUco families, and AprilTag's own picture, which OpenCV shows rotated by
+180 degrees, for AprilTag families.
 """
 
 import re
@@ -61,7 +62,7 @@ FAMILIES = (
     }
 )
 
-# Beginnings and ends that Limelight, the ArUco library, OpenCV and apriltag_ros write around the name of a family.
+# Prefixes and suffixes of the names of families in Limelight, the ArUco library, OpenCV and apriltag_ros.
 _AROUND = re.compile(
     r"^(?:cv2?\.|aruco[._]|dict_|apriltag(?:\d?[_ -])?|k?tag[_ -]?|standard[_ -]?)+|(?:b1)?(?:_classic)?$"
 )
@@ -71,15 +72,15 @@ def _short(name: str) -> str:
     return _AROUND.sub("", name.strip().lower())
 
 
-# The ArUco library calls its original family just ARUCO.
+# The ArUco library calls its original family ARUCO.
 _NAMED = {_short(name): name for name in FAMILIES} | {"aruco": "aruco_original"}
 
 
 def family_named(name: Any) -> str:
-    """Family with a name of any of the libraries, such as `tagStandard41h12` or `DICT_4X4_50`.
+    """Family by the name that any of the libraries has for it, such as `tagStandard41h12` or `DICT_4X4_50`.
 
     Returns:
-        One of `FAMILIES`, or the name itself if it is none of these.
+        One of `FAMILIES`, or `name` unchanged if no family has that name.
 
     Raises:
         InputError: the name is no text.
@@ -113,7 +114,7 @@ def _apriltag_picture(family: str, number: int) -> BoolArray:
     """Picture of a tag by its code in the AprilTag library, as `apriltag_to_image` draws it."""
     known, described = FAMILIES[family], _described(family)
     size, first = known.picture_modules, known.around
-    shown = np.ones((size, size), dtype=bool)  # the corners outside of a circle are paper
+    shown = np.ones((size, size), dtype=bool)  # around a circular family, the corners of the square are white paper
     ring = first - 1
     shown[ring : size - ring, ring : size - ring] = False
     shown[first : size - first, first : size - first] = True
@@ -127,7 +128,7 @@ def _apriltag_picture(family: str, number: int) -> BoolArray:
 
 @lru_cache
 def _described(family: str) -> Any:
-    """A family as the AprilTag library describes it: its codes, and the places of their bits."""
-    # A detector of the family itself takes up to 3.2 GB for its table of codes with errors.
+    """AprilTag library's description of a family: the codes, and the places of their bits in the picture."""
+    # No detector is made for the family: its table of codes with errors would take up to 3.2 GB.
     library = optional("pyapriltags", "detection").Detector(families="").libc
     return getattr(library, f"{FAMILIES[family].apriltag}_create")().contents

@@ -90,32 +90,35 @@ class Footprints:
         return {}
 
     def papers(self, deployment: Deployment) -> FloatArray:
-        """Edges of the footprints of tags, metres, `(K,)`; 0 for points."""
+        """Edges of the footprints of a deployment's tags, metres, `(K,)`; 0 for points."""
         return self.tag.paper_share * deployment.edges_of(self.tag)
 
     def capacity(self, paper: float) -> float:
-        """Upper bound on the number of footprints with the edge `paper`, metres: the sum of grids over the surfaces."""
+        """Upper bound on the number of footprints with the edge `paper`, metres: the sum over surfaces of the sizes of
+        grids.
+        """
         if not paper:
             return np.inf
         extent = self.surfaces_of(paper).extent
         return float(np.floor(extent / paper * (1.0 + TOUCHING) + 1.0).prod(axis=1).sum())
 
-    def hung(self, fixed: Deployment, beside: DeploymentSource) -> Deployment:
+    def checked_fixed(self, fixed: Deployment, beside: DeploymentSource) -> Deployment:
         """Assign surfaces to existing landmarks and check them.
 
-        As they are measured by hand, a tag slightly in front of or behind a surface belongs to it, and its footprint is
-        that of its projection to the surface.
+        Positions are measured by hand, so a tag slightly in front of or behind a surface belongs to the surface. Its
+        footprint is the footprint of its projection to the surface.
 
         Args:
             fixed: existing landmarks.
-            beside: source of the other landmarks; if these are not checked (`as_they_are`), `fixed` is not checked.
+            beside: source of the other landmarks; if that source is not checked (`as_they_are`), `fixed` is not checked
+                either.
 
         Raises:
             InputError: a landmark lies outside the room, is on no surface or faces into its surface, or a footprint
                 overlaps another or is not wholly on its surface.
         """
         with said_of("fixed", "fixed"):
-            hung = fixed.hung(self.room, as_they_are(beside), self.papers(fixed))
+            hung = fixed.with_surfaces(self.room, as_they_are(beside), self.papers(fixed))
             if as_they_are(beside):
                 return hung.before(self.hanging)
             if fault := hung.fault(self.room, near=True):
@@ -132,8 +135,8 @@ class Footprints:
         Args:
             source: source of the deployment.
             rng: source of everything random.
-            fixed: existing landmarks from `hung`, which precede the drawn ones in the result. Drawn landmarks that are
-                not from a file are pushed away from them.
+            fixed: existing landmarks from `checked_fixed`, which precede the drawn ones in the result. Drawn
+                landmarks that are not from a file are pushed away from the fixed ones.
 
         Raises:
             InputError: the source fails, a footprint overlaps another or is not wholly on its surface, or there is no
@@ -154,7 +157,7 @@ class Footprints:
             )
         several = placed and drawn.has_own_edges
         if source.varies or several or (fixed is not None and not isinstance(source, ExistingDeployment)):
-            apart = self.apart(drawn, fixed=0 if fixed is None else len(fixed))
+            apart = self.separated(drawn, fixed=0 if fixed is None else len(fixed))
             if apart is None:
                 raise InputError(
                     f"count = {len(drawn)} tags with papers of {_named(papers)} m are too many to be hung at random.",
@@ -197,8 +200,8 @@ class Footprints:
                 f"{_named(paper[pairs[0]])} m wide, their centres {distance[i, j]:.4g} m apart along the edges."
             )
 
-    def apart(self, deployment: Deployment, size: float = 1.0, fixed: int = 0) -> Deployment | None:
-        """Push the footprints of a deployment apart; None without room for all; see `pushed`."""
+    def separated(self, deployment: Deployment, size: float = 1.0, fixed: int = 0) -> Deployment | None:
+        """Push the footprints of a deployment apart; None if there is no room for all, see `pushed`."""
         parts = deployment.positions[None], deployment.normals[None], deployment.surfaces[None]
         positions, normals, surfaces, fits = self.pushed(*parts, deployment.edges, size, fixed)
         apart = replace(deployment, positions=positions[0], normals=normals[0], surfaces=surfaces[0])

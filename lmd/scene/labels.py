@@ -61,7 +61,9 @@ class Labels:
             return cls(given.astype(np.int64), columns)
 
     def __add__(self, other: "Labels") -> "Labels":
-        """Concatenate labels; a column that one of them lacks is filled with empty texts."""
+        """Concatenate labels; a column that only one operand has gets empty texts for the landmarks of the other
+        operand.
+        """
         names = {**self.columns, **other.columns}
         parts = ((part.columns.get(name, [""] * len(part.ids)) for part in (self, other)) for name in names)
         columns = {name: [*mine, *theirs] for name, (mine, theirs) in zip(names, parts, strict=True)}

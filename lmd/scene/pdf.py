@@ -123,7 +123,7 @@ class OrientationPdf:
         return self if self.refine is None else self.refine()
 
     def stratified(self, divisions: int, rng: np.random.Generator) -> "OrientationPdf":
-        """PDF of stratified draws from the continuous distribution, with equal weights; the PDF itself without one.
+        """PDF of stratified draws, with equal weights, from `continuous`; the PDF itself if `continuous` is None.
 
         One orientation is drawn in each of 2 divisions x divisions cells of equal probability. Estimates are unbiased,
         as for independent draws, but the error of P_n for a union of visible axes falls as divisions^-1.5 instead of
@@ -155,7 +155,7 @@ class OrientationPdf:
         return self.yaw[drawn], self.pitch[drawn], np.asarray(self.roll)[drawn]
 
     def draw(self, size: int, rng: np.random.Generator) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Draw yaw, pitch and roll, `(size,)` each, from the continuous distribution, or else from the PDF."""
+        """Draw yaw, pitch and roll, `(size,)` each, from `continuous` if it is given, else from the discrete PDF."""
         if self.continuous is not None:
             return *self.continuous(rng.random((size, 2))), self._draw_roll(size, rng)
         drawn = rng.choice(len(self.weight), size, p=self.weight)
@@ -177,7 +177,7 @@ def divisions_of(value: int, pitches: int | None = None) -> int:
 
     Args:
         value: value from a user.
-        pitches: actual number of pitches, if it is not `divisions`.
+        pitches: number of pitches, if it differs from `divisions`.
 
     Raises:
         InputError: the value is no positive whole number, or the orientations do not fit into memory.
@@ -241,7 +241,7 @@ def _open_yaws(divisions: int) -> FloatArray:
 
 
 def grid_with_ends(divisions: int = 12, roll: Roll = 0.0) -> OrientationPdf:
-    """Uniform over the angles on a grid that includes both ends (`grid_325` for 12 divisions).
+    """PDF uniform over the angles, on a grid that includes both ends (`grid_325` for 12 divisions).
 
     The paper's tables use this grid: all printed maxima are multiples of 1/325. The PDF is uniform over the angles, not
     over the sphere: each pole has 25 orientations, and each direction with a yaw of +-pi has two.
@@ -258,7 +258,7 @@ def grid_with_ends(divisions: int = 12, roll: Roll = 0.0) -> OrientationPdf:
 
 
 def grid_of_cells(divisions: int = 12, roll: Roll = 0.0) -> OrientationPdf:
-    """Uniform over the angles on the grid of the paper's text (`grid_288` for 12 divisions).
+    """PDF uniform over the angles, on the grid of the paper's text (`grid_288` for 12 divisions).
 
     Yaw -pi, ..., pi - step; pitch at the middle of each step. Args as in `grid_with_ends`.
     """
@@ -268,7 +268,7 @@ def grid_of_cells(divisions: int = 12, roll: Roll = 0.0) -> OrientationPdf:
 
 
 def solid_angle(divisions: int = 12, roll: Roll = 0.0) -> OrientationPdf:
-    """Uniform over the sphere: each cell of `grid_of_cells` weighs its solid angle over 4 pi."""
+    """PDF uniform over the sphere: each cell of `grid_of_cells` weighs its solid angle over 4 pi."""
     n, roll = divisions_of(divisions), _rolls(roll)
     weight = np.diff(np.sin(np.linspace(-np.pi / 2, np.pi / 2, n + 1))) / (4 * n)
     refine = partial(solid_angle, 2 * n, roll)
@@ -276,7 +276,9 @@ def solid_angle(divisions: int = 12, roll: Roll = 0.0) -> OrientationPdf:
 
 
 def level_flight(divisions: int = 12, pitch: float = 0.0, roll: Roll = 0.0) -> OrientationPdf:
-    """Uniform in yaw, steps of pi / divisions, at a fixed pitch, radians (Eq. D_DJI, the UAV of the experiment)."""
+    """PDF uniform in yaw, in steps of pi / divisions, at a fixed pitch, radians (Eq. D_DJI, the UAV of the
+    experiment).
+    """
     n, roll = divisions_of(divisions, pitches=1), _rolls(roll)
     fixed = real("pitch", pitch, low=-np.pi / 2, high=np.pi / 2)
     weight, refine = np.array([1.0 / (2 * n)]), partial(level_flight, 2 * n, fixed, roll)

@@ -16,7 +16,7 @@ from lmd.core.checks import BoolArray, FloatArray, InputError, IntArray, check_f
 from lmd.geometry.trajectory import Trajectory
 from lmd.scene.by_position import pdf_by_position
 from lmd.scene.pdf import OrientationPdf
-from lmd.space.changed import Visited
+from lmd.space.changed import RecordedRoom
 from lmd.space.space import Space, check_file_inside
 
 
@@ -85,7 +85,7 @@ class RecordedPoses:
 
     @cached_property
     def _records(self) -> Records:
-        """All records; the last pose of the trajectory only ends the one before it."""
+        """All records; the last pose of the trajectory is no record, as it only ends the record before it."""
         time = self.trajectory.time
         block = np.floor((time[:-1] - time[0]) / self.block).astype(np.int64)
         return Records(self.trajectory.poses[:-1], np.diff(time), block)
@@ -96,7 +96,7 @@ class RecordedPoses:
         return np.asarray(self._records.block % every == every - 1)
 
     @property
-    def seen(self) -> Records:
+    def training(self) -> Records:
         """Records that a deployment is optimised on."""
         return self._records[~self._is_kept_back]
 
@@ -105,15 +105,15 @@ class RecordedPoses:
         """Records that are held out."""
         return self._records[self._is_kept_back]
 
-    def visited(self, room: Space) -> Visited:
+    def visited(self, room: Space) -> RecordedRoom:
         """Room with the positions of the recording.
 
         Raises:
             InputError: a pose, held out or not, is outside the room or in an obstacle, or the spacing is out of range.
         """
         check_file_inside(self.path, self.trajectory, room)
-        seen = self.seen
-        return Visited(room, seen.poses[:, :3, 3], seen.seconds, self.spacing)
+        training = self.training
+        return RecordedRoom(room, training.poses[:, :3, 3], training.seconds, self.spacing)
 
     @cached_property
     def pdf(self) -> OrientationPdf:
@@ -122,5 +122,5 @@ class RecordedPoses:
         Raises:
             InputError: the records and orientations do not fit into memory.
         """
-        seen, width = self.seen, math.radians(self.direction_bandwidth)
-        return pdf_by_position(seen.poses, seen.seconds, self.bandwidth, width, self.divisions)
+        training, width = self.training, math.radians(self.direction_bandwidth)
+        return pdf_by_position(training.poses, training.seconds, self.bandwidth, width, self.divisions)

@@ -19,7 +19,7 @@ from lmd.geometry.se3 import QUATERNION_TOLERANCE, inverse, pose_of
 ANGLES = ("yaw", "pitch", "roll")
 # Number of decimals of offsets in metres, so that cameras at one place within rounding have equal offsets.
 SAME_PLACE_DECIMALS = 12
-# Rotation from a frame with x right, y down, z ahead to one with x forward, y left, z up.
+# Rotation from a frame with x right, y down, z ahead to a frame with x forward, y left, z up.
 OPTICAL = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
 
 
@@ -96,7 +96,8 @@ class Rig:
 
     @cached_property
     def extrinsics(self) -> FloatArray:
-        """Poses of the cameras in the body's frame, `(C, 4, 4)`; both frames with x right, y down, z ahead.
+        """Poses of the cameras in the body's frame, `(C, 4, 4)`; frames of cameras and body have x right, y down, z
+        ahead.
 
         If X is the pose of the body in this convention (`lmd.geometry.se3.camera_pose`), X extrinsics[c] is the pose of
         camera c.
@@ -149,7 +150,7 @@ class Rig:
 
 
 def rig_of(camera: Camera | Rig) -> Rig | None:
-    """Return the rig; None for a single camera."""
+    """Return the argument if it is a rig; None for a single camera."""
     return camera if isinstance(camera, Rig) else None
 
 

@@ -33,9 +33,9 @@ class Scene:
         camera: single camera, or a `Rig`; the positions of `room` and the orientations of `pdf` are those of the camera
             or of the rig's body.
         pdf: orientation PDF.
-        visibility: criteria of when a landmark is covered.
+        visibility: criteria for the coverage of a landmark.
         tag: tag at each landmark; by default that of the visibility model, or a point.
-        recorded: recording that room and PDF are derived from, with its held-out poses; None without a recording.
+        recorded: recording from which room and PDF are derived, with its held-out poses; None without a recording.
         edges: edge of each landmark by its index, or one edge for all, metres, see `sized`; None for the edge of `tag`.
 
     Raises:
@@ -118,7 +118,7 @@ class Scene:
 
     @property
     def cameras(self) -> tuple[Camera, ...]:
-        """Cameras, `(C,)`: the single camera or those of the rig."""
+        """Cameras, `(C,)`: the single camera, or the cameras of the rig."""
         return self.camera.cameras
 
     @property
@@ -149,8 +149,8 @@ class Scene:
     def check_inside(self, positions: FloatArray) -> None:
         """Raise `InputError` if a camera of a rig is outside the room for a possible pose of the body.
 
-        Checks `positions` `(P, 3)` of the body and `SAMPLED_POSITIONS` random ones, each with all orientations of
-        nonzero probability there.
+        The function checks `positions` `(P, 3)` of the body and `SAMPLED_POSITIONS` random positions, each with all
+        orientations that have a positive probability at that position.
         """
         if self.rig is None:
             return

@@ -7,8 +7,8 @@ import numpy as np
 
 from lmd.core.checks import BoolArray, FloatArray, InputError, IntArray
 
-# Length of the largest difference between an up and the upright one that counts as upright, and largest deviation of an
-# up in a file from unit length and from the plane of its tag.
+# `UP_TOLERANCE`: largest length of the difference between an up and the upright up that counts as upright. `IN_PLANE`:
+# largest deviation of an up in a file from unit length and from the plane of its tag.
 UP_TOLERANCE, IN_PLANE = 1e-3, 1e-2
 
 

@@ -14,12 +14,12 @@ from lmd.scene.families import FAMILIES, Family, family_named, picture
 
 @dataclass(frozen=True)
 class Tag:
-    """Tag at the landmarks of a deployment; landmarks are points if it has no edge.
+    """Tag at the landmarks of a deployment; without an edge, landmarks are points.
 
     Args:
-        edge: edge between the detected corners, metres: of the outer black square of most families. None or 0 for
-            landmarks that are points, as in the paper; with `edges`, None for the largest of them. Landmarks of a file
-            without sizes have this edge.
+        edge: edge between the detected corners, metres; in most families the edge of the outer black square. None or 0
+            for landmarks that are points, as in the paper; with `edges`, None for the largest of `edges`. Landmarks of
+            a file without sizes have this edge.
         family: one of `lmd.scene.families.FAMILIES`, or a name that a library has for it.
         quiet_zone: q, width of the white margin on each side, modules.
         edges: edges of tags of several sizes, metres; None for one size, `edge`. Placed landmarks are assigned these
@@ -88,7 +88,7 @@ class Tag:
                 "budget and paper must not both be given: one of them says how many tags there are.", "budget"
             )
 
-    def in_turn(self, count: int) -> FloatArray:
+    def edges_in_order(self, count: int) -> FloatArray:
         """Edges of `count` placed landmarks, metres, `(count,)`; NaN if all have the edge of the tag.
 
         Raises:

@@ -46,5 +46,5 @@ def in_blocks(positions: FloatArray) -> tuple[np.ndarray, np.ndarray]:
     order = _block_order(positions)
     order = np.append(order, np.full(-len(order) % BLOCK, order[-1]))
     index_of = np.empty(len(positions), dtype=np.int64)
-    index_of[order[::-1]] = np.arange(len(order))[::-1]  # the first of several copies
+    index_of[order[::-1]] = np.arange(len(order))[::-1]  # of several copies of a position, the first
     return order, index_of

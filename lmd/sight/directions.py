@@ -3,19 +3,20 @@
 The sphere of directions is projected onto an octahedron, which is unfolded into a square of `SIDE` x `SIDE` cells. Two
 tables have a set of axes for each cell:
 
-- `CERTAIN`: axes that have *every* direction of the cell in view, at least `Sight.inset` from the border;
+- `CERTAIN`: axes that have *every* direction of the cell in view, at least `SightModel.inset` from the border;
 - `POSSIBLE`: axes that have *some* direction of the cell in view.
 
-Only axes that are possible and not certain need the exact test. A certain axis covers the landmark only at the depths
+Only axes that are possible but not certain need the exact test. A certain axis covers the landmark only at the depths
 `low` to `sure` of `criteria.from_position`.
 
-Tables are too large for one pass over many landmarks. There, axes are sorted by height (their z coordinate). The axes
+For one pass over many landmarks the tables are too large. Axes are then sorted by height (their z coordinate). The axes
 that cover a landmark lie in a cone around its direction, so the lowest and the highest point of the cone bound the axes
 that need the exact test to one contiguous band.
 
 A cell is the projection of a parallelogram or of two triangles, so a spherical cap that contains its corners contains
-the cell. Let rho be the greatest angle between the centre and a corner. An axis that has the centre in view by rho has
-every direction of the cell in view; an axis that misses the centre by more than rho has none.
+the cell. Let rho be the greatest angle between the cell's centre and a corner. An axis with the centre at least rho
+inside its field of view has every direction of the cell in view; an axis with the centre more than rho outside has
+none.
 """
 
 import math
@@ -27,10 +28,10 @@ import numpy as np
 from lmd.core.bits import BITS, LANES, ZERO
 from lmd.core.checks import FloatArray, IntArray
 from lmd.core.compiled import PYTHON, inlined, inner, kernel
-from lmd.scene.criteria import Sight, in_view, sized
+from lmd.scene.criteria import SightModel, in_view, sized
 
 SIDE = 16 if PYTHON else 64  # cells per side; plain Python takes seconds to fill larger tables
-EMPTY_ROW = SIDE * SIDE  # row of the tables after those of the cells: the empty set
+EMPTY_ROW = SIDE * SIDE  # row of the tables after the rows of the cells: the empty set
 CERTAIN, POSSIBLE = 0, 1  # index of the table of certain and of possible axes
 # Margin added to rho, rad; it exceeds the rounding of directions, corners and angles.
 _SLACK = 1e-6
@@ -73,7 +74,7 @@ def _cells() -> tuple[FloatArray, FloatArray]:
 def _fill(
     sight: Any, centres: FloatArray, angles: FloatArray, axes: FloatArray, shifts: FloatArray, table: np.ndarray
 ) -> None:
-    """Write, for each cell, the set of axes whose field of view holds the centre with the cell's angle as margin.
+    """For each cell, write the set of axes whose field of view contains the centre at least the cell's angle inside.
 
     Args:
         sight: compiled model of sight.
@@ -103,7 +104,7 @@ def _fill(
             table[c, w] = word
 
 
-def tables(sight: Sight, axes: FloatArray) -> tuple[np.ndarray, np.ndarray]:
+def tables(sight: SightModel, axes: FloatArray) -> tuple[np.ndarray, np.ndarray]:
     """Tables `CERTAIN` and `POSSIBLE` of sets of axes, `(EMPTY_ROW + 1, W)` each.
 
     Args:
@@ -115,7 +116,7 @@ def tables(sight: Sight, axes: FloatArray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def fill_tables(
-    sight: Sight,
+    sight: SightModel,
     axes: FloatArray,
     shifts: FloatArray,
     longest: float,
@@ -124,7 +125,7 @@ def fill_tables(
     certain: IntArray,
     possible: IntArray,
 ) -> None:
-    """Fill the tables for cameras that are displaced from the point whose directions the cells have.
+    """Fill the tables for cameras that are displaced from the point at the centre of the sphere of directions.
 
     Let u be the unit direction of a landmark from the point, and s the displacement of the camera over the distance of
     the landmark. The camera sees the landmark in the direction of u - s. If u lies in a cell, and `shifts` approximates
@@ -136,7 +137,7 @@ def fill_tables(
         shifts: approximate s by axis, `(3, 64 W)`.
         longest: upper bound on |s|.
         error: upper bound on the distance between s and `shifts`.
-        certain, possible: their first `SIDE * SIDE` rows are filled, `(>= SIDE * SIDE, W)`.
+        certain, possible: tables whose first `SIDE * SIDE` rows are filled, `(>= SIDE * SIDE, W)`.
     """
     centres, rho = _cells()
     chord = (2.0 * np.sin(rho / 2.0) + error) / (2.0 * (1.0 - longest))

@@ -24,8 +24,8 @@ from lmd.sight.obstacles import obstacles_at
 from lmd.sight.reference import ReferenceViews
 from lmd.sight.rig_views import RigViews
 
-SIZES = 16  # greatest number of sets of tag sizes whose evaluators are cached; the cache is cleared beyond it
-COUNT_BYTES = 4  # memory of a view: an int16 count of its axis, and one of its orientation of the PDF
+SIZES = 16  # greatest number of cached evaluators, one per set of tag sizes; a further set clears the cache
+COUNT_BYTES = 4  # memory of a view: two int16 counts, for the axis and for the orientation of the PDF
 
 
 def quantised(probability: FloatArray) -> IntArray:
@@ -52,8 +52,9 @@ class Evaluator:
     Args:
         scene: room, cameras, orientations and criteria.
         positions: `(P, 3)` camera positions, metres; the room's grid by default.
-        threads: worker threads; all available processors by default. Results do not depend on it.
-        by_reference: True to use the NumPy reference instead of kernels, as criteria without a compiled half always do.
+        threads: worker threads; all available processors by default. Results do not depend on the number.
+        by_reference: True to use the NumPy reference instead of kernels. Criteria without a compiled half always use
+            the reference.
     """
 
     def __init__(
@@ -84,7 +85,7 @@ class Evaluator:
             self.sight, self.obstacles = scene.sight, obstacles_at(blockers, self.positions)
 
     def sized(self, edges: FloatArray) -> "Evaluator":
-        """Evaluator for tags with the given edges, `(K,)` metres, see `Scene.sized`; the last ones are cached."""
+        """Evaluator for tags with the given edges, `(K,)` metres, see `Scene.sized`; recent evaluators are cached."""
         scene = self.scene.sized(edges)
         if scene is self.scene:
             return self
@@ -160,7 +161,9 @@ class Evaluator:
     def _evaluate(
         self, positions: FloatArray, normals: FloatArray, n: int, keep: bool
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Quantised P_n `(B, P)`, and with `keep` the counts `(B, P, D)`; threads share the positions."""
+        """Quantised P_n `(B, P)`, and the counts `(B, P, D)` if `keep` is set; the positions are divided among the
+        threads.
+        """
         size, axes = len(self.positions), self.axes.shape[1]
         if keep:
             self.check_memory(COUNT_BYTES * len(positions))
@@ -187,7 +190,7 @@ class Evaluator:
     def run_over_blocks(self, kernel: Any, fixed: tuple[Any, ...], each: int = 1) -> None:
         """Run `kernel(first, last, *fixed)` over all positions on the threads, in `each` chunks per thread.
 
-        Chunks consist of whole blocks.
+        A chunk consists of whole blocks.
         """
         size = len(self.positions)
 

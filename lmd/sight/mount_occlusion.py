@@ -51,7 +51,7 @@ def hides_from(
 def may_hide_around(
     ax: float, ay: float, az: float, bx: float, by: float, bz: float, radius: float, width: float
 ) -> Any:
-    """False only if of two landmarks neither hides the other from any camera within `radius` of a centre.
+    """False only if neither of two landmarks hides the other from any camera within `radius` of a centre.
 
     Let a and b be the offsets of the landmarks from the centre. From a camera displaced by delta the offsets are
     a' = a - delta and b' = b - delta, and a' x b' = a x b - delta x (b - a). One landmark hides the other only within
@@ -73,12 +73,12 @@ def hiding_bound(longest: float, apart: float, radius: float, width: float) -> A
 
 @inlined
 def _may_occlude(j: Integer, k: Integer, mine: Any, view: Any) -> Any:
-    """False only if landmark j hides landmark k from no camera within the radius; float32; True for j = k.
+    """False only if landmark j does not hide landmark k from any camera within the radius; in float32; True for j = k.
 
     From a position within the radius of the centre, the direction of a landmark at the distance d turns by at most
     asin(radius / d), and the landmark hides others within asin(width / (d - radius)) of its direction. So the sine of
-    the angle between occluder j and landmark k is at most radius / d_j + width / (d_j - radius), which is `close[j]`,
-    plus radius / d_k, which is `mine`.
+    the angle between occluder j and landmark k is at most `close[j]` + `mine`, where `close[j]` = radius / d_j + width
+    / (d_j - radius) and `mine` = radius / d_k.
     """
     u, v, w = view.u, view.v, view.w
     cosine, sine = u[j] * u[k] + v[j] * v[k] + w[j] * w[k], view.close[j] + mine
@@ -87,13 +87,13 @@ def _may_occlude(j: Integer, k: Integer, mine: Any, view: Any) -> Any:
 
 @inlined
 def _sine_of_turn(k: Integer, view: Any, radius: float) -> Any:
-    """Upper bound on the sine of the angle by which the direction of landmark k may turn, radius / d; float32."""
+    """Upper bound radius / d on the sine of the angle by which the direction of landmark k may turn; float32."""
     return np.float32(min(radius / math.sqrt(view.squared[k]), 1.0) if view.squared[k] > 0.0 else 1.0)
 
 
 @inlined
 def find_suspects(k: Integer, view: Any, count: Integer, radius: float, close: Any) -> Any:
-    """Write the landmarks that may hide landmark k as bits into `close` `(blocks,)`; returns True if there are any."""
+    """Write the landmarks that may hide landmark k as bits into `close` `(blocks,)`; True if there are any."""
     mine, any_found = _sine_of_turn(k, view, radius), np.uint32(0)
     for b in range((count + LANES - 1) // LANES):
         found = np.uint32(0)

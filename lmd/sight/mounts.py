@@ -7,9 +7,9 @@ A camera with a lever arm has another position for every orientation of the body
 - tables of directions, shifted for each orientation (`lmd.sight.directions.fill_tables`), one for each of `LEVELS`
   ranges of distance, bound the orientations.
 
-They decide most orientations of most landmarks. The others are tested one by one from the exact position of the camera
-with the operations of the reference, so the result is exact. A bound around the centre likewise excludes most
-occlusions between landmarks.
+The bounds decide most orientations of most landmarks. The other orientations are tested one by one from the exact
+position of the camera with the operations of the reference, so the result is exact. Most occlusions between landmarks
+are excluded by a bound around the centre, too.
 """
 
 import math
@@ -48,7 +48,7 @@ class MountGroup(NamedTuple):
     radius: np.ndarray
     """`(C,)` upper bound on the distance of the cameras from their centre, metres."""
     mounts: np.ndarray
-    """`(C + 1,)` first mount of each centre, then M."""
+    """`(C + 1,)` mounts of centre c are `mounts[c]` to `mounts[c + 1] - 1`."""
     offsets: np.ndarray
     """`(M, 3, 64 W)` offset of each camera from the body's origin for each orientation, world frame, metres."""
     axes: np.ndarray
@@ -62,7 +62,7 @@ class MountGroup(NamedTuple):
     tables: np.ndarray
     """`(1 + levels * cells, 2 M W)` sets of orientations by direction from the centre, see `fill_tables`.
 
-    A row has the certain sets of all mounts, then their possible sets, as both are read together.
+    A row has the certain sets of all mounts, then the possible sets, as the two are read together.
     """
 
 
@@ -122,12 +122,12 @@ def _horizon(sight: Any, offsets: FloatArray) -> float:
 
 
 def with_sight(group: MountGroup, sight: Any) -> MountGroup:
-    """Copy of a group with another model of sight, such as `Sight.unhidden`."""
+    """Copy of a group with another model of sight, such as `SightModel.unhidden`."""
     return group._replace(sight=sight, horizon=_horizon(sight, group.places))
 
 
 def places_around(positions: FloatArray, group: MountGroup) -> FloatArray:
-    """Camera positions, `(P G, 3)`, metres; those of position p of the body are the rows p G to p G + G - 1."""
+    """Camera positions, `(P G, 3)`, metres; rows p G to p G + G - 1 belong to position p of the body."""
     return np.asarray((positions[:, None] + group.places).reshape(-1, 3))
 
 
@@ -185,7 +185,8 @@ def split_by_certainty(
     group: Any, m: Integer, w: Integer, asked: Any, words: Integer, x: float, y: float, z: float, most: float,
     start: Integer, sure: float, row: Integer,
 ) -> Any:  # fmt: skip
-    """Split a set of orientations by the bounds: mount m certainly covers a landmark, or the exact test is needed.
+    """Split a set of orientations by the bounds into orientations with which mount m certainly covers a landmark, and
+    undecided orientations.
 
     Args:
         asked: orientations to split, bits of word w.
@@ -195,7 +196,7 @@ def split_by_certainty(
         row: result of `table_row`.
 
     Returns:
-        two sets: certain and undecided orientations; the others do not cover the landmark.
+        two sets: certain and undecided orientations; no other orientation in `asked` covers the landmark.
     """
     at, half = np.uint64(m) * words + w, np.uint64(group.tables.shape[1] // 2)
     certain = group.tables[row, at] & asked if sure > -math.inf else ZERO

@@ -2,11 +2,11 @@
 
 A landmark is blocked if a convex body of the room (`lmd.space.blockers`) intersects the line of sight to a required
 point: the centre, and for tags the corners of the black square. The heights of the camera's positions above the planes
-of the bodies are precomputed, those of a landmark's points are computed once for all positions. Most bodies are then
-excluded by a few comparisons, as all points lie in front of one of their planes.
+of the bodies are precomputed; the heights of a landmark's points are computed once for all positions. A few comparisons
+then exclude most bodies, as all points lie in front of one of a body's planes.
 
-A room from a mesh has triangles in place of bodies (`lmd.space.triangles`). They are too many for a
-table of heights: `MeshObstacles` has the positions, and each line of sight traverses the tree of the triangles.
+A room from a mesh has triangles in place of bodies (`lmd.space.triangles`). A table of their heights would be too
+large: `MeshObstacles` has the positions, and each line of sight traverses the tree of the triangles.
 
 An empty room has `Obstacles` without a body, so kernels need not be compiled separately for it.
 """
@@ -64,7 +64,7 @@ def obstacles_at(blockers: Blockers | Triangles | None, positions: FloatArray) -
 def half_edge(sight: Any) -> Any:
     """Half the edge of the square whose corners must be seen, metres; 0.0 for a point landmark.
 
-    A model of landmarks of several sizes returns a column `(K,)`, a `sized` model a number.
+    The result is a column `(K,)` for a model of landmarks of several sizes, a number for a `sized` model.
     """
     return 0.0
 
@@ -97,7 +97,7 @@ def unobstructed(
 
 @dispatched
 def is_clear(obstacles: Any) -> Any:
-    """True if there are no obstacles."""
+    """True if the room has no obstacles."""
 
 
 @is_clear.register(Obstacles)
@@ -180,13 +180,13 @@ def is_blocked(obstacles: Any, sight: Any, p: Integer, ends: Any, k: Integer) ->
 
 @is_blocked.register(Obstacles)
 def _is_blocked(obstacles: Any, sight: Any, p: Integer, ends: Any, k: Integer) -> Any:
-    # One nest of loops: passing arrays to a function would take longer than the work.
+    # The loops are nested here: passing arrays to a function would take longer than the work.
     first, heights = obstacles.first, obstacles.heights
     points = POINTS if half_edge(sight) > 0.0 else 1
     for m in range(len(first) - 1):
         for turn in range(points + 1):
-            # The minima are tested first: with them the line enters each half-space no later, and leaves it no
-            # earlier, than the line to any point.
+            # The minima are tested first: a line with these heights enters each half-space no later, and leaves it no
+            # earlier, than the line to any required point.
             row = POINTS if turn == 0 else turn - 1
             entered, left = 0.0, 1.0
             for j in range(first[m], first[m + 1]):

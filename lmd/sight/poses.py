@@ -32,9 +32,9 @@ from lmd.sight.viewpoint import see_alone
 from lmd.space.space import Space
 from lmd.space.surface import SurfaceArrays
 
-# Number of chunks of poses or positions per thread; several balance the load, as the work differs between walls.
+# Number of chunks of poses or positions per thread. Several chunks balance the load, as the work differs between walls.
 CHUNKS_PER_THREAD = 8
-CELL_BYTES = 400  # memory of a cell while cells are made: vectors of cell and pose, partly held twice
+CELL_BYTES = 400  # memory of a cell while cells are made: vectors of the cell and its pose, some of them twice
 
 
 @dataclass(frozen=True)
@@ -56,7 +56,7 @@ class Cells:
         return np.asarray(np.linalg.norm(self.half_u + self.half_v, axis=1) * (1.0 + TOLERANCE))
 
     def picked(self, index: NDArray[Any]) -> "Cells":
-        """Subset of the cells; `index` holds integers or is a mask `(N,)`."""
+        """Cells selected by `index`, integers or a mask `(N,)`."""
         return Cells(self.poses[index], self.half_u[index], self.half_v[index])
 
     def quarters(self) -> "Cells":
@@ -70,7 +70,7 @@ class Cells:
 def wall_cells(room: Space, spacing: float) -> Cells:
     """Cut the allowed pieces of all walls into cells at most `spacing` metres wide.
 
-    Cells of a piece are congruent. A cell at a border that is parallel to neither u nor v may extend beyond it.
+    Cells of a piece are congruent. A cell may extend beyond a border that is parallel to neither u nor v.
 
     Raises:
         InputError: the spacing is not positive, or the cells would not fit into memory.
@@ -108,7 +108,7 @@ def _meets(piece: FloatArray, a: FloatArray, b: FloatArray, half_u: float, half_
 
 
 def candidate_poses(room: Space, spacing: float) -> Deployment:
-    """Flush landmarks at the centres of `wall_cells`, without the centres at which no landmark may hang."""
+    """Flush landmarks at those centres of `wall_cells` at which a landmark may hang."""
     poses, surfaces = wall_cells(room, spacing).poses, SurfaceArrays.of(room.surfaces())
     return poses[surfaces.allow(poses.surfaces, surfaces.coordinates(poses.surfaces, poses.positions))]
 
@@ -200,7 +200,7 @@ def gains(evaluator: Evaluator, poses: Deployment, prices: FloatArray, slack: Fl
         slack: radius on the wall of the cell that each pose stands for, `(N,)`, metres; 0 by default.
 
     Returns:
-        `(N,)`; it does not depend on the number of threads.
+        sums, `(N,)`, which do not depend on the number of threads.
     """
     gained, slack = np.empty(len(poses)), np.zeros(len(poses)) if slack is None else slack
     positions = for_kernels(evaluator.positions.T)
@@ -223,7 +223,7 @@ def covered_amounts(evaluator: Evaluator, poses: Deployment, amounts: FloatArray
         amounts: x, `(N,)`, not negative.
 
     Returns:
-        c, `(P, D)`; it does not depend on the number of threads.
+        c, `(P, D)`, which does not depend on the number of threads.
     """
     out = np.zeros((len(evaluator.positions), evaluator.axes.shape[1]))
     for e, index in by_edge(evaluator, poses):

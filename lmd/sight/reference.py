@@ -26,11 +26,11 @@ from lmd.sight.obstacles import unobstructed
 def coverage_caps(scene: Scene, deployment: Deployment, position: FloatArray, axes: FloatArray) -> BoolArray:
     """Mask `(A, K)`: axis a lies in the coverage spherical cap S_k^C(p) of landmark k (Definition 1).
 
-    A landmark that the room blocks has an empty cap. For a rig, position and axes are those of its body, and the cap is
+    A landmark that the room blocks has an empty cap. For a rig, position and axes belong to the body, and the cap is
     the union over the cameras, each at its own pose.
 
     Args:
-        scene: has the criteria, the room and the cameras.
+        scene: criteria, room and cameras.
         deployment: K landmarks.
         position: p, `(3,)`, world frame, metres.
         axes: optical axis and image's right, `(A, 6)`, unit vectors, world frame.
@@ -42,7 +42,9 @@ def coverage_caps(scene: Scene, deployment: Deployment, position: FloatArray, ax
 
 
 def station_caps(scene: Scene, deployment: Deployment, position: FloatArray, station: Station) -> BoolArray:
-    """Coverage caps for the camera of a station and the a orientations that bring it there, mask `(a, K)`."""
+    """Coverage caps for the camera of a station and the a orientations of the body that put the camera there, mask `(a,
+    K)`.
+    """
     landmarks, place = (deployment.positions, deployment.normals), position + station.offset
     seen = scene.visibility.covered(station.camera, place, station.axes, *landmarks)
     clear = unobstructed(scene.room, scene.visibility.sight(station.camera), place, *landmarks)
@@ -82,7 +84,7 @@ def cost(is_qualified: BoolArray, relevance: FloatArray) -> float:
 
 def counts(scene: Scene, deployment: Deployment) -> IntArray:
     """Number of landmarks covered at every grid position and orientation of the PDF, `(P, A)`."""
-    axes, index_of, _ = scene.orientations  # equal orientations (poles, seam) are evaluated once
+    axes, index_of, _ = scene.orientations  # orientations that are equal (poles, yaws of +-pi) are evaluated once
     counted = [cap_count(coverage_caps(scene, deployment, p, axes)) for p in scene.room.grid()]
     return np.stack(counted)[:, index_of]
 

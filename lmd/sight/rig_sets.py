@@ -33,7 +33,7 @@ from lmd.space.triangles import Triangles
 def _fill_viewpoint_around(
     group: Any, c: Integer, view: Any, count: Integer, px: float, py: float, pz: float, start: Any
 ) -> None:
-    """Find what the first `count` landmarks of `view` are like from centre c of a body at (px, py, pz)."""
+    """Fill `view` for its first `count` landmarks, as seen from centre c of a body at (px, py, pz)."""
     near, x, y, z, squared, high, sure_depth, reached = (
         view.near_poses, view.x, view.y, view.z, view.squared, view.high, view.sure_depth, view.reached
     )  # fmt: skip
@@ -52,7 +52,8 @@ def _fill_viewpoint_around(
             distance = math.sqrt(squared[k])
             scale = 0.0 if distance == 0.0 else 1.0 / distance
             u[k], v[k], w[k] = scale * x[k], scale * y[k], scale * z[k]
-            # Upper bound on the sine of the angle to a landmark that it may hide, see `mount_occlusion`.
+            # Upper bound on the sine of the angle between landmark k and a landmark that k may hide, see
+            # `mount_occlusion`.
             close[k] = width / (distance - radius) + radius * scale if distance > radius + width else 2.0
 
 
@@ -71,10 +72,10 @@ def _add_covered(
 
     Args:
         positions: positions of the body, in blocks of neighbours, `(P, 3)`, metres.
-        group: if its sight is `unhidden`, occlusion by landmarks is ignored.
+        group: mounts; if their model is `unhidden`, occlusion by landmarks is ignored.
         landmarks, normals: positions, metres, and unit normals, `(1, 3, K)`.
         slack: see `criteria.from_position`, `(K,)`, metres; obstacles are ignored for a landmark with a slack.
-        n: number of landmarks that suffices.
+        n: number of covered landmarks that suffices.
         keep: False to stop at n covered landmarks for each position and orientation.
         seen: sets of orientations, `(1, P, K, W)`; or `(M, P, K, W)` by mount, which requires `keep`.
     """
@@ -178,7 +179,9 @@ def _add_covered(
 
 @inlined
 def _count_set(at_least: WordArray, w: Integer, visible: Any) -> None:
-    """Count a set of orientations of word w; `at_least[j]` of `(n, W)` has those counted more than j times."""
+    """Count a set of orientations of word w; `at_least[j]` of `(n, W)` has the orientations counted more than j
+    times.
+    """
     for j in range(len(at_least) - 1, 0, -1):
         at_least[j, w] |= at_least[j - 1, w] & visible
     at_least[0, w] |= visible
@@ -229,7 +232,7 @@ def covered_sets(
         positions: positions of the body, `(P, 3)`, metres.
         landmarks, normals: positions, metres, and unit normals, `(K, 3)`.
         slack: see `_add_covered`, `(K,)`, metres.
-        n: number of landmarks that suffices for each position and orientation; 0 for all landmarks.
+        n: number of covered landmarks that suffices for each position and orientation; 0 to test all landmarks.
     """
     seen = _empty_sets(1, groups[0], positions, landmarks)
     for group in groups:

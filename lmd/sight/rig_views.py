@@ -1,6 +1,6 @@
 """Counts, probabilities, gains and covered amounts of a rig, from the sets of orientations of `rig_sets`.
 
-Threads share the positions or the poses. The order of each sum does not depend on the number of threads.
+Positions or poses are divided among the threads. The order of each sum does not depend on the number of threads.
 """
 
 import math
@@ -105,7 +105,7 @@ class RigViews:
         return tuple(with_sight(group, group.sight.unhidden()) for group in self.groups)
 
     def groups_among(self, landmarks: FloatArray, normals: FloatArray) -> tuple[MountGroup, ...]:
-        """Mount groups with the criteria for the landmarks of a deployment, `(K, 3)`, see `Sight.among`."""
+        """Mount groups with the criteria for the landmarks of a deployment, `(K, 3)`, see `SightModel.among`."""
         low, high = self.positions.min(axis=0), self.positions.max(axis=0)
         batch = landmarks.T[None], normals.T[None]
         return tuple(

@@ -7,10 +7,9 @@ landmarks, `lmd.objectives.localisation` sums up their information, `lmd.sight.v
 Landmarks are dropped in stages, the cheapest first:
 
 1. landmarks beyond the horizon of a region, which is 16 blocks of positions, then of a block;
-2. for each position, landmarks that are too near or too far, or that face away;
-3. landmarks that the room blocks;
-4. landmarks that others hide. An occluder has nearly the direction of the hidden landmark; single precision finds the
-   possible occluders, the exact test decides.
+2. for each position, landmarks that are too near or too far, or that face away from the camera; 3. landmarks that the
+room blocks; 4. landmarks that others hide. An occluder lies in nearly the direction of the hidden landmark: a test in
+single precision finds the possible occluders, and the exact test decides.
 """
 
 import math
@@ -46,9 +45,9 @@ class Viewpoint(NamedTuple):
     x: np.ndarray
     """`(K,)` first coordinate of the offset from the position, world frame, metres."""
     y: np.ndarray
-    """`(K,)` second coordinate, metres."""
+    """`(K,)` second coordinate of the offset, metres."""
     z: np.ndarray
-    """`(K,)` third coordinate, metres."""
+    """`(K,)` third coordinate of the offset, metres."""
     squared: np.ndarray
     """`(K,)` squared length of the offset, m^2."""
     low: np.ndarray
@@ -64,15 +63,19 @@ class Viewpoint(NamedTuple):
     reached: np.ndarray
     """`(K,)` True if some orientation may cover the landmark."""
     u: np.ndarray
-    """First coordinate of the unit direction; float32, padded to a multiple of `LANES` like the next three."""
+    """`(K,)` first coordinate of the unit direction; float32, padded to a multiple of `LANES`, as are `v`, `w` and
+    `close`.
+    """
     v: np.ndarray
-    """Second coordinate."""
+    """`(K,)` second coordinate of the unit direction."""
     w: np.ndarray
-    """Third coordinate."""
+    """`(K,)` third coordinate of the unit direction."""
     close: np.ndarray
-    """Least squared cosine between the directions of this landmark and of one that it may hide."""
+    """`(K,)` least squared cosine between the direction of the landmark and the direction of a landmark that it may
+    hide.
+    """
     shown: np.ndarray
-    """`(K,)` list of the landmarks that some orientation sees; the caller keeps its length."""
+    """`(K,)` list of the landmarks that some orientation sees; the caller stores the length of the list."""
 
 
 @allocating
@@ -110,10 +113,10 @@ def gather(
         low, high: corners of the box, three numbers each.
         horizon: see `criteria.horizon_of`.
         count: number of landmarks to test.
-        poses: their positions and normals, `(6, K)`.
-        indices: their indices in the deployment, `(K,)`.
+        poses: positions and normals of the landmarks, `(6, K)`.
+        indices: indices of the landmarks in the deployment, `(K,)`.
         near: receives positions and normals of the landmarks found, `(6, K)`.
-        index: receives their indices in the deployment, `(K,)`.
+        index: receives the indices of the landmarks found in the deployment, `(K,)`.
 
     Returns:
         number of landmarks found.
@@ -154,14 +157,15 @@ def gather_near(
     o: Integer, first: Integer, last: Integer, order: np.ndarray, positions: FloatArray, horizon: float, many: Integer,
     count: Integer, poses: FloatArray, indices: np.ndarray, view: Viewpoint,
 ) -> Any:  # fmt: skip
-    """Update the landmarks near the region and the block of position `order[o]`, if `o` is the first of either.
+    """Update the landmarks near the region and near the block of position `order[o]`, if `o` is the first position
+    there.
 
     Args:
         first, last: the caller works on `order[first:last]`.
         order: positions by blocks of neighbours, `(P,)`.
         many, count: numbers of landmarks near the region and the block of the previous position.
         poses, indices: all landmarks, `(6, K)` and `(K,)`.
-        view: its landmarks are updated.
+        view: working memory, whose landmarks are updated.
 
     Returns:
         many, count: numbers of landmarks near the region and the block of this position.
@@ -184,7 +188,7 @@ def fill_viewpoint(view: Viewpoint, count: Integer, px: float, py: float, pz: fl
     )  # fmt: skip
     bottom, top, reached, u, v, w, close = view.bottom, view.top, view.reached, view.u, view.v, view.w, view.close
     for k in range(count):
-        # Local variables: reading back from the arrays would keep the loop from vectorising.
+        # Local variables, as reading back from the arrays would keep the loop from vectorising.
         xk, yk, zk = near[0, k] - px, near[1, k] - py, near[2, k] - pz
         nx, ny, nz = near[3, k], near[4, k], near[5, k]
         in_reach, least, most, sure = from_position(sized(sight, index[k]), xk, yk, zk, nx, ny, nz, 0.0)
@@ -234,7 +238,7 @@ def is_shown(
 ) -> Any:  # fmt: skip
     """True if some orientation sees landmark k from position p: within reach, not blocked by the room, not hidden.
 
-    The first `count` landmarks may hide it; `normals` `(3, K)` are theirs.
+    The first `count` landmarks, with unit `normals` `(3, K)`, may hide landmark k.
     """
     if not view.reached[k] or (
         not clear and is_blocked(obstacles, sized(sight, view.near_index[k]), p, ends, view.near_index[k])
@@ -258,7 +262,7 @@ def list_shown(
     view: Viewpoint, normals: FloatArray, count: Integer, p: Integer, sight: Any, obstacles: Any, clear: bool,
     ends: FloatArray,
 ) -> Any:  # fmt: skip
-    """List the landmarks that pass `is_shown` in `view.shown`; returns their number."""
+    """List the landmarks that pass `is_shown` in `view.shown`, and return their number."""
     shown, found = view.shown, np.uint64(0)
     for k in range(count):
         if is_shown(k, view, normals, count, p, sight, obstacles, clear, ends):
@@ -276,7 +280,7 @@ def see_alone(
     Args:
         pose: position and unit normal of the landmark, six numbers.
         positions: positions of the camera, `(P, 3)`, metres.
-        ends: result of `obstacles.find_ends`, with the landmark as the first.
+        ends: result of `obstacles.find_ends`, whose first landmark is this one.
         bands: result of `directions.height_index`.
 
     Returns:

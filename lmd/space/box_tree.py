@@ -6,7 +6,7 @@ import numpy as np
 
 from lmd.core.checks import FloatArray, IntArray
 
-# Maximum number of triangles in a leaf, and in a box that is cut at the median.
+# Maximum numbers of triangles: in a leaf, and in a box that is cut at the median instead of by surface area.
 LEAF, SMALL = 4, 48
 
 

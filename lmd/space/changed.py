@@ -28,7 +28,7 @@ def _asked(method: Method) -> Method:
 
 
 class Changed:
-    """Base of rooms derived from another room: all methods of `Space` delegate to it unless overridden."""
+    """Base of rooms derived from another room: methods of `Space` call the method of that room unless overridden."""
 
     def __init__(self, room: Space) -> None:
         self._room = room
@@ -92,7 +92,7 @@ class _Cells(NamedTuple):
     seconds: FloatArray
     """Time spent in each cell, seconds, `(P,)`."""
     chosen: IntArray
-    """Index of the record nearest to the mean of each cell, `(P,)`; unlike the mean, it is a possible position."""
+    """Index of the record nearest to the mean of each cell, `(P,)`. The mean itself might be an impossible position."""
 
 
 @dataclass(frozen=True)
@@ -114,7 +114,7 @@ class TimeSpent:
         return np.asarray(self.within.weights(points) * self.seconds[nearest])
 
 
-class Visited(Changed):
+class RecordedRoom(Changed):
     """Room with the positions of a recording; a `Space`.
 
     Args:
@@ -166,9 +166,9 @@ class Visited(Changed):
         return self.clear(starts, ends)
 
     @override
-    def finer(self) -> "Visited":
+    def finer(self) -> "RecordedRoom":
         half = tuple(np.broadcast_to(self._spacing, 3) / 2.0)
-        return Visited(self._room, self._positions, self._seconds, half)
+        return RecordedRoom(self._room, self._positions, self._seconds, half)
 
     @override
     def jittered_grid(self, repeats: int, rng: np.random.Generator) -> FloatArray:

@@ -30,7 +30,9 @@ class Fixture:
 
     @cached_property
     def kind(self) -> str:
-        """One of `KINDS`: `door` or `window` by the name, else `furniture` if the footprint is thick, else `other`."""
+        """One of `KINDS`: `door` or `window` if the name says so, else `furniture` if the footprint is thick, else
+        `other`.
+        """
         named = NAMED_KIND.search(self.name.lower())
         if named:
             return named[0]
@@ -66,6 +68,6 @@ class Fixture:
         near = self.corners[np.abs(depth) <= TOUCHING_M] - surface.origin
         if self.has(surface) or len(near) < 3:
             return shapely.Polygon()
-        at = surface.seen(np.stack([near @ surface.u, near @ surface.v], axis=-1))
+        at = surface.from_left_and_below(np.stack([near @ surface.u, near @ surface.v], axis=-1))
         hull = shapely.MultiPoint(at).convex_hull.intersection(shapely.box(0.0, 0.0, *surface.extent))
         return hull if hull.geom_type == "Polygon" else shapely.Polygon()

@@ -134,7 +134,7 @@ class FloorPlan:
     def contains(self, points: FloatArray, clearance: float = 0.0) -> BoolArray:
         """Mask of the points `(..., 3)` in the closed room, `(...)`.
 
-        Points keep `clearance`, metres, from the planes of walls, holes and obstacles.
+        Only points at least `clearance`, metres, from the planes of walls, holes and obstacles count.
         """
         p = np.asarray(points)
         inside = np.ones(p.shape[:-1], dtype=np.bool_)
@@ -179,7 +179,7 @@ class FloorPlan:
     def kept_out(self) -> list[FloatArray]:
         """Vertices of the keep-outs, world frame, metres, `(N, 3)` each."""
         on = ((self._faces[part.surface], part.ring) for part in self.keep_out)
-        return [face.point(*face.seen(ring).T) for face, ring in on]
+        return [face.point(*face.from_left_and_below(ring).T) for face, ring in on]
 
     @property
     def fixtures(self) -> list[Fixture]:

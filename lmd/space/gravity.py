@@ -10,7 +10,7 @@ from lmd.space.triangles import unit_normals
 # Largest tilt of a triangle that counts as level or upright, rad. The noise of a scan tilts triangles by more, and few
 # walls are aligned with an axis by chance.
 BUILT_TOLERANCE_RAD = 3.5e-3
-# Ratio of the level or upright areas for two up axes below which the axis with the larger area is the better one.
+# The up axis with the larger level or upright area is the better one if the ratio of the areas is below this.
 DECIDING_SHARE = 0.8
 # Least |n_z| of the unit normal of a level triangle, and largest distance of floor and ceiling from the lowest or
 # highest point, metres.
@@ -18,7 +18,7 @@ LEVEL_NORMAL_Z, STOREY = 0.999, 0.1
 
 
 def doubt_of(mesh: Mesh, undecided: bool) -> str | None:
-    """Evidence that the up axis of a mesh's file is not the assumed one (z or y) but the other; None without evidence.
+    """Evidence that the assumed up axis of a mesh's file, z or y, is the wrong one of the two; None without evidence.
 
     Args:
         mesh: mesh, rotated to z up from the assumed axis `Mesh.up`.

@@ -233,8 +233,8 @@ class Gridded(ABC):
     def sample_evenly(self, size: int, rng: np.random.Generator) -> FloatArray:
         """See `Space.sample_evenly`."""
         low, high = self.box
-        # With a uniform reachable first point, all reachable points of the sequence are uniform. With a first point
-        # uniform in the box, reachable points that follow many unreachable ones would be overrepresented.
+        # The first point is uniform in the reachable volume, so all reachable points of the sequence are uniform. From
+        # a first point uniform in the box, reachable points that follow many unreachable ones would be drawn too often.
         extent = np.where(high > low, high - low, 1.0)  # the box of a ground robot may have zero height
         return self._reached(size, kronecker((self.sample(1, rng)[0] - low) / extent))
 
@@ -257,7 +257,8 @@ class Gridded(ABC):
     def surfaces_of(self, positions: FloatArray, normals: FloatArray) -> IntArray:
         """See `Space.surfaces_of`; a landmark at an edge belongs to the surface with the most similar normal.
 
-        Among coplanar surfaces with overlapping rectangles, a landmark belongs to the one that allows it there.
+        Among coplanar surfaces with overlapping rectangles, a landmark belongs to the surface whose allowed region
+        holds it.
         """
         carriers, within, allowed = self._carried(positions)
         hangs = within & self.contains(positions)[..., None]
@@ -276,7 +277,7 @@ class Gridded(ABC):
         every = np.arange(len(carriers.normal))
         at = carriers.coordinates(every, np.asarray(points)[..., None, :])
         within = ((at >= -PLACEMENT_TOLERANCE) & (at <= carriers.extent + PLACEMENT_TOLERANCE)).all(axis=-1)
-        within &= np.abs(carriers.depth(points)) <= PLACEMENT_TOLERANCE
+        within &= np.abs(carriers.heights(points)) <= PLACEMENT_TOLERANCE
         allowed = within.copy()
         allowed[within] = carriers.allow(np.broadcast_to(every, within.shape)[within], at[within], FILE_TOLERANCE)
         return carriers, within, allowed

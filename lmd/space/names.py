@@ -1,4 +1,4 @@
-"""Names of surfaces for people: on paper and in pictures, where files have `hole_0_wall_1`."""
+"""Readable names of surfaces on paper and in pictures: `pillar 1, side 2` for `hole_0_wall_1` in files."""
 
 import re
 from collections.abc import Sequence
@@ -21,7 +21,7 @@ def name_for_people(surface: Surface, fixtures: Sequence[Fixture] = ()) -> str:
         fixtures: parts of the room whose names come before a number.
 
     Returns:
-        the surface's own name if it is none of a floor plan.
+        the name in the room's file for a surface that is not part of a floor plan.
     """
     if found := _SIDE_OF_PILLAR.fullmatch(surface.name):
         return f"pillar {int(found[1]) + 1}, side {int(found[2]) + 1}"

@@ -161,7 +161,8 @@ def made(name: str, kind: type[T], value: Any) -> T:
     """Make a part from its value in a configuration: the part itself, or a mapping of its arguments.
 
     Raises:
-        InputError: the value is neither, an argument is unknown or missing, or the part is invalid.
+        InputError: the value is neither a part nor a mapping, an argument is unknown or missing, or the part is
+            invalid.
     """
     if isinstance(value, kind):
         return value
@@ -224,7 +225,7 @@ class KeepOut:
     Left and below are as seen by a viewer in front of a wall with z up, or in front of floor or ceiling with y up.
 
     Raises:
-        InputError: not exactly both spans or the corners are given, or the part is empty.
+        InputError: the part is empty, or is not given by either both spans or the corners.
     """
 
     surface: str
@@ -280,7 +281,7 @@ class KeepOut:
         """Shapely polygon in the coordinates of the surface `face`."""
         import shapely
 
-        return shapely.Polygon(face.seen(self.ring))
+        return shapely.Polygon(face.from_left_and_below(self.ring))
 
 
 def all_keep_outs(values: Any, faces: Sequence[str]) -> tuple[KeepOut, ...]:

@@ -73,7 +73,7 @@ def lying_on(surface: Surface, name: str, corners: FloatArray) -> KeepOut | None
 
     if np.abs((corners - surface.origin) @ surface.normal).max() > ON_WALL:
         return None
-    at = surface.seen(
+    at = surface.from_left_and_below(
         np.stack([(corners - surface.origin) @ surface.u, (corners - surface.origin) @ surface.v], axis=-1)
     )
     whole = shapely.Polygon(at)

@@ -18,7 +18,7 @@ def checked_ring(name: str, value: Any, either_way: bool = False) -> Ring:
     """Check the vertices of a simple polygon, metres, counter-clockwise unless `either_way`.
 
     Raises:
-        InputError: the value is no polygon, it crosses or touches itself, or runs clockwise.
+        InputError: the value is no polygon, or the polygon crosses or touches itself or runs clockwise.
     """
     import shapely
 

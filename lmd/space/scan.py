@@ -24,8 +24,8 @@ WALL, GROUND = 0.9, 0.5
 FILE_ROUNDING = 1e-5
 # Objects within this distance in front of a surface exclude landmarks, metres.
 FREE_BEFORE_M = 0.01
-# The front of a patch is the side from which more lines to camera positions are clear: number of points on the patch,
-# their distance from it, metres, and number of camera positions.
+# The front of a patch is the side with more clear lines to camera positions. Number of points on the patch, their
+# distance from the patch, metres, and number of camera positions.
 PLACES, AWAY, WITNESSES = 9, 1e-3, 300
 # Least angle between faces at a drawn edge, rad, and maximum number of drawn edges.
 CREASE, MOST_EDGES = 0.35, 5000
@@ -88,7 +88,7 @@ class Scan:
 
     @cached_property
     def solids(self) -> Triangles | None:
-        """All triangles except those of floor and ceiling, from which the camera keeps its clearance; None if empty."""
+        """Triangles from which the camera keeps its clearance: all but those of floor and ceiling; None without any."""
         z, (low, high) = self._corners[..., 2], self.bounds
         level = np.abs(unit_normals(self._corners)[:, 2]) > LEVEL_NORMAL_Z
         ends = (z.max(axis=1) < low[2] + STOREY) | (z.min(axis=1) > high[2] - STOREY)
@@ -185,7 +185,7 @@ class Scan:
         return given + [part for thing in self.mesh.on_walls if (part := lying_on(surface, *thing)) is not None]
 
     def _inside(self, surface: Surface, region: Any, standing: Sequence[Any]) -> Any:
-        """Part of a region of a patch inside the room: not below its floor, beyond a wall or in furniture.
+        """Part of a region of a patch inside the room: not below the floor, beyond a wall or in furniture.
 
         Triangles on the patch divide the region into cells; strips narrower than 2 `FREE_BEFORE_M` are ignored. As no
         triangle crosses a cell, a cell is inside the room if any of its points is.

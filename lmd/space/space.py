@@ -52,7 +52,7 @@ class Space(Protocol):
         """Mask of the straight paths between reachable points `(..., 3)` that the camera may take, `(...)`."""
 
     def faces(self) -> tuple[Surface, ...]:
-        """Visible faces of the room, also those that may carry no landmarks; `allowed` is the visible region."""
+        """Visible faces of the room, with and without landmarks; `allowed` of a face is its visible region."""
 
     def grid(self) -> FloatArray:
         """Discrete positions Omega_d of the camera, `(P, 3)`."""

@@ -122,7 +122,7 @@ class Surface:
         """True if u points left for a viewer in front of the surface with `v` up."""
         return bool(np.cross(self.v, self.normal) @ self.u < 0.0)
 
-    def seen(self, at: FloatArray) -> FloatArray:
+    def from_left_and_below(self, at: FloatArray) -> FloatArray:
         """Convert (a, b) `(..., 2)` to distances from the left and the lower edge, seen from the front, metres.
 
         The function is its own inverse.
@@ -250,7 +250,7 @@ class SurfaceArrays(NamedTuple):
         """Area of each trapezoid, square metres, `(T,)`."""
         return sizes(self.pieces)
 
-    def depth(self, points: FloatArray) -> FloatArray:
+    def heights(self, points: FloatArray) -> FloatArray:
         """Height of points `(..., 3)` above the plane of each surface, `(..., W)`, metres."""
         return np.asarray(((points[..., None, :] - self.origin) * self.normal).sum(axis=-1))
 

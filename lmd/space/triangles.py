@@ -1,15 +1,16 @@
 """Triangles of a mesh that block lines of sight, in a hierarchy of boxes that is traversed without a stack.
 
-A line from p to q crosses a triangle if p and q lie on different sides of its plane, both farther from it than the
-tolerance, and the crossing lies within its edges. The effective extent at an edge depends on the adjacent triangle:
+A line from p to q crosses a triangle if p and q lie on different sides of the triangle's plane, both farther from the
+plane than the tolerance, and the line meets the plane within the triangle's edges. The effective extent at an edge
+depends on the adjacent triangle:
 
 - If the line crosses the planes of both triangles in one sense, both triangles are extended over the edge by the
   tolerance, so that no line passes between them.
 - If it crosses them in opposite senses, the line only touches the surface at the edge: both triangles are shortened by
   the tolerance. A triangle without a neighbour at an edge is shortened there, too.
 
-At a corner, the line is a touch if it is a touch for any of the edges that end there. So a line that touches an edge or
-a corner, or runs along a face, is clear, as for `lmd.space.blockers`.
+At a corner, the line only touches the surface if it only touches any edge that ends there. So a line that touches an
+edge or a corner, or runs along a face, is clear, as for `lmd.space.blockers`.
 
 Landmarks lie in the planes of their own triangles, which therefore never hide them.
 """

@@ -1,9 +1,10 @@
 """Bundle adjustment: the poses of tags, frames and cameras that minimise the robust reprojection error.
 
-A sighting has eight residuals e in pixels and chi^2 = |e|^2 / sigma^2, where sigma^2 is the variance by the detector
-and a floor for errors of lenses and bodies. Minimised is the sum of Student's losses, see `lmd.survey.residuals`, also
-for priors of tags that are not exact, by Levenberg-Marquardt steps with the weights of reweighted least squares. The
-floor is estimated so that the weighted mean of chi^2 has the value expected for normal errors.
+A sighting has eight residuals e, pixels, and chi^2 = |e|^2 / sigma^2. The variance sigma^2 is the sum of the detector's
+variance and of the squared *floor*, which stands for errors of lenses and bodies. Levenberg-Marquardt steps, with the
+weights of reweighted least squares, minimise the sum of the Student losses (`lmd.survey.residuals`) of sightings and of
+priors that are not exact. The floor is estimated so that the weighted mean of chi^2 has the value expected for normal
+errors.
 """
 
 from collections.abc import Sequence
@@ -17,11 +18,11 @@ from lmd.survey.residuals import DEGREES_OF_FREEDOM, Poses, squared_errors, stud
 from lmd.survey.schur import LEAST_DAMPING, SchurSystem
 from lmd.survey.sightings import RESIDUALS, Sightings
 
-# Mean of (nu + 8) chi^2 / (nu + chi^2) where chi^2 has its own distribution with 8 degrees of freedom.
+# Mean of (nu + 8) x / (nu + x) for x with the chi^2 distribution with 8 degrees of freedom.
 NORMAL_MEAN = 7.5625
-LEAST_SHARE = 0.1  # minimum share of the squared errors that a fit leaves
+LEAST_SHARE = 0.1  # least share of the squared errors that is assumed to remain after a fit
 FIRST_DAMPING, MOST_DAMPING = 1e-4, 1e6
-LEAST_GAIN = 1e-7  # decrease of the loss per sighting, below which a step is the last
+LEAST_GAIN = 1e-7  # the iteration ends when a step decreases the loss per sighting by less
 FLOOR_BISECTIONS = 40
 
 
@@ -32,22 +33,24 @@ class Adjustment(SchurSystem):
         super().__init__(sightings, prior, nuisances, inflation)
         poses = len(np.unique(sightings.frame)) + len(np.unique(sightings.tag)) + self.mounts
         unknowns = 6 * poses + sightings.taken
-        self.share = max(1.0 - unknowns / (RESIDUALS * len(sightings)), LEAST_SHARE)  # of squares that a fit leaves
+        self.share = max(1.0 - unknowns / (RESIDUALS * len(sightings)), LEAST_SHARE)  # of the squares, after a fit
 
     def prior_losses(self, poses: Poses) -> list[float]:
-        """Losses of the priors."""
+        """Robust losses of the priors at some poses."""
         losses = [self.prior.loss(self.prior.squares(self.prior.off(poses.tags)))]
         if self.prior.sheets is not None:
             losses.append(student_loss(self.prior.sheets.fitted(poses.tags).squares, 6))
         return losses
 
     def loss(self, error: FloatArray, prior_losses: Sequence[float], floor: float) -> float:
-        """Total loss by the squared errors of sightings, `(N,)`, and the losses of the priors."""
+        """Total loss, from the squared errors of sightings `(N,)` and the losses of the priors."""
         square = error / self.sightings.variance(floor)
         return sum(prior_losses, student_loss(square) / self.inflation**2)
 
     def floor(self, error: FloatArray, most: float) -> float:
-        """Floor that explains the squared errors of sightings, pixels, at most `most`, by bisection."""
+        """Floor, pixels, at most `most`, at which the squared errors of sightings have their expected mean, by
+        bisection.
+        """
         shared, low, high = error / self.share, 0.0, most
         for _ in range(FLOOR_BISECTIONS):
             middle = (low + high) / 2.0
@@ -61,7 +64,8 @@ class Adjustment(SchurSystem):
     def efficiency(self, poses: Poses, floor: float) -> tuple[float, float]:
         """Mean slope of the estimating equations and variance of their right side (sandwich formula).
 
-        With weights w(chi^2), the slope is the mean of w + 2 w' chi^2 / 8, the variance that of w^2 chi^2 / 8.
+        With weights w(chi^2), the slope is the mean of w + 2 w' chi^2 / 8, and the variance is the mean of w^2 chi^2 /
+        8.
         """
         square = squared_errors(self.sightings, poses) / self.sightings.variance(floor) / self.share
         weight = student_weight(square)
@@ -71,7 +75,7 @@ class Adjustment(SchurSystem):
     def covariance(self, poses: Poses, floor: float) -> FloatArray:
         """Marginal covariance of the kept unknowns, `(6 kept, 6 kept)`; NaN for tags without sightings.
 
-        It equals the covariance of least squares that weight all sightings by slope^2 / spread, see `efficiency`.
+        The covariance is that of least squares with the weight slope^2 / variance (`efficiency`) for all sightings.
         """
         slope, spread = self.efficiency(poses, floor)
         matrix, *_ = self.schur_system(poses, floor, 0.0, slope**2 / spread)
@@ -90,7 +94,7 @@ class Adjustment(SchurSystem):
             most: maximum of the floor; None for its initial value.
 
         Returns:
-            the poses and the floor, the standard deviation of corners that the detector does not explain, pixels.
+            poses; floor, pixels: the standard deviation of corners beyond the detector's own.
         """
         damping, most = FIRST_DAMPING, floor if most is None else most
         error, priors = squared_errors(self.sightings, poses), self.prior_losses(poses)
@@ -113,7 +117,7 @@ class Adjustment(SchurSystem):
 
 
 def _orthonormal(poses: FloatArray) -> FloatArray:
-    """Poses with rotations made orthonormal after many products; NaN stays."""
+    """Poses with their rotations made orthonormal again, as products accumulate rounding errors; NaN stays NaN."""
     result = poses.copy()
     known = np.isfinite(poses).all(axis=(1, 2))
     result[known] = pose_of(nearest_rotations(poses[known, :3, :3]), poses[known, :3, 3])

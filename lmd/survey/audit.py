@@ -1,4 +1,6 @@
-"""Audit: detections in the frames of a survey beside what a visibility model predicts, and `in_view.csv`."""
+"""Audit: detections in the frames of a survey compared with the predictions of a visibility model, and
+`in_view.csv`.
+"""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -29,12 +31,12 @@ from lmd.survey.residuals import squared_errors
 from lmd.survey.results import map_of
 from lmd.survey.survey import Survey
 
-# A tag stands out if it is detected this number of standard deviations, and by this factor, less often than others of
-# its pitch.
+# A tag stands out if it is detected less often than other tags of equal pitch: by `STANDS_OUT` standard deviations, and
+# less than `HALF` as often.
 STANDS_OUT, HALF = 4.0, 0.5
-IN_A_ROW = 5  # number of successive misses of a tag that have one cause
-AROUND = 1.0  # distance of the walls of an unknown room from everything, metres
-LEAST_UP = 0.3  # minimum length of the mean of the tags' unit vectors up that defines up
+IN_A_ROW = 5  # least number of successive misses of a tag that are assumed to have one cause
+AROUND = 1.0  # distance of the assumed walls of an unknown room from all cameras and tags, metres
+LEAST_UP = 0.3  # minimum length of the mean of the tags' up vectors for which the mean defines the vertical
 OFF_WALL = 1e-3  # distance before a tag at which lines of sight end, metres
 WHOLE_NUMBERS = (CAMERA, "id", "seen")
 
@@ -43,16 +45,20 @@ Verdicts = Callable[[Scene, Deployment, FloatArray, Camera], dict[str, BoolArray
 
 @dataclass(frozen=True)
 class Audit:
-    """N frames of a survey, and the K tags of its map; with C cameras C K tags, camera by camera."""
+    """Audit of N frames of a survey and the K tags of its map; with C cameras, columns are C K tags, camera by
+    camera.
+    """
 
     prediction: Prediction
     """Predictions of the visibility model."""
     seen: Matches
-    """Detections; false ones do not show a tag at its pose."""
+    """Detections; a false detection shows no tag at its pose."""
 
     @cached_property
     def expected(self) -> FloatArray:
-        """Probability of each tag to be detected if it is like others of its pitch, `(N, C K)`; 0 if not predicted."""
+        """Probability that each tag is detected if it is like other tags of its pitch, `(N, C K)`; 0 if it is not
+        predicted.
+        """
         visible, detected = self.prediction.visible, self.seen.detected
         place = np.searchsorted(PITCHES, self.prediction.pitch, side="right") - 1
         chance = np.zeros(visible.shape)
@@ -63,10 +69,10 @@ class Audit:
 
     @cached_property
     def tags(self) -> pd.DataFrame:
-        """A row for each tag: the columns of `by_tag` and three more.
+        """Table with a row for each tag: the columns of `by_tag` and three more.
 
-        `confirmed` is the number of images in which it was predicted and detected, `expected` that of a tag like
-        others, and `stands_out` is true if it is far below.
+        `confirmed` is the number of images in which the tag was predicted and detected, `expected` is the number
+        expected for a tag like others, and `stands_out` is true if `confirmed` is far below `expected`.
         """
         chance, cameras = self.expected, len(self.prediction.parts)
         confirmed, expected, variance = (
@@ -79,9 +85,10 @@ class Audit:
 
     @cached_property
     def missed_in_a_row(self) -> BoolArray:
-        """True for predicted tags among `IN_A_ROW` or more successive misses, `(N, C K)`.
+        """True for predicted tags that are missed in `IN_A_ROW` or more successive images, `(N, C K)`.
 
-        Limits of a detector hardly cause such misses of a tag well within them: it is hidden or in glare.
+        A tag well within the detector's limits is hardly missed in many successive images unless it is hidden or in
+        glare.
         """
         visible, missed = self.prediction.visible, self.prediction.visible & ~self.seen.detected
         result = np.zeros_like(missed)
@@ -103,7 +110,7 @@ class Audit:
         }
 
     def metrics(self) -> dict[str, float]:
-        """Precision, recall, and numbers of tags per frame and of misses."""
+        """Precision and recall, number of tags per frame, and number of misses."""
         visible, detected = self.prediction.visible, self.seen.detected
         precision, recall = precision_recall(visible, detected)
         counts = {"predicted": visible.sum(axis=1).mean(), "detected": detected.sum(axis=1).mean()}
@@ -137,7 +144,7 @@ def audited(survey: Survey, scene: Scene, verdicts: Verdicts) -> Audit:
     """Predict the tags in the images of all cameras of a survey.
 
     Args:
-        survey: survey by the scene's cameras; the mounts are those of the survey.
+        survey: survey by the scene's cameras; the mounts of the survey are used.
         scene: room, cameras and visibility model.
         verdicts: criteria that a tag meets, see `lmd.evaluation.verdicts`.
 
@@ -146,7 +153,7 @@ def audited(survey: Survey, scene: Scene, verdicts: Verdicts) -> Audit:
     """
     found = survey.found
     tags = map_of(survey)
-    tags = tags.hung(scene.room, anywhere=True, papers=scene.footprints.papers(tags))
+    tags = tags.with_surfaces(scene.room, anywhere=True, papers=scene.footprints.papers(tags))
     room = tagged_room(scene.room, tags, scene.tag)
     bodies, mounts = found.poses.frames[found.frames], found.poses.mounts
     parts = []
@@ -158,9 +165,9 @@ def audited(survey: Survey, scene: Scene, verdicts: Verdicts) -> Audit:
 
 
 def in_the_open(survey: Survey, scene: Scene) -> tuple[Survey, Scene]:
-    """Survey and scene in an empty room around everything, if the room is unknown: only other tags hide a tag.
+    """Survey and scene in an empty room around all tags and cameras, for an unknown room: only other tags hide a tag.
 
-    z is the mean up of the tags, as tags hang upright in the visibility model.
+    The z axis is the mean up vector of the tags, as tags hang upright in the visibility model.
     """
     found = survey.found
     tags = found.poses.tags[survey.placed]
@@ -177,10 +184,10 @@ def in_the_open(survey: Survey, scene: Scene) -> tuple[Survey, Scene]:
 
 
 def detections_of_map(survey: Survey) -> list[Matches]:
-    """Detections of the tags of the map in its frames, for each camera.
+    """Detections of the tags of the map in the frames of the map, for each camera.
 
-    A detection shows a tag if the RMS error of its corners is at most `CORNER_TOLERANCE`, also if that is too large for
-    the map.
+    A detection shows a tag if the RMS error of its corners is at most `CORNER_TOLERANCE`, even if the map treats the
+    detection as an outlier.
     """
     found, some = survey.found, survey.found.sightings
     frame = np.full(some.frames, -1)
@@ -196,7 +203,7 @@ def detections_of_map(survey: Survey) -> list[Matches]:
         corners = np.full((*detected.shape, 4, 2), np.nan)
         own = some.camera == camera
         right = np.flatnonzero(own & (off <= CORNER_TOLERANCE))
-        right = right[np.argsort(-off[right], kind="stable")]  # of several detections of a tag the nearest counts
+        right = right[np.argsort(-off[right], kind="stable")]  # the detection nearest to the tag wins
         at = frame[some.frame[right]], tag[some.tag[right]]
         detected[at], corners[at] = True, some.image[right]
         wrong = own & found.misfits & (frame[some.frame] >= 0) & (off > CORNER_TOLERANCE)
@@ -205,14 +212,15 @@ def detections_of_map(survey: Survey) -> list[Matches]:
 
 
 def view_columns(survey: Survey, cameras: Sequence[Camera], tag: Tag, room: Space | None) -> dict[str, ArrayLike]:
-    """Columns of `in_view.csv`: a row for each tag that has all its corners in an image and faces the camera.
+    """Columns of `in_view.csv`, with a row for each image and each tag that has all corners in the image and faces the
+    camera.
 
-    Leaves out tags that lie over others or are hidden by the room. See `lmd.detection.tag_views`.
+    Tags whose images overlap, and tags hidden by the room, are left out. See `lmd.detection.tag_views`.
 
     Args:
         survey: the survey.
         cameras: cameras that took the images.
-        tag: family, and edge of tags that have none of their own.
+        tag: family, and edge of the tags without their own edge.
         room: the room; None if unknown.
     """
     tags, found = map_of(survey), survey.found
@@ -237,7 +245,7 @@ def _in_images(
 
     Args:
         renderer: renderer of one camera and the tags.
-        poses: poses of its images, `(N, 4, 4)`.
+        poses: poses of the camera, one for each image, `(N, 4, 4)`.
         taken: True for images that were taken, `(N,)`.
         room: the room; None if unknown.
     """

@@ -1,8 +1,9 @@
-"""Boards: tags that were printed on one sheet. Their poses on the sheet are known, the sheet's pose is not.
+"""Boards: sheets with several tags. The poses of the tags on a sheet are known; the pose of the sheet is not.
 
-A tag at R_k on its sheet (x to the right, y up, z out of it) hangs at T_k = B R_k exp(d_k), for the pose B of the sheet
-and a twist d_k due to printing and bending. Sheets are no unknowns of the bundle adjustment: B is eliminated. With
-A_k = Ad(R_k^-1) and the information D of d, the tags of a sheet have the joint information D - D A (A' D A)^-1 A' D.
+Tag k has the pose R_k on its sheet (x to the right, y up, z out of the sheet) and the pose T_k = B R_k exp(d_k) in the
+world, where B is the pose of the sheet and d_k a twist due to printing and bending. Sheets are no unknowns of the
+bundle adjustment, as B is eliminated. With A_k = Ad(R_k^-1) and the information D of d, the tags of a sheet have the
+joint information D - D A (A' D A)^-1 A' D.
 """
 
 from dataclasses import dataclass
@@ -17,7 +18,8 @@ from lmd.geometry.se3 import adjoint_matrix, exp, inverse, log, pose_of
 from lmd.scene.labels import Labels
 from lmd.survey.residuals import DEGREES_OF_FREEDOM, solved, student_weight
 
-# Standard deviations of a sheet's bending: off its plane, metres, out of it, rad, and of rotations in it, rad.
+# Standard deviations of tags on a bent sheet: shift out of the plane, metres; tilt out of the plane, rad; rotation in
+# the plane, rad.
 BENT, TILTED, TURNED = 0.001, 0.005, 0.001
 FEWEST = 2  # minimum number of tags of a sheet
 STEPS = 6  # Gauss-Newton steps for the pose of a sheet
@@ -51,7 +53,7 @@ class Boards:
 
     @classmethod
     def from_csv(cls, path: Any, printed: float) -> "Boards":
-        """Read `board,id,x,y`; further columns are ignored.
+        """Read a CSV with the columns `board,id,x,y`; further columns are ignored.
 
         Raises:
             InputError: the file cannot be read, or its boards are refused.
@@ -73,7 +75,7 @@ class Boards:
 
 @dataclass(frozen=True)
 class SheetFit:
-    """Deviations of M tags from their sheets, with each sheet at its best pose."""
+    """Deviations of M tags from their places on the sheets, with each sheet at its best pose."""
 
     off: FloatArray
     """`(M, 6)` twists d_k."""
@@ -90,14 +92,14 @@ class Sheets:
     tag: IntArray
     """`(M,)` indices of the tags in the survey."""
     board: IntArray
-    """`(M,)` index of the sheet of each."""
+    """`(M,)` index of the sheet of each tag."""
     poses: FloatArray
-    """`(M, 4, 4)` poses R_k on the sheet."""
+    """`(M, 4, 4)` poses R_k of the tags on their sheets."""
     information: FloatArray
     """`(6,)` inverse variances of the components of d_k."""
 
     def of(self, placed: BoolArray) -> "Sheets":
-        """Sheets of the tags that are `placed`, `(K,)`, without sheets that have fewer than two of them."""
+        """Sheets of the tags that are `placed`, `(K,)`; sheets with fewer than two placed tags are dropped."""
         own = placed[self.tag]
         own &= np.bincount(self.board[own], minlength=self.board.max(initial=0) + 1)[self.board] >= FEWEST
         board = np.unique(self.board[own], return_inverse=True)[1]
@@ -124,7 +126,7 @@ class Sheets:
     def fitted(self, tags: FloatArray) -> SheetFit:
         """Fit the sheets to tags at `tags` `(K, 4, 4)`.
 
-        The fit of a sheet starts with the pose by the tag with which the other tags agree most.
+        The fit of a sheet starts with the pose that follows from the tag with which the other tags agree most.
         """
         one, other = self.pairs
         proposed = tags[self.tag] @ inverse(self.poses)

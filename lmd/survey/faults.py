@@ -1,8 +1,8 @@
 """Faults: tags that were moved, hang twice, have a wrong size or id, or are fixed at a wrong pose.
 
-The outliers of a tag (`Estimate.misfits`) either agree on a second pose, so that the tag was moved or two tags have its
-id, or they do not, so that its id was misread. A tag has a wrong size if its sightings agree on another one, with all
-frames fixed. Fixed tags are compared with a map without them.
+If the outliers of a tag (`Estimate.misfits`) agree on a second pose, the tag was moved or two tags have its id. If they
+do not agree, the id was misread. A tag has a wrong size if its sightings agree on another size, with all frames fixed.
+A fixed tag is compared with a map in which its pose is not fixed.
 """
 
 from dataclasses import dataclass, replace
@@ -19,15 +19,16 @@ from lmd.survey.residuals import Poses, Reprojection, normal_equations, solved, 
 from lmd.survey.sightings import Sightings
 from lmd.survey.single_poses import single_poses
 
-FEWEST_SIGHTINGS, LEAST_SHARE = 3, 0.5  # minimum number, and share of a tag's outliers, that show it at a second pose
-APART_EDGES, TURNED_RAD = 0.2, 0.3  # two poses of a tag differ from this distance, in edges, or rotation, rad, on
+# Minimum number of outliers, and minimum share of a tag's outliers, that agree on a second pose.
+FEWEST_SIGHTINGS, LEAST_SHARE = 3, 0.5
+APART_EDGES, TURNED_RAD = 0.2, 0.3  # least distance, in edges, and least rotation, rad, between two poses that differ
 OUT_OF_ORDER_SHARE = 0.1  # maximum share of frames before and after a move that are out of order
-# A size is wrong if it differs by this share and by this number of standard deviations, and if this share of sightings
-# fits the other size.
+# A size is wrong if it differs from the estimated size by the share `SIZE_DIFFERS` and by `SIZE_SIGMAS` standard
+# deviations, and if the share `SIZE_SHARE` of the sightings fits the estimated size.
 SIZE_DIFFERS, SIZE_SIGMAS, SIZE_SHARE = 0.02, 5.0, 0.5
 SIZE_STEPS = 15  # Gauss-Newton steps for sizes
-LOOSE_SIGMA = 1.0  # prior standard deviation of fixed tags in the map that they are compared with, metres and rad
-# A fixed tag is off above this number of standard deviations and above this distance, metres, or rotation, rad.
+LOOSE_SIGMA = 1.0  # prior standard deviation, metres and rad, of fixed tags in the map used for comparison
+# A fixed tag is off if its error exceeds `SIGMAS` standard deviations, and also `OFF_M`, metres, or `OFF_RAD`, rad.
 SIGMAS, OFF_M, OFF_RAD = 5.0, 0.001, 0.02
 MOST_M, MOST_RAD = 0.02, 0.15  # maximum error of a fixed tag, metres and rad; above it the survey is refused
 
@@ -39,33 +40,34 @@ class SecondPlace:
     tag: int
     """Index of the tag."""
     pose: FloatArray
-    """`(4, 4)` to the world."""
+    """`(4, 4)` pose, tag to world."""
     sightings: int
-    """Number of sightings that agree with it."""
+    """Number of sightings that agree with the second pose."""
     moved: int | None
-    """Index of the frame from which the tag hangs at the later pose; None if it is seen at both in turns, so that two
-    tags have its id."""
+    """Index of the frame from which the tag hangs at the later pose; None if frames show it at both poses in turns,
+    which means that two tags have its id.
+    """
     later: bool
     """True if the second pose is the later one."""
 
 
 @dataclass(frozen=True)
 class Faults:
-    """Faults of a survey; tags by their index."""
+    """Faults of a survey; tags are named by their index."""
 
     second_places: tuple[SecondPlace, ...]
     """Second poses of tags that were moved or hang twice."""
     sizes: dict[int, float]
     """Estimated edges of tags with a wrong size, metres."""
     misread: IntArray
-    """`(K,)` number of sightings of each id at no pose of its tag."""
+    """`(K,)` number of sightings with each id that fit no pose of the tag."""
 
 
 def find_faults(found: Estimate) -> tuple[Estimate, Faults]:
-    """Find faults, and correct sizes and the poses of tags that were moved, which hang at the later pose.
+    """Find faults, and correct sizes and moved tags: a moved tag gets the later of its poses.
 
     Returns:
-        the corrected estimate and all faults.
+        corrected estimate, and all faults.
     """
     with threadpool_limits(limits=ONE_THREAD):
         sizes, poses = _sizes(found)
@@ -93,18 +95,18 @@ def _adjusted(found: Estimate, poses: Poses) -> Estimate:
 
 
 def _placed_beside(found: Estimate, some: Sightings, fewest: int, share: float = LEAST_SHARE) -> Poses:
-    """Poses of the tags of some sightings, see `Sightings.apart`, with all frames fixed."""
+    """Poses of the tags of some sightings, see `Sightings.with_separate_cameras`, with all frames fixed."""
     placing = Placing(some, single_poses(some))
     placing.frames = np.asarray((found.poses.frames[None] @ found.poses.mounts[:, None]).reshape(-1, 4, 4))
-    placing.settle(np.arange(len(some)), by_frame=False, fewest=fewest, share=share)
+    placing.place(np.arange(len(some)), by_frame=False, fewest=fewest, share=share)
     return placing.poses
 
 
 def _second_places(found: Estimate, gross: BoolArray) -> list[SecondPlace]:
-    """Second poses of tags on which sightings among the `gross` outliers, `(N,)`, agree."""
+    """Second poses of tags: poses on which several of the `gross` outliers, mask `(N,)`, agree."""
     counts = found.sightings.counts(gross)
     often = counts[found.sightings.tag] >= FEWEST_SIGHTINGS
-    some = found.sightings.of(np.flatnonzero(gross & often)).apart()
+    some = found.sightings.of(np.flatnonzero(gross & often)).with_separate_cameras()
     if not len(some):
         return []
     poses = _placed_beside(found, some, FEWEST_SIGHTINGS)
@@ -126,7 +128,9 @@ def _second_places(found: Estimate, gross: BoolArray) -> list[SecondPlace]:
 
 
 def _change(first: IntArray, second: IntArray) -> int | None:
-    """Frame from which the `second` frames follow the `first` ones; None if they are mixed."""
+    """Frame at which a tag was moved: the `first` frames come before it, the `second` frames after; None if they are
+    mixed.
+    """
     begins = int(np.quantile(second, OUT_OF_ORDER_SHARE / 2.0))
     mixed = (first >= begins).mean() > OUT_OF_ORDER_SHARE
     mixed |= np.intersect1d(first, second).size > OUT_OF_ORDER_SHARE * len(first)
@@ -142,7 +146,7 @@ def _sizes(found: Estimate) -> tuple[dict[int, float], Poses]:
     astray = sightings.counts(found.used) == 0
     lost = np.flatnonzero(astray[some.tag])
     if lost.size:
-        tags[astray] = _placed_beside(found, some.of(lost).apart(), fewest=0, share=0.0).tags[astray]
+        tags[astray] = _placed_beside(found, some.of(lost).with_separate_cameras(), fewest=0, share=0.0).tags[astray]
     edges, growth, summed = some.edges, np.zeros(count), sums_by(some.tag, count)
     for _ in range(SIZE_STEPS):
         scaled = replace(some, edges=edges * np.exp(growth))
@@ -167,17 +171,18 @@ def _sizes(found: Estimate) -> tuple[dict[int, float], Poses]:
 
 
 def errors_of_fixed(found: Estimate, start: Start) -> FloatArray:
-    """Distance and rotation of each fixed tag from its pose by photographs, beside the other fixed tags.
+    """Distance and rotation of each fixed tag from its pose in a map that the photographs and the other fixed tags
+    give.
 
     Args:
         found: estimate with fixed tags.
         start: initial poses.
 
     Returns:
-        metres and rad, `(K, 2)`; NaN for tags that are not fixed, or within their errors.
+        metres and rad, `(K, 2)`; NaN for tags that are not fixed, or whose error is insignificant.
 
     Raises:
-        InputError: a tag is farther off than errors of measuring explain.
+        InputError: a fixed tag is farther off than errors of measurement explain.
     """
     off = np.full((len(found.group), 2), np.nan)
     prior = found.prior
@@ -198,7 +203,7 @@ def errors_of_fixed(found: Estimate, start: Start) -> FloatArray:
     parts = (slice(3, 6), slice(0, 3))
     sigma = np.stack([np.sqrt(np.linalg.eigvalsh(covariance[:, part, part])[:, -1]) for part in parts], axis=1)
     off[own] = np.where(between > np.maximum(SIGMAS * sigma, (OFF_M, OFF_RAD)), between, np.nan)
-    # A tag with few sightings may be wrong in the map without fixed tags. At its fixed pose the sightings fit.
+    # A tag with few sightings may be wrong in the map without fixed tags; then its sightings fit the fixed pose.
     fits = found.sightings.counts(found.used) > found.sightings.counts() / 2
     off[fits & (off > (MOST_M, MOST_RAD)).any(axis=1)] = np.nan
     _refuse(found.sightings.ids, off)
@@ -206,7 +211,7 @@ def errors_of_fixed(found: Estimate, start: Start) -> FloatArray:
 
 
 def _refuse(ids: IntArray, off: FloatArray) -> None:
-    """Raise `InputError` if a fixed tag is farther off than errors of measuring."""
+    """Raise `InputError` if a fixed tag is farther off than errors of measurement explain."""
     away = np.nan_to_num(off)
     worst = int(np.argmax((away / (MOST_M, MOST_RAD)).max(axis=1)))
     metres, rad = away[worst]

@@ -1,6 +1,7 @@
 """The gauge of a map: the choice of its world frame, and covariances that do not depend on it.
 
-Sightings alone leave the world frame free. Exactly known tags, a plan, measured centres, the floor or one tag fix it.
+Sightings alone do not determine the world frame. Exactly known tags, a plan, measured centres, the floor or one tag
+determine it.
 """
 
 from dataclasses import replace
@@ -8,29 +9,29 @@ from dataclasses import replace
 import numpy as np
 
 from lmd.core.checks import BoolArray, FloatArray, InputError, IntArray
-from lmd.geometry.se3 import adjoint_matrix, inverse, laid_over, pose_of
+from lmd.geometry.se3 import adjoint_matrix, inverse, pose_of, rigid_alignment
 from lmd.survey.prior import EXACT_SIGMA, FEWEST_POINTS, Prior, are_in_line
 from lmd.survey.residuals import DEGREES_OF_FREEDOM, Poses
 from lmd.survey.sightings import Sightings
 
-ARM = 0.1  # distance of the point before a tag that stands for its normal, metres
-NO_TURN = 0.05**2  # sum of squares about a line, square metres, below which points fix no rotation
+ARM = 0.1  # distance of a point on a tag's normal from the centre, metres; the point represents the normal in fits
+NO_TURN = 0.05**2  # points with a smaller sum of squared distances from a line, m^2, determine no rotation
 PLACE_SCALE, NORMAL_SCALE = 0.05, 0.2  # scales of the robust loss of centres, metres, and of normals, rad
 PAIRS = 600  # maximum number of pairs of tags that propose a motion
 REFINING_STEPS = 8
-LEVEL_TOLERANCE = 1e-3  # sine of the angle between two directions, below which they are parallel
+LEVEL_TOLERANCE = 1e-3  # two directions count as parallel if the sine of their angle is smaller
 
 
 def align_tags(here: FloatArray, there: FloatArray) -> FloatArray | None:
-    """Motion `(4, 4)` that moves the centres and normals of tags `here` nearest to those `there`, robustly.
+    """Motion `(4, 4)` that aligns centres and normals of the tags `here` with the tags `there`, by a robust fit.
 
-    Pairs of tags propose motions. The one with the least loss is refined by reweighted least squares over all tags.
+    Pairs of tags propose motions. The motion with the least loss is refined by reweighted least squares over all tags.
 
     Args:
         here, there: poses of K tags in two worlds, `(K, 4, 4)`; rotations about the normals do not matter.
 
     Returns:
-        None if the tags fix no rotation.
+        None if the tags determine no rotation.
     """
     points, others = _points(here), _points(there)
     one, other = np.triu_indices(len(here), 1)
@@ -70,7 +71,7 @@ def _fitted(points: FloatArray, others: FloatArray, weights: FloatArray) -> tupl
     """Least-squares motions from points `(n, m, 3)` to others (Kabsch).
 
     Returns:
-        rotations `(n, 3, 3)`, translations `(n, 3)`, and True where the points fix the rotation, `(n,)`.
+        rotations `(n, 3, 3)`, translations `(n, 3)`, and True where the points determine the rotation, `(n,)`.
     """
     share = weights / weights.sum(axis=1, keepdims=True)
     middles = [(share[..., None] * each).sum(axis=1, keepdims=True) for each in (points, others)]
@@ -83,11 +84,12 @@ def _fitted(points: FloatArray, others: FloatArray, weights: FloatArray) -> tupl
 
 
 def motion_to_prior(tags: FloatArray, prior: Prior) -> FloatArray | None:
-    """Motion `(4, 4)` from the world of `tags` `(K, 4, 4)` to that of the prior; None if the prior does not fix it.
+    """Motion `(4, 4)` from the world of `tags` `(K, 4, 4)` to the world of the prior; None if the prior does not
+    determine it.
 
-    Uses centres and normals of the exactly known tags, or else of all tags with known orientation. If these fix no
-    rotation, each of them proposes the motion to its expected pose, and the one with the least loss is taken. Without
-    known orientations, three or more centres fix the motion.
+    The fit uses centres and normals of the exactly known tags, or else of all tags with known orientation. If these
+    tags determine no rotation, each tag proposes the motion to its expected pose, and the motion with the least loss is
+    taken. Without known orientations, three or more centres determine the motion.
     """
     there = np.isfinite(tags[:, 0, 0])
     posed = prior.is_posed & there
@@ -103,25 +105,28 @@ def motion_to_prior(tags: FloatArray, prior: Prior) -> FloatArray | None:
 
 
 def _motion_of_centres(tags: FloatArray, prior: Prior, known: IntArray) -> FloatArray | None:
-    """Motion that moves the centres of the tags `known` nearest to their expected ones; None if these fix no motion."""
+    """Motion that best aligns the centres of the tags `known` with the expected centres; None if they determine no
+    motion.
+    """
     here = tags[known, :3, 3]
-    return None if len(known) < FEWEST_POINTS or are_in_line(here) else laid_over(here, prior.tags[known, :3, 3])
+    return None if len(known) < FEWEST_POINTS or are_in_line(here) else rigid_alignment(here, prior.tags[known, :3, 3])
 
 
 def into_world(
     sightings: Sightings, poses: Poses, group: IntArray, prior: Prior, origin: int | None
 ) -> tuple[Poses, IntArray, Prior]:
-    """Move all groups that the prior fixes into its world, where they become group 0; other groups follow.
+    """Move all groups that the prior places into the world of the prior, as group 0; other groups keep their worlds, as
+    1, 2, ...
 
     Args:
         sightings: sightings of the tags.
-        poses: poses in a world of its own for each group.
+        poses: poses; each group has a world of its own.
         group: group of each tag, `(K,)`, -1 for tags without a pose.
-        prior: prior of the tags. If it holds no tag, the tag `origin` is added to it.
-        origin: id of the tag whose frame is then the world; None for the tag seen most often.
+        prior: prior of the tags. If it holds no tag, the tag `origin` is added to the prior.
+        origin: id of the tag whose frame is the world if the prior holds no tag; None for the tag seen most often.
 
     Raises:
-        InputError: `origin` has no pose, or the prior is too little to fix a world.
+        InputError: `origin` has no pose, or the prior does not determine a world.
     """
     tags, frames = poses.tags.copy(), poses.frames.copy()
     owner = np.full(sightings.frames, -1)
@@ -160,7 +165,7 @@ def into_world(
 def _with_turns_of(prior: Prior, tags: FloatArray) -> Prior:
     """Prior in which tags with only a known centre have the orientation of `tags` `(K, 4, 4)`.
 
-    The derivative of a centre by a twist depends on the orientation.
+    Such tags need an orientation, as the derivative of a centre by a twist depends on it.
     """
     only = ~prior.is_posed & prior.information.any(axis=1) & np.isfinite(tags[:, 0, 0])
     poses = prior.tags.copy()
@@ -171,7 +176,7 @@ def _with_turns_of(prior: Prior, tags: FloatArray) -> Prior:
 def motion_to_floor(tags: FloatArray, floor: IntArray, origin: int) -> FloatArray:
     """Motion `(4, 4)` to a world with z up and z = 0 through the centres of the tags `floor`.
 
-    Its origin is below the centre of the tag `origin`, and x points to the right of that tag, if it hangs on a wall.
+    The origin of the world is below the centre of the tag `origin`; if that tag hangs on a wall, x points to its right.
 
     Args:
         tags: poses, `(K, 4, 4)`.
@@ -206,9 +211,9 @@ def diagonal_blocks(covariance: FloatArray, count: int) -> FloatArray:
 def gauge_free(tags: FloatArray) -> FloatArray:
     """Matrix L `(6 n, 6 n)` that removes the best-fitting motion of the whole map from the twists of n tags.
 
-    With T `(6 n, 6)` the twists of all tags due to a motion of the world, and T_p its rows of the centres, the motion
-    that fits the twists x best is g = T_p^+ x_p, so L x = x - T g. For a covariance P of the twists, L P L^T is that
-    of tags beside each other.
+    Let T `(6 n, 6)` be the twists of all tags due to a motion of the world, T_p the rows of T for the centres, and x_p
+    those rows of the twists x. The motion that fits x best is g = T_p^+ x_p, so L x = x - T g. If P is the covariance
+    of the twists, L P L^T is the covariance of the tags relative to each other.
 
     Args:
         tags: poses of the tags, `(n, 4, 4)`.

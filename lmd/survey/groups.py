@@ -1,12 +1,11 @@
-"""Groups of tags that no image connects, joined by the motion of the body between their frames.
+"""Groups of tags that no image connects, joined by the motion of the body between the frames of the groups.
 
-1. Tags that several images show together form a part; all others begin alone, as an id that was misread in one image
-   would connect distant tags.
-2. A frame that shows one tag of a part has two poses beside it that look alike (IPPE). The smoothest sequence of these
-   is found for each part (Viterbi).
-3. Each part is adjusted by itself, with links between its own frames, which also estimates the spread of the motion.
-4. Frames of two parts that are near in time relate these parts. The relations on which most frames agree join parts
-   first (maximum spanning tree).
+1. Tags that several images show together form a part. Each other tag is a part by itself, as an id that was misread in
+one image would connect distant tags. 2. A frame that shows one tag of a part has two possible poses relative to the
+part, which look alike (IPPE). The smoothest sequence of such poses is found for each part (Viterbi). 3. Each part is
+adjusted by itself, with links between its own frames, which also estimates the spread of the motion. 4. Two frames of
+different parts that are near in time give a relation, the relative pose of the parts. Relations on which most frames
+agree join parts first (maximum spanning tree).
 """
 
 from collections.abc import Sequence
@@ -16,9 +15,9 @@ from typing import NamedTuple
 import numpy as np
 
 from lmd.core.checks import BoolArray, FloatArray, InputError, IntArray
-from lmd.geometry.se3 import angle_between, inverse, log, middle
+from lmd.geometry.se3 import angle_between, inverse, log, median_pose
 from lmd.survey.initialisation import FLOOR_PIXELS, agreeing
-from lmd.survey.linked import LinkedAdjustment
+from lmd.survey.linked_adjustment import LinkedAdjustment
 from lmd.survey.links import MOST_SQUARE
 from lmd.survey.motion import LONGEST_GAP, Motion, with_bridged_gaps
 from lmd.survey.prior import EXACT_SIGMA, Prior
@@ -26,17 +25,17 @@ from lmd.survey.residuals import Poses, squared_errors
 from lmd.survey.sightings import Sightings
 from lmd.survey.single_poses import best_sequence, single_poses
 
-TOGETHER = 3  # minimum number of agreeing images that keep two tags together
-# Errors of poses of frames before adjustment, rad and metres; and those due to motion in a second.
+TOGETHER = 3  # minimum number of agreeing images that put two tags into one part
+# Errors of rough poses of frames: rotation, rad, and position, metres; and their growth by motion, per second.
 ROUGH_TURN, ROUGH_PLACE, MOVING = 0.1, 0.15, 1.0
-# Number of following frames that relate two parts, and of pairs of frames for each relation.
+# Maximum number of following frames with which a frame gives relations, and of pairs of frames for each relation.
 FOLLOWING, PAIRS = 12, 40
 AGREE_TURN, AGREE_PLACE = 0.2, 0.3  # maximum deviation of a pair of frames from a relation, rad and metres
-# A body leaps if it moves farther than this distance, metres, plus this multiple of its highest speed, m/s, from one
-# frame to one of the next.
+# A body leaps if, from a frame to one of the next `LEAP_FOLLOWING` frames, it moves farther than `LEAP`, metres, plus
+# `LEAP_SPEEDS` times the distance at its highest speed. `FASTEST`, m/s, replaces an unknown highest speed.
 LEAP, LEAP_SPEEDS, FASTEST, LEAP_FOLLOWING = 0.5, 2.0, 2.0, 3
-# Odometry is of another camera or drive above this share of links that do not fit, or above this bias in units of
-# `lmd.survey.motion.BIAS`.
+# Odometry belongs to another camera or drive if the share of links that do not fit exceeds `MOST_OFF`, or if the bias
+# exceeds `MOST_BIAS`, in units of `lmd.survey.motion.BIAS`.
 MOST_OFF, MOST_BIAS = 0.5, 8.0
 STEPS = 12  # steps of the bundle adjustment of parts
 
@@ -49,16 +48,16 @@ class Relation(NamedTuple):
     other: int
     """Index of another part."""
     way: FloatArray
-    """`(4, 4)` from the world of `other` to that of `one`."""
+    """`(4, 4)` motion from the world of `other` to the world of `one`."""
     agreed: int
-    """Number of frames of each part that agree on it."""
+    """Number of frames of each part that agree on `way`."""
     seconds: float
-    """Median time between the frames of the two."""
+    """Median time between the frames of the two parts, seconds."""
 
 
 @dataclass(frozen=True)
 class Nodes:
-    """Pairs of a frame and a part that it shows, sorted by part, then by time."""
+    """Nodes: pairs of a frame and a part that the frame shows, sorted by part, then by time."""
 
     sightings: Sightings
     """Sightings with nodes in place of frames."""
@@ -91,12 +90,12 @@ def join_groups(sightings: Sightings, poses: Poses, group: IntArray, prior: Prio
 
     Args:
         sightings: sightings of the tags.
-        poses: rough poses, in a world of its own for each group that images connect.
+        poses: rough poses; each group that images connect has a world of its own.
         group: group of each tag, `(K,)`, -1 for none.
         prior: prior with a motion.
 
     Returns:
-        rough poses, the groups that are left, and the prior with the estimated spread of the motion.
+        rough poses, the remaining groups, and the prior with the estimated spread of the motion.
     """
     assert prior.motion is not None
     parts = _parts(sightings, poses, group, prior)
@@ -108,7 +107,7 @@ def join_groups(sightings: Sightings, poses: Poses, group: IntArray, prior: Prio
     tags = np.where((parts < 0)[:, None, None], np.nan, worlds[parts] @ there.tags)
     frames = np.full_like(poses.frames, np.nan)
     views = worlds[nodes.part] @ there.frames
-    # Of several nodes of a frame the last one counts: that with most tags, or else nearest to the nodes around it.
+    # Of several nodes of a frame the last one counts: the node with most tags or, in a tie, nearest to its neighbours.
     counts = np.bincount(nodes.sightings.frame, minlength=len(nodes.frame))
     before, after = nodes.following(LEAP_FOLLOWING)
     apart = np.linalg.norm(views[after, :3, 3] - views[before, :3, 3], axis=1)
@@ -125,7 +124,7 @@ def join_groups(sightings: Sightings, poses: Poses, group: IntArray, prior: Prio
 def _parts(sightings: Sightings, poses: Poses, group: IntArray, prior: Prior) -> IntArray:
     """Part of each tag, `(K,)`; -1 for tags without sightings.
 
-    Groups with a tag of known pose are not divided.
+    A group with a tag of known pose stays one part.
     """
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
@@ -138,7 +137,7 @@ def _parts(sightings: Sightings, poses: Poses, group: IntArray, prior: Prior) ->
     together = (shown.T @ shown).tocoo()
     often = together.data >= TOGETHER
     known = np.flatnonzero(np.isin(group, np.unique(group[(group >= 0) & prior.information.any(axis=1)])))
-    first = np.unique(group[known], return_index=True)[1]  # a tag of each such group
+    first = np.unique(group[known], return_index=True)[1]  # one tag of each group with a tag of known pose
     one = np.concatenate([together.row[often], known])
     other = np.concatenate([together.col[often], known[first][np.searchsorted(group[known][first], group[known])]])
     graph = coo_array((np.ones(len(one)), (one, other)), shape=(count, count))
@@ -155,7 +154,9 @@ def _fitting(sightings: Sightings, poses: Poses) -> BoolArray:
 
 
 def _smoothest(nodes: Nodes, poses: Poses) -> Poses:
-    """Poses of the nodes in the worlds of their parts, by the largest of their sightings and rough poses of frames."""
+    """Poses of the nodes in the worlds of their parts: the smoothest sequence of poses from their largest sightings and
+    from the rough poses of frames.
+    """
     some, count = nodes.sightings, len(nodes.frame)
     order = np.lexsort((-some.sizes, some.frame))
     best = order[np.searchsorted(some.frame[order], np.arange(count))]
@@ -166,7 +167,7 @@ def _smoothest(nodes: Nodes, poses: Poses) -> Poses:
     several = np.bincount(some.frame[_fitting(some, replace(poses, frames=placed))], minlength=count) >= 2
     views[several] = placed[several, None]
     follows = np.flatnonzero(nodes.motion.follows(np.arange(count)))
-    between = np.zeros((count, 2, 2))  # cost of each pose after each pose of the node before
+    between = np.zeros((count, 2, 2))  # cost of each pose, given each pose of the previous node
     steps = nodes.motion.steps(follows, follows + 1)
     seconds = nodes.motion.times[follows + 1] - nodes.motion.times[follows]
     moving = 0.0 if nodes.motion.is_odometry else MOVING * seconds
@@ -213,8 +214,8 @@ def _check_odometry(adjustment: LinkedAdjustment, poses: Poses) -> None:
 def _worlds(nodes: Nodes, poses: FloatArray, motion: Motion) -> tuple[FloatArray, IntArray]:
     """Join parts by relations with which the body does not leap.
 
-    A leap between two joined parts has one of two causes: the frames of one part were misread, if these are fewer than
-    the frames that support the weakest relation between the parts; else that relation is wrong.
+    A leap between two joined parts has one of two causes. If fewer frames of a part leap than support the weakest
+    relation between the parts, those frames were misread; otherwise the relation is wrong.
 
     Args:
         nodes: nodes, with the motion between them.
@@ -222,7 +223,7 @@ def _worlds(nodes: Nodes, poses: FloatArray, motion: Motion) -> tuple[FloatArray
         motion: motion between the frames.
 
     Returns:
-        the motions of the parts to common worlds, `(P, 4, 4)`, and the number of the world of each, `(P,)`.
+        motions of the parts to common worlds, `(P, 4, 4)`; index of the world of each part, `(P,)`.
     """
     velocities = nodes.motion.links(np.arange(len(nodes.frame))).velocities(poses)
     relations = _relations(nodes, poses, motion, velocities)
@@ -257,7 +258,8 @@ def _spanned(count: int, relations: Sequence[Relation]) -> tuple[FloatArray, Int
     """Worlds of parts, see `_worlds`, by the spanning tree that takes relations in their order.
 
     Returns:
-        also the index of the relation that first joined each pair of parts, the weakest between them, `(P, P)`.
+        motions and worlds as in `_worlds`; index of the relation that first joined each pair of parts, which is the
+        weakest relation between them, `(P, P)`.
     """
     worlds, joined = np.tile(np.eye(4), (count, 1, 1)), np.arange(count)
     joined_by = np.full((count, count), -1)
@@ -272,7 +274,7 @@ def _spanned(count: int, relations: Sequence[Relation]) -> tuple[FloatArray, Int
 
 
 def _relations(nodes: Nodes, poses: FloatArray, motion: Motion, velocities: FloatArray) -> list[Relation]:
-    """Relations of all parts that motion relates, in the order of decreasing agreement."""
+    """Relations of all pairs of parts with frames near in time, in the order of decreasing agreement."""
     i, j = nodes.following(FOLLOWING)
     swap = nodes.part[i] > nodes.part[j]
     i, j = np.where(swap, j, i), np.where(swap, i, j)
@@ -289,10 +291,10 @@ def _relations(nodes: Nodes, poses: FloatArray, motion: Motion, velocities: Floa
     found = []
     for own in np.split(order, starts[1:]) if len(order) else []:
         own = own[:PAIRS]
-        centre = middle(between[own])
+        centre = median_pose(between[own])
         off = log(inverse(centre) @ between[own])
         near = (np.linalg.norm(off[:, :3], axis=1) < AGREE_TURN) & (np.linalg.norm(off[:, 3:], axis=1) < AGREE_PLACE)
-        # A frame with a misread id is near to many frames, so each frame counts once.
+        # A frame with a misread id is in many pairs, so each frame counts once.
         agreed = min(len(np.unique(i[own[near]])), len(np.unique(j[own[near]])))
         one, other = int(nodes.part[i[own[0]]]), int(nodes.part[j[own[0]]])
         found.append(Relation(one, other, centre, agreed, float(np.median(away[own]))))

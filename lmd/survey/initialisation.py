@@ -1,14 +1,15 @@
 """Initialisation: rough poses of tags and frames, one after the other.
 
 A single tag has two poses in front of a camera that look alike (IPPE). A group of tags begins with the frame that shows
-the most tags whose pose is beyond doubt. Then every frame that shows two or more placed tags is placed, and every tag
-that placed frames show, in turns. Each of them tries the poses that its sightings propose, refines the likeliest, and
-is placed if enough sightings agree. Where this stops, the likeliest single sighting places its tag or frame. At last
-all tags and frames with large errors try again. What is placed is adjusted after each turn. Tags that no frame connects
-with the group begin another group, in a world of its own.
+the most tags whose pose is beyond doubt. Then frames that show two or more placed tags are placed, and tags that placed
+frames show, in turns. For each frame or tag, the poses that its sightings propose are tried, the likeliest pose is
+refined, and the frame or tag is placed there if enough sightings agree. When none can be placed this way, the likeliest
+single sighting places a tag or frame. At last all tags and frames with large errors are tried again. Placed tags and
+frames are adjusted as their number grows. Tags that no frame connects with the group begin another group, in a world of
+its own.
 
 With a plan, initialisation starts with the tags at their planned poses, and is accepted if nearly all sightings agree.
-As all corners may be numbered from another one, all planned tags are tried at each of the four quarter turns.
+As detectors may number corners from another corner, all planned tags are tried at each of the four quarter turns.
 """
 
 import numpy as np
@@ -21,21 +22,22 @@ from lmd.survey.residuals import Poses, Reprojection, normal_equations, solved, 
 from lmd.survey.sightings import QUARTERS, Sightings
 from lmd.survey.single_poses import SinglePoses, single_poses
 
-# Log-likelihood ratios of the two poses of a sighting, from which the better one is beyond doubt, or likely.
+# Least log-likelihood ratios of the two poses of a sighting at which the better pose is beyond doubt, and is likely.
 BEYOND_DOUBT, LIKELY = 6.0, 1.5
-# A sighting agrees with a pose up to this RMS error: share of its size plus pixels.
+# A sighting agrees with a pose if the RMS error is at most `AGREES` times its size plus `AGREES_PIXELS`, pixels.
 AGREES, AGREES_PIXELS = 0.15, 2.0
 FEWEST, LEAST_SHARE = 2, 0.3  # minimum number, and share, of sightings that must agree
-# Tags and frames try again if this share of their sightings has squared errors this many times the median.
+# A tag or frame is tried again if the share `DISPUTED` of its sightings has squared errors above `MUCH_WORSE` medians.
 DISPUTED, MUCH_WORSE = 0.2, 25.0
-# Numbers of sightings of a frame or tag that propose poses and that judge them, the largest; of poses that are refined.
+# Maximum numbers, for a frame or tag, of sightings that propose poses, of sightings that judge poses (the largest
+# sightings are used), and of poses that are refined.
 PROPOSING, JUDGING, REFINED = 8, 60, 3
 REFINING_STEPS, WIDE, NARROW = 12, 40.0, 3.0  # Gauss-Newton steps; first and last scale of the loss, pixels
-STEPS, FINAL_STEPS = 3, 8  # steps of bundle adjustment on the way, and once no more can be placed
-GROWN = 1.2  # growth of the number of placed tags and frames after which all are adjusted anew
-AS_PLANNED = 0.97  # share of sightings that must agree with an initialisation by the plan
-FLOOR_PIXELS = 3.0  # maximum of the floor in adjustments on the way, pixels
-ANCHOR_SIGMA = 1e-4  # standard deviation of the first tag of a group, metres and rad
+STEPS, FINAL_STEPS = 3, 8  # steps of bundle adjustment between placements, and after the last one
+GROWN = 1.2  # growth factor of the number of placed tags and frames after which all are adjusted again
+AS_PLANNED = 0.97  # least share of sightings that must agree with an initialisation by the plan
+FLOOR_PIXELS = 3.0  # maximum of the floor in adjustments during the initialisation, pixels
+ANCHOR_SIGMA = 1e-4  # prior standard deviation of the first tag of a group, metres and rad
 
 
 def agreeing(sightings: Sightings, error: FloatArray) -> BoolArray:
@@ -44,11 +46,11 @@ def agreeing(sightings: Sightings, error: FloatArray) -> BoolArray:
 
 
 class Placing:
-    """Tags and frames of some sightings that are placed one after the other.
+    """Placement of the tags and frames of some sightings, one after the other.
 
     Args:
-        sightings: sightings of one camera, see `Sightings.apart`.
-        single: their poses by single sightings.
+        sightings: sightings of one camera, see `Sightings.with_separate_cameras`.
+        single: poses of the tags by single sightings.
         is_linked: True if frames are linked by motion, so that no single sighting is trusted.
     """
 
@@ -65,7 +67,7 @@ class Placing:
 
     @property
     def _placed(self) -> tuple[BoolArray, BoolArray]:
-        """True for sightings whose tag, and whose frame, is placed, `(N,)` each."""
+        """Masks of the sightings whose tag is placed, and of those whose frame is placed, `(N,)` each."""
         tags, frames = np.isfinite(self.tags[:, 0, 0]), np.isfinite(self.frames[:, 0, 0])
         return tags[self.sightings.tag], frames[self.sightings.frame]
 
@@ -87,7 +89,9 @@ class Placing:
         return int(agreeing(self.sightings, squared_errors(self.sightings, self.poses)).sum())
 
     def _seed(self) -> bool:
-        """Begin a group with the frame that shows most new tags beyond doubt; False if there is none."""
+        """Begin a group with the frame that shows the most new tags with poses beyond doubt; False if there is no such
+        frame.
+        """
         sightings, (tag, frame) = self.sightings, self._placed
         fresh = ~tag & ~frame
         usable = np.flatnonzero(fresh & (self.single.odds > BEYOND_DOUBT))
@@ -103,20 +107,20 @@ class Placing:
         return True
 
     def _grow(self) -> bool:
-        """Place frames, then tags, on which several sightings agree; False if there is none."""
+        """Place frames, then tags, on whose pose several sightings agree; False if none is placed."""
         before = self._count()
         for by_frame in (True, False):
-            self.settle(self.waiting(by_frame), by_frame, fewest=FEWEST)
+            self.place(self.waiting(by_frame), by_frame, fewest=FEWEST)
         return self._count() > before
 
     def _risk(self) -> bool:
-        """Place one tag, or else one frame, by the likeliest single sighting; False if there is none."""
+        """Place one tag, or else one frame, by the likeliest single sighting; False if no sighting is likely enough."""
         for by_frame in (False, True):
             waiting = self.waiting(by_frame)
             waiting = waiting[self.single.odds[waiting] > LIKELY]
             if waiting.size:
                 before = self._count()
-                self.settle(waiting[[np.argmax(self.single.odds[waiting])]], by_frame, fewest=1)
+                self.place(waiting[[np.argmax(self.single.odds[waiting])]], by_frame, fewest=1)
                 if self._count() > before:
                     return True
         return False
@@ -126,12 +130,14 @@ class Placing:
         return int(np.isfinite(self.frames[:, 0, 0]).sum() + np.isfinite(self.tags[:, 0, 0]).sum())
 
     def waiting(self, by_frame: bool) -> IntArray:
-        """Sightings of placed tags in frames that are not placed, or the other way round."""
+        """Sightings of placed tags in frames that are not placed; if not `by_frame`, sightings of other tags in placed
+        frames.
+        """
         tag, frame = self._placed
         return np.flatnonzero(tag & ~frame if by_frame else frame & ~tag)
 
     def _retry(self) -> None:
-        """Let tags, then frames, with many large errors take a better pose."""
+        """Give tags, then frames, with many large errors a better pose."""
         for by_frame in (False, True):
             owner = self.sightings.frame if by_frame else self.sightings.tag
             error = squared_errors(self.sightings, self.poses)
@@ -140,7 +146,7 @@ class Placing:
                 return
             disagree = known & (error > MUCH_WORSE * np.median(error[known]))
             share = np.bincount(owner, disagree) / np.maximum(np.bincount(owner, known), 1)
-            self.settle(np.flatnonzero(known & (share[owner] > DISPUTED)), by_frame, fewest=FEWEST)
+            self.place(np.flatnonzero(known & (share[owner] > DISPUTED)), by_frame, fewest=FEWEST)
 
     def _adjust(self, steps: int) -> None:
         """Adjust all placed tags and frames, with the first tag of each group fixed."""
@@ -154,14 +160,14 @@ class Placing:
         poses, _ = adjustment.run(self.poses, FLOOR_PIXELS, steps)
         self.tags, self.frames = poses.tags, poses.frames
 
-    def settle(self, index: IntArray, by_frame: bool, fewest: int, share: float = LEAST_SHARE) -> None:
+    def place(self, index: IntArray, by_frame: bool, fewest: int, share: float = LEAST_SHARE) -> None:
         """Place the frames of the sightings `index`, whose tags are placed; or their tags, whose frames are placed.
 
         Args:
             index: indices of sightings.
             by_frame: True to place frames, False to place tags.
             fewest: minimum number of sightings that must agree.
-            share: minimum share of them.
+            share: minimum share of the sightings that must agree.
         """
         index = index[_rank(self.sightings, index, by_frame) < JUDGING]
         if not index.size:
@@ -187,7 +193,9 @@ class Placing:
 
 
 class _Trial:
-    """Candidate poses for frames whose tags are placed, or for tags whose frames are: the owners of some sightings."""
+    """Candidate poses for the owners of some sightings: frames whose tags are placed, or tags whose frames are
+    placed.
+    """
 
     def __init__(self, placing: Placing, some: Sightings, by_frame: bool) -> None:
         self.some, self.by_frame = some, by_frame
@@ -198,32 +206,34 @@ class _Trial:
         self.order = np.argsort(self.owner, kind="stable")
 
     def candidates(self, index: IntArray, single: FloatArray) -> FloatArray:
-        """Poses of the owners of the sightings `index`, `(n, 2, 4, 4)`, by poses of their tags in their cameras."""
+        """Poses of the owners of the sightings `index`, `(n, 2, 4, 4)`, from the two poses of each tag in its
+        camera.
+        """
         given = self.given[index, None]
         return np.asarray(given @ (inverse(single) if self.by_frame else single))
 
     def _pairs(self, owner: IntArray) -> tuple[IntArray, IntArray]:
-        """Indices of sightings and of poses, for all sightings of the owner `(P,)` of each pose."""
+        """Pairs of a sighting and a pose: each of P poses with all sightings of its `owner` `(P,)`; indices of both."""
         counts = self.counts[owner]
         pose = np.repeat(np.arange(len(owner)), counts)
         within = np.arange(len(pose)) - np.repeat(np.cumsum(counts) - counts, counts)
         return self.order[(np.cumsum(self.counts) - self.counts)[owner][pose] + within], pose
 
     def _reprojection(self, poses: FloatArray, pairs: IntArray, pose: IntArray) -> Reprojection:
-        """Reprojection of each pair."""
+        """Reprojection of each pair of a sighting and a pose."""
         still = np.broadcast_to(np.eye(4), (len(pairs), 4, 4))
         own, given = poses[pose], self.given[pairs]
         tags, frames = (given, own) if self.by_frame else (own, given)
         return Reprojection(self.some.of(pairs), tags, frames, still)
 
     def loss(self, poses: FloatArray, owner: IntArray) -> FloatArray:
-        """Robust loss of poses `(P, 4, 4)` of these owners, `(P,)`."""
+        """Robust losses `(P,)` of poses `(P, 4, 4)` of the owners `(P,)`."""
         pairs, pose = self._pairs(owner)
         error = self._reprojection(poses, pairs, pose).squared
         return np.asarray(np.bincount(pose, np.log1p(error / (4.0 * NARROW**2)), minlength=len(poses)))
 
     def agreed(self, poses: FloatArray) -> FloatArray:
-        """Number of sightings of each owner that agree with its pose, `(M,)`."""
+        """Number of sightings of each of M owners that agree with the owner's pose, `(M,)`."""
         pairs, pose = self._pairs(np.arange(len(self.owners)))
         agree = agreeing(self.some.of(pairs), self._reprojection(poses, pairs, pose).squared)
         return np.asarray(np.bincount(pose, agree, minlength=len(self.owners)))
@@ -242,7 +252,7 @@ class _Trial:
 
 
 def _rank(sightings: Sightings, index: IntArray, by_frame: bool) -> IntArray:
-    """Rank by size, from the largest, of the sightings `index` among those of the same frame, or tag."""
+    """Rank of the sightings `index` by size, from the largest, among the sightings of their frame or tag."""
     owner = (sightings.frame if by_frame else sightings.tag)[index]
     order = np.lexsort((-sightings.sizes[index], owner))
     rank = np.empty(len(index), dtype=np.int64)
@@ -251,7 +261,7 @@ def _rank(sightings: Sightings, index: IntArray, by_frame: bool) -> IntArray:
 
 
 def _rank_within(owner: IntArray) -> IntArray:
-    """Index of each entry among the entries with the same owner; `owner` is sorted."""
+    """Position of each entry among the entries with an equal owner; `owner` is sorted."""
     return np.asarray(np.arange(len(owner)) - np.searchsorted(owner, owner))
 
 
@@ -259,7 +269,7 @@ def place(sightings: Sightings, planned: FloatArray, is_linked: bool) -> tuple[P
     """Place all tags and frames that can be placed.
 
     Args:
-        sightings: sightings of cameras each of which is a body of its own, see `Sightings.apart`.
+        sightings: sightings in which each camera is a body of its own, see `Sightings.with_separate_cameras`.
         planned: planned poses of tags, `(K, 4, 4)`; NaN if unknown.
         is_linked: True if frames are linked by motion.
 
@@ -272,7 +282,7 @@ def place(sightings: Sightings, planned: FloatArray, is_linked: bool) -> tuple[P
     for quarter in QUARTERS if known.any() else ():
         placing = Placing(sightings, single, is_linked)
         placing.tags[known], placing.group[known] = (planned @ quarter)[known], 0
-        placing.settle(placing.waiting(by_frame=True), by_frame=True, fewest=FEWEST)
+        placing.place(placing.waiting(by_frame=True), by_frame=True, fewest=FEWEST)
         tried.append(placing)
     if tried:
         tried = [max(tried, key=Placing.agreed)]

@@ -10,29 +10,30 @@ from lmd.geometry.camera import PIXEL_CENTRE, Camera
 from lmd.geometry.lens import Lens
 from lmd.geometry.projection import bearings, slope
 
-# Prior standard deviations of a rough guess: shares of the focal length and of the image's size, and of coefficients.
+# Prior standard deviations of a rough guess: focal length, as a share of itself; principal point, as a share of the
+# image's size; coefficients.
 FOCAL_SIGMA, CENTRE_SIGMA, COEFFICIENT_SIGMA = 0.1, 0.1, 0.3
-# Prior standard deviation of a calibration: share of the focal length, of the image's size, and of the displacement of
-# corners, in focal lengths, by each coefficient.
+# Prior standard deviation of a calibration: as a share of the focal length, as a share of the image's size, and as the
+# displacement of the corners by each coefficient, focal lengths.
 CALIBRATED_SHARE = 0.005
 UNDISTORTED = (0.1, 0.1, 0.01, 0.01, 0.1)  # prior standard deviations of coefficients that are not given
-DIFFERENCE = 1e-4  # of a coefficient, for numerical derivatives
-FIXED_PIXELS = 1.0  # maximum of `Calibrated.unsure` of intrinsics that photographs fix, pixels
+DIFFERENCE = 1e-4  # step of a coefficient for numerical derivatives
+FIXED_PIXELS = 1.0  # photographs determine the intrinsics if `Calibrated.unsure` is at most this, pixels
 GRID_SIDE = 9  # number of places along each side of the image at which `unsure` is evaluated
 
 
 @dataclass(frozen=True)
 class Calibrated:
-    """A camera as estimated from photographs."""
+    """Camera with intrinsics estimated from photographs."""
 
     given: Camera
-    """The camera before."""
+    """Camera before the estimate."""
     found: Camera
-    """The camera after."""
+    """Camera after the estimate."""
     sigma: FloatArray
     """`(P,)` standard deviations of `intrinsics_of(found)`."""
     shift: float
-    """Shift of corners inward in its images, pixels."""
+    """Shift of corners inward in the camera's images, pixels."""
     shift_sigma: float
     """Standard deviation of `shift`, pixels."""
     unsure: float
@@ -44,9 +45,9 @@ class Calibrated:
         """Calibrated camera.
 
         Args:
-            given: the camera before.
-            found, shift: the camera after.
-            covariance: covariance of its intrinsics, then of shifts, `(P + n, P + n)`.
+            given: camera before the estimate.
+            found, shift: camera and shift of corners after the estimate.
+            covariance: covariance of the P intrinsics, then of n shifts, `(P + n, P + n)`.
         """
         size = len(intrinsics_of(found))
         bundle = _bundle(found)
@@ -59,7 +60,7 @@ class Calibrated:
 
     @property
     def is_fixed(self) -> bool:
-        """True if photographs fix the intrinsics."""
+        """True if photographs determine the intrinsics."""
         return self.unsure <= FIXED_PIXELS
 
     def document(self) -> dict[str, Any]:
@@ -86,7 +87,7 @@ class Calibrated:
 
 
 def _coefficients(camera: Camera) -> tuple[float, ...]:
-    """Coefficients of the lens; those of `plumb_bob`, all 0, if none are given."""
+    """Coefficients of the lens; the coefficients of `plumb_bob`, all 0, if none are given."""
     return camera.distortion or (0.0,) * len(UNDISTORTED)
 
 
@@ -109,7 +110,7 @@ def with_intrinsics(camera: Camera, values: FloatArray) -> Camera:
 
 
 def camera_info(camera: Camera) -> dict[str, Any]:
-    """Keys of ROS's `camera_info`, in which pixels count from the centre of the first one."""
+    """Keys of ROS's `camera_info`, whose pixel coordinates begin at the centre of the first pixel."""
     (focal_u, focal_v), (u, v) = camera.focal_pixels.tolist(), camera.principal_point
     lens = list(_coefficients(camera))
     matrix = [focal_u, 0.0, u - PIXEL_CENTRE, 0.0, focal_v, v - PIXEL_CENTRE, 0.0, 0.0, 1.0]
@@ -126,7 +127,7 @@ def prior_sigmas(camera: Camera, rough: bool = False) -> FloatArray:
     """Prior standard deviations of the intrinsics, `(P,)`.
 
     Args:
-        camera: camera as it was calibrated.
+        camera: camera before the estimate.
         rough: True if the calibration is a rough guess.
     """
     focal, size = camera.focal_pixels, np.array([camera.image_width, camera.image_height])
@@ -140,7 +141,7 @@ def prior_sigmas(camera: Camera, rough: bool = False) -> FloatArray:
 
 
 def _bundle(camera: Camera) -> FloatArray:
-    """Directions of places all over the image, as far as the lens images them, `(n, 3)`."""
+    """Directions of a grid of places in the image, without places beyond the image of the lens, `(n, 3)`."""
     across, down = np.meshgrid(np.linspace(0.0, 1.0, GRID_SIDE), np.linspace(0.0, 1.0, GRID_SIDE))
     image = np.stack([across * camera.image_width, down * camera.image_height], axis=-1).reshape(-1, 2)
     bundle = bearings(camera, image)

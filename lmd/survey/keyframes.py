@@ -1,13 +1,14 @@
-"""Keyframes: the frames of a video that a map is made from.
+"""Keyframes: the frames of a video from which a map is made.
 
-Corner errors are alike in consecutive images. On recordings, five frames a second make a map as good as all frames do.
-Keyframes are even in time. They must not depend on how tags move or on how many are in view: blurred and oblique images
-would then count more than others, and maps would differ by more than their stated errors.
+Corner errors are correlated in consecutive images. On recordings, a map from five frames a second is as good as a map
+from all frames. Keyframes are evenly spaced in time. The selection must not depend on the motion or the number of tags
+in view: blurred and oblique images would then have more weight than others, and maps would differ by more than their
+stated errors.
 
 Two kinds of frames are kept besides:
 
 - frames that alone show a tag, or two tags together, as these connect the map;
-- frames close to a moment at which all tags in view change, as motion alone connects those.
+- frames close to a moment at which all tags in view change, as only motion connects the tags before and after.
 
 Frames without times are all kept.
 """
@@ -21,7 +22,7 @@ from lmd.core.checks import BoolArray, FloatArray, IntArray
 from lmd.formats.detections import DetectedTags
 from lmd.survey.motion import SHORTEST_GAP, seconds_of
 
-LONGEST = 0.21  # maximum seconds between keyframes that have frames between them: five a second, with jitter
+LONGEST = 0.21  # maximum seconds between keyframes that have frames between them: five keyframes a second, with jitter
 
 
 def select_keyframes(detected: DetectedTags, every: int | None = None) -> DetectedTags:
@@ -29,7 +30,7 @@ def select_keyframes(detected: DetectedTags, every: int | None = None) -> Detect
 
     Args:
         detected: detections in all frames.
-        every: step among the frames with tags, from the first one; None to select as described in this module.
+        every: n to keep every n-th frame with tags, from the first one; None to select as described in this module.
     """
     order = np.argsort(detected.frame, kind="stable")
     frames, begins = np.unique(detected.frame[order], return_index=True)
@@ -45,7 +46,7 @@ def select_keyframes(detected: DetectedTags, every: int | None = None) -> Detect
 
 
 def _informative(seconds: FloatArray, shown: list[IntArray]) -> BoolArray:
-    """True for keyframes, `(n,)`, by the times of frames and the tags that each frame shows."""
+    """Mask of the keyframes, `(n,)`, from the times of frames and the tags that each frame shows."""
     kept = _evenly(seconds, _at_changes(seconds, shown))
     together = [set(combinations_with_replacement(tags.tolist(), 2)) for tags in shown]
     connected = set().union(*(together[k] for k in np.flatnonzero(kept)))

@@ -8,7 +8,7 @@ import numpy as np
 from lmd.core.checks import FloatArray, IntArray
 from lmd.geometry.se3 import adjoint_matrix, inverse, log, skew
 
-# chi^2 above which a link of odometry counts less; normal errors exceed it once in a thousand times.
+# chi^2 above which a link of odometry has less weight; normal errors exceed this value once in a thousand times.
 MOST_SQUARE = 22.5
 BIAS_ROUNDS = 3  # reweighted least-squares rounds for the bias of odometry
 LEAST_STIFFNESS = 1e-9  # information on a velocity without links
@@ -26,19 +26,21 @@ class LinkErrors(NamedTuple):
     by_bias: FloatArray
     """`(M, r, 6)` Jacobian by `bias`; `(M, r, 0)` for a constant velocity."""
     bias: FloatArray
-    """`(6,)` error that every metre of odometry has in common, in units of `lmd.survey.motion.BIAS`; else `(0,)`."""
+    """`(6,)` error common to all metres of odometry, in units of `lmd.survey.motion.BIAS`; `(0,)` for a constant
+    velocity.
+    """
 
 
 @dataclass(frozen=True)
 class Links:
-    """M links between F frames, each from a frame to the next."""
+    """M links between F frames; a link connects a frame with the next frame."""
 
     size: int
-    """b: unknowns of a frame, 6, or 12 with its turn rate and velocity."""
+    """Number b of unknowns of a frame: 6, or 12 with its turn rate and velocity."""
     first: IntArray
-    """`(M,)` index of the first frame of each link; the second is the next one."""
+    """`(M,)` index of the first frame of each link; the second frame has the next index."""
     seconds: FloatArray
-    """`(M,)` time between the frames."""
+    """`(M,)` time between the two frames, seconds."""
     information: FloatArray
     """`(M, r, r)` inverse of the covariance of the error."""
     steps: FloatArray | None
@@ -47,13 +49,13 @@ class Links:
     """`(M, 6, 6)` derivatives of the relative poses by the bias of odometry; None for a constant velocity."""
 
     def at(self, poses: FloatArray) -> LinkErrors:
-        """Errors at poses of the frames, `(F, 4, 4)`."""
+        """Errors of the links, and Jacobians, at poses of the frames, `(F, 4, 4)`."""
         before, after = poses[self.first], poses[self.first + 1]
         between = inverse(before) @ after
         if self.steps is not None and self.by_bias is not None:
             error = log(inverse(self.steps) @ between)
             slope, bias = _by_twist(error), np.zeros(6)
-            for _ in range(BIAS_ROUNDS):  # links that do not fit count little
+            for _ in range(BIAS_ROUNDS):  # links that do not fit have little weight
                 weights = self.weights(self.squares(error - self.by_bias @ bias))
                 turned = np.swapaxes(self.by_bias, 1, 2) @ (self.information * weights[:, None, None])
                 matrix = np.eye(6) + (turned @ self.by_bias).sum(axis=0)
@@ -73,7 +75,7 @@ class Links:
         return LinkErrors(np.concatenate([off, change], axis=1), by_first, by_second, nothing, np.zeros(0))
 
     def _rates(self, poses: FloatArray) -> FloatArray:
-        """Best turn rates and velocities for poses, `(F, 6)`: those of natural cubic splines."""
+        """Turn rates and velocities that fit poses best, `(F, 6)`: derivatives of natural cubic splines."""
         from scipy.linalg import solveh_banded
 
         before, after, h = poses[self.first], poses[self.first + 1], self.seconds
@@ -101,7 +103,7 @@ class Links:
         return np.asarray(np.einsum("mi,mij,mj->m", error, self.information, error))
 
     def loss(self, squares: FloatArray) -> float:
-        """Sum of the losses of the links; large errors of odometry count less, as wheels slip."""
+        """Sum of the losses of the links; the loss is robust against large errors of odometry, as wheels slip."""
         if self.steps is None:
             return 0.5 * float(squares.sum())
         least = np.minimum(squares, MOST_SQUARE)

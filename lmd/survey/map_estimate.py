@@ -7,24 +7,24 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from lmd.core.checks import BoolArray, FloatArray, InputError, IntArray
-from lmd.geometry.se3 import inverse, middle, skew
+from lmd.geometry.se3 import inverse, median_pose, skew
 from lmd.survey.adjustment import Adjustment
 from lmd.survey.gauge import diagonal_blocks, gauge_free, into_world
 from lmd.survey.groups import join_groups
 from lmd.survey.initialisation import FLOOR_PIXELS, place
-from lmd.survey.linked import LinkedAdjustment, adjustment_of, constraining
+from lmd.survey.linked_adjustment import LinkedAdjustment, adjustment_of, constraining
 from lmd.survey.prior import Prior
 from lmd.survey.residuals import Poses, squared_errors
 from lmd.survey.sightings import Sightings
 from lmd.survey.turns import turned_as_seen
 
-# A sighting is an outlier above this chi^2, with eight degrees of freedom, and above this RMS error: pixels, or share
-# of its shortest side. Blur and lenses alone cause smaller errors.
+# A sighting is an outlier if its chi^2, with eight degrees of freedom, exceeds `OUTLIER_CHI_SQUARE`, and its RMS error
+# exceeds `OUTLIER_PIXELS` and the share `OUTLIER_SHARE` of its shortest side. Blur and lenses cause smaller errors.
 OUTLIER_CHI_SQUARE, OUTLIER_PIXELS, OUTLIER_SHARE = 60.0, 1.0, 0.02
 STEPS, FINAL_STEPS = 40, 15  # steps of bundle adjustment with all sightings, and without outliers
 # Threads of linear algebra: with matrices of some hundred rows, more threads wait longer than they work.
 ONE_THREAD = 1
-NEAREST = 6  # number of tags of other groups beside which a tag's covariance is taken
+NEAREST = 6  # number of tags of other groups relative to which the covariance of a tag is computed
 
 
 @dataclass(frozen=True)
@@ -41,11 +41,11 @@ class Estimate:
     """`(K,)` group of each tag: 0 for tags of the map, larger for tags that no frame connects with it, -1 for tags that
     are not placed."""
     used: BoolArray
-    """`(N,)` inliers: sightings that the map is made from."""
+    """`(N,)` inliers: sightings from which the map is made."""
     misfits: BoolArray
-    """`(N,)` outliers: sightings in frames and of tags of the map that do not show the tag at its pose."""
+    """`(N,)` outliers: sightings, of tags and in frames of the map, that do not fit the pose of their tag."""
     floor: float
-    """Standard deviation of corners that the detector does not explain, pixels."""
+    """Standard deviation of corners beyond the detector's own, pixels."""
     inflation: float = 1.0
     """Factor of the standard deviations of sightings, see `lmd.survey.resampling`."""
 
@@ -55,7 +55,9 @@ class Estimate:
 
     @cached_property
     def covariance(self) -> FloatArray:
-        """Covariance of the twists of all tags, each in its own frame, then of other unknowns, see `SchurSystem`."""
+        """Covariance of the twists of all tags, each in the frame of its tag, then of other unknowns, see
+        `SchurSystem`.
+        """
         with threadpool_limits(limits=ONE_THREAD):
             return self._adjustment.covariance(self.poses, self.floor)
 
@@ -74,7 +76,7 @@ class Estimate:
 
     @cached_property
     def gauge_free_covariances(self) -> FloatArray:
-        """Covariance of the twist of each tag beside the others, see `gauge_free`, `(K, 6, 6)`."""
+        """Covariance of the twist of each tag relative to the other tags, see `gauge_free`, `(K, 6, 6)`."""
         known, found = self.known, np.full((len(self.group), 6, 6), np.nan)
         rows = np.flatnonzero(np.repeat(known, 6))
         left = gauge_free(self.poses.tags[known])
@@ -95,12 +97,12 @@ class Estimate:
 
     @property
     def frames(self) -> IntArray:
-        """Indices of the frames that the map is made from."""
+        """Indices of the frames from which the map is made."""
         return np.unique(self.sightings.frame[self.used])
 
     @property
     def sigmas(self) -> FloatArray:
-        """Standard deviation of each tag's place beside the others along its worst direction, metres, `(K,)`."""
+        """Standard deviation of each tag's place relative to the others, in the worst direction, metres, `(K,)`."""
         known = np.asarray(np.isfinite(self.gauge_free_covariances).all(axis=(1, 2)))
         result = np.full(len(known), np.nan)
         largest = np.linalg.eigvalsh(self.gauge_free_covariances[known][:, 3:, 3:])[:, -1]
@@ -119,7 +121,7 @@ class Estimate:
         return np.asarray(whole @ covariances @ np.swapaxes(whole, 1, 2))
 
     def moved(self, motion: FloatArray) -> "Estimate":
-        """The estimate after a motion `(4, 4)` of the world."""
+        """Estimate after a motion `(4, 4)` of the world."""
         poses = replace(self.poses, tags=motion @ self.poses.tags, frames=motion @ self.poses.frames)
         return replace(self, poses=poses, prior=replace(self.prior, tags=motion @ self.prior.tags))
 
@@ -133,7 +135,7 @@ class Start:
     """Initial poses."""
 
     poses: Poses
-    """Rough poses, with each camera as a body of its own, see `Sightings.apart`."""
+    """Rough poses, with each camera as a body of its own, see `Sightings.with_separate_cameras`."""
     group: IntArray
     """`(K,)` group of each tag, -1 for tags that are not placed. Each group has a world of its own."""
 
@@ -145,8 +147,8 @@ def initialise(sightings: Sightings, prior: Prior) -> Start:
         InputError: no two tags were seen together.
     """
     with threadpool_limits(limits=ONE_THREAD):
-        apart = sightings.apart()
-        # Frames of two cameras must be placed to find the mounts.
+        apart = sightings.with_separate_cameras()
+        # To find unknown mounts, frames of two cameras must be placed, even by single sightings.
         is_linked = prior.motion is not None and (sightings.cameras == 1 or prior.mounts is not None)
         rough, group = place(apart, np.where(prior.is_posed[:, None, None], prior.tags, np.nan), is_linked)
         if prior.motion is None:
@@ -155,7 +157,7 @@ def initialise(sightings: Sightings, prior: Prior) -> Start:
 
 
 def estimate_map(sightings: Sightings, prior: Prior, origin: int | None = None, start: Start | None = None) -> Estimate:
-    """Estimate all poses together.
+    """Estimate the poses of all tags, frames and mounts together.
 
     Args:
         sightings: sightings; at least one frame must show two tags.
@@ -195,7 +197,7 @@ def _check_groups(group: IntArray) -> None:
 def adjust(
     sightings: Sightings, prior: Prior, poses: Poses, group: IntArray, floor: float, inflation: float = 1.0
 ) -> Estimate:
-    """Adjust the map, group 0, from `poses`; arguments as in `Estimate`.
+    """Adjust the map, which is group 0, from initial `poses`; arguments as in `Estimate`.
 
     Raises:
         InputError: no sightings agree.
@@ -228,17 +230,17 @@ def adjust(
 
 
 def fitting(sightings: Sightings, error: FloatArray, floor: float) -> BoolArray:
-    """True for sightings with squared errors `(N,)` that are no outliers; false for NaN."""
+    """Mask of the sightings that are no outliers, from their squared errors `(N,)`; False for NaN."""
     near = np.sqrt(error / 4.0) <= np.maximum(OUTLIER_PIXELS, OUTLIER_SHARE * sightings.sizes)
     return np.asarray((error / sightings.variance(floor) <= OUTLIER_CHI_SQUARE) | near)
 
 
 def _mounted(sightings: Sightings, apart: Poses, mounts: FloatArray | None) -> Poses:
-    """Poses of the body from those of its cameras.
+    """Poses of the body from the poses of its cameras.
 
     Args:
         sightings: sightings of the body.
-        apart: poses for `sightings.apart()`.
+        apart: poses for `sightings.with_separate_cameras()`.
         mounts: poses of the cameras on the body, `(C, 4, 4)`; None to estimate them.
 
     Raises:
@@ -252,7 +254,7 @@ def _mounted(sightings: Sightings, apart: Poses, mounts: FloatArray | None) -> P
         if mounts is not None:
             found[camera] = mounts[camera]
         elif both.any():
-            found[camera] = middle(inverse(frames[both]) @ views[camera, both])
+            found[camera] = median_pose(inverse(frames[both]) @ views[camera, both])
         else:
             raise InputError(f"detections have no frame that shows where camera {camera + 1} is mounted.", "detections")
         fresh = there & ~both
@@ -267,15 +269,15 @@ class JoinedGroups:
     group: IntArray
     """`(K,)` group of each tag, as images alone connect them; -1 for tags that are not in the map."""
     sigma: FloatArray
-    """`(G,)` standard deviation of each group's place beside the nearest other tags, along its worst direction, m."""
+    """`(G,)` standard deviation of each group's place relative to the nearest other tags, in the worst direction, m."""
 
 
 def joined_groups(found: Estimate, group: IntArray) -> JoinedGroups:
-    """Groups that motion has joined, and how well they are known beside each other.
+    """Groups that motion has joined, and the standard deviations of their places relative to each other.
 
     Args:
         found: estimate with a motion.
-        group: group of each tag, `(K,)`, as images alone connect them; -1 for tags that they connect with none.
+        group: group of each tag, `(K,)`, as images alone connect them; -1 for tags that no image connects with others.
     """
     alone = group < 0
     own = np.where(alone, group.max(initial=-1) + 1 + np.cumsum(alone), group)

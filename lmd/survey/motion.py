@@ -1,21 +1,20 @@
 """Motion of the body between frames: by odometry, or at a nearly constant velocity.
 
-Both constrain the relative pose of consecutive frames, with a covariance that grows with the gap between them. A frame
-that shows one tag then places that tag beside the tags of the frames before and after.
+Both models constrain the relative pose of consecutive frames, with a covariance that grows with the gap between the
+frames. A frame that shows a single tag thus places the tag relative to the tags in earlier and later frames.
 
-- *Odometry* O is a trajectory in a frame of its own, whose relative poses drift. The error of frame j beside frame i is
-  r = log((O_i^-1 O_j)^-1 T_i^-1 T_j). Each short step adds independent errors of rotation and translation with
-  variances in proportion to its length, which are carried on to frame j: with the sum C of Ad_O Q Ad_O^T over all
-  steps, the covariance of r is Ad_O_j^-1 (C_j - C_i) Ad_O_j^-T. The bias b of every metre, a twist for scale and
-  heading, is an unknown of the drive: with the sum B of Ad_O times the length of each step, r contains
-  Ad_O_j^-1 (B_j - B_i) b.
-- *Constant velocity*: the velocity u in the world and the turn rate w of the body change by white noise. They are
-  unknowns of each frame. A link over dt has the errors phi - dt w_i, p_j - p_i - dt u_i, w_j - w_i, u_j - u_i with
-  phi = log(R_i^T R_j), and the covariance s^2 [dt^3 / 3, dt^2 / 2; dt^2 / 2, dt]. The velocity is that in the world, as
-  a camera that is carried straight ahead may look about.
+- *Odometry* O is a trajectory in a frame of its own, whose relative poses drift. The error of frame j relative to frame
+  i is r = log((O_i^-1 O_j)^-1 T_i^-1 T_j). Each short step adds independent errors of rotation and translation, with a
+  covariance Q in proportion to the step's length; errors propagate to frame j. With the sum C of Ad_O Q Ad_O^T over all
+  steps, the covariance of r is Ad_O_j^-1 (C_j - C_i) Ad_O_j^-T. The bias b per metre, a twist for scale and heading, is
+  an unknown of the drive: with the sum B of Ad_O times the length of each step, r contains Ad_O_j^-1 (B_j - B_i) b.
+- *Constant velocity*: the velocity u in the world and the turn rate w of the body change by white noise, and are
+  unknowns of each frame. A link over dt has the errors phi - dt w_i, p_j - p_i - dt u_i, w_j - w_i, u_j - u_i with phi
+  = log(R_i^T R_j), and the covariance s^2 [dt^3 / 3, dt^2 / 2; dt^2 / 2, dt]. The model has the velocity in the world,
+  as a camera carried straight ahead may turn on the way.
 
-Real bodies are not driven by white noise, so the errors of long gaps do not follow from those of short links. They are
-measured in stretches of the drive without gaps: see `with_bridged_gaps`.
+Real bodies are not driven by white noise, so the errors across long gaps do not follow from the errors of short links.
+The errors across long gaps are measured in stretches of the drive without gaps: see `with_bridged_gaps`.
 
 Source: Barfoot, "State Estimation for Robotics".
 """
@@ -31,20 +30,21 @@ from lmd.geometry.se3 import adjoint_matrix, exp, inverse, log
 from lmd.geometry.trajectory import Trajectory
 from lmd.survey.links import Links, turn_twist
 
-# Prior standard deviations of rotation and translation; the drive itself refines them.
+# Prior standard deviations of rotation and translation; they are re-estimated from the drive.
 STEADY = (1.0, 1.0)  # change of the turn rate, rad/s, and of the velocity, m/s, within a second
 DRIFT = (0.005, 0.01)  # random drift of odometry after a metre, rad and m
 BIAS = (0.005, 0.02)  # common error of every metre of odometry, rad and m
-# Metres that count like a rotation of one rad, and like a second, in the length of a step of odometry.
+# Metres that a rotation of one rad, and a second, add to the length of a step of odometry.
 METRES_PER_RAD, METRES_PER_SECOND = 0.3, 0.01
-# Standard deviations of a relative pose by a constant velocity, rad and metres, above which frames are not linked.
+# Frames are not linked by a constant velocity if the standard deviations of their relative pose, rad and metres, are
+# larger.
 MOST_TURN, MOST_PLACE = 0.2, 0.5
-SHORTEST_GAP = 0.3  # seconds; a constant velocity bridges shorter gaps without evidence from the drive
-LONGEST_STEP = 1.0  # maximum seconds between poses of odometry; longer gaps cut it into pieces
-# Factors to seconds of times since 1970 in ns, us or ms, by their least value.
+SHORTEST_GAP = 0.3  # a constant velocity bridges gaps shorter than this, seconds, without evidence from the drive
+LONGEST_STEP = 1.0  # maximum seconds between poses of odometry; longer gaps cut the odometry into pieces
+# Least value of times since 1970 in ns, us or ms, and the factor that converts them to seconds.
 UNITS = ((1e17, 1e-9), (1e14, 1e-6), (1e11, 1e-3))
-LONGEST_GAP, GAPS = 5.0, 13  # longest gap that is tried, seconds, and the number of lengths
-FEWEST_GAPS = 6  # minimum number of gaps of a length that fit into stretches without gaps
+LONGEST_GAP, GAPS = 5.0, 13  # longest length of a gap that is tried, seconds, and number of lengths that are tried
+FEWEST_GAPS = 6  # minimum number of artificial gaps of a length in stretches without gaps
 LEAST_PACE = 0.2  # minimum time over which the velocity on each side of a gap is measured, seconds
 
 
@@ -57,17 +57,21 @@ class Motion:
     spread: tuple[float, float]
     """Standard deviations of rotation and translation in the units of `STEADY` or `DRIFT`."""
     path: FloatArray | None = None
-    """`(F, 4, 4)` poses of the body by odometry, NaN where it has none; None for a constant velocity."""
+    """`(F, 4, 4)` poses of the body by odometry, NaN for frames without odometry; None for a constant velocity."""
     drift: FloatArray | None = None
-    """`(F, 2, 6, 6)` sums C of the covariances by rotation and by translation, for a spread of one."""
+    """`(F, 2, 6, 6)` sums C: covariances due to errors of rotation and of translation, for a spread of 1."""
     bias_sums: FloatArray | None = None
-    """`(F, 6, 6)` sums B."""
+    """`(F, 6, 6)` sums B, derivatives by the bias."""
     piece: IntArray | None = None
     """`(F,)` piece of each frame; frames of different pieces are not linked. None for one piece."""
     gaps: FloatArray | None = None
-    """`(n,)` lengths of gaps that a constant velocity has bridged elsewhere in the drive, seconds, ascending."""
+    """`(n,)` lengths of gaps, seconds, ascending, for which a constant velocity was tested in stretches without
+    gaps.
+    """
     bridged: FloatArray | None = None
-    """`(n, 2)` spreads that explain the errors across these gaps; longer gaps are not bridged. None if not tried."""
+    """`(n, 2)` spreads that explain the errors across the tested gaps; longer gaps are not bridged. None without
+    tests.
+    """
 
     @classmethod
     def steady(cls, times: FloatArray) -> "Motion":
@@ -95,7 +99,7 @@ class Motion:
         steps = log(inverse(poses[:-1]) @ poses[1:])
         far = np.linalg.norm(steps[:, 3:], axis=1) + METRES_PER_RAD * np.linalg.norm(steps[:, :3], axis=1)
         far += METRES_PER_SECOND * np.diff(own)
-        ahead = adjoint_matrix(poses[1:])  # the error of a step arises at its end, as steps are short
+        ahead = adjoint_matrix(poses[1:])  # steps are short, so the error of a step is applied at its end
         added = np.stack([far[:, None, None] * ahead[..., part] @ np.swapaxes(ahead[..., part], 1, 2)
                           for part in (slice(0, 3), slice(3, 6))], axis=1)  # fmt: skip
         biased = far[:, None, None] * ahead
@@ -149,7 +153,7 @@ class Motion:
         return np.where((seconds > SHORTEST_GAP)[:, None], np.maximum(spreads, measured), spreads)
 
     def relates(self, i: IntArray, j: IntArray) -> BoolArray:
-        """True where the motion constrains frames j beside frames i, `(M,)`."""
+        """True where the motion constrains frames j relative to frames i, `(M,)`."""
         between = np.abs(self.times[j] - self.times[i])
         if self.path is None:
             there = between <= self.longest
@@ -158,17 +162,17 @@ class Motion:
         return np.asarray(there if self.piece is None else there & (self.piece[i] == self.piece[j]))
 
     def follows(self, frames: IntArray) -> BoolArray:
-        """True for frames, ascending, that are linked to the one before; `(F - 1,)`."""
+        """True for frames, ascending, that are linked to the previous frame; `(F - 1,)`."""
         i, j = frames[:-1], frames[1:]
         return np.asarray(self.relates(i, j) & (self.times[j] > self.times[i]))
 
     def linked(self, frames: IntArray) -> BoolArray:
-        """True for frames, ascending, that are linked to the one before or after, `(F,)`."""
+        """True for frames, ascending, that are linked to the previous or the next frame, `(F,)`."""
         follows = np.concatenate([[False], self.follows(frames), [False]])
         return np.asarray(follows[1:] | follows[:-1])
 
     def links(self, frames: IntArray) -> Links:
-        """Links between frames, ascending."""
+        """Links between consecutive `frames`, ascending indices."""
         first = np.flatnonzero(self.follows(frames))
         i, j = frames[first], frames[first + 1]
         seconds, information = self.times[j] - self.times[i], self.information(i, j)
@@ -178,7 +182,7 @@ class Motion:
         return Links(6, first, seconds, information, inverse(self.path[i]) @ self.path[j], bias)
 
     def information(self, i: IntArray, j: IntArray) -> FloatArray:
-        """Inverse covariance of the error of frames j `(M,)` beside frames i, see `Links`."""
+        """Inverse covariance of the error of frames j `(M,)` relative to frames i, see `Links`."""
         turn, place = self.spread
         if self.path is None or self.drift is None:
             seconds = self.times[j] - self.times[i]
@@ -192,7 +196,7 @@ class Motion:
         return np.asarray(np.linalg.inv((covariance + np.swapaxes(covariance, 1, 2)) / 2.0))
 
     def steps(self, i: IntArray, j: IntArray, velocities: FloatArray | None = None) -> FloatArray:
-        """Poses of frames j beside frames i, `(M, 4, 4)`; NaN if unknown.
+        """Poses of frames j relative to frames i, `(M, 4, 4)`; NaN if unknown.
 
         Args:
             i, j: indices of frames, `(M,)`.
@@ -214,10 +218,10 @@ class Motion:
 
 
 def with_bridged_gaps(motion: Motion, poses: FloatArray) -> Motion:
-    """Motion with the errors of a constant velocity across gaps, measured in stretches of the drive without gaps.
+    """Motion at a constant velocity, with the errors across gaps as measured in stretches of the drive without gaps.
 
-    Of two frames that are a gap apart, the velocities before and after the gap predict the relative pose. Its error is
-    that beside the pose by the frames between them.
+    For two frames that are the length of a gap apart, the velocities before and after predict the relative pose. The
+    error of the prediction is its difference from the pose estimated with the frames between the two.
 
     Args:
         motion: motion at a constant velocity, in pieces.
@@ -257,7 +261,7 @@ def with_bridged_gaps(motion: Motion, poses: FloatArray) -> Motion:
 def seconds_of(times: Sequence[str]) -> FloatArray:
     """Times of frames as text, in seconds, `(F,)`; NaN for names of images.
 
-    Numbers are seconds, or ms, us or ns since 1970. Floats resolve a tenth of a microsecond of these.
+    Numbers are seconds, or ms, us or ns since 1970. The result resolves a tenth of a microsecond.
     """
     result = np.full(len(times), np.nan)
     for index, text in enumerate(times):

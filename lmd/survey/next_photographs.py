@@ -1,9 +1,10 @@
 """Next photographs: camera poses that would reduce the covariance of the map most, chosen greedily.
 
-P is the covariance of the twists of all tags: that of the survey, and that of hanging for planned tags that are not
-placed. A photograph whose sightings have the Jacobian J by the tags, whitened by the errors of corners and projected
-off its own pose, reduces it by P J' (I + J P J')^-1 J P. Of many candidates the one is chosen that most reduces the sum
-of the variances of the places of tags beside each other, again and again.
+P is the covariance of the twists of all tags: the covariance of the survey for placed tags, and the prior of hanging
+for planned tags that are not placed. Let J be the Jacobian of a photograph's sightings by the tags, whitened by the
+errors of corners and with the pose of the photograph projected out. The photograph reduces P by P J' (I + J P J')^-1 J
+P. In each round, the candidate is chosen that most reduces the sum of the variances of the tags' places relative to
+each other.
 """
 
 from dataclasses import dataclass
@@ -25,26 +26,28 @@ from lmd.survey.survey import Photograph, Survey
 
 MOST_PHOTOGRAPHS = 5  # maximum number of photographs
 LEAST_GAIN = 0.03  # minimum reduction of the sum of variances, relative
-PLACES, TARGETS = 30, 8  # maximum numbers of earlier frames, and of tags in need, for candidates
-DISTANCES, SIDEWAYS = (0.8, 1.5, 2.5), (-0.7, 0.0, 0.7)  # candidates before such a tag, metres and rad
+PLACES, TARGETS = 30, 8  # maximum numbers of earlier frames, and of tags that need a photograph, for candidates
+# Places of candidates in front of a tag that needs a photograph: distances, metres, and angles, rad.
+DISTANCES, SIDEWAYS = (0.8, 1.5, 2.5), (-0.7, 0.0, 0.7)
 MOST_CANDIDATES = 200  # maximum number of candidates that are evaluated
-# Photographs nearer than this, metres, in directions with a larger cosine have errors in common beside the covariance.
+# A candidate is too similar to a chosen one if nearer than `NEAR_ANOTHER`, metres, with a larger cosine of the angle
+# between their directions than `SAME_WAY`: such photographs share errors that the covariance does not have.
 NEAR_ANOTHER, SAME_WAY = 0.3, 0.966
-# Minimum pixels per module, and cosine of the incidence angle, of a tag that will be detected.
+# Minimum pixels per module, and minimum cosine of the incidence angle, for a tag that is expected to be detected.
 LEAST_PITCH, LEAST_COSINE = 3.0, 0.3
 MARGIN_PIXELS = 5.0  # minimum distance of corners from the image's border, pixels
 
 
 @dataclass(frozen=True)
 class _Candidate:
-    """A photograph that may be taken."""
+    """Candidate for a photograph to take."""
 
     pose: FloatArray
     """`(4, 4)` pose of the camera."""
     tags: IntArray
-    """`(n,)` indices of the tags that it shows."""
+    """`(n,)` indices of the tags that the photograph shows."""
     jacobian: FloatArray
-    """`(8 n, 6 n)` J by the twists of these tags."""
+    """`(8 n, 6 n)` Jacobian J by the twists of the n tags."""
 
 
 def next_photographs(
@@ -54,10 +57,10 @@ def next_photographs(
 
     Args:
         survey: the survey.
-        camera: camera that takes them.
+        camera: camera that takes the photographs.
         modules: N of the tags' family.
         errors: errors of the detector's corners.
-        needy: indices of the tags that need another photograph; those of unknown pose are left out.
+        needy: indices of the tags that need another photograph; tags of unknown pose are left out.
         room: room that contains the cameras and hides tags; None if unknown.
     """
     tags, covariance, known = _believed(survey)
@@ -95,7 +98,9 @@ def _believed(survey: Survey) -> tuple[FloatArray, FloatArray, BoolArray]:
 
 
 def _camera_poses(survey: Survey, tags: FloatArray, needy: IntArray, room: Space | None) -> FloatArray:
-    """Poses of level cameras that look at tags in need, `(M, 4, 4)`, at places of earlier frames and before tags."""
+    """Poses of level cameras that look at the `needy` tags, `(M, 4, 4)`, at places of earlier frames and in front of
+    tags.
+    """
     frames = survey.found.poses.frames[survey.found.frames]
     up = -frames[:, :3, 1].mean(axis=0)
     up /= np.linalg.norm(up)
@@ -175,17 +180,17 @@ def _jacobian(
 def _greedy(
     tags: FloatArray, covariance: FloatArray, known: BoolArray, candidates: list[_Candidate]
 ) -> tuple[Photograph, ...]:
-    """Choose the best candidate that is not like those before it, again and again."""
+    """Choose candidates one after the other: each time the best one that is not similar to a chosen one."""
     rows = np.flatnonzero(np.repeat(known, 6))
     place = np.cumsum(known) - 1
-    left = gauge_free(tags[known])[np.tile(np.arange(6) >= 3, int(known.sum()))]  # of places
+    left = gauge_free(tags[known])[np.tile(np.arange(6) >= 3, int(known.sum()))]  # rows of places
     whole = covariance[np.ix_(rows, rows)]
     poses = np.reshape([one.pose for one in candidates], (-1, 4, 4))
     fresh = np.ones(len(candidates), dtype=bool)
     chosen: list[Photograph] = []
 
     def inner(one: _Candidate) -> tuple[IntArray, FloatArray]:
-        """Rows of its tags in P, and I + J P J'."""
+        """Rows of the candidate's tags in P, and I + J P J'."""
         index = (6 * place[one.tags][:, None] + np.arange(6)).ravel()
         return index, np.eye(len(one.jacobian)) + one.jacobian @ whole[np.ix_(index, index)] @ one.jacobian.T
 

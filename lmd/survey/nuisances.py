@@ -1,13 +1,14 @@
 """Nuisance parameters of a survey: intrinsics of cameras, shifts of corners by the detector, shapes of tags.
 
-All of them have priors and are estimated together with the map, so that its covariance accounts for them.
+All nuisance parameters have priors and are estimated together with the map, so that the covariance of the map accounts
+for them.
 
-- *Intrinsics* theta: a corner found at x and imaged at pi(p, theta) has e = pi(p, theta) - x. So the derivative of e by
-  theta is d pi(b, theta) / d theta at the direction b in which x was seen. Each step recomputes the directions.
-- *Shifts*: blur and exposure move the edges of all tags in the images of a camera inward or outward by
-  s_1 + s_2 (2 / pitch)^2 pixels, beside the measured shift of the detector. Tags then look smaller or larger.
-- *Shapes*: see `lmd.survey.sightings.SHAPES`. Their standard deviation is estimated by expectation-maximisation: it is
-  the root of the mean of squares plus variances.
+- *Intrinsics* theta: a corner p that is found at x has the residual e = pi(p, theta) - x, where pi is the projection.
+  The derivative of e by theta is d pi(b, theta) / d theta at the direction b of x. Each step recomputes the directions.
+- *Shifts*: blur and exposure move the edges of all tags in the images of a camera inward or outward by s_1 + s_2 (2 /
+  pitch)^2 pixels, in addition to the measured shift of the detector. Tags then look smaller or larger.
+- *Shapes*: see `lmd.survey.sightings.SHAPES`. The standard deviation of shapes is estimated by
+  expectation-maximisation, as the root of the mean of squares plus variances.
 """
 
 from collections.abc import Callable, Sequence
@@ -21,27 +22,27 @@ from lmd.core.checks import FloatArray, InputError
 from lmd.geometry.camera import Camera
 from lmd.survey.initialisation import FLOOR_PIXELS
 from lmd.survey.intrinsics import intrinsics_of, parameter_slopes, with_intrinsics
-from lmd.survey.linked import adjustment_of, constraining
+from lmd.survey.linked_adjustment import adjustment_of, constraining
 from lmd.survey.map_estimate import ONE_THREAD, Estimate, adjust, fitting
 from lmd.survey.resampling import inflation
 from lmd.survey.residuals import Poses, Reprojection, squared_errors
 from lmd.survey.sightings import MODES, RESIDUALS, Sightings, inward, shift_basis, shortest_side
 
-SMALL_SHARE = 0.5  # prior standard deviation of the second shift, relative to that of the first
+SMALL_SHARE = 0.5  # prior standard deviation of the second shift, over the prior standard deviation of the first
 SHAPE_SIGMA, LEAST_SHAPE_SIGMA = 3e-4, 1e-5  # first and least standard deviation of shapes, metres
-PASSES = 2  # the second pass has the inflation by blocks of time
+PASSES = 2  # number of passes; the second one uses the inflation by blocks of time
 MOST_ROUNDS, ROUND_STEPS = 12, 3  # rounds, and steps of bundle adjustment in each
 MOST_TRIALS, FIRST_DAMPING = 6, 1e-3  # trials of a step with increasing damping, and the first damping
 SLACK = 1e-3  # maximum increase of the loss by an accepted step
-SETTLED_SIGMAS = 0.3  # step of the last round, in standard deviations
-SETTLED_SHAPES = 0.1  # relative change of the standard deviation of shapes in the last round
-NEAR_PIXELS = 5.0  # maximum error of a corner whose edges are taken from the pose of its tag, pixels
-MOST_HALVINGS = 6  # halvings of a step that leads to no valid camera
+SETTLED_SIGMAS = 0.3  # the rounds end when a step is smaller, in standard deviations
+SETTLED_SHAPES = 0.1  # the rounds end when the standard deviation of shapes changes by less, relative
+NEAR_PIXELS = 5.0  # maximum error, pixels, of tags whose edges are taken from their poses
+MOST_HALVINGS = 6  # maximum number of halvings of a step that leads to no valid camera
 
 
 @dataclass(frozen=True)
 class Optics:
-    """A camera and the shift of edges in its images."""
+    """Camera, and the shift of edges in its images."""
 
     camera: Camera
     """The camera."""
@@ -70,9 +71,9 @@ def with_nuisances(
     Args:
         sightings: sightings through `optics`.
         optics: optics of each camera.
-        sigmas: prior standard deviations of the values of each, `(P + 2,)`.
-        poses: all poses. Shifts are along the edges of the posed tags: along detected edges, whose noise is that of the
-            residuals, their estimate would be biased.
+        sigmas: prior standard deviations of the values of each camera, `(P + 2,)`.
+        poses: all poses. Shifts follow the edges of the posed tags. Detected edges share the noise of the residuals, so
+            shifts that follow them would be biased.
     """
     image, error = sightings.image, Reprojection(sightings, *poses.of(sightings)).error.reshape(-1, 4, 2)
     image = np.where(np.abs(error).max(axis=(1, 2), keepdims=True) < NEAR_PIXELS, image + error, image)
@@ -104,12 +105,12 @@ def refine(
 
     Args:
         found: estimate with the given cameras.
-        given: these cameras.
-        sigmas: prior standard deviations of the values of each, `(P + 2,)`.
+        given: the given cameras.
+        sigmas: prior standard deviations of the values of each camera, `(P + 2,)`.
         sighted: sightings through other optics.
         keep: True to keep cameras and shapes; their uncertainty still counts.
         is_stopped: called before each round with its number and the most rounds; True to stop with the present state.
-        on_block: called with the number of blocks of time that are done, and of all.
+        on_block: called with the number of finished blocks of time, and the number of all blocks.
     """
     refinement = _Refinement(given, sigmas, sighted, is_stopped)
     state = _State.of(given, sigmas, len(found.group))
@@ -130,7 +131,7 @@ class _State(NamedTuple):
     optics: tuple[Optics, ...]
     """Optics of the cameras."""
     off: FloatArray
-    """`(C, 6 L)` distance of their values from the given ones, in prior standard deviations."""
+    """`(C, 6 L)` distance of the cameras' values from the given values, in prior standard deviations."""
     shapes: FloatArray
     """`(K, 6)` shapes of tags, see `Sightings`."""
     shape_sigma: float
@@ -140,7 +141,7 @@ class _State(NamedTuple):
 
     @classmethod
     def of(cls, given: Sequence[Optics], sigmas: Sequence[FloatArray], tags: int) -> "_State":
-        """The given cameras and flat tags."""
+        """State with the given cameras and with flat tags."""
         return cls(tuple(given), np.zeros((len(given), _width(sigmas))), np.zeros((tags, 6)), SHAPE_SIGMA, 0.0)
 
     @property
@@ -174,7 +175,7 @@ class _Refinement:
         return with_nuisances(some, state.optics, self.sigmas, found.poses)
 
     def minimised(self, state: _State, found: Estimate) -> tuple[_State, Estimate]:
-        """Take joint steps of all unknowns until these are small."""
+        """Take joint steps of all unknowns until the steps are small."""
         damping, sightings = 0.0, self.sightings(state, found)
         with threadpool_limits(limits=ONE_THREAD):
             for done in range(MOST_ROUNDS):
@@ -197,7 +198,7 @@ class _Refinement:
                     tried = self._stepped(state, step)
                     sightings = self.sightings(tried, replace(found, poses=there))
                     if len(sightings) != len(used):
-                        break  # the lens images other corners than before, so losses do not compare
+                        break  # the new lens images other corners, so losses cannot be compared
                     error = squared_errors(sightings.of(used), there)
                     loss_there = joint.loss(error, joint.prior_losses(there), floor)
                     if tried.loss(information) + loss_there <= loss + SLACK:
@@ -219,7 +220,7 @@ class _Refinement:
         return state, found
 
     def _stepped(self, state: _State, step: FloatArray) -> _State:
-        """State after a step `(n, 6)`; that of the optics is halved until it leads to valid cameras."""
+        """State after a step `(n, 6)`; the step of the optics is halved until it leads to valid cameras."""
         lenses = state.off.size // 6
         shapes = state.shapes + state.shape_sigma * step[lenses:]
         for halving in range(MOST_HALVINGS + 1):

@@ -17,30 +17,30 @@ from lmd.survey.motion import Motion
 from lmd.survey.residuals import student_loss, student_weight
 
 EXACT_SIGMA = 1e-6  # standard deviation of poses that count as exact, metres and rad
-TAPE_SIGMA_M = 0.005  # standard deviation of a centre by a tape measure, metres
-# Minimum number of points that fix a world, and their minimum extent across their best line, metres.
+TAPE_SIGMA_M = 0.005  # standard deviation of a centre measured with a tape measure, metres
+# Minimum number of points that determine a world, and their minimum extent across the line that fits them best, metres.
 FEWEST_POINTS, NO_LINE = 3, 0.05
 
 
 @dataclass(frozen=True)
 class Hanging:
-    """Standard deviations of how tags hang beside their plan, along the axes of each tag.
+    """Standard deviations of the poses of tags from their planned poses, along the axes of each tag.
 
     Raises:
         InputError: a standard deviation is not positive.
     """
 
     place: float = 0.02
-    """In the plane of the wall, metres."""
+    """Shift in the plane of the wall, metres."""
     turn: float = 0.05
-    """In the plane of the wall, rad."""
+    """Rotation in the plane of the wall, rad."""
     flush: bool = True
     """True if tags lie flat on their walls, so that `depth` and `tilt` hold; else `place` and `turn` hold for all axes.
     """
     depth: float = 0.005
-    """Off the wall, metres, if flush."""
+    """Shift off the wall, metres, if `flush`."""
     tilt: float = 0.02
-    """Out of the wall, rad, if flush."""
+    """Tilt out of the wall, rad, if `flush`."""
 
     def __post_init__(self) -> None:
         check_fields(self, real, "place", "turn", "depth", "tilt", above=0.0)
@@ -60,10 +60,10 @@ def are_in_line(places: FloatArray) -> bool:
 
 @dataclass(frozen=True)
 class MeasuredPoints:
-    """Centres of some tags by a tape measure.
+    """Centres of some tags, measured with a tape measure.
 
     Raises:
-        InputError: there are fewer than three, an id occurs twice, or all lie in a line.
+        InputError: there are fewer than three points, an id occurs twice, or all points lie in a line.
     """
 
     ids: IntArray
@@ -81,7 +81,7 @@ class MeasuredPoints:
 
     @classmethod
     def from_csv(cls, path: Any) -> "MeasuredPoints":
-        """Read `id,x,y,z`; further columns are ignored.
+        """Read a CSV with the columns `id,x,y,z`; further columns are ignored.
 
         Raises:
             InputError: the file cannot be read, or its points are refused.
@@ -132,7 +132,7 @@ class Prior:
         return student_weight(np.where(self.exact, 0.0, squares), 6)
 
     def loss(self, squares: FloatArray) -> float:
-        """Sum of the robust losses by chi^2; that of exact poses is quadratic."""
+        """Sum of the robust losses by chi^2; exact poses have a quadratic loss."""
         exact = self.exact
         return student_loss(squares[~exact], 6) + float(student_weight(np.zeros(1), 6)[0] / 2.0 * squares[exact].sum())
 
@@ -148,7 +148,7 @@ class PriorKnowledge:
     plan: Deployment | None = None
     """Planned tags."""
     hanging: Hanging = field(default_factory=Hanging)
-    """Standard deviations of tags beside their plan."""
+    """Standard deviations of tags from their planned poses."""
     fixed: Deployment | None = None
     """Tags with exactly known poses."""
     points: MeasuredPoints | None = None
@@ -160,12 +160,13 @@ class PriorKnowledge:
     origin: int | None = None
     """Id of the tag whose frame is the world if nothing else defines one; None for the tag seen most often."""
     floor: tuple[int, ...] = ()
-    """Ids of tags on the floor: z is up in that world, and 0 on the floor."""
+    """Ids of tags on the floor, which define a world with z up and z = 0 on the floor."""
     odometry: Trajectory | None = None
     """Trajectory of the body in any frame."""
     steady: bool | None = None
-    """True if the velocity changes little between frames that are near in time; None to assume it where most sightings
-    are alone in their frames, or where groups stay apart."""
+    """True if the velocity changes little between frames that are near in time. None to assume that if most frames show
+    a single tag, or if images leave groups unconnected.
+    """
 
     def __post_init__(self) -> None:
         if self.floor and any(known is not None for known in (self.plan, self.fixed, self.points)):
@@ -173,12 +174,12 @@ class PriorKnowledge:
 
     @property
     def ids(self) -> IntArray:
-        """Ids of the tags that are named, ascending."""
+        """Ids of all tags in the prior knowledge, ascending."""
         named = [known.ids for known in (self.plan, self.fixed, self.points) if known is not None]
         return np.unique(np.concatenate([np.empty(0, dtype=np.int64), *named]))
 
     def edges(self, ids: IntArray, tag: Tag) -> FloatArray:
-        """Edges of tags, metres: those of the plan or the fixed tags if given, else that of `tag`."""
+        """Edges of tags, metres: from the plan or the fixed tags if given there, else the edge of `tag`."""
         edges = np.full(len(ids), tag.size)
         for known in (self.plan, self.fixed):
             if known is not None:
@@ -197,7 +198,9 @@ class PriorKnowledge:
         return poses
 
     def prior(self, ids: IntArray) -> Prior:
-        """Prior of the tags `ids` `(K,)`, ascending, and of the mounts; fixed tags override points, these the plan."""
+        """Prior of the tags `ids` `(K,)`, ascending, and of the mounts; fixed tags override points, and points override
+        the plan.
+        """
         tags, information = np.tile(np.eye(4), (len(ids), 1, 1)), np.zeros((len(ids), 6))
         if self.plan is not None:
             of, among = _shared(ids, self.plan.ids)
@@ -218,6 +221,6 @@ def _shared(ids: IntArray, known: IntArray) -> tuple[IntArray, IntArray]:
 
 
 def poses_of(deployment: Deployment) -> FloatArray:
-    """Poses of tags in the world, `(K, 4, 4)`: x to the right of the tag, y up, z out of it."""
+    """Poses of tags in the world, `(K, 4, 4)`: x to the right of the tag, y up, z along the normal."""
     up, normal = deployment.ups, deployment.normals
     return pose_of(np.stack([np.cross(up, normal), up, normal], axis=-1), deployment.places)

@@ -2,13 +2,12 @@
 
 *Held-out frames*: frames are localised by a map that is made from the other frames.
 
-*Blocks of time*: the covariance C of an adjustment assumes that errors of sightings are independent. Errors of a drive
-are correlated, as exposure, blur and errors of the lens model change slowly. So frames are cut into blocks of time with
-equally many sightings. Block b adds S_b to the normal equations S = C^-1, and g_b to their right side, which sums to 0.
-Block b contributes x_b = C (1 - S_b C)^-1/2 g_b to the error of the map. The covariance of the map is the sum of
-x_b x_b', which equals C if errors are uncorrelated.
-The inverse root, in place of the inverse, which leaves each block out (jackknife), does not overrate blocks that alone
-hold a part of the map.
+*Blocks of time*: the covariance C of an adjustment assumes that errors of sightings are independent. The errors in a
+drive are correlated, as exposure, blur and errors of the lens model change slowly. So frames are cut into blocks of
+time with equally many sightings. Block b adds S_b to the normal equations S = C^-1, and g_b to their right side, which
+sums to 0. Block b contributes x_b = C (1 - S_b C)^-1/2 g_b to the error of the map. The covariance of the map is the
+sum of x_b x_b', which equals C if errors are uncorrelated. The inverse instead of the inverse root would be the
+jackknife, which leaves each block out; it overrates blocks that alone hold a part of the map.
 
 Source: Bell and McCaffrey, "Bias reduction in standard errors for linear regression with multi-stage samples" (CR2).
 """
@@ -23,19 +22,19 @@ from lmd.core.checks import BoolArray, FloatArray, IntArray
 from lmd.geometry.se3 import exp
 from lmd.survey.adjustment import Adjustment
 from lmd.survey.gauge import gauge_free
-from lmd.survey.linked import constraining
+from lmd.survey.linked_adjustment import constraining
 from lmd.survey.map_estimate import ONE_THREAD, Estimate, adjust
 from lmd.survey.prior import EXACT_SIGMA
 from lmd.survey.residuals import Poses, Reprojection, normal_equations, solved, squared_errors, student_weight, sums_by
 from lmd.survey.schur import LEAST_DAMPING
 from lmd.survey.sightings import Sightings
 
-FEWEST_FRAMES = 10  # minimum number of frames of a map for either method
-HELD_OUT_STEP = 5  # one of this number of frames is held out
+FEWEST_FRAMES = 10  # minimum number of frames of a map for held-out frames and for blocks of time
+HELD_OUT_STEP = 5  # every fifth frame is held out
 RESECTION_STEPS = 10  # Gauss-Newton steps of resection
 FEWEST_BLOCKS, MOST_BLOCKS = 5, 8
-FEWEST_IN_BLOCK = 3  # minimum number of frames of a block, if there are more than the fewest blocks
-ALONE = 0.98  # share of the information in a direction, above which a block holds that direction alone
+FEWEST_IN_BLOCK = 3  # minimum number of frames of a block, unless there would be too few blocks
+ALONE = 0.98  # a block with a larger share of the information in a direction holds that direction alone
 LEAST_RATIO = 1e-2  # minimum ratio of squared errors of a tag to its variance
 LEAST_PART = 1e-9  # minimum eigenvalue of a block's information, relative to the largest
 
@@ -45,13 +44,13 @@ class HeldOut:
     """Held-out frames, localised by a map."""
 
     errors: FloatArray
-    """`(n,)` RMS reprojection errors of their sightings, pixels."""
+    """`(n,)` RMS reprojection errors of the sightings in held-out frames, pixels."""
     shifts: FloatArray
     """`(M,)` distance of each frame from its place in the whole survey, metres."""
 
 
 def hold_out(found: Estimate, plan: FloatArray | None = None) -> dict[str, HeldOut]:
-    """Hold every fifth frame out, and localise it by the map made from the other frames, and by the plan.
+    """Hold every fifth frame out, and localise it once by the map made from the other frames and once by the plan.
 
     Args:
         found: estimate from all frames.
@@ -73,7 +72,7 @@ def hold_out(found: Estimate, plan: FloatArray | None = None) -> dict[str, HeldO
 
 
 def _localised(found: Estimate, tags: FloatArray, out: BoolArray) -> HeldOut | None:
-    """Localise the frames of the sightings `out` by tags `(K, 4, 4)`; None if these are too few."""
+    """Localise the frames of the sightings `out` by tags `(K, 4, 4)`; None if there are too few tags."""
     known = out & found.used & np.isfinite(tags[found.sightings.tag, 0, 0])
     some = found.sightings.of(constraining(found.sightings, known, None))
     if not len(some):
@@ -85,7 +84,7 @@ def _localised(found: Estimate, tags: FloatArray, out: BoolArray) -> HeldOut | N
 
 
 def _resected(sightings: Sightings, poses: Poses, floor: float) -> Poses:
-    """Poses with frames that are refined with everything else fixed (resection)."""
+    """Poses with refined frames, while tags and mounts are fixed (resection)."""
     seen, owner = np.unique(sightings.frame, return_inverse=True)
     summed, variance = sums_by(owner, len(seen)), sightings.variance(floor)
     for _ in range(RESECTION_STEPS):
@@ -99,7 +98,7 @@ def _resected(sightings: Sightings, poses: Poses, floor: float) -> Poses:
 
 
 def blocks_of_time(found: Estimate) -> list[IntArray]:
-    """Frames of each block, in their order."""
+    """Frames of each block of time, in ascending order."""
     counts = np.bincount(found.sightings.frame[found.used], minlength=found.sightings.frames)[found.frames]
     middle = np.cumsum(counts) - counts / 2.0
     blocks = int(np.clip(len(counts) // FEWEST_IN_BLOCK, FEWEST_BLOCKS, MOST_BLOCKS))
@@ -108,14 +107,14 @@ def blocks_of_time(found: Estimate) -> list[IntArray]:
 
 
 def inflation(found: Estimate, report: Callable[[int, int], object]) -> float:
-    """Factor of standard deviations of places by blocks of time, the geometric mean over tags, at least 1.
+    """Factor on the standard deviations of places, from blocks of time: the geometric mean over tags, at least 1.
 
-    It is 1 if there are too few frames for blocks. Of linked frames, those with two or more tags count, as far as they
-    connect tags without links.
+    The factor is 1 if there are too few frames for blocks. If frames are linked, only frames with two or more tags are
+    used, in the largest part of the map that such frames connect.
 
     Args:
         found: estimate with an inflation of 1.
-        report: called with the number of blocks that are done, and of all.
+        report: called with the number of finished blocks, and the number of all blocks.
     """
     if found.prior.motion is not None:
         found = _without_links(found)
@@ -138,7 +137,7 @@ def inflation(found: Estimate, report: Callable[[int, int], object]) -> float:
 
 
 def _without_links(found: Estimate) -> Estimate:
-    """The largest part of a map that images connect, without links."""
+    """Largest part of a map that images alone connect, as an estimate without links."""
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
 
@@ -157,12 +156,12 @@ def _without_links(found: Estimate) -> Estimate:
 
 
 def _off(found: Estimate, frames: IntArray, slope: float, spread: float) -> FloatArray:
-    """Displacement x_b of each known tag beside the others by a block, metres, `(n, 3)`.
+    """Displacement x_b, by a block, of each known tag relative to the others, metres, `(n, 3)`.
 
     Args:
         found: estimate.
         frames: frames of the block.
-        slope, spread: of all sightings, see `Adjustment.efficiency`.
+        slope, spread: results of `Adjustment.efficiency` for all sightings.
     """
     used = found.sightings.of(found.used)
     some = used.of(np.isin(used.frame, frames))

@@ -1,8 +1,8 @@
 """Reprojection errors of sightings: residuals, Jacobians, robust weights and normal equations.
 
-A sighting has 8 residuals e, pixels, see `lmd.survey.sightings`. Errors are taken for those of a multivariate Student
-distribution with nu degrees of freedom. With chi^2 = |e|^2 / sigma^2 of d residuals, the robust loss is
-(nu + d) / 2 log(1 + chi^2 / nu), and the weight in iteratively reweighted least squares is (nu + d) / (nu + chi^2).
+A sighting has 8 residuals e, pixels, see `lmd.survey.sightings`. Errors are modelled by a multivariate Student
+distribution with nu degrees of freedom. With chi^2 = |e|^2 / sigma^2 of d residuals, the robust loss is (nu + d) / 2
+log(1 + chi^2 / nu), and the weight in iteratively reweighted least squares is (nu + d) / (nu + chi^2).
 
 Source: Lange et al., "Robust Statistical Modeling Using the t Distribution".
 """
@@ -18,13 +18,14 @@ from lmd.geometry.se3 import cross, inverse
 from lmd.survey.sightings import RESIDUALS, SHAPES, Sightings
 
 DEGREES_OF_FREEDOM = 4.0  # nu
-# Minimum depth of a corner before the camera, metres. Nearer corners and those behind have residuals of NOWHERE pixels.
+# Minimum depth of a corner in front of the camera, metres. Nearer corners, and corners behind the camera, have
+# residuals of NOWHERE pixels.
 NEAREST, NOWHERE = 1e-3, 1e4
 
 
 @dataclass(frozen=True)
 class Poses:
-    """Poses of everything; each maps to the frame that it is mounted in."""
+    """Poses of tags, frames and mounts."""
 
     tags: FloatArray
     """`(K, 4, 4)` tag to world; NaN if not known."""
@@ -64,7 +65,7 @@ class Reprojection:
 
     @cached_property
     def _by_seen(self) -> FloatArray:
-        """Derivatives by the corners in the camera's frame, `(N, 4, 2, 3)`."""
+        """Derivatives of the residuals by the corners in the camera's frame, `(N, 4, 2, 3)`."""
         some, depth = self._sightings, self._depth[..., None]
         error = self.error.reshape(-1, 4, 2, 1)
         slope = (some.tangents - error * some.directions[..., None, :]) / np.maximum(depth, NEAREST)
@@ -72,38 +73,38 @@ class Reprojection:
 
     @cached_property
     def _by_body(self) -> FloatArray:
-        """Derivatives by the corners in the body's frame, `(N, 4, 2, 3)`."""
+        """Derivatives of the residuals by the corners in the body's frame, `(N, 4, 2, 3)`."""
         return np.asarray(self._by_seen @ np.swapaxes(self._mounted, 1, 2)[:, None])
 
     @cached_property
     def _by_corner(self) -> FloatArray:
-        """Derivatives by the corners in the tag's frame, `(N, 4, 2, 3)`."""
+        """Derivatives of the residuals by the corners in the tag's frame, `(N, 4, 2, 3)`."""
         return np.asarray(self._by_body @ self._turn[:, None])
 
     @cached_property
     def by_tag(self) -> FloatArray:
-        """Jacobian by the pose of the tag, `(N, 8, 6)`."""
+        """Jacobian of the residuals by the pose of the tag, `(N, 8, 6)`."""
         return self._rows(cross(self._corners[:, :, None], self._by_corner), self._by_corner)
 
     @cached_property
     def by_shape(self) -> FloatArray:
-        """Jacobian by the shape of the tag, see `Sightings.shapes`, `(N, 8, 6)`."""
+        """Jacobian of the residuals by the shape of the tag, see `Sightings.shapes`, `(N, 8, 6)`."""
         return np.asarray(np.einsum("nqij,sqj->nqis", self._by_corner, SHAPES)).reshape(-1, RESIDUALS, 6)
 
     @cached_property
     def by_size(self) -> FloatArray:
-        """Derivative by the logarithm of the tag's edge, `(N, 8, 1)`."""
+        """Derivative of the residuals by the logarithm of the tag's edge, `(N, 8, 1)`."""
         way = self.by_tag[..., 3:].reshape(-1, 4, 2, 3)
         return np.asarray(way @ self._corners[..., None]).reshape(-1, RESIDUALS, 1)
 
     @cached_property
     def by_frame(self) -> FloatArray:
-        """Jacobian by the pose of the body, `(N, 8, 6)`."""
+        """Jacobian of the residuals by the pose of the body, `(N, 8, 6)`."""
         return self._rows(cross(self._by_body, self._body[:, :, None]), -self._by_body)
 
     @cached_property
     def by_mount(self) -> FloatArray:
-        """Jacobian by the pose of the camera on the body, `(N, 8, 6)`."""
+        """Jacobian of the residuals by the pose of the camera on the body, `(N, 8, 6)`."""
         return self._rows(cross(self._by_seen, self._seen[:, :, None]), -self._by_seen)
 
     def _rows(self, turn: FloatArray, way: FloatArray) -> FloatArray:
@@ -144,7 +145,7 @@ def solved(matrices: FloatArray, right: FloatArray) -> FloatArray:
 
 
 def sums_by(owner: IntArray, count: int) -> Callable[[FloatArray], FloatArray]:
-    """Function that sums values `(N, ...)` of sightings by their owners `(N,)`, to `(count, ...)`."""
+    """Make a function that sums values `(N, ...)` of sightings over the sightings of each owner, to `(count, ...)`."""
     from scipy.sparse import csc_array
 
     matrix = csc_array((np.ones(len(owner)), owner, np.arange(len(owner) + 1)), shape=(count, len(owner)))

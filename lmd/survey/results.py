@@ -16,7 +16,8 @@ from lmd.survey.survey import Survey
 
 SIGHTINGS = "sightings"  # column of the number of inliers of a tag
 AXES = ("x", "y", "z", "rx", "ry", "rz")
-# A tag of the map needs another photograph below this number of inliers, or above this multiple of the median sigma.
+# A tag of the map needs another photograph if it has fewer inliers than `FEW`, or a sigma above `LOOSE` times the
+# median.
 FEW, LOOSE = 3, 3.0
 
 
@@ -32,7 +33,9 @@ def map_of(survey: Survey) -> Deployment:
 
 
 def measured_of(survey: Survey) -> Deployment | None:
-    """Tags of the plan, in its order, as measured, or as planned if not placed; None without a plan."""
+    """Tags of the plan, in its order, at their measured poses, or at their planned poses if not placed; None without a
+    plan.
+    """
     plan = survey.known.plan
     if plan is None:
         return None
@@ -64,9 +67,10 @@ def map_columns(survey: Survey) -> dict[str, ArrayLike]:
 
 
 def frame_columns(survey: Survey) -> dict[str, ArrayLike]:
-    """Columns of `frames.csv`: pose of the body, which is the first camera, in each frame, and its number of tags.
+    """Columns of `frames.csv`: pose of the body, which is the first camera, in each frame, and number of tags in the
+    frame.
 
-    Quaternions rotate the camera's frame (x right, y down, z the optical axis) to the world's.
+    Quaternions rotate the camera's frame (x right, y down, z the optical axis) to the world frame.
     """
     from scipy.spatial.transform import Rotation
 
@@ -82,8 +86,8 @@ def frame_columns(survey: Survey) -> dict[str, ArrayLike]:
 def tag_columns(survey: Survey) -> dict[str, ArrayLike]:
     """State of every tag, its numbers of sightings, errors, and displacement from its plan.
 
-    `error` is the median of its reprojection errors, pixels, `sigma` see `Estimate.sigmas`; `right`, `up` and `out` are
-    metres in the tag's frame, `tilt_x`, `tilt_y` and `turn` rad about its axes.
+    `error` is the median of the tag's reprojection errors, pixels; for `sigma` see `Estimate.sigmas`; `right`, `up` and
+    `out` are metres in the tag's frame, `tilt_x`, `tilt_y` and `turn` rad about its axes.
     """
     found, owner = survey.found, survey.found.sightings.tag
     error = np.sqrt(squared_errors(found.sightings, found.poses) / 4.0)
@@ -121,7 +125,9 @@ def _tag_state(survey: Survey, k: int) -> str:
 
 
 def needing_photographs(survey: Survey) -> IntArray:
-    """Indices of the tags that need another photograph: those not placed, and those with the largest sigma."""
+    """Indices of the tags that need another photograph: tags not placed, tags with few inliers, and tags with a large
+    sigma.
+    """
     sigma = survey.found.sigmas
     known = sigma[survey.placed]
     loose = sigma > LOOSE * np.median(known) if known.size else np.zeros(len(sigma), dtype=bool)
@@ -132,7 +138,7 @@ def needing_photographs(survey: Survey) -> IntArray:
 def metrics(survey: Survey) -> dict[str, float]:
     """Figures by name: metres, pixels, counts.
 
-    `differs` is the expected median distance of tags between two maps of walks like this one.
+    `differs` is the expected median distance between the places of a tag in two maps from walks like this one.
     """
     found = survey.found
     square = 2.0 * np.trace(found.gauge_free_covariances[survey.placed][:, 3:, 3:], axis1=1, axis2=2)

@@ -1,8 +1,8 @@
 """Schur complement: the normal equations of bundle adjustment, from which frames are eliminated.
 
-A sighting connects one frame with one tag, so the block H_ff of the frames is block diagonal. With the blocks H_kk of
-the kept unknowns (tags, mounts but the first, nuisance parameters) and H_kf, the step of the kept unknowns solves
-(H_kk - H_kf H_ff^-1 H_fk) d_k = g_k - H_kf H_ff^-1 g_f. The time is linear in the number of frames.
+A sighting connects one frame with one tag, so the block H_ff of the frames is block diagonal. The *kept* unknowns are
+tags, mounts except the first, and nuisance parameters. With their block H_kk, and H_kf, the step of the kept unknowns
+solves (H_kk - H_kf H_ff^-1 H_fk) d_k = g_k - H_kf H_ff^-1 g_f. The time is linear in the number of frames.
 
 Source: Triggs et al., "Bundle Adjustment - A Modern Synthesis".
 """
@@ -21,7 +21,7 @@ from lmd.survey.residuals import Poses, Reprojection, solved, student_weight, su
 from lmd.survey.sightings import Sightings
 
 FRAME_CHUNK = 128  # frames that are eliminated at once
-LEAST_DAMPING = 1e-9  # relative growth of diagonals in every solution
+LEAST_DAMPING = 1e-9  # least relative growth of diagonals in a solution
 
 # The kept unknown of each sighting, `(n,)`, and a matrix of each sighting, `(n, 8, 6)` or `(n, 6, 6)`.
 Part = tuple[IntArray, FloatArray]
@@ -37,11 +37,11 @@ class FrameChunk(NamedTuple):
     summed: Callable[[FloatArray], FloatArray]
     """Sums by frame, see `sums_by`."""
     owner: IntArray
-    """`(n,)` index of each sighting's frame among these."""
+    """`(n,)` index of each sighting's frame in `frames`."""
 
 
 class Eliminated(NamedTuple):
-    """Equations of the frames of a chunk."""
+    """Normal equations of the frames of a chunk."""
 
     chunk: FrameChunk
     """The frames."""
@@ -56,26 +56,27 @@ class Eliminated(NamedTuple):
 class SchurSystem:
     """Normal equations of some sightings, all of whose tags and frames have a pose.
 
-    Kept unknowns come in blocks of six: the twists of tags, those of mounts, the nuisance parameters of each camera,
-    and the shapes of tags.
+    Kept unknowns are in blocks of six: twists of tags, twists of mounts, nuisance parameters of each camera, and shapes
+    of tags.
 
     Args:
         sightings: the sightings.
         prior: prior of tags and mounts.
         nuisances: True if nuisance parameters of cameras and shapes of tags are unknowns, see `Sightings`.
-        inflation: factor of the standard deviations of sightings beside the priors; relative weights of sightings do
-            not depend on it.
+        inflation: factor on the standard deviations of sightings relative to the priors; the weights of sightings
+            relative to each other do not change.
     """
 
     def __init__(self, sightings: Sightings, prior: Prior, nuisances: bool = False, inflation: float = 1.0) -> None:
         self.sightings, self.prior, self.inflation = sightings, prior, inflation
-        self.mounts = sightings.cameras - 1 if prior.mounts is None else 0  # unknown ones
-        self.posed = len(sightings.ids) + self.mounts  # blocks of poses
-        self.lens_blocks = sightings.lens.shape[2] // 6 if nuisances else 0  # of each camera
+        self.mounts = sightings.cameras - 1 if prior.mounts is None else 0  # number of unknown mounts
+        self.posed = len(sightings.ids) + self.mounts  # number of blocks of poses
+        self.lens_blocks = sightings.lens.shape[2] // 6 if nuisances else 0  # number of blocks of each camera
         self.first_shape = self.posed + sightings.cameras * self.lens_blocks
         self.kept = self.first_shape + (len(sightings.ids) if nuisances and sightings.shape_sigma else 0)
         # Prior information of nuisance parameters in units of their standard deviations. Shapes also absorb errors that
-        # the sightings of a tag have in common, so the inflation must not weaken sightings beside them.
+        # are common to all sightings of a tag, so the inflation must not weaken sightings relative to the priors of
+        # shapes.
         lenses = np.arange(self.posed, self.kept) < self.first_shape
         self.nuisance_information = np.where(lenses, 1.0, inflation**-2.0)
         first = np.unique(sightings.frame, return_index=True)[1]
@@ -109,7 +110,7 @@ class SchurSystem:
         Args:
             part: equations of the frames.
             panel: H_fk, `(f, 6, r, 6)`, for the r kept blocks `rows`.
-            rows: indices of these, `(r,)`.
+            rows: indices of the kept blocks, `(r,)`.
             matrix, right: the Schur system, see `schur_system`.
         """
         lower = np.asarray(np.linalg.cholesky(part.block), dtype=np.float64)
@@ -121,7 +122,7 @@ class SchurSystem:
         right[rows] -= (wide @ solved(lower, part.gradient).ravel()).reshape(-1, 6)
 
     def eliminate_links(self, poses: Poses, is_robust: bool, matrix: FloatArray, right: FloatArray) -> None:
-        """Eliminate linked frames: none, see `lmd.survey.linked`."""
+        """Do nothing, as no frames are linked; see `lmd.survey.linked_adjustment`."""
 
     def schur_system(
         self, poses: Poses, floor: float, damping: float, weight: float | None = None
@@ -130,12 +131,12 @@ class SchurSystem:
 
         Args:
             poses: poses.
-            floor: see `floor`.
+            floor: floor of the standard deviation of corners, pixels.
             damping: relative growth of diagonals.
             weight: weight of every sighting and prior; None for robust weights.
 
         Returns:
-            the matrix `(6 kept, 6 kept)` and the right side `(kept, 6)` of the kept unknowns, and the eliminated parts.
+            matrix `(6 kept, 6 kept)` and right side `(kept, 6)` of the kept unknowns; the eliminated parts.
         """
         matrix = np.zeros((6 * self.kept, 6 * self.kept))
         cells = matrix.reshape(self.kept, 6, self.kept, 6).transpose(0, 2, 1, 3)
@@ -193,7 +194,7 @@ class SchurSystem:
         diagonal[self.posed :] += self.nuisance_information[:, None, None] * np.eye(6)
 
     def step(self, poses: Poses, floor: float, damping: float) -> Poses:
-        """Poses after one step; unknowns without information stay."""
+        """Poses after one step; unknowns without information do not change."""
         matrix, right, parts = self.schur_system(poses, floor, damping)
         informed = np.flatnonzero(np.diag(matrix) > 0.0)
         some = matrix[np.ix_(informed, informed)]
@@ -208,12 +209,12 @@ class SchurSystem:
         """Take one step of all unknowns, nuisance parameters included, in units of their prior standard deviations.
 
         Args:
-            poses, floor: the best ones with the present nuisance parameters.
+            poses, floor: best poses and floor for the present nuisance parameters.
             damping: relative growth of diagonals.
             off: distance of the nuisance parameters from their prior means, `(n, 6)`.
 
         Returns:
-            the poses, the step of the nuisance parameters and their variances, both `(n, 6)`.
+            poses; step of the nuisance parameters, and their variances, `(n, 6)` each.
         """
         matrix, right, parts = self.schur_system(poses, floor, damping)
         right[self.posed :] -= self.nuisance_information[:, None] * off
@@ -239,5 +240,5 @@ class SchurSystem:
         return Poses(poses.tags @ exp(kept[:count]), frames, mounts)
 
     def frame_steps(self, parts: Sequence[Eliminated], rests: Sequence[FloatArray]) -> list[FloatArray]:
-        """Twists of the frames of each chunk by their right sides `(f, 6)` less that of the kept unknowns."""
+        """Twists of the frames of each chunk, from right sides `(f, 6)` after the kept unknowns are substituted."""
         return [solved(part.block, rest) for part, rest in zip(parts, rests, strict=True)]

@@ -1,12 +1,12 @@
 """Sightings: detections of tags as measurements of bundle adjustment.
 
-A corner that is found at a pixel is seen in the direction b, a unit vector in the camera's frame. Near b the image
-moves by J (2, 3) pixels per unit of the plane that touches the unit sphere at b. A corner at p in the camera's frame
-has the residual e = J p / (b . p), pixels. This equals the reprojection error up to terms of second order in e, and
+Let b be the direction of a detected corner, a unit vector in the camera's frame. J `(2, 3)` is the Jacobian of the
+image, pixels, by a displacement in the plane that touches the unit sphere at b. A corner at p in the camera's frame has
+the residual e = J p / (b . p), pixels. The residual equals the reprojection error up to terms of second order in e, and
 needs the inverse of the lens model only once.
 
-Paper bends and printers stretch, so the corners of a printed tag do not lie on an exact flat square. Beside rigid
-motions and the size there are five modes of deformation, `SHAPES`.
+Paper bends and printers stretch, so the corners of a printed tag do not lie on an exact flat square. In addition to
+rigid motions and the size, a tag has five modes of deformation, `SHAPES`.
 """
 
 from collections.abc import Sequence
@@ -23,9 +23,9 @@ from lmd.geometry.projection import bearings, slope
 from lmd.geometry.se3 import pose_of
 from lmd.geometry.squares import CORNERS
 
-RESIDUALS = 8  # of a sighting: two for each corner
-# Rotations of tags whose corners are numbered from the first, second, third and fourth one, `(4, 4, 4)`: clockwise by
-# 0 to 3 quarter turns, as seen by the viewer.
+RESIDUALS = 8  # residuals of a sighting: two for each corner
+# Rotations of a tag for corners numbered from the first, second, third and fourth corner, `(4, 4, 4)`: clockwise by 0
+# to 3 quarter turns, as seen by the viewer.
 QUARTERS = pose_of(
     np.array([[[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]] for c, s in ((1, 0), (0, 1), (-1, 0), (0, -1))]),
     np.zeros((4, 3)),
@@ -33,7 +33,7 @@ QUARTERS = pose_of(
 SQUARE = np.hstack([CORNERS, np.zeros((4, 1))])  # corners of a tag with an edge of 2, in the tag's frame, `(4, 3)`
 MODES = 5  # modes of deformation
 SMALL_PITCH = 2.0  # pixels per module at which the shift of small tags counts in full
-LEAST_ANGLE = 0.2  # sine of the angle at a corner, below which the corner is not shifted further
+LEAST_ANGLE = 0.2  # lower bound on the sine of the angle at a corner, which limits the shift of the corner
 
 
 def _shapes() -> FloatArray:
@@ -43,8 +43,8 @@ def _shapes() -> FloatArray:
     return np.asarray(np.vstack([basis[:, 7:].T, np.zeros(12)]).reshape(6, 4, 3))
 
 
-# Orthonormal displacements of the corners: `MODES` modes of deformation and one that is zero, as unknowns come in
-# blocks of six, `(6, 4, 3)`.
+# Orthonormal displacements of the corners: `MODES` modes of deformation and a zero mode, as unknowns are in blocks of
+# six, `(6, 4, 3)`.
 SHAPES = _shapes()
 
 
@@ -57,9 +57,9 @@ class Sightings:
     edges: FloatArray
     """`(K,)` edges of their black squares, metres."""
     frames: int
-    """F. All images of one moment are one frame."""
+    """Number F of frames. All images of one moment are one frame."""
     cameras: int
-    """C."""
+    """Number C of cameras."""
     frame: IntArray
     """`(N,)` index of the frame."""
     camera: IntArray
@@ -75,7 +75,7 @@ class Sightings:
     sizes: FloatArray
     """`(N,)` length of the shortest side in the image, pixels."""
     pitch: FloatArray
-    """`(N,)` pixels per module along that side."""
+    """`(N,)` pixels per module along the shortest side."""
     noise: FloatArray
     """`(N,)` standard deviation of a coordinate of a corner according to the detector, pixels."""
     lens: FloatArray
@@ -97,8 +97,8 @@ class Sightings:
         rest = {name: getattr(self, name)[chosen] for name in names}
         return replace(self, **rest)
 
-    def apart(self) -> "Sightings":
-        """Sightings with every camera as a body of its own: C F frames, those of the first camera first."""
+    def with_separate_cameras(self) -> "Sightings":
+        """Sightings with every camera as a body of its own: C F frames, ordered by camera."""
         order = np.argsort(self.frame + self.camera * self.frames, kind="stable")
         some = self.of(order)
         frames = some.frame + some.camera * self.frames
@@ -111,11 +111,11 @@ class Sightings:
         return np.asarray(self.edges[self.tag, None, None] / 2.0 * SQUARE + off[self.tag])
 
     def variance(self, floor: float) -> FloatArray:
-        """Variance of a coordinate of a corner, pixels^2, `(N,)`; `floor` is a further standard deviation, pixels."""
+        """Variance of a coordinate of a corner, pixels^2, `(N,)`; `floor`, pixels, is added in quadrature."""
         return np.asarray(self.noise**2 + floor**2)
 
     def counts(self, chosen: BoolArray | None = None) -> IntArray:
-        """Number of sightings of each tag, `(K,)`, among those `chosen` `(N,)`; None for all."""
+        """Number of sightings of each tag, `(K,)`, among the `chosen` sightings, mask `(N,)`; None for all."""
         return np.bincount(self.tag if chosen is None else self.tag[chosen], minlength=len(self.ids))
 
 
@@ -148,7 +148,7 @@ def sightings_of(
 ) -> Sightings:
     """Convert detections of the tags `ids` to sightings.
 
-    Leaves out detections of other tags, and detections with a corner outside of the image or of the domain of the lens
+    Detections of other tags are left out, as are detections with a corner outside the image or the domain of the lens
     model.
 
     Args:

@@ -1,4 +1,4 @@
-"""Poses of a tag by a single sighting: a tag has two poses in front of a camera that look alike (IPPE).
+"""Poses of a tag from a single sighting: two poses of a tag in front of a camera look alike (IPPE).
 
 Source: Collins and Bartoli, "Infinitesimal Plane-Based Pose Estimation".
 """
@@ -13,21 +13,21 @@ from lmd.geometry.se3 import pose_of
 from lmd.survey.residuals import Reprojection
 from lmd.survey.sightings import Sightings
 
-ASSUMED_PIXELS = 0.3  # added in quadrature to the detector's standard deviation, for the odds of the two poses, pixels
+ASSUMED_PIXELS = 0.3  # pixels, added in quadrature to the detector's standard deviation for the odds of the two poses
 
 
 @dataclass(frozen=True)
 class SinglePoses:
-    """The two poses of the tag of each sighting in its camera."""
+    """Two poses of the tag of each sighting, in the frame of the camera."""
 
     poses: FloatArray
-    """`(N, 2, 4, 4)` poses, the better one first."""
+    """`(N, 2, 4, 4)` poses, the better pose first."""
     odds: FloatArray
-    """`(N,)` log-likelihood ratio of the two."""
+    """`(N,)` log-likelihood ratio of the better to the worse pose."""
 
 
 def single_poses(sightings: Sightings) -> SinglePoses:
-    """Poses of each tag by one sighting, by IPPE in a pinhole camera that is turned towards the tag.
+    """Poses of the tag of each sighting, by IPPE in a pinhole camera that is turned towards the tag.
 
     Raises:
         InputError: corners are not in order.
@@ -37,7 +37,7 @@ def single_poses(sightings: Sightings) -> SinglePoses:
     axis /= np.linalg.norm(axis, axis=1, keepdims=True)
     side = np.cross(np.where(np.abs(axis[:, 1:2]) < 0.9, [[0.0, 1.0, 0.0]], [[1.0, 0.0, 0.0]]), axis)
     side /= np.linalg.norm(side, axis=1, keepdims=True)
-    turned = np.stack([side, np.cross(axis, side), axis], axis=1)  # camera to the turned one
+    turned = np.stack([side, np.cross(axis, side), axis], axis=1)  # rotation from the camera to the turned camera
     rays = sightings.directions @ np.swapaxes(turned, 1, 2)
     flat = rays[..., :2] / rays[..., 2:]
     found = np.empty((len(sightings), 2, 4, 4))
@@ -64,10 +64,10 @@ def best_sequence(costs: FloatArray, between: FloatArray) -> IntArray:
 
     Args:
         costs: cost of each pose, `(n, 2)`.
-        between: cost of pose a after pose b of the sighting before, `(n, 2, 2)`.
+        between: cost of pose a after pose b of the previous sighting, `(n, 2, 2)`.
 
     Returns:
-        0 or 1, `(n,)`.
+        index of the chosen pose of each sighting, 0 or 1, `(n,)`.
     """
     chosen = np.zeros(costs.shape, dtype=np.int64)
     total = costs[0]

@@ -1,4 +1,4 @@
-"""A survey: from detections to a map of tags, all steps in order."""
+"""Survey: all steps from detections to a map of tags, in order."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -25,10 +25,10 @@ from lmd.survey.residuals import squared_errors
 from lmd.survey.sightings import Sightings, sightings_of
 from lmd.survey.turns import Turns, turns_of
 
-FEWEST_BELIEVED = 2  # minimum number of agreeing sightings of a tag without prior, as ids may be misread
-TURNING_STEPS = 3  # maximum number of initialisations; turns of some tags may show once others are known
-# A tag of linked frames is not placed above this standard deviation beside the others: metres, or share of the map's
-# extent.
+FEWEST_BELIEVED = 2  # minimum number of agreeing sightings to accept a tag without prior, as ids may be misread
+TURNING_STEPS = 3  # maximum number of initialisations; further turns may be found once other turns are known
+# With linked frames, a tag is not placed if its standard deviation relative to the others exceeds `LOOSE_M`, metres,
+# and the share `LOOSE_SHARE` of the map's extent.
 LOOSE_M, LOOSE_SHARE = 0.25, 0.01
 
 
@@ -46,7 +46,7 @@ class SurveyStage(Enum):
 
     @property
     def has_map(self) -> bool:
-        """True if there is a map by this stage."""
+        """True if a map exists at this stage."""
         return self not in (SurveyStage.PLACING, SurveyStage.ADJUSTING)
 
     @property
@@ -55,21 +55,21 @@ class SurveyStage(Enum):
         return self.has_map and self not in (SurveyStage.REFINING, SurveyStage.COMPARING)
 
 
-# Called with the stage, the number of its steps that are done, and the most there are, 0 if unknown. It returns True to
-# stop with the map at hand, and may raise if there is none.
+# Called with the stage, the number of its finished steps, and its maximum number of steps, 0 if unknown. The observer
+# returns True to stop with the present map, and may raise an error if there is no map yet.
 Observer = Callable[[SurveyStage, int, int], bool]
 
 
 @dataclass(frozen=True)
 class Photograph:
-    """A photograph that would improve the map."""
+    """Photograph that would improve the map."""
 
     pose: FloatArray
     """`(4, 4)` pose of the (first) camera."""
     tags: IntArray
-    """Indices of the tags that it shows."""
+    """Indices of the tags that the photograph shows."""
     left: float
-    """Root mean square standard deviation of the places of tags with it, metres."""
+    """Root mean square standard deviation of the places of tags after this photograph, metres."""
 
 
 @dataclass(frozen=True)
@@ -93,7 +93,7 @@ class Survey:
     off_fixed: FloatArray
     """`(K, 2)` errors of fixed tags, see `lmd.survey.faults.errors_of_fixed`."""
     loose: BoolArray
-    """`(K,)` True for tags that are not placed as their covariance is too large."""
+    """`(K,)` True for tags that are not placed because their covariance is too large."""
     joined: JoinedGroups | None
     """Groups that only motion joins; None if frames are not linked."""
     calibrated: tuple[Calibrated, ...]
@@ -133,16 +133,16 @@ def survey(
     Args:
         detected: detections.
         cameras: cameras in the order of `detected.cameras`.
-        tag: family of the tags, and the edge of those whose edge is not known otherwise.
+        tag: family of the tags, and edge of the tags for which `known` has no edge.
         errors: errors of the detector's corners.
         known: prior knowledge.
-        calibrate: True if the intrinsics are a rough guess, None if they are a calibration that is refined, False to
-            keep the calibration, whose uncertainty still counts.
+        calibrate: True if the intrinsics are a rough guess; None to refine a calibration; False to keep the
+            calibration, while its uncertainty still enters the covariance.
         observer: called at each stage, see `Observer`.
 
     Raises:
-        InputError: the detections do not connect two tags, place none, or are of other tags or cameras; or fixed tags
-            contradict each other.
+        InputError: the detections do not connect two tags, place no tag, or belong to other tags or cameras; or fixed
+            tags contradict each other.
     """
     often, counts = np.unique(detected.ids[detected.ids < tag.ids], return_counts=True)
     ids = np.union1d(known.ids, often[counts >= FEWEST_BELIEVED])
@@ -192,7 +192,7 @@ def survey(
 
 
 def _motion(detected: DetectedTags, sightings: Sightings, known: PriorKnowledge) -> Motion | None:
-    """Motion that links frames from the beginning; None if frames are independent, or until links are needed."""
+    """Motion that links frames from the beginning; None if frames are independent, or if links may be added later."""
     if known.odometry is not None:
         return Motion.by_odometry(seconds_of(detected.times), known.odometry)
     counts = np.bincount(sightings.frame)
@@ -210,7 +210,9 @@ def _steady(detected: DetectedTags, sightings: Sightings, known: PriorKnowledge)
 def _estimate(
     sightings: Sightings, prior: Prior, known: PriorKnowledge, start: Start, detected: DetectedTags
 ) -> Estimate:
-    """Estimate; groups that images leave apart are joined by a nearly constant velocity, if it joins any."""
+    """Estimate the map; groups that images leave unconnected are joined by a nearly constant velocity where
+    possible.
+    """
     found = estimate_map(sightings, prior, known.origin, start)
     motion = _steady(detected, sightings, known) if prior.motion is None and (found.group > 0).any() else None
     if motion is None:
@@ -220,7 +222,8 @@ def _estimate(
 
 
 def _placed(found: Estimate, known: PriorKnowledge) -> tuple[BoolArray, BoolArray]:
-    """Tags of the map, `(K,)`, and tags that only have too large a covariance for it, `(K,)`.
+    """Mask of the tags of the map, `(K,)`, and mask of the tags left out only because their covariance is too large,
+    `(K,)`.
 
     Raises:
         InputError: no tag is placed.

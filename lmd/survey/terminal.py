@@ -8,7 +8,7 @@ from lmd.core.words import few
 from lmd.survey.results import metrics, needing_photographs, tag_columns
 from lmd.survey.survey import Survey
 
-NOTICED = 0.01  # minimum floor of corners that is shown, pixels
+NOTICED = 0.01  # minimum floor of the corners' standard deviation that is printed, pixels
 TURNS = ("a quarter turn clockwise", "half a turn", "a quarter turn counter-clockwise")
 _few = partial(few, most=12)  # a function that lists at most 12 tags
 
@@ -116,7 +116,7 @@ def _turned(survey: Survey) -> str:
     """Tags that are turned beside their plan, and the treatment of their turns."""
     turns = survey.turns
     shown = np.bincount(survey.found.sightings.tag, minlength=len(survey.ids)) > 0
-    hung = np.where(turns.hung, turns.hung, turns.on_sheets)
+    hung = np.where(turns.beside_plan, turns.beside_plan, turns.beside_sheets)
     parts = [
         f"{words}: {_few(survey.ids[own])}; {made}"
         for made, by in (("their corners are renumbered", turns.renumbered), ("they hang so in the map", hung))

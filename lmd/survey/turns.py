@@ -1,8 +1,9 @@
-"""Turns: tags that are rotated by quarter turns beside their plan, or whose corners are numbered from another one.
+"""Turns: tags that hang rotated from their plan by quarter turns, or whose corners are numbered from another corner.
 
 OpenCV numbers the corners of an AprilTag from the bottom right. A tag then seems to hang upside down, and its pose is
-off by half a turn about its normal. Centres and normals do not depend on the order, so these align the map with the
-plan. A tag that then differs from its plan by quarter turns hangs turned, or its corners are in another order.
+off by half a turn about its normal. Centres and normals do not depend on the order of corners, so they align the map
+with the plan. If a tag still differs from its plan by quarter turns, it hangs turned, or its corners are in another
+order.
 """
 
 from dataclasses import dataclass, replace
@@ -29,10 +30,10 @@ class Turns:
 
     renumbered: IntArray
     """`(K,)` turns by which the corners of detections are renumbered."""
-    hung: IntArray
-    """`(K,)` turns of the tags beside their plan; 0 if unknown."""
-    on_sheets: IntArray
-    """`(K,)` turns of the tags beside their sheets; 0 if unknown."""
+    beside_plan: IntArray
+    """`(K,)` turns of the tags from their planned poses; 0 if unknown."""
+    beside_sheets: IntArray
+    """`(K,)` turns of the tags from their poses on sheets; 0 if unknown."""
 
     @classmethod
     def none(cls, count: int) -> "Turns":
@@ -40,19 +41,19 @@ class Turns:
         return cls(*np.zeros((3, count), dtype=np.int64))
 
     def __bool__(self) -> bool:
-        return any(turned.any() for turned in (self.renumbered, self.hung, self.on_sheets))
+        return any(turned.any() for turned in (self.renumbered, self.beside_plan, self.beside_sheets))
 
     def __add__(self, other: "Turns") -> "Turns":
-        """Turns of tags whose remaining turns, once these are applied, are `other`."""
-        names = ("renumbered", "hung", "on_sheets")
+        """Sum of these turns and the turns `other` that were found after applying these."""
+        names = ("renumbered", "beside_plan", "beside_sheets")
         return Turns(*((getattr(self, name) + getattr(other, name)) % 4 for name in names))
 
     def applied(self, prior: Prior) -> Prior:
         """Prior of tags that hang turned."""
         sheets = prior.sheets
         if sheets is not None:
-            sheets = replace(sheets, poses=sheets.poses @ QUARTERS[self.on_sheets[sheets.tag]])
-        return replace(prior, tags=prior.tags @ QUARTERS[self.hung], sheets=sheets)
+            sheets = replace(sheets, poses=sheets.poses @ QUARTERS[self.beside_sheets[sheets.tag]])
+        return replace(prior, tags=prior.tags @ QUARTERS[self.beside_plan], sheets=sheets)
 
 
 def turned_as_seen(sightings: Sightings, poses: Poses) -> Poses:
@@ -63,10 +64,10 @@ def turned_as_seen(sightings: Sightings, poses: Poses) -> Poses:
 
 
 def turns_of(poses: Poses, group: IntArray, prior: Prior, in_order: bool) -> Turns:
-    """Turns of tags beside the prior.
+    """Turns of tags from their prior poses.
 
     A turn that most tags share is attributed to the order of the corners, unless the order is known. Exactly known tags
-    hang as the prior has them.
+    are assumed to hang as in the prior.
 
     Args:
         poses: rough poses.
@@ -76,7 +77,7 @@ def turns_of(poses: Poses, group: IntArray, prior: Prior, in_order: bool) -> Tur
     """
     known = prior.is_posed & (group >= 0)
     seen = _quarters(poses.tags, prior.tags, np.where(known, group, -1))
-    if (lost := prior.exact & (seen < 0)).any():  # as the plan of the others is wrong
+    if (lost := prior.exact & (seen < 0)).any():  # the plan of the other tags is wrong
         seen = np.where(lost, _quarters(poses.tags, prior.tags, np.where(known & prior.exact, group, -1)), seen)
     on_sheets = np.full(len(group), -1)
     if (sheets := prior.sheets) is not None:
@@ -89,12 +90,12 @@ def turns_of(poses: Poses, group: IntArray, prior: Prior, in_order: bool) -> Tur
         renumbered[:] = np.argmax(counts)
     exact = prior.exact & (seen >= 0)
     renumbered[exact] = seen[exact]
-    hung, hung_on_sheets = (np.where(turned < 0, 0, (turned - renumbered) % 4) for turned in (seen, on_sheets))
-    return Turns(renumbered, hung, hung_on_sheets)
+    remaining = (np.where(turned < 0, 0, (turned - renumbered) % 4) for turned in (seen, on_sheets))
+    return Turns(renumbered, *remaining)
 
 
 def _quarters(tags: FloatArray, planned: FloatArray, group: IntArray) -> IntArray:
-    """Quarter turns of tags `(K, 4, 4)` beside planned ones, in groups `(K,)`; -1 if unknown."""
+    """Quarter turns of tags `(K, 4, 4)` from their planned poses, by group `(K,)`; -1 if unknown."""
     turned = np.full(len(group), -1)
     for g in np.unique(group[group >= 0]):
         own = np.flatnonzero(group == g)

@@ -7,6 +7,7 @@ from pathlib import Path
 import pandas as pd
 
 from lmd.core.checks import LARGEST, InputError, printable
+from lmd.core.tables import read_numbers
 from lmd.evaluation.comparison import OptimiserRun
 from lmd.optimisers.ledger import Record
 from lmd.plot.common import shrink
@@ -15,6 +16,7 @@ from lmd.scene.deployment import Deployment
 
 from ..nodes import note
 from ..operations.tracking import PARENT_TAG, MlflowReader
+from ..outputs import HISTORY_FILE, columns_of
 from .document import Picture
 
 INDICES = {
@@ -82,19 +84,18 @@ class Source:
         return jobs
 
     def optimiser_runs(self, jobs: pd.DataFrame) -> list[OptimiserRun]:
-        """Results and convergence of optimisations; a run without its files or curve is left out, with a note."""
+        """Results and histories of optimisations; a run without its files is left out, with a note."""
         found = []
         for run_id, job in jobs.iterrows():
-            curve = [Record(*point) for point in self.reader.curve(str(run_id), "best_fitness")]
             try:
-                if not curve:
-                    raise InputError("it has no curve best_fitness")
+                table = self.reader.artifact(str(run_id), HISTORY_FILE)
+                history = [Record(*row) for row in read_numbers(table, list(columns_of([])), name=HISTORY_FILE)]
                 deployment = Deployment.from_csv(self.reader.artifact(str(run_id), "landmarks.csv"))
             except InputError as error:
                 note(printable(f"run {run_id} is left out: {error}"))
                 continue
             metrics = {index: job[f"metrics.{index}"] for index in INDICES}
-            found.append(OptimiserRun(str(job[OPTIMISER]), int(float(job[SEED])), metrics, curve, deployment))
+            found.append(OptimiserRun(str(job[OPTIMISER]), int(float(job[SEED])), metrics, history, deployment))
         return found
 
     def picture(self, name: str, caption: str, draw: Callable[[Path], None]) -> Picture:

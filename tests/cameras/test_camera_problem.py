@@ -105,6 +105,18 @@ def test_every_black_box_and_our_own_method_place_cameras(name):
     assert best == sorted(best)
 
 
+def test_annealing_records_an_improvement_at_the_move_that_made_it(monkeypatch):
+    optimiser, p = make("camera_annealing"), problem(count=3)
+    scored, score = [], optimiser._scored
+    monkeypatch.setattr(optimiser, "_scored", lambda *given: (scored.append(score(*given)), scored[-1])[1])
+    history = optimiser.run(p, Budget(20)).history
+    best = np.maximum.accumulate([fitness for fitness, _ in [scored[0], *scored[2:]]])  # the second is the start again
+    moves = np.flatnonzero(np.diff(best, prepend=-np.inf) > 0.0)
+    first = {record.best_fitness: record.evaluations for record in reversed(history)}
+    assert list(first.values())[::-1] == pytest.approx(1 + moves / 3)
+    assert any(evaluations % 1.0 for evaluations in first.values())
+
+
 def test_annealing_beats_random_search_at_the_same_cost():
     ours, random = (make(name).run(problem(MeanCoverage(2, 0.5), 3), Budget(60)) for name in
                     ("camera_annealing", "random_search"))  # fmt: skip

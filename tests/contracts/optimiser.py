@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from lmd.optimisers.base import AskTell
 from lmd.optimisers.checkpoint import Checkpoint
 from lmd.optimisers.ledger import Budget
 from lmd.problem import Problem
@@ -11,7 +12,20 @@ from lmd.scene.deployment_sources import RandomDeployment, UniformDeployment
 from lmd.scene.labels import Labels
 
 
-class NanProblem(Problem):
+class Scores(Problem):
+    """Keeps the fitness of every evaluation, in their order."""
+
+    def __init__(self, *args, **keywords):
+        self.scored = []
+        super().__init__(*args, **keywords)
+
+    def fitness(self, positions, normals):
+        fitness = super().fitness(positions, normals)
+        self.scored += fitness.tolist()
+        return fitness
+
+
+class NanProblem(Scores):
     """Every third evaluation fails."""
 
     done = 0
@@ -34,6 +48,7 @@ def check_optimiser(make, problem, folder, evaluations=130):
     """
     whole = make().run(problem(), Budget(evaluations))
     check_books(whole, problem(), evaluations)
+    check_counts(make, problem)
     small = check_small_budgets(make, problem)
     check_improvement(make, problem, evaluations)
     check_seeds(make, problem, whole, small)
@@ -50,6 +65,20 @@ def check_books(result, problem, evaluations):
     assert best[-1] == result.fitness == problem.metrics(result.deployment)["fitness"]
     assert list(spent) == sorted(set(spent))
     assert spent[-1] == result.evaluations
+
+
+def check_counts(make, problem):
+    """A black box records each improvement at the evaluation that made it."""
+    optimiser, p = make(), problem()
+    if not isinstance(optimiser, AskTell):
+        return
+    scored = Scores(p.scene, p.objective, p.start, threads=1)
+    history = optimiser.run(scored, Budget(70)).history
+    best = np.maximum.accumulate(scored.scored)
+    assert len(best) == 70
+    rises = np.flatnonzero(np.diff(best, prepend=-np.inf) > 0.0)
+    improved = {record.best_fitness: record.evaluations for record in reversed(history)}  # the first of each
+    assert improved == dict(zip(best[rises].tolist(), (rises + 1).tolist(), strict=True))
 
 
 def check_small_budgets(make, problem):

@@ -7,7 +7,7 @@ import pytest
 from lmd.detection.detectors import ArucoDetector
 from lmd.detection.frames import overlapping, qualities, tagged_room
 from lmd.estimation.sensors import observation
-from lmd.evaluation.maps import Hung
+from lmd.evaluation.maps import MountedTags
 from lmd.formats.tag_maps import read_deployment
 from lmd.geometry.camera import Camera
 from lmd.geometry.se3 import camera_pose
@@ -29,7 +29,7 @@ def renderer(tmp_path):
     path = tmp_path / "map.txt"
     path.write_text(MAP)
     # The edge of the tag holds for none: the map says all.
-    hung = read_deployment(path, family="4x4_50").hung(ROOM)
+    hung = read_deployment(path, family="4x4_50").with_surfaces(ROOM)
     return Renderer(CAMERA, tagged_room(ROOM, hung, Tag(0.5, "4x4_50")), Imaging(texture=4.0))
 
 
@@ -74,5 +74,5 @@ def test_each_size_is_as_far_as_it_is(renderer):
 
 def test_an_estimate_takes_the_corners_of_each_size(renderer, tmp_path):
     hung = read_deployment(tmp_path / "map.txt", family="4x4_50")
-    points = Hung.of(hung).points(Tag(0.5, "4x4_50"))
+    points = MountedTags.of(hung).points(Tag(0.5, "4x4_50"))
     np.testing.assert_allclose(points, renderer.room.corners, atol=1e-12)

@@ -76,7 +76,7 @@ def test_candidates_are_the_centres_of_cells_on_every_wall():
     room = paper_room()
     poses = candidate_poses(room, 0.25)
     assert len(poses) == 2 * (30 * 20 + 30 * 24 + 20 * 24)
-    assert (poses.hung(room).surfaces >= 0).all()
+    assert (poses.with_surfaces(room).surfaces >= 0).all()
     for wall in room.surfaces():
         mine = (poses.normals == wall.normal).all(axis=1)
         a, b = wall.coordinates(poses.positions[mine])

@@ -8,7 +8,7 @@ from paper import X, paper_camera, paper_room, paper_scene
 from scipy.spatial.transform import Rotation
 
 from lmd.detection.frames import draw_poses
-from lmd.evaluation.maps import Hung, error_quantiles, errors_text, map_errors
+from lmd.evaluation.maps import MountedTags, error_quantiles, errors_text, map_errors
 from lmd.geometry.se3 import camera_pose
 from lmd.objectives.localisation import Localisation
 from lmd.problem import Problem
@@ -29,7 +29,7 @@ def problem_of(tag=TAG, noise=EXACT, n=1, start=None):
 def before_a_tag():
     """A tag on the wall x = 0, and the pose of a camera that looks straight at it from `AWAY`."""
     tag = Deployment(np.array([[0.0, 2.5, 3.0]]), np.array([X]))
-    return Hung.of(tag), camera_pose(np.array([[AWAY, 2.5, 3.0]]), np.array([-np.pi / 2.0]), np.array([0.0]))
+    return MountedTags.of(tag), camera_pose(np.array([[AWAY, 2.5, 3.0]]), np.array([-np.pi / 2.0]), np.array([0.0]))
 
 
 def errors_of(problem, truth, known, poses):
@@ -41,7 +41,9 @@ def moved(hung, turn=(0.0, 0.0, 0.0), about=(0.0, 0.0, 0.0), shift=(0.0, 0.0, 0.
     """All tags after one rigid motion: a rotation vector about a point, then a shift."""
     back = Rotation.from_rotvec(turn).as_matrix().T
     positions = (hung.deployment.positions - about) @ back + about + shift
-    return Hung(replace(hung.deployment, positions=positions, normals=hung.deployment.normals @ back), hung.ups @ back)
+    return MountedTags(
+        replace(hung.deployment, positions=positions, normals=hung.deployment.normals @ back), hung.ups @ back
+    )
 
 
 def test_a_single_tag_that_is_shifted_shifts_the_camera_as_far():
@@ -71,7 +73,7 @@ def test_a_single_tag_that_is_turned_rolls_the_camera_in_place():
 
 def test_a_map_that_is_off_as_a_whole_moves_every_pose_with_it():
     problem = problem_of(n=2, start=UniformDeployment(90))
-    truth, poses = Hung.of(problem.draw(np.random.default_rng(0))), draw_poses(problem.scene, 100, 0)
+    truth, poses = MountedTags.of(problem.draw(np.random.default_rng(0))), draw_poses(problem.scene, 100, 0)
     turn, shift = np.array([0.01, -0.02, 0.015]), np.array([0.02, 0.01, -0.03])
     views = map_errors(problem, truth, {"planned": moved(truth, turn, shift=shift)}, poses, np.random.default_rng(0))
     seeing = map_errors(problem, truth, {"planned": truth}, poses, np.random.default_rng(0))
@@ -86,9 +88,9 @@ def test_a_map_that_is_off_as_a_whole_moves_every_pose_with_it():
 
 def test_two_tags_shifted_apart_are_off_as_the_linearised_estimate_says():
     tags = Deployment(np.array([[0.0, 2.1, 3.0], [0.0, 2.9, 3.1]]), np.array([X, X]))
-    truth, (_, poses) = Hung.of(tags), before_a_tag()
+    truth, (_, poses) = MountedTags.of(tags), before_a_tag()
     shifts = np.array([[0.0, -1e-4, 2e-4], [0.0, 2e-4, 1e-4]])
-    known = Hung(replace(tags, positions=tags.positions + shifts), truth.ups)
+    known = MountedTags(replace(tags, positions=tags.positions + shifts), truth.ups)
     position, _ = errors_of(problem_of(n=2), truth, known, poses)
 
     def image(points, step):  # of the true corners from a pose moved by a world twist
@@ -106,7 +108,7 @@ def test_two_tags_shifted_apart_are_off_as_the_linearised_estimate_says():
 
 def test_points_need_four_for_a_pose():
     problem = problem_of(Tag(), n=2)
-    truth, poses = Hung.of(problem.draw(np.random.default_rng(0))), draw_poses(problem.scene, 60, 0)
+    truth, poses = MountedTags.of(problem.draw(np.random.default_rng(0))), draw_poses(problem.scene, 60, 0)
     views = map_errors(problem, truth, {"planned": truth}, poses, np.random.default_rng(0))
     assert (views.position_planned.isna() == (views.tags < 4)).all()
     assert set(views.tags < 4) == {True, False}

@@ -40,7 +40,7 @@ def off_by(position=0.0, turn=0.0, tilt=0.0, draws=3):
 def test_tags_are_off_by_what_was_said():
     problem = problem_of()
     plan, rng = plan_of(problem), np.random.default_rng(0)
-    hung = [off_by(0.005, 0.02, 0.01).hung(problem, plan, rng) for _ in range(100)]
+    hung = [off_by(0.005, 0.02, 0.01).draw(problem, plan, rng) for _ in range(100)]
     right, up = np.cross(plan.ups, plan.normals), plan.ups
     way = np.stack([each.deployment.positions for each in hung]) - plan.positions
     normals = np.stack([each.deployment.normals for each in hung])
@@ -60,9 +60,9 @@ def test_papers_stay_on_their_walls_and_apart():
         np.array([[0.0, edge / 2.0, 3.0], [0.0, 1.5 * edge, 3.0], [0.0, 2.5 * edge, 3.0]]), np.array([X, X, X])
     )
     problem = problem_of(count=3)
-    plan = side_by_side.hung(problem.scene.footprints.hanging)
+    plan = side_by_side.with_surfaces(problem.scene.footprints.hanging)
     for seed in range(20):
-        hung = off_by(0.02).hung(problem, plan, np.random.default_rng(seed)).deployment
+        hung = off_by(0.02).draw(problem, plan, np.random.default_rng(seed)).deployment
         problem.scene.footprints.check(hung)
         assert not np.allclose(hung.positions, plan.positions)
 
@@ -71,7 +71,7 @@ def test_what_hangs_already_stays():
     fixed = Deployment(np.array([[0.0, 2.0, 3.0], [0.0, 3.0, 3.0]]), np.array([X, X]))
     problem = problem_of(fixed=fixed, count=5)
     plan = plan_of(problem)
-    hung = off_by(0.01, 0.1, 0.1).hung(problem, plan, np.random.default_rng(0))
+    hung = off_by(0.01, 0.1, 0.1).draw(problem, plan, np.random.default_rng(0))
     np.testing.assert_array_equal(hung.deployment.positions[:2], plan.positions[:2])
     np.testing.assert_allclose(hung.deployment.normals[:2], plan.normals[:2], atol=1e-15)
     assert (hung.deployment.positions[2:] != plan.positions[2:]).any(axis=1).all()
@@ -87,7 +87,7 @@ def test_a_fixed_tag_off_every_surface_makes_no_other_one_stay():
     positions[2], surfaces[2] = (0.0, 3.05, 3.0), plan.surfaces[1]  # over the tag that is fixed
     over = replace(plan, positions=positions, normals=np.array([*plan.normals[:2], X, *plan.normals[3:]]),
                    surfaces=surfaces)  # fmt: skip
-    hung = off_by(0.001).hung(problem, over, np.random.default_rng(0)).deployment
+    hung = off_by(0.001).draw(problem, over, np.random.default_rng(0)).deployment
     np.testing.assert_array_equal(hung.positions[:2], plan.positions[:2])
     problem.scene.footprints.check(hung)
 

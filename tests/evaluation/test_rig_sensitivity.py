@@ -7,7 +7,7 @@ import pytest
 from paper import paper_room, paper_scene
 
 from lmd.detection.frames import draw_poses
-from lmd.evaluation.maps import Hung, map_errors
+from lmd.evaluation.maps import MountedTags, map_errors
 from lmd.evaluation.rig_sensitivity import RigMoments
 from lmd.evaluation.sensitivity import MISS_PROBABILITIES, sensitivity
 from lmd.evaluation.validation import Sample
@@ -84,8 +84,8 @@ def test_the_study_of_a_rig_has_a_table_of_cameras():
 
 def test_a_map_that_is_off_as_a_whole_moves_the_body_by_as_much():
     problem = Problem(SCENE, replace(OBJECTIVE, pixel_noise=1e-9), UniformDeployment(20), threads=2)
-    shifted = Hung.of(replace(DEPLOYMENT, positions=DEPLOYMENT.positions + np.array([0.003, 0.0, 0.004])))
+    shifted = MountedTags.of(replace(DEPLOYMENT, positions=DEPLOYMENT.positions + np.array([0.003, 0.0, 0.004])))
     poses = draw_poses(SCENE, 60, 0)
-    views = map_errors(problem, Hung.of(DEPLOYMENT), {"planned": shifted}, poses, np.random.default_rng(0))
+    views = map_errors(problem, MountedTags.of(DEPLOYMENT), {"planned": shifted}, poses, np.random.default_rng(0))
     assert len(views) > 20
     assert np.median(views.position_planned) == pytest.approx(0.005, rel=1e-4)

@@ -43,7 +43,7 @@ def problem_of(deployment=None, objective=None, tag=TAG, threads=1, **visibility
     scene = replace(
         paper_scene(room=paper_room(spacing=1.5), orientations=pdf.grid_with_ends(6), **visibility), tag=tag
     )
-    start = UniformDeployment(30) if deployment is None else GivenDeployment(deployment.hung(scene.room))
+    start = UniformDeployment(30) if deployment is None else GivenDeployment(deployment.with_surfaces(scene.room))
     return Problem(scene, objective or Localisation(), start, threads)
 
 

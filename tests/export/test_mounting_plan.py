@@ -45,7 +45,7 @@ FACES = {"low": [4, 0.5, 0.5], "high": [5, 1.5, 1.5], "faces": ["x_min", "x_max"
 def one_tag(name):
     (surface,) = [surface for surface in ROOM.surfaces() if surface.name == name]
     position = np.array([SEEN[name][0]])
-    return Deployment(position, surface.normal[None], labels=Labels(np.array([23]))).hung(ROOM)
+    return Deployment(position, surface.normal[None], labels=Labels(np.array([23]))).with_surfaces(ROOM)
 
 
 def written(path, deployment, paper="a4", tag=TAG):
@@ -117,7 +117,7 @@ def test_keep_outs_are_measured_as_the_plan_shows_them():
 def test_where_nothing_may_hang_is_grey(tmp_path):
     room = floor_plans.lab()
     (wall,) = [surface for surface in room.surfaces() if surface.name == "wall_0"]
-    tag = Deployment(wall.point(3.0, 1.5)[None], wall.normal[None]).hung(room)
+    tag = Deployment(wall.point(3.0, 1.5)[None], wall.normal[None]).with_surfaces(room)
     write_plan(tmp_path / "plan.pdf", TagMap(room, TAG, tag), "a4")
     _, page = pypdfium2.PdfDocument(tmp_path / "plan.pdf")
     assert "nothing hangs where it is grey" in words(page)
@@ -138,7 +138,7 @@ def test_where_nothing_may_hang_is_grey(tmp_path):
 def test_no_tag_hides_the_number_of_its_neighbour(tmp_path):
     (wall,) = [surface for surface in ROOM.surfaces() if surface.name == "x_min"]
     at, ids = wall.point(np.array([1.0, 1.13]), np.array([1.0, 1.0])), np.array([77, 88])
-    tags = Deployment(at, np.repeat(wall.normal[None], 2, axis=0), labels=Labels(ids)).hung(ROOM)
+    tags = Deployment(at, np.repeat(wall.normal[None], 2, axis=0), labels=Labels(ids)).with_surfaces(ROOM)
     (page,) = written(tmp_path / "plan.pdf", tags, tag=Tag(0.1))
     text = page.get_textpage()
 
@@ -171,7 +171,7 @@ def test_every_tag_is_in_one_table_even_where_they_go_on_another_page(tmp_path):
 
 def test_tags_near_a_surface_belong_to_it_and_others_are_listed_apart(tmp_path):
     positions, normals = np.array([[0.03, 1.0, 1.2], [3.0, 2.0, 1.0]]), np.array([[1.0, 0.0, 0.0]] * 2)
-    near, free = written(tmp_path / "plan.pdf", Deployment(positions, normals).hung(ROOM))
+    near, free = written(tmp_path / "plan.pdf", Deployment(positions, normals).with_surfaces(ROOM))
     assert words(near).startswith("x_min, seen from the front")
     assert "0 1000 1200 875 1075" in words(near)
     assert words(free).startswith("free in the room on no surface, tags: 1;")
@@ -199,7 +199,7 @@ def test_tags_are_hung_from_the_left_around_the_room():
     assert names == ["wall_0", "wall_5", "wall_4", "wall_3", "wall_2", "wall_1"]  # clockwise, seen from above
     assert sorted(tags.order.tolist()) == list(range(len(tags.ids)))
     ends = []
-    for index, places in tags.hung.items():
+    for index, places in tags.tags_by_surface.items():
         own, view = tags.order[places], View(tags.room.surfaces()[index])
         left = view.place(tags.deployment.positions[own])
         assert (np.diff(left[:, 0]) > -1e-9).all()
@@ -217,7 +217,7 @@ def test_the_first_page_names_walls_and_fixtures_and_says_where_each_is_hung(tmp
     for name in ("door", "big window", "rack", "keep_out 2", "furniture", "other"):
         assert name in first
     assert " N " not in first
-    for index, places in tags.hung.items():
+    for index, places in tags.tags_by_surface.items():
         name, numbers = tags.names[index], f"{places[0] + 1} to {places[-1] + 1}"
         assert f"{name}: {numbers}" in first  # at the wall
         (page,) = [number for number, text in enumerate(others, 2) if text.startswith(f"{name}, seen from the front")]
@@ -254,7 +254,7 @@ def test_heights_are_from_the_floor_even_where_it_is_not_the_lowest_point(tmp_pa
     room = read_mesh_room(str(tmp_path / "pit.glb"), {"height": [0.5, 1.5], "clearance": 0.25}, 0.5, up="z")
     assert room.bounds()[0][2] == -1.0
     side = next(surface for surface in room.surfaces() if surface.name.startswith("box_0") and surface.normal[0] < -0.9)
-    tag = Deployment(side.point(0.5, 0.25)[None], side.normal[None]).hung(room)
+    tag = Deployment(side.point(0.5, 0.25)[None], side.normal[None]).with_surfaces(room)
     write_plan(tmp_path / "plan.pdf", TagMap(room, TAG, tag), "a4")
     _, page = pypdfium2.PdfDocument(tmp_path / "plan.pdf")
     assert "1 0 500 1250 375 1125" in words(page)  # 250 mm above the lower edge of the box, which hangs at 1 m
@@ -280,7 +280,7 @@ def test_names_in_other_letters_are_written_and_long_ones_shortened(tmp_path):
     door, rack = {**floor_plans.DOOR, "name": "dve\u0159e"}, {**floor_plans.RACK, "name": 50 * "rack "}
     room = floor_plans.lab(keep_out=[door], obstacles=[rack])
     (wall,) = [surface for surface in room.surfaces() if surface.name == "wall_0"]
-    tag = Deployment(wall.point(3.0, 1.5)[None], wall.normal[None]).hung(room)
+    tag = Deployment(wall.point(3.0, 1.5)[None], wall.normal[None]).with_surfaces(room)
     for name in ("one", "two"):
         write_plan(tmp_path / name, TagMap(room, TAG, tag), "a4")
     assert (tmp_path / "one").read_bytes() == (tmp_path / "two").read_bytes()
@@ -313,7 +313,7 @@ def test_each_tag_has_a_box_to_tick_and_two_to_write_in(tmp_path):
     inner = [shape for shape, (*_, outer) in zip(contours, hierarchy[0], strict=True) if outer >= 0]
     sizes = [np.divide(cv2.boundingRect(shape)[2:], PIXELS) for shape in inner]
     boxes = [tuple(size.round().astype(int).tolist()) for size in sizes if size[1] > 2.5]
-    count = len(next(iter(tags.hung.values())))
+    count = len(next(iter(tags.tags_by_surface.values())))
     assert sorted(boxes) == count * [(3, 3)] + 2 * count * [(14, 3)]
 
 

@@ -45,7 +45,7 @@ DEPLOYMENT = Deployment(
     np.array([position for position, _ in PLACES.values()]),
     np.array([normal for _, normal in PLACES.values()], dtype=float),
     labels=Labels(np.array(list(PLACES)), {"note": [f"note {number}" for number in PLACES]}),
-).hung(ROOM)
+).with_surfaces(ROOM)
 MAPS = tuple(name for name, form in all_formats().items() if not form.on_paper and name != "duckietown")
 UNIT = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) / 2.0  # AprilTag's own order: from the bottom left, to the right
 

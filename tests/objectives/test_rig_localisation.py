@@ -17,7 +17,7 @@ from lmd.evaluation.accuracy import predicted_errors
 from lmd.objectives.localisation import Localisation, reference
 from lmd.objectives.localisation.evaluation import localised_views
 from lmd.objectives.localisation.information import deviation_per_variance
-from lmd.objectives.localisation.rig import Images, body_sums
+from lmd.objectives.localisation.rig import RigImages, body_sums
 from lmd.problem import Problem
 from lmd.scene import pdf
 from lmd.scene.deployment_sources import RandomDeployment, UniformDeployment
@@ -95,7 +95,7 @@ def test_two_cameras_by_hand():
     axes = np.array([[0.0, 1.0, 0.0, 1.0, 0.0, 0.0]])  # forward along y
     seen = np.array([[[True, False]], [[False, True]]])
     asked, one = LOCALISATION.precision(scene), np.zeros(1, dtype=np.int64)
-    moments = Images(one, one, one + 1, np.full((1, 3), 2.0), axes, seen)
+    moments = RigImages(one, one, one + 1, np.full((1, 3), 2.0), axes, seen)
     told = body_sums(evaluator, deployment, moments, asked)[0]
     np.testing.assert_allclose(told[:6], [2.0 / r**2, 0.0, 0.0, 0.0, 0.0, 2.0 / r**2], atol=1e-9)
     np.testing.assert_allclose(told[6:15], 0.0, atol=1e-9)

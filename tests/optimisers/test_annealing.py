@@ -66,7 +66,7 @@ def test_stacks_are_pulled_apart_by_the_spread(n, size):
     optimiser, p = make("annealing"), covered(n)
     optimiser.run(p, Budget(300), lambda o: o.ledger.evaluations > 50)
     assert optimiser.in_stacks
-    apart = optimiser._apart(p, n, size)
+    apart = optimiser._separated(p, n, size)
     if n == 1:
         np.testing.assert_array_equal(apart.positions, optimiser.here.positions)
         return

@@ -232,4 +232,4 @@ def test_a_bad_tag_is_refused(settings, message):
 
 def test_counts_of_another_number_of_tags_are_refused():
     with pytest.raises(InputError, match=r"^counts = \[10, 6, 2\] are not 5 tags\.$"):
-        TAG.in_turn(5)
+        TAG.edges_in_order(5)

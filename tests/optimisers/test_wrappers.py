@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from composing import composed
 from contracts.optimiser import check_going_on
-from libraries import OneByOne, pymoo, run
+from libraries import OneByOne, l_shade, pymoo, run
 from omegaconf import OmegaConf
 from processes import environment
 from scipy.optimize import differential_evolution, direct, dual_annealing, minimize, shgo
@@ -18,6 +18,7 @@ from small import problem
 
 from lmd.core.checks import InputError
 from lmd.optimisers.ledger import Budget
+from lmd.optimisers.lm_ma_es import LMMAES
 from lmd.optimisers.nevergrad import Nevergrad
 from lmd.optimisers.pycma import PyCma
 from lmd.optimisers.random_search import RandomSearch
@@ -78,6 +79,8 @@ def strategy(x0, step):
         (lambda: Scipy(partial(dual_annealing, no_local_search=True)), 250, -2.0),
         (lambda: Scipy(partial(differential_evolution, popsize=1)), 250, -2.0),
         (lambda: Scipy(direct), 250, -2.0),
+        (lambda: l_shade(250, population_size=20), 250, -2.0),
+        (LMMAES, 40, -1.0),
     ],
 )
 def test_every_library_gets_better(make, batches, least):
@@ -95,6 +98,32 @@ def test_every_library_gets_better(make, batches, least):
 )
 def test_populations_begin_with_the_start(make):
     np.testing.assert_allclose(run(make(), 1)[0][0], np.full(12, 0.6), rtol=1e-7 if make.func is Nevergrad else 0.0)
+
+
+def test_a_niapy_algorithm_begins_with_the_start_and_once_more_with_the_best_after_its_evaluations():
+    optimiser = l_shade(30, population_size=10)
+    asked = np.concatenate(run(optimiser, 70))
+    np.testing.assert_array_equal(asked[0], np.full(12, 0.6))
+    for end in (30, 60):
+        losses = np.abs(asked[:end] - 0.3).sum(axis=1)
+        np.testing.assert_array_equal(asked[end], asked[np.argmin(losses)])
+    assert len(np.unique(asked, axis=0)) == 68
+
+
+def test_the_population_of_l_shade_shrinks_over_its_evaluations(monkeypatch):
+    from niapy.algorithms.modified import LpsrSuccessHistoryAdaptiveDifferentialEvolution as LShade
+
+    sizes, select = [], LShade.post_selection
+
+    def noted(self, *arguments):
+        kept = select(self, *arguments)
+        sizes.append(len(kept[0]))
+        return kept
+
+    monkeypatch.setattr(LShade, "post_selection", noted)
+    run(l_shade(200, population_size=20), 201, dim=4)
+    assert sizes == sorted(sizes, reverse=True)
+    assert (sizes[0], sizes[-1]) == (17, 4)
 
 
 def test_lists_of_a_configuration_are_tuples_where_a_function_has_them():

@@ -20,7 +20,7 @@ from lmd.optimisers.annealing.stage import SINGLE_STAGE
 from lmd.optimisers.ega import EGA
 from lmd.optimisers.encoding import make_encoding
 from pipelines.app import CONF, flat_settings
-from pipelines.building import build_optimiser, build_problem, camera_of
+from pipelines.building import budget_of, build_optimiser, build_problem, camera_of
 from pipelines.deployments import any_deployment
 from pipelines.hyperparameters import GROUPS as COMPLETED
 from pipelines.hyperparameters import FileConfigSource
@@ -318,3 +318,15 @@ def test_a_file_is_read_anew_where_it_changed(tmp_path):
             loaded = files.load_config("one").config
             assert loaded.x == value
             loaded.x = 5  # as Hydra may
+
+
+def test_the_problem_of_debug_tells_whether_an_optimiser_works():
+    """Random search finds something but far from all, and a method that works finds more."""
+    found = {}
+    for name in ("random_search", "ega", "annealing"):
+        cfg = composed("optimise", "experiment=debug", f"optimiser={name}", "threads=1")
+        problem, budget = build_problem(cfg), budget_of(cfg)
+        found[name] = [build_optimiser(cfg, seed).run(problem, budget).fitness for seed in range(3)]
+    assert min(found["random_search"]) > 0.1
+    assert max(found["random_search"]) < 0.6
+    assert max(found["random_search"]) <= min(found["ega"]) < max(found["ega"]) < 0.6 < min(found["annealing"])

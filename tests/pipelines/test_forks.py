@@ -5,9 +5,9 @@ import subprocess
 import sys
 
 import pytest
+from processes import LIMIT, ensure_warm, environment, start
 
 from pipelines.operations.sweeps import forks
-from tests.processes import LIMIT, ensure_warm, environment, start
 
 pytestmark = pytest.mark.slow
 

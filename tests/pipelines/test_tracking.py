@@ -211,8 +211,6 @@ def test_what_was_recorded_can_be_read(recorded):
     assert list(runs["status"]) == ["FINISHED", "RUNNING"]
     assert runs.loc[ids[0], "metrics.qualified_ratio"] == 0.5
     assert runs["metrics.qualified_ratio"].isna()[ids[1]]
-    assert reader.curve(ids[0], "best_fitness") == [(30, 0.25, 1.5), (60, 0.5, 3.0)]
-    assert reader.curve(ids[1], "best_fitness") == []
     assert reader.artifact(ids[0], "landmarks.csv").read_text() == "id\n"
 
 

@@ -271,7 +271,7 @@ def test_tags_in_view_are_those_of_the_reference():
         counts = scene.visibility.covered(
             scene.camera, position, np.pad(axis, (0, 3))[None], planned.deployment.positions, planned.deployment.normals
         )
-        assert (planned.seen(position, yaw, pitch) == counts[0]).all()
+        assert (planned.visible_tags(position, yaw, pitch) == counts[0]).all()
 
 
 @pytest.mark.parametrize("of", [lambda: problem(tag=TAG), on_a_floor_plan])

@@ -57,7 +57,7 @@ def test_uniform_landmarks_are_as_many_as_asked_flush_inside_and_apart(room, cou
     deployment = uniform(count, room, layout=layout)
     assert len(deployment) == count
     assert is_flush(deployment, room)
-    assert (deployment.hung(room).surfaces >= 0).all()
+    assert (deployment.with_surfaces(room).surfaces >= 0).all()
     assert len(np.unique(np.hstack([deployment.positions, deployment.normals]), axis=0)) == count
 
 
@@ -129,7 +129,7 @@ def test_random_landmarks_are_flush_inside_and_set_by_the_seed(room, count, seed
     deployment = random(count, room, seed)
     assert len(deployment) == count
     assert is_flush(deployment, room)
-    assert (deployment.hung(room).surfaces >= 0).all()
+    assert (deployment.with_surfaces(room).surfaces >= 0).all()
     assert_array_equal(deployment.positions, random(count, room, seed).positions)
 
 

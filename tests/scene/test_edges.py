@@ -70,10 +70,10 @@ def test_placed_tags_have_the_edges_in_turn_and_those_of_a_file_their_own(path):
     for source in (RandomDeployment(5), UniformDeployment(5)):
         assert_array_equal(footprints.draw(source, rng).edges, [0.3, 0.05, 0.3, 0.05, 0.3])
     assert_array_equal(footprints.draw(FileDeployment(path), rng).edges_of(several), [0.2, 0.1, 0.06])
-    given = Deployment.from_csv(path).hung(ROOM)
+    given = Deployment.from_csv(path).with_surfaces(ROOM)
     assert_array_equal(footprints.draw(GivenDeployment(given), rng).edges, given.edges)
     assert not Footprints(ROOM, TAG).draw(RandomDeployment(5), rng).has_own_edges
-    whole = footprints.draw(RandomDeployment(2), rng, fixed=footprints.hung(given, RandomDeployment(2)))
+    whole = footprints.draw(RandomDeployment(2), rng, fixed=footprints.checked_fixed(given, RandomDeployment(2)))
     assert_array_equal(whole.edges_of(several), [0.2, 0.1, 0.06, 0.3, 0.05])
     assert_array_equal(beside(given, given[[0]] + replace(given[[1]], labels=None)).edges_of(TAG)[:3], [0.2, 0.1, 0.06])
 
@@ -113,7 +113,7 @@ def test_without_an_edge_it_is_the_largest():
 
 
 def test_a_measured_tag_without_a_size_has_that_of_its_plan(path, tmp_path):
-    plan = Deployment.from_csv(path).hung(ROOM)
+    plan = Deployment.from_csv(path).with_surfaces(ROOM)
     measured = tmp_path / "measured.csv"
     measured.write_text(FILE.replace(",0.2,", ",,").replace(",0.06,", ",0.07,"))
     problem = type("Any", (), {"start": RandomDeployment(3), "scene": type("Of", (), {"room": ROOM, "tag": TAG})})

@@ -166,7 +166,7 @@ def test_a_walk_on_samples_leaves_alone_what_hangs_already(optimiser, objective)
     result = make(optimiser).run(p, Budget(200))
     np.testing.assert_array_equal(result.deployment.positions[:10], hangs.positions)
     assert result.fitness == p.fitness_of(result.deployment) > p.fitness_of(p.draw(np.random.default_rng(0)))
-    scene.footprints.check(result.deployment.hung(scene.room))
+    scene.footprints.check(result.deployment.with_surfaces(scene.room))
 
 
 def test_a_good_deployment_with_half_of_it_fixed_gets_no_worse(tmp_path):

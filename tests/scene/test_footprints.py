@@ -66,13 +66,13 @@ def overlaps(deployment, room, edge):
 def test_footprints_are_pushed_apart_or_there_is_no_room(room, edge, count, seed):
     footprints, rng = Footprints(room, Tag(edge, quiet_zone=0.0)), np.random.default_rng(seed)
     drawn = RandomDeployment(count).draw(footprints.hanging, rng)
-    apart = footprints.apart(drawn)
+    apart = footprints.separated(drawn)
     if apart is None:
         assert count > footprints.capacity(edge) / 4  # squares anywhere block at most four places of a lattice
         return
     assert not overlaps(apart, room, edge)
     footprints.check(apart)
-    again = footprints.apart(apart)
+    again = footprints.separated(apart)
     np.testing.assert_array_equal(again.positions, apart.positions)
     np.testing.assert_array_equal(room.surfaces_of(apart.positions, apart.normals) >= 0, True)
 
@@ -90,19 +90,19 @@ def test_footprints_of_several_sizes_are_pushed_apart(room, edges, count, fixed,
     drawn = RandomDeployment(count).draw(footprints.hanging, np.random.default_rng(seed), footprints.tag)
     papers = footprints.papers(drawn)
     np.testing.assert_allclose(papers[: len(edges)], 1.125 * np.array(edges)[:count])
-    apart = footprints.apart(drawn)
+    apart = footprints.separated(drawn)
     if apart is None:
         assert (papers**2).sum() > sum(surface.area for surface in room.surfaces()) / 16
         return
     assert not overlaps(apart, room, papers)
     footprints.check(apart)
     np.testing.assert_array_equal(apart.edges, drawn.edges)
-    again = footprints.apart(apart)
+    again = footprints.separated(apart)
     np.testing.assert_array_equal(again.positions, apart.positions)
     # Those that hang already stay, and the others make room for them, too.
     fixed = min(fixed, count)
     stays = apart[:fixed] + drawn if fixed else drawn
-    if (beside := footprints.apart(stays, fixed=fixed)) is not None:
+    if (beside := footprints.separated(stays, fixed=fixed)) is not None:
         np.testing.assert_array_equal(beside.positions[:fixed], apart.positions[:fixed])
         assert not overlaps(beside, room, footprints.papers(beside))
     taken = footprints.touched(apart, apart[:1])
@@ -114,7 +114,7 @@ def test_a_plate_goes_to_the_nearest_free_place():
     footprints, wall = Footprints(room, Tag(0.3, quiet_zone=0.0)), room.surfaces()[0]
     at = np.array([[2.0, 2.0], [2.1, 2.05], [2.2, 2.0], [1.0, 1.0]])
     start = Deployment(wall.point(*at.T), np.tile(wall.normal, (4, 1)), np.zeros(4, dtype=int))
-    found = footprints.apart(start)
+    found = footprints.separated(start)
     np.testing.assert_allclose(
         np.stack(wall.coordinates(found.positions), axis=1), [[2.0, 2.0], [2.3, 2.05], [2.3, 1.75], [1.0, 1.0]]
     )
@@ -125,7 +125,7 @@ def test_points_are_left_alone():
     scene = paper_scene()
     drawn = RandomDeployment(90).draw(scene.room, np.random.default_rng(0))
     assert scene.footprints.hanging is scene.room
-    np.testing.assert_array_equal(scene.footprints.apart(drawn).positions, drawn.positions)
+    np.testing.assert_array_equal(scene.footprints.separated(drawn).positions, drawn.positions)
     stacked = Deployment(drawn.positions[[0, 0]], drawn.normals[[0, 0]], drawn.surfaces[[0, 0]])
     scene.footprints.check(stacked)
 
@@ -151,7 +151,7 @@ def test_no_optimiser_returns_plates_that_overlap(start, method, visibility):
     result = optimise(problem, evaluations=100, optimiser=METHODS[method]())
     assert not overlaps(result.deployment, problem.scene.room, EDGE)
     assert problem.fitness_of(result.deployment) == result.fitness
-    assert evaluate(problem, result.deployment.hung(problem.scene.room))["fitness"] == result.fitness
+    assert evaluate(problem, result.deployment.with_surfaces(problem.scene.room))["fitness"] == result.fitness
 
 
 def test_nor_does_annealing_on_samples():

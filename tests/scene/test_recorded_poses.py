@@ -99,7 +99,7 @@ def test_positions_are_the_cells_visited_and_relevance_is_the_time_spent_there(w
 def test_the_kernel_estimate_is_its_equation(write):
     # Written out with rotation angles from scipy, and no cut.
     poses = walk(write, count=60, direction_bandwidth=20.0, bandwidth=0.3, divisions=6)
-    seen, orientations = poses.seen, poses.pdf
+    seen, orientations = poses.training, poses.pdf
     nodes = Rotation.from_matrix(np.swapaxes(rotation(orientations.yaw, orientations.pitch, orientations.roll), 1, 2))
     records = Rotation.from_matrix(seen.poses[:, :3, :3])
     theta = np.array([(record.inv() * nodes).magnitude() for record in records])
@@ -160,10 +160,10 @@ def test_orientation_that_depends_on_the_position_moves_the_optimum(write):
 def test_held_out_blocks_are_every_so_many_th_and_are_not_optimised_on(write):
     poses = standing(write, held_out=5, block=2.0)
     assert_array_equal(poses.kept_back.block, np.repeat([4, 9, 14, 19], 2))
-    assert len(poses.seen) + len(poses.kept_back) == 40
-    assert not set(poses.seen.block) & set(poses.kept_back.block)
+    assert len(poses.training) + len(poses.kept_back) == 40
+    assert not set(poses.training.block) & set(poses.kept_back.block)
     without = standing(write)
-    assert (len(without.seen), len(without.kept_back)) == (40, 0)
+    assert (len(without.training), len(without.kept_back)) == (40, 0)
 
 
 @pytest.mark.parametrize("objective", [Coverage(2, 0.5), Localisation(tolerance=0.1)])
@@ -174,7 +174,7 @@ def test_held_out_figures_are_shares_of_time_at_the_exact_poses(write, objective
     deployment = problem.draw(np.random.default_rng(0))
     figures = validation_metrics(problem, deployment, 0)
     assert figures == held_out_metrics(problem, deployment, poses)
-    for name, records in (("recorded", poses.seen), ("held_out", poses.kept_back)):
+    for name, records in (("recorded", poses.training), ("held_out", poses.kept_back)):
         values = exact_values(problem, deployment, records)
         seen = visible(problem.evaluator, deployment, records.poses[:, :3, 3], se3.axis_and_right(records.poses))
         covered = seen.sum(axis=1) >= 2

@@ -70,7 +70,7 @@ def test_a_tag_within_5_cm_belongs_to_its_surface_on_either_side(room, by):
     tags = hanging(room)
     there = moved(tags, by)
     assert_array_equal(room.surface_near(there.positions, there.normals), tags.surfaces)
-    hung = there.hung(room)
+    hung = there.with_surfaces(room)
     assert_array_equal(hung.belonging(room), tags.surfaces)
     assert_array_equal(hung.places, there.positions)
     assert_allclose(hung.positions, tags.positions if by < 0 else there.positions, atol=1e-12)
@@ -100,7 +100,7 @@ def test_all_three_inputs_take_it_and_it_is_seen_as_on_its_surface(room, by, tmp
     for taken in (
         FileDeployment(path).draw(room, rng),
         FileDeployment(path, free=True).draw(room, rng),
-        footprints.hung(Deployment.from_csv(path), RandomDeployment(3)),
+        footprints.checked_fixed(Deployment.from_csv(path), RandomDeployment(3)),
         read_measured(path, problem, tags),
     ):
         assert_array_equal(problem.evaluator.counts(taken), seen)
@@ -115,11 +115,11 @@ def test_outside_is_told_with_what_takes_it_there(room, tmp_path):
     with pytest.raises(InputError, match=message):
         FileDeployment(path).draw(room, rng)
     with pytest.raises(InputError, match=rf"^fixed: {message}"):
-        Footprints(room, Tag()).hung(Deployment.from_csv(path), RandomDeployment(3))
+        Footprints(room, Tag()).checked_fixed(Deployment.from_csv(path), RandomDeployment(3))
     free = FileDeployment(path, free=True)
     assert_array_equal(free.draw(room, rng).places, Deployment.from_csv(path).positions)
     assert_array_equal(
-        Footprints(room, Tag()).hung(Deployment.from_csv(path), free).places, free.draw(room, rng).places
+        Footprints(room, Tag()).checked_fixed(Deployment.from_csv(path), free).places, free.draw(room, rng).places
     )
     scene = Scene(room, paper_camera(), pdf.grid_with_ends(4), SEEN)
     problem = Problem(scene, Coverage(1, 0.5), free)
@@ -136,7 +136,7 @@ def test_a_turn_in_the_plane_is_kept_wherever_the_tag_goes(angle, tmp_path):
     tags = hanging(room)
     ups = turned_by(tags, angle)
     path = saved(tmp_path / "tags.csv", moved(tags, -1e-3), ups)
-    fixed = Footprints(room, TAG).hung(Deployment.from_csv(path), RandomDeployment(3))
+    fixed = Footprints(room, TAG).checked_fixed(Deployment.from_csv(path), RandomDeployment(3))
     for taken in (FileDeployment(path).draw(room, np.random.default_rng(0)), fixed):
         assert_allclose(taken.ups, ups, atol=1e-12)
         assert_allclose(TagMap(room, TAG, taken).turns.as_matrix()[:, :, 1], ups, atol=1e-12)
@@ -200,8 +200,8 @@ def test_a_tag_that_leans_into_its_face_touches_it():
     tipped = Rotation.from_rotvec(0.02 * rng.normal(size=(60, 3))).apply(np.array(tags.normals))
     leaning = Deployment(tags.positions - 0.001 * faces, tipped)
     for hung in (
-        footprints.hung(leaning, FileDeployment("of others", free=True)),
-        leaning.hung(room, papers=0.12),
+        footprints.checked_fixed(leaning, FileDeployment("of others", free=True)),
+        leaning.with_surfaces(room, papers=0.12),
     ):
         papers = corners(hung.positions, hung.normals, upright(hung.normals)[1], 0.12)
         assert_allclose(((papers - tags.positions[:, None]) * faces[:, None]).sum(axis=-1).min(axis=1), 0.0, atol=1e-9)

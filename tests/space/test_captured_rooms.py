@@ -42,7 +42,7 @@ def test_what_is_placed_hangs_in_the_room(seed, tmp_path_factory):
             hung = deployment.movable(room)
             assert_array_equal(hung.surfaces, deployment.surfaces)
             rounded = Deployment(deployment.positions.round(6), deployment.normals)
-            assert rounded.hung(room).fault(room) is None
+            assert rounded.with_surfaces(room).fault(room) is None
 
 
 def shell(*more):

@@ -64,7 +64,7 @@ def test_a_keep_out_is_measured_from_the_left_as_one_stands_before_its_wall():
     marks = np.array([[5.5, 2, 1], [3.5, 2, 1], [0, 3.5, 0.5], [0, 0.5, 0.5]])
     normals = np.array([[0, -1, 0], [0, -1, 0], [1, 0, 0], [1, 0, 0]])
     for k, free in enumerate([True, False, True, False]):
-        hung = Deployment(marks[k : k + 1], normals[k : k + 1]).hung(room)
+        hung = Deployment(marks[k : k + 1], normals[k : k + 1]).with_surfaces(room)
         assert (hung.fault(room) is None) == free
 
 

@@ -102,7 +102,7 @@ def test_an_audit_covers_the_images_of_all_cameras():
     limits = Limits(pitch=LEAST, blur=0.0, edge=walks.SMALLEST, incidence=78.0, margin=2.0)
     scene = Scene(ROOM, Rig((Mount(CAMERA), Mount(CAMERA))), solid_angle(4), Fiducial(TAG, limits=limits))
     audit = audited(found, scene, verdicts)
-    tags, poses = map_of(found).hung(ROOM, papers=TAG.paper_edge), found.found.poses.frames[found.found.frames]
+    tags, poses = map_of(found).with_surfaces(ROOM, papers=TAG.paper_edge), found.found.poses.frames[found.found.frames]
     for c, told in enumerate(np.split(audit.prediction.visible, 2, axis=1)):
         at = poses @ found.found.poses.mounts[c]
         axes = axis_and_right(at)

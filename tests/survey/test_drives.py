@@ -10,7 +10,7 @@ import walks
 from scipy.stats import chi2
 
 from lmd.core.checks import InputError
-from lmd.geometry.se3 import act, adjoint_matrix, inverse, laid_over, log, pose_of
+from lmd.geometry.se3 import act, adjoint_matrix, inverse, log, pose_of, rigid_alignment
 from lmd.scene.tag import Tag
 from lmd.survey.prior import PriorKnowledge
 from lmd.survey.results import survey_document, tag_columns
@@ -104,7 +104,7 @@ def test_an_id_that_was_misread_twice_does_not_place_a_tag_elsewhere(seed):
         some = np.flatnonzero(found.placed)
         here, there = found.found.poses.tags[some, :3, 3], driven.tags[found.ids[some], :3, 3]
         right = found.ids[some] != 7
-        away = np.linalg.norm(act(laid_over(here[right], there[right]), here) - there, axis=1)
+        away = np.linalg.norm(act(rigid_alignment(here[right], there[right]), here) - there, axis=1)
         return away[right].max(), away[~right]
 
     assert errors(PriorKnowledge(steady=False))[1] > 5.0

@@ -199,4 +199,4 @@ def test_a_room_of_turned_tags_is_mapped_like_an_upright_one(seed, turned, as_fi
         assert (tags.ups * true[tags.ids, :3, 1]).sum(axis=1).min() > 0.99
         np.testing.assert_array_equal(found.turns.renumbered[tags.ids], quarters[tags.ids])
     else:
-        np.testing.assert_array_equal(found.turns.hung[tags.ids], quarters[tags.ids])
+        np.testing.assert_array_equal(found.turns.beside_plan[tags.ids], quarters[tags.ids])

@@ -1,35 +1,35 @@
 """Planar ambiguity: the two poses of a single tag, and the residual that tells them apart.
 
-A square of edge s at a distance d that is large for it looks nearly the same when its normal is mirrored about the line
-of sight: the two solutions of IPPE. With unit vectors t and u along its right and up, and b to its centre, let
-p = t . b and q = u . b; p^2 + q^2 is the squared sine of the incidence angle. To the leading order in s / d, the
-translation, rotation and foreshortening of the mirrored pose absorb all differences of the two images but one:
-perspective moves the corners of one diagonal in one direction and those of the other diagonal in the opposite one. It
-leaves the squared residual
+Far from the camera, a square has nearly the same image after its normal is mirrored about the line of sight: these are
+the two solutions of IPPE. Let s be the edge, d >> s the distance, t and u the unit vectors to the square's right and
+up, and b the unit vector to its centre; let p = t . b and q = u . b, so that p^2 + q^2 is the squared sine of the
+incidence angle. To the leading order in s / d, the translation, rotation and foreshortening of the mirrored pose absorb
+all differences of the two images but one: perspective moves the corners of one diagonal in one direction and the
+corners of the other diagonal in the opposite direction. This difference leaves the squared residual
 
     S = (f s^2 / d^2)^2 (p^2 + q^2 - 4 p^2 q^2)
 
-over the eight coordinates. A solver takes the pose that fits better. With noise of sigma on each coordinate that is the
-mirrored one with the probability
+over the eight coordinates. A solver takes the pose that fits better. With noise of sigma on each coordinate, the
+mirrored pose fits better with the probability
 
     P = Q(sqrt(S) / (2 sigma)),    Q(x) the share of the standard normal distribution above x.
 
-The poses are told apart if P is at most 1 - `CONFIDENCE`. Away from the middle of the image S grows with
-`pixel_density`, as the information does. docs/results/ambiguity.md has the error of P.
+The poses are told apart if P is at most 1 - `CONFIDENCE`. Away from the middle of the image, S and the information grow
+with `pixel_density`. docs/results/ambiguity.md has the error of P.
 
-Two tags or more are unambiguous: the mirrored pose of one does not fit the other.
+Two or more tags are unambiguous, as the mirrored pose of one tag does not fit another tag.
 
 A rig has one mirrored pose for all cameras. Mirrored about its own line of sight b_i, the tag has the residual S_i in
 camera i; about another line b, its corners are also displaced by twice their depth from the tag's centre times b_i - b.
-To the leading order in edge and baseline over distance, and with the best b, that leaves
+To the leading order in edge and baseline over distance, the best b leaves the squared residual
 
     S = sum S_i + sum m_i |b_i - b|^2,    m_i = 4 (f_i s / d_i)^2 (p_i^2 + q_i^2),    b = sum m_i b_i / sum m_i
 
-as every other displacement of the mirrored tag is one for all cameras. As |b_i| = 1, the second sum is M - |h|^2 / M
+as every other displacement of the mirrored tag is common to all cameras. As |b_i| = 1, the second sum is M - |h|^2 / M
 with M = sum m_i and h = sum m_i b_i: five numbers that add up. A further camera never lowers S.
 
-At an incidence angle below about 1.5 baselines over distance, radians, there is no second pose at all, which S does not
-contain. docs/results/ambiguity.md has its error.
+At an incidence angle below about 1.5 baselines over distance, radians, no second pose exists, which S neglects.
+docs/results/ambiguity.md has the error of S.
 """
 
 from statistics import NormalDist
@@ -45,7 +45,7 @@ from lmd.objectives.localisation.information import NEAREST, NUMBERS, QUANTUM, N
 from lmd.scene.criteria import TOLERANCE
 
 CONFIDENCE = 0.99  # least probability that the better pose is the true one
-# Greatest residual ratio of a tag; greater ratios are clipped, which keeps sums exact.
+# Greatest residual ratio of a tag; greater ratios are clipped to this value, which keeps sums exact.
 MOST = 16.0
 MIRRORED = 5  # additional numbers of a view of a rig: S over the least S, M, and h (three)
 MIRRORED_WIDTH = 32  # length of a row of `sums` with the additional numbers
@@ -64,7 +64,7 @@ def _is_limit(limit: float | None) -> bool:
 
 @overridable
 def least_residual(limit: float | None) -> float:
-    """`Precision.residual`, 0 without a limit."""
+    """`Precision.residual` as a number: 0 for None."""
     return limit  # type: ignore[return-value] # None has a function of its own
 
 
@@ -79,7 +79,7 @@ def _no_residual(limit: None) -> float:
 
 
 @inlined
-def asks_apart(precision: Precision) -> bool:
+def resolves_ambiguity(precision: Precision) -> bool:
     """True if the two poses of a single tag must be told apart."""
     return _is_limit(precision.residual)
 
@@ -91,7 +91,7 @@ def mirrored_square(
     """S of a tag times its distance cubed, in units of f^2; arguments as in `information.moments`."""
     squared = x * x + y * y + z * z
     along, above = x * rx + y * ry + z * rz, x * ux + y * uy + z * uz
-    p, q = along * along / squared, above * above / squared  # both times the squared half edge
+    p, q = along * along / squared, above * above / squared  # p^2 and q^2, times the squared half edge
     return 16.0 * ((rx * rx + ry * ry + rz * rz) * (p + q) - 4.0 * (p * q)) / np.sqrt(squared)
 
 
@@ -111,7 +111,7 @@ def camera_residual(
     least: float | None,
     x: Number, y: Number, z: Number, rx: Number, ry: Number, rz: Number, ux: Number, uy: Number, uz: Number,
 ) -> Number:  # fmt: skip
-    """Last number of a view of a camera, before `share_of`: `residual_ratio`, or 0 without a `least` S."""
+    """Last of a camera view's numbers, before `share_of`: `residual_ratio`, or 0 if `least` is None."""
     return residual_ratio(x, y, z, rx, ry, rz, ux, uy, uz, least)
 
 
@@ -167,4 +167,4 @@ def _body_has_any_pose(least: None, sums: Any, v: Integer, step: Integer) -> boo
 
 def width_of(precision: Precision) -> int:
     """Width of a row of `sums` of a rig."""
-    return MIRRORED_WIDTH if asks_apart(precision) else BODY_WIDTH
+    return MIRRORED_WIDTH if resolves_ambiguity(precision) else BODY_WIDTH

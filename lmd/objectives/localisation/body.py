@@ -1,4 +1,4 @@
-"""Fisher information of the images of a rig on the pose of its body, from that on the poses of its cameras.
+"""Fisher information of the images of a rig on the pose of its body, from the information on the poses of its cameras.
 
 A camera at the offset o from the body's origin, world frame, moves by v - o x w when the body moves by v and turns by
 w. With A, g and C of the camera (`information`), the information on (v, w) of the body is
@@ -6,9 +6,9 @@ w. With A, g and C of the camera (`information`), the information on (v, w) of t
     [ C       B           ]      B = -C [o]x - [g]x
     [ B^T     A'          ]      A' = A - [o]x C [o]x - [o]x [g]x - [g]x [o]x,
 
-21 numbers. Cameras measure independently, so their information adds up, times the square of their focal lengths. A
-landmark that two cameras see is in both sums, and counts once among the n that a view needs. Each landmark's share of a
-view is rounded as for a single camera, which makes sums exact in any order.
+21 numbers. Cameras measure independently, so their information, times the square of their focal lengths, adds up. A
+landmark that two cameras see adds information twice, and counts once among the n landmarks that a view needs. Each
+landmark's contribution to a view is rounded as for a single camera, which makes sums exact in any order.
 
 The numbers of view v are `sums[v + j * step]`, j from 0 to 20: C as xx, xy, xz, yy, yz, zz, B row by row, and A' as C.
 """
@@ -79,7 +79,7 @@ def _schur(
 
 @inlined
 def _position_schur(sums: Any, v: Integer, step: Integer) -> tuple[Number, Number, Number, Number]:
-    """`_schur` of the position."""
+    """`_schur` for the position of the body."""
     return _schur(
         sums[v], sums[v + step], sums[v + 2 * step], sums[v + 3 * step], sums[v + 4 * step], sums[v + 5 * step],
         sums[v + 6 * step], sums[v + 7 * step], sums[v + 8 * step], sums[v + 9 * step], sums[v + 10 * step],
@@ -90,14 +90,14 @@ def _position_schur(sums: Any, v: Integer, step: Integer) -> tuple[Number, Numbe
 
 @inlined
 def body_variance(sums: Any, v: Integer, step: Integer) -> tuple[Number, Number]:
-    """`inverse_trace` of the position."""
+    """`information.inverse_trace` for the position of the body."""
     det, minors, rest, trace = _position_schur(sums, v, step)
     return inverse_trace(det, minors, rest, trace)
 
 
 @inlined
 def body_rotation_variance(sums: Any, v: Integer, step: Integer) -> tuple[Number, Number]:
-    """`inverse_trace` of the rotation: C and A' exchanged, and B transposed."""
+    """`information.inverse_trace` for the rotation of the body: C and A' are exchanged, and B is transposed."""
     det, minors, rest, trace = _schur(
         sums[v + 15 * step], sums[v + 16 * step], sums[v + 17 * step], sums[v + 18 * step], sums[v + 19 * step],
         sums[v + 20 * step], sums[v + 6 * step], sums[v + 9 * step], sums[v + 12 * step], sums[v + 7 * step],
@@ -116,7 +116,7 @@ def body_log_det(sums: Any, v: Integer, step: Integer) -> Number:
 
 @inlined
 def body_meets(precision: Precision, sums: Any, v: Integer, step: Integer) -> Any:
-    """True if the information of a view has the `precision`, ambiguity aside."""
+    """True if the information of a view has the required `precision`; ambiguity is not tested."""
     position, fixed = body_variance(sums, v, step)
     rotation, steady = body_rotation_variance(sums, v, step)
     return within(precision.position, position, fixed) & within(precision.rotation, rotation, steady)

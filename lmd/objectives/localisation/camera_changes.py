@@ -51,7 +51,7 @@ from lmd.objectives.localisation.views import (
 
 @see_place.register(State)
 def _see_place(known: State, k: Integer, n: Integer, localised: WordArray, cover: Any, trial: Scratch) -> Integer:
-    see_whole(k, cover, known, trial)  # all orientations: the tables decide most, so a selection would take longer
+    see_whole(k, cover, known, trial)  # all orientations: the tables decide most of them quickly
     ask_touched(k, n, True, known, trial)
     count: Integer = list_changing(known, k, trial)
     return count
@@ -103,7 +103,7 @@ def _clear_moments(views: CameraViews, p: Integer) -> None:
 
 @inner
 def _update_moments(known: State, k: Integer, p: Integer, field: Any, scratch: Any) -> None:
-    """Compute the moments of landmark k at both places from position p, unless this move has done so."""
+    """Compute the moments of landmark k from position p, at the old place and at the place tried, once per move."""
     views = scratch.views
     if views.found[p] == 0:
         views.found[p] = 1
@@ -115,7 +115,7 @@ def _update_moments(known: State, k: Integer, p: Integer, field: Any, scratch: A
 
 @inner
 def _sum_turning(p: Integer, w: Integer, count: Integer, field: Any, known: State, scratch: Any) -> None:
-    """Update the current views by the other landmarks that appear or disappear at position p."""
+    """Update the sums of the current views by the other landmarks that appear or disappear at position p."""
     trial, views, camera = scratch.coverage, scratch.views, field.coverage.cameras
     for i in range(np.uint64(known.poses.shape[1])):
         if not trial.known[p, i]:

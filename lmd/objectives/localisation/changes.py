@@ -1,7 +1,7 @@
 """Functions of `trial` that differ for camera and rig: landmarks that appear in views or disappear.
 
 For a single camera (`camera_changes`), a landmark is hidden at a position for all orientations or for none, and has one
-set of moments per position. For a rig (`rig_changes`), both depend on the mount and the orientation.
+set of moments per position. For a rig (`rig_changes`), occlusion and moments depend on mount and orientation.
 """
 
 from typing import Any

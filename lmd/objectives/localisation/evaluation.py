@@ -1,8 +1,8 @@
 """P_n and L of whole deployments at each position, in compiled code.
 
 Landmarks are counted by the operations of `lmd.sight.kernels`. For the views that cover n landmarks, the numbers of the
-landmarks (`information`, `ambiguity`) are summed and compared with the required precision. Threads share the positions.
-`rig` evaluates rigs, whose cameras have another position for every orientation of the body.
+landmarks (`information`, `ambiguity`) are summed and compared with the required precision. Positions are divided among
+the threads. The module `rig` evaluates rigs, whose cameras have another position for every orientation of the body.
 """
 
 from typing import Any, NamedTuple
@@ -33,7 +33,7 @@ class ViewValues(NamedTuple):
     localised: IntArray
     """`(B, P)` quantised L."""
     variances: FloatArray
-    """`(B, P, D)` variance of the position for `deviation_per_variance` 1; empty unless it is kept.
+    """`(B, P, D)` variance of the position for `deviation_per_variance` 1; empty unless `keep` was set.
 
     Infinite for views that cover fewer than n landmarks or are ambiguous.
     """
@@ -52,7 +52,7 @@ def localised_views(
     The result does not depend on the number of threads.
 
     Args:
-        evaluator: has the scene and the positions.
+        evaluator: scene and positions.
         positions, normals: landmarks of B deployments, metres and unit vectors, `(B, K, 3)`.
         n: number of landmarks that must be covered.
         precision: least information of a localised view.
@@ -105,7 +105,8 @@ def _localise_range(
     enough, listed = np.empty(words, dtype=np.uint64), np.empty(axes.shape[1], dtype=np.uint64)
     moment, sums, several = np.zeros(WIDTH), np.empty((axes.shape[1], WIDTH)), np.empty(words, dtype=np.uint64)
     flat = sums.reshape(-1)
-    # With a compile-time constant, LLVM would unroll loops over it and not vectorise them.
+    # The number of terms is no compile-time constant, as LLVM would then unroll the loops over them instead of
+    # vectorising.
     terms = np.uint64(WIDTH + landmarks.shape[1] - 3)
     for b in range(landmarks.shape[0]):
         many = count = 0

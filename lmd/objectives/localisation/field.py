@@ -21,7 +21,7 @@ from lmd.sight.evaluator import Evaluator
 
 
 class LocalisationState(NamedTuple):
-    """Localised views of a deployment at Q positions in the order of the field, with W words of orientations."""
+    """Localised views of a deployment: Q positions in the order of the field, W words of orientations."""
 
     units: np.ndarray
     """`(Q,)` quantised values."""
@@ -59,7 +59,7 @@ class LocalisationScratch(NamedTuple):
 class LocalisationField(NamedTuple):
     """Constant data of the field of localisation; a `lmd.incremental.field.Field`.
 
-    It has no stacks, as landmarks at one point do not localise the camera.
+    The field has no stacks, as landmarks at one point do not localise the camera.
     """
 
     coverage: CoverageField
@@ -128,7 +128,7 @@ def localisation_field(evaluator: Evaluator, n: int, precision: Precision, weigh
     """Field of L at the positions of an evaluator.
 
     Args:
-        evaluator: has the positions and the cameras.
+        evaluator: positions and cameras.
         n: number of landmarks that must be covered.
         precision: least information of a localised view.
         weight: weight w of P_n in the values, (1 - w) L + w P_n.

@@ -1,26 +1,26 @@
 """Fisher information on the pose of a camera from the tag corners in a view.
 
-A corner at the offset d from the camera, r = |d|, b = d / r, is seen in the direction b. Moving the camera by v and
-turning it by w, both in the world frame, turns that direction by b x w - (I - b b^T) v / r. With noise of the same size
-in all directions, corners together have the information
+Let d be the offset of a corner from the camera, r = |d|, and b = d / r the direction in which the camera sees the
+corner. If the camera moves by v and turns by w, both in the world frame, b turns by b x w - (I - b b^T) v / r. With
+noise of equal size in all directions, the corners together have the information
 
     [ C       -[g]x ]       A = sum (I - b b^T),   g = sum b / r,   C = sum (I - b b^T) / r^2
     [ [g]x     A    ]
 
-on (v, w): 15 numbers, which do not depend on the orientation of the camera. The information on the position, with the
-rotation estimated too, is the Schur complement
+on (v, w): 15 numbers, which do not depend on the orientation of the camera. The information on the position, if the
+rotation is estimated too, is the Schur complement
 
     S = C - ((g^T A g) A - (A g) (A g)^T) / det A,
 
 and the standard deviation of the position is (sigma / f) sqrt(tr S^-1), where tr S^-1 is the sum of the principal 2 x 2
-minors of S over det S. For the rotation, A and C are exchanged.
+minors of S over det S. The formulas for the rotation have A and C exchanged.
 
 Noise is isotropic in pixels, not in directions. At the cosine c = z / r from the optical axis, a rotation of the
-direction moves the image by 1 / c^2 radially and 1 / c tangentially. The 15 numbers of a landmark are therefore
-weighted with (r / z)^3, r its distance and z its depth, which preserves the determinant of the information of each
-corner; for a lens with distortion the weight is `lmd.scene.criteria.pixel_density`. The remaining error is some per
-cent of the standard deviation, see docs/accuracy.md. The exact information would need 21 numbers for each landmark,
-position *and* orientation. Pixels count as square, with the geometric mean of the two focal lengths.
+direction moves the image by 1 / c^2 radially and 1 / c tangentially. The 15 numbers of a landmark at the distance r and
+the depth z are therefore weighted with (r / z)^3, which preserves the determinant of the information of each corner;
+for a lens with distortion the weight is `lmd.scene.criteria.pixel_density`. The remaining error is some per cent of the
+standard deviation, see docs/accuracy.md. The exact information would need 21 numbers for each landmark, position *and*
+orientation. Pixels are treated as square, with the geometric mean of the two focal lengths.
 
 A point landmark counts as one corner. Two points leave the rotation about the line through them undetermined. A single
 tag has two poses with nearly equal images, which these formulas ignore; see `ambiguity`.
@@ -45,7 +45,7 @@ from lmd.scene.criteria import TOLERANCE
 from lmd.scene.tag import Tag
 
 NUMBERS = 15  # numbers of a view: A, g and C
-WIDTH = 16  # length of a row of `sums`: these numbers, and the residual ratio of `ambiguity`
+WIDTH = 16  # length of a row of `sums`: the 15 numbers, and the residual ratio of `ambiguity`
 QUANTUM = 2.0**-36
 # Adding and subtracting this number rounds numbers below 2^15 to multiples of `QUANTUM`; sums are exact below 2^17.
 ROUNDER = 1.5 * 2.0**52 * QUANTUM
@@ -120,7 +120,7 @@ def precision(
     """Precision from the greatest standard deviations of a view.
 
     Args:
-        camera: the camera, of a rig the first one.
+        camera: the single camera, or the first camera of a rig.
         tag: the landmarks' tag.
         pixel_noise: standard deviation of each coordinate of a corner, pixels.
         tolerance: greatest standard deviation of the position, metres.
@@ -142,7 +142,7 @@ def moments(
     x: Number, y: Number, z: Number, rx: Number, ry: Number, rz: Number, ux: Number, uy: Number, uz: Number,
     share: float,
 ) -> tuple[Number, ...]:  # fmt: skip
-    """A, g and C of the four corners of a landmark times r^3, as 15 numbers.
+    """A, g and C of the four corners of a landmark, times r^3, as 15 numbers.
 
     Args:
         x, y, z: offset of the centre from the camera, metres; its length is r.
@@ -171,7 +171,7 @@ def moments(
 
 @inlined
 def share_of(moment: Number, weight: Number) -> Number:
-    """Contribution of a landmark to a number of a view: its moment times `pixel_density`, rounded to `QUANTUM`."""
+    """Contribution of a landmark to one number of a view: the moment times `pixel_density`, rounded to `QUANTUM`."""
     return (moment * weight + ROUNDER) - ROUNDER
 
 
@@ -202,21 +202,21 @@ def _schur(sums: Any, v: Integer, step: Integer, first: int, last: int) -> tuple
 
 @inlined
 def inverse_trace(det: Number, minors: Number, rest: Number, trace: Number) -> tuple[Number, Number]:
-    """tr S^-1, and True if it is finite; False if the corners leave a motion undetermined."""
+    """tr S^-1, and a flag: False if the trace is infinite, as the corners leave a motion undetermined."""
     fixed = (det > SINGULAR * (trace * trace * trace)) & (minors > 0.0) & (rest > 0.0)
     return minors * det / rest, fixed
 
 
 @inlined
 def variance(sums: Any, v: Integer, step: Integer) -> tuple[Number, Number]:
-    """`inverse_trace` of the position."""
+    """`inverse_trace` for the position of the camera."""
     det, minors, rest, trace = _schur(sums, v, step, 0, 9)
     return inverse_trace(det, minors, rest, trace)
 
 
 @inlined
 def rotation_variance(sums: Any, v: Integer, step: Integer) -> tuple[Number, Number]:
-    """`inverse_trace` of the rotation: A and C exchanged."""
+    """`inverse_trace` for the rotation of the camera: A and C are exchanged."""
     det, minors, rest, trace = _schur(sums, v, step, 9, 0)
     return inverse_trace(det, minors, rest, trace)
 
@@ -230,7 +230,7 @@ def log_det(sums: Any, v: Integer, step: Integer) -> Number:
 
 @inlined
 def meets(precision: Precision, sums: Any, v: Integer, step: Integer) -> Any:
-    """True if the information of a view has the `precision`, ambiguity aside."""
+    """True if the information of a view has the required `precision`; ambiguity is not tested."""
     position, fixed = variance(sums, v, step)
     rotation, steady = rotation_variance(sums, v, step)
     return within(precision.position, position, fixed) & within(precision.rotation, rotation, steady)

@@ -1,10 +1,10 @@
 """Expected log determinant of the information on the pose, the surrogate of localisation for greedy selection.
 
 The accuracy of localisation is not submodular in the landmarks, as the first landmark alone has no value. The log det
-of prior plus information is submodular if no landmark hides another: each further landmark adds less. It is averaged
-over positions and orientations. The prior is the information on the pose before the image. With a standard deviation
-of some tolerances, the selected landmarks spread over the room; with a wide prior, the first view of a place would gain
-more than any improvement of another.
+of prior plus information is submodular if no landmark hides another: each further landmark adds less. The surrogate is
+the mean over positions and orientations. The prior is the information on the pose before the image. With a prior
+standard deviation of some tolerances, the selected landmarks spread over the room; with a wide prior, the first view of
+one place would gain more than any improvement of another place.
 """
 
 import math
@@ -20,12 +20,12 @@ from lmd.core.threads import in_parts
 from lmd.objectives.localisation.body import BODY_WIDTH, body_log_det
 from lmd.objectives.localisation.information import NUMBERS, WIDTH, Precision, log_det, share_of
 from lmd.objectives.localisation.pairs import (
-    Shown,
+    GroupCoverage,
     add_of_all,
+    coverage_by_group,
     fill_views,
     load_sums,
     seen_by_any,
-    shown_by,
     store_sums,
     tags_of,
 )
@@ -56,9 +56,9 @@ def log_det_selection(
     """Mean over positions and orientations of log det(prior + information), a `Selection`.
 
     Args:
-        evaluator: has the scene and the positions.
+        evaluator: scene and positions.
         relevance: weights of the positions, `(P,)`.
-        precision: returns the `information.precision` of a scene, which has the size of its tags.
+        precision: function that returns the `information.precision` of a scene, which includes the size of its tags.
         position, rotation: prior information on position and rotation, 1 / `variance` of `information`.
     """
     kind: type[LogDeterminant] = RigLogDeterminant if evaluator.groups else CameraLogDeterminant
@@ -68,7 +68,7 @@ def log_det_selection(
 
 
 class LogDeterminant:
-    """Base of the selections of `log_det_selection`; a subclass evaluates poses of one tag size."""
+    """Base of the selections of `log_det_selection`. Methods of a subclass evaluate poses of one tag size."""
 
     label = "mean log det of the information"
     width = WIDTH
@@ -134,7 +134,7 @@ def _gains(
         prices: price of each position and axis, `(P, D)`.
         positions: `(P, 3)`.
         sight, obstacles, axes, bands: see `kernels.evaluate_range`.
-        precision: has the size of the tags.
+        precision: size of the tags.
         sums: information of each view, `(P, D, WIDTH)`.
         known: `log_det` of each view, `(P, D)`.
         out: receives the gains.
@@ -205,7 +205,7 @@ class CameraLogDeterminant(LogDeterminant):
 
 @kernel
 def _rig_gains(
-    every: tuple[Shown, ...], tags: FloatArray, prices: FloatArray, positions: FloatArray, precision: Precision,
+    every: tuple[GroupCoverage, ...], tags: FloatArray, prices: FloatArray, positions: FloatArray, precision: Precision,
     sums: FloatArray, known: FloatArray, views: BodyViews, out: FloatArray,
 ) -> None:  # fmt: skip
     """Write the gains of N poses to `out` `(N,)`.
@@ -215,7 +215,7 @@ def _rig_gains(
         tags: centres and sides of the tags at the poses, see `tags_of`.
         prices: price of each position and orientation, `(P, D)`.
         positions: positions of the body, `(P, 3)`, metres.
-        precision: has the size of the tags.
+        precision: size of the tags.
         sums: information of each view, `(P D, BODY_WIDTH)`.
         known: `body_log_det` of each view, `(P, D)`.
         views: working memory.
@@ -240,7 +240,7 @@ def _rig_gains(
 
 @kernel
 def _rig_add(
-    every: tuple[Shown, ...], tags: FloatArray, positions: FloatArray, precision: Precision, sums: FloatArray,
+    every: tuple[GroupCoverage, ...], tags: FloatArray, positions: FloatArray, precision: Precision, sums: FloatArray,
     known: FloatArray, views: BodyViews,
 ) -> None:  # fmt: skip
     """Add the single pose in `every` to `sums` and `known`; arguments as in `_rig_gains`."""
@@ -259,7 +259,7 @@ def _rig_add(
 
 
 class RigLogDeterminant(LogDeterminant):
-    """Selection by the log determinant for a rig; prior and information are those of the pose of its body."""
+    """Selection by the log determinant for a rig; prior and information are about the pose of the body."""
 
     width, of_camera = BODY_WIDTH, False
 
@@ -290,10 +290,10 @@ class RigLogDeterminant(LogDeterminant):
     def _rows(self) -> FloatArray:
         return self.sums.reshape(-1, self.width)
 
-    def _shown(self, e: Evaluator, poses: Deployment) -> tuple[Shown, ...]:
+    def _shown(self, e: Evaluator, poses: Deployment) -> tuple[GroupCoverage, ...]:
         """Sets of orientations that cover the poses, by mount group, without occlusion by landmarks."""
         groups = tuple(with_sight(group, group.sight.unhidden()) for group in e.groups)
-        return shown_by(e, groups, e.positions, poses)
+        return coverage_by_group(e, groups, e.positions, poses)
 
 
 class ReferenceLogDeterminant(LogDeterminant):

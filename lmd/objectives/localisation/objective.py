@@ -28,8 +28,8 @@ AMBIGUITY = ("resolved", "ignored")
 SAMPLING = Sampling(positions=1, divisions=8)
 # Prior of greedy selection: standard deviation of the position, in tolerances, and of the rotation, rad.
 PRIOR_TOLERANCES, PRIOR_ROTATION = 5.0, 1.0
-PRIOR_POSITION = 1.0  # standard deviation of the position without a tolerance, metres
-WORST = 0.05  # quantile of the values over positions that is reported
+PRIOR_POSITION = 1.0  # standard deviation of the position if there is no tolerance, metres
+WORST = 0.05  # order of the reported quantile of the values over positions
 
 
 @dataclass(frozen=True)
@@ -37,16 +37,16 @@ class Localisation(AtLeast):
     """Probability that one image localises the camera.
 
     A view is localised if at least n landmarks are covered *and* the standard deviation of the position, computed from
-    their corners (`information`), is at most the tolerance. The value L(p) of a position is the probability of a
-    localised view. Tags have the corners of `scene.tag`; a pose from point landmarks needs three of them.
+    the landmarks' corners (`information`), is at most the tolerance. The value L(p) of a position is the probability of
+    a localised view. Tags have the corners of `scene.tag`; a pose needs at least three landmarks if they are points.
 
     Args:
         n: least number of landmarks that the camera must see at the same time.
         thold_p: least value of a qualified position.
         tolerance: greatest standard deviation of the position, metres; infinite for plain coverage.
         pixel_noise: standard deviation of each coordinate of a corner, pixels.
-        climbs: fitness that optimisers maximise: `mean` of the values over positions, or `qualified`, the share of
-            positions whose value reaches `thold_p`.
+        climbs: fitness that optimisers maximise: `mean`, the mean of the values over positions, or `qualified`, the
+            share of positions whose value reaches `thold_p`.
         rotation_tolerance: greatest standard deviation of the rotation, rad; None for no limit.
         ambiguity: rule for a view of a single tag (n = 1): `resolved` requires that its two poses can be distinguished
             (`localisation.ambiguity`), `ignored` does not.
@@ -170,7 +170,7 @@ class Localisation(AtLeast):
         return Threshold(math.ceil((self.thold_p - TOLERANCE) * PROBABILITY_ONE), relevance)
 
     def selection(self, evaluator: Evaluator, relevance: FloatArray) -> Selection:
-        """See `Objective.selection`; the log det of the information with a prior of some tolerances."""
+        """See `Objective.selection`: the log det of the information, with a prior on position and rotation."""
         scene = evaluator.scene
         scale = deviation_per_variance(scene.cameras[0], self.pixel_noise)
         prior = PRIOR_TOLERANCES * self.tolerance if math.isfinite(self.tolerance) else PRIOR_POSITION
@@ -179,5 +179,5 @@ class Localisation(AtLeast):
 
 
 def localisation(fitness: str = "mean", **settings: Any) -> Localisation:
-    """Make a `Localisation` from a configuration, which calls `climbs` `fitness`."""
+    """Make a `Localisation` from a configuration, whose key for `climbs` is `fitness`."""
     return Localisation(climbs=fitness, **settings)

@@ -1,4 +1,4 @@
-"""Pairs of a landmark and a view of a rig: they are listed first, then their information is summed.
+"""Pairs of a landmark and a view of a rig: pairs are listed first, then the information of all pairs is summed.
 
 The loop over listed pairs vectorises: number j of pair e lies at `work[j * BITS + e]`.
 """
@@ -12,7 +12,7 @@ from lmd.core.bits import BITS, ONE, ZERO, Integer, WordArray, lowest, prefetch
 from lmd.core.checks import FloatArray
 from lmd.core.compiled import inlined, inner
 from lmd.geometry.squares import upright
-from lmd.objectives.localisation.ambiguity import MIRRORED, asks_apart, least_residual, mirrored_numbers
+from lmd.objectives.localisation.ambiguity import MIRRORED, least_residual, mirrored_numbers, resolves_ambiguity
 from lmd.objectives.localisation.body import BODY_NUMBERS, about_body, gain_of
 from lmd.objectives.localisation.information import Precision, moments, share_of
 from lmd.objectives.localisation.views import NUMBER, ORIENTATION, TAKEN, VIEW, WHOSE, WORK, BodyViews, whole
@@ -45,7 +45,7 @@ class Mounts(NamedTuple):
     """Information per pixel relative to the first camera, see `gain_of`."""
 
 
-class Shown(NamedTuple):
+class GroupCoverage(NamedTuple):
     """Coverage of K landmarks by the M cameras of a mount group from P positions of the body."""
 
     mounts: Mounts
@@ -54,12 +54,13 @@ class Shown(NamedTuple):
     """`(M, P, K, W)` sets of orientations with which each camera covers each landmark."""
 
 
-def shown_by(
+def coverage_by_group(
     evaluator: Evaluator, groups: tuple[MountGroup, ...], positions: FloatArray, deployment: Deployment
-) -> tuple[Shown, ...]:
+) -> tuple[GroupCoverage, ...]:
     """Coverage of a deployment by mount groups of the evaluator, or variants of them, from `positions` `(P, 3)`."""
     args = evaluator.scene.room.blockers(), positions, deployment.positions, deployment.normals
-    return tuple(map(Shown, mounts_of(evaluator, groups), [covered_sets_by_mount(group, *args) for group in groups]))
+    sets = [covered_sets_by_mount(group, *args) for group in groups]
+    return tuple(map(GroupCoverage, mounts_of(evaluator, groups), sets))
 
 
 def mounts_of(evaluator: Evaluator, groups: tuple[MountGroup, ...]) -> tuple[Mounts, ...]:
@@ -71,13 +72,13 @@ def mounts_of(evaluator: Evaluator, groups: tuple[MountGroup, ...]) -> tuple[Mou
 
 @inlined
 def numbers_of(precision: Precision) -> np.uint64:
-    """Number of numbers of a view that `precision` needs."""
-    return np.uint64(BODY_NUMBERS + MIRRORED if asks_apart(precision) else BODY_NUMBERS)
+    """Length of the list of numbers of a view that `precision` needs."""
+    return np.uint64(BODY_NUMBERS + MIRRORED if resolves_ambiguity(precision) else BODY_NUMBERS)
 
 
 @inner
 def fill_views(left: np.uint64, precision: Precision, views: BodyViews) -> np.uint64:
-    """Begin views for the orientations `left` of a word, with sums of zero; returns their number."""
+    """Begin views for the orientations `left` of a word, with sums of zero, and return the number of views."""
     bits, number, rows, count = views.lists[ORIENTATION], views.lists[NUMBER], views.rows, ZERO
     views.lists[TAKEN, 0], views.lists[TAKEN, 1] = left, ZERO
     while left:
@@ -93,7 +94,7 @@ def fill_views(left: np.uint64, precision: Precision, views: BodyViews) -> np.ui
 
 @inner
 def prefetch_sums(sums: FloatArray, first: Integer, views: BodyViews, count: Integer) -> None:
-    """Prefetch the rows of `sums` `(V, width)` that `load_sums` reads; arguments as there."""
+    """Prefetch the rows of `sums` `(V, width)` that `load_sums` reads; arguments as in `load_sums`."""
     width, bits = np.uint64(sums.shape[1]), views.lists[ORIENTATION]
     for v in range(count):
         at = (first + bits[v]) * width
@@ -120,7 +121,9 @@ def store_sums(sums: FloatArray, first: Integer, precision: Precision, views: Bo
 
 
 def tags_of(precision: Precision, positions: FloatArray, normals: FloatArray) -> FloatArray:
-    """Tags as rows `(K, 9)`: centre, and vectors from it to the midpoints of the right and upper edge, metres."""
+    """Tags as rows `(K, 9)`: centre, and vectors from the centre to the midpoints of the right and upper edge,
+    metres.
+    """
     return np.hstack([positions, *(precision.halves[:, None] * side for side in upright(normals))])
 
 
@@ -139,12 +142,12 @@ def add_to_body(
 
     Args:
         mounts, m: mount m of a group.
-        w, seen: index of the word, and its orientations with which the mount sees the landmark.
+        w, seen: index of a word, and the orientations of that word with which the mount sees the landmark.
         place: position of the body, metres.
         tag: row of `tags_of`.
         sign: 1 to add the landmark, -1 to remove it.
-        precision: has the share of each corner.
-        views: has the list and the sums.
+        precision: share of each corner.
+        views: list of pairs, and sums.
     """
     taken = views.lists[TAKEN]
     left, filled = seen & taken[0], taken[1]
@@ -178,7 +181,7 @@ def add_up(precision: Precision, views: BodyViews) -> None:
     """Add the information of the listed pairs to the views, and clear the list."""
     rows, work, whose, filled = views.rows, views.work, views.lists[WHOSE], views.lists[TAKEN, 1]
     _find_moments(work, precision.share, filled)
-    if asks_apart(precision):
+    if resolves_ambiguity(precision):
         _find_mirrored(work, least_residual(precision.residual), filled)
     for i in range(filled):
         v = whose[i]
@@ -189,7 +192,9 @@ def add_up(precision: Precision, views: BodyViews) -> None:
 
 @inner
 def _find_moments(work: FloatArray, share: float, filled: Integer) -> None:
-    """Compute the 21 numbers of the first `filled` pairs; all in one array, so that LLVM vectorises the loop."""
+    """Compute the 21 numbers of the first `filled` pairs; all numbers are in one array, so that LLVM vectorises the
+    loop.
+    """
     for i in range(whole(filled)):
         weight = work[AT[3] + i]
         found = about_body(
@@ -238,7 +243,7 @@ def _find_mirrored(work: FloatArray, least: float, filled: Integer) -> None:
 
 
 @inner
-def _seen_by_group(shown: Shown, p: Integer, k: Integer, w: Integer) -> np.uint64:
+def _seen_by_group(shown: GroupCoverage, p: Integer, k: Integer, w: Integer) -> np.uint64:
     """Orientations of word w with which some camera of a group covers landmark k from position p."""
     seen = ZERO
     for m in range(len(shown.sets)):
@@ -248,8 +253,8 @@ def _seen_by_group(shown: Shown, p: Integer, k: Integer, w: Integer) -> np.uint6
 
 @inner
 def _add_of_group(
-    shown: Shown, p: Integer, which: np.ndarray, w: Integer, place: Place, tags: FloatArray, precision: Precision,
-    views: BodyViews,
+    shown: GroupCoverage, p: Integer, which: np.ndarray, w: Integer, place: Place, tags: FloatArray,
+    precision: Precision, views: BodyViews,
 ) -> None:  # fmt: skip
     """`add_of_all` for the cameras of a group."""
     for k in which:
@@ -259,7 +264,7 @@ def _add_of_group(
 
 
 @inner
-def seen_by_any(every: tuple[Shown, ...], p: Integer, k: Integer, w: Integer) -> np.uint64:
+def seen_by_any(every: tuple[GroupCoverage, ...], p: Integer, k: Integer, w: Integer) -> np.uint64:
     """Orientations of word w with which some camera covers landmark k from position p."""
     seen = ZERO
     for shown in literal_unroll(every):
@@ -269,7 +274,7 @@ def seen_by_any(every: tuple[Shown, ...], p: Integer, k: Integer, w: Integer) ->
 
 @inner
 def add_of_all(
-    every: tuple[Shown, ...], p: Integer, which: np.ndarray, w: Integer, place: Place, tags: FloatArray,
+    every: tuple[GroupCoverage, ...], p: Integer, which: np.ndarray, w: Integer, place: Place, tags: FloatArray,
     precision: Precision, views: BodyViews,
 ) -> None:  # fmt: skip
     """Add the landmarks `which` to the views of all cameras, with the body at `place`, position p.

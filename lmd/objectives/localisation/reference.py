@@ -1,6 +1,6 @@
 """Reference of localisation in NumPy, one function per formula; compiled code must equal it bit for bit.
 
-It also evaluates scenes whose visibility model has no compiled half (`reference_views`,
+The reference also evaluates scenes whose visibility model has no compiled half (`reference_views`,
 `log_det.ReferenceLogDeterminant`).
 
 Shapes: A orientations, K landmarks.
@@ -11,15 +11,15 @@ from typing import Any
 import numpy as np
 
 from lmd.core.checks import BoolArray, FloatArray, IntArray
-from lmd.geometry.lens_models import density_of
+from lmd.geometry.lens_models import area_per_solid_angle
 from lmd.geometry.se3 import cross
 from lmd.geometry.squares import upright
 from lmd.objectives.localisation.ambiguity import (
-    asks_apart,
     body_has_one_pose,
     camera_residual,
     has_one_pose,
     mirrored_numbers,
+    resolves_ambiguity,
     width_of,
 )
 from lmd.objectives.localisation.body import about_body, body_log_det, body_meets, body_variance, gain_of
@@ -65,7 +65,7 @@ def body_information(
         with np.errstate(all="ignore"):
             tags: Any = *offset.T, *sides[0], *sides[1]
             numbers = about_body(moments(*(*tags, asked.share)), *arm)
-            if asks_apart(asked):
+            if resolves_ambiguity(asked):
                 numbers += mirrored_numbers(*(*tags, asked.residual))
             lens = getattr(scene.visibility.sight(camera), "lens", None)
             weight = gain_of(camera, scene.cameras[0]) * _density(lens, turned, offset)
@@ -88,7 +88,7 @@ def _density(lens: Any, axes: FloatArray, offset: FloatArray) -> FloatArray:
     if lens is None:
         depth = dot(axis, offset)
         return np.asarray(1.0 / (depth * depth * depth))
-    return np.asarray(density_of(lens, *(dot(side, offset) for side in (right, cross(axis, right), axis))))
+    return np.asarray(area_per_solid_angle(lens, *(dot(side, offset) for side in (right, cross(axis, right), axis))))
 
 
 def decided(

@@ -1,6 +1,6 @@
-"""Localised views of a rig: the images of all its cameras, whose information on the body is summed (`body`).
+"""Localised views of a rig: a view has the images of all cameras, and their information on the body is summed (`body`).
 
-A rig of one camera at the body's origin has the values of that camera alone.
+A rig with one camera at the body's origin has the values of the single camera.
 """
 
 import math
@@ -17,14 +17,14 @@ from lmd.objectives.localisation.ambiguity import body_has_one_pose, width_of
 from lmd.objectives.localisation.body import body_variance, gain_of
 from lmd.objectives.localisation.information import Precision
 from lmd.objectives.localisation.pairs import (
+    GroupCoverage,
     Mounts,
-    Shown,
     add_of_all,
     add_to_body,
     add_up,
+    coverage_by_group,
     fill_views,
     seen_by_any,
-    shown_by,
     store_sums,
     tag_of,
     tags_of,
@@ -37,7 +37,7 @@ from lmd.sight.mounts import MountGroup
 from lmd.sight.rig_views import RigViews
 from lmd.sight.views import visible_to_each
 
-VIEWS_AT_ONCE = 1 << 16  # views whose landmarks are kept at a time, 8 bytes per landmark and 64 views
+VIEWS_AT_ONCE = 1 << 16  # greatest number of views in memory, 8 bytes per landmark and 64 views
 
 
 def rig_views(
@@ -60,7 +60,7 @@ def rig_views(
     ) -> None:
         here = order[first:last]
         places, kinds = evaluator.positions[here], weights[here] if len(weights) > 1 else weights
-        every, found = shown_by(evaluator, groups, places, landmarks), np.zeros((2, len(here)), dtype=np.int64)
+        every, found = coverage_by_group(evaluator, groups, places, landmarks), np.zeros((2, len(here)), dtype=np.int64)
         variances = np.full((len(here), orientations), np.inf) if keep else np.empty((0, 0))
         _localise(every, places, tags, kinds, n, precision, precision.asks, body_views(), found, variances)
         covered[b, here], localised[b, here] = found
@@ -77,7 +77,7 @@ def rig_views(
 
 @kernel
 def _localise(
-    every: tuple[Shown, ...], positions: FloatArray, tags: FloatArray, weights: IntArray, n: Integer,
+    every: tuple[GroupCoverage, ...], positions: FloatArray, tags: FloatArray, weights: IntArray, n: Integer,
     precision: Precision, asks: bool, views: BodyViews, found: IntArray, variances: FloatArray,
 ) -> None:  # fmt: skip
     """Write quantised P_n and L into `found` `(2, P)`.
@@ -88,10 +88,10 @@ def _localise(
         tags: result of `tags_of`.
         weights: quantised probability of each orientation, `(1, D)` or `(P, D)`.
         n, precision: see `evaluation.localised_views`.
-        asks: `Precision.asks`.
+        asks: value of `Precision.asks`.
         views: working memory.
         variances: receives the variance of the position in unambiguous views of n landmarks, `(P, D)` filled with
-            infinity; or empty.
+            infinity; empty to skip the variances.
     """
     some: Any = np.zeros(max(n, 2), dtype=np.uint64)
     words = np.uint64(weights.shape[1]) // VIEW
@@ -125,7 +125,7 @@ def _localise(
             found[1, p] += sum_weights(ZERO, good, weights, p, w)
 
 
-class Images(NamedTuple):
+class RigImages(NamedTuple):
     """Images of the C cameras of a rig in the N views with a positive probability."""
 
     place: IntArray
@@ -141,19 +141,21 @@ class Images(NamedTuple):
     seen: BoolArray
     """`(C, N, K)` mask of the landmarks that each camera covers."""
 
-    def some(self, which: BoolArray) -> "Images":
-        """Subset of the views; `which` is a mask `(N,)`."""
+    def some(self, which: BoolArray) -> "RigImages":
+        """Images in the views selected by the mask `which` `(N,)`."""
         rows: dict[str, Any] = {name: getattr(self, name)[which] for name in self._fields[:-1]}
-        return Images(**rows, seen=self.seen[:, which])
+        return RigImages(**rows, seen=self.seen[:, which])
 
 
-def images_of(evaluator: Evaluator, deployment: Deployment, here: slice = slice(None)) -> Images:
+def images_of(evaluator: Evaluator, deployment: Deployment, here: slice = slice(None)) -> RigImages:
     """Images of a deployment by a rig at the positions `here` of an evaluator."""
     places, axes = evaluator.positions[here], evaluator.scene.orientations.axes
     weights = evaluator.weights if len(evaluator.weights) == 1 else evaluator.weights[here]
     weights = np.broadcast_to(weights[:, : len(axes)], (len(places), len(axes)))
     p, a = np.nonzero(weights)
-    return Images(p, a, weights[p, a], places[p], axes[a], visible_to_each(evaluator, deployment, places[p], axes[a]))
+    return RigImages(
+        p, a, weights[p, a], places[p], axes[a], visible_to_each(evaluator, deployment, places[p], axes[a])
+    )
 
 
 def covers(seen: BoolArray, n: int) -> BoolArray:
@@ -161,7 +163,7 @@ def covers(seen: BoolArray, n: int) -> BoolArray:
     return np.asarray(seen.any(axis=0).sum(axis=1) >= n)
 
 
-def located(evaluator: Evaluator, deployment: Deployment, images: Images, n: int, precision: Precision) -> BoolArray:
+def located(evaluator: Evaluator, deployment: Deployment, images: RigImages, n: int, precision: Precision) -> BoolArray:
     """Mask `(N,)` of the localised views."""
     found = covers(images.seen, n)
     if precision.asks:
@@ -172,7 +174,7 @@ def located(evaluator: Evaluator, deployment: Deployment, images: Images, n: int
     return found
 
 
-def body_sums(evaluator: Evaluator, deployment: Deployment, images: Images, precision: Precision) -> FloatArray:
+def body_sums(evaluator: Evaluator, deployment: Deployment, images: RigImages, precision: Precision) -> FloatArray:
     """Information of all images on the body in the units of the first camera, `(N, width_of(precision))`."""
     scene, (positions, axes, seen) = evaluator.scene, images[3:]
     assert scene.rig is not None
@@ -191,7 +193,7 @@ def body_sums(evaluator: Evaluator, deployment: Deployment, images: Images, prec
 def _decide(precision: Precision, sums: FloatArray, several: BoolArray, views: BodyViews, met: BoolArray) -> None:
     """Write the mask of the views that have the precision into `met` `(N,)`.
 
-    `sums` `(N, width)` is their information; `several` `(N,)` is True for two landmarks or more.
+    `sums` `(N, width)` is the information of the views; `several` `(N,)` is True for views of two or more landmarks.
     """
     for i in range(np.uint64(len(met))):
         for j in range(np.uint64(sums.shape[1])):

@@ -57,7 +57,7 @@ from lmd.objectives.localisation.views import BodyViews
 def _see_place_by_rig(
     known: RigState, k: Integer, n: Integer, localised: WordArray, cover: Any, trial: RigScratch
 ) -> Integer:
-    # Landmark k matters if n - 1 others or more are in view, unless the view is localised and does not show k.
+    # Landmark k matters if at least n - 1 others are in view, unless the view is localised without showing k.
     asked, short, enough = trial.sets[ASKED], known.counts.sets[SHORT], known.counts.sets[ENOUGH]
     first, last = trial.lists[FIRST], trial.lists[LAST]
     for s in range(trial.numbers[SPAN_COUNT]):

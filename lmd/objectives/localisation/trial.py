@@ -1,14 +1,14 @@
 """Moves of single landmarks: bounds on L, exact L, and moves that are carried out or undone.
 
-Counts and occlusion are those of the field of coverage (`lmd.incremental.trial`). The field of localisation adds the
-sums of the numbers of every view (`information`, `body`), exact in any order, and the sets of localised views. Further
-landmarks never reduce the information of a view, so a move requires few decisions:
+Counts and occlusion come from the field of coverage (`lmd.incremental.trial`). The field of localisation adds the sums
+of the numbers of every view (`information`, `body`), exact in any order, and the sets of localised views. Further
+landmarks never reduce the information of a view, so a move can change the decision for few views:
 
-- for views in which landmarks only disappear: those that are localised and still cover n landmarks;
-- for views in which landmarks only appear: those that are not localised and now cover n landmarks;
-- for views with both: all that cover n landmarks.
+- if landmarks only disappear from a view, the view may change if it is localised and still covers n landmarks;
+- if landmarks only appear in a view, the view may change if it is not localised and now covers n landmarks;
+- if landmarks appear and disappear, the view may change if it covers n landmarks.
 
-`bound_move` ignores occlusion by and of the landmark at the new place; occlusion only reduces information.
+`bound_move` ignores that the landmark at the new place hides others or is hidden; occlusion only reduces information.
 `finish_move` repeats the decisions at the positions with such occlusion.
 
 Camera and rig share this source, compiled for each; `changes` declares the functions that differ.
@@ -35,7 +35,7 @@ from lmd.incremental.state import (
     TOUCHED_LIST,
 )
 from lmd.incremental.trial import begin_move, find_pairs, fresh_of, list_changing, shown_of
-from lmd.objectives.localisation.ambiguity import asks_apart
+from lmd.objectives.localisation.ambiguity import resolves_ambiguity
 from lmd.objectives.localisation.changes import (
     change_sums,
     clear_moments,
@@ -76,13 +76,14 @@ def _decide_word(
     k: Integer, q: Integer, w: Integer, lost: np.uint64, gained: np.uint64, has: np.uint64, several: np.uint64,
     field: Any, state: Any, scratch: Any,
 ) -> Any:  # fmt: skip
-    """Decide the views of word w that cover n landmarks, `has`; writes `LOCALISED`.
+    """Decide if the views `has` of word w, which cover n landmarks, are localised; the result is written to
+    `LOCALISED`.
 
     Args:
         k, q, w: landmark, position and word.
         lost, gained: views in which a landmark disappears, and appears, for some camera.
         has: views that cover n landmarks or more.
-        several: views that cover two or more.
+        several: views that cover two landmarks or more.
         field, state, scratch: field, state and scratch of localisation.
     """
     known = state.localised[q, w]
@@ -102,7 +103,9 @@ def _sum_up(q: Integer, located: np.int64, covered: np.int64, weight: float, val
 
 @inner
 def _decide(k: Integer, positions: WordArray, field: Any, state: Any, scratch: Any) -> None:
-    """Compute the values at `positions` from `FRESH` of landmark k, with the pairs as after the move."""
+    """Compute the values at `positions` after the move, from the set `FRESH` of landmark k and the pairs after the
+    move.
+    """
     known, trial, n, weights = state.coverage, scratch.coverage, field.coverage.n, field.coverage.weights
     counts, enough, digits = known.counts, known.counts.sets[ENOUGH], trial.digits
     asked, touched, localised = trial.sets[ASKED], trial.flags[TOUCHED], scratch.sets[LOCALISED]
@@ -119,7 +122,7 @@ def _decide(k: Integer, positions: WordArray, field: Any, state: Any, scratch: A
             elif was | now == ZERO:
                 continue
             several = ALL
-            if asks_apart(field.precision):
+            if resolves_ambiguity(field.precision):
                 several = (
                     seen_twice(ZERO, now, digits[q, w]) if touched[q] else seen_twice(was, now, counts.digits[q, w])
                 )
@@ -160,7 +163,9 @@ def finish_move(field: Any, k: Integer, state: Any, scratch: Any) -> None:
 
 @inner
 def _change_sums(k: Integer, sign: float, field: Any, state: Any, scratch: Any) -> None:
-    """Update the sums by the move tried last (`sign` 1), or undo this (`sign` -1); landmark k is at its old place."""
+    """Update the sums by the move tried last (`sign` 1), or undo that update (`sign` -1); landmark k is at its old
+    place.
+    """
     if not field.asks:
         return
     known, trial = state.coverage, scratch.coverage
@@ -206,7 +211,7 @@ def undo_move(field: Any, k: Integer, state: Any, scratch: Any) -> None:
 
 @inner
 def _meet_anew(q: Integer, w: Integer, field: Any, state: Any, scratch: Any) -> np.uint64:
-    """Sum the numbers of all landmarks in the views of word w; returns the views that have the precision."""
+    """Sum the numbers of all landmarks in the views of word w, and return the views that have the precision."""
     known, seen = state.coverage, ZERO
     for k in range(np.uint64(known.poses.shape[1])):
         seen |= shown_of(known, k, q, w)

@@ -3,7 +3,7 @@
 Number j of view v lies at `rows[j * BITS + v]`, so that loops over views vectorise. Camera and rig share the source,
 compiled for each. A single camera has one position for all orientations, so a landmark has one set of moments for all
 views of a position. A camera of a rig has another position for each orientation, so moments are computed for each pair
-of a landmark and a view (`pairs`); for a single camera this would be up to 64 times the work.
+of a landmark and a view (`pairs`); for a single camera, moments for each pair would be up to 64 times the work.
 """
 
 from typing import Any, NamedTuple, TypeAlias
@@ -28,7 +28,7 @@ from lmd.scene.criteria import pixel_density
 
 GROUP = np.uint64(8)
 VIEW = np.uint64(BITS)
-WORK = 13 + BODY_NUMBERS + MIRRORED  # number of numbers of a pair, see `pairs.AT`
+WORK = 13 + BODY_NUMBERS + MIRRORED  # numbers stored for a pair, see `pairs.AT`
 
 # Rows of `lists`.
 ORIENTATION = 0  # orientation of each view in its word
@@ -37,7 +37,7 @@ WHOSE = 2  # view of each listed pair; rig only
 TAKEN = 3  # two numbers: set of the orientations of the views, and number of listed pairs
 
 # Rows of `CameraViews.weights`.
-DISAPPEARS, APPEARS = 0, 1  # weights of a landmark that disappears, and of one that appears
+DISAPPEARS, APPEARS = 0, 1  # weights of a landmark that disappears, and of a landmark that appears
 
 # Rows of `CameraViews.moments`.
 LEFT, TRIED = 0, 1  # moments of the moving landmark at its old place and at the place tried
@@ -53,11 +53,11 @@ class CameraViews(NamedTuple):
     met: np.ndarray
     """`(BITS,)` uint8, 1 for a view with the required precision."""
     weights: FloatArray
-    """`(2, BITS)` pixel density of landmarks in each view, 0 where they are not seen: `DISAPPEARS`, `APPEARS`."""
+    """`(2, BITS)` pixel density of a landmark in each view, 0 where it is not seen: rows `DISAPPEARS`, `APPEARS`."""
     moments: FloatArray
     """`(2, P, WIDTH)` moments of the landmark that moves, from each position: `LEFT`, `TRIED`."""
     found: np.ndarray
-    """`(P,)` uint8, 1 if `moments` are those of the move tried last."""
+    """`(P,)` uint8, 1 if `moments` belong to the move tried last."""
     other: FloatArray
     """`(WIDTH,)` moments of another landmark."""
 
@@ -66,11 +66,11 @@ class BodyViews(NamedTuple):
     """Views of a rig, with orientations of its body."""
 
     lists: WordArray
-    """As in `CameraViews`."""
+    """See `CameraViews`."""
     rows: FloatArray
     """`(MIRRORED_WIDTH BITS,)` sums of the views."""
     met: np.ndarray
-    """As in `CameraViews`."""
+    """See `CameraViews`."""
     work: FloatArray
     """`(WORK BITS,)` numbers of listed pairs of a landmark and a view, see `pairs.AT`."""
 
@@ -128,8 +128,8 @@ def met_views(precision: Precision, views: Views, count: Integer, several: np.ui
 def seen_twice(was: np.uint64, now: np.uint64, digits: WordArray) -> np.uint64:
     """Set of the orientations that see two landmarks or more after a landmark moves.
 
-    The counts `digits` `(J,)` are those before the move. `was` and `now` are the orientations that see the landmark
-    before and after it.
+    The counts `digits` `(J,)` are from before the move. `was` and `now` are the orientations that see the landmark
+    before and after the move.
     """
     found, change = ZERO, was ^ now
     for j in range(np.uint64(len(digits))):

@@ -1,18 +1,17 @@
 """Simulated annealing of landmarks on the surfaces of a room.
 
-Good deployments for a threshold of n landmarks have clusters of about n. So a run from a random start has up to three
-stages:
+Good deployments for a threshold of n landmarks have clusters of about n landmarks. So a run from a random start has up
+to three stages:
 
-1. K/n *stacks* (groups of n coincident landmarks) are annealed without occlusion. This is the problem for n = 1 with
-   K/n landmarks: smaller, smoother and faster to evaluate.
-2. The landmarks of each stack are separated, and single landmarks are annealed at a low temperature. Footprints that no
-   longer hide each other would cover less than the stack. So footprints are small at first and *grow* to their size,
-   and landmarks separate gradually.
+1. K/n *stacks* (groups of n coincident landmarks) are annealed without occlusion. A stack acts as one landmark of a
+problem with n = 1, which is smaller, smoother and faster to evaluate. 2. The landmarks of each stack are separated, and
+single landmarks are annealed at a low temperature. Landmarks pushed apart at once, until none hides another, would
+cover less than the stack. So footprints are small at first and *grow* to their size, and landmarks separate gradually.
 3. For an objective with a sampling, a gradient ascent of all landmarks at once (`ascent`) finds the local optimum, as
    the gains of single moves are below the error of a sample.
 
-The walk mostly maximises a `surrogate` of the problem. From time to time its deployment is evaluated on the problem,
-which costs an evaluation of the budget.
+The walk mostly maximises a `surrogate` of the problem. From time to time the walk's deployment is evaluated on the
+problem itself, which costs an evaluation of the budget.
 """
 
 import math
@@ -48,30 +47,33 @@ from lmd.scene.deployment import Deployment
 MAX_MOVES = 2000  # greatest number of moves in a stretch; after each stretch budget and callback are checked
 MIN_STRETCHES = 500  # least number of stretches in a run, so that conditions change smoothly
 CHECK_EVALUATIONS = 10  # cost of the moves on a surrogate, in evaluations, between two evaluations on the problem
-CHECK_FACTOR_ON_SAMPLES = 2  # factor of `CHECK_EVALUATIONS` on samples, which are drawn for each stretch
+CHECK_FACTOR_ON_SAMPLES = 2  # factor on `CHECK_EVALUATIONS` for walks on samples, which are drawn for each stretch
 ASCENT_STEPS = 10  # number of steps of the ascent between two evaluations on the problem
-SMALLEST_SIZE = 0.2  # size of footprints over the true size when the landmarks of stacks are separated
+SMALLEST_SIZE = 0.2  # size of footprints, over the true size, when the separation of stacks begins
 
 
 class Annealing(Optimiser):
     """Simulated annealing of stacks, then of single landmarks, which lie flush on a surface.
 
-    A start that does not vary (`uniform`, `file`) is improved as it is, under conditions of its own and with footprints
-    of their true size from the beginning. A flush landmark is never worse than a tilted one inside a cuboid.
+    A start that does not vary (`uniform`, `file`) is improved without stacks, under the conditions `given`, with
+    footprints of their true size from the beginning. Landmarks are flush, as tilting a landmark never helps inside a
+    cuboid.
 
     Args:
-        stacked: conditions of the stage that moves stacks; like `single`, `sampled` and `given` a `Stage`, or a mapping
-            of the fields that differ from the default stage.
+        stacked: conditions of the stage that moves stacks. `stacked`, `single`, `sampled` and `given` are each a
+            `Stage`, or a mapping of the fields that differ from the default stage.
         single: conditions of the stage that moves the landmarks of stacks pulled apart.
-        sampled: conditions of that stage for an objective with a sampling, whose samples the walk must not overfit.
-        given: conditions of the only stage if the start is given: warmer, as it may be far from good, and on samples
-            as smooth as `sampled`.
+        sampled: conditions in place of `single` for an objective with a sampling, whose samples the walk must not
+            overfit.
+        given: conditions of the only stage if the start is given. The temperature is higher, as the start may be bad,
+            and the objective as smooth as in `sampled`.
         stacked_share: share of the budget spent on stacks.
         climb_share: share of the budget spent on the ascent, for an objective with a sampling.
-        growth: share of the single stage in which footprints grow to their size, nu or the paper of tags.
-        spread: distance between the landmarks of a stack pulled apart, in virtual diameters, or papers if larger.
+        growth: share of the stage `single` in which footprints grow to their size: nu, or the paper of tags.
+        spread: distance between the separated landmarks of a stack, over the larger of virtual diameter and paper's
+            edge.
         largest: share of the positions of an objective's sampling in the samples at the end of a stage. Twice the share
-            takes twice the time, and makes fewer mistakes in the end.
+            takes twice the time, and wrong decisions at the end of the run become rarer.
         walkers: number of groups of landmarks that are moved at the same time, see `Surrogate`.
         seed: see `Optimiser`.
 
@@ -102,7 +104,7 @@ class Annealing(Optimiser):
         self.spread = real("spread", spread, low=0.0)
         self.largest = real("largest", largest, above=0.0, high=1.0)
         self.walkers = integer("walkers", walkers, low=1)
-        self.spent = 0  # number of moved landmarks; K moves count as an evaluation
+        self.spent = 0  # number of moved landmarks; K moved landmarks count as an evaluation
         self.rng: np.random.Generator
         self.start: Deployment
         self.angles: FloatArray | None = None  # directions in which stacks are separated; None without stacks
@@ -128,7 +130,7 @@ class Annealing(Optimiser):
         surrogate = Surrogate(problem, self.walkers, self.largest)
 
         def note(moved: int, deployment: Deployment | None) -> None:
-            """Record the cost of moves, and the resulting `deployment` unless it cannot be the best."""
+            """Record the cost of moves, and their result `deployment`, which is None if it cannot be the best."""
             self.spent += moved
             fitness = -math.inf if deployment is None else problem.fitness_of(deployment)
             ledger.seconds = clock() - began
@@ -150,7 +152,7 @@ class Annealing(Optimiser):
         return self.result(problem, stopped)
 
     def _begin(self, problem: Problem, stack: int, limit: float) -> int:
-        """Draw the start, as stacks if the budget suffices; returns the cost of the start in moved landmarks."""
+        """Draw the start, as stacks if the budget suffices, and return the cost of the start in moved landmarks."""
         count = problem.count
         self.rng = np.random.default_rng(self.seed)
         start, footprints = problem.draw(self.rng), problem.scene.footprints
@@ -171,7 +173,8 @@ class Annealing(Optimiser):
         return 0
 
     def _walk(self, problem: Problem, surrogate: Surrogate, used: float, left: float) -> tuple[int, Deployment | None]:
-        """Walk a stretch; returns the number of moved landmarks, and the resulting deployment if it may be the best.
+        """Walk a stretch, and return the number of moved landmarks and the resulting deployment, None if it cannot be
+        the best.
 
         Args:
             problem: the problem.
@@ -181,27 +184,27 @@ class Annealing(Optimiser):
         """
         count, stack = problem.count, surrogate.stack
         if self.in_stacks and used >= self.stacked_share:
-            self.in_stacks, self.here = False, self._apart(problem, stack, SMALLEST_SIZE if self.growth else 1.0)
+            self.in_stacks, self.here = False, self._separated(problem, stack, SMALLEST_SIZE if self.growth else 1.0)
         conditions = self._conditions(problem, used)
         stretch = min(MAX_MOVES, max(1.0, (self.spent + left) / MIN_STRETCHES), left)
         if surrogate.is_true(len(self.here), conditions):
             self.here, found = surrogate.walk(self.here, self._known, conditions, int(stretch), self.rng)
             return int(stretch), found
-        if left < count:  # too little for a check
+        if left < count:  # too few landmarks are left for a check
             return int(left), None
         longer = CHECK_FACTOR_ON_SAMPLES if problem.objective.sampling else 1
         stretch = longer * max(stretch, CHECK_EVALUATIONS * count)
-        # The last stretch includes a rest that is too small for another stretch.
+        # The last stretch also spends the rest that is too small for another stretch.
         stretch = stretch if left >= 2 * (stretch + count) else left - count
         each = stack if self.in_stacks else 1
         moves = int(stretch) // each
         self.here, _ = surrogate.walk(self.here, self._known, conditions, moves, self.rng)
-        led_to = self._apart(problem, stack, 1.0) if self.in_stacks else self._mean(problem)
-        self.walked = problem.apart(led_to)
+        led_to = self._separated(problem, stack, 1.0) if self.in_stacks else self._mean(problem)
+        self.walked = problem.separated(led_to)
         return moves * each + count, self.walked
 
     def _climb(self, problem: Problem, used: float, left: float) -> tuple[int, Deployment | None]:
-        """Make steps of the ascent; arguments and result as in `_walk`, but `left` counts to the end of the run."""
+        """Make steps of the ascent. Arguments and result are as in `_walk`, but `left` counts to the end of the run."""
         count, each = problem.count, PLACES_TRIED * problem.free_count
         steps = int(min(ASCENT_STEPS, (left - count) / each))
         if steps < 1:
@@ -241,14 +244,16 @@ class Annealing(Optimiser):
         return self.best
 
     def _mean(self, problem: Problem) -> Deployment:
-        """Mean places of a walk on samples; the last places while growing footprints push landmarks apart."""
+        """Mean places of a walk on samples. While growing footprints push landmarks apart, the last places."""
         if problem.objective.sampling is None or self.angles is not None:
             return self.here
         self.mean_places = self.mean_places or MeanPlaces(self.here)
         return self.mean_places.add(self.here)
 
-    def _apart(self, problem: Problem, stack: int, size: float) -> Deployment:
-        """Separate the landmarks of each stack for footprints of this size; landmarks in no stack stay at the start."""
+    def _separated(self, problem: Problem, stack: int, size: float) -> Deployment:
+        """Separate the landmarks of each stack for footprints of `size` over the true size; landmarks in no stack stay
+        at the start.
+        """
         assert self.angles is not None, "there are stacks"
         distance = self.spread * size * problem.scene.spacing
         apart = problem.complete(pulled_apart(problem, self.here, self.angles, stack, distance))

@@ -5,9 +5,9 @@ sample. Here each sample is used for all landmarks, and the steps average over s
 
 The slope of the smoothed objective (`walk`) along u and v of a landmark's surface is a central difference
 (f(x + d) - f(x - d)) / 2 d of values that are exact on the sample, occlusion included. So any objective with a field
-can be maximised. d is some millimetres: neighbours are just far enough apart not to hide each other, and a larger d
-would smooth this edge and push them further apart. The steps are those of Adam (Kingma and Ba, 2015), which
-are smaller where samples disagree about the direction.
+can be maximised. d is some millimetres. Neighbours are just far enough apart not to hide each other; a larger d would
+smooth the edge at which occlusion begins and push neighbours further apart. The steps are those of Adam (Kingma and Ba,
+2015), which are smaller where samples disagree about the direction.
 """
 
 from collections.abc import Mapping
@@ -53,7 +53,7 @@ def _slopes(
         for side in range(2):
             rise = run = 0.0
             for sign in (-1.0, 1.0):
-                # The difference ends at the border of the surface, as a landmark beyond it is not visible.
+                # The difference ends at the border of the surface, as a landmark beyond the border is not visible.
                 away = min(max(place[side] + sign * DIFFERENCE_M, 0.0), surfaces.extent[s, side]) - place[side]
                 for i in range(3):
                     along = surfaces.u[s, i] if side == 0 else surfaces.v[s, i]
@@ -83,10 +83,11 @@ class Ascent:
         """Move the landmarks of `here` that are not fixed a step along their surfaces.
 
         Args:
-            problem: its objective has a sampling.
+            problem: problem whose objective has a sampling.
             here: K landmarks, flush on their surfaces.
-            progress: share of the ascent that is done, in [0, 1]; the steps get smaller.
-            samples: number of samples to draw, each with one position in each cell; on as many threads, if possible.
+            progress: completed share of the ascent, in [0, 1]; steps get smaller as it increases.
+            samples: number of samples to draw, each with one position in each cell; each sample has a thread, if
+                possible.
             rng: draws the samples.
         """
         surfaces, seeds = (
@@ -115,17 +116,17 @@ class Ascent:
         at = surfaces.coordinates(here.surfaces, here.positions) + away
         moved = Deployment(surfaces.points(here.surfaces, at), here.normals, here.surfaces)
         moved = problem.complete(problem.free(moved))
-        return problem.apart(moved) or here
+        return problem.separated(moved) or here
 
     def state(self) -> dict[str, Any]:
-        """Return the means as data."""
+        """Return the means of the slopes as data."""
         return {"mean": self._mean, "square": self._square, "steps": self._steps}
 
     def restore(self, state: Mapping[str, Any]) -> None:
-        """Take over the `state` of another ascent of as many landmarks.
+        """Take over the `state` of another ascent with K landmarks.
 
         Raises:
-            InputError: `state` is not the state of such an ascent.
+            InputError: `state` is not the state of an ascent with K landmarks.
         """
         count = len(self._mean)
         self._mean = array("ascent.mean", state["mean"], np.float64, count, 2)

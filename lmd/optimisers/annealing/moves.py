@@ -23,7 +23,7 @@ class Settings(NamedTuple):
     width: float
     """Width in value over which the objective is smoothed."""
     margin: float
-    """Height in value of the smoothed threshold above the true one."""
+    """Height in value of the smoothed threshold above the true threshold."""
     share: float
     """Weight of the value itself beside the smoothed step."""
     step: float
@@ -35,15 +35,15 @@ class Settings(NamedTuple):
     near: float
     """Standard deviation of the distance from the landmark joined, along u and along v, metres."""
     together: float
-    """Probability that a landmark moves with its n - 1 nearest neighbours, their offsets unchanged."""
+    """Probability that a landmark moves with its n - 1 nearest neighbours, whose offsets from it stay unchanged."""
     exchange: float
-    """Probability that a landmark exchanges its place with one of another size, where there are several sizes."""
+    """Probability that a landmark exchanges its place with a landmark of another size, if there are several sizes."""
 
 
 class FootprintArrays(NamedTuple):
     """Squares that K landmarks cover on their surfaces; S sizes, W surfaces, T trapezoids.
 
-    Moves that let two overlap, or that leave the places where landmarks may hang, are not tried.
+    A move is not tried if footprints would overlap, or if a landmark would leave the places where it may hang.
     """
 
     edges: FloatArray
@@ -53,7 +53,7 @@ class FootprintArrays(NamedTuple):
     pieces: FloatArray
     """`(T, 6)` trapezoids in which landmarks of a size may hang, as `SurfaceArrays.pieces`."""
     first: IntArray
-    """`(S, W + 1)` trapezoids of size s on surface w are from `first[s, w]` to `first[s, w + 1]`."""
+    """`(S, W + 1)` trapezoids of size s on surface w are `first[s, w]` to `first[s, w + 1] - 1`."""
 
 
 @inner
@@ -117,7 +117,7 @@ def propose(
     new: FloatArray,
     on: IntArray,
 ) -> bool:
-    """Propose a place for the first landmark of `group`; the others keep their offset from it along u and v.
+    """Propose a place for the first landmark of `group`; the others keep their offsets from the first along u and v.
 
     Returns:
         True if all landmarks may hang at their new places.
@@ -150,7 +150,7 @@ def _may_hang(k: int, s: int, a: float, b: float, footprints: FootprintArrays) -
 
 @inner
 def pair_up(k: int, members: IntArray, footprints: FootprintArrays, rng: np.random.Generator, pair: IntArray) -> bool:
-    """Fill `pair` with landmark k and one of the `members` of another size; return False if there is none."""
+    """Fill `pair` with landmark k and a landmark of another size among the `members`; return False if there is none."""
     start = int(rng.random() * len(members))
     for i in range(len(members)):
         j = members[(start + i) % len(members)]
@@ -164,7 +164,7 @@ def pair_up(k: int, members: IntArray, footprints: FootprintArrays, rng: np.rand
 def exchange(
     pair: IntArray, here: Places, surfaces: SurfaceArrays, footprints: FootprintArrays, new: FloatArray, on: IntArray
 ) -> bool:
-    """Propose that the landmarks of `pair` exchange their places; returns as `propose`."""
+    """Propose that the landmarks of `pair` exchange their places; the result is as in `propose`."""
     for m in range(2):
         other = pair[1 - m]
         s, a, b = here.surfaces[other], 0.0, 0.0
@@ -187,7 +187,7 @@ def overlap(
     surfaces: SurfaceArrays,
     footprints: FootprintArrays,
 ) -> bool:
-    """Return True if a footprint of `group` at its new place would overlap another on that surface."""
+    """Return True if a footprint of `group` at its new place would overlap another footprint on that surface."""
     poses, edges = here.poses, footprints.edges
     for m in range(len(group)):
         surface, mine = on[m], edges[group[m]]

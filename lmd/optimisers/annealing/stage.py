@@ -13,14 +13,14 @@ CONSTANTS = ("margin", "share", "jump", "join", "together", "exchange")
 
 @dataclass(frozen=True)
 class Stage:
-    """Conditions of one stage; pairs run geometrically from the first to the second value.
+    """Conditions of one stage; a pair is the value at the begin and at the end of the stage, geometric in between.
 
     Raises:
         InputError: a value is out of range.
     """
 
     temperature: Sequence[float]
-    """Loss in the smoothed objective, a mean over positions, that is accepted with probability 1/e."""
+    """Loss in the smoothed objective that is accepted with probability 1/e; the objective is a mean over positions."""
     width: Sequence[float]
     """Width of the smooth step around the threshold, in value."""
     step: Sequence[float]
@@ -36,7 +36,7 @@ class Stage:
     together: float = 0.0
     """Probability that a landmark moves with its n - 1 nearest neighbours."""
     exchange: float = 0.05
-    """Probability that a landmark exchanges its place with one of another size, where there are several sizes."""
+    """Probability that a landmark exchanges its place with a landmark of another size, if there are several sizes."""
 
     def __post_init__(self) -> None:
         check_fields(self, vector, *PAIRS, size=2, above=0.0)
@@ -49,7 +49,7 @@ class Stage:
         """Settings of the walk after a share `progress` in [0, 1] of the stage.
 
         Args:
-            progress: clipped to [0, 1].
+            progress: completed share of the stage, clipped to [0, 1].
             near: standard deviation of the distance from the landmark that a move joins, metres.
         """
         progress = max(0.0, min(progress, 1.0))

@@ -1,7 +1,7 @@
 """Surrogates of a problem for simulated annealing, and the conversion of their results to deployments.
 
 A surrogate has one or more of these simplifications: *stacks*, groups of n coincident landmarks that do not hide
-others; footprints smaller than the true ones; and, for an objective with a sampling, samples drawn anew for each
+others; footprints smaller than their true size; and, for an objective with a sampling, samples drawn anew for each
 stretch of the walk.
 """
 
@@ -29,7 +29,8 @@ from lmd.sight.evaluator import Evaluator
 from lmd.space.surface import SurfaceArrays
 
 STACK_SPREAD = 1.6  # distance of separated landmarks, in virtual diameters, at which they do not hide each other
-AVERAGING_ETA = 3  # eta: at any time the last quarter of a walk has at least half of the weight in its mean
+# Decay eta of the averaging: at any time the last quarter of a walk has at least half of the weight in the mean.
+AVERAGING_ETA = 3
 RESTART_M = 0.5  # distance of a landmark from its mean beyond which the mean begins anew, metres
 NOWHERE = Places(np.empty((6, 0)), np.empty(0, dtype=np.int64))
 
@@ -41,9 +42,9 @@ class Conditions:
     in_stacks: bool
     """True if each moved landmark is a stack."""
     size: float
-    """Size of the footprints over the true one."""
+    """Size of the footprints over their true size."""
     done: float
-    """Share of the stage that is done."""
+    """Completed share of the stage, in [0, 1]."""
     settings: Settings
     """Settings of the walk."""
 
@@ -61,19 +62,21 @@ class Walker:
     scratches: Any
     """`layers` of a scratch, one for each landmark of a group."""
     best: Best
-    """Best deployment of the walk; best for the true problem only if a single walker walks on it."""
+    """Best deployment of the walk. It is the best for the true problem only if a single walker walks on that
+    problem.
+    """
 
 
 class Surrogate:
-    """A problem in the arrays of the walk, and the walkers on it.
+    """Problem as arrays for the walk, and the walkers on the problem.
 
-    Walkers run in parallel. Each moves its own landmarks while the others stay; then all moves are combined. The room
-    is divided between walkers by slices across a random direction, as distant landmarks are rarely seen together. The
-    number of walkers, and so the result, does not depend on the machine.
+    Walkers run in parallel. Each walker moves its own landmarks while all other landmarks stay; then the moves are
+    combined. The room is divided between walkers by slices across a random direction, as distant landmarks are rarely
+    seen together. The number of walkers, and so the result, does not depend on the machine.
 
     Args:
         problem: the true problem.
-        walkers: largest number of walkers; each has landmarks enough to move together.
+        walkers: largest number of walkers. There are fewer if a walker would have too few landmarks to move together.
         largest: share of the positions of an objective's sampling in the samples at the end of a stage.
     """
 
@@ -111,14 +114,14 @@ class Surrogate:
     def walk(
         self, here: Deployment, best: Deployment, conditions: Conditions, moves: int, rng: np.random.Generator
     ) -> tuple[Deployment, Deployment | None]:
-        """Try `moves` moves from `here`; returns where they led, and the best deployment met if it is a new one.
+        """Try `moves` moves from `here`, and return the resulting deployment, and the best one on the way if it is new.
 
         Args:
             here: stacks, or all landmarks.
             best: best deployment of the problem.
             conditions: conditions of the walk.
             moves: number of landmarks, or stacks, to move.
-            rng: draws all that is random.
+            rng: source of everything random.
         """
         places = self._prepare(here, best, conditions, rng)
         before, number = self._walkers[0].best.fitness[0], len(self._walkers)
@@ -136,9 +139,9 @@ class Surrogate:
         return self._together(), first.places.deployment() if found else None
 
     def _prepare(self, here: Deployment, best: Deployment, conditions: Conditions, rng: np.random.Generator) -> Places:
-        """Prepare the walkers; returns the places at which they begin, `NOWHERE` if they are there already.
+        """Prepare the walkers, and return the places at which they begin: `NOWHERE` if the walkers are already there.
 
-        The size of samples grows with the square of the share of the stage that is done: early moves need only a rough
+        The size of samples grows with the square of the completed share of the stage: early moves need only a rough
         estimate, late moves are smaller than the error of a small sample.
         """
         in_stacks, size = conditions.in_stacks, conditions.size
@@ -151,8 +154,8 @@ class Surrogate:
             self._lay_out(*redrawn)
         self._climbed = in_stacks, size
         if not in_stacks:
-            pushed = self._problem.apart(here, size)
-            here = best if pushed is None else pushed  # no room for larger footprints
+            pushed = self._problem.separated(here, size)
+            here = best if pushed is None else pushed  # None: the room is too small for larger footprints
         self._footprints = self._footprints_of(len(here), 0.0 if in_stacks else size)
         slices = self._slices(here, self._first_movable(in_stacks), number, rng)
         if same:
@@ -170,17 +173,19 @@ class Surrogate:
         return NOWHERE
 
     def _first_movable(self, in_stacks: bool) -> int:
-        """Return the index of the first landmark that may move: fixed ones are not among the stacks."""
+        """Return the index of the first landmark that may move: 0 with stacks, which contain no fixed landmarks."""
         return 0 if in_stacks else self._problem.fixed_count
 
     def _shared_out(self, count: int, in_stacks: bool) -> tuple[int, int]:
-        """Number of landmarks that can move together, of `count`, and number of walkers."""
+        """Number of landmarks, among `count`, that can move together; and number of walkers."""
         movable = count - self._first_movable(in_stacks)
         together = 1 if in_stacks else max(1, min(self.stack, movable))
         return together, max(1, min(self._most_walkers, movable // together))
 
     def _walker(self, best: Deployment | None, together: int, members: IntArray, state: Any) -> Walker:
-        """Make a walker that begins with `state`; its best deployment is `best`, or that of the state if None."""
+        """Make a walker that begins with `state`; its best deployment is `best`, or the deployment of the state if
+        `best` is None.
+        """
         exchanged = 2 if len(self._footprints.first) > 1 else 1
         scratches = layers(self._field.scratch(state), max(together, exchanged))
         known = state if best is None else self._true.state(best)
@@ -189,7 +194,7 @@ class Surrogate:
         return Walker(members, np.empty(together, dtype=np.int64), state, scratches, met)
 
     def _footprints_of(self, count: int, size: float) -> FootprintArrays:
-        """Footprints of `count` landmarks, `size` times the true ones; 0 for stacks, which have none."""
+        """Footprints of `count` landmarks, `size` times their true size; 0 for stacks, which have no footprints."""
         footprints, sizes = self._problem.scene.footprints, self._problem.sizes
         papers = footprints.tag.paper_share * sizes if size else np.full(count, footprints.edge)
         found, of = np.unique(papers, return_inverse=True)
@@ -215,18 +220,19 @@ class Surrogate:
 
 
 def count_stacks(problem: Problem, stack: int) -> int:
-    """Number of stacks of `stack` landmarks among the free landmarks; the remaining ones are in no stack."""
+    """Number of stacks of `stack` landmarks among the free landmarks; the remaining landmarks are in no stack."""
     return problem.free_count // stack if stack else 0
 
 
 def pulled_apart(problem: Problem, stacks: Deployment, angles: FloatArray, stack: int, distance: float) -> Deployment:
-    """Separate the landmarks of stacks: each on a circle around its stack, neighbours `distance` metres apart.
+    """Separate the landmarks of stacks: put them on a circle around their stack, with neighbours `distance` metres
+    apart.
 
     Args:
-        problem: gives the surfaces.
+        problem: problem with the surfaces.
         stacks: places of S stacks.
-        angles: direction of the first landmark of each, `(S,)`, radians.
-        stack: number of landmarks in each.
+        angles: direction of the first landmark of each stack, `(S,)`, radians.
+        stack: number of landmarks in each stack.
         distance: metres.
 
     Returns:
@@ -242,11 +248,11 @@ def pulled_apart(problem: Problem, stacks: Deployment, angles: FloatArray, stack
 
 
 class MeanPlaces:
-    """Weighted mean of the places of each landmark since it last jumped, or moved to another surface.
+    """Weighted mean of the places of each landmark since its last jump or change of surface.
 
-    On random samples a walk does not converge, as each step fits its sample only. The mean of its places is closer to
-    the optimum over all samples than any single place. Later places have a larger weight, as the walk still improves:
-    averaging with polynomial decay (Shamir and Zhang, 2013).
+    On random samples a walk does not converge, as each step fits its sample only. The mean of a landmark's places is
+    closer to the optimum over all samples than any single place. Later places have a larger weight, as the walk still
+    improves: averaging with polynomial decay (Shamir and Zhang, 2013).
 
     Args:
         start: K landmarks.
@@ -258,7 +264,7 @@ class MeanPlaces:
         self._places = np.zeros(len(start))
 
     def add(self, here: Deployment) -> Deployment:
-        """Add the places `here` to the mean; returns the mean, on the surfaces of `here`."""
+        """Add the places `here` to the mean, and return the mean, on the surfaces of `here`."""
         away = here.positions - self._mean
         jumped = (here.surfaces != self._surfaces) | (np.linalg.norm(away, axis=1) > RESTART_M)
         self._places = np.where(jumped, 1.0, self._places + 1.0)
@@ -271,10 +277,10 @@ class MeanPlaces:
         return {"mean": self._mean, "surfaces": self._surfaces, "places": self._places}
 
     def restore(self, state: Mapping[str, Any], problem: Problem) -> None:
-        """Take over the `state` of another mean of as many landmarks in the room of `problem`.
+        """Take over the `state` of another mean, of K landmarks in the room of `problem`.
 
         Raises:
-            InputError: `state` is not the state of such a mean.
+            InputError: `state` is not the state of a mean of K landmarks in that room.
         """
         count = len(self._places)
         self._mean = points("mean_places.mean", state["mean"], problem, count)

@@ -6,12 +6,14 @@ over positions of
 
     1 / (1 + exp(-(P_n - thold_p - margin) / width)) + share * P_n.
 
-It records the best deployment by the true objective (`contribution`). Both converge as `width` shrinks.
+The walk records the best deployment by the true objective (`contribution`), to which the surrogate converges as `width`
+shrinks.
 
 Most moves are rejected before their exact gain is computed. The objective is monotone in every value, so upper bounds
 on the values (`bound`) give an upper bound on the gain. If the bound is negative, the gain is negative, and the random
-number of Metropolis' rule is drawn. If the rule rejects the bound, it would reject the gain; otherwise it is applied to
-the gain with the same number. So decisions and random numbers do not depend on the bound.
+number of Metropolis' rule is drawn. A bound that the rule rejects implies that the rule would reject the gain;
+otherwise the rule is applied to the gain with the number drawn. So decisions and random numbers do not depend on the
+bound.
 """
 
 import math
@@ -36,7 +38,7 @@ class Best(NamedTuple):
     fitness: FloatArray
     """`(1,)` fitness of the deployment."""
     places: Places
-    """Poses and surfaces of its landmarks."""
+    """Poses and surfaces of the deployment's landmarks."""
 
 
 class Known(NamedTuple):
@@ -49,12 +51,12 @@ class Known(NamedTuple):
     terms: FloatArray
     """`(Q,)` contribution of each position."""
     tried: FloatArray
-    """`(Q,)` working memory: the contributions after a move that is tried."""
+    """`(Q,)` working memory: contributions of the positions after a move that is tried."""
 
 
 @inner
 def _sum_values(units: IntArray, known: Known, target: Any, settings: Settings) -> float:
-    """Return the smoothed objective for `units`, its terms in `known.tried`."""
+    """Return the smoothed objective for `units`, and write its terms to `known.tried`."""
     accepted, terms, tried = known.units, known.terms, known.tried
     total = 0.0
     for p in range(len(units)):
@@ -93,7 +95,7 @@ def _try(
     """Move the landmarks of `group` to `new` on the surfaces `on`, or reject the move by Metropolis' rule.
 
     Returns:
-        the smoothed objective afterwards, and True if the landmarks were moved.
+        smoothed objective after the decision, and True if the landmarks were moved.
     """
     last = len(group) - 1
     for m in range(last + 1):
@@ -141,7 +143,7 @@ def walk(
     """Move landmarks `moves` times from `places`; `state` ends where the walk ends, and `best` is updated.
 
     Args:
-        moves: number of landmarks moved in all; moves that are not tried count.
+        moves: total number of moved landmarks; moves that are proposed but not tried count.
         places: places at the begin of the walk; if empty, the walk begins at `state`.
         members: `(M,)` indices of the landmarks that may move, M >= the length of `several`.
         several: `(n,)` working memory: the landmarks that move together.
@@ -155,7 +157,8 @@ def walk(
         rng: draws proposals and decisions.
         best: the best deployment.
     """
-    # A part of this kernel: in a kernel of its own, the functions that move landmarks would be compiled a second time.
+    # The places are reached in this kernel, as in another kernel the functions that move landmarks would be compiled
+    # again.
     move_to(places, field, state, scratches, np.empty(6))
     layout = placed(state)
     here, positions, count = Places(layout.poses, layout.surfaces), len(state.units), len(members)

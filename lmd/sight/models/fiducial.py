@@ -5,22 +5,22 @@ to 96 % of these detections, and the probability of seeing at least n tags in wh
 
 - its incidence angle is at most `incidence`;
 - its pitch, the image length of a module in the direction in which it is shortest, is at least
-  sqrt(pitch^2 + (blur sigma)^2), with `pitch` and `blur` of the detector and
-  sigma^2 = psf_sigma^2 + (c / 4)^2 + motion_blur^2 / 12, c the diameter of the circle of confusion of a thin lens at
-  the depth of the tag's centre;
+  sqrt(pitch^2 + (blur sigma)^2), with `pitch` and `blur` of the detector and sigma^2 = psf_sigma^2 + (c / 4)^2 +
+  motion_blur^2 / 12, where c is the diameter of the circle of confusion of a thin lens at the depth of the tag's
+  centre;
 - the square root of its image area is at least `edge` pixels;
 - the corners of its picture lie in the rectangular image, at least `margin` pixels from the border;
 - no other footprint covers its centre or a corner of its picture. Footprints include the quiet zone.
 
 Let (u, v, w) be the tag's centre in the camera frame, and t, s its right and up. The Jacobian J maps metres in the
-plane of the tag to pixels. Its column for t is (f_u (t_u - t_w u / w) / w, f_v (t_v - t_w v / w) / w); the column for
-s is alike. The smaller eigenvalue of J^T J is at least T if 2 T <= |J|^2 and T^2 - |J|^2 T + det(J)^2 >= 0. Moreover
-|det J| = f_u f_v |n . d| / w^3.
+plane of the tag to pixels. Its column for t is (f_u (t_u - t_w u / w) / w, f_v (t_v - t_w v / w) / w); the column for s
+has s_u, s_v and s_w in place of t_u, t_v and t_w. The smaller eigenvalue of J^T J is at least T if 2 T <= |J|^2 and T^2
+- |J|^2 T + det(J)^2 >= 0. Moreover |det J| = f_u f_v |n . d| / w^3.
 
-Each border of a pinhole image is a half-space in the camera frame, so the farthest corner decides. With lens
+Each border of a pinhole image bounds a half-space in the camera frame, so the corner farthest out decides. With lens
 distortion, the centre and each corner are projected one by one and must lie within `Camera.widest_angle` of the axis,
-and J is the Jacobian of the lens times (t, s). For a fisheye, the blur is computed at the distance of the centre
-instead of the depth, which is 0 at 90 degrees from the axis.
+and J is the Jacobian of the lens times (t, s). For a fisheye, the blur is computed at the distance of the centre, as
+the depth is 0 at 90 degrees from the axis.
 
 All tags hang upright (`lmd.geometry.squares.upright`).
 
@@ -98,7 +98,7 @@ class Fiducial:
         return self.tag.paper_edge
 
     def sized(self, edges: tuple[float, ...]) -> "Fiducial":
-        """Copy for landmarks with the given edges, metres."""
+        """Copy of the criteria for landmarks with the given edges, metres."""
         return replace(self, edges=edges)
 
     def sight(self, camera: Camera) -> FiducialSight | LensSight:
@@ -202,7 +202,7 @@ def _through(lens: Lens, widest: float, flat: FiducialSight) -> LensSight:
     `flat` is the compiled model without distortion.
     """
     bounds = lens.stretch(widest)
-    # An arc between two directions in view leaves the widest angle only if that exceeds 90 degrees.
+    # An arc between two directions in view leaves the cone of the widest angle only if that angle exceeds 90 degrees.
     around = widest if widest <= math.pi / 2.0 else min(widest + NEAR, math.pi)
     approximation, image_error = lens.approximation(widest)
     low, high, area = min(flat.focal_u, flat.focal_v), max(flat.focal_u, flat.focal_v), flat.focal_u * flat.focal_v
@@ -226,7 +226,9 @@ def _through(lens: Lens, widest: float, flat: FiducialSight) -> LensSight:
 
 
 def _pinholes(lens: Lens, widest: float, flat: FiducialSight) -> tuple[FiducialSight, FiducialSight]:
-    """Pinholes whose pitch and area are lower and upper bounds of those of the lens at each depth."""
+    """Two pinholes: at each depth, their pitches and areas bound the lens's pitch and area from below and from
+    above.
+    """
     rates = lens.stretch(widest, power=1)
     shorter = rates.least if min(rates.least, rates.least_area) > 0.0 else 0.0
     longer = max(rates.most, math.sqrt(rates.most_area))  # pitch^2 <= area

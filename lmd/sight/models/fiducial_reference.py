@@ -23,7 +23,7 @@ def in_rectangle(sight: FiducialSight, centre: FloatArray, sides: list[FloatArra
     """Mask `(A, K)` of the tags with all corners in front of the camera and within the borders.
 
     Args:
-        sight: has the borders.
+        sight: compiled model, with the borders of the image.
         centre: centres (u, v, w) in the camera frame, metres, `(3, A, K)`.
         sides: right and up of the tags, unit vectors in the camera frame, `(3, A, K)` each.
     """

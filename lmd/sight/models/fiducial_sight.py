@@ -1,6 +1,6 @@
 """Criteria of `lmd.sight.models.fiducial` for one camera, compiled as scalar functions.
 
-They repeat the operations of the reference in their order, so the results are equal bit for bit.
+The functions repeat the operations of the reference in their order, so the results are equal bit for bit.
 """
 
 import math
@@ -42,18 +42,18 @@ Column = float | FloatArray
 
 
 class FiducialSight(NamedTuple):
-    """Thresholds with tolerances for one camera; a `lmd.scene.criteria.Sight`.
+    """Thresholds with tolerances for one camera; a `lmd.scene.criteria.SightModel`.
 
     A field that depends on the size of a tag is a number if all tags have one size, else a column `(K,)`, from which
-    `sized` selects. Other fields hold for all tags; their values are those of the largest.
+    `sized` selects. Other fields hold for all tags and are computed for the largest tag.
     """
 
     outer_cosine: float
-    """See `Sight.outer_cosine`."""
+    """See `SightModel.outer_cosine`."""
     inset: float
-    """See `Sight.inset`."""
+    """See `SightModel.inset`."""
     reach: float
-    """See `Sight.reach`."""
+    """See `SightModel.reach`."""
     facing: float
     """Cosine of the greatest incidence angle."""
     half: Column
@@ -79,7 +79,7 @@ class FiducialSight(NamedTuple):
     sharp: Column
     """Least eigenvalue of J^T J without defocus, pixels^2 / metre^2.
 
-    At the depth w it must be at least sharp + blurred (defocus - focus / w)^2.
+    With defocus, the eigenvalue at the depth w must be at least sharp + blurred (defocus - focus / w)^2.
     """
     blurred: Column
     """Coefficient of the squared defocus, 1 / metre^2, see `sharp`."""
@@ -92,26 +92,26 @@ class FiducialSight(NamedTuple):
 
     @property
     def horizon(self) -> float:
-        """See `Sight.horizon`; the greatest distance at which a tag in the corner of the image is resolved."""
+        """See `SightModel.horizon`; the greatest distance at which a tag in the corner of the image is resolved."""
         least = self.outer_cosine**3 * max(np.min(self.area), np.min(self.sharp))
         seen = math.sqrt(self.focal_u * self.focal_v / least) if least else math.inf
         return (seen + math.sqrt(max(self.reach, 0.0))) * (1.0 + NORMAL_TOLERANCE)
 
     @property
     def tabulated(self) -> bool:
-        """See `Sight.tabulated`."""
+        """See `SightModel.tabulated`."""
         return True
 
     def unhidden(self) -> "FiducialSight":
-        """See `Sight.unhidden`."""
+        """See `SightModel.unhidden`."""
         return self._replace(reach=-1.0)
 
     def among(self, low: FloatArray, high: FloatArray, landmarks: FloatArray, normals: FloatArray) -> "FiducialSight":
-        """See `Sight.among`; flush footprints in a convex room do not hide each other."""
+        """See `SightModel.among`; flush footprints in a convex room do not hide each other."""
         return self if may_hide(self, self.horizon, low, high, landmarks, normals) else self.unhidden()
 
     def shrunk(self, size: float) -> "FiducialSight":
-        """See `Sight.shrunk`."""
+        """See `SightModel.shrunk`."""
         return self._replace(footprint=self.footprint * size)
 
 
@@ -134,10 +134,10 @@ def _sized(sight: Any, k: Integer) -> Any:
 
 @from_position.register(FiducialSight)
 def _from_position(sight: Any, x: float, y: float, z: float, nx: float, ny: float, nz: float, slack: float) -> Any:
-    # The projection onto the sphere around the camera scales the tag by at least c / d, c the cosine of the incidence
-    # angle. The projection from the sphere onto the image plane stretches by d / w in one direction and (d / w)^2 in
-    # the other. So the smaller singular value of J is between f c / w and f c d / w^2. Its least admissible value
-    # at the depth w, see `lmd.sight.models.fiducial`, bounds w.
+    # Let c be the cosine of the incidence angle. The projection onto the sphere around the camera scales the tag by at
+    # least c / d. The projection from the sphere onto the image plane stretches by d / w in one direction and (d / w)^2
+    # in the other. So the smaller singular value of J is between f c / w and f c d / w^2. The least admissible singular
+    # value at the depth w, see `lmd.sight.models.fiducial`, bounds w.
     distance = np.sqrt(x * x + y * y + z * z)
     nearest = distance - slack
     along = -(nx * x + ny * y + nz * z)
@@ -169,7 +169,7 @@ def _from_position(sight: Any, x: float, y: float, z: float, nx: float, ny: floa
 
 @from_around.register(FiducialSight)
 def _from_around(sight: Any, x: float, y: float, z: float, nx: float, ny: float, nz: float, radius: float) -> Any:
-    """Only the incidence angle is tested."""
+    """Bounds of `criteria.from_around` by the incidence angle alone."""
     distance, along = math.sqrt(x * x + y * y + z * z), radius - (nx * x + ny * y + nz * z)
     nearest, farthest = max(distance - radius, 0.0), distance + radius
     reached = (along >= min(sight.facing * nearest, sight.facing * farthest)) & (along >= 0.0)
@@ -281,8 +281,8 @@ def _hide(
     sight: Any, other: Any, ax: float, ay: float, az: float, a: float, bx: float, by: float, bz: float, b: float,
     ux: float, uy: float, uz: float, vx: float, vy: float, vz: float,
 ) -> Any:  # fmt: skip
-    # Early exit: the camera is in front of both planes, and no corner is behind the other tag's plane. The centre is
-    # at most half the diagonal times the sine of the angle between the planes above a corner.
+    # Early exit: the camera is in front of both planes, and no corner is behind the other tag's plane. The height of
+    # the centre above a corner is at most half the diagonal times the sine of the angle between the planes.
     cx, cy, cz = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
     sine = math.sqrt(cx * cx + cy * cy + cz * cz)
     below_a, below_b = 1.5 * other.half * sine - 0.5 * TOLERANCE, 1.5 * sight.half * sine - 0.5 * TOLERANCE

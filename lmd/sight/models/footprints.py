@@ -43,8 +43,8 @@ def may_hide(
 ) -> bool:
     """False if no landmark can hide another.
 
-    That is proved if all camera positions are in front of all footprints, and no corner of a tag is behind a footprint
-    within the `horizon` (metres). Other arguments as in `Sight.among`.
+    The function returns False if all camera positions are in front of all footprints, and no corner of a tag is behind
+    a footprint within the `horizon` (metres). Other arguments as in `SightModel.among`.
     """
     return sight.reach >= 0.0 and _some_behind(
         low, high, landmarks, normals, float(np.max(sight.half)), sight.level, horizon

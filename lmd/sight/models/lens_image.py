@@ -52,7 +52,7 @@ def in_rectangle(sight: Any, u: float, v: float, w: float) -> Any:
 
 @inlined
 def is_inside(sight: Any, u: float, v: float, w: float) -> Any:
-    """Equal to `in_rectangle`; the exact test is made only if the approximate projection does not decide."""
+    """Result of `in_rectangle`; the exact test is made only if the approximate projection does not decide."""
     per = 1.0 / np.sqrt(u * u + v * v + w * w)
     room = room_within(sight, u, v, w, per)
     if (w * per > sight.cosine + TOLERANCE) & (abs(room) > sight.image_error):

@@ -1,6 +1,6 @@
 """Criteria of `lmd.sight.models.fiducial` for a lens with distortion, compiled as scalar functions.
 
-They differ from `fiducial_sight` in two points:
+The functions differ from `fiducial_sight` in two points:
 
 - the centre and each corner are projected through the lens; they must lie in the image rectangle and within the
   camera's widest angle from the optical axis, which may exceed 90 degrees;
@@ -24,7 +24,7 @@ import numpy as np
 from lmd.core.bits import Integer
 from lmd.core.checks import FloatArray
 from lmd.core.dispatch import overridable
-from lmd.geometry.lens_models import BrownConrady, Equidistant, density_of, image_of
+from lmd.geometry.lens_models import BrownConrady, Equidistant, area_per_solid_angle, image_of
 from lmd.geometry.squares import upright_axes
 from lmd.scene.criteria import (
     TOLERANCE,
@@ -55,16 +55,16 @@ DIAGONAL = 1.4143  # diagonal of a square over its edge, rounded up
 
 
 class LensSight(NamedTuple):
-    """Thresholds with tolerances for one camera; a `lmd.scene.criteria.Sight`."""
+    """Thresholds with tolerances for one camera; a `lmd.scene.criteria.SightModel`."""
 
     flat: FiducialSight
     """Thresholds that do not depend on the lens, and the borders of the distorted image."""
     lens: BrownConrady | Equidistant
     """Coefficients of the lens."""
     reach: float
-    """See `Sight.reach`."""
+    """See `SightModel.reach`."""
     inset: float
-    """See `Sight.inset`."""
+    """See `SightModel.inset`."""
     cosine: float
     """Cosine of the camera's widest angle from the optical axis."""
     min_depth_ratio: float
@@ -72,49 +72,49 @@ class LensSight(NamedTuple):
     min_pitch: float
     """Least image length of a metre that faces the camera at a distance of 1 m, pixels."""
     max_pitch: float
-    """Greatest such image length, pixels."""
+    """Greatest image length of a metre that faces the camera at a distance of 1 m, pixels."""
     min_area: float
     """Least image area of a square metre that faces the camera at a distance of 1 m, pixels^2."""
     max_area: float
-    """Greatest such image area, pixels^2."""
+    """Greatest image area of a square metre that faces the camera at a distance of 1 m, pixels^2."""
     stretch: tuple[float, ...]
     """Coefficients of an upper bound on the stretch, see `Lens.ceiling`."""
     stretch_end: float
-    """1 - cos(theta) for the greatest angle theta at which `stretch` holds."""
+    """1 - cos(theta) for the greatest angle theta at which the bound `stretch` holds."""
     approximation: tuple[float, ...]
     """Coefficients of an approximate projection, see `Lens.approximation`."""
     image_error: float
     """Upper bound on the error of `approximation`, focal lengths."""
     pinholes: tuple[FiducialSight, FiducialSight] | tuple[()]
-    """Pinholes whose pitch and area are lower and upper bounds of those of the lens; none for a fisheye."""
+    """Two pinholes whose pitches and areas bound the lens's from below and from above; none for a fisheye."""
 
     @property
     def outer_cosine(self) -> float:
-        """See `Sight.outer_cosine`; negative for a widest angle beyond 90 degrees."""
+        """See `SightModel.outer_cosine`; negative for a widest angle beyond 90 degrees."""
         return self.cosine - TOLERANCE
 
     @property
     def horizon(self) -> float:
-        """See `Sight.horizon`; it uses pitch^2 <= |det J|."""
+        """See `SightModel.horizon`; it uses pitch^2 <= |det J|."""
         needed = max(np.min(self.flat.area), np.min(self.flat.sharp))
         seen = math.sqrt(self.max_area / needed) if needed else math.inf
         return (seen + math.sqrt(max(self.reach, 0.0))) * (1.0 + MARGIN)
 
     @property
     def tabulated(self) -> bool:
-        """See `Sight.tabulated`."""
+        """See `SightModel.tabulated`."""
         return True
 
     def unhidden(self) -> "LensSight":
-        """See `Sight.unhidden`."""
+        """See `SightModel.unhidden`."""
         return self._of(self.flat.unhidden())
 
     def among(self, low: FloatArray, high: FloatArray, landmarks: FloatArray, normals: FloatArray) -> "LensSight":
-        """See `Sight.among`."""
+        """See `SightModel.among`."""
         return self if may_hide(self.flat, self.horizon, low, high, landmarks, normals) else self.unhidden()
 
     def shrunk(self, size: float) -> "LensSight":
-        """See `Sight.shrunk`."""
+        """See `SightModel.shrunk`."""
         return self._of(self.flat.shrunk(size))
 
     def _of(self, flat: FiducialSight) -> "LensSight":
@@ -270,7 +270,7 @@ def _covers_one(
             return False
         if (room <= sight.image_error or w * per <= sight.cosine + TOLERANCE) and not in_rectangle(sight, u, v, w):
             return False
-        # Upper bounds on the angle between centre and corner, and on its length in the image.
+        # Upper bounds on the angle between centre and corner, and on the distance between their images.
         sine = DIAGONAL * sight.flat.half * per
         angle = sine * (1.0 + ARC * sine * sine)
         inside = (sine <= 1.0) & (w * per >= sight.cosine + angle)
@@ -298,4 +298,4 @@ def _pixel_density(sight: Any, x: float, y: float, z: float, axes: FloatArray, a
     ax, ay, az, rx, ry, rz = axes[0, a], axes[1, a], axes[2, a], axes[3, a], axes[4, a], axes[5, a]
     dx, dy, dz = ay * rz - az * ry, az * rx - ax * rz, ax * ry - ay * rx
     u, v, w = rx * x + ry * y + rz * z, dx * x + dy * y + dz * z, ax * x + ay * y + az * z
-    return density_of(sight.lens, u, v, w)
+    return area_per_solid_angle(sight.lens, u, v, w)

@@ -1,4 +1,4 @@
-"""Limits of a detector: the least pitch, size and margin and the greatest incidence angle at which it finds a tag.
+"""Limits of a detector: least pitch, size and margin, and greatest incidence angle, at which the detector finds a tag.
 
 A preset is a YAML file with the keys `detector`, `family` and the fields of `Limits`; comments give the evidence.
 `lmd/sight/models/presets` has the presets of the package; `pipelines.calibrate_detector` writes new ones.
@@ -77,7 +77,7 @@ class Preset:
 
     Args:
         detector: name of the detector.
-        family: name of a family of tags, or the common prefix of several, such as `4x4`.
+        family: name of a family of tags, or the common prefix of several families, such as `4x4`.
         limits: the measured limits.
     """
 
@@ -96,7 +96,7 @@ class Preset:
         """Read a file.
 
         Raises:
-            InputError: it cannot be read, a key is missing or unknown, or a value is out of range.
+            InputError: the file cannot be read, a key is missing or unknown, or a value is out of range.
         """
         keys = read_keys(path, "detector")
         expected = {"detector", "family", *NAMES}
@@ -116,7 +116,7 @@ def measured() -> dict[tuple[str, str], Preset]:
 
 
 def limits_of(detector: str, family: str, changes: Mapping[str, Any]) -> Limits:
-    """The limits of a detector for a family of tags.
+    """Limits of a detector for a family of tags.
 
     Args:
         detector: name of a measured detector, or the path of a preset.

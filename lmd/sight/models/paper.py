@@ -8,7 +8,7 @@ A landmark at distance d that is not occluded is covered iff its depth z along t
 
     max(min_cosine d, min_depth) <= z <= max_depth,
 
-where `min_cosine` follows from the field of view, `min_depth` from focus, `max_depth` from focus and resolution.
+where `min_cosine` follows from the field of view, `min_depth` from focus, and `max_depth` from focus and resolution.
 
 Shapes: A orientations, K landmarks. Lengths are metres, angles radians, frames world.
 Source: Lei et al., "Optimization of Directional Landmark Deployment for Visual Observer on SE(3)".
@@ -36,8 +36,8 @@ class Visibility:
         nu: virtual diameter nu_k of a landmark, metres; a landmark closer than this to the line of sight of another
             hides it. 0 switches the test off, so an optimiser may put several landmarks on one point.
         occlusion: `paper` tests the distance to the whole line through camera and landmark, as printed;
-            `line_of_sight` tests only landmarks in front of the camera and not farther than the landmark in question;
-            `none` ignores other landmarks. All modes require the landmark to face the camera.
+            `line_of_sight` tests only landmarks in front of the camera that are at most as far away as the hidden
+            landmark; `none` ignores other landmarks. All modes require the landmark to face the camera.
         circle_of_confusion: permissible diameter delta, pixels.
 
     Raises:

@@ -8,7 +8,7 @@ from lmd.scene.criteria import TOLERANCE, from_around, from_position, hide, in_c
 
 
 class PaperSight(NamedTuple):
-    """Bounds on the depth with tolerances for one camera; a `lmd.scene.criteria.Sight`."""
+    """Bounds on the depth with tolerances for one camera; a `lmd.scene.criteria.SightModel`."""
 
     min_cosine: float
     """Cosine of the half-angle of the cone of view."""
@@ -19,40 +19,40 @@ class PaperSight(NamedTuple):
     reach: float
     """Squared virtual diameter nu, m^2; negative without occlusion."""
     whole_line: bool
-    """True if landmarks behind the camera, or farther than the hidden one, also hide it."""
+    """True if landmarks behind the camera, or farther than the hidden landmark, also hide a landmark."""
 
     @property
     def outer_cosine(self) -> float:
-        """See `Sight.outer_cosine`."""
+        """See `SightModel.outer_cosine`."""
         return self.min_cosine - TOLERANCE
 
     @property
     def inset(self) -> float:
-        """See `Sight.inset`; 0, as a landmark is a point."""
+        """See `SightModel.inset`; 0, as a landmark is a point."""
         return 0.0
 
     @property
     def horizon(self) -> float:
-        """See `Sight.horizon`; infinite for `whole_line`, as landmarks at any distance may hide others."""
+        """See `SightModel.horizon`; infinite for `whole_line`, as landmarks at any distance may hide others."""
         if self.min_cosine <= 0.0 or (self.whole_line and self.reach >= 0.0):
             return math.inf
         return (self.max_depth / self.min_cosine + math.sqrt(max(self.reach, 0.0))) * (1.0 + 2.0 * TOLERANCE)
 
     @property
     def tabulated(self) -> bool:
-        """See `Sight.tabulated`; the test is a depth and two comparisons."""
+        """See `SightModel.tabulated`; the test is a depth and two comparisons."""
         return False
 
     def unhidden(self) -> "PaperSight":
-        """See `Sight.unhidden`."""
+        """See `SightModel.unhidden`."""
         return self._replace(reach=-1.0)
 
     def among(self, low: FloatArray, high: FloatArray, landmarks: FloatArray, normals: FloatArray) -> "PaperSight":
-        """See `Sight.among`; no occlusion is excluded."""
+        """See `SightModel.among`; no occlusion is excluded."""
         return self
 
     def shrunk(self, size: float) -> "PaperSight":
-        """See `Sight.shrunk`."""
+        """See `SightModel.shrunk`."""
         return self._replace(reach=self.reach * size**2)
 
 

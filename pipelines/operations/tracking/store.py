@@ -228,12 +228,6 @@ class MlflowReader:
             if not (token := page.token):
                 return pd.DataFrame.from_dict(rows, orient="index")
 
-    def curve(self, run_id: str, metric: str) -> list[tuple[int, float, float]]:
-        """A curve as it was logged: (step, value, seconds since the run began), by step."""
-        start = int(self._client.get_run(run_id).info.start_time)
-        history = self._client.get_metric_history(run_id, metric)
-        return sorted((m.step, m.value, (m.timestamp - start) / 1000.0) for m in history)
-
     def artifact(self, run_id: str, name: str) -> Path:
         """A local copy of a file of a run.
 

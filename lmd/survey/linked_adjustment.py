@@ -1,14 +1,14 @@
 """Bundle adjustment of frames that are linked by motion, see `lmd.survey.motion`.
 
-With links the block H_ff of all frames is block tridiagonal. Its Cholesky factor is a band, so frames are still
-eliminated in time and memory linear in their number.
+With links the block H_ff of all frames is block tridiagonal. Its Cholesky factor is a band matrix, so time and memory
+for eliminating the frames are linear in their number.
 
 The spread s of the motion is estimated by maximum evidence: with theta = log s^2,
 
     d chi^2 / d theta + d log |Q| / d theta + d log |H| / d theta = 0,
 
 where chi^2 and Q are the errors of the links and their covariance, and H is the matrix of all unknowns. The prior of s
-counts like some links.
+has the weight of `ASSUMED_LINKS` links.
 
 Source: MacKay, "Bayesian Interpolation".
 """
@@ -28,15 +28,18 @@ from lmd.survey.schur import LEAST_DAMPING, Eliminated
 from lmd.survey.sightings import RESIDUALS, Sightings
 
 COLUMNS = 512  # columns of the kept unknowns that are eliminated at once
-ASSUMED_LINKS = 3.0  # number of links like which the prior of a spread counts
+ASSUMED_LINKS = 3.0  # weight of the prior of a spread, as a number of links
 CHANGE = 1e-3  # relative change for derivatives of determinants
-# Steps of the estimate of a spread, the most that its square changes by in each, and in the last one.
+# Estimate of a spread: maximum number of steps, largest factor on its square in a step, and relative change of the
+# square that ends the estimate.
 SPREAD_STEPS, MOST_CHANGE, SETTLED = 3, 10.0, 0.03
 WEAKEST = 1e-9  # information on velocities without links
 
 
 class Chain(NamedTuple):
-    """Factors of the matrix [B c; c^T d] of n unknowns of frames and e of the bias of odometry; B is a band."""
+    """Factors of the matrix [B c; c^T d] for n unknowns of frames and e unknowns of the odometry's bias; B is a band
+    matrix.
+    """
 
     factor: FloatArray
     """Banded Cholesky factor of B."""
@@ -49,7 +52,7 @@ class Chain(NamedTuple):
 
     @classmethod
     def of(cls, band: FloatArray, border: FloatArray, corner: FloatArray) -> "Chain":
-        """Factor a matrix, given the lower band of B, c and d."""
+        """Factor a matrix that is given by the lower band of B, by c and by d."""
         from scipy.linalg import cho_solve_banded, cholesky_banded
 
         factor = cholesky_banded(band, lower=True, check_finite=False)
@@ -88,7 +91,7 @@ class LinkedAdjustment(Adjustment):
         self.links = self.motion.links(self.seen)
         self._waiting: list[tuple[Eliminated, FloatArray, IntArray, IntArray]] = []
         self._chain = Chain.of(np.ones((1, 1)), np.empty((1, 0)), np.empty((0, 0)))
-        self._right = np.empty((0, 0)), np.empty(0)  # of the frames, and of the bias
+        self._right = np.empty((0, 0)), np.empty(0)  # right sides of the frames and of the bias
 
     def prior_losses(self, poses: Poses) -> list[float]:
         """Losses of the priors and of the links."""
@@ -164,14 +167,16 @@ class LinkedAdjustment(Adjustment):
         return [twists[own] for own in places]
 
     def log_determinant(self, poses: Poses, floor: float, weight: float = 1.0) -> float:
-        """Log-determinant of the matrix of all unknowns that have information; `weight` is that of the sightings."""
+        """Log-determinant of the matrix of all unknowns that have information; `weight` is the weight of the
+        sightings.
+        """
         matrix, *_ = self.schur_system(poses, floor, 0.0, weight)
         informed = np.flatnonzero(np.diag(matrix) > 0.0)
         kept = float(np.linalg.slogdet(matrix[np.ix_(informed, informed)])[1])
         return kept + self._chain.log_determinant
 
     def _update_share(self, poses: Poses, floor: float) -> None:
-        """Set the share of squared errors that a fit leaves, in which links have a part."""
+        """Set the share of the squared errors that remains after a fit, links included."""
         more = self.log_determinant(poses, floor, 1.0 + CHANGE) - self.log_determinant(poses, floor)
         self.share = max(1.0 - more / np.log1p(CHANGE) / (RESIDUALS * len(self.sightings)), LEAST_SHARE)
 
@@ -198,7 +203,7 @@ class LinkedAdjustment(Adjustment):
                 there = found._with_spread(*grown)._evidence(poses, floor, error)
                 square, volume, fit = (there - here) / np.log1p(CHANGE)
                 count = ASSUMED_LINKS * size / 2.0
-                most = volume + fit + count  # degrees of freedom that the fit leaves to the errors
+                most = volume + fit + count  # degrees of freedom of the errors after the fit
                 growth = (count * (assumed[which] / own[which]) ** 2 - square) / max(most, count)
                 growths.append(float(np.clip(growth, 1.0 / MOST_CHANGE, MOST_CHANGE)))
             found = found._with_spread(*(s * growth**0.5 for s, growth in zip(own, growths, strict=True)))
@@ -243,7 +248,7 @@ def adjustment_of(sightings: Sightings, prior: Prior, nuisances: bool = False, i
 def constraining(sightings: Sightings, used: BoolArray, motion: Motion | None) -> BoolArray:
     """True for the `used` sightings that constrain the map, `(N,)`.
 
-    A sighting alone in its frame does not, unless that frame is linked to another one.
+    A single sighting in its frame constrains the map only if the frame is linked to another frame.
     """
     counts = np.bincount(sightings.frame[used], minlength=sightings.frames)
     enough = counts >= 2

@@ -9,7 +9,7 @@ import walks
 
 from lmd.geometry.se3 import exp, inverse, log
 from lmd.survey.adjustment import Adjustment
-from lmd.survey.linked import LinkedAdjustment, adjustment_of, constraining
+from lmd.survey.linked_adjustment import LinkedAdjustment, adjustment_of, constraining
 from lmd.survey.motion import DRIFT, STEADY, Motion, seconds_of
 from lmd.survey.prior import EXACT_SIGMA, Prior
 from lmd.survey.residuals import Poses, Reprojection, squared_errors, student_weight
