@@ -104,4 +104,4 @@ class TagChoice(BlackBox):
         positions, normals, surfaces = (each[0] for each in self._encoding.decode(row[None, : self.genome.dim]))
         every = self.problem.labelled(Deployment(positions, normals, surfaces))
         chosen = every[row[self.genome.dim :] >= HUNG]
-        return self.problem.scene.footprints.apart(chosen) if len(chosen) else chosen
+        return self.problem.scene.footprints.separated(chosen) if len(chosen) else chosen
