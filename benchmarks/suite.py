@@ -9,14 +9,18 @@ known. Its value is that of the NumPy reference.
 """
 
 import argparse
+import io
 import re
 import sys
+from dataclasses import replace
+from functools import reduce
+from operator import add
 
 import numpy as np
+import pandas as pd
 import yaml
 
 import lmd.suite
-from lmd.core.tables import write_table
 from lmd.evaluation.bounds import Search, affordable, average_upper_bound, fitness_upper_bound
 from lmd.evaluation.time_limit import TimeLimit
 from lmd.evaluation.validation import headline_off_grid, validation_metrics
@@ -105,12 +109,11 @@ def front(frozen: Document, box: lmd.suite.BlackBox, budget: int, seed: int) -> 
     if value <= known + LEAST_GAIN:
         return
     rows = [(point, box.deployment(found.X[index])) for point, index in enumerate(order)]
-    columns = {POINT: np.concatenate([np.full(len(each), point) for point, each in rows])}
-    for i, axis in enumerate("xyz"):
-        columns[axis] = np.concatenate([each.positions[:, i] for _, each in rows])
-    for i, axis in enumerate("xyz"):
-        columns[f"n{axis}"] = np.concatenate([each.normals[:, i] for _, each in rows])
-    write_table(best_path(frozen), columns)
+    table = io.StringIO()
+    reduce(add, (replace(each, labels=None) for _, each in rows)).to_csv(table)
+    table.seek(0)
+    points = np.concatenate([np.full(len(each), point) for point, each in rows])
+    pd.read_csv(table, dtype=str).drop(columns="id").assign(**{POINT: points}).to_csv(best_path(frozen), index=False)
     put(
         frozen, "best", {"value": value, "off_grid": None, "by": f"NSGA-II of pymoo, {budget} evaluations, seed {seed}"}
     )

@@ -229,7 +229,9 @@ def _fields(part: Any) -> dict[str, Any]:
 
 
 def _finite(value: Any) -> Any:
-    """A value with None for each number in it that is infinite, such as the focus of a camera without an aperture."""
+    """A value as JSON takes it: None for infinite numbers, such as a focus at infinity; the shape for arrays."""
+    if isinstance(value, np.ndarray):
+        return f"array of shape {value.shape}"
     if isinstance(value, Mapping):
         return {key: _finite(inner) for key, inner in value.items()}
     if isinstance(value, list | tuple):

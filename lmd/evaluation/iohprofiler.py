@@ -15,6 +15,8 @@ from lmd.core.checks import FloatArray
 from lmd.evaluation.comparison import OptimiserRun
 
 HEADER = "evaluations raw_y"
+NOTHING = -1.0
+"""Value of a run before its first record."""
 VERSION = "0.4.2"
 """Version of IOHexperimenter whose format this is."""
 
@@ -38,11 +40,14 @@ def write_iohprofiler(folder: Path, runs: Sequence[OptimiserRun], problem: str, 
     (folder / data).parent.mkdir(parents=True, exist_ok=True)
     records, entries = list[str](), list[dict[str, object]]()
     for run in runs:
-        spent, values = whole_evaluations(run), [record.best_fitness for record in run.history]
-        best = int(np.argmax(values))
-        records += [HEADER, *(f"{int(at)} {value!r}" for at, value in zip(spent, values, strict=True))]
-        found = {"evals": int(spent[best]), "y": values[best], "x": []}
-        entries.append({"instance": 1, "evals": int(spent[-1]), "best": found})
+        reached = {1: NOTHING}  # a run begins where a record has one evaluation
+        reached |= {
+            int(at): record.best_fitness for at, record in zip(whole_evaluations(run), run.history, strict=True)
+        }
+        best, last = max(reached.values()), max(reached)
+        records += [HEADER, *(f"{at} {value!r}" for at, value in reached.items())]
+        found = {"evals": next(at for at, value in reached.items() if value == best), "y": best, "x": []}
+        entries.append({"instance": 1, "evals": last, "best": found})
     (folder / data).write_text("\n".join(records) + "\n", encoding="utf-8")
     document = {
         "version": VERSION,

@@ -59,7 +59,7 @@ def ioh_problem(problem: BlackBox) -> Any:
         InputError: ioh is not installed, or the problem has several objectives.
     """
     ioh = optional("ioh", "suite")
-    _check_single(problem, "ioh")
+    check_single(problem, "ioh")
     return ioh.wrap_problem(
         lambda x: float(problem(x)),
         name=problem.name,
@@ -88,7 +88,7 @@ def scipy_function(problem: BlackBox) -> Callable[[FloatArray], FloatArray]:
     Raises:
         InputError: the problem has several objectives.
     """
-    _check_single(problem, "SciPy")
+    check_single(problem, "SciPy")
     return lambda x: -problem(np.asarray(x).T)
 
 
@@ -97,6 +97,7 @@ def _number(values: FloatArray) -> float | list[float]:
     return values.tolist()  # type: ignore[no-any-return]
 
 
-def _check_single(problem: BlackBox, library: str) -> None:
+def check_single(problem: BlackBox, library: str) -> None:
+    """Raise `InputError` if a problem has several objectives."""
     if len(problem.objectives) > 1:
         raise InputError(f"{problem.name} has {len(problem.objectives)} objectives; {library} takes one.", "problem")

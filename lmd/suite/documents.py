@@ -104,6 +104,16 @@ def document(name: str) -> Document:
     return Document(name=name, best=None if best is None else Best(**best), **values)
 
 
+def with_paths(node: Any) -> Any:
+    """Copy the nodes of a problem with the full paths of all files."""
+    if isinstance(node, Mapping):
+        return {
+            key: str(FOLDER / value) if key == FILE and value is not None else with_paths(value)
+            for key, value in node.items()
+        }
+    return [with_paths(value) for value in node] if isinstance(node, list) else node
+
+
 def _files(node: Any) -> Iterator[str]:
     """Files that the nodes of a problem name."""
     if isinstance(node, Mapping):

@@ -2,7 +2,6 @@
 
 import importlib
 from collections.abc import Mapping
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -13,7 +12,7 @@ from lmd.formats.rigs import rig_of
 from lmd.problem import Problem
 from lmd.scene.scene import Scene
 from lmd.suite.black_box import BlackBox
-from lmd.suite.documents import FILE, FOLDER, Document, document
+from lmd.suite.documents import Document, document, with_paths
 from lmd.suite.several import SeveralObjectives, TagChoice
 
 TARGET = "_target_"
@@ -36,8 +35,9 @@ def problem(name: str, threads: int | None = 1) -> BlackBox:
 
 def build(frozen: Document, threads: int | None = 1) -> BlackBox:
     """Build the problem of a document; see `problem`."""
-    nodes = {key: _made(node) for key, node in frozen.problem.items() if key not in ("camera", "cameras")}
-    lens = dict(frozen.problem["camera"])
+    given = with_paths(frozen.problem)
+    nodes = {key: _made(node) for key, node in given.items() if key not in ("camera", "cameras")}
+    lens = dict(given["camera"])
     mounts = lens.pop("rig", None)
     camera = _made(lens)
     seen_by = camera if mounts is None else rig_of(mounts, camera)
@@ -59,17 +59,13 @@ def build(frozen: Document, threads: int | None = 1) -> BlackBox:
 
 
 def _made(node: Any) -> Any:
-    """The object that a node describes, with all nodes within it; files are relative to the folder of the suite."""
+    """The object that a node describes, with all nodes within it."""
     if isinstance(node, list):
         return [_made(each) for each in node]
     if not isinstance(node, Mapping):
         return node
-    arguments = {key: _path(value) if key == FILE else _made(value) for key, value in node.items() if key != TARGET}
+    arguments = {key: _made(value) for key, value in node.items() if key != TARGET}
     if TARGET not in node:
         return arguments
     module, _, name = str(node[TARGET]).rpartition(".")
     return getattr(importlib.import_module(module), name)(**arguments)
-
-
-def _path(value: str | None) -> str | None:
-    return None if value is None else str(Path(FOLDER, value))

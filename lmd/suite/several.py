@@ -35,6 +35,10 @@ class SeveralObjectives(BlackBox):
     def _values(self, genes: FloatArray) -> FloatArray:
         return np.stack([box(genes) for box in self.boxes], axis=1)
 
+    def values_of(self, deployment: Deployment) -> FloatArray:
+        """Values of a deployment, `(M,)`."""
+        return np.array([box.problem.fitness_of(deployment) for box in self.boxes])
+
     @override
     def score(self, genes: FloatArray, seed: int = 0) -> Mapping[str, float]:
         scores = dict[str, float]()
@@ -64,8 +68,7 @@ class TagChoice(BlackBox):
         if problem.genome is not None or problem.fixed_count:
             raise InputError(f"{name}: a choice of tags needs a problem that places all landmarks.", "problem")
         self._encoding = make_encoding(encoding, problem.scene.footprints.hanging, flush=True)
-        weights = problem.sizes**2 if by_paper else np.ones(problem.count)
-        self.weights = weights / weights.sum()
+        self.by_paper = by_paper
         self.objectives = (*self.objectives, f"share of the {'paper' if by_paper else 'tags'} left over")
 
     @property
@@ -80,28 +83,35 @@ class TagChoice(BlackBox):
 
     @override
     def deployment(self, genes: FloatArray) -> Deployment:
-        row = self._one(genes)
-        deployment = self._hung(row)
+        deployment = self._hung(self._one(genes))
         if deployment is None:
-            raise InputError(f"{self.name}: the papers of this candidate find no room.", "genes")
+            raise InputError(f"{self.name}: this candidate hangs no tag, or its papers find no room.", "genes")
         return deployment
+
+    def values_of(self, deployment: Deployment) -> FloatArray:
+        """Fitness of some of the tags, and the share that is left over, `(2,)`."""
+        used, every = (
+            (sizes**2).sum() if self.by_paper else len(sizes)
+            for sizes in (deployment.edges_of(self.problem.scene.tag), self.problem.sizes)
+        )
+        enough = len(deployment) >= self.problem.objective.n
+        return np.array([self.problem.fitness_of(deployment) if enough else 0.0, 1.0 - used / every])
 
     @override
     def _values(self, genes: FloatArray) -> FloatArray:
         return np.array([self._value(row) for row in genes])
 
-    def _value(self, row: FloatArray) -> tuple[float, float]:
-        """Fitness of a candidate `(d,)`, and the share that is left over."""
-        left = float(self.weights[row[self.genome.dim :] < HUNG].sum())
+    def _value(self, row: FloatArray) -> FloatArray:
+        if not (row[self.genome.dim :] >= HUNG).any():
+            return np.array([0.0, 1.0])
         deployment = self._hung(row)
-        if deployment is None:
-            return IMPOSSIBLE, left
-        enough = len(deployment) >= self.problem.objective.n
-        return self.problem.fitness_of(deployment) if enough else 0.0, left
+        return np.array([IMPOSSIBLE, 0.0]) if deployment is None else self.values_of(deployment)
 
     def _hung(self, row: FloatArray) -> Deployment | None:
-        """Tags that a candidate `(d,)` hangs, with their papers pushed apart; None if these find no room."""
+        """Tags that a candidate `(d,)` hangs, their papers pushed apart; None for no tag, or if these find no room."""
+        hangs = row[self.genome.dim :] >= HUNG
+        if not hangs.any():
+            return None
         positions, normals, surfaces = (each[0] for each in self._encoding.decode(row[None, : self.genome.dim]))
         every = self.problem.labelled(Deployment(positions, normals, surfaces))
-        chosen = every[row[self.genome.dim :] >= HUNG]
-        return self.problem.scene.footprints.separated(chosen) if len(chosen) else chosen
+        return self.problem.scene.footprints.separated(every[hangs])
