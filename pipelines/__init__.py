@@ -5,7 +5,7 @@ try:
     import os
     import sys
 
-    # In the process of an application (its name is not in sys.argv yet under -m), signals are handled from here on.
+    # The process of an application handles signals from here on; under -m its name is not in sys.argv yet.
     if sys.argv[:1] == ["-m"] or os.path.basename("".join(sys.argv[:1])).startswith("lmd-"):
         _signal.signal(_signal.SIGINT, _signal.SIG_DFL)  # no traceback while the handler is imported
 

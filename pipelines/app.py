@@ -1,4 +1,4 @@
-"""The running application: its package, its configuration and its folder, and one sentence for bad input."""
+"""Running application: package, configuration and folder, and one sentence for bad input."""
 
 import errno
 import os
@@ -19,16 +19,16 @@ from .operations.signals import stop
 PACKAGE = str(__package__)  # `pipelines` in a checkout, `lmd.pipelines` where lmd is installed
 IN_CHECKOUT = PACKAGE == "pipelines"
 GARBAGE = 100_000  # allocations between two garbage collections; with Python's 700 they take a quarter of all imports
-CONF = str(Path(__file__).resolve().parents[1] / "conf")  # beside this package in both
+CONF = str(Path(__file__).resolve().parents[1] / "conf")  # beside this package in a checkout and if installed
 
 
 def lmd_help(*, _root_: DictConfig) -> str:
-    """Text of `--help`: the groups that this command composes, a line for each with its options."""
+    """Text of `--help`: a line for each group that this command composes, with its options."""
     from hydra.core.global_hydra import GlobalHydra
 
     loader, hydra = GlobalHydra.instance().config_loader(), _root_.hydra
     picked = {str(group).partition("@")[0] for group in hydra.runtime.choices}
-    # Where several options of a group are picked, the choices lack the group; the configuration has its key.
+    # If several options of a group are picked, the choices lack the group, but the configuration has its key.
     groups = [group for group in sorted(loader.list_groups("")) if group in picked or group in _root_]
     groups.remove("hydra")
     lines = [f"{group}: {', '.join(loader.get_group_options(group))}" for group in groups]
@@ -42,15 +42,15 @@ OmegaConf.register_new_resolver("lmd.conf", lambda name: str(Path(CONF, name)), 
 
 
 def command_of(pipeline: str) -> str:
-    """The command of a pipeline as this one was called, for messages."""
+    """Command of a pipeline for messages, in the form in which this process was called."""
     return f"python -m pipelines.{pipeline}" if IN_CHECKOUT else f"lmd-{pipeline.replace('_', '-')}"
 
 
 def save_path(save_as: Any) -> Path | None:
-    """Path of `save_as`, whose folder is made and tried; None for null.
+    """Path of `save_as`, whose folder is made and tested; None for null.
 
     Raises:
-        InputError: it is no text, or its folder cannot be written to.
+        InputError: `save_as` is no text, or its folder cannot be written to.
     """
     from lmd.core.checks import InputError, file_path
 
@@ -66,7 +66,7 @@ def save_path(save_as: Any) -> Path | None:
 
 
 def flat_settings(cfg: DictConfig, *keys: str) -> dict[str, Any]:
-    """The resolved settings below `keys` (all by default) as `{"room.spacing": 0.5, ...}`."""
+    """Resolved settings below `keys` (all by default), such as `{"room.spacing": 0.5, ...}`."""
     resolved = OmegaConf.to_container(cfg, resolve=True)
     assert isinstance(resolved, dict)
     flat: dict[str, Any] = {}
@@ -89,21 +89,21 @@ def run_directory() -> Path:
 
 
 def choices() -> dict[str, str]:
-    """The option picked in each config group, e.g. `{"room": "paper_simulation"}`."""
+    """Option picked in each config group, such as `{"room": "paper_simulation"}`."""
     return chosen(HydraConfig.get().runtime.choices)
 
 
 def chosen(picked: Mapping[Any, Any]) -> dict[str, str]:
-    """Hydra's `choices` without those of its own groups."""
+    """Hydra's `choices` without Hydra's own groups."""
     return {str(k): str(v) for k, v in picked.items() if not str(k).startswith("hydra/") and v is not None}
 
 
 @contextmanager
 def ends_reported() -> Iterator[None]:
-    """Turn bad input, a full disk or a folder in a file's place into one sentence on stderr and exit code 1.
+    """Context in which bad input, a full disk or a folder in a file's place ends with one sentence and exit code 1.
 
-    Bad input leaves no folder. Refused memory counts as bad input: the largest arrays are estimated beforehand
-    (`lmd.core.memory`), all others are not.
+    Bad input leaves no folder. Refused memory counts as bad input, as only the largest arrays are estimated beforehand
+    (`lmd.core.memory`).
     """
     from lmd.core.checks import InputError
 
@@ -127,7 +127,7 @@ def ends_reported() -> Iterator[None]:
 
 
 def discard_empty(directory: Path) -> None:
-    """Remove the directory of a run that holds no files of the run, unless it is the working directory."""
+    """Remove the directory of a run if it holds no files of the run and is not the working directory."""
     if not directory.is_dir() or directory.samefile(Path.cwd()):
         return
     if {path.name for path in directory.iterdir()} <= {".hydra"}:

@@ -22,7 +22,7 @@ EVERY = 10.0  # least time between two lines of progress, seconds
 
 
 def bound(cfg: DictConfig) -> None:
-    """Compute upper bounds of the configured problem, and the share of them that a greedy choice reaches."""
+    """Compute upper bounds of the configured problem, and the share of the bounds that a greedy choice reaches."""
     from lmd.core.checks import real
     from lmd.evaluation.bounds import Search, affordable, average_upper_bound, fewest_landmarks, fitness_upper_bound
     from lmd.evaluation.selection_bound import selection_upper_bound
@@ -88,7 +88,7 @@ def bound(cfg: DictConfig) -> None:
 
 
 class _Progress:
-    """Prints the progress of a bound from time to time."""
+    """Printer of the progress of a bound, at most every `EVERY` seconds."""
 
     def __init__(self) -> None:
         self._last = monotonic()

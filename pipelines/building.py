@@ -1,4 +1,4 @@
-"""The problem, the optimiser and the budget that a composed configuration describes."""
+"""Construction of problem, optimiser and budget from a composed configuration."""
 
 import sys
 from collections import Counter
@@ -26,15 +26,15 @@ if TYPE_CHECKING:
     from lmd.scene.tag import Tag
     from lmd.space.space import Space
 
-GROUPS = ("room", "camera", "tag", "visibility", "objective", "encoding", "deployment")  # that every problem has
+GROUPS = ("room", "camera", "tag", "visibility", "objective", "encoding", "deployment")  # of every problem
 SWITCHES = ("validate", "picture", "page", "localisation", "losses", "sensitivity", "all_visible")  # true or false
 RUN_BYTES = 1000  # least memory of one of several runs, bytes
 SAME_EDGE = 1e-6  # greatest difference of equal edges, metres
-MENTIONED = 8  # most tags that a note lists
+MENTIONED = 8  # greatest number of tags that a note lists
 
 
 class Parts(NamedTuple):
-    """The arguments of `lmd.problem.Problem`, of which the objective need not fit the landmarks."""
+    """Arguments of `lmd.problem.Problem`; the objective need not fit the landmarks."""
 
     scene: "Scene"
     objective: "Objective"
@@ -43,17 +43,18 @@ class Parts(NamedTuple):
     fixed: "Deployment | None"
 
     def draw(self, seed: int) -> "Deployment":
-        """A deployment of the problem."""
+        """Draw a deployment of the problem."""
         import numpy as np
 
         return self.scene.footprints.draw(self.start, np.random.default_rng(seed), self.fixed)
 
 
 def build_problem(cfg: DictConfig, count: str = "deployment.count") -> "Problem":
-    """The problem of a configuration, which gets what is found out on the way: sizes, counts, the seed as a number.
+    """Build the problem of a configuration; derived settings are added to the configuration: sizes, counts, numeric
+    seed.
 
     Args:
-        count: key that gives the number of landmarks, for messages.
+        count: key with the number of landmarks, for messages.
 
     Raises:
         InputError: the parts of the problem do not fit together.
@@ -66,7 +67,7 @@ def build_problem(cfg: DictConfig, count: str = "deployment.count") -> "Problem"
 
 
 def build_parts(cfg: DictConfig, count: str = "deployment.count") -> Parts:
-    """The parts of a problem; see `build_problem`."""
+    """Build the parts of a problem, see `build_problem`."""
     from lmd.core.checks import InputError, boolean, check_members, choice, integer
     from lmd.core.threads import MOST_THREADS
     from lmd.objectives.base import Objective
@@ -91,7 +92,7 @@ def build_parts(cfg: DictConfig, count: str = "deployment.count") -> Parts:
     with names():
         total = total_of(cfg.deployment, fixed)
     start = instantiate(others_of(cfg.deployment, fixed, total))
-    # The problem checks these too, but its messages cannot name the key.
+    # The problem repeats these checks, but its messages cannot name the key.
     with keyed("tag"):
         scene.footprints.hanging.surfaces()
     with keyed("room.relevance"):
@@ -117,10 +118,10 @@ def build_parts(cfg: DictConfig, count: str = "deployment.count") -> Parts:
 
 
 def _check_settings(cfg: DictConfig) -> None:
-    """Check the settings that no object of a problem takes.
+    """Check the settings that are no arguments of the objects of a problem.
 
     Raises:
-        InputError: one is refused.
+        InputError: a setting is refused.
     """
     from lmd.core.checks import boolean, integer, seed_number
     from lmd.core.optional import optional
@@ -140,7 +141,7 @@ def _check_settings(cfg: DictConfig) -> None:
 
 
 def _scene(cfg: DictConfig) -> "Scene":
-    """The scene of a configuration.
+    """Build the scene of a configuration.
 
     Raises:
         InputError: one of its parts is refused.
@@ -160,11 +161,11 @@ def _scene(cfg: DictConfig) -> "Scene":
 def _poses(
     room_node: DictConfig, pdf_node: DictConfig, poses_node: DictConfig | None
 ) -> "tuple[Space, OrientationPdf, RecordedPoses | None]":
-    """The room, the orientation PDF, and the recording that gives both; None where there is no recording."""
+    """Build the room, the orientation PDF, and the recording from which both derive; None without a recording."""
     from lmd.core.checks import InputError
 
     room, recorded = instantiate(room_node), bool(poses_node)
-    if scan := getattr(room, "scan", None):  # of a mesh
+    if scan := getattr(room, "scan", None):  # the room is a mesh
         if doubt := scan.doubt:
             print(
                 f"warning: room.up: is it right for {scan.mesh.path!r}? {doubt[0].upper()}{doubt[1:]}", file=sys.stderr
@@ -186,7 +187,8 @@ def _poses(
 
 
 def camera_of(node: DictConfig) -> "Camera | Rig":
-    """The camera of the group `camera`, or its rig; the camera of the group is built only if a mount has none.
+    """Build the camera or the rig of the group `camera`; for a rig, the group's camera is built only if a mount has
+    none.
 
     Raises:
         InputError: a camera or the rig is refused.
@@ -208,7 +210,7 @@ def camera_of(node: DictConfig) -> "Camera | Rig":
 
 
 def mounts_of(node: DictConfig) -> Any:
-    """Mounts of the group `camera` as `lmd.formats.rigs.rig_of` takes them; None for a single camera.
+    """Mounts of the group `camera` as arguments of `lmd.formats.rigs.rig_of`; None for a single camera.
 
     Raises:
         InputError: the file of the rig cannot be read.
@@ -222,7 +224,7 @@ def mounts_of(node: DictConfig) -> Any:
 
 
 def _note_edges(tag: "Tag", deployment: "Deployment") -> None:
-    """Note the number of tags whose edge their file gives, by edge."""
+    """Print the number of tags with an edge from their file, by edge."""
     own = deployment.edges_of(tag).tolist()
     other = Counter(edge for edge in own if abs(edge - tag.size) > SAME_EDGE)
     if other and tag.edges is None:
@@ -232,7 +234,7 @@ def _note_edges(tag: "Tag", deployment: "Deployment") -> None:
 
 
 def _note_outside(room: "Space", tag: "Tag", deployment: "Deployment") -> None:
-    """Note the landmarks with a corner behind a face of the room, which no camera sees."""
+    """Print the landmarks with a corner behind a face of the room, which no camera sees."""
     from lmd.core.words import few
     from lmd.geometry.squares import corners
 
@@ -244,10 +246,10 @@ def _note_outside(room: "Space", tag: "Tag", deployment: "Deployment") -> None:
 
 
 def build_optimiser(cfg: DictConfig, seed: int) -> "Optimiser":
-    """The optimiser of a configuration, which gets the encoding that is used.
+    """Build the optimiser of a configuration; the encoding in use is written to the configuration.
 
     Raises:
-        InputError: it cannot be built, or is no `Optimiser`.
+        InputError: the object cannot be built, or is no `Optimiser`.
     """
     from lmd.core.checks import InputError
     from lmd.optimisers.base import AskTell, Optimiser
@@ -259,16 +261,16 @@ def build_optimiser(cfg: DictConfig, seed: int) -> "Optimiser":
             "derived from lmd.optimisers.base.Optimiser."
         )
     if isinstance(optimiser, AskTell):
-        cfg.encoding.kind = optimiser.encoding = optimiser.encoding or cfg.encoding.kind  # what is used is recorded
+        cfg.encoding.kind = optimiser.encoding = optimiser.encoding or cfg.encoding.kind  # records the encoding in use
         optimiser.flush = cfg.encoding.flush
     return optimiser
 
 
 def budget_of(cfg: DictConfig) -> "Budget":
-    """The budget of a configuration.
+    """Build the budget of a configuration.
 
     Raises:
-        InputError: it is refused.
+        InputError: the budget is refused.
     """
     from lmd.optimisers.ledger import Budget
 
@@ -278,10 +280,10 @@ def budget_of(cfg: DictConfig) -> "Budget":
 
 
 def seeds_of(cfg: DictConfig) -> range:
-    """The seeds of several runs: `seed`, `seed + 1`, ..., as many as `seeds`.
+    """Seeds of several runs: `seed`, `seed + 1`, ...; their number is `seeds`.
 
     Raises:
-        InputError: one of the two is refused, or memory is too small for the runs.
+        InputError: `seed` or `seeds` is refused, or memory is too small for the runs.
     """
     from lmd.core.checks import integer, seed_number
     from lmd.core.memory import check_memory

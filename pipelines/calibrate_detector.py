@@ -16,7 +16,7 @@ from .pipeline import Pipeline
 from .trust import Trust, read_yaml
 
 SURVEY_KEY, OPTION = "survey=", "survey"
-VIEWS_STREAM = 0x7669657773  # keeps the random numbers of views apart from other uses of the seed
+VIEWS_STREAM = 0x7669657773  # separates the random numbers of views from other uses of the seed
 
 
 def calibrate(cfg: DictConfig) -> None:
@@ -42,7 +42,7 @@ def calibrate(cfg: DictConfig) -> None:
     with tracked(cfg, f"calibrate_detector {tag.family}") as tracker:
         fitted, spans = {}, {}
         for name, detector in subject.detectors.items():
-            rng = np.random.default_rng([seed, VIEWS_STREAM])  # the same views for every detector
+            rng = np.random.default_rng([seed, VIEWS_STREAM])  # equal views for every detector
             with keyed("views"):
                 views = source.views(subject.problem.scene.cameras, tag, detector, renderer.imaging, rng)
                 fitted[name] = views, fit(views, rng, margin)
@@ -77,7 +77,7 @@ def calibrate(cfg: DictConfig) -> None:
 
 
 def limits_markdown(figures: dict[str, dict[str, float]]) -> str:
-    """Table of the limits of each detector, and of their accuracy on held-out views."""
+    """Table of the limits of each detector, with the accuracy of the limits on held-out views."""
     from lmd.core.words import escaped, markdown_table
 
     head = ["detector", "views", "a", "k", "m [px]", "b [degrees]", "margin [px]"]

@@ -14,18 +14,18 @@ NAME = re.compile(r"[\w.-]+")  # characters that mlflow accepts in the name of a
 def read_deployment_as_a_list() -> None:
     """Read `deployment=a,b,c` on the command line as `deployments=[a,b,c]`: one run compares them, without a sweep.
 
-    An earlier run (`run=DIR`) is the deployment `run`, the only one if no other is named. Its number of landmarks is
-    the default of the other deployments.
+    An earlier run (`run=DIR`) is the deployment `run`, and the only deployment if no other is named. Its number of
+    landmarks is the default for the other deployments.
     """
     sys.argv[1:] = [re.sub(r"^deployment=(.*)$", r"deployments=[\1]", argument) for argument in sys.argv[1:]]
     read_earlier_run(f"deployments=[{OPTION}]")
 
 
 def composed_deployments(cfg: DictConfig, config_name: str) -> dict[str, DictConfig]:
-    """The configuration for each entry of `deployments`, by its name.
+    """Configuration for each entry of `deployments`, by the name of the entry.
 
     Args:
-        config_name: name of the configuration, `observe` and so on.
+        config_name: name of the configuration, such as `observe`.
 
     Raises:
         InputError: there is no entry, or an entry is refused.
@@ -53,7 +53,9 @@ def composed_deployments(cfg: DictConfig, config_name: str) -> dict[str, DictCon
 
 
 def _compose(config_name: str, entry: str, option: str, own: list[str], count: list[str], used: set[str]) -> DictConfig:
-    """The configuration for one deployment, without overrides of keys that it lacks; its keys are added to `used`."""
+    """Configuration for one deployment. Overrides of keys that it lacks are dropped; the other keys are added to
+    `used`.
+    """
     keys = recompose(config_name, [*search_path(), f"deployment={option}"], "deployments", entry).deployment
     shared = count if "count" in keys and "path" not in keys else []
     for key, override in task_overrides():
@@ -67,8 +69,8 @@ def _compose(config_name: str, entry: str, option: str, own: list[str], count: l
 
 
 def any_deployment(cfg: DictConfig) -> DictConfig:
-    """The configuration with tags as points if its visibility model is one of points.
+    """Configuration in which tags are points if the visibility model is for points.
 
-    Then papers that overlap are not refused; pictures show them.
+    Overlapping papers are then not refused; pictures still show the papers.
     """
     return cfg if "tag" in cfg.visibility else OmegaConf.merge(cfg, {"tag": {"edge": None}})  # type: ignore[return-value]

@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from lmd.render.renderer import Renderer
 
 FRAME_BYTES = 100  # least memory of the prediction of a landmark in a frame, bytes
-CHUNK = 10  # frames that a worker renders and reads at once
+CHUNK = 10  # number of frames that a worker renders and reads at once
 
 
 def read_number_of_poses() -> None:
@@ -42,7 +42,7 @@ def read_number_of_poses() -> None:
 
 @dataclass(frozen=True)
 class Subject:
-    """A deployment in random poses, and the detectors that read its images."""
+    """Deployment, its prediction in random poses, and the detectors of its images."""
 
     problem: "Problem"
     """Problem of the deployment."""
@@ -52,7 +52,7 @@ class Subject:
     """Detectors by name."""
 
     def nudged(self, sizes: object, seed: int) -> "Subject":
-        """The subject in poses moved at random by `sizes`, standard deviations in metres and rad."""
+        """Subject with poses that are perturbed at random by `sizes`, standard deviations in metres and rad."""
         from lmd.core.checks import vector
         from lmd.detection.frames import nudged
 
@@ -62,7 +62,7 @@ class Subject:
 
 
 def detect(cfg: DictConfig) -> None:
-    """Let the configured detectors read frames of the configured deployments."""
+    """Run the configured detectors on frames of the configured deployments."""
     from lmd.core.checks import integer, seed_number
     from lmd.core.optional import optional
     from lmd.detection.predictions import to_markdown
@@ -98,7 +98,7 @@ def detect(cfg: DictConfig) -> None:
 
 
 def subject_of(cfg: DictConfig, count: int, seed: int) -> Subject:
-    """A deployment with its prediction in random poses, and detectors that work.
+    """Deployment with its prediction in random poses, and detectors that were tested.
 
     Args:
         cfg: configuration with one deployment.
@@ -128,7 +128,7 @@ def subject_of(cfg: DictConfig, count: int, seed: int) -> Subject:
     if not detectors:
         raise InputError("detectors must name at least one detector.")
     for detector in detectors.values():
-        detector.detect(np.zeros((64, 64), dtype=np.uint8))  # fails here if its package is missing
+        detector.detect(np.zeros((64, 64), dtype=np.uint8))  # a missing package raises an error here
     deployment = problem.draw(np.random.default_rng(seed))
     with keyed("tag"):
         room = tagged_room(scene.room, deployment, tag)
@@ -157,7 +157,7 @@ class Frames(NamedTuple):
 
 
 def sightings(subjects: Mapping[str, Subject], seed: int, workers: int | None) -> dict[str, dict[str, "Matches"]]:
-    """Detections by the names of subject and detector, for any number of workers.
+    """Detections by the names of subject and detector; the result does not depend on the number of workers.
 
     Args:
         subjects: subjects by name.
@@ -208,7 +208,7 @@ def _tables(
     seen: Mapping[str, Mapping[str, "Matches"]],
     again: Mapping[str, Mapping[str, "Matches"]] | None,
 ) -> "tuple[pd.DataFrame, pd.DataFrame, pd.DataFrame]":
-    """Tables of figures, of classes of pitch and of tags, each with the columns `deployment` and `detector`."""
+    """Tables of figures, of classes of pitch, and of tags, each with the columns `deployment` and `detector`."""
     import pandas as pd
 
     from lmd.detection.predictions import by_pitch, by_tag, figures, repeatability
@@ -228,7 +228,7 @@ def _tables(
 
 
 def _metrics(figures: "pd.DataFrame") -> dict[str, float]:
-    """The finite figures as `<figure>/<deployment>/<detector>`."""
+    """Finite figures by `<figure>/<deployment>/<detector>`."""
     import math
 
     return {
@@ -246,7 +246,7 @@ def _save_frames(
     count: int,
     seed: int,
 ) -> "list[Path]":
-    """Draw the first frames of each deployment as its first detector reads them, for every camera of a rig."""
+    """Draw the first frames of each deployment with the detections of its first detector, for every camera of a rig."""
     import numpy as np
 
     from lmd.detection.frames import rendered_frame
@@ -265,7 +265,7 @@ def _save_frames(
     return files
 
 
-# The number is read first: the others take `poses=` as an option of the group.
+# The number of poses is read first, as the next step takes `poses=` as an option of the group.
 main = Pipeline("detect", detect, (read_number_of_poses, read_deployment_as_a_list))
 
 if __name__ == "__main__":

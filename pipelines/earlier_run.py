@@ -1,4 +1,4 @@
-"""`run=DIR`: the problem and the landmarks of an earlier run in place of the defaults."""
+"""`run=DIR`: problem and landmarks of an earlier run instead of the defaults."""
 
 import sys
 from collections.abc import Sequence
@@ -18,22 +18,22 @@ from .trust import Trust, read_yaml
 
 KEY = "run="
 GROUPS = ("room", "camera", "pdf", "poses", "tag", "visibility", "objective")  # groups of the problem of a run
-OPTION = "run"  # option of these groups and of deployment
+OPTION = "run"  # option of `GROUPS` and of deployment
 COUNTED = {"random", "uniform", "greedy"}  # options of deployment that need a number of landmarks
 RIG = "rig.yaml"  # file of a run that placed cameras
 FILES = (".hydra/config.yaml", "landmarks.csv")  # files that an earlier run must have
 
 
 def read_earlier_run(deployment: str = f"deployment={OPTION}", further: Sequence[str] = ()) -> None:
-    """Make the groups of the run in `run=DIR` on the command line options called `run`, and choose them.
+    """Turn the groups of the run named by `run=DIR` on the command line into options called `run`, and choose these.
 
-    The fixed landmarks and the number of landmarks of that run hold for other sources of landmarks, too. Options and
-    keys on the command line have precedence. Must be called before Hydra reads the command line. Ends the process if
-    the run names code that the user does not trust.
+    The fixed landmarks and the number of landmarks of that run are defaults for other sources of landmarks, too.
+    Options and keys on the command line have precedence. The function must be called before Hydra reads the command
+    line. It ends the process if the run names code that the user does not trust.
 
     Args:
         deployment: override that chooses the landmarks.
-        further: groups of the pipeline beside `GROUPS`.
+        further: groups of the pipeline in addition to `GROUPS`.
     """
     given = [argument for argument in sys.argv[1:] if argument.startswith(KEY)]
     directory = _directory(given[-1]) if given else None
@@ -57,19 +57,19 @@ def read_earlier_run(deployment: str = f"deployment={OPTION}", further: Sequence
     named = {argument.partition("=")[0].lstrip("+~").partition("@")[0] for argument in sys.argv[1:]}
     hung = before.get("deployment")
     hung = hung if isinstance(hung, dict) else {}
-    free, measured, fixed = (hung.get(key) for key in ("free", "measured", "fixed"))  # not all commands have them
+    free, measured, fixed = (hung.get(key) for key in ("free", "measured", "fixed"))  # not all commands have these keys
     path = directory / FILES[1]
-    free = bool(free) or measured is not None  # measured places are taken unchecked
+    free = bool(free) or measured is not None  # measured places are not checked
     store.store(OPTION, {"defaults": ["file", "_self_"], "path": str(path), "free": free}, "deployment")
     chosen = [f"{group}={OPTION}" for group in parts] + [deployment]
     options = [argument for argument in (deployment, *sys.argv[1:]) if argument.startswith("deployment=")]
     if options and COUNTED.issuperset(options[-1].partition("=")[2].split(",")):
         chosen.append(f"deployment.count={count_of(directory)}")
-    if fixed is not None and "deployment.fixed" not in named:  # the file they came from may have changed
+    if fixed is not None and "deployment.fixed" not in named:  # their own file may have changed
         chosen += [f"++deployment.fixed={quoted(path)}", "++deployment.marked=true"]
     if "poses" in named:
-        named.add("pdf")  # an option of poses sets its own pdf
-    place = sys.argv.index(given[-1]) + 1  # after it, as options of Hydra may follow
+        named.add("pdf")  # an option of the group poses sets its own pdf
+    place = sys.argv.index(given[-1]) + 1  # directly after `run=`, as options of Hydra may follow
     sys.argv[place:place] = [override for override in chosen if override.partition("=")[0] not in named]
 
 
@@ -98,7 +98,7 @@ def count_of(run: str | Path) -> int:
 def check_experiment(cfg: DictConfig) -> None:
     """Raise `InputError` if an earlier run and an experiment both choose a group of the problem.
 
-    For Hydra the command line has precedence over an experiment, of which only a part would be used.
+    In Hydra the command line has precedence over an experiment, so only a part of the experiment would be used.
     """
     from hydra.core.global_hydra import GlobalHydra
 
@@ -124,7 +124,7 @@ def _refuse(message: str) -> NoReturn:
 
 
 def _directory(argument: str) -> Path | None:
-    """The value of `run=...`; None for null."""
+    """Value of `run=...`; None for null."""
     try:
         value = OverridesParser.create().parse_override(argument).value()
     except HydraException:  # no override; the message on the directory shows the text

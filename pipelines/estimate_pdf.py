@@ -83,7 +83,7 @@ def _figures(result: "PdfEstimate") -> dict[str, float]:
 
 
 def _described(marginal: "Marginal") -> str:
-    """Text of the chosen density, and of the differences of the others from the best."""
+    """Text of the chosen density, and of the log-likelihood differences of the other densities from the best."""
     parameters = ", ".join(f"{key.replace('_', ' ')} {value:.3g}" for key, value in marginal.density.parameters.items())
     name = marginal.density.family.replace("_", " ") + (f" ({parameters})" if parameters else "")
     behind = ", ".join(

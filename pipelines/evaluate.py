@@ -29,7 +29,7 @@ MEASURED, MOUNTING = "deployment.measured", "deployment.mounting_error"
 
 
 def read_mounting_error() -> None:
-    """Read a mounting error on the command line that is no mapping as its position."""
+    """Read a mounting error on the command line that is a number as the error of position."""
     sys.argv[1:] = [re.sub(rf"^{MOUNTING}=(?!\{{)", f"{MOUNTING}.position=", argument) for argument in sys.argv[1:]]
 
 
@@ -80,10 +80,10 @@ def evaluate(cfg: DictConfig) -> float:
 def localise(
     problem: "Problem", deployment: "Deployment", seed: int, tracker: "Tracker", drawn: bool
 ) -> dict[str, float]:
-    """Write and log maps of the accuracy of one frame; returns the figures.
+    """Write and log maps of the accuracy of one frame, and return the figures.
 
     Args:
-        drawn: draw the map of the bounds, too.
+        drawn: True to draw the map of the bounds, too.
     """
     from lmd.estimation.cramer_rao import cramer_rao_map
     from lmd.evaluation.accuracy import accuracy_metrics, save_accuracy_map
@@ -114,7 +114,7 @@ def studies(
     Args:
         asked: `losses` or `sensitivity`, or both; the other studies depend on `plan` and `error`.
         plan: planned places of the tags.
-        deployment: measured places of the tags; `plan` where there are none.
+        deployment: measured places of the tags; `plan` if nothing was measured.
         error: error of mounting the tags.
 
     Yields:
@@ -145,7 +145,7 @@ def studies(
 
 
 def lose(problem: "Problem", deployment: "Deployment") -> "Losses | None":
-    """Losses of fitness without each landmark; None, with a line in the terminal, where they are not defined."""
+    """Losses of fitness without each landmark; None, with a line in the terminal, if losses are not defined."""
     from lmd.core.checks import InputError
     from lmd.evaluation.losses import losses
 
@@ -159,7 +159,7 @@ def lose(problem: "Problem", deployment: "Deployment") -> "Losses | None":
 def write_study(
     directory: Path, name: str, study: "Study", draw: "Callable[..., None] | None", title: str
 ) -> list[Path]:
-    """Write the tables of a study, and its picture under the name of the study; returns the files."""
+    """Write the tables and the picture of a study, and return the files."""
     from lmd.core.tables import write_table
 
     files = []

@@ -20,9 +20,9 @@ if TYPE_CHECKING:
 
 
 def build_export(cfg: DictConfig, key: str, tag: "Tag") -> "Export":
-    """The files of tags that `key` of a configuration lists.
+    """Export of the formats that the key `key` of a configuration lists.
 
-    Null stands for all formats, without those that cannot be printed, which a note names.
+    Null means all formats except those that cannot be printed, which a note names.
 
     Raises:
         InputError: a format is unknown, or cannot hold the tags.

@@ -1,14 +1,14 @@
-"""The defaults of the classes of optimisers and cameras, as keys of their configurations.
+"""Defaults of the classes of optimisers and cameras, added to their configurations.
 
-A file in `conf/optimiser` or `conf/camera`, or of a user, has only the keys that differ from its class. The other
-arguments of the class are added when Hydra loads the file, so that `--cfg job` shows them, a run records them, and
-`optimiser.population=12` overrides them.
+A file in `conf/optimiser` or `conf/camera`, or a user's file, has only the values that differ from the defaults of its
+class. The other arguments of the class are added when Hydra loads the file, so that `--cfg job` shows all arguments, a
+run records them, and `optimiser.population=12` overrides one.
 
-This replaces Hydra's loader of files in its private registry, because no public way covers files of users:
+The module replaces Hydra's loader of files in a private registry, because no public interface covers users' files:
 - Structured configs and hydra-zen's builds are registered by name; a YAML file has to name one in its `defaults`.
 - A `ConfigSource` plugin needs a scheme of its own, but `--config-dir` and plain paths are `file://`, and the registry
   refuses a second class for a scheme.
-- After composition it is too late: Hydra has refused overrides of keys that no file has.
+- After composition it is too late, as Hydra refuses overrides of keys that no file has.
 """
 
 import inspect
@@ -26,14 +26,14 @@ from hydra.plugins.config_source import ConfigResult
 from omegaconf import DictConfig, OmegaConf
 
 GROUPS = ("optimiser", "camera")
-SET_ELSEWHERE = ("seed", "encoding", "rng", "x0")  # arguments that keys at the top or wrappers of SciPy set
+SET_ELSEWHERE = ("seed", "encoding", "rng", "x0")  # arguments set by top-level keys or by wrappers of SciPy
 HELP = {"--help", "-h"}
 
 
 class FileConfigSource(file_config_source.FileConfigSource):
-    """Hydra's loader of files, which completes those of `GROUPS`.
+    """Loader of files for Hydra, which completes the files of `GROUPS`.
 
-    It has the name of the class that it replaces, by which Hydra finds in another process that there is one already.
+    The class has the name of the class that it replaces, so that Hydra in another process finds it registered.
     """
 
     _read_before: ClassVar[dict[tuple[Any, ...], bytes]] = {}
@@ -47,14 +47,14 @@ class FileConfigSource(file_config_source.FileConfigSource):
         file = loaded.config
         if config_path.split("/")[0] in GROUPS and not HELP.intersection(sys.argv) and isinstance(file, DictConfig):
             builds_on = [entry for entry in file.get("defaults", []) if not str(entry).startswith("{'override ")]
-            if not builds_on:  # otherwise those files are completed, and this one changes them
+            if not builds_on:  # a file that builds on others changes keys of completed files
                 loaded.config = OmegaConf.merge(completed(file), file)
         return loaded
 
     def _read(self, config_path: str) -> ConfigResult:
         path = Path(self.path, self._normalize_file_name(config_path))
         if not path.is_file():
-            return super().load_config(config_path)  # raises
+            return super().load_config(config_path)  # raises Hydra's error
         state = path.stat()
         key = (self.provider, path, state.st_mtime_ns, state.st_size)
         if key not in self._read_before:
@@ -63,7 +63,7 @@ class FileConfigSource(file_config_source.FileConfigSource):
 
 
 def completed(node: DictConfig) -> dict[str, Any]:
-    """The defaults of the class of a node and of the nodes in it; empty if it has no class."""
+    """Defaults of the class of a node and of its inner nodes; empty if the node has no class."""
     from hydra._internal.utils import _locate  # the public function logs its errors
 
     written = OmegaConf.to_container(node, resolve=False)
@@ -82,7 +82,7 @@ def completed(node: DictConfig) -> dict[str, Any]:
 
 
 def _plain(value: Any) -> Any:
-    """A default as a value of a configuration; `Parameter.empty` if it cannot be one."""
+    """Default as a value of a configuration; `Parameter.empty` if that is impossible."""
     if is_dataclass(value) and not isinstance(value, type):
         return _plain(asdict(value))
     if isinstance(value, Mapping):

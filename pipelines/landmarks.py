@@ -1,4 +1,4 @@
-"""The landmarks that the groups `deployment` and `tag` describe: fixed ones, their number, their sizes."""
+"""Landmarks of the groups `deployment` and `tag`: fixed landmarks, number and sizes."""
 
 import re
 from copy import deepcopy
@@ -14,15 +14,15 @@ if TYPE_CHECKING:
     from lmd.scene.deployment import Deployment
     from lmd.scene.scene import Scene
 
-NO_SOURCE = ("fixed", "marked", "measured", "mounting_error")  # keys of `deployment` that no source of landmarks takes
-AXES = "axes"  # key of `deployment` that holds for every table of tags, also for the one of a source
-MORE = re.compile(r"\+(\d+)")  # a count that is added to that of the fixed landmarks
+NO_SOURCE = ("fixed", "marked", "measured", "mounting_error")  # keys of `deployment` that are no arguments of a source
+AXES = "axes"  # key of `deployment` for every table of tags, including the table of a source
+MORE = re.compile(r"\+(\d+)")  # a count in addition to the fixed landmarks
 
 
 def fixed_of(node: DictConfig, family: str | None) -> "Deployment | None":
-    """The landmarks that keep their places; None for none.
+    """Landmarks that keep their places; None for none.
 
-    With `marked`, only landmarks that the file marks as fixed; the file of a run has movable landmarks too.
+    With `marked`, only landmarks that the file marks as fixed are fixed; the file of a run also has movable landmarks.
 
     Args:
         node: group `deployment`.
@@ -46,16 +46,16 @@ def fixed_of(node: DictConfig, family: str | None) -> "Deployment | None":
 
 
 def axes_in(node: DictConfig) -> Any:
-    """Directions of a tag's axes in the tables that a group `deployment` names; None for those of this project."""
+    """Directions of a tag's axes in the tables that a group `deployment` names; None for the axes of this project."""
     axes = node.get(AXES)
     return OmegaConf.to_container(axes) if OmegaConf.is_config(axes) else axes
 
 
 def total_of(node: DictConfig, fixed: "Deployment | None") -> int | None:
-    """Number of landmarks with the fixed ones; None if none is fixed or no count is given.
+    """Number of landmarks, fixed landmarks included; None if none is fixed or no count is given.
 
     Raises:
-        InputError: the count adds to fixed landmarks and there are none, or leaves none to place.
+        InputError: the count is in addition to fixed landmarks but there are none, or leaves no landmark to place.
     """
     from lmd.core.checks import InputError, integer
 
@@ -74,12 +74,12 @@ def total_of(node: DictConfig, fixed: "Deployment | None") -> int | None:
 
 
 def others_of(node: DictConfig, fixed: "Deployment | None", total: int | None) -> DictConfig:
-    """Node of the source of all landmarks that are not fixed.
+    """Configuration node for the source of all landmarks that are not fixed.
 
-    A file may have the fixed ones among its landmarks, so its number of landmarks is checked after they are joined.
+    A file may also contain the fixed landmarks, so its number of landmarks is checked after fixed landmarks are joined.
 
     Args:
-        total: number of landmarks with the fixed ones.
+        total: number of landmarks, fixed landmarks included.
     """
     source = deepcopy(node)
     with open_dict(source):
@@ -93,7 +93,7 @@ def others_of(node: DictConfig, fixed: "Deployment | None", total: int | None) -
 
 
 def take_sizes(node: DictConfig, tag: DictConfig) -> None:
-    """Set `tag.edges` to the sizes that the files of all tags give, if the user gives none.
+    """Set `tag.edges` to the sizes in the files of the tags, if the user gives no sizes.
 
     Args:
         node: group `deployment`.
@@ -118,7 +118,7 @@ def take_sizes(node: DictConfig, tag: DictConfig) -> None:
 def spell_counts(node: DictConfig, tag: DictConfig) -> None:
     """Read a list `deployment.count` as `tag.counts`, the count of each size that is placed; their sum is the count.
 
-    Fixed landmarks are not among them.
+    Fixed landmarks are not counted.
 
     Args:
         node: group `deployment`, which is changed.
@@ -149,9 +149,9 @@ def divide_paper(
     threads: int | None,
     fixed: "Deployment | None",
 ) -> "Scene":
-    """The scene with a count of each size chosen for `tag.paper` or `tag.budget`, unless counts are given.
+    """Scene with a count of each size that is chosen for `tag.paper` or `tag.budget`, unless counts are given.
 
-    The counts are written to the groups, which a run records, and named in a note.
+    The counts are written to the two groups, so that a run records them, and are printed in a note.
 
     Args:
         node: group `deployment`, which is changed.

@@ -1,4 +1,4 @@
-"""Objects from nodes of the configuration, with error messages that name its keys."""
+"""Objects built from nodes of the configuration, with error messages that name the keys."""
 
 import re
 import sys
@@ -25,11 +25,11 @@ def note(text: str) -> None:
 
 @contextmanager
 def keyed(group: str = "", /, **keys: str) -> Iterator[None]:
-    """Within the block, an `InputError` that begins with an argument begins with the config key of that argument.
+    """Context in which an `InputError` that names an argument names the config key of that argument.
 
     Args:
-        group: key of the node that has the arguments as its keys; empty for keys at the top.
-        keys: keys of arguments from elsewhere, by argument.
+        group: key of the node whose keys are the arguments; empty for top-level keys.
+        keys: keys of arguments from other nodes, by argument.
     """
     from lmd.core.checks import InputError
 
@@ -39,7 +39,7 @@ def keyed(group: str = "", /, **keys: str) -> Iterator[None]:
         if error.argument is None:
             raise
         argument = re.split(r"[^\w]", error.argument)[0]
-        named = argument == group.split(".")[0]  # the message names its key already
+        named = argument == group.split(".")[0]  # the message already names the key
         key = keys.get(argument, argument if named or not group else f"{group}.{argument}")
         raise InputError(key + str(error).removeprefix(argument)) from None
 
@@ -75,7 +75,9 @@ def instantiate(node: Any, **extra: Any) -> Any:
 
 
 def _set_by_experiment(key: str) -> str:
-    """Hint to leave out a key that an experiment sets for another option of its group; empty if none sets it."""
+    """Hint to leave out a key that an experiment sets for another option of its group; empty without such an
+    experiment.
+    """
     from hydra.core.hydra_config import HydraConfig
 
     if not HydraConfig.initialized():
@@ -86,7 +88,7 @@ def _set_by_experiment(key: str) -> str:
 
 
 def settings_of(cfg: DictConfig, key: str) -> DictConfig:
-    """The node at a key.
+    """Node at a key.
 
     Raises:
         InputError: the key has no node.
@@ -100,10 +102,10 @@ def settings_of(cfg: DictConfig, key: str) -> DictConfig:
 
 
 def detector_of(cfg: DictConfig, name: str) -> "Detector":
-    """The detector at `detectors.<name>`.
+    """Build the detector at `detectors.<name>`.
 
     Raises:
-        InputError: there is none, it refuses its arguments, or does not read the family of the tags.
+        InputError: there is no such detector, it refuses its arguments, or it does not read the family of the tags.
     """
     from lmd.core.checks import InputError
     from lmd.scene.families import FAMILIES, family_named

@@ -52,7 +52,7 @@ def observe(cfg: DictConfig) -> None:
         raise InputError("film needs rendered frames: detector=rendered.")
     with keyed("trajectory", seeds="seeds"):
         flights = Flights.draw(problem, trajectory, start, seeds)
-    if hasattr(trajectory, "note_of"):  # a file
+    if hasattr(trajectory, "note_of"):  # the trajectory is from a file
         note(trajectory.note_of("trajectory."))
     directory, n = run_directory(), problem.objective.n
     with tracked(cfg, "observe", title_of(problem, "observe")) as tracker:
@@ -112,7 +112,7 @@ def _save_films(
     detectors: Mapping[str, "RenderedDetector"],
     seconds: float,
 ) -> "list[Path]":
-    """Write the beginning of the first flight over each deployment as an animated picture."""
+    """Write the first seconds of the first flight over each deployment as an animated picture."""
     import numpy as np
 
     from lmd.plot.detection_figures import save_film
@@ -132,7 +132,7 @@ def _save_films(
 
 
 def _medians(figures: "pd.DataFrame") -> dict[str, float]:
-    """The finite medians over the seeds as `<figure>/<deployment>/<estimator>`."""
+    """Finite medians over the seeds by `<figure>/<deployment>/<estimator>`."""
     import math
 
     medians = {}
@@ -144,7 +144,7 @@ def _medians(figures: "pd.DataFrame") -> dict[str, float]:
 
 
 def _log_curves(tracker: "Tracker", curves: "pd.DataFrame") -> None:
-    """Log the median errors over time; a step is a millisecond."""
+    """Log the median errors over time; mlflow's steps are milliseconds."""
     for (name, estimator), curve in curves.groupby(["deployment", "estimator"], sort=False):
         for quantity in ("error", "position", "attitude"):
             values = curve[["time", f"{quantity}_median"]].dropna().to_numpy()

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from .operations.tracking import Tracker
     from .tracked_run import Earlier
 
-# Settings that a resumed run shares with the run it continues, as well as the contents of the files that they name.
+# Settings that a resumed run shares with the run that it continues; files named in them must have equal contents.
 SAME_WHEN_RESUMED = (
     "room", "camera", "pdf", "poses", "tag", "visibility", "objective", "encoding", "deployment", "optimiser", "seed"
 )  # fmt: skip
@@ -35,7 +35,7 @@ RETURNS = {"fitness": "fitness", "grid_free": "off_grid"}  # figures of `record`
 
 
 def optimise(cfg: DictConfig) -> float:
-    """Run one optimisation as configured; returns the figure for sweepers."""
+    """Run one optimisation as configured, and return the figure for sweepers."""
     from lmd.evaluation.accuracy import accuracy_metrics
     from lmd.objectives.localisation import Localisation
 
@@ -75,12 +75,12 @@ def searched(
     keep: "Callable[[Tracker, Result, bool], dict[str, float]]",
     further: Sequence[str] = (),
 ) -> float:
-    """Run an optimiser as a tracked run that can be resumed; returns the figure for sweepers.
+    """Run an optimiser as a tracked run that can be resumed, and return the figure for sweepers.
 
     Args:
         about: description of the run.
-        keep: records the result, in haste if it is true, and returns the figures.
-        further: groups that a resumed run must share beside `SAME_WHEN_RESUMED`.
+        keep: function that records the result and returns the figures; its argument is True in haste.
+        further: groups that a resumed run must share, in addition to `SAME_WHEN_RESUMED`.
 
     Raises:
         InputError: a setting is refused, or the run to resume has other settings.
@@ -105,15 +105,15 @@ def searched(
 
 
 def summary_of(found: "Result") -> dict[str, Any]:
-    """Entries of metrics.json on the search itself."""
+    """Entries of metrics.json about the search itself."""
     return {"evaluations": found.evaluations, "wall_time": found.seconds, "stopped": found.stopped}
 
 
 def _figure_returned(returns: Any, validate: bool) -> str:
-    """Name of the figure of `record` that the setting `returns` lets sweepers maximise.
+    """Name of the figure of `record` that sweepers maximise according to the setting `returns`.
 
     Raises:
-        InputError: no figure has that name, or the run leaves it out.
+        InputError: no figure has that name, or the run does not compute the figure.
     """
     from lmd.core.checks import InputError, choice
 
@@ -126,7 +126,7 @@ def _figure_returned(returns: Any, validate: bool) -> str:
 def _checkpoint_of(
     cfg: DictConfig, optimiser: "Optimiser", problem: "Problem", further: Sequence[str]
 ) -> "tuple[Checkpoint, Earlier | None]":
-    """The checkpoint of a run, and the run that it resumes, if any.
+    """Make the checkpoint of a run; also return the run that is resumed, if any.
 
     Raises:
         InputError: the run to resume has other settings, or cannot be read.
@@ -148,7 +148,7 @@ def _checkpoint_of(
 def _run(
     problem: "Problem", budget: "Budget", checkpoint: "Checkpoint", tracker: "Tracker", every: float
 ) -> "tuple[Result, bool]":
-    """Optimise; returns the result, and whether a second signal ended the run in the middle of a batch.
+    """Optimise; return the result, and True if a second signal ended the run in the middle of a batch.
 
     Args:
         every: time between checkpoints, seconds.

@@ -1,4 +1,4 @@
-"""The directory of a run and its files, each written whole or not at all."""
+"""Directory of a run and its files, each written whole or not at all."""
 
 import atexit
 import errno
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 LEAST_FREE = 1 << 20  # least free disk space for a run to begin, bytes
 HISTORY_FILE = "history.csv"
-PARTIAL = ".partial_"  # prefix of folders whose files are moved when all are written
+PARTIAL = ".partial_"  # prefix of folders whose files are moved once all files are written
 RESERVED_BYTES = 1 << 16  # reserved disk space, bytes: more than landmarks and figures of a thousand tags
 
 
@@ -67,7 +67,7 @@ def write_figures(
     """Write landmarks.csv and metrics.json, both or none.
 
     Args:
-        document: contents of metrics.json beside the settings of the problem.
+        document: contents of metrics.json in addition to the settings of the problem.
 
     Returns:
         the files.
@@ -81,14 +81,14 @@ def write_figures(
 
 
 def write_history(directory: Path, history: "Sequence[Record]") -> tuple[list[Path], list[str]]:
-    """Write the history, the best fitness over a run, unless the disk is full; returns as `write_pictures` does."""
+    """Write the history, the best fitness over a run, unless the disk is full; the result is as in `write_pictures`."""
     from lmd.core.tables import write_table
 
     return _write_what_fits(directory, {HISTORY_FILE: lambda path: write_table(path, columns_of(history))})
 
 
 def columns_of(history: "Sequence[Record]") -> dict[str, list[float]]:
-    """The history of a run as columns of a table, from the first successful evaluation on."""
+    """History of a run as columns of a table, from the first successful evaluation on."""
     from lmd.optimisers.ledger import Record
 
     known = [record for record in history if math.isfinite(record.best_fitness)]
@@ -110,9 +110,9 @@ def write_pictures(
 
     Args:
         history: best fitness over the run; a single evaluation gets no curve.
-        picture: write the picture and the curve.
-        page: write the interactive page.
-        exports: functions that write further files, by their names.
+        picture: True to write the picture and the curve.
+        page: True to write the interactive page.
+        exports: functions that write further files, by the names of the files.
 
     Returns:
         the files, and a text for each file that could not be written.
@@ -133,7 +133,7 @@ def write_pictures(
 
 
 def _write_what_fits(directory: Path, writers: Mapping[str, Callable[[Path], object]]) -> tuple[list[Path], list[str]]:
-    """Write the files of `writers` that fit on the disk; returns as `write_pictures` does."""
+    """Write the files of `writers` that fit on the disk; the result is as in `write_pictures`."""
     files, failed = [], []
     for name, write in writers.items():
         try:
@@ -144,15 +144,15 @@ def _write_what_fits(directory: Path, writers: Mapping[str, Callable[[Path], obj
 
 
 def all_or_none(directory: Path, write: Callable[[Path], object]) -> list[Path]:
-    """Let `write` fill a folder, then move its files to `directory`; if it fails, no file is left.
+    """Call `write` with a folder, then move the files in the folder to `directory`; after an error, no file is left.
 
     Returns:
         the files in `directory`, sorted.
 
     Raises:
-        OSError: they cannot be written, or one has the name of a folder there.
+        OSError: a file cannot be written, or has the name of a folder in `directory`.
     """
-    for left in directory.glob(f"{PARTIAL}*"):  # by a process that was killed
+    for left in directory.glob(f"{PARTIAL}*"):  # left by a process that was killed
         shutil.rmtree(left, ignore_errors=True)
     with tempfile.TemporaryDirectory(dir=directory, prefix=PARTIAL) as name:
         write(Path(name))
@@ -164,7 +164,7 @@ def all_or_none(directory: Path, write: Callable[[Path], object]) -> list[Path]:
 
 
 def write_all(directory: Path, writers: Mapping[str, Callable[[Path], object]]) -> list[Path]:
-    """Write the files of `writers`, functions by file name, all or none; returns and raises as `all_or_none`."""
+    """Write the files of `writers`, functions by file name, all or none; see `all_or_none`."""
 
     def fill(folder: Path) -> None:
         for name, write in writers.items():
@@ -175,10 +175,10 @@ def write_all(directory: Path, writers: Mapping[str, Callable[[Path], object]]) 
 
 @contextmanager
 def space_reserved(directory: Path) -> Iterator[None]:
-    """Within the block, reserve disk space for the results, which a disk that fills up meanwhile would refuse.
+    """Context in which disk space for the results is reserved, in case that the disk fills up meanwhile.
 
     Raises:
-        OSError: the disk is full already.
+        OSError: the disk is already full.
     """
     reserve = directory / ".reserve"
     reserve.write_bytes(bytes(RESERVED_BYTES))
@@ -193,11 +193,11 @@ Content = TypeVar("Content")
 
 
 def read_document(path: Path, content_of: Callable[[dict[str, Any]], Content]) -> Content | None:
-    """The content of a JSON document; None if there is none. A damaged one is renamed, with a warning, and ignored.
+    """Content of a JSON document; None without a file. A damaged file is renamed, with a warning, and ignored.
 
     Args:
-        content_of: converts the keys and values of the document; raises ValueError, KeyError or TypeError if they are
-            no content.
+        content_of: function that converts the keys and values of the document; it raises ValueError, KeyError or
+            TypeError if the document is damaged.
     """
     if not path.is_file():  # a pipe would block
         return None

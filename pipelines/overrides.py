@@ -1,4 +1,4 @@
-"""Overrides of the command line: spelled as Hydra reads them, composed again, and corrected where a key is unknown."""
+"""Overrides of the command line: spelling for Hydra, repeated composition, and suggestions for unknown keys."""
 
 import re
 import sys
@@ -15,13 +15,13 @@ from .app import CONF
 from .hyperparameters import GROUPS
 
 COUNT, PATH = "deployment.count=", "deployment.path"
-LIKENESS = 0.8  # least likeness of a key that is suggested, as `difflib` counts: a missing letter in a word
+LIKENESS = 0.8  # least similarity, by `difflib`, of a suggested key, such as a missing letter in a word
 
 
 def as_hydra_reads(override: str) -> str:
-    """An override with two spellings of ours in Hydra's: `deployment.count=+5`, and `+` before a default of a class.
+    """Translate two spellings of this project to Hydra's: `deployment.count=+5`, and `+` before a default of a class.
 
-    Hydra reads `+5` as the number 5, and refuses `+optimiser.population=12` because the key is there already.
+    Hydra reads `+5` as the number 5, and refuses `+optimiser.population=12` because the key already exists.
     """
     if override.startswith(COUNT):
         return re.sub(r"(?<=[=,])\+(\d+)(?=,|$)", r"'+\1'", override)
@@ -29,35 +29,35 @@ def as_hydra_reads(override: str) -> str:
 
 
 def at(key: str, path: Path) -> str:
-    """An override with a path as its value, in quotes where Hydra needs them."""
+    """Override with a path as its value, in quotes if Hydra needs them."""
     return f"{key}={path}" if re.fullmatch(r"[\w./-]+", str(path)) else f"{key}={quoted(path)}"
 
 
 def quoted(path: Path) -> str:
-    """A path as the value of an override."""
+    """Path as the value of an override, in quotes if Hydra needs them."""
     escaped = str(path).replace("\\", "\\\\").replace("'", "\\'")
     return f"'{escaped}'"
 
 
 def key_and_value(override: str) -> tuple[str, str]:
-    """`+objective.n=2` as (`objective.n`, `2`)."""
+    """Split an override, such as `+objective.n=2`, into key and value (`objective.n`, `2`)."""
     key, _, value = override.partition("=")
     return key.lstrip("+~"), value
 
 
 def search_path() -> list[str]:
-    """The overrides that add folders of configuration, which other overrides depend on."""
+    """Overrides that add folders of configuration, on which other overrides depend."""
     return [o for o in HydraConfig.get().overrides.hydra if o.startswith("hydra.searchpath=")]
 
 
 def config_dir() -> list[str]:
-    """The option `--config-dir` of this application, for another process; empty if it has none."""
+    """Option `--config-dir` of this application, for another process; empty without such an option."""
     sources = HydraConfig.get().runtime.config_sources
     return [word for source in sources if source.provider == "command-line" for word in ("--config-dir", source.path)]
 
 
 def task_overrides() -> list[tuple[str, str]]:
-    """The overrides of this job as pairs of the key or group and the override."""
+    """Overrides of this job, as pairs of key (or group) and override."""
     from hydra.core.override_parser.overrides_parser import OverridesParser
 
     parsed = OverridesParser.create().parse_overrides(list(HydraConfig.get().overrides.task))
@@ -65,12 +65,12 @@ def task_overrides() -> list[tuple[str, str]]:
 
 
 def recompose(config_name: str, overrides: Sequence[str], setting: str, entry: str) -> DictConfig:
-    """Another configuration of the running application, without Hydra's own part.
+    """Compose another configuration of the running application, without Hydra's own part.
 
     Args:
-        config_name: `optimise` and so on.
-        overrides: its overrides, as on a command line.
-        setting, entry: key and value that ask for it, for messages.
+        config_name: name of the configuration, such as `optimise`.
+        overrides: overrides, as on a command line.
+        setting, entry: key and value that caused the composition, for messages.
 
     Raises:
         InputError: Hydra refuses the overrides.
@@ -93,7 +93,8 @@ def recompose(config_name: str, overrides: Sequence[str], setting: str, entry: s
 
 
 def meant(key: str) -> str:
-    """Question after the known key that is most like an unknown one; empty if none is like it, or the key is known.
+    """Question that suggests the known key most similar to an unknown key; empty for a known key, or without a similar
+    one.
 
     Args:
         key: key with its groups, such as `room.keepout`.
@@ -106,7 +107,7 @@ def meant(key: str) -> str:
 
 
 def ask_what_was_meant() -> None:
-    """Suggest on stderr a known key for each unknown one of the command line, which Hydra has refused."""
+    """Suggest on stderr a known key for each unknown key of the command line, which Hydra has refused."""
     for argument in sys.argv[1:]:
         key = argument.partition("=")[0]
         if key.replace(".", "_").isidentifier() and "." in key and (question := meant(key)):
@@ -115,7 +116,7 @@ def ask_what_was_meant() -> None:
 
 @cache
 def known_keys(folder: str) -> frozenset[str]:
-    """All keys of the configuration in a folder, with their groups."""
+    """Keys of the configuration in a folder, with their groups."""
     import yaml
 
     loader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)  # ten times as fast, if PyYAML was built with it
@@ -129,7 +130,7 @@ def known_keys(folder: str) -> frozenset[str]:
 def _keys_within(node: Any, above: list[str]) -> Iterator[str]:
     if isinstance(node, Mapping):
         for key, inner in node.items():
-            if key == "defaults":  # Hydra's
+            if key == "defaults":  # Hydra's own key
                 continue
             yield ".".join([*above, str(key)])
             yield from _keys_within(inner, [*above, str(key)])

@@ -1,4 +1,4 @@
-"""The detections of a survey: from photographs, a video, or a file of detections."""
+"""Detections of a survey, from photographs, a video, or a file of detections."""
 
 import os
 import sys
@@ -17,14 +17,14 @@ if TYPE_CHECKING:
     from lmd.formats.detections import DetectedTags
     from lmd.geometry.camera import Camera
 
-CHUNK = 8  # images that a worker reads at once
+CHUNK = 8  # number of images that a worker reads at once
 
 
 def detected(cfg: DictConfig, cameras: "Sequence[Camera]", detector: "Detector", modules: int) -> "DetectedTags":
-    """The detections of a survey, without copies of images.
+    """Detections of a survey, without copies of images.
 
     Raises:
-        InputError: neither or both of photographs and detections are given, or a file cannot be read.
+        InputError: photographs and detections are both given or both missing, or a file cannot be read.
     """
     from lmd.core.checks import InputError
     from lmd.formats.detection_formats import read_detections, with_images
@@ -41,10 +41,10 @@ def detected(cfg: DictConfig, cameras: "Sequence[Camera]", detector: "Detector",
 
 
 def _in_images(cfg: DictConfig, cameras: "Sequence[Camera]", detector: "Detector", modules: int) -> "DetectedTags":
-    """The detections in the photographs of all cameras.
+    """Detections in the photographs of all cameras.
 
     Raises:
-        InputError: there are no photographs, or one cannot be read.
+        InputError: there are no photographs, or a photograph cannot be read.
     """
     from lmd.core.checks import InputError, printable
     from lmd.detection.images import Photographs, folder_entries
@@ -86,14 +86,14 @@ class Chunk(NamedTuple):
 def detected_in(
     images: "Images", camera: "Camera", detector: "Detector", modules: int, workers: int | None
 ) -> "DetectedTags":
-    """Detections in images, without those in images that are blurred beside the others.
+    """Detections in images, without images that are much more blurred than the others.
 
     Args:
         images: images of one camera.
         camera: camera with the size of the images.
         detector: detector of the tags.
-        modules: modules on an edge of the tags' family.
-        workers: number of processes, None for every processor; the result does not depend on it.
+        modules: number of modules on an edge in the tags' family.
+        workers: number of processes, None for every processor; the result does not depend on the number.
 
     Raises:
         InputError: an image cannot be read, or none shows a tag.
@@ -107,11 +107,11 @@ def detected_in(
     from .progress import bar
     from .workers import in_processes, processes
 
-    next(images.read(0, 1, camera), None)  # an error that all share is raised before the progress bar
+    next(images.read(0, 1, camera), None)  # an error that is common to all images is raised before the progress bar
     count = len(images.names)
     for remark in images.remarks:
         print(f"warning: photographs: {remark}", file=sys.stderr)
-    # To begin in the middle of some videos, a worker must read them from their start.
+    # Some videos can only be read from the start, so each worker gets one long chunk.
     chunk = CHUNK if images.is_random_access else -(-count // processes(workers))
     jobs = [
         Chunk(images, camera, detector, modules, first, min(first + chunk, count)) for first in range(0, count, chunk)
@@ -132,7 +132,7 @@ def detected_in(
 
 
 def _read(job: Chunk) -> "list[tuple[Detections, float]]":
-    """Detections in each image, and its blur, on one thread."""
+    """Detections in each image, and the blur of the image, on one thread."""
     from lmd.core.optional import optional
     from lmd.detection.images import blur_of
 

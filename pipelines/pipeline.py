@@ -1,4 +1,4 @@
-"""A command: a function of a configuration that is composed from the command line, stops on a signal and may sweep."""
+"""Command: a function of a configuration composed from the command line, which stops on a signal and may sweep."""
 
 import atexit
 import gc
@@ -23,12 +23,12 @@ from .operations.sweeps import search  # noqa: F401 # from here on Hydra knows t
 from .operations.sweeps.supervisor import run
 from .overrides import PATH, as_hydra_reads, ask_what_was_meant
 
-# Launchers that are plugins of Hydra, and the package of each.
+# Launchers that are plugins of Hydra, and their packages.
 LAUNCHERS = {
     "joblib": "hydra_plugins.hydra_joblib_launcher",
     **dict.fromkeys(("slurm", "submitit_local", "submitit_slurm"), "hydra_plugins.hydra_submitit_launcher"),
 }
-# Commands that take no `run=DIR`, and the key to use in its place.
+# Commands without `run=DIR`, and the key to use instead.
 INSTEAD = {
     "estimate_pdf": "recording.path=FILE is the recording to estimate from",
     "report": "sweeps=[ID,...] chooses among the sweeps of the tracking store",
@@ -38,7 +38,7 @@ INSTEAD = {
 
 
 def with_file(arguments: list[str], pipeline: str) -> list[str]:
-    """The command line with `deployment=file` before a `deployment.path`, unless it chooses an option of the group."""
+    """Command line with `deployment=file` added before a `deployment.path`, unless an option of the group is chosen."""
     keys = [argument.partition("=")[0].lstrip("+") for argument in arguments]
     chosen = {"deployment", "deployments", "run"}.intersection(keys)
     if PATH not in keys or chosen or "- deployment:" not in Path(CONF, f"{pipeline}.yaml").read_text(encoding="utf-8"):
@@ -49,13 +49,13 @@ def with_file(arguments: list[str], pipeline: str) -> list[str]:
 
 
 def _refuse_run(pipeline: str) -> None:
-    """Exit if a command gets `run=DIR` and takes none."""
+    """Exit if a command without `run=DIR` gets it."""
     if pipeline in INSTEAD and any(argument.startswith("run=") for argument in sys.argv[1:]):
         sys.exit(f"error: run is no key of {pipeline}: {INSTEAD[pipeline]}.")
 
 
 def _refuse_launcher_that_is_missing() -> None:
-    """Exit if the package of a launcher is missing; Hydra would only say that it has no such launcher."""
+    """Exit if the package of a launcher is missing, with a better message than Hydra's."""
     for argument in sys.argv[1:]:
         name = argument.removeprefix("+").removeprefix("hydra/launcher=")
         if name in LAUNCHERS and name != argument and not _is_installed(LAUNCHERS[name]):
@@ -67,18 +67,18 @@ def _refuse_launcher_that_is_missing() -> None:
 def _is_installed(package: str) -> bool:
     try:
         return importlib.util.find_spec(package) is not None
-    except ModuleNotFoundError:  # of the namespace package
+    except ModuleNotFoundError:  # the namespace package is missing
         return False
 
 
 @dataclass(frozen=True)
 class _Experiment:
-    """An experiment for other commands than the one that it was given to."""
+    """Experiment that is for other commands than the present one."""
 
     name: str
     """Name of the experiment."""
     commands: tuple[str, ...]
-    """The commands that its file names."""
+    """Commands that the file of the experiment names."""
     is_sweep: bool
     """True for a stored sweep."""
 
@@ -88,7 +88,7 @@ class _Experiment:
 
 
 def _experiment_of_another(pipeline: str) -> _Experiment | None:
-    """The experiment on the command line, if its file is one of the project and names only other commands."""
+    """Experiment on the command line, if its file is part of the project and names only other commands; else None."""
     given = [argument.partition("=")[2] for argument in sys.argv[1:] if argument.startswith("experiment=")]
     file = Path(CONF, "experiment", f"{given[-1]}.yaml") if given else None
     if file is None or not file.is_file():
@@ -113,23 +113,23 @@ Task = Callable[[DictConfig], float | None]
 
 
 def alone(cfg: DictConfig, task: Task) -> float | None:
-    """Call a task that cannot be a job of a sweep, and report its error."""
+    """Call a task that cannot be a job of a sweep, and report an error."""
     with ends_reported():
         return task(cfg)
 
 
 @dataclass(frozen=True)
 class Pipeline:
-    """A command, called without arguments."""
+    """Command that is called without arguments."""
 
     name: str
     """Name of the command, of its module and of its configuration, such as `optimise`."""
     task: Task
     """Function that is called with the configuration."""
     prepare: tuple[Callable[[], None], ...] = ()
-    """Functions that are called in turn before Hydra reads the command line, which they may change."""
+    """Functions that are called in turn before Hydra reads the command line, and that may change the command line."""
     runner: Callable[[DictConfig, Task], float | None] = run
-    """Function that calls the task and reports its error; by default each job of a sweep gets a process of its own."""
+    """Function that calls the task and reports an error; by default each job of a sweep gets a process of its own."""
 
     def __call__(self) -> None:
         """Run the command line of this process."""
@@ -141,7 +141,7 @@ class Pipeline:
         sys.argv[1:] = list(map(as_hydra_reads, sys.argv[1:]))
         if HELP.intersection(sys.argv):
             sys.argv.append("hydra.help.template=${lmd.help:}")
-            # Hydra would read all files twice for its own template.
+            # Hydra's own template would read all files twice.
             Hydra.format_config_groups = lambda *_: ""  # type: ignore[method-assign]
         _refuse_configuration_of_another(self.name)
         _refuse_launcher_that_is_missing()
@@ -158,9 +158,9 @@ class Pipeline:
             is_composed = True
             return self.runner(cfg, self.task)
 
-        run_composed.__module__ = f"{PACKAGE}.{self.name}"  # gives Hydra's job its name, also if the module is __main__
+        run_composed.__module__ = f"{PACKAGE}.{self.name}"  # Hydra names the job after this module
         compose = hydra.main(version_base="1.3", config_path=CONF, config_name=self.name)
-        atexit.register(gc.freeze)  # or the last garbage collection takes a second with mlflow
+        atexit.register(gc.freeze)  # otherwise the last garbage collection takes a second with mlflow
         try:
             with stop.raising():
                 compose(run_composed)()

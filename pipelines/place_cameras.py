@@ -27,7 +27,7 @@ DRAWING = "body.png"
 
 
 def place_cameras(cfg: DictConfig) -> float:
-    """Place cameras as configured; returns the figure for sweepers."""
+    """Place cameras as configured, and return the figure for sweepers."""
     from .tracked_run import Extras, record, title_of
 
     problem, sources = build_camera_problem(cfg)
@@ -60,7 +60,7 @@ def place_cameras(cfg: DictConfig) -> float:
 
 
 def build_optimiser_of(cfg: DictConfig) -> "Optimiser":
-    """The optimiser of the cameras, or of cameras and tags in turn with `rounds`."""
+    """Build the optimiser of the cameras, or of cameras and tags in turns if `rounds` is set."""
     from lmd.core.checks import integer
     from lmd.optimisers.alternating import Alternating
     from lmd.optimisers.ledger import Budget
@@ -72,7 +72,7 @@ def build_optimiser_of(cfg: DictConfig) -> "Optimiser":
 
 
 def build_camera_problem(cfg: DictConfig) -> "tuple[CameraProblem, dict[Camera, Any]]":
-    """The problem of a configuration, and the calibration of each kind of camera.
+    """Build the problem of a configuration; also return the calibration of each kind of camera.
 
     Raises:
         InputError: the parts of the problem do not fit together.
@@ -115,7 +115,7 @@ def build_camera_problem(cfg: DictConfig) -> "tuple[CameraProblem, dict[Camera, 
 def _write(
     problem: "CameraProblem", rig: "Rig", sources: "dict[Camera, Any]", title: str, tracker: "Tracker", draw: bool
 ) -> None:
-    """Write the rig file and the drawing, and log them."""
+    """Write and log the rig file and the drawing."""
     from lmd.formats.rigs import write_rig
     from lmd.plot.body_drawing import save_body_figure
 

@@ -1,4 +1,4 @@
-"""The points of a trade-off: searches along curves that share the processors, with results kept on disk."""
+"""Points of a trade-off: parallel searches along curves, with results stored on disk."""
 
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -28,14 +28,14 @@ if TYPE_CHECKING:
 
 
 NO_SHARE = re.compile("cost|predicted_error_.*|.*_(seconds|standard_error)")  # figures that are no fractions
-ARRAYS = ("positions", "normals", "surfaces")  # arrays of a deployment that are kept
+ARRAYS = ("positions", "normals", "surfaces")  # arrays of a deployment that are stored
 PAPER, BUDGET = "paper", "budget"  # keys of `tag` that limit tags of several sizes
 Content = TypeVar("Content")
 
 
 @dataclass(frozen=True)
 class Ladder:
-    """The points of one curve and one seed."""
+    """Points of one curve for one seed."""
 
     cfg: DictConfig
     """Configuration of the pipeline."""
@@ -44,7 +44,7 @@ class Ladder:
     seed: int
     """Seed of the searches."""
     limited: str | None = None
-    """Key of `tag` that varies along the curve, `PAPER` or `BUDGET`; None if the number of landmarks does."""
+    """Key of `tag` that varies along the curve, `PAPER` or `BUDGET`; None if the number of landmarks varies."""
 
     @property
     def curve(self) -> float | str:
@@ -54,7 +54,7 @@ class Ladder:
         return self.edges[0] if self.limited is None else MIXED.join(f"{edge:g}" for edge in self.edges)
 
     def point(self, at: float) -> DictConfig:
-        """The configuration of the point with `at` landmarks, or with the limit `at`, on one thread."""
+        """Configuration of the point with `at` landmarks, or with the limit `at`, on one thread."""
         cfg = deepcopy(self.cfg)
         cfg.seed, cfg.threads = self.seed, 1
         if self.limited is None:
@@ -69,7 +69,7 @@ class Ladder:
         return cfg
 
     def problem(self, at: float) -> "Problem":
-        """The problem of a point.
+        """Build the problem of a point.
 
         Raises:
             InputError: the parts of the problem do not fit together.
@@ -86,19 +86,19 @@ class Ladder:
         return build_problem(cfg)
 
     def anew(self, at: float) -> "Found":
-        """The result of a search with the configured start."""
+        """Result of a search from the configured start."""
         from lmd.evaluation.tradeoff import ANEW
 
         return self._search(at, self.problem(at), ANEW)
 
     def improved(self, known: "Mapping[float, Found]", chosen: Iterable[float]) -> "dict[float, Found]":
-        """Results of searches from those of neighbours; see `lmd.evaluation.tradeoff.improved`."""
+        """Results of searches from the results of neighbours, see `lmd.evaluation.tradeoff.improved`."""
         from lmd.evaluation.tradeoff import improved
 
         return improved(known, chosen, self.problem, self._search)
 
     def figures(self, at: float, found: "Found") -> dict[str, float]:
-        """All figures of a result."""
+        """Figures of a result."""
         from lmd.evaluation.tradeoff import SAMPLE
 
         score = partial(figures_of, self.problem(at), found.deployment, self.seed)
@@ -133,14 +133,14 @@ class Ladder:
         compute: Callable[[], dict[str, Any]],
         content_of: Callable[[dict[str, Any]], Content],
     ) -> Content:
-        """A result that is kept on disk, or is computed now and kept.
+        """Result from the disk, or computed now and stored.
 
         Args:
-            at: the point.
+            at: place of the point along the curve.
             what: kind of the result.
-            given: deployment that it depends on.
-            compute: computes the result as a document.
-            content_of: converts a document; see `read_document`.
+            given: deployment on which the result depends.
+            compute: function that computes the result as a document.
+            content_of: function that converts a document, see `read_document`.
         """
         from lmd.core.sources import package_digest
 
@@ -159,7 +159,7 @@ class Ladder:
 
 
 def figures_of(problem: "Problem", deployment: "Deployment", seed: int) -> dict[str, float]:
-    """All figures of a deployment on the grid, and off it on a sample that `seed` draws."""
+    """Figures of a deployment on the grid, and off the grid on a sample drawn with `seed`."""
     from lmd.evaluation.accuracy import accuracy_metrics
     from lmd.evaluation.tradeoff import SAMPLE
     from lmd.evaluation.validation import validation_metrics
@@ -179,7 +179,7 @@ Result = TypeVar("Result")
 
 
 class Points:
-    """The results at all points. A point is the number of a ladder and a place along it.
+    """Results at all points. A point is the number of a ladder, and a place along that ladder.
 
     Args:
         ladders: ladders of every curve and seed.
@@ -192,7 +192,7 @@ class Points:
         self._figures: dict[tuple[int, float], dict[str, float]] = {}
 
     def look(self, chosen: Sequence[tuple[int, float]]) -> None:
-        """Search at points from the start and from their neighbours, and score the best result at each."""
+        """Search at points from the start and from neighbours' results, and score the best result at each point."""
         anew = {(n, at): partial(self.ladders[n].anew, at) for n, at in chosen}
         for (n, at), found in self._done("searched anew", anew):
             self._found[n][at] = found
@@ -208,7 +208,7 @@ class Points:
             self._figures[point] = figures
 
     def _best(self, number: int, at: float) -> "Found":
-        """The result at a point; where sizes are mixed, that of a single size if it is better."""
+        """Result at a point; for mixed sizes, the result of a single size if it is better."""
         from lmd.evaluation.tradeoff import ALONE
 
         own, best = self.ladders[number], self._found[number][at]
@@ -219,25 +219,25 @@ class Points:
         return best
 
     def _done(self, what: str, jobs: Mapping[Key, Callable[[], Result]]) -> Iterator[tuple[Key, Result]]:
-        """The keys of jobs with their results, in the order in which they finish."""
+        """Keys of jobs with their results, in the order in which the jobs finish."""
         results = in_processes(_do, list(jobs.items()), self._workers, lambda job: self.name(*job[0]))
         for i, (key, result) in enumerate(results, 1):
             print(f"{i}/{len(jobs)} {what}: {self.name(*key)}", flush=True)
             yield key, result
 
     def name(self, number: int, *places: float) -> str:
-        """Name of a point, or of several of one ladder."""
+        """Name of a point, or of several points of one ladder."""
         ladder, listed = self.ladders[number], ",".join(f"{at:.10g}" for at in places)
         size = [f"{self.axis.curve}={ladder.curve}"] if ladder.edges[0] else []
         return " ".join([f"{self.limited or 'K'}={listed}", *size, f"seed={ladder.seed}"])
 
     def of(self, curve: float | str) -> list[int]:
-        """The numbers of the ladders of a curve."""
+        """Numbers of the ladders of a curve."""
         return [n for n, ladder in enumerate(self.ladders) if ladder.curve == curve]
 
     @cached_property
     def axis(self) -> "Axis":
-        """The axis of the points."""
+        """Axis of the points."""
         from lmd.evaluation.tradeoff import COUNTS, Axis
 
         if self.limited is None:
@@ -247,15 +247,15 @@ class Points:
         return Axis("edges", self.limited, min(costs or ((tag.paper_share * min(tag.sizes)) ** 2,)))
 
     def __iter__(self) -> "Iterator[tuple[int, float, Found, dict[str, float]]]":
-        """For each point: number of its ladder, place along it, result, and figures."""
+        """Iterate over the points: number of the ladder, place along the ladder, result, and figures."""
         for n, at in sorted(self._figures):
             yield n, at, self._found[n][at], self._figures[n, at]
 
     @property
     def table(self) -> "pd.DataFrame":
-        """A row for each point: its curve, its place along `axis`, `seed`, `way` and the figures.
+        """Table with a row for each point: curve, place along `axis`, `seed`, `way` and the figures.
 
-        Along limits also `count` and, for every edge, the number of its landmarks, `count_<edge>`.
+        Points along limits also have `count` and, for every edge, the number of its landmarks, `count_<edge>`.
         """
         import pandas as pd
 
@@ -268,7 +268,7 @@ class Points:
         ])  # fmt: skip
 
     def counts(self, found: "Found") -> dict[str, int]:
-        """Along limits: the number of landmarks, and of those of each edge."""
+        """Number of landmarks, and of the landmarks of each edge, for points along limits; else empty."""
         edges = found.deployment.edges
         if self.limited is None or not found.deployment.has_own_edges:
             return {}
@@ -279,6 +279,6 @@ class Points:
 
 
 def _do(job: tuple[Key, Callable[[], Result]]) -> tuple[Key, Result]:
-    """Do a job; returns its key and its result."""
+    """Do a job, and return its key and its result."""
     key, compute = job
     return key, compute()

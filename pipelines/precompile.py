@@ -1,7 +1,7 @@
 """Compile the kernels of the commands with their defaults: `python -m pipelines.precompile [main]`.
 
-Compiled code is kept beside the modules, or in `NUMBA_CACHE_DIR`. Otherwise the first run that needs a kernel compiles
-it. `main` stands for the main job alone.
+Compiled code is stored beside the modules, or in `NUMBA_CACHE_DIR`. Without this command, the first run that needs a
+kernel compiles it. `main` selects only the main job.
 """
 
 import subprocess
@@ -27,7 +27,7 @@ OTHERS = (  # the longest first
 
 
 def main() -> None:
-    """Do a small run of each kind, in processes of their own; exit with 1 if one fails."""
+    """Do a small run of each kind, in processes of their own; exit with 1 if a run fails."""
     from lmd.core.threads import available_threads
 
     asked = sys.argv[1:]
@@ -37,7 +37,7 @@ def main() -> None:
         if not asked:
             print("compiling what the commands use; this takes a minute or two, once", file=sys.stderr)
         failed = [_run(MAIN, Path(folder) / "main", shown=True)]
-        if not asked and not failed[0]:  # the others share its kernels
+        if not asked and not failed[0]:  # the other jobs share the kernels of the main job
             done = count(1)
 
             def run(number: int) -> str:
@@ -54,12 +54,12 @@ def main() -> None:
 
 
 def _run(run: Sequence[str], output: Path, shown: bool) -> str:
-    """Do a run; returns its command and stderr if it failed, else an empty text.
+    """Do a run; return its command and stderr if it failed, else an empty text.
 
     Args:
-        run: a pipeline and its overrides.
+        run: pipeline and overrides.
         output: folder of the run.
-        shown: print the kernels that it compiles.
+        shown: True to print the kernels that the run compiles.
     """
     pipeline, *overrides = run
     command = [sys.executable, "-m", f"{PACKAGE}.{pipeline}", *overrides, *SMALL, f"hydra.run.dir={output}"]

@@ -1,4 +1,4 @@
-"""The provenance of a run: its parameters, its command, the version of the code, the contents of its files."""
+"""Provenance of a run: parameters, command, version of the code, contents of files."""
 
 import getpass
 import hashlib
@@ -20,7 +20,7 @@ from .app import CONF, IN_CHECKOUT, command_of, flat_settings
 from .operations.sweeps.folder import current_job
 from .overrides import at
 
-# Settings that are no parameters of a run: its place, its speed and its further outputs.
+# Settings that are no parameters of a run: they concern its place, its speed and its further outputs.
 NO_PARAMETERS = (
     "tracking", "trust", "run", "resume", "picture", "page", "threads", "checkpoint_seconds", "tracked_as", "export",
     "paper_size", "north",
@@ -28,25 +28,25 @@ NO_PARAMETERS = (
 # Characters around a path in an override, such as `deployments=['mine: file deployment.path=a.csv',uniform]`; the first
 # pattern leaves a path with a space whole.
 SEPARATORS = (r"[,=\[\]{}'\"]+", r"[\s,=\[\]{}'\"]+")
-LARGEST_READ = 1 << 32  # bytes of a file; of a larger one the size stands for the contents
+LARGEST_READ = 1 << 32  # largest file whose contents are read, bytes; for larger files only the size counts
 
 
 def command_line(pipeline: str, overrides: Sequence[str]) -> str:
-    """A command of this project, for a shell."""
+    """Command of this project, for a shell."""
     return " ".join([command_of(pipeline), shlex.join(overrides)]).strip()
 
 
 def resuming(pipeline: str, folder: Path) -> str:
-    """The command that resumes the run of this process, whose files are in a folder."""
+    """Command that resumes the run of this process, whose files are in `folder`."""
     given = [word for word in sys.argv[1:] if not word.startswith("resume=")]
     return command_line(pipeline, [*given, at("resume", folder)])
 
 
 def source_tags(pipeline: str) -> dict[str, str]:
-    """Tags of a run that name its user, command, version and commit, most under mlflow's own names."""
+    """Tags of a run with its user, command, version and commit, most under mlflow's own names."""
     tags = {"mlflow.source.name": command_of(pipeline), "mlflow.source.type": "LOCAL", "mlflow.user": _user()}
     given = sys.argv[1:]
-    if current_job() is not None:  # repeated by hand, the command must not write into the folder of the sweep
+    if current_job() is not None:  # a command that is repeated by hand must not write to the folder of the sweep
         given = [word for word in given if not word.startswith(("hydra.run.dir=", "resume="))]
     return tags | {"command": command_line(pipeline, given)} | _version()
 
@@ -81,7 +81,7 @@ def _git(*arguments: str) -> str:
 
 
 def parameters(cfg: DictConfig, choices: Mapping[str, str]) -> dict[str, Any]:
-    """The choices of groups, and the settings below them that have a value."""
+    """Choices of groups, and the settings below the groups that have a value."""
     settings = {
         key: value
         for key, value in flat_settings(cfg).items()
@@ -93,15 +93,15 @@ def parameters(cfg: DictConfig, choices: Mapping[str, str]) -> dict[str, Any]:
 
 
 def digest(*parts: Any) -> str:
-    """A digest that is equal for equal parts, as long as the files that they name have equal contents."""
+    """Digest that is equal for equal parts if the files named in the parts have equal contents."""
     text = json.dumps([*parts, contents_of(parts)], sort_keys=True, default=str)
     return hashlib.sha256(text.encode()).hexdigest()
 
 
 def contents_of(settings: Any) -> dict[str, str]:
-    """The digest of every file that `settings` name, `{"contents of flight.csv": "9f86d081884c7d65"}`.
+    """Digest of every file named in `settings`, such as `{"contents of flight.csv": "9f86d081884c7d65"}`.
 
-    Every text counts that is the path of a file, or of a folder with files, at any key. A word that happens to be such
+    Every text at any key counts if it is the path of a file, or of a folder with files. A word that happens to be such
     a path does no harm.
 
     Args:
@@ -117,7 +117,7 @@ def contents_of(settings: Any) -> dict[str, str]:
 
 
 def texts_in(settings: Any) -> Iterator[str]:
-    """All texts in settings, nested in any way."""
+    """Texts in settings, nested in any way."""
     if isinstance(settings, str):
         yield settings
     elif isinstance(settings, Mapping | list | tuple):

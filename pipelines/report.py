@@ -27,7 +27,7 @@ MARK = "<!-- What follows is written by python -m pipelines.report and overwritt
 
 
 def report(cfg: DictConfig) -> None:
-    """Write report.html, report.md and its pictures to the run directory."""
+    """Write report.html, report.md and the pictures to the run directory."""
     from lmd.core.checks import InputError
 
     from .operations.tracking import MlflowReader
@@ -62,7 +62,7 @@ def report(cfg: DictConfig) -> None:
 
 
 def _kept_text(save_as: Path | None) -> str:
-    """The text above the generated part of the page that is replaced.
+    """Text above the generated part of an existing page that is to be replaced.
 
     Raises:
         InputError: the page has no generated part.
@@ -79,7 +79,7 @@ def _kept_text(save_as: Path | None) -> str:
 
 
 def _chosen(runs: "pd.DataFrame", sweeps: ListConfig | None) -> "pd.DataFrame":
-    """The runs of `sweeps` and of their jobs, all by default.
+    """Runs of `sweeps` and of their jobs; all runs by default.
 
     Raises:
         InputError: a sweep has no runs.
@@ -100,7 +100,7 @@ def _chosen(runs: "pd.DataFrame", sweeps: ListConfig | None) -> "pd.DataFrame":
 
 
 def _load(reader: "MlflowReader", run_id: str, trust: Trust) -> "tuple[Problem, Deployment]":
-    """The problem and the deployment of a run, from its files."""
+    """Problem and deployment of a run, from the files of the run."""
     import numpy as np
 
     from lmd.core.checks import InputError
@@ -109,7 +109,7 @@ def _load(reader: "MlflowReader", run_id: str, trust: Trust) -> "tuple[Problem, 
     found = read_yaml(reader.artifact(run_id, "config.yaml"), source)
     parts = trust.parts(found, f"{source}: config.yaml", (*GROUPS, "encoding"))
     landmarks = reader.artifact(run_id, "landmarks.csv")
-    # The result in place of the start; `free` because the run accepted it.
+    # The result replaces the start; it is `free` of checks, as the run accepted it.
     deployment = {"_target_": "lmd.formats.deployments.FileDeployment", "path": str(landmarks), "free": True}
     try:
         problem = build_problem(OmegaConf.create({**parts, "deployment": deployment, "seed": 0, "threads": None}))

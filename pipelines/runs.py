@@ -1,8 +1,8 @@
 """List the newest runs, and resume one: `python -m pipelines.runs [last=20] [resume=last]`.
 
-Runs whose process is gone are ended first. The command that resumes a run is built from Hydra's files in the run's own
-folder. The store and the folder may be of any origin: no command of the store is run, and only overrides of the folder
-that cannot run code or write elsewhere are used, each as one argument of a pipeline of this project.
+Runs whose process has ended are marked first. The command that resumes a run is built from Hydra's files in the run's
+folder. Store and folder are not trusted: no command from the store is run, and of the folder's overrides only those are
+used that cannot run code or write to other places, each as one argument of a pipeline of this project.
 """
 
 import os
@@ -37,8 +37,8 @@ COLUMNS = {
     "metrics.off_grid": "off the grid",
     "metrics.evaluations": "evaluations",
 }
-OWN_KEYS = ("tracking", "trust")  # keys of this command line that replace those of the run
-PLACE_KEYS = ("hydra", "save_as", "kept")  # keys with a place where files are written
+OWN_KEYS = ("tracking", "trust")  # keys whose values on this command line replace the values of the run
+PLACE_KEYS = ("hydra", "save_as", "kept")  # keys with a path to which files are written
 LIST_KEYS = ("optimisers", "deployments")  # lists of options, each of which may have overrides of its own
 # Names of options. With dots and slashes a name could be any file, and with = or ~ an override.
 NAMES = re.compile(r"[\w\[\],'\" -]*")
@@ -48,24 +48,24 @@ HARMLESS = re.compile(
     r"hydra\.mode=\w+|hydra/launcher=\w+|"
     r"hydra\.launcher\.(n_jobs|partition|timeout_min|cpus_per_task|mem_gb|array_parallelism)=[\w.-]+"
 )
-PICKLES = ".submitit"  # folder of pickles in that of a sweep, which submitit reads
+PICKLES = ".submitit"  # folder of pickles, which submitit reads, in the folder of a sweep
 REPLACED = ("hydra.run.dir", "hydra.sweep.dir", "hydra.searchpath")  # settings that this command replaces
 
 
 @dataclass(frozen=True)
 class ResumeCommand:
-    """The command that resumes a run."""
+    """Command that resumes a run."""
 
     command: str
-    """The command for a shell, as it is shown."""
+    """Text of the command for a shell."""
     process: tuple[str, ...] = ()
     """Program and arguments; empty if the command is only shown."""
     why_not: str = ""
-    """The reason why it is only shown."""
+    """Reason for which the command is only shown."""
 
 
 def resume_command(run: "pd.Series", trust: Trust) -> ResumeCommand | None:
-    """The command that resumes a run; None if the run has finished or has left no checkpoint.
+    """Command that resumes a run; None if the run has finished or has left no checkpoint.
 
     A sweep, with its jobs, is resumed by its own command.
 
@@ -98,10 +98,10 @@ def resume_command(run: "pd.Series", trust: Trust) -> ResumeCommand | None:
 
 
 def _command(folder: Path, is_sweep: bool, trust: Trust) -> tuple[str, list[str]]:
-    """The pipeline and the arguments that resume the run in a folder.
+    """Pipeline and arguments that resume the run in a folder.
 
     Raises:
-        InputError: the folder is not as Hydra writes it, or an override is not taken from a file.
+        InputError: the folder is not as written by Hydra, or an override is not accepted from a file.
     """
     from lmd.core.checks import InputError
 
@@ -118,7 +118,7 @@ def _command(folder: Path, is_sweep: bool, trust: Trust) -> tuple[str, list[str]
     if not _is_pipeline(pipeline):
         raise InputError(f"{file} names {pipeline[:SHOWN]!r}, which is no pipeline")
     for path in folder.rglob("*"):
-        if path.is_symlink():  # the run would write elsewhere
+        if path.is_symlink():  # the run would write to another place
             raise InputError(f"{path} is a link ({PAGE})")
         if path.name == PICKLES:
             raise InputError(f"{path} holds what jobs and the sweep hand to each other, which may run code ({PAGE})")
@@ -141,7 +141,7 @@ def _command(folder: Path, is_sweep: bool, trust: Trust) -> tuple[str, list[str]
 
 
 def _is_pipeline(name: str) -> bool:
-    """Return whether a name is that of a pipeline with tracked runs."""
+    """True if a name is the name of a pipeline with tracked runs."""
     file = Path(CONF, f"{name}.yaml")
     return (
         name.isidentifier() and file.is_file() and bool(re.search(r"^  - (base|job)$", file.read_text(), re.MULTILINE))
@@ -149,10 +149,10 @@ def _is_pipeline(name: str) -> bool:
 
 
 def _is_kept(override: str, source: str, trust: Trust) -> bool:
-    """Return whether the command keeps an override of the run; others are replaced.
+    """True if the command keeps an override of the run; other overrides are replaced.
 
     Raises:
-        InputError: the override is not taken from a file, or names code that is not trusted.
+        InputError: the override is not accepted from a file, or names code that is not trusted.
     """
     from lmd.core.checks import InputError
 
@@ -219,7 +219,7 @@ def _listed(table: "pd.DataFrame") -> str:
 
 
 def _resume(unfinished: Mapping[str, ResumeCommand], wanted: str) -> None:
-    """Replace this process by the command that resumes the run `wanted`, or the last one."""
+    """Replace this process by the command that resumes the run `wanted`, or the last run."""
     from lmd.core.checks import InputError
 
     found = list(unfinished) if wanted == "last" else [run_id for run_id in unfinished if run_id.startswith(wanted)]

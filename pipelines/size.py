@@ -1,7 +1,7 @@
 """Print the range of a tag: `python -m pipelines.size camera=calibration camera.path=FILE tag.edge=0.15`.
 
-It prints the distances at which a tag is read at several incidence angles, the error of the pose from that tag alone,
-and the smallest tag that is read at several distances.
+The command prints the distances at which a tag is read at several incidence angles, the error of the pose from this tag
+alone, and the smallest tag that is read at several distances.
 """
 
 import math
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from lmd.sight.models.fiducial import Fiducial
 
 
-MOST_ATTITUDE_RAD = 0.35  # greatest attitude error, rad (20 degrees); beyond, the linear prediction is not valid
+MOST_ATTITUDE_RAD = 0.35  # greatest attitude error, rad (20 degrees), for which the linear prediction is valid
 
 
 def size(cfg: DictConfig) -> None:
@@ -57,7 +57,7 @@ def _reads(
     distances: tuple[float, ...],
     noise: float,
 ) -> list[list[str]]:
-    """Table of the range of a tag at each angle, and of the pose error at each distance within it."""
+    """Table of the range of a tag at each angle, and of the pose error at each distance within the range."""
     from lmd.evaluation.reach import pose_bounds, reach
 
     rows = [["incidence", "read from", "to", *(f"alone at {distance:g} m" for distance in distances)]]

@@ -107,7 +107,7 @@ def survey(cfg: DictConfig) -> None:
 
 @contextmanager
 def _map_or_nothing(stages: "Stages") -> Iterator[None]:
-    """Report a stop before there is a map, and remove the empty folder."""
+    """Context that reports a stop before there is a map, and removes the empty folder."""
     try:
         yield
     except Stopped:
@@ -120,7 +120,7 @@ def _detector(cfg: DictConfig) -> "tuple[str, Detector]":
     """Name of the detector, and the detector.
 
     Raises:
-        InputError: there is no detector, several, or one without known corner errors.
+        InputError: there is no detector, there are several, or the corner errors of the detector are unknown.
     """
     from lmd.core.checks import InputError
     from lmd.detection.corner_errors import CORNER_ERRORS
@@ -136,10 +136,10 @@ def _detector(cfg: DictConfig) -> "tuple[str, Detector]":
 
 
 def _scene(cfg: DictConfig, room: "Space | None", camera: "Camera | Rig", tag: "Tag") -> "Scene":
-    """Scene of the audit; if the room is unknown, a placeholder stands for it.
+    """Scene of the audit; an unknown room is replaced by a placeholder.
 
     Raises:
-        InputError: the visibility model is of points, not of tags.
+        InputError: the visibility model is for points, not for tags.
     """
     from lmd.core.checks import InputError, check_members
     from lmd.scene.criteria import Criteria
@@ -199,7 +199,7 @@ def _odometry(given: Any) -> "Trajectory | None":
     """Trajectory of the body, given a path or the keys of a trajectory file.
 
     Raises:
-        InputError: it cannot be read, or is no trajectory.
+        InputError: the file cannot be read, or is no trajectory.
     """
     from lmd.core.checks import InputError
     from lmd.formats.trajectories import TrajectoryFile

@@ -27,7 +27,7 @@ AUDIT = (
 
 
 def check_folder(directory: Path, cfg: DictConfig, cameras: int, exports: "Export", *, has_plan: bool) -> None:
-    """Refuse a folder in which files of an earlier survey would remain, or a folder has the name of a file.
+    """Raise `InputError` if files of an earlier survey would remain in a folder, or a folder has the name of a file.
 
     Args:
         directory: folder of the files.

@@ -1,6 +1,6 @@
-"""Hand in what runs could not record: `python -m pipelines.sync [folder=outputs]`.
+"""Send the records that runs could not send to the store: `python -m pipelines.sync [folder=outputs]`.
 
-A run whose tracking store stops answering goes on, and keeps its record in a journal in its folder.
+A run whose tracking store stops answering continues, and keeps its record in a journal in its folder.
 """
 
 import shlex
@@ -14,7 +14,7 @@ from .trust import PAGE
 
 
 def sync(cfg: DictConfig) -> bool:
-    """Hand in all journals below the configured folder; returns False if one could not be handed in.
+    """Send all journals below the configured folder; False if a journal could not be sent.
 
     Raises:
         InputError: there is no such folder.
@@ -40,16 +40,16 @@ def sync(cfg: DictConfig) -> bool:
 
 
 def _destination(given: str | None, cfg: DictConfig, yes: bool) -> str:
-    """Address of the store for a journal whose run was given the address `given`.
+    """Address of the store for a journal of a run with the store address `given`.
 
     Raises:
-        InputError: that is not the configured address, and the user has not confirmed it.
+        InputError: `given` is not the configured address, and the user has not confirmed it.
     """
     from lmd.core.checks import InputError
 
     if cfg.uri is not None:
         return str(cfg.uri)
-    configured = cfg.tracking.get("uri")  # tracking=none has none
+    configured = cfg.tracking.get("uri")  # tracking=none has no address
     if given not in (None, configured) and not yes:
         raise InputError(f"it is for {given!r}, and not for {configured!r}, your tracking.uri; if you know it, add "
                          f"{shlex.quote(f'uri={given}')} or --yes ({PAGE}).")  # fmt: skip

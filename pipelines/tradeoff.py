@@ -2,8 +2,8 @@
 
 Or paper or money against the result: `python -m pipelines.tradeoff tag.edges=[0.06,0.1] papers=[0.2,0.4] [overrides]`.
 
-This is one run and not a sweep because the search at each point also starts from the results of its neighbours. The
-searches share the processors, and their results are kept on disk.
+This is one run and not a sweep because the search at each point also starts from the results of its neighbours.
+Searches run in parallel, and their results are stored on disk.
 """
 
 import sys
@@ -55,7 +55,7 @@ def tradeoff(cfg: DictConfig) -> None:
     wanted = None if cfg.wanted is None else real("wanted", cfg.wanted, low=0.0, high=1.0)
     file_path("kept", cfg.kept)
     budget_of(cfg)
-    optimiser = build_optimiser(cfg, seeds[0])  # checked before any search begins
+    optimiser = build_optimiser(cfg, seeds[0])  # built to check the settings before any search begins
     ladders = [Ladder(cfg, edges, seed, limited) for edges, seed in product(curves, seeds)]
     for ladder, at in product(ladders[:: len(seeds)], (places[0], places[-1])):
         problem = ladder.problem(at)
@@ -79,7 +79,7 @@ def tradeoff(cfg: DictConfig) -> None:
 
 
 def _curves(cfg: DictConfig) -> "tuple[str | None, list[float], list[tuple[float, ...]]]":
-    """The limit of tags of several sizes (None for none), the points along it or the counts, the edges of each curve.
+    """Limit of tags of several sizes (None without a limit); points along the limit, or counts; edges of each curve.
 
     Raises:
         InputError: the lists of the configuration are refused, or contradict each other.
@@ -133,7 +133,7 @@ def _record(
     off_grid, beside = headline_off_grid(problem), COVERED if isinstance(problem.objective, Localisation) else LOCALISED
     if problem.scene.recorded is None:
         panels = {off_grid: Panel(f"{headline.label}, off the grid", off_grid, headline.key)}
-    else:  # the figure is a fraction of recorded time, which the grid of positions cannot give
+    else:  # the grid cannot give the figure, a fraction of recorded time
         panels = {off_grid: Panel(LABELS[off_grid], off_grid)}
     others = [name for name in (beside, figure) if name in table and name not in panels]
     panels |= {name: Panel(LABELS.get(name, name), name) for name in others}
@@ -172,12 +172,12 @@ def _record(
 
 
 def _slug(curve: Any) -> str:
-    """Name of a curve in that of a metric."""
+    """Name of a curve within the name of a metric."""
     return f"{curve:g}" if isinstance(curve, float) else slug(curve)
 
 
 def _told(reached: "pd.DataFrame") -> str:
-    """Text of `lmd.evaluation.tradeoff.fewest`, a line for each curve."""
+    """Text for the result of `lmd.evaluation.tradeoff.fewest`, with a line for each curve."""
     from lmd.plot.charts import curve_name
 
     lines = []
@@ -189,14 +189,14 @@ def _told(reached: "pd.DataFrame") -> str:
 
 
 def _log_points(tracking: DictConfig, points: Points, parent: str | None) -> None:
-    """Record a run for each point below the run `parent`, its landmarks in a folder of the run."""
+    """Record a run for each point below the run `parent`, with its landmarks in a folder of the parent."""
     from .operations.tracking import RunStart
     from .tracked_run import log_child
 
     for n, at, found, figures in points:
         ladder, name = points.ladders[n], points.name(n, at)
         landmarks = run_directory() / "points" / slug(name) / "landmarks.csv"
-        landmarks.parent.mkdir(parents=True, exist_ok=True)  # there already where a sweep repeats a lost job
+        landmarks.parent.mkdir(parents=True, exist_ok=True)  # the folder exists if a sweep repeats a lost job
         found.deployment.to_csv(landmarks, ups=bool(ladder.edges[0]))
         params: dict[str, Any] = {"deployment.count": len(found.deployment), "seed": ladder.seed}
         if points.limited is None:

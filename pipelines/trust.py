@@ -1,8 +1,8 @@
-"""Code that a configuration from elsewhere may name: Hydra imports and calls every `_target_`.
+"""Checks of the code that a configuration of other origin names, as Hydra imports and calls every `_target_`.
 
-A configuration that is neither of this project nor on the command line is read as plain data and checked here before
-any import: that of `run=DIR`, those in a tracking store, and the overrides of a resumed run. docs/trust.md lists the
-rights of each kind of file.
+A configuration that is neither part of this project nor on the command line is read as plain data and checked before
+any import: the configuration of `run=DIR`, configurations in a tracking store, and the overrides of a resumed run.
+docs/trust.md lists the rights of each kind of file.
 """
 
 import re
@@ -28,13 +28,13 @@ REFERENCE = re.compile(r"\$\{\.*\w+(\.\w+|\[\w+\])*\}")  # interpolation of anot
 RESOLVER = re.compile(r"\$\{\s*([\w.]+)\s*:")
 PLAIN = (str, int, float, bool, type(None))
 NAME = re.compile(r"\w+(\.\w+)+")
-LARGEST = 1 << 17  # most bytes of a configuration; a larger file takes seconds to parse and is refused
-SHOWN = 100  # most characters of a value in a message; longer ones are cut
+LARGEST = 1 << 17  # greatest size of a configuration, bytes; a larger file takes seconds to parse and is refused
+SHOWN = 100  # greatest number of characters of a value in a message; longer values are cut
 
 
 @dataclass(frozen=True)
 class Trust:
-    """Names that are trusted in a configuration from elsewhere."""
+    """Names that are trusted in a configuration of other origin."""
 
     names: tuple[str, ...] = ()
     """Packages, single targets and resolvers that the user trusts."""
@@ -43,7 +43,7 @@ class Trust:
 
     @classmethod
     def given(cls) -> "Trust":
-        """The trust of the command line: `trust=[...]`, and the folders and packages of its search path.
+        """Trust that the command line gives: `trust=[...]`, and the folders and packages of its search path.
 
         Raises:
             InputError: `trust` is no list of names.
@@ -64,17 +64,17 @@ class Trust:
         return cls(tuple(names), tuple(Path(folder).resolve() for folder in folders))
 
     def has(self, place: str) -> bool:
-        """Return whether a place of configuration, `file://FOLDER` or `pkg://PACKAGE`, is trusted."""
+        """True if a place of configuration, `file://FOLDER` or `pkg://PACKAGE`, is trusted."""
         if place.startswith(PACKAGED):
             return self._trusts(place.removeprefix(PACKAGED))
         return Path(place.removeprefix("file://")).resolve() in self.folders
 
     def parts(self, found: Mapping[Any, Any], source: str, groups: Sequence[str]) -> dict[str, dict[str, Any]]:
-        """The nodes of those `groups` that a configuration from elsewhere has.
+        """Nodes of the `groups` in a configuration of other origin.
 
         Args:
-            found: the configuration as plain data.
-            source: name of its source, for messages.
+            found: configuration as plain data.
+            source: name of the source, for messages.
 
         Raises:
             InputError: a node names code that is not trusted, or is no node.
@@ -83,21 +83,21 @@ class Trust:
 
         parts = {group: found[group] for group in groups if found.get(group) is not None}
         for group, part in parts.items():
-            if not isinstance(part, dict) or "defaults" in part:  # which would have Hydra read other files
+            if not isinstance(part, dict) or "defaults" in part:  # `defaults` would make Hydra read other files
                 raise InputError(f"{source}: {group} is not written as Hydra writes it.")
             self.check(source, group, part)
         return parts
 
     def check(self, source: str, key: str, value: Any) -> None:
-        """Check a value from elsewhere.
+        """Check a value of a configuration of other origin.
 
         Args:
-            source: name of its source, for messages.
-            key: its key in the configuration, which begins with its group.
+            source: name of the source, for messages.
+            key: key of the value in the configuration, which begins with its group.
             value: plain data, nested in any way.
 
         Raises:
-            InputError: it names code that is not trusted, or is no plain data.
+            InputError: the value names code that is not trusted, or is no plain data.
         """
         from lmd.core.checks import InputError
 
@@ -123,12 +123,12 @@ class Trust:
                 raise InputError(f"{place} is not defined in what you trust, which only imports it ({PAGE}).")
 
     def _named_in(self, group: str) -> set[str]:
-        """The targets in files of a group."""
+        """Targets in files of a group."""
         files = [file for folder in self.folders for file in (folder / group).rglob("*.yaml")]
         return {name for file in files for name in NAMED.findall(file.read_text(encoding="utf-8", errors="replace"))}
 
     def _resolver_in(self, text: str) -> str | None:
-        """A resolver in a text that is not trusted; None if there is none."""
+        """Untrusted resolver in a text; None if there is none."""
         rest = REFERENCE.sub("", text)
         found = RESOLVER.findall(rest)
         for name in filter(self._trusts, found):
@@ -141,21 +141,21 @@ class Trust:
         return any(name == trusted or name.startswith(f"{trusted}.") for trusted in self.names)
 
     def _is_defined_there(self, target: str) -> bool:
-        """Return whether a trusted package defines a target itself, and has not only imported it."""
+        """True if a trusted package defines a target itself, and has not only imported it."""
         from hydra.utils import get_object
 
         try:
             found = get_object(target)
-        except Exception:  # any error of its package, which is reported when the object is built
+        except Exception:  # any error of the package is reported when the object is built
             return True
         return self._trusts(f"{getattr(found, '__module__', '')}.{getattr(found, '__qualname__', '')}")
 
 
 def read_yaml(file: Path, source: str) -> dict[Any, Any]:
-    """A configuration file as plain data, with interpolations unresolved.
+    """Read a configuration file as plain data, with interpolations unresolved.
 
     Raises:
-        InputError: it cannot be read, or is no configuration.
+        InputError: the file cannot be read, or is no configuration.
     """
     from lmd.core.checks import InputError
     from lmd.core.files import check_aliases, read_text
@@ -172,7 +172,7 @@ def read_yaml(file: Path, source: str) -> dict[Any, Any]:
 
 
 def listed(argument: str) -> list[str]:
-    """The names in an argument of the command line; empty if Hydra will refuse it."""
+    """Names in an argument of the command line; empty if Hydra will refuse the argument."""
     from lmd.core.checks import InputError
 
     try:
@@ -186,10 +186,10 @@ def listed(argument: str) -> list[str]:
 
 
 def _leaves(source: str, key: str, value: Any, seen: set[int]) -> Iterator[tuple[str, Any]]:
-    """The values below a key that are no containers, and all values of `_target_`, with their keys.
+    """Values below a key that are no containers, and all values of `_target_`, with their keys.
 
     Raises:
-        InputError: a container occurs twice, as by an alias of YAML, or a key or a value is no plain data.
+        InputError: a container occurs twice, for example by an alias of YAML, or a key or a value is no plain data.
     """
     from lmd.core.checks import InputError
 

@@ -44,7 +44,7 @@ def view(cfg: DictConfig) -> None:
     optional("viser", "view")
     problem = build_problem(cfg)
     budget = budget_of(cfg)
-    build_optimiser(cfg, cfg.seed).check(problem)  # before the first search
+    build_optimiser(cfg, cfg.seed).check(problem)  # checked before the first search
     tag, directory = problem.scene.tag, run_directory()
     unmapped = tag.is_point and cfg.export is None  # points have no map
     export = None if unmapped else build_export(cfg, "export", tag)
@@ -65,13 +65,13 @@ def view(cfg: DictConfig) -> None:
         print(f"planner {planner.address} (Ctrl-C ends it)", flush=True)
         planner.run()
     finally:
-        if not session.is_saved:  # first, as closing may fail
+        if not session.is_saved:  # saved first, as closing may fail
             _keep_unsaved(directory, session.plan, sources, ups=not tag.is_point)
         planner.close()
 
 
 def _space(cfg: DictConfig, problem: "Problem") -> "MountSpace | None":
-    """The space of the mounts of a rig; None if it is not limited.
+    """Space of the mounts of a rig; None if mounts are not limited.
 
     Raises:
         InputError: the body is refused.
@@ -89,7 +89,7 @@ def _space(cfg: DictConfig, problem: "Problem") -> "MountSpace | None":
 
 
 def _calibrations(cfg: DictConfig) -> "Mapping[Camera, Any]":
-    """The calibration of each kind of camera for which the rig names one."""
+    """Calibration of each kind of camera for which the rig names a calibration."""
     from lmd.formats.rigs import calibrations_of
 
     mounts = mounts_of(cfg.camera)
@@ -99,7 +99,7 @@ def _calibrations(cfg: DictConfig) -> "Mapping[Camera, Any]":
 def _save(
     directory: Path, problem: "Problem", export: "Export | None", plan: "Plan", sources: "Mapping[Camera, Any]"
 ) -> str:
-    """Write landmarks.csv, the rig if there is one, and the exports, all or none; returns the names of the files."""
+    """Write landmarks.csv, the rig if there is one, and the exports, all or none, and return the names of the files."""
     from lmd.formats.rigs import write_rig
 
     scene = problem.scene
@@ -130,7 +130,7 @@ def _keep_unsaved(directory: Path, plan: "Plan", sources: "Mapping[Camera, Any]"
 
     for place, name in ((str(directory), UNSAVED), (os.curdir, elsewhere), ("", elsewhere)):
         try:
-            folder = Path(place or tempfile.gettempdir())  # raises if there is none
+            folder = Path(place or tempfile.gettempdir())  # raises an error if there is none
             files = all_or_none(folder.resolve(), partial(write, name))
         except OSError as error:
             print(f"changes that were not saved cannot be written ({error})", file=sys.stderr)
@@ -152,7 +152,7 @@ def main() -> None:
     try:
         command()
     except SystemExit as ended:
-        if ended.code in CODES:  # or Python would wait for threads that compile
+        if ended.code in CODES:  # otherwise Python would wait for threads that compile
             sys.stdout.flush()
             sys.stderr.flush()
             os._exit(int(ended.code))

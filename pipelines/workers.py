@@ -28,14 +28,14 @@ def in_processes(
 ) -> Generator[Result, None, None]:
     """Results of a function for each job, from worker processes if there is more than one.
 
-    When a worker is killed, the jobs that it may have been doing are repeated, one at a time.
+    When a worker is killed, the jobs that were possibly running in it are repeated, one at a time.
 
     Args:
-        function: function of a job that a worker can import by its name.
+        function: function of a job, which a worker imports by name.
         jobs: the jobs.
         workers: number of processes; None for every processor.
-        name: returns the name of a job, for messages.
-        ordered: yield results in the order of the jobs, else as they finish.
+        name: function that returns the name of a job, for messages.
+        ordered: True to yield results in the order of the jobs, False to yield them as jobs finish.
 
     Raises:
         InputError: `workers` is not positive; the worker of a repeated job was killed; or the system has no semaphores.
@@ -48,7 +48,7 @@ def in_processes(
 
 
 def processes(workers: int | None) -> int:
-    """Number of processes for a setting `workers`: that of all processors for None.
+    """Number of processes for a setting `workers`; None means the number of processors.
 
     Raises:
         InputError: `workers` is not positive.
@@ -62,13 +62,13 @@ def processes(workers: int | None) -> int:
 def _results(
     function: Callable[[Job], Result], jobs: Sequence[Job], workers: int, name: Callable[[Job], str]
 ) -> Iterator[tuple[int, Result]]:
-    """The numbers of jobs with their results, in the order in which they finish."""
+    """Numbers of jobs with their results, in the order in which the jobs finish."""
     waiting = deque(range(len(jobs)))
     while waiting:
         in_hand: dict[Future[Result], int] = {}
         with _pool(workers) as pool, suppress(BrokenProcessPool):
             while waiting or in_hand:
-                while waiting and len(in_hand) < 2 * workers:  # no worker waits for its next job
+                while waiting and len(in_hand) < 2 * workers:  # so that no worker waits for its next job
                     future = pool.submit(function, jobs[waiting[0]])
                     in_hand[future] = waiting.popleft()
                 for future in wait(in_hand, return_when=FIRST_COMPLETED).done:
@@ -104,7 +104,7 @@ def _in_order(results: Iterable[tuple[int, Result]]) -> Generator[Result, None, 
 
 @contextmanager
 def _pool(workers: int) -> Iterator[ProcessPoolExecutor]:
-    """Worker processes, which are ended with the block."""
+    """Context with worker processes, which end at its end."""
     from lmd.core.checks import InputError
 
     ready_server()
@@ -125,12 +125,12 @@ def _pool(workers: int) -> Iterator[ProcessPoolExecutor]:
 
 
 def ready_server() -> None:
-    """Let workers be forked from a process that imports the modules of this project that this one has imported."""
+    """Prepare a process from which workers are forked; it imports the modules of this project that this process has."""
     multiprocessing.set_forkserver_preload([name for name in sys.modules if name.startswith(OWN_PACKAGES)])
 
 
 def _begin() -> None:
-    """Ignore the interrupts of a terminal, which reach workers, too: the parent process ends its workers."""
+    """Ignore interrupts of a terminal, which reach workers, too, as the parent process ends its workers."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     threading.Thread(target=_end_with_the_parent, daemon=True).start()
 

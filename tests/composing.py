@@ -7,10 +7,12 @@ from functools import cache
 
 from hydra import compose, initialize_config_dir
 from hydra._internal import defaults_list
-from hydra._internal.core_plugins.importlib_resources_config_source import ImportlibResourcesConfigSource
+from hydra._internal.hydra import Hydra
+from hydra._internal.sources_registry import SourcesRegistry
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from omegaconf import _utils, base
 
+import pipelines.hyperparameters  # noqa: F401 # lets Hydra register its own loaders, and adds one
 from pipelines.app import CONF
 
 
@@ -22,8 +24,9 @@ def composed(pipeline, *overrides, **more):
 
 def _compose_sooner():
     """Spare what is read, parsed or asked for again, and copies of what nobody changes: a third of composing."""
+    resources = SourcesRegistry.instance().types["pkg"]  # Hydra has executed its module anew, so it is no import
     load, parse_rule, choices = (
-        ImportlibResourcesConfigSource.load_config,
+        resources.load_config,
         OverridesParser.parse_rule,
         defaults_list._create_interpolation_map,
     )
@@ -50,11 +53,24 @@ def _compose_sooner():
         new.__dict__.update(self.__dict__, flags=dict(self.flags or {}), resolver_cache=caches)
         return new
 
-    ImportlibResourcesConfigSource.load_config = load_once
+    resources.load_config = load_once
     OverridesParser.parse_rule = parse_once
     defaults_list._create_interpolation_map = choices_if_needed
     base.Metadata.__deepcopy__ = copied
     base.parse = _utils.parse = cache(base.parse)  # of interpolations, into trees that are only walked
 
 
+def _look_for_a_mode_only_where_one_may_be_set():
+    """Hydra composes everything once more to see whether a configuration says that it is a sweep."""
+    look = Hydra.get_mode
+    may_set = ("experiment=", "+experiment=", "hydra.mode", "hydra.searchpath", "+hydra", "hydra/")
+
+    def get_mode(self, config_name, overrides):
+        own = any(source.provider == "command-line" for source in self.config_loader.get_sources())
+        return look(self, config_name, overrides) if own or any(o.startswith(may_set) for o in overrides) else None
+
+    Hydra.get_mode = get_mode
+
+
 _compose_sooner()
+_look_for_a_mode_only_where_one_may_be_set()

@@ -66,8 +66,8 @@ def pytest_configure(config):
 
 
 def pytest_xdist_auto_num_workers():
-    """Two more than processors: some tests wait for a process, a server, a browser or a cluster."""
-    return available_threads() + 2
+    """One more than processors, as some tests wait for a process; each takes 10 s to import what all tests need."""
+    return available_threads() + 1
 
 
 def pytest_collection_modifyitems(config, items):

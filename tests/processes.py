@@ -17,6 +17,7 @@ from contextlib import redirect_stderr, redirect_stdout
 from multiprocessing import forkserver, resource_tracker
 from pathlib import Path
 
+import composing  # noqa: F401 # commands in this process compose their configuration sooner
 import pytest
 from hydra.core.hydra_config import HydraConfig
 

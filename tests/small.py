@@ -5,6 +5,7 @@ from dataclasses import replace
 from functools import cache
 
 import composing
+import pytest
 from paper import paper_room, paper_scene
 
 from lmd.objectives.coverage import Coverage
@@ -14,6 +15,24 @@ from lmd.scene.deployment_sources import RandomDeployment
 from pipelines.building import build_optimiser
 
 composed = cache(composing.composed)
+
+QUICK = {"annealing", "camera_annealing", "cma_es", "ega"}  # one of each kind
+# Files in conf/optimiser with other parameters of a class that another file has too.
+OTHERS = {
+    *("cma_es_separable", "ega_tuned", "nevergrad_de", "nevergrad_pso", "ngopt", "one_plus_one", "pymoo_cma_es"),
+    *("pymoo_de", "pymoo_pso"),
+}
+OTHER = pytest.mark.thorough("conf/optimiser", "constraints.txt", "lmd/optimisers", "tests/contracts")
+
+
+def marked(names):
+    """Names of optimisers as parameters of a test."""
+    return [pytest.param(name, marks=_marks(name)) for name in sorted(names)]
+
+
+def _marks(name):
+    slow = () if name in QUICK else (pytest.mark.slow,)
+    return (*slow, OTHER) if name in OTHERS else slow
 
 
 @cache

@@ -41,15 +41,12 @@ def found_by_walking(name):
     return [found.fitness, found.deployment.positions.tolist(), found.deployment.normals.tolist()]
 
 
-RIGS = [name for name in CASES if "rig" in name]
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize(
     "name",
     [
-        pytest.param(name, marks=pytest.mark.thorough("lmd/incremental", "lmd/objectives", "lmd/sight"))
-        if name in RIGS
+        pytest.param(name, marks=pytest.mark.thorough("lmd/core", "lmd/incremental", "lmd/objectives", "lmd/sight"))
+        if name != "localisation"
         else name
         for name in CASES
     ],

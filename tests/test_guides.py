@@ -16,7 +16,7 @@ import composing
 import numpy as np
 import pytest
 import yaml
-from contracts.criterion import check_criterion, check_slack, tilted
+from contracts.criterion import check_alone, check_criterion, check_slack, tilted
 from contracts.estimator import check_estimator
 from contracts.format import check_format
 from contracts.objective import check_objective
@@ -58,6 +58,7 @@ pytestmark = [pytest.mark.slow, pytest.mark.long]  # what is made for classes fr
 
 ROOT = Path(__file__).parents[1]
 GUIDES = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
+COMPILED = "CONTRIBUTING.md", "lmd/incremental", "lmd/scene/criteria.py", "lmd/sight", "tests/contracts"
 BLOCKS = re.findall(r"```(?:python|yaml|toml)\n(.*?)```", GUIDES, re.DOTALL)
 FILES = {text[2 : text.index("\n")]: text for text in BLOCKS if text.startswith("# ")}
 
@@ -99,7 +100,9 @@ def test_the_examples_are_in_style(guides, line):
     check([sys.executable, "-m", *line, *(config if line[1] == "check" else config[:2]), *MODULES], guides)
 
 
+@pytest.mark.thorough("CONTRIBUTING.md", "lmd", "pipelines", "pyproject.toml")
 def test_the_examples_have_types(guides):
+    """10 s of processor time where mypy has not read `lmd` before."""
     # A module of the package is one only beside the others.
     alone = [name for name in MODULES if not name.startswith("pipelines/")]
     cache = ["--cache-dir", str(ROOT / ".mypy_cache"), "--config-file", str(ROOT / "pyproject.toml")]
@@ -130,7 +133,13 @@ def test_the_criterion_keeps_its_contract(guides):
     exec(block("from contracts.criterion"), {})
 
 
+def test_the_compiled_criterion_keeps_its_contract_for_one_camera(guides):
+    check_alone(compiled_near(), paper_camera(), np.random.default_rng(0))
+
+
+@pytest.mark.thorough(*COMPILED)
 def test_the_compiled_criterion_keeps_its_contract(guides):
+    """With two cameras on one body too, which takes 17 s to compile."""
     check_criterion(compiled_near(), paper_camera())
 
 
@@ -223,7 +232,13 @@ def test_the_pipeline_runs_beside_the_others(guides):
     assert tomllib.loads(block("lmd-sizes")) == {"lmd-sizes": "lmd.pipelines.sizes:main"}
 
 
-@pytest.mark.parametrize(("visibility", "kind"), [("near", "Near"), ("compiled_near", "CompiledNear")])
+@pytest.mark.parametrize(
+    ("visibility", "kind"),
+    [
+        ("near", "Near"),
+        pytest.param("compiled_near", "CompiledNear", marks=pytest.mark.thorough(*COMPILED, "lmd/optimisers")),
+    ],
+)
 def test_the_parts_are_choices_on_the_command_line(guides, visibility, kind):
     chosen = [
         f"visibility={visibility}",

@@ -39,7 +39,8 @@ CAMERA = paper_camera()
 RIG = Rig((Mount(CAMERA, (0.1, 0.0, 0.0)), Mount(paper_camera(focal_length=6.0), yaw=2.0)))
 SAMPLE = Sample(2, 10, 4)
 POSITION_ONLY = Localisation(2, tolerance=0.05, sampling=None)
-LOCALISATIONS = (POSITION_ONLY, replace(POSITION_ONLY, n=1), replace(POSITION_ONLY, n=1, rotation_tolerance=0.01))
+ONE = replace(POSITION_ONLY, n=1)
+MEAN = pytest.mark.thorough("lmd/objectives", "lmd/optimisers/annealing")  # takes 4 s to compile
 
 
 class Plain(Visibility):
@@ -97,8 +98,11 @@ def test_single_poses_gain_what_they_cover_alone(camera):
     assert check_gains(scene, tilted(hung(scene, 4), rng), rng)
 
 
-@pytest.mark.parametrize("objective", LOCALISATIONS, ids=["several", "one", "turned"])
-@pytest.mark.parametrize("camera", [CAMERA, RIG], ids=["camera", "rig"])
+@pytest.mark.parametrize(
+    ("camera", "objective"),
+    [(CAMERA, POSITION_ONLY), (CAMERA, ONE), (RIG, POSITION_ONLY), (RIG, replace(ONE, rotation_tolerance=0.01))],
+    ids=["camera-several", "camera-one", "rig-several", "rig-turned"],
+)
 def test_views_are_localised_as_the_compiled_half_says(camera, objective):
     found, gains = [], []
     for scene in both(camera):
@@ -114,8 +118,10 @@ def test_views_are_localised_as_the_compiled_half_says(camera, objective):
     np.testing.assert_allclose(*gains, rtol=1e-9, atol=1e-9)
 
 
-@pytest.mark.parametrize("objective", [Coverage(1, 0.5), MeanCoverage(1, 0.5), replace(POSITION_ONLY, n=1)])
-@pytest.mark.parametrize("walkers", [1, 2])
+@pytest.mark.parametrize(
+    ("walkers", "objective"),
+    [(1, Coverage(1, 0.5)), (2, Coverage(1, 0.5)), (1, ONE), pytest.param(1, MeanCoverage(1, 0.5), marks=MEAN)],
+)
 def test_annealing_walks_as_with_the_compiled_half(objective, walkers):
     found = [Annealing(walkers=walkers).run(p, Budget(12)) for p in problems(objective)]
     np.testing.assert_array_equal(*(result.deployment.positions for result in found))
@@ -148,7 +154,7 @@ def test_annealing_goes_on_from_a_checkpoint(tmp_path):
     check_going_on(make, problem, make().run(problem(), Budget(10)), tmp_path)
 
 
-@pytest.mark.parametrize("objective", [Coverage(2, 0.3), replace(POSITION_ONLY, n=1)])
+@pytest.mark.parametrize("objective", [Coverage(2, 0.3), ONE])
 def test_figures_of_an_evaluation_are_those_of_the_compiled_half(objective):
     found = []
     for problem in problems(objective, 6):
@@ -168,9 +174,7 @@ def test_figures_of_an_evaluation_are_those_of_the_compiled_half(objective):
 
 def test_sensitivity_is_that_of_the_compiled_half_but_for_the_draw():
     """Which landmarks are missed in which view is drawn in another order."""
-    one, other = (
-        sensitivity(p, p.draw(np.random.default_rng(0)), 0, SAMPLE) for p in problems(replace(POSITION_ONLY, n=1), 5)
-    )
+    one, other = (sensitivity(p, p.draw(np.random.default_rng(0)), 0, SAMPLE) for p in problems(ONE, 5))
     for table in ("assumptions", "tags", "lost"):
         left, right = (getattr(each, table).select_dtypes("number").to_numpy() for each in (one, other))
         np.testing.assert_allclose(left, right, rtol=1e-9, atol=1e-12)

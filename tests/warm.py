@@ -7,7 +7,6 @@ from pathlib import Path
 
 import stores
 from composing import composed
-from hydra._internal.hydra import Hydra
 from mlflow.store.db import utils
 from PIL import Image
 
@@ -40,18 +39,6 @@ def _compose():
         files.load_config(str(path.relative_to(CONF)))
 
 
-def _look_for_a_mode_only_where_one_may_be_set():
-    """Hydra composes everything once more to see whether a configuration says that it is a sweep."""
-    look = Hydra.get_mode
-    may_set = ("experiment=", "+experiment=", "hydra.mode", "hydra.searchpath", "+hydra", "hydra/")
-
-    def get_mode(self, config_name, overrides):
-        own = any(source.provider == "command-line" for source in self.config_loader.get_sources())
-        return look(self, config_name, overrides) if own or any(o.startswith(may_set) for o in overrides) else None
-
-    Hydra.get_mode = get_mode
-
-
 def _load_kernels():
     """Load what the main job calls."""
     from small import problem
@@ -62,7 +49,6 @@ def _load_kernels():
 
 
 _compose()
-_look_for_a_mode_only_where_one_may_be_set()
 _load_kernels()
 stores.tables()
 utils._get_latest_schema_revision()

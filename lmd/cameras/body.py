@@ -1,6 +1,6 @@
-"""Body of a robot: boxes whose faces may carry cameras and which should not fill their images.
+"""Body of a robot: boxes whose faces may carry cameras, and which should not fill the cameras' images.
 
-The frame is that of rigs (`lmd.scene.rig`): x forward, y to the left, z up.
+The frame is the body's frame of `lmd.scene.rig`: x forward, y to the left, z up.
 """
 
 from collections.abc import Mapping, Sequence
@@ -74,7 +74,7 @@ class Body:
         own_share: greatest share of a camera's image that may show the body.
 
     Raises:
-        InputError: a value is out of range, no face may carry a camera, or two have one name.
+        InputError: a value is out of range, no face may carry a camera, or two faces have one name.
     """
 
     boxes: Sequence[Box | Mapping[str, Any]]

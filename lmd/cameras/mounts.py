@@ -1,6 +1,7 @@
 """Admissible mounts of cameras on a body, and their encoding as genes in the unit box.
 
-Mounts are rounded to whole millimetres and milliradians, so a written mount is exactly the one that was evaluated.
+Mounts are rounded to whole millimetres and milliradians, so the mount in a file is exactly the mount that was
+evaluated.
 """
 
 import math
@@ -20,7 +21,7 @@ from lmd.space.surface import SurfaceArrays
 DECIMALS = 3  # number of decimals of positions, metres, and angles, radians
 IMAGE_SAMPLES = (17, 13)  # pixels sampled along width and height of an image to measure the share of the body
 TURN_STEPS = 8  # number of equal steps in which a camera that sees too much of the body is turned
-GIVEN_TOLERANCE = 0.0016  # greatest deviation of a given mount from its encoding, metres and rad; else it is refused
+GIVEN_TOLERANCE = 0.0016  # a given mount is refused if it deviates more from its encoding, metres and rad
 DRAWS_PER_CAMERA = 200  # greatest number of random mounts drawn for each camera
 QUARTER_TURN = math.pi / 2.0
 
@@ -29,7 +30,7 @@ QUARTER_TURN = math.pi / 2.0
 class MountSpace:
     """Search space: mounts of `count` cameras on the faces of a body, with limits on their angles.
 
-    A camera that would see too much of the body is turned towards the normal of its face until it does not.
+    A camera that would see too much of the body is turned towards the normal of its face until it sees little enough.
 
     Args:
         body: body that carries the cameras.

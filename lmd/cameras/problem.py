@@ -18,20 +18,20 @@ from lmd.sight.kernels import PROBABILITY_ONE
 
 
 class CameraProblem(Problem):
-    """Maximise the objective's fitness over the cameras of a rig.
+    """Problem of maximising the objective's fitness over the cameras of a rig.
 
-    The fitness equals that of a `Problem` with the rig of the cameras, bit for bit. For objectives that count
+    The fitness equals the fitness of a `Problem` with the rig of the cameras, bit for bit. For objectives that count
     landmarks, the views of each camera are evaluated once and cached; for others every rig is evaluated anew.
 
     Args:
-        problem: has the scene, whose camera is replaced, and the objective.
+        problem: problem with the objective and with the scene, whose camera is replaced.
         tags: the landmarks, which do not move.
         space: admissible mounts.
-        start: cameras of the start; random ones by default.
+        start: cameras of the start; random cameras by default.
 
     Raises:
-        InputError: the body would leave the room, cameras of `start` are none of `space`, or the objective does not
-            take a rig.
+        InputError: the body would leave the room, the cameras of `start` are not in `space`, or the objective does not
+            support a rig.
     """
 
     def __init__(self, problem: Problem, tags: Deployment, space: MountSpace, start: Rig | None = None) -> None:
@@ -50,7 +50,7 @@ class CameraProblem(Problem):
         super().__init__(scene, problem.objective, problem.start, problem.evaluator.threads, problem.fixed)
         self.views = CameraViews(self.fitness_evaluator, tags)
         self._most = -np.inf  # best fitness of cameras that stay in the room at all positions
-        if not self.counts:  # an objective that does not take a rig raises an error here
+        if not self.counts:  # an objective that does not support a rig raises an error here
             self.values_of(space.mounts(space.draw(np.random.default_rng(0))) or ())
 
     @property
@@ -59,7 +59,7 @@ class CameraProblem(Problem):
         return isinstance(self.objective, Coverage)
 
     def _corners(self) -> tuple[Mount, ...]:
-        """Mounts at the corners of the faces: the body is in the room if these are."""
+        """Mounts at the corners of the faces: the body is in the room if these mounts are."""
         at = [
             face.point(a, b) + self.space.body.standoff * face.normal
             for face in self.space.body.surfaces()

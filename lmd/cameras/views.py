@@ -14,7 +14,7 @@ from lmd.scene.rig import Mount, Rig
 from lmd.sight.evaluator import Evaluator
 from lmd.sight.views import visible
 
-MOST_BYTES = 1 << 28  # greatest memory of cached views, bytes; the least recently used are dropped beyond it
+MOST_BYTES = 1 << 28  # greatest memory of cached views, bytes; beyond it the least recently used views are dropped
 PARTS_PER_THREAD = 4  # number of chunks per thread
 
 
@@ -22,7 +22,7 @@ class CameraViews:
     """Cache of the views of single cameras; only a camera with a new mount is evaluated.
 
     Args:
-        evaluator: evaluator of a rig; has the positions and orientations of the body.
+        evaluator: evaluator of a rig, with the positions and orientations of the body.
         deployment: K tags.
     """
 

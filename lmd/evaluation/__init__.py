@@ -14,7 +14,7 @@ class Study(Protocol):
 
     @property
     def tables(self) -> "Mapping[str, pd.DataFrame | Mapping[str, ArrayLike]]":
-        """Columns by name, by the name of the table; an index is not a column."""
+        """Tables by name, each with its columns by name; an index is not a column."""
 
     def metrics(self) -> dict[str, float]:
         """Finite figures by name."""

@@ -1,8 +1,8 @@
 """Predicted accuracy of the position from one image, for every view of a deployment and any objective.
 
-The prediction is the standard deviation of `lmd.objectives.localisation`, infinite for views that cover fewer than n
-landmarks, or a single tag whose two poses look alike. All figures are off the grid: random positions, orientations from
-the PDF's continuous distribution.
+The prediction is the standard deviation of the position by `lmd.objectives.localisation`. It is infinite for views that
+cover fewer than n landmarks, or a single tag whose two poses look alike. All figures are off the grid: positions are
+random, and orientations come from the PDF's continuous distribution.
 """
 
 from dataclasses import replace
@@ -26,7 +26,7 @@ from lmd.sight.kernels import PROBABILITY_ONE
 if TYPE_CHECKING:
     import pandas as pd
 
-TOLERANCES = (0.01, 0.02, 0.05)  # greatest position errors of a localised view, metres
+TOLERANCES = (0.01, 0.02, 0.05)  # tolerances of the position error for which shares of views are reported, metres
 SAMPLE = Sample(groups=8, positions=512, divisions=23)
 
 
@@ -54,15 +54,16 @@ def _share_name(tolerance: float) -> str:
 
 
 def accuracy_metrics(problem: Problem, deployment: Deployment, seed: int, sample: Sample = SAMPLE) -> dict[str, float]:
-    """Mean of P_n, shares of views localised to `TOLERANCES`, median and 90 % quantile of the predicted error, metres.
+    """Mean of P_n, shares of views localised to `TOLERANCES`, and median and 90 % quantile of the predicted error,
+    metres.
 
     The quantiles are over all views; infinite quantiles are left out.
 
     Args:
-        problem: gives the scene, n, and the noise of a corner.
+        problem: problem with the scene, n, and the noise of a corner.
         deployment: K landmarks.
         seed: seed of the sample.
-        sample: its size.
+        sample: size of the sample.
     """
     parts = []
     scene = problem.scene.sized(deployment.edges)
@@ -83,9 +84,10 @@ def accuracy_metrics(problem: Problem, deployment: Deployment, seed: int, sample
 
 
 def save_accuracy_map(path: str | Path, problem: Problem, deployment: Deployment) -> None:
-    """Write `x,y,z`, the shares localised and the median predicted error, metres, at each position of the grid.
+    """Write a CSV with `x,y,z`, the shares of localised views and the median predicted error, metres, at each grid
+    position.
 
-    The median is empty where it is infinite.
+    An infinite median is an empty cell.
     """
     evaluator = problem.evaluator
     weight = problem.scene.probability(evaluator.positions)
@@ -98,7 +100,7 @@ def save_accuracy_map(path: str | Path, problem: Problem, deployment: Deployment
 
 
 def plan_of_errors(problem: Problem, deployment: Deployment) -> "pd.DataFrame":
-    """Table `x,y,predicted_error_median`, metres: over all orientations and heights at each place of the grid's plan.
+    """Table with `x,y,predicted_error_median`, metres; the median is over all heights and orientations at each (x, y).
 
     The median is infinite where fewer than half of the views cover n landmarks.
     """
@@ -114,7 +116,7 @@ def plan_of_errors(problem: Problem, deployment: Deployment) -> "pd.DataFrame":
 
 
 def _medians(errors: FloatArray, weight: FloatArray) -> FloatArray:
-    """Median of each row of `(P, V)` with weights `(1, V)` or `(P, V)` of sum 1, `(P,)`."""
+    """Weighted median `(P,)` of each row of `errors` `(P, V)`; weights `(1, V)` or `(P, V)` sum to 1."""
     order = np.argsort(errors, axis=1)
     ordered = np.take_along_axis(np.broadcast_to(weight, errors.shape), order, axis=1)
     middle = (np.cumsum(ordered, axis=1) >= 0.5).argmax(axis=1)[:, None]

@@ -1,10 +1,10 @@
-"""Upper bounds on what any deployment reaches, from a concave relaxation and its dual.
+"""Upper bounds on the fitness of any deployment, from a concave relaxation and its dual.
 
-Let x_j be the number of landmarks with pose j (any flush pose on the walls; sum_j x_j = K), A_jpa whether such a
-landmark covers axis a from position p when nothing hides it, c_pa = sum_j x_j A_jpa, w_a the probability of an axis
-(sum 1) and r_p the share of a position (sum 1). Occlusion only lowers c, and the value of c >= n is at most
-min(c/n, 1), so P_n(p) <= s_p = sum_a w_a min(c_pa/n, 1), and the indicator (0 or 1) that p is qualified is at most
-min(s_p/t, 1) with t = thold_p. Both objectives are therefore at most
+Let x_j be the number of landmarks with pose j (any flush pose on the walls; sum_j x_j = K), A_jpa = 1 if such a
+landmark covers axis a from position p without occlusion, else 0, c_pa = sum_j x_j A_jpa, w_a the probability of an axis
+(sum 1) and r_p the share of a position (sum 1). Occlusion only lowers c, and the value of c >= n is at most min(c/n,
+1), so P_n(p) <= s_p = sum_a w_a min(c_pa/n, 1), and the indicator (0 or 1) that p is qualified is at most min(s_p/t, 1)
+with t = thold_p. Both objectives are therefore at most
 
     F(x) = sum_p r_p min(s_p / t, 1),        with t = 1 for the average of P_n (there s_p <= 1 anyway),
 
@@ -14,19 +14,19 @@ position (z_p) and once for each axis (d_pa), with y_pa = d_pa z_p r_p w_a / (n 
     F(x) <= sum_p r_p (1 - z_p + z_p / t) - n sum_pa y_pa + sum_j x_j g_j,   g_j = sum_pa y_pa A_jpa,
          <= constant(z, y) + K max_j g_j.
 
-*Any* choice of z and d gives a valid bound. Good ones are slopes of a smoothed min at a good x; x is found by
+*Any* choice of z and d gives a valid bound. Good choices are slopes of a smoothed min at a good x; x is found by
 accelerated projected ascent. No choice gives a bound below F(x).
 
-The largest g_j is sought over a grid of poses while x is improved, and in the end over the whole walls, by branch and
-bound on cells (`lmd.sight.poses`): that makes the bound one for every flush deployment.
+The largest g_j is sought over a grid of poses while x is improved, and at the end over the whole walls, by branch and
+bound on cells (`lmd.sight.poses`). So the bound holds for every flush deployment.
 
 Fixed landmarks are not chosen: without occlusion they cover b_pa, and c_pa = b_pa + sum_j x_j A_jpa adds
 sum_pa y_pa b_pa to the constant, with K the number of free landmarks.
 
-With K_s tags of size s, x_js of them at pose j, each size has covers A^s_jpa and gains g_js of its own, and K max_j g_j
-becomes sum_s K_s max_j g_js, each sought where a tag of that size may hang.
+With K_s tags of size s, of which x_js are at pose j, each size has its own A^s_jpa and g_js. K max_j g_j becomes sum_s
+K_s max_j g_js; each maximum is sought where a tag of that size may hang.
 
-A localised view covers n landmarks, so these bounds also hold for `Localisation`, but ignore its tolerance.
+A localised view covers n landmarks, so the bounds also hold for `Localisation`, although they ignore its tolerance.
 """
 
 import math
@@ -49,7 +49,7 @@ from lmd.scene.deployment import Deployment
 from lmd.sight.evaluator import Evaluator
 from lmd.sight.poses import Cells, gains, wall_cells
 
-# Greatest number of landmarks; a target that needs more raises an error.
+# Greatest number of landmarks; a target that needs more landmarks raises an error.
 MOST_LANDMARKS = 10_000
 # Number of scans of each pose that the time limit allows for all bounds of a problem.
 SCANS = 250
@@ -70,9 +70,9 @@ class Search:
     iterations: int = 200
     """Largest number of steps."""
     tolerance: float = 1e-3
-    """Distance from the best bound on that grid at which the search stops."""
+    """Distance from the best bound on the grid at which the search stops."""
     limit: TimeLimit = field(default_factory=TimeLimit)
-    """Time limit; the multipliers have `MULTIPLIERS_SHARE` of it, the walls the rest."""
+    """Time limit; the share `MULTIPLIERS_SHARE` is for the multipliers, and the rest for the search on the walls."""
 
     def __post_init__(self) -> None:
         real("spacing", self.spacing, above=0.0)
@@ -89,15 +89,17 @@ class UpperBound:
     grid: float
     """Bound for all deployments on the grid of poses."""
     fractional: float
-    """Value reached by fractional landmarks on that grid; no bound for the grid is lower."""
+    """Value reached by fractional landmarks on the grid; no bound for the grid is lower."""
     dual: Dual
     """Multipliers."""
     gain: float
-    """Largest gain of a flush landmark with these multipliers; for several sizes the mean weighted by their numbers."""
+    """Largest gain of a flush landmark with the multipliers `dual`; for several sizes, the mean weighted by the numbers
+    of tags.
+    """
 
 
 def average_upper_bound(problem: Problem, count: int, search: Search) -> UpperBound:
-    """Bound the mean of P_n over the grid (positions count alike) for `count` landmarks."""
+    """Bound the mean of P_n over the grid, with equal weights of positions, for `count` landmarks."""
     size = len(problem.evaluator.positions)
     shares, n = np.full(size, 1.0 / size), _at_most_coverage(problem).n
     return _bound(problem, Relaxation(problem.evaluator, shares, n, 1.0, problem.fixed_with_edges), count, search)
@@ -108,7 +110,7 @@ def fitness_upper_bound(problem: Problem, count: int, search: Search) -> UpperBo
     evaluator, relevance = problem.fitness_evaluator, problem.fitness_relevance
     objective = _at_most_coverage(problem)
     averaged = isinstance(objective, Localisation) and objective.climbs == "mean"
-    # Positions qualify from TOLERANCE below thold_p; for thold_p = 0 all do.
+    # Positions qualify from TOLERANCE below thold_p on; for thold_p = 0 all positions qualify.
     threshold = 1.0 if averaged else objective.thold_p - TOLERANCE
     if threshold <= 0.0:
         return UpperBound(1.0, 1.0, 1.0, Dual(1.0, np.zeros((len(relevance), evaluator.axes.shape[1]))), 0.0)
@@ -117,13 +119,15 @@ def fitness_upper_bound(problem: Problem, count: int, search: Search) -> UpperBo
 
 
 def fewest_landmarks(problem: Problem, target: float, search: Search) -> int:
-    """Lower bound on the number of landmarks that reach a fitness of `target`; the fixed ones and one more count.
+    """Lower bound on the number of landmarks that reach a fitness of `target`; at least one more than the fixed
+    landmarks.
 
-    A dual bounds the fitness by a line in K. The number starts too small and is raised to the point where the line
-    reaches the target, which by concavity is not too many, until the bound reaches the target.
+    A dual bounds the fitness by a line in K. The search starts with too few landmarks, and raises the number to the
+    point where the line reaches the target; by concavity this number is a lower bound, too. It ends when the bound
+    reaches the target.
 
     Raises:
-        InputError: not even `MOST_LANDMARKS` reach it, or tags have several sizes.
+        InputError: `MOST_LANDMARKS` landmarks do not reach the target, or tags have several sizes.
     """
     problem.scene.check_one_size("a least number of landmarks")
     real("target", target, low=0.0, high=1.0)
@@ -136,9 +140,9 @@ def fewest_landmarks(problem: Problem, target: float, search: Search) -> int:
 
 
 def affordable(problem: Problem, count: int, search: Search) -> Search:
-    """Space the poses of a search so that its time suffices, by the time that a scan of some of them takes.
+    """Choose the spacing of a search's poses so that its time suffices, from the measured time of a scan of some poses.
 
-    Without a time limit the search is returned as it is.
+    Without a time limit the search is returned unchanged.
 
     Raises:
         InputError: the visibility model has no compiled half.
@@ -170,23 +174,23 @@ def _at_most_coverage(problem: Problem) -> Coverage | Localisation:
 
 
 class Kind(NamedTuple):
-    """The free landmarks of one size."""
+    """Free landmarks of one size."""
 
     evaluator: Evaluator
     """Evaluator of the scene with tags of that size alone."""
     cells: Cells
-    """Pieces of the walls where they may hang."""
+    """Cells of the walls where the landmarks may hang."""
     poses: Deployment
-    """Landmarks at the centres of the cells, with their edge."""
+    """Landmarks at the centres of the cells, with edges."""
     number: int
     """Number of landmarks that may take the poses."""
 
 
 def _kinds(problem: Problem, evaluator: Evaluator, count: int, spacing: float) -> list[Kind]:
-    """The sizes of the free landmarks of `count`.
+    """Sizes of the free landmarks among `count` landmarks.
 
     Raises:
-        InputError: there are several, and another number of landmarks than that of the problem.
+        InputError: there are several sizes, and `count` is not the problem's number of landmarks.
     """
     footprints, sizes = problem.scene.footprints, problem.free_sizes
     if not problem.scene.has_several_sizes:
@@ -202,7 +206,7 @@ def _kinds(problem: Problem, evaluator: Evaluator, count: int, spacing: float) -
 
 
 def _bound(problem: Problem, relaxation: Relaxation, count: int, search: Search) -> UpperBound:
-    """Find multipliers on the grid of poses, and the bound that they give for the whole walls."""
+    """Find multipliers on the grid of poses, and the bound that these multipliers give for the whole walls."""
     kinds, limit = _kinds(problem, relaxation.evaluator, count, search.spacing), search.limit
     free, numbers = count - problem.fixed_count, np.array([kind.number for kind in kinds])
     solving = limit.part(MULTIPLIERS_SHARE)
@@ -216,5 +220,5 @@ def _bound(problem: Problem, relaxation: Relaxation, count: int, search: Search)
         walls = limit.part(1.0 / (len(kinds) - i))
         each[i] = largest_gain(kind.evaluator, kind.cells, dual.prices, tolerance, walls)
         limit.cut += walls.cut
-    gain = float(each.max() - numbers @ (each.max() - each) / free)  # weighted mean; for one size exactly its gain
+    gain = float(each.max() - numbers @ (each.max() - each) / free)  # weighted mean, exact for one size
     return UpperBound(dual.bound(free, gain), grid, fractional, dual, gain)

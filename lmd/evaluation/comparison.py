@@ -1,4 +1,4 @@
-"""Comparison of optimisers over seeds: figures of a table and of charts, and tests that assume no distribution.
+"""Comparison of optimisers over seeds: figures of a table and of charts, and distribution-free tests.
 
 All tests are two-sided. Sources: Demsar, "Statistical Comparisons of Classifiers over Multiple Data Sets" (2006), for
 Friedman's test followed by Nemenyi's; Vargha and Delaney, "A Critique and Improvement of the CL Common Language Effect
@@ -21,12 +21,12 @@ from lmd.scene.rig import Rig
 TABLE_TARGETS = (0.25, 0.5, 0.75)  # quantiles of the final fitness of all runs
 CURVE_TARGETS = 50  # number of targets of a curve
 CONFIDENCE = 0.95  # confidence level of intervals
-LEAST_PAIRS = 2  # pairs that a test needs
+LEAST_PAIRS = 2  # least number of pairs for a test
 
 
 @dataclass(frozen=True)
 class OptimiserRun:
-    """A run of an optimiser with a seed."""
+    """Run of an optimiser with a seed."""
 
     optimiser: str
     seed: int
@@ -39,24 +39,24 @@ class OptimiserRun:
     """Problem of the suite, if the run was on one."""
 
     def evaluations_to(self, fitness: float) -> float:
-        """Evaluations after which the best fitness reached `fitness`; infinity if it did not."""
+        """Evaluations after which the best fitness reached `fitness`; infinity if the run did not reach it."""
         return next((r.evaluations for r in self.history if r.best_fitness >= fitness), np.inf)
 
 
 @dataclass(frozen=True)
 class Comparison:
-    """Comparison of several optimisers by their runs."""
+    """Comparison of several optimisers, from their runs."""
 
     table: pd.DataFrame
     """One row per optimiser, the best first; `compared` names its columns."""
     targets: tuple[float, ...]
     """Quartiles of the final fitness of all runs; column `evaluations_to_<i>` belongs to quartile i, from 1 on."""
     reference: str
-    """Optimiser that effect sizes and p-values of the table are against."""
+    """Optimiser with which effect sizes and p-values of the table compare."""
     test: str
-    """Name of the test behind the p-values, a sentence in Markdown; empty where there is nothing to test."""
+    """Name of the test of the p-values, a sentence in Markdown; empty without a test."""
     pairs: pd.DataFrame | None
-    """P-values of every two optimisers; None where each was tested against the reference alone."""
+    """P-values of every two optimisers; None if each optimiser was tested only against the reference."""
 
 
 def by_optimiser(runs: Sequence[OptimiserRun], key: str) -> dict[str, list[OptimiserRun]]:
@@ -74,16 +74,16 @@ def by_optimiser(runs: Sequence[OptimiserRun], key: str) -> dict[str, list[Optim
 def compared(runs: Sequence[OptimiserRun], key: str, reference: str | None = None) -> Comparison:
     """Compare optimisers by the figure `key`, where runs with the same seed are pairs.
 
-    The columns of the table: optimiser, runs; of `key` the median, the bounds `<key>_low` and `<key>_high` of its
-    bootstrap interval, `<key>_min` and `<key>_max`; `rank`, the mean rank over the seeds that all have run; the medians
-    of all other figures; `evaluations_to_<i>`, the expected running time to each target; the median wall time in
-    `seconds`; `a12` and `p_value` against the reference.
+    The columns of the table are `optimiser`, `runs`; for `key` the median, the bounds `<key>_low` and `<key>_high` of
+    its bootstrap interval, `<key>_min` and `<key>_max`; `rank`, the mean rank over the seeds that all optimisers have
+    run; the medians of all other figures; `evaluations_to_<i>`, the expected running time to each target; the median
+    wall time in `seconds`; `a12` and `p_value` against the reference.
 
     Args:
         runs: runs of all optimisers.
         key: name of the figure; higher is better.
-        reference: every optimiser is tested against this one. None tests every two against each other; the table then
-            refers to its first row.
+        reference: optimiser against which all others are tested. None tests every two optimisers against each other;
+            the table then compares with its first row.
     """
     groups = by_optimiser(runs, key)
     figures = pd.DataFrame({name: {run.seed: run.metrics[key] for run in group} for name, group in groups.items()})
@@ -117,7 +117,7 @@ def compared(runs: Sequence[OptimiserRun], key: str, reference: str | None = Non
 
 
 def _against(figures: pd.DataFrame, reference: str) -> tuple[pd.Series, str]:
-    """P-values of every column against one of them, and the sentence that names the test."""
+    """P-values of every column against the column `reference`, and the sentence that names the test."""
     others = [name for name in figures if name != reference]
     pairs = [figures[[name, reference]].dropna().to_numpy() for name in others]
     p_values = holm(np.array([wilcoxon(pair[:, 0], pair[:, 1]) for pair in pairs]))
@@ -139,7 +139,9 @@ def _all_against_all(complete: pd.DataFrame, reference: str) -> tuple[pd.DataFra
 
 
 def expected_running_time(runs: Sequence[OptimiserRun], fitness: float) -> float:
-    """Expected running time (ERT of COCO): evaluations of all runs until they reach `fitness` or end, per success."""
+    """Expected running time (ERT of COCO): total evaluations of all runs until they reach `fitness` or end, per
+    success.
+    """
     spent = [min(run.evaluations_to(fitness), run.history[-1].evaluations) for run in runs]
     reached = sum(np.isfinite(run.evaluations_to(fitness)) for run in runs)
     return sum(spent) / reached if reached else np.inf
@@ -193,7 +195,9 @@ def mean_ranks(values: FloatArray) -> FloatArray:
 
 
 def friedman(values: FloatArray) -> float:
-    """P-value of Friedman's test that three or more columns of `(N, K)` are alike; NaN for fewer than two rows."""
+    """P-value of Friedman's test that three or more columns of `(N, K)` have equal distributions; NaN for fewer than
+    two rows.
+    """
     if len(values) < LEAST_PAIRS:
         return np.nan
     if (values == values[:, :1]).all():
@@ -213,7 +217,7 @@ def nemenyi(values: FloatArray) -> FloatArray:
 
 
 def a12(first: FloatArray, second: FloatArray) -> float:
-    """Vargha and Delaney's A12: probability that a value of `first` exceeds one of `second`; ties count half."""
+    """Vargha and Delaney's A12: probability that a value of `first` exceeds a value of `second`; ties count half."""
     return float(stats.mannwhitneyu(first, second).statistic / (len(first) * len(second)))
 
 

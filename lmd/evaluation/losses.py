@@ -14,7 +14,7 @@ from lmd.problem import Problem
 from lmd.scene.deployment import Deployment
 
 TAGS_LISTED = 8  # largest number of tags listed in a terminal
-FITNESS_ROUNDING = 1e-12  # largest difference in fitness that is taken for a rounding error
+FITNESS_ROUNDING = 1e-12  # largest difference in fitness that counts as a rounding error
 
 
 @dataclass(frozen=True)
@@ -26,7 +26,7 @@ class Losses:
     fitness: float
     """Fitness with all landmarks."""
     without: FloatArray
-    """`(K, K)` fitness without landmarks i and j; without i alone for i = j."""
+    """`(K, K)` fitness without landmarks i and j; on the diagonal, without landmark i."""
 
     @property
     def table(self) -> dict[str, FloatArray | IntArray]:
@@ -47,7 +47,7 @@ class Losses:
         return np.sort(self.ids[np.diagonal(self.without) >= self.fitness - FITNESS_ROUNDING])
 
     def metrics(self) -> dict[str, float]:
-        """Least and mean fitness after the loss of one landmark, and of two."""
+        """Least and mean fitness after the loss of one landmark, and after the loss of two."""
         one, two = np.diagonal(self.without), self.without[np.triu_indices(len(self.ids), 1)]
         return {
             f"fitness_without_{name}_{kind}": float(figure(left))
@@ -57,7 +57,7 @@ class Losses:
         }
 
     def to_text(self) -> str:
-        """Text for a terminal: the tags with the largest losses, and the idle ones."""
+        """Text for a terminal: the tags with the largest losses, and the idle tags."""
         rows = zip(*self.table.values(), strict=True)
         dearest = [(number, lost) for number, _, lost in rows if lost > FITNESS_ROUNDING]
         most = ", ".join(f"{number} ({100.0 * lost:.2f})" for number, lost in dearest[:TAGS_LISTED])
@@ -72,7 +72,7 @@ def losses(problem: Problem, deployment: Deployment) -> Losses:
     """Measure the fitness without each landmark, and without any two.
 
     Args:
-        problem: its objective has a field.
+        problem: problem whose objective has a field.
         deployment: K landmarks.
 
     Raises:

@@ -1,4 +1,4 @@
-"""Pose errors due to a wrong map: the estimate assumes other places of the tags than the true ones.
+"""Pose errors due to a wrong map, in which the places of tags differ from their true places.
 
 The pose is estimated from one image by PnP (`lmd.geometry.pose`), for a rig from the images of all its cameras. A map
 that is displaced as a whole by a rigid motion T displaces the pose by T; independent errors of tags partly cancel out.
@@ -38,7 +38,7 @@ class MountedTags:
 
     @classmethod
     def of(cls, deployment: Deployment) -> "MountedTags":
-        """Make from a deployment, with its upper edges."""
+        """Tags of a deployment, with its upper edges."""
         return cls(deployment, deployment.ups)
 
     def points(self, tag: Tag) -> FloatArray:
@@ -53,16 +53,16 @@ def map_errors(
     """Measure errors of the pose from single images, one row for each pose from which at least n tags are seen.
 
     Args:
-        problem: gives the scene, n, and the noise of a corner, that of the default `Localisation` if the objective is
-            another one.
-        truth: K tags as they hang. The visibility model, which assumes upright tags, decides which are seen.
-        maps: K tags as assumed by the estimates, by name; all have the same noise.
+        problem: problem with the scene, n, and the noise of a corner; another objective than `Localisation` has the
+            noise of the default `Localisation`.
+        truth: K tags as they hang. The visibility model, which assumes upright tags, decides which tags are seen.
+        maps: K tags as assumed by the estimates, by name; all maps are tested with equal noise.
         poses: X, `(N, 4, 4)`.
         rng: draws the noise.
 
     Returns:
-        `tags`, the number seen, and for each map `position_<name>` (m) and `attitude_<name>` (rad), NaN where the
-        points do not fix a pose.
+        table with `tags`, the number of seen tags, and for each map `position_<name>` (m) and `attitude_<name>` (rad),
+        NaN where the points do not determine a pose.
     """
     import pandas as pd
 
@@ -87,7 +87,9 @@ def map_errors(
 
 
 def named_figures(*tables: "pd.DataFrame") -> dict[str, float]:
-    """Finite values of tables by `<row>/<column>`, without ` %`: row `fitness`, column `5 %` is `fitness/5`."""
+    """Finite values of tables by `<row>/<column>` without ` %`, such as `fitness/5` for row `fitness` and column `5
+    %`.
+    """
     return {
         f"{row}/{column}".replace(" %", ""): float(value)
         for table in tables
@@ -105,8 +107,8 @@ def percent_text(figures: "pd.DataFrame") -> str:
 def error_quantiles(views: "pd.DataFrame") -> "pd.DataFrame":
     """Quantiles of the columns of `map_errors`, indexed by `position_<name>` and `attitude_<name>`.
 
-    Columns: `5 %`, `50 %`, `95 %` of all views with an estimate, and for positions the share of all views
-    `within_<n>mm`; a view without an estimate is in none.
+    Columns: quantiles `5 %`, `50 %`, `95 %` over the views with an estimate, and for positions the share `within_<n>mm`
+    of all views; a view without an estimate is not within any limit.
     """
     import pandas as pd
 

@@ -1,4 +1,4 @@
-"""Figures of a deployment as measured, beside those of its plan."""
+"""Figures of a deployment as measured, compared with the figures of its plan."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -27,12 +27,12 @@ def read_measured(
 ) -> Deployment:
     """Read the measured places of the tags of a plan, in its order and with its labels.
 
-    Measured places are not corrected: they need not be flush, and papers may seem to overlap. They may be anywhere if
-    those of the plan may (`FileDeployment.free`).
+    Measured places are not corrected: tags need not be flush, and papers may seem to overlap. They may be anywhere if
+    the plan is free (`FileDeployment.free`).
 
     Args:
-        path: a CSV like those of plans, or a tag map.
-        problem: the problem of the plan.
+        path: CSV with the columns of a plan, or a tag map.
+        problem: problem of the plan.
         plan: K landmarks.
         axes: directions of the axes of the frame of a tag in a table, see `lmd.formats.placed_tag.axes_of`.
 
@@ -62,9 +62,13 @@ class Measured:
     n: int
     """Number of tags that a view must show for a pose."""
     moved: pd.DataFrame
-    """Columns `id,moved,dx,dy,dz,tilted`, metres and rad: from the plan to the measured place, the farthest first."""
+    """Columns `id,moved,dx,dy,dz,tilted`, metres and rad: differences from plan to measured place, the largest
+    first.
+    """
     figures: pd.DataFrame
-    """Columns `planned` and `measured`, indexed by `figure`: on the grid, and off it as `grid_free_...`."""
+    """Columns `planned` and `measured`, indexed by `figure`: figures on the grid, and off the grid as
+    `grid_free_...`.
+    """
     views: pd.DataFrame
     """Errors of the pose with the map as `planned` and as `measured`, see `map_errors`."""
 
@@ -98,12 +102,12 @@ def as_measured(
     sample: Sample = SAMPLE,
     views: int = RANDOM_VIEWS,
 ) -> Measured:
-    """Score a deployment as measured beside its plan. Results do not depend on the number of threads.
+    """Score a deployment as measured and as planned. Results do not depend on the number of threads.
 
     Args:
-        problem: gives the scene and the objective.
+        problem: problem with the scene and the objective.
         plan: K landmarks.
-        measured: these landmarks at their measured places.
+        measured: landmarks of the plan at their measured places.
         seed: seed of the random positions and the views.
         sample: random positions off the grid.
         views: number of random views.
@@ -122,7 +126,7 @@ def as_measured(
 
 
 def _moved(plan: Deployment, measured: Deployment) -> pd.DataFrame:
-    """Make `Measured.moved`."""
+    """Table `Measured.moved`."""
     way = measured.places - plan.places
     chord = np.linalg.norm(measured.normals - plan.normals, axis=1)  # more accurate than the cosine
     rows = {

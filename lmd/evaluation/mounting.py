@@ -1,8 +1,8 @@
 """Figures of a deployment with random errors of mounting.
 
 In every draw all tags have independent errors. A draw is evaluated like any deployment, on the grid and at random
-positions off it. Then the pose is estimated from single images with the planned map, and for comparison with the
-mounted map, which a survey would give.
+positions. Then poses are estimated from single images with the planned map, and for comparison with the map of the
+mounted tags, which a survey would give.
 """
 
 from dataclasses import dataclass, replace
@@ -45,11 +45,11 @@ class MountingError:
     """
 
     position: float
-    """Along each of the two directions of the surface, metres."""
+    """Error of position along each of the two directions of the surface, metres."""
     turn: float
-    """In the plane of the tag, rad."""
+    """Error of rotation in the plane of the tag, rad."""
     tilt: float
-    """Of the normal about each of the two directions of the surface, rad: a tag that does not lie flat."""
+    """Error of the normal about each of the two directions of the surface, rad."""
     draws: int
     """Number of mountings drawn."""
 
@@ -72,7 +72,7 @@ class MountingError:
         earlier tag, moves to the nearest allowed place. Fixed tags (`Problem.fixed`) stay.
 
         Args:
-            problem: gives the surfaces, the footprints, and the fixed tags.
+            problem: problem with the surfaces, the footprints, and the fixed tags.
             plan: K landmarks with their surfaces.
             rng: draws the errors.
 
@@ -91,7 +91,7 @@ class MountingError:
         return MountedTags(replace(moved, normals=normals), ups)
 
     def _separated(self, problem: Problem, moved: Deployment) -> Deployment:
-        """Push the landmarks on surfaces apart; those on none stay."""
+        """Push the landmarks on surfaces apart; landmarks on no surface stay."""
         on = np.flatnonzero(moved.surfaces >= 0)
         if not len(on):
             return moved
@@ -112,9 +112,9 @@ class Mounted:
     n: int
     """Number of tags that a view must show for a pose."""
     planned: "pd.Series"
-    """Figures as planned, on the grid, and at random positions as `grid_free_...`."""
+    """Figures of the plan on the grid, and at random positions as `grid_free_...`."""
     draws: "pd.DataFrame"
-    """These figures of each draw, a row each."""
+    """Figures as in `planned`, with a row for each draw."""
     views: "pd.DataFrame"
     """Errors of the pose with the map as `planned` and as `mounted`, see `map_errors`, and the `draw`."""
 
@@ -154,7 +154,7 @@ def mounted(problem: Problem, plan: Deployment, error: MountingError, seed: int,
     """Score a plan as it may be mounted. Results do not depend on the number of threads.
 
     Args:
-        problem: gives the scene and the objective.
+        problem: problem with the scene and the objective.
         plan: K landmarks with their surfaces.
         error: distribution of the mounting errors.
         seed: seed of the draws, of the random positions, and of the views.
@@ -183,7 +183,9 @@ def mounted(problem: Problem, plan: Deployment, error: MountingError, seed: int,
 
 
 def off_grid_figures(problem: Problem, deployments: list[Deployment], seed: int, sample: Sample) -> "pd.DataFrame":
-    """Shares of the objective for deployments of K landmarks, a row each, at random positions that they share."""
+    """Shares of the objective at random positions, equal for all deployments; a row for each deployment of K
+    landmarks.
+    """
     import pandas as pd
 
     positions, normals = (np.stack([getattr(d, name) for d in deployments]) for name in ("positions", "normals"))

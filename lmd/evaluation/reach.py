@@ -17,15 +17,15 @@ from lmd.geometry.squares import corners, upright
 from lmd.scene.criteria import Criteria
 from lmd.scene.tag import Tag
 
-NEAREST, FARTHEST = 0.01, 1000.0  # range of distances that are tried, metres
+NEAREST, FARTHEST = 0.01, 1000.0  # least and greatest distance that is tried, metres
 DISTANCE_STEPS = 400  # number of distances tried, by equal factors of 1.03
-COARSE_STEPS = 8  # sizes tried at first are this many steps apart
+COARSE_STEPS = 8  # steps between the sizes that are tried first
 RELATIVE_TOLERANCE = 1e-4
 
 
 @dataclass(frozen=True)
 class Reach:
-    """Range of distances at which a tag is read; NaN if there is none.
+    """Range of distances at which a tag is read; NaN if the tag is not read at any distance.
 
     A tag that is too near does not fit into the image, or is out of focus.
     """
@@ -63,13 +63,13 @@ def reach(criteria: Criteria, camera: Camera, incidence: float) -> Reach:
 
 
 def smallest_edge(criteria_of: Callable[[float], Criteria], camera: Camera, distance: float, incidence: float) -> float:
-    """Find the edge of the smallest tag that is read at a distance, metres; NaN if none is read.
+    """Find the edge of the smallest tag that is read at a distance, metres; NaN if no tag is read.
 
     Args:
-        criteria_of: makes the criteria for tags with an edge, metres.
+        criteria_of: function that makes the criteria for tags with an edge, metres.
         camera: the camera.
         distance: distance from the tag, metres.
-        incidence: angle, rad.
+        incidence: incidence angle, rad.
     """
     tried = distance * np.geomspace(1e-3, 1.0, DISTANCE_STEPS)
 
@@ -85,7 +85,7 @@ def smallest_edge(criteria_of: Callable[[float], Criteria], camera: Camera, dist
 
 
 def _border(holds: Callable[[float], bool], inside: float, outside: float) -> float:
-    """Value nearest to `outside` for which `holds` is True, by bisection; it is True at `inside`."""
+    """Value nearest to `outside` for which `holds` is True, by bisection from `inside`, where `holds` is True."""
     while abs(outside - inside) > RELATIVE_TOLERANCE * max(abs(inside), abs(outside)):
         middle = (inside + outside) / 2.0
         inside, outside = (middle, outside) if holds(middle) else (inside, middle)
@@ -99,9 +99,9 @@ def pose_bounds(
 
     Args:
         camera: the camera.
-        tag: gives the edge.
-        distances: D of them, metres.
-        incidence: angle, rad.
+        tag: tag with the edge.
+        distances: D distances, metres.
+        incidence: incidence angle, rad.
         pixel_noise: standard deviation of a corner, pixels.
 
     Returns:

@@ -1,6 +1,6 @@
 """Concave relaxation F of an objective, its multipliers, and the largest gain of a landmark on the walls.
 
-The symbols and the derivation are those of `lmd.evaluation.bounds`.
+`lmd.evaluation.bounds` has the symbols and the derivation.
 """
 
 import heapq
@@ -22,13 +22,13 @@ from lmd.scene.deployment import Deployment
 from lmd.sight.evaluator import Evaluator, averaged
 from lmd.sight.poses import Cells, covered_amounts, gains
 
-# First and last half-width of the smoothing of min(v, 1); it is halved after each 25 steps.
+# First and last half-width of the smoothing of min(v, 1), and number of steps after which the width is halved.
 FIRST_WIDTH, LAST_WIDTH, STEPS_PER_WIDTH = 0.3, 0.01, 25
-# Greatest number of cells that branch and bound scans, a minute or two on two cores; the bound is then still valid.
+# Greatest number of cells that branch and bound scans, which takes a minute or two on two cores; the bound stays valid.
 MOST_CELLS = 2_000_000
 BATCH = 10_000  # greatest number of cells that are divided at a time
-PROBES = 500  # number of new cells, those with the highest bounds, at whose centres a landmark is evaluated
-BATCH_SHARE = 0.05  # share of the time left for each batch
+PROBES = 500  # number of new cells, with the highest bounds, at whose centres a landmark is evaluated
+BATCH_SHARE = 0.05  # share of the remaining time for each batch
 
 
 class Dual(NamedTuple):
@@ -40,13 +40,13 @@ class Dual(NamedTuple):
     """y, `(P, D)`."""
 
     def bound(self, count: int, gain: float) -> float:
-        """Bound for `count` free landmarks of which none gains more than `gain`; at most 1."""
+        """Bound for `count` free landmarks, each with a gain of at most `gain`; at most 1."""
         return min(self.constant + count * gain, 1.0)
 
 
 @dataclass(frozen=True)
 class Relaxation:
-    """F for one objective."""
+    """Relaxation F of one objective."""
 
     evaluator: Evaluator
     """Scene at P positions."""
@@ -70,12 +70,14 @@ class Relaxation:
         return 0.0 if self.fixed is None else covered_amounts(self.evaluator, self.fixed, np.ones(len(self.fixed)))
 
     def value(self, added: FloatArray) -> float:
-        """F at c - b `(P, D)`."""
+        """F at `added` = c - b `(P, D)`."""
         seen = averaged(np.minimum((added + self.fixed_coverage) / self.n, 1.0), self.weights)
         return float(self.shares @ np.minimum(seen / self.threshold, 1.0))
 
     def smoothed(self, added: FloatArray, width: float) -> tuple[float, Dual]:
-        """Smoothed F at c - b `(P, D)`, and its slopes as multipliers; the prices are its gradient in c."""
+        """Smoothed F at `added` = c - b `(P, D)`, and its slopes as multipliers; the prices are the gradient of F in
+        c.
+        """
         by_axis, slope = smoothed_min((added + self.fixed_coverage) / self.n, width)
         by_position, z = smoothed_min(averaged(by_axis, self.weights) / self.threshold, width)
         prices = slope * self.weights * (z * self.shares / (self.n * self.threshold))[:, None]
@@ -87,12 +89,12 @@ class Relaxation:
 def smoothed_min(v: FloatArray, width: float) -> tuple[FloatArray, FloatArray]:
     """min(v, 1), smoothed within `width` of its kink, and its slope in [0, 1]; `v` has any shape."""
     slope = np.clip((1.0 + width - v) / (2.0 * width), 0.0, 1.0)
-    # The integral of the slope: 1 on the right of the kink, v on the left.
+    # This is the integral of the slope: 1 to the right of the kink, v to the left.
     return np.where(slope < 1.0, 1.0 - width * slope**2, v), slope
 
 
 def nearest_on_simplex(v: FloatArray, total: float) -> FloatArray:
-    """Point nearest to `v` `(N,)` among those with entries >= 0 and sum `total`."""
+    """Point nearest to `v` `(N,)` among the points with entries >= 0 and sum `total`."""
     descending = np.sort(v)[::-1]
     excess = (np.cumsum(descending) - total) / np.arange(1, len(v) + 1)
     return np.asarray(np.maximum(v - excess[np.flatnonzero(descending > excess)[-1]], 0.0))
@@ -109,13 +111,13 @@ def solve(
 
     Args:
         relaxation: F.
-        kinds: poses that landmarks of a size may take, and the number of these landmarks, for each size.
+        kinds: for each size, the poses that its landmarks may take, and the number of its landmarks.
         iterations: largest number of steps.
         tolerance: distance between the bound and the largest F at which to stop.
         limit: limit of the time.
 
     Returns:
-        the best multipliers found, their bound for choices of the poses, and the largest F found.
+        best multipliers found; their bound for all choices of the poses; largest F found.
     """
     evaluator, poses = relaxation.evaluator, reduce(operator.add, (own for own, _ in kinds))
     ends = np.cumsum([0, *(len(own) for own, _ in kinds)]).tolist()

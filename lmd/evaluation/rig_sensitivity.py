@@ -2,8 +2,8 @@
 
 All figures use the same poses: the landmarks in each image are found once, then some are removed.
 
-`lmd.evaluation.sensitivity` does this for a single camera with the bit sets of a compiled field and an exact mean of
-P_n; here one random draw for all images of a pose decides.
+For a single camera, `lmd.evaluation.sensitivity` computes these figures with the bit sets of a compiled field, and the
+mean of P_n exactly. For a rig, a random draw decides which landmarks are missed.
 """
 
 from collections.abc import Sequence
@@ -45,7 +45,9 @@ class RigMoments:
         return np.asarray(weight / weight.sum())
 
     def decided(self, moments: RigImages, seen: BoolArray) -> BoolArray:
-        """Find the moments with landmarks `seen` that are localised, and those that cover n landmarks, `(2, M)`."""
+        """Masks `(2, M)` of the moments with landmarks `seen` that are localised, and of the moments that cover n
+        landmarks.
+        """
         found = located(self.evaluator, self.deployment, moments._replace(seen=seen), self.n, self.precision)
         return np.stack([found, covers(seen, self.n)])
 
@@ -59,22 +61,26 @@ class RigMoments:
         return np.array(shares)
 
     def missed(self, probabilities: Sequence[float], rng: np.random.Generator) -> FloatArray:
-        """Means of L and P_n if each image misses a landmark that it shows with the given probabilities, `(M, 2)`.
+        """Means of L and P_n if an image misses each landmark that it shows with one of M probabilities, `(M, 2)`.
 
-        All probabilities share the draw, so that a landmark missed with one is missed with all greater.
+        All probabilities share the draw, so that a landmark missed at one probability is missed at all greater ones.
         """
         seen = self.moments.seen
         draw = rng.random(seen.shape, dtype=np.float32)
         return np.array([self.decided(self.moments, seen & (draw >= p)) @ self.share for p in probabilities])
 
     def lost(self) -> FloatArray:
-        """Means of L and P_n without landmarks i and j, which still hide others, `(2, K, K)`; without i for i = j."""
+        """Means of L and P_n without landmarks i and j, which still hide others, `(2, K, K)`; without landmark i on the
+        diagonal.
+        """
         seen, share = self.moments.seen, self.share
         shown = np.asarray(seen.any(axis=0))  # (N, K)
         whole, count = self.decided(self.moments, seen).astype(np.float64), seen.shape[2]
 
         def lose(*landmarks: int) -> FloatArray:
-            """Change by the loss of landmarks in the moments that show all of them; 0 in others, `(2, N)`."""
+            """Change by the loss of landmarks in the moments that show all these landmarks; 0 in other moments, `(2,
+            N)`.
+            """
             which: BoolArray = np.asarray(shown[:, landmarks].all(axis=1))
             left = seen[:, which]
             left[:, :, landmarks] = False

@@ -1,19 +1,19 @@
-"""Upper bound on a selection of landmarks by submodularity, beside the value of the greedy choice.
+"""Upper bound on a selection of landmarks by submodularity, and the value of the greedy choice.
 
-Greedy selection climbs f, the `selection` of an objective: monotone and submodular in the landmarks, without
+Greedy selection maximises f, the `selection` of an objective, which is monotone and submodular in the landmarks without
 occlusion. So for *any* set S the best K poses of a grid, each taken once, reach at most
 
     f(S) + the sum of the K largest gains at S        (Nemhauser, Wolsey and Fisher 1978),
 
-and S is the greedy choice, or empty, whichever gives the lower bound. The greedy choice always reaches 1 - 1/e of the
-best; the bound gives its share for the problem at hand. A landmark adds nothing to the views from which it is hidden,
-and more landmarks never lower f: so the bound holds with occlusion, too.
+where S is the greedy choice or empty, whichever gives the lower bound. The greedy choice always reaches 1 - 1/e of the
+best value; the bound gives the share for this problem. A landmark adds nothing to the views from which it is hidden,
+and more landmarks never lower f, so the bound also holds with occlusion.
 
-The bound is valid for poses of the grid and for f, not for the objective that f is a surrogate of.
+The bound is valid for poses of the grid and for f, and not for the objective itself, of which f is a surrogate.
 
-With K_s tags of size s a candidate is a pose and a size. The best choice has K_s of size s, so its gains at S are at
-most the K_s largest of that size, for each size; and the greedy choice always reaches half of the best (Fisher,
-Nemhauser and Wolsey 1978, for a partition matroid).
+With K_s tags of size s, a candidate is a pose with a size. For each size s, the gains of the best choice at S are at
+most the K_s largest gains of that size. The greedy choice always reaches half of the best value (Fisher, Nemhauser and
+Wolsey 1978, for a partition matroid).
 """
 
 from dataclasses import dataclass
@@ -27,13 +27,14 @@ from lmd.objectives.base import selectable
 from lmd.optimisers.selection import GAINS_BATCH, Tags, add_each, candidates, select
 from lmd.problem import Problem
 
-# Share of the best that the greedy choice always reaches, where no pose excludes another.
+# Share of the best value that the greedy choice always reaches if no pose excludes another: for one size, and for
+# several.
 GUARANTEE, GUARANTEE_OF_SIZES = 1.0 - np.exp(-1.0), 0.5
 
 
 @dataclass(frozen=True)
 class SelectionBound:
-    """Bound on the selection of an objective, above its value with the fixed landmarks alone."""
+    """Bound on the selection of an objective; values are relative to the value with the fixed landmarks alone."""
 
     label: str
     """Name of the selection."""
@@ -42,11 +43,11 @@ class SelectionBound:
     grid: float
     """Bound for all choices of poses of the grid."""
     guarantee: float = GUARANTEE
-    """Share of the best that the greedy choice always reaches."""
+    """Share of the best value that the greedy choice always reaches."""
 
     @property
     def share(self) -> float:
-        """Lower bound on the value of the greedy choice over that of the best."""
+        """Lower bound on the value of the greedy choice over the value of the best choice."""
         return self.greedy / self.grid if self.grid > 0.0 else 1.0
 
 
@@ -65,8 +66,8 @@ def selection_upper_bound(
         limit: limit of the time after one scan of every pose; None for none.
 
     Raises:
-        InputError: the objective has no selection, the spacing is not positive, or there are several sizes and another
-            number of landmarks than that of the problem.
+        InputError: the objective has no selection, the spacing is not positive, or there are several sizes and `count`
+            is not the problem's number of landmarks.
     """
     footprints, objective = problem.scene.footprints, selectable(problem.objective)
     evaluator, relevance = problem.fitness_evaluator, problem.fitness_relevance
@@ -97,6 +98,6 @@ def selection_upper_bound(
         greedy += float(selection.gains(poses[j : j + 1])[0])
         selection.add(poses[j : j + 1])
     gains = selection.gains(poses)
-    gains[chosen] = 0.0  # each pose once
+    gains[chosen] = 0.0  # each pose is taken once
     guarantee = 0.0 if limit.cut else GUARANTEE_OF_SIZES if several else GUARANTEE
     return SelectionBound(selection.label, greedy, min(at_first, greedy + largest(gains)), guarantee)

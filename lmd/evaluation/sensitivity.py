@@ -1,7 +1,7 @@
-"""Sensitivity of the figures of a deployment to assumptions: the noise, the tags, and the detection of every tag.
+"""Sensitivity of the figures of a deployment to assumptions on noise, tags, and detection.
 
 All variants are measured off the grid, at equal random positions and orientations (`lmd.evaluation.validation`), so
-they differ by the assumption alone. There are two figures, for any objective: the mean of L, the probability of
+variants differ only by the assumption. For any objective there are two figures: the mean of L, the probability of
 localising to the tolerance, and the mean of P_n, the probability of covering n landmarks.
 """
 
@@ -36,7 +36,7 @@ from lmd.sight.evaluator import Evaluator, averaged
 from lmd.sight.kernels import PROBABILITY_ONE
 
 FACTORS = (0.5, 0.7, 1.0, 1.4, 2.0)  # multiples of the assumed value
-MISS_PROBABILITIES = (0.0, 0.05, 0.1, 0.2)  # probability that a covered landmark is not detected; ascending
+MISS_PROBABILITIES = (0.0, 0.05, 0.1, 0.2)  # probabilities that a covered landmark is not detected, ascending
 SAMPLE = Sample(groups=48, positions=128, divisions=12)
 SHARE_COLUMNS = ["localised_share", "covered_share"]
 MISSES_STREAM = 0x6D697373  # separates the random numbers of missed landmarks from other uses of the seed
@@ -44,10 +44,10 @@ MISSES_STREAM = 0x6D697373  # separates the random numbers of missed landmarks f
 
 @dataclass(frozen=True)
 class Variant:
-    """Another assumption."""
+    """Variant with another value of an assumption."""
 
     assumption: str
-    """Name of the setting."""
+    """Name of the varied setting."""
     factor: float
     """Multiple of the assumed value."""
     value: float
@@ -59,7 +59,7 @@ class Variant:
     deployment: Deployment
     """Deployment with this value."""
     note: str = ""
-    """Reason why there is no figure; empty where there is one."""
+    """Reason for a missing figure; empty if there are figures."""
 
 
 @dataclass(frozen=True)
@@ -67,7 +67,7 @@ class Sensitivity:
     """Shares of views under other assumptions, as fractions in [0, 1]."""
 
     assumptions: pd.DataFrame
-    """Columns `assumption,factor,value,localised_share,covered_share,note`; shares are NaN where there is a note."""
+    """Columns `assumption,factor,value,localised_share,covered_share,note`; shares are NaN in rows with a note."""
     misses: pd.DataFrame
     """Columns `missed,localised_share,covered_share`; `missed` is the probability that a covered landmark is missed."""
     tags: pd.DataFrame
@@ -118,7 +118,7 @@ def sensitivity(problem: Problem, deployment: Deployment, seed: int, sample: Sam
     """Measure the figures of a deployment under other assumptions. Results do not depend on the number of threads.
 
     Args:
-        problem: gives the scene, and the assumptions of its objective, or of the default `Localisation` with its n.
+        problem: problem with the scene; assumptions come from its objective, or from the default `Localisation`.
         deployment: K landmarks.
         seed: seed of the sample, and of the missed landmarks.
         sample: size of the sample.
@@ -145,14 +145,14 @@ def sensitivity(problem: Problem, deployment: Deployment, seed: int, sample: Sam
 
 
 def _cameras(failed: FloatArray, whole: FloatArray) -> pd.DataFrame:
-    """Make `Sensitivity.cameras` from the shares without each camera, `(C, 2)`, and with all, `(2,)`."""
+    """Table `Sensitivity.cameras`, from the shares without each camera `(C, 2)` and with all cameras `(2,)`."""
     table = pd.DataFrame(failed, columns=SHARE_COLUMNS)
     table.insert(0, "camera", list(range(len(failed))))
     return table.assign(localised_loss=whole[0] - failed[:, 0], covered_loss=whole[1] - failed[:, 1])
 
 
 def _variants(problem: Problem, deployment: Deployment) -> list[Variant]:
-    """Vary all assumptions, the edge only for tags that have one."""
+    """Variants of all assumptions; the edge is varied only for tags with a size."""
     scene, objective = problem.scene, as_localisation(problem.objective)
     variants = []
     for name in ("pixel_noise", "tolerance"):
@@ -182,8 +182,8 @@ def _measure(
     """Measure the shares in a group of the sample.
 
     Returns:
-        shares of the variants, `(V, 2)`; with landmarks missed, `(M, 2)`, and lost, `(2, K, K)`; without each camera of
-        a rig, `(C, 2)`, C = 0 for a single camera.
+        shares of the variants, `(V, 2)`; shares with missed landmarks, `(M, 2)`; shares with lost landmarks, `(2, K,
+        K)`; shares without each camera of a rig, `(C, 2)`, with C = 0 for a single camera.
     """
     number, evaluator = group
     assumed = np.array([_shares(variant, evaluator) for variant in variants])
@@ -197,7 +197,7 @@ def _measure(
         failed = rig.without_cameras() if evaluator.scene.rig is not None else np.empty((0, 2))
         return assumed, rig.missed(MISS_PROBABILITIES, rng), rig.lost(), failed
     field = objective.field(evaluator)
-    assert isinstance(field, LocalisationField)  # that of a single camera
+    assert isinstance(field, LocalisationField)  # the field of a single camera
     return assumed, missed_shares(field, deployment, rng)[:, :2], lost_shares(field, deployment), np.empty((0, 2))
 
 
@@ -213,23 +213,23 @@ def _shares(variant: Variant, evaluator: Evaluator) -> tuple[float, float]:
 
 
 def lost_shares(field: LocalisationField, deployment: Deployment) -> FloatArray:
-    """Means of L and P_n without landmarks i and j, `(2, K, K)`; the diagonal, i = j, is without i alone."""
+    """Means of L and P_n without landmarks i and j, `(2, K, K)`; without landmark i on the diagonal."""
     mean = Mean(in_order(field, np.ones(len(field.index_of))))
     shares = field._replace(weight=0.0), field.coverage
     return np.stack([without_landmarks(share, mean, deployment) for share in shares])
 
 
 def missed_shares(field: LocalisationField, deployment: Deployment, rng: np.random.Generator) -> FloatArray:
-    """Means of L and P_n where each covered landmark is missed with the probabilities `MISS_PROBABILITIES`.
+    """Means of L and P_n if each covered landmark is missed with one of the probabilities `MISS_PROBABILITIES`.
 
     L is estimated by one draw for every landmark in every view. All probabilities share the draw, so that a landmark
-    missed with one is missed with all greater. P_n is exact: the number of detected landmarks is binomial. Missed
-    landmarks still hide others.
+    missed at one probability is missed at all greater ones. The mean of P_n is exact, as the number of detected
+    landmarks is binomial. Missed landmarks still hide others.
 
     Args:
-        field: gives positions and orientations.
+        field: field with positions and orientations.
         deployment: K landmarks.
-        rng: draws.
+        rng: source of the draws.
 
     Returns:
         `(M, 3)`: the mean of L, the exact mean of P_n, and the mean of P_n in the draw.
@@ -252,7 +252,7 @@ def missed_shares(field: LocalisationField, deployment: Deployment, rng: np.rand
 
 
 def _worst(lost: int, share: str, losses: FloatArray, ids: IntArray) -> dict[str, object]:
-    """Make the row of `Sensitivity.lost` without `lost` landmarks, one or two, from the losses `(K, K)` of a share."""
+    """Row of `Sensitivity.lost` for one or two `lost` landmarks, from the losses `(K, K)` of a share."""
     chosen = list(combinations(range(len(losses)), lost))
     values = np.array([losses[group[0], group[-1]] for group in chosen])
     worst = " ".join(map(str, ids[[*chosen[int(values.argmax())]]]))

@@ -7,7 +7,7 @@ from lmd.core.compiled import clock
 
 
 class TimeLimit:
-    """Time limit from now on, without the time of compilation.
+    """Time limit that starts now; time of compilation does not count.
 
     Args:
         seconds: limit, seconds; infinite for no limit, with reproducible results.
@@ -25,7 +25,7 @@ class TimeLimit:
         return max(self._until - clock(), 0.0)
 
     def part(self, share: float) -> "TimeLimit":
-        """Make a limit that ends after a share of the time left."""
+        """Make a limit that ends after a share of the remaining time."""
         return TimeLimit(share * self.left, self.report)
 
     def leaves(self, seconds: float, what: str) -> bool:

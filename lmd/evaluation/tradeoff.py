@@ -1,8 +1,9 @@
-"""Trade-off between the number or size of landmarks and a figure: deployments along it improve their neighbours.
+"""Trade-off between the number or size of landmarks and a figure. Searches start from deployments at neighbouring
+points.
 
 The deployment of K landmarks is the best of three searches: from the start of the problem; from the deployment with
-fewer landmarks, after adding those with the largest gain; and from the deployment with more landmarks, after removing
-those with the least loss.
+fewer landmarks, after adding landmarks with the largest gain; and from the deployment with more landmarks, after
+removing landmarks with the least loss.
 
 If paper or cost is limited instead of K, and tags may have several sizes, gains and losses are divided by the paper or
 the cost of the tag. So the searches also find other mixtures of sizes.
@@ -24,11 +25,11 @@ from lmd.problem import Problem
 from lmd.scene.deployment import Deployment
 from lmd.scene.deployment_sources import GivenDeployment
 
-SAMPLE = Sample(groups=16, positions=512, divisions=23)  # smaller than that of a single run: there are many points
+SAMPLE = Sample(groups=16, positions=512, divisions=23)  # smaller than for a single run, as there are many points
 FEWER, MORE = "fewer", "more"  # starts of a search: the deployment of fewer or of more landmarks
 ANEW = "anew"  # start of the problem
-ALONE = "alone"  # a mixture of sizes that was replaced by a better deployment of one size
-Key = TypeVar("Key", int, float)  # number of landmarks, or a limit: place of a point along its curve
+ALONE = "alone"  # origin of a deployment of one size that is better than the mixture found
+Key = TypeVar("Key", int, float)  # place of a point along its curve: number of landmarks, or a limit
 
 
 @dataclass(frozen=True)
@@ -40,22 +41,24 @@ class Found:
     fitness: float
     """Fitness of `deployment`."""
     way: str
-    """Start of the search: `anew`, the deployment of `fewer` or `more` landmarks or paper; or `alone`."""
+    """Origin of the result: a search from the start (`anew`), or from the deployment of `fewer` or `more` landmarks or
+    paper; or `alone`.
+    """
 
 
 class Axis(NamedTuple):
-    """Columns of a table of points that give their place in a trade-off."""
+    """Columns of a table of points with the place of each point in a trade-off."""
 
     curve: str = "edge"
-    """Names the curve: the edge of tags, 0 for points, or the sizes that may be mixed."""
+    """Column that names the curve: the edge of tags, 0 for points, or the sizes that may be mixed."""
     along: str = "count"
-    """Number of landmarks, or their limit."""
+    """Column with the number of landmarks, or with the limit."""
     step: float = 1
     """Least difference along a curve that can change a result."""
 
 
 COUNTS = Axis()
-MIXED = "+"  # between the edges, metres, of a curve along limits
+MIXED = "+"  # separator of the edges, metres, in the name of a curve along limits
 COUNT_OF = "count_"  # prefix of columns: number of landmarks with an edge, metres, at points along limits
 
 
@@ -68,8 +71,8 @@ def started(problem: Problem, deployment: Deployment) -> Problem:
 def grown(problem: Problem, deployment: Deployment) -> Deployment:
     """Add landmarks to a deployment, chosen greedily by the objective's selection, up to the number of `problem`.
 
-    If the grid of poses has no room for all, the rest stay as in the start of the problem. With a limit of paper or
-    cost, landmarks of any size are added until it is used up.
+    If the grid of poses has no room for all landmarks, the rest stay as in the start of the problem. With a limit on
+    paper or cost, landmarks of any size are added until the limit is used up.
     """
     footprints, tag, start = problem.scene.footprints, problem.scene.tag, problem.draw(np.random.default_rng(0))
     poses = candidates(footprints, np.array([np.nan] if tag.limit is None else tag.edges), GRID_SPACING)
@@ -85,7 +88,7 @@ def grown(problem: Problem, deployment: Deployment) -> Deployment:
 
 
 def shrunk(problem: Problem, deployment: Deployment) -> Deployment:
-    """Remove landmarks from a deployment, the least loss first, down to the number of `problem`; fixed ones stay.
+    """Remove landmarks from a deployment, the least loss first, down to the number of `problem`; fixed landmarks stay.
 
     With a limit of paper or cost, losses are divided by the share of the limit, and the released share is used again.
     """
@@ -113,13 +116,14 @@ def improved(
     problem_of: Callable[[Key], Problem],
     search: Callable[[Key, Problem, str], Found],
 ) -> dict[Key, Found]:
-    """Search from the neighbours of chosen deployments; returns the better deployment for each number of landmarks.
+    """For chosen numbers of landmarks, search again from the neighbouring deployments; keep the better deployment.
 
     Args:
-        known: deployments by their number of landmarks, or their limit; adjacent ones are neighbours.
+        known: deployments by their number of landmarks, or their limit; adjacent entries are neighbours.
         chosen: numbers to search for, upwards and then downwards.
-        problem_of: makes the problem of a number of landmarks.
-        search: climbs from the start of a problem; called with the number, the problem and the name of the start.
+        problem_of: function that makes the problem for a number of landmarks.
+        search: function that searches from the start of a problem; called with the number, the problem and the name of
+            the start.
     """
     best, chosen = dict(known), set(chosen)
     for order, made, way in ((sorted(known), grown, FEWER), (sorted(known, reverse=True), shrunk, MORE)):
@@ -132,7 +136,7 @@ def improved(
 
 
 def front(points: pd.DataFrame, figures: list[str], axis: Axis = COUNTS) -> pd.DataFrame:
-    """Median of `figures`, and the least and greatest value of the first, over the seeds.
+    """Medians of `figures` over the seeds, and the least and greatest value of the first figure.
 
     Args:
         points: a row for each curve, point along it, and `seed`.
@@ -140,7 +144,7 @@ def front(points: pd.DataFrame, figures: list[str], axis: Axis = COUNTS) -> pd.D
         axis: names the columns of the curve and of the point.
 
     Returns:
-        a table indexed by these two columns, with `least` and `greatest` behind the figures.
+        table indexed by curve and point, with the columns `least` and `greatest` after the figures.
     """
     groups = points.groupby([axis.curve, axis.along])
     medians, first = groups[figures].median(), groups[figures[0]]
@@ -148,13 +152,13 @@ def front(points: pd.DataFrame, figures: list[str], axis: Axis = COUNTS) -> pd.D
 
 
 def mixtures(points: pd.DataFrame, axis: Axis) -> pd.Series | None:
-    """Numbers of tags of each edge, metres, at each point, such as `51 of 0.06`, for the seed of the greatest fitness.
+    """Numbers of tags by edge length, such as `51 of 0.06` (metres), for each point; of several seeds, for the best.
 
     Args:
         points, axis: as for `front`.
 
     Returns:
-        a series indexed as `front`; None where the points have no such columns.
+        series indexed like the result of `front`; None if the points have no columns with numbers of tags.
     """
     each = [str(name) for name in points if str(name).startswith(COUNT_OF)]
     if not each:
@@ -174,9 +178,9 @@ def fewest(points: pd.DataFrame, figure: str, wanted: float, axis: Axis = COUNTS
         wanted: value of the figure.
 
     Returns:
-        a table indexed by the curve: in the column `axis.along` the least number at which the median over the seeds
-        reaches `wanted`; in `least` and `greatest` the extremes of the least numbers of single seeds. Infinite where
-        no number reaches it.
+        table indexed by the curve. Column `axis.along`: least number at which the median over the seeds reaches
+            `wanted`; `least` and `greatest`: extremes over the seeds of each seed's least number. Infinite if no number
+            reaches `wanted`.
     """
     rows = {}
     for curve, same in points.groupby(axis.curve):
@@ -195,7 +199,7 @@ def between(points: pd.DataFrame, figure: str, wanted: float, axis: Axis = COUNT
         points, figure, wanted, axis: as for `fewest`.
 
     Returns:
-        pairs of the curve and the number, which is whole steps above the one below the gap.
+        pairs of the curve and the number, which is a whole number of steps above the number below the gap.
     """
     halves = []
     for curve, row in fewest(points, figure, wanted, axis).iterrows():

@@ -1,18 +1,18 @@
-"""Validation: figures of a deployment off the grid it was optimised on.
+"""Validation: figures of a deployment off the grid on which it was optimised.
 
 An optimiser raises the values at the positions and orientations of its fitness just above the threshold, so the
 qualified ratio on that grid is biased. Three figures do not depend on the grid:
 
-- the qualified ratio on a finer grid: half the spacing, half the step of the orientations. It is computed in full
-  and has no standard error;
-- the grid-free qualified ratio: at random positions, spread evenly over the reachable box, with orientations drawn
-  from the continuous distribution the PDF stands for;
+- the qualified ratio on a finer grid, with half the spacing and half the step of the orientations. It is exact on that
+  grid and has no standard error;
+- the grid-free qualified ratio: at random positions, spread evenly over the reachable box, with orientations drawn from
+  the continuous distribution that the PDF represents;
 - the grid-free average coverage probability, over the random poses of the same sample.
 
-Like `qualified_ratio`, they weigh all positions equally, without the relevance.
+Like `qualified_ratio`, these figures weigh all positions equally, without the relevance.
 
-For recorded poses, the figures are those at the recorded poses: the poses used for the optimisation, and those held
-out.
+For a recording, the figures are computed at the recorded poses: at the poses used for the optimisation, and at the
+held-out poses.
 """
 
 from collections.abc import Callable, Iterator, Mapping
@@ -36,17 +36,18 @@ if TYPE_CHECKING:
 
 # Separates the random numbers of the sample from other uses of the seed.
 VALIDATION_STREAM = 0x76616C
-MOST_OF_A_RIG = 64, 8  # most positions in a group, and divisions, where a rig's criteria have no compiled half
+MOST_OF_A_RIG = 64, 8  # largest `positions` and `divisions` for a rig whose criteria have no compiled half
 
 
 @dataclass(frozen=True)
 class Sample:
     """Size of a sample of random poses: `groups` times `positions` positions, each in many orientations.
 
-    The positions of a group are spread evenly, from a random shift. They share their orientations, one in each of
-    2 `divisions` x `divisions` cells of equal probability, fewer for a PDF of the yaw alone. With thousands of
-    orientations P_n is unbiased, and its noise moves as many positions above the threshold as below it. Each group has
-    its own shift and orientations, so errors average out, and the spread of the groups gives the standard error.
+    The positions of a group are spread evenly, from a random shift. All positions of a group have the same
+    orientations: one in each of 2 `divisions` x `divisions` cells of equal probability, fewer for a PDF of the yaw
+    alone. With thousands of orientations P_n is unbiased, and its noise moves as many positions above the threshold as
+    below. Each group has its own shift and orientations, so errors average out, and the spread of the groups gives the
+    standard error.
 
     Raises:
         InputError: a number is too small.
@@ -73,16 +74,16 @@ def validation_metrics(
 ) -> dict[str, float]:
     """Figures of a deployment off the grid, fractions in [0, 1]; they do not depend on the number of threads.
 
-    They are means over positions of the `shares` of the objective: its headline on the finer grid, all of them
-    grid-free. Their standard errors come from the spread of the groups, which covers positions and orientations. Where
-    poses were recorded, `held_out_metrics` computes the figures.
+    The figures are means over positions of the `shares` of the objective: the headline on the finer grid, and all
+    shares grid-free. Standard errors come from the spread of the groups, which have different positions and
+    orientations. If poses were recorded, `held_out_metrics` computes the figures.
 
     Args:
         problem: the problem.
         deployment: K landmarks.
         seed: seed of the sample.
-        sample: its size; the default one if None.
-        between: called before each group; it may raise to give up.
+        sample: size of the sample; None for the default size.
+        between: function called before each group; it may raise an error to end the validation.
     """
     scene, objective = problem.scene.sized(deployment.edges), problem.objective
     if scene.recorded is not None:
@@ -113,7 +114,7 @@ def _mean_and_error(shares: FloatArray | BoolArray) -> tuple[float, float]:
 def headline_off_grid(problem: Problem) -> str:
     """Name of the main figure off the grid: the headline of the objective at random poses.
 
-    With recorded poses it is the share of the time held out, or of all time if none was.
+    With recorded poses the figure is over the held-out time, or over all time if none is held out.
     """
     recorded = problem.scene.recorded
     if recorded is None:
@@ -128,7 +129,7 @@ def sampled_values(
     sample: Sample,
     between: Callable[[], None] = lambda: None,
 ) -> FloatArray:
-    """Values of the objective at the positions of a sample, `(groups, positions)`; args as of `validation_metrics`."""
+    """Values of the objective at the positions of a sample, `(groups, positions)`; args as in `validation_metrics`."""
     landmarks = deployment.positions[None], deployment.normals[None]
     values = []
     scene = problem.scene.sized(deployment.edges)
@@ -157,13 +158,13 @@ def sampled_evaluators(scene: Scene, seed: int, sample: Sample, threads: int) ->
 def held_out_metrics(problem: Problem, deployment: Deployment, recorded: "RecordedPoses") -> dict[str, float]:
     """Shares of recorded time, fractions in [0, 1], in which a view is qualified: n landmarks covered, or localised.
 
-    `recorded_share` refers to the time optimised on, `held_out_share` to the time held out, if any. The standard
-    error assumes that blocks of time are independent, not records; it needs two blocks.
+    `recorded_share` refers to the time optimised on, `held_out_share` to the time held out, if any. The standard error
+    assumes independent blocks of time, not independent records; it needs two blocks.
 
     Args:
-        problem: gives the scene and the objective.
+        problem: problem with the scene and the objective.
         deployment: K landmarks.
-        recorded: the poses.
+        recorded: recorded poses.
     """
     metrics: dict[str, float] = {}
     for name, records in (("recorded", recorded.training), ("held_out", recorded.kept_back)):
@@ -190,7 +191,7 @@ def describe_held_out(figures: Mapping[str, float]) -> dict[str, str]:
 
 
 def exact_values(problem: Problem, deployment: Deployment, records: "Records") -> FloatArray:
-    """Value of the objective at each of R records, each with its own orientation alone, `(R,)`.
+    """Value of the objective at each of R records, with only the orientation of that record, `(R,)`.
 
     Records are evaluated in groups as large as a word has bits, one axis for each position.
     """

@@ -1,7 +1,7 @@
 """Verdicts of the criteria of a visibility model on landmarks: in single poses, and on average.
 
 A landmark is covered if it meets every criterion at the same time. Two figures describe a criterion: the share of
-landmarks that meet it, and the share that would be covered if this criterion alone were dropped.
+landmarks that meet it, and the share that would be covered without this criterion.
 """
 
 from collections.abc import Mapping
@@ -28,7 +28,7 @@ class Explained(Protocol):
     def verdicts(
         self, camera: Any, position: FloatArray, axes: FloatArray, landmarks: FloatArray, normals: FloatArray
     ) -> Mapping[str, BoolArray]:
-        """Verdicts of each criterion by itself, `(A, K)` by its name; args as of `covered`."""
+        """Verdicts of each criterion by itself, `(A, K)`, by the name of the criterion; args as in `covered`."""
 
     def limits_for(self, camera: Camera) -> Mapping[str, str]:
         """Limits of the criteria for a camera, in a few words each, by name."""
@@ -37,13 +37,14 @@ class Explained(Protocol):
 def verdicts(
     scene: Scene, deployment: Deployment, poses: FloatArray, camera: Camera | None = None
 ) -> dict[str, BoolArray]:
-    """Verdicts of the criteria of the scene's visibility model in N poses, `(N, K)` each; empty if it gives none.
+    """Verdicts of the criteria of the scene's visibility model in N poses, `(N, K)` each; empty if the model has no
+    verdicts.
 
     Args:
         scene: the scene.
         deployment: K landmarks.
         poses: X of the camera, `(N, 4, 4)`.
-        camera: camera of the scene's rig; None for the only one.
+        camera: camera of the scene's rig; None for the only camera.
 
     Raises:
         InputError: the scene has a rig, and no camera is given.
@@ -59,7 +60,9 @@ def verdicts(
 def _verdicts_of(
     scene: Scene, camera: Camera, deployment: Deployment, position: FloatArray, axes: FloatArray
 ) -> dict[str, BoolArray]:
-    """Verdicts from a camera's position and axes `(A, 6)`, `(A, K)` each: the model's, and the room's if any."""
+    """Verdicts from a camera's position and axes `(A, 6)`, `(A, K)` each: of the model, and of the room if it has
+    obstacles.
+    """
     landmarks = deployment.positions, deployment.normals
     found = dict(scene.visibility.verdicts(camera, position, axes, *landmarks))  # type: ignore[attr-defined]
     if scene.room.blockers() is not None:
@@ -89,7 +92,9 @@ class Causes:
         return {"covered": self.covered} | met | {f"covered_without_{name}": x for name, x in self.without.items()}
 
     def to_text(self) -> str:
-        """Text for a terminal: a row for each criterion, the one that excludes most first."""
+        """Text for a terminal: a row for each criterion, ordered by the share that the criterion excludes, the largest
+        first.
+        """
         rows = [("criterion", "met by", "covered without it", "limit")]
         for name in sorted(self.without, key=lambda name: -self.without[name]):
             shares = f"{self.met[name]:.2%}", f"{self.without[name]:.2%}"
@@ -104,7 +109,7 @@ def causes(scene: Scene, deployment: Deployment, seed: int) -> Causes | None:
     """Measure the shares of sightings that meet each criterion.
 
     Args:
-        scene: the visibility model must have `verdicts`, see `Explained`.
+        scene: scene whose visibility model has `verdicts`, see `Explained`.
         deployment: K landmarks.
         seed: seed of the poses: positions uniform where the camera may be, orientations from the PDF.
 
@@ -124,7 +129,7 @@ def causes(scene: Scene, deployment: Deployment, seed: int) -> Causes | None:
             names, passed = list(found), np.stack(list(found.values()))
             failed = (~passed).sum(axis=0)
             met.append(passed.sum(axis=(1, 2)))
-            without.append((failed == ~passed).sum(axis=(1, 2)))  # it fails no criterion, or this one alone
+            without.append((failed == ~passed).sum(axis=(1, 2)))  # sightings that fail no criterion, or only this one
             covered += int((failed == 0).sum())
     sightings = len(positions) * len(deployment) * len(scene.cameras)
 

@@ -1,4 +1,4 @@
-"""The formats by name, and the choice of some of them."""
+"""Output formats by name, and the settings of an export."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -20,7 +20,7 @@ from lmd.space.space import Space
 
 
 def all_formats() -> dict[str, Writer]:
-    """The outputs by name, with those of other packages."""
+    """Outputs by name, including outputs of other packages."""
     theirs = {form.name: form.writer for form in outside() if form.writer is not None}
     printed = {
         "plan": Writer("plan.pdf", write_plan, on_paper=True),
@@ -30,12 +30,12 @@ def all_formats() -> dict[str, Writer]:
 
 
 def formats_of(tag: Tag) -> tuple[str, ...]:
-    """The formats whose readers know the family of a tag."""
+    """Formats whose readers support the family of a tag."""
     return tuple(name for name, form in all_formats().items() if tag.family in form.families)
 
 
 def check_printing(name: str, tag: Tag, paper: str) -> None:
-    """Raise `InputError` if a format that is printed cannot be written of tags like this one."""
+    """Raise `InputError` if a printed format cannot be written for tags like `tag`."""
     optional("reportlab", "export")
     if name == "sheets":
         for edge in tag.sizes:
@@ -43,7 +43,7 @@ def check_printing(name: str, tag: Tag, paper: str) -> None:
 
 
 def not_printed(tag: Tag, paper: str) -> dict[str, str]:
-    """The formats that cannot be printed of tags like this one, and why."""
+    """Formats that cannot be printed for tags like `tag`, with the reasons."""
     reasons = {}
     for name, form in all_formats().items():
         if form.on_paper:
@@ -55,7 +55,9 @@ def not_printed(tag: Tag, paper: str) -> dict[str, str]:
 
 
 def one_edge(edges: Sequence[float]) -> str:
-    """Why a format with one edge for all tags cannot hold those with these, metres; a clause without its subject."""
+    """Reason for which a format with one edge for all tags cannot hold tags with `edges`, metres; predicate of a
+    sentence.
+    """
     return f"it has one edge for all tags, and these have {', '.join(f'{edge:g}' for edge in sorted(edges))} m"
 
 
@@ -67,10 +69,10 @@ class Export:
         formats: names in `all_formats`.
         paper: paper size of printed files, one of `lmd.export.paper.PAPERS`.
         north: direction of north on the plan, rad from x towards y; None if unknown.
-        fitting: leave out a format that cannot hold the tags, rather than refuse it.
+        fitting: True to leave out formats that cannot hold the tags, False to raise an error.
 
     Raises:
-        InputError: a format or the paper is not known, or north is not in radians.
+        InputError: a format or the paper is unknown, or north is not in radians.
     """
 
     formats: tuple[str, ...]
@@ -89,7 +91,7 @@ class Export:
             check_fields(self, real, "north", low=-ONE_TURN, high=ONE_TURN)
 
     def check(self, tag: Tag) -> None:
-        """Raise `InputError` if tags like this one cannot be written in each of the formats here."""
+        """Raise `InputError` if tags like `tag` cannot be written in each of `formats`."""
         if self.formats:
             tag.check_edge()
         for name in self.formats:
@@ -102,7 +104,7 @@ class Export:
                 raise InputError(f"formats has {name}: {one_edge(tag.sizes)}.", "formats")
 
     def unfit(self, tags: TagMap) -> dict[str, str]:
-        """The formats that cannot hold these tags, and why."""
+        """Formats among `formats` that cannot hold the tags, with the reasons."""
         reasons = {}
         for name in self.formats:
             try:
@@ -117,15 +119,16 @@ class Export:
         return reasons
 
     def silent(self, tags: TagMap) -> tuple[str, ...]:
-        """Names of the formats without tag sizes, if these tags have several sizes; else empty."""
+        """Names of the formats without tag sizes, if the tags have several sizes; else empty."""
         several = len(tags.by_size) > 1
         return tuple(name for name in self.formats if several and all_formats()[name].edges == NONE)
 
     def writers(self, room: Space, tag: Tag, deployment: Deployment) -> dict[str, Callable[[Path], None]]:
-        """Functions that write the files of these tags, by the names of the files.
+        """Functions that write the files of the tags, by the names of the files.
 
         Raises:
-            InputError: there is a format, and the tag is a point, the family lacks an id, or a format cannot hold them.
+            InputError: there are formats, and the tag is a point, the family lacks an id, or a format cannot hold the
+                tags.
         """
         if not self.formats:
             return {}

@@ -12,17 +12,17 @@ MARGIN = 8.0  # border of a sheet, on which many printers do not print
 FOOTER = 7.0  # height of the ruler's strip
 MARK, MARK_GAP = 4.0, 1.0  # length of a cut mark, and its distance from the cut piece
 LABEL, SMALLEST_LABEL = 3.2, 1.0  # height of the letters of the largest and of the smallest label
-LABEL_GAP = 0.8  # from a label to the edge of the paper
-LABEL_SHARE = 0.36  # greatest fraction of the white margin under a label; the part at the black square stays white
+LABEL_GAP = 0.8  # distance of a label from the edge of the paper
+LABEL_SHARE = 0.36  # greatest share of the white margin for a label; the part next to the black square stays white
 STRIP = 10.0  # width of the strip of a piece on which the next piece is glued
 MOST_PIECES = 100  # greatest number of pieces of a tag
 ROUNDING = 1e-6
 
 
 class Whole(NamedTuple):
-    """Sheets with whole tags, cut from each other by straight cuts. Lengths in mm.
+    """Sheets with whole tags, separated by straight cuts. Lengths in mm.
 
-    page: width and height. columns, rows: of papers. left, top: of all of them. pitch: from row to row.
+    page: width and height. columns, rows: numbers of papers. left, top: corner of all papers. pitch: distance of rows.
     """
 
     page: tuple[float, float]
@@ -34,14 +34,14 @@ class Whole(NamedTuple):
 
     @property
     def per_sheet(self) -> int:
-        """Tags on a sheet."""
+        """Number of tags on a sheet."""
         return self.columns * self.rows
 
 
 class Pieces(NamedTuple):
-    """Sheets with a piece of a tag each. Lengths in mm.
+    """Sheets, each with a piece of a tag. Lengths in mm.
 
-    page: width and height. columns, rows: of pieces. width, height: of a piece, without the strip for the next one.
+    page: width and height. columns, rows: numbers of pieces. width, height: size of a piece without its glue strip.
     """
 
     page: tuple[float, float]
@@ -52,12 +52,12 @@ class Pieces(NamedTuple):
 
     @property
     def per_tag(self) -> int:
-        """Sheets of a tag."""
+        """Number of sheets of a tag."""
         return self.columns * self.rows
 
 
 def label_size(tag: Tag) -> float:
-    """Height of a label in the white margin of a tag, mm; 0 where the margin is too narrow for one."""
+    """Height of a label in the white margin of a tag, mm; 0 if the margin is too narrow for a label."""
     size = min(LABEL, LABEL_SHARE * (tag.paper_edge - tag.picture_edge) / 2.0 * MM_PER_M)
     return size if size >= SMALLEST_LABEL else 0.0
 
@@ -88,7 +88,7 @@ def _whole(tag: Tag, page: tuple[float, float]) -> Whole:
     width, height = page[0] - 2.0 * MARGIN, page[1] - 2.0 * MARGIN - FOOTER
     pitch = plate if label_size(tag) else plate + LABEL + 2.0 * LABEL_GAP
     rows = int((height + ROUNDING) // pitch)
-    # Papers fill the page: their outer white margins need no printing.
+    # Papers may fill the whole page, as their outer white margins need no printing.
     columns = int(min(page[0] + ROUNDING, width + ROUNDING + plate - edge) // plate)
     left, spare = (page[0] - columns * plate) / 2.0, height - rows * pitch
     return Whole(page, columns, rows, left, page[1] - MARGIN - spare / 2.0, pitch)

@@ -1,4 +1,4 @@
-"""The first page of the mounting plan: the floor plan of the room, and in which order the tags are hung."""
+"""First page of the mounting plan: floor plan of the room, and the order in which tags are hung."""
 
 import math
 from typing import Any
@@ -14,19 +14,19 @@ from lmd.space.space import Space
 from lmd.space.surface import FLAT, Surface
 
 # On the page, mm.
-AROUND = 11.0  # around the room, for names
-NAME_GAP, OUTER_NAME_GAP = 3.0, 6.0  # from a wall to a name
-# By which a name moves out of the way of others, away from its wall and along it, the shortest first.
+AROUND = 11.0  # width of the border around the room, for names
+NAME_GAP, OUTER_NAME_GAP = 3.0, 6.0  # distance of a name from its wall, inside and outside of the room
+# Shifts of a name to avoid other names: away from its wall and along the wall, the shortest first.
 SHIFTS = np.stack(np.meshgrid(np.arange(0.0, 21.0, 1.5), np.arange(-20.0, 21.0, 2.5)), axis=-1).reshape(-1, 2)
 SHIFTS = SHIFTS[np.argsort(np.abs(SHIFTS).sum(axis=1), kind="stable")]
 TAG = 1.8  # height of the triangle of a tag
-MANY = 1000  # edges of a room, as a scan has them: they are drawn thinner
+MANY = 1000  # number of edges of a room from which on they are drawn thinner
 ARROW = 9.0  # length of the arrow to the north
-BEHIND = np.linspace(0.02, 1.0, 20)  # where it is asked whether the room goes on behind a surface, of its size
+BEHIND = np.linspace(0.02, 1.0, 20)  # distances behind a surface at which a test looks for the room, over its size
 
 
 def scale_of(room: Space, width: float, height: float, scales: tuple[int, ...]) -> int:
-    """The largest scale of `scales` at which the floor plan fits into `width` x `height`, mm."""
+    """Largest of `scales` at which the floor plan fits into `width` x `height`, mm."""
     low, high = room.bounds()
     across, up = (1000.0 * (high - low)[:2]).tolist()
     fits = [one for one in scales if across <= one * (width - 2.0 * AROUND) and up <= one * (height - 2.0 * AROUND)]
@@ -70,12 +70,12 @@ def draw_floor_plan(canvas: Any, tags: TagMap, left: float, top: float, scale: i
         x, y = place(body.corners).mean(axis=0).tolist()
         write_on_white(canvas, x, y, shortened(body.name), size=NAME)
     hung = {index: numbers_of(own) for index, own in tags.tags_by_surface.items() if index >= 0}
-    # Names with tags come first; others are left out where there is no room for them.
+    # Names of surfaces with tags come first; other names are left out if there is no room for them.
     for index in sorted(range(len(tags.room.surfaces())), key=lambda index: index not in hung):
         surface = tags.room.surfaces()[index]
         if abs(surface.normal[2]) > FLAT:
             continue
-        # The name of a piece of furniture, or of a door, will do where no tag hangs on it.
+        # A surface without tags needs no name if it belongs to a named fixture.
         own = any(fixture.name == surface.name or fixture.has(surface) for fixture in fixtures)
         if own and index not in hung:
             continue
@@ -99,20 +99,22 @@ def draw_floor_plan(canvas: Any, tags: TagMap, left: float, top: float, scale: i
 
 
 def numbers_of(places: IntArray) -> str:
-    """The first and the last of places in the order of hanging, counted from 1, in words."""
+    """Text with the first and the last of some places in the order of hanging, counted from 1."""
     first, last = int(places[0]) + 1, int(places[-1]) + 1
     return f"{first}" if first == last else f"{first} to {last}"
 
 
 def _ends(footprint: Any) -> FloatArray:
-    """The two corners of a line or a polygon of shapely that are farthest from each other, `(2, 2)`."""
+    """Two corners of a shapely line or polygon that are farthest from each other, `(2, 2)`."""
     corners = np.array(getattr(footprint, "exterior", footprint).coords)
     distance = np.linalg.norm(corners[:, None] - corners, axis=-1)
     return corners[list(np.unravel_index(distance.argmax(), distance.shape))]
 
 
 def _outwards(room: Space, surface: Surface) -> FloatArray:
-    """The way `(2,)` to where a name stands: behind a wall at the edge of the room, before one inside of it."""
+    """Direction `(2,)` from a wall to its name: behind a wall at the edge of the room, in front of a wall inside the
+    room.
+    """
     low, high = room.bounds()
     middle, normal = surface.point(*np.divide(surface.extent, 2.0)), surface.normal
     behind = middle - np.linalg.norm(high - low) * BEHIND[:, None] * normal
@@ -131,8 +133,8 @@ def _write_along(
 ) -> None:
     """Write a text beside a line between `ends` `(2, 2)`, in the given way, clear of walls and other texts, `taken`.
 
-    It stands along the line, or upright where the line is too short for it. Its own box is added to `taken`. A line
-    leads to a text that had to move; a text that is not `needed` is left out instead.
+    The text runs along the line, or upright if the line is too short. The box of the text is added to `taken`. A text
+    that had to move is connected to its wall by a line; a text that is not `needed` is left out instead.
     """
     import shapely
 
@@ -140,7 +142,7 @@ def _write_along(
     middle, turn = ends.mean(axis=0) + away * way, 0.0
     if width <= length + 2.0 * away:
         turn = math.degrees(math.atan2(*(ends[1] - ends[0])[::-1]))
-        turn = (turn + 80.0) % 180.0 - 80.0  # never upside down, and all walls that run up about the same way
+        turn = (turn + 80.0) % 180.0 - 80.0  # texts are never upside down, and alike on nearly parallel walls
     else:
         middle = middle + abs(way[0]) * (width - NAME) / 2.0 * way
     box = shapely.affinity.rotate(shapely.box(-width / 2.0, -NAME / 2.0, width / 2.0, NAME / 2.0), turn, origin=(0, 0))
@@ -161,7 +163,7 @@ def _write_along(
 
 
 def _draw_tag(canvas: Any, at: FloatArray, normal: FloatArray) -> None:
-    """A triangle that stands on its wall, a square for a tag on what lies flat: filled on a floor."""
+    """Draw a tag: a triangle on its wall, or a square for a horizontal tag, filled if on the floor."""
     if abs(normal[2]) > FLAT:
         canvas.rect(*(at - TAG / 3.0).tolist(), TAG / 1.5, TAG / 1.5, stroke=1, fill=int(normal[2] > 0.0))
         return
@@ -171,7 +173,7 @@ def _draw_tag(canvas: Any, at: FloatArray, normal: FloatArray) -> None:
 
 
 def _draw_arrow(canvas: Any, x: float, y: float, length: float, angle: float, name: str) -> None:
-    """An arrow from (x, y), at `angle` from the page's x axis, rad, with a name beyond its point."""
+    """Draw an arrow from (x, y), at `angle` from the page's x axis, rad, with a name beyond its tip."""
     canvas.saveState()
     canvas.translate(x, y)
     canvas.rotate(math.degrees(angle))

@@ -1,4 +1,4 @@
-"""Pages in millimetres from their lower left corner, as PDF; the same drawing gives the same bytes."""
+"""Pages as PDF, in millimetres from the lower left corner; equal drawings give equal bytes."""
 
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
@@ -8,18 +8,20 @@ from typing import Any
 
 from lmd.core.optional import optional
 
-# Width and height of a page that stands upright, mm.
+# Width and height of a page in portrait orientation, mm.
 PAPERS = {"a4": (210.0, 297.0), "a3": (297.0, 420.0), "letter": (215.9, 279.4)}
-POINTS = 72.0 / 25.4  # of PDF in a millimetre
+POINTS = 72.0 / 25.4  # points of PDF per millimetre
 FONT, BOLD = "Helvetica", "Helvetica-Bold"
 LINE = 0.15  # width of thin lines, mm
 GREY = 0.5
-LONGEST = 24  # letters of a name
+LONGEST = 24  # greatest number of letters of a name
 
 
 @contextmanager
 def document(path: Path, title: str) -> Iterator[Any]:
-    """A canvas of reportlab, saved to `path` when left; a page begins with `begin_page` and ends with `showPage`."""
+    """Context with a reportlab canvas, saved to `path` at its end; a page begins with `begin_page`, ends with
+    `showPage`.
+    """
     canvas = optional("reportlab.pdfgen.canvas", "export").Canvas(str(path), invariant=1)
     canvas.setTitle(title)
     canvas.setCreator("lmd")
@@ -28,7 +30,7 @@ def document(path: Path, title: str) -> Iterator[Any]:
 
 
 def begin_page(canvas: Any, width: float, height: float) -> None:
-    """Begin a page of this size, mm; from here on everything is in mm, sizes of letters too."""
+    """Begin a page of this size, mm; all lengths on the page are in mm, including sizes of letters."""
     canvas.setPageSize((width * POINTS, height * POINTS))
     canvas.scale(POINTS, POINTS)
     canvas.setLineWidth(LINE)
@@ -36,7 +38,7 @@ def begin_page(canvas: Any, width: float, height: float) -> None:
 
 @cache
 def _own_font(bold: bool) -> str:
-    """Register the font of matplotlib, which has more letters, and return its name."""
+    """Register matplotlib's font, which has more letters than PDF's own fonts, and return its name."""
     from matplotlib import get_data_path
 
     metrics, fonts = (optional(f"reportlab.pdfbase.{name}", "export") for name in ("pdfmetrics", "ttfonts"))
@@ -55,13 +57,13 @@ def font_of(text: str, bold: bool) -> str:
 
 
 def width_of(text: str, size: float, bold: bool = False) -> float:
-    """The width of a line of text, mm."""
+    """Width of a line of text, mm."""
     width = optional("reportlab.pdfbase.pdfmetrics", "export").stringWidth(text, font_of(text, bold), size)
     return float(width)
 
 
 def shortened(text: str) -> str:
-    """A name that has room beside others."""
+    """Name shortened to at most `LONGEST` letters."""
     return text if len(text) <= LONGEST else f"{text[: LONGEST - 1]}\N{HORIZONTAL ELLIPSIS}"
 
 
@@ -78,7 +80,7 @@ def write_text(
 ) -> None:
     """Write a line of text that begins at, ends at or is centred on (x, y), as `align` says: left, right or centre.
 
-    It is turned about that point by `turn`, degrees, counter-clockwise.
+    The text is rotated about (x, y) by `turn`, degrees, counter-clockwise.
     """
     canvas.saveState()
     canvas.setFont(font_of(text, bold), size)
@@ -102,7 +104,7 @@ def write_on_white(canvas: Any, x: float, y: float, text: str, *, size: float, t
 
 
 def polygon(canvas: Any, points: Iterable[Sequence[float]]) -> Any:
-    """A path around points."""
+    """Path around points."""
     shape, (first, *others) = canvas.beginPath(), points
     shape.moveTo(*first)
     for point in others:
@@ -117,5 +119,5 @@ def fill_polygon(canvas: Any, points: Iterable[Sequence[float]]) -> None:
 
 
 def up_arrow(canvas: Any, x: float, y: float, size: float) -> None:
-    """A triangle that points up, centred on x, its base at y."""
+    """Draw a triangle that points up, centred on x, with its base at y."""
     fill_polygon(canvas, [(x - size / 2.0, y), (x + size / 2.0, y), (x, y + size)])

@@ -1,6 +1,6 @@
-"""The mounting plan: the floor plan of the room, then a page for each surface with tags, to scale, with a table.
+"""Mounting plan: floor plan of the room, then a page for each surface with tags, to scale, with a table.
 
-Tags come in the order of hanging (`TagMap.order`), with a box to tick and room for what was measured.
+Tags are listed in the order of hanging (`TagMap.order`), with a box to tick and space for measured values.
 """
 
 from dataclasses import dataclass
@@ -19,7 +19,7 @@ from lmd.geometry.camera import MM_PER_M
 from lmd.space.space import lower_edge
 from lmd.space.surface import FLAT, Surface
 
-# On the page, all in mm.
+# Lengths on the page, mm.
 DIMENSION = 6.0  # distance from the surface to its dimension lines
 TICK = 1.5
 SCALES = (1, 2, 5, 10, 15, 20, 25, 30, 40, 50, 75, 100, 150, 200, 250, 300, 400, 500, 1000, 2000, 5000)
@@ -44,7 +44,7 @@ FREE = Table(
 
 @dataclass(frozen=True)
 class View:
-    """View of a surface from its front: x to the right from its left edge, y up, metres."""
+    """View of a surface from its front: x to the right from the left edge, y up, metres."""
 
     surface: Surface
 
@@ -64,17 +64,17 @@ class View:
         return self.surface.from_left_and_below(np.stack(self.surface.coordinates(points), axis=-1))
 
     def corner(self, right: bool, top: bool) -> FloatArray:
-        """A corner of the surface in the world, `(3,)`."""
+        """Corner of the surface in the world, `(3,)`."""
         width, height = self.surface.extent
         return self.surface.point(*self.surface.from_left_and_below(np.array([width * right, height * top])))
 
 
 def write_plan(path: Path, tags: TagMap, paper: str, north: float | None = None) -> None:
-    """Write `plan.pdf`; tags that stand free in the room are a table at the end.
+    """Write `plan.pdf`; tags that stand free in the room are in a table at the end.
 
     Args:
-        paper: one of `lmd.export.paper.PAPERS`, laid on its side.
-        north: where north is on the floor plan, rad from x towards y; None for no arrow.
+        paper: one of `lmd.export.paper.PAPERS`, in landscape orientation.
+        north: direction of north on the floor plan, rad from x towards y; None for no arrow.
     """
     size = PAPERS[paper][::-1]
     first, pages = ORDER.pages(len(tags.tags_by_surface), size[1]) + 1, {}
@@ -93,7 +93,7 @@ def write_plan(path: Path, tags: TagMap, paper: str, north: float | None = None)
 def _draw_overview(
     canvas: Any, size: tuple[float, float], tags: TagMap, pages: dict[int, int], north: float | None
 ) -> None:
-    """The floor plan with the surfaces in the order of hanging; `pages` holds the page of each surface."""
+    """Draw the floor plan with the surfaces in the order of hanging; `pages` has the page of each surface."""
     rows = [
         [numbers_of(own), shortened(tags.place_of(int(tags.order[own[0]]))), str(len(own)), str(pages[index])]
         for index, own in tags.tags_by_surface.items()
@@ -151,13 +151,13 @@ def _draw_free(canvas: Any, size: tuple[float, float], tags: TagMap, places: Int
 
 
 def _named(tags: TagMap, place: int, k: int) -> list[str]:
-    """The first texts of the row of tag k, which is hung as number `place`: its edge, too, where there are several."""
+    """First texts of the row of tag k, which is hung as number `place`; with its edge if there are several."""
     edge = [f"{MM_PER_M * tags.sizes[k]:.4g}"] if len(tags.by_size) > 1 else []
     return ["", str(place + 1), str(tags.ids[k]), *edge]
 
 
 def _sized(table: Table, tags: TagMap) -> Table:
-    """A table of tags with a column for their edges after the first three, where there are several."""
+    """Table of tags, with a column of edges after the first three columns if there are several edges."""
     if len(tags.by_size) == 1:
         return table
     head = tuple((*line[:3], text, *line[3:]) for line, text in zip(table.head, ("edge,", "mm"), strict=True))
@@ -166,7 +166,9 @@ def _sized(table: Table, tags: TagMap) -> Table:
 
 
 def _draw_outline(canvas: Any, origin: tuple[float, float], tags: TagMap, view: View, scale: int) -> None:
-    """The surface, where on it tags may hang, what is on it, its size, and where its corners are in the world."""
+    """Draw a surface with its allowed regions, the fixtures on it, its size, and the positions of its corners in the
+    world.
+    """
     left, below = origin
     width, height = (MM_PER_M * length / scale for length in view.surface.extent)
     canvas.setFillGray(FORBIDDEN)
@@ -200,7 +202,7 @@ def _draw_outline(canvas: Any, origin: tuple[float, float], tags: TagMap, view: 
 
 
 def _draw_dimension(canvas: Any, x: float, y: float, length: float, text: str) -> None:
-    """A line of this length with its ends marked, its text below the middle."""
+    """Draw a line of a length with marked ends, and a text below its middle."""
     canvas.line(x, y, x + length, y)
     for end in (x, x + length):
         canvas.line(end, y - TICK, end, y + TICK)
@@ -217,9 +219,9 @@ def _draw_tag(
     at: FloatArray,
     papers: FloatArray,
 ) -> None:
-    """Paper and black square, with a triangle that points up and the number, beside it where no other tag hides it.
+    """Draw paper and black square, a triangle that points up, and the number beside the tag, clear of other tags.
 
-    All tags of the surface are `at` `(N, 2)` and have these `papers` `(N,)`, mm.
+    The N tags of the surface are `at` `(N, 2)` and have the `papers` `(N,)`, mm.
     """
     x, y = origin + centre / scale
     plate, edge = (MM_PER_M * length / scale for length in (tags.papers[k], tags.sizes[k]))

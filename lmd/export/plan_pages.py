@@ -1,20 +1,20 @@
-"""The pages of the mounting plan: their titles, and the tables on their right."""
+"""Pages of the mounting plan: titles, and tables on the right."""
 
 import math
 from typing import Any, NamedTuple
 
 from lmd.export.paper import begin_page, write_text
 
-# On the page, all in mm.
+# Lengths on the page, mm.
 MARGIN = 12.0
-HEAD = 18.0  # for the title
-TITLE, TEXT, SMALL = 5.0, 3.0, 2.4  # letters
+HEAD = 18.0  # height for the title
+TITLE, TEXT, SMALL = 5.0, 3.0, 2.4  # sizes of letters
 ROW = 4.8  # height of the rows of tables
-LIGHT = 0.85  # grey of black squares, and of lines below rows
+LIGHT = 0.85  # grey level of tags' squares, and of lines below rows
 
 
 class Table(NamedTuple):
-    """A table on the right of a page: the widths of its columns, mm, the lines of its head, which columns are boxes."""
+    """Table on the right of a page: widths of the columns, mm; lines of the head; columns that are boxes."""
 
     widths: tuple[float, ...]
     head: tuple[tuple[str, ...], ...]
@@ -22,7 +22,7 @@ class Table(NamedTuple):
 
     @property
     def width(self) -> float:
-        """Of all columns, mm."""
+        """Width of all columns, mm."""
         return sum(self.widths)
 
     def fitting(self, height: float) -> int:
@@ -45,7 +45,7 @@ def begin_titled(canvas: Any, size: tuple[float, float], title: str, facts: str)
 def draw_tables(
     canvas: Any, size: tuple[float, float], table: Table, rows: list[list[str]], title: str, facts: str
 ) -> None:
-    """Draw the rows on the right of the page, and those that do not fit on further ones; ends the last."""
+    """Draw the rows on the right of the page, continue on further pages, and end the last page."""
     fitting = table.fitting(size[1])
     for first in range(0, len(rows), fitting):
         if first:

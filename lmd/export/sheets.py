@@ -1,8 +1,9 @@
-"""Print sheets: the tags at their true size, to be cut out, in the order of hanging, the smallest sizes first.
+"""Print sheets: tags at their true size, to be cut out, in the order of hanging, the smallest sizes first.
 
-In the white margin of each tag stand an arrow that points up, its number and the surface it belongs to. A tag that is
-larger than a sheet comes in pieces, with crosses that fall on each other where pieces are put together. A ruler tells
-whether the printer kept the scale. The black modules of a tag are one path, so that no viewer shows seams between them.
+The white margin of each tag has an arrow that points up, the number of the tag and the name of its surface. A tag that
+is larger than a sheet is printed in pieces, with registration crosses that coincide when the pieces are glued. A ruler
+shows if the printer kept the scale. The black modules of a tag are one path, so that no viewer shows seams between
+them.
 """
 
 from collections.abc import Iterable
@@ -19,7 +20,7 @@ from lmd.formats.tag_map import TagMap
 from lmd.geometry.camera import MM_PER_M
 from lmd.scene.tag import Tag
 
-# All in mm.
+# Lengths, mm.
 RULER = 100.0
 CROSS, LINE, HALO = 4.0, 0.2, 0.8  # arm of a registration cross, width of its lines, and of the white around them
 
@@ -70,7 +71,7 @@ def write_sheets(path: Path, tags: TagMap, paper: str) -> None:
 
 
 def _draw_whole(canvas: Any, tags: TagMap, tag: Tag, sheets: Whole, chosen: list[int]) -> None:
-    """A sheet with some tags of one size, row by row from the top."""
+    """Draw a sheet with tags of one size, row by row from the top."""
     plate = MM_PER_M * tag.paper_edge
     begin_page(canvas, *sheets.page)
     xs, ys = set(), set()
@@ -87,7 +88,9 @@ def _draw_whole(canvas: Any, tags: TagMap, tag: Tag, sheets: Whole, chosen: list
 
 
 def _draw_piece(canvas: Any, tags: TagMap, tag: Tag, sheets: Pieces, k: int, row: int, column: int) -> None:
-    """A sheet with a piece of a tag, and the strips to its right and below it that go under the next ones."""
+    """Draw a sheet with a piece of a tag, and the strips at its right and lower sides on which the next pieces are
+    glued.
+    """
     plate, last = MM_PER_M * tag.paper_edge, (sheets.rows - 1, sheets.columns - 1)
     below, beside = STRIP * (row < last[0]), STRIP * (column < last[1])
     left = (sheets.page[0] - sheets.width - beside) / 2.0
@@ -113,9 +116,10 @@ def _draw_piece(canvas: Any, tags: TagMap, tag: Tag, sheets: Pieces, k: int, row
 
 
 def _draw_tag(canvas: Any, tags: TagMap, tag: Tag, k: int, x: float, y: float, inset: float | None = None) -> None:
-    """The tag with the lower left corner of its paper at (x, y), and its label: above it if its margin has no room.
+    """Draw a tag with the lower left corner of its paper at (x, y), and its label, above the tag if the margin is too
+    narrow.
 
-    In the margin it is `inset` from the edges of the paper, if given, else a quarter of its height.
+    In the margin, the label is `inset` from the edges of the paper, if given, else by a quarter of its height.
     """
     number = tags.ids[k]
     plate, edge, module = (MM_PER_M * length for length in (tag.paper_edge, tag.picture_edge, tag.module))
@@ -134,7 +138,7 @@ def _draw_tag(canvas: Any, tags: TagMap, tag: Tag, k: int, x: float, y: float, i
 
 
 def _write_label(canvas: Any, text: str, x: float, top: float, size: float) -> None:
-    """An arrow that points up, and a line of text, below `top`."""
+    """Draw an arrow that points up, and a line of text, below `top`."""
     up_arrow(canvas, x + size / 2.0, top - 0.75 * size, 0.75 * size)
     write_text(canvas, x + 1.5 * size, top - 0.75 * size, text, size=size)
 
@@ -147,9 +151,9 @@ def _draw_cuts(
     ends_x: Iterable[float] = (),
     ends_y: Iterable[float] = (),
 ) -> None:
-    """Marks at both ends of cuts along `xs` and `ys`, outside of them, or on them where the sheet ends.
+    """Draw marks beyond both ends of cuts along `xs` and `ys`, or on the cuts if the sheet ends there.
 
-    The cuts go as far as `ends_x` and `ends_y`, if these are given.
+    The cuts end at `ends_x` and `ends_y`, if these are given.
     """
     away = MARK_GAP + MARK
     left, right = min(ends_x or xs), max(ends_x or xs)
@@ -165,7 +169,7 @@ def _draw_cuts(
 
 
 def _draw_cross(canvas: Any, x: float, y: float) -> None:
-    """A cross that shows on black and on white."""
+    """Draw a cross that is visible on black and on white."""
     canvas.saveState()
     for width, grey in ((HALO, 1.0), (LINE, 0.0)):
         canvas.setLineWidth(width)

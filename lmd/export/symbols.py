@@ -8,16 +8,16 @@ import numpy as np
 from lmd.core.checks import FloatArray
 from lmd.export.paper import LINE, polygon, shortened, width_of, write_on_white, write_text
 
-HATCH = 2.0  # between the lines of furniture, mm
-NAME = 2.4  # letters
+HATCH = 2.0  # distance between the hatch lines of furniture, mm
+NAME = 2.4  # size of letters, mm
 WALL = 0.7  # width of the line of a wall on a floor plan, mm
 
 
 def draw_fixture(canvas: Any, kind: str, ring: FloatArray, name: str = "") -> None:
-    """A fixture as it is seen on a wall: `ring` `(N, 2)` on the page, mm.
+    """Draw a fixture on the view of a wall: `ring` `(N, 2)` on the page, mm.
 
-    A door has its two diagonals to the middle of its right side, a window its cross, furniture is hatched, and what is
-    none of these has its outline.
+    A door has two diagonals to the middle of its right side, a window a cross; furniture is hatched; other fixtures
+    have an outline.
     """
     (left, bottom), (right, top) = ring.min(axis=0).tolist(), ring.max(axis=0).tolist()
     middle = (left + right) / 2.0, (bottom + top) / 2.0
@@ -46,9 +46,9 @@ def _lines(kind: str, left: float, bottom: float, right: float, top: float) -> l
 
 
 def draw_opening(canvas: Any, kind: str, ends: FloatArray) -> None:
-    """A door, a window or what else is in a wall as it is seen from above, between its `ends` `(2, 2)` on the page, mm.
+    """Draw a door, a window or another fixture in a wall, from above, between its `ends` `(2, 2)` on the page, mm.
 
-    A door is a gap in the wall, a window two lines, and what is none of these a broken line.
+    A door is a gap in the wall, a window is two lines, and another fixture is a broken line.
     """
     (x, y), (x_end, y_end) = ends.tolist()
     canvas.saveState()

@@ -8,26 +8,27 @@ import numpy as np
 
 from lmd.core.checks import FloatArray, InputError, real, vector
 
-# A strip is so near to its arc, metres.
+# Largest distance of a strip from its arc, metres.
 NEAR = 0.01
-# An arc ends so near to the ends of its surface as if it were flat, or to those of another, metres.
+# Largest distance of the ends of an arc from the ends of its surface if it were flat, or from ends of other walls,
+# metres.
 JOINED = 0.3
-# Two readings of an arc that end within this of each other are told apart by the room, metres.
+# If the ends for the two signs of angles differ by less than this, metres, the other walls decide between the signs.
 ALIKE = 0.05
-LARGEST_RADIUS = 1000.0  # metres
+LARGEST_RADIUS = 1000.0  # largest radius of an arc, metres; arcs of larger radii are refused
 
 
 @dataclass(frozen=True)
 class Arc:
-    """An arc in the x and z of a surface's own frame, whose y points up.
+    """Arc in the x-z plane of a surface's own frame, whose y axis points up.
 
-    Apple says of `center` that it has "xz center coordinates, in local coordinates", and nothing of the side to which
-    angles grow.
+    Apple documents `center` as "xz center coordinates, in local coordinates"; the side to which angles grow is not
+    documented.
 
     Args:
-        centre: x and z of its middle, metres; None in files of iOS 16, where it lies so that the arc ends at z = 0.
-        radius: metres.
-        start, end: angles from x, rad.
+        centre: x and z of the circle's centre, metres; None in files of iOS 16, whose arcs end at z = 0.
+        radius: radius, metres.
+        start, end: angles of the ends from the x axis, rad.
     """
 
     centre: tuple[float, float] | None
@@ -37,7 +38,7 @@ class Arc:
 
     @classmethod
     def of(cls, keys: Mapping[str, Any], name: str) -> "Arc":
-        """The arc that keys of a file describe.
+        """Arc from the keys of a file.
 
         Raises:
             InputError: a value is missing or wrong.
@@ -55,7 +56,7 @@ class Arc:
     def points(self, side: float) -> FloatArray:
         """Corners `(N, 2)` in x and z of a chain within `NEAR` of the arc, if angles grow towards `side` of z, 1 or -1.
 
-        Its ends are those of the arc. Other corners lie beyond it so far that a sector keeps its area.
+        The chain has the ends of the arc. Its other corners lie outside the arc, such that sectors keep their areas.
         """
         widest = 2.0 * np.arccos(1.0 - min(NEAR / self.radius, 0.5))
         count = int(np.ceil(abs(self.end - self.start) / widest))
@@ -67,18 +68,18 @@ class Arc:
 
 
 def strips(arc: Arc, half: FloatArray, others: Sequence[FloatArray], name: str) -> list[FloatArray]:
-    """The faces `(4, 3)` of a curved surface, in its frame.
+    """Flat faces `(4, 3)` of a curved surface, in the frame of the surface.
 
-    Angles grow to the side for which the arc ends where the surface would if it were flat, or where another one does.
-    Where both would do, as with half a circle, the arc bends away from the others.
+    Angles grow to the side for which the arc ends where the flat surface or another wall ends. If this holds for both
+    sides, as for half a circle, the arc bends away from the other walls.
 
     Args:
         half: half the width and height of the surface, metres.
-        others: the ends `(2, 3)` of the other walls, in its frame.
-        name: of the arc, for messages.
+        others: ends `(2, 3)` of the other walls, in the frame of the surface.
+        name: name of the arc, for messages.
 
     Raises:
-        InputError: the arc ends somewhere else.
+        InputError: for neither side does the arc end at such a place.
     """
     ends = np.array([[-half[0], 0.0], [half[0], 0.0], *np.reshape(others, (-1, 3))[:, [0, 2]]])
     chains = [arc.points(side) for side in (1.0, -1.0)]
@@ -98,7 +99,9 @@ def strips(arc: Arc, half: FloatArray, others: Sequence[FloatArray], name: str) 
 
 
 def _off(chain: FloatArray, ends: FloatArray) -> float:
-    """Distance of the ends of a chain from two of the `ends` `(N, 2)` at different places, of which two are its own."""
+    """Distance of the ends of a chain from two of the `ends` `(N, 2)` at different places; the chain's own ends are
+    among them.
+    """
     away = np.linalg.norm(chain[[0, -1], None] - ends, axis=-1)
     worse = np.maximum(away[0][:, None], away[1])
     apart = np.linalg.norm(ends[:, None] - ends, axis=-1) > JOINED
@@ -107,7 +110,9 @@ def _off(chain: FloatArray, ends: FloatArray) -> float:
 
 
 def _radians(name: str, value: Any) -> float:
-    """A Swift `Measurement<UnitAngle>`: a value and what it takes to degrees, without which it is in degrees."""
+    """Angle, rad, of a Swift `Measurement<UnitAngle>`: a value with the converter to degrees; without a converter it is
+    in degrees.
+    """
     factor = 1.0
     if isinstance(value, Mapping):
         unit = value.get("unit")

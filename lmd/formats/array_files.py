@@ -11,24 +11,25 @@ from lmd.core.checks import InputError
 from lmd.core.files import read_bytes
 from lmd.formats.mat_files import MatFile
 
-# Largest array that is taken, numbers: a calibration also holds images and points; and deepest structure of MATLAB.
+# Largest array that is kept, entries (files of calibrations also hold images and points), and deepest structure of
+# MATLAB.
 LARGEST_ARRAY, DEEPEST = 256, 6
 ZIP, NUMPY, HDF5, MATLAB = b"PK\x03\x04", b"\x93NUMPY", b"\x89HDF", b"MATLAB 5.0"
-HDF5_AT = 512  # MATLAB writes a text before it
+HDF5_AT = 512  # offset of HDF5 in files of MATLAB, after a text, bytes
 PICKLE = (b"\x80\x02", b"\x80\x03", b"\x80\x04", b"\x80\x05")
 SAVEZ = "numpy.savez('lens.npz', mtx=mtx, dist=dist)"
 
 
 def arrays_of(path: Any, name: str, largest: float) -> Mapping[str, Any] | None:
-    """The small arrays of a file by name, as numbers, texts, lists and mappings; None for a file of another kind.
+    """Small arrays of a file by name, as numbers, texts, lists and mappings; None for a file of another kind.
 
     Args:
         path: path of the file.
         name: argument that gave the path, for messages.
-        largest: greatest size of the file, and of what it expands to, bytes.
+        largest: greatest size of the file, and of its expanded content, bytes.
 
     Raises:
-        InputError: the file cannot be read, is too large, holds objects, or is of a kind that is not read.
+        InputError: the file cannot be read, is too large, holds objects, or has a format that is not supported.
     """
     content = read_bytes(path, name, largest)
     start, where = content[:HDF5_AT], f"{name}: {str(path)!r}"
@@ -65,7 +66,7 @@ def _npz(content: bytes, largest: float) -> dict[str, Any]:
         for name in (name.removesuffix(".npy") for name in names):
             try:
                 array = arrays[name]
-            except ValueError as error:  # an object of Python is not loaded
+            except ValueError as error:  # objects of Python are not loaded
                 if "pickle" not in str(error):
                     raise
                 continue

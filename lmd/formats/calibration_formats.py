@@ -1,4 +1,4 @@
-"""The formats of calibrations, in the order in which they are tried."""
+"""Formats of calibrations, in the order in which they are tried."""
 
 import re
 from collections.abc import Callable, Mapping
@@ -44,45 +44,45 @@ from lmd.formats.realsense_calibrations import is_realsense, realsense, realsens
 from lmd.formats.refused_calibrations import KEYS, ROOTS, STEREO, TEXTS
 from lmd.formats.registry import File, Format, anything, begins, has_keys
 
-# ROS's tools print one message after the other.
+# Separator of the messages that ROS's tools print.
 FIRST_MESSAGE = re.compile(r"(?<=\n)---[ \t]*\n(?=header:)")
 
 
 class CalibrationFile(File):
-    """A calibration; its keys may be those of OpenCV's XML."""
+    """File of a calibration; its keys may come from OpenCV's XML."""
 
     @cached_property
     def arrays(self) -> Keys | None:
-        """The keys of a file of arrays; None for a text."""
+        """Keys of a file of arrays; None for a text."""
         return arrays_of(self.path, self.argument, self.largest)
 
     @cached_property
     def text(self) -> str:
-        """The text, of several messages of ROS the first; empty for a file of arrays."""
+        """Text of the file, up to the end of ROS's first message; empty for a file of arrays."""
         return FIRST_MESSAGE.split(super().text)[0] if self.arrays is None else ""
 
     @cached_property
     def root(self) -> Element | None:
-        """The element that holds all others of XML; None for another text."""
+        """Outermost element of XML; None for another text."""
         return xml_of(self.text)
 
     @cached_property
     def keys(self) -> Keys:
-        """The keys of YAML, JSON, OpenCV's XML or arrays; those of a section `Camera` as `Camera.fx`, too.
+        """Keys of YAML, JSON, OpenCV's XML or arrays; keys of a section `Camera` also as `Camera.fx`.
 
         Raises:
-            InputError: the text is neither.
+            InputError: the text is none of these.
         """
         if self.arrays is not None:
             return self.arrays
         keys = super().keys if self.root is None else opencv_xml(self.root)
-        if isinstance(section := keys.get("Camera"), dict):  # stella_vslam's, as OpenVSLAM's with dots
+        if isinstance(section := keys.get("Camera"), dict):  # stella_vslam has a section, OpenVSLAM has keys with dots
             keys = {**keys, **{f"Camera.{name}": value for name, value in section.items()}}
         return keys
 
 
 def _marked(read: Callable[[Keys], Mapping[str, Any]], name: str, *keys: str, row: str = "") -> Format:
-    """A format that is recognised by keys that no other has."""
+    """Format that is recognised by keys that no other format has."""
     return Format("calibration", name, has_keys(*keys), lambda file: read(file.keys), row=row)
 
 
@@ -91,7 +91,7 @@ def _refused(recognises: Callable[[Any], bool], why_not: str | Callable[[Any], s
 
 
 def _has_root(tag: str) -> Callable[[CalibrationFile], bool]:
-    """A test for XML with this element around all others, and without matrices of OpenCV."""
+    """Make a test for XML with the outermost element `tag`, and without matrices of OpenCV."""
     return lambda file: (
         file.root is not None and file.root.tag == tag and file.root.find("*[@type_id='opencv-matrix']") is None
     )

@@ -1,11 +1,10 @@
-"""Calibration files of several ecosystems, restated in the keys of ROS's `camera_info`.
+"""Readers of calibration files of several ecosystems; calibrations are restated in the keys of ROS's `camera_info`.
 
-Which format a file has follows from its content. Sources: `sensor_msgs/CameraInfo`, "YAML formats" of Kalibr, the
+The format of a file follows from its content. Sources: `sensor_msgs/CameraInfo`, "YAML formats" of Kalibr, the
 calibration samples of OpenCV, `CameraCalibrationCoefficients` of PhotonVision, `cameracalibration.cpp` of WPIcal,
 "Cameras" of COLMAP's output format, Basalt's `calibration.hpp`, "lens models" of mrcal, ORB-SLAM3's
 "Calibration_Tutorial", stella_vslam's examples, `calibration.fbs` of frc971, `CameraFactory` of camodocal (VINS),
-`sensor.yaml` of EuRoC.
-Lenses of other models are restated, see `lmd.geometry.central_models`.
+`sensor.yaml` of EuRoC. Lenses of other models are fitted, see `lmd.geometry.central_models`.
 """
 
 import ast
@@ -21,10 +20,11 @@ from lmd.geometry.central_models import GOOD_PIXELS, MODELS, PINHOLE, Model, Res
 from lmd.geometry.lens import EQUIDISTANT
 
 Keys = Mapping[str, Any]
-# Cameras by name, each in the keys of ROS, or a function that returns them or raises an error of this camera only.
+# Cameras by name, each as keys of ROS, or as a function that returns the keys or raises an error about this camera
+# only.
 Cameras = dict[str, Keys | Callable[[], Keys]]
 COLMAP_CAMERA = re.compile(r"^\d+[ \t]+[A-Z_]+[ \t]+\d+[ \t]+\d+[ \t]+\S.*$", re.MULTILINE)
-# What the parameters of a model are, in the order of the file. "f" stands for fx and fy.
+# Parameters of each model in the order of the file; "f" stands for fx and fy.
 COLMAP_MODELS = {
     "SIMPLE_PINHOLE": "f cx cy",
     "PINHOLE": "fx fy cx cy",
@@ -36,7 +36,7 @@ COLMAP_MODELS = {
     "SIMPLE_RADIAL_FISHEYE": "f cx cy k1",
     "RADIAL_FISHEYE": "f cx cy k1 k2",
 }
-# What files call the models of `lmd.geometry.lens`: ROS, Kalibr, EuRoC and OpenCV.
+# Models of `lmd.geometry.lens` by their names in files of ROS, Kalibr, EuRoC and OpenCV.
 LENS_MODELS = {
     "plumb_bob": "plumb_bob",
     "radtan": "plumb_bob",
@@ -48,23 +48,24 @@ LENS_MODELS = {
     "radial-tangential": "plumb_bob",
     "brown_conrady": "plumb_bob",
 }
-# Among the keys of ROS: a sentence on the lens; the diameter of the round image, pixels; a frame and the pose of the
-# camera in it, `(4, 4)`, None if it is not known; true if the reader has taken the lens model that was asked for.
+# Keys in addition to those of ROS: a sentence about the lens; the diameter of the image circle, pixels; a frame and the
+# pose `(4, 4)` of the camera in this frame, None if unknown; True if the reader has used the lens model that the user
+# named.
 NOTE, CIRCLE, POSE, ANSWERED = "(note)", "(image circle)", "(pose)", "(answered)"
 MRCAL = re.compile(r"\s*(#[^\n]*\n\s*)*\{\s*['\"]lensmodel['\"]\s*:")  # the first key
 MRCAL_LENSES = {"PINHOLE": 0, "OPENCV4": 4, "OPENCV5": 5, "OPENCV8": 8, "OPENCV12": 12}
 BROWN_CONRADY = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
 FISHEYE_COEFFICIENTS = ("k1", "k2", "k3", "k4")
-# Of camodocal's fisheye, by the names of the same parameters here.
+# Names of the parameters of camodocal's fisheye, by their usual names.
 CAMODOCAL_FISHEYE = {"fx": "mu", "fy": "mv", "cx": "u0", "cy": "v0", "k1": "k2", "k2": "k3", "k3": "k4", "k4": "k5"}
 CAMODOCAL_UNIFIED = {"fx": "gamma1", "fy": "gamma2", "cx": "u0", "cy": "v0"}
 KALIBR_CAMERA = re.compile(r"cam\d+")
-LONGEST = 64  # entries of a list or mapping that are searched for cameras
-LARGEST_LITERAL = 1 << 20  # characters; a literal of Python takes more memory than JSON
+LONGEST = 64  # greatest length of a list or mapping that is searched for cameras
+LARGEST_LITERAL = 1 << 20  # greatest length of a Python literal, characters; it takes more memory than JSON
 
 
 def ros_keys(size: Any, matrix: Any, lens: Any, model: str | None = "plumb_bob") -> Keys:
-    """The keys of ROS; `size` and `model` are None where the file does not say; `matrix` has nine numbers."""
+    """Keys of ROS for a camera; `size` and `model` are None if the file has none; `matrix` has nine numbers."""
     matrix, lens = (flat(values) if isinstance(values, list) else values for values in (matrix, lens))
     keys = {"camera_matrix": {"data": matrix}, "distortion_coefficients": {"data": lens}}
     named = zip(("image_width", "image_height", "distortion_model"), (*size, model), strict=True)
@@ -72,7 +73,7 @@ def ros_keys(size: Any, matrix: Any, lens: Any, model: str | None = "plumb_bob")
 
 
 def section(keys: Any, name: str) -> Keys:
-    """The keys within a key, or an `InputError`."""
+    """Mapping below the key `name`; raises `InputError` if there is none."""
     if not isinstance(keys, Mapping) or name not in keys:
         raise InputError(f"the key {name} is missing.")
     if not isinstance(section := keys[name], Mapping):
@@ -81,14 +82,14 @@ def section(keys: Any, name: str) -> Keys:
 
 
 def entries(keys: Any, name: str) -> list[Any]:
-    """The list of a key, or an `InputError`."""
+    """List below the key `name`; raises `InputError` if there is none."""
     if not isinstance(keys, Mapping) or not isinstance(values := keys.get(name), list):
         raise InputError(f"the key {name} must be a list.")
     return values
 
 
 def camera_of_chain(prefix: str, camera: Any, lens: str = "distortion_coeffs") -> Keys:
-    """One camera of a chain; the prefix is for messages. A resolution of None is not known."""
+    """Keys of ROS for one camera of a chain. `prefix` is for messages; a resolution of None means unknown."""
 
     def entry(key: str) -> Any:
         if not isinstance(camera, Mapping) or key not in camera:
@@ -116,12 +117,12 @@ def camera_of_chain(prefix: str, camera: Any, lens: str = "distortion_coeffs") -
 
 
 def euroc(keys: Keys) -> dict[str, Keys]:
-    """The camera of EuRoC's `sensor.yaml`."""
+    """Camera of EuRoC's `sensor.yaml`."""
     return {"": camera_of_chain("", keys, "distortion_coefficients")}
 
 
 def okvis(keys: Keys) -> dict[str, Keys]:
-    """The cameras of OKVIS and OKVIS2."""
+    """Cameras of OKVIS and OKVIS2."""
     cameras = {}
     for index, camera in enumerate(entries(keys, "cameras")):
         if not isinstance(camera, Mapping):
@@ -135,7 +136,7 @@ def okvis(keys: Keys) -> dict[str, Keys]:
 
 
 def camodocal(keys: Keys) -> dict[str, Keys]:
-    """The settings of VINS, whose fisheye is Kannala-Brandt's with other names."""
+    """Camera in the settings of VINS, whose fisheye is the Kannala-Brandt model with other names."""
     known = {"PINHOLE": {}, "KANNALA_BRANDT": CAMODOCAL_FISHEYE, "MEI": CAMODOCAL_UNIFIED}
     model, size = known_lens(keys["model_type"], known), (keys["image_width"], keys["image_height"])
     values: dict[str, Any] = {}
@@ -146,7 +147,7 @@ def camodocal(keys: Keys) -> dict[str, Keys]:
 
 
 def named(size: Any, values: Keys, fisheye: bool) -> Keys:
-    """The keys of ROS from parameters by name: fx, fy, cx, cy, k1, ..."""
+    """Keys of ROS from parameters by name: fx, fy, cx, cy, k1, ..."""
     lens = [values.get(name, 0.0) for name in (FISHEYE_COEFFICIENTS if fisheye else BROWN_CONRADY)]
     return ros_keys(size, _matrix(values), lens, EQUIDISTANT if fisheye else "plumb_bob")
 
@@ -156,12 +157,12 @@ def _matrix(values: Keys) -> list[float]:
 
 
 def central(size: Any, values: Keys, model: str) -> Keys:
-    """The keys of ROS from the parameters of a model that is restated, by name: fx, fy, cx, cy, xi, ..., k1, ..."""
+    """Keys of ROS for a lens fitted to a model with parameters by name: fx, fy, cx, cy, xi, ..., k1, ..."""
     return _noted(restated(model, values, size), size, f"of the model {model}")
 
 
 def fitted(model: Model, focal: Any, centre: Any, size: Any, name: str, guess: Sequence[float]) -> Keys:
-    """The keys of ROS from a model that is restated, see `nearest_lens`; the name is for a note."""
+    """Keys of ROS for a lens fitted to a model, see `nearest_lens`; `name` is for a note."""
     return _noted(nearest_lens(model, focal, centre, size, guess), size, name)
 
 
@@ -173,7 +174,9 @@ def _noted(lens: Restated, size: Any, name: str) -> Keys:
 
 
 def within(keys: Any, wanted: Any, name: str = "", depth: int = 4) -> Iterable[tuple[str, Keys]]:
-    """The mappings within keys that are wanted, by the keys above them with `/` between; not those in long lists."""
+    """Mappings within `keys` that are `wanted`, by the path of keys above them with `/` between; long lists are not
+    searched.
+    """
     if isinstance(keys, Mapping) and wanted(keys):
         yield name, keys
     elif depth and isinstance(keys, Mapping | list) and len(keys) <= LONGEST:
@@ -183,21 +186,21 @@ def within(keys: Any, wanted: Any, name: str = "", depth: int = 4) -> Iterable[t
 
 
 def matrix_of(name: str, values: Any) -> tuple[float, ...]:
-    """The nine numbers of a matrix, which may be a list of rows."""
+    """Nine numbers of a matrix, which may be a list of rows."""
     return vector(name, flat(values) if isinstance(values, list) else values, 9)
 
 
 def row_by_row(name: str, values: Any) -> tuple[float, ...]:
-    """The matrix of a camera row by row, from its nine numbers by rows or by columns; the last row is 0, 0, 1."""
+    """Camera matrix row by row, from nine numbers by rows or by columns; the last row must be 0, 0, 1."""
     matrix = matrix_of(name, values)
     return tuple(matrix[3 * (i % 3) + i // 3] for i in range(9)) if matrix[6] or matrix[7] else matrix
 
 
 def known_lens(model: Any, known: Iterable[str]) -> str:
-    """The name of a lens model if it is one of those known.
+    """Return the name of a lens model if it is `known`.
 
     Raises:
-        InputError: it is not.
+        InputError: the model is not known.
     """
     if model not in (names := tuple(known)):
         raise InputError(
@@ -209,7 +212,7 @@ def known_lens(model: Any, known: Iterable[str]) -> str:
 
 
 def colmap(rows: list[str]) -> dict[str, Keys]:
-    """The cameras of COLMAP's `cameras.txt`, a row for each."""
+    """Cameras of COLMAP's `cameras.txt`, with a row for each camera."""
     cameras = {}
     for row in rows:
         name, model, width, height, *parameters = row.split()
@@ -224,12 +227,12 @@ def colmap(rows: list[str]) -> dict[str, Keys]:
 
 
 def mrcal(text: str) -> Keys:
-    """The camera of mrcal's `cameramodel`, a literal of Python."""
+    """Camera of mrcal's `cameramodel`, a Python literal."""
     if len(text) > LARGEST_LITERAL:
         raise InputError(f"a cameramodel has at most {LARGEST_LITERAL} characters, it has {len(text)}.")
     try:
         keys = ast.literal_eval(text.strip())
-    except Exception as error:  # the parser of Python raises many kinds for a broken file
+    except Exception as error:  # Python's parser raises errors of many kinds for a broken file
         reason = " ".join(str(error).partition(": <ast.")[0].split())  # without the address of a node in memory
         raise InputError(f"it is no cameramodel of mrcal ({reason or type(error).__name__}).") from None
     size = MRCAL_LENSES[known_lens(str(keys["lensmodel"]).removeprefix("LENSMODEL_"), MRCAL_LENSES)]
@@ -238,26 +241,26 @@ def mrcal(text: str) -> Keys:
 
 
 def message(keys: Keys) -> dict[str, Keys]:
-    """The camera of ROS's message."""
+    """Camera of a ROS message."""
     matrix, lens = (keys[name] if name in keys else keys[name.lower()] for name in "KD")
     model = model_of({key.lower(): value for key, value in keys.items()}, {"data": lens})
     return {"": ros_keys((keys["width"], keys["height"]), matrix, lens, model)}
 
 
 def photonvision(keys: Keys) -> dict[str, Keys]:
-    """The camera of PhotonVision and WPIcal."""
+    """Camera of PhotonVision and WPIcal."""
     size, matrix, lens = (section(keys, name) for name in ("resolution", "cameraIntrinsics", "distCoeffs"))
     return {"": ros_keys((size["width"], size["height"]), matrix["data"], lens["data"])}
 
 
 def frc971(keys: Keys) -> dict[str, Keys]:
-    """The camera of frc971."""
-    size = keys.get("image_width"), keys.get("image_height")  # which it does not say
+    """Camera of frc971."""
+    size = keys.get("image_width"), keys.get("image_height")  # the file of frc971 has no size
     return {"": ros_keys(size, keys["intrinsics"], keys["dist_coeffs"], keys.get("distortion_model"))}
 
 
 def basalt(keys: Keys) -> dict[str, Keys]:
-    """The cameras of Basalt."""
+    """Cameras of Basalt."""
     known = {"pinhole": False, "pinhole-radtan8": False, "kb4": True, "ds": None, "eucm": None}
     cameras = {}
     inner = section(keys, "value0")
@@ -271,7 +274,9 @@ def basalt(keys: Keys) -> dict[str, Keys]:
 
 
 def orb_slam(keys: Keys) -> dict[str, Keys]:
-    """The first camera; that of ORB-SLAM2 has no type, and often no size. Of rectified images nothing is distorted."""
+    """First camera of ORB-SLAM3 or ORB-SLAM2. ORB-SLAM2 has no type, and often no size. Rectified images have no
+    distortion.
+    """
     known = {"PinHole": False, "KannalaBrandt8": True, "Rectified": False}
     fisheye = known[known_lens(keys.get("Camera.type", "PinHole"), known)]
     values = {key.split(".", 1)[1]: value for key, value in keys.items() if re.match(r"Camera1?\.", key)}
@@ -279,7 +284,7 @@ def orb_slam(keys: Keys) -> dict[str, Keys]:
 
 
 def stella_vslam(keys: Keys) -> dict[str, Keys]:
-    """As OpenVSLAM's."""
+    """Camera of stella_vslam or OpenVSLAM."""
     known = {"perspective": False, "fisheye": True}
     fisheye = known[known_lens(keys["Camera.model"], known)]
     values = {key.removeprefix("Camera."): value for key, value in keys.items()}
@@ -287,6 +292,6 @@ def stella_vslam(keys: Keys) -> dict[str, Keys]:
 
 
 def kalibr(keys: Keys, only: str | None) -> dict[str, Keys]:
-    """The cameras of Kalibr's chain, or the one that is asked for."""
+    """Cameras of Kalibr's chain, or only the camera `only`."""
     chain = {name: keys[name] for name in keys if KALIBR_CAMERA.fullmatch(name)}
     return {name: camera_of_chain(f"{name}.", chain[name]) for name in ([only] if only in chain else chain)}

@@ -1,7 +1,7 @@
 """Cameras from calibration files, see `lmd.formats.calibration_formats`.
 
-All of them count pixels from the centre of the first one. `lmd` counts from the image's border, 0.5 more: of what they
-say only the principal point changes.
+All readers give pixels that count from the centre of the first pixel. `lmd` counts from the image's border, which adds
+0.5 to the principal point; no other value changes.
 """
 
 import math
@@ -18,10 +18,10 @@ from lmd.geometry.camera import PIXEL_CENTRE, Camera
 from lmd.geometry.lens import lens_of
 
 SIZE = ("image_width", "image_height")
-UNCLEAR = 4  # coefficients, which a pinhole may have and a fisheye
-SHORTEST = 0.05  # a focal length that is a smaller share of the image's size is that of no lens
-LARGEST = 1 << 25  # bytes of a file: some hold every point that was seen, or the images
-OPTICS = ("focal_length", "aperture", "focus_distance", "image_circle")  # what no calibration says
+UNCLEAR = 4  # number of coefficients that both a pinhole and a fisheye may have
+SHORTEST = 0.05  # least focal length, as a share of the image's size; shorter ones are refused
+LARGEST = 1 << 25  # greatest size of a file, bytes: some files hold every detected point, or the images
+OPTICS = ("focal_length", "aperture", "focus_distance", "image_circle")  # settings that are in no calibration file
 
 
 @dataclass(frozen=True)
@@ -32,12 +32,12 @@ class Calibration:
         image_width, image_height: w and h.
         focal_pixels: (f / s_u, f / s_v).
         principal_point: (c_x, c_y), from the centre of the first pixel, as OpenCV counts.
-        distortion, distortion_model: of the lens, see `lmd.geometry.lens.Lens`.
-        image_circle: diameter of the round image, pixels; infinite if the file does not say it.
+        distortion, distortion_model: coefficients and model of the lens, see `lmd.geometry.lens.Lens`.
+        image_circle: diameter of the image circle, pixels; infinite if the file has none.
         note: remark for the user on the origin of the values.
 
     Raises:
-        InputError: a value is out of range, or the lens is none of these.
+        InputError: a value is out of range, or the lens model is unknown.
     """
 
     image_width: int
@@ -63,18 +63,18 @@ class Calibration:
         lens = lens_of(self.distortion_model, self.distortion)
         object.__setattr__(self, "distortion", () if lens is None else lens.coefficients)
         if lens is None:
-            object.__setattr__(self, "image_circle", math.inf)  # the image of a pinhole has no end
+            object.__setattr__(self, "image_circle", math.inf)  # a pinhole has no image circle
 
     def camera(self, focal_length: float | None = None, aperture: float | None = None, **lens: float) -> Camera:
-        """The camera; without an aperture a pinhole, whose images are sharp at any depth.
+        """Camera with this calibration; without an aperture a pinhole, whose images are sharp at any depth.
 
         Args:
-            focal_length: f, mm; says how large a pixel is, which only the focus depends on.
+            focal_length: f, mm; determines the size of a pixel, which matters only for the focus.
             aperture: effective diameter d_a, mm.
             lens: `focus_distance` and `image_circle`, see `Camera`.
 
         Raises:
-            InputError: an aperture or a focus distance comes without what it needs, or `Camera` refuses a value.
+            InputError: an aperture or a focus distance lacks a setting that it needs, or `Camera` refuses a value.
         """
         if aperture is not None and focal_length is None:
             raise InputError("focal_length must be given, in mm, where an aperture is.", "focal_length")
@@ -110,14 +110,14 @@ def calibrated_camera(
     focus_distance: float = Camera.focus_distance,
     image_circle: float = Camera.image_circle,
 ) -> Camera:
-    """The camera of a calibration file.
+    """Camera of a calibration file.
 
     Args:
         path, name, image_size, distortion_model: see `read_calibration`.
         focal_length, aperture, focus_distance, image_circle: see `Calibration.camera`.
 
     Raises:
-        InputError: see there.
+        InputError: see `read_calibration` and `Calibration.camera`.
     """
     calibration = read_calibration(path, name, image_size, distortion_model)
     with said_of(path, known=OPTICS):
@@ -133,15 +133,15 @@ def read_calibration(
     """Read a file of one of the formats of `lmd.formats.calibration_formats`.
 
     Args:
-        name: the camera in a file with several, such as `cam1` of Kalibr; not needed where there is only one. Of names
-            such as `color/1280x720` the part before `/` is enough with `image_size`.
-        image_size: width and height, pixels; needed where the file has none.
-        distortion_model: of the lens, where the file names none, as OpenCV's scripts do: `fisheye` for its fisheye;
-            needed where there are four coefficients, and for RealSense's "inverse Brown Conrady".
+        name: name of the camera in a file with several cameras, such as `cam1` of Kalibr; not needed if there is only
+            one. For names such as `color/1280x720` the part before `/` suffices with `image_size`.
+        image_size: width and height, pixels; needed if the file has none.
+        distortion_model: model of the lens if the file names none, by OpenCV's names: `fisheye` for its fisheye; needed
+            for four coefficients, and for RealSense's "inverse Brown Conrady".
 
     Raises:
-        InputError: the file cannot be read, a key is missing or wrong, the size or the model is another than that of
-            the file, or the lens is of a model that is not known.
+        InputError: the file cannot be read, a key is missing or wrong, the size or the model contradicts the file, or
+            the lens model is unknown.
     """
     if path is None:
         raise InputError("path is missing: a calibration file is needed.", "path")
@@ -157,7 +157,7 @@ def read_calibration(
 
 
 def _chosen(path: str, names: list[str], name: str | None, size: tuple[float, ...] | None) -> str:
-    """The camera that is asked for: by its name, or by the part before `/` and the size, which ends some names."""
+    """Choose the camera with a name, or with the part of the name before `/` and the size at its end."""
     if not names:
         raise InputError(f"path: {path} has no camera in its list.", "path")
     cameras = [key for key in names if key]
@@ -176,15 +176,15 @@ def _chosen(path: str, names: list[str], name: str | None, size: tuple[float, ..
 def read_cameras(
     path: Any, only: str | None = None, image_size: Any = None, distortion_model: str | None = None
 ) -> Cameras:
-    """Read the cameras of a file by name, each in the keys of ROS; one without a name is called "".
+    """Read the cameras of a file by name, each as keys of ROS; a camera without a name has the name "".
 
     Args:
-        path: the file, at most `LARGEST` bytes.
-        only: the camera of a chain that is asked for: the lenses of others may be of any model.
+        path: path of the file, at most `LARGEST` bytes.
+        only: name of the only camera of a chain that is read; other cameras may have unknown lens models.
         image_size, distortion_model: see `read_calibration`.
 
     Raises:
-        InputError: the file cannot be read, a key is missing, or the lens is of a model that is not known here.
+        InputError: the file cannot be read, a key is missing, or the lens model is unknown.
     """
     asked = {"name": only, "image_size": image_size, "distortion_model": distortion_model}
     with _damaged(path):
@@ -193,7 +193,7 @@ def read_cameras(
 
 
 def keys_of(path: Any, camera: Mapping[str, Any] | Callable[[], Mapping[str, Any]]) -> Mapping[str, Any]:
-    """The keys of ROS of a camera of `read_cameras`; the path is for messages."""
+    """Keys of ROS of a camera from `read_cameras`; `path` is for messages."""
     if isinstance(camera, Mapping):
         return camera
     with _damaged(path):
@@ -202,7 +202,7 @@ def keys_of(path: Any, camera: Mapping[str, Any] | Callable[[], Mapping[str, Any
 
 @contextmanager
 def _damaged(path: Any) -> Iterator[None]:
-    """Errors of readers as sentences that name the file."""
+    """Context in which errors of readers become sentences that name the file."""
     try:
         yield
     except InputError as error:
@@ -217,7 +217,7 @@ def _damaged(path: Any) -> Iterator[None]:
 
 
 def _calibration(path: str, keys: Mapping[str, Any], size: tuple[float, ...] | None, asked: str | None) -> Calibration:
-    """From the keys of ROS; of those who use them, only ROS names the model. The path is for messages."""
+    """Calibration from keys of ROS; `asked` is the lens model that the user named, `path` is for messages."""
     matrix = vector("camera_matrix.data", _entry(keys, "camera_matrix", "data"), 9)
     focal_u, skew, centre_u, below, focal_v, centre_v, *last = matrix
     if (skew, below, *last) != (0.0, 0.0, 0.0, 0.0, 1.0):
@@ -227,7 +227,7 @@ def _calibration(path: str, keys: Mapping[str, Any], size: tuple[float, ...] | N
     if width is None or height is None:
         raise InputError(f"{' or '.join(SIZE)} is missing: give image_size, [width, height] in pixels.")
     asked = None if keys.get(ANSWERED) else asked
-    name = keys.get("distortion_model") or asked  # drivers leave it empty
+    name = keys.get("distortion_model") or asked  # drivers leave the model empty
     if name is None and len(lens) == UNCLEAR and any(lens):
         raise InputError(
             f"distortion_model must be given: {path} names no model, and its 4 coefficients may be those of "
@@ -243,10 +243,10 @@ def _calibration(path: str, keys: Mapping[str, Any], size: tuple[float, ...] | N
 
 
 def _entry(keys: Any, *path: str) -> Any:
-    """The value of a key within keys.
+    """Value at a path of nested keys.
 
     Raises:
-        InputError: there is none.
+        InputError: there is no such key.
     """
     for depth, key in enumerate(path):
         if not isinstance(keys, Mapping) or key not in keys:
@@ -256,5 +256,5 @@ def _entry(keys: Any, *path: str) -> Any:
 
 
 def _numbers(name: str, value: Any) -> tuple[float, ...]:
-    """A list of numbers of any length."""
+    """List of numbers of any length."""
     return vector(name, value, len(value) if isinstance(value, list) else 5)

@@ -1,7 +1,7 @@
-"""Rooms as headsets and phones capture them: rectangles, polygons and boxes with what they are.
+"""Rooms as headsets and phones capture them: rectangles, polygons and boxes with their kinds.
 
 Sources: the scenes of Meta's Immersive Web Emulation Runtime (`spatialEntities`), the scenes that `MRUK` saves in Unity
-(`Rooms`, `Anchors`), `CapturedRoom` of Apple's RoomPlan. All of them have y up, and metres.
+(`Rooms`, `Anchors`), `CapturedRoom` of Apple's RoomPlan. All these formats have y up, and metres.
 """
 
 from collections import Counter
@@ -19,30 +19,30 @@ if TYPE_CHECKING:
     import shapely
 
 Keys = Mapping[str, Any]
-Thing = tuple[str, list[FloatArray]]  # of a room: its kind, and its faces
-JOINED = 0.15  # metres between the ends of walls that meet
-LEAST_SHARE = 0.5  # of what all things extend over that walls must enclose
+Thing = tuple[str, list[FloatArray]]  # object of a room: its kind, and its faces
+JOINED = 0.15  # largest distance between the ends of walls that meet, metres
+LEAST_SHARE = 0.5  # least share of the extent of all objects that walls must enclose
 HULL = "it has no floor, and its walls do not close: the floor is the convex hull of all that was captured"
-# Nothing hangs there, and they lie on a wall: its own triangles are enough.
+# Objects that lie on a wall and exclude landmarks; they add no triangles to the wall's.
 ON_WALLS = ("door", "door_frame", "window", "window_frame", "opening", "wall_art")
-# No thing, or the same once more.
+# Kinds that are no objects, or that repeat other objects.
 LEFT_OUT = ("global_mesh", "invisible_wall_face", "inner_wall_face")
 CURVED = "curved walls are made of flat strips, within 1 cm; those that may bend either way bend away from the room"
-# How far a matrix of a file may be from a rotation: files have few digits.
+# Largest deviation of a matrix in a file from a rotation, as files have few digits.
 ROTATION_TOLERANCE = 1e-2
-# The faces of a box by its corners, of which the bits are x, y and z.
+# Corners of each face of a box; the bits of the index of a corner are x, y and z.
 BOX = np.array([[0, 4, 6, 2], [1, 3, 7, 5], [0, 1, 5, 4], [2, 6, 7, 3], [0, 2, 3, 1], [4, 5, 7, 6]])
 
 
 class Part(NamedTuple):
-    """A thing of a room: its flat faces, `(N, 3)` corners each, in the frame of the file."""
+    """Object of a room: flat faces with `(N, 3)` corners each, in the frame of the file."""
 
     name: str
     faces: tuple[FloatArray, ...]
 
 
 class Captured(NamedTuple):
-    """The things of a room, and what lies on its walls where nothing hangs."""
+    """Objects of a room, and objects on its walls that exclude landmarks."""
 
     parts: tuple[Part, ...]
     on_walls: tuple[Part, ...]
@@ -50,10 +50,10 @@ class Captured(NamedTuple):
 
 
 def captured_by(reader: Callable[[Keys], Iterator[Thing]], keys: Keys) -> Captured:
-    """The room in the keys and values of a file.
+    """Room in the keys and values of a file.
 
     Args:
-        reader: gives the things of the room: what each is, and its faces.
+        reader: function that returns the objects of the room with their kinds and faces.
 
     Raises:
         InputError: there are several rooms, or a value is wrong.
@@ -111,7 +111,9 @@ def _xyz(keys: Keys, names: str = "xyz") -> list[Any]:
 
 
 def webxr(keys: Keys) -> Iterator[Thing]:
-    """By quaternions, boxes and rectangles by a corner and an extent; these lie in x and z."""
+    """Objects of a WebXR scene: poses by quaternions; boxes and rectangles, which lie in x and z, by a corner and an
+    extent.
+    """
     from scipy.spatial.transform import Rotation
 
     for thing in keys["spatialEntities"]:
@@ -134,7 +136,9 @@ def webxr(keys: Keys) -> Iterator[Thing]:
 
 
 def mruk(keys: Keys) -> Iterator[Thing]:
-    """The pieces of a scene of Unity, whose frame is left-handed (z ahead); degrees about y, then x, then z."""
+    """Objects of a scene of Unity, whose frame is left-handed (z ahead); rotations are in degrees about y, then x, then
+    z.
+    """
     from scipy.spatial.transform import Rotation
 
     system, rooms = keys.get("CoordinateSystem"), keys["Rooms"]
@@ -164,7 +168,9 @@ def mruk(keys: Keys) -> Iterator[Thing]:
 
 
 def roomplan(keys: Keys) -> Iterator[Thing]:
-    """Poses column by column, surfaces in their plane z = 0 or along an arc, boxes around their middle."""
+    """Objects of RoomPlan: poses are column by column, surfaces lie in their plane z = 0 or along an arc, boxes are
+    centred.
+    """
     ends = [
         _placed(pose, [half * [[-1.0, 0.0, 0.0], [1.0, 0.0, 0.0]]])[0] for _, pose, half in _surfaces(keys, "walls")
     ]
@@ -185,7 +191,7 @@ def roomplan(keys: Keys) -> Iterator[Thing]:
 
 
 def _surfaces(keys: Keys, kind: str) -> Iterator[tuple[Keys, FloatArray, FloatArray]]:
-    """The things of a kind in a file of RoomPlan's, with the pose and half the size `(3,)` of each."""
+    """Objects of a kind in a file of RoomPlan, with the pose and half the size `(3,)` of each."""
     for i, thing in enumerate(keys.get(kind) or ()):
         pose = np.array(vector("transform", flat(thing["transform"]), 16)).reshape(4, 4).T
         turn = pose[:3, :3]
@@ -195,15 +201,15 @@ def _surfaces(keys: Keys, kind: str) -> Iterator[tuple[Keys, FloatArray, FloatAr
 
 
 def floor_below(faces: Sequence[tuple[str, FloatArray]]) -> tuple[FloatArray, bool]:
-    """The outline `(N, 3)` of a floor below faces `(n, 3)`, which have y up, and whether walls enclose it.
+    """Outline `(N, 3)` of a floor below faces `(n, 3)`, y up; and True if walls enclose it.
 
-    Walls that do not close leave the convex hull of all faces.
+    If walls do not close, the outline is the convex hull of all faces.
 
     Args:
-        faces: with the names of what they are of.
+        faces: faces with the kinds of their objects.
 
     Raises:
-        InputError: there is nothing that extends over an area.
+        InputError: no face extends over an area.
     """
     import shapely
 
@@ -222,21 +228,21 @@ def floor_below(faces: Sequence[tuple[str, FloatArray]]) -> tuple[FloatArray, bo
 
 
 def _ends(face: FloatArray) -> FloatArray:
-    """The ends of a wall as it is seen from above, `(2, 2)`: its two corners that are farthest apart there."""
+    """Ends of a wall seen from above, `(2, 2)`: the two corners that are farthest apart."""
     flat = face[:, [0, 2]]
     away = np.linalg.norm(flat[:, None] - flat, axis=-1)
     return np.asarray(flat[list(np.unravel_index(np.argmax(away), away.shape))])
 
 
 def _enclosed(ends: FloatArray) -> "shapely.Polygon | None":
-    """The largest polygon that walls with these ends, two of each `(2 n, 2)`, enclose; None for none."""
+    """Largest polygon that n walls with `ends` `(2 n, 2)` enclose; None if they enclose none."""
     import shapely
 
     if not len(ends):
         return None
     joined = np.linalg.norm(ends[:, None] - ends, axis=-1) < JOINED
     middles = (joined[..., None] * ends).sum(axis=1) / joined.sum(axis=1)[:, None]
-    first = np.argmax(joined, axis=1)  # each end stands for those that meet there
+    first = np.argmax(joined, axis=1)  # ends that meet get the index of the first of them
     lines = shapely.linestrings(middles[first].reshape(-1, 2, 2))
     areas = shapely.get_parts(shapely.polygonize(shapely.get_parts(shapely.union_all(lines))))
     return max(areas, key=lambda polygon: polygon.area, default=None)

@@ -15,15 +15,15 @@ from lmd.space.space import Space
 
 @dataclass(frozen=True)
 class FileDeployment(ExistingDeployment):
-    """A deployment from a CSV written by `Deployment.to_csv` or by anyone, or from a tag map.
+    """Deployment from a CSV, written by `Deployment.to_csv` or by another program, or from a tag map.
 
     Args:
-        path: the file, see `lmd.formats.tag_maps.read_deployment`.
+        path: path of the file, see `lmd.formats.tag_maps.read_deployment`.
         count: K; if given, the file must have that many rows.
-        free: whether landmarks are taken as they are: they may stand free in the room or outside, face into the surface
-            they hang on or hang where none may, and papers may overlap.
-        family: of the tags, in place of that of the tag that hangs there.
-        axes: where x, y and z of the frame of a tag point in a table, see `lmd.formats.placed_tag.axes_of`.
+        free: True if the placement is not checked: landmarks may be on no surface, outside the room or the allowed
+            regions, or face into their surface, and papers may overlap.
+        family: family of the tags, instead of the family of the scene's tag.
+        axes: directions of x, y and z of a tag's frame in a table, see `lmd.formats.placed_tag.axes_of`.
 
     Raises:
         InputError: `free` is neither true nor false, or the axes are no frame.

@@ -1,4 +1,4 @@
-"""Files of detections by other programs: the formats, and the list of the images that were taken."""
+"""Files of detections by other programs: formats, and lists of the images that were taken."""
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
@@ -23,8 +23,8 @@ from lmd.formats.detections import DetectedTags, signed_area
 from lmd.formats.registry import File, Format, anything, read
 from lmd.geometry.camera import PIXEL_CENTRE
 
-NAME, IMAGES = "detections", "images"  # arguments that paths come from
-# In OpenCV's pixels, clockwise from the top left of the tag as it was made.
+NAME, IMAGES = "detections", "images"  # names of the arguments with paths
+# Columns of the corners, OpenCV's pixels, clockwise from the top left of the tag's picture.
 CORNER_COLUMNS = tuple(f"{axis}{corner}" for corner in range(4) for axis in "xy")
 TIMES, CAMERAS = ("time", "stamp", "timestamp", "image"), ("camera", "topic", "cam", "camera_id")
 READ = (
@@ -33,21 +33,22 @@ READ = (
     "OpenCV's pixels"
 )
 FROM_APRILTAG = [3, 2, 1, 0]
-# Columns of a header that has others are named if it lacks so few; else the header is shown, characters at most.
+# A message names missing columns if they are at most `MOST_LACKING`; otherwise it shows `SHOWN` characters of the
+# header.
 MOST_LACKING, SHOWN = 4, 80
-# A quadrilateral smaller than this, square pixels, has no corners to speak of.
+# Least area of a quadrilateral, square pixels; smaller ones are left out.
 LEAST_AREA = 1.0
 
 
 class DetectionsFile(File):
-    """A file of detections; its first line may name columns."""
+    """File of detections, whose first line may name columns."""
 
     @cached_property
     def documents(self) -> list[Any] | None:
-        """The values of JSON, of the whole text or of its lines; None for another text.
+        """Values of JSON, of the whole text or of each line; None for another text.
 
         Raises:
-            InputError: it begins as JSON, and is broken.
+            InputError: the text begins like JSON, but is broken.
         """
         try:
             return documents_of(self.text)
@@ -57,30 +58,30 @@ class DetectionsFile(File):
 
     @cached_property
     def header(self) -> list[str]:
-        """The columns that the first line names."""
+        """Columns that the first line names."""
         return [column.strip().strip('"') for column in self.first.split(",")]
 
     @cached_property
     def lacks(self) -> list[str]:
-        """The columns that the header lacks."""
+        """Columns that the header lacks."""
         lacks = [column for column in ("id", *CORNER_COLUMNS) if column not in self.header]
         return [" or ".join(TIMES)] * (not set(TIMES) & set(self.header)) + lacks
 
     def refused(self, reason: str) -> InputError:
-        """The error about a file that is no table of detections, with what is read."""
+        """Error about a file that is no table of detections; the message lists the supported formats."""
         return InputError(f"{self.argument}: {str(self.path)!r} {reason}; {READ}.", self.argument)
 
 
 def read_detections(path: Any) -> DetectedTags:
-    """Read JSON of `lmd.formats.detection_readers`, or `id,x0,y0,...,x3,y3` with `time`.
+    """Read JSON of `lmd.formats.detection_readers`, or a table with the columns `time,id,x0,y0,...,x3,y3`.
 
     The corners of a table are clockwise from the top left in OpenCV's pixels.
 
-    The time may be called `stamp` or `image`, and be any text, such as the name of a photograph.
+    The column of the time may have the name `stamp` or `image`, and hold any text, such as the name of a photograph.
 
-    `camera` or `topic` says which camera saw a tag; without it there is one. Further columns are ignored. Where most
-    corners go round counter-clockwise they are taken for those of the AprilTag library, which begins at the bottom
-    left. Detections that go round the other way than most are left out.
+    Column `camera` or `topic` names the camera; without it there is one camera. Further columns are ignored. If most
+    detections have counter-clockwise corners, these are the AprilTag library's, which begin at the bottom left.
+    Detections with the opposite sense are left out.
 
     Raises:
         InputError: the file cannot be read, lacks a column, or a value is no number.
@@ -98,7 +99,7 @@ def _read_csv(file: File) -> DetectedTags:
     if (wrong := np.flatnonzero((ids != values[:, 0]) | (ids < 0))).size:
         text = table.texts["id"][wrong[0]]
         raise InputError(f"{path} line {table.lines[wrong[0]]}: id is {text!r}, not a whole number from 0.", name)
-    # Nanoseconds since 1970 have more digits than a float, so frames are told apart by what is written.
+    # Nanoseconds since 1970 have more digits than a float, so frames are distinguished by the text.
     moments = _as_first_written(table.texts[time])
     names = sorted(set(table.texts[camera])) if camera else [""]
     cameras = np.searchsorted(names, table.texts[camera]) if camera else np.zeros(len(ids), dtype=np.int64)
@@ -115,13 +116,13 @@ def _detections(
     ids: IntArray,
     corners: FloatArray,
 ) -> DetectedTags:
-    """The detections that have an area, with corners from the tag's top left.
+    """Detections with an area, and with corners from the tag's top left.
 
     Args:
-        path, name: the file and its argument, for messages.
-        moments: times of their frames, equal for one frame.
-        names: what the cameras are called.
-        cameras: the camera of each.
+        path, name: path of the file and its argument, for messages.
+        moments: times of the frames, equal for one frame.
+        names: names of the cameras.
+        cameras: index of the camera of each detection.
         ids: numbers of the tags.
         corners: pixels from the border, in the order of OpenCV or of AprilTag, `(N, 4, 2)`.
     """
@@ -137,7 +138,7 @@ def _detections(
 
 
 def _from_json(read_tags: Callable[[list[Any]], Iterator[SeenTag]]) -> Callable[[DetectionsFile], DetectedTags]:
-    """A reader of JSON."""
+    """Make a reader of JSON."""
 
     def read_json(file: DetectionsFile) -> DetectedTags:
         where = f"{file.argument}: {str(file.path)!r}"
@@ -162,13 +163,13 @@ def _from_json(read_tags: Callable[[list[Any]], Iterator[SeenTag]]) -> Callable[
 
 
 def _as_first_written(texts: Sequence[str]) -> list[str]:
-    """Texts for times, equal numbers as the first of them was written: 9.5 and 9.50 are one time."""
+    """Texts of times, where equal numbers get the text of the first of them: 9.5 and 9.50 are one time."""
     written: dict[Decimal | str, str] = {}
     return [written.setdefault(time_of(text), text) for text in texts]
 
 
 def write_detections(path: Path, detected: DetectedTags) -> None:
-    """Write what `read_detections` reads."""
+    """Write a table that `read_detections` reads."""
     corners = (detected.corners - PIXEL_CENTRE).reshape(-1, 8)
     columns: dict[str, Any] = {TIMES[0]: [detected.times[frame] for frame in detected.frame.tolist()]}
     if len(detected.cameras) > 1:
@@ -177,13 +178,13 @@ def write_detections(path: Path, detected: DetectedTags) -> None:
 
 
 def with_images(detected: DetectedTags, path: Any) -> DetectedTags:
-    """Detections that know which images there are, from a CSV with a row for each image.
+    """Detections with the list of all images, from a CSV with a row for each image.
 
-    It has the columns of `read_detections` for time and camera; others are ignored, and so are
-    images of times at which nothing was detected.
+    The CSV has the columns of `read_detections` for time and camera. Other columns are ignored, as are images of times
+    without detections.
 
     Raises:
-        InputError: the file cannot be read or lacks a column, or it lacks an image in which a tag was detected.
+        InputError: the file cannot be read, or lacks a column or an image in which a tag was detected.
     """
     table = read_table(path, name=IMAGES)
     time, camera = (next((known for known in known_as if known in table), "") for known_as in (TIMES, CAMERAS))
@@ -225,7 +226,7 @@ FORMATS = (
     Format(
         "detections",
         "table",
-        # One with semicolons is refused by the reader of tables.
+        # A file with semicolons is refused by the reader of tables.
         lambda file: not file.lacks or (len(file.header) == 1 and ";" in file.first),
         _read_csv,
         row="table (CSV) | a row for each tag, with `time` (`stamp`, `image`), `id`, `x0,y0,...,x3,y3`, and `camera` "

@@ -1,9 +1,10 @@
 """Detections by other programs in JSON: PhotonVision, Limelight, Visual Marker Mapping.
 
-PhotonVision's corners go counter-clockwise from the tag's bottom left; those of its AprilTag pipeline count from the
-border of the image, as AprilTag 3 does (of its ArUco pipeline, from the centre of the first pixel, which no file says).
-Limelight documents neither for fiducials: its corners are taken for AprilTag 3's. Visual Marker Mapping writes corners
-counter-clockwise from the bottom left, from the centre of the first pixel where `cv2.cornerSubPix` has refined them.
+PhotonVision's corners are counter-clockwise from the tag's bottom left. The pixels of its AprilTag pipeline count from
+the border of the image, as in AprilTag 3. (The pixels of its ArUco pipeline count from the centre of the first pixel,
+but files do not name the pipeline.) Limelight documents neither order nor origin; its corners are assumed to be
+AprilTag 3's. Visual Marker Mapping writes corners counter-clockwise from the bottom left, from the centre of the first
+pixel where `cv2.cornerSubPix` has refined them.
 
 Sources: `PhotonPipelineResult`, `PhotonTrackedTarget`, `TrackedTarget` and `PhotonArucoDetector`
 (PhotonVision/photonvision); "JSON Results Specification" of Limelight; `DetectionIO.cpp` and `TagDetector_Umich.cpp`
@@ -18,20 +19,20 @@ from typing import Any, NamedTuple
 from lmd.core.checks import InputError, real, vector
 from lmd.geometry.camera import PIXEL_CENTRE
 
-MICROSECONDS, MILLISECONDS = Decimal(1_000_000), Decimal(1_000)  # per second
+MICROSECONDS, MILLISECONDS = Decimal(1_000_000), Decimal(1_000)  # units in a second
 # Times of a result of Limelight, in the order in which they are tried, and their units.
 LIMELIGHT_TIMES = (("ts_us", MICROSECONDS), ("ts", MILLISECONDS))
-SHOWN = 160  # characters of a message
-DEEPEST = 3  # names of cameras and lists around the results
+SHOWN = 160  # greatest number of characters shown in a message
+DEEPEST = 3  # greatest number of levels of names and lists around the results
 
 
 class SeenTag(NamedTuple):
-    """A detection."""
+    """Detection of a tag."""
 
     camera: str
     """Name of the camera; empty if there is one."""
     time: str
-    """Time of the frame, seconds, or its name."""
+    """Time of the frame, seconds, or the name of the frame."""
     number: int
     """Number of the tag."""
     corners: list[tuple[float, ...]]
@@ -39,10 +40,10 @@ class SeenTag(NamedTuple):
 
 
 def documents_of(text: str) -> list[Any] | None:
-    """The JSON of a text, or of each of its lines; None if it is none.
+    """JSON of a text, or of each of its lines; None if the text is no JSON.
 
     Raises:
-        ValueError, RecursionError: it begins as JSON, and is broken.
+        ValueError, RecursionError: the text begins like JSON, but is broken.
     """
     if not text.lstrip().startswith(("{", "[")):
         return None
@@ -56,7 +57,7 @@ def documents_of(text: str) -> list[Any] | None:
 
 
 def _results(documents: Any, key: str, camera: str = "", depth: int = DEEPEST) -> Iterator[tuple[str, Any]]:
-    """The results within documents, with the names of their cameras: mappings that have a key."""
+    """Results within documents, with the names of their cameras: the mappings that have a given key."""
     if isinstance(documents, Mapping):
         if key in documents:
             yield camera, documents
@@ -69,12 +70,12 @@ def _results(documents: Any, key: str, camera: str = "", depth: int = DEEPEST) -
 
 
 def has_results(key: str) -> Callable[[Any], bool]:
-    """A test for files of results with a key."""
+    """Make a test for files of results with a key."""
     return lambda file: file.documents is not None and any(True for _ in _results(file.documents, key))
 
 
 def photonvision(documents: list[Any]) -> Iterator[SeenTag]:
-    """The AprilTags of PhotonVision's results; a time is that of the capture."""
+    """AprilTags of PhotonVision's results, with the times of capture."""
     for camera, result in _results(documents, "targets"):
         time = _photon_time(result)
         for target in result["targets"]:
@@ -95,15 +96,15 @@ def _photon_time(result: Mapping[str, Any]) -> str:
 
 
 def _seconds(written: Any, time: float, unit: Decimal) -> str:
-    """A time as a text of seconds, whole numbers to the last digit."""
+    """Time as a text of seconds, exact to the last digit for whole numbers."""
     return f"{Decimal(written if isinstance(written, int) else repr(time)) / unit:f}"
 
 
 def limelight(documents: list[Any]) -> Iterator[SeenTag]:
-    """The fiducials of Limelight's results that have corners.
+    """Fiducials with corners in Limelight's results.
 
     Raises:
-        InputError: none of the fiducials has corners, or these count from the middle of the image.
+        InputError: no fiducial has corners, or the corners count from the middle of the image.
     """
     empty = False
     found = False
@@ -126,7 +127,7 @@ def limelight(documents: list[Any]) -> Iterator[SeenTag]:
 
 
 def visual_marker_mapping(documents: list[Any]) -> Iterator[SeenTag]:
-    """The observations of Visual Marker Mapping, whose numbers are texts; a frame is called by its image."""
+    """Observations of Visual Marker Mapping, whose numbers are texts; a frame has the name of its image."""
     for _, keys in _results(documents, "tag_observations"):
         images = {int(image["id"]): str(image["filename"]) for image in keys.get("images") or []}
         for seen in keys["tag_observations"] or []:
@@ -145,7 +146,7 @@ def _number(name: str, value: Any) -> int:
 
 
 def _corners(name: str, corners: Any, offset: float) -> list[tuple[float, ...]]:
-    """Four corners as pixels from the border; each is a pair, or a mapping with x and y."""
+    """Four corners as pixels from the border, from pairs or mappings with x and y."""
     if not isinstance(corners, list) or len(corners) != 4:
         raise InputError(f"must have four corners in {name}, got {corners!r}"[:SHOWN])
     pairs = ([corner["x"], corner["y"]] if isinstance(corner, Mapping) else corner for corner in corners)

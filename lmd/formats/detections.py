@@ -7,7 +7,7 @@ import numpy as np
 
 from lmd.core.checks import BoolArray, FloatArray, InputError, IntArray
 
-SAME = 0.01  # pixels that corners of copies differ by, at most
+SAME = 0.01  # greatest difference between the corners of copies, pixels
 
 
 @dataclass(frozen=True)
@@ -15,19 +15,19 @@ class DetectedTags:
     """N tags in the frames of C cameras.
 
     Args:
-        times: of the F frames, or their names, as they were written, in ascending order, all different. What several
-            cameras saw at the same time is one frame.
-        cameras: what they are called, `(C,)`.
-        frame: of each detection, `(N,)`, from 0.
-        camera: likewise.
+        times: texts of the times or names of the F frames, in ascending order, all different. Images of several cameras
+            at one time are one frame.
+        cameras: names of the cameras, `(C,)`.
+        frame: index of the frame of each detection, `(N,)`.
+        camera: index of the camera of each detection, `(N,)`.
         ids: numbers of the tags, `(N,)`.
         corners: pixels from the border, top left, top right, bottom right, bottom left of the tag, `(N, 4, 2)`.
-        blurred: frames whose detections were left out, with their blur, pixels, by their name.
-        copies: images whose detections were left out, with the image that each is a copy of, by their name.
-        in_order: whether corners are known to begin at the top left, because a detector of `lmd.detection` found them.
-        taken: of which frames each camera has an image that counts, whether or not it shows a tag, `(F, C)`; None if
-            it has one of all.
-        left_out: frames whose detections were left out, as they add too little to the others.
+        blurred: blur, pixels, of the frames whose detections were left out as blurred, by name.
+        copies: originals of the images whose detections were left out as copies, by the name of the copy.
+        in_order: True if corners are known to begin at the top left, as a detector of `lmd.detection` found them.
+        taken: True for frames of which a camera has a valid image, with or without tags, `(F, C)`; None if all cameras
+            have images of all frames.
+        left_out: frames whose detections were left out as redundant.
 
     Raises:
         InputError: shapes do not match, or there is no detection.
@@ -62,12 +62,12 @@ class DetectedTags:
 
     @classmethod
     def in_frames(cls, names: Sequence[str], ids: Sequence[IntArray], corners: Sequence[FloatArray]) -> "DetectedTags":
-        """The tags that a detector found in frames of one camera.
+        """Detections by a detector in the frames of one camera.
 
         Args:
-            names: of the frames, in ascending order.
-            ids: of the tags in each frame, `(M,)`.
-            corners: pixels from the border, as above, `(M, 4, 2)`.
+            names: names of the frames, in ascending order.
+            ids: ids of the tags in each frame, `(M,)`.
+            corners: corners in each frame, as in the class, `(M, 4, 2)`.
 
         Raises:
             InputError: there is no tag in any frame.
@@ -95,15 +95,15 @@ class DetectedTags:
         )
 
     def of(self, chosen: IntArray) -> "DetectedTags":
-        """Those that `chosen` selects, among the same frames and cameras."""
+        """Detections that `chosen` selects; frames and cameras are unchanged."""
         names = ("frame", "camera", "ids", "corners")
         return replace(self, **{name: getattr(self, name)[chosen] for name in names})
 
     def renumbered(self, ids: IntArray, quarters: IntArray) -> "DetectedTags":
-        """The same with the corners of tags with some `ids` `(K,)`, ascending, numbered from others.
+        """Detections in which the corners of the tags `ids` `(K,)`, ascending, are numbered from another corner.
 
         Args:
-            quarters: by how many corners the first one moves back, `(K,)`.
+            quarters: number of corners by which the first corner moves back, `(K,)`.
         """
         place = np.minimum(np.searchsorted(ids, self.ids), len(ids) - 1)
         back = np.where(ids[place] == self.ids, quarters[place], 0)
@@ -111,26 +111,27 @@ class DetectedTags:
         return replace(self, corners=np.take_along_axis(self.corners, order[..., None], axis=1))
 
     def without(self, blurs: Mapping[str, float]) -> "DetectedTags":
-        """Those of other frames than some that are blurred.
+        """Detections without those in blurred frames; `blurs` has the blur of these frames by name.
 
         Raises:
-            InputError: there are none.
+            InputError: no detection is left.
         """
         left_out = np.isin(self.times, list(blurs))
         return replace(self.of(np.flatnonzero(~left_out[self.frame])), blurred={**self.blurred, **blurs})
 
 
 def signed_area(corners: FloatArray) -> FloatArray:
-    """Of quadrilaterals `(..., 4, 2)`, positive where they go round clockwise as one looks at an image, `(...)`."""
+    """Signed area of quadrilaterals `(..., 4, 2)`, positive if their corners are clockwise in the image, `(...)`."""
     x, y = corners[..., 0], corners[..., 1]
     return np.asarray((x * np.roll(y, -1, axis=-1) - np.roll(x, -1, axis=-1) * y).sum(axis=-1) / 2.0)
 
 
 def without_copies(detected: DetectedTags) -> DetectedTags:
-    """Those of images that differ from all earlier ones of their camera; the others are in `copies`, by their names.
+    """Detections in images that differ from all earlier images of their camera; `copies` has the names of the other
+    images.
 
-    The image of a camera in a frame is a copy where it shows the same tags, each corner `SAME` or less away. The errors
-    of corners in two photographs are independent; in a photograph and its copy they are equal.
+    An image is a copy of an earlier image if both show equal tags, with corners at most `SAME` apart. The errors of
+    corners in two photographs are independent; in a photograph and its copy they are equal.
     """
     x, y = detected.corners[:, 0, 0], detected.corners[:, 0, 1]
     order = np.lexsort((y, x, detected.ids, detected.frame, detected.camera))

@@ -1,7 +1,7 @@
-"""Calibrations that devices are shipped with, in the keys of ROS: webcams of FTC, OAK, Azure Kinect.
+"""Readers of factory calibrations of devices, as keys of ROS: webcams of FTC, OAK, Azure Kinect.
 
-FTC and OAK count pixels from the centre of the first one; the file of an Azure Kinect counts from the border of the
-image, in image widths and heights.
+FTC and OAK count pixels from the centre of the first pixel. The file of an Azure Kinect has coordinates from the border
+of the image, in image widths and heights.
 
 Sources: the comments of `teamwebcamcalibrations.xml` (FIRST-Tech-Challenge/FtcRobotController); `CameraInfo.hpp`,
 `Extrinsics.hpp` and `CalibrationHandler.cpp` (luxonis/depthai-core); `calibration.c`, `mode_specific_calibration.c`,
@@ -36,10 +36,11 @@ from lmd.geometry.central_models import kinect
 from lmd.geometry.lens import EQUIDISTANT
 from lmd.geometry.se3 import inverse, pose_of
 
-# OAK: kinds of a camera by number, and units of a translation per metre.
+# OAK: lens models by number, and units of a translation per metre.
 OAK_MODELS = {0: "Perspective", 1: "Fisheye", 2: "Equirectangular", 3: "RadialDivision"}
 CENTIMETRES = 100.0
-# Azure Kinect: of each mode, the sensor as it is binned, the first pixel of the image on it, and the image, pixels.
+# Azure Kinect: for each mode the size of the binned sensor, the first pixel of the image on it, and the image size,
+# pixels.
 DEPTH_MODES = (
     ((512, 96, 90), (320, 288)),
     ((1024, 192, 180), (640, 576)),
@@ -49,12 +50,14 @@ DEPTH_MODES = (
 COLOR_SIZES = ((1280, 720), (1920, 1080), (2560, 1440), (2048, 1536), (3840, 2160), (4096, 3072))
 KINECT_MODELS = {"CALIBRATION_LensDistortionModelBrownConrady": 2.0, "CALIBRATION_LensDistortionModelRational6KT": 1.0}
 KINECT_CAMERAS = {"CALIBRATION_CameraLocationD0": "depth", "CALIBRATION_CameraLocationPV0": "color"}
-POLE_STEPS = 1000  # of the squared tangent of the angle from the axis
-LEAST_RADIUS, USUAL_RADIUS = 1e-4, 1.7  # MetricRadius below the first is not known, and taken for the second
+POLE_STEPS = 1000  # number of steps in the squared tangent of the angle from the axis, in the search for a pole
+LEAST_RADIUS, USUAL_RADIUS = 1e-4, 1.7  # a smaller MetricRadius means unknown; the usual one is then assumed
 
 
 def ftc(root: Element) -> dict[str, Keys]:
-    """The webcams of FTC's `teamwebcamcalibrations.xml`, by `vid:pid/WIDTHxHEIGHT`; OpenCV's model and order."""
+    """Webcams of FTC's `teamwebcamcalibrations.xml`, by `vid:pid/WIDTHxHEIGHT`; lenses have OpenCV's model and
+    order.
+    """
     cameras = {}
     for device in root.iter("Camera"):
         for calibration in device.iter("Calibration"):
@@ -82,7 +85,7 @@ def _floats(text: str) -> list[float]:
 
 
 def depthai(keys: Keys) -> dict[str, Keys]:
-    """The calibrated cameras of an OAK, by socket; a pose is in the frame of the camera that all refer to."""
+    """Calibrated cameras of an OAK, by socket; poses are in the frame of the camera to which all extrinsics lead."""
     listed = keys["cameraData"]
     infos = dict(listed.items() if isinstance(listed, Mapping) else (pair for pair in listed))
     infos = {int(socket): info for socket, info in infos.items()}
@@ -105,9 +108,10 @@ def depthai(keys: Keys) -> dict[str, Keys]:
 
 
 def _pole_note(size: Sequence[Any], matrix: Sequence[float], lens: Sequence[float]) -> Keys:
-    """A note on a pole of a rational lens within the image, which factory calibrations may have.
+    """Note about a pole of a rational lens within the image, which factory calibrations may have.
 
-    OpenCV goes on beyond it, as numerator and denominator change their signs together; here the lens ends.
+    OpenCV continues beyond the pole, as numerator and denominator change sign together; in `lmd` the lens ends at the
+    pole.
     """
     fx, _, cx, _, fy, cy, *_ = matrix
     farthest = math.hypot(max(cx, size[0] - cx) / fx, max(cy, size[1] - cy) / fy)
@@ -124,7 +128,9 @@ def _socket(number: int) -> str:
 
 
 def _oak_pose(infos: Mapping[int, Any], socket: int) -> tuple[str, FloatArray]:
-    """Frame and pose, `(4, 4)`, of the camera: extrinsics take points to the next camera, in centimetres."""
+    """Frame of reference, and pose `(4, 4)` of the camera in it, from extrinsics that map points to the next camera, in
+    cm.
+    """
     pose = np.eye(4)
     for _ in infos:
         extrinsics = infos[socket].get("extrinsics") if socket in infos else None
@@ -139,9 +145,10 @@ def _oak_pose(infos: Mapping[int, Any], socket: int) -> tuple[str, FloatArray]:
 
 
 def azure_kinect(keys: Keys) -> Cameras:
-    """The cameras of an Azure Kinect in each of their modes, as `color/1280x720`; poses are in the depth camera.
+    """Cameras of an Azure Kinect in each of their modes, such as `color/1280x720`; poses are in the frame of the depth
+    camera.
 
-    A pixel beyond `MetricRadius` has no image, which `image_circle` says.
+    `MetricRadius` becomes the image circle, as pixels beyond it have no image.
     """
     cameras: Cameras = {}
     for camera in entries(section(keys, "CalibrationInformation"), "Cameras"):
@@ -160,7 +167,7 @@ def azure_kinect(keys: Keys) -> Cameras:
 def _kinect_mode(
     camera: Keys, mode: tuple[int, int, int], size: tuple[int, int], depth: bool, pose: FloatArray
 ) -> Keys:
-    """One camera in a mode: `mode` has the width of the sensor as it is binned, and the first pixel of the image."""
+    """Camera in one mode; `mode` has the width of the binned sensor, and the first pixel of the image."""
     intrinsics = section(camera, "Intrinsics")
     factor = KINECT_MODELS[known_lens(intrinsics["ModelType"], KINECT_MODELS)]
     given = vector("ModelParameters", list(intrinsics["ModelParameters"])[:14], 14)
@@ -170,7 +177,7 @@ def _kinect_mode(
     height = width if depth else 0.75 * width
     if (wide, high) != (1024.0, 1024.0) if depth else high / wide not in (0.75, 0.5625):
         raise InputError(f"the sensor has {wide:.0f} x {high:.0f} pixels, which no Azure Kinect has.")
-    if not depth and high / wide == 0.5625:  # files of early firmware: 16 : 9 in the middle of 4 : 3
+    if not depth and high / wide == 0.5625:  # early firmware: a 16 : 9 image in the middle of a 4 : 3 sensor
         cy, fy = 0.125 + 0.75 * cy, 0.75 * fy
     focal = fx * width, fy * height
     centre = cx * width - left - PIXEL_CENTRE, cy * height - top - PIXEL_CENTRE

@@ -16,7 +16,7 @@ from lmd.formats.plans import ReadPlan
 from lmd.formats.registry import File
 from lmd.formats.wall_lines import Drawing, plan_of
 
-# Metres in the units that may be asked for, and their codes in $INSUNITS.
+# Units that a user may name, in metres, and their codes in $INSUNITS.
 UNITS = {"metres": 1.0, "millimetres": 0.001, "centimetres": 0.01, "inches": 0.0254, "feet": 0.3048}
 CODES = {1: "inches", 2: "feet", 4: "millimetres", 5: "centimetres", 6: "metres"}
 # Names of layers and blocks in the languages of drawings.
@@ -51,7 +51,7 @@ def _lines(file: File) -> Drawing:
     if b"\0" in content and not content.startswith(b"AutoCAD Binary DXF"):
         raise InputError(f"path: {str(file.path)!r} cannot be read as DXF: it is neither text nor binary DXF.", "path")
     optional("ezdxf.recover", "drawings")
-    logging.getLogger("ezdxf").setLevel(logging.CRITICAL)  # it notes each entity that it repairs
+    logging.getLogger("ezdxf").setLevel(logging.CRITICAL)  # ezdxf logs each entity that it repairs
     try:
         document, _ = ezdxf.recover.read(io.BytesIO(_with_subclasses(content)))
         found = list(_shapes(document.modelspace()))
@@ -88,7 +88,7 @@ def _lines(file: File) -> Drawing:
 
 
 def _with_subclasses(content: bytes) -> bytes:
-    """A drawing whose polylines have the marks of subclasses, which some programs leave out."""
+    """Content of a drawing, with the marks of subclasses in polylines, which some programs leave out."""
     lines = content.replace(b"\r\n", b"\n").split(b"\n")
     if b"LWPOLYLINE" not in content or b"AcDbPolyline" in content:
         return content
@@ -107,7 +107,7 @@ def _with_subclasses(content: bytes) -> bytes:
 
 
 def _shapes(entities: Any, kind: str = "line", outer: str = "0") -> Iterator[tuple[str, str, Any]]:
-    """Kind (`line`, `door` or `window`), layer and entity of the shapes of a drawing, also of those in blocks."""
+    """Kind (`line`, `door` or `window`), layer and entity of each shape of a drawing, including shapes in blocks."""
     for entity in entities:
         layer = entity.dxf.layer if entity.dxf.layer != "0" else outer
         name = f"{layer} {entity.dxf.get('name', '')}" if entity.dxftype() == "INSERT" else layer

@@ -1,4 +1,4 @@
-"""Poses of cameras on a body or to each other, from the extrinsics of calibrations."""
+"""Poses of cameras on a body or relative to each other, from the extrinsics of calibrations."""
 
 import re
 from collections.abc import Callable, Mapping
@@ -13,19 +13,20 @@ from lmd.formats.calibration_readers import POSE
 from lmd.formats.calibrations import keys_of, read_cameras
 from lmd.geometry.se3 import are_rotations, inverse, nearest_rotations, pose_of, poses_from_rows
 
-CHAINED = re.compile(r"cam\d+")  # a camera of Kalibr's chain
+CHAINED = re.compile(r"cam\d+")  # name of a camera in Kalibr's chain
 
 
 def read_mount(path: Any, name: str | None = None) -> FloatArray:
-    """The pose of a camera on the body that carries it, from its optical frame to the body's, `(4, 4)`.
+    """Pose of a camera on the body that carries it, from the camera's optical frame to the body's frame, `(4, 4)`.
 
     Args:
         path: a file in YAML or JSON with `T_cam_imu` (Kalibr), `T_imu_cam` (OpenVINS) or `T_SC` (OKVIS) in each camera,
             with `T_BS` (EuRoC), or with a list `T_imu_cam` (Basalt).
-        name: which camera, such as `cam0`, if there are several.
+        name: name of the camera, such as `cam0`, if there are several.
 
     Raises:
-        InputError: the file cannot be read, has no such entry, several cameras and no `name`, or not that one.
+        InputError: the file cannot be read, has no such entry, has no camera `name`, or has several cameras and `name`
+            is None.
     """
     found = _on_body(read_keys(path, "mount"))
     if not found:
@@ -41,16 +42,17 @@ def read_mount(path: Any, name: str | None = None) -> FloatArray:
 
 
 def read_chain(path: Any, names: Any = None, **shared: Any) -> dict[str, FloatArray]:
-    """The poses of several cameras, each from its optical frame to that of the first, `(4, 4)`, by name.
+    """Poses of several cameras, each from its optical frame to the optical frame of the first camera, `(4, 4)`, by
+    name.
 
     Args:
-        path: a file as in `read_mount`, one of Kalibr with `T_cn_cnm1` in each camera but the first, or a calibration
-            of a device or a program that says where its cameras are.
-        names: the cameras that are taken, in this order; None for all.
-        shared: `image_size` and `distortion_model` of all, see `read_calibration`.
+        path: a file as in `read_mount`; a file of Kalibr with `T_cn_cnm1` in each camera but the first; or a
+            calibration of a device or a program that includes poses of cameras.
+        names: names of the cameras to return, in this order; None for all cameras.
+        shared: `image_size` and `distortion_model` of all cameras, see `read_calibration`.
 
     Raises:
-        InputError: the file cannot be read, or does not say where each camera is.
+        InputError: the file cannot be read, or lacks the pose of a camera.
     """
     if names is not None and not (isinstance(names, list) and names and all(isinstance(name, str) for name in names)):
         raise InputError(f"names must be a list of cameras, got {names!r}.", "names")
@@ -70,12 +72,12 @@ def read_chain(path: Any, names: Any = None, **shared: Any) -> dict[str, FloatAr
 
 
 def _posed(path: Any, names: Any, shared: Mapping[str, Any]) -> dict[str, FloatArray]:
-    """The poses of cameras whose calibrations say them; empty if the file is of another kind."""
+    """Poses of the cameras of a calibration that includes poses; empty if the file is of another kind."""
     try:
         cameras = read_cameras(path, **shared)
         if POSE not in keys_of(path, next(iter(cameras.values()))):
             return {}
-    except (InputError, StopIteration):  # a file of poses need not hold calibrations of supported lenses
+    except (InputError, StopIteration):  # a file of poses may have lenses that are not supported
         return {}
     streams = {name.split("/")[0] for name in cameras}
     if names is None and len(streams) < len(cameras):
@@ -92,7 +94,7 @@ def _posed(path: Any, names: Any, shared: Mapping[str, Any]) -> dict[str, FloatA
 
 
 def _on_body(keys: Mapping[str, Any]) -> dict[str, Callable[[], FloatArray]]:
-    """Functions that read the pose of each camera, from its optical frame to the body's."""
+    """Functions that read the pose of each camera, from its optical frame to the body's frame."""
     found: dict[str, Callable[[], FloatArray]] = {}
     for camera, entry in keys.items():
         if not (isinstance(entry, Mapping) and CHAINED.fullmatch(camera)):
@@ -116,7 +118,9 @@ def _on_body(keys: Mapping[str, Any]) -> dict[str, Callable[[], FloatArray]]:
 
 
 def _chain(keys: Mapping[str, Any]) -> dict[str, Callable[[], FloatArray]] | None:
-    """Functions that read the pose of each camera of Kalibr's chain in the frame of the first; None without a chain."""
+    """Functions that read the pose of each camera of Kalibr's chain, in the frame of the first camera; None without a
+    chain.
+    """
     names = sorted((name for name in keys if CHAINED.fullmatch(name)), key=lambda name: int(name[3:]))
     entries = [keys[name] for name in names]
     if not entries or not all(isinstance(entry, Mapping) and "T_cn_cnm1" in entry for entry in entries[1:]):

@@ -15,7 +15,7 @@ NO_WALL = "no wall"
 
 # Least area of a free region that a note mentions, square metres.
 MENTIONED_M2 = 0.5
-# Shortest stretch of an edge without occupied cells that excludes landmarks, metres; a wall has shorter gaps by chance.
+# Shortest stretch of an edge without occupied cells that excludes landmarks, metres; shorter gaps in a wall are chance.
 SHORTEST_GAP_M = 0.2
 # Greatest tolerance of a ring, such as a pillar, over its shorter side.
 PILLAR_SHARE = 0.2
@@ -23,7 +23,7 @@ PILLAR_SHARE = 0.2
 LEAST_ANGLE_SINE = 0.2
 # Tolerance of the comparison of distances, cells.
 ROUNDING = 1e-9
-# Greatest number of corners; a run with more would take hours.
+# Greatest number of corners; with more corners, a run would take hours.
 MOST_CORNERS = 4000
 
 
@@ -35,7 +35,7 @@ class Region(NamedTuple):
     to_wall: FloatArray
     """Distance between the centres of each cell and its nearest occupied cell, in cells, `(H, W)`."""
     note: str
-    """Clauses on the parts of the map that are left out."""
+    """Clauses about the parts of the map that are left out."""
 
 
 def read_map(file: File) -> ReadPlan:
@@ -79,7 +79,7 @@ def free_region(
     Args:
         grid: map.
         tolerance, speck, passage: see `lmd.formats.plans.read_plan_room`; in cells.
-        start: as there, metres.
+        start: see `lmd.formats.plans.read_plan_room`; metres.
     """
     import shapely
     from scipy import ndimage
@@ -185,7 +185,7 @@ def _polygon(region: BoolArray) -> Any:
 
 
 def _simplified(polygon: Any, tolerance: float) -> Any:
-    """Polygon whose edges fit those of a polygon of cells within a tolerance, in cells; its rings do not touch."""
+    """Polygon whose edges fit the border of a polygon of cells within a tolerance, in cells; its rings do not touch."""
     import shapely
 
     contours = []
@@ -217,7 +217,7 @@ def _fitted(simple: FloatArray, contour: FloatArray, tolerance: float) -> FloatA
     A vertex keeps its place where an edge would leave the tolerance.
 
     Args:
-        simple: vertices of the ring, some of those of the contour, `(N, 2)`.
+        simple: vertices of the ring, a subset of the contour's vertices, `(N, 2)`.
         contour: vertices of the contour, `(M, 2)`.
         tolerance: greatest distance of the contour from an edge, cells.
     """
@@ -231,7 +231,7 @@ def _fitted(simple: FloatArray, contour: FloatArray, tolerance: float) -> FloatA
         points = shapely.get_coordinates(shapely.segmentize(shapely.LineString(along), 0.5))
         centred = (points[1:] + points[:-1]) / 2.0
         away = np.linalg.norm(centred[:, None] - along[[0, -1]], axis=-1).min(axis=1)
-        inner = away > tolerance  # of a corner, whose place is known to the tolerance
+        inner = away > tolerance  # away from corners, whose places are known only to the tolerance
         centred = centred[inner] if inner.mean() > 0.5 else centred
         middles[k] = centred.mean(axis=0)
         ways[k] = np.linalg.svd(centred - middles[k], full_matrices=False)[2][0]

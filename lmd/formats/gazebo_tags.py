@@ -1,9 +1,9 @@
-"""Tags in a world of Gazebo: the plates, planes and meshes that show a picture of one.
+"""Tags in a world of Gazebo: plates, planes and meshes that show the picture of a tag.
 
 A box shows its picture on each side. On upright sides the picture is upright; on the upper side its up is x, on the
-lower one minus x. So a plate shows a tag on both sides. The side that another body covers is not seen, nor that of a
-lying plate that looks down. Of an upright plate with two free sides, and of a mesh, a user says which way the frame of
-the model points. A plane shows its picture with x right and y up.
+lower side minus x. So a plate shows a tag on both sides. A side that another body covers is not visible, nor is the
+lower side of a lying plate. For an upright plate with two free sides, and for a mesh, the user must name the directions
+of the model's axes. A plane shows its picture with x right and y up.
 
 Sources: `MeshManager::CreateBox` and `CreatePlane` of Gazebo classic and gz-common; the models of
 koide3/gazebo_apriltag.
@@ -21,7 +21,7 @@ from lmd.formats.gazebo_worlds import Seen, seen_in
 from lmd.formats.placed_tag import Found, PlacedTag, axes_of, number_of
 from lmd.scene.families import FAMILIES, family_named
 
-# Words of names of pictures, models and materials that show a tag; a number after one is that of the tag.
+# Words for tags in names of pictures, models and materials; a number after such a word is the number of the tag.
 WORD = re.compile(
     r"april[_/ .-]?tag|aruco|(?<![a-z])ar[_/ .-]?tag|fiducial|(?<![a-z])tag(?=[_/ .-]?\d|standard|circle|custom)", re.I
 )
@@ -29,13 +29,13 @@ APRILTAG = re.compile(r"(?<!\d)(16|21|25|36|41|48|49|52)[_-]?h?[_-]?(0?\d|1[0-3]
 ARUCO = re.compile(r"(?<!\d)(?:(50|100|250|1000)[_-])?([4-7]x[4-7])(?:[_-](50|100|250|1000)(?=[_/ -]))?", re.I)
 ORIGINAL = re.compile(r"original", re.I)
 NUMBER = re.compile(r"(?<![\dx.])(\d+)(?!\d|(?:[.]\d+)?(?:mm|cm|m)(?![a-z])|x\d|[.]\d)", re.I)
-CIRCLE = "21"  # modules of the family whose name begins with circle
+CIRCLE = "21"  # number in the name of the circular family
 KNOWN_PLATE = re.compile(r"Apriltag36_11_\d{5}")  # models of koide3/gazebo_apriltag
-KNOWN_SIZE = (1.0, 1.0, 0.01)  # of these, metres
-PLAIN = "Gazebo/"  # begins the names of materials without a picture of a tag
-THIN = 0.2  # thickness of a plate, relative to its next larger side
-LYING = 0.99  # cosine of the turn of a plate that lies
-BESIDE = (1e-6, 1e-3)  # metres before a side, at which a body that is there covers it
+KNOWN_SIZE = (1.0, 1.0, 0.01)  # size of these models, metres
+PLAIN = "Gazebo/"  # prefix of the names of materials without a picture of a tag
+THIN = 0.2  # greatest thickness of a plate, relative to its next larger side
+LYING = 0.99  # least cosine of the tilt of a plate that counts as lying
+BESIDE = (1e-6, 1e-3)  # distances in front of a side at which a body covers the side, metres
 # Right, up and out of the picture on the sides of a box, by the axis across the side and its sign, as columns.
 SIDES = {
     (0, 1): np.array([[0, 0, 1], [1, 0, 0], [0, 1, 0]], dtype=float),
@@ -48,14 +48,13 @@ SIDES = {
 
 
 def gazebo(root: Element, path: Any, axes: Sequence[str] | None) -> Found:
-    """The tags of a world or a model.
+    """Tags of a world or a model.
 
     Args:
-        axes: where the axes of the frame of a plate or a mesh with a tag point, see `axes_of`; None if a user does not
-            say.
+        axes: directions of the axes of a plate's or mesh's frame, see `axes_of`; None if the user names none.
 
     Raises:
-        InputError: there is none, or a tag is on a side that the file leaves open.
+        InputError: there is no tag, or the file does not determine the side of a tag.
     """
     visuals = list(seen_in(root, path, "visual"))
     sized = [
@@ -83,8 +82,8 @@ def gazebo(root: Element, path: Any, axes: Sequence[str] | None) -> Found:
 
 
 def _named(seen: Seen) -> tuple[str | None, int] | None:
-    """The family and the number of the tag that a visual shows; None if it shows none."""
-    if seen.element is None:  # a model that is elsewhere
+    """Family and number of the tag that a visual shows; None if it shows no tag."""
+    if seen.element is None:  # the file of the model was not found
         return _first(seen.names)
     pictures = [text for text in _texts(seen.element, "material") if not text.startswith(PLAIN)]
     if pictures:
@@ -94,13 +93,13 @@ def _named(seen: Seen) -> tuple[str | None, int] | None:
 
 
 def _texts(element: Element, path: str) -> list[str]:
-    """The names of pictures, scripts and meshes below elements; colours are none."""
+    """Names of pictures, scripts and meshes below elements, without colours."""
     below = [part for found in element.findall(path) for part in found.iter()]
     return [part.text.strip() for part in below if part.tag in ("name", "uri", "albedo_map") and part.text]
 
 
 def _first(texts: Iterable[str]) -> tuple[str | None, int] | None:
-    """The family and the number in the first of these names that has a word for a tag and a number."""
+    """Family and number in the first of the names that has a word for a tag and a number."""
     for text in texts:
         word = WORD.search(text)
         if word is None:
@@ -112,7 +111,7 @@ def _first(texts: Iterable[str]) -> tuple[str | None, int] | None:
 
 
 def _family_and_rest(text: str) -> tuple[str | None, str]:
-    """The family that a name says after the word for a tag, and the text without it."""
+    """Family that follows the word for a tag in a name, and the text without the family."""
     for found in APRILTAG.finditer(text):
         name = family_named(f"{'circle' if found[1] == CIRCLE else ''}{found[1]}h{int(found[2])}")
         if name in FAMILIES:
@@ -125,7 +124,7 @@ def _family_and_rest(text: str) -> tuple[str | None, str]:
 
 
 def _numbers(element: Element | None, path: str) -> FloatArray | None:
-    """The positive sizes of an element; None where there are none."""
+    """Positive sizes of an element; None if it has none."""
     text = None if element is None else element.findtext(path)
     try:
         values = np.array([float(word) for word in (text or "").split()])
@@ -137,7 +136,7 @@ def _numbers(element: Element | None, path: str) -> FloatArray | None:
 def _side(
     seen: Seen, number: int, boxes: Sequence[tuple[FloatArray, FloatArray]], axes: Sequence[str] | None
 ) -> tuple[FloatArray, FloatArray, bool]:
-    """The centre and the axes of the tag that a visual shows, and whether a lying plate decided its side."""
+    """Centre and axes of the tag that a visual shows; and True if the side was decided because the plate lies."""
     size = _numbers(seen.element, "geometry/box/size")
     if seen.element is None and any(KNOWN_PLATE.search(name) for name in seen.names):
         size = np.array(KNOWN_SIZE)
@@ -172,7 +171,7 @@ def _side(
 
 
 def _placed(seen: Seen, turn: FloatArray, half: float) -> tuple[FloatArray, FloatArray]:
-    """The centre and the axes in the world of a picture in front of the middle of a visual by `half`, metres."""
+    """Centre and axes, world frame, of a picture at the distance `half`, metres, in front of the middle of a visual."""
     axes: FloatArray = seen.pose[:3, :3] @ turn
     return seen.pose[:3, 3] + half * axes[:, 2], axes
 
@@ -183,7 +182,7 @@ def _covered(point: FloatArray, boxes: Iterable[tuple[FloatArray, FloatArray]]) 
 
 
 def _choices(sides: Sequence[tuple[int, int]]) -> str:
-    """The values of `axes` that choose one of the sides of a plate."""
+    """Values of `axes` that choose one of the sides of a plate."""
     words = [
         f"axes=[{','.join(_words(SIDES[side]))}] takes that towards {'-+'[side[1] > 0]}{'xyz'[side[0]]} of it"
         for side in sides

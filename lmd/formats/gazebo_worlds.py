@@ -1,8 +1,8 @@
-"""Worlds and models of Gazebo in SDF: the places of what is seen in them.
+"""Worlds and models of Gazebo in SDF: poses of their visuals.
 
-A pose is `x y z roll pitch yaw`, metres and radians, of the element around it, or of the frame that `relative_to`
-names. A model that a world includes is read from the folder of its name beside the world, or below `models` there or
-one folder above. The poses in the `state` that Gazebo saved with a world are those of its models.
+A pose is `x y z roll pitch yaw`, metres and radians, in the frame of the enclosing element, or of the frame that
+`relative_to` names. An included model is read from the folder with its name beside the world, in `models` beside the
+world, or in `models` one folder above. If Gazebo saved a `state` with a world, its poses of models replace the others.
 
 Sources: the SDF specification (sdformat.org), "Pose Frame Semantics"; `World::LoadModels` of Gazebo classic.
 """
@@ -23,8 +23,8 @@ from lmd.formats.placed_tag import turn_by_quaternion
 from lmd.geometry.frames import roll_pitch_yaw
 
 MODEL_FILE, MODELS = "model.sdf", "models"
-LARGEST_MODEL = 1 << 22  # bytes of the file of a model
-DEEPEST = 20  # frames that refer to each other, and models in models
+LARGEST_MODEL = 1 << 22  # greatest size of the file of a model, bytes
+DEEPEST = 20  # greatest number of frames in a chain of references, and of nested models
 NAMED = ("link", "model", "frame", "include", "joint")  # elements whose frames others may refer to
 SELF = ("", "__model__", "world")
 QUATERNION = "quat_xyzw"
@@ -32,33 +32,33 @@ COMMENT = re.compile(r"<!--.*?-->", re.DOTALL)
 
 
 class Seen(NamedTuple):
-    """A visual or a collision of a world."""
+    """Visual or collision of a world."""
 
     element: Element | None
-    """The element; None for a model that is included and was not found."""
+    """The element; None for an included model that was not found."""
     pose: FloatArray
-    """Transform from its frame to the world, `(4, 4)`, metres."""
+    """Transform from the element's frame to the world, `(4, 4)`, metres."""
     names: tuple[str, ...]
-    """Names of the element and those around it, and the model's URI, the innermost first."""
+    """Names of the element and of the enclosing elements, and the model's URI, the innermost first."""
 
 
 @dataclass(frozen=True)
 class Scope:
-    """A world or a model, whose elements refer to frames by names."""
+    """World or model, whose elements refer to frames by name."""
 
     element: Element
     pose: FloatArray
-    """Transform from its frame to the world, `(4, 4)`."""
+    """Transform from the frame of the world or model to the world, `(4, 4)`."""
     folder: Path
-    """Folder beside which models are looked for."""
+    """Folder of the world, beside which models are searched."""
     names: tuple[str, ...] = ()
-    """Names of the models around its elements, the innermost first."""
+    """Names of the enclosing models, the innermost first."""
 
     def placed(self, element: Element, depth: int = 0) -> FloatArray:
-        """The transform from the frame of an element of this scope to the world.
+        """Transform from the frame of an element of this scope to the world.
 
         Raises:
-            InputError: a pose is broken, or refers to a frame that is not there or to itself.
+            InputError: a pose is broken, or refers to a missing frame or to itself.
         """
         pose = element.find("pose")
         reference = "" if pose is None else pose.get("relative_to") or pose.get("frame") or ""
@@ -84,19 +84,19 @@ class Scope:
 
 
 def root_of(text: str) -> Element | None:
-    """The outermost element of XML, None for another text; comments may have -- within, as Gazebo takes them.
+    """Outermost element of XML, None for another text; comments may contain --, as Gazebo accepts them.
 
     Raises:
-        InputError: the text begins as XML and is none, or has entities.
+        InputError: the text begins like XML but is broken, or has entities.
     """
     return xml_of(COMMENT.sub("", text))
 
 
 def matrix_of(pose: Element | None, name: str) -> FloatArray:
-    """The transform of a pose, `(4, 4)`; that of an element without one is the identity.
+    """Transform of a pose, `(4, 4)`; the identity for an element without a pose.
 
     Raises:
-        InputError: it has not six finite numbers.
+        InputError: the pose does not have six finite numbers.
     """
     matrix = np.eye(4)
     if pose is None or not (pose.text or "").strip():
@@ -134,7 +134,7 @@ def seen_in(root: Element, path: Any, tag: str) -> Iterator[Seen]:
 
 
 def _models(scope: Scope, tag: str, saved: dict[str, FloatArray], depth: int) -> Iterator[Seen]:
-    """The elements of the models in a scope, at saved poses where there are some."""
+    """Elements of the models in a scope, at the saved poses if there are any."""
     if depth > DEEPEST:
         raise InputError(f"models are in models, more than {DEEPEST} deep.")
     for element in scope.element:
@@ -167,14 +167,14 @@ def _models(scope: Scope, tag: str, saved: dict[str, FloatArray], depth: int) ->
 
 
 def _name(element: Element) -> str:
-    """The name of an element; of an include, the name that it gives the model or the end of its URI."""
+    """Name of an element; for an include, the name that it gives the model, or the last part of its URI."""
     if element.tag != "include":
         return element.get("name", "")
     return (element.findtext("name") or "").strip() or (element.findtext("uri") or "").strip().rpartition("/")[2]
 
 
 def _included(folder: Path, uri: str) -> Element | None:
-    """The model of a URI beside a world; None if it is not there."""
+    """Model of a URI beside a world; None if it is not found."""
     name = uri.removeprefix("model://").removeprefix("file://").strip("/")
     name = name.removesuffix(f"/{MODEL_FILE}")
     if not name or ".." in Path(name).parts or Path(name).is_absolute():

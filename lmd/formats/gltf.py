@@ -1,4 +1,4 @@
-"""glTF: checks before its triangles are read, and integer coordinates that stand for fractions."""
+"""glTF: checks before triangles are read, and conversion of integer coordinates that represent fractions."""
 
 import base64
 import json
@@ -10,14 +10,14 @@ import numpy as np
 from lmd.core.checks import InputError
 
 TEXT = ".gltf"
-# Levels of nodes, and the numbers in a value of each type.
+# Greatest number of levels of nodes; and numbers in a value of each type.
 DEEPEST_LEVEL = 32
 NUMBERS_OF_TYPE = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT2": 4, "MAT3": 9, "MAT4": 16}
-# What an integer of a component is divided by where it is normalised, by its type in NumPy.
+# NumPy types of integer components, and divisors of normalised integers.
 FRACTIONS = {5120: ("i1", 127.0), 5121: ("u1", 255.0), 5122: ("<i2", 32767.0), 5123: ("<u2", 65535.0)}
 FLOAT = 5126
-FAN = 6  # the mode of triangles that share their first corner
-# Extensions that a file may require without effect on where its triangles are.
+FAN = 6  # mode of triangles that share their first corner
+# Extensions that a file may require without effect on the places of triangles.
 QUANTISED = "KHR_mesh_quantization"
 LOOKS = ("KHR_materials_", "KHR_texture_", "KHR_lights_", "KHR_xmp", "KHR_animation_", "EXT_texture_", "EXT_lights_")
 COMPRESSED = ("KHR_draco_mesh_compression", "EXT_meshopt_compression", "KHR_meshopt_compression")
@@ -25,13 +25,13 @@ DATA = "data:application/octet-stream;base64,"
 
 
 def header_of(file: Path, content: bytes) -> dict[str, Any]:
-    """The JSON part of a glTF, checked: it has its triangles in itself, as they are, and no more than it says.
+    """Checked JSON part of a glTF: the file contains its triangles, uncompressed, and no more than its header states.
 
-    All data must be in the named file, as another run recognises the room by the contents of that file.
+    All data must be in the named file, as a later run identifies the room by the content of that file.
 
     Raises:
-        InputError: the triangles are elsewhere, compressed or placed by an extension that is not read.
-        ValueError: it is damaged.
+        InputError: the triangles are in another file, compressed, or placed by an extension that is not supported.
+        ValueError: the file is damaged.
     """
     header = json.loads(content if file.suffix.lower() == TEXT else content[20 : 20 + _word(content, 12)])
     for buffer in header.get("buffers", []):
@@ -53,7 +53,7 @@ def header_of(file: Path, content: bytes) -> dict[str, Any]:
 
 
 def triangles_of(header: dict[str, Any]) -> float:
-    """The most triangles that the nodes of a checked glTF place."""
+    """Upper bound on the number of triangles that the nodes of a checked glTF place."""
     counts, corners = [part["count"] for part in header.get("accessors", [])], []
     for mesh in header.get("meshes", []):
         read = [i for part in mesh["primitives"] for i in (part["attributes"]["POSITION"], part.get("indices"))]
@@ -62,9 +62,10 @@ def triangles_of(header: dict[str, Any]) -> float:
 
 
 def with_fractions(header: dict[str, Any], content: bytes, kind: str) -> tuple[bytes, str]:
-    """A checked glTF and its kind, `glb` or `gltf`, with numbers where corners are integers that stand for fractions.
+    """Content and kind (`glb` or `gltf`) of a checked glTF, with floats in place of integers that represent fractions.
 
-    c / 32767 of 16 bits with a sign, and so on by `FRACTIONS`; the reader of meshes takes them for whole metres.
+    A signed 16-bit integer c represents c / 32767; `FRACTIONS` has all types. The reader of meshes would take integers
+    for metres.
     """
     accessors = header.get("accessors", [])
     corners = {p["attributes"]["POSITION"] for mesh in header.get("meshes", []) for p in mesh["primitives"]}
@@ -89,7 +90,7 @@ def with_fractions(header: dict[str, Any], content: bytes, kind: str) -> tuple[b
 
 
 def _fractions(header: dict[str, Any], accessor: dict[str, Any]) -> Any:
-    """The values of an accessor `(count, 3)`, in [-1, 1]."""
+    """Values of an accessor `(count, 3)`, in [-1, 1]."""
     view = header["bufferViews"][accessor["bufferView"]]
     buffer = base64.b64decode(header["buffers"][view["buffer"]]["uri"].partition(",")[2])
     kind, largest = FRACTIONS[accessor["componentType"]]
@@ -108,7 +109,7 @@ def _uri(content: bytes) -> str:
 
 
 def _check_extensions(file: Path, header: dict[str, Any]) -> None:
-    """Raise `InputError` where an extension decides where triangles are, and it is not read."""
+    """Raise `InputError` if an unsupported extension determines the places of triangles."""
     needed = [str(name) for name in header.get("extensionsRequired", [])]
     if any("EXT_mesh_gpu_instancing" in node.get("extensions", {}) for node in header.get("nodes", [])):
         needed.append("EXT_mesh_gpu_instancing")
@@ -132,7 +133,7 @@ def _check_extensions(file: Path, header: dict[str, Any]) -> None:
 
 
 def _check_tree(children: list[list[int]]) -> None:
-    """Raise `ValueError` if nodes are no tree, or one so deep that the way to a node takes long to be multiplied."""
+    """Raise `ValueError` if the nodes form no tree, or a tree with too many levels."""
     parents = {child: node for node, theirs in enumerate(children) for child in theirs}
     if len(parents) < sum(map(len, children)):
         raise ValueError("a node has two parents")

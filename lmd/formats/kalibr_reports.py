@@ -1,6 +1,6 @@
-"""Kalibr's `results-cam.txt`: cameras and their poses in the first, without their size.
+"""Kalibr's `results-cam.txt`: cameras without image sizes, and their poses in the frame of the first camera.
 
-Sources: `CameraUtils.py` and `quaternion_algebra.cpp` (ethz-asl/kalibr), whose quaternions are those of JPL.
+Sources: `CameraUtils.py` and `quaternion_algebra.cpp` (ethz-asl/kalibr), whose quaternions follow the JPL convention.
 """
 
 import re
@@ -11,7 +11,7 @@ from lmd.core.checks import FloatArray, InputError, vector
 from lmd.formats.calibration_readers import POSE, Cameras, Keys, camera_of_chain, known_lens
 from lmd.geometry.se3 import inverse, pose_of
 
-# Kalibr: what the classes of its cameras are called in its chains.
+# Names of Kalibr's camera classes in its chains.
 KALIBR_CLASSES = {
     "DistortedPinhole": ("pinhole", "radtan"),
     "EquidistantPinhole": ("pinhole", "equidistant"),
@@ -32,7 +32,9 @@ KALIBR_BASELINE = re.compile(rf"baseline T_(\d+)_(\d+):\s*q:{_LIST}[^t]*?\bt:{_L
 
 
 def kalibr_report(text: str, asked: Keys) -> Cameras:
-    """The cameras of Kalibr's `results-cam.txt`, with poses in the first camera; the file has no image sizes."""
+    """Cameras of Kalibr's `results-cam.txt`, with poses in the frame of the first camera; the file has no image
+    sizes.
+    """
     cameras: Cameras = {}
     pose, baselines = np.eye(4), {int(n): (q, t) for n, _, q, t in KALIBR_BASELINE.findall(text)}
     for index, (name, kind, distortion, projection) in enumerate(KALIBR_CAMERA.findall(text)):
@@ -60,7 +62,7 @@ def _floats(text: str) -> list[float]:
 
 
 def _jpl(quaternion: list[float]) -> FloatArray:
-    """The matrix of a quaternion x, y, z, w of JPL, which is the transpose of Hamilton's."""
+    """Matrix of a quaternion x, y, z, w in the JPL convention: the transpose of the matrix in Hamilton's convention."""
     from scipy.spatial.transform import Rotation
 
     return np.asarray(Rotation.from_quat(vector("q", quaternion, 4)).as_matrix()).T

@@ -1,13 +1,13 @@
-"""The table of tags that everybody can write: one row a tag, columns by name, between commas or spaces.
+"""Simple table of tags: one row per tag, named columns, separated by commas or spaces.
 
     id, x, y, z, then one of
         nx, ny, nz (and ux, uy, uz)   its normal and its up, see `Deployment.from_table`
         qx, qy, qz, qw                a unit quaternion
         roll, pitch, yaw              rad, as ROS has them: Rz(yaw) Ry(pitch) Rx(roll)
-    and if they are known edge, metres, and family.
+    and, if known, edge (metres) and family.
 
-The quaternion or the angles turn the frame of a tag, whose axes point as `lmd.formats.placed_tag.axes_of` says, to the
-frame of the map. Names may stand in the first line, or in a comment above the values.
+Quaternion or angles rotate the frame of a tag to the frame of the map; for the axes of a tag's frame see
+`lmd.formats.placed_tag.axes_of`. The names of columns are in the first line, or in a comment above the values.
 """
 
 import re
@@ -27,7 +27,7 @@ from lmd.scene.labels import ID, Labels
 FAMILY = "family"
 PLACE, NORMAL, UP = COLUMNS[:3], COLUMNS[3:], UP_COLUMNS
 QUATERNION, ANGLES = ("qx", "qy", "qz", "qw"), ("roll", "pitch", "yaw")
-# What others call columns; a number or an edge is one only if its values are numbers.
+# Names of columns in other programs; an id or an edge is recognised only if its values are numbers.
 NAMES = {
     **dict.fromkeys(("tag_id", "tagid", "tag", "marker_id", "markerid", "marker", "fiducial_id", "fiducial"), ID),
     **dict.fromkeys(("number", "tag_number", "nr", "no"), ID),
@@ -42,10 +42,10 @@ OUR_UNITS = ("m", "metre", "metres", "meter", "meters", "rad", "radian", "radian
 
 
 def name_of(column: str) -> str:
-    """The name that a column has here, if it is one of the table's; else its own.
+    """Standard name of a column of the table, or the column's own name if it has none.
 
     Raises:
-        InputError: it is one of the table's in another unit.
+        InputError: the column has another unit.
     """
     plain, unit = column.strip().strip("#:;").strip(), None
     if (found := _UNIT.fullmatch(plain.lower())) is not None:
@@ -63,7 +63,7 @@ def name_of(column: str) -> str:
 
 
 def named_columns(columns: Sequence[str]) -> list[str]:
-    """The names of columns here, see `name_of`; a name that is taken already stays what it is."""
+    """Standard names of columns, see `name_of`; a column keeps its own name if its standard name is already used."""
     names: list[str] = []
     for column in columns:
         name = name_of(column)
@@ -72,7 +72,7 @@ def named_columns(columns: Sequence[str]) -> list[str]:
 
 
 def renamed(table: Table) -> Table:
-    """The table with the names of `named_columns`, but for ids and edges whose values are no numbers."""
+    """Table with the names of `named_columns`, except for ids and edges whose values are no numbers."""
     columns = {}
     for name, (column, texts) in zip(named_columns(list(table.texts)), table.texts.items(), strict=True):
         fits = name == column or name not in (ID, EDGE) or all(is_number(text) for text in texts if text)
@@ -81,21 +81,21 @@ def renamed(table: Table) -> Table:
 
 
 def is_by_normals(table: Table) -> bool:
-    """True for a table, with names from here, that has normals of tags, or is not one of tags."""
+    """True for a table with standard names that has normals of tags, or that is no table of tags."""
     return any(name in table for name in NORMAL) or not all(name in table for name in PLACE)
 
 
 def families_of(table: Table) -> list[str]:
-    """The families that the column `family` names; empty where there is none."""
+    """Families in the column `family`; empty without such a column."""
     return [family_named(text) for text in table.texts.get(FAMILY, ()) if text]
 
 
 def turned_deployment(table: Table, axes: Sequence[str] | None) -> Deployment:
-    """The tags of a table by their places, and quaternions or angles.
+    """Deployment from a table with positions and quaternions or angles.
 
     Args:
-        table: its columns have the names of `named_columns`.
-        axes: where x, y and z of the frame of a tag point, see `axes_of`.
+        table: table whose columns have the names of `named_columns`.
+        axes: directions of x, y and z of a tag's frame, see `axes_of`.
 
     Raises:
         InputError: a column is missing, or a value is refused.
@@ -129,7 +129,7 @@ def _turn(number: int, values: FloatArray) -> FloatArray:
 
 
 def headed_table(path: Any, lines: Sequence[str], name: str) -> Table:
-    """A table with its header, whose columns may be apart by commas or by spaces."""
+    """Table from lines with a header; columns are separated by commas or by spaces."""
     header = lines[0].split() if lines else []
     if not header or len(header) == 1 or "," in lines[0]:
         return read_table(path, name=name)

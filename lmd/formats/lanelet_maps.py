@@ -1,7 +1,7 @@
 """Tags in a Lanelet2 map of Autoware: ways of the type `pose_marker`, whose corners are nodes in metres.
 
-The corners are counterclockwise as one stands before the tag. From the first to the second is its x axis, to the right,
-from the second to the third its y axis, up.
+The corners are counter-clockwise for a viewer in front of the tag. The tag's x axis (right) points from the first to
+the second corner, the y axis (up) from the second to the third.
 
 Sources: "Map specifications" of Autoware's ar_tag_based_localizer, `LandmarkManager::parse_landmarks`.
 """
@@ -16,14 +16,14 @@ from lmd.formats.placed_tag import PlacedTag, number_of, tag_of_corners
 from lmd.scene.families import family_named
 
 TYPE = "pose_marker"
-PLACE = ("local_x", "local_y", "ele")  # metres in the frame of the map
+PLACE = ("local_x", "local_y", "ele")  # coordinates in the frame of the map, metres
 
 
 def autoware(root: Element) -> Iterable[PlacedTag]:
     """Tags of the ways of a map.
 
     Raises:
-        InputError: the map has none, or a corner has no place.
+        InputError: the map has no tag, or a corner has no coordinates.
     """
     nodes = {node.get("id"): node for node in root.iter("node")}
     ways = [way for way in root.iter("way") if _tags(way).get("type") == TYPE]

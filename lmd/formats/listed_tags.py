@@ -1,7 +1,7 @@
-"""Lists of tags that people write in YAML or JSON: a list `landmarks`, `markers` or `tags`, or a mapping by numbers.
+"""Hand-written lists of tags in YAML or JSON: a list `landmarks`, `markers` or `tags`, or a mapping by number.
 
-A tag has an id, a position and an orientation, under one of the names here. The list does not say where the axes of the
-frame of a tag point, which a user can. Four values of an orientation must say which of them is w.
+A tag has an id, a position and an orientation, under one of the names in this module. The list does not define the axes
+of a tag's frame, so the user may. The four values of a quaternion must be named, so that w is known.
 """
 
 from collections.abc import Iterable
@@ -30,10 +30,10 @@ def is_list(keys: Keys) -> bool:
 
 
 def listed(keys: Keys) -> Iterable[PlacedTag]:
-    """The tags of a list.
+    """Tags of a list.
 
     Raises:
-        InputError: a tag lacks its place or its turn, or a value is refused.
+        InputError: a tag lacks its position or its orientation, or a value is refused.
     """
     name = _list_of(keys)
     assert name is not None
@@ -69,12 +69,12 @@ def _number(value: Any) -> int:
 
 
 def _first(keys: Keys, names: Iterable[str]) -> Any:
-    """The value of the first of these names that has one; None if none has."""
+    """Value of the first of `names` that has a value; None if there is none."""
     return next((keys[name] for name in names if keys.get(name) is not None), None)
 
 
 def _together(at: str, keys: Keys, names: Iterable[str]) -> FloatArray | None:
-    """The values of all these names; None if a key is missing."""
+    """Values of all `names`; None if a key is missing."""
     values = [keys.get(name) for name in names]
     return None if None in values else np.array(vector(f"{at}: {', '.join(names)}", values, len(values)))
 
@@ -90,7 +90,7 @@ def _place(at: str, pose: Keys) -> FloatArray:
 
 
 def _turn(at: str, number: int, pose: Keys) -> FloatArray:
-    """The matrix of the orientation of a tag, by a quaternion or by roll, pitch and yaw."""
+    """Rotation matrix of a tag, from a quaternion or from roll, pitch and yaw."""
     for name, order in ORDERED.items():
         if pose.get(name) is not None:
             values = dict(zip(order, vector(f"{at}: {name}", pose[name], 4), strict=True))

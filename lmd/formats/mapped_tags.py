@@ -1,4 +1,4 @@
-"""Keys of the maps that programs for mapping and localisation keep, in JSON and YAML.
+"""Readers of maps by programs for mapping and localisation, in JSON and YAML.
 
 Sources: `ReconstructedTag` and `exportReconstructions` of schmidtniko/visual_marker_mapping; `map_lift_3d`,
 `get_corners_mat` and `xytz_to_SE3` of markisus/pytagmapper; `ZedArucoLoc` of stereolabs/zed-ros2-examples.
@@ -25,16 +25,18 @@ from lmd.formats.placed_tag import (
 )
 from lmd.scene.families import family_named
 
-# The frame of a marker that the ZED's localisation turns a camera by: img2aruco and ros2img of `initTFs`.
+# Frame of a marker in the ZED's localisation: img2aruco and ros2img of `initTFs`.
 OUT_RIGHT_UP = axes_of(("out", "right", "up"))
 PLANAR, LIFTED, SPATIAL = "2d", "2.5d", "3d"  # kinds of maps of pytagmapper
 VALUES = {PLANAR: ("x", "y", "yaw"), LIFTED: ("x", "y", "yaw", "z")}
-DEFAULT = "default"  # the size of tags that have none of their own
+DEFAULT = "default"  # key of the size of tags without their own size
 MARKER = re.compile(r"marker_\d+")
 
 
 def visual_marker_mapping(keys: Keys) -> Iterable[PlacedTag]:
-    """Tags of a reconstruction, whose values are texts; the quaternion begins with w, and y is up."""
+    """Tags of a reconstruction by Visual Marker Mapping; values are texts, the quaternion begins with w, and y is
+    up.
+    """
     for tag in mappings("reconstructed_tags", keys["reconstructed_tags"]):
         number = number_of(_number("id", tag["id"]))
         width, height = (_number(name, tag[name]) for name in ("width", "height"))
@@ -47,7 +49,7 @@ def visual_marker_mapping(keys: Keys) -> Iterable[PlacedTag]:
 
 
 def _number(name: str, value: Any) -> float:
-    """A number that may be written as a text."""
+    """Number that may be written as a text."""
     if isinstance(value, str):
         try:
             value = float(value)
@@ -57,7 +59,7 @@ def _number(name: str, value: Any) -> float:
 
 
 def pytagmapper(keys: Keys) -> Iterable[PlacedTag]:
-    """Tags of a map of pytagmapper: 3-D transforms, or places and a turn about z of tags that lie face up."""
+    """Tags of a map of pytagmapper: 3-D transforms, or positions and rotations about z of tags that lie face up."""
     sizes = mapping("tag_side_lengths", keys.get("tag_side_lengths", {DEFAULT: keys.get("tag_side_length")}))
     for name, value in mapping("tag_locations", keys["tag_locations"]).items():
         number = number_of(_number("id", str(name)))
@@ -76,14 +78,16 @@ def pytagmapper(keys: Keys) -> Iterable[PlacedTag]:
 
 
 def _kind_of(value: Any) -> str:
-    """The kind of a map that older versions of pytagmapper wrote, by the shape of a location."""
+    """Kind of a map that older versions of pytagmapper wrote, from the shape of a location."""
     if np.ndim(value) == 2:
         return SPATIAL
     return LIFTED if len(value) == len(VALUES[LIFTED]) else PLANAR
 
 
 def zed(keys: Keys) -> Iterable[PlacedTag]:
-    """Markers of the ZED's localisation, of which the first `marker_count` are used: x out of it, y right, z up."""
+    """Markers of the ZED's localisation, of which the first `marker_count` are used; x points out of a marker, y right,
+    z up.
+    """
     general = mapping("general", keys["general"])
     edge = edge_of("general.marker_size", general["marker_size"])
     count = real("general.marker_count", general.get("marker_count", np.inf), low=0.0, infinite=True)

@@ -1,6 +1,6 @@
 """MATLAB's files of version 5 to 7 as keys and plain values: numbers, texts and structures.
 
-SciPy's reader, which is compiled, ends the process on some damaged files; this one is for files that are not trusted.
+SciPy's compiled reader ends the process on some damaged files; this reader is for untrusted files.
 
 Source: "MAT-File Format", R2024a, The MathWorks.
 """
@@ -13,22 +13,22 @@ from typing import Any
 
 import numpy as np
 
-HEADER = 128  # bytes before the first element
-MATRIX, COMPRESSED, UTF8 = 14, 15, 16  # types of elements; numbers are below
+HEADER = 128  # size of the header before the first element, bytes
+MATRIX, COMPRESSED, UTF8 = 14, 15, 16  # types of elements; lower types are numbers
 NUMBERS = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 9: "f8", 12: "i8", 13: "u8"}
 TEXTS = {UTF8: "utf-8", 17: "utf-16", 18: "utf-32"}
 STRUCTURE, OBJECT, CHARACTERS, DOUBLE, LAST_NUMERIC = 2, 3, 4, 6, 15  # classes of arrays
 COMPLEX = 0x800
-SKIPPED = object()  # a cell, a sparse matrix, an object of a class, or what is too large
+SKIPPED = object()  # stands for a cell, a sparse matrix, an object of a class, or a large array
 
 
 class MatFile:
-    """Reader of a file.
+    """Reader of a MATLAB file.
 
     Args:
-        content: the bytes of the file.
-        largest: greatest size of what a compressed element expands to, bytes.
-        numbers: greatest number of entries of an array that is taken.
+        content: bytes of the file.
+        largest: greatest expanded size of a compressed element, bytes.
+        numbers: greatest number of entries of an array that is kept.
         depth: greatest depth of structures.
     """
 
@@ -38,10 +38,10 @@ class MatFile:
         self.left, self.numbers, self.depth = largest, numbers, depth
 
     def keys(self) -> dict[str, Any]:
-        """The variables by name, without those that are skipped.
+        """Variables by name, without skipped ones.
 
         Raises:
-            ValueError, struct.error, zlib.error: the file is damaged, or expands to too much.
+            ValueError, struct.error, zlib.error: the file is damaged, or its expanded size is too large.
         """
         found = {}
         for kind, data in self._elements(self.content[HEADER:]):
@@ -59,11 +59,11 @@ class MatFile:
         return found
 
     def _elements(self, data: bytes) -> Iterator[tuple[int, bytes]]:
-        """Types and contents of the elements that follow each other."""
+        """Types and contents of consecutive elements."""
         place = 0
         while place + 8 <= len(data):
             kind, size = struct.unpack_from(f"{self.order}II", data, place)
-            if kind >> 16:  # a small element has its size, its type and up to four bytes in eight
+            if kind >> 16:  # a small element has its size, type and content in eight bytes
                 kind, size = kind & 0xFFFF, kind >> 16
                 if size > 4:
                     raise ValueError(f"a small element has {size} bytes")
@@ -102,7 +102,7 @@ class MatFile:
         return name, plain
 
     def _structure(self, parts: Iterator[tuple[int, bytes]], depth: int) -> dict[str, Any]:
-        """The fields of a structure."""
+        """Fields of a structure."""
         length = int(self._array(*next(parts, (0, b""))).sum())
         names = next(parts, (0, b""))[1]
         if not 0 < length <= 256:
@@ -115,7 +115,7 @@ class MatFile:
         return found
 
     def _array(self, kind: int, data: bytes) -> Any:
-        """The numbers of an element."""
+        """Numbers of an element."""
         if kind not in NUMBERS:
             raise ValueError(f"an element is of the type {kind}, which has no numbers")
         return np.frombuffer(data, dtype=f"{self.order}{NUMBERS[kind]}")

@@ -1,4 +1,4 @@
-"""Meshes of rooms from files, see `lmd.formats.room_formats`; triangles of glTF, OBJ, STL and PLY, by trimesh."""
+"""Meshes of rooms from files, see `lmd.formats.room_formats`; trimesh reads triangles of glTF, OBJ, STL and PLY."""
 
 import io
 import json
@@ -26,33 +26,33 @@ from lmd.space.triangles import THINNEST_M
 
 UP_AXES = ("z", "y")
 CAPTURED = ".json"
-Y_UP = (".gltf", ".glb", CAPTURED)  # what their standard says
+Y_UP = (".gltf", ".glb", CAPTURED)  # formats whose standard has y up
 SUFFIXES = (".gltf", ".glb", ".obj", ".stl", ".ply", CAPTURED)
 # Decimals of a metre to which corners are rounded before they are compared: files have 32 bits for a number.
 CORNER_DIGITS = 6
-# Metres in the units that programs export, and the longest side of rooms that are hinted at, metres.
+# Units of programs in metres; and longest side of a room for which a message suggests a unit, metres.
 UNITS = {"metres": 1.0, "millimetres": 0.001, "centimetres": 0.01, "inches": 0.0254, "feet": 0.3048}
 LIKELY = (2.0, 100.0)
-# Of more triangles, what has to be known of each would take gigabytes and minutes.
+# Greatest number of triangles; data of more triangles would take gigabytes and minutes.
 MOST_TRIANGLES = 5_000_000
 _CORNER = re.compile(r"(-?\d+)")
 _PLY_FACES = re.compile(rb"^element\s+face\s+(\d+)\s*$", re.MULTILINE)
 
 
 class RoomFile(File):
-    """A file of a room; `asked` has its axis `up`."""
+    """File of a room; `asked` has its axis `up`."""
 
     @cached_property
     def content(self) -> bytes:
-        """The bytes."""
+        """Bytes of the file."""
         return read_bytes(self.path, self.argument)
 
     @cached_property
     def keys(self) -> Mapping[str, Any]:
-        """The keys and values of JSON, or of YAML if the suffix says so; none of another file.
+        """Keys and values of JSON, or of YAML if the suffix says so; empty for another file.
 
         Raises:
-            InputError: the text is neither.
+            InputError: the text is neither JSON nor YAML.
         """
         if self.suffix in (".yaml", ".yml"):
             return super().keys
@@ -69,7 +69,7 @@ class RoomFile(File):
         return keys
 
     def refused(self, reason: str) -> InputError:
-        """The error about a room that is not read; with the suffixes that are read if it has another one."""
+        """Error about a refused room; the message lists the supported suffixes if the file has another suffix."""
         if self.suffix in SUFFIXES:
             return InputError(f"path: {str(self.path)!r}: {reason}.", "path")
         known = f"path = {str(self.path)!r} must end in one of {', '.join(SUFFIXES)}"
@@ -77,15 +77,15 @@ class RoomFile(File):
 
 
 def read_mesh(path: str | Path | None, scale: float = 1.0, up: str | None = None) -> Mesh:
-    """Read a mesh; what has no area, or is there twice, is left out.
+    """Read a mesh; triangles without area and repeated triangles are left out.
 
     Args:
-        scale: metres in a unit of the file.
-        up: which of its axes points up, `z` or `y`; None for what its format says, `y` for glTF and what headsets and
-            phones capture, `z` for others.
+        scale: metres per unit of the file.
+        up: axis of the file that points up, `z` or `y`; None for the format's standard: `y` for glTF and for rooms
+            captured by headsets and phones, `z` for other formats.
 
     Raises:
-        InputError: the file is missing, holds no triangles or cannot be read, or its size is not that of a room.
+        InputError: the file is missing, holds no triangles or cannot be read, or its size is implausible for a room.
     """
     if path is None:
         raise InputError("path is missing: a file with a mesh of the room is needed.", "path")
@@ -126,7 +126,7 @@ def read_mesh(path: str | Path | None, scale: float = 1.0, up: str | None = None
 def read_mesh_room(
     path: Any, reachable: Any, spacing: Any, scale: float = 1.0, up: str | None = None, **more: Any
 ) -> MeshRoom:
-    """The room of a mesh in a file.
+    """Room from a mesh in a file.
 
     Args:
         path, scale, up: see `read_mesh`.
@@ -139,7 +139,7 @@ def read_mesh_room(
 
 
 def _hint(size: FloatArray) -> str:
-    """Advice on a file with such lengths `(3,)` along x, y and z, in its own unit."""
+    """Advice about the unit of a file whose extents along x, y and z are `size` `(3,)`, in the unit of the file."""
     told = [
         f"a file in {unit} takes {per:g}, which makes {box_text(per * size)}"
         for unit, per in UNITS.items()
@@ -154,7 +154,7 @@ def _turned(points: FloatArray, up: str) -> FloatArray:
 
 
 def _triangulated(captured: Captured, up: str) -> dict[str, Any]:
-    """The things of a captured room as meshes, by their names."""
+    """Objects of a captured room as meshes, by name."""
     trimesh = optional("trimesh", "mesh")
     parts = {}
     for part in captured.parts:
@@ -167,10 +167,10 @@ def _triangulated(captured: Captured, up: str) -> dict[str, Any]:
 
 
 def triangles(room: RoomFile) -> dict[str, Any]:
-    """The objects of a file that have triangles, as meshes in its scene, by their names, z up."""
+    """Objects of a file that have triangles, as meshes in the scene's frame, by name, z up."""
     file, up = Path(room.path), room.asked["up"]
     trimesh = optional("trimesh", "mesh")
-    logging.getLogger("trimesh").setLevel(logging.WARNING)  # it would say of every object that it has quads
+    logging.getLogger("trimesh").setLevel(logging.WARNING)  # trimesh would warn about quads in every object
     content, kind = room.content, file.suffix.lower().removeprefix(".")
     options = {"split_objects": True} if kind == "obj" else {}
     try:
@@ -180,9 +180,9 @@ def triangles(room: RoomFile) -> dict[str, Any]:
             content, kind = with_fractions(header, content, kind)
         if kind == "obj":
             content = _with_triangles(content)
-        # Of bytes, nothing says where they are from: no other file is looked for, such as materials or textures.
-        # Not processed, or corners that are no numbers would be left out with their triangles.
-        with np.errstate(all="ignore"):  # of numbers that are refused below
+        # Bytes have no path, so no other files, such as materials or textures, are searched. Processing is off, as it
+        # would drop triangles with corners that are no numbers.
+        with np.errstate(all="ignore"):  # the check below refuses invalid numbers
             scene = trimesh.load_scene(io.BytesIO(content), kind, skip_materials=True, process=False, **options)
         parts = {}
         for name in sorted(scene.graph.nodes_geometry):
@@ -221,7 +221,9 @@ def _check_count(file: Path, triangles: float) -> None:
 
 
 def _with_triangles(content: bytes) -> bytes:
-    """An OBJ with triangles in place of faces of more than three corners; what cannot be cut stays as it is."""
+    """Content of an OBJ with triangles in place of faces with more than three corners; faces that cannot be cut
+    stay.
+    """
     lines = content.decode("utf-8", "surrogateescape").splitlines()
     places: list[list[float]] = []
     result = []
@@ -240,11 +242,11 @@ def _place(word: str) -> float:
     try:
         return float(word)
     except ValueError:
-        return np.nan  # which the reader of the file refuses
+        return np.nan  # the reader of the file refuses NaN
 
 
 def _cut_face(line: str, words: list[str], places: list[list[float]]) -> list[str]:
-    """The lines of the triangles of a face; the line of the face itself if they cannot be found."""
+    """Lines of the triangles of a face; the line of the face itself if the face cannot be cut."""
     found = [_CORNER.match(word) for word in words]
     numbers = [int(each[1]) for each in found if each is not None]
     index = [number - 1 if number > 0 else len(places) + number for number in numbers]
@@ -252,7 +254,7 @@ def _cut_face(line: str, words: list[str], places: list[list[float]]) -> list[st
         return [line]
     corners: FloatArray = np.array([places[i] for i in index])
     triangles = cut(corners) if np.isfinite(corners).all() else np.empty((0, 3, 3))
-    if len(triangles) != len(words) - 2:  # it is bent, crosses itself, or has no area
+    if len(triangles) != len(words) - 2:  # the face is bent, crosses itself, or has no area
         return [line]
     nearest = np.linalg.norm(triangles[:, :, None] - corners, axis=-1).argmin(axis=-1)
     ahead = np.cross(corners, np.roll(corners, -1, axis=0)).sum(axis=0)
@@ -262,7 +264,9 @@ def _cut_face(line: str, words: list[str], places: list[list[float]]) -> list[st
 
 
 def _check_ply(name: str, content: bytes, triangles: int) -> None:
-    """Raise `InputError` for a PLY with faces of more than three corners, of which a reader made `triangles`."""
+    """Raise `InputError` for a PLY with faces of more than three corners; the reader made `triangles` from all
+    faces.
+    """
     found = _PLY_FACES.search(content[: content.find(b"end_header")])
     if found is not None and triangles > int(found[1]):
         raise InputError(

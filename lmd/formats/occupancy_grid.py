@@ -1,4 +1,4 @@
-"""Occupancy grids of ROS: `map.yaml` with a picture, as nav2_map_server reads them.
+"""Occupancy grids of ROS: `map.yaml` with a picture, read like nav2_map_server does.
 
 Source: `loadMapFromFile` of nav2_map_server. A cell is occupied at 100, free at 0, and unknown at -1.
 """
@@ -58,8 +58,8 @@ class OccupancyGrid(NamedTuple):
 def read_occupancy_grid(path: str | Path) -> OccupancyGrid:
     """Read the map of a YAML file and its picture.
 
-    In the modes `trinary` and `scale`, cells between the thresholds are neither free nor occupied, as AMCL takes them.
-    In the mode `raw` the thresholds apply to the occupancy, as map_saver applies them.
+    In the modes `trinary` and `scale`, cells between the thresholds are neither free nor occupied, as in AMCL. In the
+    mode `raw` the thresholds apply to the occupancy, as in map_saver.
 
     Raises:
         InputError: a file is missing or cannot be read, or a key is missing or wrong.
@@ -120,7 +120,7 @@ def occupancy(
 
 
 def _check_keys(keys: Mapping[str, Any]) -> None:
-    """Raise `InputError` if the keys of a file are not those of a map."""
+    """Raise `InputError` if the keys of a file are no keys of a map."""
     lacking = [name for name in KEYS if name not in keys]
     if lacking:
         raise InputError(f"the key {lacking[0]} is missing, which nav2_map_server needs too.")
@@ -133,7 +133,9 @@ def _negate(value: Any) -> bool:
 
 
 def _beside(file: Path, image: Any) -> Path:
-    """Path of a picture, relative to its YAML file; an absolute path of another machine is looked for beside it."""
+    """Path of a picture, relative to the YAML file. If an absolute path does not exist, the picture is searched beside
+    that file.
+    """
     if not isinstance(image, str) or not image.strip():
         raise InputError(f"image must be the path of the picture, got {image!r}.")
     picture = file.parent / image

@@ -1,4 +1,4 @@
-"""Calibrations by OpenCV's samples, and by scripts of its users, who call the same things otherwise."""
+"""Calibrations by OpenCV's samples, and by users' scripts, which have other names for the keys."""
 
 import re
 import xml.etree.ElementTree as ElementTree
@@ -12,7 +12,7 @@ AS_ROS = (
     "write it as ROS does, with image_width, image_height, camera_matrix: {data: [fx, 0, cx, 0, fy, cy, 0, 0, 1]}, "
     "distortion_model and distortion_coefficients: {data: [k1, k2, p1, p2, k3]}"
 )
-# What OpenCV's samples of other years and scripts of its users call the keys of ROS, in small letters without `_`.
+# Keys of ROS by their names in OpenCV's samples of several years and in users' scripts, in small letters without `_`.
 OPENCV_NAMES = {
     "image_width": ("imagewidth",),
     "image_height": ("imageheight",),
@@ -30,10 +30,10 @@ OPENCV_NAMES = {
         "d",
     ),
 }
-VAGUE = "matrix"  # that of a camera only if there is a distortion, too
+VAGUE = "matrix"  # a camera matrix only if there is a distortion, too
 OPENCV_SIZES = ("image_size", "img_size", "dim")
-DIMENSIONS = "dim"  # which only the recipe for cv2.fisheye writes, beside K and D
-# What scripts call the model of the lens, where others have the name of a product; and those of wide lenses.
+DIMENSIONS = "dim"  # key that only the recipe for cv2.fisheye writes, beside K and D
+# Names of keys with the lens model in scripts, which may also hold the name of a product; and values for wide lenses.
 OPENCV_LENSES = (
     "lens_model",
     "camera_model",
@@ -46,7 +46,7 @@ OPENCV_LENSES = (
     "model",
     "type",
 )
-OPENCV_FISHEYES = ("fisheye_model", "fisheye", "is_fisheye")  # 1 or true; OpenCV's own sample has the first
+OPENCV_FISHEYES = ("fisheye_model", "fisheye", "is_fisheye")  # keys with 1 or true; OpenCV's sample has the first
 NARROW = re.compile(r"rad_?tan|plumb.?bob|brown|radial.tangential|rational")
 WIDE = re.compile(
     r"fish|omni|equidist|kannala|unified|double.?sphere|scaramuzza|f.?theta|division|inverse|stereographic|equisolid"
@@ -55,7 +55,7 @@ WIDE = re.compile(
 
 
 def xml_of(text: str) -> ElementTree.Element | None:
-    """The element that holds all others of XML, None for another text; entities could stand for gigabytes.
+    """Outermost element of XML, None for another text; entities are refused, as they could expand to gigabytes.
 
     Raises:
         InputError: the text has entities, or is broken.
@@ -71,10 +71,10 @@ def xml_of(text: str) -> ElementTree.Element | None:
 
 
 def opencv_xml(root: ElementTree.Element) -> dict[str, Any]:
-    """The numbers and matrices of OpenCV's `FileStorage`.
+    """Numbers and matrices of OpenCV's `FileStorage`.
 
     Raises:
-        InputError: it is none.
+        InputError: the XML is no `FileStorage`.
     """
     keys: dict[str, Any] = {}
     for child in root:
@@ -91,7 +91,7 @@ def opencv_xml(root: ElementTree.Element) -> dict[str, Any]:
 
 
 def _value(text: str) -> Any:
-    """A number, a list of several, or the text."""
+    """Value of a text: a number, a list of numbers, or the text itself."""
     if not all(re.fullmatch(r"[-+]?\d{1,9}(\.\d{0,17})?", part) for part in text.split()):
         return text
     numbers = [float(part) if "." in part else int(part) for part in text.split()]
@@ -110,7 +110,7 @@ def _plain(key: str) -> str:
 
 
 def opencv(keys: Mapping[str, Any]) -> Mapping[str, Any]:
-    """The keys of ROS from those of OpenCV's samples and scripts, where a matrix may be a list of rows."""
+    """Keys of ROS from the keys of OpenCV's samples and scripts, in which a matrix may be a list of rows."""
     plain = {key.lower(): value for key, value in keys.items()}
     short = {_plain(key): value for key, value in keys.items()}
     found = dict(keys)
@@ -130,11 +130,11 @@ def opencv(keys: Mapping[str, Any]) -> Mapping[str, Any]:
 
 
 def model_of(plain: Mapping[str, Any], lens: Any) -> Any:
-    """The model of the lens, None where the file does not say it in any way.
+    """Model of the lens; None if nothing in the file determines it.
 
     Args:
-        plain: the keys, in small letters.
-        lens: the coefficients, as ROS has them.
+        plain: keys of the file, in small letters.
+        lens: coefficients in ROS's order.
     """
     flags = [str(plain[name]).lower() in ("1", "true", "yes") for name in OPENCV_FISHEYES if name in plain]
     if any(flags):

@@ -1,4 +1,4 @@
-"""Tag maps in the formats of this project: a table and a JSON."""
+"""Tag maps in the formats of this project: a table and a JSON document."""
 
 import json
 from pathlib import Path
@@ -18,7 +18,7 @@ FRAME = "metres; z up; of a tag x is right, y up, z out of it; its quaternion tu
 
 
 def write_csv(path: Path, tags: TagMap) -> None:
-    """Write `tags.csv`: what `Deployment.to_csv` writes, then quaternion, corners and family."""
+    """Write `tags.csv`: the columns of `Deployment.to_csv`, then quaternion, corners and family."""
     deployment = tags.deployment
     placed = np.hstack([deployment.places, deployment.normals, deployment.ups])
     turned = np.hstack([tags.quaternions, tags.corners.reshape(-1, 12)])

@@ -1,6 +1,6 @@
-"""A tag of a map, its family by the names of others, and the checks of the values that place it.
+"""Tag of a map, the family by the names of other programs, and checks of the values that place the tag.
 
-All readers give the poses of tags in one frame: x to the right of the tag, y up, z out of it towards the viewer.
+All readers give the poses of tags in one frame: x to the right of the tag, y up, z along the normal towards the viewer.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
@@ -15,10 +15,10 @@ from lmd.geometry.se3 import QUATERNION_TOLERANCE, are_rotations, nearest_rotati
 from lmd.scene.families import FAMILIES
 
 Keys = Mapping[str, Any]
-MM, METRE = 1e-3, 1.0  # metres
-SMALLEST_EDGE, LARGEST_EDGE = 0.005, 2.0  # metres: of a tag of a map; others are asked about
-SQUARE_TOLERANCE = 0.05  # of the sides of a measured square, relative to the longest
-LAST_ROW = (0.0, 0.0, 0.0, 1.0)  # of a transform
+MM, METRE = 1e-3, 1.0  # units, metres
+SMALLEST_EDGE, LARGEST_EDGE = 0.005, 2.0  # plausible edges of a tag of a map, metres; others are refused
+SQUARE_TOLERANCE = 0.05  # tolerance of the sides of a measured square, relative to the longest side
+LAST_ROW = (0.0, 0.0, 0.0, 1.0)  # last row of a transform
 LAST_ROW_TOLERANCE = 1e-6
 DIRECTIONS = {
     "right": (1.0, 0.0, 0.0),
@@ -29,20 +29,20 @@ DIRECTIONS = {
     "into": (0.0, 0.0, -1.0),
 }
 RIGHT_UP_OUT = ("right", "up", "out")
-# Places in OpenCV's list of dictionaries, by which RTAB-Map names them.
+# OpenCV's dictionaries in the order of its list; RTAB-Map names a dictionary by its index.
 _SQUARE = [f"{bits}x{bits}_{ids}" for bits in (4, 5, 6, 7) for ids in (50, 100, 250, 1000)]
 NUMBERS = dict(enumerate([*_SQUARE, "aruco_original", "16h5", "25h9", "36h10", "36h11", "aruco_mip_36h12"]))
 
 
 class PlacedTag(NamedTuple):
-    """A tag of a map.
+    """Tag of a map.
 
     Args:
-        number: its id.
-        position: of its centre, `(3,)`, metres.
-        axes: from its frame (x right, y up, z out) to that of the map, `(3, 3)`.
-        edge: of the black square, metres; None where the map does not say.
-        family: see `lmd.scene.families.family_named`; None where the map does not say.
+        number: id of the tag.
+        position: position of the centre, `(3,)`, metres.
+        axes: rotation from the tag's frame (x right, y up, z out) to the map's frame, `(3, 3)`.
+        edge: edge of the black square, metres; None if the map has none.
+        family: name of the family, see `lmd.scene.families.family_named`; None if the map has none.
     """
 
     number: int
@@ -53,15 +53,14 @@ class PlacedTag(NamedTuple):
 
 
 class Found(NamedTuple):
-    """The tags of a file.
+    """Tags of a file.
 
     Args:
-        tags: of a map of others.
-        table: a table of tags, in place of these; see `lmd.formats.landmark_table`.
-        by_opencv: True if those who read such files detect by OpenCV.
-        note: an assumption about the file, a sentence; empty without any.
-        any_frame: True if the file does not say where the axes of the frame of a tag point, so that a user can; see
-            `axes_of`.
+        tags: tags of another program's map.
+        table: table of tags, instead of `tags`; see `lmd.formats.landmark_table`.
+        by_opencv: True if the programs that read such files detect tags with OpenCV.
+        note: assumption about the file, a sentence; empty without an assumption.
+        any_frame: True if the file does not define the axes of a tag's frame, so that the user may, see `axes_of`.
     """
 
     tags: Sequence[PlacedTag]
@@ -72,13 +71,13 @@ class Found(NamedTuple):
 
 
 def axes_of(words: Sequence[str] | None) -> FloatArray:
-    """The axes x, y and z of a frame of a tag, by where they point, as columns in x right, y up, z out, `(3, 3)`.
+    """Axes x, y and z of a tag's frame from their directions, as columns in the frame x right, y up, z out, `(3, 3)`.
 
     Args:
         words: three of `DIRECTIONS`; None for right, up, out.
 
     Raises:
-        InputError: they are no right-handed frame.
+        InputError: the directions form no right-handed frame.
     """
     given = RIGHT_UP_OUT if words is None else words
     if isinstance(given, list | tuple) and len(given) == 3 and all(isinstance(word, str) for word in given):
@@ -93,44 +92,44 @@ def axes_of(words: Sequence[str] | None) -> FloatArray:
 
 
 def number_of(value: Any) -> int:
-    """The id of a tag; raises `InputError` if `value` is no integer >= 0."""
+    """Id of a tag; raises `InputError` if `value` is no integer >= 0."""
     return integer("id", value, low=0)
 
 
 def numbers(keys: Keys, names: Iterable[str]) -> FloatArray:
-    """Some values of a mapping, all of them numbers."""
+    """Values of a mapping under `names`, checked as numbers."""
     return np.array([real(name, keys[name]) for name in names])
 
 
 def mapping(name: str, value: Any) -> Keys:
-    """Return `value` if it has keys; raises `InputError` if not."""
+    """Return `value` if it is a mapping; otherwise raise `InputError`."""
     if not isinstance(value, Mapping):
         raise InputError(f"{name} must be a mapping with keys, got {_kind(value)}.")
     return value
 
 
 def mappings(name: str, value: Any) -> list[Keys]:
-    """Return `value` as a list of mappings; raises `InputError` if it is none."""
+    """Return `value` if it is a list of mappings; otherwise raise `InputError`."""
     if not isinstance(value, list | tuple):
         raise InputError(f"{name} must be a list, got {_kind(value)}.")
     return [mapping(f"{name}[{i}]", entry) for i, entry in enumerate(value)]
 
 
 def _kind(value: Any) -> str:
-    """A value in a message, which may be a tree of any depth."""
+    """Short text of a value, possibly a deep tree, for a message."""
     if isinstance(value, Mapping | list | tuple):
         return "a mapping" if isinstance(value, Mapping) else "a list"
     return "nothing" if value is None else repr(value)[:80]
 
 
 def edge_of(name: str, value: Any, unit: float = METRE) -> float:
-    """The edge of the black square of a tag, metres.
+    """Edge of the black square of a tag, metres.
 
     Args:
-        unit: of the value, metres.
+        unit: unit of the value, metres.
 
     Raises:
-        InputError: it is no number, or no usual edge.
+        InputError: the value is no number, or an implausible edge.
     """
     edge = unit * real(name, value, above=0.0)
     if not SMALLEST_EDGE <= edge <= LARGEST_EDGE:
@@ -143,10 +142,10 @@ def edge_of(name: str, value: Any, unit: float = METRE) -> float:
 
 
 def turn_by_quaternion(x: float, y: float, z: float, w: float) -> FloatArray:
-    """The matrix of a unit quaternion.
+    """Matrix of a unit quaternion.
 
     Raises:
-        InputError: its length is not 1.
+        InputError: the length of the quaternion is not 1.
     """
     from scipy.spatial.transform import Rotation  # slow to load
 
@@ -159,20 +158,20 @@ def turn_by_quaternion(x: float, y: float, z: float, w: float) -> FloatArray:
 
 
 def turn_by_angles(number: int, roll: float, pitch: float, yaw: float) -> FloatArray:
-    """The matrix of ROS's roll, pitch and yaw of a tag, rad.
+    """Matrix of ROS's roll, pitch and yaw of a tag, rad.
 
     Raises:
-        InputError: they look like degrees.
+        InputError: the angles look like degrees.
     """
     radians(f"tag {number}", roll=np.array([roll]), pitch=np.array([pitch]), yaw=np.array([yaw]))
     return roll_pitch_yaw([roll, pitch, yaw])
 
 
 def transform_of(number: int, values: Any) -> tuple[FloatArray, FloatArray]:
-    """The place and the rotation of a tag by the 16 numbers of its 4 x 4 transform, row by row.
+    """Position and rotation of a tag from the 16 numbers of its 4 x 4 transform, row by row.
 
     Raises:
-        InputError: they are no rigid motion, or written column by column.
+        InputError: the numbers are no rigid motion, or are written column by column.
     """
     pose = np.array(vector("transform", values, 16)).reshape(4, 4)
     if np.abs(pose[3] - LAST_ROW).max() > LAST_ROW_TOLERANCE:
@@ -184,10 +183,10 @@ def transform_of(number: int, values: Any) -> tuple[FloatArray, FloatArray]:
 
 
 def tag_of_corners(number: int, corners: FloatArray, family: str | None) -> PlacedTag:
-    """The tag between four corners `(4, 3)`, metres, clockwise from the top left.
+    """Tag with four corners `(4, 3)`, metres, clockwise from the top left.
 
     Raises:
-        InputError: they are not four, no square, or not one after the other around it.
+        InputError: there are not four corners, they form no square, or their order is not around the square.
     """
     if corners.shape != (4, 3):
         raise InputError(f"the marker {number} must have four corners, it has {len(corners)}.")
@@ -195,9 +194,9 @@ def tag_of_corners(number: int, corners: FloatArray, family: str | None) -> Plac
     if np.ptp(sides) > SQUARE_TOLERANCE * sides.max():
         raise InputError(f"the marker {number} must be a square, its sides are {np.round(sides, 6).tolist()} m.")
     edge = edge_of("side", float(sides.mean()))
-    # From the left to the right and from the lower to the upper corners.
+    # Vectors from the left to the right corners, and from the lower to the upper corners.
     right, up = corners[1] + corners[2] - corners[0] - corners[3], corners[0] + corners[1] - corners[2] - corners[3]
-    if min(np.linalg.norm(right), np.linalg.norm(up)) < edge:  # each is twice the edge
+    if min(np.linalg.norm(right), np.linalg.norm(up)) < edge:  # for a square, each vector is twice the edge
         raise InputError(f"the marker {number} must have its corners one after the other around it.")
     right /= np.linalg.norm(right)
     up -= (up @ right) * right
@@ -207,10 +206,10 @@ def tag_of_corners(number: int, corners: FloatArray, family: str | None) -> Plac
 
 
 def orthonormal(matrix: FloatArray) -> FloatArray:
-    """The rotation nearest to a matrix printed with a few decimals.
+    """Rotation nearest to a matrix printed with a few decimals.
 
     Raises:
-        InputError: it is none.
+        InputError: the matrix is no rotation.
     """
     if not are_rotations(matrix):
         raise InputError(f"the rotation {np.round(matrix, 4).tolist()} must be orthonormal and right-handed.")
@@ -218,10 +217,10 @@ def orthonormal(matrix: FloatArray) -> FloatArray:
 
 
 def one_family(named: Iterable[str | None]) -> str | None:
-    """The family of the tags of a map, of which each may say its own; None where none says any.
+    """Family of the tags of a map, each of which may name a family; None if no tag does.
 
     Raises:
-        InputError: they are of several families.
+        InputError: the tags have several families.
     """
     families = sorted({family for family in named if family is not None})
     if len(families) > 1:
@@ -233,7 +232,9 @@ def one_family(named: Iterable[str | None]) -> str | None:
 
 
 def check_family(path: Any, told: str | None, wanted: str | None) -> None:
-    """Raise `InputError` if the tags of a map at `path` are of another family than is wanted, if both are known."""
+    """Raise `InputError` if the family `told` by the map at `path` differs from the family `wanted`; None if
+    unknown.
+    """
     if told is None or wanted is None or told == wanted:
         return
     if told not in FAMILIES:

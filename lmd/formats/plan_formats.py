@@ -1,4 +1,4 @@
-"""The formats of floor plans, in the order in which they are tried."""
+"""Formats of floor plans, in the order in which they are tried."""
 
 from collections.abc import Callable
 from typing import Any

@@ -12,7 +12,7 @@ from lmd.space.parts import check_metres
 from lmd.space.prism import Prism, from_floor_plan
 from lmd.space.relevance import Relevance
 
-# Room of `conf/room/floor_plan.yaml`, which a file takes the place of.
+# Values of `conf/room/floor_plan.yaml`, which a file replaces.
 EXAMPLE = {
     "outline": [[0, 0], [6, 0], [6, 2], [3, 2], [3, 4], [0, 4]],
     "holes": [[[1.3, 1.3], [1.7, 1.3], [1.7, 1.7], [1.3, 1.7]]],
@@ -49,7 +49,7 @@ class ReadPlan(NamedTuple):
     scale: str
     """Text on the unit of the file, such as `resolution = 0.05`, for messages."""
     note: str = ""
-    """Remark on what is left out or ambiguous, a sentence; empty without one."""
+    """Remark on omitted or ambiguous parts, a sentence; empty without a remark."""
 
 
 class PlanFile(File):
@@ -86,17 +86,18 @@ def read_plan_room(
 
     Args:
         path: file of one of the formats of this module; None for a plan from the other arguments.
-        outline, holes: see `FloorPlan`; None or those of `EXAMPLE` with a `path`.
-        keep_out: see `FloorPlan`; with a `path` in addition to those of the file, and not those of `EXAMPLE`.
+        outline, holes: see `FloorPlan`; with a `path`, None or the values of `EXAMPLE`.
+        keep_out: see `FloorPlan`; with a `path`, in addition to the keep-outs of the file, while those of `EXAMPLE` are
+            ignored.
         surfaces: see `FloorPlan`; with a `path`, None for all walls with a free stretch of `least_width`.
         height, margin, plan: see `FloorPlan`.
         reachable, spacing, positions, relevance: see `Prism`.
         start: point (x, y) of the file's frame in the room, metres; None for the largest region.
         tolerance: greatest distance of a wall from the contour in the file, metres.
         speck: groups of cells of an occupancy grid that are not free count as free if both sides are shorter, metres.
-        passage: parts of an occupancy grid's free region that are narrower, metres, are left out.
-        layers: names of the layers of a drawing with walls; None for those whose names say so.
-        unit: unit of a drawing, one of `lmd.formats.dxf.UNITS`; None for the one that it names.
+        passage: least width of the parts of an occupancy grid's free region, metres; narrower parts are left out.
+        layers: names of the layers of a drawing with walls; None for the layers whose names mean walls.
+        unit: unit of a drawing, one of `lmd.formats.dxf.UNITS`; None for the unit that the drawing names.
         gap: widest gap between walls of a drawing that is closed, such as a door, metres.
         least_width: least width of the free stretch of a wall that carries landmarks by default, metres.
 

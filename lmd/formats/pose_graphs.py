@@ -1,8 +1,8 @@
-"""Tags among the vertices of a pose graph of g2o that RTAB-Map exported.
+"""Tags among the vertices of a g2o pose graph that RTAB-Map exported.
 
-A landmark with a rotation is a vertex `VERTEX_SE3:QUAT` as a pose is. Landmarks come first, the greatest number before
-the others, and an edge to one is called `EDGE_SE3`, those between poses `EDGE_SE3:QUAT`. The number of its vertex is
-that of the tag, added to the greatest number of a pose; other programs write the number with a minus. A landmark
+A landmark with a rotation is a vertex `VERTEX_SE3:QUAT`, as is a pose. Landmarks come first, in descending order of
+their numbers. Edges to landmarks are `EDGE_SE3`, edges between poses `EDGE_SE3:QUAT`. The number of a landmark's vertex
+is the tag's number plus the greatest number of a pose; other programs write the tag's number with a minus. A landmark
 without a rotation is a point.
 
 Source: `OptimizerG2O::saveGraph` of introlab/rtabmap; its issue 1199 has a file.
@@ -18,7 +18,7 @@ from lmd.formats.placed_tag import Found, PlacedTag, number_of, turn_by_quaterni
 POSE, POINTS = "VERTEX_SE3:QUAT", ("VERTEX_TRACKXYZ", "VERTEX_XY", "VERTEX_POINT_XYZ")
 PLANAR = "VERTEX_SE2"
 EDGE, TO_LANDMARK = "EDGE_", "EDGE_SE3"
-POSE_VALUES = 7  # x, y, z, qx, qy, qz, qw
+POSE_VALUES = 7  # number of values of a pose: x, y, z, qx, qy, qz, qw
 AS_POSES = (
     "export the poses as RGB-D SLAM with ids, landmarks included (rtabmap-export --poses --poses_format 11), which is "
     "read"
@@ -26,10 +26,10 @@ AS_POSES = (
 
 
 def read_graph(path: Any, text: str) -> Found:
-    """The tags of a graph.
+    """Tags of a graph.
 
     Raises:
-        InputError: it has no landmark, or only landmarks without a rotation.
+        InputError: the graph has no landmark, or only landmarks without a rotation.
     """
     poses, points, landmarks = dict[int, list[float]](), set[int](), set[int]()
     planar = edges = False
@@ -63,14 +63,14 @@ def read_graph(path: Any, text: str) -> Found:
 
 
 def _leading(vertices: list[int]) -> set[int]:
-    """The vertices before the least number, if each exceeds the least number and all numbers after it."""
+    """Vertices before the least number, if each number exceeds the least number and all numbers after that."""
     poses = vertices[vertices.index(min(vertices)) :] if vertices else []
     leading = vertices[: len(vertices) - len(poses)]
     return set(leading) if leading and min(leading) > max(poses) else set()
 
 
 def _finite(values: list[str]) -> list[float]:
-    """The values of a pose; raises `ValueError` if they are no seven finite numbers."""
+    """Values of a pose; raises `ValueError` if they are not seven finite numbers."""
     found = [float(value) for value in values]
     if len(found) != POSE_VALUES or not np.isfinite(found).all():
         raise ValueError
@@ -78,7 +78,7 @@ def _finite(values: list[str]) -> list[float]:
 
 
 def _reason(poses: int, points: int, planar: bool) -> str:
-    """Why a graph has no tags that can be placed, and a way to a file that has them."""
+    """Reason for the lack of tags with poses in a graph, and advice on exporting a file that has them."""
     if planar:
         return f"it is a graph of g2o in two dimensions, in which tags have no height: {AS_POSES}."
     if points:

@@ -1,9 +1,9 @@
-"""Calibrations by programs of reconstruction and calibration, in the keys of ROS.
+"""Readers of calibrations by programs for reconstruction and calibration, as keys of ROS.
 
 | program | the principal point counts from |
 | --- | --- |
 | Open3D, Visual Marker Mapping, Caltech's toolbox for MATLAB | the centre of the first pixel, as OpenCV |
-| MATLAB's toolbox for computer vision | one pixel to the left of and above that centre |
+| MATLAB's toolbox for computer vision | one pixel to the left of and above the centre of the first pixel |
 | Metashape | the middle of the image, from whose border pixels are counted |
 | nerfstudio, instant-ngp | the border of the image |
 
@@ -41,7 +41,7 @@ from lmd.geometry.lens import EQUIDISTANT
 from lmd.geometry.se3 import inverse, pose_of
 
 FIRST_PIXEL = 1.0  # MATLAB's coordinate of the centre of the first pixel
-MOST_FRAMES = 64  # different cameras of frames in a file; more are refused
+MOST_FRAMES = 64  # greatest number of different cameras of frames in a file
 MILLIMETRES = 1000.0
 NERF_FISHEYE = "OPENCV_FISHEYE"
 NERF_MODELS = ("OPENCV", "PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL", NERF_FISHEYE)
@@ -51,7 +51,7 @@ NERF_KEYS = ("w", "h", "fl_x", "fl_y", "cx", "cy", *NERF_LENS, "distortion_param
 
 
 def intrinsics_of_open3d(keys: Keys) -> list[Keys]:
-    """The `PinholeCameraIntrinsic` of a file of Open3D: alone, with extrinsics, or in a trajectory."""
+    """`PinholeCameraIntrinsic` of a file of Open3D: alone, with extrinsics, or in a trajectory."""
     parts = keys.get("parameters")
     found = [keys, *(part for part in parts if isinstance(part, Mapping))] if isinstance(parts, list) else [keys]
     cameras = (part.get("intrinsic", part) for part in found)
@@ -59,7 +59,7 @@ def intrinsics_of_open3d(keys: Keys) -> list[Keys]:
 
 
 def open3d(keys: Keys) -> Cameras:
-    """The cameras of Open3D that differ."""
+    """Different cameras in a file of Open3D."""
     found: list[Keys] = []
     for camera in intrinsics_of_open3d(keys):
         matrix = row_by_row("intrinsic_matrix", camera["intrinsic_matrix"])
@@ -72,7 +72,7 @@ def open3d(keys: Keys) -> Cameras:
 
 
 def visual_marker_mapping(keys: Keys) -> Cameras:
-    """The camera of Visual Marker Mapping, whose numbers are texts; OpenCV's five coefficients."""
+    """Camera of Visual Marker Mapping, whose numbers are texts; the lens has OpenCV's five coefficients."""
     size = [int(keys[f"{direction}_resolution"]) for direction in ("horizontal", "vertical")]
     fx, fy, cx, cy = (float(keys[name]) for name in ("fx", "fy", "cx", "cy"))
     lens = [float(number) for number in flat(keys["distortion_coefficients"])]
@@ -95,7 +95,8 @@ def is_stereo_of_matlab(keys: Any) -> bool:
 def matlab(keys: Keys) -> Cameras:
     """MATLAB's `cameraParameters`, `cameraIntrinsics` and `stereoParameters` as structures, by the names above them.
 
-    Points are rows, and multiplied by matrices from the right: `IntrinsicMatrix`, `RotationOfCamera2` are transposed.
+    MATLAB multiplies points, as rows, by matrices from the right, so `IntrinsicMatrix` and `RotationOfCamera2` are
+    transposed.
     """
     for _, pair in within(keys, is_stereo_of_matlab):
         first, second = (_matlab(pair[f"CameraParameters{i}"]) for i in (1, 2))
@@ -130,7 +131,9 @@ def _matlab(camera: Keys) -> Keys:
 
 
 def caltech(keys: Keys) -> Cameras:
-    """Caltech's toolbox: `fc`, `cc`, `alpha_c`, `kc` of one camera, or of two with `_left`, `_right`, and `R`, `T`."""
+    """Cameras of Caltech's toolbox: `fc`, `cc`, `alpha_c`, `kc` of one camera, or of two with `_left`, `_right`, and
+    `R`, `T`.
+    """
     if "fc" in keys:
         return {"": _caltech(keys, "")}
     first, second = (_caltech(keys, end) for end in ("_left", "_right"))
@@ -149,7 +152,7 @@ def _caltech(keys: Keys, end: str) -> Keys:
 
 
 def metashape(root: Element) -> Cameras:
-    """The calibration of Metashape, or those of the sensors of its `cameras.xml`, by their ids."""
+    """Calibration of Metashape, or calibrations of the sensors of its `cameras.xml`, by id."""
     if root.tag == "calibration":
         return {"": _metashape(root)}
     cameras: Cameras = {}
@@ -162,7 +165,7 @@ def metashape(root: Element) -> Cameras:
 
 
 def _metashape(calibration: Element) -> Keys:
-    """One calibration: P1 and P2 are OpenCV's p2 and p1, and u = w / 2 + cx + x' (f + b1) + y' b2."""
+    """Keys of one calibration: P1 and P2 are OpenCV's p2 and p1, and u = w / 2 + cx + x' (f + b1) + y' b2."""
     values = {
         child.tag: float(child.text)
         for child in calibration
@@ -200,7 +203,7 @@ def _metashape(calibration: Element) -> Keys:
 
 
 def nerf(keys: Keys, asked: Keys) -> Cameras:
-    """The camera of nerfstudio's or instant-ngp's `transforms.json`, or those of its frames that differ."""
+    """Camera of nerfstudio's or instant-ngp's `transforms.json`, or the different cameras of its frames."""
     shared = {name: value for name, value in keys.items() if name != "frames"}
     frames = keys.get("frames")
     frames = [frame for frame in frames if isinstance(frame, Mapping)] if isinstance(frames, list) else []

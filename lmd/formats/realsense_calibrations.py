@@ -1,11 +1,11 @@
-"""Intrinsics and extrinsics of RealSense, as librealsense prints them or as JSON, in the keys of ROS.
+"""Readers of intrinsics and extrinsics of RealSense, printed by librealsense or as JSON, as keys of ROS.
 
-Pixels count from the centre of the first one. Extrinsics take points from one stream to another, in metres; the printed
-rotation is row by row.
+Pixels count from the centre of the first pixel. Extrinsics map points from one stream to another, in metres; the
+printed rotation is row by row.
 
 Sources: `rs-enumerate-devices.cpp`, `rs_types.h`, `rs.cpp` and `doc` of IntelRealSense/librealsense. The model "inverse
-Brown Conrady" has two meanings there: `rs_types.h` says that its polynomial undistorts an image, while
-`rs2_project_point_to_pixel` distorts by it (issues 6382, 7335, 7734 and pull request 13833 leave it open).
+Brown Conrady" has two meanings in librealsense: by `rs_types.h` the polynomial undistorts an image, while
+`rs2_project_point_to_pixel` distorts by the polynomial (issues 6382, 7335, 7734 and pull request 13833 leave it open).
 """
 
 import itertools
@@ -52,10 +52,10 @@ EXTRINSIC = re.compile(
 
 
 def realsense_text(text: str, asked: Keys) -> Cameras:
-    """The streams that `rs-enumerate-devices -c` prints, by `STREAM/WIDTHxHEIGHT`, with their poses.
+    """Streams that `rs-enumerate-devices -c` prints, by `STREAM/WIDTHxHEIGHT`, with their poses.
 
-    The serial number comes before the name where the text has several devices, and `/2` behind that of the second
-    stream of one size, such as raw images beside rectified ones.
+    If the text has several devices, the serial number precedes the name. The second stream of one size, such as raw
+    images beside rectified images, has the suffix `/2`.
     """
     device, found, extrinsics = "", [], {}
     for part in REALSENSE.finditer(text):
@@ -91,7 +91,9 @@ def _printed(text: str, count: int) -> FloatArray:
 
 
 def _stream_pose(stream: str, extrinsics: Mapping[tuple[str, str], FloatArray]) -> tuple[str, FloatArray | None]:
-    """Frame and pose, `(4, 4)`, of a stream in that of the first stream that all have extrinsics to."""
+    """Frame of reference and pose `(4, 4)` of a stream in it: the frame of the first stream to which all streams have
+    extrinsics.
+    """
     streams = [source for source, to in extrinsics if source == to] or sorted({to for _, to in extrinsics})
     frame = next(iter(streams), stream)
     return (frame, np.eye(4)) if frame == stream else (frame, extrinsics.get((stream, frame)))
@@ -103,12 +105,14 @@ def is_realsense(keys: Any) -> bool:
 
 
 def realsense(keys: Keys, asked: Keys) -> Cameras:
-    """The streams of a JSON or YAML with librealsense's `rs2_intrinsics`, by the keys above them."""
+    """Streams of a JSON or YAML with librealsense's `rs2_intrinsics`, by the keys above them."""
     return {name: partial(_realsense, name, camera, asked) for name, camera in within(keys, is_realsense)}
 
 
 def _realsense(name: str, camera: Keys, asked: Keys, pose: tuple[str, FloatArray | None] | None = None) -> Keys:
-    """One stream and its pose; of the model "inverse Brown Conrady" only zeros have one meaning."""
+    """Keys of one stream with its pose. The model "inverse Brown Conrady" is unambiguous only if all coefficients are
+    0.
+    """
     keys = _stream(name, camera, asked)
     return keys if pose is None else {**keys, POSE: pose}
 
@@ -147,7 +151,7 @@ def _stream(name: str, camera: Keys, asked: Keys) -> Keys:
 
 
 def _size(size: Any, asked: Keys) -> Any:
-    """The size of the image, of the file or as it is asked for."""
+    """Size of the image: from the file, or the size `asked`."""
     own = size if None not in size else asked.get("image_size")
     if own is None:
         raise InputError("image_width or image_height is missing: give image_size, [width, height] in pixels.")

@@ -1,7 +1,7 @@
-"""Registry of the file formats that are read and written, with those of other packages.
+"""Registry of the file formats that are read and written, including formats of other packages.
 
-A package adds formats by an entry point of the group `lmd.formats`: a `Format`, or a list of them. They are tried
-before those of `lmd`.
+A package adds formats by an entry point of the group `lmd.formats`: a `Format`, or a list of formats. Added formats are
+tried before the formats of `lmd`.
 """
 
 import math
@@ -21,7 +21,7 @@ from lmd.core.tables import COMMENT
 from lmd.scene.families import FAMILIES as TAG_FAMILIES
 
 GROUP = "lmd.formats"
-# Module of each family, whose `FORMATS` are tried in their order; the last one takes every file.
+# Module of each family. The module's `FORMATS` are tried in their order; the last format accepts every file.
 FAMILIES = {
     "calibration": "lmd.formats.calibration_formats",
     "trajectory": "lmd.formats.trajectory_formats",
@@ -30,25 +30,25 @@ FAMILIES = {
     "floor plan": "lmd.formats.plan_formats",
     "detections": "lmd.formats.detection_formats",
 }
-HEAD = 2000  # characters in which `begins` looks for a mark
+HEAD = 2000  # number of characters that `begins` searches
 
 
 @dataclass(frozen=True)
 class File:
-    """A file whose format is asked for; it is read when its content is first used."""
+    """File whose format is to be found; the file is read when its content is first used."""
 
     path: Any
     """Path of the file."""
     argument: str = "path"
-    """Name of the argument that the path came from, for messages."""
+    """Name of the argument with the path, for messages."""
     asked: Mapping[str, Any] = field(default_factory=dict)
-    """Settings of the user that formats of the family need, by name."""
+    """User's settings that formats of the family need, by name."""
     largest: float = math.inf
     """Maximum size, bytes; a larger file is refused."""
 
     @cached_property
     def text(self) -> str:
-        """The text.
+        """Text of the file.
 
         Raises:
             InputError: the file cannot be read, or holds no text.
@@ -57,46 +57,46 @@ class File:
 
     @cached_property
     def keys(self) -> Mapping[str, Any]:
-        """The keys and values of YAML or JSON.
+        """Keys and values of YAML or JSON.
 
         Raises:
-            InputError: the text is neither.
+            InputError: the text is neither YAML nor JSON.
         """
         return parse_keys(self.path, self.text, self.argument)
 
     @cached_property
     def lines(self) -> list[str]:
-        """The lines that are neither blank nor comments."""
+        """Lines that are neither blank nor comments."""
         return [line for line in self.text.splitlines() if line.strip() and line.lstrip()[0] != COMMENT]
 
     @property
     def first(self) -> str:
-        """The first of `lines`; empty if there is none."""
+        """First of `lines`; empty if there is none."""
         return self.lines[0] if self.lines else ""
 
     @property
     def suffix(self) -> str:
-        """The end of the file's name, such as `.json`, in small letters."""
+        """Suffix of the file's name, such as `.json`, in small letters."""
         return Path(self.path).suffix.lower()
 
     def refused(self, reason: str) -> InputError:
-        """The error about a file of a format that is refused for a reason."""
+        """Error about a file that is refused for a reason."""
         return InputError(f"{reason}.")
 
 
 class Writer(NamedTuple):
-    """The output of a format: a tag map, a plan or print sheets.
+    """Output of a format: a tag map, a plan or print sheets.
 
     Args:
         file: name of the file.
-        write: a function of the path, the map as `tags` and, if it is printed, the size of the paper as `paper`; of the
-            plan, where north is as `north` too.
-        only_apriltag: True if its readers support only the families of AprilTag.
-        only_opencv: True if its readers support only families that OpenCV has.
+        write: function of the path, the map as `tags` and, for printed files, the size of the paper as `paper`; for the
+            plan, also the direction of north as `north`.
+        only_apriltag: True if readers of the format support only the families of AprilTag.
+        only_opencv: True if readers of the format support only families that OpenCV has.
         on_paper: True if the file is to be printed.
-        check: raises `InputError`, a clause without its subject, if it cannot hold the tags of a map; None where it
-            holds any.
-        edges: tag sizes in the file: `OWN`, one for each tag; `ONE`, a single one for all tags; `NONE`, no size.
+        check: function that raises `InputError`, with the predicate of a sentence, if the format cannot hold the tags
+            of a map; None if it can hold any tags.
+        edges: tag sizes in the file: `OWN`, a size for each tag; `ONE`, one size for all tags; `NONE`, no size.
     """
 
     file: str
@@ -109,7 +109,7 @@ class Writer(NamedTuple):
 
     @property
     def families(self) -> tuple[str, ...]:
-        """Families of tags that its readers support."""
+        """Families of tags that readers of the format support."""
         return tuple(
             name
             for name, family in TAG_FAMILIES.items()
@@ -122,16 +122,18 @@ OWN, ONE, NONE = "own", "one", "none"  # values of `Writer.edges`
 
 @dataclass(frozen=True)
 class Format:
-    """A format that is read, written, or recognised and refused."""
+    """Format that is read, written, or recognised and refused."""
 
     family: str
     """One of `FAMILIES`."""
     name: str
-    """Name of the program or the standard; the name in `formats` of one that is written."""
+    """Name of the program or the standard; for a written format, its name in `formats`."""
     recognises: Callable[[Any], bool]
-    """Function that is true for a `File` of this format, of those that no earlier format recognises."""
+    """Function that returns True for a `File` of this format; called only for files that no earlier format
+    recognises.
+    """
     read: Callable[[Any], Any] | None = None
-    """Function that reads a `File`, None for a format that is refused.
+    """Function that reads a `File`; None for a refused format.
 
     | family | it returns |
     | --- | --- |
@@ -143,12 +145,12 @@ class Format:
     | detections | `lmd.formats.detections.DetectedTags` |
     """
     why_not: str | Callable[[Any], str] = ""
-    """Reason for the refusal and a way to a format that is read, without the full stop; may be a function of a `File`.
+    """Reason for the refusal and advice on a supported format, without the full stop; may be a function of a `File`.
     """
     row: str = ""
-    """Row of the table in the documentation, with ` | ` between cells; it names arguments, as in `name=cam1`.
+    """Row of the table in the documentation, with ` | ` between cells; the row names arguments, as in `name=cam1`.
 
-    Several kinds of file have a line each; empty for a format that shares the row of another.
+    Several kinds of file have a line each; empty for a format that shares the row of another format.
     """
     writer: Writer | None = None
     """Output of the format; None if it is only read."""
@@ -159,28 +161,28 @@ class Format:
 
 
 def has_keys(*names: str) -> Callable[[File], bool]:
-    """A test for files that have all these keys."""
+    """Make a test for files that have all the given keys."""
     return lambda file: set(names) <= file.keys.keys()
 
 
 def begins(mark: str) -> Callable[[File], bool]:
-    """A test for files whose first characters have a regular expression, in which `^` begins a line."""
+    """Make a test for files whose first characters match a regular expression, in which `^` is the begin of a line."""
     return lambda file: re.search(mark, file.text[:HEAD], re.MULTILINE) is not None
 
 
 def ends(*suffixes: str) -> Callable[[File], bool]:
-    """A test for files whose names end in one of these suffixes."""
+    """Make a test for files whose names end in one of the given suffixes."""
     return lambda file: file.suffix in suffixes
 
 
 def anything(_: File) -> bool:
-    """True for every file, as the last format of a family is."""
+    """Test that is True for every file, for the last format of a family."""
     return True
 
 
 @cache
 def outside() -> tuple[Format, ...]:
-    """The formats of other packages.
+    """Formats of other packages.
 
     Raises:
         InputError: an entry point cannot be loaded, or is no format.
@@ -199,7 +201,9 @@ def outside() -> tuple[Format, ...]:
 
 
 def _takes(form: Format, file: File) -> bool:
-    """True if a format of another package recognises a file; one that is neither YAML nor JSON may be one of ours."""
+    """True if a format of another package recognises a file; False if its test fails because the file is neither YAML
+    nor JSON.
+    """
     try:
         return form.recognises(file)
     except InputError:
@@ -207,17 +211,17 @@ def _takes(form: Format, file: File) -> bool:
 
 
 def format_of(family: str, file: File) -> Format:
-    """The first format of a family that recognises a file."""
+    """First format of a family that recognises a file."""
     theirs = (form for form in outside() if form.family == family and _takes(form, file))
     ours = (form for form in formats(family) if form.recognises(file))
     return next(chain(theirs, ours))
 
 
 def read(family: str, file: File) -> Any:
-    """The content of a file, see `Format.read`.
+    """Read a file by its format, see `Format.read`.
 
     Raises:
-        InputError: the format is refused or not known, or the file is damaged.
+        InputError: the format is refused or unknown, or the file is damaged.
     """
     form = format_of(family, file)
     if form.read is None:
@@ -226,12 +230,12 @@ def read(family: str, file: File) -> Any:
 
 
 def formats(family: str) -> tuple[Format, ...]:
-    """The formats of a family in `lmd`, in the order in which they are tried."""
+    """Formats of a family in `lmd`, in the order in which they are tried."""
     found: tuple[Format, ...] = import_module(FAMILIES[family]).FORMATS
     return found
 
 
 def rows(family: str) -> list[str]:
-    """The rows of the table of a family in the documentation, by the alphabet."""
+    """Rows of the table of a family in the documentation, in alphabetical order."""
     found = (row for form in formats(family) for row in form.row.splitlines())
     return sorted(found, key=lambda row: row.strip("`").lower())

@@ -20,18 +20,18 @@ CHAIN_KEYS = ("path", *KEYS[:-1], "names", *SHARED_KEYS)
 
 
 def rig_of(mounts: Any, camera: Camera | None = None) -> Rig:
-    """A rig from plain values, as configurations have them.
+    """Make a rig from plain values of a configuration.
 
     Args:
-        mounts: a list of mappings with the arguments of `Mount`; `camera` there is a calibration file, or a mapping
-            with the arguments of `calibrated_camera`. Or a mapping with a calibration file that says where its cameras
-            are as `path`, see `read_chain`, with `names`, `image_size` and `distortion_model` if needed, and where the
-            first camera sits on the body by the other arguments of `Mount`; by default in its origin, looking along
-            its x axis.
-        camera: of those mounts that do not say.
+        mounts: list of mappings with the arguments of `Mount`, in which `camera` is a calibration file or a mapping
+            with the arguments of `calibrated_camera`. Or a mapping with a calibration file that includes poses as
+            `path`, see `read_chain`, with `names`, `image_size` and `distortion_model` if needed; the other arguments
+            of `Mount` give the pose of the first camera on the body, by default at the body's origin, looking along the
+            body's x axis.
+        camera: camera of the mounts without a camera.
 
     Raises:
-        InputError: it is no such list, or a value in it is refused.
+        InputError: `mounts` is neither, or a value is refused.
     """
     if _is_chain(mounts):
         return _chained(mounts)
@@ -47,7 +47,7 @@ def read_mounts(path: Any) -> Any:
     """Read the mounts for `rig_of` from a file: a list with the key `rig`, or a calibration of several cameras.
 
     Raises:
-        InputError: the file cannot be read, or its key is no list.
+        InputError: the file cannot be read, or `rig` is no list.
     """
     keys = read_keys(path, "rig")
     if "rig" not in keys:
@@ -113,10 +113,10 @@ def write_rig(path: Path, rig: Rig, sources: Mapping[Camera, Any]) -> None:
 
 
 def rig_text(rig: Rig, sources: Mapping[Camera, Any]) -> str:
-    """Text of a rig file, see `read_mounts`; numbers equal those of the rig to the bit.
+    """Text of a rig file, see `read_mounts`; numbers equal the rig's numbers to the bit.
 
     Args:
-        sources: calibration by camera, as `rig_of` takes it; the default camera of the rig has none.
+        sources: calibration by camera, as in `rig_of`; the default camera of the rig has none.
     """
     import yaml
 
@@ -145,7 +145,8 @@ def _mount(name: str, entry: Any, camera: Camera | None) -> Mount:
 
 
 def camera_from(source: Any) -> Camera | None:
-    """The camera of a mount: of a calibration file, or of the arguments of `calibrated_camera`; None for none.
+    """Camera of a mount, from a calibration file or from the arguments of `calibrated_camera`; None if `source` is
+    None.
 
     Raises:
         InputError: `source` is neither a file nor such arguments, or the file is refused.

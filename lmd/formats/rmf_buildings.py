@@ -14,7 +14,7 @@ from lmd.formats.plans import ReadPlan
 from lmd.formats.registry import File
 from lmd.formats.wall_lines import Drawing, plan_of
 
-# Signs of y in the systems of coordinates that are read, and True if a unit is a metre.
+# Sign of y in each supported coordinate system, and True if its unit is the metre.
 SYSTEMS = {"reference_image": (-1.0, False), "cartesian_meters": (1.0, True)}
 
 
@@ -65,7 +65,7 @@ def _level(file: File, keys: Mapping[str, Any]) -> Drawing:
 
 
 def _scale(measurements: list[Any], vertices: FloatArray) -> float:
-    """Metres in a pixel."""
+    """Metres per pixel."""
     if not measurements:
         raise InputError("it has no measurement, which gives the scale: add one in the traffic editor.")
     ratios = []

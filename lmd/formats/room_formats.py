@@ -1,4 +1,4 @@
-"""The formats of rooms, in the order in which they are tried."""
+"""Formats of rooms, in the order in which they are tried."""
 
 from collections.abc import Callable, Iterator
 from typing import Any
@@ -11,7 +11,7 @@ from lmd.formats.registry import File, Format, anything, ends, has_keys
 OUTLINE = "take the corners of the floor from it, in metres, as the outline of a floor plan (docs/rooms.md)"
 MODEL = "export .glb or .obj from the program that made it, or import it into Blender and export it from there"
 GRID = "the room occupancy_grid is read from map.yaml"
-# Kinds of files that are not read, and the way to one that is, by the ends of their names.
+# Suffixes of files that are refused, and advice on a supported format.
 ENDINGS = (
     ("a drawing", "the room floor_plan is read from it", (".dxf",)),
     ("a drawing", "save it as DXF, from which the room floor_plan is read", (".dwg",)),
@@ -44,12 +44,12 @@ def _refused(recognises: Callable[[Any], bool], why_not: str | Callable[[Any], s
 
 
 def _yaml(*names: str) -> Callable[[File], bool]:
-    """A test for YAML with these keys."""
+    """Make a test for YAML with the given keys."""
     return lambda file: ends(".yaml", ".yml")(file) and has_keys(*names)(file)
 
 
 def _captured(name: str, mark: str, reader: Callable[[Keys], Iterator[Thing]], row: str) -> Format:
-    """A format of JSON with a key that no other has."""
+    """Format of JSON that is recognised by a key that no other format has."""
 
     def read_captured(file: RoomFile) -> Captured:
         with said_of(f"path: {str(file.path)!r}", "path"):

@@ -1,8 +1,8 @@
 """Launch file of ROS 2 with a static transform from the frame of the map to each tag.
 
-Its frames have the names that apriltag_ros gives to detected tags, such as `tag36h11:7`, and its axes: x to the right,
-y up, z out of the tag. One container has all of the transforms, as a program for each would soon be more than a
-computer has participants of DDS.
+Frames have the names and the axes of apriltag_ros: `tag36h11:7`, with x to the right, y up, z out of the tag. One
+container publishes all transforms, as one process per transform would exceed the number of DDS participants of a
+computer.
 
 Sources: christianrauch/apriltag_ros, `pnp` and `child_frame_id`; `tf2_ros::StaticTransformBroadcasterNode`.
 """
@@ -86,7 +86,7 @@ def write_ros2_tf(path: Path, tags: TagMap) -> None:
 
 
 def read_launch(text: str) -> Iterator[PlacedTag]:
-    """The tags of a launch file that `write_ros2_tf` wrote, which is not run.
+    """Read the tags of a launch file that `write_ros2_tf` wrote; the file is not run.
 
     Raises:
         InputError: a row is no frame with seven numbers.

@@ -1,6 +1,6 @@
-"""Tags and bundles of apriltag_ros, of ROS 1 and of its ports to ROS 2.
+"""Tags and bundles of apriltag_ros for ROS 1, and of its ports to ROS 2.
 
-The frame of a tag is x to the right, y up, z out of it, as `TagDetector::addObjectPoints` and `pnp_bundle` have it.
+The frame of a tag has x to the right, y up, z along the normal, as in `TagDetector::addObjectPoints` and `pnp_bundle`.
 
 Sources: `TagDetector::parseTagBundles` of AprilRobotics/apriltag_ros and of its port to ROS 2 (pull request 158);
 pull requests 59 and 60 of christianrauch/apriltag_ros, `pnp_bundle` and `AprilTagNode`.
@@ -26,18 +26,18 @@ from lmd.formats.placed_tag import (
 from lmd.scene.families import family_named
 
 PLACE, QUATERNION = ("x", "y", "z"), ("qx", "qy", "qz", "qw")
-# Values of a layout that are not there, as TagDetector takes them.
+# Default values of a layout, as in TagDetector.
 DEFAULTS = {**dict.fromkeys((*PLACE, *QUATERNION), 0.0), "qw": 1.0}
-BY_QUATERNION, BY_ANGLES = 7, 6  # values of a transform: x, y, z and qw, qx, qy, qz, or roll, pitch, yaw
+BY_QUATERNION, BY_ANGLES = 7, 6  # number of values of a transform: x, y, z and qw, qx, qy, qz, or roll, pitch, yaw
 NAMES, IDS, LAYOUT, TRANSFORM = "bundle_names", "ids", "layout", "transform"
 
 
 def apriltag_ros(keys: Keys) -> Iterable[PlacedTag]:
-    """Tags of the bundle, whose frame is the world; or standalone tags, where they are given places in the world."""
+    """Tags of the bundle, whose frame is the world; or standalone tags with positions in the world."""
     listed = keys.get("tag_bundles") or ()
     bundles = dict(_named(listed) if isinstance(listed, dict) else _listed(listed))
     alone = keys.get("standalone_tags") or ()
-    if isinstance(alone, dict):  # of the port to ROS 2, by name
+    if isinstance(alone, dict):  # in the port to ROS 2, standalone tags are by name
         alone = [tag for tag in alone.values() if isinstance(tag, dict)]
     alone = mappings("standalone_tags", alone)
     placed = [tag for tag in alone if not tag.keys().isdisjoint(PLACE)]
@@ -76,14 +76,14 @@ def _placed(tag: Keys) -> PlacedTag:
 
 
 def _listed(listed: Any) -> Iterable[tuple[str, list[Keys]]]:
-    """The bundles of ROS 1 with their tags, by name; a list whose entries have a name and a layout."""
+    """Bundles of ROS 1 with their tags, by name, from a list whose entries have a name and a layout."""
     for i, bundle in enumerate(mappings("tag_bundles", listed)):
         if bundle.get(LAYOUT):
             yield str(bundle.get("name", f"without a name, number {i}")), mappings(LAYOUT, bundle[LAYOUT])
 
 
 def _named(bundles: Keys) -> Iterable[tuple[str, list[Keys]]]:
-    """The bundles of ROS 2 with their tags, by name; parameters have no lists of mappings, so tags are keys, too."""
+    """Bundles of ROS 2 with their tags, by name. Parameters have no lists of mappings, so tags are keys, too."""
     for name in bundles[NAMES] if NAMES in bundles else [name for name in bundles if isinstance(bundles[name], dict)]:
         bundle = mapping(str(name), bundles[name])
         tags = {str(key): value for key, value in mapping(LAYOUT, bundle.get(LAYOUT, bundle)).items()}
@@ -92,7 +92,7 @@ def _named(bundles: Keys) -> Iterable[tuple[str, list[Keys]]]:
 
 
 def bundle_note(path: Any, keys: Keys) -> str:
-    """The order of the values of a `transform`, where tags have one."""
+    """Note on the assumed order of the values of a `transform`; empty without one."""
     bundles = keys.get("tag_bundles")
     if not isinstance(bundles, dict) or f"'{TRANSFORM}'" not in str(bundles):
         return ""

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from scipy.spatial.transform import Rotation
 
 QUATERNION = ("qw", "qx", "qy", "qz")
-# Written are picometres: what is less is rounding.
+# Number of decimals in files: picometres, as smaller digits are rounding errors.
 DECIMALS = 12
 
 
@@ -34,9 +34,9 @@ class TagMap:
     """K tags in a room. World frame, metres.
 
     Args:
-        room: where they hang.
-        tag: their family and size.
-        deployment: their places; the ids are their numbers in the family.
+        room: room of the tags.
+        tag: family and size of the tags.
+        deployment: poses of the tags; ids are the numbers in the family.
 
     Raises:
         InputError: the tag is a point, or the family lacks an id.
@@ -52,14 +52,14 @@ class TagMap:
 
     @property
     def ids(self) -> list[int]:
-        """Number of each in the family."""
+        """Number of each tag in the family."""
         return [int(number) for number in self.deployment.ids]
 
     @cached_property
     def surfaces(self) -> IntArray:
-        """The surface of the room that each is mounted on, `(K,)`; -1 for one that stands free in the room.
+        """Index of the surface on which each tag is mounted, `(K,)`; -1 for tags that stand free in the room.
 
-        A tag that was measured a little before a surface is mounted on it.
+        A tag that was measured slightly in front of a surface is mounted on that surface.
         """
         return self.deployment.belonging(self.room)
 
@@ -84,9 +84,9 @@ class TagMap:
 
     @cached_property
     def route(self) -> list[int]:
-        """The surfaces with tags in the order in which one comes to them, -1 for what is free in the room at the end.
+        """Surfaces with tags in the order of a walk through the room; -1, for tags that stand free, is last.
 
-        That is from left to right around the middle of the room, then what lies flat.
+        The order is from left to right around the middle of the room, then horizontal surfaces.
         """
         surfaces, (low, high) = self.room.surfaces(), self.room.bounds()
         middles = np.array([surface.point(*np.divide(surface.extent, 2.0)) for surface in surfaces])
@@ -99,55 +99,57 @@ class TagMap:
 
     @cached_property
     def order(self) -> IntArray:
-        """The tags in the order of hanging, `(K,)`: along `route`, on a surface from the left and then from below."""
+        """Indices of the tags in the order of hanging, `(K,)`: along `route`, and on a surface from left to right, then
+        upwards.
+        """
         rank = np.array([self.route.index(surface) for surface in self.surfaces.tolist()])
         left, below = np.round(self.at, DECIMALS).T
         return np.asarray(np.lexsort((self.deployment.ids, below, left, rank)))
 
     @cached_property
     def tags_by_surface(self) -> dict[int, IntArray]:
-        """Of each surface of `route` the places of its tags in `order`, counted from 0."""
+        """Positions in `order`, from 0, of the tags of each surface of `route`."""
         return {index: np.flatnonzero(self.surfaces[self.order] == index) for index in self.route}
 
     @cached_property
     def names(self) -> list[str]:
-        """Name of each surface of the room for people."""
+        """Readable name of each surface of the room."""
         return [name_for_people(surface, self.fixtures) for surface in self.room.surfaces()]
 
     def place_of(self, k: int) -> str:
-        """Name of the surface of tag k for people."""
+        """Readable name of the surface of tag k."""
         surface = self.surfaces[k]
         return "free in the room" if surface < 0 else self.names[surface]
 
     @cached_property
     def sizes(self) -> FloatArray:
-        """The edge of each, `(K,)`: its own, or that of the tag."""
+        """Edge of each tag, `(K,)`: its own edge, or the edge of `tag`."""
         return self.deployment.edges_of(self.tag)
 
     @property
     def papers(self) -> FloatArray:
-        """The edge of the paper of each, `(K,)`."""
+        """Edge of the paper of each tag, `(K,)`."""
         return self.tag.paper_share * self.sizes
 
     @cached_property
     def by_size(self) -> list[tuple[Tag, IntArray]]:
-        """The tag of each size, the smallest first, and those that have it in the order of hanging."""
+        """Tag of each size, the smallest first, with the indices of the tags of that size in the order of hanging."""
         own = self.sizes[self.order]
         return [(self.tag.of_size(edge), self.order[own == edge]) for edge in np.unique(own).tolist()]
 
     @property
     def edges_in_words(self) -> str:
-        """The edges that occur, mm."""
+        """Text of the edges that occur, mm."""
         return f"{', '.join(f'{MM_PER_M * tag.size:.4g}' for tag, _ in self.by_size)} mm"
 
     @property
     def positions(self) -> FloatArray:
-        """Their centres, `(K, 3)`."""
+        """Centres of the tags, `(K, 3)`."""
         return rounded_values(self.deployment.places)
 
     @cached_property
     def turns(self) -> "Rotation":
-        """Rotation from the frame of each tag to the world: x to its right, y up, z out of it towards the viewer."""
+        """Rotation from the frame of each tag (x right, y up, z towards the viewer) to the world."""
         from scipy.spatial.transform import Rotation
 
         up, normal = self.deployment.ups, self.deployment.normals
@@ -155,37 +157,39 @@ class TagMap:
 
     @property
     def roll_pitch_yaw(self) -> FloatArray:
-        """`turns` as ROS's `setRPY` takes them, `(K, 3)`, rad, with the up that OpenCV gives to a picture."""
+        """`turns` as roll, pitch, yaw of ROS's `setRPY`, `(K, 3)`, rad, with the up of OpenCV's pictures."""
         from scipy.spatial.transform import Rotation
 
         half = FAMILIES[self.tag.family].apriltag is not None
         turns = self.turns * Rotation.from_matrix(HALF_TURN) if half else self.turns
-        with warnings.catch_warnings():  # where yaw and roll are about one axis, any split of their sum will do
+        with warnings.catch_warnings():  # if yaw and roll have one axis, only their sum is determined
             warnings.filterwarnings("ignore", message="Gimbal lock")
             return rounded_values(turns.as_euler("xyz"))
 
     @property
     def quaternions(self) -> FloatArray:
-        """`turns` as w, x, y, z with w >= 0, `(K, 4)`."""
+        """`turns` as quaternions w, x, y, z with w >= 0, `(K, 4)`."""
         return rounded_values(self.turns.as_quat(canonical=True, scalar_first=True))
 
     @property
     def corners(self) -> FloatArray:
-        """Of the black squares, top-left, top-right, bottom-right, bottom-left seen from the front, `(K, 4, 3)`."""
+        """Corners of the black squares: top-left, top-right, bottom-right, bottom-left seen from the front, `(K, 4,
+        3)`.
+        """
         return rounded_values(corners(self.deployment.places, self.deployment.normals, self.deployment.ups, self.sizes))
 
 
 def rounded_values(values: FloatArray) -> FloatArray:
-    """Values as files hold them: without what is less than any of them means, and without -0."""
+    """Values rounded to `DECIMALS` for files, without -0."""
     return np.asarray(np.round(values, DECIMALS) + 0.0)
 
 
 def axes(values: FloatArray) -> dict[str, float]:
-    """`(3,)` as {"x": ..., "y": ..., "z": ...}."""
+    """Mapping {"x": ..., "y": ..., "z": ...} of values `(3,)`."""
     return dict(zip("xyz", values.tolist(), strict=True))
 
 
 def write_yaml(path: Path, keys: dict[str, Any], *header: str) -> None:
-    """Write keys in their order, innermost lists and mappings on one line, below the lines of a header."""
+    """Write YAML: the lines of a header, then keys in their order, with innermost lists and mappings on one line."""
     text = yaml.safe_dump(keys, sort_keys=False, default_flow_style=None, width=1000)
     path.write_text("".join(f"{line}\n" for line in header) + text, encoding="utf-8")

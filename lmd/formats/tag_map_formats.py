@@ -1,8 +1,8 @@
 """Formats of tag maps, in the order in which they are tried.
 
-Which format a file has follows from its content. `lmd.formats.tag_map_readers`, `tag_bundles` and `mapped_tags` read
-those in YAML and JSON, `lanelet_maps` and `gazebo_tags` those in XML, `tag_map_texts` and `pose_graphs` the texts,
-`landmark_table` the table for all others.
+The format of a file follows from its content. `lmd.formats.tag_map_readers`, `tag_bundles` and `mapped_tags` read maps
+in YAML and JSON, `lanelet_maps` and `gazebo_tags` maps in XML, `tag_map_texts` and `pose_graphs` texts, and
+`landmark_table` the simple table.
 """
 
 import re
@@ -24,15 +24,15 @@ from lmd.formats.tag_map_writers import WRITERS
 from lmd.scene.edges import EDGE
 
 IS_NUMBER = re.compile(r"\s*[-+.\d]")
-# The headers of WPILib's drawings; the same columns under other names may be in any unit.
+# Headers of WPILib's drawings; these columns under other names may be in any unit.
 WPILIB_HEADERS = tuple(
     f"ID,X,Y,Z,{rotations}" for rotations in ("Rotation", "Z-Rotation,X-Rotation", "Z-Rotation,Y-Rotation")
 )
-# Marks of a format in YAML or JSON: keys, and why it is not read.
+# Refused formats in YAML or JSON: keys, and the reason.
 BY_KEYS: tuple[tuple[set[str], str], ...] = (
     ({"family", "size", "tag"}, "it has the parameters of apriltag_ros for ROS 2, which name tags and have no places"),
 )
-# The same of a text that begins so.
+# Refused formats of texts: pattern at the begin, and the reason.
 BY_TEXT: tuple[tuple[re.Pattern[str], str], ...] = (
     (re.compile(r"\s*marker_id,\s*vert_0_x"), "it is a head pose model of Pupil, which has no metres"),
     (re.compile(r"\s*-\s+(name|first_id|markers_x)\s*:"), "it lists boards of aruco_opencv, which have no places"),
@@ -47,11 +47,11 @@ TABLE = (
 
 
 def _row(written: str, cells: str) -> str:
-    """A row of the table in the documentation.
+    """Row of the table in the documentation.
 
     Args:
         written: name in `formats`.
-        cells: the program, what the written file holds after its name, and what is read.
+        cells: program; content of the written file; content that is read.
     """
     writer, (program, file, is_read) = WRITERS[written], cells.split(" | ")
     return f"{program} | `{written}`{' *' if writer.only_apriltag else ''} | `{writer.file}`{file} | {is_read}"
@@ -65,10 +65,11 @@ def _keyed(
     by_opencv: bool = False,
     note: Callable[[Any, Keys], str] = lambda _path, _keys: "",
 ) -> Format:
-    """A format of YAML or JSON with keys that no other has.
+    """Format of YAML or JSON that is recognised by keys that no other format has.
 
     Args:
-        note: gives a sentence on how a file at a path is read; empty where there is no doubt.
+        note: function of the path and the keys that returns a sentence about an assumption; empty without an
+            assumption.
     """
 
     def read_keyed(file: File) -> Found:
@@ -82,7 +83,7 @@ def _refused(recognises: Callable[[Any], bool], reason: str) -> Format:
 
 
 def _first(begins: re.Pattern[str]) -> Callable[[File], bool]:
-    """A test for texts whose first line begins so."""
+    """Make a test for texts whose first line begins with a pattern."""
     return lambda file: begins.match(file.first) is not None
 
 
@@ -193,7 +194,7 @@ KNOWN = ", ".join(dict.fromkeys(form.name for form in KEYED))
 
 
 def _root(*names: str) -> Callable[[Any], bool]:
-    """A test for XML whose outermost element has one of these names."""
+    """Make a test for XML whose outermost element has one of the given names."""
     return lambda file: file.root is not None and file.root.tag in names
 
 

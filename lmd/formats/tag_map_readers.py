@@ -1,6 +1,6 @@
-"""The keys of tag maps in YAML and JSON, as several ecosystems write them.
+"""Readers of tag maps in YAML and JSON of several ecosystems.
 
-A format is that of `lmd.formats.placed_tag` with axes named otherwise, or counted from another origin.
+A format differs from `lmd.formats.placed_tag` in the directions of a tag's axes, or in the origin.
 
 Sources: `AprilTagFieldLayout` of WPILib; `Board::parse` and `example/tagslam.yaml` of TagSLAM; `Marker::corners_f_map`
 of ptrmu/fiducial_vlam; `MarkerMap` of ArUco 3; `SE2Transform` of duckietown-world; `target_map.fbs` of frc971;
@@ -35,12 +35,12 @@ from lmd.scene.edges import EDGE
 from lmd.scene.families import family_named
 
 METRES = 1  # aruco_bc_mInfoType of a map in metres
-PIXELS = 0  # the same of a board in pixels
-MOST_ROWS = 200  # of a board of TagSLAM, and columns
-INCH = 0.0254  # metres
-NODE = "ros__parameters"  # begins the parameters of a node of ROS 2
-NODE_DEPTH = 4  # of namespaces above it
-# Keys of the maps that are known, which tell the node with the tags from others in its file.
+PIXELS = 0  # aruco_bc_mInfoType of a board in pixels
+MOST_ROWS = 200  # greatest number of rows, and of columns, of a board of TagSLAM
+INCH = 0.0254  # metres per inch
+NODE = "ros__parameters"  # key above the parameters of a node of ROS 2
+NODE_DEPTH = 4  # greatest number of namespaces above that key
+# Keys of known maps, which identify the node with the tags among the nodes of a file.
 MARKS = frozenset(
     {
         "tags",
@@ -55,19 +55,19 @@ MARKS = frozenset(
     }
     | {"aruco_bc_markers", "tag_locations", "reconstructed_tags", "marker_000", "landmarks", "tag"}
 )
-# The columns are a format's axes in the frame of a tag: x right, y up, z out.
+# Columns: axes of a format in the frame of a tag with x right, y up, z out.
 OUT_RIGHT_UP = axes_of(("out", "right", "up"))  # WPILib
 INTO = axes_of(("right", "down", "into"))  # frc971, as AprilTag 3
-FACING_BACK = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])  # the axes of frc971 if it looks along -y
-# OpenCV has the pictures of AprilTag turned by half a turn: OpenCV's detections have the opposite up.
+FACING_BACK = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])  # frc971: a tag looks along -y
+# OpenCV rotates the pictures of AprilTag by half a turn, so its detections have the opposite up.
 HALF_TURN = np.diag([-1.0, -1.0, 1.0])
 
 
 def parameters_of(keys: Keys) -> Keys:
-    """The parameters of the node with tags in a file of ROS 2; the keys themselves of any other file.
+    """Parameters of the node with tags in a file of ROS 2; the keys themselves for any other file.
 
     Raises:
-        InputError: several nodes have tags, or none of several.
+        InputError: several nodes have tags, or none of several nodes has tags.
     """
     nodes = [_nested(node) for node in _nodes(keys, NODE_DEPTH)]
     if len(nodes) > 1:
@@ -78,7 +78,7 @@ def parameters_of(keys: Keys) -> Keys:
 
 
 def _nested(parameters: Keys) -> dict[str, Any]:
-    """Parameters by their names, of which ROS 2 writes `a.b` for `b` in the namespace `a`, too."""
+    """Parameters as nested mappings; ROS 2 may also write `a.b` for `b` in the namespace `a`."""
     nested: dict[str, Any] = {}
     for name, value in parameters.items():
         *spaces, last = str(name).split(".")
@@ -101,7 +101,7 @@ def _nodes(keys: Keys, depth: int) -> Iterable[Keys]:
 
 def wpilib(keys: Keys) -> Iterable[PlacedTag]:
     """Tags of WPILib's field layout."""
-    name = "tags" if "tags" in keys else "field-tags"  # which it is from 2027 on
+    name = "tags" if "tags" in keys else "field-tags"  # `field-tags` from 2027 on
     for tag in mappings(name, keys[name]):
         pose = mapping("pose", tag["pose"])
         turn = turn_by_quaternion(*numbers(_within(pose, "rotation", "quaternion"), "XYZW"))
@@ -110,7 +110,7 @@ def wpilib(keys: Keys) -> Iterable[PlacedTag]:
 
 
 def _within(keys: Keys, *path: str) -> Keys:
-    """The mapping below some keys."""
+    """Mapping below nested keys."""
     for key in path:
         keys = mapping(key, keys[key])
     return keys
@@ -126,11 +126,13 @@ def own_json(keys: Keys) -> Iterable[PlacedTag]:
         yield PlacedTag(number_of(tag["id"]), place, turn, edge, family)
 
 
-FIELD = ("fieldlength", "fieldwidth")  # of Limelight's maps, metres
+FIELD = ("fieldlength", "fieldwidth")  # keys with the size of the field in Limelight's maps, metres
 
 
 def limelight(keys: Keys) -> Iterable[PlacedTag]:
-    """From the middle of the field, as the file counts; from its corner where the file says how large the field is."""
+    """Tags of Limelight's map. The origin is a corner of the field, or its middle if the file lacks the field's
+    size.
+    """
     middle = np.array([real(name, keys.get(name, 0.0)) / 2.0 for name in FIELD])
     for tag in mappings("fiducials", keys["fiducials"]):
         number = number_of(tag["id"])
@@ -141,7 +143,7 @@ def limelight(keys: Keys) -> Iterable[PlacedTag]:
 
 
 def frc971(keys: Keys) -> Iterable[PlacedTag]:
-    """By a quaternion, or by degrees about the turning axes of a tag that looks along -y, as in 2025."""
+    """Tags of frc971, by quaternions, or as in 2025 by angles, degrees, about the axes of a tag that looks along -y."""
     from scipy.spatial.transform import Rotation  # slow to load
 
     for tag in mappings("target_poses", keys["target_poses"]):
@@ -153,7 +155,7 @@ def frc971(keys: Keys) -> Iterable[PlacedTag]:
 
 
 def tagslam(keys: Keys) -> Iterable[PlacedTag]:
-    """Tags of the static bodies; the others are what TagSLAM looks for."""
+    """Tags of the static bodies of TagSLAM; TagSLAM estimates the other bodies."""
     named = [
         (name, mapping(str(name), body)) for entry in mappings("bodies", keys["bodies"]) for name, body in entry.items()
     ]
@@ -170,7 +172,7 @@ def tagslam(keys: Keys) -> Iterable[PlacedTag]:
 
 
 def _on_body(body: Keys) -> Iterable[PlacedTag]:
-    """The tags of a body in its frame: listed, or those of a board in rows from its corner on."""
+    """Tags of a body in the body's frame: listed tags, or tags of a board, row by row from its corner."""
     for tag in mappings("tags", body.get("tags") or ()):
         position, turn = _tagslam_pose(mapping("pose", tag.get("pose") or {}))
         size = edge_of("size", tag.get("size", body.get("default_tag_size")))
@@ -186,7 +188,7 @@ def _on_body(body: Keys) -> Iterable[PlacedTag]:
 
 
 def _tagslam_pose(pose: Keys) -> tuple[FloatArray, FloatArray]:
-    """Position and rotation, as its axis times its angle; what is not there is zero."""
+    """Position and rotation vector of a pose; missing values are zero."""
     position, rotation = (
         numbers(mapping(key, pose.get(key) or dict.fromkeys("xyz", 0.0)), "xyz") for key in ("position", "rotation")
     )
@@ -199,7 +201,7 @@ def fiducial_vlam(keys: Keys) -> Iterable[PlacedTag]:
     edge = edge_of("marker_length", keys["marker_length"])
     for tag in mappings("markers", keys["markers"]):
         number = number_of(tag["id"])
-        if "q" in tag:  # of older files
+        if "q" in tag:  # older files have quaternions
             position, turn = tag["t"], turn_by_quaternion(*vector("q", tag["q"], 4))
         else:
             position, turn = tag["xyz"], turn_by_angles(number, *vector("rpy", tag["rpy"], 3))
@@ -220,7 +222,7 @@ def aruco(keys: Keys) -> Iterable[PlacedTag]:
 
 
 def duckietown(keys: Keys) -> Iterable[PlacedTag]:
-    """Tags that lie on the floor; those of traffic signs belong to signs, whose heights the map does not say."""
+    """Tags of Duckietown's map that lie on the floor; tags of traffic signs are left out, as the map has no heights."""
     for name, value in mapping("objects", keys["objects"]).items():
         thing = mapping(str(name), value)
         if thing.get("kind") != "floor_tag":
@@ -236,7 +238,7 @@ def duckietown(keys: Keys) -> Iterable[PlacedTag]:
 
 
 def corner_note(path: Any, keys: Keys) -> str:
-    """The corner that Limelight's places are counted from, where the file says how large the field is."""
+    """Note on the corner that is the origin, for a file of Limelight with the size of the field."""
     if not any(keys.get(name) for name in FIELD):
         return ""
     return (
@@ -245,7 +247,7 @@ def corner_note(path: Any, keys: Keys) -> str:
 
 
 def wpilib_drawing(path: Any, name: str) -> list[PlacedTag]:
-    """Inches, and degrees about z and then about y, as the drawings of a field have them."""
+    """Tags of a table from WPILib's drawings of a field: inches, and degrees about z and then about y."""
     table = read_table(path, name=name)
     rows = table.numbers(tuple(table.texts)[:6])
     found = []

@@ -1,4 +1,4 @@
-"""Texts with a tag in each line, without a header: what their values are follows from a comment, or from their number.
+"""Texts with a tag in each line, without a header: the meaning of values follows from a comment, or from their number.
 
 Sources: `ArucoMap::addMarker` of CopterExpress/clover; `Map::saveMap` of UbiquityRobotics/fiducials; `Marker/Priors`
 of RTAB-Map, and the poses that it exports.
@@ -32,37 +32,37 @@ from lmd.scene.families import family_named
 from lmd.scene.labels import ID
 
 CLOVER = (ID, EDGE, *PLACE, "yaw", "pitch", "roll")
-# Its own generator of maps calls the angles so.
+# Names of the angles in Clover's generator of maps.
 CLOVER_ANGLES = {"rot_z": "yaw", "rot_y": "pitch", "rot_x": "roll"}
-CLOVER_LEAST = 4  # values; what follows y may be missing
+CLOVER_LEAST = 4  # least number of values; those after y may be missing
 BY_ANGLES, BY_QUATERNION = (ID, *PLACE, *ANGLES), (ID, *PLACE, *QUATERNION)
-FIDUCIAL_SLAM = (ID, *PLACE, *ANGLES, "variance", "observations")  # and the tags that were seen beside it
+FIDUCIAL_SLAM = (ID, *PLACE, *ANGLES, "variance", "observations")  # then the numbers of the tags seen with it
 RTABMAP_POSES = ("timestamp", *PLACE, *QUATERNION, ID)
 PRIORS = re.compile(r"^\s*Marker[\\/]Priors\s*=(.*)$", re.MULTILINE)
-SETTING = r"^\s*Marker[\\/]{}\s*=\s*\"?(\S+?)\"?\s*$"  # of RTAB-Map's configuration
-SAME_AS_ONE = 0.999  # of a quaternion that is a half turn about an axis, or none
-FEW = 2  # tags for each size of a map that is not sure to say sizes
+SETTING = r"^\s*Marker[\\/]{}\s*=\s*\"?(\S+?)\"?\s*$"  # line of RTAB-Map's configuration
+SAME_AS_ONE = 0.999  # least largest component of a quaternion for no turn, or a half turn about an axis
+FEW = 2  # least number of tags per size in a map whose column may not be sizes
 
 
 class Line(NamedTuple):
-    """The values of a line.
+    """Values of a line.
 
     Args:
-        number: of the line in its file, from 1.
-        texts: of the values.
+        number: number of the line in its file, from 1.
+        texts: texts of the values.
     """
 
     number: int
     texts: list[str]
 
     def values(self, names: Sequence[str]) -> FloatArray:
-        """The values after the first, as finite numbers.
+        """Values after the first, as finite numbers.
 
         Args:
-            names: of all values, for messages.
+            names: names of all values, for messages.
 
         Raises:
-            InputError: one is none, or they are more or fewer than the names.
+            InputError: a value is no finite number, or the numbers of values and names differ.
         """
         if len(self.texts) != len(names):
             raise InputError(f"line {self.number}, {' '.join(self.texts)!r}, must be: {' '.join(names)}.")
@@ -76,14 +76,14 @@ class Line(NamedTuple):
 
     @property
     def id(self) -> int:
-        """The number of its tag, which comes first."""
+        """Number of the tag, which is the first value."""
         if not re.fullmatch(r"\d{1,15}", self.texts[0]):
             raise InputError(f"line {self.number}: the id must be a whole number from 0, got {self.texts[0][:80]!r}.")
         return number_of(int(self.texts[0]))
 
 
 def lines_of(text: str) -> tuple[list[str], list[Line]]:
-    """The comments above the first values, without #, and the lines with values, without comments behind them."""
+    """Comments above the first values, without #; and the lines with values, without trailing comments."""
     comments, lines = list[str](), list[Line]()
     for number, line in enumerate(text.splitlines(), 1):
         values, _, comment = line.partition(COMMENT)
@@ -95,10 +95,10 @@ def lines_of(text: str) -> tuple[list[str], list[Line]]:
 
 
 def read_lines(path: Any, text: str) -> Found:
-    """The tags of a text whose first value is a number.
+    """Tags of a text whose first value is a number.
 
     Raises:
-        InputError: it has no header, and it is not sure what its values are.
+        InputError: the text has no header, and its values are ambiguous.
     """
     comments, lines = lines_of(text)
     names = _named(comments, lines)
@@ -126,10 +126,10 @@ def read_lines(path: Any, text: str) -> Found:
 
 
 def _named(comments: Sequence[str], lines: Sequence[Line]) -> list[str] | None:
-    """The names of the values, by a comment above them; None if none names them.
+    """Names of the values from a comment above them; None if no comment names them.
 
-    A comment names them if it has as many words as the lines have values, two of them known, or begins with so many
-    known ones.
+    A comment names the values if it has as many words as the lines have values and two known words, or if it begins
+    with as many known words.
     """
     width = max(len(line.texts) for line in lines)
     for comment in comments:
@@ -146,7 +146,7 @@ def _named(comments: Sequence[str], lines: Sequence[Line]) -> list[str] | None:
 
 
 def _by_number(path: Any, lines: list[Line]) -> Found:
-    """The tags of lines that nothing names, by how many values they have and what these can be."""
+    """Tags of lines without names, from the number of values and their possible meanings."""
     widths = {len(line.texts) for line in lines}
     most, count = max(widths), len(lines[0].texts)
     if count > len(FIDUCIAL_SLAM) or (count == len(FIDUCIAL_SLAM) and not _are_quaternions(lines, widths)):
@@ -170,7 +170,9 @@ def _by_number(path: Any, lines: list[Line]) -> Found:
 
 
 def _angles(path: Any, lines: list[Line]) -> Found:
-    """Lines of seven values: a tag of RTAB-Map if it is one, and angles unless Clover's without the roll could be."""
+    """Read lines of seven values. A single line is a tag of RTAB-Map; several lines have angles, and are refused if
+    they may as well be Clover's without the roll.
+    """
     if len(lines) == 1:
         return Found([_by_angles(lines[0])], None, True, _note(path, BY_ANGLES, "RTAB-Map's"))
     edges = [line.values(CLOVER[: len(BY_ANGLES)])[0] for line in lines]
@@ -180,11 +182,13 @@ def _angles(path: Any, lines: list[Line]) -> Found:
 
 
 def _quaternions(path: Any, lines: list[Line]) -> Found:
-    """Lines of eight values, the last four of length one: quaternions, unless they can be Clover's z and angles."""
+    """Tags of lines of eight values, the last four of length one: quaternions, unless they may be Clover's z and
+    angles.
+    """
     values = np.array([line.values(BY_QUATERNION) for line in lines])
     is_edge = ((values[:, 0] >= SMALLEST_EDGE) & (values[:, 0] <= LARGEST_EDGE)).all()
     turns = np.abs(values[:, 3:])
-    plain = (turns.max(axis=1) > SAME_AS_ONE).all()  # 1, 0, 0, 0 in some order: z = 1 without a turn, too
+    plain = (turns.max(axis=1) > SAME_AS_ONE).all()  # 1, 0, 0, 0 in any order may also be z = 1 without a turn
     if plain and is_edge and not (turns[:, 3] > SAME_AS_ONE).all():
         if (turns[:, 0] > SAME_AS_ONE).all():
             return Found([_clover(line) for line in lines], None, True, _note(path, CLOVER, "Clover's"))
@@ -193,7 +197,7 @@ def _quaternions(path: Any, lines: list[Line]) -> Found:
 
 
 def _are_quaternions(lines: Sequence[Line], widths: set[int]) -> bool:
-    """True if the last four values of all lines, which are equally many, have length one."""
+    """True if all lines have equal numbers of values, and the last four values have length one."""
     if len(widths) > 1:
         return False
     try:
@@ -221,20 +225,22 @@ def _question(line: Line, reason: str) -> InputError:
 
 
 def _may_be_fiducial_slam(line: Line) -> bool:
-    """True if a variance and whole numbers follow the pose: the observations, and the tags seen with it, each once."""
+    """True if the pose is followed by a variance and whole numbers: observations, and distinct tags seen with this
+    one.
+    """
     counts, links = line.texts[8:9], line.texts[9:]
     whole = bool(counts) and all(text.isdecimal() for text in (*counts, *links))
     return whole and len(set(links)) == len(links) and is_number(line.texts[7]) and float(line.texts[7]) >= 0.0
 
 
 def _fiducial_slam(line: Line) -> PlacedTag:
-    """`id x y z roll pitch yaw variance observations`, degrees, and the tags that were seen with it."""
+    """Tag of a line `id x y z roll pitch yaw variance observations`, degrees, then the tags that were seen with it."""
     pose = Line(line.number, line.texts[: len(BY_ANGLES)]).values(BY_ANGLES)
     return PlacedTag(line.id, pose[:3], roll_pitch_yaw(np.radians(pose[3:])))
 
 
 def _clover(line: Line) -> PlacedTag:
-    """`id length x y z yaw pitch roll`, of which what follows y may be missing."""
+    """Tag of a line `id length x y z yaw pitch roll`, in which the values after y may be missing."""
     if not CLOVER_LEAST <= len(line.texts) <= len(CLOVER):
         raise InputError(f"line {line.number}, {' '.join(line.texts)[:200]!r}, must be: {' '.join(CLOVER)}.")
     edge, *pose = line.values(CLOVER[: len(line.texts)]).tolist()
@@ -249,7 +255,7 @@ def _by_angles(line: Line) -> PlacedTag:
 
 
 def read_priors(text: str) -> Found:
-    """The value of RTAB-Map's `Marker/Priors`, alone or in its configuration: tags with a `|` between them.
+    """Tags of RTAB-Map's `Marker/Priors`, alone or in its configuration, separated by `|`.
 
     Raises:
         InputError: an entry is no tag.
@@ -258,7 +264,7 @@ def read_priors(text: str) -> Found:
     value = text if found is None else found[1]
     edge = family = None
     if found is not None:
-        if (length := _setting(text, "Length")) is not None and float(length) > 0.0:  # 0 and less: it is measured
+        if (length := _setting(text, "Length")) is not None and float(length) > 0.0:  # else RTAB-Map measures the edge
             edge = edge_of("Marker/Length", float(length))
         if (dictionary := _setting(text, "Dictionary")) is not None and dictionary.isdecimal():
             family = family_named(NUMBERS.get(int(dictionary), f"{dictionary} of OpenCV"))
@@ -277,10 +283,10 @@ def _setting(text: str, name: str) -> str | None:
 
 
 def _rtabmap_poses(lines: Sequence[Line], names: Sequence[str]) -> list[PlacedTag]:
-    """The landmarks among the poses that RTAB-Map exports: those with a negative id.
+    """Landmarks among the poses that RTAB-Map exports: poses with a negative id.
 
     Raises:
-        InputError: there is none.
+        InputError: there is no landmark.
     """
     tags = []
     for line in lines:

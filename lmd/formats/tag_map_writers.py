@@ -1,6 +1,6 @@
-"""Maps of the tags as several ecosystems read them; `lmd.formats.tag_map_readers` reads them back.
+"""Writers of tag maps for several ecosystems; `lmd.formats.tag_map_readers` reads the files back.
 
-The frame of a tag is x to the right, y up, z out of it, unless a writer says otherwise.
+The frame of a tag has x to the right, y up, z along the normal, unless a writer says otherwise.
 """
 
 from collections.abc import Iterable
@@ -18,10 +18,10 @@ from lmd.formats.tag_map_readers import INTO, METRES, OUT_RIGHT_UP
 from lmd.geometry.camera import MM_PER_M
 from lmd.scene.families import FAMILIES
 
-ROOM = "room"  # the name of the body, or the bundle, that has the tags
-# Standard deviations that TagSLAM's own example gives to what is known: a tag that stays where it is, m and rad.
+ROOM = "room"  # name of the body, or the bundle, with the tags
+# Standard deviations of known poses in TagSLAM's example, for tags that do not move, m and rad.
 FIXED = {"position_noise": 1e-4, "rotation_noise": 1e-5}
-OFF_THE_FLOOR = 1e-6  # metres, and the same of a normal
+OFF_THE_FLOOR = 1e-6  # largest height of a tag on the floor, metres, and largest deviation of its normal
 
 
 def write_apriltag_ros(path: Path, tags: TagMap) -> None:
@@ -41,7 +41,8 @@ def write_apriltag_ros(path: Path, tags: TagMap) -> None:
 def write_apriltag_ros2(path: Path, tags: TagMap) -> None:
     """Write `tags.apriltag_ros2.yaml`: the parameters of the node, with a frame for each tag.
 
-    The parameters list the tags to detect and their size. They have no poses: consumers of the node bring a map.
+    The parameters list the tags to detect and their size. The parameters have no poses: consumers of the node need a
+    map.
 
     Source: christianrauch/apriltag_ros, `cfg`.
     """
@@ -53,9 +54,9 @@ def write_apriltag_ros2(path: Path, tags: TagMap) -> None:
 def write_aruco(path: Path, tags: TagMap) -> None:
     """Write `tags.aruco.yaml`, the marker map of the ArUco library.
 
-    Corners are in the order in which the library finds them, clockwise from the top left of the tag's own picture. It
-    reads the code of an AprilTag from the top left on, so its up is AprilTag's. A family that only OpenCV has goes by
-    OpenCV's name. The lines are those of OpenCV's `FileStorage`, which reads no other indentation.
+    Corners are in the order in which the library finds them, clockwise from the top left of the tag's own picture. The
+    library reads the code of an AprilTag from the top left on, so its up is AprilTag's. A family that only OpenCV has
+    gets OpenCV's name. The lines have the indentation of OpenCV's `FileStorage`, which reads no other.
 
     Source: ArUco 3, `MarkerMap::saveToFile`, `Dictionary` and `DictionaryBased::touulong`.
     """
@@ -76,7 +77,7 @@ def write_aruco(path: Path, tags: TagMap) -> None:
 def write_clover(path: Path, tags: TagMap) -> None:
     """Write `tags.clover.txt`: a line `id length x y z yaw pitch roll` for each tag, metres and radians.
 
-    Clover detects by OpenCV, so a tag's up is OpenCV's. Turns are ROS's `setRPY`: Rz(yaw) Ry(pitch) Rx(roll).
+    Clover detects by OpenCV, so a tag's up is OpenCV's. Rotations are ROS's `setRPY`: Rz(yaw) Ry(pitch) Rx(roll).
 
     Source: CopterExpress/clover, `ArucoMap::addMarker`.
     """
@@ -86,7 +87,7 @@ def write_clover(path: Path, tags: TagMap) -> None:
 
 
 def check_on_floor(tags: TagMap) -> None:
-    """Raise `InputError` if a tag does not lie on the floor z = 0: Duckietown's map knows no height."""
+    """Raise `InputError` if a tag does not lie on the floor z = 0, as Duckietown's map has no heights."""
     off = np.abs(np.column_stack([tags.positions[:, 2], tags.deployment.normals - [0.0, 0.0, 1.0]])).max(axis=1)
     if (wrong := np.flatnonzero(off > OFF_THE_FLOOR)).size:
         raise InputError(f"it takes tags that lie on the floor only, which tag {tags.ids[wrong[0]]} does not")
@@ -95,7 +96,7 @@ def check_on_floor(tags: TagMap) -> None:
 def write_duckietown(path: Path, tags: TagMap) -> None:
     """Write `tags.duckietown.yaml`, whose objects go into the map of the city.
 
-    They are where the floor tags lie, and how they are turned about the vertical.
+    An object has the place of a floor tag, and its rotation about the vertical.
 
     Source: duckietown/duckietown-world, `SE2Transform` and the maps of autolabs.
     """
@@ -115,7 +116,7 @@ def write_duckietown(path: Path, tags: TagMap) -> None:
 def write_fiducial_vlam(path: Path, tags: TagMap) -> None:
     """Write `tags.fiducial_vlam.yaml`: one edge for all tags, and for each a position and roll, pitch, yaw.
 
-    It detects by OpenCV, so a tag's up is OpenCV's. A tag with `f: 1` stays where it is.
+    fiducial_vlam detects by OpenCV, so a tag's up is OpenCV's. A tag with `f: 1` is fixed.
 
     Source: ptrmu/fiducial_vlam, `Map` and `Marker::corners_f_map`.
     """
@@ -125,7 +126,7 @@ def write_fiducial_vlam(path: Path, tags: TagMap) -> None:
 
 
 def write_frc971(path: Path, tags: TagMap) -> None:
-    """Write `tags.frc971.json`: the z axis of a tag points into it, x to its right, y down. It has no edge.
+    """Write `tags.frc971.json`: the z axis of a tag points into it, x to its right, y down. The file has no edges.
 
     Source: frc971/971-Robot-Code, `frc971/vision/target_map.fbs` and its README.
     """
@@ -140,7 +141,8 @@ def write_frc971(path: Path, tags: TagMap) -> None:
 
 
 def write_limelight(path: Path, tags: TagMap) -> None:
-    """Write `tags.fmap`: a matrix for each tag, from the middle of the field, and its edge in millimetres.
+    """Write `tags.fmap`: a matrix for each tag, with the origin in the middle of the field, and its edge in
+    millimetres.
 
     The axes of a tag are WPILib's: x out of it, y to the right, z up. The field is the floor of the room.
 
@@ -162,8 +164,8 @@ def write_limelight(path: Path, tags: TagMap) -> None:
 def write_rtabmap(path: Path, tags: TagMap) -> None:
     """Write `tags.rtabmap.txt`, the value of the parameter `Marker/Priors`.
 
-    That is `id x y z roll pitch yaw`, tags with a `|` between them. RTAB-Map detects by OpenCV, so a tag's up is
-    OpenCV's. The edge is another parameter, `Marker/Length`.
+    The value is `id x y z roll pitch yaw` for each tag, with `|` between tags. RTAB-Map detects by OpenCV, so a tag's
+    up is OpenCV's. The edge is another parameter, `Marker/Length`.
 
     Source: introlab/rtabmap, `Parameters` and `MarkerDetector::detect`.
     """
@@ -174,7 +176,7 @@ def write_rtabmap(path: Path, tags: TagMap) -> None:
 def write_tagslam(path: Path, tags: TagMap) -> None:
     """Write `tags.tagslam.yaml`, to which the camera's body and the parameters of TagSLAM are added.
 
-    The room is a static body, and its tags are where they were planned; a rotation is a rotation vector.
+    The room is a static body with the tags at their planned poses; a rotation is a rotation vector.
 
     Source: berndpfrommer/tagslam, `example/tagslam.yaml` and `Tag::get_object_corners`.
     """
@@ -190,10 +192,10 @@ def write_tagslam(path: Path, tags: TagMap) -> None:
 
 
 def write_wpilib(path: Path, tags: TagMap) -> None:
-    """Write `tags.wpilib.json`, the field layout of WPILib, which PhotonVision reads too.
+    """Write `tags.wpilib.json`, the field layout of WPILib, which PhotonVision reads, too.
 
-    The x axis of a tag points out of it and its z axis up; the field is the floor of the room. The file has no size:
-    that of the tags is set where the detector is.
+    The x axis of a tag points out of it and its z axis up; the field is the floor of the room. The file has no tag
+    size; it is a setting of the detector.
 
     Source: WPILib's `AprilTagFieldLayout`.
     """
@@ -235,7 +237,7 @@ def _fixed(position: FloatArray, rotation: FloatArray) -> dict[str, Any]:
     return {"position": axes(position), "rotation": axes(rotation), **noise}
 
 
-# By their names in `formats`.
+# Writers by their names in `formats`.
 WRITERS = {
     "wpilib": Writer("tags.wpilib.json", write_wpilib, only_apriltag=True, edges=NONE),
     "apriltag_ros": Writer("tags.apriltag_ros.yaml", write_apriltag_ros, only_apriltag=True),

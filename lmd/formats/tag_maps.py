@@ -21,14 +21,14 @@ from lmd.scene.deployment import Deployment
 from lmd.scene.families import FAMILIES
 from lmd.scene.labels import Labels
 
-LARGEST_MAP = 1 << 22  # characters of YAML or JSON; a tag has some hundred
-EDGE_DIGITS = 12  # the rest is rounding: of millimetres as metres, or of the sides of a square
+LARGEST_MAP = 1 << 22  # greatest number of characters of YAML or JSON; a tag has some hundred
+EDGE_DIGITS = 12  # decimals of an edge, metres; further digits are rounding errors of conversions
 IS_JSON = re.compile(r"(\s|//[^\n]*\n|/\*.*?\*/)*{", re.DOTALL)  # comments may come first
 IS_YAML = re.compile(r"%YAML|---|\s*['\"]?[\w/*]+['\"]?\s*:")
 
 
 class TagMapFile(File):
-    """A tag map; a text that is neither YAML nor JSON has no keys."""
+    """File of a tag map; a text that is neither YAML nor JSON has no keys."""
 
     @cached_property
     def has_keys(self) -> bool:
@@ -37,19 +37,19 @@ class TagMapFile(File):
 
     @cached_property
     def root(self) -> Element | None:
-        """The outermost element of XML; None for another text.
+        """Outermost element of XML; None for another text.
 
         Raises:
-            InputError: the text begins as XML and is none, or has entities.
+            InputError: the text begins like XML but is broken, or has entities.
         """
         return root_of(self.text)
 
     @cached_property
     def keys(self) -> Keys:
-        """The keys, without those of a node of ROS 2 around them.
+        """Keys of the map; for a node of ROS 2, the keys below its parameters.
 
         Raises:
-            InputError: the text begins as YAML or JSON and is neither, or it is too long.
+            InputError: the text begins like YAML or JSON but is broken, or is too long.
         """
         if not self.has_keys:
             return {}
@@ -61,18 +61,19 @@ class TagMapFile(File):
 def read_deployment(
     path: Any, name: str = "path", family: str | None = None, axes: Sequence[str] | None = None
 ) -> Deployment:
-    """The tags of a map, or the landmarks of a table, see `lmd.formats.landmark_table`.
+    """Read the tags of a map, or the landmarks of a table, see `lmd.formats.landmark_table`.
 
-    Maps that say how large each tag is give `Deployment.edges`.
+    Tag sizes in the file become `Deployment.edges`.
 
     Args:
-        name: the argument the path came from, for messages.
-        family: of the tags, which a file must not contradict, and by which OpenCV has another up; None for points.
-        axes: where the axes of the frame of a tag point in a file that does not say so, such as a table, see
+        name: name of the argument with the path, for messages.
+        family: family of the tags, which the file must not contradict, and on which OpenCV's up depends; None for
+            points.
+        axes: directions of the axes of a tag's frame, for a file that does not define them, such as a table, see
             `lmd.formats.placed_tag.axes_of`.
 
     Raises:
-        InputError: the file cannot be read, is no map with the places of tags, or one of another family.
+        InputError: the file cannot be read, is no map with poses of tags, or has tags of another family.
     """
     file = TagMapFile(path, name, asked={} if axes is None else {"axes": axes})
     try:
@@ -104,7 +105,7 @@ def read_deployment(
 
 
 def _in_frame(path: Any, tags: Sequence[PlacedTag], axes: Sequence[str] | None) -> Deployment:
-    """The tags of a file that does not say where the axes of the frame of a tag point, which a user may say."""
+    """Tags with the frame that the user defines by `axes`; an error if the file itself defines the frame."""
     turn = axes_of(axes).T
     note = (
         f"{path}: the axes x, y, z of a tag point {', '.join(RIGHT_UP_OUT if axes is None else axes)}"

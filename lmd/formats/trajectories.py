@@ -1,4 +1,4 @@
-"""Recorded trajectories: from a file of somebody's recorder to poses of the camera in the frame of the room."""
+"""Recorded trajectories: from a recorder's file to poses of the camera in the frame of the room."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -18,29 +18,30 @@ from lmd.scene.recorded_poses import RecordedPoses
 from lmd.scene.rig import OPTICAL
 from lmd.space.space import Space, check_file_inside, check_positions
 
-# From the camera's axes (x right, y down, z the optical axis) to those that an orientation is about.
+# Rotations from the frame of the camera (x right, y down, z the optical axis) to the frame of the orientations.
 FRAMES = {"optical": np.eye(3), "body": OPTICAL}
-FEWEST = 3  # points that say how two frames lie to each other
-# How far points of two frames may miss each other, in parts of their extent, and how thin their triangle may be.
+FEWEST = 3  # least number of points that determine the pose of a frame
+# Largest distance between aligned points of two frames, relative to their extent; least relative width of their
+# triangle.
 MISS, THIN = 0.05, 0.02
 
 
 @dataclass(frozen=True)
 class TrajectoryFile:
-    """The file of a trajectory, and what has to be said of its frames.
+    """File of a trajectory, with the settings of its frames.
 
     Args:
-        path: a format of `lmd.formats.trajectory_formats`, or a table with the columns time,x,y,z and one of:
-            qx,qy,qz,qw; roll,pitch,yaw of a body as ROS has them; yaw_from_y,pitch_up (and roll_left) of a camera as
-            in `lmd.geometry.frames.rotation`, which time,x,y,z,yaw,pitch are too. Seconds, metres, radians.
-        frame: that orientations are about: `optical` (x right, y down, z the optical axis) or `body` (x along the
-            optical axis, y left, z up; yaw, pitch and roll are then ROS's). Not asked where there is a `mount`.
-        times: a file with the time of each pose, one a line, where the trajectory has none (KITTI, COLMAP).
-        rate: poses a second in place of it.
-        align: where the frame of the recording is in the room: [x, y, z, yaw] of its origin, where its z points up and
-            yaw turns counter-clockwise seen from above; [x, y, z, qx, qy, qz, qw]; or at least three points, each as
-            [x, y, z] in the recording's frame and then in the room's.
-        mount: how the camera sits on what moves: a calibration with extrinsics or {path, name}, see
+        path: file in a format of `lmd.formats.trajectory_formats`, or a table with the columns time,x,y,z and one of:
+            qx,qy,qz,qw; roll,pitch,yaw of a body in ROS's convention; yaw_from_y,pitch_up (and roll_left) of a camera
+            as in `lmd.geometry.frames.rotation`, also as time,x,y,z,yaw,pitch. Seconds, metres, radians.
+        frame: frame of the orientations: `optical` (x right, y down, z the optical axis) or `body` (x along the optical
+            axis, y left, z up; yaw, pitch and roll are then ROS's). Not used with a `mount`.
+        times: file with the time of each pose, one per line, for a trajectory without times (KITTI, COLMAP).
+        rate: poses per second, instead of `times`.
+        align: pose of the recording's frame in the room: [x, y, z, yaw] for a frame with z up, yaw counter-clockwise
+            seen from above; [x, y, z, qx, qy, qz, qw]; or at least three points, each as [x, y, z] in the recording's
+            frame and then in the room's frame.
+        mount: pose of the camera on the recorded body: a calibration with extrinsics or {path, name}, see
             `lmd.formats.rigs`; or [x, y, z, yaw, pitch, roll] as in a rig (`lmd.scene.rig`).
 
     Raises:
@@ -59,7 +60,7 @@ class TrajectoryFile:
 
     @cached_property
     def _read(self) -> tuple[Trajectory, Rows]:
-        """The poses of the camera in the room, and the rows that they were read from."""
+        """Poses of the camera in the room, and the rows from which they were read."""
         if self.path is None:
             raise InputError("path is missing: a file of poses is needed.", "path")
         rows = read_rows(self.path, self.times, self.rate, self.frame)
@@ -67,7 +68,7 @@ class TrajectoryFile:
             raise InputError(f"frame must be optical: {self.path} has the poses of a camera.", "frame")
         poses = rows.poses
         if self.mount is not None:
-            if rows.angles:  # they speak of where x looks
+            if rows.angles:  # the angles describe the direction of the x axis
                 poses = _turned(poses, FRAMES["body"].T)
             elif rows.frame == "optical":
                 raise InputError(f"mount must be left out: {self.path} has the poses of the camera itself.", "mount")
@@ -81,10 +82,10 @@ class TrajectoryFile:
 
     @property
     def trajectory(self) -> Trajectory:
-        """The poses of the camera in the room.
+        """Poses of the camera in the room.
 
         Raises:
-            InputError: the file cannot be read, or what it holds is no trajectory; the message names the file.
+            InputError: the file cannot be read, or holds no trajectory; the message names the file.
         """
         return self._read[0]
 
@@ -94,12 +95,12 @@ class TrajectoryFile:
         return self.note_of("")
 
     def note_of(self, group: str) -> str:
-        """The note, with keys of a configuration that begin with `group`."""
+        """Note about the file, in which keys of a configuration begin with `group`."""
         notes = (*self._read[1].notes, self._doubt(group))
         return "; ".join(filter(None, notes))
 
     def _doubt(self, group: str) -> str:
-        """A question where nearly all views go up or down, with the keys that answer it."""
+        """Question if nearly all views look up or down, with the keys that answer it."""
         trajectory, rows = self._read
         if rows.angles or not (said := steep(trajectory.poses[:, 2, 2], self.path)):
             return ""
@@ -111,13 +112,13 @@ class TrajectoryFile:
         return f"{said} If not, say so by {' or '.join(f'{group}{cure}' for cure in cures)}"
 
     def check_inside(self, room: Space, check: Callable[[Trajectory, Space], None] = check_positions) -> Trajectory:
-        """The trajectory, which must lie inside a room.
+        """Return the trajectory if it is inside a room.
 
         Args:
-            check: of `lmd.space.space`.
+            check: check of `lmd.space.space`.
 
         Raises:
-            InputError: it does not; the message says how far, and what may help.
+            InputError: the trajectory leaves the room; the message has the distance and advice.
         """
         check_file_inside(self.path, self.trajectory, room, check)
         return self.trajectory
@@ -133,12 +134,12 @@ def read_recorded_poses(
     group: str = "",
     **more: Any,
 ) -> RecordedPoses:
-    """Recorded poses from a file.
+    """Read recorded poses from a file.
 
     Args:
         path, frame, times, rate, align, mount: see `TrajectoryFile`.
-        group: begins the keys of a configuration in the note.
-        more: the other arguments of `RecordedPoses`.
+        group: prefix of the keys of a configuration in the note.
+        more: other arguments of `RecordedPoses`.
 
     Raises:
         InputError: a value is refused, or the file is no trajectory.
@@ -148,10 +149,10 @@ def read_recorded_poses(
 
 
 def alignment(align: Sequence[Any]) -> FloatArray:
-    """From the frame of a recording to that of a room, `(4, 4)`; see `TrajectoryFile`.
+    """Transform from the frame of a recording to the frame of a room, `(4, 4)`; see `TrajectoryFile`.
 
     Raises:
-        InputError: it has another form, or its points do not fit each other or lie on a line.
+        InputError: `align` has another form, or its points do not fit each other or lie on a line.
     """
     if isinstance(align, str | Mapping) or not hasattr(align, "__len__"):
         raise InputError(f"align must be a list, got {align!r}.", "align")
@@ -175,7 +176,7 @@ def alignment(align: Sequence[Any]) -> FloatArray:
 
 
 def _fitted(points: FloatArray) -> FloatArray:
-    """The motion from points to others, `(N, 6)` in pairs, where they say one and fit each other."""
+    """Rigid motion between paired points `(N, 6)`, if the points determine it and fit each other."""
     if len(points) < FEWEST:
         raise InputError(f"align must have at least {FEWEST} points, got {len(points)}.", "align")
     own, room = points[:, :3], points[:, 3:]
@@ -196,7 +197,7 @@ def _fitted(points: FloatArray) -> FloatArray:
 
 
 def _mounted(mount: str | Mapping[str, Any] | Sequence[float]) -> FloatArray:
-    """The pose of the camera (x right, y down, z the optical axis) on what moves, `(4, 4)`."""
+    """Pose of the camera (x right, y down, z the optical axis) on the recorded body, `(4, 4)`."""
     if isinstance(mount, str):
         return read_mount(mount)
     if isinstance(mount, Mapping):

@@ -1,4 +1,4 @@
-"""Columns of a trajectory by the names that other programs give them, with their units."""
+"""Columns of a trajectory by their names in other programs, with units."""
 
 import re
 from collections.abc import Mapping, Sequence
@@ -11,10 +11,10 @@ from lmd.core.tables import Table
 from lmd.geometry.se3 import ROW
 
 POSITION, QUATERNION = ROW[:3], ROW[3:]
-EULER = ("roll", "pitch", "yaw")  # of a body, as ROS has them: x ahead, y left, z up
-# Of a camera, as in `lmd.geometry.frames.rotation`: clockwise from the y axis, up, and to the left.
+EULER = ("roll", "pitch", "yaw")  # angles of a body in ROS's convention: x ahead, y left, z up
+# Angles of a camera, as in `lmd.geometry.frames.rotation`: clockwise from the y axis, up, and to the left.
 OWN_ANGLES = ("yaw_from_y", "pitch_up", "roll_left")
-OWN_HEADER = ("time", *POSITION, "yaw", "pitch")  # these angles under their old names
+OWN_HEADER = ("time", *POSITION, "yaw", "pitch")  # header with the old names of a camera's angles
 NEEDED = "time, x, y, z and qx, qy, qz, qw"
 
 _SECONDS = {
@@ -26,7 +26,7 @@ _SECONDS = {
 _METRES = {"m": 1.0, "metre": 1.0, "metres": 1.0, "meter": 1.0, "meters": 1.0, "cm": 1e-2, "mm": 1e-3}
 _RADIANS = {"rad": 1.0, "radian": 1.0, "radians": 1.0}
 _DEGREES = dict.fromkeys(("deg", "degree", "degrees", "°"), np.pi / 180.0)
-# By the first column of `_PATTERNS`: how much a unit is in seconds, metres or radians.
+# Units in seconds, metres or radians, by the kind of column in `_PATTERNS`.
 UNITS: Mapping[str, Mapping[str, float]] = {
     "time": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "µs": 1e-6, "ns": 1e-9, **_SECONDS},
     "place": _METRES,
@@ -45,7 +45,7 @@ _PATTERNS = {
         rf"(?:[_./ ]?(?P<unit>{_one_of(list(UNITS['time']))}))?",
         rf"(?P<unit>{_one_of(list(_SECONDS))})",
     ),
-    # Between the letter and the axis EuRoC and OKVIS write their frames: of RS in R, or of WS in W.
+    # EuRoC and OKVIS write frames between the letter and the axis: RS in R, or WS in W.
     "place": (
         r"(?:(?:p|t|pos|(?:.*[._/ ])?(?:position|translation))[._/ ]?)?(?:(?:rs_r|ws_w)_)?(?P<axis>[xyz])"
         rf"(?:_(?P<unit>{_one_of(list(_METRES))}))?",
@@ -59,18 +59,18 @@ _PATTERNS = {
 }
 _COMPILED = [(kind, re.compile(text)) for kind, texts in _PATTERNS.items() for text in texts]
 _BRACKETS = re.compile(r"\s*[\[(]\s*([^\])]*?)\s*[\])]\s*$")
-# A quaternion whose w comes first: qw qx qy qz, (w, x, y, z), wxyz, w i j k.
+# Names of a quaternion with w first: qw qx qy qz, (w, x, y, z), wxyz, w i j k.
 _W_FIRST = re.compile(r"(?<![a-z])q?_?w[\W_]*q?_?x[\W_]*q?_?y[\W_]*q?_?z|(?<![a-z])w[\W_]+i[\W_]+j[\W_]+k(?![a-z])")
 
 
 @dataclass(frozen=True)
 class Column:
-    """A column that is known.
+    """Known column.
 
     Args:
-        name: in the file.
+        name: name in the file.
         kind: `time`, `place`, `turn`, `angle` or `own`, one of `OWN_ANGLES`.
-        unit: as the name says it, in small letters; empty where it does not.
+        unit: unit in the name, in small letters; empty if the name has none.
     """
 
     name: str
@@ -79,10 +79,10 @@ class Column:
 
     @property
     def scale(self) -> float:
-        """Its unit in seconds, metres or radians.
+        """Unit of the column in seconds, metres or radians.
 
         Raises:
-            InputError: it is none that is known.
+            InputError: the unit is unknown.
         """
         units = UNITS.get(self.kind)
         if not self.unit or units is None:
@@ -95,7 +95,7 @@ class Column:
 
 
 def known_column(name: str) -> tuple[str, Column] | None:
-    """The name of a column here, and the column; None for a name that is not known."""
+    """Standard name of a column, and the column; None for an unknown name."""
     plain = name.strip().strip("'\"").lstrip("#%_ \t").lower()
     unit = ""
     # Digits in brackets count the columns of an array, in any order: q[0].
@@ -112,7 +112,7 @@ def known_column(name: str) -> tuple[str, Column] | None:
 
 
 def known_columns(names: Sequence[str]) -> dict[str, Column]:
-    """The columns that are known, by what they are called here; of several times the first is taken.
+    """Known columns by their standard names; of several columns of times, the first is taken.
 
     Raises:
         InputError: two columns may hold one quantity.
@@ -129,7 +129,7 @@ def known_columns(names: Sequence[str]) -> dict[str, Column]:
 
 
 def check_quaternion_order(comments: Sequence[str]) -> None:
-    """Raise `InputError` if a comment that does not name the columns says that w comes first."""
+    """Raise `InputError` if a comment that does not name the columns has a quaternion with w first."""
     for comment in comments:
         if _W_FIRST.search(comment.lower()):
             raise InputError(
@@ -139,20 +139,20 @@ def check_quaternion_order(comments: Sequence[str]) -> None:
 
 
 def is_header(words: Sequence[str]) -> bool:
-    """True if the words of a comment name columns: two are known, or most are no words of a sentence."""
+    """True if the words of a comment name columns: two words are known, or most words do not look like a sentence."""
     if sum(known_column(word) is not None for word in words) >= 2:
         return True
     return 2 * sum(len(word) <= 3 or not word.isalpha() for word in words) >= len(words)
 
 
 def values(table: Table, columns: Mapping[str, Column], names: Sequence[str]) -> FloatArray:
-    """Some of the columns, in seconds, metres and radians, `(rows, len(names))`."""
+    """Values of the columns `names`, in seconds, metres and radians, `(rows, len(names))`."""
     rows = table.numbers([columns[name].name for name in names], None)
     return rows * [columns[name].scale for name in names]
 
 
 def lacking(table: Table, columns: Mapping[str, Column]) -> InputError:
-    """The error about a table that is no trajectory; it says what is missing."""
+    """Error about a table that is no trajectory; the message names the missing columns."""
     said = ", ".join(table.texts)[:300]
     if "time" not in columns:
         return InputError(

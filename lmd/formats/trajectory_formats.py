@@ -1,6 +1,6 @@
-"""The formats of trajectories, in the order in which they are tried, and readers of those without times.
+"""Formats of trajectories, in the order in which they are tried, and readers of formats without times.
 
-Without times are matrices, as KITTI has them, and images of COLMAP, whose poses are world to camera.
+Formats without times are matrices, as in KITTI, and images of COLMAP, whose poses are world to camera.
 """
 
 import re
@@ -20,10 +20,11 @@ from lmd.geometry.se3 import are_rotations, inverse, nearest_rotations, pose_of,
 
 KITTI = tuple(f"m{row}{column}" for row in range(3) for column in range(4))  # [R p], row by row
 _NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
-# IMAGE_ID, the quaternion with w first, the translation, CAMERA_ID, NAME; a line of 2-D points holds numbers only.
+# Line of an image: IMAGE_ID, quaternion with w first, translation, CAMERA_ID, NAME; a line of 2-D points has only
+# numbers.
 _IMAGE = re.compile(rf"\s*(\d+)((?:\s+{_NUMBER}){{7}})\s+(\d+)\s+(?!{_NUMBER}(?:\s|$))(\S.*?)\s*")
 AS_TEXT = "write a line per pose, time x y z qx qy qz qw, seconds and metres, from the camera to the world"
-# By what the first lines hold.
+# Refused formats: pattern in the first lines, and the reason.
 UNREAD = (
     (
         r"^#\s*kapture format|^#?\s*timestamp,\s*device_id,\s*qw",
@@ -48,31 +49,31 @@ UNREAD = (
 
 
 class PoseFile(File):
-    """A file of poses; `asked` has `times`, `rate` and `frame` of `lmd.formats.trajectories.TrajectoryFile`."""
+    """File of poses; `asked` has `times`, `rate` and `frame` of `lmd.formats.trajectories.TrajectoryFile`."""
 
     @cached_property
     def images(self) -> "list[Image] | None":
-        """The images of COLMAP; None where it is another file."""
+        """Images of COLMAP; None for another file."""
         return colmap_images(self.text)
 
     @cached_property
     def headless(self) -> Headless | None:
-        """The values of a text whose first line begins with a number; None for another text."""
+        """Values of a text whose first line begins with a number; None for another text."""
         return read_headless(self.path, name=self.argument)
 
     @cached_property
     def header(self) -> list[str] | None:
-        """The names of the columns in a comment above the values, if one has them."""
+        """Names of the columns from a comment above the values, if there are any."""
         return None if self.headless is None else comment_header(self.headless)
 
 
 def read_rows(path: str, times: str | None, rate: float | None, frame: str) -> Rows:
-    """Read a trajectory of any format that is known.
+    """Read a trajectory in any known format.
 
     Args:
-        times: a file with the time of each pose, one a line, for a format that has none (KITTI, COLMAP).
-        rate: poses a second in place of it, from time 0.
-        frame: that orientations are said to be about, `optical` or `body`: what yaw and pitch mean depends on it.
+        times: file with the time of each pose, one per line, for a format without times (KITTI, COLMAP).
+        rate: poses per second from time 0, instead of `times`.
+        frame: frame of the orientations, `optical` or `body`, on which the meaning of yaw and pitch depends.
 
     Raises:
         InputError: the file cannot be read, or what it holds is no trajectory; the message names the file.
@@ -86,22 +87,22 @@ def read_rows(path: str, times: str | None, rate: float | None, frame: str) -> R
 
 
 class Image(NamedTuple):
-    """An image of COLMAP."""
+    """Image of COLMAP."""
 
     line: int
-    """In the file, from 1."""
+    """Line in the file, from 1."""
     number: int
     """IMAGE_ID."""
     numbers: list[float]
-    """The quaternion, w first, and the translation: world to camera."""
+    """Quaternion, w first, and translation: world to camera."""
     name: str
-    """Of its file."""
+    """Name of the image's file."""
     camera: str
     """CAMERA_ID."""
 
 
 def matrices(text: Headless, times: str | None, rate: float | None) -> Rows:
-    """Poses whose matrices [R p] are written row by row, with the nearest rotations.
+    """Poses from matrices [R p], row by row; rotations are made orthonormal.
 
     Raises:
         InputError: a matrix is no rigid motion, or the times are missing.
@@ -119,7 +120,7 @@ def matrices(text: Headless, times: str | None, rate: float | None) -> Rows:
 
 
 def colmap_images(text: str) -> list[Image] | None:
-    """The images of COLMAP's `images.txt`, in its order; None where it is another file.
+    """Images of COLMAP's `images.txt`, in the order of the file; None for another file.
 
     Raises:
         InputError: a line is no image.
@@ -134,7 +135,7 @@ def colmap_images(text: str) -> list[Image] | None:
             images.append(
                 Image(line, int(found[1]), [float(number) for number in found[2].split()], found[4], found[3])
             )
-        elif said.strip() and not after_image:  # the line after an image holds its points, or nothing
+        elif said.strip() and not after_image:  # the line after an image has its points, or is empty
             raise InputError(f"line {line} is no image of COLMAP: IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME.")
         after_image = found is not None
     return images
@@ -143,7 +144,7 @@ def colmap_images(text: str) -> list[Image] | None:
 def images_in_order(path: str, images: Sequence[Image], times: str | None, rate: float | None) -> Rows:
     """Poses of COLMAP's images, camera to world, in the order of their numbers.
 
-    At a rate an image has the time of its number, so that an image that was not registered leaves a gap.
+    With a rate, the time of an image follows from its number, so that an image that was not registered leaves a gap.
 
     Raises:
         InputError: the times are missing, or numbers and names have different orders.
@@ -186,12 +187,12 @@ def _folder(name: str) -> str:
 
 
 def _in_words(name: str) -> list[tuple[int, str]]:
-    """A key that sorts names as people do: img9 before img10."""
+    """Sort key for names with numbers: img9 before img10."""
     return [(int(part), "") if part.isdigit() else (-1, part) for part in re.split(r"(\d{1,18})", name)]
 
 
 def _timed(reader: Callable[[Any], Rows]) -> Callable[[PoseFile], Rows]:
-    """A reader of a format with a time in each line, which takes no other times."""
+    """Make a reader of a format with a time in each line, which refuses other times."""
 
     def read_timed(file: PoseFile) -> Rows:
         if name := next((name for name in ("times", "rate") if file.asked[name] is not None), ""):

@@ -1,4 +1,4 @@
-"""Rows of a trajectory, whichever format they were read from, and the times of formats that have none."""
+"""Rows of a trajectory in any format, and times for formats without times."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -9,27 +9,27 @@ from lmd.core.checks import BoolArray, FloatArray, InputError, real, seconds
 from lmd.core.tables import read_headless
 from lmd.geometry.trajectory import check_order
 
-NANOSECONDS = 1e16  # a time beyond it counts them: seconds would be 300 million years
-# Times beyond, but not beyond that, are no seconds: milliseconds or microseconds since 1970, or nanoseconds of a clock
-# that began with the machine.
+NANOSECONDS = 1e16  # a greater time is in nanoseconds, as it would be 300 million years in seconds
+# Times between `UNCLEAR` and `NANOSECONDS` are no seconds: milliseconds or microseconds since 1970, or nanoseconds
+# since the start of the machine.
 UNCLEAR = 1e11
-# Views that look up or down: the sine of their pitch, and the share of them that raises a question.
+# Least sine of the pitch of views that look up or down, and least share of such views that raises a question.
 STEEP, NEARLY_ALL = np.cos(np.radians(30.0)), 0.9
-FASTEST = 1e-6  # seconds from pose to pose: less is a wrong unit
+FASTEST = 1e-6  # least time between poses, seconds; a shorter time means a wrong unit
 
 
 @dataclass(frozen=True)
 class Rows:
-    """The rows of a file.
+    """Rows of a file.
 
     Args:
         path: the file, for messages.
-        lines: where each row stands in it, from 1.
-        time: seconds, `(T,)`; increasing once `cleaned`.
-        poses: of what moves, in the frame of the recording, `(T, 4, 4)`.
-        frame: that orientations are about, `optical` or `body`; None where the file does not say.
-        angles: whether they are the angles of a camera, which a mount takes for those of the body's x axis.
-        notes: what was left out or taken for granted, sentences without an end.
+        lines: line of each row in the file, from 1.
+        time: times, seconds, `(T,)`; increasing after `cleaned`.
+        poses: poses of the recorded body, in the frame of the recording, `(T, 4, 4)`.
+        frame: frame of the orientations, `optical` or `body`; None if the file does not define it.
+        angles: True for angles of a camera, which with a mount are the angles of the body's x axis.
+        notes: omissions and assumptions, sentences without a full stop.
     """
 
     path: str
@@ -41,16 +41,16 @@ class Rows:
     notes: tuple[str, ...] = ()
 
     def kept(self, chosen: BoolArray, *notes: str) -> "Rows":
-        """Some of the rows, with what to say of it."""
+        """Rows selected by `chosen`, with further notes."""
         lines = [line for line, keep in zip(self.lines, chosen, strict=True) if keep]
         return replace(self, lines=lines, time=self.time[chosen], poses=self.poses[chosen], notes=(*self.notes, *notes))
 
 
 def cleaned(rows: Rows) -> Rows:
-    """The rows without those that have the time of the one before, as recorders write when a clock is coarse.
+    """Rows without repetitions of the previous time, which recorders with a coarse clock write.
 
     Raises:
-        InputError: a time is before the one before.
+        InputError: a time is before the previous time.
     """
     again = np.append(False, np.diff(rows.time) == 0.0)
     if again.any():
@@ -70,12 +70,12 @@ def checked_seconds(source: str, time: FloatArray, scale: float | None, position
 
     Args:
         source: the file, for messages.
-        time: as it is there, `(T,)`.
-        scale: the unit that it names, in seconds; None where it names none.
-        positions: at these times, metres, `(T, 3)`, if they are known.
+        time: times in the unit of the file, `(T,)`.
+        scale: unit that the file names, in seconds; None if it names none.
+        positions: positions at the times, metres, `(T, 3)`; None if unknown.
 
     Raises:
-        InputError: the unit is not clear, or another one than the file names.
+        InputError: the unit is unclear, or contradicts the unit that the file names.
     """
     latest = float(np.abs(time).max(initial=0.0))
     if scale in (None, 1.0):
@@ -98,15 +98,15 @@ def checked_seconds(source: str, time: FloatArray, scale: float | None, position
 
 
 def given_times(count: int, what: str, times: str | None, rate: float | None) -> FloatArray | None:
-    """The times of `count` poses `(count,)`, seconds, which their own file does not have; None for those of a `rate`.
+    """Times `(count,)`, seconds, of poses whose own file has none; None for times from a `rate`.
 
     Args:
-        what: has no times, for messages.
-        times: a file with the time of each pose, one a line.
-        rate: poses a second in place of it.
+        what: name of the format without times, for messages.
+        times: file with the time of each pose, one per line.
+        rate: poses per second, instead of `times`.
 
     Raises:
-        InputError: neither or both are given, or the file has other times.
+        InputError: neither or both are given, or the number of times is not `count`.
     """
     if (times is None) == (rate is None):
         if times is None:
@@ -128,10 +128,10 @@ def given_times(count: int, what: str, times: str | None, rate: float | None) ->
 
 
 def steep(sines: FloatArray, path: object) -> str:
-    """A question where nearly all views look up or down, as those of a body do that is taken for a camera.
+    """Question if nearly all views look up or down, as they do if body poses are read as camera poses.
 
     Args:
-        sines: of the pitch of each view, `(T,)`.
+        sines: sine of the pitch of each view, `(T,)`.
         path: the file, for the question.
     """
     up, down = (float((sign * sines > STEEP).mean()) for sign in (1.0, -1.0))

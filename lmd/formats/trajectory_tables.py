@@ -1,4 +1,4 @@
-"""Trajectories with a time in each line: TUM's, EuRoC's, ROS's, and tables whose header names columns."""
+"""Trajectories with a time in each line: formats of TUM, EuRoC and ROS, and tables with a header."""
 
 import re
 from collections.abc import Sequence
@@ -27,19 +27,20 @@ from lmd.geometry.se3 import ROW, camera_pose, pose_of, poses_from_rows
 
 TUM = ("time", *ROW)
 EUROC = ("time", *POSITION, "qw", "qx", "qy", "qz")
-VELOCITIES = ("vx", "vy", "vz")  # which VINS writes behind a pose in EuRoC's order
-# Numbers after a pose of TUM's: covariances of rotation and position, or of all six, as halves or in full.
+VELOCITIES = ("vx", "vy", "vz")  # columns that VINS writes after a pose in EuRoC's order
+# Numbers of values after a pose of TUM's format: covariances of rotation and position, or of all six, half or full.
 COVARIANCES = (12, 21, 36)
-# A stamp of 0 among stamps of a clock that counts from 1970 is none.
+# Stamps of 0 are missing values if other stamps exceed this, seconds since 1970.
 EPOCH = 1e8
-# `ros2 topic echo --csv`: how many names of frames follow the time in two parts, and how many values a line has.
+# `ros2 topic echo --csv`: number of names of frames after the time, which has two parts, and number of values of a
+# line.
 ROS_LINES = {(1, 10), (1, 46), (2, 11), (2, 89)}  # PoseStamped, with covariance; TransformStamped, Odometry
 ROS_BODIES = re.compile(r"/?(.*/)?(base_link|base_footprint|base|body|robot)")
 ROS_OPTICAL = re.compile(r".*optical(_frame|_link)?")
 
 
 def headed(path: str, text: str) -> Table:
-    """A table whose first line names its columns, with commas or spaces between them."""
+    """Table whose first line names its columns, separated by commas or spaces."""
     lines = [(i, line) for i, line in enumerate(text.splitlines(), 1) if line.strip()]
     lines = [(i, line) for i, line in lines if line.lstrip()[0] != COMMENT]
     if lines:
@@ -62,11 +63,11 @@ def _words(line: str) -> list[str]:
 
 
 def comment_header(text: Headless) -> list[str] | None:
-    """The names of the columns in a comment above the values, if one has them; the last counts."""
+    """Names of the columns from the last comment above the values that has any."""
     for comment in reversed(text.comments):
         names = [name.strip() for name in comment.split(",")] if "," in comment else []
         certain = text.commas and len(names) == text.width
-        # Units stand apart from the names in some files: p_x [m].
+        # In some files units are separated from the names: p_x [m].
         words = re.split(r"\s+", re.sub(r"\s+([\[(])", r"\1", comment).strip())
         for found in (names, [word.strip(",") for word in words]):
             if found and found[-1] in ("...", ""):
@@ -84,7 +85,7 @@ def comment_header(text: Headless) -> list[str] | None:
 
 
 def of_lines(text: Headless, header: Sequence[str] | None, frame: str) -> Rows:
-    """Rows of a text whose columns are named by a comment above the values, or follow from their number."""
+    """Rows of a text whose columns are named by a comment above the values, or follow from the number of values."""
     if header is not None:
         return of_table(text.table(_named(text, header)), frame)
     check_quaternion_order(text.comments)
@@ -97,7 +98,7 @@ def of_lines(text: Headless, header: Sequence[str] | None, frame: str) -> Rows:
 
 
 def _named(text: Headless, header: Sequence[str]) -> list[str]:
-    """The names of all columns of a text whose first ones have the names of a header."""
+    """Names of all columns of a text, the first of which have the names of a header."""
     names = [*header, *(f"column {i + 1}" for i in range(len(header), text.width))]
     if len(set(names)) < len(names):
         raise InputError(f"a comment names a column twice: {', '.join(names)[:200]}.")
@@ -105,7 +106,7 @@ def _named(text: Headless, header: Sequence[str]) -> list[str]:
 
 
 def _by_count(text: Headless) -> list[str]:
-    """The names of columns of a text that does not name them."""
+    """Names of the columns of a text without a header, from the number of values."""
     first = text.rows[0][1][0]
     nanoseconds = abs(float(first)) > NANOSECONDS
     if text.commas and not nanoseconds and text.width == len(TUM):
@@ -157,7 +158,7 @@ def of_table(table: Table, frame: str) -> Rows:
 
 
 def _nanoseconds_beside(table: Table, time: Column) -> FloatArray | None:
-    """The rest of a time whose whole seconds stand in a column of their own; None where there is none."""
+    """Nanoseconds of times whose whole seconds are in another column; None without such a column."""
     found = re.fullmatch(r"(.*?)(secs?|seconds)", time.name)
     if found is None:
         return None
@@ -171,7 +172,7 @@ def _nanoseconds_beside(table: Table, time: Column) -> FloatArray | None:
 def _oriented(
     table: Table, columns: dict[str, Column], place: FloatArray, frame: str
 ) -> tuple[FloatArray, str | None, bool, str]:
-    """Poses by the columns that there are, the frame that they are about, whether they are angles, and a note."""
+    """Poses from the existing columns; frame of the orientations; True for angles of a camera; note."""
     if set(QUATERNION) <= columns.keys():
         about, note = _frame_of_ros(table, frame)
         numbers = np.hstack([place, values(table, columns, QUATERNION)])
@@ -204,7 +205,7 @@ def _oriented(
 
 
 def _frame_of_ros(table: Table, frame: str) -> tuple[str | None, str]:
-    """The frame that the column `child_frame_id` of ROS names by REP 103 and REP 105, if it does, and a note."""
+    """Frame that the column `child_frame_id` of ROS names by REP 103 and REP 105, if any, and a note."""
     found = {text for name in table.texts if name.lower().endswith("child_frame_id") for text in table.texts[name]}
     if len(found) != 1:
         return None, ""
@@ -219,7 +220,7 @@ def _frame_of_ros(table: Table, frame: str) -> tuple[str | None, str]:
 
 
 def ros_lines(text: Headless) -> int | None:
-    """The number of names of frames in a line of `ros2 topic echo --csv`; None for another text."""
+    """Number of names of frames in a line of `ros2 topic echo --csv`; None for another text."""
     row = text.rows[0][1]
     if not text.commas or len(row) < 4 or not (row[0].isdigit() and row[1].isdigit() and len(row[1]) < 10):
         return None
@@ -228,7 +229,7 @@ def ros_lines(text: Headless) -> int | None:
 
 
 def of_ros(text: Headless, frame: str) -> Rows:
-    """Poses that `ros2 topic echo --csv` printed: seconds, nanoseconds, names of frames, position, quaternion."""
+    """Rows that `ros2 topic echo --csv` printed: seconds, nanoseconds, names of frames, position, quaternion."""
     names = ["sec", "nanosec", *("frame_id", "child_frame_id")[: ros_lines(text)], *ROW]
     table = text.table([*names, *(f"column {i + 1}" for i in range(len(names), text.width))])
     return of_table(table, frame)

@@ -1,4 +1,4 @@
-"""Room that lines of walls enclose, as in a drawing."""
+"""Room enclosed by the lines of walls in a drawing."""
 
 from collections.abc import Iterator
 from typing import Any, NamedTuple
@@ -36,14 +36,14 @@ class Drawing(NamedTuple):
     unit: str
     """Name of the unit."""
     note: str
-    """Clause on the layers that are left out."""
+    """Clause about the layers that are left out."""
 
 
 def plan_of(file: File, drawing: Drawing) -> ReadPlan:
-    """Find the room in a drawing, in its frame.
+    """Find the room in a drawing; the result is in the frame of the drawing.
 
-    Gaps between walls are closed by the straight lines between their ends. The room is a region that no line crosses,
-    except those in the region, such as a pillar.
+    Gaps between walls are closed by the straight lines between their ends. The room is a region that no line crosses;
+    lines inside the region, such as a pillar, are allowed.
 
     Args:
         file: file; `asked` has `gap` and `start` of `read_plan_room`.
@@ -101,7 +101,7 @@ def _enclosed(file: File, drawing: Drawing) -> tuple[Any, str]:
     else:
         at = np.flatnonzero(shapely.covers(triangles, shapely.Point(file.asked["start"])))
         chosen = int(labels[at[0]]) if len(at) else int(outside[0])
-    # Parts behind a short line that lead nowhere else, such as a niche, belong to the room.
+    # Small parts that only a short line separates from the room, such as a niche, belong to the room.
     is_small = (areas[labels] <= gap**2) & (labels != chosen) & ~np.isin(labels, outside)
     clusters = labelled(is_small[first] & is_small[second])
     beside = np.concatenate([np.stack([first, second], axis=1), np.stack([second, first], axis=1)])
@@ -138,7 +138,7 @@ def _shared(corners: FloatArray) -> tuple[IntArray, IntArray, FloatArray]:
 
 
 def _openings(edge: FloatArray, near: Any, boxes: list[tuple[str, Any]]) -> Iterator[tuple[float, float, str]]:
-    """Start, end and name of the parts of an edge without a wall, and of those at a door or a window."""
+    """Start, end and name of the parts of an edge without a wall, and of the parts at a door or a window."""
     import shapely
 
     line, spans = shapely.LineString(edge), []

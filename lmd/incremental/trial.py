@@ -101,8 +101,7 @@ def exchange_sets(state: Any, k: Integer, p: Integer, w: Integer, scratch: Any) 
 
 @dispatched_call
 def exchange_views(state: Any, k: Integer, scratch: Any) -> None:
-    """Exchange the data of landmark k other than its sets between state and scratch, and apply the changes of the
-    pairs.
+    """Exchange the data of landmark k, except its sets, between state and scratch, and apply the changes of the pairs.
 
     A second call undoes the first.
     """

@@ -154,7 +154,7 @@ class Milp(Optimiser):
         return self.best
 
     def _poses(self, problem: Problem) -> Deployment:
-        """Poses of the lattice whose footprints do not overlap those of fixed tags."""
+        """Poses of the lattice whose footprints do not overlap footprints of fixed tags."""
         footprints = problem.scene.footprints
         poses, hung = candidates(footprints, problem.free_edges, self.spacing), problem.fixed_with_edges
         if hung is None or not footprints.edge:

@@ -30,8 +30,8 @@ def save_body_figure(path: Path, body: Body, rig: Rig, title: str) -> None:
 
     Args:
         path: path of the PNG.
-        body: carries the cameras.
-        rig: the cameras.
+        body: body that carries the cameras.
+        rig: rig with the cameras.
         title: title of the figure.
     """
     figure = new_figure((10.0, 6.2 + 0.25 * len(rig.mounts)), title)
@@ -88,11 +88,11 @@ def _shown(onto: FloatArray) -> list[int]:
 
 
 def _edges(mount: Mount, across: bool) -> list[FloatArray]:
-    """Directions from one border of the image to the opposite one, body frame, `(3,)` each.
+    """Directions from one border of the image to the opposite border, body frame, `(3,)` each.
 
     Args:
         mount: mount of the camera.
-        across: True for directions from the left border to the right one, False for top to bottom.
+        across: True for directions from the left to the right border, False for top to bottom.
     """
     left, right, top, bottom = mount.camera.field_of_view
     found = []

@@ -43,7 +43,7 @@ def save_convergence_figure(path: str | Path, history: Mapping[str, ArrayLike], 
     axes.xaxis.set_major_locator(MaxNLocator(integer=True))
     axes.xaxis.set_major_formatter("{x:,.0f}")
     axes.grid(alpha=0.4)
-    # In the half of the axes that the end of the line leaves free.
+    # The text is in the upper or lower half, away from the end of the line.
     y, align = (0.04, "bottom") if best[-1] > np.mean(axes.get_ylim()) else (0.96, "top")
     text = f"{best[-1]:.2f} {headline.unit} after {evaluations[-1]:,.0f} evaluations, {_duration(seconds[-1])}"
     box = {"boxstyle": "round", "facecolor": "white", "edgecolor": "0.7"}
@@ -52,7 +52,7 @@ def save_convergence_figure(path: str | Path, history: Mapping[str, ArrayLike], 
 
 
 def _duration(seconds: float) -> str:
-    """Return `75.3` as `1 min 15 s`."""
+    """Format seconds, such as 75.3 as `1 min 15 s`."""
     if seconds < 60.0:
         return f"{seconds:.1f} s"
     minutes, rest = divmod(round(seconds), 60)
@@ -66,7 +66,7 @@ def save_comparison_figure(
     """Write a PNG of two panels over evaluations or time, on a logarithmic axis.
 
     The left panel has the median best fitness of each optimiser, with a band from its worst to its best seed. The right
-    one has the share of all seeds and targets that were reached (`attained`), as COCO and IOHprofiler draw it.
+    panel has the share of seeds and targets reached (`attained`), as in COCO and IOHprofiler.
 
     Args:
         path: path of the PNG.
@@ -118,11 +118,11 @@ class Panel(NamedTuple):
     label: str
     """Label of the vertical axis."""
     figure: str
-    """Column of points that is shown: a share off the grid."""
+    """Column of the table of points that is shown: a share off the grid."""
     on_grid: str | None = None
     """Column of the share on the grid, drawn faintly; None for none."""
     wanted: float | None = None
-    """Share that is marked; None for none."""
+    """Share that is marked by a line; None for none."""
 
 
 def curve_name(curve: float | str) -> str:
@@ -144,9 +144,9 @@ def save_tradeoff_figure(
     Args:
         path: path of the PNG.
         points: as for `lmd.evaluation.tradeoff.front`.
-        panels: from left to right; their figures are shares.
+        panels: panels from left to right; their figures are shares.
         title: title of the figure.
-        axis: as for `front`.
+        axis: as for `lmd.evaluation.tradeoff.front`.
     """
     from lmd.evaluation.tradeoff import COUNTS, MIXED
 
@@ -182,7 +182,9 @@ def save_tradeoff_figure(
 
 
 def _draw_counts(axes: Any, points: "pd.DataFrame", axis: "Axis", colours: Mapping[str, str]) -> None:
-    """Draw the number of tags of each size in a mixture, medians over the seeds, in the colours of the sizes alone."""
+    """Draw the number of tags of each size in a mixture, as medians over the seeds, in the colours of curves of one
+    size.
+    """
     from lmd.evaluation.tradeoff import COUNT_OF
 
     for edge, colour in colours.items():
@@ -225,7 +227,9 @@ def _written(value: object) -> str:
 
 
 def save_sensitivity_figure(path: str | Path, found: "Sensitivity", title: str) -> None:
-    """Write a PNG of 1500 x 500 pixels: other assumptions, landmarks missed, landmarks lost."""
+    """Write a PNG of 1500 x 500 pixels with the figures under other assumptions, with missed and with lost
+    landmarks.
+    """
     from lmd.evaluation.sensitivity import SHARE_COLUMNS
 
     styles = dict(zip(SHARE_COLUMNS, (("localised", "-"), ("enough landmarks covered", "--")), strict=True))

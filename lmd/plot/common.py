@@ -24,10 +24,10 @@ PARTS = {
 }
 QUALIFIED = "#1a9641"
 UNQUALIFIED = "#9e9e9e"
-COLOUR_MAP = "viridis"  # known by this name to both libraries, even in lightness, hence safe to print
+COLOUR_MAP = "viridis"  # both libraries have this map; its lightness is even, so it can be printed in grey
 AXIS_LABELS = ("x [m]", "y [m]", "z [m]")
-LEAST_TICKS = 3  # ticks that a logarithmic axis has at least, where round numbers suffice
-# Positions whose nearest neighbours are sought; a tree of all would load scipy for the figure of every run.
+LEAST_TICKS = 3  # least number of ticks of a logarithmic axis, if there are enough round numbers
+# Number of positions whose nearest neighbours are sought; a search tree of all would load scipy for each figure.
 SPACING_SAMPLE = 256
 ELEVATION, AZIMUTH = 16.0, -66.0  # direction of the viewer in static figures, degrees
 
@@ -54,12 +54,12 @@ def spacing_of(room: Space, positions: FloatArray) -> float:
 
 
 def ball_scale(room: Space, positions: FloatArray) -> float:
-    """Factor for the diameter of balls at positions: 1, or less where these are closer than in the paper."""
+    """Factor for the diameter of balls at positions: 1, or less if positions are closer than in the paper."""
     return min(1.0, spacing_of(room, positions) / float(np.linalg.norm(size_of(room))) / 0.046)
 
 
 def logarithmic_ticks(low: float, high: float) -> FloatArray:
-    """Round numbers for a logarithmic axis from `low` to `high`: a few, also where the two are close."""
+    """A few round numbers for a logarithmic axis from `low` to `high`, also if the two are close."""
     from matplotlib.ticker import MaxNLocator
 
     decades = 10.0 ** np.arange(np.floor(np.log10(low)), np.ceil(np.log10(high)) + 1.0)
@@ -74,24 +74,24 @@ def logarithmic_ticks(low: float, high: float) -> FloatArray:
 
 
 def set_ticks(axis: Any, ticks: FloatArray) -> None:
-    """Put ticks with short numbers on an axis or a colour bar, and no minor ones."""
+    """Put ticks with short numbers on an axis or a colour bar, and remove minor ticks."""
     axis.set_ticks(ticks.tolist(), labels=[f"{tick:g}" for tick in ticks])
     axis.set_ticks([], minor=True)
 
 
 class Group(NamedTuple):
-    """Landmarks that are drawn alike."""
+    """Landmarks that are drawn in one style."""
 
     label: str
     """Legend entry."""
     colour: str
     """Colour."""
     chosen: BoolArray
-    """`(K,)` which landmarks they are."""
+    """`(K,)` mask of the landmarks in the group."""
 
 
 def landmark_groups(count: int, fixed: int) -> list[Group]:
-    """Groups of `count` landmarks, of which the first `fixed` hung already; none of them is empty."""
+    """Nonempty groups of `count` landmarks, of which the first `fixed` hung already."""
     hung = np.arange(count) < fixed
     if not fixed:
         return [Group("landmark and its normal", LANDMARK, ~hung)]
@@ -117,12 +117,12 @@ def draw_plan(axes: Any, room: Space, **style: Any) -> None:
 
 
 def literal(text: object) -> str:
-    """Escape a text from a file so that matplotlib draws it as it is: `$` begins no formula."""
+    """Escape a text from a file for matplotlib, so that `$` begins no formula."""
     return printable(str(text)).replace("$", r"\$")
 
 
 def new_figure(inches: tuple[float, float], title: str | None = None) -> Any:
-    """Make a figure of this width and height at 100 dots an inch, which lays itself out."""
+    """Make a figure of this width and height at 100 dots per inch, with automatic layout."""
     from matplotlib.figure import Figure  # slow to load
 
     figure = Figure(figsize=inches, dpi=100, layout="constrained", facecolor="white")
@@ -132,7 +132,7 @@ def new_figure(inches: tuple[float, float], title: str | None = None) -> Any:
 
 
 def shrink(path: str | Path) -> None:
-    """Reduce a PNG in place to 256 colours: a third of its size, and no visible difference in a figure."""
+    """Reduce a PNG in place to 256 colours, which saves two thirds of its size without visible differences."""
     from PIL import Image
 
     with Image.open(path) as picture:

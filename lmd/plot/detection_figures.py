@@ -35,16 +35,16 @@ LEGEND = (
 FILM_INCHES, FILM_DPI = (9.0, 4.1), 90
 FRAME_WIDTH = 560  # width of a frame in a film, pixels
 FILM_QUALITY = 55  # quality of the animated picture, 0 to 100
-PYRAMID_DEPTH = 0.6  # depth of the pyramid that stands for the camera, metres
+PYRAMID_DEPTH = 0.6  # depth of the pyramid that represents the camera, metres
 
 
 def save_calibration_figure(path: str | Path, figures: pd.DataFrame, pitches: pd.DataFrame, title: str) -> None:
-    """Write a PNG: for each deployment P(>= n) predicted and detected, and below it both shares of tags by pitch.
+    """Write a PNG: for each deployment P(>= n) as predicted and detected, and below it shares of tags by pitch.
 
     Args:
         path: path of the PNG.
         figures: rows of `lmd.detection.predictions.figures` with the columns `deployment` and `detector`.
-        pitches: rows of `by_pitch`, with the same two columns.
+        pitches: rows of `by_pitch` with the columns `deployment` and `detector`.
         title: title of the figure.
     """
     names, detectors = list(figures.deployment.unique()), list(figures.detector.unique())
@@ -104,18 +104,18 @@ def save_places_figure(path: str | Path, places: pd.DataFrame, title: str) -> No
 
 
 def save_limits_figure(path: str | Path, calibrations: Mapping[str, DetectorCalibration], title: str) -> None:
-    """Write a PNG: for each detector the views it found, by pitch and blur, and their share by size over the limit.
+    """Write a PNG: for each detector the detected views, by pitch and blur, and their share by size over the limit.
 
     Args:
         path: path of the PNG.
-        calibrations: by the detector's name.
+        calibrations: calibrations by the name of the detector.
         title: title of the figure.
     """
     figure = new_figure((12.0, 0.6 + 4.2 * len(calibrations)), title)
     panels: Any = figure.subplots(len(calibrations), 2, squeeze=False)
     for (left, right), (name, calibration) in zip(panels, calibrations.items(), strict=True):
         views, limits = calibration.views, calibration.fit.limits
-        facing = replace(limits, pitch=0.0, blur=0.0, edge=0.0)  # and in the image
+        facing = replace(limits, pitch=0.0, blur=0.0, edge=0.0)  # limits of incidence and margin alone
         shown = predicted_views(views, facing, calibration.fit.circles)
         fair = shown & (views.edge >= limits.edge)
         for which, colour, label in ((views.seen, "C0", "found"), (~views.seen, "C3", "not found")):
@@ -125,7 +125,7 @@ def save_limits_figure(path: str | Path, calibrations: Mapping[str, DetectorCali
         left.plot(sigma, np.hypot(limits.pitch, limits.blur * sigma), "k", label="limit")
         left.set(title=literal(name), xlabel="blur sigma [px]", ylabel="pixels a module", ylim=(0.0, None))
         left.legend(loc="upper left", markerscale=3.0, framealpha=0.9)
-        with np.errstate(divide="ignore"):  # a limit of 0 is none
+        with np.errstate(divide="ignore"):  # a limit of 0 is no limit
             ratio = np.minimum(
                 views.pitch / np.hypot(limits.pitch, limits.blur * views.sigma), views.edge / np.float64(limits.edge)
             )
@@ -143,19 +143,19 @@ def save_limits_figure(path: str | Path, calibrations: Mapping[str, DetectorCali
 
 
 def _middle(rows: pd.DataFrame) -> FloatArray:
-    """Geometric mean of the bounds of classes of pitch, `(B,)`, pixels a module."""
+    """Geometric mean of the bounds of classes of pitch, `(B,)`, pixels per module."""
     low, high = rows.pitch_from.to_numpy(), rows.pitch_to.to_numpy()
     low = np.where(low > 0.0, low, high / 1.5)
     return np.asarray(np.sqrt(low * np.where(np.isfinite(high), high, 1.5 * low)))
 
 
 def outlined(image: UInt8Array, expected: FloatArray, predicted: BoolArray, found: FloatArray) -> UInt8Array:
-    """Draw outlines around the tags that were predicted or detected; returns an image `(h, w, 3)`.
+    """Draw outlines around the tags that were predicted or detected, and return an image `(h, w, 3)`.
 
     Args:
-        image: `(h, w)`.
+        image: grey image, `(h, w)`.
         expected: exact corners, pixels from the border, `(K, 4, 2)`; NaN behind the camera.
-        predicted: `(K,)`.
+        predicted: mask of the predicted tags, `(K,)`.
         found: corners as detected, `(K, 4, 2)`; NaN where not detected.
     """
     cv2 = optional("cv2", "detection")
@@ -198,8 +198,8 @@ def save_film(
     Args:
         path: path of the animated picture.
         moments: moments of the flight, at least two, in order.
-        camera: gives the shape of the pyramid.
-        room: drawn in black.
+        camera: camera with the shape of the pyramid.
+        room: room, drawn in black.
         landmarks: positions of the tags, `(K, 3)`, world frame, metres.
         title: title of the film.
     """

@@ -1,4 +1,4 @@
-"""Pictures of directions, as PNGs: the axes from which a position sees n landmarks, and orientation densities."""
+"""Pictures of directions, as PNGs: optical axes with n landmarks in view from a position, and orientation densities."""
 
 from pathlib import Path
 from typing import Any
@@ -15,7 +15,7 @@ from lmd.sight.reference import cap_count, coverage_caps, coverage_probability
 
 PIXELS = 320  # width of a hemisphere, pixels
 HISTOGRAM = "#bdbdbd"
-CHOSEN = "#1a9641"  # as the fit in the paper
+CHOSEN = "#1a9641"  # colour of the chosen fit, as in the paper
 HALF_TITLES = ("the half that faces the viewer of the scene", "the other half, from behind")
 
 
@@ -30,7 +30,7 @@ def hemisphere(viewer: FloatArray, pixels: int) -> FloatArray:
 
     Args:
         viewer: unit vector from the centre towards the viewer, `(3,)`, not vertical.
-        pixels: N, of the square that the half sphere fills.
+        pixels: N, edge of the square that the half sphere fills, pixels.
 
     Returns:
         `(N, N, 3)`, rows from the bottom up; NaN outside the disc.

@@ -17,8 +17,8 @@ from lmd.space.space import Space
 
 BALL_PIXELS = 5.5  # diameter of a ball, pixels
 CAMERA = {"eye": {"x": 0.82, "y": -1.84, "z": 0.58}, "center": {"x": 0.0, "y": 0.0, "z": -0.05}}
-PLAIN_AXIS = {"showgrid": False, "zeroline": False, "showspikes": False}  # the box of the room suffices
-HEAD_SHARE = 0.5  # length of the head of an arrow over that of the arrow
+PLAIN_AXIS = {"showgrid": False, "zeroline": False, "showspikes": False}  # no grid, as the box of the room suffices
+HEAD_SHARE = 0.5  # length of the head of an arrow over the length of the arrow
 
 PAGE = """<!DOCTYPE html>
 <html lang="en">
@@ -29,14 +29,14 @@ PAGE = """<!DOCTYPE html>
 
 
 def save_scene_page(path: str | Path, problem: Problem, deployment: Deployment, title: str) -> None:
-    """Write a self-contained page: the scene of `save_scene_figure`, to turn, zoom and point at.
+    """Write a self-contained page with the scene of `save_scene_figure`, which the user can turn, zoom and point at.
 
-    Two buttons switch the positions between colours of the objective's value and qualified or not.
+    Two buttons colour the positions by the objective's value, or by qualification.
 
     Args:
         path: path of the page.
-        problem: its room is drawn in black, the reachable area dotted and grey.
-        deployment: drawn as red arrows along the normals, blue ones for landmarks that hung already.
+        problem: problem whose room is drawn in black, with the reachable area dotted and grey.
+        deployment: landmarks, drawn as red arrows along the normals, or blue arrows if they hung already.
         title: title of the page.
     """
     import plotly.graph_objects as go
@@ -88,7 +88,7 @@ def save_scene_page(path: str | Path, problem: Problem, deployment: Deployment, 
     figure.update_layout(
         template="plotly_white",
         title={"text": html.escape(title), "x": 0.5, "y": 0.97},
-        margin={"l": 0, "r": 120, "t": 60, "b": 0, "autoexpand": False},  # nothing moves when buttons are pressed
+        margin={"l": 0, "r": 120, "t": 60, "b": 0, "autoexpand": False},  # buttons move nothing
         legend={"x": 0.01, "y": 0.9, "bgcolor": "rgba(255, 255, 255, 0.6)"},
         scene={"aspectmode": "data", "camera": CAMERA, **axes},
         updatemenus=[

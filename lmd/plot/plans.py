@@ -1,4 +1,4 @@
-"""Pictures of rooms from above, as PNGs: accuracy of single images, and a survey beside the plan."""
+"""Pictures of rooms from above, as PNGs: accuracy of single images, and a survey compared with the plan."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -20,10 +20,10 @@ NO_MEDIAN_COLOUR = "#c8c8c8"  # colour of places without a finite median
 PLANNED, UNSEEN, PROPOSED = "#9e9e9e", "#ff7f0e", "#2ca02c"
 POSITION = "#1f77b4"
 ELLIPSE_SIGMAS = 2.0  # semi-axes of ellipses, standard deviations
-ARROW_SHARE = 0.08  # length of the median arrow over that of the room
-WEDGE_SHARE = 0.05  # length of the wedge of a photograph to take over that of the room
+ARROW_SHARE = 0.08  # length of the median arrow over the length of the room
+WEDGE_SHARE = 0.05  # length of the wedge of a proposed photograph over the length of the room
 ELLIPSE_POINTS = 40
-MOST_NAMED = 12  # largest number of tags that the right panel names, those farthest off
+MOST_NAMED = 12  # largest number of tags named in the right panel: the tags farthest off
 
 
 def save_room_figure(path: str | Path, room: Space, title: str) -> None:
@@ -63,7 +63,7 @@ def save_accuracy_figure(path: str | Path, deployments: Mapping[str, tuple[Probl
 
     Args:
         path: path of the PNG.
-        deployments: a deployment and the problem that it is judged for, by the heading of its panel.
+        deployments: deployment and problem of each panel, by the heading of the panel.
         title: title of the figure.
     """
     from matplotlib import colormaps
@@ -81,7 +81,7 @@ def save_accuracy_figure(path: str | Path, deployments: Mapping[str, tuple[Probl
     figure = new_figure(size, title)
     panels: Any = figure.subplots(1, len(plans), squeeze=False, sharex=True, sharey=True)[0]
     for axes, plan, (heading, (problem, deployment)) in zip(panels, plans, deployments.items(), strict=True):
-        shown = np.where(np.isinf(plan), 2.0 * high, plan)  # infinite has no logarithm
+        shown = np.where(np.isinf(plan), 2.0 * high, plan)  # infinite values have no logarithm
         mesh = axes.pcolormesh(
             plan.columns, plan.index, shown, cmap=colours, norm=LogNorm(low, high), shading="nearest"
         )
@@ -99,12 +99,12 @@ def save_accuracy_figure(path: str | Path, deployments: Mapping[str, tuple[Probl
 
 
 def save_survey_figure(path: str | Path, survey: Survey, room: Space | None, title: str) -> None:
-    """Write a PNG of 1500 x 700 pixels: tags from above beside the plan, and the distance of each tag from its place.
+    """Write a PNG of 1500 x 700 pixels: measured and planned tags from above, and the offset of each tag from its plan.
 
     Args:
         path: path of the PNG.
         survey: survey that is drawn.
-        room: its outline is drawn; None where it is unknown.
+        room: room whose outline is drawn; None if unknown.
         title: title of the figure.
     """
     figure = new_figure((15.0, 7.0))
@@ -120,7 +120,9 @@ def save_survey_figure(path: str | Path, survey: Survey, room: Space | None, tit
 
 
 def _draw_above(axes: Any, survey: Survey, room: Space | None) -> None:
-    """Draw tags from above, arrows from their plan, ellipses, the ids of unseen tags, and photographs to take."""
+    """Draw tags from above, arrows from their planned places, ellipses, ids of unseen tags, and proposed
+    photographs.
+    """
     if room is not None:
         draw_plan(axes, room, lw=0.8, zorder=1)
     placed, planned = survey.placed, survey.planned
@@ -179,7 +181,7 @@ def _ellipse(covariance: FloatArray) -> FloatArray:
 
 
 def _draw_offsets(axes: Any, survey: Survey) -> None:
-    """Draw the offsets of tags in their planes with ellipses, and the ids of those farthest off."""
+    """Draw the offsets of tags in their planes with ellipses, and the ids of the tags farthest off."""
     columns = tag_columns(survey)
     offset = 1e3 * np.stack([np.asarray(columns[name], dtype=np.float64) for name in ("right", "up", "out")], axis=1)
     there = np.flatnonzero(np.isfinite(offset[:, 0]))

@@ -18,7 +18,7 @@ QUANTITIES = {
     "position": "position error [m]",
     "attitude": "attitude error [rad]",
 }
-DECADES = 12  # decades below the largest error that are shown
+DECADES = 12  # number of decades shown below the largest error
 
 
 def save_error_figure(
@@ -28,7 +28,7 @@ def save_error_figure(
 
     Args:
         path: path of the PNG.
-        curves: `FlightStudy.curves`.
+        curves: result of `FlightStudy.curves`.
         time: time of the frames, `(T,)`, seconds.
         counts: number of landmarks in each frame of one flight, `(T,)`, by deployment.
         n: number of landmarks that is marked by a dotted line.
@@ -51,7 +51,7 @@ def save_error_figure(
             axes.set_yscale("log")
             axes.grid(alpha=0.3)
         low, top = curves[f"{quantity}_low"], float(curves[f"{quantity}_high"].max())
-        if top > 0.0:  # a bound without noise is 0 and has no logarithm
+        if top > 0.0:  # without noise a bound is 0 and has no logarithm
             row[0].set_ylim(bottom=max(top * 10.0**-DECADES, 0.3 * float(low[low > 0.0].min())))
     for axes, estimator in zip(panels[0], estimators, strict=True):
         axes.set_title(literal(estimator))
@@ -66,12 +66,13 @@ def save_error_figure(
 
 
 def save_cramer_rao_map(path: str | Path, room: Space, bounds: CramerRaoMap, title: str) -> None:
-    """Write a PNG: at each position the share of single frames that fix the pose, and their median position bound.
+    """Write a PNG: at each position the share of single frames that determine the pose, and their median position
+    bound.
 
     Args:
         path: path of the PNG.
-        room: drawn as a box.
-        bounds: of one deployment.
+        room: room, drawn as a box.
+        bounds: bounds for one deployment.
         title: title of the figure.
     """
     from matplotlib.colors import LogNorm
@@ -104,7 +105,8 @@ def save_cramer_rao_map(path: str | Path, room: Space, bounds: CramerRaoMap, tit
 
 
 def save_map_figure(path: str | Path, views: pd.DataFrame, title: str) -> None:
-    """Write a PNG of 800 x 500 pixels: the share of views with a position error below that of the axis, for each map.
+    """Write a PNG of 800 x 500 pixels: for each map, the share of views with a position error below the value on the
+    axis.
 
     Args:
         path: path of the PNG.

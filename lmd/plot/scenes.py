@@ -15,17 +15,17 @@ from lmd.space.space import Space
 
 BACK, BALLS, FRONT = 1, 2, 3  # z-orders
 BALL_POINTS = 7.0  # diameter of a ball, points
-# Marker of the legend. As a text, matplotlib would load its parser of formulas.
+# Marker of the legend, as a path: for a text, matplotlib would load its parser of formulas.
 ARROW = ((-1.0, 0.0), (1.0, 0.0), (0.4, 0.35), (1.0, 0.0), (0.4, -0.35))
 
 
 def save_scene_figure(path: str | Path, problem: Problem, deployment: Deployment, title: str) -> None:
-    """Write a PNG of 1500 x 750 pixels: positions coloured by the objective's value, and by whether they qualify.
+    """Write a PNG of 1500 x 750 pixels: positions coloured by the objective's value, and by qualification.
 
     Args:
         path: path of the PNG.
-        problem: its room is drawn in black, the reachable area dashed and grey.
-        deployment: drawn as red arrows along the normals, blue ones for landmarks that hung already.
+        problem: problem whose room is drawn in black, with the reachable area dashed and grey.
+        deployment: landmarks, drawn as red arrows along the normals, or blue arrows if they hung already.
         title: title of the figure.
     """
     from matplotlib.figure import Figure
@@ -67,11 +67,11 @@ def save_scene_figure(path: str | Path, problem: Problem, deployment: Deployment
 def save_deployments_figure(
     path: str | Path, deployments: Mapping[str, tuple[Problem, Deployment]], title: str
 ) -> None:
-    """Write a PNG of deployments side by side, two in a row, with the positions that each qualifies.
+    """Write a PNG of deployments, two in a row, with the qualified positions of each.
 
     Args:
         path: path of the PNG.
-        deployments: a deployment and the problem that it is scored for, by the heading of its panel.
+        deployments: deployment and problem of each panel, by the heading of the panel.
         title: title of the figure.
     """
     from matplotlib.figure import Figure
@@ -103,7 +103,7 @@ def save_deployments_figure(
 
 
 def _draw_surroundings(axes: Any, room: Space, deployment: Deployment, groups: Sequence[common.Group]) -> None:
-    """Draw room, reachable area, groups of landmarks and axes: all but the balls."""
+    """Draw everything except the balls: room, reachable area, groups of landmarks and axes."""
     from matplotlib.ticker import MaxNLocator, MultipleLocator
     from mpl_toolkits.mplot3d.art3d import Line3DCollection
 
@@ -126,7 +126,7 @@ def _draw_surroundings(axes: Any, room: Space, deployment: Deployment, groups: S
             axes.add_collection(
                 Line3DCollection(edges[part], colors=colour, linestyles=style, linewidths=1.2, zorder=zorder)
             )
-    near = deployment.normals @ viewer < 0.0  # on the walls whose backs the viewer looks at
+    near = deployment.normals @ viewer < 0.0  # on walls whose backs face the viewer
     for group in groups:
         for part, zorder in ((near, FRONT), (~near, BACK)):
             chosen = part & group.chosen
@@ -135,7 +135,7 @@ def _draw_surroundings(axes: Any, room: Space, deployment: Deployment, groups: S
 
 
 def _arrows(groups: Iterable[common.Group]) -> list[Any]:
-    """Legend entries of groups of landmarks, each once."""
+    """Legend entries of groups of landmarks, without repetitions."""
     from matplotlib.lines import Line2D
 
     entries = {group.label: group.colour for group in groups}

@@ -135,8 +135,8 @@ class Footprints:
         Args:
             source: source of the deployment.
             rng: source of everything random.
-            fixed: existing landmarks from `checked_fixed`, which precede the drawn ones in the result. Drawn
-                landmarks that are not from a file are pushed away from the fixed ones.
+            fixed: existing landmarks from `checked_fixed`, which precede the drawn landmarks in the result. Drawn
+                landmarks that are not from a file are pushed away from the fixed landmarks.
 
         Raises:
             InputError: the source fails, a footprint overlaps another or is not wholly on its surface, or there is no

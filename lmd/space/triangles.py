@@ -118,7 +118,9 @@ def unit_normals(corners: FloatArray) -> FloatArray:
 
 
 def _beyond(faces: IntArray, normals: FloatArray) -> FloatArray:
-    """Compute `Triangles.beyond`; at an edge of more than two triangles, each is its own neighbour."""
+    """Compute `Triangles.beyond`; at an edge of more than two triangles, each of these triangles is its own
+    neighbour.
+    """
     count = len(faces)
     edge = np.stack([faces, np.roll(faces, -1, axis=1)], axis=-1).reshape(-1, 2)
     own = np.repeat(np.arange(count), 3)

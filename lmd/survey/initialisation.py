@@ -67,7 +67,7 @@ class Placing:
 
     @property
     def _placed(self) -> tuple[BoolArray, BoolArray]:
-        """Masks of the sightings whose tag is placed, and of those whose frame is placed, `(N,)` each."""
+        """Masks of the sightings whose tag is placed and of the sightings whose frame is placed, `(N,)` each."""
         tags, frames = np.isfinite(self.tags[:, 0, 0]), np.isfinite(self.frames[:, 0, 0])
         return tags[self.sightings.tag], frames[self.sightings.frame]
 
@@ -213,7 +213,7 @@ class _Trial:
         return np.asarray(given @ (inverse(single) if self.by_frame else single))
 
     def _pairs(self, owner: IntArray) -> tuple[IntArray, IntArray]:
-        """Pairs of a sighting and a pose: each of P poses with all sightings of its `owner` `(P,)`; indices of both."""
+        """Pairs of a sighting and a pose: each of P poses with all sightings of its `owner` `(P,)`; their indices."""
         counts = self.counts[owner]
         pose = np.repeat(np.arange(len(owner)), counts)
         within = np.arange(len(pose)) - np.repeat(np.cumsum(counts) - counts, counts)

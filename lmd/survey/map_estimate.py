@@ -178,7 +178,7 @@ def of_body(sightings: Sightings, start: Start, prior: Prior) -> tuple[Poses, In
     """Initial poses of the body, groups joined by motion, and the prior with the estimated spread of the motion.
 
     Raises:
-        InputError: a camera was never placed together with the first one.
+        InputError: a camera was never placed together with the first camera.
     """
     rough = _mounted(sightings, start.poses, prior.mounts)
     if prior.motion is None:
@@ -244,7 +244,7 @@ def _mounted(sightings: Sightings, apart: Poses, mounts: FloatArray | None) -> P
         mounts: poses of the cameras on the body, `(C, 4, 4)`; None to estimate them.
 
     Raises:
-        InputError: a camera was never placed together with the first one.
+        InputError: a camera was never placed together with the first camera.
     """
     views = apart.frames.reshape(sightings.cameras, sightings.frames, 4, 4)
     found, frames = np.tile(np.eye(4), (sightings.cameras, 1, 1)), views[0].copy()

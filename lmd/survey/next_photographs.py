@@ -180,7 +180,7 @@ def _jacobian(
 def _greedy(
     tags: FloatArray, covariance: FloatArray, known: BoolArray, candidates: list[_Candidate]
 ) -> tuple[Photograph, ...]:
-    """Choose candidates one after the other: each time the best one that is not similar to a chosen one."""
+    """Choose candidates one after the other: each time the best candidate that is not similar to a chosen candidate."""
     rows = np.flatnonzero(np.repeat(known, 6))
     place = np.cumsum(known) - 1
     left = gauge_free(tags[known])[np.tile(np.arange(6) >= 3, int(known.sum()))]  # rows of places

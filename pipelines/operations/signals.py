@@ -12,7 +12,7 @@ CODES = tuple(128 + number for number in SIGNALS)  # exit codes after these sign
 
 
 class Stopped(KeyboardInterrupt):
-    """A signal has stopped the process.
+    """Raised when a signal has stopped the process.
 
     Args:
         number: number of the signal.
@@ -24,11 +24,12 @@ class Stopped(KeyboardInterrupt):
 
 
 class Stop:
-    """The effect of SIGINT, SIGTERM and SIGHUP, which depends on the block that the process is in.
+    """Effect of SIGINT, SIGTERM and SIGHUP, which depends on the current block.
 
-    Outside all blocks the process ends at once: it has no results yet. Within `raising`, the first signal raises
-    `Stopped`, and later ones are ignored while the process cleans up. Within `deferred`, the first one sets `requested`
-    and the second one raises. Within `shielded`, a signal only sets `requested`. Within `postponed`, signals wait.
+    Outside all blocks the process ends at once, as it has no results yet. Within `raising`, the first signal raises
+    `Stopped`, and later signals are ignored while the process cleans up. Within `deferred`, the first signal sets
+    `requested` and the second signal raises `Stopped`. Within `shielded`, a signal only sets `requested`. Within
+    `postponed`, signals wait.
 
     A library, or the clean-up, may fail with an error of its own when a signal interrupts it. Such an error is printed
     in a line, and `Stopped` is raised in its place.
@@ -55,22 +56,23 @@ class Stop:
         for number in SIGNALS:
             if number != signal.SIGHUP or signal.getsignal(number) != signal.SIG_IGN:
                 signal.signal(number, self._handle)
-        self._terminals = tuple(stream for stream in (1, 2) if os.isatty(stream))  # isatty fails on a closed one
+        self._terminals = tuple(stream for stream in (1, 2) if os.isatty(stream))  # isatty fails on a closed stream
         sys.unraisablehook = _unless_stopped
 
     @contextmanager
     def raising(self) -> Iterator[None]:
-        """Within the block, the first signal raises `Stopped`."""
+        """Context in which the first signal raises `Stopped`."""
         with self._acting(self._raise):
             yield
 
     @contextmanager
     def deferred(self, worth_waiting: Callable[[], bool], step: str = "this batch") -> Iterator[None]:
-        """Within the block, the first signal sets `requested` and the second raises `Stopped`.
+        """Context in which the first signal sets `requested` and the second signal raises `Stopped`.
 
         Args:
-            worth_waiting: returns False if there is no step to wait for: then the first signal raises.
-            step: name of the step that is waited for.
+            worth_waiting: function that returns False if there is no step to wait for; the first signal then raises
+                `Stopped`.
+            step: name of the step to wait for.
         """
 
         def act(number: int) -> None:
@@ -84,7 +86,7 @@ class Stop:
 
     @contextmanager
     def shielded(self) -> Iterator[None]:
-        """Within the block, a signal only sets `requested`: for short work that must not be interrupted."""
+        """Context in which a signal only sets `requested`, for short work that must not be interrupted."""
 
         def act(number: int) -> None:
             self._number = number
@@ -94,7 +96,7 @@ class Stop:
 
     @contextmanager
     def postponed(self) -> Iterator[None]:
-        """Within the block, signals wait; they act at its end."""
+        """Context in which signals wait; they take effect at its end."""
         waiting: list[int] = []
         try:
             with self._acting(waiting.append):
@@ -109,7 +111,7 @@ class Stop:
         try:
             yield
         except Stopped:
-            before, self._is_under_way = _ignore, False  # no second one while the outer blocks clean up
+            before, self._is_under_way = _ignore, False  # no second `Stopped` while the outer blocks clean up
             raise
         except Exception as error:
             if not self._is_under_way:
@@ -129,7 +131,7 @@ class Stop:
 
     def _raise(self, number: int) -> None:
         self._number, self._act, self._is_under_way = number, _ignore, True
-        os.environ["HYDRA_FULL_ERROR"] = "1"  # or Hydra would print a library's error, and exit with 1
+        os.environ["HYDRA_FULL_ERROR"] = "1"  # otherwise Hydra would print a library's error and exit with 1
         tell("stopping")
         raise Stopped(number)
 
@@ -154,4 +156,4 @@ def _unless_stopped(unraisable: "sys.UnraisableHookArgs") -> None:
         sys.__unraisablehook__(unraisable)
 
 
-stop = Stop()  # a process has one
+stop = Stop()  # the only instance in a process

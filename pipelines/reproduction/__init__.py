@@ -1,1 +1,1 @@
-"""The paper's tables and figures beside the results of the stored sweeps."""
+"""Comparison of the paper's tables and figures with the results of the stored sweeps."""

@@ -1,7 +1,7 @@
-"""A page of text, tables and pictures, written as Markdown and as self-contained HTML.
+"""Page of text, tables and pictures, written as Markdown and as self-contained HTML.
 
-Texts and cells may use two marks of Markdown, `code` between backticks and **bold**, and texts from elsewhere that
-`lmd.core.words.escaped` or `as_code` has escaped.
+Texts and cells may use two marks of Markdown, `code` between backticks and **bold**. Texts of other origin must be
+escaped by `lmd.core.words.escaped` or `as_code`.
 """
 
 import base64
@@ -45,7 +45,7 @@ class Table:
     rows: Sequence[Sequence[str]]
 
     def markdown(self) -> str:
-        """The table as lines of Markdown."""
+        """Table as lines of Markdown."""
         return markdown_table(self.head, self.rows)
 
 
@@ -66,7 +66,7 @@ class Section:
 
 
 def to_markdown(sections: Sequence[Section], pictures: str) -> str:
-    """The sections as Markdown, below headings of the second level.
+    """Sections as Markdown, with headings of the second level.
 
     Args:
         pictures: prefix of the file names of pictures.
@@ -85,7 +85,7 @@ def to_markdown(sections: Sequence[Section], pictures: str) -> str:
 
 
 def to_html(title: str, sections: Sequence[Section]) -> str:
-    """The page as one HTML file with its pictures and its style."""
+    """Page as one HTML file that contains its pictures and its style."""
     blocks = [f"<h1>{html.escape(title)}</h1>"]
     for section in sections:
         blocks.append(f"<h2>{html.escape(section.title)}</h2>")
@@ -112,7 +112,7 @@ def _row(tag: str, cells: Sequence[str]) -> str:
 
 
 def _inline(text: str) -> str:
-    """Text as HTML, with its marks as tags; escaped characters stay."""
+    """Text as HTML, with marks as tags; escaped characters stay."""
     text = re.sub(r"&amp;(#\d+;)", r"&\1", html.escape(text))
     text = re.sub(r"&lt;(/?code)&gt;", r"<\1>", text)
     text = re.sub(r"\*\*(.+?)\*\*", r"<strong>\1</strong>", text)
@@ -123,7 +123,7 @@ OFF_GRID = "off_grid"
 
 
 def comparison_table(comparison: Comparison, headline: Headline) -> Table:
-    """The table of a comparison of optimisers, in the unit of the objective's headline; unknown figures are blank."""
+    """Table of a comparison of optimisers, in the unit of the objective's headline; unknown figures are blank."""
     key, table = headline.key, comparison.table
     has_off_grid = OFF_GRID in table
     head = ["optimiser", "runs", f"{headline.label}: median (95% interval)", *["off the grid"] * has_off_grid, "rank"]
@@ -149,6 +149,6 @@ def _known(value: float, form: str) -> str:
 
 
 def comparison_markdown(comparison: Comparison, headline: Headline) -> str:
-    """The table of a comparison as Markdown, with the name of the test below it."""
+    """Table of a comparison as Markdown, followed by the name of the test."""
     below = f"\n{comparison.test}\n" if comparison.test else ""
     return f"{comparison_table(comparison, headline).markdown()}\n{below}"

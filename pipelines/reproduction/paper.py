@@ -9,14 +9,14 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Printed:
-    """The three indices of a row, fractions in [0, 1], with the names of `Problem.metrics`."""
+    """Three indices of a row, fractions in [0, 1], with the names of `Problem.metrics`."""
 
     qualified_ratio: float
     average_coverage_probability: float
     maximum_coverage_probability: float
 
 
-# n = 2, thold_p = 0.65.
+# Table II, for n = 2 and thold_p = 0.65.
 TABLE_2 = {
     "EGA": Printed(0.8188, 0.7500, 0.9169),
     "SGA": Printed(0.5344, 0.6445, 0.8431),
@@ -24,7 +24,7 @@ TABLE_2 = {
     "initial": Printed(0.1111, 0.5231, 0.7108),
 }
 
-# By (n, thold_p), all for the deployment that EGA found for (2, 0.65).
+# Table III by (n, thold_p), for the deployment that EGA found for (2, 0.65).
 TABLE_3 = {
     (2, 0.50): Printed(0.9775, 0.7500, 0.9169),
     (2, 0.65): Printed(0.8188, 0.7500, 0.9169),

@@ -1,4 +1,4 @@
-"""The sections of the reproduction report: results of the stored sweeps beside those of the paper."""
+"""Sections of the reproduction report: results of the stored sweeps and of the paper."""
 
 import shlex
 from collections.abc import Mapping
@@ -44,7 +44,7 @@ Blocks = list[Text | Table | Picture]
 
 
 def sections(source: Source) -> list[Section]:
-    """All sections in order; one without runs names the command that makes them."""
+    """All sections in order; a section without runs names the command that makes the runs."""
     built = {
         "Convergence": ("table2", _convergence),
         "An n-ple coverage spherical cap": ("table2", _cap),
@@ -171,7 +171,7 @@ def _curves(source: Source, name: str, runs: list[OptimiserRun], title: str) -> 
 
 
 def _origins(source: Source, *sweeps: str) -> list[Text]:
-    """The runs of a section: one paragraph for each sweep."""
+    """Origin of the runs of a section: one paragraph for each sweep."""
     return [_origin(source, sweep) for sweep in sweeps]
 
 
@@ -189,7 +189,7 @@ def _origin(source: Source, sweep: str) -> Text:
         f"{key}={value}" for key, value in sorted(given.items(), key=lambda item: item[0] != "experiment")
     )
     command = f"{command_of(str(parent.get('tags.pipeline', 'optimise')))} {overrides}"
-    planned = parent.get("metrics.jobs", np.nan)  # known once the sweep has ended
+    planned = parent.get("metrics.jobs", np.nan)  # known after the end of the sweep
     share = f"{len(jobs)}" if pd.isna(planned) else f"{len(jobs)} of {planned:.0f}"
     spent = jobs[BUDGET].dropna().unique()
     budget = f" with a budget of {escaped(' or '.join(map(str, spent)))} evaluations" if len(spent) else ""
@@ -201,23 +201,23 @@ def _missing(sweep: str) -> Text:
 
 
 def _of_row(jobs: pd.DataFrame, name: str) -> pd.DataFrame:
-    """The runs of a sweep for a row of Table II."""
+    """Runs of a sweep for a row of Table II."""
     _, column, value = TABLE_2_RUNS[name]
     return jobs[jobs[column] == value]
 
 
 def _of_pair(jobs: pd.DataFrame, n: int, thold_p: float) -> pd.DataFrame:
-    """The runs for (n, thold_p)."""
+    """Runs for (n, thold_p)."""
     return jobs[(jobs[PAIR].astype(float) == [n, thold_p]).all(axis=1)]
 
 
 def _by_pair(jobs: pd.DataFrame) -> pd.Series:
-    """Median qualified ratio for each (n, thold_p) of Table III, NaN where there is no run."""
+    """Median qualified ratio for each (n, thold_p) of Table III; NaN without a run."""
     return pd.Series({pair: _of_pair(jobs, *pair)[RATIO].median() for pair in TABLE_3})
 
 
 def _typical(jobs: pd.DataFrame) -> str:
-    """Id of the run in the middle by qualified ratio, the lower one of two."""
+    """Id of the run with the median qualified ratio; of two middle runs, the lower one."""
     return str(jobs[RATIO].sort_values(kind="stable").index[(len(jobs) - 1) // 2])
 
 
@@ -227,7 +227,7 @@ def _beside_head() -> list[str]:
 
 
 def _beside(printed: Printed, jobs: pd.DataFrame) -> list[str]:
-    """Cells of a row: printed figures and medians of runs in per cent, and their differences in points."""
+    """Cells of a row: printed figures and medians of runs, per cent, and the differences in percentage points."""
     cells = [f"{len(jobs)}"]
     for index in INDICES:
         paper, values = getattr(printed, index), jobs[f"metrics.{index}"]
@@ -237,7 +237,7 @@ def _beside(printed: Printed, jobs: pd.DataFrame) -> list[str]:
 
 
 def _spread(ratios: "pd.Series[float]") -> str:
-    """The median in per cent, with the range if they differ."""
+    """Median in per cent, with the range if the ratios differ."""
     median = _percent(ratios.median())
     return median if ratios.nunique() < 2 else f"{median} ({ratios.min():.2%} to {ratios.max():.2%})"
 
@@ -254,7 +254,7 @@ def save_landmark_count_figure(
     Args:
         ratios: one row per run with the columns `count` (K) and `qualified_ratio` (fraction); a line joins the medians
             of each K.
-        references: points (K, qualified ratio) to compare with, by name.
+        references: points (K, qualified ratio) for comparison, by name.
     """
     from matplotlib.ticker import PercentFormatter
 

@@ -1,4 +1,4 @@
-"""The source of a reproduction report: the runs of a tracking store."""
+"""Source of a reproduction report: the runs of a tracking store."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -39,7 +39,7 @@ COLUMNS = [
     *(SEED, BUDGET, COUNT, *PAIR, *(f"metrics.{index}" for index in INDICES), GRID_FREE),
 ]
 
-# Parameters that a section reads as numbers, by its sweep; in a store they are texts of any origin.
+# Parameters that a section reads as numbers, by sweep; in a store, parameters are texts of any origin.
 NUMBERS = {
     "table2": [SEED],
     "table3": PAIR,
@@ -47,25 +47,25 @@ NUMBERS = {
     "landmark_count": [COUNT],
     "optimisers": [SEED],
 }
-# The problem and the deployment of a run, by its id.
+# Function that returns the problem and the deployment of a run, by the id of the run.
 Load = Callable[[str], tuple[Problem, Deployment]]
 
 
 @dataclass(frozen=True)
 class Source:
-    """The runs of a report, and the folder of its pictures."""
+    """Runs of a report, and the folder of its pictures."""
 
     reader: MlflowReader
     """Reader of the tracking store."""
     runs: pd.DataFrame
     """Runs of `MlflowReader.runs`."""
     load: Load
-    """Loads the problem and the deployment of a run."""
+    """Function that loads the problem and the deployment of a run."""
     folder: Path
     """Folder of the pictures."""
 
     def jobs(self, sweep: str) -> pd.DataFrame:
-        """The finished runs of the newest sweep of that name, one for each job, the oldest first.
+        """Finished runs of the newest sweep with a name, one for each job, the oldest first.
 
         A run whose parameter is no number is left out, with a note.
         """
@@ -99,7 +99,7 @@ class Source:
         return found
 
     def picture(self, name: str, caption: str, draw: Callable[[Path], None]) -> Picture:
-        """A picture that `draw` writes into the folder."""
+        """Picture that `draw` writes into the folder."""
         path = self.folder / f"{name}.png"
         draw(path)
         shrink(path)

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from paper import experiment_room, paper_camera, paper_scene
-from small import make
+from small import make, marked
 
 from lmd.cameras.body import Body
 from lmd.cameras.mounts import MountSpace
@@ -27,8 +27,7 @@ from pipelines.app import CONF
 
 CAMERA, OTHER = paper_camera(), paper_camera(focal_length=8.0)
 BODY = Body([{"low": [-0.2, -0.15, 0.0], "high": [0.2, 0.15, 0.2]}])
-NAMES = sorted({path.stem for path in Path(CONF, "optimiser").glob("*.yaml")} - {"annealing", "greedy", "milp"})
-QUICK = {"camera_annealing", "cma_es", "ega"}
+NAMES = {path.stem for path in Path(CONF, "optimiser").glob("*.yaml")} - {"annealing", "greedy", "milp"}
 
 
 def tagged(objective=None, count=12):
@@ -93,7 +92,7 @@ def test_only_a_camera_that_moved_is_looked_at_anew():
     assert [p.views.knows(mount) for mount in mounts] == [True, False, True]
 
 
-@pytest.mark.parametrize("name", [pytest.param(n, marks=() if n in QUICK else pytest.mark.slow) for n in NAMES])
+@pytest.mark.parametrize("name", marked(NAMES))
 def test_every_black_box_and_our_own_method_place_cameras(name):
     p = problem()
     result = make(name).run(p, Budget(40))

@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 import pytest
 import yaml
-from processes import call
+from processes import inside
 
 from lmd.core.checks import InputError
 from lmd.formats.calibrations import Calibration, calibrated_camera, read_calibration
@@ -257,10 +257,9 @@ def test_a_calibration_checks_itself():
         Calibration(640, 480, (600, 600), (math.nan, 240))
 
 
-@pytest.mark.slow
 def test_a_run_says_that_nothing_is_out_of_focus(tmp_path):
-    ros(tmp_path / "info.yaml", LENS)
-    overrides = ("camera=calibration", "camera.path=info.yaml", "localisation=false", "tracking=none")
-    done = call("evaluate", *overrides, cwd=tmp_path)
+    ros(tmp_path / "info.yaml", [0.0] * 5)  # for a lens that distorts much would be compiled
+    overrides = ("camera=calibration", "camera.path=info.yaml", "localisation=false", "losses=false", "tracking=none")
+    done = inside("evaluate", *overrides, cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     assert "no criterion: the camera has no aperture" in done.stdout

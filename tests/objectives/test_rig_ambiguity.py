@@ -113,7 +113,14 @@ def test_cameras_farther_apart_tell_more():
     assert share("resolved", 0.4) == 1.0
 
 
-objectives = st.builds(Localisation, n=st.just(1), tolerance=st.sampled_from([0.02, 0.1, 0.5]))
+# Rotations are asked for too, as moves of a rig take 14 s to compile for each combination of what is asked.
+objectives = st.builds(
+    Localisation,
+    n=st.just(1),
+    tolerance=st.sampled_from([0.02, 0.1, 0.5]),
+    rotation_tolerance=st.sampled_from([0.003, 0.02, 10.0]),
+    coverage_weight=st.sampled_from([0.0, 0.0, 0.3, 1.0]),
+)
 
 
 @examples(20)

@@ -32,8 +32,12 @@ def test_one_camera_on_a_body_gets_the_deployment_of_that_camera(name):
     assert one.fitness == other.fitness
 
 
-@pytest.mark.parametrize("name", ["annealing", "greedy"])
-@pytest.mark.parametrize("sampling", [None, Sampling(2, 4)])
+SAMPLED = pytest.param("annealing", Sampling(2, 4), marks=pytest.mark.thorough("lmd/incremental", "lmd/optimisers"))
+
+
+@pytest.mark.parametrize(
+    ("name", "sampling"), [("annealing", None), ("greedy", None), ("greedy", Sampling(2, 4)), SAMPLED]
+)
 def test_a_rig_is_climbed_and_scored_alike(name, sampling):
     rigged = problem(BACK_TO_BACK, sampling)
     result = make(name).run(rigged, Budget(80))

@@ -216,15 +216,6 @@ assert (first == second).all()
     assert done.returncode == 0, done.stderr
 
 
-def test_going_on_with_a_library_that_proposes_other_genes_is_refused():
-    p, optimiser = problem(), Nevergrad("OnePlusOne")
-    optimiser.run(p, Budget(3))
-    state = optimiser.state()
-    state["checksums"][1] ^= 1
-    with pytest.raises(InputError, match="Nevergrad cannot go on: asked again, it proposes other genes than the check"):
-        Nevergrad("OnePlusOne").restore(state, p)
-
-
 def test_failed_evaluations_cost_a_finite_loss():
     for optimiser in (pymoo("CMAES"), PyCma(), Nevergrad("TwoPointsDE")):
         losses = losses_told(optimiser, 4, lambda genes: np.where(np.arange(len(genes)) == 0, -np.inf, genes[:, 0]))

@@ -4,11 +4,13 @@ import copy
 import importlib
 import pickle
 import warnings
+import zlib
 from pathlib import Path
 
 import composing
 import hydra
 import pytest
+from examples import SHARE
 from hydra.core.hydra_config import HydraConfig
 from omegaconf import OmegaConf, open_dict
 
@@ -169,13 +171,20 @@ def wrong(pipeline, pickled, key, value, monkeypatch):
 
 
 def all_wrong(pipeline, cfg, keys, monkeypatch):
-    found, pickled = [], pickle.dumps(cfg)
-    for key, value in keys.items():
-        values = (
-            [None] if OmegaConf.is_config(value) else VALUES if value is None or isinstance(value, int) else VALUES[:4]
-        )
-        found += [wrong(pipeline, pickled, key, tried, monkeypatch) for tried in values]
+    pickled = pickle.dumps(cfg)
+    found = [
+        wrong(pipeline, pickled, key, value, monkeypatch) for key, known in keys.items() for value in tried(key, known)
+    ]
     return [sentence for sentence in found if sentence]
+
+
+def tried(key, known):
+    """Values in place of a known one: three, another choice for each key, or all of them in thorough tests."""
+    if OmegaConf.is_config(known):
+        return [None]
+    values = VALUES if known is None or isinstance(known, int) else VALUES[:4]
+    first = zlib.crc32(key.encode())
+    return values if SHARE >= 1.0 else [values[(first + i) % len(values)] for i in range(3)]
 
 
 def test_every_number_of_every_pipeline(monkeypatch, tmp_path):

@@ -139,7 +139,7 @@ def test_a_detector_is_calibrated_on_the_frames_of_a_survey(room):
 
 
 @pytest.mark.usefixtures("surveyed")
-@pytest.mark.parametrize("mounted", ["true", "false"])
+@pytest.mark.parametrize("mounted", ["false", pytest.param("true", marks=pytest.mark.thorough("lmd/survey"))])
 def test_a_rig_has_a_folder_for_each_camera(room, mounted):
     """Two cameras that see the same, of which one begins later."""
     cwd, _, true = room
@@ -244,9 +244,9 @@ def test_copies_of_photographs_count_once(room):
     """Also where their names are no UTF-8."""
     cwd = room[0]
     (cwd / "copied").mkdir()
-    for path in sorted((cwd / "photos").iterdir()):
+    for number, path in enumerate(sorted((cwd / "photos").iterdir())):
         shutil.copy(path, cwd / "copied")
-        for suffix in (b"\xe9", b"x"):
+        for suffix in (b"\xe9", b"x") if number < 4 else ():
             shutil.copy(path, os.fsencode(cwd / "copied" / path.stem) + suffix + b".png")
     done = call("photographs=copied", "deployment.path=plan.csv", "hydra.run.dir=once", cwd=cwd)
     assert done.returncode == 0, done.stderr

@@ -1,6 +1,7 @@
 """Moves of single landmarks before a rig, against the reference."""
 
 import numpy as np
+import pytest
 from contracts.criterion import check_every_path
 from examples import examples
 from floor_plans import lab
@@ -25,6 +26,7 @@ def test_after_any_moves_a_rig_counts_what_the_reference_counts(data, case, n, s
 tagged = rig_scenes_with_deployments(fiducial=True, room=rooms(cells=1))  # whose reference takes longest
 
 
+@pytest.mark.thorough("lmd/incremental", "lmd/sight")
 @examples(30)
 @given(data=st.data(), case=tagged, n=st.integers(1, 3), seed=seeds)
 def test_after_any_moves_of_tags_a_rig_counts_what_the_reference_counts(data, case, n, seed):

@@ -22,6 +22,8 @@ from lmd.sight.obstacles import half_edge
 
 pytestmark = [pytest.mark.slow, pytest.mark.long]  # kernels of two more models of sight
 
+# Of tags of several sizes before a lens and before a rig, each of which takes some 4 s to compile.
+other_sights = pytest.mark.thorough("lmd/objectives/localisation", "lmd/sight")
 EDGES = (0.05, 0.1, 0.3)
 COUNT = 24
 
@@ -59,11 +61,13 @@ def test_every_path_is_exact_among_obstacles():
     check_shrunk(scene, deployment)
 
 
+@other_sights
 def test_behind_a_lens_that_distorts_an_evaluation_is_exact():
     scene = several(lab_scene("barrel"))  # of its sizes, moves ask the same functions
     check_counts(scene, drawn(scene)[0], 2)
 
 
+@other_sights
 def test_what_a_rig_counts_is_exact_among_obstacles():
     plain = lab_scene()
     rig = Rig((Mount(plain.camera, (0.1, 0.0, 0.0)), Mount(plain.camera, yaw=2.0)))
@@ -88,6 +92,7 @@ def test_views_are_localised_as_the_reference_says_and_by_moves():
     assert 0 < views.localised.sum() < views.covered.sum()
 
 
+@other_sights
 def test_a_rig_of_one_camera_localises_as_that_camera():
     plain = lab_scene()
     one, objective = several(plain), Localisation(1, tolerance=0.03)  # two poses of a tag, as above

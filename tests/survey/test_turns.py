@@ -64,8 +64,7 @@ def line(found, label):
     return rows.get(label)
 
 
-@pytest.mark.parametrize("rolled", [1, 2, 3])
-@pytest.mark.parametrize("as_fixed", [True, False])
+@pytest.mark.parametrize(("rolled", "as_fixed"), [(1, True), (2, False), (3, True)])
 def test_corners_that_begin_elsewhere_are_renumbered_and_the_tags_named(rolled, as_fixed):
     found = surveyed(seen([0] * 5, rolled=rolled), **{"fixed" if as_fixed else "plan": plan()})
     tags = map_of(found)
@@ -82,7 +81,7 @@ def test_tags_as_planned_have_no_such_line():
         assert line(found, "fixed") is None
 
 
-@pytest.mark.parametrize("clockwise", [(0, 2, 0, 0, 0), (2, 0, 0, 2, 0), (1, 3, 0, 0, 0), (0, 0, 0, 0, 1)])
+@pytest.mark.parametrize("clockwise", [(2, 0, 0, 2, 0), (1, 3, 0, 0, 0), (0, 0, 0, 0, 1)])
 def test_planned_tags_that_hang_turned_hang_so_in_the_map(clockwise):
     found = surveyed(seen(clockwise), plan=plan())
     tags = map_of(found)
@@ -96,7 +95,7 @@ def test_planned_tags_that_hang_turned_hang_so_in_the_map(clockwise):
     assert "they hang so in the map" in line(found, "turned")
 
 
-@pytest.mark.parametrize("clockwise", [(0, 2, 0, 0, 0), (2, 0, 0, 2, 1), (0, 0, 0, 0, 3), (2, 2, 2, 2, 0)])
+@pytest.mark.parametrize("clockwise", [(2, 0, 0, 2, 1), (0, 0, 0, 0, 3), (2, 2, 2, 2, 0)])
 def test_fixed_tags_keep_their_poses_at_any_turn(clockwise):
     found = surveyed(seen(clockwise), fixed=plan())
     np.testing.assert_allclose(map_of(found).places, PLACES, atol=1e-6)
@@ -132,7 +131,7 @@ def test_without_a_plan_the_world_is_that_of_the_tag_as_it_was_seen():
     np.testing.assert_allclose(tags.ups[:4], np.tile([0.0, 1.0, 0.0], (4, 1)), atol=0.01)
 
 
-@pytest.mark.parametrize("rolled", [0, 1, 2])
+@pytest.mark.parametrize("rolled", [0, 1])
 def test_tags_of_one_sheet_say_which_corner_is_the_first(rolled):
     """On this wall the viewer's right is along -x."""
     places = np.stack([-PLACES[:4, 0], PLACES[:4, 2]], axis=1)
@@ -171,9 +170,10 @@ def test_a_fixed_tag_that_is_a_little_off_stays_and_is_named():
     assert line(found, "fixed").endswith(" mm); elsewhere in the photographs: is the file exact, and each edge right?")
 
 
-@pytest.mark.parametrize("seed", [0, 2])
-@pytest.mark.parametrize("turned", ["all", "each"])
-@pytest.mark.parametrize("as_fixed", [True, False])
+@pytest.mark.parametrize(
+    ("seed", "turned", "as_fixed"),
+    [(0, "all", False), (0, "each", True), (2, "all", True), (2, "each", False)],
+)
 def test_a_room_of_turned_tags_is_mapped_like_an_upright_one(seed, turned, as_fixed):
     """With a tenth of wrong ids for one of the seeds."""
     rng, count = np.random.default_rng(seed), 20

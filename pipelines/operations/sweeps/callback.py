@@ -1,4 +1,4 @@
-"""The callback of Hydra that begins and ends a sweep: its tracked run, and its table."""
+"""Hydra callback that begins and ends a sweep: its tracked run, and its table."""
 
 import atexit
 import os
@@ -20,7 +20,7 @@ from .supervisor import LOST, SWEEP_VARIABLE, end_runs
 if TYPE_CHECKING:
     from ..tracking import Tracker
 
-# Parameters in the name of a sweep's run, beside the varied keys.
+# Parameters in the name of a sweep's run, in addition to the varied keys.
 NAMED = ("objective.n", "objective.thold_p", "deployment.count", "budget.evaluations", "budget.seconds")
 
 
@@ -28,14 +28,14 @@ class SweepRecord(Callback):
     """Hydra callback that gives a sweep its parent run and, at its end, its table."""
 
     def on_multirun_start(self, config: DictConfig, **kwargs: Any) -> None:
-        """Start the parent run, or continue the one of the sweep that this command grows."""
+        """Start the parent run, or continue the parent run of the sweep that this command extends."""
         from lmd.core.checks import InputError
 
         from ..tracking import RunStart
 
         try:
             _check_jobs(config)
-        except InputError as error:  # Hydra would print a warning and go on
+        except InputError as error:  # Hydra would print a warning and continue
             sys.exit(f"error: {error}")
         folder = SweepFolder(pin_sweep_folder(config))
         before = folder.load()
@@ -81,7 +81,7 @@ class SweepRecord(Callback):
 def _check_jobs(config: DictConfig) -> None:
     """Let `glob` search the search path of the command line, and refuse keys without a value.
 
-    Hydra composes with that path, but expands `glob` without it.
+    Hydra composes with the search path, but expands `glob` without it.
 
     Raises:
         InputError: a varied key has no value.
@@ -106,7 +106,7 @@ def _check_jobs(config: DictConfig) -> None:
 
 
 def _cut_short(config: DictConfig) -> None:
-    """Close a sweep that ended before all its jobs had."""
+    """Close a sweep that ended before all its jobs had ended."""
     from ..tracking import RunStart
 
     folder = SweepFolder(config.hydra.sweep.dir)
@@ -123,10 +123,10 @@ def _cut_short(config: DictConfig) -> None:
 
 
 def _close(config: DictConfig, reason: str = "") -> bool:
-    """Write the table of a sweep and end its run; returns whether it ended as FAILED.
+    """Write the table of a sweep and end its run; True if the run ended as FAILED.
 
     Args:
-        reason: why the run failed; if empty, it fails if a job failed.
+        reason: reason of the failure of the run; if empty, the run fails if a job failed.
     """
     from ..tracking import RunStart
 
@@ -140,7 +140,7 @@ def _close(config: DictConfig, reason: str = "") -> bool:
                     its_folder.save(replace(job, status="killed", reason=LOST))
                     end_runs(config.tracking, its_folder, job, LOST)
     jobs = folder.jobs()
-    running = sum(job.status == "running" for _, job in jobs)  # for another process with this command
+    running = sum(job.status == "running" for _, job in jobs)  # jobs that another process with this command runs
     failed = [(its_folder, job) for its_folder, job in jobs if job.status not in ("finished", "running")]
     found = found_by(jobs)
     write_jobs(folder.table, sweep, found)
@@ -161,7 +161,7 @@ def _close(config: DictConfig, reason: str = "") -> bool:
 
 
 def _shared_parameters(config: DictConfig, varied: tuple[str, ...]) -> dict[str, Any]:
-    """The parameters that the jobs of a sweep share."""
+    """Parameters that are equal for all jobs of a sweep."""
     settings = OmegaConf.masked_copy(config, [str(key) for key in config if key != "hydra"])
     shared = parameters(settings, chosen(config.hydra.runtime.choices))
     return {

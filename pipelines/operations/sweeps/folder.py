@@ -1,4 +1,4 @@
-"""The records of a sweep and its jobs on disk, which processes and machines share and a later command continues."""
+"""Records of a sweep and its jobs on disk, shared by processes and machines, and continued by later commands."""
 
 import os
 import shutil
@@ -10,62 +10,62 @@ from typing import Any
 
 from ...outputs import read_document, write_document
 
-JOB_VARIABLE = "LMD_JOB"  # environment variable with the folder of the job that a process does
+JOB_VARIABLE = "LMD_JOB"  # environment variable with the folder of a process's job
 
 
 @dataclass(frozen=True)
 class Sweep:
-    """A sweep, as `sweep.json` holds it."""
+    """Sweep, the content of `sweep.json`."""
 
     name: str
-    """The experiment that it runs, or the keys that it varies."""
+    """Experiment of the sweep, or the varied keys."""
     varied: tuple[str, ...]
-    """Config keys that differ between its jobs, those of earlier commands first."""
+    """Config keys that differ between the jobs, keys of earlier commands first."""
     run_id: str | None
-    """Its tracked run, the parent of its jobs' runs; None where nothing is recorded."""
+    """Tracked run of the sweep, the parent of its jobs' runs; None if nothing is tracked."""
     round: int = 0
-    """Number of commands that have grown it before the last one."""
+    """Number of commands that extended the sweep before the last one."""
 
 
 @dataclass(frozen=True)
 class Job:
-    """A job of a sweep, as `job.json` holds it."""
+    """Job of a sweep, the content of `job.json`."""
 
     sweep: str
-    """Name of its sweep."""
+    """Name of the sweep."""
     parent: str | None
-    """Tracked run of its sweep, if any."""
+    """Tracked run of the sweep, if any."""
     number: int
-    """Its place in the sweep, from 0."""
+    """Number of the job in the sweep, from 0."""
     overrides: tuple[str, ...]
-    """Its overrides, as on the command line."""
+    """Overrides of the job, as on the command line."""
     varied: Mapping[str, str]
-    """Overrides that differ between the jobs of the sweep, as `{"objective.n": "2"}`."""
+    """Overrides that differ between the jobs of the sweep, such as `{"objective.n": "2"}`."""
     status: str = "running"
     """`running`, `finished`, `interrupted`, `failed` (by an error of its own) or `killed`."""
     value: float | None = None
-    """The value that the finished job returned."""
+    """Value that the finished job returned."""
     reason: str = ""
-    """The reason why it did not finish."""
+    """Reason for which the job did not finish."""
     seconds: float = 0.0
     """Wall time, seconds."""
     round: int = 0
-    """`Sweep.round` of the last command that asked for it."""
+    """`Sweep.round` of the last command with this job."""
 
     @property
     def label(self) -> str:
-        """The overrides that tell it from the other jobs."""
+        """Overrides that distinguish the job from the others."""
         return " ".join(f"{key}={value}" for key, value in self.varied.items()) or " ".join(self.overrides)
 
     def tags(self, name: str) -> dict[str, str]:
-        """Tags of its tracked run that lead to the sweep and to the job's folder `name`."""
+        """Tags of the job's tracked run that name the sweep and the job's folder `name`."""
         from ..tracking import PARENT_TAG
 
         return {"sweep": self.sweep, "job": name} | ({PARENT_TAG: self.parent} if self.parent else {})
 
 
 class JobFolder:
-    """The folder of one job.
+    """Folder of one job.
 
     Args:
         path: path of the folder.
@@ -80,15 +80,15 @@ class JobFolder:
 
     @property
     def name(self) -> str:
-        """Its name below the sweep's folder."""
+        """Name of the folder below the sweep's folder."""
         return self.path.name
 
     def load(self) -> Job | None:
-        """The job; None where there is none."""
+        """Read the job; None if there is no record."""
         return read_document(self.record, lambda values: Job(**values | {"overrides": tuple(values["overrides"])}))
 
     def finished(self) -> Job | None:
-        """The job, if it has finished and its figures are whole."""
+        """Read the job if it has finished and its figures are complete; else None."""
         job = self.load()
         lost = self.metrics.exists() and not self.figures()
         return None if job is None or job.status != "finished" or lost else job
@@ -98,15 +98,16 @@ class JobFolder:
         write_document(self.record, asdict(job))
 
     def figures(self) -> dict[str, Any]:
-        """The figures in metrics.json; empty where there is none."""
+        """Figures in metrics.json; empty without that file."""
         return read_document(self.metrics, dict) or {}
 
     @contextmanager
     def held(self, wait: bool = True) -> Iterator[int | None]:
-        """Lock the folder for this process and all that inherit the descriptor; None if another process holds it.
+        """Lock the folder for this process and all processes that inherit the descriptor; None if another process has
+        locked it.
 
         Args:
-            wait: wait for the other process.
+            wait: True to wait for the other process.
         """
         import fcntl
 
@@ -123,7 +124,7 @@ class JobFolder:
 
 
 class SweepFolder:
-    """The folder of a sweep, with a folder for each of its jobs.
+    """Folder of a sweep, with a folder for each of its jobs.
 
     Args:
         path: path of the folder.
@@ -135,7 +136,7 @@ class SweepFolder:
         self.table = self.path / "jobs.csv"
 
     def load(self) -> Sweep | None:
-        """The sweep; None where there is none."""
+        """Read the sweep; None if there is no record."""
         return read_document(self.record, lambda values: Sweep(**values | {"varied": tuple(values["varied"])}))
 
     def save(self, sweep: Sweep) -> None:
@@ -144,11 +145,13 @@ class SweepFolder:
         write_document(self.record, asdict(sweep))
 
     def job_of(self, digest: str) -> JobFolder | None:
-        """The folder of the job whose configuration has this digest, the end of its name; None for no such job."""
+        """Folder of the job whose configuration has this digest, with which the name ends; None without such a job."""
         return next((JobFolder(path) for path in self.path.glob(f"*{digest}")), None)
 
     def jobs(self) -> list[tuple[JobFolder, Job]]:
-        """Jobs with their folders: those of the last command in its order, then finished ones of earlier commands."""
+        """Jobs with their folders: the jobs of the last command in its order, then finished jobs of earlier
+        commands.
+        """
         folders = [JobFolder(path) for path in self.path.iterdir()]
         found = [(folder, job) for folder in folders if (job := folder.load()) is not None]
         sweep = self.load()
@@ -157,14 +160,14 @@ class SweepFolder:
         return sorted(kept, key=lambda entry: (-entry[1].round, entry[1].number))
 
     def discard(self) -> None:
-        """Remove the record of a sweep that has begun no job, and the folder unless it holds files of the user."""
+        """Remove the record of a sweep that has begun no job, and the folder unless it holds other files."""
         self.record.unlink(missing_ok=True)
-        if {path.name for path in self.path.iterdir()} <= {"multirun.yaml"}:  # Hydra's
+        if {path.name for path in self.path.iterdir()} <= {"multirun.yaml"}:  # Hydra's own file
             shutil.rmtree(self.path)
 
 
 def current_job() -> tuple[JobFolder, Job] | None:
-    """The job of this process and its folder; None outside a sweep."""
+    """Job of this process, and its folder; None outside a sweep."""
     path = os.environ.get(JOB_VARIABLE)
     folder = JobFolder(path) if path else None
     job = folder.load() if folder else None
@@ -172,7 +175,7 @@ def current_job() -> tuple[JobFolder, Job] | None:
 
 
 def reason_of(error: BaseException) -> str:
-    """The error that ended a run, in one line."""
+    """Text, in one line, of the error that ended a run."""
     from lmd.core.checks import InputError
 
     if isinstance(error, SystemExit) and not isinstance(error.code, str):

@@ -1,4 +1,4 @@
-"""Jobs as processes of Python's fork server, which has imported their modules (`ready`)."""
+"""Jobs as processes of Python's fork server, which has imported the jobs' modules (`ready`)."""
 
 import importlib
 import multiprocessing
@@ -16,7 +16,7 @@ from ..signals import stop
 READY_MODULE = f"{__package__}.ready"
 TRACKED = ("mlflow.store.tracking.sqlalchemy_store", "sqlalchemy.dialects.sqlite")  # modules for a store in a file
 SERVED = ("mlflow.tracking.client", "mlflow.store.tracking.rest_store")  # modules for a tracking server
-ATTEMPTS = 20  # most attempts to start a process
+ATTEMPTS = 20  # greatest number of attempts to start a process
 PAUSE_SECONDS = 0.05  # time between attempts, seconds
 SERVER_DIED = 255  # exit code that Python gives a process whose server has died
 
@@ -24,15 +24,15 @@ context = multiprocessing.get_context("forkserver")
 
 
 class Process:
-    """A job's process in a session of its own, which stops when its standard input is closed.
+    """Process of a job in a session of its own; the process stops when its standard input is closed.
 
     Args:
         pipeline: module whose `main` is called.
         arguments: arguments of its command line.
-        environment: its variables; some packages have read those of the server when it imported them.
+        environment: environment variables; packages that the server has imported may have read the server's variables.
         output: descriptor for stdout and stderr.
         kept: further descriptors that stay open.
-        store: address of the mlflow store that it records in, if any.
+        store: address of the mlflow store of the job, if any.
     """
 
     def __init__(
@@ -53,9 +53,9 @@ class Process:
         self._process: Any = None
 
     def start(self) -> None:
-        """Begin; the first call in a process waits until the server has imported the modules of jobs."""
+        """Start the process; the first call in a process waits until the server has imported the modules of jobs."""
         pipeline, arguments, environment, streams, kept = self._asked
-        multiprocessing.set_start_method("forkserver", force=True)  # joblib's workers have another one
+        multiprocessing.set_start_method("forkserver", force=True)  # workers of joblib use another start method
         context.set_forkserver_preload(self._preloaded)
         handed = {number: Descriptor(descriptor) for number, descriptor in streams.items()}
         also = [Descriptor(descriptor) for descriptor in kept]
@@ -63,7 +63,7 @@ class Process:
             begun = context.Process(target=_do, args=(pipeline, arguments, environment, handed, also))
             try:
                 begun.start()
-            except (EOFError, ConnectionError):  # a server that was killed just now counts as alive
+            except (EOFError, ConnectionError):  # a server that was just killed still counts as alive
                 if not left:
                     raise
                 time.sleep(PAUSE_SECONDS)
@@ -72,7 +72,9 @@ class Process:
         self._process = begun
 
     def wait(self) -> int:
-        """Wait for its end; returns the exit code, negative for a signal, 1 if it never began."""
+        """Wait for the end of the process, and return the exit code: negative for a signal, 1 if the process never
+        began.
+        """
         if self._process is None:
             return 1
         self._process.join()
@@ -84,7 +86,7 @@ class Process:
         return code
 
     def kill(self) -> None:
-        """Kill it."""
+        """Kill the process."""
         if self._process is not None:
             self._process.kill()
 
@@ -95,7 +97,7 @@ class Process:
 
 
 class Descriptor:
-    """A descriptor that is handed on to a process of the server."""
+    """Descriptor that is passed to a process of the server."""
 
     def __init__(self, number: int) -> None:
         self._number = number
@@ -111,7 +113,7 @@ def _handed_on(descriptor: Any) -> int:
 def _do(
     pipeline: str, arguments: list[str], environment: dict[str, str], streams: dict[int, int], _kept: list[int]
 ) -> None:
-    """Run a job in its process."""
+    """Run a job in the process of the server."""
     ready = sys.modules.get(READY_MODULE)
     for number, handler in (ready.BEFORE if ready else {}).items():
         signal.signal(number, handler)
@@ -120,12 +122,12 @@ def _do(
 
 
 def run_module(pipeline: str, arguments: list[str], environment: dict[str, str], streams: dict[int, int]) -> None:
-    """Run a module in a process of the server as `python -m` does.
+    """Run a module in a process of the server, as `python -m` would.
 
     Args:
         pipeline: the module.
         arguments: arguments of its command line.
-        environment: its variables; those that modules set when the server imported them stay.
+        environment: environment variables; variables that imported modules have set stay.
         streams: descriptors that become 0, 1 and 2.
     """
     for number, descriptor in streams.items():
@@ -133,7 +135,7 @@ def run_module(pipeline: str, arguments: list[str], environment: dict[str, str],
     for descriptor in streams.values():
         os.close(descriptor)
     if 0 in streams:
-        sys.stdin = os.fdopen(0, closefd=False)  # multiprocessing has put nothing in its place
+        sys.stdin = os.fdopen(0, closefd=False)  # multiprocessing leaves no standard input
     os.environ.update(environment)
     module: Any = importlib.import_module(pipeline)
     sys.argv = [str(module.__file__), *arguments]

@@ -11,21 +11,21 @@ from ...overrides import key_and_value, quoted
 from ...provenance import digest
 from .folder import SweepFolder
 
-SLUG_LENGTH = 100  # most characters of a slug
-NAME_LENGTH = 80  # most characters of a run's name, whose end is kept
+SLUG_LENGTH = 100  # greatest number of characters of a slug
+NAME_LENGTH = 80  # greatest number of characters of a run's name; a longer name loses its begin
 DIGEST_LENGTH = 8  # characters of a digest in the name of a folder
 # Keys that change neither the problem nor the search of a run.
 NOT_IN_NAME = ("hydra", "tracking", "trust", "picture", "page", "validate", "threads", "resume", "checkpoint_seconds")
 
 
 def override_tags(overrides: Sequence[str]) -> dict[str, str]:
-    """Overrides as the tags of a tracked run, all in one and each by itself."""
+    """Tags of a tracked run: all overrides in one tag, and each override in its own tag."""
     each = {f"override.{key}": value for key, value in map(key_and_value, overrides)}
     return {"overrides": " ".join(overrides)} | each
 
 
 def short_name(subject: str, overrides: Sequence[str]) -> str:
-    """Name of a run: the overrides that tell it from others, then its subject, `n=3 count=60 annealing`.
+    """Name of a run: the overrides that distinguish it, then its subject, as in `n=3 count=60 annealing`.
 
     Args:
         subject: subject of the run, in a word.
@@ -41,26 +41,26 @@ def short_name(subject: str, overrides: Sequence[str]) -> str:
 
 
 def slug(text: str) -> str:
-    """`text` in characters that need no quotes in a path or an override."""
+    """Replace the characters of `text` that need quotes in a path or an override."""
     return re.sub(r"[^\w.-]+", "-", text)[:SLUG_LENGTH].strip("-.")
 
 
 def _settings(root: DictConfig) -> Any:
-    """The resolved configuration without Hydra's part."""
+    """Resolved configuration without Hydra's part."""
     return OmegaConf.to_container(
         OmegaConf.masked_copy(root, [str(key) for key in root if key != "hydra"]), resolve=True
     )
 
 
 def swept(root: DictConfig) -> list[str]:
-    """The overrides of a sweep: the stored ones, then those of the command line."""
+    """Overrides of a sweep: stored overrides, then overrides of the command line."""
     return [f"{key}={value}" for key, value in (root.hydra.sweeper.get("params") or {}).items()] + list(
         root.hydra.overrides.task
     )
 
 
 def varied_keys(overrides: Sequence[str]) -> tuple[str, ...]:
-    """The keys of those `overrides` that have more than one value."""
+    """Keys of the `overrides` that have more than one value."""
     from hydra.core.override_parser.overrides_parser import OverridesParser
 
     parsed = OverridesParser.create().parse_overrides(list(overrides))
@@ -68,7 +68,7 @@ def varied_keys(overrides: Sequence[str]) -> tuple[str, ...]:
 
 
 def sweep_name(root: DictConfig) -> str:
-    """The experiment or the search that a sweep runs, or else the keys that it varies."""
+    """Name of a sweep: its experiment or search, or else the varied keys."""
     stored = [root.hydra.runtime.choices.get(group) for group in ("experiment", "hparams_search")]
     return slug("_".join(filter(None, stored)) or "_".join(varied_keys(swept(root)))) or "sweep"
 
@@ -80,7 +80,7 @@ def sweep_folder(*, _root_: DictConfig) -> str:
 
 
 def job_folder(*, _root_: DictConfig) -> str:
-    """Name of a job's folder below that of its sweep: equal for equal configurations and contents of files."""
+    """Name of a job's folder below the sweep's folder: equal for equal configurations and contents of files."""
     folder, known = SweepFolder(_root_.hydra.sweep.dir), digest(_settings(_root_))[:DIGEST_LENGTH]
     if (before := folder.job_of(known)) is not None:
         return before.name
@@ -91,7 +91,7 @@ def job_folder(*, _root_: DictConfig) -> str:
 
 
 def pin_sweep_folder(config: DictConfig) -> Path:
-    """Put the folder of a sweep into the configuration of its jobs, which cannot derive it; returns the folder."""
+    """Write the folder of a sweep to the configuration of its jobs, which cannot derive the folder, and return it."""
     folder = Path(config.hydra.sweep.dir)
     with read_write(config.hydra):
         config.hydra.sweep.dir = str(folder)

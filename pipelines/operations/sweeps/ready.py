@@ -1,4 +1,4 @@
-"""Imports of the fork server of a sweep's jobs before it forks the first; imported by that server alone.
+"""Imports of a sweep's fork server before it forks the first job; only that server imports this module.
 
 Importing takes longer than a small job. The server runs no job itself, so that jobs share no state.
 """
@@ -12,7 +12,7 @@ from lmd.core.compiled import load_compiler
 from ...app import GARBAGE, PACKAGE
 from ..signals import SIGNALS
 
-# SLURM signals all processes of a job; only the one that started this server handles them.
+# SLURM signals all processes of a job; only the process that started this server handles the signals.
 BEFORE = {number: signal.signal(number, signal.SIG_IGN) for number in (*SIGNALS, signal.SIGUSR2)}
 
 gc.set_threshold(GARBAGE)

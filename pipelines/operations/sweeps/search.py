@@ -1,4 +1,4 @@
-"""A sweeper of Hydra that searches: a method of nevergrad proposes values, which run as jobs of a sweep."""
+"""Search as a Hydra sweeper: a method of nevergrad proposes values, which are run as jobs of a sweep."""
 
 import math
 import sys
@@ -18,20 +18,21 @@ from typing_extensions import override
 
 from .summary import SEED
 
-LOSS_OF_FAILURE = 1e3  # loss of a trial that failed; the loss of others is minus their figure, a fraction
+LOSS_OF_FAILURE = 1e3  # loss of a failed trial; the loss of other trials is minus their figure, a fraction
 DIGITS = 4  # significant digits of a proposed number
 
 
 class Search(Sweeper):
-    """Maximises the value that jobs return over the values that `params` and the command line vary.
+    """Search for the largest value that jobs return, over the values that `params` and the command line vary.
 
     Values are ranges of Hydra: `interval(0.1,0.9)`, `int(interval(2,12))`, `tag(log,interval(0.001,0.1))`,
-    `range(2,13)`, or a choice `pool,survivor`. Every trial runs all values of the seed; its value is their median. A
-    trial with a failed job is worse than all others. Proposals depend on the method's seed and on earlier results only:
-    an equal command finds its finished jobs again, and more `trials` continue it.
+    `range(2,13)`, or a choice `pool,survivor`. Every trial runs all values of the seed; the value of the trial is the
+    median over the seeds. A trial with a failed job is worse than all others. Proposals depend only on the method's
+    seed and on earlier results, so an equal command finds its finished jobs again, and a command with more `trials`
+    continues the search.
 
     Args:
-        params: overrides of the stored search; those of the command line have precedence.
+        params: overrides of the stored search; overrides of the command line have precedence.
         trials: number of proposals.
         at_a_time: number of trials that are proposed before the first result.
         method: registered optimiser of nevergrad that needs no budget.
@@ -94,7 +95,7 @@ class Search(Sweeper):
                     print(f"best of {first + i + 1} trials: {best[0]:.2%} with {' '.join(best[1])}", flush=True)
 
     def _method(self, varied: dict[str, Override]) -> Any:
-        """The method, which proposes values of the varied keys."""
+        """Make the method that proposes values of the varied keys."""
         from lmd.core.checks import InputError, choice
         from lmd.core.optional import optional
 
@@ -105,12 +106,12 @@ class Search(Sweeper):
 
         method = choice("method", self.method, sorted(nevergrad.optimizers.registry))
         space = nevergrad.p.Dict(**{key: _space(override) for key, override in varied.items()})
-        space.random_state = np.random.RandomState(self.seed)  # nevergrad takes no other
+        space.random_state = np.random.RandomState(self.seed)  # nevergrad accepts no newer generator
         return nevergrad.optimizers.registry[method](space, budget=None, num_workers=self.at_a_time)
 
 
 def _space(override: Override) -> Any:
-    """The values of a varied key as a parameter of nevergrad."""
+    """Parameter of nevergrad for the values of a varied key."""
     import nevergrad
 
     values = override.value()

@@ -1,6 +1,6 @@
-"""Sweeps on SLURM: its queue gives the states of jobs, and a job that SLURM ends does not end the sweep.
+"""Sweeps on SLURM: states of jobs come from the queue, and a job that SLURM ends does not end the sweep.
 
-submitit alone asks SLURM's accounting, which not every cluster has, and only every ten minutes.
+submitit by itself asks SLURM's accounting, which some clusters lack, and only every ten minutes.
 """
 
 import os
@@ -15,8 +15,8 @@ from submitit.slurm import slurm
 from .folder import JobFolder
 from .supervisor import end_runs, job_of
 
-POLL_SECONDS = 10  # most time between two looks at the queue, seconds; at first it is shorter
-GONE = "GONE"  # state of a job that is not listed: cancelled before it began, or ended long ago
+POLL_SECONDS = 10  # greatest time between two requests to the queue, seconds; shorter at first
+GONE = "GONE"  # state of a job that is not in the queue: cancelled before it began, or ended long ago
 ENDED = (
     GONE, "BOOT_FAIL", "CANCELLED", "COMPLETED", "DEADLINE", "FAILED", "NODE_FAIL", "OUT_OF_MEMORY", "PREEMPTED",
     "TIMEOUT",
@@ -24,7 +24,7 @@ ENDED = (
 
 
 class QueueWatcher(slurm.SlurmInfoWatcher):
-    """Follows jobs by `squeue`, which works with accounting and without."""
+    """Watcher of jobs by `squeue`, which needs no accounting."""
 
     def _make_command(self) -> list[str] | None:
         if self._registered <= self._finished:
@@ -32,7 +32,7 @@ class QueueWatcher(slurm.SlurmInfoWatcher):
         return ["squeue", f"--user={os.getuid()}", "--states=all", "--array", "--noheader", "--format=%i|%T"]
 
     def read_info(self, string: bytes | str) -> dict[str, dict[str, str]]:
-        """The states of the jobs by their ids, from the output of `squeue`."""
+        """States of the jobs by id, from the output of `squeue`."""
         text = string if isinstance(string, str) else string.decode()
         listed = dict(line.split("|") for line in text.split())
         return {job: {"State": listed.get(job, GONE)} for job in self._registered - self._finished}
@@ -43,13 +43,13 @@ class QueueWatcher(slurm.SlurmInfoWatcher):
 
 
 class QueuedJob(slurm.SlurmJob[JobReturn]):
-    """A job of a sweep; if SLURM ends it, its record names the state, and the sweep goes on."""
+    """Job of a sweep; if SLURM ends the job, the job's record names the state, and the sweep continues."""
 
     watcher = QueueWatcher(delay_s=POLL_SECONDS)
     _results_timeout_s = 0  # a late result is in the job's record
 
     def results(self) -> list[JobReturn]:
-        """Wait for the job; its value is NaN if it returned none."""
+        """Wait for the job; the value is NaN if the job returned none."""
         try:
             return super().results()
         except UncompletedJobError:
@@ -57,9 +57,9 @@ class QueuedJob(slurm.SlurmJob[JobReturn]):
             return [JobReturn(status=JobStatus.COMPLETED, _return_value=float("nan"))]
 
     def _note_end(self, state: str) -> None:
-        """Record that SLURM ended the job, perhaps before it had begun."""
+        """Record that SLURM ended the job, possibly before the job began."""
         submitted = self.submission()
-        launcher: Any = submitted.function  # the plugin when it submitted the job
+        launcher: Any = submitted.function  # the launcher that submitted the job
         overrides, _, number, *_ = submitted.args
         config = launcher.hydra_context.config_loader.load_sweep_config(launcher.config, overrides)
         config.hydra.job.num = number
@@ -80,5 +80,5 @@ class QueuedJob(slurm.SlurmJob[JobReturn]):
 
 
 def follow_the_queue() -> None:
-    """Let submitit use these classes, for which it has no setting."""
+    """Make submitit use the classes of this module, for which it has no setting."""
     slurm.SlurmJob = slurm.SlurmExecutor.job_class = QueuedJob  # type: ignore[assignment, misc]

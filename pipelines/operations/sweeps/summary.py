@@ -1,4 +1,4 @@
-"""The results of the jobs of a sweep: a table of jobs, and a description by groups for its tracked run."""
+"""Results of the jobs of a sweep: a table of jobs, and a description by groups for the tracked run."""
 
 import csv
 from collections.abc import Iterable
@@ -15,14 +15,14 @@ FIGURES = (
     *("localised_share", "weighted_share"),
 )
 DESCRIBED = {"fitness": "fitness", "off_grid": "off the grid"}  # figures in a description, with their labels
-SEED = "seed"  # jobs that differ in this key alone are one group
-PROBLEM = (*GROUPS, "deployment.count")  # keys of the problem: the best of several problems means nothing
+SEED = "seed"  # jobs that differ only in this key form a group
+PROBLEM = (*GROUPS, "deployment.count")  # keys of the problem; figures of different problems are not compared
 
 Found = list[tuple[JobFolder, Job, dict[str, Any]]]
 
 
 def found_by(jobs: Iterable[tuple[JobFolder, Job]]) -> Found:
-    """The jobs with their figures, which are empty for jobs that have not finished."""
+    """Jobs with their figures, which are empty for unfinished jobs."""
     return [(folder, job, folder.figures() if job.status == "finished" else {}) for folder, job in jobs]
 
 
@@ -42,7 +42,7 @@ def write_jobs(path: Path, sweep: Sweep, found: Found) -> None:
 
 
 def best_and_median(sweep: Sweep, found: Found) -> dict[str, float]:
-    """The best and the median of each figure over all finished jobs; empty if these had different problems."""
+    """Best value and median of each figure over all finished jobs; empty if the jobs have different problems."""
     if any(key == part or key.startswith(f"{part}.") for key in sweep.varied for part in PROBLEM):
         return {}
     summary: dict[str, float] = {}
@@ -53,7 +53,7 @@ def best_and_median(sweep: Sweep, found: Found) -> dict[str, float]:
 
 
 def description(sweep: Sweep, found: Found) -> str:
-    """The varied keys, and the best and the median of every group of jobs, in Markdown."""
+    """Description in Markdown: varied keys, and best value and median of every group of jobs."""
     from lmd.core.words import as_code, escaped, markdown_table
 
     keys = [key for key in sweep.varied if key != SEED]

@@ -1,4 +1,4 @@
-"""One job of a sweep, in a process of its own."""
+"""Execution of one job of a sweep in a process of its own."""
 
 import os
 import signal
@@ -31,12 +31,12 @@ if TYPE_CHECKING:
 
 SWEEP_VARIABLE = "LMD_SWEEP"  # environment variable with the number of the process that began the sweep
 THREAD_VARIABLES = ("NUMBA_NUM_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
-SLURM_SIGNALS = (signal.SIGTERM, signal.SIGUSR2)  # for a cancelled job; for one whose time is nearly up
+SLURM_SIGNALS = (signal.SIGTERM, signal.SIGUSR2)  # for a cancelled job, and for a job whose time is nearly up
 LOST = "its process was killed, and the sweep with it"
 
 
 def run(cfg: DictConfig, pipeline: Callable[[DictConfig], float | None]) -> float | None:
-    """Run a pipeline here, or as the job of a sweep in a process of its own."""
+    """Run a pipeline in this process, or as the job of a sweep in a process of its own."""
     if HydraConfig.get().mode == RunMode.MULTIRUN:
         return _supervise(cfg)
     with ends_reported(), _outcome_reported() as report:
@@ -48,7 +48,7 @@ def run(cfg: DictConfig, pipeline: Callable[[DictConfig], float | None]) -> floa
 
 @contextmanager
 def _outcome_reported() -> Iterator[Callable[[float | None], None]]:
-    """Within a job of a sweep, write its outcome to its folder, and stop when the sweep has ended."""
+    """Context in which a job of a sweep writes its outcome to its folder, and stops when the sweep has ended."""
     current = current_job()
     if current is None:
         yield lambda _: None
@@ -72,9 +72,10 @@ def _stop_with_the_sweep() -> None:
 
 
 def _supervise(cfg: DictConfig) -> float | None:
-    """Run one job of a sweep in a process of its own, unless it is done; returns its value, NaN if it failed.
+    """Run one job of a sweep in a process of its own, unless the job has finished; return its value, NaN after a
+    failure.
 
-    A failure is recorded and not raised, so that no job can end a sweep, under any launcher.
+    A failure is recorded and not raised, so that no job can end a sweep, with any launcher.
     """
     folder, job = JobFolder(run_directory()), job_of(HydraConfig.get())
     if HydraConfig.get().launcher._target_.endswith("JoblibLauncher"):
@@ -106,7 +107,7 @@ def _supervise(cfg: DictConfig) -> float | None:
 
 
 def _figures_text(folder: JobFolder) -> str:
-    """Text of a job's figures; empty if it found no deployment."""
+    """Text of a job's figures; empty if the job found no deployment."""
     figures = folder.figures()
     named = {"fitness": "on the grid", "off_grid": "off it"}
     texts = [f"{figures[key]:.2%} {label}" for key, label in named.items() if key in figures]
@@ -115,7 +116,7 @@ def _figures_text(folder: JobFolder) -> str:
 
 @cache
 def _end_with_the_sweep() -> None:
-    """Let a process of joblib end with the process of the sweep, even on `kill -9`; its job then stops."""
+    """End a process of joblib, and thereby its job, when the process of the sweep ends, even by `kill -9`."""
     sweep = int(os.environ[SWEEP_VARIABLE])
 
     def watch() -> None:
@@ -128,7 +129,7 @@ def _end_with_the_sweep() -> None:
 
 
 def job_of(context: HydraConf) -> Job:
-    """The job in Hydra's part of a job's configuration."""
+    """Job described by Hydra's part of a job's configuration."""
     sweep = SweepFolder(context.sweep.dir).load()
     assert sweep is not None, "SweepRecord has written it before any job began"
     overrides = tuple(str(override) for override in context.overrides.task)
@@ -138,7 +139,7 @@ def job_of(context: HydraConf) -> Job:
 
 
 def _arguments(cfg: DictConfig, job: Job, folder: JobFolder, continued: bool) -> list[str]:
-    """The arguments of the command that does one job."""
+    """Arguments of the command that runs one job."""
     own = ["hydra.mode=RUN", f"hydra.run.dir={quoted(folder.path)}"]
     threads = _threads(cfg)
     if threads is not None and "threads" in cfg:  # not every pipeline has the key
@@ -149,7 +150,7 @@ def _arguments(cfg: DictConfig, job: Job, folder: JobFolder, continued: bool) ->
 
 
 def _threads(cfg: DictConfig) -> int | None:
-    """Number of threads of a job: as configured, else one where jobs share a machine; None for every processor."""
+    """Number of threads of a job: as configured, else one if jobs share a machine; None for every processor."""
     launcher, configured = HydraConfig.get().launcher, cfg.get("threads")
     if configured is not None or launcher._target_.endswith("BasicLauncher"):
         return None if configured is None else int(configured)
@@ -157,13 +158,13 @@ def _threads(cfg: DictConfig) -> int | None:
 
 
 def _execute(cfg: DictConfig, arguments: list[str], folder: JobFolder, lock: int | None) -> tuple[int, bool]:
-    """Run a job's process to its end; returns its exit code, and whether the sweep was interrupted meanwhile.
+    """Run a job's process to its end; return its exit code, and True if the sweep was interrupted meanwhile.
 
-    The process has a session of its own: Ctrl-C reaches it once, by the pipe. It inherits the lock of its folder, which
-    stays held if the sweep is killed.
+    The process has a session of its own, so Ctrl-C reaches it only once, by the pipe. The process inherits the lock of
+    its folder, so the folder stays locked if the sweep is killed.
     """
     threads, uri = _threads(cfg), cfg.tracking.get("uri")
-    if threads is not None:  # for the server, too, whose packages read them when they are imported
+    if threads is not None:  # also for the server, whose packages read the variables at import
         os.environ.update(dict.fromkeys(THREAD_VARIABLES, str(threads)))
     with folder.output.open("ab") as output:
         process = forks.Process(
@@ -177,7 +178,7 @@ def _execute(cfg: DictConfig, arguments: list[str], folder: JobFolder, lock: int
         with closing(process), _warned_by_slurm():
             try:
                 with stop.raising():
-                    with stop.postponed():  # or an unknown process could be left
+                    with stop.postponed():  # otherwise an unknown process could remain
                         process.start()
                     return process.wait(), False
             except KeyboardInterrupt:
@@ -192,9 +193,9 @@ def _execute(cfg: DictConfig, arguments: list[str], folder: JobFolder, lock: int
 
 @contextmanager
 def _warned_by_slurm() -> Iterator[None]:
-    """While entered, the first warning of SLURM before it kills a job acts like Ctrl-C.
+    """Context in which SLURM's first warning before it kills a job acts like Ctrl-C.
 
-    SLURM signals this process or its process group, which is not that of the job.
+    SLURM signals this process or its process group; the job has another process group.
     """
 
     def interrupt(number: int, _frame: FrameType | None) -> None:
@@ -212,7 +213,7 @@ def _warned_by_slurm() -> Iterator[None]:
 
 
 def _settled(job: Job, code: int) -> Job:
-    """The job after its process has ended with `code`; if it has not written why, the code gives the reason."""
+    """Job after its process has ended with `code`; the reason follows from the code if the job has written none."""
     if job.status != "running":
         return job
     if code in CODES:
@@ -223,7 +224,9 @@ def _settled(job: Job, code: int) -> Job:
 
 
 def end_runs(tracking: DictConfig, folder: JobFolder, job: Job, reason: str, name: str | None = None) -> None:
-    """Mark the runs that a job's process left running as FAILED; if there are none, record one called `name`."""
+    """Mark the runs that a job's process left running as FAILED; if there are none, record a failed run called
+    `name`.
+    """
     from lmd.core.checks import InputError
 
     from ..tracking import RunStart

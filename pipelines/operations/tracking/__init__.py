@@ -8,8 +8,8 @@ from .tracker import PARENT_TAG, NoTracker, RunStart, Tracker
 
 __all__ = ["PARENT_TAG", "MlflowReader", "MlflowTracker", "NoTracker", "RunStart", "Tracker"]
 
-# mlflow reads these when it is imported, which is later. No data leaves the machine unless tracking.uri is elsewhere. A
-# server that does not answer is given up after seconds; the default of mlflow is eight minutes.
+# mlflow, which is imported later, reads these variables. No data leaves the machine unless tracking.uri is a remote
+# server. Attempts to reach a server end after seconds; mlflow's default is eight minutes.
 for _name, _value in {
     "MLFLOW_DISABLE_TELEMETRY": "true",
     "DO_NOT_TRACK": "true",

@@ -1,4 +1,4 @@
-"""An mlflow experiment whose pages show the figures of runs when they are opened."""
+"""mlflow experiment whose pages show the figures of runs when opened."""
 
 import base64
 import json
@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from mlflow import MlflowClient
 
 DEFAULT = "0"  # id of the experiment that mlflow makes in every fresh database
-SHARED = "mlflow.sharedViewState."  # prefix of the tag of a view
+SHARED = "mlflow.sharedViewState."  # prefix of the tag of a shared view
 VIEW = "lmd"  # name of the shared view in links
 OF_SWEEPS = ("metrics.`best/fitness`", "metrics.`best/off_grid`", "metrics.`median/fitness`")
 # Columns of training runs: figures, then costs, then settings.
@@ -25,11 +25,11 @@ COLUMNS = (
 
 
 def prepare(client: "MlflowClient", name: str, artifacts: str | None = None, fresh: bool = False) -> str:
-    """Id of the experiment `name`, which is made if there is none.
+    """Id of the experiment `name`; a missing experiment is created.
 
     Args:
         artifacts: address for the files of a new experiment; None for the default of the store.
-        fresh: the database was made just now, and holds only mlflow's own experiment.
+        fresh: True if the database was just created and holds only mlflow's own experiment.
     """
     from mlflow.exceptions import MlflowException
 
@@ -52,11 +52,11 @@ def prepare(client: "MlflowClient", name: str, artifacts: str | None = None, fre
 def link(address: str, experiment_id: str, view: str = VIEW, mode: str = "TABLE") -> str:
     """Address of the page of an experiment with a shared view.
 
-    mlflow 3.17 ignores the tag of the kind of an experiment, so that the address has to ask for training runs.
+    mlflow 3.17 ignores the tag with the kind of an experiment, so the address itself selects training runs.
 
     Args:
         address: address of the server.
-        experiment_id: the experiment.
+        experiment_id: id of the experiment.
         view: name of the shared view.
         mode: `TABLE` or `CHART`.
     """
@@ -65,10 +65,10 @@ def link(address: str, experiment_id: str, view: str = VIEW, mode: str = "TABLE"
 
 
 def sweep_view(client: "MlflowClient", experiment_id: str, run_id: str, params: Sequence[str]) -> str:
-    """Make a view of the jobs of a sweep; returns its name, for `link`.
+    """Make a view of the jobs of a sweep, and return its name for `link`.
 
     Args:
-        experiment_id: their experiment.
+        experiment_id: experiment of the jobs.
         run_id: run of the sweep.
         params: parameters that group jobs; charts have bands from the worst to the best job of each group.
     """
@@ -79,16 +79,16 @@ def sweep_view(client: "MlflowClient", experiment_id: str, run_id: str, params: 
         selectedColumns=[column for column in COLUMNS if column not in OF_SWEEPS],
         compareRunSections=[{"uuid": "sweep", "name": "Sweep", "display": True, "isReordered": False}],
         compareRunCharts=[_chart("LINE", "best_fitness"), _chart("BAR", "fitness"), _chart("BAR", "off_grid")],
-        isAccordionReordered=True,  # or mlflow sorts the sections by their names
+        isAccordionReordered=True,  # otherwise mlflow sorts the sections by name
         runsHiddenMode="CUSTOM",
-        runsVisibilityMap={run_id: False},  # its charts would be the first
+        runsVisibilityMap={run_id: False},  # hides the run of the sweep, whose charts would be first
     )
     client.set_experiment_tag(experiment_id, f"{SHARED}{run_id}", view)
     return run_id
 
 
 def _chart(kind: str, metric: str) -> dict[str, Any]:
-    """A chart of a metric in the form of mlflow's links."""
+    """Chart of a metric in the form of mlflow's links."""
     chart = {"type": kind, "uuid": metric, "metricKey": metric, "metricSectionId": "sweep", "runsCountToCompare": 100}
     if kind == "LINE":
         axis = {"xAxisKey": "step", "xAxisScaleType": "log", "scaleType": "linear", "yAxisKey": "metric", "range": {}}
@@ -98,7 +98,7 @@ def _chart(kind: str, metric: str) -> dict[str, Any]:
 
 
 def _view(**changes: Any) -> str:
-    """The state of mlflow's page of runs in the form of mlflow's links, with `changes`."""
+    """State of mlflow's page of runs, with `changes`, in the form of mlflow's links."""
     state: dict[str, Any] = {
         "searchFilter": "",
         "orderByKey": "attributes.start_time",

@@ -1,6 +1,6 @@
-"""The journal of a run: its record on disk before it is sent, handed in later where it could not be sent.
+"""Journal of a run: its record on disk before it is sent, for sending it later if the store does not answer.
 
-The tags of `this_process` distinguish a run whose process has ended from one that still runs.
+The tags of `this_process` distinguish a run whose process has ended from a run that is still going on.
 """
 
 import json
@@ -18,7 +18,7 @@ from ...trust import PAGE
 from .store import Store, now
 from .tracker import Entry
 
-FILE = "tracking.jsonl"  # in the folder of the run until all of it is sent
+FILE = "tracking.jsonl"  # file in the folder of the run until all entries are sent
 GONE = "its process is gone: it was killed, or the machine was switched off"
 PROC = Path("/proc")
 BOOT = PROC / "sys/kernel/random/boot_id"
@@ -26,11 +26,11 @@ IDENTITY = re.compile(r"\d{1,9} \d{1,19} [0-9a-f-]{36}" if BOOT.is_file() else r
 
 
 class Journal:
-    """The entries of one run, one line of JSON each.
+    """Entries of one run, each a line of JSON.
 
     Args:
         path: file of the journal.
-        entries: entries that the file has already.
+        entries: entries that are already in the file.
     """
 
     def __init__(self, path: Path, entries: list[Entry]) -> None:
@@ -39,14 +39,14 @@ class Journal:
 
     @classmethod
     def of(cls, folder: Path, elsewhere: bool = False) -> "Journal":
-        """The journal in the folder of a run, empty if there is none; a last line that was cut short is left out.
+        """Read the journal in the folder of a run; empty if there is none. An incomplete last line is left out.
 
         Args:
             folder: folder of the run.
-            elsewhere: accept files outside the folder, which the author of the journal wants to be sent.
+            elsewhere: True to accept files outside the folder among the files to send.
 
         Raises:
-            InputError: it names such a file, or is no journal.
+            InputError: the file is no journal, or names a file outside the folder.
         """
         path, entries = folder / FILE, []
         for line in path.read_text(errors="replace").splitlines() if path.is_file() else ():
@@ -62,11 +62,11 @@ class Journal:
 
     @property
     def store(self) -> str | None:
-        """The address of the store that the run was given; None before it had one."""
+        """Address of the store of the run; None before the run had a store."""
         return next((str(entry["uri"]) for entry in reversed(self.entries) if {"run_id", "uri"} <= entry.keys()), None)
 
     def add(self, entry: Entry) -> None:
-        """Add an entry; on a full disk it is written with the next entry that fits."""
+        """Add an entry; on a full disk, the entry is written together with the next entry that fits."""
         self.entries.append(entry)
         with suppress(OSError):
             self.write()
@@ -75,7 +75,7 @@ class Journal:
         """Write the entries that are not on disk yet.
 
         Raises:
-            OSError: they cannot be written.
+            OSError: the entries cannot be written.
         """
         self.path.parent.mkdir(parents=True, exist_ok=True)
         size = self.path.stat().st_size if self.path.exists() else 0
@@ -84,33 +84,33 @@ class Journal:
                 file.write("".join(f"{json.dumps(entry)}\n" for entry in self.entries[self.on_disk :]))
         except OSError:
             with suppress(OSError):
-                os.truncate(self.path, size)  # without the part that fitted
+                os.truncate(self.path, size)  # removes the part that fitted
             raise
         self.on_disk = len(self.entries)
 
     def remove(self) -> None:
-        """Remove the file: all entries are sent."""
+        """Remove the file, after all entries were sent."""
         with suppress(OSError):
             self.path.unlink(missing_ok=True)
 
 
 def _is_entry(entry: Any) -> bool:
-    """Return whether an entry is a mapping whose files, if any, are a list of paths."""
+    """True if an entry is a mapping whose files, if any, are a list of paths."""
     files = entry.get("files", []) if isinstance(entry, dict) else None
     return isinstance(files, list) and all(isinstance(file, str) for file in files)
 
 
 def hand_in(journal: Journal, uri: str) -> str:
-    """Send the journal that an ended run left behind, and remove it; entries that the store has are not doubled.
+    """Send the journal that an ended run left behind, and remove it; entries that the store has are not duplicated.
 
     Returns:
-        the outcome, in one line.
+        text of the outcome, in one line.
 
     Raises:
         InputError: the store cannot be used, or no run has written the journal.
     """
     begins = [entry for entry in journal.entries if "run_id" in entry]
-    if not begins:  # killed before it had a run
+    if not begins:  # the process was killed before it had a run
         journal.remove()
         return f"{journal.path} held nothing"
     try:
@@ -123,7 +123,7 @@ def hand_in(journal: Journal, uri: str) -> str:
             run = store.client.get_run(run_id)
             if not ended and run.info.status == "RUNNING":
                 entries = [*entries, {"end": "FAILED", "reason": GONE, "at": now()}]
-            # The status of a run that was continued in another folder is told by that folder's journal.
+            # If a run was continued in another folder, that folder's journal has its status.
             went_on = run.data.tags.get("folder") != last["folder"]
             for entry in entries:
                 if not (went_on and {"end", "reopen"} & set(entry)):
@@ -139,7 +139,7 @@ def hand_in(journal: Journal, uri: str) -> str:
 
 
 def end_those_gone(store: Store) -> None:
-    """End as FAILED the runs of this host whose process has gone without ending them, and name them on stderr."""
+    """End as FAILED the unfinished runs of this host whose process has ended, and name them on stderr."""
     for run in store.runs("attributes.status = 'RUNNING'"):
         if is_gone(run.data.tags):
             store.send(run.info.run_id, {"end": "FAILED", "reason": GONE, "at": now()})
@@ -147,12 +147,12 @@ def end_those_gone(store: Store) -> None:
 
 
 def this_process() -> dict[str, str]:
-    """Host, number and start of this process, as tags of a run."""
+    """Tags of a run with host, number and start of this process."""
     return {"host": socket.gethostname(), "process": _identity(os.getpid())}
 
 
 def is_gone(tags: dict[str, str]) -> bool:
-    """Return whether the process in these tags has ended; False for a process of another host, or for none."""
+    """True if the process in these tags has ended; False for a process of another host, or without a process."""
     import psutil
 
     process = tags.get("process", "")
@@ -165,9 +165,9 @@ def is_gone(tags: dict[str, str]) -> bool:
 
 
 def _identity(number: int) -> str:
-    """Number and start of a process; on Linux the start counts from the boot, as the clock may be set meanwhile."""
+    """Number and start of a process; on Linux the start counts from the boot, as the clock may be changed meanwhile."""
     if BOOT.is_file():
-        began = (PROC / str(number) / "stat").read_text().rpartition(")")[2].split()[19]  # ticks; proc(5) counts from 1
+        began = (PROC / str(number) / "stat").read_text().rpartition(")")[2].split()[19]  # ticks; field 22 of proc(5)
         return f"{number} {began} {BOOT.read_text().strip()}"
     import psutil
 

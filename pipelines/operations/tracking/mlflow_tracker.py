@@ -17,16 +17,16 @@ LABELS = {"TABLE": "table ", "CHART": "charts"}
 
 
 class MlflowTracker:
-    """Records runs in mlflow, by default in a sqlite file that needs no server.
+    """Tracker that records runs in mlflow, by default in a sqlite file that needs no server.
 
     Every entry is written to a journal in the run's folder, then sent. If the store does not answer, one warning is
-    printed and the run goes on; entries that were not sent by its end stay in the journal for `hand_in`.
+    printed and the run continues; entries that were not sent by the end of the run stay in the journal for `hand_in`.
 
     Args:
         uri: tracking store: `sqlite:///path` (relative to the working directory) or the address of a server.
         experiment_name: mlflow experiment that holds the runs.
-        tags: tags of the user for every run, texts or numbers by their names.
-        system_metrics: let mlflow record the load of the machine every ten seconds.
+        tags: user's tags for every run, texts or numbers by name.
+        system_metrics: True to make mlflow record the load of the machine every ten seconds.
 
     Raises:
         InputError: the address or the tags are refused, or `system_metrics` is neither true nor false.
@@ -49,8 +49,8 @@ class MlflowTracker:
         self._tags = {key: str(value) for key, value in (tags or {}).items()}
         self._run_id: str | None = None
         self._journal: Journal | None = None
-        self._sent = 0  # number of entries of the journal that are sent
-        self._lost = False  # the store has failed to answer
+        self._sent = 0  # number of entries of the journal that were sent
+        self._lost = False  # True after the store failed to answer
 
     @property
     def run_id(self) -> str | None:
@@ -90,7 +90,7 @@ class MlflowTracker:
         return run.info.status != "FINISHED" and mine and run.data.params == _written(params)
 
     def _hand_in_left(self, folder: Path) -> None:
-        """Hand in the journal that a killed run has left in a folder."""
+        """Send the journal that a killed run has left in a folder."""
         left = Journal.of(folder)
         if left.entries:
             hand_in(left, self.store.uri)
@@ -115,7 +115,7 @@ class MlflowTracker:
             self._sent += 1
 
     def _warn_once(self, error: Exception) -> None:
-        """Print that the store is lost, once; raise an error again that is none of the store."""
+        """Print once that the store is lost; an error with another cause is raised again."""
         if not is_of_store(error):
             raise error
         if not self._lost:
@@ -155,7 +155,7 @@ class MlflowTracker:
         with self.store.errors_reported():
             runs = self.store.runs(" and ".join(f"tags.`{key}` = '{value}'" for key, value in tags.items()))
             for run in runs:
-                # A run that began meanwhile may have ended it with the reason that its process is gone.
+                # Another run that began meanwhile may have ended this run with the reason `GONE`.
                 if run.info.status == "RUNNING" or run.data.tags.get("reason") == GONE:
                     self.store.send(run.info.run_id, {"end": "FAILED", "reason": reason, "at": now()})
         return bool(runs)

@@ -1,4 +1,4 @@
-"""A tracking store: the only module that writes to mlflow, and that reads runs back."""
+"""Tracking store: the only module that writes to mlflow and reads runs back."""
 
 import logging
 import os
@@ -22,16 +22,16 @@ if TYPE_CHECKING:
     from mlflow.entities import Run
 
 SQLITE = "sqlite:///"
-BATCH = 1000  # most metrics in one call of mlflow
-PARAM_LENGTH = 6000  # most characters of a parameter; longer ones are cut
-TAG_LENGTH = 5000  # most characters of a tag; longer ones are cut
+BATCH = 1000  # greatest number of metrics in one call of mlflow
+PARAM_LENGTH = 6000  # greatest number of characters of a parameter; longer parameters are cut
+TAG_LENGTH = 5000  # greatest number of characters of a tag; longer tags are cut
 DESCRIPTION = "mlflow.note.content"  # tag that mlflow shows at the head of a run
 ENDED = {status: f"**{status}**" for status in ("FAILED", "KILLED", "FINISHED")}
 LOCK_SECONDS = 60.0  # longest wait for another process that makes the tables of a database, seconds
 
 
 class Store:
-    """One mlflow experiment of one store, connected on first use.
+    """mlflow experiment of a store, connected at its first use.
 
     Args:
         uri: `sqlite:///path` (relative to the working directory) or the address of a server.
@@ -49,20 +49,20 @@ class Store:
 
     @property
     def client(self) -> "MlflowClient":
-        """The mlflow client."""
+        """Client of mlflow."""
         if self._client is None:
             self._client = self._connect()
         return self._client
 
     @property
     def experiment_id(self) -> str:
-        """Id of the experiment, which is made if there is none."""
+        """Id of the experiment; a missing experiment is created."""
         return prepare(self.client, self.experiment_name)
 
     def _connect(self) -> "MlflowClient":
         from mlflow import MlflowClient
 
-        logging.getLogger("mlflow.store.db.utils").setLevel(logging.WARNING)  # it logs every new table
+        logging.getLogger("mlflow.store.db.utils").setLevel(logging.WARNING)  # mlflow logs every new table
 
         if not self.uri.startswith(SQLITE):
             return MlflowClient(tracking_uri=self.uri)
@@ -70,13 +70,13 @@ class Store:
         database.parent.mkdir(parents=True, exist_ok=True)
         from filelock import FileLock
 
-        with tempfile.TemporaryFile(dir=database.parent):  # or FileLock would wait for a file that cannot be made
+        with tempfile.TemporaryFile(dir=database.parent):  # a test: FileLock would wait for a file that cannot be made
             pass
-        # Processes that create the tables of one database at once make each other fail.
+        # If several processes create the tables of a database at once, they fail.
         with FileLock(f"{database}.lock", timeout=LOCK_SECONDS):
             artifacts = (database.parent / "artifacts").as_uri()
             partial = database.with_name(f"{database.name}.partial")
-            if not database.exists():  # written whole or not at all
+            if not database.exists():  # the database is written whole or not at all
                 partial.unlink(missing_ok=True)
                 prepare(MlflowClient(tracking_uri=f"{SQLITE}{partial}"), self.experiment_name, artifacts, fresh=True)
                 os.replace(partial, database)
@@ -86,7 +86,7 @@ class Store:
 
     @contextmanager
     def errors_reported(self) -> Iterator[None]:
-        """Within the block, raise `InputError` if the store cannot be used."""
+        """Context that raises `InputError` if the store cannot be used."""
         try:
             yield
         except Exception as error:
@@ -95,17 +95,17 @@ class Store:
             raise InputError(f"tracking.uri = {self.uri!r} cannot be used: {first_line(error)}") from error
 
     def undisturbed(self) -> AbstractContextManager[None]:
-        """Let signals wait within the block if the store is a file: an interrupted call would leave it locked.
+        """Context in which signals wait if the store is a file, as an interrupted call would leave the file locked.
 
-        A server locks no file here, and may take minutes to fail.
+        With a server, signals do not wait: no file is locked, and a call may take minutes to fail.
         """
         return stop.postponed() if self.uri.startswith(SQLITE) else nullcontext()
 
     def create(self, name: str, params: Mapping[str, str], tags: Mapping[str, str], ago: float) -> str:
-        """Make a run that began `ago` seconds before now; returns its id, with which its name ends."""
+        """Make a run that began `ago` seconds before now, and return its id, with which the run's name ends."""
         from mlflow.entities import Param
 
-        # Tags are set with the run itself, or a kill would leave a run without them.
+        # Tags are set together with the run, as a kill could leave a run without tags.
         shortened = {key: value[:TAG_LENGTH] for key, value in tags.items()}
         run = self.client.create_run(self.experiment_id, now() - int(1000 * ago), shortened, run_name=name)
         run_id = str(run.info.run_id)
@@ -114,7 +114,7 @@ class Store:
         return run_id
 
     def runs(self, wanted: str) -> "list[Run]":
-        """The runs of all experiments that match the filter `wanted` of mlflow."""
+        """Runs of all experiments that match mlflow's filter `wanted`."""
         experiments = [experiment.experiment_id for experiment in self.client.search_experiments()]
         return list(self.client.search_runs(experiments, filter_string=wanted))
 
@@ -131,7 +131,7 @@ class Store:
             client.update_run(run_id, status="RUNNING")
             tags = {key: value[:TAG_LENGTH] for key, value in entry["reopen"].items()}
             before = client.get_run(run_id).data.tags
-            if "reason" in before:  # why it had ended
+            if "reason" in before:  # reason of an earlier end
                 client.delete_tag(run_id, "reason")
                 tags = {DESCRIPTION: _without_end(before.get(DESCRIPTION, ""))} | tags
             client.log_batch(run_id, tags=[RunTag(key, value) for key, value in tags.items()])
@@ -156,13 +156,13 @@ class Store:
 
 
 def _without_end(description: str) -> str:
-    """A description without the paragraph on the end of its run."""
+    """Description without the paragraph about the end of the run."""
     is_told = description.startswith(tuple(ENDED.values()))
     return description.partition("\n\n")[2] if is_told else description
 
 
 def is_of_store(error: Exception) -> bool:
-    """Return whether an error is one of a store that cannot be used."""
+    """True if an error means that the store cannot be used."""
     from mlflow.exceptions import MlflowException
     from sqlalchemy.exc import SQLAlchemyError
 
@@ -170,17 +170,17 @@ def is_of_store(error: Exception) -> bool:
 
 
 def first_line(error: Exception) -> str:
-    """The first line of an error's message."""
+    """First line of an error's message."""
     return (str(error) or type(error).__name__).splitlines()[0]
 
 
 def now() -> int:
-    """The time in milliseconds since 1970, the unit of mlflow."""
+    """Present time in milliseconds since 1970, as in mlflow."""
     return int(1000 * time.time())
 
 
 class MlflowReader:
-    """Reads the runs that `MlflowTracker` has recorded.
+    """Reader of the runs that `MlflowTracker` has recorded.
 
     Args:
         uri: as for `MlflowTracker`.
@@ -229,10 +229,10 @@ class MlflowReader:
                 return pd.DataFrame.from_dict(rows, orient="index")
 
     def artifact(self, run_id: str, name: str) -> Path:
-        """A local copy of a file of a run.
+        """Local copy of a file of a run.
 
         Raises:
-            InputError: the run has no such file, or a store that is a file places it on a server.
+            InputError: the run has no such file, or a store in a file refers to a file on a server.
         """
         from mlflow.exceptions import MlflowException
 

@@ -1,4 +1,4 @@
-"""The interface of experiment tracking, and the tracker that records nothing."""
+"""Interface of experiment tracking, and the tracker that records nothing."""
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -7,25 +7,25 @@ from typing import Any, Protocol
 
 from typing_extensions import override
 
-PARENT_TAG = "mlflow.parentRunId"  # tag with the run that this one is shown below
+PARENT_TAG = "mlflow.parentRunId"  # tag with the parent of a run
 
-Entry = dict[str, Any]  # of a journal
+Entry = dict[str, Any]  # entry of a journal
 
 
 @dataclass(frozen=True)
 class RunStart:
-    """The description of a run when it begins."""
+    """Description of a run at its begin."""
 
     name: str
     """Name in lists."""
     folder: Path
-    """Folder of its files, and of its journal until all of that is sent."""
+    """Folder of the run's files, and of its journal until all entries are sent."""
     params: Mapping[str, Any] = field(default_factory=dict)
     """Settings."""
     tags: Mapping[str, str] = field(default_factory=dict)
-    """Further facts, by which runs can be found."""
+    """Further facts for finding runs."""
     ago: float = 0.0
-    """Time since it began, seconds."""
+    """Time since the run began, seconds."""
 
 
 class Tracker(Protocol):
@@ -33,7 +33,7 @@ class Tracker(Protocol):
 
     @property
     def run_id(self) -> str | None:
-        """Id of the started run; None if it is not recorded."""
+        """Id of the started run; None if nothing is recorded."""
 
     def start(self, run: RunStart, run_id: str | None = None) -> None:
         """Begin a run, or continue the one called `run_id`.
@@ -43,8 +43,8 @@ class Tracker(Protocol):
         """
 
     def goes_on(self, run_id: str, folder: Path, params: Mapping[str, Any]) -> bool:
-        """Return whether the run `run_id` can be continued as one history: it has these params, is unfinished, was last
-        in `folder`, and no other run has continued it.
+        """True if the run `run_id` can be continued as one history: it has these params, is unfinished, was last in
+        `folder`, and was not continued by another run.
 
         Raises:
             InputError: the store cannot be used.
@@ -54,7 +54,7 @@ class Tracker(Protocol):
         """Delete the started run."""
 
     def end_lost(self, tags: Mapping[str, str], reason: str) -> bool:
-        """End as FAILED the runs with these tags that are RUNNING, or were ended because their process had gone.
+        """End as FAILED the runs with these tags that are RUNNING, or were ended because their process had ended.
 
         Returns:
             False if no run has these tags.
@@ -64,7 +64,7 @@ class Tracker(Protocol):
         """
 
     def log_curve(self, metric: str, points: Iterable[tuple[int, float, float]]) -> None:
-        """Log a curve of (step, value, seconds since the run began)."""
+        """Log a curve of points (step, value, seconds since the begin of the run)."""
 
     def log_metrics(self, metrics: Mapping[str, float]) -> None:
         """Log final figures."""
@@ -76,10 +76,10 @@ class Tracker(Protocol):
         """End the run as FINISHED, KILLED or FAILED, with the reason as a tag."""
 
     def describe(self) -> str:
-        """Place of the run, in one line for the user."""
+        """Text about the place of the run, in one line."""
 
     def views(self, params: Sequence[str]) -> list[str]:
-        """Links to the runs below this one, grouped by params, one a line; none if the store does not answer."""
+        """Links to the children of this run, grouped by params, one per line; none if the store does not answer."""
 
 
 class NoTracker(Tracker):

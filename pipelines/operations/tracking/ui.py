@@ -1,6 +1,7 @@
-"""The mlflow server that `make ui` starts, whose bare address opens the training runs.
+"""mlflow server that `make ui` starts; its bare address opens the training runs.
 
-The part of an address after `#` selects a page in the browser and never reaches a server, so a script is added.
+The part of an address after `#` selects a page in the browser and never reaches a server, so a script is added to the
+page.
 """
 
 import json
@@ -27,8 +28,8 @@ async def open_runs(request: Request, call_next: Callable[[Request], Awaitable[R
 
 
 def _page() -> str | None:
-    """Address of the page of training runs; None while there is no experiment of `prepare`."""
+    """Address of the page of training runs; None before `prepare` has made an experiment."""
     client = MlflowClient(os.environ[BACKEND_STORE_URI_ENV_VAR])
     found = [e for e in client.search_experiments() if f"{SHARED}{VIEW}" in e.tags]
-    # Names of other experiments begin with that of training runs: lmd, lmd observe.
+    # Names of other experiments begin with the name of the training runs' experiment: lmd, lmd observe.
     return link("", min(found, key=lambda e: len(e.name)).experiment_id) if found else None
