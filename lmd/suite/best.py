@@ -17,6 +17,7 @@ from lmd.scene.deployment import Deployment
 from lmd.scene.rig import Rig
 from lmd.sight.evaluator import Evaluator
 from lmd.suite.documents import FOLDER, Document, document
+from lmd.suite.frozen import camera_of
 
 POINT = "point"
 """Column of the table of a front."""
@@ -41,7 +42,7 @@ def best_deployments(name: str) -> list[Deployment]:
     every = Deployment.from_table(table)
     if POINT not in table:
         return [every]
-    point = table.numbers([POINT])[:, 0]
+    point = table.numbers([POINT], None)[:, 0]
     return [replace(every[point == each], labels=None) for each in np.unique(point)]
 
 
@@ -54,7 +55,7 @@ def best_rig(name: str) -> Rig:
     path = best_path(_recorded(name))
     if path.suffix == ".csv":
         raise InputError(f"suite: {name} places landmarks, not cameras.", "suite")
-    return rig_of(read_mounts(str(path)))
+    return rig_of(read_mounts(str(path)), camera_of(document(name)))
 
 
 def reference_fitness(problem: Problem, deployment: Deployment) -> float:

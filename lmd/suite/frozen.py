@@ -9,6 +9,7 @@ import numpy as np
 from lmd.cameras.mounts import MountSpace
 from lmd.cameras.problem import CameraProblem
 from lmd.formats.rigs import rig_of
+from lmd.geometry.camera import Camera
 from lmd.problem import Problem
 from lmd.scene.scene import Scene
 from lmd.suite.black_box import BlackBox
@@ -37,9 +38,7 @@ def build(frozen: Document, threads: int | None = 1) -> BlackBox:
     """Build the problem of a document; see `problem`."""
     given = with_paths(frozen.problem)
     nodes = {key: _made(node) for key, node in given.items() if key not in ("camera", "cameras")}
-    lens = dict(given["camera"])
-    mounts = lens.pop("rig", None)
-    camera = _made(lens)
+    camera, mounts = camera_of(frozen), given["camera"].get("rig")
     seen_by = camera if mounts is None else rig_of(mounts, camera)
     scene = Scene(nodes["room"], seen_by, nodes["pdf"], nodes["visibility"], nodes["tag"])
 
@@ -56,6 +55,12 @@ def build(frozen: Document, threads: int | None = 1) -> BlackBox:
         space = MountSpace(body=nodes["body"], lenses=[camera], **frozen.problem["cameras"])
         single = CameraProblem(single, single.draw(np.random.default_rng(0)), space)
     return BlackBox(single, frozen.name, encoding)
+
+
+def camera_of(frozen: Document) -> Camera:
+    """Return the camera of a problem, which all mounts of a rig share."""
+    camera: Camera = _made({key: value for key, value in frozen.problem["camera"].items() if key != "rig"})
+    return camera
 
 
 def _made(node: Any) -> Any:

@@ -81,7 +81,7 @@ def test_the_settings_of_every_kind_of_room_are_json(name):
 def test_a_problem_that_is_not_there_is_refused():
     with pytest.raises(InputError, match=r"suite .*'lab_localization'"):
         lmd.suite.problem("lab_localization")
-    with pytest.raises(InputError, match=r"set must be small or full, got 'large'"):
+    with pytest.raises(InputError, match=r"set must be one of small, full, got 'large'"):
         lmd.suite.names("large")
 
 
