@@ -49,7 +49,7 @@ def with_file(arguments: list[str], pipeline: str) -> list[str]:
 
 
 def _refuse_run(pipeline: str) -> None:
-    """Exit if a command without `run=DIR` gets it."""
+    """Exit if `run=DIR` is given to a command that does not accept it."""
     if pipeline in INSTEAD and any(argument.startswith("run=") for argument in sys.argv[1:]):
         sys.exit(f"error: run is no key of {pipeline}: {INSTEAD[pipeline]}.")
 

@@ -151,7 +151,7 @@ class Mounted:
 
 
 def mounted(problem: Problem, plan: Deployment, error: MountingError, seed: int, sample: Sample = SAMPLE) -> Mounted:
-    """Score a plan as it may be mounted. Results do not depend on the number of threads.
+    """Score a plan with random mounting errors. Results do not depend on the number of threads.
 
     Args:
         problem: problem with the scene and the objective.

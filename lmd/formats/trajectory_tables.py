@@ -28,7 +28,8 @@ from lmd.geometry.se3 import ROW, camera_pose, pose_of, poses_from_rows
 TUM = ("time", *ROW)
 EUROC = ("time", *POSITION, "qw", "qx", "qy", "qz")
 VELOCITIES = ("vx", "vy", "vz")  # columns that VINS writes after a pose in EuRoC's order
-# Numbers of values after a pose of TUM's format: covariances of rotation and position, or of all six, half or full.
+# Numbers of values after a pose of TUM's format: covariances of rotation and position, or of all six coordinates, half
+# or full.
 COVARIANCES = (12, 21, 36)
 # Stamps of 0 are missing values if other stamps exceed this, seconds since 1970.
 EPOCH = 1e8

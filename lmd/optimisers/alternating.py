@@ -154,7 +154,7 @@ class Alternating(Optimiser):
             ledger.note(spent + record.evaluations, record.best_fitness)
 
     def _best(self) -> _Best:
-        """Best of all turns, the current one included."""
+        """Best of all turns, the current turn included."""
         best, inner = self.best, self.inner
         if inner is not None and inner.ledger.best_fitness > (best.fitness if best else -math.inf):
             found = inner.result(self.posed, "interrupted")

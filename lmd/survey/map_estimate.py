@@ -38,8 +38,9 @@ class Estimate:
     poses: Poses
     """Poses of tags, frames and mounts; NaN if not placed."""
     group: IntArray
-    """`(K,)` group of each tag: 0 for tags of the map, larger for tags that no frame connects with it, -1 for tags that
-    are not placed."""
+    """`(K,)` group of each tag: 0 for tags of the map, larger for tags that no frame connects with the map, -1 for tags
+    that are not placed.
+    """
     used: BoolArray
     """`(N,)` inliers: sightings from which the map is made."""
     misfits: BoolArray

@@ -24,7 +24,7 @@ class Sweep:
     run_id: str | None
     """Tracked run of the sweep, the parent of its jobs' runs; None if nothing is tracked."""
     round: int = 0
-    """Number of commands that extended the sweep before the last one."""
+    """Number of commands that extended the sweep before the last command."""
 
 
 @dataclass(frozen=True)

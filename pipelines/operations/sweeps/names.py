@@ -12,7 +12,7 @@ from ...provenance import digest
 from .folder import SweepFolder
 
 SLUG_LENGTH = 100  # greatest number of characters of a slug
-NAME_LENGTH = 80  # greatest number of characters of a run's name; a longer name loses its begin
+NAME_LENGTH = 80  # greatest number of characters of a run's name; a longer name loses its beginning
 DIGEST_LENGTH = 8  # characters of a digest in the name of a folder
 # Keys that change neither the problem nor the search of a run.
 NOT_IN_NAME = ("hydra", "tracking", "trust", "picture", "page", "validate", "threads", "resume", "checkpoint_seconds")

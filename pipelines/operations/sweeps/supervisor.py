@@ -160,8 +160,8 @@ def _threads(cfg: DictConfig) -> int | None:
 def _execute(cfg: DictConfig, arguments: list[str], folder: JobFolder, lock: int | None) -> tuple[int, bool]:
     """Run a job's process to its end; return its exit code, and True if the sweep was interrupted meanwhile.
 
-    The process has a session of its own, so Ctrl-C reaches it only once, by the pipe. The process inherits the lock of
-    its folder, so the folder stays locked if the sweep is killed.
+    The process has a session of its own, so Ctrl-C reaches the process only once, by the pipe. The process inherits the
+    lock of its folder, so the folder stays locked if the sweep is killed.
     """
     threads, uri = _threads(cfg), cfg.tracking.get("uri")
     if threads is not None:  # also for the server, whose packages read the variables at import
