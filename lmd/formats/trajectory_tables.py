@@ -173,7 +173,9 @@ def _nanoseconds_beside(table: Table, time: Column) -> FloatArray | None:
 def _oriented(
     table: Table, columns: dict[str, Column], place: FloatArray, frame: str
 ) -> tuple[FloatArray, str | None, bool, str]:
-    """Poses from the existing columns; frame of the orientations; True for angles of a camera; note."""
+    """Make poses from the columns; return the poses, the frame of the orientations, True for angles of a camera, and a
+    note.
+    """
     if set(QUATERNION) <= columns.keys():
         about, note = _frame_of_ros(table, frame)
         numbers = np.hstack([place, values(table, columns, QUATERNION)])
