@@ -64,7 +64,7 @@ def _words(line: str) -> list[str]:
 
 
 def comment_header(text: Headless) -> list[str] | None:
-    """Names of the columns from the last comment above the values that has any."""
+    """Names of the columns, from the last comment with names above the values."""
     for comment in reversed(text.comments):
         names = [name.strip() for name in comment.split(",")] if "," in comment else []
         certain = text.commas and len(names) == text.width
