@@ -139,8 +139,8 @@ def _all_against_all(complete: pd.DataFrame, reference: str) -> tuple[pd.DataFra
 
 
 def expected_running_time(runs: Sequence[OptimiserRun], fitness: float) -> float:
-    """Expected running time (ERT of COCO): total evaluations of all runs until they reach `fitness` or end, per
-    success.
+    """Expected running time (ERT of COCO): evaluations of all runs, each until it reaches `fitness` or ends, over the
+    number of runs that reach `fitness`.
     """
     spent = [min(run.evaluations_to(fitness), run.history[-1].evaluations) for run in runs]
     reached = sum(np.isfinite(run.evaluations_to(fitness)) for run in runs)
