@@ -79,7 +79,10 @@ def read_earlier_robot() -> None:
 
 
 def read_earlier_problem() -> None:
-    """Read an earlier run with only the number of its landmarks, unless a file gives them; see `read_earlier_run`."""
+    """Read an earlier run with random landmarks of equal number, or with the landmarks of `deployment.path`.
+
+    See `read_earlier_run`.
+    """
     from_file = any(argument.startswith(f"{PATH}=") for argument in sys.argv[1:])
     read_earlier_run(f"deployment={'file' if from_file else 'random'}")
 

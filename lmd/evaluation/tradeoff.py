@@ -193,13 +193,14 @@ def fewest(points: pd.DataFrame, figure: str, wanted: float, axis: Axis = COUNTS
 
 
 def between(points: pd.DataFrame, figure: str, wanted: float, axis: Axis = COUNTS) -> list[tuple[Any, float]]:
-    """Number of landmarks for each curve, if any, that halves the gap below the least number that reaches `wanted`.
+    """Number of landmarks for each curve that halves the gap between the least number that reaches `wanted` and the
+    next smaller number; curves without a gap are left out.
 
     Args:
         points, figure, wanted, axis: as for `fewest`.
 
     Returns:
-        pairs of the curve and the number, which is a whole number of steps above the number below the gap.
+        pairs of the curve and the number; numbers lie a whole number of steps above the lower end of the gap.
     """
     halves = []
     for curve, row in fewest(points, figure, wanted, axis).iterrows():

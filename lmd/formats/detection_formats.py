@@ -116,7 +116,7 @@ def _detections(
     ids: IntArray,
     corners: FloatArray,
 ) -> DetectedTags:
-    """Detections with an area, and with corners from the tag's top left.
+    """Make detections with corners from the tag's top left; quadrilaterals without an area are left out.
 
     Args:
         path, name: path of the file and its argument, for messages.

@@ -64,7 +64,7 @@ def _words(line: str) -> list[str]:
 
 
 def comment_header(text: Headless) -> list[str] | None:
-    """Names of the columns from the last comment above the values that has any."""
+    """Names of the columns, from the last comment with names above the values."""
     for comment in reversed(text.comments):
         names = [name.strip() for name in comment.split(",")] if "," in comment else []
         certain = text.commas and len(names) == text.width
@@ -173,7 +173,9 @@ def _nanoseconds_beside(table: Table, time: Column) -> FloatArray | None:
 def _oriented(
     table: Table, columns: dict[str, Column], place: FloatArray, frame: str
 ) -> tuple[FloatArray, str | None, bool, str]:
-    """Poses from the existing columns; frame of the orientations; True for angles of a camera; note."""
+    """Make poses from the columns; return the poses, the frame of the orientations, True for angles of a camera, and a
+    note.
+    """
     if set(QUATERNION) <= columns.keys():
         about, note = _frame_of_ros(table, frame)
         numbers = np.hstack([place, values(table, columns, QUATERNION)])

@@ -37,8 +37,8 @@ class _Best:
 class Alternating(Optimiser):
     """Alternating placement of cameras and tags.
 
-    A turn begins with the best result of earlier turns, and its own result is discarded unless it is better. The budget
-    of `run` is the budget of each turn of the cameras.
+    A turn begins with the best result of earlier turns; a result that is not better is discarded. The budget of `run`
+    is the budget of each turn of the cameras.
 
     Args:
         cameras: makes the optimiser for a turn of the cameras from a seed: `seed`, `seed + 1`, ...

@@ -103,7 +103,7 @@ class Estimate:
 
     @property
     def sigmas(self) -> FloatArray:
-        """Standard deviation of each tag's place relative to the others, in the worst direction, metres, `(K,)`."""
+        """Standard deviation of each tag's place relative to the other tags, in the worst direction, metres, `(K,)`."""
         known = np.asarray(np.isfinite(self.gauge_free_covariances).all(axis=(1, 2)))
         result = np.full(len(known), np.nan)
         largest = np.linalg.eigvalsh(self.gauge_free_covariances[known][:, 3:, 3:])[:, -1]
