@@ -1,7 +1,7 @@
-"""Landmark deployment: where fiducial markers go so that a camera can localise itself from them.
+"""Landmark deployment: places for fiducial markers from which a camera can localise itself.
 
-A room with its surfaces, a camera, the orientations it takes and what counts as seen make a `Scene`; with an objective
-and a start that is a `Problem`; `optimise` finds a deployment for it, `evaluate` scores any.
+A `Scene` has a room, a camera, a PDF of the camera's orientations and a visibility model. A `Problem` has a scene, an
+objective and a start. `optimise` finds a deployment for a problem; `evaluate` scores any deployment.
 
     >>> import lmd
     >>> room = lmd.Cuboid(size=(3.2, 3.2, 1.7), reachable_size=(2.6, 2.6, 1.2), spacing=0.8)
@@ -15,7 +15,7 @@ and a start that is a `Problem`; `optimise` finds a deployment for it, `evaluate
     >>> lmd.evaluate(problem, result.deployment)["fitness"] == result.fitness
     True
 
-What is exported here is all that most users need; `lmd.<package>` has the rest.
+Most users need only the names exported here; the packages `lmd.<package>` have more.
 """
 
 import importlib
@@ -53,7 +53,7 @@ if TYPE_CHECKING:
     from lmd.space.prism import Prism as Prism
     from lmd.space.scan import Scan as Scan
 
-# Where each name lives. Imported when first asked for: the compiler alone takes a second to load.
+# Modules of the names. A module is imported at the first use of a name, as numba alone takes a second to load.
 _HOMES = {
     "Annealing": "lmd.optimisers.annealing",
     "Budget": "lmd.optimisers.ledger",

@@ -1,4 +1,4 @@
-"""The one fitness interface: a scene, an objective and a start as a problem that every optimiser can take."""
+"""Problems: a scene, an objective and a start, with the fitness that every optimiser maximises."""
 
 import math
 from collections.abc import Mapping
@@ -16,12 +16,12 @@ from lmd.scene.rig import Rig
 from lmd.scene.scene import Scene
 from lmd.sight.evaluator import Evaluator
 
-# Seeds every draw of an objective's `Sampling`: every seed of an optimiser gives one problem.
+# Seeds every draw of an objective's `Sampling`: the problem does not depend on the seed of an optimiser.
 SAMPLING_STREAM = 0x64657369
 
 
 class Genome(Protocol):
-    """Candidates of a problem, such as deployments or the cameras of a rig, as vectors in the unit box."""
+    """Encoding of the candidates of a problem, such as deployments or rigs, as vectors in the unit box."""
 
     @property
     def dim(self) -> int:
@@ -35,7 +35,7 @@ class Genome(Protocol):
         """Draw the genes of a candidate to start from, `(dim,)`."""
 
     def fitness_of_genes(self, genes: FloatArray) -> FloatArray:
-        """Fitness of candidates `(B, dim)`, `(B,)`; -inf for those that are impossible."""
+        """Fitness of candidates `(B, dim)`, `(B,)`; -inf for impossible candidates."""
 
     def deployment(self, genes: FloatArray) -> Deployment:
         """Landmarks of a candidate `(dim,)`."""
@@ -44,26 +44,27 @@ class Genome(Protocol):
         """Cameras of a candidate `(dim,)`; None where the scene's camera is fixed."""
 
     def reached(self, fitness: float) -> None:
-        """Take over the best fitness of an earlier part of the run, so that going on repeats its decisions."""
+        """Set the best fitness to the value at a checkpoint, so that a resumed run makes equal decisions."""
 
 
 class Problem:
     """Maximise the objective's fitness over deployments of K landmarks.
 
-    `evaluator` and `relevance` `(P,)` belong to the room's grid and the PDF; reported figures use them. Optimisers use
-    `fitness_evaluator` and `fitness_relevance`, which belong to that grid or to the objective's sampling.
+    `evaluator` and `relevance` `(P,)` belong to the room's grid and the PDF, and reported figures are computed with
+    these two. Optimisers use `fitness_evaluator` and `fitness_relevance`, which belong to the room's grid or to the
+    objective's sampling.
 
     Args:
         scene: scene, which stays fixed.
         objective: objective, which is maximised.
         start: deployments an optimiser may start from; they also fix the number of landmarks K.
-        threads: worker threads, all processors by default; results do not depend on it.
-        fixed: landmarks that hang already and stay where they are. They are the first of every deployment; the start
-            only draws the others, and optimisers only move those. None for none.
+        threads: number of worker threads, all processors by default; results do not depend on this number.
+        fixed: existing landmarks that stay where they are, first in every deployment; the start draws only the other
+            landmarks, and optimisers move only the others. None if no landmark is fixed.
 
     Raises:
-        InputError: K landmarks cannot serve the objective, the start cannot be drawn, the fixed landmarks do not hang
-            properly or have the ids of others, or a camera of a rig would be outside the room.
+        InputError: K landmarks cannot serve the objective, the start cannot be drawn, `Footprints.checked_fixed`
+            refuses the fixed landmarks, an id occurs twice, or a camera of a rig would be outside the room.
     """
 
     def __init__(
@@ -94,7 +95,7 @@ class Problem:
             self.fitness_relevance = np.tile(self.relevance, repeats)
 
     def with_rig(self, rig: Rig, start: DeploymentSource | None = None) -> "Problem":
-        """The problem of landmarks with a rig in place of the cameras, and another start if one is given.
+        """The problem of placing landmarks for another rig, with another start if `start` is given.
 
         Raises:
             InputError: a camera would be outside the room.
@@ -104,7 +105,9 @@ class Problem:
 
     @property
     def genome(self) -> Genome | None:
-        """Own genome of a problem that varies something else than landmarks; None: optimisers encode landmarks."""
+        """Genome of a problem that varies something other than landmarks; None if landmarks vary, which optimisers
+        encode themselves.
+        """
         return None
 
     @property
@@ -124,7 +127,7 @@ class Problem:
 
     @property
     def fixed_with_edges(self) -> Deployment | None:
-        """The fixed landmarks, each with its edge; None for none."""
+        """The fixed landmarks, each with its edge; None if no landmark is fixed."""
         if self.fixed is None or self.scene.tag.is_point:
             return self.fixed
         return replace(self.fixed, edges=self.sizes[: self.fixed_count])
@@ -140,7 +143,7 @@ class Problem:
         return self.sizes[self.fixed_count :]
 
     def draw(self, rng: np.random.Generator) -> Deployment:
-        """A deployment to start from, its landmarks with their surfaces, its footprints apart."""
+        """Draw a deployment to start from: landmarks have surfaces, and footprints do not overlap."""
         return self.scene.footprints.draw(self.start, rng, self.fixed)
 
     def free(self, deployment: Deployment) -> Deployment:
@@ -148,7 +151,7 @@ class Problem:
         return deployment[self.fixed_count :]
 
     def complete(self, free: Deployment) -> Deployment:
-        """The fixed landmarks, if there are any, and then the `free` ones."""
+        """Concatenate the fixed landmarks, if there are any, and the `free` landmarks."""
         return free if self.fixed is None else self.fixed + free
 
     def separated(self, deployment: Deployment, size: float = 1.0) -> Deployment | None:
@@ -156,14 +159,14 @@ class Problem:
         return self.scene.footprints.separated(replace(deployment, edges=self.edges), size, self.fixed_count)
 
     def labelled(self, deployment: Deployment) -> Deployment:
-        """The deployment that an optimiser made of the start: landmark k keeps its label and its edge.
+        """Copy labels and edges of the start to an optimised deployment, by the index of the landmark.
 
-        What stays where it was keeps what was measured of it, too.
+        Landmarks that an optimiser did not move keep their surveyed poses, too.
         """
         return replace(deployment, labels=self.labels, surveyed=self.surveyed, edges=self.edges)
 
     def fitness(self, positions: FloatArray, normals: FloatArray) -> FloatArray:
-        """The fitness in [0, 1] of B deployments, `(B,)`; landmarks are `(B, K, 3)`. Optimisers maximise it."""
+        """The fitness in [0, 1] of B deployments, `(B,)`; positions and normals are `(B, K, 3)`."""
         values = self.objective.values(self.fitness_evaluator, positions, normals)
         return self.objective.fitness(values, self.fitness_relevance)
 
@@ -188,11 +191,11 @@ class Problem:
     def resampled(self, share: float, rng: np.random.Generator) -> tuple[Evaluator, FloatArray] | None:
         """A fresh draw of the objective's sampling with a share of its positions, and their relevance, `(Q,)`.
 
-        For methods that can change what they climb on the way: what is drawn anew cannot be learnt by heart.
+        For optimisers that can change the sample during a run, which avoids fitting the deployment to one sample.
 
         Args:
             share: share of the positions that is drawn in each cell, at least one position.
-            rng: draws them.
+            rng: random generator of the draw.
 
         Returns:
             None if the objective has no sampling.
@@ -205,7 +208,9 @@ class Problem:
         return evaluator, np.tile(self.relevance, repeats)
 
     def settings(self) -> Mapping[str, Any]:
-        """Settings that the figures of `metrics` depend on, for the record; infinite numbers are None, as in JSON."""
+        """Settings that the figures of `metrics` depend on, for files of results; None for infinite numbers, as JSON
+        has none.
+        """
         scene = self.scene
         return {
             "objective": type(self.objective).__name__,
@@ -224,12 +229,14 @@ class Problem:
 
 
 def _fields(part: Any) -> dict[str, Any]:
-    """The values of a dataclass, or what it says of itself."""
+    """Fields of a dataclass by name; for other objects, the `repr` as their `name`."""
     return _finite(asdict(part)) if hasattr(part, "__dataclass_fields__") else {"name": repr(part)}
 
 
 def _finite(value: Any) -> Any:
-    """A value with None for each number in it that is infinite, such as the focus of a camera without an aperture."""
+    """Replace infinite numbers in a value by None, such as an infinite focus distance, and arrays by their shape."""
+    if isinstance(value, np.ndarray):
+        return f"array of shape {value.shape}"
     if isinstance(value, Mapping):
         return {key: _finite(inner) for key, inner in value.items()}
     if isinstance(value, list | tuple):

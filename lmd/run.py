@@ -1,4 +1,4 @@
-"""The two verbs: find a deployment, score a deployment."""
+"""Functions that find and score a deployment."""
 
 from lmd.evaluation.validation import validation_metrics
 from lmd.optimisers.annealing import Annealing
@@ -20,11 +20,11 @@ def optimise(
 
     Args:
         problem: problem whose fitness is maximised.
-        evaluations: maximum number of full evaluations; one moved landmark counts 1/K.
+        evaluations: maximum number of full evaluations; an evaluation after a move of one landmark counts 1/K.
         seconds: wall time after which no new evaluation starts. At least one of the two limits is needed.
         seed: random seed of the optimiser; the same seed gives the same result.
         optimiser: optimiser, `Annealing` by default. `seed` does not affect a given optimiser.
-        callback: function called after every batch; if it returns True, the run stops.
+        callback: function called after every batch; the run stops if the function returns True.
 
     Raises:
         InputError: there is no limit, or the optimiser cannot take the problem.

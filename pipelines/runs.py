@@ -37,7 +37,7 @@ COLUMNS = {
     "metrics.off_grid": "off the grid",
     "metrics.evaluations": "evaluations",
 }
-OWN_KEYS = ("tracking", "trust")  # keys whose values on this command line replace those of the run
+OWN_KEYS = ("tracking", "trust")  # keys whose values on this command line replace the values of the run
 PLACE_KEYS = ("hydra", "save_as", "kept")  # keys with a path to which files are written
 LIST_KEYS = ("optimisers", "deployments")  # lists of options, each of which may have overrides of its own
 # Names of options. With dots and slashes a name could be any file, and with = or ~ an override.

@@ -32,7 +32,7 @@ def escaped(text: object) -> str:
 
 
 def as_code(text: object) -> str:
-    """Text as inline code of Markdown: in backticks, or `escaped` in HTML tags if it has special characters."""
+    """Text as inline code of Markdown: in backticks; if the text has special characters, `escaped` in HTML tags."""
     plain = str(text)
     is_plain = plain.isprintable() and plain == plain.strip() != "" and not CODE_MARKS.search(plain)
     return f"`{plain}`" if is_plain else f"<code>{escaped(plain)}</code>"

@@ -60,7 +60,7 @@ class DetectorCalibration:
     fit: Fit
     """Limits and scores."""
     rooms: dict[str, float]
-    """`frame_scores` in rendered rooms; empty without any."""
+    """`frame_scores` in rendered rooms; may be empty."""
     photographs: int = 0
     """Number of photographs with the views; 0 for renderings."""
     intervals: Mapping[str, tuple[float, float]] = field(default_factory=dict)

@@ -91,7 +91,7 @@ class Video:
     path: str | Path
     """File of the video."""
     rate: float
-    """Frames per second to take, at most those of the video."""
+    """Frames per second to take, at most the rate of the video."""
     argument: str = "path"
     """Argument with the path, for messages."""
 
@@ -129,9 +129,7 @@ class Video:
 
     @cached_property
     def _index(self) -> "_Index":
-        """Index of all frames. The whole video is read for it, as the number of frames in a header may be wrong or
-        missing.
-        """
+        """Index of all frames. The whole video is read, as the frame count in its header may be wrong or missing."""
         cv2, video = optional("cv2", "detection"), self._opened()
         try:
             stated, rate = video.get(cv2.CAP_PROP_FRAME_COUNT), float(video.get(cv2.CAP_PROP_FPS))

@@ -107,18 +107,20 @@ def cramer_rao_bound(information: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 @dataclass(frozen=True)
 class CramerRaoMap:
-    """Bounds for one pixel of noise at each position, over the orientations."""
+    """Bounds for one pixel of noise at each position, summarised over the orientations of the PDF."""
 
     positions: FloatArray
     """World frame, metres, `(P, 3)`."""
     share: FloatArray
     """Probability under the orientation PDF that a single frame determines the pose, `(P,)`."""
     position: FloatArray
-    """Median bound on the position over the orientations that determine the pose, metres, `(P,)`; infinite without
-    any.
+    """Median bound on the position over the orientations that determine the pose, metres, `(P,)`; infinite if no
+    orientation does.
     """
     attitude: FloatArray
-    """Median bound on the attitude over the orientations that determine the pose, rad, `(P,)`; infinite without any."""
+    """Median bound on the attitude over the orientations that determine the pose, rad, `(P,)`; infinite if no
+    orientation does.
+    """
 
     def metrics(self) -> dict[str, float]:
         """Share of poses that a single frame determines, and medians of the bounds over the positions with a finite
@@ -159,7 +161,7 @@ def cramer_rao_map(scene: Scene, evaluator: Evaluator, deployment: Deployment) -
 
 
 def _finite_median(values: FloatArray, weight: FloatArray) -> FloatArray:
-    """Weighted median of the finite values of each row of `(P, D)`, `(P,)`; infinite without any."""
+    """Weighted median of the finite values of each row of `(P, D)`, `(P,)`; infinite for rows without finite values."""
     order = np.argsort(values, axis=1)
     ordered, weights = (np.take_along_axis(v, order, axis=1) for v in (values, np.broadcast_to(weight, values.shape)))
     below = np.cumsum(np.where(np.isfinite(ordered), weights, 0.0), axis=1)

@@ -64,9 +64,9 @@ class PointDetector:
     def measured(self, points: FloatArray, camera: Camera, rng: np.random.Generator) -> FloatArray:
         """Measure landmarks at y = (x, y, z) in the camera's frame.
 
-        The noise of (x / z, y / z) is the pixel noise over the focal length; the noise of z = f a / w is that of the
-        apparent edge w >= 1 pixel. For a distorting lens, the noise is added to the distorted image; for a fisheye, the
-        edge gives the distance instead of z.
+        The noise of (x / z, y / z) is the pixel noise over the focal length; z = f a / w is computed from the apparent
+        edge w >= 1 pixel with its noise. For a distorting lens, the noise is added to the distorted image; for a
+        fisheye, the edge gives the distance instead of z.
 
         Args:
             points: y, metres, `(..., 3)`; the result is arbitrary for z <= 0.

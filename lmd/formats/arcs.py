@@ -15,7 +15,7 @@ NEAR = 0.01
 JOINED = 0.3
 # If the ends for the two signs of angles differ by less than this, metres, the other walls decide between the signs.
 ALIKE = 0.05
-LARGEST_RADIUS = 1000.0  # largest radius of an arc, metres; larger ones are refused
+LARGEST_RADIUS = 1000.0  # largest radius of an arc, metres; arcs of larger radii are refused
 
 
 @dataclass(frozen=True)
@@ -110,8 +110,8 @@ def _off(chain: FloatArray, ends: FloatArray) -> float:
 
 
 def _radians(name: str, value: Any) -> float:
-    """Angle, rad, of a Swift `Measurement<UnitAngle>`: a value with the converter to degrees; without a converter it is
-    in degrees.
+    """Angle, rad, of a Swift `Measurement<UnitAngle>`: a value with the converter to degrees; without a converter the
+    value is in degrees.
     """
     factor = 1.0
     if isinstance(value, Mapping):

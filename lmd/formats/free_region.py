@@ -185,7 +185,7 @@ def _polygon(region: BoolArray) -> Any:
 
 
 def _simplified(polygon: Any, tolerance: float) -> Any:
-    """Polygon whose edges fit those of a polygon of cells within a tolerance, in cells; its rings do not touch."""
+    """Polygon whose edges fit the border of a polygon of cells within a tolerance, in cells; its rings do not touch."""
     import shapely
 
     contours = []
@@ -217,7 +217,7 @@ def _fitted(simple: FloatArray, contour: FloatArray, tolerance: float) -> FloatA
     A vertex keeps its place where an edge would leave the tolerance.
 
     Args:
-        simple: vertices of the ring, some of those of the contour, `(N, 2)`.
+        simple: vertices of the ring, a subset of the contour's vertices, `(N, 2)`.
         contour: vertices of the contour, `(M, 2)`.
         tolerance: greatest distance of the contour from an edge, cells.
     """

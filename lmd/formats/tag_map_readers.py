@@ -130,7 +130,9 @@ FIELD = ("fieldlength", "fieldwidth")  # keys with the size of the field in Lime
 
 
 def limelight(keys: Keys) -> Iterable[PlacedTag]:
-    """Tags of Limelight's map. The origin is the middle of the field; if the file has the field's size, its corner."""
+    """Tags of Limelight's map. The origin is a corner of the field, or its middle if the file lacks the field's
+    size.
+    """
     middle = np.array([real(name, keys.get(name, 0.0)) / 2.0 for name in FIELD])
     for tag in mappings("fiducials", keys["fiducials"]):
         number = number_of(tag["id"])

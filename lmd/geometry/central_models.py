@@ -114,7 +114,7 @@ def power_series(radial: Sequence[float], tangential: Sequence[float], shear: fl
 
 
 def modified_brown_conrady(k1: float, k2: float, p1: float, p2: float, k3: float) -> Model:
-    """Model of RealSense whose tangential terms are those of the radially distorted point."""
+    """Model of RealSense whose tangential terms are computed from the radially distorted point."""
 
     def image(u: FloatArray, v: FloatArray, w: FloatArray) -> tuple[FloatArray, FloatArray]:
         x, y = _divided(u, v, w, True)

@@ -160,7 +160,7 @@ def straightened(seen: FloatArray) -> tuple[FloatArray, BoolArray, FloatArray]:
         seen: unit vectors in the camera's frame, `(M, 3)`; NaN for missing rays.
 
     Returns:
-        rotation from the camera's frame to that of the pinhole, `(3, 3)`; mask of the rays within `NEAR_MIDDLE_RAD` of
+        rotation from the camera's frame to the pinhole's frame, `(3, 3)`; mask of the rays within `NEAR_MIDDLE_RAD` of
         its axis, `(M,)`; images at a focal length of 1, `(M, 2)`.
     """
     middle = np.nansum(seen, axis=0)
@@ -197,7 +197,7 @@ def body_from_corners(
         cameras: intrinsics.
         mounted: poses of the cameras in the body's frame, `(C, 4, 4)`.
         points: tag corners, world frame, metres, `(M, ..., 3)`.
-        images: detected corners of each camera, pixels from the border, `(M, ..., 2)`; NaN for missing ones.
+        images: detected corners of each camera, pixels from the border, `(M, ..., 2)`; NaN for missing corners.
 
     Returns:
         X of the body, `(4, 4)`; NaN if no camera has four points or there is no solution.

@@ -1,6 +1,7 @@
 """Occlusion for a single camera: from a position, a landmark is hidden for all orientations or for none.
 
-A state counts for each landmark and position how many others hide it, and how many others it hides.
+For each landmark and position, a state has the number of landmarks that hide the landmark, and the number of landmarks
+that it hides.
 """
 
 from typing import Any

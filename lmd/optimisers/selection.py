@@ -165,7 +165,7 @@ def greedy_start(problem: Problem, start: Deployment, spacing: float, allowance:
 
     Args:
         problem: problem whose objective has a selection.
-        start: K landmarks, the fixed ones first.
+        start: K landmarks, the fixed landmarks first.
         spacing: spacing of the grid of poses, metres; larger if the allowance does not suffice for the grid.
         allowance: largest number of gains to evaluate.
 

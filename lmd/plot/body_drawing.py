@@ -92,7 +92,7 @@ def _edges(mount: Mount, across: bool) -> list[FloatArray]:
 
     Args:
         mount: mount of the camera.
-        across: True for directions from the left border to the right one, False for top to bottom.
+        across: True for directions from the left to the right border, False for top to bottom.
     """
     left, right, top, bottom = mount.camera.field_of_view
     found = []

@@ -46,7 +46,7 @@ class Face(NamedTuple):
     """Pinhole image that fills a part of the camera's image."""
 
     turn: FloatArray
-    """Rotation from the camera's frame to that of the pinhole, `(3, 3)`."""
+    """Rotation from the camera's frame to the pinhole's frame, `(3, 3)`."""
     matrix: FloatArray
     """Intrinsic matrix K of the pinhole, pixels from the border, `(3, 3)`."""
     size: tuple[int, int]
@@ -211,7 +211,7 @@ def faces_of(camera: Camera) -> tuple[Face, ...]:
     for number, turn in enumerate(CUBE):
         taken = imaged & (nearest == number)
         if taken.any():
-            # Makes the pixel density of the face at least that of the image everywhere.
+            # Makes the pixel density of the face at least the density of the image everywhere.
             focal = math.sqrt((density[taken] * (rays[taken] @ turn[2]) ** 3).max())
             faces.append(_face(turn, np.array([focal, focal]), rays, taken))
     return tuple(faces)

@@ -178,9 +178,9 @@ def from_around(sight: Any, x: float, y: float, z: float, nx: float, ny: float, 
     Returns:
         reached: False only if no orientation at any of the positions covers the landmark.
         most: upper bound on the depth along the optical axis of a covered landmark, metres.
-        start, sure: depths, metres. An orientation with the landmark well in view (`SightModel.inset`) and at a depth
-            between them covers it. `start` is -inf if no depth is too small; `sure` is inf if no depth is too large,
-            -inf if coverage is never certain.
+        start, sure: depths, metres. An orientation covers the landmark if the landmark is well in view
+            (`SightModel.inset`) and its depth is between `start` and `sure`. `start` is -inf if no depth is too small;
+            `sure` is inf if no depth is too large, -inf if coverage is never certain.
     """
     return True, math.inf, 0.0, -math.inf
 
@@ -194,7 +194,7 @@ def in_image(
 
     Args:
         x, y, z, nx, ny, nz, slack: as in `from_position`.
-        low: result of `from_position`; the function is False if it is infinite.
+        low: result of `from_position`; if infinite, the function is False.
         ax, ay, az: optical axis, unit vector.
         rx, ry, rz: image's right, unit vector; axis x right points down in the image.
     """
@@ -288,7 +288,7 @@ def covers_one(
 def pixel_density(sight: Any, x: float, y: float, z: float, axes: FloatArray, a: Integer) -> Any:
     """Image area per solid angle around a landmark that orientation a covers, over distance^3.
 
-    In squared focal lengths per steradian and m^3; 1 / depth^3 for a pinhole.
+    The unit is squared focal lengths per steradian and m^3. For a pinhole the result is 1 / depth^3.
     """
     depth = axes[0, a] * x + axes[1, a] * y + axes[2, a] * z
     return 1.0 / (depth * depth * depth)

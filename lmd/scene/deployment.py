@@ -102,7 +102,7 @@ class Deployment:
         return replace(self, **parts)
 
     def __add__(self, other: "Deployment") -> "Deployment":
-        """Deployment of the landmarks of both, with ids from 0."""
+        """Concatenate two deployments; the result has ids from 0."""
         columns = ((getattr(self, name), getattr(other, name)) for name in (*POSE_FIELDS, "edges"))
         positions, normals, surfaces, edges = (np.concatenate(column) for column in columns)
         both = Deployment(positions, normals, surfaces, edges=edges)
@@ -206,7 +206,8 @@ class Deployment:
         return np.array([surface.distance(self.positions) for surface in room.surfaces()])
 
     def movable(self, room: Space, flush: bool = True) -> "Deployment":
-        """Deployment `with_surfaces` that an optimiser can move along surfaces, or an error.
+        """Assign surfaces to the landmarks (`with_surfaces`), and check that an optimiser can move them along the
+        surfaces.
 
         Args:
             room: room of the landmarks.

@@ -23,7 +23,8 @@ def beside(fixed: Deployment, others: Deployment) -> Deployment:
         others: N landmarks with known surfaces.
 
     Raises:
-        InputError: an id occurs in both at different positions, or all `others` are fixed landmarks.
+        InputError: a fixed landmark and another landmark have one id and different positions, or all `others` are
+            fixed.
     """
     if others.labels is None:
         unused = np.setdiff1d(np.arange(len(fixed) + len(others)), fixed.ids)[: len(others)]

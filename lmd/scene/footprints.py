@@ -94,8 +94,8 @@ class Footprints:
         return self.tag.paper_share * deployment.edges_of(self.tag)
 
     def capacity(self, paper: float) -> float:
-        """Upper bound on the number of footprints with the edge `paper`, metres: the sum over surfaces of the sizes of
-        grids.
+        """Upper bound on the number of footprints with the edge `paper`, metres: as many as a grid on each surface
+        would hold.
         """
         if not paper:
             return np.inf
@@ -135,8 +135,8 @@ class Footprints:
         Args:
             source: source of the deployment.
             rng: source of everything random.
-            fixed: existing landmarks from `checked_fixed`, which precede the drawn ones in the result. Drawn
-                landmarks that are not from a file are pushed away from the fixed ones.
+            fixed: existing landmarks from `checked_fixed`, which precede the drawn landmarks in the result. Drawn
+                landmarks that are not from a file are pushed away from the fixed landmarks.
 
         Raises:
             InputError: the source fails, a footprint overlaps another or is not wholly on its surface, or there is no

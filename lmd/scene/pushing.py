@@ -1,4 +1,4 @@
-"""Kernel that pushes footprints apart: each to the nearest place without overlap with earlier ones."""
+"""Kernel that pushes footprints apart: it moves each footprint to the nearest place where no earlier footprint is."""
 
 import numpy as np
 
@@ -26,8 +26,8 @@ def _nearest_free(k, s, a, b, within, surface, at, pieces, start, stop, edge, li
     """Write the free place for footprint k nearest to (a, b) on surface s to `found`; False if there is none.
 
     Each coordinate of the nearest place is either unchanged or on a candidate line: a border of a trapezoid along u or
-    v, or a line on which footprint k touches another one. Only footprints within a distance of `within` give candidate
-    lines. Trapezoids `start` to `stop` of `pieces` are the allowed centres.
+    v, or a line on which footprint k touches another footprint. Only footprints within a distance of `within` give
+    candidate lines. Trapezoids `start` to `stop` of `pieces` are the allowed centres.
     """
     lines[0, 0], lines[1, 0] = a, b
     across, up = 1, 1

@@ -30,11 +30,11 @@ class Scene:
 
     Args:
         room: surfaces for landmarks, and positions of the camera.
-        camera: single camera, or a `Rig`; the positions of `room` and the orientations of `pdf` are those of the camera
-            or of the rig's body.
+        camera: single camera, or a `Rig`; `room` and `pdf` give positions and orientations of the camera or of the
+            rig's body.
         pdf: orientation PDF.
         visibility: criteria for the coverage of a landmark.
-        tag: tag at each landmark; by default that of the visibility model, or a point.
+        tag: tag at each landmark; by default the tag of the visibility model, or a point.
         recorded: recording from which room and PDF are derived, with its held-out poses; None without a recording.
         edges: edge of each landmark by its index, or one edge for all, metres, see `sized`; None for the edge of `tag`.
 

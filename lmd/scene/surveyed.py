@@ -31,11 +31,11 @@ class Surveyed:
         return Surveyed(self.positions[chosen], self.places[chosen], self.ups[chosen])
 
     def places_of(self, positions: FloatArray) -> FloatArray:
-        """Measured positions of landmarks at `positions`, `(K, 3)` each, metres; for moved ones, `positions`."""
+        """Measured positions of landmarks at `positions`, `(K, 3)` each, metres; for moved landmarks, `positions`."""
         return np.where(self._stays(positions), self.places, positions)
 
     def ups_of(self, positions: FloatArray, upright: FloatArray) -> FloatArray:
-        """Measured ups of landmarks at `positions`, `(K, 3)` each; for moved ones, the `upright` ups."""
+        """Measured ups of landmarks at `positions`, `(K, 3)` each; for moved landmarks, the `upright` ups."""
         return np.where(self._stays(positions), self.ups, upright)
 
     def _stays(self, positions: FloatArray) -> BoolArray:

@@ -76,7 +76,7 @@ class Inset(Changed):
 
     @override
     def surfaces(self) -> tuple[Surface, ...]:
-        """Surfaces in the order of those of the room."""
+        """Surfaces, inset by the margin, in the order of the room's surfaces."""
         return self._surfaces
 
 

@@ -47,7 +47,7 @@ class FloorPlan:
     path: str | None = None
     """Path of the file that the plan was read from."""
     note: str = ""
-    """Remark on the file that the plan was read from, a sentence; empty without one."""
+    """Remark on the file that the plan was read from, a sentence; may be empty."""
 
     def __post_init__(self) -> None:
         if isinstance(self.holes, str) or not isinstance(self.holes, Sequence):
@@ -126,7 +126,7 @@ class FloorPlan:
 
     @cached_property
     def rim(self) -> tuple[FloatArray, FloatArray]:
-        """Lines of all sides of the convex hull, as in `hull`; bodies outside the outline extend to them."""
+        """Lines of all sides of the convex hull, as in `hull`; bodies outside the outline extend to these lines."""
         import shapely
 
         return planes(edges(shapely.orient_polygons(self.ground.convex_hull).exterior.coords[:-1]))
@@ -183,7 +183,7 @@ class FloorPlan:
 
     @property
     def fixtures(self) -> list[Fixture]:
-        """Keep-outs and obstacles; those without a name are named by their index."""
+        """Keep-outs and obstacles; a fixture without a name is named by its index."""
         parts = [(f"keep_out {i}", *pair) for i, pair in enumerate(zip(self.keep_out, self.kept_out, strict=True))]
         parts += [(f"obstacle {i}", part, part.corners()) for i, part in enumerate(self.obstacles)]
         return [Fixture(part.name or number, corners) for number, part, corners in parts]

@@ -47,7 +47,7 @@ class Interior:
 
     @cached_property
     def nodes(self) -> tuple[FloatArray, BoolArray]:
-        """All nodes, metres, `(N, 3)`, and the mask of those in the room, `(N,)`."""
+        """All nodes, metres, `(N, 3)`, and the mask of the nodes in the room, `(N,)`."""
         from scipy.sparse import coo_array
         from scipy.sparse.csgraph import connected_components
 

@@ -133,5 +133,5 @@ def from_floor_plan(
     relevance: Relevance | None = None,
     **plan: Any,
 ) -> Prism:
-    """Make a `Prism` from its arguments and those of its `FloorPlan`."""
+    """Make a `Prism` from its arguments and the arguments of its `FloorPlan`."""
     return Prism(FloorPlan(outline, height, **plan), reachable, spacing, positions, relevance or Relevance())

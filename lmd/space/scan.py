@@ -88,7 +88,9 @@ class Scan:
 
     @cached_property
     def solids(self) -> Triangles | None:
-        """Triangles from which the camera keeps its clearance: all but those of floor and ceiling; None without any."""
+        """Triangles from which the camera keeps its clearance: all triangles except floor and ceiling; None if no other
+        exists.
+        """
         z, (low, high) = self._corners[..., 2], self.bounds
         level = np.abs(unit_normals(self._corners)[:, 2]) > LEVEL_NORMAL_Z
         ends = (z.max(axis=1) < low[2] + STOREY) | (z.min(axis=1) > high[2] - STOREY)
@@ -214,7 +216,7 @@ class Scan:
 
     @cached_property
     def edges(self) -> FloatArray:
-        """Sharp edges and edges of a single triangle, for drawings, at most the `MOST_EDGES` longest, `(M, 2, 3)`."""
+        """Edges for drawings: sharp edges, and borders of the mesh; at most the `MOST_EDGES` longest, `(M, 2, 3)`."""
         triangles, corners = self.triangles, self.triangles.corners
         ends = np.stack([corners, np.roll(corners, -1, axis=1)], axis=2).reshape(-1, 2, 3)
         turn = (triangles.beyond * triangles.normals[:, None]).sum(axis=-1).reshape(-1)

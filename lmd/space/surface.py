@@ -139,7 +139,7 @@ class Surface:
         """Surface coordinates of `count` cell centres of a grid with nearly square cells.
 
         For the paper's walls and `count` 15 the grid is 5 x 3. On a surface with an allowed region, the grid is refined
-        until at least `count` centres are in the region, of which `count` evenly spaced ones are returned.
+        until at least `count` centres are in the region, of which `count` evenly spaced centres are returned.
         """
         if count == 0:
             return []

@@ -75,7 +75,7 @@ class Adjustment(SchurSystem):
     def covariance(self, poses: Poses, floor: float) -> FloatArray:
         """Marginal covariance of the kept unknowns, `(6 kept, 6 kept)`; NaN for tags without sightings.
 
-        The covariance is that of least squares with the weight slope^2 / variance (`efficiency`) for all sightings.
+        Computed as for least squares with the weight slope^2 / variance (`efficiency`) for all sightings.
         """
         slope, spread = self.efficiency(poses, floor)
         matrix, *_ = self.schur_system(poses, floor, 0.0, slope**2 / spread)

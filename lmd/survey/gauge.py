@@ -1,4 +1,4 @@
-"""The gauge of a map: the choice of its world frame, and covariances that do not depend on it.
+"""The gauge of a map: the choice of its world frame, and covariances that do not depend on this choice.
 
 Sightings alone do not determine the world frame. Exactly known tags, a plan, measured centres, the floor or one tag
 determine it.
@@ -165,7 +165,7 @@ def into_world(
 def _with_turns_of(prior: Prior, tags: FloatArray) -> Prior:
     """Prior in which tags with only a known centre have the orientation of `tags` `(K, 4, 4)`.
 
-    Such tags need an orientation, as the derivative of a centre by a twist depends on it.
+    Such tags need an orientation, as the derivative of a centre by a twist depends on the orientation.
     """
     only = ~prior.is_posed & prior.information.any(axis=1) & np.isfinite(tags[:, 0, 0])
     poses = prior.tags.copy()
@@ -211,8 +211,8 @@ def diagonal_blocks(covariance: FloatArray, count: int) -> FloatArray:
 def gauge_free(tags: FloatArray) -> FloatArray:
     """Matrix L `(6 n, 6 n)` that removes the best-fitting motion of the whole map from the twists of n tags.
 
-    Let T `(6 n, 6)` be the twists of all tags due to a motion of the world, T_p the rows of T for the centres, and x_p
-    those rows of the twists x. The motion that fits x best is g = T_p^+ x_p, so L x = x - T g. If P is the covariance
+    Let T `(6 n, 6)` be the twists of all tags due to a motion of the world, T_p and x_p the rows of T and of the twists
+    x that belong to the centres. The motion that fits x best is g = T_p^+ x_p, so L x = x - T g. If P is the covariance
     of the twists, L P L^T is the covariance of the tags relative to each other.
 
     Args:

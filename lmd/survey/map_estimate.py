@@ -38,8 +38,9 @@ class Estimate:
     poses: Poses
     """Poses of tags, frames and mounts; NaN if not placed."""
     group: IntArray
-    """`(K,)` group of each tag: 0 for tags of the map, larger for tags that no frame connects with it, -1 for tags that
-    are not placed."""
+    """`(K,)` group of each tag: 0 for tags of the map, larger for tags that no frame connects with the map, -1 for tags
+    that are not placed.
+    """
     used: BoolArray
     """`(N,)` inliers: sightings from which the map is made."""
     misfits: BoolArray
@@ -102,7 +103,7 @@ class Estimate:
 
     @property
     def sigmas(self) -> FloatArray:
-        """Standard deviation of each tag's place relative to the others, in the worst direction, metres, `(K,)`."""
+        """Standard deviation of each tag's place relative to the other tags, in the worst direction, metres, `(K,)`."""
         known = np.asarray(np.isfinite(self.gauge_free_covariances).all(axis=(1, 2)))
         result = np.full(len(known), np.nan)
         largest = np.linalg.eigvalsh(self.gauge_free_covariances[known][:, 3:, 3:])[:, -1]
@@ -178,7 +179,7 @@ def of_body(sightings: Sightings, start: Start, prior: Prior) -> tuple[Poses, In
     """Initial poses of the body, groups joined by motion, and the prior with the estimated spread of the motion.
 
     Raises:
-        InputError: a camera was never placed together with the first one.
+        InputError: a camera was never placed together with the first camera.
     """
     rough = _mounted(sightings, start.poses, prior.mounts)
     if prior.motion is None:
@@ -244,7 +245,7 @@ def _mounted(sightings: Sightings, apart: Poses, mounts: FloatArray | None) -> P
         mounts: poses of the cameras on the body, `(C, 4, 4)`; None to estimate them.
 
     Raises:
-        InputError: a camera was never placed together with the first one.
+        InputError: a camera was never placed together with the first camera.
     """
     views = apart.frames.reshape(sightings.cameras, sightings.frames, 4, 4)
     found, frames = np.tile(np.eye(4), (sightings.cameras, 1, 1)), views[0].copy()

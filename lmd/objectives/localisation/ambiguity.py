@@ -44,7 +44,7 @@ from lmd.objectives.localisation.body import BODY_NUMBERS, BODY_WIDTH
 from lmd.objectives.localisation.information import NEAREST, NUMBERS, QUANTUM, Number, Precision
 from lmd.scene.criteria import TOLERANCE
 
-CONFIDENCE = 0.99  # least probability that the better pose is the true one
+CONFIDENCE = 0.99  # least probability that the better pose is the true pose
 # Greatest residual ratio of a tag; greater ratios are clipped to this value, which keeps sums exact.
 MOST = 16.0
 MIRRORED = 5  # additional numbers of a view of a rig: S over the least S, M, and h (three)

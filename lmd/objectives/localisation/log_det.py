@@ -297,7 +297,7 @@ class RigLogDeterminant(LogDeterminant):
 
 
 class ReferenceLogDeterminant(LogDeterminant):
-    """Selection by the log determinant for a visibility model without a compiled half, by NumPy."""
+    """Selection by the log determinant with NumPy, for visibility models that kernels cannot use."""
 
     def __init__(self, evaluator: Evaluator, *prior: Any) -> None:
         self.of_camera = evaluator.scene.rig is None

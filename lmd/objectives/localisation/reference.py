@@ -1,4 +1,4 @@
-"""Reference of localisation in NumPy, one function per formula; compiled code must equal it bit for bit.
+"""Reference of localisation in NumPy, one function per formula; compiled code must equal the reference bit for bit.
 
 The reference also evaluates scenes whose visibility model has no compiled half (`reference_views`,
 `log_det.ReferenceLogDeterminant`).
@@ -77,7 +77,7 @@ def body_information(
 def information_of(
     scene: Scene, deployment: Deployment, asked: Precision, position: FloatArray, axes: FloatArray
 ) -> tuple[FloatArray, BoolArray]:
-    """`body_information` for a rig, `view_information` for a single camera."""
+    """Call `body_information` for a rig, and `view_information` for a single camera."""
     of = body_information if scene.rig is not None else view_information
     return of(scene, deployment, asked, position, axes)
 

@@ -1,4 +1,4 @@
-"""Visibility models: the criteria of the paper, and those of a detector with measured limits."""
+"""Visibility models: the criteria of the paper, and the criteria of a detector with measured limits."""
 
 from lmd.sight.models.fiducial import Fiducial
 from lmd.sight.models.limits import Limits
