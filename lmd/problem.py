@@ -234,7 +234,9 @@ def _fields(part: Any) -> dict[str, Any]:
 
 
 def _finite(value: Any) -> Any:
-    """Replace infinite numbers in a value by None, such as the focus distance of a camera without an aperture."""
+    """Replace infinite numbers in a value by None, such as an infinite focus distance, and arrays by their shape."""
+    if isinstance(value, np.ndarray):
+        return f"array of shape {value.shape}"
     if isinstance(value, Mapping):
         return {key: _finite(inner) for key, inner in value.items()}
     if isinstance(value, list | tuple):

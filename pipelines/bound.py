@@ -100,7 +100,7 @@ class _Progress:
 
 
 def _stopped_early(label: str, stage: "TimeLimit") -> dict[str, list[str]]:
-    """Print and return the parts of a bound that were stopped early; the bound holds without them."""
+    """Print and return the parts of a bound that were stopped early; the bound holds without these parts."""
     if not stage.cut:
         return {}
     _show("", f"stopped early: {', '.join(stage.cut)}")

@@ -187,8 +187,8 @@ def _poses(
 
 
 def camera_of(node: DictConfig) -> "Camera | Rig":
-    """Build the camera or the rig of the group `camera`; for a rig, the group's camera is built only if a mount has
-    none.
+    """Build the camera or the rig of the group `camera`; for a rig, the group's camera is built only if a mount has no
+    camera.
 
     Raises:
         InputError: a camera or the rig is refused.

@@ -1,24 +1,21 @@
 """Compare optimisers: `python -m pipelines.compare optimisers=[annealing,ega] seeds=10 [overrides]`."""
 
-import shutil
 import sys
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Sequence
 from contextlib import closing
-from dataclasses import dataclass
-from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from omegaconf import DictConfig, ListConfig
 
-from .app import flat_settings, run_directory, save_path
+from .app import run_directory, save_path
 from .building import budget_of, build_optimiser, build_problem, seeds_of
+from .contenders import LANDMARKS, Contender, Kept, kept_of, run_contender
 from .earlier_run import read_earlier_problem
-from .optimise import SAME_WHEN_RESUMED
-from .outputs import columns_of, read_document, write_document
 from .overrides import recompose, search_path, task_overrides
 from .pipeline import Pipeline
-from .provenance import digest, resuming
+from .provenance import resuming
+from .tournament import hold_tournament
 from .workers import in_processes
 
 if TYPE_CHECKING:
@@ -27,116 +24,17 @@ if TYPE_CHECKING:
     from lmd.problem import Problem
 
 
-LANDMARKS, HISTORY, RECORD = FILES = "landmarks.csv", "history.csv", "run.json"  # of each run, in a folder of its own
 # Settings of the comparison itself; every other override is passed on to its runs.
 OWN_KEYS = ("optimisers", "reference", "seeds", "workers", "save_as", "resume", "budget", "seed", "tracking")
 
 
-@dataclass(frozen=True, eq=False)
-class Contender:
-    """An optimiser and a seed: a run that is compared with the others."""
-
-    optimiser: str
-    """Its entry of `optimisers`."""
-    cfg: DictConfig
-    """Configuration of `optimise` for this entry."""
-    seed: int
-    """Seed of the run."""
-
-    @property
-    def name(self) -> str:
-        """Name of the run."""
-        return f"{self.optimiser} seed={self.seed}"
-
-    @cached_property
-    def digest(self) -> str:
-        """A digest that is equal for runs with equal results."""
-        return digest(flat_settings(self.cfg, *SAME_WHEN_RESUMED, "budget", "validate"), self.seed)
-
-    def folder(self, comparison: Path) -> Path:
-        """The folder of the run below the folder of its comparison."""
-        return comparison / "runs" / self.name.replace("/", "_")
-
-    def save(self, comparison: Path, run: "OptimiserRun", parent: str | None, ups: bool) -> None:
-        """Write the result of the run.
-
-        Args:
-            comparison: folder of the comparison.
-            parent: tracked run of the comparison, if any.
-            ups: see `Deployment.to_csv`.
-        """
-        from lmd.core.tables import write_table
-
-        folder = self.folder(comparison)
-        folder.mkdir(parents=True, exist_ok=True)  # there already where a sweep repeats a lost job
-        run.deployment.to_csv(folder / LANDMARKS, ups)
-        write_table(folder / HISTORY, columns_of(run.history))
-        write_document(folder / RECORD, {"digest": self.digest, "parent": parent, "metrics": dict(run.metrics)})
-
-    def saved(self, comparison: Path) -> "tuple[OptimiserRun, str | None] | None":
-        """The result of the run in the folder of a comparison, and the tracked run of that; None if it is not there.
-
-        Raises:
-            InputError: its tables are damaged, or one of its files is a link that leads out of the comparison.
-        """
-        from lmd.core.checks import InputError
-        from lmd.core.tables import read_numbers
-        from lmd.evaluation.comparison import OptimiserRun
-        from lmd.optimisers.ledger import Record
-        from lmd.scene.deployment import Deployment
-
-        folder = self.folder(comparison)
-        for name in FILES:
-            if not (folder / name).resolve().is_relative_to(comparison.resolve()):
-                raise InputError(f"resume: {str(folder / name)!r} is a link that leads out of the folder.", "resume")
-        record: dict[str, Any] = read_document(folder / RECORD, lambda values: {**values}) or {}
-        if record.get("digest") != self.digest:
-            return None
-        rows = read_numbers(folder / HISTORY, [*columns_of([])], name="resume").tolist()
-        history, landmarks = [Record(*row) for row in rows], Deployment.from_csv(folder / LANDMARKS)
-        return OptimiserRun(self.optimiser, self.seed, record["metrics"], history, landmarks), record["parent"]
-
-
-@dataclass(frozen=True)
-class Kept:
-    """The results of an earlier comparison."""
-
-    runs: "Mapping[Contender, OptimiserRun]"
-    """Finished runs."""
-    parent: str | None
-    """Tracked run of that comparison, if any."""
-
-
-def kept_of(resume: Any, jobs: Iterable[Contender], directory: Path) -> Kept:
-    """Copy the finished runs in the folder of an earlier comparison to `directory`, and return them.
-
-    Raises:
-        InputError: there is no such folder, or its files are damaged.
-    """
-    from lmd.core.checks import InputError, file_path
-
-    earlier = file_path("resume", resume)
-    if not earlier.is_dir():
-        raise InputError(f"resume = {str(resume)!r} is no folder of a comparison.", "resume")
-    found = {job: saved for job in jobs if (saved := job.saved(earlier)) is not None}
-    if earlier.resolve() != directory.resolve():
-        for job in found:
-            _copy(job, earlier, directory)
-    parent = next((parent for _, parent in found.values()), None)
-    return Kept({job: run for job, (run, _) in found.items()}, parent)
-
-
-def _copy(job: Contender, earlier: Path, directory: Path) -> None:
-    """Copy the files of a run from the folder of a comparison to another one."""
-    folder = job.folder(directory)
-    folder.mkdir(parents=True, exist_ok=True)
-    for name in FILES:
-        shutil.copyfile(job.folder(earlier) / name, folder / name)
-
-
 def compare(cfg: DictConfig) -> None:
-    """Run the configured comparison."""
+    """Run the configured comparison, or with `suite` a tournament."""
     from lmd.core.checks import InputError, choice
+
+    if cfg.suite is not None:
+        hold_tournament(cfg)
+        return
 
     from .operations.tracking import RunStart
     from .progress import thinned
@@ -155,7 +53,7 @@ def compare(cfg: DictConfig) -> None:
     kept = Kept({}, None) if cfg.resume is None else kept_of(cfg.resume, jobs.values(), directory)
     earlier = None if kept.parent is None else Earlier(kept.parent, Path(cfg.resume))
     left = [job for job in jobs.values() if job not in kept.runs]
-    finished, runs = in_processes(_run, left, cfg.workers, lambda job: job.name), list(kept.runs.values())
+    finished, runs = in_processes(run_contender, left, cfg.workers, lambda job: job.name), list(kept.runs.values())
     axis, title = "evaluations" if budget.evaluations else "wall_time", title_of(problem, f"{len(seeds)} seeds,")
 
     def log(job: Contender, run: "OptimiserRun", parent: str | None) -> None:
@@ -219,19 +117,6 @@ def _compose(entry: str, cfg: DictConfig, problem: "Problem") -> DictConfig:
     composed.budget, composed.threads = cfg.budget, 1
     build_optimiser(composed, cfg.seed).check(problem)  # before any search begins
     return composed
-
-
-def _run(job: Contender) -> "OptimiserRun":
-    """Do one run, on one thread."""
-    from lmd.evaluation.comparison import OptimiserRun
-    from lmd.evaluation.validation import headline_off_grid, validation_metrics
-
-    problem = build_problem(job.cfg)
-    result = build_optimiser(job.cfg, job.seed).run(problem, budget_of(job.cfg))
-    metrics = dict(problem.metrics(result.deployment))
-    if job.cfg.validate:
-        metrics["off_grid"] = validation_metrics(problem, result.deployment, job.seed)[headline_off_grid(problem)]
-    return OptimiserRun(job.optimiser, job.seed, metrics, result.history, result.deployment)
 
 
 main = Pipeline("compare", compare, (read_earlier_problem,))

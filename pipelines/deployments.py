@@ -53,8 +53,8 @@ def composed_deployments(cfg: DictConfig, config_name: str) -> dict[str, DictCon
 
 
 def _compose(config_name: str, entry: str, option: str, own: list[str], count: list[str], used: set[str]) -> DictConfig:
-    """Configuration for one deployment. Overrides of keys that it lacks are dropped; the other keys are added to
-    `used`.
+    """Configuration for one deployment. Overrides of keys that the configuration lacks are dropped; the other keys are
+    added to `used`.
     """
     keys = recompose(config_name, [*search_path(), f"deployment={option}"], "deployments", entry).deployment
     shared = count if "count" in keys and "path" not in keys else []

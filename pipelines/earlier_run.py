@@ -65,7 +65,7 @@ def read_earlier_run(deployment: str = f"deployment={OPTION}", further: Sequence
     options = [argument for argument in (deployment, *sys.argv[1:]) if argument.startswith("deployment=")]
     if options and COUNTED.issuperset(options[-1].partition("=")[2].split(",")):
         chosen.append(f"deployment.count={count_of(directory)}")
-    if fixed is not None and "deployment.fixed" not in named:  # their own file may have changed
+    if fixed is not None and "deployment.fixed" not in named:  # the file of fixed landmarks may have changed
         chosen += [f"++deployment.fixed={quoted(path)}", "++deployment.marked=true"]
     if "poses" in named:
         named.add("pdf")  # an option of the group poses sets its own pdf
@@ -79,7 +79,10 @@ def read_earlier_robot() -> None:
 
 
 def read_earlier_problem() -> None:
-    """Read an earlier run with only the number of its landmarks, unless a file gives them; see `read_earlier_run`."""
+    """Read an earlier run with random landmarks of equal number, or with the landmarks of `deployment.path`.
+
+    See `read_earlier_run`.
+    """
     from_file = any(argument.startswith(f"{PATH}=") for argument in sys.argv[1:])
     read_earlier_run(f"deployment={'file' if from_file else 'random'}")
 

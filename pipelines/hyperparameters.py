@@ -2,13 +2,14 @@
 
 A file in `conf/optimiser` or `conf/camera`, or a user's file, has only the values that differ from the defaults of its
 class. The other arguments of the class are added when Hydra loads the file, so that `--cfg job` shows all arguments, a
-run records them, and `optimiser.population=12` overrides one.
+run records them, and `optimiser.population=12` overrides one of them.
 
 The module replaces Hydra's loader of files in a private registry, because no public interface covers users' files:
-- Structured configs and hydra-zen's builds are registered by name; a YAML file has to name one in its `defaults`.
+- Structured configs and hydra-zen's builds are registered by name; a YAML file would have to name such a config in its
+  `defaults`.
 - A `ConfigSource` plugin needs a scheme of its own, but `--config-dir` and plain paths are `file://`, and the registry
   refuses a second class for a scheme.
-- After composition it is too late, as Hydra refuses overrides of keys that no file has.
+- Arguments cannot be added after composition, as Hydra refuses overrides of keys that no file has.
 """
 
 import inspect

@@ -20,7 +20,7 @@ MORE = re.compile(r"\+(\d+)")  # a count in addition to the fixed landmarks
 
 
 def fixed_of(node: DictConfig, family: str | None) -> "Deployment | None":
-    """Landmarks that keep their places; None for none.
+    """Landmarks that keep their places; None if no landmark is fixed.
 
     With `marked`, only landmarks that the file marks as fixed are fixed; the file of a run also has movable landmarks.
 
@@ -52,7 +52,7 @@ def axes_in(node: DictConfig) -> Any:
 
 
 def total_of(node: DictConfig, fixed: "Deployment | None") -> int | None:
-    """Number of landmarks, fixed landmarks included; None if none is fixed or no count is given.
+    """Number of landmarks, fixed landmarks included; None if no landmark is fixed or no count is given.
 
     Raises:
         InputError: the count is in addition to fixed landmarks but there are none, or leaves no landmark to place.

@@ -93,8 +93,8 @@ def recompose(config_name: str, overrides: Sequence[str], setting: str, entry: s
 
 
 def meant(key: str) -> str:
-    """Question that suggests the known key most similar to an unknown key; empty for a known key, or without a similar
-    one.
+    """Question that suggests the known key most similar to an unknown key; empty for a known key, or if no known key is
+    similar.
 
     Args:
         key: key with its groups, such as `room.keepout`.

@@ -96,7 +96,7 @@ def detected_in(
         workers: number of processes, None for every processor; the result does not depend on the number.
 
     Raises:
-        InputError: an image cannot be read, or none shows a tag.
+        InputError: an image cannot be read, or no image shows a tag.
     """
     import numpy as np
 

@@ -16,6 +16,7 @@ from hydra._internal.hydra import Hydra
 from omegaconf import DictConfig
 
 from .app import CONF, GARBAGE, PACKAGE, command_of, ends_reported
+from .frozen import read_frozen_problem
 from .hyperparameters import HELP
 from .operations.signals import Stopped, stop
 from .operations.sweeps import search  # noqa: F401 # from here on Hydra knows this sweeper
@@ -48,7 +49,7 @@ def with_file(arguments: list[str], pipeline: str) -> list[str]:
 
 
 def _refuse_run(pipeline: str) -> None:
-    """Exit if a command without `run=DIR` gets it."""
+    """Exit if `run=DIR` is given to a command that does not accept it."""
     if pipeline in INSTEAD and any(argument.startswith("run=") for argument in sys.argv[1:]):
         sys.exit(f"error: run is no key of {pipeline}: {INSTEAD[pipeline]}.")
 
@@ -133,6 +134,7 @@ class Pipeline:
     def __call__(self) -> None:
         """Run the command line of this process."""
         sys.argv[1:] = with_file(sys.argv[1:], self.name)
+        read_frozen_problem(self.name)
         for change in self.prepare:
             change()
         gc.set_threshold(GARBAGE)

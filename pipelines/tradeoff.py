@@ -1,6 +1,7 @@
 """Trade number and size of landmarks: `python -m pipelines.tradeoff counts=[20,40,60] edges=[0.1,0.15] [overrides]`.
 
-Or paper or money against the result: `python -m pipelines.tradeoff tag.edges=[0.06,0.1] papers=[0.2,0.4] [overrides]`.
+With a limit on paper or cost in place of counts: `python -m pipelines.tradeoff tag.edges=[0.06,0.1] papers=[0.2,0.4]
+[overrides]`.
 
 This is one run and not a sweep because the search at each point also starts from the results of its neighbours.
 Searches run in parallel, and their results are stored on disk.

@@ -104,7 +104,7 @@ def _in_order(results: Iterable[tuple[int, Result]]) -> Generator[Result, None, 
 
 @contextmanager
 def _pool(workers: int) -> Iterator[ProcessPoolExecutor]:
-    """Context with worker processes, which end at its end."""
+    """Context with worker processes, which end with the context."""
     from lmd.core.checks import InputError
 
     ready_server()

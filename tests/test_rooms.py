@@ -26,7 +26,7 @@ FLOORS = (
         "problem",
         "cameras",
     ),
-    *("optimisers", "detection", "estimation", "export", "survey", "evaluation", "run", "plot", "planner"),
+    *("optimisers", "detection", "estimation", "export", "survey", "evaluation", "run", "suite", "plot", "planner"),
 )
 MODULES = {
     ".".join(("lmd", *path.relative_to(ROOT).with_suffix("").parts)).removesuffix(".__init__"): path

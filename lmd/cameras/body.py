@@ -148,6 +148,6 @@ class Body:
         low, high = self.corners
         with np.errstate(divide="ignore", invalid="ignore"):
             ends = np.stack([(low - centre) / rays[:, None], (high - centre) / rays[:, None]])
-        # A ray within the plane of a face (0 / 0) does not hit it.
+        # A ray within the plane of a face (0 / 0) does not hit the face.
         enters, leaves = (np.nan_to_num(of, nan=0.0) for of in (ends.min(axis=0), ends.max(axis=0)))
         return np.asarray(((leaves.min(axis=-1) > enters.max(axis=-1)) & (leaves.min(axis=-1) > 0.0)).any(axis=1))

@@ -30,7 +30,7 @@ QUARTER_TURN = math.pi / 2.0
 class MountSpace:
     """Search space: mounts of `count` cameras on the faces of a body, with limits on their angles.
 
-    A camera that would see too much of the body is turned towards the normal of its face until it sees little enough.
+    A camera that would see too much of the body (`Body.own_share`) is turned towards the normal of its face in steps.
 
     Args:
         body: body that carries the cameras.
@@ -77,7 +77,7 @@ class MountSpace:
         return ("along", "up", *turns, *(("lens",) if len(self.lenses) > 1 else ()))
 
     def mount(self, genes: FloatArray) -> Mount | None:
-        """Decode the genes `(G,)` in [0, 1] of a camera; None if it sees too much of the body at any angle."""
+        """Decode the genes `(G,)` in [0, 1] of a camera; None if the camera sees too much of the body at any angle."""
         s, of = self._surfaces, dict(zip(self.names, genes.tolist(), strict=True))
         edges = np.append(0.0, s.shares)
         piece = int(np.clip(np.searchsorted(edges, of["along"], side="right") - 1, 0, len(s.shares) - 1))
@@ -104,7 +104,9 @@ class MountSpace:
         return None
 
     def mounts(self, genes: FloatArray) -> tuple[Mount, ...] | None:
-        """Decode the genes `(count, G)` of all cameras; None if one is not admissible, or two are too close."""
+        """Decode the genes `(count, G)` of all cameras; None if a camera is not admissible, or two cameras are too
+        close.
+        """
         found = [self.mount(row) for row in genes]
         mounts = tuple(mount for mount in found if mount is not None)
         return mounts if len(mounts) == len(found) and self.are_apart(mounts) else None

@@ -14,7 +14,7 @@ from lmd.scene.rig import Mount, Rig
 from lmd.sight.evaluator import Evaluator
 from lmd.sight.views import visible
 
-MOST_BYTES = 1 << 28  # greatest memory of cached views, bytes; beyond it the least recently used views are dropped
+MOST_BYTES = 1 << 28  # greatest memory of cached views, bytes; above it, the least recently used views are dropped
 PARTS_PER_THREAD = 4  # number of chunks per thread
 
 

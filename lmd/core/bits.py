@@ -85,7 +85,7 @@ def at_least_so_far(reached: np.uint64, digit: np.uint64, n: Integer, j: Integer
 
 @inlined
 def add_set(digits: WordArray, axes: np.uint64, decrement: np.uint64) -> None:
-    """Add 1 to the counts at `axes`, or subtract 1 at those in `decrement`; `digits` `(J,)`, lowest first."""
+    """Add 1 to the counts at `axes`, or subtract 1 at the axes in `decrement`; `digits` `(J,)`, lowest first."""
     for j in range(np.uint64(len(digits))):
         digits[j], axes = add_digit(digits[j], axes, decrement)
 

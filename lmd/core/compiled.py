@@ -22,7 +22,7 @@ PYTHON: bool = bool(numba.config.DISABLE_JIT)  # type: ignore[attr-defined] # nu
 
 
 def _inside() -> Any:
-    """Module `lmd.core.inside_numba`; None with plain Python, or if it does not fit this version of numba."""
+    """Module `lmd.core.inside_numba`; None with plain Python, or if the module does not fit this version of numba."""
     if PYTHON:
         return None
     try:
@@ -39,7 +39,8 @@ LINKED = _numba is not None and numba.__version__.rpartition(".")[0] in KNOWN an
 # Division by zero gives infinity or NaN, as in NumPy. No wrapper for calls from C: it would take a twelfth of the
 # compilation time.
 _OPTIONS: Any = {"nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True}
-# Options of inner functions. `forceinline` is set in any case: unset, a function inherits it from its first caller.
+# Options of inner functions. `forceinline` is always set, as a function without the option inherits it from its first
+# caller.
 _CALLED: Any = _OPTIONS | {"no_cpython_wrapper": True, "forceinline": False}
 # No reference counts for arguments: the caller holds the arrays. Atomic counting would take a seventh of the time of
 # a move, and more if two threads count one array.
@@ -77,7 +78,7 @@ def kernel(function: F) -> F:
 
 
 def borrowing(function: F) -> F:
-    """Make a kernel that allocates and returns no arrays; it does not count references to its arguments."""
+    """Make a kernel that allocates and returns no arrays; references to its arguments are not counted."""
     return _made_kernel(function, _OPTIONS | _UNCOUNTED)
 
 

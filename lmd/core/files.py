@@ -18,7 +18,7 @@ import yaml
 from lmd.core.checks import InputError, file_path
 from lmd.core.memory import check_memory
 
-# Greatest memory during parsing per byte of a file, bytes; a table of short texts needs it.
+# Greatest memory during parsing per byte of a file, bytes; needed for tables of short texts.
 MEMORY_PER_BYTE = 20.0
 # Greatest size of a YAML file, bytes; larger files are refused, as half a megabyte takes seconds to parse.
 LARGEST_YAML = 1 << 19

@@ -28,7 +28,7 @@ def check_memory(needed: float, what: str, argument: str | None = None) -> None:
 
     Args:
         needed: needed memory, bytes.
-        what: subject of the message; it begins with `argument` if that is given.
+        what: subject of the message, which begins with `argument` if `argument` is given.
         argument: name of the argument that is the cause.
     """
     if needed <= LITTLE:

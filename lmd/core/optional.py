@@ -52,6 +52,6 @@ def missing_of(error: BaseException | None) -> InputError | None:
 
 
 def _short(path: str | Path) -> str:
-    """A path relative to the working directory, if it is below it."""
+    """Path relative to the working directory; a path outside that directory is unchanged."""
     relative = os.path.relpath(path)
     return str(path) if relative.startswith("..") else relative

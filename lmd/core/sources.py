@@ -29,9 +29,9 @@ def package_digest() -> str:
 
 
 def digest_of(kernel: FunctionType, classes: Iterable[type]) -> str | None:
-    """Digest of the code that a kernel is compiled from; None if a part of it is not in the file of a module.
+    """Digest of the code that a kernel is compiled from; None if a part of this code is in no module's file.
 
-    It covers
+    The digest covers
 
     - the kernel and all functions that it calls, directly or indirectly, as loaded;
     - the files that define these functions and the classes of the arguments;

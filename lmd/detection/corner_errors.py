@@ -16,8 +16,8 @@ NORMAL_QUANTILE_90 = 1.2815515655446004
 class CornerErrors:
     """Log-normal distribution of the root mean square error of a tag's four corners, by pitch.
 
-    Between the given pitches, log quantiles are interpolated linearly in the log pitch; beyond them they are constant.
-    The direction of the error vector in its eight dimensions is uniform.
+    Between the given pitches, log quantiles are interpolated linearly in the log pitch; beyond the given pitches,
+    quantiles are constant. The direction of the error vector in its eight dimensions is uniform.
 
     Raises:
         InputError: the numbers of values and of pitches differ, or the spread is negative.

@@ -53,7 +53,7 @@ def match(
 ) -> Matches:
     """Assign the detections of one frame to tags by id and corners.
 
-    Of several detections of one tag, the detection nearest to it is assigned; the others are false.
+    Of several detections of one tag, the detection nearest to the tag is assigned; the others are false.
 
     Args:
         detections: detections of the frame.

@@ -100,7 +100,7 @@ def rendered_frame(renderer: Renderer, pose: FloatArray, number: int, seed: int)
 def detect_in_frames(
     renderer: Renderer, detectors: Mapping[str, Detector], poses: FloatArray, first: int, seed: int
 ) -> dict[str, Matches]:
-    """Render frames and run every detector on each.
+    """Render frames and run every detector on each frame.
 
     Args:
         renderer: camera in the room.

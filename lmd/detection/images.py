@@ -25,7 +25,7 @@ UNREAD = (".heic", ".heif", ".avif", ".dng", ".raw", ".cr2", ".cr3", ".nef", ".a
 LEAST_PITCH, WIDEST_EDGE = 3.0, 12.0
 # Number of samples along an edge and across it.
 SAMPLES, STEPS = 12, 65
-# Range along an edge that is sampled, as a share of its length; it excludes the blurred corners.
+# Range along an edge that is sampled, as a share of the edge's length; the blurred corners are excluded.
 EDGE_PART = (0.2, 0.8)
 # Two grey levels, as shares of the step from black to white: on a blurred edge they are two standard deviations apart.
 LOW, HIGH = 0.16, 0.84

@@ -58,7 +58,9 @@ def apparent_edge(
     tag: Tag,
     edges: FloatArray | None = None,
 ) -> FloatArray:
-    """Edge of the square of equal area in the image, sqrt(|det J|) times the edge, pixels; arguments as for `pitch`."""
+    """Edge of a square with the area of the tag's image, sqrt(|det J|) times the edge, pixels; arguments as for
+    `pitch`.
+    """
     _, determinant = _stretch(camera, pose, centres, normals)
     return np.asarray(np.sqrt(determinant) * (tag.size if edges is None else edges))
 

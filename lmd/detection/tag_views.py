@@ -49,7 +49,7 @@ class TagViews:
     incidence: FloatArray
     """Angle between the normal of the tag and the direction to the camera, rad, `(M,)`."""
     edge: FloatArray
-    """Edge of the square of equal area in the image, pixels, `(M,)`."""
+    """Edge of a square with the area of the tag's image, pixels, `(M,)`."""
     sigma: FloatArray
     """Standard deviation of the total blur, pixels, `(M,)`."""
     seen: BoolArray

@@ -53,7 +53,7 @@ class Observer:
         check_fields(self, real, "length", above=0.0)
 
     def landmark_gain(self, landmarks: FloatArray, measured: FloatArray, seen: BoolArray) -> FloatArray:
-        """Gain k_i of all landmarks of a frame, `(...)`; 0 if none is in view.
+        """Gain k_i, equal for all landmarks of a frame, `(...)`; 0 if no landmark is in view.
 
         Args:
             landmarks: C_i, world frame, metres, `(..., K, 3)`.

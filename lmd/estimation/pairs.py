@@ -11,7 +11,7 @@ PAIRED_FIGURE = "within_20mm"
 
 
 def paired(figures: pd.DataFrame) -> pd.DataFrame:
-    """Compare every further deployment with the first one.
+    """Compare every further deployment with the first deployment.
 
     Args:
         figures: `FlightStudy.figures`, one row for each deployment, estimator and seed.

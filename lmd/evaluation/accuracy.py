@@ -1,8 +1,8 @@
 """Predicted accuracy of the position from one image, for every view of a deployment and any objective.
 
-The prediction is the standard deviation of the position by `lmd.objectives.localisation`. It is infinite for views that
-cover fewer than n landmarks, or a single tag whose two poses look alike. All figures are off the grid: positions are
-random, and orientations come from the PDF's continuous distribution.
+The prediction is the standard deviation of the position by `lmd.objectives.localisation`. The prediction is infinite
+for views that cover fewer than n landmarks, or a single tag whose two poses look alike. All figures are off the grid:
+positions are random, and orientations come from the PDF's continuous distribution.
 """
 
 from dataclasses import replace

@@ -123,8 +123,8 @@ def fewest_landmarks(problem: Problem, target: float, search: Search) -> int:
     landmarks.
 
     A dual bounds the fitness by a line in K. The search starts with too few landmarks, and raises the number to the
-    point where the line reaches the target; by concavity this number is a lower bound, too. It ends when the bound
-    reaches the target.
+    point where the line reaches the target; by concavity this number is a lower bound, too. The search ends when the
+    bound reaches the target.
 
     Raises:
         InputError: `MOST_LANDMARKS` landmarks do not reach the target, or tags have several sizes.

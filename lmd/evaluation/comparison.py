@@ -16,6 +16,7 @@ from lmd.core.checks import FloatArray
 from lmd.core.words import as_code
 from lmd.optimisers.ledger import Record
 from lmd.scene.deployment import Deployment
+from lmd.scene.rig import Rig
 
 TABLE_TARGETS = (0.25, 0.5, 0.75)  # quantiles of the final fitness of all runs
 CURVE_TARGETS = 50  # number of targets of a curve
@@ -32,6 +33,10 @@ class OptimiserRun:
     metrics: Mapping[str, float]
     history: Sequence[Record]
     deployment: Deployment
+    rig: Rig | None = None
+    """Cameras of a run that placed them."""
+    problem: str = ""
+    """Problem of the suite, if the run was on one."""
 
     def evaluations_to(self, fitness: float) -> float:
         """Evaluations after which the best fitness reached `fitness`; infinity if the run did not reach it."""
@@ -134,8 +139,8 @@ def _all_against_all(complete: pd.DataFrame, reference: str) -> tuple[pd.DataFra
 
 
 def expected_running_time(runs: Sequence[OptimiserRun], fitness: float) -> float:
-    """Expected running time (ERT of COCO): total evaluations of all runs until they reach `fitness` or end, per
-    success.
+    """Expected running time (ERT of COCO): evaluations of all runs, each until it reaches `fitness` or ends, over the
+    number of runs that reach `fitness`.
     """
     spent = [min(run.evaluations_to(fitness), run.history[-1].evaluations) for run in runs]
     reached = sum(np.isfinite(run.evaluations_to(fitness)) for run in runs)

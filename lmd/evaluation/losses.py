@@ -69,7 +69,7 @@ class Losses:
 
 
 def losses(problem: Problem, deployment: Deployment) -> Losses:
-    """Measure the fitness without each landmark, and without any two.
+    """Measure the fitness without each landmark, and without each pair of landmarks.
 
     Args:
         problem: problem whose objective has a field.

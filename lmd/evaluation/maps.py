@@ -87,9 +87,7 @@ def map_errors(
 
 
 def named_figures(*tables: "pd.DataFrame") -> dict[str, float]:
-    """Finite values of tables by `<row>/<column>` without ` %`, such as `fitness/5` for row `fitness` and column `5
-    %`.
-    """
+    """Finite values of tables by name, such as `fitness/5` for the row `fitness` and the column `5 %`."""
     return {
         f"{row}/{column}".replace(" %", ""): float(value)
         for table in tables

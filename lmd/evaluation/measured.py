@@ -27,7 +27,7 @@ def read_measured(
 ) -> Deployment:
     """Read the measured places of the tags of a plan, in its order and with its labels.
 
-    Measured places are not corrected: tags need not be flush, and papers may seem to overlap. They may be anywhere if
+    Measured places are not corrected: tags need not be flush, and papers may seem to overlap. Tags may be anywhere if
     the plan is free (`FileDeployment.free`).
 
     Args:

@@ -151,7 +151,7 @@ class Mounted:
 
 
 def mounted(problem: Problem, plan: Deployment, error: MountingError, seed: int, sample: Sample = SAMPLE) -> Mounted:
-    """Score a plan as it may be mounted. Results do not depend on the number of threads.
+    """Score a plan with random mounting errors. Results do not depend on the number of threads.
 
     Args:
         problem: problem with the scene and the objective.
@@ -183,9 +183,7 @@ def mounted(problem: Problem, plan: Deployment, error: MountingError, seed: int,
 
 
 def off_grid_figures(problem: Problem, deployments: list[Deployment], seed: int, sample: Sample) -> "pd.DataFrame":
-    """Shares of the objective at random positions, equal for all deployments; a row for each deployment of K
-    landmarks.
-    """
+    """Shares of the objective at one sample of random positions, a row for each deployment of K landmarks."""
     import pandas as pd
 
     positions, normals = (np.stack([getattr(d, name) for d in deployments]) for name in ("positions", "normals"))

@@ -63,7 +63,8 @@ class RigMoments:
     def missed(self, probabilities: Sequence[float], rng: np.random.Generator) -> FloatArray:
         """Means of L and P_n if an image misses each landmark that it shows with one of M probabilities, `(M, 2)`.
 
-        All probabilities share the draw, so that a landmark missed at one probability is missed at all greater ones.
+        All probabilities share the draw, so that a landmark missed at one probability is missed at all greater
+        probabilities.
         """
         seen = self.moments.seen
         draw = rng.random(seen.shape, dtype=np.float32)

@@ -54,7 +54,7 @@ class SelectionBound:
 def selection_upper_bound(
     problem: Problem, count: int, spacing: float, limit: TimeLimit | None = None
 ) -> SelectionBound:
-    """Bound the selection of `count` landmarks, fixed ones among them, from a grid of poses `spacing` metres apart.
+    """Bound the selection of `count` landmarks, fixed landmarks included, from a grid of poses `spacing` metres apart.
 
     The bound counts the views that the problem's fitness counts. The greedy choice keeps footprints apart; the bound
     also holds for overlapping footprints. The result does not depend on the number of threads.

@@ -73,7 +73,7 @@ class Sensitivity:
     tags: pd.DataFrame
     """Columns `id,localised_loss,covered_loss`: losses of the shares without each landmark."""
     lost: pd.DataFrame
-    """Columns `lost,share,mean,worst,worst_ids`: losses of the shares without one landmark, or any two."""
+    """Columns `lost,share,mean,worst,worst_ids`: losses of the shares without one landmark, or without a pair."""
     cameras: pd.DataFrame | None = None
     """Columns `camera,localised_share,covered_share,localised_loss,covered_loss` without each camera of a rig."""
 
@@ -223,8 +223,8 @@ def missed_shares(field: LocalisationField, deployment: Deployment, rng: np.rand
     """Means of L and P_n if each covered landmark is missed with one of the probabilities `MISS_PROBABILITIES`.
 
     L is estimated by one draw for every landmark in every view. All probabilities share the draw, so that a landmark
-    missed at one probability is missed at all greater ones. The mean of P_n is exact, as the number of detected
-    landmarks is binomial. Missed landmarks still hide others.
+    missed at one probability is missed at all greater probabilities. The mean of P_n is exact, as the number of
+    detected landmarks is binomial. Missed landmarks still hide others.
 
     Args:
         field: field with positions and orientations.

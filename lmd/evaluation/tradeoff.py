@@ -139,7 +139,7 @@ def front(points: pd.DataFrame, figures: list[str], axis: Axis = COUNTS) -> pd.D
     """Medians of `figures` over the seeds, and the least and greatest value of the first figure.
 
     Args:
-        points: a row for each curve, point along it, and `seed`.
+        points: a row for each curve, point along the curve, and `seed`.
         figures: columns of `points`.
         axis: names the columns of the curve and of the point.
 
@@ -179,8 +179,8 @@ def fewest(points: pd.DataFrame, figure: str, wanted: float, axis: Axis = COUNTS
 
     Returns:
         table indexed by the curve. Column `axis.along`: least number at which the median over the seeds reaches
-            `wanted`; `least` and `greatest`: extremes over the seeds of each seed's least number. Infinite if no number
-            reaches `wanted`.
+        `wanted`; `least` and `greatest`: extremes over the seeds of each seed's least number. Infinite if no number
+        reaches `wanted`.
     """
     rows = {}
     for curve, same in points.groupby(axis.curve):
@@ -193,13 +193,14 @@ def fewest(points: pd.DataFrame, figure: str, wanted: float, axis: Axis = COUNTS
 
 
 def between(points: pd.DataFrame, figure: str, wanted: float, axis: Axis = COUNTS) -> list[tuple[Any, float]]:
-    """Number of landmarks for each curve, if any, that halves the gap below the least number that reaches `wanted`.
+    """Number of landmarks for each curve that halves the gap between the least number that reaches `wanted` and the
+    next smaller number; curves without a gap are left out.
 
     Args:
         points, figure, wanted, axis: as for `fewest`.
 
     Returns:
-        pairs of the curve and the number, which is a whole number of steps above the number below the gap.
+        pairs of the curve and the number; numbers lie a whole number of steps above the lower end of the gap.
     """
     halves = []
     for curve, row in fewest(points, figure, wanted, axis).iterrows():

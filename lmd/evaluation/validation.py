@@ -3,8 +3,8 @@
 An optimiser raises the values at the positions and orientations of its fitness just above the threshold, so the
 qualified ratio on that grid is biased. Three figures do not depend on the grid:
 
-- the qualified ratio on a finer grid, with half the spacing and half the step of the orientations. It is exact on that
-  grid and has no standard error;
+- the qualified ratio on a finer grid, with half the spacing and half the step of the orientations. This ratio is exact
+  on that grid and has no standard error;
 - the grid-free qualified ratio: at random positions, spread evenly over the reachable box, with orientations drawn from
   the continuous distribution that the PDF represents;
 - the grid-free average coverage probability, over the random poses of the same sample.
@@ -114,7 +114,7 @@ def _mean_and_error(shares: FloatArray | BoolArray) -> tuple[float, float]:
 def headline_off_grid(problem: Problem) -> str:
     """Name of the main figure off the grid: the headline of the objective at random poses.
 
-    With recorded poses the figure is over the held-out time, or over all time if none is held out.
+    With recorded poses the figure is over the held-out time, or over all time if no time is held out.
     """
     recorded = problem.scene.recorded
     if recorded is None:
@@ -159,7 +159,7 @@ def held_out_metrics(problem: Problem, deployment: Deployment, recorded: "Record
     """Shares of recorded time, fractions in [0, 1], in which a view is qualified: n landmarks covered, or localised.
 
     `recorded_share` refers to the time optimised on, `held_out_share` to the time held out, if any. The standard error
-    assumes independent blocks of time, not independent records; it needs two blocks.
+    assumes independent blocks of time, not independent records, and needs two blocks.
 
     Args:
         problem: problem with the scene and the objective.

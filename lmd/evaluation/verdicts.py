@@ -19,7 +19,7 @@ from lmd.sight.obstacles import unobstructed
 
 # Separates the random numbers of the poses from other uses of the seed.
 CAUSES_STREAM = 0x7768790A
-POSITIONS, VIEWS = 256, 16  # number of random positions, and of random orientations at each
+POSITIONS, VIEWS = 256, 16  # number of random positions, and of random orientations at each position
 
 
 class Explained(Protocol):
@@ -129,7 +129,7 @@ def causes(scene: Scene, deployment: Deployment, seed: int) -> Causes | None:
             names, passed = list(found), np.stack(list(found.values()))
             failed = (~passed).sum(axis=0)
             met.append(passed.sum(axis=(1, 2)))
-            without.append((failed == ~passed).sum(axis=(1, 2)))  # sightings that fail no criterion, or only this one
+            without.append((failed == ~passed).sum(axis=(1, 2)))  # sightings that fail at most this criterion
             covered += int((failed == 0).sum())
     sightings = len(positions) * len(deployment) * len(scene.cameras)
 

@@ -20,7 +20,7 @@ NAME_GAP, OUTER_NAME_GAP = 3.0, 6.0  # distance of a name from its wall, inside 
 SHIFTS = np.stack(np.meshgrid(np.arange(0.0, 21.0, 1.5), np.arange(-20.0, 21.0, 2.5)), axis=-1).reshape(-1, 2)
 SHIFTS = SHIFTS[np.argsort(np.abs(SHIFTS).sum(axis=1), kind="stable")]
 TAG = 1.8  # height of the triangle of a tag
-MANY = 1000  # number of edges of a room from which on they are drawn thinner
+MANY = 1000  # number of edges of a room above which edges are drawn thinner
 ARROW = 9.0  # length of the arrow to the north
 BEHIND = np.linspace(0.02, 1.0, 20)  # distances behind a surface at which a test looks for the room, over its size
 

@@ -91,7 +91,7 @@ def write_text(
 
 
 def write_on_white(canvas: Any, x: float, y: float, text: str, *, size: float, turn: float = 0.0) -> None:
-    """Write a line of text centred on (x, y), on white that hides what is below it."""
+    """Write a line of text centred on (x, y), on a white background that hides the drawing below."""
     width = width_of(text, size)
     canvas.saveState()
     canvas.translate(x, y)

@@ -151,7 +151,7 @@ def _draw_free(canvas: Any, size: tuple[float, float], tags: TagMap, places: Int
 
 
 def _named(tags: TagMap, place: int, k: int) -> list[str]:
-    """First texts of the row of tag k, which is hung as number `place`; with its edge if there are several."""
+    """First texts of the row of tag k, which is hung as number `place`; with the tag's edge if edges differ."""
     edge = [f"{MM_PER_M * tags.sizes[k]:.4g}"] if len(tags.by_size) > 1 else []
     return ["", str(place + 1), str(tags.ids[k]), *edge]
 

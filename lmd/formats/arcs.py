@@ -110,8 +110,8 @@ def _off(chain: FloatArray, ends: FloatArray) -> float:
 
 
 def _radians(name: str, value: Any) -> float:
-    """Angle, rad, of a Swift `Measurement<UnitAngle>`: a value with the converter to degrees; without a converter it is
-    in degrees.
+    """Angle, rad, of a Swift `Measurement<UnitAngle>`: a value with the converter to degrees; without a converter the
+    value is in degrees.
     """
     factor = 1.0
     if isinstance(value, Mapping):

@@ -61,7 +61,7 @@ CAMODOCAL_FISHEYE = {"fx": "mu", "fy": "mv", "cx": "u0", "cy": "v0", "k1": "k2",
 CAMODOCAL_UNIFIED = {"fx": "gamma1", "fy": "gamma2", "cx": "u0", "cy": "v0"}
 KALIBR_CAMERA = re.compile(r"cam\d+")
 LONGEST = 64  # greatest length of a list or mapping that is searched for cameras
-LARGEST_LITERAL = 1 << 20  # greatest length of a Python literal, characters; it takes more memory than JSON
+LARGEST_LITERAL = 1 << 20  # greatest length of a Python literal, characters; literals take more memory than JSON
 
 
 def ros_keys(size: Any, matrix: Any, lens: Any, model: str | None = "plumb_bob") -> Keys:

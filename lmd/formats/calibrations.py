@@ -19,7 +19,7 @@ from lmd.geometry.lens import lens_of
 
 SIZE = ("image_width", "image_height")
 UNCLEAR = 4  # number of coefficients that both a pinhole and a fisheye may have
-SHORTEST = 0.05  # least focal length, as a share of the image's size; shorter ones are refused
+SHORTEST = 0.05  # least focal length, as a share of the image's size; shorter lengths are refused
 LARGEST = 1 << 25  # greatest size of a file, bytes: some files hold every detected point, or the images
 OPTICS = ("focal_length", "aperture", "focus_distance", "image_circle")  # settings that are in no calibration file
 

@@ -23,7 +23,7 @@ Thing = tuple[str, list[FloatArray]]  # object of a room: its kind, and its face
 JOINED = 0.15  # largest distance between the ends of walls that meet, metres
 LEAST_SHARE = 0.5  # least share of the extent of all objects that walls must enclose
 HULL = "it has no floor, and its walls do not close: the floor is the convex hull of all that was captured"
-# Objects that lie on a wall and exclude landmarks; they add no triangles to the wall's.
+# Objects that lie on a wall and exclude landmarks; they add no triangles to the wall.
 ON_WALLS = ("door", "door_frame", "window", "window_frame", "opening", "wall_art")
 # Kinds that are no objects, or that repeat other objects.
 LEFT_OUT = ("global_mesh", "invisible_wall_face", "inner_wall_face")
@@ -81,7 +81,7 @@ def captured_by(reader: Callable[[Keys], Iterator[Thing]], keys: Keys) -> Captur
 
 
 def cut(face: FloatArray) -> FloatArray:
-    """Cut a flat polygon `(N, 3)` into triangles `(T, 3, 3)`; none if it crosses itself or has no area."""
+    """Cut a flat polygon `(N, 3)` into triangles `(T, 3, 3)`; none if the polygon crosses itself or has no area."""
     import shapely
 
     _, _, (right, up, _) = np.linalg.svd(face - face.mean(axis=0))
@@ -201,7 +201,7 @@ def _surfaces(keys: Keys, kind: str) -> Iterator[tuple[Keys, FloatArray, FloatAr
 
 
 def floor_below(faces: Sequence[tuple[str, FloatArray]]) -> tuple[FloatArray, bool]:
-    """Outline `(N, 3)` of a floor below faces `(n, 3)`, y up; and True if walls enclose it.
+    """Outline `(N, 3)` of a floor below faces `(n, 3)`, y up; and True if walls enclose the floor.
 
     If walls do not close, the outline is the convex hull of all faces.
 
@@ -235,7 +235,7 @@ def _ends(face: FloatArray) -> FloatArray:
 
 
 def _enclosed(ends: FloatArray) -> "shapely.Polygon | None":
-    """Largest polygon that n walls with `ends` `(2 n, 2)` enclose; None if they enclose none."""
+    """Largest polygon that n walls with `ends` `(2 n, 2)` enclose; None if they enclose no polygon."""
     import shapely
 
     if not len(ends):

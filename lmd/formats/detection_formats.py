@@ -36,7 +36,7 @@ FROM_APRILTAG = [3, 2, 1, 0]
 # A message names missing columns if they are at most `MOST_LACKING`; otherwise it shows `SHOWN` characters of the
 # header.
 MOST_LACKING, SHOWN = 4, 80
-# Least area of a quadrilateral, square pixels; smaller ones are left out.
+# Least area of a quadrilateral, square pixels; smaller quadrilaterals are left out.
 LEAST_AREA = 1.0
 
 
@@ -79,9 +79,9 @@ def read_detections(path: Any) -> DetectedTags:
 
     The column of the time may have the name `stamp` or `image`, and hold any text, such as the name of a photograph.
 
-    Column `camera` or `topic` names the camera; without it there is one camera. Further columns are ignored. If most
-    detections have counter-clockwise corners, these are the AprilTag library's, which begin at the bottom left.
-    Detections with the opposite sense are left out.
+    Column `camera` or `topic` names the camera; without this column there is one camera. Further columns are ignored.
+    If most detections have counter-clockwise corners, the corners are read in the order of the AprilTag library, from
+    the bottom left. Detections with the opposite sense are left out.
 
     Raises:
         InputError: the file cannot be read, lacks a column, or a value is no number.
@@ -116,7 +116,7 @@ def _detections(
     ids: IntArray,
     corners: FloatArray,
 ) -> DetectedTags:
-    """Detections with an area, and with corners from the tag's top left.
+    """Make detections with corners from the tag's top left; quadrilaterals without an area are left out.
 
     Args:
         path, name: path of the file and its argument, for messages.
@@ -163,7 +163,7 @@ def _from_json(read_tags: Callable[[list[Any]], Iterator[SeenTag]]) -> Callable[
 
 
 def _as_first_written(texts: Sequence[str]) -> list[str]:
-    """Texts of times, where equal numbers get the text of the first of them: 9.5 and 9.50 are one time."""
+    """Texts of times, where equal numbers get the first of their texts: 9.5 and 9.50 are one time."""
     written: dict[Decimal | str, str] = {}
     return [written.setdefault(time_of(text), text) for text in texts]
 

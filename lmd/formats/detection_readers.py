@@ -2,9 +2,9 @@
 
 PhotonVision's corners are counter-clockwise from the tag's bottom left. The pixels of its AprilTag pipeline count from
 the border of the image, as in AprilTag 3. (The pixels of its ArUco pipeline count from the centre of the first pixel,
-but files do not name the pipeline.) Limelight documents neither order nor origin; its corners are assumed to be
-AprilTag 3's. Visual Marker Mapping writes corners counter-clockwise from the bottom left, from the centre of the first
-pixel where `cv2.cornerSubPix` has refined them.
+but files do not name the pipeline.) Limelight documents neither order nor origin; its corners are assumed to have the
+order and the origin of AprilTag 3. Visual Marker Mapping writes corners counter-clockwise from the bottom left, from
+the centre of the first pixel where `cv2.cornerSubPix` has refined them.
 
 Sources: `PhotonPipelineResult`, `PhotonTrackedTarget`, `TrackedTarget` and `PhotonArucoDetector`
 (PhotonVision/photonvision); "JSON Results Specification" of Limelight; `DetectionIO.cpp` and `TagDetector_Umich.cpp`
@@ -30,7 +30,7 @@ class SeenTag(NamedTuple):
     """Detection of a tag."""
 
     camera: str
-    """Name of the camera; empty if there is one."""
+    """Name of the camera; empty for a single camera."""
     time: str
     """Time of the frame, seconds, or the name of the frame."""
     number: int

@@ -57,7 +57,7 @@ class DetectedTags:
 
     @property
     def images(self) -> BoolArray:
-        """`taken`, `(F, C)`; all True if it is None."""
+        """`taken`, `(F, C)`; all True if `taken` is None."""
         return np.ones((len(self.times), len(self.cameras)), dtype=bool) if self.taken is None else self.taken
 
     @classmethod
@@ -111,7 +111,7 @@ class DetectedTags:
         return replace(self, corners=np.take_along_axis(self.corners, order[..., None], axis=1))
 
     def without(self, blurs: Mapping[str, float]) -> "DetectedTags":
-        """Detections without those in blurred frames; `blurs` has the blur of these frames by name.
+        """Detections in frames that are not blurred; `blurs` has the blur of the blurred frames by name.
 
         Raises:
             InputError: no detection is left.

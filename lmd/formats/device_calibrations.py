@@ -39,8 +39,8 @@ from lmd.geometry.se3 import inverse, pose_of
 # OAK: lens models by number, and units of a translation per metre.
 OAK_MODELS = {0: "Perspective", 1: "Fisheye", 2: "Equirectangular", 3: "RadialDivision"}
 CENTIMETRES = 100.0
-# Azure Kinect: for each mode the size of the binned sensor, the first pixel of the image on it, and the image size,
-# pixels.
+# Azure Kinect: for each mode the size of the binned sensor, the first pixel of the image on the sensor, and the image
+# size, pixels.
 DEPTH_MODES = (
     ((512, 96, 90), (320, 288)),
     ((1024, 192, 180), (640, 576)),
@@ -51,7 +51,7 @@ COLOR_SIZES = ((1280, 720), (1920, 1080), (2560, 1440), (2048, 1536), (3840, 216
 KINECT_MODELS = {"CALIBRATION_LensDistortionModelBrownConrady": 2.0, "CALIBRATION_LensDistortionModelRational6KT": 1.0}
 KINECT_CAMERAS = {"CALIBRATION_CameraLocationD0": "depth", "CALIBRATION_CameraLocationPV0": "color"}
 POLE_STEPS = 1000  # number of steps in the squared tangent of the angle from the axis, in the search for a pole
-LEAST_RADIUS, USUAL_RADIUS = 1e-4, 1.7  # a smaller MetricRadius means unknown; the usual one is then assumed
+LEAST_RADIUS, USUAL_RADIUS = 1e-4, 1.7  # a smaller MetricRadius means unknown; the usual radius is then assumed
 
 
 def ftc(root: Element) -> dict[str, Keys]:
@@ -128,8 +128,8 @@ def _socket(number: int) -> str:
 
 
 def _oak_pose(infos: Mapping[int, Any], socket: int) -> tuple[str, FloatArray]:
-    """Frame of reference, and pose `(4, 4)` of the camera in it, from extrinsics that map points to the next camera, in
-    cm.
+    """Frame of reference, and pose `(4, 4)` of the camera in this frame, from extrinsics that map points to the next
+    camera, in cm.
     """
     pose = np.eye(4)
     for _ in infos:
@@ -148,7 +148,7 @@ def azure_kinect(keys: Keys) -> Cameras:
     """Cameras of an Azure Kinect in each of their modes, such as `color/1280x720`; poses are in the frame of the depth
     camera.
 
-    `MetricRadius` becomes the image circle, as pixels beyond it have no image.
+    `MetricRadius` becomes the image circle, as pixels beyond the circle have no image.
     """
     cameras: Cameras = {}
     for camera in entries(section(keys, "CalibrationInformation"), "Cameras"):

@@ -32,7 +32,7 @@ MOST_SEGMENTS = 50_000
 
 
 def read_drawing(file: File) -> ReadPlan:
-    """Read the room in a drawing, in its frame.
+    """Read the room in a drawing; the result is in the frame of the drawing.
 
     Args:
         file: drawing; `asked` has `layers`, `unit`, `gap`, `tolerance` and `start` of `read_plan_room`.

@@ -82,7 +82,7 @@ def gazebo(root: Element, path: Any, axes: Sequence[str] | None) -> Found:
 
 
 def _named(seen: Seen) -> tuple[str | None, int] | None:
-    """Family and number of the tag that a visual shows; None if it shows no tag."""
+    """Family and number of the tag that a visual shows; None if the visual shows no tag."""
     if seen.element is None:  # the file of the model was not found
         return _first(seen.names)
     pictures = [text for text in _texts(seen.element, "material") if not text.startswith(PLAIN)]
@@ -124,7 +124,7 @@ def _family_and_rest(text: str) -> tuple[str | None, str]:
 
 
 def _numbers(element: Element | None, path: str) -> FloatArray | None:
-    """Positive sizes of an element; None if it has none."""
+    """Positive sizes of an element; None for an element without sizes."""
     text = None if element is None else element.findtext(path)
     try:
         values = np.array([float(word) for word in (text or "").split()])

@@ -2,7 +2,8 @@
 
 A pose is `x y z roll pitch yaw`, metres and radians, in the frame of the enclosing element, or of the frame that
 `relative_to` names. An included model is read from the folder with its name beside the world, in `models` beside the
-world, or in `models` one folder above. If Gazebo saved a `state` with a world, its poses of models replace the others.
+world, or in `models` one folder above. If Gazebo saved a `state` with a world, the poses of models in `state` replace
+their other poses.
 
 Sources: the SDF specification (sdformat.org), "Pose Frame Semantics"; `World::LoadModels` of Gazebo classic.
 """
@@ -174,7 +175,7 @@ def _name(element: Element) -> str:
 
 
 def _included(folder: Path, uri: str) -> Element | None:
-    """Model of a URI beside a world; None if it is not found."""
+    """Model of a URI beside a world; None if the model is not found."""
     name = uri.removeprefix("model://").removeprefix("file://").strip("/")
     name = name.removesuffix(f"/{MODEL_FILE}")
     if not name or ".." in Path(name).parts or Path(name).is_absolute():

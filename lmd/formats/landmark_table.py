@@ -42,7 +42,7 @@ OUR_UNITS = ("m", "metre", "metres", "meter", "meters", "rad", "radian", "radian
 
 
 def name_of(column: str) -> str:
-    """Standard name of a column of the table, or the column's own name if it has none.
+    """Standard name of a column of the table, or the column's own name if the column is unknown.
 
     Raises:
         InputError: the column has another unit.

@@ -1,7 +1,7 @@
 """Hand-written lists of tags in YAML or JSON: a list `landmarks`, `markers` or `tags`, or a mapping by number.
 
 A tag has an id, a position and an orientation, under one of the names in this module. The list does not define the axes
-of a tag's frame, so the user may. The four values of a quaternion must be named, so that w is known.
+of a tag's frame; the user may define them. The four values of a quaternion must be named, so that w is known.
 """
 
 from collections.abc import Iterable

@@ -38,7 +38,7 @@ class MatFile:
         self.left, self.numbers, self.depth = largest, numbers, depth
 
     def keys(self) -> dict[str, Any]:
-        """Variables by name, without skipped ones.
+        """Variables by name, without skipped variables.
 
         Raises:
             ValueError, struct.error, zlib.error: the file is damaged, or its expanded size is too large.

@@ -134,7 +134,7 @@ def _negate(value: Any) -> bool:
 
 def _beside(file: Path, image: Any) -> Path:
     """Path of a picture, relative to the YAML file. If an absolute path does not exist, the picture is searched beside
-    that file.
+    the YAML file.
     """
     if not isinstance(image, str) or not image.strip():
         raise InputError(f"image must be the path of the picture, got {image!r}.")

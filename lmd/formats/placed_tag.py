@@ -16,7 +16,7 @@ from lmd.scene.families import FAMILIES
 
 Keys = Mapping[str, Any]
 MM, METRE = 1e-3, 1.0  # units, metres
-SMALLEST_EDGE, LARGEST_EDGE = 0.005, 2.0  # plausible edges of a tag of a map, metres; others are refused
+SMALLEST_EDGE, LARGEST_EDGE = 0.005, 2.0  # plausible edges of a tag of a map, metres; other edges are refused
 SQUARE_TOLERANCE = 0.05  # tolerance of the sides of a measured square, relative to the longest side
 LAST_ROW = (0.0, 0.0, 0.0, 1.0)  # last row of a transform
 LAST_ROW_TOLERANCE = 1e-6
@@ -60,7 +60,8 @@ class Found(NamedTuple):
         table: table of tags, instead of `tags`; see `lmd.formats.landmark_table`.
         by_opencv: True if the programs that read such files detect tags with OpenCV.
         note: assumption about the file, a sentence; empty without an assumption.
-        any_frame: True if the file does not define the axes of a tag's frame, so that the user may, see `axes_of`.
+        any_frame: True if the file does not define the axes of a tag's frame; the user may then define them, see
+            `axes_of`.
     """
 
     tags: Sequence[PlacedTag]
@@ -217,7 +218,7 @@ def orthonormal(matrix: FloatArray) -> FloatArray:
 
 
 def one_family(named: Iterable[str | None]) -> str | None:
-    """Family of the tags of a map, each of which may name a family; None if no tag does.
+    """Family of the tags of a map, each of which may name a family; None if no tag names a family.
 
     Raises:
         InputError: the tags have several families.

@@ -87,14 +87,15 @@ def read_plan_room(
     Args:
         path: file of one of the formats of this module; None for a plan from the other arguments.
         outline, holes: see `FloorPlan`; with a `path`, None or the values of `EXAMPLE`.
-        keep_out: see `FloorPlan`; with a `path`, in addition to the keep-outs of the file, while those of `EXAMPLE` are
-            ignored.
+        keep_out: see `FloorPlan`; with a `path`, in addition to the keep-outs of the file, while the keep-outs of
+            `EXAMPLE` are ignored.
         surfaces: see `FloorPlan`; with a `path`, None for all walls with a free stretch of `least_width`.
         height, margin, plan: see `FloorPlan`.
         reachable, spacing, positions, relevance: see `Prism`.
         start: point (x, y) of the file's frame in the room, metres; None for the largest region.
         tolerance: greatest distance of a wall from the contour in the file, metres.
-        speck: groups of cells of an occupancy grid that are not free count as free if both sides are shorter, metres.
+        speck: a group of cells of an occupancy grid that are not free counts as free if both its sides are shorter than
+            this, metres.
         passage: least width of the parts of an occupancy grid's free region, metres; narrower parts are left out.
         layers: names of the layers of a drawing with walls; None for the layers whose names mean walls.
         unit: unit of a drawing, one of `lmd.formats.dxf.UNITS`; None for the unit that the drawing names.

@@ -63,7 +63,7 @@ def read_graph(path: Any, text: str) -> Found:
 
 
 def _leading(vertices: list[int]) -> set[int]:
-    """Vertices before the least number, if each number exceeds the least number and all numbers after that."""
+    """Vertices before the least number, if each number exceeds the least number and all numbers that follow its own."""
     poses = vertices[vertices.index(min(vertices)) :] if vertices else []
     leading = vertices[: len(vertices) - len(poses)]
     return set(leading) if leading and min(leading) > max(poses) else set()

@@ -5,7 +5,8 @@ printed rotation is row by row.
 
 Sources: `rs-enumerate-devices.cpp`, `rs_types.h`, `rs.cpp` and `doc` of IntelRealSense/librealsense. The model "inverse
 Brown Conrady" has two meanings in librealsense: by `rs_types.h` the polynomial undistorts an image, while
-`rs2_project_point_to_pixel` distorts by the polynomial (issues 6382, 7335, 7734 and pull request 13833 leave it open).
+`rs2_project_point_to_pixel` distorts by the polynomial (issues 6382, 7335, 7734 and pull request 13833 leave the
+question open).
 """
 
 import itertools

@@ -153,7 +153,7 @@ class Format:
     Several kinds of file have a line each; empty for a format that shares the row of another format.
     """
     writer: Writer | None = None
-    """Output of the format; None if it is only read."""
+    """Output of the format; None if the format is only read."""
 
     def __post_init__(self) -> None:
         if self.family not in FAMILIES:
@@ -166,7 +166,9 @@ def has_keys(*names: str) -> Callable[[File], bool]:
 
 
 def begins(mark: str) -> Callable[[File], bool]:
-    """Make a test for files whose first characters match a regular expression, in which `^` is the begin of a line."""
+    """Make a test for files whose first characters match a regular expression, in which `^` matches at the beginning of
+    each line.
+    """
     return lambda file: re.search(mark, file.text[:HEAD], re.MULTILINE) is not None
 
 

@@ -92,7 +92,7 @@ def _named(bundles: Keys) -> Iterable[tuple[str, list[Keys]]]:
 
 
 def bundle_note(path: Any, keys: Keys) -> str:
-    """Note on the assumed order of the values of a `transform`; empty without one."""
+    """Note on the assumed order of the values of a `transform`; empty without a `transform`."""
     bundles = keys.get("tag_bundles")
     if not isinstance(bundles, dict) or f"'{TRANSFORM}'" not in str(bundles):
         return ""

@@ -65,7 +65,7 @@ class TagMap:
 
     @cached_property
     def fixtures(self) -> tuple[Fixture, ...]:
-        """Fixtures of the room: doors, windows, furniture and others."""
+        """Fixtures of the room: doors, windows, furniture and other objects."""
         return tuple(self.room.fixtures())
 
     @cached_property

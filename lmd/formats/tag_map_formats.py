@@ -32,7 +32,7 @@ WPILIB_HEADERS = tuple(
 BY_KEYS: tuple[tuple[set[str], str], ...] = (
     ({"family", "size", "tag"}, "it has the parameters of apriltag_ros for ROS 2, which name tags and have no places"),
 )
-# Refused formats of texts: pattern at the begin, and the reason.
+# Refused formats of texts: pattern at the beginning, and the reason.
 BY_TEXT: tuple[tuple[re.Pattern[str], str], ...] = (
     (re.compile(r"\s*marker_id,\s*vert_0_x"), "it is a head pose model of Pupil, which has no metres"),
     (re.compile(r"\s*-\s+(name|first_id|markers_x)\s*:"), "it lists boards of aruco_opencv, which have no places"),

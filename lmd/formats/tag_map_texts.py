@@ -34,9 +34,9 @@ from lmd.scene.labels import ID
 CLOVER = (ID, EDGE, *PLACE, "yaw", "pitch", "roll")
 # Names of the angles in Clover's generator of maps.
 CLOVER_ANGLES = {"rot_z": "yaw", "rot_y": "pitch", "rot_x": "roll"}
-CLOVER_LEAST = 4  # least number of values; those after y may be missing
+CLOVER_LEAST = 4  # least number of values; values after y may be missing
 BY_ANGLES, BY_QUATERNION = (ID, *PLACE, *ANGLES), (ID, *PLACE, *QUATERNION)
-FIDUCIAL_SLAM = (ID, *PLACE, *ANGLES, "variance", "observations")  # then the numbers of the tags seen with it
+FIDUCIAL_SLAM = (ID, *PLACE, *ANGLES, "variance", "observations")  # then the numbers of tags seen with the tag
 RTABMAP_POSES = ("timestamp", *PLACE, *QUATERNION, ID)
 PRIORS = re.compile(r"^\s*Marker[\\/]Priors\s*=(.*)$", re.MULTILINE)
 SETTING = r"^\s*Marker[\\/]{}\s*=\s*\"?(\S+?)\"?\s*$"  # line of RTAB-Map's configuration
@@ -128,8 +128,8 @@ def read_lines(path: Any, text: str) -> Found:
 def _named(comments: Sequence[str], lines: Sequence[Line]) -> list[str] | None:
     """Names of the values from a comment above them; None if no comment names them.
 
-    A comment names the values if it has as many words as the lines have values and two known words, or if it begins
-    with as many known words.
+    A comment names the values if it has as many words as the lines have values and two known words, or if the comment
+    begins with as many known words.
     """
     width = max(len(line.texts) for line in lines)
     for comment in comments:
@@ -225,9 +225,7 @@ def _question(line: Line, reason: str) -> InputError:
 
 
 def _may_be_fiducial_slam(line: Line) -> bool:
-    """True if the pose is followed by a variance and whole numbers: observations, and distinct tags seen with this
-    one.
-    """
+    """True if a variance and whole numbers follow the pose: observations, and distinct tags seen with this tag."""
     counts, links = line.texts[8:9], line.texts[9:]
     whole = bool(counts) and all(text.isdecimal() for text in (*counts, *links))
     return whole and len(set(links)) == len(links) and is_number(line.texts[7]) and float(line.texts[7]) >= 0.0

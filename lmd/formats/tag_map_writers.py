@@ -56,7 +56,7 @@ def write_aruco(path: Path, tags: TagMap) -> None:
 
     Corners are in the order in which the library finds them, clockwise from the top left of the tag's own picture. The
     library reads the code of an AprilTag from the top left on, so its up is AprilTag's. A family that only OpenCV has
-    gets OpenCV's name. The lines have the indentation of OpenCV's `FileStorage`, which reads no other.
+    gets OpenCV's name. The lines have the indentation of OpenCV's `FileStorage`, which reads no other indentation.
 
     Source: ArUco 3, `MarkerMap::saveToFile`, `Dictionary` and `DictionaryBased::touulong`.
     """
@@ -126,7 +126,7 @@ def write_fiducial_vlam(path: Path, tags: TagMap) -> None:
 
 
 def write_frc971(path: Path, tags: TagMap) -> None:
-    """Write `tags.frc971.json`: the z axis of a tag points into it, x to its right, y down. The file has no edges.
+    """Write `tags.frc971.json`: the z axis of a tag points into the tag, x to the right, y down. The file has no edges.
 
     Source: frc971/971-Robot-Code, `frc971/vision/target_map.fbs` and its README.
     """
@@ -144,7 +144,7 @@ def write_limelight(path: Path, tags: TagMap) -> None:
     """Write `tags.fmap`: a matrix for each tag, with the origin in the middle of the field, and its edge in
     millimetres.
 
-    The axes of a tag are WPILib's: x out of it, y to the right, z up. The field is the floor of the room.
+    The axes of a tag are WPILib's: x out of the tag, y to the right, z up. The field is the floor of the room.
 
     Source: Limelight's "AprilTag Map Specification".
     """
@@ -194,8 +194,8 @@ def write_tagslam(path: Path, tags: TagMap) -> None:
 def write_wpilib(path: Path, tags: TagMap) -> None:
     """Write `tags.wpilib.json`, the field layout of WPILib, which PhotonVision reads, too.
 
-    The x axis of a tag points out of it and its z axis up; the field is the floor of the room. The file has no tag
-    size; it is a setting of the detector.
+    The x axis of a tag points out of the tag, and the z axis up; the field is the floor of the room. The file has no
+    tag size: the size is a setting of the detector.
 
     Source: WPILib's `AprilTagFieldLayout`.
     """

@@ -1,4 +1,4 @@
-"""Tag maps of several ecosystems, read as deployments; `lmd.export` writes them.
+"""Tag maps of several ecosystems, read as deployments; `lmd.export` writes tag maps.
 
 Source: `convert_apriltag_layouts.py` of WPILib.
 """

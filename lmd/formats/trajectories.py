@@ -95,7 +95,7 @@ class TrajectoryFile:
         return self.note_of("")
 
     def note_of(self, group: str) -> str:
-        """Note about the file, in which keys of a configuration begin with `group`."""
+        """Note about the file; keys of the configuration are written with the prefix `group`."""
         notes = (*self._read[1].notes, self._doubt(group))
         return "; ".join(filter(None, notes))
 

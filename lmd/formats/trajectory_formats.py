@@ -76,7 +76,7 @@ def read_rows(path: str, times: str | None, rate: float | None, frame: str) -> R
         frame: frame of the orientations, `optical` or `body`, on which the meaning of yaw and pitch depends.
 
     Raises:
-        InputError: the file cannot be read, or what it holds is no trajectory; the message names the file.
+        InputError: the file cannot be read, or holds no trajectory; the message names the file.
     """
     try:
         return cleaned(read("trajectory", PoseFile(path, asked={"times": times, "rate": rate, "frame": frame})))

@@ -71,7 +71,7 @@ def checked_seconds(source: str, time: FloatArray, scale: float | None, position
     Args:
         source: the file, for messages.
         time: times in the unit of the file, `(T,)`.
-        scale: unit that the file names, in seconds; None if it names none.
+        scale: unit that the file names, in seconds; None if the file names no unit.
         positions: positions at the times, metres, `(T, 3)`; None if unknown.
 
     Raises:
@@ -98,7 +98,7 @@ def checked_seconds(source: str, time: FloatArray, scale: float | None, position
 
 
 def given_times(count: int, what: str, times: str | None, rate: float | None) -> FloatArray | None:
-    """Times `(count,)`, seconds, of poses whose own file has none; None for times from a `rate`.
+    """Times `(count,)`, seconds, of poses whose own file has no times; None for times from a `rate`.
 
     Args:
         what: name of the format without times, for messages.
@@ -106,7 +106,7 @@ def given_times(count: int, what: str, times: str | None, rate: float | None) ->
         rate: poses per second, instead of `times`.
 
     Raises:
-        InputError: neither or both are given, or the number of times is not `count`.
+        InputError: neither or both of `times` and `rate` are given, or the number of times is not `count`.
     """
     if (times is None) == (rate is None):
         if times is None:

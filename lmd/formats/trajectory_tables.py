@@ -28,7 +28,8 @@ from lmd.geometry.se3 import ROW, camera_pose, pose_of, poses_from_rows
 TUM = ("time", *ROW)
 EUROC = ("time", *POSITION, "qw", "qx", "qy", "qz")
 VELOCITIES = ("vx", "vy", "vz")  # columns that VINS writes after a pose in EuRoC's order
-# Numbers of values after a pose of TUM's format: covariances of rotation and position, or of all six, half or full.
+# Numbers of values after a pose of TUM's format: covariances of rotation and position, or of all six coordinates, half
+# or full.
 COVARIANCES = (12, 21, 36)
 # Stamps of 0 are missing values if other stamps exceed this, seconds since 1970.
 EPOCH = 1e8
@@ -63,7 +64,7 @@ def _words(line: str) -> list[str]:
 
 
 def comment_header(text: Headless) -> list[str] | None:
-    """Names of the columns from the last comment above the values that has any."""
+    """Names of the columns, from the last comment with names above the values."""
     for comment in reversed(text.comments):
         names = [name.strip() for name in comment.split(",")] if "," in comment else []
         certain = text.commas and len(names) == text.width
@@ -172,7 +173,9 @@ def _nanoseconds_beside(table: Table, time: Column) -> FloatArray | None:
 def _oriented(
     table: Table, columns: dict[str, Column], place: FloatArray, frame: str
 ) -> tuple[FloatArray, str | None, bool, str]:
-    """Poses from the existing columns; frame of the orientations; True for angles of a camera; note."""
+    """Make poses from the columns; return the poses, the frame of the orientations, True for angles of a camera, and a
+    note.
+    """
     if set(QUATERNION) <= columns.keys():
         about, note = _frame_of_ros(table, frame)
         numbers = np.hstack([place, values(table, columns, QUATERNION)])

@@ -10,13 +10,13 @@ from lmd.formats.plans import ReadPlan, Stretch
 from lmd.formats.registry import File
 from lmd.space.polygon import edges
 
-# Half the thickness of lines, metres; walls move by it.
+# Half the thickness of lines, metres; walls move by this length.
 LINE_M = 1e-4
 # Half the thickness of a wall that is a single line with the room on both sides, metres.
 PARTITION_M = 0.01
 # Greatest distance of a wall's face from the lines of walls, metres.
 NEAR_M = 0.011
-# Distance of the lines from the frame around them, metres.
+# Distance of the lines from a frame that is drawn around all lines, metres.
 FRAME_M = 10.0
 # Growth of the box of a door or a window so that it meets its wall, metres.
 BOX_M = 0.05
@@ -32,7 +32,7 @@ class Drawing(NamedTuple):
     windows: Any
     """Lines of the windows, which close gaps."""
     boxes: list[tuple[str, Any]]
-    """Doors and windows that are blocks: `door` or `window`, and its box, a shapely polygon."""
+    """Doors and windows that are blocks: `door` or `window`, and the box, a shapely polygon."""
     unit: str
     """Name of the unit."""
     note: str

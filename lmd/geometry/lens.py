@@ -28,7 +28,7 @@ FIRST_TILT = 12
 ORDER_IN_WORDS = "[] or [k1, k2, p1, p2], with k3, with k3 to k6, or with k3 to k6 and s1 to s4"
 WHY_TILTED = "is that of a tilted sensor, which is not known here: calibrate without CALIB_TILTED_MODEL."
 # Number of angles at which a lens is sampled. Bounds assume that a value between two neighbouring samples differs from
-# each by at most the difference of the two.
+# each sample by at most the difference of the two samples.
 ANGLE_SAMPLES = 4096
 # Newton's method: largest error of the image at convergence, focal lengths, and maximum number of steps.
 IMAGE_TOLERANCE, NEWTON_STEPS = 1e-12, 20
@@ -176,7 +176,7 @@ class Lens:
     def widest(self, reach: float) -> float:
         """Angle beyond which all images are at least `reach`, focal lengths, from the principal point, rad.
 
-        At most the fold.
+        The angle is at most the fold.
         """
         if not self.profile(np.float64(self.fold)).inner > reach:
             return self.fold

@@ -115,7 +115,7 @@ def view_edges(camera: Camera, depth: float) -> FloatArray:
 def depth_in_focus(camera: Camera, points: FloatArray) -> FloatArray:
     """Depth that determines focus and apparent size of points `(..., 3)`, camera's frame, metres, `(...)`.
 
-    z, or the distance for a fisheye, see `lmd.geometry.lens_models.depth_of`.
+    The depth is z, or for a fisheye the distance, see `lmd.geometry.lens_models.depth_of`.
     """
     if camera.lens is None:
         return points[..., 2]

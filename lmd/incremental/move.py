@@ -2,7 +2,7 @@
 
 A state has the data of the old place, and a scratch has the data of the place tried. `carry_out` finds all axes that
 cover the place tried, then exchanges the data of state and scratch, P_n included. A second exchange undoes the move.
-After any sequence of moves, the counts equal those of a full evaluation bit for bit.
+After any sequence of moves, the counts equal the counts of a full evaluation bit for bit.
 """
 
 from typing import Any

@@ -69,7 +69,7 @@ def _find_pair(
     pose, changed, covered, occluded = pose_of(i, state), False, mine[COVERED], mine[OCCLUDED]
     for m in range(group.mounts[c], group.mounts[c + 1]):
         for w in range(np.uint64(covered.shape[3])):
-            # The sets exceed the cache, so only those that are needed are read.
+            # The sets exceed the cache, so only the needed sets are read.
             bits = covered[i, q, m, w] if role == NEW_PLACE else occluded[i, q, m, w]
             found = _hidden_bits(group, m, w, bits, k, i, px, py, pz, place, pose) if bits else ZERO
             if found == ZERO:

@@ -28,7 +28,7 @@ TOUCHED_COUNT = 4  # number of positions in `TOUCHED_LIST`
 
 # Rows of `Scratch.flags`.
 AIMED = 0  # by block: True within the horizon of the place tried
-WANTED = 1  # by block: True if it is searched for neighbours of the old place
+WANTED = 1  # by block: True if the block is searched for neighbours of the old place
 TOUCHED = 2  # by position: True if another landmark appears or disappears, or hides the place tried
 REACHED = 3  # by position: True if some orientation covers the place tried, occlusion ignored; camera only
 
@@ -107,7 +107,7 @@ class Scratch(NamedTuple):
     numbers: np.ndarray
     """`(5,)` int64: `BLOCK_COUNT` to `TOUCHED_COUNT`."""
     units: np.ndarray
-    """`(Q,)` quantised P_n with the landmark at the place tried, or upper bounds on it."""
+    """`(Q,)` quantised P_n with the landmark at the place tried, or upper bounds on P_n."""
     flags: np.ndarray
     """`(4, Q)` bool, by block or position: `AIMED` to `REACHED`."""
     lists: np.ndarray

@@ -1,23 +1,22 @@
 """Trial of a move of one landmark: P_n with the landmark at another place, first an upper bound, then exact.
 
-A move of a landmark changes the counts at a position in at most four ways: the landmark is no longer covered at its old
-place; landmarks that were hidden by it appear; landmarks that it hides from the new place disappear; it is covered at
-the new place. The decisions repeat the operations of `lmd.sight.kernels`.
+A move of landmark k changes the counts at a position in at most four ways: k is no longer covered at its old place;
+landmarks that k hid appear; landmarks that k hides from its new place disappear; k is covered at its new place. The
+decisions repeat the operations of `lmd.sight.kernels`.
 
 Sets of axes are bit sets. A state has the axes that cover each landmark and, at each position, the axes that cover
 n - 1 and n landmarks. Only for these axes does P_n depend on the landmark, so a trial tests few axes.
 
 1. `bound_move` ignores that the landmark at the new place hides others or is hidden. Occlusion only removes axes, and
-P_n does
-   not decrease when axes are added, so the result is an upper bound. At *touched* positions, where another landmark
-   appears, the other landmarks are counted first (`_count_others`).
+   P_n does not decrease when axes are added, so the result is an upper bound. At *touched* positions, where another
+   landmark appears, the other landmarks are counted first (`_count_others`).
 2. `finish_move` searches for occlusion around the new place, which touches more positions, and computes P_n at all
    touched positions.
 
-Camera and rig share this source, compiled for each. Only the functions declared first in this file differ:
-`lmd.incremental.camera` and `lmd.incremental.rig` register versions for their states. Occlusion and bounds depend on
-the position alone for a camera, and also on the orientation for a rig. Treating a camera as a rig with one mount would
-be slower: 1.3 to 1.8 times for a trial, and 1.9 to 2.7 times for a move that is carried out.
+Camera and rig share this source, which is compiled separately for each. Only the functions declared first in this file
+differ: `lmd.incremental.camera` and `lmd.incremental.rig` register versions for their states. Occlusion and bounds
+depend on the position alone for a camera, and also on the orientation for a rig. Treating a camera as a rig with one
+mount would be slower: 1.3 to 1.8 times for a trial, and 1.9 to 2.7 times for a move that is carried out.
 """
 
 from typing import Any

@@ -29,7 +29,7 @@ class ReferenceState(NamedTuple):
 
 
 class ReferenceScratch(NamedTuple):
-    """The move tried last; after it is carried out, the old place and the old values."""
+    """The move tried last; after the move is carried out, the old place and the old values."""
 
     pose: np.ndarray
     """`(6,)` position (metres) and unit normal."""

@@ -36,8 +36,8 @@ class Sampling:
         object.__setattr__(self, "divisions", divisions_of(self.divisions))
 
     def evaluator(self, scene: Scene, repeats: int, rng: np.random.Generator, threads: int | None) -> Evaluator:
-        """Evaluator at random positions, `repeats` in each cell of the grid: one position per cell in grid order, then
-        again.
+        """Evaluator at random positions, `repeats` in each cell of the grid. Cells are in grid order, and this order is
+        repeated `repeats` times.
 
         Raises:
             InputError: there is not enough memory for the positions.

@@ -37,8 +37,8 @@ class _Best:
 class Alternating(Optimiser):
     """Alternating placement of cameras and tags.
 
-    A turn begins with the best result of earlier turns, and its own result is discarded unless it is better. The budget
-    of `run` is the budget of each turn of the cameras.
+    A turn begins with the best result of earlier turns; a result that is not better is discarded. The budget of `run`
+    is the budget of each turn of the cameras.
 
     Args:
         cameras: makes the optimiser for a turn of the cameras from a seed: `seed`, `seed + 1`, ...
@@ -154,7 +154,7 @@ class Alternating(Optimiser):
             ledger.note(spent + record.evaluations, record.best_fitness)
 
     def _best(self) -> _Best:
-        """Best of all turns, the current one included."""
+        """Best of all turns, the current turn included."""
         best, inner = self.best, self.inner
         if inner is not None and inner.ledger.best_fitness > (best.fitness if best else -math.inf):
             found = inner.result(self.posed, "interrupted")

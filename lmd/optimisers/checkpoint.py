@@ -43,7 +43,7 @@ class Checkpoint:
         self._content()
 
     def save(self, directory: Path) -> None:
-        """Replace the checkpoint in `directory`; after a crash the file is the old one or the new one.
+        """Replace the checkpoint in `directory`; after a crash, the old or the new file is complete.
 
         Raises:
             InputError: the optimiser cannot be checkpointed.

@@ -74,8 +74,8 @@ class PaperEncoding:
         """See `Encoding.encode`."""
         surface = deployment.movable(self.room, self.flush).surfaces
         points = np.clip(deployment.positions, self.low, self.low + self.size)
-        # A point on an edge of two surfaces is moved away from the second one, so that decoding finds the landmark's
-        # surface.
+        # A point on an edge of two surfaces is moved away from the second surface, so that decoding finds the
+        # landmark's surface.
         tied = (self._distance(points) <= ON_SURFACE) & (np.arange(len(self.surfaces.normal)) != surface[:, None])
         points = points + 2.0 * ON_SURFACE * (tied[..., None] * self.surfaces.normal).sum(axis=1)
         yaw, pitch = normal_angles(deployment.normals)

@@ -31,7 +31,7 @@ class Greedy(Annealing):
     landmark.
 
     Args:
-        spacing: spacing of the grid, metres; it is enlarged if the budget does not suffice.
+        spacing: spacing of the grid, metres; enlarged if the budget does not suffice.
         single: conditions of the refinement, or a mapping of the fields that differ from the default.
         seed: see `Optimiser`.
 

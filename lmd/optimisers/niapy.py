@@ -16,14 +16,14 @@ from lmd.optimisers.wrapped import LibraryOptimiser, Wrapped, name_of
 class NiaPy(Wrapped):
     """A NiaPy algorithm on the unit box.
 
-    Its first population is the start, filled up with uniform genes. An algorithm that has used up its evaluations is
-    followed by a new one, which starts from the best genes.
+    Its first population is the start, filled up with uniform genes. When an algorithm has used up its evaluations, a
+    new algorithm starts from the best genes.
 
     Args:
         algorithm: makes the algorithm; in YAML a node with `_target_` (the class), `_partial_: true` and its
             parameters.
-        evaluations: number of evaluations that the algorithm plans with, as L-SHADE does to reduce its population; None
-            for no end.
+        evaluations: number of evaluations that the algorithm plans with (L-SHADE reduces its population over this
+            number); None for no end.
         encoding: see `AskTell`.
         seed: see `Optimiser`.
 

@@ -23,7 +23,8 @@ MOST_GENES = 400  # genes beyond which a float cannot hold the number of pairs
 class Scipy(Wrapped):
     """Optimisation on the unit box by a function such as `scipy.optimize.dual_annealing`.
 
-    The function gets the start if it has an argument `x0`. When it ends by its own rules, it is called again.
+    The function gets the start if it has an argument `x0`. The function is called again whenever it ends by its own
+    rules.
 
     Args:
         minimise: called with the objective and `bounds`; in YAML a node with `_target_` (the function),

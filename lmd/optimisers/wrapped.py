@@ -40,8 +40,7 @@ class LibraryOptimiser(Protocol):
 class Wrapped(AskTell):
     """Library optimisers behind `AskTell`; subclasses write `_open` only.
 
-    - An optimiser that ends before the budget is followed by a new one with another seed, which starts from the best
-      genes.
+    - If an optimiser ends before the budget, a new optimiser with another seed starts from the best genes.
     - Libraries draw from global random generators. The global generators are seeded for each call of a library, and
       reset afterwards.
     """

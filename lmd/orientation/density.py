@@ -3,7 +3,7 @@
 A density is represented by the probabilities of fine cells of its angles. Parametric families and kernel estimates are
 compared by the cross-validated log-likelihood per sample: each fold, a contiguous section of the recording, is scored
 by the fit to the other folds. The one-standard-error rule on paired differences chooses the simplest family within one
-standard error of the best one.
+standard error of the best family.
 """
 
 from collections.abc import Callable, Sequence
@@ -120,7 +120,7 @@ def kernel_estimate(angle: FloatArray, axis: AngleCells) -> Density:
 
 
 def kernel_density(index: tuple[IntArray, ...], axes: tuple[AngleCells, ...]) -> tuple[FloatArray, tuple[float, ...]]:
-    """Estimate a density with Gaussian kernels, wrapped on circular axes and reflected at the ends of others.
+    """Estimate a density with Gaussian kernels, wrapped on circular axes and reflected at the ends of other axes.
 
     Args:
         index: cells of the samples on each axis, `(S,)` each.
@@ -186,7 +186,7 @@ def choose(angle: FloatArray, axis: AngleCells, families: Sequence[Family]) -> t
 
 
 def fixed_angle(angle: FloatArray, axis: AngleCells) -> float | None:
-    """Circular mean of samples if all lie within the width of a fine cell, radians; otherwise None."""
+    """Circular mean of samples, radians, if all samples lie within the width of a fine cell; otherwise None."""
     mean = float(circmean(angle, high=np.pi, low=-np.pi))
     return mean if np.ptp(circular_difference(angle, mean)) < axis.width else None
 

@@ -31,7 +31,7 @@ INTERVAL_FACTOR = 2.0
 
 @dataclass(frozen=True)
 class OrientationRecording:
-    """Yaw alpha and pitch beta of a camera over time; each record is valid until the next one.
+    """Yaw alpha and pitch beta of a camera over time; each record is valid until the next record.
 
     Raises:
         InputError: shapes differ, there are fewer than two records, a value is not finite, time does not increase, or a
@@ -129,7 +129,7 @@ class RecordingSource(Protocol):
     """Source of a recording."""
 
     def record(self, rng: np.random.Generator) -> OrientationRecording:
-        """Provide a recording; only a simulated one draws from `rng`."""
+        """Provide a recording; only a simulated recording draws from `rng`."""
 
 
 @dataclass(frozen=True)

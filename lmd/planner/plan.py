@@ -144,7 +144,7 @@ class Plan:
         """Delete a tag.
 
         Raises:
-            InputError: there is no such tag, or the tag is pinned or the last one.
+            InputError: there is no such tag, the tag is pinned, or the plan has no other tag.
         """
         k = self._movable(number)
         if len(self.deployment) == 1:

@@ -1,6 +1,6 @@
 """Planning session: the plan, its history and its figures, independent of browsers.
 
-Only one thread may use a session. A search of a session works on a copy of the plan, and calls a function when it ends.
+Only one thread may use a session. A search works on a copy of the plan, and calls a function at its end.
 """
 
 from collections.abc import Callable

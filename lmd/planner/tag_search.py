@@ -34,7 +34,7 @@ class TagSearch:
         plan: initial plan, which is not changed.
         optimiser: optimiser that has not run yet.
         budget: budget of the search.
-        done: called in the thread of the search when it has ended, also after an error.
+        done: called in the thread of the search after the search has ended, also after an error.
 
     Raises:
         InputError: no tag is free, or the pinned tags are refused as fixed tags.

@@ -53,7 +53,7 @@ def framed(low: FloatArray, high: FloatArray, aspect: float) -> BrowserView:
 
 
 class Framing:
-    """Framing of the room in the window of each browser, also after a change of its size, until the user moves the
+    """Fits the room into the window of each browser, also when the window's size changes, until the user moves the
     view.
 
     Args:

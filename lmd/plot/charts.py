@@ -113,7 +113,7 @@ def save_comparison_figure(
 
 
 class Panel(NamedTuple):
-    """Panel of a trade-off: a figure against the number of landmarks, or against their limit."""
+    """Panel of a trade-off: a figure against the number of landmarks, or against a limit on paper or cost."""
 
     label: str
     """Label of the vertical axis."""

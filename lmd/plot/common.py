@@ -15,7 +15,7 @@ ROOM = "#000000"
 REACHABLE = "#8a8a8a"
 OBSTACLE = "#8c564b"
 KEPT_OUT = "#ff7f0e"
-# Colour of each part of `Space.outline`, and True if it is dashed. A room need not have all parts.
+# Colour of each part of `Space.outline`, and True if the part is dashed. A room need not have all parts.
 PARTS = {
     "room": (ROOM, False),
     "obstacles": (OBSTACLE, False),
@@ -27,7 +27,8 @@ UNQUALIFIED = "#9e9e9e"
 COLOUR_MAP = "viridis"  # both libraries have this map; its lightness is even, so it can be printed in grey
 AXIS_LABELS = ("x [m]", "y [m]", "z [m]")
 LEAST_TICKS = 3  # least number of ticks of a logarithmic axis, if there are enough round numbers
-# Number of positions whose nearest neighbours are sought; a search tree of all would load scipy for each figure.
+# Number of positions whose nearest neighbours are sought; a search tree of all positions would load scipy for each
+# figure.
 SPACING_SAMPLE = 256
 ELEVATION, AZIMUTH = 16.0, -66.0  # direction of the viewer in static figures, degrees
 
@@ -46,7 +47,9 @@ def size_of(room: Space) -> FloatArray:
 
 
 def spacing_of(room: Space, positions: FloatArray) -> float:
-    """Median distance of positions `(P, 3)` from their nearest neighbours, metres; the room's size for a single one."""
+    """Median distance of positions `(P, 3)` from their nearest neighbours, metres; the room's size for a single
+    position.
+    """
     some = positions[:: max(1, len(positions) // SPACING_SAMPLE)]
     away = (np.linalg.norm(positions - one, axis=1) for one in some)
     nearest = [np.partition(distances, 1)[1] if len(positions) > 1 else np.inf for distances in away]
@@ -59,7 +62,7 @@ def ball_scale(room: Space, positions: FloatArray) -> float:
 
 
 def logarithmic_ticks(low: float, high: float) -> FloatArray:
-    """A few round numbers for a logarithmic axis from `low` to `high`, also if the two are close."""
+    """A few round numbers for a logarithmic axis from `low` to `high`, also if `low` and `high` are close."""
     from matplotlib.ticker import MaxNLocator
 
     decades = 10.0 ** np.arange(np.floor(np.log10(low)), np.ceil(np.log10(high)) + 1.0)

@@ -239,7 +239,7 @@ def _draw_frame(figure: Any, moment: Moment) -> None:
 def _draw_room(
     figure: Any, moment: Moment, camera: Camera, room: Space, landmarks: FloatArray, track: FloatArray
 ) -> None:
-    """Draw the room, the track, and the camera with lines to the tags that it found."""
+    """Draw the room, the track, and the camera with lines to the detected tags."""
     from mpl_toolkits.mplot3d.art3d import Line3DCollection
 
     axes = figure.add_axes((0.58, 0.02, 0.43, 0.9), projection="3d")

@@ -127,7 +127,9 @@ def _shades(name: str, first: float, last: float, count: int) -> Any:
 
 
 def save_orientation_figure(path: str | Path, estimate: PdfEstimate, title: str) -> None:
-    """Write a PNG of 1500 x 500 pixels: histograms of yaw and pitch with all fitted densities, and the PDF of both."""
+    """Write a PNG of 1500 x 500 pixels: histograms of yaw and pitch with all fitted densities, and the PDF of both
+    angles.
+    """
     figure = new_figure((15.0, 5.0), title)
     left, middle, right = figure.subplots(1, 3, width_ratios=(1.2, 1.0, 1.2))
     _draw_marginal(left, estimate.yaw, "yaw")

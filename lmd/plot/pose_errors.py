@@ -93,7 +93,7 @@ def save_cramer_rao_map(path: str | Path, room: Space, bounds: CramerRaoMap, tit
                 axes.plot(*edge.T, color=common.REACHABLE, lw=0.8)
         axes.set(**dict(zip(("xlabel", "ylabel", "zlabel"), common.AXIS_LABELS, strict=True)))
         drawn = np.isfinite(values)
-        colours = common.COLOUR_MAP if i == 1 else f"{common.COLOUR_MAP}_r"  # bright is good in both
+        colours = common.COLOUR_MAP if i == 1 else f"{common.COLOUR_MAP}_r"  # bright is good in both panels
         balls = axes.scatter(
             *bounds.positions[drawn].T, c=values[drawn], s=size, cmap=colours, linewidths=0, depthshade=False, **scale
         )

@@ -29,7 +29,7 @@ from lmd.core.memory import check_memory
 from lmd.geometry.frames import angles_of, rotation
 from lmd.scene.pdf import OrientationPdf
 
-CUT_AT = 5.0  # bandwidths
+CUT_AT = 5.0  # distance at which kernels are cut off, bandwidths
 CUT = math.exp(-(CUT_AT**2) / 2.0)
 # Least probability of an orientation over the whole recording. Rarer orientations are dropped to save time.
 NEGLIGIBLE = 1e-6

@@ -94,8 +94,8 @@ class Footprints:
         return self.tag.paper_share * deployment.edges_of(self.tag)
 
     def capacity(self, paper: float) -> float:
-        """Upper bound on the number of footprints with the edge `paper`, metres: the sum over surfaces of the sizes of
-        grids.
+        """Upper bound on the number of footprints with the edge `paper`, metres: as many as a grid on each surface
+        would hold.
         """
         if not paper:
             return np.inf

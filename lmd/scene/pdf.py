@@ -50,7 +50,8 @@ class OrientationPdf:
         weight: probability of each orientation, not negative, `(A,)`; normalised if the sum is 1 within rounding.
         name: name of the source, for messages.
         refine: function that returns the PDF with half the grid step; None if there is no finer grid.
-        continuous: continuous distribution of yaw and pitch that the grid discretises; None for a discrete one.
+        continuous: continuous distribution of yaw and pitch that the grid discretises; None for a discrete
+            distribution.
         roll: roll about the optical axis, radians, one for all or `(A,)`; independent of yaw and pitch if `continuous`
             is given.
         by_position: position-dependent probabilities, of which `weight` is the mean; None if they do not depend on
@@ -260,7 +261,7 @@ def grid_with_ends(divisions: int = 12, roll: Roll = 0.0) -> OrientationPdf:
 def grid_of_cells(divisions: int = 12, roll: Roll = 0.0) -> OrientationPdf:
     """PDF uniform over the angles, on the grid of the paper's text (`grid_288` for 12 divisions).
 
-    Yaw -pi, ..., pi - step; pitch at the middle of each step. Args as in `grid_with_ends`.
+    Yaws are -pi, ..., pi - step; pitches are the middles of the steps. Args as in `grid_with_ends`.
     """
     n, roll = divisions_of(divisions), _rolls(roll)
     weight, refine = np.full(n, 1.0 / (2 * n * n)), partial(grid_of_cells, 2 * n, roll)

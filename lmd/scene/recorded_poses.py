@@ -22,7 +22,7 @@ from lmd.space.space import Space, check_file_inside
 
 @dataclass(frozen=True)
 class Records:
-    """R recorded poses, each valid until the next one.
+    """R recorded poses, each valid until the next pose.
 
     Args:
         poses: X, camera to world, `(R, 4, 4)`.

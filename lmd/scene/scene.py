@@ -34,7 +34,7 @@ class Scene:
             rig's body.
         pdf: orientation PDF.
         visibility: criteria for the coverage of a landmark.
-        tag: tag at each landmark; by default that of the visibility model, or a point.
+        tag: tag at each landmark; by default the tag of the visibility model, or a point.
         recorded: recording from which room and PDF are derived, with its held-out poses; None without a recording.
         edges: edge of each landmark by its index, or one edge for all, metres, see `sized`; None for the edge of `tag`.
 

@@ -15,8 +15,8 @@ that need the exact test to one contiguous band.
 
 A cell is the projection of a parallelogram or of two triangles, so a spherical cap that contains its corners contains
 the cell. Let rho be the greatest angle between the cell's centre and a corner. An axis with the centre at least rho
-inside its field of view has every direction of the cell in view; an axis with the centre more than rho outside has
-none.
+inside its field of view has every direction of the cell in view; an axis with the centre more than rho outside has no
+direction of the cell in view.
 """
 
 import math

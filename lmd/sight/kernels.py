@@ -6,8 +6,9 @@ reorders nor fuses operations. The speed comes from skipped work and from loops 
 1. `viewpoint` drops landmarks that no axis covers: some 60 % in the paper's room.
 2. Only axes in a band of heights around the landmark need the exact test (`directions.height_index`).
 3. For a model with a long test, sets of axes are bit sets. The tables of `directions` list the axes that certainly
-cover a landmark and the axes that possibly cover it. Possible axes are tested only where the certain axes cover fewer
-than n landmarks. 4. Probabilities are sums of integers (`PROBABILITY_ONE`), exact in any order.
+   cover a landmark and the axes that possibly cover it. Possible axes are tested only where the certain axes cover
+   fewer than n landmarks.
+4. Probabilities are sums of integers (`PROBABILITY_ONE`), exact in any order.
 
 Kernels release the GIL and work on a range of positions, so threads can share a batch. The result does not depend on
 the number of threads.

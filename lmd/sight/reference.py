@@ -1,4 +1,4 @@
-"""Reference of the coverage model of the paper in float64 NumPy; compiled code must equal it.
+"""Reference of the coverage model of the paper in float64 NumPy; results of compiled code must be equal.
 
 There is one function per definition of the paper; the criteria are `Criteria.covered` of the scene's visibility model.
 `ReferenceViews` evaluates scenes whose visibility model has no compiled half.

@@ -15,7 +15,7 @@ from lmd.core.compiled import inlined, kernel
 
 # Distance from a closed region that counts as inside, metres.
 EDGE_TOLERANCE = 1e-9
-# Least area of a region, square metres; smaller ones are rounding errors.
+# Least area of a region, square metres; smaller regions are rounding errors.
 MIN_AREA = 1e-9
 # Numbers of a trapezoid.
 TRAPEZOID_NUMBERS = 6
@@ -82,7 +82,9 @@ def polygons(region: Any) -> Any:
 def _spread(
     left: Any, right: Any, low_left: Any, low_right: Any, high_left: Any, high_right: Any, x: Any, y: Any
 ) -> tuple[Any, Any]:
-    """Map x, y in [0, 1] to a point of a trapezoid; uniform x, y give uniform points. Numbers or arrays."""
+    """Map x, y in [0, 1] to a point of a trapezoid; uniform x, y give uniform points. Arguments are numbers or
+    arrays.
+    """
     one, two = high_left - low_left, high_right - low_right
     even = one == two
     root = np.sqrt(np.maximum(one * one + (two * two - one * one) * x, 0.0))

@@ -1,7 +1,7 @@
 """Convex bodies that block lines of sight, each the intersection of half-spaces.
 
-The points of the line from p to q are p + t (q - p), 0 <= t <= 1. Its height h above a plane is linear in t and zero at
-t0 = h(p) / (h(p) - h(q)). The line is behind the plane for t > t0 if h(p) >= 0 > h(q), and for t < t0 if
+The points of the line from p to q are p + t (q - p), 0 <= t <= 1. The height h of a point above a plane is linear in t
+and zero at t0 = h(p) / (h(p) - h(q)). The line is behind the plane for t > t0 if h(p) >= 0 > h(q), and for t < t0 if
 h(p) < 0 <= h(q). A body blocks the line if some t is behind all its planes.
 
 A body is an open set, smaller by `PLACEMENT_TOLERANCE` than the obstacle. So a line along a face or through an edge or

@@ -126,7 +126,7 @@ class FloorPlan:
 
     @cached_property
     def rim(self) -> tuple[FloatArray, FloatArray]:
-        """Lines of all sides of the convex hull, as in `hull`; bodies outside the outline extend to them."""
+        """Lines of all sides of the convex hull, as in `hull`; bodies outside the outline extend to these lines."""
         import shapely
 
         return planes(edges(shapely.orient_polygons(self.ground.convex_hull).exterior.coords[:-1]))

@@ -9,8 +9,8 @@ depends on the adjacent triangle:
 - If it crosses them in opposite senses, the line only touches the surface at the edge: both triangles are shortened by
   the tolerance. A triangle without a neighbour at an edge is shortened there, too.
 
-At a corner, the line only touches the surface if it only touches any edge that ends there. So a line that touches an
-edge or a corner, or runs along a face, is clear, as for `lmd.space.blockers`.
+A line through a corner only touches the surface if it only touches the surface at some edge that ends there. So a line
+that touches an edge or a corner, or runs along a face, is clear, as for `lmd.space.blockers`.
 
 Landmarks lie in the planes of their own triangles, which therefore never hide them.
 """
@@ -98,7 +98,7 @@ class Triangles(NamedTuple):
     def keeps_away(self, starts: FloatArray, ends: FloatArray, clearance: float) -> BoolArray:
         """Mask of the straight paths between points `(..., 3)` that keep `clearance`, metres, `(...)`.
 
-        Sphere tracing in steps of at least `STEP`.
+        Computed by sphere tracing in steps of at least `STEP`.
         """
         starts, ends = np.broadcast_arrays(starts, ends)
         kept = np.empty(starts.shape[:-1], dtype=np.bool_)

@@ -56,8 +56,8 @@ class Audit:
 
     @cached_property
     def expected(self) -> FloatArray:
-        """Probability that each tag is detected if it is like other tags of its pitch, `(N, C K)`; 0 if it is not
-        predicted.
+        """Probability that each tag is detected if it is like other tags of its pitch, `(N, C K)`; 0 for tags that are
+        not predicted.
         """
         visible, detected = self.prediction.visible, self.seen.detected
         place = np.searchsorted(PITCHES, self.prediction.pitch, side="right") - 1
@@ -71,8 +71,8 @@ class Audit:
     def tags(self) -> pd.DataFrame:
         """Table with a row for each tag: the columns of `by_tag` and three more.
 
-        `confirmed` is the number of images in which the tag was predicted and detected, `expected` is the number
-        expected for a tag like others, and `stands_out` is true if `confirmed` is far below `expected`.
+        `confirmed` is the number of images in which the tag was predicted and detected, `expected` is the expected
+        number for a tag like others of its pitch, and `stands_out` is true if `confirmed` is far below `expected`.
         """
         chance, cameras = self.expected, len(self.prediction.parts)
         confirmed, expected, variance = (

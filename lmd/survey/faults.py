@@ -44,11 +44,11 @@ class SecondPlace:
     sightings: int
     """Number of sightings that agree with the second pose."""
     moved: int | None
-    """Index of the frame from which the tag hangs at the later pose; None if frames show it at both poses in turns,
-    which means that two tags have its id.
+    """Index of the frame from which the tag hangs at the later pose; None if frames show the tag at both poses in
+    turns, which means that two tags have its id.
     """
     later: bool
-    """True if the second pose is the later one."""
+    """True if the second pose is the later pose."""
 
 
 @dataclass(frozen=True)
@@ -128,8 +128,8 @@ def _second_places(found: Estimate, gross: BoolArray) -> list[SecondPlace]:
 
 
 def _change(first: IntArray, second: IntArray) -> int | None:
-    """Frame at which a tag was moved: the `first` frames come before it, the `second` frames after; None if they are
-    mixed.
+    """Frame at which a tag was moved: the `first` frames come before this frame, the `second` frames after; None if
+    first and second frames are mixed.
     """
     begins = int(np.quantile(second, OUT_OF_ORDER_SHARE / 2.0))
     mixed = (first >= begins).mean() > OUT_OF_ORDER_SHARE

@@ -1,4 +1,4 @@
-"""The gauge of a map: the choice of its world frame, and covariances that do not depend on it.
+"""The gauge of a map: the choice of its world frame, and covariances that do not depend on this choice.
 
 Sightings alone do not determine the world frame. Exactly known tags, a plan, measured centres, the floor or one tag
 determine it.
@@ -165,7 +165,7 @@ def into_world(
 def _with_turns_of(prior: Prior, tags: FloatArray) -> Prior:
     """Prior in which tags with only a known centre have the orientation of `tags` `(K, 4, 4)`.
 
-    Such tags need an orientation, as the derivative of a centre by a twist depends on it.
+    Such tags need an orientation, as the derivative of a centre by a twist depends on the orientation.
     """
     only = ~prior.is_posed & prior.information.any(axis=1) & np.isfinite(tags[:, 0, 0])
     poses = prior.tags.copy()

@@ -1,11 +1,12 @@
 """Groups of tags that no image connects, joined by the motion of the body between the frames of the groups.
 
 1. Tags that several images show together form a part. Each other tag is a part by itself, as an id that was misread in
-one image would connect distant tags. 2. A frame that shows one tag of a part has two possible poses relative to the
-part, which look alike (IPPE). The smoothest sequence of such poses is found for each part (Viterbi). 3. Each part is
-adjusted by itself, with links between its own frames, which also estimates the spread of the motion. 4. Two frames of
-different parts that are near in time give a relation, the relative pose of the parts. Relations on which most frames
-agree join parts first (maximum spanning tree).
+   one image would connect distant tags.
+2. A frame that shows one tag of a part has two possible poses relative to the part, which look alike (IPPE). The
+   smoothest sequence of such poses is found for each part (Viterbi).
+3. Each part is adjusted by itself, with links between its own frames, which also estimates the spread of the motion.
+4. Two frames of different parts that are near in time give a relation, the relative pose of the parts. Relations on
+   which most frames agree join parts first (maximum spanning tree).
 """
 
 from collections.abc import Sequence
@@ -107,7 +108,7 @@ def join_groups(sightings: Sightings, poses: Poses, group: IntArray, prior: Prio
     tags = np.where((parts < 0)[:, None, None], np.nan, worlds[parts] @ there.tags)
     frames = np.full_like(poses.frames, np.nan)
     views = worlds[nodes.part] @ there.frames
-    # Of several nodes of a frame the last one counts: the node with most tags or, in a tie, nearest to its neighbours.
+    # Of several nodes of a frame the last node counts: the node with most tags or, in a tie, nearest to its neighbours.
     counts = np.bincount(nodes.sightings.frame, minlength=len(nodes.frame))
     before, after = nodes.following(LEAP_FOLLOWING)
     apart = np.linalg.norm(views[after, :3, 3] - views[before, :3, 3], axis=1)

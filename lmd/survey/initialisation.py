@@ -3,10 +3,10 @@
 A single tag has two poses in front of a camera that look alike (IPPE). A group of tags begins with the frame that shows
 the most tags whose pose is beyond doubt. Then frames that show two or more placed tags are placed, and tags that placed
 frames show, in turns. For each frame or tag, the poses that its sightings propose are tried, the likeliest pose is
-refined, and the frame or tag is placed there if enough sightings agree. When none can be placed this way, the likeliest
-single sighting places a tag or frame. At last all tags and frames with large errors are tried again. Placed tags and
-frames are adjusted as their number grows. Tags that no frame connects with the group begin another group, in a world of
-its own.
+refined, and the frame or tag is placed there if enough sightings agree. When no frame or tag can be placed this way,
+the likeliest single sighting places a tag or frame. At last all tags and frames with large errors are tried again.
+Placed tags and frames are adjusted as their number grows. Tags that no frame connects with the group begin another
+group, in a world of its own.
 
 With a plan, initialisation starts with the tags at their planned poses, and is accepted if nearly all sightings agree.
 As detectors may number corners from another corner, all planned tags are tried at each of the four quarter turns.
@@ -33,7 +33,7 @@ DISPUTED, MUCH_WORSE = 0.2, 25.0
 # sightings are used), and of poses that are refined.
 PROPOSING, JUDGING, REFINED = 8, 60, 3
 REFINING_STEPS, WIDE, NARROW = 12, 40.0, 3.0  # Gauss-Newton steps; first and last scale of the loss, pixels
-STEPS, FINAL_STEPS = 3, 8  # steps of bundle adjustment between placements, and after the last one
+STEPS, FINAL_STEPS = 3, 8  # steps of bundle adjustment between placements, and after the last placement
 GROWN = 1.2  # growth factor of the number of placed tags and frames after which all are adjusted again
 AS_PLANNED = 0.97  # least share of sightings that must agree with an initialisation by the plan
 FLOOR_PIXELS = 3.0  # maximum of the floor in adjustments during the initialisation, pixels
@@ -161,7 +161,7 @@ class Placing:
         self.tags, self.frames = poses.tags, poses.frames
 
     def place(self, index: IntArray, by_frame: bool, fewest: int, share: float = LEAST_SHARE) -> None:
-        """Place the frames of the sightings `index`, whose tags are placed; or their tags, whose frames are placed.
+        """Place the frames of the sightings `index` by placed tags, or the tags of the sightings by placed frames.
 
         Args:
             index: indices of sightings.
@@ -213,7 +213,7 @@ class _Trial:
         return np.asarray(given @ (inverse(single) if self.by_frame else single))
 
     def _pairs(self, owner: IntArray) -> tuple[IntArray, IntArray]:
-        """Pairs of a sighting and a pose: each of P poses with all sightings of its `owner` `(P,)`; their indices."""
+        """Indices of all pairs of a pose and a sighting of its owner; `owner` `(P,)` has the owner of each pose."""
         counts = self.counts[owner]
         pose = np.repeat(np.arange(len(owner)), counts)
         within = np.arange(len(pose)) - np.repeat(np.cumsum(counts) - counts, counts)

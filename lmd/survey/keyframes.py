@@ -5,7 +5,7 @@ from all frames. Keyframes are evenly spaced in time. The selection must not dep
 in view: blurred and oblique images would then have more weight than others, and maps would differ by more than their
 stated errors.
 
-Two kinds of frames are kept besides:
+Two further kinds of frames are kept:
 
 - frames that alone show a tag, or two tags together, as these connect the map;
 - frames close to a moment at which all tags in view change, as only motion connects the tags before and after.
@@ -30,7 +30,7 @@ def select_keyframes(detected: DetectedTags, every: int | None = None) -> Detect
 
     Args:
         detected: detections in all frames.
-        every: n to keep every n-th frame with tags, from the first one; None to select as described in this module.
+        every: n to keep every n-th frame with tags, from the first frame; None to select as described in this module.
     """
     order = np.argsort(detected.frame, kind="stable")
     frames, begins = np.unique(detected.frame[order], return_index=True)

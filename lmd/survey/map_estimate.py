@@ -38,8 +38,9 @@ class Estimate:
     poses: Poses
     """Poses of tags, frames and mounts; NaN if not placed."""
     group: IntArray
-    """`(K,)` group of each tag: 0 for tags of the map, larger for tags that no frame connects with it, -1 for tags that
-    are not placed."""
+    """`(K,)` group of each tag: 0 for tags of the map, larger for tags that no frame connects with the map, -1 for tags
+    that are not placed.
+    """
     used: BoolArray
     """`(N,)` inliers: sightings from which the map is made."""
     misfits: BoolArray
@@ -102,7 +103,7 @@ class Estimate:
 
     @property
     def sigmas(self) -> FloatArray:
-        """Standard deviation of each tag's place relative to the others, in the worst direction, metres, `(K,)`."""
+        """Standard deviation of each tag's place relative to the other tags, in the worst direction, metres, `(K,)`."""
         known = np.asarray(np.isfinite(self.gauge_free_covariances).all(axis=(1, 2)))
         result = np.full(len(known), np.nan)
         largest = np.linalg.eigvalsh(self.gauge_free_covariances[known][:, 3:, 3:])[:, -1]

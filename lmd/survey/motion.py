@@ -201,7 +201,7 @@ class Motion:
         Args:
             i, j: indices of frames, `(M,)`.
             velocities: turn rates and velocities of all frames in the body's frame, `(F, 6)`, NaN if unknown; None for
-                a body that stands still. Odometry does not use them.
+                a body that stands still. Ignored if the motion is odometry.
         """
         if self.path is not None:
             return np.asarray(inverse(self.path[i]) @ self.path[j])

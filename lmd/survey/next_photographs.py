@@ -30,8 +30,8 @@ PLACES, TARGETS = 30, 8  # maximum numbers of earlier frames, and of tags that n
 # Places of candidates in front of a tag that needs a photograph: distances, metres, and angles, rad.
 DISTANCES, SIDEWAYS = (0.8, 1.5, 2.5), (-0.7, 0.0, 0.7)
 MOST_CANDIDATES = 200  # maximum number of candidates that are evaluated
-# A candidate is too similar to a chosen one if nearer than `NEAR_ANOTHER`, metres, with a larger cosine of the angle
-# between their directions than `SAME_WAY`: such photographs share errors that the covariance does not have.
+# A candidate is too similar to a chosen candidate if nearer than `NEAR_ANOTHER`, metres, with a larger cosine of the
+# angle between their directions than `SAME_WAY`: such photographs share errors that the covariance does not have.
 NEAR_ANOTHER, SAME_WAY = 0.3, 0.966
 # Minimum pixels per module, and minimum cosine of the incidence angle, for a tag that is expected to be detected.
 LEAST_PITCH, LEAST_COSINE = 3.0, 0.3

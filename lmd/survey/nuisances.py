@@ -28,10 +28,10 @@ from lmd.survey.resampling import inflation
 from lmd.survey.residuals import Poses, Reprojection, squared_errors
 from lmd.survey.sightings import MODES, RESIDUALS, Sightings, inward, shift_basis, shortest_side
 
-SMALL_SHARE = 0.5  # prior standard deviation of the second shift, over the prior standard deviation of the first
+SMALL_SHARE = 0.5  # prior standard deviation of the second shift, over the prior standard deviation of the first shift
 SHAPE_SIGMA, LEAST_SHAPE_SIGMA = 3e-4, 1e-5  # first and least standard deviation of shapes, metres
-PASSES = 2  # number of passes; the second one uses the inflation by blocks of time
-MOST_ROUNDS, ROUND_STEPS = 12, 3  # rounds, and steps of bundle adjustment in each
+PASSES = 2  # number of passes; the second pass uses the inflation by blocks of time
+MOST_ROUNDS, ROUND_STEPS = 12, 3  # rounds, and steps of bundle adjustment in each round
 MOST_TRIALS, FIRST_DAMPING = 6, 1e-3  # trials of a step with increasing damping, and the first damping
 SLACK = 1e-3  # maximum increase of the loss by an accepted step
 SETTLED_SIGMAS = 0.3  # the rounds end when a step is smaller, in standard deviations
@@ -72,8 +72,8 @@ def with_nuisances(
         sightings: sightings through `optics`.
         optics: optics of each camera.
         sigmas: prior standard deviations of the values of each camera, `(P + 2,)`.
-        poses: all poses. Shifts follow the edges of the posed tags. Detected edges share the noise of the residuals, so
-            shifts that follow them would be biased.
+        poses: all poses. Shifts are computed from the edges of the posed tags: detected edges share the noise of the
+            residuals and would bias the shifts.
     """
     image, error = sightings.image, Reprojection(sightings, *poses.of(sightings)).error.reshape(-1, 4, 2)
     image = np.where(np.abs(error).max(axis=(1, 2), keepdims=True) < NEAR_PIXELS, image + error, image)

@@ -139,7 +139,7 @@ class Prior:
 
 @dataclass(frozen=True)
 class PriorKnowledge:
-    """User's knowledge before the survey; None for none.
+    """User's knowledge before the survey; None for unknown entries.
 
     Raises:
         InputError: the floor is named although a plan, fixed tags or points define the world.
@@ -164,7 +164,7 @@ class PriorKnowledge:
     odometry: Trajectory | None = None
     """Trajectory of the body in any frame."""
     steady: bool | None = None
-    """True if the velocity changes little between frames that are near in time. None to assume that if most frames show
+    """True if the velocity changes little between frames that are near in time. None to assume this if most frames show
     a single tag, or if images leave groups unconnected.
     """
 

@@ -138,7 +138,7 @@ def needing_photographs(survey: Survey) -> IntArray:
 def metrics(survey: Survey) -> dict[str, float]:
     """Figures by name: metres, pixels, counts.
 
-    `differs` is the expected median distance between the places of a tag in two maps from walks like this one.
+    `differs` is the expected median distance between the places of a tag in two maps from walks like this walk.
     """
     found = survey.found
     square = 2.0 * np.trace(found.gauge_free_covariances[survey.placed][:, 3:, 3:], axis1=1, axis2=2)

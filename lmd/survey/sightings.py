@@ -55,7 +55,7 @@ class Sightings:
     ids: IntArray
     """`(K,)` ids of the tags, ascending."""
     edges: FloatArray
-    """`(K,)` edges of their black squares, metres."""
+    """`(K,)` edges of the tags' black squares, metres."""
     frames: int
     """Number F of frames. All images of one moment are one frame."""
     cameras: int
@@ -157,8 +157,8 @@ def sightings_of(
         ids, edges: see `Sightings`.
         modules: N of the tags' family.
         errors: errors of the detector's corners.
-        shifts: shift of edges `inward` in each camera's images beyond that of `errors`, pixels, `(C, 2)`, see
-            `shift_basis`; None for 0.
+        shifts: shift of edges `inward` in each camera's images, in addition to the shift in `errors`, pixels, `(C, 2)`,
+            see `shift_basis`; None for 0.
 
     Raises:
         InputError: the number of cameras differs.

@@ -51,7 +51,7 @@ class SurveyStage(Enum):
 
     @property
     def has_final_map(self) -> bool:
-        """True if this stage and later ones do not change the map."""
+        """True if this stage and later stages do not change the map."""
         return self.has_map and self not in (SurveyStage.REFINING, SurveyStage.COMPARING)
 
 

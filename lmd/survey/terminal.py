@@ -85,7 +85,7 @@ def _motion(survey: Survey) -> dict[str, str]:
 
 
 def _troubles(survey: Survey) -> dict[str, str]:
-    """Lines on faults and missing photographs; empty texts without any."""
+    """Texts on faults and missing photographs by kind; empty for kinds that do not occur."""
     ids, times, faults, state = survey.ids.tolist(), survey.detected.times, survey.faults, tag_columns(survey)["state"]
     by_state: dict[str, list[int]] = {}
     for number, text in zip(ids, np.asarray(state).tolist(), strict=True):

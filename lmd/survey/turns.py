@@ -44,7 +44,7 @@ class Turns:
         return any(turned.any() for turned in (self.renumbered, self.beside_plan, self.beside_sheets))
 
     def __add__(self, other: "Turns") -> "Turns":
-        """Sum of these turns and the turns `other` that were found after applying these."""
+        """Sum of these turns and of the turns `other`, found after these turns were applied."""
         names = ("renumbered", "beside_plan", "beside_sheets")
         return Turns(*((getattr(self, name) + getattr(other, name)) % 4 for name in names))
 

@@ -96,7 +96,7 @@ class Stop:
 
     @contextmanager
     def postponed(self) -> Iterator[None]:
-        """Context in which signals wait; they take effect at its end."""
+        """Context in which signals wait; signals take effect at the end of the context."""
         waiting: list[int] = []
         try:
             with self._acting(waiting.append):

@@ -217,7 +217,7 @@ def _by_pair(jobs: pd.DataFrame) -> pd.Series:
 
 
 def _typical(jobs: pd.DataFrame) -> str:
-    """Id of the run with the median qualified ratio; of two middle runs, the lower one."""
+    """Id of the run with the median qualified ratio; of two middle runs, the run with the lower ratio."""
     return str(jobs[RATIO].sort_values(kind="stable").index[(len(jobs) - 1) // 2])
 
 

@@ -7,7 +7,7 @@ from lmd.core.checks import InputError
 from lmd.evaluation.comparison import OptimiserRun
 from lmd.optimisers.ledger import Record
 from lmd.scene.deployment import Deployment
-from pipelines.compare import FILES, Contender, kept_of
+from pipelines.contenders import FILES, Contender, kept_of
 
 
 @pytest.fixture

@@ -1,4 +1,4 @@
-"""Reference of localisation in NumPy, one function per formula; compiled code must equal it bit for bit.
+"""Reference of localisation in NumPy, one function per formula; compiled code must equal the reference bit for bit.
 
 The reference also evaluates scenes whose visibility model has no compiled half (`reference_views`,
 `log_det.ReferenceLogDeterminant`).

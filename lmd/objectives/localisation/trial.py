@@ -11,7 +11,7 @@ landmarks never reduce the information of a view, so a move can change the decis
 `bound_move` ignores that the landmark at the new place hides others or is hidden; occlusion only reduces information.
 `finish_move` repeats the decisions at the positions with such occlusion.
 
-Camera and rig share this source, compiled for each; `changes` declares the functions that differ.
+Camera and rig share this source, which is compiled separately for each; `changes` declares the functions that differ.
 """
 
 from typing import Any
@@ -57,7 +57,7 @@ GAINED = 2  # views of touched positions in which another landmark appears for s
 
 @inlined
 def mixed(located: Any, covered: Any, weight: float) -> Any:
-    """Quantised (1 - weight) L + weight P_n; monotone in both."""
+    """Quantised (1 - weight) L + weight P_n; monotone in L and in P_n."""
     return located + np.int64(weight * (covered - located))
 
 

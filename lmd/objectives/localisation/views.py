@@ -1,9 +1,10 @@
 """Working memory for the views of one position with the orientations of one word.
 
-Number j of view v lies at `rows[j * BITS + v]`, so that loops over views vectorise. Camera and rig share the source,
-compiled for each. A single camera has one position for all orientations, so a landmark has one set of moments for all
-views of a position. A camera of a rig has another position for each orientation, so moments are computed for each pair
-of a landmark and a view (`pairs`); for a single camera, moments for each pair would be up to 64 times the work.
+Number j of view v lies at `rows[j * BITS + v]`, so that loops over views vectorise. Camera and rig share this source,
+which is compiled separately for each. A single camera has one position for all orientations, so a landmark has one set
+of moments for all views of a position. A camera of a rig has another position for each orientation, so moments are
+computed for each pair of a landmark and a view (`pairs`); for a single camera, moments for each pair would be up to 64
+times the work.
 """
 
 from typing import Any, NamedTuple, TypeAlias
@@ -53,7 +54,9 @@ class CameraViews(NamedTuple):
     met: np.ndarray
     """`(BITS,)` uint8, 1 for a view with the required precision."""
     weights: FloatArray
-    """`(2, BITS)` pixel density of a landmark in each view, 0 where it is not seen: rows `DISAPPEARS`, `APPEARS`."""
+    """`(2, BITS)` pixel density of a landmark in each view, 0 in views without the landmark: rows `DISAPPEARS`,
+    `APPEARS`.
+    """
     moments: FloatArray
     """`(2, P, WIDTH)` moments of the landmark that moves, from each position: `LEFT`, `TRIED`."""
     found: np.ndarray
@@ -93,7 +96,7 @@ def body_views() -> BodyViews:
 
 @dispatched
 def is_met(views: Any, precision: Precision, v: Integer, several: Any) -> Any:
-    """True if view v has the precision; `several` is True if it shows two landmarks or more."""
+    """True if view v has the precision; `several` is True if the view shows two landmarks or more."""
 
 
 @is_met.register(CameraViews)
@@ -178,7 +181,9 @@ def add_moments(rows: FloatArray, moments: FloatArray, weights: FloatArray, sign
 def replace_moments(
     rows: FloatArray, lost: FloatArray, gained: FloatArray, weights: FloatArray, count: Integer
 ) -> None:
-    """Subtract a landmark with the moments `lost` from the rows of a camera's views, and add one with `gained`."""
+    """Subtract a landmark with the moments `lost` from the rows of a camera's views, and add a landmark with
+    `gained`.
+    """
     for j in range(np.uint64(len(lost))):
         old, new = lost[j], gained[j]
         for v in range(whole(count)):

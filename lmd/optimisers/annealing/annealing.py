@@ -4,9 +4,10 @@ Good deployments for a threshold of n landmarks have clusters of about n landmar
 to three stages:
 
 1. K/n *stacks* (groups of n coincident landmarks) are annealed without occlusion. A stack acts as one landmark of a
-problem with n = 1, which is smaller, smoother and faster to evaluate. 2. The landmarks of each stack are separated, and
-single landmarks are annealed at a low temperature. Landmarks pushed apart at once, until none hides another, would
-cover less than the stack. So footprints are small at first and *grow* to their size, and landmarks separate gradually.
+   problem with n = 1, which is smaller, smoother and faster to evaluate.
+2. The landmarks of each stack are separated, and single landmarks are annealed at a low temperature. Landmarks pushed
+   apart at once, until none hides another, would cover less than the stack. So footprints are small at first and *grow*
+   to their size, and landmarks separate gradually.
 3. For an objective with a sampling, a gradient ascent of all landmarks at once (`ascent`) finds the local optimum, as
    the gains of single moves are below the error of a sample.
 
@@ -130,7 +131,9 @@ class Annealing(Optimiser):
         surrogate = Surrogate(problem, self.walkers, self.largest)
 
         def note(moved: int, deployment: Deployment | None) -> None:
-            """Record the cost of moves, and their result `deployment`, which is None if it cannot be the best."""
+            """Record the cost of moves and the resulting `deployment`, None for a deployment that cannot be the
+            best.
+            """
             self.spent += moved
             fitness = -math.inf if deployment is None else problem.fitness_of(deployment)
             ledger.seconds = clock() - began
@@ -173,8 +176,8 @@ class Annealing(Optimiser):
         return 0
 
     def _walk(self, problem: Problem, surrogate: Surrogate, used: float, left: float) -> tuple[int, Deployment | None]:
-        """Walk a stretch, and return the number of moved landmarks and the resulting deployment, None if it cannot be
-        the best.
+        """Walk a stretch, and return the number of moved landmarks and the resulting deployment, None for a deployment
+        that cannot be the best.
 
         Args:
             problem: the problem.
@@ -244,7 +247,7 @@ class Annealing(Optimiser):
         return self.best
 
     def _mean(self, problem: Problem) -> Deployment:
-        """Mean places of a walk on samples. While growing footprints push landmarks apart, the last places."""
+        """Mean places of a walk on samples; or the last places while growing footprints push landmarks apart."""
         if problem.objective.sampling is None or self.angles is not None:
             return self.here
         self.mean_places = self.mean_places or MeanPlaces(self.here)

@@ -1,7 +1,7 @@
 """Moves that the walk of simulated annealing (`lmd.optimisers.annealing.walk`) proposes, in compiled code.
 
-Landmarks are columns of `here`, the places of all K. A move changes a `group` of landmarks, indices `(G,)`: their
-new poses, position and normal, are written to `new` `(G, 6)`, and their new surfaces to `on` `(G,)`.
+Landmarks are columns of `here`, the places of all K landmarks. A move changes a `group` of landmarks, indices `(G,)`:
+their new poses, position and normal, are written to `new` `(G, 6)`, and their new surfaces to `on` `(G,)`.
 """
 
 from typing import NamedTuple

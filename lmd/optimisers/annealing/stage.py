@@ -13,7 +13,8 @@ CONSTANTS = ("margin", "share", "jump", "join", "together", "exchange")
 
 @dataclass(frozen=True)
 class Stage:
-    """Conditions of one stage; a pair is the value at the begin and at the end of the stage, geometric in between.
+    """Conditions of one stage; a pair has the values at the beginning and at the end of the stage, with geometric
+    interpolation.
 
     Raises:
         InputError: a value is out of range.

@@ -114,7 +114,8 @@ class Surrogate:
     def walk(
         self, here: Deployment, best: Deployment, conditions: Conditions, moves: int, rng: np.random.Generator
     ) -> tuple[Deployment, Deployment | None]:
-        """Try `moves` moves from `here`, and return the resulting deployment, and the best one on the way if it is new.
+        """Try `moves` moves from `here`, and return the resulting deployment, and the best deployment on the way if it
+        beats `best`.
 
         Args:
             here: stacks, or all landmarks.

@@ -144,7 +144,7 @@ def walk(
 
     Args:
         moves: total number of moved landmarks; moves that are proposed but not tried count.
-        places: places at the begin of the walk; if empty, the walk begins at `state`.
+        places: places at the beginning of the walk; if empty, the walk begins at `state`.
         members: `(M,)` indices of the landmarks that may move, M >= the length of `several`.
         several: `(n,)` working memory: the landmarks that move together.
         field: values of positions, a `Field`.

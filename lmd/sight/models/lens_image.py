@@ -25,7 +25,7 @@ def _polynomial(coefficients: Any, h: float) -> Any:
 def stretch_at(sight: Any, height: float) -> Any:
     """Upper bound on the image motion per rotation of the direction, for 1 - cos(theta) <= `height`.
 
-    In focal lengths per radian.
+    The bound is in focal lengths per radian.
     """
     return _polynomial(sight.stretch, min(height, sight.stretch_end))
 

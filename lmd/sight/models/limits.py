@@ -1,7 +1,7 @@
 """Limits of a detector: least pitch, size and margin, and greatest incidence angle, at which the detector finds a tag.
 
 A preset is a YAML file with the keys `detector`, `family` and the fields of `Limits`; comments give the evidence.
-`lmd/sight/models/presets` has the presets of the package; `pipelines.calibrate_detector` writes new ones.
+`lmd/sight/models/presets` has the presets of the package; `pipelines.calibrate_detector` writes new presets.
 """
 
 import math

@@ -119,7 +119,7 @@ class Store:
         return list(self.client.search_runs(experiments, filter_string=wanted))
 
     def send(self, run_id: str, entry: Entry) -> None:
-        """Send one entry of a journal; sending it again changes nothing."""
+        """Send one entry of a journal; sending an entry again changes nothing."""
         with self.undisturbed():
             self._send(run_id, entry)
 

@@ -14,7 +14,7 @@ Entry = dict[str, Any]  # entry of a journal
 
 @dataclass(frozen=True)
 class RunStart:
-    """Description of a run at its begin."""
+    """Description of a run at its beginning."""
 
     name: str
     """Name in lists."""
@@ -36,7 +36,7 @@ class Tracker(Protocol):
         """Id of the started run; None if nothing is recorded."""
 
     def start(self, run: RunStart, run_id: str | None = None) -> None:
-        """Begin a run, or continue the one called `run_id`.
+        """Begin a run, or continue the run `run_id`.
 
         Raises:
             InputError: the store cannot be used for a new run.
@@ -63,8 +63,15 @@ class Tracker(Protocol):
             InputError: the store cannot be used.
         """
 
+    def keep_newest(self, tags: Mapping[str, str]) -> None:
+        """Delete all runs with these tags but the one that began last.
+
+        Raises:
+            InputError: the store cannot be used.
+        """
+
     def log_curve(self, metric: str, points: Iterable[tuple[int, float, float]]) -> None:
-        """Log a curve of points (step, value, seconds since the begin of the run)."""
+        """Log a curve of points (step, value, seconds since the beginning of the run)."""
 
     def log_metrics(self, metrics: Mapping[str, float]) -> None:
         """Log final figures."""
@@ -79,7 +86,7 @@ class Tracker(Protocol):
         """Text about the place of the run, in one line."""
 
     def views(self, params: Sequence[str]) -> list[str]:
-        """Links to the children of this run, grouped by params, one per line; none if the store does not answer."""
+        """Links to the runs below this one, grouped by params, and to this one; none if the store does not answer."""
 
 
 class NoTracker(Tracker):
@@ -88,7 +95,7 @@ class NoTracker(Tracker):
     @property
     @override
     def run_id(self) -> None:
-        """None."""
+        """See `Tracker.run_id`: None, as nothing is recorded."""
 
     @override
     def goes_on(self, run_id: str, folder: Path, params: Mapping[str, Any]) -> bool:

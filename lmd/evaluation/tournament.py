@@ -1,0 +1,113 @@
+"""Optimisers over several problems: mean ranks, tests of Friedman and Nemenyi, critical difference, profiles.
+
+Sources: Demsar, "Statistical Comparisons of Classifiers over Multiple Data Sets" (2006): a problem is a row, its value
+the median over seeds; Dolan and More, "Benchmarking Optimization Software with Performance Profiles" (2002).
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import pandas as pd
+from scipy import stats
+
+from lmd.core.checks import FloatArray
+from lmd.evaluation.comparison import (
+    OptimiserRun,
+    expected_running_time,
+    friedman,
+    mean_ranks,
+    nemenyi,
+)
+
+SIGNIFICANCE = 0.05
+"""Significance level of the critical difference."""
+TARGET_SHARE = 0.9
+"""Target of a profile: share of the best value known."""
+
+
+@dataclass(frozen=True)
+class Tournament:
+    """Medians over seeds of a figure, and the tests on them."""
+
+    values: pd.DataFrame
+    """Medians: a row for each problem, a column for each optimiser, the best mean rank first; NaN without a run."""
+    ranks: pd.Series
+    """Mean rank of each optimiser over the complete problems; 1 is best."""
+    complete: int
+    """Number of problems on which every optimiser has run, which the tests use."""
+    friedman: float
+    """P-value of Friedman's test that all optimisers are alike; NaN for fewer than three optimisers or two problems."""
+    nemenyi: pd.DataFrame
+    """P-values of Nemenyi's test of every two optimisers."""
+    critical: float
+    """Difference of two mean ranks that is significant at `SIGNIFICANCE`; NaN without complete problems."""
+
+    @property
+    def winners(self) -> Mapping[str, list[str]]:
+        """Optimisers with the greatest median of each problem, several if equal."""
+        return {
+            str(problem): [str(name) for name in row.index[row == row.max()]] for problem, row in self.values.iterrows()
+        }
+
+
+def tournament(runs: Sequence[OptimiserRun], key: str) -> Tournament:
+    """Compare optimisers by the median over seeds of the figure `key`; higher is better."""
+    table = pd.DataFrame([(run.problem, run.optimiser, run.metrics[key]) for run in runs], columns=["row", "name", "y"])
+    values = table.pivot_table(index="row", columns="name", values="y", aggfunc="median")
+    complete = values.dropna()
+    count, rows = values.shape[1], len(complete)
+    names = list(values)
+    ranks = pd.Series(mean_ranks(complete.to_numpy()) if rows else np.full(count, np.nan), names).sort_values()
+    values, complete = values[ranks.index], complete[ranks.index]
+    is_tested = count > 2 and rows > 1
+    several = nemenyi(complete.to_numpy()) if is_tested else np.full((count, count), np.nan)
+    return Tournament(
+        values.rename_axis(index="problem", columns=None),
+        ranks,
+        rows,
+        friedman(complete.to_numpy()) if is_tested else np.nan,
+        pd.DataFrame(several, ranks.index, ranks.index),
+        critical_difference(count, rows),
+    )
+
+
+def critical_difference(optimisers: int, problems: int) -> float:
+    """Critical difference of mean ranks by Nemenyi's test at `SIGNIFICANCE`; NaN for fewer than two of either."""
+    if optimisers < 2 or problems < 2:
+        return np.nan
+    quantile = float(stats.studentized_range.isf(SIGNIFICANCE, optimisers, np.inf)) / np.sqrt(2.0)
+    return float(quantile * np.sqrt(optimisers * (optimisers + 1) / (6.0 * problems)))
+
+
+def running_time_ratios(runs: Sequence[OptimiserRun], best: Mapping[str, float]) -> pd.DataFrame:
+    """Expected running times to `TARGET_SHARE` of the best value known, over the shortest of a problem.
+
+    Args:
+        runs: runs of all optimisers.
+        best: best value known of each problem.
+
+    Returns:
+        A row for each problem that at least one optimiser solved, a column for each optimiser; infinity if none of its
+        runs reached the target.
+    """
+    groups: dict[str, dict[str, list[OptimiserRun]]] = {}
+    for run in runs:
+        groups.setdefault(run.problem, {}).setdefault(run.optimiser, []).append(run)
+    times = pd.DataFrame(
+        {
+            problem: {
+                name: expected_running_time(group, TARGET_SHARE * best[problem]) for name, group in by_name.items()
+            }
+            for problem, by_name in groups.items()
+        }
+    ).T
+    shortest = times.min(axis=1)
+    solved = np.isfinite(shortest)
+    ratios: pd.DataFrame = times[solved].div(shortest[solved], axis=0).fillna(np.inf)
+    return ratios
+
+
+def profile(ratios: FloatArray, at: FloatArray) -> FloatArray:
+    """Performance profile of an optimiser: share of problems whose ratio `(P,)` is at most each of `at` `(N,)`."""
+    return np.asarray((ratios[:, None] <= at).mean(axis=0))

@@ -1,0 +1,33 @@
+"""The suite of problems: frozen problems as functions on the unit box, for optimisers of any library.
+
+    >>> import lmd.suite
+    >>> problem = lmd.suite.problem("lab_localisation")
+    >>> problem.dim
+    48
+    >>> start = problem.start(seed=0)
+    >>> bool(problem(start) == problem(start[None])[0])
+    True
+
+`lmd.suite.BlackBox(problem)` makes such a function of any `lmd.Problem`.
+"""
+
+from lmd.suite.adapters import ioh_problem, nevergrad_function, optuna_objective, pymoo_problem, scipy_function
+from lmd.suite.best import best_deployments, best_rig
+from lmd.suite.black_box import BlackBox
+from lmd.suite.documents import Document, document, names
+from lmd.suite.frozen import problem
+
+__all__ = [
+    "BlackBox",
+    "Document",
+    "best_deployments",
+    "best_rig",
+    "document",
+    "ioh_problem",
+    "names",
+    "nevergrad_function",
+    "optuna_objective",
+    "problem",
+    "pymoo_problem",
+    "scipy_function",
+]

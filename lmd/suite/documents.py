@@ -1,0 +1,127 @@
+"""Documents of the suite: `problems/NAME.yaml`, each a frozen problem with its hash, bound, budgets and best value."""
+
+import hashlib
+import json
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+from lmd.core.checks import InputError, choice, integer, real
+from lmd.core.files import read_bytes, read_keys
+
+SETS = ("small", "full")
+"""Names of the sets of problems; the full set contains the small one."""
+FILE = "path"
+"""Key of a file within `problem`, relative to the folder of the suite."""
+HASH_DIGITS = 16
+KEYS = ("about", "set", "version", "hash", "budgets", "bound", "best", "problem")
+FOLDER = Path(__file__).parent / "problems"
+"""Folder of the documents and of the files that they name; not in `conf`, where Hydra would take it for a group."""
+
+
+@dataclass(frozen=True)
+class Best:
+    """Best candidate known of a problem."""
+
+    value: float
+    """Fitness; with several objectives the hypervolume of the front, from the origin."""
+    off_grid: float | None
+    """Headline figure of the candidate off the grid; None for a front."""
+    by: str
+    """Optimiser, its budget and its seed."""
+
+
+@dataclass(frozen=True)
+class Document:
+    """A frozen problem of the suite.
+
+    Raises:
+        InputError: a value is out of range.
+    """
+
+    name: str
+    """Name, that of its file."""
+    about: str
+    """A sentence."""
+    set: str
+    """Smallest set that contains it, one of `SETS`."""
+    version: int
+    """Version of the problem; a changed hash needs a new version."""
+    hash: str
+    """Digest of everything that decides the fitness, as `digest` gives it."""
+    budgets: Sequence[int]
+    """Evaluations of the three budgets, ascending."""
+    bound: float | None
+    """Proven upper bound of the fitness of all candidates; None for none below 1."""
+    best: Best | None
+    """Best candidate known; None before one was recorded."""
+    problem: Mapping[str, Any]
+    """Nodes of the problem, as in a configuration of `pipelines.optimise`."""
+
+    def __post_init__(self) -> None:
+        choice("set", self.set, SETS)
+        integer("version", self.version, low=1)
+        if self.bound is not None:
+            real("bound", self.bound, above=0.0, high=1.0)
+        if not self.budgets or sorted(set(self.budgets)) != list(self.budgets):
+            raise InputError(f"{self.name}: budgets must ascend, got {list(self.budgets)}.", "budgets")
+
+    @property
+    def digest(self) -> str:
+        """Digest of the nodes of the problem and of the bytes of all files that they name."""
+        text = hashlib.sha256(json.dumps(self.problem, sort_keys=True).encode())
+        for file in sorted(set(_files(self.problem))):
+            text.update(read_bytes(FOLDER / file, f"{self.name}: {FILE}"))
+        return text.hexdigest()[:HASH_DIGITS]
+
+
+def names(which: str = "full") -> list[str]:
+    """Names of the problems of a set, sorted.
+
+    Raises:
+        InputError: there is no such set.
+    """
+    choice("set", which, SETS)
+    every = sorted(path.stem for path in FOLDER.glob("*.yaml"))
+    return every if which == "full" else [name for name in every if document(name).set == which]
+
+
+@cache
+def document(name: str) -> Document:
+    """Read the document of a problem.
+
+    Raises:
+        InputError: there is no problem of that name, or its document is damaged.
+    """
+    choice("suite", name, names())
+    path = FOLDER / f"{name}.yaml"
+    values = read_keys(path, "suite")
+    if set(values) != set(KEYS):
+        raise InputError(f"suite: {path.name} must have the keys {', '.join(KEYS)}, got {', '.join(values)}.")
+    best = values.pop("best")
+    return Document(name=name, best=None if best is None else Best(**best), **values)
+
+
+def with_paths(node: Any) -> Any:
+    """Copy the nodes of a problem with the full paths of all files."""
+    if isinstance(node, Mapping):
+        return {
+            key: str(FOLDER / value) if key == FILE and value is not None else with_paths(value)
+            for key, value in node.items()
+        }
+    return [with_paths(value) for value in node] if isinstance(node, list) else node
+
+
+def _files(node: Any) -> Iterator[str]:
+    """Files that the nodes of a problem name."""
+    if isinstance(node, Mapping):
+        for key, value in node.items():
+            if key == FILE and value is not None:
+                yield str(value)
+            else:
+                yield from _files(value)
+    elif isinstance(node, list):
+        for value in node:
+            yield from _files(value)

@@ -1,0 +1,117 @@
+"""Problems with two objectives, all of which are maximised."""
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from typing_extensions import override
+
+from lmd.core.checks import FloatArray, InputError
+from lmd.optimisers.encoding import make_encoding
+from lmd.problem import Problem
+from lmd.scene.deployment import Deployment
+from lmd.suite.black_box import IMPOSSIBLE, BlackBox
+
+HUNG = 0.5
+"""Gene of a tag from which on the tag is hung."""
+
+
+class SeveralObjectives(BlackBox):
+    """Several objectives of the landmarks of one scene.
+
+    Args:
+        problems: problems that differ in their objective alone; at least two.
+        name: see `BlackBox`.
+        encoding: see `BlackBox`.
+    """
+
+    def __init__(self, problems: Sequence[Problem], name: str = "problem", encoding: str = "wall") -> None:
+        super().__init__(problems[0], name, encoding)
+        self.boxes = [BlackBox(each, name, encoding) for each in problems]
+        self.objectives = tuple(label for box in self.boxes for label in box.objectives)
+        if len(self.boxes) < 2:
+            raise InputError(f"{name}: at least two objectives are needed, got {len(self.boxes)}.", "problems")
+
+    @override
+    def _values(self, genes: FloatArray) -> FloatArray:
+        return np.stack([box(genes) for box in self.boxes], axis=1)
+
+    def values_of(self, deployment: Deployment) -> FloatArray:
+        """Values of a deployment, `(M,)`."""
+        return np.array([box.problem.fitness_of(deployment) for box in self.boxes])
+
+    @override
+    def score(self, genes: FloatArray, seed: int = 0) -> Mapping[str, float]:
+        scores = dict[str, float]()
+        for box in self.boxes:
+            scores |= {f"{box.objectives[0]}: {key}": value for key, value in box.score(genes, seed).items()}
+        return scores
+
+
+class TagChoice(BlackBox):
+    """The fitness against the share of the tags, or of their paper, that is left over.
+
+    Each landmark has a gene more than in the problem: the tag is hung if the gene is at least `HUNG`. A candidate
+    without tags has the fitness 0.
+
+    Args:
+        problem: problem with all tags hung.
+        name: see `BlackBox`.
+        encoding: see `BlackBox`.
+        by_paper: True to weigh each tag by the area of its square, False to count tags.
+
+    Raises:
+        InputError: some landmarks are fixed, or the problem does not place landmarks.
+    """
+
+    def __init__(self, problem: Problem, name: str = "problem", encoding: str = "wall", by_paper: bool = False) -> None:
+        super().__init__(problem, name, encoding)
+        if problem.genome is not None or problem.fixed_count:
+            raise InputError(f"{name}: a choice of tags needs a problem that places all landmarks.", "problem")
+        self._encoding = make_encoding(encoding, problem.scene.footprints.hanging, flush=True)
+        self.by_paper = by_paper
+        self.objectives = (*self.objectives, f"share of the {'paper' if by_paper else 'tags'} left over")
+
+    @property
+    @override
+    def dim(self) -> int:
+        return self.genome.dim + self.problem.count
+
+    @override
+    def start(self, seed: int = 0) -> FloatArray:
+        rng = np.random.default_rng([seed, 1])
+        return np.concatenate([super().start(seed), rng.random(self.problem.count)])
+
+    @override
+    def deployment(self, genes: FloatArray) -> Deployment:
+        deployment = self._hung(self._one(genes))
+        if deployment is None:
+            raise InputError(f"{self.name}: this candidate hangs no tag, or its papers find no room.", "genes")
+        return deployment
+
+    def values_of(self, deployment: Deployment) -> FloatArray:
+        """Fitness of some of the tags, and the share that is left over, `(2,)`."""
+        used, every = (
+            (sizes**2).sum() if self.by_paper else len(sizes)
+            for sizes in (deployment.edges_of(self.problem.scene.tag), self.problem.sizes)
+        )
+        enough = len(deployment) >= self.problem.objective.n
+        return np.array([self.problem.fitness_of(deployment) if enough else 0.0, 1.0 - used / every])
+
+    @override
+    def _values(self, genes: FloatArray) -> FloatArray:
+        return np.array([self._value(row) for row in genes])
+
+    def _value(self, row: FloatArray) -> FloatArray:
+        if not (row[self.genome.dim :] >= HUNG).any():
+            return np.array([0.0, 1.0])
+        deployment = self._hung(row)
+        return np.array([IMPOSSIBLE, 0.0]) if deployment is None else self.values_of(deployment)
+
+    def _hung(self, row: FloatArray) -> Deployment | None:
+        """Tags that a candidate `(d,)` hangs, their papers pushed apart; None for no tag, or if these find no room."""
+        hangs = row[self.genome.dim :] >= HUNG
+        if not hangs.any():
+            return None
+        positions, normals, surfaces = (each[0] for each in self._encoding.decode(row[None, : self.genome.dim]))
+        every = self.problem.labelled(Deployment(positions, normals, surfaces))
+        return self.problem.scene.footprints.separated(every[hangs])

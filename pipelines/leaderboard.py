@@ -1,0 +1,138 @@
+"""The leaderboard of a tournament: tables, pictures, and the runs in IOHprofiler's format."""
+
+import shutil
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from .contenders import Contender
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+    from lmd.core.checks import FloatArray
+    from lmd.evaluation.comparison import OptimiserRun
+    from lmd.evaluation.tournament import Tournament
+    from lmd.suite import BlackBox, Document
+
+RATIOS, LEAST_SHARE, POINTS = 1000.0, 1e-3, 400  # ends and points of the logarithmic axes of the profiles
+FIGURES = {"fitness": "fitness", "off_grid": "off the grid"}  # figures of a run that are ranked
+Results = Mapping[Contender, "OptimiserRun"]
+
+
+def write_leaderboard(
+    directory: Path, results: Results, boxes: "Mapping[str, BlackBox]"
+) -> tuple[list[Path], dict[str, float]]:
+    """Write the leaderboard of finished runs into a folder; returns its files, and the mean ranks as figures."""
+    from lmd.evaluation.tournament import tournament
+    from lmd.plot.ranks import save_critical_difference_diagram
+    from lmd.suite import document
+
+    frozen = {name: document(name) for name in boxes}
+    blocks, files, figures = list[str](), list[Path](), dict[str, float]()
+    every = []
+    for place in (2, 1, 0):  # the largest budget first
+        runs = [run for job, run in results.items() if job.evaluations == frozen[job.problem].budgets[place]]
+        if not runs:
+            continue
+        blocks.append(f"## Budget {place + 1} of 3")
+        for key, label in FIGURES.items():
+            if not all(key in run.metrics for run in runs):
+                continue
+            held = tournament(runs, key)
+            blocks += _section(held, label, frozen)
+            figures |= {f"rank_{place + 1}/{key}/{name}": rank for name, rank in held.ranks.items() if rank == rank}
+            every.append(held.values.assign(figure=key, budget=place + 1).reset_index())
+            files.append(directory / f"ranks_{place + 1}_{key}.png")
+            title = f"mean ranks over {held.complete} problems: {label}, budget {place + 1} of 3"
+            save_critical_difference_diagram(files[-1], held.ranks, held.critical, title)
+        files.append(directory / f"profiles_{place + 1}.png")
+        _profiles(files[-1], runs, frozen, f"budget {place + 1} of 3")
+    files += _tables(directory, blocks, every)
+    _write_iohprofiler(directory / "iohprofiler", results, boxes)
+    return files, figures
+
+
+def _section(held: "Tournament", label: str, frozen: "Mapping[str, Document]") -> list[str]:
+    """The table of a figure, and the tests below it."""
+    import numpy as np
+
+    from lmd.core.words import as_code, markdown_table
+
+    names = list(held.values)
+    rows = [["**mean rank**", *(f"**{rank:.2f}**" if rank == rank else "" for rank in held.ranks), "", ""]]
+    for problem, values in zip(held.values.index, held.values.to_numpy(), strict=True):
+        known, greatest = frozen[problem], float(np.nanmax(values))
+        cells = [_cell(value, greatest) for value in values.tolist()]
+        best = "" if known.best is None else f"{known.best.off_grid if label != 'fitness' else known.best.value:.4f}"
+        rows.append([as_code(problem), *cells, best, "" if known.bound is None else f"{known.bound:.4f}"])
+    head = [label, *map(as_code, names), "best known", "bound"]
+    wins = {name: sum(name in winners for winners in held.winners.values()) for name in names}
+    first = ", ".join(f"{as_code(name)} on {count}" for name, count in wins.items() if count)
+    tests = (
+        f"Friedman's test over {held.complete} problems that all optimisers have run: p = {held.friedman:.2g}. "
+        f"Critical difference of mean ranks at 5 %: {held.critical:.2f} (Nemenyi)."
+    )
+    return [markdown_table(head, rows), f"First, ties included: {first}, of {len(held.values)} problems. {tests}"]
+
+
+def _cell(value: float, greatest: float) -> str:
+    if value != value:
+        return "–"
+    return f"**{value:.4f}**" if value == greatest else f"{value:.4f}"
+
+
+def _tables(directory: Path, blocks: Sequence[str], every: "Sequence[pd.DataFrame]") -> list[Path]:
+    """Write the tables as Markdown and as CSV."""
+    import pandas as pd
+
+    text, table = directory / "leaderboard.md", directory / "leaderboard.csv"
+    text.write_text("\n\n".join(blocks) + "\n", encoding="utf-8")
+    pd.concat(every).to_csv(table, index=False)
+    print(f"\n{text.read_text(encoding='utf-8')}", flush=True)
+    return [text, table]
+
+
+def _profiles(path: Path, runs: "Sequence[OptimiserRun]", frozen: "Mapping[str, Document]", title: str) -> None:
+    """Draw performance profiles and ECDFs of the runs with one budget."""
+    import numpy as np
+
+    from lmd.evaluation.iohprofiler import attained_share
+    from lmd.evaluation.tournament import TARGET_SHARE, profile, running_time_ratios, tournament
+    from lmd.plot.ranks import save_profile_figure
+
+    known = {name: _best_known(name, runs, document) for name, document in frozen.items()}
+    ratios = running_time_ratios(runs, known)
+    at, shares = np.geomspace(1.0, RATIOS, POINTS), np.geomspace(LEAST_SHARE, 1.0, POINTS)
+    names = tournament(runs, "fitness").ranks.index
+    profiles = {str(name): profile(ratios[name].to_numpy(), at) for name in names}
+    curves: dict[str, FloatArray] = {}
+    for name in profiles:
+        own = [run for run in runs if run.optimiser == name]
+        ends = [(run, max(run.history[-1].evaluations, 1.0)) for run in own]
+        each = [attained_share([run], np.ceil(shares * end), 0.0, known[run.problem]) for run, end in ends]
+        curves[name] = np.mean(each, axis=0)
+    target = f"{TARGET_SHARE:.0%} of the best value known"
+    save_profile_figure(path, (at, profiles), (shares, curves), target, title)
+
+
+def _best_known(name: str, runs: "Iterable[OptimiserRun]", document: "Document") -> float:
+    """Best value of a problem, of its document and of the runs."""
+    recorded = 0.0 if document.best is None else document.best.value
+    return max([recorded, *(run.metrics["fitness"] for run in runs if run.problem == name)])
+
+
+def _write_iohprofiler(folder: Path, results: Results, boxes: "Mapping[str, BlackBox]") -> None:
+    """Write all runs in IOHprofiler's format: a folder for each budget, in it one for each optimiser."""
+    from lmd.evaluation.iohprofiler import write_iohprofiler
+    from lmd.suite import document, names
+
+    numbers = {name: number for number, name in enumerate(names(), 1)}
+    groups: dict[tuple[str, str, int], list[OptimiserRun]] = {}
+    for job, run in results.items():
+        groups.setdefault((job.optimiser, job.problem, job.evaluations), []).append(run)
+    shutil.rmtree(folder, ignore_errors=True)
+    for (optimiser, name, evaluations), runs in groups.items():
+        place = document(name).budgets.index(evaluations) + 1
+        own = folder / f"budget_{place}" / optimiser.replace("/", "_")
+        write_iohprofiler(own, runs, name, numbers[name], boxes[name].dim)
