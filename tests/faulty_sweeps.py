@@ -60,10 +60,10 @@ def sweep(cwd, faults, *overrides, tracking=STORE):
     return call("optimise", *settings(cwd, faults, tracking), *overrides, cwd=cwd, folders=[cwd])
 
 
-def start_sweep(cwd, faults, *overrides, tracking=STORE):
+def start_sweep(cwd, faults, *overrides, tracking=STORE, **streams):
     """Start a sweep and wait until its slow job is at work."""
     line = command("optimise", *settings(cwd, faults, tracking), *overrides)
-    process = start(line, cwd=cwd, folders=[cwd], stderr=subprocess.PIPE)
+    process = start(line, cwd=cwd, folders=[cwd], stderr=subprocess.PIPE, **streams)
     deadline = time.monotonic() + 120
     while not (cwd / "pid").exists() and time.monotonic() < deadline:
         time.sleep(0.02)

@@ -2,11 +2,15 @@
 
 import json
 import os
+import re
 import signal
+import subprocess
 import time
 
 import pytest
 from faulty_sweeps import prepared, runs, start_sweep, statuses, sweep, table
+from mlflow import MlflowClient
+from mlflow.entities import ViewType
 
 pytestmark = pytest.mark.slow
 THOROUGH = pytest.mark.thorough("pipelines/operations")
@@ -32,8 +36,9 @@ def test_a_sweep_killed_with_its_job_goes_on_with_what_is_missing(work):
     assert "done already: optimiser.fault=none" in again.stdout
     parent, children = runs(work)
     assert parent.info.status == "FINISHED"
-    assert statuses(children) == {"none": ["FINISHED"], "slow": ["FAILED", "FINISHED"]}
-    (lost,) = [run for run in children["slow"] if run.info.status == "FAILED"]
+    assert statuses(children) == {"none": ["FINISHED"], "slow": ["FINISHED"]}
+    client = MlflowClient(tracking_uri=f"sqlite:///{work}/store.db")
+    (lost,) = client.search_runs(["1"], run_view_type=ViewType.DELETED_ONLY)
     assert lost.data.tags["reason"] == "its process was killed, and the sweep with it"
 
 
@@ -50,10 +55,12 @@ def test_the_jobs_of_a_sweep_that_is_killed_under_joblib_stop(work):
 
 
 def test_an_interrupted_job_goes_on_from_its_checkpoint(work):
-    process = start_sweep(work, "slow")
+    process = start_sweep(work, "slow,raise", "seed=0,1", stdout=subprocess.PIPE)
     process.send_signal(signal.SIGINT)
-    _, err = process.communicate(timeout=60)
+    out, err = process.communicate(timeout=60)
     assert process.returncode == 130
+    assert "0 of 4 jobs finished, 3 had not begun: " in out
+    sittings = [table(work).seconds["slow"]]
     assert "the same command again does what is missing" in err
     parent, children = runs(work)
     assert (parent.info.status, parent.data.tags["reason"]) == ("FAILED", "the sweep was cut short")
@@ -61,15 +68,19 @@ def test_an_interrupted_job_goes_on_from_its_checkpoint(work):
     assert child.info.status == "KILLED"
     spent = child.data.metrics["evaluations"]
     assert 0 < spent < 400
+    assert (parent.data.metrics["jobs"], parent.data.metrics["failed"]) == (4.0, 1.0)
 
     (work / "repaired").touch()
-    again = sweep(work, "slow")
+    again = sweep(work, "slow,raise", "seed=0,1")
     assert again.returncode == 0, again.stderr
+    assert "4 of 4 jobs finished: " in again.stdout
     _, children = runs(work)
-    assert statuses(children) == {"slow": ["FINISHED"]}
-    assert children["slow"][0].info.run_id == child.info.run_id
-    assert children["slow"][0].data.metrics["evaluations"] == 400
-    assert "reason" not in children["slow"][0].data.tags
+    assert statuses(children) == {"slow": ["FINISHED"] * 2, "raise": ["FINISHED"] * 2}
+    (whole,) = [run for run in children["slow"] if run.info.run_id == child.info.run_id]
+    assert whole.data.metrics["evaluations"] == 400
+    assert "reason" not in whole.data.tags
+    sittings += map(float, re.findall(r"finished in (\d+) s: optimiser.fault=slow seed=0", again.stdout))
+    assert table(work).query("seed == 0").seconds["slow"] == pytest.approx(sum(sittings), abs=0.6)
 
 
 @THOROUGH

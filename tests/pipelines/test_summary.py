@@ -1,37 +1,70 @@
 """The summary of the jobs of a sweep, by group."""
 
 from pipelines.operations.sweeps.folder import Job, JobFolder, Sweep
-from pipelines.operations.sweeps.summary import best_and_median, description
+from pipelines.operations.sweeps.names import short_name
+from pipelines.operations.sweeps.summary import best_and_median, by_group, description, pivot
 
 
-def job(fitness=None, **varied):
+def job(fitness=None, off_grid=None, **varied):
     varied = {key.replace("__", "."): value for key, value in varied.items()}
     status = "failed" if fitness is None else "finished"
-    figures = {} if fitness is None else {"fitness": fitness}
+    figures = {key: value for key, value in {"fitness": fitness, "off_grid": off_grid}.items() if value is not None}
     return JobFolder("job"), Job("s", None, 0, (), varied, status), figures
 
 
 SEEDS = [job(0.5, optimiser="ega", seed="0"), job(0.7, optimiser="ega", seed="1"), job(0.6, optimiser="sga", seed="0"),
          job(None, optimiser="sga", seed="1")]  # fmt: skip
 OVER_SEEDS = Sweep("s", ("optimiser", "seed"), None)
-PAIRS = [job(0.1 * i + 0.2 * j, objective__n=n, objective__thold_p=p, seed=seed)
-         for i, n in enumerate("23") for j, p in enumerate(("0.5", "0.65")) for seed in "01"]  # fmt: skip
-OVER_PAIRS = Sweep("s", ("objective.n", "objective.thold_p", "seed"), None)
+PAIRS = [job(0.1 * i + 0.2 * j, 0.1 * i, objective__n=n, optimiser=name, seed=seed)
+         for i, n in enumerate("23") for j, name in enumerate(("ega", "sga")) for seed in "01"]  # fmt: skip
+OVER_PAIRS = Sweep("s", ("objective.n", "optimiser", "seed"), None)
 
 
 def test_jobs_that_differ_in_their_seed_are_one_group():
-    assert description(OVER_SEEDS, SEEDS).splitlines() == [
-        "varies: `optimiser` (2 values), `seed` (2 values)",
-        "",
+    table = [
         "| optimiser | jobs finished | fitness: best | fitness: median |",
         "| --- | --- | --- | --- |",
         "| ega | 2 of 2 | 70.00% | 60.00% |",
         "| sga | 1 of 2 | 60.00% | 60.00% |",
     ]
+    assert by_group(OVER_SEEDS, SEEDS).splitlines() == table
+    told = description(OVER_SEEDS, SEEDS, 6).splitlines()
+    best = "best: `optimiser=ega`: 60.00%, the median of 2 jobs"
+    assert told[0] == f"3 of 6 jobs finished; {best}; by group: artifact `by_group.md`"
+    assert told[2:] == ["varies: `optimiser` (2 values), `seed` (2 values)", "", *table]
 
 
-def test_the_best_of_all_is_said_where_all_had_one_problem():
-    assert best_and_median(OVER_SEEDS, SEEDS) == {"best/fitness": 0.7, "median/fitness": 0.6}
+def test_figures_are_over_seeds_alone():
+    assert best_and_median(Sweep("s", ("seed",), None), [job(0.5, seed="0"), job(0.7, seed="1")]) == {
+        "best/fitness": 0.7,
+        "median/fitness": 0.6,
+    }
+    assert best_and_median(OVER_SEEDS, SEEDS) == {}
     assert best_and_median(OVER_PAIRS, PAIRS) == {}
-    assert best_and_median(Sweep("s", ("room",), None), [job(0.5, room="lab")]) == {}
-    assert best_and_median(Sweep("s", ("deployment",), None), [job(0.5, deployment="uniform")]) != {}
+
+
+def test_no_group_is_the_best_of_several_problems():
+    for key in ("experiment", "room", "run", "objective.thold_p", "deployment.count", "deployment.fixed"):
+        of_both = [job(0.5, **{key.replace(".", "__"): value}) for value in ("debug", "hall")]
+        assert description(Sweep("s", (key,), None), of_both, 2).startswith("2 of 2 jobs finished; by group")
+    (start,) = description(Sweep("s", ("deployment",), None), [job(0.5, deployment="uniform")], 1).splitlines()[:1]
+    assert "best: `deployment=uniform`: 50.00%, one job" in start
+
+
+def test_a_pivot_has_the_method_across_and_the_problem_down():
+    assert pivot(OVER_PAIRS, PAIRS).splitlines() == [
+        "| objective.n | optimiser=ega | optimiser=sga |",
+        "| --- | --- | --- |",
+        "| 2 | 0.00% (0.00% off the grid) | 20.00% (0.00% off the grid) |",
+        "| 3 | 10.00% (10.00% off the grid) | 30.00% (10.00% off the grid) |",
+    ]
+    assert pivot(OVER_SEEDS, SEEDS) == ""
+
+
+def test_the_name_of_a_run_begins_with_what_varies():
+    varied = ["objective.n=4", "objective.thold_p=0.7", "optimiser=ega", "seed=1", "threads=1"]
+    assert short_name("ega", varied) == "ega n=4 p=0.7 s1"
+    assert short_name("annealing", [*varied[:2], "seed=1"]) == "n=4 p=0.7 s1 annealing"
+    assert short_name("ega", ["deployment.path='out/a b.csv'"]) == "path=a b.csv ega"
+    assert short_name("ega", []) == "ega"
+    assert short_name("annealing", [f"room.note={'x' * 100}"]) == f"note={'x' * 65} annealing"

@@ -53,20 +53,22 @@ def test_a_sweep_is_one_parent_run_with_a_child_for_each_job(faulty):
     out = done.stdout
     parent, children = runs(cwd)
     about = "n=2 thold_p=0.5 count=20 evaluations=400"
-    assert parent.info.run_name == f"sweep optimiser.fault {about} #{parent.info.run_id[:4]}"
+    assert parent.info.run_name == f"fault {about} #{parent.info.run_id[:4]}"
     assert (parent.data.params["optimiser"], parent.data.params["objective.n"]) == ("faulty", "2")
     assert "optimiser.fault" not in parent.data.params
     told = told_by(parent)
-    assert told.startswith("**FAILED**: 3 of 4 jobs failed\n\nvaries: `optimiser.fault` (4 values)\n")
+    figure = f"{table(cwd).qualified_ratio['none']:.2%}"
+    best = f"1 of 4 jobs finished; best: `fault=none`: {figure}, one job; by group: artifact `by_group.md`"
+    assert told.startswith(f"**FAILED**: 3 of 4 jobs failed\n\n{best}\n\nvaries: `optimiser.fault` (4 values)\n")
     assert re.search(r"\n\| none \| 1 of 1 \| [\d.]+% \| [\d.]+% \|\n\| raise \| 0 of 1 \|  \|  \|\n", told)
     assert parent.info.status == "FAILED"
     assert parent.data.tags["reason"] == "3 of 4 jobs failed"
     assert parent.data.tags["override.optimiser.fault"] == "none,raise,exit,kill"
     assert (parent.data.metrics["jobs"], parent.data.metrics["failed"]) == (4.0, 3.0)
-    finished = children["none"][0].data.metrics["qualified_ratio"]
-    assert parent.data.metrics["best/qualified_ratio"] == parent.data.metrics["median/qualified_ratio"] == finished
+    assert not [key for key in parent.data.metrics if key.startswith(("best/", "median/"))]  # each job is a group
     client = MlflowClient(tracking_uri=f"sqlite:///{cwd}/store.db")
-    assert [file.path for file in client.list_artifacts(parent.info.run_id)] == ["jobs.csv"]
+    assert [file.path for file in client.list_artifacts(parent.info.run_id)] == ["by_group.md", "jobs.csv"]
+    assert f"/runs/{parent.info.run_id}?workflowType=machine_learning" in out
     for mode in ("TABLE", "CHART"):  # views of the jobs, grouped by what varies
         assert (
             f"/runs?workflowType=machine_learning&compareRunsMode={mode}&viewStateShareKey={parent.info.run_id}" in out
@@ -74,6 +76,8 @@ def test_a_sweep_is_one_parent_run_with_a_child_for_each_job(faulty):
     shared = client.get_experiment("1").tags[f"mlflow.sharedViewState.{parent.info.run_id}"]
     view = json.loads(zlib.decompress(base64.b64decode(shared.removeprefix("deflate;"))))
     assert view["groupBy"]["groupByKeys"] == [{"mode": "param", "groupByData": "optimiser.fault"}]
+    assert view["columnOrder"][1:4] == ["params.`optimiser.fault`", "params.`seed`", "metrics.`off_grid`"]
+    assert view["selectedColumns"] == view["columnOrder"][1:]
     assert statuses(children) == {"none": ["FINISHED"], "raise": ["FAILED"], "exit": ["FAILED"], "kill": ["FAILED"]}
     reasons = {fault: found[0].data.tags.get("reason") for fault, found in children.items()}
     assert reasons == {
@@ -89,6 +93,7 @@ def test_a_child_says_what_it_is(faulty):
     _, children = runs(cwd)
     (child,) = children["none"]
     assert child.info.run_name == f"fault=none faulty #{child.info.run_id[:4]}"
+    assert children["kill"][0].info.run_name.startswith(("fault=kill faulty", "fault=kill killed"))
     tags, params = child.data.tags, child.data.params
     assert (tags["sweep"], tags["pipeline"], tags["choice.optimiser"]) == ("optimiser.fault", "optimise", "faulty")
     assert tags["job"] == table(cwd).folder["none"]
@@ -124,7 +129,7 @@ def test_the_same_sweep_again_does_only_what_is_missing(faulty):
     assert parent.info.status == "FINISHED"
     assert "reason" not in parent.data.tags
     assert statuses(children)["none"] == ["FINISHED"]
-    assert statuses(children)["kill"] == ["FAILED", "FINISHED"]
+    assert statuses(children) == {key: ["FINISHED"] for key in ("none", "raise", "exit", "kill")}  # none of before
 
 
 def test_glob_finds_what_the_command_line_adds_and_the_command_of_a_job_names_no_folder_of_the_sweep(tmp_path):

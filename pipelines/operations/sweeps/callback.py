@@ -1,20 +1,21 @@
 """Hydra callback that begins and ends a sweep: its tracked run, and its table."""
 
 import atexit
+import math
 import os
 import sys
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 from hydra.experimental.callback import Callback
-from omegaconf import DictConfig, OmegaConf
+from omegaconf import DictConfig
 
-from ...app import chosen
 from ...nodes import instantiate
-from ...provenance import parameters, source_tags
+from ...provenance import source_tags
 from .folder import Sweep, SweepFolder, reason_of
-from .names import override_tags, pin_sweep_folder, sweep_name, swept, varied_keys
-from .summary import SEED, best_and_median, description, found_by, write_jobs
+from .names import SEED, override_tags, pin_sweep_folder, sweep_name, sweep_title, swept, varied_keys
+from .shared import asked_values, shared_parameters
+from .summary import best_and_median, by_group, description, found_by, grouping_keys, pivot, write_jobs
 from .supervisor import LOST, SWEEP_VARIABLE, end_runs
 
 if TYPE_CHECKING:
@@ -34,13 +35,15 @@ class SweepRecord(Callback):
         from ..tracking import RunStart
 
         try:
-            _check_jobs(config)
+            values = asked_values(config)
         except InputError as error:  # Hydra would print a warning and continue
             sys.exit(f"error: {error}")
         folder = SweepFolder(pin_sweep_folder(config))
         before = folder.load()
         overrides = swept(config)
-        sweep = Sweep(sweep_name(config), varied_keys(overrides), None)
+        is_search = not config.hydra.sweeper._target_.endswith(".BasicSweeper")
+        asked = None if is_search else math.prod(map(len, values.values()))
+        sweep = Sweep(sweep_name(config), varied_keys(overrides), None, asked=asked)
         if before:
             varied = tuple(dict.fromkeys([*before.varied, *sweep.varied]))
             sweep = replace(sweep, varied=varied, run_id=before.run_id, round=before.round + 1)
@@ -48,9 +51,9 @@ class SweepRecord(Callback):
             tracker: Tracker = instantiate(config.tracking)
             tags = {"sweep": sweep.name, "pipeline": config.hydra.job.name}
             tags |= override_tags(overrides) | source_tags(config.hydra.job.name)
-            params = _shared_parameters(config, sweep.varied)
+            params = shared_parameters(config, values)
             named = [f"{key.split('.')[-1]}={params[key]}" for key in NAMED if key in params]
-            name = " ".join(["sweep", sweep.name, *named])
+            name = " ".join([sweep_title(config), *named])
             tracker.start(RunStart(name, folder.path, params, tags), sweep.run_id)
         except InputError as error:
             hint = f" (to start the sweep afresh, delete {folder.path})" if before else ""
@@ -76,33 +79,6 @@ class SweepRecord(Callback):
             failed = True
         if failed:
             sys.exit(1)
-
-
-def _check_jobs(config: DictConfig) -> None:
-    """Let `glob` search the search path of the command line, and refuse keys without a value.
-
-    Hydra composes with the search path, but expands `glob` without it.
-
-    Raises:
-        InputError: a varied key has no value.
-    """
-    from hydra._internal.config_repository import ConfigRepository
-    from hydra.core.global_hydra import GlobalHydra
-    from hydra.core.override_parser.overrides_parser import OverridesParser
-    from hydra.core.override_parser.types import IntervalSweep
-
-    from lmd.core.checks import InputError
-
-    loader: Any = GlobalHydra.instance().config_loader()
-    known = {entry.path for entry in loader.config_search_path.get_path()}
-    for path in config.hydra.searchpath or ():
-        if path not in known:
-            loader.config_search_path.prepend("hydra.searchpath", path, "schema")
-    loader.repository = ConfigRepository(loader.config_search_path)
-    for each in OverridesParser.create(config_loader=loader).parse_overrides(swept(config)):
-        is_listed = each.is_sweep_override() and not isinstance(each.value(), IntervalSweep)
-        if is_listed and next(iter(each.sweep_string_iterator()), None) is None:
-            raise InputError(f"{each.input_line} has no values, so that there is nothing to run.")
 
 
 def _cut_short(config: DictConfig) -> None:
@@ -142,30 +118,25 @@ def _close(config: DictConfig, reason: str = "") -> bool:
     jobs = folder.jobs()
     running = sum(job.status == "running" for _, job in jobs)  # jobs that another process with this command runs
     failed = [(its_folder, job) for its_folder, job in jobs if job.status not in ("finished", "running")]
-    found = found_by(jobs)
+    begun = sum(job.round == sweep.round for _, job in jobs)
+    missing = max((sweep.asked or 0) - begun, 0) if reason else 0  # an equal job may be asked for twice
+    found, total = found_by(jobs), len(jobs) + missing
     write_jobs(folder.table, sweep, found)
-    print(f"{len(jobs) - len(failed) - running} of {len(jobs)} jobs finished: {folder.table}", flush=True)
+    tables = [f"Medians over {SEED}s, on the grid and off it:", pivot(sweep, found), by_group(sweep, found)]
+    folder.groups.write_text("\n\n".join(tables) + "\n")
+    left = f", {missing} had not begun" if missing else ""
+    print(f"{len(jobs) - len(failed) - running} of {total} jobs finished{left}: {folder.table}", flush=True)
     for its_folder, job in failed:
         print(f"{job.status}: {job.label}: {job.reason} ({its_folder.output})", file=sys.stderr)
     if failed or not jobs:
         reason = reason or (f"{len(failed)} of {len(jobs)} jobs failed" if jobs else "the sweep had no jobs")
     tracker: Tracker = instantiate(config.tracking)
-    about = f"{description(sweep, found)}\n\n`{source_tags(config.hydra.job.name)['command']}`\n\nfiles: {folder.path}"
+    command = source_tags(config.hydra.job.name)["command"]
+    about = f"{description(sweep, found, total)}\n\n`{command}`\n\nfiles: {folder.path}"
     tracker.start(RunStart(sweep.name, folder.path, tags={"mlflow.note.content": about}), sweep.run_id)
-    tracker.log_metrics({"jobs": len(jobs), "failed": len(failed)} | best_and_median(sweep, found))
-    tracker.log_artifacts([folder.table])
+    tracker.log_metrics({"jobs": total, "failed": len(failed)} | best_and_median(sweep, found))
+    tracker.log_artifacts([folder.groups, folder.table])
     tracker.finish("FAILED" if reason else "FINISHED", reason)
-    for line in tracker.views([key for key in sweep.varied if key != SEED]):
+    for line in tracker.views(grouping_keys(sweep)):
         print(line, flush=True)
     return bool(reason)
-
-
-def _shared_parameters(config: DictConfig, varied: tuple[str, ...]) -> dict[str, Any]:
-    """Parameters that are equal for all jobs of a sweep."""
-    settings = OmegaConf.masked_copy(config, [str(key) for key in config if key != "hydra"])
-    shared = parameters(settings, chosen(config.hydra.runtime.choices))
-    return {
-        key: value
-        for key, value in shared.items()
-        if not any(key == vary or key.startswith(f"{vary}.") for vary in varied)
-    }

@@ -25,6 +25,8 @@ class Sweep:
     """Tracked run of the sweep, the parent of its jobs' runs; None if nothing is tracked."""
     round: int = 0
     """Number of commands that extended the sweep before the last command."""
+    asked: int | None = None
+    """Number of jobs that the last command asks for; None for a search, which proposes them one after the other."""
 
 
 @dataclass(frozen=True)
@@ -48,7 +50,7 @@ class Job:
     reason: str = ""
     """Reason for which the job did not finish."""
     seconds: float = 0.0
-    """Wall time, seconds."""
+    """Wall time over all sittings that the job goes on from, seconds."""
     round: int = 0
     """`Sweep.round` of the last command with this job."""
 
@@ -134,6 +136,7 @@ class SweepFolder:
         self.path = Path(path)
         self.record = self.path / "sweep.json"
         self.table = self.path / "jobs.csv"
+        self.groups = self.path / "by_group.md"
 
     def load(self) -> Sweep | None:
         """Read the sweep; None if there is no record."""

@@ -12,7 +12,9 @@ from ...provenance import digest
 from .folder import SweepFolder
 
 SLUG_LENGTH = 100  # greatest number of characters of a slug
-NAME_LENGTH = 80  # greatest number of characters of a run's name; a longer name loses its beginning
+NAME_LENGTH = 80  # greatest number of characters of a run's name; what varies is cut at its end
+SEED = "seed"  # jobs that differ in this key alone are one group
+SHORT = {"thold_p": "p"}  # keys that are shorter in names
 DIGEST_LENGTH = 8  # characters of a digest in the name of a folder
 # Keys that change neither the problem nor the search of a run.
 NOT_IN_NAME = ("hydra", "tracking", "trust", "picture", "page", "validate", "threads", "resume", "checkpoint_seconds")
@@ -25,19 +27,25 @@ def override_tags(overrides: Sequence[str]) -> dict[str, str]:
 
 
 def short_name(subject: str, overrides: Sequence[str]) -> str:
-    """Name of a run: the overrides that distinguish it, then its subject, as in `n=3 count=60 annealing`.
+    """Name of a run, which begins with what varies, as tables cut its end: `ega n=4 p=0.7 s1`, `n=4 p=0.7 annealing`.
 
     Args:
         subject: subject of the run, in a word.
         overrides: overrides that vary.
     """
     values = [(key, value.strip("'\"")) for key, value in map(key_and_value, overrides)]
-    shown = [
-        f"{key.split('.')[-1]}={Path(value).name if '/' in value else value}"
-        for key, value in values
-        if key.split(".")[0] not in NOT_IN_NAME and value != subject
-    ]
-    return " ".join([*shown, subject])[-NAME_LENGTH:]
+    varies = " ".join(
+        shown(key, value) for key, value in values if key.split(".")[0] not in NOT_IN_NAME and value != subject
+    )
+    words = [subject, varies] if any(value == subject for _, value in values) else [varies, subject]
+    left = NAME_LENGTH - len(subject) - 1
+    return " ".join(word[: left if word is varies else None] for word in words if word)
+
+
+def shown(key: str, value: str) -> str:
+    """A key and its value as in names, `n=4`, `s1` for the seed; of a path the file's name."""
+    name = key.split(".")[-1]
+    return f"s{value}" if key == SEED else f"{SHORT.get(name, name)}={Path(value).name if '/' in value else value}"
 
 
 def slug(text: str) -> str:
@@ -71,6 +79,17 @@ def sweep_name(root: DictConfig) -> str:
     """Name of a sweep: its experiment or search, or else the varied keys."""
     stored = [root.hydra.runtime.choices.get(group) for group in ("experiment", "hparams_search")]
     return slug("_".join(filter(None, stored)) or "_".join(varied_keys(swept(root)))) or "sweep"
+
+
+def sweep_title(root: DictConfig) -> str:
+    """Name of a sweep's run: its experiment, its search, or else the keys that it varies, `n x thold_p x optimiser`."""
+    experiment, search = (root.hydra.runtime.choices.get(group) for group in ("experiment", "hparams_search"))
+    keys = varied_keys(swept(root))
+    if search is not None:
+        return " ".join(filter(None, ["search", search, experiment]))
+    if experiment is not None and "experiment" not in keys:
+        return str(experiment)
+    return " x ".join(key.split(".")[-1] for key in keys if key != SEED) or SEED
 
 
 def sweep_folder(*, _root_: DictConfig) -> str:

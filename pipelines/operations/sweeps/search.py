@@ -16,7 +16,7 @@ from hydra.types import HydraContext, TaskFunction
 from omegaconf import DictConfig, OmegaConf
 from typing_extensions import override
 
-from .summary import SEED
+from .names import SEED
 
 LOSS_OF_FAILURE = 1e3  # loss of a failed trial; the loss of other trials is minus their figure, a fraction
 DIGITS = 4  # significant digits of a proposed number

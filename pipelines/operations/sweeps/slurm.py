@@ -76,7 +76,7 @@ class QueuedJob(slurm.SlurmJob[JobReturn]):
                 log = f" ({self.paths.stderr})" if self.paths.stderr.exists() else ""
                 job = replace(job, status="killed", reason=reason + log)
                 folder.save(job)
-                end_runs(config.tracking, folder, job, job.reason, name=f"killed {job.label}")
+                end_runs(config.tracking, folder, job, job.reason, named=True)
 
 
 def follow_the_queue() -> None:

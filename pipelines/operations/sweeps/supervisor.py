@@ -24,7 +24,7 @@ from ...overrides import config_dir, key_and_value, quoted, search_path
 from ..signals import CODES, Stopped, stop
 from . import forks
 from .folder import JOB_VARIABLE, Job, JobFolder, SweepFolder, current_job, reason_of
-from .names import override_tags
+from .names import override_tags, short_name
 
 if TYPE_CHECKING:
     from ..tracking import Tracker
@@ -89,18 +89,22 @@ def _supervise(cfg: DictConfig) -> float | None:
         continued = before is not None and before.status != "failed" and folder.checkpoint.exists()
         if before is not None:
             end_runs(cfg.tracking, folder, job, LOST)
-        folder.save(job)
+        is_again = folder.output.exists()
+        spent = before.seconds if before is not None and continued else 0.0
+        folder.save(replace(job, seconds=spent))
         began = time.monotonic()
         code, interrupted = _execute(cfg, _arguments(cfg, job, folder, continued), folder, lock)
         job = _settled(folder.load() or job, code)
-        job = replace(job, seconds=time.monotonic() - began)
+        job = replace(job, seconds=spent + time.monotonic() - began)
         folder.save(job)
+        if is_again:
+            _keep_newest_run(cfg.tracking, folder, job)
         if job.status == "finished":
-            print(f"finished in {job.seconds:.0f} s: {job.label}{_figures_text(folder)}", flush=True)
+            print(f"finished in {job.seconds - spent:.0f} s: {job.label}{_figures_text(folder)}", flush=True)
             return job.value
         print(f"{job.status}: {job.label}: {job.reason} ({folder.output})", flush=True)
         if job.status != "interrupted":
-            end_runs(cfg.tracking, folder, job, job.reason, name=f"{job.status} {job.label}")
+            end_runs(cfg.tracking, folder, job, job.reason, named=True)
         if interrupted:
             sys.exit(128 + signal.SIGINT)
         return float("nan")
@@ -223,10 +227,21 @@ def _settled(job: Job, code: int) -> Job:
     return replace(job, status="failed", reason=f"exited with code {code} before it had finished")
 
 
-def end_runs(tracking: DictConfig, folder: JobFolder, job: Job, reason: str, name: str | None = None) -> None:
-    """Mark the runs that a job's process left running as FAILED; if there are none, record a failed run called
-    `name`.
-    """
+def _keep_newest_run(tracking: DictConfig, folder: JobFolder, job: Job) -> None:
+    """Delete the runs of earlier attempts at a job, so that a group of jobs has one run for each."""
+    from lmd.core.checks import InputError
+
+    if job.parent is None:
+        return
+    tracker: Tracker = instantiate(tracking)
+    try:
+        tracker.keep_newest(job.tags(folder.name))
+    except InputError as error:
+        print(f"earlier runs of {job.label} could not be deleted: {error}", file=sys.stderr)
+
+
+def end_runs(tracking: DictConfig, folder: JobFolder, job: Job, reason: str, named: bool = False) -> None:
+    """Mark the runs that a job's process left running as FAILED; if there are none and `named`, record one."""
     from lmd.core.checks import InputError
 
     from ..tracking import RunStart
@@ -235,7 +250,8 @@ def end_runs(tracking: DictConfig, folder: JobFolder, job: Job, reason: str, nam
         return
     tracker: Tracker = instantiate(tracking)
     try:
-        if not tracker.end_lost(job.tags(folder.name), reason) and name is not None:
+        if not tracker.end_lost(job.tags(folder.name), reason) and named:
+            name = short_name(job.status, [f"{key}={value}" for key, value in job.varied.items()])
             tracker.start(RunStart(name, folder.path, tags=job.tags(folder.name) | override_tags(job.overrides)))
             tracker.finish("FAILED", reason)
     except InputError as error:

@@ -14,13 +14,15 @@ if TYPE_CHECKING:
 DEFAULT = "0"  # id of the experiment that mlflow makes in every fresh database
 SHARED = "mlflow.sharedViewState."  # prefix of the tag of a shared view
 VIEW = "lmd"  # name of the shared view in links
-OF_SWEEPS = ("metrics.`best/fitness`", "metrics.`best/off_grid`", "metrics.`median/fitness`")
-# Columns of training runs: figures, then costs, then settings.
-COLUMNS = (
-    *("metrics.`qualified_ratio`", "metrics.`localised_share`", "metrics.`off_grid`"),
-    *OF_SWEEPS,
-    *("metrics.`evaluations`", "metrics.`wall_time`", "params.`optimiser`", "params.`deployment`"),
-    *("params.`objective.n`", "params.`objective.thold_p`", "params.`deployment.count`", "params.`seed`"),
+NAME = "attributes.`Run Name`"
+WIDTHS = {NAME: 260, "params.`optimiser`": 100, "metrics.`off_grid`": 85}  # of columns, pixels
+NARROW = 70  # width of the column of any other setting, pixels
+OF_SWEEPS = ("metrics.`best/off_grid`", "metrics.`median/off_grid`")
+# Columns of training runs in their order: what often varies, the figure off the grid, further figures, then costs.
+VARIED = ("optimiser", "objective.n", "objective.thold_p", "deployment.count", "seed")
+FIGURES = (
+    *("metrics.`off_grid`", *OF_SWEEPS, "metrics.`qualified_ratio`", "metrics.`localised_share`"),
+    *("metrics.`evaluations`", "metrics.`wall_time`"),
 )
 
 
@@ -35,7 +37,7 @@ def prepare(client: "MlflowClient", name: str, artifacts: str | None = None, fre
 
     experiment = client.get_experiment_by_name(name)
     if experiment is None:
-        tags = {"mlflow.experimentKind": "custom_model_development", f"{SHARED}{VIEW}": _view()}
+        tags = {"mlflow.experimentKind": "custom_model_development", f"{SHARED}{VIEW}": _view(VARIED, FIGURES)}
         try:
             made = str(client.create_experiment(name, artifact_location=artifacts, tags=tags))
         except MlflowException as error:
@@ -64,6 +66,11 @@ def link(address: str, experiment_id: str, view: str = VIEW, mode: str = "TABLE"
     return f"{address}/#/experiments/{experiment_id}/runs?{query}"
 
 
+def run_link(address: str, experiment_id: str, run_id: str) -> str:
+    """Address of the page of a run, under model training; `address` as in `link`."""
+    return f"{address}/#/experiments/{experiment_id}/runs/{run_id}?workflowType=machine_learning"
+
+
 def sweep_view(client: "MlflowClient", experiment_id: str, run_id: str, params: Sequence[str]) -> str:
     """Make a view of the jobs of a sweep, and return its name for `link`.
 
@@ -74,9 +81,10 @@ def sweep_view(client: "MlflowClient", experiment_id: str, run_id: str, params: 
     """
     keys = [{"mode": "param", "groupByData": param} for param in params]
     view = _view(
+        [*params, *(["seed"] if "seed" not in params else [])],
+        [figure for figure in FIGURES if figure not in OF_SWEEPS],
         searchFilter=f"tags.`{PARENT_TAG}` = '{run_id}'",
         groupBy={"aggregateFunction": "average", "groupByKeys": keys} if keys else None,
-        selectedColumns=[column for column in COLUMNS if column not in OF_SWEEPS],
         compareRunSections=[{"uuid": "sweep", "name": "Sweep", "display": True, "isReordered": False}],
         compareRunCharts=[_chart("LINE", "best_fitness"), _chart("BAR", "fitness"), _chart("BAR", "off_grid")],
         isAccordionReordered=True,  # otherwise mlflow sorts the sections by name
@@ -97,8 +105,14 @@ def _chart(kind: str, metric: str) -> dict[str, Any]:
     return chart | {"deleted": False, "isGenerated": False}
 
 
-def _view(**changes: Any) -> str:
-    """State of mlflow's page of runs, with `changes`, in the form of mlflow's links."""
+def _view(params: Sequence[str], figures: Sequence[str], **changes: Any) -> str:
+    """State of mlflow's page of runs in the form of mlflow's links, with `changes`.
+
+    Args:
+        params: parameters that are the first columns.
+        figures: columns behind them.
+    """
+    settings = [f"params.`{param}`" for param in params]
     state: dict[str, Any] = {
         "searchFilter": "",
         "orderByKey": "attributes.start_time",
@@ -107,9 +121,9 @@ def _view(**changes: Any) -> str:
         "lifecycleFilter": "Active",
         "datasetsFilter": [],
         "modelVersionFilter": "All Runs",
-        "selectedColumns": list(COLUMNS),
-        "columnOrder": [],
-        "columnWidths": {},
+        "selectedColumns": [*settings, *figures],
+        "columnOrder": [NAME, *settings, *figures],
+        "columnWidths": dict.fromkeys(settings, NARROW) | WIDTHS,
         "runsExpanded": {},
         "runsPinned": [],
         "runsHidden": [],

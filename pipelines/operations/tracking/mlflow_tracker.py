@@ -7,7 +7,7 @@ from typing import Any
 
 from lmd.core.checks import InputError, boolean
 
-from .experiment import link, sweep_view
+from .experiment import link, run_link, sweep_view
 from .journal import GONE, Journal, end_those_gone, hand_in, this_process
 from .store import PARAM_LENGTH, SQLITE, Store, first_line, is_of_store, now
 from .tracker import Entry, RunStart
@@ -153,12 +153,19 @@ class MlflowTracker:
     def end_lost(self, tags: Mapping[str, str], reason: str) -> bool:
         """See `Tracker.end_lost`."""
         with self.store.errors_reported():
-            runs = self.store.runs(" and ".join(f"tags.`{key}` = '{value}'" for key, value in tags.items()))
+            runs = self.store.runs(_with_tags(tags))
             for run in runs:
                 # Another run that began meanwhile may have ended this run with the reason `GONE`.
                 if run.info.status == "RUNNING" or run.data.tags.get("reason") == GONE:
                     self.store.send(run.info.run_id, {"end": "FAILED", "reason": reason, "at": now()})
         return bool(runs)
+
+    def keep_newest(self, tags: Mapping[str, str]) -> None:
+        """See `Tracker.keep_newest`; mlflow lists deleted runs apart, and `mlflow gc` removes them."""
+        with self.store.errors_reported():
+            runs = sorted(self.store.runs(_with_tags(tags)), key=lambda run: run.info.start_time)
+            for run in runs[:-1]:
+                self.store.client.delete_run(run.info.run_id)
 
     def discard(self) -> None:
         """See `Tracker.discard`."""
@@ -197,7 +204,13 @@ class MlflowTracker:
         except Exception as error:
             self._warn_once(error)
             return []
-        return [f"{label} {link(address, experiment, view, mode)}" for mode, label in LABELS.items()]
+        links = [f"{label} {link(address, experiment, view, mode)}" for mode, label in LABELS.items()]
+        return [*links, f"sweep  {run_link(address, experiment, self._run_id)}"]
+
+
+def _with_tags(tags: Mapping[str, str]) -> str:
+    """Filter of mlflow for the runs with these tags."""
+    return " and ".join(f"tags.`{key}` = '{value}'" for key, value in tags.items())
 
 
 def _written(params: Mapping[str, Any]) -> dict[str, str]:

@@ -63,6 +63,13 @@ class Tracker(Protocol):
             InputError: the store cannot be used.
         """
 
+    def keep_newest(self, tags: Mapping[str, str]) -> None:
+        """Delete all runs with these tags but the one that began last.
+
+        Raises:
+            InputError: the store cannot be used.
+        """
+
     def log_curve(self, metric: str, points: Iterable[tuple[int, float, float]]) -> None:
         """Log a curve of points (step, value, seconds since the beginning of the run)."""
 
@@ -79,7 +86,7 @@ class Tracker(Protocol):
         """Text about the place of the run, in one line."""
 
     def views(self, params: Sequence[str]) -> list[str]:
-        """Links to the children of this run, grouped by params, one per line; none if the store does not answer."""
+        """Links to the runs below this one, grouped by params, and to this one; none if the store does not answer."""
 
 
 class NoTracker(Tracker):

@@ -1,7 +1,7 @@
-"""mlflow server that `make ui` starts; its bare address opens the training runs.
+"""mlflow server that `make ui` starts: its bare address opens the training runs, and its pages are of training.
 
-The part of an address after `#` selects a page in the browser and never reaches a server, so a script is added to the
-page.
+The part of an address after `#` selects a page in the browser and never reaches a server, so a script is added. mlflow
+shows a page as one of language models unless the browser remembers another choice.
 """
 
 import json
@@ -15,6 +15,8 @@ from mlflow.server.fastapi_app import app
 
 from .experiment import SHARED, VIEW, link
 
+WORKFLOW = "'mlflow.workflowType_v1'"  # key of the browser's memory, in JavaScript
+
 
 @app.middleware("http")  # type: ignore[untyped-decorator]
 async def open_runs(request: Request, call_next: Callable[[Request], Awaitable[Response]]) -> Response:
@@ -23,7 +25,8 @@ async def open_runs(request: Request, call_next: Callable[[Request], Awaitable[R
     if request.url.path != "/" or response.status_code != 200 or (page := _page()) is None:
         return response
     body = b"".join([part async for part in response.body_iterator])  # type: ignore[attr-defined] # it is streamed
-    script = f"<script>location.hash.length > 2 || location.replace({json.dumps(page)})</script>"
+    remembered = f"localStorage.getItem({WORKFLOW}) || localStorage.setItem({WORKFLOW}, '\"machine_learning\"')"
+    script = f"<script>{remembered}; location.hash.length > 2 || location.replace({json.dumps(page)})</script>"
     return Response(body.replace(b"<head>", f"<head>{script}".encode(), 1), media_type="text/html")
 
 
