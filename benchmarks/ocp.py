@@ -6,7 +6,7 @@ and of candidates; then of each sample its index from 0, the number of candidate
 from 0.
 
 Prints a table in Markdown: cameras that the greedy selection of `lmd.optimisers.selection` takes, that HiGHS finds and
-proves at least, and the samples that the program of `optimiser=milp` covers with as many cameras as HiGHS.
+proves at least; and, if both are equal, the samples that the program of `optimiser=milp` covers with as many cameras.
 """
 
 import argparse
@@ -151,8 +151,10 @@ def main() -> None:
             cover, began = Cover.read(path), time.process_time()
             samples, candidates = cover.covers.shape
             found, least = fewest(cover, options.seconds)
-            most, proven = covered(cover, found, options.seconds)
-            told = f"{most} with {found} ({'proven' if proven else 'not proven'})"
+            told = "–"
+            if found == least:
+                most, proven = covered(cover, found, options.seconds)
+                told = f"{most} with {found} ({'proven' if proven else 'not proven'})"
             print(f"| {path.stem} | {samples}, {candidates} | {greedy(cover)} | {found} | {least} | {told} "
                   f"| {time.process_time() - began:.0f} |", flush=True)  # fmt: skip
     except InputError as error:

@@ -4,7 +4,7 @@ import os
 
 from hypothesis import settings
 
-SHARE = float(os.environ.get("LMD_EXAMPLES", "0.2"))
+SHARE = float(os.environ.get("LMD_EXAMPLES", "0.3"))
 DEFAULT = 100  # number of examples of a test without its own
 
 

@@ -87,6 +87,7 @@ class LatticeSearch(Optimiser):
 
     @override
     def check(self, problem: Problem) -> None:
+        super().check(problem)
         check_lattice(problem, lattice_of(problem, self.spacing), self.spacing)
 
     @override

@@ -58,6 +58,7 @@ class Milp(Optimiser):
 
     @override
     def check(self, problem: Problem) -> None:
+        super().check(problem)
         check_lattice(problem, lattice_of(problem, self.spacing), self.spacing)
 
     @override

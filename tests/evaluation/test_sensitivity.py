@@ -194,9 +194,8 @@ def test_the_worst_to_lose_are_named_by_their_ids():
     assert found.lost.set_index(["lost", "share"]).worst_ids[(1, "covered_share")] == str(dearest)
 
 
-@pytest.mark.slow  # compiled anew for arrays of one landmark
 def test_a_single_landmark_has_no_pair_to_lose():
-    problem = problem_of(Deployment(np.array([[0.0, 2.0, 3.0]]), np.array([X])), Coverage(1, 0.5))
+    problem = problem_of(Deployment(np.array([[0.0, 2.0, 3.0]]), np.array([X])), Coverage(1, 0.5), Tag())
     found = measured(problem)
     assert found.lost.lost.tolist() == [1, 1]
     assert found.tags.covered_loss[0] == pytest.approx(found.misses.covered_share[0])

@@ -49,7 +49,7 @@ bent_scenes = fiducial_scenes(distorted_cameras(BENT).filter(is_bent))
 # compiled anew: each of both comes in one of the pairs. `test_sizes` asks for single tags without rotations.
 cases = st.one_of(
     st.tuples(points_and_tags, objectives(None)),
-    st.tuples(bent_scenes, objectives(0.003, 0.02, 10.0, ambiguity="resolved", most=1)),
+    st.tuples(bent_scenes, objectives(0.003, 10.0, 10.0, ambiguity="resolved", most=1)),
 )
 other_cases = st.one_of(
     st.tuples(points_and_tags, objectives(None, ambiguity="resolved", most=1)),
@@ -75,7 +75,7 @@ def expected_units(scene, deployment, objective, positions):
     )
 
 
-@examples(60)
+@examples(100)
 @given(data=st.data(), case=cases)
 def test_views_are_localised_as_the_reference_says(data, case):
     check_views(data, *case)

@@ -7,7 +7,7 @@ from lmd.objectives.coverage import Coverage
 from lmd.objectives.sampling import Sampling
 from lmd.optimisers.annealing import Annealing
 from lmd.optimisers.annealing import ascent as room
-from lmd.optimisers.annealing.ascent import Ascent, _slopes
+from lmd.optimisers.annealing.ascent import Ascent, slopes
 from lmd.optimisers.ledger import Budget
 from lmd.problem import Problem
 from lmd.scene.deployment import Deployment
@@ -39,7 +39,7 @@ def test_slopes_are_differences_of_full_evaluations():
     state, out = field.state(here), np.zeros((len(here), 2))
     surfaces = SurfaceArrays.of(p.scene.room.surfaces())
     target = p.objective.target(in_order(field, relevance))
-    _slopes(0, field, state, field.scratch(state), target, surfaces, out)
+    slopes(0, field, state, field.scratch(state), target, surfaces, room.DIFFERENCE_M, room.WIDTH, out)
     expected = np.zeros_like(out)
     for k in range(len(here)):
         for side, axes in enumerate((surfaces.u, surfaces.v)):

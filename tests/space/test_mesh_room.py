@@ -84,7 +84,10 @@ def test_scale_and_axes_are_those_of_the_file(name, tmp_path):
     assert_allclose(room.bounds(), [[0, 0, 0], [6, 4, 2.5]], atol=1e-6)
 
 
-@pytest.mark.parametrize("visibility", [Visibility(thold=0.1), Fiducial(Tag(0.15))], ids=["paper", "fiducial"])
+TAGS = pytest.param(Fiducial(Tag(0.15)), id="fiducial", marks=pytest.mark.thorough("lmd/sight", "lmd/space"))
+
+
+@pytest.mark.parametrize("visibility", [pytest.param(Visibility(thold=0.1), id="paper"), TAGS])
 @pytest.mark.parametrize("plan", [L, BOX], ids=["L", "cuboid"])
 def test_counts_are_those_of_the_floor_plan_and_of_the_reference(plan, visibility, tmp_path):
     mesh = mesh_room(tmp_path / "room.ply", plan)

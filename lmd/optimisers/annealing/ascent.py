@@ -34,15 +34,28 @@ MOMENT_DECAY = 0.9, 0.999  # decay per step of the mean slope and of the mean sq
 
 
 @kernel
-def _slopes(
-    first: int, field: Any, state: Any, scratch: Any, target: Any, surfaces: SurfaceArrays, out: FloatArray
-) -> None:
-    """Write the slope of the smoothed objective along u and v into `out` `(K, 2)`, for landmarks from `first` on."""
+def slopes(
+    first: int, field: Any, state: Any, scratch: Any, target: Any, surfaces: SurfaceArrays, difference: float,
+    width: float, out: FloatArray,
+) -> None:  # fmt: skip
+    """Write the slope of the smoothed objective along u and v into `out` `(K, 2)`, for landmarks from `first` on.
+
+    Args:
+        first: number of fixed landmarks.
+        field: field of the objective.
+        state: state of the field with the landmarks; it does not change.
+        scratch: working memory of the field.
+        target: fitness of values.
+        surfaces: surfaces of the landmarks.
+        difference: step d of the difference quotient, metres.
+        width: width of the smooth step at the threshold, in value.
+        out: slopes, `(K, 2)`, 1/metre.
+    """
     units, accepted, known = scratch.units, state.units, placed(state)
     poses = known.poses
     value, pose, place = np.empty(len(accepted)), np.empty(6), np.empty(2)
     for p in range(len(accepted)):
-        value[p] = smoothed(target, p, accepted[p], 0.0, WIDTH, SHARE)
+        value[p] = smoothed(target, p, accepted[p], 0.0, width, SHARE)
     for k in range(first, poses.shape[1]):
         s = known.surfaces[k]
         place[:] = 0.0
@@ -54,7 +67,7 @@ def _slopes(
             rise = run = 0.0
             for sign in (-1.0, 1.0):
                 # The difference ends at the border of the surface, as a landmark beyond the border is not visible.
-                away = min(max(place[side] + sign * DIFFERENCE_M, 0.0), surfaces.extent[s, side]) - place[side]
+                away = min(max(place[side] + sign * difference, 0.0), surfaces.extent[s, side]) - place[side]
                 for i in range(3):
                     along = surfaces.u[s, i] if side == 0 else surfaces.v[s, i]
                     pose[i], pose[3 + i] = poses[i, k] + away * along, poses[3 + i, k]
@@ -63,7 +76,7 @@ def _slopes(
                 run += sign * away
                 for p in range(len(accepted)):
                     if units[p] != accepted[p]:
-                        rise += sign * (smoothed(target, p, units[p], 0.0, WIDTH, SHARE) - value[p])
+                        rise += sign * (smoothed(target, p, units[p], 0.0, width, SHARE) - value[p])
             out[k, side] = rise / run
 
 
@@ -95,17 +108,19 @@ class Ascent:
             rng.integers(2**63, size=samples),
         )
 
-        def slopes(seed: int) -> FloatArray:
+        def sampled(seed: int) -> FloatArray:
             sample = problem.resampled(0.0, np.random.default_rng(seed))
             assert sample is not None, "the objective has a sampling"
             field = field_of(problem.objective, sample[0])
             target = incremental(problem.objective).target(in_order(field, sample[1]))
             state, out = field.state(here), np.zeros((len(here), 2))
             scratch = field.scratch(state)
-            runner(field, _slopes)(problem.fixed_count, field, state, scratch, target, surfaces, out)
+            runner(field, slopes)(
+                problem.fixed_count, field, state, scratch, target, surfaces, DIFFERENCE_M, WIDTH, out
+            )
             return out
 
-        slope = sum(at_once(problem.evaluator.threads, slopes, seeds)) / samples
+        slope = sum(at_once(problem.evaluator.threads, sampled, seeds)) / samples
         self._steps += 1
         first, second = MOMENT_DECAY
         self._mean = first * self._mean + (1.0 - first) * slope

@@ -1,0 +1,213 @@
+"""Gradient ascent of all landmarks at once from random deployments."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from typing_extensions import override
+
+from lmd.core.checks import FloatArray, InputError, integer, real, vector
+from lmd.core.compiled import clock, kernel
+from lmd.incremental.field import in_order, runner, smoothed
+from lmd.objectives.base import incremental
+from lmd.objectives.reference_field import field_of
+from lmd.optimisers.annealing.ascent import PLACES_TRIED, SHARE, slopes
+from lmd.optimisers.base import Callback, Optimiser, Result
+from lmd.optimisers.ledger import Budget, Ledger
+from lmd.optimisers.stored import array, deployment, deployment_state, generator, generator_state
+from lmd.problem import Problem
+from lmd.scene.deployment import Deployment
+from lmd.scene.deployment_sources import RandomDeployment
+from lmd.space.surface import SurfaceArrays
+
+GROWTH, SHRINKAGE = 1.5, 0.5  # factors of the step after a rise, and after a trial that does not rise
+
+
+@kernel
+def _smooth_fitness(target: Any, units: Any, width: float) -> Any:
+    """Smoothed fitness of a deployment with the values `units` `(Q,)`."""
+    total = 0.0
+    for p in range(len(units)):
+        total += smoothed(target, p, units[p], 0.0, width, SHARE)
+    return total
+
+
+class GradientAscent(Optimiser):
+    """Gradient ascents on the smoothed objective, one after the other, each from a random deployment.
+
+    The slope along the surface of each landmark is a central difference with exact values, occlusion included. A trial
+    moves each landmark by one step in the direction of its slope. If the smoothed objective rises, the trial is kept
+    and the step grows, otherwise the step shrinks. When the step has vanished, the smooth threshold becomes narrower;
+    after the narrowest one the next ascent begins. The best deployment on the *true* fitness is kept.
+
+    The slopes cost as much as moving each free landmark to four places; a trial costs 1 evaluation.
+
+    Args:
+        step: first and smallest step of a landmark, metres; the difference has the same step.
+        widths: widths of the smooth threshold of an ascent, in value.
+        seed: see `Optimiser`.
+
+    Raises:
+        InputError: a parameter is out of range.
+    """
+
+    def __init__(
+        self, step: Sequence[float] = (1.0, 0.02), widths: Sequence[float] = (0.1, 0.03, 0.01), seed: int = 0
+    ) -> None:
+        super().__init__(seed)
+        self.first, self.smallest = vector("step", step, size=2, above=0.0)
+        if self.smallest > self.first:
+            raise InputError(f"step must not grow from {self.first:g} to {self.smallest:g}.", "step")
+        self.widths = vector("widths", widths, size=None, above=0.0)
+        self.spent = 0  # number of moved landmarks; K moves count as an evaluation
+        self.rng: np.random.Generator
+        self.here: Deployment  # current deployment of the ascent
+        self.stage = 0  # index of the width
+        self.step = self.first
+        self.direction: FloatArray | None = None  # `(K, 2)` along u and v; None before the slopes at `here` are known
+        self.best: Deployment | None = None
+        self.climb: _Climb | None = None
+
+    @override
+    def check(self, problem: Problem) -> None:
+        super().check(problem)
+        incremental(problem.objective)
+
+    @override
+    def run(self, problem: Problem, budget: Budget, callback: Callback | None = None) -> Result:
+        self.check(problem)
+        ledger, count = self.ledger, problem.count
+        began = clock() - ledger.seconds
+
+        def note(moved: int, found: Deployment | None) -> None:
+            self.spent += moved
+            fitness = -np.inf if found is None else problem.fitness_of(found)
+            ledger.seconds = clock() - began
+            if ledger.note(self.spent / count, fitness):
+                self.best = found
+
+        if not self.spent:
+            self.rng = np.random.default_rng(self.seed)
+            self.here = _movable(problem, problem.draw(self.rng))
+            note(count, self.here)
+        self.climb = self.climb or _Climb(problem, self.here)
+        slopes_cost, stopped = PLACES_TRIED * problem.free_count, "budget"
+        while budget.used(self.spent / count, ledger.seconds) < 1.0:
+            cost = count + (slopes_cost if self.direction is None else 0)
+            left = budget.limit * count - self.spent
+            if left < cost:
+                note(int(left), None)  # too little for a trial
+            else:
+                note(cost, self._trial(problem, self.climb))
+            if callback and callback(self):
+                stopped = "interrupted"
+                break
+        return self.result(problem, stopped)
+
+    def _trial(self, problem: Problem, climb: "_Climb") -> Deployment:
+        """Try a step, or begin the next ascent; returns the deployment to evaluate."""
+        width = self.widths[self.stage]
+        if self.direction is None:
+            self.direction = climb.direction(self.step, width)
+        trial = climb.moved(self.step * self.direction)
+        if climb.rises(trial, width):
+            self.here, self.direction, self.step = trial, None, min(GROWTH * self.step, self.first)
+            return trial
+        self.step *= SHRINKAGE
+        if self.step < self.smallest:
+            self.step, self.direction, self.stage = self.first, None, self.stage + 1
+            if self.stage == len(self.widths):
+                self.stage, self.here = 0, self._random(problem)
+                climb.begin(self.here)
+                return self.here
+        return trial
+
+    def _random(self, problem: Problem) -> Deployment:
+        """Draw a deployment to start from; random also if the start of the problem is given."""
+        if problem.start.varies:
+            return _movable(problem, problem.draw(self.rng))
+        drawn = problem.scene.footprints.draw(RandomDeployment(problem.free_count), self.rng, problem.fixed)
+        return problem.separated(drawn) or self.here
+
+    @override
+    def found(self, problem: Problem) -> Deployment | None:
+        return self.best
+
+    @override
+    def state(self) -> dict[str, Any]:
+        if not self.spent:
+            return self.ledger.state()
+        assert self.best is not None, "the start was noted"
+        return {
+            **self.ledger.state(),
+            "best": deployment_state(self.best),
+            "here": deployment_state(self.here),
+            "rng": generator_state(self.rng),
+            "stage": self.stage,
+            "step": self.step,
+            "direction": self.direction,
+        }
+
+    @override
+    def restore(self, state: Mapping[str, Any], problem: Problem) -> None:
+        count = problem.count
+        self.ledger = Ledger.of(state)
+        if not self.ledger.history:
+            return
+        self.spent = integer("moved landmarks", round(self.ledger.evaluations * count), low=1)
+        self.best = deployment("best", state["best"], problem, count)
+        self.here = deployment("here", state["here"], problem, count)
+        self.rng = generator("rng", state["rng"])
+        self.stage = integer("stage", state["stage"], low=0, high=len(self.widths) - 1)
+        self.step = real("step", state["step"], low=self.smallest, high=self.first)
+        if state["direction"] is not None:
+            self.direction = array("direction", state["direction"], np.float64, count, 2, low=-1.0, high=1.0)
+
+
+def _movable(problem: Problem, start: Deployment) -> Deployment:
+    """Return the start with its free landmarks on the surfaces where they may move, flush if they have a size."""
+    footprints = problem.scene.footprints
+    return problem.complete(problem.free(start).movable(footprints.room, flush=footprints.edge > 0.0))
+
+
+class _Climb:
+    """Current place of an ascent on the objective's field.
+
+    Args:
+        problem: problem with an incremental objective.
+        here: current deployment.
+    """
+
+    def __init__(self, problem: Problem, here: Deployment) -> None:
+        self._problem = problem
+        self._field = field_of(problem.objective, problem.fitness_evaluator)
+        self._target = incremental(problem.objective).target(in_order(self._field, problem.fitness_relevance))
+        self._surfaces = SurfaceArrays.of(problem.scene.footprints.hanging.surfaces())
+        self.begin(here)
+
+    def begin(self, here: Deployment) -> None:
+        """Move to a deployment."""
+        self._here, self._state = here, self._field.state(here)
+
+    def direction(self, difference: float, width: float) -> FloatArray:
+        """Direction of the slope of each landmark along u and v, unit vectors, `(K, 2)`; 0 without a slope."""
+        out, scratch = np.zeros((len(self._here), 2)), self._field.scratch(self._state)
+        parts = self._problem.fixed_count, self._field, self._state, scratch, self._target, self._surfaces
+        runner(self._field, slopes)(*parts, difference, width, out)
+        length = np.linalg.norm(out, axis=1, keepdims=True)
+        return np.asarray(out / np.where(length > 0.0, length, 1.0))
+
+    def moved(self, away: FloatArray) -> Deployment:
+        """Landmarks moved by `away` `(K, 2)` along u and v, metres, with footprints that do not overlap."""
+        here, surfaces = self._here, self._surfaces
+        at = surfaces.coordinates(here.surfaces, here.positions) + away
+        moved = Deployment(surfaces.points(here.surfaces, at), here.normals, here.surfaces)
+        return self._problem.separated(self._problem.complete(self._problem.free(moved))) or here
+
+    def rises(self, trial: Deployment, width: float) -> bool:
+        """Move to the trial if the smoothed fitness is higher there; returns True if it is."""
+        state, smooth = self._field.state(trial), runner(self._field, _smooth_fitness)
+        before, now = (smooth(self._target, each.units, width) for each in (self._state, state))
+        if now > before:
+            self._here, self._state = trial, state
+        return bool(now > before)
