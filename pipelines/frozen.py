@@ -30,9 +30,9 @@ def read_frozen_problem(pipeline: str) -> None:
 
     try:
         frozen = document(given[-1].removeprefix(KEY))
-        named = {argument.partition("=")[0].lstrip("+~").partition("@")[0] for argument in sys.argv[1:]}
-        for key in ("run", *GROUPS):
-            if key in named:
+        named = [argument.partition("=")[0].lstrip("+~").partition("@")[0] for argument in sys.argv[1:]]
+        for key in named:
+            if key.split(".")[0] in ("run", *GROUPS):
                 raise InputError(f"suite={frozen.name} has a frozen problem: leave {key} out.")
         _check_command(pipeline, frozen.name, frozen.problem)
     except InputError as error:
