@@ -1,4 +1,4 @@
-"""Searches that solve integer programs again and again: their books, their choices, and stops. Some 30 s of processor time."""
+"""Searches that solve integer programs again and again: their books, choices and stops. Some 30 s of processor time."""
 
 from functools import partial
 
