@@ -116,6 +116,7 @@ def test_other_commands_take_a_frozen_problem(tmp_path):
             "leave room.spacing out",
         ),
         ("optimise", ("suite=coverage_against_accuracy",), "has two objectives, which no command takes"),
+        ("detect", ("suite=tiny_mean",), "suite is no key of detect: it takes no frozen problem"),
         ("evaluate", ("suite=tiny",), "suite must be one of"),
     ],
 )
