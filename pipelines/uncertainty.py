@@ -39,7 +39,7 @@ def uncertainty(cfg: DictConfig) -> None:
     deployment = problem.draw(np.random.default_rng(seed))
     with tracked(cfg, "uncertainty", title_of(problem, "uncertainty")) as tracker:
         places = error.covariances(problem, deployment)
-        with keyed("tag"), keyed("deployment"):
+        with keyed("uncertainty", path="deployment.path"):
             found = find(problem, deployment, study, seed, places)
         with keyed("uncertainty"):
             law = uncertainty_law(found)

@@ -13,6 +13,10 @@ NORMAL_QUANTILE_90 = 1.2815515655446004
 LEAST_ANGLE = 0.2  # lower bound on the sine of the angle at a corner, which limits the shift of the corner
 
 
+# Least standard deviation of corners without the mean shift, as a share of the deviation with the shift.
+LEAST_SHARE = 0.1
+
+
 @dataclass(frozen=True)
 class CornerErrors:
     """Log-normal distribution of the root mean square error of a tag's four corners, by pitch.
@@ -65,10 +69,22 @@ class CornerErrors:
         """Mean shift of the edges towards the middle of the tag, pixels, shape of `pitch`, interpolated linearly."""
         return np.asarray(np.interp(np.log(pitch), np.log(self.pitch), self.inward))
 
+    def independent_sigma(self, pitch: FloatArray) -> FloatArray:
+        """Standard deviation of one coordinate of one corner without the mean shift `inward`, pixels, as `pitch`."""
+        whole = self.sigma(pitch)
+        return np.asarray(np.sqrt(np.maximum(whole**2 - self.inward_at(pitch) ** 2, (LEAST_SHARE * whole) ** 2)))
+
     def sigma(self, pitch: FloatArray) -> FloatArray:
         """Standard deviation of one coordinate of one corner, pixels, shape of `pitch`."""
         mean, spread = self._at(pitch)
         return np.asarray(np.exp(mean + spread**2) / np.sqrt(2.0))
+
+
+# Projections of the corners' errors to the modes of `MeasuredCorners.modes`, in the order of `squares.CORNERS`.
+ALIKE, DIAGONAL = np.full((4, 4), 0.25), 0.25 * np.outer([-1.0, 1.0, -1.0, 1.0], [-1.0, 1.0, -1.0, 1.0])
+MODES = np.stack([ALIKE, np.eye(4) - ALIKE - DIAGONAL, DIAGONAL])
+# Least number of tags, and greatest number of classes of pitch and number of those of incidence, of `MeasuredCorners`.
+LEAST_TAGS, MOST_CLASSES, OBLIQUE_CLASSES = 40, 12, 3
 
 
 def inward(image: FloatArray) -> FloatArray:
@@ -77,6 +93,74 @@ def inward(image: FloatArray) -> FloatArray:
     along, other = (edge / np.linalg.norm(edge, axis=-1, keepdims=True) for edge in (along, other))
     across = np.abs(along[..., 0] * other[..., 1] - along[..., 1] * other[..., 0])
     return np.asarray((along + other) / np.maximum(across, LEAST_ANGLE)[..., None])
+
+
+@dataclass(frozen=True)
+class MeasuredCorners:
+    """Errors of corners of one detector, camera and light: independent noise and a shift of edges, by pitch."""
+
+    pitch: tuple[float, ...]
+    """Pitch, pixels per module, ascending, `(B,)`; values between are interpolated in log pitch."""
+    noise: tuple[float, ...]
+    """Standard deviation of one coordinate of one corner without the mean shift, pixels, `(B,)`."""
+    inward: tuple[float, ...]
+    """Mean shift of a tag's edges towards its centre, pixels, `(B,)`."""
+    incidence: tuple[float, ...]
+    """Incidence angles, rad, ascending, `(I,)`; the factors between are interpolated."""
+    oblique: tuple[float, ...]
+    """Variance of the noise at these incidence angles over the variance at the pitch alone, `(I,)`."""
+    modes: tuple[float, ...]
+    """Variances of the three modes of a tag's noise over their mean: all corners alike; linear in the corner's place on
+    the tag; the two diagonals apart. They have 2, 4 and 2 of the eight dimensions.
+    """
+
+    @classmethod
+    def of(cls, pitch: FloatArray, incidence: FloatArray, error: FloatArray, image: FloatArray) -> "MeasuredCorners":
+        """Errors by classes of pitch, each with at least `LEAST_TAGS` tags.
+
+        Args:
+            pitch: pitches of N tags, pixels per module, `(N,)`.
+            incidence: incidence angles, rad, `(N,)`.
+            error: detected minus exact corners, pixels, `(N, 4, 2)`.
+            image: exact corners, pixels, `(N, 4, 2)`.
+
+        Raises:
+            InputError: there are fewer than `LEAST_TAGS` tags.
+        """
+        if len(pitch) < LEAST_TAGS:
+            raise InputError(f"frames: {len(pitch)} tags were detected, and {LEAST_TAGS} are needed.", "frames")
+        unit, count = inward(image), len(pitch)
+        shift = (error * unit).sum(axis=(1, 2)) / (unit**2).sum(axis=(1, 2))
+        rows, relative = [], np.empty_like(error)
+        for own in np.array_split(np.argsort(pitch, kind="stable"), min(max(count // LEAST_TAGS, 1), MOST_CLASSES)):
+            mean = shift[own].mean()
+            rest = error[own] - mean * unit[own]
+            sigma = np.sqrt((rest**2).mean())
+            relative[own] = rest / sigma
+            rows.append((np.exp(np.log(pitch[own]).mean()), sigma, mean))
+        thirds = np.array_split(np.argsort(incidence, kind="stable"), OBLIQUE_CLASSES)
+        slants = tuple(float(incidence[own].mean()) for own in thirds)
+        factors = np.array([(relative[own] ** 2).mean() for own in thirds])
+        relative /= np.sqrt(np.interp(incidence, slants, factors))[:, None, None]
+        oblique = tuple(map(float, factors * (relative**2).mean()))
+        relative /= np.sqrt((relative**2).mean())
+        modes = tuple(float(((mode @ relative) ** 2).sum() / (2.0 * count * np.trace(mode))) for mode in MODES)
+        pitches, noise, shifts = (tuple(map(float, column)) for column in zip(*rows, strict=True))
+        return cls(pitches, noise, shifts, slants, oblique, modes)
+
+    def independent_sigma(self, pitch: FloatArray, incidence: FloatArray) -> FloatArray:
+        """Standard deviation of one coordinate of one corner without the mean shift, pixels, as `pitch`.
+
+        Args:
+            pitch: pixels per module, `(...)`.
+            incidence: incidence angles, rad, `(...)`.
+        """
+        sigma = np.exp(np.interp(np.log(pitch), np.log(self.pitch), np.log(self.noise)))
+        return np.asarray(sigma * np.sqrt(np.interp(incidence, self.incidence, self.oblique)))
+
+    def inward_at(self, pitch: FloatArray) -> FloatArray:
+        """See `CornerErrors.inward_at`."""
+        return np.asarray(np.interp(np.log(pitch), np.log(self.pitch), self.inward))
 
 
 # Geometric means of the bounds of the classes of pitch, pixels per module.

@@ -3,21 +3,24 @@
 Let J_t (8, 6) be the Jacobian of the corners of tag t by the body twist (w, v), and w_t the weight that the solver
 gives to these corners. With H = sum w_t J_t^T J_t, the error of the pose is to first order
 
-    e = H^-1 sum w_t J_t^T r_t,    r_t = n_t + b s_t + M_t m_t
+    e = H^-1 sum w_t J_t^T r_t,    r_t = n_t + (b + mu_t) s_t + M_t m_t
 
-- n_t: independent noise of the coordinates of corners, of variance sigma_t^2;
+- n_t: noise of corners, of covariance sigma_t^2 Q, independent between tags; Q is the identity, or has the modes of
+  `lmd.detection.corner_errors.MeasuredCorners`;
 - b: shift of all edges in the image of a camera, inward or outward, of variance beta^2; s_t is the displacement of the
-  corners by a shift of one pixel (`lmd.detection.corner_errors.inward`);
+  corners by a shift of one pixel (`lmd.detection.corner_errors.inward`). The mean shift mu_t of the detector, which
+  solvers do not correct, counts by its square;
 - m_t: error of position and rotation of the tag in the map, of covariance P_t and independent of other tags; M_t (8, 6)
   is its Jacobian.
 
-The covariance of e is H^-1 N H^-1 with
+The mean of e e^T, called covariance here, is H^-1 N H^-1 with
 
-    N = sum w_t^2 sigma_t^2 J_t^T J_t + beta^2 sum h_c h_c^T + sum B_t P_t B_t^T,
-    h_c = sum w_t J_t^T s_t over the tags in camera c,    B_t = sum w_t J_t^T M_t over the cameras.
+    N = sum w_t^2 sigma_t^2 J_t^T Q J_t + g g^T + beta^2 sum h_c h_c^T + sum B_t P_t B_t^T,
+    g = sum w_t mu_t J_t^T s_t over all images,    h_c = sum w_t J_t^T s_t over the tags in camera c,
+    B_t = sum w_t J_t^T M_t over the cameras.
 
-With w_t = 1 / sigma_t^2, beta = 0 and P = 0 this is the Cramer-Rao bound. Solvers such as OpenCV's `solvePnP` have w_t
-= 1; a tag with a large sigma_t or P_t may then raise the covariance.
+With w_t = 1 / sigma_t^2, Q = I, and without shifts and P this is the Cramer-Rao bound. Solvers such as OpenCV's
+`solvePnP` have w_t = 1; a tag with a large sigma_t or P_t may then raise the covariance.
 """
 
 from collections.abc import Sequence
@@ -26,8 +29,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from lmd.core.checks import BoolArray, FloatArray, IntArray
-from lmd.detection.corner_errors import CornerErrors, inward
-from lmd.detection.quality import pitch
+from lmd.detection.corner_errors import MODES, CornerErrors, MeasuredCorners, inward
+from lmd.detection.quality import incidence, pitch
 from lmd.estimation.cramer_rao import determines_pose, image_jacobians
 from lmd.geometry.camera import Camera
 from lmd.geometry.projection import project, slope, to_camera
@@ -43,7 +46,7 @@ WEIGHTS = ("equal", "noise")
 class TagErrors:
     """Errors of K tags in images and in the map, and the weights of a solver."""
 
-    noise: CornerErrors | float
+    noise: CornerErrors | MeasuredCorners | float
     """Errors of corners by pitch, or standard deviation of each coordinate of a corner, pixels."""
     shift: float
     """beta, standard deviation of the shift of edges that all tags in the image of a camera share, pixels."""
@@ -52,11 +55,25 @@ class TagErrors:
     weights: str = "equal"
     """Weights of corners: `equal`, or `noise` for 1 / sigma^2."""
 
-    def sigma(self, pitches: FloatArray) -> FloatArray:
-        """Standard deviation of each coordinate of a corner for pitches `(...)`, pixels, `(...)`."""
+    def at(self, pitches: FloatArray, incidences: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Standard deviation of each coordinate of a corner, and mean shift inward, pixels, `(...)` each.
+
+        Args:
+            pitches: pixels per module, `(...)`.
+            incidences: incidence angles, rad, `(...)`.
+        """
+        if isinstance(self.noise, MeasuredCorners):
+            return self.noise.independent_sigma(pitches, incidences), self.noise.inward_at(pitches)
         if isinstance(self.noise, CornerErrors):
-            return self.noise.sigma(pitches)
-        return np.full(pitches.shape, self.noise)
+            return self.noise.independent_sigma(pitches), self.noise.inward_at(pitches)
+        return np.full(pitches.shape, self.noise), np.zeros(pitches.shape)
+
+    @property
+    def modes(self) -> FloatArray:
+        """Q, covariance of the corners of a tag for sigma = 1, `(8, 8)`."""
+        if not isinstance(self.noise, MeasuredCorners):
+            return np.eye(8)
+        return np.asarray(np.kron(np.tensordot(self.noise.modes, MODES, axes=1), np.eye(2)))
 
 
 @dataclass(frozen=True)
@@ -74,9 +91,9 @@ class TagImages:
     information: FloatArray
     """sum w J^T J over the cameras, `(P, 6, 6)`."""
     noise: FloatArray
-    """sum w^2 sigma^2 J^T J over the cameras, `(P, 6, 6)`."""
+    """sum w^2 sigma^2 J^T Q J over the cameras, `(P, 6, 6)`."""
     shifts: FloatArray
-    """beta w J^T s in each of the C cameras, `(P, C, 6)`."""
+    """Contributions to g, and to beta h_c of each of the C cameras, `(P, 1 + C, 6)`."""
     places: FloatArray
     """B P B^T, `(P, 6, 6)`."""
 
@@ -103,7 +120,7 @@ class TagImages:
 
 
 def _covariances(information: FloatArray, errors: FloatArray, shifts: FloatArray) -> FloatArray:
-    """H^-1 N H^-1 from H and the first and the last sum of N, `(n, 6, 6)`, and beta h, `(n, C, 6)`."""
+    """H^-1 N H^-1 from H and the first and the last sum of N, `(n, 6, 6)`, and g and beta h, `(n, 1 + C, 6)`."""
     fixed = determines_pose(information)
     found = np.full(information.shape, np.inf)
     solved = np.linalg.inv(information[fixed])
@@ -135,13 +152,13 @@ def tag_images(
     pairs, number = np.unique(np.concatenate([np.flatnonzero(mask) for mask in seen]), return_inverse=True)
     size, first = len(pairs), 0
     information, noise, by_map = np.zeros((3, size, 6, 6))
-    shifts, sigmas = np.zeros((size, len(cameras), 6)), np.zeros(size)
+    shifts, sigmas = np.zeros((size, 1 + len(cameras), 6)), np.zeros(size)
     for c, (camera, mounted, mask) in enumerate(zip(cameras, extrinsics, seen, strict=True)):
         frame, which = np.nonzero(mask)
         own = number[first : first + len(frame)]
         first += len(frame)
         at, centres, normals = poses[frame] @ mounted, deployment.places[which], deployment.normals[which]
-        sigma = errors.sigma(_pitches(camera, at, centres, normals, tag, edges[which]))
+        sigma, mean_shift = errors.at(*_pitch_and_incidence(camera, at, centres, normals, tag, edges[which]))
         weight = 1.0 / sigma**2 if errors.weights == "noise" else np.ones_like(sigma)
         points = corners(centres, normals, deployment.ups[which], edges[which])
         jacobian = image_jacobians(at.repeat(4, axis=0), points.reshape(-1, 3), camera).reshape(-1, 8, 6)
@@ -149,8 +166,11 @@ def tag_images(
         weighted = np.swapaxes(jacobian, 1, 2) * weight[:, None, None]
         square = weighted @ jacobian
         information[own] += square
-        noise[own] += (weight * sigma**2)[:, None, None] * square
-        shifts[own, c] = errors.shift * (weighted @ inward(project(camera, at, points)).reshape(-1, 8, 1))[..., 0]
+        spread = np.swapaxes(weighted * sigma[:, None, None], 1, 2)
+        noise[own] += np.swapaxes(spread, 1, 2) @ errors.modes @ spread
+        moved = (weighted @ inward(project(camera, at, points)).reshape(-1, 8, 1))[..., 0]
+        shifts[own, 0] += mean_shift[:, None] * moved
+        shifts[own, 1 + c] = errors.shift * moved
         by_map[own] += weighted @ _map_jacobians(camera, at, points, centres)
         sigmas[own] = np.maximum(sigmas[own], sigma)
     frame, which = np.divmod(pairs, count)
@@ -158,13 +178,14 @@ def tag_images(
     return TagImages(len(poses), frame, which, sigmas, information, noise, shifts, places)
 
 
-def _pitches(
+def _pitch_and_incidence(
     camera: Camera, poses: FloatArray, centres: FloatArray, normals: FloatArray, tag: Tag, edges: FloatArray
-) -> FloatArray:
-    """`lmd.detection.quality.pitch` of tag m in a camera at pose m, `(M,)`."""
+) -> tuple[FloatArray, FloatArray]:
+    """`lmd.detection.quality` of tag m in a camera at pose m: pitch and incidence angle, `(M,)` each."""
     seen = to_camera(poses, centres[:, None])[:, 0]
     turned = (normals[:, None, :] @ poses[:, :3, :3])[:, 0]
-    return np.asarray(pitch(camera, np.eye(4), seen, turned, tag, edges))
+    where = np.eye(4), seen, turned
+    return np.asarray(pitch(camera, *where, tag, edges)), np.asarray(incidence(*where))
 
 
 def _map_jacobians(camera: Camera, poses: FloatArray, points: FloatArray, centres: FloatArray) -> FloatArray:

@@ -15,10 +15,11 @@ import numpy as np
 
 from lmd.core.checks import BoolArray, FloatArray, InputError, IntArray, check_fields, choice, integer, real
 from lmd.core.memory import check_memory
-from lmd.detection.corner_errors import CORNER_ERRORS, CornerErrors
+from lmd.detection.corner_errors import CORNER_ERRORS, CornerErrors, MeasuredCorners
 from lmd.detection.frames import draw_poses
 from lmd.estimation.pose_covariance import WEIGHTS, TagErrors, TagImages, tag_images, world_covariances
 from lmd.evaluation.accuracy import as_localisation
+from lmd.evaluation.rendered_corners import measured_corners
 from lmd.geometry.frames import angles_of
 from lmd.geometry.se3 import axis_and_right, cross
 from lmd.objectives.localisation.ambiguity import CONFIDENCE
@@ -34,8 +35,8 @@ AXES = ("x", "y", "z", "rx", "ry", "rz")  # axes of the covariance of a tag in a
 SDS = tuple(f"sd_{name}" for name in ("x", "y", "z", "roll", "pitch", "yaw"))
 ONE, TWO, NONE = "one", "two", "none"  # kinds of poses
 VIEW_BYTES = 2000  # memory of a view, bytes
-AUTO, OBJECTIVE = "auto", "objective"
-CORNERS = (AUTO, OBJECTIVE, *CORNER_ERRORS)
+AUTO, OBJECTIVE, RENDERED = "auto", "objective", "rendered"
+CORNERS = (AUTO, OBJECTIVE, RENDERED, *CORNER_ERRORS)
 ALSO = {"wpilib": "apriltag_decimate2"}  # detectors of the visibility model with the corner errors of another one
 LESS = 1.0 - 1e-3  # greatest ratio of two standard deviations of which the first counts as less
 
@@ -50,7 +51,8 @@ class UncertaintyStudy:
 
     corners: str = AUTO
     """Noise of corners: a detector in `CORNER_ERRORS`, by pitch; `objective` for its constant `pixel_noise`; `auto` for
-    the detector of the visibility model, or `objective` if its corner errors are unknown.
+    the detector of the visibility model, or `objective` if its corner errors are unknown; `rendered` for the errors of
+    that detector in rendered images of the deployment.
     """
     shift: float | None = None
     """Standard deviation of the shift of edges that all tags of an image share, pixels; None for the detector's
@@ -60,29 +62,39 @@ class UncertaintyStudy:
     """Weights of corners in the solver, see `lmd.estimation.pose_covariance`."""
     views: int = 20000
     """Number of random views."""
+    frames: int = 200
+    """Number of rendered images for `corners` = `rendered`."""
 
     def __post_init__(self) -> None:
         choice("corners", self.corners, CORNERS)
         choice("weights", self.weights, WEIGHTS)
         if self.shift is not None:
             check_fields(self, real, "shift", low=0.0)
-        check_fields(self, integer, "views", low=1)
+        check_fields(self, integer, "views", "frames", low=1)
         check_memory(VIEW_BYTES * self.views, f"views = {self.views}", "views")
 
     def reader(self, problem: Problem) -> str:
         """Name of the detector whose corner errors are used, or `objective`."""
-        if self.corners != AUTO:
+        if self.corners not in (AUTO, RENDERED):
             return self.corners
         name = str(getattr(problem.scene.visibility, "detector", OBJECTIVE))
         name = ALSO.get(name, name)
         return name if name in CORNER_ERRORS else OBJECTIVE
 
-    def errors(self, problem: Problem, places: FloatArray) -> TagErrors:
-        """Errors of tags whose covariances in the map are `places` `(K, 6, 6)`, m^2 and rad^2."""
-        noise: CornerErrors | float = as_localisation(problem.objective).pixel_noise
-        spread = 0.0
-        if (reader := self.reader(problem)) != OBJECTIVE:
-            noise, spread = CORNER_ERRORS[reader], CORNER_ERRORS[reader].inward_spread
+    def errors(self, problem: Problem, deployment: Deployment, places: FloatArray, seed: int) -> TagErrors:
+        """Errors of tags whose covariances in the map are `places` `(K, 6, 6)`, m^2 and rad^2.
+
+        Raises:
+            InputError: corners are to be measured in rendered images, but the detector is unknown or finds too few.
+        """
+        noise: CornerErrors | MeasuredCorners | float = as_localisation(problem.objective).pixel_noise
+        spread, reader = 0.0, self.reader(problem)
+        if self.corners == RENDERED:
+            noise = measured_corners(problem, deployment, reader, self.frames, seed)
+        elif reader != OBJECTIVE:
+            noise = CORNER_ERRORS[reader]
+        if reader != OBJECTIVE:
+            spread = CORNER_ERRORS[reader].inward_spread
         return TagErrors(noise, spread if self.shift is None else self.shift, places, self.weights)
 
 
@@ -167,13 +179,14 @@ def uncertainty(
         places: covariances of the tags in the map in addition to `map_covariances`, `(K, 6, 6)`, m^2 and rad^2.
 
     Raises:
-        InputError: landmarks are points, or `map_covariances` refuses the columns of the deployment.
+        InputError: landmarks are points, or `map_covariances` or `UncertaintyStudy.errors` refuses.
     """
     problem.scene.tag.check_edge()
     poses = draw_poses(problem.scene, study.views, seed)
     known = map_covariances(deployment)
     total = np.zeros((len(deployment), 6, 6)) if places is None else places
-    return uncertainty_at(problem, deployment, study.errors(problem, total if known is None else total + known), poses)
+    errors = study.errors(problem, deployment, total if known is None else total + known, seed)
+    return uncertainty_at(problem, deployment, errors, poses)
 
 
 def uncertainty_at(problem: Problem, deployment: Deployment, errors: TagErrors, poses: FloatArray) -> Uncertainty:

@@ -5,8 +5,9 @@ import pytest
 from paper import paper_camera
 from scipy.stats import chi2
 
-from lmd.detection.corner_errors import CORNER_ERRORS, inward
-from lmd.detection.quality import incidence
+from lmd.core.checks import InputError
+from lmd.detection.corner_errors import CORNER_ERRORS, MeasuredCorners, inward
+from lmd.detection.quality import incidence, pitch
 from lmd.estimation.cramer_rao import moment_information
 from lmd.estimation.pose_covariance import TagErrors, tag_images, world_covariances
 from lmd.geometry.pose import body_from_corners
@@ -82,8 +83,12 @@ def normalised(tags, poses, seen, extrinsics, errors, rng):
             image = np.full((COUNT, 4, 2), np.nan)
             if mask.any():
                 exact = project(CAMERA, pose @ mounted, true[mask].reshape(-1, 3)).reshape(-1, 4, 2)
-                noise = single.sigma[:, None, None] * rng.standard_normal(exact.shape)
-                image[mask] = exact + noise + errors.shift * rng.standard_normal() * inward(exact)
+                at = pitch(CAMERA, pose @ mounted, tags.places[mask], tags.normals[mask], TAG)
+                slant = incidence(pose @ mounted, tags.places[mask], tags.normals[mask])
+                noise = np.linalg.cholesky(errors.modes) @ rng.standard_normal((len(at), 8, 1))
+                shift = errors.at(at, slant)[1] + errors.shift * rng.standard_normal()
+                noise = single.sigma[:, None, None] * noise.reshape(-1, 4, 2)
+                image[mask] = exact + noise + shift[:, None, None] * inward(exact)
             shots.append(image)
         e = log(inverse(pose) @ body_from_corners(cameras, extrinsics, known, shots))
         blocks = (slice(None), slice(3), slice(3, 6))
@@ -93,10 +98,13 @@ def normalised(tags, poses, seen, extrinsics, errors, rng):
 
 # 1 mm and 3 mrad, as of a survey.
 SURVEYED = np.broadcast_to(np.diag([1e-3] * 3 + [3e-3] * 3) ** 2, (COUNT, 6, 6))
+# Smaller than ArUco's, with a shift and correlated corners.
+MEASURED = MeasuredCorners((1.5, 4.0), (0.4, 0.2), (0.3, 0.1), (0.2, 1.0), (0.8, 1.3), (0.7, 1.25, 0.8))
 CASES = {
     "constant": (ALONE, TagErrors(0.5, 0.0, ZERO)),
     "by pitch": (ALONE, TagErrors(CORNER_ERRORS["aruco"], 0.0, ZERO)),
     "shift": (ALONE, TagErrors(CORNER_ERRORS["apriltag"], 0.1, ZERO)),
+    "modes": (ALONE, TagErrors(MEASURED, 0.0, ZERO)),
     "map": (ALONE, TagErrors(CORNER_ERRORS["apriltag"], 0.0, SURVEYED)),
     "rig": (TURNED, TagErrors(0.3, 0.1, SURVEYED)),
 }
@@ -165,3 +173,19 @@ def test_turned_tags_use_their_own_ups():
     errors = TagErrors(0.5, 0.2, SURVEYED)
     one, other = (tag_images([CAMERA], ALONE, poses, d, TAG, seen, errors).covariances() for d in (tags, upside))
     assert (np.abs(one - other) < 1e-9 * np.abs(one).max(axis=(1, 2), keepdims=True)).all()
+
+
+def test_measured_corner_errors_are_recovered():
+    rng, count = np.random.default_rng(1), 20000
+    pitches, slants = np.exp(rng.uniform(np.log(1.5), np.log(4.0), count)), rng.uniform(0.1, 1.1, count)
+    image = 60.0 * np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]]) * np.ones((count, 1, 1))
+    spread = np.linalg.cholesky(TagErrors(MEASURED, 0.0, ZERO).modes)
+    noise = (spread @ rng.standard_normal((count, 8, 1))).reshape(-1, 4, 2)
+    sigma, shift = MEASURED.independent_sigma(pitches, slants), MEASURED.inward_at(pitches)
+    error = sigma[:, None, None] * noise + shift[:, None, None] * inward(image)
+    found = MeasuredCorners.of(pitches, slants, error, image)
+    assert found.modes == pytest.approx(MEASURED.modes, rel=0.03)
+    assert found.independent_sigma(pitches, slants) == pytest.approx(sigma, rel=0.15)
+    assert np.abs(found.inward_at(pitches) - shift).max() < 0.02
+    with pytest.raises(InputError, match="frames: 39 tags were detected, and 40 are needed"):
+        MeasuredCorners.of(pitches[:39], slants[:39], error[:39], image[:39])

@@ -121,7 +121,19 @@ def test_columns_of_a_surveyed_map_are_read_and_refused(lab):
 def test_corner_errors_come_from_the_detector_of_the_scene(lab, settings, reader, shift):
     study = UncertaintyStudy(**settings)
     assert study.reader(lab[0]) == reader
-    assert study.errors(lab[0], np.zeros((24, 6, 6))).shift == shift
+    assert study.errors(*lab, np.zeros((24, 6, 6)), 0).shift == shift
+
+
+def test_corner_errors_are_measured_in_rendered_images(lab):
+    """Thirty frames, some two seconds; ArUco finds tags too small by a quarter of a pixel on each side."""
+    errors = UncertaintyStudy(corners="rendered", frames=30).errors(*lab, np.zeros((24, 6, 6)), 0)
+    sigma, shift = errors.at(np.array([2.5]), np.array([0.6]))
+    assert 0.1 < sigma[0] < 0.5
+    assert 0.15 < shift[0] < 0.4
+    assert errors.shift == 0.2
+    assert np.trace(errors.modes) == pytest.approx(8.0)
+    with pytest.raises(InputError, match=r"frames: \d+ tags were detected, and 40 are needed"):
+        UncertaintyStudy(corners="rendered", frames=5).errors(*lab, np.zeros((24, 6, 6)), 0)
 
 
 def test_power_laws_are_recovered():

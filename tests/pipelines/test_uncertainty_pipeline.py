@@ -38,7 +38,14 @@ def test_a_map_becomes_tables_laws_code_and_pictures(tmp_path):
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        ("deployment=uniform uncertainty.corners=mine", "uncertainty.corners must be one of auto, objective, aruco"),
+        (
+            "deployment=uniform uncertainty.corners=mine",
+            "uncertainty.corners must be one of auto, objective, rendered,",
+        ),
+        (
+            "deployment=uniform uncertainty.corners=rendered visibility=paper",
+            "uncertainty.corners = rendered needs a visibility model of a known detector",
+        ),
         ("deployment=uniform uncertainty.shift=-1", "uncertainty.shift must be at least 0, got -1."),
         ("deployment=uniform uncertainty.views=10", "uncertainty.views: only "),
         ("deployment=uniform deployment.mounting_error=-1", "deployment.mounting_error.position must be at least 0"),
