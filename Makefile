@@ -79,6 +79,7 @@ notebooks: install-all  ## run the notebooks and keep what they show
 	$(BIN)/python notebooks/store.py
 
 figures: install  ## the picture in the README
+	rm -rf outputs/figures
 	$(BIN)/python -m pipelines.optimise seed=0 tracking=none hydra.run.dir=outputs/figures
 	cp outputs/figures/scene.png docs/images/optimised.png
 
@@ -87,6 +88,7 @@ WITH_PDF := experiment=paper_experiment pdf=samples pdf.path=$(EXPERIMENT)/pdf/p
 
 paper-experiment: install  ## the paper's experiment, simulated: PDF from a recording, optimise, fly
 	$(BIN)/python -m pipelines.estimate_pdf recording=simulated recording.pitch_std=0 hydra.run.dir=$(EXPERIMENT)/pdf
+	rm -rf $(EXPERIMENT)/optimised
 	$(BIN)/python -m pipelines.optimise $(WITH_PDF) budget.evaluations=$(EVALUATIONS) hydra.run.dir=$(EXPERIMENT)/optimised
 	$(BIN)/python -m pipelines.observe $(WITH_PDF) deployment=file,uniform,random \
 	  deployment.path=$(EXPERIMENT)/optimised/landmarks.csv hydra.run.dir=$(EXPERIMENT)/observed

@@ -7,7 +7,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from lmd.core.checks import FloatArray, integer
+from lmd.core.checks import FloatArray, InputError, integer
 from lmd.core.threads import MOST_THREADS
 from lmd.objectives.base import Objective
 from lmd.scene.deployment import Deployment
@@ -35,7 +35,11 @@ class Genome(Protocol):
         """Draw the genes of a candidate to start from, `(dim,)`."""
 
     def fitness_of_genes(self, genes: FloatArray) -> FloatArray:
-        """Fitness of candidates `(B, dim)`, `(B,)`; -inf for impossible candidates."""
+        """Fitness of candidates `(B, dim)`, `(B,)`; -inf for impossible candidates.
+
+        Raises:
+            InputError: the genes have another shape, or lie outside [0, 1].
+        """
 
     def deployment(self, genes: FloatArray) -> Deployment:
         """Landmarks of a candidate `(dim,)`."""
@@ -45,6 +49,28 @@ class Genome(Protocol):
 
     def reached(self, fitness: float) -> None:
         """Set the best fitness to the value at a checkpoint, so that a resumed run makes equal decisions."""
+
+
+def checked_genes(genes: FloatArray, *shape: int | str) -> FloatArray:
+    """Genes of a candidate or of several, as an array.
+
+    Args:
+        genes: the genes.
+        shape: numbers of them along each axis; a letter for any number.
+
+    Raises:
+        InputError: `genes` have another shape, are no numbers, or lie outside [0, 1].
+    """
+    try:
+        given = np.asarray(genes, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise InputError(f"genes must be numbers, got {genes!r}.", "genes") from None
+    if given.ndim != len(shape) or any(n != m for n, m in zip(shape, given.shape, strict=True) if isinstance(n, int)):
+        wanted = ", ".join(map(str, shape)) + "," * (len(shape) == 1)
+        raise InputError(f"genes must have the shape ({wanted}), got {given.shape}.", "genes")
+    if (wrong := given[~((given >= 0.0) & (given <= 1.0))]).size:
+        raise InputError(f"genes must be in [0, 1], got {wrong[0]:g}.", "genes")
+    return given
 
 
 class Problem:

@@ -1,5 +1,10 @@
 """Command-line entry points: thin Hydra applications over `lmd`."""
 
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from omegaconf import DictConfig
+
 try:
     import _signal  # type: ignore[import-not-found]  # built in; an interrupt during `import signal` prints a traceback
     import os
@@ -21,3 +26,25 @@ try:
         raise SystemExit(f"error: {missing('hydra-core', 'pipelines')}")
 except KeyboardInterrupt:
     raise SystemExit(130) from None
+
+
+def compose(command: str, *overrides: str) -> "DictConfig":
+    """Configuration of a command, as its command line composes it, without running the command.
+
+    `building.build_problem` and `building.build_optimiser` make objects of it.
+
+    Args:
+        command: name of the command, such as `optimise`.
+        overrides: its overrides, such as `experiment=lab`.
+
+    Raises:
+        hydra.errors.HydraException: Hydra refuses the overrides, or another configuration is being composed.
+    """
+    from hydra import compose as composed
+    from hydra import initialize_config_dir
+
+    from .app import CONF
+    from .overrides import as_hydra_reads
+
+    with initialize_config_dir(CONF, version_base="1.3"):
+        return composed(command, list(map(as_hydra_reads, overrides)))

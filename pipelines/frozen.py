@@ -1,64 +1,75 @@
-"""`suite=NAME`: a frozen problem of the suite in place of the defaults."""
+"""`suite=NAME`: a frozen problem of the suite in place of the defaults; `-m suite=A,B` sweeps over several."""
 
+import re
 import sys
 from collections.abc import Mapping
-from typing import Any
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 from hydra.core.config_store import ConfigStore
 
-from .app import command_of
+from .app import CONF, command_of
 
-KEY = "suite="
-OPTION = "suite"  # option of the groups below
+if TYPE_CHECKING:
+    from lmd.suite import Document
+
+GROUP = "suite"
 GROUPS = ("room", "camera", "pdf", "tag", "visibility", "objective")  # groups that a problem decides
 PLACES_CAMERAS = "place_cameras"
+COMPARE = "compare"  # reads the key by itself
 
 
-def read_frozen_problem(pipeline: str) -> None:
-    """Make the groups of the problem in `suite=NAME` on the command line options called `suite`, and choose them.
+def offer_frozen_problems(pipeline: str) -> None:
+    """Make the problems that `suite=...` names on the command line options of the group `suite`.
 
-    The number of landmarks of the problem holds for the start of a search, unless the command line gives another
-    source of landmarks. Must be called before Hydra reads the command line; ends the process if the problem is unknown
-    or for another command. `compare` reads the key by itself.
+    Such an option chooses an option of each group that the problem decides, and of `deployment`, which the command line
+    may replace. Must be called before Hydra reads the command line; ends the process if a problem is unknown or for
+    another command, or if the command line chooses a part of it.
     """
-    given = [argument for argument in sys.argv[1:] if argument.startswith(KEY)]
-    if not given or pipeline == "compare" or given[-1] == f"{KEY}null":
+    given = [argument.partition("=")[2] for argument in sys.argv[1:] if argument.startswith(f"{GROUP}=")]
+    names = re.findall(r"\w+", given[-1]) if given and pipeline != COMPARE else []
+    if not names or names == ["null"]:
         return
+    if f"- {GROUP}: null" not in Path(CONF, f"{pipeline}.yaml").read_text(encoding="utf-8"):
+        sys.exit(f"error: {GROUP} is no key of {pipeline}: it takes no frozen problem.")
     from lmd.core.checks import InputError
     from lmd.suite import document
-    from lmd.suite.documents import with_paths
 
     try:
-        frozen = document(given[-1].removeprefix(KEY))
-        named = {argument.partition("=")[0].lstrip("+~").partition("@")[0] for argument in sys.argv[1:]}
-        for key in ("run", *GROUPS):
-            if key in named:
-                raise InputError(f"suite={frozen.name} has a frozen problem: leave {key} out.")
-        _check_command(pipeline, frozen.name, frozen.problem)
+        for name in names:
+            frozen = document(name)
+            _check_command(pipeline, frozen)
+            _offer(frozen, pipeline == PLACES_CAMERAS)
+        for argument in sys.argv[1:]:
+            key = argument.partition("=")[0].lstrip("+~").partition("@")[0]
+            if key.split(".")[0] in ("run", *GROUPS):
+                raise InputError(f"suite={given[-1]} has a frozen problem: leave {key} out.")
     except InputError as error:
         sys.exit(f"error: {error}")
-    nodes, store = with_paths(frozen.problem), ConfigStore.instance()
-    groups = (*GROUPS, "body") if pipeline == PLACES_CAMERAS else GROUPS
+
+
+def _offer(frozen: "Document", places_cameras: bool) -> None:
+    """Store the options of a problem; their names begin with `suite_`, as `conf` may have others of its name."""
+    from lmd.suite.documents import with_paths
+
+    nodes, store, option = with_paths(frozen.problem), ConfigStore.instance(), f"{GROUP}_{frozen.name}"
+    groups = (*GROUPS, "body") if places_cameras else GROUPS
     for group in groups:
-        store.store(OPTION, nodes[group], group)
-    chosen = [f"{group}={OPTION}" for group in groups]
-    if pipeline == PLACES_CAMERAS:
-        store.store(OPTION, {"defaults": ["file", "_self_"], **nodes["deployment"]}, "deployment")
-        chosen += [f"cameras.{key}={value}" for key, value in nodes["cameras"].items()]
-    elif "count" in nodes["deployment"]:
-        store.store(OPTION, {"defaults": ["random", "_self_"], **nodes["deployment"]}, "deployment")
-    if "deployment" not in named:
-        chosen.append(f"deployment={OPTION}")
-    place = sys.argv.index(given[-1]) + 1  # after it, as options of Hydra may follow
-    sys.argv[place:place] = chosen
+        store.store(option, nodes[group], group)
+    source = "file" if places_cameras else "random"
+    store.store(option, {"defaults": [source, "_self_"], **nodes["deployment"]}, "deployment")
+    chosen = [{f"override /{group}": option} for group in (*groups, "deployment")]
+    cameras: Mapping[str, Any] = {"cameras": nodes["cameras"]} if places_cameras else {}
+    store.store(frozen.name, {"defaults": [*chosen, "_self_"], GROUP: frozen.name, **cameras}, GROUP, "_global_")
 
 
-def _check_command(pipeline: str, name: str, nodes: Mapping[str, Any]) -> None:
+def _check_command(pipeline: str, frozen: "Document") -> None:
     """Raise `InputError` if a problem is for another command."""
     from lmd.core.checks import InputError
 
+    name, nodes = frozen.name, frozen.problem
     if "objective" not in nodes or "second" in nodes:
         raise InputError(f"suite={name} has two objectives, which no command takes: use lmd.suite.problem({name!r}).")
     if ("cameras" in nodes) != (pipeline == PLACES_CAMERAS):
-        other, what = (PLACES_CAMERAS, "cameras") if "cameras" in nodes else ("optimise", "landmarks")
-        raise InputError(f"suite={name} places {what}: {command_of(other)} suite={name} does.")
+        other, placed = (PLACES_CAMERAS, "cameras") if "cameras" in nodes else ("optimise", "landmarks")
+        raise InputError(f"suite={name} places {placed}: {command_of(other)} suite={name} does.")

@@ -26,6 +26,13 @@ if TYPE_CHECKING:
 
 LEAST_FREE = 1 << 20  # least free disk space for a run to begin, bytes
 HISTORY_FILE = "history.csv"
+JOB_VARIABLE = "LMD_JOB"  # environment variable with the folder of the job that a process of a sweep does
+# Commands that search or score, each with a file that it writes last.
+RESULTS = {
+    **dict.fromkeys(("optimise", "place_cameras", "evaluate"), "metrics.json"),
+    "compare": "comparison.csv",
+    "tradeoff": "tradeoff.json",
+}
 PARTIAL = ".partial_"  # prefix of folders whose files are moved once all files are written
 RESERVED_BYTES = 1 << 16  # reserved disk space, bytes: more than landmarks and figures of a thousand tags
 
@@ -37,11 +44,23 @@ class RunDirectory(HydraCallback):
         """Check the disk, and register the removal of an empty directory."""
         directory = Path(config.hydra.run.dir).resolve()
         self._check(directory)
+        self._check_earlier(directory, config)
         atexit.register(discard_empty, directory)
 
     def on_multirun_start(self, config: DictConfig, **kwargs: Any) -> None:
         """Check the disk of the sweep's directory."""
         self._check(Path(config.hydra.sweep.dir))
+
+    @staticmethod
+    def _check_earlier(directory: Path, config: DictConfig) -> None:
+        """Exit if the command would overwrite the results of an earlier run, unless it resumes that run."""
+        result, resume = RESULTS.get(str(config.hydra.job.name)), config.get("resume")
+        is_resumed = resume is not None and Path(str(resume)).resolve() == directory
+        if result is None or not (directory / result).is_file() or is_resumed or JOB_VARIABLE in os.environ:
+            return
+        text = f"hydra.run.dir: {str(directory)!r} holds {result} of an earlier run"
+        print(f"error: {text}: name another folder, delete this one, or go on with resume=DIR.", file=sys.stderr)
+        sys.exit(1)
 
     @staticmethod
     def _check(directory: Path) -> None:

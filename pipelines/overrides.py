@@ -14,15 +14,19 @@ from omegaconf import DictConfig, open_dict
 from .app import CONF
 from .hyperparameters import GROUPS
 
+OPTIONAL = ("experiment", "hparams_search")  # groups without a default option, which a `+` may come before
 COUNT, PATH = "deployment.count=", "deployment.path"
 LIKENESS = 0.8  # least similarity, by `difflib`, of a suggested key, such as a missing letter in a word
 
 
 def as_hydra_reads(override: str) -> str:
-    """Translate two spellings of this project to Hydra's: `deployment.count=+5`, and `+` before a default of a class.
+    """Translate spellings of this project to Hydra's: `deployment.count=+5`, `+experiment=lab`, and no `+` before a
+    default of a class.
 
-    Hydra reads `+5` as the number 5, and refuses `+optimiser.population=12` because the key already exists.
+    Hydra reads `+5` as the number 5, and refuses `+experiment=lab` because the group already has a default, none.
     """
+    if override.startswith(tuple(f"+{group}=" for group in OPTIONAL)):
+        return override[1:]
     if override.startswith(COUNT):
         return re.sub(r"(?<=[=,])\+(\d+)(?=,|$)", r"'+\1'", override)
     return f"+{override}" if override.startswith(tuple(f"+{group}." for group in GROUPS)) else override

@@ -16,7 +16,7 @@ from hydra._internal.hydra import Hydra
 from omegaconf import DictConfig
 
 from .app import CONF, GARBAGE, PACKAGE, command_of, ends_reported
-from .frozen import read_frozen_problem
+from .frozen import offer_frozen_problems
 from .hyperparameters import HELP
 from .operations.signals import Stopped, stop
 from .operations.sweeps import search  # noqa: F401 # from here on Hydra knows this sweeper
@@ -134,7 +134,7 @@ class Pipeline:
     def __call__(self) -> None:
         """Run the command line of this process."""
         sys.argv[1:] = with_file(sys.argv[1:], self.name)
-        read_frozen_problem(self.name)
+        offer_frozen_problems(self.name)
         for change in self.prepare:
             change()
         gc.set_threshold(GARBAGE)

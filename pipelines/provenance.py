@@ -28,6 +28,9 @@ NO_PARAMETERS = (
 # Characters around a path in an override, such as `deployments=['mine: file deployment.path=a.csv',uniform]`; the first
 # pattern leaves a path with a space whole.
 SEPARATORS = (r"[,=\[\]{}'\"]+", r"[\s,=\[\]{}'\"]+")
+PACKAGES_FILE, PATCH_FILE = "packages.txt", "diff.patch"
+DIRTY = "uncommitted changes"  # tag of a run
+SHORT_COMMIT = 9  # characters of a commit in a description
 LARGEST_READ = 1 << 32  # largest file whose contents are read, bytes; for larger files only the size counts
 
 
@@ -64,20 +67,58 @@ def _version() -> dict[str, str]:
         tags = {"version": version("lmd")}
     except PackageNotFoundError:  # a checkout that is not installed
         tags = {}
-    commit = _git("rev-parse", "HEAD") if IN_CHECKOUT else ""
+    commit = _git("rev-parse", "HEAD").strip() if IN_CHECKOUT else ""
     if commit:
-        tags |= {"mlflow.source.git.commit": commit, "uncommitted changes": "yes" if _git("status", "-s") else "no"}
+        tags |= {"mlflow.source.git.commit": commit, DIRTY: "yes" if _git("status", "-s") else "no"}
     return tags
+
+
+def repeating(tags: Mapping[str, str]) -> str:
+    """The command in the `source_tags` of a run, and the commit to repeat it at, in Markdown."""
+    commit = tags.get("mlflow.source.git.commit", "")[:SHORT_COMMIT]
+    changes = f", with the changes in {PATCH_FILE}" if tags.get(DIRTY) == "yes" else ""
+    return f"`{tags['command']}`" + (f"\n\nat commit {commit}{changes}" if commit else "")
+
+
+def write_sources(directory: Path) -> None:
+    """Write the installed packages and, if the checkout has uncommitted changes, these as a patch; unless the disk is
+    full.
+    """
+    try:
+        directory.mkdir(parents=True, exist_ok=True)
+        (directory / PACKAGES_FILE).write_text(_packages())
+        if patch := _patch():
+            (directory / PATCH_FILE).write_text(patch)
+    except OSError as error:
+        print(f"warning: {directory} has no {PACKAGES_FILE} ({error.strerror})", file=sys.stderr)
+
+
+@cache
+def _packages() -> str:
+    """Installed packages, `name==version` a line, by the names of their metadata, which takes a few milliseconds."""
+    found: set[str] = set()
+    for folder in filter(os.path.isdir, dict.fromkeys(sys.path)):
+        found |= {name.removesuffix(".dist-info") for name in os.listdir(folder) if name.endswith(".dist-info")}
+    return "".join(f"{name.replace('-', '==', 1)}\n" for name in sorted(found, key=str.lower))
+
+
+@cache
+def _patch() -> str:
+    """Uncommitted changes of tracked files, behind the names of untracked ones; empty without any."""
+    if _version().get(DIRTY) != "yes":
+        return ""
+    untracked = _git("ls-files", "--others", "--exclude-standard").splitlines()
+    return "".join(f"# untracked: {name}\n" for name in untracked) + _git("diff", "--no-ext-diff", "--no-color", "HEAD")
 
 
 def _git(*arguments: str) -> str:
     """Output of git in this checkout; empty without git or a repository."""
     try:
         line = ["git", "--no-optional-locks", *arguments]  # a killed run would leave a lock behind
-        done = subprocess.run(line, cwd=Path(CONF).parent, capture_output=True, text=True, timeout=5.0, check=False)
+        done = subprocess.run(line, cwd=Path(CONF).parent, capture_output=True, timeout=5.0, check=False)
     except (OSError, subprocess.TimeoutExpired):
         return ""
-    return done.stdout.strip()
+    return done.stdout.decode(errors="replace")
 
 
 def parameters(cfg: DictConfig, choices: Mapping[str, str]) -> dict[str, Any]:

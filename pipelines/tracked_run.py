@@ -24,7 +24,7 @@ from .operations.sweeps.folder import current_job, reason_of
 from .operations.sweeps.names import override_tags, short_name
 from .operations.tracking import RunStart
 from .outputs import write_all, write_figures, write_history, write_pictures
-from .provenance import command_line, parameters, source_tags
+from .provenance import command_line, parameters, repeating, source_tags, write_sources
 
 if TYPE_CHECKING:
     from lmd.export.exports import Export
@@ -85,7 +85,7 @@ def tracked(cfg: DictConfig, subject: str, about: str = "", earlier: Earlier | N
         tags |= swept.tags(folder.name)
     pipeline = HydraConfig.get().job.name
     tags |= {"pipeline": pipeline} | override_tags(overrides) | source_tags(pipeline)
-    tags["mlflow.note.content"] = f"{about or subject}\n\n`{tags['command']}`\n\nfiles: {run_directory()}"
+    tags["mlflow.note.content"] = f"{about or subject}\n\n{repeating(tags)}\n\nfiles: {run_directory()}"
     params, run_id = parameters(cfg, choices()), None
     if earlier is not None and earlier.run_id is not None:
         if tracker.goes_on(earlier.run_id, earlier.folder, params):
@@ -94,6 +94,7 @@ def tracked(cfg: DictConfig, subject: str, about: str = "", earlier: Earlier | N
             tags["continues"] = earlier.run_id
     try:
         with stop.raising():
+            write_sources(run_directory() / ".hydra")
             tracker.start(RunStart(short_name(subject, varied), run_directory(), params, tags), run_id)
             yield tracker
     except InputError as error:
@@ -147,7 +148,7 @@ def keep(tracker: "Tracker", files: Iterable[Path], metrics: Mapping[str, float]
     """Log the final figures, the files and the configuration of a run, and end it."""
     if metrics:
         tracker.log_metrics(metrics)
-    tracker.log_artifacts([*files, *sorted((run_directory() / ".hydra").glob("*.yaml"))])
+    tracker.log_artifacts([*files, *sorted(path for path in (run_directory() / ".hydra").glob("*") if path.is_file())])
     tracker.finish(status)
 
 

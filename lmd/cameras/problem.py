@@ -10,7 +10,7 @@ from lmd.cameras.mounts import MountSpace
 from lmd.cameras.views import CameraViews
 from lmd.core.checks import FloatArray, InputError
 from lmd.objectives.coverage import Coverage
-from lmd.problem import Genome, Problem
+from lmd.problem import Genome, Problem, checked_genes
 from lmd.scene.deployment import Deployment
 from lmd.scene.rig import Mount, Rig
 from lmd.sight.evaluator import Evaluator
@@ -124,7 +124,8 @@ class CameraProblem(Problem):
 
     def fitness_of_genes(self, genes: FloatArray) -> FloatArray:
         """See `Genome.fitness_of_genes`."""
-        return np.array([self.fitness_of_cameras(self._mounts(row)) for row in genes])
+        given = checked_genes(genes, "B", self.dim)
+        return np.array([self.fitness_of_cameras(self._mounts(row)) for row in given])
 
     def deployment(self, genes: FloatArray) -> Deployment:
         """See `Genome.deployment`."""
@@ -132,7 +133,7 @@ class CameraProblem(Problem):
 
     def rig(self, genes: FloatArray) -> Rig:
         """See `Genome.rig`."""
-        mounts = self._mounts(genes)
+        mounts = self._mounts(checked_genes(genes, self.dim))
         assert mounts is not None, "it has a fitness"
         return Rig(mounts)
 

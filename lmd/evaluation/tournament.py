@@ -88,8 +88,7 @@ def running_time_ratios(runs: Sequence[OptimiserRun], best: Mapping[str, float])
         best: best value known of each problem.
 
     Returns:
-        A row for each problem that at least one optimiser solved, a column for each optimiser; infinity if none of its
-        runs reached the target.
+        A row for each problem, a column for each optimiser; infinity if none of its runs reached the target.
     """
     groups: dict[str, dict[str, list[OptimiserRun]]] = {}
     for run in runs:
@@ -102,9 +101,7 @@ def running_time_ratios(runs: Sequence[OptimiserRun], best: Mapping[str, float])
             for problem, by_name in groups.items()
         }
     ).T
-    shortest = times.min(axis=1)
-    solved = np.isfinite(shortest)
-    ratios: pd.DataFrame = times[solved].div(shortest[solved], axis=0).fillna(np.inf)
+    ratios: pd.DataFrame = times.div(times.min(axis=1), axis=0).fillna(np.inf)
     return ratios
 
 

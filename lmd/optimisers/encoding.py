@@ -9,7 +9,7 @@ import numpy as np
 
 from lmd.core.checks import BoolArray, FloatArray, InputError, IntArray, choice
 from lmd.geometry.frames import landmark_normal, normal_angles
-from lmd.problem import Problem
+from lmd.problem import Problem, checked_genes
 from lmd.scene.deployment import Deployment
 from lmd.space.space import Space
 from lmd.space.surface import SurfaceArrays
@@ -186,12 +186,12 @@ class LandmarkGenome:
 
     def fitness_of_genes(self, genes: FloatArray) -> FloatArray:
         """See `Genome.fitness_of_genes`; the fitness is -inf if there is no room for the footprints."""
-        positions, normals, _, fits = self._placed(genes)
+        positions, normals, _, fits = self._placed(checked_genes(genes, "B", self.dim))
         return np.where(fits, self._problem.fitness(positions, normals), -np.inf)
 
     def deployment(self, genes: FloatArray) -> Deployment:
         """See `Genome.deployment`."""
-        positions, normals, surfaces, _ = self._placed(genes[None])
+        positions, normals, surfaces, _ = self._placed(checked_genes(genes, self.dim)[None])
         return Deployment(positions[0], normals[0], surfaces[0])
 
     def rig(self, genes: FloatArray) -> None:

@@ -38,8 +38,8 @@ class LargeNeighbourhoods(LatticeSearch):
     def __init__(
         self,
         spacing: float = 0.5,
-        freed: int = 4,
-        candidates: int = 100,
+        freed: int = 3,
+        candidates: int = 50,
         nodes: int = 20,
         margin: float = 0.0,
         patience: int = 50,

@@ -19,6 +19,7 @@ class SGA(AskTell):
         recombination_min, recombination_max: the shortest and longest run of genes exchanged, as fractions of the
             chromosome.
         mutation_probability: probability that a gene is drawn anew.
+        survivors: number of best chromosomes that take the place of the worst children; 0 as in the paper.
         encoding: see `AskTell`.
         seed: see `Optimiser`.
 
@@ -32,6 +33,7 @@ class SGA(AskTell):
         recombination_min: float = 100 / 450,
         recombination_max: float = 300 / 450,
         mutation_probability: float = 0.1,
+        survivors: int = 0,
         encoding: str | None = None,
         seed: int = 0,
     ) -> None:
@@ -39,6 +41,7 @@ class SGA(AskTell):
         self.population_size = self.start_size = integer("population", population, low=2)
         self.recombination_min, self.recombination_max = recombination_range(recombination_min, recombination_max)
         self.mutation_probability = real("mutation_probability", mutation_probability, low=0.0, high=1.0)
+        self.survivors = integer("survivors", survivors, low=0, high=self.population_size - 1)
         self.population: FloatArray | None = None  # (M, dim)
         self.fitness: FloatArray
 
@@ -50,6 +53,11 @@ class SGA(AskTell):
         return reset(self.rng, children, self.mutation_probability)
 
     def _tell(self, genes: FloatArray, fitness: FloatArray) -> None:
+        if self.population is not None and self.survivors:
+            best = np.argsort(-self.fitness, kind="stable")[: self.survivors]
+            worst = np.argsort(fitness, kind="stable")[: self.survivors]
+            genes, fitness = genes.copy(), fitness.copy()
+            genes[worst], fitness[worst] = self.population[best], self.fitness[best]
         self.population, self.fitness = genes, fitness
 
     def _roulette(self) -> np.ndarray:

@@ -72,8 +72,8 @@ def test_profiles_count_the_problems_that_are_solved_within_a_ratio():
     ratios = running_time_ratios(runs, {"p": 1.0, "q": 1.0, "r": 1.0})
     assert ratios.loc["p"].to_dict() == {"a": 1.0, "b": 2.0}
     assert ratios.loc["q"].to_dict() == {"a": math.inf, "b": 1.0}
-    assert "r" not in ratios.index
-    assert profile(ratios["b"].to_numpy(), np.array([1.0, 1.9, 2.0])).tolist() == [0.5, 0.5, 1.0]
+    assert ratios.loc["r"].to_dict() == {"a": math.inf, "b": math.inf}
+    assert profile(ratios["b"].to_numpy(), np.array([1.0, 1.9, 2.0])).tolist() == [1 / 3, 1 / 3, 2 / 3]
 
 
 @pytest.fixture(scope="module")

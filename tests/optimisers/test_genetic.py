@@ -70,6 +70,16 @@ def test_sga_keeps_nothing_from_one_generation_to_the_next():
     assert optimiser.ledger.best_fitness == 0.9
 
 
+def test_survivors_of_sga_take_the_place_of_the_worst_children():
+    optimiser = sga([0.9, 0.8] + [0.1] * 4, mutation_probability=1.0, survivors=2)
+    best = optimiser.population[:2].copy()
+    children = optimiser.ask()
+    optimiser.tell(children, np.array([0.5, 0.0, 0.6, 0.2, 0.3, 0.4]))
+    assert (optimiser.population[[1, 3]] == best).all()
+    assert (optimiser.population[[0, 2, 4, 5]] == children[[0, 2, 4, 5]]).all()
+    assert optimiser.fitness.tolist() == [0.5, 0.9, 0.6, 0.8, 0.3, 0.4]
+
+
 def test_partners_of_sga_exchange_genes_in_place():
     optimiser = sga([0.5] * 6, mutation_probability=0.0)
     assert (np.isin(optimiser.ask(), optimiser.population)).all()

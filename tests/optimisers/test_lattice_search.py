@@ -1,4 +1,4 @@
-"""Searches that solve integer programs again and again: their books, their choices, and stops. Some 15 s."""
+"""Searches that solve integer programs again and again: their books, choices and stops. Some 30 s of processor time."""
 
 from functools import partial
 
@@ -19,10 +19,12 @@ from lmd.scene.tag import Tag
 
 harder = partial(problem, count=4, thold_p=0.2, occlusion="paper")
 neighbourhoods = partial(LargeNeighbourhoods, spacing=SPACING, freed=2, candidates=10, patience=5)
-adaptive = partial(AdaptiveLattice, spacing=SPACING, finest=0.5, nodes=5)
+adaptive = partial(AdaptiveLattice, spacing=SPACING, finest=0.7, nodes=3)
 
 
-@pytest.fixture(params=[neighbourhoods, adaptive], ids=["neighbourhoods", "adaptive"])
+@pytest.fixture(
+    params=[neighbourhoods, pytest.param(adaptive, marks=pytest.mark.slow)], ids=["neighbourhoods", "adaptive"]
+)
 def make(request):
     return request.param
 

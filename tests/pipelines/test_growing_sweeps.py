@@ -55,6 +55,7 @@ def test_a_sweep_grows_by_values_and_shows_the_figure_off_the_grid(refused):
     (parent,) = [run for run in found_in(cwd) if PARENT not in run.data.tags]
     assert (parent.info.status, parent.data.metrics["jobs"]) == ("FINISHED", 3.0)
     assert "best/off_grid" not in parent.data.metrics  # each was of another problem
+    assert told_by(parent).endswith("parameters: those that the jobs of the first command share")
     assert f"| 4 | 1 of 1 | {rows.fitness[2]:.2%} | {rows.fitness[2]:.2%} | {off_grid[2]:.2%}" in told_by(parent)
     assert {run.data.metrics.get("off_grid") for run in found_in(cwd) if PARENT in run.data.tags} == {None, *off_grid}
 

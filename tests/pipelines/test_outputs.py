@@ -1,4 +1,4 @@
-"""A folder without write permission is reported before Hydra writes to it."""
+"""A folder that cannot be written to, or holds an earlier run, is reported before Hydra writes to it."""
 
 import pytest
 from omegaconf import OmegaConf
@@ -18,3 +18,30 @@ def test_a_run_that_cannot_be_written_does_not_begin(tmp_path, monkeypatch, caps
         RunDirectory().on_run_start(OmegaConf.create({"hydra": {"run": {"dir": str(tmp_path / below)}}}))
     assert ended.value.code == 1
     assert capsys.readouterr().err == f"error: {tmp_path / below}: {tmp_path}/{reason}\n"
+
+
+def begin(folder, command="optimise", **settings):
+    job = {"run": {"dir": str(folder)}, "job": {"name": command}}
+    RunDirectory().on_run_start(OmegaConf.create({"hydra": job, **settings}))
+
+
+@pytest.mark.parametrize(
+    ("command", "result"),
+    [("optimise", "metrics.json"), ("evaluate", "metrics.json"), ("compare", "comparison.csv"),
+     ("tradeoff", "tradeoff.json")],
+)  # fmt: skip
+def test_a_run_does_not_overwrite_an_earlier_one(tmp_path, monkeypatch, capsys, command, result):
+    begin(tmp_path / "new", command)
+    (tmp_path / "old").mkdir()
+    (tmp_path / "old" / result).write_text("{}")
+    with pytest.raises(SystemExit) as ended:
+        begin(tmp_path / "old", command, resume=None)
+    assert ended.value.code == 1
+    message = f"error: hydra.run.dir: '{tmp_path}/old' holds {result} of an earlier run: name another folder, "
+    assert capsys.readouterr().err == f"{message}delete this one, or go on with resume=DIR.\n"
+    with pytest.raises(SystemExit):
+        begin(tmp_path / "old", command, resume=str(tmp_path / "new"))
+    begin(tmp_path / "old", command, resume=str(tmp_path / "old"))
+    begin(tmp_path / "old", "export")  # which adds files of other names
+    monkeypatch.setenv("LMD_JOB", str(tmp_path / "old"))
+    begin(tmp_path / "old", command)  # a job that is done again

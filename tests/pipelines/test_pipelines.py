@@ -73,7 +73,11 @@ def test_mlflow_has_the_run(optimised):
     curve = client.get_metric_history(run.info.run_id, "best_fitness")
     assert [point.step for point in curve] == pd.read_csv(cwd / "run" / "history.csv").evaluations.tolist()
     kept = {file.path for file in client.list_artifacts(run.info.run_id)}
-    assert {*FILES, "config.yaml"} - kept == {"scene.html"}  # which is large, and stays where it is
+    assert {*FILES, "config.yaml", "packages.txt"} - kept == {"scene.html"}  # which is large, and stays where it is
+    told = run.data.tags["mlflow.note.content"]
+    assert f"`{run.data.tags['command']}`\n\nat commit {run.data.tags['mlflow.source.git.commit'][:9]}" in told
+    is_changed = run.data.tags["uncommitted changes"] == "yes"
+    assert ("diff.patch" in kept, "with the changes in diff.patch" in told) == (is_changed, is_changed)
 
 
 def test_evaluating_what_was_optimised_gives_the_same_metrics(optimised):

@@ -11,7 +11,7 @@ from hydra.experimental.callback import Callback
 from omegaconf import DictConfig
 
 from ...nodes import instantiate
-from ...provenance import source_tags
+from ...provenance import repeating, source_tags
 from .folder import Sweep, SweepFolder, reason_of
 from .names import SEED, override_tags, pin_sweep_folder, sweep_name, sweep_title, swept, varied_keys
 from .shared import asked_values, shared_parameters
@@ -51,7 +51,7 @@ class SweepRecord(Callback):
             tracker: Tracker = instantiate(config.tracking)
             tags = {"sweep": sweep.name, "pipeline": config.hydra.job.name}
             tags |= override_tags(overrides) | source_tags(config.hydra.job.name)
-            params = shared_parameters(config, values)
+            params = shared_parameters(config, values) if sweep.run_id is None else {}  # mlflow changes none
             named = [f"{key.split('.')[-1]}={params[key]}" for key in NAMED if key in params]
             name = " ".join([sweep_title(config), *named])
             tracker.start(RunStart(name, folder.path, params, tags), sweep.run_id)
@@ -131,8 +131,10 @@ def _close(config: DictConfig, reason: str = "") -> bool:
     if failed or not jobs:
         reason = reason or (f"{len(failed)} of {len(jobs)} jobs failed" if jobs else "the sweep had no jobs")
     tracker: Tracker = instantiate(config.tracking)
-    command = source_tags(config.hydra.job.name)["command"]
-    about = f"{description(sweep, found, total)}\n\n`{command}`\n\nfiles: {folder.path}"
+    command = repeating(source_tags(config.hydra.job.name))
+    about = f"{description(sweep, found, total)}\n\n{command}\n\nfiles: {folder.path}"
+    if sweep.round:
+        about += "\n\nparameters: those that the jobs of the first command share"
     tracker.start(RunStart(sweep.name, folder.path, tags={"mlflow.note.content": about}), sweep.run_id)
     tracker.log_metrics({"jobs": total, "failed": len(failed)} | best_and_median(sweep, found))
     tracker.log_artifacts([folder.groups, folder.table])

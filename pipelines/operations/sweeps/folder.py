@@ -8,9 +8,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from ...outputs import read_document, write_document
-
-JOB_VARIABLE = "LMD_JOB"  # environment variable with the folder of a process's job
+from ...outputs import JOB_VARIABLE, read_document, write_document
 
 
 @dataclass(frozen=True)

@@ -86,13 +86,15 @@ class Search(Sweeper):
             batch = [[*fixed, *trial, f"{SEED}={seed}"] for trial in proposed for seed in seeds]
             values = [job.return_value for job in launcher.launch(batch, initial_job_idx=jobs)]
             jobs += len(batch)
+            before = best[0]
             for i, trial in enumerate(asked):
                 found = [value for value in values[i * len(seeds) : (i + 1) * len(seeds)] if value is not None]
                 whole = len(found) == len(seeds) and not any(map(math.isnan, found))
                 method.tell(trial, -median(found) if whole else LOSS_OF_FAILURE)
                 if whole and median(found) > best[0]:
                     best = median(found), proposed[i]
-                    print(f"best of {first + i + 1} trials: {best[0]:.2%} with {' '.join(best[1])}", flush=True)
+            if best[0] > before:
+                print(f"best of {first + len(asked)} trials: {best[0]:.2%} with {' '.join(best[1])}", flush=True)
 
     def _method(self, varied: dict[str, Override]) -> Any:
         """Make the method that proposes values of the varied keys."""

@@ -20,10 +20,11 @@ from omegaconf import DictConfig
 from ...app import PACKAGE, ends_reported, run_directory
 from ...earlier_run import check_experiment
 from ...nodes import instantiate
+from ...outputs import JOB_VARIABLE
 from ...overrides import config_dir, key_and_value, quoted, search_path
 from ..signals import CODES, Stopped, stop
 from . import forks
-from .folder import JOB_VARIABLE, Job, JobFolder, SweepFolder, current_job, reason_of
+from .folder import Job, JobFolder, SweepFolder, current_job, reason_of
 from .names import override_tags, short_name
 
 if TYPE_CHECKING:

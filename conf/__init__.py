@@ -1,0 +1,1 @@
+"""Configuration of the commands: `hydra.initialize_config_module` looks for this file."""

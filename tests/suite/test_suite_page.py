@@ -1,0 +1,22 @@
+"""The programs of docs/suite.md run as they stand; 10 s, most of it imports of the libraries."""
+
+import re
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[2]
+PAGE = (ROOT / "docs" / "suite.md").read_text(encoding="utf-8")
+PROGRAMS = re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL)
+
+
+@pytest.mark.parametrize("program", PROGRAMS, ids=range(len(PROGRAMS)))
+def test_a_program_of_the_page_runs(program, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    exec(program, {})
+
+
+def test_the_page_counts_the_problems():
+    from lmd.suite import names
+
+    assert PAGE.startswith(f"# The suite of problems\n\n{len(names())} frozen problems")
