@@ -96,7 +96,7 @@ def _map(cfg: DictConfig, tag: "Tag") -> "FixedMap":
     key, path = ("deployment.path", node.path) if cfg.map is None else ("map", cfg.map)
     if Path(str(path)).is_dir():
         path = str(Path(str(path)) / SURVEYED)
-    with keyed("localise", map=key, axes="deployment.axes", family="tag.family"):
+    with keyed("localise", map=key, axes="deployment.axes", edge="tag.edge", family="tag.family"):
         errors = MapErrors(settings.place, settings.turn)
         found = FixedMap.read(path, tag, errors, axes_in(node))
     note(found.note)

@@ -77,7 +77,7 @@ class FixedMap:
         edges = np.where(np.isfinite(deployment.edges), deployment.edges, np.nan if tag.is_point else tag.size)
         if np.isnan(edges).any():
             lacking = deployment.ids[np.isnan(edges)][0]
-            raise InputError(f"tag.edge must be given, in metres: map has no edge of tag {lacking}.")
+            raise InputError(f"edge must be given, in metres: the map has no edge of tag {lacking}.", "edge")
         stated = _stated_sigmas(path)
         if stated is not None:
             ids, values = stated

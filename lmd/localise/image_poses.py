@@ -37,7 +37,7 @@ FIRST_DAMPING = 1e-6  # damping of the refinement of proposals, as in `lmd.surve
 
 
 class State(Enum):
-    """What became of an image."""
+    """Outcome of an image."""
 
     LOCALISED = "localised"
     NO_TAG = "no tag of the map"

@@ -172,7 +172,7 @@ def test_a_surveyed_map_brings_its_standard_deviations(tmp_path):
     with pytest.raises(InputError, match=r"\b1\b"):
         FixedMap.read(file, Tag(0.2), MapErrors())
     file.write_text("id,x,y,z,nx,ny,nz\n1,0,0,1,0,1,0\n")
-    with pytest.raises(InputError, match=r"tag\.edge must be given, in metres: map has no edge of tag 1"):
+    with pytest.raises(InputError, match=r"edge must be given, in metres: the map has no edge of tag 1"):
         FixedMap.read(file, Tag(None), MapErrors())
 
 

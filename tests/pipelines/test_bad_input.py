@@ -156,7 +156,7 @@ CASES = [
     ("localise", "map=nowhere.csv", "map: there is no file 'nowhere.csv'"),
     ("localise", "map=photos", "there is no file 'photos/map.csv'"),
     ("localise", "deployment.path=map.csv", "map and deployment.path both name a map"),
-    ("localise", "tag.edge=null", "tag.edge must be given, in metres: map has no edge of tag 3"),
+    ("localise", "tag.edge=null", "tag.edge must be given, in metres: the map has no edge of tag 3"),
     ("localise", "photographs=photos", "photographs=DIR, a folder or a video, or detections=FILE.csv must be given"),
     ("localise", "detections=others.csv", "detections has no tag of the map, only others such as 7"),
     ("localise", "localise.place=0", "localise.place must be greater than 0, got 0"),
