@@ -33,6 +33,7 @@ PIPELINES = {
     "compare": SMALL,
     "observe": [*UNIFORM, "deployments=[uniform]", "detector=noisy", "seeds=1"],
     "accuracy": [*UNIFORM, "deployments=[uniform]"],
+    "uncertainty": [*UNIFORM, "tag.edge=0.1"],
     "detect": [*UNIFORM, "deployments=[uniform]", "detectors=[apriltag]", "frames=2"],
     "calibrate_detector": [*SMALL, "frames=2"],
     "estimate_pdf": ["recording=simulated", "recording.duration=60"],
