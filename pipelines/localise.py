@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from lmd.localise.fixed_map import FixedMap
     from lmd.scene.tag import Tag
 
-FILES = ("poses.csv", "poses.tum", "smoothed.csv", "smoothed.tum", "localise.json")
+FILES = ("poses.csv", "poses.tum", "smoothed.csv", "smoothed.tum", "changes.csv", "localise.json")
 DETECTED = "detections.csv"
 SURVEYED = "map.csv"  # map in the folder of a survey
 
@@ -38,7 +38,7 @@ def localise(cfg: DictConfig) -> None:
     tag = instantiate(cfg.tag)
     given = camera_of(cfg.camera)
     name, detector = reader_of(cfg)
-    known = _map(cfg, tag)
+    known, room = _map(cfg, tag), instantiate(cfg.room) if cfg.get("room") else None
     settings = settings_of(cfg, "localise")
     odometry = odometry_of(settings.odometry, "localise.odometry")
     with keyed("localise"):
@@ -57,7 +57,7 @@ def localise(cfg: DictConfig) -> None:
     ):
         mounts = given.mounted if isinstance(given, Rig) else None
         errors = CORNER_ERRORS[name.removesuffix("_fine")]
-        found = find(seen, given.cameras, tag, errors, known, mounts, odometry, steady)
+        found = find(seen, given.cameras, tag, errors, known, mounts, odometry, steady, room)
     about = f"localisation of {found.found.localised.sum()} of {len(seen.times)} frames"
     with tracked(cfg, "localisation", about) as tracker:
         writers = {
@@ -67,6 +67,7 @@ def localise(cfg: DictConfig) -> None:
             "smoothed.tum": lambda path: path.write_text(
                 results.tum_text(found, None if found.smoothed is None else found.smoothed.frames)
             ),
+            "changes.csv": lambda path: write_table(path, results.change_columns(found)),
             "localise.json": lambda path: write_document(path, results.localise_document(found)),
         }
         if cfg.detections is None:

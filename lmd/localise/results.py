@@ -1,7 +1,7 @@
 """Tables, figures and text of a localisation."""
 
 from collections import Counter
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -9,6 +9,7 @@ from numpy.typing import ArrayLike
 from lmd.core.checks import BoolArray, FloatArray
 from lmd.core.words import few
 from lmd.geometry.se3 import ROW
+from lmd.localise.changes import Displaced
 from lmd.localise.image_poses import State
 from lmd.localise.localise import Localisation
 from lmd.survey.motion import seconds_of
@@ -17,8 +18,22 @@ from lmd.survey.results import AXES
 
 TUM = "# timestamp tx ty tz qx qy qz qw"
 NOTICED = 0.01  # minimum floor of the corners' standard deviation that is printed, pixels
+MOST_SENTENCES = 20  # largest number of changes that are printed
 NAMED = 5  # largest number of refused frames that are named
 COVARIANCE = tuple((i, j) for i in range(6) for j in range(i, 6))  # order of the upper triangle, row by row
+
+
+class Change(NamedTuple):
+    """Change of a map."""
+
+    tag: int
+    """Id of the tag."""
+    kind: str
+    """`moved`, `vanished` or `new`."""
+    images: int
+    """Number of images that show it; of a tag that vanished, number of views that should."""
+    found: Displaced | None
+    """Present pose; None if the tag vanished."""
 
 
 def in_map(frames: FloatArray, covariances: FloatArray) -> FloatArray:
@@ -103,6 +118,63 @@ def _sigmas(frames: FloatArray, covariances: FloatArray) -> FloatArray:
     return np.asarray(np.sqrt(np.maximum(np.stack(largest, axis=1), 0.0)))
 
 
+def changes_of(result: Localisation) -> list[Change]:
+    """Changes of the map, by kind, then by id."""
+    changes = result.changes
+    moved = [Change(one.tag, "moved", one.sightings, one) for one in sorted(changes.moved, key=lambda one: one.tag)]
+    gone = [Change(tag, "vanished", views, None) for tag, views in sorted(result.vanished.items())]
+    new = [Change(one.tag, "new", one.sightings, one) for one in sorted(changes.new, key=lambda one: one.tag)]
+    return [*moved, *gone, *new]
+
+
+def change_columns(result: Localisation) -> dict[str, ArrayLike]:
+    """Columns of `changes.csv`: tags that were moved, that vanished, and that are new, with their present poses.
+
+    Positions are metres, quaternions rotate the frame of the tag (x right, y up, z out) to the map, and covariances are
+    those of `poses.csv`. `moved_right`, `moved_up` and `moved_out` are metres along the axes that the tag had.
+    """
+    every = changes_of(result)
+    poses, covariances, shifts = np.full((len(every), 4, 4), np.nan), np.full((len(every), 6, 6), np.nan), []
+    for n, change in enumerate(every):
+        shift = np.full(3, np.nan)
+        if (found := change.found) is not None:
+            poses[n], covariances[n] = found.pose, found.covariance
+            if change.kind == "moved":
+                before = result.known.poses[np.searchsorted(result.known.ids, change.tag)]
+                shift = before[:3, :3].T @ (found.pose[:3, 3] - before[:3, 3])
+        shifts.append(shift)
+    upper, nothing = in_map(poses, covariances), [np.nan] * 3
+    figures = np.array(
+        [nothing if one.found is None else [one.found.metres, one.found.radians, one.found.chi_square] for one in every]
+    ).reshape(-1, 3)
+    return {
+        "id": [change.tag for change in every],
+        "change": [change.kind for change in every],
+        "images": [change.images for change in every],
+        **dict(zip(("distance", "rotation", "chi_square"), figures.T, strict=True)),
+        **dict(zip(("moved_right", "moved_up", "moved_out"), np.array(shifts).reshape(-1, 3).T, strict=True)),
+        **dict(zip(ROW, _rows(poses).T, strict=True)),
+        **{f"cov_{AXES[i]}_{AXES[j]}": upper[:, i, j] for i, j in COVARIANCE},
+    }
+
+
+def _sentence(change: Change) -> str:
+    """Sentence on a change."""
+    found = change.found
+    if found is None:
+        return f"tag {change.tag} vanished: {change.images} views should show it, and none does."
+    sigma = 1e3 * float(np.sqrt(np.linalg.eigvalsh(found.covariance[3:, 3:])[-1]))
+    x, y, z = found.pose[:3, 3]
+    if change.kind == "new":
+        at = f"({x:.3f}, {y:.3f}, {z:.3f})"
+        return f"tag {change.tag} is new, at {at}, known to {sigma:.2g} mm by {change.images} images."
+    turn = np.degrees(found.radians)
+    return (
+        f"tag {change.tag} was moved by {1e3 * found.metres:.3g} mm and {turn:.2g} degrees, known to {sigma:.2g} mm by "
+        f"{change.images} images."
+    )
+
+
 def metrics(result: Localisation) -> dict[str, float]:
     """Figures by name: metres, rad, pixels, counts."""
     found = result.found
@@ -111,6 +183,8 @@ def metrics(result: Localisation) -> dict[str, float]:
         "localised": float(found.localised.sum()),
         "sightings": float(found.used.sum()),
         "corner_floor": found.floor,
+        "compared": float(len(result.changes.compared)),
+        **{kind: float(count) for kind, count in Counter(change.kind for change in changes_of(result)).items()},
         **_quantiles("", _sigmas(found.poses.frames, found.covariances)),
     }
     if result.smoothed is not None:
@@ -143,6 +217,9 @@ def localise_document(result: Localisation) -> dict[str, Any]:
         "blurred": dict(result.detected.blurred),
         "copies": dict(result.detected.copies),
         "renumbered_quarters": result.renumbered,
+        "changes": [_sentence(change) for change in changes_of(result)],
+        "compared": result.changes.compared.tolist(),
+        "inflation": result.changes.inflation,
     }
 
 
@@ -173,5 +250,11 @@ def to_text(result: Localisation) -> str:
             lines["refused"] += f"{'; ' if lines['refused'] else ''}{count} ({few(own, most=NAMED)}): {state.value}"
     if result.detected.blurred:
         lines["blurred"] = few(result.detected.blurred, most=NAMED)
+    every = changes_of(result)
+    compared = f"{len(result.changes.compared)} of {len(result.known.ids)} tags could be compared with the map"
+    lines["changes"] = f"{len(every) or 'none'}; {compared}"
+    if result.changes.inflation > 1.0:
+        lines["blocks"] = f"of time disagree {result.changes.inflation:.1f} times as much as corners explain"
     width = max(map(len, lines))
-    return "\n".join(f"{label:<{width}} {text}" for label, text in lines.items())
+    texts = [f"{label:<{width}} {text}" for label, text in lines.items()]
+    return "\n".join([*texts, *map(_sentence, every[:MOST_SENTENCES])])

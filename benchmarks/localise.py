@@ -1,0 +1,205 @@
+"""Localisation in a fixed map where the truth is known, and on a real recording.
+
+python benchmarks/localise.py real FOLDER EDGE            # map of one half of the frames, the other half localised
+PYTHONPATH=tests python benchmarks/localise.py speed      # 2,000 frames of 5 tags: seconds of one processor
+PYTHONPATH=tests python benchmarks/localise.py changes RUN [--drives 100] [--moved 20] [--count 120]
+
+`changes` walks through the room of a run, whose tags a survey of an earlier walk has mapped: false alarms of walks in
+which no tag was moved, and misses of walks in which one tag was moved by `--moved` millimetres in a random direction.
+FOLDER has `detections.csv` and `cameras.yaml` of one camera.
+"""
+
+import argparse
+import time
+from pathlib import Path
+
+import numpy as np
+from omegaconf import OmegaConf
+
+from lmd.core.checks import FloatArray
+from lmd.detection.corner_errors import CORNER_ERRORS
+from lmd.formats.calibrations import calibrated_camera
+from lmd.formats.detection_formats import read_detections
+from lmd.formats.detections import DetectedTags
+from lmd.geometry.camera import Camera
+from lmd.geometry.se3 import camera_pose, exp, inverse, log
+from lmd.localise.fixed_map import LEAST_SIGMA, FixedMap
+from lmd.localise.localise import localise
+from lmd.pipelines.building import camera_of
+from lmd.pipelines.nodes import instantiate
+from lmd.scene.deployment import Deployment
+from lmd.scene.tag import Tag
+from lmd.survey.gauge import align_tags
+from lmd.survey.prior import PriorKnowledge, poses_of
+from lmd.survey.survey import Survey, survey
+
+HUNG = (0.002, 0.002, 0.0087, 0.010, 0.010, 0.0)  # errors of hanging, standard deviations: rad and metres
+EYE_LEVEL = (1.0, 1.7)  # metres
+
+
+def map_of_survey(found: Survey) -> FixedMap:
+    """Map of a survey, with its standard deviations."""
+    placed = np.flatnonzero(found.placed)
+    squares = np.diagonal(found.found.gauge_free_covariances[placed], axis1=1, axis2=2)
+    sigmas = np.maximum(np.sqrt(np.maximum(squares, 0.0)), LEAST_SIGMA)
+    return FixedMap(found.ids[placed], found.found.poses.tags[placed], found.found.sightings.edges[placed], sigmas)
+
+
+def squares(frames: FloatArray, covariances: FloatArray, true: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Errors of poses, twists `(n, 6)`, and squared normalised errors, `(n,)`."""
+    known = np.isfinite(frames[:, 0, 0]) & np.isfinite(true[:, 0, 0])
+    off = log(inverse(frames[known]) @ true[known])
+    return off, np.einsum("ni,nij,nj->n", off, np.linalg.inv(covariances[known]), off)
+
+
+def line(name: str, off: FloatArray, square: FloatArray) -> str:
+    """Row of a table."""
+    away, turn = np.linalg.norm(off[:, 3:], axis=1), np.linalg.norm(off[:, :3], axis=1)
+    cells = [f"{np.median(1e3 * away):.2f}, {np.quantile(1e3 * away, 0.9):.2f}", f"{np.median(1e3 * turn):.2f}"]
+    cells += [f"{np.median(square) / 5.348:.2f}", f"{square.mean() / 6.0:.2f}", f"{(square <= 16.81).mean():.1%}"]
+    return f"| {name} | {len(off)} | {' | '.join(cells)} |"
+
+
+def real(folder: Path, edge: float) -> None:
+    """Map every other block of ten seconds, localise the frames between, and compare with the survey of all."""
+    detected = read_detections(folder / "detections.csv")
+    camera, tag, errors = calibrated_camera(str(folder / "cameras.yaml"), "cam0"), Tag(edge), CORNER_ERRORS["apriltag"]
+    first = detected.frame < len(detected.times) // 2
+    print("| map of | poses | frames | off, median, 90 %, mm | off, median, mrad | chi², median | mean | within 99 % |")
+    print("| --- |" + " --- |" * 7)
+    whole = survey(detected, [camera], tag, errors, PriorKnowledge())
+    for name, own in (("the first half", first), ("the second half", ~first), ("odd frames", detected.frame % 2 == 1)):
+        half = survey(detected.of(np.flatnonzero(own)), [camera], tag, errors, PriorKnowledge())
+        known = map_of_survey(half)
+        began = time.process_time()
+        rest = detected.of(np.flatnonzero(~own))
+        result = localise(rest, [half.calibrated[0].found], tag, errors, known)
+        seconds = time.process_time() - began
+        both = np.flatnonzero(whole.placed & np.isin(whole.ids, known.ids))
+        there = whole.found.poses.tags[both]
+        motion = align_tags(known.poses[np.searchsorted(known.ids, whole.ids[both])], there)
+        assert motion is not None
+        true = inverse(motion) @ whole.found.poses.frames
+        for kind, poses in (("single images", result.found), ("smoothed", result.smoothed)):
+            if poses is None:
+                continue
+            frames = result.found.poses.frames if kind == "single images" else poses.frames  # type: ignore[union-attr]
+            print(line(f"{name} | {kind}", *squares(frames, poses.covariances, true)), flush=True)
+        told = f"{len(result.changes.moved)} of {len(result.changes.compared)} moved"
+        moved = ", ".join(f"{one.tag} by {1e3 * one.metres:.1f} mm" for one in result.changes.moved)
+        refused = sum(state.name not in ("LOCALISED", "NO_TAG") for state in result.found.states)
+        print(f"{told}: {moved or 'none'}; vanished: {result.vanished or 'none'}; inflation {result.changes.inflation:.1f}; "
+              f"refused {refused}; {seconds:.1f} s", flush=True)  # fmt: skip
+
+
+def speed(frames: int, tags: int, each: int) -> None:
+    """Time of one processor, everything but reading files."""
+    import walks
+
+    rng = np.random.default_rng(0)
+    true = walks.spaced_tags(tags, rng)
+    place = rng.uniform([1.2, 1.0, 1.0], [3.8, 3.0, 1.7], (frames // 50, 3))
+    corners = np.repeat(place, 50, axis=0) + rng.normal(0.0, 0.05, (frames // 50 * 50, 3))
+    yaw = np.cumsum(rng.normal(0.0, 0.1, len(corners)))
+    poses = camera_pose(corners, yaw, rng.normal(0.0, 0.1, len(corners)), rng.normal(0.0, 0.1, len(corners)))
+    wide = Camera(3.2, 0.0048, 0.0048, (800.0, 600.0), 1600, 1200, 0.0)
+    seen = walks.photographed(true, poses, rng, 0.2, wide)
+    order = np.lexsort((rng.uniform(size=len(seen)), seen.frame))
+    rank = np.arange(len(order)) - np.searchsorted(seen.frame[order], seen.frame[order])
+    some = seen.of(np.sort(order[rank < each]))
+    times = tuple(f"{0.05 * k:.3f}" for k in range(len(some.times)))
+    some = DetectedTags(times, some.cameras, some.frame, some.camera, some.ids, some.corners, in_order=True)
+    known = FixedMap(np.arange(tags), true, np.full(tags, walks.EDGE), np.full((tags, 6), 1e-3))
+    began = time.process_time()
+    result = localise(some, [wide], Tag(walks.EDGE), walks.constant_errors(0.2), known)
+    took = time.process_time() - began
+    assert result.smoothed is not None
+    print(f"{len(times)} frames, {len(some)} sightings of {tags} tags: {took:.1f} s of one processor, "
+          f"{result.found.localised.sum()} localised")  # fmt: skip
+
+
+class Room:
+    """Room of a run, with tags that hang beside their plan."""
+
+    def __init__(self, run: Path) -> None:
+        cfg = OmegaConf.load(run / ".hydra" / "config.yaml")
+        self.room, self.camera, self.tag = instantiate(cfg.room), camera_of(cfg.camera), instantiate(cfg.tag)
+        self.plan, self.errors = Deployment.from_csv(run / "landmarks.csv"), CORNER_ERRORS["apriltag"]
+
+    def walked(self, tags: FloatArray, count: int, rng: np.random.Generator) -> tuple[FloatArray, DetectedTags]:
+        """Poses of a walk, and detections of the tags that nothing hides, with the detector's errors."""
+        import walks
+
+        where = self.room.sample(count, rng)
+        where[:, 2] = rng.uniform(*EYE_LEVEL, count)
+        yaw, pitch, roll = rng.uniform(-np.pi, np.pi, count), rng.normal(0, 0.15, count), rng.normal(0, 0.1, count)
+        poses = camera_pose(where, yaw, pitch, roll)
+        seen = walks.photographed(tags, poses, rng, 0.0, self.camera, edges=self.tag.size, ids=self.plan.ids)
+        index = np.searchsorted(self.plan.ids, seen.ids)
+        starts, ends = poses[seen.frame, :3, 3], tags[index, :3, 3] + 0.02 * tags[index, :3, 2]
+        seen = seen.of(np.flatnonzero(self.room.clear(starts, ends)))
+        sides = np.linalg.norm(seen.corners - np.roll(seen.corners, 1, axis=1), axis=-1).min(axis=1)
+        noise = self.errors.draw(sides / self.tag.modules, rng)
+        corners = seen.corners + noise
+        return poses, DetectedTags(seen.times, seen.cameras, seen.frame, seen.camera, seen.ids, corners, in_order=True)
+
+
+def changes(run: Path, drives: int, moved: float, count: int) -> None:
+    """False alarms and misses."""
+    room = Room(run)
+    alarms: list[int] = []
+    compared = found = tried = gone = seen_moved = 0
+    off: list[float] = []
+    for seed in range(drives):
+        rng = np.random.default_rng(seed)
+        true = poses_of(room.plan) @ exp(rng.normal(size=(len(room.plan), 6)) * HUNG)
+        mapped = survey(
+            room.walked(true, count, rng)[1], [room.camera], room.tag, room.errors, PriorKnowledge(room.plan)
+        )
+        known, through = map_of_survey(mapped), mapped.calibrated[0].found
+
+        def walk(tags: FloatArray, rng: np.random.Generator = rng, known: FixedMap = known, through: Camera = through):
+            seen = room.walked(tags, count, rng)[1]
+            return localise(seen, [through], room.tag, room.errors, known, room=room.room)
+
+        still = walk(true)
+        alarms += [one.tag for one in still.changes.moved]
+        compared, gone = compared + len(still.changes.compared), gone + len(still.vanished)
+        way = rng.normal(size=3)
+        index = int(rng.integers(len(true)))
+        now = true.copy()
+        now[index, :3, 3] += moved / 1e3 * way / np.linalg.norm(way)
+        result = walk(now)
+        number = int(room.plan.ids[index])
+        tried += 1
+        seen_moved += number in result.changes.compared
+        if own := [one for one in result.changes.moved if one.tag == number]:
+            found += 1
+            off.append(abs(own[0].metres - moved / 1e3))
+    print(f"{drives} drives: {len(alarms)} false alarms of {compared} tags compared ({len(alarms) / compared:.2%}), "
+          f"{gone} taken for vanished; moved by {moved:g} mm: found {found} of {tried}, of {seen_moved} that could be "
+          f"compared; distance off by {1e3 * np.median(off):.1f} mm (median)")  # fmt: skip
+
+
+def main() -> None:
+    """Read the command line."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parts = parser.add_subparsers(dest="part", required=True)
+    own = parts.add_parser("real")
+    own.add_argument("folder", type=Path)
+    own.add_argument("edge", type=float)
+    own = parts.add_parser("speed")
+    own.add_argument("--frames", type=int, default=2000)
+    own.add_argument("--tags", type=int, default=30)
+    own.add_argument("--each", type=int, default=5)
+    own = parts.add_parser("changes")
+    own.add_argument("run", type=Path)
+    own.add_argument("--drives", type=int, default=100)
+    own.add_argument("--moved", type=float, default=20.0)
+    own.add_argument("--count", type=int, default=120)
+    args = vars(parser.parse_args())
+    {"real": real, "speed": speed, "changes": changes}[args.pop("part")](**args)
+
+
+if __name__ == "__main__":
+    main()
