@@ -37,6 +37,7 @@ MOVED_CHI_SQUARE = 22.46
 CONTRADICTS, SURELY = 0.5, 0.75
 MOST_ROUNDS = 12  # maximum number of rounds in which tags are found
 NEXT = 0.5  # tags with at least this share of the largest chi^2 are taken out together
+MOST_MOVED = 0.25  # largest share of the compared tags that may have been moved
 UNKNOWN_M = 0.5  # standard deviation of a place beside the other tags above which a tag is not compared, metres
 
 
@@ -72,6 +73,10 @@ class Changes:
     """Ids of the tags of the map that the images could compare with the others."""
     inflation: float
     """Factor of the standard deviations of sightings, see `lmd.survey.resampling`."""
+    contradicted: int = 0
+    """Number of tags that differ from the map, if these are more than the share `MOST_MOVED` of the compared tags. The
+    map and the images then disagree as a whole, and no tag counts as moved.
+    """
 
     def updated(self, known: FixedMap) -> FixedMap:
         """Map with the present poses of the tags that were moved."""
@@ -105,12 +110,16 @@ def find_changes(sightings: Sightings, known: FixedMap, mounts: FloatArray, foun
             return Changes((), (), np.empty(0, dtype=np.int64), 1.0)
         moved = comparison.search(gross & np.isfinite(current[:, 0, 0]))
     new = np.isnan(tags[:, 0, 0]) & comparison.is_placed
+    differ = int(moved.sum())
+    if differ > max(MOST_MOVED * comparison.is_compared.sum(), FEWEST_SIGHTINGS):
+        moved = np.zeros_like(moved)
     compared = comparison.is_compared & np.isfinite(tags[:, 0, 0])
     return Changes(
         tuple(comparison.displaced(k) for k in np.flatnonzero(moved)),
         tuple(comparison.displaced(k) for k in np.flatnonzero(new)),
         sightings.ids[compared],
         comparison.inflation,
+        0 if moved.any() else differ,
     )
 
 

@@ -220,6 +220,7 @@ def localise_document(result: Localisation) -> dict[str, Any]:
         "changes": [_sentence(change) for change in changes_of(result)],
         "compared": result.changes.compared.tolist(),
         "inflation": result.changes.inflation,
+        "contradicted": result.changes.contradicted,
     }
 
 
@@ -253,6 +254,9 @@ def to_text(result: Localisation) -> str:
     every = changes_of(result)
     compared = f"{len(result.changes.compared)} of {len(result.known.ids)} tags could be compared with the map"
     lines["changes"] = f"{len(every) or 'none'}; {compared}"
+    if result.changes.contradicted:
+        lines["map"] = f"{result.changes.contradicted} tags differ from it, too many to have been moved: is it another "
+        lines["map"] += "calibration or tag.edge, or are localise.place and localise.turn too small?"
     if result.changes.inflation > 1.0:
         lines["blocks"] = f"of time disagree {result.changes.inflation:.1f} times as much as corners explain"
     width = max(map(len, lines))

@@ -130,3 +130,12 @@ def test_ids_that_were_misread_change_nothing():
     ids = np.where(wrong, rng.integers(0, 60, len(wrong)), walk.detected.ids)
     result = ld.localised(walk, replace(walk.detected, ids=ids))
     assert kinds(result) == set()
+
+
+def test_a_map_that_the_images_contradict_as_a_whole_has_no_moved_tags():
+    """The map states a fiftieth of its errors."""
+    walk = ld.walked(3, place=0.01, turn=0.02)
+    result = ld.localised(walk._replace(known=replace(walk.known, sigmas=walk.known.sigmas / 50.0)))
+    assert result.changes.moved == ()
+    assert result.changes.contradicted > 4
+    assert f"{result.changes.contradicted} tags differ from it, too many to have been moved" in to_text(result)
