@@ -10,6 +10,7 @@ from lmd.core.checks import FloatArray, InputError, check_fields, real
 
 # 90 % quantile of the standard normal distribution.
 NORMAL_QUANTILE_90 = 1.2815515655446004
+LEAST_ANGLE = 0.2  # lower bound on the sine of the angle at a corner, which limits the shift of the corner
 
 
 @dataclass(frozen=True)
@@ -68,6 +69,14 @@ class CornerErrors:
         """Standard deviation of one coordinate of one corner, pixels, shape of `pitch`."""
         mean, spread = self._at(pitch)
         return np.asarray(np.exp(mean + spread**2) / np.sqrt(2.0))
+
+
+def inward(image: FloatArray) -> FloatArray:
+    """Displacement of corners `(N, 4, 2)` in an image if all edges move by one pixel towards the middle."""
+    (along, other) = (np.roll(image, way, axis=1) - image for way in (1, -1))
+    along, other = (edge / np.linalg.norm(edge, axis=-1, keepdims=True) for edge in (along, other))
+    across = np.abs(along[..., 0] * other[..., 1] - along[..., 1] * other[..., 0])
+    return np.asarray((along + other) / np.maximum(across, LEAST_ANGLE)[..., None])
 
 
 # Geometric means of the bounds of the classes of pitch, pixels per module.

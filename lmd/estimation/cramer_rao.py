@@ -34,6 +34,20 @@ SINGULAR_EIGENVALUE = 1e-9
 POSE_CHUNK = 1 << 14
 
 
+def image_jacobians(poses: FloatArray, points: FloatArray, camera: Camera) -> FloatArray:
+    """J of the image of a point for each pose, by the body twist (w, v), `(M, 2, 6)`, pixels.
+
+    Args:
+        poses: X, `(M, 4, 4)`.
+        points: world frame, metres, `(M, 3)`; they must be in front of the camera.
+        camera: intrinsics and distortion.
+    """
+    offset = points - poses[:, :3, 3]
+    seen = (offset[:, None, :] @ poses[:, :3, :3])[:, 0]  # R^T (C - p)
+    moved = np.concatenate([skew(seen), np.broadcast_to(-np.eye(3), (len(seen), 3, 3))], axis=-1)
+    return np.asarray(slope(camera, seen) @ moved)
+
+
 def pose_information(
     poses: FloatArray, landmarks: FloatArray, seen: BoolArray, camera: Camera, noise: FloatArray | None = None
 ) -> FloatArray:
@@ -47,10 +61,7 @@ def pose_information(
         noise: standard deviation of each image in the order of `np.nonzero(seen)`, pixels, `(M,)`; None for one pixel.
     """
     frame, landmark = np.nonzero(seen)
-    offset = landmarks[landmark] - poses[frame, :3, 3]
-    points = (offset[:, None, :] @ poses[frame, :3, :3])[:, 0]  # R^T (C - p)
-    moved = np.concatenate([skew(points), np.broadcast_to(-np.eye(3), (len(points), 3, 3))], axis=-1)
-    jacobian = slope(camera, points) @ moved
+    jacobian = image_jacobians(poses[frame], landmarks[landmark], camera)
     if noise is not None:
         jacobian /= noise[:, None, None]
     information = np.zeros((len(poses), 6, 6))
@@ -87,19 +98,26 @@ def moment_information(
     return total
 
 
+def determines_pose(information: FloatArray) -> BoolArray:
+    """Mask of regular information matrices `(..., 6, 6)`, `(...)`, scaled to a unit diagonal to be independent of
+    units.
+    """
+    diagonal = np.diagonal(information, axis1=-2, axis2=-1)
+    scale = 1.0 / np.sqrt(np.where(diagonal > 0.0, diagonal, np.inf))
+    scaled = scale[..., :, None] * information * scale[..., None, :]
+    return np.asarray(np.linalg.eigvalsh(scaled)[..., 0] > SINGULAR_EIGENVALUE)
+
+
 def cramer_rao_bound(information: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Smallest standard deviations of position (metres) and attitude (rad), `(...)` each, infinite without a bound.
 
     The deviations are the square roots of the traces of the position block and the attitude block of the inverse
-    information. The inverse exists if the information, scaled to a unit diagonal and thus independent of units, is
-    regular.
+    information, see `determines_pose`.
 
     Args:
         information: `(..., 6, 6)`.
     """
-    diagonal = np.diagonal(information, axis1=-2, axis2=-1)
-    scale = 1.0 / np.sqrt(np.where(diagonal > 0.0, diagonal, np.inf))
-    fixed = np.linalg.eigvalsh(scale[..., :, None] * information * scale[..., None, :])[..., 0] > SINGULAR_EIGENVALUE
+    fixed = determines_pose(information)
     variance = np.full((*information.shape[:-2], 6), np.inf)
     variance[fixed] = np.diagonal(np.linalg.inv(information[fixed]), axis1=-2, axis2=-1)
     return np.sqrt(variance[..., 3:].sum(axis=-1)), np.sqrt(variance[..., :3].sum(axis=-1))

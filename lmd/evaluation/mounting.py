@@ -65,6 +65,19 @@ class MountingError:
         """True if all tags hang as planned."""
         return not (self.position or self.turn or self.tilt)
 
+    def covariances(self, problem: Problem, plan: Deployment) -> FloatArray:
+        """Covariances of position (metres) and rotation (rad) of the tags of a plan, world frame, `(K, 6, 6)`; zeros
+        for fixed tags.
+        """
+        right, up = upright(plan.normals)
+        axes = np.stack([right, up, plan.normals], axis=-1)
+        found = np.zeros((len(plan), 6, 6))
+        for first, deviations in ((0, (self.position, self.position, 0.0)), (3, (self.tilt, self.tilt, self.turn))):
+            block = axes * np.square(deviations) @ np.swapaxes(axes, 1, 2)
+            found[:, first : first + 3, first : first + 3] = block
+        found[: problem.fixed_count] = 0.0
+        return found
+
     def draw(self, problem: Problem, plan: Deployment, rng: np.random.Generator) -> MountedTags:
         """Draw the tags of a plan as they are mounted.
 

@@ -16,7 +16,7 @@ from functools import cached_property
 import numpy as np
 
 from lmd.core.checks import BoolArray, FloatArray, InputError, IntArray
-from lmd.detection.corner_errors import CornerErrors
+from lmd.detection.corner_errors import CornerErrors, inward
 from lmd.formats.detections import DetectedTags
 from lmd.geometry.camera import Camera
 from lmd.geometry.projection import bearings, slope
@@ -33,7 +33,6 @@ QUARTERS = pose_of(
 SQUARE = np.hstack([CORNERS, np.zeros((4, 1))])  # corners of a tag with an edge of 2, in the tag's frame, `(4, 3)`
 MODES = 5  # modes of deformation
 SMALL_PITCH = 2.0  # pixels per module at which the shift of small tags counts in full
-LEAST_ANGLE = 0.2  # lower bound on the sine of the angle at a corner, which limits the shift of the corner
 
 
 def _shapes() -> FloatArray:
@@ -117,14 +116,6 @@ class Sightings:
     def counts(self, chosen: BoolArray | None = None) -> IntArray:
         """Number of sightings of each tag, `(K,)`, among the `chosen` sightings, mask `(N,)`; None for all."""
         return np.bincount(self.tag if chosen is None else self.tag[chosen], minlength=len(self.ids))
-
-
-def inward(image: FloatArray) -> FloatArray:
-    """Displacement of corners `(N, 4, 2)` in an image if all edges move by one pixel towards the middle."""
-    (along, other) = (np.roll(image, way, axis=1) - image for way in (1, -1))
-    along, other = (edge / np.linalg.norm(edge, axis=-1, keepdims=True) for edge in (along, other))
-    across = np.abs(along[..., 0] * other[..., 1] - along[..., 1] * other[..., 0])
-    return np.asarray((along + other) / np.maximum(across, LEAST_ANGLE)[..., None])
 
 
 def shortest_side(image: FloatArray) -> FloatArray:

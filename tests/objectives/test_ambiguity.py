@@ -15,10 +15,12 @@ from lmd.geometry.squares import corners
 from lmd.objectives.localisation import Localisation
 from lmd.objectives.localisation.ambiguity import CONFIDENCE, mirrored_square, resolved
 from lmd.objectives.localisation.information import deviation_per_variance, precision
+from lmd.objectives.localisation.reference import mirrored_probabilities
 from lmd.render.imaging import Imaging
 from lmd.render.renderer import Renderer
 from lmd.render.room import TaggedRoom
 from lmd.scene.deployment_sources import UniformDeployment
+from lmd.scene.rig import Mount, Rig
 from lmd.scene.tag import Tag
 from lmd.sight.evaluator import Evaluator
 
@@ -133,3 +135,17 @@ def test_only_views_of_a_single_tag_hang_on_it():
     np.testing.assert_array_equal(values(1, "resolved", 0.01), values(1, "ignored", 0.01))
     points = replace(scene, tag=Tag())
     assert Localisation(1).precision(points) == Localisation(1, ambiguity="ignored").precision(points)
+
+
+def test_the_probability_of_views_is_that_of_the_formula():
+    """A second camera in the place of the first doubles S."""
+    poses = np.stack([looking(d, i, 30.0, off) for d, i, off in ((2.0, 20.0, 0.0), (1.0, 60.0, 15.0), (3.0, 5.0, 3.0))])
+    scene, sigma, edge = paper_scene(camera=CAMERA), np.array([0.5, 4.0, 1.0]), 0.15
+    sides = edge / 2.0 * np.stack([RIGHT.repeat(3, axis=0), UP.repeat(3, axis=0)])
+    one = mirrored_probabilities(scene, poses, np.zeros((3, 3)), sides, np.ones((1, 3), dtype=bool), sigma)
+    roots = np.array([residual(pose, edge) for pose in poses]) / (2.0 * sigma)
+    assert one == pytest.approx([NormalDist().cdf(-min(root, 4.0 * 2.3263478740408408)) for root in roots], rel=1e-6)
+    assert 1e-6 < one.min() < one.max() < 0.5
+    twice = replace(scene, camera=Rig((Mount(CAMERA), Mount(CAMERA))))
+    both = mirrored_probabilities(twice, poses, np.zeros((3, 3)), sides, np.ones((2, 3), dtype=bool), sigma)
+    assert both[2] == pytest.approx(NormalDist().cdf(-np.sqrt(2.0) * roots[2]), rel=1e-6)

@@ -6,20 +6,23 @@ The reference also evaluates scenes whose visibility model has no compiled half 
 Shapes: A orientations, K landmarks.
 """
 
+from statistics import NormalDist
 from typing import Any
 
 import numpy as np
 
 from lmd.core.checks import BoolArray, FloatArray, IntArray
 from lmd.geometry.lens_models import area_per_solid_angle
-from lmd.geometry.se3 import cross
+from lmd.geometry.se3 import axis_and_right, cross
 from lmd.geometry.squares import upright
 from lmd.objectives.localisation.ambiguity import (
+    CONFIDENCE,
     body_has_one_pose,
     camera_residual,
     has_one_pose,
     mirrored_numbers,
     resolves_ambiguity,
+    rig_ratio,
     width_of,
 )
 from lmd.objectives.localisation.body import about_body, body_log_det, body_meets, body_variance, gain_of
@@ -42,7 +45,7 @@ def view_information(
     sides: Any = *offset.T, *(asked.halves[:, None] * right).T, *(asked.halves[:, None] * up).T
     caps = coverage_caps(scene, deployment, position, axes)
     with np.errstate(all="ignore"):  # the depth of a landmark that is not covered is arbitrary
-        weight = _density(getattr(scene.sight, "lens", None), axes, offset)
+        weight = _density(getattr(scene.sight, "lens", None), axes[:, None], offset)
         numbers = *moments(*(*sides, asked.share)), camera_residual(asked.residual, *sides)
         shares = [share_of(each, weight) for each in numbers]
     return np.stack([np.where(caps, share, 0.0).sum(axis=1) for share in shares]), caps
@@ -68,7 +71,7 @@ def body_information(
             if resolves_ambiguity(asked):
                 numbers += mirrored_numbers(*(*tags, asked.residual))
             lens = getattr(scene.visibility.sight(camera), "lens", None)
-            weight = gain_of(camera, scene.cameras[0]) * _density(lens, turned, offset)
+            weight = gain_of(camera, scene.cameras[0]) * _density(lens, turned[:, None], offset)
             shares = [np.where(caps, share_of(each, weight), 0.0).sum(axis=1) for each in numbers]
         sums[there, : len(shares)] += np.stack(shares, axis=1)
     return sums.T, covered
@@ -82,9 +85,40 @@ def information_of(
     return of(scene, deployment, asked, position, axes)
 
 
+def mirrored_probabilities(
+    scene: Scene, poses: FloatArray, centres: FloatArray, sides: FloatArray, seen: BoolArray, sigma: FloatArray
+) -> FloatArray:
+    """Probability P that the mirrored pose of the only tag in view fits better, see `ambiguity`, `(N,)`.
+
+    Args:
+        scene: camera or rig.
+        poses: X of the camera or of the rig's body, `(N, 4, 4)`.
+        centres: centre of the tag in each view, metres, `(N, 3)`.
+        sides: vectors from the centre to the midpoints of the right and of the upper edge, metres, `(2, N, 3)`.
+        seen: mask of the cameras that see the tag, `(C, N)`.
+        sigma: standard deviation of each coordinate of a corner, pixels, `(N,)`.
+    """
+    from scipy.special import ndtr  # slow to load
+
+    first, quantile = scene.cameras[0], NormalDist().inv_cdf(CONFIDENCE)
+    least: Any = (2.0 * quantile * sigma) ** 2 / np.prod(first.focal_pixels)
+    sums = np.zeros((5, len(poses)))
+    for camera, mounted, mask in zip(scene.cameras, scene.extrinsics, seen, strict=True):
+        at = poses @ mounted
+        offset = centres - at[:, :3, 3]
+        lens = getattr(scene.visibility.sight(camera), "lens", None)
+        with np.errstate(all="ignore"):  # the depth of a tag that is not seen is arbitrary
+            weight = gain_of(camera, first) * _density(lens, axis_and_right(at), offset)
+            tags: Any = *offset.T, *sides[0].T, *sides[1].T, least
+            sums += np.where(mask, weight * np.stack(mirrored_numbers(*tags)), 0.0)
+    numbers: Any = *sums, least
+    ratio = rig_ratio(*numbers)
+    return np.asarray(ndtr(-quantile * np.sqrt(np.maximum(ratio, 0.0))))
+
+
 def _density(lens: Any, axes: FloatArray, offset: FloatArray) -> FloatArray:
-    """`lmd.scene.criteria.pixel_density`, `(A, K)`; `lens` is None for a pinhole."""
-    axis, right = axes[:, None, :3], axes[:, None, 3:]
+    """`lmd.scene.criteria.pixel_density` for axes `(..., 6)` and offsets `(..., 3)`; `lens` is None for a pinhole."""
+    axis, right = axes[..., :3], axes[..., 3:]
     if lens is None:
         depth = dot(axis, offset)
         return np.asarray(1.0 / (depth * depth * depth))

@@ -1,0 +1,143 @@
+"""Standard deviations of the pose as laws of the distance and the number of tags, for filters.
+
+A law is sd = a d^b / n^c with the mean distance d [m] of the n tags in view. A single tag and several tags have laws of
+their own: with one tag the position hangs on the apparent size and tilt of a small square, with several tags on the
+angles between them. b and c are fitted by least squares to log sd. The scale a is the root mean square of sd / (d^b /
+n^c), so that errors normalised by the law have the mean square 1 over all views.
+
+`RULES` are usual rules, fitted likewise:
+
+- `constant`: sd = a;
+- `squared`: sd = a d^2 / n, as in AdvantageKit's vision template (`linearStdDevBaseline`);
+- `photonvision`: sd = a (1 + d^2 / 30), with one a for a single tag and one for several, as in PhotonVision's example
+  (`kSingleTagStdDevs`, `kMultiTagStdDevs`).
+"""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from lmd.core.checks import BoolArray, FloatArray, InputError, IntArray
+
+# Standard deviations with a law: rms per axis of the position, of x and y, and of z, metres; rms per axis of the
+# rotation, of roll and pitch, and of yaw, rad.
+QUANTITIES = ("position", "horizontal", "vertical", "rotation", "tilt", "heading")
+LEAST_VIEWS = 30  # least number of views of a law
+LEAST_VARIATION = 0.05  # least standard deviation of log d or log n for which its exponent is fitted
+LEVELS = (0.05, 0.25, 0.5, 0.75, 0.95)  # reported quantiles of sd over its law
+
+
+@dataclass(frozen=True)
+class PowerLaw:
+    """sd = scale d^distance / n^tags."""
+
+    scale: float
+    """a, sd of one tag at one metre, metres or rad."""
+    distance: float = 0.0
+    """b."""
+    tags: float = 0.0
+    """c."""
+
+    def at(self, distance: FloatArray | float, tags: IntArray | int) -> FloatArray:
+        """Standard deviation for a mean distance [m] and a number of tags, broadcast."""
+        return np.asarray(
+            self.scale * np.power(distance, self.distance) / np.power(np.asarray(tags, dtype=np.float64), self.tags)
+        )
+
+
+@dataclass(frozen=True)
+class Law:
+    """Laws of one tag, and of several tags."""
+
+    one: PowerLaw
+    """Law of a single tag."""
+    several: PowerLaw
+    """Law of two tags and more."""
+
+    def at(self, distance: FloatArray, tags: IntArray) -> FloatArray:
+        """Standard deviations for mean distances [m] and numbers of tags, `(V,)` each."""
+        return np.where(tags == 1, self.one.at(distance, 1), self.several.at(distance, tags))
+
+
+@dataclass(frozen=True)
+class Rule:
+    """Usual rule: sd = a times a fixed shape of d and n."""
+
+    shape: str
+    """Name in `RULES`."""
+    one: float
+    """a of a single tag, metres or rad."""
+    several: float
+    """a of several tags, metres or rad."""
+
+    def at(self, distance: FloatArray, tags: IntArray) -> FloatArray:
+        """See `Law.at`."""
+        return np.where(tags == 1, self.one, self.several) * RULES[self.shape](distance, tags)
+
+
+# Shape of each rule as a function of d and n.
+RULES: Mapping[str, Callable[[FloatArray, IntArray], FloatArray]] = {
+    "constant": lambda distance, tags: np.ones(np.broadcast_shapes(distance.shape, tags.shape)),
+    "squared": lambda distance, tags: distance**2 / tags,
+    "photonvision": lambda distance, tags: 1.0 + distance**2 / 30.0 + 0.0 * tags,
+}
+BY_NUMBER = {"photonvision"}  # rules with one a for a single tag and one for several
+
+
+def fit_power(distance: FloatArray, tags: IntArray, deviation: FloatArray) -> PowerLaw:
+    """Power law of standard deviations `(V,)` for mean distances [m] and numbers of tags `(V,)`.
+
+    An exponent is 0 if its variable is nearly constant.
+    """
+    logs = {"distance": np.log(distance), "tags": -np.log(tags)}
+    varied = {name: value for name, value in logs.items() if value.std() >= LEAST_VARIATION}
+    columns = np.column_stack([np.ones(len(distance)), *varied.values()])
+    found = np.linalg.lstsq(columns, np.log(deviation), rcond=None)[0]
+    shape = PowerLaw(1.0, **dict(zip(varied, found[1:].tolist(), strict=True)))
+    return PowerLaw(_scale(deviation, shape.at(distance, tags)), shape.distance, shape.tags)
+
+
+def _scale(deviation: FloatArray, shape: FloatArray) -> float:
+    """a for which the mean square of deviation / (a shape) is 1."""
+    return float(np.sqrt(((deviation / shape) ** 2).mean()))
+
+
+def fit_law(distance: FloatArray, tags: IntArray, deviation: FloatArray) -> Law:
+    """Law of standard deviations `(V,)`; a group with fewer than `LEAST_VIEWS` views has the law of all views.
+
+    Raises:
+        InputError: there are fewer than `LEAST_VIEWS` views.
+    """
+    if len(deviation) < LEAST_VIEWS:
+        raise InputError(
+            f"views: only {len(deviation)} of the random views determine one pose, and a law needs {LEAST_VIEWS}: ask "
+            "for more views, or for more or larger tags.",
+            "views",
+        )
+
+    def fitted(own: BoolArray) -> PowerLaw:
+        own = own if own.sum() >= LEAST_VIEWS else np.ones_like(own)
+        return fit_power(distance[own], tags[own], deviation[own])
+
+    return Law(fitted(tags == 1), fitted(tags > 1))
+
+
+def fit_rule(shape: str, distance: FloatArray, tags: IntArray, deviation: FloatArray) -> Rule:
+    """Usual rule with the scale of `PowerLaw`; arguments as in `fit_power`."""
+    per_view = RULES[shape](distance, tags)
+
+    def fitted(own: BoolArray) -> float:
+        own = own if shape in BY_NUMBER and own.any() else np.ones_like(own)
+        return _scale(deviation[own], per_view[own])
+
+    return Rule(shape, fitted(tags == 1), fitted(tags > 1))
+
+
+def ratio_quantiles(deviation: FloatArray, predicted: FloatArray) -> dict[str, float]:
+    """Quantiles `LEVELS` of deviation / predicted, and `factor_90`: 90 % of the ratios are within this factor of 1."""
+    ratio = deviation / predicted
+    found = {
+        f"{100 * level:g} %": float(value) for level, value in zip(LEVELS, np.quantile(ratio, LEVELS), strict=True)
+    }
+    return found | {"factor_90": float(np.exp(np.quantile(np.abs(np.log(ratio)), 0.9)))}

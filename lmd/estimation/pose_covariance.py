@@ -1,0 +1,195 @@
+"""Covariance of the pose that least squares estimate from one image, with errors of corners and of the map.
+
+Let J_t (8, 6) be the Jacobian of the corners of tag t by the body twist (w, v), and w_t the weight that the solver
+gives to these corners. With H = sum w_t J_t^T J_t, the error of the pose is to first order
+
+    e = H^-1 sum w_t J_t^T r_t,    r_t = n_t + b s_t + M_t m_t
+
+- n_t: independent noise of the coordinates of corners, of variance sigma_t^2;
+- b: shift of all edges in the image of a camera, inward or outward, of variance beta^2; s_t is the displacement of the
+  corners by a shift of one pixel (`lmd.detection.corner_errors.inward`);
+- m_t: error of position and rotation of the tag in the map, of covariance P_t and independent of other tags; M_t (8, 6)
+  is its Jacobian.
+
+The covariance of e is H^-1 N H^-1 with
+
+    N = sum w_t^2 sigma_t^2 J_t^T J_t + beta^2 sum h_c h_c^T + sum B_t P_t B_t^T,
+    h_c = sum w_t J_t^T s_t over the tags in camera c,    B_t = sum w_t J_t^T M_t over the cameras.
+
+With w_t = 1 / sigma_t^2, beta = 0 and P = 0 this is the Cramer-Rao bound. Solvers such as OpenCV's `solvePnP` have w_t
+= 1; a tag with a large sigma_t or P_t may then raise the covariance.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from lmd.core.checks import BoolArray, FloatArray, IntArray
+from lmd.detection.corner_errors import CornerErrors, inward
+from lmd.detection.quality import pitch
+from lmd.estimation.cramer_rao import determines_pose, image_jacobians
+from lmd.geometry.camera import Camera
+from lmd.geometry.projection import project, slope, to_camera
+from lmd.geometry.se3 import adjoint_matrix, inverse, skew
+from lmd.geometry.squares import corners
+from lmd.scene.deployment import Deployment
+from lmd.scene.tag import Tag
+
+WEIGHTS = ("equal", "noise")
+
+
+@dataclass(frozen=True)
+class TagErrors:
+    """Errors of K tags in images and in the map, and the weights of a solver."""
+
+    noise: CornerErrors | float
+    """Errors of corners by pitch, or standard deviation of each coordinate of a corner, pixels."""
+    shift: float
+    """beta, standard deviation of the shift of edges that all tags in the image of a camera share, pixels."""
+    places: FloatArray
+    """P, covariance of position (metres) and rotation (rad) of each tag in the world frame, `(K, 6, 6)`."""
+    weights: str = "equal"
+    """Weights of corners: `equal`, or `noise` for 1 / sigma^2."""
+
+    def sigma(self, pitches: FloatArray) -> FloatArray:
+        """Standard deviation of each coordinate of a corner for pitches `(...)`, pixels, `(...)`."""
+        if isinstance(self.noise, CornerErrors):
+            return self.noise.sigma(pitches)
+        return np.full(pitches.shape, self.noise)
+
+
+@dataclass(frozen=True)
+class TagImages:
+    """Contributions of P pairs of a frame and a tag in its images, ordered by frame."""
+
+    frames: int
+    """Number F of frames."""
+    frame: IntArray
+    """Frame of each pair, `(P,)`."""
+    tag: IntArray
+    """Tag of each pair, `(P,)`."""
+    sigma: FloatArray
+    """Largest standard deviation of a coordinate of a corner in the images of the pair, pixels, `(P,)`."""
+    information: FloatArray
+    """sum w J^T J over the cameras, `(P, 6, 6)`."""
+    noise: FloatArray
+    """sum w^2 sigma^2 J^T J over the cameras, `(P, 6, 6)`."""
+    shifts: FloatArray
+    """beta w J^T s in each of the C cameras, `(P, C, 6)`."""
+    places: FloatArray
+    """B P B^T, `(P, 6, 6)`."""
+
+    @property
+    def counts(self) -> IntArray:
+        """Number of tags in the images of each frame, `(F,)`."""
+        return np.bincount(self.frame, minlength=self.frames)
+
+    def _summed(self, parts: FloatArray) -> FloatArray:
+        """Sums of `(P, ...)` over the pairs of each frame, `(F, ...)`."""
+        total = np.zeros((self.frames, *parts.shape[1:]))
+        np.add.at(total, self.frame, parts)
+        return total
+
+    def covariances(self) -> FloatArray:
+        """Covariance of the body twist (w, v) in each frame, `(F, 6, 6)`; infinite if the pose is undetermined."""
+        parts = self.information, self.noise + self.places, self.shifts
+        return _covariances(*(self._summed(part) for part in parts))
+
+    def covariances_without(self) -> FloatArray:
+        """Covariance of the body twist (w, v) in the frame of each pair without the tag of the pair, `(P, 6, 6)`."""
+        parts = self.information, self.noise + self.places, self.shifts
+        return _covariances(*(self._summed(part)[self.frame] - part for part in parts))
+
+
+def _covariances(information: FloatArray, errors: FloatArray, shifts: FloatArray) -> FloatArray:
+    """H^-1 N H^-1 from H and the first and the last sum of N, `(n, 6, 6)`, and beta h, `(n, C, 6)`."""
+    fixed = determines_pose(information)
+    found = np.full(information.shape, np.inf)
+    solved = np.linalg.inv(information[fixed])
+    whole = errors[fixed] + np.swapaxes(shifts[fixed], 1, 2) @ shifts[fixed]
+    found[fixed] = solved @ whole @ solved
+    return found
+
+
+def tag_images(
+    cameras: Sequence[Camera],
+    extrinsics: FloatArray,
+    poses: FloatArray,
+    deployment: Deployment,
+    tag: Tag,
+    seen: BoolArray,
+    errors: TagErrors,
+) -> TagImages:
+    """Contributions of the tags in the images of C cameras to the covariance of the pose of their body.
+
+    Args:
+        cameras, extrinsics: see `lmd.estimation.cramer_rao.moment_information`.
+        poses: X of the body, `(F, 4, 4)`.
+        deployment: K tags at their places in the map.
+        tag: family of the tags, and edge of the tags without an edge of their own.
+        seen: mask of the tags in view of each camera, `(C, F, K)`; their corners must be in front of the camera.
+        errors: errors of the K tags.
+    """
+    edges, count = deployment.edges_of(tag), len(deployment)
+    pairs, number = np.unique(np.concatenate([np.flatnonzero(mask) for mask in seen]), return_inverse=True)
+    size, first = len(pairs), 0
+    information, noise, by_map = np.zeros((3, size, 6, 6))
+    shifts, sigmas = np.zeros((size, len(cameras), 6)), np.zeros(size)
+    for c, (camera, mounted, mask) in enumerate(zip(cameras, extrinsics, seen, strict=True)):
+        frame, which = np.nonzero(mask)
+        own = number[first : first + len(frame)]
+        first += len(frame)
+        at, centres, normals = poses[frame] @ mounted, deployment.places[which], deployment.normals[which]
+        sigma = errors.sigma(_pitches(camera, at, centres, normals, tag, edges[which]))
+        weight = 1.0 / sigma**2 if errors.weights == "noise" else np.ones_like(sigma)
+        points = corners(centres, normals, deployment.ups[which], edges[which])
+        jacobian = image_jacobians(at.repeat(4, axis=0), points.reshape(-1, 3), camera).reshape(-1, 8, 6)
+        jacobian = jacobian @ adjoint_matrix(inverse(mounted))
+        weighted = np.swapaxes(jacobian, 1, 2) * weight[:, None, None]
+        square = weighted @ jacobian
+        information[own] += square
+        noise[own] += (weight * sigma**2)[:, None, None] * square
+        shifts[own, c] = errors.shift * (weighted @ inward(project(camera, at, points)).reshape(-1, 8, 1))[..., 0]
+        by_map[own] += weighted @ _map_jacobians(camera, at, points, centres)
+        sigmas[own] = np.maximum(sigmas[own], sigma)
+    frame, which = np.divmod(pairs, count)
+    places = by_map @ errors.places[which] @ np.swapaxes(by_map, 1, 2)
+    return TagImages(len(poses), frame, which, sigmas, information, noise, shifts, places)
+
+
+def _pitches(
+    camera: Camera, poses: FloatArray, centres: FloatArray, normals: FloatArray, tag: Tag, edges: FloatArray
+) -> FloatArray:
+    """`lmd.detection.quality.pitch` of tag m in a camera at pose m, `(M,)`."""
+    seen = to_camera(poses, centres[:, None])[:, 0]
+    turned = (normals[:, None, :] @ poses[:, :3, :3])[:, 0]
+    return np.asarray(pitch(camera, np.eye(4), seen, turned, tag, edges))
+
+
+def _map_jacobians(camera: Camera, poses: FloatArray, points: FloatArray, centres: FloatArray) -> FloatArray:
+    """M of tags with corners `(M, 4, 3)`, by a motion (p, r) of the tag in the world frame, `(M, 8, 6)`.
+
+    A corner at the offset q from the centre moves by p - [q]x r.
+    """
+    moved = np.concatenate(
+        [np.broadcast_to(np.eye(3), (*points.shape[:2], 3, 3)), -skew(points - centres[:, None])], -1
+    )
+    turned = np.swapaxes(poses[:, None, :3, :3], -1, -2) @ moved
+    return np.asarray((slope(camera, to_camera(poses, points)) @ turned).reshape(len(points), 8, 6))
+
+
+def world_covariances(poses: FloatArray, covariances: FloatArray) -> FloatArray:
+    """Covariances of (p, r), position and rotation in the world frame, of body twists (w, v), `(F, 6, 6)`.
+
+    Args:
+        poses: X, `(F, 4, 4)`.
+        covariances: of the body twist, `(F, 6, 6)`; infinite matrices stay infinite.
+    """
+    turn = poses[:, :3, :3]
+    whole = np.zeros((len(poses), 6, 6))
+    whole[:, :3, 3:] = whole[:, 3:, :3] = turn
+    found = np.full(covariances.shape, np.inf)
+    known = np.isfinite(covariances).all(axis=(1, 2))
+    found[known] = whole[known] @ covariances[known] @ np.swapaxes(whole[known], 1, 2)
+    return found

@@ -1,0 +1,270 @@
+"""Standard deviations of the camera pose from one image, at random poses, and tags that raise them.
+
+Rotations are small angles about three axes of a level body with the heading (yaw) of the view: roll about its forward
+axis, pitch about its left axis, yaw about the vertical. They exist for a camera that looks straight up, too.
+
+A view has one of three kinds of poses: `one`; `two` if it shows a single tag and the mirrored pose fits better with a
+probability above 1 % (`lmd.objectives.localisation.ambiguity`), in which case the standard deviations are about the
+true pose; `none` if it shows no tag.
+"""
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from lmd.core.checks import BoolArray, FloatArray, InputError, IntArray, check_fields, choice, integer, real
+from lmd.core.memory import check_memory
+from lmd.detection.corner_errors import CORNER_ERRORS, CornerErrors
+from lmd.detection.frames import draw_poses
+from lmd.estimation.pose_covariance import WEIGHTS, TagErrors, TagImages, tag_images, world_covariances
+from lmd.evaluation.accuracy import as_localisation
+from lmd.geometry.frames import angles_of
+from lmd.geometry.se3 import axis_and_right, cross
+from lmd.objectives.localisation.ambiguity import CONFIDENCE
+from lmd.objectives.localisation.reference import mirrored_probabilities
+from lmd.problem import Problem
+from lmd.scene.deployment import Deployment
+from lmd.sight.views import visible_to_each
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+AXES = ("x", "y", "z", "rx", "ry", "rz")  # axes of the covariance of a tag in a map
+SDS = tuple(f"sd_{name}" for name in ("x", "y", "z", "roll", "pitch", "yaw"))
+ONE, TWO, NONE = "one", "two", "none"  # kinds of poses
+VIEW_BYTES = 2000  # memory of a view, bytes
+AUTO, OBJECTIVE = "auto", "objective"
+CORNERS = (AUTO, OBJECTIVE, *CORNER_ERRORS)
+ALSO = {"wpilib": "apriltag_decimate2"}  # detectors of the visibility model with the corner errors of another one
+LESS = 1.0 - 1e-3  # greatest ratio of two standard deviations of which the first counts as less
+
+
+@dataclass(frozen=True)
+class UncertaintyStudy:
+    """Settings of a study of the uncertainty.
+
+    Raises:
+        InputError: a value is out of range.
+    """
+
+    corners: str = AUTO
+    """Noise of corners: a detector in `CORNER_ERRORS`, by pitch; `objective` for its constant `pixel_noise`; `auto` for
+    the detector of the visibility model, or `objective` if its corner errors are unknown.
+    """
+    shift: float | None = None
+    """Standard deviation of the shift of edges that all tags of an image share, pixels; None for the detector's
+    `CornerErrors.inward_spread`, and 0 for `objective`.
+    """
+    weights: str = "equal"
+    """Weights of corners in the solver, see `lmd.estimation.pose_covariance`."""
+    views: int = 20000
+    """Number of random views."""
+
+    def __post_init__(self) -> None:
+        choice("corners", self.corners, CORNERS)
+        choice("weights", self.weights, WEIGHTS)
+        if self.shift is not None:
+            check_fields(self, real, "shift", low=0.0)
+        check_fields(self, integer, "views", low=1)
+        check_memory(VIEW_BYTES * self.views, f"views = {self.views}", "views")
+
+    def reader(self, problem: Problem) -> str:
+        """Name of the detector whose corner errors are used, or `objective`."""
+        if self.corners != AUTO:
+            return self.corners
+        name = str(getattr(problem.scene.visibility, "detector", OBJECTIVE))
+        name = ALSO.get(name, name)
+        return name if name in CORNER_ERRORS else OBJECTIVE
+
+    def errors(self, problem: Problem, places: FloatArray) -> TagErrors:
+        """Errors of tags whose covariances in the map are `places` `(K, 6, 6)`, m^2 and rad^2."""
+        noise: CornerErrors | float = as_localisation(problem.objective).pixel_noise
+        spread = 0.0
+        if (reader := self.reader(problem)) != OBJECTIVE:
+            noise, spread = CORNER_ERRORS[reader], CORNER_ERRORS[reader].inward_spread
+        return TagErrors(noise, spread if self.shift is None else self.shift, places, self.weights)
+
+
+@dataclass(frozen=True)
+class Uncertainty:
+    """Standard deviations of the pose in V views of K tags."""
+
+    views: "pd.DataFrame"
+    """A row for each view: `x,y,z` (m), `yaw,pitch,roll` (rad), `tags`, `distance` (mean distance of the tags, m), the
+    standard deviations `SDS` (m, rad; NaN for no pose), `pose` (`one`, `two`, `none`), and `mirrored`, the probability
+    that the mirrored pose of a single tag fits better (NaN for another number of tags).
+    """
+    tags: "pd.DataFrame"
+    """A row for each tag: `id`, `views` (number of views of the tag and others), `improves` (share of these views in
+    which the standard deviation of the position is less without the tag), `ratio` (median of that standard deviation
+    without the tag over that with it; infinite where another pose or none is left) and `misleads` (ratio below 1).
+    """
+    poses: FloatArray
+    """X of the views, `(V, 4, 4)`."""
+    covariances: FloatArray
+    """Covariance of (p, r), position and rotation in the world frame, `(V, 6, 6)`; infinite for no pose."""
+
+    @property
+    def misleading(self) -> list[int]:
+        """Ids of the tags that mislead, ascending."""
+        return sorted(self.tags.id[self.tags.misleads].tolist())
+
+    def metrics(self) -> dict[str, float]:
+        """Shares of the views by kind of pose, and medians and 90 % quantiles over the views with one pose."""
+        found = {f"share_{kind}": float((self.views.pose == kind).mean()) for kind in (ONE, TWO, NONE)}
+        some = self.views[self.views.pose == ONE]
+        if len(some):
+            for name, level in (("median", 0.5), ("90", 0.9)):
+                found |= {f"{column}_{name}": float(some[column].quantile(level)) for column in SDS}
+        return found | {"misleading_tags": float(len(self.misleading))}
+
+
+def map_covariances(deployment: Deployment) -> FloatArray | None:
+    """Covariances of the tags in a surveyed map, from its columns `cov_x_x` to `cov_rz_rz`, `(K, 6, 6)`.
+
+    Returns:
+        m^2 and rad^2, in the world frame; None for a deployment without these columns.
+
+    Raises:
+        InputError: some of the columns are missing, a value is no finite number, or a matrix is no covariance.
+    """
+    labels = {} if deployment.labels is None else deployment.labels.columns
+    names = {(i, j): f"cov_{AXES[i]}_{AXES[j]}" for i in range(6) for j in range(i, 6)}
+    if not any(name in labels for name in names.values()):
+        return None
+    found = np.zeros((len(deployment), 6, 6))
+    for (i, j), name in names.items():
+        if name not in labels:
+            raise InputError(f"path has columns of a covariance, but lacks {name!r}.", "path")
+        for k, text in enumerate(labels[name]):
+            try:
+                value = float(text)
+            except ValueError:
+                value = np.nan
+            if not np.isfinite(value):
+                raise InputError(f"path: {name} of landmark {deployment.ids[k]} is no number: {text!r}.", "path")
+            found[k, i, j] = found[k, j, i] = value
+    deviations = np.sqrt(np.maximum(np.diagonal(found, axis1=1, axis2=2), np.finfo(float).tiny))
+    least = np.linalg.eigvalsh(found / deviations[:, :, None] / deviations[:, None, :])[:, 0]
+    if (wrong := np.flatnonzero((least < -1e-6) | (np.diagonal(found, axis1=1, axis2=2) < 0.0).any(axis=1))).size:
+        raise InputError(
+            f"path: cov_x_x to cov_rz_rz of landmark {deployment.ids[wrong[0]]} are no covariance.", "path"
+        )
+    return found
+
+
+def uncertainty(
+    problem: Problem, deployment: Deployment, study: UncertaintyStudy, seed: int, places: FloatArray | None = None
+) -> Uncertainty:
+    """Compute the standard deviations of the pose in random views.
+
+    Args:
+        problem: problem with the scene; the visibility model decides which tags a view shows.
+        deployment: K tags.
+        study: settings.
+        seed: seed of the views.
+        places: covariances of the tags in the map in addition to `map_covariances`, `(K, 6, 6)`, m^2 and rad^2.
+
+    Raises:
+        InputError: landmarks are points, or `map_covariances` refuses the columns of the deployment.
+    """
+    problem.scene.tag.check_edge()
+    poses = draw_poses(problem.scene, study.views, seed)
+    known = map_covariances(deployment)
+    total = np.zeros((len(deployment), 6, 6)) if places is None else places
+    return uncertainty_at(problem, deployment, study.errors(problem, total if known is None else total + known), poses)
+
+
+def uncertainty_at(problem: Problem, deployment: Deployment, errors: TagErrors, poses: FloatArray) -> Uncertainty:
+    """Standard deviations of the pose in the views from `poses` `(V, 4, 4)`; other arguments as in `uncertainty`."""
+    import pandas as pd
+
+    scene = problem.scene
+    seen = visible_to_each(problem.evaluator, deployment, poses[:, :3, 3], axis_and_right(poses))
+    images = tag_images(scene.cameras, scene.extrinsics, poses, deployment, scene.tag, seen, errors)
+    covariances = world_covariances(poses, images.covariances())
+    counts = images.counts
+    away = np.linalg.norm(deployment.places[images.tag] - poses[images.frame, :3, 3], axis=1)
+    mirrored = np.full(len(poses), np.nan)
+    alone = np.flatnonzero(counts[images.frame] == 1)
+    mirrored[images.frame[alone]] = _mirrored(problem, deployment, poses, seen, images, images.frame[alone], alone)
+    yaw, pitch, roll = angles_of(np.swapaxes(poses[:, :3, :3], 1, 2))
+    with np.errstate(invalid="ignore"):  # no tags
+        distance = np.bincount(images.frame, away, len(poses)) / counts
+    rows = {
+        **dict(zip("xyz", poses[:, :3, 3].T, strict=True)),
+        **{"yaw": yaw, "pitch": pitch, "roll": roll.round(12) + 0.0, "tags": counts, "distance": distance},
+        **dict(zip(SDS, level_deviations(covariances, yaw).T, strict=True)),
+        "pose": np.where(counts == 0, NONE, np.where(mirrored > 1.0 - CONFIDENCE, TWO, ONE)),
+        "mirrored": mirrored,
+    }
+    tags = _without_each(problem, deployment, poses, seen, images, covariances)
+    return Uncertainty(pd.DataFrame(rows), tags, poses, covariances)
+
+
+def level_deviations(covariances: FloatArray, yaw: FloatArray) -> FloatArray:
+    """Standard deviations `SDS` from covariances of (p, r) in the world frame `(V, 6, 6)`, `(V, 6)`; NaN if infinite.
+
+    Args:
+        covariances: m^2 and rad^2; infinite for no pose.
+        yaw: heading of the level body, clockwise from the y axis, rad, `(V,)`.
+    """
+    sine, cosine, zero = np.sin(yaw), np.cos(yaw), np.zeros_like(yaw)
+    forward, left, up = (sine, cosine, zero), (-cosine, sine, zero), (zero, zero, zero + 1.0)
+    axes = np.stack([np.stack(axis, axis=-1) for axis in (forward, left, up)], axis=1)
+    known = np.isfinite(covariances).all(axis=(1, 2))
+    found = np.full((len(yaw), 6), np.nan)
+    turned = axes[known] @ covariances[known][:, 3:, 3:] @ np.swapaxes(axes[known], 1, 2)
+    found[known, :3] = np.sqrt(np.diagonal(covariances[known][:, :3, :3], axis1=1, axis2=2))
+    found[known, 3:] = np.sqrt(np.diagonal(turned, axis1=1, axis2=2))
+    return found
+
+
+def _mirrored(
+    problem: Problem,
+    deployment: Deployment,
+    poses: FloatArray,
+    seen: BoolArray,
+    images: TagImages,
+    frames: IntArray,
+    pairs: IntArray,
+) -> FloatArray:
+    """Probability that the mirrored pose of the tags of `pairs` fits better in `frames` without other tags, `(N,)`."""
+    which = images.tag[pairs]
+    normals, ups = deployment.normals[which], deployment.ups[which]
+    half = deployment.edges_of(problem.scene.tag)[which, None] / 2.0
+    sides = half * np.stack([cross(ups, normals), ups])
+    looks = seen[:, frames, which]
+    return mirrored_probabilities(
+        problem.scene, poses[frames], deployment.places[which], sides, looks, images.sigma[pairs]
+    )
+
+
+def _without_each(
+    problem: Problem,
+    deployment: Deployment,
+    poses: FloatArray,
+    seen: BoolArray,
+    images: TagImages,
+    covariances: FloatArray,
+) -> "pd.DataFrame":
+    """Table `Uncertainty.tags`."""
+    import pandas as pd
+
+    counts = images.counts[images.frame]
+    with_all = np.sqrt(np.trace(covariances[images.frame][:, :3, :3], axis1=1, axis2=2))
+    without = np.sqrt(np.trace(images.covariances_without()[:, 3:, 3:], axis1=1, axis2=2))
+    # Of two tags in view one is left, which must have one pose. The pairs of a frame are successive.
+    two = np.flatnonzero(counts == 2)
+    partner = two.reshape(-1, 2)[:, ::-1].reshape(-1)
+    left = _mirrored(problem, deployment, poses, seen, images, images.frame[two], partner)
+    without[two[left > 1.0 - CONFIDENCE]] = np.inf
+    several = counts > 1
+    ratio = without[several] / with_all[several]
+    table = pd.DataFrame({"tag": images.tag[several], "improves": ratio < LESS, "ratio": ratio}).groupby("tag")
+    rows = table.agg(views=("ratio", "size"), improves=("improves", "mean"), ratio=("ratio", "median"))
+    rows = rows.reindex(range(len(deployment)))
+    rows["views"] = rows.views.fillna(0).astype(int)
+    rows.insert(0, "id", deployment.ids)
+    return rows.assign(misleads=(rows.ratio < LESS).to_numpy()).reset_index(drop=True)

@@ -1,0 +1,147 @@
+"""Table and laws of the standard deviations of a pose by distance and number of tags."""
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from itertools import pairwise
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from lmd.core.checks import FloatArray, IntArray
+from lmd.estimation.deviation_law import (
+    LEAST_VIEWS,
+    QUANTITIES,
+    RULES,
+    Law,
+    Rule,
+    fit_law,
+    fit_power,
+    fit_rule,
+    ratio_quantiles,
+)
+from lmd.evaluation.uncertainty import NONE, ONE, TWO, Uncertainty
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+STEPS = (0.25, 0.5, 1.0, 2.0, 5.0, 10.0)  # steps of the distance in the table, metres
+MOST_STEPS = 12  # greatest number of steps of the distance
+MANY = 5  # numbers of tags from here on share a row
+AMBIGUOUS = 0.5  # share of ambiguous views above which a single tag is out of reach
+
+
+@dataclass(frozen=True)
+class UncertaintyLaw:
+    """Laws of the standard deviations of one pose."""
+
+    laws: Mapping[str, Law]
+    """Law of each of `QUANTITIES`."""
+    rules: Mapping[str, Mapping[str, Rule]]
+    """Usual rules by name, fitted to each of `QUANTITIES`."""
+    errors: "pd.DataFrame"
+    """Columns `quantity`, `rule` (`law`, `one law`, and `RULES`), and the figures of `ratio_quantiles`."""
+    table: "pd.DataFrame"
+    """A row for each class of distance and number of tags: `distance_low`, `distance_high` (m), `tags` (text), `views`,
+    `two_poses` (share of these views), and median and 90 % quantile of `QUANTITIES` over the others (m, rad).
+    """
+    reach: float
+    """Distance below which at most half of the single tags are ambiguous, metres; infinite without a limit."""
+
+    def document(self) -> dict[str, Any]:
+        """Laws, rules and errors for JSON."""
+        errors = {
+            quantity: {row["rule"]: {k: v for k, v in row.items() if k not in ("quantity", "rule")} for row in rows}
+            for quantity, rows in ((q, self.errors[self.errors.quantity == q].to_dict("records")) for q in QUANTITIES)
+        }
+        return {
+            "law": "sd = scale * distance^distance_exponent / tags^tags_exponent; metres and rad",
+            "single_tag_reach": self.reach if np.isfinite(self.reach) else None,
+            "laws": {
+                quantity: {
+                    group: {"scale": law.scale, "distance_exponent": law.distance, "tags_exponent": law.tags}
+                    for group, law in (("one_tag", both.one), ("several_tags", both.several))
+                }
+                for quantity, both in self.laws.items()
+            },
+            "rules": {name: {q: asdict(rule) for q, rule in each.items()} for name, each in self.rules.items()},
+            "deviation_over_rule": errors,
+        }
+
+
+def per_axis(views: "pd.DataFrame") -> dict[str, FloatArray]:
+    """Standard deviations `QUANTITIES` of the views of `Uncertainty.views`, `(V,)` each."""
+
+    def rms(*names: str) -> FloatArray:
+        return np.asarray(np.sqrt(np.mean([views[f"sd_{name}"].to_numpy() ** 2 for name in names], axis=0)))
+
+    position, rotation = ("x", "y", "z"), ("roll", "pitch", "yaw")
+    parts = (position, position[:2], position[2:], rotation, rotation[:2], rotation[2:])
+    return {name: rms(*part) for name, part in zip(QUANTITIES, parts, strict=True)}
+
+
+def uncertainty_law(found: Uncertainty) -> UncertaintyLaw:
+    """Fit laws and rules to the views with one pose.
+
+    Raises:
+        InputError: there are too few views with one pose.
+    """
+    import pandas as pd
+
+    some = found.views[found.views.pose == ONE]
+    where = some.distance.to_numpy(), some.tags.to_numpy()
+    deviations = per_axis(some)
+    laws = {name: fit_law(*where, each) for name, each in deviations.items()}
+    rules = {shape: {name: fit_rule(shape, *where, each) for name, each in deviations.items()} for shape in RULES}
+    errors = []
+    for name, each in deviations.items():
+        predicted = {"law": laws[name].at(*where), "one law": fit_power(*where, each).at(*where)}
+        predicted |= {shape: rules[shape][name].at(*where) for shape in RULES}
+        errors += [{"quantity": name, "rule": rule, **ratio_quantiles(each, p)} for rule, p in predicted.items()]
+    return UncertaintyLaw(laws, rules, pd.DataFrame(errors), _table(found), _reach(found))
+
+
+def _steps(distance: FloatArray) -> FloatArray:
+    """Bounds of the classes of distance, metres."""
+    farthest = float(distance.max())
+    step = next((each for each in STEPS if farthest / each <= MOST_STEPS), farthest / MOST_STEPS)
+    return np.arange(np.ceil(farthest / step) + 1.0) * step
+
+
+def _table(found: Uncertainty) -> "pd.DataFrame":
+    """Table `UncertaintyLaw.table`."""
+    import pandas as pd
+
+    seen = found.views[found.views.pose != NONE]
+    bounds = _steps(seen.distance.to_numpy())
+    classes: IntArray = np.searchsorted(bounds, seen.distance.to_numpy(), side="left") - 1
+    numbers = np.minimum(seen.tags.to_numpy(), MANY)
+    deviations = pd.DataFrame(per_axis(seen), index=seen.index)
+    rows = []
+    for step, number in sorted(set(zip(classes.tolist(), numbers.tolist(), strict=True))):
+        here = (classes == step) & (numbers == number)
+        two = (seen.pose[here] == TWO).to_numpy()
+        rows.append({
+            "distance_low": bounds[step], "distance_high": bounds[step + 1],
+            "tags": str(number) if number < MANY else f"{MANY}+", "views": int(here.sum()),
+            "two_poses": float(two.mean()),
+            **{
+                f"sd_{name}_{label}": float(deviations[name][here][~two].quantile(level))
+                for name in QUANTITIES for label, level in (("median", 0.5), ("90", 0.9))
+            },
+        })  # fmt: skip
+    return pd.DataFrame(rows)
+
+
+def _reach(found: Uncertainty) -> float:
+    """Distance `UncertaintyLaw.reach`, the lower bound of the first class in which most of enough views are
+    ambiguous.
+    """
+    alone = found.views[found.views.tags == 1]
+    if not len(alone):
+        return np.inf
+    bounds, distance = _steps(alone.distance.to_numpy()), alone.distance.to_numpy()
+    for low, high in pairwise(bounds.tolist()):
+        here = (distance > low) & (distance <= high)
+        if here.sum() >= LEAST_VIEWS and (alone.pose[here] == TWO).mean() > AMBIGUOUS:
+            return float(low)
+    return np.inf

@@ -1,0 +1,214 @@
+"""Standard deviations of poses as filters take them: WPILib in Java and Python, and robot_localization in YAML.
+
+WPILib's pose estimators take the standard deviations of x [m], y [m] and heading [rad] of a measurement by
+`setVisionMeasurementStdDevs`, or with each `addVisionMeasurement`. `robot_localization` takes the covariance of each
+pose from its message, so the YAML has the diagonal for the node that publishes the poses. PhotonVision has no such
+setting; its examples pass constants of the robot's code, and AdvantageKit's template scales a baseline by d^2 / n: the
+Java and Python code has these constants, too. Limelight publishes standard deviations (`stddevs`) and takes none.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from lmd.core.checks import InputError
+from lmd.estimation.deviation_law import Law, PowerLaw, Rule
+
+CLASS = "VisionUncertainty"
+TYPICAL = ((1, 1.0), (1, 2.0), (2, 2.0), (2, 4.0), (3, 4.0), (4, 4.0))  # numbers of tags and distances [m] in the YAML
+
+
+@dataclass(frozen=True)
+class FilterLaws:
+    """Laws that code for filters needs."""
+
+    laws: Mapping[str, Law]
+    """Laws of `horizontal`, `vertical`, `tilt` and `heading`."""
+    rules: Mapping[str, Mapping[str, Rule]]
+    """Rules `squared` and `photonvision` for `horizontal` and `heading`."""
+    reach: float
+    """Distance of a single tag above which its pose is ambiguous, metres; infinite without a limit."""
+    nearest: float
+    """Least mean distance of the views from which the laws were fitted, metres."""
+    farthest: float
+    """Greatest mean distance of these views, metres."""
+    about: str
+    """Description of the room, the tags and the camera in a line."""
+
+    def __post_init__(self) -> None:
+        if "\n" in self.about:
+            raise InputError("about must be a single line.", "about")
+
+    def deviations(self, distance: float, tags: int, names: Sequence[str] = ("horizontal", "heading")) -> list[float]:
+        """Standard deviations for a mean distance [m], limited to the fitted range, and a number of tags.
+
+        Infinite for a single tag beyond `reach`.
+        """
+        if tags == 1 and distance > self.reach:
+            return [np.inf] * len(names)
+        at = np.array([min(max(distance, self.nearest), self.farthest)]), np.array([tags])
+        return [float(self.laws[name].at(*at)[0]) for name in names]
+
+
+def _number(value: float) -> str:
+    return f"{value:.5g}" if "." in f"{value:.5g}" or "e" in f"{value:.5g}" else f"{value:.5g}.0"
+
+
+def _row(law: PowerLaw) -> str:
+    return ", ".join(_number(value) for value in (law.scale, law.distance, law.tags))
+
+
+def java(laws: FilterLaws) -> str:
+    """Java class for WPILib."""
+    h, t = laws.laws["horizontal"], laws.laws["heading"]
+    squared, photon = laws.rules["squared"], laws.rules["photonvision"]
+    reach = "Double.POSITIVE_INFINITY" if np.isinf(laws.reach) else _number(laws.reach)
+    return f"""\
+package frc.robot;
+
+import edu.wpi.first.math.Matrix;
+import edu.wpi.first.math.VecBuilder;
+import edu.wpi.first.math.numbers.N1;
+import edu.wpi.first.math.numbers.N3;
+
+/**
+ * Standard deviations of a pose from tags in one image, for setVisionMeasurementStdDevs and addVisionMeasurement.
+ *
+ * <p>{laws.about}
+ */
+public final class {CLASS} {{
+  // Scale, exponent of the distance [m], exponent of the number of tags.
+  private static final double[] ONE_POSITION = {{{_row(h.one)}}}; // metres
+  private static final double[] ONE_HEADING = {{{_row(t.one)}}}; // radians
+  private static final double[] SEVERAL_POSITION = {{{_row(h.several)}}};
+  private static final double[] SEVERAL_HEADING = {{{_row(t.several)}}};
+  private static final double NEAREST = {_number(laws.nearest)}; // metres
+  private static final double FARTHEST = {_number(laws.farthest)};
+
+  /** Distance [m] above which the pose from a single tag is ambiguous. */
+  public static final double SINGLE_TAG_REACH = {reach};
+
+  // For code that keeps the formula of PhotonVision's example: times 1 + distance * distance / 30.
+  public static final Matrix<N3, N1> kSingleTagStdDevs =
+      VecBuilder.fill({_triple(photon, "one")});
+  public static final Matrix<N3, N1> kMultiTagStdDevs =
+      VecBuilder.fill({_triple(photon, "several")});
+  // For code that keeps the formula of AdvantageKit's template: times distance * distance / tags.
+  public static final double linearStdDevBaseline = {_number(squared["horizontal"].several)};
+  public static final double angularStdDevBaseline = {_number(squared["heading"].several)};
+
+  private {CLASS}() {{}}
+
+  /**
+   * Standard deviations of x [m], y [m] and heading [rad].
+   *
+   * @param distance mean distance from the camera to the tags in view, metres
+   * @param tags number of tags in view
+   */
+  public static Matrix<N3, N1> stdDevs(double distance, int tags) {{
+    if (tags < 1 || (tags == 1 && distance > SINGLE_TAG_REACH)) {{
+      return VecBuilder.fill(Double.MAX_VALUE, Double.MAX_VALUE, Double.MAX_VALUE);
+    }}
+    double position = law(tags == 1 ? ONE_POSITION : SEVERAL_POSITION, distance, tags);
+    double heading = law(tags == 1 ? ONE_HEADING : SEVERAL_HEADING, distance, tags);
+    return VecBuilder.fill(position, position, heading);
+  }}
+
+  private static double law(double[] law, double distance, int tags) {{
+    double at = Math.min(Math.max(distance, NEAREST), FARTHEST);
+    return law[0] * Math.pow(at, law[1]) / Math.pow(tags, law[2]);
+  }}
+}}
+"""
+
+
+def _triple(rules: Mapping[str, Rule], group: str) -> str:
+    position, heading = (_number(getattr(rules[name], group)) for name in ("horizontal", "heading"))
+    return f"{position}, {position}, {heading}"
+
+
+def python(laws: FilterLaws) -> str:
+    """Python module for WPILib (RobotPy), which takes a tuple."""
+    h, t = laws.laws["horizontal"], laws.laws["heading"]
+    squared, photon = laws.rules["squared"], laws.rules["photonvision"]
+    reach = "math.inf" if np.isinf(laws.reach) else _number(laws.reach)
+    return f'''\
+"""Standard deviations of a pose from tags in one image, for setVisionMeasurementStdDevs and addVisionMeasurement.
+
+{laws.about}
+"""
+
+import math
+import sys
+
+# Scale, exponent of the distance [m], exponent of the number of tags.
+ONE_POSITION = ({_row(h.one)})  # metres
+ONE_HEADING = ({_row(t.one)})  # radians
+SEVERAL_POSITION = ({_row(h.several)})
+SEVERAL_HEADING = ({_row(t.several)})
+NEAREST, FARTHEST = {_number(laws.nearest)}, {_number(laws.farthest)}  # metres
+SINGLE_TAG_REACH = {reach}  # distance [m] above which the pose from a single tag is ambiguous
+
+# For code that keeps the formula of PhotonVision's example: times 1 + distance * distance / 30.
+SINGLE_TAG_STD_DEVS = ({_triple(photon, "one")})
+MULTI_TAG_STD_DEVS = ({_triple(photon, "several")})
+# For code that keeps the formula of AdvantageKit's template: times distance * distance / tags.
+LINEAR_STD_DEV_BASELINE = {_number(squared["horizontal"].several)}
+ANGULAR_STD_DEV_BASELINE = {_number(squared["heading"].several)}
+
+
+def std_devs(distance: float, tags: int) -> tuple[float, float, float]:
+    """Standard deviations of x [m], y [m] and heading [rad].
+
+    Args:
+        distance: mean distance from the camera to the tags in view, metres.
+        tags: number of tags in view.
+    """
+    if tags < 1 or (tags == 1 and distance > SINGLE_TAG_REACH):
+        return (sys.float_info.max,) * 3
+    at = min(max(distance, NEAREST), FARTHEST)
+
+    def law(scale: float, by_distance: float, by_tags: float) -> float:
+        return scale * at**by_distance / tags**by_tags
+
+    position = law(*(ONE_POSITION if tags == 1 else SEVERAL_POSITION))
+    return position, position, law(*(ONE_HEADING if tags == 1 else SEVERAL_HEADING))
+'''
+
+
+def robot_localization(laws: FilterLaws) -> str:
+    """YAML with parameters for `robot_localization`, and covariance diagonals for the node that publishes the poses.
+
+    The diagonal has x, y, z [m^2], roll, pitch and yaw [rad^2]: elements 0, 7, 14, 21, 28 and 35 of the covariance of a
+    `PoseWithCovarianceStamped`.
+    """
+    names = ("horizontal", "vertical", "tilt", "heading")
+    rows = []
+    for tags, distance in TYPICAL:
+        found = laws.deviations(distance, tags, names)
+        if not np.isfinite(found).all() or not laws.nearest <= distance <= laws.farthest:
+            continue
+        x, z, tilt, heading = (_number(value**2) for value in found)
+        diagonal = f"[{x}, {x}, {z}, {tilt}, {tilt}, {heading}]"
+        rows.append(f"    - {{tags: {tags}, distance: {distance:g}, diagonal: {diagonal}}}")
+    lines = [
+        f"# {laws.about}",
+        "# robot_localization takes the covariance of a pose from its message, PoseWithCovarianceStamped: the node",
+        "# that publishes poses writes x, y, z (m^2), roll, pitch, yaw (rad^2) into elements 0, 7, 14, 21, 28, 35.",
+        "ekf_filter_node:",
+        "  ros__parameters:",
+        "    pose0: /tags/pose  # of the camera's body, or of the robot, in the frame of the map",
+        f"    pose0_config: [{', '.join(['true'] * 6 + ['false'] * 9)}]",
+        "    pose0_differential: false",
+        "    pose0_relative: false",
+        "# For the node that publishes poses: sd = scale * distance^distance_exponent / tags^tags_exponent, m and rad.",
+        "tag_pose_covariance:",
+        f"  single_tag_reach: {'.inf' if np.isinf(laws.reach) else _number(laws.reach)}  # metres; beyond it ambiguous",
+        "  laws:",
+    ]
+    for name in names:
+        for group, law in (("one_tag", laws.laws[name].one), ("several_tags", laws.laws[name].several)):
+            keys = ("scale", law.scale), ("distance_exponent", law.distance), ("tags_exponent", law.tags)
+            lines.append(f"    {name}_{group}: {{{', '.join(f'{key}: {_number(value)}' for key, value in keys)}}}")
+    return "\n".join([*lines, "  examples:" if rows else "  examples: []", *rows]) + "\n"
