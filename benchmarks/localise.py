@@ -80,7 +80,8 @@ def real(folder: Path, edge: float) -> None:
         moved = ", ".join(f"{one.tag} by {1e3 * one.metres:.1f} mm" for one in result.changes.moved)
         refused = sum(state.name not in ("LOCALISED", "NO_TAG") for state in result.found.states)
         print(f"{told}: {moved or 'none'}; {result.changes.contradicted} contradict; "
-              f"vanished: {result.vanished or 'none'}; inflation {result.changes.inflation:.1f}; refused {refused}; {seconds:.1f} s", flush=True)  # fmt: skip
+              f"vanished: {result.vanished or 'none'}; "
+              f"inflation {result.changes.inflation:.1f}; refused {refused}; {seconds:.1f} s", flush=True)  # fmt: skip
 
 
 def speed(frames: int, tags: int, each: int) -> None:
@@ -130,7 +131,8 @@ def changes(drives: int, moved: float) -> None:
         alarms, gone = alarms + len(named), gone + len(result.vanished)
         compared += len(result.changes.compared)
     print(f"{drives} walks: {alarms} false alarms of {compared} tags, {gone} taken for vanished; "
-          f"moved by {moved:g} mm: found {found} of {tried}, distance off by at most {max(off, default=np.nan):.1f} mm")  # fmt: skip
+          f"moved by {moved:g} mm: found {found} of {tried}, "
+          f"distance off by at most {max(off, default=np.nan):.1f} mm")  # fmt: skip
 
 
 def main() -> None:
