@@ -256,7 +256,7 @@ def to_text(result: Localisation) -> str:
     lines["changes"] = f"{len(every) or 'none'}; {compared}"
     if result.changes.contradicted:
         lines["map"] = f"{result.changes.contradicted} tags differ from it, too many to have been moved: is it another "
-        lines["map"] += "calibration or tag.edge, or are localise.place and localise.turn too small?"
+        lines["map"] += "calibration or another edge of the tags, or does the map state too small errors?"
     if result.changes.inflation > 1.0:
         lines["blocks"] = f"of time disagree {result.changes.inflation:.1f} times as much as corners explain"
     width = max(map(len, lines))
