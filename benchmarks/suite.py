@@ -2,6 +2,7 @@
 
     python benchmarks/suite.py hashes               # write the hash of each document that has none, refuse others
     python benchmarks/suite.py bounds [NAME ...]    # proven bounds, a minute each
+    python benchmarks/suite.py collect FOLDER       # records from the runs of a tournament
     python benchmarks/suite.py best [NAME ...] [--optimiser annealing] [--evaluations N] [--seeds 3]
 
 `best` searches with the largest budget of the problem by default, and records a candidate that is better than the one
@@ -10,11 +11,13 @@ known. Its value is that of the NumPy reference.
 
 import argparse
 import io
+import json
 import re
 import sys
 from dataclasses import replace
 from functools import reduce
 from operator import add
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -24,14 +27,17 @@ import lmd.suite
 from lmd.evaluation.bounds import Search, affordable, average_upper_bound, fitness_upper_bound
 from lmd.evaluation.time_limit import TimeLimit
 from lmd.evaluation.validation import headline_off_grid, validation_metrics
-from lmd.formats.rigs import write_rig
+from lmd.formats.rigs import read_mounts, rig_of, write_rig
 from lmd.objectives.coverage import MeanCoverage
 from lmd.optimisers.annealing import Annealing
 from lmd.optimisers.camera_annealing import CameraAnnealing
 from lmd.optimisers.greedy import Greedy
 from lmd.optimisers.ledger import Budget
+from lmd.scene.deployment import Deployment
+from lmd.scene.rig import Rig
 from lmd.suite.best import POINT, best_path, reference_fitness
 from lmd.suite.documents import FOLDER, Document
+from lmd.suite.frozen import camera_of
 
 OPTIMISERS = {"annealing": Annealing, "camera_annealing": CameraAnnealing, "greedy": Greedy}
 BOUND_SECONDS = 90.0
@@ -77,20 +83,37 @@ def best(name: str, optimiser: str | None, evaluations: int | None, seed: int) -
     cameras = "cameras" in frozen.problem
     method = optimiser or ("camera_annealing" if cameras else "annealing")
     result = OPTIMISERS[method](seed=seed).run(box.problem, Budget(budget))
-    problem = box.problem if result.rig is None else box.problem.with_rig(result.rig)
-    value = reference_fitness(problem, result.deployment)
+    record(frozen, box, result.deployment, result.rig, f"{method}, {budget} evaluations, seed {seed}")
+
+
+def record(frozen: Document, box: lmd.suite.BlackBox, deployment: Deployment, rig: Rig | None, by: str) -> None:
+    """Record a candidate if it is better than the one known."""
+    problem = box.problem if rig is None else box.problem.with_rig(rig)
+    value = reference_fitness(problem, deployment)
     known = -1.0 if frozen.best is None else frozen.best.value
-    print(f"{name} {method} seed {seed}: {value:.6f}, known {known:.6f}", flush=True)
+    print(f"{frozen.name} {by}: {value:.6f}, known {known:.6f}", flush=True)
     if value <= known + LEAST_GAIN:
         return
-    off_grid = validation_metrics(problem, result.deployment, 0)[headline_off_grid(problem)]
+    off_grid = validation_metrics(problem, deployment, 0)[headline_off_grid(problem)]
     path = best_path(frozen)
-    if result.rig is None:
-        result.deployment.to_csv(path, ups=not problem.scene.tag.is_point)
+    if rig is None:
+        deployment.to_csv(path, ups=not problem.scene.tag.is_point)
     else:
-        write_rig(path, result.rig, dict.fromkeys(result.rig.cameras))
-    by = f"{method}, {budget} evaluations, seed {seed}"
+        write_rig(path, rig, dict.fromkeys(rig.cameras))
     put(frozen, "best", {"value": value, "off_grid": round(float(off_grid), 6), "by": by})
+
+
+def collect(folder: Path) -> None:
+    """Record the best run of each problem of a tournament."""
+    for runs in sorted(path for path in folder.glob("runs/*") if path.is_dir()):
+        frozen, box = lmd.suite.document(runs.name), lmd.suite.problem(runs.name, threads=None)
+        fitness = {path.parent: json.loads(path.read_text())["metrics"]["fitness"] for path in runs.glob("*/run.json")}
+        found = max(fitness, key=fitness.__getitem__)
+        _, evaluations, *entry, seed = found.name.split()
+        by = f"{' '.join(entry)}, {evaluations} evaluations, {seed.replace('=', ' ')}"
+        rig = found / "rig.yaml"
+        cameras = rig_of(read_mounts(str(rig)), camera_of(frozen)) if rig.exists() else None
+        record(frozen, box, Deployment.from_csv(found / "landmarks.csv"), cameras, by)
 
 
 def front(frozen: Document, box: lmd.suite.BlackBox, budget: int, seed: int) -> None:
@@ -131,12 +154,15 @@ def put(frozen: Document, key: str, value: object) -> None:
 def main() -> int:
     """Run the command line."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("what", choices=("hashes", "bounds", "best"))
+    parser.add_argument("what", choices=("hashes", "bounds", "best", "collect"))
     parser.add_argument("names", nargs="*")
     parser.add_argument("--optimiser", choices=[*OPTIMISERS])
     parser.add_argument("--evaluations", type=int)
     parser.add_argument("--seeds", type=int, default=3)
     given = parser.parse_args()
+    if given.what == "collect":
+        collect(Path(given.names[0]))
+        return 0
     names = given.names or lmd.suite.names()
     if given.what == "hashes":
         return hashes()

@@ -1,13 +1,13 @@
-"""Detections of a survey, from photographs, a video, or a file of detections."""
+"""Input of surveys and localisations: detections from photographs, a video, or a file; odometry."""
 
 import os
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
-from omegaconf import DictConfig
+from omegaconf import DictConfig, OmegaConf
 
-from .nodes import keyed
+from .nodes import detector_of, keyed
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from lmd.detection.images import Images
     from lmd.formats.detections import DetectedTags
     from lmd.geometry.camera import Camera
+    from lmd.geometry.trajectory import Trajectory
 
 CHUNK = 8  # number of images that a worker reads at once
 
@@ -142,3 +143,47 @@ def _read(job: Chunk) -> "list[tuple[Detections, float]]":
         detections = job.detector.detect(image)
         found.append((detections, blur_of(image, detections, job.modules)))
     return found
+
+
+def reader_of(cfg: DictConfig) -> "tuple[str, Detector]":
+    """Name of the detector, and the detector.
+
+    Raises:
+        InputError: there is no detector, there are several, or the corner errors of the detector are unknown.
+    """
+    from lmd.core.checks import InputError
+    from lmd.detection.corner_errors import CORNER_ERRORS
+
+    named = list(cfg.get("detectors") or {})
+    if len(named) != 1:
+        raise InputError(f"detectors must name one detector, got {named}.")
+    detector = detector_of(cfg, named[0])
+    if named[0].removesuffix("_fine") not in CORNER_ERRORS:
+        known = ", ".join(CORNER_ERRORS)
+        raise InputError(f"detectors: of {named[0]} it is not known how far its corners are off, as it is of {known}.")
+    return named[0], detector
+
+
+def odometry_of(given: Any, key: str) -> "Trajectory | None":
+    """Trajectory of the body, given a path or the keys of a trajectory file.
+
+    Args:
+        given: value at the key; None without odometry.
+        key: key of the configuration.
+
+    Raises:
+        InputError: the file cannot be read, or is no trajectory.
+    """
+    from lmd.core.checks import InputError
+    from lmd.formats.trajectories import TrajectoryFile
+
+    if given is None:
+        return None
+    given = OmegaConf.to_container(given, resolve=True) if OmegaConf.is_config(given) else given
+    keys = given if isinstance(given, dict) else {"path": given}
+    known = ("path", "frame", "times", "rate", "mount")
+    if unknown := [key for key in keys if key not in known]:
+        raise InputError(f"{key} has the key {unknown[0]!r}, but takes {', '.join(known)}.")
+    with keyed(key, **({} if isinstance(given, dict) else {"path": key})):
+        file = TrajectoryFile(**{str(key): value for key, value in keys.items()})
+        return file.trajectory

@@ -4,7 +4,7 @@ import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from omegaconf import DictConfig, OmegaConf
 
@@ -13,17 +13,15 @@ from .building import camera_of
 from .earlier_run import read_earlier_run
 from .export import build_export
 from .landmarks import axes_in, fixed_of
-from .nodes import detector_of, instantiate, keyed, note, settings_of
+from .nodes import instantiate, keyed, note, settings_of
 from .operations.signals import Stopped, stop
 from .outputs import write_all
-from .photographs import detected
+from .photographs import detected, odometry_of, reader_of
 from .pipeline import Pipeline
 from .survey_files import audit_writers, check_folder, writers_of
 
 if TYPE_CHECKING:
-    from lmd.detection.detectors import Detector
     from lmd.geometry.camera import Camera
-    from lmd.geometry.trajectory import Trajectory
     from lmd.scene.rig import Rig
     from lmd.scene.scene import Scene
     from lmd.scene.tag import Tag
@@ -57,7 +55,7 @@ def survey(cfg: DictConfig) -> None:
         tag.check_edge()
     given = camera_of(cfg.camera)
     cameras = given.cameras
-    name, detector = _detector(cfg)
+    name, detector = reader_of(cfg)
     known, room = _known(cfg, tag, given), instantiate(cfg.room) if cfg.get("room") else None
     scene = _scene(cfg, room, given, tag) if boolean("audit", cfg.audit) else None
     exports = build_export(cfg, "export", tag)
@@ -116,25 +114,6 @@ def _map_or_nothing(stages: "Stages") -> Iterator[None]:
         raise
 
 
-def _detector(cfg: DictConfig) -> "tuple[str, Detector]":
-    """Name of the detector, and the detector.
-
-    Raises:
-        InputError: there is no detector, there are several, or the corner errors of the detector are unknown.
-    """
-    from lmd.core.checks import InputError
-    from lmd.detection.corner_errors import CORNER_ERRORS
-
-    named = list(cfg.get("detectors") or {})
-    if len(named) != 1:
-        raise InputError(f"detectors must name one detector, got {named}.")
-    detector = detector_of(cfg, named[0])
-    if named[0].removesuffix("_fine") not in CORNER_ERRORS:
-        known = ", ".join(CORNER_ERRORS)
-        raise InputError(f"detectors: of {named[0]} it is not known how far its corners are off, as it is of {known}.")
-    return named[0], detector
-
-
 def _scene(cfg: DictConfig, room: "Space | None", camera: "Camera | Rig", tag: "Tag") -> "Scene":
     """Scene of the audit; an unknown room is replaced by a placeholder.
 
@@ -173,7 +152,7 @@ def _known(cfg: DictConfig, tag: "Tag", given: "Camera | Rig") -> "PriorKnowledg
         settings.pop(key)
     names = ("origin", "points", "floor", "boards", "printed", "mounted", "odometry", "motion")
     origin, points, floor, boards, printed, mounted, path, motion = (settings.pop(key, None) for key in names)
-    odometry = _odometry(path)
+    odometry = odometry_of(path, "survey.odometry")
     steady = None if motion == "auto" else boolean("survey.motion", motion)
     with keyed("survey"):
         hanging = Hanging(**{str(key): value for key, value in settings.items()})
@@ -193,26 +172,6 @@ def _known(cfg: DictConfig, tag: "Tag", given: "Camera | Rig") -> "PriorKnowledg
     note("" if plan is None else plan.note)
     with keyed("survey"):
         return PriorKnowledge(plan, hanging, fixed, points, boards, mounts, origin, floor, odometry, steady)
-
-
-def _odometry(given: Any) -> "Trajectory | None":
-    """Trajectory of the body, given a path or the keys of a trajectory file.
-
-    Raises:
-        InputError: the file cannot be read, or is no trajectory.
-    """
-    from lmd.core.checks import InputError
-    from lmd.formats.trajectories import TrajectoryFile
-
-    if given is None:
-        return None
-    keys = given if isinstance(given, dict) else {"path": given}
-    known = ("path", "frame", "times", "rate", "mount")
-    if unknown := [key for key in keys if key not in known]:
-        raise InputError(f"survey.odometry has the key {unknown[0]!r}, but takes {', '.join(known)}.")
-    with keyed("survey.odometry", **({} if isinstance(given, dict) else {"path": "survey.odometry"})):
-        file = TrajectoryFile(**{str(key): value for key, value in keys.items()})
-        return file.trajectory
 
 
 main = Pipeline("survey", survey, (read_earlier_run,))

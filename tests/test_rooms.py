@@ -26,7 +26,19 @@ FLOORS = (
         "problem",
         "cameras",
     ),
-    *("optimisers", "detection", "estimation", "export", "survey", "evaluation", "run", "suite", "plot", "planner"),
+    *(
+        "optimisers",
+        "detection",
+        "estimation",
+        "export",
+        "survey",
+        "localise",
+        "evaluation",
+        "run",
+        "suite",
+        "plot",
+        "planner",
+    ),
 )
 MODULES = {
     ".".join(("lmd", *path.relative_to(ROOT).with_suffix("").parts)).removesuffix(".__init__"): path

@@ -11,7 +11,7 @@ Modules in the order of a survey, each with its result:
 - `gauge` moves all poses into one world frame, and removes the choice of that frame from covariances.
 - `residuals` has reprojection errors, Jacobians and robust weights, and `schur` has the normal equations from which
   frames are eliminated. `adjustment` minimises the robust loss; `linked_adjustment` does so for frames that motion
-  links.
+  links, by a `chain`, the factor of a band matrix.
 - `map_estimate` is the map with covariances and outliers. `nuisances` refines the map together with `intrinsics`,
   shifts of corners and shapes of tags. `resampling` finds errors that are correlated in time, and localises held-out
   frames.

@@ -102,7 +102,7 @@ def join_groups(sightings: Sightings, poses: Poses, group: IntArray, prior: Prio
     parts = _parts(sightings, poses, group, prior)
     nodes = Nodes.of(sightings, parts, prior.motion)
     tags = np.where((group < 0)[:, None, None], np.eye(4), poses.tags)
-    there, motion = _adjusted(nodes, _smoothest(nodes, replace(poses, tags=tags)))
+    there, motion = _adjusted(nodes, smoothest(nodes, replace(poses, tags=tags)))
     joint = replace(prior.motion, spread=motion.spread, gaps=motion.gaps, bridged=motion.bridged)
     worlds, joined = _worlds(replace(nodes, motion=motion), there.frames, joint)
     tags = np.where((parts < 0)[:, None, None], np.nan, worlds[parts] @ there.tags)
@@ -154,7 +154,7 @@ def _fitting(sightings: Sightings, poses: Poses) -> BoolArray:
     return np.asarray(agreeing(sightings, np.where(np.isfinite(error), error, np.inf)))
 
 
-def _smoothest(nodes: Nodes, poses: Poses) -> Poses:
+def smoothest(nodes: Nodes, poses: Poses) -> Poses:
     """Poses of the nodes in the worlds of their parts: the smoothest sequence of poses from their largest sightings and
     from the rough poses of frames.
     """
@@ -194,11 +194,11 @@ def _adjusted(nodes: Nodes, poses: Poses) -> tuple[Poses, Motion]:
         adjustment = LinkedAdjustment(some, Prior(poses.tags, information, None, poses.mounts, motion))
         poses, floor = adjustment.run(poses, FLOOR_PIXELS, STEPS)
         motion = adjustment.estimate_motion(poses, floor)
-    _check_odometry(adjustment, poses)
+    check_odometry(adjustment, poses)
     return poses, motion if motion.is_odometry else with_bridged_gaps(motion, poses.frames)
 
 
-def _check_odometry(adjustment: LinkedAdjustment, poses: Poses) -> None:
+def check_odometry(adjustment: LinkedAdjustment, poses: Poses) -> None:
     """Raise `InputError` if odometry contradicts the images."""
     if not adjustment.motion.is_odometry or not len(adjustment.links.first):
         return

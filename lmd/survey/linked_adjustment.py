@@ -15,12 +15,13 @@ Source: MacKay, "Bayesian Interpolation".
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import NamedTuple
+from typing import Any
 
 import numpy as np
 
 from lmd.core.checks import BoolArray, FloatArray, IntArray
 from lmd.survey.adjustment import LEAST_SHARE, Adjustment
+from lmd.survey.chain import Chain, banded
 from lmd.survey.motion import Motion
 from lmd.survey.prior import Prior
 from lmd.survey.residuals import Poses
@@ -36,50 +37,6 @@ SPREAD_STEPS, MOST_CHANGE, SETTLED = 3, 10.0, 0.03
 WEAKEST = 1e-9  # information on velocities without links
 
 
-class Chain(NamedTuple):
-    """Factors of the matrix [B c; c^T d] for n unknowns of frames and e unknowns of the odometry's bias; B is a band
-    matrix.
-    """
-
-    factor: FloatArray
-    """Banded Cholesky factor of B."""
-    border: FloatArray
-    """`(n, e)` c; e is 0 or 6."""
-    reached: FloatArray
-    """`(n, e)` B^-1 c."""
-    left: FloatArray
-    """`(e, e)` d - c^T B^-1 c."""
-
-    @classmethod
-    def of(cls, band: FloatArray, border: FloatArray, corner: FloatArray) -> "Chain":
-        """Factor a matrix that is given by the lower band of B, by c and by d."""
-        from scipy.linalg import cho_solve_banded, cholesky_banded
-
-        factor = cholesky_banded(band, lower=True, check_finite=False)
-        reached = cho_solve_banded((factor, True), border) if border.size else border
-        return cls(factor, border, reached, corner - border.T @ reached)
-
-    def solved(self, right: FloatArray, bias: FloatArray | None = None) -> FloatArray:
-        """Solution for the frames, `(n, m)`.
-
-        Args:
-            right: right side of the frames, `(n, m)`.
-            bias: right side of the bias, for all m, `(e,)`; None for 0.
-        """
-        from scipy.linalg import cho_solve_banded
-
-        own = cho_solve_banded((self.factor, True), right, check_finite=False)
-        if not self.left.size:
-            return np.asarray(own)
-        rest = -self.border.T @ own + (0.0 if bias is None else bias[:, None])
-        return np.asarray(own - self.reached @ np.linalg.solve(self.left, rest))
-
-    @property
-    def log_determinant(self) -> float:
-        """Log-determinant of the matrix."""
-        return 2.0 * float(np.log(self.factor[0]).sum()) + float(np.linalg.slogdet(self.left)[1])
-
-
 class LinkedAdjustment(Adjustment):
     """Bundle adjustment of sightings in frames that `prior.motion` links, see `SchurSystem`."""
 
@@ -92,6 +49,7 @@ class LinkedAdjustment(Adjustment):
         self._waiting: list[tuple[Eliminated, FloatArray, IntArray, IntArray]] = []
         self._chain = Chain.of(np.ones((1, 1)), np.empty((1, 0)), np.empty((0, 0)))
         self._right = np.empty((0, 0)), np.empty(0)  # right sides of the frames and of the bias
+        self._coupling: Any = None  # block of the matrix of the frames and the kept unknowns, sparse
 
     def prior_losses(self, poses: Poses) -> list[float]:
         """Losses of the priors and of the links."""
@@ -149,9 +107,10 @@ class LinkedAdjustment(Adjustment):
         border[first + 1] += from_second @ at.by_bias
         corner = np.eye(len(at.bias)) + (from_bias @ at.by_bias).sum(axis=0)
         self._right = pull, -at.bias - (from_bias @ at.error[..., None]).sum(axis=0)[:, 0]
-        self._chain = Chain.of(_banded(diagonal, below), border.reshape(size * count, -1), corner)
+        self._chain = Chain.of(banded(diagonal, below), border.reshape(size * count, -1), corner)
         values, across, along = (np.concatenate(each) for each in entries)
         coupling = coo_array((values, (across, along)), shape=(size * count, len(matrix))).tocsc()
+        self._coupling = coupling
         right -= (coupling.T @ self._chain.solved(pull.reshape(-1, 1), self._right[1])).reshape(-1, 6)
         for start in range(0, len(matrix), COLUMNS):
             some = slice(start, start + COLUMNS)
@@ -174,6 +133,24 @@ class LinkedAdjustment(Adjustment):
         informed = np.flatnonzero(np.diag(matrix) > 0.0)
         kept = float(np.linalg.slogdet(matrix[np.ix_(informed, informed)])[1])
         return kept + self._chain.log_determinant
+
+    def frame_covariances(self, poses: Poses, floor: float) -> FloatArray:
+        """Marginal covariance of the right-hand twist of each frame of `seen`, `(F, 6, 6)`, as `Adjustment.covariance`.
+
+        With the matrix B of the frames, their block H_fk with the kept unknowns, and the covariance C of the kept
+        unknowns, the covariance is B^-1 + B^-1 H_fk C H_kf B^-1.
+        """
+        slope, spread = self.efficiency(poses, floor)
+        matrix, *_ = self.schur_system(poses, floor, 0.0, slope**2 / spread)
+        informed = np.flatnonzero(np.diag(matrix) > 0.0)
+        values, vectors = np.linalg.eigh(np.linalg.inv(matrix[np.ix_(informed, informed)]))
+        root = vectors * np.sqrt(np.maximum(values, 0.0))
+        found, coupling = self._chain.inverse_blocks(self.links.size), self._coupling[:, informed]
+        for start in range(0, len(informed), COLUMNS):
+            reached = self._chain.solved(coupling @ root[:, start : start + COLUMNS])
+            reached = reached.reshape(len(found), self.links.size, -1)
+            found += reached @ np.swapaxes(reached, 1, 2)
+        return found[:, :6, :6]
 
     def _update_share(self, poses: Poses, floor: float) -> None:
         """Set the share of the squared errors that remains after a fit, links included."""
@@ -225,18 +202,6 @@ def _undamped(block: FloatArray) -> FloatArray:
     each = np.arange(block.shape[1])
     result[:, each, each] = (block[:, each, each] - LEAST_DAMPING) / (1.0 + LEAST_DAMPING)
     return result
-
-
-def _banded(diagonal: FloatArray, below: FloatArray) -> FloatArray:
-    """Lower band of a block tridiagonal matrix with blocks `(F, b, b)`, in scipy's layout, `(2 b, F b)`."""
-    count, size, _ = diagonal.shape
-    banded = np.zeros((2 * size, count, size))
-    for column in range(size):
-        rows = np.arange(size)
-        low = rows[column:]
-        banded[low - column, :, column] = diagonal[:, low, column].T
-        banded[size + rows - column, :, column] = below[:, :, column].T
-    return banded.reshape(2 * size, count * size)
 
 
 def adjustment_of(sightings: Sightings, prior: Prior, nuisances: bool = False, inflation: float = 1.0) -> Adjustment:

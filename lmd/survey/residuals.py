@@ -116,7 +116,7 @@ def squared_errors(sightings: Sightings, poses: Poses) -> FloatArray:
     return Reprojection(sightings, *poses.of(sightings)).squared
 
 
-def student_weight(square: FloatArray, residuals: int = RESIDUALS) -> FloatArray:
+def student_weight(square: FloatArray, residuals: int | IntArray = RESIDUALS) -> FloatArray:
     """Weights (nu + d) / (nu + chi^2) for d residuals."""
     return np.asarray((DEGREES_OF_FREEDOM + residuals) / (DEGREES_OF_FREEDOM + square))
 

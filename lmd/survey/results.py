@@ -16,6 +16,9 @@ from lmd.survey.survey import Survey
 
 SIGHTINGS = "sightings"  # column of the number of inliers of a tag
 AXES = ("x", "y", "z", "rx", "ry", "rz")
+TWISTS = ("tilt_x", "tilt_y", "turn", "right", "up", "out")  # components of a twist in the frame of a tag
+# Columns of the standard deviations of a tag beside the other tags, along its own axes, rad and metres.
+SIGMA_COLUMNS = tuple(f"sigma_{name}" for name in TWISTS)
 # A tag of the map needs another photograph if it has fewer inliers than `FEW`, or a sigma above `LOOSE` times the
 # median.
 FEW, LOOSE = 3, 3.0
@@ -56,14 +59,18 @@ def measured_of(survey: Survey) -> Deployment | None:
 
 
 def map_columns(survey: Survey) -> dict[str, ArrayLike]:
-    """Columns of `map.csv`: tags, and covariances of positions, m^2, and rotations, rad^2, in the world frame."""
+    """Columns of `map.csv`: tags; standard deviations beside the other tags, rad and metres, in the frames of the tags;
+    covariances of positions, m^2, and rotations, rad^2, in the world frame.
+    """
     tags = map_of(survey)
     vectors = np.hstack([tags.places, tags.normals, tags.ups])
     covariances = survey.found.in_world(survey.found.covariances)[survey.placed]
+    squares = np.diagonal(survey.found.gauge_free_covariances[survey.placed], axis1=1, axis2=2)
+    own = dict(zip(SIGMA_COLUMNS, np.sqrt(np.maximum(squares, 0.0)).T, strict=True))
     upper = {f"cov_{AXES[i]}_{AXES[j]}": covariances[:, i, j] for i in range(len(AXES)) for j in range(i, len(AXES))}
     assert tags.labels is not None
     columns = {ID: tags.ids, **dict(zip((*COLUMNS, *UP_COLUMNS), vectors.T, strict=True)), EDGE: tags.edges}
-    return {**columns, **tags.labels.columns, "sigma": survey.found.sigmas[survey.placed], **upper}
+    return {**columns, **tags.labels.columns, "sigma": survey.found.sigmas[survey.placed], **own, **upper}
 
 
 def frame_columns(survey: Survey) -> dict[str, ArrayLike]:
@@ -104,7 +111,7 @@ def tag_columns(survey: Survey) -> dict[str, ArrayLike]:
         "misfits": found.sightings.counts(found.misfits),
         "error": [np.median(errors) if errors.size else np.nan for errors in own],
         "sigma": np.where(survey.placed, found.sigmas, np.nan),
-        **dict(zip(("tilt_x", "tilt_y", "turn", "right", "up", "out"), moved.T, strict=True)),
+        **dict(zip(TWISTS, moved.T, strict=True)),
     }
 
 

@@ -19,6 +19,9 @@ FILES = {
     "half.csv": "yaw,pitch,weight\n0,0,0.5\n",
     "negative.csv": "yaw,pitch,weight\n0,0,-1\n0,1,2\n",
     "tilt.csv": "yaw,tilt,weight\n0,0,1\n",
+    "map.csv": HEADER + "3,0,2,3,1,0,0\n",
+    "seen.csv": "time,id,x0,y0,x1,y1,x2,y2,x3,y3\n0,3,10,20,30,20,30,40,10,40\n",
+    "others.csv": "time,id,x0,y0,x1,y1,x2,y2,x3,y3\n0,7,10,20,30,20,30,40,10,40\n",
     "taken": "",
 }
 CAMERA = "pixel_width=0.0116 pixel_height=0.0116 principal_point=[400,300] image_width=800 image_height=600"
@@ -31,6 +34,7 @@ SETTINGS = {
     "detect": f"{FRAMES} poses=24 pictures=1 deployments=[uniform]",
     "observe": "room.spacing=3 seeds=2 trajectory.duration=4 trajectory.pace.frame_rate=10 deployments=[uniform]",
     "survey": "photographs=photos camera.path=camera.yaml tag.edge=0.25 workers=1",
+    "localise": "map=map.csv detections=seen.csv camera.path=camera.yaml tag.edge=0.25",
     "tradeoff": SEARCHES,
 }
 FILE, MEASURED = "deployment=file deployment.path=", "deployment=file deployment.path=wide.csv tag.edge=0.2 "
@@ -148,6 +152,19 @@ CASES = [
     ("survey", "images=two.csv", "images goes with detections=FILE.csv: with photographs it is known which there are"),
     ("survey", "deployment=random", "deployment must be a file"),
     ("survey", "camera.path=two.csv", "two.csv"),
+    ("localise", "map=null", "map=FILE must be given, a tag map, or run=DIR"),
+    ("localise", "map=nowhere.csv", "map: there is no file 'nowhere.csv'"),
+    ("localise", "map=photos", "there is no file 'photos/map.csv'"),
+    ("localise", "deployment.path=map.csv", "map and deployment.path both name a map"),
+    ("localise", "tag.edge=null", "tag.edge must be given, in metres: the map has no edge of tag 3"),
+    ("localise", "photographs=photos", "photographs=DIR, a folder or a video, or detections=FILE.csv must be given"),
+    ("localise", "detections=others.csv", "detections has no tag of the map, only others such as 7"),
+    ("localise", "localise.place=0", "localise.place must be greater than 0, got 0"),
+    ("localise", "localise.motion=2", "localise.motion must be true or false, got 2"),
+    ("localise", "localise.odometry={file:a.csv}", "localise.odometry has the key 'file', but takes path, frame"),
+    ("localise", "localise.odometry=nowhere.csv", "localise.odometry: there is no file 'nowhere.csv'"),
+    ("localise", "detectors=[]", "detectors must name one detector, got []"),
+    ("localise", "deployment=random", "deployment must be a file"),
     ("survey", "\"camera.rig=[{camera: camera.yaml}, {camera: camera.yaml}]\"", "each of 2 cameras, 'photos' has 0"),
 ]  # fmt: skip
 
@@ -156,7 +173,7 @@ CASES = [
 def test_bad_input_gets_one_sentence_and_leaves_nothing(command, overrides, message, tmp_path):
     for name, text in FILES.items():
         Path(tmp_path, name).write_text(text)
-    if command == "survey":
+    if command in ("survey", "localise"):
         (tmp_path / "photos").mkdir()
         (tmp_path / "cut.mp4").write_bytes(b"\0\0\0\x18ftypisom\0\0\0\0isom")
         photographs.calibration(tmp_path / "camera.yaml", Camera(2.2, 0.0075, 0.0075, (320.0, 240.0), 640, 480, 0.0))

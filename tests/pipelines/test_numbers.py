@@ -38,6 +38,7 @@ PIPELINES = {
     "calibrate_detector": [*SMALL, "frames=2"],
     "estimate_pdf": ["recording=simulated", "recording.duration=60"],
     "survey": ["camera=lab", "detections=seen.csv"],
+    "localise": ["camera=lab", "detections=seen.csv", "map=map.csv"],
     "view": SMALL,
     "runs": [],
     "report": [],
@@ -99,6 +100,7 @@ def _nothing_begins(monkeypatch, tmp_path):
         "pipelines.operations.tracking.MlflowReader",
         "lmd.planner.server.Planner",
         "lmd.survey.survey.survey",
+        "lmd.localise.localise.localise",
     ):
         monkeypatch.setattr(name, _begin)
     monkeypatch.setattr("hydra.utils.instantiate", _remembered)
@@ -106,6 +108,7 @@ def _nothing_begins(monkeypatch, tmp_path):
     monkeypatch.setattr("pipelines.compare._compose", lambda _, cfg, __: cfg)
     (tmp_path / "outputs").mkdir()
     (tmp_path / "seen.csv").write_text("time,id,x0,y0,x1,y1,x2,y2,x3,y3\n0,3,10,20,30,20,30,40,10,40\n")
+    (tmp_path / "map.csv").write_text("id,x,y,z,nx,ny,nz,edge\n3,0,0,1,0,1,0,0.1\n")
     monkeypatch.chdir(tmp_path)
     yield
     HydraConfig.instance().cfg = None

@@ -1,0 +1,133 @@
+"""Localisation: all steps from detections and a fixed map to poses with covariances, in order."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from lmd.core.checks import FloatArray, InputError
+from lmd.detection.corner_errors import CornerErrors
+from lmd.formats.detections import DetectedTags
+from lmd.geometry.camera import Camera
+from lmd.geometry.trajectory import Trajectory
+from lmd.localise.changes import Changes, find_changes
+from lmd.localise.fixed_map import FixedMap
+from lmd.localise.image_poses import ImagePoses, image_poses
+from lmd.localise.smoothing import SmoothedPoses, smoothed_poses
+from lmd.localise.vanished import vanished_tags
+from lmd.scene.tag import Tag
+from lmd.space.space import Space
+from lmd.survey.motion import Motion, seconds_of
+from lmd.survey.sightings import Sightings, sightings_of
+from lmd.survey.survey import FEWEST_BELIEVED
+
+TRIED_FRAMES = 40  # frames of several tags by which the first corner of detections is found
+
+
+@dataclass(frozen=True)
+class Localisation:
+    """Result of a localisation; frames in the order of `detected.times`."""
+
+    detected: DetectedTags
+    """Detections, with corners in the order of the tags' frames."""
+    known: FixedMap
+    """The map."""
+    renumbered: int
+    """Number of corners by which the first corner of all detections was moved back."""
+    found: ImagePoses
+    """Poses of single images."""
+    smoothed: SmoothedPoses | None
+    """Smoothed poses; None if the motion between frames is unknown."""
+    changes: Changes
+    """Tags that were moved since the map was made, and new tags."""
+    vanished: dict[int, int]
+    """Number of views in which each tag that vanished should have been detected, by id."""
+
+
+def localise(
+    detected: DetectedTags,
+    cameras: Sequence[Camera],
+    tag: Tag,
+    errors: CornerErrors,
+    known: FixedMap,
+    mounts: FloatArray | None = None,
+    odometry: Trajectory | None = None,
+    steady: bool | None = None,
+    room: Space | None = None,
+) -> Localisation:
+    """Localise the frames of detections in a map.
+
+    Args:
+        detected: detections.
+        cameras: cameras in the order of `detected.cameras`.
+        tag: family of the tags.
+        errors: errors of the detector's corners.
+        known: map.
+        mounts: poses of the cameras on the body, which is the first camera; None for one camera.
+        odometry: trajectory of the body in any frame; None if unknown.
+        steady: False if the velocity may change at once, so that poses are not smoothed without odometry.
+
+        room: room of the map, whose surfaces hide tags; None if unknown.
+
+    Raises:
+        InputError: no detection has a tag of the map, the cameras are others, or odometry contradicts the images.
+    """
+    if not np.isin(detected.ids, known.ids).any():
+        shown = ", ".join(map(str, np.unique(detected.ids)[:5].tolist()))
+        raise InputError(f"detections has no tag of the map, only others such as {shown}.", "detections")
+    poses = np.tile(np.eye(4), (len(cameras), 1, 1)) if mounts is None else mounts
+
+    def sighted(some: DetectedTags) -> Sightings:
+        return sightings_of(some, cameras, known.ids, known.edges, tag.modules, errors)
+
+    quarters = 0 if detected.in_order else _quarters(detected, known, sighted, poses)
+    if quarters:
+        detected = detected.renumbered(known.ids, np.full(len(known.ids), quarters))
+    sightings = sighted(detected)
+    if not len(sightings):
+        raise InputError("detections has no tag of the map wholly within an image; is it another camera?", "detections")
+    found = image_poses(sightings, known.poses, poses, known.sigmas)
+    changes = find_changes(_with_new_tags(detected, cameras, tag, errors, known), known, poses, found)
+    present = changes.updated(known)
+    if changes.moved:
+        found = image_poses(sightings, present.poses, poses, present.sigmas)
+    seconds = seconds_of(detected.times)
+    motion = None
+    if odometry is not None:
+        motion = Motion.by_odometry(seconds, odometry)
+    elif steady is not False and np.isfinite(seconds).all():
+        motion = Motion.steady(seconds)
+    smoothed = None if motion is None else smoothed_poses(found, motion, present.sigmas)
+    vanished = vanished_tags(found, present, cameras, room)
+    return Localisation(detected, known, quarters, found, smoothed, changes, vanished)
+
+
+def _with_new_tags(
+    detected: DetectedTags, cameras: Sequence[Camera], tag: Tag, errors: CornerErrors, known: FixedMap
+) -> Sightings:
+    """Sightings of the tags of the map, and of other tags that were detected twice or more."""
+    often, counts = np.unique(detected.ids[detected.ids < tag.ids], return_counts=True)
+    ids = np.union1d(known.ids, often[counts >= FEWEST_BELIEVED])
+    edges = np.full(len(ids), np.median(known.edges) if tag.is_point else tag.size)
+    edges[np.searchsorted(ids, known.ids)] = known.edges
+    return sightings_of(detected, cameras, ids, edges, tag.modules, errors)
+
+
+def _quarters(
+    detected: DetectedTags, known: FixedMap, sighted: Callable[[DetectedTags], Sightings], mounts: FloatArray
+) -> int:
+    """Quarter turns by which the corners of detections are numbered from another corner: those with which most
+    sightings of frames with several tags of the map fit; 0 in a tie.
+    """
+    of_map = np.flatnonzero(np.isin(detected.ids, known.ids))
+    counts = np.bincount(detected.frame[of_map], minlength=len(detected.times))
+    several = np.flatnonzero(counts > 1)
+    tried = several[:: max(1, len(several) // TRIED_FRAMES)]
+    some = detected.of(of_map[np.isin(detected.frame[of_map], tried)]) if len(tried) else None
+    if some is None:
+        return 0
+    fits = []
+    for quarters in range(4):
+        turned = sighted(some.renumbered(known.ids, np.full(len(known.ids), quarters)))
+        fits.append(int(image_poses(turned, known.poses, mounts, known.sigmas).used.sum()))
+    return int(np.argmax(fits))

@@ -1,0 +1,122 @@
+"""Tags that vanished: tags of the map that were detected in no image, although several images should show them.
+
+A tag should be seen in an image if it lies wholly within the image, is as large and as little oblique as tags that the
+drive did detect, and is not hidden. In a known room, its surfaces tell what is hidden. In an unknown room, a tag is
+taken to be in view only beside a detected tag on the same wall. The share of such views in which other tags were
+detected is the probability of a detection; views from nearly one place count once.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from lmd.core.checks import BoolArray, FloatArray
+from lmd.geometry.camera import Camera
+from lmd.geometry.projection import project
+from lmd.geometry.se3 import act, angle_between
+from lmd.localise.fixed_map import FixedMap
+from lmd.localise.image_poses import ImagePoses
+from lmd.space.space import Space
+from lmd.survey.sightings import SQUARE, shortest_side
+
+VANISHED = 1e-3  # greatest probability that a tag was missed in all views by chance
+MOST_RATE = 0.9  # greatest probability of a detection that is assumed
+FEWEST_VIEWS = 4  # minimum number of views, not counting views from nearly one place
+LOWEST = 0.1  # quantile of the sizes, and of the obliquities, of detected tags below which a tag need not be detected
+BORDER = 5.0  # least distance of corners from the border of the image, pixels
+# Tags are on one wall if the cosine of their normals' angle, and their distance along and off the wall, metres, allow.
+PARALLEL, ON_WALL, BESIDE = 0.95, 0.1, 1.5
+OFF_WALL = 0.02  # distance before a tag at which lines of sight end, metres
+APART_M, APART_RAD = 0.2, 0.2  # least distance and rotation of views that count separately
+
+
+def vanished_tags(
+    found: ImagePoses, known: FixedMap, cameras: Sequence[Camera], room: Space | None = None
+) -> dict[int, int]:
+    """Find tags that vanished.
+
+    Args:
+        found: poses of images, with sightings of the tags of the map.
+        known: map.
+        cameras: cameras of the body.
+        room: room; None if unknown.
+
+    Returns:
+        number of views, in which the tag should have been detected, by the id of each tag that vanished.
+    """
+    frames = np.flatnonzero(found.localised)
+    some, count = found.sightings, len(known.ids)
+    tag = np.searchsorted(known.ids, some.ids)[some.tag]  # sightings have tags of the map only
+    if not len(frames) or not found.used.any():
+        return {}
+    views = np.zeros((2, len(frames), count), dtype=bool)  # in view, and detected
+    least_size = float(np.quantile(some.sizes[found.used], LOWEST))
+    towards = _cosines(found.poses.frames[some.frame] @ found.poses.mounts[some.camera], known.poses[tag])
+    least_cosine = float(np.quantile(towards[found.used], LOWEST))
+    for number, camera in enumerate(cameras):
+        poses = found.poses.frames[frames] @ found.poses.mounts[number]
+        seen = np.zeros((len(found.states), count), dtype=bool)
+        own = some.camera == number
+        seen[some.frame[own], tag[own]] = True
+        seen = seen[frames]
+        inside = np.stack([_inside(camera, poses, known, k, least_size, least_cosine) for k in range(count)], axis=1)
+        clear = _in_open(known, seen) if room is None else _clear(room, poses, known, inside)
+        views[0] |= inside & clear
+        views[1] |= seen
+    detected = np.bincount(tag, minlength=count) > 0
+    rate = min(float(views[1][:, detected][views[0][:, detected]].mean()), MOST_RATE) if views[0].any() else 0.0
+    result = {}
+    for k in np.flatnonzero(~detected):
+        number = _separate(found.poses.frames[frames[views[0][:, k]]])
+        if number >= FEWEST_VIEWS and (1.0 - rate) ** number < VANISHED:
+            result[int(known.ids[k])] = number
+    return result
+
+
+def _cosines(poses: FloatArray, tags: FloatArray) -> FloatArray:
+    """Cosine of the angle between the normal of each tag and the direction to the camera, `(n,)`."""
+    way = poses[:, :3, 3] - tags[:, :3, 3]
+    return np.asarray((way * tags[:, :3, 2]).sum(axis=1) / np.linalg.norm(way, axis=1))
+
+
+def _inside(camera: Camera, poses: FloatArray, known: FixedMap, k: int, size: float, cosine: float) -> BoolArray:
+    """Mask of the poses `(n, 4, 4)` from which tag k is wholly within the image, large and frontal enough, `(n,)`."""
+    corners = act(known.poses[k], known.edges[k] / 2.0 * SQUARE)
+    result = np.zeros(len(poses), dtype=bool)
+    ahead = np.flatnonzero(_cosines(poses, np.broadcast_to(known.poses[k], poses.shape)) >= cosine)
+    image = project(camera, poses[ahead], corners[None])
+    low, high = BORDER, np.array([camera.image_width, camera.image_height]) - BORDER
+    result[ahead] = ((image >= low) & (image <= high)).all(axis=(1, 2)) & (shortest_side(image) >= size)
+    return result
+
+
+def _in_open(known: FixedMap, seen: BoolArray) -> BoolArray:
+    """Mask of the tags of which another tag on the same wall is detected in the image, `(n, K)`."""
+    places, normals = known.poses[:, :3, 3], known.poses[:, :3, 2]
+    way = places[None] - places[:, None]
+    off = np.abs((way * normals[:, None]).sum(axis=2))
+    beside = (normals @ normals.T > PARALLEL) & (off < ON_WALL) & (np.linalg.norm(way, axis=2) < BESIDE)
+    np.fill_diagonal(beside, False)
+    return np.asarray(seen @ beside.T)
+
+
+def _clear(room: Space, poses: FloatArray, known: FixedMap, inside: BoolArray) -> BoolArray:
+    """Mask of the tags that no surface of the room hides, `(n, K)`."""
+    result = np.zeros_like(inside)
+    view, tag = np.nonzero(inside)
+    ends = known.poses[tag, :3, 3] + OFF_WALL * known.poses[tag, :3, 2]
+    if len(view):
+        result[view, tag] = room.contains(ends) & room.clear(poses[view, :3, 3], ends)
+    return result
+
+
+def _separate(poses: FloatArray) -> int:
+    """Number of poses that differ from all earlier poses that are counted."""
+    kept: list[FloatArray] = []
+    for pose in poses:
+        there: FloatArray = np.array(kept).reshape(-1, 4, 4)
+        near = np.linalg.norm(there[:, :3, 3] - pose[:3, 3], axis=1) < APART_M
+        near &= angle_between(there, np.broadcast_to(pose, there.shape)) < APART_RAD
+        if not near.any():
+            kept.append(pose)
+    return len(kept)

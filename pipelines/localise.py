@@ -1,0 +1,110 @@
+"""Localise photographs in a map: `python -m pipelines.localise map=FILE photographs=DIR camera.path=FILE`."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from omegaconf import DictConfig
+
+from .app import run_directory
+from .building import camera_of
+from .earlier_run import read_earlier_run
+from .landmarks import axes_in
+from .nodes import instantiate, keyed, note, settings_of
+from .outputs import write_all, write_document
+from .photographs import detected, odometry_of, reader_of
+from .pipeline import Pipeline
+from .tracked_run import keep, tracked
+
+if TYPE_CHECKING:
+    from lmd.localise.fixed_map import FixedMap
+    from lmd.scene.tag import Tag
+
+FILES = ("poses.csv", "poses.tum", "smoothed.csv", "smoothed.tum", "changes.csv", "localise.json")
+DETECTED = "detections.csv"
+SURVEYED = "map.csv"  # map in the folder of a survey
+
+
+def localise(cfg: DictConfig) -> None:
+    """Localise the configured photographs or detections."""
+    from lmd.core.checks import InputError, boolean, seed_number
+    from lmd.core.tables import write_table
+    from lmd.detection.corner_errors import CORNER_ERRORS
+    from lmd.formats.detection_formats import write_detections
+    from lmd.localise import results
+    from lmd.localise.localise import localise as find
+    from lmd.scene.rig import Rig
+
+    seed_number(cfg.seed)
+    tag = instantiate(cfg.tag)
+    given = camera_of(cfg.camera)
+    name, detector = reader_of(cfg)
+    known, room = _map(cfg, tag), instantiate(cfg.room) if cfg.get("room") else None
+    settings = settings_of(cfg, "localise")
+    odometry = odometry_of(settings.odometry, "localise.odometry")
+    with keyed("localise"):
+        steady = None if settings.motion == "auto" else boolean("motion", settings.motion)
+    if steady and odometry is not None:
+        raise InputError("localise.motion is for drives without odometry: leave one of the two out.")
+    for file in (*FILES, DETECTED):
+        if (run_directory() / file).is_dir():
+            raise InputError(f"hydra.run.dir: {str(run_directory() / file)!r} is a folder, not a file to write.")
+    seen = detected(cfg, given.cameras, detector, tag.modules)
+    with keyed(
+        "localise",
+        detections="detections" if cfg.detections is not None else "photographs",
+        cameras="camera",
+        map="map",
+    ):
+        mounts = given.mounted if isinstance(given, Rig) else None
+        errors = CORNER_ERRORS[name.removesuffix("_fine")]
+        found = find(seen, given.cameras, tag, errors, known, mounts, odometry, steady, room)
+    about = f"localisation of {found.found.localised.sum()} of {len(seen.times)} frames"
+    with tracked(cfg, "localisation", about) as tracker:
+        writers = {
+            "poses.csv": lambda path: write_table(path, results.image_columns(found)),
+            "poses.tum": lambda path: path.write_text(results.tum_text(found, found.found.poses.frames)),
+            "smoothed.csv": lambda path: write_table(path, results.smoothed_columns(found)),
+            "smoothed.tum": lambda path: path.write_text(
+                results.tum_text(found, None if found.smoothed is None else found.smoothed.frames)
+            ),
+            "changes.csv": lambda path: write_table(path, results.change_columns(found)),
+            "localise.json": lambda path: write_document(path, results.localise_document(found)),
+        }
+        if cfg.detections is None:
+            writers[DETECTED] = lambda path: write_detections(path, seen)
+        files = write_all(run_directory(), writers)
+        keep(tracker, files, results.metrics(found))
+    print(f"{results.to_text(found)}\nfiles: {run_directory()}: {', '.join(file.name for file in files)}")
+    print(f"mlflow: {tracker.describe()}")
+
+
+def _map(cfg: DictConfig, tag: "Tag") -> "FixedMap":
+    """Map of the tags.
+
+    Raises:
+        InputError: there is no map, there are two, or the file is refused.
+    """
+    from lmd.core.checks import InputError
+    from lmd.localise.fixed_map import FixedMap, MapErrors
+
+    node, settings = settings_of(cfg, "deployment"), settings_of(cfg, "localise")
+    if "path" not in node:
+        raise InputError("deployment must be a file, deployment.path=tags.csv, or that of a run, run=DIR.")
+    if cfg.map is None and node.path is None:
+        raise InputError("map=FILE must be given, a tag map, or run=DIR.")
+    if cfg.map is not None and node.path is not None and cfg.run is None:
+        raise InputError("map and deployment.path both name a map: leave one of the two out.")
+    key, path = ("deployment.path", node.path) if cfg.map is None else ("map", cfg.map)
+    if Path(str(path)).is_dir():
+        path = str(Path(str(path)) / SURVEYED)
+    with keyed("localise", map=key, axes="deployment.axes", edge="tag.edge", family="tag.family"):
+        errors = MapErrors(settings.place, settings.turn)
+        found = FixedMap.read(path, tag, errors, axes_in(node))
+    note(found.note)
+    return found
+
+
+main = Pipeline("localise", localise, (read_earlier_run,))
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,141 @@
+"""Changes of a map: tags that were moved, that vanished, and that are new."""
+
+from dataclasses import replace
+
+import localise_drives as ld
+import numpy as np
+import pytest
+import walks
+from scipy.stats import chi2
+
+from lmd.geometry.se3 import exp
+from lmd.localise.changes import MOVED_CHI_SQUARE, _Comparison
+from lmd.localise.fixed_map import FixedMap
+from lmd.localise.results import change_columns, changes_of, localise_document, to_text
+from lmd.space.cuboid import Cuboid
+from lmd.survey.residuals import Poses
+
+ROOM = Cuboid((5.0, 4.0, 2.5), reachable_size=(4.0, 3.0, 1.5), spacing=1.0)
+
+
+def kinds(result):
+    return {(change.tag, change.kind) for change in changes_of(result)}
+
+
+def moved_by(metres, seed):
+    """Twist by a shift in a random direction."""
+    way = np.random.default_rng(seed).normal(size=3)
+    return np.r_[np.zeros(3), metres * way / np.linalg.norm(way)]
+
+
+def test_the_statistic_has_its_distribution_and_no_tag_is_a_false_alarm():
+    """6 walks with 16 tags each, of which none was moved; errors of corners and of the map are as stated."""
+    squares = []
+    for seed in range(6):
+        walk = ld.walked(seed)
+        result = ld.localised(walk)
+        assert result.changes.moved == ()
+        assert result.vanished == {}
+        some = walks.sightings(walk.detected, walk.known.ids, sigma=ld.NOISE)
+        poses = Poses(walk.known.poses, result.found.poses.frames, np.eye(4)[None])
+        comparison = _Comparison(some, walk.known.poses, walk.known.sigmas, poses)
+        comparison.search(np.zeros(16, dtype=bool))
+        squares += comparison.squares[comparison.is_compared].tolist()
+    assert len(squares) > 80
+    low, high = chi2.ppf([0.005, 0.995], 6 * len(squares))
+    assert low < np.sum(squares) < high
+    assert max(squares) < MOVED_CHI_SQUARE
+
+
+@pytest.mark.parametrize("metres", [0.02, 0.1, 0.6])
+def test_a_moved_tag_is_found_and_its_images_are_localised_with_its_new_pose(metres):
+    for seed in range(3):
+        tag = 5 + seed
+        walk = ld.walked(seed, moved={tag: moved_by(metres, seed)})
+        result = ld.localised(walk)
+        assert kinds(result) == {(tag, "moved")}
+        (one,) = result.changes.moved
+        assert abs(one.metres - metres) < 0.008
+        off = np.linalg.norm(one.pose[:3, 3] - walk.true[tag, :3, 3])
+        assert off < 4.0 * np.sqrt(np.trace(one.covariance[3:, 3:]))
+        square = ld.squares(result.found.poses.frames, result.found.covariances, walk.frames)[:, 0]
+        assert square.mean() < 12.0
+        assert f"tag {tag} was moved by {1e3 * one.metres:.3g} mm" in to_text(result)
+
+
+def test_two_moved_tags_and_one_that_turned_are_all_found():
+    moved = {2: moved_by(0.03, 0), 9: moved_by(0.5, 1), 12: np.r_[0.0, 0.0, 0.3, 0.0, 0.0, 0.0]}
+    result = ld.localised(ld.walked(4, moved=moved))
+    assert kinds(result) == {(2, "moved"), (9, "moved"), (12, "moved")}
+    table = change_columns(result)
+    assert table["rotation"][2] == pytest.approx(0.3, abs=0.03)
+    assert table["distance"][2] < 0.01
+    shift = [table[f"moved_{name}"][0] for name in ("right", "up", "out")]
+    np.testing.assert_allclose(shift, moved[2][3:], atol=0.006)
+
+
+@pytest.mark.parametrize("room", [None, ROOM], ids=["unknown", "known"])
+def test_a_tag_that_hangs_no_more_vanished(room):
+    """The walk has 200 images; without a room, other tags on the wall have to be in view."""
+    walk = ld.walked(6, tags=28, frames=200)
+    detected = walk.detected.of(np.flatnonzero(walk.detected.ids != 13))
+    result = ld.localised(walk, detected, room=room)
+    assert kinds(result) == {(13, "vanished")}
+    assert f"tag 13 vanished: {result.vanished[13]} views should show it" in to_text(result)
+    assert np.isnan(change_columns(result)["x"]).all()
+
+
+def test_a_tag_behind_a_wall_did_not_vanish():
+    """A tag of the map hangs in another room, behind the wall that the images show."""
+    walk = ld.walked(6, tags=28, frames=200)
+    hidden = walk.known.poses[13] @ exp(np.array([0.0, 0.0, 0.0, 0.0, 0.0, -0.5]))
+    poses = walk.known.poses.copy()
+    poses[13] = hidden
+    known = replace(walk.known, poses=poses)
+    detected = walk.detected.of(np.flatnonzero(walk.detected.ids != 13))
+    for room in (None, ROOM):
+        assert ld.localised(walk._replace(known=known), detected, room=room).vanished == {}
+
+
+@pytest.mark.parametrize("number", [3, 40])
+def test_a_tag_that_the_map_lacks_is_new(number):
+    """Tag 7 is not in the map; its id comes between the ids of the map, or after them."""
+    walk = ld.walked(8)
+    ids = np.array([0, 1, 2, *range(4, 8), number, *range(8, 16)]) if number == 3 else np.arange(16)
+    new = 7
+    kept = np.flatnonzero(np.arange(16) != new)
+    renamed = np.where(walk.detected.ids == new, 40, walk.detected.ids + (walk.detected.ids >= number))
+    if number == 40:
+        renamed = np.where(walk.detected.ids == new, 40, walk.detected.ids)
+        known = FixedMap(ids[kept], walk.known.poses[kept], walk.known.edges[kept], walk.known.sigmas[kept])
+        numbered = 40
+    else:
+        own = np.arange(16) + (np.arange(16) >= 3)
+        renamed = np.where(walk.detected.ids == new, 3, own[walk.detected.ids])
+        known = FixedMap(own[kept], walk.known.poses[kept], walk.known.edges[kept], walk.known.sigmas[kept])
+        numbered = 3
+    result = ld.localised(walk._replace(known=known), replace(walk.detected, ids=renamed))
+    assert kinds(result) == {(numbered, "new")}
+    (one,) = result.changes.new
+    off = np.linalg.norm(one.pose[:3, 3] - walk.true[new, :3, 3])
+    assert off < 4.0 * np.sqrt(np.trace(one.covariance[3:, 3:]))
+    assert localise_document(result)["changes"][0].startswith(f"tag {numbered} is new, at (")
+
+
+def test_ids_that_were_misread_change_nothing():
+    """Three per cent of the ids are those of other tags."""
+    walk = ld.walked(9, frames=100)
+    rng = np.random.default_rng(0)
+    wrong = rng.uniform(size=len(walk.detected)) < 0.03
+    ids = np.where(wrong, rng.integers(0, 60, len(wrong)), walk.detected.ids)
+    result = ld.localised(walk, replace(walk.detected, ids=ids))
+    assert kinds(result) == set()
+
+
+def test_a_map_that_the_images_contradict_as_a_whole_has_no_moved_tags():
+    """The map states a fiftieth of its errors."""
+    walk = ld.walked(3, place=0.01, turn=0.02)
+    result = ld.localised(walk._replace(known=replace(walk.known, sigmas=walk.known.sigmas / 50.0)))
+    assert result.changes.moved == ()
+    assert result.changes.contradicted > 4
+    assert f"{result.changes.contradicted} tags differ from it, too many to have been moved" in to_text(result)

@@ -1,0 +1,184 @@
+"""Poses of images in a fixed map: errors within their covariances, and images that are refused."""
+
+from dataclasses import replace
+
+import drives
+import localise_drives as ld
+import numpy as np
+import pytest
+import walks
+from scipy.stats import chi2
+
+from lmd.core.checks import InputError
+from lmd.geometry.se3 import angle_between, camera_pose, exp
+from lmd.localise.fixed_map import FixedMap, MapErrors
+from lmd.localise.image_poses import State
+from lmd.localise.localise import localise
+from lmd.localise.results import image_columns, in_map, localise_document, smoothed_columns, to_text, tum_text
+from lmd.scene.tag import Tag
+from lmd.survey.chain import Chain, banded
+
+
+def test_normalised_errors_of_single_images_are_within_their_bounds():
+    """Of 6 walks with a sure map, all images together: jointly, of rotation, and of position."""
+    every = []
+    for seed in range(6):
+        walk = ld.walked(seed, place=1e-5, turn=1e-5)
+        found = ld.localised(walk).found
+        assert found.localised.sum() > 50
+        every.append(ld.squares(found.poses.frames, found.covariances, walk.frames))
+    for column, freedom in enumerate((6, 3, 3)):
+        ld.check_bounds(np.concatenate(every)[:, column], freedom)
+
+
+def test_errors_of_the_map_are_in_the_covariance():
+    """Errors of one map are alike in all images, so each of 24 walks counts with one image."""
+    first = []
+    for seed in range(24):
+        walk = ld.walked(seed, frames=3, place=0.004, turn=0.008)
+        found = ld.localised(walk).found
+        first.append(ld.squares(found.poses.frames, found.covariances, walk.frames)[0])
+    for column, freedom in enumerate((6, 3, 3)):
+        ld.check_bounds(np.stack(first)[:, column], freedom)
+
+
+@pytest.mark.parametrize("by", ["constant velocity", "odometry"])
+def test_smoothed_poses_are_nearer_and_their_covariances_hold(by):
+    """A drive in which most images show one tag; its errors are correlated, so bounds are those of its seconds."""
+    rng = np.random.default_rng(7)
+    driven = drives.drive(15.0, 12, rng)
+    known = FixedMap(np.arange(12), driven.tags, np.full(12, drives.EDGE), np.full((12, 6), 1e-4))
+    path = drives.odometry(driven, rng) if by == "odometry" else None
+    errors = walks.constant_errors(0.2)
+    result = localise(driven.detected, [drives.CAMERA], Tag(drives.EDGE), errors, known, odometry=path)
+    single, smoothed = result.found, result.smoothed
+    assert smoothed is not None
+    away = [np.nanmedian(np.linalg.norm(one[:, :3, 3] - driven.frames[:, :3, 3], axis=1))
+            for one in (single.poses.frames, smoothed.frames)]  # fmt: skip
+    assert away[1] < 0.6 * away[0]
+    square = ld.squares(smoothed.frames, smoothed.covariances, driven.frames)[:, 0]
+    seconds = round(len(driven.times) / drives.RATE)
+    low, high = chi2.ppf([0.005, 0.995], 6 * seconds) / (6 * seconds)
+    assert low < square.mean() / 6.0 < high
+    lines = tum_text(result, smoothed.frames).splitlines()
+    assert len(lines) == 1 + np.isfinite(smoothed.frames[:, 0, 0]).sum()
+    assert "smoothed" in to_text(result)
+    assert set(smoothed_columns(result)["state"]) == {"smoothed", State.NO_TAG.value}
+
+
+def test_diagonal_blocks_of_the_inverse_of_a_chain():
+    rng = np.random.default_rng(0)
+    for border in (0, 6):
+        diagonal, below = rng.normal(size=(2, 5, 12, 12))
+        diagonal = diagonal @ np.swapaxes(diagonal, 1, 2) + 30.0 * np.eye(12)
+        whole = np.zeros((60 + border, 60 + border))
+        for k in range(5):
+            own, following = slice(12 * k, 12 * k + 12), slice(12 * k + 12, 12 * k + 24)
+            whole[own, own] = diagonal[k]
+            if k < 4:
+                whole[following, own], whole[own, following] = below[k], below[k].T
+        across, corner = rng.normal(size=(60, border)), 50.0 * np.eye(border)
+        whole[:60, 60:], whole[60:, :60], whole[60:, 60:] = across, across.T, corner
+        blocks = Chain.of(banded(diagonal, below), across, corner).inverse_blocks(12)
+        expected = np.linalg.inv(whole)
+        for k in range(5):
+            np.testing.assert_allclose(blocks[k], expected[12 * k : 12 * k + 12, 12 * k : 12 * k + 12], atol=1e-12)
+
+
+def shown(walk, frames, seed=0):
+    """The walk's detections from other poses of the camera."""
+    detected = walks.photographed(walk.true, frames, np.random.default_rng(seed), ld.NOISE)
+    return replace(detected, times=tuple(f"{k}.png" for k in range(len(frames))))
+
+
+def test_one_distant_tag_from_in_front_has_two_poses():
+    """A tag that is seen from 3.5 m in front is refused, and the same tag from the side is not."""
+    walk = ld.walked(0, tags=1, place=1e-4, turn=1e-4)
+    tag = walk.true[0]
+    ahead = tag @ np.array([[1.0, 0, 0, 0], [0, -1, 0, 0], [0, 0, -1, 0], [0, 0, 0, 1]])
+    far = ahead @ exp(np.array([0, 0, 0, 0, 0, -3.5]))
+    aside = ahead @ exp(np.array([0, 1.0, 0, 0, 0, 0])) @ exp(np.array([0, 0, 0, 0, 0, -1.0]))
+    result = ld.localised(walk, shown(walk, np.stack([far, aside])))
+    assert result.found.states == (State.TWO_POSES, State.LOCALISED)
+    assert angle_between(result.found.poses.frames[1], aside) < 0.02
+    both = result.found.others[0]
+    assert min(angle_between(both, np.broadcast_to(far, (2, 4, 4)))) < 0.2
+    assert localise_document(result)["refused"] == {"0.png": State.TWO_POSES.value}
+    assert "1 (0.png): one tag, whose two poses cannot be told apart" in to_text(result)
+    table = image_columns(result)
+    assert table["tags"][1] == 1
+    assert np.isnan(table["cov_x_x"][0])
+    assert tum_text(result, result.found.poses.frames).splitlines()[1] == "# the images have no times"
+
+
+def test_images_are_refused_without_a_tag_and_where_tags_contradict_each_other():
+    walk = ld.walked(3)
+    detected = walk.detected
+    counts = np.bincount(detected.frame, minlength=60)
+    contradicted, unknown = np.flatnonzero(counts == 2)[0], np.flatnonzero(counts > 2)[0]
+    ids, corners = detected.ids.copy(), detected.corners.copy()
+    ids[detected.frame == unknown] += 100
+    corners[np.flatnonzero(detected.frame == contradicted)[0]] += [150.0, 90.0]
+    result = ld.localised(walk, replace(detected, ids=ids, corners=corners))
+    assert result.found.states[unknown] is State.NO_TAG
+    assert result.found.states[contradicted] is State.RESIDUAL
+    assert np.isnan(result.found.covariances[[unknown, contradicted]]).all()
+    assert result.found.localised.sum() > 50
+
+
+@pytest.mark.parametrize("quarters", [1, 2, 3])
+def test_corners_that_begin_elsewhere_are_renumbered(quarters):
+    walk = ld.walked(2)
+    turned = replace(walk.detected.renumbered(walk.known.ids, np.full(16, quarters)), in_order=False)
+    result = ld.localised(walk, turned)
+    assert (result.renumbered + quarters) % 4 == 0
+    expected = ld.localised(walk)
+    np.testing.assert_allclose(result.found.poses.frames, expected.found.poses.frames, atol=1e-9)
+
+
+def test_two_cameras_on_a_body_are_localised_together():
+    walk = ld.walked(5)
+    mounts = np.stack([np.eye(4), camera_pose([0.1, 0.0, 0.0], np.pi, 0.0, 0.0)])
+    detected = walks.photographed(walk.true, walk.frames, np.random.default_rng(1), ld.NOISE, mounts=mounts)
+    errors = walks.constant_errors(ld.NOISE)
+    found = localise(detected, [walks.CAMERA] * 2, Tag(walks.EDGE), errors, walk.known, mounts=mounts).found
+    assert found.localised.sum() > 55
+    ld.check_bounds(ld.squares(found.poses.frames, found.covariances, walk.frames)[::6, 0], 6, slack=1.3)
+
+
+def test_covariances_in_the_axes_of_the_map():
+    pose = camera_pose([1.0, 2.0, 3.0], 0.3, 0.2, 0.1)
+    twists = np.random.default_rng(0).normal(size=(400000, 6)) * [0.01, 0.02, 0.03, 0.01, 0.02, 0.03]
+    moved = pose @ exp(twists)
+    found = in_map(pose[None], np.cov(twists.T)[None])[0]
+    np.testing.assert_allclose(np.cov((moved[:, :3, 3] - pose[:3, 3]).T), found[:3, :3], atol=1e-5)
+    turned = moved[:, :3, :3] @ pose[:3, :3].T
+    about = np.stack([turned[:, 2, 1] - turned[:, 1, 2], turned[:, 0, 2] - turned[:, 2, 0],
+                      turned[:, 1, 0] - turned[:, 0, 1]], axis=1) / 2.0  # fmt: skip
+    np.testing.assert_allclose(np.cov(about.T), found[3:, 3:], atol=1e-5)
+
+
+def test_a_surveyed_map_brings_its_standard_deviations(tmp_path):
+    text = "id,x,y,z,nx,ny,nz,edge,sigma_tilt_x,sigma_tilt_y,sigma_turn,sigma_right,sigma_up,sigma_out\n"
+    file = tmp_path / "map.csv"
+    file.write_text(f"{text}5,0,0,1,0,1,0,0.1,.01,.02,.03,.001,.002,.003\n2,1,0,1,0,1,0,0.1,,,,,,\n")
+    known = FixedMap.read(file, Tag(0.2), MapErrors(place=0.01, turn=0.05))
+    assert known.ids.tolist() == [2, 5]
+    np.testing.assert_allclose(known.sigmas, [[0.05] * 3 + [0.01] * 3, [0.01, 0.02, 0.03, 0.001, 0.002, 0.003]])
+    file.write_text(f"{text}5,0,0,1,0,1,0,0.1,.01,.02,.03,.001,.002,x\n")
+    with pytest.raises(InputError, match=r"map\.csv: a standard deviation of a tag is no number"):
+        FixedMap.read(file, Tag(0.2), MapErrors())
+    file.write_text("id,x,y,z,nx,ny,nz\n1,0,0,1,0,1,0\n1,1,0,1,0,1,0\n")
+    with pytest.raises(InputError, match=r"\b1\b"):
+        FixedMap.read(file, Tag(0.2), MapErrors())
+    file.write_text("id,x,y,z,nx,ny,nz\n1,0,0,1,0,1,0\n")
+    with pytest.raises(InputError, match=r"edge must be given, in metres: the map has no edge of tag 1"):
+        FixedMap.read(file, Tag(None), MapErrors())
+
+
+def test_other_tags_than_those_of_the_map_are_refused():
+    walk = ld.walked(1)
+    with pytest.raises(InputError, match="detections has no tag of the map, only others such as 100, 101"):
+        ld.localised(walk, replace(walk.detected, ids=walk.detected.ids + 100))
+    with pytest.raises(InputError, match="cameras must be one for each"):
+        localise(walk.detected, [], Tag(walks.EDGE), walks.constant_errors(0.2), walk.known)

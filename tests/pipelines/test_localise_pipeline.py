@@ -1,0 +1,99 @@
+"""`pipelines.localise` as a user meets it: files, text and messages."""
+
+import json
+
+import localise_drives as ld
+import numpy as np
+import pandas as pd
+import photographs
+import processes
+import pytest
+import walks
+from scipy.spatial.transform import Rotation
+
+from lmd.core.tables import write_table
+from lmd.formats.detection_formats import write_detections
+from lmd.formats.trajectories import TrajectoryFile
+from lmd.localise.image_poses import State
+from lmd.scene.deployment import COLUMNS, UP_COLUMNS
+from lmd.survey.results import SIGMA_COLUMNS
+
+FILES = {"poses.csv", "poses.tum", "smoothed.csv", "smoothed.tum", "changes.csv", "localise.json", ".hydra"}
+GIVEN = ["detections=seen.csv", "camera.path=camera.yaml", "tracking=none"]
+pytestmark = pytest.mark.slow
+
+
+@pytest.fixture(scope="module")
+def room(tmp_path_factory):
+    """A map with standard deviations, a calibration and the detections of a walk."""
+    cwd, walk = tmp_path_factory.mktemp("work"), ld.walked(3)
+    photographs.calibration(cwd / "camera.yaml", walks.CAMERA)
+    write_detections(cwd / "seen.csv", walk.detected)
+    poses = walk.known.poses
+    vectors = np.hstack([poses[:, :3, 3], poses[:, :3, 2], poses[:, :3, 1]])
+    named = dict(zip((*COLUMNS, *UP_COLUMNS), vectors.T, strict=True))
+    sigmas = dict(zip(SIGMA_COLUMNS, walk.known.sigmas.T, strict=True))
+    (cwd / "survey").mkdir()
+    write_table(cwd / "survey" / "map.csv", {"id": walk.known.ids, **named, "edge": walk.known.edges, **sigmas})
+    return cwd, walk
+
+
+@pytest.fixture(scope="module")
+def done(room):
+    result = processes.inside("localise", "map=survey", "hydra.run.dir=out", cwd=room[0], settings=GIVEN)
+    assert result.returncode == 0, result.stderr
+    return room[0] / "out", result.stdout
+
+
+def test_poses_are_written_with_their_covariances(done, room):
+    out, text = done
+    walk = room[1]
+    assert {path.name for path in out.iterdir()} == FILES
+    table = pd.read_csv(out / "poses.csv")
+    assert table.time.tolist() == np.unique(walk.detected.frame).tolist()
+    known = table.state == State.LOCALISED.value
+    assert f"frames   {known.sum()} of {len(table)} localised" in text
+    assert known.sum() > 55
+    off = table.loc[known, ["x", "y", "z"]].to_numpy() - walk.frames[table.time[known], :3, 3]
+    names = ["x", "y", "z"]
+    square = [
+        own @ np.linalg.solve(np.array([[row[f"cov_{min(a, b)}_{max(a, b)}"] for a in names] for b in names]), own)
+        for own, (_, row) in zip(off, table[known].iterrows(), strict=True)
+    ]
+    assert 1.5 < np.mean(square) < 6.0  # three degrees of freedom, and errors of one map
+    upper = [name for name in table if name.startswith("cov_")]
+    assert upper[:3] == ["cov_x_x", "cov_x_y", "cov_x_z"]
+    assert len(upper) == 21
+    read = TrajectoryFile(str(out / "poses.tum")).trajectory
+    np.testing.assert_allclose(read.poses[:, :3, 3], table.loc[known, names], atol=1e-8)
+    refused = json.loads((out / "localise.json").read_text())["refused"]
+    assert set(refused) == set(map(str, table.time[~known]))
+
+
+def test_the_standard_deviations_of_the_map_count(done, room):
+    """Without those of the file, those of the command count; large ones make poses less sure."""
+    cwd = room[0]
+    table = pd.read_csv(cwd / "survey" / "map.csv")
+    table.drop(columns=list(SIGMA_COLUMNS)).to_csv(cwd / "plain.csv", index=False)
+    rough = ["localise.place=0.02", "localise.turn=0.02", "hydra.run.dir=rough"]
+    result = processes.inside("localise", "map=plain.csv", *rough, cwd=cwd, settings=GIVEN)
+    assert result.returncode == 0, result.stderr
+    sure, unsure = (pd.read_csv(folder / "poses.csv").cov_x_x.median() for folder in (done[0], cwd / "rough"))
+    assert unsure > 20.0 * sure
+
+
+def test_a_drive_is_smoothed_by_odometry(room):
+    cwd, walk = room
+    lines = ["time,x,y,z,qx,qy,qz,qw"]
+    turns = Rotation.from_matrix(walk.frames[:, :3, :3]).as_quat()
+    for k, (pose, turn) in enumerate(zip(walk.frames, turns, strict=True)):
+        lines += [",".join(map(str, [k, *pose[:3, 3], *turn]))]
+    (cwd / "odometry.csv").write_text("\n".join(lines))
+    given = ["map=survey", "localise.odometry=odometry.csv", "hydra.run.dir=smooth"]
+    result = processes.inside("localise", *given, cwd=cwd, settings=GIVEN)
+    assert result.returncode == 0, result.stderr
+    one, other = (pd.read_csv(cwd / "smooth" / name) for name in ("poses.csv", "smoothed.csv"))
+    assert (other.state == "smoothed").sum() >= one.x.notna().sum()
+    away = [np.linalg.norm(table[["x", "y", "z"]] - walk.frames[table.time, :3, 3], axis=1) for table in (one, other)]
+    assert np.nanmedian(away[1]) < np.nanmedian(away[0])
+    assert "\nsmoothed " in result.stdout
