@@ -111,7 +111,7 @@ def test_names_in_tables_of_results(payload):
 @pytest.mark.parametrize("payload", PAYLOADS)
 def test_what_a_sweep_varies(payload):
     job = Job("sweep", None, 0, (), {payload: payload}, status="finished")
-    text = description(Sweep("sweep", (payload,), None), [(JobFolder(Path("x")), job, {"fitness": 0.5})])
+    text = description(Sweep("sweep", (payload,), None), [(JobFolder(Path("x")), job, {"fitness": 0.5})], 1)
     assert rendered(text).cells[-4].strip() == shown(payload)
 
 
