@@ -12,7 +12,8 @@ from lmd.incremental.field import in_order, runner, smoothed
 from lmd.objectives.base import incremental
 from lmd.objectives.reference_field import field_of
 from lmd.optimisers.annealing.ascent import PLACES_TRIED, SHARE, slopes
-from lmd.optimisers.base import Callback, Optimiser, Result
+from lmd.optimisers.base import Callback, Result
+from lmd.optimisers.deployment_search import DeploymentSearch
 from lmd.optimisers.ledger import Budget, Ledger
 from lmd.optimisers.stored import array, deployment, deployment_state, generator, generator_state
 from lmd.problem import Problem
@@ -32,7 +33,7 @@ def _smooth_fitness(target: Any, units: Any, width: float) -> Any:
     return total
 
 
-class GradientAscent(Optimiser):
+class GradientAscent(DeploymentSearch):
     """Gradient ascents on the smoothed objective, one after the other, each from a random deployment.
 
     The slope along the surface of each landmark is a central difference with exact values, occlusion included. A trial
@@ -65,7 +66,6 @@ class GradientAscent(Optimiser):
         self.stage = 0  # index of the width
         self.step = self.first
         self.direction: FloatArray | None = None  # `(K, 2)` along u and v; None before the slopes at `here` are known
-        self.best: Deployment | None = None
         self.climb: _Climb | None = None
 
     @override
@@ -81,10 +81,7 @@ class GradientAscent(Optimiser):
 
         def note(moved: int, found: Deployment | None) -> None:
             self.spent += moved
-            fitness = -np.inf if found is None else problem.fitness_of(found)
-            ledger.seconds = clock() - began
-            if ledger.note(self.spent / count, fitness):
-                self.best = found
+            self._record(problem, self.spent / count, found, began)
 
         if not self.spent:
             self.rng = np.random.default_rng(self.seed)
@@ -128,10 +125,6 @@ class GradientAscent(Optimiser):
             return _movable(problem, problem.draw(self.rng))
         drawn = problem.scene.footprints.draw(RandomDeployment(problem.free_count), self.rng, problem.fixed)
         return problem.separated(drawn) or self.here
-
-    @override
-    def found(self, problem: Problem) -> Deployment | None:
-        return self.best
 
     @override
     def state(self) -> dict[str, Any]:

@@ -16,7 +16,8 @@ from typing_extensions import override
 from lmd.core.checks import InputError, IntArray, integer, real
 from lmd.core.compiled import clock
 from lmd.objectives.base import selectable
-from lmd.optimisers.base import Callback, Optimiser, Result
+from lmd.optimisers.base import Callback, Result
+from lmd.optimisers.deployment_search import DeploymentSearch
 from lmd.optimisers.lattice import POLL_SECONDS, Program, check_lattice, covers_of, lattice_of, placed, solved_beside
 from lmd.optimisers.ledger import Budget, Ledger
 from lmd.optimisers.selection import Tags, select
@@ -39,7 +40,7 @@ class Round:
     """Makes the program, with the least and the largest number of landmarks at each pose, see `Program.solver`."""
 
 
-class LatticeSearch(Optimiser):
+class LatticeSearch(DeploymentSearch):
     """Search from the greedy choice on a lattice; subclasses write `_next`, `_accept` and `_ended`.
 
     A round solves a program, places the landmarks at its choice and evaluates them with occlusion. It costs 1
@@ -61,7 +62,6 @@ class LatticeSearch(Optimiser):
         self.margin = real("margin", margin, low=0.0, high=1.0)
         self.spacing, self.nodes = real("spacing", spacing, above=0.0), integer("nodes", nodes, low=1)
         self.rounds = 0  # number of completed rounds
-        self.best: Deployment | None = None
         self.lattice: Deployment  # poses of the lattice
         self.covers: NDArray[np.int8]  # their views, see `covers_of`
 
@@ -97,10 +97,7 @@ class LatticeSearch(Optimiser):
         began = clock() - ledger.seconds
 
         def note(evaluations: float, found: Deployment | None) -> float:
-            fitness, ledger.seconds = -np.inf if found is None else problem.fitness_of(found), clock() - began
-            if ledger.note(ledger.evaluations + evaluations, fitness):
-                self.best = found
-            return fitness
+            return self._record(problem, ledger.evaluations + evaluations, found, began)
 
         def stop() -> bool | None:
             ledger.seconds = clock() - began
@@ -159,10 +156,6 @@ class LatticeSearch(Optimiser):
             )
         # Points beyond one for each pose are added to stacks.
         return np.bincount(np.resize(chosen, problem.free_count), minlength=len(self.lattice))
-
-    @override
-    def found(self, problem: Problem) -> Deployment | None:
-        return self.best
 
     @override
     def state(self) -> dict[str, Any]:

@@ -8,7 +8,8 @@ from typing_extensions import override
 
 from lmd.core.checks import InputError, real
 from lmd.core.compiled import clock
-from lmd.optimisers.base import Callback, Optimiser, Result
+from lmd.optimisers.base import Callback, Result
+from lmd.optimisers.deployment_search import DeploymentSearch
 from lmd.optimisers.lattice import POLL_SECONDS, Program, check_lattice, covers_of, lattice_of, placed, solved_beside
 from lmd.optimisers.ledger import Budget, Ledger
 from lmd.optimisers.stored import deployment, deployment_state
@@ -18,7 +19,7 @@ from lmd.scene.deployment import Deployment
 PROVEN, INFEASIBLE = 0, 2  # status of scipy.optimize.milp
 
 
-class Milp(Optimiser):
+class Milp(DeploymentSearch):
     """Best deployment on a lattice of poses, with a bound for all deployments on it.
 
     The start is the result until the solver finds a better deployment. Computing the views of a pose costs as much of
@@ -38,7 +39,6 @@ class Milp(Optimiser):
         super().__init__(seed)
         self.spacing = real("spacing", spacing, above=0.0)
         self.seconds = real("seconds", seconds, above=0.0)
-        self.best: Deployment | None = None
         self.proven: dict[str, float] = {}
 
     @override
@@ -68,9 +68,7 @@ class Milp(Optimiser):
         began = clock() - ledger.seconds
 
         def note(evaluations: float, found: Deployment) -> None:
-            fitness, ledger.seconds = problem.fitness_of(found), clock() - began
-            if ledger.note(ledger.evaluations + evaluations, fitness):
-                self.best = found
+            self._record(problem, ledger.evaluations + evaluations, found, began)
 
         costs = len(poses) / problem.count
         needed = (not ledger.evaluations) + costs + 1
@@ -106,7 +104,3 @@ class Milp(Optimiser):
                 self.proven["lattice_bound"] = found
         self.proven["lattice_gap"] = self.proven["lattice_bound"] - ledger.best_fitness
         return self.result(problem, "proven" if solved.status == PROVEN else "budget")
-
-    @override
-    def found(self, problem: Problem) -> Deployment | None:
-        return self.best

@@ -6,11 +6,11 @@ from typing import Any
 
 import numpy as np
 
-from lmd.core.checks import FloatArray, InputError, choice, integer
+from lmd.core.checks import FloatArray, choice, integer
 from lmd.core.optional import optional
 from lmd.optimisers.operators import filled_up
 from lmd.optimisers.scipy import Call
-from lmd.optimisers.wrapped import LibraryOptimiser, Wrapped, name_of
+from lmd.optimisers.wrapped import LibraryOptimiser, Wrapped, algorithm_of, name_of
 
 
 class NiaPy(Wrapped):
@@ -40,14 +40,7 @@ class NiaPy(Wrapped):
         super().__init__(seed, encoding)
         self.evaluations = None if evaluations is None else integer("evaluations", evaluations, low=1)
         self.algorithm = algorithm
-        if not callable(algorithm):
-            raise InputError(f"algorithm must be a function of no arguments, got {algorithm!r}.", "algorithm")
-        try:
-            made = algorithm()
-        except Exception as error:  # algorithms raise different errors
-            raise InputError(f"algorithm cannot be made: {error}", "algorithm") from error
-        if not isinstance(made, Algorithm):
-            raise InputError(f"algorithm makes a {type(made).__name__}, not a NiaPy algorithm.", "algorithm")
+        made = algorithm_of(algorithm, Algorithm, "NiaPy")
         for key in getattr(algorithm, "keywords", {}):  # NiaPy ignores parameters that it does not know
             choice(f"parameter of {self.called}", key, list(made.get_parameters()))
         self.start_size = integer("algorithm.population_size", made.population_size, low=1)

@@ -5,9 +5,9 @@ from typing import Any
 
 import numpy as np
 
-from lmd.core.checks import FloatArray, InputError, integer
+from lmd.core.checks import FloatArray, integer
 from lmd.optimisers.operators import filled_up
-from lmd.optimisers.wrapped import LibraryOptimiser, Wrapped
+from lmd.optimisers.wrapped import LibraryOptimiser, Wrapped, algorithm_of
 
 
 class Pymoo(Wrapped):
@@ -31,14 +31,7 @@ class Pymoo(Wrapped):
 
         super().__init__(seed, encoding)
         self.algorithm = algorithm
-        if not callable(algorithm):
-            raise InputError(f"algorithm must be a function of no arguments, got {algorithm!r}.", "algorithm")
-        try:
-            made = algorithm()
-        except Exception as error:  # algorithms raise different errors
-            raise InputError(f"algorithm cannot be made: {error}", "algorithm") from error
-        if not isinstance(made, Algorithm):
-            raise InputError(f"algorithm makes a {type(made).__name__}, not a pymoo algorithm.", "algorithm")
+        made = algorithm_of(algorithm, Algorithm, "pymoo")
         self.start_size = _size(made)
 
     def _open(self, start: FloatArray, rng: np.random.Generator) -> LibraryOptimiser:

@@ -4,10 +4,10 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from lmd.core.checks import FloatArray, InputError, seed_number
+from lmd.core.checks import FloatArray, seed_number
 from lmd.evaluation.validation import validation_metrics
 from lmd.optimisers.encoding import LandmarkGenome
-from lmd.problem import Genome, Problem
+from lmd.problem import Genome, Problem, checked_genes
 from lmd.scene.deployment import Deployment
 from lmd.scene.rig import Rig
 
@@ -67,17 +67,22 @@ class BlackBox:
         Raises:
             InputError: the genes have another shape, are no numbers, or lie outside [0, 1].
         """
-        given = self._checked(genes)
-        values = self._values(np.atleast_2d(given))
-        return values if given.ndim > 1 else values[0]
+        try:
+            is_one = np.ndim(genes) == 1
+        except ValueError:  # rows of different lengths, which are refused below
+            is_one = False
+        if is_one:
+            value: FloatArray = self._values(checked_genes(genes, self.dim)[None])[0]
+            return value
+        return self._values(checked_genes(genes, "B", self.dim))
 
     def deployment(self, genes: FloatArray) -> Deployment:
         """Landmarks of a candidate `(d,)`."""
-        return self.problem.labelled(self.genome.deployment(self._one(genes)))
+        return self.problem.labelled(self.genome.deployment(genes))
 
     def rig(self, genes: FloatArray) -> Rig | None:
         """Cameras of a candidate `(d,)`; None where the problem places landmarks."""
-        return self.genome.rig(self._one(genes))
+        return self.genome.rig(genes)
 
     def score(self, genes: FloatArray, seed: int = 0) -> Mapping[str, float]:
         """Figures of a candidate `(d,)` on the problem's grid and off it, see `lmd.evaluation.validation`.
@@ -94,22 +99,3 @@ class BlackBox:
         """Values of checked candidates `(B, d)`."""
         fitness = self.genome.fitness_of_genes(genes)
         return np.where(np.isfinite(fitness), fitness, IMPOSSIBLE)
-
-    def _one(self, genes: FloatArray) -> FloatArray:
-        given = self._checked(genes)
-        if given.ndim != 1:
-            raise InputError(f"{self.name}: one candidate ({self.dim},) is needed, got shape {given.shape}.", "genes")
-        return given
-
-    def _checked(self, genes: FloatArray) -> FloatArray:
-        try:
-            given = np.asarray(genes, dtype=np.float64)
-        except (TypeError, ValueError):
-            raise InputError(f"{self.name}: genes must be numbers, got {genes!r}.", "genes") from None
-        if given.ndim not in (1, 2) or given.shape[-1] != self.dim:
-            wanted = f"({self.dim},) or (B, {self.dim})"
-            raise InputError(f"{self.name}: genes must have the shape {wanted}, got {given.shape}.", "genes")
-        if not ((given >= 0.0) & (given <= 1.0)).all():
-            wrong = given[~((given >= 0.0) & (given <= 1.0))][0]
-            raise InputError(f"{self.name}: genes must be in [0, 1], got {wrong:g}.", "genes")
-        return given

@@ -7,7 +7,7 @@ from typing_extensions import override
 
 from lmd.core.checks import FloatArray, InputError
 from lmd.optimisers.encoding import make_encoding
-from lmd.problem import Problem
+from lmd.problem import Problem, checked_genes
 from lmd.scene.deployment import Deployment
 from lmd.suite.black_box import IMPOSSIBLE, BlackBox
 
@@ -83,7 +83,7 @@ class TagChoice(BlackBox):
 
     @override
     def deployment(self, genes: FloatArray) -> Deployment:
-        deployment = self._hung(self._one(genes))
+        deployment = self._hung(checked_genes(genes, self.dim))
         if deployment is None:
             raise InputError(f"{self.name}: this candidate hangs no tag, or its papers find no room.", "genes")
         return deployment

@@ -37,11 +37,12 @@ def test_starts_depend_on_their_seed_alone(box):
 @pytest.mark.parametrize(
     ("genes", "message"),
     [
-        (np.zeros(15), r"tiny_mean: genes must have the shape \(16,\) or \(B, 16\), got \(15,\)"),
+        (np.zeros(15), r"genes must have the shape \(16,\), got \(15,\)"),
         (np.zeros((2, 3, 16)), r"got \(2, 3, 16\)"),
         (np.full(16, 1.5), r"genes must be in \[0, 1\], got 1.5"),
         (np.full((2, 16), np.nan), r"genes must be in \[0, 1\], got nan"),
         (["a"] * 16, "genes must be numbers"),
+        ([[0.5] * 16, [0.5] * 15], "genes must be numbers"),
     ],
 )
 def test_genes_that_are_none_are_refused(box, genes, message):
@@ -50,7 +51,7 @@ def test_genes_that_are_none_are_refused(box, genes, message):
 
 
 def test_one_candidate_is_scored_at_a_time(box):
-    with pytest.raises(InputError, match=r"one candidate \(16,\) is needed, got shape \(2, 16\)"):
+    with pytest.raises(InputError, match=r"genes must have the shape \(16,\), got \(2, 16\)"):
         box.score(np.zeros((2, 16)))
 
 

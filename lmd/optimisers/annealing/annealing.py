@@ -38,7 +38,8 @@ from lmd.optimisers.annealing.surrogate import (
     count_stacks,
     pulled_apart,
 )
-from lmd.optimisers.base import Callback, Optimiser, Result
+from lmd.optimisers.base import Callback, Result
+from lmd.optimisers.deployment_search import DeploymentSearch
 from lmd.optimisers.ledger import Budget, Ledger
 from lmd.optimisers.selection import GRID_SPACING, greedy_start
 from lmd.optimisers.stored import array, deployment, deployment_state, generator, generator_state
@@ -53,7 +54,7 @@ ASCENT_STEPS = 10  # number of steps of the ascent between two evaluations on th
 SMALLEST_SIZE = 0.2  # size of footprints, over the true size, when the separation of stacks begins
 
 
-class Annealing(Optimiser):
+class Annealing(DeploymentSearch):
     """Simulated annealing of stacks, then of single landmarks, which lie flush on a surface.
 
     A start that does not vary (`uniform`, `file`) is improved without stacks, under the conditions `given`, with
@@ -114,7 +115,6 @@ class Annealing(Optimiser):
         self.mean_places: MeanPlaces | None = None  # mean places of the walk of single landmarks on samples
         self.walked: Deployment | None = None  # last deployment of the walk on a surrogate
         self.ascent: Ascent | None = None
-        self.best: Deployment | None = None
 
     @override
     def check(self, problem: Problem) -> None:
@@ -131,14 +131,8 @@ class Annealing(Optimiser):
         surrogate = Surrogate(problem, self.walkers, self.largest)
 
         def note(moved: int, deployment: Deployment | None) -> None:
-            """Record the cost of moves and the resulting `deployment`, None for a deployment that cannot be the
-            best.
-            """
             self.spent += moved
-            fitness = -math.inf if deployment is None else problem.fitness_of(deployment)
-            ledger.seconds = clock() - began
-            if ledger.note(self.spent / count, fitness) and deployment is not None:
-                self.best = deployment
+            self._record(problem, self.spent / count, deployment, began)
 
         if not self.spent:
             moved = self._begin(problem, surrogate.stack, limit)
@@ -261,10 +255,6 @@ class Annealing(Optimiser):
         distance = self.spread * size * problem.scene.spacing
         apart = problem.complete(pulled_apart(problem, self.here, self.angles, stack, distance))
         return apart if len(apart) == problem.count else apart + self.start[len(apart) :]
-
-    @override
-    def found(self, problem: Problem) -> Deployment | None:
-        return self.best
 
     @override
     def state(self) -> dict[str, Any]:
