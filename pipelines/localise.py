@@ -13,7 +13,6 @@ from .nodes import instantiate, keyed, note, settings_of
 from .outputs import write_all, write_document
 from .photographs import detected, odometry_of, reader_of
 from .pipeline import Pipeline
-from .tracked_run import keep, tracked
 
 if TYPE_CHECKING:
     from lmd.localise.fixed_map import FixedMap
@@ -33,6 +32,8 @@ def localise(cfg: DictConfig) -> None:
     from lmd.localise import results
     from lmd.localise.localise import localise as find
     from lmd.scene.rig import Rig
+
+    from .tracked_run import keep, tracked
 
     seed_number(cfg.seed)
     tag = instantiate(cfg.tag)

@@ -44,6 +44,8 @@ PIPELINES = {
     "report": [],
     "sync": [],
 }
+for _name in PIPELINES:  # before the patches below: a module that is imported under them would keep them
+    importlib.import_module(f"pipelines.{_name}")
 FUNCTIONS = {"calibrate_detector": "calibrate", "estimate_pdf": "estimate"}
 # Options of groups that no pipeline has by default, nor one of the same class: the pipeline, the group, overrides that
 # choose and complete it.
