@@ -25,6 +25,7 @@ from lmd.core.bits import BITS
 from lmd.core.checks import BoolArray, FloatArray, integer
 from lmd.core.compiled import PYTHON
 from lmd.geometry.frames import angles_of
+from lmd.objectives.base import SelfValidating
 from lmd.problem import Problem
 from lmd.scene.deployment import Deployment
 from lmd.scene.pdf import OrientationPdf
@@ -86,6 +87,8 @@ def validation_metrics(
         between: function called before each group; it may raise an error to end the validation.
     """
     scene, objective = problem.scene.sized(deployment.edges), problem.objective
+    if isinstance(objective, SelfValidating):
+        return objective.off_grid(problem.evaluator.sized(deployment.edges), deployment)
     if scene.recorded is not None:
         return held_out_metrics(problem, deployment, scene.recorded)
     finer = Evaluator(replace(scene, room=scene.room.finer(), pdf=scene.pdf.finer()), threads=problem.evaluator.threads)
