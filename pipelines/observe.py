@@ -43,6 +43,8 @@ def observe(cfg: DictConfig) -> None:
     seeds = seeds_of(cfg)
     composed = composed_deployments(cfg, "observe")
     problems = {name: build_problem(any_deployment(own)) for name, own in composed.items()}
+    for problem in problems.values():
+        problem.scene.check_nobody("observe")
     problem = next(iter(problems.values()))
     film = None if cfg.film is None else real("film", cfg.film, above=0.0)
     trajectory, start, odometry = (instantiate(settings_of(cfg, key)) for key in ("trajectory", "start", "odometry"))

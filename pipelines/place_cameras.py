@@ -104,6 +104,7 @@ def build_camera_problem(cfg: DictConfig) -> "tuple[CameraProblem, dict[Camera, 
     else:
         lenses = [instantiate(alone)]
     tags = build_problem(cfg)
+    tags.scene.check_nobody("place_cameras")
     body = instantiate(settings_of(cfg, "body"))
     space = made("cameras", MountSpace, {**given, "body": body, "lenses": lenses})
     start = camera_of(cfg.camera) if rig is not None else None

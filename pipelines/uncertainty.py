@@ -34,6 +34,7 @@ def uncertainty(cfg: DictConfig) -> None:
     from .tracked_run import keep, labelled, title_of, tracked
 
     problem, seed = build_problem(cfg), seed_number(cfg.seed)
+    problem.scene.check_nobody("uncertainty")
     study: UncertaintyStudy = instantiate(cfg.uncertainty)
     error: MountingError = instantiate(settings_of(cfg, MOUNTING))
     deployment = problem.draw(np.random.default_rng(seed))

@@ -43,6 +43,7 @@ def view(cfg: DictConfig) -> None:
 
     optional("viser", "view")
     problem = build_problem(cfg)
+    problem.scene.check_nobody("view")
     budget = budget_of(cfg)
     build_optimiser(cfg, cfg.seed).check(problem)  # checked before the first search
     tag, directory = problem.scene.tag, run_directory()
