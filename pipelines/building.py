@@ -159,7 +159,8 @@ def _scene(cfg: DictConfig) -> "Scene":
     check_members("visibility", visibility, Criteria, "docs/api/scene.md")
     with keyed("visibility.crowd"):
         states = None if crowd is None else crowd.drawn(room)
-    return Scene(room, camera, pdf, visibility, tag, recorded, crowd=states)
+    with keyed(crowd="visibility.crowd"):
+        return Scene(room, camera, pdf, visibility, tag, recorded, crowd=states)
 
 
 def _poses(

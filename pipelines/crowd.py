@@ -8,12 +8,13 @@ from omegaconf import DictConfig, OmegaConf, open_dict
 from .nodes import instantiate, keyed
 
 if TYPE_CHECKING:
+    from lmd.problem import Problem
     from lmd.scene.criteria import Criteria
     from lmd.space.crowd import Crowd
 
 
 def visibility_of(node: DictConfig) -> "tuple[Criteria, Crowd | None]":
-    """Build the visibility model and the crowd of the group `visibility`; None if nobody is in the way.
+    """Build the visibility model and the crowd of the group `visibility`; None without a crowd.
 
     Raises:
         InputError: a setting is refused.
@@ -37,3 +38,11 @@ def visibility_of(node: DictConfig) -> "tuple[Criteria, Crowd | None]":
             raise InputError(f"visibility.crowd.{key} is no setting that is known; a crowd has {', '.join(known)}.")
     with keyed("visibility.crowd"):
         return criteria, Crowd(**{"number": None, **settings})
+
+
+def refuse_crowd(problem: "Problem", command: str) -> None:
+    """Raise `InputError` if somebody is in the way, which a command ignores."""
+    from lmd.core.checks import InputError
+
+    if problem.scene.crowd is not None:
+        raise InputError(f"{command} does not work with visibility.crowd: leave it out.")

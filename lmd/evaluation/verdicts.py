@@ -154,5 +154,5 @@ def causes(scene: Scene, deployment: Deployment, seed: int) -> Causes | None:
     if "obstacles" in names:
         limits["obstacles"] = "nothing of the room in the way"
     if "crowd" in names:
-        limits["crowd"] = "nobody in the way"
+        limits["crowd"] = "no person or robot in the way"
     return Causes(sightings, covered / sightings, shares(met), shares(without), limits)

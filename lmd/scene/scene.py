@@ -38,7 +38,7 @@ class Scene:
         tag: tag at each landmark; by default the tag of the visibility model, or a point.
         recorded: recording from which room and PDF are derived, with its held-out poses; None without a recording.
         edges: edge of each landmark by its index, or one edge for all, metres, see `sized`; None for the edge of `tag`.
-        crowd: states of people and other robots that hide landmarks; None for nobody.
+        crowd: states of people and other robots that hide landmarks; None without a crowd.
 
     Raises:
         InputError: the visibility model has another tag, or a rig is to see a crowd.
@@ -64,7 +64,7 @@ class Scene:
         if seen is not None and seen != self.tag:
             raise InputError(f"tag is {self.tag}, but visibility is about {seen}.", "tag")
         if self.rig is not None:
-            self.check_nobody(f"a rig of {len(self.rig.mounts)} cameras")
+            self.check_no_crowd(f"a rig of {len(self.rig.mounts)} cameras")
 
     def sized(self, edges: FloatArray) -> "Scene":
         """Scene for deployments of K landmarks with given edges.
@@ -144,10 +144,10 @@ class Scene:
             raise InputError(f"{what} works with a single camera, not with a rig of {len(self.rig.mounts)}.")
         return self.cameras[0]
 
-    def check_nobody(self, what: str) -> None:
+    def check_no_crowd(self, what: str) -> None:
         """Raise `InputError` if the scene has a crowd; `what` is the subject of the message."""
         if self.crowd is not None:
-            raise InputError(f"{what} does not work with visibility.crowd: leave it out.", "visibility.crowd")
+            raise InputError(f"crowd: {what} works only without people in the way.", "crowd")
 
     def in_state(self, state: int) -> "Scene":
         """Scene with a single crowd state; the scene itself without a crowd."""

@@ -96,7 +96,7 @@ def unhindered(
 
 
 @is_clear.register(CrowdObstacles)
-def _has_nobody(obstacles: Any) -> Any:
+def _has_cylinders(obstacles: Any) -> Any:
     return False
 
 

@@ -98,7 +98,7 @@ def _visible(
     """Mask of the landmarks covered by one camera, `(N, K)`; positions `(N, 3)`, axes `(N, 6)`."""
     scene.check_count(len(deployment))
     if states is None:
-        scene.check_nobody("a view from single poses")
+        scene.check_no_crowd("a view from single poses")
     sight = scene.visibility.sight(camera)
     if sight is None:
         return seen_from(scene, camera, deployment, positions, axes, states)

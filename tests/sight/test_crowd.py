@@ -188,5 +188,5 @@ def test_off_the_grid_the_crowd_is_a_fresh_one():
 
 def test_a_rig_sees_no_crowd():
     scene = crowded(Crowd(2, states=2))
-    with pytest.raises(InputError, match="a rig of 2 cameras does not work"):
+    with pytest.raises(InputError, match="crowd: a rig of 2 cameras works only without"):
         replace(scene, camera=Rig((Mount(scene.camera), Mount(scene.camera, yaw=2.0))))
