@@ -10,7 +10,6 @@ from .contenders import Contender
 if TYPE_CHECKING:
     import pandas as pd
 
-    from lmd.core.checks import FloatArray
     from lmd.evaluation.comparison import OptimiserRun
     from lmd.evaluation.tournament import Tournament
     from lmd.suite import BlackBox, Document
@@ -54,19 +53,22 @@ def write_leaderboard(
 
 
 def _section(held: "Tournament", label: str, frozen: "Mapping[str, Document]") -> list[str]:
-    """The table of a figure, and the tests below it."""
+    """Table of a figure, and the tests below it. Only the fitness has a proven bound."""
     import numpy as np
 
     from lmd.core.words import as_code, markdown_table
 
-    names = list(held.values)
-    rows = [["**mean rank**", *(f"**{rank:.2f}**" if rank == rank else "" for rank in held.ranks), "", ""]]
+    names, is_fitness = list(held.values), label == FIGURES["fitness"]
+    columns = ["best known", "bound"] if is_fitness else ["best known"]
+    ranks = [f"**{rank:.2f}**" if rank == rank else "" for rank in held.ranks]
+    rows = [["**mean rank**", *ranks, *("" for _ in columns)]]
     for problem, values in zip(held.values.index, held.values.to_numpy(), strict=True):
         known, greatest = frozen[problem], float(np.nanmax(values))
         cells = [_cell(value, greatest) for value in values.tolist()]
-        best = "" if known.best is None else f"{known.best.off_grid if label != 'fitness' else known.best.value:.4f}"
-        rows.append([as_code(problem), *cells, best, "" if known.bound is None else f"{known.bound:.4f}"])
-    head = [label, *map(as_code, names), "best known", "bound"]
+        best = None if known.best is None else known.best.value if is_fitness else known.best.off_grid
+        ends = [best, known.bound] if is_fitness else [best]
+        rows.append([as_code(problem), *cells, *("" if end is None else f"{end:.4f}" for end in ends)])
+    head = [label, *map(as_code, names), *columns]
     wins = {name: sum(name in winners for winners in held.winners.values()) for name in names}
     first = ", ".join(f"{as_code(name)} on {count}" for name, count in wins.items() if count)
     tests = (
@@ -97,8 +99,7 @@ def _profiles(path: Path, runs: "Sequence[OptimiserRun]", frozen: "Mapping[str, 
     """Draw performance profiles and ECDFs of the runs with one budget."""
     import numpy as np
 
-    from lmd.evaluation.iohprofiler import attained_share
-    from lmd.evaluation.tournament import TARGET_SHARE, profile, running_time_ratios, tournament
+    from lmd.evaluation.tournament import TARGET_SHARE, attained_curve, profile, running_time_ratios, tournament
     from lmd.plot.ranks import save_profile_figure
 
     known = {name: _best_known(name, runs, document) for name, document in frozen.items()}
@@ -106,12 +107,7 @@ def _profiles(path: Path, runs: "Sequence[OptimiserRun]", frozen: "Mapping[str, 
     at, shares = np.geomspace(1.0, RATIOS, POINTS), np.geomspace(LEAST_SHARE, 1.0, POINTS)
     names = tournament(runs, "fitness").ranks.index
     profiles = {str(name): profile(ratios[name].to_numpy(), at) for name in names}
-    curves: dict[str, FloatArray] = {}
-    for name in profiles:
-        own = [run for run in runs if run.optimiser == name]
-        ends = [(run, max(run.history[-1].evaluations, 1.0)) for run in own]
-        each = [attained_share([run], np.ceil(shares * end), 0.0, known[run.problem]) for run, end in ends]
-        curves[name] = np.mean(each, axis=0)
+    curves = {name: attained_curve([run for run in runs if run.optimiser == name], known, shares) for name in profiles}
     target = f"{TARGET_SHARE:.0%} of the best value known"
     save_profile_figure(path, (at, profiles), (shares, curves), target, title)
 

@@ -63,7 +63,7 @@ def _compose_sooner():
 def _look_for_a_mode_only_where_one_may_be_set():
     """Hydra composes everything once more to see whether a configuration says that it is a sweep."""
     look = Hydra.get_mode
-    may_set = ("experiment=", "+experiment=", "hydra.mode", "hydra.searchpath", "+hydra", "hydra/")
+    may_set = ("experiment=", "+experiment=", "hparams_search=", "hydra.mode", "hydra.searchpath", "+hydra", "hydra/")
 
     def get_mode(self, config_name, overrides):
         own = any(source.provider == "command-line" for source in self.config_loader.get_sources())

@@ -19,6 +19,7 @@ from lmd.evaluation.comparison import (
     mean_ranks,
     nemenyi,
 )
+from lmd.evaluation.iohprofiler import attained_share
 
 SIGNIFICANCE = 0.05
 """Significance level of the critical difference."""
@@ -103,6 +104,19 @@ def running_time_ratios(runs: Sequence[OptimiserRun], best: Mapping[str, float])
     ).T
     ratios: pd.DataFrame = times.div(times.min(axis=1), axis=0).fillna(np.inf)
     return ratios
+
+
+def attained_curve(runs: Sequence[OptimiserRun], best: Mapping[str, float], shares: FloatArray) -> FloatArray:
+    """ECDF over the budget, `(N,)`: the mean of `attained_share` over runs, for targets from 0 to the best value known.
+
+    Args:
+        runs: runs of an optimiser, on any problems.
+        best: best value known of each problem.
+        shares: shares of the evaluations that a run has done at its end, `(N,)`.
+    """
+    ends = [(run, max(run.history[-1].evaluations, 1.0)) for run in runs]
+    each = [attained_share([run], np.ceil(shares * end), 0.0, best[run.problem]) for run, end in ends]
+    return np.asarray(np.mean(each, axis=0))
 
 
 def profile(ratios: FloatArray, at: FloatArray) -> FloatArray:

@@ -8,7 +8,7 @@ from scipy import stats
 
 from lmd.evaluation.comparison import OptimiserRun, expected_running_time
 from lmd.evaluation.iohprofiler import attained_share, write_iohprofiler
-from lmd.evaluation.tournament import critical_difference, profile, running_time_ratios, tournament
+from lmd.evaluation.tournament import attained_curve, critical_difference, profile, running_time_ratios, tournament
 from lmd.optimisers.ledger import Record
 
 
@@ -74,6 +74,12 @@ def test_profiles_count_the_problems_that_are_solved_within_a_ratio():
     assert ratios.loc["q"].to_dict() == {"a": math.inf, "b": 1.0}
     assert ratios.loc["r"].to_dict() == {"a": math.inf, "b": math.inf}
     assert profile(ratios["b"].to_numpy(), np.array([1.0, 1.9, 2.0])).tolist() == [1 / 3, 1 / 3, 2 / 3]
+
+
+def test_a_curve_is_the_mean_share_of_targets_at_shares_of_the_own_budget():
+    half, whole = run_of("p", "a", 0, [0.0, 1.0]), run_of("q", "a", 0, [0.5, 0.5, 0.5, 2.0], step=2.0)
+    curve = attained_curve([half, whole], {"p": 1.0, "q": 2.0}, np.array([0.25, 0.5, 1.0]))
+    assert curve.tolist() == [(0.0 + 0.25) / 2, (0.0 + 0.25) / 2, 1.0]
 
 
 @pytest.fixture(scope="module")

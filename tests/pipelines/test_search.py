@@ -5,6 +5,8 @@ import csv
 import pytest
 from processes import call
 
+import lmd.suite
+
 pytestmark = pytest.mark.slow
 SEARCH = (
     *("experiment=debug", "hparams_search=ega", "hydra/sweeper=search", "deployment.count=6", "budget.evaluations=31"),
@@ -46,16 +48,32 @@ def test_a_search_survives_failed_trials_finds_its_finished_ones_and_grows(tmp_p
     assert all(row in after for row in finished)
 
 
+def test_a_trial_solves_all_problems_of_the_suite(tmp_path):
+    """Four short jobs, four seconds; the sentence has the mean of fractions of the best values known."""
+    given = ("hparams_search=ega", "suite=tiny_mean,tiny_qualified", "seed=0", "budget.evaluations=31")
+    done = call("optimise", *given, "hydra.sweeper.trials=2", "tracking=none", cwd=tmp_path, settings=())
+    assert done.returncode == 0, done.stderr
+    (table,) = tmp_path.glob("outputs/optimise_sweep/ega-*/jobs.csv")
+    rows = list(csv.DictReader(table.open()))
+    assert [row["suite"] for row in rows] == ["tiny_mean", "tiny_qualified"] * 2
+    known = {name: lmd.suite.document(name).best.value for name in ("tiny_mean", "tiny_qualified")}
+    values = [float(row["fitness"]) / known[row["suite"]] for row in rows]
+    best = max(sum(values[:2]), sum(values[2:])) / 2
+    assert f" trials: {best:.2%} of the best values known with " in done.stdout
+
+
 @pytest.mark.parametrize(
     ("overrides", "message"),
     [
+        (["suite=hall,tiny_mean", "optimiser.eliminated=2,3"], "suite: no best value is known of 'hall'"),
         (["hydra.sweeper.trials=0", "seed=0,1"], "error: hydra.sweeper: trials must be at least 1"),
         (["hydra.sweeper.method=GNOpt", "optimiser.eliminated=2,3"], "error: hydra.sweeper: method must be one of"),
         (["seed=0,1"], "error: hydra.sweeper: a search needs keys that vary"),
     ],
 )
 def test_a_search_that_cannot_begin_says_why_and_leaves_nothing(tmp_path, overrides, message):
-    start = ("experiment=debug", "optimiser=ega", "hydra/sweeper=search", "hydra.mode=MULTIRUN")
+    problem = [] if overrides[0].startswith("suite=") else ["experiment=debug"]
+    start = (*problem, "optimiser=ega", "hydra/sweeper=search", "hydra.mode=MULTIRUN")
     done = call("optimise", *start, *overrides, cwd=tmp_path, settings=())
     assert done.returncode == 1
     assert message in done.stderr

@@ -3,7 +3,7 @@
 import math
 import sys
 from pathlib import Path
-from statistics import median
+from statistics import fmean, median
 from typing import Any
 
 from hydra._internal import core_plugins
@@ -19,6 +19,7 @@ from typing_extensions import override
 from .names import SEED
 
 LOSS_OF_FAILURE = 1e3  # loss of a failed trial; the loss of other trials is minus their figure, a fraction
+SUITE = "suite"  # key of the frozen problem that a job solves
 DIGITS = 4  # significant digits of a proposed number
 
 
@@ -27,9 +28,10 @@ class Search(Sweeper):
 
     Values are ranges of Hydra: `interval(0.1,0.9)`, `int(interval(2,12))`, `tag(log,interval(0.001,0.1))`,
     `range(2,13)`, or a choice `pool,survivor`. Every trial runs all values of the seed; the value of the trial is the
-    median over the seeds. A trial with a failed job is worse than all others. Proposals depend only on the method's
-    seed and on earlier results, so an equal command finds its finished jobs again, and a command with more `trials`
-    continues the search.
+    median over the seeds. With several problems of the suite (`suite=A,B`) every trial runs all of them, and its value
+    is the mean over the problems of this median as a fraction of the best value known. A trial with a failed job is
+    worse than all others. Proposals depend only on the method's seed and on earlier results, so an equal command finds
+    its finished jobs again, and a command with more `trials` continues the search.
 
     Args:
         params: overrides of the stored search; overrides of the command line have precedence.
@@ -76,6 +78,8 @@ class Search(Sweeper):
         given = [f"{key}={value}" for key, value in self.params.items()] + arguments
         overrides = {override.get_key_element(): override for override in parser.parse_overrides(given)}
         seeds = _values(overrides.pop(SEED)) if SEED in overrides else ["0"]
+        several = SUITE in overrides and overrides[SUITE].is_sweep_override()
+        problems = _scaled(_values(overrides.pop(SUITE)), config.returns) if several else [([], 1.0)]
         varied = {key: override for key, override in overrides.items() if override.is_sweep_override()}
         fixed = [f"{key}={o.get_value_element_as_str()}" for key, o in overrides.items() if key not in varied]
         method, jobs, best = self._method(varied), 0, (-math.inf, [""])
@@ -83,18 +87,28 @@ class Search(Sweeper):
         for first in range(0, trials, at_a_time):
             asked = [method.ask() for _ in range(min(at_a_time, trials - first))]
             proposed = [[f"{key}={_text(value)}" for key, value in trial.value.items()] for trial in asked]
-            batch = [[*fixed, *trial, f"{SEED}={seed}"] for trial in proposed for seed in seeds]
+            batch = [
+                [*fixed, *problem, *trial, f"{SEED}={seed}"]
+                for trial in proposed
+                for problem, _ in problems
+                for seed in seeds
+            ]
             values = [job.return_value for job in launcher.launch(batch, initial_job_idx=jobs)]
             jobs += len(batch)
             before = best[0]
             for i, trial in enumerate(asked):
-                found = [value for value in values[i * len(seeds) : (i + 1) * len(seeds)] if value is not None]
-                whole = len(found) == len(seeds) and not any(map(math.isnan, found))
-                method.tell(trial, -median(found) if whole else LOSS_OF_FAILURE)
-                if whole and median(found) > best[0]:
-                    best = median(found), proposed[i]
+                found = [values.pop(0) for _ in range(len(problems) * len(seeds))]
+                if any(value is None or math.isnan(value) for value in found):
+                    method.tell(trial, LOSS_OF_FAILURE)
+                    continue
+                medians = [median(found[k : k + len(seeds)]) for k in range(0, len(found), len(seeds))]
+                value = fmean(each / known for each, (_, known) in zip(medians, problems, strict=True))
+                method.tell(trial, -value)
+                if value > best[0]:
+                    best = value, proposed[i]
             if best[0] > before:
-                print(f"best of {first + len(asked)} trials: {best[0]:.2%} with {' '.join(best[1])}", flush=True)
+                share = f"{best[0]:.2%}{' of the best values known' if several else ''}"
+                print(f"best of {first + len(asked)} trials: {share} with {' '.join(best[1])}", flush=True)
 
     def _method(self, varied: dict[str, Override]) -> Any:
         """Make the method that proposes values of the varied keys."""
@@ -110,6 +124,25 @@ class Search(Sweeper):
         space = nevergrad.p.Dict(**{key: _space(override) for key, override in varied.items()})
         space.random_state = np.random.RandomState(self.seed)  # nevergrad accepts no newer generator
         return nevergrad.optimizers.registry[method](space, budget=None, num_workers=self.at_a_time)
+
+
+def _scaled(names: list[str], returns: str) -> list[tuple[list[str], float]]:
+    """Override that chooses each frozen problem, and the best value known of the figure that its jobs return.
+
+    Raises:
+        InputError: no value is known of a problem.
+    """
+    from lmd.core.checks import InputError
+    from lmd.suite import document
+
+    found: list[tuple[list[str], float]] = []
+    for name in names:
+        best = document(name).best
+        known = None if best is None else best.value if returns == "fitness" else best.off_grid
+        if not known:
+            raise InputError(f"suite: no best value is known of {name!r}, so its values cannot be scaled.")
+        found.append(([f"{SUITE}={name}"], known))
+    return found
 
 
 def _space(override: Override) -> Any:
