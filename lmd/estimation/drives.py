@@ -55,6 +55,8 @@ def filtered(
         raise InputError(f"trajectory must be a source of trajectories, got {trajectory!r}.", "trajectory")
     if not isinstance(odometry, Odometry):
         raise InputError(f"odometry must be Odometry, got {odometry!r}.", "odometry")
+    if scene.crowd is not None:
+        raise InputError("an objective along drives has no crowd in the way: leave it out.")
     count, others = integer("drives", drives, low=1), integer("fresh", fresh, low=0)
     every, length = integer("held_out", held_out, low=2), real("block", block, above=0.0)
     if scene.recorded is not None:

@@ -178,7 +178,7 @@ def reference_views(
     scene.check_count(positions.shape[1])
     for b, landmarks in enumerate(map(Deployment, positions, normals)):
         for p, place in enumerate(places):
-            enough, met, variances = decided(scene, landmarks, n, precision, place, axes)
+            enough, met, variances = decided(evaluator.scene_at(p), landmarks, n, precision, place, axes)
             covered[b, p], localised[b, p] = weights[p, enough].sum(), weights[p, met].sum()
             if keep:
                 kept[b, p, : len(axes)] = variances
