@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from bearings import view_matrices
+from contracts.field import check_field
 from examples import examples
 from hypothesis import given
 from hypothesis import strategies as st
@@ -100,6 +101,19 @@ def test_frames_are_filtered_as_the_reference_says(data, scene, seed, asked):
 @given(case=rig_scenes_with_deployments(), seed=seeds, asked=settings)
 def test_frames_of_a_rig_are_filtered_as_the_reference_says(case, seed, asked):
     check_reference(*case, seed, asked)
+
+
+def check_moves(data, scene, seed, asked):
+    deployment, targets = data.draw(deployments(scene.room)), data.draw(deployments(scene.room, most=6))
+    rng = np.random.default_rng(seed)
+    drives = drives_in(scene.room, rng)
+    check_field(Filtered(drives=drives, **asked), along(scene, drives), deployment, targets, rng)
+
+
+@examples(60)
+@given(data=st.data(), scene=single_cameras, seed=seeds, asked=settings)
+def test_after_any_moves_the_frames_are_those_of_a_full_evaluation(data, scene, seed, asked):
+    check_moves(data, scene, seed, asked)
 
 
 def adjoint(pose):
