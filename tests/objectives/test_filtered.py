@@ -61,10 +61,9 @@ def tagged(scene, tag):
     return Scene(scene.room, scene.camera, scene.pdf, scene.visibility, tag)
 
 
-single_cameras = st.one_of(
-    st.builds(tagged, scenes(), st.sampled_from([Tag(), Tag(0.1), Tag(0.3)])),
-    fiducial_scenes(distorted_cameras(BENT).filter(is_bent)),
-)
+points_and_tags = st.builds(tagged, scenes(), st.sampled_from([Tag(), Tag(0.1), Tag(0.3)]))
+bent = fiducial_scenes(distorted_cameras(BENT).filter(is_bent))
+single_cameras = st.one_of(points_and_tags, bent)
 settings = st.fixed_dictionaries(
     {
         "n": st.integers(1, 2),
@@ -111,8 +110,16 @@ def check_moves(data, scene, seed, asked):
 
 
 @examples(60)
-@given(data=st.data(), scene=single_cameras, seed=seeds, asked=settings)
+@given(data=st.data(), scene=points_and_tags, seed=seeds, asked=settings)
 def test_after_any_moves_the_frames_are_those_of_a_full_evaluation(data, scene, seed, asked):
+    """Compiling takes 10 s."""
+    check_moves(data, scene, seed, asked)
+
+
+@pytest.mark.thorough("lmd/incremental", "lmd/objectives/filtered", "lmd/objectives/localisation", "lmd/sight")
+@examples(60)
+@given(data=st.data(), scene=bent, seed=seeds, asked=settings)
+def test_after_any_moves_behind_a_bent_lens_the_frames_are_those_of_a_full_evaluation(data, scene, seed, asked):
     check_moves(data, scene, seed, asked)
 
 
