@@ -231,7 +231,10 @@ def record(
         lines["picture"] = str(directory / "scene.png")
     lines["mlflow"] = tracker.describe()
     (label, headline), *others = problem.objective.describe(metrics, len(problem.relevance), problem.count).items()
-    print(labelled({label: headline, **off_grid, **dict(others), **lines}))
+    weighted = {}
+    if problem.relevance.min() < problem.relevance.max():  # the other figures weigh all positions equally
+        weighted["fitness"] = f"{metrics['fitness']:.2%}, in which positions count by their relevance"
+    print(labelled({label: headline, **weighted, **off_grid, **dict(others), **lines}))
     if failed:
         again = command_line("evaluate", [f"run={directory}", f"page={extras.page}".lower()])
         print(f"warning: {'; '.join(failed)}; to draw and write again: {again}", file=sys.stderr)
