@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from lmd.core.checks import FloatArray
+from lmd.core.checks import BoolArray, FloatArray
 from lmd.detection.corner_errors import CORNER_ERRORS
 from lmd.formats.calibrations import calibrated_camera
 from lmd.formats.detection_formats import read_detections
@@ -25,15 +25,16 @@ from lmd.localise.localise import localise
 from lmd.scene.tag import Tag
 from lmd.survey.gauge import align_tags
 from lmd.survey.prior import PriorKnowledge
+from lmd.survey.results import map_covariance
 from lmd.survey.survey import Survey, survey
 
 
 def map_of_survey(found: Survey) -> FixedMap:
-    """Map of a survey, with its standard deviations."""
-    placed = np.flatnonzero(found.placed)
-    squares = np.diagonal(found.found.gauge_free_covariances[placed], axis1=1, axis2=2)
-    sigmas = np.maximum(np.sqrt(np.maximum(squares, 0.0)), LEAST_SIGMA)
-    return FixedMap(found.ids[placed], found.found.poses.tags[placed], found.found.sightings.edges[placed], sigmas)
+    """Map of a survey, with its covariance."""
+    ids, covariance = map_covariance(found)
+    placed = np.searchsorted(found.ids, ids)
+    sigmas = np.maximum(np.sqrt(np.diag(covariance)).reshape(-1, 6), LEAST_SIGMA)
+    return FixedMap(ids, found.found.poses.tags[placed], found.found.sightings.edges[placed], sigmas, covariance)
 
 
 def squares(frames: FloatArray, covariances: FloatArray, true: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -52,36 +53,45 @@ def line(name: str, off: FloatArray, square: FloatArray) -> str:
 
 
 def real(folder: Path, edge: float) -> None:
-    """Map half of the frames, localise the others, and compare with the survey of all."""
+    """Map a part of the frames, localise the others, and compare with the survey of all, and of the others alone."""
     detected = read_detections(folder / "detections.csv")
     camera, tag, errors = calibrated_camera(str(folder / "cameras.yaml"), "cam0"), Tag(edge), CORNER_ERRORS["apriltag"]
-    first = detected.frame < len(detected.times) // 2
-    print("| map of | poses | frames | off, median, 90 %, mm | off, median, mrad | chi², median | mean | within 99 % |")
-    print("| --- |" + " --- |" * 7)
-    whole = survey(detected, [camera], tag, errors, PriorKnowledge())
-    for name, own in (("the first half", first), ("the second half", ~first), ("odd frames", detected.frame % 2 == 1)):
-        half = survey(detected.of(np.flatnonzero(own)), [camera], tag, errors, PriorKnowledge())
+
+    def mapped(own: BoolArray) -> Survey:
+        return survey(detected.of(np.flatnonzero(own)), [camera], tag, errors, PriorKnowledge())
+
+    whole = mapped(detected.frame >= 0)
+    third = detected.frame // (len(detected.times) // 15) % 3
+    parts = {"the first half": detected.frame < len(detected.times) // 2, "odd frames": detected.frame % 2 == 1}
+    parts |= {"the second half": ~parts["the first half"], "even frames": ~parts["odd frames"]}
+    parts |= {f"stretches {k + 1} of 3": third != k for k in range(3)}
+    print("| map of | beside | poses | frames | off, median, 90 %, mm | turn, mrad | chi², median | mean | 99 % |")
+    print("| --- |" + " --- |" * 8)
+    told = []
+    for name, own in parts.items():
+        half, other = mapped(own), mapped(~own)
         known = map_of_survey(half)
         began = time.process_time()
-        rest = detected.of(np.flatnonzero(~own))
-        result = localise(rest, [half.calibrated[0].found], tag, errors, known)
+        result = localise(detected.of(np.flatnonzero(~own)), [half.calibrated[0].found], tag, errors, known)
         seconds = time.process_time() - began
-        both = np.flatnonzero(whole.placed & np.isin(whole.ids, known.ids))
-        there = whole.found.poses.tags[both]
-        motion = align_tags(known.poses[np.searchsorted(known.ids, whole.ids[both])], there)
-        assert motion is not None
-        true = inverse(motion) @ whole.found.poses.frames
-        for kind, poses in (("single images", result.found), ("smoothed", result.smoothed)):
-            if poses is None:
-                continue
-            frames = result.found.poses.frames if kind == "single images" else poses.frames  # type: ignore[union-attr]
-            print(line(f"{name} | {kind}", *squares(frames, poses.covariances, true)), flush=True)
-        told = f"{len(result.changes.moved)} of {len(result.changes.compared)} moved"
-        moved = ", ".join(f"{one.tag} by {1e3 * one.metres:.1f} mm" for one in result.changes.moved)
-        refused = sum(state.name not in ("LOCALISED", "NO_TAG") for state in result.found.states)
-        print(f"{told}: {moved or 'none'}; {result.changes.contradicted} contradict; "
-              f"vanished: {result.vanished or 'none'}; "
-              f"inflation {result.changes.inflation:.1f}; refused {refused}; {seconds:.1f} s", flush=True)  # fmt: skip
+        for beside, truth in (("all", whole), ("the others", other)):
+            both = np.flatnonzero(truth.placed & np.isin(truth.ids, known.ids))
+            own_tags = known.poses[np.searchsorted(known.ids, truth.ids[both])]
+            motion = align_tags(own_tags, truth.found.poses.tags[both])
+            assert motion is not None
+            true, smoothed = inverse(motion) @ truth.found.poses.frames, result.smoothed
+            row = f"{name} | {beside}"
+            print(line(f"{row} | single", *squares(result.found.poses.frames, result.found.covariances, true)))
+            if smoothed is not None:
+                print(line(f"{row} | smoothed", *squares(smoothed.frames, smoothed.covariances, true)), flush=True)
+        changes = result.changes
+        moved = ", ".join(f"{one.tag} by {1e3 * one.metres:.1f} mm, chi² {one.chi_square:.0f}" for one in changes.moved)
+        told.append(
+            f"map of {name}: {len(changes.moved)} of {len(changes.compared)} moved ({moved}); "
+            f"{changes.contradicted} contradict; vanished: {result.vanished or 'none'}; "
+            f"inflation {changes.inflation:.1f}; {seconds:.1f} s"
+        )
+    print("\n".join(told))
 
 
 def speed(frames: int, tags: int, each: int) -> None:

@@ -44,6 +44,7 @@ def localise(cfg: DictConfig) -> None:
     odometry = odometry_of(settings.odometry, "localise.odometry")
     with keyed("localise"):
         steady = None if settings.motion == "auto" else boolean("motion", settings.motion)
+        calibrate = boolean("calibrate", settings.calibrate)
     if steady and odometry is not None:
         raise InputError("localise.motion is for drives without odometry: leave one of the two out.")
     for file in (*FILES, DETECTED):
@@ -58,7 +59,7 @@ def localise(cfg: DictConfig) -> None:
     ):
         mounts = given.mounted if isinstance(given, Rig) else None
         errors = CORNER_ERRORS[name.removesuffix("_fine")]
-        found = find(seen, given.cameras, tag, errors, known, mounts, odometry, steady, room)
+        found = find(seen, given.cameras, tag, errors, known, mounts, odometry, steady, room, calibrate)
     about = f"localisation of {found.found.localised.sum()} of {len(seen.times)} frames"
     with tracked(cfg, "localisation", about) as tracker:
         writers = {

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from lmd.survey.survey import Survey
 
 DOCUMENT, MEASURED, DETECTED = "survey.json", "measured.csv", "detections.csv"
-ALWAYS = ("map.csv", "frames.csv", DOCUMENT, "survey.png", "in_view.csv")
+ALWAYS = ("map.csv", "map.npz", "frames.csv", DOCUMENT, "survey.png", "in_view.csv")
 AUDIT = (
     *(f"audit_{name}.csv" for name in ("pitches", "incidences", "places", "tags")),
     *("audit.png", "audit_places.png"),
@@ -81,13 +81,15 @@ def writers_of(
     """
     from lmd.core.tables import write_table
     from lmd.formats.detection_formats import write_detections
+    from lmd.formats.map_covariance import FILE, write_map_covariance
     from lmd.formats.tag_map import write_yaml
     from lmd.plot.plans import save_survey_figure
     from lmd.survey.intrinsics import camera_info
-    from lmd.survey.results import frame_columns, map_columns, measured_of, survey_document
+    from lmd.survey.results import frame_columns, map_columns, map_covariance, measured_of, survey_document
 
     writers: dict[str, Callable[[Path], object]] = {
         "map.csv": lambda path: write_table(path, map_columns(found)),
+        FILE: lambda path: write_map_covariance(path, *map_covariance(found)),
         "frames.csv": lambda path: write_table(path, frame_columns(found)),
         DOCUMENT: lambda path: write_document(path, survey_document(found)),
         "survey.png": lambda path: save_survey_figure(path, found, room, title),

@@ -1,26 +1,24 @@
 """Tags that were moved since the map was made, and new tags: a bundle adjustment with the map as the prior.
 
-Each tag is compared with its pose by the images and by all *other* tags of the map. Let C be the covariance of all tags
-after the adjustment, m_k the twist of tag k from the map, and D_k the information of its prior. Without that prior tag
-k has the covariance P_k = (C_kk^-1 - D_k)^-1 and the twist n_k = P_k C_kk^-1 m_k. If the tag was not moved, n_k^T
-(P_k + D_k^-1)^-1 n_k has the chi^2 distribution with six degrees of freedom. Tags that were moved lose their prior,
-those with the largest chi^2 first, until no other tag exceeds the threshold.
+Each tag is compared with its pose by the images and by all *other* tags of the map, see `lmd.localise.displacement`. If
+a tag was not moved, its squared normalised displacement has the chi^2 distribution with six degrees of freedom. Tags
+that were moved lose their prior, those with the largest chi^2 first, until no other tag exceeds the threshold.
 
 Tags that were moved by more than the adjustment can correct contradict the other tags of their images: see `_suspects`.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from threadpoolctl import threadpool_limits
 
 from lmd.core.checks import BoolArray, FloatArray, IntArray
-from lmd.geometry.se3 import angle_between, inverse, log
-from lmd.localise.fixed_map import FixedMap
+from lmd.geometry.se3 import angle_between
+from lmd.localise.displacement import LinearMap
+from lmd.localise.fixed_map import FixedMap, information_of, rows_of
 from lmd.localise.image_poses import ImagePoses, State, image_poses
 from lmd.survey.adjustment import Adjustment
 from lmd.survey.faults import FEWEST_SIGHTINGS, OFF_M, OFF_RAD
-from lmd.survey.gauge import diagonal_blocks
 from lmd.survey.initialisation import FLOOR_PIXELS, Placing
 from lmd.survey.linked_adjustment import constraining
 from lmd.survey.map_estimate import ONE_THREAD, STEPS, Estimate, fitting
@@ -80,11 +78,11 @@ class Changes:
 
     def updated(self, known: FixedMap) -> FixedMap:
         """Map with the present poses of the tags that were moved."""
-        poses, sigmas = known.poses.copy(), known.sigmas.copy()
-        for one in self.moved:
-            k = int(np.searchsorted(known.ids, one.tag))
-            poses[k], sigmas[k] = one.pose, np.sqrt(np.diag(one.covariance))
-        return replace(known, poses=poses, sigmas=sigmas)
+        if not self.moved:
+            return known
+        tags = np.searchsorted(known.ids, [one.tag for one in self.moved])
+        poses, covariances = (np.array([getattr(one, name) for one in self.moved]) for name in ("pose", "covariance"))
+        return known.with_poses(tags, poses, covariances)
 
 
 def find_changes(sightings: Sightings, known: FixedMap, mounts: FloatArray, found: ImagePoses) -> Changes:
@@ -97,6 +95,8 @@ def find_changes(sightings: Sightings, known: FixedMap, mounts: FloatArray, foun
         found: poses of the images in the map.
     """
     place = np.searchsorted(sightings.ids, known.ids)
+    rows, joint = rows_of(place), np.zeros((6 * len(sightings.ids),) * 2)
+    joint[np.ix_(rows, rows)] = known.joint
     tags, sigmas = np.full((len(sightings.ids), 4, 4), np.nan), np.full((len(sightings.ids), 6), np.inf)
     tags[place], sigmas[place] = known.poses, known.sigmas
     with threadpool_limits(limits=ONE_THREAD):
@@ -105,7 +105,7 @@ def find_changes(sightings: Sightings, known: FixedMap, mounts: FloatArray, foun
         current = np.where(gross[:, None, None], np.nan, tags)
         lost = np.isnan(current[:, 0, 0])
         current[lost] = _placed(sightings, current, frames, mounts)[lost]
-        comparison = _Comparison(sightings, tags, sigmas, Poses(current, frames, mounts))
+        comparison = _Comparison(sightings, tags, joint, Poses(current, frames, mounts))
         if not comparison.used.any():
             return Changes((), (), np.empty(0, dtype=np.int64), 1.0)
         moved = comparison.search(gross & np.isfinite(current[:, 0, 0]))
@@ -167,15 +167,15 @@ class _Comparison:
     Args:
         sightings: all sightings.
         tags: poses in the map, `(K, 4, 4)`; NaN for tags that the map lacks.
-        sigmas: standard deviations in the map, `(K, 6)`.
+        joint: covariance of the tags in the map, `(6 K, 6 K)`; 0 for tags that the map lacks.
         poses: initial poses.
     """
 
-    def __init__(self, sightings: Sightings, tags: FloatArray, sigmas: FloatArray, poses: Poses) -> None:
+    def __init__(self, sightings: Sightings, tags: FloatArray, joint: FloatArray, poses: Poses) -> None:
         self.sightings, self.poses, self.floor, self.inflation = sightings, poses, FLOOR_PIXELS, 1.0
         self.in_map = np.isfinite(tags[:, 0, 0])
         self.tags = np.where(self.in_map[:, None, None], tags, np.eye(4))
-        self.information = np.where(self.in_map[:, None], sigmas**-2.0, 0.0)
+        self.joint = joint
         self.is_posed = np.isfinite(poses.tags[sightings.tag, 0, 0]) & np.isfinite(poses.frames[sightings.frame, 0, 0])
         self.used = constraining(sightings, self.is_posed, None)
         self.twists, self.squares = np.full((len(tags), 6), np.nan), np.full(len(tags), np.nan)
@@ -192,7 +192,7 @@ class _Comparison:
         return np.asarray(np.isfinite(self.squares))
 
     def search(self, moved: BoolArray) -> BoolArray:
-        """Mask of the tags that were moved, `(K,)`, from those that are known to be moved."""
+        """Mask of the tags that were moved and have a present pose, `(K,)`, from those that are known to be moved."""
         for number in range(MOST_ROUNDS):
             prior = self._adjust(moved)
             if number == 0:
@@ -204,9 +204,9 @@ class _Comparison:
             stays = moved & (off < MOVED_CHI_SQUARE) & self.is_compared
             fresh = ~moved & (off > MOVED_CHI_SQUARE) & (off >= NEXT * off[~moved].max(initial=0.0))
             if not fresh.any():
-                return np.asarray(moved & ~stays)
+                return np.asarray(moved & ~stays & self.is_placed)
             moved = (moved & ~stays) | fresh
-        return moved
+        return np.asarray(moved & self.is_placed)
 
     @property
     def _seen(self) -> BoolArray:
@@ -220,8 +220,12 @@ class _Comparison:
 
     def _adjust(self, moved: BoolArray) -> Prior:
         """Adjust all poses, with the priors of the tags that were not moved."""
-        information = np.where((moved | ~self._seen)[:, None], 0.0, self.information)
-        prior = Prior(self.tags, information, None, self.poses.mounts)
+        trusted = np.flatnonzero(~moved & self._seen & self.in_map)
+        information, joint = np.zeros((len(self.tags), 6)), np.zeros_like(self.joint)
+        information[trusted] = 1.0
+        rows = rows_of(trusted)
+        joint[np.ix_(rows, rows)] = information_of(self.joint[np.ix_(rows, rows)])
+        prior = Prior(self.tags, information, None, self.poses.mounts, joint=joint)
         for _ in range(2):
             adjustment = Adjustment(self.sightings.of(self.used), prior)
             self.poses, self.floor = adjustment.run(self.poses, FLOOR_PIXELS, STEPS)
@@ -232,29 +236,19 @@ class _Comparison:
 
     def _compare(self, prior: Prior) -> None:
         """Compute twists from the map, covariances and chi^2 of all tags, each without the prior of its own."""
-        adjustment = Adjustment(self.sightings.of(self.used), prior, False, self.inflation)
+        adjustment = Adjustment(self.sightings.of(self.used), prior, True, self.inflation)
         slope, spread = adjustment.efficiency(self.poses, self.floor)
         robust, fixed = (
-            _blocks(adjustment.schur_system(self.poses, self.floor, 0.0, weight)[0])
-            for weight in (None, slope**2 / spread)
+            LinearMap.of(adjustment, self.poses, self.floor, self.joint, weight) for weight in (None, slope**2 / spread)
         )
-        weights = prior.weights(prior.squares(prior.off(self.poses.tags)))
-        self.squares[:] = np.nan
-        self.covariances = fixed
-        for k in np.flatnonzero(self._seen & np.isfinite(fixed).all(axis=(1, 2))):
-            own, there = np.diag(prior.information[k]), np.linalg.inv(robust[k])
-            if self.in_map[k]:
-                twist = log(inverse(self.tags[k]) @ self.poses.tags[k])
-                left = there - weights[k] * own
-                alone = np.linalg.inv(fixed[k]) - own
-                if min(np.linalg.eigvalsh(alone)[0], np.linalg.eigvalsh(left)[0]) <= 1.0:
-                    continue
-                covariance = np.linalg.inv(alone)
-                if np.linalg.eigvalsh(covariance[3:, 3:])[-1] > UNKNOWN_M**2:
-                    continue
-                self.twists[k] = np.linalg.solve(left, there @ twist)
-                whole = covariance + np.diag(1.0 / self.information[k])
-                self.squares[k] = self.twists[k] @ np.linalg.solve(whole, self.twists[k])
+        self.squares[:], self.twists[:] = np.nan, np.nan
+        self.covariances = fixed.covariances
+        for k in np.flatnonzero(self.is_placed & self.in_map):
+            found, stated = robust.displacement(k), fixed.displacement(k)
+            if found is None or stated is None or np.linalg.eigvalsh(stated[1][3:, 3:])[-1] > UNKNOWN_M**2:
+                continue
+            self.twists[k] = found[0]
+            self.squares[k] = found[0] @ np.linalg.solve(stated[1], found[0])
 
     def displaced(self, k: int) -> Displaced:
         """Result for the tag of index k."""
@@ -264,11 +258,3 @@ class _Comparison:
         count = int(self.sightings.counts(self.used)[k])
         number, square = int(self.sightings.ids[k]), float(self.squares[k])
         return Displaced(number, pose, self.covariances[k], count, metres, radians, square)
-
-
-def _blocks(matrix: FloatArray) -> FloatArray:
-    """Diagonal blocks of the inverse of a Schur system of K tags, `(K, 6, 6)`; NaN for tags without information."""
-    informed = np.flatnonzero(np.diag(matrix) > 0.0)
-    whole = np.full_like(matrix, np.nan)
-    whole[np.ix_(informed, informed)] = np.linalg.inv(matrix[np.ix_(informed, informed)])
-    return diagonal_blocks(whole, len(matrix) // 6)

@@ -1,7 +1,9 @@
 """Fixed map: poses of tags that are known, with standard deviations."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -9,12 +11,14 @@ import numpy as np
 from lmd.core.checks import FloatArray, InputError, IntArray, check_fields, real
 from lmd.core.files import read_text
 from lmd.core.tables import read_table
+from lmd.formats.map_covariance import FILE, read_map_covariance
 from lmd.formats.tag_maps import read_deployment
 from lmd.scene.labels import ID
 from lmd.scene.tag import Tag
 from lmd.survey.prior import poses_of
 from lmd.survey.results import SIGMA_COLUMNS
 
+SAME_SIGMA = 1e-3  # largest relative difference between standard deviations in two files of one map
 LEAST_SIGMA = 1e-5  # least standard deviation of a tag of the map, metres and rad
 
 
@@ -51,12 +55,29 @@ class FixedMap:
     """`(K,)` edges of the black squares, metres."""
     sigmas: FloatArray
     """`(K, 6)` standard deviations of rotations about the axes of each tag, rad, and of shifts along them, metres."""
+    covariance: FloatArray | None = None
+    """`(6 K, 6 K)` covariance of the twists of all tags, each in its own frame; None if tags are independent."""
     note: str = ""
     """Note of the file."""
 
     def __post_init__(self) -> None:
         if (twice := self.ids[1:][np.diff(self.ids) == 0]).size:
             raise InputError(f"map has tag {twice[0]} twice.", "map")
+
+    @cached_property
+    def joint(self) -> FloatArray:
+        """Covariance of the twists of all tags, `(6 K, 6 K)`, tag by tag."""
+        return np.diag(self.sigmas.ravel() ** 2) if self.covariance is None else self.covariance
+
+    def with_poses(self, tags: IntArray, poses: FloatArray, covariances: FloatArray) -> "FixedMap":
+        """Map with other poses of the tags of the indices `tags`, whose errors `(n, 6, 6)` are independent."""
+        every, joint, sigmas = self.poses.copy(), self.joint.copy(), self.sigmas.copy()
+        every[tags] = poses
+        for tag, own in zip(tags.tolist(), covariances, strict=True):
+            rows = slice(6 * tag, 6 * tag + 6)
+            joint[rows], joint[:, rows] = 0.0, 0.0
+            joint[rows, rows], sigmas[tag] = own, np.sqrt(np.diag(own))
+        return replace(self, poses=every, sigmas=sigmas, covariance=joint)
 
     @classmethod
     def read(cls, path: Any, tag: Tag, errors: MapErrors, axes: Sequence[str] | None = None) -> "FixedMap":
@@ -78,13 +99,25 @@ class FixedMap:
         if np.isnan(edges).any():
             lacking = deployment.ids[np.isnan(edges)][0]
             raise InputError(f"edge must be given, in metres: the map has no edge of tag {lacking}.", "edge")
-        stated = _stated_sigmas(path)
+        stated, covariance = _stated_sigmas(path), None
         if stated is not None:
             ids, values = stated
             rows = np.searchsorted(ids, deployment.ids[order])
             known = np.isfinite(values[rows])
             sigmas = np.where(known, np.maximum(values[rows], LEAST_SIGMA), sigmas)
-        return cls(deployment.ids[order], poses_of(deployment)[order], edges[order], sigmas, deployment.note)
+            covariance = _stated_covariance(path, deployment.ids[order], sigmas)
+        ids, poses = deployment.ids[order], poses_of(deployment)[order]
+        return cls(ids, poses, edges[order], sigmas, covariance, deployment.note)
+
+
+def rows_of(tags: IntArray) -> IntArray:
+    """Rows of some tags in matrices with six rows for each tag."""
+    return np.asarray((6 * tags[:, None] + np.arange(6)).ravel())
+
+
+def information_of(covariance: FloatArray) -> FloatArray:
+    """Inverse of a covariance of tags, `(6 n, 6 n)`; a motion of all tags, that has no variance, gets the least one."""
+    return np.asarray(np.linalg.inv(covariance + LEAST_SIGMA**2 * np.eye(len(covariance))))
 
 
 def _stated_sigmas(path: Any) -> tuple[IntArray, FloatArray] | None:
@@ -102,3 +135,28 @@ def _stated_sigmas(path: Any) -> tuple[IntArray, FloatArray] | None:
         raise InputError(f"{path}: the columns {SIGMA_COLUMNS[0]} ... {SIGMA_COLUMNS[-1]} must not be negative.", "map")
     order = np.argsort(ids, kind="stable")
     return ids[order], values[order]
+
+
+def _stated_covariance(path: Any, ids: IntArray, sigmas: FloatArray) -> FloatArray | None:
+    """Covariance `(6 K, 6 K)` of the tags `ids` of a surveyed map, from the file beside it; None without this file.
+
+    Args:
+        path: file of the map.
+        ids: ids, `(K,)`, ascending.
+        sigmas: standard deviations in the map, `(K, 6)`, with which tags that the file lacks are independent.
+
+    Raises:
+        InputError: the file cannot be read, or is of another map.
+    """
+    beside = Path(str(path)).with_suffix(Path(FILE).suffix)
+    if not beside.exists():
+        return None
+    among, covariance = read_map_covariance(beside, "map")
+    _, of, there = np.intersect1d(ids, among, return_indices=True)
+    own = np.sqrt(np.diag(covariance)).reshape(-1, 6)[there]
+    if not np.allclose(np.maximum(own, LEAST_SIGMA), sigmas[of], rtol=SAME_SIGMA):
+        text = f"map: {str(beside)!r} is of another map than {Path(str(path)).name!r}: take both from one survey"
+        raise InputError(f"{text}, or remove it.", "map")
+    result, rows, others = np.diag(sigmas.ravel() ** 2), rows_of(of), rows_of(there)
+    result[np.ix_(rows, rows)] = covariance[np.ix_(others, others)]
+    return result

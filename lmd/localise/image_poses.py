@@ -14,6 +14,7 @@ from threadpoolctl import threadpool_limits
 from lmd.core.checks import BoolArray, FloatArray, IntArray
 from lmd.geometry.se3 import angle_between, exp, inverse
 from lmd.localise.image_noise import ImageNoise
+from lmd.localise.pose_errors import pose_covariances
 from lmd.survey.initialisation import FLOOR_PIXELS, JUDGING, NARROW, PROPOSING, REFINED, REFINING_STEPS, WIDE
 from lmd.survey.map_estimate import ONE_THREAD
 from lmd.survey.residuals import (
@@ -72,7 +73,12 @@ class ImagePoses:
 
 
 def image_poses(
-    sightings: Sightings, tags: FloatArray, mounts: FloatArray, sigmas: FloatArray, floor: float | None = None
+    sightings: Sightings,
+    tags: FloatArray,
+    mounts: FloatArray,
+    sigmas: FloatArray,
+    joint: FloatArray | None = None,
+    lens: FloatArray | None = None,
 ) -> ImagePoses:
     """Find the pose of each image by itself.
 
@@ -81,7 +87,8 @@ def image_poses(
         tags: poses of the tags in the map, `(K, 4, 4)`, NaN if not in the map.
         mounts: poses of the cameras on the body, `(C, 4, 4)`.
         sigmas: standard deviations of the tags, `(K, 6)`, see `FixedMap`.
-        floor: standard deviation of corners beyond the detector's own, pixels; None to estimate it.
+        joint: covariance of all tags together, `(6 K, 6 K)`; None if they are independent.
+        lens: covariance of each camera's values, see `pose_covariances`; None if cameras are exact.
     """
     some = sightings.of(np.flatnonzero(np.isfinite(tags[sightings.tag, 0, 0])))
     nowhere = np.full((sightings.frames, 4, 4), np.nan)
@@ -92,7 +99,7 @@ def image_poses(
         return ImagePoses(some, Poses(tags, nowhere, mounts), both, empty, tuple(states), np.zeros(0, bool), 0.0)
     with threadpool_limits(limits=ONE_THREAD):
         best, other = _proposed(some, tags, mounts)
-        fit = _Fit(some, tags, mounts, sigmas, best, floor)
+        fit = _Fit(some, tags, mounts, sigmas, best)
         ratio = fit.ratio(other)
         frames, used = fit.frames.copy(), fit.used
         count = np.bincount(some.frame[used], minlength=some.frames)
@@ -104,7 +111,8 @@ def image_poses(
         states[alike & (count == 1)], states[alike & (count > 1)] = State.TWO_POSES, State.ALIKE
         both = np.where(alike[:, None, None, None], np.stack([fit.frames, fit.other], axis=1), np.nan)
         frames[wrong | alike] = np.nan
-        covariances = fit.covariances()
+        independent = np.diag(np.where(np.isfinite(sigmas), sigmas, 0.0).ravel() ** 2) if joint is None else joint
+        covariances = fit.covariances(independent, lens)
         covariances[wrong | alike] = np.nan
     used = used & np.isfinite(frames[some.frame, 0, 0])
     return ImagePoses(some, Poses(tags, frames, mounts), both, covariances, tuple(states), used, fit.floor)
@@ -120,20 +128,19 @@ class _Fit:
         mounts: FloatArray,
         sigmas: FloatArray,
         frames: FloatArray,
-        floor: float | None,
     ) -> None:
         self.some, self.tags, self.mounts = some, tags, mounts
         self.seen, self.owner = np.unique(some.frame, return_inverse=True)
         self.summed = sums_by(self.owner, len(self.seen))
         self.frames = self.other = frames
-        self.floor = FLOOR_PIXELS if floor is None else floor
+        self.floor = FLOOR_PIXELS
         self.used = np.ones(len(some), dtype=bool)
         for _ in range(ROUNDS):
             self.noise = ImageNoise.of(some, self._at(self.frames), sigmas)
             self.frames = self.refined(self.frames, self.used)
             error = self._at(self.frames).error
             self.used = self.noise.fits(some, error, self.floor)
-            if floor is None and self.used.any():
+            if self.used.any():
                 own = self.noise.of_some(self.used)
                 self.floor = own.floor(error[self.used], some.frame[self.used], FLOOR_PIXELS)
 
@@ -184,17 +191,11 @@ class _Fit:
         shift = np.linalg.norm(one[:, :3, 3] - two[:, :3, 3], axis=1)
         return np.asarray((angle_between(one, two) > ANOTHER_RAD) | (shift > ANOTHER_SHARE * far))
 
-    def covariances(self) -> FloatArray:
-        """Covariance of each pose, `(F, 6, 6)`; NaN for images without sightings that fit."""
-        at = self._at(self.frames)
-        slope = self.noise.whitened(at.by_frame, self.floor)
-        own = self.noise.of_some(self.used)
+    def covariances(self, joint: FloatArray, lens: FloatArray | None) -> FloatArray:
+        """Covariance of each pose, see `pose_covariances`, `(F, 6, 6)`; NaN for images without sightings that fit."""
+        at, own = self._at(self.frames), self.noise.of_some(self.used)
         weight = own.efficiency(at.error[self.used], self.some.frame[self.used], self.floor)
-        square = self.summed((np.swapaxes(slope, 1, 2) @ slope) * self.used[:, None, None]) * weight
-        known = np.bincount(self.owner, self.used, minlength=len(self.seen)) > 0
-        result = np.full((len(self.frames), 6, 6), np.nan)
-        result[self.seen[known]] = np.linalg.inv(square[known] + LEAST_DAMPING * np.eye(6))
-        return result
+        return pose_covariances(self.some, at, self.noise, self.used, self.floor, weight, joint, lens)
 
 
 def _proposed(some: Sightings, tags: FloatArray, mounts: FloatArray) -> tuple[FloatArray, FloatArray]:

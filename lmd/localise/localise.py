@@ -13,12 +13,15 @@ from lmd.geometry.trajectory import Trajectory
 from lmd.localise.changes import Changes, find_changes
 from lmd.localise.fixed_map import FixedMap
 from lmd.localise.image_poses import ImagePoses, image_poses
+from lmd.localise.refined_optics import RefinedOptics, refined_optics
 from lmd.localise.smoothing import SmoothedPoses, smoothed_poses
 from lmd.localise.vanished import vanished_tags
 from lmd.scene.tag import Tag
 from lmd.space.space import Space
+from lmd.survey.intrinsics import Calibrated
 from lmd.survey.motion import Motion, seconds_of
-from lmd.survey.sightings import Sightings, sightings_of
+from lmd.survey.nuisances import Optics
+from lmd.survey.sightings import Sightings
 from lmd.survey.survey import FEWEST_BELIEVED
 
 TRIED_FRAMES = 40  # frames of several tags by which the first corner of detections is found
@@ -42,6 +45,8 @@ class Localisation:
     """Tags that were moved since the map was made, and new tags."""
     vanished: dict[int, int]
     """Number of views in which each tag that vanished should have been detected, by id."""
+    calibrated: tuple[Calibrated, ...]
+    """Cameras as refined by the drive; empty if cameras are exact."""
 
 
 def localise(
@@ -54,6 +59,7 @@ def localise(
     odometry: Trajectory | None = None,
     steady: bool | None = None,
     room: Space | None = None,
+    calibrate: bool = True,
 ) -> Localisation:
     """Localise the frames of detections in a map.
 
@@ -66,8 +72,8 @@ def localise(
         mounts: poses of the cameras on the body, which is the first camera; None for one camera.
         odometry: trajectory of the body in any frame; None if unknown.
         steady: False if the velocity may change at once, so that poses are not smoothed without odometry.
-
         room: room of the map, whose surfaces hide tags; None if unknown.
+        calibrate: False if cameras are exact; else they are refined within the uncertainty of a calibration.
 
     Raises:
         InputError: no detection has a tag of the map, the cameras are others, or odometry contradicts the images.
@@ -76,9 +82,10 @@ def localise(
         shown = ", ".join(map(str, np.unique(detected.ids)[:5].tolist()))
         raise InputError(f"detections has no tag of the map, only others such as {shown}.", "detections")
     poses = np.tile(np.eye(4), (len(cameras), 1, 1)) if mounts is None else mounts
+    optics = RefinedOptics(tuple(Optics(camera) for camera in cameras))
 
     def sighted(some: DetectedTags) -> Sightings:
-        return sightings_of(some, cameras, known.ids, known.edges, tag.modules, errors)
+        return optics.sightings(some, known, tag, errors)
 
     quarters = 0 if detected.in_order else _quarters(detected, known, sighted, poses)
     if quarters:
@@ -87,30 +94,29 @@ def localise(
     if not len(sightings):
         raise InputError("detections has no tag of the map wholly within an image; is it another camera?", "detections")
     found = image_poses(sightings, known.poses, poses, known.sigmas)
-    changes = find_changes(_with_new_tags(detected, cameras, tag, errors, known), known, poses, found)
+    if calibrate:
+        optics = refined_optics(detected, cameras, tag, errors, known, found)
+    several, counts = np.unique(detected.ids[detected.ids < tag.ids], return_counts=True)
+    others = optics.sightings(detected, known, tag, errors, several[counts >= FEWEST_BELIEVED].tolist())
+
+    def localised(present: FixedMap) -> ImagePoses:
+        some = optics.with_errors(sighted(detected), present, found)
+        return image_poses(some, present.poses, poses, present.sigmas, present.joint, optics.covariances)
+
+    found = localised(known)
+    changes = find_changes(optics.with_errors(others, known, found), known, poses, found)
     present = changes.updated(known)
     if changes.moved:
-        found = image_poses(sightings, present.poses, poses, present.sigmas)
+        found = localised(present)
     seconds = seconds_of(detected.times)
     motion = None
     if odometry is not None:
         motion = Motion.by_odometry(seconds, odometry)
     elif steady is not False and np.isfinite(seconds).all():
         motion = Motion.steady(seconds)
-    smoothed = None if motion is None else smoothed_poses(found, motion, present.sigmas)
-    vanished = vanished_tags(found, present, cameras, room)
-    return Localisation(detected, known, quarters, found, smoothed, changes, vanished)
-
-
-def _with_new_tags(
-    detected: DetectedTags, cameras: Sequence[Camera], tag: Tag, errors: CornerErrors, known: FixedMap
-) -> Sightings:
-    """Sightings of the tags of the map, and of other tags that were detected twice or more."""
-    often, counts = np.unique(detected.ids[detected.ids < tag.ids], return_counts=True)
-    ids = np.union1d(known.ids, often[counts >= FEWEST_BELIEVED])
-    edges = np.full(len(ids), np.median(known.edges) if tag.is_point else tag.size)
-    edges[np.searchsorted(ids, known.ids)] = known.edges
-    return sightings_of(detected, cameras, ids, edges, tag.modules, errors)
+    smoothed = None if motion is None else smoothed_poses(found, motion, present, changes.inflation)
+    vanished = vanished_tags(found, present, [one.camera for one in optics.cameras], room)
+    return Localisation(detected, known, quarters, found, smoothed, changes, vanished, optics.calibrated(cameras))
 
 
 def _quarters(

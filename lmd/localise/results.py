@@ -219,6 +219,7 @@ def localise_document(result: Localisation) -> dict[str, Any]:
         "renumbered_quarters": result.renumbered,
         "changes": [_sentence(change) for change in changes_of(result)],
         "compared": result.changes.compared.tolist(),
+        "intrinsics": [camera.document() for camera in result.calibrated],
         "inflation": result.changes.inflation,
         "contradicted": result.changes.contradicted,
     }
@@ -241,6 +242,8 @@ def to_text(result: Localisation) -> str:
         lines["smoothed"] = f"{figures['smoothed']:.0f} frames, known to {known_to('smoothed_')}"
     if found.floor > NOTICED:
         lines["corners"] = f"a standard deviation of {found.floor:.2g} pixels is not the detector's"
+    for number, camera in enumerate(result.calibrated, 1):
+        lines["camera" if len(result.calibrated) == 1 else f"camera {number}"] = camera.to_text()
     if result.renumbered:
         lines["turned"] = "corners of all detections are numbered from another corner, and are renumbered"
     names = result.detected.times

@@ -11,6 +11,7 @@ from threadpoolctl import threadpool_limits
 
 from lmd.core.checks import BoolArray, FloatArray, IntArray
 from lmd.geometry.se3 import inverse, log
+from lmd.localise.fixed_map import FixedMap, information_of, rows_of
 from lmd.localise.image_noise import ImageNoise
 from lmd.localise.image_poses import ImagePoses
 from lmd.survey.groups import Nodes, check_odometry, smoothest
@@ -41,13 +42,14 @@ class SmoothedPoses:
     """Standard deviation of corners beyond the detector's own, pixels."""
 
 
-def smoothed_poses(found: ImagePoses, motion: Motion, sigmas: FloatArray) -> SmoothedPoses | None:
+def smoothed_poses(found: ImagePoses, motion: Motion, known: FixedMap, inflation: float = 1.0) -> SmoothedPoses | None:
     """Smooth the poses of images.
 
     Args:
         found: poses of single images.
         motion: motion between the frames.
-        sigmas: standard deviations of the tags, `(K, 6)`, see `lmd.localise.fixed_map.FixedMap`.
+        known: map, with the tags of the sightings.
+        inflation: factor on the standard deviations of sightings, see `lmd.survey.resampling`.
 
     Returns:
         smoothed poses; None if motion links no two frames with poses.
@@ -66,8 +68,10 @@ def smoothed_poses(found: ImagePoses, motion: Motion, sigmas: FloatArray) -> Smo
         for steps in (STEPS, FINAL_STEPS):
             used = posed & used
             seen, own = _of_seen_tags(some.of(used), poses)
-            prior = Prior(own.tags, sigmas[seen] ** -2.0, None, own.mounts, motion)
-            adjustment = LinkedAdjustment(_renumbered(some.of(used), seen), prior)
+            rows = rows_of(seen)
+            joint = information_of(known.joint[np.ix_(rows, rows)])
+            prior = Prior(known.poses[seen], known.sigmas[seen] ** -2.0, None, own.mounts, motion, joint)
+            adjustment = LinkedAdjustment(_renumbered(some.of(used), seen), prior, inflation=inflation)
             own, floor = adjustment.run(own, FLOOR_PIXELS, steps)
             if steps == STEPS:
                 check_odometry(adjustment, own)
@@ -79,11 +83,12 @@ def smoothed_poses(found: ImagePoses, motion: Motion, sigmas: FloatArray) -> Smo
                 tags = poses.tags.copy()
                 tags[seen] = own.tags
                 at = Reprojection(some, *replace(poses, frames=own.frames).of(some))
-                noise = ImageNoise.of(some, at, sigmas)
+                noise = ImageNoise.of(some, at, known.sigmas)
                 used = posed & noise.fits(some, np.nan_to_num(at.error, nan=np.inf), floor)
             poses = replace(poses, frames=own.frames)
         covariances = np.full((len(frames), 6, 6), np.nan)
-        covariances[adjustment.seen] = adjustment.frame_covariances(own, floor)
+        final = LinkedAdjustment(adjustment.sightings, prior, True, inflation)
+        covariances[adjustment.seen] = final.frame_covariances(own, floor)
         result = np.full_like(frames, np.nan)
         result[adjustment.seen] = own.frames[adjustment.seen]
     return SmoothedPoses(result, covariances, motion, used, floor)

@@ -37,7 +37,7 @@ class Adjustment(SchurSystem):
 
     def prior_losses(self, poses: Poses) -> list[float]:
         """Robust losses of the priors at some poses."""
-        losses = [self.prior.loss(self.prior.squares(self.prior.off(poses.tags)))]
+        losses = [self.prior.loss(self.prior.off(poses.tags))]
         if self.prior.sheets is not None:
             losses.append(student_loss(self.prior.sheets.fitted(poses.tags).squares, 6))
         return losses

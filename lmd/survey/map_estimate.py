@@ -76,12 +76,17 @@ class Estimate:
         return np.where(self.known[:, None, None], blocks, np.nan)
 
     @cached_property
+    def gauge_free_covariance(self) -> FloatArray:
+        """Covariance of the twists of all `known` tags relative to the other tags, see `gauge_free`, `(6 n, 6 n)`."""
+        rows = np.flatnonzero(np.repeat(self.known, 6))
+        left = gauge_free(self.poses.tags[self.known])
+        return np.asarray(left @ self.covariance[np.ix_(rows, rows)] @ left.T)
+
+    @cached_property
     def gauge_free_covariances(self) -> FloatArray:
         """Covariance of the twist of each tag relative to the other tags, see `gauge_free`, `(K, 6, 6)`."""
         known, found = self.known, np.full((len(self.group), 6, 6), np.nan)
-        rows = np.flatnonzero(np.repeat(known, 6))
-        left = gauge_free(self.poses.tags[known])
-        found[known] = diagonal_blocks(left @ self.covariance[np.ix_(rows, rows)] @ left.T, int(known.sum()))
+        found[known] = diagonal_blocks(self.gauge_free_covariance, int(known.sum()))
         return found
 
     @property

@@ -105,6 +105,10 @@ class Prior:
     """`(C, 4, 4)` poses of the cameras on the body; None to estimate them."""
     motion: Motion | None = None
     """Motion between the frames; None if frames are independent of each other."""
+    joint: FloatArray | None = None
+    """`(6 K, 6 K)` information of the twists of all tags from their expected poses, if their errors are correlated; it
+    takes the place of the values of `information`, which then says which tags have a prior. None for independent tags.
+    """
 
     @property
     def exact(self) -> BoolArray:
@@ -131,9 +135,11 @@ class Prior:
         """Robust weights of the tags, `(K,)`, by chi^2; exact poses keep the full weight."""
         return student_weight(np.where(self.exact, 0.0, squares), 6)
 
-    def loss(self, squares: FloatArray) -> float:
-        """Sum of the robust losses by chi^2; exact poses have a quadratic loss."""
-        exact = self.exact
+    def loss(self, off: FloatArray) -> float:
+        """Sum of the robust losses by the twists `off`; exact poses and correlated tags have a quadratic loss."""
+        if self.joint is not None:
+            return 0.5 * float(off.ravel() @ self.joint @ off.ravel())
+        exact, squares = self.exact, self.squares(off)
         return student_loss(squares[~exact], 6) + float(student_weight(np.zeros(1), 6)[0] / 2.0 * squares[exact].sum())
 
 

@@ -165,7 +165,7 @@ def _off(found: Estimate, frames: IntArray, slope: float, spread: float) -> Floa
     """
     used = found.sightings.of(found.used)
     some = used.of(np.isin(used.frame, frames))
-    nothing = replace(found.prior, information=np.zeros_like(found.prior.information), sheets=None)
+    nothing = replace(found.prior, information=np.zeros_like(found.prior.information), sheets=None, joint=None)
     part = Adjustment(some, nothing, nuisances=True)
     own, *_ = part.schur_system(found.poses, found.floor, 0.0, slope**2 / spread)
     _, right, _ = part.schur_system(found.poses, found.floor, 0.0)

@@ -73,6 +73,14 @@ def map_columns(survey: Survey) -> dict[str, ArrayLike]:
     return {**columns, **tags.labels.columns, "sigma": survey.found.sigmas[survey.placed], **own, **upper}
 
 
+def map_covariance(survey: Survey) -> tuple[IntArray, FloatArray]:
+    """Ids `(n,)`, and covariance `(6 n, 6 n)` of their twists beside the other tags, of the tags of `map.csv`."""
+    found = survey.found
+    chosen = survey.placed[found.known]
+    rows = np.flatnonzero(np.repeat(chosen, 6))
+    return survey.ids[found.known][chosen], found.gauge_free_covariance[np.ix_(rows, rows)]
+
+
 def frame_columns(survey: Survey) -> dict[str, ArrayLike]:
     """Columns of `frames.csv`: pose of the body, which is the first camera, in each frame, and number of tags in the
     frame.

@@ -179,10 +179,14 @@ class SchurSystem:
     ) -> None:
         """Add the information of the priors to blocks of the matrix, `(kept, kept, 6, 6)`, and to the right side."""
         count, off, known = len(self.sightings.ids), self.prior.off(poses.tags), self.prior.information
-        if is_robust:
-            known = known * self.prior.weights(self.prior.squares(off))[:, None]
-        diagonal[:count] += known[..., None] * np.eye(6)
-        right[:count] -= known * off
+        if (joint := self.prior.joint) is not None:
+            cells[:count, :count] += joint.reshape(count, 6, count, 6).transpose(0, 2, 1, 3)
+            right[:count] -= (joint @ off.ravel()).reshape(count, 6)
+        else:
+            if is_robust:
+                known = known * self.prior.weights(self.prior.squares(off))[:, None]
+            diagonal[:count] += known[..., None] * np.eye(6)
+            right[:count] -= known * off
         if (sheets := self.prior.sheets) is not None:
             fit = sheets.fitted(poses.tags)
             weights = fit.weights if is_robust else np.ones(len(sheets.tag))

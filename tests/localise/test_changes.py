@@ -38,7 +38,7 @@ def test_the_statistic_has_its_distribution_and_no_tag_is_a_false_alarm():
         assert result.vanished == {}
         some = walks.sightings(walk.detected, walk.known.ids, sigma=ld.NOISE)
         poses = Poses(walk.known.poses, result.found.poses.frames, np.eye(4)[None])
-        comparison = _Comparison(some, walk.known.poses, walk.known.sigmas, poses)
+        comparison = _Comparison(some, walk.known.poses, walk.known.joint, poses)
         comparison.search(np.zeros(16, dtype=bool))
         squares += comparison.squares[comparison.is_compared].tolist()
     assert len(squares) > 80
@@ -130,6 +130,15 @@ def test_ids_that_were_misread_change_nothing():
     ids = np.where(wrong, rng.integers(0, 60, len(wrong)), walk.detected.ids)
     result = ld.localised(walk, replace(walk.detected, ids=ids))
     assert kinds(result) == set()
+
+
+def test_a_tag_whose_sightings_contradict_each_other_was_not_moved():
+    """Each sighting of tag 5 is up to 80 pixels off."""
+    walk = ld.walked(2)
+    corners = walk.detected.corners.copy()
+    own = walk.detected.ids == 5
+    corners[own] += np.random.default_rng(0).uniform(-80.0, 80.0, (own.sum(), 1, 2))
+    assert kinds(ld.localised(walk, replace(walk.detected, corners=corners))) == set()
 
 
 def test_a_map_that_the_images_contradict_as_a_whole_has_no_moved_tags():

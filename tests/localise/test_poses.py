@@ -10,6 +10,8 @@ import walks
 from scipy.stats import chi2
 
 from lmd.core.checks import InputError
+from lmd.detection.corner_errors import inward
+from lmd.formats.map_covariance import write_map_covariance
 from lmd.geometry.se3 import angle_between, camera_pose, exp
 from lmd.localise.fixed_map import FixedMap, MapErrors
 from lmd.localise.image_poses import State
@@ -17,6 +19,7 @@ from lmd.localise.localise import localise
 from lmd.localise.results import image_columns, in_map, localise_document, smoothed_columns, to_text, tum_text
 from lmd.scene.tag import Tag
 from lmd.survey.chain import Chain, banded
+from lmd.survey.intrinsics import intrinsics_of, with_intrinsics
 
 
 def test_normalised_errors_of_single_images_are_within_their_bounds():
@@ -24,7 +27,7 @@ def test_normalised_errors_of_single_images_are_within_their_bounds():
     every = []
     for seed in range(6):
         walk = ld.walked(seed, place=1e-5, turn=1e-5)
-        found = ld.localised(walk).found
+        found = ld.localised(walk, calibrate=False).found
         assert found.localised.sum() > 50
         every.append(ld.squares(found.poses.frames, found.covariances, walk.frames))
     for column, freedom in enumerate((6, 3, 3)):
@@ -40,6 +43,54 @@ def test_errors_of_the_map_are_in_the_covariance():
         first.append(ld.squares(found.poses.frames, found.covariances, walk.frames)[0])
     for column, freedom in enumerate((6, 3, 3)):
         ld.check_bounds(np.stack(first)[:, column], freedom)
+
+
+def test_correlated_errors_of_the_map_are_in_the_covariance():
+    """A map that is bent and stretched as a whole: tags beside each other are off alike. Errors of one map are alike in
+    all images, so each of 24 walks counts with one image; with independent tags, errors are far outside.
+    """
+    first, independent = [], []
+    for seed in range(24):
+        walk = ld.walked(seed, frames=3, place=1e-4, turn=1e-4)
+        rng = np.random.default_rng(100 + seed)
+        places = walk.known.poses[:, :3, 3] - walk.known.poses[:, :3, 3].mean(axis=0)
+        world = np.zeros((16, 6, 12))  # twists of the tags, in the axes of the map, by twelve modes
+        for axis in range(3):
+            world[:, 3:, 3 * axis : 3 * axis + 3] = 0.003 * places[:, axis, None, None] * np.eye(3)
+            world[:, axis, 9 + axis] = 0.003
+        turned = np.swapaxes(walk.known.poses[:, :3, :3], 1, 2)
+        modes = np.concatenate([turned @ world[:, :3], turned @ world[:, 3:]], axis=1).reshape(96, 12)
+        joint = modes @ modes.T + 1e-8 * np.eye(96)
+        off = (modes @ rng.normal(size=12)).reshape(16, 6)
+        sigmas = np.sqrt(np.diag(joint)).reshape(16, 6)
+        known = replace(walk.known, poses=walk.known.poses @ exp(off), sigmas=sigmas, covariance=joint)
+        for covariance, found in ((joint, first), (None, independent)):
+            some = ld.localised(walk._replace(known=replace(known, covariance=covariance)), calibrate=False).found
+            found.append(ld.squares(some.poses.frames, some.covariances, walk.frames)[0])
+    for column, freedom in enumerate((6, 3, 3)):
+        ld.check_bounds(np.stack(first)[:, column], freedom)
+    assert np.stack(independent)[:, 0].mean() > 12.0
+
+
+def test_a_calibration_that_is_off_is_refined():
+    """Cameras are off as a calibration may be, and corners lie too far inward; the errors of a camera are alike in all
+    images, so each of 6 walks counts with one image. Five seconds.
+    """
+    errors = replace(walks.constant_errors(ld.NOISE), inward_spread=0.1)
+    first, exact = [], []
+    for seed in range(6):
+        rng = np.random.default_rng(50 + seed)
+        walk = ld.walked(seed, frames=40, place=1e-4, turn=1e-4)
+        off = rng.normal(size=9) * [5.0, 5.0, 6.0, 6.0, *[0.0] * 5]
+        given = with_intrinsics(walks.CAMERA, intrinsics_of(walks.CAMERA) + off)
+        inner = walk.detected.corners + rng.normal(0.0, 0.1) * inward(walk.detected.corners)
+        detected = replace(walk.detected, corners=inner)
+        for calibrate, found in ((True, first), (False, exact)):
+            some = localise(detected, [given], Tag(walks.EDGE), errors, walk.known, calibrate=calibrate).found
+            found.append(ld.squares(some.poses.frames, some.covariances, walk.frames)[0])
+    for column, freedom in enumerate((6, 3, 3)):
+        ld.check_bounds(np.stack(first)[:, column], freedom)
+    assert np.stack(exact)[:, 0].mean() > 60.0
 
 
 @pytest.mark.parametrize("by", ["constant velocity", "odometry"])
@@ -174,6 +225,31 @@ def test_a_surveyed_map_brings_its_standard_deviations(tmp_path):
     file.write_text("id,x,y,z,nx,ny,nz\n1,0,0,1,0,1,0\n")
     with pytest.raises(InputError, match=r"edge must be given, in metres: the map has no edge of tag 1"):
         FixedMap.read(file, Tag(None), MapErrors())
+
+
+def test_a_surveyed_map_brings_the_covariance_of_all_its_tags(tmp_path):
+    names = "id,x,y,z,nx,ny,nz,edge,sigma_tilt_x,sigma_tilt_y,sigma_turn,sigma_right,sigma_up,sigma_out"
+    file, beside = tmp_path / "map.csv", tmp_path / "map.npz"
+    half = np.random.default_rng(0).normal(size=(12, 12)) * 0.01
+    covariance = half @ half.T
+    first, second = (",".join(map(repr, row.tolist())) for row in np.sqrt(np.diag(covariance)).reshape(2, 6))
+    file.write_text(f"{names}\n5,0,0,1,0,1,0,0.1,{second}\n2,1,0,1,0,1,0,0.1,{first}\n9,2,0,1,0,1,0,.1,,,,,,\n")
+    assert FixedMap.read(file, Tag(0.2), MapErrors()).covariance is None
+    write_map_covariance(beside, np.array([2, 5]), covariance)
+    known = FixedMap.read(file, Tag(0.2), MapErrors(place=0.01, turn=0.05))
+    np.testing.assert_allclose(known.joint[:12, :12], covariance, rtol=1e-6)
+    np.testing.assert_allclose(known.joint[12:, 12:], np.diag([0.05**2] * 3 + [0.01**2] * 3))
+    assert not known.joint[12:, :12].any()
+    write_map_covariance(beside, np.array([2, 5]), 2.0 * covariance)
+    with pytest.raises(InputError, match=r"map\.npz' is of another map than 'map\.csv'"):
+        FixedMap.read(file, Tag(0.2), MapErrors())
+    for content in (b"", b"PK\x03\x04", beside.read_bytes()[:200]):
+        beside.write_bytes(content)
+        with pytest.raises(InputError, match=r"map\.npz' is no covariance of a map"):
+            FixedMap.read(file, Tag(0.2), MapErrors())
+    np.savez(beside, ids=np.array([2, 5]), upper=np.full(78, np.nan))
+    with pytest.raises(InputError, match=r"map\.npz' is no covariance of a map"):
+        FixedMap.read(file, Tag(0.2), MapErrors())
 
 
 def test_other_tags_than_those_of_the_map_are_refused():

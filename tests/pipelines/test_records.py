@@ -105,7 +105,7 @@ def test_a_method_that_cannot_be_checkpointed_is_named_when_the_run_starts(tmp_p
 
 
 @pytest.mark.parametrize("weight", [1.0, 3.0])
-def test_the_fitness_is_printed_where_positions_differ_in_their_relevance(weight, found, tmp_path, monkeypatch, capsys):
+def test_the_fitness_is_printed_where_positions_differ_in_their_relevance(weight, found, monkeypatch, capsys):
     monkeypatch.setattr(tracked_run, "validation_metrics", lambda *_: {})
     p, result, arguments = found
     p.relevance = np.where(np.arange(len(p.relevance)) == 0, weight, p.relevance)
