@@ -4,6 +4,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from lmd.core.bits import BITS
 from lmd.core.bits import LANES as OTHERS_AT_ONCE
 from lmd.core.compiled import for_kernels
 from lmd.core.memory import check_memory
@@ -11,6 +12,7 @@ from lmd.incremental.field import accept, bound, places_of, settle, undo
 from lmd.objectives.filtered.covariance import NUMBERS
 from lmd.objectives.filtered.drives import Drives
 from lmd.objectives.filtered.lanes import Lanes, Tolerance, lanes
+from lmd.objectives.filtered.sightings import SPOTS
 from lmd.objectives.filtered.trial import bound_move, exchange_move, fill_state, settle_move
 from lmd.objectives.localisation.information import NUMBERS as SUMS
 from lmd.objectives.localisation.information import WIDTH, Precision
@@ -34,7 +36,7 @@ class FilteredState(NamedTuple):
     units: np.ndarray
     """`(F,)` quantised values, 0 or `PROBABILITY_ONE`."""
     covered: np.ndarray
-    """`(F, K)` uint8, 1 for landmarks that the frame covers, hidden by others or not."""
+    """`(F, W)` uint64 sets of the landmarks that the frame covers, hidden by others or not."""
     hidden: np.ndarray
     """`(F, K)` int16 number of the landmarks that hide a covered landmark; 0 for landmarks that are not covered."""
     counts: np.ndarray
@@ -71,17 +73,23 @@ class FilteredScratch(NamedTuple):
     pairs: np.ndarray
     """`(3, F K)` int32: frame, another landmark, and change of the number of landmarks that hide it."""
     numbers: np.ndarray
-    """`(2,)` int64: number of pairs, and number of `near`."""
+    """`(1,)` int64: number of pairs."""
     others: np.ndarray
     """`(2, K)` int64 landmarks near the old place and near the place tried."""
     offsets: np.ndarray
     """`(2, 4, L)` float32, see `lmd.incremental.state.Scratch.offsets`."""
     near: np.ndarray
-    """`(K,)` int64 list of the landmarks that may hide the moving one, or be hidden by it, in a block of frames."""
-    marks: np.ndarray
-    """`(K,)` uint8: 1 if near at the old place, 2 if near at the place tried, 3 if both."""
+    """`(2, W)` uint64 sets of the landmarks that may hide the moving one, or be hidden by it, from a block of frames:
+    at the old place, and at the place tried.
+    """
     ends: Any
     """Working memory of obstacles, see `lmd.sight.obstacles.find_ends`."""
+    spots: np.ndarray
+    """`(2, 4 SPOTS)` offsets of the moving landmark, and `pixel_density`, where it was and where it is tried."""
+    spotted: np.ndarray
+    """`(2, SPOTS)` int64 frames of the `spots`."""
+    shares: np.ndarray
+    """`(15 SPOTS,)` information of the `spots`."""
     moment: np.ndarray
     """`(16,)` moments of a landmark."""
     lanes: Lanes
@@ -136,7 +144,7 @@ class FilteredField(NamedTuple):
             poses=places.poses,
             surfaces=places.surfaces,
             units=np.zeros(size, dtype=np.int64),
-            covered=np.zeros((size, count), dtype=np.uint8),
+            covered=np.zeros((size, -(-count // BITS)), dtype=np.uint64),
             hidden=np.zeros((size, count), dtype=np.int16),
             counts=np.zeros(size, dtype=np.int16),
             sums=np.zeros((size, SUMS)),
@@ -147,7 +155,7 @@ class FilteredField(NamedTuple):
 
     def scratch(self, state: FilteredState) -> FilteredScratch:
         """See `Field.scratch`."""
-        size, count = state.covered.shape
+        size, count = state.hidden.shape
         return FilteredScratch(
             units=state.units.copy(),
             pose=np.zeros(6),
@@ -160,12 +168,14 @@ class FilteredField(NamedTuple):
             changed=np.zeros(size, dtype=np.uint8),
             starts=np.zeros(len(self.first) - 1, dtype=np.int64),
             pairs=np.zeros((3, size * count), dtype=np.int32),
-            numbers=np.zeros(2, dtype=np.int64),
+            numbers=np.zeros(1, dtype=np.int64),
             others=np.zeros((2, count), dtype=np.int64),
             offsets=np.zeros((2, 4, (count // OTHERS_AT_ONCE + 1) * OTHERS_AT_ONCE), dtype=np.float32),
-            near=np.zeros(count, dtype=np.int64),
-            marks=np.zeros(count, dtype=np.uint8),
+            near=np.zeros((2, state.covered.shape[1]), dtype=np.uint64),
             ends=new_ends(self.obstacles, 1),
+            spots=np.ones((2, 4 * SPOTS)),
+            spotted=np.zeros((2, SPOTS), dtype=np.int64),
+            shares=np.zeros(SUMS * SPOTS),
             moment=np.zeros(WIDTH),
             lanes=lanes(),
         )

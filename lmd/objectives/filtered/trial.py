@@ -11,12 +11,12 @@ from typing import Any
 
 import numpy as np
 
-from lmd.core.bits import Integer
+from lmd.core.bits import ZERO, Integer
 from lmd.core.checks import FloatArray
 from lmd.core.compiled import inlined, inner, kernel
 from lmd.objectives.filtered.covariance import NUMBERS
 from lmd.objectives.filtered.lanes import LANES, MOVES, column, is_known, predict_lanes, update_lanes
-from lmd.objectives.filtered.sightings import PAIRS, add_landmark, begin, covers_alone, offset_of, see
+from lmd.objectives.filtered.sightings import PAIRS, add_landmark, begin, bit_of, covers_alone, offset_of, see, word_of
 from lmd.objectives.localisation.information import NUMBERS as SUMS
 from lmd.scene.criteria import hide_between, sized
 from lmd.sight.kernels import PROBABILITY_ONE
@@ -53,38 +53,46 @@ def _store(lane: Integer, f: Integer, field: Any, scratch: Any) -> None:
     scratch.units[f] = PROBABILITY_ONE if is_known(column(work.covariance, lane), field.tolerance) else 0
 
 
+@inlined
+def _begin_drive(lane: Integer, d: Integer, field: Any, state: Any, scratch: Any) -> None:
+    """Put drive d into a lane, from its first changed frame on."""
+    work, f = scratch.lanes, scratch.starts[d]
+    work.frames[0, lane], work.frames[1, lane] = f, field.first[d + 1]
+    for j in range(NUMBERS):
+        known = state.covariances[f - 1, j] if f > field.first[d] else field.start[j]
+        work.covariance[j * LANES + lane] = known
+
+
 @inner
 def _filter(field: Any, state: Any, scratch: Any) -> None:
-    """Filter the drives with changed frames again."""
+    """Filter the drives with changed frames again; a lane at the end of its drive takes the next one."""
     work, first, starts, d, drives = scratch.lanes, field.first, scratch.starts, 0, len(field.first) - 1
-    while d < drives:
-        used = 0
-        while d < drives and used < LANES:
-            if starts[d] < first[d + 1]:
-                f = starts[d]
-                work.frames[0, used], work.frames[1, used] = f, first[d + 1]
-                for j in range(NUMBERS):
-                    known = state.covariances[f - 1, j] if f > first[d] else field.start[j]
-                    work.covariance[j * LANES + used] = known
-                used += 1
-            d += 1
-        going = used
-        while going:
-            going, some = 0, False
-            for lane in range(used):
-                if work.frames[0, lane] < work.frames[1, lane]:
-                    some |= _load(lane, work.frames[0, lane], field, state, scratch)
-                else:
-                    work.informed[lane] = 0
+    frames = work.frames
+    for lane in range(LANES):
+        frames[0, lane] = frames[1, lane] = 0
+    going = True
+    while going:
+        going, some = False, False
+        for lane in range(LANES):
+            if frames[0, lane] == frames[1, lane]:
+                while d < drives and starts[d] == first[d + 1]:
+                    d += 1
+                if d < drives:
+                    _begin_drive(lane, d, field, state, scratch)
+                    d += 1
+            if frames[0, lane] < frames[1, lane]:
+                some |= _load(lane, frames[0, lane], field, state, scratch)
+                going = True
+            else:
+                work.informed[lane] = 0
+        if going:
             predict_lanes(work)
-            if some:
-                update_lanes(work, field.tolerance.scale)
-            for lane in range(used):
-                f = work.frames[0, lane]
-                if f < work.frames[1, lane]:
-                    _store(lane, f, field, scratch)
-                    work.frames[0, lane] = f + 1
-                    going += f + 1 < work.frames[1, lane]
+        if some:
+            update_lanes(work, field.tolerance.scale)
+        for lane in range(LANES):
+            if frames[0, lane] < frames[1, lane]:
+                _store(lane, frames[0, lane], field, scratch)
+                frames[0, lane] += 1
 
 
 @inner
@@ -111,7 +119,10 @@ def exchange_move(field: Any, k: Integer, state: Any, scratch: Any) -> None:
         state.hidden[np.int64(scratch.pairs[0, e]), np.int64(scratch.pairs[1, e])] += change
         scratch.pairs[2, e] = -change
     for f in range(len(state.units)):
-        state.covered[f, k], scratch.covered[f] = scratch.covered[f], state.covered[f, k]
+        was = state.covered[f, word_of(k)] & bit_of(k) != ZERO
+        if was != (scratch.covered[f] != 0):
+            state.covered[f, word_of(k)] ^= bit_of(k)
+            scratch.covered[f] = was
         state.hidden[f, k], scratch.hidden[f] = scratch.hidden[f], state.hidden[f, k]
         if scratch.changed[f] != 0:
             state.counts[f], scratch.counts[f] = scratch.counts[f], state.counts[f]
@@ -136,11 +147,12 @@ def fill_state(field: Any, state: Any, scratch: Any) -> None:
             find_ends(field.obstacles, mine, poses[0, k], poses[1, k], poses[2, k], nx, ny, nz, ends, 0)
         for f in range(len(state.units)):
             x, y, z, _ = offset_of(poses, k, f, field)
-            state.covered[f, k] = covers_alone(f, x, y, z, nx, ny, nz, mine, clear, ends, field)
+            if covers_alone(f, x, y, z, nx, ny, nz, mine, clear, ends, field):
+                state.covered[f, word_of(k)] |= bit_of(k)
     for k in range(poses.shape[1]):
         mine, nx, ny, nz = sized(field.sight, k), poses[3, k], poses[4, k], poses[5, k]
         for f in range(len(state.units)):
-            if not state.covered[f, k]:
+            if not state.covered[f, word_of(k)] & bit_of(k):
                 continue
             x, y, z, squared = offset_of(poses, k, f, field)
             if field.sight.reach >= 0.0:
