@@ -27,10 +27,11 @@ from lmd.objectives.filtered.evaluation import filtered_poses, frame_information
 from lmd.objectives.filtered.reference import reference_filter, reference_information
 from lmd.objectives.localisation.information import deviation_per_variance
 from lmd.problem import Problem
-from lmd.scene.deployment_sources import UniformDeployment
+from lmd.scene.deployment_sources import RandomDeployment, UniformDeployment
 from lmd.scene.scene import Scene
 from lmd.scene.tag import Tag
 from lmd.sight.evaluator import Evaluator
+from lmd.sight.models.fiducial import Fiducial
 from lmd.space.driven import DrivenRoom
 
 pytestmark = pytest.mark.long
@@ -121,6 +122,18 @@ def test_after_any_moves_the_frames_are_those_of_a_full_evaluation(data, scene, 
 @given(data=st.data(), scene=bent, seed=seeds, asked=settings)
 def test_after_any_moves_behind_a_bent_lens_the_frames_are_those_of_a_full_evaluation(data, scene, seed, asked):
     check_moves(data, scene, seed, asked)
+
+
+@pytest.mark.thorough("lmd/incremental", "lmd/objectives/filtered", "lmd/objectives/localisation", "lmd/sight")
+def test_large_tags_hide_each_other_along_drives():
+    tag, rng = Tag(0.4), np.random.default_rng(0)
+    scene = replace(paper_scene(paper_room(spacing=2.0)), tag=tag, visibility=Fiducial(tag))
+    drives = drives_in(scene.room, rng, most=40)
+    objective, scene = Filtered(drives=drives, tolerance=0.05), along(scene, drives)
+    deployment, targets = (RandomDeployment(count).draw(scene.room, rng) for count in (100, 60))
+    state = objective.field(Evaluator(scene, threads=1)).state(deployment)
+    assert (state.hidden > 0).sum() > 50
+    check_field(objective, scene, deployment, targets, rng)
 
 
 def adjoint(pose):
