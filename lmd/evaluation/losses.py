@@ -6,8 +6,7 @@ import numpy as np
 
 from lmd.core.checks import FloatArray, IntArray
 from lmd.core.words import few
-from lmd.incremental.field import in_order
-from lmd.objectives.base import incremental
+from lmd.objectives.crowd import target_of
 from lmd.objectives.reference_field import field_of
 from lmd.objectives.without import without_landmarks
 from lmd.problem import Problem
@@ -78,7 +77,6 @@ def losses(problem: Problem, deployment: Deployment) -> Losses:
     Raises:
         InputError: the objective has no field.
     """
-    objective = incremental(problem.objective)
     field = field_of(problem.objective, problem.fitness_evaluator)
-    target = objective.target(in_order(field, problem.fitness_relevance))
+    target = target_of(problem.objective, field, problem.fitness_evaluator, problem.fitness_relevance)
     return Losses(deployment.ids, problem.fitness_of(deployment), without_landmarks(field, target, deployment))
