@@ -2,8 +2,8 @@
 
 An estimate Xh with the covariance S of the body twist (w, v) of its error Xh^-1 X = exp(w, v) is consistent if
 (w, v)^T S^-1 (w, v) follows the chi-square distribution of 6 degrees. The blocks of S give the squares of rotation and
-of position, of 3 degrees each. See Y. Bar-Shalom, X. R. Li and T. Kirubarajan, "Estimation with applications to tracking
-and navigation", 2001, section 5.4.
+of position, of 3 degrees each. See Y. Bar-Shalom, X. R. Li and T. Kirubarajan, "Estimation with applications to
+tracking and navigation", 2001, section 5.4.
 """
 
 from collections.abc import Sequence

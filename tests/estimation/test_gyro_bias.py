@@ -33,9 +33,7 @@ EPSILON = 1e-6
 def recorded(odometry, flights=8, seconds=8.0):
     motion = RandomMotion(seconds, Pace(1.0, 1.0, 10.0))
     flown = [
-        Flight(
-            EVALUATOR, UNIFORM, motion.draw(SCENE, np.random.default_rng(i)), np.random.default_rng([5, i])
-        )
+        Flight(EVALUATOR, UNIFORM, motion.draw(SCENE, np.random.default_rng(i)), np.random.default_rng([5, i]))
         for i in range(flights)
     ]
     return record(PointDetector(0.5), flown, odometry)
