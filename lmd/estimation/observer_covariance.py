@@ -13,7 +13,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from lmd.core.checks import FloatArray
+from lmd.core.checks import BoolArray, FloatArray
 from lmd.estimation.fusion import CameraPoints, Uncertainty
 from lmd.estimation.observer import Observer
 from lmd.estimation.recording import Recording
@@ -54,7 +54,7 @@ def run(
 
 
 def _gains(
-    observer: Observer, pose: FloatArray, landmarks: FloatArray, measured: FloatArray, seen: FloatArray
+    observer: Observer, pose: FloatArray, landmarks: FloatArray, measured: FloatArray, seen: BoolArray
 ) -> FloatArray:
     """Gains G_i of the m landmarks in view, `(6, 3 m)`."""
     k = float(observer.landmark_gain(landmarks, measured, seen))
