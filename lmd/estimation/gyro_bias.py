@@ -21,7 +21,8 @@ so that the error of the bias is linear, and depends on the estimate through W o
 
 The output is equivariant, too: T y moves C_i. With c_i = (C_i + Th y_i) / 2, the residual Th y_i - C_i is [c_i]x u - v
 for x = (u, v), up to errors of the third order. After a correction (dx, dz), errors are those from the new estimate:
-x <- J(dx) x and z <- Ad_exp(dx) z, which keeps the gyro's bias free of a linear part.
+x <- J(dx) x and z <- Ad_exp(dx) z, which keeps the gyro's bias free of a linear part. With C_i in place of c_i, this
+would be the invariant filter below, reset with J(-dx): its advantage is the equivariant output.
 
 **Invariant filter with a bias** ("imperfect" in A. Barrau and S. Bonnabel, "The invariant extended Kalman filter as a
 stable observer", IEEE Trans. Automatic Control 62 (4), 2017). The errors are T = Th exp(x) and z = b - bh, in the frame

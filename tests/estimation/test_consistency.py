@@ -35,7 +35,7 @@ def test_squares_of_drawn_errors_are_chi_square():
 
 @pytest.mark.parametrize("form", ["right", "left"])
 def test_the_errors_of_the_observer_are_as_its_gains_make_them(form):
-    recording = recorded(PointDetector(0.5), DRIFT)
+    recording = recorded(PointDetector(0.5), DRIFT, FLIGHTS[:6])
     start, observer, assumed = start_of(recording, 0.02), Observer(form), InvariantKalmanFilter(0.02, 0.02)
     runs = [list(observer_covariance.run(observer, assumed, recording, s, start[s])) for s in range(len(start))]
     assert_allclose([[pose for pose, _ in run] for run in runs], observer.estimates(recording, start), atol=1e-9)
@@ -46,13 +46,13 @@ def test_the_errors_of_the_observer_are_as_its_gains_make_them(form):
 
 
 def test_smoother_and_pnp_state_covariances_of_the_right_size():
-    """Corners with errors as assumed; 3 s, most of it the smoother's."""
-    recording = recorded(TagDetector(TAG, "aruco"), DRIFT, FLIGHTS[:6])
+    """Corners with errors as assumed; 2 s, most of it the smoother's."""
+    recording = recorded(TagDetector(TAG, "aruco"), DRIFT, FLIGHTS[:3])
     start = start_of(recording, 0.05)
     smoother, pnp = FixedLagSmoother(0.05, 0.05), PerspectiveNPoint()
     for estimator, most in ((smoother, 2.0), (pnp, 2.5)):
         found = np.concatenate([
-            squares(list(estimator.run(recording, s, start[s])), recording.poses[s])[::5] for s in range(6)
+            squares(list(estimator.run(recording, s, start[s])), recording.poses[s])[::5] for s in range(3)
         ])  # fmt: skip
         assert 0.5 < np.nanmedian(found[:, 0]) / chi2.median(6) < most
     alone = replace(recording, poses=recording.poses[:1])

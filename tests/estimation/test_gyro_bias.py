@@ -1,6 +1,6 @@
 """Filters that estimate the bias of a gyro: their error dynamics, consistency and convergence."""
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
@@ -181,3 +181,32 @@ def test_the_filters_converge_from_60_degrees_and_2_metres(kind):
     errors = kind(1.0, 1.2).errors(recording, start)
     assert np.median(errors.position[:, 60:]) < 0.06
     assert np.median(errors.attitude[:, 60:]) < 0.02
+
+
+@dataclass(frozen=True)
+class PlainOutput(EquivariantFilter):
+    """The equivariant filter with the output linearised at the estimate."""
+
+    def residual(self, pose, seen):
+        residual, _, noise = super().residual(pose, seen)
+        moved = np.concatenate([se3.skew(seen.landmarks), np.tile(-np.eye(3), (len(seen.landmarks), 1, 1))], axis=-1)
+        return residual, moved.reshape(-1, 6), noise
+
+
+@dataclass(frozen=True)
+class ExactReset(BiasedInvariantFilter):
+    """The invariant filter whose covariance moves to the new estimate as that of the equivariant filter does."""
+
+    def moved(self, state, change):
+        reset = np.eye(12)
+        reset[:6, :6] = se3.left_jacobian(-change[:6])
+        return super().moved(state, change)._replace(covariance=reset @ state.covariance @ reset.T)
+
+
+def test_but_for_its_output_the_equivariant_filter_is_the_invariant_one_with_an_exact_reset():
+    recording = recorded(BIASED, flights=1)
+    start = recording.poses[0, 0] @ se3.exp(np.full(6, 0.4))
+    plain, exact = (list(kind(0.5, 0.5).run(recording, 0, start)) for kind in (PlainOutput, ExactReset))
+    for (pose, covariance), (other, its) in zip(plain, exact, strict=True):
+        assert_allclose(pose, other, atol=1e-7)
+        assert_allclose(covariance, its, rtol=1e-5, atol=1e-9)
