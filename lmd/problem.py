@@ -10,6 +10,7 @@ import numpy as np
 from lmd.core.checks import FloatArray, InputError, integer
 from lmd.core.threads import MOST_THREADS
 from lmd.objectives.base import Objective
+from lmd.objectives.crowd import over_states, seeks_worst, worst_figures
 from lmd.scene.deployment import Deployment
 from lmd.scene.deployment_sources import DeploymentSource
 from lmd.scene.rig import Rig
@@ -113,12 +114,13 @@ class Problem:
         objective.check(self.count)
         self.evaluator = Evaluator(self.scene, threads=threads)
         scene.check_inside(self.evaluator.positions)
-        self.relevance = scene.room.relevance.weights(self.evaluator.positions)
+        weights = scene.room.relevance.weights(scene.room.grid())
+        self.relevance = np.tile(weights, len(self.evaluator.positions) // len(weights))
         self.fitness_evaluator, self.fitness_relevance = self.evaluator, self.relevance
         if objective.sampling is not None:
-            rng, repeats = np.random.default_rng(SAMPLING_STREAM), objective.sampling.positions
+            rng, repeats = np.random.default_rng(SAMPLING_STREAM), self._repeats(1.0)
             self.fitness_evaluator = objective.sampling.evaluator(self.scene, repeats, rng, threads)
-            self.fitness_relevance = np.tile(self.relevance, repeats)
+            self.fitness_relevance = np.tile(weights, len(self.fitness_evaluator.positions) // len(weights))
 
     def with_rig(self, rig: Rig, start: DeploymentSource | None = None) -> "Problem":
         """The problem of placing landmarks for another rig, with another start if `start` is given.
@@ -194,15 +196,33 @@ class Problem:
     def fitness(self, positions: FloatArray, normals: FloatArray) -> FloatArray:
         """The fitness in [0, 1] of B deployments, `(B,)`; positions and normals are `(B, K, 3)`."""
         values = self.objective.values(self.fitness_evaluator, positions, normals)
-        return self.objective.fitness(values, self.fitness_relevance)
+        return self.fitness_from(values)
 
     def fitness_of(self, deployment: Deployment) -> float:
         """The fitness of one deployment."""
-        return float(self.objective.fitness(self._values(self.fitness_evaluator, deployment), self.fitness_relevance))
+        return float(self.fitness_from(self._values(self.fitness_evaluator, deployment)))
+
+    def fitness_from(self, values: FloatArray) -> FloatArray:
+        """The fitness from the objective's values at the positions of the fitness, `(..., P)` -> `(...)`."""
+        return over_states(self.objective, values, self.fitness_evaluator, self.fitness_relevance)
 
     def values(self, deployment: Deployment) -> FloatArray:
-        """The objective's value at every position of the grid, in [0, 1], `(P,)`."""
+        """The objective's value at every position of the grid, in [0, 1], `(P,)`; at each for every crowd state."""
         return self._values(self.evaluator, deployment)
+
+    @property
+    def places(self) -> FloatArray:
+        """Positions of the grid, `(P,)`, each once, also with a crowd."""
+        return np.asarray(self.evaluator.positions[: len(self.relevance) // self.state_count])
+
+    @property
+    def state_count(self) -> int:
+        """Number of crowd states; 1 without a crowd."""
+        return 1 if self.scene.crowd is None else len(self.scene.crowd)
+
+    def by_place(self, values: FloatArray) -> FloatArray:
+        """Mean over the crowd states of values `(P,)` at the positions of the grid; the values without a crowd."""
+        return np.asarray(values.reshape(self.state_count, -1).mean(axis=0))
 
     def _values(self, evaluator: Evaluator, deployment: Deployment) -> FloatArray:
         """The objective's value at each position of an evaluator, for the edges of the deployment."""
@@ -211,8 +231,12 @@ class Problem:
 
     def metrics(self, deployment: Deployment) -> dict[str, float]:
         """The objective's figures on the grid, and the fitness."""
-        figures = self.objective.figures(self.values(deployment), self.relevance)
-        return {**figures, "fitness": self.fitness_of(deployment)}
+        return self.figures(self.values(deployment), self.fitness_of(deployment))
+
+    def figures(self, values: FloatArray, fitness: float) -> dict[str, float]:
+        """Figures of `metrics` from the values at the positions of the grid, `(P,)`, and the fitness."""
+        figures = self.objective.figures(values, self.relevance)
+        return {**figures, **worst_figures(self.objective, values, self.evaluator), "fitness": fitness}
 
     def resampled(self, share: float, rng: np.random.Generator) -> tuple[Evaluator, FloatArray] | None:
         """A fresh draw of the objective's sampling with a share of its positions, and their relevance, `(Q,)`.
@@ -229,9 +253,14 @@ class Problem:
         sampling = self.objective.sampling
         if sampling is None:
             return None
-        repeats = max(1, math.ceil(share * sampling.positions))
-        evaluator = sampling.evaluator(self.scene, repeats, rng, threads=1)
-        return evaluator, np.tile(self.relevance, repeats)
+        evaluator, cells = sampling.evaluator(self.scene, self._repeats(share), rng, threads=1), len(self.places)
+        return evaluator, np.tile(self.relevance[:cells], len(evaluator.positions) // cells)
+
+    def _repeats(self, share: float) -> int:
+        """Number of positions in each cell for a share of the sampling, at least one."""
+        assert self.objective.sampling is not None, "there is a sampling"
+        most = self.objective.sampling.positions
+        return max(1, math.ceil(share * (max(most, self.state_count) if seeks_worst(self.evaluator) else most)))
 
     def settings(self) -> Mapping[str, Any]:
         """Settings that the figures of `metrics` depend on, for files of results; None for infinite numbers, as JSON
@@ -250,6 +279,7 @@ class Problem:
             "camera": _fields(scene.camera),
             **({} if scene.tag.is_point else {"tag": _fields(scene.tag)}),
             **{key: value for key, value in _fields(scene.visibility).items() if key != "edges"},
+            **({} if scene.crowd is None else {"crowd": _fields(scene.crowd.crowd)}),
             **({} if np.isnan(self.edges).all() else {"edges": self.edges.tolist()}),
         }
 

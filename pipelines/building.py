@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from omegaconf import DictConfig, OmegaConf, open_dict
 
+from .crowd import visibility_of
 from .landmarks import divide_paper, fixed_of, others_of, spell_counts, take_sizes, total_of
 from .nodes import instantiate, keyed, note, settings_of
 
@@ -83,6 +84,9 @@ def build_parts(cfg: DictConfig, count: str = "deployment.count") -> Parts:
     choice("encoding.kind", cfg.encoding.kind, KINDS)
     boolean("encoding.flush", cfg.encoding.flush)
     objective = instantiate(cfg.objective)
+    if not hasattr(objective, "n") and callable(objective):  # an objective along drives through the scene
+        with keyed("objective"):
+            objective, scene = objective(scene)
     check_members("objective", objective, Objective, "docs/api/objectives.md")
     names = partial(keyed, "deployment", count=count, counts="tag.counts", family="tag.family")
     with names():
@@ -151,11 +155,15 @@ def _scene(cfg: DictConfig) -> "Scene":
     from lmd.scene.scene import Scene
     from lmd.space.space import Space
 
-    tag, camera, visibility = instantiate(cfg.tag), camera_of(cfg.camera), instantiate(cfg.visibility)
+    tag, camera = instantiate(cfg.tag), camera_of(cfg.camera)
+    visibility, crowd = visibility_of(cfg.visibility)
     room, pdf, recorded = _poses(cfg.room, cfg.pdf, cfg.get("poses"))
     check_members("room", room, Space, "docs/api/space.md")
     check_members("visibility", visibility, Criteria, "docs/api/scene.md")
-    return Scene(room, camera, pdf, visibility, tag, recorded)
+    with keyed("visibility.crowd"):
+        states = None if crowd is None else crowd.drawn(room)
+    with keyed(crowd="visibility.crowd"):
+        return Scene(room, camera, pdf, visibility, tag, recorded, crowd=states)
 
 
 def _poses(

@@ -6,7 +6,7 @@ All deployments are rendered from equal random poses in one run, so `deployment=
 
 import re
 import sys
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -112,11 +112,12 @@ def subject_of(cfg: DictConfig, count: int, seed: int) -> Subject:
 
     from lmd.core.checks import InputError
     from lmd.core.memory import check_memory
-    from lmd.detection.frames import draw_poses, tagged_room
+    from lmd.detection.frames import draw_crowd, draw_poses, tagged_room
     from lmd.detection.predictions import CameraPrediction, Prediction
     from lmd.evaluation.verdicts import verdicts
     from lmd.geometry.se3 import axis_and_right
     from lmd.render.renderer import Renderer
+    from lmd.sight.evaluator import Evaluator
     from lmd.sight.views import visible_to_each
 
     tag, imaging = instantiate(cfg.tag), instantiate(cfg.imaging)
@@ -135,12 +136,16 @@ def subject_of(cfg: DictConfig, count: int, seed: int) -> Subject:
     taken = f"poses = {count} frames of {len(deployment)} landmarks"
     check_memory(FRAME_BYTES * count * len(deployment), taken, "poses")
     poses = draw_poses(scene, count, seed)
-    seen = visible_to_each(problem.evaluator, deployment, poses[:, :3, 3], axis_and_right(poses))
+    with keyed("visibility.crowd"):
+        scene, people = draw_crowd(scene, poses[:, :3, 3], seed)
+    states = None if people is None else np.arange(count)
+    at = problem.evaluator if people is None else Evaluator(scene, poses[:1, :3, 3], 1, states=np.zeros(1, dtype=int))
+    seen = visible_to_each(at, deployment, poses[:, :3, 3], axis_and_right(poses), states)
     parts = []
     for camera, mounted, predicted in zip(scene.cameras, scene.extrinsics, seen, strict=True):
         own = poses @ mounted
-        told = verdicts(scene, deployment, own, camera)
-        parts.append(CameraPrediction(Renderer(camera, room, imaging), own, predicted, told))
+        told = verdicts(scene, deployment, own, camera, states)
+        parts.append(CameraPrediction(Renderer(camera, room, imaging), own, predicted, told, people=people))
     return Subject(problem, Prediction(tuple(parts), scene.extrinsics, poses), detectors)
 
 
@@ -154,6 +159,7 @@ class Frames(NamedTuple):
     poses: "FloatArray"
     first: int
     seed: int
+    people: "Sequence[FloatArray] | None"
 
 
 def sightings(subjects: Mapping[str, Subject], seed: int, workers: int | None) -> dict[str, dict[str, "Matches"]]:
@@ -169,11 +175,19 @@ def sightings(subjects: Mapping[str, Subject], seed: int, workers: int | None) -
     from .workers import in_processes
 
     jobs = [
-        Frames(name, c, part.renderer, subject.detectors, poses[first : first + CHUNK], c * len(poses) + first, seed)
+        Frames(
+            name,
+            c,
+            part.renderer,
+            subject.detectors,
+            part.poses[first : first + CHUNK],
+            c * len(part.poses) + first,
+            seed,
+            None if part.people is None else part.people[first : first + CHUNK],
+        )
         for name, subject in subjects.items()
         for c, part in enumerate(subject.prediction.parts)
-        for poses in [part.poses]
-        for first in range(0, len(poses), CHUNK)
+        for first in range(0, len(part.poses), CHUNK)
     ]
     found = {}
     with bar(sum(len(job.poses) for job in jobs), "frames") as progress:
@@ -199,7 +213,7 @@ def _look(job: Frames) -> tuple[str, int, int, dict[str, "Matches"]]:
     from lmd.detection.frames import detect_in_frames
 
     optional("cv2", "detection").setNumThreads(1)
-    found = detect_in_frames(job.renderer, job.detectors, job.poses, job.first, job.seed)
+    found = detect_in_frames(job.renderer, job.detectors, job.poses, job.first, job.seed, job.people)
     return job.name, job.camera, job.first, found
 
 
@@ -260,7 +274,10 @@ def _save_frames(
             for i in range(count):
                 folder.mkdir(exist_ok=True)
                 files.append(folder / (f"{name}_{i}_{c}.png" if len(parts) > 1 else f"{name}_{i}.png"))
-                image = rendered_frame(told.renderer, told.poses[i], c * len(told.poses) + i, seed)
+                among = told.renderer
+                if told.people is not None:
+                    among = replace(among, room=among.room.among(told.people[i]))
+                image = rendered_frame(among, told.poses[i], c * len(told.poses) + i, seed)
                 save_frame(files[-1], image, told.corners[i], told.visible[i], its[i])
     return files
 

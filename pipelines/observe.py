@@ -12,6 +12,7 @@ from omegaconf import DictConfig
 
 from .app import choices, run_directory
 from .building import build_problem, seeds_of
+from .crowd import refuse_crowd
 from .deployments import any_deployment, composed_deployments, read_deployment_as_a_list
 from .nodes import instantiate, keyed, note, settings_of
 from .outputs import write_document
@@ -43,6 +44,8 @@ def observe(cfg: DictConfig) -> None:
     seeds = seeds_of(cfg)
     composed = composed_deployments(cfg, "observe")
     problems = {name: build_problem(any_deployment(own)) for name, own in composed.items()}
+    for problem in problems.values():
+        refuse_crowd(problem, "observe")
     problem = next(iter(problems.values()))
     film = None if cfg.film is None else real("film", cfg.film, above=0.0)
     trajectory, start, odometry = (instantiate(settings_of(cfg, key)) for key in ("trajectory", "start", "odometry"))

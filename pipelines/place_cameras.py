@@ -8,6 +8,7 @@ from omegaconf import DictConfig, OmegaConf, open_dict
 
 from .app import choices, run_directory
 from .building import build_optimiser, build_problem, camera_of
+from .crowd import refuse_crowd
 from .earlier_run import RIG, read_earlier_robot
 from .nodes import instantiate, keyed, note, settings_of
 from .operations.signals import stop
@@ -104,6 +105,7 @@ def build_camera_problem(cfg: DictConfig) -> "tuple[CameraProblem, dict[Camera, 
     else:
         lenses = [instantiate(alone)]
     tags = build_problem(cfg)
+    refuse_crowd(tags, "place_cameras")
     body = instantiate(settings_of(cfg, "body"))
     space = made("cameras", MountSpace, {**given, "body": body, "lenses": lenses})
     start = camera_of(cfg.camera) if rig is not None else None

@@ -9,6 +9,7 @@ from omegaconf import DictConfig
 
 from .app import run_directory
 from .building import build_problem
+from .crowd import refuse_crowd
 from .earlier_run import read_earlier_run
 from .evaluate import MOUNTING, read_mounting_error
 from .nodes import instantiate, keyed, settings_of
@@ -34,6 +35,7 @@ def uncertainty(cfg: DictConfig) -> None:
     from .tracked_run import keep, labelled, title_of, tracked
 
     problem, seed = build_problem(cfg), seed_number(cfg.seed)
+    refuse_crowd(problem, "uncertainty")
     study: UncertaintyStudy = instantiate(cfg.uncertainty)
     error: MountingError = instantiate(settings_of(cfg, MOUNTING))
     deployment = problem.draw(np.random.default_rng(seed))

@@ -12,6 +12,7 @@ from omegaconf import DictConfig
 
 from .app import run_directory
 from .building import budget_of, build_optimiser, build_problem, mounts_of
+from .crowd import refuse_crowd
 from .earlier_run import RIG, read_earlier_robot
 from .export import build_export
 from .nodes import instantiate, keyed
@@ -43,6 +44,7 @@ def view(cfg: DictConfig) -> None:
 
     optional("viser", "view")
     problem = build_problem(cfg)
+    refuse_crowd(problem, "view")
     budget = budget_of(cfg)
     build_optimiser(cfg, cfg.seed).check(problem)  # checked before the first search
     tag, directory = problem.scene.tag, run_directory()

@@ -1,7 +1,8 @@
 """Rendered frames of a deployment, and the detections in them."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -33,6 +34,25 @@ def draw_poses(scene: Scene, count: int, seed: int) -> FloatArray:
     rng = np.random.default_rng([seed, FRAMES_STREAM])
     positions = scene.room.sample(count, rng)
     return camera_pose(positions, *scene.pdf.draw_at(positions, rng))
+
+
+def draw_crowd(scene: Scene, positions: FloatArray, seed: int) -> tuple[Scene, list[FloatArray] | None]:
+    """Draw a fresh crowd for each of N frames.
+
+    Args:
+        scene: the scene.
+        positions: positions of its camera, `(N, 3)`, metres.
+        seed: seed of the crowds.
+
+    Returns:
+        scene with N crowd states, and the cylinders in the way in each frame, `(M, 5)` each; None without a crowd.
+    """
+    if scene.crowd is None:
+        return scene, None
+    each = replace(scene.crowd.crowd, states=len(positions), fitness="mean")
+    crowd = each.drawn(scene.room, np.random.default_rng([seed, FRAMES_STREAM, 2]))
+    present = crowd.present(positions, np.arange(len(positions)))
+    return replace(scene, crowd=crowd), [people[here] for people, here in zip(crowd.people, present, strict=True)]
 
 
 def nudged(poses: FloatArray, position: float, attitude: float, seed: int) -> FloatArray:
@@ -98,7 +118,12 @@ def rendered_frame(renderer: Renderer, pose: FloatArray, number: int, seed: int)
 
 
 def detect_in_frames(
-    renderer: Renderer, detectors: Mapping[str, Detector], poses: FloatArray, first: int, seed: int
+    renderer: Renderer,
+    detectors: Mapping[str, Detector],
+    poses: FloatArray,
+    first: int,
+    seed: int,
+    people: Sequence[FloatArray] | None = None,
 ) -> dict[str, Matches]:
     """Render frames and run every detector on each frame.
 
@@ -108,6 +133,7 @@ def detect_in_frames(
         poses: X of the frames, `(N, 4, 4)`.
         first: number of the first frame.
         seed: seed of the noise.
+        people: cylinders in the way in each frame, `(M, 5)` each; None without a crowd.
 
     Returns:
         matches of the frames by the name of the detector.
@@ -115,7 +141,8 @@ def detect_in_frames(
     expected, ids = renderer.corners(poses), renderer.room.ids
     matches: dict[str, list[Matches]] = {name: [] for name in detectors}
     for i, pose in enumerate(poses):
-        image = rendered_frame(renderer, pose, first + i, seed)
+        among = renderer if people is None else replace(renderer, room=renderer.room.among(people[i]))
+        image = rendered_frame(among, pose, first + i, seed)
         for name, detector in detectors.items():
             matches[name].append(match(detector.detect(image), ids, expected[i]))
     return {name: Matches.stacked(found) for name, found in matches.items()}

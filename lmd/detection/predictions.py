@@ -1,6 +1,6 @@
 """Comparison of a visibility model's predictions for frames with detections: figures and tables."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -49,6 +49,8 @@ class CameraPrediction:
     """True for frames with an image, `(N,)`; None if all frames have an image. Without an image no tag is visible or
     whole.
     """
+    people: Sequence[FloatArray] | None = None
+    """Cylinders that are in the way in each of the N frames, `(M, 5)` each; None without a crowd."""
 
     @cached_property
     def corners(self) -> FloatArray:

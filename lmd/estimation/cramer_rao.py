@@ -161,7 +161,7 @@ class CramerRaoMap:
 
 
 def cramer_rao_map(scene: Scene, evaluator: Evaluator, deployment: Deployment) -> CramerRaoMap:
-    """Compute the bound at every position of `evaluator` and every orientation of the PDF."""
+    """Compute the bound at every position of `evaluator` and every orientation of the PDF, in every crowd state."""
     pdf, positions, weight = scene.pdf, evaluator.positions, scene.probability(evaluator.positions)
     _, first = np.unique(scene.orientations.index_of, return_index=True)
     turns = camera_pose(np.zeros(3), pdf.yaw[first], pdf.pitch[first], np.asarray(pdf.roll)[first])
@@ -170,11 +170,13 @@ def cramer_rao_map(scene: Scene, evaluator: Evaluator, deployment: Deployment) -
         here = positions[start : start + per_chunk]
         poses = np.tile(turns, (len(here), 1, 1))
         poses[:, :3, 3] = np.repeat(here, len(turns), axis=0)
-        seen = visible_to_each(evaluator, deployment, poses[:, :3, 3], axis_and_right(poses))
+        states = None if evaluator.states is None else evaluator.states[start : start + per_chunk].repeat(len(turns))
+        seen = visible_to_each(evaluator, deployment, poses[:, :3, 3], axis_and_right(poses), states)
         told = moment_information(scene.cameras, scene.extrinsics, poses, deployment.positions, seen)
         parts.append(cramer_rao_bound(told))
     position, attitude = (np.concatenate(part).reshape(len(positions), -1) for part in zip(*parts, strict=True))
-    share = averaged(np.isfinite(position), weight)
+    weight, position, attitude = evaluator.by_place(weight, position, attitude)
+    positions, share = positions[: len(position)], averaged(np.isfinite(position), weight)
     return CramerRaoMap(positions, share, _finite_median(position, weight), _finite_median(attitude, weight))
 
 

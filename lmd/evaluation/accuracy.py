@@ -90,10 +90,10 @@ def save_accuracy_map(path: str | Path, problem: Problem, deployment: Deployment
     An infinite median is an empty cell.
     """
     evaluator = problem.evaluator
-    weight = problem.scene.probability(evaluator.positions)
     errors, _ = predicted_errors(problem, deployment, evaluator)
+    weight, errors = evaluator.by_place(problem.scene.probability(evaluator.positions), errors)
     median = _medians(errors, weight)
-    columns = dict(zip("xyz", evaluator.positions.T, strict=True))
+    columns = dict(zip("xyz", problem.places.T, strict=True))
     columns |= {_share_name(limit): averaged(errors <= limit, weight) for limit in TOLERANCES}
     columns["predicted_error_median"] = np.where(np.isfinite(median), median, np.nan)
     write_table(path, columns)

@@ -192,7 +192,7 @@ def _measure(
     if scene.rig is not None or evaluator.by_reference:
         if scene.rig is None:  # a rig of one camera at the body's origin has the figures of that camera
             scene = replace(scene, camera=Rig((Mount(scene.cameras[0]),)))
-        moved = Evaluator(scene, evaluator.positions, evaluator.threads)
+        moved = Evaluator(scene, evaluator.positions, evaluator.threads, states=evaluator.states)
         rig = RigMoments(moved, deployment, objective.n, objective.precision(scene))
         failed = rig.without_cameras() if evaluator.scene.rig is not None else np.empty((0, 2))
         return assumed, rig.missed(MISS_PROBABILITIES, rng), rig.lost(), failed
@@ -206,7 +206,7 @@ def _shares(variant: Variant, evaluator: Evaluator) -> tuple[float, float]:
     if variant.note:
         return np.nan, np.nan
     scene, objective = replace(variant.scene, pdf=evaluator.scene.pdf), variant.objective
-    varied = Evaluator(scene, evaluator.positions, evaluator.threads)
+    varied = Evaluator(scene, evaluator.positions, evaluator.threads, states=evaluator.states)
     landmarks = variant.deployment.positions[None], variant.deployment.normals[None]
     views = localised_views(varied, *landmarks, objective.n, objective.precision(scene))
     return views.localised.mean() / PROBABILITY_ONE, views.covered.mean() / PROBABILITY_ONE

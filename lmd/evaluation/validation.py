@@ -11,10 +11,14 @@ qualified ratio on that grid is biased. Three figures do not depend on the grid:
 
 Like `qualified_ratio`, these figures weigh all positions equally, without the relevance.
 
+With a crowd, each group has fresh crowd states, as many as the problem, and its positions are the same in all states;
+the finer grid has the states of the problem. The headline is also given for the worst states of a group.
+
 For a recording, the figures are computed at the recorded poses: at the poses used for the optimisation, and at the
 held-out poses.
 """
 
+import math
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
@@ -25,6 +29,8 @@ from lmd.core.bits import BITS
 from lmd.core.checks import BoolArray, FloatArray, integer
 from lmd.core.compiled import PYTHON
 from lmd.geometry.frames import angles_of
+from lmd.objectives.base import SelfValidating
+from lmd.objectives.crowd import WORST, seeks_worst
 from lmd.problem import Problem
 from lmd.scene.deployment import Deployment
 from lmd.scene.pdf import OrientationPdf
@@ -36,6 +42,8 @@ if TYPE_CHECKING:
 
 # Separates the random numbers of the sample from other uses of the seed.
 VALIDATION_STREAM = 0x76616C
+# Least number of positions in each crowd state of a group.
+POSITIONS_IN_A_STATE = 256
 MOST_OF_A_RIG = 64, 8  # largest `positions` and `divisions` for a rig whose criteria have no compiled half
 
 
@@ -86,6 +94,8 @@ def validation_metrics(
         between: function called before each group; it may raise an error to end the validation.
     """
     scene, objective = problem.scene.sized(deployment.edges), problem.objective
+    if isinstance(objective, SelfValidating):
+        return objective.off_grid(problem.evaluator.sized(deployment.edges), deployment)
     if scene.recorded is not None:
         return held_out_metrics(problem, deployment, scene.recorded)
     finer = Evaluator(replace(scene, room=scene.room.finer(), pdf=scene.pdf.finer()), threads=problem.evaluator.threads)
@@ -94,15 +104,27 @@ def validation_metrics(
     key = objective.headline.key
     metrics = {f"finer_grid_{key}": float(on_finer_grid[key].mean())}
     sampled = sampled_values(problem, deployment, seed, sample or Sample(), between)
-    for key, shares in objective.shares(sampled).items():
+    every = dict(objective.shares(sampled))
+    if scene.crowd is not None:  # a state of a group has all positions of that group
+        by_state = np.asarray(every[key]).reshape(len(sampled), len(scene.crowd), -1).mean(axis=-1)
+        every[WORST + key] = np.sort(by_state, axis=1)[:, : scene.crowd.worst_count]
+    for key, shares in every.items():
         metrics[f"grid_free_{key}"], metrics[f"grid_free_{key}_standard_error"] = _mean_and_error(shares)
     return metrics
 
 
 def describe_validation(problem: Problem, figures: Mapping[str, float]) -> dict[str, str]:
     """Labelled sentences for the figures of `validation_metrics`."""
-    recorded = problem.scene.recorded is not None
-    return describe_held_out(figures) if recorded else problem.objective.describe_validation(figures)
+    if problem.scene.recorded is not None:
+        return describe_held_out(figures)
+    rows = dict(problem.objective.describe_validation(figures))
+    key = f"grid_free_{WORST}{problem.objective.headline.key}"
+    if key in figures and problem.scene.crowd is not None:
+        rows["worst crowds off the grid"] = (
+            f"{figures[key]:.2%} +- {figures[f'{key}_standard_error']:.2%} in the worst "
+            f"{problem.scene.crowd.worst_count} of {problem.state_count} fresh states"
+        )
+    return rows
 
 
 def _mean_and_error(shares: FloatArray | BoolArray) -> tuple[float, float]:
@@ -118,7 +140,8 @@ def headline_off_grid(problem: Problem) -> str:
     """
     recorded = problem.scene.recorded
     if recorded is None:
-        return f"grid_free_{problem.objective.headline.key}"
+        worst = WORST if seeks_worst(problem.evaluator) else ""
+        return f"grid_free_{worst}{problem.objective.headline.key}"
     return "held_out_share" if len(recorded.kept_back) else "recorded_share"
 
 
@@ -149,9 +172,14 @@ def sampled_evaluators(scene: Scene, seed: int, sample: Sample, threads: int) ->
         sample = Sample(sample.groups, min(sample.positions, most), min(sample.divisions, finest))
     rng = np.random.default_rng([seed, VALIDATION_STREAM])
     by_reference = PYTHON and scene.rig is None  # kernels in plain Python would take hours
+    size, states = sample.positions, 1 if scene.crowd is None else len(scene.crowd)
+    if states > 1:
+        size = max(math.ceil(size / states), min(size, POSITIONS_IN_A_STATE))
     for _ in range(sample.groups):
-        positions = scene.room.sample_evenly(sample.positions, rng)
+        positions = scene.room.sample_evenly(size, rng)
         drawn = replace(scene, pdf=scene.pdf.stratified(sample.divisions, rng))
+        if scene.crowd is not None:
+            drawn = replace(drawn, crowd=scene.crowd.crowd.drawn(scene.room, rng))
         yield Evaluator(drawn, positions, threads, by_reference)
 
 
@@ -191,7 +219,8 @@ def describe_held_out(figures: Mapping[str, float]) -> dict[str, str]:
 
 
 def exact_values(problem: Problem, deployment: Deployment, records: "Records") -> FloatArray:
-    """Value of the objective at each of R records, with only the orientation of that record, `(R,)`.
+    """Value of the objective at each of R records, with only the orientation of that record, `(R,)`; with a crowd, the
+    mean over its states.
 
     Records are evaluated in groups as large as a word has bits, one axis for each position.
     """
@@ -202,9 +231,13 @@ def exact_values(problem: Problem, deployment: Deployment, records: "Records") -
         alike = np.full(len(poses), 1.0 / len(poses))
         pdf = OrientationPdf(yaw, pitch, alike, roll=roll, by_position=lambda positions: np.eye(len(positions)))
         scene = replace(problem.scene.sized(deployment.edges), pdf=pdf)
-        evaluator = Evaluator(scene, poses[:, :3, 3], problem.evaluator.threads)
         landmarks = deployment.positions[None], deployment.normals[None]
-        parts.append(problem.objective.values(evaluator, *landmarks)[0])
+        values = []
+        for state in range(problem.state_count):
+            states = None if scene.crowd is None else np.full(len(poses), state)
+            evaluator = Evaluator(scene, poses[:, :3, 3], problem.evaluator.threads, states=states)
+            values.append(problem.objective.values(evaluator, *landmarks)[0])
+        parts.append(np.mean(values, axis=0))
     return np.concatenate(parts)
 
 

@@ -15,7 +15,7 @@ from lmd.geometry.camera import Camera
 from lmd.geometry.se3 import axis_and_right, camera_pose
 from lmd.scene.deployment import Deployment
 from lmd.scene.scene import Scene
-from lmd.sight.obstacles import unobstructed
+from lmd.sight.obstacles import half_edge, required_points, unobstructed
 
 # Separates the random numbers of the poses from other uses of the seed.
 CAUSES_STREAM = 0x7768790A
@@ -35,7 +35,11 @@ class Explained(Protocol):
 
 
 def verdicts(
-    scene: Scene, deployment: Deployment, poses: FloatArray, camera: Camera | None = None
+    scene: Scene,
+    deployment: Deployment,
+    poses: FloatArray,
+    camera: Camera | None = None,
+    states: IntArray | None = None,
 ) -> dict[str, BoolArray]:
     """Verdicts of the criteria of the scene's visibility model in N poses, `(N, K)` each; empty if the model has no
     verdicts.
@@ -45,6 +49,7 @@ def verdicts(
         deployment: K landmarks.
         poses: X of the camera, `(N, 4, 4)`.
         camera: camera of the scene's rig; None for the only camera.
+        states: crowd state in each pose, `(N,)`, for the verdict of the crowd.
 
     Raises:
         InputError: the scene has a rig, and no camera is given.
@@ -53,21 +58,27 @@ def verdicts(
     if not hasattr(scene.visibility, "verdicts"):
         return {}
     axes, scene = axis_and_right(poses), scene.sized(deployment.edges)
-    rows = [_verdicts_of(scene, camera, deployment, pose[:3, 3], axes[i : i + 1]) for i, pose in enumerate(poses)]
+    every = [scene] * len(poses) if states is None else list(map(scene.in_state, states.tolist()))
+    views = zip(every, poses, axes[:, None], strict=True)
+    rows = [_verdicts_of(own, camera, deployment, pose[:3, 3], axis) for own, pose, axis in views]
     return {name: np.concatenate([row[name] for row in rows]) for name in rows[0]}
 
 
 def _verdicts_of(
     scene: Scene, camera: Camera, deployment: Deployment, position: FloatArray, axes: FloatArray
 ) -> dict[str, BoolArray]:
-    """Verdicts from a camera's position and axes `(A, 6)`, `(A, K)` each: of the model, and of the room if it has
-    obstacles.
+    """Verdicts from a camera's position and axes `(A, 6)`, `(A, K)` each: of the model, of the room if it has
+    obstacles, and of the crowd if the scene has a single state.
     """
     landmarks = deployment.positions, deployment.normals
     found = dict(scene.visibility.verdicts(camera, position, axes, *landmarks))  # type: ignore[attr-defined]
     if scene.room.blockers() is not None:
         clear = unobstructed(scene.room, scene.visibility.sight(camera), position, *landmarks)
         found["obstacles"] = np.broadcast_to(clear, (len(axes), len(deployment)))
+    if scene.crowd is not None and len(scene.crowd) == 1:
+        points = required_points(half_edge(scene.visibility.sight(camera)), *landmarks)
+        seen = scene.crowd.clear(position, points).all(axis=0)
+        found["crowd"] = np.broadcast_to(seen, (len(axes), len(deployment)))
     return found
 
 
@@ -123,9 +134,10 @@ def causes(scene: Scene, deployment: Deployment, seed: int) -> Causes | None:
     poses = camera_pose(positions, *scene.pdf.draw_at(positions, rng)).reshape(POSITIONS, VIEWS, 4, 4)
     names: list[str] = []
     met, without, covered = [], [], 0
-    for here in poses:  # one pose after the other, to save memory
+    for i, here in enumerate(poses):  # one pose after the other, to save memory
+        own = scene if scene.crowd is None else scene.in_state(i % len(scene.crowd))
         for camera, offset, _, axes in scene.stations(axis_and_right(here)):
-            found = _verdicts_of(scene, camera, deployment, here[0, :3, 3] + offset, axes)
+            found = _verdicts_of(own, camera, deployment, here[0, :3, 3] + offset, axes)
             names, passed = list(found), np.stack(list(found.values()))
             failed = (~passed).sum(axis=0)
             met.append(passed.sum(axis=(1, 2)))
@@ -141,4 +153,6 @@ def causes(scene: Scene, deployment: Deployment, seed: int) -> Causes | None:
     limits = {name: " | ".join(dict.fromkeys(each[name] for each in described)) for name in (described or [{}])[0]}
     if "obstacles" in names:
         limits["obstacles"] = "nothing of the room in the way"
+    if "crowd" in names:
+        limits["crowd"] = "no person or robot in the way"
     return Causes(sightings, covered / sightings, shares(met), shares(without), limits)

@@ -15,6 +15,7 @@ from lmd.incremental.trial import bound_move, finish_move
 from lmd.scene.criteria import horizon_of
 from lmd.scene.deployment import Deployment
 from lmd.sight.blocks import boxes_around
+from lmd.sight.crowd import obstacles_of
 from lmd.sight.evaluator import Evaluator
 from lmd.sight.mounts import MountGroup, places_around, with_sight
 from lmd.sight.obstacles import half_edge, obstacles_at
@@ -190,7 +191,8 @@ def coverage_field(evaluator: Evaluator, n: int) -> CoverageField:
         each = zip(e.groups, places, strict=True)
         cameras = RigCameras(tuple(group._replace(obstacles=obstacles_at(blockers, at)) for group, at in each))
     else:
-        obstacles, tables = obstacles_at(blockers, ordered), np.stack(e.tables)
+        states = None if e.states is None else e.states[order]
+        obstacles, tables = obstacles_of(e.scene, ordered, states), np.stack(e.tables)
         cameras = OneCamera(e.sight, horizon_of(e.sight), np.zeros((1, 3)), np.zeros(1), obstacles, e.axes, tables)
     counted_once = np.zeros((len(order), e.axes.shape[1] // BITS), dtype=np.uint64)
     weights = e.weights[order] if len(e.weights) > 1 else e.weights

@@ -138,7 +138,7 @@ def smoothed(target: Any, p: Integer, units: Any, margin: Any, width: float, sha
 
 @dispatched
 def contribution(target: Any, p: Integer, units: Integer) -> Any:
-    """Contribution of the value `units` at position p to the fitness; the fitness is the sum of all contributions."""
+    """Contribution of the value `units` at position p to the fitness, see `fitness_of`."""
 
 
 @overridable
@@ -147,13 +147,29 @@ def placed(state: Any) -> Any:
     return state
 
 
-@kernel
-def total_fitness(target: Any, units: Any) -> Any:
-    """Fitness of a deployment with the values `units` `(Q,)`."""
+@overridable
+def combined(target: Any, terms: FloatArray, total: Any) -> Any:  # noqa: ARG001 # for other targets
+    """Smoothed fitness from the contributions `terms` `(Q,)` of the positions: their sum `total`, unless the class of
+    the target registers another function, which must increase monotonically with every term.
+    """
+    return total
+
+
+@overridable
+def fitness_of(target: Any, units: Any) -> Any:
+    """Fitness of a deployment with the values `units` `(Q,)`: the sum of the contributions, unless the class of the
+    target registers another function.
+    """
     total = 0.0
     for p in range(len(units)):
         total += contribution(target, p, units[p])
     return total
+
+
+@kernel
+def total_fitness(target: Any, units: Any) -> Any:
+    """Fitness of a deployment with the values `units` `(Q,)`."""
+    return fitness_of(target, units)
 
 
 @inner

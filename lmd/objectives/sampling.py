@@ -1,14 +1,16 @@
 """Random positions and orientations for the fitness, as an optimiser would overfit the room's grid."""
 
+import math
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from lmd.core.checks import check_fields, integer
+from lmd.core.checks import IntArray, check_fields, integer
 from lmd.core.memory import check_memory
 from lmd.scene.pdf import divisions_of
 from lmd.scene.scene import Scene
 from lmd.sight.evaluator import Evaluator
+from lmd.space.crowd import CrowdStates
 
 POSITION_BYTES = 3 * 8
 
@@ -43,7 +45,32 @@ class Sampling:
             InputError: there is not enough memory for the positions.
         """
         cells = len(scene.room.grid())
+        repeats = self.repeats(scene, repeats)
         what = f"sampling.positions = {repeats} in each of {cells} cells"
         check_memory(POSITION_BYTES * repeats * cells, what, "sampling.positions")
         positions = scene.room.jittered_grid(repeats, rng)
-        return Evaluator(replace(scene, pdf=scene.pdf.stratified(self.divisions, rng)), positions, threads)
+        drawn = replace(scene, pdf=scene.pdf.stratified(self.divisions, rng))
+        if scene.crowd is None:
+            return Evaluator(drawn, positions, threads)
+        return Evaluator(drawn, positions, threads, states=_states(scene.crowd, repeats, cells, rng))
+
+    def repeats(self, scene: Scene, least: int) -> int:
+        """Number of positions in each cell: `least`, or a multiple of the crowd states where the worst ones count."""
+        crowd = scene.crowd
+        if crowd is None or crowd.crowd.fitness == "mean" or least < len(crowd):
+            return least
+        return math.ceil(least / len(crowd)) * len(crowd)
+
+
+def _states(crowd: CrowdStates, repeats: int, cells: int, rng: np.random.Generator) -> IntArray:
+    """Crowd state at each position of `jittered_grid`, `(repeats cells,)`.
+
+    For the mean over states, the states are spread evenly over the positions of each cell, and over cells. For the
+    worst ones each state, of all or of a random choice, has equally many positions in all cells.
+    """
+    count = len(crowd)
+    if crowd.crowd.fitness == "mean":
+        first = rng.permutation(cells) % count
+        return np.asarray((first + np.arange(repeats)[:, None]) % count).reshape(-1)
+    chosen = np.sort(rng.permutation(count)[:repeats])
+    return np.repeat(chosen, repeats // len(chosen) * cells)

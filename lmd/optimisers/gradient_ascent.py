@@ -8,8 +8,9 @@ from typing_extensions import override
 
 from lmd.core.checks import FloatArray, InputError, integer, real, vector
 from lmd.core.compiled import clock, kernel
-from lmd.incremental.field import in_order, runner, smoothed
+from lmd.incremental.field import combined, runner, smoothed
 from lmd.objectives.base import incremental
+from lmd.objectives.crowd import slope_target, target_of
 from lmd.objectives.reference_field import field_of
 from lmd.optimisers.annealing.ascent import PLACES_TRIED, SHARE, slopes
 from lmd.optimisers.base import Callback, Result
@@ -27,10 +28,11 @@ GROWTH, SHRINKAGE = 1.5, 0.5  # factors of the step after a rise, and after a tr
 @kernel
 def _smooth_fitness(target: Any, units: Any, width: float) -> Any:
     """Smoothed fitness of a deployment with the values `units` `(Q,)`."""
-    total = 0.0
+    total, terms = 0.0, np.empty(len(units))
     for p in range(len(units)):
-        total += smoothed(target, p, units[p], 0.0, width, SHARE)
-    return total
+        terms[p] = smoothed(target, p, units[p], 0.0, width, SHARE)
+        total += terms[p]
+    return combined(target, terms, total)
 
 
 class GradientAscent(DeploymentSearch):
@@ -174,7 +176,8 @@ class _Climb:
     def __init__(self, problem: Problem, here: Deployment) -> None:
         self._problem = problem
         self._field = field_of(problem.objective, problem.fitness_evaluator)
-        self._target = incremental(problem.objective).target(in_order(self._field, problem.fitness_relevance))
+        evaluator, relevance = problem.fitness_evaluator, problem.fitness_relevance
+        self._target = target_of(problem.objective, self._field, evaluator, relevance)
         self._surfaces = SurfaceArrays.of(problem.scene.footprints.hanging.surfaces())
         self.begin(here)
 
@@ -185,7 +188,8 @@ class _Climb:
     def direction(self, difference: float, width: float) -> FloatArray:
         """Direction of the slope of each landmark along u and v, unit vectors, `(K, 2)`; 0 without a slope."""
         out, scratch = np.zeros((len(self._here), 2)), self._field.scratch(self._state)
-        parts = self._problem.fixed_count, self._field, self._state, scratch, self._target, self._surfaces
+        target = slope_target(self._target, self._state.units)
+        parts = self._problem.fixed_count, self._field, self._state, scratch, target, self._surfaces
         runner(self._field, slopes)(*parts, difference, width, out)
         length = np.linalg.norm(out, axis=1, keepdims=True)
         return np.asarray(out / np.where(length > 0.0, length, 1.0))

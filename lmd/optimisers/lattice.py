@@ -29,6 +29,7 @@ from scipy.sparse import block_array, block_diag, coo_array, csr_array, eye_arra
 
 from lmd.core.checks import BoolArray, FloatArray, InputError, IntArray
 from lmd.objectives.coverage import Coverage
+from lmd.objectives.crowd import seeks_worst
 from lmd.optimisers.annealing.surrogate import STACK_SPREAD, pulled_apart
 from lmd.optimisers.selection import candidates
 from lmd.problem import Problem
@@ -61,6 +62,8 @@ def check_lattice(problem: Problem, poses: Deployment, spacing: float) -> None:
         raise InputError("the integer program needs the objective of plain coverage at the grid's own positions.")
     if problem.scene.rig is not None:
         raise InputError("the integer program needs a single camera, not a rig.")
+    if seeks_worst(problem.evaluator):
+        raise InputError("the integer program needs the mean over crowd states as fitness, not the worst ones.")
     views = _views(problem).size
     lattice = f"the lattice of the integer program has {len(poses)} poses, {spacing:g} m apart"
     if len(poses) * views > MOST_PAIRS:

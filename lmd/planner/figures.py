@@ -61,9 +61,7 @@ class Values:
     def metrics(self) -> dict[str, float]:
         """See `Problem.metrics`."""
         problem = self._problem
-        figures = problem.objective.figures(self.values(), problem.relevance)
-        fitness = problem.objective.fitness(self._climbed.values(), problem.fitness_relevance)
-        return {**figures, "fitness": float(fitness)}
+        return problem.figures(self.values(), float(problem.fitness_from(self._climbed.values())))
 
 
 class _FieldValues:

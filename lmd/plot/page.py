@@ -41,8 +41,8 @@ def save_scene_page(path: str | Path, problem: Problem, deployment: Deployment, 
     """
     import plotly.graph_objects as go
 
-    room, objective, positions = problem.scene.room, problem.objective, problem.evaluator.positions
-    values = problem.values(deployment)
+    room, objective, positions = problem.scene.room, problem.objective, problem.places
+    values = problem.by_place(problem.values(deployment))
     good = objective.qualified(values)
     surroundings = _box_traces(room)
     for group in common.landmark_groups(len(deployment), problem.fixed_count):

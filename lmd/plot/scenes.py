@@ -31,8 +31,8 @@ def save_scene_figure(path: str | Path, problem: Problem, deployment: Deployment
     from matplotlib.figure import Figure
     from matplotlib.lines import Line2D
 
-    room, objective, positions = problem.scene.room, problem.objective, problem.evaluator.positions
-    values = problem.values(deployment)
+    room, objective, positions = problem.scene.room, problem.objective, problem.places
+    values = problem.by_place(problem.values(deployment))
     good = objective.qualified(values)
     groups = common.landmark_groups(len(deployment), problem.fixed_count)
     figure = Figure(figsize=(15.0, 7.5), dpi=100, facecolor="white")
@@ -86,11 +86,11 @@ def save_deployments_figure(
     for i, (name, (problem, deployment)) in enumerate(deployments.items()):
         left, bottom = 0.5 * (i % 2), 1.0 - margin - (1 + i // 2) * height
         axes = figure.add_axes((left, bottom, 0.5, height), projection="3d", computed_zorder=False)
-        good = problem.objective.qualified(problem.values(deployment))
+        good = problem.objective.qualified(problem.by_place(problem.values(deployment)))
         groups = common.landmark_groups(len(deployment), problem.fixed_count)
         drawn += groups
         _draw_surroundings(axes, problem.scene.room, deployment, groups)
-        _draw_balls(axes, problem.scene.room, problem.evaluator.positions, c=_faces(good))
+        _draw_balls(axes, problem.scene.room, problem.places, c=_faces(good))
         label = f"{common.literal(name)}: {good.mean():.2%} qualified"
         figure.text(left + 0.25, bottom + 0.97 * height, label, ha="center", va="top", fontsize=13)
     handles = [

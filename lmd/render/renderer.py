@@ -6,6 +6,7 @@ of a cube around the camera.
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
 from typing import NamedTuple
@@ -38,6 +39,8 @@ SMALLEST_SCALE = 0.2
 LEAST_COSINE = 0.5
 # Maximum number of images that motion blur averages.
 MOST_STEPS = 64
+# Grey level of people over that of a wall.
+PEOPLE_SHADE = 0.6
 # Largest distance of a tag behind its surface, metres; a surface hides tags that are farther behind it.
 FLUSH = 1e-3
 
@@ -131,17 +134,17 @@ class Renderer:
         return [self._light(pose, face) for face in faces_of(self.camera)]
 
     def _light(self, from_camera: FloatArray, face: Face) -> Float32Array:
-        """Light on one face: surfaces drawn from far to near and blurred, then tags from far to near."""
+        """Light on one face: surfaces, then people, drawn from far to near and blurred, then tags from far to near."""
         pose = from_camera.copy()
         pose[:3, :3] = from_camera[:3, :3] @ face.turn.T
         canvas = Canvas(face.matrix, face.size, self.imaging)
         position, room = pose[:3, 3], self.room
-        seen = [(s, part) for s in room.surfaces if (position - s.origin) @ s.normal > 0.0 for part in s.parts]
-        seen.sort(key=lambda one: -float(np.linalg.norm(_middle(*one) - position)))
+        seen, people = (_from_afar(surfaces, position) for surfaces in (room.surfaces, room.people_faces))
         outlines = []
-        for s, part in seen:
+        for i, (s, part) in enumerate(seen := seen + people):
             plane = (np.stack([s.u, s.v, s.origin - position]) @ pose[:3, :3]).T
-            outlines.append(canvas.surface(plane, part, float(self.imaging.shade(s.normal)), self._pattern))
+            grey = float(self.imaging.shade(s.normal)) * (PEOPLE_SHADE if i >= len(seen) - len(people) else 1.0)
+            outlines.append(canvas.surface(plane, part, grey, self._pattern))
         if seen:
             canvas.blur(self.imaging.psf_sigma)
         squares = to_camera(pose, room.corners.reshape(-1, 3)).reshape(-1, 4, 3)
@@ -186,6 +189,12 @@ class Renderer:
             return None
         longest = max((float(surface.parts.max()) for surface in self.room.surfaces), default=0.0)
         return covering(self.imaging.texture, self.imaging.texture_seed, longest)
+
+
+def _from_afar(surfaces: Sequence[Surface], position: FloatArray) -> list[tuple[Surface, FloatArray]]:
+    """Parts of the surfaces that face a position `(3,)`, the farthest first."""
+    seen = [(s, part) for s in surfaces if (position - s.origin) @ s.normal > 0.0 for part in s.parts]
+    return sorted(seen, key=lambda one: -float(np.linalg.norm(_middle(*one) - position)))
 
 
 def _middle(surface: Surface, part: FloatArray) -> FloatArray:

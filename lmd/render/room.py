@@ -1,7 +1,7 @@
 """Tags in front of surfaces, for a renderer."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -9,7 +9,9 @@ from numpy.typing import NDArray
 
 from lmd.core.checks import FloatArray, InputError
 from lmd.geometry.squares import corners
+from lmd.render.crowd import faces_of
 from lmd.scene.tag import Tag
+from lmd.space.crowd import COLUMNS
 from lmd.space.surface import Surface
 
 
@@ -35,6 +37,8 @@ class TaggedRoom:
     """Surfaces that carry or occlude the tags."""
     edges: FloatArray = None  # type: ignore[assignment] # always an array once made
     """Edge of each tag, metres, `(K,)`; None for the edge of `tag`."""
+    people: FloatArray = None  # type: ignore[assignment] # always an array once made
+    """Cylinders that stand before surfaces and tags, `(N, 5)`, see `lmd.space.crowd`; None without a crowd."""
 
     def __post_init__(self) -> None:
         ids = np.asarray(self.ids)
@@ -45,6 +49,8 @@ class TaggedRoom:
             raise InputError(
                 f"ids must be in [0, {self.tag.ids - 1}] for family {self.tag.family}, got {ids.min()} to {ids.max()}."
             )
+        if self.people is None:
+            object.__setattr__(self, "people", np.empty((0, COLUMNS)))
         edges = np.full(len(ids), np.nan) if self.edges is None else self.edges
         object.__setattr__(self, "edges", self.tag.filled(edges))
         for name in ("centres", "normals", "ups"):
@@ -56,6 +62,15 @@ class TaggedRoom:
         if len(ids) and lean.max() > 1e-3:
             k = int(lean.argmax())
             raise InputError(f"ups[{k}] must be perpendicular to normals[{k}], their product is {lean[k]:g}.")
+
+    def among(self, people: FloatArray) -> "TaggedRoom":
+        """The room with other people, `(N, 5)`."""
+        return replace(self, people=people)
+
+    @cached_property
+    def people_faces(self) -> tuple[Surface, ...]:
+        """Faces of the people."""
+        return faces_of(self.people)
 
     @cached_property
     def corners(self) -> FloatArray:

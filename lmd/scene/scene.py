@@ -14,6 +14,7 @@ from lmd.scene.footprints import Footprints
 from lmd.scene.pdf import OrientationPdf, Orientations
 from lmd.scene.rig import Rig, Station, rig_of
 from lmd.scene.tag import Tag
+from lmd.space.crowd import CrowdStates
 from lmd.space.space import Space
 
 if TYPE_CHECKING:
@@ -37,9 +38,10 @@ class Scene:
         tag: tag at each landmark; by default the tag of the visibility model, or a point.
         recorded: recording from which room and PDF are derived, with its held-out poses; None without a recording.
         edges: edge of each landmark by its index, or one edge for all, metres, see `sized`; None for the edge of `tag`.
+        crowd: states of people and other robots that hide landmarks; None without a crowd.
 
     Raises:
-        InputError: the visibility model has another tag.
+        InputError: the visibility model has another tag, or a rig is to see a crowd.
     """
 
     room: Space
@@ -49,6 +51,7 @@ class Scene:
     tag: Tag = None  # type: ignore[assignment] # always a tag once made
     recorded: "RecordedPoses | None" = None
     edges: tuple[float, ...] | None = None
+    crowd: CrowdStates | None = None
 
     def __post_init__(self) -> None:
         if hasattr(self.visibility, "covered") and not hasattr(self.visibility, "sight"):
@@ -60,6 +63,8 @@ class Scene:
         object.__setattr__(self, "tag", self.tag or seen or Tag())
         if seen is not None and seen != self.tag:
             raise InputError(f"tag is {self.tag}, but visibility is about {seen}.", "tag")
+        if self.rig is not None:
+            self.check_no_crowd(f"a rig of {len(self.rig.mounts)} cameras")
 
     def sized(self, edges: FloatArray) -> "Scene":
         """Scene for deployments of K landmarks with given edges.
@@ -138,6 +143,15 @@ class Scene:
         if self.rig is not None:
             raise InputError(f"{what} works with a single camera, not with a rig of {len(self.rig.mounts)}.")
         return self.cameras[0]
+
+    def check_no_crowd(self, what: str) -> None:
+        """Raise `InputError` if the scene has a crowd; `what` is the subject of the message."""
+        if self.crowd is not None:
+            raise InputError(f"crowd: {what} works only without people in the way.", "crowd")
+
+    def in_state(self, state: int) -> "Scene":
+        """Scene with a single crowd state; the scene itself without a crowd."""
+        return self if self.crowd is None else replace(self, crowd=self.crowd.only(state))
 
     def stations(self, axes: FloatArray) -> Iterator[Station]:
         """Stations of the cameras for orientations of the camera or of the rig's body, `(A, 6)`."""

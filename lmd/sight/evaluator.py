@@ -17,10 +17,10 @@ from lmd.scene.deployment import Deployment
 from lmd.scene.scene import Scene
 from lmd.sight import kernels
 from lmd.sight.blocks import BLOCK, in_blocks
+from lmd.sight.crowd import obstacles_of
 from lmd.sight.directions import height_index, tables
 from lmd.sight.kernels import PROBABILITY_ONE
 from lmd.sight.mounts import MountGroup, mount_groups, with_sight
-from lmd.sight.obstacles import obstacles_at
 from lmd.sight.reference import ReferenceViews
 from lmd.sight.rig_views import RigViews
 
@@ -55,6 +55,8 @@ class Evaluator:
         threads: worker threads; all available processors by default. Results do not depend on the number.
         by_reference: True to use the NumPy reference instead of kernels. Criteria without a compiled half always use
             the reference.
+        states: crowd state at each position, `(P,)`; by default each position is repeated for all crowd states, in the
+            order of the states.
     """
 
     def __init__(
@@ -63,9 +65,14 @@ class Evaluator:
         positions: FloatArray | None = None,
         threads: int | None = None,
         by_reference: bool = False,
+        states: IntArray | None = None,
     ) -> None:
         self.scene = scene
-        self.positions = for_kernels(scene.room.grid() if positions is None else positions)
+        places = scene.room.grid() if positions is None else positions
+        if scene.crowd is not None and states is None:
+            states = np.repeat(np.arange(len(scene.crowd)), len(places))
+            places = np.tile(places, (len(scene.crowd), 1))
+        self.positions, self.states = for_kernels(places), states
         self._low, self._high = self.positions.min(axis=0), self.positions.max(axis=0)
         self.threads = threads or available_threads()
         axes, self.axis_of, _ = scene.orientations
@@ -76,13 +83,13 @@ class Evaluator:
         self.groups: tuple[MountGroup, ...] = ()
         self.views: RigViews | ReferenceViews | None = None  # None for a single camera, whose kernels this class calls
         if by_reference or not scene.is_compiled:
-            self.views = ReferenceViews(scene, self.positions)
+            self.views = ReferenceViews(scene, self.positions, states)
             return
         blockers, self.groups = scene.room.blockers(), mount_groups(scene)
         if self.groups:
             self.views = RigViews(self.groups, blockers, self.positions, self.threads)
         else:
-            self.sight, self.obstacles = scene.sight, obstacles_at(blockers, self.positions)
+            self.sight, self.obstacles = scene.sight, obstacles_of(scene, self.positions, states)
 
     def sized(self, edges: FloatArray) -> "Evaluator":
         """Evaluator for tags with the given edges, `(K,)` metres, see `Scene.sized`; recent evaluators are cached."""
@@ -94,12 +101,12 @@ class Evaluator:
             self._sized.clear()
         if key not in self._sized and scene.largest_edge > self.scene.largest_edge:
             # Tables and obstacles are made for the largest tag.
-            self._sized[key] = Evaluator(scene, self.positions, self.threads)
+            self._sized[key] = Evaluator(scene, self.positions, self.threads, states=self.states)
         elif key not in self._sized:
             other = copy.copy(self)
             other.scene, other._sized = scene, {}
             if self.by_reference:
-                other.views = ReferenceViews(scene, self.positions)
+                other.views = ReferenceViews(scene, self.positions, self.states)
             elif isinstance(self.views, RigViews):
                 kinds = dict.fromkeys(scene.cameras)
                 sights = (scene.visibility.sight(kind) for kind in kinds)
@@ -114,6 +121,10 @@ class Evaluator:
     def by_reference(self) -> bool:
         """True if the NumPy reference is used instead of kernels."""
         return isinstance(self.views, ReferenceViews)
+
+    def scene_at(self, p: int) -> Scene:
+        """The scene with the crowd state at position p, for an evaluator by reference."""
+        return self.views.scene_at(p) if isinstance(self.views, ReferenceViews) else self.scene
 
     @property
     def probability(self) -> FloatArray:
@@ -133,6 +144,16 @@ class Evaluator:
     def check_memory(self, each: float) -> None:
         """Raise `InputError` if `each` bytes for every pair of position and axis do not fit into memory."""
         check_views(each, len(self.positions), self.axes.shape[1])
+
+    def by_place(self, weight: FloatArray, *values: FloatArray) -> tuple[FloatArray, ...]:
+        """Probabilities `(1, D)` or `(P, D)` and values `(P, D)` of S crowd states side by side, a row for each place,
+        `(P / S, S D)`; unchanged without a crowd.
+        """
+        if self.scene.crowd is None:
+            return weight, *values
+        states = len(self.scene.crowd)
+        alike = np.broadcast_to(weight, values[0].shape) / states
+        return tuple(np.concatenate(np.split(each, states), axis=1) for each in (alike, *values))
 
     def counts(self, deployment: Deployment) -> np.ndarray:
         """Number of landmarks covered at every position and orientation of the PDF, `(P, A)` int16."""

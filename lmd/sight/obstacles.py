@@ -143,7 +143,7 @@ def _find_ends(
     half, normals, offsets = half_edge(sight), obstacles.normals, obstacles.offsets
     rx, ry, rz, ux, uy, uz = upright_axes(nx, ny, nz, VERTICAL_TOLERANCE)
     for i in range(POINTS if half > 0.0 else 1):
-        px, py, pz = _point(i, half, x, y, z, rx, ry, rz, ux, uy, uz)
+        px, py, pz = point_of(i, half, x, y, z, rx, ry, rz, ux, uy, uz)
         for j in range(len(offsets)):
             height = normals[j, 0] * px + normals[j, 1] * py + normals[j, 2] * pz - offsets[j]
             ends[k, i, j] = height
@@ -157,11 +157,11 @@ def _find_end_points(
     half = half_edge(sight)
     rx, ry, rz, ux, uy, uz = upright_axes(nx, ny, nz, VERTICAL_TOLERANCE)
     for i in range(POINTS if half > 0.0 else 1):
-        ends[k, i, 0], ends[k, i, 1], ends[k, i, 2] = _point(i, half, x, y, z, rx, ry, rz, ux, uy, uz)
+        ends[k, i, 0], ends[k, i, 1], ends[k, i, 2] = point_of(i, half, x, y, z, rx, ry, rz, ux, uy, uz)
 
 
 @inlined
-def _point(
+def point_of(
     i: Integer, half: float, x: float, y: float, z: float, rx: float, ry: float, rz: float, ux: float, uy: float,
     uz: float,
 ) -> Any:  # fmt: skip

@@ -20,17 +20,17 @@ from lmd.scene.deployment import Deployment
 from lmd.scene.pdf import OrientationPdf
 from lmd.scene.rig import Station
 from lmd.scene.scene import Scene
-from lmd.sight.obstacles import unobstructed
+from lmd.sight.crowd import unhindered
 
 
 def coverage_caps(scene: Scene, deployment: Deployment, position: FloatArray, axes: FloatArray) -> BoolArray:
     """Mask `(A, K)`: axis a lies in the coverage spherical cap S_k^C(p) of landmark k (Definition 1).
 
-    A landmark that the room blocks has an empty cap. For a rig, position and axes belong to the body, and the cap is
-    the union over the cameras, each at its own pose.
+    A landmark that the room or a crowd blocks has an empty cap. For a rig, position and axes belong to the body, and
+    the cap is the union over the cameras, each at its own pose.
 
     Args:
-        scene: criteria, room and cameras.
+        scene: criteria, room and cameras, with at most one crowd state.
         deployment: K landmarks.
         position: p, `(3,)`, world frame, metres.
         axes: optical axis and image's right, `(A, 6)`, unit vectors, world frame.
@@ -47,7 +47,7 @@ def station_caps(scene: Scene, deployment: Deployment, position: FloatArray, sta
     """
     landmarks, place = (deployment.positions, deployment.normals), position + station.offset
     seen = scene.visibility.covered(station.camera, place, station.axes, *landmarks)
-    clear = unobstructed(scene.room, scene.visibility.sight(station.camera), place, *landmarks)
+    clear = unhindered(scene, station.camera, place, *landmarks)
     return np.asarray(seen & clear)
 
 
@@ -83,9 +83,13 @@ def cost(is_qualified: BoolArray, relevance: FloatArray) -> float:
 
 
 def counts(scene: Scene, deployment: Deployment) -> IntArray:
-    """Number of landmarks covered at every grid position and orientation of the PDF, `(P, A)`."""
+    """Number of landmarks covered at every grid position and orientation of the PDF, `(P, A)`.
+
+    With a crowd, the positions are repeated for each state.
+    """
     axes, index_of, _ = scene.orientations  # orientations that are equal (poles, yaws of +-pi) are evaluated once
-    counted = [cap_count(coverage_caps(scene, deployment, p, axes)) for p in scene.room.grid()]
+    states = [scene.in_state(s) for s in range(1 if scene.crowd is None else len(scene.crowd))]
+    counted = [cap_count(coverage_caps(state, deployment, p, axes)) for state in states for p in scene.room.grid()]
     return np.stack(counted)[:, index_of]
 
 
@@ -103,16 +107,23 @@ class ReferenceViews:
     Args:
         scene: may have a visibility model without a compiled half.
         positions: positions of the camera, or of the body of the rig, `(P, 3)`, metres.
+        states: crowd state at each position, `(P,)`; None without a crowd.
     """
 
-    def __init__(self, scene: Scene, positions: FloatArray) -> None:
+    def __init__(self, scene: Scene, positions: FloatArray, states: IntArray | None = None) -> None:
         self._scene, self._positions, self._axes = scene, positions, scene.orientations.axes
+        self._states = np.zeros(len(positions), dtype=np.int64) if states is None else states
+        self._in_state = {s: scene.in_state(s) for s in np.unique(self._states).tolist()}
         if not scene.is_compiled:
             _warn_uncompiled(type(scene.visibility).__name__)
 
+    def scene_at(self, p: int) -> Scene:
+        """The scene with the crowd state at position p."""
+        return self._in_state[int(self._states[p])]
+
     def caps(self, deployment: Deployment, p: int) -> BoolArray:
         """Mask of the landmarks that each orientation covers from position p, `(D, K)`."""
-        return coverage_caps(self._scene, deployment, self._positions[p], self._axes)
+        return coverage_caps(self.scene_at(p), deployment, self._positions[p], self._axes)
 
     def evaluate(
         self, landmarks: FloatArray, normals: FloatArray, weights: np.ndarray, n: int, counts: np.ndarray
@@ -149,9 +160,22 @@ class ReferenceViews:
 
 
 def seen_from(
-    scene: Scene, camera: Camera, deployment: Deployment, positions: FloatArray, axes: FloatArray
+    scene: Scene,
+    camera: Camera,
+    deployment: Deployment,
+    positions: FloatArray,
+    axes: FloatArray,
+    states: IntArray | None = None,
 ) -> BoolArray:
-    """Mask `(N, K)` of the landmarks that a camera covers from poses with positions `(N, 3)` and axes `(N, 6)`."""
+    """Mask `(N, K)` of the landmarks that a camera covers from poses with positions `(N, 3)` and axes `(N, 6)`, and
+    with crowd states `(N,)` if there is a crowd.
+    """
+    if states is not None:
+        seen = np.empty((len(positions), len(deployment)), dtype=np.bool_)
+        for s in np.unique(states):
+            here = states == s
+            seen[here] = seen_from(scene.in_state(s), camera, deployment, positions[here], axes[here])
+        return seen
     seen = np.empty((len(positions), len(deployment)), dtype=np.bool_)
     places, place = np.unique(positions, axis=0, return_inverse=True)
     order = np.argsort(place.reshape(-1), kind="stable")

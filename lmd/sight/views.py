@@ -8,15 +8,16 @@ from typing import Any
 
 import numpy as np
 
-from lmd.core.checks import BoolArray, FloatArray
+from lmd.core.checks import BoolArray, FloatArray, IntArray
 from lmd.core.compiled import for_kernels, kernel
 from lmd.geometry.camera import Camera
 from lmd.geometry.se3 import axis_and_right
 from lmd.scene.criteria import covers, sized
 from lmd.scene.deployment import Deployment
 from lmd.scene.scene import Scene
+from lmd.sight.crowd import obstacles_of
 from lmd.sight.evaluator import Evaluator
-from lmd.sight.obstacles import is_clear, new_ends, obstacles_at
+from lmd.sight.obstacles import is_clear, new_ends
 from lmd.sight.reference import seen_from
 from lmd.sight.viewpoint import fill_viewpoint, is_shown, load_deployment, viewpoint_for
 
@@ -58,12 +59,21 @@ def visible(evaluator: Evaluator, deployment: Deployment, positions: FloatArray,
     return np.asarray(visible_to_each(evaluator, deployment, positions, axes).any(axis=0))
 
 
-def visible_to_each(evaluator: Evaluator, deployment: Deployment, positions: FloatArray, axes: FloatArray) -> BoolArray:
-    """Mask of the landmarks covered from each pose by each camera of the scene, `(C, N, K)`; args as in `visible`."""
+def visible_to_each(
+    evaluator: Evaluator,
+    deployment: Deployment,
+    positions: FloatArray,
+    axes: FloatArray,
+    states: IntArray | None = None,
+) -> BoolArray:
+    """Mask of the landmarks covered from each pose by each camera of the scene, `(C, N, K)`; args as in `visible`.
+
+    Where there is a crowd, `states` `(N,)` has its state in each pose.
+    """
     evaluator = evaluator.sized(deployment.edges)
     scene, axes = evaluator.scene, np.pad(axes, [(0, 0), (0, 6 - axes.shape[1])])
     if scene.rig is None:
-        return _visible(scene, scene.cameras[0], deployment, positions, axes)[None]
+        return _visible(scene, scene.cameras[0], deployment, positions, axes, states)[None]
     views = zip(scene.cameras, *scene.rig.views(axes), strict=True)
     return np.stack([
         _visible(scene, camera, deployment, positions + offsets, turned)
@@ -78,15 +88,22 @@ def visible_through(scene: Scene, camera: Camera, deployment: Deployment, poses:
 
 
 def _visible(
-    scene: Scene, camera: Camera, deployment: Deployment, positions: FloatArray, axes: FloatArray
+    scene: Scene,
+    camera: Camera,
+    deployment: Deployment,
+    positions: FloatArray,
+    axes: FloatArray,
+    states: IntArray | None = None,
 ) -> BoolArray:
     """Mask of the landmarks covered by one camera, `(N, K)`; positions `(N, 3)`, axes `(N, 6)`."""
     scene.check_count(len(deployment))
+    if states is None:
+        scene.check_no_crowd("a view from single poses")
     sight = scene.visibility.sight(camera)
     if sight is None:
-        return seen_from(scene, camera, deployment, positions, axes)
+        return seen_from(scene, camera, deployment, positions, axes, states)
     seen = np.zeros((len(positions), len(deployment)), dtype=np.bool_)
     landmarks, normals = (for_kernels(v.T[None]) for v in (deployment.positions, deployment.normals))
     positions, axes = for_kernels(positions), for_kernels(axes.T)
-    _mark_visible(positions, axes, landmarks, normals, sight, obstacles_at(scene.room.blockers(), positions), seen)
+    _mark_visible(positions, axes, landmarks, normals, sight, obstacles_of(scene, positions, states), seen)
     return seen

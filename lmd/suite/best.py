@@ -61,9 +61,9 @@ def best_rig(name: str) -> Rig:
 def reference_fitness(problem: Problem, deployment: Deployment) -> float:
     """Fitness of a deployment by the NumPy reference, which shares no kernel with the optimisers."""
     fast = problem.fitness_evaluator
-    slow = Evaluator(fast.scene, fast.positions, fast.threads, by_reference=True).sized(deployment.edges)
+    slow = Evaluator(fast.scene, fast.positions, fast.threads, True, fast.states).sized(deployment.edges)
     values: FloatArray = problem.objective.values(slow, deployment.positions[None], deployment.normals[None])[0]
-    return float(problem.objective.fitness(values, problem.fitness_relevance))
+    return float(problem.fitness_from(values))
 
 
 def _recorded(name: str) -> Document:

@@ -327,5 +327,5 @@ class ReferenceLogDeterminant(LogDeterminant):
 
     def _with(self, e: Evaluator, pose: Deployment, p: int) -> FloatArray:
         """Information of the views from position p with an additional pose, `(width, D)`."""
-        sums, _ = information_of(e.scene, pose, self.precision(e.scene), e.positions[p], self._axes)
+        sums, _ = information_of(e.scene_at(p), pose, self.precision(e.scene), e.positions[p], self._axes)
         return np.asarray(self.sums[p, : len(self._axes)].T + sums)

@@ -18,8 +18,8 @@ import numpy as np
 from lmd.core.checks import FloatArray, integer
 from lmd.core.compiled import kernel
 from lmd.core.threads import at_once
-from lmd.incremental.field import bound, in_order, placed, runner, settle, smoothed
-from lmd.objectives.base import incremental
+from lmd.incremental.field import bound, placed, runner, settle, smoothed
+from lmd.objectives.crowd import slope_target, target_of
 from lmd.objectives.reference_field import field_of
 from lmd.optimisers.stored import WORD, array
 from lmd.problem import Problem
@@ -112,8 +112,8 @@ class Ascent:
             sample = problem.resampled(0.0, np.random.default_rng(seed))
             assert sample is not None, "the objective has a sampling"
             field = field_of(problem.objective, sample[0])
-            target = incremental(problem.objective).target(in_order(field, sample[1]))
             state, out = field.state(here), np.zeros((len(here), 2))
+            target = slope_target(target_of(problem.objective, field, *sample), state.units)
             scratch = field.scratch(state)
             runner(field, slopes)(
                 problem.fixed_count, field, state, scratch, target, surfaces, DIFFERENCE_M, WIDTH, out

@@ -16,8 +16,8 @@ import numpy as np
 from lmd.core.checks import FloatArray, IntArray
 from lmd.core.layers import layer, layers
 from lmd.core.threads import at_once
-from lmd.incremental.field import Field, Places, Stacking, in_order, placed, places_of, runner, stack_of, total_fitness
-from lmd.objectives.base import incremental
+from lmd.incremental.field import Field, Places, Stacking, placed, places_of, runner, stack_of, total_fitness
+from lmd.objectives.crowd import target_of
 from lmd.objectives.reference_field import field_of
 from lmd.optimisers.annealing.moves import FootprintArrays, Settings
 from lmd.optimisers.annealing.walk import Best, walk
@@ -94,7 +94,7 @@ class Surrogate:
         """Lay out positions, orientations and relevance for the walk."""
         objective = self._problem.objective
         self._true = field_of(objective, evaluator)
-        self._target = incremental(objective).target(in_order(self._true, relevance))
+        self._target = target_of(objective, self._true, evaluator, relevance)
 
     @property
     def stack(self) -> int:

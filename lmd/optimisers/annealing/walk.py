@@ -24,7 +24,18 @@ import numpy as np
 from lmd.core.checks import FloatArray, IntArray
 from lmd.core.compiled import inner, kernel
 from lmd.core.layers import layer
-from lmd.incremental.field import Places, accept, bound, move_to, placed, settle, smoothed, total_fitness, undo
+from lmd.incremental.field import (
+    Places,
+    accept,
+    bound,
+    combined,
+    move_to,
+    placed,
+    settle,
+    smoothed,
+    total_fitness,
+    undo,
+)
 from lmd.optimisers.annealing.moves import FootprintArrays, Settings, exchange, gather, overlap, pair_up, propose
 from lmd.space.surface import SurfaceArrays
 
@@ -45,7 +56,7 @@ class Known(NamedTuple):
     """Smoothed objective of the walk's deployment; Q positions."""
 
     total: float
-    """Sum of `terms`."""
+    """Smoothed fitness from `terms`, see `combined`."""
     units: IntArray
     """`(Q,)` quantised values."""
     terms: FloatArray
@@ -64,7 +75,8 @@ def _sum_values(units: IntArray, known: Known, target: Any, settings: Settings) 
         if units[p] != accepted[p]:
             tried[p] = smoothed(target, p, units[p], settings.margin, settings.width, settings.share)
         total += tried[p]
-    return total
+    value: float = combined(target, tried, total)
+    return value
 
 
 @inner
@@ -171,6 +183,7 @@ def walk(
     for p in range(positions):
         terms[p] = smoothed(target, p, units[p], settings.margin, settings.width, settings.share)
         total += terms[p]
+    total = combined(target, terms, total)
     moved = 0
     while moved < moves:
         group = single

@@ -1,0 +1,249 @@
+"""Crowds: people and other robots as upright cylinders that stand on the floor and hide landmarks.
+
+A crowd state is a set of cylinders. S states are drawn once, so all deployments meet equal crowds (common random
+numbers), and one cylinder hides all landmarks behind it at the same time.
+
+A cylinder is an open convex set. A line of sight from p to q is blocked if its part in the cylinder has a positive
+length. The points p + t d, d = q - p, are horizontally inside for |t d_h - e|^2 < r^2, e from p to the axis, so for
+t between (b -+ sqrt(b^2 - a c)) / a with a = |d_h|^2, b = d_h . e, c = |e|^2 - r^2; the planes of floor and top limit
+t further.
+
+The camera is never inside a cylinder: a cylinder closer to the camera than the clearance is left out for that camera.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from lmd.core.checks import BoolArray, FloatArray, InputError, IntArray, check_fields, choice, integer, real, vector
+from lmd.core.memory import check_memory
+from lmd.space.polygon import checked_ring
+from lmd.space.space import Space, floor_of
+
+FITNESS = ("mean", "worst")
+# Columns of a cylinder: axis, radius, lower and upper end, metres.
+X, Y, RADIUS, BOTTOM, TOP = range(5)
+COLUMNS = 5
+# Rounds of drawing a place for each cylinder of every state; more are needed only where there is next to no room.
+ROUNDS = 2000
+# Directions and heights, as shares of the cylinder's, at which the free floor is tested.
+DIRECTIONS, HEIGHTS = 16, (0.01, 0.25, 0.5, 0.75, 0.99)
+ROUNDING = 1e-9  # tolerance of the number of states in a share of them
+
+
+@dataclass(frozen=True)
+class Crowd:
+    """Cylinders that walk in a room.
+
+    Raises:
+        InputError: a value is out of range.
+    """
+
+    number: int
+    """Cylinders in each state."""
+    radius: float | tuple[float, float] = 0.25
+    """Radius, metres: a number, or the least and the greatest of a uniform distribution."""
+    height: float | tuple[float, float] = 1.75
+    """Height above the floor, metres, as `radius`."""
+    walk: Any = None
+    """Polygon `[[x, y], ...]` or several in which the axes stand, metres; None for the whole free floor."""
+    clearance: float = 0.3
+    """Least distance of a cylinder from the camera, metres; a closer cylinder is left out."""
+    states: int = 20
+    """Number S of states."""
+    fitness: str = "mean"
+    """Fitness of all states: `mean`, or `worst` for the mean over the `worst` share of the states."""
+    worst: float = 0.05
+    """Share of the states that are the worst, rounded up to whole states."""
+    seed: int = 0
+    """Seed of the states."""
+
+    def __post_init__(self) -> None:
+        check_fields(self, integer, "number", "states", low=1)
+        check_fields(self, integer, "seed", low=0)
+        for name in ("radius", "height"):
+            object.__setattr__(self, name, _span(name, getattr(self, name)))
+        check_fields(self, real, "clearance", low=0.0)
+        check_fields(self, real, "worst", above=0.0, high=1.0)
+        choice("fitness", self.fitness, FITNESS)
+        if self.walk is not None:
+            object.__setattr__(self, "walk", _polygons(self.walk))
+        if self.fitness == "worst" and self.worst * self.states < 1.0 - ROUNDING:
+            raise InputError(
+                f"worst = {self.worst:g} of states = {self.states} is less than one state: take at least "
+                f"{int(np.ceil(1.0 / self.worst - ROUNDING))} states, or a larger share.",
+                "worst",
+            )
+
+    def drawn(self, room: Space, rng: np.random.Generator | None = None) -> "CrowdStates":
+        """Draw the states, from `seed` unless there is a generator.
+
+        Raises:
+            InputError: a cylinder finds no place.
+        """
+        return CrowdStates(self, _draw(self, room, np.random.default_rng(self.seed) if rng is None else rng))
+
+
+@dataclass(frozen=True, eq=False)
+class CrowdStates:
+    """S crowd states in a room."""
+
+    crowd: Crowd
+    """Settings from which the states were drawn."""
+    people: FloatArray
+    """Cylinders of each state, `(S, N, 5)`: x, y, radius, lower and upper z, metres."""
+
+    def __len__(self) -> int:
+        return len(self.people)
+
+    def only(self, state: int) -> "CrowdStates":
+        """The single state with an index."""
+        return CrowdStates(self.crowd, self.people[[state]])
+
+    @property
+    def worst_count(self) -> int:
+        """Number of states that are the worst."""
+        return worst_of(len(self), self.crowd.worst)
+
+    def present(self, positions: FloatArray, states: IntArray) -> BoolArray:
+        """Mask of the cylinders that stand while the camera is at a position, `(P, N)`.
+
+        Args:
+            positions: camera positions, `(P, 3)`, metres.
+            states: state at each position, `(P,)`.
+        """
+        people, (x, y, z) = self.people[states], (positions[:, i, None] for i in range(3))
+        away, clearance = people[..., RADIUS] + self.crowd.clearance, self.crowd.clearance
+        ex, ey = people[..., X] - x, people[..., Y] - y
+        beside = (z > people[..., BOTTOM] - clearance) & (z < people[..., TOP] + clearance)
+        return np.asarray(~((ex * ex + ey * ey < away * away) & beside))
+
+    def clear(self, position: FloatArray, points: FloatArray) -> BoolArray:
+        """Mask of the lines from a camera position `(3,)` to points `(..., 3)` that no cylinder of the only state
+        blocks; the reference.
+        """
+        assert len(self) == 1, "the reference is about one state"
+        standing = self.people[0][self.present(position[None], np.zeros(1, dtype=np.int64))[0]]
+        result = np.ones(points.shape[:-1], dtype=np.bool_)
+        for cylinder in standing:
+            result &= ~_crosses(cylinder, position, points)
+        return result
+
+
+def worst_of(states: int, share: float) -> int:
+    """Number of the worst states, a share of the states, rounded up."""
+    return max(1, int(np.ceil(share * states - ROUNDING)))
+
+
+def worst_mean(values: FloatArray, count: int) -> FloatArray:
+    """Mean of the `count` least values along the last axis."""
+    return np.asarray(np.sort(values, axis=-1)[..., :count].sum(axis=-1) / count)
+
+
+def _crosses(cylinder: FloatArray, position: FloatArray, points: FloatArray) -> BoolArray:
+    """Mask of the lines from a position `(3,)` to points `(..., 3)` that a cylinder `(5,)` blocks."""
+    dx, dy, dz = (points[..., i] - position[i] for i in range(3))
+    ex, ey = cylinder[X] - position[0], cylinder[Y] - position[1]
+    a, b, c = dx * dx + dy * dy, dx * ex + dy * ey, ex * ex + ey * ey - cylinder[RADIUS] * cylinder[RADIUS]
+    square = b * b - a * c
+    with np.errstate(all="ignore"):  # upright and level lines have no second bound
+        root = np.sqrt(np.maximum(square, 0.0))
+        upright, level = a == 0.0, dz == 0.0
+        inside = np.where(upright, c < 0.0, square > 0.0)
+        entered = np.where(upright, 0.0, np.maximum((b - root) / a, 0.0))
+        left = np.where(upright, 1.0, np.minimum((b + root) / a, 1.0))
+        below, above = (cylinder[BOTTOM] - position[2]) / dz, (cylinder[TOP] - position[2]) / dz
+        inside &= ~level | ((cylinder[BOTTOM] < position[2]) & (position[2] < cylinder[TOP]))
+        entered = np.where(level, entered, np.maximum(entered, np.minimum(below, above)))
+        left = np.where(level, left, np.minimum(left, np.maximum(below, above)))
+    return np.asarray(inside & (entered < left))
+
+
+def _span(name: str, value: Any) -> float | tuple[float, float]:
+    """Check a positive length, or the least and the greatest of two."""
+    if not isinstance(value, Sequence) or isinstance(value, str):
+        return real(name, value, above=0.0)
+    least, most = vector(name, value, 2, above=0.0)
+    if least > most:
+        raise InputError(f"{name} must not fall from {least:g} to {most:g}.", name)
+    return least, most
+
+
+def _polygons(value: Any) -> tuple[Any, ...]:
+    """Check a polygon, or several."""
+    if not isinstance(value, Sequence) or isinstance(value, str) or not len(value):
+        raise InputError(f"walk must be a polygon [[x, y], ...] or several, got {value!r}.", "walk")
+    first = value[0]
+    several = isinstance(first, Sequence) and len(first) > 0 and isinstance(first[0], Sequence)
+    rings = value if several else [value]
+    names = [f"walk[{i}]" for i in range(len(rings))] if several else ["walk"]
+    return tuple(checked_ring(name, ring, either_way=True) for name, ring in zip(names, rings, strict=True))
+
+
+def _draw(crowd: Crowd, room: Space, rng: np.random.Generator) -> FloatArray:
+    """Draw cylinders that neither overlap each other nor anything of the room, `(S, N, 5)`."""
+    shape = crowd.states, crowd.number
+    check_memory(8.0 * COLUMNS * crowd.states * crowd.number, f"crowd of {shape[1]} in {shape[0]} states", "number")
+    people, floor = np.empty((*shape, COLUMNS)), floor_of(room)
+    spans = (np.broadcast_to(span, 2).tolist() for span in (crowd.radius, crowd.height))
+    people[..., RADIUS], height = (rng.uniform(least, most, shape) for least, most in spans)
+    people[..., BOTTOM], people[..., TOP] = floor, floor + height
+    low, high, walks = _ground(crowd, room)
+    for n in range(crowd.number):
+        left = np.arange(crowd.states)
+        for _ in range(ROUNDS):
+            people[left, n, :2] = rng.uniform(low, high, (len(left), 2))
+            away = people[left, n, None, :2] - people[left, :n, :2]
+            apart = people[left, n, None, RADIUS] + people[left, :n, RADIUS]
+            good = ((away**2).sum(axis=-1) >= apart**2).all(axis=-1)
+            good[good] &= walks(people[left[good], n])
+            left = left[~good]
+            if not len(left):
+                break
+        else:
+            raise InputError(
+                f"number = {crowd.number} cylinders find no free floor to stand on where they walk; cylinder {n + 1} "
+                f"of state {left[0] + 1} has none.",
+                "number",
+            )
+    return people
+
+
+def _ground(crowd: Crowd, room: Space) -> Any:
+    """Corners of the box in which axes are drawn, `(2,)` each, and the test of the places of cylinders `(M, 5)`."""
+    import shapely
+
+    if crowd.walk is None:
+        return *(corner[:2] for corner in room.bounds()), lambda cylinders: stands(room, cylinders)
+    ground = shapely.union_all([shapely.Polygon(ring) for ring in crowd.walk])
+    x, y, x_end, y_end = ground.bounds
+
+    def walks(cylinders: FloatArray) -> BoolArray:
+        good: BoolArray = np.array(shapely.intersects_xy(ground, *cylinders[:, :2].T))
+        good[good] = stands(room, cylinders[good])
+        return good
+
+    return np.array([x, y]), np.array([x_end, y_end]), walks
+
+
+def stands(room: Space, cylinders: FloatArray) -> BoolArray:
+    """Mask of the cylinders `(M, 5)` that stand free in a room, tested in `DIRECTIONS` and at `HEIGHTS`.
+
+    A cylinder taller than the room ends at its ceiling.
+    """
+    angles = 2.0 * np.pi * np.arange(DIRECTIONS) / DIRECTIONS
+    ring = np.concatenate([np.zeros((1, 2)), np.stack([np.cos(angles), np.sin(angles)], axis=-1)])
+    top = np.minimum(cylinders[:, TOP], room.bounds()[1][2])
+    z = cylinders[:, BOTTOM, None] + (top - cylinders[:, BOTTOM])[:, None] * np.array(HEIGHTS)
+    points = np.empty((len(cylinders), len(HEIGHTS), len(ring), 3))
+    points[..., :2] = (cylinders[:, None, :2] + cylinders[:, RADIUS, None, None] * ring)[:, None]
+    points[..., 2] = z[..., None]
+    free: BoolArray = np.array(room.contains(points).all(axis=(1, 2)))
+    if free.any() and room.blockers() is not None:
+        within = points[free]
+        upwards = room.clear(within[:, 0], within[:, -1]).all(axis=1)
+        outwards = room.clear(np.broadcast_to(within[:, :, :1], within[:, :, 1:].shape), within[:, :, 1:])
+        free[free] = upwards & outwards.all(axis=(1, 2))
+    return free

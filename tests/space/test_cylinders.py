@@ -1,0 +1,123 @@
+"""Crowds: where cylinders stand, and which lines of sight they block by geometry that shares no code with ours."""
+
+import numpy as np
+import pytest
+import shapely
+import trimesh
+from floor_plans import lab
+from numpy.testing import assert_array_equal
+
+from lmd.core.checks import InputError
+from lmd.space.crowd import RADIUS, TOP, Crowd, CrowdStates, X, Y, worst_mean
+from lmd.space.cuboid import Cuboid
+
+ROOM = Cuboid((6.0, 4.0, 2.5), (5.0, 3.0, 1.5), 1.0)
+
+
+def test_cylinders_stand_apart_on_the_free_floor():
+    room = lab()
+    crowd = Crowd(4, radius=(0.2, 0.4), height=(0.5, 1.9), states=30).drawn(room)
+    solids = [shapely.box(*o.low[:2], *o.high[:2]) for o in room.plan.obstacles if o.low[2] < 0.5]
+    free = shapely.Polygon(room.plan.outline, room.plan.holes).difference(shapely.union_all(solids))
+    for state in crowd.people:
+        discs = [shapely.Point(x, y).buffer(r, quad_segs=64) for x, y, r in state[:, : RADIUS + 1]]
+        # 16 directions are tested: between two of them a corner may reach into the disc by r (1 - cos(pi / 16)).
+        assert all(disc.buffer(-0.02).within(free) for disc in discs)
+        assert all(one.disjoint(other) for i, one in enumerate(discs) for other in discs[:i])
+    assert_array_equal(crowd.people, Crowd(4, radius=(0.2, 0.4), height=(0.5, 1.9), states=30).drawn(room).people)
+
+
+def test_they_walk_where_they_are_told():
+    square = [[1, 1], [2, 1], [2, 2], [1, 2]]
+    other = [[4, 1], [5, 1], [5, 2], [4, 2]]
+    for walk, polygons in ((square, [square]), ([square, other], [square, other])):
+        people = Crowd(2, walk=walk, states=20).drawn(ROOM).people
+        ground = shapely.union_all([shapely.Polygon(ring) for ring in polygons])
+        assert shapely.covers(ground, shapely.points(people[..., X], people[..., Y])).all()
+
+
+@pytest.mark.parametrize(
+    ("settings", "said"),
+    [
+        ({"number": 0}, "number"),
+        ({"number": 3, "radius": -1.0}, "radius"),
+        ({"number": 3, "radius": [0.4, 0.2]}, "radius must not fall from 0.4 to 0.2"),
+        ({"number": 3, "height": "tall"}, "height"),
+        ({"number": 3, "walk": [[0, 0], [1, 1]]}, "walk must list at least 3 vertices"),
+        ({"number": 3, "walk": 3}, "walk must be a polygon"),
+        ({"number": 3, "fitness": "median"}, "fitness"),
+        ({"number": 3, "fitness": "worst", "states": 10}, "worst = 0.05 of states = 10 is less than one state"),
+        ({"number": 3, "walk": [[7, 0], [8, 0], [8, 1]]}, "number = 3 cylinders find no free floor"),
+        ({"number": 90, "radius": 0.5, "states": 1}, "number = 90 cylinders find no free floor"),
+    ],
+)
+def test_what_makes_no_sense_is_refused(settings, said):
+    with pytest.raises(InputError, match=said):
+        Crowd(**settings).drawn(ROOM)
+
+
+def lines(rng, count):
+    """Lines of sight with a cylinder each: most pass it closely, at any height."""
+    camera = rng.uniform([0, 0, 0.3], [6, 4, 2.4], (count, 3))
+    target = rng.uniform([0, 0, 0.0], [6, 4, 2.5], (count, 3))
+    share = rng.uniform(-0.1, 1.1, (count, 1))
+    axis = (camera + share * (target - camera))[:, :2] + rng.normal(0.0, 0.3, (count, 2))
+    people = np.column_stack([axis, rng.uniform(0.1, 0.5, count), np.zeros(count), rng.uniform(0.5, 2.0, count)])
+    return camera, target, people
+
+
+def clear(camera, target, person):
+    crowd = CrowdStates(Crowd(1, clearance=0.0), person[None, None])
+    return bool(crowd.clear(camera, target[None])[0])
+
+
+def test_a_cylinder_blocks_as_plane_geometry_says():
+    rng, blocked = np.random.default_rng(0), 0
+    for camera, target, person in zip(*lines(rng, 2000), strict=True):
+        disc = shapely.Point(person[:2]).buffer(person[RADIUS], quad_segs=400)
+        path = shapely.LineString([camera[:2], target[:2]])
+        if abs(path.distance(shapely.Point(person[:2])) - person[RADIUS]) < 1e-3 or disc.contains(
+            shapely.Point(camera[:2])
+        ):
+            continue  # a matter of rounding; or the cylinder would be left out
+        within = path.intersection(disc)
+        expected = False
+        if not within.is_empty:
+            along = np.array([path.project(shapely.Point(end)) for end in within.coords]) / path.length
+            lowest = (camera[2] + along * (target[2] - camera[2])).min()
+            if abs(lowest - person[TOP]) < 1e-3:
+                continue
+            expected = lowest < person[TOP]
+        assert clear(camera, target, person) == (not expected)
+        blocked += expected
+    assert blocked > 300
+
+
+def test_a_cylinder_blocks_as_a_ray_caster_says():
+    # Meshes of 256 sides; about 1 s.
+    rng, blocked = np.random.default_rng(1), 0
+    for camera, target, person in zip(*lines(rng, 150), strict=True):
+        mesh = trimesh.creation.cylinder(person[RADIUS], person[TOP], sections=256)
+        mesh.apply_translation([*person[:2], person[TOP] / 2.0])
+        if mesh.contains(camera[None])[0]:
+            continue
+        way = target - camera
+        hits, *_ = mesh.ray.intersects_location(camera[None], way[None])
+        share = (hits.reshape(-1, 3) - camera) @ way / (way @ way)
+        expected = bool((share <= 1.0).any())
+        assert clear(camera, target, person) == (not expected)
+        blocked += expected
+    assert blocked > 30
+
+
+def test_a_cylinder_around_the_camera_is_left_out():
+    crowd = CrowdStates(Crowd(1, clearance=0.3), np.array([[[2.0, 2.0, 0.25, 0.0, 1.75]]]))
+    places = np.array([[2.0, 2.0, 1.0], [2.54, 2.0, 1.0], [2.56, 2.0, 1.0], [2.0, 2.0, 2.0], [2.0, 2.0, 2.1]])
+    present = crowd.present(places, np.zeros(5, dtype=int))[:, 0]
+    assert present.tolist() == [False, False, True, False, True]
+    above = crowd.clear(places[4], np.array([[2.0, 2.0, 0.0], [2.0, 2.0, 1.8], [4.0, 2.0, 2.0]]))
+    assert above.tolist() == [False, True, True]
+
+
+def test_the_mean_of_the_worst():
+    assert worst_mean(np.array([[3.0, 1.0, 2.0], [5.0, 4.0, 6.0]]), 2).tolist() == [1.5, 4.5]
