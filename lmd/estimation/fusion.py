@@ -1,7 +1,7 @@
 """Estimators of GTSAM with models of the measurement noise: a Kalman filter and a fixed-lag smoother."""
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
@@ -36,7 +36,7 @@ class Uncertainty:
     """Lower bound on the noise of the detector, pixels."""
 
     def __post_init__(self) -> None:
-        check_fields(self, real, *sorted({*self.__dataclass_fields__} - {"measured"}), above=0.0)
+        check_fields(self, real, *(each.name for each in fields(self) if each.type is not str), above=0.0)
         optional("gtsam", "estimators")
 
     @property
