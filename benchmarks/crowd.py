@@ -175,6 +175,7 @@ def compared(problem: Problem, tags: Deployment) -> list[str]:
 
 
 def main() -> None:
+    """Run one part of the benchmark."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("part", choices=("cost", "lab", "table", "rendered"))
     parser.add_argument("--folder", type=Path, default=Path("outputs/crowd"))
