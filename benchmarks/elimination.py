@@ -43,8 +43,9 @@ def read(folder: Path) -> dict[str, dict[str, list[float]]]:
     """Fitness of each seed, by variant and problem."""
     found: dict[str, dict[str, list[float]]] = defaultdict(lambda: defaultdict(list))
     for path in sorted(folder.glob("runs/*/*/run.json")):
-        name = path.parent.name.split(" seed=")[0].split(" ", 2)[2]
-        found[name][path.parts[-3]].append(json.loads(path.read_text())["metrics"]["fitness"])
+        record = json.loads(path.read_text())
+        name = record["name"].split(" seed=")[0].split(" ", 2)[2]
+        found[name][path.parts[-3]].append(record["metrics"]["fitness"])
     return found
 
 

@@ -107,9 +107,9 @@ def collect(folder: Path) -> None:
     """Record the best run of each problem of a tournament."""
     for runs in sorted(path for path in folder.glob("runs/*") if path.is_dir()):
         frozen, box = lmd.suite.document(runs.name), lmd.suite.problem(runs.name, threads=None)
-        fitness = {path.parent: json.loads(path.read_text())["metrics"]["fitness"] for path in runs.glob("*/run.json")}
-        found = max(fitness, key=fitness.__getitem__)
-        _, evaluations, *entry, seed = found.name.split()
+        records = {path.parent: json.loads(path.read_text()) for path in runs.glob("*/run.json")}
+        found = max(records, key=lambda folder: records[folder]["metrics"]["fitness"])
+        _, evaluations, *entry, seed = records[found]["name"].split()
         by = f"{' '.join(entry)}, {evaluations} evaluations, {seed.replace('=', ' ')}"
         rig = found / "rig.yaml"
         cameras = rig_of(read_mounts(str(rig)), camera_of(frozen)) if rig.exists() else None

@@ -84,6 +84,9 @@ def build_parts(cfg: DictConfig, count: str = "deployment.count") -> Parts:
     choice("encoding.kind", cfg.encoding.kind, KINDS)
     boolean("encoding.flush", cfg.encoding.flush)
     objective = instantiate(cfg.objective)
+    if not hasattr(objective, "n") and callable(objective):  # an objective along drives through the scene
+        with keyed("objective"):
+            objective, scene = objective(scene)
     check_members("objective", objective, Objective, "docs/api/objectives.md")
     names = partial(keyed, "deployment", count=count, counts="tag.counts", family="tag.family")
     with names():

@@ -12,6 +12,7 @@ from omegaconf import DictConfig
 from .app import flat_settings
 from .building import budget_of, build_optimiser, build_problem
 from .earlier_run import RIG
+from .operations.sweeps.names import DIGEST_LENGTH
 from .optimise import SAME_WHEN_RESUMED
 from .outputs import columns_of, read_document, write_document
 from .provenance import digest
@@ -20,6 +21,7 @@ if TYPE_CHECKING:
     from lmd.evaluation.comparison import OptimiserRun
 
 LANDMARKS, HISTORY, RECORD = FILES = "landmarks.csv", "history.csv", "run.json"  # of each run, in a folder of its own
+LONGEST = 120  # characters of the name of a folder, with a digest behind them if the name of the run is longer
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,8 +56,11 @@ class Contender:
         return digest(settings, self.seed, document(self.problem).hash, self.evaluations)
 
     def folder(self, comparison: Path) -> Path:
-        """The folder of the run below the folder of its comparison."""
-        return comparison / "runs" / self.problem / self.name.replace("/", "_")
+        """The folder of the run below the folder of its comparison; a long name ends in a digest."""
+        name = self.name.replace("/", "_")
+        if len(name) > LONGEST:
+            name = f"{name[:LONGEST]} {digest(self.name)[:DIGEST_LENGTH]}"
+        return comparison / "runs" / self.problem / name
 
     def save(self, comparison: Path, run: "OptimiserRun", parent: str | None, ups: bool) -> None:
         """Write the result of the run.
@@ -74,7 +79,8 @@ class Contender:
         if run.rig is not None:
             write_rig(folder / RIG, run.rig, dict.fromkeys(run.rig.cameras))
         write_table(folder / HISTORY, columns_of(run.history))
-        write_document(folder / RECORD, {"digest": self.digest, "parent": parent, "metrics": dict(run.metrics)})
+        document = {"name": self.name, "digest": self.digest, "parent": parent, "metrics": dict(run.metrics)}
+        write_document(folder / RECORD, document)
 
     def saved(self, comparison: Path) -> "tuple[OptimiserRun, str | None] | None":
         """The result of the run in the folder of a comparison, and the tracked run of that; None if it is not there.

@@ -101,7 +101,8 @@ def real(
     if above is not None and not number > above:
         raise InputError(f"{name} must be greater than {above:g}, got {value!r}.", name)
     if low is not None and high is not None and not low <= number <= high:
-        raise InputError(f"{name} must be in [{low:g}, {high:g}], got {value!r}.", name)
+        digits = ".9g" if f"{number:g}" in (f"{low:g}", f"{high:g}") else "g"  # 1.5708 is above pi / 2
+        raise InputError(f"{name} must be in [{low:{digits}}, {high:{digits}}], got {value!r}.", name)
     if low is not None and number < low:
         raise InputError(f"{name} must be at least {low:g}, got {value!r}.", name)
     if high is not None and number > high:

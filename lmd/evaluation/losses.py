@@ -1,6 +1,8 @@
-"""Losses of fitness on removal of each tag, and of each pair of tags."""
+"""Losses of fitness on removal of each tag, of each pair of tags, and of more and more tags."""
 
+from collections.abc import Iterable
 from dataclasses import dataclass
+from itertools import islice
 
 import numpy as np
 
@@ -8,7 +10,7 @@ from lmd.core.checks import FloatArray, IntArray
 from lmd.core.words import few
 from lmd.objectives.crowd import target_of
 from lmd.objectives.reference_field import field_of
-from lmd.objectives.without import without_landmarks
+from lmd.objectives.without import removal_order, without_landmarks
 from lmd.problem import Problem
 from lmd.scene.deployment import Deployment
 
@@ -26,14 +28,28 @@ class Losses:
     """Fitness with all landmarks."""
     without: FloatArray
     """`(K, K)` fitness without landmarks i and j; on the diagonal, without landmark i."""
+    order: IntArray
+    """`(K,)` indices of the landmarks in the order of `removal_order`."""
+    left: FloatArray
+    """`(K,)` fitness after each removal in that order."""
 
     @property
     def table(self) -> dict[str, FloatArray | IntArray]:
-        """Columns `id`, `fitness_without` and `fitness_loss`, `(K,)` each, the largest loss first."""
+        """Columns, `(K,)` each, the largest loss first.
+
+        `id`; `fitness_without` and `fitness_loss` without this landmark alone; `removed`, its place from 1 in the order
+        of removal, and `fitness_left` after it and those before it are removed.
+        """
         alone = np.diagonal(self.without)
         lost = self.fitness - alone
-        order = np.argsort(-lost, kind="stable")
-        return {"id": self.ids[order], "fitness_without": alone[order], "fitness_loss": lost[order]}
+        order, place = np.argsort(-lost, kind="stable"), np.argsort(self.order)
+        return {
+            "id": self.ids[order],
+            "fitness_without": alone[order],
+            "fitness_loss": lost[order],
+            "removed": place[order] + 1,
+            "fitness_left": self.left[place][order],
+        }
 
     @property
     def tables(self) -> dict[str, dict[str, FloatArray | IntArray]]:
@@ -43,7 +59,14 @@ class Losses:
     @property
     def idle(self) -> IntArray:
         """Ids of the landmarks whose removal does not change the fitness."""
-        return np.sort(self.ids[np.diagonal(self.without) >= self.fitness - FITNESS_ROUNDING])
+        return np.sort(self.ids[np.abs(np.diagonal(self.without) - self.fitness) <= FITNESS_ROUNDING])
+
+    @property
+    def harmful(self) -> dict[int, float]:
+        """Gain of fitness without each landmark that lowers it, by id, the largest gain first."""
+        gained = np.diagonal(self.without) - self.fitness
+        worst = np.argsort(-gained, kind="stable")
+        return {int(self.ids[i]): float(gained[i]) for i in worst if gained[i] > FITNESS_ROUNDING}
 
     def metrics(self) -> dict[str, float]:
         """Least and mean fitness after the loss of one landmark, and after the loss of two."""
@@ -56,19 +79,26 @@ class Losses:
         }
 
     def to_text(self) -> str:
-        """Text for a terminal: the tags with the largest losses, and the idle tags."""
-        rows = zip(*self.table.values(), strict=True)
-        dearest = [(number, lost) for number, _, lost in rows if lost > FITNESS_ROUNDING]
-        most = ", ".join(f"{number} ({100.0 * lost:.2f})" for number, lost in dearest[:TAGS_LISTED])
+        """Text for a terminal: tags with the largest losses, tags that may go, idle tags, and tags that hurt."""
+        table = self.table
+        dearest = [row for row in zip(table["id"], table["fitness_loss"], strict=True) if row[1] > FITNESS_ROUNDING]
+        going = zip(self.ids[self.order], self.left, strict=True)
         idle = few(self.idle, TAGS_LISTED)
         return (
-            f"tags that matter most, and the points of fitness lost without each: {most or 'none'}\n"
+            f"tags that matter most, and the points of fitness lost without each: {_listed(dearest)}\n"
+            f"tags that may go first, one after the other, and the fitness left in %: {_listed(going)}\n"
+            f"tags that hurt, and the points of fitness gained without each: {_listed(self.harmful.items())}\n"
             f"idle tags, without any one of which nothing is lost: {idle or 'none'}"
         )
 
 
+def _listed(tags: Iterable[tuple[int, float]]) -> str:
+    """Ids of the first tags, each with a fraction in per cent; `none` for no tag."""
+    return ", ".join(f"{number} ({100.0 * each:.2f})" for number, each in islice(tags, TAGS_LISTED)) or "none"
+
+
 def losses(problem: Problem, deployment: Deployment) -> Losses:
-    """Measure the fitness without each landmark, and without each pair of landmarks.
+    """Measure the fitness without each landmark, without each pair, and with fewer and fewer landmarks.
 
     Args:
         problem: problem whose objective has a field.
@@ -79,4 +109,5 @@ def losses(problem: Problem, deployment: Deployment) -> Losses:
     """
     field = field_of(problem.objective, problem.fitness_evaluator)
     target = target_of(problem.objective, field, problem.fitness_evaluator, problem.fitness_relevance)
-    return Losses(deployment.ids, problem.fitness_of(deployment), without_landmarks(field, target, deployment))
+    pairs = without_landmarks(field, target, deployment)
+    return Losses(deployment.ids, problem.fitness_of(deployment), pairs, *removal_order(field, target, deployment))

@@ -29,6 +29,7 @@ from lmd.core.bits import BITS
 from lmd.core.checks import BoolArray, FloatArray, integer
 from lmd.core.compiled import PYTHON
 from lmd.geometry.frames import angles_of
+from lmd.objectives.base import SelfValidating
 from lmd.objectives.crowd import WORST, seeks_worst
 from lmd.problem import Problem
 from lmd.scene.deployment import Deployment
@@ -93,6 +94,8 @@ def validation_metrics(
         between: function called before each group; it may raise an error to end the validation.
     """
     scene, objective = problem.scene.sized(deployment.edges), problem.objective
+    if isinstance(objective, SelfValidating):
+        return objective.off_grid(problem.evaluator.sized(deployment.edges), deployment)
     if scene.recorded is not None:
         return held_out_metrics(problem, deployment, scene.recorded)
     finer = Evaluator(replace(scene, room=scene.room.finer(), pdf=scene.pdf.finer()), threads=problem.evaluator.threads)

@@ -139,6 +139,14 @@ class Selectable(Protocol):
         """Surrogate for greedy selection, before a landmark is chosen."""
 
 
+@runtime_checkable
+class SelfValidating(Protocol):
+    """Members of an objective whose figures off the grid do not come from random poses of the room."""
+
+    def off_grid(self, evaluator: Evaluator, deployment: Deployment) -> dict[str, float]:
+        """Figures of a deployment off the grid, whose names begin with `grid_free_`; empty if there are none."""
+
+
 def incremental(objective: Objective) -> Incremental:
     """Return an objective that has a field.
 

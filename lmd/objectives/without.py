@@ -1,12 +1,13 @@
-"""Exact fitness of a deployment without each landmark, and without each pair of landmarks.
+"""Exact fitness of a deployment without each landmark, without each pair, and with fewer and fewer of them.
 
 A landmark is removed by a move to a place where no camera sees it and where it hides no other landmark. Only the
-affected views are evaluated again, so all pairs of 90 landmarks cost no more than a hundred evaluations.
+affected views are evaluated again, so all pairs of 90 landmarks cost no more than a hundred evaluations. Moves are not
+settled, as the removed landmark neither hides others at its new place nor is hidden there.
 """
 
 import numpy as np
 
-from lmd.core.checks import FloatArray
+from lmd.core.checks import FloatArray, IntArray
 from lmd.core.layers import layers
 from lmd.incremental.field import ACCEPT, BOUND, UNDO, Field, Target, perform, runner, total_fitness
 from lmd.scene.deployment import Deployment
@@ -17,8 +18,6 @@ AWAY = np.array([0.0, 0.0, 1e6, 0.0, 0.0, 1.0])
 
 def without_landmarks(field: Field, target: Target, deployment: Deployment) -> FloatArray:
     """Fitness without landmarks i and j, `(K, K)`; on the diagonal, fitness without landmark i.
-
-    Moves are not settled, as the removed landmark neither hides others at its new place nor is hidden there.
 
     Args:
         field: incremental field of the values.
@@ -35,3 +34,27 @@ def without_landmarks(field: Field, target: Target, deployment: Deployment) -> F
         for j in range(i, count):
             fitness[i, j] = fitness[j, i] = total_fitness(target, units[1 + j - i])
     return fitness
+
+
+def removal_order(field: Field, target: Target, deployment: Deployment) -> tuple[IntArray, FloatArray]:
+    """Order in which landmarks may go: at each step the one without which the fitness is greatest, the first if equal.
+
+    Args:
+        field: incremental field of the values.
+        target: fitness of the values.
+        deployment: K landmarks.
+
+    Returns:
+        Indices of the landmarks, `(K,)`, and the fitness that is left after each removal, `(K,)`.
+    """
+    state, count = field.state(deployment), len(deployment)
+    scratches, run = layers(field.scratch(state), 1), runner(field, perform)
+    units, poses = np.empty((count, field.size), dtype=np.int64), np.tile(AWAY, (count, 1))
+    left, order, fitness = list(range(count)), np.empty(count, dtype=np.int64), np.empty(count)
+    for k in range(count):
+        run(np.array([(BOUND, i, -1, 0) for i in left]), poses, field, state, scratches, units)
+        tried = [total_fitness(target, units[row]) for row in range(len(left))]
+        best = int(np.argmax(tried))
+        order[k], fitness[k] = left.pop(best), tried[best]
+        run(np.array([(which, order[k], -1, 0) for which in (BOUND, ACCEPT)]), poses, field, state, scratches, units)
+    return order, fitness

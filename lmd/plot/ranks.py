@@ -3,6 +3,7 @@
 from collections.abc import Mapping
 from itertools import pairwise
 from pathlib import Path
+from textwrap import shorten
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -15,6 +16,7 @@ if TYPE_CHECKING:
 
 ROW, HEAD = 0.28, 1.0  # inches: height of a name, and of axis and bar above the names
 LEFT, RIGHT = 0.30, 0.70  # ends of the axis of ranks, as fractions of the width
+LABEL = 45  # characters of the name of an optimiser
 DASHES = ("-", "--", ":", "-.")
 
 
@@ -57,9 +59,14 @@ def save_critical_difference_diagram(path: Path, ranks: "pd.Series", critical: f
         y = top + ROW * (i if is_left else count - 1 - i)
         x, align = (LEFT - 0.02, "right") if is_left else (RIGHT + 0.02, "left")
         axes.plot([place(rank), place(rank), x], [line, y, y], color="0.4", linewidth=0.8)
-        text = f"{name}  {rank:.2f}" if is_left else f"{rank:.2f}  {name}"
-        axes.text(x, y, literal(text), ha=align, va="center", fontsize=9)
+        text = f"{_label(name)}  {rank:.2f}" if is_left else f"{rank:.2f}  {_label(name)}"
+        axes.text(x, y, text, ha=align, va="center", fontsize=9)
     figure.savefig(path)
+
+
+def _label(name: object) -> str:
+    """Name of an optimiser, cut after whole words if it has many overrides."""
+    return literal(shorten(str(name).replace("optimiser.", ""), LABEL, placeholder=" ..."))
 
 
 def _cliques(ranks: FloatArray, critical: float) -> list[tuple[int, int]]:
@@ -97,7 +104,7 @@ def save_profile_figure(
     for axes, (at, curves), (x, y) in ((left, profiles, labels[0]), (right, shares, labels[1])):
         for i, (name, curve) in enumerate(curves.items()):
             style = DASHES[i // 10 % len(DASHES)]
-            axes.step(at, curve, where="post", label=literal(name), linestyle=style, color=f"C{i % 10}")
+            axes.step(at, curve, where="post", label=_label(name), linestyle=style, color=f"C{i % 10}")
         axes.set(xlabel=x, ylabel=y, ylim=(-0.02, 1.02), xscale="log")
         axes.grid(alpha=0.4)
     right.legend(fontsize=8, loc="center left", bbox_to_anchor=(1.0, 0.5))

@@ -106,3 +106,8 @@ def test_a_part_that_lacks_a_method_is_named():
     told = r"^shape is a .*Round, which has no area; docs/shapes\.md has what is needed\.$"
     with pytest.raises(InputError, match=told):
         check_members("shape", Round(), Shape, "docs/shapes.md")
+
+
+def test_a_number_just_beyond_a_bound_is_told_from_it():
+    with pytest.raises(InputError, match=r"^pitch must be in \[-1\.57079633, 1\.57079633\], got -1\.5708\."):
+        real("pitch", -1.5708, low=-math.pi / 2, high=math.pi / 2)

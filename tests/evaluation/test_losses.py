@@ -13,7 +13,7 @@ from small import problem
 from strategies import deployments, scenes
 
 from lmd.evaluation.losses import losses
-from lmd.objectives.coverage import Coverage
+from lmd.objectives.coverage import Coverage, MeanCoverage
 from lmd.objectives.localisation import Localisation
 from lmd.objectives.sampling import Sampling
 from lmd.problem import Problem
@@ -28,6 +28,13 @@ def check(p, deployment):
     for i, j in combinations_with_replacement(range(len(deployment)), 2):
         rest = deployment[np.setdiff1d(np.arange(len(deployment)), [i, j])]
         assert found.without[i, j] == pytest.approx(p.fitness_of(rest), abs=1e-12)
+    rest = np.arange(len(deployment))
+    assert sorted(found.order) == list(rest)
+    for gone, fitness in zip(found.order[:-1], found.left, strict=False):  # no deployment is empty
+        each = [p.fitness_of(deployment[rest[rest != i]]) for i in rest]
+        assert fitness == pytest.approx(max(each), abs=1e-12)
+        assert each[list(rest).index(gone)] == pytest.approx(fitness, abs=1e-12)
+        rest = rest[rest != gone]
 
 
 @given(data=st.data(), scene=scenes(), n=st.integers(1, 2), thold_p=st.floats(0.0, 0.5))
@@ -55,9 +62,26 @@ def test_of_two_doubles_each_is_idle_and_both_matter():
     assert found.table["id"][0] == 2
     assert found.table["fitness_loss"][0] > 0.0
     assert found.without[0, 1] < found.fitness
+    assert found.order[0] == 0  # the first of two that are equal
+    assert found.left.tolist() == pytest.approx([found.fitness, found.left[1], 0.0])
+    assert "one after the other, and the fitness left in %: 0 (" in found.to_text()
+    assert "gained without each: none\n" in found.to_text()
     figures = found.metrics()
     assert figures["fitness_without_one_worst"] == found.without[2, 2]
     assert figures["fitness_without_one_mean"] == pytest.approx((2.0 * found.fitness + found.without[2, 2]) / 3.0)
     assert figures["fitness_without_two_worst"] <= figures["fitness_without_two_mean"] < found.fitness
     assert f"lost without each: 2 ({100.0 * found.table['fitness_loss'][0]:.2f})" in found.to_text()
     assert found.to_text().endswith("nothing is lost: 0, 1")
+
+
+def test_a_tag_that_hides_more_than_it_adds_hurts():
+    p = Problem(problem().scene, MeanCoverage(2, 0.5), RandomDeployment(60), threads=1)
+    deployment = p.draw(np.random.default_rng(0))
+    found = losses(p, deployment)
+    ((number, gain),) = found.harmful.items()
+    rest = p.fitness_of(deployment[np.flatnonzero(found.ids != number)])
+    assert gain == pytest.approx(rest - found.fitness)
+    assert gain > 1e-4
+    assert number not in found.idle
+    assert found.ids[found.order[0]] == number
+    assert f"gained without each: {number} ({100.0 * gain:.2f})" in found.to_text()

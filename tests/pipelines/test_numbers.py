@@ -60,6 +60,7 @@ OPTIONS = [
     ("optimise", "visibility", ["visibility=fiducial", "tag=printed", "deployment.count=20"]),
     ("optimise", "tag", ["visibility=fiducial", "tag=printed", "deployment.count=20"]),
     *(("optimise", "objective", [f"objective={name}"]) for name in ("localisation", "mean", "robust")),
+    ("optimise", "objective", ["objective=filtered", "objective.drives=2", "objective.fresh=1"]),
     ("optimise", "deployment", ["deployment=greedy", "deployment.count=2"]),
     *(
         ("observe", "estimator", [f"estimator=[{name}]"])

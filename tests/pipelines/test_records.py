@@ -5,6 +5,7 @@ import errno
 import json
 import signal
 
+import numpy as np
 import pytest
 from omegaconf import OmegaConf
 from small import problem
@@ -101,3 +102,15 @@ def test_a_method_that_cannot_be_checkpointed_is_named_when_the_run_starts(tmp_p
     progress.close()
     assert "warning" not in capsys.readouterr().err
     assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("weight", [1.0, 3.0])
+def test_the_fitness_is_printed_where_positions_differ_in_their_relevance(weight, found, monkeypatch, capsys):
+    monkeypatch.setattr(tracked_run, "validation_metrics", lambda *_: {})
+    p, result, arguments = found
+    p.relevance = np.where(np.arange(len(p.relevance)) == 0, weight, p.relevance)
+    p.fitness_relevance = p.relevance
+    record((p, result, arguments))
+    fitness = p.fitness_of(result.deployment)
+    printed = f"{fitness:.2%}, in which positions count by their relevance" in capsys.readouterr().out
+    assert printed == (weight != 1.0)

@@ -10,6 +10,13 @@ from processes import call, inside
 pytestmark = [pytest.mark.slow, pytest.mark.long]
 SMALL = ("suite=[tiny_mean,tiny_qualified]", "suite_budgets=[1]", "tracking=none", "workers=1", "validate=false")
 
+# Longer than a folder may be called.
+TUNED = (
+    "ega optimiser.population=10 optimiser.eliminated=3 optimiser.recombination_min=0.3970 "
+    "optimiser.recombination_max=0.8643 optimiser.mutation_probability=0.06888 optimiser.partner=survivor "
+    "optimiser.acceptance=always optimiser.mutation=reset"
+)
+
 
 @pytest.fixture(scope="module")
 def held(tmp_path_factory):
@@ -18,7 +25,7 @@ def held(tmp_path_factory):
     done = call(
         "compare",
         *SMALL,
-        "optimisers=[one_plus_one,random_search,ega]",
+        f"optimisers=[one_plus_one,random_search,'{TUNED}']",
         "seeds=2",
         "hydra.run.dir=a",
         cwd=cwd,
@@ -30,13 +37,13 @@ def held(tmp_path_factory):
 
 def test_a_tournament_has_a_leaderboard(held):
     cwd, out = held
-    assert "12/12 tiny_qualified 80 ega seed=1" in out
+    assert f"12/12 tiny_qualified 80 {TUNED} seed=1" in out
     table = pd.read_csv(cwd / "a" / "leaderboard.csv", index_col="problem")
     assert set(table.index) == {"tiny_mean", "tiny_qualified"}
-    assert {"one_plus_one", "random_search", "ega"} < set(table)
+    assert {"one_plus_one", "random_search", TUNED} < set(table)
     text = (cwd / "a" / "leaderboard.md").read_text()
     assert "Friedman's test over 2 problems" in text
-    assert f"**{table.loc['tiny_mean', ['one_plus_one', 'random_search', 'ega']].max():.4f}**" in text
+    assert f"**{table.loc['tiny_mean', ['one_plus_one', 'random_search', TUNED]].max():.4f}**" in text
     left = {path.name for path in (cwd / "a").iterdir()}
     assert {"ranks_1_fitness.png", "profiles_1.png", "iohprofiler", "runs"} < left
 
@@ -68,7 +75,7 @@ def test_the_parts_of_a_sweep_make_a_tournament(held, tmp_path):
     cwd, _ = held
     for name in ("tiny_mean", "tiny_qualified"):
         shutil.copytree(cwd / "a" / "runs" / name, tmp_path / "parts" / name / "runs" / name)
-    more = ("optimisers=[random_search,ega]", "seeds=2", f"resume={tmp_path / 'parts'}", "hydra.run.dir=c")
+    more = (f"optimisers=[random_search,'{TUNED}']", "seeds=2", f"resume={tmp_path / 'parts'}", "hydra.run.dir=c")
     done = call("compare", *SMALL, *more, cwd=cwd, settings=())
     assert done.returncode == 0, done.stderr
     assert "8/8 done already" in done.stdout

@@ -45,7 +45,7 @@ def view_information(
     sides: Any = *offset.T, *(asked.halves[:, None] * right).T, *(asked.halves[:, None] * up).T
     caps = coverage_caps(scene, deployment, position, axes)
     with np.errstate(all="ignore"):  # the depth of a landmark that is not covered is arbitrary
-        weight = _density(getattr(scene.sight, "lens", None), axes[:, None], offset)
+        weight = density(getattr(scene.sight, "lens", None), axes[:, None], offset)
         numbers = *moments(*(*sides, asked.share)), camera_residual(asked.residual, *sides)
         shares = [share_of(each, weight) for each in numbers]
     return np.stack([np.where(caps, share, 0.0).sum(axis=1) for share in shares]), caps
@@ -71,7 +71,7 @@ def body_information(
             if resolves_ambiguity(asked):
                 numbers += mirrored_numbers(*(*tags, asked.residual))
             lens = getattr(scene.visibility.sight(camera), "lens", None)
-            weight = gain_of(camera, scene.cameras[0]) * _density(lens, turned[:, None], offset)
+            weight = gain_of(camera, scene.cameras[0]) * density(lens, turned[:, None], offset)
             shares = [np.where(caps, share_of(each, weight), 0.0).sum(axis=1) for each in numbers]
         sums[there, : len(shares)] += np.stack(shares, axis=1)
     return sums.T, covered
@@ -108,7 +108,7 @@ def mirrored_probabilities(
         offset = centres - at[:, :3, 3]
         lens = getattr(scene.visibility.sight(camera), "lens", None)
         with np.errstate(all="ignore"):  # the depth of a tag that is not seen is arbitrary
-            weight = gain_of(camera, first) * _density(lens, axis_and_right(at), offset)
+            weight = gain_of(camera, first) * density(lens, axis_and_right(at), offset)
             tags: Any = *offset.T, *sides[0].T, *sides[1].T, least
             sums += np.where(mask, weight * np.stack(mirrored_numbers(*tags)), 0.0)
     numbers: Any = *sums, least
@@ -116,7 +116,7 @@ def mirrored_probabilities(
     return np.asarray(ndtr(-quantile * np.sqrt(np.maximum(ratio, 0.0))))
 
 
-def _density(lens: Any, axes: FloatArray, offset: FloatArray) -> FloatArray:
+def density(lens: Any, axes: FloatArray, offset: FloatArray) -> FloatArray:
     """`lmd.scene.criteria.pixel_density` for axes `(..., 6)` and offsets `(..., 3)`; `lens` is None for a pinhole."""
     axis, right = axes[..., :3], axes[..., 3:]
     if lens is None:

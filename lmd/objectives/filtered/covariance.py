@@ -1,0 +1,128 @@
+"""Covariance of a Kalman filter on SE(3) along a drive, one step at a time.
+
+The error of the estimate is X = X^ exp(e) with a body twist e, as in the invariant Kalman filter of
+`lmd.estimation.fusion`. Its covariance goes on with the motion T between two frames and with the information I of the
+tags in view,
+
+    P <- Ad(T^-1) P Ad(T^-1)^T + Q,        P^-1 <- P^-1 + I.
+
+Here the twist is turned to the axes of the world: v is the error of the camera's position and w the error of its
+rotation. In these axes Ad(T^-1) is v <- v + w x d with the displacement d of the camera. Odometry with equal noise
+along all axes has the covariance Q = diag(m^2 h, t^2 h) in any axes, with the densities m and t over the time h. I has
+the numbers of `lmd.objectives.localisation.body`, without rounding the inverse of the squared noise to one.
+
+A covariance or an information is 21 numbers: the block of v as xx, xy, xz, yy, yz, zz, the block of v and w row by row,
+and the block of w as that of v. The functions take numbers or arrays; kernels compile the functions that the reference
+calls, so the results are equal bit for bit.
+"""
+
+from typing import Any
+
+from lmd.core.compiled import inlined
+
+NUMBERS = 21  # numbers of a covariance
+TURN = 15  # first number of the block of w
+
+Number = Any  # a number in kernels, an array in the reference
+
+
+@inlined
+def predicted(p: Any, dx: Number, dy: Number, dz: Number, motion: Number, turn: Number) -> tuple[Number, ...]:
+    """Covariance after the displacement (dx, dy, dz) [m]; `motion` and `turn` are the variances of the odometry."""
+    vxx, vxy, vxz, vyy, vyz, vzz, xxx, xxy, xxz, xyx, xyy, xyz, xzx, xzy, xzz, wxx, wxy, wxz, wyy, wyz, wzz = p
+    # X' = X - [d]x W, with the rows of X as covariances of v_i with w.
+    yxx, yxy, yxz = xxx + (dz * wxy - dy * wxz), xxy + (dz * wyy - dy * wyz), xxz + (dz * wyz - dy * wzz)
+    yyx, yyy, yyz = xyx + (dx * wxz - dz * wxx), xyy + (dx * wyz - dz * wxy), xyz + (dx * wzz - dz * wxz)
+    yzx, yzy, yzz = xzx + (dy * wxx - dx * wxy), xzy + (dy * wxy - dx * wyy), xzz + (dy * wxz - dx * wyz)
+    # V' = V - [d]x X^T - X' [d]x^T: entry ij loses (d x X_j)_i + (d x X'_i)_j.
+    uxx = vxx - ((dy * xxz - dz * xxy) + (dy * yxz - dz * yxy))
+    uxy = vxy - ((dy * xyz - dz * xyy) + (dz * yxx - dx * yxz))
+    uxz = vxz - ((dy * xzz - dz * xzy) + (dx * yxy - dy * yxx))
+    uyy = vyy - ((dz * xyx - dx * xyz) + (dz * yyx - dx * yyz))
+    uyz = vyz - ((dz * xzx - dx * xzz) + (dx * yyy - dy * yyx))
+    uzz = vzz - ((dx * xzy - dy * xzx) + (dx * yzy - dy * yzx))
+    return (
+        uxx + motion, uxy, uxz, uyy + motion, uyz, uzz + motion, yxx, yxy, yxz, yyx, yyy, yyz, yzx, yzy, yzz,
+        wxx + turn, wxy, wxz, wyy + turn, wyz, wzz + turn,
+    )  # fmt: skip
+
+
+@inlined
+def _inverse(
+    xx: Number, xy: Number, xz: Number, yy: Number, yz: Number, zz: Number
+) -> tuple[Number, Number, Number, Number, Number, Number]:
+    """Inverse of a positive definite 3 x 3 matrix, by L D L^T."""
+    a = 1.0 / xx
+    p, q = xy * a, xz * a
+    b = 1.0 / (yy - p * xy)
+    m = yz - p * xz
+    r = m * b
+    c = 1.0 / ((zz - q * xz) - r * m)
+    s = p * r - q  # L^-1 has the rows (1), (-p, 1), (s, -r, 1)
+    sc, rc = s * c, r * c
+    return a + (p * p * b + s * sc), -(p * b) - r * sc, sc, b + r * rc, -rc, c
+
+
+@inlined
+def inverted(p: Any) -> tuple[Number, ...]:
+    """Inverse of a positive definite matrix, 21 numbers, by its blocks."""
+    vxx, vxy, vxz, vyy, vyz, vzz, xxx, xxy, xxz, xyx, xyy, xyz, xzx, xzy, xzz, wxx, wxy, wxz, wyy, wyz, wzz = p
+    axx, axy, axz, ayy, ayz, azz = _inverse(vxx, vxy, vxz, vyy, vyz, vzz)
+    # G = V^-1 X, and the Schur complement W - X^T G.
+    gxx, gxy, gxz = (
+        axx * xxx + axy * xyx + axz * xzx, axx * xxy + axy * xyy + axz * xzy, axx * xxz + axy * xyz + axz * xzz
+    )  # fmt: skip
+    gyx, gyy, gyz = (
+        axy * xxx + ayy * xyx + ayz * xzx, axy * xxy + ayy * xyy + ayz * xzy, axy * xxz + ayy * xyz + ayz * xzz
+    )  # fmt: skip
+    gzx, gzy, gzz = (
+        axz * xxx + ayz * xyx + azz * xzx, axz * xxy + ayz * xyy + azz * xzy, axz * xxz + ayz * xyz + azz * xzz
+    )  # fmt: skip
+    dxx, dxy, dxz, dyy, dyz, dzz = _inverse(
+        wxx - (xxx * gxx + xyx * gyx + xzx * gzx), wxy - (xxx * gxy + xyx * gyy + xzx * gzy),
+        wxz - (xxx * gxz + xyx * gyz + xzx * gzz), wyy - (xxy * gxy + xyy * gyy + xzy * gzy),
+        wyz - (xxy * gxz + xyy * gyz + xzy * gzz), wzz - (xxz * gxz + xyz * gyz + xzz * gzz),
+    )  # fmt: skip
+    # H = G D; the inverse has the blocks V^-1 + H G^T, -H and D.
+    hxx, hxy, hxz = (
+        gxx * dxx + gxy * dxy + gxz * dxz, gxx * dxy + gxy * dyy + gxz * dyz, gxx * dxz + gxy * dyz + gxz * dzz
+    )  # fmt: skip
+    hyx, hyy, hyz = (
+        gyx * dxx + gyy * dxy + gyz * dxz, gyx * dxy + gyy * dyy + gyz * dyz, gyx * dxz + gyy * dyz + gyz * dzz
+    )  # fmt: skip
+    hzx, hzy, hzz = (
+        gzx * dxx + gzy * dxy + gzz * dxz, gzx * dxy + gzy * dyy + gzz * dyz, gzx * dxz + gzy * dyz + gzz * dzz
+    )  # fmt: skip
+    return (
+        axx + (hxx * gxx + hxy * gxy + hxz * gxz), axy + (hxx * gyx + hxy * gyy + hxz * gyz),
+        axz + (hxx * gzx + hxy * gzy + hxz * gzz), ayy + (hyx * gyx + hyy * gyy + hyz * gyz),
+        ayz + (hyx * gzx + hyy * gzy + hyz * gzz), azz + (hzx * gzx + hzy * gzy + hzz * gzz),
+        -hxx, -hxy, -hxz, -hyx, -hyy, -hyz, -hzx, -hzy, -hzz, dxx, dxy, dxz, dyy, dyz, dzz,
+    )  # fmt: skip
+
+
+@inlined
+def updated(p: Any, i: Any, scale: float) -> tuple[Number, ...]:
+    """Covariance after an image with the information `scale` times `i`, 21 numbers."""
+    (
+        l0, l1, l2, l3, l4, l5, l6, l7, l8, l9, l10, l11, l12, l13, l14, l15, l16, l17, l18, l19, l20
+    ) = inverted(p)  # fmt: skip
+    return inverted((
+        l0 + scale * i[0], l1 + scale * i[1], l2 + scale * i[2], l3 + scale * i[3], l4 + scale * i[4],
+        l5 + scale * i[5], l6 + scale * i[6], l7 + scale * i[7], l8 + scale * i[8], l9 + scale * i[9],
+        l10 + scale * i[10], l11 + scale * i[11], l12 + scale * i[12], l13 + scale * i[13], l14 + scale * i[14],
+        l15 + scale * i[15], l16 + scale * i[16], l17 + scale * i[17], l18 + scale * i[18], l19 + scale * i[19],
+        l20 + scale * i[20],
+    ))  # fmt: skip
+
+
+@inlined
+def position_variance(p: Any) -> Number:
+    """Trace of the block of v, m^2."""
+    return p[0] + p[3] + p[5]
+
+
+@inlined
+def rotation_variance(p: Any) -> Number:
+    """Trace of the block of w, rad^2."""
+    return p[15] + p[18] + p[20]

@@ -1,0 +1,92 @@
+"""Drives of a camera or of a rig's body, and the odometry along them, as plain arrays."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from lmd.core.checks import FloatArray, InputError, IntArray, check_fields, real
+from lmd.geometry.se3 import axis_and_right
+from lmd.geometry.trajectory import Trajectory
+
+LARGEST = 1e6  # greatest standard deviation, in its unit
+
+
+@dataclass(frozen=True)
+class Drives:
+    """D drives with F frames in total, one drive after the other.
+
+    Raises:
+        InputError: a value is out of range, or there is no drive.
+    """
+
+    trajectories: Sequence[Trajectory]
+    """Poses of the camera, or of the rig's body, at the images of each drive."""
+    turn_noise: float
+    """Noise of the odometry about each axis, rad per root second."""
+    motion_noise: float
+    """Noise of the odometry along each axis, metres per root second."""
+    start_position: float = 1.0
+    """Standard deviation of the first estimate along each axis, metres."""
+    start_attitude: float = 0.5
+    """Standard deviation of the first estimate about each axis, rad."""
+
+    def __post_init__(self) -> None:
+        check_fields(self, real, "turn_noise", "motion_noise", low=0.0, high=LARGEST)
+        check_fields(self, real, "start_position", "start_attitude", low=1.0 / LARGEST, high=LARGEST)
+        if not self.trajectories:
+            raise InputError("drives must be at least one, got none.", "drives")
+
+    def __len__(self) -> int:
+        return len(self.trajectories)
+
+    @cached_property
+    def first(self) -> IntArray:
+        """First frame of each drive, and F, `(D + 1,)`."""
+        return np.concatenate([[0], np.cumsum([len(drive.time) for drive in self.trajectories])]).astype(np.int64)
+
+    @cached_property
+    def poses(self) -> FloatArray:
+        """Poses X of all frames, `(F, 4, 4)`."""
+        return np.concatenate([drive.poses for drive in self.trajectories])
+
+    @cached_property
+    def positions(self) -> FloatArray:
+        """Positions of all frames, metres, `(F, 3)`."""
+        return np.ascontiguousarray(self.poses[:, :3, 3])
+
+    @cached_property
+    def axes(self) -> FloatArray:
+        """Optical axis and right of all frames, `(F, 6)`."""
+        return axis_and_right(self.poses)
+
+    @cached_property
+    def seconds(self) -> FloatArray:
+        """Time until the next frame of the drive, `(F,)`; the last frame lasts as long as the frame before it."""
+        steps = [np.diff(drive.time) for drive in self.trajectories]
+        return np.concatenate([np.append(step, step[-1]) for step in steps])
+
+    @cached_property
+    def moves(self) -> FloatArray:
+        """Displacement since the frame before, metres, world frame, and variances of the odometry along each axis, m^2,
+        and about each axis, rad^2, `(F, 5)`; zeros for the first frame of a drive.
+        """
+        moves = np.zeros((len(self.poses), 5))
+        for first, drive in zip(self.first, self.trajectories, strict=False):
+            rows, step = moves[first + 1 : first + len(drive.time)], np.diff(drive.time)
+            rows[:, :3] = np.diff(drive.poses[:, :3, 3], axis=0)
+            rows[:, 3], rows[:, 4] = self.motion_noise**2 * step, self.turn_noise**2 * step
+        return moves
+
+    @property
+    def start(self) -> FloatArray:
+        """Covariance of the first estimates, 21 numbers as in `covariance`, `(21,)`."""
+        start = np.zeros(21)
+        start[[0, 3, 5]], start[[15, 18, 20]] = self.start_position**2, self.start_attitude**2
+        return start
+
+    def share_of(self, values: FloatArray) -> FloatArray:
+        """Mean over the time of each drive, `(..., D)`, of values of the frames `(..., F)`."""
+        weighted = np.add.reduceat(values * self.seconds, self.first[:-1], axis=-1)
+        return np.asarray(weighted / np.add.reduceat(self.seconds, self.first[:-1]))

@@ -1,0 +1,82 @@
+"""Filtered poses of whole deployments: information of every frame, then the filter along each drive."""
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from lmd.core.checks import BoolArray, FloatArray
+from lmd.geometry.squares import upright
+from lmd.objectives.filtered.covariance import NUMBERS
+from lmd.objectives.filtered.drives import Drives
+from lmd.objectives.filtered.lanes import Tolerance, filter_drives, lanes
+from lmd.objectives.localisation.body import about_body, gain_of
+from lmd.objectives.localisation.information import Precision, moments, share_of
+from lmd.objectives.localisation.reference import density
+from lmd.scene.deployment import Deployment
+from lmd.scene.scene import Scene
+from lmd.sight.evaluator import Evaluator
+from lmd.sight.views import visible_to_each
+
+
+class FrameInformation(NamedTuple):
+    """Information of the tags in view of each frame."""
+
+    sums: FloatArray
+    """`(F, 21)` numbers as in `lmd.objectives.localisation.body`."""
+    informed: BoolArray
+    """`(F,)` mask of the frames with enough tags in view."""
+
+
+class FilteredPoses(NamedTuple):
+    """Filtered pose of each frame."""
+
+    known: BoolArray
+    """`(F,)` mask of the poses that are known to the tolerance."""
+    covariances: FloatArray
+    """`(F, 21)` covariances as in `covariance`, in the axes of the world."""
+
+
+def frame_information(
+    evaluator: Evaluator, deployment: Deployment, asked: Precision, n: int, drives: Drives
+) -> FrameInformation:
+    """Information of a deployment in each frame.
+
+    Args:
+        evaluator: scene and visibility.
+        deployment: K landmarks.
+        asked: edges of the landmarks, and weight of their corners.
+        n: least number of landmarks of a frame whose information is used.
+        drives: frames.
+    """
+    scene, axes, places = evaluator.scene, drives.axes, drives.positions
+    seen = visible_to_each(evaluator, deployment, places, axes)
+    sums = np.zeros((len(places), NUMBERS))
+    for camera, offsets, turned, covered in zip(*_cameras(scene, axes), seen, strict=True):
+        frames, tags = np.nonzero(covered)
+        arms = offsets[frames]
+        away = deployment.positions[tags] - (places[frames] + arms)
+        halves = np.broadcast_to(asked.halves, len(deployment))[tags, None]
+        right, up = (halves * side for side in upright(deployment.normals[tags]))
+        lens = getattr(scene.visibility.sight(camera), "lens", None)
+        weight = gain_of(camera, scene.cameras[0]) * density(lens, turned[frames], away)
+        sides: Any = *away.T, *right.T, *up.T, asked.share
+        numbers = about_body(moments(*sides), *arms.T)
+        for j, number in enumerate(numbers):
+            share = np.broadcast_to(share_of(number, weight), weight.shape)
+            sums[:, j] += np.bincount(frames, weights=share, minlength=len(places))
+    return FrameInformation(sums, seen.any(axis=0).sum(axis=1) >= n)
+
+
+def _cameras(scene: Scene, axes: FloatArray) -> tuple[Any, FloatArray, FloatArray]:
+    """Cameras, and their offsets `(C, F, 3)` and axes `(C, F, 6)` for the axes of the body `(F, 6)`."""
+    if scene.rig is None:
+        return scene.cameras, np.zeros((1, len(axes), 3)), axes[None]
+    return scene.cameras, *scene.rig.views(axes)
+
+
+def filtered_poses(drives: Drives, information: FrameInformation, tolerance: Tolerance) -> FilteredPoses:
+    """Filter all drives, in compiled code."""
+    known, kept = np.zeros(len(information.sums), dtype=np.uint8), np.zeros((len(information.sums), NUMBERS))
+    informed = information.informed.astype(np.uint8)
+    filter_drives(drives.first, drives.moves, information.sums, informed, drives.start, tolerance, lanes(), known, kept)
+    return FilteredPoses(known != 0, kept)

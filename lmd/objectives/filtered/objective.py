@@ -1,0 +1,181 @@
+"""Filtered pose as an objective: the share of the time of drives at which a Kalman filter knows the pose."""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from lmd.core.checks import BoolArray, FloatArray, InputError, real
+from lmd.incremental.field import Field
+from lmd.objectives.base import AtLeast, Headline
+from lmd.objectives.coverage import Mean
+from lmd.objectives.filtered.drives import Drives
+from lmd.objectives.filtered.evaluation import FilteredPoses, filtered_poses, frame_information
+from lmd.objectives.filtered.lanes import Tolerance
+from lmd.objectives.filtered.reference import reference_filter, reference_information
+from lmd.objectives.localisation.information import Precision, deviation_per_variance, precision
+from lmd.objectives.reference_field import ReferenceField
+from lmd.objectives.sampling import Sampling
+from lmd.scene.criteria import TOLERANCE
+from lmd.scene.deployment import Deployment
+from lmd.scene.scene import Scene
+from lmd.sight.evaluator import Evaluator
+
+WORST = 0.05  # order of the reported quantile of the shares of drives
+
+
+@dataclass(frozen=True)
+class Filtered(AtLeast):
+    """Share of the time of drives at which the filtered pose is known to a tolerance.
+
+    Each frame of a drive is a position of the problem (`lmd.space.driven.DrivenRoom`). Its value is 1 if the standard
+    deviation of the filtered position, computed from the odometry and from the tags in view of this frame and of the
+    frames before it (`covariance`), is at most the tolerance, otherwise 0.
+
+    Args:
+        n: least number of tags of an image that the filter uses.
+        thold_p: least value of a qualified position; values are 0 or 1.
+        drives: drives that are optimised on.
+        fresh: other drives, for the validation; None for none.
+        tolerance: greatest standard deviation of the filtered position, metres.
+        rotation_tolerance: greatest standard deviation of the filtered rotation, rad; None for no limit.
+        pixel_noise: standard deviation of each coordinate of a corner, pixels.
+
+    Raises:
+        InputError: a value is out of range.
+    """
+
+    n: int = 1
+    thold_p: float = 1.0
+    drives: Drives = None  # type: ignore[assignment] # required, though the fields of the base have defaults
+    fresh: Drives | None = None
+    tolerance: float = 0.02
+    rotation_tolerance: float | None = None
+    pixel_noise: float = 0.5
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if not isinstance(self.drives, Drives):
+            raise InputError(f"drives must be Drives, got {self.drives!r}.", "drives")
+        object.__setattr__(self, "tolerance", real("tolerance", self.tolerance, above=0.0))
+        object.__setattr__(self, "pixel_noise", real("pixel_noise", self.pixel_noise, low=1e-6))
+        if self.rotation_tolerance is not None:
+            turn = real("rotation_tolerance", self.rotation_tolerance, above=0.0)
+            object.__setattr__(self, "rotation_tolerance", turn)
+
+    @property
+    def sampling(self) -> Sampling | None:
+        """See `Objective.sampling`: None, as the frames of the drives are the sample."""
+        return None
+
+    @property
+    def headline(self) -> Headline:
+        """See `Objective.headline`."""
+        return Headline("filtered_share", "filtered share")
+
+    @property
+    def name(self) -> str:
+        """See `Objective.name`."""
+        return f"filtered n={self.n} {1e3 * self.tolerance:g} mm"
+
+    @property
+    def value_name(self) -> str:
+        """See `Objective.value_name`."""
+        return f"F_{1e3 * self.tolerance:g}mm"
+
+    @property
+    def value_label(self) -> str:
+        """See `Objective.value_label`."""
+        return f"filtered position known to {1e3 * self.tolerance:g} mm"
+
+    def asked(self, scene: Scene) -> Precision:
+        """Edges of the tags and weight of their corners, as in localisation."""
+        camera, limits = scene.cameras[0], (self.tolerance, self.rotation_tolerance)
+        return precision(camera, scene.tag, self.pixel_noise, *limits, scene.edges)
+
+    def limits(self, scene: Scene) -> Tolerance:
+        """Limits of the covariance, and the unit of the information."""
+        turn = math.inf if self.rotation_tolerance is None else self.rotation_tolerance
+        scale = deviation_per_variance(scene.cameras[0], self.pixel_noise)
+        return Tolerance(self.tolerance**2 * (1.0 + TOLERANCE), turn**2 * (1.0 + TOLERANCE), 1.0 / scale**2)
+
+    def poses(self, evaluator: Evaluator, deployment: Deployment, drives: Drives | None = None) -> FilteredPoses:
+        """Filtered pose of each frame of `drives`, by default those that are optimised on."""
+        scene, along = evaluator.scene, drives or self.drives
+        asked, limits = self.asked(scene), self.limits(scene)
+        if evaluator.by_reference:
+            return reference_filter(along, reference_information(scene, deployment, asked, self.n, along), limits)
+        return filtered_poses(along, frame_information(evaluator, deployment, asked, self.n, along), limits)
+
+    def values(self, evaluator: Evaluator, positions: FloatArray, normals: FloatArray) -> FloatArray:
+        """See `Objective.values`.
+
+        Raises:
+            InputError: the positions of the evaluator are not the frames of the drives.
+        """
+        self._check(evaluator)
+        evaluator.scene.check_count(positions.shape[1])
+        each = (self.poses(evaluator, Deployment(*landmarks)) for landmarks in zip(positions, normals, strict=True))
+        return np.stack([poses.known.astype(np.float64) for poses in each])
+
+    def _check(self, evaluator: Evaluator) -> None:
+        if not np.array_equal(evaluator.positions, self.drives.positions):
+            raise InputError(
+                "the objective has values along its drives only, not at other positions of the room.", "objective"
+            )
+
+    def fitness(self, values: FloatArray, relevance: FloatArray) -> FloatArray:
+        """See `Objective.fitness`."""
+        return np.asarray((values * relevance).sum(axis=-1) / relevance.sum())
+
+    def shares(self, values: FloatArray) -> Mapping[str, FloatArray | BoolArray]:
+        """See `Objective.shares`."""
+        return {"filtered_share": values}
+
+    def figures(self, values: FloatArray, relevance: FloatArray) -> dict[str, float]:
+        """Share of the time, and 5 % quantile of the shares of the drives."""
+        return {
+            "filtered_share": float(self.fitness(values, self.drives.seconds)),
+            "worst_drives": float(np.quantile(self.drives.share_of(values), WORST)),
+        }
+
+    def describe(self, figures: Mapping[str, float], positions: int, count: int) -> dict[str, str]:
+        """See `Objective.describe`."""
+        seconds = self.drives.seconds.sum()
+        return {
+            "filtered share": f"{figures['filtered_share']:.2%} of {seconds:.0f} s in {len(self.drives)} drives have a "
+            f"{self.value_label}, with {count} landmarks",
+            "worst drives": f"{WORST:.0%} of them have {figures['worst_drives']:.2%} of their time or less",
+        }
+
+    def off_grid(self, evaluator: Evaluator, deployment: Deployment) -> dict[str, float]:
+        """See `lmd.objectives.base.SelfValidating`: figures of the fresh drives."""
+        if self.fresh is None:
+            return {}
+        known = self.poses(evaluator, deployment, self.fresh).known.astype(np.float64)
+        share, shares = self.fitness(known, self.fresh.seconds), self.fresh.share_of(known)
+        figures = {"filtered_share": float(share), "worst_drives": float(np.quantile(shares, WORST))}
+        if len(shares) > 1:
+            figures["filtered_share_standard_error"] = float(shares.std(ddof=1) / math.sqrt(len(shares)))
+        return {f"grid_free_{key}": value for key, value in figures.items()}
+
+    def describe_validation(self, figures: Mapping[str, float]) -> dict[str, str]:
+        """See `Objective.describe_validation`."""
+        if self.fresh is None:
+            return {}
+        error = figures.get("grid_free_filtered_share_standard_error")
+        within = "" if error is None else f" +- {error:.2%}"
+        return {
+            "on fresh drives": f"{figures['grid_free_filtered_share']:.2%}{within} of {self.fresh.seconds.sum():.0f} s "
+            f"in {len(self.fresh)} drives; {WORST:.0%} of them have {figures['grid_free_worst_drives']:.2%} or less"
+        }
+
+    def field(self, evaluator: Evaluator) -> Field:
+        """See `Incremental.field`; a rig has a field whose moves are full evaluations."""
+        self._check(evaluator)
+        return ReferenceField(self, evaluator)
+
+    def target(self, relevance: FloatArray) -> Mean:
+        """See `Incremental.target`."""
+        return Mean(relevance)

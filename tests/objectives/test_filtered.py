@@ -1,0 +1,229 @@
+"""Filtered poses along drives, against the reference and against matrices that share no code with it."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from bearings import view_matrices
+from examples import examples
+from hypothesis import given
+from hypothesis import strategies as st
+from paper import paper_room, paper_scene
+from rigs import rig_scenes_with_deployments
+from scipy.sparse import lil_matrix
+from scipy.sparse.linalg import splu
+from strategies import BENT, deployments, distorted_cameras, fiducial_scenes, is_bent, scenes, seeds
+
+from lmd.core.checks import InputError
+from lmd.estimation.drives import cut, filtered
+from lmd.estimation.flights import Pace, RandomMotion, Waypoints
+from lmd.estimation.recording import Odometry
+from lmd.evaluation.validation import validation_metrics
+from lmd.geometry.se3 import camera_pose, inverse
+from lmd.geometry.trajectory import Trajectory
+from lmd.objectives.filtered import Drives, Filtered
+from lmd.objectives.filtered.evaluation import filtered_poses, frame_information
+from lmd.objectives.filtered.reference import reference_filter, reference_information
+from lmd.objectives.localisation.information import deviation_per_variance
+from lmd.problem import Problem
+from lmd.scene.deployment_sources import UniformDeployment
+from lmd.scene.scene import Scene
+from lmd.scene.tag import Tag
+from lmd.sight.evaluator import Evaluator
+from lmd.space.driven import DrivenRoom
+
+pytestmark = pytest.mark.long
+
+SCENE = replace(paper_scene(paper_room(spacing=2.0)), tag=Tag(0.15))
+PACE = Pace(speed=1.0, turn_rate=1.0, frame_rate=5.0)
+MOTION = RandomMotion(6.0, PACE)
+SLOW = Odometry(turn_noise=0.001, motion_noise=0.005)
+DEPLOYMENT = UniformDeployment(60).draw(SCENE.room, np.random.default_rng(0))
+
+
+def drives_in(room, rng, most=11, **changes):
+    """Drives that jump from one random pose to the next: frames that share nothing."""
+    made = []
+    for _ in range(rng.integers(1, most)):
+        frames = int(rng.integers(2, 7))
+        time = np.cumsum(rng.uniform(0.1, 1.0, frames))
+        angles = rng.uniform(-np.pi, np.pi, frames), rng.uniform(-0.6, 0.6, frames), rng.uniform(-0.5, 0.5, frames)
+        made.append(Trajectory(time, camera_pose(room.sample(frames, rng), *angles)))
+    return Drives(made, **({"turn_noise": 0.01, "motion_noise": 0.05} | changes))
+
+
+def along(scene, drives):
+    return replace(scene, room=DrivenRoom(scene.room, drives.positions, drives.seconds))
+
+
+def tagged(scene, tag):
+    return Scene(scene.room, scene.camera, scene.pdf, scene.visibility, tag)
+
+
+single_cameras = st.one_of(
+    st.builds(tagged, scenes(), st.sampled_from([Tag(), Tag(0.1), Tag(0.3)])),
+    fiducial_scenes(distorted_cameras(BENT).filter(is_bent)),
+)
+settings = st.fixed_dictionaries(
+    {
+        "n": st.integers(1, 2),
+        "tolerance": st.sampled_from([0.01, 0.05, 0.3]),
+        "rotation_tolerance": st.sampled_from([None, 0.02, 0.3]),
+    }
+)
+
+
+def check_reference(scene, deployment, seed, asked):
+    """Fast paths count the same frames, and the covariances are equal to the bit."""
+    drives = drives_in(scene.room, np.random.default_rng(seed))
+    scene, objective = along(scene, drives), Filtered(drives=drives, **asked)
+    landmarks = deployment.positions[None], deployment.normals[None]
+    slow, fast = Evaluator(scene, by_reference=True), Evaluator(scene, threads=2)
+    precision, limits = objective.asked(scene), objective.limits(scene)
+    expected = reference_information(scene, deployment, precision, objective.n, drives)
+    found = frame_information(fast, deployment, precision, objective.n, drives)
+    np.testing.assert_array_equal(found.informed, expected.informed)
+    np.testing.assert_array_equal(found.sums, expected.sums)
+    np.testing.assert_array_equal(
+        filtered_poses(drives, found, limits).covariances, reference_filter(drives, expected, limits).covariances
+    )
+    np.testing.assert_array_equal(objective.values(fast, *landmarks), objective.values(slow, *landmarks))
+
+
+@examples(40)
+@given(data=st.data(), scene=single_cameras, seed=seeds, asked=settings)
+def test_frames_are_filtered_as_the_reference_says(data, scene, seed, asked):
+    check_reference(scene, data.draw(deployments(scene.room)), seed, asked)
+
+
+@examples(10)
+@given(case=rig_scenes_with_deployments(), seed=seeds, asked=settings)
+def test_frames_of_a_rig_are_filtered_as_the_reference_says(case, seed, asked):
+    check_reference(*case, seed, asked)
+
+
+def adjoint(pose):
+    """Ad of a pose on body twists (w, v)."""
+    matrix = np.zeros((6, 6))
+    matrix[:3, :3] = matrix[3:, 3:] = pose[:3, :3]
+    matrix[3:, :3] = np.cross(np.eye(3), -pose[:3, 3]) @ pose[:3, :3]
+    return matrix
+
+
+def driven_case(seed=0, noise=(0.001, 0.005)):
+    drives = Drives([MOTION.draw(SCENE, np.random.default_rng([seed, i])) for i in range(3)], *noise)
+    scene = along(SCENE, drives)
+    return Evaluator(scene, threads=1), Filtered(drives=drives, tolerance=0.02, pixel_noise=0.5)
+
+
+def body_informations(evaluator, objective):
+    """Information of each frame on the body twist (w, v), from the Jacobians of the corners' bearings."""
+    scene, drives = evaluator.scene, objective.drives
+    scale = deviation_per_variance(scene.cameras[0], objective.pixel_noise) ** -2
+    matrices = []
+    for pose, axes in zip(drives.poses, drives.axes, strict=True):
+        world = view_matrices(scene, DEPLOYMENT, pose[:3, 3], axes[None])[0].sum(axis=0)  # on (v, w)
+        turn = np.zeros((6, 6))  # (v, w) of the world from (w, v) of the body
+        turn[:3, 3:] = turn[3:, :3] = pose[:3, :3]
+        matrices.append(scale * turn.T @ world @ turn)
+    return matrices
+
+
+def test_the_covariance_is_that_of_the_filter_in_the_frame_of_the_body():
+    evaluator, objective = driven_case()
+    drives, informations = objective.drives, body_informations(evaluator, objective)
+    found = objective.poses(evaluator, DEPLOYMENT).covariances
+    seen = 0
+    for d, drive in enumerate(drives.trajectories):
+        p = np.diag(np.repeat([drives.start_attitude, drives.start_position], 3) ** 2)
+        for t, time in enumerate(drive.time):
+            if t > 0:
+                step = adjoint(inverse(drive.poses[t]) @ drive.poses[t - 1])
+                noise = np.repeat([drives.turn_noise, drives.motion_noise], 3) ** 2
+                p = step @ p @ step.T + np.diag(noise) * (time - drive.time[t - 1])
+            f = drives.first[d] + t
+            p = np.linalg.inv(np.linalg.inv(p) + informations[f])
+            seen += informations[f].any()
+            expected = np.trace(p[3:, 3:]), np.trace(p[:3, :3])
+            got = found[f, [0, 3, 5]].sum(), found[f, [15, 18, 20]].sum()
+            np.testing.assert_allclose(got, expected, rtol=2e-6)  # sums are rounded to a quantum
+    assert seen > 20
+
+
+def test_the_last_covariance_is_the_marginal_of_all_poses_together():
+    """A smoother of all poses, as one sparse matrix; the last of its marginals is what a filter knows at the end."""
+    evaluator, objective = driven_case(seed=1, noise=(0.01, 0.03))
+    drives, informations = objective.drives, body_informations(evaluator, objective)
+    found = objective.poses(evaluator, DEPLOYMENT).covariances
+    for d, drive in enumerate(drives.trajectories):
+        frames = len(drive.time)
+        matrix = lil_matrix((6 * frames, 6 * frames))
+        start = np.repeat([drives.start_attitude, drives.start_position], 3) ** -2.0
+        matrix[:6, :6] = np.diag(start)
+        for t in range(frames):
+            here = slice(6 * t, 6 * t + 6)
+            matrix[here, here] += informations[drives.first[d] + t]
+            if t > 0:
+                both = slice(6 * t - 6, 6 * t + 6)
+                step = adjoint(inverse(drive.poses[t]) @ drive.poses[t - 1])
+                known = np.repeat([drives.turn_noise, drives.motion_noise], 3) ** -2.0
+                jacobian = np.hstack([-step, np.eye(6)])
+                weight = np.diag(known / (drive.time[t] - drive.time[t - 1]))
+                matrix[both, both] += jacobian.T @ weight @ jacobian
+        last = np.zeros((6 * frames, 6))
+        last[-6:] = np.eye(6)
+        marginal = splu(matrix.tocsc()).solve(last)[-6:]
+        f = drives.first[d + 1] - 1
+        got = found[f, [0, 3, 5]].sum(), found[f, [15, 18, 20]].sum()
+        np.testing.assert_allclose(got, (np.trace(marginal[3:, 3:]), np.trace(marginal[:3, :3])), rtol=2e-6)
+
+
+def test_without_tags_the_pose_drifts_as_the_odometry_does():
+    drives = Drives([MOTION.draw(SCENE, np.random.default_rng(3))], 0.0, 0.1, start_position=0.2, start_attitude=1e-6)
+    objective = Filtered(drives=drives, n=100, thold_p=0.0)
+    evaluator = Evaluator(along(SCENE, drives), threads=1)
+    found = objective.poses(evaluator, DEPLOYMENT).covariances[:, [0, 3, 5]].sum(axis=1)
+    np.testing.assert_allclose(found, 3 * (0.2**2 + 0.1**2 * drives.trajectories[0].time), rtol=1e-6)
+
+
+def problem_of(source=MOTION, **changes):
+    objective, scene = filtered(SCENE, source, SLOW, **({"drives": 3, "fresh": 4} | changes))
+    return Problem(scene, objective, UniformDeployment(60), threads=1)
+
+
+def test_figures_are_of_the_time_and_of_fresh_drives():
+    problem = problem_of()
+    objective, known = problem.objective, problem.values(DEPLOYMENT)
+    assert set(known) <= {0.0, 1.0}
+    figures = problem.metrics(DEPLOYMENT)
+    assert figures["filtered_share"] == pytest.approx(known.mean()) == pytest.approx(figures["fitness"])
+    assert 0.1 < known.mean() < 1.0
+    shares = [known[a:b].mean() for a, b in zip(objective.drives.first, objective.drives.first[1:], strict=False)]
+    assert figures["worst_drives"] == pytest.approx(np.quantile(shares, 0.05))
+    off = validation_metrics(problem, DEPLOYMENT, 0)
+    fresh = replace(objective, drives=objective.fresh, fresh=None)
+    other = Problem(along(SCENE, objective.fresh), fresh, UniformDeployment(60), threads=1)
+    assert off["grid_free_filtered_share"] == pytest.approx(other.metrics(DEPLOYMENT)["filtered_share"])
+    assert not np.array_equal(objective.fresh.poses[:31], objective.drives.poses[:31])
+
+
+def test_drives_follow_from_the_seed_and_not_from_their_number():
+    one, more, other = (problem_of(**changes).objective.drives for changes in ({}, {"drives": 5}, {"seed": 1}))
+    np.testing.assert_array_equal(one.poses, more.poses[: len(one.poses)])
+    assert not np.array_equal(one.poses, other.poses)
+
+
+def test_every_fifth_drive_of_a_recording_is_held_out():
+    source = Waypoints([[1.5, 1.5, 3.0, 0.0, 0.0], [6.0, 1.5, 3.0, 1.57, 0.0], [6.0, 3.5, 3.0, 3.14, 0.0]], PACE)
+    objective = problem_of(source, block=2.0).objective
+    whole = cut(source.draw(SCENE, np.random.default_rng(0)), 2.0)
+    assert len(objective.drives) + len(objective.fresh) == len(whole) > 5
+    np.testing.assert_array_equal(objective.fresh.trajectories[0].poses, whole[4].poses)
+    with pytest.raises(InputError, match="the recording gives 1 drives, but every 5th is held out"):
+        problem_of(source, block=500.0)
+
+
+def test_positions_off_the_drives_have_no_value():
+    objective = problem_of().objective
+    with pytest.raises(InputError, match="has values along its drives only"):
+        objective.values(Evaluator(SCENE, threads=1), DEPLOYMENT.positions[None], DEPLOYMENT.normals[None])
