@@ -41,6 +41,7 @@ NOBODY = "0"
 # Crowds that deployments are optimised with: number, fitness, and the number of seeds.
 TRAINED = {"0": ("0", 3), "3": ("3", 3), "8": ("8", 3), "8 worst": ("{number: 8, fitness: worst}", 1)}
 ROOMS = {"lab": (), "walls": ("room.walls=[x_min,x_max,y_min,y_max]",)}
+SLOW = "worst"  # comes last
 SCORED = ("0", "3", "8")
 EVALUATIONS = 2000
 FRAMES, MOST_TAGS = 500, 4
@@ -57,24 +58,24 @@ def score(folder: Path, name: str) -> None:
     path, more = folder / f"{name}.csv", ROOMS[name]
     known = pd.read_csv(path, dtype={"trained": str, "scored": str}) if path.is_file() else None
     problems = {crowd: lab(crowd, *more) for crowd in SCORED}
-    for seed in range(max(seeds for _, seeds in TRAINED.values())):
-        for trained, (crowd, seeds) in TRAINED.items():
-            if seed >= seeds or (known is not None and ((known.trained == trained) & (known.seed == seed)).any()):
-                continue
-            began = time.process_time()
-            problem = lab(crowd, *more)
-            found = Annealing(seed=seed).run(problem, Budget(EVALUATIONS)).deployment
-            seconds = time.process_time() - began
-            prefix = "" if name == "lab" else f"{name}_"
-            problem.labelled(found).to_csv(folder / f"{prefix}{trained.replace(' ', '_')}_{seed}.csv", ups=True)
-            for scored, other in problems.items():
-                figures = other.metrics(found) | validation_metrics(other, found, 100 + seed)
-                row = {"trained": trained, "seed": seed, "scored": scored, "seconds": seconds, **figures}
-                with path.open("a", newline="", encoding="utf-8") as file:
-                    writer = csv.DictWriter(file, list(COLUMNS), extrasaction="ignore", restval="")
-                    if not file.tell():
-                        writer.writeheader()
-                    writer.writerow(row)
+    jobs = [(seed, trained) for trained, (_, seeds) in TRAINED.items() for seed in range(seeds)]
+    for seed, trained in sorted(jobs, key=lambda job: (SLOW in job[1], job[0])):
+        if known is not None and ((known.trained == trained) & (known.seed == seed)).any():
+            continue
+        began = time.process_time()
+        problem = lab(TRAINED[trained][0], *more)
+        found = Annealing(seed=seed).run(problem, Budget(EVALUATIONS)).deployment
+        seconds = time.process_time() - began
+        prefix = "" if name == "lab" else f"{name}_"
+        problem.labelled(found).to_csv(folder / f"{prefix}{trained.replace(' ', '_')}_{seed}.csv", ups=True)
+        for scored, other in problems.items():
+            figures = other.metrics(found) | validation_metrics(other, found, 100 + seed)
+            row = {"trained": trained, "seed": seed, "scored": scored, "seconds": seconds, **figures}
+            with path.open("a", newline="", encoding="utf-8") as file:
+                writer = csv.DictWriter(file, list(COLUMNS), extrasaction="ignore", restval="")
+                if not file.tell():
+                    writer.writeheader()
+                writer.writerow(row)
 
 
 FIGURES = {
