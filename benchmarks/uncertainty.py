@@ -1,9 +1,12 @@
-"""How far predicted deviations of a pose hold: `python benchmarks/uncertainty.py [--frames F] [--rules|--simulated]`.
+"""How far predicted deviations of a pose hold.
+
+python benchmarks/uncertainty.py [--frames F] [--seeds S | --rules | --simulated]
 
 Prints Markdown tables for the deployment `uniform` of `experiment=lab`:
 
 1. normalised errors (NEES over its degrees of freedom) of PnP on F rendered frames that a detector reads, for tags that
    are not cut by the border; with the corner errors of the library's table, and with those measured on F other frames;
+   with `--seeds S`, of S seeds, with the errors that the command takes by default;
 2. with `--simulated`: normalised errors under normal noise of half a pixel in F views, by the predicted deviation;
 3. with `--rules`: quantiles of the standard deviation over its law and over the usual rules.
 
@@ -36,6 +39,7 @@ from lmd.scene.deployment import Deployment
 from lmd.sight.views import visible_to_each
 
 SEED, LEVEL, LEAST = 3, 0.99, 2
+READERS_TRIED = ("aruco", "apriltag")
 PARTS = {"pose": (slice(None), 6), "rotation": (slice(3), 3), "position": (slice(3, 6), 3)}
 RULES = ("law", "one law", "squared", "photonvision", "constant")
 
@@ -48,16 +52,21 @@ def lab() -> tuple[Problem, Deployment]:
 
 
 def normalised(
-    problem: Problem, tags: Deployment, reader: str, noises: dict[str, CornerErrors | MeasuredCorners], frames: int
+    problem: Problem,
+    tags: Deployment,
+    reader: str,
+    noises: dict[str, CornerErrors | MeasuredCorners],
+    frames: int,
+    seed: int = SEED + 1,
 ) -> dict[str, FloatArray]:
     """NEES of pose, rotation and position `(F, 3)` by the name of the noise, with and without tags at the border."""
     scene, camera, tag = problem.scene, problem.scene.cameras[0], problem.scene.tag
-    poses = draw_poses(scene, 20 * frames, SEED + 1)
+    poses = draw_poses(scene, 20 * frames, seed)
     seen = visible_to_each(problem.evaluator, tags, poses[:, :3, 3], axis_and_right(poses))[0]
     poses = poses[seen.sum(axis=1) >= LEAST][:frames]
     points = corners(tags.places, tags.normals, tags.ups, tags.edges_of(tag))
     renderer = Renderer(camera, tagged_room(scene.room, tags, tag), imaging_of(problem))
-    found = detect_in_frames(renderer, {reader: READERS[reader](tag.family)}, poses, 0, SEED + 1)[reader]
+    found = detect_in_frames(renderer, {reader: READERS[reader](tag.family)}, poses, 0, seed)[reader]
     image = project(camera, poses, points.reshape(-1, 3)).reshape(len(poses), *points.shape[:2], 2)
     with np.errstate(invalid="ignore"):
         clear = ((image > BORDER) & (image < np.array(image_size(camera)) - BORDER)).all(axis=(2, 3))
@@ -83,17 +92,43 @@ def print_normalised(frames: int) -> None:
     problem, tags = lab()
     print("| detector | corner errors | frames | part | mean / dof | 99 % bounds | below 90 % | below 99 % |")
     print("| --- | --- | ---: | --- | ---: | --- | ---: | ---: |")
-    for reader in ("aruco", "apriltag"):
+    for reader in READERS_TRIED:
         noises = {"table": CORNER_ERRORS[reader], "rendered": measured_corners(problem, tags, reader, frames, SEED)}
         for name, nees in normalised(problem, tags, reader, noises, frames).items():
             for column, (part, (_, freedom)) in zip(nees.T, PARTS.items(), strict=True):
-                total = freedom * len(column)
-                low, high = chi2.ppf([(1.0 - LEVEL) / 2.0, (1.0 + LEVEL) / 2.0], total) / total
+                low, high = bounds(freedom, len(column))
                 below = [(column < chi2.ppf(level, freedom)).mean() for level in (0.9, 0.99)]
                 print(
                     f"| {reader} | {name} | {len(column)} | {part} | {column.mean() / freedom:.3f} | {low:.3f} to "
                     f"{high:.3f} | {below[0]:.1%} | {below[1]:.1%} |"
                 )
+
+
+def print_seeds(seeds: int, frames: int) -> None:
+    """Print table 1b: the default, and the table of the detector, with frames and their corners of several seeds."""
+    problem, tags = lab()
+    print("| detector | corner errors | part | mean / dof, each seed | mean | 99 % bounds of one seed | inside |")
+    print("| --- | --- | --- | --- | ---: | --- | ---: |")
+    for reader in READERS_TRIED:
+        rows: dict[tuple[str, str], list[tuple[float, float, float]]] = {}
+        for seed in range(seeds):
+            measured = measured_corners(problem, tags, reader, UncertaintyStudy().frames, seed)
+            noises = {"default": measured, "table": CORNER_ERRORS[reader]}
+            found = normalised(problem, tags, reader, noises, frames, SEED + 1 + seed)
+            for name in noises:
+                for column, (part, (_, freedom)) in zip(found[name].T, PARTS.items(), strict=True):
+                    rows.setdefault((name, part), []).append((column.mean() / freedom, *bounds(freedom, len(column))))
+        for (name, part), each in rows.items():
+            means, low, high = np.array(each).T
+            cells = [" ".join(f"{mean:.2f}" for mean in means), f"{means.mean():.2f}"]
+            cells += [f"{low.mean():.2f} to {high.mean():.2f}", f"{((low < means) & (means < high)).sum()} of {seeds}"]
+            print(f"| {reader} | {name} | {part} | {' | '.join(cells)} |", flush=True)
+
+
+def bounds(freedom: int, count: int) -> FloatArray:
+    """Bounds of the mean of `count` normalised errors over their degrees of freedom, `(2,)`."""
+    total = freedom * count
+    return np.asarray(chi2.ppf([(1.0 - LEVEL) / 2.0, (1.0 + LEVEL) / 2.0], total) / total)
 
 
 def print_simulated(views: int) -> None:
@@ -119,8 +154,7 @@ def print_simulated(views: int) -> None:
     for low, high in pairwise((0.0, 0.05, 0.1, 0.2, 0.4, 10.0)):
         own = (deviation > low) & (deviation <= high)
         means = np.array(nees)[own].mean(axis=0) / [freedom for _, freedom in PARTS.values()]
-        bounds = (chi2.ppf([(1.0 - LEVEL) / 2.0, (1.0 + LEVEL) / 2.0], n * own.sum()) / (n * own.sum()) for n in (6, 3))
-        texts = " | ".join(f"{a:.2f} to {b:.2f}" for a, b in bounds)
+        texts = " | ".join("{:.2f} to {:.2f}".format(*bounds(n, int(own.sum()))) for n in (6, 3))
         print(f"| {low:g} to {high:g} | {own.sum()} | {' | '.join(f'{m:.2f}' for m in means)} | {texts} |")
 
 
@@ -129,7 +163,7 @@ def print_rules() -> None:
     problem, tags = lab()
     print("| corners | quantity | rule | 5 % | 50 % | 95 % | factor of 90 % |")
     print("| --- | --- | --- | ---: | ---: | ---: | ---: |")
-    for reader in ("aruco", "apriltag"):
+    for reader in READERS_TRIED:
         study = UncertaintyStudy(corners=reader)
         errors = uncertainty_law(uncertainty(problem, tags, study, SEED)).errors.set_index(["quantity", "rule"])
         for quantity in ("position", "rotation"):
@@ -144,8 +178,11 @@ if __name__ == "__main__":
     parser.add_argument("--frames", type=int, default=400, help="number of rendered frames")
     parser.add_argument("--simulated", action="store_true", help="print the errors under simulated noise")
     parser.add_argument("--rules", action="store_true", help="print the rules in place of the normalised errors")
+    parser.add_argument("--seeds", type=int, default=0, help="print the normalised errors of several seeds")
     given = parser.parse_args()
-    if given.rules:
+    if given.seeds:
+        print_seeds(given.seeds, given.frames)
+    elif given.rules:
         print_rules()
     elif given.simulated:
         print_simulated(given.frames)

@@ -11,7 +11,7 @@ from .earlier_run import read_earlier_run
 from .landmarks import axes_in
 from .nodes import instantiate, keyed, note, settings_of
 from .outputs import write_all, write_document
-from .photographs import detected, odometry_of, reader_of
+from .photographs import detected, odometry_of, reader_of, with_camera_of_bag
 from .pipeline import Pipeline
 
 if TYPE_CHECKING:
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from lmd.scene.tag import Tag
 
 FILES = ("poses.csv", "poses.tum", "smoothed.csv", "smoothed.tum", "changes.csv", "localise.json")
-DETECTED = "detections.csv"
+DETECTED, BAG = "detections.csv", "poses.mcap"
 SURVEYED = "map.csv"  # map in the folder of a survey
 
 
@@ -29,6 +29,7 @@ def localise(cfg: DictConfig) -> None:
     from lmd.core.tables import write_table
     from lmd.detection.corner_errors import CORNER_ERRORS
     from lmd.formats.detection_formats import write_detections
+    from lmd.formats.pose_bags import check_pose_bag, write_pose_bag
     from lmd.localise import results
     from lmd.localise.localise import localise as find
     from lmd.scene.rig import Rig
@@ -37,17 +38,17 @@ def localise(cfg: DictConfig) -> None:
 
     seed_number(cfg.seed)
     tag = instantiate(cfg.tag)
-    given = camera_of(cfg.camera)
+    given = camera_of(with_camera_of_bag(cfg).camera)
     name, detector = reader_of(cfg)
     known, room = _map(cfg, tag), instantiate(cfg.room) if cfg.get("room") else None
     settings = settings_of(cfg, "localise")
     odometry = odometry_of(settings.odometry, "localise.odometry")
     with keyed("localise"):
         steady = None if settings.motion == "auto" else boolean("motion", settings.motion)
-        calibrate = boolean("calibrate", settings.calibrate)
+        calibrate, bag = boolean("calibrate", settings.calibrate), boolean("bag", settings.bag)
     if steady and odometry is not None:
         raise InputError("localise.motion is for drives without odometry: leave one of the two out.")
-    for file in (*FILES, DETECTED):
+    for file in (*FILES, DETECTED, BAG):
         if (run_directory() / file).is_dir():
             raise InputError(f"hydra.run.dir: {str(run_directory() / file)!r} is a folder, not a file to write.")
     seen = detected(cfg, given.cameras, detector, tag.modules)
@@ -60,6 +61,9 @@ def localise(cfg: DictConfig) -> None:
         mounts = given.mounted if isinstance(given, Rig) else None
         errors = CORNER_ERRORS[name.removesuffix("_fine")]
         found = find(seen, given.cameras, tag, errors, known, mounts, odometry, steady, room, calibrate)
+    if bag:
+        with keyed("localise"):
+            check_pose_bag(seen.times)
     about = f"localisation of {found.found.localised.sum()} of {len(seen.times)} frames"
     with tracked(cfg, "localisation", about) as tracker:
         writers = {
@@ -72,6 +76,8 @@ def localise(cfg: DictConfig) -> None:
             "changes.csv": lambda path: write_table(path, results.change_columns(found)),
             "localise.json": lambda path: write_document(path, results.localise_document(found)),
         }
+        if bag:
+            writers[BAG] = lambda path: write_pose_bag(path, seen.times, *results.pose_topics(found))
         if cfg.detections is None:
             writers[DETECTED] = lambda path: write_detections(path, seen)
         files = write_all(run_directory(), writers)

@@ -5,7 +5,7 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from omegaconf import DictConfig, OmegaConf
+from omegaconf import DictConfig, OmegaConf, open_dict
 
 from .nodes import detector_of, keyed
 
@@ -28,14 +28,21 @@ def detected(cfg: DictConfig, cameras: "Sequence[Camera]", detector: "Detector",
         InputError: photographs and detections are both given or both missing, or a file cannot be read.
     """
     from lmd.core.checks import InputError
+    from lmd.formats.bags import is_bag
     from lmd.formats.detection_formats import read_detections, with_images
     from lmd.formats.detections import without_copies
 
     if (cfg.photographs is None) == (cfg.detections is None):
-        raise InputError("photographs=DIR, a folder or a video, or detections=FILE.csv must be given, and not both.")
+        raise InputError(
+            "photographs=DIR, a folder, a video or a bag, or detections=FILE.csv must be given, and not both."
+        )
     if cfg.detections is not None:
-        found = read_detections(cfg.detections)
+        if cfg.topic is not None and not is_bag(cfg.detections):
+            raise InputError(f"topic is for a bag of ROS 2, and detections is {str(cfg.detections)!r}.")
+        found = read_detections(cfg.detections, _plain(cfg.topic))
         return without_copies(found if cfg.images is None else with_images(found, cfg.images))
+    if cfg.topic is not None and not is_bag(cfg.photographs):
+        raise InputError(f"topic is for a bag of ROS 2, and photographs is {str(cfg.photographs)!r}.")
     if cfg.images is not None:
         raise InputError("images goes with detections=FILE.csv: with photographs it is known which there are.")
     return without_copies(_in_images(cfg, cameras, detector, modules))
@@ -48,14 +55,23 @@ def _in_images(cfg: DictConfig, cameras: "Sequence[Camera]", detector: "Detector
         InputError: there are no photographs, or a photograph cannot be read.
     """
     from lmd.core.checks import InputError, printable
+    from lmd.detection.bag_images import images_in
     from lmd.detection.images import Photographs, folder_entries
     from lmd.detection.video import Video
-    from lmd.formats.detections import DetectedTags
+    from lmd.formats.bags import is_bag
 
     given = Path(str(cfg.photographs))
     if not os.path.lexists(given):
-        raise InputError(f"photographs: there is no folder or video {str(given)!r}.")
+        raise InputError(f"photographs: there is no folder, video or bag {str(given)!r}.")
     with keyed():
+        if is_bag(given):
+            topics = images_in(given, _plain(cfg.topic), cfg.rate, "photographs", len(cameras))
+            return _together(
+                {
+                    name: detected_in(images, camera, detector, modules, cfg.workers)
+                    for (name, images), camera in zip(topics.items(), cameras, strict=True)
+                }
+            )
         if len(cameras) == 1:
             is_folder = os.path.isdir(given)
             images = Photographs(given, "photographs") if is_folder else Video(given, cfg.rate, "photographs")
@@ -65,12 +81,39 @@ def _in_images(cfg: DictConfig, cameras: "Sequence[Camera]", detector: "Detector
             text = f"photographs must be a folder with one folder for each of {len(cameras)} cameras"
             raise InputError(f"{text}, {str(given)!r} has {len(folders)}.")
         views = {printable(folder.name): Photographs(folder, "photographs") for folder in folders}
-        return DetectedTags.together(
+        return _together(
             {
                 name: detected_in(images, camera, detector, modules, cfg.workers)
                 for (name, images), camera in zip(views.items(), cameras, strict=True)
             }
         )
+
+
+def _together(parts: "dict[str, DetectedTags]") -> "DetectedTags":
+    """Detections of all cameras; those of one camera have no name."""
+    from lmd.formats.detections import DetectedTags
+
+    return DetectedTags.together(parts) if len(parts) > 1 else next(iter(parts.values()))
+
+
+def _plain(node: Any) -> Any:
+    """Plain values of a node of the configuration."""
+    return OmegaConf.to_container(node) if OmegaConf.is_config(node) else node
+
+
+def with_camera_of_bag(cfg: DictConfig) -> DictConfig:
+    """Configuration whose calibration is that of the bag in `photographs`, if no other one is given."""
+    from lmd.formats.bags import CAMERA_INFO, Bag, is_bag
+
+    if cfg.photographs is None or "path" not in cfg.camera or cfg.camera.path is not None or cfg.camera.get("rig"):
+        return cfg
+    with keyed():
+        if not is_bag(cfg.photographs) or not Bag(cfg.photographs, "photographs").topics_of(CAMERA_INFO):
+            return cfg
+    result: DictConfig = cfg.copy()
+    with open_dict(result):
+        result.camera.path = str(cfg.photographs)
+    return result
 
 
 class Chunk(NamedTuple):

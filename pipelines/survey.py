@@ -16,7 +16,7 @@ from .landmarks import axes_in, fixed_of
 from .nodes import instantiate, keyed, note, settings_of
 from .operations.signals import Stopped, stop
 from .outputs import write_all
-from .photographs import detected, odometry_of, reader_of
+from .photographs import detected, odometry_of, reader_of, with_camera_of_bag
 from .pipeline import Pipeline
 from .survey_files import audit_writers, check_folder, writers_of
 
@@ -53,7 +53,7 @@ def survey(cfg: DictConfig) -> None:
     tag = instantiate(cfg.tag)
     with keyed():
         tag.check_edge()
-    given = camera_of(cfg.camera)
+    given = camera_of(with_camera_of_bag(cfg).camera)
     cameras = given.cameras
     name, detector = reader_of(cfg)
     known, room = _known(cfg, tag, given), instantiate(cfg.room) if cfg.get("room") else None

@@ -45,16 +45,15 @@ def uncertainty(cfg: DictConfig) -> None:
             found = find(problem, deployment, study, seed, places)
         with keyed("uncertainty"):
             law = uncertainty_law(found)
-        files = write_all(run_directory(), _writers(problem, deployment, study, found, law, cfg.picture))
+        files = write_all(run_directory(), _writers(problem, deployment, found, law, cfg.picture))
         keep(tracker, files, found.metrics())
     written = {"files": f"{run_directory()}: {', '.join(path.name for path in files)}", "mlflow": tracker.describe()}
-    print(labelled(_lines(problem, study, found, law) | written))
+    print(labelled(_lines(found, law) | written))
 
 
 def _writers(
     problem: "Problem",
     deployment: "Deployment",
-    study: "UncertaintyStudy",
     found: "Uncertainty",
     law: "UncertaintyLaw",
     picture: bool,
@@ -67,7 +66,7 @@ def _writers(
 
     distance = found.views.distance[found.views.pose == "one"]
     tag, room = problem.scene.tag, problem.scene.room.describe()
-    about = f"{len(deployment)} tags of {tag.size:g} m ({tag.family}), {room}; corners as {study.reader(problem)}."
+    about = f"{len(deployment)} tags of {tag.size:g} m ({tag.family}), {room}; errors of corners {found.corners}."
     code = FilterLaws(law.laws, law.rules, law.reach, float(distance.min()), float(distance.max()), about)
     document = {"about": about, "views": found.metrics(), "misleading": found.misleading, **law.document()}
     writers: dict[str, Callable[[Path], object]] = {
@@ -87,9 +86,7 @@ def _writers(
     return writers
 
 
-def _lines(
-    problem: "Problem", study: "UncertaintyStudy", found: "Uncertainty", law: "UncertaintyLaw"
-) -> dict[str, str]:
+def _lines(found: "Uncertainty", law: "UncertaintyLaw") -> dict[str, str]:
     """Labelled lines for the terminal."""
     figures = found.metrics()
     errors = law.errors.set_index(["quantity", "rule"])
@@ -106,7 +103,7 @@ def _lines(
     return {
         "views": f"{len(found.views)}: {figures['share_one']:.1%} with one pose, {figures['share_two']:.1%} with two "
         f"(a single tag), {figures['share_none']:.1%} with none",
-        "corners": f"as {study.reader(problem)}",
+        "corners": f"errors {found.corners}",
         "position": said("position", 1e3, "mm"),
         "rotation": said("rotation", 1e3, "mrad"),
         "single tags": "have one pose" if law.reach == float("inf") else f"have one pose up to {law.reach:g} m",

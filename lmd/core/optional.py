@@ -18,6 +18,7 @@ EXTRAS = {
     "nevergrad": "optimisers",
     "niapy": "optimisers",
     "pymoo": "optimisers",
+    "rosbags": "bags",
 }
 
 

@@ -153,7 +153,7 @@ def read_image(path: Path, camera: Camera, argument: str) -> UInt8Array:
     cv2 = optional("cv2", "detection")
     content = read_bytes(path, argument)
     size = image_size(camera)
-    written = _pixels(content)
+    written = pixels_of(content)
     if written in (size, size[::-1]):
         # The file may state a rotation for display. The rotation is ignored, as a calibration is in the sensor's
         # orientation, unless the calibrated size shows that the calibration used rotated images.
@@ -173,7 +173,7 @@ def wrong_size(path: Path, argument: str, written: tuple[int, ...], size: tuple[
     return InputError(f"{argument}: {str(path)!r} has {found} pixels, the camera {needed}.", argument)
 
 
-def _pixels(content: bytes) -> tuple[int, ...] | None:
+def pixels_of(content: bytes) -> tuple[int, ...] | None:
     """Width and height in the header of an image file; None if the file is no image.
 
     Callers check this size before decoding, as a small file may decode to gigabytes.

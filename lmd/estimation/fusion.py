@@ -131,13 +131,13 @@ class InvariantKalmanFilter(Uncertainty):
         gtsam = optional("gtsam", "estimators")
         ekf = gtsam.InvariantEKFPose3(gtsam.Pose3(start), np.diag(self.initial**2))
         density = np.diag(self.drift(recording) ** 2)  # the filter multiplies the density by the time step
-        yield start, ekf.covariance()
+        yield start, ekf.covariance().copy()  # GTSAM returns a view of its own memory
         for t, step in enumerate(np.diff(recording.time), start=1):
             ekf.predict(recording.twists[s, t - 1], step, density)
             if recording.seen[s, t].any():
                 places = CameraPoints.of(recording, s, t, self)
                 ekf.updateWithVector(*places.predicted(ekf.state().matrix()), places.value, places.covariance)
-            yield ekf.state().matrix(), ekf.covariance()
+            yield ekf.state().matrix(), ekf.covariance().copy()
 
 
 @dataclass(frozen=True)
@@ -157,11 +157,17 @@ class FixedLagSmoother(Uncertainty):
 
     def errors(self, recording: Recording, start: FloatArray) -> Errors:
         """See `lmd.estimation.estimators.Estimator.errors`."""
-        runs = [list(self._run(recording, s, start[s])) for s in range(len(start))]
+        runs = [[pose for pose, _ in self._run(recording, s, start[s], False)] for s in range(len(start))]
         return pose_errors(recording.poses, np.array(runs))
 
-    def _run(self, recording: Recording, s: int, start: FloatArray) -> Iterator[FloatArray]:
-        """Estimates of run s, `(4, 4)` each."""
+    def run(self, recording: Recording, s: int, start: FloatArray) -> Iterator[tuple[FloatArray, FloatArray]]:
+        """Estimates of run s, `(4, 4)` each, and their covariances as body twists, `(6, 6)`; NaN before the start."""
+        return self._run(recording, s, start, True)
+
+    def _run(
+        self, recording: Recording, s: int, start: FloatArray, sure: bool
+    ) -> Iterator[tuple[FloatArray, FloatArray]]:
+        """Estimates as of `run`; the covariances are NaN unless `sure`."""
         gtsam = optional("gtsam", "estimators")
         diagonal, drift = gtsam.noiseModel.Diagonal.Sigmas, self.drift(recording)
         kind: type[CameraPoints | CornerImages] = CameraPoints if recording.corners is None else CornerImages
@@ -182,11 +188,13 @@ class FixedLagSmoother(Uncertainty):
             if not begun and (first := _beginning(recording, s, t, estimate.matrix())) is not None:
                 begun, estimate = True, gtsam.Pose3(first)
                 graph.add(gtsam.PriorFactorPose3(t, estimate, diagonal(self.initial)))
+            covariance = np.full((6, 6), np.nan)
             if begun:
                 values.insert(t, estimate)
                 smoother.update(graph, values, {t: time})
                 estimate = smoother.calculateEstimatePose3(t)
-            yield estimate.matrix()
+                covariance = smoother.marginalCovariance(t) if sure else covariance
+            yield estimate.matrix(), covariance
 
 
 def _beginning(recording: Recording, s: int, t: int, expected: FloatArray) -> FloatArray | None:

@@ -8,7 +8,7 @@ probability above 1 % (`lmd.objectives.localisation.ambiguity`), in which case t
 true pose; `none` if it shows no tag.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -50,9 +50,10 @@ class UncertaintyStudy:
     """
 
     corners: str = AUTO
-    """Noise of corners: a detector in `CORNER_ERRORS`, by pitch; `objective` for its constant `pixel_noise`; `auto` for
-    the detector of the visibility model, or `objective` if its corner errors are unknown; `rendered` for the errors of
-    that detector in rendered images of the deployment.
+    """Noise of corners: a detector in `CORNER_ERRORS`, by pitch, as measured with another camera; `objective` for its
+    constant `pixel_noise`; `rendered` for the errors of the visibility model's detector in rendered images of the
+    deployment; `auto` for `rendered` where it can be had, else for the table of that detector, or `objective` if its
+    corner errors are unknown.
     """
     shift: float | None = None
     """Standard deviation of the shift of edges that all tags of an image share, pixels; None for the detector's
@@ -62,8 +63,8 @@ class UncertaintyStudy:
     """Weights of corners in the solver, see `lmd.estimation.pose_covariance`."""
     views: int = 20000
     """Number of random views."""
-    frames: int = 200
-    """Number of rendered images for `corners` = `rendered`."""
+    frames: int = 500
+    """Number of rendered images."""
 
     def __post_init__(self) -> None:
         choice("corners", self.corners, CORNERS)
@@ -73,7 +74,7 @@ class UncertaintyStudy:
         check_fields(self, integer, "views", "frames", low=1)
         check_memory(VIEW_BYTES * self.views, f"views = {self.views}", "views")
 
-    def reader(self, problem: Problem) -> str:
+    def _reader(self, problem: Problem) -> str:
         """Name of the detector whose corner errors are used, or `objective`."""
         if self.corners not in (AUTO, RENDERED):
             return self.corners
@@ -81,21 +82,34 @@ class UncertaintyStudy:
         name = ALSO.get(name, name)
         return name if name in CORNER_ERRORS else OBJECTIVE
 
-    def errors(self, problem: Problem, deployment: Deployment, places: FloatArray, seed: int) -> TagErrors:
-        """Errors of tags whose covariances in the map are `places` `(K, 6, 6)`, m^2 and rad^2.
+    def errors(self, problem: Problem, deployment: Deployment, places: FloatArray, seed: int) -> tuple[TagErrors, str]:
+        """Errors of tags whose covariances in the map are `places` `(K, 6, 6)`, m^2 and rad^2; and their origin.
 
         Raises:
-            InputError: corners are to be measured in rendered images, but the detector is unknown or finds too few.
+            InputError: corners must be measured in rendered images, but the detector is unknown or finds too few.
         """
-        noise: CornerErrors | MeasuredCorners | float = as_localisation(problem.objective).pixel_noise
-        spread, reader = 0.0, self.reader(problem)
-        if self.corners == RENDERED:
-            noise = measured_corners(problem, deployment, reader, self.frames, seed)
-        elif reader != OBJECTIVE:
-            noise = CORNER_ERRORS[reader]
-        if reader != OBJECTIVE:
-            spread = CORNER_ERRORS[reader].inward_spread
-        return TagErrors(noise, spread if self.shift is None else self.shift, places, self.weights)
+        reader = self._reader(problem)
+        noise, about = self._noise(problem, deployment, reader, seed)
+        spread = 0.0 if reader == OBJECTIVE else CORNER_ERRORS[reader].inward_spread
+        return TagErrors(noise, spread if self.shift is None else self.shift, places, self.weights), about
+
+    def _noise(
+        self, problem: Problem, deployment: Deployment, reader: str, seed: int
+    ) -> tuple[CornerErrors | MeasuredCorners | float, str]:
+        """Noise of corners, and its origin."""
+        why = ""
+        if self.corners == RENDERED or (self.corners == AUTO and reader != OBJECTIVE):
+            try:
+                measured = measured_corners(problem, deployment, reader, self.frames, seed)
+            except InputError as error:
+                if self.corners == RENDERED:
+                    raise
+                why = f", measured with another camera, as images could not be rendered: {error}".removesuffix(".")
+            else:
+                return measured, f"of {reader} in {self.frames} rendered images"
+        if reader == OBJECTIVE:
+            return as_localisation(problem.objective).pixel_noise, "of the objective"
+        return CORNER_ERRORS[reader], f"of the table of {reader}{why}"
 
 
 @dataclass(frozen=True)
@@ -116,6 +130,8 @@ class Uncertainty:
     """X of the views, `(V, 4, 4)`."""
     covariances: FloatArray
     """Covariance of (p, r), position and rotation in the world frame, `(V, 6, 6)`; infinite for no pose."""
+    corners: str = ""
+    """Origin of the errors of corners."""
 
     @property
     def misleading(self) -> list[int]:
@@ -185,8 +201,8 @@ def uncertainty(
     poses = draw_poses(problem.scene, study.views, seed)
     known = map_covariances(deployment)
     total = np.zeros((len(deployment), 6, 6)) if places is None else places
-    errors = study.errors(problem, deployment, total if known is None else total + known, seed)
-    return uncertainty_at(problem, deployment, errors, poses)
+    errors, about = study.errors(problem, deployment, total if known is None else total + known, seed)
+    return replace(uncertainty_at(problem, deployment, errors, poses), corners=about)
 
 
 def uncertainty_at(problem: Problem, deployment: Deployment, errors: TagErrors, poses: FloatArray) -> Uncertainty:

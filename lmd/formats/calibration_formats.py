@@ -7,6 +7,8 @@ from typing import Any
 from xml.etree.ElementTree import Element
 
 from lmd.formats.array_files import arrays_of
+from lmd.formats.bag_contents import cameras_in
+from lmd.formats.bags import is_bag
 from lmd.formats.calibration_readers import (
     COLMAP_CAMERA,
     KALIBR_CAMERA,
@@ -115,6 +117,13 @@ def _is_stereo(file: File) -> bool:
 
 
 FORMATS = (
+    Format(
+        "calibration",
+        "bag of ROS 2",
+        lambda file: is_bag(file.path),
+        lambda file: cameras_in(file.path, file.argument),
+        row="bag of ROS 2 (MCAP, `.db3`, a folder) | its `CameraInfo`, of whole images; `name=/camera_info` is a topic",
+    ),
     Format(
         "calibration",
         "COLMAP",

@@ -11,6 +11,8 @@ import numpy as np
 
 from lmd.core.checks import FloatArray, InputError, IntArray
 from lmd.core.tables import in_order, read_table, time_of, write_table
+from lmd.formats.bag_contents import seen_in
+from lmd.formats.bags import is_bag
 from lmd.formats.detection_readers import (
     SeenTag,
     documents_of,
@@ -28,9 +30,9 @@ NAME, IMAGES = "detections", "images"  # names of the arguments with paths
 CORNER_COLUMNS = tuple(f"{axis}{corner}" for corner in range(4) for axis in "xy")
 TIMES, CAMERAS = ("time", "stamp", "timestamp", "image"), ("camera", "topic", "cam", "camera_id")
 READ = (
-    "what is read is JSON of PhotonVision, Limelight and Visual Marker Mapping, or a CSV with a row for each tag and "
-    f"the columns {' or '.join(TIMES)}, id, x0, y0, ..., x3, y3, the corners clockwise from the tag's top left in "
-    "OpenCV's pixels"
+    "what is read is a bag of ROS 2, JSON of PhotonVision, Limelight and Visual Marker Mapping, or a CSV with a row "
+    f"for each tag and the columns {' or '.join(TIMES)}, id, x0, y0, ..., x3, y3, the corners clockwise from the tag's "
+    "top left in OpenCV's pixels"
 )
 FROM_APRILTAG = [3, 2, 1, 0]
 # A message names missing columns if they are at most `MOST_LACKING`; otherwise it shows `SHOWN` characters of the
@@ -72,8 +74,8 @@ class DetectionsFile(File):
         return InputError(f"{self.argument}: {str(self.path)!r} {reason}; {READ}.", self.argument)
 
 
-def read_detections(path: Any) -> DetectedTags:
-    """Read JSON of `lmd.formats.detection_readers`, or a table with the columns `time,id,x0,y0,...,x3,y3`.
+def read_detections(path: Any, topic: Any = None) -> DetectedTags:
+    """Read JSON of `lmd.formats.detection_readers`, a bag, or a table with the columns `time,id,x0,y0,...,x3,y3`.
 
     The corners of a table are clockwise from the top left in OpenCV's pixels.
 
@@ -86,7 +88,7 @@ def read_detections(path: Any) -> DetectedTags:
     Raises:
         InputError: the file cannot be read, lacks a column, or a value is no number.
     """
-    found: DetectedTags = read("detections", DetectionsFile(path, NAME))
+    found: DetectedTags = read("detections", DetectionsFile(path, NAME, {"topic": topic}))
     return found
 
 
@@ -152,14 +154,24 @@ def _from_json(read_tags: Callable[[list[Any]], Iterator[SeenTag]]) -> Callable[
             raise InputError(f"{where} has a value of another kind than its program writes.", file.argument) from None
         if not seen:
             raise InputError(f"{where} has no detection of a tag with corners.", file.argument)
-        names = sorted({tag.camera for tag in seen})
-        cameras, ids = (
-            np.array(of, dtype=np.int64) for of in zip(*((names.index(t.camera), t.number) for t in seen), strict=True)
-        )
-        corners = np.array([tag.corners for tag in seen])
-        return _detections(file.path, file.argument, [tag.time for tag in seen], names, cameras, ids, corners)
+        return _of_seen(file, seen)
 
     return read_json
+
+
+def _of_seen(file: File, seen: Sequence[SeenTag]) -> DetectedTags:
+    """Detections of tags that were seen."""
+    names = sorted({tag.camera for tag in seen})
+    cameras, ids = (
+        np.array(of, dtype=np.int64) for of in zip(*((names.index(t.camera), t.number) for t in seen), strict=True)
+    )
+    corners = np.array([tag.corners for tag in seen])
+    return _detections(file.path, file.argument, [tag.time for tag in seen], names, cameras, ids, corners)
+
+
+def _read_bag(file: DetectionsFile) -> DetectedTags:
+    seen, images = seen_in(file.path, file.argument, file.asked.get("topic"))
+    return _with_images(_of_seen(file, seen), images)
 
 
 def _as_first_written(texts: Sequence[str]) -> list[str]:
@@ -180,8 +192,8 @@ def write_detections(path: Path, detected: DetectedTags) -> None:
 def with_images(detected: DetectedTags, path: Any) -> DetectedTags:
     """Detections with the list of all images, from a CSV with a row for each image.
 
-    The CSV has the columns of `read_detections` for time and camera. Other columns are ignored, as are images of times
-    without detections.
+    The CSV has the columns of `read_detections` for time and camera. Other columns are ignored. Images without a tag
+    become frames as well.
 
     Raises:
         InputError: the file cannot be read, or lacks a column or an image in which a tag was detected.
@@ -196,22 +208,37 @@ def with_images(detected: DetectedTags, path: Any) -> DetectedTags:
             f"{len(detected.cameras)} cameras.",
             IMAGES,
         )
-    frame = {time_of(text): index for index, text in enumerate(detected.times)}
-    number = {name: index for index, name in enumerate(detected.cameras)}
-    cameras = table.texts[camera] if camera and len(number) > 1 else [detected.cameras[0]] * len(table.lines)
-    taken = np.zeros((len(detected.times), len(detected.cameras)), dtype=bool)
-    for text, name in zip(table.texts[time], cameras, strict=True):
-        if (index := frame.get(time_of(text))) is not None and name in number:
-            taken[index, number[name]] = True
-    if (lacking := np.flatnonzero(~taken[detected.frame, detected.camera])).size:
+    named = table.texts[camera] if camera else [""] * len(table.lines)
+    found = _with_images(detected, list(zip(_as_first_written(table.texts[time]), named, strict=True)))
+    if (lacking := np.flatnonzero(~found.images[found.frame, found.camera])).size:
         first = lacking[0]
-        of = f" of {detected.cameras[detected.camera[first]]}" if len(number) > 1 else ""
+        of = f" of {found.cameras[found.camera[first]]}" if len(found.cameras) > 1 else ""
         raise InputError(
-            f"{IMAGES}: {str(path)!r} lacks the image{of} at {detected.times[detected.frame[first]]}, in which a tag "
-            "was detected.",
+            f"{IMAGES}: {str(path)!r} lacks the image{of} at {found.times[found.frame[first]]}, in which a tag was "
+            "detected.",
             IMAGES,
         )
-    return replace(detected, taken=taken)
+    return found
+
+
+def _with_images(detected: DetectedTags, images: Sequence[tuple[str, str]]) -> DetectedTags:
+    """Detections with frames for all images, given the time and the camera of each; those of one camera need no name.
+
+    Images of cameras without detections are left out.
+    """
+    number = {name: index for index, name in enumerate(detected.cameras)}
+    own = [
+        (text, 0 if len(number) == 1 else number[name]) for text, name in images if len(number) == 1 or name in number
+    ]
+    texts = dict.fromkeys((*detected.times, *(text for text, _ in own)))
+    same = {time_of(text): text for text in reversed(texts)}  # the text of the detections counts
+    times = in_order([same[time_of(text)] for text in texts])
+    place = {time_of(text): index for index, text in enumerate(times)}
+    taken = np.zeros((len(times), len(number)), dtype=bool)
+    for text, camera in own:
+        taken[place[time_of(text)], camera] = True
+    frame = np.array([place[time_of(text)] for text in detected.times])[detected.frame]
+    return replace(detected, times=tuple(times), frame=frame, taken=taken)
 
 
 def _lacking(file: DetectionsFile) -> str:
@@ -223,6 +250,14 @@ def _lacking(file: DetectionsFile) -> str:
 
 
 FORMATS = (
+    Format(
+        "detections",
+        "ROS 2",
+        lambda file: is_bag(file.path),
+        _read_bag,
+        row="bag of ROS 2 (MCAP, `.db3`, a folder) | a topic of `apriltag_msgs/AprilTagDetectionArray`, or one for "
+        "each camera of a rig; images without a tag count",
+    ),
     Format(
         "detections",
         "table",

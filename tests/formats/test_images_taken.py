@@ -24,12 +24,13 @@ def listed(path, *lines, head="topic,stamp,tags"):
 
 
 def test_images_that_are_not_listed_were_not_taken(tmp_path):
-    """Equal numbers are one time, other cameras and times are ignored."""
+    """Equal numbers are one time, other cameras are ignored; an image without a tag is a frame."""
     file = listed(tmp_path / "frames.csv", "left,1,1", "right,1.00,0", "left,2.0,1", "left,3.0,0", "right,3,1",
                   "left,9,0", "rear,2.0,0")  # fmt: skip
     found = with_images(of_two((0, 0), (1, 0), (2, 1)), file)
     assert found.taken is not None
-    assert found.images.tolist() == [[True, True], [True, False], [True, True]]
+    assert found.times == ("1.0", "2.0", "3.0", "9")
+    assert found.images.tolist() == [[True, True], [True, False], [True, True], [True, False]]
     assert of_two((0, 0)).images.all()
 
 

@@ -5,6 +5,7 @@ import os
 import re
 import shutil
 
+import bag_files
 import cv2
 import numpy as np
 import pandas as pd
@@ -62,6 +63,34 @@ def surveyed(room):
     done = call("deployment.path=plan.csv", *ROOM, "export=[wpilib,apriltag_ros]", cwd=cwd)
     assert done.returncode == 0, done.stderr
     return cwd / "out", done.stdout
+
+
+@pytest.mark.usefixtures("surveyed")
+def test_a_bag_of_photographs_with_their_camera_is_surveyed_and_localised(room):
+    """MCAP by another library; the map is that of the photographs, and the bag of poses is read by that library."""
+    cwd, _, _ = room
+    rows = [("/camera_info", "sensor_msgs/msg/CameraInfo", 0, bag_files.camera_info(CAMERA))]
+    for k, path in enumerate(sorted((cwd / "photos").iterdir())):
+        grey = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
+        rows.append(("/image", "sensor_msgs/msg/Image", k * 10**9, bag_files.image(grey)))
+    bag_files.write(cwd / "drive.mcap", rows)
+    given = ["photographs=drive.mcap", f"tag.edge={EDGE}", "tracking=none", "workers=1"]
+    done = call("deployment.path=plan.csv", *ROOM, "hydra.run.dir=bagged", cwd=cwd, settings=given)
+    assert done.returncode == 0, done.stderr
+    first, again = (pd.read_csv(cwd / folder / "map.csv").sort_values("id") for folder in ("out", "bagged"))
+    np.testing.assert_allclose(again[["x", "y", "z"]], first[["x", "y", "z"]], atol=1e-6)
+    more = ["map=bagged", "localise.bag=true", "hydra.run.dir=localised"]
+    done = processes.inside("localise", *more, cwd=cwd, settings=given)
+    assert done.returncode == 0, done.stderr
+    poses = [message for _, message in bag_files.read(cwd / "localised" / "poses.mcap", "/localise/pose")]
+    table = pd.read_csv(cwd / "localised" / "poses.csv")
+    known = table[table.state == "localised"]
+    assert len(poses) == len(known) > 15
+    assert [one.pose.pose.position.x for one in poses] == pytest.approx(known.x.tolist())
+    assert [one.pose.covariance[7] for one in poses] == pytest.approx(known.cov_y_y.tolist())
+    processes.refused(
+        "localise", *more, "topic=/rear", message="has no topic '/rear' of Image", cwd=cwd, settings=given
+    )
 
 
 def beside(table, true):

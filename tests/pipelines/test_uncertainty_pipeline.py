@@ -8,7 +8,8 @@ import pytest
 from PIL import Image
 
 pytestmark = pytest.mark.slow
-SETTINGS = ["experiment=lab", "tracking=none", "hydra.run.dir=run", "uncertainty.views=3000"]
+SETTINGS = ["experiment=lab", "tracking=none", "hydra.run.dir=run", "uncertainty.views=3000",
+            "uncertainty.frames=40"]  # fmt: skip
 FILES = {
     *("uncertainty.csv", "uncertainty_law.csv", "uncertainty_law.json", "uncertainty_tags.csv", "uncertainty.png"),
     *("VisionUncertainty.java", "vision_uncertainty.py", "robot_localization.yaml"),
@@ -31,7 +32,7 @@ def test_a_map_becomes_tables_laws_code_and_pictures(tmp_path):
     assert set(document["deviation_over_rule"]["position"]) == {"law", "one law", "constant", "squared", "photonvision"}
     with Image.open(tmp_path / "run" / "uncertainty.png") as picture:
         assert picture.size[0] == 1700
-    for words in ("with one pose", "corners     as aruco", "d^2 / n", "misleading"):
+    for words in ("with one pose", "corners     errors of aruco in 40 rendered images", "d^2 / n", "misleading"):
         assert words in done.stdout
 
 

@@ -1,0 +1,184 @@
+"""Bags of ROS 2: a folder with `metadata.yaml`, an MCAP file, or a database (`.db3`), without ROS.
+
+Messages are read by definitions of `lmd`, not by those in the bag, from which the library would generate code. A bag
+whose definition of a type has another hash is refused.
+"""
+
+import os
+import struct
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+from functools import cache, cached_property
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from lmd.core.checks import InputError, printable
+from lmd.core.optional import optional
+from lmd.core.words import few
+
+EXTRA, SUFFIXES = "bags", (".mcap", ".db3")
+METADATA = "metadata.yaml"  # file by which a folder is a bag
+IMAGE, COMPRESSED = "sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage"
+CAMERA_INFO, DETECTIONS = "sensor_msgs/msg/CameraInfo", "apriltag_msgs/msg/AprilTagDetectionArray"
+# Definitions of apriltag_msgs, which ROS itself lacks.
+APRILTAG_MSGS = {
+    DETECTIONS: "std_msgs/Header header\napriltag_msgs/AprilTagDetection[] detections\n",
+    "apriltag_msgs/msg/AprilTagDetection": "string family\nint32 id\nint32 hamming\nfloat32 goodness\n"
+    "float32 decision_margin\napriltag_msgs/Point centre\napriltag_msgs/Point[4] corners\nfloat64[9] homography\n",
+    "apriltag_msgs/msg/Point": "float64 x\nfloat64 y\n",
+}
+MOST_TOPICS = 8  # largest number of topics that a message names
+SHOWN = 120  # largest number of characters of a library's reason that a message shows
+
+
+class Message(NamedTuple):
+    """Message of a bag."""
+
+    stamp: str
+    """Time in the header, seconds with nine decimals; time of recording for a header without a time."""
+    logged: int
+    """Time of recording, ns."""
+    raw: bytes
+    """Message as it is stored."""
+
+
+@cache
+def types() -> Any:
+    """Types of the messages that are read and written."""
+    optional("rosbags", EXTRA)
+    from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+    found = get_typestore(Stores.ROS2_JAZZY)
+    for name, text in APRILTAG_MSGS.items():
+        found.register(get_types_from_msg(text, name))
+    return found
+
+
+def is_bag(path: Any) -> bool:
+    """Return True if a path is that of a bag, by its name, or for a folder by its `metadata.yaml`."""
+    with suppress(OSError, TypeError, ValueError):
+        return Path(path).suffix.lower() in SUFFIXES or (Path(path) / METADATA).is_file()
+    return False
+
+
+@dataclass(frozen=True)
+class Bag:
+    """Bag of ROS 2.
+
+    Raises:
+        InputError: the bag cannot be read.
+    """
+
+    path: str | Path
+    """File or folder."""
+    argument: str = "path"
+    """Name of the argument with the path, for messages."""
+
+    def __post_init__(self) -> None:
+        _ = self.topics
+
+    @cached_property
+    def topics(self) -> dict[str, str]:
+        """Types of the messages by topic."""
+        with self._opened() as reader:
+            return {topic: str(info.msgtype) for topic, info in sorted(reader.topics.items())}
+
+    def topics_of(self, *kinds: str) -> list[str]:
+        """Topics with messages of these types, ascending."""
+        return [topic for topic, kind in self.topics.items() if kind in kinds]
+
+    def chosen(self, topic: Any, *kinds: str, count: int = 1) -> list[str]:
+        """Topics to read.
+
+        Args:
+            topic: the user's topic, or a list of topics; None for all that the bag has.
+            kinds: types of their messages.
+            count: required number of topics.
+
+        Raises:
+            InputError: there are fewer, more or others.
+        """
+        found, what = self.topics_of(*kinds), " or ".join(kind.rpartition("/")[2] for kind in kinds)
+        asked = [topic] if isinstance(topic, str) else found if topic is None else list(topic)
+        told = few([printable(name) for name in found], most=MOST_TOPICS) if found else "none"
+        if unknown := [name for name in asked if name not in found]:
+            raise self.refused(f"has no topic {unknown[0]!r} of {what}; it has {told}", "topic")
+        if len(asked) != count and not found:
+            every = few([f"{name} ({kind})" for name, kind in self.topics.items()], most=MOST_TOPICS) or "nothing"
+            raise self.refused(f"has no topic of {what}; it has {every}")
+        if len(asked) != count:
+            number = f"{count} topics" if count > 1 else "one topic"
+            raise self.refused(f"has {len(found)} topics of {what}, {told}: topic must choose {number}")
+        return asked
+
+    def messages(self, topic: str, first: int | None = None, last: int | None = None) -> Iterator[Message]:
+        """Messages of a topic, in the order in which they were recorded.
+
+        Args:
+            topic: topic; messages must have a header.
+            first, last: times of recording of the first and the last message, ns; None for all.
+
+        Raises:
+            InputError: the bag is damaged, or defines the type of the messages in another way.
+        """
+        with self._opened() as reader:
+            own = [connection for connection in reader.connections if connection.topic == topic]
+            for connection in own:
+                self._check_type(connection)
+            stop = None if last is None else last + 1
+            for _, logged, raw in reader.messages(connections=own, start=first, stop=stop):
+                yield Message(_stamp(raw, logged), logged, bytes(raw))
+
+    def content(self, raw: bytes, kind: str) -> Any:
+        """Values of a message.
+
+        Raises:
+            InputError: the message is damaged.
+        """
+        try:
+            return types().deserialize_cdr(raw, kind)
+        except Exception as error:  # a damaged message may raise anything
+            raise self.refused(f"has a damaged message of {kind} ({_reason(error)})") from None
+
+    def refused(self, why: str, argument: str | None = None) -> InputError:
+        """Error about this bag: predicate of a sentence."""
+        return InputError(f"{self.argument}: the bag {str(self.path)!r} {why}.", argument or self.argument)
+
+    def _check_type(self, connection: Any) -> None:
+        expected = types().hash_rihs01(connection.msgtype) if connection.msgtype in types().fielddefs else ""
+        if connection.digest and expected and connection.digest != expected:
+            raise self.refused(f"has another definition of {connection.msgtype} than the one that is read")
+
+    @contextmanager
+    def _opened(self) -> Iterator[Any]:
+        optional("rosbags", EXTRA)
+        from rosbags.rosbag2 import Reader
+
+        if not os.path.exists(self.path):
+            raise InputError(f"{self.argument}: there is no bag {str(self.path)!r}.", self.argument)
+        try:
+            with Reader(Path(self.path)) as reader:
+                yield reader
+        except (InputError, GeneratorExit):
+            raise
+        except Exception as error:  # a broken file may raise anything
+            cut = "; `mcap recover` mends a file that was cut" * (Path(self.path).suffix == ".mcap")
+            raise self.refused(f"cannot be read ({_reason(error)}){cut}") from None
+
+
+def _reason(error: Exception) -> str:
+    """Reason that a library gives, on one line."""
+    return (" ".join(str(error).split()) or type(error).__name__).rstrip(".")[:SHOWN]
+
+
+def _stamp(raw: bytes, logged: int) -> str:
+    """Time in the header of a message, which begins with it, seconds as a text."""
+    if len(raw) < 12:
+        return _seconds(logged)
+    seconds, rest = struct.unpack_from("<iI" if raw[1] & 1 else ">iI", raw, 4)
+    return _seconds(logged if not (seconds or rest) else 1_000_000_000 * seconds + rest)
+
+
+def _seconds(nanoseconds: int) -> str:
+    return f"{nanoseconds // 1_000_000_000}.{nanoseconds % 1_000_000_000:09d}"

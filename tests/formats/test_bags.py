@@ -1,0 +1,199 @@
+"""Bags of ROS 2: images, cameras, detections and poses; written and read by two libraries."""
+
+import bag_files as bf
+import cv2
+import localise_drives as ld
+import numpy as np
+import pytest
+import walks
+
+from lmd.core.checks import InputError
+from lmd.detection.bag_images import ENCODINGS, images_in
+from lmd.formats.bags import CAMERA_INFO, COMPRESSED, DETECTIONS, IMAGE, Bag, is_bag
+from lmd.formats.calibrations import calibrated_camera
+from lmd.formats.detection_formats import read_detections
+from lmd.formats.pose_bags import write_pose_bag
+from lmd.geometry.camera import Camera
+
+SMALL = Camera(2.0, 0.01, 0.01, (8.0, 6.0), 16, 12, 0.0)
+GREY = np.random.default_rng(0).integers(0, 256, (12, 16), dtype=np.uint8)
+
+
+def bag_of(path, values, kind=IMAGE, count=1, topic="/image"):
+    """A bag with the same message each tenth of a second."""
+    return bf.write(path, [(topic, kind, k * 10**8, values) for k in range(count)])
+
+
+def images(path, **more):
+    return images_in(path, **{"topic": None, "rate": 5.0, "argument": "photographs", "count": 1, **more})
+
+
+def only(path, **more):
+    (found,) = images(path, **more).values()
+    return found
+
+
+@pytest.mark.parametrize("encoding", ENCODINGS)
+def test_images_of_all_encodings_are_grey(encoding, tmp_path):
+    """Encodings with colours have a grey picture; each row has three bytes more."""
+    smooth = cv2.resize(np.array([[10, 200], [90, 30]], dtype=np.uint8), (16, 12), interpolation=cv2.INTER_LINEAR)
+    each, _ = ENCODINGS[encoding]
+    picture = np.repeat(smooth[..., None], each, axis=2)
+    if encoding.startswith(("yuv", "uyvy", "yuyv")):
+        picture[..., 1 if encoding in ("yuv422_yuy2", "yuyv") else 0] = 128
+    if encoding in ("mono16", "16UC1"):
+        picture[..., 0] = 77  # the low byte
+    found = only(bag_of(tmp_path / "a.mcap", bf.image(picture, encoding, padding=3)))
+    (image,) = found.read(0, 1, SMALL)
+    assert image.shape == (12, 16)
+    # OpenCV interpolates Bayer patterns.
+    np.testing.assert_allclose(image[2:-2, 2:-2], smooth[2:-2, 2:-2], atol=12 if "bayer" in encoding else 1)
+
+
+@pytest.mark.parametrize(
+    ("encoding", "place"), [("rggb", (0, 0)), ("bggr", (1, 1)), ("grbg", (0, 1)), ("gbrg", (1, 0))]
+)
+def test_a_red_pixel_of_a_pattern_is_red(encoding, place, tmp_path):
+    """Only red pixels are bright, so grey is 0.299 of white."""
+    picture = np.zeros((12, 16), dtype=np.uint8)
+    picture[place[0] :: 2, place[1] :: 2] = 200
+    (image,) = only(bag_of(tmp_path / "a.mcap", bf.image(picture, f"bayer_{encoding}8"))).read(0, 1, SMALL)
+    np.testing.assert_allclose(image[3:-3, 3:-3], 0.299 * 200, atol=2)
+
+
+def test_compressed_images_are_decoded(tmp_path):
+    content = cv2.imencode(".png", GREY)[1].tobytes()
+    found = only(bag_of(tmp_path / "a.mcap", {"format": "png", "data": content}, COMPRESSED))
+    (image,) = found.read(0, 1, SMALL)
+    np.testing.assert_array_equal(image, GREY)
+
+
+def test_images_are_taken_at_a_rate_and_in_the_order_of_their_times(tmp_path):
+    """Thirty images a second with some jitter, of which two were recorded in the wrong order."""
+    times = [k * 33_333_333 + (k % 3) * 300_000 for k in range(30)]
+    rows = [("/image", IMAGE, at, bf.image(np.full((12, 16), k, dtype=np.uint8))) for k, at in enumerate(times)]
+    rows[5], rows[6] = rows[6], rows[5]
+    found = only(bf.write(tmp_path / "a.mcap", rows), rate=10.0)
+    assert len(found.names) == 10
+    assert found.names[0] == f"{bf.FIRST}.000000000"
+    assert [int(image[0, 0]) for image in found.read(0, 10, SMALL)] == list(range(0, 30, 3))
+    assert [int(image[0, 0]) for image in found.read(4, 6, SMALL)] == [12, 15]
+    every = only(tmp_path / "a.mcap", rate=100.0)
+    assert [int(image[0, 0]) for image in every.read(0, 30, SMALL)] == list(range(30))
+
+
+def test_a_camera_info_is_a_calibration(tmp_path):
+    camera = Camera(5.0, 0.0048, 0.0048, (801.0, 599.0), 1600, 1200, 0.0, distortion=(-0.1, 0.01, 0.0, 0.0, 0.0))
+    path = bag_of(tmp_path / "a.mcap", bf.camera_info(camera), CAMERA_INFO, topic="/left/camera_info")
+    found = calibrated_camera(str(path))
+    np.testing.assert_allclose(found.focal_pixels, camera.focal_pixels)
+    assert found.principal_point == pytest.approx((801.0, 599.0))
+    assert found.distortion == camera.distortion
+    assert calibrated_camera(str(path), "/left/camera_info") == found
+    cut = bag_of(tmp_path / "b.mcap", bf.camera_info(camera) | {"binning_x": 2}, CAMERA_INFO)
+    with pytest.raises(InputError, match="binned or cut"):
+        calibrated_camera(str(cut))
+
+
+def test_detections_have_frames_for_images_without_a_tag(tmp_path):
+    walk = ld.walked(1, frames=12).detected
+    rows = []
+    for frame in range(14):  # two images more, without a tag
+        own = walk.frame == frame
+        rows.append(("/tags", DETECTIONS, frame * 10**8, bf.tags(walk.ids[own], walk.corners[own])))
+    found = read_detections(bf.write(tmp_path / "a.mcap", rows))
+    assert len(found.times) == 14
+    assert found.times[3] == f"{bf.FIRST}.300000000"
+    assert found.cameras == ("",)
+    assert found.images.all()
+    order = np.lexsort((found.ids, found.frame))
+    np.testing.assert_array_equal(found.frame[order], walk.frame)
+    np.testing.assert_array_equal(found.ids[order], walk.ids)
+    np.testing.assert_allclose(found.corners[order], walk.corners)
+
+
+def test_poses_are_written_as_a_bag_that_others_read(tmp_path):
+    rng = np.random.default_rng(0)
+    poses = np.hstack([rng.normal(size=(3, 3)), np.tile([0.0, 0.0, 0.6, 0.8], (3, 1))])
+    half = rng.normal(size=(3, 6, 6))
+    covariances = half @ np.swapaxes(half, 1, 2)
+    poses[1] = np.nan
+    path = tmp_path / "poses.mcap"
+    write_pose_bag(path, ["10.5", "11.25", "12"], {"/localise/pose": (poses, covariances)}, "/localise/pose")
+    assert list(tmp_path.iterdir()) == [path]
+    read = bf.read(path)
+    assert sorted(topic for topic, _ in read) == ["/localise/pose"] * 2 + ["/tf"] * 2
+    first, last = (message for topic, message in read if topic == "/localise/pose")
+    assert (first.header.stamp.sec, first.header.stamp.nanosec, first.header.frame_id) == (10, 500_000_000, "map")
+    assert last.header.stamp.sec == 12
+    position = first.pose.pose.position
+    np.testing.assert_allclose([position.x, position.y, position.z], poses[0, :3])
+    np.testing.assert_allclose(first.pose.covariance, covariances[0].ravel())
+    (moved, *_) = next(message for topic, message in read if topic == "/tf").transforms
+    assert (moved.child_frame_id, moved.transform.rotation.w) == ("camera", 0.8)
+    with pytest.raises(InputError, match=r"a bag needs times of images in seconds, got 'a\.png'"):
+        write_pose_bag(tmp_path / "b.mcap", ["a.png"], {"/p": (poses[:1], covariances[:1])}, "/p")
+
+
+def test_bags_without_what_is_wanted_are_refused_in_one_sentence(tmp_path):
+    one = bf.image(GREY)
+    two = bf.write(tmp_path / "two.mcap", [(topic, IMAGE, 0, one) for topic in ("/left", "/right")])
+    tags = bag_of(tmp_path / "tags.mcap", bf.tags([], []), DETECTIONS, topic="/tags")
+    with pytest.raises(InputError, match=r"two\.mcap' has 2 topics of Image or .*, /left, /right: topic must choose"):
+        images(two)
+    assert list(images(two, topic="/left")) == ["/left"]
+    assert list(images(two, count=2)) == ["/left", "/right"]
+    with pytest.raises(InputError, match=r"two\.mcap' has no topic '/rear' of Image or CompressedImage; it has /left"):
+        images(two, topic="/rear")
+    with pytest.raises(InputError, match=r"tags\.mcap' has no topic of Image or .*; it has /tags \(apriltag_msgs"):
+        images(tags)
+    with pytest.raises(InputError, match=r"tags\.mcap' has no tag on /tags\.$"):
+        read_detections(tags)
+    with pytest.raises(InputError, match=r"two\.mcap' has no topic of AprilTagDetectionArray; it has /left"):
+        read_detections(two)
+    with pytest.raises(InputError, match=r"two\.mcap' has no topic of CameraInfo; it has /left \(sensor_msgs"):
+        calibrated_camera(str(two))
+    with pytest.raises(InputError, match=r"images of the encoding 'nv21'; read are mono8, "):
+        list(only(bag_of(tmp_path / "odd.mcap", one | {"encoding": "nv21"})).read(0, 1, SMALL))
+    with pytest.raises(InputError, match=r"has an image at 1700000000\.0* s with 192 bytes, other than its size says"):
+        list(only(bag_of(tmp_path / "odd.mcap", one | {"height": 13})).read(0, 1, SMALL))
+    with pytest.raises(InputError, match=r"has 16 x 12 pixels, the camera 1600 x 1200"):
+        list(only(bag_of(tmp_path / "odd.mcap", one)).read(0, 1, walks.CAMERA))
+    with pytest.raises(InputError, match=r"of 'png' that cannot be decoded"):
+        list(only(bag_of(tmp_path / "odd.mcap", {"format": "png", "data": b"xyz"}, COMPRESSED)).read(0, 1, SMALL))
+
+
+def test_damaged_bags_are_refused_in_one_sentence(tmp_path):
+    whole = bag_of(tmp_path / "whole.mcap", bf.image(GREY), count=20).read_bytes()
+    damaged = tmp_path / "damaged.mcap"
+    for content in (b"", b"text", whole[: len(whole) // 2], whole[:100] + bytes(200) + whole[300:]):
+        damaged.write_bytes(content)
+        with pytest.raises(
+            InputError, match=r"^photographs: the bag '.*damaged\.mcap' (cannot be read|has )"
+        ) as raised:
+            list(only(damaged).read(0, 1, SMALL))
+        assert "\n" not in str(raised.value)
+    with pytest.raises(InputError, match="there is no bag"):
+        Bag(tmp_path / "none.mcap", "photographs")
+    (tmp_path / "metadata.yaml").write_text("rosbag2_bagfile_information: 3\n")
+    assert is_bag(tmp_path)
+    with pytest.raises(InputError, match="cannot be read"):
+        Bag(tmp_path)
+
+
+def test_a_folder_and_a_database_are_bags(tmp_path):
+    from rosbags.rosbag2 import Writer
+
+    from lmd.formats.bags import types
+
+    kinds = types().types
+    time = kinds["builtin_interfaces/msg/Time"](7, 5)
+    message = kinds[IMAGE](kinds["std_msgs/msg/Header"](time, ""), 12, 16, "mono8", 0, 16, GREY.ravel())
+    with Writer(tmp_path / "drive", version=9) as writer:
+        topic = writer.add_connection("/image", IMAGE, typestore=types())
+        writer.write(topic, 10**9, types().serialize_cdr(message, IMAGE))
+    for path in (tmp_path / "drive", *(tmp_path / "drive").glob("*.db3")):
+        assert is_bag(path)
+        found = only(path)
+        assert found.names == ["7.000000005"]
+        np.testing.assert_array_equal(next(found.read(0, 1, SMALL)), GREY)
