@@ -127,9 +127,11 @@ def flown(room: str, tags: int, seconds: float, drives: int, detector: str, odom
         "IEKF, points": InvariantKalmanFilter(START[1], START[0], **least),
         "smoother": FixedLagSmoother(START[1], START[0], **least),
     }
-    head = ["deployment", "known where optimised on, % of time", "known, % of time", "predicted within, %", *(f"{name} within, %" for name in estimators)]
+    head = ["deployment", "known where optimised on, % of time", "known, % of time", "predicted within, %"]
+    head += [f"{name} within, %" for name in estimators] + ["images with a tag, %", "noise, median, pixels"]
     print(f"{room}, {tags} tags, odometry {odometry}, {drives} drives, detector {detector}\n")
-    print(f"| {' | '.join(head)} | images with a tag, % | least noise, median, pixels |\n|{' --- |' * (len(head) + 2)}")
+    print(f"| {' | '.join(head)} |
+|{' --- |' * len(head)}")
     for name in OBJECTIVES:
         of_it = problem_of(room, name, tags, odometry)
         deployment = placed(of_it, seconds)
