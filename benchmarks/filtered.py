@@ -130,8 +130,8 @@ def flown(room: str, tags: int, seconds: float, drives: int, detector: str, odom
     head = ["deployment", "known where optimised on, % of time", "known, % of time", "predicted within, %"]
     head += [f"{name} within, %" for name in estimators] + ["images with a tag, %", "noise, median, pixels"]
     print(f"{room}, {tags} tags, odometry {odometry}, {drives} drives, detector {detector}\n")
-    print(f"| {' | '.join(head)} |
-|{' --- |' * len(head)}")
+    print(f"| {' | '.join(head)} |")
+    print(f"|{' --- |' * len(head)}")
     for name in OBJECTIVES:
         of_it = problem_of(room, name, tags, odometry)
         deployment = placed(of_it, seconds)
@@ -145,7 +145,8 @@ def flown(room: str, tags: int, seconds: float, drives: int, detector: str, odom
         sigma = np.repeat([START[1], START[0]], 3)
         start = np.stack([path.poses[0] @ exp(sigma * rng.standard_normal(6)) for path in along.trajectories])
         trained = problem.objective.poses(problem.evaluator, deployment)
-        texts = [name, f"{100 * trained.known.mean():.1f}", f"{100 * found.known.mean():.1f}", f"{100 * within(found.covariances).mean():.1f}"]
+        shares = trained.known.mean(), found.known.mean(), within(found.covariances).mean()
+        texts = [name, *(f"{100 * share:.1f}" for share in shares)]
         for estimator in estimators.values():
             error = estimator.errors(recording, start).position
             by_drive = (error <= TOLERANCE).mean(axis=1)
