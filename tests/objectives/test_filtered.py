@@ -286,8 +286,10 @@ def test_drives_of_a_recording_are_pieces_of_it(tmp_path):
     by_file = ["trajectory@objective.trajectory=file", f"objective.trajectory.path={tmp_path / 'drive.csv'}"]
     by_poses = ["poses=recorded", "pdf=recorded", f"poses.path={tmp_path / 'drive.csv'}"]
     one, other = (
-        build_problem(composed("optimise", "objective=filtered", "objective.block=5", *overrides)).objective
+        build_problem(composed("optimise", "objective=filtered", "objective.block=5", *overrides))
         for overrides in (by_file, by_poses)
     )
-    assert (len(one.drives), len(one.fresh)) == (10, 2)
-    np.testing.assert_array_equal(one.drives.poses, other.drives.poses)
+    assert (len(one.objective.drives), len(one.objective.fresh)) == (10, 2)
+    np.testing.assert_array_equal(one.objective.drives.poses, other.objective.drives.poses)
+    np.testing.assert_allclose(one.relevance, 0.1)
+    np.testing.assert_array_equal(one.relevance, other.relevance)
