@@ -39,7 +39,7 @@ from lmd.sight.views import visible_to_each
 
 NOBODY = "0"
 # Crowds that deployments are optimised with: number, fitness, and the number of seeds.
-TRAINED = {"0": ("0", 3), "3": ("3", 3), "8": ("8", 3), "8 worst": ("{number: 8, fitness: worst}", 3)}
+TRAINED = {"0": ("0", 3), "3": ("3", 3), "8": ("8", 3), "8 worst": ("{number: 8, fitness: worst}", 1)}
 ROOMS = {"lab": (), "walls": ("room.walls=[x_min,x_max,y_min,y_max]",)}
 SLOW = "worst"  # comes last
 SCORED = ("0", "3", "8")
