@@ -110,14 +110,17 @@ def tracked(cfg: DictConfig, subject: str, about: str = "", earlier: Earlier | N
 
 
 def draw_room(cfg: DictConfig, problem: Problem, tracker: "Tracker") -> None:
-    """Write room.png, a room over a floor plan from a file as it was understood, before anything is computed."""
-    plan = getattr(problem.scene.room, "plan", None)
-    if not cfg.picture or plan is None or plan.path is None:
+    """Write room.png before anything is computed: a room over a floor plan from a file as it was understood, and where
+    people are in the way.
+    """
+    room, crowd = problem.scene.room, problem.scene.crowd
+    path, people = getattr(getattr(room, "plan", None), "path", None), None if crowd is None else crowd.people
+    if not cfg.picture or (path is None and people is None):
         return
     from lmd.plot.plans import save_room_figure
 
-    title = f"{Path(plan.path).name}: {problem.scene.room.describe()}"
-    files = write_all(run_directory(), {"room.png": lambda path: save_room_figure(path, problem.scene.room, title)})
+    title = room.describe() if path is None else f"{Path(path).name}: {room.describe()}"
+    files = write_all(run_directory(), {"room.png": lambda file: save_room_figure(file, room, title, people)})
     tracker.log_artifacts(files)
     print(f"room     {files[0]}", flush=True)
 

@@ -1,5 +1,6 @@
 """Estimator by the Perspective-n-Point problem of each frame."""
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import partial
 
@@ -10,7 +11,7 @@ from lmd.core.optional import optional
 from lmd.estimation.estimators import Errors, pose_errors
 from lmd.estimation.recording import Recording
 from lmd.geometry.pose import PointImage, Solution, body_solutions
-from lmd.geometry.projection import project
+from lmd.geometry.projection import project, to_camera
 from lmd.geometry.se3 import exp
 
 AMBIGUOUS = ("odometry", "refuse")
@@ -44,6 +45,15 @@ class PerspectiveNPoint:
         """See `lmd.estimation.estimators.Estimator.errors`."""
         return pose_errors(recording.poses, np.stack([self._run(recording, s) for s in range(len(recording.poses))]))
 
+    def run(self, recording: Recording, s: int, start: FloatArray) -> Iterator[tuple[FloatArray, FloatArray]]:
+        """Estimates of run s, `(4, 4)` each, and their covariances as body twists, `(6, 6)`; NaN without an estimate.
+
+        The covariance is the inverse of the Fisher information of the frame's images at the estimate.
+        """
+        for t, pose in enumerate(self._run(recording, s)):
+            known = np.isfinite(pose).all()
+            yield pose, _covariance(pose, images_of(recording, s, t)) if known else np.full((6, 6), np.nan)
+
     def _run(self, recording: Recording, s: int) -> FloatArray:
         """Estimates of run s, `(T, 4, 4)`; NaN for frames without an estimate."""
         estimates: FloatArray = np.full_like(recording.poses[s], np.nan)
@@ -67,6 +77,15 @@ def likely(found: list[Solution]) -> list[FloatArray]:
 
 def _distance(one: FloatArray, other: FloatArray) -> float:
     return float(((one - other) ** 2).sum())
+
+
+def _covariance(pose: FloatArray, images: list[PointImage]) -> FloatArray:
+    """Inverse of the Fisher information of images on a pose of the body, `(6, 6)`."""
+    information = np.zeros((6, 6))
+    for image in images:
+        slope = image.slope(to_camera(pose @ image.mounted, image.points)) / image.noise[:, None, None]
+        information += (np.swapaxes(slope, 1, 2) @ slope).sum(axis=0)
+    return np.asarray(np.linalg.inv(information))
 
 
 def images_of(recording: Recording, s: int, t: int) -> list[PointImage]:

@@ -22,7 +22,9 @@ from lmd.sight.views import visible_to_each
 
 @dataclass(frozen=True)
 class Odometry:
-    """Odometry: twists between frames with independent normal errors, whose integral drifts.
+    """Odometry: twists between frames with independent normal errors, whose integral drifts, and a biased gyro.
+
+    The bias of the gyro adds to the measured turn rates. It is normal at the first frame and walks at random.
 
     Raises:
         InputError: a value is negative.
@@ -32,9 +34,13 @@ class Odometry:
     """Standard deviation about each axis, rad per root second."""
     motion_noise: float = 0.0
     """Standard deviation along each axis, metres per root second."""
+    gyro_bias: float = 0.0
+    """Standard deviation of the first bias about each axis, rad/s."""
+    gyro_walk: float = 0.0
+    """Standard deviation of the walk of the bias about each axis, rad/s per root second."""
 
     def __post_init__(self) -> None:
-        check_fields(self, real, "turn_noise", "motion_noise", low=0.0)
+        check_fields(self, real, *self.__dataclass_fields__, low=0.0)
 
     def measured(self, twists: FloatArray, steps: FloatArray, rng: np.random.Generator) -> FloatArray:
         """Measure twists, `(T - 1, 6)`, rad/s and m/s.
@@ -48,7 +54,19 @@ class Odometry:
             rng: source of the errors.
         """
         density = np.repeat([self.turn_noise, self.motion_noise], 3)
-        return np.asarray(twists + rng.standard_normal(twists.shape) * density / np.sqrt(steps)[:, None])
+        measured = twists + rng.standard_normal(twists.shape) * density / np.sqrt(steps)[:, None]
+        return np.asarray(measured + np.pad(self.biases(steps, rng), ((0, 0), (0, 3))))
+
+    def biases(self, steps: FloatArray, rng: np.random.Generator) -> FloatArray:
+        """Draw the bias of the gyro in each step, rad/s, `(T - 1, 3)`, constant within a step.
+
+        Args:
+            steps: duration of each step, seconds, `(T - 1,)`.
+            rng: source of the bias.
+        """
+        drawn = rng.standard_normal((len(steps), 3))
+        spread = np.append(self.gyro_bias, self.gyro_walk * np.sqrt(steps[:-1]))
+        return np.asarray(np.cumsum(spread[:, None] * drawn, axis=0))
 
 
 # Map of a function over jobs that keeps their order: the built-in `map`, or a map with processes.

@@ -16,6 +16,8 @@ from lmd.geometry.frames import rotation
 
 # Angle below which coefficients are computed by their Taylor series, rad.
 SMALL_ANGLE = 1e-4
+# Angle below which the left Jacobian is its Taylor series to the fourth order, rad.
+SERIES_ANGLE = 0.02
 # Tolerances for files with few decimals: error of the length of a quaternion, and of the elements of R^T R.
 QUATERNION_TOLERANCE = 1e-2
 MATRIX_TOLERANCE = 1e-2
@@ -130,6 +132,37 @@ def adjoint(pose: FloatArray, twist: FloatArray) -> FloatArray:
 def adjoint_matrix(pose: FloatArray) -> FloatArray:
     """Ad_X = [R 0; [p]x R  R] of poses `(..., 4, 4)`, `(..., 6, 6)`."""
     return np.swapaxes(adjoint(pose[..., None, :, :], np.eye(6)), -1, -2)
+
+
+def bracket_matrix(twist: FloatArray) -> FloatArray:
+    """Matrix ad_u = [[w]x 0; [v]x [w]x] of the Lie bracket, with exp(ad_u) = Ad_exp(u), `(..., 6)` -> `(..., 6, 6)`."""
+    matrix = np.zeros((*twist.shape, 6))
+    matrix[..., :3, :3] = matrix[..., 3:, 3:] = skew(twist[..., :3])
+    matrix[..., 3:, :3] = skew(twist[..., 3:])
+    return matrix
+
+
+def left_jacobian(twist: FloatArray) -> FloatArray:
+    """J(u) = integral of Ad_exp(s u) over s from 0 to 1, `(..., 6)` -> `(..., 6, 6)`.
+
+    exp(u + d) = exp(J(u) d) exp(u) to first order in d; the right Jacobian is J(-u). The powers of ad_u above the
+    fourth follow from ad_u^5 = -2 t^2 ad_u^3 - t^4 ad_u with t = |w|.
+    """
+    angle = np.linalg.norm(twist[..., :3], axis=-1)
+    small = angle < SERIES_ANGLE
+    t = np.where(small, 1.0, angle)
+    sin, cos = np.sin(t), np.cos(t)
+    factors = (
+        np.where(small, 1.0 / 2.0, (4.0 - t * sin - 4.0 * cos) / (2.0 * t**2)),
+        np.where(small, 1.0 / 6.0, (4.0 * t - 5.0 * sin + t * cos) / (2.0 * t**3)),
+        np.where(small, 1.0 / 24.0, (2.0 - t * sin - 2.0 * cos) / (2.0 * t**4)),
+        np.where(small, 1.0 / 120.0, (2.0 * t - 3.0 * sin + t * cos) / (2.0 * t**5)),
+    )
+    result, bracket, power = np.eye(6), bracket_matrix(twist), np.eye(6)
+    for factor in factors:
+        power = power @ bracket
+        result = result + factor[..., None, None] * power
+    return result
 
 
 def exp(twist: FloatArray) -> FloatArray:

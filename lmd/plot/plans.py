@@ -12,6 +12,7 @@ from lmd.plot import common
 from lmd.plot.common import LANDMARK, draw_plan, literal, new_figure, shrink
 from lmd.problem import Problem
 from lmd.scene.deployment import Deployment
+from lmd.space.crowd import RADIUS, X, Y
 from lmd.space.space import Space
 from lmd.survey.results import tag_columns
 from lmd.survey.survey import Survey
@@ -23,19 +24,22 @@ ELLIPSE_SIGMAS = 2.0  # semi-axes of ellipses, standard deviations
 ARROW_SHARE = 0.08  # length of the median arrow over the length of the room
 WEDGE_SHARE = 0.05  # length of the wedge of a proposed photograph over the length of the room
 ELLIPSE_POINTS = 40
+PERSON, PERSON_ALPHA = "tab:orange", 0.2  # colour and opacity of a person; those of several states overlap
 MOST_NAMED = 12  # largest number of tags named in the right panel: the tags farthest off
 
 
-def save_room_figure(path: str | Path, room: Space, title: str) -> None:
+def save_room_figure(path: str | Path, room: Space, title: str, people: FloatArray | None = None) -> None:
     """Write a PNG: a room from above, with its walls that carry landmarks and the positions of the camera.
 
     Args:
         path: path of the PNG.
         room: room.
         title: title of the figure.
+        people: cylinders of all crowd states, `(S, N, 5)`; None without a crowd.
     """
     import shapely
-    from matplotlib.collections import LineCollection
+    from matplotlib.collections import LineCollection, PatchCollection
+    from matplotlib.patches import Circle
 
     length, width, _ = common.size_of(room)
     figure = new_figure((11.0, float(np.clip(11.0 * width / length, 4.0, 22.0)) + 0.8), title)
@@ -51,6 +55,11 @@ def save_room_figure(path: str | Path, room: Space, title: str) -> None:
             carried.append(surface.point(np.array([left, right]), np.zeros(2))[:, :2])
     axes.add_collection(LineCollection(carried, colors=LANDMARK, linewidths=2.0, label="landmarks may hang here"))
     handles, labels = axes.get_legend_handles_labels()
+    if people is not None:
+        circles = [Circle(each[[X, Y]], each[RADIUS]) for state in people for each in state]
+        axes.add_collection(PatchCollection(circles, facecolor=PERSON, alpha=PERSON_ALPHA, zorder=0))
+        handles.append(Circle((0.0, 0.0), facecolor=PERSON, alpha=0.5))
+        labels.append(f"in the way, in {len(people)} crowd states")
     figure.legend(handles, labels, loc="outside lower center", ncols=4, frameon=False)
     figure.savefig(path)
     shrink(path)

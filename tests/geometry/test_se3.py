@@ -78,3 +78,12 @@ def test_angle_between_is_the_angle_of_the_rotation_between(angle):
     start = se3.exp(RNG.normal(size=6))
     turn = np.concatenate([scaled(RNG.normal(size=3), angle), RNG.normal(size=3)])
     assert_allclose(se3.angle_between(start, start @ se3.exp(turn)), angle, atol=1e-8, rtol=1e-6)
+
+
+@pytest.mark.parametrize("angle", [0.0, 1e-3, 0.0199, 0.0201, 1.0, 3.0])
+def test_the_left_jacobian_is_the_integral_of_the_adjoint(angle):
+    twist = np.concatenate([scaled(RNG.normal(size=3), angle), RNG.normal(size=3)])
+    nodes, weights = np.polynomial.legendre.leggauss(20)
+    adjoints = np.array([expm((node + 1.0) / 2.0 * se3.bracket_matrix(twist)) for node in nodes])
+    assert_allclose(se3.left_jacobian(twist), np.einsum("i,ijk->jk", weights / 2.0, adjoints), atol=1e-8)
+    assert_allclose(expm(se3.bracket_matrix(twist)), se3.adjoint_matrix(se3.exp(twist)), atol=1e-9)

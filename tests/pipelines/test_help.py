@@ -21,7 +21,10 @@ SLOW = {
 LISTED = {
     "optimise": ("deployment: file, greedy, random, uniform",),
     "evaluate": ("deployment: file, greedy, random, uniform",),
-    "observe": ("estimator: bound, iekf, left_observer, observer, pnp", "trajectory: file, random_motion, waypoints"),
+    "observe": (
+        "estimator: bound, eqf, iekf, iekf_bias, left_observer, observer, pnp",
+        "trajectory: file, random_drives, random_motion, waypoints",
+    ),
     "detect": ("detectors: apriltag, apriltag_decimate2, aruco, aruco_fine", "imaging: clean, nominal"),
     "export": (),
     "view": (),

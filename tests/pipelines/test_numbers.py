@@ -64,7 +64,7 @@ OPTIONS = [
     ("optimise", "deployment", ["deployment=greedy", "deployment.count=2"]),
     *(
         ("observe", "estimator", [f"estimator=[{name}]"])
-        for name in ("left_observer", "bound", "pnp", "iekf", "smoother")
+        for name in ("left_observer", "bound", "pnp", "iekf", "iekf_bias", "eqf", "smoother")
     ),
     ("observe", "trajectory", ["trajectory=waypoints"]),
     ("observe", "detector", ["detector=rendered", "tag.edge=0.1"]),

@@ -1,0 +1,195 @@
+"""Kalman filters that estimate the bias of a gyro beside the pose: an equivariant and an invariant one.
+
+The state is a pose T and a constant bias b of the measured body twist w, of which the gyro has the angular part:
+
+    T' = T (w - b - n),    b' = walk,    y_i = T^-1 C_i + noise.
+
+Both filters move their estimate by Th <- Th exp(h (w - bh)), which is exact for constant w and b, and both are extended
+Kalman filters of 12 numbers. Their coordinates of the error differ (ad, Ad and J are those of `lmd.geometry.se3`).
+
+**Equivariant filter** (P. van Goor, T. Hamel and R. Mahony, "Equivariant filter (EqF)", IEEE Trans. Automatic Control
+68 (6), 2023; A. Fornasier et al., "Overcoming bias: equivariant filter design for biased attitude estimation with
+online calibration", IEEE Robotics and Automation Letters 7 (4), 2022). The tangent group of SE(3) with the product
+(A, a)(B, b) = (A B, a + Ad_A b) acts on states by (T, b) -> (T A, Ad_A^-1 (b - a)); the system is equivariant. With
+the origin (I, 0) the equivariant error is (e, z) = (T Th^-1, Ad_Th (b - bh)), in the frame of the map, and
+
+    e' = -e z,    z' = ad_W z    with W = Ad_Th (w - bh),
+
+so that the error of the bias is linear, and depends on the estimate through W only. For e = exp(x) a step has
+
+    x <- x - h J(h W) z,    z <- Ad_exp(h W) z.
+
+The output is equivariant, too: T y moves C_i. With c_i = (C_i + Th y_i) / 2, the residual Th y_i - C_i is [c_i]x u - v
+for x = (u, v), up to errors of the third order. After a correction (dx, dz), errors are those from the new estimate:
+x <- J(dx) x and z <- Ad_exp(dx) z, which keeps the gyro's bias free of a linear part. With C_i in place of c_i, this
+would be the invariant filter below, reset with J(-dx): its advantage is the equivariant output.
+
+**Invariant filter with a bias** ("imperfect" in A. Barrau and S. Bonnabel, "The invariant extended Kalman filter as a
+stable observer", IEEE Trans. Automatic Control 62 (4), 2017). The errors are T = Th exp(x) and z = b - bh, in the frame
+of the camera. Without a bias this is the left-invariant filter `lmd.estimation.fusion.InvariantKalmanFilter`. A step
+has x <- Ad_exp(-h (w - bh)) x - h J(-h (w - bh)) z, which depends on the estimate of the bias. After a correction dx,
+x <- Ad_exp(-dx) x, as GTSAM 4.3 does.
+"""
+
+from abc import ABC, abstractmethod
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from lmd.core.checks import FloatArray
+from lmd.estimation.estimators import Errors, pose_errors
+from lmd.estimation.fusion import CameraPoints, Uncertainty
+from lmd.estimation.recording import Recording
+from lmd.geometry.se3 import act, adjoint, adjoint_matrix, exp, inverse, left_jacobian, skew
+
+
+class State(NamedTuple):
+    """Estimate of a pose and of a bias."""
+
+    pose: FloatArray
+    """Th, `(4, 4)`."""
+    bias: FloatArray
+    """bh, rad/s and m/s, `(6,)`."""
+    covariance: FloatArray
+    """Covariance of the errors (x, z) in the coordinates of the filter, `(12, 12)`."""
+
+
+@dataclass(frozen=True)
+class BiasFilter(Uncertainty, ABC):
+    """Extended Kalman filter of a pose and of the bias of the gyro, which is as uncertain as the odometry says."""
+
+    def errors(self, recording: Recording, start: FloatArray) -> Errors:
+        """See `lmd.estimation.estimators.Estimator.errors`."""
+        runs = [[state.pose for state in self.states(recording, s, start[s])] for s in range(len(start))]
+        return pose_errors(recording.poses, np.array(runs))
+
+    def run(self, recording: Recording, s: int, start: FloatArray) -> Iterator[tuple[FloatArray, FloatArray]]:
+        """Estimates of run s, `(4, 4)` each, and their covariances as body twists, `(6, 6)`."""
+        for state in self.states(recording, s, start):
+            to_body = self.to_body(state.pose)
+            yield state.pose, to_body @ state.covariance[:6, :6] @ to_body.T
+
+    def states(self, recording: Recording, s: int, start: FloatArray) -> Iterator[State]:
+        """Estimates of run s in the coordinates of the filter."""
+        known = recording.odometry
+        gyro = np.repeat([1.0, 0.0], 3)
+        spread = np.concatenate([self.initial, known.gyro_bias * gyro])
+        density = np.concatenate([self.drift(recording), known.gyro_walk * gyro])
+        from_body = np.kron(np.eye(2), np.linalg.inv(self.to_body(start)))
+        state = State(start, np.zeros(6), from_body @ np.diag(spread**2) @ from_body.T)
+        yield state
+        for t, step in enumerate(np.diff(recording.time), start=1):
+            state = self.predicted(state, recording.twists[s, t - 1], step, density)
+            if recording.seen[s, t].any():
+                state = self.corrected(state, CameraPoints.of(recording, s, t, self))
+            yield state
+
+    def predicted(self, state: State, twist: FloatArray, step: float, density: FloatArray) -> State:
+        """Predict the state after a step.
+
+        Args:
+            state: estimate before the step.
+            twist: measured w, `(6,)`.
+            step: h, seconds.
+            density: standard deviations of twist and bias per root second, in the body's frame, `(12,)`.
+        """
+        moved = step * (twist - state.bias)
+        pose = state.pose @ exp(moved)
+        transition = self.transition(state.pose, moved, step)
+        from_body = np.kron(np.eye(2), np.linalg.inv(self.to_body(pose)))
+        noise = from_body @ np.diag(step * density**2) @ from_body.T
+        return State(pose, state.bias, transition @ state.covariance @ transition.T + noise)
+
+    def corrected(self, state: State, seen: CameraPoints) -> State:
+        """Correct a state by measured positions of landmarks."""
+        residual, jacobian, noise = self.residual(state.pose, seen)
+        jacobian = np.pad(jacobian, ((0, 0), (0, 6)))
+        spread = jacobian @ state.covariance @ jacobian.T + noise
+        gain = np.linalg.solve(spread, jacobian @ state.covariance).T
+        kept = np.eye(12) - gain @ jacobian
+        covariance = kept @ state.covariance @ kept.T + gain @ noise @ gain.T
+        return self.moved(State(state.pose, state.bias, covariance), gain @ residual)
+
+    @abstractmethod
+    def to_body(self, pose: FloatArray) -> FloatArray:
+        """Matrix from x to the body twist of the same error, `(6, 6)`."""
+
+    @abstractmethod
+    def transition(self, pose: FloatArray, moved: FloatArray, step: float) -> FloatArray:
+        """Matrix from (x, z) before a step to that after it, `(12, 12)`.
+
+        Args:
+            pose: Th before the step.
+            moved: h (w - bh), `(6,)`.
+            step: h, seconds.
+        """
+
+    @abstractmethod
+    def residual(self, pose: FloatArray, seen: CameraPoints) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Residual of m landmarks, `(3 m,)`, its Jacobian by x, `(3 m, 6)`, and its covariance, `(3 m, 3 m)`."""
+
+    @abstractmethod
+    def moved(self, state: State, change: FloatArray) -> State:
+        """State at the estimated error (dx, dz), `(12,)`, with the covariance in its coordinates."""
+
+
+@dataclass(frozen=True)
+class EquivariantFilter(BiasFilter):
+    """Equivariant filter on the tangent group of SE(3), for a camera with a biased gyro among known landmarks."""
+
+    def to_body(self, pose: FloatArray) -> FloatArray:
+        """See `BiasFilter.to_body`: Ad_Th^-1."""
+        return adjoint_matrix(inverse(pose))
+
+    def transition(self, pose: FloatArray, moved: FloatArray, step: float) -> FloatArray:
+        """See `BiasFilter.transition`."""
+        world = adjoint(pose, moved)
+        return np.block([
+            [np.eye(6), -step * left_jacobian(world)],
+            [np.zeros((6, 6)), adjoint_matrix(exp(world))],
+        ])  # fmt: skip
+
+    def residual(self, pose: FloatArray, seen: CameraPoints) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """See `BiasFilter.residual`."""
+        moved = act(pose, seen.value.reshape(-1, 3))
+        middle = skew((moved + seen.landmarks) / 2.0)
+        jacobian = np.concatenate([middle, np.broadcast_to(-np.eye(3), middle.shape)], axis=-1).reshape(-1, 6)
+        turn = np.kron(np.eye(len(moved)), pose[:3, :3])
+        return (moved - seen.landmarks).reshape(-1), jacobian, turn @ seen.covariance @ turn.T
+
+    def moved(self, state: State, change: FloatArray) -> State:
+        """See `BiasFilter.moved`."""
+        step, reset = exp(change[:6]), np.zeros((12, 12))
+        reset[:6, :6], reset[6:, 6:] = left_jacobian(change[:6]), adjoint_matrix(step)
+        bias = state.bias + adjoint(inverse(state.pose), change[6:])
+        return State(step @ state.pose, bias, reset @ state.covariance @ reset.T)
+
+
+@dataclass(frozen=True)
+class BiasedInvariantFilter(BiasFilter):
+    """Left-invariant extended Kalman filter with the bias of the gyro as a further state."""
+
+    def to_body(self, pose: FloatArray) -> FloatArray:
+        """See `BiasFilter.to_body`."""
+        return np.eye(6)
+
+    def transition(self, pose: FloatArray, moved: FloatArray, step: float) -> FloatArray:
+        """See `BiasFilter.transition`."""
+        return np.block([
+            [adjoint_matrix(exp(-moved)), -step * left_jacobian(-moved)],
+            [np.zeros((6, 6)), np.eye(6)],
+        ])  # fmt: skip
+
+    def residual(self, pose: FloatArray, seen: CameraPoints) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """See `BiasFilter.residual`."""
+        expected, jacobian = seen.predicted(pose)
+        return seen.value - expected, jacobian, seen.covariance
+
+    def moved(self, state: State, change: FloatArray) -> State:
+        """See `BiasFilter.moved`."""
+        reset = np.eye(12)
+        reset[:6, :6] = adjoint_matrix(exp(-change[:6]))
+        covariance = reset @ state.covariance @ reset.T
+        return State(state.pose @ exp(change[:6]), state.bias + change[6:], covariance)
