@@ -36,7 +36,7 @@ def keyed(group: str = "", /, **keys: str) -> Iterator[None]:
     try:
         yield
     except InputError as error:
-        if error.argument is None:
+        if error.argument is None or not str(error).startswith(error.argument):
             raise
         argument = re.split(r"[^\w]", error.argument)[0]
         named = argument == group.split(".")[0]  # the message already names the key

@@ -23,7 +23,7 @@ def filtered(
     scene: Scene,
     trajectory: TrajectorySource,
     odometry: Odometry,
-    drives: int = 24,
+    drives: int = 32,
     fresh: int = 48,
     seed: int = 0,
     block: float = 30.0,

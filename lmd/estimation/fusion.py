@@ -1,12 +1,12 @@
 """Estimators of GTSAM with models of the measurement noise: a Kalman filter and a fixed-lag smoother."""
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
-from lmd.core.checks import FloatArray, check_fields, real
+from lmd.core.checks import FloatArray, check_fields, choice, real
 from lmd.core.optional import optional
 from lmd.estimation.estimators import Errors, pose_errors
 from lmd.estimation.pnp import images_of, likely
@@ -36,7 +36,7 @@ class Uncertainty:
     """Lower bound on the noise of the detector, pixels."""
 
     def __post_init__(self) -> None:
-        check_fields(self, real, *self.__dataclass_fields__, above=0.0)
+        check_fields(self, real, *(each.name for each in fields(self) if each.type is not str), above=0.0)
         optional("gtsam", "estimators")
 
     @property
@@ -119,7 +119,18 @@ class CornerImages(NamedTuple):
 
 @dataclass(frozen=True)
 class InvariantKalmanFilter(Uncertainty):
-    """Left-invariant extended Kalman filter of GTSAM with the observer's measurements y_i = X^-1 C_i."""
+    """Left-invariant extended Kalman filter of GTSAM with the observer's measurements y_i = X^-1 C_i.
+
+    Raises:
+        InputError: a value is not positive, or `measured` is unknown.
+    """
+
+    measured: str = field(default="points", kw_only=True)
+    """`points`, the position of each tag by its own image, or `corners`, the images of the corners of all tags."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        choice("measured", self.measured, ("points", "corners"))
 
     def errors(self, recording: Recording, start: FloatArray) -> Errors:
         """See `lmd.estimation.estimators.Estimator.errors`."""
@@ -129,14 +140,16 @@ class InvariantKalmanFilter(Uncertainty):
     def run(self, recording: Recording, s: int, start: FloatArray) -> Iterator[tuple[FloatArray, FloatArray]]:
         """Estimates of run s, `(4, 4)` each, and their covariances as body twists, `(6, 6)`."""
         gtsam = optional("gtsam", "estimators")
+        corners = self.measured == "corners" and recording.corners is not None
+        kind: type[CameraPoints | CornerImages] = CornerImages if corners else CameraPoints
         ekf = gtsam.InvariantEKFPose3(gtsam.Pose3(start), np.diag(self.initial**2))
         density = np.diag(self.drift(recording) ** 2)  # the filter multiplies the density by the time step
         yield start, ekf.covariance().copy()  # GTSAM returns a view of its own memory
         for t, step in enumerate(np.diff(recording.time), start=1):
             ekf.predict(recording.twists[s, t - 1], step, density)
             if recording.seen[s, t].any():
-                places = CameraPoints.of(recording, s, t, self)
-                ekf.updateWithVector(*places.predicted(ekf.state().matrix()), places.value, places.covariance)
+                seen = kind.of(recording, s, t, self)
+                ekf.updateWithVector(*seen.predicted(ekf.state().matrix()), seen.value, seen.covariance)
             yield ekf.state().matrix(), ekf.covariance().copy()
 
 

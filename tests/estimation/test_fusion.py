@@ -82,6 +82,19 @@ def test_the_filter_knows_how_wrong_it_is():
     assert (squares > chi2.ppf(0.99, 6)).mean() < 0.02
 
 
+def test_a_filter_of_corners_is_surer_than_one_of_positions():
+    recording = recorded(TagDetector(TAG), DRIFT, FLIGHTS[:3])
+    start = start_of(recording, 0.01)
+    points, corners = (InvariantKalmanFilter(0.01, 0.01, measured=by) for by in ("points", "corners"))
+    for s in range(len(start)):
+        (_, one), (_, other) = (list(kalman.run(recording, s, start[s]))[-1] for kalman in (points, corners))
+        assert np.trace(other) < np.trace(one)
+    wrong = [np.median(kalman.errors(recording, start).position[:, -60:]) for kalman in (points, corners)]
+    assert wrong[1] < wrong[0]
+    with pytest.raises(InputError, match="measured must be one of points, corners"):
+        InvariantKalmanFilter(0.01, 0.01, measured="edges")
+
+
 def test_drift_is_what_landmarks_are_for():
     recording = recorded(PointDetector(0.5), DRIFT)
     start = start_of(recording, 0.01)

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from bearings import view_matrices
+from contracts.field import check_field
 from examples import examples
 from hypothesis import given
 from hypothesis import strategies as st
@@ -26,10 +27,11 @@ from lmd.objectives.filtered.evaluation import filtered_poses, frame_information
 from lmd.objectives.filtered.reference import reference_filter, reference_information
 from lmd.objectives.localisation.information import deviation_per_variance
 from lmd.problem import Problem
-from lmd.scene.deployment_sources import UniformDeployment
+from lmd.scene.deployment_sources import RandomDeployment, UniformDeployment
 from lmd.scene.scene import Scene
 from lmd.scene.tag import Tag
 from lmd.sight.evaluator import Evaluator
+from lmd.sight.models.fiducial import Fiducial
 from lmd.space.driven import DrivenRoom
 
 pytestmark = pytest.mark.long
@@ -60,10 +62,9 @@ def tagged(scene, tag):
     return Scene(scene.room, scene.camera, scene.pdf, scene.visibility, tag)
 
 
-single_cameras = st.one_of(
-    st.builds(tagged, scenes(), st.sampled_from([Tag(), Tag(0.1), Tag(0.3)])),
-    fiducial_scenes(distorted_cameras(BENT).filter(is_bent)),
-)
+points_and_tags = st.builds(tagged, scenes(), st.sampled_from([Tag(), Tag(0.1), Tag(0.3)]))
+bent = fiducial_scenes(distorted_cameras(BENT).filter(is_bent))
+single_cameras = st.one_of(points_and_tags, bent)
 settings = st.fixed_dictionaries(
     {
         "n": st.integers(1, 2),
@@ -100,6 +101,39 @@ def test_frames_are_filtered_as_the_reference_says(data, scene, seed, asked):
 @given(case=rig_scenes_with_deployments(), seed=seeds, asked=settings)
 def test_frames_of_a_rig_are_filtered_as_the_reference_says(case, seed, asked):
     check_reference(*case, seed, asked)
+
+
+def check_moves(data, scene, seed, asked):
+    deployment, targets = data.draw(deployments(scene.room)), data.draw(deployments(scene.room, most=6))
+    rng = np.random.default_rng(seed)
+    drives = drives_in(scene.room, rng)
+    check_field(Filtered(drives=drives, **asked), along(scene, drives), deployment, targets, rng)
+
+
+@examples(60)
+@given(data=st.data(), scene=points_and_tags, seed=seeds, asked=settings)
+def test_after_any_moves_the_frames_are_those_of_a_full_evaluation(data, scene, seed, asked):
+    """Compiling takes 10 s."""
+    check_moves(data, scene, seed, asked)
+
+
+@pytest.mark.thorough("lmd/incremental", "lmd/objectives/filtered", "lmd/objectives/localisation", "lmd/sight")
+@examples(60)
+@given(data=st.data(), scene=bent, seed=seeds, asked=settings)
+def test_after_any_moves_behind_a_bent_lens_the_frames_are_those_of_a_full_evaluation(data, scene, seed, asked):
+    check_moves(data, scene, seed, asked)
+
+
+@pytest.mark.thorough("lmd/incremental", "lmd/objectives/filtered", "lmd/objectives/localisation", "lmd/sight")
+def test_large_tags_hide_each_other_along_drives():
+    tag, rng = Tag(0.4), np.random.default_rng(0)
+    scene = replace(paper_scene(paper_room(spacing=2.0)), tag=tag, visibility=Fiducial(tag))
+    drives = drives_in(scene.room, rng, most=40)
+    objective, scene = Filtered(drives=drives, tolerance=0.05), along(scene, drives)
+    deployment, targets = (RandomDeployment(count).draw(scene.room, rng) for count in (100, 60))
+    state = objective.field(Evaluator(scene, threads=1)).state(deployment)
+    assert (state.hidden > 0).sum() > 50
+    check_field(objective, scene, deployment, targets, rng)
 
 
 def adjoint(pose):

@@ -18,8 +18,12 @@ from lmd.objectives.filtered.covariance import (
     updated,
 )
 
-LANES = 8
+LANES = 16  # fewer would be unrolled and not vectorised
 MOVES = 5  # numbers of a move, see `Drives.moves`
+# First entry of each number of the lanes, unsigned: numba tests whether a signed index is negative.
+(
+    _1, _2, _3, _4, _5, _6, _7, _8, _9, _10, _11, _12, _13, _14, _15, _16, _17, _18, _19, _20
+) = (np.uint64(LANES * j) for j in range(1, NUMBERS))  # fmt: skip
 
 
 class Tolerance(NamedTuple):
@@ -60,10 +64,10 @@ def lanes() -> Lanes:
 def column(rows: FloatArray, lane: Integer) -> tuple[Any, ...]:
     """The 21 numbers of a lane."""
     return (
-        rows[lane], rows[8 + lane], rows[16 + lane], rows[24 + lane], rows[32 + lane], rows[40 + lane],
-        rows[48 + lane], rows[56 + lane], rows[64 + lane], rows[72 + lane], rows[80 + lane], rows[88 + lane],
-        rows[96 + lane], rows[104 + lane], rows[112 + lane], rows[120 + lane], rows[128 + lane], rows[136 + lane],
-        rows[144 + lane], rows[152 + lane], rows[160 + lane],
+        rows[lane], rows[lane + _1], rows[lane + _2], rows[lane + _3], rows[lane + _4], rows[lane + _5],
+        rows[lane + _6], rows[lane + _7], rows[lane + _8], rows[lane + _9], rows[lane + _10], rows[lane + _11],
+        rows[lane + _12], rows[lane + _13], rows[lane + _14], rows[lane + _15], rows[lane + _16], rows[lane + _17],
+        rows[lane + _18], rows[lane + _19], rows[lane + _20],
     )  # fmt: skip
 
 
@@ -71,10 +75,10 @@ def column(rows: FloatArray, lane: Integer) -> tuple[Any, ...]:
 def _write(rows: FloatArray, lane: Integer, p: Any) -> None:
     """Write the 21 numbers of a lane."""
     (
-        rows[lane], rows[8 + lane], rows[16 + lane], rows[24 + lane], rows[32 + lane], rows[40 + lane],
-        rows[48 + lane], rows[56 + lane], rows[64 + lane], rows[72 + lane], rows[80 + lane], rows[88 + lane],
-        rows[96 + lane], rows[104 + lane], rows[112 + lane], rows[120 + lane], rows[128 + lane], rows[136 + lane],
-        rows[144 + lane], rows[152 + lane], rows[160 + lane],
+        rows[lane], rows[lane + _1], rows[lane + _2], rows[lane + _3], rows[lane + _4], rows[lane + _5],
+        rows[lane + _6], rows[lane + _7], rows[lane + _8], rows[lane + _9], rows[lane + _10], rows[lane + _11],
+        rows[lane + _12], rows[lane + _13], rows[lane + _14], rows[lane + _15], rows[lane + _16], rows[lane + _17],
+        rows[lane + _18], rows[lane + _19], rows[lane + _20],
     ) = p  # fmt: skip
 
 
@@ -84,7 +88,7 @@ def predict_lanes(lanes: Lanes) -> None:
     rows, moves = lanes.covariance, lanes.moves
     for lane in range(np.uint64(LANES)):
         p = predicted(
-            column(rows, lane), moves[lane], moves[8 + lane], moves[16 + lane], moves[24 + lane], moves[32 + lane]
+            column(rows, lane), moves[lane], moves[lane + _1], moves[lane + _2], moves[lane + _3], moves[lane + _4]
         )
         _write(rows, lane, p)
 

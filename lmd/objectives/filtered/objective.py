@@ -12,6 +12,7 @@ from lmd.objectives.base import AtLeast, Headline
 from lmd.objectives.coverage import Mean
 from lmd.objectives.filtered.drives import Drives
 from lmd.objectives.filtered.evaluation import FilteredPoses, filtered_poses, frame_information
+from lmd.objectives.filtered.field import filtered_field
 from lmd.objectives.filtered.lanes import Tolerance
 from lmd.objectives.filtered.reference import reference_filter, reference_information
 from lmd.objectives.localisation.information import Precision, deviation_per_variance, precision
@@ -174,7 +175,10 @@ class Filtered(AtLeast):
     def field(self, evaluator: Evaluator) -> Field:
         """See `Incremental.field`; a rig has a field whose moves are full evaluations."""
         self._check(evaluator)
-        return ReferenceField(self, evaluator)
+        scene = evaluator.scene
+        if scene.rig is not None or evaluator.by_reference:
+            return ReferenceField(self, evaluator)
+        return filtered_field(evaluator, self.drives, self.asked(scene), self.n, self.limits(scene))
 
     def target(self, relevance: FloatArray) -> Mean:
         """See `Incremental.target`."""

@@ -1,0 +1,202 @@
+"""Deployments for the filtered pose, for single images and for coverage: predicted along fresh drives, and flown.
+
+PYTHONPATH=tests python benchmarks/filtered.py moves                     # cost of a tried move beside localisation's
+PYTHONPATH=tests python benchmarks/filtered.py shares lab --seconds 30   # predicted, by tags and odometry
+PYTHONPATH=tests python benchmarks/filtered.py flown lab --tags 6 --drives 40 --detector noisy
+PYTHONPATH=tests python benchmarks/filtered.py flown corridor --tags 16 --drives 40 --detector noisy
+PYTHONPATH=tests python benchmarks/filtered.py picture lab --tags 6 FILE.png
+"""
+
+import argparse
+import time
+from pathlib import Path
+
+import numpy as np
+from composing import composed
+
+from lmd.core.checks import FloatArray
+from lmd.core.layers import layers
+from lmd.estimation.fusion import FixedLagSmoother, InvariantKalmanFilter
+from lmd.estimation.recording import Flight, Odometry, record
+from lmd.geometry.se3 import exp
+from lmd.incremental.field import BOUND, NO_UNITS, SETTLE, perform
+from lmd.objectives.reference_field import field_of
+from lmd.optimisers.annealing import Annealing
+from lmd.optimisers.ledger import Budget
+from lmd.problem import Problem
+from lmd.scene.deployment import Deployment
+from pipelines.building import build_problem
+from pipelines.nodes import instantiate
+
+CORRIDOR = (
+    "room=floor_plan", "room.outline=[[0,0],[60,0],[60,2.4],[0,2.4]]", "room.holes=[]", "room.keep_out=[]",
+    "room.surfaces=[wall_0,wall_1,wall_2,wall_3]", "room.spacing=1",
+)  # fmt: skip
+ROOMS = {"lab": (), "corridor": (*CORRIDOR, "pdf=yaw")}
+START = 0.1, 0.05  # standard deviations of the first estimate, metres and rad
+SHARED = (f"objective.start_position={START[0]}", f"objective.start_attitude={START[1]}")
+OBJECTIVES = {
+    "filtered": ("objective=filtered", *SHARED, "objective.pixel_noise=0.4"),
+    "localisation": ("objective=localisation", "objective.n=1", "objective.pixel_noise=0.4"),
+    "coverage": ("objective=mean", "objective.n=1"),
+}
+TOLERANCE = 0.02  # of the position, metres
+OPTIMISED_ON = 96  # drives
+
+
+def problem_of(room: str, objective: str, tags: int, odometry: str = "slow", *more: str) -> Problem:
+    """Problem of a room and an objective; drives of the corridor are longer."""
+    given = [*ROOMS[room], *OBJECTIVES[objective], f"deployment.count={tags}", "threads=1", *more]
+    if objective == "filtered":
+        given += [f"odometry@objective.odometry={odometry}", f"objective.drives={OPTIMISED_ON}"]
+        given += [f"objective.trajectory.duration={40 if room == 'corridor' else 20}"]
+    return build_problem(composed("optimise", "experiment=lab", *given))
+
+
+def placed(problem: Problem, seconds: float) -> Deployment:
+    """Deployment that annealing finds in a time."""
+    return Annealing(seed=0).run(problem, Budget(None, seconds)).deployment
+
+
+def moves() -> None:
+    """Print the processor time of a tried move of the filtered objective and of localisation, by their defaults."""
+    print("| objective | views | tried move, us | per view, ns |\n| --- | --- | --- | --- |")
+    for name, given in (("filtered", ["objective=filtered"]), ("localisation", [])):
+        problem = build_problem(composed("optimise", "experiment=lab", *given, "threads=1"))
+        evaluator = problem.fitness_evaluator
+        views = len(evaluator.positions)
+        views *= 1 if name == "filtered" else len(evaluator.scene.orientations.axes)
+        cost = _tried(problem)
+        print(f"| {name} | {views} | {1e6 * cost:.0f} | {1e9 * cost / views:.1f} |", flush=True)
+
+
+def _tried(problem: Problem, tries: int = 200, rounds: int = 7) -> float:
+    """Least processor seconds of a tried move, over rounds of random moves."""
+    field, rng = field_of(problem.objective, problem.fitness_evaluator), np.random.default_rng(1)
+    state = field.state(problem.draw(np.random.default_rng(0)))
+    scratches = layers(field.scratch(state), 1)
+    drawn = [problem.draw(rng) for _ in range(1 + tries // problem.count)]
+    poses = np.concatenate([np.hstack([each.positions, each.normals]) for each in drawn])[:tries].repeat(2, axis=0)
+    steps = np.zeros((tries, 2, 4), dtype=np.int64)
+    steps[:, :, 0], steps[:, :, 1] = (BOUND, SETTLE), rng.integers(0, problem.count, tries)[:, None]
+    steps[:, :, 2] = np.concatenate([each.surfaces for each in drawn])[:tries, None]
+    steps = steps.reshape(-1, 4)
+    seconds = []
+    for _ in range(rounds):
+        began = time.process_time()
+        perform(steps, poses, field, state, scratches, NO_UNITS)
+        seconds.append(time.process_time() - began)
+    return min(seconds) / tries
+
+
+def shares(room: str, seconds: float) -> None:
+    """Print the filtered share on fresh drives by number of tags, odometry and objective."""
+    names = " | ".join(OBJECTIVES)
+    print(f"| tags | odometry | {names} |\n| --- | --- | {' | '.join(['---'] * len(OBJECTIVES))} |")
+    for tags in (4, 8, 24):
+        others = {name: placed(problem_of(room, name, tags), seconds) for name in ("localisation", "coverage")}
+        for odometry in ("slow", "fast"):
+            problem = problem_of(room, "filtered", tags, odometry)
+            found = {"filtered": placed(problem, seconds), **others}
+            off = [problem.objective.off_grid(problem.evaluator, found[name]) for name in OBJECTIVES]
+            texts = [
+                f"{100 * f['grid_free_filtered_share']:.1f} +- {100 * f['grid_free_filtered_share_standard_error']:.1f}"
+                for f in off
+            ]
+            print(f"| {tags} | {odometry} | {' | '.join(texts)} |", flush=True)
+
+
+def within(covariances: FloatArray) -> FloatArray:
+    """Probability of a position error of at most the tolerance, for covariances `(F, 21)`, `(F,)`."""
+    v = covariances[:, [0, 1, 2, 1, 3, 4, 2, 4, 5]].reshape(-1, 3, 3)
+    spread = np.linalg.eigvalsh(v)
+    squares = np.random.default_rng(0).standard_normal((2000, 3)) ** 2
+    return np.asarray((spread @ squares.T <= TOLERANCE**2).mean(axis=1))
+
+
+def flown(room: str, tags: int, seconds: float, drives: int, detector: str, odometry: str) -> None:
+    """Print predicted shares along fresh drives, and those of estimators that fly them."""
+    problem = problem_of(room, "filtered", tags, odometry, f"objective.fresh={drives}")
+    along = problem.objective.fresh
+    cfg = composed("observe", f"detector={detector}", f"tag.edge={problem.scene.tag.size}")
+    sensor = instantiate(cfg.detector, **({"missed": 0.0} if detector == "noisy" else {"pixel_noise": 0.4}))
+    noise = Odometry(along.turn_noise, along.motion_noise)
+    least = {"least_turn_noise": 1e-4, "least_motion_noise": 1e-4}
+    estimators = {
+        "IEKF, corners": InvariantKalmanFilter(START[1], START[0], measured="corners", **least),
+        "IEKF, points": InvariantKalmanFilter(START[1], START[0], **least),
+        "smoother": FixedLagSmoother(START[1], START[0], **least),
+    }
+    head = ["deployment", "known where optimised on, % of time", "known, % of time", "predicted within, %"]
+    head += [f"{name} within, %" for name in estimators] + ["images with a tag, %", "noise, median, pixels"]
+    print(f"{room}, {tags} tags, odometry {odometry}, {drives} drives, detector {detector}\n")
+    print(f"| {' | '.join(head)} |")
+    print(f"|{' --- |' * len(head)}")
+    for name in OBJECTIVES:
+        of_it = problem_of(room, name, tags, odometry)
+        deployment = placed(of_it, seconds)
+        found = problem.objective.poses(problem.evaluator, deployment, along)
+        flights = [
+            Flight(problem.evaluator, deployment, path, np.random.default_rng([7, i]))
+            for i, path in enumerate(along.trajectories)
+        ]
+        recording = record(sensor, flights, noise)
+        rng = np.random.default_rng(8)
+        sigma = np.repeat([START[1], START[0]], 3)
+        start = np.stack([path.poses[0] @ exp(sigma * rng.standard_normal(6)) for path in along.trajectories])
+        trained = problem.objective.poses(problem.evaluator, deployment)
+        shares = trained.known.mean(), found.known.mean(), within(found.covariances).mean()
+        texts = [name, *(f"{100 * share:.1f}" for share in shares)]
+        for estimator in estimators.values():
+            error = estimator.errors(recording, start).position
+            by_drive = (error <= TOLERANCE).mean(axis=1)
+            texts.append(f"{100 * by_drive.mean():.1f} +- {100 * by_drive.std(ddof=1) / np.sqrt(drives):.1f}")
+        texts += [f"{100 * (recording.visible_counts > 0).mean():.1f}", f"{np.median(recording.noise):.2f}"]
+        print(f"| {' | '.join(texts)} |", flush=True)
+
+
+def picture(room: str, tags: int, seconds: float, path: Path) -> None:
+    """Draw the standard deviation of the filtered position along one fresh drive for each deployment."""
+    import matplotlib.pyplot as plt
+
+    problem = problem_of(room, "filtered", tags)
+    along = problem.objective.fresh
+    figure, axes = plt.subplots(figsize=(9, 3.4), layout="constrained")
+    drive = slice(along.first[3], along.first[4])
+    for name in OBJECTIVES:
+        found = problem.objective.poses(problem.evaluator, placed(problem_of(room, name, tags), seconds), along)
+        sigma = np.sqrt(found.covariances[:, [0, 3, 5]].sum(axis=1))
+        axes.plot(
+            along.trajectories[3].time, 1e3 * sigma[drive], label=f"{name}: {found.known.mean():.0%} of all drives"
+        )
+    axes.axhline(1e3 * TOLERANCE, color="grey", linestyle="--", label="tolerance")
+    axes.set(xlabel="time [s]", ylabel="sigma of the position [mm]", yscale="log")
+    axes.set_title(f"{room}, {tags} tags: filtered pose along a drive that was not optimised on")
+    axes.legend(fontsize=8)
+    figure.savefig(path, dpi=110)
+
+
+def main() -> None:
+    """Run a part."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("part", choices=("moves", "shares", "flown", "picture"))
+    parser.add_argument("room", nargs="?", choices=ROOMS, default="lab")
+    parser.add_argument("file", nargs="?", type=Path, default=Path("filtered.png"))
+    parser.add_argument("--tags", type=int, default=6)
+    parser.add_argument("--seconds", type=float, default=30.0, help="of annealing for each deployment")
+    parser.add_argument("--drives", type=int, default=40)
+    parser.add_argument("--detector", default="noisy")
+    parser.add_argument("--odometry", default="slow")
+    given = parser.parse_args()
+    if given.part == "moves":
+        moves()
+    elif given.part == "shares":
+        shares(given.room, given.seconds)
+    elif given.part == "flown":
+        flown(given.room, given.tags, given.seconds, given.drives, given.detector, given.odometry)
+    else:
+        picture(given.room, given.tags, given.seconds, given.file)
+
+
+if __name__ == "__main__":
+    main()

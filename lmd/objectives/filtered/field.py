@@ -1,0 +1,217 @@
+"""Incremental field of filtered poses for a single camera: which frames are known while single landmarks move."""
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from lmd.core.bits import BITS
+from lmd.core.bits import LANES as OTHERS_AT_ONCE
+from lmd.core.compiled import for_kernels
+from lmd.core.memory import check_memory
+from lmd.incremental.field import accept, bound, places_of, settle, undo
+from lmd.objectives.filtered.covariance import NUMBERS
+from lmd.objectives.filtered.drives import Drives
+from lmd.objectives.filtered.lanes import Lanes, Tolerance, lanes
+from lmd.objectives.filtered.sightings import SPOTS
+from lmd.objectives.filtered.trial import bound_move, exchange_move, fill_state, settle_move
+from lmd.objectives.localisation.information import NUMBERS as SUMS
+from lmd.objectives.localisation.information import WIDTH, Precision
+from lmd.scene.criteria import horizon_of
+from lmd.scene.deployment import Deployment
+from lmd.sight.blocks import BLOCK, SINGLE_ERROR, boxes_around
+from lmd.sight.evaluator import Evaluator
+from lmd.sight.obstacles import new_ends
+
+STATE_BYTES = 700  # memory of a frame in a state and a scratch, without landmarks
+LANDMARK_BYTES = 30  # memory of a landmark in a frame
+
+
+class FilteredState(NamedTuple):
+    """Filtered poses of a deployment: K landmarks and F frames."""
+
+    poses: np.ndarray
+    """`(6, K)` positions, metres, and unit normals."""
+    surfaces: np.ndarray
+    """`(K,)` indices of the surfaces."""
+    units: np.ndarray
+    """`(F,)` quantised values, 0 or `PROBABILITY_ONE`."""
+    covered: np.ndarray
+    """`(F, W)` uint64 sets of the landmarks that the frame covers, hidden by others or not."""
+    hidden: np.ndarray
+    """`(F, K)` int16 number of the landmarks that hide a covered landmark; 0 for landmarks that are not covered."""
+    counts: np.ndarray
+    """`(F,)` int16 number of landmarks in view."""
+    sums: np.ndarray
+    """`(F, 15)` numbers of the information, see `lmd.objectives.localisation.information`."""
+    covariances: np.ndarray
+    """`(F, 21)` covariance of the filtered pose."""
+
+
+class FilteredScratch(NamedTuple):
+    """The move tried last; after the move is carried out, the reverse move."""
+
+    units: np.ndarray
+    """`(F,)` quantised values after the move."""
+    pose: np.ndarray
+    """`(6,)` the place tried."""
+    surface: np.ndarray
+    """`(1,)` its surface."""
+    covered: np.ndarray
+    """`(F,)` uint8, 1 for frames that cover the landmark at the place tried."""
+    hidden: np.ndarray
+    """`(F,)` int16 number of the landmarks that hide it."""
+    counts: np.ndarray
+    """`(F,)` int16, see `FilteredState`; valid for changed frames, as are `sums`."""
+    sums: np.ndarray
+    """`(F, 15)`."""
+    covariances: np.ndarray
+    """`(F, 21)` covariances after the move, of the frames that are filtered again."""
+    changed: np.ndarray
+    """`(F,)` uint8, 1 for frames whose landmarks in view change."""
+    starts: np.ndarray
+    """`(D,)` int64: first changed frame of each drive, from which on it is filtered again; its end if none changes."""
+    pairs: np.ndarray
+    """`(3, F K)` int32: frame, another landmark, and change of the number of landmarks that hide it."""
+    numbers: np.ndarray
+    """`(1,)` int64: number of pairs."""
+    others: np.ndarray
+    """`(2, K)` int64 landmarks near the old place and near the place tried."""
+    offsets: np.ndarray
+    """`(2, 4, L)` float32, see `lmd.incremental.state.Scratch.offsets`."""
+    near: np.ndarray
+    """`(2, W)` uint64 sets of the landmarks that may hide the moving one, or be hidden by it, from a block of frames:
+    at the old place, and at the place tried.
+    """
+    ends: Any
+    """Working memory of obstacles, see `lmd.sight.obstacles.find_ends`."""
+    spots: np.ndarray
+    """`(2, 4 SPOTS)` offsets of the moving landmark, and `pixel_density`, where it was and where it is tried."""
+    spotted: np.ndarray
+    """`(2, SPOTS)` int64 frames of the `spots`."""
+    shares: np.ndarray
+    """`(15 SPOTS,)` information of the `spots`."""
+    moment: np.ndarray
+    """`(16,)` moments of a landmark."""
+    lanes: Lanes
+    """Working memory of the filters."""
+
+
+class FilteredField(NamedTuple):
+    """Constant data of the field; a `lmd.incremental.field.Field` with one position for each frame."""
+
+    positions: np.ndarray
+    """`(3, L)` positions of the frames, metres; L >= F is a multiple of `BLOCK`, the last frame is repeated."""
+    axes: np.ndarray
+    """`(6, L)` optical axis and right of the frames."""
+    cosine: float
+    """Lower bound on the cosine of the angle between the optical axis and the direction of a covered landmark."""
+    boxes: np.ndarray
+    """`(6, B)` centre and half sides of the box around each block of frames, metres."""
+    sight: Any
+    """Compiled model of sight."""
+    horizon: float
+    """See `lmd.scene.criteria.horizon_of`."""
+    obstacles: Any
+    """Obstacles of the room seen from the frames."""
+    precision: Precision
+    """Edges of the landmarks, and weight of their corners."""
+    n: int
+    """Least number of landmarks of a frame whose information is used."""
+    tolerance: Tolerance
+    """Limits of a known pose."""
+    first: np.ndarray
+    """`(D + 1,)` first frame of each drive, and F."""
+    moves: np.ndarray
+    """`(F, 5)`, see `Drives.moves`."""
+    start: np.ndarray
+    """`(21,)` covariance of the first estimates."""
+
+    @property
+    def size(self) -> int:
+        """See `Field.size`."""
+        return len(self.moves)
+
+    @property
+    def index_of(self) -> np.ndarray:
+        """See `Field.index_of`."""
+        return np.arange(self.size)
+
+    def state(self, deployment: Deployment) -> FilteredState:
+        """See `Field.state`."""
+        places, size, count = places_of(deployment), self.size, len(deployment)
+        check_memory(size * (STATE_BYTES + LANDMARK_BYTES * count), f"{size} frames x {count} landmarks")
+        state = FilteredState(
+            poses=places.poses,
+            surfaces=places.surfaces,
+            units=np.zeros(size, dtype=np.int64),
+            covered=np.zeros((size, -(-count // BITS)), dtype=np.uint64),
+            hidden=np.zeros((size, count), dtype=np.int16),
+            counts=np.zeros(size, dtype=np.int16),
+            sums=np.zeros((size, SUMS)),
+            covariances=np.zeros((size, NUMBERS)),
+        )
+        fill_state(self, state, self.scratch(state))
+        return state
+
+    def scratch(self, state: FilteredState) -> FilteredScratch:
+        """See `Field.scratch`."""
+        size, count = state.hidden.shape
+        return FilteredScratch(
+            units=state.units.copy(),
+            pose=np.zeros(6),
+            surface=np.zeros(1, dtype=np.int64),
+            covered=np.zeros(size, dtype=np.uint8),
+            hidden=np.zeros(size, dtype=np.int16),
+            counts=np.zeros(size, dtype=np.int16),
+            sums=np.zeros((size, SUMS)),
+            covariances=np.zeros((size, NUMBERS)),
+            changed=np.zeros(size, dtype=np.uint8),
+            starts=np.zeros(len(self.first) - 1, dtype=np.int64),
+            pairs=np.zeros((3, size * count), dtype=np.int32),
+            numbers=np.zeros(1, dtype=np.int64),
+            others=np.zeros((2, count), dtype=np.int64),
+            offsets=np.zeros((2, 4, (count // OTHERS_AT_ONCE + 1) * OTHERS_AT_ONCE), dtype=np.float32),
+            near=np.zeros((2, state.covered.shape[1]), dtype=np.uint64),
+            ends=new_ends(self.obstacles, 1),
+            spots=np.ones((2, 4 * SPOTS)),
+            spotted=np.zeros((2, SPOTS), dtype=np.int64),
+            shares=np.zeros(SUMS * SPOTS),
+            moment=np.zeros(WIDTH),
+            lanes=lanes(),
+        )
+
+
+bound.register(FilteredField)(bound_move)
+settle.register(FilteredField)(settle_move)
+accept.register(FilteredField)(exchange_move)
+undo.register(FilteredField)(exchange_move)
+
+
+def filtered_field(
+    evaluator: Evaluator, drives: Drives, precision: Precision, n: int, tolerance: Tolerance
+) -> FilteredField:
+    """Field along drives, whose frames are the positions of the evaluator.
+
+    Args:
+        evaluator: single camera at the frames.
+        drives: the drives.
+        precision: edges of the landmarks, and weight of their corners.
+        n: least number of landmarks of a frame whose information is used.
+        tolerance: limits of a known pose.
+    """
+    padded = np.pad(np.hstack([drives.positions, drives.axes]), [(0, -len(drives.positions) % BLOCK), (0, 0)], "edge")
+    return FilteredField(
+        positions=for_kernels(padded[:, :3].T),
+        axes=for_kernels(padded[:, 3:].T),
+        cosine=float(evaluator.sight.outer_cosine) - SINGLE_ERROR,
+        boxes=np.concatenate([box.astype(np.float64) for box in boxes_around(padded[:, :3])]),
+        sight=evaluator.sight,
+        horizon=horizon_of(evaluator.sight),
+        obstacles=evaluator.obstacles,
+        precision=precision,
+        n=n,
+        tolerance=tolerance,
+        first=for_kernels(drives.first),
+        moves=for_kernels(drives.moves),
+        start=for_kernels(drives.start),
+    )
