@@ -88,18 +88,19 @@ COLUMNS = ("trained", "seed", "scored", "seconds", *FIGURES)
 
 
 def tables(folder: Path) -> None:
-    """Print means over seeds, and gains over the deployments that were optimised without a crowd."""
+    """Print means over seeds, and gains in points over the deployments that were optimised without a crowd."""
     for name in ROOMS:
         path = folder / f"{name}.csv"
-        rows = pd.read_csv(path, dtype={"trained": str, "scored": str}) if path.is_file() else None
-        for scored, part in () if rows is None else rows.groupby("scored"):
-            print(f"\n{name}, scored with {scored} people\n")
-            print("| optimised with | seeds | " + " | ".join(FIGURES.values()) + " |")
-            print("| --- " * (2 + len(FIGURES)) + "|")
+        if not path.is_file():
+            continue
+        rows = pd.read_csv(path, dtype={"trained": str, "scored": str})
+        print(f"\n{name}\n\n| people | optimised with | seeds | " + " | ".join(FIGURES.values()) + " |")
+        print("| ---: | --- | ---: " + "| --- " * len(FIGURES) + "|")
+        for scored, part in rows.groupby("scored"):
             base = part[part.trained == NOBODY].set_index("seed")
             for trained, each in part.groupby("trained"):
                 cells = [gained(each.set_index("seed")[figure], base[figure]) for figure in FIGURES]
-                print(f"| {trained} | {len(each)} | " + " | ".join(cells) + " |")
+                print(f"| {scored} | {trained} | {len(each)} | " + " | ".join(cells) + " |")
 
 
 def gained(shares: "pd.Series[float]", base: "pd.Series[float]") -> str:

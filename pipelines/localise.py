@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from lmd.scene.tag import Tag
 
 FILES = ("poses.csv", "poses.tum", "smoothed.csv", "smoothed.tum", "changes.csv", "localise.json")
-DETECTED, BAG = "detections.csv", "poses.mcap"
+DETECTED, BAG, PICTURE = "detections.csv", "poses.mcap", "localise.png"
 SURVEYED = "map.csv"  # map in the folder of a survey
 
 
@@ -32,6 +32,7 @@ def localise(cfg: DictConfig) -> None:
     from lmd.formats.pose_bags import check_pose_bag, write_pose_bag
     from lmd.localise import results
     from lmd.localise.localise import localise as find
+    from lmd.plot.localised import save_localised_figure
     from lmd.scene.rig import Rig
 
     from .tracked_run import keep, tracked
@@ -48,7 +49,7 @@ def localise(cfg: DictConfig) -> None:
         calibrate, bag = boolean("calibrate", settings.calibrate), boolean("bag", settings.bag)
     if steady and odometry is not None:
         raise InputError("localise.motion is for drives without odometry: leave one of the two out.")
-    for file in (*FILES, DETECTED, BAG):
+    for file in (*FILES, DETECTED, BAG, PICTURE):
         if (run_directory() / file).is_dir():
             raise InputError(f"hydra.run.dir: {str(run_directory() / file)!r} is a folder, not a file to write.")
     seen = detected(cfg, given.cameras, detector, tag.modules)
@@ -76,6 +77,9 @@ def localise(cfg: DictConfig) -> None:
             "changes.csv": lambda path: write_table(path, results.change_columns(found)),
             "localise.json": lambda path: write_document(path, results.localise_document(found)),
         }
+        if cfg.picture:
+            title = f"{about} in {cfg.map or 'the map'}"
+            writers[PICTURE] = lambda path: save_localised_figure(path, found, room, title)
         if bag:
             writers[BAG] = lambda path: write_pose_bag(path, seen.times, *results.pose_topics(found))
         if cfg.detections is None:

@@ -63,7 +63,7 @@ class UncertaintyStudy:
     """Weights of corners in the solver, see `lmd.estimation.pose_covariance`."""
     views: int = 20000
     """Number of random views."""
-    frames: int = 500
+    frames: int = 200
     """Number of rendered images."""
 
     def __post_init__(self) -> None:

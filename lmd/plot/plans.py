@@ -136,7 +136,7 @@ def _draw_above(axes: Any, survey: Survey, room: Space | None) -> None:
         draw_plan(axes, room, lw=0.8, zorder=1)
     placed, planned = survey.placed, survey.planned
     tags = survey.found.poses.tags
-    axes.plot(*_edges(tags[placed], survey.found.sightings.edges[placed]), color=LANDMARK, linewidth=2.0, zorder=3)
+    axes.plot(*edge_lines(tags[placed], survey.found.sightings.edges[placed]), color=LANDMARK, linewidth=2.0, zorder=3)
     size = np.ptp(tags[placed][:, :2, 3], axis=0).max(initial=1.0)
     covariances = survey.found.in_world(survey.found.gauge_free_covariances)
     sigma = 1e3 * np.nanmedian(np.sqrt(covariances[placed][:, 0, 0] + covariances[placed][:, 1, 1]))
@@ -165,7 +165,7 @@ def _draw_above(axes: Any, survey: Survey, room: Space | None) -> None:
             f"against the z axis; ellipses of {ELLIPSE_SIGMAS:g} sigma, {scale:.0f} times as large", fontsize=11
         )
     for pose, covariance in zip(tags[placed], covariances[placed][:, :2, :2], strict=True):
-        axes.plot(*(pose[:2, 3, None] + scale * _ellipse(covariance)), color="black", linewidth=0.6, zorder=4)
+        axes.plot(*(pose[:2, 3, None] + scale * ellipse(covariance)), color="black", linewidth=0.6, zorder=4)
     for number, photograph in enumerate(survey.proposed, 1):
         stand, right, ahead = (photograph.pose[:2, column] for column in (3, 0, 2))
         ends = WEDGE_SHARE * size * np.stack([ahead - 0.5 * right, np.zeros(2), ahead + 0.5 * right])
@@ -174,14 +174,14 @@ def _draw_above(axes: Any, survey: Survey, room: Space | None) -> None:
     axes.set(xlabel="x [m]", ylabel="y [m]", aspect="equal")
 
 
-def _edges(tags: FloatArray, edges: FloatArray) -> tuple[FloatArray, FloatArray]:
+def edge_lines(tags: FloatArray, edges: FloatArray) -> tuple[FloatArray, FloatArray]:
     """x and y of the ends of lines along the middles of tags, `(2, K)` each, metres."""
     half = edges[:, None] / 2.0 * tags[:, :2, 0]
     ends = np.stack([tags[:, :2, 3] - half, tags[:, :2, 3] + half])
     return ends[..., 0], ends[..., 1]
 
 
-def _ellipse(covariance: FloatArray) -> FloatArray:
+def ellipse(covariance: FloatArray) -> FloatArray:
     """Points of the ellipse of a covariance `(2, 2)` around the origin, `(2, N)`."""
     values, axes = np.linalg.eigh(covariance)
     angle = np.linspace(0.0, 2.0 * np.pi, ELLIPSE_POINTS)
@@ -196,8 +196,8 @@ def _draw_offsets(axes: Any, survey: Survey) -> None:
     there = np.flatnonzero(np.isfinite(offset[:, 0]))
     dots = axes.scatter(*offset[there, :2].T, c=offset[there, 2], cmap="coolwarm", s=28, zorder=3)
     for k in there:
-        ellipse = 1e3 * _ellipse(survey.found.gauge_free_covariances[k, 3:5, 3:5])
-        axes.plot(*(offset[k, :2, None] + ellipse), color="0.5", linewidth=0.6, zorder=2)
+        around = 1e3 * ellipse(survey.found.gauge_free_covariances[k, 3:5, 3:5])
+        axes.plot(*(offset[k, :2, None] + around), color="0.5", linewidth=0.6, zorder=2)
     for k in there[np.argsort(-np.linalg.norm(offset[there], axis=1))][:MOST_NAMED]:
         axes.annotate(f" {survey.ids[k]}", offset[k, :2], fontsize=9)
     axes.axhline(0.0, color=PLANNED, linewidth=0.8, zorder=1)

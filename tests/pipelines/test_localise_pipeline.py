@@ -18,7 +18,8 @@ from lmd.localise.image_poses import State
 from lmd.scene.deployment import COLUMNS, UP_COLUMNS
 from lmd.survey.results import SIGMA_COLUMNS
 
-FILES = {"poses.csv", "poses.tum", "smoothed.csv", "smoothed.tum", "changes.csv", "localise.json", ".hydra"}
+FILES = {"poses.csv", "poses.tum", "smoothed.csv", "smoothed.tum", "changes.csv", "localise.json"}
+FILES |= {"localise.png", ".hydra"}
 GIVEN = ["detections=seen.csv", "camera.path=camera.yaml", "tracking=none"]
 pytestmark = pytest.mark.slow
 
