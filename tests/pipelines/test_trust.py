@@ -146,6 +146,14 @@ def test_a_run_without_code_of_others_is_taken(strangers, monkeypatch, capsys):
     assert told(capsys, monkeypatch) == ""
 
 
+def test_a_group_may_name_what_its_nested_groups_name(strangers, monkeypatch, capsys):
+    moving = "{_target_: lmd.estimation.flights.RandomMotion, duration: 1.0}"
+    strangers(f"objective: {{trajectory: {moving}}}")
+    assert told(capsys, monkeypatch) == ""
+    strangers(f"visibility: {{trajectory: {moving}}}")
+    assert "would run code" in told(capsys, monkeypatch)
+
+
 def test_an_optimiser_of_ones_own_is_no_part_of_what_a_run_was_about(strangers, monkeypatch, capsys):
     strangers("{optimiser: {_target_: evil.Room}, tracking: {_target_: evil.Room}}")
     assert told(capsys, monkeypatch) == ""
