@@ -223,7 +223,8 @@ def page(known: dict[tuple[Cell, str], str]) -> Iterator[str]:
     yield "the settings, and runs what is missing. Optimisers are the default, random search and SGA; `milp` refuses"
     yield "some of these cells, as its program is that of plain coverage with one camera."
     yield ""
-    yield "[People in the way](crowd.md#what-works-with-it) are not among the cells."
+    yield "[People](crowd.md#what-works-with-it) and [the pose along the way](filtered.md#what-works-with-it)"
+    yield "are not among the cells."
     if works == every:
         return
     yield "In other cells a number is the reason below, and an empty place has not been run."

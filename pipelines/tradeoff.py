@@ -48,6 +48,7 @@ def tradeoff(cfg: DictConfig) -> None:
     from lmd.core.checks import choice, file_path, real
     from lmd.evaluation.tradeoff import between
     from lmd.evaluation.validation import headline_off_grid
+    from lmd.objectives.base import selectable
 
     from .tracked_run import title_of, tracked
 
@@ -63,6 +64,7 @@ def tradeoff(cfg: DictConfig) -> None:
         if limited is None:
             problem.scene.check_one_size("a trade-off of numbers of landmarks")
         optimiser.check(problem)
+        selectable(problem.objective)  # deployments of one point grow from those of another
     if cfg.figure is not None:
         known = figures_of(problem, problem.draw(np.random.default_rng(seeds[0])), seeds[0])
         choice("figure", cfg.figure, shares_among(known))

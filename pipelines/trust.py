@@ -24,6 +24,7 @@ PAGE = "docs/trust.md"
 TARGET = "_target_"
 PACKAGED = "pkg://"  # prefix of a place of configuration in a package
 NAMED = re.compile(rf"{TARGET}:\s*['\"]?([\w.]+)")  # target in a file of configuration
+NESTED = re.compile(r"^\s*- /(\w+)@", re.MULTILINE)  # group whose option a file puts below a key of its own
 REFERENCE = re.compile(r"\$\{\.*\w+(\.\w+|\[\w+\])*\}")  # interpolation of another value, without a resolver
 RESOLVER = re.compile(r"\$\{\s*([\w.]+)\s*:")
 PLAIN = (str, int, float, bool, type(None))
@@ -123,9 +124,16 @@ class Trust:
                 raise InputError(f"{place} is not defined in what you trust, which only imports it ({PAGE}).")
 
     def _named_in(self, group: str) -> set[str]:
-        """Targets in files of a group."""
+        """Targets in files of a group, and of groups whose options these files put below their own keys."""
+        texts = self._texts_of(group)
+        nested = {other for text in texts for other in NESTED.findall(text)}
+        texts += [text for other in sorted(nested) for text in self._texts_of(other)]
+        return {name for text in texts for name in NAMED.findall(text)}
+
+    def _texts_of(self, group: str) -> list[str]:
+        """Contents of the files of a group."""
         files = [file for folder in self.folders for file in (folder / group).rglob("*.yaml")]
-        return {name for file in files for name in NAMED.findall(file.read_text(encoding="utf-8", errors="replace"))}
+        return [file.read_text(encoding="utf-8", errors="replace") for file in files]
 
     def _resolver_in(self, text: str) -> str | None:
         """Untrusted resolver in a text; None if there is none."""

@@ -12,6 +12,7 @@ from lmd.estimation.recording import Odometry
 from lmd.geometry.trajectory import Trajectory
 from lmd.objectives.filtered import Drives, Filtered
 from lmd.scene.scene import Scene
+from lmd.space.changed import RecordedRoom
 from lmd.space.driven import DrivenRoom
 
 DRIVES_STREAM = 0x647269  # separates the random numbers of drives from other uses of a seed
@@ -61,6 +62,8 @@ def filtered(
     every, length = integer("held_out", held_out, low=2), real("block", block, above=0.0)
     if scene.recorded is not None:
         room, parts = scene.room, cut(scene.recorded.trajectory, length)
+        if isinstance(room, RecordedRoom):  # which counts the time spent once more
+            room = room.original
         chosen, kept = _divided(parts, every)
     else:
         room, start = scene.room, seed_number(seed)

@@ -34,6 +34,11 @@ class Changed:
         self._room = room
 
     @property
+    def original(self) -> Space:
+        """Room that this room is derived from."""
+        return self._room
+
+    @property
     def relevance(self) -> Weighing:
         """See `Space.relevance`."""
         return self._room.relevance

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from bearings import view_matrices
+from composing import composed
 from contracts.field import check_field
 from examples import examples
 from hypothesis import given
@@ -33,6 +34,7 @@ from lmd.scene.tag import Tag
 from lmd.sight.evaluator import Evaluator
 from lmd.sight.models.fiducial import Fiducial
 from lmd.space.driven import DrivenRoom
+from pipelines.building import build_problem
 
 pytestmark = pytest.mark.long
 
@@ -261,3 +263,33 @@ def test_positions_off_the_drives_have_no_value():
     objective = problem_of().objective
     with pytest.raises(InputError, match="has values along its drives only"):
         objective.values(Evaluator(SCENE, threads=1), DEPLOYMENT.positions[None], DEPLOYMENT.normals[None])
+
+
+@pytest.mark.parametrize(
+    ("overrides", "message"),
+    [
+        (["visibility.crowd={number: 2}"], "an objective along drives has no crowd in the way"),
+        (["trajectory@objective.trajectory=file"], "path"),
+        (["objective.drives=0"], "objective.drives must be at least 1"),
+        (["objective.n=40", "deployment.count=20"], "n = 40 exceeds the number of landmarks, 20"),
+    ],
+)
+def test_what_makes_no_sense_is_refused_in_a_sentence(overrides, message):
+    settings = composed("optimise", "objective=filtered", "objective.fresh=1", "objective.drives=1", *overrides)
+    with pytest.raises(InputError, match=message):
+        build_problem(settings)
+
+
+def test_drives_of_a_recording_are_pieces_of_it(tmp_path):
+    rows = [f"{0.1 * t},{2.0 + 0.003 * t},2,3.2,{0.01 * t},0" for t in range(600)]
+    (tmp_path / "drive.csv").write_text("\n".join(["time,x,y,z,yaw,pitch", *rows]))
+    by_file = ["trajectory@objective.trajectory=file", f"objective.trajectory.path={tmp_path / 'drive.csv'}"]
+    by_poses = ["poses=recorded", "pdf=recorded", f"poses.path={tmp_path / 'drive.csv'}"]
+    one, other = (
+        build_problem(composed("optimise", "objective=filtered", "objective.block=5", *overrides))
+        for overrides in (by_file, by_poses)
+    )
+    assert (len(one.objective.drives), len(one.objective.fresh)) == (10, 2)
+    np.testing.assert_array_equal(one.objective.drives.poses, other.objective.drives.poses)
+    np.testing.assert_allclose(one.relevance, 0.1)
+    np.testing.assert_array_equal(one.relevance, other.relevance)

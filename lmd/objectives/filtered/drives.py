@@ -10,6 +10,7 @@ from lmd.core.checks import FloatArray, InputError, IntArray, check_fields, real
 from lmd.geometry.se3 import axis_and_right
 from lmd.geometry.trajectory import Trajectory
 
+DECIMALS = 9  # of the duration of a frame, seconds: regular frames last equally long
 LARGEST = 1e6  # greatest standard deviation, in its unit
 
 
@@ -64,7 +65,7 @@ class Drives:
     @cached_property
     def seconds(self) -> FloatArray:
         """Time until the next frame of the drive, `(F,)`; the last frame lasts as long as the frame before it."""
-        steps = [np.diff(drive.time) for drive in self.trajectories]
+        steps = [np.round(np.diff(drive.time), DECIMALS) for drive in self.trajectories]
         return np.concatenate([np.append(step, step[-1]) for step in steps])
 
     @cached_property
