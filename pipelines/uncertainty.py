@@ -31,6 +31,7 @@ def uncertainty(cfg: DictConfig) -> None:
     from lmd.core.checks import seed_number
     from lmd.evaluation.uncertainty import uncertainty as find
     from lmd.evaluation.uncertainty_law import uncertainty_law
+    from lmd.localise.fixed_map import surveyed_covariance
 
     from .tracked_run import keep, labelled, title_of, tracked
 
@@ -41,8 +42,10 @@ def uncertainty(cfg: DictConfig) -> None:
     deployment = problem.draw(np.random.default_rng(seed))
     with tracked(cfg, "uncertainty", title_of(problem, "uncertainty")) as tracker:
         places = error.covariances(problem, deployment)
-        with keyed("uncertainty", path="deployment.path"):
-            found = find(problem, deployment, study, seed, places)
+        with keyed("uncertainty", map="deployment.path"):
+            path = settings_of(cfg, "deployment").get("path")
+            joint = None if path is None else surveyed_covariance(path, deployment, problem.scene.tag)
+            found = find(problem, deployment, study, seed, places, joint)
         with keyed("uncertainty"):
             law = uncertainty_law(found)
         files = write_all(run_directory(), _writers(problem, deployment, found, law, cfg.picture))

@@ -10,23 +10,24 @@ gives to these corners. With H = sum w_t J_t^T J_t, the error of the pose is to 
 - b: shift of all edges in the image of a camera, inward or outward, of variance beta^2; s_t is the displacement of the
   corners by a shift of one pixel (`lmd.detection.corner_errors.inward`). The mean shift mu_t of the detector, which
   solvers do not correct, counts by its square;
-- m_t: error of position and rotation of the tag in the map, of covariance P_t and independent of other tags; M_t (8, 6)
-  is its Jacobian.
+- m_t: error of position and rotation of the tag in the map; M_t (8, 6) is its Jacobian. The errors of tags t and u have
+  the covariance P_tu, which is 0 for t != u unless a survey states the covariance of all tags together.
 
 The mean of e e^T, called covariance here, is H^-1 N H^-1 with
 
-    N = sum w_t^2 sigma_t^2 J_t^T Q J_t + g g^T + beta^2 sum h_c h_c^T + sum B_t P_t B_t^T,
+    N = sum w_t^2 sigma_t^2 J_t^T Q J_t + g g^T + beta^2 sum h_c h_c^T + sum B_t P_tu B_u^T,
     g = sum w_t mu_t J_t^T s_t over all images,    h_c = sum w_t J_t^T s_t over the tags in camera c,
     B_t = sum w_t J_t^T M_t over the cameras.
 
 With w_t = 1 / sigma_t^2, Q = I, and without shifts and P this is the Cramer-Rao bound. Solvers such as OpenCV's
-`solvePnP` have w_t = 1; a tag with a large sigma_t or P_t may then raise the covariance.
+`solvePnP` have w_t = 1; a tag with a large sigma_t or P_tt may then raise the covariance.
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.sparse import bsr_array
 
 from lmd.core.checks import BoolArray, FloatArray, IntArray
 from lmd.detection.corner_errors import MODES, CornerErrors, MeasuredCorners, inward
@@ -40,6 +41,7 @@ from lmd.scene.deployment import Deployment
 from lmd.scene.tag import Tag
 
 WEIGHTS = ("equal", "noise")
+FRAMES_AT_ONCE = 1000  # frames whose sums over tags are in memory, 288 bytes times the number of tags each
 
 
 @dataclass(frozen=True)
@@ -51,9 +53,11 @@ class TagErrors:
     shift: float
     """beta, standard deviation of the shift of edges that all tags in the image of a camera share, pixels."""
     places: FloatArray
-    """P, covariance of position (metres) and rotation (rad) of each tag in the world frame, `(K, 6, 6)`."""
+    """P_tt, covariance of position (metres) and rotation (rad) of each tag in the world frame, `(K, 6, 6)`."""
     weights: str = "equal"
     """Weights of corners: `equal`, or `noise` for 1 / sigma^2."""
+    joint: FloatArray | None = None
+    """Further covariance P_tu of all tags together, tag by tag, `(6 K, 6 K)`; None for none."""
 
     def at(self, pitches: FloatArray, incidences: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Standard deviation of each coordinate of a corner, and mean shift inward, pixels, `(...)` each.
@@ -95,12 +99,18 @@ class TagImages:
     shifts: FloatArray
     """Contributions to g, and to beta h_c of each of the C cameras, `(P, 1 + C, 6)`."""
     places: FloatArray
-    """B P B^T, `(P, 6, 6)`."""
+    """sum_u B_u P_ut B_t^T over the tags u of the frame, `(P, 6, 6)`."""
+    others: FloatArray
+    """sum_u B_t P_tu B_u^T over the other tags u of the frame, `(P, 6, 6)`."""
 
     @property
     def counts(self) -> IntArray:
         """Number of tags in the images of each frame, `(F,)`."""
         return np.bincount(self.frame, minlength=self.frames)
+
+    @property
+    def _parts(self) -> tuple[FloatArray, FloatArray, FloatArray]:
+        return self.information, self.noise + self.places, self.shifts
 
     def _summed(self, parts: FloatArray) -> FloatArray:
         """Sums of `(P, ...)` over the pairs of each frame, `(F, ...)`."""
@@ -110,13 +120,13 @@ class TagImages:
 
     def covariances(self) -> FloatArray:
         """Covariance of the body twist (w, v) in each frame, `(F, 6, 6)`; infinite if the pose is undetermined."""
-        parts = self.information, self.noise + self.places, self.shifts
-        return _covariances(*(self._summed(part) for part in parts))
+        return _covariances(*(self._summed(part) for part in self._parts))
 
     def covariances_without(self) -> FloatArray:
         """Covariance of the body twist (w, v) in the frame of each pair without the tag of the pair, `(P, 6, 6)`."""
-        parts = self.information, self.noise + self.places, self.shifts
-        return _covariances(*(self._summed(part)[self.frame] - part for part in parts))
+        information, errors, shifts = (self._summed(part)[self.frame] for part in self._parts)
+        left = errors - self.noise - self.places - self.others
+        return _covariances(information - self.information, left, shifts - self.shifts)
 
 
 def _covariances(information: FloatArray, errors: FloatArray, shifts: FloatArray) -> FloatArray:
@@ -174,8 +184,28 @@ def tag_images(
         by_map[own] += weighted @ _map_jacobians(camera, at, points, centres)
         sigmas[own] = np.maximum(sigmas[own], sigma)
     frame, which = np.divmod(pairs, count)
-    places = by_map @ errors.places[which] @ np.swapaxes(by_map, 1, 2)
-    return TagImages(len(poses), frame, which, sigmas, information, noise, shifts, places)
+    places, others = _by_map(by_map, frame, which, len(poses), errors)
+    return TagImages(len(poses), frame, which, sigmas, information, noise, shifts, places, others)
+
+
+def _by_map(
+    by_map: FloatArray, frame: IntArray, which: IntArray, frames: int, errors: TagErrors
+) -> tuple[FloatArray, FloatArray]:
+    """`places` and `others` of `TagImages` from B of each pair `(P, 6, 6)`; the pairs are ordered by frame."""
+    back = np.swapaxes(by_map, 1, 2)
+    alone = by_map @ errors.places[which] @ back
+    if errors.joint is None:
+        return alone, np.zeros_like(alone)
+    count, ends = len(errors.places), np.searchsorted(frame, np.arange(frames + 1))
+    own = by_map @ errors.joint.reshape(count, 6, count, 6)[which, :, which] @ back
+    summed = np.empty_like(alone)  # sum_u B_u P_ut B_t^T
+    for first in range(0, frames, FRAMES_AT_ONCE):
+        at = ends[first : first + FRAMES_AT_ONCE + 1]
+        some = slice(at[0], at[-1])
+        rows = bsr_array((by_map[some], which[some], at - at[0]), shape=(6 * (len(at) - 1), 6 * count))
+        shared = (rows @ errors.joint).reshape(-1, 6, count, 6)
+        summed[some] = shared[frame[some] - first, :, which[some]] @ back[some]
+    return alone + summed, np.swapaxes(summed, 1, 2) - own
 
 
 def _pitch_and_incidence(

@@ -31,7 +31,6 @@ from lmd.sight.views import visible_to_each
 if TYPE_CHECKING:
     import pandas as pd
 
-AXES = ("x", "y", "z", "rx", "ry", "rz")  # axes of the covariance of a tag in a map
 SDS = tuple(f"sd_{name}" for name in ("x", "y", "z", "roll", "pitch", "yaw"))
 ONE, TWO, NONE = "one", "two", "none"  # kinds of poses
 VIEW_BYTES = 2000  # memory of a view, bytes
@@ -82,8 +81,8 @@ class UncertaintyStudy:
         name = ALSO.get(name, name)
         return name if name in CORNER_ERRORS else OBJECTIVE
 
-    def errors(self, problem: Problem, deployment: Deployment, places: FloatArray, seed: int) -> tuple[TagErrors, str]:
-        """Errors of tags whose covariances in the map are `places` `(K, 6, 6)`, m^2 and rad^2; and their origin.
+    def errors(self, problem: Problem, deployment: Deployment, seed: int) -> tuple[TagErrors, str]:
+        """Errors of tags whose places in the map are exact; and their origin.
 
         Raises:
             InputError: corners must be measured in rendered images, but the detector is unknown or finds too few.
@@ -91,7 +90,8 @@ class UncertaintyStudy:
         reader = self._reader(problem)
         noise, about = self._noise(problem, deployment, reader, seed)
         spread = 0.0 if reader == OBJECTIVE else CORNER_ERRORS[reader].inward_spread
-        return TagErrors(noise, spread if self.shift is None else self.shift, places, self.weights), about
+        exact = np.zeros((len(deployment), 6, 6))
+        return TagErrors(noise, spread if self.shift is None else self.shift, exact, self.weights), about
 
     def _noise(
         self, problem: Problem, deployment: Deployment, reader: str, seed: int
@@ -148,42 +148,13 @@ class Uncertainty:
         return found | {"misleading_tags": float(len(self.misleading))}
 
 
-def map_covariances(deployment: Deployment) -> FloatArray | None:
-    """Covariances of the tags in a surveyed map, from its columns `cov_x_x` to `cov_rz_rz`, `(K, 6, 6)`.
-
-    Returns:
-        m^2 and rad^2, in the world frame; None for a deployment without these columns.
-
-    Raises:
-        InputError: some of the columns are missing, a value is no finite number, or a matrix is no covariance.
-    """
-    labels = {} if deployment.labels is None else deployment.labels.columns
-    names = {(i, j): f"cov_{AXES[i]}_{AXES[j]}" for i in range(6) for j in range(i, 6)}
-    if not any(name in labels for name in names.values()):
-        return None
-    found = np.zeros((len(deployment), 6, 6))
-    for (i, j), name in names.items():
-        if name not in labels:
-            raise InputError(f"path has columns of a covariance, but lacks {name!r}.", "path")
-        for k, text in enumerate(labels[name]):
-            try:
-                value = float(text)
-            except ValueError:
-                value = np.nan
-            if not np.isfinite(value):
-                raise InputError(f"path: {name} of landmark {deployment.ids[k]} is no number: {text!r}.", "path")
-            found[k, i, j] = found[k, j, i] = value
-    deviations = np.sqrt(np.maximum(np.diagonal(found, axis1=1, axis2=2), np.finfo(float).tiny))
-    least = np.linalg.eigvalsh(found / deviations[:, :, None] / deviations[:, None, :])[:, 0]
-    if (wrong := np.flatnonzero((least < -1e-6) | (np.diagonal(found, axis1=1, axis2=2) < 0.0).any(axis=1))).size:
-        raise InputError(
-            f"path: cov_x_x to cov_rz_rz of landmark {deployment.ids[wrong[0]]} are no covariance.", "path"
-        )
-    return found
-
-
 def uncertainty(
-    problem: Problem, deployment: Deployment, study: UncertaintyStudy, seed: int, places: FloatArray | None = None
+    problem: Problem,
+    deployment: Deployment,
+    study: UncertaintyStudy,
+    seed: int,
+    places: FloatArray | None = None,
+    joint: FloatArray | None = None,
 ) -> Uncertainty:
     """Compute the standard deviations of the pose in random views.
 
@@ -192,16 +163,16 @@ def uncertainty(
         deployment: K tags.
         study: settings.
         seed: seed of the views.
-        places: covariances of the tags in the map in addition to `map_covariances`, `(K, 6, 6)`, m^2 and rad^2.
+        places: covariances of the places of the tags in the map, `(K, 6, 6)`, m^2 and rad^2; None for exact places.
+        joint: further covariance of all tags together, `(6 K, 6 K)`; None for none.
 
     Raises:
-        InputError: landmarks are points, or `map_covariances` or `UncertaintyStudy.errors` refuses.
+        InputError: landmarks are points, or `UncertaintyStudy.errors` refuses.
     """
     problem.scene.tag.check_edge()
     poses = draw_poses(problem.scene, study.views, seed)
-    known = map_covariances(deployment)
-    total = np.zeros((len(deployment), 6, 6)) if places is None else places
-    errors, about = study.errors(problem, deployment, total if known is None else total + known, seed)
+    errors, about = study.errors(problem, deployment, seed)
+    errors = replace(errors, joint=joint, places=errors.places if places is None else places)
     return replace(uncertainty_at(problem, deployment, errors, poses), corners=about)
 
 

@@ -7,12 +7,14 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy.linalg import block_diag
 
 from lmd.core.checks import FloatArray, InputError, IntArray, check_fields, real
 from lmd.core.files import read_text
 from lmd.core.tables import read_table
 from lmd.formats.map_covariance import FILE, read_map_covariance
 from lmd.formats.tag_maps import read_deployment
+from lmd.scene.deployment import Deployment
 from lmd.scene.labels import ID
 from lmd.scene.tag import Tag
 from lmd.survey.prior import poses_of
@@ -108,6 +110,31 @@ class FixedMap:
             covariance = _stated_covariance(path, deployment.ids[order], sigmas)
         ids, poses = deployment.ids[order], poses_of(deployment)[order]
         return cls(ids, poses, edges[order], sigmas, covariance, deployment.note)
+
+
+def surveyed_covariance(path: Any, deployment: Deployment, tag: Tag) -> FloatArray | None:
+    """Covariance of position and rotation of all tags of a surveyed map in the world frame, beside the other tags.
+
+    Args:
+        path: file of the map, as a survey writes it, with the covariance of all tags together beside it.
+        deployment: its K tags, in any order.
+        tag: family of the tags, and edge of the tags without an edge in the file.
+
+    Returns:
+        m^2 and rad^2, tag by tag, `(6 K, 6 K)`; None for a file without standard deviations.
+
+    Raises:
+        InputError: a file cannot be read, or the two are of different maps.
+    """
+    if _stated_sigmas(path) is None:
+        return None
+    known = FixedMap.read(path, tag, MapErrors())
+    rows = np.searchsorted(known.ids, deployment.ids)
+    turned = np.zeros((len(rows), 6, 6))
+    turned[:, :3, 3:] = turned[:, 3:, :3] = known.poses[rows, :3, :3]
+    chosen = rows_of(rows)
+    whole = block_diag(*turned)
+    return np.asarray(whole @ known.joint[np.ix_(chosen, chosen)] @ whole.T)
 
 
 def rows_of(tags: IntArray) -> IntArray:

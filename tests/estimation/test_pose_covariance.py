@@ -12,7 +12,7 @@ from lmd.estimation.cramer_rao import moment_information
 from lmd.estimation.pose_covariance import TagErrors, tag_images, world_covariances
 from lmd.geometry.pose import body_from_corners
 from lmd.geometry.projection import project, to_camera
-from lmd.geometry.se3 import camera_pose, exp, inverse, log
+from lmd.geometry.se3 import camera_pose, exp, inverse, log, skew
 from lmd.geometry.squares import corners
 from lmd.scene.deployment import Deployment
 from lmd.scene.surveyed import Surveyed
@@ -150,6 +150,48 @@ def test_leaving_a_tag_out_equals_an_image_without_it():
         less = seen[:, [frame]].copy()
         less[..., tag] = False
         again = tag_images([CAMERA] * 2, TURNED, poses[[frame]], tags, TAG, less, errors).covariances()[0]
+        assert np.abs(without[pair] - again).max() < 1e-6 * np.abs(again).max()
+
+
+JOINT = np.einsum("aij,ab->aibj", SURVEYED, np.eye(COUNT)).reshape(6 * COUNT, 6 * COUNT)
+
+
+def test_independent_errors_are_a_joint_covariance_too():
+    tags, poses, seen = scene(5, TURNED)
+    given = [CAMERA] * 2, TURNED, poses, tags, TAG, seen
+    one = tag_images(*given, TagErrors(0.3, 0.1, SURVEYED))
+    other = tag_images(*given, TagErrors(0.3, 0.1, ZERO, joint=JOINT))
+    for first, second in (
+        (one.covariances(), other.covariances()),
+        (one.covariances_without(), other.covariances_without()),
+    ):
+        np.testing.assert_allclose(first, second, rtol=1e-6, atol=1e-10)
+
+
+def test_a_motion_of_the_whole_map_is_the_error_of_each_pose():
+    """A shift and a turn about the origin of all tags together: to first order the camera moves with them."""
+    tags, poses, seen = scene(6)
+    exact = 1e-9
+    moved = [np.block([[np.eye(3), -skew(at)], [np.zeros((3, 3)), np.eye(3)]]) for at in tags.places]
+    spread = np.vstack(moved) @ np.diag([0.01, 0.02, 0.03, 0.001, 0.002, 0.003])
+    errors = TagErrors(exact, 0.0, ZERO, joint=spread @ spread.T)
+    found = world_covariances(poses, tag_images([CAMERA], ALONE, poses, tags, TAG, seen, errors).covariances())
+    for pose, covariance in zip(poses[:50], found, strict=False):
+        own = np.block([[np.eye(3), -skew(pose[:3, 3])], [np.zeros((3, 3)), np.eye(3)]])
+        own = own @ np.diag([0.01, 0.02, 0.03, 0.001, 0.002, 0.003])
+        np.testing.assert_allclose(covariance, own @ own.T, rtol=1e-5, atol=1e-10)
+
+
+def test_leaving_a_tag_out_of_a_joint_map_equals_an_image_without_it():
+    tags, poses, seen = scene(5)
+    draws = np.random.default_rng(1).normal(size=(6 * COUNT, 40)) * 1e-3
+    errors = TagErrors(0.3, 0.1, SURVEYED, joint=draws @ draws.T)
+    images = tag_images([CAMERA], ALONE, poses, tags, TAG, seen, errors)
+    without = images.covariances_without()
+    for pair in range(0, len(images.frame), 97):
+        less = seen[:, [images.frame[pair]]].copy()
+        less[..., images.tag[pair]] = False
+        again = tag_images([CAMERA], ALONE, poses[[images.frame[pair]]], tags, TAG, less, errors).covariances()[0]
         assert np.abs(without[pair] - again).max() < 1e-6 * np.abs(again).max()
 
 

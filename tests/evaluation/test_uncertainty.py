@@ -1,7 +1,5 @@
 """Uncertainty of the pose from one image: tables, laws, misleading tags and their code; some 10 seconds."""
 
-from dataclasses import replace
-
 import numpy as np
 import pandas as pd
 import pytest
@@ -10,10 +8,9 @@ from composing import composed
 from lmd.core.checks import InputError
 from lmd.estimation.deviation_law import LEAST_VIEWS, QUANTITIES, PowerLaw, fit_law, fit_rule, ratio_quantiles
 from lmd.evaluation.mounting import MountingError
-from lmd.evaluation.uncertainty import AXES, SDS, UncertaintyStudy, level_deviations, map_covariances, uncertainty
+from lmd.evaluation.uncertainty import SDS, UncertaintyStudy, level_deviations, uncertainty
 from lmd.evaluation.uncertainty_law import per_axis, uncertainty_law
 from lmd.objectives.localisation.ambiguity import CONFIDENCE
-from lmd.scene.labels import Labels
 from pipelines.building import build_problem
 
 STUDY = UncertaintyStudy(corners="apriltag", shift=0.0, views=3000)
@@ -28,13 +25,6 @@ def lab():
 @pytest.fixture(scope="module")
 def found(lab):
     return uncertainty(*lab, STUDY, 0)
-
-
-def surveyed(deployment, covariances):
-    """A deployment with the columns of a surveyed map."""
-    upper = [(i, j) for i in range(6) for j in range(i, 6)]
-    columns = {f"cov_{AXES[i]}_{AXES[j]}": [str(c[i, j]) for c in covariances] for i, j in upper}
-    return replace(deployment, labels=Labels(deployment.ids, columns))
 
 
 def test_every_view_has_a_row_and_a_kind(found):
@@ -72,7 +62,7 @@ def test_a_tag_with_a_wrong_place_misleads(lab, found):
     assert found.misleading == []
     places = np.zeros((len(deployment), 6, 6))
     places[5, :3, :3] = 0.2**2 * np.eye(3)
-    wrong = uncertainty(problem, surveyed(deployment, places), STUDY, 0)
+    wrong = uncertainty(problem, deployment, STUDY, 0, places)
     assert wrong.misleading == [deployment.ids[5]]
     assert wrong.tags.improves[5] > 0.8
     by_argument = uncertainty(problem, deployment, STUDY, 0, places)
@@ -89,27 +79,6 @@ def test_a_mounting_error_is_a_covariance(lab):
         assert np.trace(covariance[3:, 3:]) == pytest.approx(0.02**2 + 2 * 0.03**2)
 
 
-def test_columns_of_a_surveyed_map_are_read_and_refused(lab):
-    _, deployment = lab
-    assert map_covariances(deployment) is None
-    draws = np.random.default_rng(2).normal(size=(len(deployment), 6, 9))
-    truth = draws @ np.swapaxes(draws, 1, 2)
-    good = surveyed(deployment, truth)
-    assert np.array_equal(map_covariances(good), truth)
-    columns = dict(good.labels.columns)
-    for change, message in (
-        ({"cov_x_y": ["", *columns["cov_x_y"][1:]]}, "path: cov_x_y of landmark 0 is no number: ''"),
-        ({"cov_z_z": ["-1", *columns["cov_z_z"][1:]]}, "path: cov_x_x to cov_rz_rz of landmark 0 are no covariance"),
-    ):
-        bad = replace(deployment, labels=Labels(deployment.ids, columns | change))
-        with pytest.raises(InputError, match=message):
-            map_covariances(bad)
-    with pytest.raises(InputError, match="lacks 'cov_rx_ry'"):
-        map_covariances(
-            replace(deployment, labels=Labels(deployment.ids, {k: v for k, v in columns.items() if k != "cov_rx_ry"}))
-        )
-
-
 @pytest.mark.parametrize(
     ("settings", "reader", "shift"),
     [
@@ -124,21 +93,21 @@ def test_columns_of_a_surveyed_map_are_read_and_refused(lab):
     ],
 )
 def test_corner_errors_come_from_the_detector_of_the_scene(lab, settings, reader, shift):
-    errors, about = UncertaintyStudy(**settings).errors(*lab, np.zeros((24, 6, 6)), 0)
+    errors, about = UncertaintyStudy(**settings).errors(*lab, 0)
     assert about.startswith(reader)
     assert errors.shift == shift
 
 
 def test_corner_errors_are_measured_in_rendered_images(lab):
     """Thirty frames, some two seconds; ArUco finds tags too small by a quarter of a pixel on each side."""
-    errors, _ = UncertaintyStudy(corners="rendered", frames=30).errors(*lab, np.zeros((24, 6, 6)), 0)
+    errors, _ = UncertaintyStudy(corners="rendered", frames=30).errors(*lab, 0)
     sigma, shift = errors.at(np.array([2.5]), np.array([0.6]))
     assert 0.1 < sigma[0] < 0.5
     assert 0.15 < shift[0] < 0.4
     assert errors.shift == 0.2
     assert np.trace(errors.modes) == pytest.approx(8.0)
     with pytest.raises(InputError, match=r"frames: \d+ tags were detected, and 40 are needed"):
-        UncertaintyStudy(corners="rendered", frames=5).errors(*lab, np.zeros((24, 6, 6)), 0)
+        UncertaintyStudy(corners="rendered", frames=5).errors(*lab, 0)
 
 
 def test_power_laws_are_recovered():

@@ -2,10 +2,14 @@
 
 import json
 
+import numpy as np
 import pandas as pd
 import processes
 import pytest
 from PIL import Image
+
+from lmd.formats.map_covariance import write_map_covariance
+from lmd.survey.results import SIGMA_COLUMNS
 
 pytestmark = pytest.mark.slow
 SETTINGS = ["experiment=lab", "tracking=none", "hydra.run.dir=run", "uncertainty.views=3000",
@@ -51,13 +55,15 @@ def test_a_map_becomes_tables_laws_code_and_pictures(tmp_path):
         ("deployment=uniform uncertainty.views=10", "uncertainty.views: only "),
         ("deployment=uniform deployment.mounting_error=-1", "deployment.mounting_error.position must be at least 0"),
         (
-            "deployment=file deployment.path=cov.csv deployment.count=1 objective.n=1",
-            "deployment.path has columns of a covariance, but lacks 'cov_x_y'",
+            "deployment=file deployment.path=map.csv deployment.count=1 objective.n=1",
+            "deployment.path: 'map.npz' is of another map than 'map.csv'",
         ),
         ("deployment=uniform visibility=paper tag.edge=null", "tag.edge must be given, in metres"),
     ],
 )
 def test_bad_input_is_refused_in_one_sentence(tmp_path, words, message):
-    (tmp_path / "cov.csv").write_text("id,x,y,z,nx,ny,nz,cov_x_x\n0,0,2,1.5,1,0,0,1e-6\n")
+    sigmas = ",".join(SIGMA_COLUMNS)
+    (tmp_path / "map.csv").write_text(f"id,x,y,z,nx,ny,nz,{sigmas}\n0,0,2,1.5,1,0,0{6 * ',1e-3'}\n")
+    write_map_covariance(tmp_path / "map.npz", np.array([0]), 1e-8 * np.eye(6))
     settings = ["experiment=lab", "tracking=none", "hydra.run.dir=run"]
     processes.refused("uncertainty", *words.split(), message=message, cwd=tmp_path, settings=settings)
