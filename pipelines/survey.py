@@ -10,6 +10,7 @@ from omegaconf import DictConfig, OmegaConf
 
 from .app import discard_empty, run_directory
 from .building import camera_of
+from .crowd import visibility_of
 from .earlier_run import read_earlier_run
 from .export import build_export
 from .landmarks import axes_in, fixed_of
@@ -128,7 +129,8 @@ def _scene(cfg: DictConfig, room: "Space | None", camera: "Camera | Rig", tag: "
 
     if "tag" not in cfg.visibility:
         raise InputError("audit needs a visibility model of tags: visibility=fiducial.")
-    visibility, metre = instantiate(cfg.visibility), (1.0, 1.0, 1.0)
+    visibility, _ = visibility_of(cfg.visibility)  # a crowd of the plan is not that of the photographs
+    metre = (1.0, 1.0, 1.0)
     check_members("visibility", visibility, Criteria, "docs/api/scene.md")
     anywhere = Cuboid(metre, reachable_size=metre, spacing=1.0) if room is None else room
     return Scene(anywhere, camera, solid_angle(1), visibility, tag)  # the audit uses the orientations of the frames

@@ -198,7 +198,7 @@ BAD = {
         ("x,y,z,nx,ny,nz,edge\n1,0,1,0,1,0,\n2,0,1,0,1,0,-0.1\n", "edge must be positive metres, landmark 1 has -0.1"),
     ],
     "detections": [
-        ("id,x0,y0,x1,y1,x2,y2,x3,y3\n", "lacks the column time or stamp or timestamp or image; what is read is JSON"),
+        ("id,x0,y0,x1,y1,x2,y2,x3,y3\n", "lacks the column time or stamp or timestamp or image; what is read is a bag"),
         (f"time,id,x0,y0,x1,y1,x2,y2,x3\n0,3,{SQUARE[:-3]}\n", "lacks the column y3; what is read"),
         (f"time,id,x0,y0,x1,y1,x2,y2,x3,y3\n0,3.5,{SQUARE}\n", "line 2: id is '3.5', not a whole number"),
         (f"time,id,x0,y0,x1,y1,x2,y2,x3,y3\n0,3,left{SQUARE[2:]}\n", "line 2: x0 is 'left', not a number"),
@@ -208,7 +208,7 @@ BAD = {
         (VMM | {"tag_observations": [{}]}, "lacks the key 'observations'"),
         (
             '{"a": [1, 2]}',
-            "is JSON without targets, Fiducial or tag_observations; what is read is JSON of PhotonVision",
+            "is JSON without targets, Fiducial or tag_observations; what is read is .* JSON of PhotonVision",
         ),
         ('{"a": [1, 2]', "is no JSON"),
         ([PHOTON[0] | {"targets": []}], "has no detection of a tag with corners"),
@@ -222,7 +222,7 @@ BAD = {
         (json.dumps(LIMELIGHT).replace("[10.0, 20.0], ", "", 1), "must have four corners in pts, got [["),
         (VMM | {"images": []}, "has an observation in the image 0, which is not among its images"),
         ("18\n10.0 20.0\n", "has no such columns in its first line, '18'; what is read"),
-        ("image,tag_id,corner,x,y\na.png,7,0,10,20\n", "has a row for each corner; what is read is JSON"),
+        ("image,tag_id,corner,x,y\na.png,7,0,10,20\n", "has a row for each corner; what is read is a bag"),
         (f"time;id;x0;y0;x1;y1;x2;y2;x3;y3\n0;3;{SQUARE}\n", "has semicolons between its columns"),
         ("time,id,x0,y0,x1,y1,x2,y2,x3,y3\n0,3,1,1,1,1,1,1,1,1\n", "no detection with four corners"),
     ],
@@ -302,6 +302,9 @@ def test_a_damaged_sample_is_refused_in_one_sentence(family, name, damage, tmp_p
     assert refusal(family, path) or damage == "cut" or damaged == sample  # lines may be whole, and arrays no digits
 
 
+BAGS = {"bag of ROS 2", "ROS 2"}  # binary files and folders, which `test_bags.py` makes
+
+
 def test_every_format_that_is_read_has_a_sample(monkeypatch, tmp_path):
     found, recognised = registry.format_of, []
     monkeypatch.setattr(registry, "format_of", lambda *file: recognised.append(found(*file)) or recognised[-1])
@@ -310,4 +313,4 @@ def test_every_format_that_is_read_has_a_sample(monkeypatch, tmp_path):
         path.write_bytes(content(SAMPLES[family][name]))
         assert not refusal(family, path)
     listed = {form.name for family in registry.FAMILIES for form in registry.formats(family) if form.read is not None}
-    assert listed <= {form.name for form in recognised}
+    assert listed - BAGS <= {form.name for form in recognised}
