@@ -44,7 +44,7 @@ def uncertainty(cfg: DictConfig) -> None:
         places = error.covariances(problem, deployment)
         with keyed("uncertainty", map="deployment.path"):
             path = settings_of(cfg, "deployment").get("path")
-            joint = None if path is None else surveyed_covariance(path, deployment, problem.scene.tag)
+            joint = None if path is None else surveyed_covariance(path, deployment)
             found = find(problem, deployment, study, seed, places, joint)
         with keyed("uncertainty"):
             law = uncertainty_law(found)

@@ -112,29 +112,36 @@ class FixedMap:
         return cls(ids, poses, edges[order], sigmas, covariance, deployment.note)
 
 
-def surveyed_covariance(path: Any, deployment: Deployment, tag: Tag) -> FloatArray | None:
+def surveyed_covariance(path: Any, deployment: Deployment) -> FloatArray | None:
     """Covariance of position and rotation of all tags of a surveyed map in the world frame, beside the other tags.
 
     Args:
         path: file of the map, as a survey writes it, with the covariance of all tags together beside it.
-        deployment: its K tags, in any order.
-        tag: family of the tags, and edge of the tags without an edge in the file.
+        deployment: K tags, in any order; tags that the file lacks have no error.
 
     Returns:
         m^2 and rad^2, tag by tag, `(6 K, 6 K)`; None for a file without standard deviations.
 
     Raises:
-        InputError: a file cannot be read, or the two are of different maps.
+        InputError: a file cannot be read, the two are of different maps, or a tag has no standard deviation.
     """
-    if _stated_sigmas(path) is None:
+    if (stated := _stated_sigmas(path)) is None:
         return None
-    known = FixedMap.read(path, tag, MapErrors())
-    rows = np.searchsorted(known.ids, deployment.ids)
-    turned = np.zeros((len(rows), 6, 6))
-    turned[:, :3, 3:] = turned[:, 3:, :3] = known.poses[rows, :3, :3]
-    chosen = rows_of(rows)
-    whole = block_diag(*turned)
-    return np.asarray(whole @ known.joint[np.ix_(chosen, chosen)] @ whole.T)
+    ids, values = stated
+    there = np.isin(ids, deployment.ids)
+    ids, sigmas = ids[there], np.maximum(values[there], LEAST_SIGMA)
+    if (lacking := ids[~np.isfinite(sigmas).all(axis=1)]).size:
+        raise InputError(f"map: tag {lacking[0]} in {str(path)!r} has no standard deviation: take it out.", "map")
+    among = _stated_covariance(path, ids, sigmas)
+    own = np.flatnonzero(np.isin(deployment.ids, ids))
+    rows, chosen = rows_of(own), rows_of(np.searchsorted(ids, deployment.ids[own]))
+    joint = np.zeros((6 * len(deployment), 6 * len(deployment)))
+    whole = np.diag(sigmas.ravel() ** 2) if among is None else among
+    joint[np.ix_(rows, rows)] = whole[np.ix_(chosen, chosen)]
+    turned = np.zeros((len(deployment), 6, 6))
+    turned[:, :3, 3:] = turned[:, 3:, :3] = poses_of(deployment)[:, :3, :3]
+    turn = block_diag(*turned)
+    return np.asarray(turn @ joint @ turn.T)
 
 
 def rows_of(tags: IntArray) -> IntArray:

@@ -13,13 +13,17 @@ from lmd.core.checks import InputError
 from lmd.detection.corner_errors import inward
 from lmd.formats.map_covariance import write_map_covariance
 from lmd.geometry.se3 import angle_between, camera_pose, exp
-from lmd.localise.fixed_map import FixedMap, MapErrors
+from lmd.localise.fixed_map import FixedMap, MapErrors, surveyed_covariance
 from lmd.localise.image_poses import State
 from lmd.localise.localise import localise
 from lmd.localise.results import image_columns, in_map, localise_document, smoothed_columns, to_text, tum_text
+from lmd.scene.deployment import Deployment
+from lmd.scene.labels import Labels
+from lmd.scene.surveyed import Surveyed
 from lmd.scene.tag import Tag
 from lmd.survey.chain import Chain, banded
 from lmd.survey.intrinsics import intrinsics_of, with_intrinsics
+from lmd.survey.results import SIGMA_COLUMNS
 
 
 def test_normalised_errors_of_single_images_are_within_their_bounds():
@@ -258,3 +262,27 @@ def test_other_tags_than_those_of_the_map_are_refused():
         ld.localised(walk, replace(walk.detected, ids=walk.detected.ids + 100))
     with pytest.raises(InputError, match="cameras must be one for each"):
         localise(walk.detected, [], Tag(walks.EDGE), walks.constant_errors(0.2), walk.known)
+
+
+def test_the_joint_covariance_of_a_map_is_in_the_world_frame_and_in_the_order_of_the_deployment(tmp_path):
+    """Two tags of a survey and one that is fixed by other means, out of order."""
+    normals, ups = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, -1.0, 0.0]]), np.tile([0.0, 0.0, 1.0], (3, 1))
+    labels = Labels(np.array([9, 2, 5]), {})
+    deployment = Deployment(np.eye(3), normals, labels=labels, surveyed=Surveyed(np.eye(3), np.eye(3), ups))
+    sigmas = np.array([[1.0, 2.0, 3.0, 4.0, 5.0, 6.0], [6.0, 5.0, 4.0, 3.0, 2.0, 1.0]]) * 1e-3  # of tags 5 and 9
+    shared = 0.5 * np.outer(sigmas.ravel(), sigmas.ravel()) + 0.5 * np.diag(sigmas.ravel() ** 2)
+    names = ",".join(SIGMA_COLUMNS)
+    texts = [f"{number},{','.join(map(str, row))}" for number, row in zip((5, 9), sigmas.tolist(), strict=True)]
+    file = tmp_path / "map.csv"
+    file.write_text(f"id,{names}\n" + "\n".join(texts) + "\n")
+    write_map_covariance(tmp_path / "map.npz", np.array([5, 9]), shared)
+    found = surveyed_covariance(str(file), deployment)
+    assert not found[6:12].any()  # tag 2 is not of the survey
+    deviations = np.sqrt(np.diag(found)).reshape(3, 6)
+    # Tag 9 faces y: its right is -x, its up z. Tag 5 faces -y.
+    np.testing.assert_allclose(deviations[0], np.array([3.0, 1.0, 2.0, 6.0, 4.0, 5.0]) * 1e-3, rtol=1e-5)
+    np.testing.assert_allclose(deviations[2], np.array([4.0, 6.0, 5.0, 1.0, 3.0, 2.0]) * 1e-3, rtol=1e-5)
+    assert found[0, 12] == pytest.approx(-0.5 * 3e-3 * 4e-3, rel=1e-5)  # to the right of both, which face each other
+    file.write_text(f"id,{names}\n5,,,,,,\n9,1,1,1,1,1,1\n")
+    with pytest.raises(InputError, match=r"^map: tag 5 in '.*map\.csv' has no standard deviation"):
+        surveyed_covariance(str(file), deployment)
