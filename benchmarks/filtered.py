@@ -1,7 +1,7 @@
 """Deployments for the filtered pose, for single images and for coverage: predicted along fresh drives, and flown.
 
 PYTHONPATH=tests python benchmarks/filtered.py moves                     # cost of a tried move beside localisation's
-PYTHONPATH=tests python benchmarks/filtered.py shares lab --seconds 30   # predicted, by tags and odometry
+PYTHONPATH=tests python benchmarks/filtered.py shares lab                # predicted, by tags and odometry
 PYTHONPATH=tests python benchmarks/filtered.py flown lab --tags 6 --drives 40 --detector noisy
 PYTHONPATH=tests python benchmarks/filtered.py flown corridor --tags 16 --drives 40 --detector noisy
 PYTHONPATH=tests python benchmarks/filtered.py picture lab --tags 6 FILE.png
@@ -9,6 +9,7 @@ PYTHONPATH=tests python benchmarks/filtered.py picture lab --tags 6 FILE.png
 
 import argparse
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -17,7 +18,8 @@ from composing import composed
 from lmd.core.checks import FloatArray
 from lmd.core.layers import layers
 from lmd.estimation.fusion import FixedLagSmoother, InvariantKalmanFilter
-from lmd.estimation.recording import Flight, Odometry, record
+from lmd.estimation.recording import Flight, Odometry, Recording, record
+from lmd.geometry.projection import project
 from lmd.geometry.se3 import exp
 from lmd.incremental.field import BOUND, NO_UNITS, SETTLE, perform
 from lmd.objectives.reference_field import field_of
@@ -36,12 +38,13 @@ ROOMS = {"lab": (), "corridor": (*CORRIDOR, "pdf=yaw")}
 START = 0.1, 0.05  # standard deviations of the first estimate, metres and rad
 SHARED = (f"objective.start_position={START[0]}", f"objective.start_attitude={START[1]}")
 OBJECTIVES = {
-    "filtered": ("objective=filtered", *SHARED, "objective.pixel_noise=0.4"),
-    "localisation": ("objective=localisation", "objective.n=1", "objective.pixel_noise=0.4"),
+    "filtered": ("objective=filtered", *SHARED),
+    "localisation": ("objective=localisation", "objective.n=1"),
     "coverage": ("objective=mean", "objective.n=1"),
 }
 TOLERANCE = 0.02  # of the position, metres
 OPTIMISED_ON = 96  # drives
+ALIKE_FRAMES = 10  # number of later images, two seconds, with which errors of corners are compared
 
 
 def problem_of(room: str, objective: str, tags: int, odometry: str = "slow", *more: str) -> Problem:
@@ -53,9 +56,9 @@ def problem_of(room: str, objective: str, tags: int, odometry: str = "slow", *mo
     return build_problem(composed("optimise", "experiment=lab", *given))
 
 
-def placed(problem: Problem, seconds: float) -> Deployment:
-    """Deployment that annealing finds in a time."""
-    return Annealing(seed=0).run(problem, Budget(None, seconds)).deployment
+def placed(problem: Problem, evaluations: int) -> Deployment:
+    """Deployment that annealing finds."""
+    return Annealing(seed=0).run(problem, Budget(evaluations)).deployment
 
 
 def moves() -> None:
@@ -89,15 +92,15 @@ def _tried(problem: Problem, tries: int = 200, rounds: int = 7) -> float:
     return min(seconds) / tries
 
 
-def shares(room: str, seconds: float) -> None:
+def shares(room: str, evaluations: int) -> None:
     """Print the filtered share on fresh drives by number of tags, odometry and objective."""
     names = " | ".join(OBJECTIVES)
     print(f"| tags | odometry | {names} |\n| --- | --- | {' | '.join(['---'] * len(OBJECTIVES))} |")
     for tags in (4, 8, 24):
-        others = {name: placed(problem_of(room, name, tags), seconds) for name in ("localisation", "coverage")}
+        others = {name: placed(problem_of(room, name, tags), evaluations) for name in ("localisation", "coverage")}
         for odometry in ("slow", "fast"):
             problem = problem_of(room, "filtered", tags, odometry)
-            found = {"filtered": placed(problem, seconds), **others}
+            found = {"filtered": placed(problem, evaluations), **others}
             off = [problem.objective.off_grid(problem.evaluator, found[name]) for name in OBJECTIVES]
             texts = [
                 f"{100 * f['grid_free_filtered_share']:.1f} +- {100 * f['grid_free_filtered_share_standard_error']:.1f}"
@@ -114,12 +117,25 @@ def within(covariances: FloatArray) -> FloatArray:
     return np.asarray((spread @ squares.T <= TOLERANCE**2).mean(axis=1))
 
 
-def flown(room: str, tags: int, seconds: float, drives: int, detector: str, odometry: str) -> None:
+def lasting_noise(recording: Recording) -> float:
+    """Noise of corners, pixels, that would leave as much in a mean over seconds if it were independent in each image.
+
+    sigma (1 + 2 sum rho)^1/2 with the correlations rho of the errors of a corner over up to `ALIKE_FRAMES` images.
+    """
+    error = np.full((*recording.seen.shape, 4, 2), np.nan)
+    for own, seen, poses, tags in zip(error, recording.seen, recording.poses, recording.tags, strict=True):
+        own[seen] = project(recording.camera, poses, tags.reshape(-1, 3)).reshape(own.shape)[seen]
+    error[recording.seen] = recording.corners - error[recording.seen]
+    products = [np.nanmean(error[:, : len(recording.time) - lag] * error[:, lag:]) for lag in range(ALIKE_FRAMES + 1)]
+    return float(np.sqrt(products[0] + 2.0 * sum(products[1:])))
+
+
+def flown(room: str, tags: int, evaluations: int, drives: int, detector: str, odometry: str) -> None:
     """Print predicted shares along fresh drives, and those of estimators that fly them."""
     problem = problem_of(room, "filtered", tags, odometry, f"objective.fresh={drives}")
     along = problem.objective.fresh
     cfg = composed("observe", f"detector={detector}", f"tag.edge={problem.scene.tag.size}")
-    sensor = instantiate(cfg.detector, **({"missed": 0.0} if detector == "noisy" else {"pixel_noise": 0.4}))
+    sensor = instantiate(cfg.detector, **({"missed": 0.0} if detector == "noisy" else {}))
     noise = Odometry(along.turn_noise, along.motion_noise)
     least = {"least_turn_noise": 1e-4, "least_motion_noise": 1e-4}
     estimators = {
@@ -128,13 +144,14 @@ def flown(room: str, tags: int, seconds: float, drives: int, detector: str, odom
         "smoother": FixedLagSmoother(START[1], START[0], **least),
     }
     head = ["deployment", "known where optimised on, % of time", "known, % of time", "predicted within, %"]
-    head += [f"{name} within, %" for name in estimators] + ["images with a tag, %", "noise, median, pixels"]
+    head += [f"{name} within, %" for name in estimators]
+    head += ["images with a tag, %", "noise, median, pixels", "lasting noise, pixels", "predicted with it, %"]
     print(f"{room}, {tags} tags, odometry {odometry}, {drives} drives, detector {detector}\n")
     print(f"| {' | '.join(head)} |")
     print(f"|{' --- |' * len(head)}")
     for name in OBJECTIVES:
         of_it = problem_of(room, name, tags, odometry)
-        deployment = placed(of_it, seconds)
+        deployment = placed(of_it, evaluations)
         found = problem.objective.poses(problem.evaluator, deployment, along)
         flights = [
             Flight(problem.evaluator, deployment, path, np.random.default_rng([7, i]))
@@ -151,11 +168,15 @@ def flown(room: str, tags: int, seconds: float, drives: int, detector: str, odom
             error = estimator.errors(recording, start).position
             by_drive = (error <= TOLERANCE).mean(axis=1)
             texts.append(f"{100 * by_drive.mean():.1f} +- {100 * by_drive.std(ddof=1) / np.sqrt(drives):.1f}")
+        lasting = lasting_noise(recording)
+        of_it = replace(problem.objective, pixel_noise=lasting)
+        with_it = within(of_it.poses(problem.evaluator, deployment, along).covariances).mean()
         texts += [f"{100 * (recording.visible_counts > 0).mean():.1f}", f"{np.median(recording.noise):.2f}"]
+        texts += [f"{lasting:.2f}", f"{100 * with_it:.1f}"]
         print(f"| {' | '.join(texts)} |", flush=True)
 
 
-def picture(room: str, tags: int, seconds: float, path: Path) -> None:
+def picture(room: str, tags: int, evaluations: int, path: Path) -> None:
     """Draw the standard deviation of the filtered position along one fresh drive for each deployment."""
     import matplotlib.pyplot as plt
 
@@ -164,7 +185,7 @@ def picture(room: str, tags: int, seconds: float, path: Path) -> None:
     figure, axes = plt.subplots(figsize=(9, 3.4), layout="constrained")
     drive = slice(along.first[3], along.first[4])
     for name in OBJECTIVES:
-        found = problem.objective.poses(problem.evaluator, placed(problem_of(room, name, tags), seconds), along)
+        found = problem.objective.poses(problem.evaluator, placed(problem_of(room, name, tags), evaluations), along)
         sigma = np.sqrt(found.covariances[:, [0, 3, 5]].sum(axis=1))
         axes.plot(
             along.trajectories[3].time, 1e3 * sigma[drive], label=f"{name}: {found.known.mean():.0%} of all drives"
@@ -183,7 +204,7 @@ def main() -> None:
     parser.add_argument("room", nargs="?", choices=ROOMS, default="lab")
     parser.add_argument("file", nargs="?", type=Path, default=Path("filtered.png"))
     parser.add_argument("--tags", type=int, default=6)
-    parser.add_argument("--seconds", type=float, default=30.0, help="of annealing for each deployment")
+    parser.add_argument("--evaluations", type=int, default=20000, help="of annealing for each deployment")
     parser.add_argument("--drives", type=int, default=40)
     parser.add_argument("--detector", default="noisy")
     parser.add_argument("--odometry", default="slow")
@@ -191,11 +212,11 @@ def main() -> None:
     if given.part == "moves":
         moves()
     elif given.part == "shares":
-        shares(given.room, given.seconds)
+        shares(given.room, given.evaluations)
     elif given.part == "flown":
-        flown(given.room, given.tags, given.seconds, given.drives, given.detector, given.odometry)
+        flown(given.room, given.tags, given.evaluations, given.drives, given.detector, given.odometry)
     else:
-        picture(given.room, given.tags, given.seconds, given.file)
+        picture(given.room, given.tags, given.evaluations, given.file)
 
 
 if __name__ == "__main__":

@@ -95,6 +95,11 @@ def inward(image: FloatArray) -> FloatArray:
     return np.asarray((along + other) / np.maximum(across, LEAST_ANGLE)[..., None])
 
 
+def shortest_side(image: FloatArray) -> FloatArray:
+    """Length of the shortest side of tags with corners at `(N, 4, 2)`, pixels, `(N,)`."""
+    return np.asarray(np.linalg.norm(image - np.roll(image, 1, axis=1), axis=-1).min(axis=1))
+
+
 @dataclass(frozen=True)
 class MeasuredCorners:
     """Errors of corners of one detector, camera and light: independent noise and a shift of edges, by pitch."""

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from lmd.core.checks import FloatArray, InputError, check_fields, choice, integer, real
 from lmd.core.optional import optional
+from lmd.detection.corner_errors import CORNER_ERRORS, CornerErrors
 from lmd.geometry.camera import PIXEL_CENTRE
 from lmd.render.imaging import UInt8Array
 from lmd.scene.families import FAMILIES, dictionary, family_named
@@ -62,6 +63,10 @@ class Detector(Protocol):
             InputError: the image is no grey 8-bit image, or a package is missing.
         """
 
+    @property
+    def corner_errors(self) -> CornerErrors:
+        """Errors of the corners, as measured."""
+
 
 @dataclass(frozen=True)
 class ArucoDetector:
@@ -84,6 +89,11 @@ class ArucoDetector:
             raise InputError(f"family {self.family} is one of AprilTag's, which only AprilTagDetector reads.", "family")
         choice("family", self.family, tuple(name for name, family in FAMILIES.items() if family.dictionary))
         choice("preset", self.preset, tuple(ARUCO_PRESETS))
+
+    @property
+    def corner_errors(self) -> CornerErrors:
+        """See `Detector.corner_errors`."""
+        return CORNER_ERRORS["aruco"]
 
     def detect(self, image: UInt8Array) -> Detections:
         """See `Detector.detect`."""
@@ -116,6 +126,11 @@ class AprilTagDetector:
         choice("family", self.family, tuple(name for name, family in FAMILIES.items() if family.apriltag))
         check_fields(self, real, "quad_decimate", low=1.0)
         check_fields(self, integer, "most_errors", low=0, high=2)
+
+    @property
+    def corner_errors(self) -> CornerErrors:
+        """See `Detector.corner_errors`."""
+        return CORNER_ERRORS["apriltag" if self.quad_decimate == 1.0 else "apriltag_decimate2"]
 
     def detect(self, image: UInt8Array) -> Detections:
         """See `Detector.detect`."""

@@ -1,11 +1,13 @@
 """Interface of estimators that localise a camera from a recording, and their errors."""
 
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
 from typing import Protocol
 
 import numpy as np
 
 from lmd.core.checks import FloatArray
+from lmd.estimation import consistency
 from lmd.estimation.recording import Recording
 from lmd.geometry.se3 import angle_between
 
@@ -20,6 +22,8 @@ class Errors:
     """|p - ph|, metres, `(S, T)`."""
     attitude: FloatArray
     """Angle of the rotation between R and Rh, rad, `(S, T)`."""
+    squares: FloatArray | None = None
+    """Normalised errors squared of `lmd.estimation.consistency.squares`, `(S, T, 3)`; None without covariances."""
 
     @property
     def available(self) -> FloatArray:
@@ -34,6 +38,25 @@ def pose_errors(true: FloatArray, estimated: FloatArray) -> Errors:
         position=np.linalg.norm(true[..., :3, 3] - estimated[..., :3, 3], axis=-1),
         attitude=angle_between(true, estimated),
     )
+
+
+def errors_of(
+    recording: Recording,
+    start: FloatArray,
+    run: Callable[[Recording, int, FloatArray], Iterator[tuple[FloatArray, FloatArray]]],
+) -> Errors:
+    """Errors of an estimator that states covariances.
+
+    Args:
+        recording: S runs.
+        start: initial estimate of the pose, `(S, 4, 4)`.
+        run: estimate Xh `(4, 4)` of each frame of a run, and the covariance of its error as a body twist, `(6, 6)`; NaN
+            without an estimate.
+    """
+    runs = [list(run(recording, s, first)) for s, first in enumerate(start)]
+    errors = pose_errors(recording.poses, np.array([[pose for pose, _ in one] for one in runs]))
+    squares = [consistency.squares(one, true) for one, true in zip(runs, recording.poses, strict=True)]
+    return replace(errors, squares=np.stack(squares))
 
 
 class Estimator(Protocol):

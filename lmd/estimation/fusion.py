@@ -8,7 +8,7 @@ import numpy as np
 
 from lmd.core.checks import FloatArray, check_fields, choice, real
 from lmd.core.optional import optional
-from lmd.estimation.estimators import Errors, pose_errors
+from lmd.estimation.estimators import Errors, errors_of
 from lmd.estimation.pnp import images_of, likely
 from lmd.estimation.recording import Recording
 from lmd.geometry.pose import PointImage, body_solutions
@@ -134,8 +134,7 @@ class InvariantKalmanFilter(Uncertainty):
 
     def errors(self, recording: Recording, start: FloatArray) -> Errors:
         """See `lmd.estimation.estimators.Estimator.errors`."""
-        runs = [[pose for pose, _ in self.run(recording, s, start[s])] for s in range(len(start))]
-        return pose_errors(recording.poses, np.array(runs))
+        return errors_of(recording, start, self.run)
 
     def run(self, recording: Recording, s: int, start: FloatArray) -> Iterator[tuple[FloatArray, FloatArray]]:
         """Estimates of run s, `(4, 4)` each, and their covariances as body twists, `(6, 6)`."""
@@ -170,17 +169,10 @@ class FixedLagSmoother(Uncertainty):
 
     def errors(self, recording: Recording, start: FloatArray) -> Errors:
         """See `lmd.estimation.estimators.Estimator.errors`."""
-        runs = [[pose for pose, _ in self._run(recording, s, start[s], False)] for s in range(len(start))]
-        return pose_errors(recording.poses, np.array(runs))
+        return errors_of(recording, start, self.run)
 
     def run(self, recording: Recording, s: int, start: FloatArray) -> Iterator[tuple[FloatArray, FloatArray]]:
         """Estimates of run s, `(4, 4)` each, and their covariances as body twists, `(6, 6)`; NaN before the start."""
-        return self._run(recording, s, start, True)
-
-    def _run(
-        self, recording: Recording, s: int, start: FloatArray, sure: bool
-    ) -> Iterator[tuple[FloatArray, FloatArray]]:
-        """Estimates as of `run`; the covariances are NaN unless `sure`."""
         gtsam = optional("gtsam", "estimators")
         diagonal, drift = gtsam.noiseModel.Diagonal.Sigmas, self.drift(recording)
         kind: type[CameraPoints | CornerImages] = CameraPoints if recording.corners is None else CornerImages
@@ -206,7 +198,7 @@ class FixedLagSmoother(Uncertainty):
                 values.insert(t, estimate)
                 smoother.update(graph, values, {t: time})
                 estimate = smoother.calculateEstimatePose3(t)
-                covariance = smoother.marginalCovariance(t) if sure else covariance
+                covariance = smoother.marginalCovariance(t)
             yield estimate.matrix(), covariance
 
 

@@ -39,7 +39,7 @@ from typing import NamedTuple
 import numpy as np
 
 from lmd.core.checks import FloatArray
-from lmd.estimation.estimators import Errors, pose_errors
+from lmd.estimation.estimators import Errors, errors_of
 from lmd.estimation.fusion import CameraPoints, Uncertainty
 from lmd.estimation.recording import Recording
 from lmd.geometry.se3 import act, adjoint, adjoint_matrix, exp, inverse, left_jacobian, skew
@@ -62,8 +62,7 @@ class BiasFilter(Uncertainty, ABC):
 
     def errors(self, recording: Recording, start: FloatArray) -> Errors:
         """See `lmd.estimation.estimators.Estimator.errors`."""
-        runs = [[state.pose for state in self.states(recording, s, start[s])] for s in range(len(start))]
-        return pose_errors(recording.poses, np.array(runs))
+        return errors_of(recording, start, self.run)
 
     def run(self, recording: Recording, s: int, start: FloatArray) -> Iterator[tuple[FloatArray, FloatArray]]:
         """Estimates of run s, `(4, 4)` each, and their covariances as body twists, `(6, 6)`."""

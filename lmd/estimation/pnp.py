@@ -8,7 +8,7 @@ import numpy as np
 
 from lmd.core.checks import FloatArray, choice
 from lmd.core.optional import optional
-from lmd.estimation.estimators import Errors, pose_errors
+from lmd.estimation.estimators import Errors, errors_of
 from lmd.estimation.recording import Recording
 from lmd.geometry.pose import PointImage, Solution, body_solutions
 from lmd.geometry.projection import project, to_camera
@@ -43,7 +43,7 @@ class PerspectiveNPoint:
 
     def errors(self, recording: Recording, start: FloatArray) -> Errors:
         """See `lmd.estimation.estimators.Estimator.errors`."""
-        return pose_errors(recording.poses, np.stack([self._run(recording, s) for s in range(len(recording.poses))]))
+        return errors_of(recording, recording.poses[:, 0], self.run)
 
     def run(self, recording: Recording, s: int, start: FloatArray) -> Iterator[tuple[FloatArray, FloatArray]]:
         """Estimates of run s, `(4, 4)` each, and their covariances as body twists, `(6, 6)`; NaN without an estimate.

@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from lmd.core.checks import BoolArray, FloatArray, IntArray, check_fields, real
+from lmd.detection.corner_errors import inward, shortest_side
 from lmd.detection.detectors import Detections, Detector
 from lmd.detection.frames import tagged_room
 from lmd.estimation.recording import Each, Flight, Look, Observation, check_images, merged
@@ -54,7 +55,8 @@ class Moment(NamedTuple):
 class RenderedDetector:
     """Real detector on rendered frames, with missed and false detections; a `Sensor`.
 
-    The position of a tag follows from its corners. Every detection with the id of a tag is accepted, the largest if
+    The mean shift of the detector's corners, which a calibration finds, is taken out of them. The position of a tag
+    follows from its corners. Every detection with the id of a tag is accepted, the largest if
     there are several; other ids are ignored.
 
     Raises:
@@ -67,14 +69,15 @@ class RenderedDetector:
     """Detector of the frames."""
     imaging: Imaging
     """Lens, light and noise."""
-    pixel_noise: float = 0.5
-    """Standard deviation of the corners that estimators assume, pixels."""
+    pixel_noise: float | None = None
+    """Standard deviation of the corners that estimators assume, pixels; None for that of the detector, by pitch."""
     shutter: float = 0.0
     """Exposure time, seconds; the motion of the camera blurs the frame."""
 
     def __post_init__(self) -> None:
         self.tag.check_edge()
-        check_fields(self, real, "pixel_noise", above=0.0)
+        if self.pixel_noise is not None:
+            check_fields(self, real, "pixel_noise", above=0.0)
         check_fields(self, real, "shutter", low=0.0)
 
     def tags(self, deployment: Deployment) -> FloatArray:
@@ -124,8 +127,11 @@ class RenderedDetector:
     def _observed(self, look: Look, found: Sequence[Detections]) -> Observation:
         corners = believed(found, look.flight.deployment.ids)
         seen = np.isfinite(corners[..., 0, 0])
-        noise, edges = np.full(int(seen.sum()), self.pixel_noise), look.flight.deployment.edges_of(self.tag)
-        return observation(look.camera, edges, seen, corners[seen], noise)
+        image, errors, edges = corners[seen], self.reader.corner_errors, look.flight.deployment.edges_of(self.tag)
+        pitch = shortest_side(image) / self.tag.modules
+        image = image - errors.inward_at(pitch)[:, None, None] * inward(image)
+        noise = errors.independent_sigma(pitch) if self.pixel_noise is None else np.full(len(image), self.pixel_noise)
+        return observation(look.camera, edges, seen, image, noise)
 
 
 class Batch(NamedTuple):

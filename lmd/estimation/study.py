@@ -10,6 +10,7 @@ import pandas as pd
 from lmd.core.checks import FloatArray, InputError, IntArray, argument_of, check_fields, real
 from lmd.core.memory import check_memory
 from lmd.core.words import escaped, markdown_table
+from lmd.estimation.consistency import DEGREES
 from lmd.estimation.estimators import Errors, Estimator, pose_errors
 from lmd.estimation.flights import TrajectorySource
 from lmd.estimation.recording import Each, Flight, Odometry, Recording, Sensor, record
@@ -131,7 +132,9 @@ class FlightStudy:
         time after which Er stays below 1 % of its initial value; infinite if there is no such time or a frame has no
         estimate); `position_error` (m) and `attitude_error` (rad), medians over the second half of the flight;
         `within_<n>mm`, the share of frames in the second half with a smaller position error, where frames without an
-        estimate count as larger; `available`, the share of frames with an estimate.
+        estimate count as larger; `nees_joint`, `nees_rotation`, `nees_position`, means over the second half of
+        the normalised errors squared over their degrees of freedom, 1 if the stated covariances are right, NaN without
+        any; `available`, the share of frames with an estimate.
         """
         rows = []
         for name, outcome in self.outcomes.items():
@@ -158,7 +161,16 @@ class FlightStudy:
             "position_error": _each_run(np.median, errors.position[:, half:]),
             "attitude_error": _each_run(np.median, errors.attitude[:, half:]),
             **{name: (errors.position[:, half:] <= limit).mean(axis=1) for name, limit in within().items()},
+            **self._nees(errors),
             "available": errors.available,
+        }
+
+    def _nees(self, errors: Errors) -> dict[str, FloatArray]:
+        runs, half = len(errors.position), len(self.time) // 2
+        squares = np.full((runs, 1, len(DEGREES)), np.nan) if errors.squares is None else errors.squares[:, half:]
+        return {
+            f"nees_{part}": _each_run(np.mean, own) / degrees
+            for own, (part, degrees) in zip(np.moveaxis(squares, -1, 0), DEGREES.items(), strict=True)
         }
 
     def curves(self) -> pd.DataFrame:
@@ -238,7 +250,8 @@ def to_markdown(figures: pd.DataFrame, n: int) -> str:
             pose.
     """
     head = ["deployment", "estimator", *(f"time with >= {m} in view" for m in sorted({n, 3}))]
-    head += ["mean Er (10 to 90 %)", "settled after [s]", "position [mm]", "attitude [mrad]", "available"]
+    head += ["mean Er (10 to 90 %)", "settled after [s]", "position [mm]", "attitude [mrad]"]
+    head += [f"NEES / dof: {', '.join(DEGREES)}", "available"]
     head.append(f"of all frames within {' / '.join(f'{1e3 * limit:g}' for limit in ERROR_LIMITS)} mm")
     rows = []
     for (name, estimator), runs in figures.groupby(["deployment", "estimator"], sort=False):
@@ -252,6 +265,7 @@ def to_markdown(figures: pd.DataFrame, n: int) -> str:
             f"{middle.settling_time:.1f}" if np.isfinite(middle.settling_time) else "–",
             f"{1e3 * middle.position_error:.3g}",
             f"{1e3 * middle.attitude_error:.3g}",
+            "–" if np.isnan(middle.nees_joint) else " / ".join(f"{middle[f'nees_{part}']:.3g}" for part in DEGREES),
             f"{runs.available.mean():.1%}",
             " / ".join(f"{100.0 * runs[name].mean():.1f}" for name in within()) + " %",
         ])  # fmt: skip

@@ -11,13 +11,14 @@ from collections.abc import Sequence
 import numpy as np
 
 from lmd.core.checks import BoolArray, FloatArray
+from lmd.detection.corner_errors import shortest_side
 from lmd.geometry.camera import Camera
 from lmd.geometry.projection import project
 from lmd.geometry.se3 import act, angle_between
 from lmd.localise.fixed_map import FixedMap
 from lmd.localise.image_poses import ImagePoses
 from lmd.space.space import Space
-from lmd.survey.sightings import SQUARE, shortest_side
+from lmd.survey.sightings import SQUARE
 
 VANISHED = 1e-3  # greatest probability that a tag was missed in all views by chance
 MOST_RATE = 0.9  # greatest probability of a detection that is assumed

@@ -13,7 +13,7 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from lmd.core.checks import BoolArray, FloatArray, IntArray
-from lmd.detection.corner_errors import CornerErrors
+from lmd.detection.corner_errors import CornerErrors, shortest_side
 from lmd.geometry.camera import Camera
 from lmd.geometry.projection import bearings, project, slope
 from lmd.geometry.se3 import pose_of
@@ -21,7 +21,7 @@ from lmd.space.space import Space
 from lmd.survey.gauge import gauge_free
 from lmd.survey.map_estimate import ONE_THREAD
 from lmd.survey.residuals import Reprojection
-from lmd.survey.sightings import RESIDUALS, SQUARE, Sightings, shortest_side
+from lmd.survey.sightings import RESIDUALS, SQUARE, Sightings
 from lmd.survey.survey import Photograph, Survey
 
 MOST_PHOTOGRAPHS = 5  # maximum number of photographs

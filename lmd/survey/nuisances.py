@@ -19,7 +19,7 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from lmd.core.checks import FloatArray, InputError
-from lmd.detection.corner_errors import inward
+from lmd.detection.corner_errors import inward, shortest_side
 from lmd.geometry.camera import Camera
 from lmd.survey.initialisation import FLOOR_PIXELS
 from lmd.survey.intrinsics import intrinsics_of, parameter_slopes, with_intrinsics
@@ -27,7 +27,7 @@ from lmd.survey.linked_adjustment import adjustment_of, constraining
 from lmd.survey.map_estimate import ONE_THREAD, Estimate, adjust, fitting
 from lmd.survey.resampling import inflation
 from lmd.survey.residuals import Poses, Reprojection, squared_errors
-from lmd.survey.sightings import MODES, RESIDUALS, Sightings, shift_basis, shortest_side
+from lmd.survey.sightings import MODES, RESIDUALS, Sightings, shift_basis
 
 SMALL_SHARE = 0.5  # prior standard deviation of the second shift, over the prior standard deviation of the first shift
 SHAPE_SIGMA, LEAST_SHAPE_SIGMA = 3e-4, 1e-5  # first and least standard deviation of shapes, metres

@@ -16,7 +16,7 @@ from functools import cached_property
 import numpy as np
 
 from lmd.core.checks import BoolArray, FloatArray, InputError, IntArray
-from lmd.detection.corner_errors import CornerErrors, inward
+from lmd.detection.corner_errors import CornerErrors, inward, shortest_side
 from lmd.formats.detections import DetectedTags
 from lmd.geometry.camera import Camera
 from lmd.geometry.projection import bearings, slope
@@ -116,11 +116,6 @@ class Sightings:
     def counts(self, chosen: BoolArray | None = None) -> IntArray:
         """Number of sightings of each tag, `(K,)`, among the `chosen` sightings, mask `(N,)`; None for all."""
         return np.bincount(self.tag if chosen is None else self.tag[chosen], minlength=len(self.ids))
-
-
-def shortest_side(image: FloatArray) -> FloatArray:
-    """Length of the shortest side of tags with corners at `(N, 4, 2)`, pixels, `(N,)`."""
-    return np.asarray(np.linalg.norm(image - np.roll(image, 1, axis=1), axis=-1).min(axis=1))
 
 
 def shift_basis(pitch: FloatArray) -> FloatArray:

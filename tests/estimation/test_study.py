@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
@@ -37,8 +39,8 @@ def errors_over_time(values):
     return Errors(values, 2.0 * values, 3.0 * values)
 
 
-def study_of(values, initial=1.0):
-    errors = errors_over_time(values)
+def study_of(values, initial=1.0, squares=None):
+    errors = replace(errors_over_time(values), squares=squares)
     counts = np.arange(errors.frobenius.size)[None]
     outcome = Outcome(counts, {n: np.array([0.1 * n]) for n in (1, 2, 3, 4)}, {"observer": errors})
     return FlightStudy([7], np.arange(errors.frobenius.size) * 0.5, np.array([initial]), {"mine": outcome})
@@ -106,6 +108,15 @@ def test_the_figures_of_a_flight():
     assert_allclose(row.position_error, 2.0 * 0.002)
     assert_allclose(row.attitude_error, 3.0 * 0.002)
     assert (row.available, row.mean_visible, row.share_visible_3) == (1.0, 2.5, 0.1 * 3)
+    assert np.isnan([row.nees_joint, row.nees_rotation, row.nees_position]).all()
+
+
+def test_the_normalised_errors_of_a_flight():
+    squares = np.array([[600.0, 600.0, 600.0], [1.0, 1.0, 1.0], [9.0, 6.0, 3.0], [np.nan, np.nan, np.nan]])
+    study = study_of([1.0, 0.5, 0.02, np.nan], squares=squares[None])
+    row = study.figures().iloc[0]
+    assert (row.nees_joint, row.nees_rotation, row.nees_position) == (1.5, 2.0, 1.0)
+    assert "| 1.5 / 2 / 1 |" in to_markdown(study.figures(), 3)
 
 
 @pytest.mark.parametrize(

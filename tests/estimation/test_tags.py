@@ -9,7 +9,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from paper import paper_camera, paper_scene
 
 from lmd.core.checks import InputError
-from lmd.detection.corner_errors import CORNER_ERRORS, PITCH_MIDDLES, CornerErrors
+from lmd.detection.corner_errors import CORNER_ERRORS, PITCH_MIDDLES, CornerErrors, inward, shortest_side
 from lmd.detection.detectors import ArucoDetector, Detections
 from lmd.detection.evaluation import corner_error
 from lmd.detection.predictions import PITCHES
@@ -19,7 +19,7 @@ from lmd.estimation.flights import Pace, RandomMotion
 from lmd.estimation.fusion import FixedLagSmoother
 from lmd.estimation.pnp import PerspectiveNPoint
 from lmd.estimation.recording import Flight, record
-from lmd.estimation.rendered import RenderedDetector, believed
+from lmd.estimation.rendered import RenderedDetector, believed, images
 from lmd.estimation.sensors import PointDetector, TagDetector, noisy_detector, observation
 from lmd.geometry import se3
 from lmd.geometry.projection import project
@@ -153,6 +153,24 @@ def test_a_real_detector_measures_where_tags_are(evaluator):
     assert np.median(off) < 0.04
     found = PerspectiveNPoint().errors(recording, None).position[0]
     assert np.nanmedian(found) < 0.02
+
+
+@pytest.mark.slow
+def test_the_mean_shift_of_a_real_detector_is_taken_out_of_its_corners():
+    frames = slice(0, 400, 40)
+    detector = RenderedDetector(Tag(0.3), ArucoDetector(), Imaging())
+    (look,) = flight(frames).looks()
+    found = believed(list(map(detector.reader.detect, images(detector.batch(look)))), UNIFORM.ids)
+    recording = record(detector, [flight(frames)])
+    seen = recording.seen[0]
+    exact = project(look.camera, look.poses, recording.tags[0].reshape(-1, 3)).reshape(*found.shape)[seen]
+    unit = inward(exact)
+    shifts = [((image - exact) * unit).sum() / (unit**2).sum() for image in (found[seen], recording.corners)]
+    assert shifts[0] > 0.12
+    assert abs(shifts[1]) < 0.08
+    pitches = shortest_side(found[seen]) / TAG.modules
+    assert_array_equal(recording.noise, CORNER_ERRORS["aruco"].independent_sigma(pitches))
+    assert set(record(replace(detector, pixel_noise=0.7), [flight(frames)]).noise) == {0.7}
 
 
 @pytest.mark.parametrize("evaluator", LENSES.values(), ids=LENSES)
