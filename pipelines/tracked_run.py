@@ -1,5 +1,6 @@
 """A tracked run: begun with its provenance, ended with its outputs and figures."""
 
+import math
 import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -236,7 +237,7 @@ def record(
     lines["mlflow"] = tracker.describe()
     (label, headline), *others = problem.objective.describe(metrics, len(problem.relevance), problem.count).items()
     weighted = {}
-    if problem.relevance.min() < problem.relevance.max():  # the other figures weigh all positions equally
+    if not math.isclose(metrics["fitness"], metrics[problem.objective.headline.key]):  # the headline weighs all equally
         weighted["fitness"] = f"{metrics['fitness']:.2%}, in which positions count by their relevance"
     crowd = describe_crowd(problem.objective, metrics, problem.evaluator)
     print(labelled({label: headline, **weighted, **off_grid, **dict(others), **crowd, **lines}))

@@ -10,11 +10,11 @@ from collections.abc import Mapping
 import numpy as np
 
 from lmd.core.checks import FloatArray, IntArray
+from lmd.core.worst import worst_mean, worst_of
 from lmd.incremental.field import Field, Target, in_order
-from lmd.incremental.worst_states import WorstStates
+from lmd.incremental.worst_groups import WorstGroups
 from lmd.objectives.base import Objective, incremental
 from lmd.sight.evaluator import Evaluator
-from lmd.space.crowd import worst_mean, worst_of
 
 WORST = "worst_crowd_"  # prefix of the figures of the worst states
 
@@ -43,12 +43,12 @@ def target_of(objective: Objective, field: Field, evaluator: Evaluator, relevanc
     present, state = _states(evaluator)
     states = np.zeros(field.size, dtype=np.int64)  # copies of positions have no weight
     states[field.index_of] = state
-    return WorstStates(target, states, len(present), _worst_count(evaluator, len(present)))
+    return WorstGroups(target, states, len(present), _worst_count(evaluator, len(present)))
 
 
 def slope_target(target: Target, units: IntArray) -> Target:
     """Target with the slope of `target` at the values `units` `(Q,)`, whose fitness is a sum over positions."""
-    return target.of_worst(units) if isinstance(target, WorstStates) else target
+    return target.of_worst(units) if isinstance(target, WorstGroups) else target
 
 
 def worst_figures(objective: Objective, values: FloatArray, evaluator: Evaluator) -> dict[str, float]:

@@ -19,6 +19,7 @@ import numpy as np
 
 from lmd.core.checks import BoolArray, FloatArray, InputError, IntArray, check_fields, choice, integer, real, vector
 from lmd.core.memory import check_memory
+from lmd.core.worst import ROUNDING, worst_of
 from lmd.space.polygon import checked_ring
 from lmd.space.space import Space, floor_of
 
@@ -30,7 +31,6 @@ COLUMNS = 5
 ROUNDS = 2000
 # Directions and heights, as shares of the cylinder's, at which the free floor is tested.
 DIRECTIONS, HEIGHTS = 16, (0.01, 0.25, 0.5, 0.75, 0.99)
-ROUNDING = 1e-9  # tolerance of the number of states in a share of them
 
 
 @dataclass(frozen=True)
@@ -130,16 +130,6 @@ class CrowdStates:
         for cylinder in standing:
             result &= ~_crosses(cylinder, position, points)
         return result
-
-
-def worst_of(states: int, share: float) -> int:
-    """Number of the worst states, a share of the states, rounded up."""
-    return max(1, int(np.ceil(share * states - ROUNDING)))
-
-
-def worst_mean(values: FloatArray, count: int) -> FloatArray:
-    """Mean of the `count` least values along the last axis."""
-    return np.asarray(np.sort(values, axis=-1)[..., :count].sum(axis=-1) / count)
 
 
 def _crosses(cylinder: FloatArray, position: FloatArray, points: FloatArray) -> BoolArray:

@@ -1,6 +1,5 @@
 """Covariances that estimators state, against their errors on flights."""
 
-
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose

@@ -8,7 +8,8 @@ from floor_plans import lab
 from numpy.testing import assert_array_equal
 
 from lmd.core.checks import InputError
-from lmd.space.crowd import RADIUS, TOP, Crowd, CrowdStates, X, Y, worst_mean
+from lmd.core.worst import worst_mean
+from lmd.space.crowd import RADIUS, TOP, Crowd, CrowdStates, X, Y
 from lmd.space.cuboid import Cuboid
 
 ROOM = Cuboid((6.0, 4.0, 2.5), (5.0, 3.0, 1.5), 1.0)

@@ -87,7 +87,27 @@ class Drives:
         start[[0, 3, 5]], start[[15, 18, 20]] = self.start_position**2, self.start_attitude**2
         return start
 
-    def share_of(self, values: FloatArray) -> FloatArray:
-        """Mean over the time of each drive, `(..., D)`, of values of the frames `(..., F)`."""
-        weighted = np.add.reduceat(values * self.seconds, self.first[:-1], axis=-1)
-        return np.asarray(weighted / np.add.reduceat(self.seconds, self.first[:-1]))
+    @cached_property
+    def of_frame(self) -> IntArray:
+        """Index of the drive of each frame, `(F,)`."""
+        return np.repeat(np.arange(len(self)), np.diff(self.first))
+
+    def relative(self, relevance: FloatArray) -> FloatArray:
+        """Relevance of the frames over that of their drives, `(F,)`.
+
+        Raises:
+            InputError: a drive has no relevance.
+        """
+        whole = np.add.reduceat(relevance, self.first[:-1])
+        if not whole.all():
+            drive = int(np.flatnonzero(whole == 0.0)[0])
+            raise InputError(f"room.relevance is 0 all along drive {drive}, which then has no share.", "drives")
+        return np.asarray(relevance / whole[self.of_frame])
+
+    def share_of(self, values: FloatArray, relevance: FloatArray) -> FloatArray:
+        """Mean of values of the frames `(..., F)` over each drive, `(..., D)`, weighted by relevance `(F,)`.
+
+        Raises:
+            InputError: a drive has no relevance.
+        """
+        return np.asarray(np.add.reduceat(values * self.relative(relevance), self.first[:-1], axis=-1))

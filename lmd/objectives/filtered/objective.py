@@ -7,7 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from lmd.core.checks import BoolArray, FloatArray, InputError, real
+from lmd.core.worst import worst_mean, worst_of
 from lmd.incremental.field import Field
+from lmd.incremental.worst_groups import WorstGroups
 from lmd.objectives.base import AtLeast, Headline
 from lmd.objectives.coverage import Mean
 from lmd.objectives.filtered.drives import Drives
@@ -23,12 +25,12 @@ from lmd.scene.deployment import Deployment
 from lmd.scene.scene import Scene
 from lmd.sight.evaluator import Evaluator
 
-WORST = 0.05  # order of the reported quantile of the shares of drives
+WORST = 0.05  # share of the drives that the figure of the worst ones is of, unless the fitness is
 
 
 @dataclass(frozen=True)
 class Filtered(AtLeast):
-    """Share of the time of drives at which the filtered pose is known to a tolerance.
+    """Share of the time of drives, or of the worst of them, at which the filtered pose is known to a tolerance.
 
     Each frame of a drive is a position of the problem (`lmd.space.driven.DrivenRoom`). Its value is 1 if the standard
     deviation of the filtered position, computed from the odometry and from the tags in view of this frame and of the
@@ -42,6 +44,8 @@ class Filtered(AtLeast):
         tolerance: greatest standard deviation of the filtered position, metres.
         rotation_tolerance: greatest standard deviation of the filtered rotation, rad; None for no limit.
         pixel_noise: standard deviation of each coordinate of a corner, pixels.
+        worst: share of the drives, those with the least share of their time, whose mean is the fitness; None for the
+            share of the time of all drives.
 
     Raises:
         InputError: a value is out of range.
@@ -54,6 +58,7 @@ class Filtered(AtLeast):
     tolerance: float = 0.02
     rotation_tolerance: float | None = None
     pixel_noise: float = 0.5
+    worst: float | None = None
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -64,6 +69,8 @@ class Filtered(AtLeast):
         if self.rotation_tolerance is not None:
             turn = real("rotation_tolerance", self.rotation_tolerance, above=0.0)
             object.__setattr__(self, "rotation_tolerance", turn)
+        if self.worst is not None:
+            object.__setattr__(self, "worst", real("worst", self.worst, above=0.0, high=1.0))
 
     @property
     def sampling(self) -> Sampling | None:
@@ -73,6 +80,8 @@ class Filtered(AtLeast):
     @property
     def headline(self) -> Headline:
         """See `Objective.headline`."""
+        if self.worst is not None:
+            return Headline("worst_drives", "filtered share of the worst drives")
         return Headline("filtered_share", "filtered share")
 
     @property
@@ -127,18 +136,33 @@ class Filtered(AtLeast):
             )
 
     def fitness(self, values: FloatArray, relevance: FloatArray) -> FloatArray:
-        """See `Objective.fitness`."""
-        return np.asarray((values * relevance).sum(axis=-1) / relevance.sum())
+        """See `Objective.fitness`.
+
+        Raises:
+            InputError: the fitness is that of the worst drives, and one has no relevance.
+        """
+        if self.worst is not None:
+            return self._worst_share(self.drives, values, relevance)
+        return _mean(values, relevance)
+
+    def _worst_share(self, drives: Drives, values: FloatArray, relevance: FloatArray) -> FloatArray:
+        return worst_mean(drives.share_of(values, relevance), self._worst_count(drives))
+
+    def _worst_count(self, drives: Drives) -> int:
+        return worst_of(len(drives), self.worst or WORST)
 
     def shares(self, values: FloatArray) -> Mapping[str, FloatArray | BoolArray]:
         """See `Objective.shares`."""
         return {"filtered_share": values}
 
     def figures(self, values: FloatArray, relevance: FloatArray) -> dict[str, float]:
-        """Share of the time, and 5 % quantile of the shares of the drives."""
+        """Share of the time of all drives, and of the worst ones."""
+        return self._figures(self.drives, values)
+
+    def _figures(self, drives: Drives, values: FloatArray) -> dict[str, float]:
         return {
-            "filtered_share": float(self.fitness(values, self.drives.seconds)),
-            "worst_drives": float(np.quantile(self.drives.share_of(values), WORST)),
+            "filtered_share": float(_mean(values, drives.seconds)),
+            "worst_drives": float(self._worst_share(drives, values, drives.seconds)),
         }
 
     def describe(self, figures: Mapping[str, float], positions: int, count: int) -> dict[str, str]:
@@ -147,7 +171,7 @@ class Filtered(AtLeast):
         return {
             "filtered share": f"{figures['filtered_share']:.2%} of {seconds:.0f} s in {len(self.drives)} drives have a "
             f"{self.value_label}, with {count} landmarks",
-            "worst drives": f"{WORST:.0%} of them have {figures['worst_drives']:.2%} of their time or less",
+            "worst drives": f"{figures['worst_drives']:.2%} of the time in {self._worst_of(self.drives)}",
         }
 
     def off_grid(self, evaluator: Evaluator, deployment: Deployment) -> dict[str, float]:
@@ -155,8 +179,7 @@ class Filtered(AtLeast):
         if self.fresh is None:
             return {}
         known = self.poses(evaluator, deployment, self.fresh).known.astype(np.float64)
-        share, shares = self.fitness(known, self.fresh.seconds), self.fresh.share_of(known)
-        figures = {"filtered_share": float(share), "worst_drives": float(np.quantile(shares, WORST))}
+        figures, shares = self._figures(self.fresh, known), self.fresh.share_of(known, self.fresh.seconds)
         if len(shares) > 1:
             figures["filtered_share_standard_error"] = float(shares.std(ddof=1) / math.sqrt(len(shares)))
         return {f"grid_free_{key}": value for key, value in figures.items()}
@@ -169,8 +192,11 @@ class Filtered(AtLeast):
         within = "" if error is None else f" +- {error:.2%}"
         return {
             "on fresh drives": f"{figures['grid_free_filtered_share']:.2%}{within} of {self.fresh.seconds.sum():.0f} s "
-            f"in {len(self.fresh)} drives; {WORST:.0%} of them have {figures['grid_free_worst_drives']:.2%} or less"
+            f"in {len(self.fresh)} drives; {figures['grid_free_worst_drives']:.2%} in {self._worst_of(self.fresh)}"
         }
+
+    def _worst_of(self, drives: Drives) -> str:
+        return f"the worst {self._worst_count(drives)} of {len(drives)} drives"
 
     def field(self, evaluator: Evaluator) -> Field:
         """See `Incremental.field`; a rig has a field whose moves are full evaluations."""
@@ -180,6 +206,14 @@ class Filtered(AtLeast):
             return ReferenceField(self, evaluator)
         return filtered_field(evaluator, self.drives, self.asked(scene), self.n, self.limits(scene))
 
-    def target(self, relevance: FloatArray) -> Mean:
+    def target(self, relevance: FloatArray) -> Mean | WorstGroups:
         """See `Incremental.target`."""
-        return Mean(relevance)
+        if self.worst is None:
+            return Mean(relevance)
+        number = len(self.drives)
+        equal = Mean(self.drives.relative(relevance) / number)
+        return WorstGroups(equal, self.drives.of_frame, number, self._worst_count(self.drives))
+
+
+def _mean(values: FloatArray, relevance: FloatArray) -> FloatArray:
+    return np.asarray((values * relevance).sum(axis=-1) / relevance.sum())

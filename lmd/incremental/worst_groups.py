@@ -1,7 +1,7 @@
-"""Target of the worst crowd states: the mean fitness over the share of the states with the least fitness.
+"""Target of the worst groups of positions: the mean fitness over the share of the groups with the least fitness.
 
-The fitness of a state is the fitness of its positions, so a state is a block of positions in any order. The mean over
-the worst states is monotone in every value, as the targets that the walk of annealing needs.
+A group is a crowd state or a drive, its fitness that of its positions, and all groups weigh equally. The mean over the
+worst groups is monotone in every value, as the targets that the walk of annealing needs.
 """
 
 from typing import Any, NamedTuple
@@ -14,17 +14,17 @@ from lmd.core.compiled import allocating, inner
 from lmd.incremental.field import combined, contribution, fitness_of, smoothed
 
 
-class WorstStates(NamedTuple):
-    """Mean of a target over the worst of S crowd states; a `Target`."""
+class WorstGroups(NamedTuple):
+    """Mean of a target over the worst of S groups; a `Target`."""
 
     target: Any
-    """Target of all positions."""
-    states: IntArray
-    """`(Q,)` crowd state of each position, 0 to S - 1."""
+    """Target of all positions, whose relevance has an equal sum in each group."""
+    groups: IntArray
+    """`(Q,)` group of each position, 0 to S - 1."""
     number: int
-    """Number S of states."""
+    """Number S of groups."""
     worst: int
-    """Number of the worst states."""
+    """Number of the worst groups."""
 
     @property
     def relevance(self) -> FloatArray:
@@ -32,20 +32,20 @@ class WorstStates(NamedTuple):
         return self.target.relevance  # type: ignore[no-any-return]
 
     def of_worst(self, units: IntArray) -> Any:
-        """Target of the states that are the worst with the values `units` `(Q,)`, which has the slope of this one."""
+        """Target of the groups that are the worst with the values `units` `(Q,)`, which has the slope of this one."""
         terms = np.array([contribution(self.target, p, units[p]) for p in range(len(units))])
-        sums = np.bincount(self.states, terms, self.number)
+        sums = np.bincount(self.groups, terms, self.number)
         chosen = np.argsort(sums, kind="stable")[: self.worst]
-        within = np.isin(self.states, chosen) * (self.number / self.worst)
+        within = np.isin(self.groups, chosen) * (self.number / self.worst)
         return self.target._replace(relevance=self.target.relevance * within)
 
 
-@smoothed.register(WorstStates)
+@smoothed.register(WorstGroups)
 def _smoothed(target, p, units, margin, width, share):  # type: ignore[no-untyped-def]
     return smoothed(target.target, p, units, margin, width, share)
 
 
-@contribution.register(WorstStates)
+@contribution.register(WorstGroups)
 def _contribution(target, p, units):  # type: ignore[no-untyped-def]
     return contribution(target.target, p, units)
 
@@ -55,7 +55,7 @@ def _worst_of_terms(target: Any, terms: FloatArray) -> Any:
     """Fitness from the contributions `terms` of the positions."""
     sums = np.zeros(target.number)
     for p in range(len(terms)):
-        sums[target.states[p]] += terms[p]
+        sums[target.groups[p]] += terms[p]
     return _mean_of_worst(sums, target.worst)
 
 
@@ -64,7 +64,7 @@ def _worst_of_units(target: Any, units: Any) -> Any:
     """Fitness from the values of the positions."""
     sums = np.zeros(target.number)
     for p in range(len(units)):
-        sums[target.states[p]] += contribution(target.target, p, units[p])
+        sums[target.groups[p]] += contribution(target.target, p, units[p])
     return _mean_of_worst(sums, target.worst)
 
 
@@ -82,11 +82,11 @@ def _mean_of_worst(sums: FloatArray, worst: Integer) -> Any:
     return total * (number / worst)
 
 
-@combined.register(WorstStates)
+@combined.register(WorstGroups)
 def _combined(target: Any, terms: FloatArray, total: Any) -> Any:  # noqa: ARG001 # see `combined`
     return _worst_of_terms(target, terms)
 
 
-@fitness_of.register(WorstStates)
+@fitness_of.register(WorstGroups)
 def _fitness_of(target: Any, units: Any) -> Any:
     return _worst_of_units(target, units)
