@@ -14,12 +14,12 @@ from pathlib import Path
 
 import numpy as np
 from composing import composed
+from filtered_recording import corner_errors, lasting_noise, within
 
 from lmd.core.checks import FloatArray
 from lmd.core.layers import layers
 from lmd.estimation.fusion import FixedLagSmoother, InvariantKalmanFilter
-from lmd.estimation.recording import Flight, Odometry, Recording, record
-from lmd.geometry.projection import project
+from lmd.estimation.recording import Flight, Odometry, record
 from lmd.geometry.se3 import exp
 from lmd.incremental.field import BOUND, NO_UNITS, SETTLE, perform
 from lmd.objectives.reference_field import field_of
@@ -44,7 +44,6 @@ OBJECTIVES = {
 }
 TOLERANCE = 0.02  # of the position, metres
 OPTIMISED_ON = 96  # drives
-ALIKE_FRAMES = 10  # number of later images, two seconds, with which errors of corners are compared
 
 
 def problem_of(room: str, objective: str, tags: int, odometry: str = "slow", *more: str) -> Problem:
@@ -109,25 +108,10 @@ def shares(room: str, evaluations: int) -> None:
             print(f"| {tags} | {odometry} | {' | '.join(texts)} |", flush=True)
 
 
-def within(covariances: FloatArray) -> FloatArray:
-    """Probability of a position error of at most the tolerance, for covariances `(F, 21)`, `(F,)`."""
-    v = covariances[:, [0, 1, 2, 1, 3, 4, 2, 4, 5]].reshape(-1, 3, 3)
-    spread = np.linalg.eigvalsh(v)
-    squares = np.random.default_rng(0).standard_normal((2000, 3)) ** 2
-    return np.asarray((spread @ squares.T <= TOLERANCE**2).mean(axis=1))
-
-
-def lasting_noise(recording: Recording) -> float:
-    """Noise of corners, pixels, that would leave as much in a mean over seconds if it were independent in each image.
-
-    sigma (1 + 2 sum rho)^1/2 with the correlations rho of the errors of a corner over up to `ALIKE_FRAMES` images.
-    """
-    error = np.full((*recording.seen.shape, 4, 2), np.nan)
-    for own, seen, poses, tags in zip(error, recording.seen, recording.poses, recording.tags, strict=True):
-        own[seen] = project(recording.camera, poses, tags.reshape(-1, 3)).reshape(own.shape)[seen]
-    error[recording.seen] = recording.corners - error[recording.seen]
-    products = [np.nanmean(error[:, : len(recording.time) - lag] * error[:, lag:]) for lag in range(ALIKE_FRAMES + 1)]
-    return float(np.sqrt(products[0] + 2.0 * sum(products[1:])))
+def predicted(covariances: FloatArray) -> float:
+    """Mean probability of a position error of at most the tolerance, for covariances `(F, 21)`."""
+    blocks = covariances[:, [0, 1, 2, 1, 3, 4, 2, 4, 5]].reshape(-1, 3, 3)
+    return float(within(blocks, TOLERANCE).mean())
 
 
 def flown(room: str, tags: int, evaluations: int, drives: int, detector: str, odometry: str) -> None:
@@ -162,15 +146,15 @@ def flown(room: str, tags: int, evaluations: int, drives: int, detector: str, od
         sigma = np.repeat([START[1], START[0]], 3)
         start = np.stack([path.poses[0] @ exp(sigma * rng.standard_normal(6)) for path in along.trajectories])
         trained = problem.objective.poses(problem.evaluator, deployment)
-        shares = trained.known.mean(), found.known.mean(), within(found.covariances).mean()
+        shares = trained.known.mean(), found.known.mean(), predicted(found.covariances)
         texts = [name, *(f"{100 * share:.1f}" for share in shares)]
         for estimator in estimators.values():
             error = estimator.errors(recording, start).position
             by_drive = (error <= TOLERANCE).mean(axis=1)
             texts.append(f"{100 * by_drive.mean():.1f} +- {100 * by_drive.std(ddof=1) / np.sqrt(drives):.1f}")
-        lasting = lasting_noise(recording)
+        lasting = lasting_noise(corner_errors(recording))
         of_it = replace(problem.objective, pixel_noise=lasting)
-        with_it = within(of_it.poses(problem.evaluator, deployment, along).covariances).mean()
+        with_it = predicted(of_it.poses(problem.evaluator, deployment, along).covariances)
         texts += [f"{100 * (recording.visible_counts > 0).mean():.1f}", f"{np.median(recording.noise):.2f}"]
         texts += [f"{lasting:.2f}", f"{100 * with_it:.1f}"]
         print(f"| {' | '.join(texts)} |", flush=True)
