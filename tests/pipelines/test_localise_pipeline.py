@@ -2,6 +2,8 @@
 
 import json
 
+import bag_files
+import cv2
 import localise_drives as ld
 import numpy as np
 import pandas as pd
@@ -14,6 +16,7 @@ from scipy.spatial.transform import Rotation
 from lmd.core.tables import write_table
 from lmd.formats.detection_formats import write_detections
 from lmd.formats.trajectories import TrajectoryFile
+from lmd.geometry.camera import PIXEL_CENTRE
 from lmd.localise.image_poses import State
 from lmd.scene.deployment import COLUMNS, UP_COLUMNS
 from lmd.survey.results import SIGMA_COLUMNS
@@ -98,3 +101,54 @@ def test_a_drive_is_smoothed_by_odometry(room):
     away = [np.linalg.norm(table[["x", "y", "z"]] - walk.frames[table.time, :3, 3], axis=1) for table in (one, other)]
     assert np.nanmedian(away[1]) < np.nanmedian(away[0])
     assert "\nsmoothed " in result.stdout
+
+
+def away(table, frames):
+    """Distance of the localised images of a table from the true positions, metres."""
+    known = table.state == State.LOCALISED.value
+    return np.linalg.norm(table.loc[known, ["x", "y", "z"]].to_numpy() - frames[known, :3, 3], axis=1)
+
+
+def test_a_video_is_localised(room):
+    cwd, walk = room
+    frames = walk.frames[:16]
+    photographs.photograph(cwd / "frames", walk.true, walk.known.ids, frames)
+    pictures = [cv2.imread(str(path)) for path in sorted((cwd / "frames").iterdir())]
+    size = pictures[0].shape[1::-1]
+    video = cv2.VideoWriter(str(cwd / "drive.mp4"), cv2.VideoWriter.fourcc(*"mp4v"), 5.0, size)
+    for picture in pictures:
+        video.write(picture)
+    video.release()
+    given = ["photographs=drive.mp4", "camera.path=camera.yaml", "tracking=none"]
+    result = processes.inside("localise", "map=survey", "hydra.run.dir=film", cwd=cwd, settings=given)
+    assert result.returncode == 0, result.stderr
+    table = pd.read_csv(cwd / "film" / "poses.csv")
+    np.testing.assert_allclose(table.time, 0.2 * np.arange(16), atol=1e-6)
+    off = away(table, frames)
+    assert len(off) > 12
+    assert np.median(off) < 0.01
+
+
+def test_a_rig_is_localised_by_a_bag_of_its_detections(room):
+    """The second camera looks to the left of the first, whose poses are written."""
+    cwd, walk = room
+    left = np.array([[0.0, 0.0, -1.0, -0.1], [0.0, 1.0, 0.0, 0.0], [1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]])
+    mounts = np.stack([np.eye(4), left])
+    seen = walks.photographed(walk.true, walk.frames, np.random.default_rng(5), ld.NOISE, mounts=mounts)
+    rows = []
+    for f in range(len(walk.frames)):
+        for c, topic in enumerate(("/front", "/left")):
+            own = np.flatnonzero((seen.frame == f) & (seen.camera == c))
+            message = bag_files.tags(seen.ids[own], seen.corners[own] - PIXEL_CENTRE)
+            rows.append((topic, "apriltag_msgs/msg/AprilTagDetectionArray", f * 10**9, message))
+    bag_files.write(cwd / "rig.mcap", rows)
+    own = "camera: {path: camera.yaml}"
+    cameras = f"{{{own}}}, {{{own}, translation: [0, 0.1, 0], yaw: {np.pi / 2}}}"
+    given = ["detections=rig.mcap", "topic=[/front,/left]", f"camera.rig=[{cameras}]", "tracking=none"]
+    result = processes.inside("localise", "map=survey", "hydra.run.dir=rig", cwd=cwd, settings=given)
+    assert result.returncode == 0, result.stderr
+    table = pd.read_csv(cwd / "rig" / "poses.csv")
+    off = away(table, walk.frames)
+    assert len(off) > 50
+    assert set(seen.camera) == {0, 1}
+    assert np.median(off) < 0.005
