@@ -145,9 +145,9 @@ def affordable(problem: Problem, count: int, search: Search) -> Search:
     Without a time limit the search is returned unchanged.
 
     Raises:
-        InputError: the visibility model has no compiled half.
+        InputError: there is no upper bound for the objective, or the visibility model has no compiled half.
     """
-    problem.scene.check_compiled("an upper bound")
+    _at_most_coverage(problem)
     spacing, evaluator, each = search.spacing, problem.evaluator, 0.0
     widest = max(max(wall.extent) for wall in problem.scene.room.surfaces())
     while search.limit.seconds < math.inf:

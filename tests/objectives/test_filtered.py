@@ -8,6 +8,7 @@ import pytest
 from bearings import view_matrices
 from composing import composed
 from contracts.field import check_field
+from contracts.objective import check_selection
 from examples import examples
 from hypothesis import given
 from hypothesis import strategies as st
@@ -21,6 +22,7 @@ from lmd.core.checks import InputError
 from lmd.estimation.drives import cut, filtered
 from lmd.estimation.flights import Pace, RandomMotion, Waypoints
 from lmd.estimation.recording import Odometry
+from lmd.evaluation.bounds import Search, affordable
 from lmd.evaluation.validation import validation_metrics
 from lmd.geometry.se3 import camera_pose, inverse
 from lmd.geometry.trajectory import Trajectory
@@ -39,8 +41,10 @@ from lmd.scene.scene import Scene
 from lmd.scene.tag import Tag
 from lmd.sight.evaluator import Evaluator
 from lmd.sight.models.fiducial import Fiducial
+from lmd.sight.poses import candidate_poses
+from lmd.sight.views import visible
 from lmd.space.driven import DrivenRoom
-from pipelines.building import build_problem
+from pipelines.building import build_optimiser, build_problem
 
 pytestmark = pytest.mark.long
 
@@ -270,7 +274,7 @@ def test_the_worst_drives_are_the_target_of_moves():
     target = target_of(objective, field, evaluator, relevance)
     assert total_fitness(target, field.state(DEPLOYMENT).units) == pytest.approx(expected, abs=1e-12)
     assert "in the worst 2 of 5 drives" in objective.describe(problem.metrics(DEPLOYMENT), 0, 60)["worst drives"]
-    with pytest.raises(InputError, match=r"^room.relevance is 0 all along drive 1, which"):
+    with pytest.raises(InputError, match=r"^the relevance is 0 all along drive 1, which"):
         objective.fitness(known, np.where(objective.drives.of_frame == 1, 0.0, relevance))
 
 
@@ -281,6 +285,32 @@ def test_annealing_climbs_the_worst_drives():
     result = Annealing(seed=0).run(problem, Budget(100))
     assert result.fitness == pytest.approx(problem.fitness_of(result.deployment), abs=1e-12)
     assert result.fitness > start
+
+
+def test_tags_are_chosen_by_the_frames_that_see_them():
+    problem = problem_of(drives=4)
+    objective, evaluator, relevance = problem.objective, problem.fitness_evaluator, problem.fitness_relevance
+    check_selection(objective, evaluator, relevance)
+    poses, selection = candidate_poses(SCENE.room, 1.5), objective.selection(evaluator, relevance)
+    one, two = np.argsort(selection.gains(poses))[-2:]
+    selection.add(poses[[one]])
+    seen = [visible(evaluator, poses[[k]], objective.drives.positions, objective.drives.axes)[:, 0] for k in (one, two)]
+    gained = relevance @ (np.log1p(1.0 * seen[0] + seen[1]) - np.log1p(1.0 * seen[0]))
+    assert gained > 0.0
+    assert selection.gains(poses[[two]])[0] == pytest.approx(gained)
+
+
+@pytest.mark.parametrize("optimiser", ["greedy", "gradient_ascent", "ega"])
+def test_optimisers_place_tags_along_drives(optimiser):
+    settings = ["objective=filtered", "objective.drives=2", "objective.fresh=0", "deployment.count=8"]
+    problem = build_problem(composed("optimise", *settings, "tag.edge=0.2", "room.spacing=2"))
+    result = build_optimiser(composed("optimise", f"optimiser={optimiser}"), 0).run(problem, Budget(60))
+    assert result.fitness > problem.fitness_of(problem.draw(np.random.default_rng(0)))
+
+
+def test_no_bound_is_known():
+    with pytest.raises(InputError, match="there is no upper bound for the objective Filtered"):
+        affordable(problem_of(), 60, Search())
 
 
 def test_drives_follow_from_the_seed_and_not_from_their_number():

@@ -17,6 +17,7 @@ from lmd.objectives.filtered.evaluation import FilteredPoses, filtered_poses, fr
 from lmd.objectives.filtered.field import filtered_field
 from lmd.objectives.filtered.lanes import Tolerance
 from lmd.objectives.filtered.reference import reference_filter, reference_information
+from lmd.objectives.filtered.selection import SeenFrames
 from lmd.objectives.localisation.information import Precision, deviation_per_variance, precision
 from lmd.objectives.reference_field import ReferenceField
 from lmd.objectives.sampling import Sampling
@@ -205,6 +206,11 @@ class Filtered(AtLeast):
         if scene.rig is not None or evaluator.by_reference:
             return ReferenceField(self, evaluator)
         return filtered_field(evaluator, self.drives, self.asked(scene), self.n, self.limits(scene))
+
+    def selection(self, evaluator: Evaluator, relevance: FloatArray) -> SeenFrames:
+        """See `Objective.selection`."""
+        self._check(evaluator)
+        return SeenFrames(evaluator, self.drives, relevance)
 
     def target(self, relevance: FloatArray) -> Mean | WorstGroups:
         """See `Incremental.target`."""
