@@ -57,6 +57,7 @@ def _section(held: "Tournament", label: str, frozen: "Mapping[str, Document]") -
     import numpy as np
 
     from lmd.core.words import as_code, markdown_table
+    from lmd.evaluation.tournament import SIGNIFICANCE
 
     names, is_fitness = list(held.values), label == FIGURES["fitness"]
     columns = ["best known", "bound"] if is_fitness else ["best known"]
@@ -71,10 +72,17 @@ def _section(held: "Tournament", label: str, frozen: "Mapping[str, Document]") -
     head = [label, *map(as_code, names), *columns]
     wins = {name: sum(name in winners for winners in held.winners.values()) for name in names}
     first = ", ".join(f"{as_code(name)} on {count}" for name, count in wins.items() if count)
+    unsure = ", ".join(f"{as_code(name)} (p = {p:.2g})" for name, p in held.leads.items() if p > SIGNIFICANCE)
+    leads = (
+        f"Over the seeds the first is not significantly better than the second on {unsure or 'none'} (Mann-Whitney at "
+        f"{SIGNIFICANCE:.0%}). "
+    )
     tests = (
         f"Friedman's test over {held.complete} problems that all optimisers have run: p = {held.friedman:.2g}. "
-        f"Critical difference of mean ranks at 5 %: {held.critical:.2f} (Nemenyi)."
+        f"Critical difference of mean ranks at {SIGNIFICANCE:.0%}: {held.critical:.2f} (Nemenyi)."
     )
+    if not np.isnan(list(held.leads.values())).all():
+        tests = leads + tests
     return [markdown_table(head, rows), f"First, ties included: {first}, of {len(held.values)} problems. {tests}"]
 
 

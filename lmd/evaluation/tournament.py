@@ -43,6 +43,10 @@ class Tournament:
     """P-values of Nemenyi's test of every two optimisers."""
     critical: float
     """Difference of two mean ranks that is significant at `SIGNIFICANCE`; NaN without complete problems."""
+    leads: Mapping[str, float]
+    """P-value by problem that the first optimiser and the second are alike over the seeds, by the test of Mann and
+    Whitney; NaN for a single optimiser or seed.
+    """
 
     @property
     def winners(self) -> Mapping[str, list[str]]:
@@ -70,7 +74,17 @@ def tournament(runs: Sequence[OptimiserRun], key: str) -> Tournament:
         friedman(complete.to_numpy()) if is_tested else np.nan,
         pd.DataFrame(several, ranks.index, ranks.index),
         critical_difference(count, rows),
+        {str(problem): _lead(own) for problem, own in table.groupby("row")},
     )
+
+
+def _lead(own: pd.DataFrame) -> float:
+    """P-value of the two optimisers of a problem with the greatest medians."""
+    medians = own.groupby("name").y.median().sort_values(ascending=False, kind="stable")
+    best = [own.y[own.name == name] for name in medians.index[:2]]
+    if len(best) < 2 or min(map(len, best)) < 2:
+        return np.nan
+    return float(stats.mannwhitneyu(*best).pvalue)
 
 
 def critical_difference(optimisers: int, problems: int) -> float:

@@ -44,6 +44,16 @@ def test_ranks_are_of_medians_over_seeds(runs):
     assert list(held.ranks) == sorted(held.ranks)
 
 
+def test_a_lead_is_tested_over_the_seeds(runs):
+    held = tournament(runs, "fitness")
+    own = {o: [run.metrics["fitness"] for run in runs if (run.problem, run.optimiser) == ("q", o)] for o in "abc"}
+    first, second = sorted(own, key=lambda name: -np.median(own[name]))[:2]
+    assert held.winners["q"] == [first]
+    assert held.leads["q"] == stats.mannwhitneyu(own[first], own[second]).pvalue
+    alone = tournament([run for run in runs if run.optimiser == "a"], "fitness")
+    assert math.isnan(alone.leads["q"])
+
+
 def test_a_problem_that_an_optimiser_did_not_take_is_left_out_of_the_tests(runs):
     held = tournament([run for run in runs if (run.problem, run.optimiser) != ("p", "a")], "fitness")
     assert held.complete == 3
