@@ -201,6 +201,9 @@ def by_incidence(prediction: Prediction, seen: Matches) -> pd.DataFrame:
     return _by_class(prediction, seen, "incidence", prediction.incidence, INCIDENCES)
 
 
+SHARES = ("tags", "predicted", "detected")  # columns of `_shares`
+
+
 def _shares(prediction: Prediction, seen: Matches, members: BoolArray) -> dict[str, float]:
     """Number of tags among `members`, and shares of these tags that are `predicted` and `detected`."""
     shares = {"predicted": prediction.visible[members].mean(), "detected": seen.detected[members].mean()}
@@ -219,7 +222,8 @@ def _by_class(prediction: Prediction, seen: Matches, name: str, values: FloatArr
             span = {f"{name}_from": bounds[b], f"{name}_to": bounds[b + 1]}
             corners = {f"corner_{key}": q for key, q in zip(QUANTILES, corner, strict=True)}
             rows.append(span | _shares(prediction, seen, members) | corners)
-    return pd.DataFrame(rows)
+    corners_of = (f"corner_{key}" for key in QUANTILES)
+    return pd.DataFrame(rows, columns=[f"{name}_from", f"{name}_to", *SHARES, *corners_of])
 
 
 def by_place(prediction: Prediction, seen: Matches) -> pd.DataFrame:
@@ -239,7 +243,7 @@ def by_place(prediction: Prediction, seen: Matches) -> pd.DataFrame:
             members = (part == [column, row]).all(axis=-1) & prediction.whole
             if members.any():
                 rows.append({"column": column, "row": row, **_shares(prediction, seen, members)})
-    return pd.DataFrame(rows)
+    return pd.DataFrame(rows, columns=["column", "row", *SHARES])
 
 
 def by_tag(prediction: Prediction, seen: Matches) -> pd.DataFrame:

@@ -24,6 +24,7 @@ from lmd.evaluation.maps import (
 )
 from lmd.evaluation.validation import Sample, sampled_evaluators
 from lmd.geometry.squares import upright
+from lmd.objectives.base import SelfValidating
 from lmd.problem import Problem
 from lmd.scene.deployment import Deployment
 
@@ -196,12 +197,18 @@ def mounted(problem: Problem, plan: Deployment, error: MountingError, seed: int,
 
 
 def off_grid_figures(problem: Problem, deployments: list[Deployment], seed: int, sample: Sample) -> "pd.DataFrame":
-    """Shares of the objective at one sample of random positions, a row for each deployment of K landmarks."""
+    """Shares of the objective off the grid, a row for each deployment of K landmarks.
+
+    They are of one sample of random positions, or, of an objective that validates itself, its own.
+    """
     import pandas as pd
 
+    objective = problem.objective
+    if isinstance(objective, SelfValidating):
+        return pd.DataFrame([objective.off_grid(problem.evaluator, each) for each in deployments])
     positions, normals = (np.stack([getattr(d, name) for d in deployments]) for name in ("positions", "normals"))
     groups: list[dict[str, FloatArray]] = []
     for evaluator in sampled_evaluators(problem.scene, seed, sample, problem.evaluator.threads):
-        shares = problem.objective.shares(problem.objective.values(evaluator, positions, normals))
+        shares = objective.shares(objective.values(evaluator, positions, normals))
         groups.append({f"grid_free_{key}": share.mean(axis=1) for key, share in shares.items()})
     return pd.DataFrame({key: np.mean([group[key] for group in groups], axis=0) for key in groups[0]})

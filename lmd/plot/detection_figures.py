@@ -144,7 +144,7 @@ def save_limits_figure(path: str | Path, calibrations: Mapping[str, DetectorCali
 
 def _middle(rows: pd.DataFrame) -> FloatArray:
     """Geometric mean of the bounds of classes of pitch, `(B,)`, pixels per module."""
-    low, high = rows.pitch_from.to_numpy(), rows.pitch_to.to_numpy()
+    low, high = (rows[name].to_numpy(np.float64) for name in ("pitch_from", "pitch_to"))
     low = np.where(low > 0.0, low, high / 1.5)
     return np.asarray(np.sqrt(low * np.where(np.isfinite(high), high, 1.5 * low)))
 

@@ -23,6 +23,7 @@ from lmd.estimation.drives import cut, filtered
 from lmd.estimation.flights import Pace, RandomMotion, Waypoints
 from lmd.estimation.recording import Odometry
 from lmd.evaluation.bounds import Search, affordable
+from lmd.evaluation.mounting import MountingError, mounted
 from lmd.evaluation.validation import validation_metrics
 from lmd.geometry.se3 import camera_pose, inverse
 from lmd.geometry.trajectory import Trajectory
@@ -306,6 +307,15 @@ def test_optimisers_place_tags_along_drives(optimiser):
     problem = build_problem(composed("optimise", *settings, "tag.edge=0.2", "room.spacing=2"))
     result = build_optimiser(composed("optimise", f"optimiser={optimiser}"), 0).run(problem, Budget(60))
     assert result.fitness > problem.fitness_of(problem.draw(np.random.default_rng(0)))
+
+
+def test_mounting_errors_are_scored_on_fresh_drives():
+    problem = problem_of()
+    found = mounted(problem, DEPLOYMENT, MountingError(0.02, 0.0, 0.0, draws=2), seed=0)
+    assert (
+        found.planned.grid_free_filtered_share == validation_metrics(problem, DEPLOYMENT, 0)["grid_free_filtered_share"]
+    )
+    assert found.draws.grid_free_filtered_share.between(0.0, 1.0).all()
 
 
 def test_no_bound_is_known():

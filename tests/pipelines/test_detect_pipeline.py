@@ -114,3 +114,13 @@ def test_a_deployment_may_have_a_tag_of_its_own(tmp_path):
     assert (figures.repeated_2 == 1.0).all()
     assert figures.repeated_tags["uniform", "aruco"] == 1.0
     assert "| 100.0% | 100.0% |" in done.stdout
+
+
+def test_frames_without_a_tag_have_empty_tables(tmp_path):
+    (tmp_path / "one.csv").write_text("id,x,y,z,nx,ny,nz\n0,0,0.5,0.5,1,0,0\n")
+    one = ["deployment=file", "deployment.path=one.csv", "objective.n=1", "poses=2", "pictures=0", "tracking=none"]
+    done = call(*one, cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert figures_of(tmp_path).predicted_1.to_list() == [0.0]
+    pitches = (tmp_path / "run" / "pitches.csv").read_text()
+    assert pitches == "deployment,detector,pitch_from,pitch_to,tags,predicted,detected,corner_median,corner_90\n"
