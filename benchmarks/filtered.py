@@ -44,6 +44,7 @@ OBJECTIVES = {
 }
 TOLERANCE = 0.02  # of the position, metres
 OPTIMISED_ON = 96  # drives
+SEEDS = 3  # of annealing, in `shares`
 
 
 def problem_of(room: str, objective: str, tags: int, odometry: str = "slow", *more: str) -> Problem:
@@ -55,9 +56,9 @@ def problem_of(room: str, objective: str, tags: int, odometry: str = "slow", *mo
     return build_problem(composed("optimise", "experiment=lab", *given))
 
 
-def placed(problem: Problem, evaluations: int) -> Deployment:
+def placed(problem: Problem, evaluations: int, seed: int = 0) -> Deployment:
     """Deployment that annealing finds."""
-    return Annealing(seed=0).run(problem, Budget(evaluations)).deployment
+    return Annealing(seed=seed).run(problem, Budget(evaluations)).deployment
 
 
 def moves() -> None:
@@ -92,20 +93,26 @@ def _tried(problem: Problem, tries: int = 200, rounds: int = 7) -> float:
 
 
 def shares(room: str, evaluations: int) -> None:
-    """Print the filtered share on fresh drives by number of tags, odometry and objective."""
+    """Print the filtered share on fresh drives by number of tags, odometry and objective, over `SEEDS` seeds."""
     names = " | ".join(OBJECTIVES)
     print(f"| tags | odometry | {names} |\n| --- | --- | {' | '.join(['---'] * len(OBJECTIVES))} |")
     for tags in (4, 8, 24):
-        others = {name: placed(problem_of(room, name, tags), evaluations) for name in ("localisation", "coverage")}
+        others = {name: _several(problem_of(room, name, tags), evaluations) for name in ("localisation", "coverage")}
         for odometry in ("slow", "fast"):
             problem = problem_of(room, "filtered", tags, odometry)
-            found = {"filtered": placed(problem, evaluations), **others}
-            off = [problem.objective.off_grid(problem.evaluator, found[name]) for name in OBJECTIVES]
-            texts = [
-                f"{100 * f['grid_free_filtered_share']:.1f} +- {100 * f['grid_free_filtered_share_standard_error']:.1f}"
-                for f in off
-            ]
+            along, evaluator = problem.objective.fresh, problem.evaluator
+            texts = []
+            for found in ({"filtered": _several(problem, evaluations), **others}).values():
+                known = [problem.objective.poses(evaluator, one, along).known.astype(float) for one in found]
+                by_drive = 100.0 * np.stack([along.share_of(own, along.seconds) for own in known])
+                error = by_drive.mean(axis=0).std(ddof=1) / np.sqrt(len(along))
+                each = by_drive.mean(axis=1)
+                texts.append(f"{each.mean():.1f} +- {error:.1f} ({each.min():.1f} to {each.max():.1f})")
             print(f"| {tags} | {odometry} | {' | '.join(texts)} |", flush=True)
+
+
+def _several(problem: Problem, evaluations: int) -> list[Deployment]:
+    return [placed(problem, evaluations, seed) for seed in range(SEEDS)]
 
 
 def predicted(covariances: FloatArray) -> float:
