@@ -1,11 +1,14 @@
 """A search over the parameters of an optimiser: jobs of a sweep that nevergrad proposes."""
 
 import csv
+from dataclasses import replace
 
 import pytest
 from processes import call
 
 import lmd.suite
+from lmd.core.checks import InputError
+from pipelines.operations.sweeps.search import _scaled
 
 pytestmark = pytest.mark.slow
 SEARCH = (
@@ -65,16 +68,21 @@ def test_a_trial_solves_all_problems_of_the_suite(tmp_path):
 @pytest.mark.parametrize(
     ("overrides", "message"),
     [
-        (["suite=hall,tiny_mean", "optimiser.eliminated=2,3"], "suite: no best value is known of 'hall'"),
         (["hydra.sweeper.trials=0", "seed=0,1"], "error: hydra.sweeper: trials must be at least 1"),
         (["hydra.sweeper.method=GNOpt", "optimiser.eliminated=2,3"], "error: hydra.sweeper: method must be one of"),
         (["seed=0,1"], "error: hydra.sweeper: a search needs keys that vary"),
     ],
 )
 def test_a_search_that_cannot_begin_says_why_and_leaves_nothing(tmp_path, overrides, message):
-    problem = [] if overrides[0].startswith("suite=") else ["experiment=debug"]
-    start = (*problem, "optimiser=ega", "hydra/sweeper=search", "hydra.mode=MULTIRUN")
+    start = ("experiment=debug", "optimiser=ega", "hydra/sweeper=search", "hydra.mode=MULTIRUN")
     done = call("optimise", *start, *overrides, cwd=tmp_path, settings=())
     assert done.returncode == 1
     assert message in done.stderr
     assert not list(tmp_path.glob("outputs/optimise_sweep/*"))
+
+
+def test_problems_without_a_best_value_have_no_common_scale(monkeypatch):
+    unknown = replace(lmd.suite.document("tiny_mean"), best=None)
+    monkeypatch.setattr(lmd.suite, "document", {"tiny_mean": unknown}.get)
+    with pytest.raises(InputError, match=r"^suite: no best value is known of 'tiny_mean', so"):
+        _scaled(["tiny_mean"], "fitness")
