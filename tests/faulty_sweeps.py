@@ -34,7 +34,8 @@ if self.fault == "exit":
 if self.fault == "kill":
     os.kill(os.getpid(), signal.SIGKILL)
 if self.fault == "slow":
-    Path("pid").write_text(str(os.getpid()))
+    Path("own").write_text(str(os.getpid()))
+    Path("own").rename("pid")  # whoever waits for the file finds it whole
     time.sleep(0.3)
 """
 PARENT = "mlflow.parentRunId"
