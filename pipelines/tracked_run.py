@@ -236,8 +236,8 @@ def record(
         lines["picture"] = str(directory / "scene.png")
     lines["mlflow"] = tracker.describe()
     (label, headline), *others = problem.objective.describe(metrics, len(problem.relevance), problem.count).items()
-    weighted = {}
-    if not math.isclose(metrics["fitness"], metrics[problem.objective.headline.key]):  # the headline weighs all equally
+    weighted, varies = {}, problem.relevance.min() < problem.relevance.max()
+    if varies and not math.isclose(metrics["fitness"], metrics[problem.objective.headline.key]):
         weighted["fitness"] = f"{metrics['fitness']:.2%}, in which positions count by their relevance"
     crowd = describe_crowd(problem.objective, metrics, problem.evaluator)
     print(labelled({label: headline, **weighted, **off_grid, **dict(others), **crowd, **lines}))

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from lmd.core.checks import BoolArray, FloatArray, IntArray, check_fields, real
+from lmd.core.checks import BoolArray, FloatArray, InputError, IntArray, check_fields, real
 from lmd.detection.corner_errors import inward, shortest_side
 from lmd.detection.detectors import Detections, Detector
 from lmd.detection.frames import tagged_room
@@ -60,7 +60,8 @@ class RenderedDetector:
     there are several; other ids are ignored.
 
     Raises:
-        InputError: the tag is a point, the noise is not positive, or the shutter time is negative.
+        InputError: the tag is a point, the detector states no errors, the noise is not positive, or the shutter time is
+            negative.
     """
 
     tag: Tag
@@ -76,6 +77,8 @@ class RenderedDetector:
 
     def __post_init__(self) -> None:
         self.tag.check_edge()
+        if not hasattr(self.reader, "corner_errors"):
+            raise InputError(f"reader must state its corner_errors, {type(self.reader).__name__} does not.", "reader")
         if self.pixel_noise is not None:
             check_fields(self, real, "pixel_noise", above=0.0)
         check_fields(self, real, "shutter", low=0.0)
