@@ -1,20 +1,27 @@
-"""Weigh the code: `python benchmarks/weight.py [FOLDER]`.
+"""Weigh the project: `python benchmarks/weight.py [FOLDER]`.
 
-Prints Markdown tables: files, lines and code lines of each package; modules that a single module of their package
-imports; public names with more than one definition; counts of phrases that STYLE forbids.
+Prints Markdown tables: the amounts that `tests/test_weight.py` limits; files, lines and code lines of each package;
+modules that a single module of their package imports; public names with more than one definition; counts of phrases
+that the style forbids. `--page` writes the tables to docs/results/weight.md.
 
-A code line holds a token of a statement that is neither a docstring nor an import.
+A code line holds a token of a statement that is neither a docstring nor an import. A key of the configuration is a
+value in `conf`, apart from `_target_`, `_partial_`, lists of defaults and settings of Hydra.
 """
 
 import argparse
 import ast
+import contextlib
 import io
 import re
 import tokenize
+import tomllib
 from collections import Counter, defaultdict
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
+
+import yaml
 
 HERE = Path(__file__).resolve().parents[1]
 SOURCES = ("lmd", "pipelines")
@@ -28,6 +35,17 @@ TICS = {
     "nobody, whoever, whatever": re.compile(r"\b(nobody|whoever|whatever)\b", re.IGNORECASE),
     "what it is of": re.compile(r"\bwhat (it|they|that|each) (is|are|has|have) (of|by|from|to)\b", re.IGNORECASE),
 }
+PAGE = "docs/results/weight.md"
+HEADING = """# Weight of the code
+
+- **Command:** `python benchmarks/weight.py --page`; `--names` lists the modules and names.
+
+A code line holds a token of a statement that is neither a docstring nor an import. A key is a value in `conf`, apart
+from `_target_`, `_partial_`, lists of defaults and settings of Hydra. `tests/test_weight.py` limits the amounts of the
+first table.
+"""
+# Keys of `conf` that are no settings of this project.
+NO_SETTINGS = ("_target_", "_partial_", "defaults", "hydra")
 SKIPPED = (tokenize.COMMENT, tokenize.NL, tokenize.NEWLINE, tokenize.INDENT, tokenize.DEDENT, tokenize.ENCODING)
 
 
@@ -145,42 +163,80 @@ def tics(sources: list[Module]) -> Counter[str]:
     return counts
 
 
+def settings(value: Any) -> int:
+    """Number of keys with a value, in a mapping of mappings."""
+    if not isinstance(value, dict):
+        return 1
+    return sum(settings(inner) for key, inner in value.items() if key not in NO_SETTINGS)
+
+
+def amounts(root: Path) -> dict[str, int]:
+    """What `tests/test_weight.py` limits, by name."""
+    found: dict[str, int] = {}
+    for folder in SOURCES:
+        sources = modules(root, (folder,))
+        found |= {f"files of {folder}": len(sources), f"code lines of {folder}": sum(map(code_lines, sources))}
+    found["code lines of tests"] = sum(map(code_lines, modules(root, ("tests",))))
+    files = list((root / "conf").rglob("*.yaml"))
+    found["files of conf"] = len(files)
+    found["keys of conf"] = sum(settings(yaml.safe_load(path.read_text()) or {}) for path in files)
+    found["words of docs"] = sum(len(path.read_text().split()) for path in (root / "docs").rglob("*.md"))
+    project = tomllib.loads((root / "pyproject.toml").read_text())["project"]
+    found["commands"] = len(project["scripts"])
+    return found
+
+
 def row(*cells: object) -> str:
     """A row of a Markdown table."""
     return "| " + " | ".join(str(cell) for cell in cells) + " |"
 
 
-def main() -> None:
-    """Print the tables."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("folder", nargs="?", type=Path, default=HERE, help="a checkout of the project")
-    parser.add_argument("--names", action="store_true", help="list the modules and names too")
-    options = parser.parse_args()
-    sources = modules(options.folder, SOURCES)
-    tests = modules(options.folder, ("tests",))
+def print_tables(root: Path) -> None:
+    """Print the tables of a checkout."""
+    sources = modules(root, SOURCES)
+    tests = modules(root, ("tests",))
+    print(row("limited", "amount"), row("---", "--:"), sep="\n")
+    for name, amount in amounts(root).items():
+        print(row(name, amount))
 
     weights: dict[str, list[int]] = defaultdict(lambda: [0, 0, 0])
     for module in sources:
         for group in (module.package, "**lmd + pipelines**"):
             for column, amount in enumerate((1, module.text.count("\n"), code_lines(module))):
                 weights[group][column] += amount
-    print(row("package", "files", "lines", "code lines"), row("---", "--:", "--:", "--:"), sep="\n")
-    for group, amounts in sorted(weights.items()):
-        print(row(group, *amounts))
+    print("\n" + row("package", "files", "lines", "code lines"), row("---", "--:", "--:", "--:"), sep="\n")
+    for group, weight in sorted(weights.items()):
+        print(row(group, *weight))
     print(row("tests", len(tests), sum(m.text.count("\n") for m in tests), sum(map(code_lines, tests))))
 
-    singles = single_importers(sources)
     files, definitions = double_names(sources)
     docstrings = sum(1 for module in sources for _ in documented(module.tree))
     print("\n" + row("of lmd + pipelines", "number"), row("---", "--:"), sep="\n")
-    print(row("modules with one importer, of their package", len(singles)))
+    print(row("modules with one importer, of their package", len(single_importers(sources))))
     print(row("module names in several packages", len(files)))
     print(row("public classes and functions defined in several modules", len(definitions)))
     print(row("docstrings", docstrings))
     for phrase, number in tics(sources).items():
         print(row(phrase, number))
+
+
+def main() -> None:
+    """Print the tables, or write them to the page."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("folder", nargs="?", type=Path, default=HERE, help="a checkout of the project")
+    parser.add_argument("--names", action="store_true", help="list the modules and names too")
+    parser.add_argument("--page", action="store_true", help=f"write the tables to {PAGE}")
+    options = parser.parse_args()
+    if options.page:
+        with contextlib.redirect_stdout(io.StringIO()) as text:
+            print_tables(options.folder)
+        (options.folder / PAGE).write_text(f"{HEADING}\n{text.getvalue()}")
+        return
+    print_tables(options.folder)
     if options.names:
-        for name, importer in singles:
+        sources = modules(options.folder, SOURCES)
+        files, definitions = double_names(sources)
+        for name, importer in single_importers(sources):
             print(f"one importer: {name} <- {importer}")
         for name, of in (*files.items(), *definitions.items()):
             print(f"several: {name}: {', '.join(of)}")
