@@ -16,7 +16,7 @@ from lmd.core.checks import InputError
 from lmd.estimation.deviation_law import Law, PowerLaw, Rule
 
 CLASS = "VisionUncertainty"
-TYPICAL = ((1, 1.0), (1, 2.0), (2, 2.0), (2, 4.0), (3, 4.0), (4, 4.0))  # numbers of tags and distances [m] in the YAML
+TYPICAL = ((1, 1.0), (1, 2.0), (2, 2.0), (2, 4.0), (3, 4.0), (4, 4.0))  # numbers of tags and distances [m] of the YAML
 
 
 @dataclass(frozen=True)
@@ -178,10 +178,10 @@ def std_devs(distance: float, tags: int) -> tuple[float, float, float]:
 
 
 def robot_localization(laws: FilterLaws) -> str:
-    """YAML with parameters for `robot_localization`, and covariance diagonals for the node that publishes the poses.
+    """Parameters of `robot_localization`, with comments for the node that publishes poses: the laws, and diagonals.
 
     The diagonal has x, y, z [m^2], roll, pitch and yaw [rad^2]: elements 0, 7, 14, 21, 28 and 35 of the covariance of a
-    `PoseWithCovarianceStamped`.
+    `PoseWithCovarianceStamped`. Comments, as ROS 2 refuses a parameter file with keys that are no parameters of a node.
     """
     names = ("horizontal", "vertical", "tilt", "heading")
     rows = []
@@ -190,25 +190,23 @@ def robot_localization(laws: FilterLaws) -> str:
         if not np.isfinite(found).all() or not laws.nearest <= distance <= laws.farthest:
             continue
         x, z, tilt, heading = (_number(value**2) for value in found)
-        diagonal = f"[{x}, {x}, {z}, {tilt}, {tilt}, {heading}]"
-        rows.append(f"    - {{tags: {tags}, distance: {distance:g}, diagonal: {diagonal}}}")
+        rows.append(f"#   n = {tags}, d = {distance:g}: [{x}, {x}, {z}, {tilt}, {tilt}, {heading}]")
+    both = [(f"{name}, a single tag", laws.laws[name].one) for name in names]
+    both += [(f"{name}, several tags", laws.laws[name].several) for name in names]
+    said = [f"#   {what}: {_number(a.scale)} d^{_number(a.distance)} / n^{_number(a.tags)}" for what, a in both]
+    reach = "" if np.isinf(laws.reach) else f"\n# The pose from a single tag is ambiguous beyond {laws.reach:g} m."
     lines = [
         f"# {laws.about}",
         "# robot_localization takes the covariance of a pose from its message, PoseWithCovarianceStamped: the node",
         "# that publishes poses writes x, y, z (m^2), roll, pitch, yaw (rad^2) into elements 0, 7, 14, 21, 28, 35.",
+        f"# Standard deviations (m, rad) by the mean distance d (m) to n tags, as in uncertainty_law.json.{reach}",
+        *said,
+        *(["# Diagonals by these laws:", *rows] if rows else []),
         "ekf_filter_node:",
         "  ros__parameters:",
         "    pose0: /tags/pose  # of the camera's body, or of the robot, in the frame of the map",
         f"    pose0_config: [{', '.join(['true'] * 6 + ['false'] * 9)}]",
         "    pose0_differential: false",
         "    pose0_relative: false",
-        "# For the node that publishes poses: sd = scale * distance^distance_exponent / tags^tags_exponent, m and rad.",
-        "tag_pose_covariance:",
-        f"  single_tag_reach: {'.inf' if np.isinf(laws.reach) else _number(laws.reach)}  # metres; beyond it ambiguous",
-        "  laws:",
     ]
-    for name in names:
-        for group, law in (("one_tag", laws.laws[name].one), ("several_tags", laws.laws[name].several)):
-            keys = ("scale", law.scale), ("distance_exponent", law.distance), ("tags_exponent", law.tags)
-            lines.append(f"    {name}_{group}: {{{', '.join(f'{key}: {_number(value)}' for key, value in keys)}}}")
-    return "\n".join([*lines, "  examples:" if rows else "  examples: []", *rows]) + "\n"
+    return "\n".join(lines) + "\n"

@@ -44,10 +44,11 @@ def write_apriltag_ros2(path: Path, tags: TagMap) -> None:
     The parameters list the tags to detect and their size. The parameters have no poses: consumers of the node need a
     map.
 
-    Source: christianrauch/apriltag_ros, `cfg`.
+    Source: christianrauch/apriltag_ros, `cfg` and `tag_functions`.
     """
     own = {"ids": tags.ids, "frames": [f"tag_{number}" for number in tags.ids], "sizes": tags.sizes.tolist()}
-    parameters = {"family": tags.tag.family, "size": tags.tag.size, "tag": own}
+    family = str(FAMILIES[tags.tag.family].apriltag).removeprefix("tag")
+    parameters = {"family": family, "size": tags.tag.size, "tag": own}
     write_yaml(path, {"/**": {"ros__parameters": parameters}})
 
 

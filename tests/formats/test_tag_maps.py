@@ -10,6 +10,7 @@ import numpy as np
 import pyapriltags
 import pytest
 import yaml
+from ros_parameters import parameters
 
 from lmd.core.checks import InputError
 from lmd.export.exports import Export, all_formats
@@ -213,12 +214,17 @@ def test_the_csv_is_a_deployment_and_can_be_exported_again(files, tmp_path):
     assert (tmp_path / "again.csv").read_bytes() == (files / "tags.csv").read_bytes()
 
 
-def test_the_node_of_ros_2_is_told_what_to_look_for(files):
-    parameters = yaml.safe_load((files / "tags.apriltag_ros2.yaml").read_text())["/**"]["ros__parameters"]
-    assert (parameters["family"], parameters["size"]) == ("36h11", EDGE)
-    assert parameters["tag"]["ids"] == list(PLACES)
-    assert parameters["tag"]["frames"] == [f"tag_{number}" for number in PLACES]
-    assert parameters["tag"]["sizes"] == [EDGE] * len(PLACES)
+@pytest.mark.parametrize(
+    ("family", "there"), [("36h11", "36h11"), ("41h12", "Standard41h12"), ("circle21h7", "Circle21h7")]
+)
+def test_the_node_of_ros_2_is_told_what_to_look_for(family, there, tmp_path):
+    """`AprilTagNode` knows families by these names, and aborts on parameters of another type."""
+    tags = TagMap(ROOM, Tag(1, family), DEPLOYMENT)
+    all_formats()["apriltag_ros2"].write(tmp_path / "tags.yaml", tags=tags)
+    found = parameters((tmp_path / "tags.yaml").read_text())["/**"]
+    own = {"ids": list(PLACES), "frames": [f"tag_{number}" for number in PLACES], "sizes": [1.0] * len(PLACES)}
+    assert found == {"family": there, "size": 1.0} | {f"tag.{name}": value for name, value in own.items()}
+    assert {type(found["size"]), type(found["tag.sizes"][0])} == {float}
 
 
 @pytest.mark.parametrize("family", ["36h11", "4x4_50"])
