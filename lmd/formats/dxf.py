@@ -12,6 +12,7 @@ import numpy as np
 from lmd.core.checks import FloatArray, InputError, choice
 from lmd.core.files import read_bytes
 from lmd.core.optional import optional
+from lmd.core.words import few
 from lmd.formats.plans import ReadPlan
 from lmd.formats.registry import File
 from lmd.formats.wall_lines import Drawing, plan_of
@@ -27,6 +28,7 @@ SHAPES = ("LINE", "LWPOLYLINE", "POLYLINE", "ARC", "CIRCLE", "ELLIPSE", "SPLINE"
 # Version of DXF that has subclasses.
 NEWER = b"AC1015"
 NESTED = ("INSERT", "MLINE")
+NOT_SHOWN = "what a CAD program does not show (layers that are off or frozen, invisible parts)"
 # Greatest number of segments of lines.
 MOST_SEGMENTS = 50_000
 
@@ -54,13 +56,16 @@ def _lines(file: File) -> Drawing:
     logging.getLogger("ezdxf").setLevel(logging.CRITICAL)  # ezdxf logs each entity that it repairs
     try:
         document, _ = ezdxf.recover.read(io.BytesIO(_with_subclasses(content)))
-        found = list(_shapes(document.modelspace()))
+        shapes = list(_shapes(document.modelspace(), document.layers))
     except (OSError, ValueError, KeyError, TypeError, IndexError, AttributeError, ezdxf.DXFError) as error:
         raise InputError(f"path: {str(file.path)!r} cannot be read as DXF ({error}).", "path") from None
+    found = [(kind, layer, entity) for kind, layer, entity, shown in shapes if shown]
     drawn = Counter(layer for kind, layer, _ in found if kind == "line")
+    hidden = Counter(layer for _, layer, _, shown in shapes if not shown)
     if not drawn:
-        raise InputError(f"path: {str(file.path)!r} cannot be read as DXF: it has no lines.", "path")
-    layers = _layers(file, drawn)
+        only = f", except of {NOT_SHOWN}: {_counted(hidden)}" if hidden else ""
+        raise InputError(f"path: {str(file.path)!r} cannot be read as DXF: it has no lines{only}.", "path")
+    layers = _layers(file, drawn, hidden)
     unit = _unit(
         file, int(document.header.get("$INSUNITS", 0) or 0), [e for k, n, e in found if k == "line" and n in layers]
     )
@@ -80,9 +85,18 @@ def _lines(file: File) -> Drawing:
         raise InputError(
             f"path: {str(file.path)!r} has {count} lines of walls, and 1 to {MOST_SEGMENTS} are taken.", "path"
         )
-    left = [f"{name} ({number})" for name, number in drawn.most_common() if name not in layers]
+    left = Counter({name: number for name, number in drawn.items() if name not in layers})
     note = f"walls are the lines of {', '.join(sorted(layers))}"
-    note += f", without those of {', '.join(left[:8])}{' and more' if len(left) > 8 else ''}" if left else ""
+    note += f", without those of {_counted(left)}" if left else ""
+    named = file.asked["layers"] is not None or any(map(WALL.search, layers))  # else any other layer might be of walls
+    unseen = Counter(
+        layer
+        for kind, layer, _, shown in shapes
+        if not shown and (kind != "line" or layer in layers or not named or WALL.search(layer))
+    )
+    note += f", without {NOT_SHOWN}: {_counted(unseen)}" if unseen else ""
+    unplotted = [name for name in sorted(layers) if not _is_plotted(document.layers, name)]
+    note += f"; a CAD program shows {', '.join(unplotted)}, and does not plot it" if unplotted else ""
     walls, windows = (shapely.MultiLineString(lines) for lines in paths.values())
     return Drawing(walls, windows, boxes, unit, note)
 
@@ -106,16 +120,33 @@ def _with_subclasses(content: bytes) -> bytes:
     return text if b"$ACADVER" in text else b"0\nSECTION\n2\nHEADER\n9\n$ACADVER\n1\n" + NEWER + b"\n0\nENDSEC\n" + text
 
 
-def _shapes(entities: Any, kind: str = "line", outer: str = "0") -> Iterator[tuple[str, str, Any]]:
-    """Kind (`line`, `door` or `window`), layer and entity of each shape of a drawing, including shapes in blocks."""
+def _counted(layers: Counter[str]) -> str:
+    """Names of layers, each with its number of shapes."""
+    return few([f"{name} ({number})" for name, number in layers.most_common()], most=8)
+
+
+def _is_plotted(layers: Any, name: str) -> bool:
+    return name.lower() != "defpoints" and (name not in layers or bool(layers.get(name).dxf.get("plot", 1)))
+
+
+def _shapes(
+    entities: Any, layers: Any, kind: str = "line", outer: str = "0", shown: bool = True
+) -> Iterator[tuple[str, str, Any, bool]]:
+    """Kind (`line`, `door` or `window`), layer and entity of each shape of a drawing, including shapes in blocks; and
+    True for a shape that a CAD program shows.
+
+    A block on a frozen layer is hidden as a whole; of a block on a layer that is off, its shapes on layer 0 are hidden.
+    """
     for entity in entities:
         layer = entity.dxf.layer if entity.dxf.layer != "0" else outer
+        state = layers.get(layer) if layer in layers else None
+        visible = shown and not entity.dxf.get("invisible", 0) and (state is None or not state.is_frozen())
         name = f"{layer} {entity.dxf.get('name', '')}" if entity.dxftype() == "INSERT" else layer
         own = "window" if WINDOW.search(name) else "door" if DOOR.search(name) else kind
         if entity.dxftype() in NESTED:
-            yield from _shapes(entity.virtual_entities(), own, layer)
+            yield from _shapes(entity.virtual_entities(), layers, own, layer, visible)
         elif entity.dxftype() in SHAPES:
-            yield own, layer, entity
+            yield own, layer, entity, visible and (state is None or not state.is_off())
 
 
 def _flattened(entity: Any, tolerance: float) -> FloatArray:
@@ -128,14 +159,16 @@ def _flattened(entity: Any, tolerance: float) -> FloatArray:
     return np.array(vertices).reshape(-1, 2)
 
 
-def _layers(file: File, drawn: Counter[str]) -> set[str]:
-    """Names of the layers with walls."""
+def _layers(file: File, drawn: Counter[str], hidden: Counter[str]) -> set[str]:
+    """Names of the layers with walls, among those with shapes that are `drawn` and not `hidden`."""
     asked = file.asked["layers"]
     if asked is not None:
         if isinstance(asked, str) or not all(isinstance(name, str) for name in asked):
             raise InputError(f"layers must be a list of names, got {asked!r}.", "layers")
         known = {name.lower(): name for name in drawn}
         for name in asked:
+            if name.lower() not in known and name.lower() in map(str.lower, hidden):
+                raise InputError(f"layers: {name!r} of {str(file.path)!r} is among {NOT_SHOWN}.", "layers")
             choice("layers", name.lower(), list(known))
         return {known[name.lower()] for name in asked}
     named = {name for name in drawn if WALL.search(name)}

@@ -143,6 +143,47 @@ def test_a_drawing_whose_layers_do_not_name_walls_asks_for_them(draw):
     assert len(room_of(path, layers=["1"]).plan.outline) == 4
 
 
+@pytest.mark.parametrize(
+    ("within", "on", "more", "area"),
+    [
+        (None, "WALL_OFF", {}, 24.0),
+        (None, "wall_frozen", {}, 24.0),  # case does not matter
+        (None, "WALLS", {"invisible": 1}, 24.0),
+        (None, "WALLS", {"paperspace": 1}, 24.0),
+        (None, "PLAIN", {}, 12.0),  # shown on the screen, though not plotted
+        ("0", "WALL_OFF", {}, 24.0),  # the line takes the layer of the block
+        ("0", "WALLS", {}, 12.0),
+        ("WALL_OFF", "WALLS", {}, 24.0),
+        ("WALLS", "WALL_OFF", {}, 12.0),
+        ("WALLS", "WALL_FROZEN", {}, 24.0),
+        ("WALLS", "WALLS", {"invisible": 1}, 24.0),
+    ],
+)
+def test_a_wall_that_a_cad_program_does_not_show_is_none(tmp_path, within, on, more, area):
+    document = ezdxf.new(units=6)
+    document.layers.add("WALL_OFF").off()
+    document.layers.add("WALL_FROZEN").freeze()
+    document.layers.add("PLAIN", plot=False)
+    space = document.modelspace()
+    space.add_lwpolyline([(0, 0), (6, 0), (6, 4), (0, 4)], close=True, dxfattribs={"layer": "WALLS"})
+    block, outer = document.blocks.new("OLD"), document.blocks.new("OUTER")
+    to = space if within is None else block
+    if more.pop("paperspace", 0):
+        to = document.paperspace()
+    to.add_line((3, 0), (3, 4), dxfattribs={"layer": on, **more} if within is None else {"layer": within})
+    if within is not None:
+        outer.add_blockref("OLD", (0, 0))  # on layer 0, which is that of the outer block
+        space.add_blockref("OUTER", (0, 0), dxfattribs={"layer": on, **more})
+    document.saveas(tmp_path / "plan.dxf")
+    room = room_of(tmp_path / "plan.dxf", layers=["WALLS", "PLAIN"][: 1 + (on == "PLAIN")])
+    assert shapely.Polygon(room.plan.outline).area == pytest.approx(area, abs=0.01)
+    assert ("and does not plot it" in room.plan.note) == (on == "PLAIN")
+    if area == 24.0 and "WALL_OFF" in (within, on):
+        assert "does not show" in room_of(tmp_path / "plan.dxf").plan.note
+        with pytest.raises(InputError, match=r"^layers: 'wall_off' of '.*' is among what a CAD program does not show"):
+            room_of(tmp_path / "plan.dxf", layers=["WALLS", "wall_off"])
+
+
 def test_a_file_that_is_no_drawing_is_refused(tmp_path):
     for content, expected in ((b"no drawing", "cannot be read as DXF"), (b"", "cannot be read as DXF")):
         (tmp_path / "plan.dxf").write_bytes(content)
