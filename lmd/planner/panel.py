@@ -10,6 +10,7 @@ import numpy as np
 
 from lmd.core.checks import FloatArray, IntArray
 from lmd.core.compiled import is_compiling
+from lmd.geometry.frames import roll_pitch_yaw
 from lmd.optimisers.ledger import Budget
 from lmd.planner.actions import call_in_order
 from lmd.planner.colours import FREE, GAINS, PINNED, SEEN, SELECTED, UNKNOWN, VALUES, Rgb, mapped, span_of
@@ -24,6 +25,7 @@ HINT = "drag a tag; click a tag, a position or a surface"
 UNDO, REDO, PIN, DELETE, SAVE = "Undo", "Redo", "Pin or unpin", "Delete", "Save"
 RESIZE = "Give the tag this size"
 PLACE, FROM_FLOOR, FROM_BELOW = "Hang it there", "from floor, m", "from below, m"
+YAW, PITCH = "yaw, degrees from x to y", "pitch, degrees down"  # angles of ROS
 WIDTH, GAP = 290.0, 12.0  # width of the legend, and its distance from the lower left corner of the picture, pixels
 OPTIMISE, STOP = "Optimise the free tags", "Stop, keep the best"
 COLOUR_STOPS = 9  # number of colours in a scale of the legend
@@ -73,8 +75,8 @@ class PlannerPanel:
             self._progress = gui.add_html("")
         with gui.add_folder("What the camera sees"):
             self._seen = gui.add_html("")
-            self.yaw = gui.add_slider("yaw, degrees", -180.0, 180.0, 1.0, 0.0)
-            self.pitch = gui.add_slider("pitch, degrees", -90.0, 90.0, 1.0, 0.0)
+            self.yaw = gui.add_slider(YAW, -180.0, 180.0, 1.0, 0.0)
+            self.pitch = gui.add_slider(PITCH, -90.0, 90.0, 1.0, 0.0)
             for slider in (self.yaw, self.pitch):
                 # `_put_back` runs in viser's thread, which might otherwise send the old value to browsers afterwards.
                 call_in_order(slider.on_update, _put_back)
@@ -94,9 +96,9 @@ class PlannerPanel:
         self.show_seen(None)
 
     @property
-    def view(self) -> tuple[float, float]:
-        """Yaw and pitch of the sliders, rad."""
-        return math.radians(_within(self.yaw)), math.radians(_within(self.pitch))
+    def view(self) -> FloatArray:
+        """Rotation `(3, 3)` of a body with the yaw and pitch of the sliders; its columns are ahead, left and up."""
+        return roll_pitch_yaw(np.radians([0.0, _within(self.pitch), _within(self.yaw)]))
 
     @property
     def budget(self) -> Budget:

@@ -10,7 +10,6 @@ from lmd.cameras.body import Body
 from lmd.core.checks import FloatArray, InputError
 from lmd.geometry.camera import Camera
 from lmd.geometry.projection import view_edges
-from lmd.geometry.se3 import axis_and_right, camera_pose
 from lmd.planner.actions import ActionQueue, call_in_order
 from lmd.planner.colours import BODY, SEEN
 from lmd.planner.session import PlanningSession
@@ -52,11 +51,9 @@ class Robot:
         self._radius = depth + float(np.linalg.norm(corners, axis=1).max())
         self.position: FloatArray | None = None
 
-    def stand(self, position: FloatArray, yaw: float, pitch: float) -> None:
-        """Move the body to a position `(3,)`, metres, with a yaw and a pitch, rad, and no roll."""
-        pose = axis_and_right(camera_pose(position[None], np.array([yaw]), np.array([pitch])))[0]
-        forward, left = pose[:3], -pose[3:]
-        self._frame.wxyz = _quaternion(np.stack([forward, left, np.cross(forward, left)], axis=-1))
+    def stand(self, position: FloatArray, turn: FloatArray) -> None:
+        """Move the body to a position `(3,)`, metres, and turn it by a rotation `(3, 3)`: ahead, left, up."""
+        self._frame.wxyz = _quaternion(turn)
         self._frame.position, self._frame.visible, self.position = position, True, position
 
     def show(self) -> None:
@@ -94,7 +91,7 @@ class Rigging(Robot):
             self._look = server.gui.add_button("Look at the robot")
         positions = session.problem.evaluator.positions
         middle = np.linalg.norm(positions - positions.mean(axis=0), axis=1).argmin()
-        self.stand(positions[middle], 0.0, 0.0)
+        self.stand(positions[middle], np.eye(3))
         self._handles = self._scene.add_transform_controls(
             "/robot/handles", HANDLES_SHARE * depth, depth_test=False, visible=False
         )

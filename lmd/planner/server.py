@@ -238,12 +238,12 @@ class Planner:
 
     def _click_position(self, event: Any) -> None:
         position = self._session.problem.evaluator.positions[operator.index(event.instance_index)]
-        self._robot.stand(position, *self._panel.view)
+        self._robot.stand(position, self._panel.view)
         self._show_tags()
 
     def _look(self, _: Any) -> None:
         if self._robot.position is not None:
-            self._robot.stand(self._robot.position, *self._panel.view)
+            self._robot.stand(self._robot.position, self._panel.view)
             self._show_tags()
 
     def _save(self, _: Any) -> None:
@@ -274,7 +274,7 @@ class Planner:
         session = self._session
         deployment, plan = session.deployment, session.plan
         stands = self._robot.position
-        seen = None if stands is None else session.visible_tags(stands, *self._panel.view)
+        seen = None if stands is None else session.visible_tags(stands, self._panel.view)
         self._panel.show_seen(None if seen is None else np.sort(deployment.ids[seen]))
         if self._selected not in deployment.ids:
             self._selected = None

@@ -12,7 +12,6 @@ import numpy as np
 
 from lmd.cameras.mounts import MountSpace
 from lmd.core.checks import BoolArray, FloatArray, InputError
-from lmd.geometry.se3 import axis_and_right, camera_pose
 from lmd.optimisers.base import Optimiser
 from lmd.optimisers.ledger import Budget
 from lmd.planner.figures import Values, additions
@@ -90,10 +89,10 @@ class PlanningSession:
         """See `Problem.metrics`."""
         return self._values.metrics()
 
-    def visible_tags(self, position: FloatArray, yaw: float, pitch: float) -> BoolArray:
-        """True for tags that a level camera at `position` `(3,)`, metres, covers; yaw and pitch in rad, `(K,)`."""
-        pose = camera_pose(position[None], np.array([yaw]), np.array([pitch]))
-        return np.asarray(visible(self.problem.evaluator, self.deployment, position[None], axis_and_right(pose))[0])
+    def visible_tags(self, position: FloatArray, turn: FloatArray) -> BoolArray:
+        """True for tags that a robot at `position` `(3,)`, metres, covers, `(K,)`; `turn` `(3, 3)`: ahead, left, up."""
+        pose = np.hstack([turn[:, 0], -turn[:, 1]])[None]
+        return np.asarray(visible(self.problem.evaluator, self.deployment, position[None], pose)[0])
 
     def warm_up(self) -> None:
         """Compile all kernels, so that the user does not wait for compilation later."""
@@ -102,7 +101,7 @@ class PlanningSession:
         self._values.update(turned)
         self._values.update(deployment)
         self.problem.values(deployment)
-        self.visible_tags(position, 0.0, 0.0)
+        self.visible_tags(position, np.eye(3))
         additions(self.problem, deployment, deployment[:1])
 
     def drag(self, number: int, surface: int, at: FloatArray) -> None:

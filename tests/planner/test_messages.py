@@ -8,7 +8,7 @@ from small import problem
 
 from lmd.optimisers.ledger import Budget
 from lmd.optimisers.random_search import RandomSearch
-from lmd.planner.panel import PlannerPanel
+from lmd.planner.panel import PITCH, YAW, PlannerPanel
 from lmd.planner.server import Planner
 from lmd.planner.session import PlanningSession
 
@@ -65,7 +65,7 @@ def odd_messages(of):
         yield False, [{**POINTED, "name": "/surfaces", "ray_direction": ray}]
         yield False, [{**DRAGGED, "phase": phase, "end_position": ray} for phase in ("start", "update", "end")]
     yield True, [{**POINTED, "name": "/surfaces", "ray_origin": "here"}]
-    for label in ("yaw, degrees", "pitch, degrees"):
+    for label in (YAW, PITCH):
         for value in (HUGE, -HUGE, NAN, float("inf"), "east"):
             yield False, [{"type": "GuiUpdateMessage", "uuid": of(label), "updates": {"value": value}}]
 

@@ -8,6 +8,7 @@ from scipy.spatial.transform import Rotation
 from lmd.cameras.body import Body
 from lmd.cameras.mounts import MountSpace
 from lmd.core.checks import InputError
+from lmd.geometry.frames import roll_pitch_yaw
 from lmd.geometry.se3 import axis_and_right, camera_pose
 from lmd.objectives.coverage import Coverage
 from lmd.optimisers.ledger import Budget
@@ -103,7 +104,7 @@ def test_its_handles_move_a_camera_and_a_drag_is_one_step():
     planner = Planner(planned, 0, lambda _: "", RandomSearch, Budget(1), seed=None)
     try:
         robot = planner._robot
-        robot.stand(robot.position, 0.7, -0.2)
+        robot.stand(robot.position, roll_pitch_yaw([0.0, 0.2, np.pi / 2 - 0.7]))
         axes = axis_and_right(camera_pose(robot.position[None], np.array([0.7]), np.array([-0.2])))
         turn = Rotation.from_quat(robot._frame.wxyz, scalar_first=True).as_matrix()
         offsets = [turn @ mount.translation for mount in RIG.mounts]
@@ -125,3 +126,21 @@ def test_its_handles_move_a_camera_and_a_drag_is_one_step():
             robot._follow(True)
     finally:
         planner.close()
+
+
+@pytest.mark.parametrize(("yaw", "pitch", "ahead"), [(0, 0, (1, 0, 0)), (90, 0, (0, 1, 0)), (-45, 30, None)])
+def test_the_drawn_frustum_looks_where_the_angles_of_ros_say(yaw, pitch, ahead):
+    """Yaw from x towards y, as in a rig; a positive pitch looks down."""
+    planned = session(rig=Rig((Mount(CAMERA),)))
+    planner = Planner(planned, 0, lambda _: "", RandomSearch, Budget(1), seed=None)
+    try:
+        planner._panel.yaw.value, planner._panel.pitch.value = float(yaw), float(pitch)
+        planner._look(None)
+        robot = planner._robot
+        drawn, turns = robot._views[0], [robot._frame.wxyz, robot._views[0].wxyz]
+        outer, inner = (Rotation.from_quat(turn, scalar_first=True) for turn in turns)
+        middle = (outer * inner).apply(drawn.points.reshape(-1, 3)).mean(axis=0)
+    finally:
+        planner.close()
+    expected = ahead or np.sqrt([3 / 8, 3 / 8, 1 / 4]) * [1, -1, -1]
+    np.testing.assert_allclose(middle / np.linalg.norm(middle), expected, atol=1e-6)
