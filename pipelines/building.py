@@ -238,7 +238,7 @@ def _note_edges(tag: "Tag", deployment: "Deployment") -> None:
     if other and tag.edges is None:
         sizes = ", ".join(f"{edge:g} m ({count})" for edge, count in sorted(other.items()))
         holds = f"{len(own) - other.total()} of {len(own)} tags"
-        note(f"tag.edge = {tag.size:g} m holds for {holds}; the others have their own: {sizes}")
+        note(f"tag.edge = {tag.size:g} m ({tag.square}) holds for {holds}; the others have their own: {sizes}")
 
 
 def _note_outside(room: "Space", tag: "Tag", deployment: "Deployment") -> None:

@@ -25,6 +25,8 @@ MOST_ATTITUDE_RAD = 0.35  # greatest attitude error, rad (20 degrees), for which
 def size(cfg: DictConfig) -> None:
     """Print the range of each size of the configured tag for the configured camera."""
     from lmd.core.checks import InputError, real, vector
+    from lmd.export.layout import largest_whole
+    from lmd.export.paper import PAPERS
     from lmd.sight.models.fiducial import Fiducial
 
     camera, tag, criteria = (instantiate(settings_of(cfg, group)) for group in ("camera", "tag", "visibility"))
@@ -36,17 +38,19 @@ def size(cfg: DictConfig) -> None:
     noise = real("pixel_noise", cfg.pixel_noise, above=0.0)
     tags = [tag.of_size(edge) for edge in tag.sizes]
     for one in tags:
-        print(f"tag      {one.family}, black square {one.size:g} m, with its quiet zone {one.paper_edge:.4g} m")
+        print(f"tag      {one.family}, {one.square} {one.size:g} m, with its quiet zone {one.paper_edge:.4g} m")
     print(f"camera   {camera.image_width:g} x {camera.image_height:g} pixels")
     print(f"detector {criteria.detector}\n")
     with keyed("tag"):
         for one in tags:
             if len(tags) > 1:
-                print(f"black square of {one.size:g} m")
+                print(f"{one.square} of {one.size:g} m")
             _print(_reads(camera, one, replace(criteria, tag=one), angles, distances, noise))
             print()
-        print("smallest black square that is read, metres")
+        print(f"smallest {tag.square} that is read, metres")
         _print(_edges(camera, tags[0], criteria, angles, distances))
+    on_sheets = ", ".join(f"{math.floor(1e3 * largest_whole(tags[0], paper)) / 1e3:g} m ({paper})" for paper in PAPERS)
+    print(f"\nlargest {tag.square} on one sheet: {on_sheets}")
 
 
 def _reads(

@@ -69,7 +69,8 @@ def _writers(
 
     distance = found.views.distance[found.views.pose == "one"]
     tag, room = problem.scene.tag, problem.scene.room.describe()
-    about = f"{len(deployment)} tags of {tag.size:g} m ({tag.family}), {room}; errors of corners {found.corners}."
+    of = f"{len(deployment)} tags of {tag.size:g} m ({tag.family}, {tag.square})"
+    about = f"{of}, {room}; errors of corners {found.corners}."
     code = FilterLaws(law.laws, law.rules, law.reach, float(distance.min()), float(distance.max()), about)
     document = {"about": about, "views": found.metrics(), "misleading": found.misleading, **law.document()}
     writers: dict[str, Callable[[Path], object]] = {

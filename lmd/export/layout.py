@@ -68,19 +68,35 @@ def layout(tag: Tag, paper: str) -> Whole | Pieces:
     Raises:
         InputError: a tag would take more than `MOST_PIECES` sheets.
     """
-    width, height = PAPERS[paper]
-    pages = (width, height), (height, width)
-    whole = max((_whole(tag, page) for page in pages), key=lambda sheets: sheets.per_sheet)
+    whole = _fullest(tag, paper)
     if whole.per_sheet:
         return whole
-    pieces = min((_pieces(tag, page) for page in pages), key=lambda sheets: sheets.per_tag)
+    pieces = min((_pieces(tag, page) for page in _pages(paper)), key=lambda sheets: sheets.per_tag)
     if pieces.per_tag > MOST_PIECES:
         raise InputError(
-            f"edge = {tag.size:g} m takes {pieces.per_tag} sheets of {paper} for a tag, more than {MOST_PIECES}; a "
-            "larger paper_size takes fewer, and a list of formats without sheets none.",
+            f"edge = {tag.size:g} m ({tag.square}) takes {pieces.per_tag} sheets of {paper} for a tag, more than "
+            f"{MOST_PIECES}; a larger paper_size takes fewer, and a list of formats without sheets none.",
             "edge",
         ).within("tag")
     return pieces
+
+
+def largest_whole(tag: Tag, paper: str) -> float:
+    """Largest edge of a tag like `tag`, metres, with which it is not in pieces."""
+    low, high = 0.0, max(PAPERS[paper]) / MM_PER_M
+    while high - low > ROUNDING:
+        middle = (low + high) / 2.0
+        low, high = (middle, high) if _fullest(tag.of_size(middle), paper).per_sheet else (low, middle)
+    return low
+
+
+def _pages(paper: str) -> tuple[tuple[float, float], ...]:
+    width, height = PAPERS[paper]
+    return (width, height), (height, width)
+
+
+def _fullest(tag: Tag, paper: str) -> Whole:
+    return max((_whole(tag, page) for page in _pages(paper)), key=lambda sheets: sheets.per_sheet)
 
 
 def _whole(tag: Tag, page: tuple[float, float]) -> Whole:

@@ -188,7 +188,6 @@ def _draw_footer(canvas: Any, tag: Tag, more: str) -> None:
     canvas.setFillGray(GREY)
     write_text(canvas, beside, MARGIN + 3.5, f"Print at 100 %: the ruler is {RULER:g} mm long.", size=2.6)
     edge, plate = (MM_PER_M * length for length in (tag.size, tag.paper_edge))
-    square = "black square" if tag.picture_share == 1.0 else "square inside the black ring"
-    size = f"{tag.family}: {square} {edge:.4g} mm, paper {plate:.4g} mm{more}"
+    size = f"{tag.family}: {tag.square} {edge:.4g} mm, paper {plate:.4g} mm{more}"
     write_text(canvas, beside, MARGIN, size, size=2.6)
     canvas.setFillGray(0.0)

@@ -139,8 +139,8 @@ class TagMap:
 
     @property
     def edges_in_words(self) -> str:
-        """Text of the edges that occur, mm."""
-        return f"{', '.join(f'{MM_PER_M * tag.size:.4g}' for tag, _ in self.by_size)} mm"
+        """Text of the edges that occur, mm, with the square that they are of."""
+        return f"{', '.join(f'{MM_PER_M * tag.size:.4g}' for tag, _ in self.by_size)} mm ({self.tag.square})"
 
     @property
     def positions(self) -> FloatArray:

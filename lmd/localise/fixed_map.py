@@ -100,7 +100,10 @@ class FixedMap:
         edges = np.where(np.isfinite(deployment.edges), deployment.edges, np.nan if tag.is_point else tag.size)
         if np.isnan(edges).any():
             lacking = deployment.ids[np.isnan(edges)][0]
-            raise InputError(f"edge must be given, in metres: the map has no edge of tag {lacking}.", "edge")
+            message = (
+                f"edge must be given, in metres: the map has no edge of tag {lacking}; it is that of the {tag.square}."
+            )
+            raise InputError(message, "edge")
         stated, covariance = _stated_sigmas(path), None
         if stated is not None:
             ids, values = stated

@@ -62,17 +62,17 @@ class Plan:
             raise InputError(f"there is no tag {number}.")
         return int(found[0])
 
-    def described(self, number: int, room: Space) -> str:
+    def described(self, number: int, scene: Scene) -> str:
         """Sentence on the place and size of the tag with an id.
 
         Raises:
             InputError: there is no such tag.
         """
-        k, measured = self.index_of(number), self.measured(number, room)
+        k, measured = self.index_of(number), self.measured(number, scene.room)
         x, y, z = self.deployment.positions[k]
-        edge = self.deployment.edges[k]
-        size = "" if np.isnan(edge) else f", {edge:g} m"
-        where = room.surfaces()[int(self.deployment.surfaces[k])].name if measured else "free in the room"
+        edge = self.deployment.edges_of(scene.tag)[k]
+        size = f", {scene.tag.square} {edge:g} m" if edge else ""
+        where = scene.room.surfaces()[int(self.deployment.surfaces[k])].name if measured else "free in the room"
         pinned = ", pinned" if number in self.pinned else ""
         return f"tag {number}: {where}, ({x:.3f}, {y:.3f}, {z:.3f}) m{size}{pinned}"
 

@@ -278,11 +278,11 @@ class Planner:
         self._panel.show_seen(None if seen is None else np.sort(deployment.ids[seen]))
         if self._selected not in deployment.ids:
             self._selected = None
-        number, room = self._selected, session.problem.scene.room
+        number, scene = self._selected, session.problem.scene
         if number is None:
             self._panel.show_tag(None, None)
         else:
-            self._panel.show_tag(plan.described(number, room), plan.measured(number, room))
+            self._panel.show_tag(plan.described(number, scene), plan.measured(number, scene.room))
         if self._picture.show_tags(plan, number, seen, self._panel.ids.value):
             self._actions.on(self._picture.tags.on_click, self._click_tag)
             call_in_order(self._picture.tags.on_drag, self._point)

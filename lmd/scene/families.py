@@ -28,6 +28,7 @@ class Family:
         dictionary: name of the dictionary in `cv2.aruco`; None if OpenCV lacks the family.
         apriltag: name in the AprilTag library; None if the library lacks the family.
         around: width of the ring and the data around the detected square, modules.
+        square: words for the detected square, whose edge is the edge of a tag.
     """
 
     modules: int
@@ -35,6 +36,7 @@ class Family:
     dictionary: str | None = None
     apriltag: str | None = None
     around: int = 0
+    square: str = "black square"
 
     @property
     def picture_modules(self) -> int:
@@ -42,14 +44,15 @@ class Family:
         return self.modules + 2 * self.around
 
 
+WITHIN_RING = "white square inside the black ring"
 FAMILIES = (
     {
         "36h11": Family(8, 587, "DICT_APRILTAG_36h11", "tag36h11"),
         "25h9": Family(7, 35, "DICT_APRILTAG_25h9", "tag25h9"),
         "16h5": Family(6, 30, "DICT_APRILTAG_16h5", "tag16h5"),
-        "41h12": Family(5, 2115, None, "tagStandard41h12", around=2),
-        "52h13": Family(6, 48714, None, "tagStandard52h13", around=2),
-        "circle21h7": Family(5, 38, None, "tagCircle21h7", around=2),
+        "41h12": Family(5, 2115, None, "tagStandard41h12", 2, WITHIN_RING),
+        "52h13": Family(6, 48714, None, "tagStandard52h13", 2, WITHIN_RING),
+        "circle21h7": Family(5, 38, None, "tagCircle21h7", 2, WITHIN_RING),
     }
     | {
         f"{bits}x{bits}_{ids}": Family(bits + 2, ids, f"DICT_{bits}X{bits}_{ids}")

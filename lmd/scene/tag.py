@@ -17,7 +17,7 @@ class Tag:
     """Tag at the landmarks of a deployment; without an edge, landmarks are points.
 
     Args:
-        edge: edge between the detected corners, metres; in most families the edge of the outer black square. None or 0
+        edge: edge between the detected corners, of the square that the family names, metres. None or 0
             for landmarks that are points, as in the paper; with `edges`, None for the largest of `edges`. Landmarks of
             a file without sizes have this edge.
         family: one of `lmd.scene.families.FAMILIES`, or a name that a library has for it.
@@ -131,12 +131,18 @@ class Tag:
     def check_edge(self) -> None:
         """Raise `InputError` if the tag is a point."""
         if self.is_point:
-            raise InputError("edge must be given, in metres: a detector cannot read a point.", "edge").within("tag")
+            message = f"edge must be given, in metres: a detector cannot read a point; it is that of the {self.square}."
+            raise InputError(message, "edge").within("tag")
 
     @property
     def in_family(self) -> Family:
         """Properties of the family."""
         return FAMILIES[self.family]
+
+    @property
+    def square(self) -> str:
+        """Words for the square whose edge is the edge of the tag."""
+        return self.in_family.square
 
     @property
     def modules(self) -> int:

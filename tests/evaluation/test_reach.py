@@ -78,6 +78,7 @@ def test_the_command_prints_it_and_leaves_nothing(tmp_path):
     rows = [line.split("   ") for line in lines if line.startswith(("0 deg", "40 deg"))]
     assert len(rows) == 4
     assert "mm" in lines[6]
+    assert lines[-1] == "largest black square on one sheet: 0.167 m (a4), 0.237 m (a3), 0.172 m (letter)"
     assert list(tmp_path.iterdir()) == []
     refused("size", "incidence=[120]", message="incidence[0] must be in [0, 90], got 120", cwd=tmp_path, settings=())
     refused("size", "visibility=paper", message="it needs visibility=fiducial", cwd=tmp_path, settings=())

@@ -213,7 +213,7 @@ def test_the_first_page_names_walls_and_fixtures_and_says_where_each_is_hung(tmp
     tags = lab()
     write_plan(tmp_path / "plan.pdf", tags, "a4")
     first, *others = (words(page) for page in pypdfium2.PdfDocument(tmp_path / "plan.pdf"))
-    assert first.startswith("16 tags of 36h11, 100 mm seen from above")
+    assert first.startswith("16 tags of 36h11, 100 mm (black square) seen from above")
     for name in ("door", "big window", "rack", "keep_out 2", "furniture", "other"):
         assert name in first
     assert " N " not in first
@@ -322,7 +322,7 @@ def test_the_plan_says_how_large_each_tag_is_where_they_differ(tmp_path):
     deployment = UniformDeployment(6, "by_area").draw(ROOM, np.random.default_rng(0), tag)
     write_plan(tmp_path / "plan.pdf", TagMap(ROOM, tag, deployment), "a4")
     first, *others = (words(page) for page in pypdfium2.PdfDocument(tmp_path / "plan.pdf"))
-    assert first.startswith("6 tags of 36h11, 60, 100, 300 mm")
+    assert first.startswith("6 tags of 36h11, 60, 100, 300 mm (black square)")
     for number, edge in zip(deployment.ids.tolist(), deployment.edges.tolist(), strict=True):
         assert any(f" {number} {1000 * edge:.0f} " in text for text in others)
     with_free = Deployment(deployment.positions * 0.8 + 0.5, deployment.normals, edges=deployment.edges)

@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from lmd.core.checks import InputError
 from lmd.detection.detectors import AprilTagDetector, ArucoDetector
 from lmd.export.exports import Export, not_printed
-from lmd.export.layout import FOOTER, MARGIN, STRIP, Whole, layout
+from lmd.export.layout import FOOTER, MARGIN, STRIP, Pieces, Whole, largest_whole, layout
 from lmd.export.paper import PAPERS
 from lmd.export.sheets import check_sheets, describe_sheets, write_sheets
 from lmd.formats.tag_map import TagMap
@@ -189,12 +189,21 @@ def test_labels_name_tag_and_surface(tmp_path):
         assert "36h11: black square 150 mm, paper 187.5 mm" in text
 
 
+@pytest.mark.parametrize("family", ["36h11", "4x4_50", "41h12"])
+@pytest.mark.parametrize("paper", PAPERS)
+def test_the_largest_edge_on_a_sheet_is_the_last_that_is_not_cut(family, paper):
+    edge = largest_whole(Tag(0.1, family), paper)
+    assert isinstance(layout(Tag(edge, family), paper), Whole)
+    assert isinstance(layout(Tag(edge + 2e-5, family), paper), Pieces)
+
+
 def test_what_takes_too_many_sheets_is_refused_and_left_out_of_all_formats():
     with pytest.raises(
-        InputError, match=r"^tag\.edge = 3 m takes 330 .* of a4 .*, more than 100; .* paper_size .* formats"
+        InputError,
+        match=r"^tag\.edge = 3 m \(black square\) takes 330 .* of a4 .*, more than 100; .* paper_size .* formats",
     ):
         check_sheets(Tag(3.0), "a4")
-    with pytest.raises(InputError, match=r"^tag\.edge = 3 m takes"):
+    with pytest.raises(InputError, match=r"^tag\.edge = 3 m \(black square\) takes"):
         Export(["wpilib", "sheets"], "a4").check(Tag(3.0))
     Export(["plan", "wpilib"], "a4").check(Tag(3.0))
     assert list(not_printed(Tag(3.0), "a4")) == ["sheets"]

@@ -92,7 +92,7 @@ CASES = [
     ("observe", "film=5", "film needs rendered frames: detector=rendered."),
     ("observe", "detector=rendered film=0", "film must be greater than 0, got 0."),
     ("detect", "poses=1e12", f"poses = 1000000000000 frames of 90 landmarks {MANY}"),
-    ("detect", "tag.edge=null", "tag.edge must be given, in metres: a detector cannot read a point."),
+    ("detect", "tag.edge=null", "tag.edge must be given, in metres: a detector cannot read a point; it is that of the"),
     ("detect", "tag.family=16h5", "tag.family 16h5 has 30 different tags, too few for 90."),
     ("detect", "tag.family=36h12", "tag.family must be one of 36h11"),
     (

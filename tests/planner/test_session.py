@@ -154,7 +154,7 @@ def test_of_several_sizes_the_user_chooses():
     checked(planned.deployment)
     assert planned.deployment.edges[k] == 0.4
     assert 0.0 < np.linalg.norm(planned.deployment.positions[k] - at) < 1.0
-    assert planned.plan.described(number, planned.problem.scene.room).endswith(") m, 0.4 m")
+    assert planned.plan.described(number, planned.problem.scene).endswith(") m, black square 0.4 m")
     assert planned.metrics() == planned.problem.metrics(planned.deployment)
     for _ in range(3):
         planned.undo()

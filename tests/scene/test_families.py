@@ -1,7 +1,9 @@
 import ctypes
+import importlib
 
 import numpy as np
 import pytest
+from processes import ROOT
 
 from lmd.core.checks import InputError
 from lmd.scene.families import FAMILIES, dictionary, family_named, picture
@@ -89,3 +91,23 @@ def test_a_family_has_names_in_many_libraries(name, family):
     assert family_named(name) == family
     if family in FAMILIES:
         assert Tag(0.1, name) == Tag(0.1, family)
+
+
+@pytest.mark.parametrize("name", FAMILIES)
+def test_the_words_of_the_edge_are_those_of_the_detected_square(name):
+    """Around the corners that AprilTag and OpenCV detect, a black square is black within, and white if it is not."""
+    within, named = picture(name, 0), FAMILIES[name]
+    inner = within[named.around : -named.around, named.around : -named.around] if named.around else within
+    border = np.concatenate([inner[0], inner[-1], inner[:, 0], inner[:, -1]])
+    assert set(border) == {named.square.startswith("white")}
+    docs = (ROOT / "docs" / "detectors.md").read_text()
+    listed = "4x4_50" if "x" in name else name  # one row for 4x4_50 to 7x7_1000
+    (row,) = [row for row in docs.splitlines() if row.startswith("| `") and f"`{listed}`" in row.split("|")[1]]
+    assert row.endswith(f"| of the {named.square} |")
+
+
+def test_the_drawing_of_edges_is_that_of_its_command(tmp_path, monkeypatch):
+    monkeypatch.syspath_prepend(ROOT / "benchmarks")
+    edges = importlib.import_module("edges")
+    edges.main(tmp_path / "edges.svg")
+    assert (tmp_path / "edges.svg").read_bytes() == edges.FILE.read_bytes()
