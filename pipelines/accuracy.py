@@ -29,7 +29,7 @@ def accuracy(cfg: DictConfig) -> None:
     problems = {name: build_problem(own) for name, own in composed_deployments(cfg, "accuracy").items()}
     drawn = {name: (problem, problem.draw(np.random.default_rng(seed))) for name, problem in problems.items()}
     problem = next(iter(problems.values()))
-    with tracked(cfg, "accuracy", title_of(problem, "accuracy")) as tracker:
+    with tracked(cfg, "accuracy", problem=problem) as tracker:
         figures = {name: accuracy_metrics(*subject, seed) for name, subject in drawn.items()}
         table = pd.DataFrame(figures).T.rename_axis("deployment")
         table.to_csv(directory / "figures.csv")

@@ -19,6 +19,8 @@ from .operations.signals import stop
 PACKAGE = str(__package__)  # `pipelines` in a checkout, `lmd.pipelines` where lmd is installed
 IN_CHECKOUT = PACKAGE == "pipelines"
 GARBAGE = 100_000  # allocations between two garbage collections; with Python's 700 they take a quarter of all imports
+EXPERIMENT = "lmd"  # mlflow experiment of the commands in `SHARING`: they find or score a deployment, or read its runs
+SHARING = ("optimise", "evaluate", "place_cameras", "report", "runs", "sync")
 CONF = str(Path(__file__).resolve().parents[1] / "conf")  # beside this package in a checkout and if installed
 
 
@@ -36,6 +38,16 @@ def lmd_help(*, _root_: DictConfig) -> str:
     return "\n".join([usage, "", *lines, "", "--cfg job shows every key with its value, -m makes a sweep."])
 
 
+def lmd_experiment(*, _root_: DictConfig) -> str:
+    """mlflow experiment of the command that is composed: `EXPERIMENT`, or one of its own such as `lmd compare`."""
+    if "hydra" in _root_:
+        name = _root_.hydra.job.name
+    else:  # the configuration of a job has no part of Hydra's; composed from Python, there is no job
+        name = HydraConfig.get().job.name if HydraConfig.initialized() else SHARING[0]
+    return EXPERIMENT if name in SHARING else f"{EXPERIMENT} {name}"
+
+
+OmegaConf.register_new_resolver("lmd.experiment", lmd_experiment, replace=True)
 OmegaConf.register_new_resolver("lmd.help", lmd_help, replace=True)
 OmegaConf.register_new_resolver("lmd.package", lambda: PACKAGE, replace=True)
 OmegaConf.register_new_resolver("lmd.conf", lambda name: str(Path(CONF, name)), replace=True)

@@ -28,7 +28,7 @@ def bound(cfg: DictConfig) -> None:
     from lmd.evaluation.selection_bound import selection_upper_bound
     from lmd.evaluation.time_limit import TimeLimit
 
-    from .tracked_run import keep, title_of, tracked
+    from .tracked_run import keep, tracked
 
     problem = build_problem(cfg)
     settings = settings_of(cfg, "bound")
@@ -47,7 +47,7 @@ def bound(cfg: DictConfig) -> None:
     beside = f" beside {problem.fixed_count} that hang already" if problem.fixed else ""
     document: dict[str, Any] = {"spacing": search.spacing}
     figures: dict[str, float] = {}
-    with tracked(cfg, "bound", title_of(problem, "bound")) as tracker:
+    with tracked(cfg, "bound", problem=problem) as tracker:
         with keyed("bound"):
             stage = limit.part(1 / 3)
             choice = selection_upper_bound(problem, count, search.spacing, stage)

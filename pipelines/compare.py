@@ -37,8 +37,8 @@ def compare(cfg: DictConfig) -> None:
         return
 
     from .operations.tracking import RunStart
-    from .progress import thinned
-    from .tracked_run import Earlier, log_child, title_of, tracked
+    from .progress import curve
+    from .tracked_run import Earlier, dataset_of, log_child, title_of, tracked
 
     problem, save_as = build_problem(cfg), save_path(cfg.save_as)
     budget, seeds = budget_of(cfg), seeds_of(cfg)
@@ -56,13 +56,15 @@ def compare(cfg: DictConfig) -> None:
     finished, runs = in_processes(run_contender, left, cfg.workers, lambda job: job.name), list(kept.runs.values())
     axis, title = "evaluations" if budget.evaluations else "wall_time", title_of(problem, f"{len(seeds)} seeds,")
 
+    dataset = dataset_of(cfg, problem)
+
     def log(job: Contender, run: "OptimiserRun", parent: str | None) -> None:
         folder, tags = job.folder(directory), {"choice.optimiser": run.optimiser.split()[0]}
         params = {"optimiser": run.optimiser, "seed": run.seed}
-        started = RunStart(job.name, folder, params, tags, ago=run.history[-1].wall_time)
-        log_child(cfg.tracking, started, parent, run.metrics, folder / LANDMARKS, thinned(run.history))
+        started = RunStart(job.name, folder, params, tags, ago=run.history[-1].wall_time, dataset=dataset)
+        log_child(cfg.tracking, started, parent, run.metrics, folder / LANDMARKS, curve(run.history, budget))
 
-    with closing(finished), tracked(cfg, "compare", title_of(problem, "compare"), earlier) as tracker:
+    with closing(finished), tracked(cfg, "compare", earlier=earlier, problem=problem) as tracker:
         if runs:
             print(f"{len(runs)}/{len(jobs)} done already in {cfg.resume}", flush=True)
         if tracker.run_id != kept.parent:

@@ -77,7 +77,7 @@ def detect(cfg: DictConfig) -> None:
     subjects = {name: subject_of(own, count, seed) for name, own in composed.items()}
     moved = {} if cfg.nudge is None else {name: subject.nudged(cfg.nudge, seed) for name, subject in subjects.items()}
     problem, directory = next(iter(subjects.values())).problem, run_directory()
-    with tracked(cfg, "detect", title_of(problem, "detect")) as tracker:
+    with tracked(cfg, "detect", problem=problem) as tracker:
         seen = sightings(subjects, seed, cfg.workers)
         again = sightings(moved, seed + 1, cfg.workers) if moved else None
         figures, pitches, tags = _tables(subjects, seen, again)

@@ -56,7 +56,7 @@ def evaluate(cfg: DictConfig) -> float:
         error: MountingError = instantiate(settings_of(cfg, MOUNTING))
     history = [Record(1, problem.metrics(deployment)["fitness"], clock() - began)]
     subject = choices()["deployment"]
-    with tracked(cfg, subject, title_of(problem, subject)) as tracker:
+    with tracked(cfg, subject, problem=problem) as tracker:
         draw_room(cfg, problem, tracker)
         drawn, asked = bool(cfg.picture), [name for name in ("losses", "sensitivity") if cfg[name]]
         summary: dict[str, Any] = localise(problem, deployment, seed, tracker, drawn) if cfg.localisation else {}

@@ -58,7 +58,7 @@ def observe(cfg: DictConfig) -> None:
     if hasattr(trajectory, "note_of"):  # the trajectory is from a file
         note(trajectory.note_of("trajectory."))
     directory, n = run_directory(), problem.objective.n
-    with tracked(cfg, "observe", title_of(problem, "observe")) as tracker:
+    with tracked(cfg, "observe", problem=problem) as tracker:
         with keyed(estimators="estimator", family="tag.family"):
             each = partial(_each, cfg.workers)
             study = conduct(problems, flights, detectors, estimators, cfg.all_visible, odometry, each)

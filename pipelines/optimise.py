@@ -91,7 +91,7 @@ def searched(
     optimiser.check(problem)
     checkpoint, earlier = _checkpoint_of(cfg, optimiser, problem, further)
     try:
-        with tracked(cfg, choices()["optimiser"], about, earlier) as tracker:
+        with tracked(cfg, choices()["optimiser"], about, earlier, problem) as tracker:
             draw_room(cfg, problem, tracker)
             found, in_haste = _run(problem, budget, checkpoint, tracker, cfg.checkpoint_seconds)
             figures = keep(tracker, found, in_haste)
@@ -170,7 +170,7 @@ def _run(
 
             with stop.deferred(worth_waiting), watch:
                 result = optimiser.run(problem, budget, progress)
-                progress.flush(optimiser)
+                progress.flush(optimiser, ended=result.stopped != "interrupted")
             return result, False
         except Stopped:
             if optimiser.ledger.evaluations == 0:

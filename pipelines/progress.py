@@ -4,6 +4,7 @@ import math
 import sys
 import threading
 import time
+from bisect import bisect_left, bisect_right
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from functools import partial
@@ -17,7 +18,7 @@ from lmd.core.checks import InputError
 from lmd.core.compiled import clock, is_compiling
 from lmd.optimisers.base import Optimiser
 from lmd.optimisers.checkpoint import Checkpoint
-from lmd.optimisers.ledger import Budget, Record
+from lmd.optimisers.ledger import Budget, Ledger, Record
 
 from .operations.signals import stop, tell
 from .operations.tracking import Tracker
@@ -25,27 +26,33 @@ from .operations.tracking import Tracker
 if TYPE_CHECKING:
     from lmd.survey.survey import SurveyStage
 
-CURVE_POINTS = 500  # points of the tracked curve of a whole run
+ROUNDING = 1e-6  # evaluations are sums of parts 1/K
 PATIENCE = 5.0  # time that an optimiser may take to end before a message, seconds
 LOOK_SECONDS = 0.2  # time between two looks at the optimiser, seconds
 LOG_SECONDS = 15.0  # time between two lines of progress in a file, seconds
 SHOWN_AFTER = 2.0  # time after which the stages of a survey are shown, seconds
 
 
-def thinned(history: Sequence[Record], most: int = CURVE_POINTS) -> list[tuple[int, float, float]]:
-    """At most `most` points (evaluations, best fitness, seconds) of a history, the last record among them.
+def curve(history: Sequence[Record], budget: Budget, until: float = math.inf) -> list[tuple[int, float, float]]:
+    """Points (step, best fitness, seconds) of a run up to `until`, at steps that all runs of a budget share.
 
-    A longer history is reduced to its improvements, and these evenly if they are too many. Records before the first
-    successful evaluation are left out.
+    mlflow draws a group as the mean of the runs that have a value at a step. With shared steps that mean never falls.
+    Steps are 1, 2, 5, 10, 20, ... and each hundredth of the budget, in evaluations, or in whole seconds if only seconds
+    are limited. The best fitness is carried forward to the next record and to the end; steps before the first record
+    have its value.
     """
-    history = [record for record in history if math.isfinite(record.best_fitness)]
-    if len(history) > most:
-        last = len(history) - 1
-        rises = (i for i in range(1, last) if history[i].best_fitness > history[i - 1].best_fitness)
-        history = [history[i] for i in (0, *rises, last)]
-    stride = -(-len(history) // most) or 1
-    kept = reversed(history[::-1][::stride])
-    return [(int(r.evaluations), r.best_fitness, r.wall_time) for r in kept]
+    in_seconds = budget.evaluations is None
+    most = math.ceil(budget.evaluations or budget.seconds or 0)
+    steps = {digit * 10**power for power in range(len(str(most))) for digit in (1, 2, 5)}
+    steps |= {-(-most * share // 100) for share in range(1, 101)}
+    known = [record for record in history if math.isfinite(record.best_fitness)]
+    spent = [record.wall_time if in_seconds else record.evaluations for record in known]
+    points = []
+    for step in sorted(step for step in steps if known and step <= min(most, until)):
+        last = known[max(bisect_right(spent, step + ROUNDING) - 1, 0)]
+        reached = known[min(bisect_left(spent, step - ROUNDING), len(known) - 1)]
+        points.append((step, last.best_fitness, reached.wall_time))
+    return points
 
 
 def bar(total: int | None, unit: str, initial: int = 0) -> "tqdm[Any]":
@@ -80,8 +87,7 @@ class Progress:
         self.budget, self.tracker, self.every = budget, tracker, every
         self.save = partial(checkpoint.save, directory)
         ledger = checkpoint.optimiser.ledger
-        self.used = budget.used(ledger.evaluations, ledger.seconds) if logged else 0.0
-        self.logged = len(ledger.history) if logged else 0
+        self.logged = len(self._curve(ledger)) if logged else 0
         self.saved = time.monotonic()
         self.warned = False
         self._warning_of(checkpoint.check)
@@ -97,15 +103,18 @@ class Progress:
             self.flush(optimiser)
         return stop.requested
 
-    def flush(self, optimiser: Optimiser) -> None:
-        """Save a checkpoint and log the new part of the curve."""
-        ledger = optimiser.ledger
-        used = self.budget.used(ledger.evaluations, ledger.seconds)
-        new = ledger.history[self.logged :]
+    def flush(self, optimiser: Optimiser, ended: bool = False) -> None:
+        """Save a checkpoint and log the new part of the curve, to the end of the budget if the search has `ended`."""
         self._warning_of(self.save)
-        self.tracker.log_curve("best_fitness", thinned(new, 1 + int(CURVE_POINTS * (used - self.used))))
-        self.logged, self.used = len(ledger.history), used
+        points = curve(optimiser.ledger.history, self.budget) if ended else self._curve(optimiser.ledger)
+        self.tracker.log_curve("best_fitness", points[self.logged :])
+        self.logged = len(points)
         self.saved = time.monotonic()
+
+    def _curve(self, ledger: Ledger) -> list[tuple[int, float, float]]:
+        """The curve up to what is spent."""
+        spent = ledger.seconds if self.budget.evaluations is None else ledger.evaluations
+        return curve(ledger.history, self.budget, spent + ROUNDING)
 
     def _warning_of(self, save: Callable[[], None]) -> None:
         """Call a function, and warn once if it fails: the run goes on without checkpoints."""

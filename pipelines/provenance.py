@@ -22,7 +22,7 @@ from .overrides import at
 
 # Settings that are no parameters of a run: they concern its place, its speed and its further outputs.
 NO_PARAMETERS = (
-    "tracking", "trust", "run", "resume", "picture", "page", "threads", "checkpoint_seconds", "tracked_as", "export",
+    "tracking", "trust", "run", "resume", "picture", "page", "threads", "checkpoint_seconds", "export",
     "paper_size", "north",
 )  # fmt: skip
 # Characters around a path in an override, such as `deployments=['mine: file deployment.path=a.csv',uniform]`; the first

@@ -19,20 +19,24 @@ from lmd.optimisers.ledger import Record
 from lmd.problem import Problem
 from lmd.scene.deployment import Deployment
 
-from .app import choices, run_directory
+from .app import choices, flat_settings, run_directory
+from .earlier_run import GROUPS
 from .nodes import instantiate
 from .operations.signals import Stopped, stop
 from .operations.sweeps.folder import current_job, reason_of
 from .operations.sweeps.names import override_tags, short_name
-from .operations.tracking import RunStart
+from .operations.tracking import Dataset, RunStart
 from .outputs import write_all, write_figures, write_history, write_pictures
-from .provenance import command_line, parameters, repeating, source_tags, write_sources
+from .provenance import command_line, digest, parameters, repeating, source_tags, write_sources
 
 if TYPE_CHECKING:
     from lmd.export.exports import Export
 
     from .operations.tracking import Tracker
 
+# Settings of `deployment` that decide the problem, beside the number of landmarks.
+DECIDED = ("fixed", "measured")
+DATASET_DIGITS = 16  # characters of the digest of a problem; mlflow takes 36
 FEW_QUALIFIED = 0.1  # share of qualified positions; below it a run prints the criteria that exclude the others
 
 
@@ -68,14 +72,37 @@ def title_of(problem: Problem, subject: str) -> str:
     return f"{subject} {problem.objective.name} K={problem.count}"
 
 
+def dataset_of(cfg: DictConfig, problem: Problem) -> Dataset:
+    """The problem of a configuration as mlflow's filter of datasets shows it.
+
+    Equal problems have equal digests, whichever options they are composed of. A frozen problem of the suite has its own
+    name and digest.
+    """
+    from lmd.suite import document
+
+    suite = cfg.get("suite")
+    if isinstance(suite, str) and (frozen := document(suite)).problem["deployment"].get("count") == problem.count:
+        return Dataset(suite, frozen.hash, {"about": frozen.about})
+    chosen = {group: choices().get(group, "") for group in (*GROUPS, "body") if group in cfg}
+    placed = {key: cfg.deployment[key] for key in DECIDED if key in cfg.deployment}
+    settings = flat_settings(cfg, *chosen, *(["cameras", "deployment"] if "cameras" in cfg else []))
+    words = {**chosen, "objective": problem.objective.name, "K": str(problem.count)}
+    called = " ".join(dict.fromkeys([chosen["room"], chosen["camera"]]))
+    name = f"{called} {problem.objective.name} K={problem.count}"
+    return Dataset(name, digest(settings, placed, problem.count)[:DATASET_DIGITS], words)
+
+
 @contextmanager
-def tracked(cfg: DictConfig, subject: str, about: str = "", earlier: Earlier | None = None) -> "Iterator[Tracker]":
+def tracked(
+    cfg: DictConfig, subject: str, about: str = "", earlier: Earlier | None = None, problem: Problem | None = None
+) -> "Iterator[Tracker]":
     """A started run of the configured tracker; an exception marks it FAILED, Ctrl-C KILLED, bad input removes it.
 
     Args:
         cfg: configuration, logged as parameters.
         subject: subject of the run, in a word.
-        about: description of the run.
+        about: description of the run; by default the title of its problem.
+        problem: its problem, if it has one.
         earlier: the run that it continues. A new run is linked to it if its record differs from this configuration.
     """
     tracker: Tracker = instantiate(cfg.tracking)
@@ -87,7 +114,9 @@ def tracked(cfg: DictConfig, subject: str, about: str = "", earlier: Earlier | N
         tags |= swept.tags(folder.name)
     pipeline = HydraConfig.get().job.name
     tags |= {"pipeline": pipeline} | override_tags(overrides) | source_tags(pipeline)
-    tags["mlflow.note.content"] = f"{about or subject}\n\n{repeating(tags)}\n\nfiles: {run_directory()}"
+    about = about or (title_of(problem, subject) if problem else subject)
+    dataset = dataset_of(cfg, problem) if problem else None
+    tags["mlflow.note.content"] = f"{about}\n\n{repeating(tags)}\n\nfiles: {run_directory()}"
     params, run_id = parameters(cfg, choices()), None
     if earlier is not None and earlier.run_id is not None:
         if tracker.goes_on(earlier.run_id, earlier.folder, params):
@@ -97,7 +126,8 @@ def tracked(cfg: DictConfig, subject: str, about: str = "", earlier: Earlier | N
     try:
         with stop.raising():
             write_sources(run_directory() / ".hydra")
-            tracker.start(RunStart(short_name(subject, varied), run_directory(), params, tags), run_id)
+            started = RunStart(short_name(subject, varied), run_directory(), params, tags, dataset=dataset)
+            tracker.start(started, run_id)
             yield tracker
     except InputError as error:
         if run_id is None and job is None:

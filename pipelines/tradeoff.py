@@ -50,7 +50,7 @@ def tradeoff(cfg: DictConfig) -> None:
     from lmd.evaluation.validation import headline_off_grid
     from lmd.objectives.base import selectable
 
-    from .tracked_run import title_of, tracked
+    from .tracked_run import tracked
 
     limited, places, curves = _curves(cfg)
     seeds = seeds_of(cfg)
@@ -70,7 +70,7 @@ def tradeoff(cfg: DictConfig) -> None:
         choice("figure", cfg.figure, shares_among(known))
     figure = cfg.figure or headline_off_grid(problem)
     points = Points(ladders, cfg.workers)
-    with tracked(cfg, "tradeoff", title_of(problem, "tradeoff")) as tracker:
+    with tracked(cfg, "tradeoff", problem=problem) as tracker:
         try:
             points.look(list(product(range(len(ladders)), places)))
             while wanted is not None and (halves := between(points.table, figure, wanted, points.axis)):

@@ -33,14 +33,14 @@ def uncertainty(cfg: DictConfig) -> None:
     from lmd.evaluation.uncertainty_law import uncertainty_law
     from lmd.localise.fixed_map import surveyed_covariance
 
-    from .tracked_run import keep, labelled, title_of, tracked
+    from .tracked_run import keep, labelled, tracked
 
     problem, seed = build_problem(cfg), seed_number(cfg.seed)
     refuse_crowd(problem, "uncertainty")
     study: UncertaintyStudy = instantiate(cfg.uncertainty)
     error: MountingError = instantiate(settings_of(cfg, MOUNTING))
     deployment = problem.draw(np.random.default_rng(seed))
-    with tracked(cfg, "uncertainty", title_of(problem, "uncertainty")) as tracker:
+    with tracked(cfg, "uncertainty", problem=problem) as tracker:
         places = error.covariances(problem, deployment)
         with keyed("uncertainty", map="deployment.path"):
             path = settings_of(cfg, "deployment").get("path")

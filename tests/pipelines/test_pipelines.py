@@ -71,7 +71,11 @@ def test_mlflow_has_the_run(optimised):
     assert "budget.evaluations=90" in run.data.tags["overrides"]
     assert run.data.metrics["qualified_ratio"] == read_metrics(cwd / "run")["qualified_ratio"]
     curve = client.get_metric_history(run.info.run_id, "best_fitness")
-    assert [point.step for point in curve] == pd.read_csv(cwd / "run" / "history.csv").evaluations.tolist()
+    assert [point.step for point in curve] == list(range(1, 91))  # each hundredth of the budget, rounded up
+    history = pd.read_csv(cwd / "run" / "history.csv")
+    assert all(point.value == history[history.evaluations <= point.step].best_fitness.max() for point in curve)
+    (problem,) = (given.dataset for given in run.inputs.dataset_inputs)
+    assert (problem.name, json.loads(problem.profile)["K"]) == ("paper_simulation n=2 p=0.5 K=40", "40")
     kept = {file.path for file in client.list_artifacts(run.info.run_id)}
     assert {*FILES, "config.yaml", "packages.txt"} - kept == {"scene.html"}  # which is large, and stays where it is
     told = run.data.tags["mlflow.note.content"]

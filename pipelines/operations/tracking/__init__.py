@@ -4,9 +4,9 @@ import os
 
 from .mlflow_tracker import MlflowTracker
 from .store import MlflowReader
-from .tracker import PARENT_TAG, NoTracker, RunStart, Tracker
+from .tracker import PARENT_TAG, Dataset, NoTracker, RunStart, Tracker
 
-__all__ = ["PARENT_TAG", "MlflowReader", "MlflowTracker", "NoTracker", "RunStart", "Tracker"]
+__all__ = ["PARENT_TAG", "Dataset", "MlflowReader", "MlflowTracker", "NoTracker", "RunStart", "Tracker"]
 
 # mlflow, which is imported later, reads these variables. No data leaves the machine unless tracking.uri is a remote
 # server. Attempts to reach a server end after seconds; mlflow's default is eight minutes.

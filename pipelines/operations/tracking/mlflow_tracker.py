@@ -2,6 +2,7 @@
 
 import sys
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -74,6 +75,8 @@ class MlflowTracker:
             self._run_id, self._journal, self._sent = run_id, Journal.of(run.folder), 0
         store = {"uri": self.store.uri, "experiment": self.store.experiment_name, "run_id": run_id}
         self._record(store | {"folder": _absolute(run.folder)} | this_process() | first)
+        if run.dataset is not None:
+            self._record({"dataset": asdict(run.dataset)})
         if self._is_monitored:
             from mlflow.system_metrics import system_metrics_monitor
 

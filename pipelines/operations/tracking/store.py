@@ -1,5 +1,6 @@
 """Tracking store: the only module that writes to mlflow and reads runs back."""
 
+import json
 import logging
 import os
 import tempfile
@@ -143,6 +144,8 @@ class Store:
         elif "metrics" in entry:
             metrics = [Metric(key, value, entry["at"], 0) for key, value in entry["metrics"].items()]
             client.log_batch(run_id, metrics=metrics)
+        elif "dataset" in entry:
+            self._send_dataset(run_id, **entry["dataset"])
         elif "files" in entry:
             for file in filter(os.path.isfile, entry["files"]):
                 client.log_artifact(run_id, file)
@@ -153,6 +156,18 @@ class Store:
                 tags = {"reason": entry["reason"], DESCRIPTION: told}
                 client.log_batch(run_id, tags=[RunTag(key, value[:TAG_LENGTH]) for key, value in tags.items()])
             client.set_terminated(run_id, entry["end"], entry["at"])
+
+    def _send_dataset(self, run_id: str, name: str, digest: str, settings: Mapping[str, str]) -> None:
+        """Record the problem of a run, twice if another process has recorded the same problem at the same time."""
+        from mlflow.entities import Dataset, DatasetInput, InputTag
+        from mlflow.exceptions import MlflowException
+
+        problem = Dataset(name, digest, "code", "{}", profile=json.dumps(settings))
+        given = [DatasetInput(problem, [InputTag("mlflow.data.context", "problem")])]
+        try:
+            self.client.log_inputs(run_id, given)
+        except MlflowException:
+            self.client.log_inputs(run_id, given)
 
 
 def _without_end(description: str) -> str:

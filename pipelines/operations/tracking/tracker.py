@@ -13,6 +13,18 @@ Entry = dict[str, Any]  # entry of a journal
 
 
 @dataclass(frozen=True)
+class Dataset:
+    """Problem of a run, which mlflow calls a dataset."""
+
+    name: str
+    """Name in mlflow's filter of datasets."""
+    digest: str
+    """Digest of everything that decides the fitness."""
+    settings: Mapping[str, str]
+    """Its parts, in words."""
+
+
+@dataclass(frozen=True)
 class RunStart:
     """Description of a run at its beginning."""
 
@@ -26,6 +38,8 @@ class RunStart:
     """Further facts for finding runs."""
     ago: float = 0.0
     """Time since the run began, seconds."""
+    dataset: Dataset | None = None
+    """Its problem, if it has one."""
 
 
 class Tracker(Protocol):
