@@ -1,6 +1,7 @@
 """Problems: a scene, an objective and a start, with the fitness that every optimiser maximises."""
 
 import math
+import reprlib
 from collections.abc import Mapping
 from dataclasses import asdict, replace
 from typing import Any, Protocol
@@ -19,6 +20,8 @@ from lmd.sight.evaluator import Evaluator
 
 # Seeds every draw of an objective's `Sampling`: the problem does not depend on the seed of an optimiser.
 SAMPLING_STREAM = 0x64657369
+# Work of a batch that compiled code evaluates in one call, which no signal interrupts: landmarks, positions and axes.
+AT_ONCE = 5 * 10**8
 
 
 class Genome(Protocol):
@@ -63,9 +66,11 @@ def checked_genes(genes: FloatArray, *shape: int | str) -> FloatArray:
         InputError: `genes` have another shape, are no numbers, or lie outside [0, 1].
     """
     try:
+        if np.iscomplexobj(genes):  # NumPy would drop the imaginary part
+            raise TypeError
         given = np.asarray(genes, dtype=np.float64)
     except (TypeError, ValueError):
-        raise InputError(f"genes must be numbers, got {genes!r}.", "genes") from None
+        raise InputError(f"genes must be real numbers, got {reprlib.repr(genes)}.", "genes") from None
     if given.ndim != len(shape) or any(n != m for n, m in zip(shape, given.shape, strict=True) if isinstance(n, int)):
         wanted = ", ".join(map(str, shape)) + "," * (len(shape) == 1)
         raise InputError(f"genes must have the shape ({wanted}), got {given.shape}.", "genes")
@@ -195,8 +200,12 @@ class Problem:
 
     def fitness(self, positions: FloatArray, normals: FloatArray) -> FloatArray:
         """The fitness in [0, 1] of B deployments, `(B,)`; positions and normals are `(B, K, 3)`."""
-        values = self.objective.values(self.fitness_evaluator, positions, normals)
-        return self.fitness_from(values)
+        each = len(self.fitness_evaluator.positions) * self.fitness_evaluator.axes.shape[1] * positions.shape[1]
+        parts, step = [], max(1, AT_ONCE // each)
+        for first in range(0, len(positions) or 1, step):
+            batch = positions[first : first + step], normals[first : first + step]
+            parts.append(self.fitness_from(self.objective.values(self.fitness_evaluator, *batch)))
+        return np.concatenate(parts)
 
     def fitness_of(self, deployment: Deployment) -> float:
         """The fitness of one deployment."""

@@ -1,8 +1,7 @@
 """`suite=NAME`: a frozen problem of the suite in place of the defaults; `-m suite=A,B` sweeps over several."""
 
 import re
-import sys
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -19,33 +18,32 @@ PLACES_CAMERAS = "place_cameras"
 COMPARE = "compare"  # reads the key by itself
 
 
-def offer_frozen_problems(pipeline: str) -> None:
-    """Make the problems that `suite=...` names on the command line options of the group `suite`.
+def offer_frozen_problems(pipeline: str, arguments: Sequence[str]) -> None:
+    """Make the problems that `suite=...` names among the arguments of a command options of the group `suite`.
 
-    Such an option chooses an option of each group that the problem decides, and of `deployment`, which the command line
-    may replace. Must be called before Hydra reads the command line; ends the process if a problem is unknown or for
-    another command, or if the command line chooses a part of it.
+    Such an option chooses an option of each group that the problem decides, and of `deployment`, which the arguments
+    may replace. Must be called before Hydra reads the arguments.
+
+    Raises:
+        InputError: a problem is unknown or for another command, or the arguments choose a part of it.
     """
-    given = [argument.partition("=")[2] for argument in sys.argv[1:] if argument.startswith(f"{GROUP}=")]
+    given = [argument.partition("=")[2] for argument in arguments if argument.startswith(f"{GROUP}=")]
     names = re.findall(r"\w+", given[-1]) if given and pipeline != COMPARE else []
     if not names or names == ["null"]:
         return
-    if f"- {GROUP}: null" not in Path(CONF, f"{pipeline}.yaml").read_text(encoding="utf-8"):
-        sys.exit(f"error: {GROUP} is no key of {pipeline}: it takes no frozen problem.")
     from lmd.core.checks import InputError
     from lmd.suite import document
 
-    try:
-        for name in names:
-            frozen = document(name)
-            _check_command(pipeline, frozen)
-            _offer(frozen, pipeline == PLACES_CAMERAS)
-        for argument in sys.argv[1:]:
-            key = argument.partition("=")[0].lstrip("+~").partition("@")[0]
-            if key.split(".")[0] in ("run", *GROUPS):
-                raise InputError(f"suite={given[-1]} has a frozen problem: leave {key} out.")
-    except InputError as error:
-        sys.exit(f"error: {error}")
+    if f"- {GROUP}: null" not in Path(CONF, f"{pipeline}.yaml").read_text(encoding="utf-8"):
+        raise InputError(f"{GROUP} is no key of {pipeline}: it takes no frozen problem.")
+    for name in names:
+        frozen = document(name)
+        _check_command(pipeline, frozen)
+        _offer(frozen, pipeline == PLACES_CAMERAS)
+    for argument in arguments:
+        key = argument.partition("=")[0].lstrip("+~").partition("@")[0]
+        if key.split(".")[0] in ("run", *GROUPS):
+            raise InputError(f"suite={given[-1]} has a frozen problem: leave {key} out.")
 
 
 def _offer(frozen: "Document", places_cameras: bool) -> None:

@@ -134,7 +134,10 @@ class Pipeline:
     def __call__(self) -> None:
         """Run the command line of this process."""
         sys.argv[1:] = with_file(sys.argv[1:], self.name)
-        offer_frozen_problems(self.name)
+        try:
+            offer_frozen_problems(self.name, sys.argv[1:])
+        except ValueError as error:
+            sys.exit(f"error: {error}")
         for change in self.prepare:
             change()
         gc.set_threshold(GARBAGE)

@@ -31,7 +31,7 @@ def test_genes_that_are_none_of_the_problem_are_refused(make):
         (good[:, :-1], rf"genes must have the shape \(B, {genome.dim}\), got \(2, {genome.dim - 1}\)"),
         (good + 1.0, r"genes must be in \[0, 1\], got 1.5"),
         (good * np.nan, r"genes must be in \[0, 1\], got nan"),
-        (["a"], r"genes must be numbers, got \['a'\]"),
+        (["a"], r"genes must be real numbers, got \['a'\]"),
     ]:
         with pytest.raises(InputError, match=message):
             genome.fitness_of_genes(bad)

@@ -61,7 +61,7 @@ class PaperEncoding:
 
     def decode(self, genes: FloatArray) -> tuple[FloatArray, FloatArray, np.ndarray]:
         """See `Encoding.decode`."""
-        g = genes.reshape(len(genes), -1, 5)
+        g = genes.reshape(len(genes), genes.shape[1] // 5, 5)
         points = self.low + g[..., :3] * self.size
         surface = np.argmin(self._distance(points), axis=-1)
         positions = self.surfaces.points(surface, self.surfaces.coordinates(surface, points))
@@ -116,7 +116,7 @@ class WallEncoding:
 
     def decode(self, genes: FloatArray) -> tuple[FloatArray, FloatArray, np.ndarray]:
         """See `Encoding.decode`."""
-        g, s = genes.reshape(len(genes), -1, self.genes_per_landmark), self.surfaces
+        g, s = genes.reshape(len(genes), genes.shape[1] // (n := self.genes_per_landmark), n), self.surfaces
         piece = np.clip(np.searchsorted(self.edges, g[..., 0], side="right") - 1, 0, len(s.shares) - 1)
         along = (g[..., 0] - self.edges[piece]) / (self.edges[piece + 1] - self.edges[piece])
         surface = s.of_piece[piece]

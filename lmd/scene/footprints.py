@@ -21,6 +21,8 @@ from lmd.space.changed import Inset
 from lmd.space.space import Space
 from lmd.space.surface import FILE_TOLERANCE, SurfaceArrays
 
+AT_ONCE = 64  # footprints that are pushed apart by one call of the kernel, which no signal interrupts
+
 
 @dataclass(frozen=True)
 class Footprints:
@@ -249,7 +251,8 @@ class Footprints:
         for b in range(len(positions)):
             on = surfaces[b, order]
             at, moved = s.coordinates(on, positions[b, order]), np.zeros(len(order), dtype=np.bool_)
-            fits[b] = push(fixed, on, at, pieces, first, of, size * papers[order], moved)
+            edge, parts = size * papers[order], range(fixed, len(order), AT_ONCE)  # a signal may end it between parts
+            fits[b] = all(push(k, on, at[: k + AT_ONCE], pieces, first, of, edge, moved) for k in parts)
             for c, own in enumerate(sizes):
                 those = moved & (of == c)
                 positions[b, order[those]] = own.points(on[those], at[those])

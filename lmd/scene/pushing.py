@@ -22,7 +22,28 @@ def _is_free(k, a, b, s, surface, at, edge):  # type: ignore[no-untyped-def]
 
 
 @inner
-def _nearest_free(k, s, a, b, within, surface, at, pieces, start, stop, edge, lines, found):  # type: ignore
+def _blocked(k, a, b, s, surface, at, edge, beside):  # type: ignore[no-untyped-def]
+    """Ends of an interval around b: footprint k fits at (a, q) on surface s for no q inside. Empty if b is free.
+
+    The interval ends a rounding error before the footprints that block it. `beside` `(2, K)` is working memory.
+    """
+    low, high, count, grows = b, b, 0, True
+    for j in range(k):
+        reach = (edge[j] + edge[k]) / 2.0 * (1.0 - 2.0 * TOUCHING)
+        if surface[j] == s and abs(at[j, 0] - a) < reach:
+            beside[0, count], beside[1, count] = at[j, 1] - reach, at[j, 1] + reach
+            count += 1
+    while grows:
+        grows = False
+        for i in range(count):
+            bottom, top = beside[0, i], beside[1, i]
+            if bottom < high and top > low and (bottom < low or top > high):
+                low, high, grows = min(low, bottom), max(high, top), True
+    return low, high
+
+
+@inner
+def _nearest_free(k, s, a, b, within, surface, at, pieces, start, stop, edge, lines, beside, found):  # type: ignore
     """Write the free place for footprint k nearest to (a, b) on surface s to `found`; False if there is none.
 
     Each coordinate of the nearest place is either unchanged or on a candidate line: a border of a trapezoid along u or
@@ -45,10 +66,15 @@ def _nearest_free(k, s, a, b, within, surface, at, pieces, start, stop, edge, li
             across, up = across + 2, up + 2
     shortest = np.inf
     for i in range(across):
+        p = lines[0, i]
+        if (p - a) * (p - a) >= shortest:
+            continue
+        low, high = _blocked(k, p, b, s, surface, at, edge, beside)
         for j in range(up):
-            p, q = lines[0, i], lines[1, j]
+            q = lines[1, j]
             away = (p - a) * (p - a) + (q - b) * (q - b)
-            if away < shortest and allows(pieces, start, stop, p, q) and _is_free(k, p, q, s, surface, at, edge):
+            is_nearer = away < shortest and not low < q < high and allows(pieces, start, stop, p, q)
+            if is_nearer and _is_free(k, p, q, s, surface, at, edge):
                 shortest, found[0], found[1] = away, p, q
     return shortest < np.inf
 
@@ -67,7 +93,8 @@ def push(fixed, surface, at, pieces, first, of, edge, moved):  # type: ignore[no
         edge: edges of the footprints, metres, `(K,)`.
         moved: mask of the moved footprints, `(K,)`; written.
     """
-    lines, found, count = np.empty((2, 2 * len(at) + 4 * len(pieces) + 1)), np.empty(2), first.shape[1] - 1
+    lines, beside = np.empty((2, 2 * len(at) + 4 * len(pieces) + 1)), np.empty((2, len(at)))
+    found, count = np.empty(2), first.shape[1] - 1
     for k in range(fixed, len(at)):
         own = first[of[k]]
         _, a, b = nearest(pieces, own[surface[k]], own[surface[k] + 1], at[k, 0], at[k, 1])
@@ -80,7 +107,7 @@ def push(fixed, surface, at, pieces, first, of, edge, moved):  # type: ignore[no
             within = NEARBY_EDGES * edge.max() if turn == 0 else np.inf
             s = (surface[k] + max(turn - 1, 0)) % count
             _, p, q = nearest(pieces, own[s], own[s + 1], a, b)
-            if _nearest_free(k, s, p, q, within, surface, at, pieces, own[s], own[s + 1], edge, lines, found):
+            if _nearest_free(k, s, p, q, within, surface, at, pieces, own[s], own[s + 1], edge, lines, beside, found):
                 has_room = True
                 break
         if not has_room:

@@ -19,7 +19,7 @@ import numpy as np
 
 from lmd.core.checks import BoolArray, FloatArray, InputError, IntArray, check_fields, choice, integer, real, vector
 from lmd.core.memory import check_memory
-from lmd.core.worst import ROUNDING, worst_of
+from lmd.core.worst import worst_of
 from lmd.space.polygon import checked_ring
 from lmd.space.space import Space, floor_of
 
@@ -70,12 +70,6 @@ class Crowd:
         choice("fitness", self.fitness, FITNESS)
         if self.walk is not None:
             object.__setattr__(self, "walk", _polygons(self.walk))
-        if self.fitness == "worst" and self.worst * self.states < 1.0 - ROUNDING:
-            raise InputError(
-                f"worst = {self.worst:g} of states = {self.states} is less than one state: take at least "
-                f"{int(np.ceil(1.0 / self.worst - ROUNDING))} states, or a larger share.",
-                "worst",
-            )
 
     def drawn(self, room: Space, rng: np.random.Generator | None = None) -> "CrowdStates":
         """Draw the states, from `seed` unless there is a generator.

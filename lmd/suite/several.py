@@ -78,8 +78,8 @@ class TagChoice(BlackBox):
 
     @override
     def start(self, seed: int = 0) -> FloatArray:
-        rng = np.random.default_rng([seed, 1])
-        return np.concatenate([super().start(seed), rng.random(self.problem.count)])
+        genes, rng = super().start(seed), np.random.default_rng([int(seed), 1])
+        return np.concatenate([genes, rng.random(self.problem.count)])
 
     @override
     def deployment(self, genes: FloatArray) -> Deployment:
@@ -99,7 +99,7 @@ class TagChoice(BlackBox):
 
     @override
     def _values(self, genes: FloatArray) -> FloatArray:
-        return np.array([self._value(row) for row in genes])
+        return np.array([self._value(row) for row in genes]).reshape(len(genes), 2)
 
     def _value(self, row: FloatArray) -> FloatArray:
         if not (row[self.genome.dim :] >= HUNG).any():

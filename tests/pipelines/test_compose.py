@@ -7,7 +7,9 @@ import pytest
 from hydra import compose, initialize_config_module
 from hydra.errors import HydraException
 
+import lmd.suite
 import pipelines
+from lmd.core.checks import InputError
 from pipelines.building import build_optimiser, build_problem
 from pipelines.overrides import as_hydra_reads
 
@@ -19,6 +21,14 @@ def test_a_command_is_composed_without_being_run():
     assert build_optimiser(cfg, cfg.seed).population_size == 30
     with pytest.raises(HydraException, match="Could not find 'optimiser/egg'"):
         pipelines.compose("optimise", "optimiser=egg")
+
+
+def test_a_frozen_problem_is_composed_as_on_the_command_line():
+    problem = build_problem(pipelines.compose("optimise", "suite=tiny_mean"))
+    box = lmd.suite.problem("tiny_mean")
+    assert problem.fitness_of(box.deployment(box.start())) == box(box.start())
+    with pytest.raises(InputError, match="suite=tiny_mean has a frozen problem: leave room out"):
+        pipelines.compose("optimise", "suite=tiny_mean", "room=lab")
 
 
 def test_the_folder_of_configurations_is_a_module_for_hydra():

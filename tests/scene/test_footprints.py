@@ -1,5 +1,7 @@
 """Papers hang wholly on their wall and never overlap: in starts, files, and whatever an optimiser returns."""
 
+import time
+
 import numpy as np
 import pytest
 from examples import examples
@@ -27,6 +29,7 @@ from lmd.scene.scene import Scene
 from lmd.scene.tag import Tag
 from lmd.sight.models.fiducial import Fiducial
 from lmd.sight.models.paper import Visibility
+from lmd.space.cuboid import Cuboid
 
 pytestmark = pytest.mark.slow  # images, or kernels of a second model of sight
 
@@ -119,6 +122,23 @@ def test_a_plate_goes_to_the_nearest_free_place():
         np.stack(wall.coordinates(found.positions), axis=1), [[2.0, 2.0], [2.3, 2.05], [2.3, 1.75], [1.0, 1.0]]
     )
     np.testing.assert_array_equal(found.positions[[0, 3]], start.positions[[0, 3]])
+
+
+def test_tags_at_one_point_are_pushed_to_the_nearest_places_without_delay():
+    """600 papers at a point, as in the middle of a problem's box, took minutes."""
+    size, count = 0.3, 40
+    footprints = Footprints(Cuboid((20.0, 20.0, 20.0), (1.0, 1.0, 1.0), 1.0), Tag(size, quiet_zone=0.0))
+    wall = footprints.room.surfaces()[0]
+    stacked = Deployment(*(np.tile(each, (600, 1)) for each in (wall.point(9.0, 7.0), wall.normal)), np.zeros(600, int))
+    began = time.process_time()
+    found = np.stack(wall.coordinates(footprints.separated(stacked).positions), axis=1)
+    assert time.process_time() - began < 20.0  # half a second, and some for the compiler
+    for k in range(1, count):  # by brute force: of all places beside earlier papers the nearest
+        lines = [np.unique(np.append(found[:k, i, None] + [-size, size], at)) for i, at in enumerate((9.0, 7.0))]
+        places = np.stack(np.meshgrid(*lines), axis=-1).reshape(-1, 2)
+        free = (np.abs(places[:, None] - found[:k]).max(axis=-1) > size - 1e-6).all(axis=1)
+        away = np.linalg.norm(places - [9.0, 7.0], axis=1)
+        assert np.linalg.norm(found[k] - [9.0, 7.0]) == pytest.approx(away[free].min())
 
 
 def test_points_are_left_alone():

@@ -47,7 +47,6 @@ def test_they_walk_where_they_are_told():
         ({"number": 3, "walk": [[0, 0], [1, 1]]}, "walk must list at least 3 vertices"),
         ({"number": 3, "walk": 3}, "walk must be a polygon"),
         ({"number": 3, "fitness": "median"}, "fitness"),
-        ({"number": 3, "fitness": "worst", "states": 10}, "worst = 0.05 of states = 10 is less than one state"),
         ({"number": 3, "walk": [[7, 0], [8, 0], [8, 1]]}, "number = 3 cylinders find no free floor"),
         ({"number": 90, "radius": 0.5, "states": 1}, "number = 90 cylinders find no free floor"),
     ],
@@ -55,6 +54,11 @@ def test_they_walk_where_they_are_told():
 def test_what_makes_no_sense_is_refused(settings, said):
     with pytest.raises(InputError, match=said):
         Crowd(**settings).drawn(ROOM)
+
+
+def test_the_worst_share_of_the_states_is_rounded_up_to_whole_states():
+    counts = [Crowd(1, states=states, fitness="worst").drawn(ROOM).worst_count for states in (1, 10, 20, 21)]
+    assert counts == [1, 1, 1, 2]
 
 
 def lines(rng, count):

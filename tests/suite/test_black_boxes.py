@@ -41,13 +41,22 @@ def test_starts_depend_on_their_seed_alone(box):
         (np.zeros((2, 3, 16)), r"got \(2, 3, 16\)"),
         (np.full(16, 1.5), r"genes must be in \[0, 1\], got 1.5"),
         (np.full((2, 16), np.nan), r"genes must be in \[0, 1\], got nan"),
-        (["a"] * 16, "genes must be numbers"),
-        ([[0.5] * 16, [0.5] * 15], "genes must be numbers"),
+        (["a"] * 16, "genes must be real numbers"),
+        ([[0.5] * 16, [0.5] * 15], "genes must be real numbers"),
+        (np.full(16, 0.5 + 0.1j), r"genes must be real numbers, got array\("),
     ],
 )
 def test_genes_that_are_none_are_refused(box, genes, message):
     with pytest.raises(InputError, match=message):
         box(genes)
+
+
+@pytest.mark.parametrize("name", ["tiny_mean", "localised_against_tags", "coverage_against_accuracy"])
+def test_no_candidates_have_no_values_and_a_seed_is_a_whole_number(name):
+    box = lmd.suite.problem(name)
+    assert box(np.empty((0, box.dim))).shape == ((0,) if len(box.objectives) == 1 else (0, 2))
+    with pytest.raises(InputError, match=r"seed must be in \[0, "):
+        box.start(-1)
 
 
 def test_one_candidate_is_scored_at_a_time(box):
