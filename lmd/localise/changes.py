@@ -18,7 +18,7 @@ from lmd.localise.displacement import LinearMap
 from lmd.localise.fixed_map import FixedMap, information_of, rows_of
 from lmd.localise.image_poses import ImagePoses, State, image_poses
 from lmd.survey.adjustment import Adjustment
-from lmd.survey.faults import FEWEST_SIGHTINGS, OFF_M, OFF_RAD
+from lmd.survey.faults import FEWEST_SIGHTINGS, OFF_M, OFF_RAD, SecondPlace, second_places
 from lmd.survey.initialisation import FLOOR_PIXELS, Placing
 from lmd.survey.linked_adjustment import constraining
 from lmd.survey.map_estimate import ONE_THREAD, STEPS, Estimate, fitting
@@ -71,6 +71,8 @@ class Changes:
     """Ids of the tags of the map that the images could compare with the others."""
     inflation: float
     """Factor of the standard deviations of sightings, see `lmd.survey.resampling`."""
+    twice: tuple[SecondPlace, ...] = ()
+    """Second poses of tags that hang elsewhere in some images; tags are indices of the ids of all sightings."""
     contradicted: int = 0
     """Number of tags that differ from the map, if these are more than the share `MOST_MOVED` of the compared tags. The
     map and the images then disagree as a whole, and no tag counts as moved.
@@ -119,6 +121,7 @@ def find_changes(sightings: Sightings, known: FixedMap, mounts: FloatArray, foun
         tuple(comparison.displaced(k) for k in np.flatnonzero(new)),
         sightings.ids[compared],
         comparison.inflation,
+        comparison.second_places(moved),
         0 if moved.any() else differ,
     )
 
@@ -196,9 +199,7 @@ class _Comparison:
         for number in range(MOST_ROUNDS):
             prior = self._adjust(moved)
             if number == 0:
-                own = Estimate(self.sightings, prior, self.poses, np.where(self._seen, 0, -1), self.used,
-                               ~self.used, self.floor)  # fmt: skip
-                self.inflation = inflation(own, lambda _done, _most: None)
+                self.inflation = inflation(self._estimate(prior), lambda _done, _most: None)
             self._compare(prior)
             off = np.nan_to_num(np.where(self._is_off, self.squares, 0.0))
             stays = moved & (off < MOVED_CHI_SQUARE) & self.is_compared
@@ -207,6 +208,16 @@ class _Comparison:
                 return np.asarray(moved & ~stays & self.is_placed)
             moved = (moved & ~stays) | fresh
         return np.asarray(moved & self.is_placed)
+
+    def second_places(self, moved: BoolArray) -> tuple[SecondPlace, ...]:
+        """Second poses of the tags of the map that were not `moved`, mask `(K,)`."""
+        own = self._estimate(Prior(self.tags, np.zeros((len(self.tags), 6))))
+        stay = (self.in_map & ~moved)[self.sightings.tag]
+        return tuple(second_places(own, self.is_posed & ~self.used & stay))
+
+    def _estimate(self, prior: Prior) -> Estimate:
+        group = np.where(self._seen, 0, -1)
+        return Estimate(self.sightings, prior, self.poses, group, self.used, ~self.used, self.floor)
 
     @property
     def _seen(self) -> BoolArray:

@@ -19,11 +19,13 @@ from lmd.localise.vanished import vanished_tags
 from lmd.scene.tag import Tag
 from lmd.space.space import Space
 from lmd.survey.intrinsics import Calibrated
+from lmd.survey.map_estimate import mount_doubts
 from lmd.survey.motion import Motion, seconds_of
 from lmd.survey.nuisances import Optics
-from lmd.survey.sightings import Sightings
+from lmd.survey.sightings import Sightings, outside_doubts
 from lmd.survey.survey import FEWEST_BELIEVED
 
+MOUNT_FRAMES = 200  # frames by which the mounts of cameras are tested
 TRIED_FRAMES = 40  # frames of several tags by which the first corner of detections is found
 
 
@@ -47,6 +49,8 @@ class Localisation:
     """Number of views in which each tag that vanished should have been detected, by id."""
     calibrated: tuple[Calibrated, ...]
     """Cameras as refined by the drive; empty if cameras are exact."""
+    doubts: tuple[str, ...] = ()
+    """Sentences on what contradicts the images: calibrations, mounts, tags of one id."""
 
 
 def localise(
@@ -116,7 +120,27 @@ def localise(
         motion = Motion.steady(seconds)
     smoothed = None if motion is None else smoothed_poses(found, motion, present, changes.inflation)
     vanished = vanished_tags(found, present, [one.camera for one in optics.cameras], room)
-    return Localisation(detected, known, quarters, found, smoothed, changes, vanished, optics.calibrated(cameras))
+    doubts = outside_doubts(detected, cameras) or _mount_doubts(sightings, known, poses)
+    doubts += [
+        f"tag {others.ids[place.tag]} hangs at ({', '.join(f'{x:.2f}' for x in place.pose[:3, 3])}) as well, by "
+        f"{place.sightings} images: has another tag its id, or was it moved on the way?"
+        for place in changes.twice
+    ]
+    calibrated = optics.calibrated(cameras)
+    return Localisation(detected, known, quarters, found, smoothed, changes, vanished, calibrated, tuple(doubts))
+
+
+def _mount_doubts(sightings: Sightings, known: FixedMap, mounts: FloatArray) -> list[str]:
+    """Sentences on cameras that are mounted elsewhere, see `mount_doubts`, by some frames with tags in each camera."""
+    count = len(mounts)
+    shows = np.zeros((count, sightings.frames), dtype=bool)
+    shows[sightings.camera, sightings.frame] = True
+    both = np.flatnonzero(shows.sum(axis=0) > 1)
+    if not len(both):
+        return []
+    some = sightings.of(np.isin(sightings.frame, both[:: max(1, len(both) // MOUNT_FRAMES)])).with_separate_cameras()
+    views = image_poses(some, known.poses, np.eye(4)[None], known.sigmas).poses.frames
+    return mount_doubts(views.reshape(count, sightings.frames, 4, 4), mounts)
 
 
 def _quarters(

@@ -231,6 +231,7 @@ def localise_document(result: Localisation) -> dict[str, Any]:
         "intrinsics": [camera.document() for camera in result.calibrated],
         "inflation": result.changes.inflation,
         "contradicted": result.changes.contradicted,
+        "doubts": list(result.doubts),
     }
 
 
@@ -271,6 +272,8 @@ def to_text(result: Localisation) -> str:
         lines["map"] += "calibration or another edge of the tags, or does the map state too small errors?"
     if result.changes.inflation > 1.0:
         lines["blocks"] = f"of time disagree {result.changes.inflation:.1f} times as much as corners explain"
+    if result.doubts:
+        lines["check"] = " ".join(result.doubts)
     width = max(map(len, lines))
     texts = [f"{label:<{width}} {text}" for label, text in lines.items()]
     return "\n".join([*texts, *map(_sentence, every[:MOST_SENTENCES])])

@@ -59,14 +59,14 @@ def smoothed_poses(found: ImagePoses, motion: Motion, known: FixedMap, inflation
     """
     with threadpool_limits(limits=ONE_THREAD):
         frames = _decided(found, motion)
-        there = np.flatnonzero(np.isfinite(frames[:, 0, 0]))
-        if len(there) < FEWEST_FRAMES or not motion.follows(there).any():
-            return None
         poses, some = replace(found.poses, frames=frames), found.sightings
         posed = np.isfinite(frames[some.frame, 0, 0])
         used = found.used | (posed & ~found.localised[some.frame])
         for steps in (STEPS, FINAL_STEPS):
             used = posed & used
+            there = np.unique(some.frame[used])
+            if len(there) < FEWEST_FRAMES or not motion.follows(there).any():
+                return None
             seen, own = _of_seen_tags(some.of(used), poses)
             rows = rows_of(seen)
             joint = information_of(known.joint[np.ix_(rows, rows)])
@@ -82,9 +82,9 @@ def smoothed_poses(found: ImagePoses, motion: Motion, known: FixedMap, inflation
                     motion = replace(motion, gaps=tested.gaps, bridged=tested.bridged)
                 tags = poses.tags.copy()
                 tags[seen] = own.tags
-                at = Reprojection(some, *replace(poses, frames=own.frames).of(some))
-                noise = ImageNoise.of(some, at, known.sigmas)
-                used = posed & noise.fits(some, np.nan_to_num(at.error, nan=np.inf), floor)
+                shown = some.of(posed)
+                at = Reprojection(shown, *replace(poses, frames=own.frames).of(shown))
+                used[posed] = ImageNoise.of(shown, at, known.sigmas).fits(shown, at.error, floor)
             poses = replace(poses, frames=own.frames)
         covariances = np.full((len(frames), 6, 6), np.nan)
         final = LinkedAdjustment(adjustment.sightings, prior, True, inflation)

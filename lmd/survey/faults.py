@@ -77,7 +77,7 @@ def find_faults(found: Estimate) -> tuple[Estimate, Faults]:
             found = _adjusted(replace(found, sightings=replace(found.sightings, edges=edges), group=group), poses)
         error = squared_errors(found.sightings, found.poses)
         gross = found.misfits & np.isfinite(error) & ~agreeing(found.sightings, error)
-        places = _second_places(found, gross)
+        places = second_places(found, gross)
         last = [place for place in places if place.moved is not None and place.later]
         misread = found.sightings.counts(gross)
         for place in places:
@@ -102,7 +102,7 @@ def _placed_beside(found: Estimate, some: Sightings, fewest: int, share: float =
     return placing.poses
 
 
-def _second_places(found: Estimate, gross: BoolArray) -> list[SecondPlace]:
+def second_places(found: Estimate, gross: BoolArray) -> list[SecondPlace]:
     """Second poses of tags: poses on which several of the `gross` outliers, mask `(N,)`, agree."""
     counts = found.sightings.counts(gross)
     often = counts[found.sightings.tag] >= FEWEST_SIGHTINGS

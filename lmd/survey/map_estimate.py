@@ -7,7 +7,7 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from lmd.core.checks import BoolArray, FloatArray, InputError, IntArray
-from lmd.geometry.se3 import inverse, median_pose, skew
+from lmd.geometry.se3 import inverse, log, median_pose, skew
 from lmd.survey.adjustment import Adjustment
 from lmd.survey.gauge import diagonal_blocks, gauge_free, into_world
 from lmd.survey.groups import join_groups
@@ -24,6 +24,10 @@ OUTLIER_CHI_SQUARE, OUTLIER_PIXELS, OUTLIER_SHARE = 60.0, 1.0, 0.02
 STEPS, FINAL_STEPS = 40, 15  # steps of bundle adjustment with all sightings, and without outliers
 # Threads of linear algebra: with matrices of some hundred rows, more threads wait longer than they work.
 ONE_THREAD = 1
+# A mount is doubted if at least `FEWEST_FRAMES` frames put the camera farther from it than `OFF_M`, metres, or than
+# `OFF_RAD`, rad, which calibrations explain, and than `OFF_SIGMAS` standard deviations.
+FEWEST_FRAMES, OFF_M, OFF_RAD, OFF_SIGMAS = 5, 0.05, 0.012, 5.0
+OF_MEDIAN = 1.86  # standard deviation of a median of n values, times sqrt(n), over their median absolute deviation
 NEAREST = 6  # number of tags of other groups relative to which the covariance of a tag is computed
 
 
@@ -266,6 +270,31 @@ def _mounted(sightings: Sightings, apart: Poses, mounts: FloatArray | None) -> P
         fresh = there & ~both
         frames[fresh] = views[camera, fresh] @ inverse(found[camera])
     return Poses(apart.tags, frames, found)
+
+
+def mount_doubts(views: FloatArray, mounts: FloatArray) -> list[str]:
+    """Sentences on cameras that are mounted elsewhere than their mounts say.
+
+    Args:
+        views: poses of each camera in each frame by its own images, `(C, F, 4, 4)`; NaN if not known.
+        mounts: poses of the cameras on the body, which is the first camera, `(C, 4, 4)`.
+    """
+    doubts = []
+    for camera in range(1, len(mounts)):
+        between = inverse(views[0]) @ views[camera]
+        between = between[np.isfinite(between[:, 0, 0])]
+        if len(between) < FEWEST_FRAMES:
+            continue
+        middle = median_pose(between)
+        spread = np.median(np.abs(log(inverse(middle) @ between)), axis=0) * OF_MEDIAN / np.sqrt(len(between))
+        turn, way = np.linalg.norm(log(inverse(middle) @ mounts[camera]).reshape(2, 3), axis=1)
+        sure_turn, sure_way = OFF_SIGMAS * np.linalg.norm(spread.reshape(2, 3), axis=1)
+        if turn > max(OFF_RAD, sure_turn) or way > max(OFF_M, sure_way):
+            doubts.append(
+                f"camera {camera + 1} is {1e3 * way:.0f} mm and {np.degrees(turn):.3g} degrees from its mount, by "
+                f"{len(between)} frames in which camera 1 sees tags, too: is camera.rig right in sign, unit and order?"
+            )
+    return doubts
 
 
 @dataclass(frozen=True)

@@ -191,6 +191,7 @@ def survey_document(survey: Survey) -> dict[str, Any]:
     return {
         "figures": metrics(survey),
         "interrupted": None if survey.interrupted is None else survey.interrupted.value,
+        "doubts": list(survey.doubts),
         "frames": len(times),
         "blurred": dict(survey.detected.blurred),
         "copies": dict(survey.detected.copies),

@@ -32,6 +32,7 @@ QUARTERS = pose_of(
 )
 SQUARE = np.hstack([CORNERS, np.zeros((4, 1))])  # corners of a tag with an edge of 2, in the tag's frame, `(4, 3)`
 MODES = 5  # modes of deformation
+MOST_OUTSIDE = 0.05  # greatest share of a camera's detections that are not within its image, without a doubt
 SMALL_PITCH = 2.0  # pixels per module at which the shift of small tags counts in full
 
 
@@ -123,6 +124,27 @@ def shift_basis(pitch: FloatArray) -> FloatArray:
     return np.stack([np.ones_like(pitch), (SMALL_PITCH / pitch) ** 2], axis=1)
 
 
+def within_images(detected: DetectedTags, cameras: Sequence[Camera]) -> BoolArray:
+    """Mask of the detections that lie wholly within the image of their camera, `(N,)`."""
+    sizes = np.array([[camera.image_width, camera.image_height] for camera in cameras])[detected.camera, None]
+    return np.asarray(((detected.corners >= 0.0) & (detected.corners <= sizes)).all(axis=(1, 2)))
+
+
+def outside_doubts(detected: DetectedTags, cameras: Sequence[Camera]) -> list[str]:
+    """Sentences on cameras in whose images many detections do not lie."""
+    whole = within_images(detected, cameras)
+    doubts = []
+    for index, camera in enumerate(cameras):
+        beyond = ~whole[detected.camera == index]
+        if beyond.sum() > MOST_OUTSIDE * len(beyond):
+            size = f"{camera.image_width:g} x {camera.image_height:g} pixels"
+            outside = (
+                f"{beyond.sum()} of {len(beyond)} detections of camera {index + 1} are not within its image of {size}"
+            )
+            doubts.append(f"{outside}: is it the calibration of another camera or size?")
+    return doubts
+
+
 def sightings_of(
     detected: DetectedTags,
     cameras: Sequence[Camera],
@@ -162,11 +184,9 @@ def sightings_of(
     )
     image = chosen.corners - off[:, None, None] * inward(chosen.corners)
     directions, tangents = np.empty((len(chosen), 4, 3)), np.empty((len(chosen), 4, 2, 3))
-    whole = np.zeros(len(chosen), dtype=bool)
+    whole = within_images(chosen, cameras)
     for index, camera in enumerate(cameras):
         own = chosen.camera == index
-        size = np.array([camera.image_width, camera.image_height])
-        whole[own] = ((chosen.corners[own] >= 0.0) & (chosen.corners[own] <= size)).all(axis=(1, 2))
         directions[own] = bearings(camera, image[own])
         tangents[own] = slope(camera, directions[own])
     every = Sightings(

@@ -16,13 +16,21 @@ from lmd.survey.faults import Faults, errors_of_fixed, find_faults
 from lmd.survey.gauge import motion_to_floor
 from lmd.survey.initialisation import agreeing
 from lmd.survey.intrinsics import Calibrated, prior_sigmas
-from lmd.survey.map_estimate import Estimate, JoinedGroups, Start, estimate_map, initialise, joined_groups
+from lmd.survey.map_estimate import (
+    Estimate,
+    JoinedGroups,
+    Start,
+    estimate_map,
+    initialise,
+    joined_groups,
+    mount_doubts,
+)
 from lmd.survey.motion import Motion, seconds_of
 from lmd.survey.nuisances import SMALL_SHARE, Optics, refine
 from lmd.survey.prior import Prior, PriorKnowledge
 from lmd.survey.resampling import HeldOut, hold_out
 from lmd.survey.residuals import squared_errors
-from lmd.survey.sightings import Sightings, sightings_of
+from lmd.survey.sightings import Sightings, outside_doubts, sightings_of
 from lmd.survey.turns import Turns, turns_of
 
 FEWEST_BELIEVED = 2  # minimum number of agreeing sightings to accept a tag without prior, as ids may be misread
@@ -100,6 +108,8 @@ class Survey:
     """Cameras as estimated from photographs."""
     proposed: tuple[Photograph, ...] = ()
     """Photographs to take next, see `lmd.survey.next_photographs`."""
+    doubts: tuple[str, ...] = ()
+    """Sentences on what contradicts the photographs: calibrations, mounts, the tags' edge."""
     interrupted: SurveyStage | None = None
     """Stage at which the survey was stopped; results of later stages are missing."""
 
@@ -188,7 +198,22 @@ def survey(
         for camera, one, own, sigma in zip(cameras, optics, found.lens_covariances, sigmas, strict=True)
     )
     joined = None if found.prior.motion is None else joined_groups(found, start.group)
-    return Survey(detected, known, found, faults, placed, localised, turns, off_fixed, loose, joined, calibrated)
+    doubts = outside_doubts(detected, cameras) or _mount_doubts(sightings, start, known)
+    return Survey(
+        detected, known, found, faults, placed, localised, turns, off_fixed, loose, joined, calibrated,
+        doubts=tuple(doubts),
+    )  # fmt: skip
+
+
+def _mount_doubts(sightings: Sightings, start: Start, known: PriorKnowledge) -> list[str]:
+    """Sentences on cameras that are mounted elsewhere than the user says, by frames whose tags are in one group."""
+    if known.mounts is None:
+        return []
+    apart, views = sightings.with_separate_cameras(), start.poses.frames.copy()
+    group = np.full(len(views), -1)
+    group[apart.frame] = start.group[apart.tag]
+    views[group != np.tile(group[: sightings.frames], sightings.cameras)] = np.nan
+    return mount_doubts(views.reshape(-1, sightings.frames, 4, 4), known.mounts)
 
 
 def _motion(detected: DetectedTags, sightings: Sightings, known: PriorKnowledge) -> Motion | None:

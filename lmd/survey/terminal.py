@@ -108,6 +108,7 @@ def _troubles(survey: Survey) -> dict[str, str]:
         if copies
         else "",
         "misread": _few(f"{ids[k]} ({faults.misread[k]} x)" for k in np.flatnonzero(faults.misread)),
+        "check": " ".join(survey.doubts),
         "photograph": _few(worst) + "; known worst" * bool(worst),
     }
 

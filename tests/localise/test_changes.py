@@ -141,6 +141,15 @@ def test_a_tag_whose_sightings_contradict_each_other_was_not_moved():
     assert kinds(ld.localised(walk, replace(walk.detected, corners=corners))) == set()
 
 
+def test_a_second_tag_of_an_id_is_named_with_its_place():
+    walk = ld.walked(4)
+    twin = walk.true[5] @ exp(np.array([0.0, 0.0, 0.0, 0.3, 0.2, 0.0]))
+    tags, ids = np.concatenate([walk.true, twin[None]]), np.append(walk.known.ids, 5)
+    detected = walks.photographed(tags, walk.frames, np.random.default_rng(4), ld.NOISE, ids=ids)
+    (said,) = ld.localised(walk, replace(detected, in_order=True)).doubts
+    assert said.startswith(f"tag 5 hangs at ({', '.join(f'{x:.2f}' for x in twin[:3, 3])}) as well")
+
+
 def test_a_map_that_the_images_contradict_as_a_whole_has_no_moved_tags():
     """The map states a fiftieth of its errors."""
     walk = ld.walked(3, place=0.01, turn=0.02)

@@ -201,6 +201,29 @@ def test_two_cameras_on_a_body_are_localised_together():
     ld.check_bounds(ld.squares(found.poses.frames, found.covariances, walk.frames)[::6, 0], 6, slack=1.3)
 
 
+@pytest.mark.parametrize(("turn", "said"), [(-2.0, "131 degrees"), (2.02, "1.1"), (2.0, "")])
+def test_a_camera_that_is_mounted_elsewhere_is_named(turn, said):
+    """The second camera is turned by 2 rad; 4 rad off is 2.28 rad, or 131 degrees, the other way round."""
+    walk = ld.walked(5)
+    mounts = np.stack([np.eye(4), camera_pose([0.1, 0.0, 0.0], 2.0, 0.0, 0.0)])
+    detected = walks.photographed(walk.true, walk.frames, np.random.default_rng(1), ld.NOISE, mounts=mounts)
+    times = tuple(f"{k / 10}" for k in range(len(detected.times)))
+    given = np.stack([np.eye(4), camera_pose([0.1, 0.0, 0.0], turn, 0.0, 0.0)])
+    arguments = [walks.CAMERA] * 2, Tag(walks.EDGE), walks.constant_errors(ld.NOISE), walk.known, given
+    result = localise(replace(detected, times=times), *arguments)
+    assert [doubt.partition(" mm and ")[2][: len(said)] for doubt in result.doubts] == [said] * bool(said)
+    assert all(doubt in to_text(result) for doubt in result.doubts)
+    assert len(smoothed_columns(result)["x"]) == len(times)  # where images are refused, too
+
+
+def test_detections_beyond_the_image_of_a_calibration_are_counted():
+    small = replace(walks.CAMERA, image_width=800, image_height=600, principal_point=(400.0, 300.0))
+    walk = ld.walked(5)
+    beyond = int((walk.detected.corners > [800, 600]).any(axis=(1, 2)).sum())
+    result = localise(walk.detected, [small], Tag(walks.EDGE), walks.constant_errors(ld.NOISE), walk.known)
+    assert result.doubts[0].startswith(f"{beyond} of {len(walk.detected)} detections of camera 1 are not within")
+
+
 def test_covariances_in_the_axes_of_the_map():
     pose = camera_pose([1.0, 2.0, 3.0], 0.3, 0.2, 0.1)
     twists = np.random.default_rng(0).normal(size=(400000, 6)) * [0.01, 0.02, 0.03, 0.01, 0.02, 0.03]
