@@ -18,18 +18,13 @@ import numpy as np
 
 from lmd.core.checks import FloatArray, InputError
 from lmd.formats.gazebo_worlds import Seen, seen_in
-from lmd.formats.placed_tag import Found, PlacedTag, axes_of, number_of
-from lmd.scene.families import FAMILIES, family_named
+from lmd.formats.placed_tag import Found, PlacedTag, axes_of, family_and_rest, number_of
 
 # Words for tags in names of pictures, models and materials; a number after such a word is the number of the tag.
 WORD = re.compile(
     r"april[_/ .-]?tag|aruco|(?<![a-z])ar[_/ .-]?tag|fiducial|(?<![a-z])tag(?=[_/ .-]?\d|standard|circle|custom)", re.I
 )
-APRILTAG = re.compile(r"(?<!\d)(16|21|25|36|41|48|49|52)[_-]?h?[_-]?(0?\d|1[0-3])(?!\d)", re.I)
-ARUCO = re.compile(r"(?<!\d)(?:(50|100|250|1000)[_-])?([4-7]x[4-7])(?:[_-](50|100|250|1000)(?=[_/ -]))?", re.I)
-ORIGINAL = re.compile(r"original", re.I)
 NUMBER = re.compile(r"(?<![\dx.])(\d+)(?!\d|(?:[.]\d+)?(?:mm|cm|m)(?![a-z])|x\d|[.]\d)", re.I)
-CIRCLE = "21"  # number in the name of the circular family
 KNOWN_PLATE = re.compile(r"Apriltag36_11_\d{5}")  # models of koide3/gazebo_apriltag
 KNOWN_SIZE = (1.0, 1.0, 0.01)  # size of these models, metres
 PLAIN = "Gazebo/"  # prefix of the names of materials without a picture of a tag
@@ -104,23 +99,10 @@ def _first(texts: Iterable[str]) -> tuple[str | None, int] | None:
         word = WORD.search(text)
         if word is None:
             continue
-        family, rest = _family_and_rest(text[word.end() :])
+        family, rest = family_and_rest(text[word.end() :])
         if numbers := NUMBER.findall(rest):
             return family, int(numbers[-1])
     return None
-
-
-def _family_and_rest(text: str) -> tuple[str | None, str]:
-    """Family that follows the word for a tag in a name, and the text without the family."""
-    for found in APRILTAG.finditer(text):
-        name = family_named(f"{'circle' if found[1] == CIRCLE else ''}{found[1]}h{int(found[2])}")
-        if name in FAMILIES:
-            return name, f"{text[: found.start()]}_{text[found.end() :]}"
-    if aruco := ARUCO.search(text):
-        ids = aruco[1] or aruco[3]
-        family = None if ids is None else f"{aruco[2].lower()}_{ids}"
-        return family, f"{text[: aruco.start()]}_{text[aruco.end() :]}"
-    return ("aruco_original" if ORIGINAL.search(text) else None), text
 
 
 def _numbers(element: Element | None, path: str) -> FloatArray | None:

@@ -18,7 +18,15 @@ import numpy as np
 
 from lmd.core.checks import FloatArray, InputError
 from lmd.core.tables import COMMENT, Table, is_number, read_table
-from lmd.formats.placed_tag import RIGHT_UP_OUT, axes_of, turn_by_angles, turn_by_quaternion
+from lmd.core.words import few
+from lmd.formats.placed_tag import (
+    RIGHT_UP_OUT,
+    TAG_WORDS,
+    axes_of,
+    tag_named,
+    turn_by_angles,
+    turn_by_quaternion,
+)
 from lmd.scene.deployment import COLUMNS, UP_COLUMNS, Deployment
 from lmd.scene.edges import EDGE, edge_column
 from lmd.scene.families import family_named
@@ -27,17 +35,17 @@ from lmd.scene.labels import ID, Labels
 FAMILY = "family"
 PLACE, NORMAL, UP = COLUMNS[:3], COLUMNS[3:], UP_COLUMNS
 QUATERNION, ANGLES = ("qx", "qy", "qz", "qw"), ("roll", "pitch", "yaw")
-# Names of columns in other programs; an id or an edge is recognised only if its values are numbers.
+# Names of columns in other programs; an edge is recognised only if its values are numbers.
 NAMES = {
-    **dict.fromkeys(("tag_id", "tagid", "tag", "marker_id", "markerid", "marker", "fiducial_id", "fiducial"), ID),
-    **dict.fromkeys(("number", "tag_number", "nr", "no"), ID),
     **dict.fromkeys(("size", "tag_size", "marker_size", "edge_size"), EDGE),
     **dict.fromkeys(("length", "tag_length", "marker_length", "edge_length", "side", "side_length"), EDGE),
-    **dict.fromkeys(("tag_family", "dictionary", "dict", "aruco_dict"), FAMILY),
+    **dict.fromkeys((FAMILY, "tag_family", "dictionary", "dict", "aruco_dict"), FAMILY),
 }
 _PLACE = re.compile(r"(?:p|t|pos|position|translation)[_.]?([xyz])")
 _TURN = re.compile(r"(?:q|quat|quaternion|ori|orientation)[_.]?([xyzw])")
 _UNIT = re.compile(r"(.*?)[_\s]?[\[(](\w+)[\])]|(.*)_(m|rad|mm|cm|inch|in|deg|degrees)")
+# Columns with the numbers or the names of tags; tables of pandas have one without a name.
+_IDS, _NAMELESS = re.compile(TAG_WORDS, re.I), re.compile(r"(?:unnamed:[_ ]?\d+)?", re.I)
 OUR_UNITS = ("m", "metre", "metres", "meter", "meters", "rad", "radian", "radians")
 
 
@@ -54,7 +62,8 @@ def name_of(column: str) -> str:
         base = plain.lower()
     base = re.sub(r"[\s-]+", "_", base)
     place, turn = _PLACE.fullmatch(base), _TURN.fullmatch(base)
-    name = place[1] if place else f"q{turn[1]}" if turn else NAMES.get(base, base)
+    known = NAMES.get(base, ID if _IDS.fullmatch(base) or _NAMELESS.fullmatch(base) else base)
+    name = place[1] if place else f"q{turn[1]}" if turn else known
     if name not in (ID, *PLACE, *NORMAL, *UP, *QUATERNION, *ANGLES, EDGE, FAMILY):
         return plain
     if unit is not None and unit not in OUR_UNITS:
@@ -71,23 +80,45 @@ def named_columns(columns: Sequence[str]) -> list[str]:
     return names
 
 
-def renamed(table: Table) -> Table:
-    """Table with the names of `named_columns`, except for ids and edges whose values are no numbers."""
-    columns = {}
+def renamed(table: Table) -> tuple[Table, list[str]]:
+    """Table with standard names of columns and the numbers of tags as ids, and the families that it names.
+
+    Raises:
+        InputError: a table of places has no column with the numbers of its tags, or a second such column differs.
+    """
+    read = dict[str, list[tuple[str | None, int]]]()
+    for column, texts in table.texts.items():
+        tags = [tag for tag in map(tag_named, texts) if tag is not None] if name_of(column) == ID else []
+        if tags and len(tags) == len(texts) and not _counts_lines(column, [number for _, number in tags]):
+            read[column] = tags
+    chosen = ID if ID in table else min(read, key=lambda column: bool(_NAMELESS.fullmatch(column)), default=None)
+    columns = dict[str, Sequence[str]]()
     for name, (column, texts) in zip(named_columns(list(table.texts)), table.texts.items(), strict=True):
-        fits = name == column or name not in (ID, EDGE) or all(is_number(text) for text in texts if text)
-        columns[name if fits else column] = texts
-    return Table(table.path, table.lines, columns)
+        fits = name != ID and (name != EDGE or name == column or all(map(is_number, filter(None, texts))))
+        columns[ID if column == chosen else name if fits else column] = texts
+    if chosen is None and all(name in columns for name in PLACE):
+        raise InputError(
+            "it needs a column id with the number of each tag, such as 7 or tag36h11:7; it has "
+            f"{few(map(repr, table.texts), most=9)}."
+        )
+    if chosen in read:
+        columns[ID] = [str(number) for _, number in read[chosen]]
+        for column, tags in read.items():
+            if any(family for family, _ in tags) and [str(number) for _, number in tags] != columns[ID]:
+                raise InputError(f"its columns {chosen!r} and {column!r} have different numbers of tags.")
+    families = [family_named(text) for text in columns.get(FAMILY, ()) if text]
+    return Table(table.path, table.lines, columns), families + [f for tags in read.values() for f, _ in tags if f]
+
+
+def _counts_lines(column: str, numbers: list[int]) -> bool:
+    """True for a column without a name that may have the numbers of its lines, as tables of pandas have."""
+    count = len(numbers)
+    return bool(_NAMELESS.fullmatch(column)) and numbers in (list(range(count)), list(range(1, count + 1)))
 
 
 def is_by_normals(table: Table) -> bool:
     """True for a table with standard names that has normals of tags, or that is no table of tags."""
     return any(name in table for name in NORMAL) or not all(name in table for name in PLACE)
-
-
-def families_of(table: Table) -> list[str]:
-    """Families in the column `family`; empty without such a column."""
-    return [family_named(text) for text in table.texts.get(FAMILY, ()) if text]
 
 
 def turned_deployment(table: Table, axes: Sequence[str] | None) -> Deployment:

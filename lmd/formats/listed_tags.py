@@ -1,7 +1,8 @@
-"""Hand-written lists of tags in YAML or JSON: a list `landmarks`, `markers` or `tags`, or a mapping by number.
+"""Hand-written lists of tags in YAML or JSON: a list `landmarks`, `markers` or `tags`, or a mapping by number or name.
 
 A tag has an id, a position and an orientation, under one of the names in this module. The list does not define the axes
-of a tag's frame; the user may define them. The four values of a quaternion must be named, so that w is known.
+of a tag's frame; the user may define them. The four values of a quaternion must be named, so that w is known. A
+rotation vector has the direction of its axis, and its angle as length.
 """
 
 from collections.abc import Iterable
@@ -9,13 +10,26 @@ from typing import Any
 
 import numpy as np
 
-from lmd.core.checks import FloatArray, InputError, vector
-from lmd.formats.placed_tag import Keys, PlacedTag, edge_of, mapping, number_of, turn_by_angles, turn_by_quaternion
+from lmd.core.checks import FloatArray, InputError, radians, vector
+from lmd.formats.placed_tag import (
+    Keys,
+    PlacedTag,
+    edge_of,
+    mapping,
+    number_of,
+    one_family,
+    tag_named,
+    turn_by_angles,
+    turn_by_quaternion,
+)
+from lmd.geometry.se3 import exp
 from lmd.scene.families import family_named
 
-LISTS = ("landmarks", "markers", "tags", "apriltags", "aruco_markers", "tag_locations")
-IDS = ("id", "tag_id", "marker_id", "aruco_id")
-POSITIONS = ("position", "position_m", "translation", "xyz", "pos", "location")
+LIMELIGHT, PYTAGMAPPER = "fiducials", "tag_locations"  # lists that other formats have, too
+LISTS = ("landmarks", "markers", "tags", "apriltags", "aruco_markers", PYTAGMAPPER, LIMELIGHT)
+IDS = ("id", "tag_id", "marker_id", "aruco_id", "apriltag_id", "number", "tag", "marker", "name", "frame_id")
+POSITIONS = ("position", "position_m", "translation", "xyz", "pos", "location", "translation_vector", "tvec")
+VECTORS = ("rotation_vector", "rvec", "rodrigues")
 ANGLES = ("orientation", "rotation", "rpy", "orientation_rpy", "rotation_rpy", "euler", "angles")
 QUATERNIONS = ("quaternion", "orientation", "rotation", "q")
 ORDERED = {f"{name}_{order}": order for name in QUATERNIONS for order in ("xyzw", "wxyz")}
@@ -41,31 +55,41 @@ def listed(keys: Keys) -> Iterable[PlacedTag]:
     entries = keys[name].items() if isinstance(keys[name], dict) else enumerate(keys[name])
     for key, entry in entries:
         at = f"{name}[{key}]"
+        if isinstance(entry, list):
+            raise InputError(
+                f"{at} is a list of {len(entry)} values{' without an orientation' if len(entry) == 3 else ''}: a tag "
+                "needs named ones, such as {position: [x, y, z], orientation: [roll, pitch, yaw]}, metres and radians."
+            )
         tag = mapping(at, entry)
-        number = _number(key if isinstance(keys[name], dict) else _first(tag, IDS))
+        own, number = _named(at, key if isinstance(keys[name], dict) else _first(tag, IDS))
         pose = {**tag, **mapping(f"{at}.pose", tag["pose"])} if isinstance(tag.get("pose"), dict) else tag
         size, family = _first({**common, **tag}, SIZES), _first({**common, **tag}, FAMILIES)
         edge = None if size is None else edge_of(f"{at}: size", size)
-        named = None if family is None else family_named(family)
+        named = one_family((own, None if family is None else family_named(family)))
         yield PlacedTag(number, _place(at, pose), _turn(at, number, pose), edge, named)
 
 
 def _list_of(keys: Keys) -> str | None:
     for name in LISTS:
         value = keys.get(name)
-        if isinstance(value, dict):
-            numbered, entries = all(str(key).isdecimal() for key in value), list(value.values())
-        else:
-            numbered, entries = False, value if isinstance(value, list) else []
-        if not entries or not all(isinstance(one, dict) for one in entries):
-            continue
-        if numbered or all(_first(one, IDS) is not None for one in entries):
-            return name
+        if isinstance(value, dict) and value:
+            kinds = dict if name == PYTAGMAPPER else (dict, list)
+            if all(isinstance(one, kinds) for one in value.values()):
+                return name
+        elif isinstance(value, list) and value:
+            named = all(isinstance(one, dict) and _first(one, IDS) is not None for one in value)
+            if named and not (name == LIMELIGHT and "transform" in value[0]):
+                return name
     return None
 
 
-def _number(value: Any) -> int:
-    return number_of(int(value) if isinstance(value, str) and value.isdecimal() else value)
+def _named(at: str, value: Any) -> tuple[str | None, int]:
+    """Family, None if unknown, and number of a tag."""
+    if not isinstance(value, str):
+        return None, number_of(value)
+    if (named := tag_named(value)) is None:
+        raise InputError(f"{at}: the name {value!r} has no number of a tag, as 7, tag_7 or tag36h11:7 have.")
+    return named
 
 
 def _first(keys: Keys, names: Iterable[str]) -> Any:
@@ -95,6 +119,10 @@ def _turn(at: str, number: int, pose: Keys) -> FloatArray:
         if pose.get(name) is not None:
             values = dict(zip(order, vector(f"{at}: {name}", pose[name], 4), strict=True))
             return turn_by_quaternion(*(values[axis] for axis in "xyzw"))
+    if (rotation := _first(pose, VECTORS)) is not None:
+        rotation = np.array(vector(f"{at}: rotation vector", rotation, 3))
+        radians(f"tag {number}", rotation=rotation)
+        return exp(np.concatenate([rotation, np.zeros(3)]))[:3, :3]
     value = _first(pose, (*ANGLES, *QUATERNIONS))
     inner = value if isinstance(value, dict) else pose
     for names in ((*"xyzw",), QUATERNION) if isinstance(value, dict) else (QUATERNION,):

@@ -1,8 +1,9 @@
-"""Tag of a map, the family by the names of other programs, and checks of the values that place the tag.
+"""Tag of a map, its family and number by the names of other programs, and checks of the values that place the tag.
 
 All readers give the poses of tags in one frame: x to the right of the tag, y up, z along the normal towards the viewer.
 """
 
+import re
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, NamedTuple
 
@@ -12,7 +13,7 @@ from lmd.core.checks import FloatArray, InputError, integer, radians, real, vect
 from lmd.core.tables import Table
 from lmd.geometry.frames import roll_pitch_yaw
 from lmd.geometry.se3 import QUATERNION_TOLERANCE, are_rotations, nearest_rotations
-from lmd.scene.families import FAMILIES
+from lmd.scene.families import FAMILIES, family_named
 
 Keys = Mapping[str, Any]
 MM, METRE = 1e-3, 1.0  # units, metres
@@ -32,6 +33,17 @@ RIGHT_UP_OUT = ("right", "up", "out")
 # OpenCV's dictionaries in the order of its list; RTAB-Map names a dictionary by its index.
 _SQUARE = [f"{bits}x{bits}_{ids}" for bits in (4, 5, 6, 7) for ids in (50, 100, 250, 1000)]
 NUMBERS = dict(enumerate([*_SQUARE, "aruco_original", "16h5", "25h9", "36h10", "36h11", "aruco_mip_36h12"]))
+
+# Families in names of pictures, models and frames.
+APRILTAG = re.compile(r"(?<!\d)(16|21|25|36|41|48|49|52)(?:[_-]?h[_-]?|[_-])(0?\d|1[0-3])(?!\d)", re.I)
+ARUCO = re.compile(r"(?<!\d)(?:(50|100|250|1000)[_-])?([4-7]x[4-7])(?:[_-](50|100|250|1000)(?=[_/ :-]))?", re.I)
+ORIGINAL = re.compile(r"original", re.I)
+# Words for a tag and its number, from which names of tags and of columns are made.
+TAG_WORDS = (
+    r"(?:(?:april|aruco|ar|tags?|markers?|fiducials?|landmarks?|dict|mip|family|standard|custom|circle|original|child|frame|names?"
+    r"|labels?|ids?|number|num|nr|no)[\s_:.#=-]*)+"
+)
+TAG_NAME = re.compile(rf"(?:{TAG_WORDS})?(\d{{1,15}})", re.I)
 
 
 class PlacedTag(NamedTuple):
@@ -95,6 +107,32 @@ def axes_of(words: Sequence[str] | None) -> FloatArray:
 def number_of(value: Any) -> int:
     """Id of a tag; raises `InputError` if `value` is no integer >= 0."""
     return integer("id", value, low=0)
+
+
+def family_and_rest(text: str) -> tuple[str | None, str]:
+    """Family in the name of a tag, None without one, and the name with the word `tag` in place of the family."""
+    for found in APRILTAG.finditer(text):
+        names = [family_named(f"{kind}{found[1]}h{int(found[2])}") for kind in ("", "circle", "aruco_mip_")]
+        known = [name for name in names if name in FAMILIES]
+        if known or "h" in found[0].lower():
+            return (known or names)[0], f"{text[: found.start()]}tag_{text[found.end() :]}"
+    if aruco := ARUCO.search(text):
+        ids = aruco[1] or aruco[3]
+        family = None if ids is None else f"{aruco[2].lower()}_{ids}"
+        return family, f"{text[: aruco.start()]}tag_{text[aruco.end() :]}"
+    return ("aruco_original" if ORIGINAL.search(text) else None), text
+
+
+def tag_named(value: Any) -> tuple[str | None, int] | None:
+    """Family, None if unknown, and number of a tag, from the number or from a name such as `tag36h11:7`; None for
+    another value, and for a name that does not determine the number.
+    """
+    text = str(value).strip().removesuffix(".0").rpartition("/")[2]
+    family, rest = family_and_rest(text)
+    found = TAG_NAME.fullmatch(rest)
+    if found is None or (family is None and rest != text):  # 4x4_50 is a family, 4x4_7 is none
+        return None
+    return family, int(found[1])
 
 
 def numbers(keys: Keys, names: Iterable[str]) -> FloatArray:

@@ -15,9 +15,9 @@ from pathlib import Path
 import numpy as np
 
 from lmd.core.checks import InputError, vector
-from lmd.formats.placed_tag import PlacedTag, number_of, turn_by_quaternion
+from lmd.formats.placed_tag import PlacedTag, tag_named, turn_by_quaternion
 from lmd.formats.tag_map import TagMap, rounded_values
-from lmd.scene.families import FAMILIES, family_named
+from lmd.scene.families import FAMILIES
 
 TAGS_OF_LAUNCH = re.compile(r"^TAGS = (\[\n(?:    \(.*\),\n)+\])$", re.MULTILINE)
 LAUNCH = '''"""Static transforms from the frame of the map to {count} tags.
@@ -98,9 +98,8 @@ def read_launch(text: str) -> Iterator[PlacedTag]:
         raise InputError("its TAGS must be a list of frames with seven numbers.") from None
     for row in rows:
         frame, *values = row
-        family, colon, number = str(frame).rpartition(":")
-        if not colon or not number.isdecimal():
+        if (named := tag_named(frame)) is None:
             raise InputError(f"the frame of a tag must be a family and a number, such as tag36h11:7, got {frame!r}.")
         pose = np.array(vector(f"{frame}", values, 7))
         turn = turn_by_quaternion(*pose[3:].tolist())
-        yield PlacedTag(number_of(int(number)), pose[:3], turn, None, family_named(family))
+        yield PlacedTag(named[1], pose[:3], turn, None, named[0])

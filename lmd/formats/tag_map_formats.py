@@ -15,7 +15,7 @@ from lmd.formats.gazebo_tags import gazebo
 from lmd.formats.landmark_table import headed_table
 from lmd.formats.lanelet_maps import autoware
 from lmd.formats.listed_tags import is_list, listed
-from lmd.formats.placed_tag import Found, Keys, PlacedTag
+from lmd.formats.placed_tag import Found, Keys, PlacedTag, tag_named
 from lmd.formats.pose_graphs import read_graph
 from lmd.formats.registry import File, Format, anything, has_keys
 from lmd.formats.ros2_tf import TAGS_OF_LAUNCH, read_launch
@@ -193,6 +193,11 @@ KEYED = (
 KNOWN = ", ".join(dict.fromkeys(form.name for form in KEYED))
 
 
+def _begins_with_tag(line: str) -> bool:
+    """True for a line of values with the name of a tag first, such as `tag36h11:7 2.0 0.0`."""
+    return tag_named(re.split(r"[\s,]", line.strip(), maxsplit=1)[0]) is not None
+
+
 def _root(*names: str) -> Callable[[Any], bool]:
     """Make a test for XML whose outermost element has one of the given names."""
     return lambda file: file.root is not None and file.root.tag in names
@@ -254,7 +259,7 @@ FORMATS = (
     Format(
         "tag map",
         "lines",
-        _first(IS_NUMBER),
+        lambda file: IS_NUMBER.match(file.first) is not None or _begins_with_tag(file.first),
         lambda file: read_lines(file.path, file.text),
         row=_row("clover", "Clover | : `aruco_map` | `id length x y z yaw pitch roll`, `length`")
         + "\nfiducial_slam | | not written | what it saves: `id x y z roll pitch yaw variance ...`, degrees",

@@ -4,7 +4,7 @@ Source: `convert_apriltag_layouts.py` of WPILib.
 """
 
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from functools import cached_property
 from typing import Any
 from xml.etree.ElementTree import Element
@@ -14,7 +14,7 @@ import numpy as np
 from lmd.core.checks import FloatArray, InputError
 from lmd.formats import tag_map_readers as readers
 from lmd.formats.gazebo_worlds import root_of
-from lmd.formats.landmark_table import families_of, is_by_normals, renamed, turned_deployment
+from lmd.formats.landmark_table import is_by_normals, renamed, turned_deployment
 from lmd.formats.placed_tag import RIGHT_UP_OUT, Found, Keys, PlacedTag, axes_of, check_family, one_family
 from lmd.formats.registry import File, read
 from lmd.scene.deployment import Deployment
@@ -24,7 +24,7 @@ from lmd.scene.labels import Labels
 LARGEST_MAP = 1 << 22  # greatest number of characters of YAML or JSON; a tag has some hundred
 EDGE_DIGITS = 12  # decimals of an edge, metres; further digits are rounding errors of conversions
 IS_JSON = re.compile(r"(\s|//[^\n]*\n|/\*.*?\*/)*{", re.DOTALL)  # comments may come first
-IS_YAML = re.compile(r"%YAML|---|\s*['\"]?[\w/*]+['\"]?\s*:")
+IS_YAML = re.compile(r"%YAML|---|(?!Unnamed: )\s*['\"]?[\w/*:]+['\"]?\s*:(?:\s|$)")
 
 
 class TagMapFile(File):
@@ -78,16 +78,10 @@ def read_deployment(
     file = TagMapFile(path, name, asked={} if axes is None else {"axes": axes})
     try:
         found: Found = read("tag map", file)
-        table = None if found.table is None else renamed(found.table)
-        if table is None:
-            families: Iterable[str | None] = [tag.family for tag in found.tags]
-        else:
-            by_normals = is_by_normals(table)
-            deployment = Deployment.from_table(table) if by_normals else turned_deployment(table, axes)
-            families = families_of(table)
+        table, families = (None, [tag.family for tag in found.tags]) if found.table is None else renamed(found.table)
         check_family(path, one_family(families), family)
         if table is not None:
-            return deployment
+            return Deployment.from_table(table) if is_by_normals(table) else turned_deployment(table, axes)
         if not found.tags:
             raise InputError("it has no tags with places.")
         turned = found.by_opencv and family is not None and FAMILIES[family].apriltag

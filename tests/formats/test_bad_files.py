@@ -194,8 +194,11 @@ BAD = {
         (SAMPLES["tag map"]["wpilib"].replace('"W": 1', '"W": 2'), "must have length 1, it has 2"),
         ("{", "cannot be read as YAML or JSON"),
         ("{" + " " * LARGEST_MAP, "has at most 4194304 characters"),
-        ("x,y,z,nx,ny,nz,edge\n1,0,1,0,1,0,wide\n", "edge must be positive metres: .*'wide'"),
-        ("x,y,z,nx,ny,nz,edge\n1,0,1,0,1,0,\n2,0,1,0,1,0,-0.1\n", "edge must be positive metres, landmark 1 has -0.1"),
+        ("id,x,y,z,nx,ny,nz,edge\n1,1,0,1,0,1,0,wide\n", "edge must be positive metres: .*'wide'"),
+        (
+            "id,x,y,z,nx,ny,nz,edge\n0,1,0,1,0,1,0,\n1,2,0,1,0,1,0,-0.1\n",
+            "edge must be positive metres, landmark 1 has -0.1",
+        ),
     ],
     "detections": [
         ("id,x0,y0,x1,y1,x2,y2,x3,y3\n", "lacks the column time or stamp or timestamp or image; what is read is a bag"),

@@ -38,6 +38,7 @@ def assert_faces(found, positions, normal, up):
         "# id x y z qx qy qz qw\n" + WALL,
         "# Tag_ID, pos_x [m], pos_y [m], pos_z [m], q_x, q_y, q_z, q_w\n" + WALL,
         WALL,
+        WALL.replace("7 2.0", "tag36h11:7 2.0"),
         "id,x,y,z,roll,pitch,yaw\n" + ANGLES.replace(" ", ","),
         "# id x y z roll pitch yaw: ROS's, in rad\n" + ANGLES,
         ANGLES,
@@ -104,6 +105,15 @@ def test_a_family_is_a_column(read):
         ("id,x,y,z,roll_deg,pitch_deg,yaw_deg\n1,0,0,0,1,0,0\n", "its column 'roll_deg' is in another unit"),
         ("id,x[mm],y[mm],z[mm],qx,qy,qz,qw\n1,0,0,0,0,0,0,1\n", r"its column 'x\[mm\]' is in another unit"),
         ("id,x,y,z,qx,qy,qz,qw\n1,0,0,0,0,0,0,2\n", "must have length 1, it has 2"),
+        (
+            "x,y,z,nx,ny,nz\n0,0,0,0,1,0\n",
+            "it needs a column id with the number of each tag, such as 7 or tag36h11:7; it",
+        ),
+        ("name,x,y,z,nx,ny,nz\ntag36h11,0,0,0,0,1,0\n", "it needs a column id"),
+        (",x,y,z,nx,ny,nz\n0,0,0,0,0,1,0\n1,1,0,0,0,1,0\n", "it needs a column id"),  # a table of pandas counts lines
+        ("id,name,x,y,z,nx,ny,nz\n0,tag36h11:7,0,0,0,0,1,0\n", "'id' and 'name' have different numbers of tags"),
+        ("id,x,y,z,nx,ny,nz\ntag36h11:7,0,0,0,0,1,0\n7,1,0,0,0,1,0\n", "id 7 belongs to 2 landmarks"),
+        ("id,family,x,y,z,nx,ny,nz\ntag36h11:7,16h5,0,0,0,0,1,0\n", "of the families 16h5 and 36h11"),
         ("id x y z qx qy qz qw\n1 0 0 0 0 0 0\n", "has 7 values, the header 8"),
         ("# id x y z qx qy qz qw\n1 0 0 0 0 0 0\n", "line 2 has 7 values, but a comment names 8"),
         ("7,2,0,1,0,0,0,1\n", "it has no header: its first line must name the columns"),

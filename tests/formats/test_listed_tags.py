@@ -26,6 +26,8 @@ def read(tmp_path):
         {"markers": [{"id": 7, "x": 2, "y": 0, "z": 1.2, "roll": np.pi / 2, "pitch": 0, "yaw": 0}]},
         {"markers": {"7": {"x": 2, "y": 0, "z": 1.2, "qx": HALF, "qy": 0, "qz": 0, "qw": HALF}}},
         {"tag_locations": [{"id": 7, "x": 2, "y": 0, "z": 1.2, "qx": HALF, "qy": 0, "qz": 0, "qw": HALF}]},
+        {"tags": {"tag36h11:7": {"position": PLACE, "orientation": {"x": HALF, "y": 0, "z": 0, "w": HALF}}}},
+        {"fiducials": [{"name": "tag_7", "translation_vector": PLACE, "rotation_vector": UPRIGHT}]},
         {"apriltags": [{"id": 7, "xyz": PLACE, "orientation": {"x": HALF, "y": 0, "z": 0, "w": HALF}}]},
     ],
 )
@@ -65,8 +67,13 @@ def test_sizes_and_families_are_those_of_a_tag_or_of_the_list(read):
         ({"position": None, "x": 1, "y": 2}, r"landmarks\[0\] has no position of x, y and z, metres; it has id"),
         ({"size": 150}, r"landmarks\[0\]: size = 150 is in metres here"),
         ({"id": 1.5}, "id must be a whole number"),
+        ({"id": "door"}, r"landmarks\[0\]: the name 'door' has no number of a tag"),
+        ({"id": "tag36h11:7", "family": "16h5"}, "of the families 16h5 and 36h11"),
+        ({"rvec": [0, 180, 0]}, "rotation = 180 looks like degrees"),
     ],
 )
 def test_a_tag_that_lacks_a_value_is_refused(change, message, read):
     with pytest.raises(InputError, match=message):
         read({"landmarks": [{"id": 7, "position": PLACE, "orientation": UPRIGHT} | change]})
+    with pytest.raises(InputError, match=r"tags\[0\] is a list of 3 values without an orientation: a tag needs named"):
+        read({"tags": {"0": PLACE}})

@@ -8,6 +8,7 @@ from numpy.testing import assert_allclose
 
 from lmd.core.checks import InputError
 from lmd.formats.calibrations import calibrated_camera
+from lmd.formats.placed_tag import tag_named
 from lmd.formats.tag_maps import read_deployment
 from lmd.formats.trajectories import TrajectoryFile
 
@@ -21,13 +22,33 @@ def write(tmp_path):
     return written
 
 
-@pytest.mark.parametrize("name", ["tag", "Tag ID", "marker id", "number", "MARKER_ID"])
+@pytest.mark.parametrize(
+    "name", ["tag", "Tag ID", "MARKER_ID", "no.", "name", "frame_id", "apriltag", "", "Unnamed: 0"]
+)
 def test_a_tag_has_the_number_that_a_table_says_under_another_name(write, name):
     found = read_deployment(write(f"{name},x,y,z,qx,qy,qz,qw\n7,2,0,1.2,0.5,0.5,0.5,0.5\n9,4,0,1,0.5,0.5,0.5,0.5\n"))
     assert found.ids.tolist() == [7, 9]
-    found = read_deployment(write(f"{name},X,Y,Z,NX,NY,NZ\n7,2,0,1.2,0,1,0\n9,4,0,1,0,1,0\n"))
+    found = read_deployment(write(f"{name},X,Y,Z,NX,NY,NZ\ntag36h11:7,2,0,1.2,0,1,0\n9,4,0,1,0,1,0\n"), family="36h11")
     assert found.ids.tolist() == [7, 9]
     assert_allclose(found.normals, [[0, 1, 0]] * 2)
+
+
+@pytest.mark.parametrize(
+    ("family", "names"),
+    [
+        ("36h11", "tag36h11:7 tag36h11_00007 36h11-7 map/tag36h11:7 Apriltag36_11_00007 DICT_APRILTAG_36H11_7"),
+        ("41h12", "tagStandard41h12:7"),
+        ("48h12", "tagCustom48h12:7"),  # not known here, which a map of tags is told
+        ("4x4_50", "DICT_4X4_50:7 4x4_50_7"),
+        ("aruco_original", "aruco_original_7"),
+        ("aruco_mip_36h12", "ARUCO_MIP_36h12_7"),
+        ("unsure", "tag36h11 36h11 4x4_50 aruco_4x4_50 tag_16_5 tag_7_8 wall_7 door -7  None"),
+        (None, "7 07 7.0 tag_7 tag-7 marker7 fiducial_7 ar_marker_7"),
+    ],
+)
+def test_a_name_has_the_family_and_the_number_of_a_tag(family, names):
+    assert {tag_named(name) for name in names.split(" ")} == {None if family == "unsure" else (family, 7)}
+    assert tag_named("tag_3611") == (None, 3611)
 
 
 @pytest.mark.parametrize("name", ["marker_length", "side", "edge length", "tag_size"])

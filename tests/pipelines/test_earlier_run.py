@@ -225,7 +225,7 @@ def test_where_deployments_are_compared_the_run_is_one_of_them(earlier, monkeypa
 def test_deployments_beside_a_run_have_as_many_landmarks_and_its_fixed_ones(earlier, monkeypatch):
     marked = "id,x,y,z,nx,ny,nz,fixed\n5,0,1,1,1,0,0,1\n7,0,2,1,1,0,0,0\n9,0,3,1,1,0,0,0\n"
     leave(earlier, marked, fixed="tags.csv")
-    (earlier.parent / "two.csv").write_text("x,y,z,nx,ny,nz\n0,1,1,1,0,0\n6,2,1,-1,0,0\n")
+    (earlier.parent / "two.csv").write_text("id,x,y,z,nx,ny,nz\n0,0,1,1,1,0,0\n1,6,2,1,-1,0,0\n")
     entries = "deployments=[run,random,'more: uniform deployment.count=4','two: file deployment.path=two.csv']"
     problems = {}
 

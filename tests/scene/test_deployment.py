@@ -185,7 +185,7 @@ def test_a_normal_printed_with_few_decimals_is_made_unit(write):
         (HEADER + "1.5,1,1,0,0,0,1\n", "line 2: id must be a whole number from 0 to .*, got 1.5"),
         (HEADER + "1e30,1,1,0,0,0,1\n", r"line 2: id must be a whole number from 0 to .*, got 1e\+30"),
         (HEADER + "left,1,1,0,0,0,1\n", "line 2: id is 'left', not a number"),
-        ("x,y,z,nx,ny\n1,1,0,0,0\n", "lacks the column 'nz'"),
+        ("id,x,y,z,nx,ny\n1,1,1,0,0,0\n", "lacks the column 'nz'"),
     ],
 )
 def test_a_bad_csv_is_refused_with_its_name_and_the_value(write, text, named):
