@@ -16,10 +16,11 @@ from lmd.space.surface import FLAT, Surface
 # On the page, mm.
 AROUND = 11.0  # width of the border around the room, for names
 NAME_GAP, OUTER_NAME_GAP = 3.0, 6.0  # distance of a name from its wall, inside and outside of the room
-# Shifts of a name to avoid other names: away from its wall and along the wall, the shortest first.
-SHIFTS = np.stack(np.meshgrid(np.arange(0.0, 21.0, 1.5), np.arange(-20.0, 21.0, 2.5)), axis=-1).reshape(-1, 2)
+# Shifts of a name to avoid other texts: away from its wall and along the wall, the shortest first.
+SHIFTS = np.stack(np.meshgrid(np.arange(-6.0, 21.0, 1.5), np.arange(-20.0, 21.0, 2.5)), axis=-1).reshape(-1, 2)
 SHIFTS = SHIFTS[np.argsort(np.abs(SHIFTS).sum(axis=1), kind="stable")]
-TAG = 1.8  # height of the triangle of a tag
+TAG, ID = 1.8, 2.0  # height of the triangle of a tag, and of the letters of its id
+IDS_STEPS = 8  # number of places that are tried for ids in front of a tag
 MANY = 1000  # number of edges of a room above which edges are drawn thinner
 ARROW = 9.0  # length of the arrow to the north
 BEHIND = np.linspace(0.02, 1.0, 20)  # distances behind a surface at which a test looks for the room, over its size
@@ -69,6 +70,13 @@ def draw_floor_plan(canvas: Any, tags: TagMap, left: float, top: float, scale: i
     for body in bodies:
         x, y = place(body.corners).mean(axis=0).tolist()
         write_on_white(canvas, x, y, shortened(body.name), size=NAME)
+    ids: dict[tuple[float, ...], list[int]] = {}  # one text for tags above each other
+    for number, at, normal in zip(tags.ids, place(tags.deployment.positions), tags.deployment.normals, strict=True):
+        _draw_tag(canvas, at, normal)
+        front = np.array([0.0, -1.0]) if abs(normal[2]) > FLAT else normal[:2] / np.linalg.norm(normal[:2])
+        ids.setdefault((*np.round(at), *np.round(front, 3), np.sign(normal[2].round(3))), []).append(number)
+    for (x, y, *front_xy, _), numbers in ids.items():
+        _write_ids(canvas, ", ".join(map(str, sorted(numbers))), np.array([x, y]), np.array(front_xy), taken)
     hung = {index: numbers_of(own) for index, own in tags.tags_by_surface.items() if index >= 0}
     # Names of surfaces with tags come first; other names are left out if there is no room for them.
     for index in sorted(range(len(tags.room.surfaces())), key=lambda index: index not in hung):
@@ -80,13 +88,11 @@ def draw_floor_plan(canvas: Any, tags: TagMap, left: float, top: float, scale: i
         if own and index not in hung:
             continue
         ends = place(surface.point(np.array([0.0, surface.extent[0]]), np.zeros(2)))
-        text = shortened(tags.names[index]) + (f": {hung[index]}" if index in hung else "")
+        text = shortened(tags.names[index]) + (f": no. {hung[index]}" if index in hung else "")
         way = surface.normal[:2] if own else _outwards(tags.room, surface)
         beside = any(fixture.on(surface).area > 0.0 for fixture in openings if not fixture.has(surface))
         away = OUTER_NAME_GAP if beside and not own else NAME_GAP
         _write_along(canvas, text, ends, way, away, taken, bold=True, needed=index in hung)
-    for k in range(len(tags.ids)):
-        _draw_tag(canvas, place(tags.deployment.positions[k]), tags.deployment.normals[k])
     below = float(origin[1]) - AROUND
     kinds = [kind for kind in KINDS if any(fixture.kind == kind for fixture in fixtures)]
     for angle, name in ((0.0, "x"), (math.pi / 2.0, "y")):
@@ -170,6 +176,20 @@ def _draw_tag(canvas: Any, at: FloatArray, normal: FloatArray) -> None:
     out = normal[:2] / np.linalg.norm(normal[:2])
     beside = np.array([-out[1], out[0]]) * TAG / 2.0
     fill_polygon(canvas, [(at + beside).tolist(), (at - beside).tolist(), (at + TAG * out).tolist()])
+
+
+def _write_ids(canvas: Any, text: str, at: FloatArray, way: FloatArray, taken: list[Any]) -> None:
+    """Write ids in front of a tag, clear of the texts and walls in `taken`, which they join."""
+    import shapely
+
+    half = np.array([width_of(text, ID), ID]) / 2.0
+    for step in range(IDS_STEPS):
+        low = at + (TAG + 0.1 * ID + step * ID + np.abs(way) @ half) * way - half
+        box = shapely.box(*low, *(low + 2.0 * half))
+        if not shapely.intersects(np.array(taken), box).any():
+            break
+    taken.append(box)
+    write_text(canvas, low[0] + half[0], low[1] + 0.15 * ID, text, size=ID, align="centre")
 
 
 def _draw_arrow(canvas: Any, x: float, y: float, length: float, angle: float, name: str) -> None:

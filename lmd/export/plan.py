@@ -87,7 +87,7 @@ def write_plan(path: Path, tags: TagMap, paper: str, north: float | None = None)
             if index < 0:
                 _draw_free(canvas, size, tags, own)
             else:
-                _draw_surface(canvas, size, tags, View(tags.room.surfaces()[index]), tags.names[index], own)
+                _draw_surface(canvas, size, tags, View(tags.room.surfaces()[index]), own)
 
 
 def _draw_overview(
@@ -101,7 +101,7 @@ def _draw_overview(
     room = size[0] - 3.0 * MARGIN - ORDER.width, size[1] - 2.0 * MARGIN - HEAD
     scale = scale_of(tags.room, *room, SCALES)
     title = f"{len(tags.ids)} tags of {tags.tag.family}, {tags.edges_in_words}"
-    facts = f"seen from above, scale 1 : {scale}; {tags.room.describe()}; triangles are tags on walls"
+    facts = f"seen from above, scale 1 : {scale}; {tags.room.describe()}; triangles and ids are tags on walls"
     if (np.abs(tags.deployment.normals[:, 2]) > FLAT).any():
         facts += ", squares those on floors (black) and ceilings (white)"
     begin_titled(canvas, size, title, facts)
@@ -109,9 +109,7 @@ def _draw_overview(
     draw_tables(canvas, size, ORDER, rows, title, facts)
 
 
-def _draw_surface(
-    canvas: Any, size: tuple[float, float], tags: TagMap, view: View, name: str, places: IntArray
-) -> None:
+def _draw_surface(canvas: Any, size: tuple[float, float], tags: TagMap, view: View, places: IntArray) -> None:
     own = tags.order[places]
     width, height = (MM_PER_M * length for length in view.surface.extent)
     edge = "floor" if view.surface.is_upright else "below"
@@ -120,10 +118,10 @@ def _draw_surface(
     room_x = size[0] - 3.0 * MARGIN - table.width - DIMENSION - TEXT
     room_y = size[1] - 2.0 * MARGIN - HEAD - DIMENSION - TEXT
     scale = next((one for one in SCALES if width <= one * room_x and height <= one * room_y), SCALES[-1])
-    title = f"{name}, {view.direction}"
+    title = f"{view.surface.name}, {view.direction}"
     facts = f"{width:.0f} x {height:.0f} mm, tags: {len(own)}, scale 1 : {scale}; {tags.room.describe()}"
     facts += "" if view.surface.allowed is None else "; nothing hangs where it is grey"
-    facts += "" if name == view.surface.name else f"; {view.surface.name} in files"
+    facts += next((f"; of {part.name}" for part in tags.fixtures if part.has(view.surface)), "")
     at, papers = MM_PER_M * tags.at[own], MM_PER_M * tags.papers[own]
     floor = MM_PER_M * lower_edge(tags.room, view.surface)
     rows = [

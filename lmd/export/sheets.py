@@ -15,7 +15,7 @@ import numpy as np
 
 from lmd.core.optional import optional
 from lmd.export.layout import FOOTER, LABEL, LABEL_GAP, MARGIN, MARK, MARK_GAP, STRIP, Pieces, Whole, label_size, layout
-from lmd.export.paper import GREY, PAPERS, begin_page, document, shortened, up_arrow, width_of, write_text
+from lmd.export.paper import GREY, PAPERS, begin_page, document, up_arrow, width_of, write_text
 from lmd.formats.tag_map import TagMap
 from lmd.geometry.camera import MM_PER_M
 from lmd.scene.tag import Tag
@@ -78,7 +78,7 @@ def _draw_whole(canvas: Any, tags: TagMap, tag: Tag, sheets: Whole, chosen: list
     for place, k in enumerate(chosen):
         row, column = divmod(place, sheets.columns)
         x, y = sheets.left + column * plate, sheets.top - (row + 1) * sheets.pitch
-        _draw_tag(canvas, tags, tag, k, x, y)
+        _draw_tag(canvas, tags, tag, k, x, y, min(x + plate, sheets.page[0] - MARGIN))
         xs |= {x, x + plate}
         ys |= {y, y + plate}
     _draw_cuts(canvas, sheets.page, xs, ys)
@@ -101,7 +101,8 @@ def _draw_piece(canvas: Any, tags: TagMap, tag: Tag, sheets: Pieces, k: int, row
     visible = canvas.beginPath()
     visible.rect(left, bottom - below, sheets.width + beside, sheets.height + below)
     canvas.clipPath(visible, stroke=0, fill=0)
-    _draw_tag(canvas, tags, tag, k, left - column * sheets.width, top + row * sheets.height - plate, CROSS)
+    corner = left - column * sheets.width, top + row * sheets.height - plate
+    _draw_tag(canvas, tags, tag, k, *corner, corner[0] + sheets.width, CROSS)
     canvas.restoreState()
     for x, y in product((left, right), (bottom, top)):
         _draw_cross(canvas, x, y)
@@ -109,17 +110,21 @@ def _draw_piece(canvas: Any, tags: TagMap, tag: Tag, sheets: Pieces, k: int, row
     _draw_cuts(canvas, sheets.page, {left, right}, {bottom, top}, *ends)
     piece = f"piece {row * sheets.columns + column + 1} of {sheets.per_tag}, row {row + 1}, column {column + 1}"
     under = "cut at the crosses on the left and above; what is beyond them on the right and below goes under the next"
-    _write_label(canvas, f"{tags.ids[k]}   {tags.place_of(k)}   {piece}", MARGIN, sheets.page[1] - MARGIN, LABEL)
+    label = f"{tags.ids[k]}   {tags.place_of(k)}   {piece}"
+    _write_label(canvas, label, MARGIN, sheets.page[1] - MARGIN, LABEL, sheets.page[0] - MARGIN)
     _draw_footer(canvas, tag, "")
     write_text(canvas, MARGIN, MARGIN + FOOTER, under, size=2.4)
     canvas.showPage()
 
 
-def _draw_tag(canvas: Any, tags: TagMap, tag: Tag, k: int, x: float, y: float, inset: float | None = None) -> None:
+def _draw_tag(
+    canvas: Any, tags: TagMap, tag: Tag, k: int, x: float, y: float, right: float, inset: float | None = None
+) -> None:
     """Draw a tag with the lower left corner of its paper at (x, y), and its label, above the tag if the margin is too
     narrow.
 
-    In the margin, the label is `inset` from the edges of the paper, if given, else by a quarter of its height.
+    The label ends at `right`. In the margin, it is `inset` from the edges of the paper, if given, else by a quarter of
+    its height.
     """
     number = tags.ids[k]
     plate, edge, module = (MM_PER_M * length for length in (tag.paper_edge, tag.picture_edge, tag.module))
@@ -128,17 +133,15 @@ def _draw_tag(canvas: Any, tags: TagMap, tag: Tag, k: int, x: float, y: float, i
         left, top = x + (plate - edge) / 2.0 + column * module, y + (plate + edge) / 2.0 - row * module
         black.rect(left, top - module, module, module)
     canvas.drawPath(black, stroke=0, fill=1)
-    label, size = f"{number}   {shortened(tags.place_of(k))}", label_size(tag)
-    away = size / 4.0 if inset is None else inset
+    label, size = f"{number}   {tags.place_of(k)}", label_size(tag)
+    away = (size / 4.0 or LABEL_GAP) if inset is None else inset
     start, top = max(x, MARGIN) + away, y + plate - away if size else y + plate + LABEL_GAP + LABEL
-    size = size or LABEL
-    _write_label(
-        canvas, label, start, top, size * min(1.0, (x + plate - start) / (1.75 * size + width_of(label, size)))
-    )
+    _write_label(canvas, label, start, top, size or LABEL, right)
 
 
-def _write_label(canvas: Any, text: str, x: float, top: float, size: float) -> None:
-    """Draw an arrow that points up, and a line of text, below `top`."""
+def _write_label(canvas: Any, text: str, x: float, top: float, size: float, right: float) -> None:
+    """Draw an arrow that points up, and a line of text, below `top`, in smaller letters where it would pass `right`."""
+    size *= min(1.0, (right - x) / (1.75 * size + width_of(text, size)))
     up_arrow(canvas, x + size / 2.0, top - 0.75 * size, 0.75 * size)
     write_text(canvas, x + 1.5 * size, top - 0.75 * size, text, size=size)
 

@@ -17,7 +17,6 @@ from lmd.scene.deployment import Deployment
 from lmd.scene.families import FAMILIES
 from lmd.scene.tag import Tag
 from lmd.space.fixture import Fixture
-from lmd.space.names import name_for_people
 from lmd.space.space import Space
 from lmd.space.surface import FLAT
 
@@ -113,11 +112,11 @@ class TagMap:
 
     @cached_property
     def names(self) -> list[str]:
-        """Readable name of each surface of the room."""
-        return [name_for_people(surface, self.fixtures) for surface in self.room.surfaces()]
+        """Name of each surface of the room, as in files and in the planner."""
+        return [surface.name for surface in self.room.surfaces()]
 
     def place_of(self, k: int) -> str:
-        """Readable name of the surface of tag k."""
+        """Name of the surface of tag k."""
         surface = self.surfaces[k]
         return "free in the room" if surface < 0 else self.names[surface]
 

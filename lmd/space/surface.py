@@ -197,17 +197,18 @@ def free_of(face: Surface, region: Any, margin: float, band: Sequence[float] | N
     Args:
         face: surface.
         region: existing part of the face, a shapely polygon.
-        margin: distance from the edges of the region along u and v, metres.
+        margin: distance from the edges of the region and of `taken` along u and v, metres.
         band: lowest and highest z on an upright face, metres.
         taken: regions that exclude landmarks.
     """
     import shapely
 
-    left = eroded(region, margin)
+    out = shapely.union_all(taken)
+    left = eroded(region.difference(out), margin) if margin else region
     if band is not None and face.is_upright:
         low, high = (z - float(face.origin[2]) for z in band)
         left = left.intersection(shapely.box(0.0, low, face.extent[0], high))
-    return polygons(left.difference(shapely.union_all(taken)))
+    return polygons(left.difference(out))
 
 
 class SurfaceArrays(NamedTuple):

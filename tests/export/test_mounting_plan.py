@@ -10,6 +10,7 @@ import pypdfium2
 import pytest
 import trimesh
 
+from lmd.export import overview
 from lmd.export.paper import PAPERS, begin_page, document
 from lmd.export.plan import View, write_plan
 from lmd.export.symbols import draw_fixture, draw_opening
@@ -219,13 +220,28 @@ def test_the_first_page_names_walls_and_fixtures_and_says_where_each_is_hung(tmp
     assert " N " not in first
     for index, places in tags.tags_by_surface.items():
         name, numbers = tags.names[index], f"{places[0] + 1} to {places[-1] + 1}"
-        assert f"{name}: {numbers}" in first  # at the wall
+        assert f"{name}: no. {numbers}" in first  # at the wall
         (page,) = [number for number, text in enumerate(others, 2) if text.startswith(f"{name}, seen from the front")]
         assert f"{numbers} {name} {len(places)} {page}" in first  # in the table
-        assert f"; {tags.room.surfaces()[index].name} in files" in others[page - 2]
-    for name, fixture in (("wall 1", "door"), ("wall 6", "big window"), ("wall 6", "rack"), ("wall 2", "keep_out 2")):
+    for name, fixture in (("wall_0", "door"), ("wall_5", "big window"), ("wall_5", "rack"), ("wall_1", "keep_out 2")):
         (text,) = [text for text in others if text.startswith(f"{name},")]
         assert fixture in text
+
+
+def test_each_id_stands_beside_its_triangle(tmp_path, monkeypatch):
+    tags, drawn, triangles = lab(), {}, []
+    write, draw = overview.write_text, overview._draw_tag
+
+    def note(canvas, x, y, text, **style):
+        drawn.update({int(number): (x, y) for number in text.split(", ") if style["size"] == overview.ID})
+        write(canvas, x, y, text, **style)
+
+    monkeypatch.setattr(overview, "write_text", note)
+    monkeypatch.setattr(overview, "_draw_tag", lambda *given: (triangles.append(given[1]), draw(*given)))
+    write_plan(tmp_path / "plan.pdf", tags, "a4")
+    assert sorted(drawn) == sorted(tags.ids)
+    away = np.linalg.norm(np.array([drawn[number] for number in tags.ids]) - triangles, axis=1)
+    assert away.max() < overview.TAG + 3.0 * overview.ID
 
 
 def test_names_around_pillars_do_not_overlap(tmp_path):
@@ -234,8 +250,8 @@ def test_names_around_pillars_do_not_overlap(tmp_path):
     drawn = Footprints(room, TAG).draw(UniformDeployment(24), np.random.default_rng(0))
     write_plan(tmp_path / "plan.pdf", TagMap(room, TAG, drawn), "a4")
     text, boxes = next(iter(pypdfium2.PdfDocument(tmp_path / "plan.pdf"))).get_textpage(), []
-    for pillar, side in itertools.product((1, 2), range(1, 5)):
-        found = text.search(f"pillar {pillar}, side {side}")
+    for pillar, side in itertools.product(range(2), range(4)):
+        found = text.search(f"hole_{pillar}_wall_{side}")
         while at := found.get_next():
             corners = np.array([text.get_charbox(i) for i in range(at[0], sum(at))])
             if corners[:, 2].max() < 500.0:  # on the left of the table

@@ -52,6 +52,8 @@ def test_areas_are_what_is_left_of_the_faces():
     assert_allclose(areas["wall_5"], 4 * 2.5 - 1.75)  # the rack stands against it
     assert_allclose(areas["obstacle_0_top"], 0.5)
     assert_allclose(surface(lab(band=[0.25, 2.25], margin=0.125), "wall_1").area, 1.75 * 2)
+    apart = lab(margin=0.125, keep_out=[DOOR], band=None)  # also from the frame of the door, which is 1 x 2 m
+    assert_allclose(surface(apart, "wall_0").area, 5.75 * 2.25 - 1.25 * 2.0)
 
 
 def test_a_keep_out_is_measured_from_the_left_as_one_stands_before_its_wall():
