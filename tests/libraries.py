@@ -1,6 +1,7 @@
 """Optimisers of libraries, and of classes like theirs, for tests of their wrappers."""
 
 from functools import partial
+from importlib import import_module
 
 import numpy as np
 
@@ -20,19 +21,10 @@ def run(optimiser, batches, dim=12, fitness=lambda genes: -np.abs(genes - 0.3).s
 
 
 def pymoo(name, **parameters):
-    from pymoo.algorithms.soo.nonconvex import cmaes, de, direct, g3pcx, ga, isres, pattern, pso
-
-    module = {
-        "GA": ga,
-        "DE": de,
-        "PSO": pso,
-        "CMAES": cmaes,
-        "PatternSearch": pattern,
-        "ISRES": isres,
-        "G3PCX": g3pcx,
-        "DIRECT": direct,
-    }
-    return Pymoo(partial(getattr(module[name], name), **parameters))
+    modules = {"PatternSearch": "pattern", "MixedVariableGA": "core.mixed"}
+    module = modules.get(name, name.lower())
+    within = "pymoo." if "." in module else "pymoo.algorithms.soo.nonconvex."
+    return Pymoo(partial(getattr(import_module(within + module), name), **parameters))
 
 
 def l_shade(evaluations=None, **parameters):

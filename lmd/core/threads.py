@@ -5,6 +5,7 @@ import os
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor, wait
 from functools import cache
+from threading import Thread
 from typing import Any, TypeVar
 
 import numpy as np
@@ -76,3 +77,20 @@ def in_parts(threads: int, work: Callable[[int, int], object], size: int, parts:
     """Call `work(first, last)` for at most `parts` equal ranges that cover `range(size)`."""
     edges = np.linspace(0, size, min(size, parts) + 1).astype(int).tolist()
     at_once(threads, lambda part: work(*part), itertools.pairwise(edges))
+
+
+def in_daemon(work: Callable[..., T], *arguments: Any) -> "Future[T]":
+    """Begin `work(*arguments)` in a daemon thread; returns the future of its result.
+
+    Threads that `work` starts are daemons too by default, and a process that ends waits for no daemon.
+    """
+    outcome: Future[T] = Future()
+
+    def fulfil() -> None:
+        try:
+            outcome.set_result(work(*arguments))
+        except BaseException as error:
+            outcome.set_exception(error)
+
+    Thread(target=fulfil, daemon=True).start()
+    return outcome

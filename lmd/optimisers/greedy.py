@@ -12,7 +12,7 @@ from lmd.core.checks import InputError, real
 from lmd.objectives.base import Objective, selectable
 from lmd.optimisers.annealing import Annealing, Stage
 from lmd.optimisers.annealing.stage import changed
-from lmd.optimisers.selection import GRID_SPACING, Tags, candidates, greedy_start, select
+from lmd.optimisers.selection import GRID_SPACING, Tags, candidates, select
 from lmd.problem import Problem
 from lmd.scene.deployment import Deployment
 from lmd.scene.deployment_sources import POINT, landmark_count
@@ -51,12 +51,9 @@ class Greedy(Annealing):
         super().check(problem)
         selectable(problem.objective)
 
-    def _begin(self, problem: Problem, stack: int, limit: float) -> int:
-        """Build the start greedily; landmarks beyond the budget stay as in the problem's start."""
-        super()._begin(problem, stack, limit)
-        self.start, spent = greedy_start(problem, self.start, self.spacing, (limit - problem.count) / 2)
-        self.here = self.start
-        return spent
+    @override
+    def _is_greedy(self, problem: Problem, stack: int) -> bool:
+        return True
 
 
 @dataclass(frozen=True)

@@ -16,10 +16,9 @@ deployment is evaluated with occlusion, after the landmarks of each stack are se
 
 import operator
 from collections.abc import Callable, Mapping
-from concurrent.futures import Future, wait
+from concurrent.futures import wait
 from dataclasses import dataclass
 from functools import partial, reduce
-from threading import Thread
 from typing import Any
 
 import numpy as np
@@ -28,6 +27,7 @@ from scipy.optimize import Bounds, LinearConstraint, OptimizeResult, milp
 from scipy.sparse import block_array, block_diag, coo_array, csr_array, eye_array
 
 from lmd.core.checks import BoolArray, FloatArray, InputError, IntArray
+from lmd.core.threads import in_daemon
 from lmd.objectives.coverage import Coverage
 from lmd.objectives.crowd import seeks_worst
 from lmd.optimisers.annealing.surrogate import STACK_SPREAD, pulled_apart
@@ -227,17 +227,8 @@ class Program:
 
 def solved_beside(work: Callable[[], OptimizeResult], stop: Callable[[], bool | None]) -> OptimizeResult | None:
     """Result of `work`, in a thread of its own, or None as soon as `stop`, asked now and then, returns True."""
-    outcome: Future[OptimizeResult] = Future()
-    Thread(target=_fulfil, args=(outcome, work), daemon=True).start()
+    outcome = in_daemon(work)
     while not wait([outcome], POLL_SECONDS).done:
         if stop():
             return None
     return outcome.result()
-
-
-def _fulfil(future: "Future[OptimizeResult]", work: Callable[[], OptimizeResult]) -> None:
-    """Run `work`, and put its result or its error into `future`."""
-    try:
-        future.set_result(work())
-    except BaseException as error:
-        future.set_exception(error)

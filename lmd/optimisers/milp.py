@@ -81,6 +81,9 @@ class Milp(DeploymentSearch):
             note(1, problem.draw(np.random.default_rng(self.seed)))
         program, most = Program.of(problem, poses, covers_of(problem, poses)), problem.fitness_relevance.sum()
         limit = min(self.seconds, (budget.seconds or np.inf) - (clock() - began))
+        if limit <= 0.0:  # to make the program took the time
+            ledger.seconds = clock() - began
+            return self.result(problem, "budget")
 
         def stop() -> bool | None:
             ledger.seconds = clock() - began

@@ -1,15 +1,20 @@
 """Any optimiser of nevergrad behind `AskTell`."""
 
 import difflib
+import math
 import warnings
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from typing import Any
 
 import numpy as np
+from typing_extensions import override
 
 from lmd.core.checks import FloatArray, InputError, integer, real
 from lmd.core.optional import optional
 from lmd.optimisers.wrapped import LibraryOptimiser, Wrapped
+
+PLANNED = 10_000  # evaluations that a method plans with if their number is unknown; then it begins anew
 
 
 class Nevergrad(Wrapped):
@@ -20,7 +25,7 @@ class Nevergrad(Wrapped):
             `options`, e.g. `DifferentialEvolution`, `EvolutionStrategy`.
         options: parameters of the family.
         workers: number of deployments asked for at a time; 1 for methods that cannot take more.
-        budget: number of evaluations that the method plans with, which some methods require; None for unknown.
+        budget: number of evaluations that the method plans with; None for `PLANNED`, after which it begins anew.
         step: standard deviation of a step (genes span 1); None for nevergrad's default, 1/6.
         encoding: see `AskTell`.
         seed: see `Optimiser`.
@@ -46,6 +51,11 @@ class Nevergrad(Wrapped):
         self.budget = None if budget is None else integer("budget", budget, low=1)
         self.step = None if step is None else real("step", step, above=0.0)
         self.method()
+
+    @property
+    @override
+    def called(self) -> str:
+        return f"nevergrad's {self.name}"
 
     def method(self) -> Callable[..., Any]:
         """Return the function that makes the optimiser.
@@ -78,17 +88,14 @@ class _Running:
     def __init__(self, settings: Nevergrad, start: FloatArray, rng: np.random.Generator) -> None:
         import nevergrad
 
-        self.name = settings.name
         box = nevergrad.p.Array(init=start[0], lower=0.0, upper=1.0)
         if settings.step is not None:
             box.set_mutation(sigma=settings.step)
         box.random_state = np.random.RandomState(rng.integers(2**32))
         method = settings.method()
         self.workers = 1 if getattr(method, "no_parallelization", False) else settings.workers
-        try:
-            self.optimiser = method(box, budget=settings.budget, num_workers=self.workers)
-        except Exception as error:  # missing extras and budgets raise different errors
-            raise InputError(f"nevergrad's {self.name} cannot be made: {error}") from error
+        self.optimiser = method(box, budget=settings.budget or PLANNED, num_workers=self.workers)
+        self.most_asked = math.inf if settings.budget else PLANNED
         if not self.optimiser.recast:  # recast optimisers take no suggestions; they begin at the first start
             for genes in start[::-1]:  # nevergrad asks for the last suggestion first
                 self.optimiser.suggest(genes)
@@ -97,15 +104,21 @@ class _Running:
     def ask(self) -> FloatArray | None:
         from nevergrad.common.errors import FinishedUnderlyingOptimizerWarning
 
-        with warnings.catch_warnings(action="error", category=FinishedUnderlyingOptimizerWarning):
+        if self.optimiser.num_ask >= self.most_asked:
+            return None
+        category = FinishedUnderlyingOptimizerWarning  # after which the proposals are random
+        with warnings.catch_warnings(record=True, action="always", category=category) as ended:
             try:
                 self.asked = [self.optimiser.ask() for _ in range(self.workers)]
-            except (FinishedUnderlyingOptimizerWarning, StopIteration):
+            except StopIteration:
                 return None
-            except Exception as error:
-                raise InputError(f"nevergrad's {self.name} failed: {error}") from error
+        if ended:
+            return None
         return np.array([candidate.value for candidate in self.asked])
 
     def tell(self, genes: FloatArray, losses: FloatArray) -> None:
+        from nevergrad.common.errors import TellNotAskedNotSupportedError
+
         for candidate, loss in zip(self.asked, losses, strict=True):
-            self.optimiser.tell(candidate, float(loss))
+            with suppress(TellNotAskedNotSupportedError):  # some methods do not learn from a suggestion
+                self.optimiser.tell(candidate, float(loss))

@@ -41,8 +41,9 @@ class NiaPy(Wrapped):
         self.evaluations = None if evaluations is None else integer("evaluations", evaluations, low=1)
         self.algorithm = algorithm
         made = algorithm_of(algorithm, Algorithm, "NiaPy")
-        for key in getattr(algorithm, "keywords", {}):  # NiaPy ignores parameters that it does not know
-            choice(f"parameter of {self.called}", key, list(made.get_parameters()))
+        for key, value in getattr(algorithm, "keywords", {}).items():  # NiaPy ignores parameters that it does not know
+            if value is not None:  # such as the default of an argument that is no parameter
+                choice(f"parameter of {self.called}", key, list(made.get_parameters()))
         self.start_size = integer("algorithm.population_size", made.population_size, low=1)
 
     @property

@@ -4,10 +4,11 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
+from typing_extensions import override
 
 from lmd.core.checks import FloatArray, integer
 from lmd.optimisers.operators import filled_up
-from lmd.optimisers.wrapped import LibraryOptimiser, Wrapped, algorithm_of
+from lmd.optimisers.wrapped import LibraryOptimiser, Wrapped, algorithm_of, name_of
 
 
 class Pymoo(Wrapped):
@@ -34,6 +35,11 @@ class Pymoo(Wrapped):
         made = algorithm_of(algorithm, Algorithm, "pymoo")
         self.start_size = _size(made)
 
+    @property
+    @override
+    def called(self) -> str:
+        return name_of(self.algorithm)
+
     def _open(self, start: FloatArray, rng: np.random.Generator) -> LibraryOptimiser:
         return _Running(self.algorithm(), start, rng)
 
@@ -51,16 +57,25 @@ class _Running:
 
     def __init__(self, algorithm: Any, start: FloatArray, rng: np.random.Generator) -> None:
         from pymoo.algorithms.base.local import LocalSearch
+        from pymoo.core.mixed import MixedVariableSampling
+        from pymoo.core.population import Population
         from pymoo.core.problem import Problem
         from pymoo.core.termination import NoTermination
+        from pymoo.core.variable import Real
 
         dim = start.shape[1]
-        if hasattr(algorithm, "initialization"):
-            algorithm.initialization.sampling = filled_up(start, _size(algorithm), rng)
+        # For algorithms of variables of several kinds, whose candidates are mappings.
+        named = {str(gene): Real(bounds=(0.0, 1.0)) for gene in range(dim)}
+        if begins := getattr(algorithm, "initialization", None):
+            first: Any = filled_up(start, _size(algorithm), rng)
+            if isinstance(begins.sampling, MixedVariableSampling):
+                first = Population.new(X=[dict(zip(named, genes, strict=True)) for genes in first])
+            begins.sampling = first
         settings: dict[str, Any] = {"seed": int(rng.integers(2**31))}
         if not isinstance(algorithm, LocalSearch):
             settings["termination"] = NoTermination()
         self.problem = Problem(n_var=dim, n_obj=1, xl=np.zeros(dim), xu=np.ones(dim))
+        self.problem.vars = named
         self.algorithm = algorithm.setup(self.problem, **settings)
         self.asked: Any = None  # a population, or an individual
 
@@ -68,7 +83,10 @@ class _Running:
         while self.algorithm.has_next():
             self.asked = self.algorithm.ask()
             if self.asked is not None:
-                return np.atleast_2d(self.asked.get("X"))
+                found = np.atleast_1d(self.asked.get("X"))
+                if found.dtype == object:
+                    found = np.array([[mapping[name] for name in self.problem.vars] for mapping in found])
+                return np.atleast_2d(found)
             self.algorithm.advance()  # between two phases an algorithm may have nothing to evaluate
         return None
 
@@ -77,7 +95,8 @@ class _Running:
         from pymoo.problems.static import StaticProblem
 
         asked = self.asked if isinstance(self.asked, Population) else Population.create(self.asked)
-        asked.set("X", genes)
+        if not isinstance(asked[0].X, dict):
+            asked.set("X", genes)
         # Some algorithms read the number of evaluations from their evaluator.
         static = StaticProblem(self.problem, F=losses[:, None])
         self.algorithm.evaluator.eval(static, asked, skip_already_evaluated=False)

@@ -28,6 +28,7 @@ from lmd.sight.evaluator import Evaluator
 from lmd.sight.poses import candidate_poses
 
 GAINS_BATCH = 32  # poses whose gains are evaluated together
+AT_ONCE = 4 * GAINS_BATCH  # poses evaluated between two looks at the clock
 GRID_SPACING = 0.25  # spacing of the grid of poses, metres
 ROUNDING = 1e-9  # relative tolerance of a limit
 
@@ -88,6 +89,7 @@ def select(
     footprints: Footprints | None = None,
     allowance: float = np.inf,
     fixed: Deployment | None = None,
+    stop: Callable[[], bool] = bool,
 ) -> tuple[IntArray, int]:
     """Choose some of the `poses`, each at most once, with footprints that do not overlap.
 
@@ -98,6 +100,7 @@ def select(
         footprints: footprints of the tags; None for landmarks that are points.
         allowance: largest number of gains to evaluate; fewer poses are chosen if the allowance does not suffice.
         fixed: landmarks that are chosen before the first of the poses.
+        stop: asked now and then; returns True to end the choice early.
 
     Returns:
         indices of the chosen poses in the order of choice, and the number of gains evaluated.
@@ -122,9 +125,13 @@ def select(
             batch = stale[np.argsort(-known[stale], kind="stable")[: GAINS_BATCH if chosen else len(poses)]]
             if spent + len(batch) > allowance:
                 return np.array(chosen, dtype=int), spent
-            known[batch] = selection.gains(poses[batch]) / prices[batch]
+            for first in range(0, len(batch), AT_ONCE):
+                if stop():
+                    return np.array(chosen, dtype=int), spent
+                part = batch[first : first + AT_ONCE]
+                known[part] = selection.gains(poses[part]) / prices[part]
+                spent += len(part)
             fresh[batch] = True
-            spent += len(batch)
         chosen.append(best)
         taken[footprints.touched(poses, poses[best : best + 1]) if footprints and footprints.edge else best] = True
         selection.add(poses[best : best + 1])
@@ -160,14 +167,17 @@ def _candidates_within(footprints: Footprints, edges: FloatArray, spacing: float
     return poses
 
 
-def greedy_start(problem: Problem, start: Deployment, spacing: float, allowance: float) -> tuple[Deployment, int]:
-    """Choose landmarks greedily until an allowance is used up; the others stay as in `start`.
+def greedy_start(
+    problem: Problem, start: Deployment, spacing: float, allowance: float, stop: Callable[[], bool]
+) -> tuple[Deployment, int]:
+    """Choose landmarks greedily until an allowance is used up or `stop` is True; the others stay as in `start`.
 
     Args:
         problem: problem whose objective has a selection.
         start: K landmarks, the fixed landmarks first.
         spacing: spacing of the grid of poses, metres; larger if the allowance does not suffice for the grid.
         allowance: largest number of gains to evaluate.
+        stop: see `select`.
 
     Returns:
         the deployment, and the number of gains evaluated.
@@ -175,9 +185,8 @@ def greedy_start(problem: Problem, start: Deployment, spacing: float, allowance:
     footprints = problem.scene.footprints
     poses = _candidates_within(footprints, problem.free_edges, spacing, allowance / 2)
     selection = selectable(problem.objective).selection(problem.fitness_evaluator, problem.fitness_relevance)
-    chosen, spent = select(
-        selection, poses, Tags(problem.free_sizes, problem.scene.tag), footprints, allowance, problem.fixed_with_edges
-    )
+    stock = Tags(problem.free_sizes, problem.scene.tag)
+    chosen, spent = select(selection, poses, stock, footprints, allowance, problem.fixed_with_edges, stop)
     return problem.separated(_in_place(problem, start, poses[chosen])) or start if len(chosen) else start, spent
 
 

@@ -5,19 +5,24 @@
 import inspect
 import io
 import random
+import traceback
 import warnings
 from abc import abstractmethod
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, redirect_stdout
 from functools import partial
-from typing import Any, Protocol
+from pathlib import Path
+from typing import Any, Protocol, TypeVar
 from unittest.mock import patch
 
 import numpy as np
 from typing_extensions import override
 
 from lmd.core.checks import FloatArray, InputError, choice, integer
+from lmd.core.threads import in_daemon
 from lmd.optimisers.base import AskTell
+
+T = TypeVar("T")
 
 # Loss of a failed evaluation, finite as libraries require; fitness lies in [0, 1].
 LOSS_OF_FAILURE = 1e3
@@ -80,8 +85,7 @@ class Wrapped(AskTell):
             self.session_rng = np.random.default_rng(self.seed)
             self.global_state = _global_state_of(self.seed)
             self.best: tuple[float, FloatArray] = (np.inf, self.start)
-            with self._own_world():
-                self.session = self._open(self.start, self.session_rng)
+            self.session = self._in_library(self._open, self.start, self.session_rng)
         return self._next()
 
     def _tell(self, genes: FloatArray, fitness: FloatArray) -> None:
@@ -91,19 +95,34 @@ class Wrapped(AskTell):
         if losses[least] < self.best[0]:
             self.best = (float(losses[least]), genes[least : least + 1].copy())
         assert self.session is not None, "it was asked"
-        with self._own_world():
-            self.session.tell(genes, losses)
+        self._in_library(self.session.tell, genes, losses)
 
     def _next(self) -> FloatArray:
         assert self.session is not None
-        with self._own_world():
-            genes = self.session.ask()
-            if genes is None:
-                self.session = self._open(self.best[1], self.session_rng)
-                genes = self.session.ask()
+        genes = self._in_library(self.session.ask)
+        if genes is None:
+            self.session = self._in_library(self._open, self.best[1], self.session_rng)
+            genes = self._in_library(self.session.ask)
         if genes is None:
             raise InputError(f"{self.called}: the library's optimiser ended before its first proposal.")
         return genes
+
+    def _in_library(self, work: Callable[..., T], *arguments: Any) -> T:
+        """Call a library in a daemon thread, as some libraries leave a thread behind that waits for ever.
+
+        Raises:
+            InputError: the library fails.
+        """
+        with self._own_world():
+            try:
+                return in_daemon(work, *arguments).result()
+            except InputError:
+                raise
+            except Exception as error:  # libraries raise different errors
+                place = traceback.extract_tb(error.__traceback__)[-1]
+                why = f"{type(error).__name__}: {error}" if str(error) else type(error).__name__
+                where = f"{Path(place.filename).name}, line {place.lineno}"
+                raise InputError(f"{self.called} failed: {why} ({where}).") from error
 
     @contextmanager
     def _own_world(self) -> Iterator[None]:

@@ -56,6 +56,15 @@ def test_a_selection_stops_when_its_allowance_is_used_up():
     assert evaluated <= len(poses) + 40
 
 
+@pytest.mark.parametrize("looks", [0, 1, 4])
+def test_a_selection_stops_when_its_time_is_over(looks):
+    calls, selection = iter(range(99)), CappedCount(Evaluator(SCENE, threads=1), np.ones(len(SCENE.room.grid())), 2)
+    chosen, evaluated = select(selection, POSES, 30, stop=lambda: next(calls) >= looks)
+    assert next(calls) == looks + 1
+    assert len(chosen) == looks  # for each landmark there is one look
+    assert (evaluated > 0) == (looks > 0)
+
+
 def test_greedy_beats_the_uniform_deployment_on_what_it_maximises():
     greedy = GreedyDeployment(30, SCENE, Coverage(2, 0.5), 0.8).draw(SCENE.room, np.random.default_rng())
 

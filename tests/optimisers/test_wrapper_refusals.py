@@ -56,6 +56,13 @@ def test_what_is_no_genes_is_refused_at_once_with_the_name_of_what_asked(asked, 
         run(optimiser, 1)
 
 
+class Broken(list):
+    """Candidates that cannot be looked at."""
+
+    def __len__(self):
+        raise KeyError(3)
+
+
 class Mute(Asking):
     """An optimiser without `tell`."""
 
@@ -119,8 +126,12 @@ def test_impossible_parameters_are_refused(make, message):
             r"^make: .*Mute makes an object without the method tell\.",
         ),
         (
-            lambda: Nevergrad("DiscreteBSOOnePlusOne"),
-            r"nevergrad's DiscreteBSOOnePlusOne failed: .*needs a budget",
+            lambda: Nevergrad("DS9", workers=2),
+            r"^nevergrad's DS9 failed: ValueError: .* support parallelization \(base\.py, line \d+\)\.$",
+        ),
+        (
+            lambda: AskAndTell(partial(Asking, asked=Broken())),
+            r"^Asking failed: KeyError: 3 \(test_.*\.py, line \d+\)\.$",
         ),
         (
             lambda: Scipy(partial(differential_evolution, strategy="best")),

@@ -3,6 +3,7 @@
 import random
 import subprocess
 import sys
+import threading
 from functools import partial
 from pathlib import Path
 
@@ -20,11 +21,13 @@ from lmd.core.checks import InputError
 from lmd.optimisers.ledger import Budget
 from lmd.optimisers.lm_ma_es import LMMAES
 from lmd.optimisers.nevergrad import Nevergrad
+from lmd.optimisers.niapy import NiaPy
 from lmd.optimisers.pycma import PyCma
 from lmd.optimisers.random_search import RandomSearch
 from lmd.optimisers.scipy import Scipy
 from lmd.optimisers.wrapped import AskAndTell, Wrapped
 from lmd.scene.deployment_sources import RandomDeployment
+from pipelines.building import budget_of, build_optimiser
 from pipelines.hyperparameters import completed
 from pipelines.nodes import instantiate
 
@@ -74,7 +77,8 @@ def strategy(x0, step):
     [
         (one_by_one, 60, -2.0),
         (lambda: AskAndTell(partial(strategy, step=0.2)), 60, -2.0),
-        *((partial(pymoo, name), 60, -2.0) for name in ("GA", "CMAES", "PatternSearch", "DIRECT")),
+        *((partial(pymoo, name), 60, -2.0) for name in ("GA", "CMAES", "PatternSearch", "DIRECT", "MixedVariableGA")),
+        (partial(pymoo, "Optuna"), 60, -3.0),
         *((partial(PyCma, variant, step=0.2), 40, -1.0) for variant in ("full", "separable", "vkd")),
         (lambda: Scipy(partial(dual_annealing, no_local_search=True)), 250, -2.0),
         (lambda: Scipy(partial(differential_evolution, popsize=1)), 250, -2.0),
@@ -92,7 +96,7 @@ def test_every_library_gets_better(make, batches, least):
 @pytest.mark.parametrize(
     "make",
     [
-        *(partial(pymoo, name, pop_size=8) for name in ("GA", "DE", "PSO", "ISRES", "G3PCX")),
+        *(partial(pymoo, name, pop_size=8) for name in ("GA", "DE", "PSO", "ISRES", "G3PCX", "MixedVariableGA")),
         *(partial(Nevergrad, name, budget=200) for name in ("TwoPointsDE", "PSO", "OnePlusOne", "CMA", "Powell")),
     ],
 )
@@ -145,6 +149,46 @@ def test_shgo_is_refused_where_the_corners_of_its_box_do_not_fit_into_memory():
 def test_a_nevergrad_method_that_cannot_work_in_parallel_is_asked_one_by_one():
     assert [len(genes) for genes in run(Nevergrad("Powell", workers=5, budget=100), 3)] == [1, 1, 1]
     assert [len(genes) for genes in run(Nevergrad("TwoPointsDE", workers=5), 3)] == [5, 5, 5]
+
+
+def forgetful(x0):
+    """Strategy of pycma that starts a thread which waits for ever, as soon as it is asked."""
+    made = strategy(x0, 0.2)
+    ask = made.ask
+    made.ask = lambda: threading.Thread(target=threading.Event().wait).start() or ask()
+    return made
+
+
+@pytest.mark.parametrize("make", [lambda: Nevergrad("ChainCMAPowell", budget=20), lambda: AskAndTell(forgetful)])
+def test_no_thread_of_a_library_keeps_a_process_from_its_end(make):
+    before, optimiser = set(threading.enumerate()), make()
+    run(optimiser, 15)
+    waiting = set(threading.enumerate()) - before
+    assert waiting
+    assert all(thread.daemon for thread in waiting)
+
+
+def test_a_nevergrad_method_that_needs_a_budget_plans_and_begins_anew(monkeypatch):
+    monkeypatch.setattr("lmd.optimisers.nevergrad.PLANNED", 10)
+    optimiser = Nevergrad("NGOpt")
+    asked = run(optimiser, 11)
+    np.testing.assert_allclose(asked[10], asked[np.argmin([np.abs(genes - 0.3).sum() for genes in asked[:10]])])
+
+
+def test_a_nevergrad_method_that_cannot_learn_from_the_start_goes_on():
+    assert len(np.unique(np.concatenate(run(Nevergrad("EDA", budget=40), 20)), axis=0)) == 20
+
+
+def test_a_niapy_algorithm_with_defaults_that_are_no_parameters_is_taken():
+    from niapy.algorithms.basic import GreyWolfOptimizer
+
+    run(NiaPy(partial(GreyWolfOptimizer, population_size=5, callbacks=None)), 12)
+
+
+@pytest.mark.parametrize("name", ["l_shade", "nevergrad", "nevergrad_de", "nevergrad_pso", "ngopt"])
+def test_what_plans_with_the_evaluations_runs_without_their_number(name):
+    cfg = composed("optimise", f"optimiser={name}", "budget.evaluations=null", "budget.seconds=0.05")
+    assert build_optimiser(cfg, 0).run(problem(), budget_of(cfg)).evaluations > 0
 
 
 def test_a_nevergrad_family_takes_options():

@@ -16,7 +16,7 @@ problem itself, which costs an evaluation of the budget.
 """
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import Any
 
@@ -83,6 +83,9 @@ class Annealing(DeploymentSearch):
         InputError: a value is out of range.
     """
 
+    spacing = GRID_SPACING
+    """Spacing of the grid of poses for a greedy start, metres."""
+
     def __init__(
         self,
         stacked: Stage | Mapping[str, Any] = STACKED_STAGE,
@@ -135,7 +138,7 @@ class Annealing(DeploymentSearch):
             self._record(problem, self.spent / count, deployment, began)
 
         if not self.spent:
-            moved = self._begin(problem, surrogate.stack, limit)
+            moved = self._begin(problem, surrogate.stack, limit, lambda: budget.used(0.0, clock() - began) >= 1.0)
             note(moved + count, self.start)
         stopped = "budget"
         while (used := budget.used(self.spent / count, ledger.seconds)) < 1.0:
@@ -148,16 +151,20 @@ class Annealing(DeploymentSearch):
                 break
         return self.result(problem, stopped)
 
-    def _begin(self, problem: Problem, stack: int, limit: float) -> int:
-        """Draw the start, as stacks if the budget suffices, and return the cost of the start in moved landmarks."""
+    def _begin(self, problem: Problem, stack: int, limit: float, stop: Callable[[], bool]) -> int:
+        """Draw the start, as stacks if the budget suffices, and return the cost of the start in moved landmarks.
+
+        Args:
+            stop: returns True when the time is over.
+        """
         count = problem.count
         self.rng = np.random.default_rng(self.seed)
         start, footprints = problem.draw(self.rng), problem.scene.footprints
         movable = problem.free(start).movable(footprints.room, flush=footprints.edge > 0.0)
         footprints.check(start)  # footprints in a file may overlap
         self.start = self.here = problem.complete(movable)
-        if not stack and problem.start.varies and isinstance(problem.objective, Selectable):
-            self.start, spent = greedy_start(problem, self.start, GRID_SPACING, (limit - count) / 2)
+        if self._is_greedy(problem, stack):
+            self.start, spent = greedy_start(problem, self.start, self.spacing, (limit - count) / 2, stop)
             self.here = self.start
             return spent
         least = 2 * (CHECK_EVALUATIONS + stack + 1) * count  # moves of two stretches with their checks
@@ -168,6 +175,10 @@ class Annealing(DeploymentSearch):
             self.angles = self.rng.uniform(0.0, 2.0 * np.pi, stacks)
             self.here = movable[:stacks]
         return 0
+
+    def _is_greedy(self, problem: Problem, stack: int) -> bool:
+        """True if the start is chosen greedily."""
+        return not stack and problem.start.varies and isinstance(problem.objective, Selectable)
 
     def _walk(self, problem: Problem, surrogate: Surrogate, used: float, left: float) -> tuple[int, Deployment | None]:
         """Walk a stretch, and return the number of moved landmarks and the resulting deployment, None for a deployment
