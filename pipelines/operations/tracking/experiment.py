@@ -15,11 +15,18 @@ DEFAULT = "0"  # id of the experiment that mlflow makes in every fresh database
 SHARED = "mlflow.sharedViewState."  # prefix of the tag of a shared view
 VIEW = "lmd"  # name of the shared view in links
 NAME = "attributes.`Run Name`"
-WIDTHS = {NAME: 260, "params.`optimiser`": 100, "metrics.`off_grid`": 85}  # of columns, pixels
+# Widths of columns, pixels.
+WIDTHS = {
+    **{NAME: 300, "metrics.`off_grid`": 85},
+    **{f"params.`{name}`": 110 for name in ("optimiser", "room", "camera", "objective")},
+}
 NARROW = 70  # width of the column of any other setting, pixels
 OF_SWEEPS = ("metrics.`best/off_grid`", "metrics.`median/off_grid`")
-# Columns of training runs in their order: what often varies, the figure off the grid, further figures, then costs.
-VARIED = ("optimiser", "objective.n", "objective.thold_p", "deployment.count", "seed")
+# Columns of runs in their order: what often varies, the figure off the grid, further figures, then costs.
+VARIED = (
+    *("optimiser", "room", "camera", "objective", "objective.n", "objective.thold_p", "deployment.count"),
+    *("budget.evaluations", "budget.seconds", "seed"),
+)
 FIGURES = (
     *("metrics.`off_grid`", *OF_SWEEPS, "metrics.`qualified_ratio`", "metrics.`localised_share`"),
     *("metrics.`evaluations`", "metrics.`wall_time`"),

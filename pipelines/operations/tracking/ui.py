@@ -15,7 +15,8 @@ from mlflow.server.fastapi_app import app
 
 from .experiment import SHARED, VIEW, link
 
-WORKFLOW = "'mlflow.workflowType_v1'"  # key of the browser's memory, in JavaScript
+# What the browser remembers unless it remembers another choice: pages are of training, and the assistant stays closed.
+REMEMBERED = {"mlflow.workflowType_v1": '"machine_learning"', "mlflow.assistant.fab.autoOpenedOnFirstLoad_v1": "true"}
 
 
 @app.middleware("http")  # type: ignore[untyped-decorator]
@@ -25,8 +26,11 @@ async def open_runs(request: Request, call_next: Callable[[Request], Awaitable[R
     if request.url.path != "/" or response.status_code != 200 or (page := _page()) is None:
         return response
     body = b"".join([part async for part in response.body_iterator])  # type: ignore[attr-defined] # it is streamed
-    remembered = f"localStorage.getItem({WORKFLOW}) || localStorage.setItem({WORKFLOW}, '\"machine_learning\"')"
-    script = f"<script>{remembered}; location.hash.length > 2 || location.replace({json.dumps(page)})</script>"
+    keys = "; ".join(
+        f"localStorage.getItem('{key}') || localStorage.setItem('{key}', '{value}')"
+        for key, value in REMEMBERED.items()
+    )
+    script = f"<script>{keys}; location.hash.length > 2 || location.replace({json.dumps(page)})</script>"
     return Response(body.replace(b"<head>", f"<head>{script}".encode(), 1), media_type="text/html")
 
 
