@@ -57,7 +57,7 @@ def _section(held: "Tournament", label: str, frozen: "Mapping[str, Document]") -
     import numpy as np
 
     from lmd.core.words import as_code, markdown_table
-    from lmd.evaluation.tournament import SIGNIFICANCE
+    from lmd.evaluation.comparison import SIGNIFICANCE
 
     names, is_fitness = list(held.values), label == FIGURES["fitness"]
     columns = ["best known", "bound"] if is_fitness else ["best known"]
@@ -68,28 +68,33 @@ def _section(held: "Tournament", label: str, frozen: "Mapping[str, Document]") -
         cells = [_cell(value, greatest) for value in values.tolist()]
         best = None if known.best is None else known.best.value if is_fitness else known.best.off_grid
         ends = [best, known.bound] if is_fitness else [best]
-        rows.append([as_code(problem), *cells, *("" if end is None else f"{end:.4f}" for end in ends)])
+        rows.append([as_code(problem), *cells, *("" if end is None else f"{end:.2%}" for end in ends)])
     head = [label, *map(as_code, names), *columns]
     wins = {name: sum(name in winners for winners in held.winners.values()) for name in names}
     first = ", ".join(f"{as_code(name)} on {count}" for name, count in wins.items() if count)
     unsure = ", ".join(f"{as_code(name)} (p = {p:.2g})" for name, p in held.leads.items() if p > SIGNIFICANCE)
     leads = (
-        f"Over the seeds the first is not significantly better than the second on {unsure or 'none'} (Mann-Whitney at "
-        f"{SIGNIFICANCE:.0%}). "
+        f"Over the seeds the first is not significantly better than the second on {unsure or 'none'} (Mann-Whitney, "
+        f"p < {SIGNIFICANCE:g}). "
     )
     tests = (
-        f"Friedman's test over {held.complete} problems that all optimisers have run: p = {held.friedman:.2g}. "
-        f"Critical difference of mean ranks at {SIGNIFICANCE:.0%}: {held.critical:.2f} (Nemenyi)."
+        f"Friedman's test over {held.complete} problems that all optimisers have run: "
+        f"p = {held.friedman:.2g}. Critical difference of mean ranks at p = {SIGNIFICANCE:g}: {held.critical:.2f} of "
+        f"at most {len(names) - 1} (Nemenyi)."
     )
     if not np.isnan(list(held.leads.values())).all():
         tests = leads + tests
-    return [markdown_table(head, rows), f"First, ties included: {first}, of {len(held.values)} problems. {tests}"]
+    return [
+        markdown_table(head, rows),
+        held.limit,
+        f"First, ties included: {first}, of {len(held.values)} problems. {tests}",
+    ]
 
 
 def _cell(value: float, greatest: float) -> str:
     if value != value:
         return "–"
-    return f"**{value:.4f}**" if value == greatest else f"{value:.4f}"
+    return f"**{value:.2%}**" if value == greatest else f"{value:.2%}"
 
 
 def _tables(directory: Path, blocks: Sequence[str], every: "Sequence[pd.DataFrame]") -> list[Path]:

@@ -51,7 +51,7 @@ def hold_tournament(cfg: DictConfig) -> None:
                 job = by_name[name]
                 results[job] = done
                 job.save(directory, done, tracker.run_id, not boxes[job.problem].problem.scene.tag.is_point)
-                print(f"{len(results)}/{len(jobs)} {job.name}: {done.metrics['fitness']:.6f}", flush=True)
+                print(f"{len(results)}/{len(jobs)} {job.name}: fitness {done.metrics['fitness']:.2%}", flush=True)
         except KeyboardInterrupt:
             print(f"interrupted; go on with: {resuming('compare', directory)}", file=sys.stderr)
             raise

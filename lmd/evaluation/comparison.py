@@ -5,8 +5,10 @@ Friedman's test followed by Nemenyi's; Vargha and Delaney, "A Critique and Impro
 Size Statistics" (2000), for A12; Holm, "A Simple Sequentially Rejective Multiple Test Procedure" (1979).
 """
 
-from collections.abc import Mapping, Sequence
+import math
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import count
 
 import numpy as np
 import pandas as pd
@@ -21,7 +23,9 @@ from lmd.scene.rig import Rig
 TABLE_TARGETS = (0.25, 0.5, 0.75)  # quantiles of the final fitness of all runs
 CURVE_TARGETS = 50  # number of targets of a curve
 CONFIDENCE = 0.95  # confidence level of intervals
+SIGNIFICANCE = 0.05  # significance level of tests
 LEAST_PAIRS = 2  # least number of pairs for a test
+MOST_EXACT = 8  # largest samples with ties whose permutations are all enumerated
 
 
 @dataclass(frozen=True)
@@ -54,7 +58,9 @@ class Comparison:
     reference: str
     """Optimiser with which effect sizes and p-values of the table compare."""
     test: str
-    """Name of the test of the p-values, a sentence in Markdown; empty without a test."""
+    """Name of the test of the p-values, and the least p that the seeds allow, two paragraphs in Markdown; empty without
+    a test.
+    """
     pairs: pd.DataFrame | None
     """P-values of every two optimisers; None if each optimiser was tested only against the reference."""
 
@@ -113,7 +119,7 @@ def compared(runs: Sequence[OptimiserRun], key: str, reference: str | None = Non
         row["seconds"] = float(np.median([run.history[-1].wall_time for run in group]))
         row |= {"a12": a12(reached, values[reference]), "p_value": np.nan if name == reference else p_values[name]}
         rows.append(row)
-    return Comparison(pd.DataFrame(rows), targets, reference, test if len(groups) > 1 else "", pairs)
+    return Comparison(pd.DataFrame(rows), targets, reference, test, pairs)
 
 
 def _against(figures: pd.DataFrame, reference: str) -> tuple[pd.Series, str]:
@@ -121,10 +127,15 @@ def _against(figures: pd.DataFrame, reference: str) -> tuple[pd.Series, str]:
     others = [name for name in figures if name != reference]
     pairs = [figures[[name, reference]].dropna().to_numpy() for name in others]
     p_values = holm(np.array([wilcoxon(pair[:, 0], pair[:, 1]) for pair in pairs]))
+
+    def least(seeds: int) -> float:
+        alone = wilcoxon(np.arange(1, seeds + 1, dtype=np.float64), np.zeros(seeds))
+        return float(holm(np.full(len(others), alone))[0])
+
     correction = f", with Holm's correction for {len(others)} comparisons" if len(others) > 1 else ""
     against = f"two-sided Wilcoxon signed-rank test against {as_code(reference)}"
     test = f"p: {against} on pairs of the same seed{correction}."
-    return pd.Series(p_values, others), test
+    return pd.Series(p_values, others), f"{test}\n\n{attainable(least, max(map(len, pairs)))}" if others else ""
 
 
 def _all_against_all(complete: pd.DataFrame, reference: str) -> tuple[pd.DataFrame, str]:
@@ -133,9 +144,27 @@ def _all_against_all(complete: pd.DataFrame, reference: str) -> tuple[pd.DataFra
     test = (
         f"p: Nemenyi's test against {as_code(reference)} on the mean ranks over the {len(values)} seeds that all have "
         "run; "
-        f"Friedman's test that all {len(names)} are alike: p = {friedman(values):.2g}."
+        f"Friedman's test that all {len(names)} are alike: p = {friedman(values):.2g}.\n\n"
     )
-    return pd.DataFrame(nemenyi(values), names, names), test
+    ladder = np.arange(len(names))
+    limit = attainable(lambda seeds: nemenyi(np.tile(ladder, (seeds, 1)))[0, -1], len(values))
+    return pd.DataFrame(nemenyi(values), names, names), test + limit
+
+
+def attainable(least: Callable[[int], float], seeds: int) -> str:
+    """Sentence on the differences that a number of seeds can show.
+
+    Args:
+        least: least P-value of the test, after its correction, for a number of seeds: that of runs that agree in each
+            seed; NaN for too few seeds.
+        seeds: number of seeds.
+    """
+    lowest, runs = least(seeds), f"With {seeds} seed{'s' * (seeds != 1)}"
+    if lowest < SIGNIFICANCE:
+        return f"{runs} p can fall to {lowest:.2g}."
+    why = "there is no test" if math.isnan(lowest) else f"p is at least {lowest:.2g}"
+    enough = next(number for number in count(seeds + 1) if least(number) < SIGNIFICANCE)
+    return f"{runs} {why}, so no difference can reach p < {SIGNIFICANCE:g}; {enough} seeds can."
 
 
 def expected_running_time(runs: Sequence[OptimiserRun], fitness: float) -> float:
@@ -186,6 +215,17 @@ def holm(p_values: FloatArray) -> FloatArray:
     factors = np.arange(len(order), 0, -1)
     corrected[order] = np.minimum(np.maximum.accumulate(factors * p_values[order]), 1.0)
     return corrected
+
+
+def mann_whitney(first: FloatArray, second: FloatArray) -> float:
+    """P-value of the test of Mann and Whitney, exact for at most `MOST_EXACT` values each; NaN for a single value."""
+    sizes, both = (len(first), len(second)), np.concatenate([first, second])
+    if min(sizes) < LEAST_PAIRS:
+        return np.nan
+    is_tied = len(np.unique(both)) < len(both)  # scipy would take the normal approximation, which is too low
+    every = stats.PermutationMethod(n_resamples=math.comb(2 * MOST_EXACT, MOST_EXACT))
+    method = every if is_tied and max(sizes) <= MOST_EXACT else "auto"
+    return float(stats.mannwhitneyu(first, second, method=method).pvalue)
 
 
 def mean_ranks(values: FloatArray) -> FloatArray:

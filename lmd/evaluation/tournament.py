@@ -13,16 +13,17 @@ from scipy import stats
 
 from lmd.core.checks import FloatArray
 from lmd.evaluation.comparison import (
+    SIGNIFICANCE,
     OptimiserRun,
+    attainable,
     expected_running_time,
     friedman,
+    mann_whitney,
     mean_ranks,
     nemenyi,
 )
 from lmd.evaluation.iohprofiler import attained_share
 
-SIGNIFICANCE = 0.05
-"""Significance level of the critical difference."""
 TARGET_SHARE = 0.9
 """Target of a profile: share of the best value known."""
 
@@ -47,6 +48,8 @@ class Tournament:
     """P-value by problem that the first optimiser and the second are alike over the seeds, by the test of Mann and
     Whitney; NaN for a single optimiser or seed.
     """
+    limit: str
+    """Sentence on the differences that the number of seeds can show by that test."""
 
     @property
     def winners(self) -> Mapping[str, list[str]]:
@@ -65,7 +68,7 @@ def tournament(runs: Sequence[OptimiserRun], key: str) -> Tournament:
     names = list(values)
     ranks = pd.Series(mean_ranks(complete.to_numpy()) if rows else np.full(count, np.nan), names).sort_values()
     values, complete = values[ranks.index], complete[ranks.index]
-    is_tested = count > 2 and rows > 1
+    is_tested, seeds = count > 2 and rows > 1, int(table.groupby(["row", "name"]).size().max())
     several = nemenyi(complete.to_numpy()) if is_tested else np.full((count, count), np.nan)
     return Tournament(
         values.rename_axis(index="problem", columns=None),
@@ -75,6 +78,7 @@ def tournament(runs: Sequence[OptimiserRun], key: str) -> Tournament:
         pd.DataFrame(several, ranks.index, ranks.index),
         critical_difference(count, rows),
         {str(problem): _lead(own) for problem, own in table.groupby("row")},
+        attainable(lambda number: mann_whitney(np.linspace(0.0, 1.0, number), np.linspace(2.0, 3.0, number)), seeds),
     )
 
 
@@ -82,9 +86,7 @@ def _lead(own: pd.DataFrame) -> float:
     """P-value of the two optimisers of a problem with the greatest medians."""
     medians = own.groupby("name").y.median().sort_values(ascending=False, kind="stable")
     best = [own.y[own.name == name] for name in medians.index[:2]]
-    if len(best) < 2 or min(map(len, best)) < 2:
-        return np.nan
-    return float(stats.mannwhitneyu(*best).pvalue)
+    return mann_whitney(*best) if len(best) == 2 else np.nan
 
 
 def critical_difference(optimisers: int, problems: int) -> float:

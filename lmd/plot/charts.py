@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from lmd.objectives.base import Headline
-from lmd.plot.common import literal, logarithmic_ticks, new_figure, set_ticks
+from lmd.plot.common import literal, logarithmic_ticks, new_figure, series, set_ticks
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -66,7 +66,7 @@ def save_comparison_figure(
     """Write a PNG of two panels over evaluations or time, on a logarithmic axis.
 
     The left panel has the median best fitness of each optimiser, with a band from its worst to its best seed. The right
-    panel has the share of seeds and targets reached (`attained`), as in COCO and IOHprofiler.
+    panel has the share of (run, target) pairs reached (`attained`), as in COCO and IOHprofiler.
 
     Args:
         path: path of the PNG.
@@ -75,8 +75,6 @@ def save_comparison_figure(
         headline: name and unit of the fitness.
         title: title of the figure.
     """
-    import matplotlib as mpl
-
     from lmd.evaluation.comparison import attained, best_at, by_optimiser, curve_targets
 
     groups = by_optimiser(runs, headline.key)
@@ -86,29 +84,30 @@ def save_comparison_figure(
     targets = curve_targets(runs)
     figure = new_figure((15, 6), title)
     convergence, distribution = figure.subplots(1, 2, sharex=True)
-    colours = mpl.colormaps["tab20"]
     for i, (name, group) in enumerate(groups.items()):
-        colour = colours(i % colours.N)
+        style = series(i)
         curves = headline.scale * best_at(group, axis, at)
         known = np.isfinite(curves).all(axis=0)
         curves = curves[:, known]
         median = np.median(curves, axis=0)
-        convergence.fill_between(at[known], curves.min(axis=0), curves.max(axis=0), color=colour, alpha=0.2, lw=0)
+        convergence.fill_between(
+            at[known], curves.min(axis=0), curves.max(axis=0), color=style["color"], alpha=0.15, lw=0
+        )
         label = f"{literal(name)} {median[-1]:.1f}{headline.unit}"
-        convergence.plot(at[known], median, color=colour, lw=1.8, label=label)
-        distribution.step(at, attained(group, axis, at, targets), color=colour, lw=1.8, where="post")
+        convergence.plot(at[known], median, lw=1.8, label=label, **style)
+        distribution.step(at, 100.0 * attained(group, axis, at, targets), lw=1.8, where="post", **style)
     low, high = headline.scale * targets[[0, -1]]
     if high > low:
         convergence.set_ylim(low, high + 0.03 * (high - low))
-    convergence.set_ylabel(f"best fitness [{headline.unit}]: median, band from worst to best seed")
-    distribution.set_ylim(0.0, 1.0)
-    distribution.set_ylabel(f"share of seeds and of {len(targets)} targets, {low:.1f} to {high:.1f}{headline.unit}")
+    convergence.set(title="median over the seeds, band from worst to best", ylabel="best fitness [%]")
+    distribution.set(title=f"{len(targets)} targets: best fitness of {low:.1f} to {high:.1f}%", ylim=(0.0, 100.0))
+    distribution.set_ylabel("share of (run, target) pairs reached [%]")
     for axes in (convergence, distribution):
         axes.set_xscale("log")
         set_ticks(axes.xaxis, logarithmic_ticks(at[0], at[-1]))
         axes.set_xlabel("wall time [s]" if axis == "wall_time" else axis)
         axes.grid(alpha=0.3)
-    figure.legend(loc="outside right upper", frameon=False)
+    figure.legend(loc="outside right upper", frameon=False, title="best fitness at the end, median")
     figure.savefig(path)
 
 

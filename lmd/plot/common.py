@@ -24,6 +24,8 @@ PARTS = {
 }
 QUALIFIED = "#1a9641"
 UNQUALIFIED = "#9e9e9e"
+HUES = 10  # distinct hues of matplotlib's cycle of colours, tab10
+DASHES = ("-", "--", ":", "-.")
 COLOUR_MAP = "viridis"  # both libraries have this map; its lightness is even, so it can be printed in grey
 AXIS_LABELS = ("x [m]", "y [m]", "z [m]")
 LEAST_TICKS = 3  # least number of ticks of a logarithmic axis, if there are enough round numbers
@@ -117,6 +119,11 @@ def draw_plan(axes: Any, room: Space, **style: Any) -> None:
         colour, dashed = PARTS[part]
         for edge in edges:
             axes.plot(*edge[:, :2].T, color=colour, linestyle="--" if dashed else "-", **style)
+
+
+def series(number: int) -> dict[str, str]:
+    """Colour and line style of a series in figures of several methods: ten hues, then other dashes."""
+    return {"color": f"C{number % HUES}", "linestyle": DASHES[number // HUES % len(DASHES)]}
 
 
 def literal(text: object) -> str:

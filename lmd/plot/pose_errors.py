@@ -10,7 +10,7 @@ from lmd.core.checks import FloatArray, IntArray
 from lmd.estimation.cramer_rao import CramerRaoMap
 from lmd.evaluation.accuracy import TOLERANCES
 from lmd.plot import common
-from lmd.plot.common import literal, new_figure
+from lmd.plot.common import literal, new_figure, series
 from lmd.space.space import Space
 
 QUANTITIES = {
@@ -46,8 +46,8 @@ def save_error_figure(
             for i, name in enumerate(names):
                 curve = curves[(curves.estimator == estimator) & (curves.deployment == name)]
                 low, median, high = (curve[f"{quantity}_{part}"].to_numpy() for part in ("low", "median", "high"))
-                axes.fill_between(curve.time, low, high, color=f"C{i}", alpha=0.2, lw=0)
-                axes.plot(curve.time, median, color=f"C{i}", lw=1.6, label=literal(name))
+                axes.fill_between(curve.time, low, high, color=series(i)["color"], alpha=0.2, lw=0)
+                axes.plot(curve.time, median, lw=1.6, label=literal(name), **series(i))
             axes.set_yscale("log")
             axes.grid(alpha=0.3)
         low, top = curves[f"{quantity}_low"], float(curves[f"{quantity}_high"].max())
@@ -58,7 +58,7 @@ def save_error_figure(
     panels[0][-1].legend(frameon=False)
     axes = lower.subplots()
     for i, name in enumerate(names):
-        axes.step(time, counts[name], where="post", color=f"C{i}", lw=0.8, alpha=0.8)
+        axes.step(time, counts[name], where="post", lw=0.8, alpha=0.8, **series(i))
     axes.axhline(n, color="green", linestyle=":", lw=2.0)
     axes.set(xlabel="time [s]", ylabel="landmarks in view, first flight")
     axes.grid(alpha=0.3)

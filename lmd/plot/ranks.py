@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from lmd.core.checks import FloatArray
-from lmd.plot.common import literal, new_figure
+from lmd.plot.common import literal, logarithmic_ticks, new_figure, series, set_ticks
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -17,7 +17,6 @@ if TYPE_CHECKING:
 ROW, HEAD = 0.28, 1.0  # inches: height of a name, and of axis and bar above the names
 LEFT, RIGHT = 0.30, 0.70  # ends of the axis of ranks, as fractions of the width
 LABEL = 45  # characters of the name of an optimiser
-DASHES = ("-", "--", ":", "-.")
 
 
 def save_critical_difference_diagram(path: Path, ranks: "pd.Series", critical: float, title: str) -> None:
@@ -94,18 +93,15 @@ def save_profile_figure(
     """
     figure = new_figure((12.0, 5.0))
     left, right = figure.subplots(1, 2)
-    labels = (
-        ("evaluations to the target, over the fewest", f"share of problems [{target}]"),
-        (
-            "share of the budget",
-            "share of targets reached",
-        ),
-    )
-    for axes, (at, curves), (x, y) in ((left, profiles, labels[0]), (right, shares, labels[1])):
+    left.set(title=f"target: {target}", xlabel="evaluations to the target, over the fewest")
+    left.set_ylabel("share of problems whose target is reached [%]")
+    right.set(title="targets: from 0 to the best value known", xlabel="evaluations done [% of the budget]")
+    right.set_ylabel("share of (run, target) pairs reached [%]")
+    for axes, (at, curves), scale in ((left, profiles, 1.0), (right, shares, 100.0)):
         for i, (name, curve) in enumerate(curves.items()):
-            style = DASHES[i // 10 % len(DASHES)]
-            axes.step(at, curve, where="post", label=_label(name), linestyle=style, color=f"C{i % 10}")
-        axes.set(xlabel=x, ylabel=y, ylim=(-0.02, 1.02), xscale="log")
+            axes.step(scale * at, 100.0 * curve, where="post", label=_label(name), **series(i))
+        axes.set(ylim=(-2.0, 102.0), xscale="log")
+        set_ticks(axes.xaxis, logarithmic_ticks(scale * at[0], scale * at[-1]))
         axes.grid(alpha=0.4)
     right.legend(fontsize=8, loc="center left", bbox_to_anchor=(1.0, 0.5))
     figure.suptitle(literal(title))

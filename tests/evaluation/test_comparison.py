@@ -12,6 +12,7 @@ from processes import call, command, start
 from lmd.evaluation.comparison import OptimiserRun, attained, best_at, compared, curve_targets
 from lmd.objectives.coverage import Coverage
 from lmd.optimisers.ledger import Record
+from lmd.plot.charts import save_comparison_figure
 from lmd.scene.deployment import Deployment
 from pipelines.reproduction.document import comparison_markdown
 
@@ -82,11 +83,44 @@ def test_of_seeds_that_not_all_have_run_those_of_both_are_pairs():
     assert compared(GOOD[:1], KEY).test == ""
 
 
+@pytest.mark.parametrize(
+    ("seeds", "others", "limit"),
+    [
+        (3, 1, "With 3 seeds p is at least 0.25, so no difference can reach p < 0.05; 6 seeds can."),
+        (6, 2, "With 6 seeds p is at least 0.062, so no difference can reach p < 0.05; 7 seeds can."),
+        (7, 2, "With 7 seeds p can fall to 0.031."),
+        (1, 2, "With 1 seed there is no test, so no difference can reach p < 0.05; 7 seeds can."),
+    ],
+)
+def test_it_says_what_its_seeds_can_show(seeds, others, limit):
+    """The least p of the signed-rank test is 2 / 2^seeds, times the comparisons for Holm."""
+    runs = [run for i in range(others + 1) for run in runs_of(f"r{i}", *(0.01 * np.arange(1, seeds + 1) + 0.2 * i))]
+    found = compared(runs, KEY, "r0")
+    assert found.test.splitlines()[1:] == ["", limit]
+    if seeds > 1:
+        assert found.table.p_value.min() == pytest.approx(others * 2.0 ** (1 - seeds))
+
+
+def test_the_picture_says_what_its_axes_are_and_has_a_style_for_each(tmp_path, monkeypatch):
+    saved = []
+    monkeypatch.setattr("matplotlib.figure.Figure.savefig", lambda figure, *_: saved.append(figure))
+    runs = [run_of(f"r{i}", seed, 0.1, 0.2 + 0.02 * i + 0.1 * seed) for i in range(12) for seed in (0, 1)]
+    save_comparison_figure(tmp_path / "c.png", runs, "evaluations", Coverage.headline, "title")
+    convergence, distribution = saved[0].axes
+    assert distribution.get_ylabel() == "share of (run, target) pairs reached [%]"
+    assert distribution.get_title() == "50 targets: best fitness of 10.8 to 52.0%"
+    best = max(line.get_ydata()[-1] for line in distribution.lines)
+    assert best == pytest.approx(50.0 * (1.0 + np.mean(curve_targets(runs) <= 0.42)))
+    for axes in (convergence, distribution):
+        assert len({(line.get_color(), line.get_linestyle()) for line in axes.lines}) == 12
+        assert len({line.get_color() for line in axes.lines}) == 10
+
+
 def test_the_markdown_table_has_a_row_for_each_and_says_what_was_tested():
     lines = comparison_markdown(compared(RUNS, KEY), Coverage.headline).splitlines()
     assert "**85.00%** (80.00% to 90.00%)" in lines[2]
     assert "| – |" in lines[3]
-    assert lines[4:] == ["", "p: two-sided Wilcoxon signed-rank test against `fast` on pairs of the same seed."]
+    assert lines[4:6] == ["", "p: two-sided Wilcoxon signed-rank test against `fast` on pairs of the same seed."]
 
 
 def test_the_share_of_targets_grows_to_what_was_reached():

@@ -1,11 +1,11 @@
 """Tests of significance, against printed tables and against counting every case."""
 
-from itertools import product
+from itertools import combinations, product
 
 import numpy as np
 import pytest
 
-from lmd.evaluation.comparison import a12, friedman, holm, mean_ranks, median_interval, nemenyi, wilcoxon
+from lmd.evaluation.comparison import a12, friedman, holm, mann_whitney, mean_ranks, median_interval, nemenyi, wilcoxon
 
 # Critical values of Nemenyi's test at 0.05 for 2, 3, 5 and 10 columns, as Demsar (2006) prints them in Table 5 (a).
 CRITICAL = {2: 1.960, 3: 2.343, 5: 2.728, 10: 3.164}
@@ -23,6 +23,19 @@ def test_the_signed_rank_test_counts_all_signs():
 def test_pairs_that_do_not_differ_say_nothing_and_one_pair_is_none():
     assert wilcoxon(np.ones(5), np.ones(5)) == 1.0
     assert np.isnan(wilcoxon(np.ones(1), np.zeros(1)))
+
+
+@pytest.mark.parametrize(
+    "second", [(2.0, 2.0, 2.0), (4.0, 5.0, 6.0), (1.0, 2.0, 3.0, 2.0)], ids=["all tied", "no tie", "some tied"]
+)
+def test_the_test_of_mann_and_whitney_counts_all_halves_with_ties_too(second):
+    values = np.array([1.0, 1.5 if second[-1] == 6.0 else 1.0, 1.0 + second[0] / 10.0, *second])
+    ahead = np.sign(values[:, None] - values)
+    halves = [[*half] for half in combinations(range(len(values)), 3)]
+    sums = [ahead[half][:, [i for i in range(len(values)) if i not in half]].sum() for half in halves]
+    expected = 2.0 * min(np.mean(np.array(sums) <= sums[0]), np.mean(np.array(sums) >= sums[0]))
+    assert mann_whitney(values[:3], values[3:]) == pytest.approx(min(expected, 1.0))
+    assert np.isnan(mann_whitney(values[:1], values))
 
 
 def test_holms_correction_steps_down():
