@@ -8,7 +8,7 @@ from lmd.sight.reference import coverage_caps
 
 def view_matrices(scene, deployment, position, axes):
     """Information on position and rotation of each landmark, zero in views that do not cover it, `(A, K, 6, 6)`."""
-    points = corners(deployment.positions, deployment.normals, upright(deployment.normals)[1], scene.tag.size)
+    points = corners(deployment.positions, deployment.normals, upright(deployment.normals)[1], scene.tag.edge or 0.0)
     offset = points - position
     distance = np.linalg.norm(offset, axis=-1)[..., None]
     b = offset / distance

@@ -14,14 +14,31 @@ the numbers of `lmd.objectives.localisation.body`, without rounding the inverse 
 A covariance or an information is 21 numbers: the block of v as xx, xy, xz, yy, yz, zz, the block of v and w row by row,
 and the block of w as that of v. The functions take numbers or arrays; kernels compile the functions that the reference
 calls, so the results are equal bit for bit.
+
+The information of a view is rounded to multiples of `information.QUANTUM`. In a direction that the view leaves
+undetermined, it is a small number of either sign, which matters where P is large: `update_beyond_rounding` leaves such
+directions out.
 """
 
 from typing import Any
 
-from lmd.core.compiled import inlined
+import numpy as np
+
+from lmd.core.bits import Integer
+from lmd.core.checks import FloatArray
+from lmd.core.compiled import inlined, inner
 
 NUMBERS = 21  # numbers of a covariance
 TURN = 15  # first number of the block of w
+# Index of each entry of the symmetric 6 x 6 matrix among the 21 numbers.
+ENTRIES = np.array(
+    [
+        [0, 1, 2, 6, 7, 8], [1, 3, 4, 9, 10, 11], [2, 4, 5, 12, 13, 14],
+        [6, 9, 12, 15, 16, 17], [7, 10, 13, 16, 18, 19], [8, 11, 14, 17, 19, 20],
+    ]
+)  # fmt: skip
+# Rounding error of a variance, relative to the trace of the covariance.
+COVARIANCE_ERROR = 1e-13
 
 Number = Any  # a number in kernels, an array in the reference
 
@@ -114,6 +131,47 @@ def updated(p: Any, i: Any, scale: float) -> tuple[Number, ...]:
         l15 + scale * i[15], l16 + scale * i[16], l17 + scale * i[17], l18 + scale * i[18], l19 + scale * i[19],
         l20 + scale * i[20],
     ))  # fmt: skip
+
+
+@inner
+def update_beyond_rounding(
+    rows: FloatArray, sums: FloatArray, lane: Integer, step: Integer, scale: float, least: float, work: FloatArray
+) -> None:
+    """Update a covariance in place by an image, with the information of the directions that exceeds its rounding.
+
+    The information is decomposed into directions d h h^T, the largest pivot first, and each updates the covariance as a
+    scalar measurement: P <- P - P h h^T P / (h^T P h + 1 / (scale d)).
+
+    Args:
+        rows, sums: covariances and information; number j is the entry `lane + j * step`.
+        scale: factor of the information.
+        least: least pivot d that is no rounding error.
+        work: working memory, `(3, 6, 6)`.
+    """
+    p, rest, h, g = work[0], work[1], work[2, 0], work[2, 1]
+    for e in range(36):
+        entry = lane + ENTRIES[e // 6, e % 6] * step
+        p[e // 6, e % 6], rest[e // 6, e % 6] = rows[entry], sums[entry]
+    for _ in range(6):
+        k, trace = 0, 0.0
+        for r in range(6):
+            k, trace = r if rest[r, r] > rest[k, k] else k, trace + p[r, r]
+        d = rest[k, k]
+        if not d > least:
+            break
+        for r in range(6):
+            h[r] = rest[r, k] / d
+        spread = max(1.0 / (scale * d), COVARIANCE_ERROR * trace)
+        for r in range(6):
+            g[r] = 0.0
+            for c in range(6):
+                g[r] += p[r, c] * h[c]
+                rest[r, c] -= d * (h[r] * h[c])
+            spread += h[r] * g[r]
+        for e in range(36):
+            p[e // 6, e % 6] -= g[e // 6] * g[e % 6] / spread
+    for e in range(36):
+        rows[lane + ENTRIES[e // 6, e % 6] * step] = p[e // 6, e % 6]
 
 
 @inlined

@@ -12,6 +12,9 @@ from lmd.geometry.trajectory import Trajectory
 
 DECIMALS = 9  # of the duration of a frame, seconds: regular frames last equally long
 LARGEST = 1e6  # greatest standard deviation, in its unit
+# Standard deviations of a camera whose pose in a building is unknown: of its position along an axis, metres, and of its
+# rotation about an axis, rad, where half a turn is the greatest error. Greater ones say no more.
+UNKNOWN_POSITION, UNKNOWN_ATTITUDE = 1e3, np.pi
 
 
 @dataclass(frozen=True)
@@ -77,15 +80,23 @@ class Drives:
         for first, drive in zip(self.first, self.trajectories, strict=False):
             rows, step = moves[first + 1 : first + len(drive.time)], np.diff(drive.time)
             rows[:, :3] = np.diff(drive.poses[:, :3, 3], axis=0)
-            rows[:, 3], rows[:, 4] = self.motion_noise**2 * step, self.turn_noise**2 * step
+            rows[:, 3] = np.minimum(self.motion_noise**2 * step, UNKNOWN_POSITION**2)
+            rows[:, 4] = np.minimum(self.turn_noise**2 * step, UNKNOWN_ATTITUDE**2)
         return moves
 
     @property
     def start(self) -> FloatArray:
         """Covariance of the first estimates, 21 numbers as in `covariance`, `(21,)`."""
         start = np.zeros(21)
-        start[[0, 3, 5]], start[[15, 18, 20]] = self.start_position**2, self.start_attitude**2
+        start[[0, 3, 5]] = min(self.start_position, UNKNOWN_POSITION) ** 2
+        start[[15, 18, 20]] = min(self.start_attitude, UNKNOWN_ATTITUDE) ** 2
         return start
+
+    @property
+    def vaguest(self) -> float:
+        """Greatest variance of a pose without tags along or about an axis, m^2 or rad^2, without lever arms."""
+        drift = np.add.reduceat(self.moves[:, 3:], self.first[:-1]).max(axis=0)
+        return float((self.start[[0, 15]] + drift).max())
 
     @cached_property
     def of_frame(self) -> IntArray:

@@ -10,11 +10,13 @@ import numpy as np
 from lmd.core.bits import Integer
 from lmd.core.checks import FloatArray, IntArray
 from lmd.core.compiled import inlined, inner, kernel
+from lmd.core.dispatch import overridable
 from lmd.objectives.filtered.covariance import (
     NUMBERS,
     position_variance,
     predicted,
     rotation_variance,
+    update_beyond_rounding,
     updated,
 )
 
@@ -35,6 +37,9 @@ class Tolerance(NamedTuple):
     """Greatest trace of the covariance of the rotation, rad^2; infinite for no limit."""
     scale: float
     """Information of one unit of the sums: the squared focal length over the squared noise of a corner, pixels."""
+    least: float | None
+    """Least information of a direction that is no rounding error, in units of the sums; None where the first estimate
+    is good enough that rounding does not matter."""
 
 
 class Lanes(NamedTuple):
@@ -50,13 +55,15 @@ class Lanes(NamedTuple):
     """`(LANES,)` uint8, 1 if the frame of the lane has information."""
     frames: IntArray
     """`(2, LANES)` next frame of each lane and the end of its drive; equal for a lane without work."""
+    dense: FloatArray
+    """`(3, 6, 6)` memory of `update_beyond_rounding`."""
 
 
 def lanes() -> Lanes:
     """Empty working memory."""
     return Lanes(
         np.zeros(NUMBERS * LANES), np.zeros(NUMBERS * LANES), np.zeros(MOVES * LANES), np.zeros(LANES, np.uint8),
-        np.zeros((2, LANES), np.int64),
+        np.zeros((2, LANES), np.int64), np.zeros((3, 6, 6)),
     )  # fmt: skip
 
 
@@ -93,9 +100,16 @@ def predict_lanes(lanes: Lanes) -> None:
         _write(rows, lane, p)
 
 
-@inner
-def update_lanes(lanes: Lanes, scale: float) -> None:
-    """Add the information of each lane that is `informed`."""
+@overridable
+def update_lanes(least: float | None, lanes: Lanes, scale: float) -> None:
+    """Add the information of each lane that is `informed`; see `Tolerance`."""
+    for lane in range(LANES):
+        if lanes.informed[lane]:
+            update_beyond_rounding(lanes.covariance, lanes.information, lane, LANES, scale, least, lanes.dense)
+
+
+@update_lanes.register(type(None))
+def _update_lanes_none(least: None, lanes: Lanes, scale: float) -> None:
     rows, sums, informed = lanes.covariance, lanes.information, lanes.informed
     for lane in range(np.uint64(LANES)):
         known = informed[lane] != 0
@@ -156,7 +170,7 @@ def filter_drives(
                         work.information[j * LANES + lane] = sums[f, j]
             predict_lanes(work)
             if some:
-                update_lanes(work, tolerance.scale)
+                update_lanes(tolerance.least, work, tolerance.scale)
             for lane in range(LANES):
                 f = work.frames[0, lane] + step
                 if f < work.frames[1, lane]:

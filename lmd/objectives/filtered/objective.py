@@ -18,7 +18,7 @@ from lmd.objectives.filtered.field import filtered_field
 from lmd.objectives.filtered.lanes import Tolerance
 from lmd.objectives.filtered.reference import reference_filter, reference_information
 from lmd.objectives.filtered.selection import SeenFrames
-from lmd.objectives.localisation.information import Precision, deviation_per_variance, precision
+from lmd.objectives.localisation.information import QUANTUM, Precision, deviation_per_variance, precision
 from lmd.objectives.reference_field import ReferenceField
 from lmd.objectives.sampling import Sampling
 from lmd.scene.criteria import TOLERANCE
@@ -26,6 +26,7 @@ from lmd.scene.deployment import Deployment
 from lmd.scene.scene import Scene
 from lmd.sight.evaluator import Evaluator
 
+VAGUE, ROUNDED = 512, 64  # quanta of information that matter next to the first estimate, and that are rounding errors
 WORST = 0.05  # share of the drives that the figure of the worst ones is of, unless the fitness is
 
 
@@ -109,7 +110,10 @@ class Filtered(AtLeast):
         """Limits of the covariance, and the unit of the information."""
         turn = math.inf if self.rotation_tolerance is None else self.rotation_tolerance
         scale = deviation_per_variance(scene.cameras[0], self.pixel_noise)
-        return Tolerance(self.tolerance**2 * (1.0 + TOLERANCE), turn**2 * (1.0 + TOLERANCE), 1.0 / scale**2)
+        # A view of few points has an information of up to some 100 quanta in directions that it leaves undetermined.
+        vague = VAGUE * QUANTUM / scale**2 * max(drives.vaguest for drives in (self.drives, self.fresh) if drives) > 1.0
+        limits = self.tolerance**2 * (1.0 + TOLERANCE), turn**2 * (1.0 + TOLERANCE)
+        return Tolerance(*limits, 1.0 / scale**2, ROUNDED * QUANTUM if vague else None)
 
     def poses(self, evaluator: Evaluator, deployment: Deployment, drives: Drives | None = None) -> FilteredPoses:
         """Filtered pose of each frame of `drives`, by default those that are optimised on."""

@@ -3,7 +3,7 @@
 import numpy as np
 
 from lmd.core.checks import FloatArray
-from lmd.objectives.filtered.covariance import NUMBERS, predicted, updated
+from lmd.objectives.filtered.covariance import NUMBERS, predicted, update_beyond_rounding, updated
 from lmd.objectives.filtered.drives import Drives
 from lmd.objectives.filtered.evaluation import FilteredPoses, FrameInformation
 from lmd.objectives.filtered.lanes import Tolerance, is_known
@@ -38,7 +38,13 @@ def reference_filter(drives: Drives, information: FrameInformation, tolerance: T
         under_way = np.flatnonzero(drives.first[:-1] + step < drives.first[1:])
         frames = drives.first[under_way] + step
         before = np.stack(predicted(tuple(p[:, under_way]), *drives.moves[frames].T))
-        after = np.stack(updated(tuple(before), tuple(information.sums[frames].T), tolerance.scale))
+        sums, after = np.ascontiguousarray(information.sums[frames].T), before.copy()
+        if tolerance.least is None:
+            after = np.stack(updated(tuple(before), tuple(sums), tolerance.scale))
+        else:
+            for d in range(len(frames)):
+                flat, limits = (after.reshape(-1), sums.reshape(-1)), (tolerance.scale, tolerance.least)
+                update_beyond_rounding(*flat, d, len(frames), *limits, np.empty((3, 6, 6)))
         p[:, under_way] = np.where(information.informed[frames], after, before)
         known[frames], kept[frames] = is_known(p[:, under_way], tolerance), p[:, under_way].T
     return FilteredPoses(known, kept)

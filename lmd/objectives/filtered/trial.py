@@ -88,7 +88,7 @@ def _filter(field: Any, state: Any, scratch: Any) -> None:
         if going:
             predict_lanes(work)
         if some:
-            update_lanes(work, field.tolerance.scale)
+            update_lanes(field.tolerance.least, work, field.tolerance.scale)
         for lane in range(LANES):
             if frames[0, lane] < frames[1, lane]:
                 _store(lane, frames[0, lane], field, scratch)
