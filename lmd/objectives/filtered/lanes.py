@@ -101,7 +101,7 @@ def predict_lanes(lanes: Lanes) -> None:
 
 
 @overridable
-def update_lanes(least: float | None, lanes: Lanes, scale: float) -> None:
+def update_lanes(least: Any, lanes: Lanes, scale: float) -> None:
     """Add the information of each lane that is `informed`; see `Tolerance`."""
     for lane in range(LANES):
         if lanes.informed[lane]:
