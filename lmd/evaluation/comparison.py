@@ -9,6 +9,7 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import count
+from typing import Protocol
 
 import numpy as np
 import pandas as pd
@@ -176,7 +177,15 @@ def expected_running_time(runs: Sequence[OptimiserRun], fitness: float) -> float
     return sum(spent) / reached if reached else np.inf
 
 
-def best_at(runs: Sequence[OptimiserRun], axis: str, at: FloatArray) -> FloatArray:
+class HasHistory(Protocol):
+    """A search with its records."""
+
+    @property
+    def history(self) -> Sequence[Record]:
+        """Records in the order of time."""
+
+
+def best_at(runs: Sequence[HasHistory], axis: str, at: FloatArray) -> FloatArray:
     """Best fitness of each run at points `at` `(N,)` of an axis of `Record`, `(R, N)`; NaN before its first record."""
     curves = []
     for run in runs:

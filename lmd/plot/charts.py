@@ -1,5 +1,6 @@
 """Charts of figures, as PNGs: convergence, optimisers side by side, trade-offs, heat maps, sensitivity."""
 
+import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -7,6 +8,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
+from lmd.core.checks import FloatArray
 from lmd.objectives.base import Headline
 from lmd.plot.common import literal, logarithmic_ticks, new_figure, series, set_ticks
 
@@ -16,7 +18,9 @@ if TYPE_CHECKING:
     from lmd.evaluation.comparison import OptimiserRun
     from lmd.evaluation.sensitivity import Sensitivity
     from lmd.evaluation.tradeoff import Axis
+    from lmd.optimisers.ledger import Record
 
+LEGEND = 12  # most entries of a legend inside a panel
 DARK_ABOVE = 0.6  # share of a heat map's colour scale above which the text of a cell is white
 AXES = {"count": "number of landmarks K", "paper": "paper in all [square metres]", "budget": "cost of all tags"}
 
@@ -85,17 +89,8 @@ def save_comparison_figure(
     figure = new_figure((15, 6), title)
     convergence, distribution = figure.subplots(1, 2, sharex=True)
     for i, (name, group) in enumerate(groups.items()):
-        style = series(i)
-        curves = headline.scale * best_at(group, axis, at)
-        known = np.isfinite(curves).all(axis=0)
-        curves = curves[:, known]
-        median = np.median(curves, axis=0)
-        convergence.fill_between(
-            at[known], curves.min(axis=0), curves.max(axis=0), color=style["color"], alpha=0.15, lw=0
-        )
-        label = f"{literal(name)} {median[-1]:.1f}{headline.unit}"
-        convergence.plot(at[known], median, lw=1.8, label=label, **style)
-        distribution.step(at, 100.0 * attained(group, axis, at, targets), lw=1.8, where="post", **style)
+        _draw_median(convergence, at, best_at(group, axis, at), literal(name), i)
+        distribution.step(at, 100.0 * attained(group, axis, at, targets), lw=1.8, where="post", **series(i))
     low, high = headline.scale * targets[[0, -1]]
     if high > low:
         convergence.set_ylim(low, high + 0.03 * (high - low))
@@ -109,6 +104,89 @@ def save_comparison_figure(
         axes.grid(alpha=0.3)
     figure.legend(loc="outside right upper", frameon=False, title="best fitness at the end, median")
     figure.savefig(path)
+
+
+def _draw_median(axes: Any, at: FloatArray, curves: FloatArray, name: str, number: int) -> None:
+    """Draw the median of fitness curves `(R, N)` over `at` `(N,)`, per cent, and a band from the worst to the best."""
+    known = np.isfinite(curves).all(axis=0)
+    curves, style = 100.0 * curves[:, known], series(number)
+    median = np.median(curves, axis=0)
+    axes.fill_between(at[known], curves.min(axis=0), curves.max(axis=0), color=style["color"], alpha=0.15, lw=0)
+    axes.plot(at[known], median, lw=1.8, label=f"{name} {median[-1]:.1f}%", **style)
+
+
+class Searched(NamedTuple):
+    """A finished job of a sweep."""
+
+    history: "Sequence[Record]"
+    """Records of its search."""
+    fitness: float
+    """Fitness on the grid."""
+    off_grid: float | None
+    """The figure off the grid; None without validation."""
+
+
+def save_groups_figure(
+    path: str | Path, groups: Mapping[tuple[str, ...], Sequence[Searched]], keys: Sequence[str], title: str
+) -> None:
+    """Write a PNG of two panels about the groups of a sweep; a group has jobs that differ in their seed alone.
+
+    The left panel has the median best fitness of each group over evaluations, with a band from the worst to the best
+    seed. The right panel has the medians at the end over the values of the last key, a line for the others' values.
+
+    Args:
+        path: path of the PNG.
+        groups: the jobs of each group, at least one, by the values of `keys`.
+        keys: names of what varies.
+        title: title of the figure.
+    """
+    from lmd.evaluation.comparison import best_at
+
+    figure = new_figure((15, 6), title)
+    convergence, ends = figure.subplots(1, 2)
+    spent = [job.history[-1].evaluations for jobs in groups.values() for job in jobs]
+    at = np.geomspace(1.0, max(*spent, 2.0), 300)
+    values = list(dict.fromkeys(group[-1] if group else "" for group in groups))
+    if is_number := all(map(_is_number, values)):
+        values.sort(key=float)
+    places = {value: float(value) if is_number else float(i) for i, value in enumerate(values)}
+    lines: dict[tuple[str, ...], list[tuple[str, Sequence[Searched]]]] = {}
+    for i, (group, jobs) in enumerate(groups.items()):
+        _draw_median(convergence, at, best_at(jobs, "evaluations", at), _labelled(keys, group), i)
+        lines.setdefault(group[:-1], []).append((group[-1] if group else "", jobs))
+    for i, (others, points) in enumerate(lines.items()):
+        points.sort(key=lambda point: places[point[0]])
+        x, style = [places[value] for value, _ in points], series(i)
+        ranges = 100.0 * np.array([np.quantile([job.fitness for job in jobs], [0, 0.5, 1]) for _, jobs in points])
+        ends.fill_between(x, ranges[:, 0], ranges[:, 2], color=style["color"], alpha=0.15, lw=0)
+        ends.plot(x, ranges[:, 1], "o", ls=style["linestyle"], color=style["color"], label=_labelled(keys, others))
+        off = [[job.off_grid for job in jobs if job.off_grid is not None] for _, jobs in points]
+        if all(off):
+            medians = [100.0 * np.median(each) for each in off]
+            ends.plot(x, medians, "x", ls="none", color=style["color"], label="off the grid" if i == 0 else None)
+    convergence.set(title="median over the seeds, band from worst to best", ylabel="best fitness [%]", xscale="log")
+    convergence.set_xlabel("evaluations")
+    set_ticks(convergence.xaxis, logarithmic_ticks(at[0], at[-1]))
+    ends.set(title="at the end: median over the seeds", ylabel="fitness [%]", xlabel=literal(keys[-1] if keys else ""))
+    ends.set_xticks(list(places.values()), [literal(value) for value in places])
+    for axes in (convergence, ends):
+        axes.grid(alpha=0.3)
+        if len(axes.get_legend_handles_labels()[0]) <= LEGEND:
+            axes.legend(frameon=False)
+    figure.savefig(path)
+
+
+def _labelled(keys: Sequence[str], group: Sequence[str]) -> str:
+    """Values of a group in words, numbers with their keys: `annealing n=2`."""
+    words = zip(keys, group, strict=False)
+    return literal(" ".join(f"{key.split('.')[-1]}={value}" if _is_number(value) else value for key, value in words))
+
+
+def _is_number(text: str) -> bool:
+    try:
+        return math.isfinite(float(text))
+    except ValueError:
+        return False
 
 
 class Panel(NamedTuple):
