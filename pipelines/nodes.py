@@ -19,8 +19,10 @@ if TYPE_CHECKING:
 @cache
 def note(text: str) -> None:
     """Print a note on stderr unless it is empty; a process prints each note once."""
+    from lmd.core.checks import printable
+
     if text:
-        print(f"note: {text}", file=sys.stderr)
+        print(f"note: {printable(text)}", file=sys.stderr)
 
 
 @contextmanager

@@ -40,6 +40,8 @@ FILES = {
     .replace("_w", "_W"),
     "script of OpenCV": json.dumps({"mtx": SCRIPT["camera_matrix"], "dist": [LENS], "img_size": [640, 480]}),
     "ros topic echo": "width: 640\nheight: 480\ndistortion_model: plumb_bob\n" + f"d: {LENS}\nk: {MATRIX}\n---\n",
+    "ROS's calibrator": f"mono pinhole calibration...\nD = {LENS}\nK = {MATRIX}\nR = {MATRIX}\n# oST version 5.0 "
+    "parameters\n\n[image]\n\nwidth\n640\n\nheight\n480\n\n[narrow_stereo]\n",
     "EuRoC": "%YAML:1.0\nT_BS:\n  data: [1.0]\ncamera_model: pinhole\ndistortion_model: radial-tangential\n"
     f"resolution: [640, 480]\nintrinsics: {list(NAMES.values())}\ndistortion_coefficients: {LENS}\n",
     "OKVIS": "cameras:\n  - {T_SC: [1.0], image_dimension: [640, 480], distortion_type: radialtangential,\n"

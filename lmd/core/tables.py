@@ -3,6 +3,7 @@
 import csv
 import io
 import math
+import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from decimal import Decimal, InvalidOperation
@@ -12,10 +13,11 @@ from typing import Any, TextIO
 import numpy as np
 from numpy.typing import ArrayLike
 
-from lmd.core.checks import FloatArray, InputError
+from lmd.core.checks import FloatArray, InputError, printable
 from lmd.core.files import read_text
 
 MOST_COLUMNS = 1000  # greatest number of columns; a file with more is refused
+CONTROL = re.compile(r"[\x00-\x08\x0a-\x1f\x7f-\x9f\u2028-\u202e\u2066-\u2069]")
 COMMENT = "#"  # first character of a line that is skipped
 
 
@@ -44,12 +46,16 @@ class Table:
     Args:
         path: path of the file, for messages.
         lines: line number of each row, from 1.
-        texts: texts of the rows by name of the column.
+        texts: texts of the rows by name of the column, with escapes in place of control characters.
     """
 
     path: str
     lines: Sequence[int]
     texts: Mapping[str, Sequence[str]]
+
+    def __post_init__(self) -> None:
+        texts = {_safe(name): list(map(_safe, column)) for name, column in self.texts.items()}
+        object.__setattr__(self, "texts", texts)
 
     def __contains__(self, column: str) -> bool:
         return column in self.texts
@@ -184,6 +190,11 @@ def read_headless(path: Any, *, name: str) -> Headless | None:
         rows = [(i, row[:-1]) for i, row in rows]
     before = [line.strip().lstrip(COMMENT).strip() for line in text.splitlines()[: rows[0][0] - 1]]
     return Headless(str(path), [comment for comment in before if comment], commas, rows)
+
+
+def _safe(text: str) -> str:
+    """Text without characters that control a terminal or the direction of writing; other blanks stay as they are."""
+    return text if text.isprintable() else CONTROL.sub(lambda found: printable(found[0]), text)
 
 
 def is_number(text: str) -> bool:

@@ -30,7 +30,7 @@ from lmd.formats.calibration_readers import (
 )
 from lmd.formats.device_calibrations import azure_kinect, depthai, ftc
 from lmd.formats.kalibr_reports import kalibr_report
-from lmd.formats.opencv_calibrations import AS_ROS, has_matrix, opencv, opencv_xml, xml_of
+from lmd.formats.opencv_calibrations import AS_ROS, PRINTED, has_matrix, opencv, opencv_xml, printed, xml_of
 from lmd.formats.program_calibrations import (
     caltech,
     intrinsics_of_open3d,
@@ -154,6 +154,7 @@ FORMATS = (
         '`image_size`; coefficients of "inverse Brown Conrady" that are not 0 need `distortion_model` '
         "(`inverse_brown_conrady` as documented, `plumb_bob` as computed by librealsense and ROS)",
     ),
+    Format("calibration", "ROS", lambda file: bool(PRINTED.search(file.text)), lambda file: printed(file.text)),
     *(_refused(begins(mark), sentence) for mark, sentence in TEXTS),
     Format(
         "calibration",
@@ -188,7 +189,7 @@ FORMATS = (
         message,
         "ROS",
         *("width", "height", "K", "D"),
-        row="ROS `camera_info` (YAML), its message (YAML, JSON) | of the topic `image_raw`, not of a rectified image",
+        row="ROS `camera_info`, message (YAML, JSON), prints of its calibrator | of `image_raw`, not rectified images",
     ),
     _marked(message, "ROS", "width", "height", "k", "d"),
     _marked(

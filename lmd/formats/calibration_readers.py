@@ -72,6 +72,13 @@ def ros_keys(size: Any, matrix: Any, lens: Any, model: str | None = "plumb_bob")
     return keys | {name: value for name, value in named if value is not None}
 
 
+def no_size() -> InputError:
+    """Error about a file that lacks the size of the image."""
+    return InputError(
+        "image_size must be given, [width, height] in pixels: image_width or image_height is missing.", "image_size"
+    )
+
+
 def section(keys: Any, name: str) -> Keys:
     """Mapping below the key `name`; raises `InputError` if there is none."""
     if not isinstance(keys, Mapping) or name not in keys:
@@ -107,7 +114,7 @@ def camera_of_chain(prefix: str, camera: Any, lens: str = "distortion_coeffs") -
     coefficients = entry(lens) if model != "none" else []
     resolution = entry("resolution")
     if resolution is None and own:
-        raise InputError("image_width or image_height is missing: give image_size, [width, height] in pixels.")
+        raise no_size()
     size = (None, None) if resolution is None else vector(f"{prefix}resolution", resolution, 2)
     if not own:
         return ros_keys(size, _matrix(values), coefficients, model)

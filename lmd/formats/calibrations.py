@@ -12,12 +12,13 @@ from typing import Any
 
 from lmd.core.checks import InputError, check_fields, integer, real, said_of, vector
 from lmd.formats.calibration_formats import CalibrationFile
-from lmd.formats.calibration_readers import ANSWERED, CIRCLE, LENS_MODELS, NOTE, Cameras, known_lens
+from lmd.formats.calibration_readers import ANSWERED, CIRCLE, LENS_MODELS, NOTE, Cameras, known_lens, no_size
 from lmd.formats.registry import read
 from lmd.geometry.camera import PIXEL_CENTRE, Camera
 from lmd.geometry.lens import lens_of
 
 SIZE = ("image_width", "image_height")
+ASKED = ("image_size", "distortion_model")  # settings that a file may lack
 UNCLEAR = 4  # number of coefficients that both a pinhole and a fisheye may have
 SHORTEST = 0.05  # least focal length, as a share of the image's size; shorter lengths are refused
 LARGEST = 1 << 25  # greatest size of a file, bytes: some files hold every detected point, or the images
@@ -149,7 +150,7 @@ def read_calibration(
     restated = read_cameras(path, name, size, distortion_model)
     chosen = _chosen(path, list(restated), name, size)
     keys = keys_of(path, restated[chosen])
-    with said_of(path, known=("distortion_model",)):
+    with said_of(path, known=ASKED):
         found = _calibration(path, keys, size, distortion_model)
     if size not in (None, known := (found.image_width, found.image_height)):
         raise InputError(f"image_size must be {list(known)}, as {path} has it, got {list(size)}.", "image_size")
@@ -208,7 +209,7 @@ def _damaged(path: Any) -> Iterator[None]:
     except InputError as error:
         if error.argument == "path":
             raise
-        if error.argument == "distortion_model":  # a message begins with its argument
+        if error.argument in ASKED:  # a message begins with its argument
             what, _, why = str(error).partition(": ")
             raise InputError(f"{what}: {path}: {why}", error.argument) from None
         raise InputError(f"{path}: {error}") from None
@@ -225,7 +226,8 @@ def _calibration(path: str, keys: Mapping[str, Any], size: tuple[float, ...] | N
     lens = _numbers("distortion_coefficients.data", _entry(keys, "distortion_coefficients", "data"))
     width, height = (keys.get(name, None if size is None else size[i]) for i, name in enumerate(SIZE))
     if width is None or height is None:
-        raise InputError(f"{' or '.join(SIZE)} is missing: give image_size, [width, height] in pixels.")
+        with _damaged(path):
+            raise no_size()
     asked = None if keys.get(ANSWERED) else asked
     name = keys.get("distortion_model") or asked  # drivers leave the model empty
     if name is None and len(lens) == UNCLEAR and any(lens):

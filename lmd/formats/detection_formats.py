@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from lmd.core.checks import FloatArray, InputError, IntArray
+from lmd.core.checks import FloatArray, InputError, IntArray, printable
 from lmd.core.tables import in_order, read_table, time_of, write_table
 from lmd.formats.bag_contents import seen_in
 from lmd.formats.bags import is_bag
@@ -161,6 +161,7 @@ def _from_json(read_tags: Callable[[list[Any]], Iterator[SeenTag]]) -> Callable[
 
 def _of_seen(file: File, seen: Sequence[SeenTag]) -> DetectedTags:
     """Detections of tags that were seen."""
+    seen = [tag._replace(camera=printable(tag.camera), time=printable(tag.time)) for tag in seen]
     names = sorted({tag.camera for tag in seen})
     cameras, ids = (
         np.array(of, dtype=np.int64) for of in zip(*((names.index(t.camera), t.number) for t in seen), strict=True)

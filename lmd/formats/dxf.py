@@ -56,12 +56,10 @@ def _lines(file: File) -> Drawing:
     logging.getLogger("ezdxf").setLevel(logging.CRITICAL)  # ezdxf logs each entity that it repairs
     try:
         document, _ = ezdxf.recover.read(io.BytesIO(_with_subclasses(content)))
-        shapes = list(_shapes(document.modelspace(), document.layers))
+        found = list(_shapes(document.modelspace(), document.layers))
     except (OSError, ValueError, KeyError, TypeError, IndexError, AttributeError, ezdxf.DXFError) as error:
         raise InputError(f"path: {str(file.path)!r} cannot be read as DXF ({error}).", "path") from None
-    found = [(kind, layer, entity) for kind, layer, entity, shown in shapes if shown]
-    drawn = Counter(layer for kind, layer, _ in found if kind == "line")
-    hidden = Counter(layer for _, layer, _, shown in shapes if not shown)
+    drawn, hidden = (Counter(layer for kind, layer, _ in found if kind == own) for own in ("line", "hidden"))
     if not drawn:
         only = f", except of {NOT_SHOWN}: {_counted(hidden)}" if hidden else ""
         raise InputError(f"path: {str(file.path)!r} cannot be read as DXF: it has no lines{only}.", "path")
@@ -73,7 +71,7 @@ def _lines(file: File) -> Drawing:
     paths: dict[str, list[FloatArray]] = {"line": [], "window": []}
     boxes = []
     for kind, layer, entity in found:
-        if kind == "line" and layer not in layers:
+        if kind == "hidden" or (kind == "line" and layer not in layers):
             continue
         vertices = scale * _flattened(entity, file.asked["tolerance"] / scale)
         if kind in paths and len(vertices) > 1:
@@ -89,13 +87,10 @@ def _lines(file: File) -> Drawing:
     note = f"walls are the lines of {', '.join(sorted(layers))}"
     note += f", without those of {_counted(left)}" if left else ""
     named = file.asked["layers"] is not None or any(map(WALL.search, layers))  # else any other layer might be of walls
-    unseen = Counter(
-        layer
-        for kind, layer, _, shown in shapes
-        if not shown and (kind != "line" or layer in layers or not named or WALL.search(layer))
-    )
+    unseen = Counter({key: n for key, n in hidden.items() if key in layers or not named or WALL.search(key)})
     note += f", without {NOT_SHOWN}: {_counted(unseen)}" if unseen else ""
-    unplotted = [name for name in sorted(layers) if not _is_plotted(document.layers, name)]
+    plotted = [name not in document.layers or document.layers.get(name).dxf.get("plot", 1) for name in sorted(layers)]
+    unplotted = [name for name, is_plotted in zip(sorted(layers), plotted, strict=True) if not is_plotted]
     note += f"; a CAD program shows {', '.join(unplotted)}, and does not plot it" if unplotted else ""
     walls, windows = (shapely.MultiLineString(lines) for lines in paths.values())
     return Drawing(walls, windows, boxes, unit, note)
@@ -125,15 +120,11 @@ def _counted(layers: Counter[str]) -> str:
     return few([f"{name} ({number})" for name, number in layers.most_common()], most=8)
 
 
-def _is_plotted(layers: Any, name: str) -> bool:
-    return name.lower() != "defpoints" and (name not in layers or bool(layers.get(name).dxf.get("plot", 1)))
-
-
 def _shapes(
     entities: Any, layers: Any, kind: str = "line", outer: str = "0", shown: bool = True
-) -> Iterator[tuple[str, str, Any, bool]]:
-    """Kind (`line`, `door` or `window`), layer and entity of each shape of a drawing, including shapes in blocks; and
-    True for a shape that a CAD program shows.
+) -> Iterator[tuple[str, str, Any]]:
+    """Kind (`line`, `door`, `window`, or `hidden` if a CAD program does not show it), layer and entity of each shape of
+    a drawing, including shapes in blocks.
 
     A block on a frozen layer is hidden as a whole; of a block on a layer that is off, its shapes on layer 0 are hidden.
     """
@@ -146,7 +137,7 @@ def _shapes(
         if entity.dxftype() in NESTED:
             yield from _shapes(entity.virtual_entities(), layers, own, layer, visible)
         elif entity.dxftype() in SHAPES:
-            yield own, layer, entity, visible and (state is None or not state.is_off())
+            yield own if visible and (state is None or not state.is_off()) else "hidden", layer, entity
 
 
 def _flattened(entity: Any, tolerance: float) -> FloatArray:

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from lmd.core.checks import FloatArray, InputError, radians, vector
+from lmd.core.checks import FloatArray, InputError, vector
 from lmd.formats.placed_tag import (
     Keys,
     PlacedTag,
@@ -21,8 +21,8 @@ from lmd.formats.placed_tag import (
     tag_named,
     turn_by_angles,
     turn_by_quaternion,
+    turn_by_vector,
 )
-from lmd.geometry.se3 import exp
 from lmd.scene.families import family_named
 
 LIMELIGHT, PYTAGMAPPER = "fiducials", "tag_locations"  # lists that other formats have, too
@@ -56,10 +56,8 @@ def listed(keys: Keys) -> Iterable[PlacedTag]:
     for key, entry in entries:
         at = f"{name}[{key}]"
         if isinstance(entry, list):
-            raise InputError(
-                f"{at} is a list of {len(entry)} values{' without an orientation' if len(entry) == 3 else ''}: a tag "
-                "needs named ones, such as {position: [x, y, z], orientation: [roll, pitch, yaw]}, metres and radians."
-            )
+            told = "{position: [x, y, z], orientation: [roll, pitch, yaw]}, metres and radians"
+            raise InputError(f"{at} needs a position and an orientation by name: {told}.")
         tag = mapping(at, entry)
         own, number = _named(at, key if isinstance(keys[name], dict) else _first(tag, IDS))
         pose = {**tag, **mapping(f"{at}.pose", tag["pose"])} if isinstance(tag.get("pose"), dict) else tag
@@ -120,9 +118,7 @@ def _turn(at: str, number: int, pose: Keys) -> FloatArray:
             values = dict(zip(order, vector(f"{at}: {name}", pose[name], 4), strict=True))
             return turn_by_quaternion(*(values[axis] for axis in "xyzw"))
     if (rotation := _first(pose, VECTORS)) is not None:
-        rotation = np.array(vector(f"{at}: rotation vector", rotation, 3))
-        radians(f"tag {number}", rotation=rotation)
-        return exp(np.concatenate([rotation, np.zeros(3)]))[:3, :3]
+        return turn_by_vector(f"tag {number}", np.array(vector(f"{at}: rotation vector", rotation, 3)))
     value = _first(pose, (*ANGLES, *QUATERNIONS))
     inner = value if isinstance(value, dict) else pose
     for names in ((*"xyzw",), QUATERNION) if isinstance(value, dict) else (QUATERNION,):

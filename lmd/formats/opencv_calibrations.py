@@ -53,6 +53,22 @@ WIDE = re.compile(
     r"|^(mei|ds|eucm|kb4?|fov)$"
 )
 
+# Lines of ROS's calibrator, with parentheses by Python 2; and the size in the text that follows them.
+PRINTED = re.compile(r"^\W{0,3}([DK])\s?=\W{0,4}?\[([^\]\n]*)\]", re.MULTILINE)
+PRINTED_SIZE = re.compile(r"^width\s{1,9}(\d{1,9})\s{1,9}height\s{1,9}(\d{1,9})$", re.MULTILINE)
+
+
+def printed(text: str) -> dict[str, Mapping[str, Any]]:
+    """Cameras that ROS's calibrator printed, in the keys of ROS: one, or `cam1`, `cam2`, ... in their order."""
+    known: dict[str, list[list[float]]] = {"K": [], "D": []}
+    for name, values in PRINTED.findall(text):
+        known[name].append([float(value) for value in values.replace(",", " ").split()])
+    more: dict[str, Any] = {"fisheye": True} if "fisheye calibration" in text else {}
+    if (size := PRINTED_SIZE.search(text)) is not None:
+        more["image_size"] = [int(size[1]), int(size[2])]
+    found = [opencv({"K": matrix, "D": lens, **more}) for matrix, lens in zip(*known.values(), strict=True)]
+    return {f"cam{i}" if len(found) > 1 else "": keys for i, keys in enumerate(found, 1)}
+
 
 def xml_of(text: str) -> ElementTree.Element | None:
     """Outermost element of XML, None for another text; entities are refused, as they could expand to gigabytes.

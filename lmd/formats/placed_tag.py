@@ -12,7 +12,7 @@ import numpy as np
 from lmd.core.checks import FloatArray, InputError, integer, radians, real, vector
 from lmd.core.tables import Table
 from lmd.geometry.frames import roll_pitch_yaw
-from lmd.geometry.se3 import QUATERNION_TOLERANCE, are_rotations, nearest_rotations
+from lmd.geometry.se3 import QUATERNION_TOLERANCE, are_rotations, exp, nearest_rotations
 from lmd.scene.families import FAMILIES, family_named
 
 Keys = Mapping[str, Any]
@@ -204,6 +204,16 @@ def turn_by_angles(number: int, roll: float, pitch: float, yaw: float) -> FloatA
     """
     radians(f"tag {number}", roll=np.array([roll]), pitch=np.array([pitch]), yaw=np.array([yaw]))
     return roll_pitch_yaw([roll, pitch, yaw])
+
+
+def turn_by_vector(source: str, rotation: FloatArray) -> FloatArray:
+    """Matrix of a rotation vector `(3,)`, whose length is the angle, rad; `source` is for messages.
+
+    Raises:
+        InputError: the vector looks like degrees.
+    """
+    radians(source, rotation=rotation)
+    return exp(np.concatenate([rotation, np.zeros(3)]))[:3, :3]
 
 
 def transform_of(number: int, values: Any) -> tuple[FloatArray, FloatArray]:

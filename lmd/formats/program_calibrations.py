@@ -31,6 +31,7 @@ from lmd.formats.calibration_readers import (
     known_lens,
     matrix_of,
     named,
+    no_size,
     ros_keys,
     row_by_row,
     within,
@@ -233,7 +234,7 @@ def _nerf(keys: Keys, asked: Keys) -> Keys:
         if name not in keys and angle in keys and side is not None:
             values[name] = side / 2.0 / math.tan(real(angle, keys[angle], above=0.0, high=math.pi) / 2.0)
     if "fl_x" not in values and None in sides:
-        raise InputError("image_width or image_height is missing: give image_size, [width, height] in pixels.")
+        raise no_size()
     fx = real("fl_x", values["fl_x"])
     fy = real("fl_y", values.get("fl_y", fx))
     middle = [None if side is None else side / 2.0 for side in sides]

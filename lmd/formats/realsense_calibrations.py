@@ -26,6 +26,7 @@ from lmd.formats.calibration_readers import (
     Keys,
     fitted,
     known_lens,
+    no_size,
     ros_keys,
     within,
 )
@@ -155,5 +156,5 @@ def _size(size: Any, asked: Keys) -> Any:
     """Size of the image: from the file, or the size `asked`."""
     own = size if None not in size else asked.get("image_size")
     if own is None:
-        raise InputError("image_width or image_height is missing: give image_size, [width, height] in pixels.")
+        raise no_size()
     return own

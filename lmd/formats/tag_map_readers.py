@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from lmd.core.checks import FloatArray, InputError, integer, radians, real, vector
+from lmd.core.checks import FloatArray, InputError, integer, real, vector
 from lmd.core.tables import read_table
 from lmd.formats.placed_tag import (
     MM,
@@ -28,9 +28,9 @@ from lmd.formats.placed_tag import (
     transform_of,
     turn_by_angles,
     turn_by_quaternion,
+    turn_by_vector,
 )
 from lmd.geometry.frames import roll_pitch_yaw
-from lmd.geometry.se3 import exp
 from lmd.scene.edges import EDGE
 from lmd.scene.families import family_named
 
@@ -192,8 +192,7 @@ def _tagslam_pose(pose: Keys) -> tuple[FloatArray, FloatArray]:
     position, rotation = (
         numbers(mapping(key, pose.get(key) or dict.fromkeys("xyz", 0.0)), "xyz") for key in ("position", "rotation")
     )
-    radians("pose", rotation=rotation)
-    return position, exp(np.concatenate([rotation, np.zeros(3)]))[:3, :3]
+    return position, turn_by_vector("pose", rotation)
 
 
 def fiducial_vlam(keys: Keys) -> Iterable[PlacedTag]:

@@ -17,9 +17,9 @@ def test_comments_and_blank_lines_are_left_out_and_lines_keep_their_numbers(writ
 
 
 def test_texts_may_be_quoted_and_hold_a_hash(write):
-    table = read_table(write('x,note\n1,"left, above #3"\n2, #4 is next\n'), name="path")
-    assert table.texts["note"] == ["left, above #3", "#4 is next"]
-    assert table.numbers(["x"], None).tolist() == [[1.0], [2.0]]
+    table = read_table(write('x,note\n1,"left, above #3"\n2, #4 is next\n3,"a\x1b[2J\nb\u202e\xa0c\té"\n'), name="path")
+    assert table.texts["note"] == ["left, above #3", "#4 is next", "a\\x1b[2J\\nb\\u202e\xa0c\té"]
+    assert table.numbers(["x"], None).tolist() == [[1.0], [2.0], [3.0]]
 
 
 @pytest.mark.parametrize("end", ["\n", "\r\n"])
@@ -41,7 +41,7 @@ def test_a_file_may_begin_with_a_mark_of_its_encoding_and_have_any_ends_of_lines
         (b"x\n1\n", "table.csv lacks the column 'y'; expected x,y"),
         (b"x,y\n1\n", "table.csv line 2 has 1 values, but the header has 2 columns"),
         (b"x,y\n1,2,3\n", "table.csv line 2 has 3 values, but the header has 2 columns"),
-        (b"x,y\n1,\x00\n", "table.csv line 2: y is '\\x00', not a number"),
+        (b"x,y\n1,\x00\n", "table.csv line 2: y is '\\\\x00', not a number"),
         (b'x,y\n1,"2\n', "table.csv' cannot be read as CSV (unexpected end of data)"),
         ("x,y\n1,2\n".encode("utf-16"), "table.csv' cannot be read as text: it is in UTF-16: save it as UTF-8."),
     ],

@@ -1,4 +1,5 @@
 import json
+import re
 from pathlib import Path
 
 import numpy as np
@@ -44,6 +45,11 @@ def basalt(kind, names, lens):
         (MRCAL.format("OPENCV8", str(RATIONAL)[1:-1]), RATIONAL),
         (MRCAL.format("OPENCV12", str([*RATIONAL, *FISHEYE])[1:-1]), [*RATIONAL, *FISHEYE]),
         (colmap("OPENCV_FISHEYE", FISHEYE), FISHEYE),
+        (FILES["ROS's calibrator"].replace("pinhole", "fisheye").replace(str(LENS), str(FISHEYE)), FISHEYE),
+        (
+            re.sub(r"(.) = (.*)", r"('\1 = ', \2)", FILES["ROS's calibrator"]).replace(str(LENS), str(RATIONAL)),
+            RATIONAL,
+        ),
         (colmap("RADIAL_FISHEYE", FISHEYE[:2]).replace("600 610", "600"), [*FISHEYE[:2], 0.0, 0.0]),
         (basalt("kb4", "k1 k2 k3 k4", FISHEYE), FISHEYE),
         (
@@ -91,7 +97,7 @@ OUTCOMES = {
     "basalt_euroc_ds.json": None,
     "basalt_t265_kb4.json": None,
     "colmap_maupertuis_cameras.txt": None,
-    "frc971_calibration_2024.json": "give image_size",
+    "frc971_calibration_2024.json": "image_size must be given",
     "isaac_ros_camera_info.json": None,
     "kalibr_tumvi_equidistant_512.yaml": None,
     "mrcal_cam0_opencv8.cameramodel": None,
@@ -133,11 +139,21 @@ def test_a_file_may_hold_every_point_that_was_seen(write):
     assert read_calibration(write(many)) == read_calibration(write(FILES["PhotonVision"]))
 
 
-@pytest.mark.parametrize("text", [FILES["frc971"].replace("image_", ""), json.dumps(SCRIPT)], ids=["frc971", "WPIcal"])
+PRINTED = FILES["ROS's calibrator"].partition("#")[0]
+
+
+@pytest.mark.parametrize("text", [FILES["frc971"].replace("image_", ""), json.dumps(SCRIPT), PRINTED])
 def test_a_size_is_given_beside(text, write):
-    with pytest.raises(InputError, match=r"give image_size, \[width, height\] in pixels\.$"):
+    with pytest.raises(InputError, match=r"^image_size must be given, \[width, height\] in pixels: .*is missing\.$"):
         read_calibration(write(text))
     assert read_calibration(write(text), image_size=[640, 480]) == read_calibration(write(FILES["frc971"]))
+
+
+def test_the_calibrator_of_ros_prints_two_cameras(write):
+    path = write(f"Left:\n{PRINTED}Right:\n{PRINTED.replace('600', '700')}self.T = [0.1, 0.0, 0.0]\n")
+    with pytest.raises(InputError, match=r"^name must be given: .* has the cameras cam1, cam2"):
+        read_calibration(path)
+    assert read_calibration(path, "cam2", [640, 480]).focal_pixels == (700.0, 610.0)
 
 
 def test_a_fisheye_that_is_not_called_one_is_taken_as_what_it_is_said_to_be(write):

@@ -175,10 +175,6 @@ def data(*values):
 @pytest.mark.parametrize(
     ("keys", "message"),
     [
-        (
-            without(ROS, "image_width"),
-            "image_width or image_height is missing: give image_size, [width, height] in pixels.",
-        ),
         (without(ROS, "camera_matrix", "data"), "the key camera_matrix.data is missing."),
         (without(ROS, "distortion_coefficients"), "the key distortion_coefficients is missing."),
         (ROS | {"image_height": 480.5}, "image_height must be a whole number, got 480.5."),

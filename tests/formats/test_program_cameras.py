@@ -65,7 +65,7 @@ def test_objects_of_python_are_not_loaded(tmp_path):
         distCoef=np.zeros((1, 5)),
         rvecs=np.array([{"a": 1}], dtype=object),
     )
-    with pytest.raises(InputError, match="image_width or image_height is missing: give image_size"):
+    with pytest.raises(InputError, match="image_size must be given"):
         read_calibration(path)
 
 
