@@ -56,8 +56,9 @@ def listed(keys: Keys) -> Iterable[PlacedTag]:
     for key, entry in entries:
         at = f"{name}[{key}]"
         if isinstance(entry, list):
+            lacks = "has no orientation" if len(entry) == len(PLACE) else "has values without names"
             told = "{position: [x, y, z], orientation: [roll, pitch, yaw]}, metres and radians"
-            raise InputError(f"{at} needs a position and an orientation by name: {told}.")
+            raise InputError(f"{at} {lacks}: a tag needs {told}.")
         tag = mapping(at, entry)
         own, number = _named(at, key if isinstance(keys[name], dict) else _first(tag, IDS))
         pose = {**tag, **mapping(f"{at}.pose", tag["pose"])} if isinstance(tag.get("pose"), dict) else tag

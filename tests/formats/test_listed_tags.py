@@ -75,5 +75,5 @@ def test_sizes_and_families_are_those_of_a_tag_or_of_the_list(read):
 def test_a_tag_that_lacks_a_value_is_refused(change, message, read):
     with pytest.raises(InputError, match=message):
         read({"landmarks": [{"id": 7, "position": PLACE, "orientation": UPRIGHT} | change]})
-    with pytest.raises(InputError, match=r"tags\[0\] needs a position and an orientation by name: "):
+    with pytest.raises(InputError, match=r"tags\[0\] has no orientation: a tag needs {position: "):
         read({"tags": {"0": PLACE}})
