@@ -1,19 +1,28 @@
 """Objects built from nodes of the configuration, with error messages that name the keys."""
 
+import difflib
+import importlib
+import inspect
+import pkgutil
 import re
 import sys
-from collections.abc import Iterator
+import traceback
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from functools import cache
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import hydra
 from omegaconf import DictConfig, OmegaConf
 
-from .overrides import meant
+from .overrides import LIKENESS
 
 if TYPE_CHECKING:
     from lmd.detection.detectors import Detector
+
+MOST_NAMES = 12  # most names of a module in a message
+LIKENESS_OF_NAMES = 0.75  # least similarity, by `difflib`, of a suggested class or module
 
 
 @cache
@@ -68,12 +77,60 @@ def instantiate(node: Any, **extra: Any) -> Any:
         if cause is not None:
             with keyed(str(error).partition("full_key: ")[2].strip(), **{name: name for name in extra}):
                 raise cause from None
-        text = " ".join(str(error).split())
-        if unknown := re.search(r"unexpected keyword argument '(\w+)'.* full_key: ([\w.]+)", text):
-            key = f"{unknown[2]}.{unknown[1]}"
-            hint = _set_by_experiment(key) or meant(key)
-            raise InputError(f"{key} is no setting that is known; {hint}".rstrip("; ")) from error
-        raise InputError(text) from error
+        raise InputError(_refusal(error, extra)) from error
+
+
+def _refusal(error: Exception, extra: Mapping[str, Any]) -> str:
+    """Say what is wrong with a node in place of Hydra, and what its class or module has.
+
+    Args:
+        error: Hydra's error.
+        extra: arguments that the node does not have.
+    """
+    from lmd.core.checks import failure
+
+    text, _, key = " ".join(str(error).split()).partition(" full_key: ")
+    target, cause = re.search(r"target '([^']+)'", text), error.__cause__
+    if target is None or cause is None:
+        return f"{key}: {text}"
+    if text.startswith("Error locating"):
+        return f"{key}._target_ = {target[1]!r}: {_lack(target[1])}"
+    unknown = re.search(r"unexpected keyword argument '(\w+)'", str(cause))
+    takes = [name for name in inspect.signature(hydra.utils.get_object(target[1])).parameters if name not in extra]
+    if unknown is None or unknown[1] in takes:
+        at_the_call = "hydra" in Path(traceback.extract_tb(cause.__traceback__)[-1].filename).parts
+        return f"{key}: {cause if at_the_call else f'{target[1]} failed: {failure(cause)}'}"
+    if unknown[1] in extra:
+        return f"{key}: {target[1]} must take the argument {unknown[1]}."
+    close = difflib.get_close_matches(unknown[1], takes, 1, LIKENESS)
+    likely = f"did you mean {key}.{close[0]}?" if close else f"{target[1]} takes {', '.join(takes) or 'no argument'}"
+    name = f"{key}.{unknown[1]}"
+    return f"{name} is no setting that is known; {_set_by_experiment(name) or likely}"
+
+
+def _lack(target: str) -> str:
+    """Say which part of a dotted path to a class is missing, and which names are close to it."""
+    from lmd.core.checks import failure
+
+    found, parts = None, target.split(".")
+    for i, part in enumerate(parts):
+        whole = ".".join(parts[: i + 1])
+        try:
+            found = getattr(found, part) if hasattr(found, part) else importlib.import_module(whole)
+        except ModuleNotFoundError as error:
+            if error.name != whole:
+                return failure(error)
+            below = pkgutil.iter_modules(getattr(found, "__path__", None if found is None else []))
+            callables = [name for name, value in vars(found or object).items() if name[0] != "_" and callable(value)]
+            names = {name.lower(): name for name in [*(module.name for module in below), *callables]}
+            close = difflib.get_close_matches(part.lower(), names, 3, LIKENESS_OF_NAMES)
+            there = f"it has {', '.join(sorted(names.values())[:MOST_NAMES])}" if i and names else ""
+            hint = f"did you mean {' or '.join(names[name] for name in close)}?" if close else there
+            lacks = f"{'.'.join(parts[:i])} has no {part}" if i else f"there is no module {part}"
+            return f"{lacks}; {hint}".rstrip("; ")
+        except Exception as error:  # a module may fail in any way
+            return f"{target} cannot be imported: {failure(error)}"
+    return f"{target} is no class and no function"
 
 
 def _set_by_experiment(key: str) -> str:

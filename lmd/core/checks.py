@@ -2,6 +2,7 @@
 
 import inspect
 import math
+import traceback
 from collections.abc import Callable, Container, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -28,6 +29,13 @@ LONGEST = 2000
 def printable(text: str) -> str:
     """Text with escapes in place of control and other non-printable characters."""
     return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)
+
+
+def failure(error: BaseException) -> str:
+    """Error of foreign code in words: its type, its message and its place in the code."""
+    place = traceback.extract_tb(error.__traceback__)[-1]
+    why = f"{type(error).__name__}: {error}" if str(error) else type(error).__name__
+    return f"{why} ({Path(place.filename).name}, line {place.lineno})"
 
 
 class InputError(ValueError):

@@ -48,8 +48,7 @@ def missing_of(error: BaseException | None) -> InputError | None:
     while error is not None and not isinstance(error, ModuleNotFoundError):
         error = error.__cause__ or error.__context__
     name = getattr(error, "name", None) or ""
-    found = [package for package in EXTRAS if name == package or name.startswith(f"{package}.")]
-    return missing(found[0], EXTRAS[found[0]]) if found else None
+    return missing(name, EXTRAS[name]) if name in EXTRAS else None
 
 
 def _short(path: str | Path) -> str:

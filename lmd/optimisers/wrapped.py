@@ -5,20 +5,18 @@
 import inspect
 import io
 import random
-import traceback
 import warnings
 from abc import abstractmethod
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, redirect_stdout
 from functools import partial
-from pathlib import Path
 from typing import Any, Protocol, TypeVar
 from unittest.mock import patch
 
 import numpy as np
 from typing_extensions import override
 
-from lmd.core.checks import FloatArray, InputError, choice, integer
+from lmd.core.checks import FloatArray, InputError, choice, failure, integer
 from lmd.core.threads import in_daemon
 from lmd.optimisers.base import AskTell
 
@@ -119,10 +117,7 @@ class Wrapped(AskTell):
             except InputError:
                 raise
             except Exception as error:  # libraries raise different errors
-                place = traceback.extract_tb(error.__traceback__)[-1]
-                why = f"{type(error).__name__}: {error}" if str(error) else type(error).__name__
-                where = f"{Path(place.filename).name}, line {place.lineno}"
-                raise InputError(f"{self.called} failed: {why} ({where}).") from error
+                raise InputError(f"{self.called} failed: {failure(error)}.") from error
 
     @contextmanager
     def _own_world(self) -> Iterator[None]:

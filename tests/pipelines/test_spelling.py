@@ -45,3 +45,39 @@ def test_the_axis_of_a_mesh_that_was_given_is_warned_of(tmp_path, capsys):
         build_problem(cfg)
         warned.append(f"warning: room.up: is it right for '{path}'? With y up it is " in capsys.readouterr().err)
     assert warned == [False, True]
+
+
+OWN = """
+class Mine:
+    def __init__(self, width=1, seed=0):
+        if width > 1:
+            raise KeyError("wide")
+"""
+GA = "pymoo.algorithms.soo.nonconvex.ga"
+
+
+@pytest.mark.parametrize(
+    ("target", "given", "message"),
+    [
+        (f"{GA}.GAA", {}, f"part._target_ = '{GA}.GAA': {GA} has no GAA; did you mean GA?"),
+        ("pymoo.algorithms.soo.nonconvx.GA", {}, ": pymoo.algorithms.soo has no nonconvx; did you mean nonconvex?"),
+        ("lmd.objectives.coverage.Covrage", {}, ": lmd.objectives.coverage has no Covrage; did you mean Coverage?"),
+        ("own_modul.Mine", {}, ": there is no module own_modul; did you mean own_module?"),
+        ("own_module.Other", {}, ": own_module has no Other; it has Mine"),
+        ("own_failing.Mine", {}, ": own_failing.Mine cannot be imported: ZeroDivisionError: division by zero ("),
+        ("own_lacking.Mine", {}, ": ModuleNotFoundError: No module named 'lmd.nothing' (own_lacking.py, line 1)"),
+        ("own_module.Mine", {"widht": 2}, "part.widht is no setting that is known; did you mean part.width?"),
+        ("own_module.Mine", {"step": 2}, "part.step is no setting that is known; own_module.Mine takes width"),
+        ("own_module.Mine", {"width": 2}, "part: own_module.Mine failed: KeyError: 'wide' (own_module.py, line 5)"),
+        ("lmd.optimisers.ledger.Ledger", {}, "part: lmd.optimisers.ledger.Ledger must take the argument seed."),
+        ("lmd.optimisers.wrapped.AskAndTell", {}, "part: AskAndTell.__init__() missing 1 required"),
+    ],
+)
+def test_a_misspelt_class_or_argument_is_told_what_there_is(target, given, message, tmp_path, monkeypatch):
+    for name, text in (("module", OWN), ("failing", "1 / 0"), ("lacking", "import lmd.nothing")):
+        (tmp_path / f"own_{name}.py").write_text(text)
+    monkeypatch.syspath_prepend(tmp_path)
+    with pytest.raises(InputError) as told:
+        instantiate(OmegaConf.create({"part": {"_target_": target, **given}}).part, seed=0)
+    assert message in str(told.value)
+    assert str(told.value).startswith("part")
