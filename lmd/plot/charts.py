@@ -171,7 +171,7 @@ def save_groups_figure(
     ends.set_xticks(list(places.values()), [literal(value) for value in places])
     for axes in (convergence, ends):
         axes.grid(alpha=0.3)
-        if len(axes.get_legend_handles_labels()[0]) <= LEGEND:
+        if 0 < len(axes.get_legend_handles_labels()[0]) <= LEGEND:
             axes.legend(frameon=False)
     figure.savefig(path)
 

@@ -2,7 +2,14 @@
 
 from pipelines.operations.sweeps.folder import Job, JobFolder, Sweep
 from pipelines.operations.sweeps.names import short_name
-from pipelines.operations.sweeps.summary import best_and_median, by_group, description, pivot
+from pipelines.operations.sweeps.summary import (
+    best_and_median,
+    by_group,
+    description,
+    draw_groups,
+    pivot,
+    why_nothing,
+)
 
 
 def job(fitness=None, off_grid=None, **varied):
@@ -39,8 +46,29 @@ def test_figures_are_over_seeds_alone():
         "best/fitness": 0.7,
         "median/fitness": 0.6,
     }
-    assert best_and_median(OVER_SEEDS, SEEDS) == {}
+    assert best_and_median(OVER_SEEDS, SEEDS) == {"best/fitness": 0.7, "median/fitness": 0.6}  # of ega, the best
     assert best_and_median(OVER_PAIRS, PAIRS) == {}
+
+
+def test_a_sweep_without_coverage_names_the_criterion_that_excludes_most():
+    criteria = {"covered": 0.001, "focus_met": 0.1, "covered_without_focus": 0.2, "covered_without_field_of_view": 0.3}
+    nothing = [(folder, done, {**figures, "criteria": criteria}) for folder, done, figures in [job(0.0, seed="0")]]
+    excluded = "field of view excludes most: without it 30.00% of single landmarks would be covered, with it 0.10%"
+    assert why_nothing(nothing) == f"no job qualifies any position; {excluded}"
+    assert why_nothing([*nothing, job(0.1, seed="1")]) == ""
+    assert why_nothing([]) == why_nothing([job(None, seed="0")]) == ""
+
+
+def test_the_picture_of_groups_is_of_finished_searches(tmp_path):
+    found = [(JobFolder(tmp_path / str(i)), done, figures) for i, (_, done, figures) in enumerate(SEEDS)]
+    assert draw_groups(tmp_path / "groups.png", OVER_SEEDS, found) == []
+    for folder, _, figures in found[:3]:
+        folder.path.mkdir()
+        (folder.path / "history.csv").write_text(
+            f"evaluations,best_fitness,wall_time\n1,0.1,0.2\n9,{figures['fitness']},1\n"
+        )
+    assert draw_groups(tmp_path / "groups.png", OVER_SEEDS, found) == [tmp_path / "groups.png"]
+    assert (tmp_path / "groups.png").stat().st_size > 10_000
 
 
 def test_no_group_is_the_best_of_several_problems():

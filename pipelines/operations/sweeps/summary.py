@@ -22,6 +22,7 @@ FIGURES = (
 DESCRIBED = {"fitness": "fitness", "off_grid": "off the grid"}  # figures in a description, with their labels
 # Keys of the problem: jobs that differ in one of them have different problems.
 PROBLEM = (*GROUPS, "experiment", "run", *(f"deployment.{key}" for key in ("count", "fixed", "free", "measured")))
+WITHOUT = "covered_without_"  # begin of the names of figures of criteria, see `lmd.evaluation.verdicts.Causes.metrics`
 MOST_COLUMNS = 12  # values of a key beyond which it is no head of a pivot table
 
 Found = list[tuple[JobFolder, Job, dict[str, Any]]]
@@ -49,13 +50,47 @@ def write_jobs(path: Path, sweep: Sweep, found: Found) -> None:
 
 
 def best_and_median(sweep: Sweep, found: Found) -> dict[str, float]:
-    """Best value and median of each figure over the seeds; empty if the jobs are of several groups."""
+    """Best value and median of each figure over the seeds of the best group; empty if problems differ."""
+    _, members = _best(sweep, found)
     summary: dict[str, float] = {}
-    if len(_groups(sweep, found)) == 1:
-        for key in FIGURES:
-            if values := _values(found, key):
-                summary |= {f"best/{key}": max(values), f"median/{key}": median(values)}
+    for key in FIGURES:
+        if values := _values(members, key):
+            summary |= {f"best/{key}": max(values), f"median/{key}": median(values)}
     return summary
+
+
+def draw_groups(path: Path, sweep: Sweep, found: Found) -> list[Path]:
+    """Draw the groups of finished searches; returns the pictures, of which there is none without a search."""
+    from lmd.core.tables import read_numbers
+    from lmd.optimisers.ledger import Record
+    from lmd.plot.charts import Searched, save_groups_figure
+
+    from ...outputs import HISTORY_FILE, columns_of
+
+    groups: dict[tuple[str, ...], list[Searched]] = {}
+    for group, members in _groups(sweep, found).items():
+        for folder, _, figures in members:
+            history = folder.path / HISTORY_FILE
+            if "fitness" in figures and history.is_file():
+                rows = read_numbers(history, [*columns_of([])], name="history").tolist()
+                search = Searched([Record(*row) for row in rows], figures["fitness"], figures.get("off_grid"))
+                groups.setdefault(group, []).append(search)
+    if not groups:
+        return []
+    save_groups_figure(path, groups, grouping_keys(sweep), sweep.name)
+    return [path]
+
+
+def why_nothing(found: Found) -> str:
+    """The criterion that keeps all finished jobs from covering anything, a sentence; empty if one covers something."""
+    values, causes = _values(found, "fitness"), [figures.get("criteria") for _, _, figures in found]
+    first = next((each for each in causes if each), None)
+    if any(values) or not values or first is None:
+        return ""
+    without = {key.removeprefix(WITHOUT): share for key, share in first.items() if key.startswith(WITHOUT)}
+    worst = max(without, key=lambda name: without[name])
+    excluded = f"{worst.replace('_', ' ')} excludes most: without it {without[worst]:.2%} of single landmarks"
+    return f"no job qualifies any position; {excluded} would be covered, with it {first['covered']:.2%}"
 
 
 def description(sweep: Sweep, found: Found, total: int) -> str:
@@ -117,19 +152,27 @@ def _median_text(members: Found) -> str:
     return f"{median(on):.2%}{further}" if on else ""
 
 
+def _best(sweep: Sweep, found: Found) -> tuple[tuple[str, ...], Found]:
+    """The group with the highest median fitness and its jobs; no jobs if problems differ."""
+    known = {group: members for group, members in _groups(sweep, found).items() if _values(members, "fitness")}
+    if not known or any(map(_is_of_problem, grouping_keys(sweep))):
+        return (), []
+    best = max(known, key=lambda group: median(_values(known[group], "fitness")))
+    return best, known[best]
+
+
 def _best_group(sweep: Sweep, found: Found) -> list[str]:
     """The group with the highest median fitness, a phrase in Markdown; nothing if problems differ."""
     from lmd.core.words import as_code
 
-    keys = grouping_keys(sweep)
-    known = {group: members for group, members in _groups(sweep, found).items() if _values(members, "fitness")}
-    if not known or any(map(_is_of_problem, keys)):
+    best, members = _best(sweep, found)
+    if not members:
         return []
-    best = max(known, key=lambda group: median(_values(known[group], "fitness")))
-    label = " ".join(shown(key, value) for key, value in zip(keys, best, strict=True))
-    over = f"the median of {len(_values(known[best], 'fitness'))} jobs" if len(known[best]) > 1 else "one job"
+    label = " ".join(shown(key, value) for key, value in zip(grouping_keys(sweep), best, strict=True))
+    finished = len(_values(members, "fitness"))
+    over = f"the median of {finished} jobs" if finished > 1 else "one job"
     named = f"{as_code(label)}: " if label else ""
-    return [f"best: {named}{_median_text(known[best])}, {over}"]
+    return [f"best: {named}{_median_text(members)}, {over}"]
 
 
 def _is_of_problem(key: str) -> bool:
