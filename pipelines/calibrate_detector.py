@@ -8,12 +8,11 @@ from omegaconf import DictConfig
 
 from .app import choices, run_directory
 from .detect import read_number_of_poses, sightings, subject_of
-from .earlier_run import read_earlier_run
+from .earlier_run import FILES, parts_of, read_earlier_run
 from .nodes import instantiate, keyed
 from .outputs import write_document
 from .overrides import quoted
 from .pipeline import Pipeline
-from .trust import Trust, read_yaml
 
 SURVEY_KEY, OPTION = "survey=", "survey"
 VIEWS_STREAM = 0x7669657773  # separates the random numbers of views from other uses of the seed
@@ -105,12 +104,10 @@ def read_survey() -> None:
         return
     from lmd.core.checks import InputError
 
-    config = Path(given[-1]) / ".hydra" / "config.yaml"
     try:
-        if not config.is_file():
-            raise InputError(f"survey = {given[-1]!r} is no survey: it holds no .hydra/config.yaml.")
-        before = read_yaml(config, "survey")
-        parts = Trust.given().parts(before, f"survey: '{config}'", ("camera", "tag"))
+        if not Path(given[-1], FILES[0]).is_file():
+            raise InputError(f"survey = {given[-1]!r} is no survey: it holds no {FILES[0]}.")
+        before, parts = parts_of(Path(given[-1]), "survey", ("camera", "tag"))
     except InputError as error:
         print(f"error: {error}", file=sys.stderr)
         sys.exit(1)

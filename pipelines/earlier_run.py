@@ -1,9 +1,9 @@
 """`run=DIR`: problem and landmarks of an earlier run instead of the defaults."""
 
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import NoReturn
+from typing import Any, NoReturn
 
 from hydra.core.config_store import ConfigStore
 from hydra.core.hydra_config import HydraConfig
@@ -12,7 +12,7 @@ from hydra.errors import HydraException
 from hydra.types import RunMode
 from omegaconf import DictConfig
 
-from .app import choices
+from .app import CONF, choices
 from .overrides import PATH, quoted, search_path
 from .trust import Trust, read_yaml
 
@@ -41,17 +41,16 @@ def read_earlier_run(deployment: str = f"deployment={OPTION}", further: Sequence
         return
     from lmd.core.checks import InputError
 
-    for name in FILES:
-        if not (directory / name).is_file():
-            _refuse(f"run = '{directory}' is no run to go on from: it holds no {name}.")
-    config, store = directory / FILES[0], ConfigStore.instance()
     try:
-        before = read_yaml(config, "run")
-        parts = Trust.given().parts(before, f"run: '{config}'", (*GROUPS, *further))
+        for name in FILES:
+            if not (directory / name).is_file():
+                raise InputError(f"run = '{directory}' is no run to go on from: it holds no {name}.")
+        before, parts = parts_of(directory, "run", (*GROUPS, *further))
     except InputError as error:
         _refuse(str(error))
     if "camera" in parts and (rig := directory / RIG).is_file():
         parts["camera"] = {**parts["camera"], "rig": str(rig)}
+    store = ConfigStore.instance()
     for group, part in parts.items():
         store.store(OPTION, part, group)
     named = {argument.partition("=")[0].lstrip("+~").partition("@")[0] for argument in sys.argv[1:]}
@@ -61,7 +60,7 @@ def read_earlier_run(deployment: str = f"deployment={OPTION}", further: Sequence
     path = directory / FILES[1]
     free = bool(free) or measured is not None  # measured places are not checked
     store.store(OPTION, {"defaults": ["file", "_self_"], "path": str(path), "free": free}, "deployment")
-    chosen = [f"{group}={OPTION}" for group in parts] + [deployment]
+    chosen = [f"{group}={OPTION}" for group in parts] + [deployment, *_detector_of(before)]
     options = [argument for argument in (deployment, *sys.argv[1:]) if argument.startswith("deployment=")]
     if options and COUNTED.issuperset(options[-1].partition("=")[2].split(",")):
         chosen.append(f"deployment.count={count_of(directory)}")
@@ -71,6 +70,54 @@ def read_earlier_run(deployment: str = f"deployment={OPTION}", further: Sequence
         named.add("pdf")  # an option of the group poses sets its own pdf
     place = sys.argv.index(given[-1]) + 1  # directly after `run=`, as options of Hydra may follow
     sys.argv[place:place] = [override for override in chosen if override.partition("=")[0] not in named]
+
+
+def parts_of(directory: Path, argument: str, groups: Sequence[str]) -> tuple[dict[str, Any], dict[str, dict[str, Any]]]:
+    """Configuration of an earlier run, and its nodes of `groups`, of which all code is trusted.
+
+    Args:
+        argument: key that names the run, for messages.
+
+    Raises:
+        InputError: the configuration cannot be read, or names code that is not trusted.
+    """
+    config = directory / FILES[0]
+    before = read_yaml(config, argument)
+    return before, Trust.given().parts(before, f"{argument}: '{config}'", groups)
+
+
+def _detector_of(before: Mapping[str, Any]) -> list[str]:
+    """Override that chooses the detector of an earlier run: the one that read its images, or that it was planned for.
+
+    Empty for a command that reads no images, and for a run with several detectors or one that `conf/detectors` lacks.
+    """
+    command = Path(CONF, Path(sys.argv[0]).stem.removeprefix("lmd-").replace("-", "_")).with_suffix(".yaml")
+    if not command.is_file() or "- detectors:" not in command.read_text(encoding="utf-8"):
+        return []
+    visibility = before.get("visibility")
+    planned = visibility.get("detector") if isinstance(visibility, dict) else None
+    named = list(before.get("detectors") or [Path(str(planned)).stem])  # limits have the file <family>_<detector>.yaml
+    options = [path.stem for path in Path(CONF, "detectors").glob("*.yaml")]
+    found = [name for name in options if len(named) == 1 and f"_{named[0]}".endswith(f"_{name}")]
+    return [f"detectors=[{name}]" for name in found]
+
+
+def read_room_of_map() -> None:
+    """Take the room of the run whose folder is `map=DIR`, unless the command line names a room or a run."""
+    given = [argument for argument in sys.argv[1:] if argument.startswith("map=")]
+    others = any(argument.partition("=")[0] in ("run", "room") for argument in sys.argv[1:])
+    directory = None if others or not given else _directory(given[-1])
+    if directory is None or not (directory / FILES[0]).is_file():
+        return
+    from lmd.core.checks import InputError
+
+    try:
+        _, parts = parts_of(directory, "map", ("room",))
+    except InputError as error:
+        _refuse(str(error))
+    for group, part in parts.items():
+        ConfigStore.instance().store(OPTION, part, group)
+        sys.argv.insert(1, f"{group}={OPTION}")
 
 
 def read_earlier_robot() -> None:
@@ -127,9 +174,9 @@ def _refuse(message: str) -> NoReturn:
 
 
 def _directory(argument: str) -> Path | None:
-    """Value of `run=...`; None for null."""
+    """Value of `run=...` or `map=...`; None for null."""
     try:
         value = OverridesParser.create().parse_override(argument).value()
     except HydraException:  # no override; the message on the directory shows the text
-        value = argument.removeprefix(KEY)
+        value = argument.partition("=")[2]
     return None if value is None else Path(str(value))

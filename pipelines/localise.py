@@ -7,7 +7,8 @@ from omegaconf import DictConfig
 
 from .app import run_directory
 from .building import camera_of
-from .earlier_run import read_earlier_run
+from .earlier_run import FILES as RUN_FILES
+from .earlier_run import read_earlier_run, read_room_of_map
 from .landmarks import axes_in
 from .nodes import instantiate, keyed, note, settings_of
 from .outputs import write_all, write_document
@@ -52,7 +53,7 @@ def localise(cfg: DictConfig) -> None:
     for file in (*FILES, DETECTED, BAG, PICTURE):
         if (run_directory() / file).is_dir():
             raise InputError(f"hydra.run.dir: {str(run_directory() / file)!r} is a folder, not a file to write.")
-    seen = detected(cfg, given.cameras, detector, tag.modules)
+    seen = detected(cfg, given.cameras, detector, tag)
     with keyed(
         "localise",
         detections="detections" if cfg.detections is not None else "photographs",
@@ -107,8 +108,8 @@ def _map(cfg: DictConfig, tag: "Tag") -> "FixedMap":
     if cfg.map is not None and node.path is not None and cfg.run is None:
         raise InputError("map and deployment.path both name a map: leave one of the two out.")
     key, path = ("deployment.path", node.path) if cfg.map is None else ("map", cfg.map)
-    if Path(str(path)).is_dir():
-        path = str(Path(str(path)) / SURVEYED)
+    if (folder := Path(str(path))).is_dir():
+        path = str(folder / (SURVEYED if (folder / SURVEYED).exists() else RUN_FILES[1]))
     with keyed("localise", map=key, axes="deployment.axes", edge="tag.edge", family="tag.family"):
         errors = MapErrors(settings.place, settings.turn)
         found = FixedMap.read(path, tag, errors, axes_in(node))
@@ -116,7 +117,7 @@ def _map(cfg: DictConfig, tag: "Tag") -> "FixedMap":
     return found
 
 
-main = Pipeline("localise", localise, (read_earlier_run,))
+main = Pipeline("localise", localise, (read_earlier_run, read_room_of_map))
 
 if __name__ == "__main__":
     main()

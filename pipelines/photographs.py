@@ -2,6 +2,7 @@
 
 import os
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -10,27 +11,30 @@ from omegaconf import DictConfig, OmegaConf, open_dict
 from .nodes import detector_of, keyed
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Mapping, Sequence
 
     from lmd.detection.detectors import Detections, Detector
     from lmd.detection.images import Images
     from lmd.formats.detections import DetectedTags
     from lmd.geometry.camera import Camera
     from lmd.geometry.trajectory import Trajectory
+    from lmd.scene.tag import Tag
 
 CHUNK = 8  # number of images that a worker reads at once
 
 
-def detected(cfg: DictConfig, cameras: "Sequence[Camera]", detector: "Detector", modules: int) -> "DetectedTags":
-    """Detections of a survey, without copies of images.
+def detected(cfg: DictConfig, cameras: "Sequence[Camera]", detector: "Detector", tag: "Tag") -> "DetectedTags":
+    """Detections of tags of the family of `tag`, without copies of images.
 
     Raises:
-        InputError: photographs and detections are both given or both missing, or a file cannot be read.
+        InputError: photographs and detections are both given or both missing, or a file cannot be read or has another
+            family.
     """
     from lmd.core.checks import InputError
     from lmd.formats.bags import is_bag
     from lmd.formats.detection_formats import read_detections, with_images
     from lmd.formats.detections import without_copies
+    from lmd.formats.placed_tag import check_family
 
     if (cfg.photographs is None) == (cfg.detections is None):
         raise InputError(
@@ -40,12 +44,14 @@ def detected(cfg: DictConfig, cameras: "Sequence[Camera]", detector: "Detector",
         if cfg.topic is not None and not is_bag(cfg.detections):
             raise InputError(f"topic is for a bag of ROS 2, and detections is {str(cfg.detections)!r}.")
         found = read_detections(cfg.detections, _plain(cfg.topic))
+        with keyed(family="tag.family"):
+            check_family(cfg.detections, found.family, tag.family)
         return without_copies(found if cfg.images is None else with_images(found, cfg.images))
     if cfg.topic is not None and not is_bag(cfg.photographs):
         raise InputError(f"topic is for a bag of ROS 2, and photographs is {str(cfg.photographs)!r}.")
     if cfg.images is not None:
         raise InputError("images goes with detections=FILE.csv: with photographs it is known which there are.")
-    return without_copies(_in_images(cfg, cameras, detector, modules))
+    return without_copies(replace(_in_images(cfg, cameras, detector, tag.modules), family=tag.family))
 
 
 def _in_images(cfg: DictConfig, cameras: "Sequence[Camera]", detector: "Detector", modules: int) -> "DetectedTags":
@@ -59,40 +65,28 @@ def _in_images(cfg: DictConfig, cameras: "Sequence[Camera]", detector: "Detector
     from lmd.detection.images import Photographs, folder_entries
     from lmd.detection.video import Video
     from lmd.formats.bags import is_bag
+    from lmd.formats.detections import DetectedTags
 
     given = Path(str(cfg.photographs))
     if not os.path.lexists(given):
         raise InputError(f"photographs: there is no folder, video or bag {str(given)!r}.")
+    views: Mapping[str, Images]
     with keyed():
         if is_bag(given):
-            topics = images_in(given, _plain(cfg.topic), cfg.rate, "photographs", len(cameras))
-            return _together(
-                {
-                    name: detected_in(images, camera, detector, modules, cfg.workers)
-                    for (name, images), camera in zip(topics.items(), cameras, strict=True)
-                }
-            )
-        if len(cameras) == 1:
+            views = images_in(given, _plain(cfg.topic), cfg.rate, "photographs", len(cameras))
+        elif len(cameras) == 1:
             is_folder = os.path.isdir(given)
-            images = Photographs(given, "photographs") if is_folder else Video(given, cfg.rate, "photographs")
-            return detected_in(images, cameras[0], detector, modules, cfg.workers)
-        folders = [entry for entry in folder_entries(given, "photographs") if os.path.isdir(entry)]
-        if len(folders) != len(cameras):
-            text = f"photographs must be a folder with one folder for each of {len(cameras)} cameras"
-            raise InputError(f"{text}, {str(given)!r} has {len(folders)}.")
-        views = {printable(folder.name): Photographs(folder, "photographs") for folder in folders}
-        return _together(
-            {
-                name: detected_in(images, camera, detector, modules, cfg.workers)
-                for (name, images), camera in zip(views.items(), cameras, strict=True)
-            }
-        )
-
-
-def _together(parts: "dict[str, DetectedTags]") -> "DetectedTags":
-    """Detections of all cameras; those of one camera have no name."""
-    from lmd.formats.detections import DetectedTags
-
+            views = {"": Photographs(given, "photographs") if is_folder else Video(given, cfg.rate, "photographs")}
+        else:
+            folders = [entry for entry in folder_entries(given, "photographs") if os.path.isdir(entry)]
+            if len(folders) != len(cameras):
+                text = f"photographs must be a folder with one folder for each of {len(cameras)} cameras"
+                raise InputError(f"{text}, {str(given)!r} has {len(folders)}.")
+            views = {printable(folder.name): Photographs(folder, "photographs") for folder in folders}
+        parts = {
+            name: detected_in(images, camera, detector, modules, cfg.workers)
+            for (name, images), camera in zip(views.items(), cameras, strict=True)
+        }
     return DetectedTags.together(parts) if len(parts) > 1 else next(iter(parts.values()))
 
 

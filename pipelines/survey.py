@@ -69,7 +69,7 @@ def survey(cfg: DictConfig) -> None:
         every = None if cfg.survey.every == "auto" else integer("every", cfg.survey.every, low=1)
     stages, audit = Stages(), None
     with _map_or_nothing(stages):
-        found_tags = detected(cfg, cameras, detector, tag.modules)
+        found_tags = detected(cfg, cameras, detector, tag)
         with stages, stop.deferred(lambda: stages.has_map, "this step"):
             with keyed(
                 "survey",

@@ -86,7 +86,10 @@ class ArucoDetector:
     def __post_init__(self) -> None:
         object.__setattr__(self, "family", family_named(self.family))
         if self.family in FAMILIES and not FAMILIES[self.family].dictionary:
-            raise InputError(f"family {self.family} is one of AprilTag's, which only AprilTagDetector reads.", "family")
+            raise InputError(
+                f"family {self.family} is one of AprilTag's, which only _target_={__name__}.AprilTagDetector reads.",
+                "family",
+            )
         choice("family", self.family, tuple(name for name, family in FAMILIES.items() if family.dictionary))
         choice("preset", self.preset, tuple(ARUCO_PRESETS))
 
@@ -122,7 +125,9 @@ class AprilTagDetector:
     def __post_init__(self) -> None:
         object.__setattr__(self, "family", family_named(self.family))
         if self.family in FAMILIES and not FAMILIES[self.family].apriltag:
-            raise InputError(f"family {self.family} is one of ArUco's, which only ArucoDetector reads.", "family")
+            raise InputError(
+                f"family {self.family} is one of ArUco's, which only _target_={__name__}.ArucoDetector reads.", "family"
+            )
         choice("family", self.family, tuple(name for name, family in FAMILIES.items() if family.apriltag))
         check_fields(self, real, "quad_decimate", low=1.0)
         check_fields(self, integer, "most_errors", low=0, high=2)

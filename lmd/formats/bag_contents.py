@@ -68,4 +68,4 @@ def _tags(bag: Bag, raw: bytes, camera: str, stamp: str) -> Iterator[SeenTag]:
         corners = [(float(corner.x), float(corner.y)) for corner in tag.corners]
         if not np.isfinite(corners).all():
             raise InputError(f"{bag.argument}: {str(bag.path)!r} has a corner that is no number at {stamp} s.")
-        yield SeenTag(camera, stamp, int(tag.id), list(corners))
+        yield SeenTag(camera, stamp, int(tag.id), list(corners), tag.family)

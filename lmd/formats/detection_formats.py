@@ -1,6 +1,6 @@
 """Files of detections by other programs: formats, and lists of the images that were taken."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
 from decimal import Decimal
 from functools import cached_property
@@ -22,8 +22,11 @@ from lmd.formats.detection_readers import (
     visual_marker_mapping,
 )
 from lmd.formats.detections import DetectedTags, signed_area
+from lmd.formats.landmark_table import FAMILY, NAMES
+from lmd.formats.placed_tag import one_family
 from lmd.formats.registry import File, Format, anything, read
 from lmd.geometry.camera import PIXEL_CENTRE
+from lmd.scene.families import family_named
 
 NAME, IMAGES = "detections", "images"  # names of the arguments with paths
 # Columns of the corners, OpenCV's pixels, clockwise from the top left of the tag's picture.
@@ -106,7 +109,10 @@ def _read_csv(file: File) -> DetectedTags:
     names = sorted(set(table.texts[camera])) if camera else [""]
     cameras = np.searchsorted(names, table.texts[camera]) if camera else np.zeros(len(ids), dtype=np.int64)
     corners = values[:, 1:9].reshape(-1, 4, 2) + PIXEL_CENTRE
-    return _detections(path, name, moments, names, cameras, ids, corners)
+    found = _detections(path, name, moments, names, cameras, ids, corners)
+    return _of_family(
+        file, found, (text for key in table.texts if NAMES.get(key) == FAMILY for text in table.texts[key])
+    )
 
 
 def _detections(
@@ -167,7 +173,20 @@ def _of_seen(file: File, seen: Sequence[SeenTag]) -> DetectedTags:
         np.array(of, dtype=np.int64) for of in zip(*((names.index(t.camera), t.number) for t in seen), strict=True)
     )
     corners = np.array([tag.corners for tag in seen])
-    return _detections(file.path, file.argument, [tag.time for tag in seen], names, cameras, ids, corners)
+    found = _detections(file.path, file.argument, [tag.time for tag in seen], names, cameras, ids, corners)
+    return _of_family(file, found, (tag.family for tag in seen))
+
+
+def _of_family(file: File, found: DetectedTags, named: Iterable[str]) -> DetectedTags:
+    """Detections with their family, by its names in any library; empty names are ignored.
+
+    Raises:
+        InputError: the tags have several families.
+    """
+    try:
+        return replace(found, family=one_family(family_named(text) for text in set(named) - {""}))
+    except InputError as error:
+        raise InputError(f"{file.argument}: {str(file.path)!r} {error}", file.argument) from None
 
 
 def _read_bag(file: DetectionsFile) -> DetectedTags:
@@ -187,6 +206,8 @@ def write_detections(path: Path, detected: DetectedTags) -> None:
     columns: dict[str, Any] = {TIMES[0]: [detected.times[frame] for frame in detected.frame.tolist()]}
     if len(detected.cameras) > 1:
         columns[CAMERAS[0]] = [detected.cameras[camera] for camera in detected.camera.tolist()]
+    if detected.family is not None:
+        columns[FAMILY] = [detected.family] * len(detected)
     write_table(path, {**columns, "id": detected.ids, **dict(zip(CORNER_COLUMNS, corners.T, strict=True))})
 
 

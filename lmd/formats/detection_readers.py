@@ -37,6 +37,8 @@ class SeenTag(NamedTuple):
     """Number of the tag."""
     corners: list[tuple[float, ...]]
     """Four corners in the order of the file, pixels from the border of the image, (x, y)."""
+    family: str = ""
+    """Family as the program writes it; empty if it does not."""
 
 
 def documents_of(text: str) -> list[Any] | None:
@@ -121,7 +123,8 @@ def limelight(documents: list[Any]) -> Iterator[SeenTag]:
             if min(map(min, corners)) < 0.0:
                 raise InputError("has corners below 0: its pts count from the middle of the image")
             found = True
-            yield SeenTag(camera, time, _number("fID", fiducial["fID"]), corners)
+            family = str(fiducial.get("fam", "")).upper().removesuffix("C")  # such as 36H11C
+            yield SeenTag(camera, time, _number("fID", fiducial["fID"]), corners, family)
     if empty and not found:
         raise InputError("has no corners, pts is empty: let the pipeline send corners, and record again")
 
@@ -130,12 +133,14 @@ def visual_marker_mapping(documents: list[Any]) -> Iterator[SeenTag]:
     """Observations of Visual Marker Mapping, whose numbers are texts; a frame has the name of its image."""
     for _, keys in _results(documents, "tag_observations"):
         images = {int(image["id"]): str(image["filename"]) for image in keys.get("images") or []}
+        family = next((str(tag.get("tag_type", "")) for tag in keys.get("tags") or []), "")  # one for all tags
         for seen in keys["tag_observations"] or []:
-            corners = [[float(number) for number in corner] for corner in seen["observations"]]
+            read = [[float(number) for number in corner] for corner in seen["observations"]]
             number, image = int(seen["tag_id"]), int(seen["image_id"])
             if image not in images:
                 raise InputError(f"has an observation in the image {image}, which is not among its images")
-            yield SeenTag("", images[image], _number("tag_id", number), _corners("observations", corners, PIXEL_CENTRE))
+            corners = _corners("observations", read, PIXEL_CENTRE)
+            yield SeenTag("", images[image], _number("tag_id", number), corners, family)
 
 
 def _number(name: str, value: Any) -> int:

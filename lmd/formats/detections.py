@@ -28,6 +28,7 @@ class DetectedTags:
         taken: True for frames of which a camera has a valid image, with or without tags, `(F, C)`; None if all cameras
             have images of all frames.
         left_out: frames whose detections were left out as redundant.
+        family: family of the tags; None if unknown.
 
     Raises:
         InputError: shapes do not match, or there is no detection.
@@ -44,6 +45,7 @@ class DetectedTags:
     in_order: bool = False
     taken: BoolArray | None = None
     left_out: tuple[str, ...] = ()
+    family: str | None = None
 
     def __post_init__(self) -> None:
         count = len(self.ids)

@@ -45,8 +45,8 @@ class Localisation:
     """Smoothed poses; None if the motion between frames is unknown."""
     changes: Changes
     """Tags that were moved since the map was made, and new tags."""
-    vanished: dict[int, int]
-    """Number of views in which each tag that vanished should have been detected, by id."""
+    vanished: dict[int, int] | None
+    """Number of views in which each tag that vanished should have been detected, by id; None in an unknown room."""
     calibrated: tuple[Calibrated, ...]
     """Cameras as refined by the drive; empty if cameras are exact."""
     doubts: tuple[str, ...] = ()
@@ -76,7 +76,7 @@ def localise(
         mounts: poses of the cameras on the body, which is the first camera; None for one camera.
         odometry: trajectory of the body in any frame; None if unknown.
         steady: False if the velocity may change at once, so that poses are not smoothed without odometry.
-        room: room of the map, whose surfaces hide tags; None if unknown.
+        room: room of the map, whose surfaces hide tags; None if unknown, so that no tag is said to have vanished.
         calibrate: False if cameras are exact; else they are refined within the uncertainty of a calibration.
 
     Raises:
@@ -119,7 +119,8 @@ def localise(
     elif steady is not False and np.isfinite(seconds).all():
         motion = Motion.steady(seconds)
     smoothed = None if motion is None else smoothed_poses(found, motion, present, changes.inflation)
-    vanished = vanished_tags(found, present, [one.camera for one in optics.cameras], room)
+    through = [one.camera for one in optics.cameras]
+    vanished = None if room is None else vanished_tags(found, present, through, room)
     doubts = outside_doubts(detected, cameras) or _mount_doubts(sightings, known, poses)
     doubts += [
         f"tag {others.ids[place.tag]} hangs at ({', '.join(f'{x:.2f}' for x in place.pose[:3, 3])}) as well, by "

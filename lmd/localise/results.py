@@ -131,7 +131,7 @@ def changes_of(result: Localisation) -> list[Change]:
     """Changes of the map, by kind, then by id."""
     changes = result.changes
     moved = [Change(one.tag, "moved", one.sightings, one) for one in sorted(changes.moved, key=lambda one: one.tag)]
-    gone = [Change(tag, "vanished", views, None) for tag, views in sorted(result.vanished.items())]
+    gone = [Change(tag, "vanished", views, None) for tag, views in sorted((result.vanished or {}).items())]
     new = [Change(one.tag, "new", one.sightings, one) for one in sorted(changes.new, key=lambda one: one.tag)]
     return [*moved, *gone, *new]
 
@@ -267,6 +267,11 @@ def to_text(result: Localisation) -> str:
     every = changes_of(result)
     compared = f"{len(result.changes.compared)} of {len(result.known.ids)} tags could be compared with the map"
     lines["changes"] = f"{len(every) or 'none'}; {compared}"
+    if result.vanished is None:
+        lines["vanished"] = (
+            "not looked for: no room is known that may hide tags; run=DIR or room=... gives one, or a run "
+        )
+        lines["vanished"] += "with a room as map=DIR"
     if result.changes.contradicted:
         lines["map"] = f"{result.changes.contradicted} tags differ from it, too many to have been moved: is it another "
         lines["map"] += "calibration or another edge of the tags, or does the map state too small errors?"

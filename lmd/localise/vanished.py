@@ -1,9 +1,8 @@
 """Tags that vanished: tags of the map that were detected in no image, although several images should show them.
 
 A tag should be seen in an image if it lies wholly within the image, is as large and as little oblique as tags that the
-drive did detect, and is not hidden. In a known room, its surfaces tell what is hidden. In an unknown room, a tag is
-taken to be in view only beside a detected tag on the same wall. The share of such views in which other tags were
-detected is the probability of a detection; views from nearly one place count once.
+drive did detect, and is not hidden by a surface of the room. The share of such views in which other tags were detected
+is the probability of a detection; views from nearly one place count once.
 """
 
 from collections.abc import Sequence
@@ -25,22 +24,18 @@ MOST_RATE = 0.9  # greatest probability of a detection that is assumed
 FEWEST_VIEWS = 4  # minimum number of views, not counting views from nearly one place
 LOWEST = 0.1  # quantile of the sizes, and of the obliquities, of detected tags below which a tag need not be detected
 BORDER = 5.0  # least distance of corners from the border of the image, pixels
-# Tags are on one wall if the cosine of their normals' angle, and their distance along and off the wall, metres, allow.
-PARALLEL, ON_WALL, BESIDE = 0.95, 0.1, 1.5
 OFF_WALL = 0.02  # distance before a tag at which lines of sight end, metres
 APART_M, APART_RAD = 0.2, 0.2  # least distance and rotation of views that count separately
 
 
-def vanished_tags(
-    found: ImagePoses, known: FixedMap, cameras: Sequence[Camera], room: Space | None = None
-) -> dict[int, int]:
+def vanished_tags(found: ImagePoses, known: FixedMap, cameras: Sequence[Camera], room: Space) -> dict[int, int]:
     """Find tags that vanished.
 
     Args:
         found: poses of images, with sightings of the tags of the map.
         known: map.
         cameras: cameras of the body.
-        room: room; None if unknown.
+        room: room of the map, whose surfaces hide tags.
 
     Returns:
         number of views, in which the tag should have been detected, by the id of each tag that vanished.
@@ -61,8 +56,7 @@ def vanished_tags(
         seen[some.frame[own], tag[own]] = True
         seen = seen[frames]
         inside = np.stack([_inside(camera, poses, known, k, least_size, least_cosine) for k in range(count)], axis=1)
-        clear = _in_open(known, seen) if room is None else _clear(room, poses, known, inside)
-        views[0] |= inside & clear
+        views[0] |= inside & _clear(room, poses, known, inside)
         views[1] |= seen
     detected = np.bincount(tag, minlength=count) > 0
     rate = min(float(views[1][:, detected][views[0][:, detected]].mean()), MOST_RATE) if views[0].any() else 0.0
@@ -89,16 +83,6 @@ def _inside(camera: Camera, poses: FloatArray, known: FixedMap, k: int, size: fl
     low, high = BORDER, np.array([camera.image_width, camera.image_height]) - BORDER
     result[ahead] = ((image >= low) & (image <= high)).all(axis=(1, 2)) & (shortest_side(image) >= size)
     return result
-
-
-def _in_open(known: FixedMap, seen: BoolArray) -> BoolArray:
-    """Mask of the tags of which another tag on the same wall is detected in the image, `(n, K)`."""
-    places, normals = known.poses[:, :3, 3], known.poses[:, :3, 2]
-    way = places[None] - places[:, None]
-    off = np.abs((way * normals[:, None]).sum(axis=2))
-    beside = (normals @ normals.T > PARALLEL) & (off < ON_WALL) & (np.linalg.norm(way, axis=2) < BESIDE)
-    np.fill_diagonal(beside, False)
-    return np.asarray(seen @ beside.T)
 
 
 def _clear(room: Space, poses: FloatArray, known: FixedMap, inside: BoolArray) -> BoolArray:

@@ -103,6 +103,7 @@ def test_detections_have_frames_for_images_without_a_tag(tmp_path):
         rows.append(("/tags", DETECTIONS, frame * 10**8, bf.tags(walk.ids[own], walk.corners[own])))
     found = read_detections(bf.write(tmp_path / "a.mcap", rows))
     assert len(found.times) == 14
+    assert found.family == "36h11"
     assert found.times[3] == f"{bf.FIRST}.300000000"
     assert found.cameras == ("",)
     assert found.images.all()

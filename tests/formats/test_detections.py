@@ -5,6 +5,7 @@ import pyapriltags
 import pytest
 from detection_samples import LIMELIGHT, PHOTON, VMM
 
+from lmd.core.checks import InputError
 from lmd.detection.detectors import AprilTagDetector, Detections
 from lmd.formats.detection_formats import read_detections, write_detections
 from lmd.formats.detections import DetectedTags
@@ -42,6 +43,17 @@ def test_a_number_is_one_time_however_it_is_written(tmp_path):
     found = read_detections(written(tmp_path, f"time,id,x0,y0,x1,y1,x2,y2,x3,y3\n{rows}"))
     assert found.times == ("9.5", "1e1", "a.png", "nan")
     assert found.frame.tolist() == [0, 0, 1, 1, 3, 2]
+
+
+@pytest.mark.parametrize("column", ["family", "tag_family", "dictionary"])
+def test_the_family_is_that_of_the_file_by_any_of_its_names(tmp_path, column):
+    head, row = f"time,{column},id,x0,y0,x1,y1,x2,y2,x3,y3\n", f",3,{SQUARE}\n"
+    found = read_detections(written(tmp_path, f"{head}0,tag16h5{row}1,16h5{row}2,{row}"))
+    assert found.family == "16h5"
+    write_detections(tmp_path / "again.csv", found)
+    assert read_detections(tmp_path / "again.csv").family == "16h5"
+    with pytest.raises(InputError, match=r"detections: '.*' its tags are of the families 16h5 and 36h11, which"):
+        read_detections(written(tmp_path, f"{head}0,tag16h5{row}1,tag36h11{row}"))
 
 
 def test_pixels_are_counted_from_the_border(tmp_path):
@@ -120,6 +132,7 @@ ACROSS = np.array([[10.0, 10.0], [20.0, 10.0], [20.0, 20.0], [10.0, 20.0]])  # c
 def test_json_of_other_programs(keys, offset, times, tmp_path):
     found = read_detections(written(tmp_path, json.dumps(keys)))
     assert (found.times, found.ids.tolist(), found.cameras) == (times, [18] * len(times), ("",))
+    assert found.family == (None if keys is PHOTON else "36h11")
     shift = np.arange(len(times))[:, None, None] * [1.0, 0.0]
     np.testing.assert_allclose(found.corners, ACROSS + offset + shift)
 

@@ -20,6 +20,8 @@ from pipelines.app import CONF
 from pipelines.building import build_problem
 from pipelines.deployments import composed_deployments, read_deployment_as_a_list
 from pipelines.earlier_run import GROUPS, read_earlier_run
+from pipelines.localise import _map
+from pipelines.nodes import instantiate
 from pipelines.points import Ladder
 
 QUICK = ("tracking=none", "validate=false", "picture=false", "localisation=false", "losses=false")
@@ -91,6 +93,33 @@ def test_no_command_loses_a_group_of_the_run_beside_what_else_is_told(earlier, m
     assert cfg.seed == 3
     assert {group: cfg[group] for group in groups} == {group: before[group] for group in groups}
     assert cfg.get("frames", 200) == 200 or not number
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "found"),
+    [
+        ("detectors", {"aruco_fine": {}}, ["detectors=[aruco_fine]"]),
+        ("detectors", {"aruco": {}, "apriltag": {}}, []),
+        ("visibility", {"detector": "apriltag_decimate2"}, ["detectors=[apriltag_decimate2]"]),
+        ("visibility", {"detector": "fitted/36h11_apriltag.yaml"}, ["detectors=[apriltag]"]),
+        ("visibility", {"detector": "wpilib"}, []),
+    ],
+)
+@pytest.mark.parametrize("command", ["detect", "survey", "localise", "lmd-localise", "evaluate"])
+def test_a_command_that_reads_images_takes_the_detector_of_the_run(earlier, monkeypatch, command, key, value, found):
+    before = OmegaConf.load(earlier / ".hydra" / "config.yaml")
+    OmegaConf.update(before, key, value, force_add=True)
+    OmegaConf.save(before, earlier / ".hydra" / "config.yaml")
+    monkeypatch.setattr(sys, "argv", [command, f"run='{earlier}'"])
+    read_earlier_run()
+    assert [given for given in sys.argv if given.startswith("detectors")] == found * (command != "evaluate")
+
+
+@pytest.mark.parametrize("more", [[], ["room=hall"]])
+def test_the_folder_of_a_run_as_the_map_brings_its_room(earlier, monkeypatch, more):
+    cfg = composing.composed("localise", *told(monkeypatch, "localise", f"map='{earlier}'", *more))
+    assert (cfg.room == OmegaConf.load(earlier / ".hydra" / "config.yaml").room) == (not more)
+    assert _map(cfg, instantiate(cfg.tag, edge=0.1)).ids.tolist() == [0, 1]
 
 
 @pytest.mark.parametrize("command", ["bound", "compare", "tradeoff", "evaluate"])

@@ -2,6 +2,7 @@
 
 import json
 import re
+from dataclasses import replace
 
 import drives
 import numpy as np
@@ -26,6 +27,7 @@ def cwd(tmp_path_factory):
     odometry = drives.odometry(driven, rng)
     photographs.calibration(folder / "camera.yaml", drives.CAMERA)
     write_detections(folder / "detections.csv", driven.detected)
+    write_detections(folder / "family.csv", replace(driven.detected, family="16h5"))
 
     def write(name, poses, later=0.0):
         turns = Rotation.from_matrix(poses[:, :3, :3]).as_quat()
@@ -88,6 +90,7 @@ def test_frames_that_are_left_out_are_counted(cwd, every):
         (["survey.every=0"], "survey.every must be"),
         (["survey.every=often"], "survey.every must be"),
         (["survey.motion=false"], "detections"),
+        (["detections=family.csv"], "tag.family=16h5 is needed: the tags of family.csv are of that family, and not of"),
     ],
 )
 def test_bad_input_is_named_in_one_sentence(cwd, overrides, said):
