@@ -292,7 +292,7 @@ def mount_doubts(views: FloatArray, mounts: FloatArray) -> list[str]:
         if turn > max(OFF_RAD, sure_turn) or way > max(OFF_M, sure_way):
             doubts.append(
                 f"camera {camera + 1} is {1e3 * way:.0f} mm and {np.degrees(turn):.3g} degrees from its mount, by "
-                f"{len(between)} frames in which camera 1 sees tags, too: is camera.rig right in sign, unit and order?"
+                f"{len(between)} frames in which camera 1 sees tags, too: is the rig right in sign, unit and order?"
             )
     return doubts
 
