@@ -1,6 +1,7 @@
 """Running application: package, configuration and folder, and one sentence for bad input."""
 
 import errno
+import io
 import os
 import shutil
 import signal
@@ -18,6 +19,7 @@ from .operations.signals import stop
 
 PACKAGE = str(__package__)  # `pipelines` in a checkout, `lmd.pipelines` where lmd is installed
 IN_CHECKOUT = PACKAGE == "pipelines"
+LOCK = ".lock"  # file in a folder, locked by the process that works there
 GARBAGE = 100_000  # allocations between two garbage collections; with Python's 700 they take a quarter of all imports
 EXPERIMENT = "lmd"  # mlflow experiment of the commands in `SHARING`: they find or score a deployment, or read its runs
 SHARING = ("optimise", "evaluate", "place_cameras", "report", "runs", "sync")
@@ -49,6 +51,7 @@ def lmd_experiment(*, _root_: DictConfig) -> str:
 
 OmegaConf.register_new_resolver("lmd.experiment", lmd_experiment, replace=True)
 OmegaConf.register_new_resolver("lmd.help", lmd_help, replace=True)
+OmegaConf.register_new_resolver("lmd.env", lambda name, default: os.environ.get(name) or default, replace=True)
 OmegaConf.register_new_resolver("lmd.package", lambda: PACKAGE, replace=True)
 OmegaConf.register_new_resolver("lmd.conf", lambda name: str(Path(CONF, name)), replace=True)
 
@@ -122,15 +125,11 @@ def ends_reported() -> Iterator[None]:
     try:
         with stop.raising():
             yield
-            sys.stdout.flush()
     except (InputError, MemoryError) as error:
         discard_empty(run_directory())
         lack = "there is not enough memory for these settings: " if isinstance(error, MemoryError) else ""
         print(f"error: {lack}{error}", file=sys.stderr)
         sys.exit(1)
-    except BrokenPipeError:  # the reader of stdout, such as `head`, has ended
-        os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
-        sys.exit(128 + signal.SIGPIPE)
     except OSError as error:
         if error.errno not in (errno.ENOSPC, errno.EDQUOT, errno.EISDIR):
             raise
@@ -138,9 +137,39 @@ def ends_reported() -> Iterator[None]:
         sys.exit(1)
 
 
+class _Unread(io.FileIO):
+    """Output whose reader, such as `head`, may end: what is written from then on is dropped, and the run goes on."""
+
+    def write(self, text: Any, /) -> int:
+        """Write bytes; see `io.RawIOBase.write`."""
+        try:
+            return super().write(text)
+        except BrokenPipeError:
+            os.dup2(os.open(os.devnull, os.O_WRONLY), self.fileno())
+            unread.add(self.fileno())
+            return len(text)
+
+
+unread: set[int] = set()  # descriptors whose reader has ended
+
+
+@contextmanager
+def readers_outlived() -> Iterator[None]:
+    """Context in which the readers of stdout and stderr may end; exits at its end as a process that SIGPIPE ended."""
+    for name in ("stdout", "stderr"):
+        stream = getattr(sys, name)
+        if isinstance(stream, io.TextIOWrapper) and stream is getattr(sys, f"__{name}__") and not stream.isatty():
+            raw = io.BufferedWriter(_Unread(stream.fileno(), "w", closefd=False))
+            setattr(sys, name, io.TextIOWrapper(raw, stream.encoding, stream.errors, line_buffering=True))
+    yield
+    sys.stdout.flush()
+    if unread:
+        sys.exit(128 + signal.SIGPIPE)
+
+
 def discard_empty(directory: Path) -> None:
     """Remove the directory of a run if it holds no files of the run and is not the working directory."""
     if not directory.is_dir() or directory.samefile(Path.cwd()):
         return
-    if {path.name for path in directory.iterdir()} <= {".hydra"}:
+    if {path.name for path in directory.iterdir()} <= {".hydra", LOCK}:
         shutil.rmtree(directory)

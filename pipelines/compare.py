@@ -1,8 +1,6 @@
 """Compare optimisers: `python -m pipelines.compare optimisers=[annealing,ega] seeds=10 [overrides]`."""
 
-import sys
-from collections.abc import Sequence
-from contextlib import closing
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -10,22 +8,21 @@ from omegaconf import DictConfig, ListConfig
 
 from .app import run_directory, save_path
 from .building import budget_of, build_optimiser, build_problem, seeds_of
-from .contenders import LANDMARKS, Contender, Kept, kept_of, run_contender
+from .contenders import LANDMARKS, Contender, contend
 from .earlier_run import read_earlier_problem
-from .overrides import recompose, search_path, task_overrides
+from .overrides import changes_results, recompose, search_path, task_overrides
 from .pipeline import Pipeline
-from .provenance import resuming
 from .tournament import hold_tournament
-from .workers import in_processes
 
 if TYPE_CHECKING:
     from lmd.evaluation.comparison import OptimiserRun
     from lmd.objectives.base import Headline
     from lmd.problem import Problem
 
+    from .operations.tracking import Tracker
 
 # Settings of the comparison itself; every other override is passed on to its runs.
-OWN_KEYS = ("optimisers", "reference", "seeds", "workers", "save_as", "resume", "budget", "seed", "tracking")
+OWN_KEYS = ("optimisers", "reference", "seeds", "budget", "seed")
 
 
 def compare(cfg: DictConfig) -> None:
@@ -38,7 +35,7 @@ def compare(cfg: DictConfig) -> None:
 
     from .operations.tracking import RunStart
     from .progress import curve
-    from .tracked_run import Earlier, dataset_of, log_child, title_of, tracked
+    from .tracked_run import dataset_of, log_child, title_of
 
     problem, save_as = build_problem(cfg), save_path(cfg.save_as)
     budget, seeds = budget_of(cfg), seeds_of(cfg)
@@ -48,42 +45,27 @@ def compare(cfg: DictConfig) -> None:
     if not configs:
         raise InputError("optimisers must name at least one optimiser.")
     reference = None if cfg.reference is None else choice("reference", cfg.reference, list(configs))
-    jobs = {(name, seed): Contender(name, configs[name], seed) for seed in seeds for name in configs}
+    jobs = [Contender(name, configs[name], seed) for seed in seeds for name in configs]
     directory, headline = run_directory(), problem.objective.headline
-    kept = Kept({}, None) if cfg.resume is None else kept_of(cfg.resume, jobs.values(), directory)
-    earlier = None if kept.parent is None else Earlier(kept.parent, Path(cfg.resume))
-    left = [job for job in jobs.values() if job not in kept.runs]
-    finished, runs = in_processes(run_contender, left, cfg.workers, lambda job: job.name), list(kept.runs.values())
     axis, title = "evaluations" if budget.evaluations else "wall_time", title_of(problem, f"{len(seeds)} seeds,")
 
     dataset = dataset_of(cfg, problem)
 
     def log(job: Contender, run: "OptimiserRun", parent: str | None) -> None:
-        folder, tags = job.folder(directory), {"choice.optimiser": run.optimiser.split()[0]}
-        params = {"optimiser": run.optimiser, "seed": run.seed}
-        started = RunStart(job.name, folder, params, tags, ago=run.history[-1].wall_time, dataset=dataset)
+        folder, params = job.folder(directory), {"optimiser": run.optimiser, "seed": run.seed}
+        started = RunStart(job.name, folder, params, job.tags, ago=run.history[-1].wall_time, dataset=dataset)
         log_child(cfg.tracking, started, parent, run.metrics, folder / LANDMARKS, curve(run.history, budget))
 
-    with closing(finished), tracked(cfg, "compare", earlier=earlier, problem=problem) as tracker:
-        if runs:
-            print(f"{len(runs)}/{len(jobs)} done already in {cfg.resume}", flush=True)
-        if tracker.run_id != kept.parent:
-            for job, run in kept.runs.items():
-                log(job, run, tracker.run_id)
-        try:
-            for done in finished:
-                runs.append(done)
-                job = jobs[done.optimiser, done.seed]
-                job.save(directory, done, tracker.run_id, not problem.scene.tag.is_point)
-                log(job, done, tracker.run_id)
-                print(f"{len(runs)}/{len(jobs)} {job.name}: {headline.text(done.metrics[headline.key])}", flush=True)
-        except KeyboardInterrupt:
-            print(f"interrupted; go on with: {resuming('compare', directory)}", file=sys.stderr)
-            raise
-        finally:  # an interrupted comparison, too, has a table of its finished runs
-            if runs:
-                tracker.log_artifacts(_write(directory, runs, reference, axis, headline, title))
-        tracker.finish("FINISHED")
+    def write(tracker: "Tracker", done: "Mapping[Contender, OptimiserRun]") -> list[Path]:
+        files = _write(directory, list(done.values()), reference, axis, headline, title)
+        tracker.log_artifacts(files)
+        return files
+
+    is_oriented = not problem.scene.tag.is_point
+    contend(
+        cfg, jobs, lambda _: is_oriented, lambda run: headline.text(run.metrics[headline.key]), write, log,
+        problem=problem,
+    )  # fmt: skip
     if save_as is not None:
         for kind in ("md", "png"):
             Path(f"{save_as}.{kind}").write_bytes((directory / f"comparison.{kind}").read_bytes())
@@ -113,7 +95,7 @@ def _write(
 
 def _compose(entry: str, cfg: DictConfig, problem: "Problem") -> DictConfig:
     """The `optimise` configuration for one entry of `optimisers`: a name, then its own overrides."""
-    shared = [override for key, override in task_overrides() if key.split(".")[0] not in OWN_KEYS]
+    shared = [o for key, o in task_overrides() if key.split(".")[0] not in OWN_KEYS and changes_results(key)]
     name, *own = entry.split()
     composed = recompose("optimise", [*shared, *search_path(), f"optimiser={name}", *own], "optimisers", entry)
     composed.budget, composed.threads = cfg.budget, 1

@@ -1,7 +1,9 @@
 """Contenders of a comparison: an optimiser, a seed and a problem, whose result is kept in a folder of its own."""
 
 import shutil
-from collections.abc import Iterable, Mapping
+import sys
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from contextlib import closing
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -9,16 +11,20 @@ from typing import TYPE_CHECKING, Any
 
 from omegaconf import DictConfig
 
-from .app import flat_settings
+from .app import flat_settings, run_directory
 from .building import budget_of, build_optimiser, build_problem
 from .earlier_run import RIG
 from .operations.sweeps.names import DIGEST_LENGTH
 from .optimise import SAME_WHEN_RESUMED
 from .outputs import columns_of, read_document, write_document
-from .provenance import digest
+from .provenance import digest, resuming
+from .workers import in_processes
 
 if TYPE_CHECKING:
     from lmd.evaluation.comparison import OptimiserRun
+    from lmd.problem import Problem
+
+    from .operations.tracking import Tracker
 
 LANDMARKS, HISTORY, RECORD = FILES = "landmarks.csv", "history.csv", "run.json"  # of each run, in a folder of its own
 LONGEST = 120  # characters of the name of a folder, with a digest behind them if the name of the run is longer
@@ -44,6 +50,11 @@ class Contender:
         """Name of the run."""
         of_suite = f"{self.problem} {self.evaluations} " if self.problem else ""
         return f"{of_suite}{self.optimiser} seed={self.seed}"
+
+    @property
+    def tags(self) -> dict[str, str]:
+        """Tags of its tracked run."""
+        return {"job": digest(self.name)[:DIGEST_LENGTH], "choice.optimiser": self.optimiser.split()[0]}
 
     @cached_property
     def digest(self) -> str:
@@ -79,11 +90,16 @@ class Contender:
         if run.rig is not None:
             write_rig(folder / RIG, run.rig, dict.fromkeys(run.rig.cameras))
         write_table(folder / HISTORY, columns_of(run.history))
-        document = {"name": self.name, "digest": self.digest, "parent": parent, "metrics": dict(run.metrics)}
-        write_document(folder / RECORD, document)
+        of_run = {"name": self.name, "digest": self.digest, "metrics": dict(run.metrics)}
+        self.note(comparison, **of_run, parent=parent, logged=False)
 
-    def saved(self, comparison: Path) -> "tuple[OptimiserRun, str | None] | None":
-        """The result of the run in the folder of a comparison, and the tracked run of that; None if it is not there.
+    def note(self, comparison: Path, **values: Any) -> None:
+        """Write values to the record of the run in the folder of a comparison."""
+        path = self.folder(comparison) / RECORD
+        write_document(path, (read_document(path, dict) or {}) | values)
+
+    def saved(self, comparison: Path) -> "tuple[OptimiserRun, Mapping[str, Any]] | None":
+        """The result and the record of the run in the folder of a comparison; None if they are not there.
 
         Raises:
             InputError: its tables are damaged, or one of its files is a link that leads out of the comparison.
@@ -104,7 +120,7 @@ class Contender:
         rows = read_numbers(folder / HISTORY, [*columns_of([])], name="resume").tolist()
         history, landmarks = [Record(*row) for row in rows], Deployment.from_csv(folder / LANDMARKS)
         run = OptimiserRun(self.optimiser, self.seed, record["metrics"], history, landmarks, None, self.problem)
-        return run, record["parent"]
+        return run, record
 
 
 @dataclass(frozen=True)
@@ -115,6 +131,8 @@ class Kept:
     """Finished runs."""
     parent: str | None
     """Tracked run of that comparison, if any."""
+    logged: Collection[Contender] = ()
+    """Those of the runs that are recorded below the tracked run."""
 
 
 def kept_of(resume: Any, jobs: Iterable[Contender], directory: Path) -> Kept:
@@ -130,17 +148,18 @@ def kept_of(resume: Any, jobs: Iterable[Contender], directory: Path) -> Kept:
     if not earlier.is_dir():
         raise InputError(f"resume = {str(resume)!r} is no folder of a comparison.", "resume")
     folders = [earlier, *(path.parent for path in sorted(earlier.glob("*/runs")))]  # or the folder of a sweep of them
-    runs, parents = dict[Contender, OptimiserRun](), list[str | None]()
+    runs, parent, logged = dict[Contender, OptimiserRun](), None, list[Contender]()
     for job in jobs:
         for folder in folders:
             if (saved := job.saved(folder)) is None:
                 continue
-            runs[job] = saved[0]
-            parents.append(saved[1])
+            runs[job], record = saved
+            parent = parent or record["parent"]
+            logged += [job] * record.get("logged", True)  # an earlier version has no such key
             if folder.resolve() != directory.resolve():
                 _copy(job, folder, directory)
             break
-    return Kept(runs, next(iter(parents), None))
+    return Kept(runs, parent, logged)
 
 
 def _copy(job: Contender, earlier: Path, directory: Path) -> None:
@@ -150,6 +169,76 @@ def _copy(job: Contender, earlier: Path, directory: Path) -> None:
     for name in (*FILES, RIG):
         if (job.folder(earlier) / name).is_file():
             shutil.copyfile(job.folder(earlier) / name, folder / name)
+
+
+def contend(
+    cfg: DictConfig,
+    jobs: Sequence[Contender],
+    ups: Callable[[Contender], bool],
+    told: "Callable[[OptimiserRun], str]",
+    write: "Callable[[Tracker, Mapping[Contender, OptimiserRun]], list[Path]]",
+    log: "Callable[[Contender, OptimiserRun, str | None], None] | None" = None,
+    about: str = "",
+    problem: "Problem | None" = None,
+) -> list[Path]:
+    """Do the runs of a comparison as a tracked run, but those that the resumed comparison has done.
+
+    Args:
+        cfg: configuration of `compare`.
+        jobs: the runs.
+        ups: function that returns `ups` of `Contender.save`.
+        told: text about a finished run.
+        write: function that writes and logs the files about the finished runs.
+        log: function that records a finished run below the tracked run; None to record none.
+        about, problem: description and problem of the tracked run, see `tracked`.
+
+    Returns:
+        the files about all runs.
+
+    Raises:
+        InputError: the comparison to resume cannot be read.
+    """
+    from .operations.tracking import PARENT_TAG
+    from .tracked_run import Earlier, tracked
+
+    directory, files = run_directory(), list[Path]()
+    kept = Kept({}, None) if cfg.resume is None else kept_of(cfg.resume, jobs, directory)
+    earlier = None if kept.parent is None else Earlier(kept.parent, Path(cfg.resume))
+    by_name, results = {job.name: job for job in jobs}, dict(kept.runs)
+    finished = in_processes(_named, [job for job in jobs if job not in results], cfg.workers, lambda job: job.name)
+    with closing(finished), tracked(cfg, "compare", about, earlier, problem) as tracker:
+
+        def logged(job: Contender) -> None:
+            if log is not None:
+                log(job, results[job], tracker.run_id)
+                job.note(directory, parent=tracker.run_id, logged=True)
+
+        if results:
+            print(f"{len(results)}/{len(jobs)} done already in {cfg.resume}", flush=True)
+        for job in kept.runs:
+            if tracker.run_id != kept.parent or job not in kept.logged:
+                logged(job)
+                tracker.keep_newest({**job.tags, PARENT_TAG: str(tracker.run_id)})  # one may be recorded in part
+        try:
+            for name, run in finished:
+                job = by_name[name]
+                results[job] = run
+                job.save(directory, run, tracker.run_id, ups(job))
+                logged(job)
+                print(f"{len(results)}/{len(jobs)} {name}: {told(run)}", flush=True)
+        except KeyboardInterrupt:
+            print(f"interrupted; go on with: {resuming('compare', directory)}", file=sys.stderr)
+            raise
+        finally:  # an interrupted comparison, too, has the files about its finished runs
+            if results:
+                files = write(tracker, results)
+        tracker.finish("FINISHED")
+    return files
+
+
+def _named(job: Contender) -> "tuple[str, OptimiserRun]":
+    """Name and result of a run."""
+    return job.name, run_contender(job)
 
 
 def run_contender(job: Contender) -> "OptimiserRun":

@@ -9,7 +9,7 @@ import shutil
 import sys
 import tempfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 from hydra.experimental.callback import Callback as HydraCallback
 from omegaconf import DictConfig
 
-from .app import discard_empty
+from .app import LOCK, discard_empty
 
 if TYPE_CHECKING:
     from lmd.optimisers.ledger import Record
@@ -38,14 +38,35 @@ RESERVED_BYTES = 1 << 16  # reserved disk space, bytes: more than landmarks and 
 
 
 class RunDirectory(HydraCallback):
-    """Hydra callback that checks the disk before a run, and removes the directory of a run without results."""
+    """Hydra callback that checks the disk before a run, locks the run's directory and the directory that it resumes,
+    and removes the directory of a run without results.
+    """
+
+    def __init__(self) -> None:
+        self._locks = ExitStack()
 
     def on_run_start(self, config: DictConfig, **kwargs: Any) -> None:
-        """Check the disk, and register the removal of an empty directory."""
+        """Check the disk, lock the directories, and register the removal of an empty directory."""
         directory = Path(config.hydra.run.dir).resolve()
         self._check(directory)
         self._check_earlier(directory, config)
+        directory.mkdir(parents=True, exist_ok=True)
+        self._lock("hydra.run.dir", directory)
         atexit.register(discard_empty, directory)
+        resumed = Path(str(config.get("resume") or directory)).resolve()
+        if resumed != directory:
+            self._lock("resume", resumed)
+
+    def _lock(self, key: str, directory: Path) -> None:
+        """Lock a directory for this process, or exit if another process works there."""
+        if JOB_VARIABLE in os.environ:  # the process that watches a job has locked its directory
+            return
+        lock: int | None = 0
+        with suppress(ImportError, OSError):  # a system without locks, or the directory of another user
+            lock = self._locks.enter_context(held(directory, wait=False))
+        if lock is None:
+            print(f"error: {key}: another process is at work in {str(directory)!r}.", file=sys.stderr)
+            sys.exit(1)
 
     def on_multirun_start(self, config: DictConfig, **kwargs: Any) -> None:
         """Check the disk of the sweep's directory."""
@@ -78,6 +99,32 @@ class RunDirectory(HydraCallback):
             return
         print(f"error: {directory.resolve()}: {problem}", file=sys.stderr)
         sys.exit(1)
+
+
+@contextmanager
+def held(directory: Path, wait: bool = True) -> Iterator[int | None]:
+    """Lock a directory for this process and all processes that inherit the descriptor; None if another process has
+    locked it.
+
+    Args:
+        directory: the directory.
+        wait: True to wait for the other process.
+
+    Raises:
+        OSError: the file of the lock cannot be written.
+    """
+    import fcntl
+
+    with (directory / LOCK).open("w") as lock:
+        try:
+            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            if not wait:
+                yield None
+                return
+            print(f"{directory} is still being worked on by another process; waiting for it", flush=True)
+            fcntl.flock(lock, fcntl.LOCK_EX)
+        yield lock.fileno()
 
 
 def write_figures(

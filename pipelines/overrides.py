@@ -2,7 +2,8 @@
 
 import re
 import sys
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -13,9 +14,17 @@ from omegaconf import DictConfig, open_dict
 
 from .app import CONF
 from .hyperparameters import GROUPS
+from .trust import Trust
 
 OPTIONAL = ("experiment", "hparams_search")  # groups without a default option, which a `+` may come before
+PLAIN = re.compile(r"(?!hydra\.|tracking\.)[\w-]+(\.[\w-]+)+=")  # begin of an override of a key below a group
+_as_given = dict[str, str]()  # overrides of this sweep by their forced spelling
 COUNT, PATH = "deployment.count=", "deployment.path"
+# Keys that change no result of a run: its place, its speed, its record and its further outputs.
+WITHOUT_EFFECT = (
+    "tracking", "trust", "resume", "threads", "workers", "checkpoint_seconds", "picture", "pictures",
+    "film", "page", "export", "paper_size", "north", "save_as", "kept",
+)  # fmt: skip
 LIKENESS = 0.8  # least similarity, by `difflib`, of a suggested key, such as a missing letter in a word
 
 
@@ -30,6 +39,34 @@ def as_hydra_reads(override: str) -> str:
     if override.startswith(COUNT):
         return re.sub(r"(?<=[=,])\+(\d+)(?=,|$)", r"'+\1'", override)
     return f"+{override}" if override.startswith(tuple(f"+{group}." for group in GROUPS)) else override
+
+
+def forced(arguments: list[str]) -> list[str]:
+    """Command line of a sweep whose plain overrides add keys (`++`); unchanged without a sweep.
+
+    Before a sweep, Hydra checks overrides with the default option of a group, which may lack a key of the options that
+    the sweep chooses. Jobs get the overrides `as_given`.
+    """
+    if not _is_sweep(arguments):
+        return arguments
+    _as_given.update({f"++{argument}": argument for argument in arguments if PLAIN.match(argument)})
+    return [f"++{argument}" if PLAIN.match(argument) else argument for argument in arguments]
+
+
+def as_given(overrides: Iterable[str]) -> list[str]:
+    """Overrides without the marks of `forced`."""
+    return [_as_given.get(override, override) for override in overrides]
+
+
+def _is_sweep(arguments: list[str]) -> bool:
+    """True if a command line asks for a sweep, or chooses a stored one."""
+    if "hydra.mode=RUN" in arguments or {"-m", "--multirun", "hydra.mode=MULTIRUN"}.intersection(arguments):
+        return "hydra.mode=RUN" not in arguments
+    stored = [argument.replace("=", "/") for argument in arguments if argument.startswith(("experiment=", "hparams_"))]
+    with suppress(ValueError):  # trust=... is refused later
+        files = [folder / f"{option}.yaml" for option in stored for folder in Trust.given().folders]
+        return any("mode: MULTIRUN" in file.read_text(encoding="utf-8") for file in files if file.is_file())
+    return False
 
 
 def at(key: str, path: Path) -> str:
@@ -47,6 +84,11 @@ def key_and_value(override: str) -> tuple[str, str]:
     """Split an override, such as `+objective.n=2`, into key and value (`objective.n`, `2`)."""
     key, _, value = override.partition("=")
     return key.lstrip("+~"), value
+
+
+def changes_results(key: str) -> bool:
+    """False for a key, or group, that changes no result of a run."""
+    return re.split("[./@]", key)[0] not in WITHOUT_EFFECT
 
 
 def search_path() -> list[str]:

@@ -15,13 +15,13 @@ import hydra
 from hydra._internal.hydra import Hydra
 from omegaconf import DictConfig
 
-from .app import CONF, GARBAGE, PACKAGE, command_of, ends_reported
+from .app import CONF, GARBAGE, PACKAGE, command_of, ends_reported, readers_outlived
 from .frozen import offer_frozen_problems
 from .hyperparameters import HELP
 from .operations.signals import Stopped, stop
 from .operations.sweeps import search  # noqa: F401 # from here on Hydra knows this sweeper
 from .operations.sweeps.supervisor import run
-from .overrides import PATH, as_hydra_reads, ask_what_was_meant
+from .overrides import PATH, as_hydra_reads, ask_what_was_meant, forced
 
 # Launchers that are plugins of Hydra, and their packages.
 LAUNCHERS = {
@@ -71,31 +71,20 @@ def _is_installed(package: str) -> bool:
         return False
 
 
-@dataclass(frozen=True)
-class _Experiment:
-    """Experiment that is for other commands than the present one."""
-
-    name: str
-    """Name of the experiment."""
-    commands: tuple[str, ...]
-    """Commands that the file of the experiment names."""
-    is_sweep: bool
-    """True for a stored sweep."""
-
-    def __str__(self) -> str:
-        given = " or ".join(f"{command_of(command)} experiment={self.name}" for command in self.commands)
-        return f"experiment={self.name} is for another command: {given}"
-
-
-def _experiment_of_another(pipeline: str) -> _Experiment | None:
-    """Experiment on the command line, if its file is part of the project and names only other commands; else None."""
+def _experiment_of_another(pipeline: str) -> tuple[str, bool]:
+    """Sentence about the experiment on the command line if its file, which is part of the project, names only other
+    commands, else an empty text; and True for a stored sweep.
+    """
     given = [argument.partition("=")[2] for argument in sys.argv[1:] if argument.startswith("experiment=")]
     file = Path(CONF, "experiment", f"{given[-1]}.yaml") if given else None
     if file is None or not file.is_file():
-        return None
-    text = file.read_text(encoding="utf-8")
-    commands = tuple(dict.fromkeys(re.findall(rf"-m pipelines\.(\w+) experiment={re.escape(file.stem)}\b", text)))
-    return _Experiment(file.stem, commands, "mode: MULTIRUN" in text) if commands and pipeline not in commands else None
+        return "", False
+    text, chosen = file.read_text(encoding="utf-8"), f"experiment={file.stem}"
+    commands = dict.fromkeys(re.findall(rf"-m pipelines\.(\w+) {re.escape(chosen)}\b", text))
+    if not commands or pipeline in commands:
+        return "", False
+    right = " or ".join(f"{command_of(command)} {chosen}" for command in commands)
+    return f"{chosen} is for another command: {right}", "mode: MULTIRUN" in text
 
 
 def _refuse_configuration_of_another(pipeline: str) -> None:
@@ -141,7 +130,7 @@ class Pipeline:
         for change in self.prepare:
             change()
         gc.set_threshold(GARBAGE)
-        sys.argv[1:] = list(map(as_hydra_reads, sys.argv[1:]))
+        sys.argv[1:] = forced(list(map(as_hydra_reads, sys.argv[1:])))
         if HELP.intersection(sys.argv):
             sys.argv.append("hydra.help.template=${lmd.help:}")
             # Hydra's own template would read all files twice.
@@ -149,8 +138,8 @@ class Pipeline:
         _refuse_configuration_of_another(self.name)
         _refuse_launcher_that_is_missing()
         _refuse_run(self.name)
-        experiment = _experiment_of_another(self.name)
-        if experiment is not None and experiment.is_sweep:  # each job would fail, or compute something else
+        experiment, is_sweep = _experiment_of_another(self.name)
+        if is_sweep:  # each job would fail, or compute something else
             sys.exit(f"error: {experiment}.")
 
         is_composed = False
@@ -165,13 +154,13 @@ class Pipeline:
         compose = hydra.main(version_base="1.3", config_path=CONF, config_name=self.name)
         atexit.register(gc.freeze)  # otherwise the last garbage collection takes a second with mlflow
         try:
-            with stop.raising():
+            with stop.raising(), readers_outlived():
                 compose(run_composed)()
         except Stopped as told:
             sys.exit(told.code)
         except SystemExit as ended:
-            if ended.code and not is_composed:
+            if ended.code == 1 and not is_composed:  # Hydra has refused the command line
                 ask_what_was_meant()
-                if experiment is not None:
+                if experiment:
                     print(experiment, file=sys.stderr)
             raise

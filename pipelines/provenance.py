@@ -18,13 +18,8 @@ from omegaconf import DictConfig
 
 from .app import CONF, IN_CHECKOUT, command_of, flat_settings
 from .operations.sweeps.folder import current_job
-from .overrides import at
+from .overrides import at, changes_results
 
-# Settings that are no parameters of a run: they concern its place, its speed and its further outputs.
-NO_PARAMETERS = (
-    "tracking", "trust", "run", "resume", "picture", "page", "threads", "checkpoint_seconds", "export",
-    "paper_size", "north",
-)  # fmt: skip
 # Characters around a path in an override, such as `deployments=['mine: file deployment.path=a.csv',uniform]`; the first
 # pattern leaves a path with a space whole.
 SEPARATORS = (r"[,=\[\]{}'\"]+", r"[\s,=\[\]{}'\"]+")
@@ -75,9 +70,11 @@ def _version() -> dict[str, str]:
 
 def repeating(tags: Mapping[str, str]) -> str:
     """The command in the `source_tags` of a run, and the commit to repeat it at, in Markdown."""
+    from lmd.core.words import as_code
+
     commit = tags.get("mlflow.source.git.commit", "")[:SHORT_COMMIT]
     changes = f", with the changes in {PATCH_FILE}" if tags.get(DIRTY) == "yes" else ""
-    return f"`{tags['command']}`" + (f"\n\nat commit {commit}{changes}" if commit else "")
+    return as_code(tags["command"]) + (f"\n\nat commit {commit}{changes}" if commit else "")
 
 
 def write_sources(directory: Path) -> None:
@@ -126,11 +123,13 @@ def parameters(cfg: DictConfig, choices: Mapping[str, str]) -> dict[str, Any]:
     settings = {
         key: value
         for key, value in flat_settings(cfg).items()
-        if key.split(".")[0] not in NO_PARAMETERS
-        and key.split(".")[-1] not in ("_target_", "_partial_")
-        and value not in (None, [])
+        if _is_parameter(key) and key.split(".")[-1] not in ("_target_", "_partial_") and value not in (None, [])
     }
-    return {group: option for group, option in choices.items() if group not in NO_PARAMETERS} | settings
+    return {group: option for group, option in choices.items() if _is_parameter(group)} | settings
+
+
+def _is_parameter(key: str) -> bool:
+    return changes_results(key) and key != "run"  # the settings of an earlier run are parameters themselves
 
 
 def digest(*parts: Any) -> str:

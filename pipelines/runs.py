@@ -10,7 +10,7 @@ import re
 import shlex
 import socket
 import sys
-from collections.abc import Mapping
+from collections.abc import Container, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -38,6 +38,8 @@ COLUMNS = {
     "metrics.evaluations": "evaluations",
 }
 OWN_KEYS = ("tracking", "trust")  # keys whose values on this command line replace the values of the run
+# Keys of `tracking` that go on with the run; where it is recorded is said by this command line.
+RECORDED = re.compile(r"tracking\.(tags\b.*|system_metrics)")
 PLACE_KEYS = ("hydra", "save_as", "kept")  # keys with a path to which files are written
 LIST_KEYS = ("optimisers", "deployments")  # lists of options, each of which may have overrides of its own
 # Names of options. With dots and slashes a name could be any file, and with = or ~ an override.
@@ -45,7 +47,8 @@ NAMES = re.compile(r"[\w\[\],'\" -]*")
 GIVEN = "command-line"  # suffix of Hydra's providers of places on the search path of a command line
 # Harmless settings of Hydra.
 HARMLESS = re.compile(
-    r"hydra\.mode=\w+|hydra/launcher=\w+|"
+    r"hydra\.mode=\w+|hydra/launcher=\w+|hydra/sweeper=(basic|search)|hydra/(job|hydra)_logging=\w+|"
+    r"hydra\.verbose=[\w.,\[\]]+|hydra\.sweeper\.(trials|at_a_time|method|seed|max_batch_size)=[\w.-]+|"
     r"hydra\.launcher\.(n_jobs|partition|timeout_min|cpus_per_task|mem_gb|array_parallelism)=[\w.-]+"
 )
 PICKLES = ".submitit"  # folder of pickles, which submitit reads, in the folder of a sweep
@@ -112,7 +115,8 @@ def _command(folder: Path, is_sweep: bool, trust: Trust) -> tuple[str, list[str]
         sources = [source for source in written["runtime"]["config_sources"] if str(source["provider"]).endswith(GIVEN)]
         places = [f"{source['schema']}://{source['path']}" for source in sources]
         keys = [override.partition("=")[0] for override in own]
-        kept = [override for override in task if _is_kept(override, str(file), trust)]
+        given = {key: override for key, override in task_overrides() if key.split(".")[0] in OWN_KEYS}
+        kept = [override for override in task if _is_kept(override, str(file), is_sweep, given, trust)]
     except (KeyError, TypeError, AttributeError):
         raise InputError(f"{file} is not written as Hydra writes it") from None
     if not _is_pipeline(pipeline):
@@ -128,10 +132,10 @@ def _command(folder: Path, is_sweep: bool, trust: Trust) -> tuple[str, list[str]
             raise InputError(f"{source}; if that is yours, add {shlex.quote(f'hydra.searchpath=[{place}]')} ({PAGE})")
     for key, override in zip(keys, own, strict=True):
         if HARMLESS.fullmatch(override):
-            kept += [override] if is_sweep else []
+            kept.append(override)
         elif key not in REPLACED:
             raise InputError(f"it was given {override[:SHOWN]!r}, which is not taken from a file ({PAGE})")
-    kept += [override for key, override in task_overrides() if key.split(".")[0] in OWN_KEYS]
+    kept += given.values()
     if is_sweep:
         kept.append(at("hydra.sweep.dir", folder))
     else:
@@ -148,8 +152,15 @@ def _is_pipeline(name: str) -> bool:
     )
 
 
-def _is_kept(override: str, source: str, trust: Trust) -> bool:
+def _is_kept(override: str, source: str, is_sweep: bool, given: Container[str], trust: Trust) -> bool:
     """True if the command keeps an override of the run; other overrides are replaced.
+
+    Args:
+        override: the override.
+        source: file that holds it.
+        is_sweep: True for a sweep, whose jobs may resume the run that they were given.
+        given: keys that this command line replaces.
+        trust: trust of the command line.
 
     Raises:
         InputError: the override is not accepted from a file, or names code that is not trusted.
@@ -160,21 +171,22 @@ def _is_kept(override: str, source: str, trust: Trust) -> bool:
         parsed = OverridesParser.create().parse_override(override)
     except HydraException:
         raise InputError(f"{source} holds {override[:SHOWN]!r}, which is no override") from None
-    key, is_sweep = str(parsed.key_or_group), parsed.is_sweep_override()
+    key, varies = str(parsed.key_or_group), parsed.is_sweep_override()
     first = re.split("[./]", key)[0]
-    if first in ("tracking", "resume"):
+    is_replaced = first == "tracking" and (key in given or not RECORDED.fullmatch(key))
+    if is_replaced or (first == "resume" and not is_sweep):
         return False
     if first == "trust":
         lacking = [name for name in listed(override) if name not in trust.names]
         if lacking:
             raise InputError(f"it was told trust={lacking}; if you trust that too, add it ({PAGE})")
         return False
-    if first in PLACE_KEYS or parsed.package is not None or (is_sweep and TARGET in override.replace("\\", "")):
+    if first in PLACE_KEYS or parsed.package is not None or (varies and TARGET in override.replace("\\", "")):
         raise InputError(f"it was given {override[:SHOWN]!r}, which is not taken from a file ({PAGE})")
-    given = override.partition("=")[2]
-    trust.check(source, key, given if is_sweep else parsed.value())
+    value = override.partition("=")[2]
+    trust.check(source, key, value if varies else parsed.value())
     is_group = first in LIST_KEYS or "/" in key or any((folder / key).is_dir() for folder in trust.folders)
-    if is_group and not NAMES.fullmatch(given):
+    if is_group and not NAMES.fullmatch(value):
         raise InputError(f"it was given {override[:SHOWN]!r}, which is not taken from a file ({PAGE})")
     return True
 

@@ -1,8 +1,6 @@
 """Compare optimisers over the suite: `python -m pipelines.compare suite=small optimisers=[annealing,ega] seeds=10`."""
 
-import sys
 from collections.abc import Iterator, Mapping
-from contextlib import closing
 from itertools import product
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -11,16 +9,16 @@ from omegaconf import DictConfig, OmegaConf
 
 from .app import run_directory, save_path
 from .building import GROUPS, build_optimiser, seeds_of
-from .contenders import Contender, Kept, kept_of, run_contender
+from .contenders import Contender, contend
 from .leaderboard import write_leaderboard
 from .nodes import note
 from .overrides import recompose, search_path, task_overrides
-from .provenance import resuming
-from .workers import in_processes
 
 if TYPE_CHECKING:
     from lmd.evaluation.comparison import OptimiserRun
     from lmd.suite import BlackBox
+
+    from .operations.tracking import Tracker
 
 CAMERAS = {"annealing": "camera_annealing"}  # optimiser of the same method for problems that place cameras
 BUDGETS = ("1", "2", "3")  # places in the list of budgets of a problem
@@ -32,44 +30,23 @@ def hold_tournament(cfg: DictConfig) -> None:
     Raises:
         InputError: a setting is refused.
     """
-    from .tracked_run import Earlier, tracked
-
     save_as, boxes = save_path(cfg.save_as), problems_of(cfg)
-    jobs = list(_jobs(cfg, boxes))
-    directory = run_directory()
-    kept = Kept({}, None) if cfg.resume is None else kept_of(cfg.resume, jobs, directory)
-    earlier = None if kept.parent is None else Earlier(kept.parent, Path(cfg.resume))
-    by_name, results = {job.name: job for job in jobs}, dict(kept.runs)
-    left = [job for job in jobs if job not in results]
-    finished = in_processes(_run, left, cfg.workers, lambda job: job.name)
     about = f"{len(boxes)} problems, {len(cfg.optimisers)} optimisers, {cfg.seeds} seeds"
-    with closing(finished), tracked(cfg, "compare", about, earlier) as tracker:
-        if results:
-            print(f"{len(results)}/{len(jobs)} done already in {cfg.resume}", flush=True)
-        try:
-            for name, done in finished:
-                job = by_name[name]
-                results[job] = done
-                job.save(directory, done, tracker.run_id, not boxes[job.problem].problem.scene.tag.is_point)
-                print(f"{len(results)}/{len(jobs)} {job.name}: fitness {done.metrics['fitness']:.2%}", flush=True)
-        except KeyboardInterrupt:
-            print(f"interrupted; go on with: {resuming('compare', directory)}", file=sys.stderr)
-            raise
-        finally:  # an interrupted tournament, too, has a leaderboard of its finished runs
-            if results:
-                files, figures = write_leaderboard(directory, results, boxes)
-                tracker.log_metrics(figures)
-                tracker.log_artifacts(files)
-        tracker.finish("FINISHED")
+
+    def write(tracker: "Tracker", done: "Mapping[Contender, OptimiserRun]") -> list[Path]:
+        files, figures = write_leaderboard(run_directory(), done, boxes)
+        tracker.log_metrics(figures)
+        tracker.log_artifacts(files)
+        return files
+
+    files = contend(
+        cfg, list(_jobs(cfg, boxes)), lambda job: not boxes[job.problem].problem.scene.tag.is_point,
+        lambda run: f"fitness {run.metrics['fitness']:.2%}", write, about=about,
+    )  # fmt: skip
     if save_as is not None:
         for file in files:
             save_as.with_name(f"{save_as.name}_{file.name}").write_bytes(file.read_bytes())
-    print(f"files: {directory}")
-
-
-def _run(job: Contender) -> "tuple[str, OptimiserRun]":
-    """Name and result of a run."""
-    return job.name, run_contender(job)
+    print(f"files: {run_directory()}")
 
 
 def problems_of(cfg: DictConfig) -> "Mapping[str, BlackBox]":

@@ -12,6 +12,7 @@ from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig
 
 from lmd.core.checks import InputError
+from lmd.core.words import as_code, escaped
 from lmd.evaluation.validation import describe_validation, headline_off_grid, validation_metrics
 from lmd.evaluation.verdicts import causes
 from lmd.objectives.crowd import describe_crowd
@@ -116,7 +117,8 @@ def tracked(
     tags |= {"pipeline": pipeline} | override_tags(overrides) | source_tags(pipeline)
     about = about or (title_of(problem, subject) if problem else subject)
     dataset = dataset_of(cfg, problem) if problem else None
-    tags["mlflow.note.content"] = f"{about}\n\n{repeating(tags)}\n\nfiles: {run_directory()}"
+    told = f"{escaped(about)}\n\n{repeating(tags)}\n\nfiles: {as_code(run_directory())}"
+    tags["mlflow.note.content"] = told
     params, run_id = parameters(cfg, choices()), None
     if earlier is not None and earlier.run_id is not None:
         if tracker.goes_on(earlier.run_id, earlier.folder, params):

@@ -16,10 +16,11 @@ class Stopped(KeyboardInterrupt):
 
     Args:
         number: number of the signal.
+        why: reason of the signal, if this process sent it.
     """
 
-    def __init__(self, number: int) -> None:
-        super().__init__(f"told to stop by {signal.Signals(number).name}")
+    def __init__(self, number: int, why: str = "") -> None:
+        super().__init__(why or f"told to stop by {signal.Signals(number).name}")
         self.code = 128 + number
 
 
@@ -36,6 +37,7 @@ class Stop:
     """
 
     def __init__(self) -> None:
+        self.why = ""  # reason of the signal, if this process sent it
         self._number = 0  # number of the signal that was received
         self._is_under_way = False  # `Stopped` was raised, and has not left the innermost block
         self._terminals: tuple[int, ...] = ()
@@ -133,7 +135,7 @@ class Stop:
         self._number, self._act, self._is_under_way = number, _ignore, True
         os.environ["HYDRA_FULL_ERROR"] = "1"  # otherwise Hydra would print a library's error and exit with 1
         tell("stopping")
-        raise Stopped(number)
+        raise Stopped(number, self.why)
 
 
 def tell(text: str) -> None:

@@ -1,5 +1,7 @@
 """The folder of an earlier comparison, which may be a stranger's."""
 
+from contextlib import nullcontext
+
 import pytest
 from composing import composed
 
@@ -7,7 +9,8 @@ from lmd.core.checks import InputError
 from lmd.evaluation.comparison import OptimiserRun
 from lmd.optimisers.ledger import Record
 from lmd.scene.deployment import Deployment
-from pipelines.contenders import FILES, Contender, kept_of
+from pipelines.contenders import FILES, Contender, contend, kept_of
+from pipelines.operations.tracking import NoTracker
 
 
 @pytest.fixture
@@ -39,3 +42,16 @@ def test_a_link_that_leads_out_of_it_is_refused(left, tmp_path, name):
     with pytest.raises(InputError, match=r"^resume: .* is a link that leads out of the folder\."):
         kept_of(earlier, [job], tmp_path / "now")
     assert not (tmp_path / "now").exists()
+
+
+def test_a_run_that_was_kept_and_not_logged_is_logged_when_the_comparison_goes_on(left, monkeypatch):
+    job, earlier = left
+    tracker, logged, replaced = NoTracker(), [], []
+    monkeypatch.setattr("pipelines.tracked_run.tracked", lambda *_: nullcontext(tracker))
+    monkeypatch.setattr("pipelines.contenders.run_directory", lambda: earlier)
+    monkeypatch.setattr(tracker, "keep_newest", replaced.append)
+    cfg = composed("compare", f"resume={earlier}", "workers=1")
+    for _ in range(2):
+        contend(cfg, [job], lambda _: False, str, lambda *_: [], lambda job, *_: logged.append(job))
+    assert logged == [job]
+    assert [tags["job"] for tags in replaced] == [job.tags["job"]]  # one may be recorded in part

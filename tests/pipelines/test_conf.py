@@ -255,7 +255,10 @@ def test_the_encoding_that_is_used_is_the_one_that_is_recorded(overrides, kind):
 
 
 def test_mlflows_own_variables_name_the_store_and_the_experiment(monkeypatch):
-    assert instantiate(composed("optimise").tracking).store.experiment_name == "lmd"
+    for name in ("MLFLOW_TRACKING_URI", "MLFLOW_EXPERIMENT_NAME"):
+        monkeypatch.setenv(name, "")  # as if it were unset
+    store = instantiate(composed("optimise").tracking).store
+    assert (store.uri, store.experiment_name) == ("sqlite:///outputs/mlflow.db", "lmd")
     monkeypatch.setenv("MLFLOW_TRACKING_URI", "http://127.0.0.1:5000")
     monkeypatch.setenv("MLFLOW_EXPERIMENT_NAME", "mine")
     store = instantiate(composed("compare").tracking).store

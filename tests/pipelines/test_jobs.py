@@ -1,5 +1,6 @@
 """The jobs of a sweep: their names, their records on disk, the locks on their folders."""
 
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -7,10 +8,13 @@ from pathlib import Path
 import pytest
 from omegaconf import OmegaConf
 
+import pipelines.app
 from lmd.core.checks import InputError
 from lmd.optimisers.checkpoint import CHECKPOINT_FILE
+from pipelines.app import _Unread
 from pipelines.operations.sweeps.folder import Job, JobFolder, Sweep, SweepFolder, reason_of
 from pipelines.operations.sweeps.names import job_folder, slug, varied_keys
+from pipelines.outputs import RunDirectory, held
 from pipelines.overrides import key_and_value, quoted
 
 
@@ -88,15 +92,34 @@ def test_a_job_has_one_folder_whatever_varies_beside_it(tmp_path):
     assert job_folder(_root_=root) != name
 
 
+def test_a_run_is_refused_in_a_folder_where_another_one_works(tmp_path, capsys):
+    with held(tmp_path), pytest.raises(SystemExit) as refused:
+        RunDirectory()._lock("resume", tmp_path)
+    told = f"error: resume: another process is at work in '{tmp_path}'.\n"
+    assert (refused.value.code, capsys.readouterr().err) == (1, told)
+    RunDirectory()._lock("resume", tmp_path)  # the lock is free again
+
+
+def test_what_is_written_to_a_reader_that_has_ended_is_dropped(monkeypatch):
+    monkeypatch.setattr("pipelines.app.unread", set())
+    reading, writing = os.pipe()
+    os.close(reading)
+    with os.fdopen(os.dup(writing), "wb", buffering=0) as plain, pytest.raises(BrokenPipeError):
+        plain.write(b"a")
+    with _Unread(writing, "w") as output:
+        assert [output.write(b"ab"), output.write(b"c")] == [2, 1]
+    assert pipelines.app.unread == {writing}
+
+
 @pytest.mark.slow
 def test_a_folder_is_held_by_one_process_and_the_child_that_inherits_it(tmp_path):
-    with JobFolder(tmp_path).held() as lock:
+    with held(tmp_path) as lock:
         assert lock is not None
         child = subprocess.Popen([sys.executable, "-c", "input()"], stdin=subprocess.PIPE, pass_fds=(lock,))
-        with JobFolder(tmp_path).held(wait=False) as second:
+        with held(tmp_path, wait=False) as second:
             assert second is None
-    with JobFolder(tmp_path).held(wait=False) as second:
+    with held(tmp_path, wait=False) as second:
         assert second is None
     child.communicate(b"\n")
-    with JobFolder(tmp_path).held(wait=False) as second:
+    with held(tmp_path, wait=False) as second:
         assert second is not None

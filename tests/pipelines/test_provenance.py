@@ -36,6 +36,7 @@ def test_a_changed_checkout_leaves_a_patch_that_repeats_it(checkout, tmp_path):
     subprocess.run(["git", "apply", patch], cwd=checkout, check=True)
     assert (checkout / "conf" / "a.yaml").read_text() == "a: 2\n"
     told = provenance.repeating({"command": "lmd", **provenance._version()})
+    assert provenance.repeating({"command": "lmd `a*`"}) == "<code>lmd &#96;a&#42;&#96;</code>"
     assert re.fullmatch(r"`lmd`\n\nat commit [0-9a-f]{9}, with the changes in diff.patch", told)
 
 

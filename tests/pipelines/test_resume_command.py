@@ -61,17 +61,19 @@ def told(folder, status="KILLED", **tags):
 
 
 def test_a_run_goes_on_by_what_hydra_wrote_into_its_folder(says, left):
-    says("last=5", "tracking.uri=sqlite:///mine.db", "resume=last", "trust=[mine]")
-    task = ("optimiser=ega", "deployment.count='+5'", "tracking.uri=http://else:5000", "resume=old", "trust=[mine]")
-    folder = left(*task, own=["hydra.run.dir=x", "hydra.mode=RUN"])
+    says("last=5", "tracking.uri=sqlite:///mine.db", "resume=last", "trust=[mine]", "+tracking.tags.by=you")
+    task = ("optimiser=ega", "deployment.count='+5'", "tracking.uri=http://else:5000", "resume=old", "trust=[mine]",
+            "+tracking.tags.study='a b'", "++tracking.tags.by=me")  # fmt: skip
+    folder = left(*task, own=["hydra.run.dir=x", "hydra.mode=RUN", "hydra.verbose=true"])
     again = told(folder)
-    arguments = ["optimiser=ega", "deployment.count='+5'", "tracking.uri=sqlite:///mine.db", "trust=[mine]",
+    arguments = ["optimiser=ega", "deployment.count='+5'", "+tracking.tags.study='a b'", "hydra.mode=RUN",
+                 "hydra.verbose=true", "tracking.uri=sqlite:///mine.db", "trust=[mine]", "+tracking.tags.by=you",
                  f"hydra.run.dir={folder}", f"resume={folder}"]  # fmt: skip
     assert again.process == (sys.executable, "-m", "pipelines.optimise", *arguments)
     assert again.command == f"python -m pipelines.optimise {shlex.join(arguments)}"
     assert not again.why_not
     left("seed=1")
-    assert told(folder).process[3:-3] == ("seed=1",)
+    assert told(folder).process[3:-4] == ("seed=1",)
     assert told(folder).process[-1] == f"resume={folder}"  # in a new folder, as it began in one
 
 
@@ -103,6 +105,7 @@ def test_a_sweep_goes_on_in_its_folder(left):
         ("deployments=['uniform room=../../evil']", "is not taken from a file"),
         ("kept=/etc", "is not taken from a file"),
         ("trust=[os]", "it was told trust=['os']"),
+        ("+tracking.tags.a=${oc.env:HOME}", "add trust=[oc.env]"),
         ("--config-dir=evil", "which is no override"),
         ("--experimental-rerun=evil.pickle", "which is no override"),
         ("seed=1; touch imported", "which is no override"),

@@ -63,9 +63,12 @@ def test_an_interrupted_job_goes_on_from_its_checkpoint(work):
     sittings = [table(work).seconds["slow"]]
     assert "the same command again does what is missing" in err
     parent, children = runs(work)
-    assert (parent.info.status, parent.data.tags["reason"]) == ("FAILED", "the sweep was cut short")
+    assert (parent.info.status, parent.data.tags["reason"]) == ("KILLED", "the sweep was stopped")
     (child,) = children["slow"]
     assert child.info.status == "KILLED"
+    assert table(work).reason["slow"] == "the sweep was stopped"
+    (groups,) = work.glob("outputs/optimise_sweep/*/by_group.md")
+    assert groups.read_text().startswith("| optimiser.fault |")  # no pivot of one key
     spent = child.data.metrics["evaluations"]
     assert 0 < spent < 400
     assert (parent.data.metrics["jobs"], parent.data.metrics["failed"]) == (4.0, 1.0)

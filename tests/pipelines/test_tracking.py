@@ -97,6 +97,25 @@ def test_eight_processes_that_start_at_once_on_no_database_all_get_a_run(tmp_pat
     assert len({ids.get(timeout=10) for _ in processes}) == 8
 
 
+def test_an_experiment_that_was_deleted_says_how_to_restore_it(uri):
+    run = started(uri)
+    client, experiment = run.store.client, run.store.experiment_id
+    client.delete_experiment(experiment)
+    try:
+        again = (
+            rf"'tests' was deleted in mlflow: `MLFLOW_TRACKING_URI={uri} mlflow experiments restore -x {experiment}`"
+        )
+        for read in (lambda: MlflowTracker(uri, "tests").has(run.run_id), lambda: MlflowReader(uri, "tests")):
+            with pytest.raises(InputError, match=again):
+                read()
+    finally:
+        client.restore_experiment(experiment)
+    assert run.has(run.run_id)
+    assert not MlflowTracker(uri, "others").has(run.run_id)
+    run.discard()
+    assert not MlflowTracker(uri, "tests").goes_on(stored(started(uri)).info.run_id[::-1], Path(), {})
+
+
 def test_what_a_dead_process_left_running_is_ended(uri):
     lost, other = started(uri, tags={"job": "a"}), started(uri, tags={"job": "b"})
     over = started(uri, tags={"job": "a"})

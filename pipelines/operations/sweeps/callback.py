@@ -11,12 +11,14 @@ from hydra.experimental.callback import Callback
 from omegaconf import DictConfig
 
 from ...nodes import instantiate
+from ...outputs import held
 from ...provenance import repeating, source_tags
+from ..signals import stop
 from .folder import Sweep, SweepFolder, reason_of
 from .names import SEED, override_tags, pin_sweep_folder, sweep_name, sweep_title, swept, varied_keys
-from .shared import asked_values, shared_parameters
+from .shared import Values, asked_values, shared_parameters
 from .summary import best_and_median, by_group, description, found_by, grouping_keys, pivot, write_jobs
-from .supervisor import LOST, SWEEP_VARIABLE, end_runs
+from .supervisor import STOPPED, SWEEP_VARIABLE, end_runs, lost
 
 if TYPE_CHECKING:
     from ..tracking import Tracker
@@ -32,33 +34,14 @@ class SweepRecord(Callback):
         """Start the parent run, or continue the parent run of the sweep that this command extends."""
         from lmd.core.checks import InputError
 
-        from ..tracking import RunStart
-
+        folder = SweepFolder(pin_sweep_folder(config))
         try:
             values = asked_values(config)
         except InputError as error:  # Hydra would print a warning and continue
             sys.exit(f"error: {error}")
-        folder = SweepFolder(pin_sweep_folder(config))
-        before = folder.load()
-        overrides = swept(config)
-        is_search = not config.hydra.sweeper._target_.endswith(".BasicSweeper")
-        asked = None if is_search else math.prod(map(len, values.values()))
-        sweep = Sweep(sweep_name(config), varied_keys(overrides), None, asked=asked)
-        if before:
-            varied = tuple(dict.fromkeys([*before.varied, *sweep.varied]))
-            sweep = replace(sweep, varied=varied, run_id=before.run_id, round=before.round + 1)
-        try:
-            tracker: Tracker = instantiate(config.tracking)
-            tags = {"sweep": sweep.name, "pipeline": config.hydra.job.name}
-            tags |= override_tags(overrides) | source_tags(config.hydra.job.name)
-            params = shared_parameters(config, values) if sweep.run_id is None else {}  # mlflow changes none
-            named = [f"{key.split('.')[-1]}={params[key]}" for key in NAMED if key in params]
-            name = " ".join([sweep_title(config), *named])
-            tracker.start(RunStart(name, folder.path, params, tags), sweep.run_id)
-        except InputError as error:
-            hint = f" (to start the sweep afresh, delete {folder.path})" if before else ""
-            sys.exit(f"error: {error}{hint}")
-        folder.save(replace(sweep, run_id=tracker.run_id))
+        folder.path.mkdir(parents=True, exist_ok=True)
+        with held(folder.path):  # an equal command may begin at this moment
+            before = self._begin(config, folder, values)
         os.environ[SWEEP_VARIABLE] = str(os.getpid())
         atexit.register(_cut_short, config)
         if config.hydra.launcher._target_.endswith("SlurmLauncher"):
@@ -67,7 +50,38 @@ class SweepRecord(Callback):
             follow_the_queue()
         done = len(folder.jobs())
         going_on = f", going on after {done} finished jobs (delete the folder to start afresh)" if before else ""
-        print(f"sweep {sweep.name} in {folder.path}{going_on}", flush=True)
+        print(f"sweep {sweep_name(config)} in {folder.path}{going_on}", flush=True)
+
+    @staticmethod
+    def _begin(config: DictConfig, folder: SweepFolder, values: Values) -> Sweep | None:
+        """Start the parent run, or continue the parent run of the sweep before in this folder, which is returned."""
+        from lmd.core.checks import InputError
+
+        from ..tracking import RunStart
+
+        before, overrides = folder.load(), swept(config)
+        is_search = not config.hydra.sweeper._target_.endswith(".BasicSweeper")
+        asked = None if is_search else math.prod(map(len, values.values()))
+        sweep = Sweep(sweep_name(config), varied_keys(overrides), None, asked=asked)
+        try:
+            tracker: Tracker = instantiate(config.tracking)
+            if before:
+                varied = tuple(dict.fromkeys([*before.varied, *sweep.varied]))
+                known = before.run_id if before.run_id is not None and tracker.has(before.run_id) else None
+                sweep = replace(sweep, varied=varied, run_id=known, round=before.round + 1)
+            tags = {"sweep": sweep.name, "pipeline": config.hydra.job.name}
+            tags |= override_tags(overrides) | source_tags(config.hydra.job.name)
+            params = shared_parameters(config, values)
+            named = [f"{key.split('.')[-1]}={params[key]}" for key in NAMED if key in params]
+            name = " ".join([sweep_title(config), *named])
+            tracker.start(RunStart(name, folder.path, params, tags), sweep.run_id)  # a run keeps its first params
+        except InputError as error:
+            hint = f" (to start the sweep afresh, delete {folder.path})" if before else ""
+            if before is None:
+                folder.discard()
+            sys.exit(f"error: {error}{hint}")
+        folder.save(replace(sweep, run_id=tracker.run_id or sweep.run_id))
+        return before
 
     def on_multirun_end(self, config: DictConfig, **kwargs: Any) -> None:
         """Write the table, end the parent run, and exit with 1 if a job has failed."""
@@ -75,8 +89,7 @@ class SweepRecord(Callback):
         try:
             failed = _close(config)
         except Exception as error:  # Hydra would print a warning
-            print(f"error: the sweep's run could not be ended: {reason_of(error)}", file=sys.stderr)
-            failed = True
+            sys.exit(f"error: the sweep's run could not be ended: {reason_of(error)}")
         if failed:
             sys.exit(1)
 
@@ -94,16 +107,18 @@ def _cut_short(config: DictConfig) -> None:
             tracker.discard()
         folder.discard()
         return
-    _close(config, "the sweep was cut short")
+    _close(config, STOPPED if stop.requested else "the sweep was cut short")
     print("the same command again does what is missing", file=sys.stderr)
 
 
 def _close(config: DictConfig, reason: str = "") -> bool:
-    """Write the table of a sweep and end its run; True if the run ended as FAILED.
+    """Write the table of a sweep and end its run; True unless the run ended as FINISHED.
 
     Args:
         reason: reason of the failure of the run; if empty, the run fails if a job failed.
     """
+    from lmd.core.words import as_code
+
     from ..tracking import RunStart
 
     folder = SweepFolder(config.hydra.sweep.dir)
@@ -111,10 +126,10 @@ def _close(config: DictConfig, reason: str = "") -> bool:
     assert sweep is not None
     for its_folder, job in folder.jobs():
         if job.status == "running":
-            with its_folder.held(wait=False) as lock:
+            with held(its_folder.path, wait=False) as lock:
                 if lock is not None:
-                    its_folder.save(replace(job, status="killed", reason=LOST))
-                    end_runs(config.tracking, its_folder, job, LOST)
+                    its_folder.save(ended := lost(job, stop.requested))
+                    end_runs(config.tracking, its_folder, ended)
     jobs = folder.jobs()
     running = sum(job.status == "running" for _, job in jobs)  # jobs that another process with this command runs
     failed = [(its_folder, job) for its_folder, job in jobs if job.status not in ("finished", "running")]
@@ -122,8 +137,9 @@ def _close(config: DictConfig, reason: str = "") -> bool:
     missing = max((sweep.asked or 0) - begun, 0) if reason else 0  # an equal job may be asked for twice
     found, total = found_by(jobs), len(jobs) + missing
     write_jobs(folder.table, sweep, found)
-    tables = [f"Medians over {SEED}s, on the grid and off it:", pivot(sweep, found), by_group(sweep, found)]
-    folder.groups.write_text("\n\n".join(tables) + "\n")
+    across = pivot(sweep, found)
+    tables = [f"Medians over {SEED}s, on the grid and off it:", across] if across else []
+    folder.groups.write_text("\n\n".join([*tables, by_group(sweep, found)]) + "\n")
     left = f", {missing} had not begun" if missing else ""
     print(f"{len(jobs) - len(failed) - running} of {total} jobs finished{left}: {folder.table}", flush=True)
     for its_folder, job in failed:
@@ -132,13 +148,13 @@ def _close(config: DictConfig, reason: str = "") -> bool:
         reason = reason or (f"{len(failed)} of {len(jobs)} jobs failed" if jobs else "the sweep had no jobs")
     tracker: Tracker = instantiate(config.tracking)
     command = repeating(source_tags(config.hydra.job.name))
-    about = f"{description(sweep, found, total)}\n\n{command}\n\nfiles: {folder.path}"
+    about = f"{description(sweep, found, total)}\n\n{command}\n\nfiles: {as_code(folder.path)}"
     if sweep.round:
         about += "\n\nparameters: those that the jobs of the first command share"
     tracker.start(RunStart(sweep.name, folder.path, tags={"mlflow.note.content": about}), sweep.run_id)
     tracker.log_metrics({"jobs": total, "failed": len(failed)} | best_and_median(sweep, found))
     tracker.log_artifacts([folder.groups, folder.table])
-    tracker.finish("FAILED" if reason else "FINISHED", reason)
+    tracker.finish("KILLED" if reason == STOPPED else "FAILED" if reason else "FINISHED", reason)
     for line in tracker.views(grouping_keys(sweep)):
         print(line, flush=True)
     return bool(reason)

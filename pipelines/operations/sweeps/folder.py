@@ -2,12 +2,12 @@
 
 import os
 import shutil
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
+from ...app import LOCK
 from ...outputs import JOB_VARIABLE, read_document, write_document
 
 
@@ -101,27 +101,6 @@ class JobFolder:
         """Figures in metrics.json; empty without that file."""
         return read_document(self.metrics, dict) or {}
 
-    @contextmanager
-    def held(self, wait: bool = True) -> Iterator[int | None]:
-        """Lock the folder for this process and all processes that inherit the descriptor; None if another process has
-        locked it.
-
-        Args:
-            wait: True to wait for the other process.
-        """
-        import fcntl
-
-        with (self.path / ".lock").open("w") as lock:
-            try:
-                fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            except BlockingIOError:
-                if not wait:
-                    yield None
-                    return
-                print(f"{self.path} is still being worked on by another process; waiting for it", flush=True)
-                fcntl.flock(lock, fcntl.LOCK_EX)
-            yield lock.fileno()
-
 
 class SweepFolder:
     """Folder of a sweep, with a folder for each of its jobs.
@@ -163,7 +142,7 @@ class SweepFolder:
     def discard(self) -> None:
         """Remove the record of a sweep that has begun no job, and the folder unless it holds other files."""
         self.record.unlink(missing_ok=True)
-        if {path.name for path in self.path.iterdir()} <= {"multirun.yaml"}:  # Hydra's own file
+        if {path.name for path in self.path.iterdir()} <= {"multirun.yaml", LOCK}:  # the first is Hydra's own file
             shutil.rmtree(self.path)
 
 

@@ -1,13 +1,14 @@
 """Names of sweeps, of jobs, of their runs and of their folders."""
 
 import re
+import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 from omegaconf import DictConfig, OmegaConf, read_write
 
-from ...overrides import key_and_value, quoted
+from ...overrides import as_given, changes_results, key_and_value, quoted
 from ...provenance import digest
 from .folder import SweepFolder
 
@@ -16,8 +17,7 @@ NAME_LENGTH = 80  # greatest number of characters of a run's name; what varies i
 SEED = "seed"  # jobs that differ in this key alone are one group
 SHORT = {"thold_p": "p"}  # keys that are shorter in names
 DIGEST_LENGTH = 8  # characters of a digest in the name of a folder
-# Keys that change neither the problem nor the search of a run.
-NOT_IN_NAME = ("hydra", "tracking", "trust", "picture", "page", "validate", "threads", "resume", "checkpoint_seconds")
+NOT_IN_NAME = ("hydra", "validate")  # keys that change neither the problem nor the search of a run
 
 
 def override_tags(overrides: Sequence[str]) -> dict[str, str]:
@@ -35,7 +35,9 @@ def short_name(subject: str, overrides: Sequence[str]) -> str:
     """
     values = [(key, value.strip("'\"")) for key, value in map(key_and_value, overrides)]
     varies = " ".join(
-        shown(key, value) for key, value in values if key.split(".")[0] not in NOT_IN_NAME and value != subject
+        shown(key, value)
+        for key, value in values
+        if key.split(".")[0] not in NOT_IN_NAME and changes_results(key) and value != subject
     )
     words = [subject, varies] if any(value == subject for _, value in values) else [varies, subject]
     left = NAME_LENGTH - len(subject) - 1
@@ -54,10 +56,10 @@ def slug(text: str) -> str:
 
 
 def _settings(root: DictConfig) -> Any:
-    """Resolved configuration without Hydra's part."""
-    return OmegaConf.to_container(
-        OmegaConf.masked_copy(root, [str(key) for key in root if key != "hydra"]), resolve=True
-    )
+    """Resolved configuration without Hydra's part and the keys that change no result."""
+    task = OmegaConf.masked_copy(root, [str(key) for key in root if key != "hydra"])
+    resolved: Any = OmegaConf.to_container(task, resolve=True)
+    return {key: value for key, value in resolved.items() if changes_results(key)}
 
 
 def swept(root: DictConfig) -> list[str]:
@@ -93,26 +95,37 @@ def sweep_title(root: DictConfig) -> str:
 
 
 def sweep_folder(*, _root_: DictConfig) -> str:
-    """Name of a sweep's folder: equal for equal varied keys and other settings, for any values of the varied keys."""
+    """Name of a sweep's folder: equal for equal varied keys and other settings that change results, for any values of
+    the varied keys.
+    """
     varied = sorted(varied_keys(swept(_root_)))
     return f"{slug(sweep_name(_root_))}-{digest(_settings(_root_), varied)[:DIGEST_LENGTH]}"
 
 
 def job_folder(*, _root_: DictConfig) -> str:
-    """Name of a job's folder below the sweep's folder: equal for equal configurations and contents of files."""
-    folder, known = SweepFolder(_root_.hydra.sweep.dir), digest(_settings(_root_))[:DIGEST_LENGTH]
+    """Name of a job's folder below the sweep's folder: equal for equal settings that change results, contents of files,
+    and values of varied keys, such as `threads`.
+    """
+    folder = SweepFolder(_root_.hydra.sweep.dir)
+    sweep, values = folder.load(), map(key_and_value, _root_.hydra.overrides.task)
+    varied = [(key, value) for key, value in values if sweep and key in sweep.varied]
+    without = [f"{key}={value}" for key, value in varied if not changes_results(key)]
+    known = digest(_settings(_root_), *without)[:DIGEST_LENGTH]
     if (before := folder.job_of(known)) is not None:
         return before.name
-    sweep = folder.load()
-    values = [key_and_value(override) for override in _root_.hydra.overrides.task]
-    kept = [f"{key.split('.')[-1]}-{value}" for key, value in values if sweep and key in sweep.varied]
+    kept = [f"{key.split('.')[-1]}-{value}" for key, value in varied]
     return "_".join([*filter(None, [slug("_".join(kept))]), known])
 
 
 def pin_sweep_folder(config: DictConfig) -> Path:
-    """Write the folder of a sweep to the configuration of its jobs, which cannot derive the folder, and return it."""
+    """Write the folder of a sweep to the configuration of its jobs, which cannot derive the folder, and return it.
+
+    The jobs are composed from the overrides as they were given.
+    """
     folder = Path(config.hydra.sweep.dir)
+    sys.argv[1:] = as_given(sys.argv[1:])
     with read_write(config.hydra):
+        config.hydra.overrides.task = as_given(config.hydra.overrides.task)
         config.hydra.sweep.dir = str(folder)
         config.hydra.overrides.hydra.append(f"hydra.sweep.dir={quoted(folder)}")  # jobs are composed from these
     return folder

@@ -63,8 +63,7 @@ class Search(Sweeper):
         try:
             self._search(arguments)
         except InputError as error:
-            print(f"error: hydra.sweeper: {error}", file=sys.stderr)
-            sys.exit(1)
+            sys.exit(f"error: hydra.sweeper: {error}")
 
     def _search(self, arguments: list[str]) -> None:
         from lmd.core.checks import integer

@@ -12,6 +12,7 @@ from hydra.core.utils import JobReturn, JobStatus
 from submitit.core.utils import UncompletedJobError
 from submitit.slurm import slurm
 
+from ...outputs import held
 from .folder import JobFolder
 from .supervisor import end_runs, job_of
 
@@ -67,7 +68,7 @@ class QueuedJob(slurm.SlurmJob[JobReturn]):
         folder.path.mkdir(exist_ok=True)
         folder.path.touch()  # makes a shared file system show the files of the node
         reason = "it left SLURM's queue" if state == GONE else f"SLURM says {state}"
-        with folder.held():  # the job may still run on a node that is slow to end it
+        with held(folder.path):  # the job may still run on a node that is slow to end it
             job = folder.load() or job_of(config.hydra)
             if job.status == "interrupted":
                 reason = "its time was nearly up" if state == "FAILED" else reason
@@ -76,7 +77,7 @@ class QueuedJob(slurm.SlurmJob[JobReturn]):
                 log = f" ({self.paths.stderr})" if self.paths.stderr.exists() else ""
                 job = replace(job, status="killed", reason=reason + log)
                 folder.save(job)
-                end_runs(config.tracking, folder, job, job.reason, named=True)
+                end_runs(config.tracking, folder, job, named=True)
 
 
 def follow_the_queue() -> None:

@@ -20,7 +20,7 @@ from omegaconf import DictConfig
 from ...app import PACKAGE, ends_reported, run_directory
 from ...earlier_run import check_experiment
 from ...nodes import instantiate
-from ...outputs import JOB_VARIABLE
+from ...outputs import JOB_VARIABLE, held
 from ...overrides import config_dir, key_and_value, quoted, search_path
 from ..signals import CODES, Stopped, stop
 from . import forks
@@ -33,6 +33,7 @@ if TYPE_CHECKING:
 SWEEP_VARIABLE = "LMD_SWEEP"  # environment variable with the number of the process that began the sweep
 THREAD_VARIABLES = ("NUMBA_NUM_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 SLURM_SIGNALS = (signal.SIGTERM, signal.SIGUSR2)  # for a cancelled job, and for a job whose time is nearly up
+STOPPED = "the sweep was stopped"
 LOST = "its process was killed, and the sweep with it"
 
 
@@ -69,6 +70,7 @@ def _stop_with_the_sweep() -> None:
     """Signal this process when standard input is closed, which the sweep holds open."""
     while os.read(0, 1):
         pass
+    stop.why = STOPPED
     os.kill(os.getpid(), signal.SIGTERM)  # shells let background jobs ignore SIGINT
 
 
@@ -81,7 +83,7 @@ def _supervise(cfg: DictConfig) -> float | None:
     folder, job = JobFolder(run_directory()), job_of(HydraConfig.get())
     if HydraConfig.get().launcher._target_.endswith("JoblibLauncher"):
         _end_with_the_sweep()
-    with folder.held() as lock:
+    with held(folder.path) as lock:
         if (done := folder.finished()) is not None:
             folder.save(replace(done, number=job.number, varied=job.varied, round=job.round))
             print(f"done already: {job.label}{_figures_text(folder)}", flush=True)
@@ -89,13 +91,15 @@ def _supervise(cfg: DictConfig) -> float | None:
         before = folder.load()
         continued = before is not None and before.status != "failed" and folder.checkpoint.exists()
         if before is not None:
-            end_runs(cfg.tracking, folder, job, LOST)
+            end_runs(cfg.tracking, folder, lost(job))
         is_again = folder.output.exists()
         spent = before.seconds if before is not None and continued else 0.0
         folder.save(replace(job, seconds=spent))
         began = time.monotonic()
         code, interrupted = _execute(cfg, _arguments(cfg, job, folder, continued), folder, lock)
         job = _settled(folder.load() or job, code)
+        if interrupted and job.status in ("killed", "interrupted"):
+            job = lost(job, stopped=True)
         job = replace(job, seconds=spent + time.monotonic() - began)
         folder.save(job)
         if is_again:
@@ -104,8 +108,7 @@ def _supervise(cfg: DictConfig) -> float | None:
             print(f"finished in {job.seconds - spent:.0f} s: {job.label}{_figures_text(folder)}", flush=True)
             return job.value
         print(f"{job.status}: {job.label}: {job.reason} ({folder.output})", flush=True)
-        if job.status != "interrupted":
-            end_runs(cfg.tracking, folder, job, job.reason, named=True)
+        end_runs(cfg.tracking, folder, job, named=job.status != "interrupted")
         if interrupted:
             sys.exit(128 + signal.SIGINT)
         return float("nan")
@@ -228,32 +231,38 @@ def _settled(job: Job, code: int) -> Job:
     return replace(job, status="failed", reason=f"exited with code {code} before it had finished")
 
 
+def lost(job: Job, stopped: bool = False) -> Job:
+    """Job whose process has ended without a record, with the whole sweep, which a signal has `stopped` or not."""
+    return replace(job, status="interrupted" if stopped else "killed", reason=STOPPED if stopped else LOST)
+
+
+@contextmanager
+def _tracker_of(job: Job, tracking: DictConfig, lacking: str) -> "Iterator[Tracker]":
+    """Context with the tracker of a job; a store that cannot be used is reported, with what is `lacking` for it."""
+    from lmd.core.checks import InputError
+
+    try:
+        yield instantiate(tracking)
+    except InputError as error:
+        print(f"{lacking} of {job.label}: {error}", file=sys.stderr)
+
+
 def _keep_newest_run(tracking: DictConfig, folder: JobFolder, job: Job) -> None:
     """Delete the runs of earlier attempts at a job, so that a group of jobs has one run for each."""
-    from lmd.core.checks import InputError
-
-    if job.parent is None:
-        return
-    tracker: Tracker = instantiate(tracking)
-    try:
-        tracker.keep_newest(job.tags(folder.name))
-    except InputError as error:
-        print(f"earlier runs of {job.label} could not be deleted: {error}", file=sys.stderr)
+    if job.parent is not None:
+        with _tracker_of(job, tracking, "not deleted are the earlier runs") as tracker:
+            tracker.keep_newest(job.tags(folder.name))
 
 
-def end_runs(tracking: DictConfig, folder: JobFolder, job: Job, reason: str, named: bool = False) -> None:
-    """Mark the runs that a job's process left running as FAILED; if there are none and `named`, record one."""
-    from lmd.core.checks import InputError
-
+def end_runs(tracking: DictConfig, folder: JobFolder, job: Job, named: bool = False) -> None:
+    """End the runs that a job's process left running, as the job ended; if there are none and `named`, record one."""
     from ..tracking import RunStart
 
     if job.parent is None:
         return
-    tracker: Tracker = instantiate(tracking)
-    try:
-        if not tracker.end_lost(job.tags(folder.name), reason) and named:
+    status, tags = "KILLED" if job.status == "interrupted" else "FAILED", job.tags(folder.name)
+    with _tracker_of(job, tracking, f"not marked as {status} is the run") as tracker:
+        if not tracker.end_lost(tags, job.reason, status) and named:
             name = short_name(job.status, [f"{key}={value}" for key, value in job.varied.items()])
-            tracker.start(RunStart(name, folder.path, tags=job.tags(folder.name) | override_tags(job.overrides)))
-            tracker.finish("FAILED", reason)
-    except InputError as error:
-        print(f"the run of {job.label} could not be marked as failed: {error}", file=sys.stderr)
+            tracker.start(RunStart(name, folder.path, tags=tags | override_tags(job.overrides)))
+            tracker.finish(status, job.reason)

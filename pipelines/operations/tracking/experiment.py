@@ -6,10 +6,13 @@ import zlib
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
+from lmd.core.checks import InputError
+
 from .tracker import PARENT_TAG
 
 if TYPE_CHECKING:
     from mlflow import MlflowClient
+    from mlflow.entities import Experiment
 
 DEFAULT = "0"  # id of the experiment that mlflow makes in every fresh database
 SHARED = "mlflow.sharedViewState."  # prefix of the tag of a shared view
@@ -39,6 +42,9 @@ def prepare(client: "MlflowClient", name: str, artifacts: str | None = None, fre
     Args:
         artifacts: address for the files of a new experiment; None for the default of the store.
         fresh: True if the database was just created and holds only mlflow's own experiment.
+
+    Raises:
+        InputError: the experiment was deleted.
     """
     from mlflow.exceptions import MlflowException
 
@@ -55,6 +61,19 @@ def prepare(client: "MlflowClient", name: str, artifacts: str | None = None, fre
             if fresh and made != DEFAULT:
                 client.delete_experiment(DEFAULT)
             return made
+    return id_of(experiment, client.tracking_uri)
+
+
+def id_of(experiment: "Experiment", uri: str) -> str:
+    """Id of an experiment of the store `uri`.
+
+    Raises:
+        InputError: the experiment was deleted.
+    """
+    if experiment.lifecycle_stage != "active":
+        again = f"`MLFLOW_TRACKING_URI={uri} mlflow experiments restore -x {experiment.experiment_id}` restores it"
+        deleted = f"the experiment {experiment.name!r} was deleted in mlflow"
+        raise InputError(f"{deleted}: {again}, or name another one (tracking.experiment_name).")
     return str(experiment.experiment_id)
 
 

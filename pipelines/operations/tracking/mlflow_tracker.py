@@ -88,9 +88,14 @@ class MlflowTracker:
         """See `Tracker.goes_on`."""
         with self.store.errors_reported():
             self._hand_in_left(folder)
-            run = self.store.client.get_run(run_id)
-        mine = run.data.tags.get("folder") == _absolute(folder)
-        return run.info.status != "FINISHED" and mine and run.data.params == _written(params)
+        run = self.store.find(run_id)
+        if run is None or run.data.tags.get("folder") != _absolute(folder):
+            return False
+        return run.info.status != "FINISHED" and run.data.params == _written(params)
+
+    def has(self, run_id: str) -> bool:
+        """See `Tracker.has`."""
+        return self.store.find(run_id) is not None
 
     def _hand_in_left(self, folder: Path) -> None:
         """Send the journal that a killed run has left in a folder."""
@@ -153,14 +158,14 @@ class MlflowTracker:
             except OSError as full:
                 print(f"warning: what the run has recorded is lost: {full}", file=sys.stderr)
 
-    def end_lost(self, tags: Mapping[str, str], reason: str) -> bool:
+    def end_lost(self, tags: Mapping[str, str], reason: str, status: str = "FAILED") -> bool:
         """See `Tracker.end_lost`."""
         with self.store.errors_reported():
             runs = self.store.runs(_with_tags(tags))
             for run in runs:
                 # Another run that began meanwhile may have ended this run with the reason `GONE`.
                 if run.info.status == "RUNNING" or run.data.tags.get("reason") == GONE:
-                    self.store.send(run.info.run_id, {"end": "FAILED", "reason": reason, "at": now()})
+                    self.store.send(run.info.run_id, {"end": status, "reason": reason, "at": now()})
         return bool(runs)
 
     def keep_newest(self, tags: Mapping[str, str]) -> None:

@@ -12,9 +12,10 @@ from typing import TYPE_CHECKING
 from urllib.parse import urlsplit
 
 from lmd.core.checks import InputError
+from lmd.core.words import escaped
 
 from ..signals import stop
-from .experiment import prepare
+from .experiment import id_of, prepare
 from .tracker import Entry
 
 if TYPE_CHECKING:
@@ -114,6 +115,15 @@ class Store:
         self.client.log_batch(run_id, params=[Param(key, value) for key, value in params.items()])
         return run_id
 
+    def find(self, run_id: str) -> "Run | None":
+        """Run of the experiment; None if the experiment has no such run, or it was deleted.
+
+        Raises:
+            InputError: the store cannot be used.
+        """
+        with self.errors_reported():
+            return next(iter(self.client.search_runs([self.experiment_id], f"attributes.run_id = '{run_id}'")), None)
+
     def runs(self, wanted: str) -> "list[Run]":
         """Runs of all experiments that match mlflow's filter `wanted`."""
         experiments = [experiment.experiment_id for experiment in self.client.search_experiments()]
@@ -152,7 +162,7 @@ class Store:
         elif "end" in entry:
             if entry["reason"]:
                 about = _without_end(client.get_run(run_id).data.tags.get(DESCRIPTION, ""))
-                told = f"{ENDED[entry['end']]}: {entry['reason']}\n\n{about}"
+                told = f"{ENDED[entry['end']]}: {escaped(entry['reason'])}\n\n{about}"
                 tags = {"reason": entry["reason"], DESCRIPTION: told}
                 client.log_batch(run_id, tags=[RunTag(key, value[:TAG_LENGTH]) for key, value in tags.items()])
             client.set_terminated(run_id, entry["end"], entry["at"])
@@ -202,7 +212,7 @@ class MlflowReader:
         experiment_name: mlflow experiment that holds the runs.
 
     Raises:
-        InputError: there is no such store or experiment.
+        InputError: there is no such store or experiment, or the experiment was deleted.
     """
 
     def __init__(self, uri: str, experiment_name: str) -> None:
@@ -212,16 +222,12 @@ class MlflowReader:
         self._is_local = uri.startswith(SQLITE)
         if self._is_local and not database.exists():
             raise InputError(f"tracking.uri = {uri!r}: there is no file {str(database)!r}.")
-        try:
+        with Store(uri, experiment_name).errors_reported():
             self._client = MlflowClient(tracking_uri=uri)
             experiment = self._client.get_experiment_by_name(experiment_name)
-        except Exception as error:
-            if not is_of_store(error):
-                raise
-            raise InputError(f"tracking.uri = {uri!r} cannot be read: {first_line(error)}") from error
         if experiment is None:
             raise InputError(f"{uri} has no experiment called {experiment_name!r} (tracking.experiment_name).")
-        self._experiment_id = str(experiment.experiment_id)
+        self._experiment_id = id_of(experiment, uri)
 
     def runs(self) -> "pd.DataFrame":
         """All runs, the oldest first, indexed by their ids.

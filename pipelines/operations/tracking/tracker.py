@@ -64,11 +64,18 @@ class Tracker(Protocol):
             InputError: the store cannot be used.
         """
 
+    def has(self, run_id: str) -> bool:
+        """True if the run `run_id` can be continued: the experiment has it, and it was not deleted.
+
+        Raises:
+            InputError: the store cannot be used.
+        """
+
     def discard(self) -> None:
         """Delete the started run."""
 
-    def end_lost(self, tags: Mapping[str, str], reason: str) -> bool:
-        """End as FAILED the runs with these tags that are RUNNING, or were ended because their process had ended.
+    def end_lost(self, tags: Mapping[str, str], reason: str, status: str = "FAILED") -> bool:
+        """End the runs with these tags that are RUNNING, or were ended because their process had ended.
 
         Returns:
             False if no run has these tags.
@@ -116,7 +123,11 @@ class NoTracker(Tracker):
         return False
 
     @override
-    def end_lost(self, tags: Mapping[str, str], reason: str) -> bool:
+    def has(self, run_id: str) -> bool:
+        return True
+
+    @override
+    def end_lost(self, tags: Mapping[str, str], reason: str, status: str = "FAILED") -> bool:
         return True
 
     @override
