@@ -150,7 +150,7 @@ def write_history(directory: Path, history: "Sequence[Record]") -> tuple[list[Pa
     """Write the history, the best fitness over a run, unless the disk is full; the result is as in `write_pictures`."""
     from lmd.core.tables import write_table
 
-    return _write_what_fits(directory, {HISTORY_FILE: lambda path: write_table(path, columns_of(history))})
+    return write_what_fits(directory, {HISTORY_FILE: lambda path: write_table(path, columns_of(history))})
 
 
 def columns_of(history: "Sequence[Record]") -> dict[str, list[float]]:
@@ -195,10 +195,10 @@ def write_pictures(
         writers["convergence.png"] = lambda path: save_convergence_figure(path, table, headline, title)
     if page:
         writers["scene.html"] = lambda path: save_scene_page(path, problem, deployment, title)
-    return _write_what_fits(directory, {**writers, **exports})
+    return write_what_fits(directory, {**writers, **exports})
 
 
-def _write_what_fits(directory: Path, writers: Mapping[str, Callable[[Path], object]]) -> tuple[list[Path], list[str]]:
+def write_what_fits(directory: Path, writers: Mapping[str, Callable[[Path], object]]) -> tuple[list[Path], list[str]]:
     """Write the files of `writers` that fit on the disk; the result is as in `write_pictures`."""
     files, failed = [], []
     for name, write in writers.items():

@@ -27,7 +27,7 @@ from .operations.signals import Stopped, stop
 from .operations.sweeps.folder import current_job, reason_of
 from .operations.sweeps.names import override_tags, short_name
 from .operations.tracking import Dataset, RunStart
-from .outputs import write_all, write_figures, write_history, write_pictures
+from .outputs import write_figures, write_history, write_pictures, write_what_fits
 from .provenance import command_line, digest, parameters, repeating, source_tags, write_sources
 
 if TYPE_CHECKING:
@@ -93,6 +93,15 @@ def dataset_of(cfg: DictConfig, problem: Problem) -> Dataset:
     return Dataset(name, digest(settings, placed, problem.count)[:DATASET_DIGITS], words)
 
 
+def in_words(problem: Problem, subject: str) -> str:
+    """Title that says what was placed, objective, visibility and room in words."""
+    scene, of = problem.scene, getattr(problem.scene.visibility, "detector", None)
+    visibility = f"visibility {choices().get('visibility', '')}{f' ({of})' if of else ''}"
+    return (
+        f"{subject}, {problem.count} landmarks: {problem.objective.value_label}; {visibility}; {scene.room.describe()}"
+    )
+
+
 @contextmanager
 def tracked(
     cfg: DictConfig, subject: str, about: str = "", earlier: Earlier | None = None, problem: Problem | None = None
@@ -143,19 +152,18 @@ def tracked(
 
 
 def draw_room(cfg: DictConfig, problem: Problem, tracker: "Tracker") -> None:
-    """Write room.png before anything is computed: a room over a floor plan from a file as it was understood, and where
-    people are in the way.
-    """
+    """Write room.png before anything is computed: the room as it was understood, and where people are in the way."""
     room, crowd = problem.scene.room, problem.scene.crowd
     path, people = getattr(getattr(room, "plan", None), "path", None), None if crowd is None else crowd.people
-    if not cfg.picture or (path is None and people is None):
+    if not cfg.picture:
         return
     from lmd.plot.plans import save_room_figure
 
     title = room.describe() if path is None else f"{Path(path).name}: {room.describe()}"
-    files = write_all(run_directory(), {"room.png": lambda file: save_room_figure(file, room, title, people)})
+    picture = {"room.png": lambda file: save_room_figure(file, room, title, people)}
+    files, failed = write_what_fits(run_directory(), picture)
     tracker.log_artifacts(files)
-    print(f"room     {files[0]}", flush=True)
+    print(f"room     {', '.join([*map(str, files), *failed])}", flush=True)
 
 
 def log_child(
@@ -244,7 +252,7 @@ def record(
             write_figures(directory, problem, deployment, document)
         except OSError as error:
             failed.append(f"metrics.json has no validation ({error.strerror})")
-        title = f"{title_of(problem, subject)}, {problem.scene.room.describe()}"
+        title = in_words(problem, subject)
         exports = export.writers(problem.scene.room, problem.scene.tag, deployment) if export else {}
         try:
             with stop.raising():

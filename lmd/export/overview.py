@@ -10,8 +10,8 @@ from lmd.export.paper import LINE, fill_polygon, shortened, width_of, write_on_w
 from lmd.export.symbols import NAME, WALL, draw_fixture, draw_legend, draw_opening
 from lmd.formats.tag_map import TagMap
 from lmd.space.fixture import KINDS
-from lmd.space.space import Space
-from lmd.space.surface import FLAT, Surface
+from lmd.space.space import Space, outwards
+from lmd.space.surface import FLAT
 
 # On the page, mm.
 AROUND = 11.0  # width of the border around the room, for names
@@ -23,7 +23,6 @@ TAG, ID = 1.8, 2.0  # height of the triangle of a tag, and of the letters of its
 IDS_STEPS = 8  # number of places that are tried for ids in front of a tag
 MANY = 1000  # number of edges of a room above which edges are drawn thinner
 ARROW = 9.0  # length of the arrow to the north
-BEHIND = np.linspace(0.02, 1.0, 20)  # distances behind a surface at which a test looks for the room, over its size
 
 
 def scale_of(room: Space, width: float, height: float, scales: tuple[int, ...]) -> int:
@@ -65,7 +64,7 @@ def draw_floor_plan(canvas: Any, tags: TagMap, left: float, top: float, scale: i
         ends = place(_ends(opening.footprint))
         draw_opening(canvas, opening.kind, ends)
         wall = next((surface for surface in upright if opening.on(surface).area > 0.0), None)
-        way = np.array([0.0, 1.0]) if wall is None else _outwards(tags.room, wall)
+        way = np.array([0.0, 1.0]) if wall is None else outwards(tags.room, wall)
         _write_along(canvas, shortened(opening.name), ends, way, NAME_GAP, taken)
     for body in bodies:
         x, y = place(body.corners).mean(axis=0).tolist()
@@ -89,7 +88,7 @@ def draw_floor_plan(canvas: Any, tags: TagMap, left: float, top: float, scale: i
             continue
         ends = place(surface.point(np.array([0.0, surface.extent[0]]), np.zeros(2)))
         text = shortened(tags.names[index]) + (f": no. {hung[index]}" if index in hung else "")
-        way = surface.normal[:2] if own else _outwards(tags.room, surface)
+        way = surface.normal[:2] if own else outwards(tags.room, surface)
         beside = any(fixture.on(surface).area > 0.0 for fixture in openings if not fixture.has(surface))
         away = OUTER_NAME_GAP if beside and not own else NAME_GAP
         _write_along(canvas, text, ends, way, away, taken, bold=True, needed=index in hung)
@@ -115,16 +114,6 @@ def _ends(footprint: Any) -> FloatArray:
     corners = np.array(getattr(footprint, "exterior", footprint).coords)
     distance = np.linalg.norm(corners[:, None] - corners, axis=-1)
     return corners[list(np.unravel_index(distance.argmax(), distance.shape))]
-
-
-def _outwards(room: Space, surface: Surface) -> FloatArray:
-    """Direction `(2,)` from a wall to its name: behind a wall at the edge of the room, in front of a wall inside the
-    room.
-    """
-    low, high = room.bounds()
-    middle, normal = surface.point(*np.divide(surface.extent, 2.0)), surface.normal
-    behind = middle - np.linalg.norm(high - low) * BEHIND[:, None] * normal
-    return np.asarray(normal if room.contains(behind).any() else -normal)[:2]
 
 
 def _write_along(

@@ -1,11 +1,14 @@
 """Geometry, colours and wording that figures share."""
 
+import textwrap
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from lmd.core.checks import BoolArray, FloatArray, printable
+from lmd.scene.deployment import Deployment
 from lmd.space.space import Space
 
 ARROW_LENGTH = 0.35  # length of the arrow along the normal of a landmark, metres
@@ -28,6 +31,8 @@ HUES = 10  # distinct hues of matplotlib's cycle of colours, tab10
 DASHES = ("-", "--", ":", "-.")
 COLOUR_MAP = "viridis"  # both libraries have this map; its lightness is even, so it can be printed in grey
 AXIS_LABELS = ("x [m]", "y [m]", "z [m]")
+BEHIND_ID = {"facecolor": "white", "alpha": 0.7, "linewidth": 0.0, "pad": 0.5}
+LETTERS_PER_INCH = 9.0  # of titles
 LEAST_TICKS = 3  # least number of ticks of a logarithmic axis, if there are enough round numbers
 # Number of positions whose nearest neighbours are sought; a search tree of all positions would load scipy for each
 # figure.
@@ -117,8 +122,31 @@ def draw_plan(axes: Any, room: Space, **style: Any) -> None:
     """Draw the outline of a room from above."""
     for part, edges in room.outline().items():
         colour, dashed = PARTS[part]
-        for edge in edges:
-            axes.plot(*edge[:, :2].T, color=colour, linestyle="--" if dashed else "-", **style)
+        for i, edge in enumerate(edges):
+            label = "" if i else part  # of the legend
+            axes.plot(*edge[:, :2].T, color=colour, linestyle="--" if dashed else "-", label=label, **style)
+
+
+def draw_tags(axes: Any, deployment: Deployment, groups: Sequence[Group]) -> None:
+    """Draw landmarks from above: arrows along their normals in the colours of groups, and ids before them.
+
+    Landmarks above each other share a text.
+    """
+    at, ways = deployment.positions[:, :2], deployment.normals[:, :2]
+    ids: dict[tuple[float, ...], list[int]] = {}
+    for group in groups:
+        start, arrows = at[group.chosen], ARROW_LENGTH * ways[group.chosen]
+        axes.quiver(*start.T, *arrows.T, color=group.colour, angles="xy", scale_units="xy", scale=1.0,
+                    width=0.003, zorder=3)  # fmt: skip
+        axes.plot(*start.T, "o", color=group.colour, ms=2.5, zorder=3)
+    for number, place, way in zip(deployment.ids, at.round(2), ways.round(1) + 0.0, strict=True):
+        ids.setdefault((*place, *way), []).append(number)
+    for (x, y, right, up), numbers in ids.items():
+        across = "left" if right > 0.5 else "right" if right < -0.5 else "center"
+        along = "bottom" if up > 0.5 else "top" if up < -0.5 else "center"
+        tip = x + ARROW_LENGTH * right, y + ARROW_LENGTH * up
+        axes.annotate(", ".join(map(str, sorted(numbers))), tip, (2.0 * right, 2.0 * up), textcoords="offset points",
+                      ha=across, va=along, fontsize=7, zorder=4, bbox=BEHIND_ID)  # fmt: skip
 
 
 def series(number: int) -> dict[str, str]:
@@ -131,13 +159,18 @@ def literal(text: object) -> str:
     return printable(str(text)).replace("$", r"\$")
 
 
+def wrapped(title: str, inches: float) -> str:
+    """Title in lines that fit into a figure of this width."""
+    return textwrap.fill(literal(title), int(LETTERS_PER_INCH * inches))
+
+
 def new_figure(inches: tuple[float, float], title: str | None = None) -> Any:
     """Make a figure of this width and height at 100 dots per inch, with automatic layout."""
     from matplotlib.figure import Figure  # slow to load
 
     figure = Figure(figsize=inches, dpi=100, layout="constrained", facecolor="white")
     if title is not None:
-        figure.suptitle(literal(title))
+        figure.suptitle(wrapped(title, inches[0]))
     return figure
 
 

@@ -128,7 +128,7 @@ def _landmark_traces(deployment: Deployment, tag: Tag, label: str, colour: str) 
     edges = deployment.edges_of(tag)
     hover = [
         f"landmark {number}<br>{_place(at)}<br>normal ({normal[0]:.4g}, {normal[1]:.4g}, {normal[2]:.4g})"
-        + (f"<br>{tag.square} {edge:g} m" if edge else "")
+        + (f"<br>edge {edge:g} m ({tag.square})" if edge else "")
         for number, at, normal, edge in zip(
             deployment.ids, deployment.positions, deployment.normals + 0.0, edges, strict=True
         )

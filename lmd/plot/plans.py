@@ -13,7 +13,7 @@ from lmd.plot.common import LANDMARK, draw_plan, literal, new_figure, shrink
 from lmd.problem import Problem
 from lmd.scene.deployment import Deployment
 from lmd.space.crowd import RADIUS, X, Y
-from lmd.space.space import Space
+from lmd.space.space import Space, outwards
 from lmd.survey.results import tag_columns
 from lmd.survey.survey import Survey
 
@@ -25,6 +25,7 @@ ARROW_SHARE = 0.08  # length of the median arrow over the length of the room
 WEDGE_SHARE = 0.05  # length of the wedge of a proposed photograph over the length of the room
 ELLIPSE_POINTS = 40
 PERSON, PERSON_ALPHA = "tab:orange", 0.2  # colour and opacity of a person; those of several states overlap
+MOST_WALLS, NAME_POINTS = 60, 7.0  # largest number of named walls, and the distance of their names, points
 MOST_NAMED = 12  # largest number of tags named in the right panel: the tags farthest off
 
 
@@ -47,13 +48,22 @@ def save_room_figure(path: str | Path, room: Space, title: str, people: FloatArr
     axes.set(aspect="equal", xlabel="x [m]", ylabel="y [m]")
     axes.plot(*room.grid()[:, :2].T, ".", color=POSITION, markersize=2.0, label="position of the camera", zorder=1)
     draw_plan(axes, room, lw=1.0)
-    carried = []
+    carried, level = [], [surface.name for surface in room.surfaces() if not surface.is_upright]
+    for surface in sorted(room.surfaces(), key=lambda one: -one.extent[0])[:MOST_WALLS]:
+        if surface.is_upright:
+            middle, way = surface.point(surface.extent[0] / 2.0, 0.0)[:2], NAME_POINTS * outwards(room, surface)
+            axes.annotate(literal(surface.name), middle, way, textcoords="offset points", ha="center", va="center",
+                          fontsize=7, color=LANDMARK, rotation=90.0 * (abs(way[0]) > abs(way[1])))  # fmt: skip
     for surface in room.surfaces():
         allowed = shapely.box(0.0, 0.0, *surface.extent) if surface.allowed is None else surface.allowed
         for piece in shapely.get_parts(allowed) if surface.is_upright else ():
             left, _, right, _ = piece.bounds
             carried.append(surface.point(np.array([left, right]), np.zeros(2))[:, :2])
-    axes.add_collection(LineCollection(carried, colors=LANDMARK, linewidths=2.0, label="landmarks may hang here"))
+    axes.add_collection(
+        LineCollection(
+            carried, colors=LANDMARK, linewidths=4.0, zorder=1, label=", on ".join(["landmarks may hang here", *level])
+        )
+    )
     handles, labels = axes.get_legend_handles_labels()
     if people is not None:
         circles = [Circle(each[[X, Y]], each[RADIUS]) for state in people for each in state]
@@ -95,10 +105,7 @@ def save_accuracy_figure(path: str | Path, deployments: Mapping[str, tuple[Probl
             plan.columns, plan.index, shown, cmap=colours, norm=LogNorm(low, high), shading="nearest"
         )
         draw_plan(axes, problem.scene.room, lw=1.0)
-        arrows = common.ARROW_LENGTH * deployment.normals[:, :2]
-        axes.quiver(*deployment.positions[:, :2].T, *arrows.T, color=LANDMARK, angles="xy",
-                    scale_units="xy", scale=1.0, width=0.003, zorder=3)  # fmt: skip
-        axes.plot(*deployment.positions[:, :2].T, "o", color=LANDMARK, ms=2.5, zorder=3)
+        common.draw_tags(axes, deployment, common.landmark_groups(len(deployment), problem.fixed_count))
         axes.set(xlabel=common.AXIS_LABELS[0], title=literal(heading), aspect="equal")
     panels[0].set_ylabel(common.AXIS_LABELS[1])
     label = "median predicted error of the position [mm];\ngrey where most views see too few landmarks"

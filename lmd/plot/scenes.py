@@ -13,6 +13,7 @@ from lmd.problem import Problem
 from lmd.scene.deployment import Deployment
 from lmd.space.space import Space
 
+SCENE = (15.0, 7.5)  # width and height of the figure of a scene, inches
 BACK, BALLS, FRONT = 1, 2, 3  # z-orders
 BALL_POINTS = 7.0  # diameter of a ball, points
 # Marker of the legend, as a path: for a text, matplotlib would load its parser of formulas.
@@ -22,21 +23,42 @@ ARROW = ((-1.0, 0.0), (1.0, 0.0), (0.4, 0.35), (1.0, 0.0), (0.4, -0.35))
 def save_scene_figure(path: str | Path, problem: Problem, deployment: Deployment, title: str) -> None:
     """Write a PNG of 1500 x 750 pixels: positions coloured by the objective's value, and by qualification.
 
+    Positions at one height are drawn from above, with the ids of the landmarks.
+
     Args:
         path: path of the PNG.
         problem: problem whose room is drawn in black, with the reachable area dashed and grey.
         deployment: landmarks, drawn as red arrows along the normals, or blue arrows if they hung already.
         title: title of the figure.
     """
-    from matplotlib.figure import Figure
-    from matplotlib.lines import Line2D
-
     room, objective, positions = problem.scene.room, problem.objective, problem.places
     values = problem.by_place(problem.values(deployment))
     good = objective.qualified(values)
     groups = common.landmark_groups(len(deployment), problem.fixed_count)
-    figure = Figure(figsize=(15.0, 7.5), dpi=100, facecolor="white")
-    figure.suptitle(common.literal(title), fontsize=17, y=0.97)
+    is_level = np.ptp(positions[:, 2]) == 0.0
+    draw = _draw_from_above if is_level else _draw_in_space
+    figure, bar = draw(room, positions, values, good, deployment, groups, title)
+    bar.set_label(objective.value_label, fontsize=12)
+    bar.ax.axvline(objective.threshold, color="white", linewidth=4.0)
+    bar.ax.axvline(objective.threshold, color="black", linewidth=1.5)
+    lines, dots = _legends(room, groups, common.qualified_labels(good, objective.threshold))
+    if is_level:
+        figure.legend(handles=[*lines, *dots], loc="outside lower center", ncols=6, frameon=False, fontsize=11)
+    else:
+        for handles, x, y in ((lines, 0.5, 0.9), (dots, 0.75, 0.095)):
+            figure.legend(handles=handles, loc="center", bbox_to_anchor=(x, y), ncols=6, frameon=False, fontsize=12)
+    figure.savefig(path)
+
+
+def _draw_in_space(
+    room: Space, positions: FloatArray, values: FloatArray, good: BoolArray, deployment: Deployment,
+    groups: Sequence[common.Group], title: str,
+) -> tuple[Any, Any]:  # fmt: skip
+    """Figure of two views in perspective, and the bar of its colours."""
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=SCENE, dpi=100, facecolor="white")
+    figure.suptitle(common.wrapped(title, SCENE[0]), fontsize=15, y=0.985)
     left, right = (
         figure.add_axes((x, 0.1, 0.5, 0.86), projection="3d", computed_zorder=False) for x in (-0.005, 0.495)
     )
@@ -44,24 +66,43 @@ def save_scene_figure(path: str | Path, problem: Problem, deployment: Deployment
         _draw_surroundings(axes, room, deployment, groups)
     balls = _draw_balls(left, room, positions, c=values, cmap=common.COLOUR_MAP, vmin=0.0, vmax=1.0, alpha=0.7)
     _draw_balls(right, room, positions, c=_faces(good))
+    return figure, figure.colorbar(balls, cax=figure.add_axes((0.1, 0.1, 0.3, 0.022)), orientation="horizontal")
 
-    bar = figure.colorbar(balls, cax=figure.add_axes((0.1, 0.1, 0.3, 0.022)), orientation="horizontal")
-    bar.set_label(objective.value_label, fontsize=12)
-    bar.ax.axvline(objective.threshold, color="white", linewidth=4.0)
-    bar.ax.axvline(objective.threshold, color="black", linewidth=1.5)
+
+def _draw_from_above(
+    room: Space, positions: FloatArray, values: FloatArray, good: BoolArray, deployment: Deployment,
+    groups: Sequence[common.Group], title: str,
+) -> tuple[Any, Any]:  # fmt: skip
+    """Figure of two plans, and the bar of its colours."""
+    from matplotlib.collections import PatchCollection
+    from matplotlib.patches import Rectangle
+
+    figure, (length, width, _) = common.new_figure(SCENE, title), common.size_of(room)
+    panels: Any = figure.subplots(*((2, 1) if length > 2.0 * width else (1, 2)), sharex=True, sharey=True)
+    side = 1.03 * min(common.spacing_of(room, positions), max(length, width) / 10.0)  # no gaps by rounding
+    squares = [Rectangle(tuple(at - side / 2.0), side, side) for at in positions[:, :2]]
+    coloured: dict[str, Any] = {"cmap": common.COLOUR_MAP, "clim": (0.0, 1.0)}
+    for axes, colours in zip(panels, (coloured, {"facecolors": _faces(good)}), strict=True):
+        axes.add_collection(PatchCollection(squares, linewidths=0, zorder=0, **colours))
+        common.draw_plan(axes, room, lw=1.0)
+        common.draw_tags(axes, deployment, groups)
+        axes.set(aspect="equal", xlabel=common.AXIS_LABELS[0], ylabel=common.AXIS_LABELS[1])
+    panels[0].collections[0].set_array(values)
+    return figure, figure.colorbar(panels[0].collections[0], ax=list(panels), orientation="horizontal", aspect=60)
+
+
+def _legends(room: Space, groups: Sequence[common.Group], labels: tuple[str, str]) -> tuple[list[Any], list[Any]]:
+    """Legend entries of the room and the landmarks, and of qualified and unqualified positions."""
+    from matplotlib.lines import Line2D
 
     lines = [
         *(Line2D([], [], color=colour, linestyle=style, label=part) for part, _, colour, style in _parts(room)),
         *_arrows(groups),
     ]
     colours = (common.QUALIFIED, common.UNQUALIFIED)
-    dots = [
-        Line2D([], [], **_symbol("o", 9, colour), label=label)
-        for colour, label in zip(colours, common.qualified_labels(good, objective.threshold), strict=True)
+    return lines, [
+        Line2D([], [], **_symbol("o", 9, colour), label=label) for colour, label in zip(colours, labels, strict=True)
     ]
-    for handles, x, y in ((lines, 0.5, 0.9), (dots, 0.75, 0.095)):
-        figure.legend(handles=handles, loc="center", bbox_to_anchor=(x, y), ncols=6, frameon=False, fontsize=12)
-    figure.savefig(path)
 
 
 def save_deployments_figure(

@@ -88,6 +88,8 @@ class Space(Protocol):
         """Short description, such as `room of 7.5 x 5 x 6 m`."""
 
 
+# Distances behind a surface at which `outwards` looks for the room, over its size.
+BEHIND = np.linspace(0.02, 1.0, 20)
 # Least |n_z| of the unit normal of a level face.
 LEVEL_NORMAL_Z = 0.99
 
@@ -103,6 +105,16 @@ def floor_of(room: Space) -> float:
 def lower_edge(room: Space, surface: Surface) -> float:
     """Height of the lower edge of a wall above the floor, metres; 0 for surfaces that are not upright."""
     return float(surface.origin[2]) - floor_of(room) if surface.is_upright else 0.0
+
+
+def outwards(room: Space, surface: Surface) -> FloatArray:
+    """Direction `(2,)` from a wall to its name: behind a wall at the edge of the room, in front of a wall inside the
+    room.
+    """
+    low, high = room.bounds()
+    middle, normal = surface.point(*np.divide(surface.extent, 2.0)), surface.normal
+    behind = middle - np.linalg.norm(high - low) * BEHIND[:, None] * normal
+    return np.asarray(normal if room.contains(behind).any() else -normal)[:2]
 
 
 def check_positions(trajectory: Trajectory, room: Space) -> None:

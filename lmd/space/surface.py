@@ -80,7 +80,7 @@ class Surface:
         if min(along, up) < 0.0:
             raise InputError(
                 f"surface {self.name} is {min(self.extent):.4g} m wide, too narrow for footprints of "
-                f"{2.0 * margin:.4g} m."
+                f"{2.0 * margin:.4g} m; leave it out of the surfaces, walls or faces of the room."
             )
         if self.allowed is None:
             return replace(self, origin=self.origin + margin * (self.u + self.v), extent=(along, up))

@@ -13,7 +13,7 @@ import pytest
 from mlflow import MlflowClient
 from processes import ROOT, call, environment, inside
 
-FILES = ["convergence.png", "history.csv", "landmarks.csv", "metrics.json", "scene.html", "scene.png"]
+FILES = ["convergence.png", "history.csv", "landmarks.csv", "metrics.json", "room.png", "scene.html", "scene.png"]
 pytestmark = [pytest.mark.slow, pytest.mark.long]
 QUICK = ("localisation=false", "losses=false")  # of an evaluation
 HEADER = "id,x,y,z,nx,ny,nz\n"

@@ -8,6 +8,7 @@ from paper import paper_scene
 
 from lmd.objectives.coverage import Coverage
 from lmd.plot.page import save_scene_page
+from lmd.plot.plans import save_room_figure
 from lmd.plot.scenes import save_scene_figure
 from lmd.problem import Problem
 from lmd.scene import pdf
@@ -45,3 +46,17 @@ def test_the_outline_is_the_floor_plan():
     corners = outline["nothing hangs here"].reshape(-1, 3)
     assert corners.min(axis=0).tolist() == [4.5, 0.0, 0.0]
     assert corners.max(axis=0).tolist() == [5.5, 0.0, 2.0]
+
+
+def test_a_picture_of_a_room_names_its_walls_and_all_its_marks(tmp_path, monkeypatch):
+    saved = []
+    monkeypatch.setattr("matplotlib.figure.Figure.savefig", lambda figure, *_: saved.append(figure))
+    monkeypatch.setattr("lmd.plot.plans.shrink", lambda _: None)
+    for room in (lab(spacing=1.0, surfaces=None), Cuboid((4, 3, 2.5), (3, 2, 1.5), 1.0)):
+        save_room_figure(tmp_path / "room.png", room, "a room")
+        (axes,), (legend,) = saved[-1].axes, saved[-1].legends
+        walls = {surface.name for surface in room.surfaces() if surface.is_upright}
+        assert {text.get_text() for text in axes.texts} == walls
+        labels = {text.get_text() for text in legend.texts}
+        assert labels > {*room.outline(), "position of the camera"}
+        assert any(label.startswith("landmarks may hang here") for label in labels)

@@ -99,6 +99,25 @@ def test_scene_figure_has_the_stated_size_and_shows_qualified_positions_in_the_r
     assert shown["all"] > 500
 
 
+@pytest.mark.parametrize("size", [(3.0, 2.0), (9.0, 2.0)])
+def test_a_scene_at_one_height_is_drawn_from_above_with_ids(size, tmp_path, monkeypatch):
+    saved = []
+    monkeypatch.setattr("matplotlib.figure.Figure.savefig", lambda figure, *_: saved.append(figure))
+    room = Cuboid((*size, 2.5), (size[0] - 1.0, 1.0, 0.5), 0.8)
+    problem = Problem(replace(SCENE, room=room), Coverage(2, THOLD_P), RandomDeployment(9), threads=1)
+    values = np.linspace(0.0, 1.0, len(room.grid()))
+    monkeypatch.setattr(problem, "values", lambda _: values)
+    deployment = problem.draw(np.random.default_rng(0))
+    save_scene_figure(tmp_path / "scene.png", problem, deployment, 20 * "a long title ")
+    left, right, _ = saved[0].axes
+    for axes in (left, right):
+        assert sorted(int(n) for text in axes.texts for n in text.get_text().split(", ")) == list(range(9))
+        assert len(axes.collections[0].get_paths()) == len(values)
+    np.testing.assert_array_equal(left.collections[0].get_array(), values)
+    assert (left.get_position().y0 > right.get_position().y0) == (size[0] > 2.0 * size[1])
+    assert saved[0].get_suptitle().count("\n") == 1
+
+
 def test_what_hung_already_is_blue_and_has_its_own_entry(tmp_path, deployment):
     hangs = replace(deployment[:3], labels=Labels(np.array([8, 9, 30])))
     problem = Problem(SCENE, Coverage(2, THOLD_P), RandomDeployment(4), threads=1, fixed=hangs)
