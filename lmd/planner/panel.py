@@ -13,10 +13,11 @@ from lmd.core.compiled import is_compiling
 from lmd.geometry.frames import roll_pitch_yaw
 from lmd.optimisers.ledger import Budget
 from lmd.planner.actions import call_in_order
-from lmd.planner.colours import FREE, GAINS, PINNED, SEEN, SELECTED, UNKNOWN, VALUES, Rgb, mapped, span_of
+from lmd.planner.colours import FREE, GAINS, PINNED, SEEN, SELECTED, UNKNOWN, VALUES, Rgb, mapped
 from lmd.planner.figures import Additions
 from lmd.planner.plan import MeasuredPlace
 from lmd.planner.tag_search import SearchProgress
+from lmd.render.imaging import UInt8Array
 
 # Gains that surfaces can show: name in the panel, and field of `Additions`.
 ADDITIONS = {"mean value": "value", "fitness": "fitness"}
@@ -25,6 +26,7 @@ HINT = "drag a tag; click a tag, a position or a surface"
 UNDO, REDO, PIN, DELETE, SAVE = "Undo", "Redo", "Pin or unpin", "Delete", "Save"
 RESIZE = "Give the tag this size"
 PLACE, FROM_FLOOR, FROM_BELOW = "Hang it there", "from floor, m", "from below, m"
+OFF_GRID_HEIGHT, TWO_LINES = "9em", "min-height: 2.8em"  # texts that change keep what is below them in place
 YAW, PITCH = "yaw, degrees from x to y", "pitch, degrees down"  # angles of ROS
 WIDTH, GAP = 290.0, 12.0  # width of the legend, and its distance from the lower left corner of the picture, pixels
 OPTIMISE, STOP = "Optimise the free tags", "Stop, keep the best"
@@ -75,6 +77,7 @@ class PlannerPanel:
             self._progress = gui.add_html("")
         with gui.add_folder("What the camera sees"):
             self._seen = gui.add_html("")
+            self._image = gui.add_image(np.zeros((3, 4, 3), np.uint8), visible=False)
             self.yaw = gui.add_slider(YAW, -180.0, 180.0, 1.0, 0.0)
             self.pitch = gui.add_slider(PITCH, -90.0, 90.0, 1.0, 0.0)
             for slider in (self.yaw, self.pitch):
@@ -125,12 +128,12 @@ class PlannerPanel:
 
     def show_off_grid(self, rows: Mapping[str, str]) -> None:
         """Show the figures off the grid."""
-        self._off_grid.content = _table("off-grid", rows)
+        self._off_grid.content = f'<div style="min-height: {OFF_GRID_HEIGHT}">{_table("off-grid", rows)}</div>'
 
     def say(self, text: str, refused: bool = False) -> None:
         """Show a sentence, in red for a refusal."""
         colour = "#c92a2a" if refused else "inherit"
-        self._message.content = _paragraph("message", text, f"color: {colour}")
+        self._message.content = _paragraph("message", text, f"color: {colour}; {TWO_LINES}")
 
     def say_additions(self, found: Additions, index: int) -> None:
         """Show the gains by a tag at the place `index`."""
@@ -142,7 +145,7 @@ class PlannerPanel:
 
     def show_tag(self, text: str | None, measured: MeasuredPlace | None) -> None:
         """Show the selected tag and its place; None for no tag, and for a tag on no surface."""
-        self._tag.content = _paragraph("tag", text or "no tag is selected")
+        self._tag.content = _paragraph("tag", text or "no tag is selected", TWO_LINES)
         if measured is not None:
             self._left.value, self._up.value = round(measured.left, 4), round(measured.up, 4)
             self._up.label = FROM_FLOOR if measured.from_floor else FROM_BELOW
@@ -169,10 +172,14 @@ class PlannerPanel:
             text = f"{progress.used:.0%} of {limits}; best fitness {progress.fitness:.2%}"
         self._progress.content = _paragraph("progress", text)
 
-    def show_values(self, values: FloatArray) -> None:
-        """Show the span of the values of positions `(P,)` in the legend."""
-        self._span = span_of(values)
+    def show_span(self, span: tuple[float, float]) -> None:
+        """Show the least and the greatest value of the colours of positions in the legend."""
+        self._span = span
         self.show_legend(self._most)
+
+    def show_image(self, image: UInt8Array) -> None:
+        """Show what the camera sees, `(h, w)`."""
+        self._image.image, self._image.visible = np.repeat(image[..., None], 3, axis=2), True
 
     def show_legend(self, most: float | None) -> None:
         """Show the legend; `most` is the gain at the brightest place, None while surfaces are grey."""

@@ -2,27 +2,28 @@
 
 import math
 from collections.abc import Sequence
+from functools import cache, cached_property
 from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from lmd.core.checks import BoolArray, FloatArray, IntArray
-from lmd.geometry.squares import upright
+from lmd.core.checks import BoolArray, FloatArray, InputError, IntArray
 from lmd.planner.colours import (
     ASKED,
     FREE,
     GAINS,
     MEASURED,
+    PATTERN,
     PINNED,
     SEEN,
     SELECTED,
     UNKNOWN,
     VALUES,
+    WALL,
     alike,
     mapped,
     rgb,
-    span_of,
 )
 from lmd.planner.figures import candidate_cells
 from lmd.planner.plan import Plan
@@ -35,7 +36,8 @@ from lmd.space.surface import FLAT, Surface
 
 SQUARE = np.array([[-1.0, -1.0, 0.0], [1.0, -1.0, 0.0], [1.0, 1.0, 0.0], [-1.0, 1.0, 0.0]])
 TRIANGLES = np.array([[0, 1, 2], [0, 2, 3]])
-MESH_OPTIONS = {"lod": "off", "cast_shadow": False, "receive_shadow": False}  # options of viser's batched meshes
+SHADOWLESS: dict[str, Any] = {"cast_shadow": False, "receive_shadow": False}
+MESH_OPTIONS: dict[str, Any] = {"lod": "off", **SHADOWLESS}  # options of viser's batched meshes
 TAG_OFFSET_M = 0.01  # distance at which tags are drawn in front of their surface, to be visible, metres
 BALL_RADIUS = 0.12  # radius of a position, relative to the spacing of positions
 POINT_SIZE = 0.008  # half the edge of a point landmark, in diagonals of the room
@@ -73,12 +75,27 @@ class RoomPicture:
         self.cells = self._drawn_cells()
         self.balls = self._drawn_balls()
         self.tags: Any = None
+        self._patterns: Any = None
+        self._has_patterns = True
         self.captions = Captions(self._scene, problem.scene.footprints.hanging.surfaces())
 
     def _draw_outline(self) -> None:
         for name, edges in self._problem.scene.room.outline().items():
             colour = rgb(common.PARTS[name][0])
             self._scene.add_line_segments(f"/outline/{name}", edges, np.array(colour, dtype=np.uint8))
+        walls = [face for face in self._problem.scene.room.faces() if face.is_upright]
+        if walls:  # filled, and like the cells invisible from behind
+            corners = [self._behind(face) for face in walls]
+            self._scene.add_mesh_simple(
+                "/walls", np.concatenate(corners), _squares(len(walls)), color=WALL, side="front", **SHADOWLESS
+            )
+
+    @staticmethod
+    def _behind(face: Surface) -> FloatArray:
+        """Corners of a face, counter-clockwise from its front, slightly behind it, `(4, 3)`."""
+        (length, height), is_left = face.extent, np.cross(face.u, face.v) @ face.normal > 0.0
+        ring = face.point(*np.array([[0.0, 0.0], [length, 0.0], [length, height], [0.0, height]]).T)
+        return np.asarray((ring if is_left else ring[::-1]) - TAG_OFFSET_M * face.normal)
 
     def _drawn_cells(self) -> Any:
         poses, (half_u, half_v) = self.candidates.poses, (self.candidates.half_u, self.candidates.half_v)
@@ -126,7 +143,8 @@ class RoomPicture:
             painted[seen] = SEEN
         painted[deployment.ids == selected] = SELECTED
         places = deployment.positions + TAG_OFFSET_M * deployment.normals
-        turns = _quaternions(*upright(deployment.normals), deployment.normals)
+        ups = deployment.ups
+        turns = _quaternions(np.asarray(np.cross(ups, deployment.normals)), ups, deployment.normals)
         fresh = self.tags is None or len(self.tags.batched_positions) != len(deployment)
         halves = self._halves(deployment)
         if fresh:
@@ -137,9 +155,42 @@ class RoomPicture:
         else:
             self.tags.batched_positions, self.tags.batched_wxyzs, self.tags.batched_colors = places, turns, painted
             self.tags.batched_scales = halves
-        above = places + halves[:, None] * upright(deployment.normals)[1]
+        self._draw_patterns(deployment, places)
+        above = places + halves[:, None] * ups  # an id is at the upper edge of its tag
         self.captions.show_ids(deployment.ids, above, selected, ids)
         return fresh
+
+    def _draw_patterns(self, deployment: Deployment, places: FloatArray) -> None:
+        """Draw the black modules of the tags on their papers, upright as they hang."""
+        tag, modules = self._problem.scene.tag, []
+        if tag.is_point or not self._has_patterns:
+            return
+        rights, ups = np.cross(deployment.ups, deployment.normals), deployment.ups
+        edges = deployment.edges_of(tag) * tag.picture_share / tag.in_family.picture_modules
+        try:
+            pictures = [self._picture_of(number) for number in deployment.ids.tolist()]
+        except InputError:  # the family lacks an id, or the package that draws its tags is missing
+            self._has_patterns = False
+            return
+        for shown, place, right, up, out, edge in zip(
+            pictures, places, rights, ups, deployment.normals, edges, strict=True
+        ):
+            across, down = ((shown - (tag.in_family.picture_modules - 1) / 2.0) * edge).T
+            middles = place + TAG_OFFSET_M / 4.0 * out + across[:, None] * right - down[:, None] * up
+            modules.append(middles[:, None] + edge / 2.0 * (SQUARE[:, :1] * right + SQUARE[:, 1:2] * up))
+        vertices = np.concatenate(modules).reshape(-1, 3)
+        if self._patterns is None or len(self._patterns.vertices) != len(vertices):
+            triangles = _squares(len(vertices) // 4)
+            self._patterns = self._scene.add_mesh_simple(
+                "/patterns", vertices, triangles, color=PATTERN, side="front", **SHADOWLESS
+            )
+        else:
+            self._patterns.vertices = vertices
+
+    @cached_property
+    def _picture_of(self) -> Any:
+        """Columns and rows of the black modules of a tag, by its id."""
+        return cache(lambda number: np.argwhere(~self._problem.scene.tag.picture(number))[:, ::-1])
 
     def _halves(self, deployment: Deployment) -> FloatArray:
         """Half the edges of the papers of tags, `(K,)`, metres; for points, half the drawn size."""
@@ -173,9 +224,9 @@ class RoomPicture:
                 scale=self.depth / 2.0, wxyz=turn, position=place,
             )  # fmt: skip
 
-    def show_values(self, values: FloatArray) -> None:
-        """Colour the positions by values `(P,)`, from the smallest to the largest value."""
-        low, high = span_of(values)
+    def show_values(self, values: FloatArray, span: tuple[float, float]) -> None:
+        """Colour the positions by values `(P,)`; the first and the last colour are the ends of `span`."""
+        low, high = span
         self.balls.batched_colors = mapped(VALUES, (values - low) / (high - low))
 
     def show_additions(self, gains: FloatArray | None) -> None:
@@ -187,6 +238,11 @@ class RoomPicture:
         painted = mapped(GAINS, np.nan_to_num(gains) / (most or 1.0))
         painted[np.isnan(gains)] = UNKNOWN
         self.cells.batched_colors = painted
+
+
+def _squares(count: int) -> IntArray:
+    """Triangles of `count` squares with four corners each, `(2 count, 3)`."""
+    return np.asarray((4 * np.arange(count)[:, None, None] + TRIANGLES).reshape(-1, 3))
 
 
 def _quaternions(right: FloatArray, up: FloatArray, normal: FloatArray) -> FloatArray:

@@ -10,6 +10,7 @@ from lmd.cameras.body import Body
 from lmd.core.checks import FloatArray, InputError
 from lmd.geometry.camera import Camera
 from lmd.geometry.projection import view_edges
+from lmd.geometry.se3 import pose_of
 from lmd.planner.actions import ActionQueue, call_in_order
 from lmd.planner.colours import BODY, SEEN
 from lmd.planner.session import PlanningSession
@@ -50,16 +51,26 @@ class Robot:
         corners = np.vstack([*(body.corners if body else ()), *(mount.translation for mount in mounts)])
         self._radius = depth + float(np.linalg.norm(corners, axis=1).max())
         self.position: FloatArray | None = None
+        self._turn: FloatArray = np.eye(3)
+        self._number: int | None = None
 
     def stand(self, position: FloatArray, turn: FloatArray) -> None:
         """Move the body to a position `(3,)`, metres, and turn it by a rotation `(3, 3)`: ahead, left, up."""
-        self._frame.wxyz = _quaternion(turn)
+        self._turn, self._frame.wxyz = turn, _quaternion(turn)
         self._frame.position, self._frame.visible, self.position = position, True, position
+
+    @property
+    def view(self) -> tuple[Camera, FloatArray]:
+        """Chosen camera, else the first one, and its pose, camera to world, `(4, 4)`."""
+        mount = self._mounts[self._number or 0]
+        place = self.position + self._turn @ np.array(mount.translation)
+        return mount.camera, pose_of(self._turn @ mount.rotation @ OPTICAL, place)
 
     def show(self) -> None:
         """Draw the present cameras; fixed cameras do not change."""
 
     def _show_mounts(self, mounts: tuple[Mount, ...]) -> None:
+        self._mounts = mounts
         for view, mount in zip(self._views, mounts, strict=True):
             view.position, view.wxyz = mount.translation, _quaternion(mount.rotation @ OPTICAL)
 
@@ -81,7 +92,6 @@ class Rigging(Robot):
         assert session.rig is not None, "there are cameras to move"
         super().__init__(server, depth, session.rig, session.space.body if session.space else None)
         self._session, self._actions, self._changed = session, actions, changed
-        self._number: int | None = None
         self._latest: Any = None  # last place and quaternion of the handles that are not applied yet
         self._is_held = False
         with server.gui.add_folder("Cameras"):
@@ -119,7 +129,7 @@ class Rigging(Robot):
     def _choose(self, _: Any) -> None:
         names = self._choice.options[1:]
         self._number = names.index(self._choice.value) if self._choice.value in names else None
-        self.show()
+        self._changed()
 
     def _look_at(self, event: Any) -> None:
         assert self.position is not None, "it stands somewhere"

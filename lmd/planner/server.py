@@ -22,13 +22,14 @@ from lmd.optimisers.ledger import Budget
 from lmd.planner.access import HOST, Access
 from lmd.planner.actions import ActionQueue, call_in_order
 from lmd.planner.background import Background
+from lmd.planner.colours import span_of
 from lmd.planner.panel import DELETE, UNDO, PlannerPanel
 from lmd.planner.picture import MOST_CAPTIONS, RoomPicture
 from lmd.planner.plan import Plan
 from lmd.planner.robot import robot_of
 from lmd.planner.session import PlanningSession
 from lmd.planner.survey_map import SurveyMap
-from lmd.planner.viewing import pointed_at
+from lmd.planner.viewing import pointed_at, seen_by
 from lmd.space.surface import SurfaceArrays
 
 IDLE_SECONDS = 0.5  # time without an action after which background work begins, seconds
@@ -67,6 +68,8 @@ class Planner:
         self._surfaces = SurfaceArrays.of(session.problem.scene.footprints.hanging.surfaces())
         self._selected: int | None = None
         self._dragged: int | None = None
+        self._span = (0.0, 1.0)  # values of the first and the last colour
+        self._is_imaged = False  # the panel shows the image of the present view
         self._pointer: Any = None  # last event of a drag that is not applied yet
         logging.getLogger("websockets.server").setLevel(logging.WARNING)
         self._access = Access()
@@ -133,6 +136,7 @@ class Planner:
             self._show_search()
         elif self._dragged is None:
             self._background.begin()
+            self._show_image()
 
     def _point(self, event: Any) -> None:
         """Record a drag, in viser's thread; only the last place matters."""
@@ -168,6 +172,7 @@ class Planner:
     def _drop(self) -> None:
         self._session.drop()
         self._dragged = None
+        self._show()
 
     def _click_tag(self, event: Any) -> None:
         self._select(event.instance_index)
@@ -263,17 +268,20 @@ class Planner:
             self._show_tags()
             self._robot.show()
             values = session.values()
-            self._picture.show_values(values)
-            self._panel.show_values(values)
+            if self._dragged is None:  # else colours would change their meaning under the pointer
+                self._span = span_of(values)
+            self._picture.show_values(values, self._span)
+            self._panel.show_span(self._span)
             positions, count = len(problem.relevance), len(session.deployment)
-            self._panel.show_figures(problem.objective.describe(session.metrics(), positions, count))
+            rows = problem.objective.describe(session.metrics(), positions, count)
+            self._panel.show_figures(rows | session.gains())
             self._background.announce()
         self._server.flush()
 
     def _show_tags(self) -> None:
         session = self._session
         deployment, plan = session.deployment, session.plan
-        stands = self._robot.position
+        stands, self._is_imaged = self._robot.position, False
         seen = None if stands is None else session.visible_tags(stands, self._panel.view)
         self._panel.show_seen(None if seen is None else np.sort(deployment.ids[seen]))
         if self._selected not in deployment.ids:
@@ -286,6 +294,15 @@ class Planner:
         if self._picture.show_tags(plan, number, seen, self._panel.ids.value):
             self._actions.on(self._picture.tags.on_click, self._click_tag)
             call_in_order(self._picture.tags.on_drag, self._point)
+
+    def _show_image(self) -> None:
+        """Show what the chosen camera sees, if that may have changed."""
+        if self._is_imaged or self._robot.position is None:
+            return
+        self._is_imaged = True
+        image = seen_by(*self._session.posed, *self._robot.view)
+        if image is not None:
+            self._panel.show_image(image)
 
     def _show_or_hide(self, _: Any) -> None:
         self._picture.balls.visible = self._panel.positions.value

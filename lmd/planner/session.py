@@ -57,6 +57,7 @@ class PlanningSession:
         self.posed = Posed(problem, self.plan.deployment)  # replaced at every change
         self._hung = self.plan.pinned
         self._values = Values(problem, deployment)
+        self._opened = self.metrics()
         self._past: list[Plan] = []
         self._future: list[Plan] = []
         self._dragged: object = None
@@ -88,6 +89,11 @@ class PlanningSession:
     def metrics(self) -> dict[str, float]:
         """See `Problem.metrics`."""
         return self._values.metrics()
+
+    def gains(self) -> dict[str, str]:
+        """Differences of the figures to those of the plan that was opened, as a labelled text."""
+        gained = self.metrics()["fitness"] - self._opened["fitness"]
+        return {"since opened": f"{100.0 * gained:+.2f} points of fitness"}
 
     def visible_tags(self, position: FloatArray, turn: FloatArray) -> BoolArray:
         """True for tags that a robot at `position` `(3,)`, metres, covers, `(K,)`; `turn` `(3, 3)`: ahead, left, up."""

@@ -7,6 +7,7 @@ import pytest
 
 from lmd.core.checks import InputError
 from lmd.optimisers.ledger import Budget
+from lmd.planner.colours import span_of
 from lmd.planner.panel import TAGS, PlannerPanel
 from lmd.planner.tag_search import SearchProgress
 
@@ -70,10 +71,10 @@ def test_the_legend_has_colours_with_numbers(gui):
 def test_colours_of_positions_span_the_values_that_are_there(gui):
     panel, values = PlannerPanel(gui, "P", Budget(1), ids=True), np.array([0.02, 0.071, 0.05])
     assert "0.0% <span" in panel._legend.content
-    panel.show_values(values)
+    panel.show_span(span_of(values))
     assert "2.0% <span" in panel._legend.content
     assert "</span> 7.1%" in panel._legend.content
     panel.show_legend(0.5)
     assert "</span> 7.1%" in panel._legend.content  # a legend of surfaces leaves it
-    panel.show_values(np.zeros(3))
+    panel.show_span(span_of(np.zeros(3)))
     assert "</span> 100.0%" in panel._legend.content

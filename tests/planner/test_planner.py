@@ -13,17 +13,23 @@ from small import problem
 
 from lmd.core.checks import InputError
 from lmd.formats.trajectories import read_recorded_poses
+from lmd.geometry.projection import project
+from lmd.geometry.se3 import pose_of
+from lmd.geometry.squares import corners
 from lmd.objectives.coverage import Coverage
 from lmd.optimisers.ledger import Budget
 from lmd.optimisers.random_search import RandomSearch
 from lmd.planner.background import TO_COME
 from lmd.planner.panel import PlannerPanel
-from lmd.planner.picture import BALL_RADIUS, Captions, RoomPicture
+from lmd.planner.picture import BALL_RADIUS, TAG_OFFSET_M, Captions, RoomPicture
 from lmd.planner.server import Planner
 from lmd.planner.session import PlanningSession
 from lmd.planner.survey_map import SurveyMap
+from lmd.planner.viewing import seen_by
 from lmd.problem import Problem
+from lmd.scene.deployment import Deployment
 from lmd.scene.deployment_sources import RandomDeployment
+from lmd.scene.tag import Tag
 from lmd.space.floor_plan import FloorPlan
 
 viser = pytest.importorskip("viser")
@@ -177,3 +183,48 @@ def test_ids_follow_the_tags_and_only_changes_are_sent():
     assert [label.visible for label in labels.values()] == [True, False, False]
     named.show_ids(ids, places, None, True)
     assert [label.visible for label in labels.values()] == [True, True, True]
+
+
+def test_tags_are_drawn_with_their_pattern_and_walls_are_filled(planner):
+    planned = problem(tag=Tag(0.2))
+    picture, deployment = planner(planned)._picture, planned.draw(np.random.default_rng(0))
+    modules = picture._patterns.vertices.reshape(-1, 4, 3)
+    assert len(modules) == sum((~planned.scene.tag.picture(number)).sum() for number in deployment.ids)
+    first = modules[: (~planned.scene.tag.picture(deployment.ids[0])).sum()].reshape(-1, 3)
+    own = corners(deployment.places, deployment.normals, deployment.ups, np.full(len(deployment), 0.2))[0]
+    away = np.linalg.norm(own[:, None] - first, axis=2).min(axis=1)
+    np.testing.assert_allclose(away, 1.25 * TAG_OFFSET_M, atol=1e-6)  # the black border ends at the tag's corners
+
+
+def test_colours_stay_while_a_tag_is_dragged_and_figures_say_what_changed(planner, monkeypatch):
+    shown = planner(problem())
+    session, spans, rows = shown._session, [], []
+    monkeypatch.setattr(shown._panel, "show_span", spans.append)
+    monkeypatch.setattr(shown._panel, "show_figures", rows.append)
+    before, number = session.metrics()["fitness"], int(session.deployment.ids[0])
+    for values in (np.array([0.2, 0.6]), np.array([0.0, 0.9])):
+        monkeypatch.setattr(session, "values", lambda values=values: values)
+        monkeypatch.setattr(shown._picture, "show_values", lambda *_: None)
+        session.drag(number, 1, np.array([0.3, 0.4]))
+        shown._show()
+        shown._dragged = number
+    shown._drop()
+    assert spans == [(0.2, 0.6), (0.2, 0.6), (0.0, 0.9)]
+    gained = 100.0 * (session.metrics()["fitness"] - before)
+    assert rows[-1]["since opened"] == f"{gained:+.2f} points of fitness"
+
+
+def test_the_image_of_a_camera_shows_its_tags_where_they_are_projected():
+    planned = problem(tag=Tag(0.6))
+    place = np.array([[0.0, 2.0, 2.0]])  # on x_min, straight ahead of the camera, 0.2 m to its right
+    one = Deployment(place, np.array([[1.0, 0.0, 0.0]])).with_surfaces(planned.scene.room)
+    back, camera = np.array([[0.0, 0.0, -1.0], [1.0, 0.0, 0.0], [0.0, -1.0, 0.0]]), planned.scene.cameras[0]
+    pose = pose_of(back, np.array([3.0, 1.8, 2.0]))
+    image = seen_by(planned, one, camera, pose)
+    assert image.shape == (240, 320)
+    u, v = project(camera, pose, place)[0] * 320 / camera.image_width
+    half = 0.3 / 3.0 * camera.focal_length / camera.pixel_width * 320 / camera.image_width
+    border = [image[round(v), round(u + side * 0.93 * half)] for side in (-1, 1)]
+    beside = [image[round(v), round(u + side * 1.12 * half)] for side in (-1, 1)]
+    assert max(border) + 60 < min(beside)  # black within the corners, white paper beyond
+    assert seen_by(problem(), one, camera, pose) is None

@@ -76,7 +76,7 @@ def test_on_a_body_a_camera_moves_to_the_nearest_allowed_mount():
     planned.mount(0, np.array([0.3, 0.02, 0.15]), turned(0.1))
     assert planned.rig.mounts[0] == Mount(CAMERA, (0.22, 0.02, 0.15), yaw=0.1)
     planned.mount(0, np.array([0.05, 0.16, 0.1]), turned(1.5))  # overlaps the kept-out part
-    assert planned.rig.mounts[0].translation == (0.0, 0.17, 0.1)
+    assert planned.rig.mounts[0].translation == (-0.02, 0.17, 0.1)  # and its margin of 2 cm
     planned.mount(0, np.array([0.22, 0.0, 0.1]), turned(np.pi))  # turned away from its body
     assert planned.space.own_part(planned.rig.mounts[0]) == 0.0
     check(planned)
