@@ -62,9 +62,12 @@ def build_problem(cfg: DictConfig, count: str = "deployment.count") -> "Problem"
     """
     from lmd.problem import Problem
 
-    parts = build_parts(cfg, count)
-    with keyed("objective", rig="camera.rig"):
-        return Problem(*parts)
+    from .progress import doing
+
+    with doing("building the problem"):
+        parts = build_parts(cfg, count)
+        with keyed("objective", rig="camera.rig"):
+            return Problem(*parts)
 
 
 def build_parts(cfg: DictConfig, count: str = "deployment.count") -> Parts:

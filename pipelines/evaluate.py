@@ -41,12 +41,14 @@ def evaluate(cfg: DictConfig) -> float:
     from lmd.core.compiled import clock
     from lmd.optimisers.ledger import Record
 
+    from .progress import doing
     from .tracked_run import Extras, draw_room, record, title_of, tracked
 
     began = clock()
     problem = build_problem(cfg)
     seed = seed_number(cfg.seed)
-    deployment = plan = problem.draw(np.random.default_rng(seed))
+    with doing("placing the landmarks"):
+        deployment = plan = problem.draw(np.random.default_rng(seed))
     with keyed("deployment", path=MEASURED, family="tag.family"):
         if cfg.deployment.measured is not None:
             from lmd.evaluation.measured import read_measured  # slow to load
@@ -59,19 +61,20 @@ def evaluate(cfg: DictConfig) -> float:
     with tracked(cfg, subject, problem=problem) as tracker:
         draw_room(cfg, problem, tracker)
         drawn, asked = bool(cfg.picture), [name for name in ("losses", "sensitivity") if cfg[name]]
-        summary: dict[str, Any] = localise(problem, deployment, seed, tracker, drawn) if cfg.localisation else {}
         texts = []
-        for name, study, draw, about in studies(asked, problem, plan, deployment, error, seed):
-            tracker.log_artifacts(
-                write_study(run_directory(), name, study, draw if drawn else None, title_of(problem, about))
-            )
-            figures = study.metrics()
-            if name == "losses":  # figures of the deployment, like its fitness
-                summary |= figures
-            else:
-                summary[name] = figures
-                tracker.log_metrics({f"{name}/{key}": value for key, value in figures.items()})
-            texts.append(f"\n{study.to_text()}\n")
+        with doing("studying the deployment"):
+            summary: dict[str, Any] = localise(problem, deployment, seed, tracker, drawn) if cfg.localisation else {}
+            for name, study, draw, about in studies(asked, problem, plan, deployment, error, seed):
+                tracker.log_artifacts(
+                    write_study(run_directory(), name, study, draw if drawn else None, title_of(problem, about))
+                )
+                figures = study.metrics()
+                if name == "losses":  # figures of the deployment, like its fitness
+                    summary |= figures
+                else:
+                    summary[name] = figures
+                    tracker.log_metrics({f"{name}/{key}": value for key, value in figures.items()})
+                texts.append(f"\n{study.to_text()}\n")
         figures = record(Extras.of(cfg), problem, tracker, deployment, history, subject=subject, summary=summary)
         print("".join(texts), end="")
         return figures["fitness"]

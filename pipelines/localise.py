@@ -36,6 +36,7 @@ def localise(cfg: DictConfig) -> None:
     from lmd.plot.localised import save_localised_figure
     from lmd.scene.rig import Rig
 
+    from .progress import doing
     from .tracked_run import keep, tracked
 
     seed_number(cfg.seed)
@@ -62,7 +63,8 @@ def localise(cfg: DictConfig) -> None:
     ):
         mounts = given.mounted if isinstance(given, Rig) else None
         errors = CORNER_ERRORS[name.removesuffix("_fine")]
-        found = find(seen, given.cameras, tag, errors, known, mounts, odometry, steady, room, calibrate)
+        with doing("localising"):
+            found = find(seen, given.cameras, tag, errors, known, mounts, odometry, steady, room, calibrate)
     if bag:
         with keyed("localise"):
             check_pose_bag(seen.times)

@@ -231,10 +231,12 @@ def all_or_none(directory: Path, write: Callable[[Path], object]) -> list[Path]:
 
 def write_all(directory: Path, writers: Mapping[str, Callable[[Path], object]]) -> list[Path]:
     """Write the files of `writers`, functions by file name, all or none; see `all_or_none`."""
+    from .progress import doing
 
     def fill(folder: Path) -> None:
         for name, write in writers.items():
-            write(folder / name)
+            with doing(f"writing {name}"):
+                write(folder / name)
 
     return all_or_none(directory, fill)
 

@@ -1,16 +1,17 @@
 """Progress of a run: bar, curve, checkpoints."""
 
+import itertools
 import math
 import sys
 import threading
 import time
 from bisect import bisect_left, bisect_right
-from collections.abc import Callable, Sequence
-from contextlib import suppress
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, suppress
 from functools import partial
 from pathlib import Path
 from types import TracebackType
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Self
 
 from tqdm import tqdm
 
@@ -30,7 +31,7 @@ ROUNDING = 1e-6  # evaluations are sums of parts 1/K
 PATIENCE = 5.0  # time that an optimiser may take to end before a message, seconds
 LOOK_SECONDS = 0.2  # time between two looks at the optimiser, seconds
 LOG_SECONDS = 15.0  # time between two lines of progress in a file, seconds
-SHOWN_AFTER = 2.0  # time after which the stages of a survey are shown, seconds
+SHOWN_AFTER = 2.0  # time after which a step is shown, seconds
 
 
 def curve(history: Sequence[Record], budget: Budget, until: float = math.inf) -> list[tuple[int, float, float]]:
@@ -173,45 +174,29 @@ class Watch:
                 tell(f"{why}, {waited}; {again} to stop at once with the best so far")
 
 
-class Stages:
-    """Shows the stage of a survey, its progress and its longest remaining time; a `lmd.survey.survey.Observer`.
+class Steps:
+    """Shows the step of a command, its progress and its longest remaining time.
 
-    Shows nothing of a survey that ends within `SHOWN_AFTER` seconds.
+    Shows nothing of a context that ends within `SHOWN_AFTER` seconds.
     """
 
     def __init__(self) -> None:
-        self.interrupted: SurveyStage | None = None
-        self._now: tuple[SurveyStage, int, int] | None = None
+        self._now: tuple[str, int, int] | None = None
         self._began = 0.0
         self._ended = threading.Event()
         self._thread = threading.Thread(target=self._show, daemon=True)
 
-    def __call__(self, stage: "SurveyStage", done: int = 0, most: int = 0) -> bool:
-        """Note the stage, and return whether the survey is to stop; see `lmd.survey.survey.Observer`."""
-        if stop.requested and self.interrupted is None and self._now is not None:
-            self.interrupted = self._now[0]
-        if self._now is None or stage is not self._now[0]:
+    def note(self, step: str, done: int = 0, most: int = 0) -> None:
+        """Note a step, the number of its finished parts, and their maximum number, 0 if unknown."""
+        if self._now is None or step != self._now[0]:
             self._began = time.time()
-        self._now = stage, done, most
-        return stop.requested
+        self._now = step, done, most
 
-    @property
-    def doing(self) -> str:
-        """Name of the stage."""
-        return "reading photographs or detections" if self._now is None else self._now[0].value
-
-    @property
-    def has_map(self) -> bool:
-        """True when a map is worth writing."""
-        return self._now is not None and self._now[0].has_map
-
-    def __enter__(self) -> "Stages":
+    def __enter__(self) -> Self:
         self._thread.start()
         return self
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
-        if stop.requested and self.interrupted is None and self._now is not None:
-            self.interrupted = self._now[0]
         self._ended.set()
         self._thread.join()
 
@@ -222,13 +207,60 @@ class Stages:
             wait = LOOK_SECONDS if sys.stderr.isatty() else LOG_SECONDS
             if self._now is None:
                 continue
-            stage, done, most = self._now
+            step, done, most = self._now
             look = None if most else "{desc} [{elapsed}]"
             with suppress(OSError):  # the terminal may be closed
                 if shown is None:
-                    shown = tqdm(desc=stage.value, total=most or None, unit=" steps", bar_format=look, leave=False)
+                    shown = tqdm(desc=step, total=most or None, unit=" steps", bar_format=look, leave=False)
                 shown.start_t, shown.n, shown.total, shown.bar_format = self._began, done, most or None, look
-                shown.set_description_str(f"{stage.value}, {most} steps at most: " if most else stage.value)
+                shown.set_description_str(f"{step}, {most} steps at most: " if most else step)
         if shown is not None:
             with suppress(OSError):
                 shown.close()
+
+
+@contextmanager
+def doing(step: str, most: int = 0) -> Iterator[Callable[[], None]]:
+    """Context of a step that is shown if it takes longer than `SHOWN_AFTER` seconds.
+
+    Yields:
+        function to call at the beginning of each of at most `most` parts of the step.
+    """
+    steps, finished = Steps(), itertools.count()
+    steps.note(step, 0, most)
+    with steps:
+        yield lambda: steps.note(step, next(finished), most)
+
+
+class Stages(Steps):
+    """Shows the stages of a survey; a `lmd.survey.survey.Observer`."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.interrupted: SurveyStage | None = None
+        self._stage: SurveyStage | None = None
+
+    def __call__(self, stage: "SurveyStage", done: int = 0, most: int = 0) -> bool:
+        """Note the stage, and return whether the survey is to stop; see `lmd.survey.survey.Observer`."""
+        self._note_interrupt()
+        self._stage = stage
+        self.note(stage.value, done, most)
+        return stop.requested
+
+    @property
+    def doing(self) -> str:
+        """Name of the stage."""
+        return "reading photographs or detections" if self._stage is None else self._stage.value
+
+    @property
+    def has_map(self) -> bool:
+        """True when a map is worth writing."""
+        return self._stage is not None and self._stage.has_map
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
+        self._note_interrupt()
+        super().__exit__(kind, error, at)
+
+    def _note_interrupt(self) -> None:
+        if stop.requested and self.interrupted is None:
+            self.interrupted = self._stage

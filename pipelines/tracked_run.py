@@ -13,7 +13,7 @@ from omegaconf import DictConfig
 
 from lmd.core.checks import InputError
 from lmd.core.words import as_code, escaped
-from lmd.evaluation.validation import describe_validation, headline_off_grid, validation_metrics
+from lmd.evaluation.validation import Sample, describe_validation, headline_off_grid, validation_metrics
 from lmd.evaluation.verdicts import causes
 from lmd.objectives.crowd import describe_crowd
 from lmd.optimisers.ledger import Record
@@ -28,6 +28,7 @@ from .operations.sweeps.folder import current_job, reason_of
 from .operations.sweeps.names import override_tags, short_name
 from .operations.tracking import Dataset, RunStart
 from .outputs import write_figures, write_history, write_pictures, write_what_fits
+from .progress import doing
 from .provenance import command_line, digest, parameters, repeating, source_tags, write_sources
 
 if TYPE_CHECKING:
@@ -234,9 +235,11 @@ def record(
     figures = {key: value for key, value in summary.items() if isinstance(value, int | float)}
     validation, why = {}, None
     if not in_haste:
-        figures |= further()
-        why = causes(problem.scene, deployment, extras.seed)
-        validation = validation_metrics(problem, deployment, extras.seed) if extras.validate else {}
+        with doing("scoring off the grid", Sample.groups) as next_group:
+            figures |= further()
+            why = causes(problem.scene, deployment, extras.seed)
+            if extras.validate:
+                validation = validation_metrics(problem, deployment, extras.seed, between=next_group)
     if validation:
         figures["off_grid"] = validation[headline_off_grid(problem)]
     tracker.log_metrics(metrics | figures)

@@ -10,6 +10,7 @@ from contracts.optimiser import check_going_on
 from paper import paper_camera, paper_room, paper_scene
 
 from lmd.core.checks import InputError
+from lmd.evaluation import validation
 from lmd.evaluation.accuracy import accuracy_metrics
 from lmd.evaluation.bounds import Search, affordable, average_upper_bound, fitness_upper_bound
 from lmd.evaluation.losses import losses
@@ -214,3 +215,16 @@ def test_a_class_with_covered_alone_is_told_what_to_derive_from():
         InputError, match=r"Bare has `covered` and no `sight`: derive it from lmd\.scene\.criteria\.Covering"
     ):
         replace(paper_scene(), visibility=Bare())
+
+
+def test_criteria_in_numpy_are_validated_at_as_many_positions_as_the_counted_work_allows(monkeypatch):
+    compiled, alone = problems(Coverage(1, 0.3))
+    deployment, sample = hung(compiled.scene), Sample(4, 200, 4)
+    expected = validation_metrics(compiled, deployment, 0, sample)
+    assert validation_metrics(alone, deployment, 0, sample) == expected
+    monkeypatch.setattr(validation, "MOST_WORK", 20 * 5400)  # some 20 positions, a fortieth
+    found = validation_metrics(alone, deployment, 0, sample)
+    assert validation_metrics(compiled, deployment, 0, sample) == expected
+    for key in ("finer_grid_qualified_ratio", "grid_free_average_coverage_probability"):
+        assert 0.0 < abs(found[key] - expected[key]) < 4.0 * found[f"{key}_standard_error"] < 0.8
+    assert "+- " in validation.describe_validation(alone, found)[validation.FINER]

@@ -67,7 +67,7 @@ def accuracy_metrics(problem: Problem, deployment: Deployment, seed: int, sample
     """
     parts = []
     scene = problem.scene.sized(deployment.edges)
-    for evaluator in sampled_evaluators(scene, seed, sample, problem.evaluator.threads):
+    for evaluator in sampled_evaluators(scene, len(deployment), seed, sample, problem.evaluator.threads):
         errors, covered = predicted_errors(problem, deployment, evaluator)
         parts.append((errors, np.broadcast_to(evaluator.scene.probability(evaluator.positions), errors.shape), covered))
     errors, weights, covered = (np.concatenate([part[i].reshape(-1) for part in parts]) for i in range(3))

@@ -208,7 +208,7 @@ def off_grid_figures(problem: Problem, deployments: list[Deployment], seed: int,
         return pd.DataFrame([objective.off_grid(problem.evaluator, each) for each in deployments])
     positions, normals = (np.stack([getattr(d, name) for d in deployments]) for name in ("positions", "normals"))
     groups: list[dict[str, FloatArray]] = []
-    for evaluator in sampled_evaluators(problem.scene, seed, sample, problem.evaluator.threads):
+    for evaluator in sampled_evaluators(problem.scene, problem.count, seed, sample, problem.evaluator.threads):
         shares = objective.shares(objective.values(evaluator, positions, normals))
         groups.append({f"grid_free_{key}": share.mean(axis=1) for key, share in shares.items()})
     return pd.DataFrame({key: np.mean([group[key] for group in groups], axis=0) for key in groups[0]})

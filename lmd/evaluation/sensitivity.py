@@ -124,7 +124,7 @@ def sensitivity(problem: Problem, deployment: Deployment, seed: int, sample: Sam
         sample: size of the sample.
     """
     variants = _variants(problem, deployment)
-    groups = enumerate(sampled_evaluators(problem.scene, seed, sample, threads=1))
+    groups = enumerate(sampled_evaluators(problem.scene, problem.count, seed, sample, threads=1))
     measure = partial(_measure, deployment, as_localisation(problem.objective), variants, seed)
     parts = at_once(problem.evaluator.threads, measure, groups)
     assumed, missed, without, failed = (np.mean(part, axis=0) for part in zip(*parts, strict=True))

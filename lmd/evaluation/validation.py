@@ -42,9 +42,13 @@ if TYPE_CHECKING:
 
 # Separates the random numbers of the sample from other uses of the seed.
 VALIDATION_STREAM = 0x76616C
+FINER = "on a finer grid"  # label of the figure on the finer grid, in objectives that have one
 # Least number of positions in each crowd state of a group.
 POSITIONS_IN_A_STATE = 256
-MOST_OF_A_RIG = 64, 8  # largest `positions` and `divisions` for a rig whose criteria have no compiled half
+# Criteria without a compiled half are evaluated at as many positions as take some seconds: the work is counted, as the
+# time would depend on the machine. A unit is a pair of an orientation and a landmark; a call of `covered` costs more.
+MOST_WORK, CALL_WORK = 10**8, 5000
+FINEST_OF_A_RIG = 8  # largest `divisions` for a rig with such criteria, which take a call for each orientation
 
 
 @dataclass(frozen=True)
@@ -98,11 +102,15 @@ def validation_metrics(
         return objective.off_grid(problem.evaluator.sized(deployment.edges), deployment)
     if scene.recorded is not None:
         return held_out_metrics(problem, deployment, scene.recorded)
-    finer = Evaluator(replace(scene, room=scene.room.finer(), pdf=scene.pdf.finer()), threads=problem.evaluator.threads)
-    landmarks = deployment.positions[None], deployment.normals[None]
-    on_finer_grid = objective.shares(objective.values(finer, *landmarks)[0])
-    key = objective.headline.key
-    metrics = {f"finer_grid_{key}": float(on_finer_grid[key].mean())}
+    finer, threads = replace(scene, room=scene.room.finer(), pdf=scene.pdf.finer()), problem.evaluator.threads
+    landmarks, places = (deployment.positions[None], deployment.normals[None]), finer.room.grid()
+    most, key = affordable_positions(finer, len(deployment)), objective.headline.key
+    if is_part := len(places) > most:
+        places = np.random.default_rng([seed, VALIDATION_STREAM]).permutation(places)[:most]
+    on_finer_grid = objective.shares(objective.values(Evaluator(finer, places, threads), *landmarks)[0])[key]
+    metrics = {f"finer_grid_{key}": float(on_finer_grid.mean())}
+    if is_part:
+        metrics[f"finer_grid_{key}_standard_error"] = float(on_finer_grid.std() / math.sqrt(most))
     sampled = sampled_values(problem, deployment, seed, sample or Sample(), between)
     every = dict(objective.shares(sampled))
     if scene.crowd is not None:  # a state of a group has all positions of that group
@@ -118,6 +126,9 @@ def describe_validation(problem: Problem, figures: Mapping[str, float]) -> dict[
     if problem.scene.recorded is not None:
         return describe_held_out(figures)
     rows = dict(problem.objective.describe_validation(figures))
+    error = figures.get(f"finer_grid_{problem.objective.headline.key}_standard_error")
+    if error is not None and FINER in rows:
+        rows[FINER] += f", +- {error:.2%} as only some of its positions were taken"
     key = f"grid_free_{WORST}{problem.objective.headline.key}"
     if key in figures and problem.scene.crowd is not None:
         rows["worst crowds off the grid"] = (
@@ -156,28 +167,41 @@ def sampled_values(
     landmarks = deployment.positions[None], deployment.normals[None]
     values = []
     scene = problem.scene.sized(deployment.edges)
-    for evaluator in sampled_evaluators(scene, seed, sample, problem.evaluator.threads):
+    for evaluator in sampled_evaluators(scene, problem.count, seed, sample, problem.evaluator.threads):
         between()
         values.append(problem.objective.values(evaluator, *landmarks)[0])
     return np.stack(values)
 
 
-def sampled_evaluators(scene: Scene, seed: int, sample: Sample, threads: int) -> Iterator[Evaluator]:
+def affordable_positions(scene: Scene, count: int) -> float:
+    """Number of positions at which `count` landmarks are evaluated in some seconds; infinite with a compiled half.
+
+    Evaluations with a crowd take as much longer as there are states.
+    """
+    if scene.is_compiled:
+        return math.inf
+    axes, states = len(scene.orientations.axes) * len(scene.cameras), 1 if scene.crowd is None else len(scene.crowd)
+    calls = 1 if scene.rig is None else axes
+    return max(1, MOST_WORK // (states * (calls * CALL_WORK + axes * count)))
+
+
+def sampled_evaluators(scene: Scene, count: int, seed: int, sample: Sample, threads: int) -> Iterator[Evaluator]:
     """Yield an evaluator for each group of a sample: its positions, with the orientations that they share.
 
-    A rig whose criteria have no compiled half is evaluated orientation by orientation, so its groups are smaller.
+    The groups are smaller for `count` landmarks that criteria without a compiled half take long to evaluate.
     """
-    if scene.rig is not None and not scene.is_compiled:
-        most, finest = MOST_OF_A_RIG
-        sample = Sample(sample.groups, min(sample.positions, most), min(sample.divisions, finest))
     rng = np.random.default_rng([seed, VALIDATION_STREAM])
     by_reference = PYTHON and scene.rig is None  # kernels in plain Python would take hours
     size, states = sample.positions, 1 if scene.crowd is None else len(scene.crowd)
+    divisions = sample.divisions if scene.rig is None or scene.is_compiled else min(sample.divisions, FINEST_OF_A_RIG)
     if states > 1:
         size = max(math.ceil(size / states), min(size, POSITIONS_IN_A_STATE))
+    if not scene.is_compiled:
+        alike = replace(scene, pdf=scene.pdf.stratified(divisions, np.random.default_rng(0)))
+        size = int(min(size, max(1.0, affordable_positions(alike, count) / sample.groups)))
     for _ in range(sample.groups):
         positions = scene.room.sample_evenly(size, rng)
-        drawn = replace(scene, pdf=scene.pdf.stratified(sample.divisions, rng))
+        drawn = replace(scene, pdf=scene.pdf.stratified(divisions, rng))
         if scene.crowd is not None:
             drawn = replace(drawn, crowd=scene.crowd.crowd.drawn(scene.room, rng))
         yield Evaluator(drawn, positions, threads, by_reference)

@@ -4,6 +4,7 @@ import csv
 import errno
 import json
 import signal
+import time
 
 import numpy as np
 import pytest
@@ -14,10 +15,9 @@ from lmd.optimisers.base import Optimiser
 from lmd.optimisers.checkpoint import CHECKPOINT_FILE, Checkpoint
 from lmd.optimisers.ega import EGA
 from lmd.optimisers.ledger import Budget
-from pipelines import outputs, tracked_run
+from pipelines import outputs, progress, tracked_run
 from pipelines.operations.signals import Stopped
 from pipelines.operations.tracking.tracker import NoTracker
-from pipelines.progress import Progress
 
 CFG = OmegaConf.create({"seed": 0, "validate": True, "picture": True, "page": False})
 
@@ -95,18 +95,18 @@ def test_a_method_that_cannot_be_checkpointed_is_named_when_the_run_starts(tmp_p
         def found(self, problem):
             return None
 
-    progress = Progress(Budget(9), NoTracker(), Checkpoint(Mine(), {}), tmp_path, 10.0, logged=False)
+    shown = progress.Progress(Budget(9), NoTracker(), Checkpoint(Mine(), {}), tmp_path, 10.0, logged=False)
     warning = "warning: no checkpoint can be written (Mine cannot be checkpointed: it does not say what its state is); "
     assert capsys.readouterr().err.startswith(f"{warning}the run goes on\n")
-    progress.flush(Mine())
-    progress.close()
+    shown.flush(Mine())
+    shown.close()
     assert "warning" not in capsys.readouterr().err
     assert not list(tmp_path.iterdir())
 
 
 @pytest.mark.parametrize("weight", [1.0, 3.0])
 def test_the_fitness_is_printed_where_positions_differ_in_their_relevance(weight, found, monkeypatch, capsys):
-    monkeypatch.setattr(tracked_run, "validation_metrics", lambda *_: {})
+    monkeypatch.setattr(tracked_run, "validation_metrics", lambda *_, **__: {})
     p, result, arguments = found
     p.relevance = np.where(np.arange(len(p.relevance)) == 0, weight, p.relevance)
     p.fitness_relevance = p.relevance
@@ -114,3 +114,17 @@ def test_the_fitness_is_printed_where_positions_differ_in_their_relevance(weight
     fitness = p.fitness_of(result.deployment)
     printed = f"{fitness:.2%}, in which positions count by their relevance" in capsys.readouterr().out
     assert printed == (weight != 1.0)
+
+
+def test_a_step_is_shown_with_its_parts_once_it_takes_long(monkeypatch, capsys):
+    with progress.doing("a short step"):
+        pass
+    monkeypatch.setattr(progress, "SHOWN_AFTER", 0.2)
+    with progress.doing("a long step", 3) as begin_part:
+        begin_part()
+        begin_part()
+        time.sleep(0.6)
+    said = capsys.readouterr().err
+    assert "short" not in said
+    assert "a long step" in said
+    assert "1/3" in said
