@@ -52,11 +52,16 @@ def _draw_way(axes: Any, result: Localisation, room: Space | None) -> None:
     """Draw the tags, the way with ellipses, and the tags that changed."""
     if room is not None:
         draw_plan(axes, room, lw=0.8, zorder=1)
-    known = result.known
-    axes.plot(*edge_lines(known.poses, known.edges), color=LANDMARK, linewidth=2.0, zorder=2)
+        axes.lines[0].set_label("room")
+    known, every = result.known, changes_of(result)
+    lines = axes.plot(*edge_lines(known.poses, known.edges), color=LANDMARK, linewidth=2.0, zorder=2)
+    lines[0].set_label("tag of the map")
+    same = ~np.isin(known.ids, [change.tag for change in every])
+    for number, pose in zip(known.ids[same], known.poses[same], strict=True):
+        axes.annotate(f" {number}", pose[:2, 3], color=LANDMARK, fontsize=8)
     ways = _ways(result)
     for name, colour, frames, _ in ways:
-        dotted = {"linestyle": "", "marker": "."} if name == "single images" else {"linewidth": 1.2}
+        dotted = {"linewidth": 0.4, "marker": "."} if name == "single images" else {"linewidth": 1.2}
         axes.plot(*frames[:, :2, 3].T, color=colour, label=name, zorder=3, **dotted)
     _, colour, frames, covariances = ways[-1]
     there = np.flatnonzero(np.isfinite(frames[:, 0, 0]))
@@ -69,9 +74,10 @@ def _draw_way(axes: Any, result: Localisation, room: Space | None) -> None:
         sigma = float(np.median(np.sqrt(np.trace(own, axis1=1, axis2=2))))
         scale = max(LARGE_SHARE * extent / (ELLIPSE_SIGMAS * sigma), 1.0)
         for pose, covariance in zip(frames[some], own, strict=True):
-            axes.plot(*(pose[:2, 3, None] + scale * ellipse(covariance)), color=colour, linewidth=0.6, zorder=4)
-        axes.set_title(f"from above; ellipses of {ELLIPSE_SIGMAS:g} sigma, {scale:.0f} times as large", fontsize=11)
-    every = changes_of(result)
+            (line,) = axes.plot(
+                *(pose[:2, 3, None] + scale * ellipse(covariance)), color=colour, linewidth=0.6, zorder=4
+            )
+        line.set_label(f"{ELLIPSE_SIGMAS:g} sigma, {scale:.0f} times as large")
     for kind, colour in CHANGED.items():
         own_changes = [change for change in every if change.kind == kind]
         if not own_changes:
@@ -83,7 +89,7 @@ def _draw_way(axes: Any, result: Localisation, room: Space | None) -> None:
         axes.plot(*at[:, :2, 3].T, MARKERS[kind], color=colour, markersize=8, zorder=5, label=kind)
         for change, pose in zip(own_changes[:MOST_NAMED], at, strict=False):
             axes.annotate(f" {change.tag}", pose[:2, 3], color=colour, fontsize=10)
-    axes.legend(loc="best", fontsize=9)
+    axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.15), ncols=4, fontsize=9, frameon=False)
     axes.set(xlabel="x [m]", ylabel="y [m]", aspect="equal")
 
 

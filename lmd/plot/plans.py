@@ -14,7 +14,7 @@ from lmd.problem import Problem
 from lmd.scene.deployment import Deployment
 from lmd.space.crowd import RADIUS, X, Y
 from lmd.space.space import Space, outwards
-from lmd.survey.results import tag_columns
+from lmd.survey.results import far_from_plan, tag_columns
 from lmd.survey.survey import Survey
 
 NO_MEDIAN_COLOUR = "#c8c8c8"  # colour of places without a finite median
@@ -22,6 +22,8 @@ PLANNED, UNSEEN, PROPOSED = "#9e9e9e", "#ff7f0e", "#2ca02c"
 POSITION = "#1f77b4"
 ELLIPSE_SIGMAS = 2.0  # semi-axes of ellipses, standard deviations
 ARROW_SHARE = 0.08  # length of the median arrow over the length of the room
+LONGEST_SHARE = 0.2  # length of the longest arrow over the length of the room
+BORDER = 1.2  # distance at which tags far off are drawn, in distances of the farthest other tag
 WEDGE_SHARE = 0.05  # length of the wedge of a proposed photograph over the length of the room
 ELLIPSE_POINTS = 40
 PERSON, PERSON_ALPHA = "tab:orange", 0.2  # colour and opacity of a person; those of several states overlap
@@ -151,7 +153,11 @@ def _draw_above(axes: Any, survey: Survey, room: Space | None) -> None:
     if planned is not None:
         both = placed & np.isfinite(planned[:, 0, 0])
         way = tags[both][:, :2, 3] - planned[both][:, :2, 3]
-        scale /= max(float(np.median(np.linalg.norm(way, axis=1))), 1e-6)
+        length = np.linalg.norm(way, axis=1)
+        scale /= max(float(np.median(length)), 1e-6)
+        way *= np.minimum(1.0, LONGEST_SHARE * size / scale / np.maximum(length, 1e-9))[:, None]
+        for k in far_from_plan(survey):
+            axes.annotate(f"{survey.ids[k]}", tags[k, :2, 3], fontsize=9, va="bottom")
         axes.quiver(
             *planned[both][:, :2, 3].T,
             *(scale * way).T,
@@ -200,13 +206,24 @@ def _draw_offsets(axes: Any, survey: Survey) -> None:
     """Draw the offsets of tags in their planes with ellipses, and the ids of the tags farthest off."""
     columns = tag_columns(survey)
     offset = 1e3 * np.stack([np.asarray(columns[name], dtype=np.float64) for name in ("right", "up", "out")], axis=1)
-    there = np.flatnonzero(np.isfinite(offset[:, 0]))
+    there, far, length = (
+        np.flatnonzero(np.isfinite(offset[:, 0])),
+        far_from_plan(survey),
+        np.linalg.norm(offset, axis=1),
+    )
+    near = np.setdiff1d(there, far)
+    if len(near) and len(far):  # tags far off are drawn in their direction at the border
+        border = BORDER * length[near].max()
+        offset[far] *= np.minimum(1.0, border / length[far])[:, None]
+        axes.plot(*offset[far, :2].T, "s", mfc="none", color=UNSEEN, ms=11, label="farther off than drawn", zorder=4)
+        axes.legend(loc="best", fontsize=9)
     dots = axes.scatter(*offset[there, :2].T, c=offset[there, 2], cmap="coolwarm", s=28, zorder=3)
-    for k in there:
+    for k in near if len(near) else there:
         around = 1e3 * ellipse(survey.found.gauge_free_covariances[k, 3:5, 3:5])
         axes.plot(*(offset[k, :2, None] + around), color="0.5", linewidth=0.6, zorder=2)
-    for k in there[np.argsort(-np.linalg.norm(offset[there], axis=1))][:MOST_NAMED]:
-        axes.annotate(f" {survey.ids[k]}", offset[k, :2], fontsize=9)
+    for k in there[np.argsort(-length[there])][:MOST_NAMED]:
+        text = f"  {survey.ids[k]} ({length[k]:.0f} mm)" if k in far else f" {survey.ids[k]}"
+        axes.annotate(text, offset[k, :2], fontsize=9)
     axes.axhline(0.0, color=PLANNED, linewidth=0.8, zorder=1)
     axes.axvline(0.0, color=PLANNED, linewidth=0.8, zorder=1)
     axes.figure.colorbar(dots, ax=axes, label="off the wall [mm]")

@@ -22,6 +22,9 @@ SIGMA_COLUMNS = tuple(f"sigma_{name}" for name in TWISTS)
 # A tag of the map needs another photograph if it has fewer inliers than `FEW`, or a sigma above `LOOSE` times the
 # median.
 FEW, LOOSE = 3, 3.0
+# A tag is far from its plan if its distance exceeds `FAR` times the median distance, and `FAR_SIGMAS` assumed standard
+# deviations.
+FAR, FAR_SIGMAS = 5.0, 3.0
 
 
 def map_of(survey: Survey) -> Deployment:
@@ -139,6 +142,24 @@ def _tag_state(survey: Survey, k: int) -> str:
     return "seen once" if seen == 1 else "not placed"
 
 
+def distances_from_plan(survey: Survey) -> FloatArray:
+    """Distance of each tag of the map from its planned place, metres, `(K,)`; NaN for tags without a plan."""
+    if survey.planned is None:
+        return np.full(len(survey.ids), np.nan)
+    away = np.linalg.norm((survey.found.poses.tags - survey.planned)[:, :3, 3], axis=1)
+    return np.where(survey.placed, away, np.nan)
+
+
+def far_from_plan(survey: Survey) -> IntArray:
+    """Indices of the tags that hang much farther from their plan than most tags and than is assumed, farthest first."""
+    away = distances_from_plan(survey)
+    if np.isnan(away).all():
+        return np.empty(0, dtype=np.int64)
+    least = max(FAR * float(np.nanmedian(away)), FAR_SIGMAS * survey.known.hanging.place)
+    far = np.flatnonzero(away > least)
+    return far[np.argsort(-away[far])]
+
+
 def needing_photographs(survey: Survey) -> IntArray:
     """Indices of the tags that need another photograph: tags not placed, tags with few inliers, and tags with a large
     sigma.
@@ -169,9 +190,8 @@ def metrics(survey: Survey) -> dict[str, float]:
         **_quantiles("sigma", found.sigmas[survey.placed]),
         **_quantiles("error", found.errors()),
     }
-    if (planned := survey.planned) is not None:
-        away = np.linalg.norm((found.poses.tags - planned)[survey.placed][:, :3, 3], axis=1)
-        figures |= _quantiles("moved", away[np.isfinite(away)])
+    away = distances_from_plan(survey)
+    figures |= _quantiles("moved", away[np.isfinite(away)])
     for name, frames in survey.localised.items():
         figures |= _quantiles(f"held_out_error_{name}", frames.errors)
         figures |= _quantiles(f"held_out_shift_{name}", frames.shifts)

@@ -5,7 +5,7 @@ from functools import partial
 import numpy as np
 
 from lmd.core.words import few
-from lmd.survey.results import metrics, needing_photographs, tag_columns
+from lmd.survey.results import distances_from_plan, far_from_plan, metrics, needing_photographs, tag_columns
 from lmd.survey.survey import Survey
 
 NOTICED = 0.01  # minimum floor of the corners' standard deviation that is printed, pixels
@@ -36,6 +36,9 @@ def to_text(survey: Survey) -> str:
     lines |= _motion(survey)
     if "moved/50" in figures:
         lines["they hang"] = f"{both('moved', digits='.3g')} mm off their plan"
+        away = 1e3 * distances_from_plan(survey)
+        if far := [f"{survey.ids[k]} ({away[k]:.3g} mm)" for k in far_from_plan(survey)]:
+            lines["they hang"] += f"; farthest: {_few(far)}: is the plan right there?"
     lines["corners"] = f"{both('error', 1.0)} pixels off"
     if found.floor > NOTICED:
         lines["corners"] += f", of which a standard deviation of {found.floor:.2g} is not the detector's"

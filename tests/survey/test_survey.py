@@ -7,7 +7,9 @@ import pytest
 import walks
 
 from lmd.core.checks import InputError
-from lmd.geometry.se3 import inverse
+from lmd.geometry.se3 import exp, inverse
+from lmd.plot import plans
+from lmd.plot.common import new_figure
 from lmd.scene.deployment import Deployment
 from lmd.scene.labels import Labels
 from lmd.scene.surveyed import Surveyed
@@ -65,6 +67,22 @@ def test_tags_that_need_attention_are_named(found):
     assert f"\nnot planned {UNPLANNED}\n" in f"{text}\n"
     assert UNSEEN in document["another_photograph"]
     assert {row["id"]: row["state"] for row in document["tags"]}[UNPLANNED] == "placed"
+
+
+def test_a_tag_far_from_its_plan_is_named_and_capped_in_the_picture(room, tmp_path, monkeypatch):
+    _, plan, detected = room
+    off = plan_of(
+        poses_of(plan) @ exp(np.where(plan.ids[:, None] == 3, [0, 0, 0, 0.155, 0, 0], 0.0)), plan.ids, plan.edges
+    )
+    found = walks.surveyed(detected, plan=off)
+    assert "mm off their plan; farthest: 3 (1" in to_text(found)
+    axes = {}
+    monkeypatch.setattr(plans, "shrink", lambda _path: axes.update(enumerate(figures[-1].axes)))
+    figures = []
+    monkeypatch.setattr(plans, "new_figure", lambda size: figures.append(new_figure(size)) or figures[-1])
+    plans.save_survey_figure(tmp_path / "survey.png", found, None, "")
+    assert np.ptp(axes[1].get_xlim()) < 100.0  # millimetres
+    assert any(text.get_text().startswith("  3 (1") for text in axes[1].texts)
 
 
 def test_the_map_is_better_than_the_plan_on_held_out_frames(found):
