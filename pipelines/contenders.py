@@ -172,15 +172,11 @@ def _copy(job: Contender, earlier: Path, directory: Path) -> None:
 
 
 def contend(
-    cfg: DictConfig,
-    jobs: Sequence[Contender],
-    ups: Callable[[Contender], bool],
-    told: "Callable[[OptimiserRun], str]",
+    cfg: DictConfig, jobs: Sequence[Contender], ups: Callable[[Contender], bool], told: "Callable[[OptimiserRun], str]",
     write: "Callable[[Tracker, Mapping[Contender, OptimiserRun]], list[Path]]",
-    log: "Callable[[Contender, OptimiserRun, str | None], None] | None" = None,
-    about: str = "",
+    log: "Callable[[Contender, OptimiserRun, str | None], None] | None" = None, about: str = "",
     problem: "Problem | None" = None,
-) -> list[Path]:
+) -> list[Path]:  # fmt: skip
     """Do the runs of a comparison as a tracked run, but those that the resumed comparison has done.
 
     Args:

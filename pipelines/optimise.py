@@ -51,30 +51,19 @@ def optimise(cfg: DictConfig) -> float:
             wanted = extras.validate and isinstance(problem.objective, Localisation)
             return accuracy_metrics(problem, found.deployment, extras.seed) if wanted else {}
 
+        summary = {**summary_of(found), **optimiser.figures()}
         return record(
-            extras,
-            problem,
-            tracker,
-            found.deployment,
-            found.history,
-            subject=subject,
-            summary={**summary_of(found), **optimiser.figures()},
-            further=accuracy,
-            export=export,
-            in_haste=in_haste,
-        )
+            extras, problem, tracker, found.deployment, found.history, subject=subject, summary=summary,
+            further=accuracy, export=export, in_haste=in_haste,
+        )  # fmt: skip
 
     return searched(cfg, problem, optimiser, title_of(problem, subject), keep)
 
 
 def searched(
-    cfg: DictConfig,
-    problem: "Problem",
-    optimiser: "Optimiser",
-    about: str,
-    keep: "Callable[[Tracker, Result, bool], dict[str, float]]",
-    further: Sequence[str] = (),
-) -> float:
+    cfg: DictConfig, problem: "Problem", optimiser: "Optimiser", about: str,
+    keep: "Callable[[Tracker, Result, bool], dict[str, float]]", further: Sequence[str] = (),
+) -> float:  # fmt: skip
     """Run an optimiser as a tracked run that can be resumed, and return the figure for sweepers.
 
     Args:

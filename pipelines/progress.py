@@ -33,6 +33,8 @@ LOOK_SECONDS = 0.2  # time between two looks at the optimiser, seconds
 LOG_SECONDS = 15.0  # time between two lines of progress in a file, seconds
 SHOWN_AFTER = 2.0  # time after which a step is shown, seconds
 
+tqdm.set_lock(threading.RLock())  # tqdm's own lock has a semaphore, which a process that is killed would leave behind
+
 
 def curve(history: Sequence[Record], budget: Budget, until: float = math.inf) -> list[tuple[int, float, float]]:
     """Points (step, best fitness, seconds) of a run up to `until`, at steps that all runs of a budget share.
@@ -77,14 +79,8 @@ class Progress:
     """
 
     def __init__(
-        self,
-        budget: Budget,
-        tracker: Tracker,
-        checkpoint: Checkpoint,
-        directory: Path,
-        every: float,
-        logged: bool,
-    ) -> None:
+        self, budget: Budget, tracker: Tracker, checkpoint: Checkpoint, directory: Path, every: float, logged: bool
+    ) -> None:  # fmt: skip
         self.budget, self.tracker, self.every = budget, tracker, every
         self.save = partial(checkpoint.save, directory)
         ledger = checkpoint.optimiser.ledger

@@ -199,18 +199,10 @@ def keep(tracker: "Tracker", files: Iterable[Path], metrics: Mapping[str, float]
 
 
 def record(
-    extras: Extras,
-    problem: Problem,
-    tracker: "Tracker",
-    deployment: Deployment,
-    history: Sequence[Record],
-    *,
-    subject: str,
-    summary: Mapping[str, Any],
-    further: Callable[[], Mapping[str, float]] = dict,
-    export: "Export | None" = None,
-    in_haste: bool = False,
-) -> dict[str, float]:
+    extras: Extras, problem: Problem, tracker: "Tracker", deployment: Deployment, history: Sequence[Record], *,
+    subject: str, summary: Mapping[str, Any], further: Callable[[], Mapping[str, float]] = dict,
+    export: "Export | None" = None, in_haste: bool = False,
+) -> dict[str, float]:  # fmt: skip
     """Write the outputs, log them, end the run and print its figures.
 
     Landmarks, figures and history cannot be computed again: they are written before all else, and they stay.

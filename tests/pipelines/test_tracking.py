@@ -1,3 +1,4 @@
+import sqlite3
 import time
 from pathlib import Path
 
@@ -114,6 +115,15 @@ def test_an_experiment_that_was_deleted_says_how_to_restore_it(uri):
     assert not MlflowTracker(uri, "others").has(run.run_id)
     run.discard()
     assert not MlflowTracker(uri, "tests").goes_on(stored(started(uri)).info.run_id[::-1], Path(), {})
+
+
+def test_a_store_that_cannot_be_written_is_one_sentence(tmp_path, capfd):
+    store = started(f"sqlite:///{tmp_path}/mlflow.db").store
+    with sqlite3.connect(tmp_path / "mlflow.db") as database:
+        database.execute("CREATE TRIGGER no BEFORE INSERT ON runs BEGIN SELECT RAISE(ABORT, 'may not be written'); END")
+    with pytest.raises(InputError, match=r"mlflow\.db' cannot be used: \(sqlite3\.\w+\) may not be written$"):
+        started(store.uri)
+    assert capfd.readouterr() == ("", "")
 
 
 def test_what_a_dead_process_left_running_is_ended(uri):

@@ -36,14 +36,9 @@ class Process:
     """
 
     def __init__(
-        self,
-        pipeline: str,
-        arguments: Sequence[str],
-        environment: Mapping[str, str],
-        output: int,
-        kept: Iterable[int] = (),
-        store: str | None = None,
-    ) -> None:
+        self, pipeline: str, arguments: Sequence[str], environment: Mapping[str, str], output: int,
+        kept: Iterable[int] = (), store: str | None = None,
+    ) -> None:  # fmt: skip
         self._its_stdin, stdin = os.pipe()
         self.stdin = os.fdopen(stdin, "wb")
         records = () if store is None else SERVED if store.startswith("http") else TRACKED

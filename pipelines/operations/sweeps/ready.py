@@ -25,6 +25,7 @@ for module in (
     "matplotlib.backends.backend_agg",
     "matplotlib.figure",
     "mpl_toolkits.mplot3d",
+    f"{PACKAGE}.progress",
     f"{PACKAGE}.tracked_run",
 ):
     importlib.import_module(module)

@@ -84,8 +84,8 @@ def shared_parameters(config: DictConfig, values: Mapping[str, Sequence[str]]) -
                 composed = loader.load_configuration(config.hydra.job.config_name, others, RunMode.RUN)
                 there = OmegaConf.select(composed, refused[1]) or composed.get(refused[2]) or composed
                 names = ", ".join(sorted(str(key) for key in there if not str(key).startswith("_")))
-                option = f"{refused[2]}={composed.hydra.runtime.choices.get(refused[2])}"
-                raise InputError(f"{refused[0].split(chr(39))[1]} is no key of {option}: there are {names}.") from None
+                option = f"{refused[2]}={composed.hydra.runtime.choices.get(refused[2])}: there are {names}"
+                raise InputError(f"{refused[0].split(chr(39))[1]} is no key of {option}.") from None
             continue
         settings = OmegaConf.masked_copy(composed, [str(key) for key in composed if key != "hydra"])
         every.append(parameters(settings, chosen(composed.hydra.runtime.choices)))

@@ -34,12 +34,9 @@ class MlflowTracker:
     """
 
     def __init__(
-        self,
-        uri: str,
-        experiment_name: str,
-        tags: Mapping[str, str | float] | None = None,
+        self, uri: str, experiment_name: str, tags: Mapping[str, str | float] | None = None,
         system_metrics: bool = False,
-    ) -> None:
+    ) -> None:  # fmt: skip
         self.store = Store(uri, experiment_name)
         self._is_monitored = boolean("system_metrics", system_metrics)
         self._monitor: Any = None

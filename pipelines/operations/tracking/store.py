@@ -64,7 +64,9 @@ class Store:
     def _connect(self) -> "MlflowClient":
         from mlflow import MlflowClient
 
-        logging.getLogger("mlflow.store.db.utils").setLevel(logging.WARNING)  # mlflow logs every new table
+        logging.getLogger("mlflow.store.db.utils").setLevel(
+            logging.CRITICAL
+        )  # every new table, and errors as tracebacks
 
         if not self.uri.startswith(SQLITE):
             return MlflowClient(tracking_uri=self.uri)
@@ -195,8 +197,9 @@ def is_of_store(error: Exception) -> bool:
 
 
 def first_line(error: Exception) -> str:
-    """First line of an error's message."""
-    return (str(error) or type(error).__name__).splitlines()[0]
+    """First line of an error's message that is about its cause."""
+    lines = (str(error) or type(error).__name__).splitlines()
+    return next((line for line in lines if not line.startswith("(raised as a result of")), lines[0])
 
 
 def now() -> int:
