@@ -162,16 +162,9 @@ def columns_of(history: "Sequence[Record]") -> dict[str, list[float]]:
 
 
 def write_pictures(
-    directory: Path,
-    problem: "Problem",
-    deployment: "Deployment",
-    history: "Sequence[Record]",
-    title: str,
-    *,
-    picture: bool,
-    page: bool,
-    exports: Mapping[str, Callable[[Path], object]],
-) -> tuple[list[Path], list[str]]:
+    directory: Path, problem: "Problem", deployment: "Deployment", history: "Sequence[Record]", title: str, *,
+    picture: bool, page: bool, exports: Mapping[str, Callable[[Path], object]],
+) -> tuple[list[Path], list[str]]:  # fmt: skip
     """Write the pictures and the exports that fit on the disk.
 
     Args:

@@ -45,15 +45,9 @@ def place_cameras(cfg: DictConfig) -> float:
         _write(problem, found.rig, sources, about, tracker, draw=bool(extras.picture) and not in_haste)
         summary = {**summary_of(found), "cameras": problem.space.count, **({"rounds": rounds} if in_turn else {})}
         figures = record(
-            extras,
-            problem.with_rig(found.rig),
-            tracker,
-            found.deployment,
-            found.history,
-            subject=subject,
-            summary=summary,
-            in_haste=in_haste,
-        )
+            extras, problem.with_rig(found.rig), tracker, found.deployment, found.history, subject=subject,
+            summary=summary, in_haste=in_haste,
+        )  # fmt: skip
         print(f"rig                 {run_directory() / RIG}")
         return figures
 

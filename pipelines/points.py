@@ -126,13 +126,9 @@ class Ladder:
         return self._kept(at, way, start, climb, found)
 
     def _kept(
-        self,
-        at: float,
-        what: str,
-        given: "Deployment | None",
-        compute: Callable[[], dict[str, Any]],
+        self, at: float, what: str, given: "Deployment | None", compute: Callable[[], dict[str, Any]],
         content_of: Callable[[dict[str, Any]], Content],
-    ) -> Content:
+    ) -> Content:  # fmt: skip
         """Result from the disk, or computed now and stored.
 
         Args:

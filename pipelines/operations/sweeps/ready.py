@@ -17,17 +17,10 @@ BEFORE = {number: signal.signal(number, signal.SIG_IGN) for number in (*SIGNALS,
 
 gc.set_threshold(GARBAGE)
 for module in (
-    "lmd.evaluation.accuracy",
-    "lmd.incremental.coverage_field",
-    "lmd.optimisers.annealing",
-    "lmd.plot.charts",
-    "lmd.plot.scenes",
-    "matplotlib.backends.backend_agg",
-    "matplotlib.figure",
-    "mpl_toolkits.mplot3d",
-    f"{PACKAGE}.progress",
-    f"{PACKAGE}.tracked_run",
-):
+    "lmd.evaluation.accuracy", "lmd.incremental.coverage_field", "lmd.optimisers.annealing", "lmd.plot.charts",
+    "lmd.plot.scenes", "matplotlib.backends.backend_agg", "matplotlib.figure", "mpl_toolkits.mplot3d",
+    f"{PACKAGE}.progress", f"{PACKAGE}.tracked_run",
+):  # fmt: skip
     importlib.import_module(module)
 load_compiler()
 gc.freeze()  # garbage collection would copy the memory that jobs share
