@@ -4,6 +4,7 @@ import atexit
 import gc
 import importlib.util
 import re
+import signal
 import sys
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -28,6 +29,7 @@ LAUNCHERS = {
     "joblib": "hydra_plugins.hydra_joblib_launcher",
     **dict.fromkeys(("slurm", "submitit_local", "submitit_slurm"), "hydra_plugins.hydra_submitit_launcher"),
 }
+PRINTED = {*HELP, "--hydra-help", "--cfg", "-c", "--info", "-i"}  # options with which a command only prints
 # Commands without `run=DIR`, and the key to use instead.
 INSTEAD = {
     "estimate_pdf": "recording.path=FILE is the recording to estimate from",
@@ -135,6 +137,8 @@ class Pipeline:
             sys.argv.append("hydra.help.template=${lmd.help:}")
             # Hydra's own template would read all files twice.
             Hydra.format_config_groups = lambda *_: ""  # type: ignore[method-assign]
+        if PRINTED.intersection(argument.partition("=")[0] for argument in sys.argv):
+            signal.signal(signal.SIGPIPE, signal.SIG_DFL)  # ends quietly if the reader, such as `head`, has ended
         _refuse_configuration_of_another(self.name)
         _refuse_launcher_that_is_missing()
         _refuse_run(self.name)

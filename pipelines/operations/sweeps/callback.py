@@ -36,6 +36,10 @@ class SweepRecord(Callback):
 
         folder = SweepFolder(pin_sweep_folder(config))
         try:
+            if config.hydra.launcher._target_.endswith("SlurmLauncher"):
+                from .slurm import follow_the_queue
+
+                follow_the_queue()
             values = asked_values(config)
         except InputError as error:  # Hydra would print a warning and continue
             sys.exit(f"error: {error}")
@@ -44,10 +48,6 @@ class SweepRecord(Callback):
             before = self._begin(config, folder, values)
         os.environ[SWEEP_VARIABLE] = str(os.getpid())
         atexit.register(_cut_short, config)
-        if config.hydra.launcher._target_.endswith("SlurmLauncher"):
-            from .slurm import follow_the_queue
-
-            follow_the_queue()
         done = len(folder.jobs())
         going_on = f", going on after {done} finished jobs (delete the folder to start afresh)" if before else ""
         print(f"sweep {sweep_name(config)} in {folder.path}{going_on}", flush=True)

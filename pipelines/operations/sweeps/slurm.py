@@ -4,18 +4,23 @@ submitit by itself asks SLURM's accounting, which some clusters lack, and only e
 """
 
 import os
+import shutil
+import sys
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from hydra.core.utils import JobReturn, JobStatus
-from submitit.core.utils import UncompletedJobError
+from submitit.core.utils import FailedJobError, UncompletedJobError
 from submitit.slurm import slurm
+
+from lmd.core.checks import InputError
 
 from ...outputs import held
 from .folder import JobFolder
 from .supervisor import end_runs, job_of
 
+PROGRAMS = ("sbatch", "srun", "squeue")  # which submitit and this module call
 POLL_SECONDS = 10  # greatest time between two requests to the queue, seconds; shorter at first
 GONE = "GONE"  # state of a job that is not in the queue: cancelled before it began, or ended long ago
 ENDED = (
@@ -81,5 +86,20 @@ class QueuedJob(slurm.SlurmJob[JobReturn]):
 
 
 def follow_the_queue() -> None:
-    """Make submitit use the classes of this module, for which it has no setting."""
+    """Make submitit use the classes of this module, and exit if SLURM refuses jobs, for which it has no settings.
+
+    Raises:
+        InputError: there is no SLURM here.
+    """
+    if lacking := [program for program in PROGRAMS if shutil.which(program) is None]:
+        raise InputError(f"this launcher needs SLURM, and there is no {lacking[0]}; hydra/launcher=joblib needs none.")
+    submit = slurm.SlurmExecutor._submit_command
+
+    def submit_or_exit(executor: Any, command: str) -> Any:
+        try:
+            return submit(executor, command)
+        except FailedJobError as error:
+            sys.exit(f"error: SLURM takes no jobs: {str(error).splitlines()[-1]}")
+
+    slurm.SlurmExecutor._submit_command = submit_or_exit  # type: ignore[assignment, method-assign]
     slurm.SlurmJob = slurm.SlurmExecutor.job_class = QueuedJob  # type: ignore[assignment, misc]
