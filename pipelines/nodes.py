@@ -1,9 +1,7 @@
 """Objects built from nodes of the configuration, with error messages that name the keys."""
 
 import difflib
-import importlib
 import inspect
-import pkgutil
 import re
 import sys
 import traceback
@@ -20,9 +18,6 @@ from .overrides import LIKENESS
 
 if TYPE_CHECKING:
     from lmd.detection.detectors import Detector
-
-MOST_NAMES = 12  # most names of a module in a message
-LIKENESS_OF_NAMES = 0.75  # least similarity, by `difflib`, of a suggested class or module
 
 
 @cache
@@ -88,13 +83,14 @@ def _refusal(error: Exception, extra: Mapping[str, Any]) -> str:
         extra: arguments that the node does not have.
     """
     from lmd.core.checks import failure
+    from lmd.core.optional import lack_of
 
     text, _, key = " ".join(str(error).split()).partition(" full_key: ")
     target, cause = re.search(r"target '([^']+)'", text), error.__cause__
     if target is None or cause is None:
         return f"{key}: {text}"
     if text.startswith("Error locating"):
-        return f"{key}._target_ = {target[1]!r}: {_lack(target[1])}"
+        return f"{key}._target_ = {target[1]!r}: {lack_of(target[1])}"
     unknown = re.search(r"unexpected keyword argument '(\w+)'", str(cause))
     takes = [name for name in inspect.signature(hydra.utils.get_object(target[1])).parameters if name not in extra]
     if unknown is None or unknown[1] in takes:
@@ -106,31 +102,6 @@ def _refusal(error: Exception, extra: Mapping[str, Any]) -> str:
     likely = f"did you mean {key}.{close[0]}?" if close else f"{target[1]} takes {', '.join(takes) or 'no argument'}"
     name = f"{key}.{unknown[1]}"
     return f"{name} is no setting that is known; {_set_by_experiment(name) or likely}"
-
-
-def _lack(target: str) -> str:
-    """Say which part of a dotted path to a class is missing, and which names are close to it."""
-    from lmd.core.checks import failure
-
-    found, parts = None, target.split(".")
-    for i, part in enumerate(parts):
-        whole = ".".join(parts[: i + 1])
-        try:
-            found = getattr(found, part) if hasattr(found, part) else importlib.import_module(whole)
-        except ModuleNotFoundError as error:
-            if error.name != whole:
-                return failure(error)
-            below = pkgutil.iter_modules(getattr(found, "__path__", None if found is None else []))
-            callables = [name for name, value in vars(found or object).items() if name[0] != "_" and callable(value)]
-            names = {name.lower(): name for name in [*(module.name for module in below), *callables]}
-            close = difflib.get_close_matches(part.lower(), names, 3, LIKENESS_OF_NAMES)
-            there = f"it has {', '.join(sorted(names.values())[:MOST_NAMES])}" if i and names else ""
-            hint = f"did you mean {' or '.join(names[name] for name in close)}?" if close else there
-            lacks = f"{'.'.join(parts[:i])} has no {part}" if i else f"there is no module {part}"
-            return f"{lacks}; {hint}".rstrip("; ")
-        except Exception as error:  # a module may fail in any way
-            return f"{target} cannot be imported: {failure(error)}"
-    return f"{target} is no class and no function"
 
 
 def _set_by_experiment(key: str) -> str:

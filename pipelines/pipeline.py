@@ -2,7 +2,6 @@
 
 import atexit
 import gc
-import importlib.util
 import re
 import signal
 import sys
@@ -58,19 +57,16 @@ def _refuse_run(pipeline: str) -> None:
 
 def _refuse_launcher_that_is_missing() -> None:
     """Exit if the package of a launcher is missing, with a better message than Hydra's."""
+    from lmd.core.checks import InputError
+    from lmd.core.optional import optional
+
     for argument in sys.argv[1:]:
         name = argument.removeprefix("+").removeprefix("hydra/launcher=")
-        if name in LAUNCHERS and name != argument and not _is_installed(LAUNCHERS[name]):
-            from lmd.core.optional import missing
-
-            sys.exit(f"error: {missing(LAUNCHERS[name], 'sweeps')}")
-
-
-def _is_installed(package: str) -> bool:
-    try:
-        return importlib.util.find_spec(package) is not None
-    except ModuleNotFoundError:  # the namespace package is missing
-        return False
+        if name in LAUNCHERS and name != argument:
+            try:
+                optional(LAUNCHERS[name], "sweeps")
+            except InputError as error:
+                sys.exit(f"error: {error}")
 
 
 def _experiment_of_another(pipeline: str) -> tuple[str, bool]:

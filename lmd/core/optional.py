@@ -1,12 +1,14 @@
-"""Optional packages: imported at their first use; a missing package raises an error with the install command."""
+"""Optional packages, imported at their first use, and messages for packages, modules and classes that are missing."""
 
+import difflib
 import importlib
 import os
+import pkgutil
 import sys
 from pathlib import Path
 from typing import Any
 
-from lmd.core.checks import InputError
+from lmd.core.checks import InputError, failure
 
 # Optional packages, and the extra of `lmd` that installs each.
 EXTRAS = {
@@ -20,6 +22,8 @@ EXTRAS = {
     "pymoo": "optimisers",
     "rosbags": "bags",
 }
+MOST_NAMES = 12  # most names of a module in a message
+LIKENESS = 0.75  # least similarity, by `difflib`, of a suggested class or module
 
 
 def optional(package: str, extra: str) -> Any:
@@ -49,6 +53,29 @@ def missing_of(error: BaseException | None) -> InputError | None:
         error = error.__cause__ or error.__context__
     name = getattr(error, "name", None) or ""
     return missing(name, EXTRAS[name]) if name in EXTRAS else None
+
+
+def lack_of(target: str) -> str:
+    """Say which part of a dotted path to a class is missing, and which names are close to it."""
+    found, parts = None, target.split(".")
+    for i, part in enumerate(parts):
+        whole = ".".join(parts[: i + 1])
+        try:
+            found = getattr(found, part) if hasattr(found, part) else importlib.import_module(whole)
+        except ModuleNotFoundError as error:
+            if error.name != whole:
+                return failure(error)
+            below = pkgutil.iter_modules(getattr(found, "__path__", None if found is None else []))
+            callables = [name for name, value in vars(found or object).items() if name[0] != "_" and callable(value)]
+            names = {name.lower(): name for name in [*(module.name for module in below), *callables]}
+            close = difflib.get_close_matches(part.lower(), names, 3, LIKENESS)
+            there = f"it has {', '.join(sorted(names.values())[:MOST_NAMES])}" if i and names else ""
+            hint = f"did you mean {' or '.join(names[name] for name in close)}?" if close else there
+            lacks = f"{'.'.join(parts[:i])} has no {part}" if i else f"there is no module {part}"
+            return f"{lacks}; {hint}".rstrip("; ")
+        except Exception as error:  # a module may fail in any way
+            return f"{target} cannot be imported: {failure(error)}"
+    return f"{target} is no class and no function"
 
 
 def _short(path: str | Path) -> str:

@@ -15,7 +15,7 @@ from lmd.objectives.reference_field import field_of
 from lmd.optimisers.annealing.ascent import PLACES_TRIED, SHARE, slopes
 from lmd.optimisers.base import Callback, Result
 from lmd.optimisers.deployment_search import DeploymentSearch
-from lmd.optimisers.ledger import Budget, Ledger
+from lmd.optimisers.ledger import Budget
 from lmd.optimisers.stored import array, deployment, deployment_state, generator, generator_state
 from lmd.problem import Problem
 from lmd.scene.deployment import Deployment
@@ -131,11 +131,9 @@ class GradientAscent(DeploymentSearch):
     @override
     def state(self) -> dict[str, Any]:
         if not self.spent:
-            return self.ledger.state()
-        assert self.best is not None, "the start was noted"
+            return super().state()
         return {
-            **self.ledger.state(),
-            "best": deployment_state(self.best),
+            **super().state(),
             "here": deployment_state(self.here),
             "rng": generator_state(self.rng),
             "stage": self.stage,
@@ -146,11 +144,10 @@ class GradientAscent(DeploymentSearch):
     @override
     def restore(self, state: Mapping[str, Any], problem: Problem) -> None:
         count = problem.count
-        self.ledger = Ledger.of(state)
+        super().restore(state, problem)
         if not self.ledger.history:
             return
         self.spent = integer("moved landmarks", round(self.ledger.evaluations * count), low=1)
-        self.best = deployment("best", state["best"], problem, count)
         self.here = deployment("here", state["here"], problem, count)
         self.rng = generator("rng", state["rng"])
         self.stage = integer("stage", state["stage"], low=0, high=len(self.widths) - 1)

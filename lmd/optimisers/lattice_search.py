@@ -19,9 +19,8 @@ from lmd.objectives.base import selectable
 from lmd.optimisers.base import Callback, Result
 from lmd.optimisers.deployment_search import DeploymentSearch
 from lmd.optimisers.lattice import POLL_SECONDS, Program, check_lattice, covers_of, lattice_of, placed, solved_beside
-from lmd.optimisers.ledger import Budget, Ledger
+from lmd.optimisers.ledger import Budget
 from lmd.optimisers.selection import Tags, select
-from lmd.optimisers.stored import deployment, deployment_state
 from lmd.problem import Problem
 from lmd.scene.deployment import Deployment
 
@@ -159,13 +158,10 @@ class LatticeSearch(DeploymentSearch):
 
     @override
     def state(self) -> dict[str, Any]:
-        best = None if self.best is None else deployment_state(self.best)
-        return {**self.ledger.state(), "best": best, "rounds": self.rounds}
+        return {**super().state(), "rounds": self.rounds}
 
     @override
     def restore(self, state: Mapping[str, Any], problem: Problem) -> None:
-        self.ledger = Ledger.of(state)
+        super().restore(state, problem)
         self.lattice = lattice_of(problem, self.spacing)
         self.rounds = integer("rounds", state["rounds"], low=0, high=len(self.ledger.history))
-        if self.ledger.history:
-            self.best = deployment("best", state["best"], problem, problem.count)

@@ -1,8 +1,5 @@
 """Best choice of poses from a lattice with a proof of optimality, by the integer program of `lattice`."""
 
-from collections.abc import Mapping
-from typing import Any
-
 import numpy as np
 from typing_extensions import override
 
@@ -11,8 +8,7 @@ from lmd.core.compiled import clock
 from lmd.optimisers.base import Callback, Result
 from lmd.optimisers.deployment_search import DeploymentSearch
 from lmd.optimisers.lattice import POLL_SECONDS, Program, check_lattice, covers_of, lattice_of, placed, solved_beside
-from lmd.optimisers.ledger import Budget, Ledger
-from lmd.optimisers.stored import deployment, deployment_state
+from lmd.optimisers.ledger import Budget
 from lmd.problem import Problem
 from lmd.scene.deployment import Deployment
 
@@ -40,17 +36,6 @@ class Milp(DeploymentSearch):
         self.spacing = real("spacing", spacing, above=0.0)
         self.seconds = real("seconds", seconds, above=0.0)
         self.proven: dict[str, float] = {}
-
-    @override
-    def state(self) -> dict[str, Any]:
-        best = None if self.best is None else deployment_state(self.best)
-        return {**self.ledger.state(), "best": best}
-
-    @override
-    def restore(self, state: Mapping[str, Any], problem: Problem) -> None:
-        self.ledger = Ledger.of(state)
-        if self.ledger.history:
-            self.best = deployment("best", state["best"], problem, problem.count)
 
     def figures(self) -> dict[str, float]:
         """Bound, value of the solver's choice without occlusion, and distance of the result from the bound."""
@@ -81,9 +66,6 @@ class Milp(DeploymentSearch):
             note(1, problem.draw(np.random.default_rng(self.seed)))
         program, most = Program.of(problem, poses, covers_of(problem, poses)), problem.fitness_relevance.sum()
         limit = min(self.seconds, (budget.seconds or np.inf) - (clock() - began))
-        if limit <= 0.0:  # to make the program took the time
-            ledger.seconds = clock() - began
-            return self.result(problem, "budget")
 
         def stop() -> bool | None:
             ledger.seconds = clock() - began

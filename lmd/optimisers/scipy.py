@@ -1,8 +1,9 @@
 """Global optimisers of SciPy behind `AskTell`: functions that call the objective run in a thread of their own."""
 
 import inspect
-import threading
 from collections.abc import Callable
+from concurrent.futures import Future
+from functools import partial
 from queue import SimpleQueue
 from typing import Any
 
@@ -11,6 +12,7 @@ from typing_extensions import override
 
 from lmd.core.checks import FloatArray, InputError
 from lmd.core.memory import check_memory
+from lmd.core.threads import in_daemon
 from lmd.optimisers.wrapped import LibraryOptimiser, Wrapped, name_of, with_tuples
 from lmd.problem import Problem
 
@@ -70,15 +72,14 @@ class Call:
         self.asked: SimpleQueue[FloatArray | None] = SimpleQueue()
         self.told: SimpleQueue[float] = SimpleQueue()
         self.loss = np.nan  # loss of the genes asked for last
-        self.failure: Exception | None = None
-        self.thread = threading.Thread(target=self._minimise, args=(minimise, arguments), daemon=True)
+        self.call = partial(minimise, self._objective, **arguments)
+        self.outcome: Future[None] | None = None
 
-    def _minimise(self, minimise: Callable[..., Any], arguments: dict[str, Any]) -> None:
+    def _minimise(self) -> None:
         try:
-            minimise(self._objective, **arguments)
-        except Exception as error:
-            self.failure = error
-        self.asked.put(None)
+            self.call()
+        finally:
+            self.asked.put(None)
 
     def _objective(self, genes: FloatArray) -> float:
         self.asked.put(np.array(genes, dtype=np.float64))
@@ -86,14 +87,12 @@ class Call:
 
     def ask(self) -> FloatArray | None:
         """See `LibraryOptimiser.ask`."""
-        if self.thread.ident is None:
-            self.thread.start()
+        if self.outcome is None:
+            self.outcome = in_daemon(self._minimise)
         else:
             self.told.put(self.loss)
         genes = self.asked.get()
-        if self.failure is not None:
-            raise InputError(f"minimise failed: {self.failure}", "minimise") from self.failure
-        return None if genes is None else genes[None]
+        return self.outcome.result() if genes is None else genes[None]
 
     def tell(self, genes: FloatArray, losses: FloatArray) -> None:
         """See `LibraryOptimiser.tell`."""

@@ -225,10 +225,7 @@ class AskAndTell(Wrapped):
     def _open(self, start: FloatArray, rng: np.random.Generator) -> LibraryOptimiser:
         given = {"seed": int(rng.integers(1, 2**31)), "bounds": np.tile([0.0, 1.0], (start.shape[1], 1))}
         arguments = {key: value for key, value in given.items() if key in self.takes}
-        try:
-            made = self.make(**{self.starts_at: start[0], **arguments})
-        except Exception as error:  # libraries raise different errors
-            raise InputError(f"make failed: {error}", "make") from error
+        made = self.make(**{self.starts_at: start[0], **arguments})
         for method in ("ask", "tell"):
             if not callable(getattr(made, method, None)):
                 raise InputError(f"make: {self.called} makes an object without the method {method}.", "make")

@@ -120,7 +120,7 @@ def test_impossible_parameters_are_refused(make, message):
 @pytest.mark.parametrize(
     ("make", "message"),
     [
-        (lambda: AskAndTell(OneByOne, start="mean"), r"^make failed: .*step"),
+        (lambda: AskAndTell(OneByOne, start="mean"), r"^OneByOne failed: TypeError: .*step"),
         (
             lambda: AskAndTell(partial(Mute, asked=[0.5])),
             r"^make: .*Mute makes an object without the method tell\.",
@@ -135,7 +135,7 @@ def test_impossible_parameters_are_refused(make, message):
         ),
         (
             lambda: Scipy(partial(differential_evolution, strategy="best")),
-            r"^minimise failed: Please select a valid mutation strategy",
+            r"^differential_evolution failed: ValueError: Please select a valid mutation strategy",
         ),
     ],
 )

@@ -40,7 +40,7 @@ from lmd.optimisers.annealing.surrogate import (
 )
 from lmd.optimisers.base import Callback, Result
 from lmd.optimisers.deployment_search import DeploymentSearch
-from lmd.optimisers.ledger import Budget, Ledger
+from lmd.optimisers.ledger import Budget
 from lmd.optimisers.selection import GRID_SPACING, greedy_start
 from lmd.optimisers.stored import array, deployment, deployment_state, generator, generator_state
 from lmd.problem import Problem
@@ -269,11 +269,11 @@ class Annealing(DeploymentSearch):
 
     @override
     def state(self) -> dict[str, Any]:
-        history = self.ledger.state()
+        history = super().state()
         if not self.spent:
             return history
         parts = {"mean_places": self.mean_places, "ascent": self.ascent}
-        places = {name: getattr(self, name) for name in ("start", "here", "best", "walked")}
+        places = {name: getattr(self, name) for name in ("start", "here", "walked")}
         return {
             **history,
             **{name: None if part is None else part.state() for name, part in parts.items()},
@@ -286,7 +286,7 @@ class Annealing(DeploymentSearch):
     @override
     def restore(self, state: Mapping[str, Any], problem: Problem) -> None:
         count = problem.count
-        self.ledger = Ledger.of(state)
+        super().restore(state, problem)
         if not self.ledger.history:
             return
         self.spent = integer("moved landmarks", round(self.ledger.evaluations * count), low=1)
@@ -297,7 +297,6 @@ class Annealing(DeploymentSearch):
             self.angles = array("angles", state["angles"], np.float64, stacks)
         self.start = deployment("start", state["start"], problem, count)
         self.here = deployment("here", state["here"], problem, stacks if self.in_stacks else count)
-        self.best = deployment("best", state["best"], problem, count)
         if state["walked"] is not None:
             self.walked = deployment("walked", state["walked"], problem, count)
         if state["mean_places"] is not None:
