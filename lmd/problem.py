@@ -8,7 +8,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from lmd.core.checks import FloatArray, InputError, integer
+from lmd.core.checks import FloatArray, InputError, integer, returned
 from lmd.core.threads import MOST_THREADS
 from lmd.objectives.base import Objective
 from lmd.objectives.crowd import over_states, seeks_worst, worst_figures
@@ -204,7 +204,7 @@ class Problem:
         parts, step = [], max(1, AT_ONCE // each)
         for first in range(0, len(positions) or 1, step):
             batch = positions[first : first + step], normals[first : first + step]
-            parts.append(self.fitness_from(self.objective.values(self.fitness_evaluator, *batch)))
+            parts.append(self.fitness_from(self._values_of(self.fitness_evaluator, *batch)))
         return np.concatenate(parts)
 
     def fitness_of(self, deployment: Deployment) -> float:
@@ -213,7 +213,8 @@ class Problem:
 
     def fitness_from(self, values: FloatArray) -> FloatArray:
         """The fitness from the objective's values at the positions of the fitness, `(..., P)` -> `(...)`."""
-        return over_states(self.objective, values, self.fitness_evaluator, self.fitness_relevance)
+        fitness = over_states(self.objective, values, self.fitness_evaluator, self.fitness_relevance)
+        return np.asarray(returned(self.objective, "fitness", fitness, *values.shape[:-1]))
 
     def values(self, deployment: Deployment) -> FloatArray:
         """The objective's value at every position of the grid, in [0, 1], `(P,)`; at each for every crowd state."""
@@ -236,7 +237,12 @@ class Problem:
     def _values(self, evaluator: Evaluator, deployment: Deployment) -> FloatArray:
         """The objective's value at each position of an evaluator, for the edges of the deployment."""
         sized, landmarks = evaluator.sized(deployment.edges), (deployment.positions[None], deployment.normals[None])
-        return np.asarray(self.objective.values(sized, *landmarks)[0])
+        return np.asarray(self._values_of(sized, *landmarks)[0])
+
+    def _values_of(self, evaluator: Evaluator, positions: FloatArray, normals: FloatArray) -> FloatArray:
+        """The objective's values of B deployments `(B, K, 3)` at each position of an evaluator, `(B, P)`."""
+        values = self.objective.values(evaluator, positions, normals)
+        return np.asarray(returned(self.objective, "values", values, len(positions), len(evaluator.positions)))
 
     def metrics(self, deployment: Deployment) -> dict[str, float]:
         """The objective's figures on the grid, and the fitness."""

@@ -1,6 +1,7 @@
 """Criteria in NumPy alone: the figures are those of the compiled half, and what needs it says so."""
 
 from dataclasses import asdict, replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -10,6 +11,7 @@ from contracts.optimiser import check_going_on
 from paper import paper_camera, paper_room, paper_scene
 
 from lmd.core.checks import InputError
+from lmd.estimation import study
 from lmd.evaluation import validation
 from lmd.evaluation.accuracy import accuracy_metrics
 from lmd.evaluation.bounds import Search, affordable, average_upper_bound, fitness_upper_bound
@@ -35,6 +37,7 @@ from lmd.sight import reference
 from lmd.sight.evaluator import Evaluator
 from lmd.sight.models.paper import Visibility
 from lmd.sight.views import visible_to_each
+from lmd.space.cuboid import Cuboid
 
 CAMERA = paper_camera()
 RIG = Rig((Mount(CAMERA, (0.1, 0.0, 0.0)), Mount(paper_camera(focal_length=6.0), yaw=2.0)))
@@ -228,3 +231,51 @@ def test_criteria_in_numpy_are_validated_at_as_many_positions_as_the_counted_wor
     for key in ("finer_grid_qualified_ratio", "grid_free_average_coverage_probability"):
         assert 0.0 < abs(found[key] - expected[key]) < 4.0 * found[f"{key}_standard_error"] < 0.8
     assert "+- " in validation.describe_validation(alone, found)[validation.FINER]
+
+
+def a_class(base, name, value, *arguments, **settings):
+    """An object of a subclass whose method `name` returns what `value` makes of the result."""
+    made = type("Mine", (base,), {name: lambda self, *given: value(getattr(super(type(self), self), name)(*given))})
+    return made(*arguments, **settings)
+
+
+def figures_of(problem):
+    deployment = problem.draw(np.random.default_rng(0))
+    return problem.metrics(deployment) | validation_metrics(problem, deployment, 0, SAMPLE)
+
+
+@pytest.mark.parametrize(
+    ("part", "method", "value", "said"),
+    [
+        (Ahead, "covered", lambda seen: seen[0], r"booleans of the shape \(\d+, 12\), got bool of the shape \(12,\)"),
+        (Ahead, "covered", lambda seen: seen.T, r"got bool of the shape \(12, \d+\)"),
+        (Ahead, "covered", lambda seen: 1 * seen, "got int64 of the shape"),
+        (
+            Coverage,
+            "values",
+            lambda values: values[0],
+            r"real numbers of the shape \(1, 18\), got float64 of .* \(18,\)",
+        ),
+        (Coverage, "fitness", lambda fitness: [fitness], r"of the shape \(\), got float64 of the shape \(1,\)"),
+        (Coverage, "shares", dict.fromkeys, "got object of the shape"),
+        (Cuboid, "grid", lambda points: points[:, :2], r"of the shape \(any, 3\), got float64 of the shape \(8, 2\)"),
+        (Cuboid, "sample_evenly", lambda points: points[1:], r"of the shape \(10, 3\), got .* \(9, 3\)"),
+    ],
+)
+def test_arrays_of_a_class_of_ones_own_have_the_shape_and_kind_that_is_asked(part, method, value, said):
+    """NumPy would broadcast them, and the figures would be wrong."""
+    scene, objective = both()[1], Coverage(1, 0.3)
+    if part is Ahead:
+        scene = replace(scene, visibility=a_class(Ahead, method, value))
+    elif part is Cuboid:
+        scene = replace(scene, room=a_class(Cuboid, method, value, (5.0, 5.0, 5.0), (4.0, 4.0, 4.0), 2.0))
+    else:
+        objective = a_class(Coverage, method, value, 1, 0.3)
+    with pytest.raises(InputError, match=rf"Mine\.{method}.* must be .*{said}"):
+        figures_of(Problem(scene, objective, RandomDeployment(12)))
+
+
+def test_errors_of_an_estimator_of_ones_own_have_a_value_for_each_frame():
+    recording, estimator = SimpleNamespace(time=np.arange(5.0)), SimpleNamespace(errors=lambda *_: "lost")
+    with pytest.raises(InputError, match=r"errors\(\)\.frobenius must be real numbers of the shape \(2, 5\)"):
+        study._errors({"mine": estimator}, recording, np.zeros((2, 4, 4)))

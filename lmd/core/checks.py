@@ -197,6 +197,30 @@ def check_members(name: str, part: Any, protocol: type, page: str) -> None:
         raise InputError(f"{name} is a {kind}, which has no {', '.join(lacking)}; {page} has what is needed.", name)
 
 
+def returned(part: Any, method: str, value: Any, *shape: int | None, truth: bool = False) -> Any:
+    """Return the result of a method of a user's class as an array.
+
+    Args:
+        part: object of that class.
+        method: name of the method.
+        value: its result.
+        shape: lengths that the result must have along its axes; None for any length.
+        truth: True for a mask, False for real numbers.
+
+    Raises:
+        InputError: the result has another shape, or is no mask or no real numbers; NumPy would broadcast it.
+    """
+    array = np.asarray(value)
+    fits = len(shape) == array.ndim and all(n in (None, m) for n, m in zip(shape, array.shape, strict=True))
+    if not fits or array.dtype.kind not in ("b" if truth else "biuf"):
+        wanted = ", ".join("any" if n is None else str(n) for n in shape) + "," * (len(shape) == 1)
+        raise InputError(
+            f"{type(part).__qualname__}.{method} must be {'booleans' if truth else 'real numbers'} of the shape "
+            f"({wanted}), got {array.dtype} of the shape {array.shape}."
+        )
+    return array
+
+
 def check_fields(instance: Any, check: Callable[..., Any], *names: str, **bounds: Any) -> None:
     """Replace fields of a frozen dataclass by the results of a check.
 

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from lmd.core.checks import FloatArray, InputError, IntArray, argument_of, check_fields, real
+from lmd.core.checks import FloatArray, InputError, IntArray, argument_of, check_fields, real, returned
 from lmd.core.memory import check_memory
 from lmd.core.words import escaped, markdown_table
 from lmd.estimation.consistency import DEGREES
@@ -237,7 +237,9 @@ def _errors(estimators: Mapping[str, Estimator], recording: Recording, start: Fl
     errors = {}
     for name, estimator in estimators.items():
         with argument_of(f"estimators.{name}"):
-            errors[name] = estimator.errors(recording, start)
+            found = errors[name] = estimator.errors(recording, start)
+            for key in ("frobenius", "position", "attitude"):
+                returned(estimator, f"errors().{key}", getattr(found, key, None), len(start), len(recording.time))
     return errors
 
 

@@ -26,7 +26,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from lmd.core.bits import BITS
-from lmd.core.checks import BoolArray, FloatArray, integer
+from lmd.core.checks import BoolArray, FloatArray, integer, returned
 from lmd.core.compiled import PYTHON
 from lmd.geometry.frames import angles_of
 from lmd.objectives.base import SelfValidating
@@ -107,7 +107,8 @@ def validation_metrics(
     most, key = affordable_positions(finer, len(deployment)), objective.headline.key
     if is_part := len(places) > most:
         places = np.random.default_rng([seed, VALIDATION_STREAM]).permutation(places)[:most]
-    on_finer_grid = objective.shares(objective.values(Evaluator(finer, places, threads), *landmarks)[0])[key]
+    values = objective.values(Evaluator(finer, places, threads), *landmarks)[0]
+    on_finer_grid = returned(objective, f"shares()[{key!r}]", objective.shares(values).get(key), *values.shape)
     metrics = {f"finer_grid_{key}": float(on_finer_grid.mean())}
     if is_part:
         metrics[f"finer_grid_{key}_standard_error"] = float(on_finer_grid.std() / math.sqrt(most))
@@ -200,7 +201,7 @@ def sampled_evaluators(scene: Scene, count: int, seed: int, sample: Sample, thre
         alike = replace(scene, pdf=scene.pdf.stratified(divisions, np.random.default_rng(0)))
         size = int(min(size, max(1.0, affordable_positions(alike, count) / sample.groups)))
     for _ in range(sample.groups):
-        positions = scene.room.sample_evenly(size, rng)
+        positions = returned(scene.room, "sample_evenly", scene.room.sample_evenly(size, rng), size, 3)
         drawn = replace(scene, pdf=scene.pdf.stratified(divisions, rng))
         if scene.crowd is not None:
             drawn = replace(drawn, crowd=scene.crowd.crowd.drawn(scene.room, rng))

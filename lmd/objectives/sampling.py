@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from lmd.core.checks import IntArray, check_fields, integer
+from lmd.core.checks import IntArray, check_fields, integer, returned
 from lmd.core.memory import check_memory
 from lmd.scene.pdf import divisions_of
 from lmd.scene.scene import Scene
@@ -49,6 +49,7 @@ class Sampling:
         what = f"sampling.positions = {repeats} in each of {cells} cells"
         check_memory(POSITION_BYTES * repeats * cells, what, "sampling.positions")
         positions = scene.room.jittered_grid(repeats, rng)
+        positions = returned(scene.room, "jittered_grid", positions, repeats * cells, 3)
         drawn = replace(scene, pdf=scene.pdf.stratified(self.divisions, rng))
         if scene.crowd is None:
             return Evaluator(drawn, positions, threads)

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from lmd.core.bits import in_words
-from lmd.core.checks import BoolArray, FloatArray, IntArray
+from lmd.core.checks import BoolArray, FloatArray, IntArray, returned
 from lmd.core.compiled import for_kernels
 from lmd.core.memory import check_views
 from lmd.core.threads import available_threads, in_parts
@@ -68,7 +68,7 @@ class Evaluator:
         states: IntArray | None = None,
     ) -> None:
         self.scene = scene
-        places = scene.room.grid() if positions is None else positions
+        places = returned(scene.room, "grid", scene.room.grid(), None, 3) if positions is None else positions
         if scene.crowd is not None and states is None:
             states = np.repeat(np.arange(len(scene.crowd)), len(places))
             places = np.tile(places, (len(scene.crowd), 1))

@@ -13,7 +13,7 @@ from functools import cache
 import numpy as np
 
 from lmd.core.bits import in_words
-from lmd.core.checks import BoolArray, FloatArray, IntArray
+from lmd.core.checks import BoolArray, FloatArray, IntArray, returned
 from lmd.geometry.camera import Camera
 from lmd.scene.criteria import TOLERANCE
 from lmd.scene.deployment import Deployment
@@ -48,6 +48,7 @@ def station_caps(scene: Scene, deployment: Deployment, position: FloatArray, sta
     landmarks, place = (deployment.positions, deployment.normals), position + station.offset
     seen = scene.visibility.covered(station.camera, place, station.axes, *landmarks)
     clear = unhindered(scene, station.camera, place, *landmarks)
+    seen = returned(scene.visibility, "covered", seen, len(station.axes), len(deployment), truth=True)
     return np.asarray(seen & clear)
 
 

@@ -30,13 +30,9 @@ from lmd.core.compiled import inlined, inner
 
 NUMBERS = 21  # numbers of a covariance
 TURN = 15  # first number of the block of w
+BLOCK, CROSS = np.array([[0, 1, 2], [1, 3, 4], [2, 4, 5]]), np.arange(6, TURN).reshape(3, 3)
 # Index of each entry of the symmetric 6 x 6 matrix among the 21 numbers.
-ENTRIES = np.array(
-    [
-        [0, 1, 2, 6, 7, 8], [1, 3, 4, 9, 10, 11], [2, 4, 5, 12, 13, 14],
-        [6, 9, 12, 15, 16, 17], [7, 10, 13, 16, 18, 19], [8, 11, 14, 17, 19, 20],
-    ]
-)  # fmt: skip
+ENTRIES = np.block([[BLOCK, CROSS], [CROSS.T, BLOCK + TURN]])
 # Rounding error of a variance, relative to the trace of the covariance.
 COVARIANCE_ERROR = 1e-13
 
