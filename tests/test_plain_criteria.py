@@ -257,7 +257,7 @@ def figures_of(problem):
             r"real numbers of the shape \(1, 18\), got float64 of .* \(18,\)",
         ),
         (Coverage, "fitness", lambda fitness: [fitness], r"of the shape \(\), got float64 of the shape \(1,\)"),
-        (Coverage, "shares", dict.fromkeys, "got object of the shape"),
+        (Coverage, "shares", lambda shares: {key: each[None] for key, each in shares.items()}, "got bool of .*1, "),
         (Cuboid, "grid", lambda points: points[:, :2], r"of the shape \(any, 3\), got float64 of the shape \(8, 2\)"),
         (Cuboid, "sample_evenly", lambda points: points[1:], r"of the shape \(10, 3\), got .* \(9, 3\)"),
     ],
