@@ -6,12 +6,13 @@ from typing import TYPE_CHECKING
 
 from omegaconf import DictConfig, ListConfig
 
-from .app import run_directory, save_path
+from .app import choices, run_directory, save_path
 from .building import budget_of, build_optimiser, build_problem, seeds_of
 from .contenders import LANDMARKS, Contender, contend
 from .earlier_run import read_earlier_problem
 from .overrides import changes_results, recompose, search_path, task_overrides
 from .pipeline import Pipeline
+from .provenance import parameters
 from .tournament import hold_tournament
 
 if TYPE_CHECKING:
@@ -51,8 +52,10 @@ def compare(cfg: DictConfig) -> None:
 
     dataset = dataset_of(cfg, problem)
 
+    shared = parameters(cfg, choices())  # so that tables of runs have the same columns as those of optimise
+
     def log(job: Contender, run: "OptimiserRun", parent: str | None) -> None:
-        folder, params = job.folder(directory), {"optimiser": run.optimiser, "seed": run.seed}
+        folder, params = job.folder(directory), {**shared, "optimiser": run.optimiser, "seed": run.seed}
         started = RunStart(job.name, folder, params, job.tags, ago=run.history[-1].wall_time, dataset=dataset)
         log_child(cfg.tracking, started, parent, run.metrics, folder / LANDMARKS, curve(run.history, budget))
 

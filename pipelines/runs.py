@@ -37,6 +37,7 @@ COLUMNS = {
     "metrics.off_grid": "off the grid",
     "metrics.evaluations": "evaluations",
 }
+SHARES = ("metrics.fitness", "metrics.off_grid")  # columns in per cent
 OWN_KEYS = ("tracking", "trust")  # keys whose values on this command line replace the values of the run
 # Keys of `tracking` that go on with the run; where it is recorded is said by this command line.
 RECORDED = re.compile(r"tracking\.(tags\b.*|system_metrics)")
@@ -227,7 +228,8 @@ def _listed(table: "pd.DataFrame") -> str:
     for column in ("run", "pipeline"):
         shown[column] = shown[column].fillna("").astype(str).map(printable)
     shown["started (UTC)"] = shown["started (UTC)"].dt.strftime("%Y-%m-%d %H:%M:%S")
-    return str(shown.to_string(index=False, na_rep="", float_format="{:g}".format))
+    percent = {COLUMNS[key]: "{:.2%}".format for key in SHARES}
+    return str(shown.to_string(index=False, na_rep="", float_format="{:g}".format, formatters=percent))
 
 
 def _resume(unfinished: Mapping[str, ResumeCommand], wanted: str) -> None:

@@ -28,6 +28,7 @@ from .operations.sweeps.folder import current_job, reason_of
 from .operations.sweeps.names import override_tags, short_name
 from .operations.tracking import Dataset, RunStart
 from .outputs import write_figures, write_history, write_pictures, write_what_fits
+from .overrides import key_and_value
 from .progress import doing
 from .provenance import command_line, digest, parameters, repeating, source_tags, write_sources
 
@@ -118,10 +119,11 @@ def tracked(
     """
     tracker: Tracker = instantiate(cfg.tracking)
     job, overrides = current_job(), list(HydraConfig.get().overrides.task)
-    varied, tags = overrides, {f"choice.{group}": option for group, option in choices().items()}
+    varied, given, tags = overrides, list[str](), {f"choice.{group}": option for group, option in choices().items()}
     if job is not None:
         folder, swept = job
         overrides, varied = list(swept.overrides), [f"{key}={value}" for key, value in swept.varied.items()]
+        given = [override for override in overrides if key_and_value(override)[0] not in swept.varied]
         tags |= swept.tags(folder.name)
     pipeline = HydraConfig.get().job.name
     tags |= {"pipeline": pipeline} | override_tags(overrides) | source_tags(pipeline)
@@ -138,7 +140,7 @@ def tracked(
     try:
         with stop.raising():
             write_sources(run_directory() / ".hydra")
-            started = RunStart(short_name(subject, varied), run_directory(), params, tags, dataset=dataset)
+            started = RunStart(short_name(subject, varied, given), run_directory(), params, tags, dataset=dataset)
             tracker.start(started, run_id)
             yield tracker
     except InputError as error:

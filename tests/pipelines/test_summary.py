@@ -55,6 +55,7 @@ def test_a_sweep_without_coverage_names_the_criterion_that_excludes_most():
     nothing = [(folder, done, {**figures, "criteria": criteria}) for folder, done, figures in [job(0.0, seed="0")]]
     excluded = "field of view excludes most: without it 30.00% of single landmarks would be covered, with it 0.10%"
     assert why_nothing(nothing) == f"no job qualifies any position; {excluded}"
+    assert why_nothing([job(0.0, seed="0")]).endswith("validate=true says which criterion excludes most")
     assert why_nothing([*nothing, job(0.1, seed="1")]) == ""
     assert why_nothing([]) == why_nothing([job(None, seed="0")]) == ""
 
@@ -95,4 +96,5 @@ def test_the_name_of_a_run_begins_with_what_varies():
     assert short_name("annealing", [*varied[:2], "seed=1"]) == "n=4 p=0.7 s1 annealing"
     assert short_name("ega", ["deployment.path='out/a b.csv'"]) == "path=a b.csv ega"
     assert short_name("ega", []) == "ega"
+    assert short_name("ega", varied, ["room=hall", "validate=false"]) == "ega n=4 p=0.7 s1 room=hall"
     assert short_name("annealing", [f"room.note={'x' * 100}"]) == f"note={'x' * 65} annealing"

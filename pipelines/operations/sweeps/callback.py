@@ -1,9 +1,11 @@
 """Hydra callback that begins and ends a sweep: its tracked run, and its table."""
 
 import atexit
+import logging
 import math
 import os
 import sys
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
@@ -12,19 +14,46 @@ from omegaconf import DictConfig
 
 from ...nodes import instantiate
 from ...outputs import held
+from ...overrides import key_and_value
 from ...provenance import repeating, source_tags
 from ..signals import stop
 from .folder import Sweep, SweepFolder, reason_of
-from .names import SEED, override_tags, pin_sweep_folder, sweep_name, sweep_title, swept, varied_keys
+from .names import SEED, fixed, override_tags, pin_sweep_folder, sweep_name, sweep_title, swept, varied_keys
 from .shared import Values, asked_values, shared_parameters
-from .summary import best_and_median, by_group, description, found_by, grouping_keys, pivot, write_jobs
+from .summary import (
+    best_and_median,
+    by_group,
+    description,
+    draw_groups,
+    found_by,
+    grouping_keys,
+    pivot,
+    why_nothing,
+    write_jobs,
+)
 from .supervisor import STOPPED, SWEEP_VARIABLE, end_runs, lost
 
 if TYPE_CHECKING:
     from ..tracking import Tracker
 
-# Parameters in the name of a sweep's run, in addition to the varied keys.
-NAMED = ("objective.n", "objective.thold_p", "deployment.count", "budget.evaluations", "budget.seconds")
+# Loggers of Hydra's launchers, which print all overrides of a job.
+LAUNCHERS = ("hydra._internal.core_plugins.basic_launcher", "hydra_plugins.hydra_joblib_launcher._core")
+
+
+class _Shortened(logging.Filter):
+    """Filter of a launcher's lines, `#3 : optimiser=ega seed=1 room=hall`, that leaves what varies."""
+
+    def __init__(self, varied: Sequence[str]) -> None:
+        super().__init__()
+        self.varied = varied
+
+    def filter(self, record: logging.LogRecord) -> bool:
+        """Shorten a line; see `logging.Filter.filter`."""
+        number, colon, overrides = str(record.msg).partition(" : ")
+        if colon:
+            shown = [word for word in overrides.split() if key_and_value(word)[0] in self.varied]
+            record.msg = f"{number}: {' '.join(shown)}"
+        return True
 
 
 class SweepRecord(Callback):
@@ -51,6 +80,10 @@ class SweepRecord(Callback):
         done = len(folder.jobs())
         going_on = f", going on after {done} finished jobs (delete the folder to start afresh)" if before else ""
         print(f"sweep {sweep_name(config)} in {folder.path}{going_on}", flush=True)
+        if before is None and (sweep := folder.load()) is not None and (told := folder.like(sweep)):
+            print(told, flush=True)
+        for name in LAUNCHERS:
+            logging.getLogger(name).addFilter(_Shortened(varied_keys(swept(config))))
 
     @staticmethod
     def _begin(config: DictConfig, folder: SweepFolder, values: Values) -> Sweep | None:
@@ -62,7 +95,7 @@ class SweepRecord(Callback):
         before, overrides = folder.load(), swept(config)
         is_search = not config.hydra.sweeper._target_.endswith(".BasicSweeper")
         asked = None if is_search else math.prod(map(len, values.values()))
-        sweep = Sweep(sweep_name(config), varied_keys(overrides), None, asked=asked)
+        sweep = Sweep(sweep_name(config), varied_keys(overrides), None, asked=asked, given=fixed(config))
         try:
             tracker: Tracker = instantiate(config.tracking)
             if before:
@@ -72,9 +105,9 @@ class SweepRecord(Callback):
             tags = {"sweep": sweep.name, "pipeline": config.hydra.job.name}
             tags |= override_tags(overrides) | source_tags(config.hydra.job.name)
             params = shared_parameters(config, values)
-            named = [f"{key.split('.')[-1]}={params[key]}" for key in NAMED if key in params]
-            name = " ".join([sweep_title(config), *named])
-            tracker.start(RunStart(name, folder.path, params, tags), sweep.run_id)  # a run keeps its first params
+            tracker.start(
+                RunStart(sweep_title(config), folder.path, params, tags), sweep.run_id
+            )  # a run keeps its first params
         except InputError as error:
             hint = f" (to start the sweep afresh, delete {folder.path})" if before else ""
             if before is None:
@@ -144,6 +177,8 @@ def _close(config: DictConfig, reason: str = "") -> bool:
     print(f"{len(jobs) - len(failed) - running} of {total} jobs finished{left}: {folder.table}", flush=True)
     for its_folder, job in failed:
         print(f"{job.status}: {job.label}: {job.reason} ({its_folder.output})", file=sys.stderr)
+    if told := why_nothing(found):
+        print(told, flush=True)
     if failed or not jobs:
         reason = reason or (f"{len(failed)} of {len(jobs)} jobs failed" if jobs else "the sweep had no jobs")
     tracker: Tracker = instantiate(config.tracking)
@@ -153,7 +188,7 @@ def _close(config: DictConfig, reason: str = "") -> bool:
         about += "\n\nparameters: those that the jobs of the first command share"
     tracker.start(RunStart(sweep.name, folder.path, tags={"mlflow.note.content": about}), sweep.run_id)
     tracker.log_metrics({"jobs": total, "failed": len(failed)} | best_and_median(sweep, found))
-    tracker.log_artifacts([folder.groups, folder.table])
+    tracker.log_artifacts([folder.groups, folder.table, *draw_groups(folder.picture, sweep, found)])
     tracker.finish("KILLED" if reason == STOPPED else "FAILED" if reason else "FINISHED", reason)
     for line in tracker.views(grouping_keys(sweep)):
         print(line, flush=True)

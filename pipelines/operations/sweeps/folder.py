@@ -25,6 +25,8 @@ class Sweep:
     """Number of commands that extended the sweep before the last command."""
     asked: int | None = None
     """Number of jobs that the last command asks for; None for a search, which proposes them one after the other."""
+    given: tuple[str, ...] = ()
+    """Overrides of the last command that do not vary, and change results."""
 
 
 @dataclass(frozen=True)
@@ -114,10 +116,26 @@ class SweepFolder:
         self.record = self.path / "sweep.json"
         self.table = self.path / "jobs.csv"
         self.groups = self.path / "by_group.md"
+        self.picture = self.path / "groups.png"
 
     def load(self) -> Sweep | None:
         """Read the sweep; None if there is no record."""
-        return read_document(self.record, lambda values: Sweep(**values | {"varied": tuple(values["varied"])}))
+
+        def made(values: dict[str, Any]) -> Sweep:
+            return Sweep(**values | {key: tuple(values[key]) for key in ("varied", "given")})
+
+        return read_document(self.record, made)
+
+    def like(self, sweep: Sweep) -> str:
+        """The sweep beside this one with equal varied keys that differs least in what was given, and how."""
+        others = [(path.parent.name, SweepFolder(path.parent).load()) for path in self.path.parent.glob("*/sweep.json")]
+        differences = {
+            name: sorted({*sweep.given} - {*other.given}) + sorted(f"not {o}" for o in {*other.given} - {*sweep.given})
+            for name, other in others
+            if other is not None and name != self.path.name and {*other.varied} == {*sweep.varied}
+        }
+        name = min(differences, key=lambda name: len(differences[name]), default="")
+        return f"like {name} but for {', '.join(differences[name])}" if differences.get(name) else ""
 
     def save(self, sweep: Sweep) -> None:
         """Write the sweep."""

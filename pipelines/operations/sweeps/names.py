@@ -26,22 +26,29 @@ def override_tags(overrides: Sequence[str]) -> dict[str, str]:
     return {"overrides": " ".join(overrides)} | each
 
 
-def short_name(subject: str, overrides: Sequence[str]) -> str:
-    """Name of a run, which begins with what varies, as tables cut its end: `ega n=4 p=0.7 s1`, `n=4 p=0.7 annealing`.
+def short_name(subject: str, overrides: Sequence[str], given: Sequence[str] = ()) -> str:
+    """Name of a run, which begins with what varies, as tables cut its end: `ega n=4 p=0.7 s1`, `n=4 ega room=hall`.
 
     Args:
         subject: subject of the run, in a word.
         overrides: overrides that vary.
+        given: further overrides of the command line.
     """
+    varies = in_name(overrides, subject)
+    is_first = any(value.strip("'\"") == subject for _, value in map(key_and_value, overrides))
+    left = NAME_LENGTH - len(subject) - 1
+    words = [subject, varies[:left]] if is_first else [varies[:left], subject]
+    return " ".join(filter(None, [*words, in_name(given, subject)]))[:NAME_LENGTH].rstrip()
+
+
+def in_name(overrides: Sequence[str], *left_out: str) -> str:
+    """Overrides as in names, without those that change no result and those with a value of `left_out`."""
     values = [(key, value.strip("'\"")) for key, value in map(key_and_value, overrides)]
-    varies = " ".join(
+    return " ".join(
         shown(key, value)
         for key, value in values
-        if key.split(".")[0] not in NOT_IN_NAME and changes_results(key) and value != subject
+        if key.split(".")[0] not in NOT_IN_NAME and changes_results(key) and value not in left_out
     )
-    words = [subject, varies] if any(value == subject for _, value in values) else [varies, subject]
-    left = NAME_LENGTH - len(subject) - 1
-    return " ".join(word[: left if word is varies else None] for word in words if word)
 
 
 def shown(key: str, value: str) -> str:
@@ -84,14 +91,24 @@ def sweep_name(root: DictConfig) -> str:
 
 
 def sweep_title(root: DictConfig) -> str:
-    """Name of a sweep's run: its experiment, its search, or else the keys that it varies, `n x thold_p x optimiser`."""
+    """Name of a sweep's run: its experiment, its search, or else the keys that it varies, then what else is given:
+    `n x thold_p x optimiser room=hall`.
+    """
     experiment, search = (root.hydra.runtime.choices.get(group) for group in ("experiment", "hparams_search"))
     keys = varied_keys(swept(root))
+    title = " x ".join(key.split(".")[-1] for key in keys if key != SEED) or SEED
     if search is not None:
-        return " ".join(filter(None, ["search", search, experiment]))
-    if experiment is not None and "experiment" not in keys:
-        return str(experiment)
-    return " x ".join(key.split(".")[-1] for key in keys if key != SEED) or SEED
+        title = " ".join(filter(None, ["search", search, experiment]))
+    elif experiment is not None and "experiment" not in keys:
+        title = str(experiment)
+    return " ".join(filter(None, [title, in_name(fixed(root), *filter(None, [experiment, search]))]))
+
+
+def fixed(root: DictConfig) -> tuple[str, ...]:
+    """Overrides of the command line of a sweep that do not vary, and change results."""
+    given, varied = as_given(root.hydra.overrides.task), varied_keys(swept(root))
+    keys = [key_and_value(override)[0] for override in given]
+    return tuple(o for o, key in zip(given, keys, strict=True) if key not in varied and changes_results(key))
 
 
 def sweep_folder(*, _root_: DictConfig) -> str:

@@ -51,6 +51,12 @@ def asked_values(config: DictConfig) -> Values:
     return values
 
 
+def parameters_of(composed: DictConfig) -> dict[str, Any]:
+    """Parameters of a job, from its configuration with Hydra's part."""
+    settings = OmegaConf.masked_copy(composed, [str(key) for key in composed if key != "hydra"])
+    return parameters(settings, chosen(composed.hydra.runtime.choices))
+
+
 def shared_parameters(config: DictConfig, values: Mapping[str, Sequence[str]]) -> dict[str, Any]:
     """The parameters that the jobs of a sweep share, as some jobs are composed: an option may change other groups.
 
@@ -87,8 +93,7 @@ def shared_parameters(config: DictConfig, values: Mapping[str, Sequence[str]]) -
                 option = f"{refused[2]}={composed.hydra.runtime.choices.get(refused[2])}: there are {names}"
                 raise InputError(f"{refused[0].split(chr(39))[1]} is no key of {option}.") from None
             continue
-        settings = OmegaConf.masked_copy(composed, [str(key) for key in composed if key != "hydra"])
-        every.append(parameters(settings, chosen(composed.hydra.runtime.choices)))
+        every.append(parameters_of(composed))
     if not every:
         return {}
     return {

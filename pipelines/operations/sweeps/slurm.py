@@ -18,6 +18,7 @@ from lmd.core.checks import InputError
 
 from ...outputs import held
 from .folder import JobFolder
+from .shared import parameters_of
 from .supervisor import end_runs, job_of
 
 PROGRAMS = ("sbatch", "srun", "squeue")  # which submitit and this module call
@@ -82,7 +83,7 @@ class QueuedJob(slurm.SlurmJob[JobReturn]):
                 log = f" ({self.paths.stderr})" if self.paths.stderr.exists() else ""
                 job = replace(job, status="killed", reason=reason + log)
                 folder.save(job)
-                end_runs(config.tracking, folder, job, named=True)
+                end_runs(config.tracking, folder, job, parameters_of(config))
 
 
 def follow_the_queue() -> None:

@@ -84,9 +84,11 @@ def draw_groups(path: Path, sweep: Sweep, found: Found) -> list[Path]:
 def why_nothing(found: Found) -> str:
     """The criterion that keeps all finished jobs from covering anything, a sentence; empty if one covers something."""
     values, causes = _values(found, "fitness"), [figures.get("criteria") for _, _, figures in found]
-    first = next((each for each in causes if each), None)
-    if any(values) or not values or first is None:
+    if any(values) or not values:
         return ""
+    first = next((each for each in causes if each), None)
+    if first is None:
+        return "no job qualifies any position; validate=true says which criterion excludes most"
     without = {key.removeprefix(WITHOUT): share for key, share in first.items() if key.startswith(WITHOUT)}
     worst = max(without, key=lambda name: without[name])
     excluded = f"{worst.replace('_', ' ')} excludes most: without it {without[worst]:.2%} of single landmarks"

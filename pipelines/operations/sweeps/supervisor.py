@@ -5,23 +5,24 @@ import signal
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import closing, contextmanager
 from dataclasses import replace
 from functools import cache
 from types import FrameType
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from hydra.conf import HydraConf
 from hydra.core.hydra_config import HydraConfig
 from hydra.types import RunMode
 from omegaconf import DictConfig
 
-from ...app import PACKAGE, ends_reported, run_directory
+from ...app import PACKAGE, choices, ends_reported, run_directory
 from ...earlier_run import check_experiment
 from ...nodes import instantiate
 from ...outputs import JOB_VARIABLE, held
 from ...overrides import config_dir, key_and_value, quoted, search_path
+from ...provenance import parameters
 from ..signals import CODES, Stopped, stop
 from . import forks
 from .folder import Job, JobFolder, SweepFolder, current_job, reason_of
@@ -106,9 +107,11 @@ def _supervise(cfg: DictConfig) -> float | None:
             _keep_newest_run(cfg.tracking, folder, job)
         if job.status == "finished":
             print(f"finished in {job.seconds - spent:.0f} s: {job.label}{_figures_text(folder)}", flush=True)
+            _attach_output(cfg.tracking, folder, job)
             return job.value
         print(f"{job.status}: {job.label}: {job.reason} ({folder.output})", flush=True)
-        end_runs(cfg.tracking, folder, job, named=job.status != "interrupted")
+        end_runs(cfg.tracking, folder, job, None if job.status == "interrupted" else parameters(cfg, choices()))
+        _attach_output(cfg.tracking, folder, job)
         if interrupted:
             sys.exit(128 + signal.SIGINT)
         return float("nan")
@@ -254,15 +257,22 @@ def _keep_newest_run(tracking: DictConfig, folder: JobFolder, job: Job) -> None:
             tracker.keep_newest(job.tags(folder.name))
 
 
-def end_runs(tracking: DictConfig, folder: JobFolder, job: Job, named: bool = False) -> None:
-    """End the runs that a job's process left running, as the job ended; if there are none and `named`, record one."""
+def _attach_output(tracking: DictConfig, folder: JobFolder, job: Job) -> None:
+    """Store a job's output with its run."""
+    if job.parent is not None:
+        with _tracker_of(job, tracking, f"no {folder.output.name} has the run") as tracker:
+            tracker.attach(job.tags(folder.name), folder.output)
+
+
+def end_runs(tracking: DictConfig, folder: JobFolder, job: Job, params: Mapping[str, Any] | None = None) -> None:
+    """End the runs that a job's process left running, as the job ended; if there are none, record one with `params`."""
     from ..tracking import RunStart
 
     if job.parent is None:
         return
     status, tags = "KILLED" if job.status == "interrupted" else "FAILED", job.tags(folder.name)
     with _tracker_of(job, tracking, f"not marked as {status} is the run") as tracker:
-        if not tracker.end_lost(tags, job.reason, status) and named:
+        if not tracker.end_lost(tags, job.reason, status) and params is not None:
             name = short_name(job.status, [f"{key}={value}" for key, value in job.varied.items()])
-            tracker.start(RunStart(name, folder.path, tags=tags | override_tags(job.overrides)))
+            tracker.start(RunStart(name, folder.path, params, tags | override_tags(job.overrides)))
             tracker.finish(status, job.reason)

@@ -24,6 +24,7 @@ WIDTHS = {
     **{f"params.`{name}`": 110 for name in ("optimiser", "room", "camera", "objective")},
 }
 NARROW = 70  # width of the column of any other setting, pixels
+MOST_FIGURES = 12  # columns of figures in the view of an experiment
 OF_SWEEPS = ("metrics.`best/off_grid`", "metrics.`median/off_grid`")
 # Columns of runs in their order: what often varies, the figure off the grid, further figures, then costs.
 VARIED = (
@@ -119,6 +120,14 @@ def sweep_view(client: "MlflowClient", experiment_id: str, run_id: str, params: 
     )
     client.set_experiment_tag(experiment_id, f"{SHARED}{run_id}", view)
     return run_id
+
+
+def show_figures(client: "MlflowClient", experiment_id: str, figures: Sequence[str]) -> None:
+    """Give an experiment a view with the figures of its runs, if these are others than those of deployments."""
+    columns = [f"metrics.`{figure}`" for figure in figures]
+    if columns and not set(columns).intersection(FIGURES):
+        view = _view(VARIED, columns[:MOST_FIGURES])
+        client.set_experiment_tag(experiment_id, f"{SHARED}{VIEW}", view)
 
 
 def _chart(kind: str, metric: str) -> dict[str, Any]:

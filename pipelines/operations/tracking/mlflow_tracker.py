@@ -8,7 +8,7 @@ from typing import Any
 
 from lmd.core.checks import InputError, boolean
 
-from .experiment import link, run_link, sweep_view
+from .experiment import link, run_link, show_figures, sweep_view
 from .journal import GONE, Journal, end_those_gone, hand_in, this_process
 from .store import PARAM_LENGTH, SQLITE, Store, first_line, is_of_store, now
 from .tracker import Entry, RunStart
@@ -47,6 +47,7 @@ class MlflowTracker:
         self._tags = {key: str(value) for key, value in (tags or {}).items()}
         self._run_id: str | None = None
         self._journal: Journal | None = None
+        self._figures: list[str] = []  # names of the metrics of the run
         self._sent = 0  # number of entries of the journal that were sent
         self._lost = False  # True after the store failed to answer
 
@@ -133,6 +134,7 @@ class MlflowTracker:
 
     def log_metrics(self, metrics: Mapping[str, float]) -> None:
         """See `Tracker.log_metrics`."""
+        self._figures += [key for key in metrics if key not in self._figures]
         self._record({"metrics": {key: float(value) for key, value in metrics.items()}, "at": now()})
 
     def log_artifacts(self, paths: Iterable[Path]) -> None:
@@ -148,6 +150,7 @@ class MlflowTracker:
         try:
             self._send()
             self._journal.remove()
+            show_figures(self.store.client, self.store.experiment_id, self._figures)
         except Exception as error:
             self._warn_once(error)
             try:
@@ -171,6 +174,12 @@ class MlflowTracker:
             runs = sorted(self.store.runs(_with_tags(tags)), key=lambda run: run.info.start_time)
             for run in runs[:-1]:
                 self.store.client.delete_run(run.info.run_id)
+
+    def attach(self, tags: Mapping[str, str], path: Path) -> None:
+        """See `Tracker.attach`."""
+        with self.store.errors_reported():
+            for run in self.store.runs(_with_tags(tags)):
+                self.store.send(run.info.run_id, {"files": [_absolute(path)]})
 
     def discard(self) -> None:
         """See `Tracker.discard`."""

@@ -91,6 +91,13 @@ class Tracker(Protocol):
             InputError: the store cannot be used.
         """
 
+    def attach(self, tags: Mapping[str, str], path: Path) -> None:
+        """Store a copy of a file with the runs that have these tags.
+
+        Raises:
+            InputError: the store cannot be used.
+        """
+
     def log_curve(self, metric: str, points: Iterable[tuple[int, float, float]]) -> None:
         """Log a curve of points (step, value, seconds since the beginning of the run)."""
 
