@@ -35,6 +35,10 @@ def test_failing_jobs_do_not_lose_the_others_and_the_sweep_names_them(faulty):
     assert left["qualified_ratio"] == rows.qualified_ratio["none"]
 
 
+def artifacts(client, run):
+    return [file.path for file in client.list_artifacts(run.info.run_id)]
+
+
 def folder(cwd):
     (path,) = (cwd / "outputs" / "optimise_sweep").iterdir()
     return path.name
@@ -52,8 +56,8 @@ def test_a_sweep_is_one_parent_run_with_a_child_for_each_job(faulty):
     cwd, done = faulty
     out = done.stdout
     parent, children = runs(cwd)
-    about = "n=2 thold_p=0.5 count=20 evaluations=400"
-    assert parent.info.run_name == f"fault {about} #{parent.info.run_id[:4]}"
+    assert parent.info.run_name.startswith("fault ")
+    assert parent.info.run_name.endswith(f" count=20 evaluations=400 optimiser=faulty #{parent.info.run_id[:4]}")
     assert (parent.data.params["optimiser"], parent.data.params["objective.n"]) == ("faulty", "2")
     assert "optimiser.fault" not in parent.data.params
     told = told_by(parent)
@@ -65,9 +69,9 @@ def test_a_sweep_is_one_parent_run_with_a_child_for_each_job(faulty):
     assert parent.data.tags["reason"] == "3 of 4 jobs failed"
     assert parent.data.tags["override.optimiser.fault"] == "none,raise,exit,kill"
     assert (parent.data.metrics["jobs"], parent.data.metrics["failed"]) == (4.0, 3.0)
-    assert not [key for key in parent.data.metrics if key.startswith(("best/", "median/"))]  # each job is a group
+    assert parent.data.metrics["median/qualified_ratio"] == table(cwd).qualified_ratio["none"]  # of the best group
     client = MlflowClient(tracking_uri=f"sqlite:///{cwd}/store.db")
-    assert [file.path for file in client.list_artifacts(parent.info.run_id)] == ["by_group.md", "jobs.csv"]
+    assert artifacts(client, parent) == ["by_group.md", "groups.png", "jobs.csv"]
     assert f"/runs/{parent.info.run_id}?workflowType=machine_learning" in out
     for mode in ("TABLE", "CHART"):  # views of the jobs, grouped by what varies
         assert (
@@ -92,14 +96,17 @@ def test_a_child_says_what_it_is(faulty):
     cwd, _ = faulty
     _, children = runs(cwd)
     (child,) = children["none"]
-    assert child.info.run_name == f"fault=none faulty #{child.info.run_id[:4]}"
+    assert child.info.run_name.startswith("fault=none faulty ")
+    assert child.info.run_name.endswith(f" count=20 evaluations=400 #{child.info.run_id[:4]}")
     assert children["kill"][0].info.run_name.startswith(("fault=kill faulty", "fault=kill killed"))
+    assert {found[0].data.params["deployment.count"] for found in children.values()} == {"20"}  # of failed jobs, too
     tags, params = child.data.tags, child.data.params
     assert (tags["sweep"], tags["pipeline"], tags["choice.optimiser"]) == ("optimiser.fault", "optimise", "faulty")
     assert tags["job"] == table(cwd).folder["none"]
     assert tags["override.deployment.count"] == params["deployment.count"] == "20"
     assert (params["optimiser"], params["optimiser.fault"]) == ("faulty", "none")
     client = MlflowClient(tracking_uri=f"sqlite:///{cwd}/store.db")
+    assert all("output.log" in artifacts(client, found[0]) for found in children.values())
     curve = client.get_metric_history(child.info.run_id, "best_fitness")
     assert [point.step for point in curve][:6] == [1, 2, 4, 5, 8, 10]
     assert {point.value for point in curve} == {curve[0].value}  # nothing is better than the first evaluation

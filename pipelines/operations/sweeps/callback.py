@@ -40,7 +40,7 @@ if TYPE_CHECKING:
 LAUNCHERS = ("hydra._internal.core_plugins.basic_launcher", "hydra_plugins.hydra_joblib_launcher._core")
 
 
-class _Shortened(logging.Filter):
+class Shortened(logging.Filter):
     """Filter of a launcher's lines, `#3 : optimiser=ega seed=1 room=hall`, that leaves what varies."""
 
     def __init__(self, varied: Sequence[str]) -> None:
@@ -83,7 +83,7 @@ class SweepRecord(Callback):
         if before is None and (sweep := folder.load()) is not None and (told := folder.like(sweep)):
             print(told, flush=True)
         for name in LAUNCHERS:
-            logging.getLogger(name).addFilter(_Shortened(varied_keys(swept(config))))
+            logging.getLogger(name).addFilter(Shortened(varied_keys(swept(config))))
 
     @staticmethod
     def _begin(config: DictConfig, folder: SweepFolder, values: Values) -> Sweep | None:

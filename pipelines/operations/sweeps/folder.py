@@ -130,7 +130,7 @@ class SweepFolder:
         """The sweep beside this one with equal varied keys that differs least in what was given, and how."""
         others = [(path.parent.name, SweepFolder(path.parent).load()) for path in self.path.parent.glob("*/sweep.json")]
         differences = {
-            name: sorted({*sweep.given} - {*other.given}) + sorted(f"not {o}" for o in {*other.given} - {*sweep.given})
+            name: sorted({*sweep.given} - {*other.given}) + sorted(f"no {o}" for o in {*other.given} - {*sweep.given})
             for name, other in others
             if other is not None and name != self.path.name and {*other.varied} == {*sweep.varied}
         }
