@@ -1,7 +1,6 @@
 """What a survey is worth where the truth is known; each prints or leaves what its name says.
 
 python benchmarks/survey.py photograph RUN FOLDER [--count 80]   # photographs of a run's tags, hung 10 mm off; true.csv
-python benchmarks/survey.py photograph RUN FOLDER --next survey.json   # likewise those that a survey asks for
 python benchmarks/survey.py compare MAP.csv TRUE.csv             # how far the tags of a map are off, millimetres
 python benchmarks/survey.py aviary test_13 [--boards 0.0002] [--calibrate false]  # of berndpfrommer/tagslam_test
 python benchmarks/survey.py perch test_2 [--calibrate false]  # two fisheye cameras, beside TagSLAM's own answer
@@ -21,8 +20,7 @@ import cv2
 import numpy as np
 from omegaconf import OmegaConf
 
-from lmd.core.checks import FloatArray
-from lmd.geometry.se3 import camera_pose, exp, pose_of
+from lmd.geometry.se3 import camera_pose, exp
 from lmd.pipelines.building import camera_of
 from lmd.pipelines.nodes import instantiate
 from lmd.render.imaging import Imaging
@@ -48,8 +46,8 @@ EYE_LEVEL = (1.0, 1.7)  # metres
 IMAGING = Imaging(psf_sigma=0.5, noise=2.0, texture=4.0)
 
 
-def photograph(run: Path, folder: Path, count: int, seed: int, asked: Path | None) -> None:
-    """Render a walk: random places where the camera may be, at eye level, looking about; or what a survey asks for."""
+def photograph(run: Path, folder: Path, count: int, seed: int) -> None:
+    """Render a walk: random places where the camera may be, at eye level, looking about."""
     cfg, rng = OmegaConf.load(run / ".hydra" / "config.yaml"), np.random.default_rng(seed)
     room, camera, tag = instantiate(cfg.room), camera_of(cfg.camera), instantiate(cfg.tag)
     plan = Deployment.from_csv(run / "landmarks.csv")
@@ -60,22 +58,10 @@ def photograph(run: Path, folder: Path, count: int, seed: int, asked: Path | Non
     yaw, pitch, roll = rng.uniform(-np.pi, np.pi, count), rng.normal(0.0, 0.15, count), rng.normal(0.0, 0.1, count)
     renderer = Renderer(camera, TaggedRoom(tag, plan.ids, places, normals, ups, room.faces()), IMAGING)
     folder.mkdir(parents=True, exist_ok=True)
-    poses = camera_pose(where, yaw, pitch, roll) if asked is None else asked_for(asked)
-    first, before = (0, "") if asked is None else (count, "next_")
-    for number, pose in enumerate(poses):
-        image = renderer.frame(pose, np.random.default_rng([seed, first + number]))
-        cv2.imwrite(str(folder / f"{before}{number:04d}.png"), image)
+    for number, pose in enumerate(camera_pose(where, yaw, pitch, roll)):
+        cv2.imwrite(str(folder / f"{number:04d}.png"), renderer.frame(pose, np.random.default_rng([seed, number])))
     true = Deployment(places, normals, labels=plan.labels, surveyed=Surveyed(places, places, ups))
     true.to_csv(folder / "true.csv", ups=True)
-
-
-def asked_for(document: Path) -> FloatArray:
-    """The poses of the photographs that a survey asks for, held level."""
-    rows = json.loads(document.read_text())["next_photographs"]
-    ahead, places = (np.array([row[name] for row in rows]) for name in ("direction", "position"))
-    right = np.cross(ahead, [0.0, 0.0, 1.0])
-    right /= np.linalg.norm(right, axis=1, keepdims=True)
-    return pose_of(np.stack([right, np.cross(ahead, right), ahead], axis=-1), places)
 
 
 def compare(found: Path, true: Path) -> None:
@@ -266,7 +252,6 @@ def main() -> None:
     walk.add_argument("folder", type=Path)
     walk.add_argument("--count", type=int, default=80)
     walk.add_argument("--seed", type=int, default=0)
-    walk.add_argument("--next", type=Path)
     two = commands.add_parser("compare")
     two.add_argument("found", type=Path)
     two.add_argument("true", type=Path)
@@ -290,7 +275,7 @@ def main() -> None:
     timed.add_argument("tags", type=int)
     given = parser.parse_args()
     if given.command == "photograph":
-        photograph(given.run, given.folder, given.count, given.seed, given.next)
+        photograph(given.run, given.folder, given.count, given.seed)
     elif given.command == "compare":
         compare(given.found, given.true)
     elif given.command == "aviary":

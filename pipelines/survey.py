@@ -41,8 +41,7 @@ def survey(cfg: DictConfig) -> None:
     from lmd.evaluation.verdicts import verdicts
     from lmd.survey.audit import audited, in_the_open, view_columns
     from lmd.survey.keyframes import select_keyframes
-    from lmd.survey.next_photographs import next_photographs
-    from lmd.survey.results import map_of, metrics, needing_photographs
+    from lmd.survey.results import map_of, metrics
     from lmd.survey.survey import SurveyStage
     from lmd.survey.survey import survey as find
     from lmd.survey.terminal import to_text
@@ -79,9 +78,6 @@ def survey(cfg: DictConfig) -> None:
             ):
                 found = find(select_keyframes(found_tags, every), cameras, tag, errors, known, calibrate, stages)
             through = tuple(one.found for one in found.calibrated)
-            if not stages(SurveyStage.PROPOSING):
-                proposed = next_photographs(found, through[0], tag.modules, errors, needing_photographs(found), room)
-                found = replace(found, proposed=proposed)
             if scene is not None and not stages(SurveyStage.AUDITING):
                 audit = audited(*((found, scene) if room is not None else in_the_open(found, scene)), verdicts)
             found = replace(found, interrupted=stages.interrupted)

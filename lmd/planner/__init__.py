@@ -3,5 +3,5 @@
 - `server` serves the planner; `access` refuses other pages; `actions` is the queue of requests from browsers.
 - `session` is the state of planning: a `plan` with undo, its `figures`, and a `tag_search` by an optimiser.
 - `background` computes slower figures while the user does nothing.
-- `panel`, `picture` and `robot` draw; `viewing` relates the view of a browser to the room; `survey_map` reads a survey.
+- `panel`, `picture` and `robot` draw; `viewing` relates the view of a browser to the room.
 """

@@ -18,7 +18,7 @@ def rgb(colour: str) -> Rgb:
 
 FREE, PINNED = rgb(common.LANDMARK), rgb(common.FIXED)
 SELECTED, SEEN = rgb("#ff7f0e"), rgb("#ffdd33")
-MEASURED, ASKED = rgb("#17becf"), rgb("#2ca02c")  # tags of a survey, and photographs that it proposes
+MEASURED = rgb("#17becf")  # tags of a survey
 UNKNOWN = rgb("#cdcdcd")
 WALL, PATTERN = rgb("#ececec"), rgb("#1a1a1a")
 BODY = rgb("#7f8fa6")  # body of a robot

@@ -1,6 +1,5 @@
 """Picture of a room by viser: surfaces, positions and tags, with captions."""
 
-import math
 from collections.abc import Sequence
 from functools import cache, cached_property
 from typing import Any
@@ -10,7 +9,6 @@ from scipy.spatial.transform import Rotation
 
 from lmd.core.checks import BoolArray, FloatArray, InputError, IntArray
 from lmd.planner.colours import (
-    ASKED,
     FREE,
     GAINS,
     MEASURED,
@@ -27,7 +25,6 @@ from lmd.planner.colours import (
 )
 from lmd.planner.figures import candidate_cells
 from lmd.planner.plan import Plan
-from lmd.planner.survey_map import SurveyMap
 from lmd.planner.viewing import Framing
 from lmd.plot import common
 from lmd.problem import Problem
@@ -197,9 +194,8 @@ class RoomPicture:
         papers = self._problem.scene.footprints.papers(deployment)
         return np.where(papers > 0.0, papers / 2.0, POINT_SIZE * self._diagonal)
 
-    def show_survey(self, found: SurveyMap, plan: Deployment) -> None:
-        """Draw measured tags, lines from their planned places, and the photographs that a survey proposes."""
-        tags = found.tags
+    def show_survey(self, tags: Deployment, plan: Deployment) -> None:
+        """Draw the tags of a survey and lines from their planned places."""
         self._scene.add_batched_meshes_simple(
             "/survey/tags",
             SQUARE,
@@ -212,17 +208,9 @@ class RoomPicture:
             opacity=0.6,
             **MESH_OPTIONS,
         )
-        lines = found.offsets(plan, OFFSET_MAGNIFICATION)
+        lines = offsets(tags, plan)
         if len(lines):
             self._scene.add_line_segments("/survey/offsets", lines, np.array(MEASURED, dtype=np.uint8))
-        for number, (place, ahead) in enumerate(found.photographs, 1):
-            right: FloatArray = np.cross(ahead, [0.0, 0.0, 1.0])
-            right = right / max(float(np.linalg.norm(right)), 1e-9)
-            turn = _quaternions(right[None], np.cross(ahead, right)[None], ahead[None])[0]
-            self._scene.add_camera_frustum(
-                f"/survey/next_{number}", math.radians(50.0), 4.0 / 3.0, color=ASKED,
-                scale=self.depth / 2.0, wxyz=turn, position=place,
-            )  # fmt: skip
 
     def show_values(self, values: FloatArray, span: tuple[float, float]) -> None:
         """Colour the positions by values `(P,)`; the first and the last colour are the ends of `span`."""
@@ -300,3 +288,10 @@ def _add_name(scene: Any, surface: Surface) -> Any:
         anchor="center-center" if is_level else "top-center",
         font_screen_scale=NAME,
     )
+
+
+def offsets(tags: Deployment, plan: Deployment) -> FloatArray:
+    """Lines from planned places towards those of tags with equal ids, magnified, `(n, 2, 3)`, metres."""
+    _, of, among = np.intersect1d(plan.ids, tags.ids, return_indices=True)
+    start = plan.places[of]
+    return np.stack([start, start + OFFSET_MAGNIFICATION * (tags.places[among] - start)], axis=1)

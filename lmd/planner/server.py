@@ -28,8 +28,8 @@ from lmd.planner.picture import MOST_CAPTIONS, RoomPicture
 from lmd.planner.plan import Plan
 from lmd.planner.robot import robot_of
 from lmd.planner.session import PlanningSession
-from lmd.planner.survey_map import SurveyMap
 from lmd.planner.viewing import pointed_at, seen_by
+from lmd.scene.deployment import Deployment
 from lmd.space.surface import SurfaceArrays
 
 IDLE_SECONDS = 0.5  # time without an action after which background work begins, seconds
@@ -45,7 +45,7 @@ class Planner:
         optimiser: function that makes the optimiser of a search.
         budget: initial budget of searches.
         seed: seed of the sample off the grid; None to compute no figures off the grid.
-        survey: map of a survey to draw beside the tags; None for none.
+        survey: tags of a survey to draw beside the plan; None for none.
 
     Raises:
         InputError: viser is not installed or its requests cannot be checked, or the port is in use.
@@ -59,7 +59,7 @@ class Planner:
         optimiser: Callable[[], Optimiser],
         budget: Budget,
         seed: int | None,
-        survey: SurveyMap | None = None,
+        survey: Deployment | None = None,
     ) -> None:
         viser = optional("viser", "view")
         self._session = session

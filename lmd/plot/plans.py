@@ -18,13 +18,12 @@ from lmd.survey.results import far_from_plan, tag_columns
 from lmd.survey.survey import Survey
 
 NO_MEDIAN_COLOUR = "#c8c8c8"  # colour of places without a finite median
-PLANNED, UNSEEN, PROPOSED = "#9e9e9e", "#ff7f0e", "#2ca02c"
+PLANNED, UNSEEN = "#9e9e9e", "#ff7f0e"
 POSITION = "#1f77b4"
 ELLIPSE_SIGMAS = 2.0  # semi-axes of ellipses, standard deviations
 ARROW_SHARE = 0.08  # length of the median arrow over the length of the room
 LONGEST_SHARE = 0.2  # length of the longest arrow over the length of the room
 BORDER = 1.2  # distance at which tags far off are drawn, in distances of the farthest other tag
-WEDGE_SHARE = 0.05  # length of the wedge of a proposed photograph over the length of the room
 ELLIPSE_POINTS = 40
 PERSON, PERSON_ALPHA = "tab:orange", 0.2  # colour and opacity of a person; those of several states overlap
 MOST_WALLS, NAME_POINTS = 60, 7.0  # largest number of named walls, and the distance of their names, points
@@ -138,9 +137,7 @@ def save_survey_figure(path: str | Path, survey: Survey, room: Space | None, tit
 
 
 def _draw_above(axes: Any, survey: Survey, room: Space | None) -> None:
-    """Draw tags from above, arrows from their planned places, ellipses, ids of unseen tags, and proposed
-    photographs.
-    """
+    """Draw tags from above, arrows from their planned places, ellipses, and ids of unseen tags."""
     if room is not None:
         draw_plan(axes, room, lw=0.8, zorder=1)
     placed, planned = survey.placed, survey.planned
@@ -179,11 +176,6 @@ def _draw_above(axes: Any, survey: Survey, room: Space | None) -> None:
         )
     for pose, covariance in zip(tags[placed], covariances[placed][:, :2, :2], strict=True):
         axes.plot(*(pose[:2, 3, None] + scale * ellipse(covariance)), color="black", linewidth=0.6, zorder=4)
-    for number, photograph in enumerate(survey.proposed, 1):
-        stand, right, ahead = (photograph.pose[:2, column] for column in (3, 0, 2))
-        ends = WEDGE_SHARE * size * np.stack([ahead - 0.5 * right, np.zeros(2), ahead + 0.5 * right])
-        axes.plot(*(stand + ends).T, color=PROPOSED, linewidth=1.2, zorder=5)
-        axes.annotate(f"{number}", stand, color=PROPOSED, fontsize=10, ha="center", va="top")
     axes.set(xlabel="x [m]", ylabel="y [m]", aspect="equal")
 
 

@@ -16,6 +16,5 @@ Modules in the order of a survey, each with its result:
   shifts of corners and shapes of tags. `resampling` finds errors that are correlated in time, and localises held-out
   frames.
 - `faults` finds tags that were moved, hang twice, or have a wrong size or id.
-- `next_photographs` proposes further photographs; `results` makes tables and files, `terminal` makes text; `audit`
-  compares detections with a visibility model.
+- `results` makes tables and files, `terminal` makes text; `audit` compares detections with a visibility model.
 """

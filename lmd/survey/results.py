@@ -222,15 +222,6 @@ def survey_document(survey: Survey) -> dict[str, Any]:
         "motion": _motion_document(survey),
         "groups": [ids[found.group == g].tolist() for g in range(1, found.group.max(initial=0) + 1)],
         "another_photograph": ids[needing_photographs(survey)].tolist(),
-        "next_photographs": [
-            {
-                "position": photograph.pose[:3, 3].tolist(),
-                "direction": photograph.pose[:3, 2].tolist(),
-                "tags": ids[photograph.tags].tolist(),
-                "sigma": photograph.left,
-            }
-            for photograph in survey.proposed
-        ],
         "second_places": [
             {
                 ID: int(ids[place.tag]),

@@ -49,7 +49,6 @@ class SurveyStage(Enum):
     COMPARING = "comparing blocks of time"
     CHECKING = "looking for faulty tags"
     HOLDING_OUT = "holding frames out"
-    PROPOSING = "looking for the next photographs"
     AUDITING = "comparing with predictions"
 
     @property
@@ -66,18 +65,6 @@ class SurveyStage(Enum):
 # Called with the stage, the number of its finished steps, and its maximum number of steps, 0 if unknown. The observer
 # returns True to stop with the present map, and may raise an error if there is no map yet.
 Observer = Callable[[SurveyStage, int, int], bool]
-
-
-@dataclass(frozen=True)
-class Photograph:
-    """Photograph that would improve the map."""
-
-    pose: FloatArray
-    """`(4, 4)` pose of the (first) camera."""
-    tags: IntArray
-    """Indices of the tags that the photograph shows."""
-    left: float
-    """Root mean square standard deviation of the places of tags after this photograph, metres."""
 
 
 @dataclass(frozen=True)
@@ -106,8 +93,6 @@ class Survey:
     """Groups that only motion joins; None if frames are not linked."""
     calibrated: tuple[Calibrated, ...]
     """Cameras as estimated from photographs."""
-    proposed: tuple[Photograph, ...] = ()
-    """Photographs to take next, see `lmd.survey.next_photographs`."""
     doubts: tuple[str, ...] = ()
     """Sentences on what contradicts the photographs: calibrations, mounts, the tags' edge."""
     interrupted: SurveyStage | None = None

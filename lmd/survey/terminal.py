@@ -60,10 +60,6 @@ def to_text(survey: Survey) -> str:
             "what comes after that is left out" if stage.has_final_map else "the map is not final"
         )
     lines |= {label: text for label, text in _troubles(survey).items() if text}
-    for number, photograph in enumerate(survey.proposed, 1):
-        at, towards = (", ".join(f"{x:.2f}" for x in photograph.pose[:3, column]) for column in (3, 2))
-        shown = _few(survey.ids[photograph.tags])
-        lines[f"next {number}"] = f"from ({at}) towards ({towards}): {shown}"
     width = max(map(len, lines))
     return "\n".join(f"{label:<{width}} {text}" for label, text in lines.items())
 

@@ -1,6 +1,5 @@
 """The planner and its picture without a browser."""
 
-import json
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -21,10 +20,9 @@ from lmd.optimisers.ledger import Budget
 from lmd.optimisers.random_search import RandomSearch
 from lmd.planner.background import TO_COME
 from lmd.planner.panel import PlannerPanel
-from lmd.planner.picture import BALL_RADIUS, TAG_OFFSET_M, Captions, RoomPicture
+from lmd.planner.picture import BALL_RADIUS, TAG_OFFSET_M, Captions, RoomPicture, offsets
 from lmd.planner.server import Planner
 from lmd.planner.session import PlanningSession
-from lmd.planner.survey_map import SurveyMap
 from lmd.planner.viewing import seen_by
 from lmd.problem import Problem
 from lmd.scene.deployment import Deployment
@@ -105,33 +103,14 @@ def test_balls_of_positions_are_a_share_of_their_spacing(tmp_path):
     assert np.linalg.norm(ball, axis=1) == pytest.approx(BALL_RADIUS * away)
 
 
-def survey_of(folder, deployment, photographs):
-    """Write the files of a survey with all tags 5 mm above their plan."""
-    lifted = replace(deployment, positions=deployment.positions + np.array([0.0, 0.0, 0.005]))
-    lifted.to_csv(folder / "map.csv")
-    (folder / "survey.json").write_text(json.dumps({"next_photographs": photographs}))
-    return folder
-
-
-def test_a_survey_is_drawn_beside_the_plan(tmp_path):
+def test_a_survey_is_drawn_beside_the_plan():
     planned = problem()
     session = PlanningSession(planned, planned.draw(np.random.default_rng(0)))
-    asked = [{"position": [1.0, 2.0, 1.5], "direction": [0.0, 1.0, 0.0]}]
-    found = SurveyMap.read(survey_of(tmp_path, session.deployment, asked))
-    lines = found.offsets(session.deployment, 20.0)
-    np.testing.assert_allclose(np.diff(lines, axis=1)[:, 0], [[0.0, 0.0, 0.1]] * len(lines), atol=1e-6)
-    assert len(lines) == len(session.deployment)
+    plan = session.deployment
+    found = replace(plan, positions=plan.positions + np.array([0.0, 0.0, 0.005]))
+    np.testing.assert_allclose(np.diff(offsets(found, plan), axis=1)[:, 0], [[0.0, 0.0, 0.1]] * len(plan), atol=1e-6)
     planner = Planner(session, 0, lambda _: "", RandomSearch, Budget(1), None, found)
     planner.close()
-
-
-def test_a_folder_that_is_no_survey_is_refused(tmp_path):
-    with pytest.raises(InputError, match=r"map\.csv"):
-        SurveyMap.read(tmp_path)
-    planned = problem()
-    folder = survey_of(tmp_path, planned.draw(np.random.default_rng(0)), [{"position": [1.0]}])
-    with pytest.raises(InputError, match=r"^survey: .* holds no survey\.json of a survey\.$"):
-        SurveyMap.read(folder)
 
 
 class Label(SimpleNamespace):
