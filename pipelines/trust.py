@@ -5,6 +5,7 @@ any import: the configuration of `run=DIR`, configurations in a tracking store, 
 docs/trust.md lists the rights of each kind of file.
 """
 
+import math
 import re
 import sys
 from collections.abc import Iterator, Mapping, Sequence
@@ -24,12 +25,16 @@ PAGE = "docs/trust.md"
 TARGET = "_target_"
 PACKAGED = "pkg://"  # prefix of a place of configuration in a package
 NAMED = re.compile(rf"{TARGET}:\s*['\"]?([\w.]+)")  # target in a file of configuration
-NESTED = re.compile(r"^\s*- /(\w+)@", re.MULTILINE)  # group whose option a file puts below a key of its own
+NESTED = re.compile(r"^[ \t]*- /(\w+)@", re.MULTILINE)  # group whose option a file puts below a key of its own
 REFERENCE = re.compile(r"\$\{\.*\w+(\.\w+|\[\w+\])*\}")  # interpolation of another value, without a resolver
 RESOLVER = re.compile(r"\$\{\s*([\w.]+)\s*:")
 PLAIN = (str, int, float, bool, type(None))
+SPECIAL = re.compile(r"_[a-z]+_")  # key that Hydra's instantiate reads
 NAME = re.compile(r"\w+(\.\w+)+")
 LARGEST = 1 << 17  # greatest size of a configuration, bytes; a larger file takes seconds to parse and is refused
+# Greatest number of characters of a group with its interpolations replaced, where a run has 10,000; and of
+# interpolations that lead to each other.
+MOST_CHARACTERS, DEEPEST = 1_000_000, 32
 SHOWN = 100  # greatest number of characters of a value in a message; longer values are cut
 
 
@@ -80,13 +85,16 @@ class Trust:
         Raises:
             InputError: a node names code that is not trusted, or is no node.
         """
-        from lmd.core.checks import InputError
+        from lmd.core.checks import InputError, bounded
 
+        expanded: dict[str, float] = {}
         parts = {group: found[group] for group in groups if found.get(group) is not None}
         for group, part in parts.items():
             if not isinstance(part, dict) or "defaults" in part:  # `defaults` would make Hydra read other files
                 raise InputError(f"{source}: {group} is not written as Hydra writes it.")
             self.check(source, group, part)
+            length = _expanded(found, group, part, expanded)
+            bounded(f"characters in {group} after interpolation", length, MOST_CHARACTERS, source)
         return parts
 
     def check(self, source: str, key: str, value: Any) -> None:
@@ -102,8 +110,12 @@ class Trust:
         """
         from lmd.core.checks import InputError
 
-        trusted, named = set(), self._named_in(re.split(r"[./@]", key)[0])
+        group = re.split(r"[./@]", key)[0]
+        trusted, named = set(), self._named_in(group)
+        known = {TARGET, *(word for text in self._texts_of(group) for word in SPECIAL.findall(text))}
         for where, leaf in _leaves(source, key, value, set()):
+            if others := {word for word in where.split(".") if SPECIAL.fullmatch(word)} - known:
+                raise InputError(f"{source}: {where} has {min(others)}, which no option of {group} has ({PAGE}).")
             if where.rpartition(".")[2] == TARGET:
                 if not isinstance(leaf, str) or not NAME.fullmatch(leaf):
                     raise InputError(f"{source}: {where} is no name of a class or a function ({PAGE}).")
@@ -139,7 +151,7 @@ class Trust:
         """Untrusted resolver in a text; None if there is none."""
         rest = REFERENCE.sub("", text)
         found = RESOLVER.findall(rest)
-        for name in filter(self._trusts, found):
+        for name in filter(self._trusts, set(found)):
             rest = re.sub(rf"\$\{{\s*{re.escape(name)}\s*:", "", rest)
         if "${" not in rest:
             return None
@@ -191,6 +203,35 @@ def listed(argument: str) -> list[str]:
     if not all(isinstance(name, str) and name for name in names):
         raise InputError(f"{argument.partition('=')[0]} must be a list of names, got {argument.partition('=')[2]}.")
     return [str(name) for name in names]
+
+
+def _expanded(found: Any, key: str, value: Any, known: dict[str, float], depth: int = 0) -> float:
+    """Number of characters of the value at a key of `found`, with all interpolations replaced; infinite for a value
+    that contains itself.
+    """
+    if depth > DEEPEST:
+        return math.inf
+    if key not in known:
+        known[key] = math.inf
+        if isinstance(value, Mapping | list):
+            inner = value.items() if isinstance(value, Mapping) else enumerate(value)
+            parts = [_expanded(found, f"{key}.{name}", each, known, depth) for name, each in inner]
+        else:
+            named = [each[0][2:-1] for each in REFERENCE.finditer(str(value))]
+            parts = [_expanded(found, *_place(found, key, name), known, depth + 1) for name in named]
+        known[key] = 1.0 + sum(parts) + (0 if isinstance(value, Mapping | list) else len(str(value)))
+    return known[key]
+
+
+def _place(found: Any, key: str, name: str) -> tuple[str, Any]:
+    """Key, and value there, to which the interpolation `${name}` of the value at `key` leads; None if there is none."""
+    plain = name.lstrip(".")
+    up = len(name) - len(plain)
+    words = [*(key.split(".")[:-up] if up else []), *re.findall(r"\w+", plain)]
+    for word in words:
+        inside = found.get(word) if isinstance(found, Mapping) else None
+        found = found[int(word)] if isinstance(found, list) and word.isdecimal() and int(word) < len(found) else inside
+    return ".".join(words), found
 
 
 def _leaves(source: str, key: str, value: Any, seen: set[int]) -> Iterator[tuple[str, Any]]:

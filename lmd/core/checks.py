@@ -179,6 +179,20 @@ def vector(name: str, value: Any, size: int | None, **bounds: Any) -> tuple[floa
     return tuple(real(f"{name}[{i}]", entry, **bounds) for i, entry in enumerate(entries))
 
 
+def bounded(what: str, number: float, most: float, source: str, argument: str | None = None) -> None:
+    """Raise `InputError` if a file or a setting asks for more than `most`; called before the work.
+
+    Args:
+        what: plural noun, such as `triangles`.
+        number: number that is asked for; NaN is refused.
+        most: greatest number that is taken, far above that of real input.
+        source: subject of the message, such as `path: 'room.obj'`.
+        argument: name of the argument that is the cause.
+    """
+    if not number <= most:
+        raise InputError(f"{source} has {number:.9g} {what}, and at most {most:.9g} are taken.", argument)
+
+
 def check_members(name: str, part: Any, protocol: type, page: str) -> None:
     """Raise `InputError` if an object of a user's class lacks a method or property of a protocol.
 

@@ -107,7 +107,7 @@ def read_text(path: Any, name: str, largest: float = math.inf) -> str:
 
 
 # Patterns of a JSON string, of a comment, and of a comma after the last entry; the latter two are removed.
-_TEXT, _COMMENT, _LAST_COMMA = r'"(?:\\.|[^"\\])*"', r"//[^\n]*|/\*.*?\*/", r",(?=\s*[}\]])"
+_TEXT, _COMMENT, _LAST_COMMA = r'"(?:\\.|[^"\\])*+(?:"|\Z)', r"//[^\n]*|/\*.*?\*/", r",(?=\s*[}\]])"
 
 
 def read_keys(path: Any, name: str) -> dict[str, Any]:
@@ -149,12 +149,12 @@ def flat(values: Iterable[Any]) -> list[Any]:
 def _from_opencv(text: str) -> str:
     """Convert OpenCV's YAML to standard YAML: drop a first line `%YAML:1.0`, and write `id: 9` for `id:9`."""
     plain = re.sub(r"\A%YAML.*\n", "", text)
-    return plain if plain == text else re.sub(r"([{,]\s*\w+|^\s*[\w.]+):(?=\S)", r"\1: ", plain, flags=re.MULTILINE)
+    return plain if plain == text else re.sub(r"([{,]\s*\w+|^[ \t]*[\w.]+):(?=\S)", r"\1: ", plain, flags=re.MULTILINE)
 
 
 def _without(pattern: str, text: str) -> str:
     """Remove matches of `pattern` from JSON, except within strings."""
-    return re.sub(f"({_TEXT})|{pattern}", lambda found: found[1] or "", text, flags=re.DOTALL)
+    return re.sub(rf"({_TEXT})|{pattern}|(/\*.*)", lambda found: found[1] or found[2] or "", text, flags=re.DOTALL)
 
 
 class _Loader(yaml.SafeLoader):  # type: ignore[misc] # yaml has no types

@@ -19,6 +19,7 @@ from lmd.geometry.projection import image_size
 from lmd.render.imaging import UInt8Array
 
 IMAGES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp")
+FORMATS = ("PNG", "JPEG", "BMP", "TIFF", "WEBP")  # Pillow's names of these formats
 # Suffixes of image formats that cannot be read.
 UNREAD = (".heic", ".heif", ".avif", ".dng", ".raw", ".cr2", ".cr3", ".nef", ".arw", ".gif")
 # Least pitch of tags whose edges are measured, pixels per module, and largest distance of samples from an edge, pixels.
@@ -181,7 +182,7 @@ def pixels_of(content: bytes) -> tuple[int, ...] | None:
     from PIL import Image
 
     try:
-        with Image.open(io.BytesIO(content)) as header:
+        with Image.open(io.BytesIO(content), formats=FORMATS) as header:
             return header.size
     except Exception:  # any error of a reader of a broken file
         return None

@@ -20,7 +20,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from lmd.core.checks import InputError, check_fields, real
+from lmd.core.checks import InputError, bounded, check_fields, real
 from lmd.core.files import read_bytes
 from lmd.core.optional import optional
 from lmd.detection.images import wrong_size
@@ -78,6 +78,8 @@ LEAD = 500.0
 SAME_TIME = 1e-3
 # Largest plausible number of frames in a header, and rounding error of a number computed from the duration.
 MOST_FRAMES, ROUNDED = 1e9, 1
+# Greatest number of pixels of a frame; 8K has 3.3e7.
+MOST_PIXELS = 10**8
 
 
 @dataclass(frozen=True)
@@ -175,6 +177,9 @@ class Video:
         for is_turned in (0, 1):
             video.set(cv2.CAP_PROP_ORIENTATION_AUTO, is_turned)
             width, height = (int(video.get(key)) for key in (cv2.CAP_PROP_FRAME_WIDTH, cv2.CAP_PROP_FRAME_HEIGHT))
+            bounded(
+                "pixels in a frame", width * height, MOST_PIXELS, f"{self.argument}: {str(self.path)!r}", self.argument
+            )
             found.append((width, height))
             if size in (None, found[-1]):
                 return video

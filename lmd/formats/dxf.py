@@ -5,11 +5,12 @@ import logging
 import re
 from collections import Counter
 from collections.abc import Iterator
+from itertools import count
 from typing import Any
 
 import numpy as np
 
-from lmd.core.checks import FloatArray, InputError, choice
+from lmd.core.checks import LARGEST, FloatArray, InputError, bounded, choice
 from lmd.core.files import read_bytes
 from lmd.core.optional import optional
 from lmd.core.words import few
@@ -29,8 +30,9 @@ SHAPES = ("LINE", "LWPOLYLINE", "POLYLINE", "ARC", "CIRCLE", "ELLIPSE", "SPLINE"
 NEWER = b"AC1015"
 NESTED = ("INSERT", "MLINE")
 NOT_SHOWN = "what a CAD program does not show (layers that are off or frozen, invisible parts)"
-# Greatest number of segments of lines.
-MOST_SEGMENTS = 50_000
+# Greatest number of entities, with those in blocks, and of vertices of shapes (a plan of a hospital has 50,000); of
+# blocks in each other; and extent of a shape, tolerances.
+MOST_ENTITIES, MOST_VERTICES, DEEPEST, LONGEST = 200_000, 500_000, 32, 1e8
 
 
 def read_drawing(file: File) -> ReadPlan:
@@ -56,7 +58,9 @@ def _lines(file: File) -> Drawing:
     logging.getLogger("ezdxf").setLevel(logging.CRITICAL)  # ezdxf logs each entity that it repairs
     try:
         document, _ = ezdxf.recover.read(io.BytesIO(_with_subclasses(content)))
-        found = list(_shapes(document.modelspace(), document.layers))
+        found = list(_shapes(document.modelspace(), document.layers, f"path: {str(file.path)!r}", count(1)))
+    except InputError:
+        raise
     except (OSError, ValueError, KeyError, TypeError, IndexError, AttributeError, ezdxf.DXFError) as error:
         raise InputError(f"path: {str(file.path)!r} cannot be read as DXF ({error}).", "path") from None
     drawn, hidden = (Counter(layer for kind, layer, _ in found if kind == own) for own in ("line", "hidden"))
@@ -69,20 +73,17 @@ def _lines(file: File) -> Drawing:
     )
     scale = UNITS[unit]
     paths: dict[str, list[FloatArray]] = {"line": [], "window": []}
-    boxes = []
+    boxes, number = [], count(1)
     for kind, layer, entity in found:
         if kind == "hidden" or (kind == "line" and layer not in layers):
             continue
-        vertices = scale * _flattened(entity, file.asked["tolerance"] / scale)
+        vertices = scale * _flattened(entity, file.asked["tolerance"] / scale, f"path: {str(file.path)!r}", number)
         if kind in paths and len(vertices) > 1:
             paths[kind].append(vertices)
         if kind in ("door", "window") and len(vertices) > 1:
             boxes.append((kind, shapely.box(*vertices.min(axis=0), *vertices.max(axis=0))))
-    count = sum(map(len, paths["line"]))
-    if not count or count > MOST_SEGMENTS:
-        raise InputError(
-            f"path: {str(file.path)!r} has {count} lines of walls, and 1 to {MOST_SEGMENTS} are taken.", "path"
-        )
+    if not paths["line"]:
+        raise InputError(f"path: {str(file.path)!r} has no lines of walls.", "path")
     left = Counter({name: number for name, number in drawn.items() if name not in layers})
     note = f"walls are the lines of {', '.join(sorted(layers))}"
     note += f", without those of {_counted(left)}" if left else ""
@@ -121,30 +122,52 @@ def _counted(layers: Counter[str]) -> str:
 
 
 def _shapes(
-    entities: Any, layers: Any, kind: str = "line", outer: str = "0", shown: bool = True
+    entities: Any,
+    layers: Any,
+    source: str,
+    number: Iterator[int],
+    kind: str = "line",
+    outer: str = "0",
+    shown: bool = True,
+    depth: int = 0,
 ) -> Iterator[tuple[str, str, Any]]:
     """Kind (`line`, `door`, `window`, or `hidden` if a CAD program does not show it), layer and entity of each shape of
-    a drawing, including shapes in blocks.
+    a drawing, including shapes in blocks; `number` counts the entities.
 
     A block on a frozen layer is hidden as a whole; of a block on a layer that is off, its shapes on layer 0 are hidden.
     """
+    bounded("blocks in each other", depth, DEEPEST, source, "path")
     for entity in entities:
+        bounded("entities, with those in blocks", next(number), MOST_ENTITIES, source, "path")
         layer = entity.dxf.layer if entity.dxf.layer != "0" else outer
         state = layers.get(layer) if layer in layers else None
         visible = shown and not entity.dxf.get("invisible", 0) and (state is None or not state.is_frozen())
         name = f"{layer} {entity.dxf.get('name', '')}" if entity.dxftype() == "INSERT" else layer
         own = "window" if WINDOW.search(name) else "door" if DOOR.search(name) else kind
         if entity.dxftype() in NESTED:
-            yield from _shapes(entity.virtual_entities(), layers, own, layer, visible)
+            yield from _shapes(entity.virtual_entities(), layers, source, number, own, layer, visible, depth + 1)
         elif entity.dxftype() in SHAPES:
             yield own if visible and (state is None or not state.is_off()) else "hidden", layer, entity
 
 
-def _flattened(entity: Any, tolerance: float) -> FloatArray:
-    """Vertices of a shape, `(N, 2)`, in the unit of the drawing; empty for shapes without a path, such as a mesh."""
+def _flattened(entity: Any, tolerance: float, source: str, number: Iterator[int]) -> FloatArray:
+    """Vertices of a shape, `(N, 2)`, in the unit of the drawing; empty for shapes without a path, such as a mesh.
+
+    `number` counts the vertices of all shapes.
+    """
     make_path = optional("ezdxf.path", "drawings").make_path
+    vertices: list[list[float]] = []
     try:
-        vertices = [[at.x, at.y] for at in make_path(entity).flattening(tolerance)]
+        shape = make_path(entity)
+        corners = np.array([[at.x, at.y] for at in shape.control_vertices()]).reshape(-1, 2)
+        bounded("units from the origin to a shape", np.abs(corners).max(initial=0.0), LARGEST, source, "path")
+        extent = np.ptp(corners, axis=0).max() / tolerance if len(corners) else 0.0
+        bounded("tolerances along a shape", extent, LONGEST, source, "path")
+        for at in shape.flattening(tolerance):
+            vertices.append([at.x, at.y])
+            bounded("vertices of shapes", next(number), MOST_VERTICES, source, "path")
+    except InputError:
+        raise
     except (TypeError, ValueError, ArithmeticError):
         vertices = []
     return np.array(vertices).reshape(-1, 2)
@@ -174,7 +197,8 @@ def _unit(file: File, code: int, entities: list[Any]) -> str:
         return choice("unit", file.asked["unit"], list(UNITS))
     if code in CODES:
         return CODES[code]
-    corners = np.concatenate([_flattened(entity, 1.0) for entity in entities])
+    number = count(1)
+    corners = np.concatenate([_flattened(entity, 1.0, f"path: {str(file.path)!r}", number) for entity in entities])
     size = np.ptp(corners, axis=0)
     told = [f"{name} make {size[0] * per:.3g} x {size[1] * per:.3g} m" for name, per in UNITS.items()]
     raise InputError(

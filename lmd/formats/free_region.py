@@ -5,7 +5,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from lmd.core.checks import BoolArray, FloatArray, InputError, IntArray
+from lmd.core.checks import BoolArray, FloatArray, InputError, IntArray, bounded
 from lmd.formats.occupancy_grid import OccupancyGrid, read_occupancy_grid
 from lmd.formats.plans import ReadPlan, Stretch
 from lmd.formats.registry import File
@@ -52,13 +52,6 @@ def read_map(file: File) -> ReadPlan:
     region = free_region(grid, tolerance / grid.resolution, speck, passage, file.asked["start"])
     holes = [np.array(ring.coords[:0:-1]) for ring in region.polygon.interiors]
     rings = [np.array(region.polygon.exterior.coords[:-1]), *holes]
-    corners = sum(map(len, rings))
-    if corners > MOST_CORNERS:
-        raise InputError(
-            f"tolerance = {tolerance:g} leaves {corners} corners of {str(file.path)!r}, more than {MOST_CORNERS}; a "
-            "larger tolerance, speck or passage leaves fewer.",
-            "tolerance",
-        )
     most, shortest = tolerance / grid.resolution + 1.5, SHORTEST_GAP_M / grid.resolution
     stretches = [
         Stretch(i, j, grid.resolution * start, grid.resolution * stop, NO_WALL)
@@ -115,7 +108,9 @@ def free_region(
         (areas[i], i) for i in range(1, count + 1) if i != chosen and areas[i] * grid.resolution**2 > MENTIONED_M2
     ]
 
-    polygon = _simplified(_polygon(region), tolerance)
+    _, holes = ndimage.label(~region, np.ones((3, 3)))
+    bounded("obstacles in its free region", holes, MOST_CORNERS // 3, f"path: {grid.path!r}", "path")
+    polygon = _simplified(_polygon(region), tolerance, grid)
     told = [_left_out(grid, labels, others, corner)]
     if small:
         told.append(f"{len(small)} groups of cells smaller than {speck * grid.resolution:g} m count as free")
@@ -184,7 +179,7 @@ def _polygon(region: BoolArray) -> Any:
     return shapely.union_all(shapely.box(starts, rows, stops, rows + 1))
 
 
-def _simplified(polygon: Any, tolerance: float) -> Any:
+def _simplified(polygon: Any, tolerance: float, grid: OccupancyGrid) -> Any:
     """Polygon whose edges fit the border of a polygon of cells within a tolerance, in cells; its rings do not touch."""
     import shapely
 
@@ -194,6 +189,7 @@ def _simplified(polygon: Any, tolerance: float) -> Any:
         # Simplifying keeps the first vertex, so it has to be a corner.
         first = np.argmax(np.linalg.norm(vertices - vertices.mean(axis=0), axis=1))
         contours.append(np.roll(vertices, -first, axis=0))
+    asked = tolerance
     sides = [np.ptp(contour, axis=0).min() for contour in contours]
     while True:
         simple, fitted = [], []
@@ -201,6 +197,12 @@ def _simplified(polygon: Any, tolerance: float) -> Any:
             own = min(tolerance, PILLAR_SHARE * side)
             corners = shapely.get_coordinates(shapely.simplify(shapely.Polygon(contour), own))[:-1]
             simple.append(corners)
+            if (count := sum(map(len, simple))) > MOST_CORNERS:
+                raise InputError(
+                    f"tolerance = {asked * grid.resolution:g} leaves {count} corners of {grid.path!r} or more, of "
+                    f"{MOST_CORNERS} at most; a larger tolerance, speck or passage leaves fewer.",
+                    "tolerance",
+                )
             fitted.append(_fitted(corners, contour, own))
         for exterior, *holes in (fitted, simple):
             found = shapely.Polygon(exterior, holes)

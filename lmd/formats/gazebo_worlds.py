@@ -11,13 +11,15 @@ Sources: the SDF specification (sdformat.org), "Pose Frame Semantics"; `World::L
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import cached_property
+from itertools import count
 from pathlib import Path
 from typing import Any, NamedTuple
 from xml.etree.ElementTree import Element
 
 import numpy as np
 
-from lmd.core.checks import FloatArray, InputError
+from lmd.core.checks import FloatArray, InputError, bounded
 from lmd.core.files import read_text
 from lmd.formats.opencv_calibrations import xml_of
 from lmd.formats.placed_tag import turn_by_quaternion
@@ -25,11 +27,12 @@ from lmd.geometry.frames import roll_pitch_yaw
 
 MODEL_FILE, MODELS = "model.sdf", "models"
 LARGEST_MODEL = 1 << 22  # greatest size of the file of a model, bytes
+MOST_MODELS = 20_000  # greatest number of models, with those of included models; a city has some thousand
 DEEPEST = 20  # greatest number of frames in a chain of references, and of nested models
 NAMED = ("link", "model", "frame", "include", "joint")  # elements whose frames others may refer to
 SELF = ("", "__model__", "world")
 QUATERNION = "quat_xyzw"
-COMMENT = re.compile(r"<!--.*?-->", re.DOTALL)
+COMMENT = re.compile(r"<!--.*?-->|(<!--.*)", re.DOTALL)
 
 
 class Seen(NamedTuple):
@@ -43,6 +46,17 @@ class Seen(NamedTuple):
     """Names of the element and of the enclosing elements, and the model's URI, the innermost first."""
 
 
+class Models(NamedTuple):
+    """Models beside a world."""
+
+    folder: Path
+    """Folder of the world."""
+    number: Iterator[int]
+    """Counter of the models that are placed."""
+    read: dict[str, Element | None]
+    """Models that were read, by URI."""
+
+
 @dataclass(frozen=True)
 class Scope:
     """World or model, whose elements refer to frames by name."""
@@ -50,10 +64,15 @@ class Scope:
     element: Element
     pose: FloatArray
     """Transform from the frame of the world or model to the world, `(4, 4)`."""
-    folder: Path
-    """Folder of the world, beside which models are searched."""
+    models: Models
+    """Models beside the world."""
     names: tuple[str, ...] = ()
     """Names of the enclosing models, the innermost first."""
+
+    @cached_property
+    def frames(self) -> dict[str, Element]:
+        """Elements with a frame by name; the first of those with equal names."""
+        return {_name(element): element for element in reversed(list(self.element)) if element.tag in NAMED}
 
     def placed(self, element: Element, depth: int = 0) -> FloatArray:
         """Transform from the frame of an element of this scope to the world.
@@ -73,14 +92,12 @@ class Scope:
             raise InputError(f"the frame {name!r} refers to itself.")
         if name in SELF:
             return self.pose
+        if name in self.frames:  # names of a flattened model have :: in them
+            return self.placed(self.frames[name], depth)
         first, _, rest = name.partition("::")
-        elements = [element for element in self.element if element.tag in NAMED]
-        for element in elements:
-            if _name(element) == name:  # names of a flattened model have :: in them
-                return self.placed(element, depth)
-        for element in elements if rest else ():
-            if _name(element) == first:
-                return Scope(element, self.placed(element, depth), self.folder).frame(rest, depth + 1)
+        if rest and first in self.frames:
+            element = self.frames[first]
+            return Scope(element, self.placed(element, depth), self.models).frame(rest, depth + 1)
         raise InputError(f"a pose is relative to the frame {name!r}, which is not in the file.")
 
 
@@ -90,7 +107,7 @@ def root_of(text: str) -> Element | None:
     Raises:
         InputError: the text begins like XML but is broken, or has entities.
     """
-    return xml_of(COMMENT.sub("", text))
+    return xml_of(COMMENT.sub(r"\1", text))
 
 
 def matrix_of(pose: Element | None, name: str) -> FloatArray:
@@ -126,26 +143,29 @@ def seen_in(root: Element, path: Any, tag: str) -> Iterator[Seen]:
     Raises:
         InputError: a pose cannot be resolved.
     """
-    folder = Path(path).parent
+    models = Models(Path(path).parent, count(1), {})
     worlds = root.findall("world") or [root]
     for world in worlds:
-        scope = Scope(world, np.eye(4), folder)
+        scope = Scope(world, np.eye(4), models)
         saved = {_name(model): matrix_of(model.find("pose"), _name(model)) for model in world.findall("state/model")}
         yield from _models(scope, tag, saved, 0)
 
 
 def _models(scope: Scope, tag: str, saved: dict[str, FloatArray], depth: int) -> Iterator[Seen]:
     """Elements of the models in a scope, at the saved poses if there are any."""
-    if depth > DEEPEST:
-        raise InputError(f"models are in models, more than {DEEPEST} deep.")
+    bounded("models in each other", depth, DEEPEST, "it")
     for element in scope.element:
+        if element.tag in ("model", "include"):
+            bounded("models, with those that they include", next(scope.models.number), MOST_MODELS, "it")
         if element.tag == "model":
             names = (_name(element), *scope.names)
             model, pose = element, scope.placed(element)
         elif element.tag == "include":
             uri = (element.findtext("uri") or "").strip()
             names = tuple(filter(None, (_name(element), uri, *scope.names)))
-            found = _included(scope.folder, uri)
+            if uri not in scope.models.read:
+                scope.models.read[uri] = _included(scope.models.folder, uri)
+            found = scope.models.read[uri]
             if found is None:
                 yield Seen(None, saved.get(_name(element), scope.placed(element)), names)
                 continue
@@ -158,7 +178,7 @@ def _models(scope: Scope, tag: str, saved: dict[str, FloatArray], depth: int) ->
             raise InputError(
                 f"the model {names[0]!r} is placed by a placement_frame, which is not read: give its pose."
             )
-        inner = Scope(model, saved.get(names[0], pose), scope.folder, names)
+        inner = Scope(model, saved.get(names[0], pose), scope.models, names)
         for link in model.findall("link"):
             at = inner.placed(link)
             for part in link.findall(tag):

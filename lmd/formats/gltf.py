@@ -7,11 +7,12 @@ from typing import Any
 
 import numpy as np
 
-from lmd.core.checks import InputError
+from lmd.core.checks import InputError, bounded
 
 TEXT = ".gltf"
-# Greatest number of levels of nodes; and numbers in a value of each type.
-DEEPEST_LEVEL = 32
+# Greatest number of levels of nodes; of nodes and of pieces, where a building has 10,000; and numbers in a value of
+# each type.
+DEEPEST_LEVEL, MOST_NODES = 32, 50_000
 NUMBERS_OF_TYPE = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT2": 4, "MAT3": 9, "MAT4": 16}
 # NumPy types of integer components, and divisors of normalised integers.
 FRACTIONS = {5120: ("i1", 127.0), 5121: ("u1", 255.0), 5122: ("<i2", 32767.0), 5123: ("<u2", 65535.0)}
@@ -48,17 +49,21 @@ def header_of(file: Path, content: bytes) -> dict[str, Any]:
     numbers = sum(n * NUMBERS_OF_TYPE[part["type"]] for n, part in zip(counts, accessors, strict=True))
     if numbers > len(content):
         raise InputError(f"path: {str(file)!r}, of {len(content)} bytes, asks for {numbers:.4g} numbers.", "path")
+    pieces = sum(len(mesh["primitives"]) for mesh in header.get("meshes", []))
+    for name, number in (("nodes", len(header.get("nodes", []))), ("pieces of meshes", pieces)):
+        bounded(name, number, MOST_NODES, f"path: {str(file)!r}", "path")
     _check_tree([node.get("children", []) for node in header.get("nodes", [])])
     return dict(header)
 
 
 def triangles_of(header: dict[str, Any]) -> float:
-    """Upper bound on the number of triangles that the nodes of a checked glTF place."""
+    """Upper bound on the number of triangles in the meshes of a checked glTF, and of those that its nodes place."""
     counts, corners = [part["count"] for part in header.get("accessors", [])], []
     for mesh in header.get("meshes", []):
         read = [i for part in mesh["primitives"] for i in (part["attributes"]["POSITION"], part.get("indices"))]
         corners.append(sum(counts[i] for i in read if i is not None))
-    return float(sum(corners[node["mesh"]] for node in header.get("nodes", []) if "mesh" in node) / 3)
+    placed = sum(corners[node["mesh"]] for node in header.get("nodes", []) if "mesh" in node)
+    return float(max(placed, sum(corners)) / 3)  # the library makes meshes that no node places
 
 
 def with_fractions(header: dict[str, Any], content: bytes, kind: str) -> tuple[bytes, str]:

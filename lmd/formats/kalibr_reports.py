@@ -22,13 +22,13 @@ KALIBR_CLASSES = {
     "ExtendedUnified": ("eucm", "none"),
     "DoubleSphere": ("ds", "none"),
 }
-_LIST = r"\s*\[([^\]]*)\]"
+_LIST = r"\s*\[([^\]]{0,999})\]"  # bounded, so that each beginning looks at as little text
 KALIBR_CAMERA = re.compile(
-    rf"^[ \t]*(cam\d+)[ \t]*\([^\n]*\):\s*type:[^\n]*\.(\w+?)(?:CameraGeometry)?'>\s*distortion:{_LIST}[^:]*?"
-    rf"projection:{_LIST}",
+    rf"^[ \t]*(cam\d+)[ \t]*\([^\n]{{0,499}}\):\s*type:[^\n]{{0,499}}\.(\w+?)(?:CameraGeometry)?'>"
+    rf"\s*distortion:{_LIST}[^:]{{0,499}}?projection:{_LIST}",
     re.MULTILINE,
 )
-KALIBR_BASELINE = re.compile(rf"baseline T_(\d+)_(\d+):\s*q:{_LIST}[^t]*?\bt:{_LIST}")
+KALIBR_BASELINE = re.compile(rf"baseline T_(\d+)_(\d+):\s*q:{_LIST}[^t]{{0,499}}?\bt:{_LIST}")
 
 
 def kalibr_report(text: str, asked: Keys) -> Cameras:

@@ -73,10 +73,11 @@ def name_of(column: str) -> str:
 
 def named_columns(columns: Sequence[str]) -> list[str]:
     """Standard names of columns, see `name_of`; a column keeps its own name if its standard name is already used."""
-    names: list[str] = []
+    names, given, taken = list[str](), set(columns), set[str]()
     for column in columns:
         name = name_of(column)
-        names.append(column if name in names or (name != column and name in columns) else name)
+        names.append(column if name in taken or (name != column and name in given) else name)
+        taken.add(names[-1])
     return names
 
 

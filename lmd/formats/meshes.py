@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from lmd.core.checks import FloatArray, InputError, IntArray, choice, file_path, printable, real
+from lmd.core.checks import FloatArray, InputError, IntArray, bounded, choice, file_path, printable, real
 from lmd.core.files import read_bytes
 from lmd.core.optional import optional
 from lmd.formats.captured_rooms import Captured, cut
@@ -35,6 +35,9 @@ UNITS = {"metres": 1.0, "millimetres": 0.001, "centimetres": 0.01, "inches": 0.0
 LIKELY = (2.0, 100.0)
 # Greatest number of triangles; data of more triangles would take gigabytes and minutes.
 MOST_TRIANGLES = 5_000_000
+# Greatest number of corners of a face of an OBJ, where a floor has some hundred; and of names in an OBJ, where a
+# building has 10,000.
+MOST_CORNERS, MOST_PARTS = 2000, 30_000
 _CORNER = re.compile(r"(-?\d+)")
 _PLY_FACES = re.compile(rb"^element\s+face\s+(\d+)\s*$", re.MULTILINE)
 
@@ -106,7 +109,7 @@ def read_mesh(path: str | Path | None, scale: float = 1.0, up: str | None = None
     count = sum(len(part.faces) for part in parts.values())
     if not count:
         raise flat
-    _check_count(file, count)
+    bounded("triangles", count, MOST_TRIANGLES, f"path: {str(file)!r}", "path")
     of = np.repeat(np.arange(len(parts)), [len(part.faces) for part in parts.values()])
     whole = trimesh.util.concatenate(list(parts.values()))
     mesh = trimesh.Trimesh(whole.vertices * scale, whole.faces, process=False)
@@ -176,10 +179,10 @@ def triangles(room: RoomFile) -> dict[str, Any]:
     try:
         if file.suffix.lower() in Y_UP:
             header = header_of(file, content)
-            _check_count(file, triangles_of(header))
+            bounded("triangles", triangles_of(header), MOST_TRIANGLES, f"path: {str(file)!r}", "path")
             content, kind = with_fractions(header, content, kind)
         if kind == "obj":
-            content = _with_triangles(content)
+            content = _with_triangles(content, f"path: {str(file)!r}")
         # Bytes have no path, so no other files, such as materials or textures, are searched. Processing is off, as it
         # would drop triangles with corners that are no numbers.
         with np.errstate(all="ignore"):  # the check below refuses invalid numbers
@@ -213,25 +216,22 @@ def _check_corners(file: Path, name: str, vertices: FloatArray, faces: IntArray)
         raise InputError(f"path: {str(file)!r} has a corner of {name!r} at ({place}), which is no place.", "path")
 
 
-def _check_count(file: Path, triangles: float) -> None:
-    if triangles > MOST_TRIANGLES:
-        raise InputError(
-            f"path: {str(file)!r} has {triangles:.4g} triangles, more than {MOST_TRIANGLES:.4g}; simplify it.", "path"
-        )
-
-
-def _with_triangles(content: bytes) -> bytes:
+def _with_triangles(content: bytes, source: str) -> bytes:
     """Content of an OBJ with triangles in place of faces with more than three corners; faces that cannot be cut
     stay.
     """
     lines = content.decode("utf-8", "surrogateescape").splitlines()
     places: list[list[float]] = []
-    result = []
+    parts, result = 0, []
     for line in lines:
         words = line.split()
+        if words[:1] in (["o"], ["g"], ["usemtl"]):
+            parts += 1
+            bounded("names of objects and materials", parts, MOST_PARTS, source, "path")
         if words[:1] == ["v"] and len(words) >= 4:
             places.append([_place(word) for word in words[1:4]])
         if words[:1] == ["f"] and len(words) > 4:
+            bounded("corners in a face", len(words) - 1, MOST_CORNERS, source, "path")
             result += _cut_face(line, words[1:], places)
         else:
             result.append(line)
@@ -247,6 +247,8 @@ def _place(word: str) -> float:
 
 def _cut_face(line: str, words: list[str], places: list[list[float]]) -> list[str]:
     """Lines of the triangles of a face; the line of the face itself if the face cannot be cut."""
+    from scipy.spatial import cKDTree
+
     found = [_CORNER.match(word) for word in words]
     numbers = [int(each[1]) for each in found if each is not None]
     index = [number - 1 if number > 0 else len(places) + number for number in numbers]
@@ -256,7 +258,7 @@ def _cut_face(line: str, words: list[str], places: list[list[float]]) -> list[st
     triangles = cut(corners) if np.isfinite(corners).all() else np.empty((0, 3, 3))
     if len(triangles) != len(words) - 2:  # the face is bent, crosses itself, or has no area
         return [line]
-    nearest = np.linalg.norm(triangles[:, :, None] - corners, axis=-1).argmin(axis=-1)
+    nearest = cKDTree(corners).query(triangles.reshape(-1, 3))[1].reshape(-1, 3)
     ahead = np.cross(corners, np.roll(corners, -1, axis=0)).sum(axis=0)
     around = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0]) @ ahead
     order = np.where(around[:, None] < 0.0, nearest[:, ::-1], nearest)

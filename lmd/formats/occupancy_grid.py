@@ -11,15 +11,18 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from lmd.core.checks import BoolArray, FloatArray, InputError, IntArray, file_path, real, said_of, vector
+from lmd.core.checks import BoolArray, FloatArray, InputError, IntArray, bounded, file_path, real, said_of, vector
 from lmd.core.files import read_bytes, read_keys
+from lmd.core.memory import check_memory
 from lmd.core.optional import optional
 
 KEYS = ("image", "resolution", "origin", "negate", "occupied_thresh", "free_thresh")
 MODES = ("trinary", "scale", "raw")
 OCCUPIED, FREE, UNKNOWN = 100, 0, -1
-# Greatest number of cells; contours of larger maps would take gigabytes.
-MOST_CELLS = 60_000_000
+# Greatest number of cells, where a warehouse of 300 m x 200 m at 5 cm has 24 million; and memory of a cell, bytes.
+MOST_CELLS, CELL_BYTES = 36_000_000, 80.0
+# Formats of pictures, by Pillow's names; of others some start a program, such as Ghostscript.
+FORMATS = ("PNG", "PPM", "BMP")
 # Grey values that map_saver writes for unknown and for free cells.
 SAVED_UNKNOWN, SAVED_FREE = 205, 254
 
@@ -151,9 +154,10 @@ def _picture(path: Path) -> tuple[FloatArray, BoolArray]:
         kind = "a pointer of Git LFS: `git lfs pull` fetches the picture" if content else "empty"
         raise InputError(f"image: {str(path)!r} cannot be read as a picture: it is {kind}.")
     try:
-        with Image.open(io.BytesIO(content)) as picture:
-            if picture.width * picture.height > MOST_CELLS:
-                raise InputError(f"image: {str(path)!r} has {picture.width} x {picture.height} cells, more than 6e7.")
+        with Image.open(io.BytesIO(content), formats=FORMATS) as picture:
+            cells = picture.width * picture.height
+            bounded("cells", cells, MOST_CELLS, f"image: {str(path)!r}")
+            check_memory(CELL_BYTES * cells, f"image: {str(path)!r}")
             if picture.mode.startswith("I"):  # 16 bits
                 grey = np.round(np.asarray(picture, dtype=np.float64) / 257.0)
                 return grey.astype(np.uint8), np.ones(grey.shape, dtype=np.bool_)
@@ -166,5 +170,7 @@ def _picture(path: Path) -> tuple[FloatArray, BoolArray]:
     except InputError:
         raise
     except Exception as error:  # a decoder of a broken file may raise anything
-        reason = "its kind is not known" if type(error).__name__ == "UnidentifiedImageError" else error
+        reason = (
+            f"its kind is none of {', '.join(FORMATS)}" if type(error).__name__ == "UnidentifiedImageError" else error
+        )
         raise InputError(f"image: {str(path)!r} cannot be read as a picture ({reason}).") from None

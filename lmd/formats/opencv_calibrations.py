@@ -5,7 +5,7 @@ import xml.etree.ElementTree as ElementTree
 from collections.abc import Mapping
 from typing import Any
 
-from lmd.core.checks import InputError
+from lmd.core.checks import InputError, bounded
 from lmd.core.files import flat
 
 AS_ROS = (
@@ -30,6 +30,7 @@ OPENCV_NAMES = {
         "d",
     ),
 }
+DEEPEST = 64  # greatest number of elements of XML in each other; searches of deeper ones would take hours
 VAGUE = "matrix"  # a camera matrix only if there is a distortion, too
 OPENCV_SIZES = ("image_size", "img_size", "dim")
 DIMENSIONS = "dim"  # key that only the recipe for cv2.fisheye writes, beside K and D
@@ -81,9 +82,14 @@ def xml_of(text: str) -> ElementTree.Element | None:
     if "<!DOCTYPE" in text or "<!ENTITY" in text:
         raise InputError("an XML file with a document type or entities is not taken.")
     try:
-        return ElementTree.fromstring(text)
+        root = ElementTree.fromstring(text)
     except (ElementTree.ParseError, ValueError) as error:
         raise InputError(f"it cannot be read as XML ({error}).") from None
+    level, depth = [root], 0
+    while level:
+        bounded("elements in each other", depth, DEEPEST, "it")
+        level, depth = [child for element in level for child in element], depth + 1
+    return root
 
 
 def opencv_xml(root: ElementTree.Element) -> dict[str, Any]:

@@ -45,11 +45,11 @@ REALSENSE_MODELS = (
 )
 INVERSE = REALSENSE_MODELS[2]
 SERIAL = r"Serial Number\s*:\s*(\S+)"
-INTRINSIC = r"Intrinsic of \"([^\"\n]+)\"\s*/\s*\d+x\d+[^\n]*\n((?:[ \t#/]*[A-Z][\w ()]*:[^\n]*\n?)+)"
+INTRINSIC = r"Intrinsic of \"([^\"\n]+)\"\s*/\s*\d+x\d[^\n]*\n((?:[ \t#/]*[A-Z][\w ()]*:[^\n]*\n?)+)"
 REALSENSE = re.compile(f"{SERIAL}|{INTRINSIC}")
 EXTRINSIC = re.compile(
-    r"Extrinsic from \"([^\"\n]+)\"\s+To\s+\"([^\"\n]+)\"\s*:\s*Rotation Matrix:\s*([-+.\deE\s]+?)"
-    r"\s*Translation Vector:([-+.\deE \t]+)"
+    r"Extrinsic from \"([^\"\n]+)\"\s+To\s+\"([^\"\n]+)\"\s*:\s*Rotation Matrix:([-+.\deE\s]+)"
+    r"Translation Vector:([-+.\deE \t]+)"
 )
 
 

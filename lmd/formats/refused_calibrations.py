@@ -11,7 +11,10 @@ TEXTS = (
         f"it is the calibration that Stereolabs keeps of a ZED, for several resolutions: {TOPIC}, or {AS_ROS}",
     ),
     (r"\A\s*#?\s*oST version", "it is ROS's ost.txt: the ost.yaml beside it is read"),
-    (r"\A(\s*[#;].*\n)*\s*\[[^\]\n\"'{,]+\]\s*\n\s*[\w ]+=", f"it has sections and keys, as an INI file: {AS_ROS}"),
+    (
+        r"\A(\s*[#;].*\n)*\s*\[[^\]\n\"'{,]+\][^\S\n]*\n\s*\w[\w ]*=",
+        f"it has sections and keys, as an INI file: {AS_ROS}",
+    ),
     (
         rf"\A(\s*#.*\n)*\s*{_NUMBER}([,;\s]+{_NUMBER})+\s*$",
         f"it holds numbers without names, such as a camera's matrix alone: {AS_ROS}",

@@ -38,8 +38,8 @@ CLOVER_LEAST = 4  # least number of values; values after y may be missing
 BY_ANGLES, BY_QUATERNION = (ID, *PLACE, *ANGLES), (ID, *PLACE, *QUATERNION)
 FIDUCIAL_SLAM = (ID, *PLACE, *ANGLES, "variance", "observations")  # then the numbers of tags seen with the tag
 RTABMAP_POSES = ("timestamp", *PLACE, *QUATERNION, ID)
-PRIORS = re.compile(r"^\s*Marker[\\/]Priors\s*=(.*)$", re.MULTILINE)
-SETTING = r"^\s*Marker[\\/]{}\s*=\s*\"?(\S+?)\"?\s*$"  # line of RTAB-Map's configuration
+PRIORS = re.compile(r"^[ \t]*Marker[\\/]Priors\s*=(.*)$", re.MULTILINE)
+SETTING = r"^[ \t]*Marker[\\/]{}\s*=\s*\"?(\S+?)\"?\s*$"  # line of RTAB-Map's configuration
 SAME_AS_ONE = 0.999  # least largest component of a quaternion for no turn, or a half turn about an axis
 FEW = 2  # least number of tags per size in a map whose column may not be sizes
 
@@ -133,7 +133,7 @@ def _named(comments: Sequence[str], lines: Sequence[Line]) -> list[str] | None:
     """
     width = max(len(line.texts) for line in lines)
     for comment in comments:
-        plain = re.sub(r"\s*[\[(].*?[\])]", lambda found: found[0].replace(" ", ""), comment)
+        plain = re.sub(r"(?<!\s)\s*[\[(][^\[(\])]*[\])]", lambda found: found[0].replace(" ", ""), comment)
         words = [word.strip(":;") for word in re.split(r"[,\s]+", plain) if word.strip(":;")]
         names = named_columns([CLOVER_ANGLES.get(word.lower(), word) for word in words])
         known = [name in (*CLOVER, *QUATERNION, RTABMAP_POSES[0], "variance") for name in names]

@@ -23,7 +23,7 @@ from lmd.scene.labels import Labels
 
 LARGEST_MAP = 1 << 22  # greatest number of characters of YAML or JSON; a tag has some hundred
 EDGE_DIGITS = 12  # decimals of an edge, metres; further digits are rounding errors of conversions
-IS_JSON = re.compile(r"(\s|//[^\n]*\n|/\*.*?\*/)*{", re.DOTALL)  # comments may come first
+IS_JSON = re.compile(r"(?:\s++|//[^\n]*\n|/\*(?>.*?\*/))*+{", re.DOTALL)  # comments may come first
 IS_YAML = re.compile(r"%YAML|---|(?!Unnamed: )\s*['\"]?[\w/*:]+['\"]?\s*:(?:\s|$)")
 
 

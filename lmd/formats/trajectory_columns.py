@@ -15,6 +15,7 @@ EULER = ("roll", "pitch", "yaw")  # angles of a body in ROS's convention: x ahea
 # Angles of a camera, as in `lmd.geometry.frames.rotation`: clockwise from the y axis, up, and to the left.
 OWN_ANGLES = ("yaw_from_y", "pitch_up", "roll_left")
 OWN_HEADER = ("time", *POSITION, "yaw", "pitch")  # header with the old names of a camera's angles
+LONGEST_NAME = 80  # greatest number of characters of a column's name that are searched
 NEEDED = "time, x, y, z and qx, qy, qz, qw"
 
 _SECONDS = {
@@ -58,7 +59,7 @@ _PATTERNS = {
     "own": (rf"(?P<axis>{'|'.join(OWN_ANGLES)})",),
 }
 _COMPILED = [(kind, re.compile(text)) for kind, texts in _PATTERNS.items() for text in texts]
-_BRACKETS = re.compile(r"\s*[\[(]\s*([^\])]*?)\s*[\])]\s*$")
+_BRACKETS = re.compile(r"[\[(]([^\[(\])]*)[\])]$")
 # Names of a quaternion with w first: qw qx qy qz, (w, x, y, z), wxyz, w i j k.
 _W_FIRST = re.compile(r"(?<![a-z])q?_?w[\W_]*q?_?x[\W_]*q?_?y[\W_]*q?_?z|(?<![a-z])w[\W_]+i[\W_]+j[\W_]+k(?![a-z])")
 
@@ -99,8 +100,8 @@ def known_column(name: str) -> tuple[str, Column] | None:
     plain = name.strip().strip("'\"").lstrip("#%_ \t").lower()
     unit = ""
     # Digits in brackets count the columns of an array, in any order: q[0].
-    if (brackets := _BRACKETS.search(plain)) is not None and not brackets[1].isdigit():
-        unit, plain = brackets[1], plain[: brackets.start()]
+    if (brackets := _BRACKETS.search(plain)) is not None and not brackets[1].strip().isdigit():
+        unit, plain = brackets[1].strip(), plain[: brackets.start()].rstrip()
     for kind, pattern in _COMPILED:
         if (found := pattern.fullmatch(plain)) is not None:
             groups = found.groupdict()
@@ -158,7 +159,9 @@ def lacking(table: Table, columns: Mapping[str, Column]) -> InputError:
         return InputError(
             f"it has no column with a name that is known as the time, such as time or stamp_ns: its columns are {said}."
         )
-    if arrays := [name for name in table.texts if re.search(r"(q|quat\w*|orientation)\[?0\]?$", name.lower())]:
+    if arrays := [
+        name for name in table.texts if re.search(r"(q|quat\w*|orientation)\[?0\]?$", name.lower()[-LONGEST_NAME:])
+    ]:
         return InputError(
             f"its columns from {arrays[0]!r} on do not say which is w: call them qx, qy, qz, qw (PX4 has w first, axes "
             "that point north, east and down, and microseconds: take time_us,x,y,z,qw,qx,qy,qz from timestamp, "

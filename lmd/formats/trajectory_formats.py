@@ -19,10 +19,10 @@ from lmd.formats.trajectory_tables import comment_header, headed, of_lines, of_r
 from lmd.geometry.se3 import are_rotations, inverse, nearest_rotations, pose_of, poses_from_rows
 
 KITTI = tuple(f"m{row}{column}" for row in range(3) for column in range(4))  # [R p], row by row
-_NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
+_NUMBER = r"[-+]?(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][-+]?\d+)?"
 # Line of an image: IMAGE_ID, quaternion with w first, translation, CAMERA_ID, NAME; a line of 2-D points has only
 # numbers.
-_IMAGE = re.compile(rf"\s*(\d+)((?:\s+{_NUMBER}){{7}})\s+(\d+)\s+(?!{_NUMBER}(?:\s|$))(\S.*?)\s*")
+_IMAGE = re.compile(rf"\s*(\d+)((?:\s+{_NUMBER}){{7}})\s+(\d+)\s+(?!{_NUMBER}(?:\s|$))(\S(?:.*\S)?)\s*")
 AS_TEXT = "write a line per pose, time x y z qx qy qz qw, seconds and metres, from the camera to the world"
 # Refused formats: pattern in the first lines, and the reason.
 UNREAD = (

@@ -69,7 +69,7 @@ def comment_header(text: Headless) -> list[str] | None:
         names = [name.strip() for name in comment.split(",")] if "," in comment else []
         certain = text.commas and len(names) == text.width
         # In some files units are separated from the names: p_x [m].
-        words = re.split(r"\s+", re.sub(r"\s+([\[(])", r"\1", comment).strip())
+        words = re.split(r"\s+", re.sub(r"(?<!\s)\s+([\[(])", r"\1", comment).strip())
         for found in (names, [word.strip(",") for word in words]):
             if found and found[-1] in ("...", ""):
                 found = found[:-1]

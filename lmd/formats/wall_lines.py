@@ -5,7 +5,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from lmd.core.checks import BoolArray, FloatArray, InputError, IntArray
+from lmd.core.checks import BoolArray, FloatArray, InputError, IntArray, bounded
 from lmd.formats.plans import ReadPlan, Stretch
 from lmd.formats.registry import File
 from lmd.space.polygon import edges
@@ -22,6 +22,9 @@ FRAME_M = 10.0
 BOX_M = 0.05
 # Greatest width of a region that is the inside of a wall, metres.
 THICKEST_M = 0.5
+# Greatest number of lines of walls and windows (a hospital has 20,000); of pairs of them that meet; and of pairs that
+# cross or overlap, of which a plan has few.
+MOST_SEGMENTS, MOST_MEETINGS, MOST_CROSSINGS = 50_000, 1_000_000, 10_000
 
 
 class Drawing(NamedTuple):
@@ -54,6 +57,7 @@ def plan_of(file: File, drawing: Drawing) -> ReadPlan:
     """
     import shapely
 
+    _check_lines(f"path: {str(file.path)!r}", drawing)
     room, others = _enclosed(file, drawing)
     room = room.buffer(LINE_M, join_style="mitre")
     partitions = drawing.walls.intersection(room.buffer(-2.0 * LINE_M))
@@ -70,6 +74,22 @@ def plan_of(file: File, drawing: Drawing) -> ReadPlan:
     ]
     note = "; ".join(filter(None, [drawing.note, others]))
     return ReadPlan(rings, stretches, f"unit = {drawing.unit}", f"{file.path}: {note}" if note else "")
+
+
+def _check_lines(source: str, drawing: Drawing) -> None:
+    """Raise `InputError` if a drawing has too many lines, or too many lines that meet."""
+    import shapely
+
+    at, of = shapely.get_coordinates(shapely.get_parts([drawing.walls, drawing.windows]), return_index=True)
+    lines = shapely.linestrings(np.stack([at[:-1], at[1:]], axis=1)[of[:-1] == of[1:]])
+    bounded("lines of walls and windows", len(lines), MOST_SEGMENTS, source, "path")
+    tree, meetings, crossings = shapely.STRtree(lines), 0, 0
+    for part in np.array_split(lines, 1 + len(lines) // 100):
+        one, other = tree.query(part, predicate="intersects")
+        meetings += len(one)
+        bounded("meetings of two lines", meetings, MOST_MEETINGS, source, "path")
+        crossings += int(np.count_nonzero(~shapely.touches(part[one], lines[other]))) - len(part)  # a line meets itself
+        bounded("crossings of two lines", crossings // 2, MOST_CROSSINGS, source, "path")
 
 
 def _enclosed(file: File, drawing: Drawing) -> tuple[Any, str]:

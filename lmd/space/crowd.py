@@ -17,7 +17,18 @@ from typing import Any
 
 import numpy as np
 
-from lmd.core.checks import BoolArray, FloatArray, InputError, IntArray, check_fields, choice, integer, real, vector
+from lmd.core.checks import (
+    BoolArray,
+    FloatArray,
+    InputError,
+    IntArray,
+    bounded,
+    check_fields,
+    choice,
+    integer,
+    real,
+    vector,
+)
 from lmd.core.memory import check_memory
 from lmd.core.worst import worst_of
 from lmd.space.polygon import checked_ring
@@ -31,6 +42,8 @@ COLUMNS = 5
 ROUNDS = 2000
 # Directions and heights, as shares of the cylinder's, at which the free floor is tested.
 DIRECTIONS, HEIGHTS = 16, (0.01, 0.25, 0.5, 0.75, 0.99)
+# Greatest number of states; a drive of an hour has one for each of its 72,000 frames.
+MOST_STATES = 200_000
 
 
 @dataclass(frozen=True)
@@ -62,6 +75,7 @@ class Crowd:
 
     def __post_init__(self) -> None:
         check_fields(self, integer, "number", "states", low=1)
+        bounded("states, which take 5 kB each", self.states, MOST_STATES, "crowd", "states")
         check_fields(self, integer, "seed", low=0)
         for name in ("radius", "height"):
             object.__setattr__(self, name, _span(name, getattr(self, name)))

@@ -9,7 +9,7 @@ from typing import Any, ClassVar, Self
 
 import numpy as np
 
-from lmd.core.checks import BoolArray, FloatArray, InputError, IntArray, real, vector
+from lmd.core.checks import BoolArray, FloatArray, InputError, IntArray, bounded, real, vector
 from lmd.core.memory import check_memory
 from lmd.space.blockers import Blockers
 from lmd.space.fixture import Fixture
@@ -17,8 +17,9 @@ from lmd.space.surface import FILE_TOLERANCE, PLACEMENT_TOLERANCE, Surface, Surf
 from lmd.space.triangles import Triangles
 
 KINDS = ("cells", "vertices")
-# Memory of a position, bytes: two copies of three coordinates, a value and a weight.
-POSITION_BYTES = 64
+# Greatest number of positions, where a hall of 100 m x 60 m x 10 m has 4 million at 0.25 m; and memory of a position
+# and its test, bytes.
+MOST_POSITIONS, POSITION_BYTES = 20_000_000, 256
 # Inverse powers of the root of x^4 = x + 1, the golden ratio of three dimensions (Roberts, 2018). With other irrational
 # steps, such as square roots, some shapes were sampled worse than by independent points.
 KRONECKER_STEPS = 1.2207440846057596 ** -np.arange(1.0, 4.0)
@@ -38,6 +39,7 @@ def checked_spacing(value: Any, size: Sequence[float]) -> float | tuple[float, .
     steps = spacing if isinstance(spacing, tuple) else 3 * (spacing,)
     positions = math.prod(length / step for length, step in zip(size, steps, strict=True))
     check_memory(POSITION_BYTES * positions, f"spacing = {spacing} makes {positions:.4g} positions, which", "spacing")
+    bounded("positions", positions, MOST_POSITIONS, f"spacing = {spacing}", "spacing")
     return spacing
 
 

@@ -25,6 +25,8 @@ Path("imported").touch()
 class Room:
     size: float = 1.0
 """
+# Each value refers ten times to the one before it.
+GROWING = ", ".join(f"a{i}: '{f'${{room.a{i - 1}}}' * 10 if i else 'x'}'" for i in range(1, 11)) + ", a: 1"
 LANDMARKS = "id,x,y,z,nx,ny,nz\n0,0,1,1,1,0,0\n1,0,2,1,1,0,0\n"
 
 
@@ -120,6 +122,11 @@ def test_a_run_of_a_stranger_runs_no_code(strangers, monkeypatch, capsys, change
         ("tag: {family: '${oc.${tag.edge}env:SECRET}'}", "add trust=[oc.env]"),
         ("tag: {family: '${tag[edge}'}", "tag.family = '${tag[edge}' would run code"),
         ("room: {size: !!timestamp 2020-01-01}", "room.size is no plain value"),
+        (f"room: {{a0: '${{room.a0}}', {GROWING}}}", "has inf characters in room after interpolation"),
+        (f"room: {{{GROWING}}}", "has 1.80246913e+11 characters in room after interpolation, and at most 1000000"),
+        ("room: {x: {a: '${...tag.x}', b: '${tag.x}'}}\ntag: {x: '${room.x}'}", "inf characters in room"),
+        ("room: {_recursive_: false}", "room._recursive_ has _recursive_, which no option of room has"),
+        ("room: {low: [{_args_: [1]}]}", "room.low.0._args_.0 has _args_, which no option of room has"),
         ("room: !!python/object/apply:os.system [touch imported]", "cannot be read"),
         ("room: {size: " + "[" * 2_000, "cannot be read"),
         ("room: " + "9" * 5_000, "cannot be read"),

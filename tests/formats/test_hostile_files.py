@@ -1,0 +1,160 @@
+"""Small files that would take hours or gigabytes: each is refused in one sentence before the work."""
+
+import json
+import signal
+from contextlib import contextmanager
+
+import ezdxf
+import pytest
+from format_samples import READERS
+from occupancy_maps import KEYS
+
+from lmd.core.checks import InputError
+from lmd.space.crowd import Crowd
+
+LONG, SECONDS = 200_000, 20.0  # characters, and processor time that quadratic work exceeds many times
+HEADS = {
+    "calibration": ("", "{", "Calibration results\n"),
+    "trajectory": ("", "# t x y z ", "1 "),
+    "tag map": ("", "{", '{"a":', "<sdf>", "# id x y z ", "1 "),
+    "detections": ("", "{", "id,"),
+}
+UNITS = (" ", "\n", "1", "1 ", "a,", "a ", "[", "(", '"\\', "/**/", "/*", "<!--", "<way>", "quat", "#\n", '{"a":')
+TEXTS = {
+    "calibration": ('Intrinsic of "a" / 1x', "cam0 ():\n type: <a.B'>\n distortion: [\n", "T_1_0: q:[", "[a]\n\n"),
+    "trajectory": ("1 1 1 1 1 1 1 1 ", "# a [", "1 " + "1" * 999 + " "),
+    "tag map": ("Marker/Priors", "TAGS = [\n", "<model>", "# a ["),
+    "detections": ('[{"targets":', "time,"),
+}
+
+
+@contextmanager
+def hang_guard():
+    """Raise `TimeoutError` after `SECONDS` of processor time."""
+
+    def stop(*_):
+        raise TimeoutError
+
+    before = signal.signal(signal.SIGVTALRM, stop)
+    signal.setitimer(signal.ITIMER_VIRTUAL, SECONDS)
+    try:
+        yield
+    finally:
+        signal.setitimer(signal.ITIMER_VIRTUAL, 0.0)
+        signal.signal(signal.SIGVTALRM, before)
+
+
+def refused(family, path, words=""):
+    with hang_guard(), pytest.raises(InputError) as error:
+        READERS[family](path)
+    assert words in str(error.value)
+    assert path.name in str(error.value)
+    assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize("family", TEXTS)
+def test_long_runs_of_characters_take_linear_time(family, tmp_path):
+    path = tmp_path / "file"
+    for head in HEADS[family]:
+        for unit in (*UNITS, *TEXTS[family]):
+            path.write_text(head + unit * (LONG // len(unit)) + "!")
+            refused(family, path)
+
+
+@pytest.mark.parametrize("length", [30, LONG])
+def test_comments_before_a_tag_map_take_linear_time(length, tmp_path):
+    (path := tmp_path / "file").write_text("/**/" * length + "x")
+    refused("tag map", path)
+
+
+def nested(drawing, times):
+    for i in range(10):
+        block = drawing.blocks.new(f"b{i}")
+        for _ in range(times):
+            block.add_blockref(f"b{i + 1}", (0, 0))
+
+
+DRAWINGS = {
+    "circle": (lambda d: d.modelspace().add_circle((0, 0), 1e14), "1e+14 units from the origin"),
+    "large circle": (lambda d: d.modelspace().add_circle((0, 0), 1e10), "tolerances along a shape, and at most"),
+    "circles": (
+        lambda d: [d.modelspace().add_circle((0, 0), 1e6 + i) for i in range(50)],
+        "5001 vertices of shapes",
+    ),
+    "blocks": (lambda d: (nested(d, 10), d.modelspace().add_blockref("b0", (0, 0))), "5001 entities"),
+    "itself": (
+        lambda d: (d.blocks.new("s").add_blockref("s", (0, 0)), d.modelspace().add_blockref("s", (0, 0))),
+        "33 blocks in each other, and at most 32",
+    ),
+    "far": (lambda d: d.modelspace().add_line((-1e308, 0), (1e308, 1e308)), "1e+308 units from the origin"),
+    "grid": (
+        lambda d: [
+            d.modelspace().add_line(*ends) for i in range(40) for ends in (((i, -1), (i, 130)), ((-1, i), (130, i)))
+        ],
+        "crossings of two lines, and at most 1000",
+    ),
+    "star": (
+        lambda d: [d.modelspace().add_line((0, 0), (1, i / 1e3)) for i in range(400)],
+        "meetings of two lines, and at most 50000",
+    ),
+}
+
+
+@pytest.mark.parametrize("name", DRAWINGS)
+def test_a_drawing_that_grows_is_refused(name, tmp_path, monkeypatch):
+    monkeypatch.setattr("lmd.formats.dxf.MOST_ENTITIES", 5_000)
+    monkeypatch.setattr("lmd.formats.dxf.MOST_VERTICES", 5_000)
+    monkeypatch.setattr("lmd.formats.wall_lines.MOST_MEETINGS", 50_000)
+    monkeypatch.setattr("lmd.formats.wall_lines.MOST_CROSSINGS", 1_000)
+    drawing = ezdxf.new(units=6)
+    drawing.modelspace().add_lwpolyline([(0, 0), (5, 0), (5, 4), (0, 4)], close=True)
+    build, words = DRAWINGS[name]
+    build(drawing)
+    drawing.saveas(path := tmp_path / "plan.dxf")
+    refused("floor plan", path, words)
+
+
+def test_a_building_of_crossing_walls_is_refused(tmp_path):
+    level = {"vertices": [[i, 1000 * (i % 2 != i // 2 % 2)] for i in range(1000)]}
+    level |= {"walls": [[2 * i, 2 * ((7 * i + 3) % 500) + 1, {}] for i in range(500)]}
+    level |= {"measurements": [[0, 1, {"distance": [3, 1000.0]}]]}
+    (path := tmp_path / "building.yaml").write_text(json.dumps({"levels": {"L1": level}}))
+    refused("floor plan", path, "crossings of two lines, and at most 10000 are taken")
+
+
+@pytest.mark.parametrize(
+    ("name", "content"),
+    [("e.png", b"%!PS-Adobe-3.0 EPSF-3.0\n%%BoundingBox: 0 0 9 9\n"), ("m.pgm", b"P5 7700 7700 255\n")],
+)
+def test_a_picture_of_another_kind_or_size_is_not_opened(name, content, tmp_path):
+    (tmp_path / name).write_bytes(content)
+    (path := tmp_path / "map.yaml").write_text(json.dumps(KEYS | {"image": name}))
+    refused("floor plan", path, "none of PNG, PPM, BMP" if name == "e.png" else "59290000 cells, and at most 36000000")
+
+
+MESHES = {
+    "n.gltf": ({"asset": {}, "nodes": [{}] * 50_001}, "50001 nodes, and at most 50000"),
+    "m.gltf": ({"asset": {}, "meshes": [{"primitives": [{}]}] * 50_001}, "50001 pieces of meshes"),
+    "f.obj": ("v 0 0 0\n" + "f" + " 1" * 2001, "2001 corners in a face, and at most 2000"),
+    "o.obj": ("usemtl a\n" * 30_001, "30001 names of objects and materials"),
+}
+
+
+@pytest.mark.parametrize("name", MESHES)
+def test_a_mesh_of_too_many_parts_is_refused(name, tmp_path):
+    content, words = MESHES[name]
+    (path := tmp_path / name).write_text(content if isinstance(content, str) else json.dumps(content))
+    refused("room", path, words)
+
+
+def test_a_model_of_gazebo_that_includes_itself_is_refused(tmp_path):
+    (tmp_path / "m").mkdir()
+    include = "<include><uri>model://m</uri></include>"
+    (tmp_path / "m" / "model.sdf").write_text("<sdf><model name='m'><link/></model></sdf>")
+    (path := tmp_path / "w.sdf").write_text(f"<sdf><world>{include * 20_001}</world></sdf>")
+    refused("tag map", path, "20001 models, with those that they include, and at most 20000")
+
+
+def test_a_crowd_of_too_many_states_is_refused():
+    with pytest.raises(InputError, match=r"^crowd has 3000000 states, which take 5 kB each, and at most 200000 are"):
+        Crowd(3, states=3_000_000)
