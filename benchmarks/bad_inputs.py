@@ -15,8 +15,8 @@ from pathlib import Path
 HERE = Path(__file__).resolve().parent
 QUIET = ("tracking=none",)
 SETTINGS = {
-    "optimise": (*QUIET, "budget.evaluations=20", "page=false", "validate=false"),
-    "evaluate": (*QUIET, "page=false", "validate=false", "localisation=false"),
+    "optimise": (*QUIET, "budget.evaluations=20", "validate=false"),
+    "evaluate": (*QUIET, "validate=false", "localisation=false"),
     "export": QUIET,
     "report": (),
 }

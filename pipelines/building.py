@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from lmd.space.space import Space
 
 GROUPS = ("room", "camera", "tag", "visibility", "objective", "encoding", "deployment")  # of every problem
-SWITCHES = ("validate", "picture", "page", "localisation", "losses", "sensitivity", "all_visible")  # true or false
+SWITCHES = ("validate", "picture", "localisation", "losses", "sensitivity", "all_visible")  # true or false
 RUN_BYTES = 1000  # least memory of one of several runs, bytes
 SAME_EDGE = 1e-6  # greatest difference of equal edges, metres
 MENTIONED = 8  # greatest number of tags that a note lists
@@ -131,7 +131,6 @@ def _check_settings(cfg: DictConfig) -> None:
         InputError: a setting is refused.
     """
     from lmd.core.checks import boolean, integer, seed_number
-    from lmd.core.optional import optional
 
     for group in GROUPS:
         settings_of(cfg, group)
@@ -143,8 +142,6 @@ def _check_settings(cfg: DictConfig) -> None:
     for switch in SWITCHES:
         if switch in cfg:
             boolean(switch, cfg[switch])
-    if cfg.get("page"):
-        optional("plotly", "page")
 
 
 def _scene(cfg: DictConfig) -> "Scene":

@@ -163,21 +163,19 @@ def columns_of(history: "Sequence[Record]") -> dict[str, list[float]]:
 
 def write_pictures(
     directory: Path, problem: "Problem", deployment: "Deployment", history: "Sequence[Record]", title: str, *,
-    picture: bool, page: bool, exports: Mapping[str, Callable[[Path], object]],
+    picture: bool, exports: Mapping[str, Callable[[Path], object]],
 ) -> tuple[list[Path], list[str]]:  # fmt: skip
     """Write the pictures and the exports that fit on the disk.
 
     Args:
         history: best fitness over the run; a single evaluation gets no curve.
         picture: True to write the picture and the curve.
-        page: True to write the interactive page.
         exports: functions that write further files, by the names of the files.
 
     Returns:
         the files, and a text for each file that could not be written.
     """
     from lmd.plot.charts import save_convergence_figure
-    from lmd.plot.page import save_scene_page
     from lmd.plot.scenes import save_scene_figure
 
     headline, table = problem.objective.headline, columns_of(history)
@@ -186,8 +184,6 @@ def write_pictures(
         writers["scene.png"] = lambda path: save_scene_figure(path, problem, deployment, title)
     if picture and len(history) > 1:
         writers["convergence.png"] = lambda path: save_convergence_figure(path, table, headline, title)
-    if page:
-        writers["scene.html"] = lambda path: save_scene_page(path, problem, deployment, title)
     return write_what_fits(directory, {**writers, **exports})
 
 

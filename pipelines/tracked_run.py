@@ -61,8 +61,6 @@ class Extras(NamedTuple):
     """Score the deployment off its grid."""
     picture: bool
     """Draw the scene and the convergence."""
-    page: bool
-    """Write the interactive page."""
 
     @classmethod
     def of(cls, cfg: DictConfig) -> "Extras":
@@ -254,8 +252,7 @@ def record(
         try:
             with stop.raising():
                 pictures, lost = write_pictures(
-                    directory, problem, deployment, history, title, picture=extras.picture, page=extras.page,
-                    exports=exports,
+                    directory, problem, deployment, history, title, picture=extras.picture, exports=exports,
                 )  # fmt: skip
             failed += lost
         except Stopped:
@@ -263,7 +260,7 @@ def record(
                 raise
             failed.append("told to stop, it has left out pictures")  # the search itself is complete
     files = sorted({*files, *curve, *pictures})
-    keep(tracker, [file for file in files if file.suffix != ".html"], {}, status)
+    keep(tracker, files, {}, status)
     off_grid = describe_validation(problem, validation) if validation else {}
     lines = {key.replace("_", " "): f"{value:g}" for key, value in figures.items() if key != "off_grid"}
     if all(camera.is_pinhole for camera in problem.scene.cameras):
@@ -279,7 +276,7 @@ def record(
     crowd = describe_crowd(problem.objective, metrics, problem.evaluator)
     print(labelled({label: headline, **weighted, **off_grid, **dict(others), **crowd, **lines}))
     if failed:
-        again = command_line("evaluate", [f"run={directory}", f"page={extras.page}".lower()])
+        again = command_line("evaluate", [f"run={directory}"])
         print(f"warning: {'; '.join(failed)}; to draw and write again: {again}", file=sys.stderr)
     if why and problem.objective.qualified(problem.values(deployment)).mean() < FEW_QUALIFIED:
         print(f"\n{why.to_text()}")

@@ -33,7 +33,7 @@ def test_the_example_in_the_documentation_is_right():
 
 
 def test_importing_it_loads_neither_the_compiler_nor_a_library_that_only_some_need():
-    heavy = {"numba", "hydra", "mlflow", "matplotlib", "plotly", "pymoo", "nevergrad", "cma", "cv2", "scipy"}
+    heavy = {"numba", "hydra", "mlflow", "matplotlib", "pymoo", "nevergrad", "cma", "cv2", "scipy"}
     code = f"import sys, lmd; loaded = {heavy} & set(sys.modules); assert not loaded, loaded"
     subprocess.run([sys.executable, "-c", code], check=True)
 

@@ -21,7 +21,7 @@ LIBRARIES = (
     *("PIL.PngImagePlugin", "cv2", "hydra._internal.logging_config", "mlflow.tracking.client"),
     *("mlflow.store.tracking.sqlalchemy_workspace_store", "multiprocessing.synchronize", "nevergrad"),
     *("numba.core.boxing", "numba.core.runtime.context", "pandas", "pandas.core.methods.to_dict"),
-    *("pandas.core.reshape.reshape", "pandas.io.formats.csvs", "pandas.io.formats.string", "plotly.graph_objects"),
+    *("pandas.core.reshape.reshape", "pandas.io.formats.csvs", "pandas.io.formats.string"),
     *("psutil", "pyapriltags", "pyarrow.pandas_compat", "pymoo.core.algorithm", "reportlab.pdfgen.canvas"),
     *("scipy.ndimage", "scipy.optimize", "scipy.spatial", "scipy.stats", "zstandard"),
 )

@@ -50,11 +50,11 @@ def hidden(monkeypatch):
 
 def test_a_package_that_is_missing_is_named_with_the_command_that_installs_it(hidden, monkeypatch):
     monkeypatch.chdir(ROOT)
-    hidden("plotly")
+    hidden("trimesh")
     with pytest.raises(InputError) as told:
-        optional("plotly", "page")
-    assert str(told.value).startswith("this needs the package plotly: ")
-    assert str(told.value).endswith(" -m pip install --constraint constraints.txt --editable '.[page]'.")
+        optional("trimesh", "mesh")
+    assert str(told.value).startswith("this needs the package trimesh: ")
+    assert str(told.value).endswith(" -m pip install --constraint constraints.txt --editable '.[mesh]'.")
 
 
 @pytest.mark.parametrize(
@@ -86,7 +86,6 @@ def test_another_error_is_no_missing_package():
 @pytest.mark.parametrize(
     ("pipeline", "override", "package", "extra"),
     [
-        ("optimise", "page=true", "plotly", "page"),
         ("detect", "frames=1", "cv2", "detection"),
         ("view", "port=0", "viser", "view"),
         ("optimise", "hydra/launcher=joblib", "hydra_plugins", "sweeps"),

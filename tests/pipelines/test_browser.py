@@ -1,23 +1,13 @@
 """Pages that `lmd` writes, opened in a browser: no error on the console, no request beyond the file itself."""
 
-import io
 import time
 
 import chromium
-import numpy as np
 import pytest
-from matplotlib.image import imread
-from paper import paper_scene
 from services import mlflow_server, wait_until
 from tracked import record_sweep, write_report
 
-from lmd.objectives.coverage import Coverage
-from lmd.plot.page import save_scene_page
-from lmd.problem import Problem
-from lmd.scene.deployment_sources import UniformDeployment
-from lmd.space.cuboid import Cuboid
-
-PATHS = ("lmd/plot/page.py", "pipelines/reproduction", "pipelines/operations/tracking")
+PATHS = ("pipelines/reproduction", "pipelines/operations/tracking")
 pytestmark = [pytest.mark.slow, pytest.mark.thorough(*PATHS), chromium.needs_chromium]
 
 
@@ -35,20 +25,6 @@ def visit(browser, path):
     browser.get(path.as_uri())
     time.sleep(1.0)  # for what a page does after it has loaded
     return chromium.complaints(browser), [url for url in chromium.requests(browser) if url != path.as_uri()]
-
-
-def test_the_interactive_page_of_a_scene(browser, tmp_path):
-    room = Cuboid(size=(3.0, 2.0, 2.5), reachable_size=(2.0, 1.0, 1.5), spacing=0.8)
-    problem = Problem(paper_scene(room), Coverage(2, 0.65), UniformDeployment(7), threads=1)
-    deployment = problem.start.draw(room, np.random.default_rng(0))
-    page = tmp_path / "scene.html"
-    save_scene_page(page, problem, deployment, "The scene")
-    assert visit(browser, page) == ([], [])
-    assert browser.title == "The scene"
-    assert browser.execute_script("return document.querySelectorAll('.gl-container canvas').length") > 0
-    shown = imread(io.BytesIO(browser.get_screenshot_as_png()))[..., :3]
-    landmarks = (np.abs(shown - [214 / 255, 39 / 255, 40 / 255]) < 0.1).all(axis=-1)
-    assert landmarks.sum() > 50  # drawn, not only there
 
 
 def test_the_report(browser, tmp_path):

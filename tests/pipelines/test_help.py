@@ -34,7 +34,7 @@ RUNS = (
     ("optimise", "budget.evaluations=1", *RUN, "hydra.run.dir=optimised"),
     ("evaluate", "deployment=random", "localisation=false", *RUN, "hydra.run.dir=evaluated"),
 )
-OTHERS = ("scipy.optimize", "scipy.spatial", "scipy.sparse", "scipy.stats", "plotly", "pymoo", "nevergrad", "cv2")
+OTHERS = ("scipy.optimize", "scipy.spatial", "scipy.sparse", "scipy.stats", "pymoo", "nevergrad", "cv2")
 CASES = {
     **{pipeline: ([[pipeline, "--help"]], slow) for pipeline, slow in SLOW.items()},
     "runs": (RUNS, ("pandas", "mlflow", *OTHERS)),

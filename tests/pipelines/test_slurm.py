@@ -48,7 +48,7 @@ def cwd(tmp_path_factory):
 def sweep(cwd, server):
     """Starts a sweep of four jobs, two at a time, on a cluster of its own."""
     line = command(
-        "optimise", "hydra.mode=MULTIRUN", f"hydra.searchpath=[file://{cwd}/mine]", "page=false", "deployment.count=20",
+        "optimise", "hydra.mode=MULTIRUN", f"hydra.searchpath=[file://{cwd}/mine]", "deployment.count=20",
         f"budget.evaluations={10 * BATCHES}", "checkpoint_seconds=1", f"tracking.uri={server}", "optimiser=faulty",
         f"optimiser.fault={','.join(FAULTS)}", "hydra/launcher=slurm",
     )  # fmt: skip

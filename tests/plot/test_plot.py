@@ -1,4 +1,3 @@
-import re
 import subprocess
 import sys
 from dataclasses import replace
@@ -15,13 +14,11 @@ from lmd.objectives.coverage import Coverage
 from lmd.plot import common
 from lmd.plot.charts import save_convergence_figure
 from lmd.plot.common import qualified_labels
-from lmd.plot.page import save_scene_page
 from lmd.plot.scenes import save_scene_figure
 from lmd.problem import Problem
 from lmd.scene.deployment import Deployment
 from lmd.scene.deployment_sources import RandomDeployment, UniformDeployment
 from lmd.scene.labels import Labels
-from lmd.scene.tag import Tag
 from lmd.sight.evaluator import Evaluator
 from lmd.space.cuboid import Cuboid, box_edges
 
@@ -124,21 +121,9 @@ def test_what_hung_already_is_blue_and_has_its_own_entry(tmp_path, deployment):
     whole = problem.draw(np.random.default_rng(0))
     for name, shown in (("old", Shown(PROBABILITY)), ("beside", problem)):
         save_scene_figure(tmp_path / f"{name}.png", shown, whole, "T")
-        save_scene_page(tmp_path / f"{name}.html", shown, whole, "T")
         drawn = imread(tmp_path / f"{name}.png")[100:640]
-        page = (tmp_path / f"{name}.html").read_text(encoding="utf-8")
         assert colours_in(drawn, 214, 39, 40) > 100
         assert (colours_in(drawn, 31, 119, 180) > 100) == (name == "beside")
-        assert ("landmark that hung already" in page) == (name == "beside")
-        assert all(f"landmark {number}" in page for number in whole.ids)
-
-
-def test_the_page_says_and_draws_how_large_each_tag_is(tmp_path, deployment):
-    several, shown = replace(deployment[:2], edges=np.array([0.06, 0.2])), Shown(PROBABILITY, 2)
-    shown.scene = replace(SCENE, tag=Tag(0.1))
-    save_scene_page(tmp_path / "page.html", shown, several, "T")
-    page = (tmp_path / "page.html").read_text(encoding="utf-8")
-    assert page.count("edge 0.06 m") == page.count("edge 0.2 m") == 1
 
 
 @pytest.mark.slow
@@ -146,8 +131,8 @@ def test_plotting_libraries_load_late_and_pyplot_never(tmp_path, deployment):
     deployment.to_csv(tmp_path / "deployment.csv")
     code = """if True:
         import sys
-        import lmd.plot.charts, lmd.plot.page, lmd.plot.scenes
-        assert not {"matplotlib", "plotly"} & set(sys.modules)
+        import lmd.plot.charts, lmd.plot.scenes
+        assert "matplotlib" not in sys.modules
         import numpy as np
         import lmd
         room = lmd.Cuboid((3.0, 2.0, 2.5), (2.0, 1.0, 1.5), 0.8)
@@ -161,34 +146,13 @@ def test_plotting_libraries_load_late_and_pyplot_never(tmp_path, deployment):
     subprocess.run([sys.executable, "-c", code], cwd=tmp_path, env=environment(), check=True)
 
 
-def test_page_is_self_contained_and_holds_landmarks_positions_and_both_buttons(tmp_path, deployment):
-    path = tmp_path / "scene.html"
-    save(save_scene_page, path, deployment, title="90 < 100 & more")
-    page = path.read_text(encoding="utf-8")
-    assert "<title>90 &lt; 100 &amp; more</title>" in page
-    tags = re.findall(r"<(?:script|link|img|iframe)\b[^>]*>", page)
-    assert tags
-    assert not [tag for tag in tags if re.search(r"""(?:src|href)\s*=\s*["']?(?:https?:)?//""", tag)]
-    assert "cdnjs" not in page  # MathJax
-    data = page[page.rindex("Plotly.newPlot") :].replace('": ', '":')
-    assert '"displaylogo":false' in data
-    assert '"showSendToCloud":false' in data
-    assert all(f"landmark {i}\\u003cbr" in data for i in range(7))
-    x, y, z = ROOM.grid()[5]
-    assert f"= {PROBABILITY[5]:.4f}\\u003cbr\\u003ex {x:.3f} m, y {y:.3f} m, z {z:.3f} m" in data
-    assert '"label":"probability"' in data
-    assert '"label":"qualified or not"' in data
-    assert qualified_labels(PROBABILITY >= THOLD_P, THOLD_P)[1] in data
-
-
-@pytest.mark.parametrize(("draw", "name"), [(save_scene_figure, "scene.png"), (save_scene_page, "scene.html")])
 @pytest.mark.parametrize("probability", [0.0, 1.0])
-def test_one_landmark_and_one_position(tmp_path, draw, name, probability):
+def test_one_landmark_and_one_position(tmp_path, probability):
     one = Deployment(np.array([[0.0, 1.0, 1.0]]), np.array([[1.0, 0.0, 0.0]]))
     shown = Shown(np.array([probability]), count=1)
     shown.evaluator = Evaluator(SCENE, ROOM.grid()[:1])
-    draw(tmp_path / name, shown, one, "T")
-    assert (tmp_path / name).stat().st_size > 30_000
+    save_scene_figure(tmp_path / "scene.png", shown, one, "T")
+    assert (tmp_path / "scene.png").stat().st_size > 30_000
 
 
 @pytest.mark.parametrize("rows", [1, 4])
