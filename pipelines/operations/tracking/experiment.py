@@ -19,11 +19,10 @@ SHARED = "mlflow.sharedViewState."  # prefix of the tag of a shared view
 VIEW = "lmd"  # name of the shared view in links
 NAME = "attributes.`Run Name`"
 # Widths of columns, pixels.
-WIDTHS = {
-    **{NAME: 300, "metrics.`off_grid`": 85},
-    **{f"params.`{name}`": 110 for name in ("optimiser", "room", "camera", "objective")},
+WIDTHS = {NAME: 280, "metrics.`off_grid`": 85} | {
+    f"params.`{name}`": 90 for name in ("optimiser", "room", "camera", "objective")
 }
-NARROW = 70  # width of the column of any other setting, pixels
+NARROW = 58  # width of the column of any other setting, pixels
 MOST_FIGURES = 12  # columns of figures in the view of an experiment
 OF_SWEEPS = ("metrics.`best/off_grid`", "metrics.`median/off_grid`")
 # Columns of runs in their order: what often varies, the figure off the grid, further figures, then costs.
