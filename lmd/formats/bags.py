@@ -4,16 +4,20 @@ Messages are read by definitions of `lmd`, not by those in the bag, from which t
 whose definition of a type has another hash is refused.
 """
 
+import io
+import math
 import os
 import struct
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
-from functools import cache, cached_property
+from functools import cache, cached_property, partial
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any, NamedTuple
 
-from lmd.core.checks import InputError, printable
+from lmd.core.checks import InputError, bounded, printable
+from lmd.core.files import read_bytes
 from lmd.core.optional import optional
 from lmd.core.words import few
 
@@ -28,6 +32,11 @@ APRILTAG_MSGS = {
     "float32 decision_margin\napriltag_msgs/Point centre\napriltag_msgs/Point[4] corners\nfloat64[9] homography\n",
     "apriltag_msgs/msg/Point": "float64 x\nfloat64 y\n",
 }
+# Greatest size of `metadata.yaml`, where 500 topics have 300 kB; and of a message or a chunk of them when it is
+# expanded, where an image of 8K has 100 MB, bytes.
+LARGEST_METADATA, LARGEST_CHUNK = 1 << 19, 1 << 28
+# Greatest size of a file when it is expanded: bytes, and bytes for each byte of the file.
+LARGEST_FILE, LARGEST_RATIO = 1 << 30, 100
 MOST_TOPICS = 8  # largest number of topics that a message names
 SHOWN = 120  # largest number of characters of a library's reason that a message shows
 
@@ -53,6 +62,41 @@ def types() -> Any:
     for name, text in APRILTAG_MSGS.items():
         found.register(get_types_from_msg(text, name))
     return found
+
+
+@cache
+def _reader() -> Any:
+    """Reader of bags by the library, which expands what is compressed only up to the limits of this module, and does
+    not parse the settings of transport, which may be long.
+    """
+    optional("rosbags", EXTRA)
+    names = "reader", "storage_mcap", "storage_sqlite3"
+    library, mcap, database = (optional(f"rosbags.rosbag2.{name}", EXTRA) for name in names)
+    zstd, lz4 = library.zstd, optional("lz4.frame", EXTRA)
+
+    def chunk(kind: Any, content: bytes, *_: int) -> bytes:
+        expanded: bytes = kind().decompress(content, LARGEST_CHUNK + 1)
+        bounded("bytes in a compressed message or chunk", len(expanded), LARGEST_CHUNK, "it")
+        return expanded
+
+    class Expanded(io.RawIOBase):
+        """Content of a compressed file."""
+
+        def __init__(self, file: Any, _: str) -> None:
+            self.inner, self.count = zstd.open(file), 0
+            self.most = LARGEST_FILE + LARGEST_RATIO * os.fstat(file.fileno()).st_size
+
+        def read(self, size: int = -1) -> bytes:
+            found: bytes = self.inner.read(size)
+            self.count += len(found)
+            bounded("bytes in a compressed file", self.count, self.most, "it")
+            return found
+
+    by_zstd, by_lz4 = partial(chunk, zstd.ZstdDecompressor), partial(chunk, lz4.LZ4FrameDecompressor)
+    library.zstd = SimpleNamespace(open=Expanded, decompress=by_zstd)
+    mcap.DECOMPRESSORS |= {"zstd": by_zstd, "lz4": by_lz4}
+    library.parse_qos = mcap.parse_qos = database.parse_qos = lambda _: []
+    return library.Reader
 
 
 def is_bag(path: Any) -> bool:
@@ -152,15 +196,22 @@ class Bag:
 
     @contextmanager
     def _opened(self) -> Iterator[Any]:
-        optional("rosbags", EXTRA)
-        from rosbags.rosbag2 import Reader
-
-        if not os.path.exists(self.path):
-            raise InputError(f"{self.argument}: there is no bag {str(self.path)!r}.", self.argument)
+        path = Path(self.path)
+        if not os.path.exists(path):
+            raise InputError(f"{self.argument}: there is no bag {str(path)!r}.", self.argument)
+        for file in path.iterdir() if path.is_dir() else [path]:
+            if not file.is_dir():
+                # A pipe is refused, for which the library would wait; other files are not read here.
+                largest = LARGEST_METADATA if file.name == METADATA else math.inf
+                read_bytes(file, self.argument, largest, None if file.name == METADATA else 0)
         try:
-            with Reader(Path(self.path)) as reader:
+            with _reader()(path) as reader:
                 yield reader
-        except (InputError, GeneratorExit):
+        except InputError as error:
+            if str(path) in str(error):
+                raise
+            raise self.refused(str(error).removeprefix("it ").rstrip(".")) from None
+        except GeneratorExit:
             raise
         except Exception as error:  # a broken file may raise anything
             cut = "; `mcap recover` mends a file that was cut" * (Path(self.path).suffix == ".mcap")

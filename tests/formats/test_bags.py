@@ -1,5 +1,7 @@
 """Bags of ROS 2: images, cameras, detections and poses; written and read by two libraries."""
 
+import os
+
 import bag_files as bf
 import cv2
 import localise_drives as ld
@@ -182,17 +184,51 @@ def test_damaged_bags_are_refused_in_one_sentence(tmp_path):
         Bag(tmp_path)
 
 
-def test_a_folder_and_a_database_are_bags(tmp_path):
+def written(folder, rows=12, **compression):
+    """A folder with an image by the library that reads it; all rows but twelve are 0."""
     from rosbags.rosbag2 import Writer
 
     from lmd.formats.bags import types
 
     kinds = types().types
     time = kinds["builtin_interfaces/msg/Time"](7, 5)
-    message = kinds[IMAGE](kinds["std_msgs/msg/Header"](time, ""), 12, 16, "mono8", 0, 16, GREY.ravel())
-    with Writer(tmp_path / "drive", version=9) as writer:
+    data = np.pad(GREY, ((0, rows - 12), (0, 0))).ravel()
+    message = kinds[IMAGE](kinds["std_msgs/msg/Header"](time, ""), rows, 16, "mono8", 0, 16, data)
+    writer = Writer(folder, version=9, **compression.pop("storage", {}))
+    if compression:
+        writer.set_compression(**compression)
+    with writer:
         topic = writer.add_connection("/image", IMAGE, typestore=types())
         writer.write(topic, 10**9, types().serialize_cdr(message, IMAGE))
+
+
+@pytest.mark.parametrize("mode", ["FILE", "MESSAGE", "STORAGE"])
+def test_what_is_compressed_expands_up_to_a_limit(mode, tmp_path, monkeypatch):
+    from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin
+
+    more = {"mode": CompressionMode[mode], "fmt": CompressionFormat.ZSTD}
+    written(tmp_path / "drive", 20_000, storage={"storage_plugin": StoragePlugin.MCAP}, **more)
+    assert len(list(Bag(tmp_path / "drive").messages("/image"))) == 1
+    for name, limit in (("LARGEST_CHUNK", 100_000), ("LARGEST_FILE", 100_000), ("LARGEST_RATIO", 0)):
+        monkeypatch.setattr(f"lmd.formats.bags.{name}", limit)
+    with pytest.raises(
+        InputError, match=r"^path: the bag '.*drive' has \d+ bytes in a compressed .*, and at most \d+ a"
+    ):
+        list(Bag(tmp_path / "drive").messages("/image"))
+
+
+def test_pipes_and_large_metadata_are_refused(tmp_path):
+    os.mkfifo(tmp_path / "b.mcap")
+    with pytest.raises(InputError, match=r"b\.mcap' cannot be read: it is a pipe\.$"):
+        Bag(tmp_path / "b.mcap")
+    (tmp_path / "metadata.yaml").write_text("# " + "a" * 600_000)
+    (tmp_path / "b.mcap").unlink()
+    with pytest.raises(InputError, match=r"metadata\.yaml' cannot be read: it has 6e\+05 bytes, and at most"):
+        Bag(tmp_path)
+
+
+def test_a_folder_and_a_database_are_bags(tmp_path):
+    written(tmp_path / "drive")
     for path in (tmp_path / "drive", *(tmp_path / "drive").glob("*.db3")):
         assert is_bag(path)
         found = only(path)
