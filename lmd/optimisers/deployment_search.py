@@ -40,8 +40,8 @@ class DeploymentSearch(Optimiser):
     def found(self, problem: Problem) -> Deployment | None:
         return self.best
 
-    def _record(self, problem: Problem, evaluations: float, deployment: Deployment | None, began: float) -> float:
-        """Evaluate a deployment and record it; returns its fitness.
+    def _record(self, problem: Problem, evaluations: float, deployment: Deployment | None, began: float) -> None:
+        """Evaluate a deployment and record it.
 
         Args:
             problem: problem of the run.
@@ -53,4 +53,3 @@ class DeploymentSearch(Optimiser):
         self.ledger.seconds = clock() - began
         if self.ledger.note(evaluations, fitness):
             self.best = deployment
-        return fitness

@@ -43,12 +43,8 @@ POLL_SECONDS = 0.2  # seconds between two questions while the solver runs
 
 def lattice_of(problem: Problem, spacing: float) -> Deployment:
     """Poses of a lattice whose footprints do not overlap footprints of fixed tags; `spacing` in metres."""
-    return without_touching(problem, candidates(problem.scene.footprints, problem.free_edges, spacing))
-
-
-def without_touching(problem: Problem, poses: Deployment) -> Deployment:
-    """The poses whose footprints do not overlap footprints of fixed tags."""
     footprints, hung = problem.scene.footprints, problem.fixed_with_edges
+    poses = candidates(footprints, problem.free_edges, spacing)
     if hung is None or not footprints.edge:
         return poses
     taken = [footprints.touched(poses, hung[k : k + 1]) for k in range(len(hung))]
@@ -92,7 +88,7 @@ def placed(problem: Problem, poses: Deployment, taken: IntArray) -> Deployment:
     Points are separated from others at their pose; tags are in the order of the problem's sizes.
     """
     if poses.has_own_edges:
-        chosen = chosen_poses(problem, poses, taken)
+        chosen = _chosen_poses(problem, poses, taken)
         return problem.complete(Deployment(chosen.positions, chosen.normals, chosen.surfaces))
     parts, distance = [], STACK_SPREAD * problem.scene.spacing
     for stack in np.unique(taken[taken > 0]).tolist():
@@ -101,7 +97,7 @@ def placed(problem: Problem, poses: Deployment, taken: IntArray) -> Deployment:
     return problem.complete(reduce(operator.add, parts))
 
 
-def chosen_poses(problem: Problem, poses: Deployment, taken: IntArray) -> Deployment:
+def _chosen_poses(problem: Problem, poses: Deployment, taken: IntArray) -> Deployment:
     """Poses of the free landmarks, each `taken` `(J,)` times, in the order of the problem's sizes."""
     sizes = problem.free_sizes
     order = np.empty(len(sizes), dtype=int)
@@ -159,8 +155,8 @@ class Program:
     """Largest number of landmarks at a pose."""
 
     @classmethod
-    def of(cls, problem: Problem, poses: Deployment, covers: NDArray[np.int8], margin: float = 0.0) -> "Program":
-        """Make the program for the poses of a lattice, with their `covers_of` and a threshold higher by `margin`."""
+    def of(cls, problem: Problem, poses: Deployment, covers: NDArray[np.int8]) -> "Program":
+        """Make the program for the poses of a lattice, with their `covers_of`."""
         views, footprints = _views(problem), problem.scene.footprints
         already = (
             np.zeros(views.shape, np.int8)
@@ -179,18 +175,14 @@ class Program:
         of = csr_array([np.isin(np.arange(len(poses)), own) for own, _ in sizes], dtype=float)
         counts = np.array([count for _, count in sizes])
         left = csr_array(rows[:, 1:], dtype=float), rows[:, 0], block_diag(weights), overlaps, of, counts
-        threshold = max(min(problem.objective.threshold + margin, 1.0) - TOLERANCE, 0.0)
+        threshold = max(problem.objective.threshold - TOLERANCE, 0.0)
         return cls(*left, problem.fitness_relevance, problem.objective.n, threshold, per_pose(problem))
 
-    def solver(
-        self, options: Mapping[str, Any], least: IntArray | None = None, most: IntArray | None = None
-    ) -> Callable[[], OptimizeResult]:
+    def solver(self, options: Mapping[str, Any]) -> Callable[[], OptimizeResult]:
         """Return a call of HiGHS; its objective is minus the relevance of qualified positions.
 
         Args:
-            options: limits of `scipy.optimize.milp`, such as `time_limit` and `node_limit`.
-            least: least number of landmarks at each pose, `(J,)`; None for 0.
-            most: largest number of landmarks at each pose, `(J,)`; None for `copies`.
+            options: limits of `scipy.optimize.milp`, such as `time_limit`.
         """
         (rows, poses), positions = self.covers.shape, len(self.relevance)
         left = block_array([
@@ -202,16 +194,15 @@ class Program:
         overlaps = self.overlaps.shape[0]
         low = np.concatenate([self.counts, -self.counted, np.zeros(positions), np.full(overlaps, -np.inf)])
         high = np.concatenate([self.counts, np.full(rows + positions, np.inf), np.ones(overlaps)])
-        smallest, largest = np.zeros(poses + rows + positions), np.ones(poses + rows + positions)
-        smallest[:poses] = 0 if least is None else least
-        largest[:poses] = self.copies if most is None else most
+        largest = np.ones(poses + rows + positions)
+        largest[:poses] = self.copies
         return partial(
             milp,
             np.concatenate([np.zeros(poses + rows), -self.relevance]),
             constraints=LinearConstraint(left.tocsc(), low, high),
             # For n = 1, integral x give integral y; for larger n, y must be declared integral.
             integrality=np.concatenate([np.ones(poses), np.full(rows, self.n > 1), np.ones(positions)]),
-            bounds=Bounds(smallest, largest),
+            bounds=Bounds(0.0, largest),
             options={**options, "mip_rel_gap": 0.0},
         )
 

@@ -16,7 +16,7 @@ from pipelines.app import CONF
 
 # What begins with a lattice is no search that a budget of any size serves, and cameras are no landmarks: these have
 # tests of their own.
-LATTICES = {"milp", "milp_adaptive", "milp_neighbourhoods"}
+LATTICES = {"milp"}
 NAMES = {path.stem for path in Path(CONF, "optimiser").glob("*.yaml")} - {"camera_annealing", *LATTICES}
 
 
