@@ -148,8 +148,8 @@ def _known(cfg: DictConfig, tag: "Tag", given: "Camera | Rig") -> "PriorKnowledg
     assert isinstance(settings, dict)
     for key in ("calibrate", "every"):  # these do not describe the tags
         settings.pop(key)
-    names = ("origin", "points", "floor", "boards", "printed", "mounted", "odometry", "motion")
-    origin, points, floor, boards, printed, mounted, path, motion = (settings.pop(key, None) for key in names)
+    names = ("origin", "points", "floor", "boards", "printed", "mounted", "odometry", "motion", "edges")
+    origin, points, floor, boards, printed, mounted, path, motion, sizes = (settings.pop(key, None) for key in names)
     odometry = odometry_of(path, "survey.odometry")
     steady = None if motion == "auto" else boolean("survey.motion", motion)
     with keyed("survey"):
@@ -169,7 +169,9 @@ def _known(cfg: DictConfig, tag: "Tag", given: "Camera | Rig") -> "PriorKnowledg
         fixed = fixed_of(node, tag.own_family)
     note("" if plan is None else plan.note)
     with keyed("survey"):
-        return PriorKnowledge(plan, hanging, fixed, points, boards, mounts, origin, floor, odometry, steady)
+        return PriorKnowledge(
+            plan, hanging, fixed, points, boards, mounts, origin, floor, odometry, sizes or {}, steady
+        )
 
 
 main = Pipeline("survey", survey, (read_earlier_run,))

@@ -121,7 +121,7 @@ def localise(
     smoothed = None if motion is None else smoothed_poses(found, motion, present, changes.inflation)
     through = [one.camera for one in optics.cameras]
     vanished = None if room is None else vanished_tags(found, present, through, room)
-    doubts = outside_doubts(detected, cameras) or _mount_doubts(sightings, known, poses)
+    doubts = outside_doubts(detected, cameras) or _mount_doubts(sightings, known, poses) or [*optics.doubts]
     doubts += [
         f"tag {others.ids[place.tag]} hangs at ({', '.join(f'{x:.2f}' for x in place.pose[:3, 3])}) as well, by "
         f"{place.sightings} images: has another tag its id, or was it moved on the way?"

@@ -21,14 +21,13 @@ from lmd.scene.tag import Tag
 from lmd.survey.initialisation import FLOOR_PIXELS
 from lmd.survey.intrinsics import Calibrated, prior_sigmas
 from lmd.survey.map_estimate import adjust
-from lmd.survey.nuisances import SMALL_SHARE, Optics, refine, with_nuisances
+from lmd.survey.nuisances import LEAST_SHIFT, SMALL_SHARE, Optics, edge_doubts, refine, with_nuisances
 from lmd.survey.prior import Prior
 from lmd.survey.residuals import Poses
 from lmd.survey.sightings import Sightings, sightings_of
 
 # Least and greatest number of images of several tags by which cameras are refined.
 FEWEST_IMAGES, MOST_IMAGES = 20, 120
-LEAST_SHIFT = 1e-3  # least prior standard deviation of a shift of corners, pixels
 
 
 @dataclass(frozen=True)
@@ -47,6 +46,8 @@ class RefinedOptics:
     """Their shapes, `(K, 6)`, see `Sightings.shapes`; None if tags count as flat squares."""
     shape_sigma: float = 0.0
     """Standard deviation of shapes, metres."""
+    doubts: tuple[str, ...] = ()
+    """Sentences on the edge of the tags, see `edge_doubts`."""
 
     def calibrated(self, given: Sequence[Camera]) -> tuple[Calibrated, ...]:
         """Cameras beside the `given` ones; empty if cameras are exact."""
@@ -126,7 +127,8 @@ def refined_optics(
     first = adjust(start, prior, poses, np.zeros(len(seen), dtype=np.int64), FLOOR_PIXELS)
     after, optics = refine(first, given.cameras, sigmas, sighted, False, _never, _never)
     shapes, ids = after.sightings.shapes, tuple(shown.ids.tolist())
-    return RefinedOptics(optics, sigmas, after.lens_covariances, ids, shapes, after.sightings.shape_sigma)
+    doubts = tuple(edge_doubts(after, optics, given.cameras, sigmas, sighted))
+    return RefinedOptics(optics, sigmas, after.lens_covariances, ids, shapes, after.sightings.shape_sigma, doubts)
 
 
 def _never(_done: int, _most: int) -> bool:

@@ -26,7 +26,7 @@ from lmd.survey.intrinsics import intrinsics_of, parameter_slopes, with_intrinsi
 from lmd.survey.linked_adjustment import adjustment_of, constraining
 from lmd.survey.map_estimate import ONE_THREAD, Estimate, adjust, fitting
 from lmd.survey.resampling import inflation
-from lmd.survey.residuals import Poses, Reprojection, squared_errors
+from lmd.survey.residuals import Poses, Reprojection, squared_errors, student_loss
 from lmd.survey.sightings import MODES, RESIDUALS, Sightings, shift_basis
 
 SMALL_SHARE = 0.5  # prior standard deviation of the second shift, over the prior standard deviation of the first shift
@@ -38,6 +38,10 @@ SLACK = 1e-3  # maximum increase of the loss by an accepted step
 SETTLED_SIGMAS = 0.3  # the rounds end when a step is smaller, in standard deviations
 SETTLED_SHAPES = 0.1  # the rounds end when the standard deviation of shapes changes by less, relative
 NEAR_PIXELS = 5.0  # maximum error, pixels, of tags whose edges are taken from their poses
+# Another edge is tried `EDGE_ROUNDS` times if it differs by `LEAST_GROWTH`, relative, and `FEWEST_SCALED` tags tell the
+# scale. An explanation is better if its loss is smaller by `BETTER`, a log-likelihood.
+EDGE_ROUNDS, LEAST_GROWTH, FEWEST_SCALED, BETTER = 3, 0.004, 3, 10.0
+SMALLEST_M, LEAST_SHIFT = 1e-3, 1e-3  # least distance of tags, metres, and prior standard deviation of shifts, pixels
 MOST_HALVINGS = 6  # maximum number of halvings of a step that leads to no valid camera
 
 
@@ -124,6 +128,63 @@ def refine(
             break
         found = replace(found, inflation=grown)
     return found, state.optics
+
+
+def edge_doubts(
+    found: Estimate,
+    optics: Sequence[Optics],
+    given: Sequence[Optics],
+    sigmas: Sequence[FloatArray],
+    sighted: Callable[[Sequence[Optics]], Sightings],
+) -> list[str]:
+    """Sentence on the edge of all tags, if another one explains the images and the known places at least as well.
+
+    The estimate is made again with the edges that the shift of corners and the scale of the map suggest. Larger edges
+    move corners outward in proportion to the size of a tag in the image; a shift is alike near and far.
+
+    Args:
+        found, optics: result of `refine`.
+        given, sigmas, sighted: arguments of `refine`.
+    """
+    known = np.flatnonzero(found.prior.information[:, 3:].all(axis=1) & (found.group == 0))
+    if len(known) < FEWEST_SCALED:
+        return []  # nothing but the tags has a scale
+    first, second = np.triu_indices(len(known), 1)
+    tried, through, growth = found, tuple(optics), 0.0
+    for _ in range(EDGE_ROUNDS):
+        places = np.stack([tried.prior.tags[known, :3, 3], tried.poses.tags[known, :3, 3]])
+        expected, mapped = np.linalg.norm(places[:, first] - places[:, second], axis=2)
+        shift = np.array([camera.shifts[0] for camera in through])[tried.sightings.camera]
+        outward = float(np.median((-2.0 * shift / tried.sightings.sizes)[tried.used]))
+        more = float(np.log(np.median(expected / np.maximum(mapped, SMALLEST_M)))) + outward
+        if abs(more) < LEAST_GROWTH:
+            break
+        growth += more
+        some = replace(sighted(given), edges=found.sightings.edges * np.exp(growth))
+        tried = adjust(some, found.prior, found.poses, found.group, FLOOR_PIXELS)
+        tried, through = refine(tried, given, sigmas, sighted, False, lambda _done, _most: False, lambda *_: None)
+    if abs(growth) < LEAST_GROWTH:
+        return []
+    before, after = (_loss(*one, sigmas, found.floor) for one in ((found, optics), (tried, through)))
+    if after > before + BETTER:
+        return []
+    was, edge = (1e3 * float(np.median(state.sightings.edges)) for state in (found, tried))
+    most = max((one.shifts[0] for one in optics), key=abs)
+    way = f"corners {abs(most):.2g} pixels {'inward' if most > 0.0 else 'outward'} do"
+    how = "better than" if after < before - BETTER else "as well as"
+    explained = f"tags with {edge:.4g} mm in place of {was:.4g} mm explain images and known places"
+    return [f"{explained} {how} {way}: measure the edge of a tag"]
+
+
+def _loss(found: Estimate, optics: Sequence[Optics], sigmas: Sequence[FloatArray], floor: float) -> float:
+    """Loss of sightings, prior poses and shifts of corners."""
+    square = squared_errors(found.sightings, found.poses) / found.sightings.variance(floor)
+    placed = np.isfinite(square) & (found.group[found.sightings.tag] == 0)
+    off = [
+        np.array(one.shifts) / np.maximum(sigma[-2:], LEAST_SHIFT) for one, sigma in zip(optics, sigmas, strict=True)
+    ]
+    priors = found.prior.loss(found.prior.off(found.poses.tags)) + 0.5 * float(np.square(off).sum())
+    return student_loss(square[placed]) + priors
 
 
 class _State(NamedTuple):

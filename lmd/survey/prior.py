@@ -1,11 +1,12 @@
 """Prior knowledge of a survey: a plan, fixed tags, measured centres, printed boards, mounts, odometry."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 
-from lmd.core.checks import BoolArray, FloatArray, InputError, IntArray, boolean, check_fields, real
+from lmd.core.checks import BoolArray, FloatArray, InputError, IntArray, boolean, check_fields, integer, real
 from lmd.core.tables import read_table
 from lmd.geometry.se3 import inverse, log, pose_of
 from lmd.geometry.trajectory import Trajectory
@@ -169,12 +170,19 @@ class PriorKnowledge:
     """Ids of tags on the floor, which define a world with z up and z = 0 on the floor."""
     odometry: Trajectory | None = None
     """Trajectory of the body in any frame."""
+    sizes: Mapping[int, float] = field(default_factory=dict)
+    """Edges of some tags by id, metres, instead of those of the plan."""
     steady: bool | None = None
     """True if the velocity changes little between frames that are near in time. None to assume this if most frames show
     a single tag, or if images leave groups unconnected.
     """
 
     def __post_init__(self) -> None:
+        if not isinstance(self.sizes, Mapping):
+            raise InputError(f"edges must give metres by id, as {{7: 0.125}}, got {self.sizes!r}.", "edges")
+        for number, edge in self.sizes.items():
+            integer("edges", number, low=0)
+            real(f"edges of tag {number}", edge, above=0.0)
         if self.floor and any(known is not None for known in (self.plan, self.fixed, self.points)):
             raise InputError("floor says where z = 0 is, but the plan, or the tags that are known, do so too.", "floor")
 
@@ -185,14 +193,14 @@ class PriorKnowledge:
         return np.unique(np.concatenate([np.empty(0, dtype=np.int64), *named]))
 
     def edges(self, ids: IntArray, tag: Tag) -> FloatArray:
-        """Edges of tags, metres: from the plan or the fixed tags if given there, else the edge of `tag`."""
+        """Edges of tags, metres: from `sizes`, or the plan or the fixed tags, else the edge of `tag`."""
         edges = np.full(len(ids), tag.size)
         for known in (self.plan, self.fixed):
             if known is not None:
                 own = dict(zip(known.ids.tolist(), known.edges.tolist(), strict=True))
                 given = np.array([own.get(number, np.nan) for number in ids.tolist()])
                 edges = np.where(np.isnan(given), edges, given)
-        return edges
+        return np.array([self.sizes.get(number, edge) for number, edge in zip(ids.tolist(), edges, strict=True)])
 
     def planned(self, ids: IntArray) -> FloatArray | None:
         """Planned poses, `(K, 4, 4)`; NaN for tags that are not in the plan, None without a plan."""

@@ -26,7 +26,7 @@ from lmd.survey.map_estimate import (
     mount_doubts,
 )
 from lmd.survey.motion import Motion, seconds_of
-from lmd.survey.nuisances import SMALL_SHARE, Optics, refine
+from lmd.survey.nuisances import SMALL_SHARE, Optics, edge_doubts, refine
 from lmd.survey.prior import Prior, PriorKnowledge
 from lmd.survey.resampling import HeldOut, hold_out
 from lmd.survey.residuals import squared_errors
@@ -143,6 +143,8 @@ def survey(
     ids = np.union1d(known.ids, often[counts >= FEWEST_BELIEVED])
     if not np.isin(detected.ids, ids).any():
         raise InputError("detections has no tag of the plan, and no other one twice.", "detections")
+    if lacking := set(known.sizes) - {*detected.ids.tolist(), *known.ids.tolist()}:
+        raise InputError(f"edges has tag {min(lacking)}, which no detection and no plan has.", "edges")
 
     def sighted(through: Sequence[Optics]) -> Sightings:
         shifts = np.array([one.shifts for one in through])
@@ -170,6 +172,8 @@ def survey(
     sigmas = [np.append(prior_sigmas(camera, bool(calibrate)), shift) for camera in cameras]
     on_round, on_block = (partial(observer, stage) for stage in (SurveyStage.REFINING, SurveyStage.COMPARING))
     found, optics = refine(found, given, sigmas, sighted, calibrate is False, on_round, on_block)
+    doubts = outside_doubts(detected, cameras) or _mount_doubts(sightings, start, known)
+    doubts += [] if calibrate is False or doubts else edge_doubts(found, optics, given, sigmas, sighted)
     observer(SurveyStage.CHECKING, 0, 0)
     found, faults = find_faults(found)
     off_fixed = errors_of_fixed(found, start)
@@ -183,7 +187,6 @@ def survey(
         for camera, one, own, sigma in zip(cameras, optics, found.lens_covariances, sigmas, strict=True)
     )
     joined = None if found.prior.motion is None else joined_groups(found, start.group)
-    doubts = outside_doubts(detected, cameras) or _mount_doubts(sightings, start, known)
     return Survey(
         detected, known, found, faults, placed, localised, turns, off_fixed, loose, joined, calibrated,
         doubts=tuple(doubts),

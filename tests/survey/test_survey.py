@@ -7,12 +7,14 @@ import pytest
 import walks
 
 from lmd.core.checks import InputError
+from lmd.detection.corner_errors import inward
 from lmd.geometry.se3 import exp, inverse
 from lmd.plot import plans
 from lmd.plot.common import new_figure
 from lmd.scene.deployment import Deployment
 from lmd.scene.labels import Labels
 from lmd.scene.surveyed import Surveyed
+from lmd.scene.tag import Tag
 from lmd.survey.prior import MeasuredPoints, PriorKnowledge, poses_of
 from lmd.survey.results import map_columns, map_of, measured_of, metrics, survey_document
 from lmd.survey.terminal import to_text
@@ -185,3 +187,25 @@ def test_detections_of_other_tags_are_refused(room):
     _, plan, detected = room
     with pytest.raises(InputError, match=r"^detections has no tag of the plan, and no other one twice\.$"):
         walks.surveyed(replace(detected, ids=300 + np.arange(len(detected)) % 200).of(np.arange(100)), plan=plan[:1])
+
+
+@pytest.mark.parametrize(("said", "shift", "doubted"), [(0.0975, 0.0, True), (0.1, 0.0, False), (0.1, -0.4, False)])
+def test_another_edge_is_told_from_a_shift_of_corners_where_places_are_known(said, shift, doubted):
+    """Tags are 0.1 m; with 0.0975 m the photographs look as if their corners lay outward."""
+    rng = np.random.default_rng(5)
+    true = walks.spaced_tags(12, rng)
+    detected = walks.photographed(true, walks.walk(40, rng), rng, SIGMA)
+    detected = replace(detected, corners=detected.corners + shift * inward(detected.corners))
+    errors = replace(walks.constant_errors(SIGMA), inward_spread=0.3)
+    found = walks.surveyed(detected, edge=said, errors=errors, fixed=plan_of(true, np.arange(12)))
+    assert len(found.doubts) == doubted
+    assert not doubted or float(found.doubts[0].split()[2]) == pytest.approx(100.0, abs=0.4)
+    assert abs(found.calibrated[0].shift - shift) < 0.05 or doubted
+
+
+def test_sizes_by_id_are_those_of_the_tags():
+    known = PriorKnowledge(sizes={3: 0.125})
+    assert known.edges(np.array([2, 3]), Tag(0.2)).tolist() == [0.2, 0.125]
+    for sizes, said in (([1], "edges must give metres by id"), ({3: -1.0}, "edges of tag 3 must be")):
+        with pytest.raises(InputError, match=said):
+            PriorKnowledge(sizes=sizes)
