@@ -9,7 +9,7 @@ export DO_NOT_TRACK := true
 # Packages are installed without what Python compiles of them, which is kept when they are first imported.
 export PYTHONDONTWRITEBYTECODE :=
 
-.PHONY: install install-all precompile run view test test-thorough quick lint docs ui notebooks figures paper-experiment clean
+.PHONY: install install-all run view test test-thorough quick lint docs ui notebooks figures paper-experiment clean
 
 # uv where there is one, else pip; the same pins.
 UV := $(shell command -v uv 2>/dev/null)
@@ -30,7 +30,7 @@ $(VENV)/made: pyproject.toml constraints.txt
 $(VENV)/installed: $(VENV)/made
 	@echo "installing what the main job needs, with $(if $(UV),uv,pip)"
 	@$(call TIMED,$(INSTALL) '.[pipelines]',installing)
-	@$(call TIMED,$(BIN)/python -m pipelines.precompile main,compiling)
+	@$(call TIMED,$(BIN)/python -m pipelines.precompile,compiling)
 	@touch $@
 
 $(VENV)/installed-all: $(VENV)/made
@@ -39,9 +39,6 @@ $(VENV)/installed-all: $(VENV)/made
 	@# Once, before many processes would do it at the same time: what Python compiles of all packages, and the main job.
 	@$(call TIMED,PYTHONPATH=.:tests $(BIN)/python -c 'import warm',compiling)
 	@touch $@
-
-precompile: install-all  ## compile what the first runs of other commands would, on all processors
-	$(BIN)/python -m pipelines.precompile
 
 run: install  ## the main job on the paper's room at a small budget
 	$(BIN)/python -m pipelines.optimise budget.evaluations=$(EVALUATIONS)

@@ -2,8 +2,7 @@
 
 Both checkouts are timed in turn by the same Python. Prints a Markdown table of processor seconds, those of all
 processes of a command together: first of a run with an empty cache, then of commands whose kernels are compiled and
-whose tracking store is there, the least of some rounds. `--precompile` adds what the first run takes after
-`pipelines.precompile`.
+whose tracking store is there, the least of some rounds.
 """
 
 import argparse
@@ -47,7 +46,6 @@ def main() -> None:
     parser.add_argument("before", type=Path, help="the checkout to compare with")
     parser.add_argument("--rounds", type=int, default=3, help="each command is timed so often")
     parser.add_argument("--only", default="", help="of the commands after the first run those whose label has this")
-    parser.add_argument("--precompile", action="store_true", help="also the first run after precompile, minutes")
     options = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
         checkouts = (options.before.resolve(), HERE)
@@ -61,11 +59,6 @@ def main() -> None:
                 continue
             rounds = [[processor_seconds(*pair, *command) for pair in pairs] for _ in range(options.rounds)]
             print_row(label, *(min(column) for column in zip(*rounds, strict=True)))
-        if options.precompile:
-            prepared = Path(folder) / "prepared"
-            precompiling = processor_seconds(HERE, prepared, "precompile")
-            print_row("first run, after `pipelines.precompile`", first[0], processor_seconds(HERE, prepared, *FIRST))
-            print(f"\n`pipelines.precompile` takes {precompiling:.0f} s.")
 
 
 def print_row(label: str, before: float, now: float) -> None:

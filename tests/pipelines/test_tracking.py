@@ -1,5 +1,4 @@
 import sqlite3
-import time
 from pathlib import Path
 
 import psutil
@@ -37,19 +36,6 @@ def test_a_run_has_the_tags_of_its_user(uri, folder):
     assert {"study": "first", "batch": "3", "pipeline": "optimise"}.items() <= stored(tracker).data.tags.items()
     with pytest.raises(InputError, match=r"tags must be texts or numbers by their names, got \{'study': \[1\]\}"):
         MlflowTracker(uri, "tests", {"study": [1]})
-
-
-def test_a_run_has_what_the_machine_did_if_asked_for(uri, folder, monkeypatch):
-    """Half a second."""
-    monkeypatch.setenv("MLFLOW_SYSTEM_METRICS_SAMPLING_INTERVAL", "0.1")
-    tracker = MlflowTracker(uri, "tests", system_metrics=True)
-    tracker.start(RunStart("a run", folder))
-    while not any(key.startswith("system/cpu") for key in stored(tracker).data.metrics):
-        time.sleep(0.05)
-    tracker.finish("FINISHED")
-    assert stored(tracker).info.status == "FINISHED"
-    with pytest.raises(InputError, match=r"system_metrics must be true or false, got 3"):
-        MlflowTracker(uri, "tests", system_metrics=3)
 
 
 def test_a_long_curve_is_logged_whole(uri):

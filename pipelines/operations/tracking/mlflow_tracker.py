@@ -6,7 +6,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from lmd.core.checks import InputError, boolean
+from lmd.core.checks import InputError
 
 from .experiment import link, run_link, show_figures, sweep_view
 from .journal import GONE, Journal, end_those_gone, hand_in, this_process
@@ -27,19 +27,15 @@ class MlflowTracker:
         uri: tracking store: `sqlite:///path` (relative to the working directory) or the address of a server.
         experiment_name: mlflow experiment that holds the runs.
         tags: user's tags for every run, texts or numbers by name.
-        system_metrics: True to make mlflow record the load of the machine every ten seconds.
 
     Raises:
-        InputError: the address or the tags are refused, or `system_metrics` is neither true nor false.
+        InputError: the address or the tags are refused.
     """
 
     def __init__(
         self, uri: str, experiment_name: str, tags: Mapping[str, str | float] | None = None,
-        system_metrics: bool = False,
     ) -> None:  # fmt: skip
         self.store = Store(uri, experiment_name)
-        self._is_monitored = boolean("system_metrics", system_metrics)
-        self._monitor: Any = None
         if not isinstance(tags, Mapping | None) or not all(
             isinstance(tag, str | float | int) for tag in (tags or {}).values()
         ):
@@ -75,12 +71,6 @@ class MlflowTracker:
         self._record(store | {"folder": _absolute(run.folder)} | this_process() | first)
         if run.dataset is not None:
             self._record({"dataset": asdict(run.dataset)})
-        if self._is_monitored:
-            from mlflow.system_metrics import system_metrics_monitor
-
-            made: Any = system_metrics_monitor.SystemMetricsMonitor
-            self._monitor = made(run_id, resume_logging=True, tracking_uri=self.store.uri)
-            self._monitor.start()
 
     def goes_on(self, run_id: str, folder: Path, params: Mapping[str, Any]) -> bool:
         """See `Tracker.goes_on`."""
@@ -145,7 +135,6 @@ class MlflowTracker:
         """See `Tracker.finish`."""
         if self._journal is None:
             return
-        self._end_monitor()
         self._journal.add({"end": status, "reason": reason, "at": now()})
         try:
             self._send()
@@ -184,16 +173,10 @@ class MlflowTracker:
     def discard(self) -> None:
         """See `Tracker.discard`."""
         if self._run_id is not None and self._journal is not None:
-            self._end_monitor()
             with self.store.errors_reported():
                 self.store.client.delete_run(self._run_id)
             self._journal.remove()
             self._run_id = self._journal = None
-
-    def _end_monitor(self) -> None:
-        if self._monitor is not None:
-            self._monitor.finish()
-            self._monitor = None
 
     def describe(self) -> str:
         """See `Tracker.describe`."""
