@@ -4,7 +4,7 @@ All deployments are compared over equal flights in one run, so `deployment=a,b,c
 `deployments=[a,b,c]`.
 """
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
@@ -19,22 +19,13 @@ from .outputs import write_document
 from .pipeline import Pipeline
 
 if TYPE_CHECKING:
-    from pathlib import Path
-
     import pandas as pd
 
-    from lmd.estimation.rendered import RenderedDetector
-    from lmd.estimation.study import Flights
-    from lmd.problem import Problem
-
     from .operations.tracking import Tracker
-
-FILM_RATE = 8.0  # frames per second of an animated picture
 
 
 def observe(cfg: DictConfig) -> None:
     """Localise a camera over the configured deployments."""
-    from lmd.core.checks import InputError, real
     from lmd.estimation import pairs
     from lmd.estimation.study import Flights, conduct, to_markdown
     from lmd.plot.pose_errors import save_error_figure
@@ -47,12 +38,9 @@ def observe(cfg: DictConfig) -> None:
     for problem in problems.values():
         refuse_crowd(problem, "observe")
     problem = next(iter(problems.values()))
-    film = None if cfg.film is None else real("film", cfg.film, above=0.0)
     trajectory, start, odometry = (instantiate(settings_of(cfg, key)) for key in ("trajectory", "start", "odometry"))
     estimators = {name: instantiate(settings_of(cfg, f"estimator.{name}")) for name in cfg.get("estimator") or {}}
     detectors = {name: instantiate(settings_of(own, "detector")) for name, own in composed.items()}
-    if film is not None and not all(hasattr(detector, "moments") for detector in detectors.values()):
-        raise InputError("film needs rendered frames: detector=rendered.")
     with keyed("trajectory", seeds="seeds"):
         flights = Flights.draw(problem, trajectory, start, seeds)
     if hasattr(trajectory, "note_of"):  # the trajectory is from a file
@@ -77,11 +65,9 @@ def observe(cfg: DictConfig) -> None:
         title = title_of(problem, f"{len(seeds)} flights: median, band from 10 to 90 %;")
         save_error_figure(directory / "errors.png", curves, study.time, counts, n, title)
         _log_curves(tracker, curves)
-        films = [] if film is None else _save_films(directory, problems, flights, detectors, film)
         names = ["figures.csv", "curves.csv", "observe.md", "observe.json", "errors.png"]
         names += ["paired.csv"] if len(paired) else []
-        files = [*(directory / name for name in names), *films]
-        keep(tracker, files, medians)
+        keep(tracker, [directory / name for name in names], medians)
     made = " ".join(f"{group}={choices()[group]}" for group in ("trajectory", "detector", "odometry"))
     print(f"{markdown}\nflown with {made}\nfiles: {directory}\nmlflow: {tracker.describe()}")
 
@@ -106,32 +92,6 @@ def _on_one_thread(function: Callable[[Any], Any], job: Any) -> Any:
 
     optional("cv2", "detection").setNumThreads(1)
     return function(job)
-
-
-def _save_films(
-    directory: "Path",
-    problems: Mapping[str, "Problem"],
-    flights: "Flights",
-    detectors: Mapping[str, "RenderedDetector"],
-    seconds: float,
-) -> "list[Path]":
-    """Write the first seconds of the first flight over each deployment as an animated picture."""
-    import numpy as np
-
-    from lmd.plot.detection_figures import save_film
-
-    files = []
-    for name, problem in problems.items():
-        flight = flights.over(problem)[0]
-        time = flight.trajectory.time - flight.trajectory.time[0]
-        chosen = np.unique(np.searchsorted(time, np.arange(0.0, min(seconds, time[-1]), 1.0 / FILM_RATE)))
-        looks, tags = flight.looks(), flight.deployment.positions
-        for c, look in enumerate(looks):
-            stem, title = (f"{name}_{c}", f"{name}, camera {c}") if len(looks) > 1 else (name, name)
-            moments = detectors[name].moments(look, chosen.tolist())
-            files.append(directory / f"film_{stem}.webp")
-            save_film(files[-1], moments, look.camera, problem.scene.room, tags, title)
-    return files
 
 
 def _medians(figures: "pd.DataFrame") -> dict[str, float]:

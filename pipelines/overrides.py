@@ -23,7 +23,7 @@ COUNT, PATH = "deployment.count=", "deployment.path"
 # Keys that change no result of a run: its place, its speed, its record and its further outputs.
 WITHOUT_EFFECT = (
     "tracking", "trust", "resume", "threads", "workers", "checkpoint_seconds", "picture", "pictures",
-    "film", "export", "paper_size", "north", "save_as", "kept",
+    "export", "paper_size", "north", "save_as", "kept",
 )  # fmt: skip
 LIKENESS = 0.8  # least similarity, by `difflib`, of a suggested key, such as a missing letter in a word
 

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from lmd.core.checks import BoolArray, FloatArray, InputError, IntArray, check_fields, real
+from lmd.core.checks import FloatArray, InputError, IntArray, check_fields, real
 from lmd.detection.corner_errors import inward, shortest_side
 from lmd.detection.detectors import Detections, Detector
 from lmd.detection.frames import tagged_room
@@ -32,23 +32,6 @@ class Frame(NamedTuple):
     """Body twist times the exposure time, `(6,)`; None for no motion."""
     rng: np.random.Generator
     """Source of the noise."""
-
-
-class Moment(NamedTuple):
-    """A frame of a flight with predictions and detections."""
-
-    time: float
-    """Time of the frame, seconds."""
-    pose: FloatArray
-    """X, `(4, 4)`."""
-    image: UInt8Array
-    """Grey image, `(h, w)`."""
-    expected: FloatArray
-    """Exact corners of the K tags, pixels from the border, `(K, 4, 2)`; NaN behind the camera."""
-    predicted: BoolArray
-    """Mask of the tags that the visibility model counts as visible, `(K,)`."""
-    found: FloatArray
-    """Detected corners, pixels from the border, `(K, 4, 2)`; NaN for tags not detected."""
 
 
 @dataclass(frozen=True)
@@ -113,18 +96,6 @@ class RenderedDetector:
                 f.camera.extrinsics,
             )
             for f, those in zip(flights, looks, strict=True)
-        ]
-
-    def moments(self, look: Look, frames: Sequence[int]) -> list[Moment]:
-        """Render some frames of a camera for display."""
-        flight, poses = look.flight, look.poses
-        whole, sight, times = self.batch(look), look.in_view, flight.trajectory.time
-        chosen = whole._replace(frames=[whole.frames[t] for t in frames])
-        pictures = list(images(chosen))
-        found = believed([self.reader.detect(picture) for picture in pictures], flight.deployment.ids)
-        return [
-            Moment(times[t], poses[t], picture, whole.renderer.corners(poses[t]), sight[t], corners)
-            for t, picture, corners in zip(frames, pictures, found, strict=True)
         ]
 
     def _observed(self, look: Look, found: Sequence[Detections]) -> Observation:

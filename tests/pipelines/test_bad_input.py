@@ -89,8 +89,6 @@ CASES = [
     ("observe", "detector=rendered tag.family=16h5", "tag.family 16h5 has 30 different tags, too few for 90."),
     ("observe", "detector=noisy tag.edge=0.1 detector.reader=eyes", "detector.reader must be one of aruco"),
     ("observe", "all_visible=true", "all_visible must be false where measurements are not exact"),
-    ("observe", "film=5", "film needs rendered frames: detector=rendered."),
-    ("observe", "detector=rendered film=0", "film must be greater than 0, got 0."),
     ("detect", "poses=1e12", f"poses = 1000000000000 frames of 90 landmarks {MANY}"),
     ("detect", "tag.edge=null", "tag.edge must be given, in metres: a detector cannot read a point; it is that of the"),
     ("detect", "tag.family=16h5", "tag.family 16h5 has 30 different tags, too few for 90."),

@@ -33,7 +33,7 @@ def test_every_folder_of_code_is_in_the_list_of_packages():
 COMMANDS = {
     path.stem
     for path in (ROOT / "pipelines").glob("*.py")
-    if 'if __name__ == "__main__":' in path.read_text(encoding="utf-8")
+    if 'if __name__ == "__main__":' in path.read_text(encoding="utf-8") and path.stem != "precompile"  # for make alone
 }
 PAGES = {path.relative_to(ROOT / "docs").as_posix(): path.read_text(encoding="utf-8")
          for path in (ROOT / "docs").rglob("*.md")}  # fmt: skip
@@ -45,12 +45,11 @@ def test_every_command_has_a_console_script():
 
 
 def test_every_command_with_a_configuration_is_in_the_table_of_commands_and_on_a_page():
-    configured = {name for name in COMMANDS if (ROOT / "conf" / f"{name}.yaml").exists()}
-    assert COMMANDS - configured == {"precompile"}
+    assert not [name for name in COMMANDS if not (ROOT / "conf" / f"{name}.yaml").exists()]
     cells = re.findall(r"^\| (`[^|]*) \|", PAGES["running.md"].split("## ")[0], re.MULTILINE)
-    assert {name for cell in cells for name in re.findall(r"`(\w+)`", cell)} == configured
+    assert {name for cell in cells for name in re.findall(r"`(\w+)`", cell)} == COMMANDS
     pages = "".join(PAGES.values())
-    assert not [name for name in configured if f"pipelines.{name}" not in pages]
+    assert not [name for name in COMMANDS if f"pipelines.{name}" not in pages]
 
 
 def test_every_page_is_in_the_navigation():

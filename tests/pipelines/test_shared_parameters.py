@@ -96,7 +96,7 @@ def test_only_a_sweep_forces_its_overrides(given, is_sweep):
     "same",
     [
         "+tracking.tags.study='a b'", "++tracking.tags={a: b}", "~tracking.tags", "tracking=none", "threads=1",
-        "picture=false", "++film=true", "checkpoint_seconds=5", "export=[csv]", "trust=[numpy]", "resume=here",
+        "picture=false", "checkpoint_seconds=5", "export=[csv]", "trust=[numpy]", "resume=here",
     ],
 )  # fmt: skip
 def test_what_changes_no_result_is_no_part_of_a_jobs_identity(tmp_path, same):
