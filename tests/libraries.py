@@ -5,7 +5,6 @@ from importlib import import_module
 
 import numpy as np
 
-from lmd.optimisers.niapy import NiaPy
 from lmd.optimisers.pymoo import Pymoo
 
 
@@ -25,12 +24,6 @@ def pymoo(name, **parameters):
     module = modules.get(name, name.lower())
     within = "pymoo." if "." in module else "pymoo.algorithms.soo.nonconvex."
     return Pymoo(partial(getattr(import_module(within + module), name), **parameters))
-
-
-def l_shade(evaluations=None, **parameters):
-    from niapy.algorithms.modified import LpsrSuccessHistoryAdaptiveDifferentialEvolution
-
-    return NiaPy(partial(LpsrSuccessHistoryAdaptiveDifferentialEvolution, **parameters), evaluations)
 
 
 class OneByOne:

@@ -18,7 +18,6 @@ EXTRAS = {
     "hydra_plugins.hydra_joblib_launcher": "sweeps",
     "hydra_plugins.hydra_submitit_launcher": "sweeps",
     "nevergrad": "optimisers",
-    "niapy": "optimisers",
     "pymoo": "optimisers",
     "rosbags": "bags",
 }

@@ -6,9 +6,9 @@ from typing import Any
 import numpy as np
 from typing_extensions import override
 
-from lmd.core.checks import FloatArray, integer
+from lmd.core.checks import FloatArray, InputError, integer
 from lmd.optimisers.operators import filled_up
-from lmd.optimisers.wrapped import LibraryOptimiser, Wrapped, algorithm_of, name_of
+from lmd.optimisers.wrapped import LibraryOptimiser, Wrapped, name_of
 
 
 class Pymoo(Wrapped):
@@ -28,12 +28,9 @@ class Pymoo(Wrapped):
     """
 
     def __init__(self, algorithm: Callable[[], Any], encoding: str | None = None, seed: int = 0) -> None:
-        from pymoo.core.algorithm import Algorithm
-
         super().__init__(seed, encoding)
         self.algorithm = algorithm
-        made = algorithm_of(algorithm, Algorithm, "pymoo")
-        self.start_size = _size(made)
+        self.start_size = _size(_made(algorithm))
 
     @property
     @override
@@ -42,6 +39,25 @@ class Pymoo(Wrapped):
 
     def _open(self, start: FloatArray, rng: np.random.Generator) -> LibraryOptimiser:
         return _Running(self.algorithm(), start, rng)
+
+
+def _made(make: Callable[[], Any]) -> Any:
+    """Make an algorithm.
+
+    Raises:
+        InputError: `make` is no function, fails, or makes something else.
+    """
+    from pymoo.core.algorithm import Algorithm
+
+    if not callable(make):
+        raise InputError(f"algorithm must be a function of no arguments, got {make!r}.", "algorithm")
+    try:
+        made = make()
+    except Exception as error:  # algorithms raise different errors
+        raise InputError(f"algorithm cannot be made: {error}", "algorithm") from error
+    if not isinstance(made, Algorithm):
+        raise InputError(f"algorithm makes a {type(made).__name__}, not a pymoo algorithm.", "algorithm")
+    return made
 
 
 def _size(algorithm: Any) -> int:

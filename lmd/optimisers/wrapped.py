@@ -40,28 +40,6 @@ class LibraryOptimiser(Protocol):
         """Learn the losses `(B,)` of the genes asked for, after the genes were clipped to the unit box."""
 
 
-def algorithm_of(make: Callable[[], Any], kind: type, library: str) -> Any:
-    """Make an algorithm of a library.
-
-    Args:
-        make: function that makes the algorithm.
-        kind: class of the algorithms.
-        library: name of the library, for messages.
-
-    Raises:
-        InputError: `make` is no function, fails, or makes something else.
-    """
-    if not callable(make):
-        raise InputError(f"algorithm must be a function of no arguments, got {make!r}.", "algorithm")
-    try:
-        made = make()
-    except Exception as error:  # algorithms raise different errors
-        raise InputError(f"algorithm cannot be made: {error}", "algorithm") from error
-    if not isinstance(made, kind):
-        raise InputError(f"algorithm makes a {type(made).__name__}, not a {library} algorithm.", "algorithm")
-    return made
-
-
 class Wrapped(AskTell):
     """Library optimisers behind `AskTell`; subclasses write `_open` only.
 

@@ -59,7 +59,7 @@ def test_a_package_that_is_missing_is_named_with_the_command_that_installs_it(hi
 
 @pytest.mark.parametrize(
     ("package", "optimiser"),
-    [("pymoo", "pymoo_ga"), ("nevergrad", "nevergrad"), ("cma", "cma_es"), ("niapy", "l_shade")],
+    [("pymoo", "pymoo_ga"), ("nevergrad", "nevergrad"), ("cma", "cma_es")],
 )
 def test_an_optimiser_of_a_library_that_is_missing_says_so(hidden, package, optimiser):
     for name in [name for name in sys.modules if name.partition(".")[0] == package]:

@@ -5,13 +5,11 @@ from functools import partial
 
 import numpy as np
 import pytest
-from libraries import OneByOne, l_shade, pymoo, run
+from libraries import OneByOne, pymoo, run
 from scipy.optimize import differential_evolution
 
 from lmd.core.checks import InputError
-from lmd.optimisers.lm_ma_es import LMMAES
 from lmd.optimisers.nevergrad import Nevergrad
-from lmd.optimisers.niapy import NiaPy
 from lmd.optimisers.pycma import PyCma
 from lmd.optimisers.pymoo import Pymoo
 from lmd.optimisers.random_search import RandomSearch
@@ -87,14 +85,6 @@ class Mute(Asking):
         (lambda: PyCma("sparse"), r"^variant must be one of full, separable, vkd, got 'sparse'"),
         (lambda: PyCma(step=-1), r"^step must be greater than 0, got -1"),
         (lambda: PyCma(population=2), r"^population must be at least 4, got 2"),
-        (lambda: LMMAES(step=0), r"^step must be greater than 0, got 0"),
-        (lambda: LMMAES(population=3), r"^population must be at least 4, got 3"),
-        (lambda: LMMAES(directions=0), r"^directions must be at least 1, got 0"),
-        (lambda: NiaPy("DE"), r"^algorithm must be a function of no arguments, got 'DE'"),
-        (lambda: NiaPy(dict), r"^algorithm makes a dict, not a NiaPy algorithm"),
-        (lambda: l_shade(popsize=3), r"^parameter of Lpsr.* must be one of population_size, .*, got 'popsize'"),
-        (lambda: l_shade(population_size=0), r"^algorithm\.population_size must be at least 1, got 0"),
-        (lambda: l_shade(0), r"^evaluations must be at least 1, got 0"),
         (lambda: RandomSearch(batch=0), r"^batch must be at least 1, got 0"),
         (lambda: AskAndTell(OneByOne), r"^start must be one of mean, step, seed, bounds, got 'x0'"),
         (lambda: AskAndTell(3), r"^make must be a class or a function, got 3"),

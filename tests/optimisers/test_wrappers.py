@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from composing import composed
 from contracts.optimiser import check_going_on
-from libraries import OneByOne, l_shade, pymoo, run
+from libraries import OneByOne, pymoo, run
 from omegaconf import OmegaConf
 from processes import environment
 from scipy.optimize import differential_evolution, direct, dual_annealing, minimize, shgo
@@ -19,9 +19,7 @@ from small import problem
 
 from lmd.core.checks import InputError
 from lmd.optimisers.ledger import Budget
-from lmd.optimisers.lm_ma_es import LMMAES
 from lmd.optimisers.nevergrad import Nevergrad
-from lmd.optimisers.niapy import NiaPy
 from lmd.optimisers.pycma import PyCma
 from lmd.optimisers.random_search import RandomSearch
 from lmd.optimisers.scipy import Scipy
@@ -83,8 +81,6 @@ def strategy(x0, step):
         (lambda: Scipy(partial(dual_annealing, no_local_search=True)), 250, -2.0),
         (lambda: Scipy(partial(differential_evolution, popsize=1)), 250, -2.0),
         (lambda: Scipy(direct), 250, -2.0),
-        (lambda: l_shade(250, population_size=20), 250, -2.0),
-        (LMMAES, 40, -1.0),
     ],
 )
 def test_every_library_gets_better(make, batches, least):
@@ -102,32 +98,6 @@ def test_every_library_gets_better(make, batches, least):
 )
 def test_populations_begin_with_the_start(make):
     np.testing.assert_allclose(run(make(), 1)[0][0], np.full(12, 0.6), rtol=1e-7 if make.func is Nevergrad else 0.0)
-
-
-def test_a_niapy_algorithm_begins_with_the_start_and_once_more_with_the_best_after_its_evaluations():
-    optimiser = l_shade(30, population_size=10)
-    asked = np.concatenate(run(optimiser, 70))
-    np.testing.assert_array_equal(asked[0], np.full(12, 0.6))
-    for end in (30, 60):
-        losses = np.abs(asked[:end] - 0.3).sum(axis=1)
-        np.testing.assert_array_equal(asked[end], asked[np.argmin(losses)])
-    assert len(np.unique(asked, axis=0)) == 68
-
-
-def test_the_population_of_l_shade_shrinks_over_its_evaluations(monkeypatch):
-    from niapy.algorithms.modified import LpsrSuccessHistoryAdaptiveDifferentialEvolution as LShade
-
-    sizes, select = [], LShade.post_selection
-
-    def noted(self, *arguments):
-        kept = select(self, *arguments)
-        sizes.append(len(kept[0]))
-        return kept
-
-    monkeypatch.setattr(LShade, "post_selection", noted)
-    run(l_shade(200, population_size=20), 201, dim=4)
-    assert sizes == sorted(sizes, reverse=True)
-    assert (sizes[0], sizes[-1]) == (17, 4)
 
 
 def test_lists_of_a_configuration_are_tuples_where_a_function_has_them():
@@ -179,13 +149,7 @@ def test_a_nevergrad_method_that_cannot_learn_from_the_start_goes_on():
     assert len(np.unique(np.concatenate(run(Nevergrad("EDA", budget=40), 20)), axis=0)) == 20
 
 
-def test_a_niapy_algorithm_with_defaults_that_are_no_parameters_is_taken():
-    from niapy.algorithms.basic import GreyWolfOptimizer
-
-    run(NiaPy(partial(GreyWolfOptimizer, population_size=5, callbacks=None)), 12)
-
-
-@pytest.mark.parametrize("name", ["l_shade", "nevergrad", "nevergrad_de", "nevergrad_pso", "ngopt"])
+@pytest.mark.parametrize("name", ["nevergrad", "nevergrad_de", "nevergrad_pso", "ngopt"])
 def test_what_plans_with_the_evaluations_runs_without_their_number(name):
     cfg = composed("optimise", f"optimiser={name}", "budget.evaluations=null", "budget.seconds=0.05")
     assert build_optimiser(cfg, 0).run(problem(), budget_of(cfg)).evaluations > 0
