@@ -1,17 +1,12 @@
 """The two commands as a user meets them: a process, its messages, its exit code and the files it leaves."""
 
 import json
-import os
 import re
-import shutil
-import subprocess
-import sys
-from pathlib import Path
 
 import pandas as pd
 import pytest
 from mlflow import MlflowClient
-from processes import ROOT, call, environment, inside
+from processes import call, inside
 
 FILES = ["convergence.png", "history.csv", "landmarks.csv", "metrics.json", "room.png", "scene.png"]
 pytestmark = [pytest.mark.slow, pytest.mark.long]
@@ -166,21 +161,6 @@ def test_an_experiment_that_another_command_cannot_compose_names_its_own(tmp_pat
     done = inside("export", "experiment=frc_2025", cwd=tmp_path, settings=())
     assert done.returncode == 1
     assert "experiment=frc_2025 is for another command: python -m pipelines.evaluate experiment=frc_2025" in done.stderr
-
-
-@pytest.mark.skipif(shutil.which("bash") is None, reason="there is no bash")
-def test_the_completion_of_the_documentation_completes(tmp_path):
-    (function,) = re.findall(r"```sh\n(_lmd.*?)```", (ROOT / "docs/running.md").read_text(), re.DOTALL)
-    words = "python -m pipelines.optimise optimiser=eg"
-    script = f"""{function}
-COMP_LINE="{words}"; COMP_WORDS=({words}); COMP_CWORD=3
-_lmd; echo "${{COMPREPLY[@]}}"
-"""
-    folders = environment() | {"PATH": f"{Path(sys.executable).parent}:{os.environ['PATH']}"}
-    done = subprocess.run(
-        ["bash", "-c", script], cwd=tmp_path, env=folders, capture_output=True, text=True, check=False
-    )
-    assert done.stdout.split() == ["optimiser=ega", "optimiser=ega_tuned"], done.stderr
 
 
 def test_the_lab_is_optimised_by_one_word(tmp_path):
