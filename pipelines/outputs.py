@@ -53,9 +53,14 @@ class RunDirectory(HydraCallback):
         directory.mkdir(parents=True, exist_ok=True)
         self._lock("hydra.run.dir", directory)
         atexit.register(discard_empty, directory)
+        atexit.register(self._locks.close)
         resumed = Path(str(config.get("resume") or directory)).resolve()
         if resumed != directory:
             self._lock("resume", resumed)
+
+    def on_run_end(self, config: DictConfig, **kwargs: Any) -> None:
+        """Remove the locks."""
+        self._locks.close()
 
     def _lock(self, key: str, directory: Path) -> None:
         """Lock a directory for this process, or exit if another process works there."""
@@ -67,6 +72,8 @@ class RunDirectory(HydraCallback):
         if lock is None:
             print(f"error: {key}: another process is at work in {str(directory)!r}.", file=sys.stderr)
             sys.exit(1)
+        if lock:
+            self._locks.callback((directory / LOCK).unlink, missing_ok=True)
 
     def on_multirun_start(self, config: DictConfig, **kwargs: Any) -> None:
         """Check the disk of the sweep's directory."""

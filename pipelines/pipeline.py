@@ -57,12 +57,12 @@ def _refuse_run(pipeline: str) -> None:
 
 def _refuse_launcher_that_is_missing() -> None:
     """Exit if the package of a launcher is missing, with a better message than Hydra's."""
-    from lmd.core.checks import InputError
-    from lmd.core.optional import optional
-
     for argument in sys.argv[1:]:
         name = argument.removeprefix("+").removeprefix("hydra/launcher=")
         if name in LAUNCHERS and name != argument:
+            from lmd.core.checks import InputError
+            from lmd.core.optional import optional
+
             try:
                 optional(LAUNCHERS[name], "sweeps")
             except InputError as error:
