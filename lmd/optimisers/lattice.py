@@ -88,27 +88,17 @@ def placed(problem: Problem, poses: Deployment, taken: IntArray) -> Deployment:
     Points are separated from others at their pose; tags are in the order of the problem's sizes.
     """
     if poses.has_own_edges:
-        chosen = _chosen_poses(problem, poses, taken)
+        sizes, own = problem.free_sizes, poses.edges_of(problem.scene.tag)
+        order = np.empty(len(sizes), dtype=int)
+        for of, _ in by_size(problem, poses):
+            order[sizes == own[of[0]]] = np.repeat(of, taken[of])
+        chosen = poses[order]
         return problem.complete(Deployment(chosen.positions, chosen.normals, chosen.surfaces))
     parts, distance = [], STACK_SPREAD * problem.scene.spacing
     for stack in np.unique(taken[taken > 0]).tolist():
         at = poses[taken == stack]
         parts.append(pulled_apart(problem, at, np.zeros(len(at)), stack, distance))
     return problem.complete(reduce(operator.add, parts))
-
-
-def _chosen_poses(problem: Problem, poses: Deployment, taken: IntArray) -> Deployment:
-    """Poses of the free landmarks, each `taken` `(J,)` times, in the order of the problem's sizes."""
-    sizes = problem.free_sizes
-    order = np.empty(len(sizes), dtype=int)
-    for of, _ in by_size(problem, poses):
-        order[sizes == poses.edges_of(problem.scene.tag)[of[0]]] = np.repeat(of, taken[of])
-    return poses[order]
-
-
-def covers_of(problem: Problem, poses: Deployment) -> NDArray[np.int8]:
-    """1 where a landmark at a pose covers the view, without occlusion, `(P, A, J)`."""
-    return np.stack([_seen(problem, poses[j : j + 1]) for j in range(len(poses))], axis=-1)
 
 
 def _seen(problem: Problem, landmarks: Deployment) -> NDArray[np.int8]:
@@ -155,15 +145,12 @@ class Program:
     """Largest number of landmarks at a pose."""
 
     @classmethod
-    def of(cls, problem: Problem, poses: Deployment, covers: NDArray[np.int8]) -> "Program":
-        """Make the program for the poses of a lattice, with their `covers_of`."""
-        views, footprints = _views(problem), problem.scene.footprints
-        already = (
-            np.zeros(views.shape, np.int8)
-            if problem.fixed_with_edges is None
-            else _seen(problem, problem.fixed_with_edges)
-        )
-        cover = np.concatenate([already[..., None], covers], axis=-1)  # (P, A, 1 + J)
+    def of(cls, problem: Problem, poses: Deployment) -> "Program":
+        """Make the program for the poses of a lattice."""
+        views, footprints, hung = _views(problem), problem.scene.footprints, problem.fixed_with_edges
+        already = np.zeros(views.shape, np.int8) if hung is None else _seen(problem, hung)
+        each = (_seen(problem, poses[j : j + 1]) for j in range(len(poses)))
+        cover = np.stack([already, *each], axis=-1)  # (P, A, 1 + J)
         kinds = [np.unique(views, axis=0, return_inverse=True) for views in cover]
         rows = np.concatenate([distinct for distinct, _ in kinds])
         weights = [np.bincount(kind, weight)[None] for (_, kind), weight in zip(kinds, views, strict=True)]

@@ -7,7 +7,7 @@ from lmd.core.checks import InputError, real
 from lmd.core.compiled import clock
 from lmd.optimisers.base import Callback, Result
 from lmd.optimisers.deployment_search import DeploymentSearch
-from lmd.optimisers.lattice import POLL_SECONDS, Program, check_lattice, covers_of, lattice_of, placed, solved_beside
+from lmd.optimisers.lattice import POLL_SECONDS, Program, check_lattice, lattice_of, placed, solved_beside
 from lmd.optimisers.ledger import Budget
 from lmd.problem import Problem
 from lmd.scene.deployment import Deployment
@@ -64,7 +64,7 @@ class Milp(DeploymentSearch):
             )
         if not ledger.evaluations:
             note(1, problem.draw(np.random.default_rng(self.seed)))
-        program, most = Program.of(problem, poses, covers_of(problem, poses)), problem.fitness_relevance.sum()
+        program, most = Program.of(problem, poses), problem.fitness_relevance.sum()
         limit = min(self.seconds, (budget.seconds or np.inf) - (clock() - began))
 
         def stop() -> bool | None:
