@@ -8,7 +8,7 @@ from omegaconf import DictConfig
 
 from .app import choices, run_directory
 from .detect import read_number_of_poses, sightings, subject_of
-from .earlier_run import FILES, parts_of, read_earlier_run
+from .earlier_run import parts_of, read_earlier_run
 from .nodes import instantiate, keyed
 from .outputs import write_document
 from .overrides import quoted
@@ -102,15 +102,7 @@ def read_survey() -> None:
     given = [argument.removeprefix(SURVEY_KEY) for argument in sys.argv[1:] if argument.startswith(SURVEY_KEY)]
     if not given or given[-1] == "null":
         return
-    from lmd.core.checks import InputError
-
-    try:
-        if not Path(given[-1], FILES[0]).is_file():
-            raise InputError(f"survey = {given[-1]!r} is no survey: it holds no {FILES[0]}.")
-        before, parts = parts_of(Path(given[-1]), "survey", ("camera", "tag"))
-    except InputError as error:
-        print(f"error: {error}", file=sys.stderr)
-        sys.exit(1)
+    before, parts = parts_of(Path(given[-1]), "survey", ("camera", "tag"))
     for group, part in parts.items():
         ConfigStore.instance().store(OPTION, part, group)
     chosen = {

@@ -39,15 +39,7 @@ def read_earlier_run(deployment: str = f"deployment={OPTION}", further: Sequence
     directory = _directory(given[-1]) if given else None
     if directory is None:
         return
-    from lmd.core.checks import InputError
-
-    try:
-        for name in FILES:
-            if not (directory / name).is_file():
-                raise InputError(f"run = '{directory}' is no run to go on from: it holds no {name}.")
-        before, parts = parts_of(directory, "run", (*GROUPS, *further))
-    except InputError as error:
-        _refuse(str(error))
+    before, parts = parts_of(directory, "run", (*GROUPS, *further), FILES)
     if "camera" in parts and (rig := directory / RIG).is_file():
         parts["camera"] = {**parts["camera"], "rig": str(rig)}
     store = ConfigStore.instance()
@@ -72,18 +64,26 @@ def read_earlier_run(deployment: str = f"deployment={OPTION}", further: Sequence
     sys.argv[place:place] = [override for override in chosen if override.partition("=")[0] not in named]
 
 
-def parts_of(directory: Path, argument: str, groups: Sequence[str]) -> tuple[dict[str, Any], dict[str, dict[str, Any]]]:
-    """Configuration of an earlier run, and its nodes of `groups`, of which all code is trusted.
+def parts_of(
+    directory: Path, argument: str, groups: Sequence[str], files: Sequence[str] = FILES[:1]
+) -> tuple[dict[str, Any], dict[str, dict[str, Any]]]:
+    """Configuration of an earlier run, and its nodes of `groups`. It ends the process if they name code that the user
+    does not trust, or a file is missing.
 
     Args:
+        directory: folder of the run.
         argument: key that names the run, for messages.
-
-    Raises:
-        InputError: the configuration cannot be read, or names code that is not trusted.
+        files: files that the folder must have.
     """
-    config = directory / FILES[0]
-    before = read_yaml(config, argument)
-    return before, Trust.given().parts(before, f"{argument}: '{config}'", groups)
+    from lmd.core.checks import InputError
+
+    if missing := [name for name in files if not (directory / name).is_file()]:
+        _refuse(f"{argument} = '{directory}' is no {argument} to go on from: it holds no {missing[0]}.")
+    try:
+        before = read_yaml(directory / FILES[0], argument)
+        return before, Trust.given().parts(before, f"{argument}: '{directory / FILES[0]}'", groups)
+    except InputError as error:
+        _refuse(str(error))
 
 
 def _detector_of(before: Mapping[str, Any]) -> list[str]:
@@ -109,12 +109,7 @@ def read_room_of_map() -> None:
     directory = None if others or not given else _directory(given[-1])
     if directory is None or not (directory / FILES[0]).is_file():
         return
-    from lmd.core.checks import InputError
-
-    try:
-        _, parts = parts_of(directory, "map", ("room",))
-    except InputError as error:
-        _refuse(str(error))
+    _, parts = parts_of(directory, "map", ("room",))
     for group, part in parts.items():
         ConfigStore.instance().store(OPTION, part, group)
         sys.argv.insert(1, f"{group}={OPTION}")

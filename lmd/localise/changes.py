@@ -18,15 +18,14 @@ from lmd.localise.displacement import LinearMap
 from lmd.localise.fixed_map import FixedMap, information_of, rows_of
 from lmd.localise.image_poses import ImagePoses, State, image_poses
 from lmd.survey.adjustment import Adjustment
-from lmd.survey.faults import FEWEST_SIGHTINGS, OFF_M, OFF_RAD, SecondPlace, second_places
-from lmd.survey.initialisation import FLOOR_PIXELS, Placing
+from lmd.survey.faults import FEWEST_SIGHTINGS, OFF_M, OFF_RAD, SecondPlace, placed_beside, second_places
+from lmd.survey.initialisation import FLOOR_PIXELS
 from lmd.survey.linked_adjustment import constraining
 from lmd.survey.map_estimate import ONE_THREAD, STEPS, Estimate, fitting
 from lmd.survey.prior import Prior
 from lmd.survey.resampling import inflation
 from lmd.survey.residuals import Poses, squared_errors
 from lmd.survey.sightings import Sightings
-from lmd.survey.single_poses import single_poses
 
 # Least chi^2, with six degrees of freedom, of a tag that was moved: normal errors exceed it once in a thousand times.
 MOVED_CHI_SQUARE = 22.46
@@ -158,10 +157,7 @@ def _placed(sightings: Sightings, tags: FloatArray, frames: FloatArray, mounts: 
     if not lost.any():
         return np.full_like(tags, np.nan)
     some = sightings.of(np.flatnonzero(lost)).with_separate_cameras()
-    placing = Placing(some, single_poses(some))
-    placing.frames = np.asarray((frames[None] @ mounts[:, None]).reshape(-1, 4, 4))
-    placing.place(np.arange(len(some)), by_frame=False, fewest=2, share=0.5)
-    return placing.tags
+    return placed_beside(Poses(tags, frames, mounts), some, fewest=2).tags
 
 
 class _Comparison:

@@ -12,9 +12,10 @@ from lmd.geometry.se3 import ROW
 from lmd.localise.changes import Displaced
 from lmd.localise.image_poses import State
 from lmd.localise.localise import Localisation
+from lmd.survey.map_estimate import in_world
 from lmd.survey.motion import seconds_of
 from lmd.survey.residuals import Reprojection
-from lmd.survey.results import AXES
+from lmd.survey.results import AXES, quantiles
 
 TUM = "# timestamp tx ty tz qx qy qz qw"
 NOTICED = 0.01  # minimum floor of the corners' standard deviation that is printed, pixels
@@ -34,19 +35,6 @@ class Change(NamedTuple):
     """Number of images that show it; of a tag that vanished, number of views that should."""
     found: Displaced | None
     """Present pose; None if the tag vanished."""
-
-
-def in_map(frames: FloatArray, covariances: FloatArray) -> FloatArray:
-    """Covariances of position and rotation about the axes of the map, m^2 and rad^2, `(F, 6, 6)`.
-
-    Args:
-        frames: poses, `(F, 4, 4)`.
-        covariances: covariances of their right-hand twists, `(F, 6, 6)`.
-    """
-    turned = frames[:, :3, :3]
-    whole = np.zeros((len(frames), 6, 6))
-    whole[:, :3, 3:] = whole[:, 3:, :3] = turned
-    return np.asarray(whole @ covariances @ np.swapaxes(whole, 1, 2))
 
 
 def image_columns(result: Localisation) -> dict[str, ArrayLike]:
@@ -77,7 +65,7 @@ def _columns(
                           poses.mounts[some.camera[used]]).squared  # fmt: skip
     tags = np.bincount(some.frame[used], minlength=count)
     error = np.bincount(some.frame[used], square, minlength=count) / np.where(tags, 4.0 * tags, np.nan)
-    upper = in_map(frames, covariances)
+    upper = in_world(frames, covariances)
     return {
         "time": list(result.detected.times),
         "state": states,
@@ -113,9 +101,9 @@ def tum_text(result: Localisation, frames: FloatArray | None) -> str:
 def pose_topics(result: Localisation) -> tuple[dict[str, tuple[FloatArray, FloatArray]], str]:
     """Rows and covariances of poses by topic, for `lmd.formats.pose_bags`; and the topic that moves the camera."""
     found, smoothed = result.found, result.smoothed
-    topics = {"/localise/pose": (_rows(found.poses.frames), in_map(found.poses.frames, found.covariances))}
+    topics = {"/localise/pose": (_rows(found.poses.frames), in_world(found.poses.frames, found.covariances))}
     if smoothed is not None:
-        topics["/localise/smoothed"] = (_rows(smoothed.frames), in_map(smoothed.frames, smoothed.covariances))
+        topics["/localise/smoothed"] = (_rows(smoothed.frames), in_world(smoothed.frames, smoothed.covariances))
     return topics, list(topics)[-1]
 
 
@@ -152,7 +140,7 @@ def change_columns(result: Localisation) -> dict[str, ArrayLike]:
                 before = result.known.poses[np.searchsorted(result.known.ids, change.tag)]
                 shift = before[:3, :3].T @ (found.pose[:3, 3] - before[:3, 3])
         shifts.append(shift)
-    upper, nothing = in_map(poses, covariances), [np.nan] * 3
+    upper, nothing = in_world(poses, covariances), [np.nan] * 3
     figures = np.array(
         [nothing if one.found is None else [one.found.metres, one.found.radians, one.found.chi_square] for one in every]
     ).reshape(-1, 3)
@@ -204,13 +192,7 @@ def metrics(result: Localisation) -> dict[str, float]:
 
 
 def _quantiles(prefix: str, sigmas: FloatArray) -> dict[str, float]:
-    if not len(sigmas):
-        return {}
-    return {
-        f"{prefix}{name}/{share}": float(np.quantile(values, share / 100.0))
-        for name, values in zip(("sigma", "sigma_turn"), sigmas.T, strict=True)
-        for share in (50, 90)
-    }
+    return quantiles(f"{prefix}sigma", sigmas[:, 0]) | quantiles(f"{prefix}sigma_turn", sigmas[:, 1])
 
 
 def localise_document(result: Localisation) -> dict[str, Any]:

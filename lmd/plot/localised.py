@@ -7,10 +7,11 @@ import numpy as np
 
 from lmd.core.checks import FloatArray
 from lmd.localise.localise import Localisation
-from lmd.localise.results import changes_of, in_map
+from lmd.localise.results import changes_of
 from lmd.plot.common import LANDMARK, draw_plan, literal, new_figure, shrink
 from lmd.plot.plans import ELLIPSE_SIGMAS, edge_lines, ellipse
 from lmd.space.space import Space
+from lmd.survey.map_estimate import in_world
 from lmd.survey.motion import seconds_of
 
 SINGLE, SMOOTHED = "#9e9e9e", "#1f77b4"
@@ -68,7 +69,7 @@ def _draw_way(axes: Any, result: Localisation, room: Space | None) -> None:
     axes.set_title("from above", fontsize=11)
     if len(there):
         some = there[:: -(-len(there) // MOST_ELLIPSES)]
-        own = in_map(frames[some], covariances[some])[:, :2, :2]
+        own = in_world(frames[some], covariances[some])[:, :2, :2]
         places = np.concatenate([frames[there][:, :2, 3], known.poses[:, :2, 3]])
         extent = float(np.ptp(places, axis=0).max())
         sigma = float(np.median(np.sqrt(np.trace(own, axis1=1, axis2=2))))

@@ -94,10 +94,10 @@ def _adjusted(found: Estimate, poses: Poses) -> Estimate:
     return adjust(found.sightings, found.prior, poses, found.group, found.floor, found.inflation)
 
 
-def _placed_beside(found: Estimate, some: Sightings, fewest: int, share: float = LEAST_SHARE) -> Poses:
-    """Poses of the tags of some sightings, see `Sightings.with_separate_cameras`, with all frames fixed."""
+def placed_beside(poses: Poses, some: Sightings, fewest: int, share: float = LEAST_SHARE) -> Poses:
+    """Poses of the tags of some sightings, see `Sightings.with_separate_cameras`, with all frames of `poses` fixed."""
     placing = Placing(some, single_poses(some))
-    placing.frames = np.asarray((found.poses.frames[None] @ found.poses.mounts[:, None]).reshape(-1, 4, 4))
+    placing.frames = np.asarray((poses.frames[None] @ poses.mounts[:, None]).reshape(-1, 4, 4))
     placing.place(np.arange(len(some)), by_frame=False, fewest=fewest, share=share)
     return placing.poses
 
@@ -109,7 +109,7 @@ def second_places(found: Estimate, gross: BoolArray) -> list[SecondPlace]:
     some = found.sightings.of(np.flatnonzero(gross & often)).with_separate_cameras()
     if not len(some):
         return []
-    poses = _placed_beside(found, some, FEWEST_SIGHTINGS)
+    poses = placed_beside(found.poses, some, FEWEST_SIGHTINGS)
     agree, tags = fitting(some, squared_errors(some, poses), found.floor), poses.tags
     places = []
     for tag in np.unique(some.tag).tolist():
@@ -146,7 +146,8 @@ def _sizes(found: Estimate) -> tuple[dict[int, float], Poses]:
     astray = sightings.counts(found.used) == 0
     lost = np.flatnonzero(astray[some.tag])
     if lost.size:
-        tags[astray] = _placed_beside(found, some.of(lost).with_separate_cameras(), fewest=0, share=0.0).tags[astray]
+        apart = some.of(lost).with_separate_cameras()
+        tags[astray] = placed_beside(found.poses, apart, fewest=0, share=0.0).tags[astray]
     edges, growth, summed = some.edges, np.zeros(count), sums_by(some.tag, count)
     for _ in range(SIZE_STEPS):
         scaled = replace(some, edges=edges * np.exp(growth))

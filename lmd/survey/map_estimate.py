@@ -31,6 +31,19 @@ OF_MEDIAN = 1.86  # standard deviation of a median of n values, times sqrt(n), o
 NEAREST = 6  # number of tags of other groups relative to which the covariance of a tag is computed
 
 
+def in_world(poses: FloatArray, covariances: FloatArray) -> FloatArray:
+    """Covariances of position and rotation about the axes of the world, m^2 and rad^2, `(n, 6, 6)`.
+
+    Args:
+        poses: poses, `(n, 4, 4)`.
+        covariances: covariances of their right-hand twists, `(n, 6, 6)`.
+    """
+    turned = poses[:, :3, :3]
+    whole = np.zeros((len(poses), 6, 6))
+    whole[:, :3, 3:] = whole[:, 3:, :3] = turned
+    return np.asarray(whole @ covariances @ np.swapaxes(whole, 1, 2))
+
+
 @dataclass(frozen=True)
 class Estimate:
     """Estimated poses of the tags of some sightings."""
@@ -125,10 +138,7 @@ class Estimate:
         Args:
             covariances: covariances of the twists of tags in their own frames, `(K, 6, 6)`.
         """
-        turned = self.poses.tags[:, :3, :3]
-        whole = np.zeros((len(turned), 6, 6))
-        whole[:, :3, 3:] = whole[:, 3:, :3] = turned
-        return np.asarray(whole @ covariances @ np.swapaxes(whole, 1, 2))
+        return in_world(self.poses.tags, covariances)
 
     def moved(self, motion: FloatArray) -> "Estimate":
         """Estimate after a motion `(4, 4)` of the world."""

@@ -187,18 +187,18 @@ def metrics(survey: Survey) -> dict[str, float]:
         "tag_shape": found.sightings.shape_sigma,
         "inflation": found.inflation,
         "differs": float(np.sqrt(np.median(square))) if square.size else np.nan,
-        **_quantiles("sigma", found.sigmas[survey.placed]),
-        **_quantiles("error", found.errors()),
+        **quantiles("sigma", found.sigmas[survey.placed]),
+        **quantiles("error", found.errors()),
     }
     away = distances_from_plan(survey)
-    figures |= _quantiles("moved", away[np.isfinite(away)])
+    figures |= quantiles("moved", away[np.isfinite(away)])
     for name, frames in survey.localised.items():
-        figures |= _quantiles(f"held_out_error_{name}", frames.errors)
-        figures |= _quantiles(f"held_out_shift_{name}", frames.shifts)
+        figures |= quantiles(f"held_out_error_{name}", frames.errors)
+        figures |= quantiles(f"held_out_shift_{name}", frames.shifts)
     return {name: value for name, value in figures.items() if np.isfinite(value)}
 
 
-def _quantiles(name: str, values: FloatArray) -> dict[str, float]:
+def quantiles(name: str, values: FloatArray) -> dict[str, float]:
     """Median and 90 % quantile; empty without values."""
     if not values.size:
         return {}

@@ -16,13 +16,14 @@ from lmd.geometry.se3 import angle_between, camera_pose, exp
 from lmd.localise.fixed_map import FixedMap, MapErrors, surveyed_covariance
 from lmd.localise.image_poses import State
 from lmd.localise.localise import localise
-from lmd.localise.results import image_columns, in_map, localise_document, smoothed_columns, to_text, tum_text
+from lmd.localise.results import image_columns, localise_document, smoothed_columns, to_text, tum_text
 from lmd.scene.deployment import Deployment
 from lmd.scene.labels import Labels
 from lmd.scene.surveyed import Surveyed
 from lmd.scene.tag import Tag
 from lmd.survey.chain import Chain, banded
 from lmd.survey.intrinsics import intrinsics_of, with_intrinsics
+from lmd.survey.map_estimate import in_world
 from lmd.survey.results import SIGMA_COLUMNS
 
 
@@ -228,7 +229,7 @@ def test_covariances_in_the_axes_of_the_map():
     pose = camera_pose([1.0, 2.0, 3.0], 0.3, 0.2, 0.1)
     twists = np.random.default_rng(0).normal(size=(400000, 6)) * [0.01, 0.02, 0.03, 0.01, 0.02, 0.03]
     moved = pose @ exp(twists)
-    found = in_map(pose[None], np.cov(twists.T)[None])[0]
+    found = in_world(pose[None], np.cov(twists.T)[None])[0]
     np.testing.assert_allclose(np.cov((moved[:, :3, 3] - pose[:3, 3]).T), found[:3, :3], atol=1e-5)
     turned = moved[:, :3, :3] @ pose[:3, :3].T
     about = np.stack([turned[:, 2, 1] - turned[:, 1, 2], turned[:, 0, 2] - turned[:, 2, 0],
