@@ -82,7 +82,7 @@ def cases(folder: Path) -> Iterator[Case]:
             read = ("deployment=file", f"deployment.path={path}", "deployment.free=true", "formats=[csv]")
             yield Case(path.name, ("export", *HALL, *read, "tag.edge=0.1"), _tags)
         elif kind == "traj":
-            share = _line(r"^(?:pose fixed share|localised share 50mm).*")
+            share = _line(r"^(?:pose determined|views localised to 50 mm).*")
             yield Case(path.name, ("evaluate", *drive, f"poses.path={path}", *KEYS.get(path.name, ())), share)
         elif kind == "cam":
             camera = ("size", *one_camera, f"camera.path={path}", *KEYS.get(path.name, ()))

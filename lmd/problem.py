@@ -11,7 +11,7 @@ import numpy as np
 from lmd.core.checks import FloatArray, InputError, integer, returned
 from lmd.core.threads import MOST_THREADS
 from lmd.objectives.base import Objective
-from lmd.objectives.crowd import over_states, seeks_worst, worst_figures
+from lmd.objectives.crowd import describe_crowd, over_states, seeks_worst, worst_figures
 from lmd.scene.deployment import Deployment
 from lmd.scene.deployment_sources import DeploymentSource
 from lmd.scene.rig import Rig
@@ -252,6 +252,15 @@ class Problem:
         """Figures of `metrics` from the values at the positions of the grid, `(P,)`, and the fitness."""
         figures = self.objective.figures(values, self.relevance)
         return {**figures, **worst_figures(self.objective, values, self.evaluator), "fitness": fitness}
+
+    def describe(self, figures: Mapping[str, float], count: int) -> dict[str, str]:
+        """Figures of `metrics` as labelled sentences for displays, with the number of landmarks; the fitness first."""
+        drawn = " at the random poses of the search" if self.objective.sampling is not None else ""
+        crowds = " of the worst crowds" if seeks_worst(self.evaluator) else ""
+        weighted = ", in which positions count by their relevance" * bool(np.ptp(self.relevance))
+        fitness = f"{figures['fitness']:.2%}, the {self.objective.headline.label}{drawn}{crowds}{weighted}"
+        described = self.objective.describe(figures, len(self.relevance), count)
+        return {"fitness": fitness, **described, **describe_crowd(self.objective, figures, self.evaluator)}
 
     def resampled(self, share: float, rng: np.random.Generator) -> tuple[Evaluator, FloatArray] | None:
         """A fresh draw of the objective's sampling with a share of its positions, and their relevance, `(Q,)`.

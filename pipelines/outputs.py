@@ -185,12 +185,12 @@ def write_pictures(
     from lmd.plot.charts import save_convergence_figure
     from lmd.plot.scenes import save_scene_figure
 
-    headline, table = problem.objective.headline, columns_of(history)
+    table = columns_of(history)
     writers: dict[str, Callable[[Path], object]] = {}
     if picture:
         writers["scene.png"] = lambda path: save_scene_figure(path, problem, deployment, title)
     if picture and len(history) > 1:
-        writers["convergence.png"] = lambda path: save_convergence_figure(path, table, headline, title)
+        writers["convergence.png"] = lambda path: save_convergence_figure(path, table, title)
     return write_what_fits(directory, {**writers, **exports})
 
 

@@ -94,7 +94,7 @@ class Progress:
         """Show progress, and return whether the run is to stop; see `lmd.optimisers.base.Callback`."""
         ledger = optimiser.ledger
         with suppress(OSError):  # the terminal may be closed
-            self.bar.set_postfix_str(f"best {ledger.best_fitness:.2%}", refresh=False)
+            self.bar.set_postfix_str(f"best fitness {ledger.best_fitness:.2%}", refresh=False)
             self.bar.update(int(ledger.evaluations) - self.bar.n)
         if time.monotonic() - self.saved >= self.every:
             self.flush(optimiser)

@@ -1,6 +1,5 @@
 """A tracked run: begun with its provenance, ended with its outputs and figures."""
 
-import math
 import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -15,7 +14,7 @@ from lmd.core.checks import InputError
 from lmd.core.words import as_code, escaped
 from lmd.evaluation.validation import Sample, describe_validation, headline_off_grid, validation_metrics
 from lmd.evaluation.verdicts import causes
-from lmd.objectives.crowd import describe_crowd
+from lmd.objectives.base import labelled_figures
 from lmd.optimisers.ledger import Record
 from lmd.problem import Problem
 from lmd.scene.deployment import Deployment
@@ -262,19 +261,15 @@ def record(
     files = sorted({*files, *curve, *pictures})
     keep(tracker, files, {}, status)
     off_grid = describe_validation(problem, validation) if validation else {}
-    lines = {key.replace("_", " "): f"{value:g}" for key, value in figures.items() if key != "off_grid"}
+    lines = labelled_figures({key: value for key, value in figures.items() if key != "off_grid"})
     if all(camera.is_pinhole for camera in problem.scene.cameras):
         lines["focus"] = "no criterion: the camera has no aperture"
     lines["files"] = f"{directory}: {', '.join(path.name for path in files)}"
     if directory / "scene.png" in files:
         lines["picture"] = str(directory / "scene.png")
     lines["mlflow"] = tracker.describe()
-    (label, headline), *others = problem.objective.describe(metrics, len(problem.relevance), problem.count).items()
-    weighted, varies = {}, problem.relevance.min() < problem.relevance.max()
-    if varies and not math.isclose(metrics["fitness"], metrics[problem.objective.headline.key]):
-        weighted["fitness"] = f"{metrics['fitness']:.2%}, in which positions count by their relevance"
-    crowd = describe_crowd(problem.objective, metrics, problem.evaluator)
-    print(labelled({label: headline, **weighted, **off_grid, **dict(others), **crowd, **lines}))
+    fitness, headline, *others = problem.describe(metrics, problem.count).items()
+    print(labelled(dict([fitness, headline, *off_grid.items(), *others, *lines.items()])))
     if failed:
         again = command_line("evaluate", [f"run={directory}"])
         print(f"warning: {'; '.join(failed)}; to draw and write again: {again}", file=sys.stderr)

@@ -33,12 +33,6 @@ if TYPE_CHECKING:
 COVERED, LOCALISED = "covered_share", "localised_share_20mm"  # figures off the grid, for every objective
 LIMITS = {PAPER: "papers", BUDGET: "budgets"}  # keys that list values of a limit
 MLFLOW_STEPS = 1e4  # steps of mlflow, which are whole numbers, per unit of a limit: square centimetres of paper
-LABELS = {
-    COVERED: "share of views with n tags or more",
-    LOCALISED: "share of views localised to 20 mm",
-    "held_out_share": "share of the held-out time",
-    "recorded_share": "share of the recorded time",
-}
 
 
 def tradeoff(cfg: DictConfig) -> None:
@@ -125,8 +119,10 @@ def _record(
     cfg: DictConfig, points: Points, problem: "Problem", figure: str, wanted: float | None, tracker: "Tracker"
 ) -> None:
     """Write, log and print the points."""
+    from lmd.evaluation.maps import percent_text
     from lmd.evaluation.tradeoff import fewest, front, mixtures
     from lmd.evaluation.validation import headline_off_grid
+    from lmd.objectives.base import figure_of
     from lmd.objectives.localisation import Localisation
     from lmd.plot.charts import Panel, save_tradeoff_figure
 
@@ -137,9 +133,9 @@ def _record(
     if problem.scene.recorded is None:
         panels = {off_grid: Panel(f"{headline.label}, off the grid", off_grid, headline.key)}
     else:  # the grid cannot give the figure, a fraction of recorded time
-        panels = {off_grid: Panel(LABELS[off_grid], off_grid)}
+        panels = {off_grid: Panel(figure_of(off_grid).label, off_grid)}
     others = [name for name in (beside, figure) if name in table and name not in panels]
-    panels |= {name: Panel(LABELS.get(name, name), name) for name in others}
+    panels |= {name: Panel(figure_of(name).label, name) for name in others}
     panels[figure] = panels[figure]._replace(wanted=wanted)
     curves = front(table, list(dict.fromkeys([figure, headline.key, *panels])), axis)
     if (mixed := mixtures(table, axis)) is not None:
@@ -150,14 +146,12 @@ def _record(
         directory / "tradeoff.png", table, list(panels.values()), f"{problem.objective.name}, {cfg.seeds} seeds", axis
     )
     document: dict[str, Any] = {"figure": figure, "settings": problem.settings()}
-    text = f"medians over {cfg.seeds} seeds, least and greatest of the first, per cent\n" + curves.to_string(
-        float_format=lambda value: f"{100.0 * value:.2f}"
-    )
+    text = f"medians over {cfg.seeds} seeds, least and greatest of the first, per cent\n{percent_text(curves)}"
     known: dict[str, float] = {}
     if wanted is not None:
         reached = fewest(table, figure, wanted, axis)
         least = "fewest landmarks" if points.limited is None else f"least {points.limited}"
-        text += f"\n\n{least} with a {figure} of {wanted:g}\n{_told(reached)}"
+        text += f"\n\n{least} to reach {100.0 * wanted:g}% ({figure_of(figure).label})\n{_told(reached)}"
         rows = reached.reset_index().to_dict("records")
         finite = [{key: None if value == inf else value for key, value in row.items()} for row in rows]
         document |= {"wanted": wanted, "fewest": finite}

@@ -16,6 +16,7 @@ from lmd.geometry.pose import body_from_corners, pose_error
 from lmd.geometry.projection import project
 from lmd.geometry.se3 import axis_and_right
 from lmd.geometry.squares import corners
+from lmd.objectives.base import figure_of
 from lmd.problem import Problem
 from lmd.scene.deployment import Deployment
 from lmd.scene.tag import Tag
@@ -98,8 +99,20 @@ def named_figures(*tables: "pd.DataFrame") -> dict[str, float]:
 
 
 def percent_text(figures: "pd.DataFrame") -> str:
-    """Text of a table of shares for a terminal, per cent."""
-    return figures.rename_axis(None).to_string(float_format=lambda value: f"{100.0 * value:.2f}")
+    """Text of a table of shares for a terminal, per cent; names of figures become labels."""
+
+    def label(name: object) -> object:
+        return figure_of(name).label if isinstance(name, str) else name
+
+    named = figures.rename(index=label, columns=label)
+    return named.to_string(float_format=lambda value: f"{100.0 * value:.2f}", na_rep="-")
+
+
+def figures_text(figures: "pd.DataFrame") -> str:
+    """Text of a table of figures, indexed by their names, for a terminal, with labels and units."""
+    labels = [figure_of(str(key)).label for key in figures.index]
+    texts = figures.apply(lambda row: row.map(figure_of(row.name).text), axis=1)
+    return str(texts.set_axis(labels).to_string())
 
 
 def error_quantiles(views: "pd.DataFrame") -> "pd.DataFrame":

@@ -10,7 +10,7 @@ import pandas as pd
 from lmd.core.checks import InputError, said_of
 from lmd.detection.frames import draw_poses
 from lmd.evaluation.losses import TAGS_LISTED
-from lmd.evaluation.maps import MountedTags, error_quantiles, errors_text, map_errors, named_figures, percent_text
+from lmd.evaluation.maps import MountedTags, error_quantiles, errors_text, figures_text, map_errors, named_figures
 from lmd.evaluation.mounting import SAMPLE, off_grid_figures
 from lmd.evaluation.validation import Sample
 from lmd.formats.tag_maps import read_deployment
@@ -91,7 +91,7 @@ class Measured:
             f"{1e3 * self.moved.moved.max():.1f} mm, and tilted by at most {1e3 * most:.1f} mrad\n"
             f"farthest off, mm: {listed}"
         )
-        return f"{head}\n\nfigures, per cent\n{percent_text(self.figures)}\n\n{errors_text(self.views, self.n)}"
+        return f"{head}\n\nfigures\n{figures_text(self.figures)}\n\n{errors_text(self.views, self.n)}"
 
 
 def as_measured(

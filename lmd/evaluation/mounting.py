@@ -18,9 +18,9 @@ from lmd.evaluation.maps import (
     MountedTags,
     error_quantiles,
     errors_text,
+    figures_text,
     map_errors,
     named_figures,
-    percent_text,
 )
 from lmd.evaluation.validation import Sample, sampled_evaluators
 from lmd.geometry.squares import upright
@@ -154,14 +154,14 @@ class Mounted:
         return named_figures(self.table.drop(columns="planned"), error_quantiles(self.views))
 
     def to_text(self) -> str:
-        """Text for a terminal, per cent."""
+        """Text for a terminal."""
         error = self.error
         head = (
             f"as mounted: tags off by {1e3 * error.position:g} mm along their surface, turned by "
             f"{1e3 * error.turn:g} and tilted by {1e3 * error.tilt:g} mrad (1 sigma); {error.draws} draws, seed "
-            f"{self.seed}; per cent"
+            f"{self.seed}"
         )
-        return f"{head}\n{percent_text(self.table)}\n\n{errors_text(self.views, self.n)}"
+        return f"{head}\n{figures_text(self.table)}\n\n{errors_text(self.views, self.n)}"
 
 
 def mounted(problem: Problem, plan: Deployment, error: MountingError, seed: int, sample: Sample = SAMPLE) -> Mounted:

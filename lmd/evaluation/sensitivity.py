@@ -18,6 +18,7 @@ from lmd.core.bits import packed
 from lmd.core.checks import FloatArray, InputError, IntArray
 from lmd.core.threads import at_once
 from lmd.evaluation.accuracy import as_localisation
+from lmd.evaluation.maps import percent_text
 from lmd.evaluation.rig_sensitivity import RigMoments
 from lmd.evaluation.validation import Sample, sampled_evaluators
 from lmd.incremental.counts import counts_of
@@ -96,10 +97,6 @@ class Sensitivity:
 
     def to_text(self) -> str:
         """Text for a terminal, per cent."""
-
-        def text(table: pd.DataFrame) -> str:
-            return table.to_string(float_format=lambda value: f"{100.0 * value:.2f}", na_rep="-")
-
         by_factor = self.assumptions.groupby("factor")
         varied = pd.DataFrame(
             {f"x {x:g}": rows.set_index("assumption")[SHARE_COLUMNS].stack() for x, rows in by_factor}
@@ -110,8 +107,12 @@ class Sensitivity:
             f"edge x {row['factor']:g}: {row['note']}" for row in self.assumptions.to_dict("records") if row["note"]
         ]
         lost = self.lost.set_index(["lost", "share"])
-        failed = [] if self.cameras is None else [text(self.cameras.set_index("camera").rename_axis("camera fails"))]
-        return "\n\n".join(["sensitivity, per cent", text(varied), *notes, text(missed), text(lost), *failed])
+        failed = (
+            [] if self.cameras is None else [percent_text(self.cameras.set_index("camera").rename_axis("camera fails"))]
+        )
+        return "\n\n".join(
+            ["sensitivity, per cent", percent_text(varied), *notes, *map(percent_text, (missed, lost)), *failed]
+        )
 
 
 def sensitivity(problem: Problem, deployment: Deployment, seed: int, sample: Sample = SAMPLE) -> Sensitivity:

@@ -1,7 +1,8 @@
 """Objectives: the value of each position, the fitness of all values, and their names."""
 
+import re
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Protocol, runtime_checkable
 
 import numpy as np
@@ -18,30 +19,69 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Headline:
-    """Main figure of an objective, and its format in displays.
+    """Label, unit and format of a figure in displays, such as the main figure of an objective.
 
     Args:
         key: name among the figures.
         label: name in displays.
         scale: factor from the figure to the displayed unit.
         unit: unit, displayed after the number.
-        limits: least and greatest value on axes, in the displayed unit; None to fit the data.
+        form: format of the number in the displayed unit.
     """
 
     key: str
     label: str
     scale: float = 100.0
     unit: str = "%"
-    limits: tuple[float, float] | None = (0.0, 100.0)
+    form: str = ".2f"
 
     def text(self, value: float) -> str:
         """Formatted value, such as `81.88%`."""
-        return f"{self.scale * value:.2f}{self.unit}"
+        return f"{self.scale * value:{self.form}}{self.unit}"
 
-    @property
-    def axis(self) -> str:
-        """Label of an axis."""
-        return f"{self.label} [{self.unit}]"
+
+# Figures of runs whose labels or units do not follow from their names.
+FIGURES = {
+    figure.key: figure
+    for figure in (
+        Headline("evaluations", "evaluations", 1.0, "", ",.0f"),
+        Headline("wall_time", "wall time", 1.0, " s", ",.1f"),
+        Headline("average_coverage_probability", "average probability"),
+        Headline("maximum_coverage_probability", "maximum probability"),
+        Headline("covered_share", "views of n tags or more"),
+        Headline("pose_fixed_share", "pose determined"),
+        Headline("position_bound_mm_per_pixel", "position bound, median", 1.0, " mm per pixel of noise", ".1f"),
+        Headline("attitude_bound_mrad_per_pixel", "attitude bound, median", 1.0, " mrad per pixel of noise", ".1f"),
+        Headline("predicted_error_median", "predicted error, median", 1e3, " mm", ".1f"),
+        Headline("predicted_error_90", "predicted error, 90% quantile", 1e3, " mm", ".1f"),
+        Headline("lattice_bound", "bound on the lattice"),
+        Headline("lattice_found", "choice on the lattice, nothing hidden"),
+        Headline("lattice_gap", "fitness below that bound"),
+        Headline("worst_drives", "filtered share of the worst drives"),
+        Headline("held_out_share", "share of the held-out time"),
+        Headline("recorded_share", "share of the recorded time"),
+    )
+}
+PREFIXES = {"grid_free_": "off the grid", "finer_grid_": "on a finer grid", "worst_crowd_": "worst crowds"}
+SPELT = {r"localised share (\d+)mm": r"views localised to \1 mm", r"(fitness without \w+)": r"\1,"}
+SHARE = re.compile("share|ratio|probability|fitness|worst|loss")  # names of fractions
+
+
+def figure_of(key: str) -> Headline:
+    """Label, unit and format of a figure by its name; a name that is not in `FIGURES` is spelt out."""
+    for prefix, words in PREFIXES.items():
+        if key.startswith(prefix):
+            figure = figure_of(key.removeprefix(prefix))
+            return replace(figure, key=key, label=f"{figure.label}, {words}")
+    label = key.replace("_", " ")
+    for pattern, words in SPELT.items():
+        label = re.sub(pattern, words, label)
+    return FIGURES.get(key) or (Headline(key, label) if SHARE.search(key) else Headline(key, label, 1.0, "", "g"))
+
+
+def labelled_figures(figures: Mapping[str, float]) -> dict[str, str]:
+    """Texts of figures with their units, by their labels."""
+    return {figure.label: figure.text(figures[figure.key]) for figure in map(figure_of, figures)}
 
 
 class Selection(Protocol):

@@ -11,7 +11,7 @@ from typing_extensions import override
 from lmd.core.checks import BoolArray, FloatArray
 from lmd.incremental.coverage_field import CoverageField, coverage_field
 from lmd.incremental.field import contribution, smoothed
-from lmd.objectives.base import AtLeast, Headline
+from lmd.objectives.base import AtLeast, figure_of
 from lmd.objectives.sampling import Sampling
 from lmd.scene.criteria import TOLERANCE
 from lmd.scene.deployment import Deployment
@@ -76,7 +76,7 @@ class Coverage(AtLeast):
 
     sampling: Sampling | None = None
 
-    headline = Headline("qualified_ratio", "qualified ratio")
+    headline = figure_of("qualified_ratio")
     counted = "positions qualified"  # subject of the headline figure in displays
 
     @property
@@ -156,7 +156,7 @@ class MeanCoverage(Coverage):
     Arguments as in `Coverage`; `thold_p` is used only for the figure of the qualified ratio.
     """
 
-    headline = Headline("average_coverage_probability", "average coverage probability")
+    headline = figure_of("average_coverage_probability")
     counted = "views"
 
     @property

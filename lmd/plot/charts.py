@@ -25,31 +25,30 @@ DARK_ABOVE = 0.6  # share of a heat map's colour scale above which the text of a
 AXES = {"count": "number of landmarks K", "paper": "paper in all [square metres]", "budget": "cost of all tags"}
 
 
-def save_convergence_figure(path: str | Path, history: Mapping[str, ArrayLike], headline: Headline, title: str) -> None:
+def save_convergence_figure(path: str | Path, history: Mapping[str, ArrayLike], title: str) -> None:
     """Write a PNG of 900 x 500 pixels: the best fitness as a step line over evaluations.
 
     Args:
         path: path of the PNG.
         history: `evaluations`, `best_fitness` and `wall_time` (seconds since the start) of at least one record.
-        headline: name and unit of the fitness.
         title: title of the figure.
     """
     from matplotlib.ticker import MaxNLocator
 
     evaluations, fitness, seconds = (np.asarray(history[key]) for key in ("evaluations", "best_fitness", "wall_time"))
-    best = headline.scale * fitness
+    best = 100.0 * fitness
     figure = new_figure((9.0, 5.0))
     axes = figure.add_subplot()
     axes.step(evaluations, best, where="post", linewidth=1.8)
     axes.plot(evaluations[-1], best[-1], "o", color="C0", clip_on=False)
-    axes.set(title=literal(title), xlabel="evaluations", ylabel=f"best fitness [{headline.unit}]", ylim=headline.limits)
+    axes.set(title=literal(title), xlabel="evaluations", ylabel="best fitness [%]", ylim=(0.0, 100.0))
     axes.set_xlim(left=0)
     axes.xaxis.set_major_locator(MaxNLocator(integer=True))
     axes.xaxis.set_major_formatter("{x:,.0f}")
     axes.grid(alpha=0.4)
     # The text is in the upper or lower half, away from the end of the line.
     y, align = (0.04, "bottom") if best[-1] > np.mean(axes.get_ylim()) else (0.96, "top")
-    text = f"{best[-1]:.2f} {headline.unit} after {evaluations[-1]:,.0f} evaluations, {_duration(seconds[-1])}"
+    text = f"{best[-1]:.2f}% after {evaluations[-1]:,.0f} evaluations, {_duration(seconds[-1])}"
     box = {"boxstyle": "round", "facecolor": "white", "edgecolor": "0.7"}
     axes.text(0.97, y, text, transform=axes.transAxes, ha="right", va=align, bbox=box)
     figure.savefig(path)
@@ -76,7 +75,7 @@ def save_comparison_figure(
         path: path of the PNG.
         runs: runs of all optimisers and seeds.
         axis: `evaluations` or `wall_time`.
-        headline: name and unit of the fitness.
+        headline: figure that orders the legend, the highest median first.
         title: title of the figure.
     """
     from lmd.evaluation.comparison import attained, best_at, by_optimiser, curve_targets
@@ -91,7 +90,7 @@ def save_comparison_figure(
     for i, (name, group) in enumerate(groups.items()):
         _draw_median(convergence, at, best_at(group, axis, at), literal(name), i)
         distribution.step(at, 100.0 * attained(group, axis, at, targets), lw=1.8, where="post", **series(i))
-    low, high = headline.scale * targets[[0, -1]]
+    low, high = 100.0 * targets[[0, -1]]
     if high > low:
         convergence.set_ylim(low, high + 0.03 * (high - low))
     convergence.set(title="median over the seeds, band from worst to best", ylabel="best fitness [%]")

@@ -123,7 +123,7 @@ def test_the_bound_is_in_the_record(tmp_path):
     document = json.loads((tmp_path / "out" / "metrics.json").read_text())
     assert document["stopped"] == "proven"
     assert document["lattice_gap"] == pytest.approx(document["lattice_bound"] - document["fitness"])
-    assert "lattice bound" in done.stdout
+    assert "bound on the lattice" in done.stdout
 
 
 def test_the_papers_room_is_refused_in_a_sentence(tmp_path):

@@ -91,7 +91,7 @@ def test_tags_are_added_to_what_hangs_already(work):
     scored = json.loads((work / "again" / "metrics.json").read_text())
     losses = pd.read_csv(work / "again" / "losses.csv")
     assert scored["fitness_without_one_worst"] == pytest.approx(losses.fitness_without.min())
-    assert "fitness without two mean" in again.stdout
+    assert "fitness without two, mean" in again.stdout
     assert f"fitness lost without each: {losses.id[0]} ({100.0 * losses.fitness_loss[0]:.2f})" in again.stdout
     assert scored["fitness"] == found["fitness"]
     assert scored["settings"]["fixed_landmarks"] == 2

@@ -134,7 +134,7 @@ def test_evaluate_maps_where_localisation_is_weak(tmp_path):
     assert metrics["position_bound_mm_per_pixel"] > 0.0
     assert len(pd.read_csv(tmp_path / "run" / "localisation.csv")) == metrics["settings"]["positions"]
     assert (tmp_path / "run" / "localisation.png").stat().st_size > 30_000
-    assert "pose fixed share" in done.stdout
+    assert "pose determined" in done.stdout
 
 
 def test_a_real_detector_reads_rendered_frames(tmp_path):

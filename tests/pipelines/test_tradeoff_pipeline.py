@@ -52,7 +52,7 @@ def test_a_row_for_each_point_and_the_fewest_between_the_counts(done):
         assert medians[fewest] >= 0.2
         below = medians[medians.index < fewest]
         assert (below.index[-1], (below < 0.2).all()) == (fewest - 1, True)
-    assert f"fewest landmarks with a {FIGURE} of 0.2" in run.stdout
+    assert "fewest landmarks to reach 20% (views localised to 20 mm)" in run.stdout
     assert (cwd / "run" / "tradeoff.png").is_file()
     front = pd.read_csv(cwd / "run" / "front.csv")
     assert {FIGURE, "qualified_ratio", "grid_free_qualified_ratio"} <= set(front)
@@ -153,7 +153,7 @@ def test_a_rig_on_recorded_poses_beside_the_fixed_tags_of_a_run(tmp_path):
     landmarks = pd.read_csv(tmp_path / "run" / "points" / "K-6-seed-0" / "landmarks.csv")
     assert landmarks.id.tolist() == [5, 0, 1, 2, 3, 4]
     assert pd.read_csv(tmp_path / "run" / "points.csv").held_out_share.between(0.0, 1.0).all()
-    assert "fewest landmarks with a held_out_share of 0.1" in run.stdout
+    assert "fewest landmarks to reach 10% (share of the held-out time)" in run.stdout
     assert (tmp_path / "run" / "tradeoff.png").is_file()
 
 
@@ -171,7 +171,7 @@ def test_along_paper_the_best_mixture_is_no_worse_than_each_size_alone(tmp_path)
     for edges in ("0.1", "0.3"):
         alone = points.loc[edges]
         assert (mixed.fitness.reindex(alone.index).dropna() >= alone.fitness.reindex(mixed.index).dropna()).all()
-    assert "least paper with a grid_free_qualified_ratio of 0.001\n" in run.stdout
+    assert "least paper to reach 0.1% (qualified ratio, off the grid)\n" in run.stdout
     landmarks = pd.read_csv(tmp_path / "run" / "points" / "paper-0.5-edges-0.1-0.3-seed-0" / "landmarks.csv")
     assert (landmarks.edge == 0.1).sum() == mixed["count_0.1"][0.5]
     client = MlflowClient(tracking_uri=f"sqlite:///{tmp_path}/outputs/mlflow.db")

@@ -162,7 +162,7 @@ def test_convergence_figure(tmp_path, rows):
     }  # fmt: skip
     shown = {key: values[:rows] for key, values in history.items()}
     path = tmp_path / "convergence.png"
-    save_convergence_figure(path, shown, Coverage.headline, "Convergence")
+    save_convergence_figure(path, shown, "Convergence")
     assert imread(path).shape[:2] == (500, 900)
     assert path.stat().st_size > 8_000
 

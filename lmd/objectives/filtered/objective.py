@@ -10,7 +10,7 @@ from lmd.core.checks import BoolArray, FloatArray, InputError, real
 from lmd.core.worst import worst_mean, worst_of
 from lmd.incremental.field import Field
 from lmd.incremental.worst_groups import WorstGroups
-from lmd.objectives.base import AtLeast, Headline
+from lmd.objectives.base import AtLeast, Headline, figure_of
 from lmd.objectives.coverage import Mean
 from lmd.objectives.filtered.drives import Drives
 from lmd.objectives.filtered.evaluation import FilteredPoses, filtered_poses, frame_information
@@ -82,9 +82,7 @@ class Filtered(AtLeast):
     @property
     def headline(self) -> Headline:
         """See `Objective.headline`."""
-        if self.worst is not None:
-            return Headline("worst_drives", "filtered share of the worst drives")
-        return Headline("filtered_share", "filtered share")
+        return figure_of("filtered_share" if self.worst is None else "worst_drives")
 
     @property
     def name(self) -> str:

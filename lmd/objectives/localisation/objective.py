@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from lmd.core.checks import BoolArray, FloatArray, choice, real
-from lmd.objectives.base import AtLeast, Headline, Selection
+from lmd.objectives.base import AtLeast, Headline, Selection, figure_of
 from lmd.objectives.coverage import Mean, Threshold
 from lmd.objectives.localisation.ambiguity import resolved
 from lmd.objectives.localisation.evaluation import localised_views
@@ -82,9 +82,7 @@ class Localisation(AtLeast):
     @property
     def headline(self) -> Headline:
         """See `Objective.headline`."""
-        if self.climbs == "qualified":
-            return Headline("qualified_ratio", "qualified ratio")
-        return Headline(self._share, self.value_label if self.coverage_weight else "localised share")
+        return figure_of("qualified_ratio" if self.climbs == "qualified" else self._share)
 
     @property
     def _share(self) -> str:
@@ -141,7 +139,7 @@ class Localisation(AtLeast):
     def describe(self, figures: Mapping[str, float], positions: int, count: int) -> dict[str, str]:
         """See `Objective.describe`."""
         return {
-            "mean value": f"{figures[self._share]:.2%}, the {self.value_label}, with {count} landmarks",
+            figure_of(self._share).label: f"{figures[self._share]:.2%}, the {self.value_label}, with {count} landmarks",
             "qualified ratio": f"{figures['qualified_ratio']:.2%} of {positions} positions reach {self.thold_p:g}",
             "worst positions": f"{WORST:.0%} of them have {figures['worst_positions']:.2%} or less",
         }
@@ -154,8 +152,8 @@ class Localisation(AtLeast):
 
         key = self.headline.key
         return {
-            "off the grid": f"mean value {with_error(self._share)}, {with_error('qualified_ratio')} of random "
-            "positions qualified",
+            "off the grid": f"{figure_of(self._share).label} {with_error(self._share)}, "
+            f"{with_error('qualified_ratio')} of random positions qualified",
             "on a finer grid": f"{self.headline.label} {figures[f'finer_grid_{key}']:.2%}",
         }
 
