@@ -21,7 +21,7 @@ def accuracy(cfg: DictConfig) -> None:
 
     from lmd.core.checks import seed_number
     from lmd.evaluation.accuracy import accuracy_metrics
-    from lmd.objectives.base import labelled_figures
+    from lmd.evaluation.maps import figures_text
     from lmd.plot.plans import save_accuracy_figure
 
     from .tracked_run import keep, title_of, tracked
@@ -40,8 +40,7 @@ def accuracy(cfg: DictConfig) -> None:
         files = [directory / "figures.csv", directory / "accuracy.png"]
         metrics = {f"{key}/{name}": value for name, row in figures.items() for key, value in row.items()}
         keep(tracker, files, metrics)
-    shown = pd.DataFrame({name: labelled_figures(row) for name, row in figures.items()}).fillna("-")
-    print(f"{shown.to_string()}\nfiles: {directory}\nmlflow: {tracker.describe()}")
+    print(f"{figures_text(figures)}\nfiles: {directory}\nmlflow: {tracker.describe()}")
 
 
 main = Pipeline("accuracy", accuracy, (read_deployment_as_a_list,))

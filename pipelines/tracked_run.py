@@ -11,7 +11,7 @@ from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig
 
 from lmd.core.checks import InputError
-from lmd.core.words import as_code, escaped
+from lmd.core.words import as_code, escaped, labelled
 from lmd.evaluation.validation import Sample, describe_validation, headline_off_grid, validation_metrics
 from lmd.evaluation.verdicts import causes
 from lmd.objectives.base import labelled_figures
@@ -276,9 +276,3 @@ def record(
     if why and problem.objective.qualified(problem.values(deployment)).mean() < FEW_QUALIFIED:
         print(f"\n{why.to_text()}")
     return metrics | figures
-
-
-def labelled(rows: Mapping[str, str]) -> str:
-    """Texts behind their labels, one a line, for the terminal."""
-    width = max(map(len, rows))
-    return "\n".join(f"{label:<{width}} {text}" for label, text in rows.items())

@@ -29,11 +29,12 @@ def uncertainty(cfg: DictConfig) -> None:
     import numpy as np
 
     from lmd.core.checks import seed_number
+    from lmd.core.words import labelled
     from lmd.evaluation.uncertainty import uncertainty as find
     from lmd.evaluation.uncertainty_law import uncertainty_law
     from lmd.localise.fixed_map import surveyed_covariance
 
-    from .tracked_run import keep, labelled, tracked
+    from .tracked_run import keep, tracked
 
     problem, seed = build_problem(cfg), seed_number(cfg.seed)
     refuse_crowd(problem, "uncertainty")

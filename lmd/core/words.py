@@ -1,7 +1,7 @@
 """Text for messages and Markdown: shortened lists, tables, escapes."""
 
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 
 from lmd.core.checks import printable
 
@@ -10,6 +10,12 @@ MARKS = re.compile(r"[\\`*{}\[\]<>#|&\"$^~!+]|(?<![^\W_])_|_(?![^\W_])")
 
 # Characters that some Markdown renderers interpret in inline code within a table cell.
 CODE_MARKS = re.compile(r"[\\`*<>|&]")
+
+
+def labelled(rows: Mapping[str, str]) -> str:
+    """Texts behind their labels, one a line, for the terminal."""
+    width = max(map(len, rows))
+    return "\n".join(f"{label:<{width}} {text}" for label, text in rows.items())
 
 
 def few(texts: Iterable[object], most: int) -> str:

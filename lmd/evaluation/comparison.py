@@ -130,8 +130,7 @@ def _against(figures: pd.DataFrame, reference: str) -> tuple[pd.Series, str]:
     p_values = holm(np.array([wilcoxon(pair[:, 0], pair[:, 1]) for pair in pairs]))
 
     def least(seeds: int) -> float:
-        alone = wilcoxon(np.arange(1, seeds + 1, dtype=np.float64), np.zeros(seeds))
-        return float(holm(np.full(len(others), alone))[0])
+        return float(holm(np.full(len(others), wilcoxon(np.linspace(1.0, 2.0, seeds), np.zeros(seeds))))[0])
 
     correction = f", with Holm's correction for {len(others)} comparisons" if len(others) > 1 else ""
     against = f"two-sided Wilcoxon signed-rank test against {as_code(reference)}"
@@ -231,8 +230,8 @@ def mann_whitney(first: FloatArray, second: FloatArray) -> float:
     sizes, both = (len(first), len(second)), np.concatenate([first, second])
     if min(sizes) < LEAST_PAIRS:
         return np.nan
-    is_tied = len(np.unique(both)) < len(both)  # scipy would take the normal approximation, which is too low
     every = stats.PermutationMethod(n_resamples=math.comb(2 * MOST_EXACT, MOST_EXACT))
+    is_tied = len(np.unique(both)) < len(both)  # scipy would take the normal approximation, which is too low
     method = every if is_tied and max(sizes) <= MOST_EXACT else "auto"
     return float(stats.mannwhitneyu(first, second, method=method).pvalue)
 

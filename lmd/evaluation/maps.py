@@ -6,7 +6,7 @@ that is displaced as a whole by a rigid motion T displaces the pose by T; indepe
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -16,7 +16,7 @@ from lmd.geometry.pose import body_from_corners, pose_error
 from lmd.geometry.projection import project
 from lmd.geometry.se3 import axis_and_right
 from lmd.geometry.squares import corners
-from lmd.objectives.base import figure_of
+from lmd.objectives.base import figure_of, labelled_figures
 from lmd.problem import Problem
 from lmd.scene.deployment import Deployment
 from lmd.scene.tag import Tag
@@ -100,19 +100,19 @@ def named_figures(*tables: "pd.DataFrame") -> dict[str, float]:
 
 def percent_text(figures: "pd.DataFrame") -> str:
     """Text of a table of shares for a terminal, per cent; names of figures become labels."""
-
-    def label(name: object) -> object:
-        return figure_of(name).label if isinstance(name, str) else name
-
-    named = figures.rename(index=label, columns=label)
+    named = figures.rename(index=_label, columns=_label)
     return named.to_string(float_format=lambda value: f"{100.0 * value:.2f}", na_rep="-")
 
 
-def figures_text(figures: "pd.DataFrame") -> str:
-    """Text of a table of figures, indexed by their names, for a terminal, with labels and units."""
-    labels = [figure_of(str(key)).label for key in figures.index]
-    texts = figures.apply(lambda row: row.map(figure_of(row.name).text), axis=1)
-    return str(texts.set_axis(labels).to_string())
+def _label(name: object) -> str:
+    return figure_of(str(name)).label
+
+
+def figures_text(columns: Mapping[Any, Mapping[Any, float]]) -> str:
+    """Text of figures by their names, in columns side by side, for a terminal, with labels and units."""
+    import pandas as pd
+
+    return pd.DataFrame({name: labelled_figures(figures) for name, figures in columns.items()}).to_string(na_rep="-")
 
 
 def error_quantiles(views: "pd.DataFrame") -> "pd.DataFrame":

@@ -91,7 +91,7 @@ class Measured:
             f"{1e3 * self.moved.moved.max():.1f} mm, and tilted by at most {1e3 * most:.1f} mrad\n"
             f"farthest off, mm: {listed}"
         )
-        return f"{head}\n\nfigures\n{figures_text(self.figures)}\n\n{errors_text(self.views, self.n)}"
+        return f"{head}\n\nfigures\n{figures_text(self.figures.to_dict())}\n\n{errors_text(self.views, self.n)}"
 
 
 def as_measured(

@@ -161,7 +161,7 @@ class Mounted:
             f"{1e3 * error.turn:g} and tilted by {1e3 * error.tilt:g} mrad (1 sigma); {error.draws} draws, seed "
             f"{self.seed}"
         )
-        return f"{head}\n{figures_text(self.table)}\n\n{errors_text(self.views, self.n)}"
+        return f"{head}\n{figures_text(self.table.to_dict())}\n\n{errors_text(self.views, self.n)}"
 
 
 def mounted(problem: Problem, plan: Deployment, error: MountingError, seed: int, sample: Sample = SAMPLE) -> Mounted:

@@ -29,7 +29,7 @@ from lmd.core.bits import BITS
 from lmd.core.checks import BoolArray, FloatArray, integer, returned
 from lmd.core.compiled import PYTHON
 from lmd.geometry.frames import angles_of
-from lmd.objectives.base import SelfValidating
+from lmd.objectives.base import SelfValidating, with_error
 from lmd.objectives.crowd import WORST, seeks_worst
 from lmd.problem import Problem
 from lmd.scene.deployment import Deployment
@@ -133,7 +133,7 @@ def describe_validation(problem: Problem, figures: Mapping[str, float]) -> dict[
     key = f"grid_free_{WORST}{problem.objective.headline.key}"
     if key in figures and problem.scene.crowd is not None:
         rows["worst crowds off the grid"] = (
-            f"{figures[key]:.2%} +- {figures[f'{key}_standard_error']:.2%} in the worst "
+            f"{with_error(figures, key)} in the worst "
             f"{problem.scene.crowd.worst_count} of {problem.state_count} fresh states"
         )
     return rows
@@ -236,10 +236,8 @@ def describe_held_out(figures: Mapping[str, float]) -> dict[str, str]:
     rows = {}
     for name, label in names.items():
         if f"{name}_share" in figures:
-            error = figures.get(f"{name}_share_standard_error")
-            within = "" if error is None else f" +- {error:.2%}"
-            seconds = figures[f"{name}_seconds"]
-            rows[label] = f"{figures[f'{name}_share']:.2%}{within} of {seconds:g} recorded seconds have such a view"
+            share, seconds = with_error(figures, f"{name}_share"), figures[f"{name}_seconds"]
+            rows[label] = f"{share} of {seconds:g} recorded seconds have such a view"
     return rows
 
 

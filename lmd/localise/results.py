@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from lmd.core.checks import BoolArray, FloatArray
-from lmd.core.words import few
+from lmd.core.words import few, labelled
 from lmd.geometry.se3 import ROW
 from lmd.localise.changes import Displaced
 from lmd.localise.image_poses import State
@@ -261,6 +261,4 @@ def to_text(result: Localisation) -> str:
         lines["blocks"] = f"of time disagree {result.changes.inflation:.1f} times as much as corners explain"
     if result.doubts:
         lines["check"] = " ".join(result.doubts)
-    width = max(map(len, lines))
-    texts = [f"{label:<{width}} {text}" for label, text in lines.items()]
-    return "\n".join([*texts, *map(_sentence, every[:MOST_SENTENCES])])
+    return "\n".join([labelled(lines), *map(_sentence, every[:MOST_SENTENCES])])

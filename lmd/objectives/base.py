@@ -2,7 +2,7 @@
 
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Protocol, runtime_checkable
 
 import numpy as np
@@ -40,48 +40,44 @@ class Headline:
         return f"{self.scale * value:{self.form}}{self.unit}"
 
 
-# Figures of runs whose labels or units do not follow from their names.
-FIGURES = {
-    figure.key: figure
-    for figure in (
-        Headline("evaluations", "evaluations", 1.0, "", ",.0f"),
-        Headline("wall_time", "wall time", 1.0, " s", ",.1f"),
-        Headline("average_coverage_probability", "average probability"),
-        Headline("maximum_coverage_probability", "maximum probability"),
-        Headline("covered_share", "views of n tags or more"),
-        Headline("pose_fixed_share", "pose determined"),
-        Headline("position_bound_mm_per_pixel", "position bound, median", 1.0, " mm per pixel of noise", ".1f"),
-        Headline("attitude_bound_mrad_per_pixel", "attitude bound, median", 1.0, " mrad per pixel of noise", ".1f"),
-        Headline("predicted_error_median", "predicted error, median", 1e3, " mm", ".1f"),
-        Headline("predicted_error_90", "predicted error, 90% quantile", 1e3, " mm", ".1f"),
-        Headline("lattice_bound", "bound on the lattice"),
-        Headline("lattice_found", "choice on the lattice, nothing hidden"),
-        Headline("lattice_gap", "fitness below that bound"),
-        Headline("worst_drives", "filtered share of the worst drives"),
-        Headline("held_out_share", "share of the held-out time"),
-        Headline("recorded_share", "share of the recorded time"),
-    )
-}
+# Labels that do not follow from the names of the figures.
+LABELS = {
+    "average_coverage_probability": "average probability", "maximum_coverage_probability": "maximum probability",
+    "covered_share": "views of n tags or more", "pose_fixed_share": "pose determined",
+    "position_bound_mm_per_pixel": "position bound, median", "attitude_bound_mrad_per_pixel": "attitude bound, median",
+    "predicted_error_median": "predicted error, median", "predicted_error_90": "predicted error, 90% quantile",
+    "lattice_bound": "bound on the lattice", "lattice_gap": "fitness below that bound",
+    "lattice_found": "choice on the lattice, nothing hidden", "worst_drives": "filtered share of the worst drives",
+    **{f"fitness_without_{n}_{of}": f"fitness without {n}, {of}" for n in ("one", "two") for of in ("worst", "mean")},
+    "held_out_share": "share of the held-out time", "recorded_share": "share of the recorded time",
+}  # fmt: skip
 PREFIXES = {"grid_free_": "off the grid", "finer_grid_": "on a finer grid", "worst_crowd_": "worst crowds"}
-SPELT = {r"localised share (\d+)mm": r"views localised to \1 mm", r"(fitness without \w+)": r"\1,"}
-SHARE = re.compile("share|ratio|probability|fitness|worst|loss")  # names of fractions
+# Scale, unit and format of the figures whose names have a part; others are plain numbers.
+UNITS = {
+    "evaluations": (1.0, "", ",.0f"), "wall_time": (1.0, " s", ",.1f"), "predicted_error": (1e3, " mm", ".1f"),
+    "mm_per_pixel": (1.0, " mm per pixel of noise", ".1f"), "mrad_per_pixel": (1.0, " mrad per pixel of noise", ".1f"),
+    **dict.fromkeys(("share", "ratio", "probability", "fitness", "worst", "loss", "lattice"), (100.0, "%", ".2f")),
+}  # fmt: skip
 
 
 def figure_of(key: str) -> Headline:
-    """Label, unit and format of a figure by its name; a name that is not in `FIGURES` is spelt out."""
-    for prefix, words in PREFIXES.items():
-        if key.startswith(prefix):
-            figure = figure_of(key.removeprefix(prefix))
-            return replace(figure, key=key, label=f"{figure.label}, {words}")
-    label = key.replace("_", " ")
-    for pattern, words in SPELT.items():
-        label = re.sub(pattern, words, label)
-    return FIGURES.get(key) or (Headline(key, label) if SHARE.search(key) else Headline(key, label, 1.0, "", "g"))
+    """Label, unit and format of a figure by its name; a name without a label is spelt out."""
+    prefixes = [prefix for prefix in PREFIXES if prefix in key]
+    name = key.removeprefix("".join(prefixes))
+    spelt = re.sub(r"localised share (\d+)mm", r"views localised to \1 mm", name.replace("_", " "))
+    label = ", ".join([LABELS.get(name, spelt), *(PREFIXES[prefix] for prefix in reversed(prefixes))])
+    return Headline(key, label, *next((unit for part, unit in UNITS.items() if part in key), (1.0, "", "g")))
 
 
 def labelled_figures(figures: Mapping[str, float]) -> dict[str, str]:
     """Texts of figures with their units, by their labels."""
     return {figure.label: figure.text(figures[figure.key]) for figure in map(figure_of, figures)}
+
+
+def with_error(figures: Mapping[str, float], key: str) -> str:
+    """Share with its standard error, if that is known, such as `85.32% +- 0.06%`."""
+    error = figures.get(f"{key}_standard_error")
+    return f"{figures[key]:.2%}{'' if error is None else f' +- {error:.2%}'}"
 
 
 class Selection(Protocol):

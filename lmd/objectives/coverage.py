@@ -11,7 +11,7 @@ from typing_extensions import override
 from lmd.core.checks import BoolArray, FloatArray
 from lmd.incremental.coverage_field import CoverageField, coverage_field
 from lmd.incremental.field import contribution, smoothed
-from lmd.objectives.base import AtLeast, figure_of
+from lmd.objectives.base import AtLeast, figure_of, with_error
 from lmd.objectives.sampling import Sampling
 from lmd.scene.criteria import TOLERANCE
 from lmd.scene.deployment import Deployment
@@ -77,7 +77,6 @@ class Coverage(AtLeast):
     sampling: Sampling | None = None
 
     headline = figure_of("qualified_ratio")
-    counted = "positions qualified"  # subject of the headline figure in displays
 
     @property
     def name(self) -> str:
@@ -126,14 +125,10 @@ class Coverage(AtLeast):
 
     def describe_validation(self, figures: Mapping[str, float]) -> dict[str, str]:
         """See `Objective.describe_validation`."""
-
-        def with_error(key: str) -> str:
-            return f"{figures[key]:.2%} +- {figures[f'{key}_standard_error']:.2%}"
-
         return {
-            "off the grid": f"{with_error('grid_free_qualified_ratio')} of random positions qualified, "
-            f"average probability {with_error('grid_free_average_coverage_probability')}",
-            "on a finer grid": f"{figures[f'finer_grid_{self.headline.key}']:.2%} of {self.counted}",
+            "off the grid": f"{with_error(figures, 'grid_free_qualified_ratio')} of random positions qualified, "
+            f"average probability {with_error(figures, 'grid_free_average_coverage_probability')}",
+            "on a finer grid": f"{self.headline.label} {figures[f'finer_grid_{self.headline.key}']:.2%}",
         }
 
     def field(self, evaluator: Evaluator) -> CoverageField:
@@ -157,7 +152,6 @@ class MeanCoverage(Coverage):
     """
 
     headline = figure_of("average_coverage_probability")
-    counted = "views"
 
     @property
     @override

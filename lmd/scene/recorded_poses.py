@@ -74,12 +74,11 @@ class RecordedPoses:
         check_fields(self, real, "bandwidth", "direction_bandwidth", "block", above=0.0)
         check_fields(self, integer, "divisions", low=1)
         if self.held_out is not None:
-            every = integer("held_out", self.held_out, low=2)
-            object.__setattr__(self, "held_out", every)
+            check_fields(self, integer, "held_out", low=2)
             if not len(self.kept_back):
                 raise InputError(
-                    f"held_out = {every}: no pose of {self.path} lies in a block to be held out, the first of which "
-                    f"begins after {(every - 1) * self.block:g} s.",
+                    f"held_out = {self.held_out}: no pose of {self.path} lies in a block to be held out, the first of "
+                    f"which begins after {(self.held_out - 1) * self.block:g} s.",
                     "held_out",
                 )
 

@@ -4,7 +4,7 @@ from functools import partial
 
 import numpy as np
 
-from lmd.core.words import few
+from lmd.core.words import few, labelled
 from lmd.survey.results import distances_from_plan, far_from_plan, metrics, needing_photographs, tag_columns
 from lmd.survey.survey import Survey
 
@@ -60,8 +60,7 @@ def to_text(survey: Survey) -> str:
             "what comes after that is left out" if stage.has_final_map else "the map is not final"
         )
     lines |= {label: text for label, text in _troubles(survey).items() if text}
-    width = max(map(len, lines))
-    return "\n".join(f"{label:<{width}} {text}" for label, text in lines.items())
+    return labelled(lines)
 
 
 def _motion(survey: Survey) -> dict[str, str]:

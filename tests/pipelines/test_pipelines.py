@@ -115,7 +115,7 @@ def test_a_run_is_validated_off_its_grid(tmp_path):
     assert {f"validation/{key}": value for key, value in recorded.items()} == {
         key: value for key, value in run.data.metrics.items() if key.startswith("validation/")
     }
-    assert re.search(r"on a finer grid +\d+\.\d\d% of positions qualified", done.stdout)
+    assert re.search(r"on a finer grid +qualified ratio \d+\.\d\d%", done.stdout)
     assert re.search(r"off the grid +\d+\.\d\d% \+- \d\.\d\d% of random positions qualified", done.stdout)
 
 

@@ -6,11 +6,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from lmd.core.checks import BoolArray, FloatArray, InputError, real
+from lmd.core.checks import BoolArray, FloatArray, InputError, check_fields, real
 from lmd.core.worst import worst_mean, worst_of
 from lmd.incremental.field import Field
 from lmd.incremental.worst_groups import WorstGroups
-from lmd.objectives.base import AtLeast, Headline, figure_of
+from lmd.objectives.base import AtLeast, Headline, figure_of, with_error
 from lmd.objectives.coverage import Mean
 from lmd.objectives.filtered.drives import Drives
 from lmd.objectives.filtered.evaluation import FilteredPoses, filtered_poses, frame_information
@@ -66,13 +66,12 @@ class Filtered(AtLeast):
         super().__post_init__()
         if not isinstance(self.drives, Drives):
             raise InputError(f"drives must be Drives, got {self.drives!r}.", "drives")
-        object.__setattr__(self, "tolerance", real("tolerance", self.tolerance, above=0.0))
-        object.__setattr__(self, "pixel_noise", real("pixel_noise", self.pixel_noise, low=1e-6))
+        check_fields(self, real, "tolerance", above=0.0)
+        check_fields(self, real, "pixel_noise", low=1e-6)
         if self.rotation_tolerance is not None:
-            turn = real("rotation_tolerance", self.rotation_tolerance, above=0.0)
-            object.__setattr__(self, "rotation_tolerance", turn)
+            check_fields(self, real, "rotation_tolerance", above=0.0)
         if self.worst is not None:
-            object.__setattr__(self, "worst", real("worst", self.worst, above=0.0, high=1.0))
+            check_fields(self, real, "worst", above=0.0, high=1.0)
 
     @property
     def sampling(self) -> Sampling | None:
@@ -191,10 +190,8 @@ class Filtered(AtLeast):
         """See `Objective.describe_validation`."""
         if self.fresh is None:
             return {}
-        error = figures.get("grid_free_filtered_share_standard_error")
-        within = "" if error is None else f" +- {error:.2%}"
         return {
-            "on fresh drives": f"{figures['grid_free_filtered_share']:.2%}{within} of {self.fresh.seconds.sum():.0f} s "
+            "on fresh drives": f"{with_error(figures, 'grid_free_filtered_share')} of {self.fresh.seconds.sum():.0f} s "
             f"in {len(self.fresh)} drives; {figures['grid_free_worst_drives']:.2%} in {self._worst_of(self.fresh)}"
         }
 

@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from lmd.core.checks import BoolArray, FloatArray, choice, real
-from lmd.objectives.base import AtLeast, Headline, Selection, figure_of
+from lmd.core.checks import BoolArray, FloatArray, check_fields, choice, real
+from lmd.objectives.base import AtLeast, Headline, Selection, figure_of, with_error
 from lmd.objectives.coverage import Mean, Threshold
 from lmd.objectives.localisation.ambiguity import resolved
 from lmd.objectives.localisation.evaluation import localised_views
@@ -69,15 +69,13 @@ class Localisation(AtLeast):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        object.__setattr__(self, "tolerance", real("tolerance", self.tolerance, above=0.0, infinite=True))
-        object.__setattr__(self, "pixel_noise", real("pixel_noise", self.pixel_noise, above=0.0))
+        check_fields(self, real, "tolerance", above=0.0, infinite=True)
+        check_fields(self, real, "pixel_noise", above=0.0)
         choice("fitness", self.climbs, FITNESS)
         choice("ambiguity", self.ambiguity, AMBIGUITY)
         if self.rotation_tolerance is not None:
-            turn = real("rotation_tolerance", self.rotation_tolerance, above=0.0)
-            object.__setattr__(self, "rotation_tolerance", turn)
-        weight = real("coverage_weight", self.coverage_weight, low=0.0, high=1.0)
-        object.__setattr__(self, "coverage_weight", weight)
+            check_fields(self, real, "rotation_tolerance", above=0.0)
+        check_fields(self, real, "coverage_weight", low=0.0, high=1.0)
 
     @property
     def headline(self) -> Headline:
@@ -146,15 +144,11 @@ class Localisation(AtLeast):
 
     def describe_validation(self, figures: Mapping[str, float]) -> dict[str, str]:
         """See `Objective.describe_validation`."""
-
-        def with_error(key: str) -> str:
-            return f"{figures[f'grid_free_{key}']:.2%} +- {figures[f'grid_free_{key}_standard_error']:.2%}"
-
-        key = self.headline.key
+        share = with_error(figures, f"grid_free_{self._share}")
         return {
-            "off the grid": f"{figure_of(self._share).label} {with_error(self._share)}, "
-            f"{with_error('qualified_ratio')} of random positions qualified",
-            "on a finer grid": f"{self.headline.label} {figures[f'finer_grid_{key}']:.2%}",
+            "off the grid": f"{figure_of(self._share).label} {share}, "
+            f"{with_error(figures, 'grid_free_qualified_ratio')} of random positions qualified",
+            "on a finer grid": f"{self.headline.label} {figures[f'finer_grid_{self.headline.key}']:.2%}",
         }
 
     def field(self, evaluator: Evaluator) -> LocalisationField:
