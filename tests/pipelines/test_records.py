@@ -26,6 +26,7 @@ CFG = OmegaConf.create({"seed": 0, "validate": True, "picture": True, "page": Fa
 def _found(tmp_path, monkeypatch):
     """A run that has spent its budget: its problem, result and keyword arguments of `record`."""
     monkeypatch.setattr(tracked_run, "run_directory", lambda: tmp_path)
+    monkeypatch.setattr(tracked_run, "choices", dict)
     p, optimiser = problem(), EGA()
     result = optimiser.run(p, Budget(60))
     Checkpoint(optimiser, {}).save(tmp_path)
