@@ -17,7 +17,6 @@ from .tournament import hold_tournament
 
 if TYPE_CHECKING:
     from lmd.evaluation.comparison import OptimiserRun
-    from lmd.objectives.base import Headline
     from lmd.problem import Problem
 
     from .operations.tracking import Tracker
@@ -47,7 +46,7 @@ def compare(cfg: DictConfig) -> None:
         raise InputError("optimisers must name at least one optimiser.")
     reference = None if cfg.reference is None else choice("reference", cfg.reference, list(configs))
     jobs = [Contender(name, configs[name], seed) for seed in seeds for name in configs]
-    directory, headline = run_directory(), problem.objective.headline
+    directory = run_directory()
     axis, title = "evaluations" if budget.evaluations else "wall_time", title_of(problem, f"{len(seeds)} seeds,")
 
     dataset = dataset_of(cfg, problem)
@@ -60,34 +59,31 @@ def compare(cfg: DictConfig) -> None:
         log_child(cfg.tracking, started, parent, run.metrics, folder / LANDMARKS, curve(run.history, budget))
 
     def write(tracker: "Tracker", done: "Mapping[Contender, OptimiserRun]") -> list[Path]:
-        files = _write(directory, list(done.values()), reference, axis, headline, title)
+        files = _write(directory, list(done.values()), reference, axis, title)
         tracker.log_artifacts(files)
         return files
 
     is_oriented = not problem.scene.tag.is_point
-    contend(
-        cfg, jobs, lambda _: is_oriented, lambda run: headline.text(run.metrics[headline.key]), write, log,
-        problem=problem,
-    )  # fmt: skip
+    contend(cfg, jobs, lambda _: is_oriented, write, log, problem=problem)
     if save_as is not None:
         for kind in ("md", "png"):
             Path(f"{save_as}.{kind}").write_bytes((directory / f"comparison.{kind}").read_bytes())
 
 
-def _write(
-    directory: Path, runs: "Sequence[OptimiserRun]", reference: str | None, axis: str, headline: "Headline", title: str
-) -> list[Path]:
+def _write(directory: Path, runs: "Sequence[OptimiserRun]", reference: str | None, axis: str, title: str) -> list[Path]:
     """Write and print the comparison of runs; returns the files."""
     from lmd.evaluation.comparison import compared
+    from lmd.objectives.base import figure_of
     from lmd.plot.charts import save_comparison_figure
 
     from .reproduction.document import comparison_markdown
 
-    comparison = compared(runs, headline.key, reference)
+    fitness = figure_of("fitness")  # the quantity that is maximised, as in the picture
+    comparison = compared(runs, fitness.key, reference)
     table, text, picture = (directory / f"comparison.{kind}" for kind in ("csv", "md", "png"))
     comparison.table.to_csv(table, index=False)
-    text.write_text(comparison_markdown(comparison, headline))
-    save_comparison_figure(picture, runs, axis, headline, title)
+    text.write_text(comparison_markdown(comparison, fitness))
+    save_comparison_figure(picture, runs, axis, fitness, title)
     files = [table, text, picture]
     if comparison.pairs is not None:
         files.append(directory / "p_values.csv")

@@ -172,7 +172,7 @@ def _copy(job: Contender, earlier: Path, directory: Path) -> None:
 
 
 def contend(
-    cfg: DictConfig, jobs: Sequence[Contender], ups: Callable[[Contender], bool], told: "Callable[[OptimiserRun], str]",
+    cfg: DictConfig, jobs: Sequence[Contender], ups: Callable[[Contender], bool],
     write: "Callable[[Tracker, Mapping[Contender, OptimiserRun]], list[Path]]",
     log: "Callable[[Contender, OptimiserRun, str | None], None] | None" = None, about: str = "",
     problem: "Problem | None" = None,
@@ -183,7 +183,6 @@ def contend(
         cfg: configuration of `compare`.
         jobs: the runs.
         ups: function that returns `ups` of `Contender.save`.
-        told: text about a finished run.
         write: function that writes and logs the files about the finished runs.
         log: function that records a finished run below the tracked run; None to record none.
         about, problem: description and problem of the tracked run, see `tracked`.
@@ -221,7 +220,7 @@ def contend(
                 results[job] = run
                 job.save(directory, run, tracker.run_id, ups(job))
                 logged(job)
-                print(f"{len(results)}/{len(jobs)} {name}: {told(run)}", flush=True)
+                print(f"{len(results)}/{len(jobs)} {name}: fitness {run.metrics['fitness']:.2%}", flush=True)
         except KeyboardInterrupt:
             print(f"interrupted; go on with: {resuming('compare', directory)}", file=sys.stderr)
             raise

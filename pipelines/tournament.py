@@ -41,7 +41,7 @@ def hold_tournament(cfg: DictConfig) -> None:
 
     files = contend(
         cfg, list(_jobs(cfg, boxes)), lambda job: not boxes[job.problem].problem.scene.tag.is_point,
-        lambda run: f"fitness {run.metrics['fitness']:.2%}", write, about=about,
+        write, about=about,
     )  # fmt: skip
     if save_as is not None:
         for file in files:

@@ -127,7 +127,7 @@ def comparison_table(comparison: Comparison, headline: Headline) -> Table:
     key, table = headline.key, comparison.table
     has_off_grid = OFF_GRID in table
     head = ["optimiser", "runs", f"{headline.label}: median (95% interval)", *["off the grid"] * has_off_grid, "rank"]
-    head += [f"evaluations to {target:.2%}" for target in comparison.targets]
+    head += [f"evaluations to fitness {target:.2%}" for target in comparison.targets]
     head += ["seconds", f"A12 against {as_code(comparison.reference)}", "p"]
     rows: list[list[str]] = []
     for row in table.to_dict("records"):

@@ -172,7 +172,8 @@ def test_a_comparison_gives_what_single_runs_give(tmp_path):
     kept = tmp_path / "many" / "runs" / "ega seed=3" / landmarks
     assert kept.read_text().startswith("id,x,y,z,nx,ny,nz,ux,uy,uz\n")
     assert kept.read_text() == (tmp_path / "one" / landmarks).read_text()
-    assert pd.read_csv(tmp_path / "many" / "comparison.csv").qualified_ratio[0] == one["qualified_ratio"]
+    table = pd.read_csv(tmp_path / "many" / "comparison.csv")
+    assert (table.qualified_ratio[0], table.fitness_max[0]) == (one["qualified_ratio"], one["fitness"])
 
 
 @pytest.mark.slow
@@ -182,7 +183,7 @@ def test_an_interrupted_comparison_keeps_a_table_of_what_is_finished_and_goes_on
     process = start(
         command("compare", *shared, "seeds=500"), cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE
     )
-    assert process.stdout.readline().startswith("1/500 ega seed=0")
+    assert process.stdout.readline().startswith("1/500 ega seed=0: fitness ")
     process.send_signal(signal.SIGINT)
     _, err = process.communicate()
     assert process.returncode != 0

@@ -52,6 +52,6 @@ def test_a_run_that_was_kept_and_not_logged_is_logged_when_the_comparison_goes_o
     monkeypatch.setattr(tracker, "keep_newest", replaced.append)
     cfg = composed("compare", f"resume={earlier}", "workers=1")
     for _ in range(2):
-        contend(cfg, [job], lambda _: False, str, lambda *_: [], lambda job, *_: logged.append(job))
+        contend(cfg, [job], lambda _: False, lambda *_: [], lambda job, *_: logged.append(job))
     assert logged == [job]
     assert [tags["job"] for tags in replaced] == [job.tags["job"]]  # one may be recorded in part
