@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from lmd.core.bits import ALL, ONE, ZERO, Integer
+from lmd.core.bits import ONE, ZERO, Integer
 from lmd.core.compiled import inlined, inner
 from lmd.incremental.camera import view_place
 from lmd.incremental.nearby import is_near, pose_of
@@ -16,14 +16,12 @@ from lmd.incremental.occlusion import FIRST_PLACE, NEW_PLACE, OLD_PLACE, note_ne
 from lmd.incremental.state import (
     BLOCK_COUNT,
     BLOCKS,
-    DISAPPEARS,
     HIDDEN,
     HIDING,
     LANDMARK,
     PAIR_COUNT,
     POSITION,
     REACHED,
-    TURNING,
     WANTED,
     State,
 )
@@ -111,16 +109,3 @@ def _touch_flips(state: Any, scratch: Any) -> None:
         i, p = np.uint64(scratch.pairs[LANDMARK, e]), np.uint64(scratch.pairs[POSITION, e])
         if turns(reachable[i, p], hidden[i, p], hidden[i, p] + changes[i, p]):
             touch(p, scratch)
-
-
-@inlined
-def list_turning(p: Integer, state: Any, scratch: Any) -> Any:
-    """List the other landmarks that appear or disappear at position p in `TURNING`, and return their number."""
-    hidden, changes, known, count = state.hides[HIDDEN], scratch.changes[HIDDEN], scratch.known, ZERO
-    turning, disappears = scratch.lists[TURNING], scratch.lists[DISAPPEARS]
-    for i in range(np.uint64(known.shape[1])):
-        if known[p, i]:
-            was = hidden[i, p]
-            turning[count], disappears[count] = i, ALL if was == 0 else ZERO
-            count += np.uint64(turns(state.reachable[i, p], was, was + changes[i, p]))
-    return count

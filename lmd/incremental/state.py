@@ -40,8 +40,6 @@ OTHERS = 4  # landmarks within the horizon of a place
 TOUCHED_LIST = 5  # positions that are `TOUCHED`
 VISIBLE = 6  # by position: a word of ones if the landmark is seen at its old place, else 0; camera only
 UNSURE, PLACES = 7, 8  # sets of axes to be tested, and position and word of each, p << HALF | w; camera only
-# Landmarks that appear or disappear at a position, and a word of ones if a landmark disappears; camera only.
-TURNING, DISAPPEARS = 9, 10
 
 # Rows of `Scratch.sets`.
 FRESH = 0  # orientations among `ASKED` that cover the place tried; for a camera, occlusion is ignored
@@ -111,7 +109,7 @@ class Scratch(NamedTuple):
     flags: np.ndarray
     """`(4, Q)` bool, by block or position: `AIMED` to `REACHED`."""
     lists: np.ndarray
-    """`(11, max(Q W, K) + 1)` uint64: `LISTED` to `DISAPPEARS`."""
+    """`(9, max(Q W, K) + 1)` uint64: `LISTED` to `PLACES`."""
     offsets: np.ndarray
     """`(4, L)` float32, L > K a multiple of `LANES`: vectors to the `OTHERS` and their lengths, metres."""
     sets: np.ndarray
@@ -190,7 +188,7 @@ def _shared_fields(state: State | RigState) -> dict[str, Any]:
         "numbers": np.zeros(5, dtype=np.int64),
         "units": state.units.copy(),
         "flags": np.zeros((4, size), dtype=np.bool_),
-        "lists": np.zeros((DISAPPEARS + 1, max(size * words, count) + 1), dtype=np.uint64),
+        "lists": np.zeros((PLACES + 1, max(size * words, count) + 1), dtype=np.uint64),
         "offsets": np.zeros((4, (count // LANES + 1) * LANES), dtype=np.float32),
         "sets": np.zeros((2, size, words), dtype=np.uint64),
         "digits": np.empty_like(state.counts.digits),

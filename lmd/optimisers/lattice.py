@@ -16,7 +16,6 @@ deployment is evaluated with occlusion, after the landmarks of each stack are se
 
 import operator
 from collections.abc import Callable, Mapping
-from concurrent.futures import wait
 from dataclasses import dataclass
 from functools import partial, reduce
 from typing import Any
@@ -27,7 +26,6 @@ from scipy.optimize import Bounds, LinearConstraint, OptimizeResult, milp
 from scipy.sparse import block_array, block_diag, coo_array, csr_array, eye_array
 
 from lmd.core.checks import BoolArray, FloatArray, InputError, IntArray
-from lmd.core.threads import in_daemon
 from lmd.objectives.coverage import Coverage
 from lmd.objectives.crowd import seeks_worst
 from lmd.optimisers.annealing.surrogate import STACK_SPREAD, pulled_apart
@@ -38,7 +36,6 @@ from lmd.scene.deployment import Deployment
 from lmd.sight.poses import covered_amounts
 
 MOST_PAIRS = 20_000_000  # largest number of pairs of a pose and a view; HiGHS solves far fewer pairs in an hour
-POLL_SECONDS = 0.2  # seconds between two questions while the solver runs
 
 
 def lattice_of(problem: Problem, spacing: float) -> Deployment:
@@ -201,12 +198,3 @@ class Program:
         """Relevance of the qualified positions in a solution, as a share of all."""
         qualified = np.rint(solved.x[-len(self.relevance) :]).astype(int)
         return float(self.relevance @ qualified / self.relevance.sum())
-
-
-def solved_beside(work: Callable[[], OptimizeResult], stop: Callable[[], bool | None]) -> OptimizeResult | None:
-    """Result of `work`, in a thread of its own, or None as soon as `stop`, asked now and then, returns True."""
-    outcome = in_daemon(work)
-    while not wait([outcome], POLL_SECONDS).done:
-        if stop():
-            return None
-    return outcome.result()

@@ -1,18 +1,22 @@
 """Best choice of poses from a lattice with a proof of optimality, by the integer program of `lattice`."""
 
+from concurrent.futures import wait
+
 import numpy as np
 from typing_extensions import override
 
 from lmd.core.checks import InputError, real
 from lmd.core.compiled import clock
+from lmd.core.threads import in_daemon
 from lmd.optimisers.base import Callback, Result
 from lmd.optimisers.deployment_search import DeploymentSearch
-from lmd.optimisers.lattice import POLL_SECONDS, Program, check_lattice, lattice_of, placed, solved_beside
+from lmd.optimisers.lattice import Program, check_lattice, lattice_of, placed
 from lmd.optimisers.ledger import Budget
 from lmd.problem import Problem
 from lmd.scene.deployment import Deployment
 
 PROVEN, INFEASIBLE = 0, 2  # status of scipy.optimize.milp
+POLL_SECONDS = 0.2  # seconds between two questions while the solver runs
 
 
 class Milp(DeploymentSearch):
@@ -67,13 +71,12 @@ class Milp(DeploymentSearch):
         program, most = Program.of(problem, poses), problem.fitness_relevance.sum()
         limit = min(self.seconds, (budget.seconds or np.inf) - (clock() - began))
 
-        def stop() -> bool | None:
+        outcome = in_daemon(program.solver({"time_limit": max(limit, POLL_SECONDS)}))
+        while not wait([outcome], POLL_SECONDS).done:
             ledger.seconds = clock() - began
-            return callback(self) if callback else None
-
-        solved = solved_beside(program.solver({"time_limit": max(limit, POLL_SECONDS)}), stop)
-        if solved is None:
-            return self.result(problem, "interrupted")
+            if callback and callback(self):
+                return self.result(problem, "interrupted")
+        solved = outcome.result()
         if solved.status == INFEASIBLE:
             raise InputError(
                 f"no {problem.free_count} poses of the lattice, {self.spacing:g} m apart, have papers that do not "
