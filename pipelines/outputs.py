@@ -37,13 +37,14 @@ PARTIAL = ".partial_"  # prefix of folders whose files are moved once all files 
 RESERVED_BYTES = 1 << 16  # reserved disk space, bytes: more than landmarks and figures of a thousand tags
 
 
+locks = ExitStack()
+"""Locks of directories that this process holds until its command ends."""
+
+
 class RunDirectory(HydraCallback):
     """Hydra callback that checks the disk before a run, locks the run's directory and the directory that it resumes,
     and removes the directory of a run without results.
     """
-
-    def __init__(self) -> None:
-        self._locks = ExitStack()
 
     def on_run_start(self, config: DictConfig, **kwargs: Any) -> None:
         """Check the disk, lock the directories, and register the removal of an empty directory."""
@@ -53,14 +54,9 @@ class RunDirectory(HydraCallback):
         directory.mkdir(parents=True, exist_ok=True)
         self._lock("hydra.run.dir", directory)
         atexit.register(discard_empty, directory)
-        atexit.register(self._locks.close)
         resumed = Path(str(config.get("resume") or directory)).resolve()
         if resumed != directory:
             self._lock("resume", resumed)
-
-    def on_run_end(self, config: DictConfig, **kwargs: Any) -> None:
-        """Remove the locks."""
-        self._locks.close()
 
     def _lock(self, key: str, directory: Path) -> None:
         """Lock a directory for this process, or exit if another process works there."""
@@ -68,12 +64,12 @@ class RunDirectory(HydraCallback):
             return
         lock: int | None = 0
         with suppress(ImportError, OSError):  # a system without locks, or the directory of another user
-            lock = self._locks.enter_context(held(directory, wait=False))
+            lock = locks.enter_context(held(directory, wait=False))
         if lock is None:
             print(f"error: {key}: another process is at work in {str(directory)!r}.", file=sys.stderr)
             sys.exit(1)
         if lock:
-            self._locks.callback((directory / LOCK).unlink, missing_ok=True)
+            locks.callback((directory / LOCK).unlink, missing_ok=True)
 
     def on_multirun_start(self, config: DictConfig, **kwargs: Any) -> None:
         """Check the disk of the sweep's directory."""

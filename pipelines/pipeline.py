@@ -6,6 +6,7 @@ import re
 import signal
 import sys
 from collections.abc import Callable
+from contextlib import closing
 from dataclasses import dataclass
 from functools import wraps
 from itertools import pairwise
@@ -21,6 +22,7 @@ from .hyperparameters import HELP
 from .operations.signals import Stopped, stop
 from .operations.sweeps import search  # noqa: F401 # from here on Hydra knows this sweeper
 from .operations.sweeps.supervisor import run
+from .outputs import locks
 from .overrides import PATH, as_hydra_reads, ask_what_was_meant, forced
 
 # Launchers that are plugins of Hydra, and their packages.
@@ -154,7 +156,7 @@ class Pipeline:
         compose = hydra.main(version_base="1.3", config_path=CONF, config_name=self.name)
         atexit.register(gc.freeze)  # otherwise the last garbage collection takes a second with mlflow
         try:
-            with stop.raising(), readers_outlived():
+            with stop.raising(), readers_outlived(), closing(locks):
                 compose(run_composed)()
         except Stopped as told:
             sys.exit(told.code)

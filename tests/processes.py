@@ -75,7 +75,7 @@ def refused(pipeline, *overrides, message, cwd, settings=SMALL):
     assert done.returncode == 1
     (sentence,) = (line for line in done.stderr.splitlines() if not line.startswith("compiling "))
     assert sentence.startswith("error: ")
-    assert message in sentence
+    assert message in sentence, sentence
     assert sorted(cwd.iterdir()) == before
 
 

@@ -192,12 +192,12 @@ def test_an_interrupted_comparison_keeps_a_table_of_what_is_finished_and_goes_on
     assert 1 <= row.runs < 500
     assert sorted({run.info.status for run in recorded(tmp_path)}) == ["FINISHED", "KILLED"]
 
-    written = (tmp_path / "run/runs/ega seed=0/run.json").stat().st_mtime_ns
+    written = (tmp_path / "run/runs/ega seed=0/history.csv").stat().st_mtime_ns
     again = call("compare", *shared, f"seeds={row.runs + 1}", "resume=run", cwd=tmp_path)
     assert f"{row.runs}/{row.runs + 1} done already in run" in again.stdout
     (grown,) = pd.read_csv(tmp_path / "run" / "comparison.csv").itertuples()
     assert grown.runs == row.runs + 1
-    assert (tmp_path / "run/runs/ega seed=0/run.json").stat().st_mtime_ns == written
+    assert (tmp_path / "run/runs/ega seed=0/history.csv").stat().st_mtime_ns == written
     newest = max(
         (run for run in recorded(tmp_path) if PARENT not in run.data.tags), key=lambda run: run.info.start_time
     )

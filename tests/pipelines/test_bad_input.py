@@ -134,7 +134,7 @@ CASES = [
     ("export", f"{TAGS} tag.family=4x4_50 formats=[csv,wpilib]", "formats has wpilib, which knows the families "),
     (
         "export", f"{TAGS} tag.edge=2 deployment.free=true formats=[wpilib,sheets]",
-        "tag.edge = 2 m takes 150 sheets of a4 for a tag, more than 100; a larger paper_size ",
+        "tag.edge = 2 m (black square) takes 150 sheets of a4 for a tag, more than 100; a larger paper_size ",
     ),
     ("export", f"{TAGS} paper_size=a5", "paper_size must be one of a4, a3, letter, got"),
     ("export", f"{TAGS} north=90", "north must be in [-6.29319, 6.29319], got 90."),
@@ -152,7 +152,7 @@ CASES = [
     ("survey", "camera.path=two.csv", "two.csv"),
     ("localise", "map=null", "map=FILE must be given, a tag map, or run=DIR"),
     ("localise", "map=nowhere.csv", "map: there is no file 'nowhere.csv'"),
-    ("localise", "map=photos", "there is no file 'photos/map.csv'"),
+    ("localise", "map=photos", "map: there is no file 'photos/landmarks.csv'"),
     ("localise", "deployment.path=map.csv", "map and deployment.path both name a map"),
     ("localise", "tag.edge=null", "tag.edge must be given, in metres: the map has no edge of tag 3"),
     ("localise", "photographs=photos", "photographs=DIR, a folder, a video or a bag, or detections=FILE.csv must"),

@@ -36,7 +36,7 @@ def test_a_file_becomes_every_format(work):
     assert done.returncode == 0, done.stderr
     assert {path.name for path in (work / "out").iterdir()} == {*EVERY, ".hydra"}
     assert ids(work / "out" / "tags.wpilib.json") == {3, 7, 9}
-    assert "tags   3 of 36h11, 150 mm\n" in done.stdout
+    assert "tags   3 of 36h11, 150 mm (black square)\n" in done.stdout
     again = inside("export", *overrides, cwd=work, settings=TAGS)
     assert again.returncode == 0, again.stderr
 
@@ -51,7 +51,7 @@ def test_maps_do_not_wait_for_paper(work):
     done = inside("export", *overrides, "tag.edge=2", "hydra.run.dir=huge", cwd=work, settings=TAGS)
     assert done.returncode == 0, done.stderr
     assert {path.name for path in (work / "huge").iterdir()} == {*EVERY, ".hydra"} - {"sheets.pdf"}
-    assert "note: sheets.pdf is not written: tag.edge = 2 m takes 150 sheets of a4 for a tag" in done.stderr
+    assert "note: sheets.pdf is not written: tag.edge = 2 m (black square) takes 150 sheets" in done.stderr
 
 
 def test_the_planner_starts_whatever_the_paper(capsys):
@@ -60,7 +60,7 @@ def test_the_planner_starts_whatever_the_paper(capsys):
             OmegaConf.create({"export": None, "paper_size": "letter", "north": None}), "export", Tag(edge)
         )
         assert set(formats_of(Tag(edge))) - set(asked.formats) == missing
-    assert capsys.readouterr().err.startswith("note: sheets.pdf is not written: tag.edge = 2 m takes ")
+    assert capsys.readouterr().err.startswith("note: sheets.pdf is not written: tag.edge = 2 m (black square) takes ")
 
 
 def test_a_run_writes_its_own_maps_and_can_be_exported_later(work):
@@ -82,7 +82,7 @@ def test_a_map_of_one_stack_becomes_that_of_another(work):
         "export", *found, "formats=[aruco,json]", "tracking=none", "hydra.run.dir=out", cwd=work, settings=TAGS
     )
     assert done.returncode == 0, done.stderr
-    assert "note: tag.edge = 0.15 m holds for 1 of 2 tags; the others have their own: 0.05 m (1)" in done.stderr
+    assert "note: tag.edge = 0.15 m (black square) holds for 1 of 2 tags; the others have" in done.stderr
     tags = json.loads((work / "out" / "tags.json").read_text())["tags"]
     assert [(tag["id"], tag["edge"]) for tag in tags] == [(3, 0.15), (9, 0.05)]
     assert tags[0]["corners"]["top_left"] == pytest.approx([0.0, 1.925, 3.075])

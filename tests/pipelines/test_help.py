@@ -85,7 +85,7 @@ def test_help_lists_the_groups_without_loading_the_model(pipeline, told):
 
 def test_a_run_loads_nothing_that_only_others_need(told, work):
     text, loaded = told["runs"]
-    assert text.count("qualified ratio") == 2
+    assert text.count("off the grid") == 2
     assert loaded == []
     for folder in ("optimised", "evaluated"):
         assert (work / folder / "scene.png").stat().st_size > 0

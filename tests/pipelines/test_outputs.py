@@ -1,9 +1,11 @@
 """A folder that cannot be written to, or holds an earlier run, is reported before Hydra writes to it."""
 
+from contextlib import closing
+
 import pytest
 from omegaconf import OmegaConf
 
-from pipelines.outputs import RunDirectory
+from pipelines.outputs import RunDirectory, locks
 
 
 @pytest.mark.parametrize(
@@ -22,7 +24,8 @@ def test_a_run_that_cannot_be_written_does_not_begin(tmp_path, monkeypatch, caps
 
 def begin(folder, command="optimise", **settings):
     job = {"run": {"dir": str(folder)}, "job": {"name": command}}
-    RunDirectory().on_run_start(OmegaConf.create({"hydra": job, **settings}))
+    with closing(locks):  # as a command that has ended
+        RunDirectory().on_run_start(OmegaConf.create({"hydra": job, **settings}))
 
 
 @pytest.mark.parametrize(
