@@ -1,6 +1,7 @@
 """Visibility by a detector: the equations against independent ones, and every fast path against the reference."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -25,7 +26,8 @@ from lmd.scene.tag import Tag
 from lmd.sight import reference
 from lmd.sight.evaluator import Evaluator
 from lmd.sight.models.fiducial import Fiducial
-from lmd.sight.models.limits import measured
+from lmd.sight.models.limits import Limits, measured
+from lmd.sight.views import visible
 
 pytestmark = pytest.mark.slow  # images, or kernels of a second model of sight
 
@@ -104,6 +106,18 @@ def test_the_reference_sees_some_tags_and_not_others(lens):
     np.testing.assert_array_equal(seen[sure], expected[sure])
     assert 0.02 < seen.mean() < 0.2
     assert sure.mean() > 0.99
+
+
+def test_without_limits_of_pitch_and_blur_the_area_alone_decides():
+    """The slope of the bound of the depth is zero there, and every tag was unreached."""
+    sharp = Camera(2.0, 0.01, 0.01, (400.0, 300.0), 800, 600, 0.0)
+    scene = replace(fiducial_scene(limits=Limits(0.0, 1.8, 16.0, 83.0, 3.0), psf_sigma=0.0), camera=sharp)
+    deployment = RandomDeployment(60).draw(scene.room, np.random.default_rng(0))
+    axes, position = scene.orientations.axes, np.array([3.0, 2.0, 2.0])
+    expected = reference.coverage_caps(scene, deployment, position, axes)
+    seen = visible(Evaluator(scene, threads=1), deployment, np.tile(position, (len(axes), 1)), axes)
+    np.testing.assert_array_equal(seen, expected)
+    assert expected.any()
 
 
 def check_paths(scene, deployment, targets, n, rng):

@@ -150,8 +150,10 @@ def _from_position(sight: Any, x: float, y: float, z: float, nx: float, ny: floa
     for _ in range(NEWTON_STEPS):
         out = sight.defocus * high - sight.focus
         excess = high * high * (sight.sharp * high * high + sight.blurred * out * out) - most * most
+        if excess <= 0.0:  # also where neither pitch nor blur is limited, and the slope is zero
+            break
         slope = 4.0 * sight.sharp * high * high + 2.0 * sight.blurred * out * (out + sight.defocus * high)
-        high = max(high - max(excess, 0.0) / (high * slope), min(sight.in_focus, high))
+        high = max(high - excess / (high * slope), min(sight.in_focus, high))
     high = min(high, np.sqrt(max(product, 0.0) / (sight.area * least))) * (1.0 + MARGIN)
     # w^2 least(w) <= (fewest / d)^2, a parabola in w; |det J| >= area follows from w^2 d area <= product.
     square = sight.sharp + sight.blurred * sight.defocus * sight.defocus
