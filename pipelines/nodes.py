@@ -91,6 +91,8 @@ def _refusal(error: Exception, extra: Mapping[str, Any]) -> str:
         return f"{key}: {text}"
     if text.startswith("Error locating"):
         return f"{key}._target_ = {target[1]!r}: {lack_of(target[1])}"
+    if re.search(r"takes no arguments|\(the instance to initialize\)", str(cause)):
+        return f"{key}: {target[1]} takes no argument."
     unknown = re.search(r"unexpected keyword argument '(\w+)'", str(cause))
     takes = [name for name in inspect.signature(hydra.utils.get_object(target[1])).parameters if name not in extra]
     if unknown is None or unknown[1] in takes:

@@ -39,8 +39,9 @@ COLUMNS = {
 }
 SHARES = ("metrics.fitness", "metrics.off_grid")  # columns in per cent
 OWN_KEYS = ("tracking", "trust")  # keys whose values on this command line replace the values of the run
-# Keys of `tracking` that go on with the run; where it is recorded is said by this command line.
-RECORDED = re.compile(r"tracking\.tags\b.*")
+# Keys of `tracking` that go on with the run, as an experiment may choose none; this command line says where it is
+# recorded.
+RECORDED = re.compile(r"tracking(\.tags\b.*)?")
 PLACE_KEYS = ("hydra", "save_as", "kept")  # keys with a path to which files are written
 LIST_KEYS = ("optimisers", "deployments")  # lists of options, each of which may have overrides of its own
 # Names of options. With dots and slashes a name could be any file, and with = or ~ an override.

@@ -63,12 +63,12 @@ def told(folder, status="KILLED", **tags):
 def test_a_run_goes_on_by_what_hydra_wrote_into_its_folder(says, left):
     says("last=5", "tracking.uri=sqlite:///mine.db", "resume=last", "trust=[mine]", "+tracking.tags.by=you")
     task = ("optimiser=ega", "deployment.count='+5'", "tracking.uri=http://else:5000", "resume=old", "trust=[mine]",
-            "+tracking.tags.study='a b'", "++tracking.tags.by=me")  # fmt: skip
+            "tracking=mlflow", "+tracking.tags.study='a b'", "++tracking.tags.by=me")  # fmt: skip
     folder = left(*task, own=["hydra.run.dir=x", "hydra.mode=RUN", "hydra.verbose=true"])
     again = told(folder)
-    arguments = ["optimiser=ega", "deployment.count='+5'", "+tracking.tags.study='a b'", "hydra.mode=RUN",
-                 "hydra.verbose=true", "tracking.uri=sqlite:///mine.db", "trust=[mine]", "+tracking.tags.by=you",
-                 f"hydra.run.dir={folder}", f"resume={folder}"]  # fmt: skip
+    arguments = ["optimiser=ega", "deployment.count='+5'", "tracking=mlflow", "+tracking.tags.study='a b'",
+                 "hydra.mode=RUN", "hydra.verbose=true", "tracking.uri=sqlite:///mine.db", "trust=[mine]",
+                 "+tracking.tags.by=you", f"hydra.run.dir={folder}", f"resume={folder}"]  # fmt: skip
     assert again.process == (sys.executable, "-m", "pipelines.optimise", *arguments)
     assert again.command == f"python -m pipelines.optimise {shlex.join(arguments)}"
     assert not again.why_not
