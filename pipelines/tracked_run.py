@@ -84,7 +84,7 @@ def dataset_of(cfg: DictConfig, problem: Problem) -> Dataset:
     if isinstance(suite, str) and (frozen := document(suite)).problem["deployment"].get("count") == problem.count:
         return Dataset(suite, frozen.hash, {"about": frozen.about})
     chosen = {group: choices().get(group, "") for group in (*GROUPS, "body") if group in cfg}
-    placed = {key: cfg.deployment[key] for key in DECIDED if key in cfg.deployment}
+    placed = {key: cfg.deployment[key] for key in DECIDED if cfg.deployment.get(key) is not None}
     settings = flat_settings(cfg, *chosen, *(["cameras", "deployment"] if "cameras" in cfg else []))
     words = {**chosen, "objective": problem.objective.name, "K": str(problem.count)}
     called = " ".join(dict.fromkeys([chosen["room"], chosen["camera"]]))

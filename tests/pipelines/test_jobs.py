@@ -4,6 +4,7 @@ import os
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 from omegaconf import OmegaConf
@@ -11,11 +12,13 @@ from omegaconf import OmegaConf
 import pipelines.app
 from lmd.core.checks import InputError
 from lmd.optimisers.checkpoint import CHECKPOINT_FILE
+from pipelines import compose
 from pipelines.app import _Unread
 from pipelines.operations.sweeps.folder import Job, JobFolder, Sweep, SweepFolder, reason_of
 from pipelines.operations.sweeps.names import job_folder, slug, varied_keys
 from pipelines.outputs import RunDirectory, held
 from pipelines.overrides import key_and_value, quoted
+from pipelines.tracked_run import dataset_of
 
 
 def test_names():
@@ -123,3 +126,10 @@ def test_a_folder_is_held_by_one_process_and_the_child_that_inherits_it(tmp_path
     child.communicate(b"\n")
     with held(tmp_path, wait=False) as second:
         assert second is not None
+
+
+def test_commands_with_the_same_problem_have_one_digest(monkeypatch):
+    monkeypatch.setattr("pipelines.tracked_run.choices", dict)
+    problem = SimpleNamespace(count=40, objective=SimpleNamespace(name="n=2"))
+    every = {dataset_of(compose(command, "tracking=none"), problem).digest for command in ("optimise", "evaluate")}
+    assert len(every) == 1

@@ -131,5 +131,6 @@ def test_a_sweep_is_named_by_what_varies():
     )
     assert sweep_title(swept("seed=0,1")) == "seed"
     assert sweep_title(swept("experiment=landmark_count", "seed=0,1")) == "landmark_count"
+    assert sweep_title(swept("experiment=debug", "room=lab", "objective.n=2,3")) == "n experiment=debug room=lab"
     assert sweep_title(swept("experiment=debug,hall")) == "experiment"
     assert sweep_title(swept("hparams_search=ega", "experiment=debug")) == "search ega debug"

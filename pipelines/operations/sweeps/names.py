@@ -91,17 +91,17 @@ def sweep_name(root: DictConfig) -> str:
 
 
 def sweep_title(root: DictConfig) -> str:
-    """Name of a sweep's run: its experiment, its search, or else the keys that it varies, then what else is given:
-    `n x thold_p x optimiser room=hall`.
+    """Name of a sweep's run: its experiment if that has the sweep's values, its search, or else the keys that it
+    varies, then what else is given: `n x thold_p x optimiser room=hall`.
     """
     experiment, search = (root.hydra.runtime.choices.get(group) for group in ("experiment", "hparams_search"))
     keys = varied_keys(swept(root))
     title = " x ".join(key.split(".")[-1] for key in keys if key != SEED) or SEED
     if search is not None:
         title = " ".join(filter(None, ["search", search, experiment]))
-    elif experiment is not None and "experiment" not in keys:
+    elif root.hydra.sweeper.get("params") and experiment is not None and "experiment" not in keys:
         title = str(experiment)
-    return " ".join(filter(None, [title, in_name(fixed(root), *filter(None, [experiment, search]))]))
+    return " ".join(filter(None, [title, in_name(fixed(root), *title.split())]))
 
 
 def fixed(root: DictConfig) -> tuple[str, ...]:
