@@ -14,7 +14,8 @@ from typing import TYPE_CHECKING, Any
 import hydra
 from omegaconf import DictConfig, OmegaConf
 
-from .overrides import LIKENESS
+from .overrides import LIKENESS, known_keys
+from .trust import Trust
 
 if TYPE_CHECKING:
     from lmd.detection.detectors import Detector
@@ -107,16 +108,16 @@ def _refusal(error: Exception, extra: Mapping[str, Any]) -> str:
 
 
 def _set_by_experiment(key: str) -> str:
-    """Hint to leave out a key that an experiment sets for another option of its group; empty without such an
-    experiment.
-    """
+    """Hint to leave out a key that the experiment sets for another option of its group; empty if none sets it."""
     from hydra.core.hydra_config import HydraConfig
 
     if not HydraConfig.initialized():
         return ""
     asked, name = HydraConfig.get().overrides.task, HydraConfig.get().runtime.choices.get("experiment")
     own = name is None or any(each.lstrip("+").partition("=")[0] == key for each in asked)
-    return "" if own else f"experiment={name} sets it for another {key.partition('.')[0]}: leave it out by ~{key}"
+    if own or not any(key in known_keys(str(folder / "experiment")) for folder in Trust.given().folders):
+        return ""
+    return f"experiment={name} sets it for another {key.partition('.')[0]}: leave it out by ~{key}"
 
 
 def settings_of(cfg: DictConfig, key: str) -> DictConfig:

@@ -62,7 +62,7 @@ def lack_of(target: str) -> str:
         try:
             found = getattr(found, part) if hasattr(found, part) else importlib.import_module(whole)
         except ModuleNotFoundError as error:
-            if error.name != whole:
+            if not f"{whole}.".startswith(f"{error.name}."):  # an alias of a module is no package
                 return failure(error)
             below = pkgutil.iter_modules(getattr(found, "__path__", None if found is None else []))
             callables = [name for name, value in vars(found or object).items() if name[0] != "_" and callable(value)]

@@ -119,6 +119,11 @@ def test_what_an_experiment_sets_for_another_choice_is_said_to_be_its(tmp_path):
     message = "deployment.path is no setting that is known; experiment=frc_2025 sets it for another deployment"
     overrides = ("experiment=frc_2025", "deployment=random", "hydra.run.dir=run")
     refused("optimise", *overrides, message=message, cwd=tmp_path, settings=())
+    (tmp_path / "optimiser").mkdir()
+    (tmp_path / "optimiser/own.yaml").write_text("_target_: lmd.optimisers.ega.EGA\npopulaton: 3\n")
+    message = r"optimiser.populaton is no setting that is known; did you mean optimiser.population?"
+    overrides = ("experiment=debug", f"hydra.searchpath=[{tmp_path}]", "optimiser=own", "hydra.run.dir=run")
+    refused("optimise", *overrides, message=message, cwd=tmp_path, settings=())
 
 
 class Half:

@@ -64,6 +64,7 @@ GA = "pymoo.algorithms.soo.nonconvex.ga"
         (f"{GA}.GAA", {}, f"part._target_ = '{GA}.GAA': {GA} has no GAA; did you mean GA?"),
         ("pymoo.algorithms.soo.nonconvx.GA", {}, ": pymoo.algorithms.soo has no nonconvx; did you mean nonconvex?"),
         ("lmd.objectives.coverage.Covrage", {}, ": lmd.objectives.coverage has no Covrage; did you mean Coverage?"),
+        ("nevergrad.optimizers.CMAA", {}, ": nevergrad.optimizers has no CMAA; did you mean CMA"),
         ("own_modul.Mine", {}, ": there is no module own_modul; did you mean own_module?"),
         ("own_module.Other", {}, ": own_module has no Other; it has Bare, Mine"),
         ("own_failing.Mine", {}, ": own_failing.Mine cannot be imported: ZeroDivisionError: division by zero ("),
