@@ -11,15 +11,15 @@ import weight
 # What the project may weigh. What a change adds it pays by what it takes out; lower a number when you have lowered the
 # amount, and raise none.
 BUDGET = {
-    "files of lmd": 391,
-    "code lines of lmd": 33977,
+    "files of lmd": 382,
+    "code lines of lmd": 33375,
     "files of pipelines": 70,
-    "code lines of pipelines": 5691,
-    "code lines of tests": 29251,
-    "files of conf": 141,
-    "keys of conf": 616,
-    "words of docs": 69235,
-    "commands": 21,
+    "code lines of pipelines": 5685,
+    "code lines of tests": 29192,
+    "files of conf": 137,
+    "keys of conf": 598,
+    "words of docs": 68442,
+    "commands": 20,
 }
 # Docstrings and comments with each phrase, at most. Lower a number when you have lowered the count.
 CEILINGS = {
