@@ -43,6 +43,8 @@ def test_what_an_option_changes_elsewhere_is_not_shared():
     assert shared("optimiser=ega,sga", "seed=0,1")["encoding"] == "paper"
     mixed = shared("optimiser=ega,annealing", "seed=0,1", "objective.n=3")
     assert "encoding" not in mixed
+    filtered = shared("objective=filtered", "odometry@objective.odometry=fast", "seed=0,1")  # mlflow's names have no @
+    assert (filtered["objective.odometry"], [key for key in filtered if "@" in key]) == ("fast", [])
     assert not [key for key in mixed if key.startswith(("optimiser", "seed"))]
     assert mixed["objective.n"] == 3
 
