@@ -112,11 +112,7 @@ def chosen(picked: Mapping[Any, Any]) -> dict[str, str]:
     """Hydra's `choices` without Hydra's own groups; a group in another place, such as `odometry@objective.odometry`, is
     called by its place, as mlflow's names have no @.
     """
-    return {
-        str(k).rpartition("@")[2]: str(v)
-        for k, v in picked.items()
-        if not str(k).startswith("hydra/") and v is not None
-    }
+    return {k.rpartition("@")[2]: str(v) for k, v in picked.items() if v is not None and not k.startswith("hydra/")}
 
 
 @contextmanager

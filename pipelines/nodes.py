@@ -92,12 +92,11 @@ def _refusal(error: Exception, extra: Mapping[str, Any]) -> str:
         return f"{key}: {text}"
     if text.startswith("Error locating"):
         return f"{key}._target_ = {target[1]!r}: {lack_of(target[1])}"
-    if re.search(r"takes no arguments|\(the instance to initialize\)", str(cause)):
-        return f"{key}: {target[1]} takes no argument."
     unknown = re.search(r"unexpected keyword argument '(\w+)'", str(cause))
     takes = [name for name in inspect.signature(hydra.utils.get_object(target[1])).parameters if name not in extra]
     if unknown is None or unknown[1] in takes:
-        at_the_call = "hydra" in Path(traceback.extract_tb(cause.__traceback__)[-1].filename).parts
+        raised = Path(traceback.extract_tb(cause.__traceback__)[-1].filename)
+        at_the_call = "hydra" in raised.parts or raised.name == "typing.py"
         return f"{key}: {cause if at_the_call else f'{target[1]} failed: {failure(cause)}'}"
     if unknown[1] in extra:
         return f"{key}: {target[1]} must take the argument {unknown[1]}."
@@ -115,9 +114,8 @@ def _set_by_experiment(key: str) -> str:
         return ""
     asked, name = HydraConfig.get().overrides.task, HydraConfig.get().runtime.choices.get("experiment")
     own = name is None or any(each.lstrip("+").partition("=")[0] == key for each in asked)
-    if own or not any(key in known_keys(str(folder / "experiment")) for folder in Trust.given().folders):
-        return ""
-    return f"experiment={name} sets it for another {key.partition('.')[0]}: leave it out by ~{key}"
+    sets = not own and any(key in known_keys(str(folder / "experiment")) for folder in Trust.given().folders)
+    return f"experiment={name} sets it for another {key.partition('.')[0]}: leave it out by ~{key}" if sets else ""
 
 
 def settings_of(cfg: DictConfig, key: str) -> DictConfig:

@@ -179,8 +179,7 @@ def _is_kept(override: str, source: str, is_sweep: bool, given: Container[str], 
     if is_replaced or (first == "resume" and not is_sweep):
         return False
     if first == "trust":
-        lacking = [name for name in listed(override) if name not in trust.names]
-        if lacking:
+        if lacking := [name for name in listed(override) if name not in trust.names]:
             raise InputError(f"it was told trust={lacking}; if you trust that too, add it ({PAGE})")
         return False
     if first in PLACE_KEYS or parsed.package is not None or (varies and TARGET in override.replace("\\", "")):

@@ -24,10 +24,8 @@ from pipelines.tracked_run import dataset_of
 def test_names():
     assert slug("n-2_path-out/a b,c=d.csv") == "n-2_path-out-a-b-c-d.csv"  # needs no quotes in an override
     assert quoted(Path("it's a\\b")) == r"'it\'s a\\b'"
-    assert varied_keys(["optimiser=ega,sga", "objective.n=2", "seed=range(3)", "room.size=[1,2,3]"]) == (
-        "optimiser",
-        "seed",
-    )
+    overrides = ["optimiser=ega,sga", "+a@b.c=d,e", "objective.n=2", "seed=range(3)", "room.size=[1,2,3]"]
+    assert varied_keys(overrides) == ("optimiser", "a@b.c", "seed")
     assert key_and_value("+room.note=a=b") == ("room.note", "a=b")
     assert JobFolder("job").checkpoint.name == CHECKPOINT_FILE
 

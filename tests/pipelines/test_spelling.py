@@ -52,8 +52,6 @@ class Mine:
     def __init__(self, width=1, seed=0):
         if width > 1:
             raise KeyError("wide")
-class Bare:
-    pass
 """
 GA = "pymoo.algorithms.soo.nonconvex.ga"
 
@@ -66,12 +64,12 @@ GA = "pymoo.algorithms.soo.nonconvex.ga"
         ("lmd.objectives.coverage.Covrage", {}, ": lmd.objectives.coverage has no Covrage; did you mean Coverage?"),
         ("nevergrad.optimizers.CMAA", {}, ": nevergrad.optimizers has no CMAA; did you mean CMA"),
         ("own_modul.Mine", {}, ": there is no module own_modul; did you mean own_module?"),
-        ("own_module.Other", {}, ": own_module has no Other; it has Bare, Mine"),
+        ("own_module.Other", {}, ": own_module has no Other; it has Mine"),
         ("own_failing.Mine", {}, ": own_failing.Mine cannot be imported: ZeroDivisionError: division by zero ("),
         ("own_lacking.Mine", {}, ": ModuleNotFoundError: No module named 'lmd.nothing' (own_lacking.py, line 1)"),
         ("own_module.Mine", {"widht": 2}, "part.widht is no setting that is known; did you mean part.width?"),
         ("own_module.Mine", {"step": 2}, "part.step is no setting that is known; own_module.Mine takes width"),
-        ("own_module.Bare", {"width": 2}, "part: own_module.Bare takes no argument."),
+        ("pipelines.operations.tracking.tracker.NoTracker", {}, "part: NoTracker.__init__() takes exactly one arg"),
         ("own_module.Mine", {"width": 2}, "part: own_module.Mine failed: KeyError: 'wide' (own_module.py, line 5)"),
         ("lmd.optimisers.ledger.Ledger", {}, "part: lmd.optimisers.ledger.Ledger must take the argument seed."),
         ("lmd.optimisers.wrapped.AskAndTell", {}, "part: AskAndTell.__init__() missing 1 required"),

@@ -81,7 +81,7 @@ def varied_keys(overrides: Sequence[str]) -> tuple[str, ...]:
     from hydra.core.override_parser.overrides_parser import OverridesParser
 
     parsed = OverridesParser.create().parse_overrides(list(overrides))
-    return tuple(dict.fromkeys(str(o.key_or_group) for o in parsed if o.is_sweep_override()))
+    return tuple(dict.fromkeys(o.get_key_element().lstrip("+~") for o in parsed if o.is_sweep_override()))
 
 
 def sweep_name(root: DictConfig) -> str:
