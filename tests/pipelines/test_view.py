@@ -96,6 +96,7 @@ def test_a_tag_is_dragged_and_saved_and_the_figures_are_those_of_evaluate(planne
     done = call("evaluate", "run=out", "tracking=none", cwd=work, settings=quick)
     assert done.returncode == 0, done.stderr
     said = {key: line[len(key) :].strip() for line in done.stdout.splitlines() for key in shown if line.startswith(key)}
+    assert shown.pop("since opened").endswith(" points of fitness")
     assert said == shown
     assert page.complaints() == []
     assert set(chromium.requests(browser)) == {address}
