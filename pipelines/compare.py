@@ -48,9 +48,7 @@ def compare(cfg: DictConfig) -> None:
     jobs = [Contender(name, configs[name], seed) for seed in seeds for name in configs]
     directory = run_directory()
     axis, title = "evaluations" if budget.evaluations else "wall_time", title_of(problem, f"{len(seeds)} seeds,")
-
     dataset = dataset_of(cfg, problem)
-
     shared = parameters(cfg, choices())  # so that tables of runs have the same columns as those of optimise
 
     def log(job: Contender, run: "OptimiserRun", parent: str | None) -> None:

@@ -155,7 +155,7 @@ def kept_of(resume: Any, jobs: Iterable[Contender], directory: Path) -> Kept:
                 continue
             runs[job], record = saved
             parent = parent or record["parent"]
-            logged += [job] * record.get("logged", True)  # an earlier version has no such key
+            logged += [job] * record["logged"]
             if folder.resolve() != directory.resolve():
                 _copy(job, folder, directory)
             break

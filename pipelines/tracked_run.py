@@ -111,8 +111,8 @@ def tracked(
         cfg: configuration, logged as parameters.
         subject: subject of the run, in a word.
         about: description of the run; by default the title of its problem.
-        problem: its problem, if it has one.
         earlier: the run that it continues. A new run is linked to it if its record differs from this configuration.
+        problem: its problem, if it has one.
     """
     tracker: Tracker = instantiate(cfg.tracking)
     job, overrides = current_job(), list(HydraConfig.get().overrides.task)

@@ -105,9 +105,8 @@ class SweepRecord(Callback):
             tags = {"sweep": sweep.name, "pipeline": config.hydra.job.name}
             tags |= override_tags(overrides) | source_tags(config.hydra.job.name)
             params = shared_parameters(config, values)
-            tracker.start(
-                RunStart(sweep_title(config), folder.path, params, tags), sweep.run_id
-            )  # a run keeps its first params
+            started = RunStart(sweep_title(config), folder.path, params, tags)
+            tracker.start(started, sweep.run_id)  # a run keeps its first params
         except InputError as error:
             hint = f" (to start the sweep afresh, delete {folder.path})" if before else ""
             if before is None:

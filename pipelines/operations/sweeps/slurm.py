@@ -5,13 +5,12 @@ submitit by itself asks SLURM's accounting, which some clusters lack, and only e
 
 import os
 import shutil
-import sys
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from hydra.core.utils import JobReturn, JobStatus
-from submitit.core.utils import FailedJobError, UncompletedJobError
+from submitit.core.utils import UncompletedJobError
 from submitit.slurm import slurm
 
 from lmd.core.checks import InputError
@@ -87,20 +86,11 @@ class QueuedJob(slurm.SlurmJob[JobReturn]):
 
 
 def follow_the_queue() -> None:
-    """Make submitit use the classes of this module, and exit if SLURM refuses jobs, for which it has no settings.
+    """Make submitit use the classes of this module, for which it has no setting.
 
     Raises:
         InputError: there is no SLURM here.
     """
     if lacking := [program for program in PROGRAMS if shutil.which(program) is None]:
         raise InputError(f"this launcher needs SLURM, and there is no {lacking[0]}; hydra/launcher=joblib needs none.")
-    submit = slurm.SlurmExecutor._submit_command
-
-    def submit_or_exit(executor: Any, command: str) -> Any:
-        try:
-            return submit(executor, command)
-        except FailedJobError as error:
-            sys.exit(f"error: SLURM takes no jobs: {str(error).splitlines()[-1]}")
-
-    slurm.SlurmExecutor._submit_command = submit_or_exit  # type: ignore[assignment, method-assign]
     slurm.SlurmJob = slurm.SlurmExecutor.job_class = QueuedJob  # type: ignore[assignment, misc]

@@ -88,7 +88,7 @@ def why_nothing(found: Found) -> str:
         return ""
     first = next((each for each in causes if each), None)
     if first is None:
-        return "no job qualifies any position; validate=true says which criterion excludes most"
+        return "no job qualifies any position"
     without = {key.removeprefix(WITHOUT): share for key, share in first.items() if key.startswith(WITHOUT)}
     worst = max(without, key=lambda name: without[name])
     excluded = f"{worst.replace('_', ' ')} excludes most: without it {without[worst]:.2%} of single landmarks"

@@ -43,7 +43,6 @@ class MlflowTracker:
         self._tags = {key: str(value) for key, value in (tags or {}).items()}
         self._run_id: str | None = None
         self._journal: Journal | None = None
-        self._figures: list[str] = []  # names of the metrics of the run
         self._sent = 0  # number of entries of the journal that were sent
         self._lost = False  # True after the store failed to answer
 
@@ -124,7 +123,6 @@ class MlflowTracker:
 
     def log_metrics(self, metrics: Mapping[str, float]) -> None:
         """See `Tracker.log_metrics`."""
-        self._figures += [key for key in metrics if key not in self._figures]
         self._record({"metrics": {key: float(value) for key, value in metrics.items()}, "at": now()})
 
     def log_artifacts(self, paths: Iterable[Path]) -> None:
@@ -138,8 +136,9 @@ class MlflowTracker:
         self._journal.add({"end": status, "reason": reason, "at": now()})
         try:
             self._send()
+            figures = dict.fromkeys(name for entry in self._journal.entries for name in entry.get("metrics", ()))
+            show_figures(self.store.client, self.store.experiment_id, list(figures))
             self._journal.remove()
-            show_figures(self.store.client, self.store.experiment_id, self._figures)
         except Exception as error:
             self._warn_once(error)
             try:

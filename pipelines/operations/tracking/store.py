@@ -64,9 +64,8 @@ class Store:
     def _connect(self) -> "MlflowClient":
         from mlflow import MlflowClient
 
-        logging.getLogger("mlflow.store.db.utils").setLevel(
-            logging.CRITICAL
-        )  # every new table, and errors as tracebacks
+        # mlflow logs every new table, and errors with their tracebacks.
+        logging.getLogger("mlflow.store.db.utils").setLevel(logging.CRITICAL)
 
         if not self.uri.startswith(SQLITE):
             return MlflowClient(tracking_uri=self.uri)
