@@ -41,7 +41,9 @@ def save_convergence_figure(path: str | Path, history: Mapping[str, ArrayLike], 
     axes = figure.add_subplot()
     axes.step(evaluations, best, where="post", linewidth=1.8)
     axes.plot(evaluations[-1], best[-1], "o", color="C0", clip_on=False)
-    axes.set(title=literal(title), xlabel="evaluations", ylabel="best fitness [%]", ylim=(0.0, 100.0))
+    axes.set(title=literal(title), xlabel="evaluations", ylabel="best fitness [%]")
+    if best.min() >= 0.0 and best.max() <= 100.0:  # an objective of one's own may be no share
+        axes.set_ylim(0.0, 100.0)
     axes.set_xlim(left=0)
     axes.xaxis.set_major_locator(MaxNLocator(integer=True))
     axes.xaxis.set_major_formatter("{x:,.0f}")

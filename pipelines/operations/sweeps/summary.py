@@ -12,7 +12,7 @@ from typing import Any
 
 from ...earlier_run import GROUPS
 from .folder import Job, JobFolder, Sweep
-from .names import SEED, shown
+from .names import SEED, in_name, shown
 
 # Figures of jobs that are columns of the table, if any job has them.
 FIGURES = (
@@ -73,11 +73,13 @@ def draw_groups(path: Path, sweep: Sweep, found: Found) -> list[Path]:
             history = folder.path / HISTORY_FILE
             if "fitness" in figures and history.is_file():
                 rows = read_numbers(history, [*columns_of([])], name="history").tolist()
-                search = Searched([Record(*row) for row in rows], figures["fitness"], figures.get("off_grid"))
-                groups.setdefault(group, []).append(search)
+                if rows:
+                    search = Searched([Record(*row) for row in rows], figures["fitness"], figures.get("off_grid"))
+                    groups.setdefault(group, []).append(search)
     if not groups:
         return []
-    save_groups_figure(path, groups, grouping_keys(sweep), sweep.name)
+    keys = grouping_keys(sweep)
+    save_groups_figure(path, groups, keys, " ".join(filter(None, [" x ".join(keys), in_name(sweep.given)])))
     return [path]
 
 
