@@ -1,6 +1,6 @@
 """Charts of figures, as PNGs: convergence, optimisers side by side, trade-offs, heat maps, sensitivity."""
 
-import math
+import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -184,10 +184,7 @@ def _labelled(keys: Sequence[str], group: Sequence[str]) -> str:
 
 
 def _is_number(text: str) -> bool:
-    try:
-        return math.isfinite(float(text))
-    except ValueError:
-        return False
+    return re.fullmatch(r"-?\d+(\.\d*)?(e[-+]?\d+)?", text) is not None
 
 
 class Panel(NamedTuple):
