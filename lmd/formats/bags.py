@@ -4,17 +4,15 @@ Messages are read by definitions of `lmd`, not by those in the bag, from which t
 whose definition of a type has another hash is refused.
 """
 
-import io
 import math
 import os
 import struct
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
-from functools import cache, cached_property, partial
+from functools import cache, cached_property
 from pathlib import Path
-from types import SimpleNamespace
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 from lmd.core.checks import InputError, bounded, printable
 from lmd.core.files import read_bytes
@@ -37,6 +35,8 @@ APRILTAG_MSGS = {
 LARGEST_METADATA, LARGEST_CHUNK = 1 << 19, 1 << 28
 # Greatest size of a file when it is expanded: bytes, and bytes for each byte of the file.
 LARGEST_FILE, LARGEST_RATIO = 1 << 30, 100
+ZSTD = b"\x28\xb5\x2f\xfd"  # first bytes of what is compressed by zstd
+CHUNK, CHUNK_HEAD = 0x06, 37  # operation of a chunk in MCAP, and bytes from its begin to the name of its compression
 MOST_TOPICS = 8  # largest number of topics that a message names
 SHOWN = 120  # largest number of characters of a library's reason that a message shows
 
@@ -66,37 +66,63 @@ def types() -> Any:
 
 @cache
 def _reader() -> Any:
-    """Reader of bags by the library, which expands what is compressed only up to the limits of this module, and does
-    not parse the settings of transport, which may be long.
-    """
+    """Class of the library's reader that looks first whether what is compressed expands beyond the limits."""
     optional("rosbags", EXTRA)
-    names = "reader", "storage_mcap", "storage_sqlite3"
-    library, mcap, database = (optional(f"rosbags.rosbag2.{name}", EXTRA) for name in names)
+    library, mcap = (optional(f"rosbags.rosbag2.{name}", EXTRA) for name in ("reader", "storage_mcap"))
     zstd, lz4 = library.zstd, optional("lz4.frame", EXTRA)
+    kinds = {"zstd": zstd.ZstdDecompressor, "lz4": lz4.LZ4FrameDecompressor}
 
-    def chunk(kind: Any, content: bytes, *_: int) -> bytes:
-        expanded: bytes = kind().decompress(content, LARGEST_CHUNK + 1)
-        bounded("bytes in a compressed message or chunk", len(expanded), LARGEST_CHUNK, "it")
-        return expanded
+    def expanded(kind: str, content: bytes) -> bytes:
+        found: bytes = kinds[kind]().decompress(content, LARGEST_CHUNK + 1)
+        bounded("bytes in a compressed message or chunk", len(found), LARGEST_CHUNK, "it")
+        return found
 
-    class Expanded(io.RawIOBase):
-        """Content of a compressed file."""
+    def check_length(file: Any, most: int) -> None:
+        count = 0
+        while part := file.read(1 << 20):
+            count += len(part)
+            bounded("bytes in a compressed file", count, most, "it")
 
-        def __init__(self, file: Any, _: str) -> None:
-            self.inner, self.count = zstd.open(file), 0
-            self.most = LARGEST_FILE + LARGEST_RATIO * os.fstat(file.fileno()).st_size
+    class Mcap(mcap.McapReader):  # type: ignore[misc, name-defined]
+        def messages(self, *asked: Any, **limits: Any) -> Iterator[Any]:
+            for start in [chunk.chunk_start_offset for chunk in self.chunks] or self._records(CHUNK):
+                self.bio.seek(start + CHUNK_HEAD)
+                kind = mcap.read_string(self.bio)
+                if kind in kinds:
+                    expanded(kind, self.bio.read(*struct.unpack("<Q", self.bio.read(8))))
+            yield from super().messages(*asked, **limits)
 
-        def read(self, size: int = -1) -> bytes:
-            found: bytes = self.inner.read(size)
-            self.count += len(found)
-            bounded("bytes in a compressed file", self.count, self.most, "it")
-            return found
+        def _records(self, kind: int) -> Iterator[int]:
+            start = self.data_start
+            while start < self.data_end:
+                self.bio.seek(start)
+                operation, size = struct.unpack("<BQ", self.bio.read(9))
+                if operation == kind:
+                    yield start
+                start += 9 + size
 
-    by_zstd, by_lz4 = partial(chunk, zstd.ZstdDecompressor), partial(chunk, lz4.LZ4FrameDecompressor)
-    library.zstd = SimpleNamespace(open=Expanded, decompress=by_zstd)
-    mcap.DECOMPRESSORS |= {"zstd": by_zstd, "lz4": by_lz4}
-    library.parse_qos = mcap.parse_qos = database.parse_qos = lambda _: []
-    return library.Reader
+    class Folder(library.DirectoryReader):  # type: ignore[misc, name-defined]
+        STORAGE_PLUGINS: ClassVar = {**library.DirectoryReader.STORAGE_PLUGINS, "mcap": Mcap}
+
+        def open(self) -> None:
+            for path in filter(Path.is_file, self.path.iterdir()):
+                with path.open("rb") as content:
+                    if content.read(len(ZSTD)) == ZSTD:
+                        content.seek(0)
+                        check_length(zstd.open(content), LARGEST_FILE + LARGEST_RATIO * path.stat().st_size)
+            super().open()
+            self.is_by_message = self.metadata.compression_mode == "message"  # type: ignore[has-type]
+            # The library would expand messages without a limit.
+            self.metadata = self.metadata._replace(compression_mode=None)  # type: ignore[has-type]
+
+        def messages(self, *asked: Any, **limits: Any) -> Iterator[Any]:
+            for connection, time, raw in super().messages(*asked, **limits):
+                yield connection, time, expanded("zstd", raw) if self.is_by_message else raw
+
+    class Reader(library.Reader):  # type: ignore[misc, name-defined]
+        STORAGE_PLUGINS: ClassVar = {**library.Reader.STORAGE_PLUGINS, "dir": Folder, ".mcap": Mcap}
+
+    return Reader
 
 
 def is_bag(path: Any) -> bool:

@@ -46,7 +46,6 @@ MOST_FRAMES = 64  # greatest number of different cameras of frames in a file
 MILLIMETRES = 1000.0
 NERF_FISHEYE = "OPENCV_FISHEYE"
 NERF_MODELS = ("OPENCV", "PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL", NERF_FISHEYE)
-METASHAPE = ("f", "cx", "cy", "b1", "b2", "k1", "k2", "k3", "k4", "p1", "p2", "p3", "p4")
 NERF_LENS = ("k1", "k2", "k3", "k4", "p1", "p2")
 NERF_KEYS = ("w", "h", "fl_x", "fl_y", "cx", "cy", *NERF_LENS, "distortion_params", "camera_model")
 
