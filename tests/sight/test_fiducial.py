@@ -192,7 +192,7 @@ def test_a_plate_hides_what_is_behind_it_and_never_what_is_on_its_wall():
         ),
         (
             {"tag": Tag(0.1, "25h9")},
-            r"^detector aruco was not .* family 25h9.*, or visibility\.detector=apriltag be taken\.$",
+            r"^detector aruco was not .* family 25h9.*, or detector=apriltag be taken\.$",
         ),
         ({"limits": {"pitsch": 1}}, r"^limits must be one of pitch, blur, edge, incidence, margin, got 'pitsch'"),
         ({"limits": {"pitch": -1}}, r"^limits\.pitch must be at least 0, got -1"),
