@@ -84,7 +84,7 @@ EXPERIMENT := outputs/paper_experiment
 WITH_PDF := experiment=paper_experiment pdf=samples pdf.path=$(EXPERIMENT)/pdf/pdf.csv
 
 paper-experiment: install  ## the paper's experiment, simulated: PDF from a recording, optimise, fly
-	$(BIN)/python -m pipelines.estimate_pdf recording=simulated recording.pitch_std=0 hydra.run.dir=$(EXPERIMENT)/pdf
+	$(BIN)/python -m pipelines.estimate_pdf simulate={pitch_std: 0.0} hydra.run.dir=$(EXPERIMENT)/pdf
 	rm -rf $(EXPERIMENT)/optimised
 	$(BIN)/python -m pipelines.optimise $(WITH_PDF) budget.evaluations=$(EVALUATIONS) hydra.run.dir=$(EXPERIMENT)/optimised
 	$(BIN)/python -m pipelines.observe $(WITH_PDF) deployment=file,uniform,random \

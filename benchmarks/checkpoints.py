@@ -17,7 +17,7 @@ from lmd.optimisers.ledger import Budget
 from lmd.pipelines.app import CONF
 from lmd.pipelines.building import build_optimiser, build_problem
 
-NAMES = ("annealing", "ega", "sga", "cma_es", "cma_es_separable", "pymoo_ga", "pymoo_one_gene", "nevergrad_de")
+NAMES = ("annealing", "ega", "sga", "cma_es", "pymoo_ga", "pymoo_one_gene", "one_plus_one")
 COARSE = ("room.spacing=1.5", "pdf.divisions=6", "threads=1")
 SAVES = 5
 

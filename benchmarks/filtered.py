@@ -42,6 +42,7 @@ OBJECTIVES = {
     "localisation": ("objective=localisation", "objective.n=1"),
     "coverage": ("objective=mean", "objective.n=1"),
 }
+NOISE = {"slow": (), "fast": ("objective.odometry.turn_noise=0.005", "objective.odometry.motion_noise=0.02")}
 TOLERANCE = 0.02  # of the position, metres
 OPTIMISED_ON = 96  # drives
 SEEDS = 3  # of annealing, in `shares`
@@ -51,7 +52,7 @@ def problem_of(room: str, objective: str, tags: int, odometry: str = "slow", *mo
     """Problem of a room and an objective; drives of the corridor are longer."""
     given = [*ROOMS[room], *OBJECTIVES[objective], f"deployment.count={tags}", "threads=1", *more]
     if objective == "filtered":
-        given += [f"odometry@objective.odometry={odometry}", f"objective.drives={OPTIMISED_ON}"]
+        given += [*NOISE[odometry], f"objective.drives={OPTIMISED_ON}"]
         given += [f"objective.trajectory.duration={40 if room == 'corridor' else 20}"]
     return build_problem(composed("optimise", "experiment=lab", *given))
 
@@ -125,8 +126,8 @@ def flown(room: str, tags: int, evaluations: int, drives: int, detector: str, od
     """Print predicted shares along fresh drives, and those of estimators that fly them."""
     problem = problem_of(room, "filtered", tags, odometry, f"objective.fresh={drives}")
     along = problem.objective.fresh
-    cfg = composed("observe", f"detector={detector}", f"tag.edge={problem.scene.tag.size}")
-    sensor = instantiate(cfg.detector, **({"missed": 0.0} if detector == "noisy" else {}))
+    cfg = composed("observe", f"sensor={detector}", f"tag.edge={problem.scene.tag.size}")
+    sensor = instantiate(cfg.sensor, **({"missed": 0.0} if detector == "noisy" else {}))
     noise = Odometry(along.turn_noise, along.motion_noise)
     least = {"least_turn_noise": 1e-4, "least_motion_noise": 1e-4}
     estimators = {

@@ -4,7 +4,7 @@ python benchmarks/filtered_recording.py FOLDER EDGE
 
 FOLDER has `detections.csv` and `cameras.yaml` of one camera, EDGE is that of the tags, metres. The reference is the
 survey of all tags. For `--drives` random choices of `--tags` tags, estimators see these tags alone, with the corners as
-they were detected, and odometry made of the reference with the noise of `odometry=slow`. Prints the share of the frames
+they were detected, and odometry made of the reference with a slow drift. Prints the share of the frames
 in which the position is within several tolerances, predicted by the covariances of the estimators and reached, for the
 noise of corners by the survey, as measured beside the reference, `lasting_noise`, and the default of the objective
 `filtered`.

@@ -6,10 +6,10 @@ from pathlib import Path
 from hydra.core.config_store import ConfigStore
 from omegaconf import DictConfig
 
-from .app import choices, run_directory
+from .app import run_directory
 from .detect import read_number_of_poses, sightings, subject_of
 from .earlier_run import parts_of, read_earlier_run
-from .nodes import instantiate, keyed
+from .nodes import instantiate, keyed, settings_of
 from .outputs import write_document
 from .overrides import quoted
 from .pipeline import Pipeline
@@ -26,13 +26,16 @@ def calibrate(cfg: DictConfig) -> None:
     from lmd.core.optional import optional
     from lmd.detection.board import BoardImages
     from lmd.detection.calibration import DetectorCalibration, fit, frame_scores, intervals, predicted_in_frames
+    from lmd.detection.tag_views import SurveyedViews
     from lmd.plot.detection_figures import save_limits_figure
 
     from .tracked_run import keep, tracked
 
     optional("cv2", "detection")
     seed, count = seed_number(cfg.seed), integer("poses", cfg.frames, low=0)
-    margin, source = real("margin", cfg.margin, low=0.0), instantiate(cfg.views)
+    margin, made_of = real("margin", cfg.margin, low=0.0), source_key(cfg)
+    with keyed(made_of, **({"folder": "survey"} if made_of == "survey" else {})):
+        source = SurveyedViews(str(cfg.survey)) if made_of == "survey" else instantiate(cfg[made_of])
     subject = subject_of(cfg, max(count, 1), seed)
     if count:
         subject.problem.scene.single_camera("judging a detector in frames")
@@ -42,12 +45,12 @@ def calibrate(cfg: DictConfig) -> None:
         fitted, spans = {}, {}
         for name, detector in subject.detectors.items():
             rng = np.random.default_rng([seed, VIEWS_STREAM])  # equal views for every detector
-            with keyed("views"):
+            with keyed(made_of):
                 views = source.views(subject.problem.scene.cameras, tag, detector, renderer.imaging, rng)
                 fitted[name] = views, fit(views, rng, margin)
             spans[name] = intervals(views, rng, margin) if source.photographs else {}
             if views.seen.all():
-                text = f"warning: views: {name} finds all of {len(views)} tags, so they tell no limit of it"
+                text = f"warning: {made_of}: {name} finds all of {len(views)} tags, so they tell no limit of it"
                 print(f"{text}; images are needed in which it misses some", file=sys.stderr)
         seen = sightings({"room": subject}, seed, cfg.workers)["room"] if count else {}
         calibrations: dict[str, DetectorCalibration] = {}
@@ -60,12 +63,12 @@ def calibrate(cfg: DictConfig) -> None:
             calibrations[name] = DetectorCalibration(views, limits, rooms, source.photographs, spans[name])
         for name, calibration in calibrations.items():
             written.append(directory / f"{tag.family}_{name}.yaml")
-            written[-1].write_text(calibration.preset(name, tag.family, f"views={choices()['views']}, seed {seed}"))
+            written[-1].write_text(calibration.preset(name, tag.family, f"views of {made_of}, seed {seed}"))
         figures = {name: calibration.figures() for name, calibration in calibrations.items()}
         markdown = limits_markdown(figures)
         (directory / "calibration.md").write_text(markdown)
         write_document(directory / "calibration.json", {"seed": seed, "figures": figures})
-        save_limits_figure(directory / "calibration.png", calibrations, f"{tag.family}, {choices()['views']}")
+        save_limits_figure(directory / "calibration.png", calibrations, f"{tag.family}, views of {made_of}")
         written += [directory / f"calibration.{kind}" for kind in ("md", "json", "png")]
         named = {f"{key}/{name}": value for name, row in figures.items() for key, value in row.items()}
         keep(tracker, written, {key: value for key, value in named.items() if np.isfinite(value)})
@@ -73,6 +76,14 @@ def calibrate(cfg: DictConfig) -> None:
         for number, diameter in limits.known_circles.items():
             print(f"{name} finds nothing beyond camera.image_circle={diameter:.0f}, pixels, of camera {number}")
     print(f"{markdown}\nfiles: {directory}\nmlflow: {tracker.describe()}")
+
+
+def source_key(cfg: DictConfig) -> str:
+    """Key of the views that are read: a survey, photographs of a board, or else rendered mosaics."""
+    if cfg.survey is not None:
+        return "survey"
+    board = settings_of(cfg, "board")
+    return "views" if board.get("folder") is None and board.get("tags") is None else "board"
 
 
 def limits_markdown(figures: dict[str, dict[str, float]]) -> str:
@@ -106,8 +117,6 @@ def read_survey() -> None:
     for group, part in parts.items():
         ConfigStore.instance().store(OPTION, part, group)
     chosen = {
-        "views": OPTION,
-        "views.folder": quoted(Path(given[-1])),
         "frames": "0",
         "margin": "0",
         **dict.fromkeys(parts, OPTION),

@@ -5,10 +5,12 @@ from typing import TYPE_CHECKING
 
 from omegaconf import DictConfig
 
-from .app import choices, flat_settings, run_directory
+from .app import flat_settings, run_directory
 from .nodes import instantiate, keyed, note, settings_of
 from .outputs import write_document
 from .pipeline import Pipeline
+
+MOTION = {"_target_": "lmd.orientation.recording.SimulatedRecording"}  # class of `simulate`
 
 if TYPE_CHECKING:
     from lmd.orientation.procedure import Marginal, PdfEstimate
@@ -26,8 +28,9 @@ def estimate(cfg: DictConfig) -> None:
     from .tracked_run import keep, tracked
 
     rng = np.random.default_rng(seed_number(cfg.seed))
-    source = instantiate(settings_of(cfg, "recording"))
-    with keyed("recording"):
+    key = "recording" if cfg.simulate is None else "simulate"
+    source = instantiate(settings_of(cfg, key), **(MOTION if key == "simulate" else {}))
+    with keyed(key):
         recording = source.record(rng)
     note(recording.note)
     result = estimate_pdf(
@@ -41,7 +44,7 @@ def estimate(cfg: DictConfig) -> None:
     document = {
         "recording": {"name": recording.name, "records": len(recording.time), "duration": recording.duration},
         **result.summary(),
-        "settings": flat_settings(cfg, "recording", "divisions", "mean_interval", "significance", "seed"),
+        "settings": flat_settings(cfg, key, "divisions", "mean_interval", "significance", "seed"),
     }
 
     def write(partial: Path) -> None:
@@ -49,7 +52,7 @@ def estimate(cfg: DictConfig) -> None:
         write_document(partial / "pdf_estimate.json", document)
         save_orientation_figure(partial / "pdf.png", result, subject)
 
-    with tracked(cfg, f"estimate_pdf {choices()['recording']}") as tracker:
+    with tracked(cfg, f"estimate_pdf {key}") as tracker:
         files = all_or_none(directory, write)
         keep(tracker, files, _figures(result))
     samples = result.samples

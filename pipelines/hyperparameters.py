@@ -18,6 +18,7 @@ import sys
 from collections.abc import Mapping
 from dataclasses import asdict, is_dataclass
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, ClassVar
 
 from hydra._internal.core_plugins import file_config_source
@@ -72,7 +73,7 @@ def completed(node: DictConfig) -> dict[str, Any]:
     try:
         parameters = inspect.signature(_locate(str(written.get("_target_")))).parameters
     except Exception:  # any error of an import is reported when the object is built
-        return {}
+        parameters = MappingProxyType({})
     values = {name: _plain(parameter.default) for name, parameter in parameters.items() if name not in SET_ELSEWHERE}
     inner = {
         str(name): completed(below)

@@ -40,7 +40,7 @@ def observe(cfg: DictConfig) -> None:
     problem = next(iter(problems.values()))
     trajectory, start, odometry = (instantiate(settings_of(cfg, key)) for key in ("trajectory", "start", "odometry"))
     estimators = {name: instantiate(settings_of(cfg, f"estimator.{name}")) for name in cfg.get("estimator") or {}}
-    detectors = {name: instantiate(settings_of(own, "detector")) for name, own in composed.items()}
+    detectors = {name: instantiate(settings_of(own, "sensor")) for name, own in composed.items()}
     with keyed("trajectory", seeds="seeds"):
         flights = Flights.draw(problem, trajectory, start, seeds)
     if hasattr(trajectory, "note_of"):  # the trajectory is from a file
@@ -68,7 +68,7 @@ def observe(cfg: DictConfig) -> None:
         names = ["figures.csv", "curves.csv", "observe.md", "observe.json", "errors.png"]
         names += ["paired.csv"] if len(paired) else []
         keep(tracker, [directory / name for name in names], medians)
-    made = " ".join(f"{group}={choices()[group]}" for group in ("trajectory", "detector", "odometry"))
+    made = " ".join(f"{group}={choices()[group]}" for group in ("trajectory", "sensor"))
     print(f"{markdown}\nflown with {made}\nfiles: {directory}\nmlflow: {tracker.describe()}")
 
 

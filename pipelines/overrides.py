@@ -16,7 +16,7 @@ from .app import CONF
 from .hyperparameters import GROUPS
 from .trust import Trust
 
-OPTIONAL = ("experiment", "hparams_search")  # groups without a default option, which a `+` may come before
+OPTIONAL = ("experiment",)  # groups without a default option, which a `+` may come before
 PLAIN = re.compile(r"(?!hydra\.|tracking\.)[\w-]+(\.[\w-]+)+=")  # begin of an override of a key below a group
 _as_given = dict[str, str]()  # overrides of this sweep by their forced spelling
 COUNT, PATH = "deployment.count=", "deployment.path"
@@ -62,7 +62,7 @@ def _is_sweep(arguments: list[str]) -> bool:
     """True if a command line asks for a sweep, or chooses a stored one."""
     if "hydra.mode=RUN" in arguments or {"-m", "--multirun", "hydra.mode=MULTIRUN"}.intersection(arguments):
         return "hydra.mode=RUN" not in arguments
-    stored = [argument.replace("=", "/") for argument in arguments if argument.startswith(("experiment=", "hparams_"))]
+    stored = [argument.replace("=", "/") for argument in arguments if argument.startswith("experiment=")]
     with suppress(ValueError):  # trust=... is refused later
         files = [folder / f"{option}.yaml" for option in stored for folder in Trust.given().folders]
         return any("mode: MULTIRUN" in file.read_text(encoding="utf-8") for file in files if file.is_file())

@@ -20,7 +20,6 @@ from .app import CONF, GARBAGE, PACKAGE, command_of, ends_reported, readers_outl
 from .frozen import offer_frozen_problems
 from .hyperparameters import HELP
 from .operations.signals import Stopped, stop
-from .operations.sweeps import search  # noqa: F401 # from here on Hydra knows this sweeper
 from .operations.sweeps.supervisor import run
 from .outputs import locks
 from .overrides import PATH, as_hydra_reads, ask_what_was_meant, forced
@@ -28,7 +27,7 @@ from .overrides import PATH, as_hydra_reads, ask_what_was_meant, forced
 # Launchers that are plugins of Hydra, and their packages.
 LAUNCHERS = {
     "joblib": "hydra_plugins.hydra_joblib_launcher",
-    **dict.fromkeys(("slurm", "submitit_local", "submitit_slurm"), "hydra_plugins.hydra_submitit_launcher"),
+    **dict.fromkeys(("submitit_local", "submitit_slurm"), "hydra_plugins.hydra_submitit_launcher"),
 }
 PRINTED = {*HELP, "--hydra-help", "--cfg", "-c", "--info", "-i"}  # options with which a command only prints
 # Commands without `run=DIR`, and the key to use instead.

@@ -49,8 +49,8 @@ NAMES = re.compile(r"[\w\[\],'\" -]*")
 GIVEN = "command-line"  # suffix of Hydra's providers of places on the search path of a command line
 # Harmless settings of Hydra.
 HARMLESS = re.compile(
-    r"hydra\.mode=\w+|hydra/launcher=\w+|hydra/sweeper=(basic|search)|hydra/(job|hydra)_logging=\w+|"
-    r"hydra\.verbose=[\w.,\[\]]+|hydra\.sweeper\.(trials|at_a_time|method|seed|max_batch_size)=[\w.-]+|"
+    r"hydra\.mode=\w+|hydra/launcher=\w+|hydra/sweeper=basic|hydra/(job|hydra)_logging=\w+|"
+    r"hydra\.verbose=[\w.,\[\]]+|hydra\.sweeper\.max_batch_size=[\w.-]+|"
     r"hydra\.launcher\.(n_jobs|partition|timeout_min|cpus_per_task|mem_gb|array_parallelism)=[\w.-]+"
 )
 PICKLES = ".submitit"  # folder of pickles, which submitit reads, in the folder of a sweep

@@ -18,10 +18,7 @@ composed = cache(composing.composed)
 
 QUICK = {"annealing", "camera_annealing", "cma_es", "ega"}  # one of each kind
 # Files in conf/optimiser with other parameters of a class that another file has too.
-OTHERS = {
-    *("cma_es_separable", "ega_tuned", "nevergrad_de", "nevergrad_pso", "ngopt", "one_plus_one", "pymoo_cma_es"),
-    *("pymoo_de", "pymoo_pso"),
-}
+OTHERS = {"ega_tuned", "one_plus_one"}
 OTHER = pytest.mark.thorough("conf/optimiser", "constraints.txt", "lmd/optimisers", "tests/contracts")
 
 

@@ -170,14 +170,14 @@ class SimulatedRecording:
         InputError: a value is out of range.
     """
 
-    duration: float
-    rate: float
-    correlation_time: float
-    yaw_mean: float
-    yaw_concentration: float
-    pitch_mean: float
-    pitch_std: float
-    coupling: float
+    duration: float = 1800.0
+    rate: float = 20.0
+    correlation_time: float = 1.0
+    yaw_mean: float = 0.0
+    yaw_concentration: float = 0.0
+    pitch_mean: float = 0.0
+    pitch_std: float = 0.1
+    coupling: float = 0.0
 
     def __post_init__(self) -> None:
         real("rate", self.rate, above=0.0)

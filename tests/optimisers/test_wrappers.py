@@ -149,9 +149,11 @@ def test_a_nevergrad_method_that_cannot_learn_from_the_start_goes_on():
     assert len(np.unique(np.concatenate(run(Nevergrad("EDA", budget=40), 20)), axis=0)) == 20
 
 
-@pytest.mark.parametrize("name", ["nevergrad", "nevergrad_de", "nevergrad_pso", "ngopt"])
+@pytest.mark.parametrize("name", ["TinyLognormalDiscreteOnePlusOne", "TwoPointsDE", "PSO", "NGOpt"])
 def test_what_plans_with_the_evaluations_runs_without_their_number(name):
-    cfg = composed("optimise", f"optimiser={name}", "budget.evaluations=null", "budget.seconds=0.05")
+    cfg = composed(
+        "optimise", "optimiser=nevergrad", f"optimiser.name={name}", "budget.evaluations=null", "budget.seconds=0.05"
+    )
     assert build_optimiser(cfg, 0).run(problem(), budget_of(cfg)).evaluations > 0
 
 
@@ -216,7 +218,7 @@ def test_the_first_run_of_a_process_is_like_any_other():
     code = """
 from small import make, problem
 from lmd.optimisers.ledger import Budget
-first, second = (make("cma_es_separable").run(problem(), Budget(60)).deployment.positions for _ in range(2))
+first, second = (make("cma_es").run(problem(), Budget(60)).deployment.positions for _ in range(2))
 assert (first == second).all()
 """
     folders = environment(Path(__file__).parents[1])

@@ -58,10 +58,10 @@ def test_images_of_a_board(tmp_path):
     rows = "".join(f"{i},{x},{y},{z},0,0,1\n" for i, (x, y, z) in enumerate(centres))
     (tmp_path / "tags.csv").write_text("id,x,y,z,nx,ny,nz\n" + rows)
     settings = [*(s for s in SMALL if not s.startswith(("views", "poses", "tag"))), "poses=0", "tag.edge=0.1"]
-    images = ["views=images", "views.folder=images", "views.tags=tags.csv"]
+    images = ["board.folder=images", "board.tags=tags.csv"]
     done = call(*images, "detectors=[apriltag]", cwd=tmp_path, settings=settings)
     assert done.returncode == 0, done.stderr
     row = json.loads((tmp_path / "run" / "calibration.json").read_text())["figures"]["apriltag"]
     assert 20 <= row["views"] <= 32
     assert "room_frames" not in row
-    assert "views=images" in (tmp_path / "run" / "36h11_apriltag.yaml").read_text()
+    assert "views of board" in (tmp_path / "run" / "36h11_apriltag.yaml").read_text()

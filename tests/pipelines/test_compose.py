@@ -38,7 +38,6 @@ def test_the_folder_of_configurations_is_a_module_for_hydra():
 
 def test_a_plus_before_an_experiment_does_no_harm():
     assert as_hydra_reads("+experiment=debug") == "experiment=debug"
-    assert as_hydra_reads("+hparams_search=ega") == "hparams_search=ega"
     assert as_hydra_reads("+room.note=a") == "+room.note=a"
 
 

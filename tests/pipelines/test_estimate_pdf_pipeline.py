@@ -13,7 +13,6 @@ from recordings import MOVING, estimated, simulated
 
 from lmd.orientation.recording import OrientationRecording
 from lmd.scene import pdf
-from pipelines.app import CONF
 from pipelines.nodes import instantiate
 
 ROOT = Path(__file__).parents[2]
@@ -21,11 +20,6 @@ ROOT = Path(__file__).parents[2]
 
 def call(*overrides, cwd):
     return processes.inside("estimate_pdf", "hydra.run.dir=run", *overrides, cwd=cwd, settings=())
-
-
-@pytest.mark.parametrize("option", sorted(path.stem for path in Path(CONF, "recording").glob("*.yaml")))
-def test_every_kind_of_recording_composes_and_builds(option):
-    instantiate(composed("estimate_pdf", f"recording={option}").recording)
 
 
 @pytest.mark.slow

@@ -25,7 +25,7 @@ LISTED = {
         "estimator: bound, eqf, iekf, iekf_bias, left_observer, observer, pnp",
         "trajectory: file, random_drives, random_motion, waypoints",
     ),
-    "detect": ("detectors: apriltag, apriltag_decimate2, aruco, aruco_fine", "imaging: clean, nominal"),
+    "detect": ("detectors: apriltag, apriltag_decimate2, aruco, aruco_fine",),
     "export": (),
     "view": (),
 }
@@ -80,7 +80,6 @@ def test_help_lists_the_groups_without_loading_the_model(pipeline, told):
     assert len(groups) == len(set(groups)) > 5
     assert all(line in text for line in LISTED[pipeline])
     assert ("trajectory" in groups) == (pipeline == "observe")
-    assert ("hparams_search" in groups) == (pipeline == "optimise")
 
 
 def test_a_run_loads_nothing_that_only_others_need(told, work):

@@ -31,12 +31,12 @@ PIPELINES = {
     "bound": SMALL,
     "tradeoff": [*SMALL, "counts=[6]"],
     "compare": SMALL,
-    "observe": [*UNIFORM, "deployments=[uniform]", "detector=noisy", "seeds=1"],
+    "observe": [*UNIFORM, "deployments=[uniform]", "sensor=noisy", "seeds=1"],
     "accuracy": [*UNIFORM, "deployments=[uniform]"],
     "uncertainty": [*UNIFORM, "tag.edge=0.1"],
     "detect": [*UNIFORM, "deployments=[uniform]", "detectors=[apriltag]", "frames=2"],
     "calibrate_detector": [*SMALL, "frames=2"],
-    "estimate_pdf": ["recording=simulated", "recording.duration=60"],
+    "estimate_pdf": ["simulate={duration: 60.0}"],
     "survey": ["camera=lab", "detections=seen.csv"],
     "localise": ["camera=lab", "detections=seen.csv", "map=map.csv"],
     "view": SMALL,
@@ -67,12 +67,16 @@ OPTIONS = [
         for name in ("left_observer", "bound", "pnp", "iekf", "iekf_bias", "eqf", "smoother")
     ),
     ("observe", "trajectory", ["trajectory=waypoints"]),
-    ("observe", "detector", ["detector=rendered", "tag.edge=0.1"]),
-    ("observe", "odometry", ["odometry=slow"]),
+    ("observe", "sensor", ["sensor=rendered", "tag.edge=0.1"]),
     ("detect", "detectors", ["detectors=[aruco_fine,apriltag_decimate2]"]),
 ]
 # The whole key is not in the sentence, but what it is called there.
-CALLED = {"frames": "poses", "mean_interval": "mean interval", "export": "tag.edge must be given"}
+CALLED = {
+    "frames": "poses",
+    "mean_interval": "mean interval",
+    "export": "tag.edge must be given",
+    "simulate": "recording.path",
+}
 FOREIGN = "optimiser.algorithm."  # parameters of a library's, which has its own words for them
 
 

@@ -12,6 +12,7 @@ from mlflow import MlflowClient
 ROOT = Path(__file__).parents[2]
 SMALL = ["room.spacing=3", "seeds=2", "trajectory.duration=4", "trajectory.pace.frame_rate=10", "hydra.run.dir=run"]
 pytestmark = pytest.mark.slow
+NO_DRIFT = ("odometry.turn_noise=0", "odometry.motion_noise=0")
 FILES = {"figures.csv", "curves.csv", "observe.md", "paired.csv", "observe.json", "errors.png"}
 LANDMARKS = "id,x,y,z,nx,ny,nz\n0,0,1,1,1,0,0\n1,0,2,3,1,0,0\n2,7.5,2,3,-1,0,0\n"
 
@@ -56,12 +57,12 @@ def test_one_run_compares_the_deployments_over_the_same_flights(observed):
 def test_detector_and_odometry_err_unless_told_to_be_exact(tmp_path):
     near = ("deployment=uniform", "start.position=0", "start.attitude=0", "tracking=none")
     done = call(*near, cwd=tmp_path)
-    exact = call(*near, "detector=exact", "odometry=exact", "hydra.run.dir=exact", cwd=tmp_path)
+    exact = call(*near, "sensor=exact", *NO_DRIFT, "hydra.run.dir=exact", cwd=tmp_path)
     assert (done.returncode, exact.returncode) == (0, 0), done.stderr + exact.stderr
     errors = [pd.read_csv(tmp_path / run / "figures.csv").position_error.min() for run in ("run", "exact")]
     assert errors[0] > 1e-3 > 1e-9 > errors[1]
-    assert "flown with trajectory=random_motion detector=noisy odometry=fast" in done.stdout
-    assert "detector=exact odometry=exact" in exact.stdout
+    assert "flown with trajectory=random_motion sensor=noisy" in done.stdout
+    assert "sensor=exact" in exact.stdout
 
 
 def test_the_table_is_shown_and_kept(observed):
@@ -107,7 +108,7 @@ def test_deployments_can_have_names_and_overrides(tmp_path):
 
 def test_a_deployment_may_have_a_tag_of_its_own(tmp_path):
     entries = "deployments=['large: uniform tag.edge=0.3','small: uniform tag.edge=0.1']"
-    noisy = ["detector=noisy", "odometry=fast", "estimator=[pnp,smoother]"]
+    noisy = ["sensor=noisy", "estimator=[pnp,smoother]"]
     done = call(entries, *noisy, "tracking=none", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     figures = pd.read_csv(tmp_path / "run" / "figures.csv").groupby(["deployment", "estimator"]).mean()
@@ -140,7 +141,7 @@ def test_evaluate_maps_where_localisation_is_weak(tmp_path):
 def test_a_real_detector_reads_rendered_frames(tmp_path):
     camera = ["camera.pixel_width=0.0232", "camera.pixel_height=0.0232", "camera.principal_point=[200,150]",
               "camera.image_width=400", "camera.image_height=300"]  # fmt: skip
-    flight = ["seeds=2", "detector=rendered", "tag.edge=0.3", "workers=2", "tracking=none",
+    flight = ["seeds=2", "sensor=rendered", "tag.edge=0.3", "workers=2", "tracking=none",
               "trajectory.duration=2"]  # fmt: skip
     done = call("deployment=uniform", *camera, *flight, "estimator=[observer,pnp]", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
@@ -155,7 +156,7 @@ def test_a_trajectory_file_is_flown_by_every_seed(tmp_path):
     rows = "".join(f"{0.1 * i:g},{2 + 0.01 * i:g},2,3,{0.02 * i:g},0\n" for i in range(20))
     (tmp_path / "flight.csv").write_text("time,x,y,z,yaw,pitch\n" + rows)
     settings = ["room.spacing=3", "seeds=2", "hydra.run.dir=run", "tracking=none", "deployment=uniform"]
-    done = call("trajectory=file", "trajectory.path=flight.csv", "detector.missed=0", cwd=tmp_path, settings=settings)
+    done = call("trajectory=file", "trajectory.path=flight.csv", "sensor.missed=0", cwd=tmp_path, settings=settings)
     assert done.returncode == 0, done.stderr
     figures = pd.read_csv(tmp_path / "run" / "figures.csv")
     assert figures.mean_visible[0] == figures.mean_visible[1]

@@ -109,7 +109,7 @@ def test_processes_that_record_at_once_lose_nothing(server, tmp_path):
 
 
 def test_a_sweep_is_recorded_on_the_server(server, tmp_path):
-    """Several at once are in the test above, and as jobs of a sweep with a server in `test_slurm`."""
+    """Several at once are in the test above."""
     overrides = ("objective.n=2,3", "hydra.mode=MULTIRUN", "localisation=false", "losses=false")
     done = call("evaluate", *overrides, f"tracking.uri={server}", cwd=tmp_path)
     assert done.returncode == 0, done.stderr

@@ -9,7 +9,6 @@ from processes import refused
 from lmd.core.checks import InputError
 from pipelines.building import build_optimiser, build_problem
 from pipelines.nodes import instantiate, keyed
-from pipelines.operations.sweeps.slurm import follow_the_queue
 from pipelines.pipeline import _refuse_configuration_of_another
 
 # Overrides of `evaluate`, and how the refusal begins.
@@ -48,7 +47,7 @@ PARTS = {
     "estimator.iekf.least_turn_noise=0": "estimator.iekf.least_turn_noise must be greater than 0, got 0.",
     "start.position=-1": "start.position must be at least 0, got -1.",
     "odometry.turn_noise=-1": "odometry.turn_noise must be at least 0, got -1.",
-    "detector.missed=2": "detector.missed must be in [0, 1], got 2.",
+    "sensor.missed=2": "sensor.missed must be in [0, 1], got 2.",
 }
 
 
@@ -149,9 +148,3 @@ def test_the_configuration_of_another_command_is_refused(option, monkeypatch):
     ):
         _refuse_configuration_of_another("optimise")
     _refuse_configuration_of_another("evaluate")
-
-
-def test_a_slurm_that_is_not_there_is_a_sentence(monkeypatch):
-    monkeypatch.setattr("shutil.which", lambda program: None if program == "srun" else program)
-    with pytest.raises(InputError, match=r"^this launcher needs SLURM, and there is no srun; hydra/launcher=joblib"):
-        follow_the_queue()

@@ -156,10 +156,10 @@ def test_a_detector_is_calibrated_on_the_frames_of_a_survey(room):
     )
     assert done.returncode == 0, done.stderr
     assert re.search(
-        r"^warning: views: apriltag finds all of \d+ tags, so they tell no limit", done.stderr, re.MULTILINE
+        r"^warning: survey: apriltag finds all of \d+ tags, so they tell no limit", done.stderr, re.MULTILINE
     )
     text = (cwd / "fit" / "36h11_apriltag.yaml").read_text()
-    assert "views=survey" in text
+    assert "views of survey" in text
     assert "# Measured on " in text
     assert " photographs.\n" in text
     figures = json.loads((cwd / "fit" / "calibration.json").read_text())["figures"]["apriltag"]

@@ -45,7 +45,7 @@ def folder(cwd):
 
 
 def test_a_pipeline_without_threads_is_swept_under_joblib_too(tmp_path):
-    overrides = ("hydra.mode=MULTIRUN", "recording=simulated", "seed=1", "tracking=none", "hydra/launcher=joblib")
+    overrides = ("hydra.mode=MULTIRUN", "simulate={}", "seed=1", "tracking=none", "hydra/launcher=joblib")
     done = call("estimate_pdf", *overrides, cwd=tmp_path, settings=())
     assert done.returncode == 0, done.stderr
     (table,) = tmp_path.glob("outputs/estimate_pdf_sweep/*/jobs.csv")

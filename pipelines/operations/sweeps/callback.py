@@ -65,10 +65,6 @@ class SweepRecord(Callback):
 
         folder = SweepFolder(pin_sweep_folder(config))
         try:
-            if config.hydra.launcher._target_.endswith("SlurmLauncher"):
-                from .slurm import follow_the_queue
-
-                follow_the_queue()
             values = asked_values(config)
         except InputError as error:  # Hydra would print a warning and continue
             sys.exit(f"error: {error}")
@@ -93,8 +89,7 @@ class SweepRecord(Callback):
         from ..tracking import RunStart
 
         before, overrides = folder.load(), swept(config)
-        is_search = not config.hydra.sweeper._target_.endswith(".BasicSweeper")
-        asked = None if is_search else math.prod(map(len, values.values()))
+        asked = math.prod(map(len, values.values()))
         sweep = Sweep(sweep_name(config), varied_keys(overrides), None, asked=asked, given=fixed(config))
         try:
             tracker: Tracker = instantiate(config.tracking)

@@ -86,20 +86,18 @@ def varied_keys(overrides: Sequence[str]) -> tuple[str, ...]:
 
 def sweep_name(root: DictConfig) -> str:
     """Name of a sweep: its experiment or search, or else the varied keys."""
-    stored = [root.hydra.runtime.choices.get(group) for group in ("experiment", "hparams_search")]
-    return slug("_".join(filter(None, stored)) or "_".join(varied_keys(swept(root)))) or "sweep"
+    stored = root.hydra.runtime.choices.get("experiment")
+    return slug(stored or "_".join(varied_keys(swept(root)))) or "sweep"
 
 
 def sweep_title(root: DictConfig) -> str:
-    """Name of a sweep's run: its experiment if that has the sweep's values, its search, or else the keys that it
+    """Name of a sweep's run: its experiment if that has the sweep's values, or else the keys that it
     varies, then what else is given: `n x thold_p x optimiser room=hall`.
     """
-    experiment, search = (root.hydra.runtime.choices.get(group) for group in ("experiment", "hparams_search"))
+    experiment = root.hydra.runtime.choices.get("experiment")
     keys = varied_keys(swept(root))
     title = " x ".join(key.split(".")[-1] for key in keys if key != SEED) or SEED
-    if search is not None:
-        title = " ".join(filter(None, ["search", search, experiment]))
-    elif root.hydra.sweeper.get("params") and experiment is not None and "experiment" not in keys:
+    if root.hydra.sweeper.get("params") and experiment is not None and "experiment" not in keys:
         title = str(experiment)
     return " ".join(filter(None, [title, in_name(fixed(root), *title.split())]))
 

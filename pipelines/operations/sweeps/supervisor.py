@@ -9,7 +9,6 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import closing, contextmanager
 from dataclasses import replace
 from functools import cache
-from types import FrameType
 from typing import TYPE_CHECKING, Any
 
 from hydra.conf import HydraConf
@@ -23,7 +22,7 @@ from ...nodes import instantiate
 from ...outputs import JOB_VARIABLE, held
 from ...overrides import config_dir, key_and_value, quoted, search_path
 from ...provenance import parameters
-from ..signals import CODES, Stopped, stop
+from ..signals import CODES, stop
 from . import forks
 from .folder import Job, JobFolder, SweepFolder, current_job, reason_of
 from .names import override_tags, short_name
@@ -33,7 +32,6 @@ if TYPE_CHECKING:
 
 SWEEP_VARIABLE = "LMD_SWEEP"  # environment variable with the number of the process that began the sweep
 THREAD_VARIABLES = ("NUMBA_NUM_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
-SLURM_SIGNALS = (signal.SIGTERM, signal.SIGUSR2)  # for a cancelled job, and for a job whose time is nearly up
 STOPPED = "the sweep was stopped"
 LOST = "its process was killed, and the sweep with it"
 
@@ -186,7 +184,7 @@ def _execute(cfg: DictConfig, arguments: list[str], folder: JobFolder, lock: int
             () if lock is None else (lock,),
             store=None if uri is None else str(uri),
         )
-        with closing(process), _warned_by_slurm():
+        with closing(process):
             try:
                 with stop.raising():
                     with stop.postponed():  # otherwise an unknown process could remain
@@ -200,27 +198,6 @@ def _execute(cfg: DictConfig, arguments: list[str], folder: JobFolder, lock: int
                 except KeyboardInterrupt:
                     process.kill()
                     return process.wait(), True
-
-
-@contextmanager
-def _warned_by_slurm() -> Iterator[None]:
-    """Context in which SLURM's first warning before it kills a job acts like Ctrl-C.
-
-    SLURM signals this process or its process group; the job has another process group.
-    """
-
-    def interrupt(number: int, _frame: FrameType | None) -> None:
-        for other in before:
-            signal.signal(other, signal.SIG_IGN)
-        raise Stopped(number)
-
-    warnings = SLURM_SIGNALS if os.environ.get("SUBMITIT_EXECUTOR") == "slurm" else ()
-    before = {number: signal.signal(number, interrupt) for number in warnings}
-    try:
-        yield
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
 
 
 def _settled(job: Job, code: int) -> Job:
