@@ -25,7 +25,7 @@ def composed(*overrides):
 
 def tags():
     """Places, normals and corners by FIRST's drawing, inches and degrees."""
-    with Path(CONF, "fields/frc_2025.csv").open() as file:
+    with Path(CONF, "experiment/frc_2025.csv").open() as file:
         for _, *place, yaw, pitch in list(csv.reader(file))[1:]:
             a, b = math.radians(float(yaw)), math.radians(float(pitch))
             normal = [math.cos(a) * math.cos(b), math.sin(a) * math.cos(b), -math.sin(b)]

@@ -221,7 +221,7 @@ def test_maps_of_others():
 
 @pytest.mark.skipif(not REAL.is_dir(), reason="files of others are not here")
 def test_the_field_that_comes_along_is_that_of_its_makers():
-    own = read_deployment(Path(CONF, "fields/frc_2025.csv"))
+    own = read_deployment(Path(CONF, "experiment/frc_2025.csv"))
     theirs = read_deployment(REAL / "wpilib_2025-reefscape-welded.json")
     assert own.ids.tolist() == theirs.ids.tolist() == list(range(1, 23))
     assert_allclose(own.positions, theirs.positions, atol=2e-4)  # drawings have hundredths of inches
