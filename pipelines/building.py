@@ -178,7 +178,6 @@ def _poses(
             print(
                 f"warning: room.up: is it right for {scan.mesh.path!r}? {doubt[0].upper()}{doubt[1:]}", file=sys.stderr
             )
-        note(scan.mesh.note)
     if plan := getattr(room, "plan", None):
         note(plan.note)
     if recorded == bool(pdf_node):

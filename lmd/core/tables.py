@@ -57,6 +57,24 @@ class Table:
         texts = {_safe(name): list(map(_safe, column)) for name, column in self.texts.items()}
         object.__setattr__(self, "texts", texts)
 
+    @classmethod
+    def of(cls, path: Any, columns: Sequence[str], rows: Sequence[tuple[int, list[str]]]) -> "Table":
+        """Table of numbered rows.
+
+        Raises:
+            InputError: two columns have one name, or a row has another number of values.
+        """
+        for i, column in enumerate(columns):
+            if column in columns[:i]:
+                raise InputError(f"{path} names the column {column!r} twice; the first line is its header.")
+        for line, row in rows:
+            if len(row) != len(columns):
+                raise InputError(
+                    f"{path} line {line} has {len(row)} values, but the header has {len(columns)} columns."
+                )
+        texts = {column: [row[j] for _, row in rows] for j, column in enumerate(columns)}
+        return cls(str(path), [line for line, _ in rows], texts)
+
     def __contains__(self, column: str) -> bool:
         return column in self.texts
 
@@ -105,91 +123,33 @@ def read_table(path: Any, *, name: str) -> Table:
         InputError: the file is missing or no CSV, has semicolons instead of commas, too many columns, two columns with
             one name, or rows of different lengths.
     """
-    content = _lines(read_text(path, name))
-    try:
-        reader = csv.reader((line for _, line in content), skipinitialspace=True, strict=True)
-        rows = [(content[reader.line_num - 1][0], [text.strip() for text in row]) for row in reader]
-    except csv.Error as error:
-        raise InputError(f"{name}: {str(path)!r} cannot be read as CSV ({error}).", name) from None
+    rows = csv_rows(path, numbered_lines(read_text(path, name)), name)
     if not rows:
         return Table(str(path), (), {})
-    (_, header), *body = rows
-    if len(header) == 1 and ";" in header[0]:  # spreadsheets write semicolons in locales with a decimal comma
-        raise InputError(f"{path} has semicolons between its columns: save it with commas, and with points in numbers.")
-    if len(header) > MOST_COLUMNS:
-        raise InputError(f"{path} has {len(header)} columns, more than {MOST_COLUMNS}; the first line is its header.")
+    header = rows[0][1]
     if any(is_number(column) for column in header):
         first = ",".join(header)[:200]
         raise InputError(f"{path} has no header: its first line, {first!r}, must name the columns.")
-    for i, column in enumerate(header):
-        if column in header[:i]:
-            raise InputError(f"{path} names the column {column!r} twice; the first line is its header.")
-    for line, row in body:
-        if len(row) != len(header):
-            raise InputError(f"{path} line {line} has {len(row)} values, but the header has {len(header)} columns.")
-    texts = {column: [row[j] for _, row in body] for j, column in enumerate(header)}
-    return Table(str(path), [line for line, _ in body], texts)
+    return Table.of(path, header, rows[1:])
 
 
-@dataclass(frozen=True)
-class Headless:
-    """Values of a file without a header, separated by spaces or commas.
-
-    Args:
-        path: path of the file, for messages.
-        comments: comment lines before the first values, without #.
-        commas: True if commas separate the values.
-        rows: line number, from 1, and texts of each row.
-    """
-
-    path: str
-    comments: Sequence[str]
-    commas: bool
-    rows: Sequence[tuple[int, list[str]]]
-
-    @property
-    def width(self) -> int:
-        """Number of values in the first row."""
-        return len(self.rows[0][1])
-
-    def table(self, columns: Sequence[str]) -> Table:
-        """Table of the values with the given column names.
-
-        Raises:
-            InputError: a row has more or fewer values than there are names.
-        """
-        for line, row in self.rows:
-            if len(row) != len(columns):
-                raise InputError(
-                    f"{self.path} line {line} has {len(row)} values, not {len(columns)}: {' '.join(columns)}."
-                )
-        texts = {column: [row[j] for _, row in self.rows] for j, column in enumerate(columns)}
-        return Table(self.path, [line for line, _ in self.rows], texts)
-
-
-def read_headless(path: Any, *, name: str) -> Headless | None:
-    """Read a file of values without a header, such as a TUM trajectory.
-
-    Args:
-        path: path of the file; blank lines and lines that begin with # are skipped.
-        name: argument that gave the path, for messages.
-
-    Returns:
-        None if the first line does not begin with a number.
+def csv_rows(path: Any, lines: Sequence[tuple[int, str]], name: str) -> list[tuple[int, list[str]]]:
+    """Values of the numbered lines of a CSV, with the number of the line in which each row ends.
 
     Raises:
-        InputError: the file is missing or no text.
+        InputError: the lines are no CSV, have semicolons instead of commas, or too many columns.
     """
-    text = read_text(path, name)
-    lines = _lines(text)
-    commas = bool(lines) and "," in lines[0][1]
-    rows = [(i, [value.strip() for value in line.split(",")] if commas else line.split()) for i, line in lines]
-    if not rows or not is_number(rows[0][1][0]):
-        return None
-    if commas and not any(row[-1] for _, row in rows):  # each line ends with a comma
-        rows = [(i, row[:-1]) for i, row in rows]
-    before = [line.strip().lstrip(COMMENT).strip() for line in text.splitlines()[: rows[0][0] - 1]]
-    return Headless(str(path), [comment for comment in before if comment], commas, rows)
+    try:
+        reader = csv.reader((line for _, line in lines), skipinitialspace=True, strict=True)
+        rows = [(lines[reader.line_num - 1][0], [text.strip() for text in row]) for row in reader]
+    except csv.Error as error:
+        raise InputError(f"{name}: {str(path)!r} cannot be read as CSV ({error}).", name) from None
+    first = rows[0][1] if rows else []
+    if len(first) == 1 and ";" in first[0]:  # spreadsheets write semicolons in locales with a decimal comma
+        raise InputError(f"{path} has semicolons between its columns: save it with commas, and with points in numbers.")
+    if len(first) > MOST_COLUMNS:
+        raise InputError(f"{path} has {len(first)} columns, more than {MOST_COLUMNS}; the first line is its header.")
+    return rows
 
 
 def _safe(text: str) -> str:
@@ -206,7 +166,7 @@ def is_number(text: str) -> bool:
     return True
 
 
-def _lines(text: str) -> list[tuple[int, str]]:
+def numbered_lines(text: str) -> list[tuple[int, str]]:
     """Lines of a text that are neither blank nor comments, with their line numbers from 1."""
     lines = io.StringIO(text, newline="")
     return [(i, line) for i, line in enumerate(lines, 1) if line.strip() and line.lstrip()[0] != COMMENT]

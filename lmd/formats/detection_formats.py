@@ -1,28 +1,29 @@
-"""Files of detections by other programs: formats, and lists of the images that were taken."""
+"""Files of detections: tables, bags, and JSON of PhotonVision and Limelight; and lists of the images that were taken.
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+PhotonVision's corners are counter-clockwise from the tag's bottom left. The pixels of its AprilTag pipeline count from
+the border of the image, as in AprilTag 3. (The pixels of its ArUco pipeline count from the centre of the first pixel,
+but files do not name the pipeline.) Limelight documents neither order nor origin; its corners are assumed to have the
+order and the origin of AprilTag 3.
+
+Sources: `PhotonPipelineResult`, `PhotonTrackedTarget` and `TrackedTarget` (PhotonVision/photonvision); "JSON Results
+Specification" of Limelight.
+"""
+
+import json
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from decimal import Decimal
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from lmd.core.checks import FloatArray, InputError, IntArray, printable
+from lmd.core.checks import InputError, printable, real, vector
 from lmd.core.tables import in_order, read_table, time_of, write_table
-from lmd.formats.bag_contents import seen_in
-from lmd.formats.bags import is_bag
-from lmd.formats.detection_readers import (
-    SeenTag,
-    documents_of,
-    has_results,
-    limelight,
-    photonvision,
-    visual_marker_mapping,
-)
+from lmd.formats.bags import DETECTIONS, Bag, is_bag
+from lmd.formats.columns import FAMILY, TAGS, standard
 from lmd.formats.detections import DetectedTags, signed_area
-from lmd.formats.landmark_table import FAMILY, NAMES
 from lmd.formats.placed_tag import one_family
 from lmd.formats.registry import File, Format, anything, read
 from lmd.geometry.camera import PIXEL_CENTRE
@@ -33,30 +34,95 @@ NAME, IMAGES = "detections", "images"  # names of the arguments with paths
 CORNER_COLUMNS = tuple(f"{axis}{corner}" for corner in range(4) for axis in "xy")
 TIMES, CAMERAS = ("time", "stamp", "timestamp", "image"), ("camera", "topic", "cam", "camera_id")
 READ = (
-    "what is read is a bag of ROS 2, JSON of PhotonVision, Limelight and Visual Marker Mapping, or a CSV with a row "
-    f"for each tag and the columns {' or '.join(TIMES)}, id, x0, y0, ..., x3, y3, the corners clockwise from the tag's "
-    "top left in OpenCV's pixels"
+    "what is read is a bag of ROS 2, JSON of PhotonVision and Limelight, or a CSV with a row for each tag and the "
+    f"columns {' or '.join(TIMES)}, id, x0, y0, ..., x3, y3, the corners clockwise from the tag's top left in OpenCV's "
+    "pixels"
 )
 FROM_APRILTAG = [3, 2, 1, 0]
-# A message names missing columns if they are at most `MOST_LACKING`; otherwise it shows `SHOWN` characters of the
-# header.
-MOST_LACKING, SHOWN = 4, 80
-# Least area of a quadrilateral, square pixels; smaller quadrilaterals are left out.
-LEAST_AREA = 1.0
+SHOWN = 80  # greatest number of characters of a file that a message shows
+MOST_LACKING = 4  # greatest number of missing columns that a message names
+LEAST_AREA = 1.0  # least area of a quadrilateral, square pixels; smaller quadrilaterals are left out
+DEEPEST = 3  # greatest number of levels of names and lists around results in JSON
+
+
+class SeenTag(NamedTuple):
+    """Detection of a tag."""
+
+    camera: str
+    """Name of the camera; empty for a single camera."""
+    time: str
+    """Time of the frame, seconds, or the name of the frame."""
+    number: int
+    """Number of the tag."""
+    corners: Sequence[Sequence[float]]
+    """Four corners in the order of the file, pixels from the border of the image, (x, y)."""
+    family: str = ""
+    """Family as the program writes it; empty if it does not."""
+
+
+class Program(NamedTuple):
+    """Results of a program in JSON."""
+
+    name: str
+    tags: str
+    """Key of the list of tags, by which results are recognised."""
+    number: str
+    """Key of a tag's number; -1 marks a target without one."""
+    corners: str
+    """Key of a tag's four corners: pairs, or mappings with x and y."""
+    times: Mapping[str, Decimal]
+    """Keys of the time, in the order in which they are tried, and their units in a second."""
+    family: str = ""
+    """Key of a tag's family; empty if it has none."""
+    least: float = -np.inf
+    """Least coordinate of a corner; others count from the middle of the image, and are refused."""
+    row: str = ""
+    """Row of the documentation."""
+
+
+PROGRAMS = (
+    Program(
+        "PhotonVision",
+        "targets",
+        "fiducialId",
+        "detectedCorners",
+        {"metadata.captureTimestampMicros": Decimal(1_000_000), "timestampSeconds": Decimal(1)},
+        row="PhotonVision (JSON, or a line for each result) | `PhotonPipelineResult` with `metadata` and "
+        "`detectedCorners`: a list, or one for each camera by name; of its AprilTag pipeline",
+    ),
+    Program(
+        "Limelight",
+        "Fiducial",
+        "fID",
+        "pts",
+        {"ts_us": Decimal(1_000_000), "ts": Decimal(1_000)},
+        "fam",
+        least=0.0,
+        row="Limelight (JSON, or a line for each result) | `Fiducial` with `pts`, which its pipeline must send",
+    ),
+)
 
 
 class DetectionsFile(File):
     """File of detections, whose first line may name columns."""
 
     @cached_property
-    def documents(self) -> list[Any] | None:
-        """Values of JSON, of the whole text or of each line; None for another text.
+    def documents(self) -> list[Any]:
+        """Values of JSON, of the whole text or of each line; empty for another text.
 
         Raises:
             InputError: the text begins like JSON, but is broken.
         """
+        if not self.text.lstrip().startswith(("{", "[")):
+            return []
+        lines = [line for line in self.text.splitlines() if line.strip()]
         try:
-            return documents_of(self.text)
+            try:
+                return [json.loads(self.text)]
+            except ValueError:
+                if len(lines) < 2 or not all(line.strip()[0] == "{" for line in lines):
+                    raise
+                return [json.loads(line) for line in lines]
         except (ValueError, RecursionError) as error:
             reason = " ".join(str(error).split())[:SHOWN]
             raise InputError(f"{self.argument}: {str(self.path)!r} is no JSON ({reason}).", self.argument) from None
@@ -78,7 +144,7 @@ class DetectionsFile(File):
 
 
 def read_detections(path: Any, topic: Any = None) -> DetectedTags:
-    """Read JSON of `lmd.formats.detection_readers`, a bag, or a table with the columns `time,id,x0,y0,...,x3,y3`.
+    """Read JSON of a program, a bag, or a table with the columns `time,id,x0,y0,...,x3,y3`.
 
     The corners of a table are clockwise from the top left in OpenCV's pixels.
 
@@ -96,62 +162,95 @@ def read_detections(path: Any, topic: Any = None) -> DetectedTags:
 
 
 def _read_csv(file: File) -> DetectedTags:
-    path, name = file.path, file.argument
-    table = read_table(path, name=name)
+    table = read_table(file.path, name=file.argument)
     time, camera = (next((known for known in known_as if known in table), "") for known_as in (TIMES, CAMERAS))
     values = table.numbers(("id", *CORNER_COLUMNS), None)
-    ids = values[:, 0].astype(np.int64)
-    if (wrong := np.flatnonzero((ids != values[:, 0]) | (ids < 0))).size:
+    if (wrong := np.flatnonzero((values[:, 0] != values[:, 0].astype(np.int64)) | (values[:, 0] < 0))).size:
         text = table.texts["id"][wrong[0]]
-        raise InputError(f"{path} line {table.lines[wrong[0]]}: id is {text!r}, not a whole number from 0.", name)
-    # Nanoseconds since 1970 have more digits than a float, so frames are distinguished by the text.
-    moments = _as_first_written(table.texts[time])
-    names = sorted(set(table.texts[camera])) if camera else [""]
-    cameras = np.searchsorted(names, table.texts[camera]) if camera else np.zeros(len(ids), dtype=np.int64)
+        line = f"{file.path} line {table.lines[wrong[0]]}"
+        raise InputError(f"{line}: id is {text!r}, not a whole number from 0.", file.argument)
     corners = values[:, 1:9].reshape(-1, 4, 2) + PIXEL_CENTRE
-    found = _detections(path, name, moments, names, cameras, ids, corners)
-    return _of_family(
-        file, found, (text for key in table.texts if NAMES.get(key) == FAMILY for text in table.texts[key])
+    cameras = table.texts[camera] if camera else [""] * len(values)
+    family = next(
+        (table.texts[key] for key in table.texts if standard(key, TAGS) == (FAMILY, None)), [""] * len(values)
     )
+    rows = zip(cameras, table.texts[time], values[:, 0].astype(np.int64), corners, family, strict=True)
+    return _detections(file, [SeenTag(*row) for row in rows])
 
 
-def _detections(
-    path: Any,
-    name: str,
-    moments: Sequence[str],
-    names: Sequence[str],
-    cameras: IntArray,
-    ids: IntArray,
-    corners: FloatArray,
-) -> DetectedTags:
-    """Make detections with corners from the tag's top left; quadrilaterals without an area are left out.
+def _detections(file: File, seen: Sequence[SeenTag]) -> DetectedTags:
+    """Detections of tags that were seen, with corners from the tag's top left; quadrilaterals without an area are left
+    out.
 
-    Args:
-        path, name: path of the file and its argument, for messages.
-        moments: times of the frames, equal for one frame.
-        names: names of the cameras.
-        cameras: index of the camera of each detection.
-        ids: numbers of the tags.
-        corners: pixels from the border, in the order of OpenCV or of AprilTag, `(N, 4, 2)`.
+    Raises:
+        InputError: no tag has an area, or the tags have several families.
     """
-    place = {text: index for index, text in enumerate(in_order(moments))}
+    # Nanoseconds since 1970 have more digits than a float, so frames are distinguished by the text.
+    moments = _as_first_written([printable(tag.time) for tag in seen])
+    names = sorted({printable(tag.camera) for tag in seen})
+    cameras = np.searchsorted(names, [printable(tag.camera) for tag in seen])
+    ids, corners = np.array([tag.number for tag in seen], dtype=np.int64), np.array([tag.corners for tag in seen])
     if 2 * (signed_area(corners) < 0.0).sum() > len(corners):
         corners = corners[:, FROM_APRILTAG]
     usable = signed_area(corners) >= LEAST_AREA
     if not usable.any():
-        raise InputError(f"{path} has no detection with four corners around an area.", name)
+        raise InputError(f"{file.path} has no detection with four corners around an area.", file.argument)
+    place = {text: index for index, text in enumerate(in_order(moments))}
     frames = np.array([place[text] for text in moments])
-    found = DetectedTags(tuple(place), tuple(names), frames, np.asarray(cameras, dtype=np.int64), ids, corners)
+    try:
+        family = one_family(family_named(text) for text in {tag.family for tag in seen} - {""})
+    except InputError as error:
+        raise InputError(f"{file.argument}: {str(file.path)!r} {error}", file.argument) from None
+    found = DetectedTags(tuple(place), tuple(names), frames, cameras.astype(np.int64), ids, corners, family=family)
     return found.of(np.flatnonzero(usable))
 
 
-def _from_json(read_tags: Callable[[list[Any]], Iterator[SeenTag]]) -> Callable[[DetectionsFile], DetectedTags]:
-    """Make a reader of JSON."""
+def _results(documents: Any, key: str, camera: str = "", depth: int = DEEPEST) -> Iterator[tuple[str, Any]]:
+    """Results within documents, with the names of their cameras: the mappings that have a given key."""
+    if isinstance(documents, Mapping):
+        if key in documents:
+            yield camera, documents
+        elif depth:
+            for name, inner in documents.items():
+                yield from _results(inner, key, camera if name == "Results" else str(name), depth - 1)
+    elif isinstance(documents, list):
+        for inner in documents:
+            yield from _results(inner, key, camera, depth - (depth < DEEPEST))
+
+
+def _seen_by(program: Program, documents: list[Any]) -> Iterator[SeenTag]:
+    """Tags with corners in the results of a program, with the times of capture."""
+    for camera, result in _results(documents, program.tags):
+        metadata = result.get("metadata")
+        keys = {**result, **({f"metadata.{key}": value for key, value in metadata.items()} if metadata else {})}
+        name = next((name for name in program.times if name in keys and real(name, keys[name]) >= 0.0), "")
+        if not name:
+            raise InputError(f"has a result without {' or '.join(program.times)}, so its time is not known")
+        written = keys[name] if isinstance(keys[name], int) else repr(real(name, keys[name]))
+        time = f"{Decimal(written) / program.times[name]:f}"  # exact to the last digit for whole numbers
+        for tag in result[program.tags]:
+            number, given = tag.get(program.number, -1), tag.get(program.corners)
+            if number == -1 or not given:
+                continue  # a shape, an object, or a tag without corners
+            if real(program.number, number, low=0.0) != int(number):
+                raise InputError(f"has the {program.number} {number!r}, which is not a whole number")
+            if not isinstance(given, list) or len(given) != 4:
+                raise InputError(f"must have four corners in {program.corners}, got {given!r}"[: 2 * SHOWN])
+            pairs = ([corner["x"], corner["y"]] if isinstance(corner, Mapping) else corner for corner in given)
+            corners = [vector(f"{program.corners}[{i}]", pair, 2) for i, pair in enumerate(pairs)]
+            if min(map(min, corners)) < program.least:
+                raise InputError(f"has corners below 0: its {program.corners} count from the middle of the image")
+            family = str(tag.get(program.family, "")).upper().removesuffix("C")  # such as 36H11C
+            yield SeenTag(camera, time, int(number), corners, family)
+
+
+def _from_json(program: Program) -> Format:
+    """Format of a program's JSON."""
 
     def read_json(file: DetectionsFile) -> DetectedTags:
         where = f"{file.argument}: {str(file.path)!r}"
         try:
-            seen = list(read_tags(file.documents or []))
+            seen = list(_seen_by(program, file.documents))
         except InputError as error:
             raise InputError(f"{where} {error}.".replace("..", "."), file.argument) from None
         except KeyError as error:
@@ -159,39 +258,31 @@ def _from_json(read_tags: Callable[[list[Any]], Iterator[SeenTag]]) -> Callable[
         except (IndexError, TypeError, ValueError, AttributeError, ArithmeticError):
             raise InputError(f"{where} has a value of another kind than its program writes.", file.argument) from None
         if not seen:
-            raise InputError(f"{where} has no detection of a tag with corners.", file.argument)
-        return _of_seen(file, seen)
+            how = f"let the pipeline send {program.corners}"
+            raise InputError(f"{where} has no detection of a tag with corners: {how}.", file.argument)
+        return _detections(file, seen)
 
-    return read_json
-
-
-def _of_seen(file: File, seen: Sequence[SeenTag]) -> DetectedTags:
-    """Detections of tags that were seen."""
-    seen = [tag._replace(camera=printable(tag.camera), time=printable(tag.time)) for tag in seen]
-    names = sorted({tag.camera for tag in seen})
-    cameras, ids = (
-        np.array(of, dtype=np.int64) for of in zip(*((names.index(t.camera), t.number) for t in seen), strict=True)
-    )
-    corners = np.array([tag.corners for tag in seen])
-    found = _detections(file.path, file.argument, [tag.time for tag in seen], names, cameras, ids, corners)
-    return _of_family(file, found, (tag.family for tag in seen))
+    recognises: Callable[[Any], bool] = lambda file: any(True for _ in _results(file.documents, program.tags))  # noqa: E731
+    return Format("detections", program.name, recognises, read_json, row=program.row)
 
 
-def _of_family(file: File, found: DetectedTags, named: Iterable[str]) -> DetectedTags:
-    """Detections with their family, by its names in any library; empty names are ignored.
-
-    Raises:
-        InputError: the tags have several families.
-    """
-    try:
-        return replace(found, family=one_family(family_named(text) for text in set(named) - {""}))
-    except InputError as error:
-        raise InputError(f"{file.argument}: {str(file.path)!r} {error}", file.argument) from None
-
-
-def _read_bag(file: DetectionsFile) -> DetectedTags:
-    seen, images = seen_in(file.path, file.argument, file.asked.get("topic"))
-    return _with_images(_of_seen(file, seen), images)
+def _read_bag(file: File) -> DetectedTags:
+    """Detections in a bag: of the `topic` that is asked for, of a list of the topics of several cameras, or of all."""
+    bag, topic, seen, images = Bag(file.path, file.argument), file.asked.get("topic"), list[SeenTag](), []
+    found = bag.topics_of(DETECTIONS) if topic is None else [topic] if isinstance(topic, str) else list(topic)
+    topics = bag.chosen(topic, DETECTIONS, count=max(len(found), 1))
+    for name in topics:
+        camera = name if len(topics) > 1 else ""
+        for stored in bag.messages(name):
+            images.append((stored.stamp, name))
+            for tag in bag.content(stored.raw, DETECTIONS).detections:  # corners count from the border of the image
+                corners = [(float(corner.x), float(corner.y)) for corner in tag.corners]
+                if not np.isfinite(corners).all():
+                    raise bag.refused(f"has a corner that is no number at {stored.stamp} s")
+                seen.append(SeenTag(camera, stored.stamp, int(tag.id), corners, tag.family))
+    if not seen:
+        raise bag.refused(f"has no tag on {', '.join(topics)}")
+    return _with_images(_detections(file, seen), images)
 
 
 def _as_first_written(texts: Sequence[str]) -> list[str]:
@@ -289,33 +380,9 @@ FORMATS = (
         row="table (CSV) | a row for each tag, with `time` (`stamp`, `image`), `id`, `x0,y0,...,x3,y3`, and `camera` "
         "(`topic`) of a rig",
     ),
+    *map(_from_json, PROGRAMS),
     Format(
-        "detections",
-        "PhotonVision",
-        has_results("targets"),
-        _from_json(photonvision),
-        row="PhotonVision (JSON, or a line for each result) | `PhotonPipelineResult` with `metadata` and "
-        "`detectedCorners`: a list, or one for each camera by name; of its AprilTag pipeline",
-    ),
-    Format(
-        "detections",
-        "Limelight",
-        has_results("Fiducial"),
-        _from_json(limelight),
-        row="Limelight (JSON, or a line for each result) | `Fiducial` with `pts`, which its pipeline must send",
-    ),
-    Format(
-        "detections",
-        "Visual Marker Mapping",
-        has_results("tag_observations"),
-        _from_json(visual_marker_mapping),
-        row="Visual Marker Mapping `marker_detections.json` | corners of `--do_corner_refinement`",
-    ),
-    Format(
-        "detections",
-        "other JSON",
-        lambda file: file.documents is not None,
-        why_not="is JSON without targets, Fiducial or tag_observations",
+        "detections", "other JSON", lambda file: bool(file.documents), why_not="is JSON without targets or Fiducial"
     ),
     Format(
         "detections",

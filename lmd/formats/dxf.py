@@ -14,9 +14,8 @@ from lmd.core.checks import LARGEST, FloatArray, InputError, bounded, choice
 from lmd.core.files import read_bytes
 from lmd.core.optional import optional
 from lmd.core.words import few
-from lmd.formats.plans import ReadPlan
 from lmd.formats.registry import File
-from lmd.formats.wall_lines import Drawing, plan_of
+from lmd.formats.wall_lines import Drawing, ReadPlan, plan_of
 
 # Units that a user may name, in metres, and their codes in $INSUNITS.
 UNITS = {"metres": 1.0, "millimetres": 0.001, "centimetres": 0.01, "inches": 0.0254, "feet": 0.3048}

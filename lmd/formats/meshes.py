@@ -1,10 +1,11 @@
-"""Meshes of rooms from files, see `lmd.formats.room_formats`; trimesh reads triangles of glTF, OBJ, STL and PLY."""
+"""Meshes of rooms from files, read by trimesh: glTF, OBJ, STL and PLY.
+
+trimesh cuts polygons into fans, which is wrong for concave faces, so that polygons of an OBJ are cut before.
+"""
 
 import io
-import json
 import logging
 import re
-from collections.abc import Mapping
 from dataclasses import fields
 from functools import cached_property
 from pathlib import Path
@@ -15,9 +16,8 @@ import numpy as np
 from lmd.core.checks import FloatArray, InputError, IntArray, bounded, choice, file_path, printable, real
 from lmd.core.files import read_bytes
 from lmd.core.optional import optional
-from lmd.formats.captured_rooms import Captured, cut
-from lmd.formats.gltf import header_of, triangles_of, with_fractions
-from lmd.formats.registry import File, read
+from lmd.formats.gltf import check_gltf
+from lmd.formats.registry import File, Format, anything, ends, read
 from lmd.space.mesh import Mesh
 from lmd.space.mesh_room import MeshRoom
 from lmd.space.parts import box_text, check_metres
@@ -25,9 +25,8 @@ from lmd.space.scan import Scan
 from lmd.space.triangles import THINNEST_M
 
 UP_AXES = ("z", "y")
-CAPTURED = ".json"
-Y_UP = (".gltf", ".glb", CAPTURED)  # formats whose standard has y up
-SUFFIXES = (".gltf", ".glb", ".obj", ".stl", ".ply", CAPTURED)
+Y_UP = (".gltf", ".glb")  # formats whose standard has y up
+SUFFIXES = (*Y_UP, ".obj", ".stl", ".ply")
 # Decimals of a metre to which corners are rounded before they are compared: files have 32 bits for a number.
 CORNER_DIGITS = 6
 # Units of programs in metres; and longest side of a room for which a message suggests a unit, metres.
@@ -40,6 +39,23 @@ MOST_TRIANGLES = 5_000_000
 MOST_CORNERS, MOST_PARTS = 2000, 30_000
 _CORNER = re.compile(r"(-?\d+)")
 _PLY_FACES = re.compile(rb"^element\s+face\s+(\d+)\s*$", re.MULTILINE)
+OUTLINE = "take the corners of the floor from it, in metres, as the outline of a floor plan (docs/rooms.md)"
+# Files that are refused, with advice on a supported format, by the endings of their names.
+REFUSED = {
+    ".dxf": "the room floor_plan is read from a drawing",
+    ".dwg": "save it as DXF, from which the room floor_plan is read",
+    ".svg .pdf .png .jpg .jpeg .geojson .topojson": f"{OUTLINE}; its own units are none",
+    ".pgm .yaml .yml": "the room occupancy_grid is read from map.yaml",
+    ".ifc .ifczip": "`IfcConvert plan.ifc plan.obj` of IfcOpenShell makes an .obj",
+    ".usdz .usd .usda .usdc .dae .fbx .3ds .blend .x3d .wrl .3mf .off": "import it into Blender and export .glb or .obj",
+    ".skp .rvt .max .3dm": "export .glb, .obj or .stl from the program that made it",
+    ".stp .step .igs .iges .fcstd": "export .obj or .stl from FreeCAD",
+    ".las .laz .e57 .pcd .pts .ptx .xyz": "make a mesh of the points in MeshLab or CloudCompare, and flatten its walls",
+    ".sh3d": "export the 3D view of Sweet Home 3D to OBJ, in centimetres: a scale of 0.01",
+    ".world .sdf .urdf": "name the mesh that it places, or export it as .glb",
+    ".json": "save the model of a phone or a headset as .glb (in Blender from RoomPlan's .usdz, a home of Sweet Home 3D as "
+    f"OBJ; a glTF ends in .gltf), or {OUTLINE}",
+}
 
 
 class RoomFile(File):
@@ -50,31 +66,8 @@ class RoomFile(File):
         """Bytes of the file."""
         return read_bytes(self.path, self.argument)
 
-    @cached_property
-    def keys(self) -> Mapping[str, Any]:
-        """Keys and values of JSON, or of YAML if the suffix says so; empty for another file.
-
-        Raises:
-            InputError: the text is neither JSON nor YAML.
-        """
-        if self.suffix in (".yaml", ".yml"):
-            return super().keys
-        if self.suffix != CAPTURED:
-            return {}
-        try:
-            keys = json.loads(self.content)
-        except (ValueError, RecursionError) as error:
-            if isinstance(error, InputError):
-                raise
-            raise InputError(f"path: {str(self.path)!r} cannot be read as JSON ({error}).", "path") from None
-        if not isinstance(keys, dict):
-            raise InputError(f"path: {str(self.path)!r} has no keys.", "path")
-        return keys
-
     def refused(self, reason: str) -> InputError:
-        """Error about a refused room; the message lists the supported suffixes if the file has another suffix."""
-        if self.suffix in SUFFIXES:
-            return InputError(f"path: {str(self.path)!r}: {reason}.", "path")
+        """Error about a refused room; the message lists the supported suffixes."""
         known = f"path = {str(self.path)!r} must end in one of {', '.join(SUFFIXES)}"
         return InputError(f"{known}; {reason}." if reason else f"{known} (docs/rooms.md).", "path")
 
@@ -84,8 +77,7 @@ def read_mesh(path: str | Path | None, scale: float = 1.0, up: str | None = None
 
     Args:
         scale: metres per unit of the file.
-        up: axis of the file that points up, `z` or `y`; None for the format's standard: `y` for glTF and for rooms
-            captured by headsets and phones, `z` for other formats.
+        up: axis of the file that points up, `z` or `y`; None for the format's standard: `y` for glTF, `z` for others.
 
     Raises:
         InputError: the file is missing, holds no triangles or cannot be read, or its size is implausible for a room.
@@ -95,11 +87,8 @@ def read_mesh(path: str | Path | None, scale: float = 1.0, up: str | None = None
     file = file_path("path", path)
     scale = real("scale", scale, above=0.0)
     is_sure = up is not None or file.suffix.lower() in Y_UP
-    if up is None:
-        up = "y" if file.suffix.lower() in Y_UP else "z"
-    found = read("room", RoomFile(file, asked={"up": choice("up", up, UP_AXES)}))
-    captured = found if isinstance(found, Captured) else Captured((), ())
-    parts = _triangulated(found, up) if isinstance(found, Captured) else found
+    up = choice("up", up or ("y" if file.suffix.lower() in Y_UP else "z"), UP_AXES)
+    parts = read("room", RoomFile(file, asked={"up": up}))
     if not parts:
         cure = "make a mesh of a cloud of points in MeshLab or CloudCompare"
         raise InputError(f"path: {str(file)!r} holds no triangles; {cure}.", "path")
@@ -121,9 +110,8 @@ def read_mesh(path: str | Path | None, scale: float = 1.0, up: str | None = None
         raise flat
     mesh.update_faces(kept)
     mesh.remove_unreferenced_vertices()
-    on_walls = tuple((part.name, scale * _turned(face, up)) for part in captured.on_walls for face in part.faces)
     faces = np.array(mesh.faces, dtype=np.int64)
-    return Mesh(np.array(mesh.vertices), faces, of[kept], names, str(path), up, is_sure, on_walls, captured.note)
+    return Mesh(np.array(mesh.vertices), faces, of[kept], names, str(path), up, is_sure)
 
 
 def read_mesh_room(
@@ -156,17 +144,15 @@ def _turned(points: FloatArray, up: str) -> FloatArray:
     return (points if up == "z" else points[:, [0, 2, 1]] * [1.0, -1.0, 1.0]) + 0.0
 
 
-def _triangulated(captured: Captured, up: str) -> dict[str, Any]:
-    """Objects of a captured room as meshes, by name."""
-    trimesh = optional("trimesh", "mesh")
-    parts = {}
-    for part in captured.parts:
-        corners = np.concatenate([cut(_turned(face, up)) for face in part.faces])
-        parts[part.name] = trimesh.Trimesh(
-            corners.reshape(-1, 3), np.arange(corners.size // 3).reshape(-1, 3), process=False
-        )
-        parts[part.name].merge_vertices(digits_vertex=CORNER_DIGITS)
-    return parts
+def cut(face: FloatArray) -> FloatArray:
+    """Cut a flat polygon `(N, 3)` into triangles `(T, 3, 3)`; none if the polygon crosses itself or has no area."""
+    import shapely
+
+    _, _, (right, up, _) = np.linalg.svd(face - face.mean(axis=0))
+    flat = shapely.Polygon((face - face.mean(axis=0)) @ np.stack([right, up], axis=1))
+    parts = shapely.get_parts(shapely.constrained_delaunay_triangles(flat)) if flat.is_valid else []
+    corners = [shapely.get_coordinates(part)[:3] @ np.stack([right, up]) + face.mean(axis=0) for part in parts]
+    return np.array(corners).reshape(-1, 3, 3)
 
 
 def triangles(room: RoomFile) -> dict[str, Any]:
@@ -178,9 +164,7 @@ def triangles(room: RoomFile) -> dict[str, Any]:
     options = {"split_objects": True} if kind == "obj" else {}
     try:
         if file.suffix.lower() in Y_UP:
-            header = header_of(file, content)
-            bounded("triangles", triangles_of(header), MOST_TRIANGLES, f"path: {str(file)!r}", "path")
-            content, kind = with_fractions(header, content, kind)
+            check_gltf(file, content, MOST_TRIANGLES)
         if kind == "obj":
             content = _with_triangles(content, f"path: {str(file)!r}")
         # Bytes have no path, so no other files, such as materials or textures, are searched. Processing is off, as it
@@ -276,3 +260,16 @@ def _check_ply(name: str, content: bytes, triangles: int) -> None:
             "Blender, `Triangulated Mesh`), or an .obj, whose faces are cut as they are outlined.",
             "path",
         )
+
+
+FORMATS = (
+    Format(
+        "room",
+        "triangles",
+        ends(*SUFFIXES),
+        triangles,
+        row="glTF (`.gltf`, `.glb`), OBJ, STL, PLY | modelling programs, scans of phones",
+    ),
+    *(Format("room", "of another program", ends(*names.split()), why_not=way) for names, way in REFUSED.items()),
+    Format("room", "another file", anything),
+)

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from lmd.core.tables import write_table
-from lmd.formats.landmark_table import FAMILY
+from lmd.formats.columns import FAMILY
 from lmd.formats.tag_map import QUATERNION, TagMap
 from lmd.scene.deployment import COLUMNS, UP_COLUMNS
 from lmd.scene.edges import EDGE

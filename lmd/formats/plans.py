@@ -1,16 +1,19 @@
-"""Rooms over floor plans from files, see `lmd.formats.plan_formats`."""
+"""Rooms over floor plans from files: formats, and what a file leaves open."""
 
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from dataclasses import dataclass, fields
+from typing import Any
 
 import numpy as np
 from typing_extensions import override
 
-from lmd.core.checks import FloatArray, InputError, file_path, real, vector
-from lmd.formats.registry import File, read
+from lmd.core.checks import InputError, check_fields, file_path, real, vector
+from lmd.formats.dxf import read_drawing
+from lmd.formats.free_region import read_map
+from lmd.formats.registry import File, Format, anything, ends, read
+from lmd.formats.wall_lines import ReadPlan
 from lmd.space.parts import check_metres
 from lmd.space.prism import Prism, from_floor_plan
-from lmd.space.relevance import Relevance
 
 # Values of `conf/room/floor_plan.yaml`, which a file replaces.
 EXAMPLE = {
@@ -24,34 +27,6 @@ EXAMPLE = {
 ROUNDING_M = 1e-9
 
 
-class Stretch(NamedTuple):
-    """Part of an edge of a plan where nothing hangs, such as a door."""
-
-    ring: int
-    """Index of the ring: 0 for the outline, 1 for the first hole."""
-    edge: int
-    """Index of the edge in its ring."""
-    start: float
-    """Distance from the first vertex of the edge, metres."""
-    stop: float
-    """Distance of the end from the first vertex, metres."""
-    name: str
-    """Name on drawings."""
-
-
-class ReadPlan(NamedTuple):
-    """Floor plan in a file."""
-
-    rings: Sequence[FloatArray]
-    """Vertices of the outline and of the holes, counter-clockwise, metres, `(N, 2)` each."""
-    stretches: Sequence[Stretch]
-    """Parts of the walls where nothing hangs."""
-    scale: str
-    """Text on the unit of the file, such as `resolution = 0.05`, for messages."""
-    note: str = ""
-    """Remark on omitted or ambiguous parts, a sentence; empty without a remark."""
-
-
 class PlanFile(File):
     """File of a floor plan; `asked` has `start`, `tolerance`, `speck`, `passage`, `layers`, `unit` and `gap`."""
 
@@ -60,95 +35,84 @@ class PlanFile(File):
         return InputError(f"path: {str(self.path)!r}: {reason}.", "path")
 
 
+@dataclass(frozen=True)
+class Reading:
+    """Settings of a floor plan's file.
+
+    Raises:
+        InputError: a setting is refused.
+    """
+
+    start: Sequence[float] | None = None
+    """Point (x, y) of the file's frame in the room, metres; None for the largest region."""
+    tolerance: float = 0.1
+    """Greatest distance of a wall from the contour in the file, metres."""
+    speck: float = 0.2
+    """A group of cells of an occupancy grid that are not free counts as free if both its sides are shorter than this,
+    metres.
+    """
+    passage: float = 0.3
+    """Least width of the parts of an occupancy grid's free region, metres; narrower parts are left out."""
+    layers: Sequence[str] | None = None
+    """Names of the layers of a drawing with walls; None for the layers whose names mean walls."""
+    unit: str | None = None
+    """Unit of a drawing, one of `lmd.formats.dxf.UNITS`; None for the unit that the drawing names."""
+    gap: float = 1.3
+    """Widest gap between walls of a drawing that is closed, such as a door, metres."""
+    least_width: float = 0.4
+    """Least width of the free stretch of a wall that carries landmarks by default, metres."""
+
+    def __post_init__(self) -> None:
+        if self.start is not None:
+            object.__setattr__(self, "start", vector("start", self.start, 2))
+        check_fields(self, real, "tolerance", above=0.0)
+        check_fields(self, real, "speck", "passage", "gap", "least_width", low=0.0)
+
+
 def read_plan_room(
     outline: Any = None,
     height: Any = None,
     reachable: Any = None,
     spacing: Any = None,
-    positions: str = "cells",
-    relevance: Relevance | None = None,
     path: Any = None,
-    holes: Any = (),
-    keep_out: Any = (),
     surfaces: Any = None,
-    margin: Any = 0.0,
-    start: Any = None,
-    tolerance: Any = 0.1,
-    speck: Any = 0.2,
-    passage: Any = 0.3,
-    layers: Any = None,
-    unit: Any = None,
-    gap: Any = 1.3,
-    least_width: Any = 0.4,
-    **plan: Any,
+    **more: Any,
 ) -> Prism:
     """Room over a floor plan from a file or from its arguments, in the frame of the file.
 
     Args:
-        path: file of one of the formats of this module; None for a plan from the other arguments.
-        outline, holes: see `FloorPlan`; with a `path`, None or the values of `EXAMPLE`.
-        keep_out: see `FloorPlan`; with a `path`, in addition to the keep-outs of the file, while the keep-outs of
-            `EXAMPLE` are ignored.
+        path: file of a format of this module; None for a plan from the other arguments.
+        outline: see `FloorPlan`; with a `path`, None or the value of `EXAMPLE`.
         surfaces: see `FloorPlan`; with a `path`, None for all walls with a free stretch of `least_width`.
-        height, margin, plan: see `FloorPlan`.
-        reachable, spacing, positions, relevance: see `Prism`.
-        start: point (x, y) of the file's frame in the room, metres; None for the largest region.
-        tolerance: greatest distance of a wall from the contour in the file, metres.
-        speck: a group of cells of an occupancy grid that are not free counts as free if both its sides are shorter than
-            this, metres.
-        passage: least width of the parts of an occupancy grid's free region, metres; narrower parts are left out.
-        layers: names of the layers of a drawing with walls; None for the layers whose names mean walls.
-        unit: unit of a drawing, one of `lmd.formats.dxf.UNITS`; None for the unit that the drawing names.
-        gap: widest gap between walls of a drawing that is closed, such as a door, metres.
-        least_width: least width of the free stretch of a wall that carries landmarks by default, metres.
+        height, reachable, spacing: see `FloorPlan` and `Prism`.
+        more: fields of `Reading`, and arguments of `from_floor_plan`. With a `path`, `holes` are None or those of
+            `EXAMPLE`, and `keep_out` are added to those of the file, while the keep-outs of `EXAMPLE` are ignored.
 
     Raises:
         InputError: the file or a value is refused.
     """
-    if path is None and outline is None:
-        raise InputError("path is missing: a file with a floor plan is needed, such as map.yaml.", "path")
+    names = {field.name for field in fields(Reading)}
+    asked, plan = ({name: more[name] for name in more if (name in names) == of_file} for of_file in (True, False))
     if path is None:
-        own = {"holes": holes, "keep_out": keep_out, "surfaces": surfaces, "margin": margin, **plan}
-        return from_floor_plan(outline, height, reachable, spacing, positions, relevance, **own)
-    for name, value in (("outline", outline), ("holes", holes)):
+        if outline is None:
+            raise InputError("path is missing: a file with a floor plan is needed, such as map.yaml.", "path")
+        return from_floor_plan(outline, height, reachable, spacing, surfaces=surfaces, **plan)
+    for name, value in (("outline", outline), ("holes", plan.pop("holes", None))):
         if value not in (None, (), [], EXAMPLE[name]):
             raise InputError(f"{name} and path are both given: leave out {name}, or take path=null.", name)
-    asked: dict[str, Any] = {
-        "start": None if start is None else vector("start", start, 2),
-        "layers": layers,
-        "unit": unit,
-    }
-    asked["tolerance"] = real("tolerance", tolerance, above=0.0)
-    asked |= {
-        name: real(name, value, low=0.0) for name, value in (("speck", speck), ("passage", passage), ("gap", gap))
-    }
-    file, height, margin = file_path("path", path), real("height", height, above=0.0), real("margin", margin, low=0.0)
-    found: ReadPlan = read("floor plan", PlanFile(file, asked=asked))
-    check_metres(
-        [*np.ptp(found.rings[0], axis=0), height],
-        f"path: {str(path)!r} with {found.scale} makes",
-        "check its unit",
-        "path",
-    )
-    walls, parts = _walls(found, height, margin, real("least_width", least_width, low=0.0))
+    reading, height = Reading(**asked), real("height", height, above=0.0)
+    margin, keep_out = real("margin", plan.pop("margin", 0.0), low=0.0), plan.pop("keep_out", ())
+    found: ReadPlan = read("floor plan", PlanFile(file_path("path", path), asked=vars(reading)))
+    size = [*np.ptp(found.rings[0], axis=0), height]
+    check_metres(size, f"path: {str(path)!r} with {found.scale} makes", "check its unit", "path")
+    walls, parts = _walls(found, height, margin, reading.least_width)
     if surfaces is None and not walls:
-        raise InputError(f"path: {str(path)!r} has no wall with a free stretch of {least_width:g} m.", "path")
-    rings = [ring.tolist() for ring in found.rings]
-    return from_floor_plan(
-        rings[0],
-        height,
-        reachable,
-        spacing,
-        positions,
-        relevance,
-        holes=rings[1:],
-        surfaces=walls if surfaces is None else surfaces,
-        keep_out=[*parts, *([] if keep_out == EXAMPLE["keep_out"] else keep_out)],
-        margin=margin,
-        path=str(path),
-        note=found.note,
-        **plan,
-    )
+        raise InputError(f"path: {str(path)!r} has no wall with a free stretch of {reading.least_width:g} m.", "path")
+    outer, *holes = [ring.tolist() for ring in found.rings]
+    of_file = {"holes": holes, "surfaces": walls if surfaces is None else surfaces, "margin": margin}
+    of_file["keep_out"] = [*parts, *([] if keep_out == EXAMPLE["keep_out"] else keep_out)]
+    of_file |= {"path": str(path), "note": found.note}
+    return from_floor_plan(outer, height, reachable, spacing, **of_file, **plan)
 
 
 def _walls(found: ReadPlan, height: float, margin: float, least_width: float) -> tuple[list[str], list[dict[str, Any]]]:
@@ -170,3 +134,22 @@ def _walls(found: ReadPlan, height: float, margin: float, least_width: float) ->
                 left = [start, stop] if i else [length - stop, length - start]
                 parts.append({"surface": name, "from_left": left, "from_below": [0.0, height], "name": label})
     return walls, parts
+
+
+FORMATS = (
+    Format("floor plan", "DXF", ends(".dxf"), read_drawing, row="DXF (`.dxf`) | AutoCAD, LibreCAD, QCAD, FreeCAD"),
+    Format(
+        "floor plan",
+        "occupancy grid",
+        lambda file: ends(".yaml", ".yml")(file) and bool({"image", "resolution", "origin"} & file.keys.keys()),
+        read_map,
+        row="`map.yaml` with PGM, PNG or BMP | nav2, slam_toolbox, Cartographer, gmapping",
+    ),
+    Format(
+        "floor plan",
+        "another file",
+        anything,
+        why_not="a floor plan is a .dxf (a .dwg is saved as one), or a .yaml of nav2 with image, resolution and origin, "
+        "which a picture alone lacks; the room mesh is read from a model (docs/rooms.md)",
+    ),
+)

@@ -24,10 +24,10 @@ GROUP = "lmd.formats"
 # Module of each family. The module's `FORMATS` are tried in their order; the last format accepts every file.
 FAMILIES = {
     "calibration": "lmd.formats.calibration_formats",
-    "trajectory": "lmd.formats.trajectory_formats",
+    "trajectory": "lmd.formats.pose_files",
     "tag map": "lmd.formats.tag_map_formats",
-    "room": "lmd.formats.room_formats",
-    "floor plan": "lmd.formats.plan_formats",
+    "room": "lmd.formats.meshes",
+    "floor plan": "lmd.formats.plans",
     "detections": "lmd.formats.detection_formats",
 }
 HEAD = 2000  # number of characters that `begins` searches
@@ -138,10 +138,10 @@ class Format:
     | family | it returns |
     | --- | --- |
     | calibration | the cameras by name, each in the keys of ROS's `camera_info`, or a function that returns them |
-    | trajectory | `lmd.formats.trajectory_rows.Rows` |
+    | trajectory | `lmd.formats.pose_files.Rows` |
     | tag map | `lmd.formats.placed_tag.Found` |
     | room | `lmd.formats.captured_rooms.Captured`, or meshes of trimesh by name, z up |
-    | floor plan | `lmd.formats.plan_formats.ReadPlan` |
+    | floor plan | `lmd.formats.plans.ReadPlan` |
     | detections | `lmd.formats.detections.DetectedTags` |
     """
     why_not: str | Callable[[Any], str] = ""

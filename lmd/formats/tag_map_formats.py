@@ -11,16 +11,11 @@ from typing import Any
 
 from lmd.formats import mapped_tags, tag_bundles
 from lmd.formats import tag_map_readers as readers
-from lmd.formats.gazebo_tags import gazebo
-from lmd.formats.landmark_table import headed_table
-from lmd.formats.lanelet_maps import autoware
-from lmd.formats.listed_tags import is_list, listed
-from lmd.formats.placed_tag import Found, Keys, PlacedTag, tag_named
-from lmd.formats.pose_graphs import read_graph
+from lmd.formats.placed_tag import Found, Keys, PlacedTag
 from lmd.formats.registry import File, Format, anything, has_keys
 from lmd.formats.ros2_tf import TAGS_OF_LAUNCH, read_launch
-from lmd.formats.tag_map_texts import PRIORS, read_lines, read_priors
 from lmd.formats.tag_map_writers import WRITERS
+from lmd.formats.tag_tables import PRIORS, is_list, listed, read_tag_text
 from lmd.scene.edges import EDGE
 
 IS_NUMBER = re.compile(r"\s*[-+.\d]")
@@ -91,7 +86,7 @@ LIST = Format(
     "tag map",
     "a list of tags",
     lambda file: is_list(file.keys),
-    lambda file: Found(list(listed(file.keys)), any_frame=True),
+    listed,
     row="a list `landmarks`, `markers` or `tags` | | not written | `id`, `position`, `orientation` as in "
     "[a table](#a-table-of-your-own), `size`",
 )
@@ -193,11 +188,6 @@ KEYED = (
 KNOWN = ", ".join(dict.fromkeys(form.name for form in KEYED))
 
 
-def _begins_with_tag(line: str) -> bool:
-    """True for a line of values with the name of a tag first, such as `tag36h11:7 2.0 0.0`."""
-    return tag_named(re.split(r"[\s,]", line.strip(), maxsplit=1)[0]) is not None
-
-
 def _root(*names: str) -> Callable[[Any], bool]:
     """Make a test for XML whose outermost element has one of the given names."""
     return lambda file: file.root is not None and file.root.tag in names
@@ -212,7 +202,7 @@ FORMATS = (
         "tag map",
         "RTAB-Map",
         lambda file: PRIORS.search(file.text) is not None or "|" in file.first,
-        lambda file: read_priors(file.text),
+        read_tag_text,
         row=_row(
             "rtabmap",
             "RTAB-Map | : the value of `Marker/Priors` | `id x y z roll pitch yaw`, alone or in its `.ini` "
@@ -226,22 +216,7 @@ FORMATS = (
         lambda file: Found(list(read_launch(file.text))),
         row=_row("ros2_tf", "ROS 2, tf2 | : a static transform for each tag, `ros2 launch` runs it | yes; no size"),
     ),
-    Format(
-        "tag map",
-        "Lanelet2",
-        _root(OSM),
-        lambda file: Found(list(autoware(file.root))),
-        row="Autoware | | not written | ways `pose_marker` of a Lanelet2 map, by `local_x`, `local_y`, `ele`",
-    ),
-    Format(
-        "tag map",
-        "Gazebo",
-        _root(*GAZEBO),
-        lambda file: gazebo(file.root, file.path, file.asked.get("axes")),
-        row="Gazebo | | not written | [worlds and models](#worlds-of-gazebo) with pictures of tags; no size",
-    ),
     Format("tag map", "XML", lambda file: file.root is not None, why_not=_xml_reason),
-    Format("tag map", "g2o", _first(GRAPH), lambda file: read_graph(file.path, file.text)),
     *(_refused(_first(begins), reason) for begins, reason in BY_TEXT),
     *KEYED,
     *(_refused(has_keys(*marks), reason) for marks, reason in BY_KEYS),
@@ -258,23 +233,9 @@ FORMATS = (
     ),
     Format(
         "tag map",
-        "lines",
-        lambda file: IS_NUMBER.match(file.first) is not None or _begins_with_tag(file.first),
-        lambda file: read_lines(file.path, file.text),
-        row=_row("clover", "Clover | : `aruco_map` | `id length x y z yaw pitch roll`, `length`")
-        + "\nfiducial_slam | | not written | what it saves: `id x y z roll pitch yaw variance ...`, degrees",
-    ),
-    Format(
-        "tag map",
-        "WPILib's drawing",
-        lambda file: ",".join(part.strip() for part in file.first.split(",")) in WPILIB_HEADERS,
-        lambda file: Found(readers.wpilib_drawing(file.path, file.argument)),
-    ),
-    Format(
-        "tag map",
         "table",
         anything,
-        lambda file: Found([], headed_table(file.path, file.lines, file.argument)),
+        read_tag_text,
         row=(
             "your own | `csv`, `json` | `tags.csv`, `tags.json`: poses as quaternions, and corners | yes, `edge`; or "
             "[a table](#a-table-of-your-own)"

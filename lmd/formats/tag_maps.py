@@ -13,10 +13,10 @@ import numpy as np
 
 from lmd.core.checks import FloatArray, InputError
 from lmd.formats import tag_map_readers as readers
-from lmd.formats.gazebo_worlds import root_of
-from lmd.formats.landmark_table import is_by_normals, renamed, turned_deployment
+from lmd.formats.opencv_calibrations import xml_of
 from lmd.formats.placed_tag import RIGHT_UP_OUT, Found, Keys, PlacedTag, axes_of, check_family, one_family
 from lmd.formats.registry import File, read
+from lmd.formats.tag_tables import deployment_of
 from lmd.scene.deployment import Deployment
 from lmd.scene.families import FAMILIES
 from lmd.scene.labels import Labels
@@ -42,7 +42,7 @@ class TagMapFile(File):
         Raises:
             InputError: the text begins like XML but is broken, or has entities.
         """
-        return root_of(self.text)
+        return xml_of(self.text)
 
     @cached_property
     def keys(self) -> Keys:
@@ -59,7 +59,11 @@ class TagMapFile(File):
 
 
 def read_deployment(
-    path: Any, name: str = "path", family: str | None = None, axes: Sequence[str] | None = None
+    path: Any,
+    name: str = "path",
+    family: str | None = None,
+    axes: Sequence[str] | None = None,
+    columns: str | Sequence[str] | None = None,
 ) -> Deployment:
     """Read the tags of a map, or the landmarks of a table, see `lmd.formats.landmark_table`.
 
@@ -75,13 +79,14 @@ def read_deployment(
     Raises:
         InputError: the file cannot be read, is no map with poses of tags, or has tags of another family.
     """
-    file = TagMapFile(path, name, asked={} if axes is None else {"axes": axes})
+    file = TagMapFile(path, name, asked={"columns": columns})
     try:
         found: Found = read("tag map", file)
-        table, families = (None, [tag.family for tag in found.tags]) if found.table is None else renamed(found.table)
-        check_family(path, one_family(families), family)
-        if table is not None:
-            return Deployment.from_table(table) if is_by_normals(table) else turned_deployment(table, axes)
+        if found.table is not None:
+            deployment, families = deployment_of(found.table, axes)
+            check_family(path, one_family(families), family)
+            return deployment
+        check_family(path, one_family(tag.family for tag in found.tags), family)
         if not found.tags:
             raise InputError("it has no tags with places.")
         turned = found.by_opencv and family is not None and FAMILIES[family].apriltag
@@ -90,7 +95,7 @@ def read_deployment(
             return _in_frame(path, tags, axes)
         return _deployment(path, tags, found.note)
     except InputError as error:
-        known = error.argument in (name, "axes") or str(path) in str(error)
+        known = error.argument in (name, "axes", "columns") or str(path) in str(error)
         raise error if known else InputError(f"{path}: {error}") from None
     except KeyError as error:
         raise InputError(f"{path}: the key {error} is missing.") from None

@@ -1,7 +1,7 @@
 """Recorded trajectories: from a recorder's file to poses of the camera in the frame of the room."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import cached_property
 from typing import Any
 
@@ -9,8 +9,7 @@ import numpy as np
 
 from lmd.core.checks import ONE_TURN, FloatArray, InputError, choice, real, said_of, vector
 from lmd.formats.extrinsics import read_mount
-from lmd.formats.trajectory_formats import read_rows
-from lmd.formats.trajectory_rows import Rows, steep
+from lmd.formats.pose_files import Rows, read_rows, steep
 from lmd.geometry.frames import roll_pitch_yaw
 from lmd.geometry.se3 import act, pose_of, poses_from_rows, rigid_alignment
 from lmd.geometry.trajectory import Trajectory
@@ -31,7 +30,7 @@ class TrajectoryFile:
     """File of a trajectory, with the settings of its frames.
 
     Args:
-        path: file in a format of `lmd.formats.trajectory_formats`, or a table with the columns time,x,y,z and one of:
+        path: file in a format of `lmd.formats.pose_files`, or a table with the columns time,x,y,z and one of:
             qx,qy,qz,qw; roll,pitch,yaw of a body in ROS's convention; yaw_from_y,pitch_up (and roll_left) of a camera
             as in `lmd.geometry.frames.rotation`, also as time,x,y,z,yaw,pitch. Seconds, metres, radians.
         frame: frame of the orientations: `optical` (x right, y down, z the optical axis) or `body` (x along the optical
@@ -43,6 +42,8 @@ class TrajectoryFile:
             frame and then in the room's frame.
         mount: pose of the camera on the recorded body: a calibration with extrinsics or {path, name}, see
             `lmd.formats.rigs`; or [x, y, z, yaw, pitch, roll] as in a rig (`lmd.scene.rig`).
+        columns: names of the columns of a text that does not name them, or the name of a program, see
+            `lmd.formats.columns.LAYOUTS`.
 
     Raises:
         InputError: a value is refused.
@@ -54,6 +55,7 @@ class TrajectoryFile:
     rate: float | None = None
     align: Sequence[Any] | None = None
     mount: str | Mapping[str, Any] | Sequence[float] | None = None
+    columns: str | Sequence[str] | None = None
 
     def __post_init__(self) -> None:
         choice("frame", self.frame, list(FRAMES))
@@ -63,7 +65,8 @@ class TrajectoryFile:
         """Poses of the camera in the room, and the rows from which they were read."""
         if self.path is None:
             raise InputError("path is missing: a file of poses is needed.", "path")
-        rows = read_rows(self.path, self.times, self.rate, self.frame)
+        asked = {name: getattr(self, name) for name in ("times", "rate", "frame", "columns")}
+        rows = read_rows(self.path, **asked)
         if rows.frame == "optical" and self.frame == "body":
             raise InputError(f"frame must be optical: {self.path} has the poses of a camera.", "frame")
         poses = rows.poses
@@ -124,28 +127,21 @@ class TrajectoryFile:
         return self.trajectory
 
 
-def read_recorded_poses(
-    path: str | None,
-    frame: str = "optical",
-    times: str | None = None,
-    rate: float | None = None,
-    align: Sequence[Any] | None = None,
-    mount: str | Mapping[str, Any] | Sequence[float] | None = None,
-    group: str = "",
-    **more: Any,
-) -> RecordedPoses:
+def read_recorded_poses(path: str | None, group: str = "", **more: Any) -> RecordedPoses:
     """Read recorded poses from a file.
 
     Args:
-        path, frame, times, rate, align, mount: see `TrajectoryFile`.
+        path: see `TrajectoryFile`.
         group: prefix of the keys of a configuration in the note.
-        more: other arguments of `RecordedPoses`.
+        more: other arguments of `TrajectoryFile` and of `RecordedPoses`.
 
     Raises:
         InputError: a value is refused, or the file is no trajectory.
     """
-    file = TrajectoryFile(path, frame, times, rate, align, mount)
-    return RecordedPoses(file.trajectory, path=path, note=file.note_of(group), **more)
+    own = {field.name for field in fields(TrajectoryFile)}
+    file = TrajectoryFile(path, **{name: value for name, value in more.items() if name in own})
+    others = {name: value for name, value in more.items() if name not in own}
+    return RecordedPoses(file.trajectory, path=path, note=file.note_of(group), **others)
 
 
 def alignment(align: Sequence[Any]) -> FloatArray:

@@ -1,12 +1,11 @@
 """Room enclosed by the lines of walls in a drawing."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from lmd.core.checks import BoolArray, FloatArray, InputError, IntArray, bounded
-from lmd.formats.plans import ReadPlan, Stretch
 from lmd.formats.registry import File
 from lmd.space.polygon import edges
 
@@ -25,6 +24,34 @@ THICKEST_M = 0.5
 # Greatest number of lines of walls and windows (a hospital has 20,000); of pairs of them that meet; and of pairs that
 # cross or overlap, of which a plan has few.
 MOST_SEGMENTS, MOST_MEETINGS, MOST_CROSSINGS = 50_000, 1_000_000, 10_000
+
+
+class Stretch(NamedTuple):
+    """Part of an edge of a plan where nothing hangs, such as a door."""
+
+    ring: int
+    """Index of the ring: 0 for the outline, 1 for the first hole."""
+    edge: int
+    """Index of the edge in its ring."""
+    start: float
+    """Distance from the first vertex of the edge, metres."""
+    stop: float
+    """Distance of the end from the first vertex, metres."""
+    name: str
+    """Name on drawings."""
+
+
+class ReadPlan(NamedTuple):
+    """Floor plan in a file."""
+
+    rings: Sequence[FloatArray]
+    """Vertices of the outline and of the holes, counter-clockwise, metres, `(N, 2)` each."""
+    stretches: Sequence[Stretch]
+    """Parts of the walls where nothing hangs."""
+    scale: str
+    """Text on the unit of the file, such as `resolution = 0.05`, for messages."""
+    note: str = ""
+    """Remark on omitted or ambiguous parts, a sentence; empty without a remark."""
 
 
 class Drawing(NamedTuple):

@@ -13,8 +13,8 @@ from scipy.stats import norm, truncnorm, vonmises
 from lmd.core.checks import FloatArray, InputError, radians, real, seconds
 from lmd.core.memory import check_memory
 from lmd.core.tables import read_table
-from lmd.formats.trajectory_columns import OWN_ANGLES
-from lmd.formats.trajectory_rows import steep
+from lmd.formats.columns import OWN_ANGLES
+from lmd.formats.pose_files import steep
 from lmd.geometry.frames import normal_angles
 
 ANGLES = ("yaw", "pitch")

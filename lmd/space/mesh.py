@@ -23,7 +23,3 @@ class Mesh:
     """Axis of the file that points up, `z` or `y`."""
     up_is_sure: bool = True
     """True if the user or the file format defines the up axis."""
-    on_walls: tuple[tuple[str, FloatArray], ...] = ()
-    """Names and corners `(N, 3)` of objects on walls, such as doors, which exclude landmarks."""
-    note: str = ""
-    """Remark on an ambiguous file, a sentence; empty without ambiguity."""

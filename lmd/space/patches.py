@@ -9,7 +9,6 @@ from lmd.core.optional import optional
 from lmd.geometry.squares import upright
 from lmd.space.allowed import polygons
 from lmd.space.mesh import Mesh
-from lmd.space.parts import KeepOut
 from lmd.space.surface import PLACEMENT_TOLERANCE, Surface
 
 # Largest angle between adjacent triangles of a patch, rad, and largest distance of its vertices from its plane, metres.
@@ -61,27 +60,6 @@ def surface_of(name: str, corners: FloatArray, normal: FloatArray) -> Surface:
     origin = (depth.min() + depth.max()) / 2.0 * normal + low[0] * u + low[1] * v
     length, width = (high - low).tolist()
     return Surface(name, origin + 0.0, u, v, normal, (length, width)).where(shape)
-
-
-# Largest distance of a captured door or window from its wall, metres.
-ON_WALL = 0.15
-
-
-def lying_on(surface: Surface, name: str, corners: FloatArray) -> KeepOut | None:
-    """Keep-out for an object with corners `(N, 3)` on a surface; None if the object does not lie on the surface."""
-    import shapely
-
-    if np.abs((corners - surface.origin) @ surface.normal).max() > ON_WALL:
-        return None
-    at = surface.from_left_and_below(
-        np.stack([(corners - surface.origin) @ surface.u, (corners - surface.origin) @ surface.v], axis=-1)
-    )
-    whole = shapely.Polygon(at)
-    inside = whole.intersection(shapely.box(0.0, 0.0, *surface.extent))
-    if inside.geom_type != "Polygon" or inside.area < whole.area / 2.0:
-        return None
-    ring = shapely.get_coordinates(shapely.orient_polygons(inside))[:-1]
-    return KeepOut(surface.name, corners=[tuple(corner) for corner in ring.tolist()], name=name)
 
 
 def grown(shapes: Any, width: float) -> Any:

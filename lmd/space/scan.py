@@ -14,7 +14,7 @@ from lmd.space.gravity import LEVEL_NORMAL_Z, STOREY, doubt_of
 from lmd.space.interior import Interior
 from lmd.space.mesh import Mesh
 from lmd.space.parts import KeepOut, all_keep_outs, checked_band, checked_names
-from lmd.space.patches import UNEVEN, areas_of, flat_parts, grown, lying_on, plane_of, standing_on, surface_of
+from lmd.space.patches import UNEVEN, areas_of, flat_parts, grown, plane_of, standing_on, surface_of
 from lmd.space.surface import PLACEMENT_TOLERANCE, Surface, free_of
 from lmd.space.triangles import Triangles, unit_normals
 
@@ -183,8 +183,7 @@ class Scan:
         return None if eroded(region, self._half_edge).is_empty else region
 
     def _kept_out(self, surface: Surface) -> list[KeepOut]:
-        given = [part for part in self.keep_out if part.surface == surface.name]
-        return given + [part for thing in self.mesh.on_walls if (part := lying_on(surface, *thing)) is not None]
+        return [part for part in self.keep_out if part.surface == surface.name]
 
     def _inside(self, surface: Surface, region: Any, standing: Sequence[Any]) -> Any:
         """Part of a region of a patch inside the room: not below the floor, beyond a wall or in furniture.

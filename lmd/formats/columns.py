@@ -1,0 +1,361 @@
+"""Tables of poses and of tags: one vocabulary of columns and units, and one reader of texts.
+
+A text names its columns in its first line, or in a comment above the values. For other texts the user names them, or
+the program that wrote them, a row of `LAYOUTS`. Without such a word only TUM's format and lines of `ros2 topic echo`
+are read: a wrong reading of these breaks a rule of theirs.
+"""
+
+import re
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from lmd.core.checks import InputError
+from lmd.core.tables import COMMENT, Table, csv_rows, is_number, numbered_lines
+from lmd.core.words import few
+from lmd.formats.placed_tag import TAG_WORDS, tag_named
+from lmd.geometry.se3 import ROW
+from lmd.scene.deployment import COLUMNS, UP_COLUMNS
+from lmd.scene.edges import EDGE
+from lmd.scene.labels import ID
+
+POSES, TAGS = "poses", "tags"  # kinds of tables
+TIME, FAMILY, POSITION, QUATERNION, NORMAL, UP = "time", "family", ROW[:3], ROW[3:], COLUMNS[3:], UP_COLUMNS
+EULER = ("roll", "pitch", "yaw")  # angles of a body in ROS's convention: x ahead, y left, z up
+# Angles of a camera, as in `lmd.geometry.frames.rotation`: clockwise from the y axis, up, and to the left.
+OWN_ANGLES = ("yaw_from_y", "pitch_up", "roll_left")
+VECTOR = ("rx", "ry", "rz")  # rotation vector, whose length is the angle
+LONGEST_NAME = 200  # greatest number of characters of a column's name; a longer name is unknown
+ONCE = (EDGE, FAMILY)  # quantities of which only the first column counts
+SHOWN = 200  # greatest number of characters of a line that a message shows
+
+_FACTORS = {"milli": 1e-3, "micro": 1e-6, "nano": 1e-9, "centi": 1e-2, "inch": 0.0254, "foot": 0.3048, "one": 1.0}
+
+
+def _units(**words: str) -> dict[str, float]:
+    return {word: _FACTORS.get(factor, np.pi / 180.0) for factor, names in words.items() for word in names.split()}
+
+
+# Units in seconds, metres and radians.
+_SECONDS = _units(
+    one="sec secs second seconds",
+    milli="msec msecs millis millisecond milliseconds",
+    micro="usec usecs micros microsecond microseconds",
+    nano="nsec nsecs nanos nanosec nanosecs nanosecond nanoseconds",
+)
+_TIMES = _SECONDS | _units(one="s", milli="ms", micro="us µs", nano="ns")
+_LENGTHS = _units(one="m metre metres meter meters", centi="cm", milli="mm", inch="in inch inches", foot="ft foot feet")
+_ANGLES = _units(one="rad radian radians", degree="deg degree degrees °")
+_CLOCKS = "bag|elapsed|epoch|gps|log|rel|relative|ros|rosbag|sim|sys|system|unix|utc|wall"
+
+
+class Quantity(NamedTuple):
+    """Quantity of a table."""
+
+    name: str
+    """Standard name, in which {} stands for the axis."""
+    pattern: str
+    """Regular expression of the names in files, in small letters, with a group `axis`, and UNIT for a unit's name."""
+    units: Mapping[str, float] = {}
+    """Factors of the units by name; empty for a quantity without a unit."""
+
+    def found(self, plain: str) -> re.Match[str] | None:
+        """Match of a name of this quantity."""
+        unit = "|".join(sorted(self.units, key=len, reverse=True))
+        return re.fullmatch(self.pattern.replace("UNIT", f"(?P<unit>{unit})"), plain)
+
+
+_OF_POSES = (
+    Quantity(
+        TIME, rf"(?:(?:.*[./ ])?(?:(?:{_CLOCKS})[_ ]?)?(?:time(?:[_ ]?stamp)?s?|stamps?)|ts?)(?:[_./ ]?UNIT)?", _TIMES
+    ),
+    Quantity(TIME, "UNIT", _SECONDS),
+    # EuRoC and OKVIS write frames between the letter and the axis: RS in R, or WS in W.
+    Quantity(
+        "{}",
+        r"(?:(?:p|t|pos|xyz|tvec|(?:.*[._/ ])?(?:position(?:_m)?|translation(?:_vector)?|location))[._/ ]?)?"
+        r"(?:(?:rs_r|ws_w)_)?(?P<axis>[xyz])(?:_UNIT)?",
+        _LENGTHS,
+    ),
+    Quantity(
+        "q{}",
+        r"(?:q|quat|quaternion|ori|rot|(?:.*[._/ ])?(?:orientation|rotation|quaternion))[._/ ]?(?:q[._/ ])?"
+        r"(?:rs_|ws_)?(?P<axis>[wxyz])",
+    ),
+    Quantity("{}", r"(?:.*[./ ])?(?P<axis>roll|pitch|yaw)(?:[_ ]UNIT)?", _ANGLES),
+    Quantity("{}", f"(?P<axis>{'|'.join(OWN_ANGLES)})"),
+)
+VOCABULARY = {
+    POSES: _OF_POSES,
+    TAGS: (
+        *_OF_POSES,
+        Quantity("{}", f"(?P<axis>{'|'.join((*NORMAL, *UP, *VECTOR))})"),
+        Quantity("r{}", r"(?:.*\.)?(?:rotation_vector|rvec|rodrigues)\.(?P<axis>[xyz])"),
+        Quantity(EDGE, r"(?:(?:(?:tag|marker|edge|side)[_ -])?(?:size|length)|side|edge)(?:[_ ]UNIT)?", _LENGTHS),
+        Quantity(FAMILY, r"(?:tag[_ -])?family|(?:aruco[_ -])?dict|dictionary"),
+        Quantity(ID, TAG_WORDS),
+    ),
+}
+_SAME = {"utime": "time_us", "rot_z": "yaw", "rot_y": "pitch", "rot_x": "roll"}  # the latter of Clover's generator
+_BRACKETS = re.compile(r"[\[(]([^\[(\])]*)[\])]$")
+# Names of a quaternion with w first: qw qx qy qz, (w, x, y, z), wxyz, w i j k.
+_W_FIRST = re.compile(r"(?<![a-z])q?_?w[\W_]*q?_?x[\W_]*q?_?y[\W_]*q?_?z|(?<![a-z])w[\W_]+i[\W_]+j[\W_]+k(?![a-z])")
+
+
+class Layout(NamedTuple):
+    """Columns of a text that does not name them."""
+
+    name: str
+    """Word for the program in `columns`; empty for columns of a file or of the user."""
+    of: str
+    """Kind of the table."""
+    columns: tuple[str, ...]
+    """Names of the columns, with their units."""
+    least: int = 0
+    """Least number of values, if lines may lack the last, which are then 0; 0 if no value may be missing."""
+    more: bool = False
+    """True if further values may follow, which are left out."""
+    ragged: bool = False
+    """True if the number of further values may differ between lines."""
+
+    def takes(self, width: int) -> bool:
+        """True if a line may have `width` values."""
+        return (self.least or len(self.columns)) <= width and (self.more or width <= len(self.columns))
+
+
+_POSE, _XYZ = (*POSITION, *QUATERNION), (ID, *POSITION)
+_W_POSE = (*POSITION, "qw", "qx", "qy", "qz")
+LAYOUTS = (
+    Layout("tum", POSES, (TIME, *_POSE), more=True),
+    Layout("euroc", POSES, ("time_ns", *_W_POSE), more=True),
+    Layout("vins", POSES, ("time_ns", *_W_POSE, "vx", "vy", "vz")),
+    Layout("rtabmap", POSES, (TIME, *_POSE, ID)),
+    Layout("ros2", POSES, ("sec", "nanosec", "frame_id", "child_frame_id", *_POSE), more=True),
+    Layout("ros2", POSES, ("sec", "nanosec", "frame_id", *_POSE), more=True),
+    Layout("kitti", POSES, tuple(f"m{row}{column}" for row in range(3) for column in range(4))),
+    Layout("clover", TAGS, (ID, EDGE, *POSITION, "yaw", "pitch", "roll"), least=4),
+    Layout("rtabmap", TAGS, (*_XYZ, *EULER)),
+    Layout(
+        "fiducial_slam", TAGS, (*_XYZ, "roll_deg", "pitch_deg", "yaw_deg", "variance", "observations"), 0, True, True
+    ),
+)
+# Columns that refusals suggest.
+PLAIN = {
+    POSES: ((TIME, *_POSE), (TIME, *POSITION, *EULER)),
+    TAGS: ((*_XYZ, *QUATERNION), (*_XYZ, *EULER), (*_XYZ, *NORMAL)),
+}
+
+
+class Lines(NamedTuple):
+    """Lines of a text that are neither blank nor comments."""
+
+    path: str
+    comments: list[str]
+    """Comments before the first line, without #."""
+    commas: bool
+    """True if commas separate the values, and not blanks."""
+    rows: list[tuple[int, list[str]]]
+    """Number of each line, from 1, and its values."""
+
+    @property
+    def width(self) -> int:
+        """Number of values of the first line."""
+        return len(self.rows[0][1])
+
+    @classmethod
+    def of(cls, path: object, text: str, argument: str = "path") -> "Lines":
+        """Lines of a text.
+
+        Raises:
+            InputError: the lines have commas and are no CSV.
+        """
+        lines = numbered_lines(text)
+        first = lines[0][1].strip() if lines else ""
+        before = text.splitlines()[: lines[0][0] - 1] if lines else []
+        comments = [comment for line in before if (comment := line.strip().lstrip(COMMENT).strip())]
+        if commas := any(mark in first for mark in ",;"):
+            rows = csv_rows(path, lines, argument)
+            if not any(row[-1] for _, row in rows):  # each line ends with a comma
+                rows = [(number, row[:-1]) for number, row in rows]
+        else:
+            tab = "\t" if "\t" in first and not is_number(first.split()[0]) else None
+            split = ((number, line.split(COMMENT)[0].split(tab)) for number, line in lines)
+            rows = [(number, [value.strip() for value in row]) for number, row in split]
+        return cls(str(path), comments, commas, rows)
+
+
+class Named(NamedTuple):
+    """Table with the standard names of its columns, metres and radians; unknown columns keep their names."""
+
+    table: Table
+    columns: Mapping[str, str]
+    """Names in the file of the known columns, by their standard names."""
+    time_unit: float | None
+    """Unit of the column `TIME`, seconds; None if the file names no unit."""
+    layout: Layout
+    """Columns of the text."""
+
+
+def standard(name: str, of: str) -> tuple[str, float | None] | None:
+    """Standard name of a column, and its unit in seconds, metres or radians, None without one; None if unknown.
+
+    Raises:
+        InputError: the unit is unknown.
+    """
+    plain = name.strip().strip("'\"").strip("#%:; \t").lstrip("_").lower()
+    unit = None
+    # Digits in brackets count the columns of an array, in any order: q[0].
+    if (brackets := _BRACKETS.search(plain)) is not None and not brackets[1].strip().isdigit():
+        unit, plain = brackets[1].strip(), plain[: brackets.start()].rstrip("_ \t")
+    for quantity in VOCABULARY[of] if len(plain) <= LONGEST_NAME else ():
+        if (found := quantity.found(_SAME.get(plain, plain))) is not None:
+            groups = found.groupdict()
+            unit = unit or groups.get("unit")
+            if quantity.units and unit not in (None, "", "-", "1") and unit not in quantity.units:
+                known = ", ".join(quantity.units)
+                raise InputError(f"the unit {unit!r} of the column {name!r} is not known, only {known}.")
+            return quantity.name.format(groups.get("axis")), quantity.units.get(unit or "")
+    return None
+
+
+def standardised(table: Table, of: str, layout: Layout | None = None) -> Named:
+    """Table with standard names and units; of several columns of times the first is taken.
+
+    Raises:
+        InputError: two columns may hold one quantity, or a unit is unknown.
+    """
+    columns, texts, time_unit = dict[str, str](), dict[str, Sequence[str]](), None
+    for name, values in table.texts.items():
+        own, unit = standard(name, of) or ("", None)
+        literal = own != name and own in table  # another column has the standard name itself
+        if own == ID or (own == EDGE and not all(map(is_number, filter(None, values)))) or (own in ONCE and literal):
+            own = ""
+        if own in columns and own not in (TIME, *ONCE):
+            raise InputError(f"its columns {columns[own]!r} and {name!r} may both be {own}: leave one.")
+        if not own or own in columns:
+            texts.setdefault(name, values)
+            continue
+        columns[own] = name
+        if own == TIME:
+            time_unit = unit
+        elif unit not in (None, 1.0):
+            values = [repr(float(text) * unit) if is_number(text) else text for text in values]
+        texts[name if own == TIME and of == TAGS else own] = values
+    own_layout = layout or Layout("", of, tuple(table.texts))
+    return Named(Table(table.path, table.lines, texts), columns, time_unit, own_layout)
+
+
+def named(
+    path: object, text: str, of: str, columns: str | Sequence[str] | None = None, argument: str = "path"
+) -> Named:
+    """Table of a text.
+
+    Args:
+        path: path of the file, for messages.
+        text: text of the file.
+        of: kind of the table.
+        columns: names of the columns, or the name of a program of `LAYOUTS`, for a text that does not name its columns.
+        argument: name of the argument with the path, for messages.
+
+    Raises:
+        InputError: the text is no table, or its columns are not known.
+    """
+    lines = Lines.of(path, text, argument)
+    if not lines.rows:
+        raise InputError(f"{path} is empty; expected the columns {','.join(PLAIN[of][0])}.")
+    (number, first), *others = lines.rows
+    has_names = not is_number(first[0]) and (of == POSES or tag_named(first[0]) is None)
+    if has_names and sum(map(is_number, first)) >= 3:
+        wrong = f"line {number} begins with {first[0][:80]!r}"
+        raise InputError(f"{wrong}, which is neither a number nor the name of a column.")
+    asked = None if columns is None else _asked(lines, of, columns)
+    if has_names:  # columns of the user replace a line that names no place
+        has_place = any((standard(name, of) or ("",))[0] == "x" for name in first)
+        layout = Layout("", of, tuple(first)) if asked is None or has_place else asked
+    else:
+        layout = asked or _commented(lines, of) or _by_content(lines, of)
+    count, rows = len(layout.columns), list[tuple[int, list[str]]]()
+    for number, row in others if has_names else lines.rows:
+        if (len(row) != lines.width and not (layout.ragged or layout.least)) or not layout.takes(len(row)):
+            said = f"{path} line {number} has {len(row)} values, and the columns are"
+            raise InputError(f"{said} {','.join(layout.columns)[:SHOWN]}.")
+        rows.append((number, [*row[:count], *["0"] * (count - len(row))]))
+    return standardised(Table.of(path, layout.columns, rows), of, layout)
+
+
+def _asked(lines: Lines, of: str, columns: str | Sequence[str]) -> Layout:
+    """Columns that the user asked for."""
+    known = [layout for layout in LAYOUTS if layout.of == of]
+    if isinstance(columns, str) and re.fullmatch(r"\w+", columns):
+        found = [layout for layout in known if layout.name == columns]
+        if not found:
+            words = ", ".join(dict.fromkeys(layout.name for layout in known))
+            raise InputError(f"columns must be a list of names, or one of {words}, got {columns!r}.", "columns")
+        return next((layout for layout in found if layout.takes(lines.width)), found[0])
+    names = re.split(r"[,\s]+", columns) if isinstance(columns, str) else [str(name) for name in columns]
+    return Layout("", of, tuple(names), more=True)
+
+
+def _commented(lines: Lines, of: str) -> Layout | None:
+    """Columns that the last comment with names has; None if there is none.
+
+    A comment names the columns if it has a pose, or as many words as the lines have values, or begins with the number
+    of a tag and its place.
+
+    Raises:
+        InputError: a comment names more columns than there are.
+    """
+    for comment in reversed(lines.comments):
+        # In some files units are separated from the names: p_x [m].
+        spaced = re.sub(r"(?<!\s)\s+([\[(])", r"\1", comment)
+        for words in (comment.split(","), re.split(r"[,\s]+", spaced)) if "," in comment else (spaced.split(),):
+            names = [word for one in words if (word := one.strip(" \t:;,")) not in ("", "...")]
+            known = [(standard(name, of) or ("",))[0] for name in names]
+            leading = known.index("") if "" in known else len(known)
+            if known[:4] == [ID, *POSITION] or known[:4] == [ID, EDGE, *POSITION[:2]]:
+                names, known = names[:leading], known[:leading]
+            clover = next(layout for layout in LAYOUTS if layout.name == "clover")
+            if of == TAGS and len(known) >= clover.least and tuple(known) == clover.columns[: len(known)]:
+                return clover
+            has_pose = {"x", *QUATERNION} <= set(known) or {"x", *EULER} <= set(known)
+            if has_pose and len(names) > lines.width:
+                said = f"a comment names {len(names)} columns, {', '.join(names)[:SHOWN]}, and line {lines.rows[0][0]}"
+                raise InputError(f"{said} has {lines.width} values.")
+            few_words = 2 * sum(len(one) <= 3 or not one.isalpha() for one in names) >= len(names)
+            fits = 1 < len(names) == lines.width and (sum(map(bool, known)) >= 2 or few_words)
+            if has_pose or fits or (known[:1] == [ID] and leading >= 4):
+                return Layout("", of, tuple(names), more=True)
+    return None
+
+
+def _by_content(lines: Lines, of: str) -> Layout:
+    """Columns of a text whose values determine them.
+
+    Raises:
+        InputError: they do not; the message suggests columns.
+    """
+    layouts, first = [layout for layout in LAYOUTS if layout.of == of], lines.rows[0][1]
+    for layout in layouts:
+        words = [name.endswith("frame_id") for name in layout.columns]
+        if any(words) and layout.takes(lines.width) and [not is_number(text) for text in first[: len(words)]] == words:
+            return layout
+    for comment in lines.comments:
+        if _W_FIRST.search(comment.lower()):
+            raise InputError(
+                f"a comment, {comment[:120]!r}, has w before x, y, z, and does not name the columns: write a line "
+                f"above the values that names each, such as '# {' '.join(PLAIN[of][0])}'."
+            )
+    if of == POSES and not lines.commas and lines.width == len(layouts[0].columns):
+        return layouts[0]
+    width = lines.width
+    exact = [one for one in layouts if len(one.columns) == width or (one.takes(width) and (one.least or one.ragged))]
+    fits = [f"{one.name} ({','.join(one.columns)})" for one in exact]
+    fits += [f"[{','.join(names)}]" for names in PLAIN[of] if len(names) == width]
+    plain = ",".join(PLAIN[of][0])
+    raise InputError(
+        f"columns must be given, as {lines.path} does not name its columns: its first line is "
+        f"{(',' if lines.commas else ' ').join(first)[:SHOWN]!r}, which {few(fits[:3], 3) if fits else f'[{plain}]'} "
+        f"would fit; or write a line with their names above, such as {plain}.",
+        "columns",
+    )

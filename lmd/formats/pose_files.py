@@ -1,0 +1,421 @@
+"""Files of poses: tables, and formats without times, which are KITTI's matrices and COLMAP's images."""
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from itertools import pairwise
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from lmd.core.checks import BoolArray, FloatArray, InputError, radians, real, seconds
+from lmd.core.tables import COMMENT, Table, is_number
+from lmd.formats.columns import EULER, OWN_ANGLES, POSES, POSITION, QUATERNION, TIME, Lines, Named, named
+from lmd.formats.registry import File, Format, anything, begins, read
+from lmd.geometry.frames import roll_pitch_yaw
+from lmd.geometry.se3 import are_rotations, camera_pose, inverse, nearest_rotations, pose_of, poses_from_rows
+from lmd.geometry.trajectory import check_order
+
+NANOSECONDS = 1e16  # a greater time is in nanoseconds, as it would be 300 million years in seconds
+# Times between `UNCLEAR` and `NANOSECONDS` are no seconds: milliseconds or microseconds since 1970, or nanoseconds
+# since the start of the machine.
+UNCLEAR = 1e11
+FASTEST = 1e-6  # least time between poses, seconds; a shorter time means a wrong unit
+EPOCH = 1e8  # stamps of 0 are missing values if other stamps exceed this, seconds since 1970
+# Least sine of the pitch of views that look up or down, and least share of such views that raises a question.
+STEEP, NEARLY_ALL = np.cos(np.radians(30.0)), 0.9
+OWN_HEADER = (TIME, *POSITION, "yaw", "pitch")  # header with the old names of a camera's angles
+ROS_BODIES = re.compile(r"/?(.*/)?(base_link|base_footprint|base|body|robot)")
+ROS_OPTICAL = re.compile(r".*optical(_frame|_link)?")
+_NUMBER = r"[-+]?(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][-+]?\d+)?"
+# Line of an image of COLMAP: IMAGE_ID, quaternion with w first, translation, CAMERA_ID, NAME; a line of 2-D points has
+# only numbers.
+_IMAGE = re.compile(rf"\s*(\d+)((?:\s+{_NUMBER}){{7}})\s+(\d+)\s+(?!{_NUMBER}(?:\s|$))(\S(?:.*\S)?)\s*")
+AS_TEXT = "write a line per pose, time x y z qx qy qz qw, seconds and metres, from the camera to the world"
+# Refused formats: pattern in the first lines, the format, and advice.
+UNREAD = (
+    (
+        r"^#\s*kapture format|^#?\s*timestamp,\s*device_id,\s*qw",
+        "a trajectory of kapture, world to camera, of several devices: export it to COLMAP "
+        "(kapture_export_colmap.py), whose images.txt is read",
+    ),
+    (r"\A\s*(VERTEX|EDGE)_", f"a pose graph of g2o, which has no times: {AS_TEXT}"),
+    (r"^header:\s*$", "a message that ROS prints as YAML: record it as CSV, by ros2 topic echo --csv TOPIC"),
+    (r"\A\s*[{\[]", f"JSON, and poses are read from text or CSV: {AS_TEXT}"),
+    (r"\A\s*(<|NVM_V3)", f"a model or XML: COLMAP's images.txt is read, or {AS_TEXT}"),
+)
+
+
+@dataclass(frozen=True)
+class Rows:
+    """Rows of a file.
+
+    Args:
+        path: the file, for messages.
+        lines: line of each row in the file, from 1.
+        time: times, seconds, `(T,)`; increasing after `read_rows`.
+        poses: poses of the recorded body, in the frame of the recording, `(T, 4, 4)`.
+        frame: frame of the orientations, `optical` or `body`; None if the file does not define it.
+        angles: True for angles of a camera, which with a mount are the angles of the body's x axis.
+        notes: omissions and assumptions, sentences without a full stop.
+    """
+
+    path: str
+    lines: Sequence[int]
+    time: FloatArray
+    poses: FloatArray
+    frame: str | None = None
+    angles: bool = False
+    notes: tuple[str, ...] = ()
+
+    def kept(self, chosen: BoolArray, reason: str) -> "Rows":
+        """Rows selected by `chosen`, with a note about the others; the rows themselves if all are selected."""
+        if chosen.all():
+            return self
+        lines = [line for line, keep in zip(self.lines, chosen, strict=True) if keep]
+        note = f"{np.count_nonzero(~chosen)} of {len(chosen)} rows of {self.path} {reason}, and are left out"
+        return replace(self, lines=lines, time=self.time[chosen], poses=self.poses[chosen], notes=(*self.notes, note))
+
+
+class PoseFile(File):
+    """File of poses; `asked` has the fields of `lmd.formats.trajectories.TrajectoryFile` by name."""
+
+    @cached_property
+    def rows(self) -> Lines:
+        """Values of a text."""
+        return Lines.of(self.path, self.text, self.argument)
+
+    @property
+    def is_kitti(self) -> bool:
+        """True for rows of twelve numbers."""
+        rows = self.rows.rows
+        return self.asked["columns"] in (None, "kitti") and bool(rows) and [*map(is_number, rows[0][1])] == [True] * 12
+
+
+def read_rows(path: str, **asked: Any) -> Rows:
+    """Read poses in any known format; rows that repeat the previous time, as of a coarse clock, are left out.
+
+    Args:
+        asked: `times`, `rate`, `frame` and `columns` of `lmd.formats.trajectories.TrajectoryFile`.
+
+    Raises:
+        InputError: the file cannot be read, or holds no poses; the message names the file.
+    """
+    try:
+        rows: Rows = read("trajectory", PoseFile(path, asked=asked))
+        again = np.append(False, np.diff(rows.time) == 0.0)
+        if again.any():
+            apart = 1000.0 * np.linalg.norm(np.diff(rows.poses[:, :3, 3], axis=0), axis=1)[again[1:]].max()
+            first = rows.lines[np.flatnonzero(again)[0]]
+            rows = rows.kept(
+                ~again, f"have the time of the one before, at most {apart:.3g} mm away, from line {first} on"
+            )
+        check_order(rows.time, rows.lines)
+        return rows
+    except InputError as error:
+        raise error if error.argument or str(path) in str(error) else InputError(f"{path}: {error}") from None
+
+
+def checked_seconds(source: str, time: FloatArray, unit: float | None, positions: FloatArray | None) -> FloatArray:
+    """Times in seconds.
+
+    Args:
+        source: the file, for messages.
+        time: times in the unit of the file, `(T,)`.
+        unit: unit that the file names, in seconds; None if the file names no unit.
+        positions: positions at the times, metres, `(T, 3)`; None if unknown.
+
+    Raises:
+        InputError: the unit is unclear, or contradicts the unit that the file names.
+    """
+    latest = float(np.abs(time).max(initial=0.0))
+    if unit in (None, 1.0):
+        if latest > NANOSECONDS:
+            return time / 1e9
+        if latest > UNCLEAR:
+            raise InputError(
+                f"time = {latest:.15g} looks like milliseconds, microseconds or nanoseconds: divide it, or let its "
+                "column be called time_ms, time_us or time_ns (in a line above the values such as "
+                "'# time_us x y z qx qy qz qw')."
+            )
+    else:
+        time = time * unit
+        step = float(np.median(np.abs(np.diff(time)))) if len(time) > 1 else 1.0
+        if 0.0 < step < FASTEST:
+            raise InputError(f"its times cannot be in the unit that it names: poses would be {step:.2g} s apart.")
+    seconds(source, time, positions)
+    return time
+
+
+def given_times(count: int, what: str, times: str | None, rate: float | None) -> FloatArray | None:
+    """Times `(count,)`, seconds, of poses whose own file has no times; None for times from a `rate`.
+
+    Args:
+        what: name of the format without times, for messages.
+        times: file with the time of each pose, one per line.
+        rate: poses per second, instead of `times`.
+
+    Raises:
+        InputError: neither or both of `times` and `rate` are given, or the number of times is not `count`.
+    """
+    if (times is None) == (rate is None):
+        if times is None:
+            raise InputError(f"rate (poses a second) or times (a file) must be given: {what} no times.", "rate")
+        raise InputError("rate must be left out where times is given.", "rate")
+    if rate is not None:
+        real("rate", rate, above=0.0)
+        return None
+    rows = Lines.of(times, File(times, "times").text, "times").rows
+    if not rows or len(rows[0][1]) != 1 or not is_number(rows[0][1][0]):
+        raise InputError(f"times: {times} must have one number a line, seconds.", "times")
+    time = Table.of(times, [TIME], rows).numbers([TIME])[:, 0]
+    if len(time) != count:
+        raise InputError(f"times: {times} has {len(time)} times for {count} poses.", "times")
+    try:
+        return checked_seconds(str(times), time, None, None)
+    except InputError as error:
+        raise InputError(f"times: {times}: {str(error).removeprefix(f'{times}: ')}", "times") from None
+
+
+def steep(sines: FloatArray, path: object) -> str:
+    """Question if nearly all views look up or down, as they do if body poses are read as camera poses.
+
+    Args:
+        sines: sine of the pitch of each view, `(T,)`.
+        path: the file, for the question.
+    """
+    up, down = (float((sign * sines > STEEP).mean()) for sign in (1.0, -1.0))
+    if up + down < NEARLY_ALL:
+        return ""
+    way = "up" if up > down else "down"
+    return f"{up + down:.0%} of the views of {path} look straight {way}, within 30 degrees: does the camera?"
+
+
+def of_table(file: PoseFile) -> Rows:
+    """Rows of a table with a time in each line."""
+    if name := next((name for name in ("times", "rate") if file.asked[name] is not None), ""):
+        raise InputError(f"{name} must be left out: {file.path} has a time in each line.", name)
+    found = named(file.path, file.text, POSES, file.asked["columns"], file.argument)
+    table, unit = found.table, found.time_unit
+    if TIME not in table or not set(POSITION) <= found.columns.keys():
+        raise _lacking(found)
+    time, place = table.numbers([TIME], None)[:, 0], table.numbers(POSITION, None)
+    if whole := re.fullmatch(r"(.*?)(secs?|seconds)", found.columns[TIME]):  # with nanoseconds in another column
+        names = [f"{whole[1]}{name}" for name in ("nsec", "nsecs", "nanosec", "nanosecs", "nanoseconds")]
+        rest = [table.numbers([name], None)[:, 0] for name in names if name in table]
+        if rest and ((rest[0] >= 0.0) & (rest[0] < 1e9)).all():
+            time, unit = time + 1e-9 * rest[0], 1.0
+    poses, frame, angles, note = _oriented(found, place, file.asked["frame"])
+    rows = Rows(table.path, table.lines, time, poses, frame, angles, (note,) if note else ())
+    if "id" in table and all(map(is_number, table.texts["id"])):
+        rows = rows.kept(table.numbers(["id"], None)[:, 0] >= 0.0, "have a negative id, as landmarks of RTAB-Map")
+    stamps = np.abs(rows.time[rows.time != 0.0]) * (unit or 1.0)
+    if stamps.size and stamps.min() > EPOCH:
+        rows = rows.kept(rows.time != 0.0, "have the time 0 among times since 1970")
+    if not rows.time.size:
+        raise InputError("it has no pose: all its rows have a negative id.")
+    return replace(rows, time=checked_seconds(table.path, rows.time, unit, rows.poses[:, :3, 3]))
+
+
+def _oriented(found: Named, place: FloatArray, frame: str) -> tuple[FloatArray, str | None, bool, str]:
+    """Make poses from the columns; return the poses, the frame of the orientations, True for angles of a camera, and a
+    note.
+    """
+    table, columns, path = found.table, found.columns, found.table.path
+    if set(QUATERNION) <= columns.keys():
+        about, note = _frame_of_ros(table, frame)
+        return poses_from_rows(np.hstack([place, table.numbers(QUATERNION, None)]), table.lines), about, False, note
+    given = [name for name in EULER if name in columns]
+    own = set(OWN_ANGLES[:2]) <= columns.keys()
+    if own or (tuple(columns.values()) == OWN_HEADER and frame == "optical"):
+        names = [name for name in (OWN_ANGLES if own else ("yaw", "pitch")) if name in columns]
+        turns = dict(zip(("yaw", "pitch", "roll"), table.numbers(names, None).T, strict=False))
+        radians("the trajectory", **turns)
+        return camera_pose(place, **turns), "optical", True, ""
+    if not {"yaw", "pitch"} <= set(given):
+        raise _lacking(found)
+    order = list(columns)
+    if frame != "body" and ("roll" not in given or order.index("roll") > order.index("yaw")):
+        raise InputError(
+            f"frame must be body if {', '.join(given)} of {path} are ROS's (x ahead, y left, z up, yaw "
+            f"counter-clockwise from x). If they are a camera's (yaw clockwise from y, pitch up), call them "
+            f"{', '.join(OWN_ANGLES[: len(given)])}.",
+            "frame",
+        )
+    angles = dict(zip(given, table.numbers(given, None).T, strict=True))
+    radians("the trajectory", **angles)
+    turn = roll_pitch_yaw(np.stack([angles.get(name, np.zeros(len(place))) for name in EULER], axis=1))
+    taken = "are taken as ROS has them, of a body: x ahead, y left, z up, yaw counter-clockwise from x"
+    return pose_of(turn, place), "body", False, f"{', '.join(given)} of {path} {taken}"
+
+
+def _frame_of_ros(table: Table, frame: str) -> tuple[str | None, str]:
+    """Frame that the column `child_frame_id` of ROS names by REP 103 and REP 105, if any, and a note."""
+    found = {text for name in table.texts if name.lower().endswith("child_frame_id") for text in table.texts[name]}
+    name = found.pop() if len(found) == 1 else ""
+    if ROS_OPTICAL.fullmatch(name):
+        if frame == "body":
+            raise InputError(f"frame must be optical: the poses of {table.path} are those of {name!r}.", "frame")
+        return "optical", ""
+    if ROS_BODIES.fullmatch(name):
+        return "body", f"poses of {table.path} are those of {name!r}, taken for a body's: x ahead, y left, z up"
+    return None, ""
+
+
+def _lacking(found: Named) -> InputError:
+    """Error about a table that is no trajectory; the message names the missing columns."""
+    said = ", ".join(found.columns.get(name, name) for name in found.table.texts)[:300]
+    if TIME not in found.columns:
+        return InputError(
+            f"it has no column with a name that is known as the time, such as time or stamp_ns: its columns are {said}."
+        )
+    if any(name.endswith("q[0]") for name in found.table.texts):
+        return InputError(
+            "its columns from q[0] on do not say which is w: call them qx, qy, qz, qw (PX4 has w first, and axes that "
+            "point north, east and down: take time_us,x,y,z,qw,qx,qy,qz from timestamp, position[0], -position[1], "
+            "-position[2], q[0], q[1], -q[2], -q[3], and frame=body)."
+        )
+    turns = EULER if any(name in found.columns for name in EULER) and "qw" not in found.columns else QUATERNION
+    missing = [name for name in (*POSITION, *turns) if name not in found.columns]
+    plane = " Of a motion in the plane add z, the height, and roll = pitch = 0 beside yaw, of a body, radians."
+    return InputError(
+        f"it lacks {', '.join(missing)}: a pose has time, x, y, z and qx, qy, qz, qw (or roll, pitch, yaw), and its "
+        f"columns are {said}." + (plane if {"x", "y"} <= found.columns.keys() and "z" not in found.columns else "")
+    )
+
+
+def matrices(file: PoseFile) -> Rows:
+    """Poses from matrices [R p], row by row; rotations are made orthonormal.
+
+    Raises:
+        InputError: a matrix is no rigid motion, or the times are missing.
+    """
+    names = [f"m{i}" for i in range(12)]
+    table = Table.of(file.path, names, file.rows.rows)
+    numbers = table.numbers(names).reshape(-1, 3, 4)
+    turns, rate = numbers[:, :, :3], file.asked["rate"]
+    if (bad := np.flatnonzero(~are_rotations(turns))).size:
+        raise InputError(f"line {table.lines[bad[0]]}: the first three columns of its 3 x 4 matrix are no rotation.")
+    time = given_times(len(numbers), f"{file.path} has 12 numbers a line, as KITTI, and", file.asked["times"], rate)
+    if time is None:
+        time = np.arange(len(numbers)) / float(rate)
+    return Rows(table.path, table.lines, time, pose_of(nearest_rotations(turns), numbers[:, :, 3]))
+
+
+class Image(NamedTuple):
+    """Image of COLMAP."""
+
+    number: int
+    """IMAGE_ID."""
+    line: int
+    """Line in the file, from 1."""
+    numbers: list[float]
+    """Quaternion, w first, and translation: world to camera."""
+    camera: str
+    """CAMERA_ID, and the folder of the image."""
+    name: str
+    """Name of the image's file."""
+
+
+def images_of(file: PoseFile) -> list[Image]:
+    """Images of COLMAP's `images.txt`, by number; empty for another file.
+
+    Raises:
+        InputError: a line is no image.
+    """
+    lines = [(i, line) for i, line in enumerate(file.text.splitlines(), 1) if not line.lstrip().startswith(COMMENT)]
+    first = next((i for i, (_, line) in enumerate(lines) if line.strip()), None)
+    if first is None or _IMAGE.fullmatch(lines[first][1]) is None:
+        return []
+    images, after_image = [], False
+    for line, said in lines[first:]:
+        if (found := _IMAGE.fullmatch(said)) is not None:
+            camera = f"{found[3]} {found[4].rpartition('/')[0]}".strip()
+            images.append(Image(int(found[1]), line, [float(text) for text in found[2].split()], camera, found[4]))
+        elif said.strip() and not after_image:  # the line after an image has its points, or is empty
+            raise InputError(f"line {line} is no image of COLMAP: IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME.")
+        after_image = found is not None
+    return sorted(images)
+
+
+def of_images(file: PoseFile) -> Rows:
+    """Poses of COLMAP's images, camera to world, in the order of their numbers.
+
+    With a rate, the time of an image follows from its number, so that an image that was not registered leaves a gap.
+
+    Raises:
+        InputError: the times are missing, or numbers and names have different orders.
+    """
+    images, rate = images_of(file), file.asked["rate"]
+    for one, other in pairwise(images):
+        if one.number == other.number:
+            raise InputError(f"line {other.line}: the image {other.number} is there twice.")
+        if one.camera != other.camera:
+            told = f"{one.camera} and {other.camera} (CAMERA_ID and folder)"
+            raise InputError(f"its images are of several cameras, {told}: leave those of one.")
+        if _in_words(one.name) > _in_words(other.name):
+            raise InputError(
+                f"the order of its images is not clear: {one.name} has the number {one.number}, and {other.name} "
+                f"has {other.number}. Renumber them in the order in which they were taken."
+            )
+    lines = [image.line for image in images]
+    world_to_camera = poses_from_rows(np.array([image.numbers for image in images])[:, [4, 5, 6, 1, 2, 3, 0]], lines)
+    time = given_times(len(images), f"{file.path} has images of COLMAP, and", file.asked["times"], rate)
+    by = "by their times" if time is not None else f"at {rate:g} numbers a second"
+    if time is None:
+        numbers = np.array([float(image.number) for image in images])
+        time = (numbers - numbers[0]) / float(rate)
+    note = (
+        f"{file.path} has the poses of {len(images)} images of COLMAP, world to camera, which are inverted, in the "
+        f"order of their numbers, from {images[0].name} to {images[-1].name}, {by}"
+    )
+    return Rows(str(file.path), lines, time, inverse(world_to_camera), "optical", notes=(note,))
+
+
+def _in_words(name: str) -> list[tuple[int, str]]:
+    """Sort key for names with numbers: img9 before img10."""
+    return [(int(part), "") if part.isdigit() else (-1, part) for part in re.split(r"(\d{1,18})", name)]
+
+
+FORMATS = (
+    *(Format("trajectory", "of another program", begins(mark), why_not=f"it is {told}") for mark, told in UNREAD),
+    Format(
+        "trajectory",
+        "COLMAP",
+        lambda file: bool(images_of(file)),
+        of_images,
+        row=(
+            "COLMAP's `images.txt` | world to camera, which is inverted; in the order of the image numbers, with "
+            "`times` or `rate` (numbers a second, so that an image that is missing leaves a gap)"
+        ),
+    ),
+    Format(
+        "trajectory",
+        "KITTI",
+        lambda file: file.is_kitti,
+        matrices,
+        row=(
+            "KITTI's poses | 12 numbers, a 3 x 4 matrix by rows; `times=times.txt` has the time of each line, or "
+            "`rate=10` a second"
+        ),
+    ),
+    Format(
+        "trajectory",
+        "table",
+        anything,
+        of_table,
+        row=(
+            "table with quaternions | a header with `time,x,y,z,qx,qy,qz,qw` in any order, or what others call them: "
+            "ROS (`%time`, `field.pose.pose.position.x`, ...), EuRoC, OKVIS, NavVis\n"
+            "table with ROS's angles | `time,x,y,z,roll,pitch,yaw` of a body: x ahead, y left, z up, yaw "
+            "counter-clockwise from x; with `frame=body` in any order, and without `roll`\n"
+            "table with a camera's angles | `time,x,y,z,yaw_from_y,pitch_up`, and `roll_left` if you like: yaw "
+            "clockwise from the y axis of the room, a positive pitch looks up. `time,x,y,z,yaw,pitch` is read like it\n"
+            "RTAB-Map's, with `id` | rows with a negative `id` or a stamp of 0 are landmarks and left out\n"
+            "`ros2 topic echo --csv` | of `Odometry`, `PoseStamped`, `PoseWithCovarianceStamped`, `TransformStamped`\n"
+            "TUM's format | no header; `time tx ty tz qx qy qz qw` with spaces between\n"
+            "values without names | `columns=euroc` (nanoseconds, `qw` first; VINS's too), `tum`, `rtabmap`, or names"
+        ),
+    ),
+)
