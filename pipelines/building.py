@@ -173,11 +173,8 @@ def _poses(
     from lmd.core.checks import InputError
 
     room, recorded = instantiate(room_node), bool(poses_node)
-    if scan := getattr(room, "scan", None):  # the room is a mesh
-        if doubt := scan.doubt:
-            print(
-                f"warning: room.up: is it right for {scan.mesh.path!r}? {doubt[0].upper()}{doubt[1:]}", file=sys.stderr
-            )
+    if (scan := getattr(room, "scan", None)) and (doubt := scan.doubt):  # the room is a mesh
+        print(f"warning: room.up: is it right for {scan.mesh.path!r}? {doubt[0].upper()}{doubt[1:]}", file=sys.stderr)
     if plan := getattr(room, "plan", None):
         note(plan.note)
     if recorded == bool(pdf_node):

@@ -7,21 +7,22 @@ are read: a wrong reading of these breaks a rule of theirs.
 
 import re
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import NamedTuple
 
-import numpy as np
+import yaml
 
 from lmd.core.checks import InputError
 from lmd.core.tables import COMMENT, Table, csv_rows, is_number, numbered_lines
 from lmd.core.words import few
 from lmd.formats.placed_tag import TAG_WORDS, tag_named
 from lmd.geometry.se3 import ROW
-from lmd.scene.deployment import COLUMNS, UP_COLUMNS
+from lmd.scene.deployment import COLUMNS
 from lmd.scene.edges import EDGE
 from lmd.scene.labels import ID
 
 POSES, TAGS = "poses", "tags"  # kinds of tables
-TIME, FAMILY, POSITION, QUATERNION, NORMAL, UP = "time", "family", ROW[:3], ROW[3:], COLUMNS[3:], UP_COLUMNS
+TIME, FAMILY, POSITION, QUATERNION, NORMAL = "time", "family", ROW[:3], ROW[3:], COLUMNS[3:]
 EULER = ("roll", "pitch", "yaw")  # angles of a body in ROS's convention: x ahead, y left, z up
 # Angles of a camera, as in `lmd.geometry.frames.rotation`: clockwise from the y axis, up, and to the left.
 OWN_ANGLES = ("yaw_from_y", "pitch_up", "roll_left")
@@ -29,25 +30,10 @@ VECTOR = ("rx", "ry", "rz")  # rotation vector, whose length is the angle
 LONGEST_NAME = 200  # greatest number of characters of a column's name; a longer name is unknown
 ONCE = (EDGE, FAMILY)  # quantities of which only the first column counts
 SHOWN = 200  # greatest number of characters of a line that a message shows
-
-_FACTORS = {"milli": 1e-3, "micro": 1e-6, "nano": 1e-9, "centi": 1e-2, "inch": 0.0254, "foot": 0.3048, "one": 1.0}
-
-
-def _units(**words: str) -> dict[str, float]:
-    return {word: _FACTORS.get(factor, np.pi / 180.0) for factor, names in words.items() for word in names.split()}
-
-
-# Units in seconds, metres and radians.
-_SECONDS = _units(
-    one="sec secs second seconds",
-    milli="msec msecs millis millisecond milliseconds",
-    micro="usec usecs micros microsecond microseconds",
-    nano="nsec nsecs nanos nanosec nanosecs nanosecond nanoseconds",
-)
-_TIMES = _SECONDS | _units(one="s", milli="ms", micro="us µs", nano="ns")
-_LENGTHS = _units(one="m metre metres meter meters", centi="cm", milli="mm", inch="in inch inches", foot="ft foot feet")
-_ANGLES = _units(one="rad radian radians", degree="deg degree degrees °")
-_CLOCKS = "bag|elapsed|epoch|gps|log|rel|relative|ros|rosbag|sim|sys|system|unix|utc|wall"
+_BRACKETS = re.compile(r"[\[(]([^\[(\])]*)[\])]$")
+# Names of a quaternion with w first: qw qx qy qz, (w, x, y, z), wxyz, w i j k.
+_W_FIRST = re.compile(r"(?<![a-z])q?_?w[\W_]*q?_?x[\W_]*q?_?y[\W_]*q?_?z|(?<![a-z])w[\W_]+i[\W_]+j[\W_]+k(?![a-z])")
+_TABLE = yaml.safe_load(Path(__file__).with_name("tables").joinpath("columns.yaml").read_text(encoding="utf-8"))
 
 
 class Quantity(NamedTuple):
@@ -55,52 +41,28 @@ class Quantity(NamedTuple):
 
     name: str
     """Standard name, in which {} stands for the axis."""
-    pattern: str
-    """Regular expression of the names in files, in small letters, with a group `axis`, and UNIT for a unit's name."""
-    units: Mapping[str, float] = {}
-    """Factors of the units by name; empty for a quantity without a unit."""
+    pattern: re.Pattern[str]
+    """Pattern of the names in files, in small letters, with the groups `axis` and `unit`."""
+    units: Mapping[str, float]
+    """Sizes of the units in seconds, metres or radians by name; empty for a quantity without a unit."""
 
-    def found(self, plain: str) -> re.Match[str] | None:
-        """Match of a name of this quantity."""
-        unit = "|".join(sorted(self.units, key=len, reverse=True))
-        return re.fullmatch(self.pattern.replace("UNIT", f"(?P<unit>{unit})"), plain)
+    @classmethod
+    def of(cls, name: str, names: str, unit: str = "") -> "Quantity":
+        """Quantity of a row of the table."""
+        units = _units(unit) | (_units(f"bare_{unit}") if unit == TIME else {})
+        words = "|".join(sorted(units, key=len, reverse=True))
+        return cls(name, re.compile(names.replace("UNIT", f"(?P<unit>{words})")), units)
 
 
-_OF_POSES = (
-    Quantity(
-        TIME, rf"(?:(?:.*[./ ])?(?:(?:{_CLOCKS})[_ ]?)?(?:time(?:[_ ]?stamp)?s?|stamps?)|ts?)(?:[_./ ]?UNIT)?", _TIMES
-    ),
-    Quantity(TIME, "UNIT", _SECONDS),
-    # EuRoC and OKVIS write frames between the letter and the axis: RS in R, or WS in W.
-    Quantity(
-        "{}",
-        r"(?:(?:p|t|pos|xyz|tvec|(?:.*[._/ ])?(?:position(?:_m)?|translation(?:_vector)?|location))[._/ ]?)?"
-        r"(?:(?:rs_r|ws_w)_)?(?P<axis>[xyz])(?:_UNIT)?",
-        _LENGTHS,
-    ),
-    Quantity(
-        "q{}",
-        r"(?:q|quat|quaternion|ori|rot|(?:.*[._/ ])?(?:orientation|rotation|quaternion))[._/ ]?(?:q[._/ ])?"
-        r"(?:rs_|ws_)?(?P<axis>[wxyz])",
-    ),
-    Quantity("{}", r"(?:.*[./ ])?(?P<axis>roll|pitch|yaw)(?:[_ ]UNIT)?", _ANGLES),
-    Quantity("{}", f"(?P<axis>{'|'.join(OWN_ANGLES)})"),
-)
+def _units(kind: str) -> dict[str, float]:
+    return {word: size for size, words in _TABLE["units"].get(kind, {}).items() for word in words.split()}
+
+
+_OF_POSES = [Quantity.of(**row) for row in _TABLE["quantities"]]
 VOCABULARY = {
     POSES: _OF_POSES,
-    TAGS: (
-        *_OF_POSES,
-        Quantity("{}", f"(?P<axis>{'|'.join((*NORMAL, *UP, *VECTOR))})"),
-        Quantity("r{}", r"(?:.*\.)?(?:rotation_vector|rvec|rodrigues)\.(?P<axis>[xyz])"),
-        Quantity(EDGE, r"(?:(?:(?:tag|marker|edge|side)[_ -])?(?:size|length)|side|edge)(?:[_ ]UNIT)?", _LENGTHS),
-        Quantity(FAMILY, r"(?:tag[_ -])?family|(?:aruco[_ -])?dict|dictionary"),
-        Quantity(ID, TAG_WORDS),
-    ),
+    TAGS: [*_OF_POSES, *(Quantity.of(**row) for row in _TABLE["tags"]), Quantity.of(ID, TAG_WORDS)],
 }
-_SAME = {"utime": "time_us", "rot_z": "yaw", "rot_y": "pitch", "rot_x": "roll"}  # the latter of Clover's generator
-_BRACKETS = re.compile(r"[\[(]([^\[(\])]*)[\])]$")
-# Names of a quaternion with w first: qw qx qy qz, (w, x, y, z), wxyz, w i j k.
-_W_FIRST = re.compile(r"(?<![a-z])q?_?w[\W_]*q?_?x[\W_]*q?_?y[\W_]*q?_?z|(?<![a-z])w[\W_]+i[\W_]+j[\W_]+k(?![a-z])")
 
 
 class Layout(NamedTuple):
@@ -124,27 +86,9 @@ class Layout(NamedTuple):
         return (self.least or len(self.columns)) <= width and (self.more or width <= len(self.columns))
 
 
-_POSE, _XYZ = (*POSITION, *QUATERNION), (ID, *POSITION)
-_W_POSE = (*POSITION, "qw", "qx", "qy", "qz")
-LAYOUTS = (
-    Layout("tum", POSES, (TIME, *_POSE), more=True),
-    Layout("euroc", POSES, ("time_ns", *_W_POSE), more=True),
-    Layout("vins", POSES, ("time_ns", *_W_POSE, "vx", "vy", "vz")),
-    Layout("rtabmap", POSES, (TIME, *_POSE, ID)),
-    Layout("ros2", POSES, ("sec", "nanosec", "frame_id", "child_frame_id", *_POSE), more=True),
-    Layout("ros2", POSES, ("sec", "nanosec", "frame_id", *_POSE), more=True),
-    Layout("kitti", POSES, tuple(f"m{row}{column}" for row in range(3) for column in range(4))),
-    Layout("clover", TAGS, (ID, EDGE, *POSITION, "yaw", "pitch", "roll"), least=4),
-    Layout("rtabmap", TAGS, (*_XYZ, *EULER)),
-    Layout(
-        "fiducial_slam", TAGS, (*_XYZ, "roll_deg", "pitch_deg", "yaw_deg", "variance", "observations"), 0, True, True
-    ),
-)
+LAYOUTS = tuple(Layout(**row)._replace(columns=tuple(row["columns"].split())) for row in _TABLE["layouts"])
 # Columns that refusals suggest.
-PLAIN = {
-    POSES: ((TIME, *_POSE), (TIME, *POSITION, *EULER)),
-    TAGS: ((*_XYZ, *QUATERNION), (*_XYZ, *EULER), (*_XYZ, *NORMAL)),
-}
+PLAIN = {of: [tuple(names.split()) for names in listed] for of, listed in _TABLE["suggested"].items()}
 
 
 class Lines(NamedTuple):
@@ -209,7 +153,7 @@ def standard(name: str, of: str) -> tuple[str, float | None] | None:
     if (brackets := _BRACKETS.search(plain)) is not None and not brackets[1].strip().isdigit():
         unit, plain = brackets[1].strip(), plain[: brackets.start()].rstrip("_ \t")
     for quantity in VOCABULARY[of] if len(plain) <= LONGEST_NAME else ():
-        if (found := quantity.found(_SAME.get(plain, plain))) is not None:
+        if (found := quantity.pattern.fullmatch(_TABLE["renamed"].get(plain, plain))) is not None:
             groups = found.groupdict()
             unit = unit or groups.get("unit")
             if quantity.units and unit not in (None, "", "-", "1") and unit not in quantity.units:

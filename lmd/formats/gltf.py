@@ -1,7 +1,7 @@
 """Checks of glTF for which its reader, trimesh, has no sentence.
 
-trimesh leaves out sparse accessors and fans, takes integers that represent fractions for metres, ignores extensions that
-place or compress triangles, and makes arrays as large as the header says before it looks at the data.
+trimesh leaves out sparse accessors and fans, takes integers that represent fractions for metres, ignores extensions
+that place or compress triangles, and makes arrays as large as the header says before it looks at the data.
 """
 
 import json
@@ -47,7 +47,7 @@ def check_gltf(file: Path, content: bytes, most: int) -> None:
     for name, number in (("nodes", len(nodes)), ("pieces of meshes", sum(map(len, meshes)))):
         bounded(name, number, MOST_NODES, source, "path")
     if told := _unread(header, [piece for mesh in meshes for piece in mesh]):
-        how = f"`gltf-transform cp {file.name} plain.glb` makes one that is"
+        how = f"`gltf-transform {'dequantize' if 'integers' in told else 'cp'} {file.name} plain.glb` makes one that is"
         raise InputError(f"{source} {told}, which is not read; {how}, or an import and an export in Blender.", "path")
     counts = [part["count"] for part in accessors]
     if not all(isinstance(count, int) and count >= 0 for count in counts):

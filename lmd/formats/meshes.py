@@ -47,14 +47,14 @@ REFUSED = {
     ".svg .pdf .png .jpg .jpeg .geojson .topojson": f"{OUTLINE}; its own units are none",
     ".pgm .yaml .yml": "the room occupancy_grid is read from map.yaml",
     ".ifc .ifczip": "`IfcConvert plan.ifc plan.obj` of IfcOpenShell makes an .obj",
-    ".usdz .usd .usda .usdc .dae .fbx .3ds .blend .x3d .wrl .3mf .off": "import it into Blender and export .glb or .obj",
+    ".usdz .usd .usda .usdc .dae .fbx .3ds .blend .x3d .wrl .3mf .off": "export .glb from Blender, which imports it",
     ".skp .rvt .max .3dm": "export .glb, .obj or .stl from the program that made it",
     ".stp .step .igs .iges .fcstd": "export .obj or .stl from FreeCAD",
     ".las .laz .e57 .pcd .pts .ptx .xyz": "make a mesh of the points in MeshLab or CloudCompare, and flatten its walls",
     ".sh3d": "export the 3D view of Sweet Home 3D to OBJ, in centimetres: a scale of 0.01",
     ".world .sdf .urdf": "name the mesh that it places, or export it as .glb",
-    ".json": "save the model of a phone or a headset as .glb (in Blender from RoomPlan's .usdz, a home of Sweet Home 3D as "
-    f"OBJ; a glTF ends in .gltf), or {OUTLINE}",
+    ".json": "save the model of a phone or a headset as .glb (in Blender from RoomPlan's .usdz), a home of "
+    f"Sweet Home 3D as OBJ, a glTF as .gltf, or {OUTLINE}",
 }
 
 

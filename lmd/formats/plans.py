@@ -109,10 +109,9 @@ def read_plan_room(
     if surfaces is None and not walls:
         raise InputError(f"path: {str(path)!r} has no wall with a free stretch of {reading.least_width:g} m.", "path")
     outer, *holes = [ring.tolist() for ring in found.rings]
-    of_file = {"holes": holes, "surfaces": walls if surfaces is None else surfaces, "margin": margin}
-    of_file["keep_out"] = [*parts, *([] if keep_out == EXAMPLE["keep_out"] else keep_out)]
-    of_file |= {"path": str(path), "note": found.note}
-    return from_floor_plan(outer, height, reachable, spacing, **of_file, **plan)
+    plan |= {"holes": holes, "surfaces": walls if surfaces is None else surfaces, "margin": margin}
+    plan["keep_out"] = [*parts, *([] if keep_out == EXAMPLE["keep_out"] else keep_out)]
+    return from_floor_plan(outer, height, reachable, spacing, path=str(path), note=found.note, **plan)
 
 
 def _walls(found: ReadPlan, height: float, margin: float, least_width: float) -> tuple[list[str], list[dict[str, Any]]]:
@@ -149,7 +148,7 @@ FORMATS = (
         "floor plan",
         "another file",
         anything,
-        why_not="a floor plan is a .dxf (a .dwg is saved as one), or a .yaml of nav2 with image, resolution and origin, "
+        why_not="a floor plan is a .dxf (save a .dwg as one), or a .yaml of nav2 with image, resolution and origin, "
         "which a picture alone lacks; the room mesh is read from a model (docs/rooms.md)",
     ),
 )
