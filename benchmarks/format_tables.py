@@ -28,6 +28,7 @@ KEYS = {
     "times": "poses.times",
     "rate": "poses.rate",
     "frame": "poses.frame",
+    "columns": "poses.columns",
 }
 ARGUMENT = re.compile(rf"(?<=`)({'|'.join(KEYS)})(?=[=`])")
 
@@ -37,7 +38,8 @@ def table(family: str) -> str:
     head = HEADS[family]
     rule = " | ".join("---" for _ in head.split(" | "))
     text = "".join(f"| {cells} |\n" for cells in (head, rule, *rows(family)))
-    return ARGUMENT.sub(lambda found: KEYS[found[0]], text)
+    keys = KEYS | ({"columns": "deployment.columns"} if family == "tag map" else {})
+    return ARGUMENT.sub(lambda found: keys[found[0]], text)
 
 
 def updated(page: str) -> str:

@@ -12,7 +12,7 @@ from omegaconf import DictConfig
 from .app import choices, run_directory
 from .building import build_problem
 from .earlier_run import read_earlier_run
-from .landmarks import axes_in
+from .landmarks import table_in
 from .nodes import instantiate, keyed, note, settings_of
 from .pipeline import Pipeline
 
@@ -53,7 +53,7 @@ def evaluate(cfg: DictConfig) -> float:
         if cfg.deployment.measured is not None:
             from lmd.evaluation.measured import read_measured  # slow to load
 
-            deployment = read_measured(cfg.deployment.measured, problem, plan, axes_in(cfg.deployment))
+            deployment = read_measured(cfg.deployment.measured, problem, plan, **table_in(cfg.deployment))
             note(deployment.note)
         error: MountingError = instantiate(settings_of(cfg, MOUNTING))
     history = [Record(1, problem.metrics(deployment)["fitness"], clock() - began)]

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from lmd.scene.scene import Scene
 
 NO_SOURCE = ("fixed", "marked", "measured", "mounting_error")  # keys of `deployment` that are no arguments of a source
-AXES = "axes"  # key of `deployment` for every table of tags, including the table of a source
+TABLE = ("axes", "columns")  # keys of `deployment` for every table of tags, including the table of a source
 MORE = re.compile(r"\+(\d+)")  # a count in addition to the fixed landmarks
 
 
@@ -39,16 +39,16 @@ def fixed_of(node: DictConfig, family: str | None) -> "Deployment | None":
     path = node.get("fixed")
     if path is None:
         return None
-    found = read_deployment(path, "fixed", family, axes_in(node))
+    found = read_deployment(path, "fixed", family, **table_in(node))
     note(found.note)
     marks = found.labels.columns.get(COLUMN) if found.labels and node.get("marked") else None
     return found if marks is None else found[np.array(marks) == "1"]
 
 
-def axes_in(node: DictConfig) -> Any:
-    """Directions of a tag's axes in the tables that a group `deployment` names; None for the axes of this project."""
-    axes = node.get(AXES)
-    return OmegaConf.to_container(axes) if OmegaConf.is_config(axes) else axes
+def table_in(node: DictConfig) -> dict[str, Any]:
+    """Arguments of `read_deployment` for the tables that a group `deployment` names, as far as they are given."""
+    given = {key: node.get(key) for key in TABLE if node.get(key) is not None}
+    return {key: OmegaConf.to_container(value) if OmegaConf.is_config(value) else value for key, value in given.items()}
 
 
 def total_of(node: DictConfig, fixed: "Deployment | None") -> int | None:
@@ -85,8 +85,9 @@ def others_of(node: DictConfig, fixed: "Deployment | None", total: int | None) -
     with open_dict(source):
         for key in NO_SOURCE:
             source.pop(key, None)
-        if source.get(AXES) is None or "path" not in source:
-            source.pop(AXES, None)
+        for key in TABLE:
+            if source.get(key) is None or "path" not in source:
+                source.pop(key, None)
     if fixed is not None and total is not None:
         source.count = None if "path" in source else total - len(fixed)
     return source
@@ -109,7 +110,7 @@ def take_sizes(node: DictConfig, tag: DictConfig) -> None:
     if tag.get("edge") is not None or tag.get("edges") is not None or node.get("path") is None:
         return
     files = [(name, node[name]) for name in ("path", "fixed") if node.get(name) is not None]
-    known = np.concatenate([read_deployment(path, name, axes=axes_in(node)).edges for name, path in files])
+    known = np.concatenate([read_deployment(path, name, **table_in(node)).edges for name, path in files])
     if np.isfinite(known).all():
         with open_dict(tag):
             tag.edges = np.unique(known).tolist()

@@ -9,7 +9,7 @@ from .app import run_directory
 from .building import camera_of
 from .earlier_run import FILES as RUN_FILES
 from .earlier_run import read_earlier_run, read_room_of_map
-from .landmarks import axes_in
+from .landmarks import table_in
 from .nodes import instantiate, keyed, note, settings_of
 from .outputs import write_all, write_document
 from .photographs import detected, odometry_of, reader_of, with_camera_of_bag
@@ -112,9 +112,11 @@ def _map(cfg: DictConfig, tag: "Tag") -> "FixedMap":
     key, path = ("deployment.path", node.path) if cfg.map is None else ("map", cfg.map)
     if (folder := Path(str(path))).is_dir():
         path = str(folder / (SURVEYED if (folder / SURVEYED).exists() else RUN_FILES[1]))
-    with keyed("localise", map=key, axes="deployment.axes", edge="tag.edge", family="tag.family"):
+    with keyed(
+        "localise", map=key, axes="deployment.axes", columns="deployment.columns", edge="tag.edge", family="tag.family"
+    ):
         errors = MapErrors(settings.place, settings.turn)
-        found = FixedMap.read(path, tag, errors, axes_in(node))
+        found = FixedMap.read(path, tag, errors, **table_in(node))
     note(found.note)
     return found
 

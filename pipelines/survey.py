@@ -13,7 +13,7 @@ from .building import camera_of
 from .crowd import visibility_of
 from .earlier_run import read_earlier_run
 from .export import build_export
-from .landmarks import axes_in, fixed_of
+from .landmarks import fixed_of, table_in
 from .nodes import instantiate, keyed, note, settings_of
 from .operations.signals import Stopped, stop
 from .outputs import write_all
@@ -165,7 +165,7 @@ def _known(cfg: DictConfig, tag: "Tag", given: "Camera | Rig") -> "PriorKnowledg
     if "path" not in node:
         raise InputError("deployment must be a file, deployment.path=plan.csv, or that of a run, run=DIR.")
     with keyed("deployment", family="tag.family"):
-        plan = None if node.path is None else read_deployment(node.path, "path", tag.own_family, axes_in(node))
+        plan = None if node.path is None else read_deployment(node.path, "path", tag.own_family, **table_in(node))
         fixed = fixed_of(node, tag.own_family)
     note("" if plan is None else plan.note)
     with keyed("survey"):

@@ -1,17 +1,17 @@
 """Small samples of each format that is read, and the readers of the families.
 
-A format is added by a line: its file's name and a text. `tests/formats/test_bad_files.py` damages each of them, and
-`tests/test_fuzz_readers.py` changes their bits, types, sizes and nesting.
+A format is added by a line, a file's name and a text, or in `formats/files/tables.yaml`. `test_fuzz_readers.py` changes
+the bits, types, sizes and nesting of each, and `formats/test_bad_files.py` damages them.
 """
 
 import itertools
 import json
+from pathlib import Path
 
 import camera_samples
-import detection_samples
 import map_samples
+import yaml
 from camera_samples import LENS, MATRIX, NAMES, SCRIPT, SIZES
-from captured import ROOMS
 from occupancy_maps import KEYS, hall
 from PIL import Image
 
@@ -146,18 +146,6 @@ MAPS = {
     },
 }
 MAPS |= map_samples.KEYED
-MAP_TEXTS = {
-    "normals": "id,x,y,z,nx,ny,nz,ux,uy,uz,edge,family\n1,0,1,0,1,0,0,0,0,1,0.1,36h11\n2,0,2,0,1,0,0,0,0,1,,\n",
-    "quaternions": "id,x,y,z,qx,qy,qz,qw,edge\n1,0,1,0,0,0,0,1,0.1\n2,0,2,0,0,0,0,1,\n",
-    "spaces": "id x y z roll pitch yaw\n1 0 1 0 1.57 0 0\n2 0 2 0 1.57 0 0\n",
-    "clover": "# id length x y z yaw pitch roll\n8\t0.3\t1\t2\n9 0.22 1 2 0.5 1.57 0 0\n",
-    "headless": "8 3 1 2 0.5 0.5 0.5 0.5\n9 4 1 2 0 0 0 1\n",
-    "fiducial_slam": "7 1.0 2.0 0.5 90.0 0.0 0.0 0.04 31 8 9\n",
-    "rtabmap": "1 0 0 1 0 0 0|2 1 0 1 0 0 1.57\n",
-    "rtabmap ini": "[Core]\nMarker\\Priors=1 0 0 1 0 0 0|2 1 0 1 0 0 1.57\nMarker\\Length=0.1\nMarker\\Dictionary=20\n",
-    "rtabmap poses": "#timestamp x y z qx qy qz qw id\n0.0 1 2 3 0 0 0 1 -7\n1.5 1 2 3 0 0 0 1 4\n",
-    "wpilib drawing": "ID,X,Y,Z,Z-Rotation,X-Rotation\n4,100,50,10,90,30\n",
-}
 CALIBRATIONS = {
     "basalt": {
         "value0": {
@@ -207,17 +195,8 @@ CALIBRATIONS = {
         "Camera.height": 480,
     },
 }
-TRAJECTORIES = {
-    "table": "time,x,y,z,qx,qy,qz,qw\n0,1,2,3,0,0,0,1\n0.1,1.1,2,3,0,0,0,1\n",
-    "ros": "0,0,map,1,2,3,0,0,0,1\n0,100000000,map,1.1,2,3,0,0,0,1\n",
-    "kitti": "1 0 0 1 0 1 0 2 0 0 1 3\n1 0 0 1.1 0 1 0 2 0 0 1 3\n",
-    "colmap": "3 1 0 0 0 1 2 3 1 img3.png\n12.5 7.25 -1\n4 1 0 0 0 1.1 2 3 1 img4.png\n\n",
-    "tum": "0 1 2 3 0 0 0 1\n0.1 1.1 2 3 0 0 0 1\n0.2 1.2 2 3 0 0 0 1\n",
-    "euroc": "#timestamp, p_x, p_y, p_z, q_w, q_x, q_y, q_z\n1e18,1,2,3,1,0,0,0\n1000000000100000000,1.1,2,3,1,0,0,0\n",
-    "angles": "time,x,y,z,yaw,pitch\n0,1,2,3,0,0\n0.1,1.1,2,3,0.1,0\n",
-}
+TABLES = yaml.safe_load(Path(__file__).with_name("formats").joinpath("files/tables.yaml").read_text(encoding="utf-8"))
 OBJ = "v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 1\nf 1 2 3\nf 1 3 4\nf 1 2 4\nf 2 3 4\n"
-DETECTED = "time,id,x0,y0,x1,y1,x2,y2,x3,y3\n0,1,10,10,20,10,20,20,10,20\n1,1,11,10,21,10,21,20,11,20\n"
 
 
 def read_camera(path):
@@ -225,8 +204,17 @@ def read_camera(path):
 
 
 def read_trajectory(path):
-    untimed = path.name in ("kitti", "colmap")
-    return TrajectoryFile(str(path), rate=10.0 if untimed else None).trajectory
+    row = TABLES["poses"].get(path.name, {})
+    return TrajectoryFile(str(path), rate=row.get("rate"), columns=row.get("columns")).trajectory
+
+
+def read_tags(path):
+    return read_deployment(path, family="36h11", columns=TABLES["tags"].get(path.name, {}).get("columns"))
+
+
+def texts(of, *names):
+    """Texts of files of `formats/files/tables.yaml`."""
+    return {name: TABLES[of][name]["text"] for name in names or TABLES[of]}
 
 
 _SQUARE = [(0, 0), (6, 0), (6, 4), (0, 4)]
@@ -240,19 +228,6 @@ DXF = (
 )
 
 
-RMF = json.dumps(
-    {
-        "levels": {
-            "L1": {
-                "vertices": [[x, y, 0, ""] for x, y in _SQUARE],
-                "walls": [[i, (i + 1) % 4] for i in range(4)],
-                "measurements": [[0, 1, {"distance": [3, 6.0]}]],
-            }
-        }
-    }
-)
-
-
 def read_plan(path):
     """Read a floor plan; the picture of a map is written beside it."""
     Image.fromarray(hall()[::-1]).save(path.with_name("map.pgm"))
@@ -262,18 +237,21 @@ def read_plan(path):
 READERS = {
     "calibration": read_camera,
     "trajectory": read_trajectory,
-    "tag map": lambda path: read_deployment(path, family="36h11"),
+    "tag map": read_tags,
     "room": read_mesh,
     "floor plan": read_plan,
     "detections": read_detections,
 }
 SAMPLES = {
     "calibration": FILES | {name: json.dumps(keys) for name, keys in CALIBRATIONS.items()} | camera_samples.SAMPLES,
-    "trajectory": TRAJECTORIES,
-    "tag map": {name: json.dumps(keys) for name, keys in MAPS.items()} | MAP_TEXTS | map_samples.TEXTS,
-    "room": {"room.obj": OBJ} | {f"{name}.json": json.dumps(keys) for name, keys in ROOMS.items()},
-    "floor plan": {"map.yaml": json.dumps(KEYS | {"image": "map.pgm"}), "plan.dxf": DXF, "building.yaml": RMF},
-    "detections": {"table": DETECTED} | detection_samples.SAMPLES,
+    "trajectory": texts("poses", "degrees", "ros2 topic echo of odometry", "kitti", "colmap", "tum", "vins", "euroc"),
+    "tag map": {name: json.dumps(keys) for name, keys in MAPS.items()}
+    | map_samples.TEXTS
+    | texts("tags", "size of a list", "quaternions", "header with spaces", "clover", "clover without names", "list")
+    | texts("tags", "fiducial_slam", "rtabmap priors", "rtabmap ini", "rtabmap poses"),
+    "room": {"room.obj": OBJ},
+    "floor plan": {"map.yaml": json.dumps(KEYS | {"image": "map.pgm"}), "plan.dxf": DXF},
+    "detections": texts("detections", "table", "family", "photonvision", "photonvision by camera", "limelight"),
 }
 
 

@@ -1,8 +1,8 @@
 """Figures of a deployment as measured, compared with the figures of its plan."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -22,9 +22,7 @@ RANDOM_VIEWS = 2000  # number of random poses
 MEASURED_STREAM = 0x737572766579  # separates the random numbers of the noise from other uses of the seed
 
 
-def read_measured(
-    path: str | Path, problem: Problem, plan: Deployment, axes: Sequence[str] | None = None
-) -> Deployment:
+def read_measured(path: str | Path, problem: Problem, plan: Deployment, **table: Any) -> Deployment:
     """Read the measured places of the tags of a plan, in its order and with its labels.
 
     Measured places are not corrected: tags need not be flush, and papers may seem to overlap. Tags may be anywhere if
@@ -34,13 +32,13 @@ def read_measured(
         path: CSV with the columns of a plan, or a tag map.
         problem: problem of the plan.
         plan: K landmarks.
-        axes: directions of the axes of the frame of a tag in a table, see `lmd.formats.placed_tag.axes_of`.
+        table: `axes` and `columns` of `lmd.formats.tag_maps.read_deployment`.
 
     Raises:
         InputError: the file is no deployment, does not have the ids of the plan, or a tag is outside the room and
             belongs to no surface.
     """
-    measured = read_deployment(path, "measured", problem.scene.tag.own_family, axes)
+    measured = read_deployment(path, "measured", problem.scene.tag.own_family, **table)
     for name, ids in (
         ("lacks the", np.setdiff1d(plan.ids, measured.ids)),
         ("has a", np.setdiff1d(measured.ids, plan.ids)),

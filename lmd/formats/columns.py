@@ -14,7 +14,6 @@ import yaml
 
 from lmd.core.checks import InputError
 from lmd.core.tables import COMMENT, Table, csv_rows, is_number, numbered_lines
-from lmd.core.words import few
 from lmd.formats.placed_tag import TAG_WORDS, tag_named
 from lmd.geometry.se3 import ROW
 from lmd.scene.deployment import COLUMNS
@@ -80,6 +79,12 @@ class Layout(NamedTuple):
     """True if further values may follow, which are left out."""
     ragged: bool = False
     """True if the number of further values may differ between lines."""
+    header: str = ""
+    """First line of the program's files, which names columns without their units; a regular expression."""
+    axes: Sequence[str] | None = None
+    """Directions of x, y and z of a tag's frame, see `lmd.formats.placed_tag.axes_of`."""
+    opencv: bool = False
+    """True if the program turns tags as OpenCV does."""
 
     def takes(self, width: int) -> bool:
         """True if a line may have `width` values."""
@@ -170,7 +175,9 @@ def standardised(table: Table, of: str, layout: Layout | None = None) -> Named:
         InputError: two columns may hold one quantity, or a unit is unknown.
     """
     columns, texts, time_unit = dict[str, str](), dict[str, Sequence[str]](), None
-    for name, values in table.texts.items():
+    # Nanoseconds beside seconds are no time of their own.
+    for name in sorted(table.texts, key=lambda name: re.search(r"n(ano)?sec\w*$", name) is not None):
+        values = table.texts[name]
         own, unit = standard(name, of) or ("", None)
         literal = own != name and own in table  # another column has the standard name itself
         if own == ID or (own == EDGE and not all(map(is_number, filter(None, values)))) or (own in ONCE and literal):
@@ -216,7 +223,8 @@ def named(
     asked = None if columns is None else _asked(lines, of, columns)
     if has_names:  # columns of the user replace a line that names no place
         has_place = any((standard(name, of) or ("",))[0] == "x" for name in first)
-        layout = Layout("", of, tuple(first)) if asked is None or has_place else asked
+        given = next((one for one in LAYOUTS if re.fullmatch(one.header or "$", ",".join(first))), None)
+        layout = given or (Layout("", of, tuple(first)) if asked is None or has_place else asked)
     else:
         layout = asked or _commented(lines, of) or _by_content(lines, of)
     count, rows = len(layout.columns), list[tuple[int, list[str]]]()
@@ -294,12 +302,13 @@ def _by_content(lines: Lines, of: str) -> Layout:
         return layouts[0]
     width = lines.width
     exact = [one for one in layouts if len(one.columns) == width or (one.takes(width) and (one.least or one.ragged))]
+    exact = [one for one in exact if not one.header]
     fits = [f"{one.name} ({','.join(one.columns)})" for one in exact]
     fits += [f"[{','.join(names)}]" for names in PLAIN[of] if len(names) == width]
-    plain = ",".join(PLAIN[of][0])
+    told = f", which fits {' or '.join(fits[:3])}" if fits else ""
     raise InputError(
         f"columns must be given, as {lines.path} does not name its columns: its first line is "
-        f"{(',' if lines.commas else ' ').join(first)[:SHOWN]!r}, which {few(fits[:3], 3) if fits else f'[{plain}]'} "
-        f"would fit; or write a line with their names above, such as {plain}.",
+        f"{(',' if lines.commas else ' ').join(first)[:SHOWN]!r}{told}; or write a line with their names above, as "
+        f"{','.join(PLAIN[of][0])}.",
         "columns",
     )

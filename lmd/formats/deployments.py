@@ -24,6 +24,8 @@ class FileDeployment(ExistingDeployment):
             regions, or face into their surface, and papers may overlap.
         family: family of the tags, instead of the family of the scene's tag.
         axes: directions of x, y and z of a tag's frame in a table, see `lmd.formats.placed_tag.axes_of`.
+        columns: names of the columns of a text that does not name them, or the name of a program, see
+            `lmd.formats.columns.LAYOUTS`.
 
     Raises:
         InputError: `free` is neither true nor false, or the axes are no frame.
@@ -34,6 +36,7 @@ class FileDeployment(ExistingDeployment):
     free: bool = False
     family: str | None = None
     axes: tuple[str, ...] | None = None
+    columns: str | tuple[str, ...] | None = None
 
     def __post_init__(self) -> None:
         boolean("free", self.free)
@@ -44,7 +47,7 @@ class FileDeployment(ExistingDeployment):
         if self.path is None:
             raise InputError("path is missing: a CSV of landmarks or a tag map is needed.", "path")
         family = None if tag.is_point else self.family or tag.family
-        deployment = read_deployment(self.path, family=family, axes=self.axes)
+        deployment = read_deployment(self.path, family=family, axes=self.axes, columns=self.columns)
         if self.count is not None and self.count != len(deployment):
             raise InputError(f"count = {self.count}, but {self.path} has {len(deployment)} landmarks.", "count")
         with said_of(self.path):

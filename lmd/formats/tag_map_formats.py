@@ -206,7 +206,7 @@ FORMATS = (
         row=_row(
             "rtabmap",
             "RTAB-Map | : the value of `Marker/Priors` | `id x y z roll pitch yaw`, alone or in its `.ini` "
-            "(`Marker/Length`); its exported poses with a negative id, and the landmarks of its `.g2o`",
+            "(`Marker/Length`); its exported poses with a negative id",
         ),
     ),
     Format(
@@ -238,7 +238,9 @@ FORMATS = (
         read_tag_text,
         row=(
             "your own | `csv`, `json` | `tags.csv`, `tags.json`: poses as quaternions, and corners | yes, `edge`; or "
-            "[a table](#a-table-of-your-own)"
+            "[a table](#a-table-of-your-own)\n"
+            + _row("clover", "Clover | : `aruco_map` | `columns=clover` (`id length x y z yaw pitch roll`), `length`")
+            + "\nfiducial_slam | | not written | what it saves, with `columns=fiducial_slam`"
         ),
     ),
 )

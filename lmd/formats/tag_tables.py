@@ -85,7 +85,8 @@ def read_tag_text(file: File) -> Found:
         return Found(_landmarks(table), by_opencv=True, note=f"{file.path}: its tags are poses with a negative id")
     if not layout.name:
         return Found([], table)
-    return Found(_placed(table), by_opencv=True)
+    frame = axes_of(layout.axes).T
+    return Found([tag._replace(axes=tag.axes @ frame) for tag in _placed(table)], by_opencv=layout.opencv)
 
 
 def _landmarks(table: Table) -> list[PlacedTag]:

@@ -1,6 +1,5 @@
 """Fixed map: poses of tags that are known, with standard deviations."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -82,19 +81,19 @@ class FixedMap:
         return replace(self, poses=every, sigmas=sigmas, covariance=joint)
 
     @classmethod
-    def read(cls, path: Any, tag: Tag, errors: MapErrors, axes: Sequence[str] | None = None) -> "FixedMap":
+    def read(cls, path: Any, tag: Tag, errors: MapErrors, **table: Any) -> "FixedMap":
         """Read a map in any format of `lmd.formats.tag_maps`; the standard deviations of a surveyed `map.csv` are kept.
 
         Args:
             path: file of the map.
             tag: family of the tags, and edge of the tags without an edge in the file.
             errors: standard deviations of tags for which the file has none.
-            axes: see `lmd.formats.tag_maps.read_deployment`.
+            table: `axes` and `columns` of `lmd.formats.tag_maps.read_deployment`.
 
         Raises:
             InputError: the file cannot be read, or holds no tags of this family.
         """
-        deployment = read_deployment(path, "map", tag.family, axes)
+        deployment = read_deployment(path, "map", tag.family, **table)
         order = np.argsort(deployment.ids, kind="stable")
         sigmas = np.repeat([[errors.turn, errors.place]], 3, axis=1) * np.ones((len(order), 1))
         edges = np.where(np.isfinite(deployment.edges), deployment.edges, np.nan if tag.is_point else tag.size)

@@ -5,27 +5,13 @@ import re
 
 import pytest
 from camera_samples import KINECT_CAMERA, MATLAB, METASHAPE, OAK, OAK_EXTRINSICS, REPORT
-from captured import MRUK, anchor, entity, rectangle, surface
-from detection_samples import CORNERS, LIMELIGHT, PHOTON, VMM
 from format_samples import FILES, MRCAL, READERS, SAMPLES, content
 
 from lmd.core.checks import InputError
 from lmd.formats import registry
 from lmd.formats.tag_maps import LARGEST_MAP
 
-KAPTURE = (
-    "timestamp, device_id, qw, qx, qy, qz, tx, ty, tz\n0, cam0, 1, 0, 0, 0, 0, 0, 0\n1, cam0, 1, 0, 0, 0, 0, 0, 0\n"
-)
-SQUARE = "10,20,30,20,30,40,10,40"
 TABLE = ".*; write its tags as a table: a header id,x,y,z,qx,qy,qz,qw,edge"
-WALL = {"xStart": 0.0, "yStart": 0.0, "xEnd": 600.0, "yEnd": 0.0, "height": 250.0}
-CAPTURED = {"walls": [{"transform": [1], "dimensions": [1, 1, 0]}]}
-
-
-def flat_floor(ring):
-    """A scene of Unity with only a floor."""
-    floor = anchor("FLOOR", [0, 0, 0], [270, 0, 0], PlaneBoundary2D=ring)
-    return {"CoordinateSystem": "Unity", "Rooms": [{"Anchors": [floor]}]}
 
 
 UNCALIBRATED = {"intrinsicMatrix": [[0.0] * 3] * 3, "extrinsics": {"toCameraSocket": 1}}
@@ -136,131 +122,22 @@ BAD = {
             "",
         ),
     ],
-    "trajectory": [
-        (
-            f"# kapture format: 1.1\n# {KAPTURE}",
-            "trajectory of kapture, .* world to camera, .* [(]kapture_export_colmap",
-        ),
-        (KAPTURE, "trajectory of kapture"),
-        ("VERTEX_SE3:QUAT 0 1 2 3 0 0 0 1\n", "a pose graph of g2o, which has no times"),
-        ("header:\n  stamp:\n    sec: 1\n", "record it as CSV, by ros2 topic echo --csv"),
-        ('{"frames": [{"transform_matrix": []}]}', "it is JSON"),
-        ("VehicleName\tTimeStamp\tPOS_X\tPOS_Y\tPOS_Z\tQ_W\tQ_X\tQ_Y\tQ_Z\n", "AirSim, .* north, east and down"),
-        ("NVM_V3\n\n2\n", "VisualSFM"),
-        ("lidar0,100.000000,100.000000,1,0,0,0,1\n", "line 1 begins with 'lidar0', which is neither a number nor"),
-        (
-            "# when x y z qw qx qy qz\n0 1 1 1 1 0 0 0\n1 1 1 1 1 0 0 0\n",
-            "no column with a name that is known as the time",
-        ),
-        ("# image_id x y z qw qx qy qz\n0 1 1 1 1 0 0 0\n", "no column with a name that is known as the time"),
-        ("#t, e, n, u, a, b, c, d\n0,1,1,1,1,0,0,0\n", "lacks x, y, z, qx"),
-        ("# t e n u q_a q_b q_c q_d\n0 1 1 1 1 0 0 0\n", "lacks x, y, z, qx"),
-        ("# t x y z qw qx qy qz vx\n0 1 1 1 1 0 0 0\n", "a comment names 9 columns, .* and line 2 has 8 values"),
-        ("0,1,1,1,1,0,0,0\n1,1,1,1,1,0,0,0\n", "so that qx or qw may be first: write a first line such as time,x"),
-        ("timestamp,p_x,p_y,x,p_z,qx,qy,qz,qw\n", "its columns 'p_x' and 'x' may both be x: leave one"),
-        ("time,x [ft],y [ft],z [ft],qx,qy,qz,qw\n0,1,1,1,0,0,0,1\n", r"the unit 'ft' of the column 'x \[ft\]' is not"),
-        ("timestamp,position[0],position[1],position[2],q[0],q[1],q[2],q[3]\n1,1,1,1,1,0,0,0\n", "lacks x|which is w"),
-        ("timestamp,x,y,z,q[0],q[1],q[2],q[3]\n1,1,1,1,1,0,0,0\n", r"from 'q\[0\]' on do not say which is w"),
-        (
-            "Timestamp,/a/translation/x,/a/translation/y,/a/rotation/value\n0,1,1,0\n",
-            "lacks z, .* add z, the height, and roll = pitch = 0",
-        ),
-        ("1478254247676381 1 1 1 0 0 0 1\n", "looks like milliseconds, microseconds or nanoseconds: divide it, or let"),
-        ("# time_ns x y z qx qy qz qw\n0.0 1 1 1 0 0 0 1\n0.1 1 1 1 0 0 0 1\n", "cannot be in the unit that it names"),
-        ("0 1 1 1 0 0 0.001 0.029\n1 1 1 1 0 0 0 1\n", "line 1: the quaternion must have length 1, it has 0.0290"),
-        ("0 " * 25 + "\n", "line 1 has 25 values, not 8: .* Name other columns in a line above them"),
-        ("#timestamp x y z qx qy qz qw id\n1 1 1 1 0 0 0 1 -3\n", "it has no pose: all its rows have a negative id"),
-        ("", "is empty"),
-    ],
     "tag map": [
-        ("VERTEX_SE3:QUAT 7 2 0 1.2 0 0 0 1\n", "g2o with 1 poses and without edges to a landmark: export the poses"),
         ("marker_id,vert_0_x,vert_0_y\n7,0,0\n", "Pupil" + TABLE),
         ("- name: wall\n  markers_x: 2\n", "aruco_opencv" + TABLE),
         ('{"tag_locations": {}}', "it has no tags with places"),
         ('{"reconstructed_tags": []}', "it has no tags with places"),
         ("/**: {ros__parameters: {general: {}, marker_000: {}}}\n", "the key 'marker_size' is missing"),
         ("/**: {ros__parameters: {family: 36h11, size: 0.1, tag: {ids: [1]}}}\n", "apriltag_ros for ROS 2" + TABLE),
-        ("landmarks: [{id: 1, position: [0, 0, 0]}]\n", "has no orientation: it needs roll, pitch and yaw, rad"),
         ('{"tags": [{"ID": 1}]}', "the key 'pose' is missing"),
         ('{"tags": []}', "it has no tags with places"),
         ('{"tags": [{"ID": -1, "pose": 3}]}', r"pose must be a mapping with keys, got 3"),
         ('{"layout": []}', "no tag map that is known here .*: it has layout"),
         ("tag_bundles: [3]", r"tag_bundles\[0\] must be a mapping with keys, got 3"),
         ("/**: {ros__parameters: {family: 36h11}}", "no tag map that is known here .*: it has family"),
-        ("1 0.3 a 2", "could not convert string to float"),
-        ("1 0.3 1 2 3 4 5 6 7.5", "they are not those of fiducial_slam"),
-        ("1 0 0 0 0 0 0 0\n", "an edge of 0 m would be none of a tag. What are its values"),
-        ("1 0.1 0 0\n1 0.1 1 0\n", "id 1 belongs to 2 landmarks"),
         (SAMPLES["tag map"]["wpilib"].replace('"W": 1', '"W": 2'), "must have length 1, it has 2"),
         ("{", "cannot be read as YAML or JSON"),
         ("{" + " " * LARGEST_MAP, "has at most 4194304 characters"),
-        ("id,x,y,z,nx,ny,nz,edge\n1,1,0,1,0,1,0,wide\n", "edge must be positive metres: .*'wide'"),
-        (
-            "id,x,y,z,nx,ny,nz,edge\n0,1,0,1,0,1,0,\n1,2,0,1,0,1,0,-0.1\n",
-            "edge must be positive metres, landmark 1 has -0.1",
-        ),
-    ],
-    "detections": [
-        ("id,x0,y0,x1,y1,x2,y2,x3,y3\n", "lacks the column time or stamp or timestamp or image; what is read is a bag"),
-        (f"time,id,x0,y0,x1,y1,x2,y2,x3\n0,3,{SQUARE[:-3]}\n", "lacks the column y3; what is read"),
-        (f"time,id,x0,y0,x1,y1,x2,y2,x3,y3\n0,3.5,{SQUARE}\n", "line 2: id is '3.5', not a whole number"),
-        (f"time,id,x0,y0,x1,y1,x2,y2,x3,y3\n0,3,left{SQUARE[2:]}\n", "line 2: x0 is 'left', not a number"),
-        ("", "is empty; what is read"),
-        ('[{"targets": [{"fiducialId": 18}]}]', "has a result without captureTimestampMicros in its metadata"),
-        ([PHOTON[0] | {"targets": 3}], "has a value of another kind than its program writes"),
-        (VMM | {"tag_observations": [{}]}, "lacks the key 'observations'"),
-        (
-            '{"a": [1, 2]}',
-            "is JSON without targets, Fiducial or tag_observations; what is read is .* JSON of PhotonVision",
-        ),
-        ('{"a": [1, 2]', "is no JSON"),
-        ([PHOTON[0] | {"targets": []}], "has no detection of a tag with corners"),
-        (json.dumps(PHOTON).replace(": 18", ": 1.5"), "has the fiducialId 1.5, which is not a whole number"),
-        (
-            json.dumps(LIMELIGHT).replace(json.dumps(CORNERS), "[]"),
-            "has no corners, pts is empty: let the pipeline send",
-        ),
-        (json.dumps(LIMELIGHT).replace("10.0", "-10.0"), "has corners below 0: its pts count from the middle"),
-        (json.dumps(LIMELIGHT).replace('"ts"', '"t"'), "has a result without ts, so its time is not known"),
-        (json.dumps(LIMELIGHT).replace("[10.0, 20.0], ", "", 1), "must have four corners in pts, got [["),
-        (VMM | {"images": []}, "has an observation in the image 0, which is not among its images"),
-        ("18\n10.0 20.0\n", "has no such columns in its first line, '18'; what is read"),
-        ("image,tag_id,corner,x,y\na.png,7,0,10,20\n", "has a row for each corner; what is read is a bag"),
-        (f"time;id;x0;y0;x1;y1;x2;y2;x3;y3\n0;3;{SQUARE}\n", "has semicolons between its columns"),
-        ("time,id,x0,y0,x1,y1,x2,y2,x3,y3\n0,3,1,1,1,1,1,1,1,1\n", "no detection with four corners"),
-    ],
-    "room": [
-        (flat_floor([[0, 0]]), "PlaneBoundary2D must have at least three corners, got 1."),
-        (flat_floor([[0, 0], [1, 1], [2, 2]]), "holds no triangles with an area."),
-        (flat_floor([[0, 0], [1, 1], [1, 0], [0, 1]]), "holds no triangles with an area."),  # it crosses itself
-        ({"walls": [], "floors": [surface([0, 1, 0], [0, 0, 1], [0, 0, 0])]}, "holds no triangles with an area."),
-        (
-            {"version": 1},
-            "it is no room of a headset or a phone that is known here (spatialEntities, Rooms, walls): it ",
-        ),
-        (MRUK | {"CoordinateSystem": "Unreal"}, "CoordinateSystem must be Unity, got 'Unreal': save the scene by MRUK"),
-        (MRUK | {"Rooms": MRUK["Rooms"] * 2}, "it has 2 rooms: leave one of them in the file."),
-        ({"spatialEntities": []}, "it has neither a floor nor walls."),
-        ({"walls": [{"transform": [1.0], "dimensions": [4, 2.5, 0]}]}, "transform must be a list of 16 numbers"),
-        ({"walls": [{"dimensions": [4, 2.5, 0]}]}, "the key or value 'transform' is missing or wrong."),
-        ({"walls": 3}, "the key or value "),
-        ({"walls": [surface([0, 1, 0], [10**400, 0, 0], [4, 2.5, 0])]}, "transform[0] must be finite"),
-        ({"walls": [surface([0, 1, 0], [2, 0, 0], [4, 2.5, 0])]}, "walls[0].transform is no rotation and translation"),
-        ({"spatialEntities": [entity("WALL", [10**400, 0, 0], [0, 0, 0, 1])]}, "position[0] must be finite"),
-        ({"spatialEntities": [entity("WALL", [0, 0, 0], [0, 0, 0, 10**400])]}, "orientation[3] must be finite"),
-        ({"spatialEntities": [entity("WALL", [0, 0, 0], [0, 0, 0, 1], **rectangle(10**400, 1))]}, "must be finite"),
-        ([], "has no keys"),
-        ("{", "cannot be read as JSON"),
-        (
-            {"walls": [WALL], "rooms": []},
-            "it has the walls of Sweet Home 3D, in centimetres: export its 3D view to OBJ",
-        ),
-        ({"floorplan": {"corners": {}, "walls": []}, "items": []}, "it is a plan of Blueprint3D, in centimetres"),
-        ({"rooms": [CAPTURED, CAPTURED]}, "a CapturedStructure of RoomPlan's with 2 rooms: `jq '.rooms[0]'"),
-        ({"type": "FeatureCollection", "features": []}, "it has polygons in GeoJSON"),
-        ({"asset": {}, "meshes": []}, "let its name end in .gltf"),
-        ({"metadata": {}, "object": {}}, "it is a scene of three.js"),
-        ({"levels": {}}, "it is a building of Open-RMF"),
     ],
 }
 ROWS = [(family, *row) for family, rows in BAD.items() for row in rows]

@@ -1,14 +1,13 @@
-import json
+"""Detections: frames, corners, lists of images, and copies of images; `test_table_files.py` has their files."""
 
 import numpy as np
 import pyapriltags
 import pytest
-from detection_samples import LIMELIGHT, PHOTON, VMM
 
 from lmd.core.checks import InputError
 from lmd.detection.detectors import AprilTagDetector, Detections
-from lmd.formats.detection_formats import read_detections, write_detections
-from lmd.formats.detections import DetectedTags
+from lmd.formats.detection_formats import read_detections, with_images, write_detections
+from lmd.formats.detections import DetectedTags, without_copies
 from lmd.scene.tag import Tag
 
 HEADER = "topic,stamp,id,hamming,x0,y0,x1,y1,x2,y2,x3,y3\n"
@@ -45,39 +44,9 @@ def test_a_number_is_one_time_however_it_is_written(tmp_path):
     assert found.frame.tolist() == [0, 0, 1, 1, 3, 2]
 
 
-@pytest.mark.parametrize("column", ["family", "tag_family", "dictionary"])
-def test_the_family_is_that_of_the_file_by_any_of_its_names(tmp_path, column):
-    head, row = f"time,{column},id,x0,y0,x1,y1,x2,y2,x3,y3\n", f",3,{SQUARE}\n"
-    found = read_detections(written(tmp_path, f"{head}0,tag16h5{row}1,16h5{row}2,{row}"))
-    assert found.family == "16h5"
-    write_detections(tmp_path / "again.csv", found)
-    assert read_detections(tmp_path / "again.csv").family == "16h5"
-    with pytest.raises(InputError, match=r"detections: '.*' its tags are of the families 16h5 and 36h11, which"):
-        read_detections(written(tmp_path, f"{head}0,tag16h5{row}1,tag36h11{row}"))
-
-
-def test_pixels_are_counted_from_the_border(tmp_path):
-    found = read_detections(written(tmp_path, f"time,id,x0,y0,x1,y1,x2,y2,x3,y3\n0.5,3,{SQUARE}\n"))
-    np.testing.assert_array_equal(found.corners[0], [[10.5, 20.5], [30.5, 20.5], [30.5, 40.5], [10.5, 40.5]])
-    assert found.cameras == ("",)
-
-
-def test_frames_may_be_called_by_their_images(tmp_path):
-    found = read_detections(
-        written(tmp_path, f"image,id,x0,y0,x1,y1,x2,y2,x3,y3\nb.png,3,{SQUARE}\na.png,3,{SQUARE}\n")
-    )
-    assert found.times == ("a.png", "b.png")
-
-
 def test_a_mirrored_detection_is_left_out(tmp_path):
     body = f"0,3,{SQUARE}\n0,4,{TURNED}\n0,5,{SQUARE}\n"
     assert read_detections(written(tmp_path, "time,id,x0,y0,x1,y1,x2,y2,x3,y3\n" + body)).ids.tolist() == [3, 5]
-
-
-def test_corners_in_the_order_of_the_apriltag_library_are_put_in_order(tmp_path):
-    """It begins at the bottom left and goes round counter-clockwise; the pixels are OpenCV's, as of all detections."""
-    found = read_detections(written(tmp_path, f"time,id,x0,y0,x1,y1,x2,y2,x3,y3\n0,3,{TURNED}\n"))
-    np.testing.assert_array_equal(found.corners[0], [[10.5, 20.5], [30.5, 20.5], [30.5, 40.5], [10.5, 40.5]])
 
 
 def test_corners_of_the_apriltag_library_less_half_a_pixel_are_read_as_its_detector_finds_them(tmp_path):
@@ -117,29 +86,109 @@ def test_frames_of_a_detector_keep_their_places():
     assert found.ids.tolist() == [3, 5, 3, 5]
 
 
-ACROSS = np.array([[10.0, 10.0], [20.0, 10.0], [20.0, 20.0], [10.0, 20.0]])  # clockwise from the top left
+TAG = np.array([[0.0, 0.0], [9.0, 0.0], [9.0, 9.0], [0.0, 9.0]])
+
+
+def of_two(*rows):
+    """Detections (frame, camera) of tag 3 at the times 1.0 to 3.0, each elsewhere."""
+    frame, camera = np.array(rows).T
+    corners = TAG + np.arange(len(rows))[:, None, None]
+    return DetectedTags(("1.0", "2.0", "3.0"), ("left", "right"), frame, camera, np.full(len(rows), 3), corners)
+
+
+def listed(path, *lines, head="topic,stamp,tags"):
+    path.write_text("\n".join([head, *lines]) + "\n")
+    return path
+
+
+def test_images_that_are_not_listed_were_not_taken(tmp_path):
+    """Equal numbers are one time, other cameras are ignored; an image without a tag is a frame."""
+    file = listed(tmp_path / "frames.csv", "left,1,1", "right,1.00,0", "left,2.0,1", "left,3.0,0", "right,3,1",
+                  "left,9,0", "rear,2.0,0")  # fmt: skip
+    found = with_images(of_two((0, 0), (1, 0), (2, 1)), file)
+    assert found.taken is not None
+    assert found.times == ("1.0", "2.0", "3.0", "9")
+    assert found.images.tolist() == [[True, True], [True, False], [True, True], [True, False]]
+    assert of_two((0, 0)).images.all()
+
+
+def test_one_camera_needs_no_name(tmp_path):
+    one = DetectedTags(("a.png", "b.png"), ("",), np.array([1]), np.array([0]), np.array([3]), TAG[None])
+    found = with_images(one, listed(tmp_path / "frames.csv", "b.png", head="image"))
+    assert found.images.tolist() == [[False], [True]]
 
 
 @pytest.mark.parametrize(
-    ("keys", "offset", "times"),
+    ("lines", "head", "message"),
     [
-        (PHOTON, 0.0, ("0.325917", "0.325918")),  # AprilTag 3 counts from the border
-        (LIMELIGHT, 0.0, ("1.3255",)),
-        (LIMELIGHT["Results"] | {"ts_us": 1325501}, 0.0, ("1.325501",)),
-        (VMM, 0.5, ("DSC1.JPG",)),  # cv2.cornerSubPix counts from the centre of the first pixel
+        (["left,1.0,1"], "topic,when,tags", r"' has no column time or stamp or timestamp or image\.$"),
+        (["1.0,1"], "stamp,tags", r"' has no column camera or topic or .*, and detections are of 2 cameras\.$"),
+        (["left,1.0,1"], "topic,stamp,tags", r"' lacks the image of right at 3\.0, in which a tag was detected\.$"),
     ],
 )
-def test_json_of_other_programs(keys, offset, times, tmp_path):
-    found = read_detections(written(tmp_path, json.dumps(keys)))
-    assert (found.times, found.ids.tolist(), found.cameras) == (times, [18] * len(times), ("",))
-    assert found.family == (None if keys is PHOTON else "36h11")
-    shift = np.arange(len(times))[:, None, None] * [1.0, 0.0]
-    np.testing.assert_allclose(found.corners, ACROSS + offset + shift)
+def test_a_file_that_lacks_something_is_refused(lines, head, message, tmp_path):
+    with pytest.raises(InputError, match="^images: '.*frames.csv" + message):
+        with_images(of_two((0, 0), (2, 1)), listed(tmp_path / "frames.csv", *lines, head=head))
 
 
-def test_results_may_be_lines_and_have_cameras(tmp_path):
-    lines = "".join(json.dumps(result) + "\n" for result in PHOTON)
-    whole = read_detections(written(tmp_path, json.dumps(PHOTON)))
-    assert read_detections(written(tmp_path, lines)).times == whole.times
-    found = read_detections(written(tmp_path, json.dumps({"left": PHOTON, "right": PHOTON[:1]})))
-    assert (found.cameras, found.camera.tolist()) == (("left", "right"), [0, 0, 1])
+def test_photographs_say_which_there_are():
+    """The right camera begins later, and its last photograph is blurred."""
+    found = [Detections(np.array([3]), TAG[None] + k) for k in range(3)]
+    left = in_frames(("1", "2", "3"), found)
+    right = in_frames(("2", "3"), found[:2]).without({"3": 4.0})
+    both = DetectedTags.together({"left": left, "right": right})
+    assert both.images.tolist() == [[True, False], [True, True], [True, False]]
+
+
+def test_a_copy_counts_as_no_image():
+    """The left camera stands still at the second time: its image is that of the first."""
+    both = of_two((0, 0), (0, 1), (1, 0), (1, 1))
+    same = both.corners.copy()
+    same[2] = same[0]
+    found = without_copies(DetectedTags(both.times, both.cameras, both.frame, both.camera, both.ids, same))
+    assert len(found) == 3
+    assert found.images.tolist() == [[True, True], [False, True], [True, True]]
+
+
+def in_frames(names, found):
+    return DetectedTags.in_frames(names, [one.ids for one in found], [one.corners for one in found])
+
+
+def seen(*rows, cameras=("",)):
+    """Detections from frame, camera, id and what is added to the corners."""
+    frame, camera, ids, away = zip(*rows, strict=True)
+    corners = TAG + np.array(away)[:, None, None]
+    times = tuple(f"{k}.png" for k in range(max(frame) + 1))
+    return DetectedTags(times, cameras, np.array(frame), np.array(camera), np.array(ids), corners)
+
+
+@pytest.mark.parametrize(("away", "is_copy"), [(0.0, True), (0.009, True), (-0.009, True), (0.011, False)])
+def test_an_image_counts_once(away, is_copy):
+    found = without_copies(seen((0, 0, 7, 0.0), (0, 0, 3, 1.0), (1, 0, 3, 1.0 + away), (1, 0, 7, 0.0)))
+    assert found.copies == ({"1.png": "0.png"} if is_copy else {})
+    assert found.ids.tolist() == ([7, 3] if is_copy else [7, 3, 3, 7])
+    assert found.frame.tolist() == ([0, 0] if is_copy else [0, 0, 1, 1])
+
+
+def test_images_with_other_tags_are_no_copies():
+    one_more = seen((0, 0, 7, 0.0), (1, 0, 7, 0.0), (1, 0, 8, 50.0), (2, 0, 9, 0.0), (3, 0, 7, 0.0), (3, 0, 7, 50.0))
+    assert len(without_copies(one_more)) == len(one_more)
+
+
+def test_a_tag_may_be_there_twice_in_any_order():
+    found = without_copies(seen((0, 0, 7, 0.0), (0, 0, 7, 50.0), (1, 0, 7, 50.0), (1, 0, 7, 0.0)))
+    assert found.copies == {"1.png": "0.png"}
+
+
+def test_equal_views_of_several_cameras_stay():
+    both = seen((0, 0, 7, 0.0), (0, 1, 7, 0.0), (1, 0, 7, 0.0), (1, 1, 7, 5.0), cameras=("left", "right"))
+    found = without_copies(both)
+    assert found.copies == {"left/1.png": "left/0.png"}
+    assert list(zip(found.frame.tolist(), found.camera.tolist(), strict=True)) == [(0, 0), (0, 1), (1, 1)]
+
+
+def test_many_images_that_drift_are_compared_with_those_that_count():
+    """Each is a copy of the one before, but not of the first."""
+    found = without_copies(seen(*((k, 0, 7, 0.006 * k) for k in range(100))))
+    assert np.unique(found.frame).tolist() == list(range(0, 100, 2))
+    assert found.copies["1.png"] == "0.png"

@@ -114,14 +114,6 @@ def test_a_drawing_that_grows_is_refused(name, tmp_path, monkeypatch):
     refused("floor plan", path, words)
 
 
-def test_a_building_of_crossing_walls_is_refused(tmp_path):
-    level = {"vertices": [[i, 1000 * (i % 2 != i // 2 % 2)] for i in range(1000)]}
-    level |= {"walls": [[2 * i, 2 * ((7 * i + 3) % 500) + 1, {}] for i in range(500)]}
-    level |= {"measurements": [[0, 1, {"distance": [3, 1000.0]}]]}
-    (path := tmp_path / "building.yaml").write_text(json.dumps({"levels": {"L1": level}}))
-    refused("floor plan", path, "crossings of two lines, and at most 10000 are taken")
-
-
 @pytest.mark.parametrize(
     ("name", "content"),
     [("e.png", b"%!PS-Adobe-3.0 EPSF-3.0\n%%BoundingBox: 0 0 9 9\n"), ("m.pgm", b"P5 7700 7700 255\n")],
@@ -145,14 +137,6 @@ def test_a_mesh_of_too_many_parts_is_refused(name, tmp_path):
     content, words = MESHES[name]
     (path := tmp_path / name).write_text(content if isinstance(content, str) else json.dumps(content))
     refused("room", path, words)
-
-
-def test_a_model_of_gazebo_that_includes_itself_is_refused(tmp_path):
-    (tmp_path / "m").mkdir()
-    include = "<include><uri>model://m</uri></include>"
-    (tmp_path / "m" / "model.sdf").write_text("<sdf><model name='m'><link/></model></sdf>")
-    (path := tmp_path / "w.sdf").write_text(f"<sdf><world>{include * 20_001}</world></sdf>")
-    refused("tag map", path, "20001 models, with those that they include, and at most 20000")
 
 
 def test_a_crowd_of_too_many_states_is_refused():

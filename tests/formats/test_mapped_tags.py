@@ -5,7 +5,7 @@ import copy
 import numpy as np
 import pytest
 from map_files import assert_is, reader
-from map_samples import CORNERS, KEYED, LANELET
+from map_samples import KEYED
 from numpy.testing import assert_allclose
 
 from lmd.core.checks import InputError
@@ -80,36 +80,6 @@ def test_the_frame_of_a_marker_of_the_zed_has_x_out_of_it(read):
     assert found.edges.tolist() == [0.16]
     with pytest.raises(InputError, match=r"marker_000\.position must be a list of 3 numbers"):
         read(changed("zed", lambda keys: keys["marker_000"].update(position=[0.0])))
-
-
-def test_a_landmark_of_autoware_has_its_corners_from_the_lower_left_one_on(read):
-    found = read(LANELET, family="36h11")
-    assert_is(found, 7, [2.1, 0, 1.1], [0, -1, 0])
-    assert_allclose(found.edges, [0.2])
-    # The first corner is a twin of the last: a polygon that is closed.
-    assert_is(read(LANELET.replace('<nd ref="3"/>', '<nd ref="3"/><nd ref="0"/>')), 7, [2.1, 0, 1.1], [0, -1, 0])
-    # Axes of `LandmarkManager::parse_landmarks`: from the first to the second, from the second to the third.
-    v0, v1, v2, _ = np.array(CORNERS)
-    x, y = (v1 - v0) / np.linalg.norm(v1 - v0), (v2 - v1) / np.linalg.norm(v2 - v1)
-    assert_allclose([np.cross(x, y), y], [found.normals[0], found.ups[0]], atol=1e-12)
-
-
-@pytest.mark.parametrize(
-    ("old", "new", "message"),
-    [
-        ("pose_marker", "line_thin", "without a way of the type pose_marker, so without tags"),
-        ('k="marker_id" v="7"', 'k="marker_id" v="none"', "marker_id must be the number of its tag, got 'none'"),
-        ('<nd ref="3"/>', "", "the way 5 must have four corners, it has 3"),
-        ('ref="3"', 'ref="9"', "the way 5: the node 9 of a corner is missing"),
-        ('k="ele" v="1.2"', 'k="ele" v="high"', "its node 2 must have local_x, local_y and ele, metres"),
-        ('k="local_x" v="2.2"', 'k="local_x" v="2.4"', "the marker 7 must be a square"),
-        ("<osm", "<gpx", "it cannot be read as XML"),
-        ("</osm>", "", "it cannot be read as XML"),
-    ],
-)
-def test_a_broken_landmark_of_autoware_is_refused(old, new, message, read):
-    with pytest.raises(InputError, match=message):
-        read(LANELET.replace(old, new))
 
 
 def test_other_xml_is_refused(read):

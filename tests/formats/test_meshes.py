@@ -1,8 +1,9 @@
-"""Meshes as a stranger may hand them over."""
+"""Meshes from files of others."""
 
 import base64
 import json
 import os
+import re
 import struct
 from contextlib import suppress
 
@@ -11,9 +12,13 @@ import pytest
 import trimesh
 
 from lmd.core.checks import InputError
-from lmd.formats.meshes import read_mesh
+from lmd.formats.meshes import REFUSED, SUFFIXES, read_mesh
 
 TRIANGLE = struct.pack("<9f", 0, 0, 0, 3, 0, 0, 0, 3, 0)
+SHAPE = {"bufferView": 0, "componentType": 5126, "count": 3, "type": "VEC3"}
+# An L, 6 m by 4 m without 3 m by 2 m: 18 m2, whichever corner is first.
+OUTLINE = [(0, 0), (6, 0), (6, 2), (3, 2), (3, 4), (0, 4)]
+ENDINGS = [ending for endings in REFUSED for ending in endings.split()]
 
 
 def gltf(uri=None, accessors=None, nodes=None):
@@ -27,7 +32,7 @@ def gltf(uri=None, accessors=None, nodes=None):
         "meshes": [{"primitives": [{"attributes": {"POSITION": 0}}]}],
         "buffers": [{"byteLength": len(TRIANGLE), "uri": uri}],
         "bufferViews": [{"buffer": 0, "byteLength": len(TRIANGLE)}],
-        "accessors": accessors or [{"bufferView": 0, "componentType": 5126, "count": 3, "type": "VEC3"}],
+        "accessors": accessors or [SHAPE],
     }
 
 
@@ -71,56 +76,22 @@ def test_a_gltf_that_stands_for_more_than_it_holds_is_refused(name, change, mess
     assert message in refused(written(tmp_path / name, gltf(**change)))
 
 
-# A room of 6 x 2.5 x 4 m (y up) in integers: fractions of what the node makes of 1, and of its middle.
-QUANTISED = {5120: ("b", 127), 5121: ("B", 255), 5122: ("h", 32767), 5123: ("H", 65535)}
-
-
-@pytest.mark.parametrize("name", ["room.gltf", "room.glb"])
-@pytest.mark.parametrize("component", QUANTISED)
-def test_integers_that_stand_for_fractions(name, component, tmp_path):
-    """KHR_mesh_quantization: c / 32767 and so on, then scaled and moved by the node."""
-    kind, largest = QUANTISED[component]
-    low = 0 if kind.isupper() else -largest
-    corners = [(x, y, z) for x in (low, largest) for y in (low, largest) for z in (low, largest)]
-    row = struct.Struct(f"<3{kind}{'x' * (1 if kind in 'bB' else 2)}")
-    positions = b"".join(row.pack(*corner) for corner in corners)
-    faces = [0, 1, 3, 0, 3, 2, 4, 6, 7, 4, 7, 5, 0, 4, 5, 0, 5, 1, 2, 3, 7, 2, 7, 6]
-    data = positions + struct.pack(f"<{len(faces)}H", *faces)
-    size = [6.0, 2.5, 4.0] if low == 0 else [3.0, 1.25, 2.0]
-    document = gltf("data:application/octet-stream;base64," + base64.b64encode(data).decode()) | {
-        "extensionsRequired": ["KHR_mesh_quantization"],
-        "nodes": [{"mesh": 0, "scale": size, "translation": [0.0] * 3 if low == 0 else size}],
-        "meshes": [{"primitives": [{"attributes": {"POSITION": 0}, "indices": 1}]}],
-        "bufferViews": [
-            {"buffer": 0, "byteLength": len(positions), "byteStride": row.size},
-            {"buffer": 0, "byteOffset": len(positions), "byteLength": len(data) - len(positions)},
-        ],
-        "accessors": [
-            {"bufferView": 0, "componentType": component, "normalized": True, "count": 8, "type": "VEC3"},
-            {"bufferView": 1, "componentType": 5123, "count": len(faces), "type": "SCALAR"},
-        ],
-    }
-    document["buffers"][0]["byteLength"] = len(data)
-    mesh = read_mesh(written(tmp_path / name, document))
-    assert np.abs(mesh.vertices.min(axis=0) - [0, -4, 0]).max() < 1e-5
-    assert np.abs(mesh.vertices.max(axis=0) - [6, 0, 2.5]).max() < 1e-5
-    assert len(mesh.faces) == 8
-    document["accessors"][0]["byteOffset"] = 10**9
-    assert "reaches beyond its buffer" in refused(written(tmp_path / name, document))
-
-
 @pytest.mark.parametrize("name", ["room.gltf", "room.glb"])
 @pytest.mark.parametrize(
-    ("extension", "message"),
+    ("changed", "message"),
     [
-        ("KHR_draco_mesh_compression", "`gltf-transform cp room.gl"),
-        ("EXT_meshopt_compression", "`gltf-transform cp room.gl"),
-        ("EXT_of_tomorrow", "needs the extension EXT_of_tomorrow of glTF, which is not read; import it into Blender"),
+        ({"extensionsRequired": ["KHR_draco_mesh_compression"]}, "is compressed .* `gltf-transform cp room.gl"),
+        ({"extensionsRequired": ["EXT_meshopt_compression"]}, "is compressed .* `gltf-transform cp room.gl"),
+        ({"extensionsRequired": ["EXT_of_tomorrow"]}, "needs an extension .EXT_of_tomorrow., which is not read"),
+        ({"nodes": [{"mesh": 0, "extensions": {"EXT_mesh_gpu_instancing": {}}}]}, "needs an extension .EXT_mesh_gpu"),
+        ({"meshes": [{"primitives": [{"attributes": {"POSITION": 0}, "mode": 6}]}]}, "has fans of triangles"),
+        ({"accessors": [SHAPE | {"sparse": {}}]}, "has sparse accessors"),
+        ({"accessors": [SHAPE | {"normalized": True}]}, "fractions in integers, .* `gltf-transform dequantize room.gl"),
     ],
 )
-def test_an_extension_that_decides_where_triangles_are(name, extension, message, tmp_path):
-    told = refused(written(tmp_path / name, gltf() | {"extensionsRequired": [extension]}))
-    assert message in told
+def test_what_trimesh_would_read_wrongly_is_refused(name, changed, message, tmp_path):
+    told = refused(written(tmp_path / name, gltf() | changed))
+    assert re.search(message, told)
     assert "scale" not in told
     assert len(read_mesh(written(tmp_path / name, gltf() | {"extensionsRequired": ["KHR_materials_unlit"]})).faces) == 1
 
@@ -189,3 +160,55 @@ def test_nothing_is_said_of_each_object(tmp_path, caplog):
     (tmp_path / "room.obj").write_text(f"{corners}o floor\nf 1 2 3 4\no ceiling\nf 5 6 7 8\n")
     assert len(read_mesh(tmp_path / "room.obj").faces) == 4
     assert not caplog.records
+
+
+def area(mesh):
+    corners = mesh.vertices[mesh.faces]
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    assert (normals[:, 2] > 0.0).all()  # all the same way
+    return np.linalg.norm(normals, axis=1).sum() / 2.0
+
+
+@pytest.mark.parametrize("first", range(6))
+def test_a_concave_face_of_an_obj_has_its_own_area(tmp_path, first):
+    lines = [f"v {x} {y} {z}" for z in (0.0, 2.5) for x, y in OUTLINE]
+    order = [1 + (first + i) % 6 for i in range(6)]
+    lines += ["f " + " ".join(map(str, order)), "f " + " ".join(f"{i - 7}//1" for i in order)]  # and a ceiling
+    (tmp_path / "room.obj").write_text("vn 0 0 1\n" + "\n".join(lines) + "\n")
+    assert area(read_mesh(str(tmp_path / "room.obj"), up="z")) == pytest.approx(36.0)
+
+
+def test_a_concave_face_of_a_ply_is_refused(tmp_path):
+    head = "ply\nformat ascii 1.0\nelement vertex 6\nproperty float x\nproperty float y\nproperty float z\n"
+    head += "element face 1\nproperty list uchar int vertex_indices\nend_header\n"
+    body = "".join(f"{x} {y} 0\n" for x, y in OUTLINE) + "6 0 1 2 3 4 5\n"
+    (tmp_path / "room.ply").write_text(head + body)
+    with pytest.raises(InputError, match="has faces of more than three corners"):
+        read_mesh(str(tmp_path / "room.ply"))
+
+
+@pytest.mark.parametrize("ending", [*ENDINGS, ".rmf", ""])
+def test_an_ending_that_is_not_read(ending, tmp_path):
+    message = refused(tmp_path / f"room{ending.upper()}")
+    assert f"must end in one of {', '.join(SUFFIXES)}" in message
+    assert next((way for names, way in REFUSED.items() if ending in names.split()), "docs/rooms.md") in message
+
+
+def test_the_unit_of_a_file_is_asked_for(tmp_path):
+    """The room is 6 x 4 x 2.5 m in several units; the unit that the sentence proposes reads it."""
+    corners = [(x, y, z) for x in (0, 6) for y in (0, 4) for z in (0, 2.5)]
+    faces = "f 1 2 4 3\nf 5 7 8 6\nf 1 5 7 3\nf 2 4 8 6\nf 1 2 6 5\nf 3 7 8 4\n"
+    for unit, per in {"millimetres": 0.001, "centimetres": 0.01}.items():
+        path = tmp_path / f"{unit}.obj"
+        path.write_text("".join(f"v {x / per:g} {y / per:g} {z / per:g}\n" for x, y, z in corners) + faces)
+        assert f"a file in {unit} takes {per:g}, which makes 6 x 4 x 2.5 m" in refused(path)
+        assert (read_mesh(path, per).vertices.max(axis=0) - (6, 4, 2.5)).max() < 1e-9
+    path.write_text("".join(f"v {x * 1e-9:g} {y * 1e-9:g} {z * 1e-9:g}\n" for x, y, z in corners) + faces)
+    assert refused(path).endswith("; no usual unit makes a room of it.")
+
+
+def test_a_cloud_of_points_is_no_mesh(tmp_path):
+    path = tmp_path / "cloud.ply"
+    head = "ply\nformat ascii 1.0\nelement vertex 2\nproperty float x\nproperty float y\nproperty float z\nend_header\n"
+    path.write_text(f"{head}0 0 0\n1 1 1\n")
+    assert "make a mesh of a cloud of points in MeshLab or CloudCompare" in refused(path)

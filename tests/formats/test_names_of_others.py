@@ -10,7 +10,6 @@ from lmd.core.checks import InputError
 from lmd.formats.calibrations import calibrated_camera
 from lmd.formats.placed_tag import tag_named
 from lmd.formats.tag_maps import read_deployment
-from lmd.formats.trajectories import TrajectoryFile
 
 
 @pytest.fixture
@@ -20,17 +19,6 @@ def write(tmp_path):
         return str(tmp_path / name)
 
     return written
-
-
-@pytest.mark.parametrize(
-    "name", ["tag", "Tag ID", "MARKER_ID", "no.", "name", "frame_id", "apriltag", "", "Unnamed: 0"]
-)
-def test_a_tag_has_the_number_that_a_table_says_under_another_name(write, name):
-    found = read_deployment(write(f"{name},x,y,z,qx,qy,qz,qw\n7,2,0,1.2,0.5,0.5,0.5,0.5\n9,4,0,1,0.5,0.5,0.5,0.5\n"))
-    assert found.ids.tolist() == [7, 9]
-    found = read_deployment(write(f"{name},X,Y,Z,NX,NY,NZ\ntag36h11:7,2,0,1.2,0,1,0\n9,4,0,1,0,1,0\n"), family="36h11")
-    assert found.ids.tolist() == [7, 9]
-    assert_allclose(found.normals, [[0, 1, 0]] * 2)
 
 
 @pytest.mark.parametrize(
@@ -49,46 +37,6 @@ def test_a_tag_has_the_number_that_a_table_says_under_another_name(write, name):
 def test_a_name_has_the_family_and_the_number_of_a_tag(family, names):
     assert {tag_named(name) for name in names.split(" ")} == {None if family == "unsure" else (family, 7)}
     assert tag_named("tag_3611") == (None, 3611)
-
-
-@pytest.mark.parametrize("name", ["marker_length", "side", "edge length", "tag_size"])
-def test_a_tag_has_the_edge_that_a_table_says_under_another_name(write, name):
-    assert read_deployment(write(f"id,x,y,z,nx,ny,nz,{name}\n7,2,0,1.2,0,1,0,0.2\n")).edges.tolist() == [0.2]
-
-
-def test_words_in_a_column_of_such_a_name_stay_with_the_tag(write):
-    found = read_deployment(write("id,x,y,z,nx,ny,nz,side,number\n7,2,0,1.2,0,1,0,north,a\n"))
-    assert not found.has_own_edges
-    assert dict(found.labels.columns) == {"side": ["north"], "number": ["a"]}
-
-
-@pytest.mark.parametrize(
-    "line",
-    [
-        "0 1 0 0 0.5 0 0 -1 0 0 1 0 1.2",  # a 3 x 4 matrix
-        "0 1 0 0 5 0 1 0 3 0 0 1 2 0 0 0 1",  # 4 x 4, of whole numbers
-        "1 2 0 1 0 0 0 1 0.15 0.2",
-    ],
-)
-def test_long_lines_without_names_are_asked_about(write, line):
-    with pytest.raises(InputError, match="not those of fiducial_slam"):
-        read_deployment(write(line + "\n", "map.txt"))
-
-
-@pytest.mark.parametrize(
-    "comment", ["camera poses, qw qx qy qz", "timestamp position[3] quaternion_wxyz[4]", "format: t x y z w i j k"]
-)
-def test_a_comment_that_says_that_w_comes_first_is_not_passed_over(write, comment):
-    with pytest.raises(InputError, match="has w before x, y, z, and does not name the columns"):
-        _ = TrajectoryFile(write(f"# {comment}\n1.5 0 0 1 1 0 0 0\n2.5 0 0 1 1 0 0 0\n")).trajectory
-    with pytest.raises(InputError, match="has w before x, y, z"):
-        read_deployment(write("# tag id, position (x y z), quaternion (w x y z)\n7 2 0 1.2 0.5 0.5 0.5 0.5\n"))
-
-
-def test_images_of_two_cameras_are_no_trajectory(write):
-    lines = "1 1 0 0 0 0 0 1 1 a1.png\n\n2 1 0 0 0 0 0 1 2 a2.png\n\n"
-    with pytest.raises(InputError, match="of the cameras 1 and 2"):
-        _ = TrajectoryFile(write(lines), rate=1.0).trajectory
 
 
 @pytest.mark.parametrize("model", ["ftheta", "division", "Inverse Brown Conrady"])

@@ -222,10 +222,9 @@ def test_bad_input_is_refused_in_a_sentence(tmp_path, keys, more, expected):
 @pytest.mark.parametrize(
     ("name", "text", "expected"),
     [
-        ("map.pgm", "", r"map\.pgm': a picture has no scale and no origin: the map's \.yaml"),
-        ("room.glb", "", r"the room mesh is read from a model"),
-        ("rmf.yaml", "levels: {}\n", r"layers must name one level of"),
-        ("map.yaml", "camera: 5\n", r"it has none of the keys of an occupancy grid"),
+        ("map.pgm", "", r"a floor plan is a \.dxf .*, which a picture alone lacks"),
+        ("room.glb", "", r"a floor plan is a .*; the room mesh is read from a model"),
+        ("map.yaml", "camera: 5\n", r"a floor plan is a \.dxf .*, or a \.yaml of nav2 with image"),
         (
             "map.yaml",
             "image: map.pgm\nresolution: 0.05\n",

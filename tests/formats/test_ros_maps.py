@@ -147,40 +147,6 @@ EDGE_SE3:QUAT 1 2 0 0 0 0 0 0 1 1
 """
 
 
-def test_landmarks_of_a_graph_of_rtabmap_are_counted_from_its_last_pose(read):
-    found = read(GRAPH)
-    assert found.ids.tolist() == [2, 7]
-    assert_allclose(found.positions[0], [2, 0, 1.2])
-    assert_allclose(found.normals[0], [-1, 0, 0], atol=1e-9)
-    assert "counted from the pose 2 on" in found.note
-    assert_is(read("VERTEX_SE3:QUAT -7 2 0 1.2 0.5 -0.5 -0.5 0.5\n"), 7, [2, 0, 1.2], [-1, 0, 0])
-    # Where landmarks come later, the edges that RTAB-Map has to them tell them from poses.
-    lines = GRAPH.splitlines()
-    assert read("\n".join([*lines[3:5], lines[2], *lines[5:]])).ids.tolist() == [2]
-
-
-@pytest.mark.parametrize(
-    ("text", "message"),
-    [
-        (GRAPH.replace("VERTEX_SE3:QUAT 9", "VERTEX_SE3:QUAT 1"), ""),
-        (
-            "VERTEX_SE3:QUAT 7 0 0 0 0 0 0 1\nVERTEX_SE3:QUAT 1 0 0 0 0 0 0 1\n",
-            "2 poses and without edges to a landmark",
-        ),
-        ("VERTEX_SE2 1 0 0 0\nVERTEX_XY 3 1 1\n", "a graph of g2o in two dimensions, in which tags have no height"),
-        ("VERTEX_SE3:QUAT 1 0 0 0 0 0 0 1\nVERTEX_TRACKXYZ 9 1 1 1\n", "it has 1 landmarks .* without rotations"),
-        ("VERTEX_SE3:QUAT 1 0 0 0 0 0 1\n", "line 1, 'VERTEX_SE3:QUAT 1 0 0 0 0 0 1', must be VERTEX_SE3:QUAT"),
-        ("VERTEX_SE3:QUAT -1 0 0 0 0 0 0 2\n", "must have length 1, it has 2"),
-    ],
-)
-def test_a_graph_without_tags_is_refused(text, message, read):
-    if not message:
-        assert read(text).ids.tolist() == [2]
-        return
-    with pytest.raises(InputError, match=message):
-        read(text)
-
-
 class Described:
     """A stub of an action or a description of ROS 2's launch: its positional and named arguments."""
 

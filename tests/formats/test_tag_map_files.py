@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from map_files import UP, assert_is, reader
+from map_files import assert_is, reader
 from numpy.testing import assert_allclose
 
 from lmd.core.checks import InputError
@@ -39,16 +39,6 @@ def test_wpilib_looks_along_x(read):
     commented = json.dumps(WPILIB, indent=1).replace('"tags"', '/* all of them */ "tags"').replace("}\n ]", "},\n ]")
     assert_is(read(f"// mine: http://here\n{commented}"), 4, [7.5, 1.0, 0.5], [-1, 0, 0])
     assert_is(read({"name": "of 2027", "field-tags": WPILIB["tags"]}), 4, [7.5, 1.0, 0.5], [-1, 0, 0])
-
-
-def test_wpilib_drawings_are_in_inches_and_degrees(read):
-    # As the generator of WPILib turns them: about z, then the second angle about the turned y.
-    found = read("ID,X,Y,Z,Z-Rotation,X-Rotation\n4,100,50,10,90,30\n7,0,0,0,180,0\n")
-    assert_allclose(found.positions[0], [2.54, 1.27, 0.254])
-    assert_allclose(found.normals[0], [0.0, np.cos(np.pi / 6), -0.5], atol=1e-12)
-    assert_is(read("ID, X, Y, Z, Rotation\n3,100,50,10,180\n"), 3, [2.54, 1.27, 0.254], [-1, 0, 0])
-    with pytest.raises(InputError, match="it has id, x, y, z, rotation; WPILib's own, in inches and degrees, has the"):
-        read("id,x,y,z,rotation\n1,6.0,1.0,0.6,180\n")
 
 
 def test_frc971_looks_into_the_tag(read):
@@ -143,27 +133,6 @@ aruco_bc_markers:
         read(text.format(kind=1).replace("1.2, 1.2", "1.4, 1.2"))
 
 
-def test_fiducial_slam_saves_degrees_and_what_it_saw_beside_a_tag(read):
-    # Upright on a wall behind y = 2, as by a turn about x by 90 degrees: it looks along -y.
-    found = read("7 1.0 2.0 0.5 90.0 0.0 0.0 0.04 31 8 9\n8 1.0 2.0 1.5 90.0 0.0 90.0 0.01 5\n")
-    assert found.ids.tolist() == [7, 8]
-    assert_allclose(found.positions, [[1.0, 2.0, 0.5], [1.0, 2.0, 1.5]])
-    assert_allclose(found.normals, [[0, -1, 0], [1, 0, 0]], atol=1e-9)
-    assert_allclose(found.ups, [UP, UP], atol=1e-9)
-    with pytest.raises(InputError, match=r"line 2, '8 1 2': it has 3 values, and they are not those of fiducial_slam"):
-        read("7 1.0 2.0 0.5 90.0 0.0 0.0 0.04 31\n8 1 2\n")
-
-
-def test_clover_leaves_out_what_is_zero(read):
-    found = read("# a map\n8\t0.3\t1\t2\n\n9 0.22 1 2 0.5 1.5707963267948966 0 0\n")
-    assert_allclose(found.positions, [[1, 2, 0], [1, 2, 0.5]])
-    assert_allclose(found.ups, [[0, 1, 0], [-1, 0, 0]], atol=1e-12)
-    assert found.edges.tolist() == [0.3, 0.22]
-    # To OpenCV, by which Clover detects, an AprilTag hangs the other way up.
-    assert_allclose(read("8 0.3 1 2", family="36h11").ups, [[0, -1, 0]], atol=1e-12)
-    assert_allclose(read("8 0.3 1 2", family="4x4_50").ups, [[0, 1, 0]], atol=1e-12)
-
-
 def test_rtabmap_separates_tags_by_bars(read):
     found = read('"1 0 0 1 0 0 0|2 1 0 1 0 0 1.5707963267948966"\n')
     assert found.ids.tolist() == [1, 2]
@@ -197,7 +166,7 @@ def test_maps_of_others():
     counts = {}
     for path in sorted(REAL.iterdir()):
         if path.suffix != ".md" and path.name != "tagslam_test_13.yaml":
-            counts[path.stem] = len(read_deployment(path))
+            counts[path.stem] = len(read_deployment(path, columns="clover"))
     assert counts == {
         "clover_nti_novgorod_mixed_sizes": 22,
         "clover_office_ceiling": 31,

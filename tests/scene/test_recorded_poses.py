@@ -237,7 +237,7 @@ def test_angles_are_those_of_the_rotation():
         ),
         (HEADER + "0,1,1,1,90,0\n1,1,1,1,0,0\n", "yaw = 90 looks like degrees"),
         (HEADER + "0,1,1,1,0,0\n1,9,1,1,0,0\n", r"^path: .*camera at 1 s, \(9, 1, 1\), is outside the room"),
-        ("0 1 1 1 0 0 0 1\n1 1 1 1 0 0 0\n", "table.csv line 2 has 7 values, not 8"),
+        ("0 1 1 1 0 0 0 1\n1 1 1 1 0 0 0\n", "table.csv line 2 has 7 values, and the columns are time,x"),
         ("0 1 1 1 0 0 0 2\n1 1 1 1 0 0 0 1\n", "line 1: the quaternion must have length 1, it has 2"),
         (HEADER + "0,1,1,1,0,0\n", "must have at least 2 frames, got 1"),
     ],

@@ -1,0 +1,71 @@
+"""Axes, families and further columns of tables of tags."""
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+from scipy.spatial.transform import Rotation
+
+from lmd.core.checks import InputError
+from lmd.formats.deployments import FileDeployment
+from lmd.formats.tag_maps import read_deployment
+from pipelines.pipeline import with_file
+
+
+@pytest.fixture
+def read(tmp_path):
+    def read_text(text, **options):
+        (tmp_path / "map").write_text(text)
+        return read_deployment(tmp_path / "map", **options)
+
+    return read_text
+
+
+def test_the_axes_of_a_tag_are_what_is_said(read):
+    rng = np.random.default_rng(0)
+    turn = Rotation.random(random_state=rng)
+    quaternion = ",".join(map(str, turn.as_quat()))
+    for axes, out, up in (
+        (None, [0, 0, 1], [0, 1, 0]),
+        (["right", "down", "into"], [0, 0, -1], [0, -1, 0]),  # AprilTag's
+        (["out", "right", "up"], [1, 0, 0], [0, 0, 1]),  # WPILib's
+    ):
+        found = read(f"id,x,y,z,qx,qy,qz,qw\n3,1,2,3,{quaternion}\n", axes=axes)
+        assert_allclose(found.normals[0], turn.apply(out), atol=1e-12)
+        assert_allclose(found.ups[0], turn.apply(up), atol=1e-12)
+    roll, pitch, yaw = 0.3, -0.2, 1.1
+    expected = Rotation.from_euler("xyz", [roll, pitch, yaw])  # about fixed axes, as ROS's setRPY
+    found = read(f"id,x,y,z,roll,pitch,yaw\n3,1,2,3,{roll},{pitch},{yaw}\n")
+    assert_allclose(found.normals[0], expected.apply([0, 0, 1]), atol=1e-12)
+    for axes in (["right", "up", "into"], ["right", "up"], "right up out", [1, 2, 3]):
+        with pytest.raises(InputError, match="axes must be three of right, left, up, down, out, into"):
+            FileDeployment("mine.csv", axes=axes)
+
+
+def test_further_columns_of_a_table_stay_and_edges_are_metres(read):
+    found = read("id,x,y,z,qx,qy,qz,qw,size,place\n7,2,0,1,0,0,0,1,0.15,door\n8,3,0,1,0,0,0,1,,stairs\n")
+    assert found.labels.columns == {"place": ["door", "stairs"]}
+    assert_allclose(found.edges, [0.15, np.nan])
+    with pytest.raises(InputError, match=r"map line 2: edge = 150 looks like millimetres; edges are in metres"):
+        read("id,x,y,z,qx,qy,qz,qw,edge\n7,2,0,1,0,0,0,1,150\n")
+
+
+def test_a_family_is_a_column(read):
+    text = "id,x,y,z,nx,ny,nz,family\n1,0,1,0,1,0,0,TAG16h5\n2,0,2,0,1,0,0,\n"
+    assert len(read(text, family="16h5")) == len(read(text)) == 2
+    with pytest.raises(
+        InputError, match=r"^family=16h5 is needed: the tags of .*map are of that family, and not of 36h11"
+    ):
+        read(text, family="36h11")
+    with pytest.raises(InputError, match="of the families 16h5 and 36h11"):
+        read(text.replace("0,\n", "0,36h11\n"))
+
+
+def test_a_path_alone_means_a_file():
+    assert with_file(["+deployment.path=a.csv", "seed=1"], "evaluate") == [
+        "deployment=file",
+        "deployment.path=a.csv",
+        "seed=1",
+    ]
+    for given in (["deployment=mine", "deployment.path=a"], ["run=out", "deployment.path=a"], ["deployment.free=true"]):
+        assert with_file(given, "optimise") == given
+    assert with_file(["deployment.path=a"], "size") == ["deployment.path=a"]  # it takes no deployment
