@@ -75,18 +75,21 @@ def read_plan_room(
     reachable: Any = None,
     spacing: Any = None,
     path: Any = None,
+    holes: Any = (),
+    keep_out: Any = (),
     surfaces: Any = None,
+    margin: Any = 0.0,
     **more: Any,
 ) -> Prism:
     """Room over a floor plan from a file or from its arguments, in the frame of the file.
 
     Args:
         path: file of a format of this module; None for a plan from the other arguments.
-        outline: see `FloorPlan`; with a `path`, None or the value of `EXAMPLE`.
+        outline, holes: see `FloorPlan`; with a `path`, None or the values of `EXAMPLE`.
+        keep_out: see `FloorPlan`; with a `path`, in addition to those of the file; those of `EXAMPLE` are ignored.
         surfaces: see `FloorPlan`; with a `path`, None for all walls with a free stretch of `least_width`.
-        height, reachable, spacing: see `FloorPlan` and `Prism`.
-        more: fields of `Reading`, and arguments of `from_floor_plan`. With a `path`, `holes` are None or those of
-            `EXAMPLE`, and `keep_out` are added to those of the file, while the keep-outs of `EXAMPLE` are ignored.
+        height, margin, reachable, spacing: see `FloorPlan` and `Prism`.
+        more: fields of `Reading`, and further arguments of `from_floor_plan`.
 
     Raises:
         InputError: the file or a value is refused.
@@ -96,20 +99,20 @@ def read_plan_room(
     if path is None:
         if outline is None:
             raise InputError("path is missing: a file with a floor plan is needed, such as map.yaml.", "path")
-        return from_floor_plan(outline, height, reachable, spacing, surfaces=surfaces, **plan)
-    for name, value in (("outline", outline), ("holes", plan.pop("holes", None))):
+        plan |= {"holes": holes, "keep_out": keep_out, "surfaces": surfaces, "margin": margin}
+        return from_floor_plan(outline, height, reachable, spacing, **plan)
+    for name, value in (("outline", outline), ("holes", holes)):
         if value not in (None, (), [], EXAMPLE[name]):
             raise InputError(f"{name} and path are both given: leave out {name}, or take path=null.", name)
-    reading, height = Reading(**asked), real("height", height, above=0.0)
-    margin, keep_out = real("margin", plan.pop("margin", 0.0), low=0.0), plan.pop("keep_out", ())
+    reading, height, margin = Reading(**asked), real("height", height, above=0.0), real("margin", margin, low=0.0)
     found: ReadPlan = read("floor plan", PlanFile(file_path("path", path), asked=vars(reading)))
     size = [*np.ptp(found.rings[0], axis=0), height]
     check_metres(size, f"path: {str(path)!r} with {found.scale} makes", "check its unit", "path")
     walls, parts = _walls(found, height, margin, reading.least_width)
     if surfaces is None and not walls:
         raise InputError(f"path: {str(path)!r} has no wall with a free stretch of {reading.least_width:g} m.", "path")
-    outer, *holes = [ring.tolist() for ring in found.rings]
-    plan |= {"holes": holes, "surfaces": walls if surfaces is None else surfaces, "margin": margin}
+    outer, *inner = [ring.tolist() for ring in found.rings]
+    plan |= {"holes": inner, "surfaces": walls if surfaces is None else surfaces, "margin": margin}
     plan["keep_out"] = [*parts, *([] if keep_out == EXAMPLE["keep_out"] else keep_out)]
     return from_floor_plan(outer, height, reachable, spacing, path=str(path), note=found.note, **plan)
 
