@@ -27,6 +27,10 @@ EULER = ("roll", "pitch", "yaw")  # angles of a body in ROS's convention: x ahea
 OWN_ANGLES = ("yaw_from_y", "pitch_up", "roll_left")
 VECTOR = ("rx", "ry", "rz")  # rotation vector, whose length is the angle
 LONGEST_NAME = 200  # greatest number of characters of a column's name; a longer name is unknown
+ALONE = (
+    "tum",
+    "kitti",
+)  # layouts that are known by the number of values: a wrong reading has no rotation of length one
 ONCE = (EDGE, FAMILY)  # quantities of which only the first column counts
 SHOWN = 200  # greatest number of characters of a line that a message shows
 _BRACKETS = re.compile(r"[\[(]([^\[(\])]*)[\])]$")
@@ -298,8 +302,9 @@ def _by_content(lines: Lines, of: str) -> Layout:
                 f"a comment, {comment[:120]!r}, has w before x, y, z, and does not name the columns: write a line "
                 f"above the values that names each, such as '# {' '.join(PLAIN[of][0])}'."
             )
-    if of == POSES and not lines.commas and lines.width == len(layouts[0].columns):
-        return layouts[0]
+    for layout in layouts:
+        if layout.name in ALONE and not lines.commas and lines.width == len(layout.columns):
+            return layout
     width = lines.width
     exact = [one for one in layouts if len(one.columns) == width or (one.takes(width) and (one.least or one.ragged))]
     exact = [one for one in exact if not one.header]

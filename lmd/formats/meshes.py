@@ -144,17 +144,6 @@ def _turned(points: FloatArray, up: str) -> FloatArray:
     return (points if up == "z" else points[:, [0, 2, 1]] * [1.0, -1.0, 1.0]) + 0.0
 
 
-def cut(face: FloatArray) -> FloatArray:
-    """Cut a flat polygon `(N, 3)` into triangles `(T, 3, 3)`; none if the polygon crosses itself or has no area."""
-    import shapely
-
-    _, _, (right, up, _) = np.linalg.svd(face - face.mean(axis=0))
-    flat = shapely.Polygon((face - face.mean(axis=0)) @ np.stack([right, up], axis=1))
-    parts = shapely.get_parts(shapely.constrained_delaunay_triangles(flat)) if flat.is_valid else []
-    corners = [shapely.get_coordinates(part)[:3] @ np.stack([right, up]) + face.mean(axis=0) for part in parts]
-    return np.array(corners).reshape(-1, 3, 3)
-
-
 def triangles(room: RoomFile) -> dict[str, Any]:
     """Objects of a file that have triangles, as meshes in the scene's frame, by name, z up."""
     file, up = Path(room.path), room.asked["up"]
@@ -230,8 +219,8 @@ def _place(word: str) -> float:
 
 
 def _cut_face(line: str, words: list[str], places: list[list[float]]) -> list[str]:
-    """Lines of the triangles of a face; the line of the face itself if the face cannot be cut."""
-    from scipy.spatial import cKDTree
+    """Lines of the triangles of a face; the line of the face itself if it is bent, crosses itself, or has no area."""
+    import shapely
 
     found = [_CORNER.match(word) for word in words]
     numbers = [int(each[1]) for each in found if each is not None]
@@ -239,14 +228,20 @@ def _cut_face(line: str, words: list[str], places: list[list[float]]) -> list[st
     if len(index) < len(words) or not all(0 <= i < len(places) for i in index):
         return [line]
     corners: FloatArray = np.array([places[i] for i in index])
-    triangles = cut(corners) if np.isfinite(corners).all() else np.empty((0, 3, 3))
-    if len(triangles) != len(words) - 2:  # the face is bent, crosses itself, or has no area
+    if not np.isfinite(corners).all():
         return [line]
-    nearest = cKDTree(corners).query(triangles.reshape(-1, 3))[1].reshape(-1, 3)
-    ahead = np.cross(corners, np.roll(corners, -1, axis=0)).sum(axis=0)
-    around = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0]) @ ahead
-    order = np.where(around[:, None] < 0.0, nearest[:, ::-1], nearest)
-    return [f"f {' '.join(words[i] for i in triangle)}" for triangle in order.tolist()]
+    _, _, basis = np.linalg.svd(corners - corners.mean(axis=0))
+    flat = (corners - corners.mean(axis=0)) @ basis[:2].T
+    polygon, place = shapely.Polygon(flat), {tuple(at): i for i, at in enumerate(flat.tolist())}
+    cut = shapely.get_parts(shapely.constrained_delaunay_triangles(polygon)) if polygon.is_valid else []
+    if len(cut) != len(words) - 2:
+        return [line]
+    ahead = shapely.is_ccw(polygon.exterior)
+    steps = [1 if shapely.is_ccw(part.exterior) == ahead else -1 for part in cut]
+    triangles = [[place[tuple(at)] for at in shapely.get_coordinates(part)[:3].tolist()] for part in cut]
+    return [
+        f"f {' '.join(words[i] for i in triangle[::step])}" for triangle, step in zip(triangles, steps, strict=True)
+    ]
 
 
 def _check_ply(name: str, content: bytes, triangles: int) -> None:

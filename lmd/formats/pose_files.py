@@ -3,7 +3,6 @@
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
 from itertools import pairwise
 from typing import Any, NamedTuple
 
@@ -78,21 +77,6 @@ class Rows:
         return replace(self, lines=lines, time=self.time[chosen], poses=self.poses[chosen], notes=(*self.notes, note))
 
 
-class PoseFile(File):
-    """File of poses; `asked` has the fields of `lmd.formats.trajectories.TrajectoryFile` by name."""
-
-    @cached_property
-    def rows(self) -> Lines:
-        """Values of a text."""
-        return Lines.of(self.path, self.text, self.argument)
-
-    @property
-    def is_kitti(self) -> bool:
-        """True for rows of twelve numbers."""
-        rows = self.rows.rows
-        return self.asked["columns"] in (None, "kitti") and bool(rows) and [*map(is_number, rows[0][1])] == [True] * 12
-
-
 def read_rows(path: str, **asked: Any) -> Rows:
     """Read poses in any known format; rows that repeat the previous time, as of a coarse clock, are left out.
 
@@ -103,7 +87,7 @@ def read_rows(path: str, **asked: Any) -> Rows:
         InputError: the file cannot be read, or holds no poses; the message names the file.
     """
     try:
-        rows: Rows = read("trajectory", PoseFile(path, asked=asked))
+        rows: Rows = read("trajectory", File(path, asked=asked))
         again = np.append(False, np.diff(rows.time) == 0.0)
         if again.any():
             apart = 1000.0 * np.linalg.norm(np.diff(rows.poses[:, :3, 3], axis=0), axis=1)[again[1:]].max()
@@ -192,13 +176,15 @@ def steep(sines: FloatArray, path: object) -> str:
     return f"{up + down:.0%} of the views of {path} look straight {way}, within 30 degrees: does the camera?"
 
 
-def of_table(file: PoseFile) -> Rows:
-    """Rows of a table with a time in each line."""
-    if name := next((name for name in ("times", "rate") if file.asked[name] is not None), ""):
-        raise InputError(f"{name} must be left out: {file.path} has a time in each line.", name)
+def of_table(file: File) -> Rows:
+    """Rows of a table with a time in each line, or of KITTI's matrices."""
     found = named(file.path, file.text, POSES, file.asked["columns"], file.argument)
     table, unit = found.table, found.time_unit
-    if TIME not in table or not set(POSITION) <= found.columns.keys():
+    if found.layout.name == "kitti":
+        return _of_matrices(file, table)
+    if name := next((name for name in ("times", "rate") if file.asked[name] is not None), ""):
+        raise InputError(f"{name} must be left out: {file.path} has a time in each line.", name)
+    if not {TIME, *POSITION} <= found.columns.keys():
         raise _lacking(found)
     time, place = table.numbers([TIME], None)[:, 0], table.numbers(POSITION, None)
     if whole := re.fullmatch(r"(.*?)(secs?|seconds)", found.columns[TIME]):  # with nanoseconds in another column
@@ -265,36 +251,30 @@ def _frame_of_ros(table: Table, frame: str) -> tuple[str | None, str]:
 
 def _lacking(found: Named) -> InputError:
     """Error about a table that is no trajectory; the message names the missing columns."""
-    said = ", ".join(found.columns.get(name, name) for name in found.table.texts)[:300]
-    if TIME not in found.columns:
-        return InputError(
-            f"it has no column with a name that is known as the time, such as time or stamp_ns: its columns are {said}."
-        )
-    if any(name.endswith("q[0]") for name in found.table.texts):
-        return InputError(
-            "its columns from q[0] on do not say which is w: call them qx, qy, qz, qw (PX4 has w first, and axes that "
-            "point north, east and down: take time_us,x,y,z,qw,qx,qy,qz from timestamp, position[0], -position[1], "
-            "-position[2], q[0], q[1], -q[2], -q[3], and frame=body)."
-        )
     turns = EULER if any(name in found.columns for name in EULER) and "qw" not in found.columns else QUATERNION
-    missing = [name for name in (*POSITION, *turns) if name not in found.columns]
-    plane = " Of a motion in the plane add z, the height, and roll = pitch = 0 beside yaw, of a body, radians."
-    return InputError(
-        f"it lacks {', '.join(missing)}: a pose has time, x, y, z and qx, qy, qz, qw (or roll, pitch, yaw), and its "
-        f"columns are {said}." + (plane if {"x", "y"} <= found.columns.keys() and "z" not in found.columns else "")
-    )
+    missing = [name for name in (TIME, *POSITION, *turns) if name not in found.columns]
+    hint = ""
+    if any(name.endswith("q[0]") for name in found.table.texts):
+        hint = (
+            " Columns from q[0] on do not say which is w: PX4 has w first, and axes that point north, east and down. "
+            "Take time_us,x,y,z,qw,qx,qy,qz from timestamp, position[0], -position[1], -position[2], q[0], q[1], -q[2],"
+            " -q[3], and frame=body."
+        )
+    elif {"x", "y"} <= found.columns.keys() and "z" not in found.columns:
+        hint = " Of a motion in the plane add z, the height, and roll = pitch = 0 beside yaw, of a body, radians."
+    said = ", ".join(found.columns.get(name, name) for name in found.table.texts)[:300]
+    needed = "a pose has time, x, y, z and qx, qy, qz, qw (or roll, pitch, yaw)"
+    return InputError(f"it lacks {', '.join(missing)}: {needed}, and its columns are {said}.{hint}")
 
 
-def matrices(file: PoseFile) -> Rows:
+def _of_matrices(file: File, table: Table) -> Rows:
     """Poses from matrices [R p], row by row; rotations are made orthonormal.
 
     Raises:
         InputError: a matrix is no rigid motion, or the times are missing.
     """
-    names = [f"m{i}" for i in range(12)]
-    table = Table.of(file.path, names, file.rows.rows)
-    numbers = table.numbers(names).reshape(-1, 3, 4)
-    turns, rate = numbers[:, :, :3], file.asked["rate"]
+    numbers, rate = table.numbers(list(table.texts)).reshape(-1, 3, 4), file.asked["rate"]
+    turns = numbers[:, :, :3]
     if (bad := np.flatnonzero(~are_rotations(turns))).size:
         raise InputError(f"line {table.lines[bad[0]]}: the first three columns of its 3 x 4 matrix are no rotation.")
     time = given_times(len(numbers), f"{file.path} has 12 numbers a line, as KITTI, and", file.asked["times"], rate)
@@ -318,7 +298,7 @@ class Image(NamedTuple):
     """Name of the image's file."""
 
 
-def images_of(file: PoseFile) -> list[Image]:
+def images_of(file: File) -> list[Image]:
     """Images of COLMAP's `images.txt`, by number; empty for another file.
 
     Raises:
@@ -339,7 +319,7 @@ def images_of(file: PoseFile) -> list[Image]:
     return sorted(images)
 
 
-def of_images(file: PoseFile) -> Rows:
+def of_images(file: File) -> Rows:
     """Poses of COLMAP's images, camera to world, in the order of their numbers.
 
     With a rate, the time of an image follows from its number, so that an image that was not registered leaves a gap.
@@ -392,16 +372,6 @@ FORMATS = (
     ),
     Format(
         "trajectory",
-        "KITTI",
-        lambda file: file.is_kitti,
-        matrices,
-        row=(
-            "KITTI's poses | 12 numbers, a 3 x 4 matrix by rows; `times=times.txt` has the time of each line, or "
-            "`rate=10` a second"
-        ),
-    ),
-    Format(
-        "trajectory",
         "table",
         anything,
         of_table,
@@ -413,6 +383,8 @@ FORMATS = (
             "table with a camera's angles | `time,x,y,z,yaw_from_y,pitch_up`, and `roll_left` if you like: yaw "
             "clockwise from the y axis of the room, a positive pitch looks up. `time,x,y,z,yaw,pitch` is read like it\n"
             "RTAB-Map's, with `id` | rows with a negative `id` or a stamp of 0 are landmarks and left out\n"
+            "KITTI's poses | 12 numbers, a 3 x 4 matrix by rows; `times=times.txt` has the time of each line, or "
+            "`rate=10` a second\n"
             "`ros2 topic echo --csv` | of `Odometry`, `PoseStamped`, `PoseWithCovarianceStamped`, `TransformStamped`\n"
             "TUM's format | no header; `time tx ty tz qx qy qz qw` with spaces between\n"
             "values without names | `columns=euroc` (nanoseconds, `qw` first; VINS's too), `tum`, `rtabmap`, or names"
