@@ -1,6 +1,7 @@
 """Occupancy grids are read as nav2_map_server reads them, and become rooms in the frame of the map."""
 
 import math
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -15,6 +16,8 @@ from lmd.core.checks import InputError
 from lmd.formats.occupancy_grid import occupancy, read_occupancy_grid
 from lmd.formats.plans import read_plan_room
 from lmd.scene.deployment_sources import RandomDeployment
+
+REFUSED = yaml.safe_load(Path(__file__).with_name("files").joinpath("refused.yaml").read_text(encoding="utf-8"))
 
 
 def room_of(path, height=2.5, reachable=None, spacing=0.5, **more):
@@ -188,56 +191,21 @@ def test_pillars_that_touch_by_a_corner_are_one(tmp_path):
     assert shapely.Polygon(room.plan.outline, room.plan.holes).area == pytest.approx(24 - 8 * 0.09, abs=0.02)
 
 
-@pytest.mark.parametrize(
-    ("keys", "more", "expected"),
-    [
-        ({"resolution": 0}, {}, r"map\.yaml': resolution must be greater than 0, got 0"),
-        ({"resolution": 50.0}, {}, r"with resolution = 50 makes a room of 6000 x 4000 x 2\.5 m"),
-        ({"origin": [0, 0]}, {}, r"origin must be a list of 3 numbers, got \[0, 0\]"),
-        ({"negate": "no way"}, {}, r"negate must be 0, 1, true or false, got 'no way'"),
-        ({"mode": "fuzzy"}, {}, r"mode must be one of trinary, scale, raw, got 'fuzzy'"),
-        ({"free_thresh": 0.7}, {}, r"free_thresh = 0\.7 must be below occupied_thresh = 0\.65"),
-        ({"image": "lost.pgm"}, {}, r"there is no file '.*lost\.pgm'"),
-        ({"image": "map.yaml"}, {}, r"map\.yaml' cannot be read as a picture \(its kind is none of PNG, PPM, BMP\)"),
-        ({"image": 5}, {}, r"image must be the path of the picture, got 5"),
-        ({"negate": 1}, {"passage": 0}, r"hold no position of the grid"),
-        ({"negate": 1}, {}, r"^passage = 0\.3 is wider than every free region of "),
-        ({}, {"start": [20.0, 1.0]}, r"^start = \[20\.0, 1\.0\] is not in a free cell of "),
-        ({}, {"start": [-0.3, 1.0]}, r"^start = \[-0\.3, 1\.0\] is not in a free cell of "),
-        ({}, {"passage": 9.0}, r"^passage = 9 is wider than every free region of "),
-        ({}, {"tolerance": 0.0}, r"^tolerance must be greater than 0"),
-        ({}, {"height": None}, r"^height must be a number"),
-        ({}, {"outline": [[0, 0], [1, 0], [1, 1]]}, r"^outline and path are both given"),
-        ({}, {"least_width": 7.0}, r"has no wall with a free stretch of 7 m"),
-    ],
-)
-def test_bad_input_is_refused_in_a_sentence(tmp_path, keys, more, expected):
-    path = write_map(tmp_path, hall(), **keys)
-    arguments = {"outline": None, "height": 2.5, **more}
-    with pytest.raises(InputError, match=expected) as error:
+@pytest.mark.parametrize("row", REFUSED["occupancy_grid"], ids=lambda row: row["words"])
+def test_bad_input_is_refused_in_a_sentence(tmp_path, row):
+    path = write_map(tmp_path, hall(), **row.get("keys", {}))
+    arguments = {"outline": None, "height": 2.5, **row.get("more", {})}
+    with pytest.raises(InputError, match=row["words"]) as error:
         read_plan_room(reachable={"height": [0.5, 1.0]}, spacing=0.5, path=path, **arguments)
     assert "\n" not in str(error.value)
 
 
-@pytest.mark.parametrize(
-    ("name", "text", "expected"),
-    [
-        ("map.pgm", "", r"a floor plan is a \.dxf .*, which a picture alone lacks"),
-        ("room.glb", "", r"a floor plan is a .*; the room mesh is read from a model"),
-        ("map.yaml", "camera: 5\n", r"a floor plan is a \.dxf .*, or a \.yaml of nav2 with image"),
-        (
-            "map.yaml",
-            "image: map.pgm\nresolution: 0.05\n",
-            r"the key origin is missing, which nav2_map_server needs too",
-        ),
-        ("lost.yaml", None, r"there is no file '.*lost\.yaml'"),
-    ],
-)
-def test_another_file_is_refused_in_a_sentence(tmp_path, name, text, expected):
-    if text is not None:
-        (tmp_path / name).write_text(text)
-    with pytest.raises(InputError, match=rf"^(path: .*|){expected}"):
-        room_of(str(tmp_path / name))
+@pytest.mark.parametrize("row", REFUSED["floor_plan"], ids=lambda row: row["words"])
+def test_another_file_is_refused_in_a_sentence(tmp_path, row):
+    if "text" in row:
+        (tmp_path / row["name"]).write_text(row["text"])
+    with pytest.raises(InputError, match=rf"^(path: .*|){row['words']}"):
+        room_of(str(tmp_path / row["name"]))
 
 
 def test_a_picture_that_is_cut_short_or_not_there_is_refused(tmp_path):

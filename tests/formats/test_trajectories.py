@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import yaml
 from numpy.testing import assert_allclose
 from paper import paper_room
 from scipy.spatial.transform import Rotation
@@ -12,6 +13,7 @@ from scipy.spatial.transform import Rotation
 from lmd.core.checks import InputError
 from lmd.formats.trajectories import TrajectoryFile
 
+REFUSED = yaml.safe_load(Path(__file__).with_name("files").joinpath("refused.yaml").read_text(encoding="utf-8"))
 REAL = Path(__file__).parents[3] / "shared/real"
 TIME = np.array([1520530308.25, 1520530308.5, 1520530308.75])
 AT = np.array([[1.0, 2.0, 3.0], [1.5, 2.25, 3.0], [2.0, 2.5, 2.75]])
@@ -94,27 +96,10 @@ def test_a_mount_turns_angles_as_it_turns_quaternions(write):
     assert_allclose(poses_of(write(angles), mount=[0, 0, 0, 0, 0, 0]), own, atol=1e-12)
 
 
-@pytest.mark.parametrize(
-    ("settings", "message"),
-    [
-        ({"rate": 30.0}, "^rate must be left out: .* has a time in each line"),
-        ({"align": [1, 2, 3]}, r"^align must be \[x, y, z, yaw\].*, got 3 numbers"),
-        ({"align": [1, 2, 3, 90]}, "^align: yaw must be in radians"),
-        ({"align": [1, 2, 3, 0, 0, 0, 2]}, "^align: the quaternion must have length 1, it has 2"),
-        ({"align": [[0, 0, 0, 1, 1, 1]] * 2}, "^align must have at least 3 points, got 2"),
-        ({"align": [[i, 0, 0, 0, i, 0] for i in range(4)]}, "^align: its points lie on a line in the recording's"),
-        (
-            {"align": [[0, 0, 0, 0, 0, 0], [1, 0, 0, 1, 0, 0], [0, 1, 0, 0, 3, 0]]},
-            r"^align: its points do not fit each other: at best, align\[\d\] is [\d.]+ m from where",
-        ),
-        ({"mount": [0, 0, 0, 90, 0, 0]}, "^mount: yaw in radians, must be in"),
-        ({"mount": {"file": "x"}}, "^mount has no key 'file', only path, name"),
-        ({"mount": "none.yaml"}, "^mount: there is no file 'none.yaml'"),
-    ],
-)
-def test_a_setting_is_refused_in_one_sentence(write, settings, message):
-    with pytest.raises(InputError, match=message) as refused:
-        poses_of(write(TUM), **settings)
+@pytest.mark.parametrize("row", REFUSED["trajectory"], ids=lambda row: row["words"])
+def test_a_setting_is_refused_in_one_sentence(write, row):
+    with pytest.raises(InputError, match=row["words"]) as refused:
+        poses_of(write(TUM), **row["more"])
     assert "\n" not in str(refused.value)
 
 
