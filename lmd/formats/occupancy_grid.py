@@ -5,13 +5,23 @@ Source: `loadMapFromFile` of nav2_map_server. A cell is occupied at 100, free at
 
 import io
 import math
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from lmd.core.checks import BoolArray, FloatArray, InputError, IntArray, bounded, file_path, real, said_of, vector
+from lmd.core.checks import (
+    BoolArray,
+    FloatArray,
+    InputError,
+    IntArray,
+    bounded,
+    choice,
+    file_path,
+    real,
+    said_of,
+    vector,
+)
 from lmd.core.files import read_bytes, read_keys
 from lmd.core.memory import check_memory
 from lmd.core.optional import optional
@@ -70,17 +80,18 @@ def read_occupancy_grid(path: str | Path) -> OccupancyGrid:
     file = file_path("path", path)
     keys = read_keys(file, "path")
     with said_of(f"path: {str(file)!r}", "path"):
-        _check_keys(keys)
+        if lacking := [name for name in KEYS if name not in keys]:
+            raise InputError(f"the key {lacking[0]} is missing, which nav2_map_server needs too.")
         resolution = real("resolution", keys["resolution"], above=0.0)
         x, y, yaw = vector("origin", keys["origin"], 3)
         occupied, free = (real(name, keys[name]) for name in ("occupied_thresh", "free_thresh"))
         if free >= occupied:
             raise InputError(f"free_thresh = {free:g} must be below occupied_thresh = {occupied:g}.")
-        negate, mode = _negate(keys["negate"]), str(keys.get("mode", MODES[0])).lower()
-        if mode not in MODES:
-            raise InputError(f"mode must be one of {', '.join(MODES)}, got {keys['mode']!r}.")
+        mode = choice("mode", str(keys.get("mode", MODES[0])).lower(), MODES)
+        if (negate := keys["negate"]) not in (0, 1):
+            raise InputError(f"negate must be 0, 1, true or false, got {negate!r}.")
         grey, is_opaque = _picture(_beside(file, keys["image"]))
-    cells = occupancy(grey, is_opaque, mode, negate, occupied, free)[::-1]
+    cells = occupancy(grey, is_opaque, mode, bool(negate), occupied, free)[::-1]
     if mode == "raw":
         is_occupied, is_free = cells >= 100.0 * occupied, (cells >= 0) & (cells <= 100.0 * free)
         return OccupancyGrid(str(path), cells, resolution, (x, y, yaw), is_occupied, is_free)
@@ -120,19 +131,6 @@ def occupancy(
         cells = np.where((value > free) & (value < occupied), between, cells)
     cells = np.where(value <= free, FREE, cells)
     return np.where(is_opaque, cells, UNKNOWN).astype(np.int8)
-
-
-def _check_keys(keys: Mapping[str, Any]) -> None:
-    """Raise `InputError` if the keys of a file are no keys of a map."""
-    lacking = [name for name in KEYS if name not in keys]
-    if lacking:
-        raise InputError(f"the key {lacking[0]} is missing, which nav2_map_server needs too.")
-
-
-def _negate(value: Any) -> bool:
-    if value not in (0, 1, True, False):
-        raise InputError(f"negate must be 0, 1, true or false, got {value!r}.")
-    return bool(value)
 
 
 def _beside(file: Path, image: Any) -> Path:

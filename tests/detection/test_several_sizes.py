@@ -21,7 +21,9 @@ CAMERA = Camera(5.0, 0.0116, 0.0116, (400.0, 300.0), 800.0, 600.0, 0.0, distorti
 POSE = camera_pose([1.95, 2.2, 1.45], 0.1, 0.05, 0.1)
 # id, edge, x and z on the wall y = 3
 TAGS = ((7, 0.06, 1.75, 1.55), (3, 0.1, 2.25, 1.6), (12, 0.2, 2.1, 1.35), (9, 0.06, 1.72, 1.3))
-MAP = "".join(f"{number} {edge} {x} 3 {z} 0 0 1.5707963267948966\n" for number, edge, x, z in TAGS)  # Clover's
+MAP = "# id length x y z yaw pitch roll\n" + "".join(
+    f"{number} {edge} {x} 3 {z} 0 0 1.5707963267948966\n" for number, edge, x, z in TAGS
+)  # Clover's
 
 
 @pytest.fixture

@@ -77,7 +77,7 @@ def test_a_run_writes_its_own_maps_and_can_be_exported_later(work):
 
 def test_a_map_of_one_stack_becomes_that_of_another(work):
     (work / "map.txt").write_text("# Clover\n3 0.15 0 2 3 1.5707963267948966 0 1.5707963267948966\n9 0.05 1 2 0\n")
-    found = "deployment.path=map.txt", "tag.family=4x4_50"
+    found = "deployment.path=map.txt", "deployment.columns=clover", "tag.family=4x4_50"
     done = inside(
         "export", *found, "formats=[aruco,json]", "tracking=none", "hydra.run.dir=out", cwd=work, settings=TAGS
     )
@@ -93,8 +93,9 @@ def test_a_map_of_one_stack_becomes_that_of_another(work):
 
 def test_a_map_that_says_the_sizes_of_its_tags_needs_no_edge_and_one_tag_no_objective(work):
     (work / "map.txt").write_text("# Clover\n3 0.15 0 2 3 1.5707963267948966 0 1.5707963267948966\n")
-    given = "deployment.path=map.txt", "tag.family=4x4_50", "tracking=none", "formats=[json,rtabmap]"
-    done = inside("export", *given, "hydra.run.dir=out", cwd=work, settings=())
+    given = "deployment.path=map.txt", "deployment.columns=clover", "tag.family=4x4_50"
+    written = "tracking=none", "formats=[json,rtabmap]", "hydra.run.dir=out"
+    done = inside("export", *given, *written, cwd=work, settings=())
     assert done.returncode == 0, done.stderr
     assert json.loads((work / "out" / "tags.json").read_text())["edge"] == 0.15
     again = "deployment.path=out/tags.json", "tracking=none", "formats=[json]"
