@@ -22,7 +22,7 @@ from .hyperparameters import HELP
 from .operations.signals import Stopped, stop
 from .operations.sweeps.supervisor import run
 from .outputs import locks
-from .overrides import PATH, as_hydra_reads, ask_what_was_meant, forced
+from .overrides import PATH, as_hydra_reads, ask_what_was_meant, forced, offer_file_formats
 
 # Launchers that are plugins of Hydra, and their packages.
 LAUNCHERS = {
@@ -149,6 +149,7 @@ class Pipeline:
         def run_composed(cfg: DictConfig) -> float | None:
             nonlocal is_composed
             is_composed = True
+            offer_file_formats()
             return self.runner(cfg, self.task)
 
         run_composed.__module__ = f"{PACKAGE}.{self.name}"  # Hydra names the job after this module

@@ -81,8 +81,8 @@ def writers_of(
     """
     from lmd.core.tables import write_table
     from lmd.formats.detection_formats import write_detections
-    from lmd.formats.map_covariance import FILE, write_map_covariance
     from lmd.formats.tag_map import write_yaml
+    from lmd.formats.tag_maps import FILE, write_map_covariance
     from lmd.plot.plans import save_survey_figure
     from lmd.survey.intrinsics import camera_info
     from lmd.survey.results import frame_columns, map_columns, map_covariance, measured_of, survey_document

@@ -1,6 +1,6 @@
 """Broken files end in a sentence: bits, types, sizes and nesting of a small sample of each kind are changed.
 
-A format is added by a line of `format_samples.SAMPLES`, another reader by a line of `CASES`: a name, a function of a
+A format is added by a file of `format_samples`, another reader by a line of `CASES`: a name, a function of a
 path, the name of the file, and a text that it reads.
 """
 
@@ -13,7 +13,7 @@ from examples import SHARE
 from format_samples import READERS, SAMPLES, content
 
 from lmd.core.checks import InputError
-from lmd.formats.extrinsics import read_mount
+from lmd.formats.rigs import read_mount
 from lmd.scene.pdf import from_csv as read_pdf
 from lmd.survey.boards import Boards
 from lmd.survey.prior import MeasuredPoints
@@ -106,8 +106,9 @@ def broken_bytes(data, rng):
 
 def broken(text, rng):
     """A file of a text or bytes as bytes, with a change."""
-    if isinstance(text, bytes):
+    if isinstance(text, bytes) and text.startswith(b"PK"):
         return broken_bytes(text, rng)
+    text = text if isinstance(text, str) else text.decode()
     if text.startswith('{"') and rng.random() < 0.6:
         return json.dumps(changed(json.loads(text), rng)).encode()
     kind, place = rng.randrange(4), rng.randrange(len(text))

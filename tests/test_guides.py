@@ -1,6 +1,7 @@
 """The examples of CONTRIBUTING.md: they are in style, have types, keep their contracts, and run."""
 
 import importlib.util
+import json
 import math
 import os
 import re
@@ -32,6 +33,7 @@ from lmd.evaluation.bounds import Search, average_upper_bound
 from lmd.evaluation.validation import Sample, validation_metrics
 from lmd.export import exports
 from lmd.formats import registry
+from lmd.formats.calibrations import read_calibration
 from lmd.formats.tag_map import TagMap
 from lmd.objectives.coverage import Coverage
 from lmd.objectives.localisation import Localisation
@@ -89,7 +91,7 @@ def of(name):
 
 def test_the_guides_have_an_example_of_each_part():
     assert {Path(name).stem for name in MODULES} == {
-        "near", "near_sight", "seen", "rotunda", "climbing", "theirs", "reckoning", "frames", "acme",
+        "near", "near_sight", "seen", "rotunda", "climbing", "theirs", "reckoning", "frames",
         "sizes"
     }  # fmt: skip
 
@@ -206,9 +208,7 @@ def packages(guides, monkeypatch):
         EntryPoint(name, value, registry.GROUP) for name, value in project["entry-points"][registry.GROUP].items()
     ]
     monkeypatch.setattr(registry, "entry_points", lambda group: entries if group == registry.GROUP else [])
-    uncached = registry.outside.__wrapped__
-    for module in (registry, exports):
-        monkeypatch.setattr(module, "outside", uncached)
+    monkeypatch.setattr(registry, "outside", registry.outside.__wrapped__)
 
 
 @pytest.mark.usefixtures("packages")
@@ -218,10 +218,16 @@ def test_the_format_keeps_its_contract(tmp_path):
     check_format(exports.all_formats()["frames"], tags, tmp_path)
 
 
-@pytest.mark.usefixtures("packages")
-def test_the_format_of_another_package_is_found(tmp_path):
-    (tmp_path / "acme.json").write_text('{"acme": {"image_width": 640}}')
-    assert registry.read("calibration", registry.File(tmp_path / "acme.json")) == {"": {"image_width": 640}}
+def test_the_row_of_a_format_is_found_on_the_search_path(guides, monkeypatch):
+    keys = {"kind": "brown", "f": [600.0, 610.0], "c": [320, 240], "k": [-0.2, 0.05, 0.001, -0.002]}
+    (guides / "acme.json").write_text(json.dumps({"acme": {"pixels": [640, 480], "lens": keys}}))
+    line = next(line for line in GUIDES.splitlines() if "camera.path=acme.json" in line)
+    more = "room=lab deployment=uniform deployment.count=3 localisation=false losses=false tracking=none room.spacing=2"
+    assert "field of view" in check(["bash", "-c", f"{line} {more}".replace("python", sys.executable)], guides)
+    monkeypatch.setenv("LMD_FORMATS", str(guides / "mine" / "file_formats"))
+    monkeypatch.setattr(registry, "outside", registry.outside.__wrapped__)
+    found = read_calibration(guides / "acme.json")
+    assert (found.focal_pixels, found.distortion[:4]) == ((600.0, 610.0), (-0.2, 0.05, 0.001, -0.002))
 
 
 def test_the_pipeline_runs_beside_the_others(guides):

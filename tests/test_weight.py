@@ -11,14 +11,14 @@ import weight
 # What the project may weigh. What a change adds it pays by what it takes out; lower a number when you have lowered the
 # amount, and raise none.
 BUDGET = {
-    "files of lmd": 382,
-    "code lines of lmd": 33399,
-    "files of pipelines": 70,
-    "code lines of pipelines": 5673,
-    "code lines of tests": 29176,
-    "files of conf": 137,
-    "keys of conf": 598,
-    "words of docs": 68442,
+    "files of lmd": 355,
+    "code lines of lmd": 31074,
+    "files of pipelines": 68,
+    "code lines of pipelines": 5517,
+    "code lines of tests": 26746,
+    "files of conf": 114,
+    "keys of conf": 545,
+    "words of docs": 61555,
     "commands": 20,
 }
 # Docstrings and comments with each phrase, at most. Lower a number when you have lowered the count.

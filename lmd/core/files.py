@@ -27,7 +27,8 @@ LARGEST_YAML = 1 << 19
 _BINARIES = {
     b"PK\x03\x04": "an archive, such as NumPy's .npz: write what it holds as text",
     b"\x93NUMPY": "an array of NumPy: write what it holds as text",
-    b"MATLAB 5.0": "a file of MATLAB: write what it holds as text",
+    b"MATLAB": "a file of MATLAB: for a calibration writelines(jsonencode(toStruct(cameraParams)), 'lens.json')",
+    b"\x80\x04": "a pickle of Python, which may run code: write it by numpy.savez('lens.npz', mtx=mtx, dist=dist)",
     b"SQLite format 3": "a database, such as a bag of ROS 2: play it, and ros2 topic echo --csv TOPIC > drive.csv",
     b"\x89MCAP0": "a bag of ROS 2: play it, and ros2 topic echo --csv TOPIC > drive.csv",
     b"#ROSBAG": "a bag of ROS: rostopic echo -b FILE -p TOPIC > drive.csv",

@@ -11,9 +11,8 @@ from lmd.core.optional import optional
 from lmd.export.paper import PAPERS
 from lmd.export.plan import write_plan
 from lmd.export.sheets import check_sheets, write_sheets
-from lmd.formats.registry import NONE, ONE, Writer, outside
+from lmd.formats.registry import NONE, ONE, Writer, writers
 from lmd.formats.tag_map import TagMap
-from lmd.formats.tag_map_writers import WRITERS
 from lmd.scene.deployment import Deployment
 from lmd.scene.tag import Tag
 from lmd.space.space import Space
@@ -21,12 +20,11 @@ from lmd.space.space import Space
 
 def all_formats() -> dict[str, Writer]:
     """Outputs by name, including outputs of other packages."""
-    theirs = {form.name: form.writer for form in outside() if form.writer is not None}
     printed = {
         "plan": Writer("plan.pdf", write_plan, on_paper=True),
         "sheets": Writer("sheets.pdf", write_sheets, on_paper=True),
     }
-    return WRITERS | theirs | printed
+    return writers() | printed
 
 
 def formats_of(tag: Tag) -> tuple[str, ...]:
@@ -110,8 +108,6 @@ class Export:
             try:
                 if all_formats()[name].edges == ONE and len(tags.by_size) > 1:
                     raise InputError(one_edge([tag.size for tag, _ in tags.by_size]))
-                if (check := all_formats()[name].check) is not None:
-                    check(tags)
                 for tag, _ in tags.by_size if all_formats()[name].on_paper else ():
                     check_printing(name, tag, self.paper)
             except InputError as error:

@@ -4,11 +4,10 @@ from collections.abc import Mapping
 from typing import Any
 
 from lmd.formats.bags import CAMERA_INFO, Bag
-from lmd.formats.calibration_readers import Keys, message
 
 
 def cameras_in(path: Any, argument: str) -> Mapping[str, Any]:
-    """Cameras of a bag by topic, each by the first `CameraInfo`.
+    """Cameras of a bag by topic, each as a function that returns the keys of the first `CameraInfo`.
 
     Raises:
         InputError: the bag cannot be read, or has no camera.
@@ -20,7 +19,7 @@ def cameras_in(path: Any, argument: str) -> Mapping[str, Any]:
     return {topic: lambda topic=topic: _camera(bag, topic) for topic in topics}
 
 
-def _camera(bag: Bag, topic: str) -> Keys:
+def _camera(bag: Bag, topic: str) -> Mapping[str, Any]:
     first = next(bag.messages(topic), None)
     if first is None:
         raise bag.refused(f"has no message on {topic!r}")
@@ -29,4 +28,4 @@ def _camera(bag: Bag, topic: str) -> Keys:
         raise bag.refused(f"has images on {topic!r} that are binned or cut; whole images are read")
     keys = {name: getattr(found, name.lower()).tolist() for name in "KD"}
     rest = {name: getattr(found, name) for name in ("width", "height", "distortion_model")}
-    return message({**keys, **rest})[""]
+    return {**keys, **rest}

@@ -1,25 +1,32 @@
-"""Cameras from calibration files, see `lmd.formats.calibration_formats`.
+"""Cameras from calibration files; `tables/calibration.yaml` lists the formats.
 
 All readers give pixels that count from the centre of the first pixel. `lmd` counts from the image's border, which adds
 0.5 to the principal point; no other value changes.
 """
 
 import math
+import re
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
-from typing import Any
+from functools import cached_property
+from typing import Any, NamedTuple
 
-from lmd.core.checks import InputError, check_fields, integer, real, said_of, vector
-from lmd.formats.calibration_formats import CalibrationFile
-from lmd.formats.calibration_readers import ANSWERED, CIRCLE, LENS_MODELS, NOTE, Cameras, known_lens, no_size
+from lmd.core.checks import FloatArray, InputError, check_fields, integer, real, said_of, vector
 from lmd.formats.registry import read
+from lmd.formats.trees import File, Keys, arrays_of, tree_of
 from lmd.geometry.camera import PIXEL_CENTRE, Camera
-from lmd.geometry.lens import lens_of
+from lmd.geometry.lens import EQUIDISTANT, lens_of
 
-SIZE = ("image_width", "image_height")
 ASKED = ("image_size", "distortion_model")  # settings that a file may lack
-UNCLEAR = 4  # number of coefficients that both a pinhole and a fisheye may have
+# Models of `lmd.geometry.lens` by their names in files of ROS, Kalibr, EuRoC and OpenCV.
+LENS_MODELS = {
+    **dict.fromkeys(("plumb_bob", "radtan", "none", "radial_tangential", "brown_conrady"), "plumb_bob"),
+    **dict.fromkeys((EQUIDISTANT, "fisheye", "kannala_brandt"), EQUIDISTANT),
+    "rational_polynomial": "rational_polynomial",
+}
+# Separator of the messages that ROS's tools print.
+FIRST_MESSAGE = re.compile(r"(?<=\n)---[ \t]*\n(?=header:)")
 SHORTEST = 0.05  # least focal length, as a share of the image's size; shorter lengths are refused
 LARGEST = 1 << 25  # greatest size of a file, bytes: some files hold every detected point, or the images
 OPTICS = ("focal_length", "aperture", "focus_distance", "image_circle")  # settings that are in no calibration file
@@ -125,13 +132,75 @@ def calibrated_camera(
         return calibration.camera(focal_length, aperture, focus_distance=focus_distance, image_circle=image_circle)
 
 
+class CalibrationFile(File):
+    """File of a calibration; its keys may come from XML, or from arrays."""
+
+    @cached_property
+    def arrays(self) -> Keys | None:
+        """Keys of a file of arrays; None for a text."""
+        arrays = arrays_of(self.path, self.argument, self.largest)
+        return None if arrays is None else {name: array.tolist() for name, array in arrays.items()}
+
+    @cached_property
+    def text(self) -> str:
+        """Text of the file, up to the end of ROS's first message; empty for a file of arrays."""
+        return FIRST_MESSAGE.split(super().text)[0] if self.arrays is None else ""
+
+    @cached_property
+    def keys(self) -> Keys:
+        """Keys of YAML, JSON, XML or arrays.
+
+        Raises:
+            InputError: the text is none of these.
+        """
+        if self.arrays is not None:
+            return self.arrays
+        if self.root is None:
+            return super().keys
+        tree = tree_of(self.root)
+        return tree if isinstance(tree, dict) else {}
+
+
+class ReadCamera(NamedTuple):
+    """Camera of a file, which is read when one of the functions is called."""
+
+    calibration: Callable[[], Calibration]
+    """Function that returns the calibration."""
+    poses: Callable[[], Mapping[str, FloatArray]] = dict
+    """Function that returns poses of the camera's optical frame by frame, see `lmd.formats.rigs`."""
+
+
+def lens_model(word: Any, models: Mapping[str, str]) -> str:
+    """Lens model whose pattern matches a word, see `lmd.formats.keyed_cameras.KeyedCameras.models`.
+
+    Raises:
+        InputError: the model is not known.
+    """
+    spelled = re.sub(r"[ -]+", "_", str(word).strip().lower())
+    if found := next((model for pattern, model in models.items() if re.fullmatch(pattern, spelled)), ""):
+        return found
+    known = dict.fromkeys(model.partition(":")[0] for model in models.values() if model not in ("", "unsaid"))
+    raise InputError(
+        f"the lens model {word!r} is not known here, only {', '.join(known)}: calibrate as pinhole with radial and "
+        "tangential distortion or as Kannala-Brandt fisheye, such as by Kalibr's pinhole-radtan and pinhole-equi, or "
+        "convert it, such as by mrcal-convert-lensmodel."
+    )
+
+
+def no_size() -> InputError:
+    """Error about a file that lacks the size of the image."""
+    return InputError(
+        "image_size must be given, [width, height] in pixels: image_width or image_height is missing.", "image_size"
+    )
+
+
 def read_calibration(
     path: str | None,
     name: str | None = None,
     image_size: Iterable[int] | None = None,
     distortion_model: str | None = None,
 ) -> Calibration:
-    """Read a file of one of the formats of `lmd.formats.calibration_formats`.
+    """Read a calibration in one of the formats of `tables/calibration.yaml`.
 
     Args:
         name: name of the camera in a file with several cameras, such as `cam1` of Kalibr; not needed if there is only
@@ -147,11 +216,9 @@ def read_calibration(
     if path is None:
         raise InputError("path is missing: a calibration file is needed.", "path")
     size = None if image_size is None else vector("image_size", image_size, 2, above=0.0)
-    restated = read_cameras(path, name, size, distortion_model)
-    chosen = _chosen(path, list(restated), name, size)
-    keys = keys_of(path, restated[chosen])
-    with said_of(path, known=ASKED):
-        found = _calibration(path, keys, size, distortion_model)
+    cameras = read_cameras(path, size, distortion_model)
+    with _damaged(path):
+        found = cameras[_chosen(path, list(cameras), name, size)].calibration()
     if size not in (None, known := (found.image_width, found.image_height)):
         raise InputError(f"image_size must be {list(known)}, as {path} has it, got {list(size)}.", "image_size")
     return replace(found, note=f"{path}: {found.note}") if found.note else found
@@ -175,30 +242,22 @@ def _chosen(path: str, names: list[str], name: str | None, size: tuple[float, ..
 
 
 def read_cameras(
-    path: Any, only: str | None = None, image_size: Any = None, distortion_model: str | None = None
-) -> Cameras:
-    """Read the cameras of a file by name, each as keys of ROS; a camera without a name has the name "".
+    path: Any, image_size: Any = None, distortion_model: str | None = None, argument: str = "path"
+) -> dict[str, ReadCamera]:
+    """Read the cameras of a file by name; a camera without a name has the name "".
 
     Args:
         path: path of the file, at most `LARGEST` bytes.
-        only: name of the only camera of a chain that is read; other cameras may have unknown lens models.
         image_size, distortion_model: see `read_calibration`.
+        argument: argument that gave the path, for messages.
 
     Raises:
-        InputError: the file cannot be read, a key is missing, or the lens model is unknown.
+        InputError: the file cannot be read, or has another format.
     """
-    asked = {"name": only, "image_size": image_size, "distortion_model": distortion_model}
+    asked = {"image_size": image_size, "distortion_model": distortion_model}
     with _damaged(path):
-        cameras: Cameras = read("calibration", CalibrationFile(path, asked=asked, largest=LARGEST))
+        cameras: dict[str, ReadCamera] = read("calibration", CalibrationFile(path, argument, asked, LARGEST))
     return cameras
-
-
-def keys_of(path: Any, camera: Mapping[str, Any] | Callable[[], Mapping[str, Any]]) -> Mapping[str, Any]:
-    """Keys of ROS of a camera from `read_cameras`; `path` is for messages."""
-    if isinstance(camera, Mapping):
-        return camera
-    with _damaged(path):
-        return camera()
 
 
 @contextmanager
@@ -207,56 +266,11 @@ def _damaged(path: Any) -> Iterator[None]:
     try:
         yield
     except InputError as error:
-        if error.argument == "path":
+        if error.argument in ("path", "name", "mount"):
             raise
         if error.argument in ASKED:  # a message begins with its argument
             what, _, why = str(error).partition(": ")
             raise InputError(f"{what}: {path}: {why}", error.argument) from None
         raise InputError(f"{path}: {error}") from None
-    except (KeyError, IndexError, TypeError, ValueError, AttributeError, ArithmeticError) as error:
+    except (KeyError, IndexError, TypeError, ValueError, AttributeError, ArithmeticError, RecursionError) as error:
         raise InputError(f"{path}: the key or value {error} is missing or wrong.") from None
-
-
-def _calibration(path: str, keys: Mapping[str, Any], size: tuple[float, ...] | None, asked: str | None) -> Calibration:
-    """Calibration from keys of ROS; `asked` is the lens model that the user named, `path` is for messages."""
-    matrix = vector("camera_matrix.data", _entry(keys, "camera_matrix", "data"), 9)
-    focal_u, skew, centre_u, below, focal_v, centre_v, *last = matrix
-    if (skew, below, *last) != (0.0, 0.0, 0.0, 0.0, 1.0):
-        raise InputError(f"camera_matrix.data must be [fx, 0, cx, 0, fy, cy, 0, 0, 1], got {list(matrix)}.")
-    lens = _numbers("distortion_coefficients.data", _entry(keys, "distortion_coefficients", "data"))
-    width, height = (keys.get(name, None if size is None else size[i]) for i, name in enumerate(SIZE))
-    if width is None or height is None:
-        with _damaged(path):
-            raise no_size()
-    asked = None if keys.get(ANSWERED) else asked
-    name = keys.get("distortion_model") or asked  # drivers leave the model empty
-    if name is None and len(lens) == UNCLEAR and any(lens):
-        raise InputError(
-            f"distortion_model must be given: {path} names no model, and its 4 coefficients may be those of "
-            "cv2.fisheye (fisheye) or k1, k2, p1, p2 (plumb_bob).",
-            "distortion_model",
-        )
-    name = name or "plumb_bob"
-    model = LENS_MODELS[known_lens(name, LENS_MODELS)]
-    if asked is not None and LENS_MODELS[known_lens(asked, LENS_MODELS)] != model:
-        raise InputError(f"distortion_model must be {name}, as the file has it, got {asked}.", "distortion_model")
-    ends = (keys.get(CIRCLE, math.inf), keys.get(NOTE, ""))
-    return Calibration(width, height, (focal_u, focal_v), (centre_u, centre_v), lens, model, *ends)
-
-
-def _entry(keys: Any, *path: str) -> Any:
-    """Value at a path of nested keys.
-
-    Raises:
-        InputError: there is no such key.
-    """
-    for depth, key in enumerate(path):
-        if not isinstance(keys, Mapping) or key not in keys:
-            raise InputError(f"the key {'.'.join(path[: depth + 1])} is missing.")
-        keys = keys[key]
-    return keys
-
-
-def _numbers(name: str, value: Any) -> tuple[float, ...]:
-    """List of numbers of any length."""
-    return vector(name, value, len(value) if isinstance(value, list) else 5)

@@ -25,7 +25,8 @@ from lmd.formats.bags import DETECTIONS, Bag, is_bag
 from lmd.formats.columns import FAMILY, TAGS, standard
 from lmd.formats.detections import DetectedTags, signed_area
 from lmd.formats.placed_tag import one_family
-from lmd.formats.registry import File, Format, anything, read
+from lmd.formats.registry import Format, anything, read
+from lmd.formats.trees import File
 from lmd.geometry.camera import PIXEL_CENTRE
 from lmd.scene.families import family_named
 

@@ -14,7 +14,7 @@ from lmd.core.checks import LARGEST, FloatArray, InputError, bounded, choice
 from lmd.core.files import read_bytes
 from lmd.core.optional import optional
 from lmd.core.words import few
-from lmd.formats.registry import File
+from lmd.formats.trees import File
 from lmd.formats.wall_lines import Drawing, ReadPlan, plan_of
 
 # Units that a user may name, in metres, and their codes in $INSUNITS.

@@ -7,7 +7,7 @@ import numpy as np
 
 from lmd.core.checks import BoolArray, FloatArray, InputError, IntArray, bounded
 from lmd.formats.occupancy_grid import OccupancyGrid, read_occupancy_grid
-from lmd.formats.registry import File
+from lmd.formats.trees import File
 from lmd.formats.wall_lines import ReadPlan, Stretch
 from lmd.space.polygon import edges
 

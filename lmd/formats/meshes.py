@@ -17,7 +17,8 @@ from lmd.core.checks import FloatArray, InputError, IntArray, bounded, choice, f
 from lmd.core.files import read_bytes
 from lmd.core.optional import optional
 from lmd.formats.gltf import check_gltf
-from lmd.formats.registry import File, Format, anything, ends, read
+from lmd.formats.registry import Format, anything, ends, read
+from lmd.formats.trees import File
 from lmd.space.mesh import Mesh
 from lmd.space.mesh_room import MeshRoom
 from lmd.space.parts import box_text, check_metres

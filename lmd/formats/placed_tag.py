@@ -16,9 +16,11 @@ from lmd.geometry.se3 import QUATERNION_TOLERANCE, are_rotations, exp, nearest_r
 from lmd.scene.families import FAMILIES, family_named
 
 Keys = Mapping[str, Any]
-MM, METRE = 1e-3, 1.0  # units, metres
+METRE = 1.0  # unit, metres
 SMALLEST_EDGE, LARGEST_EDGE = 0.005, 2.0  # plausible edges of a tag of a map, metres; other edges are refused
 SQUARE_TOLERANCE = 0.05  # tolerance of the sides of a measured square, relative to the longest side
+# OpenCV rotates the pictures of AprilTag by half a turn, so its detections have the opposite up.
+HALF_TURN = np.diag([-1.0, -1.0, 1.0])
 LAST_ROW = (0.0, 0.0, 0.0, 1.0)  # last row of a transform
 LAST_ROW_TOLERANCE = 1e-6
 DIRECTIONS = {
@@ -69,7 +71,7 @@ class Found(NamedTuple):
 
     Args:
         tags: tags of another program's map.
-        table: table of tags, instead of `tags`; see `lmd.formats.landmark_table`.
+        table: table of tags, instead of `tags`; see `lmd.formats.tag_tables`.
         by_opencv: True if the programs that read such files detect tags with OpenCV.
         note: assumption about the file, a sentence; empty without an assumption.
         any_frame: True if the file does not define the axes of a tag's frame; the user may then define them, see
@@ -133,11 +135,6 @@ def tag_named(value: Any) -> tuple[str | None, int] | None:
     if found is None or (family is None and rest != text):  # 4x4_50 is a family, 4x4_7 is none
         return None
     return family, int(found[1])
-
-
-def numbers(keys: Keys, names: Iterable[str]) -> FloatArray:
-    """Values of a mapping under `names`, checked as numbers."""
-    return np.array([real(name, keys[name]) for name in names])
 
 
 def mapping(name: str, value: Any) -> Keys:

@@ -10,7 +10,8 @@ from typing_extensions import override
 from lmd.core.checks import InputError, check_fields, file_path, real, vector
 from lmd.formats.dxf import read_drawing
 from lmd.formats.free_region import read_map
-from lmd.formats.registry import File, Format, anything, ends, read
+from lmd.formats.registry import Format, anything, ends, read
+from lmd.formats.trees import File
 from lmd.formats.wall_lines import ReadPlan
 from lmd.space.parts import check_metres
 from lmd.space.prism import Prism, from_floor_plan

@@ -11,7 +11,8 @@ import numpy as np
 from lmd.core.checks import BoolArray, FloatArray, InputError, radians, real, seconds
 from lmd.core.tables import COMMENT, Table, is_number
 from lmd.formats.columns import EULER, OWN_ANGLES, POSES, POSITION, QUATERNION, TIME, Lines, Named, named
-from lmd.formats.registry import File, Format, anything, begins, read
+from lmd.formats.registry import Format, anything, begins, read
+from lmd.formats.trees import File
 from lmd.geometry.frames import roll_pitch_yaw
 from lmd.geometry.se3 import are_rotations, camera_pose, inverse, nearest_rotations, pose_of, poses_from_rows
 from lmd.geometry.trajectory import check_order

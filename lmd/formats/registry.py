@@ -1,87 +1,44 @@
-"""Registry of the file formats that are read and written, including formats of other packages.
+"""Registry of the file formats that are read and written, including formats of other packages and of the user.
 
-A package adds formats by an entry point of the group `lmd.formats`: a `Format`, or a list of formats. Added formats are
-tried before the formats of `lmd`.
+A format is a `Format`, or a row of YAML, see `described`. A package adds formats by an entry point of the group
+`lmd.formats`: a `Format` or a row, or a list of these. A user adds rows by YAML files in a folder that the environment
+variable `LMD_FORMATS` lists; commands list the folder `file_formats` of each folder on `hydra.searchpath`. Added
+formats are tried before the formats of `lmd`.
 """
 
-import math
+import os
 import re
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
-from functools import cache, cached_property
+from functools import cache
 from importlib import import_module
 from importlib.metadata import entry_points
 from itertools import chain
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from lmd.core.checks import InputError
-from lmd.core.files import parse_keys, read_text
-from lmd.core.tables import COMMENT
+import yaml
+
+from lmd.core.checks import InputError, choice
+from lmd.core.files import LARGEST_YAML, read_text
+from lmd.formats.trees import MISSING, File, entries, find, matches, plain
 from lmd.scene.families import FAMILIES as TAG_FAMILIES
 
 GROUP = "lmd.formats"
-# Module of each family. The module's `FORMATS` are tried in their order; the last format accepts every file.
+ADDED = "LMD_FORMATS"  # environment variable with folders of rows of the user
+# Table of each family, or module whose `FORMATS` are tried in their order; the last format accepts every file.
 FAMILIES = {
-    "calibration": "lmd.formats.calibration_formats",
+    "calibration": "tables/calibration.yaml",
     "trajectory": "lmd.formats.pose_files",
-    "tag map": "lmd.formats.tag_map_formats",
+    "tag map": "tables/tag_map.yaml",
     "room": "lmd.formats.meshes",
     "floor plan": "lmd.formats.plans",
     "detections": "lmd.formats.detection_formats",
 }
+# Class of each family whose fields describe how a keyed file is read, see `described`.
+KEYED = {"calibration": "lmd.formats.keyed_cameras.KeyedCameras", "tag map": "lmd.formats.keyed_tags.KeyedTags"}
 HEAD = 2000  # number of characters that `begins` searches
-
-
-@dataclass(frozen=True)
-class File:
-    """File whose format is to be found; the file is read when its content is first used."""
-
-    path: Any
-    """Path of the file."""
-    argument: str = "path"
-    """Name of the argument with the path, for messages."""
-    asked: Mapping[str, Any] = field(default_factory=dict)
-    """User's settings that formats of the family need, by name."""
-    largest: float = math.inf
-    """Maximum size, bytes; a larger file is refused."""
-
-    @cached_property
-    def text(self) -> str:
-        """Text of the file.
-
-        Raises:
-            InputError: the file cannot be read, or holds no text.
-        """
-        return read_text(self.path, self.argument, self.largest)
-
-    @cached_property
-    def keys(self) -> Mapping[str, Any]:
-        """Keys and values of YAML or JSON.
-
-        Raises:
-            InputError: the text is neither YAML nor JSON.
-        """
-        return parse_keys(self.path, self.text, self.argument)
-
-    @cached_property
-    def lines(self) -> list[str]:
-        """Lines that are neither blank nor comments."""
-        return [line for line in self.text.splitlines() if line.strip() and line.lstrip()[0] != COMMENT]
-
-    @property
-    def first(self) -> str:
-        """First of `lines`; empty if there is none."""
-        return self.lines[0] if self.lines else ""
-
-    @property
-    def suffix(self) -> str:
-        """Suffix of the file's name, such as `.json`, in small letters."""
-        return Path(self.path).suffix.lower()
-
-    def refused(self, reason: str) -> InputError:
-        """Error about a file that is refused for a reason."""
-        return InputError(f"{reason}.")
+CALL = re.compile(r"(?P<module>[\w.]+)\.(?P<name>\w+)\((?P<arguments>[\w, ]*)\)")
 
 
 class Writer(NamedTuple):
@@ -94,8 +51,6 @@ class Writer(NamedTuple):
         only_apriltag: True if readers of the format support only the families of AprilTag.
         only_opencv: True if readers of the format support only families that OpenCV has.
         on_paper: True if the file is to be printed.
-        check: function that raises `InputError`, with the predicate of a sentence, if the format cannot hold the tags
-            of a map; None if it can hold any tags.
         edges: tag sizes in the file: `OWN`, a size for each tag; `ONE`, one size for all tags; `NONE`, no size.
     """
 
@@ -104,7 +59,6 @@ class Writer(NamedTuple):
     only_apriltag: bool = False
     only_opencv: bool = False
     on_paper: bool = False
-    check: Callable[[Any], None] | None = None
     edges: str = "own"
 
     @property
@@ -137,10 +91,10 @@ class Format:
 
     | family | it returns |
     | --- | --- |
-    | calibration | the cameras by name, each in the keys of ROS's `camera_info`, or a function that returns them |
+    | calibration | `lmd.formats.calibrations.ReadCamera` by name |
     | trajectory | `lmd.formats.pose_files.Rows` |
     | tag map | `lmd.formats.placed_tag.Found` |
-    | room | `lmd.formats.captured_rooms.Captured`, or meshes of trimesh by name, z up |
+    | room | meshes of trimesh by name, z up |
     | floor plan | `lmd.formats.plans.ReadPlan` |
     | detections | `lmd.formats.detections.DetectedTags` |
     """
@@ -154,15 +108,11 @@ class Format:
     """
     writer: Writer | None = None
     """Output of the format; None if the format is only read."""
+    written: str = ""
+    """Name of the output in `formats`; empty for `name`."""
 
     def __post_init__(self) -> None:
-        if self.family not in FAMILIES:
-            raise InputError(f"family must be one of {', '.join(FAMILIES)}, got {self.family!r}.", "family")
-
-
-def has_keys(*names: str) -> Callable[[File], bool]:
-    """Make a test for files that have all the given keys."""
-    return lambda file: set(names) <= file.keys.keys()
+        choice("family", self.family, tuple(FAMILIES))
 
 
 def begins(mark: str) -> Callable[[File], bool]:
@@ -182,23 +132,163 @@ def anything(_: File) -> bool:
     return True
 
 
-@cache
-def outside() -> tuple[Format, ...]:
-    """Formats of other packages.
+def function_of(text: str) -> Callable[[File], Any]:
+    """Function of a `File` that calls `module.function(a, b)` with attributes of the file, or what was `asked`.
 
     Raises:
-        InputError: an entry point cannot be loaded, or is no format.
+        InputError: the text is no such call; and, when it is called, there is no such function.
+    """
+    if not isinstance(text, str) or (parts := CALL.fullmatch(text)) is None:
+        raise InputError(f"a call of code must be module.function(argument), got {text!r}.")
+
+    def call(file: File) -> Any:
+        try:
+            function = getattr(import_module(parts["module"]), parts["name"])
+        except (ImportError, AttributeError) as error:
+            raise InputError(f"{text} of a format cannot be called: {error}.") from None
+        names = parts["arguments"].replace(",", " ").split()
+        return function(
+            *(file if n == "file" else file.asked[n] if n in file.asked else getattr(file, n) for n in names)
+        )
+
+    return call
+
+
+@dataclass(frozen=True, kw_only=True)
+class Keyed:
+    """Description of a keyed file with several entries; paths are those of `lmd.formats.trees`."""
+
+    at: Mapping[str, str]
+    """Paths of quantities in an entry, in which `{key}` stands for the key of the entry; a path with `?` at its end may
+    lead to nothing."""
+    each: str = ""
+    """Alternative paths to the entries; empty for a file of one entry."""
+    patterns: Mapping[str, str] = field(default_factory=dict)
+    """Regular expressions whose matches in a text are the tree, see `lmd.formats.trees.matches`."""
+    source: str = ""
+    """Call that returns the tree, which is otherwise that of the file's keys."""
+
+    def entries(self, file: File) -> tuple[Any, list[tuple[str, Mapping[str, Any]]]]:
+        """Tree of a file, and its entries with their keys."""
+        tree: Any = function_of(self.source)(file) if self.source else {}
+        if not self.source:
+            tree = matches(file.text, self.patterns) if self.patterns else file.keys
+        listed = (list(entries(tree, path)) for path in self.each.split("|"))
+        return tree, next((some for some in listed if some), [])
+
+
+def described(row: Mapping[str, Any], family: str, advice: str = "") -> Format:
+    """Format of a row of a table.
+
+    A row has `name`, and `row` of the documentation. All of the following that it has must hold for its files: `marks`,
+    paths that lead to a value, which a regular expression after a `=` must match, or, after a `!`, to none; `text`, a
+    regular expression that is in the text; `when`, a call that is true; `any`. A row without these is only written.
+    `refuse` is the reason for a refusal, in which `{keys}` stands for the keys of the file, `{known}` for the names of
+    formats that are read, and `{advice}` for the family's advice. `writes` has the fields of a `Writer` and its `name`
+    in `formats`. `read` is a call that reads a file; without one, the other keys are the fields of the class of the
+    family in `KEYED`.
+
+    Raises:
+        InputError: the row lacks its name, or has a key or a value that is not known.
+    """
+    rest = {key: value for key, value in row.items() if key != "family"}
+    name, why_not, read, written = (rest.pop(key, "") for key in ("name", "refuse", "read", "writes"))
+    if not isinstance(name, str) or not name:
+        raise InputError(f"a format must have a name, it has {', '.join(map(str, row))[:200]}.")
+    try:
+        tests, cells = _tests(rest), rest.pop("row", "")
+        called, writer = _writer(**written) if written else ("", None)
+        reading = function_of(read) if read else None
+        if tests and not (why_not or read):
+            module, _, keyed = KEYED[family].rpartition(".")
+            reading = getattr(import_module(module), keyed)(**rest).read
+    except (TypeError, KeyError, re.error) as error:
+        raise InputError(f"the format {name!r} of a {family} cannot be made ({error}).") from None
+    if writer is not None and cells.count(" | ") == 2:
+        program, content, is_read = cells.split(" | ")
+        star = " *" if writer.only_apriltag else ""
+        cells = f"{program} | `{called}`{star} | `{writer.file}`{content} | {is_read}"
+
+    def recognises(file: Any) -> bool:
+        return bool(tests) and all(test(file) for test in tests)
+
+    def reason(file: Any) -> str:
+        text = str(why_not).replace("{advice}", advice)
+        if "{keys}" in text:
+            text = text.replace("{keys}", ", ".join(file.keys)[:200] or "no keys")
+        known = dict.fromkeys(form.name for form in formats(family) if form.read) if "{known}" in text else ()
+        return text.replace("{known}", ", ".join(known))
+
+    return Format(family, name, recognises, reading, reason if why_not else "", cells, writer, called)
+
+
+def _tests(row: dict[str, Any]) -> list[Callable[[Any], bool]]:
+    """Tests of a row's files, whose keys are taken out of the row."""
+    tests: list[Callable[[Any], bool]] = [anything] if row.pop("any", False) else []
+    if call := row.pop("when", None):
+        tests.append(function_of(call))
+    if pattern := row.pop("text", None):
+        whole = re.compile(pattern, re.MULTILINE)
+        tests.append(lambda file: whole.search(file.text) is not None)
+    if marks := row.pop("marks", None):
+        loose = row.get("loose", False)
+        spelled = plain if loose else str
+        tests.append(
+            lambda file: all(_has({spelled(k): v for k, v in file.keys.items()}, mark, loose) for mark in marks)
+        )
+    return tests
+
+
+def _has(keys: Mapping[str, Any], mark: str, loose: bool) -> bool:
+    if mark.startswith("!"):
+        return not _has(keys, mark[1:], loose)
+    path, _, pattern = mark.partition("=")
+    if "*" in path or path.startswith("/"):
+        return any(True for _ in entries(keys, path))
+    compared = {plain(key): value for key, value in keys.items()} if loose else keys
+    value = find(compared, plain(path) if loose else path)
+    return value is not MISSING and (not pattern or re.fullmatch(pattern, str(value)) is not None)
+
+
+def _writer(name: str, write: str, **options: Any) -> tuple[str, Writer]:
+    """Name and writer of a row, whose function `module.function` is imported when it is called."""
+    module, _, function = write.rpartition(".")
+    return name, Writer(write=lambda *args, **tags: getattr(import_module(module), function)(*args, **tags), **options)
+
+
+def _table(text: str, family: str | None, source: str) -> tuple[Format, ...]:
+    """Formats of a YAML table with `rows` and `advice`, or of a list of rows, each of which has its family."""
+    try:
+        table = yaml.load(text, getattr(yaml, "CSafeLoader", yaml.SafeLoader))  # the file of the user, or of `lmd`
+        advice, listed = (table["advice"], table["rows"]) if isinstance(table, dict) else ("", table)
+        rows = [dict(row) for row in listed]
+    except (yaml.YAMLError, KeyError, TypeError, ValueError) as error:
+        raise InputError(f"{source} is no list of formats ({' '.join(str(error).split())}).") from None
+    return tuple(described(row, family or row.get("family", ""), advice) for row in rows)
+
+
+@cache
+def outside() -> tuple[Format, ...]:
+    """Formats of the user, and of other packages.
+
+    Raises:
+        InputError: an entry point cannot be loaded, or is no format; or a file of the user is no list of formats.
     """
     found: list[Format] = []
+    for folder in filter(None, os.environ.get(ADDED, "").split(os.pathsep)):
+        for path in sorted(Path(folder).glob("*.yaml")):
+            found += _table(read_text(path, ADDED, LARGEST_YAML), None, f"{ADDED}: {str(path)!r}")
     for entry in entry_points(group=GROUP):
         try:
             loaded = entry.load()
         except (ImportError, AttributeError) as error:
             raise InputError(f"the entry point {entry.value} of {GROUP} cannot be loaded: {error}.") from None
-        listed = list(loaded) if isinstance(loaded, Iterable) else [loaded]
-        if not all(isinstance(form, Format) for form in listed):
-            raise InputError(f"the entry point {entry.value} of {GROUP} must be a Format or a list of them.")
-        found += listed
+        for form in [loaded] if isinstance(loaded, Mapping) or not isinstance(loaded, Iterable) else loaded:
+            if not isinstance(form, Format | Mapping):
+                raise InputError(
+                    f"the entry point {entry.value} of {GROUP} must be a Format or a row, or a list of them."
+                )
+            found.append(form if isinstance(form, Format) else described(form, form.get("family", "")))
     return tuple(found)
 
 
@@ -231,10 +321,20 @@ def read(family: str, file: File) -> Any:
     return form.read(file)
 
 
+@cache
 def formats(family: str) -> tuple[Format, ...]:
     """Formats of a family in `lmd`, in the order in which they are tried."""
-    found: tuple[Format, ...] = import_module(FAMILIES[family]).FORMATS
-    return found
+    place = FAMILIES[family]
+    if place.endswith(".yaml"):
+        path = Path(__file__).with_name("tables") / Path(place).name
+        return _table(path.read_text(encoding="utf-8"), family, str(path))
+    return tuple(import_module(place).FORMATS)
+
+
+def writers() -> dict[str, Writer]:
+    """Outputs of all formats of tag maps by their names in `formats`."""
+    forms = chain(formats("tag map"), outside())
+    return {form.written or form.name: form.writer for form in forms if form.writer is not None}
 
 
 def rows(family: str) -> list[str]:

@@ -1,4 +1,4 @@
-"""Rigs: cameras on a body, from rig files, calibrations and configurations."""
+"""Rigs: cameras on a body, from rig files, calibrations with poses of cameras, and configurations."""
 
 from collections.abc import Iterable, Mapping
 from pathlib import Path
@@ -6,17 +6,93 @@ from typing import Any
 
 import numpy as np
 
-from lmd.core.checks import InputError, argument_of
+from lmd.core.checks import FloatArray, InputError, argument_of
 from lmd.core.files import read_keys
-from lmd.formats.calibrations import OPTICS, calibrated_camera
-from lmd.formats.extrinsics import read_chain
+from lmd.formats.calibrations import OPTICS, ReadCamera, calibrated_camera, read_cameras
 from lmd.geometry.camera import Camera
+from lmd.geometry.se3 import inverse
 from lmd.scene.rig import ANGLES, OPTICAL, Mount, Rig
 
 KEYS = ("translation", *ANGLES, "quaternion", "camera")
 CAMERA_KEYS = ("path", "name", "image_size", "distortion_model", *OPTICS)
 SHARED_KEYS = ("image_size", "distortion_model")
 CHAIN_KEYS = ("path", *KEYS[:-1], "names", *SHARED_KEYS)
+BODY, STEP = "body", "step"  # the poses of `ReadCamera.poses`
+NO_BODY = "no T_cam_imu (Kalibr), T_BS (EuRoC), T_imu_cam (OpenVINS, Basalt) or T_SC (OKVIS)"
+
+
+def read_mount(path: Any, name: str | None = None) -> FloatArray:
+    """Pose of a camera on the body that carries it, from the camera's optical frame to the body's frame, `(4, 4)`.
+
+    Args:
+        path: a calibration with `T_cam_imu` (Kalibr), `T_imu_cam` (OpenVINS) or `T_SC` (OKVIS) in each camera, with
+            `T_BS` (EuRoC), or with a list `T_imu_cam` (Basalt).
+        name: name of the camera, such as `cam0`, if there are several.
+
+    Raises:
+        InputError: the file cannot be read, has no such entry, has no camera `name`, or has several cameras and `name`
+            is None.
+    """
+    found = {camera or "cam0": poses[BODY] for camera, poses in _poses("mount", path).items() if BODY in poses}
+    if not found:
+        raise InputError(f"mount: {path} has {NO_BODY}, so it does not say where a camera sits.", "mount")
+    if name is None and len(found) > 1:
+        raise InputError(
+            f"mount: {path} has {', '.join(found)}: name one, as in {{path: {path}, name: cam0}}.", "mount"
+        )
+    if name is not None and name not in found:
+        raise InputError(f"mount: {path} has no camera {name!r}, only {', '.join(found)}.", "mount")
+    return found[name or next(iter(found))]
+
+
+def read_chain(path: Any, names: Any = None, **shared: Any) -> dict[str, FloatArray]:
+    """Poses of several cameras, each from its optical frame to the optical frame of the first camera, `(4, 4)`, by
+    name.
+
+    Args:
+        path: a file as in `read_mount`; a file of Kalibr with `T_cn_cnm1` in each camera but the first.
+        names: names of the cameras to return, in this order; None for all cameras.
+        shared: `image_size` and `distortion_model` of all cameras, see `read_calibration`.
+
+    Raises:
+        InputError: the file cannot be read, or lacks the pose of a camera.
+    """
+    if names is not None and not (isinstance(names, list) and names and all(isinstance(name, str) for name in names)):
+        raise InputError(f"names must be a list of cameras, got {names!r}.", "names")
+    found = _poses("path", path, **shared)
+    if unknown := [name for name in names or () if name not in found]:
+        raise InputError(f"names: {path} has no camera {unknown[0]!r}, only {', '.join(found)}.", "names")
+    chain = [np.eye(4)]
+    for step in [poses.get(STEP) for poses in found.values()][1:]:
+        chain = [] if step is None or not chain else [*chain, chain[-1] @ inverse(step)]
+    bodies = {name: poses[BODY] for name, poses in found.items() if BODY in poses}
+    placed = dict(zip(found, chain, strict=True)) if len(chain) > 1 else bodies
+    if len(placed) < 2 or (lost := [name for name in names or found if name not in placed]):
+        what = f"{NO_BODY} and no T_cn_cnm1 (Kalibr) of {', '.join(lost) if len(placed) > 1 else 'several cameras'}"
+        raise InputError(f"path: {path} has {what}, so it does not say how they sit to each other.", "path")
+    first = inverse(placed[(names or list(placed))[0]])
+    return {name: first @ placed[name] for name in names or placed}
+
+
+def _poses(argument: str, path: Any, **shared: Any) -> dict[str, dict[str, FloatArray]]:
+    """Poses of the cameras of a calibration, by camera and frame."""
+
+    def poses(camera: ReadCamera) -> dict[str, FloatArray]:
+        try:
+            return dict(camera.poses())
+        except (KeyError, TypeError, ValueError, OverflowError) as error:
+            reason = " ".join(str(error).split()).removesuffix(".")
+            raise InputError(
+                f"{argument}: {path}: the pose of the camera cannot be read ({reason}).", argument
+            ) from None
+
+    try:
+        cameras = read_cameras(path, argument=argument, **shared)
+    except InputError as error:
+        if error.argument is not None:
+            raise
+        cameras = {}  # a file of another kind has no poses
+    return {name: poses(camera) for name, camera in cameras.items()}
 
 
 def rig_of(mounts: Any, camera: Camera | None = None) -> Rig:

@@ -7,19 +7,13 @@ computer.
 Sources: christianrauch/apriltag_ros, `pnp` and `child_frame_id`; `tf2_ros::StaticTransformBroadcasterNode`.
 """
 
-import ast
-import re
-from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 
-from lmd.core.checks import InputError, vector
-from lmd.formats.placed_tag import PlacedTag, tag_named, turn_by_quaternion
 from lmd.formats.tag_map import TagMap, rounded_values
 from lmd.scene.families import FAMILIES
 
-TAGS_OF_LAUNCH = re.compile(r"^TAGS = (\[\n(?:    \(.*\),\n)+\])$", re.MULTILINE)
 LAUNCH = '''"""Static transforms from the frame of the map to {count} tags.
 
     ros2 launch ./{file} frame:=map
@@ -38,6 +32,7 @@ from launch_ros.descriptions import ComposableNode
 TAGS = [
 {rows}
 ]
+NAMES = ["child_frame_id", *("translation." + axis for axis in "xyz"), *("rotation." + axis for axis in "xyzw")]
 
 
 def generate_launch_description():
@@ -45,22 +40,10 @@ def generate_launch_description():
         ComposableNode(
             package="tf2_ros",
             plugin="tf2_ros::StaticTransformBroadcasterNode",
-            name=frame.replace(":", "_"),
-            parameters=[
-                {{
-                    "frame_id": LaunchConfiguration("frame"),
-                    "child_frame_id": frame,
-                    "translation.x": x,
-                    "translation.y": y,
-                    "translation.z": z,
-                    "rotation.x": qx,
-                    "rotation.y": qy,
-                    "rotation.z": qz,
-                    "rotation.w": qw,
-                }}
-            ],
+            name=tag[0].replace(":", "_"),
+            parameters=[dict(zip(NAMES, tag), frame_id=LaunchConfiguration("frame"))],
         )
-        for frame, x, y, z, qx, qy, qz, qw in TAGS
+        for tag in TAGS
     ]
     container = ComposableNodeContainer(
         name="tags",
@@ -83,23 +66,3 @@ def write_ros2_tf(path: Path, tags: TagMap) -> None:
     )
     text = LAUNCH.format(count=len(tags.ids), file="tags.ros2_tf.launch.py", rows=rows)
     path.write_text(text, encoding="utf-8")
-
-
-def read_launch(text: str) -> Iterator[PlacedTag]:
-    """Read the tags of a launch file that `write_ros2_tf` wrote; the file is not run.
-
-    Raises:
-        InputError: a row is no frame with seven numbers.
-    """
-    found = TAGS_OF_LAUNCH.search(text)
-    try:
-        rows = ast.literal_eval("" if found is None else found[1])
-    except (ValueError, SyntaxError, MemoryError, RecursionError):
-        raise InputError("its TAGS must be a list of frames with seven numbers.") from None
-    for row in rows:
-        frame, *values = row
-        if (named := tag_named(frame)) is None:
-            raise InputError(f"the frame of a tag must be a family and a number, such as tag36h11:7, got {frame!r}.")
-        pose = np.array(vector(f"{frame}", values, 7))
-        turn = turn_by_quaternion(*pose[3:].tolist())
-        yield PlacedTag(named[1], pose[:3], turn, None, named[0])

@@ -10,7 +10,7 @@ import numpy as np
 import yaml
 
 from lmd.core.checks import FloatArray, IntArray
-from lmd.formats.tag_map_readers import HALF_TURN
+from lmd.formats.placed_tag import HALF_TURN
 from lmd.geometry.camera import MM_PER_M
 from lmd.geometry.squares import corners
 from lmd.scene.deployment import Deployment

@@ -1,27 +1,33 @@
-"""Writers of tag maps for several ecosystems; `lmd.formats.tag_map_readers` reads the files back.
+"""Writers of tag maps for several ecosystems, and of the table and the JSON document of this project.
 
 The frame of a tag has x to the right, y up, z along the normal, unless a writer says otherwise.
 """
 
+import json
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from lmd.core.checks import FloatArray, InputError
-from lmd.formats.own_tag_maps import write_csv, write_document, write_json
-from lmd.formats.registry import NONE, ONE, Writer
-from lmd.formats.ros2_tf import write_ros2_tf
+from lmd.core.checks import FloatArray
+from lmd.core.tables import write_table
+from lmd.formats.columns import FAMILY
+from lmd.formats.placed_tag import axes_of
 from lmd.formats.tag_map import QUATERNION, TagMap, axes, rounded_values, write_yaml
-from lmd.formats.tag_map_readers import INTO, METRES, OUT_RIGHT_UP
 from lmd.geometry.camera import MM_PER_M
+from lmd.scene.deployment import COLUMNS, UP_COLUMNS
+from lmd.scene.edges import EDGE
 from lmd.scene.families import FAMILIES
+from lmd.scene.labels import ID
 
+OUT_RIGHT_UP = axes_of(("out", "right", "up"))  # axes of WPILib and Limelight, as columns
+METRES = 1  # aruco_bc_mInfoType of a map in metres
+CORNER_NAMES = ("top_left", "top_right", "bottom_right", "bottom_left")
+FRAME = "metres; z up; of a tag x is right, y up, z out of it; its quaternion turns this frame to the world"
 ROOM = "room"  # name of the body, or the bundle, with the tags
 # Standard deviations of known poses in TagSLAM's example, for tags that do not move, m and rad.
 FIXED = {"position_noise": 1e-4, "rotation_noise": 1e-5}
-OFF_THE_FLOOR = 1e-6  # largest height of a tag on the floor, metres, and largest deviation of its normal
 
 
 def write_apriltag_ros(path: Path, tags: TagMap) -> None:
@@ -87,33 +93,6 @@ def write_clover(path: Path, tags: TagMap) -> None:
     _write_lines(path, ["# id length x y z yaw pitch roll", *("\t".join(map(str, (n, *row))) for n, row in rows)])
 
 
-def check_on_floor(tags: TagMap) -> None:
-    """Raise `InputError` if a tag does not lie on the floor z = 0, as Duckietown's map has no heights."""
-    off = np.abs(np.column_stack([tags.positions[:, 2], tags.deployment.normals - [0.0, 0.0, 1.0]])).max(axis=1)
-    if (wrong := np.flatnonzero(off > OFF_THE_FLOOR)).size:
-        raise InputError(f"it takes tags that lie on the floor only, which tag {tags.ids[wrong[0]]} does not")
-
-
-def write_duckietown(path: Path, tags: TagMap) -> None:
-    """Write `tags.duckietown.yaml`, whose objects go into the map of the city.
-
-    An object has the place of a floor tag, and its rotation about the vertical.
-
-    Source: duckietown/duckietown-world, `SE2Transform` and the maps of autolabs.
-    """
-    degrees = rounded_values(np.degrees(tags.turns.as_euler("xyz")[:, 2])).tolist()
-    rows = zip(tags.ids, tags.positions.tolist(), degrees, tags.sizes.tolist(), strict=True)
-    objects = {
-        f"tag{number}": {
-            "kind": "floor_tag",
-            "pose": {"~SE2Transform": {"p": position[:2], "theta_deg": turn}},
-            "tag": {"~TagInstance": {"family": tags.tag.family, "size": size, "tag_id": number}},
-        }
-        for number, position, turn, size in rows
-    }
-    write_yaml(path, {"objects": objects})
-
-
 def write_fiducial_vlam(path: Path, tags: TagMap) -> None:
     """Write `tags.fiducial_vlam.yaml`: one edge for all tags, and for each a position and roll, pitch, yaw.
 
@@ -124,21 +103,6 @@ def write_fiducial_vlam(path: Path, tags: TagMap) -> None:
     rows = zip(tags.ids, tags.positions.tolist(), tags.roll_pitch_yaw.tolist(), strict=True)
     markers = [{"id": number, "u": 1, "f": 1, "xyz": position, "rpy": turn} for number, position, turn in rows]
     write_yaml(path, {"marker_length": float(tags.sizes[0]), "markers": markers})
-
-
-def write_frc971(path: Path, tags: TagMap) -> None:
-    """Write `tags.frc971.json`: the z axis of a tag points into the tag, x to the right, y down. The file has no edges.
-
-    Source: frc971/971-Robot-Code, `frc971/vision/target_map.fbs` and its README.
-    """
-    from scipy.spatial.transform import Rotation
-
-    quaternions = rounded_values((tags.turns * Rotation.from_matrix(INTO)).as_quat(canonical=True))
-    poses = [
-        {"id": number, "position": axes(position), "orientation": dict(zip("xyzw", turn.tolist(), strict=True))}
-        for number, position, turn in zip(tags.ids, tags.positions, quaternions, strict=True)
-    ]
-    write_document(path, {"target_poses": poses})
 
 
 def write_limelight(path: Path, tags: TagMap) -> None:
@@ -238,20 +202,44 @@ def _fixed(position: FloatArray, rotation: FloatArray) -> dict[str, Any]:
     return {"position": axes(position), "rotation": axes(rotation), **noise}
 
 
-# Writers by their names in `formats`.
-WRITERS = {
-    "wpilib": Writer("tags.wpilib.json", write_wpilib, only_apriltag=True, edges=NONE),
-    "apriltag_ros": Writer("tags.apriltag_ros.yaml", write_apriltag_ros, only_apriltag=True),
-    "apriltag_ros2": Writer("tags.apriltag_ros2.yaml", write_apriltag_ros2, only_apriltag=True),
-    "ros2_tf": Writer("tags.ros2_tf.launch.py", write_ros2_tf, only_apriltag=True, edges=NONE),
-    "tagslam": Writer("tags.tagslam.yaml", write_tagslam, only_apriltag=True),
-    "aruco": Writer("tags.aruco.yaml", write_aruco, only_opencv=True),
-    "csv": Writer("tags.csv", write_csv),
-    "json": Writer("tags.json", write_json),
-    "clover": Writer("tags.clover.txt", write_clover, only_opencv=True),
-    "fiducial_vlam": Writer("tags.fiducial_vlam.yaml", write_fiducial_vlam, only_opencv=True, edges=ONE),
-    "rtabmap": Writer("tags.rtabmap.txt", write_rtabmap, only_opencv=True, edges=ONE),
-    "limelight": Writer("tags.fmap", write_limelight, only_apriltag=True),
-    "frc971": Writer("tags.frc971.json", write_frc971, only_apriltag=True, edges=NONE),
-    "duckietown": Writer("tags.duckietown.yaml", write_duckietown, only_apriltag=True, check=check_on_floor),
-}
+def write_csv(path: Path, tags: TagMap) -> None:
+    """Write `tags.csv`: the columns of `Deployment.to_csv`, then quaternion, corners and family."""
+    deployment = tags.deployment
+    placed = np.hstack([deployment.places, deployment.normals, deployment.ups])
+    turned = np.hstack([tags.quaternions, tags.corners.reshape(-1, 12)])
+    corners = [f"{corner}_{axis}" for corner in CORNER_NAMES for axis in "xyz"]
+    columns: dict[str, Any] = {
+        ID: tags.ids,
+        **dict(zip((*COLUMNS, *UP_COLUMNS), placed.T, strict=True)),
+        **({EDGE: tags.sizes} if deployment.has_own_edges else {}),
+        **dict(zip((*QUATERNION, *corners), turned.T, strict=True)),
+        FAMILY: [tags.tag.family] * len(tags.ids),
+    }
+    labels = {} if deployment.labels is None else deployment.labels.columns
+    write_table(path, columns | {name: texts for name, texts in labels.items() if name not in columns})
+
+
+def write_json(path: Path, tags: TagMap) -> None:
+    """Write `tags.json`."""
+    rows = zip(tags.ids, tags.sizes.tolist(), tags.positions, tags.quaternions, tags.corners, strict=True)
+    document = {
+        "family": tags.tag.family,
+        EDGE: tags.tag.size,
+        "frame": FRAME,
+        "tags": [
+            {
+                ID: number,
+                EDGE: size,
+                "position": position.tolist(),
+                "quaternion": dict(zip("wxyz", quaternion.tolist(), strict=True)),
+                "corners": dict(zip(CORNER_NAMES, corners.tolist(), strict=True)),
+            }
+            for number, size, position, quaternion, corners in rows
+        ],
+    }
+    write_document(path, document)
+
+
+def write_document(path: Path, keys: dict[str, Any]) -> None:
+    """Write keys as JSON."""
+    path.write_text(f"{json.dumps(keys, indent=1)}\n", encoding="utf-8")

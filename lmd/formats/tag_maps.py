@@ -1,4 +1,8 @@
-"""Tag maps of several ecosystems, read as deployments; `lmd.export` writes tag maps.
+"""Tag maps of several ecosystems, read as deployments; and the joint covariance of a surveyed map.
+
+`tables/tag_map.yaml` lists the formats; `lmd.export` writes tag maps. Errors of neighbouring tags in a surveyed map are
+alike, so the covariance of each tag by itself, as its `map.csv` has it, misjudges what the map does to a pose: the
+covariance is in `map.npz` beside it.
 
 Source: `convert_apriltag_layouts.py` of WPILib.
 """
@@ -6,21 +10,23 @@ Source: `convert_apriltag_layouts.py` of WPILib.
 import re
 from collections.abc import Sequence
 from functools import cached_property
+from pathlib import Path
 from typing import Any
-from xml.etree.ElementTree import Element
 
 import numpy as np
 
-from lmd.core.checks import FloatArray, InputError
-from lmd.formats import tag_map_readers as readers
-from lmd.formats.opencv_calibrations import xml_of
-from lmd.formats.placed_tag import RIGHT_UP_OUT, Found, Keys, PlacedTag, axes_of, check_family, one_family
-from lmd.formats.registry import File, read
+from lmd.core.checks import FloatArray, InputError, IntArray
+from lmd.formats.placed_tag import HALF_TURN, RIGHT_UP_OUT, Found, PlacedTag, axes_of, check_family, one_family
+from lmd.formats.registry import read
+from lmd.formats.tag_sources import parameters_of
 from lmd.formats.tag_tables import deployment_of
+from lmd.formats.trees import File, Keys, arrays_of
 from lmd.scene.deployment import Deployment
 from lmd.scene.families import FAMILIES
 from lmd.scene.labels import Labels
 
+FILE = "map.npz"
+LARGEST_COVARIANCE = 1 << 30  # greatest size of a file of a covariance, bytes
 LARGEST_MAP = 1 << 22  # greatest number of characters of YAML or JSON; a tag has some hundred
 EDGE_DIGITS = 12  # decimals of an edge, metres; further digits are rounding errors of conversions
 IS_JSON = re.compile(r"(?:\s++|//[^\n]*\n|/\*(?>.*?\*/))*+{", re.DOTALL)  # comments may come first
@@ -31,31 +37,17 @@ class TagMapFile(File):
     """File of a tag map; a text that is neither YAML nor JSON has no keys."""
 
     @cached_property
-    def has_keys(self) -> bool:
-        """True for YAML and JSON."""
-        return bool(IS_JSON.match(self.text) or IS_YAML.match(self.first))
-
-    @cached_property
-    def root(self) -> Element | None:
-        """Outermost element of XML; None for another text.
-
-        Raises:
-            InputError: the text begins like XML but is broken, or has entities.
-        """
-        return xml_of(self.text)
-
-    @cached_property
     def keys(self) -> Keys:
         """Keys of the map; for a node of ROS 2, the keys below its parameters.
 
         Raises:
             InputError: the text begins like YAML or JSON but is broken, or is too long.
         """
-        if not self.has_keys:
+        if not (IS_JSON.match(self.text) or IS_YAML.match(self.first)):
             return {}
         if len(self.text) > LARGEST_MAP:
             raise InputError(f"a map has at most {LARGEST_MAP} characters, it has {len(self.text)}.")
-        return readers.parameters_of(super().keys)
+        return parameters_of(super().keys)
 
 
 def read_deployment(
@@ -65,7 +57,7 @@ def read_deployment(
     axes: Sequence[str] | None = None,
     columns: str | Sequence[str] | None = None,
 ) -> Deployment:
-    """Read the tags of a map, or the landmarks of a table, see `lmd.formats.landmark_table`.
+    """Read the tags of a map, or the landmarks of a table, see `lmd.formats.tag_tables`.
 
     Tag sizes in the file become `Deployment.edges`.
 
@@ -75,11 +67,12 @@ def read_deployment(
             points.
         axes: directions of the axes of a tag's frame, for a file that does not define them, such as a table, see
             `lmd.formats.placed_tag.axes_of`.
+        columns: names of the columns of a text that does not name them, or of the program that wrote it.
 
     Raises:
         InputError: the file cannot be read, is no map with poses of tags, or has tags of another family.
     """
-    file = TagMapFile(path, name, asked={"columns": columns})
+    file = TagMapFile(path, name, asked={"axes": axes, "columns": columns})
     try:
         found: Found = read("tag map", file)
         if found.table is not None:
@@ -90,7 +83,7 @@ def read_deployment(
         if not found.tags:
             raise InputError("it has no tags with places.")
         turned = found.by_opencv and family is not None and FAMILIES[family].apriltag
-        tags = [tag._replace(axes=tag.axes @ readers.HALF_TURN) for tag in found.tags] if turned else found.tags
+        tags = [tag._replace(axes=tag.axes @ HALF_TURN) for tag in found.tags] if turned else found.tags
         if found.any_frame:
             return _in_frame(path, tags, axes)
         return _deployment(path, tags, found.note)
@@ -120,3 +113,39 @@ def _deployment(path: Any, tags: Sequence[PlacedTag], note: str) -> Deployment:
     positions: FloatArray = np.array([tag.position for tag in tags])
     deployment = Deployment(positions, axes[:, :, 2], labels=labels, edges=edges, note=note)
     return deployment.turned(path, axes[:, :, 1])
+
+
+def write_map_covariance(path: Path, ids: IntArray, covariance: FloatArray) -> None:
+    """Write the covariance of the twists of tags in their own frames, rotations before shifts.
+
+    Args:
+        path: file.
+        ids: `(K,)` ids of the tags, ascending.
+        covariance: `(6 K, 6 K)`, of which the upper triangle is written, row by row.
+    """
+    upper = covariance[np.triu_indices(len(covariance))]
+    with path.open("wb") as file:
+        np.savez_compressed(file, ids=ids, upper=upper.astype(np.float32))
+
+
+def read_map_covariance(path: Any, name: str) -> tuple[IntArray, FloatArray]:
+    """Read ids `(K,)`, ascending, and covariance `(6 K, 6 K)`.
+
+    Raises:
+        InputError: the file cannot be read, or is no covariance of a map.
+    """
+    refused = InputError(f"{name}: {str(path)!r} is no covariance of a map, as a survey writes it.", name)
+    try:
+        arrays = arrays_of(path, name, LARGEST_COVARIANCE, most=LARGEST_COVARIANCE) or {}
+        ids, upper = arrays["ids"], arrays["upper"]
+    except (KeyError, InputError):
+        raise refused from None
+    size = 6 * len(ids) if ids.ndim == 1 else 0
+    if ids.dtype.kind != "i" or upper.dtype.kind != "f" or not size or upper.shape != (size * (size + 1) // 2,):
+        raise refused
+    found = np.zeros((size, size))
+    found[np.triu_indices(size)] = upper
+    found += np.triu(found, 1).T
+    if not np.isfinite(found).all() or (np.diag(found) < 0.0).any() or (np.diff(ids) <= 0).any():
+        raise refused
+    return ids.astype(np.int64), found

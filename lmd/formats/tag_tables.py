@@ -45,7 +45,7 @@ from lmd.formats.placed_tag import (
     turn_by_quaternion,
     turn_by_vector,
 )
-from lmd.formats.registry import File
+from lmd.formats.trees import File
 from lmd.scene.deployment import Deployment
 from lmd.scene.edges import EDGE, edge_column
 from lmd.scene.families import family_named

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 
 from lmd.core.checks import ONE_TURN, FloatArray, InputError, choice, real, said_of, vector
-from lmd.formats.extrinsics import read_mount
 from lmd.formats.pose_files import Rows, read_rows, steep
+from lmd.formats.rigs import read_mount
 from lmd.geometry.frames import roll_pitch_yaw
 from lmd.geometry.se3 import act, pose_of, poses_from_rows, rigid_alignment
 from lmd.geometry.trajectory import Trajectory

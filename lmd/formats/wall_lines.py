@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from lmd.core.checks import BoolArray, FloatArray, InputError, IntArray, bounded
-from lmd.formats.registry import File
+from lmd.formats.trees import File
 from lmd.space.polygon import edges
 
 # Half the thickness of lines, metres; walls move by this length.

@@ -8,14 +8,11 @@ The image of a point (u, v, w) at the distance r is (u, v) / d, in units of the 
   d = alpha sqrt(beta (u^2 + v^2) + w^2) + (1 - alpha) w;
 - the unified model of Mei and Rives (2007), `omni` or `MEI`: d = w + xi r, followed by Brown-Conrady distortion.
 
-The other models are pinholes: the image is a polynomial of (x, y) = (u, v) / w and s = x^2 + y^2.
+The other models are pinholes: the image is a polynomial of (x, y) = (u, v) / w, with s = x^2 + y^2 and
+g = 1 + k1 s + k2 s^2 + k3 s^3.
 
-- `power_series`, of Metashape and nerfstudio: g = 1 + k1 s + ... + k4 s^4, times x and y, plus the tangential terms
-  of OpenCV times 1 + p3 s + p4 s^2; Metashape then adds b y' to x';
 - `modified_brown_conrady`, of RealSense: the tangential terms are evaluated at (g x, g y) instead of (x, y);
-- `inverse_brown_conrady`, of RealSense: the polynomial maps the image to (x, y);
-- `kinect`, of Azure Kinect: the distortion has its own centre, and the factor of x y in the tangential terms is 1
-  instead of OpenCV's 2.
+- `inverse_brown_conrady`, of RealSense: the polynomial maps the image to (x, y).
 
 `nearest_lens` fits a lens to a model by least squares of the image differences, pixels, over the whole image.
 """
@@ -98,21 +95,6 @@ def unified(xi: Any, k1: Any = 0.0, k2: Any = 0.0, p1: Any = 0.0, p2: Any = 0.0)
     return image
 
 
-def power_series(radial: Sequence[float], tangential: Sequence[float], shear: float = 0.0) -> Model:
-    """Model of Metashape and nerfstudio: `radial` k1, k2, ...; `tangential` p1, p2, p3, p4 or fewer; `shear` b."""
-    p1, p2, p3, p4 = (*tangential, *(0.0,) * (4 - len(tangential)))
-
-    def image(u: FloatArray, v: FloatArray, w: FloatArray) -> tuple[FloatArray, FloatArray]:
-        x, y = _divided(u, v, w, True)
-        s = x * x + y * y
-        g, more = np.polynomial.polynomial.polyval(s, [1.0, *radial]), 1.0 + s * (p3 + s * p4)
-        across, down = _tangential(x, y, p1, p2)
-        down = g * y + more * down
-        return g * x + more * across + shear * down, down
-
-    return image
-
-
 def modified_brown_conrady(k1: float, k2: float, p1: float, p2: float, k3: float) -> Model:
     """Model of RealSense whose tangential terms are computed from the radially distorted point."""
 
@@ -137,22 +119,6 @@ def inverse_brown_conrady(k1: float, k2: float, p1: float, p2: float, k3: float)
             across, down = _tangential(a, b, p1, p2)
             last, a, b = a, (x - across) / g, (y - down) / g
         return np.where(np.abs(a - last) < INVERTED, a, np.nan), b
-
-    return image
-
-
-def kinect(radial: Sequence[float], p1: float, p2: float, centre: Sequence[float], factor: float) -> Model:
-    """Model of Azure Kinect: `radial` k1 to k6, `centre` of the distortion, and the factor of x y."""
-    k1, k2, k3, k4, k5, k6 = radial
-
-    def image(u: FloatArray, v: FloatArray, w: FloatArray) -> tuple[FloatArray, FloatArray]:
-        x, y = _divided(u, v, w, True)
-        x, y = x - centre[0], y - centre[1]
-        s = x * x + y * y
-        g = (1.0 + s * (k1 + s * (k2 + s * k3))) / (1.0 + s * (k4 + s * (k5 + s * k6)))
-        across = g * x + p2 * (s + 2.0 * x * x) + factor * p1 * x * y
-        down = g * y + p1 * (s + 2.0 * y * y) + factor * p2 * x * y
-        return across + centre[0], down + centre[1]
 
     return image
 

@@ -11,8 +11,7 @@ from scipy.linalg import block_diag
 from lmd.core.checks import FloatArray, InputError, IntArray, check_fields, real
 from lmd.core.files import read_text
 from lmd.core.tables import read_table
-from lmd.formats.map_covariance import FILE, read_map_covariance
-from lmd.formats.tag_maps import read_deployment
+from lmd.formats.tag_maps import FILE, read_deployment, read_map_covariance
 from lmd.scene.deployment import Deployment
 from lmd.scene.labels import ID
 from lmd.scene.tag import Tag

@@ -20,8 +20,6 @@ def check_format(form, tags, folder):
     Returns:
         the deployment that was read; it has edges if the file says how large the tags are.
     """
-    if form.check is not None:
-        form.check(tags)
     once, again = folder / "once", folder / "again"  # what a file holds decides, not its name
     for path in (once, again):
         form.write(path, tags=tags)

@@ -4,7 +4,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-import yaml
 from contracts.format import check_format
 from scipy.spatial.transform import Rotation
 
@@ -18,7 +17,7 @@ from lmd.scene.tag import Tag
 from lmd.space.cuboid import Cuboid
 
 ROOM, EDGE = Cuboid((6.0, 4.0, 2.8), (5.0, 3.0, 1.2), 0.5), 0.3
-MAPS = tuple(name for name, form in all_formats().items() if not form.on_paper and name != "duckietown")
+MAPS = tuple(name for name, form in all_formats().items() if not form.on_paper)
 WITH_PLACES = tuple(name for name in MAPS if name != "apriltag_ros2")
 
 
@@ -39,19 +38,7 @@ def test_what_was_written_is_read_again(name, family, seed, tmp_path):
     if form.edges == ONE:
         deployment = replace(deployment, edges=None)
     found = check_format(form, TagMap(ROOM, Tag(EDGE, family), deployment), tmp_path)
-    assert found.has_own_edges == (name not in ("wpilib", "frc971", "rtabmap", "ros2_tf"))
-
-
-def test_duckietown_takes_tags_on_the_floor(tmp_path):
-    up = np.array([[0.0, 0.0, 1.0]] * 2)
-    lying = Deployment(np.array([[1.0, 2.0, 0.0], [3.0, 1.5, 0.0]]), up, labels=Labels(np.array([300, 17])))
-    turned = lying.turned("here", np.array([[0.0, 1.0, 0.0], [-np.sin(0.3), np.cos(0.3), 0.0]]))
-    check_format(all_formats()["duckietown"], TagMap(ROOM, Tag(0.065), turned), tmp_path)
-    objects = yaml.safe_load((tmp_path / "once").read_text())["objects"]
-    assert objects["tag17"]["pose"]["~SE2Transform"] == {"p": [3.0, 1.5], "theta_deg": pytest.approx(np.degrees(0.3))}
-    assert objects["tag300"]["tag"]["~TagInstance"] == {"family": "36h11", "size": 0.065, "tag_id": 300}
-    with pytest.raises(InputError, match=r"^formats has duckietown: .* only, which tag \d+ does not"):
-        Export(["duckietown"], "a4").writers(ROOM, Tag(EDGE), turned_anyhow(0))
+    assert found.has_own_edges == (name not in ("wpilib", "rtabmap", "ros2_tf"))
 
 
 def test_what_has_one_edge_takes_no_tags_with_several():
@@ -61,6 +48,6 @@ def test_what_has_one_edge_takes_no_tags_with_several():
     assert set(unfit) == {"fiducial_vlam", "rtabmap"}
     with pytest.raises(InputError, match=r"^formats has fiducial_vlam: .* 0\.05, 0\.3, 0\.4125 m"):
         export.writers(ROOM, Tag(EDGE), several)
-    assert export.silent(TagMap(ROOM, Tag(EDGE), several)) == ("wpilib", "ros2_tf", "frc971")
+    assert export.silent(TagMap(ROOM, Tag(EDGE), several)) == ("ros2_tf", "wpilib")
     with pytest.raises(InputError, match=r"^formats has rtabmap: .* 0\.05, 0\.1 m\.$"):  # before anything is placed
         Export(["rtabmap"], "a4").check(Tag(EDGE, edges=[0.1, 0.05]))

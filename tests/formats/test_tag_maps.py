@@ -47,7 +47,7 @@ DEPLOYMENT = Deployment(
     np.array([normal for _, normal in PLACES.values()], dtype=float),
     labels=Labels(np.array(list(PLACES)), {"note": [f"note {number}" for number in PLACES]}),
 ).with_surfaces(ROOM)
-MAPS = tuple(name for name, form in all_formats().items() if not form.on_paper and name != "duckietown")
+MAPS = tuple(name for name, form in all_formats().items() if not form.on_paper)
 UNIT = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) / 2.0  # AprilTag's own order: from the bottom left, to the right
 
 
@@ -265,15 +265,6 @@ def test_limelight_counts_from_the_middle_of_the_field(files):
     assert_camera_is_found(points, found_by_apriltag())
 
 
-def test_frc971_looks_into_the_tag(files):
-    points = {}
-    for tag in json.loads((files / "tags.frc971.json").read_text())["target_poses"]:
-        turn = gtsam.Rot3.Quaternion(*(tag["orientation"][axis] for axis in "wxyz"))
-        pose = gtsam.Pose3(turn, np.array([tag["position"][axis] for axis in "xyz"]))
-        points[tag["id"]] = placed(pose, EDGE * UNIT[:, 0], -EDGE * UNIT[:, 1])  # y is down
-    assert_camera_is_found(points, found_by_apriltag())
-
-
 def test_by_hand():
     # A tag on the wall x = 0 looks along x: to its right is y, up is z.
     tags = tag_map()
@@ -296,9 +287,9 @@ def test_readers_that_detect_by_opencv_are_given_its_families(name):
 
 
 def test_what_cannot_be_written_is_said():
-    with pytest.raises(InputError, match=r"^formats must be one of wpilib, .*, got 'nosuch'\.$"):
+    with pytest.raises(InputError, match=r"^formats must be one of ros2_tf, .*, got 'nosuch'\.$"):
         Export(["wpilib", "nosuch"], "a4")
-    with pytest.raises(InputError, match=r"^formats must be a list of wpilib, .*, got 'wpilib'\.$"):
+    with pytest.raises(InputError, match=r"^formats must be a list of ros2_tf, .*, got 'wpilib'\.$"):
         Export("wpilib", "a4")
     with pytest.raises(InputError, match=r"edge must be given"):
         Export(["json"], "a4").check(Tag())

@@ -146,7 +146,7 @@ def test_a_calibration_without_extrinsics_or_with_several_cameras_is_refused(wri
         ({"cam0": {"T_cam_imu": [1, 2]}}, None, "the pose of the camera cannot be read"),
         ({"cam0": {"T_cam_imu": (2 * np.eye(4)).tolist()}}, None, "its matrix is no rigid motion"),
         ({"T_imu_cam": [{"px": 1}]}, None, "the pose of the camera cannot be read"),
-        ({"T_imu_cam": ["x"]}, None, "the pose of the camera cannot be read .it must have the keys px"),
+        ({"T_imu_cam": ["x"]}, None, "the pose of the camera cannot be read .its matrix must be a list of 16 numbers"),
         (
             {"T_imu_cam": [dict.fromkeys(("px", "py", "pz", "qx", "qy", "qz", "qw"), 10**400)]},
             None,

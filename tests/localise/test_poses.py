@@ -11,7 +11,7 @@ from scipy.stats import chi2
 
 from lmd.core.checks import InputError
 from lmd.detection.corner_errors import inward
-from lmd.formats.map_covariance import write_map_covariance
+from lmd.formats.tag_maps import write_map_covariance
 from lmd.geometry.se3 import angle_between, camera_pose, exp
 from lmd.localise.fixed_map import FixedMap, MapErrors, surveyed_covariance
 from lmd.localise.image_poses import State

@@ -47,7 +47,7 @@ def test_cameras_of_their_own_need_none_of_the_group(tmp_path):
     rig = camera_of(composed("camera=calibration", f"camera.rig=[{','.join(own)}]").camera)
     assert [camera.focal_pixels[0] for camera in rig.cameras] == pytest.approx([400.0, 500.0])
     unchained = f"camera.rig={tmp_path}/chain.yaml"
-    with pytest.raises(InputError, match=r"^camera\.rig\.path: .*chain\.yaml has no T_cn_cnm1"):
+    with pytest.raises(InputError, match=r"^camera\.rig\.path: .*chain\.yaml has no T_cam_imu"):
         camera_of(composed("camera=calibration", unchained).camera)
     with pytest.raises(InputError, match=r"^camera.path is missing"):
         camera_of(composed("camera=calibration", f"camera.rig=[{own[0]},{{yaw: 1.0}}]").camera)

@@ -8,7 +8,7 @@ import processes
 import pytest
 from PIL import Image
 
-from lmd.formats.map_covariance import write_map_covariance
+from lmd.formats.tag_maps import write_map_covariance
 from lmd.survey.results import SIGMA_COLUMNS
 
 pytestmark = pytest.mark.slow

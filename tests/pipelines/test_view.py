@@ -227,7 +227,7 @@ def test_what_cannot_be_is_refused_in_one_sentence(work):
     for overrides, message in (
         (("port=70000",), "port must be in [0, 65535], got 70000."),
         (("budget.evaluations=0",), "budget.evaluations must be at least 1, got 0."),
-        (("export=[nosuch]",), "export must be one of wpilib, "),
+        (("export=[nosuch]",), "export must be one of ros2_tf, "),
         (("+optimiser.growth=2",), "optimiser.growth must be in [0, 1], got 2."),
     ):
         refused("view", *OVERRIDES, *overrides, message=message, cwd=work, settings=SETTINGS)

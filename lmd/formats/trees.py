@@ -1,0 +1,280 @@
+"""Files as trees of keys and values: paths to the values; texts, XML, arrays and Python literals as trees.
+
+A path is a text of keys with dots between them, such as `pose.translation`; a key of a file may have dots, too. A
+number is an index of a list, or of the numbers in a text. A list of one entry stands for this entry, as XML does not
+tell one child from several. Alternatives have `|` between them, and the first that leads to a value counts.
+"""
+
+import ast
+import io
+import math
+import re
+import xml.etree.ElementTree as ElementTree
+import zipfile
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from lmd.core.checks import InputError, bounded, real, vector
+from lmd.core.files import parse_keys, read_bytes, read_text
+from lmd.core.tables import COMMENT
+
+Keys = Mapping[str, Any]
+MISSING: Final = object()  # stands for a value that a tree lacks
+NUMBER = re.compile(r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?[fF]?")
+NESTED = 4  # greatest depth of lists and matrices around numbers
+DEEPEST = 64  # greatest number of elements of XML in each other; searches of deeper ones would take hours
+LONGEST, LEVELS = 64, 4  # greatest length of a list or mapping, and depth, of a search at any place
+LARGEST_ARRAY = 256  # greatest number of entries of an array of a calibration; files also hold images and points
+LARGEST_LITERAL = 1 << 20  # greatest length of a Python literal, characters; literals take more memory than JSON
+ANYWHERE = "**"  # begins a path to mappings at any place that have the key which follows
+
+
+def find(tree: Any, paths: str) -> Any:
+    """Value at the first of several paths that leads to one; `MISSING` if none does, or its value is null."""
+    values = (_at(tree, path) for path in paths.split("|"))
+    return next((value for value in values if value is not MISSING and value is not None), MISSING)
+
+
+def _at(tree: Any, path: str) -> Any:
+    if not path:
+        return tree
+    if isinstance(tree, Mapping):
+        for end in (len(path), *(dot.start() for dot in re.finditer(r"\.", path))):
+            if (key := path[:end]) in tree and (found := _at(tree[key], path[end + 1 :])) is not MISSING:
+                return found
+        return MISSING
+    first, _, rest = path.partition(".")
+    parts = numbers_of(tree) if isinstance(tree, str) else tree
+    if not isinstance(parts, list | tuple):
+        return MISSING
+    if first.isdecimal() and int(first) < len(parts):
+        return _at(parts[int(first)], rest)
+    return _at(parts[0], path) if len(parts) == 1 and parts is tree else MISSING
+
+
+def entries(tree: Any, path: str, around: Keys | None = None, key: str = "") -> Iterator[tuple[str, Keys]]:
+    """Entries at a path, each with its key, and with the keys of the mappings around it that it lacks.
+
+    A step `*` stands for each entry of a list or a mapping, `/PATTERN/` for each key that matches a regular expression.
+    An entry without keys is the value of the key `value`.
+    """
+    around = {**(around or {}), **tree} if isinstance(tree, Mapping) else around or {}
+    step, _, rest = path.partition(".")
+    if not path:
+        yield key, around if isinstance(tree, Mapping) else {**around, "value": tree}
+    elif step.startswith(ANYWHERE):
+        for name, found in _anywhere(tree, step.removeprefix(ANYWHERE)):
+            yield from entries(found, rest, around, name)
+    elif step == "*" or step[0] == "/":
+        inner = tree.items() if isinstance(tree, Mapping) else enumerate(tree) if isinstance(tree, list | tuple) else ()
+        for own, value in inner:
+            if step == "*" or re.fullmatch(step.strip("/"), str(own)):
+                yield from entries(value, rest, around, str(own))
+    elif (child := find(tree, step)) is not MISSING:
+        yield from entries(child, rest, around, key)
+
+
+def _anywhere(tree: Any, wanted: str, name: str = "", levels: int = LEVELS) -> Iterator[tuple[str, Keys]]:
+    """Mappings with a key at any place, by the keys above them with `/` between; long lists are not searched."""
+    if isinstance(tree, Mapping) and wanted in tree:
+        yield name, tree
+    elif levels and isinstance(tree, Mapping | list) and len(tree) <= LONGEST:
+        for key, value in tree.items() if isinstance(tree, Mapping) else enumerate(tree):
+            yield from _anywhere(value, wanted, f"{name}/{key}" if name else str(key), levels - 1)
+
+
+def plain(text: str) -> str:
+    """Key or path in small letters without `_`, for the comparison of keys that users write in several ways."""
+    return text.lower().replace("_", "")
+
+
+def numbers_of(value: Any, nested: int = NESTED) -> list[Any]:
+    """Numbers in a value: a number, a text of numbers, a matrix with `data`, or lists of these; another value stays."""
+    if isinstance(value, Mapping) and "data" in value and nested:
+        return numbers_of(value["data"], nested - 1)
+    if isinstance(value, list | tuple) and value and nested:
+        return [number for part in value for number in numbers_of(part, nested - 1)]
+    words = value.replace(",", " ").split() if isinstance(value, str) else []
+    if words and all(map(NUMBER.fullmatch, words)):
+        return [float(word.rstrip("fF")) for word in words]
+    return [value]
+
+
+def vector_at(tree: Keys, paths: str, size: int | None, called: str = "") -> tuple[float, ...]:
+    """Numbers at a path, in the order of the file; `size` None allows any number of them, `called` is for messages.
+
+    Raises:
+        InputError: the value is missing, or has other numbers.
+    """
+    name = called or paths.split("|")[0]
+    if (value := find(tree, paths)) is MISSING:
+        raise InputError(f"the key {name} is missing.")
+    name, numbers = f"{name}.data" if isinstance(value, Mapping) and "data" in value else name, numbers_of(value)
+    return (real(name, numbers[0]),) if size == len(numbers) == 1 else vector(name, numbers, size)
+
+
+def number_at(tree: Keys, paths: str) -> float:
+    """Number at a path.
+
+    Raises:
+        InputError: the value is missing, or no number.
+    """
+    return vector_at(tree, paths, 1)[0]
+
+
+def matches(text: str, patterns: Mapping[str, str]) -> dict[str, Any]:
+    """Groups of the matches of each regular expression in a text, by the names of expressions and groups."""
+    found = {name: re.finditer(pattern, text, re.MULTILINE) for name, pattern in patterns.items()}
+    return {name: [match.groupdict() for match in each] for name, each in found.items()}
+
+
+def xml_of(text: str) -> ElementTree.Element | None:
+    """Outermost element of XML, None for another text; entities are refused, as they could expand to gigabytes.
+
+    Raises:
+        InputError: the text has entities, or is broken.
+    """
+    if not text.lstrip().startswith("<"):
+        return None
+    if "<!DOCTYPE" in text or "<!ENTITY" in text:
+        raise InputError("an XML file with a document type or entities is not taken.")
+    try:
+        root = ElementTree.fromstring(text)
+    except (ElementTree.ParseError, ValueError) as error:
+        raise InputError(f"it cannot be read as XML ({error}).") from None
+    level, depth = [root], 0
+    while level:
+        bounded("elements in each other", depth, DEEPEST, "it")
+        level, depth = [child for element in level for child in element], depth + 1
+    return root
+
+
+def tree_of(element: ElementTree.Element) -> Any:
+    """Attributes of an element of XML, and its children as a list for each name, or the text of a single one that has
+    only that; the text of the element if it has neither.
+    """
+    if not element.attrib and not len(element):
+        return (element.text or "").strip().strip('"')
+    inner: dict[str, Any] = {}
+    for child in element:
+        inner.setdefault(child.tag, []).append(tree_of(child))
+    texts = {name: parts[0] for name, parts in inner.items() if len(parts) == 1 and isinstance(parts[0], str)}
+    return {**element.attrib, **inner, **texts}
+
+
+def literal(text: str) -> Any:
+    """Value of a Python literal.
+
+    Raises:
+        InputError: the text is none, or is longer than `LARGEST_LITERAL`.
+    """
+    bounded("characters", len(text), LARGEST_LITERAL, "it")
+    try:
+        return ast.literal_eval(text.strip())
+    except Exception as error:  # Python's parser raises errors of many kinds for a broken file
+        reason = " ".join(str(error).partition(": <ast.")[0].split())  # without the address of a node in memory
+        raise InputError(f"it is no literal of Python ({reason or type(error).__name__}).") from None
+
+
+def arrays_of(path: Any, name: str, largest: float, most: float = LARGEST_ARRAY) -> dict[str, Any] | None:
+    """Arrays of an archive by NumPy (`.npz`) by name; None for a file of another kind.
+
+    Args:
+        path: path of the file.
+        name: argument that gave the path, for messages.
+        largest: greatest size of the file, and of its expanded content, bytes.
+        most: greatest number of entries of an array that is kept.
+
+    Raises:
+        InputError: the file cannot be read, is too large, or holds only objects or large arrays.
+    """
+    content = read_bytes(path, name, largest)
+    if not content.startswith(b"PK\x03\x04"):
+        return None
+    found, where = dict[str, Any](), f"{name}: {str(path)!r}"
+    try:
+        with zipfile.ZipFile(io.BytesIO(content)) as archive:
+            bounded("bytes when it is expanded", sum(part.file_size for part in archive.infolist()), largest, where)
+        with np.load(io.BytesIO(content), allow_pickle=False) as arrays:
+            for key in arrays.files:
+                try:
+                    if (array := arrays[key]).size <= most:
+                        found[key] = array
+                except ValueError as error:
+                    if "pickle" not in str(error):  # objects of Python are passed over
+                        raise
+    except InputError:
+        raise
+    except Exception as error:  # a broken file may raise anything
+        reason = " ".join(str(error).split()) or type(error).__name__
+        raise InputError(f"{where} cannot be read as arrays ({reason}).", name) from None
+    if not found:
+        raise InputError(
+            f"{where} holds no small arrays: write it by numpy.savez('lens.npz', mtx=mtx, dist=dist).", name
+        )
+    return found
+
+
+@dataclass(frozen=True)
+class File:
+    """File whose format is to be found; the file is read when its content is first used."""
+
+    path: Any
+    """Path of the file."""
+    argument: str = "path"
+    """Name of the argument with the path, for messages."""
+    asked: Mapping[str, Any] = field(default_factory=dict)
+    """User's settings that formats of the family need, by name."""
+    largest: float = math.inf
+    """Maximum size, bytes; a larger file is refused."""
+
+    @cached_property
+    def text(self) -> str:
+        """Text of the file.
+
+        Raises:
+            InputError: the file cannot be read, or holds no text.
+        """
+        return read_text(self.path, self.argument, self.largest)
+
+    @cached_property
+    def keys(self) -> Mapping[str, Any]:
+        """Keys and values of YAML or JSON.
+
+        Raises:
+            InputError: the text is neither YAML nor JSON.
+        """
+        return parse_keys(self.path, self.text, self.argument)
+
+    @cached_property
+    def root(self) -> ElementTree.Element | None:
+        """Outermost element of XML; None for another text.
+
+        Raises:
+            InputError: the text begins like XML but is broken, or has entities.
+        """
+        return xml_of(self.text)
+
+    @cached_property
+    def lines(self) -> list[str]:
+        """Lines that are neither blank nor comments."""
+        return [line for line in self.text.splitlines() if line.strip() and line.lstrip()[0] != COMMENT]
+
+    @property
+    def first(self) -> str:
+        """First of `lines`; empty if there is none."""
+        return self.lines[0] if self.lines else ""
+
+    @property
+    def suffix(self) -> str:
+        """Suffix of the file's name, such as `.json`, in small letters."""
+        return Path(self.path).suffix.lower()
+
+    def refused(self, reason: str) -> InputError:
+        """Error about a file that is refused for a reason."""
+        return InputError(f"{reason}.")
