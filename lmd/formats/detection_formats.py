@@ -10,8 +10,8 @@ Specification" of Limelight.
 """
 
 import json
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import replace
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from decimal import Decimal
 from functools import cached_property
 from pathlib import Path
@@ -21,11 +21,11 @@ import numpy as np
 
 from lmd.core.checks import InputError, printable, real, vector
 from lmd.core.tables import in_order, read_table, time_of, write_table
-from lmd.formats.bags import DETECTIONS, Bag, is_bag
+from lmd.formats.bags import DETECTIONS, Bag
 from lmd.formats.columns import FAMILY, TAGS, standard
 from lmd.formats.detections import DetectedTags, signed_area
 from lmd.formats.placed_tag import one_family
-from lmd.formats.registry import Format, anything, read
+from lmd.formats.registry import read
 from lmd.formats.trees import File
 from lmd.geometry.camera import PIXEL_CENTRE
 from lmd.scene.families import family_named
@@ -34,11 +34,6 @@ NAME, IMAGES = "detections", "images"  # names of the arguments with paths
 # Columns of the corners, OpenCV's pixels, clockwise from the top left of the tag's picture.
 CORNER_COLUMNS = tuple(f"{axis}{corner}" for corner in range(4) for axis in "xy")
 TIMES, CAMERAS = ("time", "stamp", "timestamp", "image"), ("camera", "topic", "cam", "camera_id")
-READ = (
-    "what is read is a bag of ROS 2, JSON of PhotonVision and Limelight, or a CSV with a row for each tag and the "
-    f"columns {' or '.join(TIMES)}, id, x0, y0, ..., x3, y3, the corners clockwise from the tag's top left in OpenCV's "
-    "pixels"
-)
 FROM_APRILTAG = [3, 2, 1, 0]
 SHOWN = 80  # greatest number of characters of a file that a message shows
 MOST_LACKING = 4  # greatest number of missing columns that a message names
@@ -61,69 +56,26 @@ class SeenTag(NamedTuple):
     """Family as the program writes it; empty if it does not."""
 
 
-class Program(NamedTuple):
-    """Results of a program in JSON."""
-
-    name: str
-    tags: str
-    """Key of the list of tags, by which results are recognised."""
-    number: str
-    """Key of a tag's number; -1 marks a target without one."""
-    corners: str
-    """Key of a tag's four corners: pairs, or mappings with x and y."""
-    times: Mapping[str, Decimal]
-    """Keys of the time, in the order in which they are tried, and their units in a second."""
-    family: str = ""
-    """Key of a tag's family; empty if it has none."""
-    least: float = -np.inf
-    """Least coordinate of a corner; others count from the middle of the image, and are refused."""
-    row: str = ""
-    """Row of the documentation."""
-
-
-PROGRAMS = (
-    Program(
-        "PhotonVision",
-        "targets",
-        "fiducialId",
-        "detectedCorners",
-        {"metadata.captureTimestampMicros": Decimal(1_000_000), "timestampSeconds": Decimal(1)},
-        row="PhotonVision (JSON, or a line for each result) | `PhotonPipelineResult` with `metadata` and "
-        "`detectedCorners`: a list, or one for each camera by name; of its AprilTag pipeline",
-    ),
-    Program(
-        "Limelight",
-        "Fiducial",
-        "fID",
-        "pts",
-        {"ts_us": Decimal(1_000_000), "ts": Decimal(1_000)},
-        "fam",
-        least=0.0,
-        row="Limelight (JSON, or a line for each result) | `Fiducial` with `pts`, which its pipeline must send",
-    ),
-)
-
-
 class DetectionsFile(File):
     """File of detections, whose first line may name columns."""
 
     @cached_property
-    def documents(self) -> list[Any]:
+    def keys(self) -> Mapping[str, Any]:
         """Values of JSON, of the whole text or of each line; empty for another text.
 
         Raises:
             InputError: the text begins like JSON, but is broken.
         """
         if not self.text.lstrip().startswith(("{", "[")):
-            return []
+            return {}
         lines = [line for line in self.text.splitlines() if line.strip()]
         try:
             try:
-                return [json.loads(self.text)]
+                return {"": json.loads(self.text)}
             except ValueError:
                 if len(lines) < 2 or not all(line.strip()[0] == "{" for line in lines):
                     raise
-                return [json.loads(line) for line in lines]
+                return {"": [json.loads(line) for line in lines]}
         except (ValueError, RecursionError) as error:
             reason = " ".join(str(error).split())[:SHOWN]
             raise InputError(f"{self.argument}: {str(self.path)!r} is no JSON ({reason}).", self.argument) from None
@@ -140,8 +92,90 @@ class DetectionsFile(File):
         return [" or ".join(TIMES)] * (not set(TIMES) & set(self.header)) + lacks
 
     def refused(self, reason: str) -> InputError:
-        """Error about a file that is no table of detections; the message lists the supported formats."""
-        return InputError(f"{self.argument}: {str(self.path)!r} {reason}; {READ}.", self.argument)
+        """Error about a file that is no table of detections; `LACKS` in the reason stands for the missing columns."""
+        lacks = f"lacks the column{'s' * (len(self.lacks) > 1)} {', '.join(self.lacks)}"
+        if len(self.lacks) > MOST_LACKING:
+            first = self.first.strip()[:SHOWN]
+            lacks = f"has no such columns in its first line, {first!r}" if first else "is empty"
+        return InputError(f"{self.argument}: {str(self.path)!r} {reason.replace('LACKS', lacks)}.", self.argument)
+
+
+def is_table(file: DetectionsFile) -> bool:
+    """True for a table with the columns of detections, or with semicolons, which the reader of tables refuses."""
+    return not file.lacks or (len(file.header) == 1 and ";" in file.first)
+
+
+def is_json(file: DetectionsFile) -> bool:
+    """True for JSON; raises `InputError` if it is broken."""
+    return bool(file.keys)
+
+
+def has_rows_of_corners(file: DetectionsFile) -> bool:
+    """True for a table with a row for each corner."""
+    return {"corner", "x", "y"} <= set(file.header)
+
+
+@dataclass(frozen=True)
+class KeyedDetections:
+    """Results of a program in JSON; a row of `tables/detections.yaml`."""
+
+    tags: str
+    """Key of the list of tags, which marks a result."""
+    number: str
+    """Key of a tag's number; -1 marks a target without one."""
+    corners: str
+    """Key of a tag's four corners: pairs, or mappings with x and y."""
+    times: Mapping[str, int]
+    """Keys of the time, in the order in which they are tried, and their units in a second."""
+    family: str = ""
+    """Key of a tag's family; empty if it has none."""
+    least: float = -np.inf
+    """Least coordinate of a corner; others count from the middle of the image, and are refused."""
+
+    def read(self, file: Any) -> DetectedTags:
+        """Detections of all results in a file.
+
+        Raises:
+            InputError: a key is missing, a value is refused, or no tag has corners.
+        """
+        where = f"{file.argument}: {str(file.path)!r}"
+        try:
+            seen = list(self._seen(file.keys))
+        except InputError as error:
+            raise InputError(f"{where} {error}.".replace("..", "."), file.argument) from None
+        except KeyError as error:
+            raise InputError(f"{where} lacks the key {str(error)[:SHOWN]}.", file.argument) from None
+        except (IndexError, TypeError, ValueError, AttributeError, ArithmeticError):
+            raise InputError(f"{where} has a value of another kind than its program writes.", file.argument) from None
+        if not seen:
+            how = f"let the pipeline send {self.corners}"
+            raise InputError(f"{where} has no detection of a tag with corners: {how}.", file.argument)
+        return _detections(file, seen)
+
+    def _seen(self, keys: Any) -> Iterator[SeenTag]:
+        """Tags with corners in all results, with the times of capture."""
+        for camera, result in _results(keys, self.tags):
+            metadata = result.get("metadata")
+            keys = {**result, **({f"metadata.{key}": value for key, value in metadata.items()} if metadata else {})}
+            name = next((name for name in self.times if name in keys and real(name, keys[name]) >= 0.0), "")
+            if not name:
+                raise InputError(f"has a result without {' or '.join(self.times)}, so its time is not known")
+            written = keys[name] if isinstance(keys[name], int) else repr(real(name, keys[name]))
+            time = f"{Decimal(written) / self.times[name]:f}"  # exact to the last digit for whole numbers
+            for tag in result[self.tags]:
+                number, given = tag.get(self.number, -1), tag.get(self.corners)
+                if number == -1 or not given:
+                    continue  # a shape, an object, or a tag without corners
+                if real(self.number, number, low=0.0) != int(number):
+                    raise InputError(f"has the {self.number} {number!r}, which is not a whole number")
+                if not isinstance(given, list) or len(given) != 4:
+                    raise InputError(f"must have four corners in {self.corners}, got {given!r}"[: 2 * SHOWN])
+                pairs = ([corner["x"], corner["y"]] if isinstance(corner, Mapping) else corner for corner in given)
+                corners = [vector(f"{self.corners}[{i}]", pair, 2) for i, pair in enumerate(pairs)]
+                if min(map(min, corners)) < self.least:
+                    raise InputError(f"has corners below 0: its {self.corners} count from the middle of the image")
+                family = str(tag.get(self.family, "")).upper().removesuffix("C")  # such as 36H11C
+                yield SeenTag(camera, time, int(number), corners, family)
 
 
 def read_detections(path: Any, topic: Any = None) -> DetectedTags:
@@ -162,7 +196,8 @@ def read_detections(path: Any, topic: Any = None) -> DetectedTags:
     return found
 
 
-def _read_csv(file: File) -> DetectedTags:
+def read_csv(file: File) -> DetectedTags:
+    """Detections of a table, see `read_detections`."""
     table = read_table(file.path, name=file.argument)
     time, camera = (next((known for known in known_as if known in table), "") for known_as in (TIMES, CAMERAS))
     values = table.numbers(("id", *CORNER_COLUMNS), None)
@@ -172,9 +207,8 @@ def _read_csv(file: File) -> DetectedTags:
         raise InputError(f"{line}: id is {text!r}, not a whole number from 0.", file.argument)
     corners = values[:, 1:9].reshape(-1, 4, 2) + PIXEL_CENTRE
     cameras = table.texts[camera] if camera else [""] * len(values)
-    family = next(
-        (table.texts[key] for key in table.texts if standard(key, TAGS) == (FAMILY, None)), [""] * len(values)
-    )
+    nameless = [""] * len(values)
+    family = next((table.texts[key] for key in table.texts if standard(key, TAGS) == (FAMILY, None)), nameless)
     rows = zip(cameras, table.texts[time], values[:, 0].astype(np.int64), corners, family, strict=True)
     return _detections(file, [SeenTag(*row) for row in rows])
 
@@ -219,56 +253,8 @@ def _results(documents: Any, key: str, camera: str = "", depth: int = DEEPEST) -
             yield from _results(inner, key, camera, depth - (depth < DEEPEST))
 
 
-def _seen_by(program: Program, documents: list[Any]) -> Iterator[SeenTag]:
-    """Tags with corners in the results of a program, with the times of capture."""
-    for camera, result in _results(documents, program.tags):
-        metadata = result.get("metadata")
-        keys = {**result, **({f"metadata.{key}": value for key, value in metadata.items()} if metadata else {})}
-        name = next((name for name in program.times if name in keys and real(name, keys[name]) >= 0.0), "")
-        if not name:
-            raise InputError(f"has a result without {' or '.join(program.times)}, so its time is not known")
-        written = keys[name] if isinstance(keys[name], int) else repr(real(name, keys[name]))
-        time = f"{Decimal(written) / program.times[name]:f}"  # exact to the last digit for whole numbers
-        for tag in result[program.tags]:
-            number, given = tag.get(program.number, -1), tag.get(program.corners)
-            if number == -1 or not given:
-                continue  # a shape, an object, or a tag without corners
-            if real(program.number, number, low=0.0) != int(number):
-                raise InputError(f"has the {program.number} {number!r}, which is not a whole number")
-            if not isinstance(given, list) or len(given) != 4:
-                raise InputError(f"must have four corners in {program.corners}, got {given!r}"[: 2 * SHOWN])
-            pairs = ([corner["x"], corner["y"]] if isinstance(corner, Mapping) else corner for corner in given)
-            corners = [vector(f"{program.corners}[{i}]", pair, 2) for i, pair in enumerate(pairs)]
-            if min(map(min, corners)) < program.least:
-                raise InputError(f"has corners below 0: its {program.corners} count from the middle of the image")
-            family = str(tag.get(program.family, "")).upper().removesuffix("C")  # such as 36H11C
-            yield SeenTag(camera, time, int(number), corners, family)
-
-
-def _from_json(program: Program) -> Format:
-    """Format of a program's JSON."""
-
-    def read_json(file: DetectionsFile) -> DetectedTags:
-        where = f"{file.argument}: {str(file.path)!r}"
-        try:
-            seen = list(_seen_by(program, file.documents))
-        except InputError as error:
-            raise InputError(f"{where} {error}.".replace("..", "."), file.argument) from None
-        except KeyError as error:
-            raise InputError(f"{where} lacks the key {str(error)[:SHOWN]}.", file.argument) from None
-        except (IndexError, TypeError, ValueError, AttributeError, ArithmeticError):
-            raise InputError(f"{where} has a value of another kind than its program writes.", file.argument) from None
-        if not seen:
-            how = f"let the pipeline send {program.corners}"
-            raise InputError(f"{where} has no detection of a tag with corners: {how}.", file.argument)
-        return _detections(file, seen)
-
-    recognises: Callable[[Any], bool] = lambda file: any(True for _ in _results(file.documents, program.tags))  # noqa: E731
-    return Format("detections", program.name, recognises, read_json, row=program.row)
-
-
-def _read_bag(file: File) -> DetectedTags:
-    """Detections in a bag: of the `topic` that is asked for, of a list of the topics of several cameras, or of all."""
+def read_bag(file: File) -> DetectedTags:
+    """Detections in a bag, of the `topic` that is asked for, of a list of topics of several cameras, or of all."""
     bag, topic, seen, images = Bag(file.path, file.argument), file.asked.get("topic"), list[SeenTag](), []
     found = bag.topics_of(DETECTIONS) if topic is None else [topic] if isinstance(topic, str) else list(topic)
     topics = bag.chosen(topic, DETECTIONS, count=max(len(found), 1))
@@ -353,43 +339,3 @@ def _with_images(detected: DetectedTags, images: Sequence[tuple[str, str]]) -> D
         taken[place[time_of(text)], camera] = True
     frame = np.array([place[time_of(text)] for text in detected.times])[detected.frame]
     return replace(detected, times=tuple(times), frame=frame, taken=taken)
-
-
-def _lacking(file: DetectionsFile) -> str:
-    if not file.lines:
-        return "is empty"
-    if len(file.lacks) > MOST_LACKING:
-        return f"has no such columns in its first line, {file.first.strip()[:SHOWN]!r}"
-    return f"lacks the column{'s' * (len(file.lacks) > 1)} {', '.join(file.lacks)}"
-
-
-FORMATS = (
-    Format(
-        "detections",
-        "ROS 2",
-        lambda file: is_bag(file.path),
-        _read_bag,
-        row="bag of ROS 2 (MCAP, `.db3`, a folder) | a topic of `apriltag_msgs/AprilTagDetectionArray`, or one for "
-        "each camera of a rig; images without a tag count",
-    ),
-    Format(
-        "detections",
-        "table",
-        # A file with semicolons is refused by the reader of tables.
-        lambda file: not file.lacks or (len(file.header) == 1 and ";" in file.first),
-        _read_csv,
-        row="table (CSV) | a row for each tag, with `time` (`stamp`, `image`), `id`, `x0,y0,...,x3,y3`, and `camera` "
-        "(`topic`) of a rig",
-    ),
-    *map(_from_json, PROGRAMS),
-    Format(
-        "detections", "other JSON", lambda file: bool(file.documents), why_not="is JSON without targets or Fiducial"
-    ),
-    Format(
-        "detections",
-        "a row for each corner",
-        lambda file: {"corner", "x", "y"} <= set(file.header),
-        why_not="has a row for each corner",
-    ),
-    Format("detections", "another file", anything, why_not=_lacking),
-)

@@ -17,7 +17,7 @@ from lmd.core.checks import FloatArray, InputError, IntArray, bounded, choice, f
 from lmd.core.files import read_bytes
 from lmd.core.optional import optional
 from lmd.formats.gltf import check_gltf
-from lmd.formats.registry import Format, anything, ends, read
+from lmd.formats.registry import read
 from lmd.formats.trees import File
 from lmd.space.mesh import Mesh
 from lmd.space.mesh_room import MeshRoom
@@ -40,23 +40,6 @@ MOST_TRIANGLES = 5_000_000
 MOST_CORNERS, MOST_PARTS = 2000, 30_000
 _CORNER = re.compile(r"(-?\d+)")
 _PLY_FACES = re.compile(rb"^element\s+face\s+(\d+)\s*$", re.MULTILINE)
-OUTLINE = "take the corners of the floor from it, in metres, as the outline of a floor plan (docs/rooms.md)"
-# Files that are refused, with advice on a supported format, by the endings of their names.
-REFUSED = {
-    ".dxf": "the room floor_plan is read from a drawing",
-    ".dwg": "save it as DXF, from which the room floor_plan is read",
-    ".svg .pdf .png .jpg .jpeg .geojson .topojson": f"{OUTLINE}; its own units are none",
-    ".pgm .yaml .yml": "the room occupancy_grid is read from map.yaml",
-    ".ifc .ifczip": "`IfcConvert plan.ifc plan.obj` of IfcOpenShell makes an .obj",
-    ".usdz .usd .usda .usdc .dae .fbx .3ds .blend .x3d .wrl .3mf .off": "export .glb from Blender, which imports it",
-    ".skp .rvt .max .3dm": "export .glb, .obj or .stl from the program that made it",
-    ".stp .step .igs .iges .fcstd": "export .obj or .stl from FreeCAD",
-    ".las .laz .e57 .pcd .pts .ptx .xyz": "make a mesh of the points in MeshLab or CloudCompare, and flatten its walls",
-    ".sh3d": "export the 3D view of Sweet Home 3D to OBJ, in centimetres: a scale of 0.01",
-    ".world .sdf .urdf": "name the mesh that it places, or export it as .glb",
-    ".json": "save the model of a phone or a headset as .glb (in Blender from RoomPlan's .usdz), a home of "
-    f"Sweet Home 3D as OBJ, a glTF as .gltf, or {OUTLINE}",
-}
 
 
 class RoomFile(File):
@@ -69,8 +52,7 @@ class RoomFile(File):
 
     def refused(self, reason: str) -> InputError:
         """Error about a refused room; the message lists the supported suffixes."""
-        known = f"path = {str(self.path)!r} must end in one of {', '.join(SUFFIXES)}"
-        return InputError(f"{known}; {reason}." if reason else f"{known} (docs/rooms.md).", "path")
+        return InputError(f"path = {str(self.path)!r} must end in one of {', '.join(SUFFIXES)}; {reason}.", "path")
 
 
 def read_mesh(path: str | Path | None, scale: float = 1.0, up: str | None = None) -> Mesh:
@@ -256,16 +238,3 @@ def _check_ply(name: str, content: bytes, triangles: int) -> None:
             "Blender, `Triangulated Mesh`), or an .obj, whose faces are cut as they are outlined.",
             "path",
         )
-
-
-FORMATS = (
-    Format(
-        "room",
-        "triangles",
-        ends(*SUFFIXES),
-        triangles,
-        row="glTF (`.gltf`, `.glb`), OBJ, STL, PLY | modelling programs, scans of phones",
-    ),
-    *(Format("room", "of another program", ends(*names.split()), why_not=way) for names, way in REFUSED.items()),
-    Format("room", "another file", anything),
-)

@@ -8,9 +8,7 @@ import numpy as np
 from typing_extensions import override
 
 from lmd.core.checks import InputError, check_fields, file_path, real, vector
-from lmd.formats.dxf import read_drawing
-from lmd.formats.free_region import read_map
-from lmd.formats.registry import Format, anything, ends, read
+from lmd.formats.registry import read
 from lmd.formats.trees import File
 from lmd.formats.wall_lines import ReadPlan
 from lmd.space.parts import check_metres
@@ -137,22 +135,3 @@ def _walls(found: ReadPlan, height: float, margin: float, least_width: float) ->
                 left = [start, stop] if i else [length - stop, length - start]
                 parts.append({"surface": name, "from_left": left, "from_below": [0.0, height], "name": label})
     return walls, parts
-
-
-FORMATS = (
-    Format("floor plan", "DXF", ends(".dxf"), read_drawing, row="DXF (`.dxf`) | AutoCAD, LibreCAD, QCAD, FreeCAD"),
-    Format(
-        "floor plan",
-        "occupancy grid",
-        lambda file: ends(".yaml", ".yml")(file) and bool({"image", "resolution", "origin"} & file.keys.keys()),
-        read_map,
-        row="`map.yaml` with PGM, PNG or BMP | nav2, slam_toolbox, Cartographer, gmapping",
-    ),
-    Format(
-        "floor plan",
-        "another file",
-        anything,
-        why_not="a floor plan is a .dxf (save a .dwg as one), or a .yaml of nav2 with image, resolution and origin, "
-        "which a picture alone lacks; the room mesh is read from a model (docs/rooms.md)",
-    ),
-)

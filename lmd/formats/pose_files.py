@@ -11,7 +11,7 @@ import numpy as np
 from lmd.core.checks import BoolArray, FloatArray, InputError, radians, real, seconds
 from lmd.core.tables import COMMENT, Table, is_number
 from lmd.formats.columns import EULER, OWN_ANGLES, POSES, POSITION, QUATERNION, TIME, Lines, Named, named
-from lmd.formats.registry import Format, anything, begins, read
+from lmd.formats.registry import read
 from lmd.formats.trees import File
 from lmd.geometry.frames import roll_pitch_yaw
 from lmd.geometry.se3 import are_rotations, camera_pose, inverse, nearest_rotations, pose_of, poses_from_rows
@@ -32,19 +32,6 @@ _NUMBER = r"[-+]?(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][-+]?\d+)?"
 # Line of an image of COLMAP: IMAGE_ID, quaternion with w first, translation, CAMERA_ID, NAME; a line of 2-D points has
 # only numbers.
 _IMAGE = re.compile(rf"\s*(\d+)((?:\s+{_NUMBER}){{7}})\s+(\d+)\s+(?!{_NUMBER}(?:\s|$))(\S(?:.*\S)?)\s*")
-AS_TEXT = "write a line per pose, time x y z qx qy qz qw, seconds and metres, from the camera to the world"
-# Refused formats: pattern in the first lines, the format, and advice.
-UNREAD = (
-    (
-        r"^#\s*kapture format|^#?\s*timestamp,\s*device_id,\s*qw",
-        "a trajectory of kapture, world to camera, of several devices: export it to COLMAP "
-        "(kapture_export_colmap.py), whose images.txt is read",
-    ),
-    (r"\A\s*(VERTEX|EDGE)_", f"a pose graph of g2o, which has no times: {AS_TEXT}"),
-    (r"^header:\s*$", "a message that ROS prints as YAML: record it as CSV, by ros2 topic echo --csv TOPIC"),
-    (r"\A\s*[{\[]", f"JSON, and poses are read from text or CSV: {AS_TEXT}"),
-    (r"\A\s*(<|NVM_V3)", f"a model or XML: COLMAP's images.txt is read, or {AS_TEXT}"),
-)
 
 
 @dataclass(frozen=True)
@@ -357,38 +344,3 @@ def of_images(file: File) -> Rows:
 def _in_words(name: str) -> list[tuple[int, str]]:
     """Sort key for names with numbers: img9 before img10."""
     return [(int(part), "") if part.isdigit() else (-1, part) for part in re.split(r"(\d{1,18})", name)]
-
-
-FORMATS = (
-    *(Format("trajectory", "of another program", begins(mark), why_not=f"it is {told}") for mark, told in UNREAD),
-    Format(
-        "trajectory",
-        "COLMAP",
-        lambda file: bool(images_of(file)),
-        of_images,
-        row=(
-            "COLMAP's `images.txt` | world to camera, which is inverted; in the order of the image numbers, with "
-            "`times` or `rate` (numbers a second, so that an image that is missing leaves a gap)"
-        ),
-    ),
-    Format(
-        "trajectory",
-        "table",
-        anything,
-        of_table,
-        row=(
-            "table with quaternions | a header with `time,x,y,z,qx,qy,qz,qw` in any order, or what others call them: "
-            "ROS (`%time`, `field.pose.pose.position.x`, ...), EuRoC, OKVIS, NavVis\n"
-            "table with ROS's angles | `time,x,y,z,roll,pitch,yaw` of a body: x ahead, y left, z up, yaw "
-            "counter-clockwise from x; with `frame=body` in any order, and without `roll`\n"
-            "table with a camera's angles | `time,x,y,z,yaw_from_y,pitch_up`, and `roll_left` if you like: yaw "
-            "clockwise from the y axis of the room, a positive pitch looks up. `time,x,y,z,yaw,pitch` is read like it\n"
-            "RTAB-Map's, with `id` | rows with a negative `id` or a stamp of 0 are landmarks and left out\n"
-            "KITTI's poses | 12 numbers, a 3 x 4 matrix by rows; `times=times.txt` has the time of each line, or "
-            "`rate=10` a second\n"
-            "`ros2 topic echo --csv` | of `Odometry`, `PoseStamped`, `PoseWithCovarianceStamped`, `TransformStamped`\n"
-            "TUM's format | no header; `time tx ty tz qx qy qz qw` with spaces between\n"
-            "values without names | `columns=euroc` (nanoseconds, `qw` first; VINS's too), `tum`, `rtabmap`, or names"
-        ),
-    ),
-)

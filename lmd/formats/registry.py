@@ -29,14 +29,18 @@ ADDED = "LMD_FORMATS"  # environment variable with folders of rows of the user
 # Table of each family, or module whose `FORMATS` are tried in their order; the last format accepts every file.
 FAMILIES = {
     "calibration": "tables/calibration.yaml",
-    "trajectory": "lmd.formats.pose_files",
+    "trajectory": "tables/trajectory.yaml",
     "tag map": "tables/tag_map.yaml",
-    "room": "lmd.formats.meshes",
-    "floor plan": "lmd.formats.plans",
-    "detections": "lmd.formats.detection_formats",
+    "room": "tables/room.yaml",
+    "floor plan": "tables/floor_plan.yaml",
+    "detections": "tables/detections.yaml",
 }
 # Class of each family whose fields describe how a keyed file is read, see `described`.
-KEYED = {"calibration": "lmd.formats.keyed_cameras.KeyedCameras", "tag map": "lmd.formats.keyed_tags.KeyedTags"}
+KEYED = {
+    "calibration": "lmd.formats.keyed_cameras.KeyedCameras",
+    "tag map": "lmd.formats.keyed_tags.KeyedTags",
+    "detections": "lmd.formats.detection_formats.KeyedDetections",
+}
 HEAD = 2000  # number of characters that `begins` searches
 CALL = re.compile(r"(?P<module>[\w.]+)\.(?P<name>\w+)\((?P<arguments>[\w, ]*)\)")
 
@@ -227,6 +231,10 @@ def _tests(row: dict[str, Any]) -> list[Callable[[Any], bool]]:
     tests: list[Callable[[Any], bool]] = [anything] if row.pop("any", False) else []
     if call := row.pop("when", None):
         tests.append(function_of(call))
+    if endings := row.pop("ends", None):
+        tests.append(ends(*endings.split()))
+    if pattern := row.pop("head", None):
+        tests.append(begins(pattern))
     if pattern := row.pop("text", None):
         whole = re.compile(pattern, re.MULTILINE)
         tests.append(lambda file: whole.search(file.text) is not None)
