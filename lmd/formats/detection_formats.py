@@ -21,6 +21,7 @@ import numpy as np
 
 from lmd.core.checks import InputError, printable, real, vector
 from lmd.core.tables import in_order, read_table, time_of, write_table
+from lmd.core.words import few
 from lmd.formats.bags import DETECTIONS, Bag
 from lmd.formats.columns import FAMILY, TAGS, standard
 from lmd.formats.detections import DetectedTags, signed_area
@@ -93,10 +94,8 @@ class DetectionsFile(File):
 
     def refused(self, reason: str) -> InputError:
         """Error about a file that is no table of detections; `LACKS` in the reason stands for the missing columns."""
-        lacks = f"lacks the column{'s' * (len(self.lacks) > 1)} {', '.join(self.lacks)}"
-        if len(self.lacks) > MOST_LACKING:
-            first = self.first.strip()[:SHOWN]
-            lacks = f"has no such columns in its first line, {first!r}" if first else "is empty"
+        lacks = f"lacks {few(self.lacks, MOST_LACKING)} in its first line, {self.first.strip()[:SHOWN]!r}"
+        lacks = lacks if self.first else "is empty"
         return InputError(f"{self.argument}: {str(self.path)!r} {reason.replace('LACKS', lacks)}.", self.argument)
 
 

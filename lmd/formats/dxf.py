@@ -89,9 +89,6 @@ def _lines(file: File) -> Drawing:
     named = file.asked["layers"] is not None or any(map(WALL.search, layers))  # else any other layer might be of walls
     unseen = Counter({key: n for key, n in hidden.items() if key in layers or not named or WALL.search(key)})
     note += f", without {NOT_SHOWN}: {_counted(unseen)}" if unseen else ""
-    plotted = [name not in document.layers or document.layers.get(name).dxf.get("plot", 1) for name in sorted(layers)]
-    unplotted = [name for name, is_plotted in zip(sorted(layers), plotted, strict=True) if not is_plotted]
-    note += f"; a CAD program shows {', '.join(unplotted)}, and does not plot it" if unplotted else ""
     walls, windows = (shapely.MultiLineString(lines) for lines in paths.values())
     return Drawing(walls, windows, boxes, unit, note)
 
