@@ -96,6 +96,12 @@ class Layout(NamedTuple):
 
 
 LAYOUTS = tuple(Layout(**row)._replace(columns=tuple(row["columns"].split())) for row in _TABLE["layouts"])
+# Lists of tags: keys of a list, keys of a tag's number or name, and columns of lists of numbers by their keys.
+LISTS: list[str] = _TABLE["lists"].split()
+IDS: list[str] = _TABLE["ids"].split()
+PARTS: dict[str, tuple[str, ...]] = {
+    key: tuple(names.split()) for names, keys in _TABLE["parts"].items() for key in keys.split()
+}
 # Columns that refusals suggest.
 PLAIN = {of: [tuple(names.split()) for names in listed] for of, listed in _TABLE["suggested"].items()}
 

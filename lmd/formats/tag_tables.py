@@ -19,8 +19,11 @@ from lmd.core.words import few
 from lmd.formats.columns import (
     EULER,
     FAMILY,
+    IDS,
     LAYOUTS,
+    LISTS,
     NORMAL,
+    PARTS,
     POSITION,
     QUATERNION,
     TAGS,
@@ -55,20 +58,6 @@ PRIORS = re.compile(r"^[ \t]*Marker[\\/]Priors\s*=(.*)$", re.MULTILINE)
 SETTING = r"^[ \t]*Marker[\\/]{}\s*=\s*\"?(\S+?)\"?\s*$"  # line of RTAB-Map's configuration
 NAMELESS = re.compile(r"(?:unnamed:[_ ]?\d+)?", re.I)  # column of pandas that may have the numbers of lines
 LIMELIGHT, PYTAGMAPPER = "fiducials", "tag_locations"  # lists that other formats have, too
-LISTS = ("landmarks", "markers", "tags", "apriltags", "aruco_markers", PYTAGMAPPER, LIMELIGHT)
-IDS = ("id", "tag_id", "marker_id", "aruco_id", "apriltag_id", "number", "tag", "marker", "name", "frame_id")
-# Columns of lists of numbers, by the key of the list.
-PARTS = {
-    **dict.fromkeys(("position", "position_m", "translation", "xyz", "pos", "location"), POSITION),
-    **dict.fromkeys(("translation_vector", "tvec"), POSITION),
-    **dict.fromkeys(("orientation", "rotation", "rpy", "orientation_rpy", "rotation_rpy", "euler", "angles"), EULER),
-    **dict.fromkeys(("rotation_vector", "rvec", "rodrigues"), VECTOR),
-    **{
-        f"{name}_{order}": tuple(f"q{axis}" for axis in order)
-        for name in ("quaternion", "orientation", "rotation", "q")
-        for order in ("xyzw", "wxyz")
-    },
-}
 
 
 def read_tag_text(file: File) -> Found:
