@@ -7,8 +7,8 @@ import numpy as np
 
 from lmd.core.checks import BoolArray, FloatArray, InputError, IntArray, bounded
 from lmd.formats.occupancy_grid import OccupancyGrid, read_occupancy_grid
+from lmd.formats.registry import read
 from lmd.formats.trees import File
-from lmd.formats.wall_lines import ReadPlan, Stretch
 from lmd.space.polygon import edges
 
 NO_WALL = "no wall"
@@ -50,18 +50,15 @@ def read_map(file: File) -> ReadPlan:
     grid, tolerance = read_occupancy_grid(file.path), file.asked["tolerance"]
     speck, passage = (file.asked[name] / grid.resolution for name in ("speck", "passage"))
     region = free_region(grid, tolerance / grid.resolution, speck, passage, file.asked["start"])
-    holes = [np.array(ring.coords[:0:-1]) for ring in region.polygon.interiors]
-    rings = [np.array(region.polygon.exterior.coords[:-1]), *holes]
     most, shortest = tolerance / grid.resolution + 1.5, SHORTEST_GAP_M / grid.resolution
-    stretches = [
-        Stretch(i, j, grid.resolution * start, grid.resolution * stop, NO_WALL)
-        for i, ring in enumerate(rings)
-        for j, edge in enumerate(edges(ring))
-        for start, stop in _gaps(edge, region.to_wall, most, shortest)
-    ]
-    told = "; ".join(filter(None, [grid.note, region.note]))
-    note = f"{file.path}: {told}" if told else ""
-    return ReadPlan([grid.in_map(ring) for ring in rings], stretches, f"resolution = {grid.resolution:g}", note)
+
+    def gaps(edge: FloatArray) -> list[tuple[float, float, str]]:
+        found = _gaps(edge, region.to_wall, most, shortest)
+        return [(grid.resolution * start, grid.resolution * stop, NO_WALL) for start, stop in found]
+
+    scale = f"resolution = {grid.resolution:g}"
+    found = ReadPlan.of(file, region.polygon, gaps, scale, grid.note, region.note)
+    return found._replace(rings=[grid.in_map(ring) for ring in found.rings])
 
 
 def free_region(

@@ -1,6 +1,6 @@
 """Room enclosed by the lines of walls in a drawing."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -53,6 +53,26 @@ class ReadPlan(NamedTuple):
     note: str = ""
     """Remark on omitted or ambiguous parts, a sentence; empty without a remark."""
 
+    @classmethod
+    def of(
+        cls, file: File, polygon: Any, openings: Callable[[FloatArray], Iterable[Any]], scale: str, *clauses: str
+    ) -> "ReadPlan":
+        """Floor plan of a polygon of shapely with its holes.
+
+        Args:
+            file: file of the plan.
+            polygon: outline and holes.
+            openings: function of an edge `(2, 2)` that returns start, end and name of its parts where nothing hangs.
+            scale, clauses: see the class; clauses of the note, which may be empty.
+        """
+        rings = [
+            np.array(ring.coords[:-1]) for ring in (polygon.exterior, *(hole.reverse() for hole in polygon.interiors))
+        ]
+        each = ((i, j, edge) for i, ring in enumerate(rings) for j, edge in enumerate(edges(ring)))
+        stretches = [Stretch(i, j, *span) for i, j, edge in each for span in openings(edge)]
+        note = "; ".join(filter(None, clauses))
+        return cls(rings, stretches, scale, f"{file.path}: {note}" if note else "")
+
 
 class Drawing(NamedTuple):
     """Lines of a drawing, metres."""
@@ -91,16 +111,9 @@ def plan_of(file: File, drawing: Drawing) -> ReadPlan:
     room = room.difference(partitions.buffer(PARTITION_M, cap_style="square", join_style="mitre"))
     room = max(shapely.get_parts(room), key=lambda part: float(part.area))
     room = shapely.orient_polygons(shapely.simplify(room, 4.0 * LINE_M))
-    rings = [np.array(room.exterior.coords[:-1]), *(np.array(ring.coords[:0:-1]) for ring in room.interiors)]
     near = drawing.walls.buffer(NEAR_M)
-    stretches = [
-        Stretch(i, j, *span)
-        for i, ring in enumerate(rings)
-        for j, edge in enumerate(edges(ring))
-        for span in _openings(edge, near, drawing.boxes)
-    ]
-    note = "; ".join(filter(None, [drawing.note, others]))
-    return ReadPlan(rings, stretches, f"unit = {drawing.unit}", f"{file.path}: {note}" if note else "")
+    unit = f"unit = {drawing.unit}"
+    return ReadPlan.of(file, room, lambda edge: _openings(edge, near, drawing.boxes), unit, drawing.note, others)
 
 
 def _check_lines(source: str, drawing: Drawing) -> None:
