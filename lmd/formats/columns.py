@@ -242,7 +242,7 @@ def named(
         if (len(row) != lines.width and not (layout.ragged or layout.least)) or not layout.takes(len(row)):
             said = f"{path} line {number} has {len(row)} values, and the columns are"
             raise InputError(f"{said} {','.join(layout.columns)[:SHOWN]}.")
-        rows.append((number, [*row[:count], *["0"] * (count - len(row))]))
+        rows.append((number, row if len(row) == count else [*row[:count], *["0"] * (count - len(row))]))
     return standardised(Table.of(path, layout.columns, rows), of, layout)
 
 

@@ -220,9 +220,11 @@ def _detections(file: File, seen: Sequence[SeenTag]) -> DetectedTags:
         InputError: no tag has an area, or the tags have several families.
     """
     # Nanoseconds since 1970 have more digits than a float, so frames are distinguished by the text.
-    moments = _as_first_written([printable(tag.time) for tag in seen])
-    names = sorted({printable(tag.camera) for tag in seen})
-    cameras = np.searchsorted(names, [printable(tag.camera) for tag in seen])
+    texts = {text for tag in seen for text in (tag.time, tag.camera)}
+    shown = {text: printable(text) for text in texts}
+    moments = _as_first_written([shown[tag.time] for tag in seen])
+    names = sorted({shown[tag.camera] for tag in seen})
+    cameras = np.searchsorted(names, [shown[tag.camera] for tag in seen])
     ids, corners = np.array([tag.number for tag in seen], dtype=np.int64), np.array([tag.corners for tag in seen])
     if 2 * (signed_area(corners) < 0.0).sum() > len(corners):
         corners = corners[:, FROM_APRILTAG]
