@@ -7,8 +7,8 @@ import numpy as np
 
 from lmd.core.checks import BoolArray, FloatArray, InputError, IntArray, bounded
 from lmd.formats.occupancy_grid import OccupancyGrid, read_occupancy_grid
-from lmd.formats.registry import read
 from lmd.formats.trees import File
+from lmd.formats.wall_lines import ReadPlan
 from lmd.space.polygon import edges
 
 NO_WALL = "no wall"
