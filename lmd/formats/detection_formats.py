@@ -126,7 +126,7 @@ class KeyedDetections:
     """Key of a tag's four corners: pairs, or mappings with x and y."""
     times: Mapping[str, int]
     """Keys of the time, in the order in which they are tried, and their units in a second."""
-    family: str = ""
+    tag_family: str = ""
     """Key of a tag's family; empty if it has none."""
     least: float = -np.inf
     """Least coordinate of a corner; others count from the middle of the image, and are refused."""
@@ -173,7 +173,7 @@ class KeyedDetections:
                 corners = [vector(f"{self.corners}[{i}]", pair, 2) for i, pair in enumerate(pairs)]
                 if min(map(min, corners)) < self.least:
                     raise InputError(f"has corners below 0: its {self.corners} count from the middle of the image")
-                family = str(tag.get(self.family, "")).upper().removesuffix("C")  # such as 36H11C
+                family = str(tag.get(self.tag_family, "")).upper().removesuffix("C")  # such as 36H11C
                 yield SeenTag(camera, time, int(number), corners, family)
 
 
