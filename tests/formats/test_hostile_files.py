@@ -3,9 +3,11 @@
 import json
 import signal
 from contextlib import contextmanager
+from pathlib import Path
 
 import ezdxf
 import pytest
+import yaml
 from format_samples import READERS
 from occupancy_maps import KEYS
 
@@ -13,19 +15,7 @@ from lmd.core.checks import InputError
 from lmd.space.crowd import Crowd
 
 LONG, SECONDS = 200_000, 20.0  # characters, and processor time that quadratic work exceeds many times
-HEADS = {
-    "calibration": ("", "{", "Calibration results\n"),
-    "trajectory": ("", "# t x y z ", "1 "),
-    "tag map": ("", "{", '{"a":', "<sdf>", "# id x y z ", "1 "),
-    "detections": ("", "{", "id,"),
-}
-UNITS = (" ", "\n", "1", "1 ", "a,", "a ", "[", "(", '"\\', "/**/", "/*", "<!--", "<way>", "quat", "#\n", '{"a":')
-TEXTS = {
-    "calibration": ('Intrinsic of "a" / 1x', "cam0 ():\n type: <a.B'>\n distortion: [\n", "T_1_0: q:[", "[a]\n\n"),
-    "trajectory": ("1 1 1 1 1 1 1 1 ", "# a [", "1 " + "1" * 999 + " "),
-    "tag map": ("Marker/Priors", "TAGS = [\n", "<model>", "# a ["),
-    "detections": ('[{"targets":', "time,"),
-}
+RUNS = yaml.safe_load(Path(__file__).with_name("files").joinpath("refused.yaml").read_text(encoding="utf-8"))["long"]
 
 
 @contextmanager
@@ -52,11 +42,11 @@ def refused(family, path, words=""):
     assert "\n" not in str(error.value)
 
 
-@pytest.mark.parametrize("family", TEXTS)
+@pytest.mark.parametrize("family", RUNS["heads"])
 def test_long_runs_of_characters_take_linear_time(family, tmp_path):
     path = tmp_path / "file"
-    for head in HEADS[family]:
-        for unit in (*UNITS, *TEXTS[family]):
+    for head in RUNS["heads"][family]:
+        for unit in (*RUNS["units"], *RUNS["texts"][family], "1 " + "1" * 999 + " "):
             path.write_text(head + unit * (LONG // len(unit)) + "!")
             refused(family, path)
 

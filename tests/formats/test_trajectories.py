@@ -137,26 +137,11 @@ def test_what_is_no_text_names_its_kind(tmp_path, content, message):
         poses_of(str(tmp_path / "drive"))
 
 
-def test_a_calibration_without_extrinsics_or_with_several_cameras_is_refused(write):
-    two = {f"cam{i}": {"T_cam_imu": np.eye(4).tolist()} for i in range(2)}
-    for content, name, message in (
-        ({"image_width": 640}, None, "has no T_cam_imu"),
-        (two, None, "has cam0, cam1: name one, as in {path: .*, name: cam0}"),
-        (two, "cam7", "has no camera 'cam7', only cam0, cam1"),
-        ({"cam0": {"T_cam_imu": [1, 2]}}, None, "the pose of the camera cannot be read"),
-        ({"cam0": {"T_cam_imu": (2 * np.eye(4)).tolist()}}, None, "its matrix is no rigid motion"),
-        ({"T_imu_cam": [{"px": 1}]}, None, "the pose of the camera cannot be read"),
-        ({"T_imu_cam": ["x"]}, None, "the pose of the camera cannot be read .its matrix must be a list of 16 numbers"),
-        (
-            {"T_imu_cam": [dict.fromkeys(("px", "py", "pz", "qx", "qy", "qz", "qw"), 10**400)]},
-            None,
-            "px must be finite",
-        ),
-        ({"T_BS": {"data": [10**400] * 16}}, None, r"its matrix\[0\] must be finite"),
-    ):
-        mount = {"path": write(json.dumps(content), "mount.json"), "name": name}
-        with pytest.raises(InputError, match=f"^mount: .*{message}"):
-            poses_of(write(TUM), mount=mount)
+@pytest.mark.parametrize("row", REFUSED["mount"], ids=lambda row: row["words"])
+def test_a_calibration_without_extrinsics_or_with_several_cameras_is_refused(write, row):
+    mount = {"path": write(json.dumps(row["keys"]), "mount.json"), "name": row.get("name")}
+    with pytest.raises(InputError, match=f"^mount: .*{row['words']}"):
+        poses_of(write(TUM), mount=mount)
 
 
 def test_a_recording_in_another_frame_says_how_far_it_is_outside(write):
