@@ -36,7 +36,8 @@ SHOWN = 200  # greatest number of characters of a line that a message shows
 _BRACKETS = re.compile(r"[\[(]([^\[(\])]*)[\])]$")
 # Names of a quaternion with w first: qw qx qy qz, (w, x, y, z), wxyz, w i j k.
 _W_FIRST = re.compile(r"(?<![a-z])q?_?w[\W_]*q?_?x[\W_]*q?_?y[\W_]*q?_?z|(?<![a-z])w[\W_]+i[\W_]+j[\W_]+k(?![a-z])")
-_TABLE = yaml.safe_load(Path(__file__).with_name("tables").joinpath("columns.yaml").read_text(encoding="utf-8"))
+_TEXT = Path(__file__).with_name("tables").joinpath("columns.yaml").read_text(encoding="utf-8")
+_TABLE = yaml.load(_TEXT, getattr(yaml, "CSafeLoader", yaml.SafeLoader))
 
 
 class Quantity(NamedTuple):

@@ -26,15 +26,8 @@ from lmd.scene.families import FAMILIES as TAG_FAMILIES
 
 GROUP = "lmd.formats"
 ADDED = "LMD_FORMATS"  # environment variable with folders of rows of the user
-# Table of each family, or module whose `FORMATS` are tried in their order; the last format accepts every file.
-FAMILIES = {
-    "calibration": "tables/calibration.yaml",
-    "trajectory": "tables/trajectory.yaml",
-    "tag map": "tables/tag_map.yaml",
-    "room": "tables/room.yaml",
-    "floor plan": "tables/floor_plan.yaml",
-    "detections": "tables/detections.yaml",
-}
+# Families, each with a table of formats that are tried in their order; the last format accepts every file.
+FAMILIES = ("calibration", "trajectory", "tag map", "room", "floor plan", "detections")
 # Class of each family whose fields describe how a keyed file is read, see `described`.
 KEYED = {
     "calibration": "lmd.formats.keyed_cameras.KeyedCameras",
@@ -116,7 +109,7 @@ class Format:
     """Name of the output in `formats`; empty for `name`."""
 
     def __post_init__(self) -> None:
-        choice("family", self.family, tuple(FAMILIES))
+        choice("family", self.family, FAMILIES)
 
 
 def begins(mark: str) -> Callable[[File], bool]:
@@ -332,11 +325,8 @@ def read(family: str, file: File) -> Any:
 @cache
 def formats(family: str) -> tuple[Format, ...]:
     """Formats of a family in `lmd`, in the order in which they are tried."""
-    place = FAMILIES[family]
-    if place.endswith(".yaml"):
-        path = Path(__file__).with_name("tables") / Path(place).name
-        return _table(path.read_text(encoding="utf-8"), family, str(path))
-    return tuple(import_module(place).FORMATS)
+    path = Path(__file__).with_name("tables") / f"{family.replace(' ', '_')}.yaml"
+    return _table(path.read_text(encoding="utf-8"), family, str(path))
 
 
 def writers() -> dict[str, Writer]:
