@@ -12,13 +12,13 @@ import weight
 # amount, and raise none.
 BUDGET = {
     "files of lmd": 355,
-    "code lines of lmd": 31074,
+    "code lines of lmd": 30915,
     "files of pipelines": 68,
     "code lines of pipelines": 5517,
-    "code lines of tests": 26746,
+    "code lines of tests": 26706,
     "files of conf": 114,
     "keys of conf": 545,
-    "words of docs": 61555,
+    "words of docs": 61412,
     "commands": 20,
 }
 # Docstrings and comments with each phrase, at most. Lower a number when you have lowered the count.
