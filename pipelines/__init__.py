@@ -35,25 +35,7 @@ except KeyboardInterrupt:
 
 
 def compose(command: str, *overrides: str) -> "DictConfig":
-    """Configuration of a command, as its command line composes it, without running the command.
+    """Configuration of a command, see `composing.compose`."""
+    from .composing import compose as composed
 
-    `building.build_problem` and `building.build_optimiser` make objects of it.
-
-    Args:
-        command: name of the command, such as `optimise`.
-        overrides: its overrides, such as `experiment=lab` or `suite=tiny_mean`.
-
-    Raises:
-        ValueError: a frozen problem is refused.
-        hydra.errors.HydraException: Hydra refuses the overrides, or another configuration is being composed.
-    """
-    from hydra import compose as composed
-    from hydra import initialize_config_dir
-
-    from .app import CONF
-    from .frozen import offer_frozen_problems
-    from .overrides import as_hydra_reads
-
-    offer_frozen_problems(command, overrides)
-    with initialize_config_dir(CONF, version_base="1.3"):
-        return composed(command, list(map(as_hydra_reads, overrides)))
+    return composed(command, *overrides)

@@ -22,7 +22,7 @@ IN_CHECKOUT = PACKAGE == "pipelines"
 LOCK = ".lock"  # file in a folder, locked by the process that works there
 GARBAGE = 100_000  # allocations between two garbage collections; with Python's 700 they take a quarter of all imports
 EXPERIMENT = "lmd"  # mlflow experiment of the commands in `SHARING`: they find or score a deployment, or read its runs
-SHARING = ("optimise", "evaluate", "place_cameras", "report", "runs", "sync")
+SHARING = ("optimise", "evaluate", "report", "runs")
 CONF = str(Path(__file__).resolve().parents[1] / "conf")  # beside this package in a checkout and if installed
 
 
@@ -42,7 +42,10 @@ def lmd_help(*, _root_: DictConfig) -> str:
 
 def lmd_experiment(*, _root_: DictConfig) -> str:
     """mlflow experiment of the command that is composed: `EXPERIMENT`, or one of its own such as `lmd compare`."""
-    if "hydra" in _root_:
+    studies = list(_root_.get("studies") or {})
+    if studies and "score" not in studies:
+        name = " ".join(studies)
+    elif "hydra" in _root_:
         name = _root_.hydra.job.name
     else:  # the configuration of a job has no part of Hydra's; composed from Python, there is no job
         name = HydraConfig.get().job.name if HydraConfig.initialized() else SHARING[0]

@@ -2,13 +2,12 @@
 
 import sys
 from collections import Counter
-from copy import deepcopy
 from functools import partial
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from omegaconf import DictConfig, OmegaConf, open_dict
+from omegaconf import DictConfig, OmegaConf
 
-from .crowd import visibility_of
+from .composing import editable
 from .landmarks import divide_paper, fixed_of, others_of, spell_counts, take_sizes, total_of
 from .nodes import instantiate, keyed, note, settings_of
 
@@ -18,6 +17,7 @@ if TYPE_CHECKING:
     from lmd.optimisers.base import Optimiser
     from lmd.optimisers.ledger import Budget
     from lmd.problem import Problem
+    from lmd.scene.criteria import Criteria
     from lmd.scene.deployment import Deployment
     from lmd.scene.deployment_sources import DeploymentSource
     from lmd.scene.pdf import OrientationPdf
@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from lmd.scene.rig import Rig
     from lmd.scene.scene import Scene
     from lmd.scene.tag import Tag
+    from lmd.space.crowd import Crowd
     from lmd.space.space import Space
 
 GROUPS = ("room", "camera", "tag", "visibility", "objective", "encoding", "deployment")  # of every problem
@@ -51,10 +52,10 @@ class Parts(NamedTuple):
 
 
 def build_problem(cfg: DictConfig, count: str = "deployment.count") -> "Problem":
-    """Build the problem of a configuration; derived settings are added to the configuration: sizes, counts, numeric
-    seed.
+    """Build the problem of a configuration.
 
     Args:
+        cfg: the configuration.
         count: key with the number of landmarks, for messages.
 
     Raises:
@@ -78,6 +79,7 @@ def build_parts(cfg: DictConfig, count: str = "deployment.count") -> Parts:
     from lmd.optimisers.encoding import KINDS
 
     _check_settings(cfg)
+    cfg = editable(cfg)  # sizes and counts that files, lists or limits decide are written to it
     spell_counts(cfg.deployment, cfg.tag)
     if "tag" in cfg.visibility:  # a model of tags, not of points
         with keyed("deployment"):
@@ -136,7 +138,7 @@ def _check_settings(cfg: DictConfig) -> None:
         settings_of(cfg, group)
     if "relevance" in cfg.room:
         settings_of(cfg, "room.relevance")
-    cfg.seed = seed_number(cfg.seed)
+    seed_number(cfg.seed)
     if cfg.get("workers") is not None:
         integer("workers", cfg.workers, low=1)
     for switch in SWITCHES:
@@ -199,9 +201,8 @@ def camera_of(node: DictConfig) -> "Camera | Rig":
     """
     from lmd.formats.rigs import brings_cameras, rig_of
 
-    alone = deepcopy(node)
-    with open_dict(alone):
-        alone.pop("rig", None)
+    alone = editable(node)
+    alone.pop("rig", None)
     mounts = mounts_of(node)
     if mounts is None:
         made = instantiate(alone)
@@ -227,6 +228,40 @@ def mounts_of(node: DictConfig) -> Any:
         return read_mounts(plain) if isinstance(plain, str) else plain
 
 
+def visibility_of(node: DictConfig) -> "tuple[Criteria, Crowd | None]":
+    """Build the visibility model and the crowd of the group `visibility`; None without a crowd.
+
+    Raises:
+        InputError: a setting is refused.
+    """
+    import inspect
+
+    from lmd.core.checks import InputError
+    from lmd.space.crowd import Crowd
+
+    alone = editable(node)
+    given = alone.pop("crowd", None)
+    plain = OmegaConf.to_container(given, resolve=True) if OmegaConf.is_config(given) else given
+    criteria = instantiate(alone)
+    if plain is None or plain == 0:
+        return criteria, None
+    settings: dict[str, Any] = plain if isinstance(plain, dict) else {"number": plain}  # type: ignore[assignment]
+    known = tuple(inspect.signature(Crowd).parameters)
+    for key in settings:
+        if key not in known:
+            raise InputError(f"visibility.crowd.{key} is no setting that is known; a crowd has {', '.join(known)}.")
+    with keyed("visibility.crowd"):
+        return criteria, Crowd(**{"number": None, **settings})
+
+
+def refuse_crowd(problem: "Problem", command: str) -> None:
+    """Raise `InputError` if somebody is in the way, which a command ignores."""
+    from lmd.core.checks import InputError
+
+    if problem.scene.crowd is not None:
+        raise InputError(f"{command} does not work with visibility.crowd: leave it out.")
+
+
 def _note_edges(tag: "Tag", deployment: "Deployment") -> None:
     """Print the number of tags with an edge from their file, by edge."""
     own = deployment.edges_of(tag).tolist()
@@ -250,7 +285,7 @@ def _note_outside(room: "Space", tag: "Tag", deployment: "Deployment") -> None:
 
 
 def build_optimiser(cfg: DictConfig, seed: int) -> "Optimiser":
-    """Build the optimiser of a configuration; the encoding in use is written to the configuration.
+    """Build the optimiser of a configuration.
 
     Raises:
         InputError: the object cannot be built, or is no `Optimiser`.
@@ -265,7 +300,7 @@ def build_optimiser(cfg: DictConfig, seed: int) -> "Optimiser":
             "derived from lmd.optimisers.base.Optimiser."
         )
     if isinstance(optimiser, AskTell):
-        cfg.encoding.kind = optimiser.encoding = optimiser.encoding or cfg.encoding.kind  # records the encoding in use
+        optimiser.encoding = optimiser.encoding or cfg.encoding.kind
         optimiser.flush = cfg.encoding.flush
     return optimiser
 

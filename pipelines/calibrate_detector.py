@@ -1,89 +1,99 @@
 """Fit the limits within which a detector finds a tag: `python -m pipelines.calibrate_detector detectors=[aruco]`."""
 
 import sys
-from pathlib import Path
+from collections.abc import Mapping
+from functools import partial
+from typing import TYPE_CHECKING, Any
 
-from hydra.core.config_store import ConfigStore
 from omegaconf import DictConfig
 
-from .app import run_directory
-from .detect import read_number_of_poses, sightings, subject_of
-from .earlier_run import parts_of, read_earlier_run
-from .nodes import instantiate, keyed, settings_of
-from .outputs import write_document
-from .overrides import quoted
-from .pipeline import Pipeline
+from .command import Command
+from .nodes import instantiate, keyed, note, settings_of
+from .sensed import in_batches, rendered
+from .study import Report, Study
 
-SURVEY_KEY, OPTION = "survey=", "survey"
+if TYPE_CHECKING:
+    from lmd.detection.calibration import Fit
+    from lmd.detection.tag_views import TagViews
+
 VIEWS_STREAM = 0x7669657773  # separates the random numbers of views from other uses of the seed
 
 
-def calibrate(cfg: DictConfig) -> None:
-    """Fit limits to each of the configured detectors."""
-    import numpy as np
-
+def calibrate(cfg: DictConfig) -> Study:
+    """Prepare limits of each of the configured detectors."""
     from lmd.core.checks import integer, real, seed_number
     from lmd.core.optional import optional
-    from lmd.detection.board import BoardImages
-    from lmd.detection.calibration import DetectorCalibration, fit, frame_scores, intervals, predicted_in_frames
     from lmd.detection.tag_views import SurveyedViews
-    from lmd.plot.detection_figures import save_limits_figure
-
-    from .tracked_run import keep, tracked
 
     optional("cv2", "detection")
-    seed, count = seed_number(cfg.seed), integer("poses", cfg.frames, low=0)
-    margin, made_of = real("margin", cfg.margin, low=0.0), source_key(cfg)
-    with keyed(made_of, **({"folder": "survey"} if made_of == "survey" else {})):
-        source = SurveyedViews(str(cfg.survey)) if made_of == "survey" else instantiate(cfg[made_of])
-    subject = subject_of(cfg, max(count, 1), seed)
+    seed, count = seed_number(cfg.seed), integer("frames", cfg.frames, low=0)
+    margin, key = real("margin", cfg.margin, low=0.0), _source_key(cfg)
+    with keyed(key, **({"folder": "survey"} if key == "survey" else {})):
+        source = SurveyedViews(str(cfg.survey)) if key == "survey" else instantiate(cfg[key])
+    subject = rendered(cfg, max(count, 1))
     if count:
         subject.problem.scene.single_camera("judging a detector in frames")
-    told, directory, written = subject.prediction.parts[0], run_directory(), []
-    renderer, tag = told.renderer, told.renderer.room.tag
-    with tracked(cfg, f"calibrate_detector {tag.family}") as tracker:
-        fitted, spans = {}, {}
+    told = subject.prediction.parts[0]
+    renderer, family = told.renderer, told.renderer.room.tag.family
+
+    def run(_: object) -> Report:
+        import numpy as np
+
+        from lmd.detection.board import BoardImages
+        from lmd.detection.calibration import DetectorCalibration, fit, frame_scores, intervals, predicted_in_frames
+        from lmd.evaluation.detected import sightings
+        from lmd.plot.detection_figures import save_limits_figure
+
+        fitted, spans = dict[str, tuple[TagViews, Fit]](), {}
         for name, detector in subject.detectors.items():
             rng = np.random.default_rng([seed, VIEWS_STREAM])  # equal views for every detector
-            with keyed(made_of):
-                views = source.views(subject.problem.scene.cameras, tag, detector, renderer.imaging, rng)
+            with keyed(key):
+                views = source.views(subject.problem.scene.cameras, renderer.room.tag, detector, renderer.imaging, rng)
                 fitted[name] = views, fit(views, rng, margin)
             spans[name] = intervals(views, rng, margin) if source.photographs else {}
             if views.seen.all():
-                text = f"warning: {made_of}: {name} finds all of {len(views)} tags, so they tell no limit of it"
+                text = f"warning: {key}: {name} finds all of {len(views)} tags, so they tell no limit of it"
                 print(f"{text}; images are needed in which it misses some", file=sys.stderr)
-        seen = sightings({"room": subject}, seed, cfg.workers)["room"] if count else {}
-        calibrations: dict[str, DetectorCalibration] = {}
         if isinstance(source, BoardImages) and (copies := source.images.repeated):
             copy, first = next(iter(copies.items()))
-            print(f"note: {len(copies)} images are copies and not counted, such as {copy} of {first}", file=sys.stderr)
+            note(f"{len(copies)} images are copies and not counted, such as {copy} of {first}")
+        seen = sightings({"room": subject}, seed, partial(in_batches, cfg.workers))["room"] if count else {}
+        found: dict[str, DetectorCalibration] = {}
         for name, (views, limits) in fitted.items():
             predicted = predicted_in_frames(limits.limits, renderer, told.poses)
             rooms = frame_scores(predicted, seen[name]) if count else {}
-            calibrations[name] = DetectorCalibration(views, limits, rooms, source.photographs, spans[name])
-        for name, calibration in calibrations.items():
-            written.append(directory / f"{tag.family}_{name}.yaml")
-            written[-1].write_text(calibration.preset(name, tag.family, f"views of {made_of}, seed {seed}"))
-        figures = {name: calibration.figures() for name, calibration in calibrations.items()}
+            found[name] = DetectorCalibration(views, limits, rooms, source.photographs, spans[name])
+        about = f"views of {key}, seed {seed}"
+        figures = {name: calibration.figures() for name, calibration in found.items()}
         markdown = limits_markdown(figures)
-        (directory / "calibration.md").write_text(markdown)
-        write_document(directory / "calibration.json", {"seed": seed, "figures": figures})
-        save_limits_figure(directory / "calibration.png", calibrations, f"{tag.family}, views of {made_of}")
-        written += [directory / f"calibration.{kind}" for kind in ("md", "json", "png")]
+        files: dict[str, Any] = {f"{family}_{name}.yaml": each.preset(name, family, about) for name, each in found.items()}
+        files |= {
+            "calibration.md": markdown,
+            "calibration.json": {"seed": seed, "figures": figures},
+            "calibration.png": lambda path: save_limits_figure(path, found, f"{family}, views of {key}"),
+        }
         named = {f"{key}/{name}": value for name, row in figures.items() for key, value in row.items()}
-        keep(tracker, written, {key: value for key, value in named.items() if np.isfinite(value)})
-    for name, (_, limits) in fitted.items():
-        for number, diameter in limits.known_circles.items():
-            print(f"{name} finds nothing beyond camera.image_circle={diameter:.0f}, pixels, of camera {number}")
-    print(f"{markdown}\nfiles: {directory}\nmlflow: {tracker.describe()}")
+        finite = {key: value for key, value in named.items() if np.isfinite(value)}
+        return Report(files, finite, text=f"{_circles(fitted)}{markdown}")
+
+    return Study(f"calibrate_detector {family}", run)
 
 
-def source_key(cfg: DictConfig) -> str:
+def _source_key(cfg: DictConfig) -> str:
     """Key of the views that are read: a survey, photographs of a board, or else rendered mosaics."""
     if cfg.survey is not None:
         return "survey"
     board = settings_of(cfg, "board")
     return "views" if board.get("folder") is None and board.get("tags") is None else "board"
+
+
+def _circles(fitted: "Mapping[str, tuple[TagViews, Fit]]") -> str:
+    """Lines about cameras whose image is a circle, beyond which a detector finds nothing."""
+    return "".join(
+        f"{name} finds nothing beyond camera.image_circle={diameter:.0f}, pixels, of camera {number}\n"
+        for name, (_, limits) in fitted.items()
+        for number, diameter in limits.known_circles.items()
+    )
 
 
 def limits_markdown(figures: dict[str, dict[str, float]]) -> str:
@@ -108,27 +118,7 @@ def limits_markdown(figures: dict[str, dict[str, float]]) -> str:
     return markdown_table(head, rows) + "\n"
 
 
-def read_survey() -> None:
-    """Read `survey=DIR` on the command line as the views of that survey, with its run, cameras, tags and detector."""
-    given = [argument.removeprefix(SURVEY_KEY) for argument in sys.argv[1:] if argument.startswith(SURVEY_KEY)]
-    if not given or given[-1] == "null":
-        return
-    before, parts = parts_of(Path(given[-1]), "survey", ("camera", "tag"))
-    for group, part in parts.items():
-        ConfigStore.instance().store(OPTION, part, group)
-    chosen = {
-        "frames": "0",
-        "margin": "0",
-        **dict.fromkeys(parts, OPTION),
-    }
-    chosen["detectors"] = f"[{','.join(before.get('detectors') or {})}]"
-    if before.get("run"):
-        chosen["run"] = quoted(Path(before["run"]))
-    named = {argument.partition("=")[0] for argument in sys.argv[1:]}
-    sys.argv[1:] += [f"{key}={value}" for key, value in chosen.items() if key not in named]
-
-
-main = Pipeline("calibrate_detector", calibrate, (read_number_of_poses, read_survey, read_earlier_run))
+main = Command("calibrate_detector", calibrate)
 
 if __name__ == "__main__":
     main()

@@ -9,9 +9,8 @@ from omegaconf import DictConfig, ListConfig
 from .app import choices, run_directory, save_path
 from .building import budget_of, build_optimiser, build_problem, seeds_of
 from .contenders import LANDMARKS, Contender, contend
-from .earlier_run import read_earlier_problem
-from .overrides import changes_results, recompose, search_path, task_overrides
-from .pipeline import Pipeline
+from .composing import changes_results, recompose, search_path, task_overrides
+from .command import Command
 from .provenance import parameters
 from .tournament import hold_tournament
 
@@ -100,7 +99,7 @@ def _compose(entry: str, cfg: DictConfig, problem: "Problem") -> DictConfig:
     return composed
 
 
-main = Pipeline("compare", compare, (read_earlier_problem,))
+main = Command("compare", compare)
 
 if __name__ == "__main__":
     main()

@@ -13,7 +13,7 @@ from omegaconf import DictConfig
 
 from .app import flat_settings, run_directory
 from .building import budget_of, build_optimiser, build_problem
-from .earlier_run import RIG
+from .composing import RIG
 from .operations.sweeps.names import DIGEST_LENGTH
 from .optimise import SAME_WHEN_RESUMED
 from .outputs import columns_of, read_document, write_document

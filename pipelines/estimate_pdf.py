@@ -1,22 +1,22 @@
 """Estimate an orientation PDF: `python -m pipelines.estimate_pdf recording.path=flight.csv [overrides]`."""
 
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 from omegaconf import DictConfig
 
 from .app import flat_settings, run_directory
+from .command import Command
 from .nodes import instantiate, keyed, note, settings_of
-from .outputs import write_document
-from .pipeline import Pipeline
-
-MOTION = {"_target_": "lmd.orientation.recording.SimulatedRecording"}  # class of `simulate`
+from .study import Report, Study
 
 if TYPE_CHECKING:
     from lmd.orientation.procedure import Marginal, PdfEstimate
 
+MOTION = {"_target_": "lmd.orientation.recording.SimulatedRecording"}  # class of `simulate`
+SETTINGS = ("divisions", "mean_interval", "significance")
 
-def estimate(cfg: DictConfig) -> None:
+
+def estimate(cfg: DictConfig) -> Study:
     """Estimate the PDF of the configured recording."""
     import numpy as np
 
@@ -24,47 +24,36 @@ def estimate(cfg: DictConfig) -> None:
     from lmd.orientation.procedure import estimate_pdf
     from lmd.plot.orientations import save_orientation_figure
 
-    from .outputs import all_or_none
-    from .tracked_run import keep, tracked
-
     rng = np.random.default_rng(seed_number(cfg.seed))
     key = "recording" if cfg.simulate is None else "simulate"
     source = instantiate(settings_of(cfg, key), **(MOTION if key == "simulate" else {}))
     with keyed(key):
         recording = source.record(rng)
     note(recording.note)
-    result = estimate_pdf(
-        recording,
-        rng,
-        divisions=cfg.divisions,
-        mean_interval=cfg.mean_interval,
-        significance=cfg.significance,
-    )
-    directory, subject = run_directory(), f"orientation PDF of {recording.name}"
-    document = {
-        "recording": {"name": recording.name, "records": len(recording.time), "duration": recording.duration},
-        **result.summary(),
-        "settings": flat_settings(cfg, key, "divisions", "mean_interval", "significance", "seed"),
+    result = estimate_pdf(recording, rng, **{name: cfg[name] for name in SETTINGS})
+    about = {"name": recording.name, "records": len(recording.time), "duration": recording.duration}
+    files = {
+        "pdf.csv": result.pdf.to_csv,
+        "pdf_estimate.json": {"recording": about, **result.summary(), "settings": flat_settings(cfg, key, *SETTINGS, "seed")},
+        "pdf.png": lambda path: save_orientation_figure(path, result, f"orientation PDF of {recording.name}"),
     }
+    lines = _lines(result) | {
+        "picture": str(run_directory() / "pdf.png"),
+        "use it with": f"pdf=samples pdf.path={run_directory() / 'pdf.csv'}",
+    }
+    return Study(f"estimate_pdf {key}", lambda _: Report(files, _figures(result), lines=lines))
 
-    def write(partial: Path) -> None:
-        result.pdf.to_csv(partial / "pdf.csv")
-        write_document(partial / "pdf_estimate.json", document)
-        save_orientation_figure(partial / "pdf.png", result, subject)
 
-    with tracked(cfg, f"estimate_pdf {key}") as tracker:
-        files = all_or_none(directory, write)
-        keep(tracker, files, _figures(result))
+def _lines(result: "PdfEstimate") -> dict[str, str]:
+    """Labelled lines for the terminal."""
     samples = result.samples
-    _show("samples", f"{len(samples)}, {samples.mean_interval:.3g} s apart on average (the motion stays correlated for "
-          f"{samples.correlation_time:.3g} s)")  # fmt: skip
-    _show("yaw", _described(result.yaw))
-    _show("pitch", _described(result.pitch))
-    _show("independence", _verdict(result))
-    _show("files", f"{directory}: {', '.join(path.name for path in files)}")
-    _show("picture", str(directory / "pdf.png"))
-    _show("use it with", f"pdf=samples pdf.path={directory / 'pdf.csv'}")
-    _show("mlflow", tracker.describe())
+    return {
+        "samples": f"{len(samples)}, {samples.mean_interval:.3g} s apart on average (the motion stays correlated for "
+        f"{samples.correlation_time:.3g} s)",
+        "yaw": _described(result.yaw),
+        "pitch": _described(result.pitch),
+        "independence": _verdict(result),
+    }
 
 
 def _figures(result: "PdfEstimate") -> dict[str, float]:
@@ -103,11 +92,7 @@ def _verdict(result: "PdfEstimate") -> str:
     return f"{outcome} (chi-squared {test.statistic:.1f}, p = {test.p_value:.4f})"
 
 
-def _show(label: str, text: str) -> None:
-    print(f"{label:<20} {text}", flush=True)
-
-
-main = Pipeline("estimate_pdf", estimate)
+main = Command("estimate_pdf", estimate)
 
 if __name__ == "__main__":
     main()

@@ -1,18 +1,16 @@
 """Write tag maps, mounting plans and print sheets: `python -m pipelines.export run=DIR formats=[wpilib,plan]`."""
 
-import sys
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from omegaconf import DictConfig, OmegaConf
 
-from .app import run_directory
 from .building import build_parts
-from .earlier_run import read_earlier_run
+from .command import Command
+from .composing import editable
 from .landmarks import take_sizes
-from .nodes import keyed, settings_of
-from .outputs import write_all
-from .pipeline import Pipeline
+from .nodes import keyed, note, settings_of
+from .study import Report, Study
 
 if TYPE_CHECKING:
     from lmd.export.exports import Export
@@ -38,21 +36,20 @@ def build_export(cfg: DictConfig, key: str, tag: "Tag") -> "Export":
             left_out = not_printed(tag, paper)
             chosen = replace(chosen, formats=tuple(name for name in chosen.formats if name not in left_out))
             for name, reason in left_out.items():
-                print(f"note: {all_formats()[name].file} is not written: {reason}", file=sys.stderr)
+                note(f"{all_formats()[name].file} is not written: {reason}")
         chosen.check(tag)
     return chosen
 
 
-def export(cfg: DictConfig) -> None:
-    """Write the configured deployment in the configured formats, all files or none."""
+def export(cfg: DictConfig) -> Study:
+    """Prepare the configured deployment for the configured formats."""
     from lmd.core.checks import InputError
     from lmd.export.exports import all_formats
     from lmd.export.sheets import describe_sheets
     from lmd.formats.tag_map import TagMap
 
-    from .tracked_run import keep, tracked
-
     settings_of(cfg, "deployment")
+    cfg = editable(cfg)
     with keyed("deployment"):
         take_sizes(cfg.deployment, cfg.tag)
     parts = build_parts(cfg)
@@ -64,20 +61,17 @@ def export(cfg: DictConfig) -> None:
     writers = chosen.writers(scene.room, scene.tag, deployment)
     tags = TagMap(scene.room, scene.tag, deployment)
     for name, reason in chosen.unfit(tags).items():
-        print(f"note: {all_formats()[name].file} is not written: {reason}", file=sys.stderr)
+        note(f"{all_formats()[name].file} is not written: {reason}")
     for name in chosen.silent(tags):
-        print(f"note: {all_formats()[name].file} does not say that tags have {tags.edges_in_words}", file=sys.stderr)
-    with tracked(cfg, "export", f"export {parts.objective.name} K={len(deployment)}") as tracker:
-        files = write_all(run_directory(), writers)
-        keep(tracker, files, {})
-    print(f"tags   {len(deployment)} of {scene.tag.family}, {tags.edges_in_words}")
+        note(f"{all_formats()[name].file} does not say that tags have {tags.edges_in_words}")
+    lines = {"tags": f"{len(deployment)} of {scene.tag.family}, {tags.edges_in_words}"}
     if "sheets" in chosen.formats:
-        print(f"sheets {describe_sheets(tags, chosen.paper)}")
-    print(f"files  {run_directory()}: {', '.join(file.name for file in files)}")
-    print(f"mlflow {tracker.describe()}")
+        lines["sheets"] = describe_sheets(tags, chosen.paper)
+    about = f"export {parts.objective.name} K={len(deployment)}"
+    return Study("export", lambda _: Report(writers, lines=lines), about)
 
 
-main = Pipeline("export", export, (read_earlier_run,))
+main = Command("export", export)
 
 if __name__ == "__main__":
     main()

@@ -5,7 +5,7 @@ from copy import deepcopy
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
-from omegaconf import DictConfig, ListConfig, OmegaConf, open_dict
+from omegaconf import DictConfig, ListConfig, OmegaConf
 
 from .nodes import note
 
@@ -82,12 +82,11 @@ def others_of(node: DictConfig, fixed: "Deployment | None", total: int | None) -
         total: number of landmarks, fixed landmarks included.
     """
     source = deepcopy(node)
-    with open_dict(source):
-        for key in NO_SOURCE:
+    for key in NO_SOURCE:
+        source.pop(key, None)
+    for key in TABLE:
+        if source.get(key) is None or "path" not in source:
             source.pop(key, None)
-        for key in TABLE:
-            if source.get(key) is None or "path" not in source:
-                source.pop(key, None)
     if fixed is not None and total is not None:
         source.count = None if "path" in source else total - len(fixed)
     return source
@@ -112,8 +111,7 @@ def take_sizes(node: DictConfig, tag: DictConfig) -> None:
     files = [(name, node[name]) for name in ("path", "fixed") if node.get(name) is not None]
     known = np.concatenate([read_deployment(path, name, **table_in(node)).edges for name, path in files])
     if np.isfinite(known).all():
-        with open_dict(tag):
-            tag.edges = np.unique(known).tolist()
+        tag.edges = np.unique(known).tolist()
 
 
 def spell_counts(node: DictConfig, tag: DictConfig) -> None:
@@ -137,9 +135,8 @@ def spell_counts(node: DictConfig, tag: DictConfig) -> None:
     if edges is None or len(edges) != len(counts):
         sizes = "is not given" if edges is None else f"has {len(edges)}"
         raise InputError(f"deployment.count = {counts} says how many tags have each of tag.edges, which {sizes}.")
-    with open_dict(tag), open_dict(node):
-        tag.counts = counts
-        node.count = f"+{sum(counts)}" if node.get("fixed") else sum(counts)
+    tag.counts = counts
+    node.count = f"+{sum(counts)}" if node.get("fixed") else sum(counts)
 
 
 def divide_paper(
@@ -171,9 +168,8 @@ def divide_paper(
     if made.limit is None or made.counts is not None or "count" not in node or "path" in node:
         return scene
     counts = composition(scene, objective, threads, fixed)
-    with open_dict(tag), open_dict(node):
-        tag.counts = list(counts)
-        node.count = sum(counts) + (0 if fixed is None else len(fixed))
+    tag.counts = list(counts)
+    node.count = sum(counts) + (0 if fixed is None else len(fixed))
     made, visibility = replace(made, counts=counts), scene.visibility
     if hasattr(visibility, "tag"):
         visibility = replace(visibility, tag=made)  # type: ignore[type-var]

@@ -1,115 +1,93 @@
-"""Find a deployment: `python -m pipelines.optimise [overrides]`."""
+"""Find a deployment: `python -m pipelines.optimise [overrides]`.
 
-import sys
-from collections.abc import Callable, Sequence
+With `varies=cameras` the tags are given, and the places of a robot's cameras are sought.
+"""
+
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import closing
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from hydra.core.hydra_config import HydraConfig
-from omegaconf import DictConfig
+from omegaconf import DictConfig, OmegaConf
 
 from .app import choices, flat_settings, run_directory
-from .building import budget_of, build_optimiser, build_problem
-from .earlier_run import read_earlier_run
+from .building import budget_of, build_optimiser, build_problem, camera_of, refuse_crowd
+from .command import Command
+from .composing import RIG, editable
 from .export import build_export
+from .nodes import instantiate, keyed, note, settings_of
 from .operations.signals import Stopped, stop
 from .outputs import space_reserved
-from .pipeline import Pipeline
 from .provenance import contents_of, resuming
+from .score import Extras, room_report, scored
+from .study import Earlier, Report, Study
 
 if TYPE_CHECKING:
+    from lmd.cameras.problem import CameraProblem
+    from lmd.geometry.camera import Camera
     from lmd.optimisers.base import Optimiser, Result
     from lmd.optimisers.checkpoint import Checkpoint
     from lmd.optimisers.ledger import Budget
     from lmd.problem import Problem
+    from lmd.scene.rig import Rig
 
     from .operations.tracking import Tracker
-    from .tracked_run import Earlier
 
 # Settings that a resumed run shares with the run that it continues; files named in them must have equal contents.
 SAME_WHEN_RESUMED = (
     "room", "camera", "pdf", "poses", "tag", "visibility", "objective", "encoding", "deployment", "optimiser", "seed"
 )  # fmt: skip
-RETURNS = {"fitness": "fitness", "grid_free": "off_grid"}  # figures of `record` that sweepers may maximise
+IN_TURN = ("rounds", "tag_evaluations")
+DRAWING = "body.png"
 
 
-def optimise(cfg: DictConfig) -> float:
-    """Run one optimisation as configured, and return the figure for sweepers."""
+def optimise(cfg: DictConfig) -> Study:
+    """Prepare the search for landmarks, or for the places of cameras."""
+    from lmd.core.checks import choice
+
+    from .tracked_run import title_of
+
+    is_rig = choice("varies", cfg.varies, ("tags", "cameras")) == "cameras"
+    problem, sources = build_camera_problem(cfg) if is_rig else (build_problem(cfg), {})
+    optimiser = build_optimiser_of(cfg) if is_rig else build_optimiser(cfg, cfg.seed)
+    export = build_export(cfg, "export", problem.scene.tag)
+    budget = budget_of(cfg)
+    optimiser.check(problem)
+    further = () if not is_rig else ("body", "cameras", *(() if cfg.rounds is None else IN_TURN))
+    checkpoint, earlier = _checkpoint_of(cfg, optimiser, problem, further)
+    subject, extras = choices()["optimiser"], Extras.of(cfg)
+    about = title_of(problem, subject)
+    if is_rig:
+        about = f"{cfg.cameras.count} cameras, {about}"
+
+    def run(tracker: "Tracker") -> Iterator[Report]:
+        yield room_report(cfg, problem)
+        found, in_haste = _run(problem, budget, checkpoint, tracker, cfg.checkpoint_seconds)
+        summary = {"evaluations": found.evaluations, "wall_time": found.seconds, "stopped": found.stopped}
+        scoring = partial(scored, extras, deployment=found.deployment, history=found.history, subject=subject)
+        if found.rig is None:
+            figures = summary | optimiser.figures()
+            more = partial(_accuracy, problem, found, extras)
+            yield from scoring(problem=problem, summary=figures, further=more, export=export, in_haste=in_haste)
+            return
+        rounds = {} if cfg.rounds is None else dict(optimiser.figures())
+        with stop.shielded():
+            yield _rig_report(problem, found.rig, sources, about, rounds, is_drawn=bool(extras.picture) and not in_haste)
+        placed = summary | {"cameras": cfg.cameras.count, **({"rounds": rounds} if rounds else {})}
+        yield from scoring(problem=problem.with_rig(found.rig), summary=placed, export=export, in_haste=in_haste)
+
+    return Study(subject, run, about, problem, earlier, _how_to_go_on, "fitness")
+
+
+def _accuracy(problem: "Problem", found: "Result", extras: Extras) -> Mapping[str, float]:
+    """Figures of the accuracy of single images, which only an objective of localisation asks for."""
     from lmd.evaluation.accuracy import accuracy_metrics
     from lmd.objectives.localisation import Localisation
 
-    from .tracked_run import Extras, record, title_of
-
-    problem = build_problem(cfg)
-    optimiser = build_optimiser(cfg, cfg.seed)
-    export = build_export(cfg, "export", problem.scene.tag)
-    extras, subject = Extras.of(cfg), choices()["optimiser"]
-
-    def keep(tracker: "Tracker", found: "Result", in_haste: bool) -> dict[str, float]:
-        def accuracy() -> dict[str, float]:
-            wanted = extras.validate and isinstance(problem.objective, Localisation)
-            return accuracy_metrics(problem, found.deployment, extras.seed) if wanted else {}
-
-        summary = {**summary_of(found), **optimiser.figures()}
-        return record(
-            extras, problem, tracker, found.deployment, found.history, subject=subject, summary=summary,
-            further=accuracy, export=export, in_haste=in_haste,
-        )  # fmt: skip
-
-    return searched(cfg, problem, optimiser, title_of(problem, subject), keep)
-
-
-def searched(
-    cfg: DictConfig, problem: "Problem", optimiser: "Optimiser", about: str,
-    keep: "Callable[[Tracker, Result, bool], dict[str, float]]", further: Sequence[str] = (),
-) -> float:  # fmt: skip
-    """Run an optimiser as a tracked run that can be resumed, and return the figure for sweepers.
-
-    Args:
-        about: description of the run.
-        keep: function that records the result and returns the figures; its argument is True in haste.
-        further: groups that a resumed run must share, in addition to `SAME_WHEN_RESUMED`.
-
-    Raises:
-        InputError: a setting is refused, or the run to resume has other settings.
-    """
-    from .tracked_run import draw_room, tracked
-
-    budget, returned = budget_of(cfg), _figure_returned(cfg.returns, cfg.validate)
-    optimiser.check(problem)
-    checkpoint, earlier = _checkpoint_of(cfg, optimiser, problem, further)
-    try:
-        with tracked(cfg, choices()["optimiser"], about, earlier, problem) as tracker:
-            draw_room(cfg, problem, tracker)
-            found, in_haste = _run(problem, budget, checkpoint, tracker, cfg.checkpoint_seconds)
-            figures = keep(tracker, found, in_haste)
-    except (Stopped, OSError):
-        _print_how_to_go_on()
-        raise
-    if found.stopped == "interrupted":
-        _print_how_to_go_on()
-        sys.exit(stop.code)
-    return figures[returned]
-
-
-def summary_of(found: "Result") -> dict[str, Any]:
-    """Entries of metrics.json about the search itself."""
-    return {"evaluations": found.evaluations, "wall_time": found.seconds, "stopped": found.stopped}
-
-
-def _figure_returned(returns: Any, validate: bool) -> str:
-    """Name of the figure of `record` that sweepers maximise according to the setting `returns`.
-
-    Raises:
-        InputError: no figure has that name, or the run does not compute the figure.
-    """
-    from lmd.core.checks import InputError, choice
-
-    returned = RETURNS[choice("returns", returns, list(RETURNS))]
-    if returned == "off_grid" and not validate:
-        raise InputError("returns = grid_free is a figure of the validation, which validate=false leaves out.")
-    return returned
+    wanted = extras.validate and isinstance(problem.objective, Localisation)
+    return accuracy_metrics(problem, found.deployment, extras.seed) if wanted else {}
 
 
 def _checkpoint_of(
@@ -122,8 +100,6 @@ def _checkpoint_of(
     """
     from lmd.core.checks import real
     from lmd.optimisers.checkpoint import Checkpoint
-
-    from .tracked_run import Earlier
 
     real("checkpoint_seconds", cfg.checkpoint_seconds, above=0.0)
     settings = flat_settings(cfg, *SAME_WHEN_RESUMED, *further)
@@ -140,6 +116,10 @@ def _run(
     """Optimise; return the result, and True if a second signal ended the run in the middle of a batch.
 
     Args:
+        problem: problem of the run.
+        budget: budget of the run.
+        checkpoint: checkpoint of the optimiser.
+        tracker: tracker of the curve.
         every: time between checkpoints, seconds.
     """
     from lmd.core.compiled import is_compiling
@@ -167,16 +147,80 @@ def _run(
             return optimiser.result(problem, "interrupted"), True
 
 
-def _print_how_to_go_on() -> None:
-    """Print the command that resumes this run, if it left a checkpoint."""
+def _how_to_go_on() -> str:
+    """Command that resumes this run; empty if it left no checkpoint."""
     from lmd.optimisers.checkpoint import CHECKPOINT_FILE
 
-    directory = run_directory()
-    if (directory / CHECKPOINT_FILE).exists():
-        print(f"interrupted; go on with: {resuming(HydraConfig.get().job.name, directory)}", file=sys.stderr)
+    left = (run_directory() / CHECKPOINT_FILE).exists()
+    return f"go on with: {resuming(HydraConfig.get().job.name, run_directory())}" if left else ""
 
 
-main = Pipeline("optimise", optimise, (read_earlier_run,))
+def build_optimiser_of(cfg: DictConfig) -> "Optimiser":
+    """Build the optimiser of the cameras, or of cameras and tags in turns if `rounds` is set."""
+    from lmd.core.checks import integer
+    from lmd.optimisers.alternating import Alternating
+    from lmd.optimisers.ledger import Budget
+
+    tag_evaluations = integer("tag_evaluations", cfg.tag_evaluations, low=1)
+    if cfg.rounds is None:
+        return build_optimiser(cfg, cfg.seed)
+    return Alternating(partial(build_optimiser, cfg), cfg.rounds, Budget(tag_evaluations), cfg.seed)
+
+
+def build_camera_problem(cfg: DictConfig) -> "tuple[CameraProblem, dict[Camera, Any]]":
+    """Build the problem of a configuration; also return the calibration of each kind of camera.
+
+    Raises:
+        InputError: the parts of the problem do not fit together.
+    """
+    import numpy as np
+
+    from lmd.cameras.body import Body
+    from lmd.cameras.mounts import MountSpace
+    from lmd.cameras.problem import CameraProblem
+    from lmd.core.checks import InputError
+    from lmd.formats.rigs import camera_from
+    from lmd.scene.rig import Rig
+    from lmd.space.parts import made
+
+    alone = editable(cfg.camera)
+    rig = alone.pop("rig", None)
+    given, body = (OmegaConf.to_container(settings_of(cfg, key), resolve=True) for key in ("cameras", "body"))
+    assert isinstance(given, dict)
+    sources: dict[Camera, Any] = {}
+    for i, source in enumerate(given["lenses"]):
+        with keyed(camera=f"cameras.lenses[{i}]"):
+            camera = camera_from(source)
+        if camera is None:
+            raise InputError(f"cameras.lenses[{i}] must be a calibration file, got null.")
+        sources[camera] = source
+        note(camera.note)
+    lenses = list(sources) or [instantiate(alone)]
+    tags = build_problem(cfg)
+    refuse_crowd(tags, "optimise varies=cameras")
+    space = made("cameras", MountSpace, {**given, "body": made("body", Body, body), "lenses": lenses})
+    start = camera_of(cfg.camera) if rig is not None else None
+    with keyed("cameras", rig="camera.rig", boxes="body.boxes"):
+        assert start is None or isinstance(start, Rig)
+        return CameraProblem(tags, tags.draw(np.random.default_rng(cfg.seed)), space, start), sources
+
+
+def _rig_report(
+    problem: "CameraProblem", rig: "Rig", sources: "dict[Camera, Any]", title: str, rounds: Mapping[str, float],
+    is_drawn: bool,
+) -> Report:  # fmt: skip
+    """The rig file and the drawing."""
+    from lmd.formats.rigs import write_rig
+    from lmd.plot.body_drawing import save_body_figure
+
+    files: dict[str, Any] = {RIG: lambda path: write_rig(path, rig, sources)}
+    if is_drawn:
+        files[DRAWING] = lambda path: save_body_figure(path, problem.space.body, rig, title)
+    text = "\n".join(f"{turn.replace('_', ' '):<19} fitness {fitness:.4%}" for turn, fitness in rounds.items())
+    return Report(files, text=text, lines={"rig": str(run_directory() / RIG)})
+
+
+main = Command("optimise", optimise)
 
 if __name__ == "__main__":
     main()

@@ -3,39 +3,30 @@
 import atexit
 import errno
 import json
-import math
 import os
 import shutil
 import sys
 import tempfile
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager, suppress
-from dataclasses import fields
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import Any, TypeVar
 
 from hydra.experimental.callback import Callback as HydraCallback
 from omegaconf import DictConfig
 
 from .app import LOCK, discard_empty
 
-if TYPE_CHECKING:
-    from lmd.optimisers.ledger import Record
-    from lmd.problem import Problem
-    from lmd.scene.deployment import Deployment
-
 LEAST_FREE = 1 << 20  # least free disk space for a run to begin, bytes
-HISTORY_FILE = "history.csv"
 JOB_VARIABLE = "LMD_JOB"  # environment variable with the folder of the job that a process of a sweep does
 # Commands that search or score, each with a file that it writes last.
 RESULTS = {
-    **dict.fromkeys(("optimise", "place_cameras", "evaluate"), "metrics.json"),
+    **dict.fromkeys(("optimise", "evaluate"), "metrics.json"),
     "compare": "comparison.csv",
     "tradeoff": "tradeoff.json",
 }
 PARTIAL = ".partial_"  # prefix of folders whose files are moved once all files are written
 RESERVED_BYTES = 1 << 16  # reserved disk space, bytes: more than landmarks and figures of a thousand tags
-
 
 locks = ExitStack()
 """Locks of directories that this process holds until its command ends."""
@@ -130,77 +121,6 @@ def held(directory: Path, wait: bool = True) -> Iterator[int | None]:
         yield lock.fileno()
 
 
-def write_figures(
-    directory: Path, problem: "Problem", deployment: "Deployment", document: Mapping[str, Any]
-) -> list[Path]:
-    """Write landmarks.csv and metrics.json, both or none.
-
-    Args:
-        document: contents of metrics.json in addition to the settings of the problem.
-
-    Returns:
-        the files.
-    """
-
-    def write(partial: Path) -> None:
-        deployment.to_csv(partial / "landmarks.csv", ups=not problem.scene.tag.is_point)
-        write_document(partial / "metrics.json", {**document, "settings": problem.settings()})
-
-    return all_or_none(directory, write)
-
-
-def write_history(directory: Path, history: "Sequence[Record]") -> tuple[list[Path], list[str]]:
-    """Write the history, the best fitness over a run, unless the disk is full; the result is as in `write_pictures`."""
-    from lmd.core.tables import write_table
-
-    return write_what_fits(directory, {HISTORY_FILE: lambda path: write_table(path, columns_of(history))})
-
-
-def columns_of(history: "Sequence[Record]") -> dict[str, list[float]]:
-    """History of a run as columns of a table, from the first successful evaluation on."""
-    from lmd.optimisers.ledger import Record
-
-    known = [record for record in history if math.isfinite(record.best_fitness)]
-    return {key.name: [getattr(record, key.name) for record in known] for key in fields(Record)}
-
-
-def write_pictures(
-    directory: Path, problem: "Problem", deployment: "Deployment", history: "Sequence[Record]", title: str, *,
-    picture: bool, exports: Mapping[str, Callable[[Path], object]],
-) -> tuple[list[Path], list[str]]:  # fmt: skip
-    """Write the pictures and the exports that fit on the disk.
-
-    Args:
-        history: best fitness over the run; a single evaluation gets no curve.
-        picture: True to write the picture and the curve.
-        exports: functions that write further files, by the names of the files.
-
-    Returns:
-        the files, and a text for each file that could not be written.
-    """
-    from lmd.plot.charts import save_convergence_figure
-    from lmd.plot.scenes import save_scene_figure
-
-    table = columns_of(history)
-    writers: dict[str, Callable[[Path], object]] = {}
-    if picture:
-        writers["scene.png"] = lambda path: save_scene_figure(path, problem, deployment, title)
-    if picture and len(history) > 1:
-        writers["convergence.png"] = lambda path: save_convergence_figure(path, table, title)
-    return write_what_fits(directory, {**writers, **exports})
-
-
-def write_what_fits(directory: Path, writers: Mapping[str, Callable[[Path], object]]) -> tuple[list[Path], list[str]]:
-    """Write the files of `writers` that fit on the disk; the result is as in `write_pictures`."""
-    files, failed = [], []
-    for name, write in writers.items():
-        try:
-            files += write_all(directory, {name: write})
-        except OSError as error:
-            failed.append(f"{name} could not be written ({error.strerror or error})")
-    return files, failed
-
-
 def all_or_none(directory: Path, write: Callable[[Path], object]) -> list[Path]:
     """Call `write` with a folder, then move the files in the folder to `directory`; after an error, no file is left.
 
@@ -214,10 +134,12 @@ def all_or_none(directory: Path, write: Callable[[Path], object]) -> list[Path]:
         shutil.rmtree(left, ignore_errors=True)
     with tempfile.TemporaryDirectory(dir=directory, prefix=PARTIAL) as name:
         write(Path(name))
-        moves = [(path, directory / path.name) for path in sorted(Path(name).iterdir())]
+        written = sorted(path for path in Path(name).rglob("*") if path.is_file())
+        moves = [(path, directory / path.relative_to(name)) for path in written]
         for _, target in moves:
             if target.is_dir():
                 raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR), str(target))
+            target.parent.mkdir(parents=True, exist_ok=True)
         return [path.replace(target) for path, target in moves]
 
 
@@ -228,6 +150,7 @@ def write_all(directory: Path, writers: Mapping[str, Callable[[Path], object]]) 
     def fill(folder: Path) -> None:
         for name, write in writers.items():
             with doing(f"writing {name}"):
+                (folder / name).parent.mkdir(parents=True, exist_ok=True)
                 write(folder / name)
 
     return all_or_none(directory, fill)

@@ -9,9 +9,9 @@ from omegaconf.errors import OmegaConfBaseException
 
 from .app import run_directory, save_path
 from .building import build_problem
-from .earlier_run import GROUPS
+from .composing import GROUPS
 from .outputs import all_or_none
-from .pipeline import Pipeline, alone
+from .command import Command, alone
 from .trust import Trust, read_yaml
 
 if TYPE_CHECKING:
@@ -118,7 +118,7 @@ def _load(reader: "MlflowReader", run_id: str, trust: Trust) -> "tuple[Problem, 
     return problem, problem.draw(np.random.default_rng(0))
 
 
-main = Pipeline("report", report, runner=alone)
+main = Command("report", report, runner=alone)
 
 if __name__ == "__main__":
     main()

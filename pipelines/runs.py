@@ -21,8 +21,8 @@ from omegaconf import DictConfig
 
 from .app import CONF, PACKAGE, command_of
 from .nodes import instantiate
-from .overrides import at, config_dir, search_path, task_overrides
-from .pipeline import Pipeline, alone
+from .composing import at, config_dir, search_path, task_overrides
+from .command import Command, alone
 from .trust import PAGE, SHOWN, TARGET, Trust, listed, read_yaml
 
 if TYPE_CHECKING:
@@ -246,7 +246,7 @@ def _resume(unfinished: Mapping[str, ResumeCommand], wanted: str) -> None:
     os.execv(again.process[0], again.process)
 
 
-main = Pipeline("runs", runs, runner=alone)
+main = Command("runs", runs, runner=alone)
 
 if __name__ == "__main__":
     main()

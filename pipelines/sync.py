@@ -9,7 +9,7 @@ from pathlib import Path
 
 from omegaconf import DictConfig
 
-from .pipeline import Pipeline, alone
+from .command import Command, alone
 from .trust import PAGE
 
 
@@ -66,7 +66,7 @@ def _sync_or_fail(cfg: DictConfig) -> None:
         sys.exit(1)
 
 
-main = Pipeline("sync", _sync_or_fail, (read_yes,), alone)
+main = Command("sync", _sync_or_fail, (read_yes,), alone)
 
 if __name__ == "__main__":
     main()

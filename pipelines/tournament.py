@@ -12,7 +12,7 @@ from .building import GROUPS, build_optimiser, seeds_of
 from .contenders import Contender, contend
 from .leaderboard import write_leaderboard
 from .nodes import note
-from .overrides import recompose, search_path, task_overrides
+from .composing import recompose, search_path, task_overrides
 
 if TYPE_CHECKING:
     from lmd.evaluation.comparison import OptimiserRun

@@ -16,11 +16,10 @@ from omegaconf import DictConfig, OmegaConf
 
 from .app import run_directory
 from .building import budget_of, build_optimiser, seeds_of
-from .earlier_run import read_earlier_problem
 from .nodes import instantiate, keyed
 from .operations.sweeps.names import slug
 from .outputs import write_document
-from .pipeline import Pipeline
+from .command import Command
 from .points import BUDGET, PAPER, Ladder, Points, figures_of, shares_among
 
 if TYPE_CHECKING:
@@ -203,7 +202,7 @@ def _log_points(tracking: DictConfig, points: Points, parent: str | None) -> Non
         log_child(tracking, RunStart(name, landmarks.parent, params, {"way": found.way}), parent, figures, landmarks)
 
 
-main = Pipeline("tradeoff", tradeoff, (read_earlier_problem,))
+main = Command("tradeoff", tradeoff)
 
 if __name__ == "__main__":
     main()

@@ -8,17 +8,16 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from omegaconf import DictConfig
+from omegaconf import DictConfig, OmegaConf
 
 from .app import run_directory
-from .building import budget_of, build_optimiser, build_problem, mounts_of
-from .crowd import refuse_crowd
-from .earlier_run import RIG, read_earlier_robot
+from .building import budget_of, build_optimiser, build_problem, mounts_of, refuse_crowd
+from .command import Command
+from .composing import RIG
 from .export import build_export
-from .nodes import instantiate, keyed
+from .nodes import keyed
 from .operations.signals import CODES, stop
 from .outputs import all_or_none
-from .pipeline import Pipeline
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -80,13 +79,15 @@ def _space(cfg: DictConfig, problem: "Problem") -> "MountSpace | None":
     """
     from math import pi
 
+    from lmd.cameras.body import Body
     from lmd.cameras.mounts import MountSpace
     from lmd.scene.rig import Rig
+    from lmd.space.parts import made
 
     rig = problem.scene.camera
-    if cfg.body.boxes is None or not isinstance(rig, Rig):
+    if cfg.body is None or cfg.body.boxes is None or not isinstance(rig, Rig):
         return None
-    body, lenses = instantiate(cfg.body), tuple(dict.fromkeys(rig.cameras))
+    body, lenses = made("body", Body, OmegaConf.to_container(cfg.body)), tuple(dict.fromkeys(rig.cameras))
     return MountSpace(body, lenses, len(rig.mounts), yaw=(-pi, pi), pitch=(-pi / 2, pi / 2), roll=(-pi, pi))
 
 
@@ -146,7 +147,7 @@ def _keep_unsaved(directory: Path, plan: "Plan", sources: "Mapping[Camera, Any]"
     sys.stdout.flush()
 
 
-command = Pipeline("view", view, (read_earlier_robot,))
+command = Command("view", view)
 
 
 def main() -> None:

@@ -45,13 +45,13 @@ class MountingError:
         InputError: a value is negative, an angle more than a quarter turn, or there is no draw.
     """
 
-    position: float
+    position: float = 0.0
     """Error of position along each of the two directions of the surface, metres."""
-    turn: float
+    turn: float = 0.0
     """Error of rotation in the plane of the tag, rad."""
-    tilt: float
+    tilt: float = 0.0
     """Error of the normal about each of the two directions of the surface, rad."""
-    draws: int
+    draws: int = 100
     """Number of mountings drawn."""
 
     def __post_init__(self) -> None:

@@ -67,6 +67,29 @@ class UncertaintyLaw:
             "deviation_over_rule": errors,
         }
 
+    def lines(self, found: Uncertainty) -> dict[str, str]:
+        """Labelled lines for a terminal on the laws of an uncertainty."""
+        figures, errors = found.metrics(), self.errors.set_index(["quantity", "rule"])
+
+        def said(name: str, factor: float, unit: str) -> str:
+            one, several = self.laws[name].one, self.laws[name].several
+            return (
+                f"one tag {factor * one.scale:.3g} {unit} d^{one.distance:.2f}; several {factor * several.scale:.3g} "
+                f"{unit} d^{several.distance:.2f} / n^{several.tags:.2f}; 90 % within a factor "
+                f"{errors.factor_90[name, 'law']:.2f}, d^2 / n {errors.factor_90[name, 'squared']:.2f}, constant "
+                f"{errors.factor_90[name, 'constant']:.2f}"
+            )
+
+        return {
+            "views": f"{len(found.views)}: {figures['share_one']:.1%} with one pose, {figures['share_two']:.1%} with "
+            f"two (a single tag), {figures['share_none']:.1%} with none",
+            "corners": f"errors {found.corners}",
+            "position": said("position", 1e3, "mm"),
+            "rotation": said("rotation", 1e3, "mrad"),
+            "single tags": "have one pose" if self.reach == float("inf") else f"have one pose up to {self.reach:g} m",
+            "misleading": ", ".join(map(str, found.misleading)) or "no tag",
+        }
+
 
 def per_axis(views: "pd.DataFrame") -> dict[str, FloatArray]:
     """Standard deviations `QUANTITIES` of the views of `Uncertainty.views`, `(V,)` each."""

@@ -14,7 +14,7 @@ from omegaconf import DictConfig
 
 from ...nodes import instantiate
 from ...outputs import held
-from ...overrides import key_and_value
+from ...composing import key_and_value
 from ...provenance import repeating, source_tags
 from ..signals import stop
 from .folder import Sweep, SweepFolder, reason_of

@@ -1,14 +1,13 @@
 """Names of sweeps, of jobs, of their runs and of their folders."""
 
 import re
-import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 from omegaconf import DictConfig, OmegaConf, read_write
 
-from ...overrides import as_given, changes_results, key_and_value, quoted
+from ...composing import changes_results, key_and_value, quoted, spelled
 from ...provenance import digest
 from .folder import SweepFolder
 
@@ -104,7 +103,7 @@ def sweep_title(root: DictConfig) -> str:
 
 def fixed(root: DictConfig) -> tuple[str, ...]:
     """Overrides of the command line of a sweep that do not vary, and change results."""
-    given, varied = as_given(root.hydra.overrides.task), varied_keys(swept(root))
+    given, varied = list(root.hydra.overrides.task), varied_keys(swept(root))
     keys = [key_and_value(override)[0] for override in given]
     return tuple(o for o, key in zip(given, keys, strict=True) if key not in varied and changes_results(key))
 
@@ -135,12 +134,11 @@ def job_folder(*, _root_: DictConfig) -> str:
 def pin_sweep_folder(config: DictConfig) -> Path:
     """Write the folder of a sweep to the configuration of its jobs, which cannot derive the folder, and return it.
 
-    The jobs are composed from the overrides as they were given.
+    Counts such as +5 are quoted, as Hydra would read them as numbers.
     """
     folder = Path(config.hydra.sweep.dir)
-    sys.argv[1:] = as_given(sys.argv[1:])
     with read_write(config.hydra):
-        config.hydra.overrides.task = as_given(config.hydra.overrides.task)
+        config.hydra.overrides.task = list(map(spelled, config.hydra.overrides.task))
         config.hydra.sweep.dir = str(folder)
         config.hydra.overrides.hydra.append(f"hydra.sweep.dir={quoted(folder)}")  # jobs are composed from these
     return folder

@@ -1,6 +1,5 @@
 """The values that a sweep varies, and the parameters that all its jobs share."""
 
-import re
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -8,7 +7,6 @@ from hydra.types import RunMode
 from omegaconf import DictConfig, OmegaConf
 
 from ...app import chosen
-from ...overrides import PLAIN
 from ...provenance import parameters
 from .names import SEED, swept
 
@@ -63,13 +61,9 @@ def shared_parameters(config: DictConfig, values: Mapping[str, Sequence[str]]) -
     Composed are the first job, one for each further option of a varied group, and one for the last value of each other
     varied key.
 
-    Raises:
-        InputError: the options of a job lack a key.
     """
     from hydra.core.global_hydra import GlobalHydra
     from hydra.errors import HydraException
-
-    from lmd.core.checks import InputError
 
     loader = GlobalHydra.instance().config_loader()
     fixed = [override for override in swept(config) if override.partition("=")[0] not in values]
@@ -84,14 +78,7 @@ def shared_parameters(config: DictConfig, values: Mapping[str, Sequence[str]]) -
         overrides = [*config.hydra.overrides.hydra, *fixed, *(f"{key}={value}" for key, value in job.items())]
         try:
             composed = loader.load_configuration(config.hydra.job.config_name, overrides, RunMode.RUN)
-        except (HydraException, ValueError) as error:  # another error than this one is reported when the job begins
-            if refused := re.match(r"Could not override '(([\w-]+).*?)\.[\w-]+'\.\n", str(error)):
-                others = [override for override in overrides if not PLAIN.match(override)]
-                composed = loader.load_configuration(config.hydra.job.config_name, others, RunMode.RUN)
-                there = OmegaConf.select(composed, refused[1]) or composed.get(refused[2]) or composed
-                names = ", ".join(sorted(str(key) for key in there if not str(key).startswith("_")))
-                option = f"{refused[2]}={composed.hydra.runtime.choices.get(refused[2])}: there are {names}"
-                raise InputError(f"{refused[0].split(chr(39))[1]} is no key of {option}.") from None
+        except (HydraException, ValueError):  # it is reported when the job begins
             continue
         every.append(parameters_of(composed))
     if not every:

@@ -10,7 +10,7 @@ from pathlib import Path
 from statistics import median
 from typing import Any
 
-from ...earlier_run import GROUPS
+from ...composing import GROUPS
 from .folder import Job, JobFolder, Sweep
 from .names import SEED, in_name, shown
 

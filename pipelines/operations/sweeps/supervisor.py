@@ -17,10 +17,9 @@ from hydra.types import RunMode
 from omegaconf import DictConfig
 
 from ...app import PACKAGE, choices, ends_reported, run_directory
-from ...earlier_run import check_experiment
 from ...nodes import instantiate
 from ...outputs import JOB_VARIABLE, held
-from ...overrides import config_dir, key_and_value, quoted, search_path
+from ...composing import config_dir, key_and_value, quoted, search_path
 from ...provenance import parameters
 from ..signals import CODES, stop
 from . import forks
@@ -41,7 +40,6 @@ def run(cfg: DictConfig, pipeline: Callable[[DictConfig], float | None]) -> floa
     if HydraConfig.get().mode == RunMode.MULTIRUN:
         return _supervise(cfg)
     with ends_reported(), _outcome_reported() as report:
-        check_experiment(cfg)
         value = pipeline(cfg)
         report(value)
     return value

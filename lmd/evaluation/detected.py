@@ -1,0 +1,175 @@
+"""Deployments before real detectors: rendered images from random poses, beside what the visibility model predicts."""
+
+import math
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from lmd.core.checks import FloatArray
+from lmd.core.memory import check_memory
+from lmd.detection.evaluation import Matches
+from lmd.detection.frames import detect_in_frames, draw_crowd, draw_poses, nudged, tagged_room
+from lmd.detection.predictions import CameraPrediction, Prediction, by_pitch, by_tag, figures, repeatability
+from lmd.evaluation.verdicts import verdicts
+from lmd.geometry.se3 import axis_and_right
+from lmd.problem import Problem
+from lmd.render.renderer import Renderer
+from lmd.sight.evaluator import Evaluator
+from lmd.sight.views import visible_to_each
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+    from lmd.detection.detectors import Detector
+    from lmd.render.imaging import Imaging
+    from lmd.scene.tag import Tag
+
+FRAME_BYTES = 100  # least memory of the prediction of a landmark in a frame, bytes
+CHUNK = 10  # number of frames that are rendered and read at once
+NAMES = ("deployment", "detector")  # first columns of the tables
+Each = Callable[[Callable[[Any], Any], Sequence[Any]], Iterable[Any]]
+
+
+@dataclass(frozen=True)
+class Rendered:
+    """Deployment, its prediction in random poses, and the detectors of its images."""
+
+    problem: Problem
+    """Problem of the deployment."""
+    prediction: Prediction
+    """Predicted sightings in each pose."""
+    detectors: "Mapping[str, Detector]"
+    """Detectors by name."""
+
+    @classmethod
+    def of(
+        cls, problem: Problem, tag: "Tag", imaging: "Imaging", detectors: "Mapping[str, Detector]", frames: int, seed: int
+    ) -> "Rendered":
+        """Predict the sightings of a problem's deployment in random poses.
+
+        Args:
+            problem: the problem; its tags may be points.
+            tag: tag that is drawn.
+            imaging: optics and sensor.
+            detectors: detectors by name.
+            frames: number of poses.
+            seed: seed of the poses, and of a random deployment.
+
+        Raises:
+            InputError: a detector or the deployment is refused, or memory is too small.
+        """
+        for detector in detectors.values():
+            detector.detect(np.zeros((64, 64), dtype=np.uint8))  # a missing package raises an error here
+        deployment, scene = problem.draw(np.random.default_rng(seed)), problem.scene
+        room = tagged_room(scene.room, deployment, tag)
+        taken = f"frames = {frames} frames of {len(deployment)} landmarks"
+        check_memory(FRAME_BYTES * frames * len(deployment), taken, "frames")
+        poses = draw_poses(scene, frames, seed)
+        scene, people = draw_crowd(scene, poses[:, :3, 3], seed)
+        states = None if people is None else np.arange(frames)
+        at = problem.evaluator
+        if people is not None:
+            at = Evaluator(scene, poses[:1, :3, 3], 1, states=np.zeros(1, dtype=int))
+        seen = visible_to_each(at, deployment, poses[:, :3, 3], axis_and_right(poses), states)
+        parts = []
+        for camera, mounted, predicted in zip(scene.cameras, scene.extrinsics, seen, strict=True):
+            own = poses @ mounted
+            told = verdicts(scene, deployment, own, camera, states)
+            parts.append(CameraPrediction(Renderer(camera, room, imaging), own, predicted, told, people=people))
+        return cls(problem, Prediction(tuple(parts), scene.extrinsics, poses), detectors)
+
+    def nudged(self, position: float, attitude: float, seed: int) -> "Rendered":
+        """The subject from poses that are moved at random, with standard deviations in metres and rad."""
+        return replace(self, prediction=self.prediction.moved(nudged(self.prediction.poses, position, attitude, seed)))
+
+
+class Frames(NamedTuple):
+    """Consecutive frames of one camera; the noise of a frame depends on its number."""
+
+    renderer: Renderer
+    detectors: "Mapping[str, Detector]"
+    poses: FloatArray
+    first: int
+    seed: int
+    people: Sequence[FloatArray] | None
+
+
+def look(job: Frames) -> dict[str, Matches]:
+    """Render and read frames; returns the detections by the name of the detector."""
+    return detect_in_frames(job.renderer, job.detectors, job.poses, job.first, job.seed, job.people)
+
+
+def sightings(subjects: Mapping[str, Rendered], seed: int, each: Each) -> dict[str, dict[str, Matches]]:
+    """Detections by the names of subject and detector.
+
+    Args:
+        subjects: subjects by name.
+        seed: seed of the noise.
+        each: function that applies a function to each of some jobs, in their order.
+    """
+    jobs = {
+        (name, c, first): Frames(
+            part.renderer,
+            subject.detectors,
+            part.poses[first : first + CHUNK],
+            c * len(part.poses) + first,
+            seed,
+            None if part.people is None else part.people[first : first + CHUNK],
+        )
+        for name, subject in subjects.items()
+        for c, part in enumerate(subject.prediction.parts)
+        for first in range(0, len(part.poses), CHUNK)
+    }
+    found = dict(zip(jobs, each(look, list(jobs.values())), strict=True))
+
+    def of(name: str, camera: int, detector: str) -> Matches:
+        return Matches.concatenated([part[detector] for key, part in found.items() if key[:2] == (name, camera)])
+
+    return {
+        name: {
+            key: Matches.beside([of(name, c, key) for c in range(len(subject.prediction.parts))])
+            for key in subject.detectors
+        }
+        for name, subject in subjects.items()
+    }
+
+
+@dataclass(frozen=True)
+class DetectionStudy:
+    """Detections of several deployments, beside their predictions."""
+
+    subjects: Mapping[str, Rendered]
+    """Subjects by name."""
+    seen: Mapping[str, Mapping[str, Matches]]
+    """Detections by the names of subject and detector."""
+    again: Mapping[str, Mapping[str, Matches]] | None = None
+    """Detections from poses that were moved a little; None if there are none."""
+
+    @cached_property
+    def tables(self) -> "dict[str, pd.DataFrame]":
+        """Tables of the figures, of classes of pitch and of tags, each with the columns of `NAMES` first."""
+        import pandas as pd
+
+        rows, pitches, tags = [], [], []
+        for name, subject in self.subjects.items():
+            for detector, found in self.seen[name].items():
+                names, told = dict(zip(NAMES, (name, detector), strict=True)), subject.prediction
+                looks = {} if self.again is None else repeatability(found, self.again[name][detector], told)
+                rows.append({**names, **figures(told, found), **looks})
+                pitches.append(by_pitch(told, found).assign(**names))
+                tags.append(by_tag(told, found).assign(**names))
+        ordered = [pd.concat(tables, ignore_index=True) for tables in (pitches, tags)]
+        by_class, by_id = (table[[*NAMES, *table.columns.drop(list(NAMES))]] for table in ordered)
+        return {"figures": pd.DataFrame(rows), "pitches": by_class, "tags": by_id}
+
+    def metrics(self) -> dict[str, float]:
+        """Finite figures by `<figure>/<deployment>/<detector>`."""
+        return {
+            f"{key}/{row['deployment']}/{row['detector']}": float(value)
+            for row in self.tables["figures"].to_dict("records")
+            for key, value in row.items()
+            if key not in NAMES and math.isfinite(value)
+        }

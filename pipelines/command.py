@@ -1,0 +1,98 @@
+"""Command: a function of a configuration that Hydra composes from the command line; stops on a signal, and may sweep."""
+
+import atexit
+import gc
+import re
+import signal
+import sys
+from collections.abc import Callable, Mapping
+from contextlib import closing
+from dataclasses import dataclass, field
+from functools import wraps
+from pathlib import Path
+from typing import Any
+
+import hydra
+from hydra.core.config_store import ConfigStore
+from omegaconf import DictConfig
+
+from .app import CONF, GARBAGE, PACKAGE, choices, command_of, ends_reported, readers_outlived
+from .composing import ask_what_was_meant, settled
+from .operations.signals import Stopped, stop
+from .operations.sweeps.supervisor import run
+from .outputs import locks
+from .study import Study, conduct
+
+PRINTED = {"--help", "-h", "--hydra-help", "--cfg", "-c", "--info", "-i"}  # options with which a command only prints
+Outcome = Study | float | None
+Task = Callable[[DictConfig], Outcome]
+
+
+def alone(cfg: DictConfig, task: Callable[[DictConfig], float | None]) -> float | None:
+    """Call a task that cannot be a job of a sweep, and report an error."""
+    with ends_reported():
+        return task(cfg)
+
+
+@dataclass(frozen=True)
+class Command:
+    """Command that is called without arguments."""
+
+    name: str
+    """Name of the command, of its module and of its configuration, such as `optimise`."""
+    task: Task
+    """Function of the configuration; a study that it returns is conducted."""
+    runner: Callable[[DictConfig, Callable[[DictConfig], float | None]], float | None] = run
+    """Function that calls the task and reports an error; by default each job of a sweep gets a process of its own."""
+    like: str = ""
+    """Command whose configuration it has, beside `settings`; for commands outside of this package."""
+    settings: Mapping[str, Any] = field(default_factory=dict)
+    """Further keys of its configuration, with their defaults."""
+
+    def __call__(self) -> None:
+        """Run the command line of this process."""
+        if self.like:
+            stop.listen()
+            node = {"defaults": [self.like, "_self_"], **self.settings, "hydra": {"job": {"name": self.name}}}
+            ConfigStore.instance().store(self.name, node)
+        gc.set_threshold(GARBAGE)
+        if PRINTED.intersection(argument.partition("=")[0] for argument in sys.argv):
+            signal.signal(signal.SIGPIPE, signal.SIG_DFL)  # ends quietly if the reader, such as `head`, has ended
+        is_composed = False
+
+        def settle_and_do(cfg: DictConfig) -> float | None:
+            _check_experiment(self.name)
+            final = settled(cfg)
+            outcome = self.task(final)
+            return conduct(final, outcome) if isinstance(outcome, Study) else outcome
+
+        @wraps(self.task)
+        def run_composed(cfg: DictConfig) -> float | None:
+            nonlocal is_composed
+            is_composed = True
+            return self.runner(cfg, settle_and_do)
+
+        run_composed.__module__ = f"{PACKAGE}.{self.name}"  # Hydra names the job after this module
+        compose = hydra.main(version_base="1.3", config_path=CONF, config_name=self.name)
+        atexit.register(gc.freeze)  # otherwise the last garbage collection takes a second with mlflow
+        try:
+            with stop.raising(), readers_outlived(), closing(locks):
+                compose(run_composed)()
+        except Stopped as told:
+            sys.exit(told.code)
+        except SystemExit as ended:
+            if ended.code == 1 and not is_composed:  # Hydra has refused the command line
+                ask_what_was_meant()
+            raise
+
+
+def _check_experiment(command: str) -> None:
+    """Raise `InputError` if the file of the experiment, which is part of the project, names only other commands."""
+    from lmd.core.checks import InputError
+
+    file = Path(CONF, "experiment", f"{choices().get('experiment')}.yaml")
+    text = file.read_text(encoding="utf-8") if file.is_file() else ""
+    known = dict.fromkeys(re.findall(rf"-m pipelines\.(\w+) .*experiment={re.escape(file.stem)}\b", text))
+    if known and command not in known:
+        right = " or ".join(f"{command_of(other)} experiment={file.stem}" for other in known)
+        raise InputError(f"experiment={file.stem} is for another command: {right}.")

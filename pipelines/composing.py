@@ -1,0 +1,448 @@
+"""Configuration of a command: composed by Hydra, and once more inside the job with the options that it names itself.
+
+`run=DIR`, `suite=NAME`, `survey=DIR`, `map=DIR`, `varies=cameras` and `deployment.path=FILE` alone are keys like all
+others when Hydra composes. `settled` reads them, puts the options that they choose into Hydra's config store, and
+composes once more with these in front of the command line, which keeps its precedence.
+
+Groups whose nodes describe objects are open: a key that no file has is passed on to the class of the object, which
+refuses it if it does not know it.
+"""
+
+import re
+import sys
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from copy import deepcopy
+from functools import cache
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from hydra.core.config_store import ConfigStore
+from hydra.core.global_hydra import GlobalHydra
+from hydra.core.hydra_config import HydraConfig
+from hydra.core.override_parser.overrides_parser import OverridesParser
+from hydra.types import RunMode
+from omegaconf import DictConfig, OmegaConf, open_dict, read_write
+
+from .app import CONF, choices, chosen
+from .trust import Trust, read_yaml
+
+if TYPE_CHECKING:
+    from lmd.suite import Document
+
+GROUPS = ("room", "camera", "pdf", "poses", "tag", "visibility", "objective")  # groups of the problem of a run
+FROZEN = ("room", "camera", "pdf", "tag", "visibility", "objective")  # groups of a problem of the suite
+PROBLEM_ONLY = ("compare", "tradeoff")  # commands that take no landmarks from an earlier run
+OPTION = "run"  # option of `GROUPS` and of deployment
+COUNTED = ("random", "uniform", "greedy")  # options of deployment that need a number of landmarks
+RIG = "rig.yaml"  # file of a run that placed cameras
+FILES = (".hydra/config.yaml", "landmarks.csv")  # files that an earlier run must have
+COUNT, PATH = "deployment.count=", "deployment.path"
+CAMERA_KEYS = ("cameras", "body", "rounds", "tag_evaluations")  # keys of `optimise` with varies=cameras
+CAMERA_EVALUATIONS = 2000  # budget of these
+OPEN = {
+    "problem": (*GROUPS, "deployment"),
+    "flight": ("trajectory", "sensor", "estimator", "odometry", "start"),
+    "images": ("imaging", "detectors"),
+    "views": ("views", "board"),
+    **{name: (name,) for name in ("optimiser", "recording", "uncertainty")},
+}
+# Keys that change no result of a run: its place, its speed, its record and its further outputs.
+WITHOUT_EFFECT = (
+    "tracking", "trust", "resume", "threads", "workers", "checkpoint_seconds", "picture", "pictures",
+    "export", "paper_size", "north", "save_as", "kept",
+)  # fmt: skip
+LIKENESS = 0.8  # least similarity, by `difflib`, of a suggested key, such as a missing letter in a word
+NAME = re.compile(r"[\w.-]+")  # characters that mlflow accepts in the name of a metric
+
+for _name, _groups in OPEN.items():
+    _node = OmegaConf.create({group: {} for group in _groups})
+    for _group in _groups:
+        OmegaConf.set_struct(_node[_group], False)
+    ConfigStore.instance().store(f"open_{_name}", _node)
+
+
+def spelled(override: str) -> str:
+    """Override with `deployment.count=+5` in quotes, as Hydra reads `+5` as the number 5."""
+    return re.sub(r"(?<=[=,])\+(\d+)(?=,|$)", r"'+\1'", override) if override.startswith(COUNT) else override
+
+
+def at(key: str, path: Path) -> str:
+    """Override with a path as its value, in quotes if Hydra needs them."""
+    return f"{key}={path}" if re.fullmatch(r"[\w./-]+", str(path)) else f"{key}={quoted(path)}"
+
+
+def quoted(path: str | Path) -> str:
+    """Path as the value of an override, in quotes."""
+    escaped = str(path).replace("\\", "\\\\").replace("'", "\\'")
+    return f"'{escaped}'"
+
+
+def key_and_value(override: str) -> tuple[str, str]:
+    """Split an override, such as `+objective.n=2`, into key and value (`objective.n`, `2`)."""
+    key, _, value = override.partition("=")
+    return key.lstrip("+~"), value
+
+
+def changes_results(key: str) -> bool:
+    """False for a key, or group, that changes no result of a run."""
+    return re.split("[./@]", key)[0] not in WITHOUT_EFFECT
+
+
+def search_path() -> list[str]:
+    """Overrides that add folders of configuration, on which other overrides depend."""
+    own = HydraConfig.get().overrides.hydra if HydraConfig.initialized() else []
+    return [override for override in own if override.startswith("hydra.searchpath=")]
+
+
+def config_dir() -> list[str]:
+    """Option `--config-dir` of this application, for another process; empty without such an option."""
+    sources = HydraConfig.get().runtime.config_sources
+    return [word for source in sources if source.provider == "command-line" for word in ("--config-dir", source.path)]
+
+
+def task_overrides() -> list[tuple[str, str]]:
+    """Overrides of this job, as pairs of key (or group) and override."""
+    return _keyed(HydraConfig.get().overrides.task)
+
+
+def _keyed(overrides: Iterable[str]) -> list[tuple[str, str]]:
+    parsed = OverridesParser.create().parse_overrides(list(overrides))
+    return [(str(override.key_or_group), str(override.input_line)) for override in parsed]
+
+
+def compose(command: str, *overrides: str) -> DictConfig:
+    """Configuration of a command, as its command line composes it, without running the command.
+
+    `building.build_problem` and `building.build_optimiser` make objects of it.
+
+    Args:
+        command: name of the command, such as `optimise`.
+        overrides: its overrides, such as `experiment=lab` or `suite=tiny_mean`.
+
+    Raises:
+        InputError: a frozen problem or an earlier run is refused.
+        hydra.errors.HydraException: Hydra refuses the overrides, or another configuration is being composed.
+    """
+    from hydra import compose as by_hydra
+    from hydra import initialize_config_dir
+
+    with initialize_config_dir(CONF, version_base="1.3"):
+        composed = by_hydra(command, list(map(spelled, overrides)), return_hydra_config=True)
+        options = chosen(composed.hydra.runtime.choices)
+        with open_dict(composed):
+            composed.pop("hydra")
+        again = _overrides(composed, command, overrides, options)
+        return _final(composed if again is None else by_hydra(command, again))
+
+
+def settled(cfg: DictConfig) -> DictConfig:
+    """Configuration of this job as it is used: with the options that its keys choose, and read-only.
+
+    Hydra's record of the job, and its file in the folder of the job, have the same options.
+
+    Raises:
+        InputError: a run, a frozen problem, a survey or a map is refused.
+    """
+    job = HydraConfig.get()
+    if (again := _overrides(cfg, job.job.config_name, job.overrides.task, choices())) is not None:
+        composed = _load(job.job.config_name, [*search_path(), *again], "the command line", " ".join(again))
+        with read_write(job), open_dict(job):
+            job.runtime.choices, job.overrides.task = composed.hydra.runtime.choices, again
+        cfg = _without_hydra(composed)
+        if (record := Path(job.runtime.output_dir, FILES[0])).is_file():
+            OmegaConf.save(cfg, record)
+    return _final(cfg)
+
+
+def editable(node: DictConfig) -> DictConfig:
+    """Copy of a node, in which keys may be changed and added."""
+    copied = deepcopy(node)
+    for part in (copied, *(inner for inner in copied.values() if OmegaConf.is_config(inner))):
+        part._set_flag(["readonly", "struct"], [False, False])
+    return copied
+
+
+def recompose(config_name: str, overrides: Sequence[str], setting: str, entry: str) -> DictConfig:
+    """Compose another configuration within this job.
+
+    Args:
+        config_name: name of the configuration.
+        overrides: its overrides.
+        setting: key that asks for it, for messages.
+        entry: value of the key.
+
+    Raises:
+        InputError: Hydra refuses the overrides.
+    """
+    return _without_hydra(_load(config_name, [*search_path(), *overrides], setting, entry))
+
+
+def _load(config_name: str, overrides: Sequence[str], setting: str, entry: str) -> DictConfig:
+    from hydra.errors import HydraException
+
+    from lmd.core.checks import InputError
+
+    loader = GlobalHydra.instance().config_loader()
+    try:
+        every = list(map(spelled, overrides))
+        return loader.load_configuration(config_name, every, RunMode.RUN, validate_sweep_overrides=False)
+    except (HydraException, ValueError) as error:  # Hydra raises ValueError for an option that is a number
+        raise InputError(f"{setting}: {entry!r} is refused: {str(error).splitlines()[0]}") from error
+
+
+def _without_hydra(composed: DictConfig) -> DictConfig:
+    with open_dict(composed):
+        composed.pop("hydra")
+    return composed
+
+
+def _final(cfg: DictConfig) -> DictConfig:
+    """Read-only configuration without the keys that its other keys rule out."""
+    final = deepcopy(cfg)
+    with open_dict(final):
+        for key in CAMERA_KEYS if final.get("varies") == "tags" else ():
+            final.pop(key, None)
+    OmegaConf.set_readonly(final, True)
+    return final
+
+
+def _overrides(cfg: DictConfig, command: str, given: Sequence[str], options: Mapping[str, str]) -> list[str] | None:
+    """Overrides with those that the keys of a configuration choose in front; None if it chooses none.
+
+    Args:
+        cfg: configuration.
+        command: name of the command.
+        given: overrides of the command line.
+        options: option of each group.
+    """
+    named = {key for key, _ in _keyed(given)}
+    found: dict[str, str] = {}
+    if isinstance(cfg.get("suite"), str) and command != "compare":
+        found |= _of_suite(cfg, named)
+    if "views" in cfg and cfg.survey is not None:
+        found |= _of_survey(Path(str(cfg.survey)))
+    run = cfg.get("run")
+    if run is not None or "run" in found:
+        if run is not None:
+            _check_experiment(str(run), command, options.get("experiment"))
+        found |= _of_run(cfg, Path(str(found["run"]).strip("'") if run is None else str(run)), named, command, options)
+    elif cfg.get("map") is not None and Path(str(cfg.map), FILES[0]).is_file() and "room" not in named:
+        found |= _stored(_parts_of(Path(str(cfg.map)), "map", ("room",))[1], OPTION)
+    elif PATH in named and "suite" not in named and options.get("deployment") in COUNTED:
+        found |= {"deployment": "file"}
+    if cfg.get("varies") == "cameras" or "varies" in found:
+        ours = {"optimiser": ("annealing", "camera_annealing"), "deployment": ("random", "file")}
+        found = {group: ours[group][1] for group in ours if options[group] == ours[group][0]} | found
+        found.setdefault("budget.evaluations", str(CAMERA_EVALUATIONS))
+    if "poses" in named:
+        named.add("pdf")  # an option of the group poses sets its own pdf
+    front = [f"{key}={value}" for key, value in found.items() if key not in named]
+    every = [*front, *map(spelled, given)]
+    return None if every == list(given) else every
+
+
+def _stored(parts: Mapping[str, Any], option: str) -> dict[str, str]:
+    """Put nodes of groups into Hydra's config store, and return the overrides that choose them."""
+    for group, part in parts.items():
+        ConfigStore.instance().store(option, part, group)
+    return dict.fromkeys(parts, option)
+
+
+def _of_suite(cfg: DictConfig, named: Iterable[str]) -> dict[str, str]:
+    """Choices for a frozen problem of the suite.
+
+    Raises:
+        InputError: the problem is unknown or for another command, or the command line chooses a part of it.
+    """
+    from lmd.core.checks import InputError
+    from lmd.suite import document
+    from lmd.suite.documents import with_paths
+
+    frozen: Document = document(cfg.suite)
+    nodes, option = with_paths(frozen.problem), f"suite_{frozen.name}"
+    if "objective" not in nodes or "second" in nodes:
+        told = f"suite={cfg.suite} has two objectives, which no command takes"
+        raise InputError(f"{told}: use lmd.suite.problem({cfg.suite!r}).")
+    cameras = ("body", "cameras") if "cameras" in nodes else ()
+    if cameras and "varies" not in cfg:
+        raise InputError(f"suite={cfg.suite} places cameras, which optimise suite={cfg.suite} does.")
+    for key in named:
+        if key.split(".")[0] in ("run", *FROZEN):
+            raise InputError(f"suite={cfg.suite} has a frozen problem: leave {key} out.")
+    source = "file" if cameras else "random"
+    started = {"deployment": {"defaults": [source, "_self_"], **nodes["deployment"]}}
+    found = _stored({group: nodes[group] for group in FROZEN} | started, option)
+    for key in cameras:
+        ConfigStore.instance().store(option, {k: v for k, v in nodes[key].items() if k != "_target_"}, key)
+        found |= {f"+{key}": option, "varies": "cameras"}
+    return found
+
+
+def _of_survey(directory: Path) -> dict[str, str]:
+    """Choices for the views of a survey, with its run, cameras, tags and detector."""
+    before, parts = _parts_of(directory, "survey", ("camera", "tag"))
+    found = {"frames": "0", "margin": "0"}
+    found |= {**_stored(parts, "survey"), "detectors": f"[{','.join(before.get('detectors') or {})}]"}
+    return found | ({"run": quoted(before["run"])} if before.get("run") else {})
+
+
+def _of_run(
+    cfg: DictConfig, directory: Path, named: Iterable[str], command: str, options: Mapping[str, str]
+) -> dict[str, str]:
+    """Choices for the problem and the landmarks of an earlier run.
+
+    The fixed landmarks and the number of landmarks of that run are defaults for other sources of landmarks, too.
+
+    Raises:
+        InputError: the run names code that the user does not trust, or lacks a file.
+    """
+    further = ("body",) if "body" in cfg else ()
+    before, parts = _parts_of(directory, "run", (*GROUPS, *further), FILES)
+    if "camera" in parts and (rig := directory / RIG).is_file():
+        parts["camera"] = {**parts["camera"], "rig": str(rig)}
+    hung = before.get("deployment")
+    hung = hung if isinstance(hung, dict) else {}
+    path, free = directory / FILES[1], bool(hung.get("free")) or hung.get("measured") is not None
+    _stored({"deployment": {"defaults": ["file", "_self_"], "path": str(path), "free": free}}, OPTION)
+    found = {f"+{key}" if key == "body" else key: option for key, option in _stored(parts, OPTION).items()}
+    start = ("file" if PATH in named else "random") if command in PROBLEM_ONLY else OPTION
+    found["deployment"] = start
+    if (options.get("deployment") if "deployment" in named else start) in COUNTED:
+        found["deployment.count"] = str(count_of(directory))
+    if hung.get("fixed") is not None and "deployment.fixed" not in named:  # that file may have changed
+        found |= {"deployment.fixed": quoted(path), "deployment.marked": "true"}
+    if "detectors" in cfg:  # that which read its images, or that it was planned for
+        planned = (before.get("visibility") or {}).get("detector")  # limits have the file <family>_<detector>.yaml
+        own = list(before.get("detectors") or [Path(str(planned)).stem])
+        known = [option.stem for option in Path(CONF, "detectors").glob("*.yaml")]
+        found |= {"detectors": f"[{n}]" for n in known if len(own) == 1 and f"_{own[0]}".endswith(f"_{n}")}
+    return found
+
+
+def _parts_of(
+    directory: Path, argument: str, groups: Sequence[str], files: Sequence[str] = FILES[:1]
+) -> tuple[dict[str, Any], dict[str, dict[str, Any]]]:
+    """Configuration of an earlier run, and its nodes of `groups`.
+
+    Args:
+        directory: folder of the run.
+        argument: key that names the run, for messages.
+        groups: the groups.
+        files: files that the folder must have.
+
+    Raises:
+        InputError: they name code that the user does not trust, or a file is missing.
+    """
+    from lmd.core.checks import InputError
+
+    if missing := [name for name in files if not (directory / name).is_file()]:
+        raise InputError(f"{argument} = '{directory}' is no {argument} to go on from: it holds no {missing[0]}.")
+    before = read_yaml(directory / FILES[0], argument)
+    return before, Trust.given().parts(before, f"{argument}: '{directory / FILES[0]}'", groups)
+
+
+def count_of(run: str | Path) -> int:
+    """Number of landmarks of the run in a directory."""
+    from lmd.core.tables import read_table
+
+    return len(read_table(Path(run) / FILES[1], name="run").lines)
+
+
+def _check_experiment(run: str, command: str, name: str | None) -> None:
+    """Raise `InputError` if an earlier run and an experiment both choose a group of the problem.
+
+    The run has precedence over an experiment, so only a part of the experiment would be used.
+    """
+    from lmd.core.checks import InputError
+
+    if name is None:
+        return
+    loader: Any = GlobalHydra.instance().config_loader()
+    theirs = loader.compute_defaults_list(command, [*search_path(), f"experiment={name}"], RunMode.RUN).overrides
+    if twice := [group for group in (*GROUPS, "deployment") if group in theirs.override_choices]:
+        raise InputError(
+            f"run = {run!r} and experiment={name} both choose {', '.join(twice)}: leave one of the two out; "
+            "what shall differ from the run can be named by itself."
+        )
+
+
+def compared(cfg: DictConfig) -> dict[str, DictConfig]:
+    """Configuration for each entry of `deployments`, by the name of the entry; without any, that of the command line.
+
+    An entry is an option of `conf/deployment`, or a name, an option and overrides of its own. `deployment.path` of the
+    command line goes to files, `deployment.count` to all others.
+
+    Raises:
+        InputError: an entry is refused.
+    """
+    from lmd.core.checks import InputError
+
+    if cfg.deployments is None:
+        return {choices()["deployment"]: cfg}
+    entries = OmegaConf.to_container(cfg.deployments) if OmegaConf.is_list(cfg.deployments) else []
+    if not entries or not all(str(entry).split() for entry in entries):
+        raise InputError(f"deployments must list at least one option of conf/deployment, got {cfg.deployments!r}.")
+    composed: dict[str, DictConfig] = {}
+    count = [] if cfg.run is None else [(COUNT[:-1], f"{COUNT}{count_of(str(cfg.run))}")]
+    given = [*count, *((key, text) for key, text in task_overrides() if key not in ("deployment", "deployments"))]
+    kinds = set()
+    for entry in map(str, entries):
+        first, *rest = entry.split()
+        name, option, own = (first[:-1], rest[0], rest[1:]) if first.endswith(":") and rest else (first, first, rest)
+        if name in composed:
+            raise InputError(f"deployments has {name!r} twice: give them names, e.g. 'mine: {entry}'.")
+        if not NAME.fullmatch(name):
+            raise InputError(f"deployments: the name {name!r} must be of letters, digits, _, - and dots.")
+        kinds.add(left_out := PATH if option in COUNTED else COUNT[:-1])
+        shared = [text for key, text in given if key != left_out and not (key == PATH and option == OPTION)]
+        words = [*shared, f"deployment={option}", *own]
+        composed[name] = _final(recompose(HydraConfig.get().job.config_name, words, "deployments", entry))
+    if kinds == {PATH} and (unused := [text for key, text in given if key == PATH]):
+        raise InputError(f"{unused[0]} is for none of the deployments {', '.join(composed)}.")
+    return composed
+
+
+def meant(key: str) -> str:
+    """Question that suggests the known key most similar to an unknown key; empty for a known key, or if no known key is
+    similar.
+
+    Args:
+        key: key with its groups, such as `room.keepout`.
+    """
+    import difflib
+
+    known = known_keys(CONF)
+    close = [] if key in known else difflib.get_close_matches(key, sorted(known), 1, LIKENESS)
+    return f"did you mean {close[0]}?" if close else ""
+
+
+def ask_what_was_meant() -> None:
+    """Suggest on stderr a known key for each unknown key of the command line, which Hydra has refused."""
+    for argument in sys.argv[1:]:
+        key = argument.partition("=")[0]
+        if key.replace(".", "_").isidentifier() and (question := meant(key)):
+            print(f"{key}: {question}", file=sys.stderr)
+        if key.startswith("hydra/launcher"):
+            print("other launchers are packages of their own: pip install 'lmd[sweeps]'", file=sys.stderr)
+
+
+@cache
+def known_keys(folder: str) -> frozenset[str]:
+    """Keys of the configuration in a folder, with their groups."""
+    import yaml
+
+    loader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)  # ten times as fast, if PyYAML was built with it
+    files = list(Path(folder).rglob("*.yaml"))
+    nodes = [
+        (list(f.parent.relative_to(folder).parts), yaml.load(f.read_text(encoding="utf-8"), loader)) for f in files
+    ]
+    return frozenset(name for groups, node in nodes for name in _keys_within(node, groups))
+
+
+def _keys_within(node: Any, above: list[str]) -> Iterator[str]:
+    if isinstance(node, Mapping):
+        for key, inner in node.items():
+            if key == "defaults":  # Hydra's own key
+                continue
+            yield ".".join([*above, str(key)])
+            yield from _keys_within(inner, [*above, str(key)])

@@ -1,0 +1,338 @@
+"""The score of a deployment: landmarks and figures first, then everything that can be computed again."""
+
+import math
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import fields, replace
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+from omegaconf import DictConfig, OmegaConf
+
+from .app import choices, run_directory
+from .building import build_problem
+from .landmarks import axes_in
+from .nodes import keyed, note
+from .operations.signals import stop
+from .study import Report, Study
+
+if TYPE_CHECKING:
+    from lmd import evaluation
+    from lmd.evaluation.mounting import MountingError
+    from lmd.export.exports import Export
+    from lmd.optimisers.ledger import Record
+    from lmd.problem import Problem
+    from lmd.scene.deployment import Deployment
+
+MEASURED, MOUNTING = "deployment.measured", "deployment.mounting_error"
+# Figures that the terminal shows of deployments side by side.
+COMPARED = ("fitness", "off_grid", "qualified_ratio", "average_coverage_probability", "localised_share_20mm")
+FEW_QUALIFIED = 0.1  # share of qualified positions; below it a run prints the criteria that exclude the others
+
+
+class Extras(NamedTuple):
+    """Settings on the outputs of a run beside its landmarks, figures and history."""
+
+    seed: int
+    """Seed of the validation sample."""
+    validate: bool
+    """Score the deployment off its grid."""
+    picture: bool
+    """Draw the scene and the convergence."""
+
+    @classmethod
+    def of(cls, cfg: DictConfig) -> "Extras":
+        """The settings of a configuration."""
+        return cls(*(cfg[key] for key in cls._fields))
+
+
+def room_report(cfg: DictConfig, problem: "Problem") -> Report:
+    """The room as it was understood, and where people are in the way, before anything is computed."""
+    room, crowd = problem.scene.room, problem.scene.crowd
+    path, people = getattr(getattr(room, "plan", None), "path", None), None if crowd is None else crowd.people
+    if not cfg.picture:
+        return Report()
+    from lmd.plot.plans import save_room_figure
+
+    title = room.describe() if path is None else f"{Path(path).name}: {room.describe()}"
+    draw = partial(save_room_figure, room=room, title=title, people=people)
+    return Report({"room.png": draw}, text=f"room     {run_directory() / 'room.png'}", is_extra=True)
+
+
+def columns_of(history: "Sequence[Record]") -> dict[str, list[float]]:
+    """History of a run as columns of a table, from the first successful evaluation on."""
+    from lmd.optimisers.ledger import Record
+
+    known = [record for record in history if math.isfinite(record.best_fitness)]
+    return {key.name: [getattr(record, key.name) for record in known] for key in fields(Record)}
+
+
+def scored(
+    extras: Extras, problem: "Problem", deployment: "Deployment", history: "Sequence[Record]", *,
+    subject: str, summary: Mapping[str, Any], further: Callable[[], Mapping[str, float]] = dict,
+    export: "Export | None" = None, in_haste: bool = False,
+) -> Iterator[Report]:  # fmt: skip
+    """Reports on a deployment.
+
+    Landmarks, figures and history cannot be computed again: they are written before all else, and they stay.
+
+    Args:
+        extras: settings on the outputs.
+        problem: problem of the deployment.
+        deployment: the deployment.
+        history: best fitness over the run; a single evaluation gets no curve.
+        subject: subject of the run, in a word.
+        summary: more entries of metrics.json; with `stopped` = "interrupted" the run was cut short.
+        further: more entries that take seconds to compute.
+        export: further files.
+        in_haste: leave out outputs that take seconds: validation, pictures, exports and `further` entries.
+
+    Yields:
+        reports with the figures, among them `fitness` and, unless validation is left out, `off_grid`.
+    """
+    from lmd.evaluation.validation import Sample, describe_validation, headline_off_grid, validation_metrics
+    from lmd.evaluation.verdicts import causes
+    from lmd.objectives.base import labelled_figures
+    from lmd.plot.charts import save_convergence_figure
+    from lmd.plot.scenes import save_scene_figure
+
+    from .progress import doing
+
+    is_cut = summary.get("stopped") == "interrupted"
+    with stop.shielded():
+        metrics = problem.metrics(deployment)
+        document: dict[str, Any] = {**metrics, **summary, "seed": extras.seed}
+        settings = {"settings": problem.settings()}
+        write = partial(deployment.to_csv, ups=not problem.scene.tag.is_point)
+        yield Report(
+            {"landmarks.csv": write, "metrics.json": document | settings}, is_whole=not is_cut, is_cut=is_cut
+        )
+        yield Report({"history.csv": columns_of(history)}, is_extra=True)
+    figures = {key: value for key, value in summary.items() if isinstance(value, int | float)}
+    validation, why = dict[str, float](), None
+    if not in_haste:
+        with doing("scoring off the grid", Sample.groups) as next_group:
+            figures |= further()
+            why = causes(problem.scene, deployment, extras.seed)
+            if extras.validate:
+                validation = validation_metrics(problem, deployment, extras.seed, between=next_group)
+    if validation:
+        figures["off_grid"] = validation[headline_off_grid(problem)]
+    groups = {"validation": validation, "criteria": why.metrics() if why else {}}
+    document |= figures | {group: found for group, found in groups.items() if found} | settings
+    # Standard errors would only clutter the charts.
+    charted = {f"validation/{key}": v for key, v in validation.items() if not key.endswith("standard_error")}
+    lines = labelled_figures({key: value for key, value in figures.items() if key != "off_grid"})
+    if all(camera.is_pinhole for camera in problem.scene.cameras):
+        lines["focus"] = "no criterion: the camera has no aperture"
+    if extras.picture and not in_haste:
+        lines["picture"] = str(run_directory() / "scene.png")
+    fitness, headline, *others = problem.describe(metrics, problem.count).items()
+    off_grid = describe_validation(problem, validation) if validation else {}
+    few = problem.objective.qualified(problem.values(deployment)).mean() < FEW_QUALIFIED
+    yield Report(
+        {} if in_haste else {"metrics.json": document},
+        metrics | figures | charted,
+        text=why.to_text() if why and few else "",
+        lines=dict([fitness, headline, *off_grid.items(), *others, *lines.items()]),
+        is_extra=True,
+    )
+    if in_haste:
+        return
+    title, files = in_words(problem, subject), dict[str, Any]()
+    if extras.picture:
+        files["scene.png"] = lambda path: save_scene_figure(path, problem, deployment, title)
+    if extras.picture and len(history) > 1:
+        files["convergence.png"] = lambda path: save_convergence_figure(path, columns_of(history), title)
+    exports = export.writers(problem.scene.room, problem.scene.tag, deployment) if export else {}
+    yield Report(files | exports, is_extra=True)
+
+
+def in_words(problem: "Problem", subject: str) -> str:
+    """Title that says what was placed, objective, visibility and room in words."""
+    scene, of = problem.scene, getattr(problem.scene.visibility, "detector", None)
+    visibility = f"visibility {choices().get('visibility', '')}{f' ({of})' if of else ''}"
+    return (
+        f"{subject}, {problem.count} landmarks: {problem.objective.value_label}; {visibility}; {scene.room.describe()}"
+    )
+
+
+def score(cfg: DictConfig, own: Mapping[str, DictConfig]) -> Study:
+    """Prepare the score of deployments, with their studies: losses, sensitivity, as measured, as mounted.
+
+    Args:
+        cfg: configuration of the command.
+        own: configuration of each deployment, by its name.
+    """
+    from .tracked_run import title_of
+
+    subjects = {name: _Subject.of(each) for name, each in own.items()}
+    (first, *_), is_alone = subjects.values(), len(subjects) == 1
+
+    def run(_: object) -> Iterator[Report]:
+        yield room_report(cfg, first.problem)
+        if is_alone:
+            yield from _studied(cfg, first, choices()["deployment"])
+            return
+        rows = {}
+        for name, subject in subjects.items():
+            figures: dict[str, float] = {}
+            for report in _studied(cfg, subject, name):
+                figures |= report.figures
+                lines = {f"{label}, {name}": text for label, text in report.lines.items()}
+                named = {f"{key}/{name}": value for key, value in report.figures.items()}
+                yield replace(report.below(name), figures=named, lines=lines, is_whole=False)
+            rows[name] = figures
+        yield _side_by_side(rows)
+
+    problem, subject = first.problem, choices()["deployment"] if is_alone else " ".join(subjects)
+    return Study(subject, run, title_of(problem, subject), problem, returned="fitness" if is_alone else "")
+
+
+class _Subject(NamedTuple):
+    """A deployment that is scored."""
+
+    problem: "Problem"
+    plan: "Deployment"
+    """Planned places of the tags."""
+    deployment: "Deployment"
+    """Measured places of the tags; `plan` if nothing was measured."""
+    error: "MountingError"
+    history: "Sequence[Record]"
+
+    @classmethod
+    def of(cls, cfg: DictConfig) -> "_Subject":
+        import numpy as np
+
+        from lmd.core.compiled import clock
+        from lmd.optimisers.ledger import Record
+
+        from .progress import doing
+
+        began, problem = clock(), build_problem(cfg)
+        with doing("placing the landmarks"):
+            deployment = plan = problem.draw(np.random.default_rng(cfg.seed))
+        with keyed("deployment", path=MEASURED, family="tag.family"):
+            if cfg.deployment.measured is not None:
+                from lmd.evaluation.measured import read_measured  # slow to load
+
+                deployment = read_measured(cfg.deployment.measured, problem, plan, axes_in(cfg.deployment))
+                note(deployment.note)
+        history = [Record(1, problem.metrics(deployment)["fitness"], clock() - began)]
+        return cls(problem, plan, deployment, mounting_of(cfg), history)
+
+
+def mounting_of(cfg: DictConfig) -> "MountingError":
+    """Mounting error of a configuration; a number is short for the error of position.
+
+    Raises:
+        InputError: the error is refused.
+    """
+    from lmd.evaluation.mounting import MountingError
+    from lmd.space.parts import made
+
+    given = cfg.deployment.mounting_error
+    keys = OmegaConf.to_container(given, resolve=True) if OmegaConf.is_config(given) else {"position": given}
+    return made(MOUNTING, MountingError, keys)
+
+
+def _studied(cfg: DictConfig, subject: _Subject, name: str) -> Iterator[Report]:
+    """Reports on the score and the studies of a deployment."""
+    from .progress import doing
+    from .tracked_run import title_of
+
+    problem, deployment, texts = subject.problem, subject.deployment, list[str]()
+    summary: dict[str, Any] = {}
+    with doing("studying the deployment"):
+        if cfg.localisation:
+            found, summary = _localised(cfg, problem, deployment)
+            yield found
+        for key, study, draw, about in _studies(cfg, subject):
+            files = {f"{stem}.csv": study_table for stem, study_table in _tables(study).items()}
+            if draw is not None and cfg.picture:
+                files[f"{key}.png"] = partial(draw, title=title_of(problem, about))
+            figures = study.metrics()
+            if key == "losses":  # figures of the deployment, like its fitness
+                summary |= figures
+                yield Report(files)
+            else:
+                summary[key] = figures
+                yield Report(files, {f"{key}/{figure}": value for figure, value in figures.items()})
+            texts.append(f"{study.to_text()}\n")
+    yield from scored(Extras.of(cfg), problem, deployment, subject.history, subject=name, summary=summary)
+    yield Report(text="\n".join(texts), is_extra=True)
+
+
+def _tables(study: "evaluation.Study") -> dict[str, Any]:
+    """Tables of a study, each as its columns."""
+    return {stem: {str(c): values for c, values in table.items()} for stem, table in study.tables.items()}
+
+
+def _localised(cfg: DictConfig, problem: "Problem", deployment: "Deployment") -> tuple[Report, dict[str, float]]:
+    """Maps of the accuracy of one frame, and its figures."""
+    from lmd.estimation.cramer_rao import cramer_rao_map
+    from lmd.evaluation.accuracy import accuracy_metrics, save_accuracy_map
+    from lmd.plot.pose_errors import save_cramer_rao_map
+
+    from .tracked_run import title_of
+
+    bounds = cramer_rao_map(problem.scene, problem.evaluator, deployment)
+    files: dict[str, Any] = {
+        "localisation.csv": bounds.to_csv,
+        "accuracy.csv": partial(save_accuracy_map, problem=problem, deployment=deployment),
+    }
+    if cfg.picture:
+        title = title_of(problem, "Cramer-Rao bound of one frame,")
+        files["localisation.png"] = lambda path: save_cramer_rao_map(path, problem.scene.room, bounds, title)
+    return Report(files), bounds.metrics() | accuracy_metrics(problem, deployment, cfg.seed)
+
+
+def _studies(
+    cfg: DictConfig, subject: _Subject
+) -> "Iterator[tuple[str, evaluation.Study, Callable[..., None] | None, str]]":
+    """Conduct the studies of a deployment, one after the other.
+
+    Yields:
+        name of a study, the study, the function that draws it (None for none), and the subject of its picture.
+    """
+    from lmd.core.checks import InputError
+
+    problem, plan, deployment, error, seed = *subject[:4], cfg.seed
+    if cfg.losses:
+        from lmd.evaluation.losses import losses
+
+        try:
+            yield "losses", losses(problem, deployment), None, ""
+        except InputError as refused:
+            print(f"no losses: {refused}")
+    if cfg.sensitivity:
+        from lmd.evaluation.sensitivity import sensitivity
+        from lmd.plot.charts import save_sensitivity_figure
+
+        varied = sensitivity(problem, deployment, seed)
+        yield "sensitivity", varied, partial(save_sensitivity_figure, found=varied), "sensitivity,"
+    if deployment is not plan:
+        from lmd.evaluation.measured import as_measured
+        from lmd.plot.pose_errors import save_map_figure
+
+        surveyed = as_measured(problem, plan, deployment, seed)
+        draw = partial(save_map_figure, views=surveyed.views)
+        yield "survey", surveyed, draw, "maps as planned and as measured,"
+    if not error.is_none:
+        from lmd.evaluation.mounting import mounted
+        from lmd.plot.pose_errors import save_map_figure
+
+        with keyed(MOUNTING):
+            hung = mounted(problem, deployment, error, seed)
+        yield "mounting", hung, partial(save_map_figure, views=hung.views), f"{error.draws} mountings,"
+
+
+def _side_by_side(rows: Mapping[str, Mapping[str, float]]) -> Report:
+    """Table of the figures of several deployments, and those that all have on the terminal."""
+    import pandas as pd
+
+    from lmd.evaluation.maps import figures_text
+
+    table = pd.DataFrame(rows).T.rename_axis("deployment")
+    shown = {name: {key: row[key] for key in COMPARED if key in row} for name, row in rows.items()}
+    return Report({"scores.csv": table}, text=figures_text(shown), is_whole=True)

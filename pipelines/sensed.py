@@ -1,0 +1,202 @@
+"""Studies of `evaluate` that look at deployments: flights over them, and detectors in rendered images of them."""
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import replace
+from functools import partial
+from math import isfinite
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from omegaconf import DictConfig, OmegaConf
+
+from .app import choices
+from .building import build_problem, refuse_crowd, seeds_of
+from .nodes import detector_of, instantiate, keyed, note, settings_of
+from .study import Report, Study
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+    from lmd.evaluation.detected import DetectionStudy, Rendered
+
+Own = Mapping[str, DictConfig]
+
+
+def observe(cfg: DictConfig, own: Own) -> Study:
+    """Localise a flying camera over deployments, with equal flights over each."""
+    from lmd.estimation.study import Flights
+
+    seeds = seeds_of(cfg)
+    problems = {name: build_problem(_any_tag(each)) for name, each in own.items()}
+    for problem in problems.values():
+        refuse_crowd(problem, "observe")
+    problem = next(iter(problems.values()))
+    trajectory, start, odometry = (instantiate(settings_of(cfg, key)) for key in ("trajectory", "start", "odometry"))
+    estimators = {name: instantiate(settings_of(cfg, f"estimator.{name}")) for name in cfg.get("estimator") or {}}
+    detectors = {name: instantiate(settings_of(each, "sensor")) for name, each in own.items()}
+    with keyed("trajectory", seeds="seeds"):
+        flights = Flights.draw(problem, trajectory, start, seeds)
+    if hasattr(trajectory, "note_of"):  # the trajectory is from a file
+        note(trajectory.note_of("trajectory."))
+
+    def run(_: object) -> Report:
+        from lmd.estimation import pairs
+        from lmd.estimation.study import conduct, to_markdown
+        from lmd.plot.pose_errors import save_error_figure
+
+        from .tracked_run import title_of
+
+        with keyed(estimators="estimator", family="tag.family"):
+            each = partial(in_batches, cfg.workers)
+            study = conduct(problems, flights, detectors, estimators, cfg.all_visible, odometry, each)
+        figures, curves, n = study.figures(), study.curves(), problem.objective.n
+        markdown, paired = to_markdown(figures, n), pairs.paired(figures)
+        files = {"figures.csv": figures, "curves.csv": curves}
+        if len(paired):
+            markdown += f"\n{pairs.to_markdown(paired)}"
+            files["paired.csv"] = paired
+        medians = _medians(figures)
+        counts = {name: outcome.counts[0] for name, outcome in study.outcomes.items()}
+        title = title_of(problem, f"{len(seeds)} flights: median, band from 10 to 90 %;")
+        more = {
+            "observe.md": markdown,
+            "observe.json": {"medians": medians, "seeds": list(seeds), "settings": problem.settings()},
+            "errors.png": lambda path: save_error_figure(path, curves, study.time, counts, n, title),
+        }
+        made = " ".join(f"{group}={choices()[group]}" for group in ("trajectory", "sensor"))
+        return Report(files | more, medians, _over_time(curves), f"{markdown}\nflown with {made}")
+
+    return Study("observe", run, problem=problem)
+
+
+def _any_tag(cfg: DictConfig) -> DictConfig:
+    """Configuration in which tags are points if the visibility model is for points.
+
+    Overlapping papers are then not refused; pictures still show the papers.
+    """
+    return cfg if "tag" in cfg.visibility else OmegaConf.merge(cfg, {"tag": {"edge": None}})  # type: ignore[return-value]
+
+
+def in_batches(workers: int | None, function: Callable[[Any], Any], jobs: Sequence[Any]) -> Iterator[Any]:
+    """Results of a function for each job, in processes of their own; see `lmd.estimation.recording.Each`."""
+    from .progress import bar
+    from .workers import in_processes
+
+    results = in_processes(
+        partial(_on_one_thread, function), jobs, workers, lambda _: "a batch of frames", ordered=True
+    )
+    with bar(len(jobs), "batches of frames") as progress:
+        for result in results:
+            progress.update()
+            yield result
+
+
+def _on_one_thread(function: Callable[[Any], Any], job: Any) -> Any:
+    """Do one job on one thread."""
+    from lmd.core.optional import optional
+
+    optional("cv2", "detection").setNumThreads(1)
+    return function(job)
+
+
+def _medians(figures: "pd.DataFrame") -> dict[str, float]:
+    """Finite medians over the seeds by `<figure>/<deployment>/<estimator>`."""
+    medians = {}
+    for (name, estimator), runs in figures.groupby(["deployment", "estimator"], sort=False):
+        for key, value in runs.drop(columns="seed").median(numeric_only=True).items():
+            if isfinite(value):
+                medians[f"{key}/{name}/{estimator}"] = float(value)
+    return medians
+
+
+def _over_time(curves: "pd.DataFrame") -> dict[str, list[tuple[int, float, float]]]:
+    """Median errors over time as curves; their steps are milliseconds."""
+    found = {}
+    for (name, estimator), curve in curves.groupby(["deployment", "estimator"], sort=False):
+        for quantity in ("error", "position", "attitude"):
+            values = curve[["time", f"{quantity}_median"]].dropna().to_numpy()
+            points = [(round(1000 * time), float(value), float(time)) for time, value in values]
+            found[f"{quantity}_over_time/{name}/{estimator}"] = points
+    return found
+
+
+def detect(cfg: DictConfig, own: Own) -> Study:
+    """Let real detectors read rendered images of deployments, from equal random poses."""
+    from lmd.core.checks import integer, vector
+    from lmd.core.optional import optional
+
+    optional("cv2", "detection")
+    count, seed = integer("frames", cfg.frames, low=1), cfg.seed
+    pictures = min(integer("pictures", cfg.pictures, low=0), count)
+    subjects = {name: rendered(each, count) for name, each in own.items()}
+    moves = None if cfg.nudge is None else vector("nudge", cfg.nudge, 2, low=0.0)
+    problem = next(iter(subjects.values())).problem
+
+    def run(_: object) -> Report:
+        from lmd.detection.predictions import to_markdown
+        from lmd.evaluation.detected import DetectionStudy, sightings
+        from lmd.plot.detection_figures import save_calibration_figure
+
+        from .tracked_run import title_of
+
+        each = partial(in_batches, cfg.workers)
+        seen, again = sightings(subjects, seed, each), None
+        if moves is not None:
+            moved = {name: subject.nudged(*moves, seed) for name, subject in subjects.items()}
+            again = sightings(moved, seed + 1, each)
+        study = DetectionStudy(subjects, seen, again)
+        tables, metrics = study.tables, study.metrics()
+        markdown, title = to_markdown(tables["figures"]), title_of(problem, f"{count} poses,")
+        files = {
+            "detect.md": markdown,
+            **{f"{name}.csv": table for name, table in tables.items()},
+            "detect.json": {"figures": metrics, "poses": count, "seed": seed, "settings": problem.settings()},
+            "calibration.png": lambda path: save_calibration_figure(path, tables["figures"], tables["pitches"], title),
+        }
+        return Report(files | _frames(study, pictures, seed), metrics, text=markdown)
+
+    return Study("detect", run, problem=problem)
+
+
+def rendered(cfg: DictConfig, count: int) -> "Rendered":
+    """Deployment of a configuration, with its prediction in random poses, and detectors.
+
+    Raises:
+        InputError: the deployment, the tag or a detector is refused.
+    """
+    from lmd.core.checks import InputError
+    from lmd.evaluation.detected import Rendered
+
+    tag, imaging, problem = instantiate(cfg.tag), instantiate(cfg.imaging), build_problem(_any_tag(cfg))
+    with keyed():
+        tag.check_edge()
+    detectors = {name: detector_of(cfg, name) for name in cfg.get("detectors") or {}}
+    if not detectors:
+        raise InputError("detectors must name at least one detector.")
+    with keyed("tag", crowd="visibility.crowd", frames="frames"):
+        return Rendered.of(problem, tag, imaging, detectors, count, cfg.seed)
+
+
+def _frames(study: "DetectionStudy", count: int, seed: int) -> dict[str, Callable[[Path], object]]:
+    """Pictures of the first frames of each deployment with the detections of its first detector, for every camera."""
+    import numpy as np
+
+    from lmd.detection.frames import rendered_frame
+    from lmd.plot.detection_figures import save_frame
+
+    files: dict[str, Callable[[Path], object]] = {}
+    for name, subject in study.subjects.items():
+        found, parts = next(iter(study.seen[name].values())), subject.prediction.parts
+        for c, told in enumerate(parts):
+            its = np.split(found.corners, len(parts), axis=1)[c]
+            for i in range(count):
+
+                def draw(path: Path, told: Any = told, i: int = i, c: int = c, its: Any = its) -> None:
+                    among = told.renderer
+                    if told.people is not None:
+                        among = replace(among, room=among.room.among(told.people[i]))
+                    image = rendered_frame(among, told.poses[i], c * len(told.poses) + i, seed)
+                    save_frame(path, image, told.corners[i], told.visible[i], its[i])
+
+                files[f"frames/{name}_{i}_{c}.png" if len(parts) > 1 else f"frames/{name}_{i}.png"] = draw
+    return files

@@ -1,0 +1,197 @@
+"""Studies that `evaluate` conducts of one or several deployments, beside their score.
+
+Each is a function of the configuration of the command and of those of the deployments, by their names, that checks its
+settings and returns the study.
+"""
+
+import sys
+from collections.abc import Iterator, Mapping
+from dataclasses import replace
+from functools import partial
+from math import inf
+from time import monotonic
+from typing import TYPE_CHECKING, Any
+
+from omegaconf import DictConfig
+
+from .building import build_problem, refuse_crowd
+from .nodes import instantiate, keyed, note, settings_of
+from .score import mounting_of
+from .study import Report, Study
+
+if TYPE_CHECKING:
+    from lmd.evaluation.time_limit import TimeLimit
+    from lmd.evaluation.uncertainty import Uncertainty
+    from lmd.evaluation.uncertainty_law import UncertaintyLaw
+    from lmd.problem import Problem
+    from lmd.scene.deployment import Deployment
+
+Own = Mapping[str, DictConfig]
+HEADLINE = "localised_share_20mm"  # figure in the headings of panels
+EVERY = 10.0  # least time between two lines of progress, seconds
+
+
+def accuracy(cfg: DictConfig, own: Own) -> Study:
+    """Predict the accuracy of single images."""
+    import numpy as np
+
+    from .tracked_run import title_of
+
+    problems = {name: build_problem(each) for name, each in own.items()}
+    drawn = {name: (problem, problem.draw(np.random.default_rng(cfg.seed))) for name, problem in problems.items()}
+    problem = next(iter(problems.values()))
+
+    def run(_: object) -> Report:
+        import pandas as pd
+
+        from lmd.evaluation.accuracy import accuracy_metrics
+        from lmd.evaluation.maps import figures_text
+        from lmd.plot.plans import save_accuracy_figure
+
+        figures = {name: accuracy_metrics(*subject, cfg.seed) for name, subject in drawn.items()}
+        table = pd.DataFrame(figures).T.rename_axis("deployment")
+        headed = {f"{name}: {table[HEADLINE][name]:.1%} to 20 mm off the grid": drawn[name] for name in drawn}
+        title = title_of(problem, "median predicted error of one image,")
+        files = {"figures.csv": table, "accuracy.png": lambda path: save_accuracy_figure(path, headed, title)}
+        named = {f"{key}/{name}": value for name, row in figures.items() for key, value in row.items()}
+        return Report(files, named, text=figures_text(figures))
+
+    return Study("accuracy", run, problem=problem)
+
+
+def bound(cfg: DictConfig, own: Own) -> Study:
+    """Bound the results of all deployments of a problem, and the share of the bounds that a greedy choice reaches."""
+    from lmd.core.checks import real
+    from lmd.evaluation.bounds import Search, affordable, average_upper_bound, fewest_landmarks, fitness_upper_bound
+    from lmd.evaluation.selection_bound import selection_upper_bound
+    from lmd.evaluation.time_limit import TimeLimit
+
+    problem, settings = build_problem(next(iter(own.values()))), settings_of(cfg, "bound")
+    with keyed("bound"):
+        seconds = inf if settings.seconds is None else real("seconds", settings.seconds, above=0.0)
+        limit = TimeLimit(seconds, _Progress())
+        search = Search(settings.spacing, settings.iterations, settings.tolerance, limit)
+        target = None if settings.target is None else real("target", settings.target, low=0.0, high=1.0)
+    if target is not None:
+        problem.scene.check_one_size("bound.target, a least number of landmarks,")
+    with keyed("bound"):
+        search = affordable(problem, problem.count, search)
+    if search.spacing > settings.spacing:
+        note(f"bound.seconds = {seconds:g} is too little for bound.spacing: poses are {search.spacing:.3g} m apart")
+    count, free = problem.count, problem.free_count
+    beside = f" beside {problem.fixed_count} that hang already" if problem.fixed else ""
+
+    def run(_: object) -> Iterator[Report]:
+        document: dict[str, Any] = {"spacing": search.spacing}
+        early: dict[str, list[str]] = {}
+
+        def told(label: str, text: str, stage: "TimeLimit") -> Report:
+            if stage.cut:  # a bound holds without the parts that were stopped early
+                early[label] = stage.cut
+            cut = f"\n{'':<20} stopped early: {', '.join(stage.cut)}" if stage.cut else ""
+            return Report(text=f"{label:<20} {text}{cut}")
+
+        stage = limit.part(1 / 3)
+        with keyed("bound"):
+            choice = selection_upper_bound(problem, count, search.spacing, stage)
+        document["selection"] = {"greedy": choice.greedy, "grid": choice.grid, "share": choice.share}
+        yield told("greedy choice", f">= {choice.share:.2%} of the best {free} poses of the grid{beside}, by the "
+                   f"{choice.label}: {choice.greedy:.4g} of at most {choice.grid:.4g}; sure before was "
+                   f"{choice.guarantee:.2%}", stage)  # fmt: skip
+        for label, key, method, share in (
+            ("fitness", "fitness", fitness_upper_bound, 1 / 2),
+            ("average probability", "average_coverage_probability", average_upper_bound, 1),
+        ):
+            stage = limit.part(share if target is None else share / 2)
+            result = method(problem, count, replace(search, limit=stage))
+            document[key] = {"walls": result.walls, "grid": result.grid, "fractional": result.fractional}
+            yield told(label, f"<= {result.walls:.2%} for any {free} landmarks flush on the walls{beside}; on the grid "
+                       f"of poses <= {result.grid:.2%}, where fractions of landmarks reach {result.fractional:.2%}",
+                       stage)  # fmt: skip
+        kinds = {part: found for part, found in document.items() if isinstance(found, dict)}
+        figures = {f"bound/{part}/{kind}": value for part, found in kinds.items() for kind, value in found.items()}
+        if target is not None:
+            stage = limit.part(1)
+            with keyed("bound"):
+                fewest = fewest_landmarks(problem, target, replace(search, limit=stage))
+            document["target"] = {"fitness": target, "fewest_landmarks": fewest}
+            figures["bound/fewest_landmarks"] = fewest
+            yield told("landmarks", f">= {fewest} for a fitness of {target:.2%}", stage)
+        document |= ({"stopped_early": early} if early else {}) | {"settings": problem.settings()}
+        yield Report({"bound.json": document}, figures)
+
+    return Study("bound", run, problem=problem)
+
+
+class _Progress:
+    """Printer of the progress of a bound, at most every `EVERY` seconds."""
+
+    def __init__(self) -> None:
+        self._last = monotonic()
+
+    def __call__(self, text: str) -> None:
+        if monotonic() - self._last >= EVERY:
+            print(text, file=sys.stderr, flush=True)
+            self._last = monotonic()
+
+
+def uncertainty(cfg: DictConfig, own: Own) -> Study:
+    """Describe the uncertainty of the pose from one image, as tables, laws and code."""
+    import numpy as np
+
+    from lmd.core.checks import InputError
+    from lmd.evaluation.uncertainty import UncertaintyStudy
+    from lmd.evaluation.uncertainty import uncertainty as find
+    from lmd.evaluation.uncertainty_law import uncertainty_law
+    from lmd.localise.fixed_map import surveyed_covariance
+
+    if len(own) > 1:
+        raise InputError("studies=[uncertainty] describes one deployment: leave deployments out.")
+    (alone,) = own.values()
+    problem = build_problem(alone)
+    refuse_crowd(problem, "uncertainty")
+    study: UncertaintyStudy = instantiate(cfg.uncertainty)
+    error, deployment = mounting_of(alone), problem.draw(np.random.default_rng(cfg.seed))
+
+    def run(_: object) -> Report:
+        places = error.covariances(problem, deployment)
+        with keyed("uncertainty", map="deployment.path"):
+            path = alone.deployment.get("path")
+            joint = None if path is None else surveyed_covariance(path, deployment)
+            found = find(problem, deployment, study, cfg.seed, places, joint)
+        with keyed("uncertainty"):
+            law = uncertainty_law(found)
+        return Report(
+            _uncertainty_files(cfg, problem, deployment, found, law), found.metrics(), lines=law.lines(found)
+        )
+
+    return Study("uncertainty", run, problem=problem)
+
+
+def _uncertainty_files(
+    cfg: DictConfig, problem: "Problem", deployment: "Deployment", found: "Uncertainty", law: "UncertaintyLaw"
+) -> dict[str, Any]:
+    """Contents of the files about the uncertainty."""
+    from lmd.export.filter_code import CLASS, FilterLaws, java, python, robot_localization
+    from lmd.plot.uncertainty import save_uncertainty_figure
+
+    from .tracked_run import title_of
+
+    distance = found.views.distance[found.views.pose == "one"]
+    tag, room = problem.scene.tag, problem.scene.room.describe()
+    of = f"{len(deployment)} tags of {tag.size:g} m ({tag.family}, {tag.square})"
+    about = f"{of}, {room}; errors of corners {found.corners}."
+    code = FilterLaws(law.laws, law.rules, law.reach, float(distance.min()), float(distance.max()), about)
+    document = {"about": about, "views": found.metrics(), "misleading": found.misleading, **law.document()}
+    files = {
+        "uncertainty.csv": found.views,
+        "uncertainty_law.csv": law.table,
+        "uncertainty_law.json": document,
+        "uncertainty_tags.csv": found.tags,
+        f"{CLASS}.java": java(code),
+        "vision_uncertainty.py": python(code),
+        "robot_localization.yaml": robot_localization(code),
+    }
+    title = title_of(problem, "uncertainty of the pose from one image,")
+    drawn = {"problem": problem, "deployment": deployment, "found": found, "law": law, "title": title}
+    return files | ({"uncertainty.png": partial(save_uncertainty_figure, **drawn)} if cfg.picture else {})
