@@ -44,7 +44,8 @@ def calibrate(cfg: DictConfig) -> Study:
         from lmd.evaluation.detected import sightings
         from lmd.plot.detection_figures import save_limits_figure
 
-        fitted, spans = dict[str, tuple[TagViews, Fit]](), {}
+        fitted: dict[str, tuple[TagViews, Fit]] = {}
+        spans = {}
         for name, detector in subject.detectors.items():
             rng = np.random.default_rng([seed, VIEWS_STREAM])  # equal views for every detector
             with keyed(key):
@@ -66,7 +67,9 @@ def calibrate(cfg: DictConfig) -> Study:
         about = f"views of {key}, seed {seed}"
         figures = {name: calibration.figures() for name, calibration in found.items()}
         markdown = limits_markdown(figures)
-        files: dict[str, Any] = {f"{family}_{name}.yaml": each.preset(name, family, about) for name, each in found.items()}
+        files: dict[str, Any] = {
+            f"{family}_{name}.yaml": each.preset(name, family, about) for name, each in found.items()
+        }
         files |= {
             "calibration.md": markdown,
             "calibration.json": {"seed": seed, "figures": figures},

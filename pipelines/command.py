@@ -1,4 +1,4 @@
-"""Command: a function of a configuration that Hydra composes from the command line; stops on a signal, and may sweep."""
+"""Command: a function of a configuration that Hydra composes; it stops on a signal, and may sweep."""
 
 import atexit
 import gc

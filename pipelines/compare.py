@@ -8,33 +8,31 @@ from omegaconf import DictConfig, ListConfig
 
 from .app import choices, run_directory, save_path
 from .building import budget_of, build_optimiser, build_problem, seeds_of
-from .contenders import LANDMARKS, Contender, contend
-from .composing import changes_results, recompose, search_path, task_overrides
 from .command import Command
+from .composing import changes_results, editable, recompose, task_overrides
+from .contenders import LANDMARKS, Contender, contend
 from .provenance import parameters
-from .tournament import hold_tournament
+from .study import Report, Study
+from .tournament import tournament_of
 
 if TYPE_CHECKING:
     from lmd.evaluation.comparison import OptimiserRun
     from lmd.problem import Problem
 
-    from .operations.tracking import Tracker
-
 # Settings of the comparison itself; every other override is passed on to its runs.
 OWN_KEYS = ("optimisers", "reference", "seeds", "budget", "seed")
 
 
-def compare(cfg: DictConfig) -> None:
-    """Run the configured comparison, or with `suite` a tournament."""
+def compare(cfg: DictConfig) -> Study:
+    """Prepare the configured comparison, or with `suite` a tournament."""
     from lmd.core.checks import InputError, choice
 
     if cfg.suite is not None:
-        hold_tournament(cfg)
-        return
+        return tournament_of(cfg)
 
     from .operations.tracking import RunStart
     from .progress import curve
-    from .tracked_run import dataset_of, log_child, title_of
+    from .tracked_run import derived, log_child, problem_tags, title_of
 
     problem, save_as = build_problem(cfg), save_path(cfg.save_as)
     budget, seeds = budget_of(cfg), seeds_of(cfg)
@@ -45,30 +43,29 @@ def compare(cfg: DictConfig) -> None:
         raise InputError("optimisers must name at least one optimiser.")
     reference = None if cfg.reference is None else choice("reference", cfg.reference, list(configs))
     jobs = [Contender(name, configs[name], seed) for seed in seeds for name in configs]
-    directory = run_directory()
+    directory, tags = run_directory(), problem_tags(cfg, problem)
     axis, title = "evaluations" if budget.evaluations else "wall_time", title_of(problem, f"{len(seeds)} seeds,")
-    dataset = dataset_of(cfg, problem)
-    shared = parameters(cfg, choices())  # so that tables of runs have the same columns as those of optimise
+    # So that tables of runs have the same columns as those of optimise.
+    shared = parameters(cfg, choices()) | derived(problem)
 
     def log(job: Contender, run: "OptimiserRun", parent: str | None) -> None:
         folder, params = job.folder(directory), {**shared, "optimiser": run.optimiser, "seed": run.seed}
-        started = RunStart(job.name, folder, params, job.tags, ago=run.history[-1].wall_time, dataset=dataset)
+        started = RunStart(job.name, folder, params, job.tags | tags, ago=run.history[-1].wall_time)
         log_child(cfg.tracking, started, parent, run.metrics, folder / LANDMARKS, curve(run.history, budget))
 
-    def write(tracker: "Tracker", done: "Mapping[Contender, OptimiserRun]") -> list[Path]:
-        files = _write(directory, list(done.values()), reference, axis, title)
-        tracker.log_artifacts(files)
-        return files
+    def report(done: "Mapping[Contender, OptimiserRun]") -> Report:
+        return _compared(list(done.values()), reference, axis, title)
 
-    is_oriented = not problem.scene.tag.is_point
-    contend(cfg, jobs, lambda _: is_oriented, write, log, problem=problem)
-    if save_as is not None:
-        for kind in ("md", "png"):
+    def saved() -> None:
+        for kind in ("md", "png") if save_as is not None else ():
             Path(f"{save_as}.{kind}").write_bytes((directory / f"comparison.{kind}").read_bytes())
 
+    is_oriented = not problem.scene.tag.is_point
+    return contend(cfg, jobs, lambda _: is_oriented, report, saved, log, problem=problem)
 
-def _write(directory: Path, runs: "Sequence[OptimiserRun]", reference: str | None, axis: str, title: str) -> list[Path]:
-    """Write and print the comparison of runs; returns the files."""
+
+def _compared(runs: "Sequence[OptimiserRun]", reference: str | None, axis: str, title: str) -> Report:
+    """Tables and picture of the comparison of runs."""
     from lmd.evaluation.comparison import compared
     from lmd.objectives.base import figure_of
     from lmd.plot.charts import save_comparison_figure
@@ -77,23 +74,22 @@ def _write(directory: Path, runs: "Sequence[OptimiserRun]", reference: str | Non
 
     fitness = figure_of("fitness")  # the quantity that is maximised, as in the picture
     comparison = compared(runs, fitness.key, reference)
-    table, text, picture = (directory / f"comparison.{kind}" for kind in ("csv", "md", "png"))
-    comparison.table.to_csv(table, index=False)
-    text.write_text(comparison_markdown(comparison, fitness))
-    save_comparison_figure(picture, runs, axis, fitness, title)
-    files = [table, text, picture]
+    markdown = comparison_markdown(comparison, fitness)
+    files = {
+        "comparison.csv": comparison.table,
+        "comparison.md": markdown,
+        "comparison.png": lambda path: save_comparison_figure(path, runs, axis, fitness, title),
+    }
     if comparison.pairs is not None:
-        files.append(directory / "p_values.csv")
-        comparison.pairs.to_csv(files[-1], index_label="optimiser")
-    print(f"\n{text.read_text()}\nfiles: {directory}")
-    return files
+        files["p_values.csv"] = comparison.pairs.rename_axis("optimiser")
+    return Report(files, text=f"\n{markdown}")
 
 
 def _compose(entry: str, cfg: DictConfig, problem: "Problem") -> DictConfig:
     """The `optimise` configuration for one entry of `optimisers`: a name, then its own overrides."""
     shared = [o for key, o in task_overrides() if key.split(".")[0] not in OWN_KEYS and changes_results(key)]
     name, *own = entry.split()
-    composed = recompose("optimise", [*shared, *search_path(), f"optimiser={name}", *own], "optimisers", entry)
+    composed = editable(recompose("optimise", [*shared, f"optimiser={name}", *own], "optimisers", entry))
     composed.budget, composed.threads = cfg.budget, 1
     build_optimiser(composed, cfg.seed).check(problem)  # before any search begins
     return composed

@@ -143,7 +143,7 @@ def settled(cfg: DictConfig) -> DictConfig:
     Raises:
         InputError: a run, a frozen problem, a survey or a map is refused.
     """
-    job = HydraConfig.get()
+    job: Any = HydraConfig.get()
     if (again := _overrides(cfg, job.job.config_name, job.overrides.task, choices())) is not None:
         composed = _load(job.job.config_name, [*search_path(), *again], "the command line", " ".join(again))
         with read_write(job), open_dict(job):
@@ -315,7 +315,8 @@ def _of_run(
         planned = (before.get("visibility") or {}).get("detector")  # limits have the file <family>_<detector>.yaml
         own = list(before.get("detectors") or [Path(str(planned)).stem])
         known = [option.stem for option in Path(CONF, "detectors").glob("*.yaml")]
-        found |= {"detectors": f"[{n}]" for n in known if len(own) == 1 and f"_{own[0]}".endswith(f"_{n}")}
+        if len(own) == 1 and (same := [name for name in known if f"_{own[0]}".endswith(f"_{name}")]):
+            found["detectors"] = f"[{max(same, key=len)}]"
     return found
 
 
@@ -396,7 +397,7 @@ def compared(cfg: DictConfig) -> dict[str, DictConfig]:
         kinds.add(left_out := PATH if option in COUNTED else COUNT[:-1])
         shared = [text for key, text in given if key != left_out and not (key == PATH and option == OPTION)]
         words = [*shared, f"deployment={option}", *own]
-        composed[name] = _final(recompose(HydraConfig.get().job.config_name, words, "deployments", entry))
+        composed[name] = _final(recompose(str(HydraConfig.get().job.config_name), words, "deployments", entry))
     if kinds == {PATH} and (unused := [text for key, text in given if key == PATH]):
         raise InputError(f"{unused[0]} is for none of the deployments {', '.join(composed)}.")
     return composed

@@ -1,8 +1,7 @@
 """Contenders of a comparison: an optimiser, a seed and a problem, whose result is kept in a folder of its own."""
 
 import shutil
-import sys
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass
 from functools import cached_property
@@ -16,8 +15,10 @@ from .building import budget_of, build_optimiser, build_problem
 from .composing import RIG
 from .operations.sweeps.names import DIGEST_LENGTH
 from .optimise import SAME_WHEN_RESUMED
-from .outputs import columns_of, read_document, write_document
+from .outputs import read_document, write_document
 from .provenance import digest, resuming
+from .score import columns_of
+from .study import Earlier, Report, Study
 from .workers import in_processes
 
 if TYPE_CHECKING:
@@ -173,62 +174,57 @@ def _copy(job: Contender, earlier: Path, directory: Path) -> None:
 
 def contend(
     cfg: DictConfig, jobs: Sequence[Contender], ups: Callable[[Contender], bool],
-    write: "Callable[[Tracker, Mapping[Contender, OptimiserRun]], list[Path]]",
+    report: "Callable[[Mapping[Contender, OptimiserRun]], Report]", saved: Callable[[], None],
     log: "Callable[[Contender, OptimiserRun, str | None], None] | None" = None, about: str = "",
     problem: "Problem | None" = None,
-) -> list[Path]:  # fmt: skip
-    """Do the runs of a comparison as a tracked run, but those that the resumed comparison has done.
+) -> Study:  # fmt: skip
+    """Study of the runs of a comparison, which does those that the resumed comparison has not done.
 
     Args:
         cfg: configuration of `compare`.
         jobs: the runs.
         ups: function that returns `ups` of `Contender.save`.
-        write: function that writes and logs the files about the finished runs.
+        report: function that reports on the finished runs.
+        saved: function that is called when the report on all runs is written.
         log: function that records a finished run below the tracked run; None to record none.
-        about, problem: description and problem of the tracked run, see `tracked`.
-
-    Returns:
-        the files about all runs.
+        about, problem: description and problem of the tracked run.
 
     Raises:
         InputError: the comparison to resume cannot be read.
     """
-    from .operations.tracking import PARENT_TAG
-    from .tracked_run import Earlier, tracked
-
-    directory, files = run_directory(), list[Path]()
+    directory = run_directory()
     kept = Kept({}, None) if cfg.resume is None else kept_of(cfg.resume, jobs, directory)
     earlier = None if kept.parent is None else Earlier(kept.parent, Path(cfg.resume))
     by_name, results = {job.name: job for job in jobs}, dict(kept.runs)
-    finished = in_processes(_named, [job for job in jobs if job not in results], cfg.workers, lambda job: job.name)
-    with closing(finished), tracked(cfg, "compare", about, earlier, problem) as tracker:
+    left = [job for job in jobs if job not in results]
 
+    def run(tracker: "Tracker") -> Iterator[Report]:
         def logged(job: Contender) -> None:
             if log is not None:
                 log(job, results[job], tracker.run_id)
                 job.note(directory, parent=tracker.run_id, logged=True)
 
         if results:
-            print(f"{len(results)}/{len(jobs)} done already in {cfg.resume}", flush=True)
+            yield Report(text=f"{len(results)}/{len(jobs)} done already in {cfg.resume}")
         for job in kept.runs:
             if tracker.run_id != kept.parent or job not in kept.logged:
                 logged(job)
-                tracker.keep_newest({**job.tags, PARENT_TAG: str(tracker.run_id)})  # one may be recorded in part
         try:
-            for name, run in finished:
-                job = by_name[name]
-                results[job] = run
-                job.save(directory, run, tracker.run_id, ups(job))
-                logged(job)
-                print(f"{len(results)}/{len(jobs)} {name}: fitness {run.metrics['fitness']:.2%}", flush=True)
-        except KeyboardInterrupt:
-            print(f"interrupted; go on with: {resuming('compare', directory)}", file=sys.stderr)
-            raise
-        finally:  # an interrupted comparison, too, has the files about its finished runs
+            with closing(in_processes(_named, left, cfg.workers, lambda job: job.name)) as finished:
+                for name, done in finished:
+                    job = by_name[name]
+                    results[job] = done
+                    job.save(directory, done, tracker.run_id, ups(job))
+                    logged(job)
+                    yield Report(text=f"{len(results)}/{len(jobs)} {name}: fitness {done.metrics['fitness']:.2%}")
+        except KeyboardInterrupt:  # an interrupted comparison, too, has the files about its finished runs
             if results:
-                files = write(tracker, results)
-        tracker.finish("FINISHED")
-    return files
+                yield report(results)
+            raise
+        yield report(results)
+        saved()
+
+    return Study("compare", run, about, problem, earlier, lambda: f"go on with: {resuming('compare', directory)}")
 
 
 def _named(job: Contender) -> "tuple[str, OptimiserRun]":

@@ -34,7 +34,11 @@ def estimate(cfg: DictConfig) -> Study:
     about = {"name": recording.name, "records": len(recording.time), "duration": recording.duration}
     files = {
         "pdf.csv": result.pdf.to_csv,
-        "pdf_estimate.json": {"recording": about, **result.summary(), "settings": flat_settings(cfg, key, *SETTINGS, "seed")},
+        "pdf_estimate.json": {
+            "recording": about,
+            **result.summary(),
+            "settings": flat_settings(cfg, key, *SETTINGS, "seed"),
+        },
         "pdf.png": lambda path: save_orientation_figure(path, result, f"orientation PDF of {recording.name}"),
     }
     lines = _lines(result) | {

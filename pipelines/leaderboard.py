@@ -2,14 +2,14 @@
 
 import shutil
 from collections.abc import Iterable, Mapping, Sequence
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from .contenders import Contender
+from .study import Report
 
 if TYPE_CHECKING:
-    import pandas as pd
-
     from lmd.evaluation.comparison import OptimiserRun
     from lmd.evaluation.tournament import Tournament
     from lmd.suite import BlackBox, Document
@@ -19,17 +19,16 @@ FIGURES = {"fitness": "fitness", "off_grid": "off the grid"}  # figures of a run
 Results = Mapping[Contender, "OptimiserRun"]
 
 
-def write_leaderboard(
-    directory: Path, results: Results, boxes: "Mapping[str, BlackBox]"
-) -> tuple[list[Path], dict[str, float]]:
-    """Write the leaderboard of finished runs into a folder; returns its files, and the mean ranks as figures."""
+def leaderboard(directory: Path, results: Results, boxes: "Mapping[str, BlackBox]") -> Report:
+    """Leaderboard of finished runs, with the mean ranks as figures; the runs are written to `directory/iohprofiler`."""
+    import pandas as pd
+
     from lmd.evaluation.tournament import tournament
     from lmd.plot.ranks import save_critical_difference_diagram
     from lmd.suite import document
 
     frozen = {name: document(name) for name in boxes}
-    blocks, files, figures = list[str](), list[Path](), dict[str, float]()
-    every = []
+    blocks, files, figures, every = list[str](), dict[str, Any](), dict[str, float](), []
     for place in (2, 1, 0):  # the largest budget first
         runs = [run for job, run in results.items() if job.evaluations == frozen[job.problem].budgets[place]]
         if not runs:
@@ -42,14 +41,15 @@ def write_leaderboard(
             blocks += _section(held, label, frozen)
             figures |= {f"rank_{place + 1}/{key}/{name}": rank for name, rank in held.ranks.items() if rank == rank}
             every.append(held.values.assign(figure=key, budget=place + 1).reset_index())
-            files.append(directory / f"ranks_{place + 1}_{key}.png")
             title = f"mean ranks over {held.complete} problems: {label}, budget {place + 1} of 3"
-            save_critical_difference_diagram(files[-1], held.ranks, held.critical, title)
-        files.append(directory / f"profiles_{place + 1}.png")
-        _profiles(files[-1], runs, frozen, f"budget {place + 1} of 3")
-    files += _tables(directory, blocks, every)
+            draw = partial(save_critical_difference_diagram, ranks=held.ranks, critical=held.critical, title=title)
+            files[f"ranks_{place + 1}_{key}.png"] = draw
+        title = f"budget {place + 1} of 3"
+        files[f"profiles_{place + 1}.png"] = partial(_profiles, runs=runs, frozen=frozen, title=title)
+    text = "\n\n".join(blocks) + "\n"
+    files |= {"leaderboard.md": text, "leaderboard.csv": pd.concat(every)}
     _write_iohprofiler(directory / "iohprofiler", results, boxes)
-    return files, figures
+    return Report(files, figures, text=f"\n{text}")
 
 
 def _section(held: "Tournament", label: str, frozen: "Mapping[str, Document]") -> list[str]:
@@ -95,17 +95,6 @@ def _cell(value: float, greatest: float) -> str:
     if value != value:
         return "–"
     return f"**{value:.2%}**" if value == greatest else f"{value:.2%}"
-
-
-def _tables(directory: Path, blocks: Sequence[str], every: "Sequence[pd.DataFrame]") -> list[Path]:
-    """Write the tables as Markdown and as CSV."""
-    import pandas as pd
-
-    text, table = directory / "leaderboard.md", directory / "leaderboard.csv"
-    text.write_text("\n\n".join(blocks) + "\n", encoding="utf-8")
-    pd.concat(every).to_csv(table, index=False)
-    print(f"\n{text.read_text(encoding='utf-8')}", flush=True)
-    return [text, table]
 
 
 def _profiles(path: Path, runs: "Sequence[OptimiserRun]", frozen: "Mapping[str, Document]", title: str) -> None:

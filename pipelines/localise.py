@@ -1,19 +1,18 @@
 """Localise photographs in a map: `python -m pipelines.localise map=FILE photographs=DIR camera.path=FILE`."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from omegaconf import DictConfig
 
 from .app import run_directory
 from .building import camera_of
-from .earlier_run import FILES as RUN_FILES
-from .earlier_run import read_earlier_run, read_room_of_map
+from .command import Command
+from .composing import FILES as RUN_FILES
 from .landmarks import table_in
 from .nodes import instantiate, keyed, note, settings_of
-from .outputs import write_all, write_document
 from .photographs import detected, odometry_of, reader_of, with_camera_of_bag
-from .pipeline import Pipeline
+from .study import Report, Study
 
 if TYPE_CHECKING:
     from lmd.localise.fixed_map import FixedMap
@@ -24,10 +23,9 @@ DETECTED, BAG, PICTURE = "detections.csv", "poses.mcap", "localise.png"
 SURVEYED = "map.csv"  # map in the folder of a survey
 
 
-def localise(cfg: DictConfig) -> None:
+def localise(cfg: DictConfig) -> Study:
     """Localise the configured photographs or detections."""
     from lmd.core.checks import InputError, boolean, seed_number
-    from lmd.core.tables import write_table
     from lmd.detection.corner_errors import CORNER_ERRORS
     from lmd.formats.detection_formats import write_detections
     from lmd.formats.pose_bags import check_pose_bag, write_pose_bag
@@ -37,7 +35,6 @@ def localise(cfg: DictConfig) -> None:
     from lmd.scene.rig import Rig
 
     from .progress import doing
-    from .tracked_run import keep, tracked
 
     seed_number(cfg.seed)
     tag = instantiate(cfg.tag)
@@ -69,28 +66,24 @@ def localise(cfg: DictConfig) -> None:
         with keyed("localise"):
             check_pose_bag(seen.times)
     about = f"localisation of {found.found.localised.sum()} of {len(seen.times)} frames"
-    with tracked(cfg, "localisation", about) as tracker:
-        writers = {
-            "poses.csv": lambda path: write_table(path, results.image_columns(found)),
-            "poses.tum": lambda path: path.write_text(results.tum_text(found, found.found.poses.frames)),
-            "smoothed.csv": lambda path: write_table(path, results.smoothed_columns(found)),
-            "smoothed.tum": lambda path: path.write_text(
-                results.tum_text(found, None if found.smoothed is None else found.smoothed.frames)
-            ),
-            "changes.csv": lambda path: write_table(path, results.change_columns(found)),
-            "localise.json": lambda path: write_document(path, results.localise_document(found)),
-        }
-        if cfg.picture:
-            title = f"{about} in {cfg.map or 'the map'}"
-            writers[PICTURE] = lambda path: save_localised_figure(path, found, room, title)
-        if bag:
-            writers[BAG] = lambda path: write_pose_bag(path, seen.times, *results.pose_topics(found))
-        if cfg.detections is None:
-            writers[DETECTED] = lambda path: write_detections(path, seen)
-        files = write_all(run_directory(), writers)
-        keep(tracker, files, results.metrics(found))
-    print(f"{results.to_text(found)}\nfiles: {run_directory()}: {', '.join(file.name for file in files)}")
-    print(f"mlflow: {tracker.describe()}")
+    smoothed = None if found.smoothed is None else found.smoothed.frames
+    files: dict[str, Any] = {
+        "poses.csv": results.image_columns(found),
+        "poses.tum": results.tum_text(found, found.found.poses.frames),
+        "smoothed.csv": results.smoothed_columns(found),
+        "smoothed.tum": results.tum_text(found, smoothed),
+        "changes.csv": results.change_columns(found),
+        "localise.json": results.localise_document(found),
+    }
+    if cfg.picture:
+        title = f"{about} in {cfg.map or 'the map'}"
+        files[PICTURE] = lambda path: save_localised_figure(path, found, room, title)
+    if bag:
+        files[BAG] = lambda path: write_pose_bag(path, seen.times, *results.pose_topics(found))
+    if cfg.detections is None:
+        files[DETECTED] = lambda path: write_detections(path, seen)
+    report = Report(files, results.metrics(found), text=results.to_text(found))
+    return Study("localisation", lambda _: report, about)
 
 
 def _map(cfg: DictConfig, tag: "Tag") -> "FixedMap":
@@ -121,7 +114,7 @@ def _map(cfg: DictConfig, tag: "Tag") -> "FixedMap":
     return found
 
 
-main = Pipeline("localise", localise, (read_earlier_run, read_room_of_map))
+main = Command("localise", localise)
 
 if __name__ == "__main__":
     main()

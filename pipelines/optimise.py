@@ -50,7 +50,9 @@ def optimise(cfg: DictConfig) -> Study:
     from .tracked_run import title_of
 
     is_rig = choice("varies", cfg.varies, ("tags", "cameras")) == "cameras"
-    problem, sources = build_camera_problem(cfg) if is_rig else (build_problem(cfg), {})
+    problem: Problem
+    cameras = build_camera_problem(cfg) if is_rig else None
+    problem = build_problem(cfg) if cameras is None else cameras[0]
     optimiser = build_optimiser_of(cfg) if is_rig else build_optimiser(cfg, cfg.seed)
     export = build_export(cfg, "export", problem.scene.tag)
     budget = budget_of(cfg)
@@ -67,14 +69,14 @@ def optimise(cfg: DictConfig) -> Study:
         found, in_haste = _run(problem, budget, checkpoint, tracker, cfg.checkpoint_seconds)
         summary = {"evaluations": found.evaluations, "wall_time": found.seconds, "stopped": found.stopped}
         scoring = partial(scored, extras, deployment=found.deployment, history=found.history, subject=subject)
-        if found.rig is None:
-            figures = summary | optimiser.figures()
+        if found.rig is None or cameras is None:
+            figures = {**summary, **optimiser.figures()}
             more = partial(_accuracy, problem, found, extras)
             yield from scoring(problem=problem, summary=figures, further=more, export=export, in_haste=in_haste)
             return
         rounds = {} if cfg.rounds is None else dict(optimiser.figures())
         with stop.shielded():
-            yield _rig_report(problem, found.rig, sources, about, rounds, is_drawn=bool(extras.picture) and not in_haste)
+            yield _rig_report(*cameras, found.rig, about, rounds, is_drawn=bool(extras.picture) and not in_haste)
         placed = summary | {"cameras": cfg.cameras.count, **({"rounds": rounds} if rounds else {})}
         yield from scoring(problem=problem.with_rig(found.rig), summary=placed, export=export, in_haste=in_haste)
 
@@ -206,7 +208,7 @@ def build_camera_problem(cfg: DictConfig) -> "tuple[CameraProblem, dict[Camera, 
 
 
 def _rig_report(
-    problem: "CameraProblem", rig: "Rig", sources: "dict[Camera, Any]", title: str, rounds: Mapping[str, float],
+    problem: "CameraProblem", sources: "dict[Camera, Any]", rig: "Rig", title: str, rounds: Mapping[str, float],
     is_drawn: bool,
 ) -> Report:  # fmt: skip
     """The rig file and the drawing."""

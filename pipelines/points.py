@@ -2,7 +2,6 @@
 
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from copy import deepcopy
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from pathlib import Path
@@ -12,6 +11,7 @@ from omegaconf import DictConfig
 
 from .app import flat_settings
 from .building import budget_of, build_optimiser, build_problem
+from .composing import editable
 from .nodes import instantiate
 from .optimise import SAME_WHEN_RESUMED
 from .outputs import read_document, write_document
@@ -55,7 +55,7 @@ class Ladder:
 
     def point(self, at: float) -> DictConfig:
         """Configuration of the point with `at` landmarks, or with the limit `at`, on one thread."""
-        cfg = deepcopy(self.cfg)
+        cfg = editable(self.cfg)
         cfg.seed, cfg.threads = self.seed, 1
         if self.limited is None:
             cfg.deployment.count, cfg.tag.edge = at, self.edges[0] or None
@@ -79,7 +79,7 @@ class Ladder:
             return build_problem(cfg, count="counts")
 
         def mixture() -> dict[str, Any]:
-            return {"counts": build_problem(deepcopy(cfg)).scene.tag.counts}
+            return {"counts": build_problem(cfg).scene.tag.counts}
 
         any_seed = replace(self, seed=self.cfg.seed)
         cfg.deployment.count = any_seed._kept(at, "mixture", None, mixture, lambda kept: list(map(int, kept["counts"])))

@@ -9,9 +9,9 @@ from omegaconf.errors import OmegaConfBaseException
 
 from .app import run_directory, save_path
 from .building import build_problem
+from .command import Command, alone
 from .composing import GROUPS
 from .outputs import all_or_none
-from .command import Command, alone
 from .trust import Trust, read_yaml
 
 if TYPE_CHECKING:

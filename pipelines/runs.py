@@ -20,9 +20,9 @@ from hydra.errors import HydraException
 from omegaconf import DictConfig
 
 from .app import CONF, PACKAGE, command_of
-from .nodes import instantiate
-from .composing import at, config_dir, search_path, task_overrides
 from .command import Command, alone
+from .composing import at, config_dir, search_path, task_overrides
+from .nodes import instantiate
 from .trust import PAGE, SHOWN, TARGET, Trust, listed, read_yaml
 
 if TYPE_CHECKING:

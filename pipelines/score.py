@@ -27,6 +27,7 @@ if TYPE_CHECKING:
 MEASURED, MOUNTING = "deployment.measured", "deployment.mounting_error"
 # Figures that the terminal shows of deployments side by side.
 COMPARED = ("fitness", "off_grid", "qualified_ratio", "average_coverage_probability", "localised_share_20mm")
+HISTORY_FILE = "history.csv"
 FEW_QUALIFIED = 0.1  # share of qualified positions; below it a run prints the criteria that exclude the others
 
 
@@ -104,10 +105,8 @@ def scored(
         document: dict[str, Any] = {**metrics, **summary, "seed": extras.seed}
         settings = {"settings": problem.settings()}
         write = partial(deployment.to_csv, ups=not problem.scene.tag.is_point)
-        yield Report(
-            {"landmarks.csv": write, "metrics.json": document | settings}, is_whole=not is_cut, is_cut=is_cut
-        )
-        yield Report({"history.csv": columns_of(history)}, is_extra=True)
+        yield Report({"landmarks.csv": write, "metrics.json": document | settings}, is_whole=not is_cut, is_cut=is_cut)
+        yield Report({HISTORY_FILE: columns_of(history)}, is_extra=True)
     figures = {key: value for key, value in summary.items() if isinstance(value, int | float)}
     validation, why = dict[str, float](), None
     if not in_haste:

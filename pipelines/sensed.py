@@ -142,7 +142,7 @@ def detect(cfg: DictConfig, own: Own) -> Study:
         each = partial(in_batches, cfg.workers)
         seen, again = sightings(subjects, seed, each), None
         if moves is not None:
-            moved = {name: subject.nudged(*moves, seed) for name, subject in subjects.items()}
+            moved = {name: subject.nudged(moves[0], moves[1], seed) for name, subject in subjects.items()}
             again = sightings(moved, seed + 1, each)
         study = DetectionStudy(subjects, seen, again)
         tables, metrics = study.tables, study.metrics()

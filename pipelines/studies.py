@@ -7,7 +7,6 @@ settings and returns the study.
 import sys
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
-from functools import partial
 from math import inf
 from time import monotonic
 from typing import TYPE_CHECKING, Any
@@ -161,9 +160,7 @@ def uncertainty(cfg: DictConfig, own: Own) -> Study:
             found = find(problem, deployment, study, cfg.seed, places, joint)
         with keyed("uncertainty"):
             law = uncertainty_law(found)
-        return Report(
-            _uncertainty_files(cfg, problem, deployment, found, law), found.metrics(), lines=law.lines(found)
-        )
+        return Report(_uncertainty_files(cfg, problem, deployment, found, law), found.metrics(), lines=law.lines(found))
 
     return Study("uncertainty", run, problem=problem)
 
@@ -183,7 +180,7 @@ def _uncertainty_files(
     about = f"{of}, {room}; errors of corners {found.corners}."
     code = FilterLaws(law.laws, law.rules, law.reach, float(distance.min()), float(distance.max()), about)
     document = {"about": about, "views": found.metrics(), "misleading": found.misleading, **law.document()}
-    files = {
+    files: dict[str, Any] = {
         "uncertainty.csv": found.views,
         "uncertainty_law.csv": law.table,
         "uncertainty_law.json": document,
@@ -193,5 +190,6 @@ def _uncertainty_files(
         "robot_localization.yaml": robot_localization(code),
     }
     title = title_of(problem, "uncertainty of the pose from one image,")
-    drawn = {"problem": problem, "deployment": deployment, "found": found, "law": law, "title": title}
-    return files | ({"uncertainty.png": partial(save_uncertainty_figure, **drawn)} if cfg.picture else {})
+    if cfg.picture:
+        files["uncertainty.png"] = lambda path: save_uncertainty_figure(path, problem, deployment, found, law, title)
+    return files

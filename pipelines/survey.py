@@ -9,16 +9,14 @@ from typing import TYPE_CHECKING
 from omegaconf import DictConfig, OmegaConf
 
 from .app import discard_empty, run_directory
-from .building import camera_of
-from .crowd import visibility_of
-from .earlier_run import read_earlier_run
+from .building import camera_of, visibility_of
+from .command import Command
 from .export import build_export
 from .landmarks import fixed_of, table_in
 from .nodes import instantiate, keyed, note, settings_of
 from .operations.signals import Stopped, stop
-from .outputs import write_all
 from .photographs import detected, odometry_of, reader_of, with_camera_of_bag
-from .pipeline import Pipeline
+from .study import Report, Study
 from .survey_files import audit_writers, check_folder, writers_of
 
 if TYPE_CHECKING:
@@ -32,7 +30,7 @@ if TYPE_CHECKING:
     from .progress import Stages
 
 
-def survey(cfg: DictConfig) -> None:
+def survey(cfg: DictConfig) -> Study:
     """Estimate the map of the tags in the configured photographs or detections."""
     from lmd.core.checks import InputError, boolean, integer, seed_number
     from lmd.core.tables import write_table
@@ -47,7 +45,6 @@ def survey(cfg: DictConfig) -> None:
     from lmd.survey.terminal import to_text
 
     from .progress import Stages
-    from .tracked_run import keep, tracked
 
     seed_number(cfg.seed)
     tag = instantiate(cfg.tag)
@@ -82,22 +79,19 @@ def survey(cfg: DictConfig) -> None:
                 audit = audited(*((found, scene) if room is not None else in_the_open(found, scene)), verdicts)
             found = replace(found, interrupted=stages.interrupted)
     about = f"survey of {found.placed.sum()} tags in {len(found.found.frames)} frames"
-    with tracked(cfg, "survey", about) as tracker:
-        writers = writers_of(found, room, about, found_tags if cfg.detections is None else None)
-        writers[VIEWS] = lambda path: write_table(path, view_columns(found, through, tag, room))
+
+    def run(_: object) -> Report:
+        files = writers_of(found, room, about, found_tags if cfg.detections is None else None)
+        files[VIEWS] = lambda path: write_table(path, view_columns(found, through, tag, room))
         if exports.formats and room is not None:
-            writers |= exports.writers(room, tag, map_of(found))
+            files |= exports.writers(room, tag, map_of(found))
         if audit is not None:
-            writers |= audit_writers(audit, name, about)
-        with stop.shielded():
-            files = write_all(run_directory(), writers)
+            files |= audit_writers(audit, name, about)
         figures = metrics(found) | (audit.metrics() if audit else {})
-        keep(tracker, files, figures, "FINISHED" if found.interrupted is None else "KILLED")
-    text = "\n".join([to_text(found), *([audit.to_text()] if audit else [])])
-    print(f"{text}\nfiles: {run_directory()}: {', '.join(file.name for file in files)}")
-    print(f"mlflow: {tracker.describe()}")
-    if found.interrupted is not None:
-        sys.exit(stop.code)
+        text = "\n".join([to_text(found), *([audit.to_text()] if audit else [])])
+        return Report(files, figures, text=text, is_cut=found.interrupted is not None)
+
+    return Study("survey", run, about)
 
 
 @contextmanager
@@ -174,7 +168,7 @@ def _known(cfg: DictConfig, tag: "Tag", given: "Camera | Rig") -> "PriorKnowledg
         )
 
 
-main = Pipeline("survey", survey, (read_earlier_run,))
+main = Command("survey", survey)
 
 if __name__ == "__main__":
     main()

@@ -52,13 +52,8 @@ def _destination(given: str | None, cfg: DictConfig, yes: bool) -> str:
     configured = cfg.tracking.get("uri")  # tracking=none has no address
     if given not in (None, configured) and not yes:
         raise InputError(f"it is for {given!r}, and not for {configured!r}, your tracking.uri; if you know it, add "
-                         f"{shlex.quote(f'uri={given}')} or --yes ({PAGE}).")  # fmt: skip
+                         f"{shlex.quote(f'uri={given}')} and yes=true ({PAGE}).")  # fmt: skip
     return str(given or configured)
-
-
-def read_yes() -> None:
-    """Read `--yes` on the command line as `yes=true`."""
-    sys.argv[1:] = ["yes=true" if argument == "--yes" else argument for argument in sys.argv[1:]]
 
 
 def _sync_or_fail(cfg: DictConfig) -> None:
@@ -66,7 +61,7 @@ def _sync_or_fail(cfg: DictConfig) -> None:
         sys.exit(1)
 
 
-main = Command("sync", _sync_or_fail, (read_yes,), alone)
+main = Command("sync", _sync_or_fail, alone)
 
 if __name__ == "__main__":
     main()

@@ -2,51 +2,51 @@
 
 from collections.abc import Iterator, Mapping
 from itertools import product
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 from omegaconf import DictConfig, OmegaConf
 
 from .app import run_directory, save_path
 from .building import GROUPS, build_optimiser, seeds_of
+from .composing import recompose, task_overrides
 from .contenders import Contender, contend
-from .leaderboard import write_leaderboard
+from .leaderboard import leaderboard
 from .nodes import note
-from .composing import recompose, search_path, task_overrides
+from .study import Report, Study
 
 if TYPE_CHECKING:
     from lmd.evaluation.comparison import OptimiserRun
     from lmd.suite import BlackBox
 
-    from .operations.tracking import Tracker
-
 CAMERAS = {"annealing": "camera_annealing"}  # optimiser of the same method for problems that place cameras
 BUDGETS = ("1", "2", "3")  # places in the list of budgets of a problem
 
 
-def hold_tournament(cfg: DictConfig) -> None:
-    """Run the optimisers of a configuration over problems of the suite, and write the leaderboard.
+def tournament_of(cfg: DictConfig) -> Study:
+    """Study of the optimisers of a configuration over problems of the suite, which writes the leaderboard.
 
     Raises:
         InputError: a setting is refused.
     """
     save_as, boxes = save_path(cfg.save_as), problems_of(cfg)
     about = f"{len(boxes)} problems, {len(cfg.optimisers)} optimisers, {cfg.seeds} seeds"
+    names: list[str] = []
 
-    def write(tracker: "Tracker", done: "Mapping[Contender, OptimiserRun]") -> list[Path]:
-        files, figures = write_leaderboard(run_directory(), done, boxes)
-        tracker.log_metrics(figures)
-        tracker.log_artifacts(files)
-        return files
+    def report(done: "Mapping[Contender, OptimiserRun]") -> Report:
+        found = leaderboard(run_directory(), done, boxes)
+        names[:] = found.files
+        return found
 
-    files = contend(
-        cfg, list(_jobs(cfg, boxes)), lambda job: not boxes[job.problem].problem.scene.tag.is_point,
-        write, about=about,
+    def saved() -> None:
+        if save_as is None:
+            return
+        for name in names:
+            save_as.with_name(f"{save_as.name}_{name}").write_bytes((run_directory() / name).read_bytes())
+
+    return contend(
+        cfg, list(_jobs(cfg, boxes)), lambda job: not boxes[job.problem].problem.scene.tag.is_point, report, saved,
+        about=about,
     )  # fmt: skip
-    if save_as is not None:
-        for file in files:
-            save_as.with_name(f"{save_as.name}_{file.name}").write_bytes(file.read_bytes())
-    print(f"files: {run_directory()}")
 
 
 def problems_of(cfg: DictConfig) -> "Mapping[str, BlackBox]":
@@ -114,4 +114,4 @@ def _composed(entry: str, words: str) -> DictConfig:
     """The configuration of `optimise` with an optimiser and its own overrides."""
     name, *own = words.split()
     shared = [override for key, override in task_overrides() if key == "validate"]
-    return recompose("optimise", [*shared, *search_path(), f"optimiser={name}", *own], "optimisers", entry)
+    return recompose("optimise", [*shared, f"optimiser={name}", *own], "optimisers", entry)

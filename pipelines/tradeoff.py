@@ -7,7 +7,6 @@ This is one run and not a sweep because the search at each point also starts fro
 Searches run in parallel, and their results are stored on disk.
 """
 
-import sys
 from itertools import product
 from math import inf, isfinite
 from typing import TYPE_CHECKING, Any
@@ -16,11 +15,12 @@ from omegaconf import DictConfig, OmegaConf
 
 from .app import run_directory
 from .building import budget_of, build_optimiser, seeds_of
+from .command import Command
 from .nodes import instantiate, keyed
 from .operations.sweeps.names import slug
-from .outputs import write_document
-from .command import Command
 from .points import BUDGET, PAPER, Ladder, Points, figures_of, shares_among
+from .size import size
+from .study import Report, Study
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -34,16 +34,19 @@ LIMITS = {PAPER: "papers", BUDGET: "budgets"}  # keys that list values of a limi
 MLFLOW_STEPS = 1e4  # steps of mlflow, which are whole numbers, per unit of a limit: square centimetres of paper
 
 
-def tradeoff(cfg: DictConfig) -> None:
-    """Search for every number of landmarks, edge and seed, or for every limit, mixture of edges and seed."""
+def tradeoff(cfg: DictConfig) -> Study:
+    """Prepare searches for every number of landmarks, edge and seed, or for every limit, mixture of edges and seed.
+
+    With `size` the range of the tags is told in their place.
+    """
+    if cfg.size:
+        return size(cfg)
     import numpy as np
 
     from lmd.core.checks import choice, file_path, real
     from lmd.evaluation.tradeoff import between
     from lmd.evaluation.validation import headline_off_grid
     from lmd.objectives.base import selectable
-
-    from .tracked_run import tracked
 
     limited, places, curves = _curves(cfg)
     seeds = seeds_of(cfg)
@@ -63,15 +66,16 @@ def tradeoff(cfg: DictConfig) -> None:
         choice("figure", cfg.figure, shares_among(known))
     figure = cfg.figure or headline_off_grid(problem)
     points = Points(ladders, cfg.workers)
-    with tracked(cfg, "tradeoff", problem=problem) as tracker:
-        try:
-            points.look(list(product(range(len(ladders)), places)))
-            while wanted is not None and (halves := between(points.table, figure, wanted, points.axis)):
-                points.look([(number, at) for curve, at in halves for number in points.of(curve)])
-        except KeyboardInterrupt:
-            print(f"interrupted; the same command goes on with what is kept in {cfg.kept}", file=sys.stderr)
-            raise
-        _record(cfg, points, problem, figure, wanted, tracker)
+
+    def run(tracker: "Tracker") -> Report:
+        points.look(list(product(range(len(ladders)), places)))
+        while wanted is not None and (halves := between(points.table, figure, wanted, points.axis)):
+            points.look([(number, at) for curve, at in halves for number in points.of(curve)])
+        _log_points(cfg.tracking, points, tracker.run_id)
+        return _report(cfg, points, problem, figure, wanted)
+
+    hint = f"the same command goes on with what is kept in {cfg.kept}"
+    return Study("tradeoff", run, problem=problem, hint=lambda: hint)
 
 
 def _curves(cfg: DictConfig) -> "tuple[str | None, list[float], list[tuple[float, ...]]]":
@@ -114,10 +118,8 @@ def _listed(name: str, value: Any) -> list[Any]:
     return list(value)
 
 
-def _record(
-    cfg: DictConfig, points: Points, problem: "Problem", figure: str, wanted: float | None, tracker: "Tracker"
-) -> None:
-    """Write, log and print the points."""
+def _report(cfg: DictConfig, points: Points, problem: "Problem", figure: str, wanted: float | None) -> Report:
+    """Report on the points."""
     from lmd.evaluation.maps import percent_text
     from lmd.evaluation.tradeoff import fewest, front, mixtures
     from lmd.evaluation.validation import headline_off_grid
@@ -125,9 +127,7 @@ def _record(
     from lmd.objectives.localisation import Localisation
     from lmd.plot.charts import Panel, save_tradeoff_figure
 
-    from .tracked_run import keep
-
-    directory, table, axis, headline = run_directory(), points.table, points.axis, problem.objective.headline
+    table, axis, headline = points.table, points.axis, problem.objective.headline
     off_grid, beside = headline_off_grid(problem), COVERED if isinstance(problem.objective, Localisation) else LOCALISED
     if problem.scene.recorded is None:
         panels = {off_grid: Panel(f"{headline.label}, off the grid", off_grid, headline.key)}
@@ -139,11 +139,7 @@ def _record(
     curves = front(table, list(dict.fromkeys([figure, headline.key, *panels])), axis)
     if (mixed := mixtures(table, axis)) is not None:
         curves["tags"] = mixed
-    table.to_csv(directory / "points.csv", index=False)
-    curves.to_csv(directory / "front.csv")
-    save_tradeoff_figure(
-        directory / "tradeoff.png", table, list(panels.values()), f"{problem.objective.name}, {cfg.seeds} seeds", axis
-    )
+    title = f"{problem.objective.name}, {cfg.seeds} seeds"
     document: dict[str, Any] = {"figure": figure, "settings": problem.settings()}
     text = f"medians over {cfg.seeds} seeds, least and greatest of the first, per cent\n{percent_text(curves)}"
     known: dict[str, float] = {}
@@ -155,16 +151,21 @@ def _record(
         finite = [{key: None if value == inf else value for key, value in row.items()} for row in rows]
         document |= {"wanted": wanted, "fewest": finite}
         known = {f"fewest/{axis.curve}_{_slug(curve)}": at for curve, at in reached[axis.along].items() if isfinite(at)}
-    write_document(directory / "tradeoff.json", document)
     scale = 1.0 if points.limited is None else MLFLOW_STEPS
-    for name in panels:
-        for curve, same in curves.reset_index().groupby(axis.curve):
-            steps = [(round(scale * at), value, 0.0) for at, value in same[[axis.along, name]].to_numpy().tolist()]
-            tracker.log_curve(f"{name}/{axis.curve}_{_slug(curve)}", steps)
-    _log_points(cfg.tracking, points, tracker.run_id)
-    names = ("points.csv", "front.csv", "tradeoff.json", "tradeoff.png")
-    keep(tracker, [directory / name for name in names], known)
-    print(f"\n{text}\n\nfiles: {directory}\nmlflow: {tracker.describe()}")
+    lines = {
+        f"{name}/{axis.curve}_{_slug(curve)}": [
+            (round(scale * at), value, 0.0) for at, value in same[[axis.along, name]].to_numpy().tolist()
+        ]
+        for name in panels
+        for curve, same in curves.reset_index().groupby(axis.curve)
+    }
+    files = {
+        "points.csv": table,
+        "front.csv": lambda path: curves.to_csv(path),
+        "tradeoff.json": document,
+        "tradeoff.png": lambda path: save_tradeoff_figure(path, table, list(panels.values()), title, axis),
+    }
+    return Report(files, known, lines, f"\n{text}\n")
 
 
 def _slug(curve: Any) -> str:

@@ -46,7 +46,13 @@ class Rendered:
 
     @classmethod
     def of(
-        cls, problem: Problem, tag: "Tag", imaging: "Imaging", detectors: "Mapping[str, Detector]", frames: int, seed: int
+        cls,
+        problem: Problem,
+        tag: "Tag",
+        imaging: "Imaging",
+        detectors: "Mapping[str, Detector]",
+        frames: int,
+        seed: int,
     ) -> "Rendered":
         """Predict the sightings of a problem's deployment in random poses.
 

@@ -16,7 +16,7 @@ from lmd.scene.deployment import Deployment
 
 from ..nodes import note
 from ..operations.tracking import PARENT_TAG, MlflowReader
-from ..outputs import HISTORY_FILE, columns_of
+from ..score import HISTORY_FILE, columns_of
 from .document import Picture
 
 INDICES = {

@@ -12,9 +12,9 @@ from typing import TYPE_CHECKING, Any
 from hydra.experimental.callback import Callback
 from omegaconf import DictConfig
 
+from ...composing import key_and_value
 from ...nodes import instantiate
 from ...outputs import held
-from ...composing import key_and_value
 from ...provenance import repeating, source_tags
 from ..signals import stop
 from .folder import Sweep, SweepFolder, reason_of

@@ -65,7 +65,7 @@ def draw_groups(path: Path, sweep: Sweep, found: Found) -> list[Path]:
     from lmd.optimisers.ledger import Record
     from lmd.plot.charts import Searched, save_groups_figure
 
-    from ...outputs import HISTORY_FILE, columns_of
+    from ...score import HISTORY_FILE, columns_of
 
     groups: dict[tuple[str, ...], list[Searched]] = {}
     for group, members in _groups(sweep, found).items():
